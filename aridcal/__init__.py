@@ -1,0 +1,3 @@
+"""Robot calibration that explains itself."""
+
+__version__ = "0.1.0"
