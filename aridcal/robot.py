@@ -185,7 +185,9 @@ def parse_robot(urdf: bytes, tip: str, base: str | None = None, path: Path = Pat
             )
     if not joints:
         raise RobotError(f"{path}: no joint moves between {base or link!r} and {tip!r}: nothing to calibrate")
-    moves = {n: (_axis(e, path), MOVING[e.get("type", "")]) for n, e in elements.items() if e.get("type") in MOVING}
+    moves: dict[str, tuple[np.ndarray, str]] = {
+        n: (_axis(e, path), MOVING[e.get("type", "")]) for n, e in elements.items() if e.get("type") in MOVING
+    }
     return Robot(urdf, path, link, tip, tuple(joints), name, before, origin, moves, mimics)
 
 
