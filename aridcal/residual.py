@@ -164,5 +164,5 @@ def triangle(
         r, J = linearise(model, theta, rows[block], measured[block])
         scale = np.repeat([1.0 / sigma.position, 1.0 / sigma.rotation], 3)[: r.shape[1]]
         J = J * (np.sqrt(weight[block])[:, None] * scale)[:, :, None]
-        R = np.linalg.qr(np.vstack([R, J.reshape(-1, len(theta))]), mode="r")
+        R = np.asarray(np.linalg.qr(np.vstack([R, J.reshape(-1, len(theta))]), mode="r"))
     return R

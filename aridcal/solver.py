@@ -1,0 +1,352 @@
+"""Weighted least squares on the extended model: starts, robust loss, identifiable subset, covariance."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import LinAlgError, cho_factor, cho_solve
+
+from aridcal.effects import Coefficient
+from aridcal.errors import NotIdentifiable
+from aridcal.identifiable import identifiable
+from aridcal.model import Model, Rows
+from aridcal.residual import (
+    FLOOR,
+    Normal,
+    Observations,
+    Sigma,
+    cauchy,
+    distance,
+    normal,
+    predict_residuals,
+    robust_sigma,
+    scaled,
+    triangle,
+)
+
+OUTLIER = 6.0  # sigmas per axis, position or rotation, beyond which a row is flagged: 1 clean row in 10 million
+STEPS = 60
+SETTLED = 1e-4  # a step that moves no combination of coefficients by more than this share of its sigma is the last
+
+
+@dataclass(frozen=True)
+class Data:
+    """What a fit sees: configurations and measured poses, row by row."""
+
+    rows: Rows
+    measured: Observations
+
+    def __getitem__(self, rows: slice | np.ndarray) -> Data:
+        return Data(self.rows[rows], self.measured[rows])
+
+    def __len__(self) -> int:
+        return len(self.measured)
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Noise per axis, [m] and [rad].
+
+    Attributes:
+        declared_position: What the user states; None if it is to be estimated.
+        declared_rotation: Likewise.
+    """
+
+    declared_position: float | None = None
+    declared_rotation: float | None = None
+
+    def sigma(self, estimate: Sigma) -> Sigma:
+        """The declared values, and the estimate where nothing is declared."""
+        return Sigma(self.declared_position or estimate.position, self.declared_rotation or estimate.rotation)
+
+
+@dataclass(frozen=True)
+class Prior:
+    """What is believed of the coefficients beforehand: a mean (K,) and a precision (K, K)."""
+
+    mean: np.ndarray
+    precision: np.ndarray
+
+
+@dataclass(frozen=True)
+class Convergence:
+    """Proof that a minimum was found.
+
+    Attributes:
+        steps: Gauss-Newton steps taken.
+        gradient: Largest gradient, as the step it asks for in sigmas of the coefficient.
+        condition: Of the Jacobian, each column scaled to length 1.
+        restarts: Other starts that were tried; each must lead to the same minimum.
+        agreed: How many of them did.
+    """
+
+    steps: int
+    gradient: float
+    condition: float
+    restarts: int = 0
+    agreed: int = 0
+
+    @property
+    def converged(self) -> bool:
+        """True if the gradient vanished and no restart found a better minimum."""
+        return self.gradient < 1e-2
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A solved model.
+
+    Attributes:
+        model: The coefficients that were kept, frames at their start.
+        theta: Their values, shape (K,).
+        covariance: Shape (K, K).
+        sigma: Noise per axis that weighed the rows.
+        estimated: Noise per axis that the residuals show, degrees of freedom taken into account.
+        weight: Of each row, shape (N,): 0 for outliers.
+        residual: Measured minus predicted, scaled by the rows' relative sigmas, shape (N, m).
+        candidates: All coefficients that were asked for.
+        redundant: For each that was dropped: the names of those it cannot be told from.
+        convergence: How well the minimum was found.
+    """
+
+    model: Model
+    theta: np.ndarray
+    covariance: np.ndarray
+    sigma: Sigma
+    estimated: Sigma
+    weight: np.ndarray
+    residual: np.ndarray
+    candidates: tuple[Coefficient, ...]
+    redundant: dict[str, tuple[str, ...]]
+    convergence: Convergence
+
+    @property
+    def std(self) -> np.ndarray:
+        """Standard deviation of each coefficient, shape (K,)."""
+        return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+
+    @property
+    def outliers(self) -> np.ndarray:
+        """Rows that were given no weight, shape (N,)."""
+        return np.asarray(self.weight < 0.5)
+
+    @property
+    def freedom(self) -> float:
+        """Degrees of freedom left: numbers measured minus coefficients."""
+        return float((~self.outliers).sum() * self.residual.shape[1] - len(self.theta))
+
+
+@dataclass(frozen=True)
+class _Point:
+    theta: np.ndarray
+    sums: Normal
+    steps: int
+    gradient: float
+
+
+def minimise(
+    model: Model,
+    data: Data,
+    theta: np.ndarray,
+    sigma: Sigma,
+    weight: np.ndarray | None,
+    prior: Prior | None = None,
+    steps: int = STEPS,
+    settled: float = SETTLED,
+) -> _Point:
+    """Levenberg-Marquardt from theta. ``weight`` None: Cauchy's, its scale found anew at each step."""
+    robust = weight is None
+    scale = sigma
+    if weight is None:
+        r = scaled(predict_residuals(model, theta, data.rows, data.measured), data.measured)
+        scale = robust_sigma(r)
+    here = normal(model, theta, data.rows, data.measured, weight, scale)
+    damping, taken = 0.0, 0
+    size = np.inf
+    for _ in range(steps):
+        H, g = _with_prior(here, sigma, theta, prior)
+        diagonal = np.maximum(np.diag(H), 1e-300)
+        step = _solve(H + damping * np.diag(diagonal), g, diagonal)
+        size = float(np.sqrt(max(step @ g, 0.0)))
+        tiny = np.all(np.abs(step) < 1e-13 * (1.0 + np.abs(theta)))
+        if (size < settled and damping == 0.0) or tiny:
+            if not robust or tiny:
+                theta = theta + step
+                here = normal(model, theta, data.rows, data.measured, weight, scale)
+                taken += 1
+            break
+        trial = normal(model, theta + step, data.rows, data.measured, weight, scale)
+        if _cost(trial.residual, here.weight, sigma, theta + step, prior) <= _cost(
+            here.residual, here.weight, sigma, theta, prior
+        ):
+            theta, here, damping = theta + step, trial, 0.0 if damping < 1e-4 else damping / 10
+            taken += 1
+            if robust:
+                fresh = robust_sigma(here.residual)
+                if abs(fresh.position / scale.position - 1) < 0.01 and abs(fresh.rotation / scale.rotation - 1) < 0.01:
+                    settled = max(settled, 0.1)  # the scale stands still: the last decimals are for the final weights
+                scale = fresh
+        else:
+            damping = max(10 * damping, 1e-4)
+            if damping > 1e8:
+                break
+    H, g = _with_prior(here, sigma, theta, prior)
+    rest = _solve(H, g, np.maximum(np.diag(H), 1e-300))
+    return _Point(theta, here, taken, float(np.sqrt(max(rest @ g, 0.0))))
+
+
+def fit(
+    model: Model,
+    data: Data,
+    noise: Noise,
+    theta: np.ndarray | None = None,
+    weight: np.ndarray | None = None,
+    prior: Prior | None = None,
+) -> Fit:
+    """Fit the given coefficients, all of them: robustly first, then with the outliers flagged.
+
+    Args:
+        model: K coefficients that the data can tell apart.
+        data: N rows.
+        noise: Declared noise, estimated where it is not.
+        theta: Start; default: zero.
+        weight: Weights to use instead of looking for outliers, shape (N,).
+        prior: Beliefs that are not measured here.
+    """
+    theta = np.zeros(len(model.coefficients)) if theta is None else theta
+    r = scaled(predict_residuals(model, theta, data.rows, data.measured), data.measured)
+    point = None
+    sigma = noise.sigma(robust_sigma(r))
+    if weight is None:
+        point = minimise(model, data, theta, sigma, None, prior)
+        sigma = noise.sigma(robust_sigma(point.sums.residual))
+        weight = flag(point.sums.residual)
+    steps = 0 if point is None else point.steps
+    searching = point is not None
+    for _ in range(8):
+        point = minimise(model, data, theta if point is None else point.theta, sigma, weight, prior)
+        steps += point.steps
+        estimate = _estimate(point.sums, sigma, prior)
+        fresh = noise.sigma(estimate)
+        flags = flag(point.sums.residual) if searching else weight
+        same = np.array_equal(flags, weight)
+        steady = (
+            abs(np.log(fresh.position / sigma.position)) < 0.02 and abs(np.log(fresh.rotation / sigma.rotation)) < 0.02
+        )
+        weight, sigma = flags, fresh
+        if same and steady:
+            break
+    assert point is not None
+    H, _ = _with_prior(point.sums, sigma, point.theta, prior)
+    diagonal = np.maximum(np.diag(H), 1e-300)
+    covariance = _solve(H, np.eye(len(H)), diagonal)
+    correlation = H / np.sqrt(np.outer(diagonal, diagonal))
+    condition = float(np.sqrt(np.linalg.cond(correlation))) if len(H) else 1.0
+    return Fit(
+        model, point.theta, covariance, sigma, estimate, weight, point.sums.residual, model.coefficients, {},
+        Convergence(steps, point.gradient, condition),
+    )  # fmt: skip
+
+
+def fit_identifiable(
+    model: Model, data: Data, noise: Noise, order: Sequence[int], theta: np.ndarray | None = None
+) -> Fit:
+    """Fit the identifiable ones of a model's coefficients; the others stay nominal and are named.
+
+    Args:
+        model: All candidates.
+        data: N rows.
+        noise: Declared noise.
+        order: The candidates' indices, the ones to keep before others first.
+        theta: Start, shape (all candidates,); default: zero.
+
+    Raises:
+        NotIdentifiable: nothing at all can be identified.
+    """
+    theta = np.zeros(len(model.coefficients)) if theta is None else theta
+    r = scaled(predict_residuals(model, theta, data.rows, data.measured), data.measured)
+    sigma = noise.sigma(Sigma(1e-4, 1e-4))
+    weight = cauchy(r, robust_sigma(r))
+    kept: tuple[int, ...] = ()
+    result = None
+    for _ in range(4):
+        subset = identifiable(triangle(model, theta, data.rows, data.measured, weight, sigma), order)
+        if result is not None and set(subset.kept) == set(kept):
+            break
+        # A coefficient that was kept before stays a candidate at the values found; one newly dropped is nominal again.
+        kept = subset.kept
+        if not kept:
+            raise NotIdentifiable([model.names])
+        inner = model.with_coefficients([model.coefficients[k] for k in sorted(kept)])
+        result = fit(inner, _with_rows(data, model, sorted(kept)), noise, theta[sorted(kept)])
+        theta = np.zeros(len(model.coefficients))
+        theta[sorted(kept)] = result.theta
+        sigma, weight = result.sigma, result.weight
+    assert result is not None
+    redundant = {model.names[k]: tuple(model.names[j] for j in partners) for k, partners in subset.redundant.items()}
+    convergence = replace(result.convergence, condition=subset.condition)
+    return replace(result, candidates=model.coefficients, redundant=redundant, convergence=convergence)
+
+
+def flag(r: np.ndarray) -> np.ndarray:
+    """Weights 1 and 0: 0 for rows further off than the bulk of the rows can explain, shape (N,)."""
+    return np.where(distance(r, robust_sigma(r)) > OUTLIER, 0.0, 1.0)
+
+
+def _with_rows(data: Data, model: Model, kept: Sequence[int]) -> Data:
+    """The same rows for fewer coefficients: their bases follow."""
+    varying = [
+        int(k) for k in np.flatnonzero([not c.basis.constant or c.station is not None for c in model.coefficients])
+    ]
+    columns = [varying.index(k) for k in kept if k in varying]
+    return replace(data, rows=replace(data.rows, phi=data.rows.phi[:, columns]))
+
+
+def _with_prior(sums: Normal, sigma: Sigma, theta: np.ndarray, prior: Prior | None) -> tuple[np.ndarray, np.ndarray]:
+    H, g = sums.hessian(sigma), sums.gradient(sigma)
+    if prior is not None:
+        H, g = H + prior.precision, g + prior.precision @ (prior.mean - theta)
+    return H, g
+
+
+def _cost(r: np.ndarray, weight: np.ndarray, sigma: Sigma, theta: np.ndarray, prior: Prior | None) -> float:
+    value = float(weight @ np.sum(r[:, :3] ** 2, axis=1)) / sigma.position**2
+    value += float(weight @ np.sum(r[:, 3:] ** 2, axis=1)) / sigma.rotation**2
+    if prior is not None:
+        value += float((theta - prior.mean) @ prior.precision @ (theta - prior.mean))
+    return value
+
+
+def _solve(H: np.ndarray, b: np.ndarray, diagonal: np.ndarray) -> np.ndarray:
+    """H^-1 b with the coefficients scaled to unit diagonal, so that metres and radians do not upset the rank."""
+    scale = 1.0 / np.sqrt(diagonal)
+    S = H * np.outer(scale, scale)
+    scale_b = scale if b.ndim == 1 else scale[:, None]
+    try:
+        x = cho_solve(cho_factor(S), b * scale_b)
+    except LinAlgError:
+        x = np.linalg.lstsq(S, b * scale_b, rcond=1e-13)[0]
+    return np.asarray(x * scale_b)
+
+
+def _estimate(sums: Normal, sigma: Sigma, prior: Prior | None) -> Sigma:
+    """Noise per axis from the residuals: sum of squares over the degrees of freedom each part has left."""
+    used = sums.weight
+    H = sums.hessian(sigma)
+    if prior is not None:
+        H = H + prior.precision
+    inverse = _solve(H, np.eye(len(H)), np.maximum(np.diag(H), 1e-300))
+    values = []
+    parts = ((slice(0, 3), sums.hessian_position, sigma.position), (slice(3, 6), sums.hessian_rotation, sigma.rotation))
+    for part, hessian, scale in parts:
+        r = sums.residual[:, part]
+        if r.shape[1] == 0:
+            values.append(1.0)
+            continue
+        spent = float(np.sum(inverse * hessian)) / scale**2
+        freedom = 3 * float(used.sum()) - spent
+        square = float(used @ np.sum(r**2, axis=1))
+        values.append(max(np.sqrt(square / freedom), FLOOR) if freedom > 0.5 else scale)
+    return Sigma(values[0], values[1])

@@ -1,0 +1,193 @@
+"""Closed-form starts of unknown frames, from any attitude: AX = ZB for poses, Kabsch inside for positions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+from scipy.optimize import minimize
+
+from aridcal.residual import Observations
+
+MOST_ROWS = 4000  # more rows sharpen a start by nothing
+
+
+@dataclass(frozen=True)
+class FrameStart:
+    """Placements of the world_base and tip_target frames, one per station or one in all."""
+
+    world_base: tuple[pin.SE3, ...]
+    tip_target: tuple[pin.SE3, ...]
+
+
+@dataclass(frozen=True)
+class _Data:
+    """T_base_tip (R, p), measured (M, m), and the frame that each row belongs to."""
+
+    R: np.ndarray
+    p: np.ndarray
+    M: np.ndarray | None
+    m: np.ndarray
+    world: np.ndarray
+    tip: np.ndarray
+
+
+def start_frames(
+    rotation: np.ndarray,
+    position: np.ndarray,
+    measured: Observations,
+    world: np.ndarray,
+    tip: np.ndarray,
+    known_world: tuple[pin.SE3, ...] | None,
+    known_tip: tuple[pin.SE3, ...] | None,
+    hint_tip: tuple[pin.SE3, ...],
+) -> list[FrameStart]:
+    """Candidate starts for the unknown ones of T_world_base and T_tip_target; a fit of each tells which is right.
+
+    Args:
+        rotation: Nominal T_base_tip, shape (N, 3, 3).
+        position: Its translation, shape (N, 3), [m].
+        measured: N measured poses or positions.
+        world: Number of each row's world_base frame, shape (N,).
+        tip: Number of each row's tip_target frame, shape (N,).
+        known_world: The frames, where they are not to be identified.
+        known_tip: Likewise.
+        hint_tip: Rotation of the target where nothing measures it.
+    """
+    if known_world is not None and known_tip is not None:
+        return [FrameStart(known_world, known_tip)]
+    keep = np.linspace(0, len(position) - 1, min(len(position), MOST_ROWS)).astype(int)
+    M = None if measured.rotation is None else measured.rotation[keep]
+    data = _Data(rotation[keep], position[keep], M, measured.position[keep], world[keep], tip[keep])
+    if known_world is not None:
+        return [_from_world(data, known_world, hint_tip)]
+    if known_tip is not None:
+        t = np.array([frame.translation for frame in known_tip])
+        turned = None
+        if M is not None:
+            turned = data.R @ np.array([frame.rotation for frame in known_tip])[data.tip]
+        return [FrameStart(_kabsch(data, t, turned), known_tip)]
+    starts = [_from_world(data, _kabsch(data, t, None), hint_tip) for t in _levers(data)]
+    if M is not None:
+        starts += [_from_world(data, world_base, hint_tip) for world_base in _kronecker(data)]
+    return starts
+
+
+def _points(data: _Data, t: np.ndarray) -> np.ndarray:
+    """Target in the base frame for target translations t, shape (tips, 3)."""
+    return data.p + np.einsum("nij,nj->ni", data.R, t[data.tip])
+
+
+def _levers(data: _Data) -> list[np.ndarray]:
+    """Target translations t, shape (tips, 3) each, that let the measured points fall on the robot's.
+
+    Minimises over t what Kabsch's rotation leaves: |m|^2 + |c(t)|^2 - 2 sum over worlds of the (signed) nuclear norm
+    of H(t), with c(t) linear in t; so the cost of a step does not depend on the number of rows.
+    """
+    worlds, tips = int(data.world.max()) + 1, int(data.tip.max()) + 1
+    n = len(data.p)
+    columns = np.zeros((n, 3, 3 * tips))
+    for k in range(tips):
+        columns[data.tip == k, :, 3 * k : 3 * k + 3] = data.R[data.tip == k]
+    c, C, m = data.p.copy(), columns, data.m.copy()
+    for w in range(worlds):
+        own = data.world == w
+        c[own] -= c[own].mean(axis=0)
+        C[own] -= C[own].mean(axis=0)
+        m[own] -= m[own].mean(axis=0)
+    H0 = np.array([m[data.world == w].T @ c[data.world == w] for w in range(worlds)])
+    H1 = np.array([np.einsum("ni,njk->kij", m[data.world == w], C[data.world == w]) for w in range(worlds)])
+    h, A = np.einsum("nik,ni->k", C, c), np.einsum("nik,nil->kl", C, C)
+    scale = max(float(np.sum(m**2)), 1e-30)
+
+    def cost(t: np.ndarray) -> tuple[float, np.ndarray]:
+        value, slope = 2 * h @ t + t @ A @ t, 2 * h + 2 * A @ t
+        for w in range(worlds):
+            U, s, Vt = np.linalg.svd(H0[w] + np.tensordot(t, H1[w], 1))
+            sign = np.array([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))])
+            value -= 2 * float(s @ sign)
+            slope = slope - 2 * np.einsum("kij,ij->k", H1[w], (U * sign) @ Vt)
+        return value / scale, slope / scale
+
+    size = float(np.sqrt(np.mean(np.sum(m**2, axis=1))))
+    found: list[tuple[float, np.ndarray]] = []
+    for direction in np.vstack([np.zeros(3), np.eye(3), -np.eye(3)]):
+        best = minimize(cost, np.tile(size * direction, tips), jac=True, method="L-BFGS-B")
+        if not any(np.allclose(best.x, t, atol=1e-3 * size) for _, t in found):
+            found.append((float(best.fun), best.x))
+    found.sort(key=lambda pair: pair[0])
+    return [t.reshape(tips, 3) for _, t in found[:2]]
+
+
+def _kabsch(data: _Data, t: np.ndarray, turned: np.ndarray | None) -> tuple[pin.SE3, ...]:
+    """T_world_base of each world frame for known target translations; measured rotations help where there are any.
+
+    Args:
+        data: The rows.
+        t: Target translations, shape (tips, 3).
+        turned: Rotation of the target in the base frame where it is known, shape (N, 3, 3).
+    """
+    c = _points(data, t)
+    frames = []
+    for w in range(int(data.world.max()) + 1):
+        own = data.world == w
+        middle_c, middle_m = c[own].mean(axis=0), data.m[own].mean(axis=0)
+        H = (data.m[own] - middle_m).T @ (c[own] - middle_c)
+        if turned is not None and data.M is not None:
+            size = np.trace((c[own] - middle_c).T @ (c[own] - middle_c)) / own.sum()
+            H += max(size, 1e-6) * np.einsum("nik,njk->ij", data.M[own], turned[own])
+        R = _nearest_rotation(H)
+        frames.append(pin.SE3(R, middle_m - R @ middle_c))
+    return tuple(frames)
+
+
+def _kronecker(data: _Data) -> list[tuple[pin.SE3, ...]]:
+    """Rotations from orientations alone (Shah 2013, doi:10.1115/1.4024473), both signs; then translations linearly."""
+    assert data.M is not None
+    found = []
+    worlds = int(data.world.max()) + 1
+    for sign in (1.0, -1.0):
+        rotations = []
+        for w in range(worlds):
+            own = data.world == w
+            K = np.einsum("nij,nkl->ikjl", data.M[own], data.R[own]).reshape(9, 9)
+            U, _, _ = np.linalg.svd(K)
+            rotations.append(_nearest_rotation(sign * U[:, 0].reshape(3, 3)))
+        found.append(_translations(data, np.array(rotations)))
+    return found
+
+
+def _translations(data: _Data, RX: np.ndarray) -> tuple[pin.SE3, ...]:
+    """T_world_base for known rotations: m = RX (p + R t) + tX is linear in t and tX."""
+    worlds, tips, n = len(RX), int(data.tip.max()) + 1, len(data.p)
+    A = np.zeros((n, 3, 3 * (worlds + tips)))
+    for w in range(worlds):
+        A[data.world == w, :, 3 * w : 3 * w + 3] = np.eye(3)
+    for k in range(tips):
+        own, at = data.tip == k, 3 * (worlds + k)
+        A[own, :, at : at + 3] = RX[data.world[own]] @ data.R[own]
+    rest = data.m - np.einsum("nij,nj->ni", RX[data.world], data.p)
+    x = np.linalg.lstsq(A.reshape(3 * n, -1), rest.ravel(), rcond=1e-9)[0]
+    return tuple(pin.SE3(RX[w], x[3 * w : 3 * w + 3]) for w in range(worlds))
+
+
+def _from_world(data: _Data, world_base: tuple[pin.SE3, ...], hint: tuple[pin.SE3, ...]) -> FrameStart:
+    """The target frames that belong to given world_base frames."""
+    RX = np.array([frame.rotation for frame in world_base])[data.world]
+    tX = np.array([frame.translation for frame in world_base])[data.world]
+    lever = np.einsum("nji,nj->ni", RX @ data.R, data.m - tX) - np.einsum("nji,nj->ni", data.R, data.p)
+    tips = []
+    for k in range(int(data.tip.max()) + 1):
+        own = data.tip == k
+        rotation = hint[k].rotation
+        if data.M is not None:
+            rotation = _nearest_rotation(np.einsum("nji,njk->ik", RX[own] @ data.R[own], data.M[own]))
+        tips.append(pin.SE3(rotation, np.median(lever[own], axis=0)))
+    return FrameStart(world_base, tuple(tips))
+
+
+def _nearest_rotation(H: np.ndarray) -> np.ndarray:
+    """Rotation R that maximises tr(R' H) (Kabsch 1976; Umeyama 1991)."""
+    U, _, Vt = np.linalg.svd(H)
+    return np.asarray((U * [1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt)
