@@ -21,6 +21,12 @@ ONE_FRAME = ((None, pin.SE3.Identity()),)
 # The report's link parameters as motions of frame components.
 LINK_AXES = {"d": "z", "theta": "yaw", "beta": "pitch", "a": "x", "alpha": "roll"}
 
+# Pinocchio is twice as fast on joints along a frame axis.
+ALIGNED = {
+    False: (pin.JointModelPX, pin.JointModelPY, pin.JointModelPZ),
+    True: (pin.JointModelRX, pin.JointModelRY, pin.JointModelRZ),
+}
+
 Frames = tuple[tuple[str | None, pin.SE3], ...]
 # Unit vector in the frame; whether the motion turns about it or slides along it.
 Motion = tuple[np.ndarray, bool]
@@ -311,9 +317,7 @@ class Model:
                 nonlocal parent, pending
                 assert not isinstance(motion, str)
                 name = slot[0] if slot[1] == "q" else ".".join(slot)
-                vector, turns = motion
-                kind = pin.JointModelRevoluteUnaligned if turns else pin.JointModelPrismaticUnaligned
-                parent = model.addJoint(parent, kind(vector), pending, name)
+                parent = model.addJoint(parent, _joint_model(motion), pending, name)
                 model.addJointFrame(parent)
                 pending = pin.SE3.Identity()
 
@@ -377,6 +381,14 @@ def _motion(component: str, joint: Joint | None = None) -> Motion:
     if component == "axis":
         return joint.axis, joint.kind == "revolute"
     return transverse(joint.axis)[int(component[1]) - 1], component[0] == "r"
+
+
+def _joint_model(motion: Motion) -> pin.JointModel:
+    vector, turns = motion
+    for k, aligned in enumerate(ALIGNED[turns]):
+        if np.array_equal(vector, np.eye(3)[k]):
+            return aligned()
+    return pin.JointModelRevoluteUnaligned(vector) if turns else pin.JointModelPrismaticUnaligned(vector)
 
 
 def _rank(component: str, joint: Joint | None) -> tuple[bool, int]:

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from aridcal.model import Model, Rows
 
-BLOCK = 4096  # rows differentiated at a time: memory stays flat however many there are
+BLOCK = 512  # rows differentiated at a time: they stay in the cache, and memory stays flat
 FLOOR = 1e-12  # [m] or [rad]: below this everything is rounding
 # Median of the norm of three standard normal numbers: turns a median norm into a sigma per axis.
 MEDIAN_NORM_3 = 1.5381722544550522

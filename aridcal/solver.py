@@ -28,7 +28,10 @@ from aridcal.residual import (
 
 OUTLIER = 6.0  # sigmas per axis, position or rotation, beyond which a row is flagged: 1 clean row in 10 million
 STEPS = 60
-SETTLED = 1e-4  # a step that moves no combination of coefficients by more than this share of its sigma is the last
+SETTLED = 1e-3  # a step that moves no combination of coefficients by more than this share of its sigma is the last
+ROUGH = 0.1  # the same for a robust fit, whose flags are all that is wanted of it
+ROUGH_ROWS = 400
+SUSPECT = 3.0  # sigmas beyond which a row is flagged that repeats another's measurement although the joints moved
 
 
 @dataclass(frozen=True)
@@ -37,9 +40,10 @@ class Data:
 
     rows: Rows
     measured: Observations
+    suspect: np.ndarray  # (N,) bool: the measurement repeats another row's bit for bit although the joints moved
 
     def __getitem__(self, rows: slice | np.ndarray) -> Data:
-        return Data(self.rows[rows], self.measured[rows])
+        return Data(self.rows[rows], self.measured[rows], self.suspect[rows])
 
     def __len__(self) -> int:
         return len(self.measured)
@@ -142,6 +146,7 @@ class Fit:
 class _Point:
     theta: np.ndarray
     sums: Normal
+    sigma: Sigma
     steps: int
     gradient: float
 
@@ -150,51 +155,50 @@ def minimise(
     model: Model,
     data: Data,
     theta: np.ndarray,
-    sigma: Sigma,
+    noise: Noise,
     weight: np.ndarray | None,
     prior: Prior | None = None,
-    steps: int = STEPS,
-    settled: float = SETTLED,
 ) -> _Point:
-    """Levenberg-Marquardt from theta. ``weight`` None: Cauchy's, its scale found anew at each step."""
-    robust = weight is None
-    scale = sigma
-    if weight is None:
-        r = scaled(predict_residuals(model, theta, data.rows, data.measured), data.measured)
-        scale = robust_sigma(r)
+    """Levenberg-Marquardt from theta, noise that is not declared estimated on the way.
+
+    Args:
+        model: K coefficients.
+        data: N rows.
+        theta: Start, shape (K,).
+        noise: Declared noise.
+        weight: Of each row, shape (N,); None: Cauchy's, its scale found anew at each step, and the last decimals
+            left to a later call with fixed weights.
+        prior: Beliefs that are not measured here.
+    """
+    robust, settled = weight is None, SETTLED
+    scale = Sigma(1.0, 1.0)
+    if robust:
+        settled = ROUGH
+        scale = robust_sigma(scaled(predict_residuals(model, theta, data.rows, data.measured), data.measured))
     here = normal(model, theta, data.rows, data.measured, weight, scale)
+    sigma = noise.sigma(scale if robust else _estimate(here, noise.sigma(robust_sigma(here.residual)), prior))
     damping, taken = 0.0, 0
-    size = np.inf
-    for _ in range(steps):
+    while taken < STEPS and damping < 1e8:
         H, g = _with_prior(here, sigma, theta, prior)
         diagonal = np.maximum(np.diag(H), 1e-300)
         step = _solve(H + damping * np.diag(diagonal), g, diagonal)
-        size = float(np.sqrt(max(step @ g, 0.0)))
-        tiny = np.all(np.abs(step) < 1e-13 * (1.0 + np.abs(theta)))
-        if (size < settled and damping == 0.0) or tiny:
-            if not robust or tiny:
-                theta = theta + step
-                here = normal(model, theta, data.rows, data.measured, weight, scale)
-                taken += 1
-            break
+        last = float(np.sqrt(max(step @ g, 0.0))) < settled and damping == 0.0
+        last |= bool(np.all(np.abs(step) < 1e-13 * (1.0 + np.abs(theta))))
         trial = normal(model, theta + step, data.rows, data.measured, weight, scale)
-        if _cost(trial.residual, here.weight, sigma, theta + step, prior) <= _cost(
-            here.residual, here.weight, sigma, theta, prior
-        ):
+        before = _cost(here.residual, here.weight, sigma, theta, prior)
+        after = _cost(trial.residual, here.weight, sigma, theta + step, prior)
+        taken += 1
+        if after <= before or last:
             theta, here, damping = theta + step, trial, 0.0 if damping < 1e-4 else damping / 10
-            taken += 1
-            if robust:
-                fresh = robust_sigma(here.residual)
-                if abs(fresh.position / scale.position - 1) < 0.01 and abs(fresh.rotation / scale.rotation - 1) < 0.01:
-                    settled = max(settled, 0.1)  # the scale stands still: the last decimals are for the final weights
-                scale = fresh
+            scale = robust_sigma(here.residual) if robust else scale
+            sigma = noise.sigma(scale if robust else _estimate(here, sigma, prior))
         else:
             damping = max(10 * damping, 1e-4)
-            if damping > 1e8:
-                break
+        if last:
+            break
     H, g = _with_prior(here, sigma, theta, prior)
     rest = _solve(H, g, np.maximum(np.diag(H), 1e-300))
-    return _Point(theta, here, taken, float(np.sqrt(max(rest @ g, 0.0))))
+    return _Point(theta, here, sigma, taken, float(np.sqrt(max(rest @ g, 0.0))))
 
 
 def fit(
@@ -205,7 +209,7 @@ def fit(
     weight: np.ndarray | None = None,
     prior: Prior | None = None,
 ) -> Fit:
-    """Fit the given coefficients, all of them: robustly first, then with the outliers flagged.
+    """Fit the given coefficients, all of them: robustly on some of the rows, then on all with the outliers flagged.
 
     Args:
         model: K coefficients that the data can tell apart.
@@ -216,37 +220,28 @@ def fit(
         prior: Beliefs that are not measured here.
     """
     theta = np.zeros(len(model.coefficients)) if theta is None else theta
-    r = scaled(predict_residuals(model, theta, data.rows, data.measured), data.measured)
-    point = None
-    sigma = noise.sigma(robust_sigma(r))
+    steps = 0
+    searching = weight is None
     if weight is None:
-        point = minimise(model, data, theta, sigma, None, prior)
-        sigma = noise.sigma(robust_sigma(point.sums.residual))
-        weight = flag(point.sums.residual)
-    steps = 0 if point is None else point.steps
-    searching = point is not None
+        some = thin(len(data), max(ROUGH_ROWS, 4 * len(theta)))
+        rough = minimise(model, data[some], theta, noise, None, prior)
+        theta, steps = rough.theta, rough.steps
+        weight = flag(scaled(predict_residuals(model, theta, data.rows, data.measured), data.measured), data.suspect)
     for _ in range(8):
-        point = minimise(model, data, theta if point is None else point.theta, sigma, weight, prior)
-        steps += point.steps
-        estimate = _estimate(point.sums, sigma, prior)
-        fresh = noise.sigma(estimate)
-        flags = flag(point.sums.residual) if searching else weight
-        same = np.array_equal(flags, weight)
-        steady = (
-            abs(np.log(fresh.position / sigma.position)) < 0.02 and abs(np.log(fresh.rotation / sigma.rotation)) < 0.02
-        )
-        weight, sigma = flags, fresh
-        if same and steady:
+        point = minimise(model, data, theta, noise, weight, prior)
+        theta, steps = point.theta, steps + point.steps
+        flags = flag(point.sums.residual, data.suspect) if searching else weight
+        if np.array_equal(flags, weight):
             break
-    assert point is not None
-    H, _ = _with_prior(point.sums, sigma, point.theta, prior)
+        weight = flags
+    H, _ = _with_prior(point.sums, point.sigma, theta, prior)
     diagonal = np.maximum(np.diag(H), 1e-300)
     covariance = _solve(H, np.eye(len(H)), diagonal)
     correlation = H / np.sqrt(np.outer(diagonal, diagonal))
     condition = float(np.sqrt(np.linalg.cond(correlation))) if len(H) else 1.0
     return Fit(
-        model, point.theta, covariance, sigma, estimate, weight, point.sums.residual, model.coefficients, {},
-        Convergence(steps, point.gradient, condition),
+        model, theta, covariance, point.sigma, _estimate(point.sums, point.sigma, prior), point.sums.weight,
+        point.sums.residual, model.coefficients, {}, Convergence(steps, point.gradient, condition),
     )  # fmt: skip
 
 
@@ -266,33 +261,38 @@ def fit_identifiable(
         NotIdentifiable: nothing at all can be identified.
     """
     theta = np.zeros(len(model.coefficients)) if theta is None else theta
-    r = scaled(predict_residuals(model, theta, data.rows, data.measured), data.measured)
     sigma = noise.sigma(Sigma(1e-4, 1e-4))
-    weight = cauchy(r, robust_sigma(r))
-    kept: tuple[int, ...] = ()
-    result = None
+    some = thin(len(data), max(2 * ROUGH_ROWS, 4 * len(theta)))
+    first = data[some]
+    r = scaled(predict_residuals(model, theta, first.rows, first.measured), first.measured)
+    subset = identifiable(triangle(model, theta, first.rows, first.measured, cauchy(r, robust_sigma(r)), sigma), order)
     for _ in range(4):
-        subset = identifiable(triangle(model, theta, data.rows, data.measured, weight, sigma), order)
-        if result is not None and set(subset.kept) == set(kept):
-            break
-        # A coefficient that was kept before stays a candidate at the values found; one newly dropped is nominal again.
-        kept = subset.kept
+        kept = sorted(subset.kept)
         if not kept:
             raise NotIdentifiable([model.names])
-        inner = model.with_coefficients([model.coefficients[k] for k in sorted(kept)])
-        result = fit(inner, _with_rows(data, model, sorted(kept)), noise, theta[sorted(kept)])
+        inner = model.with_coefficients([model.coefficients[k] for k in kept])
+        result = fit(inner, _with_rows(data, model, kept), noise, theta[kept])
         theta = np.zeros(len(model.coefficients))
-        theta[sorted(kept)] = result.theta
-        sigma, weight = result.sigma, result.weight
-    assert result is not None
+        theta[kept] = result.theta
+        R = triangle(model, theta, data.rows, data.measured, result.weight, result.sigma)
+        subset = identifiable(R, order)
+        if sorted(subset.kept) == kept:
+            break
     redundant = {model.names[k]: tuple(model.names[j] for j in partners) for k, partners in subset.redundant.items()}
     convergence = replace(result.convergence, condition=subset.condition)
     return replace(result, candidates=model.coefficients, redundant=redundant, convergence=convergence)
 
 
-def flag(r: np.ndarray) -> np.ndarray:
+def flag(r: np.ndarray, suspect: np.ndarray) -> np.ndarray:
     """Weights 1 and 0: 0 for rows further off than the bulk of the rows can explain, shape (N,)."""
-    return np.where(distance(r, robust_sigma(r)) > OUTLIER, 0.0, 1.0)
+    return np.where(distance(r, robust_sigma(r)) > np.where(suspect, SUSPECT, OUTLIER), 0.0, 1.0)
+
+
+def thin(count: int, most: int) -> np.ndarray:
+    """Row numbers: all, or a reproducible random choice of ``most`` of them, in order."""
+    if count <= most:
+        return np.arange(count)
+    return np.sort(np.random.default_rng(0).choice(count, most, replace=False))
 
 
 def _with_rows(data: Data, model: Model, kept: Sequence[int]) -> Data:
