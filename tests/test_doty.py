@@ -186,13 +186,16 @@ def test_the_arids_fourth_link_is_singular_and_the_others_are_not():
     assert all((link.theta, link.beta, link.alpha) == (0.0, 0.0, 0.0) for link in links)
 
 
-def test_table_3_1_of_the_nominal_arid():
-    rows = doty_table(arid())
+def test_table_3_1_of_the_shipped_arid():
+    rows = doty_table(load_robot(URDF / "arid.urdf", tip="flange"))
     assert [row["joint"] for row in rows] == ["joint_1", "joint_2", "joint_3", "joint_4"]
     assert [row["kind"] for row in rows] == ["prismatic", "revolute", "revolute", "revolute"]
-    assert [row["a"] for row in rows] == [0.5, 1.2, 0.9, 0.0]
+    assert [row["a"] for row in rows] == [0.3, 1.98, 1.98, 0.0]
+    assert all(row["theta"] == row["beta"] == row["alpha"] == 0.0 for row in rows)
     assert [row["singular"] for row in rows] == [False, False, False, True]
-    assert all(row["lower"] == -1.0 and row["upper"] == 1.0 for row in rows)
+    limits = np.array([[row["lower"], row["upper"]] for row in rows])
+    np.testing.assert_allclose(limits[0], [0.0, 718 * 0.0254], atol=1e-9)
+    np.testing.assert_allclose(np.degrees(limits[1:]), [[4, 112], [102, 148], [-117, -16]], atol=1e-3)
 
 
 @pytest.mark.parametrize("height", [0.0, 0.3, -0.7])
