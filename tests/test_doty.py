@@ -227,10 +227,7 @@ def test_theta_turns_x_onto_the_common_normal_of_a_singular_link():
 
 
 def test_ur10_is_regular_only_along_its_two_long_links():
-    path = URDF / "ur10.urdf"
-    if not path.exists():
-        pytest.skip("urdf/ur10.urdf is not there")
-    robot = load_robot(path, tip="tool0")
+    robot = load_robot(URDF / "ur10.urdf", tip="tool0")
     links = doty_links(robot)
     assert [link.singular for link in links] == [True, False, False, True, True, True]
     np.testing.assert_allclose([links[1].a, links[2].a], [0.612, 0.5723], atol=1e-3)

@@ -4,14 +4,18 @@ Reference figures are those of a separate check of every equation, symbolic and 
 and 0.9 m; the report gives none.
 """
 
+from dataclasses import replace
 from itertools import combinations
+from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 import pytest
 
 from aridcal.doty import COMPONENTS, link_transform
+from aridcal.effects import Coefficient
 from aridcal.errors import NotIdentifiable
+from aridcal.model import Model
 from aridcal.report1992 import (
     FRAME,
     JOINTS,
@@ -29,6 +33,9 @@ from aridcal.report1992 import (
     solve_psi,
     start,
 )
+from aridcal.robot import load_robot
+
+URDF = Path(__file__).parents[1] / "urdf"
 
 LENGTHS = np.array([0.5, 1.2, 0.9])
 LIMITS = np.array([[0.0, 718 * 0.0254], *np.radians([[4, 112], [102, 148], [-117, -16]])])
@@ -226,6 +233,55 @@ def test_mirrored_parameters_give_the_mirrored_pose():
     mirror = np.diag([1.0, 1.0, -1.0, 1.0])
     odd = np.array([-1, 1, -1, 1, -1])  # d, beta, alpha change sign
     np.testing.assert_allclose(pose(links * odd, q * [-1, 1, 1, 1]), mirror @ pose(links, q) @ mirror, atol=1e-12)
+
+
+def extended_model(names: list[str], lengths: np.ndarray) -> Model:
+    """The shipped ARID with these lengths and link coefficients; at its singular fourth link the flange stands in."""
+    robot = load_robot(URDF / "arid.urdf", tip="flange")
+    origins = [robot.joints[0].origin] + [pin.SE3(np.eye(3), np.array([a, 0.0, 0.0])) for a in lengths]
+    joints = tuple(replace(j, origin=origin) for j, origin in zip(robot.joints, origins, strict=True))
+    stand_in = {"joint_4.theta": "flange_fixed.yaw", "joint_4.beta": "flange_fixed.pitch"}
+    where = [stand_in.get(name, name).split(".") for name in names]
+    return Model(replace(robot, joints=joints), tuple(Coefficient(*pair) for pair in where))
+
+
+def test_extended_model_at_the_nominal_arm_has_E_for_its_jacobian():
+    q = random_q(np.random.default_rng(34), 40)
+    model = extended_model(list(PSI), LENGTHS)
+    _, _, J = model.jacobian(np.zeros(8), model.rows(q))
+    matrix = E(angles(q), LENGTHS)
+    np.testing.assert_allclose(J[:, [4, 3, 2]], matrix[:, [0, 1, 4]] * [[1.0], [-1.0], [1.0]], atol=1e-12)
+    np.testing.assert_allclose(J[:, [0, 1, 5]], 0.0, atol=1e-12)
+
+
+def test_extended_model_has_the_exact_poses_and_jacobian_of_the_report_at_any_size_of_error():
+    rng = np.random.default_rng(35)
+    names = [name for name in ALL17 if name not in ("joint_4.theta", "joint_4.a")]
+    theta = rng.normal(size=len(names)) * 0.05
+    theta[[k for k, name in enumerate(names) if name.startswith("joint_4")]] = 0.0  # only there do the orders differ
+    links = arid()
+    for name, value in zip(names, theta, strict=True):
+        joint, component = name.split(".")
+        links[JOINTS.index(joint), list(COMPONENTS).index(component)] += value
+    q = random_q(rng, 20)
+    model = extended_model(names, LENGTHS)
+    R, p, J = model.jacobian(theta, model.rows(q))
+    expected = pose(links, q)
+    np.testing.assert_allclose(R, expected[:, :3, :3], atol=1e-12)
+    np.testing.assert_allclose(p, expected[:, :3, 3], atol=1e-12)
+    np.testing.assert_allclose(J, jacobian(links, q)[..., columns(names)], atol=1e-11)
+
+
+def test_extended_model_has_the_reference_pose():
+    psi = np.array([4, -3, 2, 0, 1, 2, -3, 4]) * 1e-3
+    q = np.array([[5.0, *np.radians([60, 120, -60])]])
+    model = extended_model(list(PSI), LENGTHS)
+    # Folded into the flange, the singular fourth link's -1 mrad of beta comes after its alpha, not before.
+    R, p = model.poses(psi, model.rows(q))
+    last = pin.SE3(link_transform(0.0, -1e-3, 0.0, 4e-3)), pin.SE3(link_transform(0.0, 0.0, 0.0, 4e-3))
+    R = R[0] @ last[1].rotation.T @ last[0].rotation
+    np.testing.assert_allclose(R[:, 2], [0.006196038, -0.006464013, 0.999959912], atol=1e-9)
+    np.testing.assert_allclose(p[0], [0.200009299, 1.039226680, 5.002248058], atol=1e-9)
 
 
 # --- how far the first-order model reaches
