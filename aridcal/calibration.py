@@ -1,0 +1,196 @@
+"""The calibrated model as a file: everything needed to predict, compensate and solve again, in one YAML."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import yaml
+
+from aridcal import __version__
+from aridcal.effects import Basis, Coefficient
+from aridcal.errors import AridcalError, CampaignError
+from aridcal.model import Frames, Model
+from aridcal.robot import parse_robot
+
+# libyaml where PyYAML was built with it: a covariance of a hundred coefficients is ten thousand numbers.
+Loader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+Dumper: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
+
+
+class _Block(str):
+    """Text that is written as a readable block."""
+
+
+Dumper.add_representer(
+    _Block, lambda dumper, text: dumper.represent_scalar("tag:yaml.org,2002:str", str(text), style="|")
+)
+
+
+@dataclass(frozen=True)
+class SolvedModel:
+    """A model with its coefficients: theta (K,) and covariance (K, K)."""
+
+    model: Model
+    theta: np.ndarray
+    covariance: np.ndarray
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """What `calibration.yaml` holds.
+
+    Attributes:
+        geometric: Frames and constants: the best URDF by itself.
+        final: The same with every accepted effect; right as a whole.
+        kind: ``pose`` or ``position``.
+        gravity: As in the campaign: a vector in the base frame, or ``world``.
+        noise: Per axis, [m] and [rad].
+        ranges: Lowest and highest value seen of every joint column and covariate that the model depends on.
+        record: What the file says besides: options, data, versions.
+    """
+
+    geometric: SolvedModel
+    final: SolvedModel
+    kind: str
+    gravity: tuple[float, float, float] | str
+    noise: tuple[float, float]
+    ranges: dict[str, tuple[float, float]]
+    record: dict[str, Any]
+
+    @classmethod
+    def load(cls, path: str | Path) -> Calibration:
+        """Read `calibration.yaml`.
+
+        Raises:
+            AridcalError: it is not there, or is not a calibration of this format.
+        """
+        path = Path(path)
+        try:
+            document = yaml.load(path.read_bytes(), Loader=Loader)
+            return _parse(document)
+        except OSError as error:
+            raise CampaignError(f"{path}: cannot read the calibration: {error.strerror}") from None
+        except AridcalError:
+            raise
+        except (yaml.YAMLError, KeyError, TypeError, ValueError) as error:
+            raise CampaignError(
+                f"{path}: not a calibration that this version wrote ({type(error).__name__}: {error}). "
+                "Run aridcal.identify again."
+            ) from None
+
+    def dump(self) -> str:
+        """The file's text."""
+        robot = self.final.model.robot
+        encoding = _encoding(robot.urdf)
+        document = {
+            "format": 1,
+            "aridcal": __version__,
+            "kind": self.kind,
+            "robot": {
+                "base": robot.base,
+                "tip": robot.tip,
+                "gravity": self.gravity if isinstance(self.gravity, str) else list(self.gravity),
+                "urdf_name": robot.path.name,
+                "urdf_sha256": hashlib.sha256(robot.urdf).hexdigest(),
+                "urdf_encoding": encoding,
+                "urdf": _Block(robot.urdf.decode(encoding)),
+            },
+            "noise": {"position": self.noise[0], "rotation": self.noise[1]},
+            "ranges": {name: list(pair) for name, pair in self.ranges.items()},
+            "geometric": _solved_document(self.geometric),
+            "final": _solved_document(self.final),
+            **self.record,
+        }
+        return str(yaml.dump(document, Dumper=Dumper, sort_keys=False, allow_unicode=True, width=110))
+
+
+def frames_document(frames: Frames) -> list[dict[str, Any]]:
+    """Frames as plain data: xyz [m] and quaternion (xyzw), with the station's label."""
+    return [
+        {"station": label, "xyz": _floats(f.translation), "quaternion": _floats(pin.Quaternion(f.rotation).coeffs())}
+        for label, f in frames
+    ]
+
+
+def _solved_document(solved: SolvedModel) -> dict[str, Any]:
+    model = solved.model
+    std = np.sqrt(np.maximum(np.diag(solved.covariance), 0.0))
+    return {
+        "world_base": frames_document(model.world_base),
+        "tip_target": frames_document(model.tip_target),
+        "coefficients": [
+            {
+                "name": c.name,
+                "where": c.where,
+                "component": c.component,
+                "basis": {"form": c.basis.form, "of": list(c.basis.of), "numbers": _floats(c.basis.numbers)},
+                "station": c.station,
+                "value": float(solved.theta[k]),
+                "std": float(std[k]),
+            }
+            for k, c in enumerate(model.coefficients)
+        ],
+        "covariance": [_floats(row) for row in solved.covariance],
+    }
+
+
+def _parse(document: Mapping[str, Any]) -> Calibration:
+    if document.get("format") != 1:
+        raise ValueError(f"format {document.get('format')!r}, expected 1")
+    about = document["robot"]
+    robot = parse_robot(
+        about["urdf"].encode(about["urdf_encoding"]), about["tip"], about["base"], Path(about["urdf_name"])
+    )
+    known = ("format", "aridcal", "kind", "robot", "noise", "ranges", "geometric", "final")
+
+    def solved(part: Mapping[str, Any]) -> SolvedModel:
+        entries = part["coefficients"]
+        coefficients = tuple(
+            Coefficient(
+                e["where"],
+                e["component"],
+                Basis(e["basis"]["form"], tuple(e["basis"]["of"]), tuple(e["basis"]["numbers"])),
+                e["station"],
+            )
+            for e in entries
+        )
+        model = Model(robot, coefficients, _frames(part["world_base"]), _frames(part["tip_target"]))
+        count = len(entries)
+        covariance = np.array(part["covariance"], dtype=float).reshape(count, count)
+        return SolvedModel(model, np.array([e["value"] for e in entries], dtype=float), covariance)
+
+    gravity = about["gravity"]
+    return Calibration(
+        solved(document["geometric"]),
+        solved(document["final"]),
+        document["kind"],
+        gravity if isinstance(gravity, str) else tuple(gravity),
+        (document["noise"]["position"], document["noise"]["rotation"]),
+        {name: (pair[0], pair[1]) for name, pair in document["ranges"].items()},
+        {key: value for key, value in document.items() if key not in known},
+    )
+
+
+def _frames(entries: list[dict[str, Any]]) -> Frames:
+    return tuple(
+        (e["station"], pin.SE3(pin.Quaternion(np.array(e["quaternion"])).matrix(), np.array(e["xyz"]))) for e in entries
+    )
+
+
+def _encoding(urdf: bytes) -> str:
+    """utf-8 where that gives the bytes back, else latin-1, which always does."""
+    try:
+        urdf.decode("utf-8")
+    except UnicodeDecodeError:
+        return "latin-1"
+    return "utf-8"
+
+
+def _floats(values: Any) -> list[float]:
+    return [float(v) for v in values]

@@ -1,0 +1,198 @@
+"""The result folder: figures, URDFs, the whole model, and every row's residual (FORMATS section 3)."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pinocchio as pin
+
+from aridcal import __version__
+from aridcal.calibration import Calibration, SolvedModel
+from aridcal.effects import ANGULAR, FRAME_COMPONENTS
+from aridcal.outcome import Outcome, Stage, errors
+from aridcal.solver import Fit
+from aridcal.urdf_writer import splice_origins
+
+AXES = ("x", "y", "z", "rx", "ry", "rz")
+WHERE = ("world_base", "tip_target")
+
+
+def write_results(outcome: Outcome, folder: Path) -> None:
+    """Write every file of the result folder that needs no drawing."""
+    (folder / "result.json").write_text(json.dumps(result_document(outcome), indent=2, allow_nan=False) + "\n")
+    (folder / "calibrated.urdf").write_bytes(stage_urdf(outcome.stage("geometric").fit))
+    if outcome.effects:
+        (folder / "model.urdf").write_bytes(stage_urdf(outcome.stage("final").fit))
+    (folder / "calibration.yaml").write_text(calibration(outcome).dump(), encoding="utf-8")
+    residual_table(outcome).to_csv(folder / "residuals.csv", index=False, float_format="%.9g")
+
+
+def stage_urdf(fit: Fit) -> bytes:
+    """The user's URDF with a fit's constants folded into the joints' own origins."""
+    robot = fit.model.robot
+    origins = {
+        name: (placement.translation, pin.rpy.matrixToRpy(placement.rotation))
+        for name, placement in fit.model.origins(fit.theta).items()
+    }
+    return splice_origins(robot.urdf, origins)
+
+
+def result_document(outcome: Outcome) -> dict[str, Any]:
+    """`result.json` as plain data."""
+    m = outcome.measurements
+    parts = outcome.parts()
+    return _finite({
+        "format": 1,
+        "n": {
+            "rows": len(m) + len(m.refused),
+            "used": len(m),
+            "train": int(parts["train"].sum()),
+            "test": int(parts["test"].sum()),
+            "outliers": int(outcome.outlier.sum()),
+            "refused": [
+                {"file": r.file, "row": r.row, "column": r.column, "value": r.value, "why": r.why} for r in m.refused
+            ],
+            "outlier_rows": [
+                {"file": m.files[m.file[k]].name, "row": int(m.line[k]), "why": why}
+                for k in np.flatnonzero(outcome.outlier)
+                for why in ["stale measurement" if outcome.stale[k] else "gross outlier"]
+            ],
+        },
+        "error": {
+            name: {part: errors(outcome.stage(name).residual, mask) for part, mask in parts.items()}
+            for name in ("nominal", "geometric", "final")
+        },
+        "noise": {
+            "position_mm": 1e3 * outcome.noise.position,
+            **({"rotation_mrad": 1e3 * outcome.noise.rotation} if m.quaternion is not None else {}),
+            "source": outcome.noise_source,
+        },
+        "frames": frames(outcome.stage("final")),
+        "parameters": parameters(outcome.stage("geometric").fit),
+        "effects": [],
+        "verdict": outcome.verdict,
+        "unexplained_fraction": outcome.unexplained_fraction,
+        "seconds": round(outcome.seconds, 3),
+        "version": __version__,
+        "convergence": {s.name: _convergence(s.fit) for s in outcome.stages},
+        "notices": list(outcome.notices),
+    })  # fmt: skip
+
+
+def frames(stage: Stage) -> dict[str, Any]:
+    """Identified frames: xyz [m], rpy [rad], and std as a twist in the frame's own axes."""
+    fit = stage.fit
+    std = dict(zip(fit.model.names, fit.std, strict=True))
+    found: dict[str, Any] = {}
+    for where, placements in zip(WHERE, (fit.model.world_base, fit.model.tip_target), strict=True):
+        for label, placement in placements:
+            name = where if label is None else f"{where}[{label}]"
+            found[name] = {
+                "xyz": placement.translation.tolist(),
+                "rpy": pin.rpy.matrixToRpy(placement.rotation).tolist(),
+                "std": [float(std.get(f"{name}.{c}", 0.0)) for c in FRAME_COMPONENTS],
+            }
+    return found
+
+
+def parameters(fit: Fit) -> list[dict[str, Any]]:
+    """Every candidate constant: its value, or the ones it cannot be told from.
+
+    A frame's constants are given as the frame's own xyz and rpy; all others as the correction of the nominal value.
+    """
+    value = dict(zip(fit.model.names, fit.theta, strict=True))
+    std = dict(zip(fit.model.names, fit.std, strict=True))
+    own: dict[str, float] = {}
+    for where, placements in zip(WHERE, (fit.model.world_base, fit.model.tip_target), strict=True):
+        for label, placement in placements:
+            numbers = [*placement.translation, *pin.rpy.matrixToRpy(placement.rotation)]
+            name = where if label is None else f"{where}[{label}]"
+            own |= {f"{name}.{c}": float(v) for c, v in zip(FRAME_COMPONENTS, numbers, strict=True)}
+    candidates = {c.name: c.component for c in fit.candidates if c.basis.constant}
+    fixed = {name: name.rsplit(".", 1)[1] for name in own if name not in candidates}
+    found = []
+    for name, component in (candidates | fixed).items():
+        status = "identified" if name in value else "redundant" if name in candidates else "fixed"
+        found.append({
+            "name": name,
+            "unit": "rad" if component in ANGULAR else "m",
+            "value": own.get(name, float(value.get(name, 0.0))),
+            "std": float(std[name]) if name in value else None,
+            "status": status,
+            "redundant_with": list(fit.redundant.get(name, ())),
+        })  # fmt: skip
+    return found
+
+
+def residual_table(outcome: Outcome) -> pd.DataFrame:
+    """One line per usable row: where it stands, its part and flags, and what each stage leaves, [m] and [rad]."""
+    m = outcome.measurements
+    columns: dict[str, Any] = {
+        "file": [m.files[k].name for k in m.file],
+        "row": m.line,
+        "split": np.where(m.test, "test", "train"),
+        "weight": np.where(outcome.outlier, 0.0, 1.0),
+        "outlier": outcome.outlier.astype(int),
+        "stale": outcome.stale.astype(int),
+    }
+    for stage in outcome.stages:
+        label = stage.name.replace(" ", "_")
+        columns |= {f"{label}_{axis}": column for axis, column in zip(AXES, stage.residual.T, strict=False)}
+    return pd.DataFrame(columns)
+
+
+def calibration(outcome: Outcome) -> Calibration:
+    """The whole model, self-contained."""
+    campaign, m = outcome.campaign, outcome.measurements
+    used = ~m.test & ~outcome.outlier
+    columns = dict(zip(outcome.robot.readings, m.readings.T, strict=True))
+    final = outcome.stage("final").fit
+    for c in final.model.coefficients:
+        columns |= {name: m.covariates[name] for name in c.basis.of if name in m.covariates}
+    record = {
+        "campaign": campaign.text,
+        "data": {"files": [f.name for f in m.files], "sha256": m.sha256, "rows": len(m), "train": int(used.sum())},
+        "versions": {"aridcal": __version__, "pinocchio": pin.__version__, "numpy": np.__version__},
+    }
+    return Calibration(
+        _solved(outcome.stage("geometric").fit),
+        _solved(final),
+        "position" if m.quaternion is None else "pose",
+        campaign.robot.gravity,
+        (outcome.noise.position, outcome.noise.rotation),
+        {name: (float(np.nanmin(v[used])), float(np.nanmax(v[used]))) for name, v in columns.items()},
+        record,
+    )
+
+
+def _solved(fit: Fit) -> SolvedModel:
+    return SolvedModel(fit.model, fit.theta, fit.covariance)
+
+
+def _convergence(fit: Fit) -> dict[str, Any]:
+    c = fit.convergence
+    return {
+        "converged": c.converged,
+        "steps": c.steps,
+        "gradient": c.gradient,
+        "condition": c.condition,
+        "rank": len(fit.theta),
+        "restarts": c.restarts,
+        "restarts_agreed": c.agreed,
+    }
+
+
+def _finite(value: Any) -> Any:
+    """JSON has no NaN: what could not be computed is null."""
+    if isinstance(value, dict):
+        return {key: _finite(v) for key, v in value.items()}
+    if isinstance(value, list):
+        return [_finite(v) for v in value]
+    if isinstance(value, float | np.floating):
+        return float(value) if math.isfinite(value) else None
+    return value

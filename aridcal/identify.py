@@ -1,0 +1,214 @@
+"""The main job: campaign in; calibrated URDF, figures and pictures out.
+
+Example:
+    python -m aridcal.identify identification/arid/campaign.yaml
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from aridcal.campaign import Campaign, load_campaign
+from aridcal.commands import atomic_folder, check_writable, run
+from aridcal.errors import AridcalError, MeasurementError
+from aridcal.export import write_results
+from aridcal.geometry import Geometry, fit_geometry, observations, recentred, unused_links
+from aridcal.measurements import Measurements, load_measurements
+from aridcal.outcome import Outcome, Stage, Verification, errors
+from aridcal.quality import joint_kinds, joint_limits, outliers, precision, repeats
+from aridcal.residual import predict_residuals, scaled
+from aridcal.robot import load_robot
+from aridcal.solver import Data, Fit, Noise, fit
+
+Progress = Callable[[str], None]
+
+
+def identify(path: Path, seed: int = 0, verify: Path | None = None, progress: Progress = lambda _: None) -> Outcome:
+    """Run a campaign up to its outcome; nothing is written.
+
+    Args:
+        path: ``campaign.yaml``.
+        seed: Of the split into train and test, where the table has none.
+        verify: Another day's table, to be scored.
+        progress: Called with what is being done.
+
+    Raises:
+        AridcalError: whatever in the input needs mending.
+    """
+    started = time.perf_counter()
+    campaign = load_campaign(path)
+    if campaign.measurements.kind == "camera_sonar":
+        raise AridcalError(
+            f"{path}: `kind: camera_sonar` is not identified yet; run aridcal.measure, then use its table"
+        )
+    robot = load_robot(campaign.robot.urdf, campaign.robot.tip, campaign.robot.base)
+    progress("reading the measurements")
+    rows = load_measurements(campaign, robot.readings, joint_limits(robot), joint_kinds(robot), seed)  # type: ignore[arg-type]
+    rows, notices = _check_stations(campaign, rows)
+    stale = stale_rows(rows)
+    declared = campaign.measurements.noise
+    noise = Noise(declared.position, declared.rotation)
+    labels = _labels(campaign, rows)
+    train = ~rows.test
+
+    progress(f"fitting frames and constants to {train.sum()} rows")
+    geometry = fit_geometry(campaign, robot, rows.select(train), labels, noise, stale[train])
+    final = geometry.geometric
+    progress("scoring")
+    stages, outlier = _stages(campaign, rows, geometry, final, noise, stale)
+    final = stages[-1].fit
+    source = "declared" if declared.position and (declared.rotation or rows.quaternion is None) else "estimated"
+    outcome = Outcome(
+        campaign=campaign,
+        robot=robot,
+        measurements=rows,
+        stages=stages,
+        outlier=outlier,
+        stale=stale,
+        noise=final.sigma,
+        noise_source=source,
+        repeats=repeats(robot, rows.select(~outlier), stages[-1].residual[~outlier]),
+        precision=precision(final, rows.select(train), _data(campaign, final, rows.select(train), stale[train]), noise),
+        verdict="noise_floor",
+        unexplained_fraction=0.0,
+        notices=(*notices, *unused_links(robot, campaign.parameters.set), *(str(n) for n in rows.notices)),
+        seconds=0.0,
+    )
+    if verify is not None:
+        outcome = replace(outcome, verification=_verify(outcome, verify, noise))
+    return replace(outcome, seconds=time.perf_counter() - started)
+
+
+def stale_rows(rows: Measurements) -> np.ndarray:
+    """Rows whose measured pose equals the row before bit for bit although the joints moved, shape (N,)."""
+    pose = rows.position if rows.quaternion is None else np.hstack([rows.position, rows.quaternion])
+    same = (np.diff(pose, axis=0) == 0).all(axis=1)
+    moved = (np.diff(rows.readings, axis=0) != 0).any(axis=1)
+    neighbours = (np.diff(rows.line) == 1) & (np.diff(rows.file) == 0)
+    return np.concatenate([[False], same & moved & neighbours])
+
+
+def _stages(
+    campaign: Campaign, rows: Measurements, geometry: Geometry, final: Fit, noise: Noise, stale: np.ndarray
+) -> tuple[tuple[Stage, ...], np.ndarray]:
+    """Every stage fitted with the final model's flags, and the flags of all rows."""
+    train = ~rows.test
+    fits = []
+    for name, found in (("nominal", geometry.nominal), ("geometric", geometry.geometric), ("final", final)):
+        if not np.array_equal(found.outliers, final.outliers):
+            data = _data(campaign, found, rows.select(train), stale[train])
+            again = fit(found.model, data, noise, found.theta, weight=final.weight)
+            found = replace(again, candidates=found.candidates, redundant=found.redundant)
+        fits.append((name, recentred(found)))
+    measured = observations(rows, campaign.measurements.noise.rows)
+    stages = tuple(
+        Stage(
+            name, found, predict_residuals(found.model, found.theta, _data(campaign, found, rows, stale).rows, measured)
+        )
+        for name, found in fits
+    )
+    return stages, outliers(train, final.outliers, [scaled(s.residual, measured) for s in stages])
+
+
+def _data(campaign: Campaign, found: Fit, rows: Measurements, stale: np.ndarray) -> Data:
+    measured = observations(rows, campaign.measurements.noise.rows)
+    return Data(found.model.rows(rows.readings, rows.covariates, rows.station), measured, stale)
+
+
+def _labels(campaign: Campaign, rows: Measurements) -> tuple[str, ...]:
+    per_station = "station" in (campaign.frames.world_base.per, campaign.frames.tip_target.per)
+    return tuple(sorted({str(s) for s in rows.station})) if per_station and rows.station is not None else ()
+
+
+def _check_stations(campaign: Campaign, rows: Measurements) -> tuple[Measurements, tuple[str, ...]]:
+    """A station whose rows are all kept for the test has no frame: give them to train, or refuse a split in the table."""
+    labels = _labels(campaign, rows)
+    if rows.station is None or not labels:
+        return rows, ()
+    lone = sorted(set(labels) - {str(s) for s in rows.station[~rows.test]})
+    if not lone:
+        return rows, ()
+    if rows.split_given:
+        raise MeasurementError(f"station {lone[0]!r} has only `test` rows: its frame cannot be identified")
+    test = rows.test & ~np.isin(rows.station.astype(str), lone)
+    return replace(rows, test=test), (
+        f"all rows of station {', '.join(lone)} were needed for its frame: none tests it",
+    )
+
+
+def _verify(outcome: Outcome, path: Path, noise: Noise) -> Verification:
+    """Score another table with the models as they are, and with its two frames fitted anew."""
+    campaign, robot = outcome.campaign, outcome.robot
+    rows = load_measurements(
+        campaign,
+        robot.readings,
+        joint_limits(robot),
+        joint_kinds(robot),
+        files=[path],  # type: ignore[arg-type]
+    )
+    measured = observations(rows, campaign.measurements.noise.rows)
+    residuals = {}
+    for stage in outcome.stages:
+        model = stage.fit.model
+        prepared = model.rows(rows.readings, rows.covariates, rows.station)
+        residuals[stage.name] = predict_residuals(model, stage.fit.theta, prepared, measured)
+    return Verification(path.name, rows, residuals, None)
+
+
+def summary(outcome: Outcome, console: Console) -> None:
+    """Print the figures that matter."""
+    pose = outcome.measurements.quaternion is not None
+    table = Table(title="error on rows never used" if outcome.parts()["test"].any() else "error on the rows used")
+    part = outcome.parts()["test"] if outcome.parts()["test"].any() else outcome.parts()["train"]
+    table.add_column("model")
+    for head in ("position RMS", "mean", "p95", "max", *(("rotation RMS", "p95") if pose else ())):
+        table.add_column(head, justify="right")
+    for stage in outcome.stages:
+        e = errors(stage.residual, part)
+        cells = [f"{e['position_mm'][k]:.4g} mm" for k in ("rms", "mean", "p95", "max")]
+        cells += [f"{e['rotation_mrad'][k]:.4g} mrad" for k in ("rms", "p95")] if pose else []
+        table.add_row(stage.name, *cells)
+    console.print(table)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command; returns its exit status."""
+    parser = argparse.ArgumentParser(prog="aridcal identify", description=__doc__,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)  # fmt: skip
+    parser.add_argument("campaign", type=Path, help="campaign.yaml")
+    parser.add_argument("--out", type=Path, help="result folder (default: results/ beside the campaign)")
+    parser.add_argument("--verify", type=Path, metavar="CSV", help="another day's measurements to score")
+    parser.add_argument("--seed", type=int, default=0, help="of the train/test split, where the table has none")
+    arguments = parser.parse_args(argv)
+    return run(lambda: _main(arguments))
+
+
+def _main(arguments: argparse.Namespace) -> None:
+    console = Console()
+    out = arguments.out or arguments.campaign.parent / "results"
+    check_writable(out)
+    steps = Console(stderr=True)
+    started = time.perf_counter()
+
+    def progress(step: str) -> None:
+        steps.print(f"[dim]{time.perf_counter() - started:5.1f} s  {step}[/dim]")
+
+    outcome = identify(arguments.campaign, arguments.seed, arguments.verify, progress)
+    with atomic_folder(out) as folder:
+        progress("writing the results")
+        write_results(outcome, folder)
+    summary(outcome, console)
+    console.print(f"results: {out}", soft_wrap=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,109 @@
+"""How far a calibration can be trusted: repeats, uncertainty of the target, two halves fitted apart."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from aridcal.measurements import Measurements, blocks
+from aridcal.outcome import Precision, Repeats
+from aridcal.residual import Sigma, robust_sigma
+from aridcal.robot import Robot
+from aridcal.solver import Data, Fit, Noise, minimise
+
+REACH_SAMPLES = 300
+
+
+def joint_kinds(robot: Robot) -> list[str]:
+    """Kind of each reading column: ``revolute``, ``prismatic`` or ``continuous``."""
+    by_reading = {j.reading: "continuous" if j.continuous else j.kind for j in reversed(robot.joints)}
+    return [by_reading[name] for name in robot.readings]
+
+
+def joint_limits(robot: Robot) -> np.ndarray:
+    """Limits of each reading column, shape (columns, 2), infinite where there are none."""
+    by_reading = {j.reading: (j.lower, j.upper) for j in reversed(robot.joints)}
+    return np.array([by_reading[name] for name in robot.readings])
+
+
+def repeats(robot: Robot, rows: Measurements, residual: np.ndarray) -> Repeats | None:
+    """Scatter of rows that repeat a configuration; None where none does.
+
+    Residuals, not raw poses, are compared: readings of repeats differ a little, and the model knows how much.
+    """
+    label = blocks(rows.readings, joint_kinds(robot))  # type: ignore[arg-type]
+    size = np.bincount(label)
+    own = size[label] > 1
+    groups = int((size > 1).sum())
+    if groups == 0:
+        return None
+    total = np.zeros((len(size), residual.shape[1]))
+    np.add.at(total, label, residual)
+    apart = (residual - total[label] / size[label, None])[own]
+    freedom = 3.0 * (own.sum() - groups)
+    sigma = [float(np.sqrt(np.sum(part**2) / freedom)) for part in (apart[:, :3], apart[:, 3:])]
+    # The centre is estimated from the same rows: distances come out too short by this factor.
+    n = size[label[own]]
+    distance = np.linalg.norm(apart[:, :3], axis=1) * np.sqrt(n / (n - 1.0))
+    return Repeats(groups, int(own.sum()), Sigma(*sigma), float(distance.mean() + 3.0 * distance.std(ddof=1)))
+
+
+def precision(fit: Fit, train: Measurements, data: Data, noise: Noise) -> Precision:
+    """Propagate the noise to the target, and compare two calibrations from one half of the rows each."""
+    robot = fit.model.robot
+    position, rotation = target_sigma(fit, data)
+    limits = joint_limits(robot)
+    seen = np.stack([train.readings.min(axis=0), train.readings.max(axis=0)], axis=1)
+    low, high = np.where(np.isfinite(limits), limits, seen).T
+    rng = np.random.default_rng(0)
+    anywhere = rng.uniform(low, high, (REACH_SAMPLES, len(low)))
+    some = rng.integers(0, len(train), REACH_SAMPLES)
+    covariates = {name: values[some] for name, values in train.covariates.items()}
+    rows = fit.model.rows(anywhere, covariates, None if train.station is None else train.station[some])
+    reach, _ = target_sigma(fit, Data(rows, data.measured[some], data.suspect[some]))
+    return Precision(position, rotation, reach, *_halves(fit, train, data, noise))
+
+
+def target_sigma(fit: Fit, data: Data) -> tuple[np.ndarray, np.ndarray]:
+    """1-sigma of the predicted target in its worst direction, [m] and [rad], shape (N,) each."""
+    _, _, J = fit.model.jacobian(fit.theta, data.rows)
+    worst = []
+    for part in (J[:, :3], J[:, 3:]):
+        spread = part @ fit.covariance @ part.transpose(0, 2, 1)
+        worst.append(np.sqrt(np.maximum(np.linalg.eigvalsh(spread)[:, -1], 0.0)))
+    return worst[0], worst[1]
+
+
+def _halves(fit: Fit, train: Measurements, data: Data, noise: Noise) -> tuple[float, float]:
+    label = blocks(train.readings, joint_kinds(fit.model.robot))  # type: ignore[arg-type]
+    side = np.random.default_rng(0).permutation(int(label.max()) + 1)[label] % 2 == 0
+    count = len(fit.theta)
+    if count == 0 or min(side.sum(), (~side).sum()) * data.measured.position.shape[1] < 2 * count:
+        return float("nan"), float("nan")
+    predicted, spread = [], 0.0
+    for half in (side, ~side):
+        point = minimise(fit.model, data[half], fit.theta, noise, fit.weight[half])
+        _, p, J = fit.model.jacobian(point.theta, data.rows)
+        covariance = np.linalg.pinv(point.sums.hessian(point.sigma), hermitian=True)
+        spread += float(np.mean(np.einsum("nik,kl,nil->n", J[:, :3], covariance, J[:, :3])))
+        predicted.append(p)
+    apart = np.linalg.norm(predicted[0] - predicted[1], axis=1)
+    return float(np.sqrt(np.mean(apart**2))), float(np.sqrt(spread))
+
+
+def outliers(train: np.ndarray, flags: np.ndarray, stages: list[np.ndarray]) -> np.ndarray:
+    """One set of flags for all stages: the final model's on train; on test only what is far off at every stage.
+
+    Args:
+        train: Mask of the training rows, shape (N,).
+        flags: Flags of the training rows, shape (train rows,).
+        stages: Residuals of every stage, all rows, scaled by the rows' relative sigmas.
+    """
+    far = np.ones(len(train), dtype=bool)
+    for r in stages:
+        sigma = robust_sigma(r[train])
+        off = np.linalg.norm(r[:, :3], axis=1) > 10 * sigma.position
+        if r.shape[1] == 6:
+            off |= np.linalg.norm(r[:, 3:], axis=1) > 10 * sigma.rotation
+        far &= off
+    far[train] = flags
+    return far
