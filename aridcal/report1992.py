@@ -330,7 +330,7 @@ def _matrix(rows: list[list]) -> np.ndarray:
 
 def _require_full_rank(matrix: np.ndarray, names: Sequence[str]) -> None:
     """Refuse a matrix with dependent columns, naming those that take part."""
-    _, values, rows = np.linalg.svd(matrix)
+    _, values, rows = np.linalg.svd(np.linalg.qr(matrix, mode="r"))
     rank = int(np.sum(values > 1e-9 * values.max(initial=0.0)))
     if rank < matrix.shape[1]:
         share = np.linalg.norm(rows[rank:], axis=0)
