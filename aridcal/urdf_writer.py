@@ -85,7 +85,7 @@ class _Scan:
             raise RobotError(f"the URDF is not well-formed XML: {error}") from None
 
     def text(self, start: int, stop: int) -> str:
-        return self.urdf[start:stop].decode(self.codec, "surrogatepass")
+        return self.urdf[start:stop].decode(self.codec)
 
     def indent(self, joint: _Joint) -> str:
         """Line end and indentation before a joint's first child; empty if it does not start a line."""
@@ -162,7 +162,7 @@ def _edits(scan: _Scan, name: str, vectors: tuple[np.ndarray, np.ndarray]) -> It
     if joint.first_child < 0:
         raise RobotError(f"joint {name!r} has neither a parent nor a child in the URDF")
     new = {
-        key: " ".join(repr(float(v)) for v in vector)
+        key: " ".join(repr(float(v) + 0.0) for v in vector)  # no -0.0
         for key, vector in zip(("xyz", "rpy"), vectors, strict=True)
         if not _reads_as(joint.origin, key, vector)
     }
