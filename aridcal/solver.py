@@ -348,5 +348,5 @@ def _estimate(sums: Normal, sigma: Sigma, prior: Prior | None) -> Sigma:
         spent = float(np.sum(inverse * hessian)) / scale**2
         freedom = 3 * float(used.sum()) - spent
         square = float(used @ np.sum(r**2, axis=1))
-        values.append(max(np.sqrt(square / freedom), FLOOR) if freedom > 0.5 else scale)
+        values.append(max(float(np.sqrt(square / freedom)), FLOOR) if freedom > 0.5 else scale)
     return Sigma(values[0], values[1])
