@@ -338,12 +338,12 @@ def _check_units(
     turning = np.array([kind != "prismatic" for kind in kinds], dtype=bool)
     limited = np.isfinite(limits).all(axis=1) & np.array([kind != "continuous" for kind in kinds], dtype=bool)
     outside = limited & ((q < limits[:, 0]) | (q > limits[:, 1]))
-    beyond_turns, beyond_reach = outside & turning & (np.abs(q) > TURNS), outside & ~turning & (np.abs(q) > FAR)
-    for beyond in (beyond_turns, beyond_reach):
-        if beyond.any(axis=1).mean() > 0.5:
-            worst = [source.joint_columns[k] for k in np.flatnonzero(beyond.any(axis=0))]
-            unit = "angle" if beyond is beyond_turns else "length"
-            raise source.wrong_unit(worst, unit, float(np.abs(q[beyond]).max()))
+    impossible = outside & (np.abs(q) > np.where(turning, TURNS, FAR))
+    if impossible.any(axis=1).mean() > 0.5:
+        kind = turning[impossible.any(axis=0)].any()  # wrong angles before wrong lengths
+        worst = np.flatnonzero(impossible.any(axis=0) & (turning == kind))
+        largest = float(np.abs(q[:, worst]).max())
+        raise source.wrong_unit([source.joint_columns[k] for k in worst], "angle" if kind else "length", largest)
     turns = np.abs(q[:, turning])
     if turns.size and np.median(turns.max(axis=1)) > TURNS:
         source.note("", "most rows have a joint beyond two turns: are the angles in degrees (`units: {angle: deg}`)?")
