@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 import pinocchio as pin
 
 from aridcal.doty import Link, doty_links, segments
-from aridcal.effects import FRAME_COMPONENTS, LINK_COMPONENTS, Coefficient, evaluate
+from aridcal.effects import (
+    FRAME_COMPONENTS,
+    LINK_COMPONENTS,
+    Coefficient,
+    Surroundings,
+    covariate_table,
+    evaluate,
+)
 from aridcal.errors import MeasurementError
 from aridcal.robot import Joint, Robot, transverse
 
@@ -66,12 +73,14 @@ class Model:
         coefficients: The unknowns, K of them; theta is their value.
         world_base: Start of T_world_base, for all rows (label None) or for each station.
         tip_target: Start of T_tip_target, likewise.
+        around: Gravity and the payload's place, for the loads that effects depend on.
     """
 
     robot: Robot
     coefficients: tuple[Coefficient, ...]
     world_base: Frames = ONE_FRAME
     tip_target: Frames = ONE_FRAME
+    around: Surroundings = field(default_factory=Surroundings)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -100,13 +109,15 @@ class Model:
             MeasurementError: a row's station is none of those that the model knows.
         """
         n = len(readings)
+        world, tip = (_frame_index(f, station, n) for f in (self.world_base, self.tip_target))
+        wanted = {name for c in self.coefficients for name in c.basis.of}
+        table = covariate_table(self.robot, readings, covariates or {}, self.around, world, wanted) if wanted else {}
         phi = np.empty((n, len(self._varying)))
         for column, k in enumerate(self._varying):
             c = self.coefficients[k]
-            phi[:, column] = 1.0 if c.basis.constant else evaluate(c.basis, covariates or {})
+            phi[:, column] = 1.0 if c.basis.constant else evaluate(c.basis, table)
             if c.station is not None:
                 phi[:, column] *= _labels(station, n) == c.station
-        world, tip = (_frame_index(f, station, n) for f in (self.world_base, self.tip_target))
         return Rows(self.robot.positions(readings), phi, world, tip)
 
     def poses(self, theta: np.ndarray, rows: Rows) -> tuple[np.ndarray, np.ndarray]:

@@ -294,6 +294,16 @@ def joint_frames(robot: Robot, readings: np.ndarray) -> tuple[np.ndarray, np.nda
     return axes, origins
 
 
+def tip_frames(robot: Robot, readings: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Axes (N, 3, 3) and origins (N, 3) of the tip link in the base frame, nominal."""
+    last = robot.tree.getJointId(robot.joints[-1].name)
+    end = robot.tip_before * robot.tip_origin
+    for k, _, turned, at in tree_frames(robot, readings):
+        if k == last:
+            return turned @ end.rotation, at + turned @ end.translation
+    raise AssertionError("the chain's last joint is in its own tree")
+
+
 def _locked_placement(model: pin.Model, frame: pin.Frame) -> pin.SE3:
     """Placement of a frame in the tree's root when no joint upstream moves."""
     placement, k = frame.placement, frame.parentJoint
