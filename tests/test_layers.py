@@ -15,11 +15,11 @@ PACKAGE = Path(aridcal.__file__).parent
 
 LAYERS = [
     {"__init__", "errors"},
-    {"robot", "doty", "settings", "tables", "campaign", "measurements", "commands"},
+    {"robot", "doty", "settings", "tables", "source", "campaign", "measurements", "commands"},
     {"effects", "head"},
     {"model", "report1992", "residual"},
     {"start", "identifiable", "solver", "geometry"},
-    {"outcome", "diagnosis", "search"},
+    {"outcome", "quality", "diagnosis", "search"},
     {"export", "urdf_writer", "formats", "calibration"},
     {"report", "view", "scene", "predict", "compensate", "measure", "design", "simulate"},
     {"identify", "__main__"},
