@@ -105,7 +105,7 @@ def read_bytes(path: Path, error: type[AridcalError]) -> bytes:
         raise error(f"{path}: is a folder, not a file") from None
     except (OSError, ValueError) as problem:
         raise error(f"{path}: cannot be read: {getattr(problem, 'strerror', None) or problem}") from None
-    if not content.strip():
+    if not content or content.isspace():
         raise error(f"{path}: is empty")
     return content
 
@@ -240,7 +240,7 @@ def _complaint(error: ErrorDetails, path: Path, lines: dict[Location, int]) -> s
         location = (*location, facts["key"])
         wrong = error["msg"]
     elif error["type"] == "missing":
-        wrong = "this key is missing"
+        wrong = "this item is missing" if isinstance(location[-1], int) else "this key is missing"
     elif value is None:
         wrong = "has no value; give one or delete the key"
     elif error["type"] == "value_error":

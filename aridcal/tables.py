@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import hashlib
+import io
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -168,13 +169,13 @@ def _read_csv(content: bytes, path: Path) -> tuple[pa.Table, np.ndarray, list[Re
         content = content.removeprefix(b"\xef\xbb\xbf")
     if b"\n" not in content:
         content = content.replace(b"\r", b"\n")
-    first, _, rest = content.partition(b"\n")
-    header = [name.strip() for name in next(csv.reader([first.decode().strip("\r")]), [])] or [""]
-    if len(header) <= 1 and re.search(r"[;\t]", first.decode()):
+    first = io.BytesIO(content).readline().decode().strip("\r\n")
+    header = [name.strip() for name in next(csv.reader([first]), [])] or [""]
+    if len(header) <= 1 and re.search(r"[;\t]", first):
         raise MeasurementError(
             f"{path}: looks separated by semicolons or tabs; convert it to commas and decimal points"
         )
-    if not rest.strip():
+    if not re.search(rb"\n\s*\S", content):
         _check_header(header, path)
         raise MeasurementError(f"{path}: has a header but no rows")
     broken: list[pyarrow.csv.InvalidRow] = []
@@ -198,7 +199,7 @@ def _read_csv(content: bytes, path: Path) -> tuple[pa.Table, np.ndarray, list[Re
         raise MeasurementError(f"{path}: cannot be read as a table: {str(problem).splitlines()[0]}") from None
     line = np.arange(2, table.num_rows + len(broken) + 2)
     line = np.delete(line, [row.number - 2 for row in broken])
-    if b'"' in rest:
+    if b'"' in content:
         _refuse_line_breaks(table, line, broken, path)
     unused = [k for k, name in enumerate(header) if not name and table[k].null_count == table.num_rows]
     table = table.rename_columns(header).select([k for k in range(len(header)) if k not in unused])
