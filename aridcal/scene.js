@@ -2,6 +2,20 @@
 // Puts the scene into meshcat's tree and works the panel. `Scene` data: aridcal/scene.py, scene_content().
 (() => {
   const byId = (id) => document.getElementById(id);
+  byId("meshcat-pane").insertAdjacentHTML("afterend", `
+    <details id="panel" open>
+    <summary><b id="title"></b> <span id="count"></span></summary>
+    <section><h2>Position error <small>RMS of <span id="scored"></span></small></h2><div id="stages"></div>
+    <div id="bar"></div><div id="ticks"></div></section>
+    <section><h2><label for="factor">Magnified <output id="times"></output></label></h2>
+    <input id="factor" type="range" min="0" step="1">
+    <p>Needles point from the measured target to where the model puts it, lengths magnified. The ghost is the nominal
+    robot, its deviation from the calibrated one magnified <output id="ghost"></output>.</p></section>
+    <section><h2><label for="row">Robot at row <output id="line"></output></label></h2>
+    <input id="row" type="range" min="0" step="1" title="arrow keys step through the rows">
+    <p id="here"></p><p id="readings"></p></section>
+    <section><h2>Show</h2><div id="show"></div><p id="grid"></p></section>
+    </details>`);
   const data = JSON.parse(byId("scene").textContent);
   const THREE = MeshCat.THREE;
 
@@ -50,6 +64,7 @@
     viewer.set_property(["Lights", name], "visible", false); // they reach 10 m at most
   }
   viewer.scene_tree.find(["Lights", "FillLight", "<object>"]).object.intensity = 0.25;
+  viewer.scene_tree.find(["Lights", "AmbientLight", "<object>"]).object.intensity = 0.5;
   const sun = new THREE.DirectionalLight(0xffffff, 0.55);
   sun.position.set(0.5, -0.7, 1);
   viewer.set_object(["Lights", "Sun"], sun);
@@ -62,7 +77,8 @@
   grid.rotateX(Math.PI / 2);
   grid.position.set(centre.x, centre.y, box.min.z);
   viewer.set_object(["Grid"], grid);
-  byId("grid").textContent = `Grid ${text(step)} m. Axes at the robot's base: x red, y green, z blue.`;
+  byId("grid").textContent = `Grid ${Number(step.toPrecision(1))} m. ` + "Axes at the robot's base: x red, y green, z blue. "
+    + "White ring: target of the row; dashed ring: flagged as outlier.";
 
   const fov = 38;
   const tangent = Math.tan((fov * Math.PI) / 360);
@@ -114,7 +130,7 @@
   };
   const geometries = data.geometries.map((g) => shapes[g.kind](g));
   const ghost = new THREE.MeshPhongMaterial({
-    color: 0x9fd0ff, transparent: true, opacity: 0.22, depthWrite: false, side: THREE.DoubleSide,
+    color: 0x9fd0ff, transparent: true, opacity: 0.18, depthWrite: false, side: THREE.DoubleSide,
   });
   data.visuals.forEach((visual, k) => {
     const faceted = data.geometries[visual.geometry].kind === "mesh";
@@ -123,6 +139,7 @@
       shininess: 25, specular: 0x222222,
     });
     for (const [robot, material] of [["calibrated", paint], ["nominal", ghost]]) {
+      if (robot === "nominal" && !data.corrected[visual.body]) continue; // a ghost in the same place only flickers
       const path = ["robot", robot, `body ${visual.body}`, `shape ${k}`];
       viewer.set_object(path, new THREE.Mesh(geometries[visual.geometry], material));
       viewer.set_transform(path, visual.matrix);
@@ -261,7 +278,7 @@
     update({ row: Math.min(Math.max(state.row + by, 0), data.rows.length - 1) });
   });
   const names = {
-    calibrated: "Calibrated robot", nominal: "Nominal ghost", targets: "Targets", vectors: "Error needles",
+    calibrated: "Calibrated", nominal: "Nominal ghost", targets: "Targets", vectors: "Error needles",
     train: "Training rows", test: "Test rows",
   };
   for (const [key, name] of Object.entries(names)) {

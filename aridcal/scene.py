@@ -16,7 +16,7 @@ import importlib.util
 import json
 import os
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -41,20 +41,6 @@ LADDER = tuple(m * 10**k for k in range(6) for m in (1, 2, 5))
 """Magnifications to choose from."""
 
 GREY = (0.72, 0.74, 0.77)
-
-PANEL = """<details id="panel" open>
-<summary><b id="title"></b> <span id="count"></span></summary>
-<section><h2>Position error <small>RMS of <span id="scored"></span></small></h2><div id="stages"></div>
-<div id="bar"></div><div id="ticks"></div></section>
-<section><h2><label for="factor">Magnified <output id="times"></output></label></h2>
-<input id="factor" type="range" min="0" step="1">
-<p>Needles point from the measured target to where the model puts it, lengths magnified. The ghost is the nominal
-robot, its deviation from the calibrated one magnified <output id="ghost"></output>.</p></section>
-<section><h2><label for="row">Robot at row <output id="line"></output></label></h2>
-<input id="row" type="range" min="0" step="1" title="arrow keys step through the rows">
-<p id="here"></p><p id="readings"></p></section>
-<section><h2>Show</h2><div id="show"></div><p id="grid"></p></section>
-</details>"""
 
 
 @dataclass(frozen=True)
@@ -168,6 +154,7 @@ def scene_content(scene: Scene, shapes: tuple[Shape, ...]) -> dict[str, Any]:
         "geometries": geometries,
         "visuals": visuals,
         "bodies": len(joints),
+        "corrected": [bool(np.ptp(poses, axis=0)[:, body].max() > 1e-12) for body in range(len(joints))],
         "poses": [_pack(_position_quaternion(T)) for T in poses],
         "rows": rows.tolist(),
         "line": (np.arange(1, n + 1) if scene.line is None else scene.line).tolist(),
@@ -209,7 +196,6 @@ def robot_shapes(robot: Robot) -> tuple[tuple[Shape, ...], tuple[str, ...]]:
     root = etree.fromstring(robot.urdf, etree.XMLParser(resolve_entities=False, no_network=True))
     named = {m.get("name"): m.find("color") for m in root.findall("material")}
     visuals = [(link.get("name", ""), visual) for link in root.findall("link") for visual in link.findall("visual")]
-    files = sum(v.find("geometry/mesh") is not None for _, v in visuals)
     shapes: list[Shape] = []
     notices: list[str] = []
     for link, visual in visuals:
@@ -221,7 +207,7 @@ def robot_shapes(robot: Robot) -> tuple[tuple[Shape, ...], tuple[str, ...]]:
             colour = named.get(material.get("name"))
         paint = None if colour is None else _floats(colour, "rgba", "1 1 1 1")[:3]
         try:
-            for part in _parts(visual, robot.path.parent, TRIANGLES // max(files, 1)):
+            for part in _parts(visual, robot.path.parent):
                 kind, size, own, vertices, faces = part
                 rgb = own or paint or GREY
                 shapes.append(
@@ -231,7 +217,7 @@ def robot_shapes(robot: Robot) -> tuple[tuple[Shape, ...], tuple[str, ...]]:
             notices.append(f"link {link!r} is not drawn: {error}")
     if not shapes:
         notices.append("no link has a shape that can be drawn: the robot is drawn as a stick figure")
-    return tuple(shapes) or _skeleton(robot), tuple(dict.fromkeys(notices))
+    return _thinned(shapes) or _skeleton(robot), tuple(dict.fromkeys(notices))
 
 
 class _NotDrawable(Exception):
@@ -241,7 +227,7 @@ class _NotDrawable(Exception):
 _Part = tuple[str, tuple[float, ...], tuple[float, ...] | None, np.ndarray, np.ndarray]
 
 
-def _parts(visual: etree._Element, folder: Path, triangles: int) -> Iterator[_Part]:
+def _parts(visual: etree._Element, folder: Path) -> Iterator[_Part]:
     """Kind, size, own colour, vertices, faces of each part of a visual."""
     none = np.zeros((0, 3))
     for element in visual.iterfind("geometry/*"):
@@ -254,7 +240,7 @@ def _parts(visual: etree._Element, folder: Path, triangles: int) -> Iterator[_Pa
             yield "sphere", _floats(element, "radius", ""), None, none, none
         elif element.tag == "mesh":
             scale = np.array(_floats(element, "scale", "1 1 1"))
-            for colour, vertices, faces in load_mesh(find_mesh(element.get("filename", ""), folder), triangles):
+            for colour, vertices, faces in load_mesh(find_mesh(element.get("filename", ""), folder)):
                 yield "mesh", (), colour, vertices * scale, faces
         elif isinstance(element.tag, str):
             raise _NotDrawable(f"<{element.tag}> is no shape of URDF")
@@ -284,8 +270,8 @@ def find_mesh(uri: str, folder: Path) -> Path:
     raise _NotDrawable(f"no mesh {uri!r}")
 
 
-def load_mesh(path: Path, triangles: int) -> list[tuple[tuple[float, ...] | None, np.ndarray, np.ndarray]]:
-    """Read a mesh file: per colour (``None``: the file has none) vertices (V, 3) and faces (F, 3), thinned."""
+def load_mesh(path: Path) -> list[tuple[tuple[float, ...] | None, np.ndarray, np.ndarray]]:
+    """Read a mesh file: per colour (``None``: the file has none) vertices (V, 3) and faces (F, 3)."""
     import trimesh
 
     try:
@@ -298,12 +284,8 @@ def load_mesh(path: Path, triangles: int) -> list[tuple[tuple[float, ...] | None
             groups.setdefault(_mesh_colour(mesh, path), []).append(mesh)
     if not groups:
         raise _NotDrawable(f"mesh {path.name!r} has no faces")
-    share = triangles / sum(len(m.faces) for same in groups.values() for m in same)
-    parts = []
-    for colour, same in groups.items():
-        whole = same[0] if len(same) == 1 else trimesh.util.concatenate(same)
-        parts.append((colour, *weld(whole.vertices, whole.faces, max(int(share * len(whole.faces)), 300))))
-    return parts
+    joined = {colour: trimesh.util.concatenate(same) for colour, same in groups.items()}
+    return [(colour, whole.vertices, whole.faces) for colour, whole in joined.items()]
 
 
 def _mesh_colour(mesh: Any, path: Path) -> tuple[float, ...] | None:
@@ -313,6 +295,23 @@ def _mesh_colour(mesh: Any, path: Path) -> tuple[float, ...] | None:
     if rgba is None:
         rgba = getattr(mesh.visual, "main_color", None)
     return None if rgba is None else tuple((np.asarray(rgba[:3], float) / 255).tolist())
+
+
+def _thinned(shapes: list[Shape]) -> tuple[Shape, ...]:
+    """Meshes within the page's allowance: the small ones whole, the large ones down to one common number of faces."""
+    counts = np.sort([len(s.faces) for s in shapes if s.kind == "mesh"])
+    most = TRIANGLES
+    for k, count in enumerate(counts):
+        most = max((TRIANGLES - int(counts[:k].sum())) // (len(counts) - k), 100)
+        if count > most:
+            break
+    thinned = []
+    for shape in shapes:
+        if shape.kind == "mesh":
+            vertices, faces = weld(shape.vertices, shape.faces, most)
+            shape = replace(shape, vertices=vertices, faces=faces)
+        thinned.append(shape)
+    return tuple(thinned)
 
 
 def weld(vertices: np.ndarray, faces: np.ndarray, most: int) -> tuple[np.ndarray, np.ndarray]:
@@ -452,7 +451,6 @@ def _page(content: dict[str, Any]) -> str:
         f"<title>{html.escape(content['title'])}: calibration scene</title>",
         f"<style>{(here / 'scene.css').read_text('utf-8')}</style></head><body>",
         '<div id="meshcat-pane"></div>',
-        PANEL,
         f'<script type="application/json" id="scene">{data}</script>',
         f"<script>{(bundle / 'main.min.js.LICENSE.txt').read_text('utf-8')}</script>",
         f"<script>{(bundle / 'main.min.js').read_text('utf-8')}</script>",
