@@ -161,7 +161,7 @@ def parse_settings(text: str, path: Path, model: type[AnySettings]) -> AnySettin
 def _parse_yaml(text: str, path: Path) -> tuple[dict[str, Any], dict[Location, int]]:
     """Return a YAML mapping and the line of each of its keys, or complain about what is no plain YAML."""
     try:
-        _refuse_bombs(text, path)
+        _refuse_tricks(text, path)
         loader = _Loader(text)
         node = loader.get_single_node()
         if not isinstance(node, yaml.MappingNode):
@@ -181,14 +181,16 @@ def _parse_yaml(text: str, path: Path) -> tuple[dict[str, Any], dict[Location, i
         raise CampaignError(f"{path}: is not valid YAML: {problem}") from None
 
 
-def _refuse_bombs(text: str, path: Path) -> None:
-    """Refuse aliases, which can blow up a few lines to gigabytes, and nesting that would exhaust the stack."""
+def _refuse_tricks(text: str, path: Path) -> None:
+    """Refuse aliases, which can blow up a few lines to gigabytes, nesting that would exhaust the stack, and tags."""
     depth = 0
     for event in yaml.parse(text, Loader=_Loader):
         mark = event.start_mark
         where = f"{path}, line {mark.line + 1 if mark else 1}"
         if isinstance(event, yaml.AliasEvent):
             raise CampaignError(f"{where}: the alias *{event.anchor} is refused; write the value out")
+        if isinstance(event, yaml.ScalarEvent | yaml.CollectionStartEvent) and event.tag:
+            raise CampaignError(f"{where}: the tag {event.tag} is refused; write plain values")
         depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
         if depth > MAX_DEPTH:
             raise CampaignError(f"{where}: is nested more than {MAX_DEPTH} deep")

@@ -167,10 +167,13 @@ def _read_csv(content: bytes, path: Path) -> tuple[pa.Table, np.ndarray, list[Re
     if not content.isascii():
         decode(content, path, MeasurementError)
         content = content.removeprefix(b"\xef\xbb\xbf")
-    if b"\n" not in content:
-        content = content.replace(b"\r", b"\n")
-    first = io.BytesIO(content).readline().decode().strip("\r\n")
-    header = [name.strip() for name in next(csv.reader([first]), [])] or [""]
+    if b"\r" in content:
+        content = content.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+    first = io.BytesIO(content).readline().decode().strip("\n")
+    try:
+        header = [name.strip() for name in next(csv.reader([first]), [])] or [""]
+    except csv.Error as problem:
+        raise MeasurementError(f"{path}, line 1: is no header row: {problem}") from None
     if len(header) <= 1 and re.search(r"[;\t]", first):
         raise MeasurementError(
             f"{path}: looks separated by semicolons or tabs; convert it to commas and decimal points"

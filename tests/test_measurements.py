@@ -381,6 +381,14 @@ def test_one_row_and_rows_all_alike_can_be_held(write: Callable[..., Path]) -> N
     assert len(load(write(stood_still))) == 4
 
 
+def test_rows_that_measure_something_else_need_no_pose(write: Callable[..., Path]) -> None:
+    table = rows().drop(columns=POSE).assign(h1=0.25, image=[f"{k}.png" for k in range(20)])
+    m = load_measurements(campaign(write(table)), JOINTS, LIMITS, KINDS, require_pose=False)
+    assert np.isnan(m.position).all() and m.quaternion is None and m.std is None
+    np.testing.assert_array_equal(m.readings, table[list(JOINTS)])
+    assert list(m.covariates) == ["h1"] and [n.column for n in m.notices] == ["image"]
+
+
 # ---------------------------------------------------------------- wrong units
 
 
