@@ -1,0 +1,322 @@
+"""Make a campaign whose truth is known: a scenario in; measurements of an imperfect robot and their truth out.
+
+Example:
+    python -m aridcal.simulate identification/arid/scenario.yaml -o /tmp/arid
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import os
+import sys
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import pandas as pd
+import pinocchio as pin
+import yaml
+from pydantic import BeforeValidator, Field, field_validator
+from rich.console import Console
+from scipy.spatial.transform import Rotation
+
+from aridcal.campaign import EFFECT_KINDS, Job
+from aridcal.commands import atomic_folder, check_writable, run
+from aridcal.doty import doty_links
+from aridcal.effects import FRAME_COMPONENTS, Coefficient
+from aridcal.errors import CampaignError, OutputError, nearest
+from aridcal.model import Model
+from aridcal.robot import Robot, load_robot
+from aridcal.settings import Section, Vector3, load_settings
+
+
+class Parameter(Section):
+    """True value of a constant: given, or drawn from a normal distribution."""
+
+    value: float = 0.0
+    std: float = Field(default=0.0, ge=0)
+
+
+def _given(value: Any) -> Any:
+    """Let a plain number stand for a value that is not drawn."""
+    return {"value": value} if isinstance(value, int | float) and not isinstance(value, bool) else value
+
+
+class TrueFrame(Section):
+    """A frame as it is; [m] and [rad]."""
+
+    xyz: Vector3 = (0.0, 0.0, 0.0)
+    rpy: Vector3 = (0.0, 0.0, 0.0)
+
+
+class TrueFrames(Section):
+    """T_world_base and T_tip_target as they are; what is absent is as the campaign's own `frames` have it."""
+
+    world_base: TrueFrame | None = None
+    tip_target: TrueFrame | None = None
+
+
+class TrueNoise(Section):
+    """1-sigma of the measurements per axis, whatever the campaign declares."""
+
+    position: float = Field(default=0.0, ge=0)
+    """[m]"""
+    rotation: float = Field(default=0.0, ge=0)
+    """[rad]"""
+
+
+class Outliers(Section):
+    """Rows that are grossly wrong."""
+
+    share: float = Field(ge=0, le=1)
+    size: float = Field(gt=0)
+    """How far off, in sigmas of the noise, in a random direction; position and rotation alike."""
+
+
+class Truth(Section):
+    """What the simulated machine and its measurements are really like."""
+
+    parameters: dict[str, Annotated[Parameter, BeforeValidator(_given)]] = Field(default_factory=dict)
+    frames: TrueFrames = TrueFrames()
+    effects: tuple[dict[str, Any], ...] = ()
+    noise: TrueNoise = TrueNoise()
+    outliers: Outliers | None = None
+    n: int = Field(ge=1, le=10_000_000)
+    seed: int = Field(default=0, ge=0)
+
+    @field_validator("effects")
+    @classmethod
+    def _not_yet(cls, effects: tuple[dict[str, Any], ...]) -> tuple[dict[str, Any], ...]:
+        if effects:
+            raise ValueError("effects are not simulated yet; delete this key")
+        return effects
+
+
+class Scenario(Job):
+    """A campaign's keys and the truth behind it."""
+
+    truth: Truth
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """A simulated campaign.
+
+    Attributes:
+        scenario: What was asked for.
+        robot: The nominal chain.
+        measurements: The table, as it is written.
+        parameters: True value of each constant that the scenario names, drawn or given; [m] or [rad].
+        frames: True T_world_base and T_tip_target.
+        outliers: Which rows are grossly wrong, shape (N,) bool.
+    """
+
+    scenario: Scenario
+    robot: Robot
+    measurements: pd.DataFrame
+    parameters: dict[str, float]
+    frames: dict[str, pin.SE3]
+    outliers: np.ndarray
+
+
+def simulate(scenario: Scenario) -> Simulation:
+    """Measure the machine that a scenario describes.
+
+    The seed fixes everything; constants, configurations, noise and outliers are drawn apart, so that more rows or
+    another noise leave the machine as it is.
+
+    Raises:
+        AridcalError: the scenario asks for what cannot be simulated.
+    """
+    _check(scenario)
+    truth = scenario.truth
+    robot = load_robot(scenario.robot.urdf, scenario.robot.tip, scenario.robot.base)
+    constants, configurations, noise, outliers = (
+        np.random.default_rng(s) for s in np.random.SeedSequence(truth.seed).spawn(4)
+    )
+    coefficients = named_constants(robot, truth.parameters, scenario.path)
+    theta = np.array([p.value + p.std * constants.standard_normal() for p in truth.parameters.values()])
+    frames = true_frames(scenario)
+    readings = draw_readings(robot, truth.n, configurations)
+
+    model = Model(robot, coefficients, ((None, frames["world_base"]),), ((None, frames["tip_target"]),))
+    R, p = model.poses(theta, model.rows(readings))
+    wrong = np.zeros(truth.n, dtype=bool)
+    error = noise.standard_normal((truth.n, 6))
+    if truth.outliers is not None:
+        wrong[outliers.permutation(truth.n)[: round(truth.outliers.share * truth.n)]] = True
+        direction = outliers.standard_normal((truth.n, 2, 3))
+        direction /= np.linalg.norm(direction, axis=2, keepdims=True)
+        error[wrong] += truth.outliers.size * direction[wrong].reshape(-1, 6)
+    position = p + truth.noise.position * error[:, :3]
+    rotation = Rotation.from_rotvec(truth.noise.rotation * error[:, 3:]) * Rotation.from_matrix(R, assume_valid=True)
+    return Simulation(
+        scenario=scenario,
+        robot=robot,
+        measurements=_table(scenario, robot, readings, position, rotation),
+        parameters=dict(zip(truth.parameters, theta.tolist(), strict=True)),
+        frames=frames,
+        outliers=wrong,
+    )
+
+
+def named_constants(robot: Robot, names: Iterable[str], path: Path) -> tuple[Coefficient, ...]:
+    """Constants by their names, ``joint_2.pitch`` or ``joint_1.beta`` for instance.
+
+    Args:
+        robot: The chain.
+        names: A joint of the chain or the tip's fixed joint, a dot, and ``x y z roll pitch yaw`` or, of a moving
+            joint's link, ``d theta beta a alpha``.
+        path: The file to name if one of them does not exist.
+
+    Raises:
+        CampaignError: naming the constant and the nearest one that exists.
+    """
+    joints = [*robot.names, *([robot.tip_joint] if robot.tip_joint else [])]
+    known = [Coefficient(j, c) for j in joints for c in FRAME_COMPONENTS]
+    known += [Coefficient(link.joint, c) for link in doty_links(robot) for c in link.components]
+    by_name = {c.name: c for c in known}
+    for name in names:
+        if name not in by_name:
+            raise CampaignError(f"{path}: truth.parameters.{name}: there is no such constant{nearest(name, by_name)}")
+    return tuple(by_name[name] for name in names)
+
+
+def true_frames(scenario: Scenario) -> dict[str, pin.SE3]:
+    """T_world_base and T_tip_target of the simulated machine."""
+    frames = {}
+    for where in ("world_base", "tip_target"):
+        frame = getattr(scenario.truth.frames, where) or getattr(scenario.frames, where)
+        frames[where] = pin.SE3(pin.rpy.rpyToMatrix(*frame.rpy), np.array(frame.xyz))
+    return frames
+
+
+def draw_readings(robot: Robot, n: int, rng: np.random.Generator) -> np.ndarray:
+    """Draw readings, uniform inside their limits, shape (n, columns), [rad] or [m]; +-pi where there is no limit."""
+    limits = {joint.reading: (joint.lower, joint.upper) for joint in robot.joints}
+    low, high = np.array([limits[reading] for reading in robot.readings]).T
+    low = np.where(np.isfinite(low), low, -math.pi)
+    high = np.where(np.isfinite(high), high, math.pi)
+    return np.asarray(rng.uniform(low, high, (n, len(low))))
+
+
+def write_campaign(simulation: Simulation, folder: Path, home: Path) -> None:
+    """Write the campaign, its measurements, its robot and its truth.
+
+    Args:
+        simulation: What to write.
+        folder: Where to write it now.
+        home: Where it will be; paths in the campaign are relative to that.
+    """
+    scenario, robot = simulation.scenario, simulation.robot
+    keys = scenario.model_dump(mode="json", by_alias=True, exclude_unset=True, exclude={"truth"})
+    if scenario.path.parent.resolve() == home.resolve():  # the scenario's own path to the robot holds here as well
+        keys["robot"]["urdf"] = Path(os.path.relpath(robot.path, home)).as_posix()
+    else:
+        keys["robot"]["urdf"] = robot.path.name
+        (folder / robot.path.name).write_bytes(robot.urdf)
+    keys.setdefault("measurements", {}).pop("file", None)
+    keys["measurements"] = {"file": "measurements.csv"} | keys["measurements"]
+    if keys.get("diagnosis", {}).get("candidates") == list(EFFECT_KINDS):
+        keys["diagnosis"]["candidates"] = "all"
+    text = yaml.safe_dump(keys, sort_keys=False, allow_unicode=True, default_flow_style=None, width=120)
+    made = f"# Made by `aridcal simulate {scenario.path.name}`; the truth is in truth.json.\n"
+    (folder / "campaign.yaml").write_text(made + text, encoding="utf-8")
+    simulation.measurements.to_csv(folder / "measurements.csv", index=False)
+    truth = json.dumps(truth_document(simulation), indent=2, allow_nan=False)
+    (folder / "truth.json").write_text(truth + "\n", encoding="utf-8")
+
+
+def truth_document(simulation: Simulation) -> dict[str, Any]:
+    """`truth.json` as plain data: SI, rows as lines of ``measurements.csv``."""
+    truth = simulation.scenario.truth
+    return {
+        "format": 1,
+        "n": truth.n,
+        "seed": truth.seed,
+        "parameters": simulation.parameters,
+        "frames": {
+            where: {"xyz": frame.translation.tolist(), "rpy": pin.rpy.matrixToRpy(frame.rotation).tolist()}
+            for where, frame in simulation.frames.items()
+        },
+        "effects": [],
+        "noise": truth.noise.model_dump(),
+        "outliers": {
+            **(truth.outliers.model_dump() if truth.outliers else {"share": 0.0}),
+            "rows": (np.flatnonzero(simulation.outliers) + 2).tolist(),
+        },
+    }
+
+
+def _check(scenario: Scenario) -> None:
+    """Refuse what a campaign may ask for but a simulation cannot give."""
+    measurements = scenario.measurements
+    refused = {
+        "measurements.kind": (measurements.kind == "camera_sonar", "images are not simulated here"),
+        "measurements.units": ("units" in measurements.model_fields_set, "the table is written in SI; delete this key"),
+        "measurements.orientation": (
+            "orientation" in measurements.model_fields_set,
+            "the table is written with quaternions; delete this key",
+        ),
+        "frames": (
+            "station" in (scenario.frames.world_base.per, scenario.frames.tip_target.per),
+            "stations are not simulated; delete `per: station`",
+        ),
+    }
+    for key, (asked, why) in refused.items():
+        if asked:
+            raise CampaignError(f"{scenario.path}: {key}: {why}")
+    truth = scenario.truth
+    if truth.outliers is not None and truth.noise == TrueNoise():
+        raise CampaignError(
+            f"{scenario.path}: truth.outliers.size is in sigmas: `truth.noise` must say how much that is"
+        )
+
+
+def _table(
+    scenario: Scenario, robot: Robot, readings: np.ndarray, position: np.ndarray, rotation: Rotation
+) -> pd.DataFrame:
+    """The table of measurements, columns named as the campaign names them."""
+    values = dict(zip(robot.readings, readings.T, strict=True))
+    measured = dict(zip("xyz", position.T, strict=True))
+    if scenario.measurements.kind == "pose":
+        measured |= dict(zip(("qx", "qy", "qz", "qw"), rotation.as_quat(canonical=True).T, strict=True))
+    renamed = scenario.measurements.columns
+    columns = [renamed.get(name, name) for name in values]
+    # Where a joint has a quantity's name, `columns` speaks of the joint.
+    columns += [name if name in values else renamed.get(name, name) for name in measured]
+    twice = sorted({c for c in columns if columns.count(c) > 1})
+    if twice:
+        raise CampaignError(f"{scenario.path}: two columns would be called {twice[0]!r}: add `measurements.columns`")
+    return pd.DataFrame(dict(zip(columns, (*values.values(), *measured.values()), strict=True)))
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command; returns its exit status."""
+    parser = argparse.ArgumentParser(prog="aridcal simulate", description=__doc__,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)  # fmt: skip
+    parser.add_argument("scenario", type=Path, help="scenario.yaml: a campaign's keys and `truth`")
+    parser.add_argument("-o", "--out", type=Path, required=True, metavar="DIR", help="folder of the campaign")
+    arguments = parser.parse_args(argv)
+    return run(lambda: _main(arguments.scenario, arguments.out))
+
+
+def _main(path: Path, out: Path) -> None:
+    check_writable(out)
+    if (out / "campaign.yaml").resolve() == path.resolve():
+        raise OutputError(f"{path}: the campaign would overwrite its scenario; rename it or choose another folder")
+    simulation = simulate(load_settings(path, Scenario))
+    with atomic_folder(out) as folder:
+        write_campaign(simulation, folder, out)
+    rows, wrong = len(simulation.outliers), int(simulation.outliers.sum())
+    console = Console()
+    console.print(f"{out}: {rows} rows, {wrong} of them outliers; the truth is in truth.json", soft_wrap=True)
+    console.print(f"next: aridcal identify {out / 'campaign.yaml'}", soft_wrap=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
