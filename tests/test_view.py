@@ -1,0 +1,464 @@
+"""The scene of a calibration: what is drawn, where, and that the page works in a browser with no network."""
+
+from __future__ import annotations
+
+import base64
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import urllib.error
+import urllib.request
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from scipy.spatial.transform import Rotation
+
+import aridcal
+from aridcal.errors import OutputError
+from aridcal.robot import Robot, load_robot, parse_robot
+from aridcal.scene import (
+    LADDER,
+    ROWS,
+    VIRIDIS,
+    Scene,
+    body_poses,
+    find_mesh,
+    robot_shapes,
+    scene_content,
+    weld,
+    write_scene,
+)
+from aridcal.view import main, serve
+
+ROOT = Path(aridcal.__file__).parents[1]
+PUBLIC = Path(sys.prefix) / "lib" / f"python3.{sys.version_info.minor}" / "site-packages" / "cmeel.prefix" / "share"
+PUBLIC = PUBLIC / "example-robot-data" / "robots"
+
+TOY = """<robot name="{name}">
+  <material name="red"><color rgba="1 0 0 1"/></material>
+  <link name="base"><visual><geometry><box size="0.3 0.3 0.2"/></geometry><material name="red"/></visual></link>
+  <link name="arm"><visual><origin xyz="0.3 0 0" rpy="0 1.5708 0"/>
+    <geometry><cylinder radius="0.08" length="0.6"/></geometry><material name="red"/></visual></link>
+  <link name="slide"><visual><geometry><sphere radius="0.1"/></geometry><material name="red"/></visual></link>
+  <link name="finger"/>
+  <link name="tip"/>
+  <joint name="swing" type="revolute"><parent link="base"/><child link="arm"/><origin xyz="{x} 0 0.2" rpy="0.1 0 0.3"/>
+    <axis xyz="0 0.6 0.8"/><limit lower="-3" upper="3" effort="1" velocity="1"/></joint>
+  <joint name="reach" type="prismatic"><parent link="arm"/><child link="slide"/><origin xyz="0.6 0 0"/>
+    <axis xyz="1 0 0"/><limit lower="0" upper="0.5" effort="1" velocity="1"/></joint>
+  <joint name="follow" type="revolute"><parent link="slide"/><child link="finger"/><origin xyz="0.1 0 0"/>
+    <axis xyz="0 0 1"/><limit lower="-3" upper="3" effort="1" velocity="1"/>
+    <mimic joint="swing" multiplier="-2" offset="0.1"/></joint>
+  <joint name="end" type="fixed"><parent link="finger"/><child link="tip"/><origin xyz="0.1 0 0"/></joint>
+</robot>"""
+
+
+def toy(x: float = 0.0, name: str = "toy", folder: Path = Path()) -> Robot:
+    return parse_robot(TOY.format(x=x, name=name).encode(), "tip", "base", folder / "toy.urdf")
+
+
+def example(n: int = 40, seed: int = 0, name: str = "toy") -> Scene:
+    """A toy robot whose first joint is 4 mm off, seen with 0.1 mm of noise from a frame somewhere."""
+    rng = np.random.default_rng(seed)
+    nominal, calibrated = toy(name=name), toy(0.004, name)
+    readings = np.column_stack([rng.uniform(-1, 1, n), rng.uniform(0, 0.5, n)])
+    T_world_base = np.eye(4)
+    T_world_base[:3, :3] = Rotation.random(rng=rng).as_matrix()
+    T_world_base[:3, 3] = [3.0, -1.0, 0.5]
+    before, after = (
+        target(robot, readings) @ T_world_base[:3, :3].T + [3.0, -1.0, 0.5] for robot in (nominal, calibrated)
+    )
+    measured = after + 1e-4 * rng.standard_normal((n, 3))
+    outlier = np.arange(n) == 1
+    measured[1] += 0.01
+    return Scene(nominal, calibrated, readings, T_world_base, measured, {"nominal": before, "final": after},
+                 np.arange(n) % 4 == 0, outlier)  # fmt: skip
+
+
+def target(robot: Robot, readings: np.ndarray) -> np.ndarray:
+    frame = robot.tree.frames[robot.tree.getFrameId("tip")]
+    return (body_poses(robot, readings)[:, frame.parentJoint] @ frame.placement.homogeneous)[:, :3, 3]
+
+
+def unpack(text: str, dtype: type = np.float32) -> np.ndarray:
+    return np.frombuffer(base64.b64decode(text), dtype)
+
+
+# ---- shapes ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("urdf", "tip"),
+    [
+        ("panda_description/urdf/panda.urdf", "panda_hand"),  # dae in millimetres, several materials
+        ("ur_description/urdf/ur5_robot.urdf", "tool0"),  # dae
+        ("talos_data/robots/talos_reduced.urdf", "gripper_left_base_link"),  # stl, some mirrored by their scale
+        ("so_arm_description/urdf/so100.urdf", "gripper"),  # stl
+    ],
+)
+def test_meshes_lie_where_pinocchio_puts_them(urdf: str, tip: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("aridcal.scene.TRIANGLES", 10**8)
+    path = PUBLIC / urdf
+    if not path.is_file():
+        pytest.skip("example-robot-data is not installed")
+    robot = load_robot(path, tip)
+    shapes, notices = robot_shapes(robot)
+    assert notices == ()
+    geometry = pin.buildGeomFromUrdf(
+        robot.tree, str(path), pin.GeometryType.VISUAL, package_dirs=[str(PUBLIC.parents[1])]
+    )
+    theirs: dict[int, list[np.ndarray]] = {}
+    for thing in (t for t in geometry.geometryObjects if isinstance(t.geometry, pin.hppfcl.BVHModelBase)):
+        points = thing.geometry.vertices()
+        theirs.setdefault(thing.parentJoint, []).append(
+            points @ thing.placement.rotation.T + thing.placement.translation
+        )
+    mine: dict[int, list[np.ndarray]] = {}
+    for shape in (s for s in shapes if s.kind == "mesh"):
+        points = shape.vertices @ shape.placement[:3, :3].T + shape.placement[:3, 3]
+        mine.setdefault(shape.joint, []).append(points)
+    assert mine.keys() == theirs.keys()
+    for joint in theirs:
+        a, b = np.vstack(mine[joint]), np.vstack(theirs[joint])
+        for extreme in (np.min, np.max):
+            np.testing.assert_allclose(extreme(a, axis=0), extreme(b, axis=0), atol=0.002 * np.ptp(b, axis=0).max())
+
+
+def test_primitives_lie_where_pinocchio_puts_them() -> None:
+    robot = load_robot(ROOT / "urdf" / "arid.urdf", "flange")
+    shapes, notices = robot_shapes(robot)
+    theirs = pin.buildGeomFromUrdfString(robot.tree, robot.urdf.decode(), pin.GeometryType.VISUAL).geometryObjects
+    assert notices == ()
+    assert len(shapes) == len(theirs) > 50
+    rest = list(theirs)
+    for shape in shapes:
+        shape_at = pin.SE3(shape.placement)
+        same = [t for t in rest if t.parentJoint == shape.joint and t.placement.isApprox(shape_at, 1e-9)
+                and np.allclose(t.meshColor[:3], shape.colour)]  # fmt: skip
+        for thing in same:
+            thing.geometry.computeLocalAABB()
+        np.testing.assert_allclose(
+            replace(shape, placement=np.eye(4)).corners().max(axis=0), same[0].geometry.aabb_local.max_, atol=1e-6
+        )
+        rest.remove(same[0])
+
+
+def test_a_thinned_mesh_keeps_its_form() -> None:
+    u, v = (grid.ravel() for grid in np.meshgrid(np.linspace(0, np.pi, 120), np.linspace(0, 2 * np.pi, 240)))
+    ball = np.column_stack([np.sin(u) * np.cos(v), np.sin(u) * np.sin(v), np.cos(u)])
+    k = np.arange(120 * 240).reshape(240, 120)
+    squares = np.stack([k[:-1, :-1], k[1:, :-1], k[1:, 1:], k[:-1, 1:]], axis=-1).reshape(-1, 4)
+    faces = np.vstack([squares[:, [0, 1, 2]], squares[:, [0, 2, 3]]])
+
+    def volume(vertices: np.ndarray, faces: np.ndarray) -> float:
+        a, b, c = (vertices[faces[:, n]] for n in range(3))
+        return float(abs(np.einsum("ni,ni->n", a, np.cross(b, c)).sum() / 6))
+
+    vertices, kept = weld(ball, faces, 3000)
+    assert 1000 < len(kept) <= 3000
+    assert len(np.unique(vertices, axis=0)) == len(vertices)
+    assert volume(vertices, kept) == pytest.approx(4 / 3 * np.pi, rel=0.03)
+
+
+def test_all_meshes_together_stay_within_the_allowance(monkeypatch: pytest.MonkeyPatch) -> None:
+    path = PUBLIC / "panda_description/urdf/panda.urdf"
+    if not path.is_file():
+        pytest.skip("example-robot-data is not installed")
+    monkeypatch.setattr("aridcal.scene.TRIANGLES", 20_000)
+    shapes, _ = robot_shapes(load_robot(path, "panda_hand"))
+    assert 10_000 < sum(len(s.faces) for s in shapes) <= 20_000
+
+
+# ---- meshes that are and are not found -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("variable", [None, "ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH"])
+def test_package_uris_are_resolved(variable: str | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH"):
+        monkeypatch.delenv(name, raising=False)
+    home = {None: tmp_path, "ROS_PACKAGE_PATH": tmp_path / "ros", "AMENT_PREFIX_PATH": tmp_path / "ros" / "share"}[
+        variable
+    ]
+    mesh = home / "my_robot" / "meshes" / "link.stl"
+    mesh.parent.mkdir(parents=True)
+    mesh.write_bytes(b"")
+    folder = tmp_path / "my_robot" / "urdf" if variable is None else tmp_path / "elsewhere"
+    if variable is not None:
+        monkeypatch.setenv(variable, f"/nowhere{os.pathsep}{tmp_path / 'ros'}")
+    folder.mkdir(parents=True)
+    assert find_mesh("package://my_robot/meshes/link.stl", folder).samefile(mesh)
+    assert find_mesh(f"file://{mesh}", folder) == mesh
+    assert find_mesh(os.path.relpath(mesh, folder), folder).samefile(mesh)
+
+
+def test_a_mesh_that_cannot_be_drawn_is_named_and_the_rest_is_drawn(tmp_path: Path) -> None:
+    (tmp_path / "broken.stl").write_bytes(b"solid nothing")
+    text = TOY.format(x=0, name="toy")
+    for link, uri in (("finger", "package://lost/a.dae"), ("tip", "broken.stl")):
+        visual = f'<visual><geometry><mesh filename="{uri}"/></geometry></visual>'
+        text = text.replace(f'<link name="{link}"/>', f'<link name="{link}">{visual}</link>')
+    shapes, notices = robot_shapes(parse_robot(text.encode(), "tip", "base", tmp_path / "toy.urdf"))
+    assert [s.kind for s in shapes] == ["box", "cylinder", "sphere"]
+    assert {s.colour for s in shapes} == {(1.0, 0.0, 0.0)}
+    assert len(notices) == 2
+    assert "'finger'" in notices[0]
+    assert "package://lost/a.dae" in notices[0]
+    assert "'tip'" in notices[1]
+    assert "broken.stl" in notices[1]
+
+
+def test_a_robot_without_visuals_is_a_stick_figure_that_moves_with_its_joints() -> None:
+    bare = re.sub(r"<visual>.*?</visual>", "", TOY.format(x=0, name="toy"), flags=re.S)
+    robot = parse_robot(bare.encode(), "tip", "base")
+    shapes, notices = robot_shapes(robot)
+    assert "stick figure" in notices[0]
+    poses = body_poses(robot, np.array([[0.4, 0.2]]))[0]
+    for rod in (s for s in shapes if s.kind == "cylinder"):
+        ends = rod.placement[:3, 3] + np.outer([-0.5, 0.5], rod.size[1] * rod.placement[:3, 2])
+        np.testing.assert_allclose(ends[0], 0, atol=1e-12)  # in the frame of the joint it comes from
+        nearest = np.linalg.norm([T[:3, 3] - (poses[rod.joint] @ [*ends[1], 1])[:3] for T in poses], axis=1).min()
+        assert nearest < 1e-9 or robot.tree.names[robot.tree.children[rod.joint][0]] == "reach"
+
+
+# ---- where things are ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("base", ["base", "slide"])
+def test_bodies_move_as_pinocchio_moves_them(base: str) -> None:
+    robot = parse_robot(TOY.format(x=0.1, name="toy").encode(), "tip", base)
+    rng = np.random.default_rng(0)
+    readings = rng.uniform(0, 0.5, (20, len(robot.readings)))
+    model = pin.buildModelFromXML(robot.urdf.decode())
+    data = model.createData()
+    for row, T in zip(readings, body_poses(robot, readings), strict=True):
+        by_name = {"swing": 0.0, "reach": 0.0} | dict(zip(robot.readings, row, strict=True))
+        q = np.array([by_name["swing"], by_name["reach"], 0.1 - 2 * by_name["swing"]])
+        pin.framesForwardKinematics(model, data, q)
+        T_base = data.oMf[model.getFrameId(base)]
+        for k in range(model.njoints):
+            np.testing.assert_allclose(T[k], (T_base.inverse() * data.oMi[k]).homogeneous, atol=1e-12)
+
+
+def test_targets_and_errors_are_drawn_in_the_frame_of_the_base_of_their_own_row() -> None:
+    scene = example()
+    rng = np.random.default_rng(5)
+    n = len(scene.measured)
+    T = np.tile(np.eye(4), (n, 1, 1))  # a frame for each row, as with stations
+    T[:, :3, :3] = Rotation.random(n, rng=rng).as_matrix()
+    T[:, :3, 3] = rng.uniform(-5, 5, (n, 3))
+    in_base = {name: target(robot, scene.readings) for name, robot in (("a", scene.nominal), ("b", scene.calibrated))}
+
+    def in_world(points: np.ndarray) -> np.ndarray:
+        return np.einsum("nij,nj->ni", T[:, :3, :3], points) + T[:, :3, 3]
+
+    moved = replace(scene, T_world_base=T, measured=in_world(in_base["b"]),
+                    predicted={"nominal": in_world(in_base["a"]), "final": in_world(in_base["b"])})  # fmt: skip
+    content = scene_content(moved, robot_shapes(scene.nominal)[0])
+    np.testing.assert_allclose(unpack(content["measured"]).reshape(-1, 3), in_base["b"], atol=1e-6)
+    nominal, final = (unpack(stage["error"]).reshape(-1, 3) for stage in content["stages"])
+    np.testing.assert_allclose(nominal, in_base["a"] - in_base["b"], atol=1e-8)
+    np.testing.assert_allclose(final, 0, atol=1e-12)
+    assert content["stages"][0]["rms"] == pytest.approx(4.0, rel=1e-6)  # the first joint is 4 mm off
+
+
+def test_the_page_stands_upright_against_gravity() -> None:
+    for gravity in ([0, 9.81, 0], [0, 0, 9.81], [1.0, -2.0, 3.0]):
+        content = scene_content(replace(example(), gravity=np.array(gravity, float)), robot_shapes(toy())[0])
+        R = np.array(content["upright"]).reshape(4, 4).T[:3, :3]  # column by column, as three.js has it
+        np.testing.assert_allclose(R @ gravity, [0, 0, -np.linalg.norm(gravity)], atol=1e-12)
+        assert np.linalg.det(R) == pytest.approx(1)
+
+
+def test_errors_are_scored_on_test_rows_without_outliers() -> None:
+    scene = example()
+    scored = scene.test & ~scene.outlier
+    error = np.linalg.norm(scene.predicted["final"] - scene.measured, axis=1)
+    content = scene_content(scene, robot_shapes(scene.nominal)[0])
+    assert content["stages"][1]["rms"] == pytest.approx(1e3 * np.sqrt(np.mean(error[scored] ** 2)), rel=1e-6)
+    assert content["scored"] == "test rows"
+    untested = scene_content(replace(scene, test=np.zeros_like(scene.test)), robot_shapes(scene.nominal)[0])
+    assert untested["scored"] == "all rows"
+
+
+def test_the_magnification_makes_errors_of_any_size_visible_and_does_not_overdo_it() -> None:
+    shapes = robot_shapes(toy())[0]
+    for size in (1e-2, 1.0, 30.0):
+        scene = example()
+        predicted = {k: scene.measured + size * (p - scene.measured) for k, p in scene.predicted.items()}
+        content = scene_content(replace(scene, predicted=predicted), shapes)
+        extent = np.linalg.norm(np.ptp(unpack(content["seen"]).reshape(-1, 3), axis=0))
+        before, after = (
+            np.percentile(np.linalg.norm(unpack(s["error"]).reshape(-1, 3), axis=1), 90) * content["factor"] / extent
+            for s in content["stages"]
+        )
+        assert content["factor"] in LADDER
+        assert 0.02 < before < 0.3
+        assert after > 0.002
+
+
+def test_ten_thousand_rows_make_a_page_of_few_megabytes(tmp_path: Path) -> None:
+    scene = example(12_000)
+    assert write_scene(scene, tmp_path / "scene.html") == ()
+    text = (tmp_path / "scene.html").read_text("utf-8")
+    content = embedded(text)
+    assert len(text) < 3e6
+    assert len(content["rows"]) == ROWS == len(set(content["rows"]))
+    assert content["rows"][0] == 0
+    assert content["rows"][-1] == 11_999
+    assert len(unpack(content["measured"])) == 36_000
+    poses = unpack(content["poses"][1]).reshape(ROWS, content["bodies"], 7)
+    bodies = sorted({s.joint for s in robot_shapes(scene.nominal)[0]})
+    row = scene.readings[content["rows"][17]][None]
+    expected = body_poses(scene.calibrated, row)[0, bodies]
+    np.testing.assert_allclose(poses[17, :, :3], expected[:, :3, 3], atol=1e-6)
+    np.testing.assert_allclose(Rotation.from_quat(poses[17, :, 3:]).as_matrix(), expected[:, :3, :3], atol=1e-6)
+
+
+def embedded(text: str) -> dict:
+    found = re.search(r'<script type="application/json" id="scene">(.*?)</script>', text, re.S)
+    assert found is not None
+    return json.loads(found[1])
+
+
+def test_colours_are_viridis() -> None:
+    from matplotlib import colormaps, colors
+
+    assert list(VIRIDIS) == [colors.to_hex(colormaps["viridis"](t)) for t in np.linspace(0.2, 1, len(VIRIDIS))]
+
+
+def test_hostile_names_stay_text_and_the_page_fetches_nothing(tmp_path: Path) -> None:
+    scene = example(name="&lt;/script&gt;&lt;script&gt;alert(1)&lt;/script&gt;")
+    write_scene(scene, tmp_path / "scene.html")
+    text = (tmp_path / "scene.html").read_text("utf-8")
+    assert embedded(text)["title"] == "</script><script>alert(1)</script>"
+    assert "<script>alert(1)" not in text
+    assert not re.search(r"<(script|link|img|iframe)[^>]*\s(src|href)=", text)
+
+
+def test_a_scene_that_cannot_be_written_is_an_error(tmp_path: Path) -> None:
+    with pytest.raises(OutputError, match="nowhere"):
+        write_scene(example(), tmp_path / "nowhere" / "scene.html")
+
+
+# ---- the command -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_the_command_serves_the_scene_alone_and_ends_with_ctrl_c(number: signal.Signals, tmp_path: Path) -> None:
+    (tmp_path / "scene.html").write_text("<p>the scene</p>")
+    (tmp_path / "calibration.yaml").write_text("secret")
+    quiet = {k: v for k, v in os.environ.items() if k not in ("BROWSER", "DISPLAY", "WAYLAND_DISPLAY")}
+    # A shell may start us with Ctrl-C ignored, which children inherit.
+    code = "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+    code += "from aridcal.view import main; sys.exit(main())"
+    with subprocess.Popen([sys.executable, "-c", code, str(tmp_path)], stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+                          text=True, env=quiet) as process:  # fmt: skip
+        assert process.stdout is not None
+        url = process.stdout.readline().split()[0]
+        assert url.startswith("http://127.0.0.1:")
+        assert urllib.request.urlopen(url, timeout=10).read() == b"<p>the scene</p>"
+        (tmp_path / "scene.html").write_text("another")
+        assert urllib.request.urlopen(url + "scene.html", timeout=10).read() == b"another"
+        for path in ("calibration.yaml", "../calibration.yaml", "%2e%2e/"):
+            with pytest.raises(urllib.error.HTTPError, match="404"):
+                urllib.request.urlopen(url + path, timeout=10)
+        process.send_signal(number)
+        assert process.wait(timeout=20) == 130
+        assert "Traceback" not in process.stderr.read()  # type: ignore[union-attr]
+    with pytest.raises(urllib.error.URLError):
+        urllib.request.urlopen(url, timeout=10)
+
+
+def test_a_folder_without_a_result_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for folder in (tmp_path, tmp_path / "missing"):
+        assert main([str(folder)]) == 2
+        message = capsys.readouterr().err
+        assert str(folder) in message
+        assert "aridcal.identify" in message
+
+
+def test_only_this_computer_is_served(tmp_path: Path) -> None:
+    (tmp_path / "scene.html").write_text("")
+    with serve(tmp_path / "scene.html") as server:
+        assert server.server_address[0] == "127.0.0.1"
+
+
+# ---- in a browser ----------------------------------------------------------------------------------------------------
+
+
+def browse(page: Path, picture: Path) -> tuple[np.ndarray, list[str]]:
+    """Open a page in headless Chromium with software WebGL and no network: pixels (H, W, 3) and console messages."""
+    chromium = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    if chromium is None:
+        if os.environ.get("ARIDCAL_REQUIRE_CHROMIUM") == "1":
+            pytest.fail("ARIDCAL_REQUIRE_CHROMIUM=1, but there is no Chromium")
+        pytest.skip("no Chromium on this computer")
+    done = subprocess.run(
+        [chromium, "--headless", "--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--disable-gpu-sandbox",
+         "--enable-unsafe-swiftshader", "--disable-background-networking", "--host-resolver-rules=MAP * ~NOTFOUND",
+         f"--user-data-dir={page.parent / 'profile'}", "--window-size=1000,700", "--virtual-time-budget=6000",
+         "--enable-logging=stderr", "--v=0", f"--screenshot={picture}", page.as_uri()],
+        capture_output=True, text=True, timeout=120, check=True,
+    )  # fmt: skip
+    from PIL import Image
+
+    console = re.findall(r"CONSOLE[^\]]*\] \"(.*?)\", source:", done.stderr, re.S)
+    return np.asarray(Image.open(picture).convert("RGB"), float), console
+
+
+def red(pixels: np.ndarray) -> int:
+    """Pixels of the toy's red paint, lit from anywhere."""
+    r, g, b = np.moveaxis(pixels[:, 330:], -1, 0)
+    return int(((r > 60) & (g < 0.35 * r) & (b < 0.35 * r)).sum())
+
+
+def yellow(pixels: np.ndarray) -> int:
+    """Pixels of the colour of large errors."""
+    return int((np.abs(pixels[:, 330:] - [253, 231, 37]).max(axis=-1) < 40).sum())
+
+
+def test_the_page_draws_the_scene_and_its_panel_works(tmp_path: Path) -> None:
+    page = tmp_path / "scene.html"
+    scene = replace(example(), line=np.arange(40) + 2)
+    write_scene(scene, page)
+    pixels, console = browse(page, tmp_path / "scene.png")
+    assert console == []
+    assert red(pixels) > 2000  # the robot is there
+    assert len(np.unique(pixels[:, :330].reshape(-1, 3), axis=0)) > 50  # so is the panel
+
+    # A second page works its own panel, then tells what it reads.
+    script = """<script>window.addEventListener("load", () => setTimeout(() => {
+      const work = (selector, change, event) => {
+        const control = document.querySelector(selector);
+        Object.assign(control, change);
+        control.dispatchEvent(new Event(event));
+      };
+      work("input[name=stage]", {checked: true}, "change");
+      work("#row", {value: 7}, "input");
+      window.dispatchEvent(new KeyboardEvent("keydown", {key: "ArrowRight"}));
+      work("#factor", {value: Number(document.querySelector("#factor").value) + 1}, "input");
+      work("input[name=calibrated]", {checked: false}, "change");
+      const read = (id) => document.getElementById(id).textContent;
+      console.log(JSON.stringify(["line", "here", "times", "readings", "stages", "count"].map(read)));
+    }, 500))</script></body>"""
+    page.write_text(page.read_text("utf-8").replace("</body>", script), encoding="utf-8")
+    worked, console = browse(page, tmp_path / "worked.png")
+    assert len(console) == 1
+    line, here, times, readings, stages, count = json.loads(console[0])
+    content = embedded(page.read_text("utf-8"))
+    errors = [1e3 * np.linalg.norm(p[8] - scene.measured[8]) for p in scene.predicted.values()]
+    assert line == "10"
+    assert here == f"test row: nominal {errors[0]:.3g} → final {errors[1]:.3g} mm"
+    assert times == f"×{LADDER[LADDER.index(content['factor']) + 1]}"
+    assert readings == f"swing{np.degrees(scene.readings[8, 0]):.1f} °reach{1e3 * scene.readings[8, 1]:.1f} mm"
+    assert stages.startswith("nominal4.0")
+    assert count == "40 measured poses"
+    assert red(worked) < 0.05 * red(pixels)  # the calibrated robot is switched off; the base's red axis is left
+    assert yellow(worked) > 3 * yellow(pixels)  # before calibration the errors are large
