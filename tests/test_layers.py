@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import graphlib
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -12,16 +13,29 @@ import pytest
 import aridcal
 
 PACKAGE = Path(aridcal.__file__).parent
+CONTRIBUTING = Path(__file__).parent.parent / "CONTRIBUTING.md"
 
 LAYERS = [
     {"__init__", "errors"},
     {"robot", "doty", "settings", "tables", "source", "campaign", "measurements", "commands"},
-    {"effects", "head"},
+    {"effects", "catalogue", "head"},
     {"model", "report1992", "residual"},
     {"start", "identifiable", "solver", "geometry"},
-    {"outcome", "quality", "diagnosis", "search"},
+    {"outcome", "quality", "diagnosis", "search", "evidence"},
     {"export", "urdf_writer", "formats", "calibration"},
-    {"report", "view", "scene", "predict", "compensate", "measure", "design", "simulate"},
+    {
+        "report",
+        "sections",
+        "plots",
+        "markup",
+        "view",
+        "scene",
+        "predict",
+        "compensate",
+        "measure",
+        "design",
+        "simulate",
+    },
     {"identify", "__main__"},
 ]
 LAYER = {module: number for number, modules in enumerate(LAYERS) for module in modules}
@@ -90,6 +104,13 @@ def test_imports_have_no_cycle() -> None:
     graph = {name: set(imported(path.read_text("utf-8"), path)) - {name} for path, name in names.items()}
     order = list(graphlib.TopologicalSorter(graph).static_order())  # raises CycleError, which names the cycle
     assert set(names.values()) <= set(order)
+
+
+def test_contributing_shows_the_same_table() -> None:
+    shown: list[set[str]] = [set() for _ in LAYERS]
+    for layer, modules in re.findall(r"^\| (\d) \| (.*?) \|", CONTRIBUTING.read_text("utf-8"), re.MULTILINE):
+        shown[int(layer)] |= {name.rstrip("/") for name in re.findall(r"`(.*?)`", modules)}
+    assert shown == [modules - {"__init__"} for modules in LAYERS]
 
 
 @pytest.mark.parametrize(
