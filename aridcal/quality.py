@@ -47,6 +47,21 @@ def repeats(robot: Robot, rows: Measurements, residual: np.ndarray) -> Repeats |
     return Repeats(groups, int(own.sum()), Sigma(*sigma), float(distance.mean() + 3.0 * distance.std(ddof=1)))
 
 
+def accuracy(robot: Robot, rows: Measurements, residual: np.ndarray) -> np.ndarray:
+    """ISO 9283's AP of every configuration: how far the centre of its attained positions is off, [m].
+
+    Args:
+        robot: The nominal chain.
+        rows: N rows; those that repeat a configuration count as one.
+        residual: Measured minus predicted, shape (N, 6) or (N, 3), [m] and [rad].
+    """
+    if len(rows) == 0:
+        return np.empty(0)
+    label = blocks(rows.readings, joint_kinds(robot))  # type: ignore[arg-type]
+    total = np.stack([np.bincount(label, axis) for axis in residual[:, :3].T], axis=1)
+    return np.asarray(np.linalg.norm(total / np.bincount(label)[:, None], axis=1))
+
+
 def precision(fit: Fit, train: Measurements, data: Data, noise: Noise) -> Precision:
     """Propagate the noise to the target, and compare two calibrations from one half of the rows each."""
     robot = fit.model.robot

@@ -1,0 +1,249 @@
+"""Figures as inline SVG: small, with units on their axes, in colours that everybody can tell apart."""
+
+from __future__ import annotations
+
+import functools
+import io
+import re
+from collections.abc import Callable, Mapping, Sequence
+from html import escape
+from typing import TYPE_CHECKING, Any, ParamSpec
+
+import numpy as np
+
+from aridcal.markup import Html
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+P = ParamSpec("P")
+
+BEFORE, AFTER, GREY = "#D55E00", "#0072B2", "#5f6b76"  # the first two are Okabe and Ito's
+LEVELS = ("#c9d3dc", "#8cc3e8", "#3f93c9", "#a3326b", "#3b1f5b")
+"""Small to large: brightness falls all the way, so that it survives grey print and colour blindness."""
+
+POINTS = 800
+"""At most so many points are drawn in one cloud."""
+
+WIDTH, HEIGHT = 4.3, 2.7
+"""Of a figure, in inches: it is legible on a phone, and three stand side by side on a desk."""
+
+STYLE: dict[Any, Any] = {
+    "svg.fonttype": "none",
+    "svg.hashsalt": "aridcal",
+    "path.simplify": False,
+    "text.parse_math": False,
+    "font.family": ["sans-serif"],
+    "font.sans-serif": ["DejaVu Sans"],
+    "font.size": 9.0,
+    "axes.edgecolor": "#aab2ba",
+    "axes.labelcolor": "#333b44",
+    "text.color": "#333b44",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": "#e6e9ec",
+    "xtick.color": GREY,
+    "ytick.color": GREY,
+    "xtick.major.size": 0.0,
+    "ytick.major.size": 0.0,
+    "legend.frameon": False,
+    "legend.handlelength": 1.2,
+    "axes.formatter.useoffset": False,
+}
+
+
+def _figure(draw: Callable[P, Figure]) -> Callable[P, Html]:
+    """Turn a function that draws into one that returns SVG; its first two arguments are ``key`` and ``alt``."""
+
+    @functools.wraps(draw)
+    def drawn(*args: P.args, **kwargs: P.kwargs) -> Html:
+        from matplotlib import rc_context
+
+        with rc_context(STYLE):
+            figure, text = draw(*args, **kwargs), io.StringIO()
+            figure.savefig(text, format="svg")
+        return _inline(text.getvalue(), str(args[0]), str(args[1]))
+
+    return drawn
+
+
+@_figure
+def histogram(key: str, alt: str, values: Mapping[str, np.ndarray], label: str) -> Figure:
+    """Two distributions on one axis.
+
+    Args:
+        key: Of the figure, unique in the page.
+        alt: What the figure shows, for those who cannot see it.
+        values: Two arrays by name, none negative; what lies far outside is counted in the last bin.
+        label: Of the horizontal axis, with its unit.
+    """
+    figure, axes = _axes()
+    top = max(float(np.percentile(v, 99.5)) for v in values.values())
+    edges = np.linspace(0.0, max(1.03 * top, 1e-9), 41)
+    for (name, v), color, filled in zip(values.items(), (BEFORE, AFTER), (0.15, 0.45), strict=True):
+        share = 100.0 * np.histogram(np.minimum(v, edges[-1]), edges)[0] / len(v)
+        axes.stairs(share, edges, color=color, fill=True, alpha=filled)
+        axes.stairs(share, edges, color=color, linewidth=1.4, label=name)
+    axes.set(xlabel=label, ylabel="rows [%]", xlim=(0, edges[-1]))
+    axes.set_ylim(bottom=0)
+    return _with_legend(figure, axes)
+
+
+@_figure
+def coverage(key: str, alt: str, names: Sequence[str], shares: Sequence[np.ndarray], ranges: Sequence[str]) -> Figure:
+    """Where within its limits each joint was measured: one histogram per joint, on a line of its own.
+
+    Args:
+        key: Of the figure, unique in the page.
+        alt: What the figure shows, for those who cannot see it.
+        names: Of the joints, base first.
+        shares: Readings of each as a share of the joint's range: 0 at its lower limit, 1 at its upper one.
+        ranges: The two limits in words.
+    """
+    count = len(names)
+    figure, axes = _axes(WIDTH, 0.55 + 0.42 * count, left=0.3, top=0.1)
+    edges = np.linspace(0.0, 1.0, 37)
+    for k, share in enumerate(shares):
+        bins = np.histogram(np.clip(share, 0.0, 1.0), edges)[0]
+        height = 0.8 * bins / max(bins.max(), 1)
+        line = count - 1 - k
+        axes.stairs(line + height, 100 * edges, baseline=line, color=AFTER, fill=True, alpha=0.55)
+        axes.axhline(line, color="#aab2ba", linewidth=0.8)
+    axes.set(xlabel="share of the joint's range [%]", xlim=(0, 100), ylim=(-0.1, count))
+    labels = [f"{_short(name)}\n{limits}" for name, limits in zip(names, ranges, strict=True)]
+    axes.set_yticks(np.arange(count) + 0.4, labels[::-1], fontsize=8)
+    axes.grid(visible=False, axis="y")
+    axes.spines.left.set_visible(False)
+    return figure
+
+
+@_figure
+def clouds(key: str, alt: str, x: np.ndarray, values: Mapping[str, np.ndarray], labels: tuple[str, str]) -> Figure:
+    """Two clouds of points about zero.
+
+    Args:
+        key: Of the figure, unique in the page.
+        alt: What the figure shows, for those who cannot see it.
+        x: Shape (N,).
+        values: Two arrays by name, shape (N,) each.
+        labels: Of the two axes, with their units.
+    """
+    figure, axes = _axes()
+    for (name, v), color in zip(values.items(), (BEFORE, AFTER), strict=True):
+        _dots(axes, x, v, color, label=name)
+    top = max(float(np.abs(v).max()) for v in values.values())
+    axes.set(xlabel=labels[0], ylabel=labels[1], ylim=(-1.08 * top or -1, 1.08 * top or 1))
+    axes.axhline(0.0, color=GREY, linewidth=0.8)
+    return _with_legend(figure, axes)
+
+
+@_figure
+def field(key: str, alt: str, points: np.ndarray, values: np.ndarray, labels: tuple[str, str], unit: str) -> Figure:
+    """Points in a plane, coloured by a value in five steps of equally many points, the large ones on top.
+
+    Args:
+        key: Of the figure, unique in the page.
+        alt: What the figure shows, for those who cannot see it.
+        points: Shape (N, 2).
+        values: Shape (N,), not negative.
+        labels: Of the two axes, with their units.
+        unit: Of the values.
+    """
+    figure, axes = _axes(HEIGHT + 1.6, HEIGHT + 1.6, left=0.14, top=0.42)
+    x, y = points.T
+    steps = np.quantile(values, np.linspace(0, 1, len(LEVELS) + 1))
+    level = np.searchsorted(steps[1:-1], values, side="right")
+    for k, color in enumerate(LEVELS):
+        name = f"{steps[k]:.2g}–{steps[k + 1]:.2g} {unit}"
+        _dots(axes, x[level == k], y[level == k], color, label=name, size=2.6 + 0.4 * k, alpha=1.0)
+    axes.set(xlabel=labels[0], ylabel=labels[1])
+    axes.set_aspect("equal", adjustable="datalim")
+    return _with_legend(figure, axes, columns=3)
+
+
+@_figure
+def profile(key: str, alt: str, x: np.ndarray, values: Mapping[str, np.ndarray], labels: tuple[str, str]) -> Figure:
+    """RMS of two quantities within slices of equally many rows along x.
+
+    Args:
+        key: Of the figure, unique in the page.
+        alt: What the figure shows, for those who cannot see it.
+        x: Shape (N,).
+        values: Two arrays by name, shape (N,) each.
+        labels: Of the two axes, with their units.
+    """
+    figure, axes = _axes()
+    order = np.argsort(x, kind="stable")
+    slices = np.array_split(order, int(np.clip(len(x) // 12, 1, 24)))
+    middle = [float(np.median(x[rows])) for rows in slices]
+    for (name, v), color, marker in zip(values.items(), (BEFORE, AFTER), ("--", "-"), strict=True):
+        rms = [float(np.sqrt(np.mean(v[rows] ** 2))) for rows in slices]
+        _dots(axes, x, v, color, alpha=0.25)
+        axes.plot(middle, rms, color=color, linestyle=marker, linewidth=2.0, label=name)
+    top = max(float(np.percentile(v, 99.5)) for v in values.values())
+    axes.set(xlabel=labels[0], ylabel=labels[1], ylim=(0, 1.08 * top or 1))
+    return _with_legend(figure, axes)
+
+
+def _axes(width: float = WIDTH, height: float = HEIGHT, left: float = 0.14, top: float = 0.3) -> tuple[Figure, Axes]:
+    """One figure with one pair of axes; ``left`` is a share of the width, ``top`` in inches."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), facecolor="none")
+    bottom = 0.45
+    axes = figure.add_axes((left, bottom / height, 0.97 - left, 1 - (bottom + top) / height), facecolor="none")
+    return figure, axes
+
+
+def _with_legend(figure: Figure, axes: Axes, columns: int = 2) -> Figure:
+    axes.legend(
+        loc="lower left",
+        bbox_to_anchor=(-0.02, 1.0),
+        ncols=columns,
+        borderaxespad=0.1,
+        borderpad=0.1,
+        columnspacing=0.9,
+        handletextpad=0.4,
+    )
+    return figure
+
+
+def _dots(
+    axes: Axes, x: np.ndarray, y: np.ndarray, color: str, label: str = "", size: float = 2.6, alpha: float = 0.6
+) -> None:
+    """Points as strokes without length but with round ends: one short path in place of an element per point.
+
+    Of more than :data:`POINTS` a reproducible choice is drawn.
+    """
+    if len(x) > POINTS:
+        some = np.random.default_rng(0).choice(len(x), POINTS, replace=False)
+        x, y = x[some], y[some]
+    gap = np.full(len(x), np.nan)
+    u, v = (np.column_stack([values, values, gap]).ravel() for values in (x, y))
+    axes.plot(u, v, color=color, linewidth=size, alpha=alpha, solid_capstyle="round")
+    if label:
+        axes.plot([], [], color=color, marker="o", linestyle="", markersize=4.5, label=label)
+
+
+def _short(name: str, most: int = 16) -> str:
+    return name if len(name) <= most else f"{name[: most - 1]}…"
+
+
+def _inline(svg: str, key: str, alt: str) -> Html:
+    """Matplotlib's file as an element of a page: ids unique and only where needed, two decimals."""
+    svg = svg[svg.index("<svg") :]
+    size = re.search(r'viewBox="0 0 ([\d.]+) ([\d.]+)"', svg)
+    assert size is not None
+    body = svg[svg.index(">") + 1 :]
+    body = re.sub(r"<metadata>.*?</metadata>|<style.*?</style>", "", body, flags=re.DOTALL)
+    referred = set(re.findall(r'(?:url\(|href=")#([^)"]+)', body))
+    body = re.sub(r' id="([^"]+)"', lambda m: f' id="{key}-{m[1]}"' if m[1] in referred else "", body)
+    body = re.sub(r'(url\(|href=")#', rf"\1#{key}-", body).replace("xlink:href", "href")
+    body = re.sub(r"(?<=\d)(\.\d{2})\d+", r"\1", body)
+    body = re.sub(r"\s+", " ", body).replace("> <", "><")
+    body = re.sub(r"M (\S+ \S+) L \1(?= )", r"M\1h0", body)
+    head = f'<svg class="plot" viewBox="0 0 {size[1]} {size[2]}" role="img" aria-label="{escape(alt)}">'
+    return Html(head + body.strip())
