@@ -54,19 +54,19 @@ def run(body: Callable[[], None]) -> int:
     return DONE
 
 
-def check_writable(path: Path, kind: Literal["folder", "file"] = "folder") -> None:
+def check_writable(path: Path, kind: Literal["folder", "file"] | None = None) -> None:
     """Make sure that results can be written, before any work is done for them.
 
     Args:
         path: What is to be written; it need not exist, nor need its parents.
-        kind: What it is to be.
+        kind: What it is to be; None if either would do.
 
     Raises:
         OutputError: naming the path and what is in the way.
     """
-    if path.exists() and path.is_dir() != (kind == "folder"):
+    if kind is not None and path.exists() and path.is_dir() != (kind == "folder"):
         raise OutputError(f"{path}: is a {'file' if kind == 'folder' else 'folder'}, not a {kind}; give another name")
-    home = _nearest_existing(path if kind == "folder" else path.parent)
+    home = _nearest_existing(path if path.is_dir() else path.parent)
     if not home.is_dir():
         raise OutputError(f"{path}: cannot be written: {home} is a file, not a folder")
     try:
@@ -111,7 +111,7 @@ def atomic_folder(path: Path, replaces: Collection[str] = ()) -> Iterator[Path]:
     Raises:
         OutputError: the folder cannot be written.
     """
-    check_writable(path)
+    check_writable(path, "folder")
     with _staged(path, path) as stage:
         new, old = stage / "new", stage / "old"
         new.mkdir()  # with the user's own permissions, which mkdtemp's folder has not

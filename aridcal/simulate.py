@@ -306,7 +306,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _main(path: Path, out: Path) -> None:
-    check_writable(out)
+    check_writable(out, "folder")
     if (out / "campaign.yaml").resolve() == path.resolve():
         raise OutputError(f"{path}: the campaign would overwrite its scenario; rename it or choose another folder")
     simulation = simulate(load_settings(path, Scenario))

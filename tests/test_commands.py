@@ -191,8 +191,9 @@ def test_what_cannot_be_written_is_said_before_any_work(tmp_path):
             check_writable(path, kind)
         assert str(path) in str(complaint.value)
     check_writable(tmp_path / "new" / "results")
-    check_writable(tmp_path / "folder")
+    check_writable(tmp_path / "folder", "folder")
     check_writable(tmp_path / "file", "file")
+    check_writable(tmp_path / "file")
     assert sorted(p.name for p in tmp_path.iterdir()) == ["file", "folder"]
 
 
