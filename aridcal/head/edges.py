@@ -7,18 +7,20 @@ image of the fiducial's centre, not the centroid of its image, so that the persp
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from aridcal.head.pose import predict_pixels
-from aridcal.head.square import Layout
+from aridcal.head.square import CENTRES, SIDE, Layout
 
 MARGIN = 0.0030  # [m] of surroundings used: less than from a fiducial to the paper's edge
 TUKEY = 6.0  # residuals beyond so many sigma have no weight
 # With Tukey weights w at Gaussian noise, variance = sigma^2 * TUKEY_VARIANCE * inv(J' w J): E[w] E[psi^2] / E[psi']^2.
 TUKEY_VARIANCE = 0.965
+N_PARAMETERS = 12
+START_BLUR = 0.7  # [px]
+LEAK_STD = 60.0  # [grey levels] by which the surroundings may differ from the paper
 PIXEL_VARIANCE = 1 / 12
 MODEL_STD = 0.0015  # [px] what the edge model itself may be wrong by
 _GRID = 1.2 * np.array([[i, j] for i in (-0.5, 0, 0.5) for j in (-0.5, 0, 0.5)])
@@ -34,12 +36,14 @@ class Shapes:
             from its centre, shape (F, 6, 2).
         half_extent: Half of the box around the image of the fiducial, shape (F, 2), [px].
         scale: Pixels per metre, shape (F,).
+        paper_edge: Where the paper ends on its near side, in the coordinates of ``inverse``, shape (F, 2); inf for none.
     """
 
     centres: np.ndarray
     inverse: np.ndarray
     half_extent: np.ndarray
     scale: np.ndarray
+    paper_edge: np.ndarray
 
 
 def predict_shapes(T_camera_square: np.ndarray, layout: Layout, intrinsics: np.ndarray) -> Shapes:
@@ -55,7 +59,9 @@ def predict_shapes(T_camera_square: np.ndarray, layout: Layout, intrinsics: np.n
     eu, ev = extent[:, 0], extent[:, 1]
     scaling = np.stack([np.ones_like(eu), eu, ev, eu**2, eu * ev, ev**2], axis=-1)
     scale = np.linalg.norm(pixels[:, 7] - pixels[:, 1], axis=1) / (1.2 * layout.sizes[:, 0])
-    return Shapes(centres, coefficients / scaling[..., None], extent / 1.2, scale)
+    place = CENTRES[layout.fiducial - 1]
+    paper_edge = np.where(np.abs(place) > SIDE / 4, (np.sign(place) * SIDE / 2 - place) / layout.sizes, np.inf)
+    return Shapes(centres, coefficients / scaling[..., None], extent / 1.2, scale, paper_edge)
 
 
 @dataclass(frozen=True)
@@ -65,100 +71,130 @@ class Fits:
     Attributes:
         centres: Images of the fiducials' centres, shape (F, 2), [px].
         covariances: Of the centres, shape (F, 2, 2), [px²].
-        growth: By how much each edge lies further out than it should, shape (F,), [px].
-        blur: Standard deviation of the edges' blur without the pixel's own, shape (F,), [px].
-        contrast: Fiducial minus paper, shape (F,), [grey levels].
         noise: Robust standard deviation of what remains, shape (F,), [grey levels].
         edge_weight: Mean robust weight of the pixels at the outline, 0 to 1, shape (F,).
+        theta: All parameters, shape (F, 12): shift u, v from the predicted centre [px]; growth, by which each edge lies
+            further out [px]; variance of the blur without the pixel's own [px²]; grey level of the paper and its change to
+            the right and down; fiducial minus paper, likewise; what lies beside and what lies above or below the
+            paper minus paper, blurred over its edges.
     """
 
     centres: np.ndarray
     covariances: np.ndarray
-    growth: np.ndarray
-    blur: np.ndarray
-    contrast: np.ndarray
     noise: np.ndarray
     edge_weight: np.ndarray
+    theta: np.ndarray
+
+    @property
+    def growth(self) -> np.ndarray:
+        """By how much each edge lies further out than it should, shape (F,), [px]."""
+        return self.theta[:, 2]
+
+    @property
+    def blur(self) -> np.ndarray:
+        """Standard deviation of the edges' blur without the pixel's own, shape (F,), [px]."""
+        return np.sqrt(np.maximum(self.theta[:, 3], 0))
+
+    @property
+    def contrast(self) -> np.ndarray:
+        """Fiducial minus paper, shape (F,), [grey levels]."""
+        return self.theta[:, 7]
 
 
-def fit_outlines(image: np.ndarray, shapes: Shapes, sizes: np.ndarray, blur: float, steps: tuple[int, int]) -> Fits:
-    """Fit shift, growth, blur and light of each fiducial by robust least squares.
+def fit_outlines(image: np.ndarray, shapes: Shapes, start: Fits | None = None, gross_steps: int = 0) -> Fits:
+    """Fit shift, growth, blur and light of each fiducial by robust least squares: one step of Gauss and Newton, or more.
 
     Args:
         image: Grey levels, shape (height, width).
-        shapes: Prediction to start from.
-        sizes: Width and height of each fiducial, shape (F, 2), [m].
-        blur: To start from, [px].
-        steps: Gauss-Newton steps that leave out gross errors only, then steps with Tukey's weights.
+        shapes: How the fiducials are imaged, as far as known; all of them inside the image.
+        start: An earlier fit of the same fiducials.
+        gross_steps: Steps to take first that leave out gross errors only.
 
     Returns:
         The fits. A fiducial that is not there shows by its contrast, noise or edge weight.
     """
-    margin = np.minimum(MARGIN * shapes.scale, 2.5 + 3 * blur)
-    pixels = _near_outlines(image, shapes, margin)
-    n, counts, starts = len(sizes), pixels.counts, np.cumsum(pixels.counts) - pixels.counts
-
-    def spread(values: np.ndarray) -> np.ndarray:
-        return np.repeat(values.astype(np.float32), counts)
-
-    inside = pixels.depth > 1
-    total_in = np.add.reduceat(np.where(inside, pixels.grey, 0), starts) / np.add.reduceat(inside, starts)
-    outside = pixels.depth < -1
-    total_out = np.add.reduceat(np.where(outside, pixels.grey, 0), starts) / np.add.reduceat(outside, starts)
-    # Parameters: shift u, v; growth; blur variance; light of the paper (3); fiducial minus paper (3).
-    theta = np.zeros((n, 10))
-    theta[:, 3], theta[:, 4], theta[:, 7] = blur**2, total_out, total_in - total_out
+    blur = START_BLUR if start is None else float(np.median(start.blur))
+    pixels = _near_outlines(image, shapes, np.minimum(MARGIN * shapes.scale, 2.5 + 3 * blur))
+    first = np.cumsum(pixels.counts) - pixels.counts
+    parts = [slice(a, a + c) for a, c in zip(first, pixels.counts, strict=True)]
+    spread = pixels.spread
     reach = np.max(shapes.half_extent, axis=1)
-    tilt = (pixels.d / spread(reach)[:, None]).astype(np.float32)
-    J = np.empty((len(pixels.grey), 10), np.float32)
-    for step in range(sum(steps) + 1):
-        model, slope = _edges(pixels, shapes, theta, spread)
-        J[:, 4], J[:, 5:7], J[:, 7], J[:, 8:] = 1, tilt, model, tilt * model[:, None]
-        contrast = spread(theta[:, 7]) + tilt[:, 0] * spread(theta[:, 8]) + tilt[:, 1] * spread(theta[:, 9])
-        J[:, :4] = contrast[:, None] * slope
-        paper = spread(theta[:, 4]) + tilt[:, 0] * spread(theta[:, 5]) + tilt[:, 1] * spread(theta[:, 6])
-        r = pixels.grey - paper - contrast * model
-        noise = 1.4826 * np.array([np.median(np.abs(part)) for part in np.split(r, starts[1:])])
-        cut = 0.6 * np.abs(theta[:, 7]) + 5 if step < steps[0] else TUKEY * np.maximum(noise, 0.4)
+    theta = _start(pixels, shapes, first) if start is None else start.theta.copy()
+    if start is not None:
+        theta[:, :2] = start.centres - shapes.centres
+    J = np.empty((N_PARAMETERS, len(pixels.grey)), np.float32)
+    J[4], J[5:7] = 1, pixels.d.T / spread(reach)
+    for step in range(gross_steps + 1):
+        light = spread(theta)
+        model, slope = _edges(pixels, shapes, light)
+        J[7], J[8:10], J[10:] = model, J[5:7] * model, _beyond_paper(pixels, shapes, light)
+        contrast = light[7] + J[5] * light[8] + J[6] * light[9]
+        J[:4] = contrast * slope
+        r = pixels.grey - np.sum(J[[4, 5, 6, 10, 11]] * light[[4, 5, 6, 10, 11]], axis=0) - contrast * model
+        size = np.abs(r)
+        noise = 1.4826 * np.array([np.partition(size[part], len(size[part]) // 2)[len(size[part]) // 2] for part in parts])
+        gross = step < gross_steps
+        settled = start is not None
+        level = np.abs(theta[:, 7])
+        cut = 0.6 * level + 5 if gross else np.maximum(TUKEY * noise, (0.01 if settled else 0.1) * level + 1)
         w = np.maximum(1 - (r / spread(cut)) ** 2, 0) ** 2
-        Jw = J * w[:, None]
-        slices = [slice(a, a + c) for a, c in zip(starts, counts, strict=True)]
-        A = np.array([Jw[part].T @ J[part] for part in slices], dtype=float)
-        size = np.sqrt(np.einsum("fii->fi", A)) + 1e-6
-        A = A / (size[:, :, None] * size[:, None, :]) + 1e-9 * np.eye(10)
-        if step == sum(steps):
-            break
-        b = np.array([Jw[part].T @ r[part] for part in slices], dtype=float) / size
-        change = np.linalg.solve(A, b[..., None])[..., 0] / size
+        Jw = J * w
+        A = np.array([Jw[:, part] @ J[:, part].T for part in parts], dtype=float)
+        b = np.array([Jw[:, part] @ r[part] for part in parts], dtype=float)
+        prior = (noise[:, None] / LEAK_STD) ** 2
+        A[:, [10, 11], [10, 11]] += prior
+        b[:, 10:] -= prior * theta[:, 10:]
+        unit = np.sqrt(np.einsum("fii->fi", A)) + 1e-6
+        A = A / (unit[:, :, None] * unit[:, None, :]) + 1e-6 * np.eye(N_PARAMETERS)
+        change = np.linalg.solve(A, (b / unit)[..., None])[..., 0] / unit
         change[:, :3] = np.clip(change[:, :3], -1, 1)
+        change[:, 3] = np.clip(change[:, 3], -theta[:, 3] / 2 - 0.05, theta[:, 3] / 2 + 0.2)
         theta += change
-        theta[:, 3] = np.clip(theta[:, 3], -0.01, (0.3 * reach) ** 2)
         theta[:, 2] = np.clip(theta[:, 2], -0.3 * reach, 0.3 * reach)
+        theta[:, 3] = np.clip(theta[:, 3], -0.01, (0.6 * reach) ** 2)
     pooled = float(np.median(noise))
     sigma = np.where(noise < 1.3 * pooled, pooled, noise)
-    inverse = np.linalg.inv(A)[:, :2, :2] / (size[:, :2, None] * size[:, None, :2])
+    inverse = np.linalg.inv(A)[:, :2, :2] / (unit[:, :2, None] * unit[:, None, :2])
     rim = np.abs(pixels.depth) < 1.5
     return Fits(
         centres=shapes.centres + theta[:, :2],
         covariances=TUKEY_VARIANCE * sigma[:, None, None] ** 2 * inverse + MODEL_STD**2 * np.eye(2),
-        growth=theta[:, 2],
-        blur=np.sqrt(np.maximum(theta[:, 3], 0)),
-        contrast=theta[:, 7],
         noise=noise,
-        edge_weight=np.add.reduceat(np.where(rim, w, 0), starts) / np.add.reduceat(rim, starts),
+        edge_weight=np.add.reduceat(np.where(rim, w, 0), first) / np.add.reduceat(rim, first),
+        theta=theta,
     )
+
+
+def _start(pixels: _Pixels, shapes: Shapes, first: np.ndarray) -> np.ndarray:
+    theta = np.zeros((len(first), N_PARAMETERS))
+    theta[:, 3] = START_BLUR**2
+    inside, outside = (
+        np.add.reduceat(np.where(there, pixels.grey, 0), first) / np.add.reduceat(there, first)
+        for there in (pixels.depth > 1, pixels.depth < -1)
+    )
+    theta[:, 4], theta[:, 7] = outside, inside - outside
+    return theta
 
 
 @dataclass(frozen=True)
 class _Pixels:
-    """Pixels near the outlines of all fiducials in one list: grey level, place relative to the predicted centre (P, 2),
-    depth inside the predicted outline [px]; and how many there are of each fiducial.
+    """Pixels near the outlines of all fiducials, in one list.
+
+    Attributes:
+        grey: Grey levels, shape (P,).
+        d: Places relative to the predicted centres, shape (P, 2), [px].
+        depth: Distance inside the predicted outline, shape (P,), [px].
+        counts: How many there are of each fiducial, shape (F,).
     """
 
     grey: np.ndarray
     d: np.ndarray
     depth: np.ndarray
     counts: np.ndarray
+
+    def spread(self, values: np.ndarray) -> np.ndarray:
+        """Give each pixel its fiducial's values, shape (F, ...): shape (..., P)."""
+        return np.repeat(values.astype(np.float32).T, self.counts, axis=-1)
 
 
 def _near_outlines(image: np.ndarray, shapes: Shapes, margin: np.ndarray) -> _Pixels:
@@ -168,10 +204,10 @@ def _near_outlines(image: np.ndarray, shapes: Shapes, margin: np.ndarray) -> _Pi
     u, v = middle[:, :1] + du, middle[:, 1:] + dv
     off = middle - shapes.centres
     x, y = (du + off[:, :1]).astype(np.float32), (dv + off[:, 1:]).astype(np.float32)
-    c = shapes.inverse[:, :, :, None].astype(np.float32)
+    c = np.moveaxis(shapes.inverse, 0, -1)[..., None].astype(np.float32)
     px, py = _pitch(shapes)
     depth = np.minimum(
-        (0.5 - np.abs(_place(x, y, c[:, :, 0]))) / px[:, None], (0.5 - np.abs(_place(x, y, c[:, :, 1]))) / py[:, None]
+        (0.5 - np.abs(_place(x, y, c[:, 0]))) / px[:, None], (0.5 - np.abs(_place(x, y, c[:, 1]))) / py[:, None]
     )
     height, width = image.shape
     near = (np.abs(depth) < margin[:, None]) & (u >= 0) & (v >= 0) & (u < width) & (v < height)
@@ -187,36 +223,53 @@ def _pitch(shapes: Shapes) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _place(x: np.ndarray, y: np.ndarray, c: np.ndarray) -> np.ndarray:
-    return c[:, 0] + x * (c[:, 1] + c[:, 3] * x + c[:, 4] * y) + y * (c[:, 2] + c[:, 5] * y)
+    return c[0] + x * (c[1] + c[3] * x + c[4] * y) + y * (c[2] + c[5] * y)
 
 
-def _edges(
-    pixels: _Pixels, shapes: Shapes, theta: np.ndarray, spread: Callable[[np.ndarray], np.ndarray]
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the share of each pixel's light from the fiducial (P,), and its derivatives by the first four parameters."""
-    x, y = pixels.d[:, 0] - spread(theta[:, 0]), pixels.d[:, 1] - spread(theta[:, 1])
+def _edges(pixels: _Pixels, shapes: Shapes, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the share of each pixel's light from the fiducial (P,), and its derivatives by the first four parameters (4, P).
+
+    Seen along an edge's normal, a pixel is a trapezoid: two impulses +-delta and a Gaussian of the same variance and
+    kurtosis stand for it.
+    """
+    x, y = pixels.d[:, 0] - theta[0], pixels.d[:, 1] - theta[1]
     strips = []
     for k, pitch in enumerate(_pitch(shapes)):
-        c = shapes.inverse[:, :, k]
-        place = _place(x, y, np.stack([spread(c[:, j]) for j in range(6)], axis=-1)) / spread(pitch)
-        half = spread(0.5 / pitch + theta[:, 2])
-        # Seen along an edge's normal, a pixel is a trapezoid: two impulses +-delta and a Gaussian of the same variance and
-        # kurtosis stand for it.
-        delta = (np.sum((c[:, 1:3] / pitch[:, None]) ** 4, axis=1) / 240) ** 0.25
-        sigma = np.sqrt(np.maximum(theta[:, 3] + PIXEL_VARIANCE - delta**2, 0.01))
-        t = np.stack([half - place, half + place])
-        delta, sigma = spread(delta), spread(sigma)
-        (cdf1, pdf1), (cdf2, pdf2) = _normal((t + delta) / sigma), _normal((t - delta) / sigma)
-        edge, by_d = (cdf1 + cdf2) / 2, (pdf1 + pdf2) / (2 * sigma)
-        by_variance = -((t + delta) * pdf1 + (t - delta) * pdf2) / (4 * sigma**3)
-        cover = edge[0] + edge[1] - 1
+        c = shapes.inverse[:, :, k] / pitch[:, None]  # place in pixels across the edge
+        place = _place(x, y, pixels.spread(c))
+        along = pixels.spread(c[:, 1:3])
+        delta = pixels.spread((np.sum(c[:, 1:3] ** 4, axis=1) / 240) ** 0.25)
+        inverse_sigma = 1 / np.sqrt(np.maximum(theta[3] + PIXEL_VARIANCE - delta**2, 0.01))
+        half = pixels.spread(0.5 / pitch) + theta[2]
+        cover, by_d, by_variance = -1, [], 0
+        for t in (half - place, half + place):
+            t1, t2 = (t + delta) * inverse_sigma, (t - delta) * inverse_sigma
+            (cdf1, pdf1), (cdf2, pdf2) = _normal(t1), _normal(t2)
+            cover += 0.5 * (cdf1 + cdf2)
+            by_d.append(0.5 * inverse_sigma * (pdf1 + pdf2))
+            by_variance -= 0.25 * inverse_sigma**2 * (t1 * pdf1 + t2 * pdf2)
         across = by_d[0] - by_d[1]  # by a shift towards growing place
-        along = (c[:, 1:3] / pitch[:, None]).T
-        strips.append(
-            (cover, [across * spread(along[0]), across * spread(along[1]), by_d[0] + by_d[1], by_variance.sum(axis=0)])
-        )
+        strips.append((cover, np.stack([across * along[0], across * along[1], by_d[0] + by_d[1], by_variance])))
     (cover_x, by_x), (cover_y, by_y) = strips
-    return cover_x * cover_y, np.stack([a * cover_y + b * cover_x for a, b in zip(by_x, by_y, strict=True)], axis=-1)
+    return cover_x * cover_y, by_x * cover_y + by_y * cover_x
+
+
+def _beyond_paper(pixels: _Pixels, shapes: Shapes, theta: np.ndarray) -> np.ndarray:
+    """Return the share of each pixel's light from beyond the paper's near edges, shape (2, P)."""
+    shares = np.zeros((2, len(pixels.grey)), np.float32)
+    for k, pitch in enumerate(_pitch(shapes)):
+        edge = shapes.paper_edge[:, k]
+        c = shapes.inverse[:, :3, k].copy()
+        c[:, 0] -= np.where(np.isfinite(edge), edge, 0)
+        c *= (np.where(np.isfinite(edge), np.sign(edge), 0) / pitch)[:, None]
+        c[:, 0] -= np.where(np.isfinite(edge), 0, 1e3)
+        c = pixels.spread(c)
+        t = (c[0] + c[1] * (pixels.d[:, 0] - theta[0]) + c[2] * (pixels.d[:, 1] - theta[1])) / np.sqrt(
+            theta[3] + PIXEL_VARIANCE
+        )
+        near = t > -4
+        shares[k, near] = _normal(t[near])[0]
+    return shares
 
 
 def _normal(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
