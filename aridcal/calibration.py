@@ -13,10 +13,12 @@ import pinocchio as pin
 import yaml
 
 from aridcal import __version__
-from aridcal.effects import Basis, Coefficient
+from aridcal.campaign import Campaign, MeasurementSettings
+from aridcal.effects import Basis, Coefficient, Surroundings
 from aridcal.errors import AridcalError, CampaignError
 from aridcal.model import Frames, Model
 from aridcal.robot import parse_robot
+from aridcal.settings import parse_settings
 
 # libyaml where PyYAML was built with it: a covariance of a hundred coefficients is ten thousand numbers.
 Loader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
@@ -40,6 +42,28 @@ class SolvedModel:
     theta: np.ndarray
     covariance: np.ndarray
 
+    def poses(
+        self,
+        readings: np.ndarray,
+        covariates: Mapping[str, np.ndarray] | None = None,
+        station: np.ndarray | None = None,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Predict the target: T_world_target for N configurations.
+
+        Args:
+            readings: Shape (N, columns) in the order of ``model.robot.readings``, [rad] or [m].
+            covariates: Columns that the effects depend on, each of shape (N,).
+            station: Label of each row; needed where a frame is per station.
+
+        Returns:
+            Rotations (N, 3, 3) and positions (N, 3) in [m].
+
+        Raises:
+            CovariateNotFound: an effect depends on a column that is not there.
+            MeasurementError: a row's station is none of those that were calibrated.
+        """
+        return self.model.poses(self.theta, self.model.rows(readings, covariates, station))
+
 
 @dataclass(frozen=True)
 class Calibration:
@@ -62,6 +86,12 @@ class Calibration:
     noise: tuple[float, float]
     ranges: dict[str, tuple[float, float]]
     record: dict[str, Any]
+
+    @property
+    def measurements(self) -> MeasurementSettings:
+        """Columns and units of the campaign's tables; those of FORMATS, in SI, if the record has no campaign."""
+        text = self.record.get("campaign")
+        return parse_settings(text, Path("campaign.yaml"), Campaign).measurements if text else MeasurementSettings()
 
     @classmethod
     def load(cls, path: str | Path) -> Calibration:
@@ -124,6 +154,7 @@ def _solved_document(solved: SolvedModel) -> dict[str, Any]:
     return {
         "world_base": frames_document(model.world_base),
         "tip_target": frames_document(model.tip_target),
+        "loads": {"gravity": model.around.gravity.tolist(), "payload_at": model.around.lever.tolist()},
         "coefficients": [
             {
                 "name": c.name,
@@ -140,9 +171,9 @@ def _solved_document(solved: SolvedModel) -> dict[str, Any]:
     }
 
 
-def _parse(document: Mapping[str, Any]) -> Calibration:
-    if document.get("format") != 1:
-        raise ValueError(f"format {document.get('format')!r}, expected 1")
+def _parse(document: Any) -> Calibration:
+    if not isinstance(document, Mapping) or document.get("format") != 1:
+        raise ValueError("`format: 1` expected on top")
     about = document["robot"]
     robot = parse_robot(
         about["urdf"].encode(about["urdf_encoding"]), about["tip"], about["base"], Path(about["urdf_name"])
@@ -160,7 +191,8 @@ def _parse(document: Mapping[str, Any]) -> Calibration:
             )
             for e in entries
         )
-        model = Model(robot, coefficients, _frames(part["world_base"]), _frames(part["tip_target"]))
+        around = Surroundings(*(np.array(part["loads"][key], dtype=float) for key in ("gravity", "payload_at")))
+        model = Model(robot, coefficients, _frames(part["world_base"]), _frames(part["tip_target"]), around)
         count = len(entries)
         covariance = np.array(part["covariance"], dtype=float).reshape(count, count)
         return SolvedModel(model, np.array([e["value"] for e in entries], dtype=float), covariance)

@@ -1,0 +1,174 @@
+"""Robots and simulated campaigns that several test files share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pinocchio as pin
+import pyarrow.csv
+import yaml
+from scipy.spatial.transform import Rotation
+
+from aridcal.effects import FRAME_COMPONENTS, Coefficient
+from aridcal.geometry import constants
+from aridcal.model import Frames, Model
+from aridcal.residual import Observations
+from aridcal.robot import Robot, load_robot, parse_robot
+from aridcal.solver import Data
+
+URDF = Path(__file__).resolve().parents[1] / "urdf"
+SHARED_ROBOTS = Path(pin.__file__).resolve().parents[4] / "share" / "example-robot-data" / "robots"
+
+FRAMES = tuple(Coefficient(where, c) for where in ("world_base", "tip_target") for c in FRAME_COMPONENTS)
+
+
+def arid() -> Robot:
+    """The report's arm."""
+    return load_robot(URDF / "arid.urdf", "flange")
+
+
+def ur10() -> Robot:
+    """Six revolute joints."""
+    return load_robot(URDF / "ur10.urdf", "tool0")
+
+
+def numbers(values: np.ndarray) -> str:
+    """Numbers as a URDF attribute, exact."""
+    return " ".join(f"{v:.17g}" for v in values)
+
+
+def random_chain(rng: np.random.Generator, kinds: str = "RPRCR", aligned: bool = False) -> bytes:
+    """URDF of a chain base -> tip of revolute, prismatic and continuous joints: any axes, any masses.
+
+    Two fixed joints stand between joints 1 and 2 and one ends the chain; joint 1's link carries a moving side branch.
+    """
+    types = {"R": "revolute", "P": "prismatic", "C": "continuous"}
+    parts = ['<?xml version="1.0"?>', '<robot name="random">', '<link name="base"/>']
+    parent = "base"
+
+    def link(name: str) -> None:
+        mass, com = rng.uniform(0.5, 5.0), rng.uniform(-0.3, 0.3, 3)
+        inertia = " ".join(f'{k}="{v}"' for k, v in zip(("ixx", "iyy", "izz"), rng.uniform(0.2, 0.3, 3), strict=True))
+        parts.append(
+            f'<link name="{name}"><inertial><origin xyz="{numbers(com)}" rpy="{numbers(rng.uniform(-1, 1, 3))}"/>'
+            f'<mass value="{mass:.17g}"/><inertia {inertia} ixy="0.01" ixz="0" iyz="-0.02"/></inertial></link>'
+        )
+
+    def joint(name: str, kind: str, parent: str, child: str) -> None:
+        axis = np.eye(3)[rng.integers(3)] if aligned else rng.normal(size=3)
+        limits = "" if kind == "continuous" else '<limit lower="-1.5" upper="1.5" effort="1" velocity="1"/>'
+        moving = "" if kind == "fixed" else f'<axis xyz="{numbers(axis)}"/>{limits}'
+        parts.append(
+            f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
+            f'<origin xyz="{numbers(rng.uniform(-0.6, 0.6, 3))}" rpy="{numbers(rng.uniform(-2, 2, 3))}"/>'
+            f"{moving}</joint>"
+        )
+
+    for k, kind in enumerate(kinds, start=1):
+        link(f"link_{k}")
+        joint(f"joint_{k}", types[kind], parent, f"link_{k}")
+        parent = f"link_{k}"
+        if k == 1:
+            for name in ("bracket", "plate"):
+                link(name)
+                joint(f"{name}_fixed", "fixed", parent, name)
+                parent = name
+            link("branch")
+            joint("branch_joint", "revolute", "link_1", "branch")
+    link("tip")
+    joint("tip_fixed", "fixed", parent, "tip")
+    return "\n".join([*parts, "</robot>"]).encode()
+
+
+def random_robot(seed: int, kinds: str = "RPRCR", aligned: bool = False) -> Robot:
+    """The chain of :func:`random_chain`."""
+    return parse_robot(random_chain(np.random.default_rng(seed), kinds, aligned), "tip")
+
+
+def readings(robot: Robot, n: int, rng: np.random.Generator, share: float = 1.0) -> np.ndarray:
+    """Readings within the limits, shape (n, columns); half a turn each way where there are none."""
+    by_name = {j.reading: j for j in reversed(robot.joints)}
+    low = np.array([max(by_name[name].lower, -np.pi) for name in robot.readings])
+    high = np.array([min(by_name[name].upper, np.pi) for name in robot.readings])
+    middle, half = (low + high) / 2, share * (high - low) / 2
+    return rng.uniform(middle - half, middle + half, (n, len(low)))
+
+
+def random_placement(rng: np.random.Generator, size: float = 2.0) -> pin.SE3:
+    """Any attitude, anywhere within ``size`` metres."""
+    return pin.SE3(Rotation.random(random_state=rng).as_matrix(), rng.uniform(-size, size, 3))
+
+
+@dataclass(frozen=True)
+class Truth:
+    """A machine as it really is: its model, its coefficients, and what was measured of it."""
+
+    model: Model
+    theta: np.ndarray
+    readings: np.ndarray
+    measured: Observations
+
+    def data(self, model: Model, some: slice = slice(None)) -> Data:
+        """The rows as another model sees them."""
+        q = self.readings[some]
+        return Data(model.rows(q), self.measured[some], np.zeros(len(q), dtype=bool))
+
+
+def simulate(
+    robot: Robot,
+    n: int,
+    rng: np.random.Generator,
+    size: float = 1e-3,
+    noise: float = 0.0,
+    which: str = "full",
+    world: pin.SE3 | None = None,
+    tip: pin.SE3 | None = None,
+    kind: str = "pose",
+) -> Truth:
+    """Measure a robot whose constants are off by ``size`` [m, rad], with noise per axis [m, rad]."""
+    coefficients = constants(robot, which)
+    frames: tuple[Frames, Frames] = (((None, world or pin.SE3.Identity()),), ((None, tip or pin.SE3.Identity()),))
+    model = Model(robot, coefficients, *frames)
+    theta = rng.normal(0.0, size, len(coefficients))
+    q = readings(robot, n, rng)
+    R, p = model.poses(theta, model.rows(q))
+    p = p + noise * rng.normal(size=p.shape)
+    R = Rotation.from_rotvec(noise * rng.normal(size=p.shape)).as_matrix() @ R
+    return Truth(model, theta, q, Observations(p, R if kind == "pose" else None))
+
+
+def table(truth: Truth) -> pd.DataFrame:
+    """The rows as a table of measurements."""
+    columns = dict(zip(truth.model.robot.readings, truth.readings.T, strict=True))
+    columns |= dict(zip("xyz", truth.measured.position.T, strict=True))
+    if truth.measured.rotation is not None:
+        q = Rotation.from_matrix(truth.measured.rotation).as_quat(canonical=True)
+        columns |= dict(zip(("qx", "qy", "qz", "qw"), q.T, strict=True))
+    return pd.DataFrame(columns)
+
+
+def read_csv(path: Path) -> pd.DataFrame:
+    """A table with every digit of its numbers, which pandas' own reader does not promise."""
+    return pyarrow.csv.read_csv(path).to_pandas()
+
+
+def write_campaign(folder: Path, truth: Truth, rows: pd.DataFrame | None = None, **changes: object) -> Path:
+    """Write robot, table and campaign.yaml into a folder; ``changes`` replace top keys of the campaign."""
+    robot = truth.model.robot
+    (folder / "robot.urdf").write_bytes(robot.urdf)
+    (table(truth) if rows is None else rows).to_csv(folder / "measurements.csv", index=False, float_format="%.17g")
+    keys: dict[str, object] = {
+        "format": 1,
+        "robot": {"urdf": "robot.urdf", "base": robot.base, "tip": robot.tip},
+        "measurements": {
+            "file": "measurements.csv",
+            "kind": "position" if truth.measured.rotation is None else "pose",
+        },
+        "diagnosis": {"enabled": False},
+    }
+    path = folder / "campaign.yaml"
+    path.write_text(yaml.safe_dump(keys | changes, sort_keys=False))
+    return path

@@ -1,0 +1,270 @@
+"""Predictions: the query kept as it was, poses filled in to the last digit, and what cannot be told said so."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pinocchio as pin
+import pytest
+import robots
+from scipy.spatial.transform import Rotation
+
+from aridcal import predict
+from aridcal.calibration import Calibration, SolvedModel
+from aridcal.effects import Basis, Coefficient, Surroundings
+from aridcal.model import Model
+from aridcal.robot import rotations
+
+RNG = np.random.default_rng(7)
+
+
+def calibration(
+    kind: str = "pose",
+    effects: tuple[Coefficient, ...] = (),
+    stations: tuple[str | None, ...] = (None,),
+    text: str = "",
+) -> Calibration:
+    """The ARID with two constants, any effects of 1e-3 each, and any frames."""
+    rng = np.random.default_rng(1)
+    world = tuple((s, robots.random_placement(rng)) for s in stations)
+    tip = ((None, robots.random_placement(rng, 0.2)),)
+    constants = (Coefficient("joint_2", "pitch"), Coefficient("joint_4", "y"))
+    around = Surroundings(np.array([0.0, 9.81, 0.0]), tip[0][1].translation)
+    geometric = Model(robots.arid(), constants, world, tip, around)
+    final = geometric.with_coefficients(constants + effects)
+    theta = np.full(len(final.coefficients), 1e-3)
+    count = len(theta)
+    ranges = {"joint_1": (1.0, 9.0), "joint_2": (0.1, 1.9), "joint_3": (1.8, 2.5), "joint_4": (-2.0, -0.3)}
+    ranges |= {name: (10.0, 30.0) for c in effects for name in c.basis.of if "." not in name}
+    return Calibration(
+        SolvedModel(geometric, theta[:2], np.eye(2) * 1e-8),
+        SolvedModel(final, theta, np.eye(count) * 1e-8),
+        kind,
+        (0.0, 9.81, 0.0),
+        (1e-4, 1e-4),
+        ranges,
+        {"campaign": text} if text else {},
+    )
+
+
+def inside(n: int) -> pd.DataFrame:
+    """Readings in the ranges seen."""
+    low, high = np.array([1.0, 0.1, 1.8, -2.0]), np.array([9.0, 1.9, 2.5, -0.3])
+    return pd.DataFrame(RNG.uniform(low, high, (n, 4)), columns=["joint_1", "joint_2", "joint_3", "joint_4"])
+
+
+def run(folder: Path, model: Calibration, query: pd.DataFrame, out: str = "out.csv") -> tuple[int, Path]:
+    (folder / "calibration.yaml").write_text(model.dump(), encoding="utf-8")
+    query.to_csv(folder / "query.csv", index=False, float_format="%.17g")
+    target = folder / out
+    return predict.main([str(folder / "calibration.yaml"), str(folder / "query.csv"), "-o", str(target)]), target
+
+
+def test_prediction_is_the_product_of_the_frames(tmp_path: Path) -> None:
+    """Second road: the URDF's joints multiplied out by hand, with the two constants put in."""
+    model, query = calibration(), inside(20)
+    status, out = run(tmp_path, model, query)
+    assert status == 0
+    found = robots.read_csv(out)
+    world, tip = (f[0][1] for f in (model.final.model.world_base, model.final.model.tip_target))
+    pitch = pin.SE3(pin.utils.rotate("y", 1e-3), np.zeros(3))
+    shift = pin.SE3(np.eye(3), np.array([0.0, 1e-3, 0.0]))
+    robot = robots.arid()
+    for k, q in enumerate(query.to_numpy()):
+        T = world
+        for j, joint in enumerate(robot.joints):
+            T = T * joint.placement * {"joint_2": pitch, "joint_4": shift}.get(joint.name, pin.SE3.Identity())
+            if joint.kind == "prismatic":
+                T = T * pin.SE3(np.eye(3), q[j] * joint.axis)
+            else:
+                T = T * pin.SE3(rotations(joint.axis, q[j : j + 1])[0], np.zeros(3))
+        T = T * robot.tip_before * robot.tip_origin * tip
+        row = found.iloc[k]
+        np.testing.assert_allclose(row[["x", "y", "z"]].to_numpy(float), T.translation, atol=1e-13, rtol=0)
+        R = Rotation.from_quat(row[["qx", "qy", "qz", "qw"]].to_numpy(float)).as_matrix()
+        np.testing.assert_allclose(R, T.rotation, atol=1e-14, rtol=0)
+
+
+def test_columns_and_rows_are_kept_in_order_and_the_pose_is_overwritten(tmp_path: Path) -> None:
+    query = inside(30)
+    query.insert(0, "note", [f"shot {k}" for k in range(30)])
+    query.insert(2, "z", 99.0)
+    query["count"] = np.arange(30)
+    status, out = run(tmp_path, calibration(), query)
+    assert status == 0
+    found = robots.read_csv(out)
+    assert list(found)[:7] == ["note", "joint_1", "z", "joint_2", "joint_3", "joint_4", "count"]
+    assert sorted(list(found)[7:]) == ["extrapolates", "qw", "qx", "qy", "qz", "x", "y"]
+    kept = ["note", "joint_1", "joint_2", "joint_3", "joint_4", "count"]
+    pd.testing.assert_frame_equal(found[kept], query[kept], check_exact=True)
+    assert (found["z"] != 99.0).all()
+
+
+def test_written_poses_are_exact(tmp_path: Path) -> None:
+    model, query = calibration(), inside(50)
+    run(tmp_path, model, query)
+    found = robots.read_csv(tmp_path / "out.csv")
+    loaded = Calibration.load(tmp_path / "calibration.yaml")
+    _, p = loaded.final.poses(query.to_numpy())
+    assert np.array_equal(found[["x", "y", "z"]].to_numpy(), p)
+    assert (found["qw"] >= 0).all()
+    np.testing.assert_allclose(np.linalg.norm(found[["qx", "qy", "qz", "qw"]], axis=1), 1.0, atol=1e-15)
+
+
+def test_csv_and_parquet_hold_the_same(tmp_path: Path) -> None:
+    model, query = calibration(), inside(10)
+    _, csv = run(tmp_path, model, query, "a.csv")
+    _, parquet = run(tmp_path, model, query, "a.parquet")
+    there = pd.read_parquet(parquet)
+    assert there["extrapolates"].dtype == bool
+    names = ["x", "y", "z", "qx", "qy", "qz", "qw"]
+    assert np.array_equal(robots.read_csv(csv)[names], there[names])
+
+
+def test_rows_outside_the_ranges_seen_are_marked(tmp_path: Path) -> None:
+    effect = Coefficient("joint_3", "axis", Basis("linear", ("temperature",), (20.0,)))
+    query = inside(4)
+    query["temperature"] = [20.0, 30.0, 30.1, 20.0]
+    query.loc[3, "joint_2"] = 1.95
+    _, out = run(tmp_path, calibration(effects=(effect,)), query)
+    assert pd.read_csv(out)["extrapolates"].tolist() == [False, False, True, True]
+    assert out.read_text().splitlines()[1].endswith("false")
+
+
+def test_a_covariate_that_no_effect_needs_does_not_matter(tmp_path: Path) -> None:
+    query = inside(3)
+    query["temperature"] = [20.0, 900.0, np.nan]
+    status, out = run(tmp_path, calibration(), query)
+    assert status == 0
+    assert not pd.read_csv(out)[["x", "extrapolates"]].isna().any(axis=None)
+    assert not pd.read_csv(out)["extrapolates"].any()
+
+
+def test_a_missing_covariate_is_an_error_that_names_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    effect = Coefficient("joint_3", "axis", Basis("linear", ("temperature",), (20.0,)))
+    status, out = run(tmp_path, calibration(effects=(effect,)), inside(3))
+    assert status == 2
+    assert "'temperature'" in capsys.readouterr().err
+    assert not out.exists()
+
+
+def test_effects_act_with_the_gravity_that_the_calibration_was_made_with(tmp_path: Path) -> None:
+    """ARID hangs on a horizontal rail: with gravity along the rail joint 2 would carry no torque at all."""
+    sag = Coefficient("joint_2", "axis", Basis("linear", ("joint_2.gravity_torque",), (0.0,)))
+    bare, sagging = calibration(), calibration(effects=(sag,))
+    query = inside(5)
+    _, out = run(tmp_path, sagging, query)
+    found = robots.read_csv(out)[["x", "y", "z"]].to_numpy()
+    _, straight = bare.final.poses(query.to_numpy())
+    _, expected = sagging.final.poses(query.to_numpy())
+    np.testing.assert_allclose(found, expected, atol=1e-12, rtol=0)
+    assert np.linalg.norm(expected - straight, axis=1).min() > 1e-3
+
+
+def test_row_that_lacks_a_number_has_no_pose_and_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    effect = Coefficient("joint_3", "axis", Basis("linear", ("temperature",), (20.0,)))
+    query = inside(4)
+    query["temperature"] = [20.0, np.nan, 20.0, 20.0]
+    query.loc[2, "joint_1"] = np.nan
+    status, out = run(tmp_path, calibration(effects=(effect,)), query)
+    assert status == 0
+    pose = pd.read_csv(out)[["x", "y", "z", "qx", "qy", "qz", "qw"]].isna().to_numpy()
+    assert np.array_equal(pose.all(axis=1), [False, True, True, False])
+    assert not pose[[0, 3]].any()
+    said = " ".join(capsys.readouterr().err.split())
+    assert "line 4: column 'joint_1': empty" in said
+    assert "2 without a pose" in said
+
+
+def test_a_query_without_a_usable_row_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    query = inside(2)
+    query["joint_1"] = np.nan
+    status, out = run(tmp_path, calibration(), query)
+    assert (status, out.exists()) == (2, False)
+    assert "line 2" in capsys.readouterr().err
+
+
+def test_positions_only_leave_no_orientation(tmp_path: Path) -> None:
+    query = inside(3)
+    query["qw"] = 1.0
+    status, out = run(tmp_path, calibration("position"), query)
+    assert status == 0
+    assert list(pd.read_csv(out)) == ["joint_1", "joint_2", "joint_3", "joint_4", "x", "y", "z", "extrapolates"]
+
+
+def test_each_row_is_seen_from_its_own_station(tmp_path: Path) -> None:
+    model = calibration(stations=("A", "B"))
+    query = pd.concat([inside(1)] * 2, ignore_index=True).assign(station=["A", "B"])
+    status, out = run(tmp_path, model, query)
+    assert status == 0
+    found = robots.read_csv(out)[["x", "y", "z"]].to_numpy()
+    a, b = (frame for _, frame in model.final.model.world_base)
+    np.testing.assert_allclose((b * a.inverse()).act(found[0]), found[1], atol=1e-12)
+
+
+@pytest.mark.parametrize(("stations", "culprit"), [(None, "'station'"), (["A", "Z"], "'Z'")])
+def test_station_must_be_given_and_known(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], stations: list[str] | None, culprit: str
+) -> None:
+    query = inside(2) if stations is None else inside(2).assign(station=stations)
+    status, out = run(tmp_path, calibration(stations=("A", "B")), query)
+    assert (status, out.exists()) == (2, False)
+    assert culprit in capsys.readouterr().err
+
+
+def test_tables_speak_as_the_campaigns_tables_do(tmp_path: Path) -> None:
+    """Its columns and units: a prediction can be read back as measurements of the same campaign."""
+    text = (
+        "format: 1\nrobot: {urdf: arid.urdf, tip: flange}\nmeasurements:\n  file: m.csv\n"
+        "  units: {length: mm, angle: deg}\n  columns: {x: X, joint_2: A2}\n"
+    )
+    query = inside(6)
+    _, out = run(tmp_path, calibration(), query)
+    plain = robots.read_csv(out)
+    other = pd.DataFrame({
+        "joint_1": 1e3 * query["joint_1"],
+        "A2": np.degrees(query["joint_2"]),
+        "joint_3": np.degrees(query["joint_3"]),
+        "joint_4": np.degrees(query["joint_4"]),
+    })  # fmt: skip
+    status, out = run(tmp_path, calibration(text=text), other, "other.csv")
+    assert status == 0
+    found = robots.read_csv(out)
+    np.testing.assert_allclose(found[["X", "y", "z"]], 1e3 * plain[["x", "y", "z"]], atol=1e-9)
+    np.testing.assert_allclose(found["qw"], plain["qw"], atol=1e-12)
+    assert "x" not in found
+
+
+def test_nothing_is_overwritten_by_a_failed_prediction(tmp_path: Path) -> None:
+    (tmp_path / "out.csv").write_text("precious")
+    status, out = run(tmp_path, calibration(), inside(2).drop(columns="joint_3"))
+    assert status == 2
+    assert out.read_text() == "precious"
+
+
+@pytest.mark.parametrize("name", ["out.txt", "query.csv/out.csv"])
+def test_a_place_that_cannot_be_written_is_refused_before_any_work(tmp_path: Path, name: str) -> None:
+    assert run(tmp_path, calibration(), inside(2), name)[0] == 2
+
+
+def test_a_rotation_that_is_half_a_turn_has_a_unit_quaternion() -> None:
+    R = np.stack([np.diag([1.0, -1.0, -1.0]), np.full((3, 3), np.nan)])
+    q = predict.quaternions(R)
+    assert np.array_equal(q[0], [1.0, 0.0, 0.0, 0.0])
+    assert np.isnan(q[1]).all()
+
+
+def test_the_geometric_stage_predicts_without_the_effects() -> None:
+    effect = Coefficient("joint_3", "axis", Basis("linear", ("temperature",), (20.0,)))
+    warm = calibration(effects=(effect,))
+    q = inside(5).to_numpy()
+    cold = {"temperature": np.full(5, 20.0)}
+    same = warm.final.poses(q, cold)
+    for a, b in zip(warm.geometric.poses(q), same, strict=True):
+        np.testing.assert_allclose(a, b, atol=1e-14)
+    moved = warm.final.poses(q, {"temperature": np.full(5, 25.0)})
+    assert np.abs(moved[1] - same[1]).max() > 1e-4
+    assert replace(warm, final=warm.geometric).final.poses(q)[1].shape == (5, 3)
