@@ -55,6 +55,7 @@ def _bump(z: list[np.ndarray], numbers: tuple[float, ...]) -> np.ndarray:
 
 
 FORMS: dict[str, Form] = {
+    "ones": Form(lambda z, n: np.ones_like(z[0]), lambda of, n: "1"),
     "linear": Form(lambda z, n: z[0] - n[0], lambda of, n: of[0]),
     "power": Form(lambda z, n: ((z[0] - n[0]) / n[1]) ** n[2], lambda of, n: f"{of[0]}^{n[2]:g}"),
     "sin": Form(lambda z, n: np.sin(n[0] * z[0]), lambda of, n: f"sin({n[0]:g}*{of[0]})"),

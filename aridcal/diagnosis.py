@@ -1,0 +1,168 @@
+"""From residual to effect: what the model lacks, added and refitted, and what is left when nothing more has a name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from aridcal.campaign import Campaign
+from aridcal.catalogue import Barred, Scene, barred_joints, candidates, usable_columns
+from aridcal.effects import Basis, Coefficient, Effect, Surroundings, covariate_table, evaluate
+from aridcal.measurements import Measurements, blocks
+from aridcal.model import Model
+from aridcal.residual import Observations, linearise
+from aridcal.search import FOLDS, Active, Bench, Found, search, solve_state
+from aridcal.solver import Data, Fit, Noise, Prior, fit
+
+RUNS = 24  # stretches of time into which the rows are cut
+GAUGE = 1e-3  # weight with which the constants are held at the geometric stage: only what nothing else decides
+ROUNDS = 3
+UNNAMED = 6  # effects without a name that are added at the most
+
+
+@dataclass(frozen=True)
+class Bound:
+    """What is needed to rebuild a model for other effects: constants, their start, rows and measured poses."""
+
+    geometric: Fit
+    train: Measurements
+    measured: Observations
+    suspect: np.ndarray
+    kinds: tuple[str, ...]
+
+    def data(self, model: Model) -> Data:
+        """The training rows as a model sees them."""
+        rows = model.rows(self.train.readings, self.train.covariates, self.train.station)
+        return Data(rows, self.measured, self.suspect)
+
+
+@dataclass(frozen=True)
+class Diagnosed:
+    """The final model and how it came about.
+
+    Attributes:
+        fit: Constants and effects, fitted together on the exact model.
+        found: The search's result.
+        barred: Candidates that could not be tested, and why.
+    """
+
+    fit: Fit
+    found: Found
+    barred: tuple[Barred, ...]
+
+
+def gravity_in_base(campaign: Campaign, model: Model) -> Surroundings:
+    """Gravity in the base frame and the payload's place, from the campaign and the geometric stage's frames."""
+    gravity = campaign.robot.gravity
+    lever = model.tip_target[0][1].translation
+    if gravity == "world":
+        vectors = [frame.rotation.T @ np.array([0.0, 0.0, -9.81]) for _, frame in model.world_base]
+        return Surroundings(np.array(vectors) if len(vectors) > 1 else vectors[0], lever)
+    return Surroundings(np.array(gravity, dtype=float), lever)
+
+
+def diagnose(
+    campaign: Campaign, bound: Bound, noise: Noise, progress: Callable[[str], None] = lambda _: None
+) -> Diagnosed:
+    """Find the effects that the geometric model lacks, and fit all together.
+
+    Args:
+        campaign: Which effects are declared, and which kinds may be sought.
+        bound: The geometric stage and its rows.
+        noise: Declared noise.
+        progress: Called with what is being done.
+    """
+    geometric = bound.geometric
+    scene, barred = look(campaign, bound)
+    kinds = campaign.diagnosis.candidates if campaign.diagnosis.enabled else ()
+    named = candidates(scene, tuple(k for k in kinds if k != "unknown"))
+    unnamed = candidates(scene, ("unknown",)) if "unknown" in kinds else []
+    library = named + unnamed
+    progress(f"testing {len(named)} candidate effects")
+    current, active = geometric, tuple[Active, ...]()
+    for _ in range(ROUNDS):
+        bench = linear_bench(bound, current, active, library, scene)
+        start = solve_state(bench, active, current.sigma, current.weight)
+        found = search(bench, named, start)
+        if unnamed:
+            found = search(bench, unnamed, found.state, UNNAMED)
+        same = [a.effect for a in found.state.active] == [a.effect for a in active]
+        if same:
+            break
+        active = found.state.active
+        progress(f"fitting {len(active)} effects: {', '.join(a.effect.label for a in active[:4])}")
+        current = refit(bound, active, current, noise)
+    return Diagnosed(current, found, tuple(barred))
+
+
+def look(campaign: Campaign, bound: Bound) -> tuple[Scene, list[Barred]]:
+    """What candidates can be made from, and what cannot be tested."""
+    model = bound.geometric.model
+    train = bound.train
+    usable, barred = usable_columns(train.covariates)
+    world = model.rows(train.readings, None, train.station).world
+    wanted = {".gravity_", ".payload_"}
+    measured = {name: train.covariates[name] for name in usable}
+    table = covariate_table(model.robot, train.readings, measured, model.around, world, wanted)
+    scene = Scene(model.robot, table, usable)
+    return scene, barred + barred_joints(scene)
+
+
+def linear_bench(
+    bound: Bound, current: Fit, active: Sequence[Active], library: Sequence[Effect], scene: Scene
+) -> Bench:
+    """Linearise the current model, and the places where the library's effects act."""
+    effects = list(dict.fromkeys([*library, *(a.effect for a in active)]))
+    slots = tuple(dict.fromkeys((c.where, c.component) for e in effects for c in e.coefficients))
+    bases = tuple(dict.fromkeys(c.basis for e in effects for c in e.coefficients))
+    ones = Basis("ones", (scene.robot.names[0],))
+    places = tuple(Coefficient(where, component, ones) for where, component in slots)
+    model = current.model.with_coefficients((*current.model.coefficients, *places))
+    theta = np.concatenate([current.theta, np.zeros(len(places))])
+    data = bound.data(model)
+    r, J = linearise(model, theta, data.rows, data.measured)
+    constant = np.array([c.basis.constant for c in current.model.coefficients], dtype=bool)
+    K = len(constant)
+    effect_part = np.flatnonzero(~constant)
+    r = r + J[:, :, effect_part] @ current.theta[effect_part]
+    phi = np.column_stack([evaluate(b, scene.table) for b in bases]) if bases else np.zeros((len(r), 0))
+    run, fold = _folds(bound)
+    return Bench(
+        np.ascontiguousarray(J[:, :, np.flatnonzero(constant)]), np.ascontiguousarray(J[:, :, K:]), slots, phi, bases, r,
+        bound.suspect, run, fold, scene.robot.names,
+    )  # fmt: skip
+
+
+def refit(bound: Bound, active: Sequence[Active], current: Fit, noise: Noise) -> Fit:
+    """Fit constants and effects together on the exact model, the constants gauged to the geometric stage."""
+    geometric = bound.geometric
+    constants = tuple(c for c in geometric.model.coefficients if c.basis.constant)
+    coefficients = constants + tuple(c for a in active for c in a.effect.coefficients)
+    model = geometric.model.with_coefficients(coefficients)
+    known = dict(zip(current.model.names, current.theta, strict=True))
+    theta = np.array([known.get(name, 0.0) for name in model.names])
+    K = len(constants)
+    precision = np.zeros((len(theta), len(theta)))
+    precision[:K, :K] = GAUGE * np.linalg.pinv(geometric.covariance, hermitian=True)
+    at = K
+    for a in active:
+        d = len(a.effect.coefficients)
+        precision[at : at + d, at : at + d] = a.coefficient_precision
+        at += d
+    mean = np.concatenate([geometric.theta, np.zeros(len(theta) - K)])
+    found = fit(model, bound.data(model), noise, theta, prior=Prior(mean, precision))
+    return replace(found, candidates=geometric.candidates, redundant=geometric.redundant)
+
+
+def _folds(bound: Bound) -> tuple[np.ndarray, np.ndarray]:
+    """Stretches of time, and folds that keep repeats, stations and stretches together where they can."""
+    n = len(bound.train)
+    time = bound.train.covariates.get("time")
+    order = np.argsort(time, kind="stable") if time is not None and not np.isnan(time).any() else np.arange(n)
+    run = np.empty(n, dtype=int)
+    run[order] = np.arange(n) * min(RUNS, n) // n
+    block = blocks(bound.train.readings, bound.kinds)  # type: ignore[arg-type]
+    number = np.random.default_rng(0).permutation(int(block.max()) + 1)
+    return run, number[block] % FOLDS

@@ -1,0 +1,197 @@
+"""How much a group of columns explains: score tests against a linearised model, with shrinkage where it is smooth."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+from scipy.stats import chi2
+
+from aridcal.residual import FLOOR, Sigma
+
+LENGTHS = (0.7, 1.5, 3.0, 6.0, 12.0)  # correlation lengths of a smooth function that are tried, in knots
+DEPENDENT = 1e-6  # share of a column's square that must be left when the model's own columns are taken off
+SMOOTH_PRICE = 2.0  # nats for the two numbers that shape a smooth function
+
+
+@dataclass(frozen=True)
+class Sums:
+    """Gram matrices of columns and residual for unit sigma, positions and rotations apart.
+
+    Attributes:
+        AA: A'A, shape (2, K, K).
+        Ar: A'r, shape (2, K).
+        rr: r'r, shape (2,).
+        count: Numbers measured, shape (2,).
+    """
+
+    AA: np.ndarray
+    Ar: np.ndarray
+    rr: np.ndarray
+    count: np.ndarray
+
+    def minus(self, other: Sums) -> Sums:
+        """What is left when some of the rows are taken out."""
+        return Sums(self.AA - other.AA, self.Ar - other.Ar, self.rr - other.rr, self.count - other.count)
+
+    def part(self, keep: np.ndarray) -> Sums:
+        """The sums of some of the columns."""
+        return Sums(self.AA[:, keep][:, :, keep], self.Ar[:, keep], self.rr, self.count)
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Coefficients of a linearised model and the noise that goes with them.
+
+    Attributes:
+        beta: Shape (K,).
+        sigma: Noise per axis.
+        likelihood: Logarithm, up to a constant.
+        inverse: (A'WA + prior)^-1, shape (K, K).
+    """
+
+    beta: np.ndarray
+    sigma: Sigma
+    likelihood: float
+    inverse: np.ndarray
+
+
+@dataclass(frozen=True)
+class Score:
+    """What one candidate would add.
+
+    Attributes:
+        gain: Logarithm of the evidence in its favour: what it explains less what its freedom costs, [nat].
+        p_value: Of its columns' contribution if nothing were there, before correction for the number of candidates.
+        freedom: Columns that say something new.
+        tau: For smooth functions: prior standard deviation [m] or [rad]; else 0.
+        length: For smooth functions: correlation length in knots; else 0.
+    """
+
+    gain: float
+    p_value: float
+    freedom: int
+    tau: float = 0.0
+    length: float = 0.0
+
+
+def sums(A: Sequence[np.ndarray], r: Sequence[np.ndarray]) -> Sums:
+    """Gram matrices of weighted columns, shape (3N, K), and residuals, shape (3N,), of positions and rotations."""
+    K = A[0].shape[1]
+    AA, Ar, rr, count = np.zeros((2, K, K)), np.zeros((2, K)), np.zeros(2), np.zeros(2)
+    for k, (a, b) in enumerate(zip(A, r, strict=True)):
+        AA[k], Ar[k], rr[k], count[k] = a.T @ a, a.T @ b, b @ b, len(b)
+    return Sums(AA, Ar, rr, count)
+
+
+def extended(s: Sums, A: Sequence[np.ndarray], C: Sequence[np.ndarray], r: Sequence[np.ndarray]) -> Sums:
+    """The sums of columns A with columns C added, where those of A are known."""
+    P, d = A[0].shape[1], C[0].shape[1]
+    AA, Ar = np.zeros((2, P + d, P + d)), np.zeros((2, P + d))
+    for k, (a, c, b) in enumerate(zip(A, C, r, strict=True)):
+        cross = a.T @ c
+        AA[k, :P, :P], AA[k, :P, P:], AA[k, P:, :P], AA[k, P:, P:] = s.AA[k], cross, cross.T, c.T @ c
+        Ar[k, :P], Ar[k, P:] = s.Ar[k], c.T @ b
+    return Sums(AA, Ar, s.rr, s.count)
+
+
+def solve(s: Sums, precision: np.ndarray, sigma: Sigma, fixed: bool = False) -> Solution:
+    """Least squares with priors; the noise is estimated with it unless ``fixed``."""
+    beta, inverse = np.zeros(len(precision)), np.zeros_like(precision)
+    for _ in range(1 if fixed else 4):
+        variance = np.array([sigma.position, sigma.rotation]) ** 2
+        H = s.AA[0] / variance[0] + s.AA[1] / variance[1] + precision
+        inverse = _inverse(H)
+        beta = inverse @ (s.Ar[0] / variance[0] + s.Ar[1] / variance[1])
+        square = s.rr - 2 * s.Ar @ beta + np.einsum("i,kij,j->k", beta, s.AA, beta)
+        if fixed:
+            break
+        spent = np.einsum("ij,kij->k", inverse, s.AA) / variance
+        freedom = np.maximum(s.count - spent, 0.05 * s.count + 1e-9)
+        fresh = np.sqrt(np.maximum(square, 0.0) / freedom)
+        before, sigma = sigma, Sigma(max(float(fresh[0]), FLOOR), max(float(fresh[1]), FLOOR) if s.count[1] else 1.0)
+        if abs(np.log(before.position / sigma.position)) + abs(np.log(before.rotation / sigma.rotation)) < 1e-2:
+            break
+    variance = np.array([sigma.position, sigma.rotation]) ** 2
+    square = np.maximum(s.rr - 2 * s.Ar @ beta + np.einsum("i,kij,j->k", beta, s.AA, beta), 0.0)
+    likelihood = -0.5 * float(s.count @ np.log(variance) + np.sum(square / variance) + beta @ precision @ beta)
+    return Solution(beta, sigma, likelihood, inverse)
+
+
+def score(M: np.ndarray, s: np.ndarray, raw: np.ndarray, left: float, count: float, smooth: bool) -> Score:
+    """Evidence for d columns.
+
+    Args:
+        M: Their Gram matrix after projection off the model, in units of sigma, shape (d, d).
+        s: Their product with the residual, shape (d,).
+        raw: Their squared lengths before projection, shape (d,).
+        left: The residual's sum of squares, in units of sigma.
+        count: Numbers measured.
+        smooth: True for samples of a smooth function.
+    """
+    return _smooth(M, s, left, count) if smooth else _plain(M, s, raw, left, count)
+
+
+def _plain(M: np.ndarray, s: np.ndarray, raw: np.ndarray, left: float, count: float) -> Score:
+    scale = 1.0 / np.sqrt(np.maximum(raw, 1e-300))
+    values, vectors = np.linalg.eigh(M * np.outer(scale, scale))
+    good = values > DEPENDENT
+    d = int(good.sum())
+    if d == 0:
+        return Score(0.0, 1.0, 0)
+    explained = float(np.sum((vectors[:, good].T @ (s * scale)) ** 2 / values[good]))
+    twice = _profiled(explained, left, count)
+    gain = 0.5 * (twice - d * (1.0 + np.log(max(twice / d, 1.0))))
+    return Score(gain, float(chi2.sf(twice, d)), d)
+
+
+def _smooth(M: np.ndarray, s: np.ndarray, left: float, count: float) -> Score:
+    best = Score(-np.inf, 1.0, 0)
+    for length in LENGTHS:
+        root = kernel_root(len(s), length)
+        values, vectors = map(np.asarray, np.linalg.eigh(root.T @ M @ root))
+        values = np.clip(values, 0.0, None)
+        a = (vectors.T @ (root.T @ s)) ** 2
+        if values[-1] <= 0.0:
+            return Score(0.0, 1.0, 0)
+        tau2 = np.logspace(-1.5, 9, 43)[:, None] / values[-1]
+        explained = np.sum(a * tau2 / (1.0 + tau2 * values), axis=1)
+        twice = -count * np.log1p(-np.minimum(explained / left, 1 - 1e-12)) - np.sum(np.log1p(tau2 * values), axis=1)
+        k = int(np.argmax(twice))
+        gain = 0.5 * float(twice[k]) - SMOOTH_PRICE
+        if gain > best.gain:
+            freedom = float(np.sum(tau2[k] * values / (1.0 + tau2[k] * values)))
+            # A variance that may only be positive: half the cases give nothing, the rest at most chi-square with 2.
+            p_value = float(np.exp(-max(0.5 * float(twice[k]), 0.0)))
+            best = Score(gain, p_value, max(round(freedom), 1), float(np.sqrt(tau2[k, 0])), length)
+    return best
+
+
+def kernel_root(knots: int, length: float) -> np.ndarray:
+    """Square root of the prior covariance of a smooth function's coefficients, shape (knots, knots)."""
+    apart = np.abs(np.subtract.outer(np.arange(knots), np.arange(knots))) / length
+    matern = (1.0 + np.sqrt(3.0) * apart) * np.exp(-np.sqrt(3.0) * apart)
+    return np.asarray(np.linalg.cholesky(matern + 1e-9 * np.eye(knots)))
+
+
+def smooth_precision(knots: int, tau: float, length: float) -> np.ndarray:
+    """Inverse of the prior covariance of a smooth function's coefficients."""
+    root = np.linalg.inv(kernel_root(knots, length))
+    return np.asarray(root.T @ root) / tau**2
+
+
+def _profiled(explained: float, left: float, count: float) -> float:
+    """Twice the gain in log-likelihood when the noise is estimated anew."""
+    return float(-count * np.log1p(-min(explained / left, 1 - 1e-12)))
+
+
+def _inverse(H: np.ndarray) -> np.ndarray:
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(H), 1e-300))
+    S = H * np.outer(scale, scale) + 1e-13 * np.eye(len(H))
+    try:
+        inverse = cho_solve(cho_factor(S), np.eye(len(H)))
+    except np.linalg.LinAlgError:
+        inverse = np.linalg.pinv(S, hermitian=True, rcond=1e-12)
+    return np.asarray(inverse) * np.outer(scale, scale)

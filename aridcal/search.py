@@ -1,0 +1,437 @@
+"""Which effects the residual asks for: every candidate scored at once, winners refitted, losers tried again."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.linalg import block_diag
+from scipy.stats import chi2
+from scipy.stats import f as f_distribution
+
+from aridcal.effects import Basis, Effect
+from aridcal.evidence import Score, Solution, Sums, extended, kernel_root, score, smooth_precision, solve, sums
+from aridcal.residual import Sigma
+from aridcal.solver import flag
+
+ALPHA = 1e-3  # chance that a clean campaign shows any effect at all, by these tests alone
+LEAST = 1e-2  # share of the squared error, on rows held back, that an effect must take away to matter
+ROBUST = 1e-3  # the same chance for one candidate when residuals of neighbouring rows may be alike
+CLOSE = 3.0  # nats by which another candidate may be worse and still not be told from the one named
+RANKED = 12  # candidates that are looked at closely
+REFINED = 6
+JUDGED = 4
+PLAIN = 100.0  # nats in an effect's favour beyond which it needs no further trial
+FAINT = 0.02  # a mode that the data could move by less than this share of its prior is left out
+MOST = 24
+FOLDS = 5
+CHUNK = 128
+
+
+@dataclass(frozen=True)
+class Bench:
+    """A linearised model and everything that could be added to it.
+
+    Attributes:
+        A: Columns of the constants, shape (N, m, K), in units of the rows' relative sigmas.
+        G: Columns of the places where effects may act, shape (N, m, S).
+        slots: (where, component) of each, S of them.
+        phi: Values of the bases, shape (N, B).
+        bases: The bases, B of them.
+        r: Residual of the model without effects, shape (N, m).
+        suspect: Rows that repeat another's measurement although the joints moved.
+        run: Number of the row's stretch of time, shape (N,).
+        fold: Number of the row's fold for cross-validation, shape (N,).
+        own: Names of the joints: covariates that are under the user's control.
+    """
+
+    A: np.ndarray
+    G: np.ndarray
+    slots: tuple[tuple[str, str], ...]
+    phi: np.ndarray
+    bases: tuple[Basis, ...]
+    r: np.ndarray
+    suspect: np.ndarray
+    run: np.ndarray
+    fold: np.ndarray
+    own: tuple[str, ...]
+
+    @cached_property
+    def _slot(self) -> dict[tuple[str, str], int]:
+        return {slot: k for k, slot in enumerate(self.slots)}
+
+    @cached_property
+    def _basis(self) -> dict[Basis, int]:
+        return {basis: k for k, basis in enumerate(self.bases)}
+
+    def indices(self, effect: Effect) -> tuple[list[int], list[int]]:
+        """Place and basis of each of an effect's coefficients."""
+        slots = [self._slot[c.where, c.component] for c in effect.coefficients]
+        return slots, [self._basis[c.basis] for c in effect.coefficients]
+
+    def columns(self, effect: Effect) -> np.ndarray:
+        """Columns of an effect, shape (N, m, d)."""
+        slots, bases = self.indices(effect)
+        return np.asarray(self.G[:, :, slots] * self.phi[:, None, bases])
+
+
+@dataclass(frozen=True)
+class Active:
+    """An effect that is in the model; a smooth one by the modes that its data can tell, each with unit prior.
+
+    Attributes:
+        effect: The effect.
+        score: Its evidence, and its shape if it is smooth.
+        modes: Coefficients of each mode, shape (d, modes); None for the coefficients themselves.
+    """
+
+    effect: Effect
+    score: Score
+    modes: np.ndarray | None = None
+
+    @property
+    def precision(self) -> np.ndarray:
+        """Prior precision of what is solved for."""
+        if self.modes is None:
+            return np.zeros((len(self.effect.coefficients),) * 2)
+        return np.eye(self.modes.shape[1])
+
+    @property
+    def coefficient_precision(self) -> np.ndarray:
+        """Prior precision of its coefficients, shape (d, d)."""
+        d = len(self.effect.coefficients)
+        return smooth_precision(d, self.score.tau, self.score.length) if self.effect.smooth else np.zeros((d, d))
+
+    def columns(self, bench: Bench) -> np.ndarray:
+        """Its columns, shape (N, m, d or modes)."""
+        columns = bench.columns(self.effect)
+        return columns if self.modes is None else columns @ self.modes
+
+
+@dataclass(frozen=True)
+class State:
+    """A solved set of effects."""
+
+    active: tuple[Active, ...]
+    design: tuple[np.ndarray, ...]  # rows in use times root weight, positions and rotations apart, (3n, P) each
+    right: tuple[np.ndarray, ...]
+    precision: np.ndarray
+    sums: Sums
+    solution: Solution
+    residual: np.ndarray
+    weight: np.ndarray
+    fold: np.ndarray
+
+    @cached_property
+    def folds(self) -> list[tuple[np.ndarray, Sums]]:
+        """Rows of the flattened design in each fold, and their sums."""
+        found = []
+        for k in np.unique(self.fold):
+            own = np.flatnonzero(np.repeat(self.fold == k, 3))
+            found.append((own, sums([a[own] for a in self.design], [b[own] for b in self.right])))
+        return found
+
+    def flat(self, columns: np.ndarray) -> list[np.ndarray]:
+        """Columns (N, m, d) brought to the design's shape."""
+        used = self.weight > 0.5
+        return [
+            columns[used, 3 * k : 3 * k + 3].reshape(-1, columns.shape[2]) for k in range(self.residual.shape[1] // 3)
+        ]
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """How a candidate fared: accepted, or why not."""
+
+    effect: Effect
+    score: Score
+    p_value: float
+    gain_held_back: float
+    why: str
+
+
+@dataclass(frozen=True)
+class Found:
+    """The effects found.
+
+    Attributes:
+        state: The final set.
+        rejected: The best of those that were not taken, and why.
+        confounded: For each active effect, the candidates that these data cannot tell from it.
+        tested: Number of candidates.
+    """
+
+    state: State
+    rejected: tuple[Verdict, ...]
+    confounded: tuple[tuple[Effect, ...], ...]
+    tested: int
+
+
+def search(bench: Bench, library: Sequence[Effect], start: State, most: int = MOST) -> Found:
+    """Add effects one at a time, test again what was taken and what was not, until nothing more is worth it.
+
+    Args:
+        bench: The linearised model.
+        library: All candidates.
+        start: Effects to begin with; see :func:`solve_state`.
+        most: Effects to add at the most.
+    """
+    state, most = start, most + len(start.active)
+    rejected: tuple[Verdict, ...] = ()
+    small = bench.r.size * len(library) < 1e6
+    for _ in range(4 if small else 2):
+        state, rejected = _forward(bench, library, state, most, small)
+        tidied = _tidy(bench, library, state)
+        same = [a.effect for a in tidied.active] == [a.effect for a in state.active]
+        state = tidied
+        if same:
+            break
+    confounded = tuple(_twins(bench, library, state, k) for k in range(len(state.active)))
+    return Found(state, rejected, confounded, len(library))
+
+
+def solve_state(bench: Bench, active: Sequence[Active], sigma: Sigma, weight: np.ndarray) -> State:
+    """Solve a set of effects, noise and outlier flags with it."""
+    design = np.concatenate([bench.A, *(a.columns(bench) for a in active)], axis=2)
+    K = bench.A.shape[2]
+    precision = block_diag(np.zeros((K, K)), *(a.precision for a in active))
+    flags = weight
+    for _ in range(6):
+        weight = flags
+        used = weight > 0.5
+        parts = range(bench.r.shape[1] // 3)
+        A = tuple(design[used, 3 * k : 3 * k + 3].reshape(-1, design.shape[2]) for k in parts)
+        b = tuple(bench.r[used, 3 * k : 3 * k + 3].ravel() for k in parts)
+        gram = sums(A, b)
+        solution = solve(gram, precision, sigma)
+        residual = bench.r - design @ solution.beta
+        sigma = solution.sigma
+        flags = flag(residual, bench.suspect)
+        if np.array_equal(flags, weight):
+            break
+    return State(tuple(active), A, b, precision, gram, solution, residual, weight, bench.fold[used])
+
+
+def activate(bench: Bench, state: State, effect: Effect, found: Score) -> Active:
+    """Make a candidate ready to be solved for."""
+    if not effect.smooth:
+        return Active(effect, found)
+    root = kernel_root(len(effect.coefficients), found.length)
+    sigma = np.repeat([state.solution.sigma.position, state.solution.sigma.rotation], 3)[: bench.r.shape[1]]
+    C = bench.columns(effect) / sigma[:, None]
+    U, s, _ = np.linalg.svd(root * found.tau, full_matrices=False)
+    seen = s**2 * float(np.einsum("nmd,nmd->", C, C)) / C.shape[2]
+    return Active(effect, found, (U * s)[:, seen > FAINT])
+
+
+def rank(bench: Bench, library: Sequence[Effect], state: State) -> list[tuple[Effect, Score]]:
+    """Score every candidate that is not in the model; the best first, the first few with their noise apart."""
+    taken = {a.effect for a in state.active}
+    free = [e for e in library if e not in taken]
+    scores = _scores(bench, free, state)
+    order = sorted(range(len(free)), key=lambda k: -scores[k].gain)
+    enough = 0.4 * scores[order[0]].gain if order else 0.0
+    head = [(free[k], scores[k]) for k in order if scores[k].gain > max(enough, 0.0)][:REFINED]
+    refined = [(e, _refine(bench, state, e, s)) for e, s in head]
+    refined.sort(key=lambda pair: -pair[1].gain)
+    done = {e for e, _ in head}
+    return refined + [(free[k], scores[k]) for k in order if free[k] not in done]
+
+
+def _forward(
+    bench: Bench, library: Sequence[Effect], state: State, most: int, small: bool
+) -> tuple[State, tuple[Verdict, ...]]:
+    rejected: tuple[Verdict, ...] = ()
+    while len(state.active) < most:
+        ranked = rank(bench, library, state)
+        verdicts = []
+        chosen = None
+        for effect, found in ranked[:JUDGED]:
+            verdict = _judge(bench, state, effect, found, len(library))
+            if not verdict.why:
+                chosen = activate(bench, state, effect, found)
+                break
+            verdicts.append(verdict)
+            if verdict.p_value > ALPHA:
+                break
+        rejected = tuple(verdicts)
+        if chosen is None:
+            break
+        state = solve_state(bench, (*state.active, chosen), state.solution.sigma, state.weight)
+        if small and len(state.active) > 1:
+            state = _tidy(bench, library, state)
+    return state, rejected
+
+
+def _tidy(bench: Bench, library: Sequence[Effect], state: State) -> State:
+    """Take each effect out in turn: drop it if it is not missed, exchange it if another does better in its place."""
+    known = set(library)
+    for _ in range(2):
+        before = [a.effect for a in state.active]
+        for effect in before:
+            active = [a for a in state.active if a.effect != effect]
+            if len(active) == len(state.active) or effect not in known:
+                continue
+            without = solve_state(bench, active, state.solution.sigma, state.weight)
+            ranked = rank(bench, library, without)
+            mine = next(s for e, s in ranked if e == effect)
+            best, its = ranked[0]
+            if best == effect or its.gain < mine.gain + 1.0:
+                best, its = effect, mine
+            keep = its.gain > PLAIN or not _judge(bench, without, best, its, len(library)).why
+            taken = (*active, activate(bench, without, best, its)) if keep else active
+            state = solve_state(bench, taken, without.solution.sigma, without.weight)
+        if [a.effect for a in state.active] == before:
+            break
+    return state
+
+
+def _judge(bench: Bench, state: State, effect: Effect, found: Score, tested: int) -> Verdict:
+    """Accept a candidate, or say why not."""
+    p_value = min(1.0, found.p_value * tested)
+
+    def verdict(held_back: float, why: str) -> Verdict:
+        return Verdict(effect, found, p_value, held_back, why)
+
+    if found.gain <= 0.0 or p_value > ALPHA:
+        return verdict(0.0, f"chance would do as well (p = {p_value:.2g} among {tested} candidates)")
+    held_back = _held_back(bench, state, activate(bench, state, effect, found))
+    if held_back < LEAST:
+        return verdict(
+            held_back, f"takes only {100 * max(held_back, 0.0):.2g} % off the squared error of rows held back"
+        )
+    if not set(_sources(effect)) <= set(bench.own):
+        robust = _robust(bench, state, effect)
+        if robust > ROBUST:
+            return verdict(held_back, f"seen in too few stretches of time to be believed (p = {robust:.2g})")
+    return verdict(held_back, "")
+
+
+def _sources(effect: Effect) -> list[str]:
+    return [name.split(".")[0] if ".gravity_" in name else name for name in effect.covariates]
+
+
+def _scores(bench: Bench, effects: Sequence[Effect], state: State) -> list[Score]:
+    used = state.weight > 0.5
+    scale = (1.0 / state.solution.sigma.position, 1.0 / state.solution.sigma.rotation)
+    A = np.vstack([a * f for a, f in zip(state.design, scale, strict=False)])
+    r = np.concatenate([f * b.ravel() for b, f in zip(_parts(state.residual[used]), scale, strict=False)])
+    left, count = float(r @ r), float(state.sums.count.sum())
+    G, phi = [g * f for g, f in zip(_parts(bench.G[used]), scale, strict=False)], bench.phi[used]
+    found: list[Score] = []
+    for group in _chunks(effects):
+        slots, bases, ends = [], [], [0]
+        for effect in group:
+            s, b = bench.indices(effect)
+            slots += s
+            bases += b
+            ends.append(len(slots))
+        C = np.vstack([(g[:, :, slots] * phi[:, None, bases]).reshape(-1, len(slots)) for g in G])
+        CA, Cr, CC = C.T @ A, C.T @ r, C.T @ C
+        projected = CC - CA @ state.solution.inverse @ CA.T
+        for effect, low, high in zip(group, ends[:-1], ends[1:], strict=True):
+            own = slice(low, high)
+            found.append(score(projected[own, own], Cr[own], np.diag(CC)[own], left, count, effect.smooth))
+    return found
+
+
+def _parts(values: np.ndarray) -> list[np.ndarray]:
+    """Positions and rotations of an array (N, m, ...)."""
+    return [values[:, 3 * k : 3 * k + 3] for k in range(values.shape[1] // 3)]
+
+
+def _chunks(effects: Sequence[Effect]) -> list[list[Effect]]:
+    groups: list[list[Effect]] = []
+    size = CHUNK
+    for effect in effects:
+        if size + len(effect.coefficients) > CHUNK:
+            groups.append([])
+            size = 0
+        groups[-1].append(effect)
+        size += len(effect.coefficients)
+    return groups
+
+
+def _refine(bench: Bench, state: State, effect: Effect, rough: Score) -> Score:
+    """The same score with the noise of positions and rotations estimated apart, with the candidate in."""
+    candidate = activate(bench, state, effect, rough)
+    with_it, precision = _with(bench, state, candidate)
+    solution = solve(with_it, precision, state.solution.sigma)
+    twice = 2.0 * (solution.likelihood - state.solution.likelihood)
+    d = rough.freedom
+    if not effect.smooth:
+        gain = 0.5 * (twice - d * (1.0 + np.log(max(twice / d, 1.0))))
+        return replace(rough, gain=gain, p_value=float(chi2.sf(max(twice, 0.0), d)))
+    own = candidate.precision
+    n = len(own)
+    twice += float(np.linalg.slogdet(own)[1] + np.linalg.slogdet(solution.inverse[-n:, -n:])[1])
+    return replace(rough, gain=0.5 * twice - 2.0, p_value=float(np.exp(-max(0.5 * twice, 0.0))))
+
+
+def _with(bench: Bench, state: State, candidate: Active) -> tuple[Sums, np.ndarray]:
+    """Sums of the model with a candidate added, and the prior precision of all its coefficients."""
+    C = state.flat(candidate.columns(bench))
+    return extended(state.sums, state.design, C, state.right), block_diag(state.precision, candidate.precision)
+
+
+def _held_back(bench: Bench, state: State, candidate: Active) -> float:
+    """Share of the squared error that a candidate takes away on rows held back, fold by fold."""
+    total, precision = _with(bench, state, candidate)
+    sigma = solve(total, precision, state.solution.sigma).sigma
+    C = state.flat(candidate.columns(bench))
+    variance = np.array([sigma.position, sigma.rotation]) ** 2
+    loss = np.zeros(2)
+    for own, known in state.folds:
+        held = extended(
+            known, [a[own] for a in state.design], [c[own] for c in C], [b[own] for b in state.right]
+        )  # fmt: skip
+        rest = total.minus(held)
+        for i, width in enumerate((len(state.precision), len(precision))):
+            keep = np.arange(width)
+            beta = solve(rest.part(keep), precision[:width, :width], sigma, fixed=True).beta
+            part = held.part(keep)
+            square = part.rr - 2 * part.Ar @ beta + np.einsum("i,kij,j->k", beta, part.AA, beta)
+            loss[i] += float(np.sum(square / variance))
+    return float(1.0 - loss[1] / loss[0])
+
+
+def _robust(bench: Bench, state: State, effect: Effect) -> float:
+    """p-value of a candidate when rows of one stretch of time may err together (cluster-robust score test)."""
+    used = state.weight > 0.5
+    scale = (1.0 / state.solution.sigma.position, 1.0 / state.solution.sigma.rotation)
+    A = np.vstack([a * f for a, f in zip(state.design, scale, strict=False)])
+    C = np.vstack([c * f for c, f in zip(state.flat(bench.columns(effect)), scale, strict=False)])
+    C = C - A @ (state.solution.inverse @ (A.T @ C))
+    C = C[:, np.linalg.norm(C, axis=0) > 1e-9]
+    r = np.concatenate([f * b.ravel() for b, f in zip(_parts(state.residual[used]), scale, strict=False)])
+    after = r - C @ np.linalg.lstsq(C, r, rcond=None)[0]
+    run = np.tile(np.repeat(bench.run[used], 3), len(state.design))
+    runs, d = int(bench.run.max()) + 1, C.shape[1]
+    if runs <= d + 2:
+        return 1.0
+    clusters = np.zeros((runs, d))
+    np.add.at(clusters, run, C * after[:, None])
+    s = C.T @ r
+    spread = clusters.T @ clusters * runs / (runs - 1)
+    statistic = float(s @ np.linalg.pinv(spread, hermitian=True) @ s) / d * (runs - d) / runs
+    return float(f_distribution.sf(statistic, d, runs - d))
+
+
+def _twins(bench: Bench, library: Sequence[Effect], state: State, k: int) -> tuple[Effect, ...]:
+    """Candidates that would do about as well in the place of one of the effects."""
+    mine = state.active[k]
+    active = [a for a in state.active if a is not mine]
+    without = solve_state(bench, active, state.solution.sigma, state.weight)
+    ranked = rank(bench, library, without)
+    own = next((s for e, s in ranked if e == mine.effect), None)
+    if own is None:
+        return ()
+    name = (mine.effect.kind, mine.effect.where, mine.effect.with_, mine.effect.by)
+    twins: dict[tuple[object, ...], Effect] = {}
+    for effect, found in ranked[:RANKED]:
+        other = (effect.kind, effect.where, effect.with_, effect.by)
+        if found.gain > own.gain - CLOSE and other != name:
+            twins.setdefault(other, effect)
+    return tuple(twins.values())
