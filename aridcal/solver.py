@@ -275,7 +275,9 @@ def fit_identifiable(
         theta = np.zeros(len(model.coefficients))
         theta[kept] = result.theta
         R = triangle(model, theta, data.rows, data.measured, result.weight, result.sigma)
-        subset = identifiable(R, order)
+        # What was kept stays ahead: near the solution a symmetry of the nominal robot is broken a little, and what
+        # that makes barely separable must not push out what is well known.
+        subset = identifiable(R, sorted(order, key=lambda k: k not in kept))
         if sorted(subset.kept) == kept:
             break
     redundant = {model.names[k]: tuple(model.names[j] for j in partners) for k, partners in subset.redundant.items()}
