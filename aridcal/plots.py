@@ -23,6 +23,12 @@ BEFORE, AFTER, GREY = "#D55E00", "#0072B2", "#5f6b76"  # the first two are Okabe
 LEVELS = ("#c9d3dc", "#8cc3e8", "#3f93c9", "#a3326b", "#3b1f5b")
 """Small to large: brightness falls all the way, so that it survives grey print and colour blindness."""
 
+SQUARES = 36
+"""Along the longer side of a field."""
+
+FEW = 5
+"""Rows of a slice; fewer have no RMS worth drawing."""
+
 POINTS = 800
 """At most so many points are drawn in one cloud."""
 
@@ -142,7 +148,7 @@ def clouds(key: str, alt: str, x: np.ndarray, values: Mapping[str, np.ndarray], 
 
 @_figure
 def field(key: str, alt: str, points: np.ndarray, values: np.ndarray, labels: tuple[str, str], unit: str) -> Figure:
-    """Points in a plane, coloured by a value in five steps of equally many points, the large ones on top.
+    """RMS of a value over a plane: one dot for the rows of each small square, in five steps of equally many dots.
 
     Args:
         key: Of the figure, unique in the page.
@@ -153,12 +159,17 @@ def field(key: str, alt: str, points: np.ndarray, values: np.ndarray, labels: tu
         unit: Of the values.
     """
     figure, axes = _axes(HEIGHT + 1.6, HEIGHT + 1.6, left=0.14, top=0.42)
-    x, y = points.T
-    steps = np.quantile(values, np.linspace(0, 1, len(LEVELS) + 1))
-    level = np.searchsorted(steps[1:-1], values, side="right")
+    side = max(float(np.ptp(points, axis=0).max()) / SQUARES, 1e-9)
+    _, square = np.unique(np.floor(points / side), axis=0, return_inverse=True)
+    square = square.reshape(-1)
+    count = np.bincount(square)
+    x, y = (np.bincount(square, column) / count for column in points.T)
+    rms = np.sqrt(np.bincount(square, values**2) / count)
+    steps = np.quantile(rms, np.linspace(0, 1, len(LEVELS) + 1))
+    level = np.searchsorted(steps[1:-1], rms, side="right")
     for k, color in enumerate(LEVELS):
         name = f"{steps[k]:.2g}–{steps[k + 1]:.2g} {unit}"
-        _dots(axes, x[level == k], y[level == k], color, label=name, size=2.6 + 0.4 * k, alpha=1.0)
+        _dots(axes, x[level == k], y[level == k], color, label=name, size=5.0, alpha=1.0)
     axes.set(xlabel=labels[0], ylabel=labels[1])
     axes.set_aspect("equal", adjustable="datalim")
     return _with_legend(figure, axes, columns=3)
@@ -166,7 +177,7 @@ def field(key: str, alt: str, points: np.ndarray, values: np.ndarray, labels: tu
 
 @_figure
 def profile(key: str, alt: str, x: np.ndarray, values: Mapping[str, np.ndarray], labels: tuple[str, str]) -> Figure:
-    """RMS of two quantities within slices of equally many rows along x.
+    """RMS of two quantities along x, in slices of equal width, with the rows behind it.
 
     Args:
         key: Of the figure, unique in the page.
@@ -176,13 +187,15 @@ def profile(key: str, alt: str, x: np.ndarray, values: Mapping[str, np.ndarray],
         labels: Of the two axes, with their units.
     """
     figure, axes = _axes()
-    order = np.argsort(x, kind="stable")
-    slices = np.array_split(order, int(np.clip(len(x) // 12, 1, 24)))
-    middle = [float(np.median(x[rows])) for rows in slices]
-    for (name, v), color, marker in zip(values.items(), (BEFORE, AFTER), ("--", "-"), strict=True):
-        rms = [float(np.sqrt(np.mean(v[rows] ** 2))) for rows in slices]
+    edges = np.linspace(x.min(), x.max() + 1e-9, int(np.clip(len(x) // 20, 1, 24)) + 1)
+    place = np.searchsorted(edges, x, side="right") - 1
+    count = np.bincount(place, minlength=len(edges) - 1)
+    few = count < FEW
+    for (name, v), color, line in zip(values.items(), (BEFORE, AFTER), ("--", "-"), strict=True):
+        rms = np.sqrt(np.bincount(place, v**2, len(edges) - 1) / np.maximum(count, 1))
         _dots(axes, x, v, color, alpha=0.25)
-        axes.plot(middle, rms, color=color, linestyle=marker, linewidth=2.0, label=name)
+        middle = (edges[1:] + edges[:-1]) / 2
+        axes.plot(middle, np.where(few, np.nan, rms), color=color, linestyle=line, linewidth=2.0, label=name)
     top = max(float(np.percentile(v, 99.5)) for v in values.values())
     axes.set(xlabel=labels[0], ylabel=labels[1], ylim=(0, 1.08 * top or 1))
     return _with_legend(figure, axes)
@@ -195,6 +208,7 @@ def _axes(width: float = WIDTH, height: float = HEIGHT, left: float = 0.14, top:
     figure = Figure(figsize=(width, height), facecolor="none")
     bottom = 0.45
     axes = figure.add_axes((left, bottom / height, 0.97 - left, 1 - (bottom + top) / height), facecolor="none")
+    axes.locator_params(nbins=6)
     return figure, axes
 
 

@@ -178,13 +178,14 @@ def checks(outcome: Outcome) -> Iterator[tuple[bool, str]]:
         last = outcome.stages[-1].residual
         fitted, judged = (errors(last, parts[part])["position_mm"]["rms"] for part in ("train", "test"))
         if fitted > 0:
-            yield judged < 1.3 * fitted, f"Unused rows are off by {judged / fitted:.2f} times as much as fitted ones."
+            yield judged < 1.3 * fitted, f"Error on unused rows: {judged / fitted:.2f} times that on fitted ones."
     if math.isfinite(outcome.precision.halves_measured):
         agree = sections.halves_agree(outcome)
         yield agree, f"Two halves fitted apart {'agree' if agree else 'disagree by more than noise explains'}."
     narrow = sections.narrow(outcome)
     if narrow:
-        yield False, f"Less than half of the range was measured of {', '.join(j.name for j in narrow)}."
+        names = ", ".join(j.name for j in narrow[:3]) + (f" and {len(narrow) - 3} more" if len(narrow) > 3 else "")
+        yield False, f"Less than half of the range was measured of {names}."
 
 
 def _check(good: bool, text: str) -> Html:
@@ -236,7 +237,7 @@ def identified(outcome: Outcome) -> Iterator[Content]:
         yield tag(
             "p",
             "Corrections of each joint's own origin, in its own axes, to the nominal URDF, with one standard "
-            "deviation. Those that stay nominal cannot be told from others (section 2).",
+            "deviation. Those called nominal cannot be told from others (section 2).",
         )
         yield tag("div", [_origin(where, g) for where, g in groups.items()], class_="links")
     yield tag("h3", "Frames")
@@ -260,13 +261,17 @@ def _of_frame(name: str) -> bool:
 
 def _correction(p: dict[str, Any]) -> str:
     if p["status"] != "identified":
-        return "stays nominal" if p["status"] == "redundant" else "fixed"
+        return "nominal" if p["status"] == "redundant" else "fixed"
     return f"{plus_minus(1e3 * p['value'], 1e3 * p['std'])} {'mrad' if p['unit'] == 'rad' else 'mm'}"
 
 
 def _origin(where: str, group: list[dict[str, Any]]) -> Html:
-    order = {c: k for k, c in enumerate(FRAME_COMPONENTS)}
-    lines = [[p["component"], _correction(p)] for p in sorted(group, key=lambda p: order[p["component"]])]
+    by_component = {p["component"]: p for p in group}
+    ordered = [by_component[c] for c in FRAME_COMPONENTS]
+    lines = [[p["component"], _correction(p)] for p in ordered if p["status"] == "identified"]
+    nominal = [p["component"] for p in ordered if p["status"] != "identified"]
+    if nominal:
+        lines.append([", ".join(nominal), "nominal"])
     return table(["", "correction ± 1σ"], lines, tag("code", where))
 
 

@@ -156,12 +156,21 @@ def _partners(names: tuple[str, ...], most: int = 6) -> Content:
 
 @dataclass(frozen=True)
 class JointRange:
-    """Where a joint was measured: ``share`` is 0 at its lower limit, 1 at the upper one."""
+    """Where a joint was measured.
+
+    Attributes:
+        name: Of the joint.
+        limits: In words.
+        seen: The range measured, in words.
+        share: Its readings: 0 at the lower limit, 1 at the upper one.
+        measured: Share of the range that lies between the readings; of one turn where the range is larger.
+    """
 
     name: str
     limits: str
     seen: str
     share: np.ndarray
+    measured: float
 
 
 def _joint_ranges(outcome: Outcome) -> list[JointRange]:
@@ -174,20 +183,25 @@ def _joint_ranges(outcome: Outcome) -> list[JointRange]:
         limited = bool(np.isfinite(limits).all())
         low, high = limits if limited else (q.min(), q.max())
         words = _between(low, high, kind) if limited else "no limits"
-        share = (q - low) / (high - low if high > low else 1.0)
-        found.append(JointRange(name, words, _between(q.min(), q.max(), kind), np.clip(share, 0, 1)))
+        share = np.clip((q - low) / (high - low if high > low else 1.0), 0, 1)
+        whole = high - low if kind == "prismatic" else min(high - low, 2 * np.pi)
+        measured = min(float(np.ptp(q)) / whole, 1.0) if whole > 0 else 0.0
+        found.append(JointRange(name, words, _between(q.min(), q.max(), kind), share, measured))
     return found
 
 
 def _between(low: float, high: float, kind: str) -> str:
-    if kind == "prismatic":
-        return f"{low:.2f} … {high:.2f} m".replace("-", "−")
-    return f"{math.degrees(low):.0f}° … {math.degrees(high):.0f}°".replace("-", "−")
+    return f"{_reading(low, kind)} … {_reading(high, kind)}"
+
+
+def _reading(value: float, kind: str) -> str:
+    words = f"{value:.3f} m" if kind == "prismatic" else f"{round(math.degrees(value))}°"
+    return words.replace("-", "−")
 
 
 def narrow(outcome: Outcome) -> list[JointRange]:
-    """Joints of which less than half of the range was measured."""
-    return [j for j in _joint_ranges(outcome) if np.ptp(j.share) < 0.5]
+    """Joints of which less than half of the range, or of one turn, was measured."""
+    return [j for j in _joint_ranges(outcome) if j.measured < 0.5]
 
 
 def enough(outcome: Outcome) -> Iterator[Content]:
@@ -207,8 +221,10 @@ def enough(outcome: Outcome) -> Iterator[Content]:
         ("Where each joint was measured, between its limits", shares),
         ("How well the calibrated target is known: the noise carried through to it", sigma),
     ])  # fmt: skip
-    lines = [[tag("code", j.name), j.limits, j.seen, f"{100 * np.ptp(j.share):.0f} %"] for j in joints]
-    yield table(["joint", "limits", "measured", "of the range"], lines, "Joint ranges of the rows fitted")
+    lines = [[tag("code", j.name), j.limits, j.seen, f"{100 * j.measured:.0f} %"] for j in joints]
+    yield table(
+        ["joint", "limits", "measured", "of the range, or of one turn"], lines, "Joint ranges of the rows fitted"
+    )
     sigmas = {f"{name} [mm]": values for name, values in in_mm.items()}
     if outcome.measurements.quaternion is not None:
         sigmas["rotation, at the rows fitted [mrad]"] = 1e3 * precision.rotation
@@ -327,10 +343,8 @@ def _workspace(outcome: Outcome) -> Content:
 
 
 def _configuration(outcome: Outcome, row: int) -> str:
-    kinds = joint_kinds(outcome.robot)
-    q = outcome.measurements.readings[row]
-    words = [f"{v:.3f} m" if k == "prismatic" else f"{math.degrees(v):.0f}°" for v, k in zip(q, kinds, strict=True)]
-    return ", ".join(words).replace("-", "−")
+    readings = zip(outcome.measurements.readings[row], joint_kinds(outcome.robot), strict=True)
+    return ", ".join(_reading(value, kind) for value, kind in readings)
 
 
 def depends(outcome: Outcome) -> Iterator[Content]:
@@ -339,8 +353,8 @@ def depends(outcome: Outcome) -> Iterator[Content]:
     first, last = _norms(outcome.stages[0].residual[rows]), _norms(outcome.stages[-1].residual[rows])
     yield tag(
         "p",
-        "Lines are the RMS within slices of equally many rows. Noise alone makes the line after calibration flat: "
-        "where it rises or waves, something that depends on this joint is left.",
+        "Lines are the RMS of the rows in slices of equal width. Where only noise is left, the line after "
+        "calibration is flat; where it rises or waves, something that depends on this joint may be left.",
     )
     for k, (key, what) in enumerate(list(ERRORS.items())[: len(last)]):
         drawn = []
