@@ -225,6 +225,10 @@ def tree_frames(robot: Robot, readings: np.ndarray) -> Iterator[tuple[int, np.nd
     n = len(readings)
     base = model.frames[model.getFrameId(robot.base)]
     start = _locked_placement(model, base).inverse()
+    upstream, above = set(), base.parentJoint
+    while above > 0:  # what moves the base itself moves nothing in the base's frame
+        upstream.add(above)
+        above = model.parents[above]
     R = {0: np.broadcast_to(start.rotation, (n, 3, 3))}
     p = {0: np.broadcast_to(start.translation, (n, 3))}
     for k in range(1, model.njoints):
@@ -233,7 +237,7 @@ def tree_frames(robot: Robot, readings: np.ndarray) -> Iterator[tuple[int, np.nd
         turned = bearing
         at = p[parent] + R[parent] @ placement.translation
         master, multiplier, offset = robot.mimics.get(name, (name, 1.0, 0.0))
-        if master in column and name in robot.moves:
+        if master in column and name in robot.moves and k not in upstream:
             axis, kind = robot.moves[name]
             q = multiplier * readings[:, column[master]] + offset
             if kind == "prismatic":
@@ -329,8 +333,9 @@ def _parse_xml(urdf: bytes, path: Path) -> etree._Element:
     if root.getroottree().docinfo.doctype:  # type: ignore[union-attr]
         raise RobotError(f"{path}: has a DOCTYPE: DTDs and entities are refused. Remove it from the URDF.")
     if root.tag != "robot":
-        hint = ": run xacro first" if "xacro" in str(root.tag) else ""
-        raise RobotError(f"{path}: the top element is <{root.tag}>, not <robot>{hint}")
+        raise RobotError(f"{path}: the top element is <{root.tag}>, not <robot>")
+    if any("xacro" in str(element.tag) for element in root):
+        raise RobotError(f"{path}: holds xacro macros: run xacro first")
     return root
 
 
