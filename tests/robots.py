@@ -59,6 +59,7 @@ def random_chain(rng: np.random.Generator, kinds: str = "RPRCR", aligned: bool =
 
     def joint(name: str, kind: str, parent: str, child: str) -> None:
         axis = np.eye(3)[rng.integers(3)] if aligned else rng.normal(size=3)
+        axis = axis / np.linalg.norm(axis)
         limits = "" if kind == "continuous" else '<limit lower="-1.5" upper="1.5" effort="1" velocity="1"/>'
         moving = "" if kind == "fixed" else f'<axis xyz="{numbers(axis)}"/>{limits}'
         parts.append(
