@@ -82,7 +82,7 @@ def number(value: float, digits: int = 3) -> str:
     if value != 0 and not 1e-4 <= abs(value) < 1e6:
         return f"{value:.{digits - 1}e}".replace("-", "−")
     decimals = digits - 1 - math.floor(math.log10(abs(value))) if value else 0
-    return f"{value:,.{max(decimals, 0)}f}".replace("-", "−")
+    return fixed(value, max(decimals, 0))
 
 
 def plus_minus(value: float, std: float) -> str:
@@ -90,9 +90,14 @@ def plus_minus(value: float, std: float) -> str:
     if not (math.isfinite(std) and std > 0):
         return number(value, 4)
     decimals = min(max(1 - math.floor(math.log10(std)), 0), 9)
-    return f"{value:.{decimals}f} ± {std:.{decimals}f}".replace("-", "−")
+    return f"{fixed(value, decimals)} ± {fixed(std, decimals)}"
 
 
-def counted(count: int, what: str, many: str | None = None) -> str:
+def fixed(value: float, decimals: int) -> str:
+    """A number with so many decimals, and no sign on zero."""
+    return f"{round(value, decimals) + 0.0:,.{decimals}f}".replace("-", "−")
+
+
+def counted(count: int, what: str) -> str:
     """A number of things: `1 row`, `1,495 rows`."""
-    return f"{count:,} {what if count == 1 else many or what + 's'}"
+    return f"{count:,} {what}{'' if count == 1 else 's'}"

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, ParamSpec
 
 import numpy as np
 
-from aridcal.markup import Html
+from aridcal.markup import Html, number
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -168,7 +168,7 @@ def field(key: str, alt: str, points: np.ndarray, values: np.ndarray, labels: tu
     steps = np.quantile(rms, np.linspace(0, 1, len(LEVELS) + 1))
     level = np.searchsorted(steps[1:-1], rms, side="right")
     for k, color in enumerate(LEVELS):
-        name = f"{steps[k]:.2g}–{steps[k + 1]:.2g} {unit}"
+        name = f"{number(steps[k], 2)}–{number(steps[k + 1], 2)} {unit}"
         _dots(axes, x[level == k], y[level == k], color, label=name, size=5.0, alpha=1.0)
     axes.set(xlabel=labels[0], ylabel=labels[1])
     axes.set_aspect("equal", adjustable="datalim")
@@ -194,8 +194,9 @@ def profile(key: str, alt: str, x: np.ndarray, values: Mapping[str, np.ndarray],
     for (name, v), color, line in zip(values.items(), (BEFORE, AFTER), ("--", "-"), strict=True):
         rms = np.sqrt(np.bincount(place, v**2, len(edges) - 1) / np.maximum(count, 1))
         _dots(axes, x, v, color, alpha=0.25)
-        middle = (edges[1:] + edges[:-1]) / 2
-        axes.plot(middle, np.where(few, np.nan, rms), color=color, linestyle=line, linewidth=2.0, label=name)
+        axes.stairs(
+            np.where(few, np.nan, rms), edges, baseline=None, color=color, linestyle=line, linewidth=2, label=name
+        )
     top = max(float(np.percentile(v, 99.5)) for v in values.values())
     axes.set(xlabel=labels[0], ylabel=labels[1], ylim=(0, 1.08 * top or 1))
     return _with_legend(figure, axes)

@@ -15,7 +15,7 @@ from aridcal import __version__, sections
 from aridcal.doty import Link, doty_links
 from aridcal.effects import FRAME_COMPONENTS, LINK_COMPONENTS
 from aridcal.export import frames, parameters
-from aridcal.markup import Content, Html, counted, join, number, plus_minus, table, tag
+from aridcal.markup import Content, Html, counted, fixed, join, number, plus_minus, table, tag
 from aridcal.outcome import STATISTICS, Outcome, errors
 
 SYMBOLS = {"d": "d", "theta": "θ", "beta": "β", "a": "a", "alpha": "α"}
@@ -228,8 +228,8 @@ def identified(outcome: Outcome) -> Iterator[Content]:
     elif links:
         yield tag(
             "p",
-            "Parameters of each link after its joint, Tz(d) Rz(θ) Ry(β) Tx(a) Rx(α), and in their place the yaw and "
-            "pitch of the next origin where two axes meet. Corrections are given with one standard deviation.",
+            "Parameters of the link after each joint, Tz(d) Rz(θ) Ry(β) Tx(a) Rx(α), with one standard deviation. "
+            "Where two axes meet, θ and β are undefined, and yaw and pitch of the next origin take their place.",
         )
         nominal = {link.joint: link for link in doty_links(outcome.robot)}
         yield tag("div", [_link(nominal, where, g) for where, g in groups.items()], class_="links wide")
@@ -283,9 +283,13 @@ def _link(nominal: dict[str, Link], where: str, group: list[dict[str, Any]]) -> 
             lines.append([f"{component} of its origin", "", _correction(p), ""])
             continue
         start = 0.0 if component == "d" else float(getattr(nominal[where], component))
-        cells = [f"{math.degrees(v):.4f}°" if angle else f"{1e3 * v:.3f} mm" for v in (start, start + p["value"])]
+        cells = [_value(v, angle) for v in (start, start + p["value"])]
         lines.append([SYMBOLS[component], cells[0], _correction(p), cells[1]])
     return table(["", "nominal", "correction ± 1σ", "calibrated"], lines, tag("code", where))
+
+
+def _value(value: float, angle: bool) -> str:
+    return f"{fixed(math.degrees(value), 4)}°" if angle else f"{fixed(1e3 * value, 3)} mm"
 
 
 def _frame(name: str, frame: dict[str, Any], status: dict[str, str]) -> Html:
@@ -293,9 +297,8 @@ def _frame(name: str, frame: dict[str, Any], status: dict[str, str]) -> Html:
     for k, component in enumerate(FRAME_COMPONENTS):
         value, std = (*frame["xyz"], *frame["rpy"])[k], 1e3 * frame["std"][k]
         known = status[f"{name}.{component}"]
-        shown = f"{1e3 * value:.3f} mm" if k < 3 else f"{math.degrees(value):.4f}°"
         spread = f"{number(std, 2)} {'mm' if k < 3 else 'mrad'}"
-        lines.append([component, shown.replace("-", "−"), spread if known == "identified" else known])
+        lines.append([component, _value(value, k > 2), spread if known == "identified" else known])
     return table(["", "value", "± 1σ"], lines, tag("code", name))
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from aridcal.markup import Content, Html, bullets, counted, figures, number, table, tag
+from aridcal.markup import Content, Html, bullets, counted, figures, fixed, number, table, tag
 from aridcal.outcome import STATISTICS, Outcome, Stage, errors, statistics
 from aridcal.plots import clouds, coverage, field, histogram, profile
 from aridcal.quality import accuracy, joint_kinds, joint_limits
@@ -195,8 +195,7 @@ def _between(low: float, high: float, kind: str) -> str:
 
 
 def _reading(value: float, kind: str) -> str:
-    words = f"{value:.3f} m" if kind == "prismatic" else f"{round(math.degrees(value))}°"
-    return words.replace("-", "−")
+    return f"{fixed(value, 3)} m" if kind == "prismatic" else f"{fixed(math.degrees(value), 0)}°"
 
 
 def narrow(outcome: Outcome) -> list[JointRange]:
@@ -305,9 +304,7 @@ def _iso(outcome: Outcome, mask: np.ndarray, words: str) -> Html:
     for name, stage in distinct(outcome):
         found = statistics(1e3 * accuracy(outcome.robot, rows, stage.residual[mask]))
         lines.append([name, *(number(found[s]) for s in ("mean", "p95", "max"))])
-    caption = (
-        f"Pose accuracy AP as in ISO 9283 [mm], {words}: how far the centre of each configuration's repeats is off"
-    )
+    caption = f"Pose accuracy AP [mm] as in ISO 9283, {words}"
     return table(["model", "mean", "95 % below", "worst pose"], lines, caption)
 
 
@@ -407,7 +404,13 @@ def remains(outcome: Outcome) -> Iterator[Content]:
             ],
             ["motor, gear, encoder, zero position, a collision", "the whole campaign", "nothing"],
         ],
-        "Set parameters.set to none for the first two: only the frames are fitted then",
+        [
+            "For the first two take ",
+            tag("code", "calibrated.urdf"),
+            " and ",
+            tag("code", "parameters: {set: none}"),
+            ": then only the frames are fitted",
+        ],
         numbers=3,
     )
     if hidden:
