@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from aridcal.campaign import EffectDeclaration
 from aridcal.effects import FRAME_COMPONENTS, Basis, Coefficient, Effect, bearing_components
+from aridcal.errors import CampaignError, nearest
 from aridcal.robot import Joint, Robot
 
 ORDERS = (1.0, 2.0, 3.0, 4.0)  # periods per turn that a shaft, a bearing or a disk is most likely to have
@@ -253,3 +255,46 @@ def barred_joints(scene: Scene) -> list[Barred]:
 def candidates(scene: Scene, kinds: tuple[str, ...]) -> list[Effect]:
     """All effects of some kinds that these data can test."""
     return [effect for kind in kinds if kind in KINDS for effect in KINDS[kind](scene)]
+
+
+def declared(scene: Scene, declaration: EffectDeclaration, place: str) -> Effect:
+    """The effect that a campaign states.
+
+    Raises:
+        CampaignError: there is no such effect on this robot or with these columns.
+    """
+    d = declaration
+    known = (*scene.robot.names, "world_base", "tip_target")
+    if d.where not in known:
+        raise CampaignError(f"{place}: effects: no place {d.where!r}{nearest(d.where, known)}")
+    if d.kind == "joint_harmonic" and d.order:
+        found = [Effect(d.kind, d.where, turns(d.where, "axis", d.where, k), (k,)) for k in d.order]
+    elif d.kind == "axis_wobble" and d.order:
+        parts = d.motion or ("r1", "r2", "t1", "t2")
+        found = [Effect(d.kind, d.where, turns(d.where, c, d.where, k), (k,)) for k in d.order for c in parts]
+    else:
+        found = [
+            e for e in KINDS[d.kind](scene)
+            if e.where == d.where
+            and (d.with_ is None or e.with_ == d.with_)
+            and (d.by is None or e.by == d.by)
+            and (d.motion is None or set(e.motion) <= set(d.motion))
+            and (d.covariates is None or set(e.covariates) <= set(d.covariates))
+        ]  # fmt: skip
+        if d.kind == "joint_harmonic":
+            found = found[:1]
+        if d.kind == "joint_backlash" and d.by is None:
+            found = found[:1]
+    if not found:
+        raise CampaignError(
+            f"{place}: effects: {d.kind} at {d.where} cannot be fitted: this robot or these columns have nothing that "
+            "it could depend on"
+        )
+    return merged(found)
+
+
+def merged(effects: Sequence[Effect]) -> Effect:
+    """Effects of one kind and place as one, each coefficient once."""
+    coefficients = tuple(dict.fromkeys(c for e in effects for c in e.coefficients))
+    order = tuple(dict.fromkeys(k for e in effects for k in e.order))
+    return replace(effects[0], coefficients=coefficients, order=order)

@@ -8,13 +8,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from aridcal.campaign import Campaign
-from aridcal.catalogue import Barred, Scene, barred_joints, candidates, usable_columns
+from aridcal.catalogue import Barred, Scene, barred_joints, candidates, declared, usable_columns
 from aridcal.effects import Basis, Coefficient, Effect, Surroundings, covariate_table, evaluate
 from aridcal.measurements import Measurements, blocks
 from aridcal.model import Model
 from aridcal.residual import Observations, linearise
-from aridcal.search import FOLDS, Active, Bench, Found, search, solve_state
+from aridcal.search import FOLDS, Active, Bench, Found, State, admitted, is_small, search, solve_state, twins
 from aridcal.solver import Data, Fit, Noise, Prior, fit
+from aridcal.source import Kind
 
 RUNS = 24  # stretches of time into which the rows are cut
 GAUGE = 1e-3  # weight with which the constants are held at the geometric stage: only what nothing else decides
@@ -30,7 +31,7 @@ class Bound:
     train: Measurements
     measured: Observations
     suspect: np.ndarray
-    kinds: tuple[str, ...]
+    kinds: tuple[Kind, ...]
 
     def data(self, model: Model) -> Data:
         """The training rows as a model sees them."""
@@ -44,16 +45,24 @@ class Diagnosed:
 
     Attributes:
         fit: Constants and effects, fitted together on the exact model.
+        bench: The model linearised where it was last searched.
+        scene: The training rows' covariates.
         found: The search's result.
+        confounded: For each active effect, the candidates that these data cannot tell from it.
+        declared: Effects that the campaign states.
         barred: Candidates that could not be tested, and why.
     """
 
     fit: Fit
+    bench: Bench
+    scene: Scene
     found: Found
+    confounded: tuple[tuple[Effect, ...], ...]
+    declared: tuple[Effect, ...]
     barred: tuple[Barred, ...]
 
 
-def gravity_in_base(campaign: Campaign, model: Model) -> Surroundings:
+def surroundings(campaign: Campaign, model: Model) -> Surroundings:
     """Gravity in the base frame and the payload's place, from the campaign and the geometric stage's frames."""
     gravity = campaign.robot.gravity
     lever = model.tip_target[0][1].translation
@@ -75,39 +84,52 @@ def diagnose(
         progress: Called with what is being done.
     """
     geometric = bound.geometric
-    scene, barred = look(campaign, bound)
+    scene, barred = look(bound)
     kinds = campaign.diagnosis.candidates if campaign.diagnosis.enabled else ()
     named = candidates(scene, tuple(k for k in kinds if k != "unknown"))
     unnamed = candidates(scene, ("unknown",)) if "unknown" in kinds else []
-    library = named + unnamed
-    progress(f"testing {len(named)} candidate effects")
-    current, active = geometric, tuple[Active, ...]()
+    stated = [declared(scene, d, str(campaign.path)) for d in campaign.effects]
+    taken = {(e.kind, e.where, e.with_, e.by) for e in stated}
+    named = [e for e in named if (e.kind, e.where, e.with_, e.by) not in taken]
+    if named:
+        progress(f"testing {len(named)} candidate effects")
+    current = geometric
+    bench = linear_bench(bound, current, (), [*named, *unnamed, *stated], scene)
+    state = solve_state(bench, (), current.sigma, current.weight)
+    for effect in stated:
+        state = solve_state(bench, (*state.active, admitted(bench, state, effect)), state.solution.sigma, state.weight)
     for _ in range(ROUNDS):
-        bench = linear_bench(bound, current, active, library, scene)
-        start = solve_state(bench, active, current.sigma, current.weight)
-        found = search(bench, named, start)
+        found = search(bench, named, state)
         if unnamed:
-            found = search(bench, unnamed, found.state, UNNAMED)
-        same = [a.effect for a in found.state.active] == [a.effect for a in active]
-        if same:
+            more = search(bench, unnamed, found.state, UNNAMED)
+            found = replace(more, rejected=found.rejected + more.rejected[:1], tested=found.tested + more.tested)
+        same = [a.effect for a in found.state.active] == [a.effect for a in state.active]
+        state = found.state
+        if not state.active or (same and current is not geometric):
             break
-        active = found.state.active
-        progress(f"fitting {len(active)} effects: {', '.join(a.effect.label for a in active[:4])}")
-        current = refit(bound, active, current, noise)
-    return Diagnosed(current, found, tuple(barred))
+        progress(f"fitting {len(state.active)} effects: {', '.join(a.effect.label for a in state.active[:4])}")
+        current = refit(bound, state, current, noise)
+        if not is_small(bench, named):
+            break
+        bench = linear_bench(bound, current, state.active, [*named, *unnamed, *stated], scene)
+        state = solve_state(bench, state.active, state.solution.sigma, state.weight)
+    return Diagnosed(current, bench, scene, found, twins(bench, named, state), tuple(stated), tuple(barred))
 
 
-def look(campaign: Campaign, bound: Bound) -> tuple[Scene, list[Barred]]:
+def look(bound: Bound) -> tuple[Scene, list[Barred]]:
     """What candidates can be made from, and what cannot be tested."""
-    model = bound.geometric.model
-    train = bound.train
-    usable, barred = usable_columns(train.covariates)
-    world = model.rows(train.readings, None, train.station).world
-    wanted = {".gravity_", ".payload_"}
-    measured = {name: train.covariates[name] for name in usable}
-    table = covariate_table(model.robot, train.readings, measured, model.around, world, wanted)
-    scene = Scene(model.robot, table, usable)
+    usable, barred = usable_columns(bound.train.covariates)
+    scene = rows_of(bound, usable)
     return scene, barred + barred_joints(scene)
+
+
+def rows_of(bound: Bound, measured: Sequence[str]) -> Scene:
+    """Covariates of some rows: readings, loads and the measured columns named."""
+    model, rows = bound.geometric.model, bound.train
+    world = model.rows(rows.readings, None, rows.station).world
+    columns = {name: rows.covariates[name] for name in measured}
+    table = covariate_table(model.robot, rows.readings, columns, model.around, world, {".gravity_", ".payload_"})
+    return Scene(model.robot, table, tuple(measured))
 
 
 def linear_bench(
@@ -129,15 +151,13 @@ def linear_bench(
     r = r + J[:, :, effect_part] @ current.theta[effect_part]
     phi = np.column_stack([evaluate(b, scene.table) for b in bases]) if bases else np.zeros((len(r), 0))
     run, fold = _folds(bound)
-    return Bench(
-        np.ascontiguousarray(J[:, :, np.flatnonzero(constant)]), np.ascontiguousarray(J[:, :, K:]), slots, phi, bases, r,
-        bound.suspect, run, fold, scene.robot.names,
-    )  # fmt: skip
+    A, G = (np.ascontiguousarray(J[:, :, k]) for k in (np.flatnonzero(constant), slice(K, None)))
+    return Bench(A, G, slots, phi, bases, r, bound.suspect, run, fold, scene.robot.names)
 
 
-def refit(bound: Bound, active: Sequence[Active], current: Fit, noise: Noise) -> Fit:
+def refit(bound: Bound, state: State, current: Fit, noise: Noise) -> Fit:
     """Fit constants and effects together on the exact model, the constants gauged to the geometric stage."""
-    geometric = bound.geometric
+    geometric, active = bound.geometric, state.active
     constants = tuple(c for c in geometric.model.coefficients if c.basis.constant)
     coefficients = constants + tuple(c for a in active for c in a.effect.coefficients)
     model = geometric.model.with_coefficients(coefficients)
@@ -152,7 +172,7 @@ def refit(bound: Bound, active: Sequence[Active], current: Fit, noise: Noise) ->
         precision[at : at + d, at : at + d] = a.coefficient_precision
         at += d
     mean = np.concatenate([geometric.theta, np.zeros(len(theta) - K)])
-    found = fit(model, bound.data(model), noise, theta, prior=Prior(mean, precision))
+    found = fit(model, bound.data(model), noise, theta, state.weight, Prior(mean, precision))
     return replace(found, candidates=geometric.candidates, redundant=geometric.redundant)
 
 
@@ -163,6 +183,6 @@ def _folds(bound: Bound) -> tuple[np.ndarray, np.ndarray]:
     order = np.argsort(time, kind="stable") if time is not None and not np.isnan(time).any() else np.arange(n)
     run = np.empty(n, dtype=int)
     run[order] = np.arange(n) * min(RUNS, n) // n
-    block = blocks(bound.train.readings, bound.kinds)  # type: ignore[arg-type]
+    block = blocks(bound.train.readings, bound.kinds)
     number = np.random.default_rng(0).permutation(int(block.max()) + 1)
     return run, number[block] % FOLDS

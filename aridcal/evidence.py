@@ -151,8 +151,8 @@ def _smooth(M: np.ndarray, s: np.ndarray, left: float, count: float) -> Score:
     best = Score(-np.inf, 1.0, 0)
     for length in LENGTHS:
         root = kernel_root(len(s), length)
-        values, vectors = map(np.asarray, np.linalg.eigh(root.T @ M @ root))
-        values = np.clip(values, 0.0, None)
+        spectrum, vectors = np.linalg.eigh(root.T @ M @ root)
+        values = np.maximum(spectrum, 0.0)
         a = (vectors.T @ (root.T @ s)) ** 2
         if values[-1] <= 0.0:
             return Score(0.0, 1.0, 0)

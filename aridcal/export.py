@@ -13,8 +13,8 @@ import pinocchio as pin
 
 from aridcal import __version__
 from aridcal.calibration import Calibration, SolvedModel
-from aridcal.effects import ANGULAR, FRAME_COMPONENTS
-from aridcal.outcome import Outcome, Stage, errors
+from aridcal.effects import ANGULAR, FRAME_COMPONENTS, Effect
+from aridcal.outcome import NamedEffect, Outcome, Stage, errors
 from aridcal.solver import Fit
 from aridcal.urdf_writer import splice_origins
 
@@ -74,7 +74,7 @@ def result_document(outcome: Outcome) -> dict[str, Any]:
         },
         "frames": frames(outcome.stage("final")),
         "parameters": parameters(outcome.stage("geometric").fit),
-        "effects": [],
+        "effects": [_effect(e, outcome) for e in outcome.effects],
         "verdict": outcome.verdict,
         "unexplained_fraction": outcome.unexplained_fraction,
         "seconds": round(outcome.seconds, 3),
@@ -127,6 +127,55 @@ def parameters(fit: Fit) -> list[dict[str, Any]]:
             "redundant_with": list(fit.redundant.get(name, ())),
         })  # fmt: skip
     return found
+
+
+def _effect(named: NamedEffect, outcome: Outcome) -> dict[str, Any]:
+    fit, effect = outcome.stage("final").fit, named.effect
+    index = {name: k for k, name in enumerate(fit.model.names)}
+    joints = {j.name: j.kind for j in outcome.robot.joints}
+    found: dict[str, Any] = {"kind": effect.kind, "where": effect.where, "motion": list(effect.motion)}
+    if effect.order:
+        found["order"] = list(effect.order)
+    if effect.with_:
+        found["with"] = effect.with_
+    if effect.by:
+        found["by"] = effect.by
+    turning = {c: c in ANGULAR or (c == "axis" and joints.get(effect.where) == "revolute") for c in effect.motion}
+    found |= {
+        "covariates": list(effect.covariates),
+        "coefficients": [
+            {
+                "name": c.name,
+                "unit": "rad" if turning[c.component] else "m",
+                "value": float(fit.theta[index[c.name]]),
+                "std": float(fit.std[index[c.name]]),
+            }
+            for c in effect.coefficients
+        ],
+        "p_value": named.p_value,
+        "position_rms_mm": _before_after(named, slice(0, 3)),
+    }
+    if outcome.measurements.quaternion is not None:
+        found["rotation_rms_mrad"] = _before_after(named, slice(3, 6))
+    found["confounded_with"] = [_short(e) for e in named.confounded_with]
+    found["declared"] = named.declared
+    return found
+
+
+def _before_after(named: NamedEffect, part: slice) -> dict[str, float]:
+    return {
+        name: 1e3 * float(np.sqrt(np.mean(np.sum(r[:, part] ** 2, axis=1)))) if len(r) else math.nan
+        for name, r in (("before", named.before), ("after", named.after))
+    }
+
+
+def _short(effect: Effect) -> dict[str, Any]:
+    return {
+        "kind": effect.kind,
+        "where": effect.where,
+        **({"with": effect.with_} if effect.with_ else {}),
+        **({"by": effect.by} if effect.by else {}),
+    }
 
 
 def residual_table(outcome: Outcome) -> pd.DataFrame:

@@ -19,15 +19,20 @@ from rich.table import Table
 
 from aridcal.campaign import Campaign, load_campaign
 from aridcal.commands import atomic_folder, check_writable, run
+from aridcal.diagnosis import Bound, diagnose, surroundings
 from aridcal.errors import AridcalError, MeasurementError
-from aridcal.export import write_results
+from aridcal.explain import explain, verdict
+from aridcal.export import stage_urdf, write_results
 from aridcal.geometry import Geometry, fit_geometry, observations, recentred, unused_links
 from aridcal.measurements import Measurements, load_measurements
 from aridcal.outcome import Outcome, Stage, Verification, errors
 from aridcal.quality import joint_kinds, joint_limits, outliers, precision, repeats
+from aridcal.report import write_report
 from aridcal.residual import predict_residuals, scaled
-from aridcal.robot import load_robot
+from aridcal.robot import load_robot, parse_robot
+from aridcal.scene import Scene, write_scene
 from aridcal.solver import Data, Fit, Noise, fit
+from aridcal.whiteness import clues, noise_notice
 
 Progress = Callable[[str], None]
 
@@ -52,7 +57,7 @@ def identify(path: Path, seed: int = 0, verify: Path | None = None, progress: Pr
         )
     robot = load_robot(campaign.robot.urdf, campaign.robot.tip, campaign.robot.base)
     progress("reading the measurements")
-    rows = load_measurements(campaign, robot.readings, joint_limits(robot), joint_kinds(robot), seed)  # type: ignore[arg-type]
+    rows = load_measurements(campaign, robot.readings, joint_limits(robot), joint_kinds(robot), seed)
     rows, notices = _check_stations(campaign, rows)
     stale = stale_rows(rows)
     declared = campaign.measurements.noise
@@ -62,10 +67,22 @@ def identify(path: Path, seed: int = 0, verify: Path | None = None, progress: Pr
 
     progress(f"fitting frames and constants to {train.sum()} rows")
     geometry = fit_geometry(campaign, robot, rows.select(train), labels, noise, stale[train])
-    final = geometry.geometric
+    geometric = recentred(geometry.geometric)
+    geometric = replace(geometric, model=replace(geometric.model, around=surroundings(campaign, geometric.model)))
+    bound = _bound(campaign, geometric, rows.select(train), stale[train])
+    diagnosed = diagnose(campaign, bound, noise, progress)
     progress("scoring")
-    stages, outlier = _stages(campaign, rows, geometry, final, noise, stale)
-    final = stages[-1].fit
+    stages, outlier = _stages(campaign, rows, replace(geometry, geometric=geometric), diagnosed.fit, noise, stale)
+    final, kept = stages[-1].fit, rows.select(~outlier)
+    repeated = repeats(robot, kept, stages[-1].residual[~outlier])
+    questions = clues(
+        scaled(stages[-1].residual, observations(rows, declared.rows))[~outlier], kept.readings,
+        kept.covariates.get("time"), repeated, noise, _freedom(final),
+    )  # fmt: skip
+    tested = rows.test & ~outlier
+    test = _bound(campaign, geometric, rows.select(tested), stale[tested])
+    diagnosis = explain(diagnosed, bound, test, questions)
+    said, unexplained = verdict(questions, diagnosed, _freedom(final) > 0.5)
     source = "declared" if declared.position and (declared.rotation or rows.quaternion is None) else "estimated"
     outcome = Outcome(
         campaign=campaign,
@@ -76,16 +93,33 @@ def identify(path: Path, seed: int = 0, verify: Path | None = None, progress: Pr
         stale=stale,
         noise=final.sigma,
         noise_source=source,
-        repeats=repeats(robot, rows.select(~outlier), stages[-1].residual[~outlier]),
-        precision=precision(final, rows.select(train), _data(campaign, final, rows.select(train), stale[train]), noise),
-        verdict="noise_floor",
-        unexplained_fraction=0.0,
-        notices=(*notices, *unused_links(robot, campaign.parameters.set), *(str(n) for n in rows.notices)),
+        repeats=repeated,
+        precision=precision(final, bound.train, bound.data(final.model), noise),
+        verdict=said,
+        unexplained_fraction=unexplained,
+        notices=(
+            *notices,
+            *noise_notice(final.estimated, noise, final.freedom, rows.quaternion is not None),
+            *unused_links(robot, campaign.parameters.set),
+            *(str(n) for n in rows.notices),
+        ),
         seconds=0.0,
+        diagnosis=diagnosis,
     )
     if verify is not None:
         outcome = replace(outcome, verification=_verify(outcome, verify, noise))
     return replace(outcome, seconds=time.perf_counter() - started)
+
+
+def _bound(campaign: Campaign, geometric: Fit, rows: Measurements, stale: np.ndarray) -> Bound:
+    measured = observations(rows, campaign.measurements.noise.rows)
+    return Bound(geometric, rows, measured, stale, tuple(joint_kinds(geometric.model.robot)))
+
+
+def _freedom(fit: Fit) -> float:
+    """Share of the numbers measured that is left after fitting."""
+    used = fit.weight.sum() * fit.residual.shape[1]
+    return float(1.0 - fit.spent / max(used, 1.0))
 
 
 def stale_rows(rows: Measurements) -> np.ndarray:
@@ -130,7 +164,7 @@ def _labels(campaign: Campaign, rows: Measurements) -> tuple[str, ...]:
 
 
 def _check_stations(campaign: Campaign, rows: Measurements) -> tuple[Measurements, tuple[str, ...]]:
-    """A station whose rows are all kept for the test has no frame: give them to train, or refuse a split in the table."""
+    """A station with test rows alone has no frame: give them to train, or refuse the split if it is the user's."""
     labels = _labels(campaign, rows)
     if rows.station is None or not labels:
         return rows, ()
@@ -153,7 +187,7 @@ def _verify(outcome: Outcome, path: Path, noise: Noise) -> Verification:
         robot.readings,
         joint_limits(robot),
         joint_kinds(robot),
-        files=[path],  # type: ignore[arg-type]
+        files=[path],
     )
     measured = observations(rows, campaign.measurements.noise.rows)
     residuals = {}
@@ -164,20 +198,43 @@ def _verify(outcome: Outcome, path: Path, noise: Noise) -> Verification:
     return Verification(path.name, rows, residuals, None)
 
 
+VERDICTS = {
+    "noise_floor": "what remains is consistent with the noise",
+    "structure_remains": "something repeatable remains",
+    "not_enough_data": "too few data for this model",
+}
+
+
 def summary(outcome: Outcome, console: Console) -> None:
     """Print the figures that matter."""
     pose = outcome.measurements.quaternion is not None
-    table = Table(title="error on rows never used" if outcome.parts()["test"].any() else "error on the rows used")
-    part = outcome.parts()["test"] if outcome.parts()["test"].any() else outcome.parts()["train"]
-    table.add_column("model")
-    for head in ("position RMS", "mean", "p95", "max", *(("rotation RMS", "p95") if pose else ())):
-        table.add_column(head, justify="right")
+    parts = outcome.parts()
+    name = "test" if parts["test"].any() else "train"
+    n = parts[name].sum()
+    table = Table(title=f"error on {n} rows {'never used' if name == 'test' else 'used'}", title_justify="left")
+    table.add_column("model", no_wrap=True)
+    for head in ("RMS", "p95", "max"):
+        table.add_column(f"{head}, mm", justify="right")
+    for head in ("RMS", "p95") if pose else ():
+        table.add_column(f"{head}, mrad", justify="right")
     for stage in outcome.stages:
-        e = errors(stage.residual, part)
-        cells = [f"{e['position_mm'][k]:.4g} mm" for k in ("rms", "mean", "p95", "max")]
-        cells += [f"{e['rotation_mrad'][k]:.4g} mrad" for k in ("rms", "p95")] if pose else []
+        e = errors(stage.residual, parts[name])
+        cells = [f"{e['position_mm'][k]:.3f}" for k in ("rms", "p95", "max")]
+        cells += [f"{e['rotation_mrad'][k]:.3f}" for k in ("rms", "p95")] if pose else []
         table.add_row(stage.name, *cells)
     console.print(table)
+    for effect in outcome.effects:
+        found = "declared" if effect.declared else "found"
+        rms = [
+            1e3 * float(np.sqrt(np.mean(np.sum(r[:, :3] ** 2, axis=1))))
+            for r in (effect.before, effect.after)
+            if len(r)
+        ]
+        gain = f": {rms[0]:.3f} mm without it, {rms[1]:.3f} mm with it" if rms else ""
+        console.print(f"{found}: {effect.effect.label} [{', '.join(effect.effect.motion)}]{gain}", markup=False)
+    console.print(f"verdict: {outcome.verdict}: {VERDICTS[outcome.verdict]}", markup=False)
+    for notice in outcome.notices[:8]:
+        console.print(f"note: {notice}", markup=False)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -195,7 +252,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _main(arguments: argparse.Namespace) -> None:
     console = Console()
     out = arguments.out or arguments.campaign.parent / "results"
-    check_writable(out)
+    check_writable(out, "folder")
     steps = Console(stderr=True)
     started = time.perf_counter()
 
@@ -203,11 +260,28 @@ def _main(arguments: argparse.Namespace) -> None:
         steps.print(f"[dim]{time.perf_counter() - started:5.1f} s  {step}[/dim]")
 
     outcome = identify(arguments.campaign, arguments.seed, arguments.verify, progress)
-    with atomic_folder(out) as folder:
+    with atomic_folder(out, replaces={"model.urdf", "fiducials.csv"}) as folder:
         progress("writing the results")
         write_results(outcome, folder)
+        write_report(outcome, folder / "report.html")
+        notices = write_scene(scene(outcome), folder / "scene.html")
     summary(outcome, console)
-    console.print(f"results: {out}", soft_wrap=True)
+    for notice in notices:
+        console.print(f"note: {notice}", markup=False)
+    console.print(f"report: {out / 'report.html'}", soft_wrap=True, markup=False, highlight=False)
+
+
+def scene(outcome: Outcome) -> Scene:
+    """What the picture shows: nominal and calibrated robot, measured targets, and every stage's prediction."""
+    fit, m, robot = outcome.stage("final").fit, outcome.measurements, outcome.robot
+    world = fit.model.rows(m.readings, m.covariates, m.station).world
+    T_world_base = np.array([frame.homogeneous for _, frame in fit.model.world_base])[world]
+    calibrated = parse_robot(stage_urdf(outcome.stage("geometric").fit), robot.tip, robot.base, robot.path)
+    predicted = {stage.name: m.position - stage.residual[:, :3] for stage in outcome.stages}
+    gravity = np.atleast_2d(fit.model.around.gravity)[0]
+    return Scene(
+        robot, calibrated, m.readings, T_world_base, m.position, predicted, m.test, outcome.outlier, m.line, gravity
+    )
 
 
 if __name__ == "__main__":

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
 from aridcal.campaign import Campaign
+from aridcal.effects import Effect
 from aridcal.measurements import Measurements
 from aridcal.residual import Sigma
 from aridcal.robot import Robot
@@ -85,6 +86,83 @@ class Verification:
 
 
 @dataclass(frozen=True)
+class Curve:
+    """An effect's motion over its covariate, with the rows behind it.
+
+    Attributes:
+        component: What moves.
+        unit: ``m`` or ``rad``.
+        covariate: What it depends on.
+        at: Values of the covariate, shape (G,).
+        value: The identified motion there, shape (G,).
+        std: Its standard deviation, shape (G,).
+        seen: Covariate of the rows, shape (N,).
+        pulled: Motion that each row asks for by itself: its residual pulled back to this place, shape (N,).
+    """
+
+    component: str
+    unit: str
+    covariate: str
+    at: np.ndarray
+    value: np.ndarray
+    std: np.ndarray
+    seen: np.ndarray
+    pulled: np.ndarray
+
+
+@dataclass(frozen=True)
+class NamedEffect:
+    """An effect that was accepted or declared.
+
+    Attributes:
+        effect: What, where, on what it depends; all its coefficients.
+        declared: True if the campaign named it.
+        p_value: After correction for the number of candidates, not below 1e-300.
+        before: Residuals of the test rows of the final model without it, refitted, shape (T, m).
+        after: The same with it.
+        confounded_with: Effects that these data cannot tell from it.
+        curves: Its motions over its covariates.
+    """
+
+    effect: Effect
+    declared: bool
+    p_value: float
+    before: np.ndarray
+    after: np.ndarray
+    confounded_with: tuple[Effect, ...]
+    curves: tuple[Curve, ...] = ()
+
+
+@dataclass(frozen=True)
+class Rejected:
+    """A candidate that was looked at closely and not taken."""
+
+    effect: Effect
+    p_value: float
+    gain: float
+    why: str
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """What the search for undeclared effects did.
+
+    Attributes:
+        effects: Accepted and declared effects, the largest gain first.
+        rejected: The best of those that were not taken.
+        barred: What could not be tested, and why: pairs of sentences.
+        tested: Number of candidates.
+        clues: Whether what remains is noise: (question, share of the variance, p-value).
+    """
+
+    effects: tuple[NamedEffect, ...]
+    rejected: tuple[Rejected, ...]
+    barred: tuple[tuple[str, str], ...]
+    tested: int
+    clues: tuple[tuple[str, float, float], ...]
+
+
+@dataclass(frozen=True)
 class Outcome:
     """The result of one campaign.
 
@@ -104,6 +182,7 @@ class Outcome:
         notices: Sentences that the user should read.
         seconds: Wall time.
         verification: Another day's data, if it was given.
+        diagnosis: The search for undeclared effects.
     """
 
     campaign: Campaign
@@ -121,7 +200,12 @@ class Outcome:
     notices: tuple[str, ...]
     seconds: float
     verification: Verification | None = None
-    effects: tuple[object, ...] = field(default=())
+    diagnosis: Diagnosis | None = None
+
+    @property
+    def effects(self) -> tuple[NamedEffect, ...]:
+        """Accepted and declared effects."""
+        return () if self.diagnosis is None else self.diagnosis.effects
 
     def stage(self, name: str) -> Stage:
         """The first or last stage of that name."""

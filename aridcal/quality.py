@@ -9,14 +9,15 @@ from aridcal.outcome import Precision, Repeats
 from aridcal.residual import Sigma, robust_sigma
 from aridcal.robot import Robot
 from aridcal.solver import Data, Fit, Noise, minimise
+from aridcal.source import Kind
 
 REACH_SAMPLES = 300
 
 
-def joint_kinds(robot: Robot) -> list[str]:
+def joint_kinds(robot: Robot) -> tuple[Kind, ...]:
     """Kind of each reading column: ``revolute``, ``prismatic`` or ``continuous``."""
-    by_reading = {j.reading: "continuous" if j.continuous else j.kind for j in reversed(robot.joints)}
-    return [by_reading[name] for name in robot.readings]
+    by_reading: dict[str, Kind] = {j.reading: "continuous" if j.continuous else j.kind for j in reversed(robot.joints)}
+    return tuple(by_reading[name] for name in robot.readings)
 
 
 def joint_limits(robot: Robot) -> np.ndarray:
@@ -30,7 +31,7 @@ def repeats(robot: Robot, rows: Measurements, residual: np.ndarray) -> Repeats |
 
     Residuals, not raw poses, are compared: readings of repeats differ a little, and the model knows how much.
     """
-    label = blocks(rows.readings, joint_kinds(robot))  # type: ignore[arg-type]
+    label = blocks(rows.readings, joint_kinds(robot))
     size = np.bincount(label)
     own = size[label] > 1
     groups = int((size > 1).sum())
@@ -57,7 +58,7 @@ def accuracy(robot: Robot, rows: Measurements, residual: np.ndarray) -> np.ndarr
     """
     if len(rows) == 0:
         return np.empty(0)
-    label = blocks(rows.readings, joint_kinds(robot))  # type: ignore[arg-type]
+    label = blocks(rows.readings, joint_kinds(robot))
     total = np.stack([np.bincount(label, axis) for axis in residual[:, :3].T], axis=1)
     return np.asarray(np.linalg.norm(total / np.bincount(label)[:, None], axis=1))
 
@@ -89,7 +90,7 @@ def target_sigma(fit: Fit, data: Data) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _halves(fit: Fit, train: Measurements, data: Data, noise: Noise) -> tuple[float, float]:
-    label = blocks(train.readings, joint_kinds(fit.model.robot))  # type: ignore[arg-type]
+    label = blocks(train.readings, joint_kinds(fit.model.robot))
     side = np.random.default_rng(0).permutation(int(label.max()) + 1)[label] % 2 == 0
     count = len(fit.theta)
     if count == 0 or min(side.sum(), (~side).sum()) * data.measured.position.shape[1] < 2 * count:

@@ -159,13 +159,11 @@ class Found:
     Attributes:
         state: The final set.
         rejected: The best of those that were not taken, and why.
-        confounded: For each active effect, the candidates that these data cannot tell from it.
         tested: Number of candidates.
     """
 
     state: State
     rejected: tuple[Verdict, ...]
-    confounded: tuple[tuple[Effect, ...], ...]
     tested: int
 
 
@@ -180,16 +178,28 @@ def search(bench: Bench, library: Sequence[Effect], start: State, most: int = MO
     """
     state, most = start, most + len(start.active)
     rejected: tuple[Verdict, ...] = ()
-    small = bench.r.size * len(library) < 1e6
-    for _ in range(4 if small else 2):
+    small = is_small(bench, library)
+    for _ in range(4 if small else 1):
         state, rejected = _forward(bench, library, state, most, small)
-        tidied = _tidy(bench, library, state)
+        tidied = _tidy(bench, library, state, 2 if small else 1)
         same = [a.effect for a in tidied.active] == [a.effect for a in state.active]
         state = tidied
         if same:
             break
-    confounded = tuple(_twins(bench, library, state, k) for k in range(len(state.active)))
-    return Found(state, rejected, confounded, len(library))
+    return Found(state, rejected, len(library))
+
+
+def is_small(bench: Bench, library: Sequence[Effect]) -> bool:
+    """True where every choice can be tried again after each step in little time."""
+    return bench.r.size * len(library) < 1e6
+
+
+def twins(bench: Bench, library: Sequence[Effect], state: State) -> tuple[tuple[Effect, ...], ...]:
+    """For each effect, the candidates that would do about as well in its place."""
+    small = is_small(bench, library)
+    return tuple(
+        _twins(bench, library, state, k) if small or not a.effect.smooth else () for k, a in enumerate(state.active)
+    )
 
 
 def solve_state(bench: Bench, active: Sequence[Active], sigma: Sigma, weight: np.ndarray) -> State:
@@ -224,6 +234,11 @@ def activate(bench: Bench, state: State, effect: Effect, found: Score) -> Active
     U, s, _ = np.linalg.svd(root * found.tau, full_matrices=False)
     seen = s**2 * float(np.einsum("nmd,nmd->", C, C)) / C.shape[2]
     return Active(effect, found, (U * s)[:, seen > FAINT])
+
+
+def admitted(bench: Bench, state: State, effect: Effect) -> Active:
+    """An effect that is taken without trial, with the shape that suits the data if it is smooth."""
+    return activate(bench, state, effect, _scores(bench, [effect], state)[0])
 
 
 def rank(bench: Bench, library: Sequence[Effect], state: State) -> list[tuple[Effect, Score]]:
@@ -261,14 +276,14 @@ def _forward(
             break
         state = solve_state(bench, (*state.active, chosen), state.solution.sigma, state.weight)
         if small and len(state.active) > 1:
-            state = _tidy(bench, library, state)
+            state = _tidy(bench, library, state, 1)
     return state, rejected
 
 
-def _tidy(bench: Bench, library: Sequence[Effect], state: State) -> State:
+def _tidy(bench: Bench, library: Sequence[Effect], state: State, rounds: int) -> State:
     """Take each effect out in turn: drop it if it is not missed, exchange it if another does better in its place."""
     known = set(library)
-    for _ in range(2):
+    for _ in range(rounds):
         before = [a.effect for a in state.active]
         for effect in before:
             active = [a for a in state.active if a.effect != effect]

@@ -113,6 +113,7 @@ class Fit:
         candidates: All coefficients that were asked for.
         redundant: For each that was dropped: the names of those it cannot be told from.
         convergence: How well the minimum was found.
+        spent: Degrees of freedom used up: K, or less where priors shrink.
     """
 
     model: Model
@@ -125,6 +126,7 @@ class Fit:
     candidates: tuple[Coefficient, ...]
     redundant: dict[str, tuple[str, ...]]
     convergence: Convergence
+    spent: float
 
     @property
     def std(self) -> np.ndarray:
@@ -138,8 +140,8 @@ class Fit:
 
     @property
     def freedom(self) -> float:
-        """Degrees of freedom left: numbers measured minus coefficients."""
-        return float((~self.outliers).sum() * self.residual.shape[1] - len(self.theta))
+        """Degrees of freedom left: numbers measured minus those used up."""
+        return float((~self.outliers).sum() * self.residual.shape[1] - self.spent)
 
 
 @dataclass(frozen=True)
@@ -242,6 +244,7 @@ def fit(
     return Fit(
         model, theta, covariance, point.sigma, _estimate(point.sums, point.sigma, prior), point.sums.weight,
         point.sums.residual, model.coefficients, {}, Convergence(steps, point.gradient, condition),
+        float(np.sum(covariance * point.sums.hessian(point.sigma))),
     )  # fmt: skip
 
 
