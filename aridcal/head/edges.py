@@ -7,7 +7,7 @@ image of the fiducial's centre, not the centroid of its image, so that the persp
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -85,6 +85,10 @@ class Fits:
     edge_weight: np.ndarray
     theta: np.ndarray
 
+    def __getitem__(self, which: np.ndarray) -> Fits:
+        """Select fits."""
+        return Fits(*(getattr(self, f.name)[which] for f in fields(self)))
+
     @property
     def growth(self) -> np.ndarray:
         """By how much each edge lies further out than it should, shape (F,), [px]."""
@@ -132,7 +136,9 @@ def fit_outlines(image: np.ndarray, shapes: Shapes, start: Fits | None = None, g
         J[:4] = contrast * slope
         r = pixels.grey - np.sum(J[[4, 5, 6, 10, 11]] * light[[4, 5, 6, 10, 11]], axis=0) - contrast * model
         size = np.abs(r)
-        noise = 1.4826 * np.array([np.partition(size[part], len(size[part]) // 2)[len(size[part]) // 2] for part in parts])
+        noise = 1.4826 * np.array(
+            [np.partition(size[part], len(size[part]) // 2)[len(size[part]) // 2] for part in parts]
+        )
         gross = step < gross_steps
         settled = start is not None
         level = np.abs(theta[:, 7])
@@ -241,7 +247,8 @@ def _edges(pixels: _Pixels, shapes: Shapes, theta: np.ndarray) -> tuple[np.ndarr
         delta = pixels.spread((np.sum(c[:, 1:3] ** 4, axis=1) / 240) ** 0.25)
         inverse_sigma = 1 / np.sqrt(np.maximum(theta[3] + PIXEL_VARIANCE - delta**2, 0.01))
         half = pixels.spread(0.5 / pitch) + theta[2]
-        cover, by_d, by_variance = -1, [], 0
+        cover, by_variance = np.float32(-1), np.float32(0)
+        by_d = []
         for t in (half - place, half + place):
             t1, t2 = (t + delta) * inverse_sigma, (t - delta) * inverse_sigma
             (cdf1, pdf1), (cdf2, pdf2) = _normal(t1), _normal(t2)

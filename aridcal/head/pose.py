@@ -7,14 +7,16 @@ covariance is that of a twist (linear, angular) of the square in its own frame, 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
+from scipy.stats import chi2
 
 from aridcal.head.camera import REPORT_OPENCV, on_plane, project_jacobian
 from aridcal.head.sonar import Measures, Plane, predict_ranges
 
+STANDS_OUT = 5.0  # sigma
 MISFIT_P = 1e-4  # a chi-square less likely than this is no noise: the model, the lens or a sonar is wrong
 
 
@@ -145,6 +147,66 @@ def fit_pose(
         chi2=float(np.sum(np.einsum("mij,mj->mi", whiten, r) ** 2)),
         dof=2 * len(points) - float(np.trace(covariance @ seen.T @ seen)),
     )
+
+
+def robust_pose(
+    points: np.ndarray,
+    pixels: np.ndarray,
+    covariances: np.ndarray,
+    sonars: Sonars,
+    intrinsics: np.ndarray,
+    start: np.ndarray,
+) -> tuple[Pose, np.ndarray]:
+    """Fit the pose as ``fit_pose`` does, without the image points that stand out from the others.
+
+    Returns:
+        The pose, and which points were used, shape (M,).
+
+    A point stands out by its own noise *and* by the misfit of the others: a lens that is not quite as declared moves all of
+    them a little, and is no reason to drop any.
+    """
+    used = np.ones(len(points), dtype=bool)
+    T = start
+    while True:
+        pose = fit_pose(points[used], pixels[used], covariances[used], sonars, intrinsics, T)
+        T = pose.T_camera_square
+        _, J, _ = predict_pixels(T, points[used], intrinsics)
+        spread = covariances[used] - 0.999 * J @ pose.covariance @ np.swapaxes(J, 1, 2)
+        distance2 = np.einsum(
+            "mi,mi->m", pose.pixel_residuals, np.linalg.solve(spread, pose.pixel_residuals[..., None])[..., 0]
+        )
+        worst = int(np.argmax(distance2))
+        common = max(1.0, float(np.median(distance2)) / (2 * np.log(2)))
+        if np.count_nonzero(used) <= 3 or distance2[worst] < STANDS_OUT**2 * common:
+            return pose, used
+        used[np.flatnonzero(used)[worst]] = False
+
+
+def measure_pose(
+    points: np.ndarray,
+    pixels: np.ndarray,
+    covariances: np.ndarray,
+    sonars: Sonars,
+    intrinsics: np.ndarray,
+    start: np.ndarray,
+) -> Pose:
+    """Measure the pose as ``robust_pose`` does, with a covariance that owns up to a misfit.
+
+    Where the image points do not fit together by more than their noise, the covariance grows by their chi-square. Where camera
+    and sonars contradict each other (a lens, a sonar or their mounting is not as declared, and one shot can not tell which)
+    what they differ by is itself taken for an error of one sigma.
+    """
+    pose, _ = robust_pose(points, pixels, covariances, sonars, intrinsics, start)
+    covariance = pose.covariance
+    if pose.dof > 0 and chi2.sf(pose.chi2, pose.dof) < MISFIT_P:
+        covariance = covariance * pose.chi2 / pose.dof
+    r = pose.range_residuals / sonars.std
+    if r @ r > chi2.isf(MISFIT_P, max(len(r), 1)):
+        _, J = predict_ranges(pose.T_camera_square, sonars.positions, sonars.measures)
+        off = np.zeros(6)
+        off[2:5] = np.linalg.lstsq(J[:, 2:5], pose.range_residuals, rcond=None)[0]
+        covariance = covariance + np.outer(off, off)
+    return replace(pose, covariance=covariance)
 
 
 def predict_pixels(

@@ -70,7 +70,7 @@ def fit_plane(h: np.ndarray, positions: np.ndarray, measures: Measures) -> Plane
             if abs(n_z - last) < 1e-15:
                 break
         normal = np.array([n_x, n_y, n_z])
-    return Plane(normal, float(distance), h - ranges(normal, distance, positions, measures))
+    return Plane(normal, float(distance), h - ranges(normal, float(distance), positions, measures))
 
 
 def predict_ranges(

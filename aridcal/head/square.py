@@ -8,7 +8,7 @@ place: (-1.75, +1.75) in follows from symmetry.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -92,6 +92,10 @@ class Layout:
     def __len__(self) -> int:
         """Count the fiducials."""
         return len(self.square)
+
+    def __getitem__(self, which: np.ndarray) -> Layout:
+        """Select fiducials."""
+        return Layout(*(getattr(self, f.name)[which] for f in fields(self)))
 
     @property
     def corners(self) -> np.ndarray:

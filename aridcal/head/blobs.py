@@ -1,0 +1,136 @@
+"""Marks that may be fiducials: blobs of the right area and shape (the report's FID, step 1, section 5.4).
+
+The area to expect follows from the sonars' plane, area in px = f² xi A / Z³, so that a centre fiducial and a perimeter one,
+twice as small, are told apart by the report's threshold between them and not by equality.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from aridcal.head.camera import REPORT_OPENCV, on_plane, project
+from aridcal.head.sonar import Plane
+from aridcal.head.square import CENTRE_FIDUCIAL, INCH, SIZES
+
+SMALL_AREA, CENTRE_AREA = INCH**2 / 16, INCH**2 / 8
+BETWEEN_AREAS = np.sqrt(SMALL_AREA * CENTRE_AREA)  # n² / (8 sqrt 2) px in the report's units
+AREA_TOLERANCE = 1.7  # times too large or too small: blur, the threshold, a sonar's fault
+SMALL_ASPECT, CENTRE_ASPECT = 1.4, (1.45, 2.8)
+FILLED = (0.85, 1.15)  # area over that of the rectangle with the same second moments
+MIN_CONTRAST = 8.0  # [grey levels], and as many standard deviations of the smoothed noise
+MAX_BLOBS = 60  # of the right size: more of them are texture
+
+
+class Blobs(NamedTuple):
+    """Candidates, in the image and on the sonars' plane.
+
+    Attributes:
+        pixels: Centroids, shape (B, 2).
+        places: The same on the plane as x + i y, shape (B,), [m]: the optical axis meets the plane at 0, x to the right.
+        is_centre: Which have the size and shape of a centre fiducial, shape (B,).
+        angles: Of the long side on the plane, shape (B,), [rad], modulo pi.
+    """
+
+    pixels: np.ndarray
+    places: np.ndarray
+    is_centre: np.ndarray
+    angles: np.ndarray
+
+
+def smooth(image: np.ndarray) -> np.ndarray:
+    """Remove isolated wrong pixels and some of the noise, uint8."""
+    return cv2.GaussianBlur(cv2.medianBlur(image, 3), (3, 3), 0)
+
+
+def find_blobs(smoothed: np.ndarray, dark: bool, intrinsics: np.ndarray, plane: Plane) -> Blobs:
+    """Find the blobs that have the area and the shape of fiducials.
+
+    Args:
+        smoothed: From ``smooth``, shape (height, width).
+        dark: Look for black on white, else for white on black.
+        intrinsics: In the order of ``camera.INTRINSICS``, shape (9,).
+        plane: What the sonars say.
+
+    Returns:
+        The candidates. Each pixel is compared with the middle between the darkest and the brightest one near it, so that
+        uneven light does not matter.
+    """
+    scale = intrinsics[0] / plane.distance
+    width = int(1.5 * SIZES[CENTRE_FIDUCIAL - 1, 0] * scale) | 1  # wider than the narrowest way out of any fiducial
+    kernel = np.ones((width, 1), np.uint8)
+    low, high = (f(f(smoothed, kernel), kernel.T) for f in (cv2.erode, cv2.dilate))
+    noise = np.median(np.abs(smoothed[::4, :-3:4].astype(float) - smoothed[::4, 3::4])) / 0.95
+    enough = cv2.subtract(high, low) > MIN_CONTRAST * max(noise, 1.0)
+    middle = cv2.addWeighted(low, 0.5, high, 0.5, 0)
+    marks = ((smoothed < middle) if dark else (smoothed > middle)) & enough
+    _, labels, boxes, middles = cv2.connectedComponentsWithStats(marks.view(np.uint8), connectivity=4)
+    x, y, w, h, area = boxes.T.astype(float)
+    limits = SMALL_AREA * scale**2 / AREA_TOLERANCE**1.5, CENTRE_AREA * scale**2 * AREA_TOLERANCE**1.5
+    inside = (x > 0) & (y > 0) & (x + w < smoothed.shape[1]) & (y + h < smoothed.shape[0])
+    chosen = np.flatnonzero(inside & (area > limits[0]) & (area < limits[1]) & (area > 0.3 * w * h))
+    if not 0 < len(chosen) <= 4 * MAX_BLOBS:
+        return Blobs(np.zeros((0, 2)), np.zeros(0, complex), np.zeros(0, bool), np.zeros(0))
+    spreads = np.array([_second_moments(labels, boxes[k], int(k)) for k in chosen])
+    pixels, area = middles[chosen], area[chosen]
+    variances, axes = np.linalg.eigh(spreads)
+    short, long = np.sqrt(12 * np.maximum(variances - 1 / 12, 0.1)).T
+    points = np.stack([pixels, pixels + axes[:, :, 1]])
+    places = on_plane(points, intrinsics, plane.normal, plane.distance)
+    area_m2 = area * np.abs(places[0, :, 2]) ** 3 / (intrinsics[0] * intrinsics[1] * plane.distance)  # px to m²
+    aspect = long / short
+    filled = (area / (short * long) > FILLED[0]) & (area / (short * long) < FILLED[1])
+    is_centre = (area_m2 > BETWEEN_AREAS) & (area_m2 < CENTRE_AREA * AREA_TOLERANCE)
+    is_centre &= (aspect > CENTRE_ASPECT[0]) & (aspect < CENTRE_ASPECT[1])
+    is_small = (
+        (area_m2 < SMALL_AREA * AREA_TOLERANCE) & (area_m2 > SMALL_AREA / AREA_TOLERANCE) & (aspect < SMALL_ASPECT)
+    )
+    keep = filled & (is_centre | is_small)
+    right, up, axis = _plane_axes(plane)
+    flat = (places[:, keep] - axis) @ (right + 1j * up)
+    return Blobs(pixels[keep], flat[0], is_centre[keep], np.angle(flat[1] - flat[0]))
+
+
+def is_blank(
+    smoothed: np.ndarray, dark: bool, intrinsics: np.ndarray, plane: Plane, places: np.ndarray, turn: complex
+) -> np.ndarray:
+    """Tell at which places on the plane there plainly is bare paper where a small fiducial should be.
+
+    Args:
+        smoothed: From ``smooth``, shape (height, width).
+        dark: Whether fiducials are darker than the paper.
+        intrinsics: In the order of ``camera.INTRINSICS``, shape (9,).
+        plane: What the sonars say.
+        places: As in ``Blobs``, shape (M,), [m].
+        turn: Of the square on the plane, of modulus 1.
+
+    Returns:
+        Shape (M,); False where the place is not wholly in view, or covered by something that is not like the paper.
+    """
+    right, up, axis = _plane_axes(plane)
+    side = np.linspace(-0.8, 0.8, 9) * SIZES[0, 0]  # the fiducial and some paper around it
+    spots = places[:, None] + turn * (side[:, None] + 1j * side).ravel()
+    points = axis + spots.real[..., None] * right + spots.imag[..., None] * up
+    uv = np.rint(project(points @ REPORT_OPENCV, intrinsics)).astype(int)
+    height, width = smoothed.shape
+    seen = np.all((uv >= 0) & (uv < [width, height]), axis=(1, 2))
+    u, v = np.clip(uv, 0, [width - 1, height - 1]).T
+    grey = smoothed[v, u].astype(float)  # (81, M)
+    paper, ink = (np.percentile(smoothed[::4, ::4], q) for q in ((90, 2) if dark else (10, 98)))
+    level = np.abs(grey - paper) < 0.35 * abs(paper - ink)
+    return seen & np.all(level, axis=0) & (np.ptp(grey, axis=0) < 0.25 * abs(paper - ink))
+
+
+def _plane_axes(plane: Plane) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the plane's axes to the right and up and where the optical axis meets it, in the report's camera frame."""
+    right = np.array([1.0, 0, 0]) - plane.normal[0] * plane.normal
+    right /= np.linalg.norm(right)
+    return right, np.cross(plane.normal, right), np.array([0, 0, -plane.distance / plane.normal[2]])
+
+
+def _second_moments(labels: np.ndarray, box: np.ndarray, label: int) -> np.ndarray:
+    x, y, w, h, _ = box
+    m = cv2.moments((labels[y : y + h, x : x + w] == label).view(np.uint8), binaryImage=True)
+    return np.array([[m["mu20"], m["mu11"]], [m["mu11"], m["mu02"]]]) / m["m00"]
