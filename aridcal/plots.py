@@ -202,6 +202,38 @@ def profile(key: str, alt: str, x: np.ndarray, values: Mapping[str, np.ndarray],
     return _with_legend(figure, axes)
 
 
+@_figure
+def curve(
+    key: str,
+    alt: str,
+    at: np.ndarray,
+    value: np.ndarray,
+    std: np.ndarray,
+    rows: tuple[np.ndarray, np.ndarray],
+    labels: tuple[str, str],
+) -> Figure:
+    """A function with its band of two standard deviations, and the rows behind it.
+
+    Args:
+        key: Of the figure, unique in the page.
+        alt: What the figure shows, for those who cannot see it.
+        at: Where the function was evaluated, shape (G,).
+        value: The function there, shape (G,).
+        std: Its standard deviation, shape (G,).
+        rows: Where each row stands and what it asks for, shape (N,) each; the wildest two in a hundred are cut off.
+        labels: Of the two axes, with their units.
+    """
+    figure, axes = _axes()
+    _dots(axes, *rows, GREY, label="rows", alpha=0.25)
+    axes.fill_between(at, value - 2 * std, value + 2 * std, color=AFTER, alpha=0.25, linewidth=0)
+    axes.plot(at, value, color=AFTER, linewidth=2.0, label="identified, ± 2σ")
+    low, high = np.percentile(rows[1], [1, 99]) if len(rows[1]) else (0.0, 0.0)
+    low, high = min(low, float((value - 2 * std).min())), max(high, float((value + 2 * std).max()))
+    room = 0.06 * (high - low) or 1.0
+    axes.set(xlabel=labels[0], ylabel=labels[1], ylim=(low - room, high + room))
+    return _with_legend(figure, axes)
+
+
 def _axes(width: float = WIDTH, height: float = HEIGHT, left: float = 0.14, top: float = 0.3) -> tuple[Figure, Axes]:
     """One figure with one pair of axes; ``left`` is a share of the width, ``top`` in inches."""
     from matplotlib.figure import Figure

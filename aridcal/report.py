@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from aridcal import __version__, sections
+from aridcal.dependence import depends
 from aridcal.doty import Link, doty_links
 from aridcal.effects import FRAME_COMPONENTS, LINK_COMPONENTS
 from aridcal.export import frames, parameters
@@ -50,7 +51,7 @@ def page(outcome: Outcome) -> Html:
         ("separable", "2. What can be told apart?", sections.separable),
         ("enough", "3. Is there enough data, in the right places?", sections.enough),
         ("fits", "4. Does the model fit?", sections.fits),
-        ("depends", "5. If not, on what does the rest depend?", sections.depends),
+        ("depends", "5. If not, on what does the rest depend?", depends),
         ("remains", "6. What remains, and where not to trust it?", sections.remains),
         ("parameters", "What was identified", identified),
         ("use", "How to use the result", use),
@@ -128,12 +129,14 @@ def _why(outcome: Outcome) -> Iterator[Content]:
     square = [(s.name, errors(s.residual, mask)["position_mm"]["rms"] ** 2) for s in outcome.stages]
     fit = outcome.stage("geometric").fit
     found = [p for p in parameters(fit) if p["status"] == "identified" and not _of_frame(p["name"])]
+    effects = ", ".join(e.effect.label for e in outcome.effects)
     for (_, before), (name, after) in pairwise(square):
-        if name == "final" or not square[0][1] > 0:
-            continue
-        share = 100 * (before - after) / square[0][1]
-        what = f"{counted(len(found), 'constant')} of the geometry" if name == "geometric" else name
-        yield f"{what} explain{'s' if what == name else ''} {share:.0f} % of the squared position error. "
+        what = {
+            "geometric": f"{counted(len(found), 'constant')} of the geometry",
+            "final": f"{counted(len(outcome.effects), 'effect')} ({effects})",
+        }.get(name, name)
+        if before != after:
+            yield f"{what}: {100 * (before - after) / square[0][1]:.0f} % of the squared position error. "
     largest = [
         max((p for p in found if p["unit"] == unit), key=lambda p: abs(p["value"]), default=None)
         for unit in ("rad", "m")
@@ -247,7 +250,7 @@ def identified(outcome: Outcome) -> Iterator[Content]:
         tag("code", "tip_target"), " where the measured target sits on the tip. Their ± is a twist in the frame's own "
         "axes. Neither is in the URDF.",
     )  # fmt: skip
-    status = {p["name"]: p["status"] for p in parameters(outcome.stage("final").fit)}
+    status = {p["name"]: p["status"] for p in parameters(fit)}
     found = frames(outcome.stage("final"))
     shown = list(found.items())[:MOST_FRAMES]
     yield tag("div", [_frame(name, frame, status) for name, frame in shown], class_="links")

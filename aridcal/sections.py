@@ -1,4 +1,4 @@
-"""The six questions that a report answers, in their order; each function gives one answer."""
+"""The questions that a report answers, in their order, one function each; the fifth has its own module."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from aridcal.markup import Content, Html, bullets, counted, figures, fixed, number, table, tag
 from aridcal.outcome import STATISTICS, Outcome, Stage, errors, statistics
-from aridcal.plots import clouds, coverage, field, histogram, profile
+from aridcal.plots import clouds, coverage, field, histogram
 from aridcal.quality import accuracy, joint_kinds, joint_limits
 
 ERRORS = {"position_mm": "position error [mm]", "rotation_mrad": "rotation error [mrad]"}
@@ -104,7 +104,7 @@ def _flagged(outcome: Outcome) -> list[Content]:
 def _row_table(outcome: Outcome, rows: np.ndarray, head: str, words: list[str], caption: str) -> Html:
     """Some rows, how far the final model misses them, and a word on each."""
     m, last = outcome.measurements, outcome.stages[-1].residual
-    off = _norms(last[rows])
+    off = norms(last[rows])
     lines = [
         [
             f"{m.files[m.file[k]].name}, line {m.line[k]}",
@@ -117,24 +117,28 @@ def _row_table(outcome: Outcome, rows: np.ndarray, head: str, words: list[str], 
     return table(["row", "part", head, *list(ERRORS.values())[: len(off)]], lines, caption, numbers=3)
 
 
-def _norms(residual: np.ndarray) -> list[np.ndarray]:
+def norms(residual: np.ndarray) -> list[np.ndarray]:
     """Position error [mm] and, for poses, rotation error [mrad] of each row."""
     return [1e3 * np.linalg.norm(residual[:, k : k + 3], axis=1) for k in range(0, residual.shape[1], 3)]
 
 
 def separable(outcome: Outcome) -> Iterator[Content]:
     """2: what can be told apart?"""
-    fit = outcome.stage("final").fit
-    c = fit.convergence
+    fit = outcome.stage("geometric").fit
+    fits = {name: stage.fit for name, stage in distinct(outcome) if stage.name != "nominal"}
     facts = {
-        "coefficients asked for": f"{len(fit.candidates):,}",
-        "identified (the rank)": f"{len(fit.theta):,}",
-        "condition number, each column scaled to length 1": number(c.condition),
-        "steps to the minimum": f"{c.steps:,}",
-        "largest step that the gradient still asks for, in sigmas": number(c.gradient, 2),
-        "other starts that led to the same minimum": f"{c.agreed} of {c.restarts}" if c.restarts else "none tried",
+        "coefficients asked for": [f"{len(f.candidates):,}" for f in fits.values()],
+        "identified (the rank)": [f"{len(f.theta):,}" for f in fits.values()],
+        "condition number, each column scaled to length 1": [number(f.convergence.condition) for f in fits.values()],
+        "steps to the minimum": [f"{f.convergence.steps:,}" for f in fits.values()],
+        "step that the gradient still asks for, in sigmas": [number(f.convergence.gradient, 2) for f in fits.values()],
+        "other starts that led to the same minimum": [
+            f"{f.convergence.agreed} of {f.convergence.restarts}" if f.convergence.restarts else "none tried"
+            for f in fits.values()
+        ],
     }
-    yield table(["solution", ""], [[what, value] for what, value in facts.items()], "How the minimum was found")
+    found: list[list[Content]] = [[what, *values] for what, values in facts.items()]
+    yield table(["solution", *fits], found, "How the minimum was found")
     if not fit.redundant:
         yield tag("p", "Everything that was asked for can be told apart.")
         return
@@ -247,7 +251,7 @@ def fits(outcome: Outcome) -> Iterator[Content]:
     yield tag("h3", f"Before and after, on {words}")
     drawn = []
     for k, (key, what) in enumerate(list(ERRORS.items())[: first.shape[1] // 3]):
-        pair = {name: _norms(residual)[k] for name, residual in names.items()}
+        pair = {name: norms(residual)[k] for name, residual in names.items()}
         alt = f"Histogram of the {what} before and after calibration"
         drawn.append((what.capitalize(), histogram(key, alt, pair, what)))
     yield figures(drawn)
@@ -272,7 +276,7 @@ def fits(outcome: Outcome) -> Iterator[Content]:
 
     yield tag("h3", "Over the workspace")
     yield _workspace(outcome)
-    worst = np.flatnonzero(mask)[np.argsort(-_norms(last)[0], kind="stable")[:5]]
+    worst = np.flatnonzero(mask)[np.argsort(-norms(last)[0], kind="stable")[:5]]
     readings = [_configuration(outcome, k) for k in worst]
     yield _row_table(outcome, worst, "configuration", readings, f"The worst of the {words}, after calibration")
 
@@ -328,7 +332,7 @@ def halves_agree(outcome: Outcome) -> bool:
 
 def _workspace(outcome: Outcome) -> Content:
     rows = ~outcome.outlier
-    error = _norms(outcome.stages[-1].residual[rows])[0]
+    error = norms(outcome.stages[-1].residual[rows])[0]
     points = outcome.measurements.position[rows]
     drawn = []
     for a, b in ((0, 1), (0, 2), (1, 2)):
@@ -342,29 +346,6 @@ def _workspace(outcome: Outcome) -> Content:
 def _configuration(outcome: Outcome, row: int) -> str:
     readings = zip(outcome.measurements.readings[row], joint_kinds(outcome.robot), strict=True)
     return ", ".join(_reading(value, kind) for value, kind in readings)
-
-
-def depends(outcome: Outcome) -> Iterator[Content]:
-    """5: if it does not fit, on what does the rest depend?"""
-    rows = ~outcome.outlier
-    first, last = _norms(outcome.stages[0].residual[rows]), _norms(outcome.stages[-1].residual[rows])
-    yield tag(
-        "p",
-        "Lines are the RMS of the rows in slices of equal width. Where only noise is left, the line after "
-        "calibration is flat; where it rises or waves, something that depends on this joint may be left.",
-    )
-    for k, (key, what) in enumerate(list(ERRORS.items())[: len(last)]):
-        drawn = []
-        for i, (name, kind) in enumerate(zip(outcome.robot.readings, joint_kinds(outcome.robot), strict=True)):
-            unit, scale = ("m", 1.0) if kind == "prismatic" else ("°", 180 / math.pi)
-            q = scale * outcome.measurements.readings[rows, i]
-            pair = {"before calibration": first[k], "after": last[k]}
-            alt = f"{what} against {name}, before and after calibration"
-            drawn.append((
-                [f"{what.split(' [')[0].capitalize()} against ", tag("code", name)],
-                profile(f"{key}-{i}", alt, q, pair, (f"{name} [{unit}]", what)),
-            ))  # fmt: skip
-        yield figures(drawn)
 
 
 def remains(outcome: Outcome) -> Iterator[Content]:
