@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -23,6 +24,8 @@ from aridcal.settings import parse_settings
 # libyaml where PyYAML was built with it: a covariance of a hundred coefficients is ten thousand numbers.
 Loader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 Dumper: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
+
+LAYOUT = "lower triangle row by row, float64, little endian, base64"
 
 
 class _Block(str):
@@ -167,7 +170,7 @@ def _solved_document(solved: SolvedModel) -> dict[str, Any]:
             }
             for k, c in enumerate(model.coefficients)
         ],
-        "covariance": [_floats(row) for row in solved.covariance],
+        "covariance": {"layout": LAYOUT, "data": _packed(solved.covariance)},
     }
 
 
@@ -194,7 +197,7 @@ def _parse(document: Any) -> Calibration:
         around = Surroundings(*(np.array(part["loads"][key], dtype=float) for key in ("gravity", "payload_at")))
         model = Model(robot, coefficients, _frames(part["world_base"]), _frames(part["tip_target"]), around)
         count = len(entries)
-        covariance = np.array(part["covariance"], dtype=float).reshape(count, count)
+        covariance = _unpacked(part["covariance"]["data"], count)
         return SolvedModel(model, np.array([e["value"] for e in entries], dtype=float), covariance)
 
     gravity = about["gravity"]
@@ -213,6 +216,17 @@ def _frames(entries: list[dict[str, Any]]) -> Frames:
     return tuple(
         (e["station"], pin.SE3(pin.Quaternion(np.array(e["quaternion"])).matrix(), np.array(e["xyz"]))) for e in entries
     )
+
+
+def _packed(covariance: np.ndarray) -> str:
+    lower = covariance[np.tril_indices(len(covariance))]
+    return base64.b64encode(lower.astype("<f8").tobytes()).decode("ascii")
+
+
+def _unpacked(data: str, count: int) -> np.ndarray:
+    covariance = np.zeros((count, count))
+    covariance[np.tril_indices(count)] = np.frombuffer(base64.b64decode(data), dtype="<f8")
+    return covariance + np.tril(covariance, -1).T
 
 
 def _encoding(urdf: bytes) -> str:

@@ -45,7 +45,8 @@ class Diagnosed:
 
     Attributes:
         fit: Constants and effects, fitted together on the exact model.
-        bench: The model linearised where it was last searched.
+        linearised_at: Where the model was linearised for the last search.
+        bench: That linearised model.
         scene: The training rows' covariates.
         found: The search's result.
         confounded: For each active effect, the candidates that these data cannot tell from it.
@@ -54,6 +55,7 @@ class Diagnosed:
     """
 
     fit: Fit
+    linearised_at: Fit
     bench: Bench
     scene: Scene
     found: Found
@@ -93,7 +95,7 @@ def diagnose(
     named = [e for e in named if (e.kind, e.where, e.with_, e.by) not in taken]
     if named:
         progress(f"testing {len(named)} candidate effects")
-    current = geometric
+    current = at = geometric
     bench = linear_bench(bound, current, (), [*named, *unnamed, *stated], scene)
     state = solve_state(bench, (), current.sigma, current.weight)
     for effect in stated:
@@ -111,9 +113,10 @@ def diagnose(
         current = refit(bound, state, current, noise)
         if not is_small(bench, named):
             break
-        bench = linear_bench(bound, current, state.active, [*named, *unnamed, *stated], scene)
+        at = current
+        bench = linear_bench(bound, at, state.active, [*named, *unnamed, *stated], scene)
         state = solve_state(bench, state.active, state.solution.sigma, state.weight)
-    return Diagnosed(current, bench, scene, found, twins(bench, named, state), tuple(stated), tuple(barred))
+    return Diagnosed(current, at, bench, scene, found, twins(bench, named, state), tuple(stated), tuple(barred))
 
 
 def look(bound: Bound) -> tuple[Scene, list[Barred]]:

@@ -9,8 +9,9 @@ import numpy as np
 from aridcal.catalogue import Scene, merged
 from aridcal.diagnosis import Bound, Diagnosed, linear_bench, rows_of
 from aridcal.effects import ANGULAR, Effect, evaluate
+from aridcal.evidence import solve
 from aridcal.outcome import Curve, Diagnosis, NamedEffect, Rejected
-from aridcal.search import Active, Bench, State, solve_state
+from aridcal.search import Bench, State
 from aridcal.solver import Fit
 from aridcal.whiteness import LEAST, Clue
 
@@ -38,7 +39,7 @@ def explain(diagnosed: Diagnosed, bound: Bound, test: Bound | None, clues: Seque
     for identity, members in groups.items():
         own = [state.active[k] for k in members]
         effect = merged([a.effect for a in own])
-        before, after = _with_and_without(diagnosed.bench, other, state, own)
+        before, after = _with_and_without(other, state, members)
         if test is not None and test.measured.relative is not None:
             before, after = (r * test.measured.relative[:, : r.shape[1]] for r in (before, after))
         twins = {_identity(e): e for k in members for e in diagnosed.confounded[k] if _identity(e) not in groups}
@@ -76,23 +77,23 @@ def _rms(r: np.ndarray) -> float:
 def _test_bench(diagnosed: Diagnosed, test: Bound | None) -> Bench | None:
     if test is None or len(test.train) == 0:
         return None
-    return linear_bench(test, diagnosed.fit, diagnosed.found.state.active, (), rows_of(test, diagnosed.scene.measured))
+    return linear_bench(
+        test, diagnosed.linearised_at, diagnosed.found.state.active, (), rows_of(test, diagnosed.scene.measured)
+    )
 
 
-def _with_and_without(
-    bench: Bench, test: Bench | None, state: State, own: Sequence[Active]
-) -> tuple[np.ndarray, np.ndarray]:
-    """Residuals of the test rows without some effects (the others refitted) and with them."""
+def _with_and_without(test: Bench | None, state: State, own: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
+    """Residuals of the test rows without some effects, the rest refitted, and with all."""
     if test is None:
-        empty = np.zeros((0, bench.r.shape[1]))
+        empty = np.zeros((0, state.residual.shape[1]))
         return empty, empty
-    rest = [a for a in state.active if all(a is not b for b in own)]
-    found = []
-    for active in (rest, list(state.active)):
-        solved = solve_state(bench, active, state.solution.sigma, state.weight)
-        design = np.concatenate([test.A, *(a.columns(test) for a in active)], axis=2)
-        found.append(test.r - design @ solved.solution.beta)
-    return found[0], found[1]
+    design = np.concatenate([test.A, *(a.columns(test) for a in state.active)], axis=2)
+    owner = np.concatenate(
+        [np.full(test.A.shape[2], -1), *(np.full(len(a.precision), k) for k, a in enumerate(state.active))]
+    )
+    keep = np.flatnonzero(~np.isin(owner, own))
+    less = solve(state.sums.part(keep), state.precision[np.ix_(keep, keep)], state.solution.sigma, fixed=True)
+    return test.r - design[:, :, keep] @ less.beta, test.r - design @ state.solution.beta
 
 
 def _curves(effect: Effect, fit: Fit, scene: Scene, bench: Bench, state: State) -> list[Curve]:

@@ -26,7 +26,7 @@ from aridcal.export import stage_urdf, write_results
 from aridcal.geometry import Geometry, fit_geometry, observations, recentred, unused_links
 from aridcal.measurements import Measurements, load_measurements
 from aridcal.outcome import Outcome, Stage, Verification, errors
-from aridcal.quality import joint_kinds, joint_limits, outliers, precision, repeats
+from aridcal.quality import halves, joint_kinds, joint_limits, outliers, precision, repeats
 from aridcal.report import write_report
 from aridcal.residual import predict_residuals, scaled
 from aridcal.robot import load_robot, parse_robot
@@ -83,6 +83,9 @@ def identify(path: Path, seed: int = 0, verify: Path | None = None, progress: Pr
     test = _bound(campaign, geometric, rows.select(tested), stale[tested])
     diagnosis = explain(diagnosed, bound, test, questions)
     said, unexplained = verdict(questions, diagnosed, _freedom(final) > 0.5)
+    # A model of hundreds of coefficients is not fitted twice more: its constants speak for it.
+    compared = final if len(final.theta) < 120 else geometric
+    apart = halves(compared, bound.train, bound.data(compared.model), noise)
     source = "declared" if declared.position and (declared.rotation or rows.quaternion is None) else "estimated"
     outcome = Outcome(
         campaign=campaign,
@@ -94,7 +97,7 @@ def identify(path: Path, seed: int = 0, verify: Path | None = None, progress: Pr
         noise=final.sigma,
         noise_source=source,
         repeats=repeated,
-        precision=precision(final, bound.train, bound.data(final.model), noise),
+        precision=precision(final, bound.train, bound.data(final.model), apart),
         verdict=said,
         unexplained_fraction=unexplained,
         notices=(

@@ -63,8 +63,8 @@ def accuracy(robot: Robot, rows: Measurements, residual: np.ndarray) -> np.ndarr
     return np.asarray(np.linalg.norm(total / np.bincount(label)[:, None], axis=1))
 
 
-def precision(fit: Fit, train: Measurements, data: Data, noise: Noise) -> Precision:
-    """Propagate the noise to the target, and compare two calibrations from one half of the rows each."""
+def precision(fit: Fit, train: Measurements, data: Data, halves: tuple[float, float]) -> Precision:
+    """Propagate the noise to the target, and set it beside what two halves fitted apart show (see :func:`halves`)."""
     robot = fit.model.robot
     position, rotation = target_sigma(fit, data)
     limits = joint_limits(robot)
@@ -76,7 +76,7 @@ def precision(fit: Fit, train: Measurements, data: Data, noise: Noise) -> Precis
     covariates = {name: values[some] for name, values in train.covariates.items()}
     rows = fit.model.rows(anywhere, covariates, None if train.station is None else train.station[some])
     reach, _ = target_sigma(fit, Data(rows, data.measured[some], data.suspect[some]))
-    return Precision(position, rotation, reach, *_halves(fit, train, data, noise))
+    return Precision(position, rotation, reach, *halves)
 
 
 def target_sigma(fit: Fit, data: Data) -> tuple[np.ndarray, np.ndarray]:
@@ -89,7 +89,8 @@ def target_sigma(fit: Fit, data: Data) -> tuple[np.ndarray, np.ndarray]:
     return worst[0], worst[1]
 
 
-def _halves(fit: Fit, train: Measurements, data: Data, noise: Noise) -> tuple[float, float]:
+def halves(fit: Fit, train: Measurements, data: Data, noise: Noise) -> tuple[float, float]:
+    """RMS difference of two calibrations from one half of the rows each, and what noise alone would make, [m]."""
     label = blocks(train.readings, joint_kinds(fit.model.robot))
     side = np.random.default_rng(0).permutation(int(label.max()) + 1)[label] % 2 == 0
     count = len(fit.theta)
