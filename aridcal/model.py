@@ -124,8 +124,8 @@ class Model:
         """Target poses T_world_target: rotations (N, 3, 3) and positions (N, 3) in [m]."""
         R, p = np.empty((len(rows), 3, 3)), np.empty((len(rows), 3))
         q = self._configurations(theta, rows)
+        data = self._data
         for index, model, end in self._variants(rows):
-            data = model.createData()
             last = data.oMi[model.njoints - 1]
             rotation, translation = last.rotation, last.translation
             for i in index:
@@ -152,8 +152,8 @@ class Model:
         R, p = np.empty((n, 3, 3)), np.empty((n, 3))
         wide = np.empty((n, 6, self._pinocchio(0, 0)[0].nv))
         q = self._configurations(theta, rows)
+        data = self._data
         for index, model, end in self._variants(rows):
-            data = model.createData()
             last = data.oMi[model.njoints - 1]
             rotation, translation, columns = last.rotation, last.translation, data.J
             for i in index:
@@ -348,6 +348,14 @@ class Model:
                 add(slot, _motion(slot[2]))
             self._built[world, tip] = model, pending
         return self._built[world, tip]
+
+    @cached_property
+    def _data(self) -> pin.Data:
+        """Pinocchio's workspace; frames differ in their placement alone, so one serves all of them.
+
+        It grows with the cube of the joints: made anew for each block of rows, it would cost more than the rows.
+        """
+        return self._pinocchio(0, 0)[0].createData()
 
     def _variants(self, rows: Rows) -> list[tuple[np.ndarray, pin.Model, pin.SE3]]:
         """Rows that share their frames: (row numbers, extended model, target on its last joint)."""
