@@ -1,0 +1,337 @@
+"""The extended model: poses multiplied out by hand, columns by finite differences, the same robot as its URDF."""
+
+from __future__ import annotations
+
+import io
+from types import SimpleNamespace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+import robots
+import yourdfpy
+
+from aridcal.doty import doty_links, link_transform
+from aridcal.effects import FRAME_COMPONENTS, LINK_COMPONENTS, Basis, Coefficient, Surroundings
+from aridcal.errors import CovariateNotFound, MeasurementError
+from aridcal.export import stage_urdf
+from aridcal.geometry import constants
+from aridcal.model import Model
+from aridcal.robot import Robot, gravity_loads, parse_robot, rotations, tip_frames, transverse
+
+TIME = Basis("linear", ("time",), (0.5,))
+ROBOTS = {
+    "any axes": lambda: robots.random_robot(1, "RPRC"),
+    "frame axes": lambda: robots.random_robot(2, "PRRP", aligned=True),
+    "mimic": lambda: parse_robot(mimicking(robots.random_chain(np.random.default_rng(3), "RPR")), "tip"),
+    "arid": robots.arid,
+}
+
+
+def mimicking(urdf: bytes) -> bytes:
+    """Joint 1 follows joint 3, which is parsed after it."""
+    start = urdf.index(b'<joint name="joint_1"')
+    end = urdf.index(b"</joint>", start)
+    return urdf[:end] + b'<mimic joint="joint_3" multiplier="-0.7" offset="0.2"/>' + urdf[end:]
+
+
+def wave(joint: str) -> Basis:
+    return Basis("sin", (joint,), (1.5,))
+
+
+def varying(robot: Robot) -> tuple[Coefficient, ...]:
+    """Every component that an effect may move, each with a basis that differs from row to row."""
+    found = []
+    for joint in robot.joints:
+        own = ("axis", "t1", "t2", "r1", "r2")
+        own = (*own, "roll", "pitch", "yaw") if joint.kind == "prismatic" else own
+        found += [Coefficient(joint.name, c, wave(joint.name)) for c in own]
+        found.append(Coefficient(joint.name, "axis", Basis("linear", (f"{joint.name}.gravity_torque",), (0.0,))))
+    frames = [Coefficient(w, c, TIME) for w in ("world_base", "tip_target") for c in FRAME_COMPONENTS]
+    return tuple(found + frames)
+
+
+SETS = {
+    "full": lambda robot: constants(robot, "full"),
+    "doty": lambda robot: constants(robot, "doty"),
+    "frames": lambda robot: robots.FRAMES,
+    "varying": varying,
+    "all": lambda robot: (
+        *robots.FRAMES, *constants(robot, "full"), *[c for c in constants(robot, "doty")
+        if c.component in LINK_COMPONENTS], *varying(robot),
+    ),
+}  # fmt: skip
+
+
+def build(robot: Robot, coefficients: tuple[Coefficient, ...], seed: int = 0) -> Model:
+    rng = np.random.default_rng(seed)
+    frames = [((None, robots.random_placement(rng)),) for _ in range(2)]
+    return Model(robot, coefficients, frames[0], frames[1], Surroundings(np.array([1.0, 5.0, -8.0])))
+
+
+def rows_of(model: Model, n: int = 6, seed: int = 1):  # type: ignore[no-untyped-def]
+    rng = np.random.default_rng(seed)
+    q = robots.readings(model.robot, n, rng)
+    return q, model.rows(q, {"time": rng.uniform(0, 1, n)})
+
+
+@pytest.mark.parametrize("which", SETS)
+@pytest.mark.parametrize("name", ROBOTS)
+def test_jacobian_matches_finite_differences(name: str, which: str) -> None:
+    """Five-point differences, of every column in units of its own size."""
+    robot = ROBOTS[name]()
+    model = build(robot, SETS[which](robot))
+    _, rows = rows_of(model)
+    theta = np.random.default_rng(2).normal(0, 0.02, len(model.coefficients))
+    R, p, J = model.jacobian(theta, rows)
+    for a, b in zip((R, p), model.poses(theta, rows), strict=True):
+        np.testing.assert_allclose(a, b, atol=1e-14)
+    for k, coefficient in enumerate(model.coefficients):
+        size = max(np.abs(J[:, :, k]).max(), 1e-3)
+        h = 1e-3 / max(1.0, size)
+        turn, slide = np.zeros((len(p), 3, 3)), np.zeros((len(p), 3))
+        for weight, step in ((1 / 12, -2), (-8 / 12, -1), (8 / 12, 1), (-1 / 12, 2)):
+            moved = theta.copy()
+            moved[k] += step * h
+            R_moved, p_moved = model.poses(moved, rows)
+            turn += weight / h * R_moved @ R.transpose(0, 2, 1)
+            slide += weight / h * p_moved
+        found = np.hstack([slide, np.stack([turn[:, 2, 1], turn[:, 0, 2], turn[:, 1, 0]], axis=1)])
+        np.testing.assert_allclose(J[:, :, k], found, rtol=0, atol=1e-8 * size, err_msg=coefficient.name)
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_at_zero_the_model_is_the_urdf(name: str) -> None:
+    robot = ROBOTS[name]()
+    model = build(robot, SETS["all"](robot))
+    q, rows = rows_of(model)
+    R, p = model.poses(np.zeros(len(model.coefficients)), rows)
+    world, tip = model.world_base[0][1], model.tip_target[0][1]
+    other = yourdfpy.URDF.load(io.BytesIO(robot.urdf), build_scene_graph=True, load_meshes=False)
+    for k, positions in enumerate(robot.positions(q)):
+        other.update_cfg({n: v for n, v in zip(robot.names, positions, strict=True) if n in other.actuated_joint_names})
+        expected = world * pin.SE3(other.get_transform(robot.tip, robot.base)) * tip
+        np.testing.assert_allclose(p[k], expected.translation, atol=1e-9)
+        np.testing.assert_allclose(R[k], expected.rotation, atol=1e-9)
+
+
+def urdf_transform(value: dict[str, float]) -> pin.SE3:
+    """C(x, y, z, roll, pitch, yaw), as URDF's xyz and rpy mean it."""
+    v = [value.get(c, 0.0) for c in FRAME_COMPONENTS]
+    return pin.SE3(pin.rpy.rpyToMatrix(*v[3:]), np.array(v[:3]))
+
+
+def motion(joint, q: float) -> pin.SE3:  # type: ignore[no-untyped-def]
+    if joint.kind == "prismatic":
+        return pin.SE3(np.eye(3), q * joint.axis)
+    return pin.SE3(rotations(joint.axis, np.array([q]))[0], np.zeros(3))
+
+
+def bearing(joint, value: dict[str, float]) -> pin.SE3:  # type: ignore[no-untyped-def]
+    """C in the frame (e1, e2, axis), or in the joint's own frame where the axis is one of its axes."""
+    e1, e2 = transverse(joint.axis)
+    k = int(np.argmax(np.abs(joint.axis)))
+    if abs(joint.axis[k]) > 1 - 1e-9:
+        sign = float(np.sign(joint.axis[k]))
+        others = [i for i in range(3) if i != k]
+        names = {others[0]: ("t1", "r1"), others[1]: ("t2", "r2")}
+        drive = value.get("axis", 0.0) * sign
+        full = {c: value.get(c, 0.0) for c in FRAME_COMPONENTS}
+        for i in range(3):
+            slide, turn = names.get(i, ("", ""))
+            full["xyz"[i]] += value.get(slide, 0.0) if slide else drive * (joint.kind == "prismatic")
+            full[FRAME_COMPONENTS[3 + i]] += value.get(turn, 0.0) if turn else drive * (joint.kind == "revolute")
+        return urdf_transform(full)
+    F = pin.SE3(np.stack([e1, e2, joint.axis], axis=1), np.zeros(3))
+    drive = "z" if joint.kind == "prismatic" else "yaw"
+    names = {"t1": "x", "t2": "y", "r1": "roll", "r2": "pitch", "axis": drive}
+    inner = {names[c]: v for c, v in value.items() if c in names}
+    return F * urdf_transform(inner) * F.inverse()
+
+
+@pytest.mark.parametrize("name", ["any axes", "frame axes"])
+def test_pose_is_the_product_that_the_conventions_state(name: str) -> None:
+    """P C(c) C(v) M(q) D(d) for a revolute joint, P C(c) M(q) C(v) D(d) for a prismatic one, at corrections of 0.1."""
+    robot = ROBOTS[name]()
+    links = doty_links(robot)
+    coefficients = [*robots.FRAMES, *constants(robot, "full")]
+    coefficients += [c for c in constants(robot, "doty") if c.component in LINK_COMPONENTS]
+    for joint in robot.joints:
+        coefficients += [Coefficient(joint.name, c, wave(joint.name)) for c in ("axis", "t1", "t2", "r1", "r2")]
+    model = build(robot, tuple(coefficients))
+    q, rows = rows_of(model, 4)
+    theta = np.random.default_rng(3).normal(0, 0.1, len(coefficients))
+    R, p = model.poses(theta, rows)
+    for n, positions in enumerate(robot.positions(q)):
+
+        def values(where: str, constant: bool, n: int = n) -> dict[str, float]:
+            own = [k for k, c in enumerate(coefficients) if c.where == where and c.basis.constant == constant]
+            own = [k for k in own if coefficients[k].component not in LINK_COMPONENTS]
+            phi = dict(zip(model._varying, rows.phi[n], strict=True))
+            return {coefficients[k].component: theta[k] * phi.get(k, 1.0) for k in own}
+
+        T = model.world_base[0][1] * urdf_transform(values("world_base", True))
+        placement = robot.joints[0].placement
+        for joint, position, link in zip(robot.joints, positions, links, strict=True):
+            T = T * placement * urdf_transform(values(joint.name, True))
+            C, M = bearing(joint, values(joint.name, False)), motion(joint, position)
+            T = T * C * M if joint.kind == "revolute" else T * M * C
+            change = {c.component: theta[k] for k, c in enumerate(coefficients) if c.where == joint.name}
+            corrected = [getattr(link, c) + change.get(c, 0.0) for c in ("theta", "beta", "a", "alpha")]
+            placement = link.before * pin.SE3(link_transform(*corrected, change.get("d", 0.0))) * link.after
+        T = T * placement * urdf_transform(values(str(robot.tip_joint), True))
+        T = T * model.tip_target[0][1] * urdf_transform(values("tip_target", True))
+        np.testing.assert_allclose(p[n], T.translation, atol=1e-12)
+        np.testing.assert_allclose(R[n], T.rotation, atol=1e-12)
+
+
+def as_urdf(model: Model, theta: np.ndarray) -> Robot:
+    """What the geometric stage writes, read again."""
+    return parse_robot(stage_urdf(SimpleNamespace(model=model, theta=theta)), model.robot.tip, model.robot.base)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("which", ["full", "doty", "angles"])
+@pytest.mark.parametrize("name", [*ROBOTS, "ur10"])
+def test_constants_folded_into_the_urdf_predict_what_the_model_predicts(name: str, which: str) -> None:
+    robot = ROBOTS.get(name, robots.ur10)()
+    model = build(robot, (*constants(robot, which), *robots.FRAMES))
+    q, rows = rows_of(model, 20)
+    theta = np.random.default_rng(4).normal(0, 0.02, len(model.coefficients))
+    R, p = model.poses(theta, rows)
+    world, tip = (f[0][1] for f in model.frames(theta))
+    axes, origins = tip_frames(as_urdf(model, theta), q)
+    for n in range(len(q)):
+        T = world * pin.SE3(axes[n], origins[n]) * tip
+        np.testing.assert_allclose(p[n], T.translation, atol=1e-12)
+        np.testing.assert_allclose(R[n], T.rotation, atol=1e-12)
+
+
+def test_only_joints_that_are_corrected_get_a_new_origin() -> None:
+    robot = robots.arid()
+    model = build(robot, (Coefficient("joint_2", "pitch"), Coefficient("joint_3", "alpha")))
+    assert set(model.origins(np.full(2, 1e-3))) == {"joint_2", "joint_4"}
+    own = model.origins(np.zeros(2))
+    for name, placement in own.items():
+        assert (placement.inverse() * robot.joint(name).origin).isIdentity(1e-14)
+
+
+@pytest.mark.parametrize("which", ["full", "doty"])
+@pytest.mark.parametrize("name", ["any axes", "frame axes", "arid", "ur10"])
+def test_reduced_model_is_the_calibrated_urdf(name: str, which: str) -> None:
+    """Constants locked at their values: same joints, same poses, same masses as Pinocchio loads from the new file."""
+    robot = ROBOTS.get(name, robots.ur10)()
+    tip = robot.tip_joint
+    model = build(robot, tuple(c for c in constants(robot, which)) + robots.FRAMES)
+    theta = np.random.default_rng(5).normal(0, 0.02, len(model.coefficients))
+    reduced = model.calibrated(theta)
+    tree = pin.buildModelFromXML(as_urdf(model, theta).urdf.decode())
+    other = pin.buildReducedModel(
+        tree, [k for k in range(1, tree.njoints) if tree.names[k] not in robot.names], pin.neutral(tree)
+    )
+    assert list(reduced.names)[1:] == list(robot.names)
+    assert tip is not None
+    a, b = reduced.createData(), other.createData()
+    q = robots.readings(robot, 10, np.random.default_rng(6))
+    for positions in robot.positions(q):
+        whole = pin.neutral(other)
+        for k, value in enumerate(positions, start=1):
+            joint = other.joints[k]
+            whole[joint.idx_q : joint.idx_q + joint.nq] = [np.cos(value), np.sin(value)] if joint.nq == 2 else [value]
+        pin.forwardKinematics(reduced, a, positions)
+        pin.forwardKinematics(other, b, whole)
+        for k in range(1, reduced.njoints):
+            np.testing.assert_allclose(a.oMi[k].homogeneous, b.oMi[k].homogeneous, atol=1e-12)
+    for k in range(1, reduced.njoints):
+        assert reduced.inertias[k].mass == pytest.approx(other.inertias[k].mass, rel=1e-14)
+    for k in range(1, reduced.njoints - 1):  # the last one carries the tip, which its own constants move
+        np.testing.assert_allclose(reduced.inertias[k].matrix(), other.inertias[k].matrix(), atol=1e-12)
+
+
+def test_the_extended_models_gravity_is_the_nominal_load() -> None:
+    """Inertias ride with their joints: minus the generalised gravity on the extra joints is the load in their axes."""
+    robot = robots.random_robot(8, "RRP")
+    components = ("t1", "t2", "axis", "r1", "r2")
+    coefficients = tuple(Coefficient(j.name, c, wave(j.name)) for j in robot.joints for c in components)
+    model = Model(robot, coefficients)
+    q = robots.readings(robot, 5, np.random.default_rng(0))
+    gravity = np.array([3.0, -4.0, 8.0])
+    loads = gravity_loads(robot, q, gravity)
+    extended, _ = model._pinocchio(0, 0)
+    extended.gravity.linear = gravity
+    wide = model._configurations(np.zeros(len(coefficients)), model.rows(q))
+    for n in range(len(q)):
+        pull = -pin.computeGeneralizedGravity(extended, extended.createData(), wide[n])
+        for k, c in enumerate(coefficients):
+            j = robot.names.index(c.where)
+            axis = robot.joints[j].axis
+            e1, e2 = transverse(axis)
+            direction = {"1": e1, "2": e2, "s": axis}[c.component[-1]]
+            turns = c.component[0] == "r" or (c.component == "axis" and robot.joints[j].kind == "revolute")
+            expected = loads[n, j, 3 * turns : 3 * turns + 3] @ direction
+            assert pull[model._column[k]] == pytest.approx(expected, abs=1e-9), c.name
+
+
+def test_frames_of_a_station_move_its_rows_only() -> None:
+    rng = np.random.default_rng(0)
+    robot = robots.arid()
+    world = tuple((label, robots.random_placement(rng)) for label in ("a", "b"))
+    coefficients = tuple(Coefficient("world_base", c, station=s) for s in ("a", "b") for c in FRAME_COMPONENTS)
+    model = Model(robot, coefficients, world)
+    q = robots.readings(robot, 8, rng)
+    station = np.array(list("abbababa"))
+    rows = model.rows(q, None, station)
+    theta = rng.normal(0, 0.05, 12)
+    R, p, J = model.jacobian(theta, rows)
+    assert not J[station == "a", :, 6:].any()
+    assert not J[station == "b", :, :6].any()
+    axes, origins = tip_frames(robot, q)
+    for n, label in enumerate(station):
+        C = urdf_transform(dict(zip(FRAME_COMPONENTS, theta[:6] if label == "a" else theta[6:], strict=True)))
+        T = dict(world)[label] * C * pin.SE3(axes[n], origins[n])
+        np.testing.assert_allclose(p[n], T.translation, atol=1e-12)
+        np.testing.assert_allclose(R[n], T.rotation, atol=1e-12)
+    alone = model.rows(q[:1], None, station[:1])
+    np.testing.assert_allclose(model.poses(theta, alone)[1][0], p[0], atol=1e-15)
+
+
+def test_an_unknown_station_and_a_missing_one_are_named() -> None:
+    world = tuple((label, pin.SE3.Identity()) for label in ("a", "b"))
+    model = Model(robots.arid(), (), world)
+    q = np.zeros((2, 4))
+    with pytest.raises(MeasurementError, match=r"'c'.*a, b"):
+        model.rows(q, None, np.array(["a", "c"]))
+    with pytest.raises(MeasurementError, match="`station` column"):
+        model.rows(q)
+
+
+def test_a_missing_covariate_is_named() -> None:
+    model = Model(robots.arid(), (Coefficient("joint_3", "axis", Basis("linear", ("temperature_arm",), (20.0,))),))
+    with pytest.raises(CovariateNotFound, match=r"'temperature_arm'.*did you mean 'temperature'"):
+        model.rows(np.zeros((2, 4)), {"temperature": np.zeros(2)})
+
+
+def test_recentring_moves_the_frames_and_no_pose() -> None:
+    robot = robots.arid()
+    rng = np.random.default_rng(0)
+    coefficients = (*robots.FRAMES, *constants(robot, "full"), Coefficient("world_base", "x", TIME))
+    model = build(robot, coefficients)
+    q, rows = rows_of(model)
+    theta = rng.normal(0, 0.3, len(coefficients))
+    centred, rest = model.recentred(theta)
+    assert not rest[:12].any()
+    assert np.array_equal(rest[12:-1], theta[12:-1])
+    # The drift is along the frame's own x, which the constants have turned: without it the poses are the same.
+    still = np.append(theta[:-1], 0.0)
+    centred, rest = model.recentred(still)
+    for a, b in zip(model.poses(still, rows), centred.poses(rest, rows), strict=True):
+        np.testing.assert_allclose(a, b, atol=1e-13)
+
+
+def test_a_coefficients_name_says_where_what_and_on_what_it_depends() -> None:
+    names = Model(robots.arid(), (
+        Coefficient("joint_2", "pitch"),
+        Coefficient("world_base", "x", station="b"),
+        Coefficient("joint_3", "axis", Basis("linear", ("joint_3.gravity_torque",), (0.0,))),
+        Coefficient("joint_1", "yaw", Basis("power", ("joint_1",), (0.0, 1.0, 2.0))),
+    )).names  # fmt: skip
+    assert names == ("joint_2.pitch", "world_base[b].x", "joint_3.axis:gravity_torque", "joint_1.yaw:joint_1^2")
