@@ -155,7 +155,7 @@ def linear_bench(
     phi = np.column_stack([evaluate(b, scene.table) for b in bases]) if bases else np.zeros((len(r), 0))
     run, fold = _folds(bound)
     A, G = (np.ascontiguousarray(J[:, :, k]) for k in (np.flatnonzero(constant), slice(K, None)))
-    return Bench(A, G, slots, phi, bases, r, bound.suspect, run, fold, scene.robot.names)
+    return Bench(A, G, slots, phi, bases, r, bound.suspect, run, fold, scene.robot.names, scene.table)
 
 
 def refit(bound: Bound, state: State, current: Fit, noise: Noise) -> Fit:

@@ -191,7 +191,7 @@ def _inverse(H: np.ndarray) -> np.ndarray:
     scale = 1.0 / np.sqrt(np.maximum(np.diag(H), 1e-300))
     S = H * np.outer(scale, scale) + 1e-13 * np.eye(len(H))
     try:
-        inverse = cho_solve(cho_factor(S), np.eye(len(H)))
+        inverse = np.asarray(cho_solve(cho_factor(S), np.eye(len(H))))
     except np.linalg.LinAlgError:
-        inverse = np.linalg.pinv(S, hermitian=True, rcond=1e-12)
-    return np.asarray(inverse) * np.outer(scale, scale)
+        inverse = np.asarray(np.linalg.pinv(S, hermitian=True, rcond=1e-12))
+    return inverse * np.outer(scale, scale)

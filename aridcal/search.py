@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -11,7 +11,8 @@ from scipy.linalg import block_diag
 from scipy.stats import chi2
 from scipy.stats import f as f_distribution
 
-from aridcal.effects import Basis, Effect
+from aridcal.catalogue import turns
+from aridcal.effects import Basis, Effect, evaluate
 from aridcal.evidence import Score, Solution, Sums, extended, kernel_root, score, smooth_precision, solve, sums
 from aridcal.residual import Sigma
 from aridcal.solver import flag
@@ -27,6 +28,8 @@ PLAIN = 100.0  # nats in an effect's favour beyond which it needs no further tri
 FAINT = 0.02  # a mode that the data could move by less than this share of its prior is left out
 MOST = 24
 FOLDS = 5
+SCANNED = 800  # orders of a joint's error that are looked through, a quarter period over its range apart
+LOUD = 30.0  # chi-square of a harmonic that is worth a closer look
 CHUNK = 128
 
 
@@ -45,6 +48,7 @@ class Bench:
         run: Number of the row's stretch of time, shape (N,).
         fold: Number of the row's fold for cross-validation, shape (N,).
         own: Names of the joints: covariates that are under the user's control.
+        table: Covariates of the rows, shape (N,) each.
     """
 
     A: np.ndarray
@@ -57,6 +61,7 @@ class Bench:
     run: np.ndarray
     fold: np.ndarray
     own: tuple[str, ...]
+    table: Mapping[str, np.ndarray]
 
     @cached_property
     def _slot(self) -> dict[tuple[str, str], int]:
@@ -71,10 +76,18 @@ class Bench:
         slots = [self._slot[c.where, c.component] for c in effect.coefficients]
         return slots, [self._basis[c.basis] for c in effect.coefficients]
 
+    def prepared(self, effect: Effect) -> bool:
+        """True if all its bases are among ``bases``."""
+        return all(c.basis in self._basis for c in effect.coefficients)
+
     def columns(self, effect: Effect) -> np.ndarray:
         """Columns of an effect, shape (N, m, d)."""
-        slots, bases = self.indices(effect)
-        return np.asarray(self.G[:, :, slots] * self.phi[:, None, bases])
+        slots = [self._slot[c.where, c.component] for c in effect.coefficients]
+        if self.prepared(effect):
+            phi = self.phi[:, self.indices(effect)[1]]
+        else:
+            phi = np.column_stack([evaluate(c.basis, self.table) for c in effect.coefficients])
+        return np.asarray(self.G[:, :, slots] * phi[:, None, :])
 
 
 @dataclass(frozen=True)
@@ -244,7 +257,8 @@ def admitted(bench: Bench, state: State, effect: Effect) -> Active:
 def rank(bench: Bench, library: Sequence[Effect], state: State) -> list[tuple[Effect, Score]]:
     """Score every candidate that is not in the model; the best first, the first few with their noise apart."""
     taken = {a.effect for a in state.active}
-    free = [e for e in library if e not in taken]
+    kinds = {e.kind for e in library}
+    free = [e for e in (*library, *(_scanned(bench, state) if "joint_harmonic" in kinds else ())) if e not in taken]
     scores = _scores(bench, free, state)
     order = sorted(range(len(free)), key=lambda k: -scores[k].gain)
     enough = 0.4 * scores[order[0]].gain if order else 0.0
@@ -337,18 +351,49 @@ def _scores(bench: Bench, effects: Sequence[Effect], state: State) -> list[Score
     G, phi = [g * f for g, f in zip(_parts(bench.G[used]), scale, strict=False)], bench.phi[used]
     found: list[Score] = []
     for group in _chunks(effects):
-        slots, bases, ends = [], [], [0]
-        for effect in group:
-            s, b = bench.indices(effect)
-            slots += s
-            bases += b
-            ends.append(len(slots))
-        C = np.vstack([(g[:, :, slots] * phi[:, None, bases]).reshape(-1, len(slots)) for g in G])
+        ends = np.cumsum([0, *(len(e.coefficients) for e in group)])
+        if all(bench.prepared(e) for e in group):
+            pairs = [bench.indices(e) for e in group]
+            slots, bases = [k for pair in pairs for k in pair[0]], [k for pair in pairs for k in pair[1]]
+            C = np.vstack([(g[:, :, slots] * phi[:, None, bases]).reshape(-1, len(slots)) for g in G])
+        else:
+            some = np.concatenate([bench.columns(e)[used] for e in group], axis=2)
+            C = np.vstack([(c * f).reshape(-1, some.shape[2]) for c, f in zip(_parts(some), scale, strict=False)])
         CA, Cr, CC = C.T @ A, C.T @ r, C.T @ C
         projected = CC - CA @ state.solution.inverse @ CA.T
         for effect, low, high in zip(group, ends[:-1], ends[1:], strict=True):
             own = slice(low, high)
             found.append(score(projected[own, own], Cr[own], np.diag(CC)[own], left, count, effect.smooth))
+    return found
+
+
+def _scanned(bench: Bench, state: State) -> list[Effect]:
+    """Harmonics of any order that the residual hints at: a periodogram over each joint's reading."""
+    sigma = np.repeat([state.solution.sigma.position, state.solution.sigma.rotation], 3)[: bench.r.shape[1]]
+    used = state.weight > 0.5
+    found = []
+    for name in bench.own:
+        q = bench.table[name][used]
+        if (name, "axis") not in bench.slots or np.ptp(q) < 1e-3:
+            continue
+        place = bench.G[used][:, :, bench.slots.index((name, "axis"))] / sigma
+        weight, pull = np.sum(place**2, axis=1), np.sum(place * state.residual[used] / sigma, axis=1)
+        pull = pull - weight * pull.sum() / max(weight.sum(), 1e-300)
+        orders = np.arange(1, SCANNED + 1) * np.pi / (2 * np.ptp(q))
+
+        def power(
+            k: np.ndarray, q: np.ndarray = q, pull: np.ndarray = pull, w: float = float(weight.sum())
+        ) -> np.ndarray:
+            return np.asarray(2.0 * np.abs(np.exp(1j * np.outer(k, q)) @ pull) ** 2 / w)
+
+        seen = power(orders)
+        peaks = np.flatnonzero((seen > np.roll(seen, 1)) & (seen > np.roll(seen, -1)) & (seen > LOUD))
+        for peak in peaks[np.argsort(-seen[peaks])][:2]:
+            fine = orders[peak] + np.linspace(-1, 1, 81) * (orders[1] - orders[0])
+            order = float(fine[np.argmax(power(fine))])
+            whole = round(order)
+            order = float(whole) if abs(order - whole) < 0.05 else round(order, 3)
+            found.append(Effect("joint_harmonic", name, turns(name, "axis", name, order), (order,)))
     return found
 
 
