@@ -2,6 +2,8 @@
 
 Example:
     python -m aridcal.simulate identification/arid/scenario.yaml -o /tmp/arid
+
+What a scenario's `truth.effects` may hold is told in docs/simulate.md.
 """
 
 from __future__ import annotations
@@ -11,7 +13,7 @@ import json
 import math
 import os
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -20,30 +22,19 @@ import numpy as np
 import pandas as pd
 import pinocchio as pin
 import yaml
-from pydantic import BeforeValidator, Field, field_validator
+from pydantic import BeforeValidator, Field
 from rich.console import Console
 from scipy.spatial.transform import Rotation
 
 from aridcal.campaign import EFFECT_KINDS, Job
+from aridcal.causes import Cause, Parameter, TrueEffect, columns_needed, draw_columns, given, make_causes
 from aridcal.commands import atomic_folder, check_writable, run
 from aridcal.doty import doty_links
-from aridcal.effects import FRAME_COMPONENTS, Coefficient
+from aridcal.effects import FRAME_COMPONENTS, Coefficient, Surroundings
 from aridcal.errors import CampaignError, OutputError, nearest
 from aridcal.model import Model
 from aridcal.robot import Robot, load_robot
 from aridcal.settings import Section, Vector3, load_settings
-
-
-class Parameter(Section):
-    """True value of a constant: given, or drawn from a normal distribution."""
-
-    value: float = 0.0
-    std: float = Field(default=0.0, ge=0)
-
-
-def _given(value: Any) -> Any:
-    """Let a plain number stand for a value that is not drawn."""
-    return {"value": value} if isinstance(value, int | float) and not isinstance(value, bool) else value
 
 
 class TrueFrame(Section):
@@ -80,20 +71,15 @@ class Outliers(Section):
 class Truth(Section):
     """What the simulated machine and its measurements are really like."""
 
-    parameters: dict[str, Annotated[Parameter, BeforeValidator(_given)]] = Field(default_factory=dict)
+    parameters: dict[str, Annotated[Parameter, BeforeValidator(given)]] = Field(default_factory=dict)
     frames: TrueFrames = TrueFrames()
-    effects: tuple[dict[str, Any], ...] = ()
+    effects: tuple[TrueEffect, ...] = ()
+    covariates: tuple[str, ...] = ()
+    """Columns to write beside those that the effects depend on."""
     noise: TrueNoise = TrueNoise()
     outliers: Outliers | None = None
     n: int = Field(ge=1, le=10_000_000)
     seed: int = Field(default=0, ge=0)
-
-    @field_validator("effects")
-    @classmethod
-    def _not_yet(cls, effects: tuple[dict[str, Any], ...]) -> tuple[dict[str, Any], ...]:
-        if effects:
-            raise ValueError("effects are not simulated yet; delete this key")
-        return effects
 
 
 class Scenario(Job):
@@ -112,6 +98,7 @@ class Simulation:
         measurements: The table, as it is written.
         parameters: True value of each constant that the scenario names, drawn or given; [m] or [rad].
         frames: True T_world_base and T_tip_target.
+        causes: True effects, drawn or given.
         outliers: Which rows are grossly wrong, shape (N,) bool.
     """
 
@@ -120,14 +107,15 @@ class Simulation:
     measurements: pd.DataFrame
     parameters: dict[str, float]
     frames: dict[str, pin.SE3]
+    causes: tuple[Cause, ...]
     outliers: np.ndarray
 
 
 def simulate(scenario: Scenario) -> Simulation:
     """Measure the machine that a scenario describes.
 
-    The seed fixes everything; constants, configurations, noise and outliers are drawn apart, so that more rows or
-    another noise leave the machine as it is.
+    The seed fixes everything; constants, configurations, noise, outliers, effects and each column are drawn apart, so
+    that more rows, another noise or another effect leave the rest as it is.
 
     Raises:
         AridcalError: the scenario asks for what cannot be simulated.
@@ -135,16 +123,22 @@ def simulate(scenario: Scenario) -> Simulation:
     _check(scenario)
     truth = scenario.truth
     robot = load_robot(scenario.robot.urdf, scenario.robot.tip, scenario.robot.base)
-    constants, configurations, noise, outliers = (
-        np.random.default_rng(s) for s in np.random.SeedSequence(truth.seed).spawn(4)
+    constants, configurations, noise, outliers, chance = (
+        np.random.default_rng(s) for s in np.random.SeedSequence(truth.seed).spawn(5)
     )
     coefficients = named_constants(robot, truth.parameters, scenario.path)
     theta = np.array([p.value + p.std * constants.standard_normal() for p in truth.parameters.values()])
     frames = true_frames(scenario)
     readings = draw_readings(robot, truth.n, configurations)
 
-    model = Model(robot, coefficients, ((None, frames["world_base"]),), ((None, frames["tip_target"]),))
-    R, p = model.poses(theta, model.rows(readings))
+    around = surroundings(scenario, frames)
+    names = dict.fromkeys((*truth.covariates, *columns_needed(truth.effects, robot)))
+    columns = draw_columns(tuple(names), robot, readings, truth.seed)
+    causes, depends = make_causes(truth.effects, robot, readings, columns, around, chance, f"{scenario.path}: truth")
+    coefficients += tuple(c for cause in causes for c in cause.effect.coefficients)
+    values = np.concatenate([theta, *(cause.values for cause in causes)])
+    model = Model(robot, coefficients, ((None, frames["world_base"]),), ((None, frames["tip_target"]),), around)
+    R, p = model.poses(values, model.rows(readings, depends))
     wrong = np.zeros(truth.n, dtype=bool)
     error = noise.standard_normal((truth.n, 6))
     if truth.outliers is not None:
@@ -157,9 +151,10 @@ def simulate(scenario: Scenario) -> Simulation:
     return Simulation(
         scenario=scenario,
         robot=robot,
-        measurements=_table(scenario, robot, readings, position, rotation),
+        measurements=_table(scenario, robot, readings, columns, position, rotation),
         parameters=dict(zip(truth.parameters, theta.tolist(), strict=True)),
         frames=frames,
+        causes=tuple(causes),
         outliers=wrong,
     )
 
@@ -193,6 +188,13 @@ def true_frames(scenario: Scenario) -> dict[str, pin.SE3]:
         frame = getattr(scenario.truth.frames, where) or getattr(scenario.frames, where)
         frames[where] = pin.SE3(pin.rpy.rpyToMatrix(*frame.rpy), np.array(frame.xyz))
     return frames
+
+
+def surroundings(scenario: Scenario, frames: Mapping[str, pin.SE3]) -> Surroundings:
+    """Gravity in the base's frame, and the payload's place."""
+    gravity = scenario.robot.gravity
+    vector = frames["world_base"].rotation.T @ [0.0, 0.0, -9.81] if gravity == "world" else np.array(gravity)
+    return Surroundings(vector, frames["tip_target"].translation)
 
 
 def draw_readings(robot: Robot, n: int, rng: np.random.Generator) -> np.ndarray:
@@ -243,7 +245,7 @@ def truth_document(simulation: Simulation) -> dict[str, Any]:
             where: {"xyz": frame.translation.tolist(), "rpy": pin.rpy.matrixToRpy(frame.rotation).tolist()}
             for where, frame in simulation.frames.items()
         },
-        "effects": [],
+        "effects": [cause.document() for cause in simulation.causes],
         "noise": truth.noise.model_dump(),
         "outliers": {
             **(truth.outliers.model_dump() if truth.outliers else {"share": 0.0}),
@@ -278,13 +280,19 @@ def _check(scenario: Scenario) -> None:
 
 
 def _table(
-    scenario: Scenario, robot: Robot, readings: np.ndarray, position: np.ndarray, rotation: Rotation
+    scenario: Scenario,
+    robot: Robot,
+    readings: np.ndarray,
+    covariates: Mapping[str, np.ndarray],
+    position: np.ndarray,
+    rotation: Rotation,
 ) -> pd.DataFrame:
     """The table of measurements, columns named as the campaign names them."""
     values = dict(zip(robot.readings, readings.T, strict=True))
     measured = dict(zip("xyz", position.T, strict=True))
     if scenario.measurements.kind == "pose":
         measured |= dict(zip(("qx", "qy", "qz", "qw"), rotation.as_quat(canonical=True).T, strict=True))
+    measured |= covariates
     renamed = scenario.measurements.columns
     columns = [renamed.get(name, name) for name in values]
     # Where a joint has a quantity's name, `columns` speaks of the joint.

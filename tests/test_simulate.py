@@ -267,7 +267,6 @@ def test_the_shipped_campaign_is_what_its_scenario_makes(tmp_path):
         ({"parameters": {"joint_3.x": "big"}}, {}, r"joint_3\.x"),
         ({"n": 0}, {}, r"truth\.n"),
         ({"seed": -1}, {}, r"truth\.seed"),
-        ({"effects": [{"kind": "drift"}]}, {}, r"truth\.effects: effects are not simulated yet"),
         ({"outliers": {"share": 0.1, "size": 5}}, {}, r"truth\.noise"),
         ({"outliers": {"share": 1.1, "size": 5}}, {}, r"truth\.outliers\.share"),
         ({}, {"measurements": {"units": {"length": "mm"}}}, r"measurements\.units"),
