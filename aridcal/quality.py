@@ -6,12 +6,13 @@ import numpy as np
 
 from aridcal.measurements import Measurements, blocks
 from aridcal.outcome import Precision, Repeats
-from aridcal.residual import Sigma, robust_sigma
+from aridcal.residual import Sigma, distance, robust_sigma
 from aridcal.robot import Robot
 from aridcal.solver import Data, Fit, Noise, minimise
 from aridcal.source import Kind
 
 REACH_SAMPLES = 300
+FAR = 10.0  # robust scales beyond which a test row is a gross outlier
 
 
 def joint_kinds(robot: Robot) -> tuple[Kind, ...]:
@@ -110,17 +111,15 @@ def halves(fit: Fit, train: Measurements, data: Data, noise: Noise) -> tuple[flo
 def outliers(train: np.ndarray, flags: np.ndarray, stages: list[np.ndarray]) -> np.ndarray:
     """One set of flags for all stages: the final model's on train; on test only what is far off at every stage.
 
+    "Far" is ten times the robust scale of the final model's training residuals: a test row that any stage predicts
+    better than that is never left out.
+
     Args:
         train: Mask of the training rows, shape (N,).
         flags: Flags of the training rows, shape (train rows,).
-        stages: Residuals of every stage, all rows, scaled by the rows' relative sigmas.
+        stages: Residuals of every stage, the final one last, all rows, scaled by the rows' relative sigmas.
     """
-    far = np.ones(len(train), dtype=bool)
-    for r in stages:
-        sigma = robust_sigma(r[train])
-        off = np.linalg.norm(r[:, :3], axis=1) > 10 * sigma.position
-        if r.shape[1] == 6:
-            off |= np.linalg.norm(r[:, 3:], axis=1) > 10 * sigma.rotation
-        far &= off
+    sigma = robust_sigma(stages[-1][train])
+    far = np.all([distance(r, sigma) > FAR for r in stages], axis=0)
     far[train] = flags
     return far
