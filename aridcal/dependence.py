@@ -126,6 +126,8 @@ def _search(found: Diagnosis) -> Iterator[Content]:
         yield tag("h3", "Is what remains noise?")
         head = ["question", "share of the variance that is not", "chance of being noise"]
         yield table(head, lines, "What the residual of the final model was asked")
+    if not found.tested:
+        return
     yield tag("h3", "What else was tried")
     yield tag("p", f"{counted(found.tested, 'candidate')} tested.")
     if found.rejected:

@@ -224,8 +224,8 @@ def curve(
         labels: Of the two axes, with their units.
     """
     figure, axes = _axes()
-    _dots(axes, *rows, GREY, label="rows", alpha=0.25)
     axes.fill_between(at, value - 2 * std, value + 2 * std, color=AFTER, alpha=0.25, linewidth=0)
+    _dots(axes, *rows, GREY, label="rows", alpha=0.3)
     axes.plot(at, value, color=AFTER, linewidth=2.0, label="identified, ± 2σ")
     low, high = np.percentile(rows[1], [1, 99]) if len(rows[1]) else (0.0, 0.0)
     low, high = min(low, float((value - 2 * std).min())), max(high, float((value + 2 * std).max()))

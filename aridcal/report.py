@@ -129,7 +129,7 @@ def _why(outcome: Outcome) -> Iterator[Content]:
     square = [(s.name, errors(s.residual, mask)["position_mm"]["rms"] ** 2) for s in outcome.stages]
     fit = outcome.stage("geometric").fit
     found = [p for p in parameters(fit) if p["status"] == "identified" and not _of_frame(p["name"])]
-    effects = ", ".join(e.effect.label for e in outcome.effects)
+    effects = _first([e.effect.label for e in outcome.effects])
     for (_, before), (name, after) in pairwise(square):
         what = {
             "geometric": f"{counted(len(found), 'constant')} of the geometry",
@@ -148,6 +148,11 @@ def _why(outcome: Outcome) -> Iterator[Content]:
             words += [", ", tag("code", p["name"]), f" {plus_minus(1e3 * p['value'], 1e3 * p['std'])} {unit}"]
     if words:
         yield ["The largest corrections: ", words[1:], "."]
+
+
+def _first(names: list[str], most: int = 3) -> str:
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(names[:most]) + more
 
 
 def _left(outcome: Outcome) -> Iterator[Content]:
@@ -187,8 +192,7 @@ def checks(outcome: Outcome) -> Iterator[tuple[bool, str]]:
         yield agree, f"Two halves fitted apart {'agree' if agree else 'disagree by more than noise explains'}."
     narrow = sections.narrow(outcome)
     if narrow:
-        names = ", ".join(j.name for j in narrow[:3]) + (f" and {len(narrow) - 3} more" if len(narrow) > 3 else "")
-        yield False, f"Less than half of the range was measured of {names}."
+        yield False, f"Less than half of the range was measured of {_first([j.name for j in narrow])}."
 
 
 def _check(good: bool, text: str) -> Html:

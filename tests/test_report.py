@@ -1,0 +1,410 @@
+"""The report: all that was found is on it, nothing is loaded, and nothing that a user wrote becomes markup."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+from dataclasses import replace
+from html import escape
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import robots
+from lxml import html
+
+from aridcal import sections
+from aridcal.doty import doty_links
+from aridcal.effects import Basis, Coefficient, Effect
+from aridcal.export import parameters
+from aridcal.identify import identify
+from aridcal.markup import join, number
+from aridcal.outcome import STATISTICS, Curve, Diagnosis, NamedEffect, Outcome, Rejected, Verification, errors
+from aridcal.quality import accuracy
+from aridcal.report import checks, page, summary, write_report
+from aridcal.robot import parse_robot
+
+ANSWERS = ["data", "separable", "enough", "fits", "depends", "remains", "parameters", "use"]
+HOSTILE = """<img src=x onerror="alert('1')">$\\frac{1}{0}$ &amp;"""
+
+
+def rows_with_faults(truth: robots.Truth) -> pd.DataFrame:
+    """The table with two gross outliers, the last four configurations measured twice."""
+    rows = robots.table(truth)
+    again = rows.tail(4).copy()
+    again[["x", "y", "z"]] += np.random.default_rng(2).normal(0.0, 1e-4, (4, 3))
+    rows.loc[[5, 17], "x"] += 0.05
+    return pd.concat([rows, again], ignore_index=True)
+
+
+@pytest.fixture(scope="module")
+def truth() -> robots.Truth:
+    return robots.simulate(robots.ur10(), 120, np.random.default_rng(1), noise=1e-4)
+
+
+@pytest.fixture(scope="module")
+def outcome(truth: robots.Truth, tmp_path_factory: pytest.TempPathFactory) -> Outcome:
+    return identify(robots.write_campaign(tmp_path_factory.mktemp("pose"), truth, rows_with_faults(truth)))
+
+
+@pytest.fixture(scope="module")
+def report(outcome: Outcome) -> str:
+    return page(outcome)
+
+
+def text(report: str, part: str = "//body") -> str:
+    """What a reader sees of a part of the page, in one line."""
+    return " ".join(" ".join(element.text_content() for element in html.fromstring(report).xpath(part)).split())
+
+
+def table(report: str, caption: str) -> list[list[str]]:
+    """Body rows of the first table whose caption starts so."""
+    found = html.fromstring(report).xpath(f'//table[starts-with(caption, "{caption}")]')
+    return [[cell.text_content() for cell in row] for row in found[0].xpath("tbody/tr")]
+
+
+def plain(shown: str) -> float:
+    """A printed number."""
+    return float(shown.replace(",", "").replace("−", "-"))
+
+
+class Balance(HTMLParser):
+    """Notes tags that do not close in the order of their opening."""
+
+    def __init__(self, report: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.wrong: list[str] = []
+        self.feed(report)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        if tag not in ("meta", "br"):
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        if not self.open or self.open.pop() != tag:
+            self.wrong.append(tag)
+
+
+def assert_sound(report: str) -> None:
+    """Well formed, ids unique, every reference answered within the page, nothing loaded."""
+    balance = Balance(report)
+    assert balance.open == balance.wrong == []
+    root = html.fromstring(report)
+    ids = root.xpath("//@id")
+    assert len(ids) == len(set(ids))
+    referred = [*re.findall(r"url\(([^)]*)\)", report), *root.xpath("//@href"), *root.xpath("//@src")]
+    assert all(name.startswith("#") and name[1:] in ids for name in referred)
+    assert not list(root.iter("script", "link", "img", "iframe", "object", "embed", "base", "form"))
+    assert "@import" not in report
+
+
+# ---- the page as a whole ---------------------------------------------------------------------------------------------
+
+
+def test_the_six_questions_are_answered_in_order(report: str) -> None:
+    assert_sound(report)
+    assert html.fromstring(report).xpath("//section/@id") == ANSWERS
+
+
+def test_the_file_is_the_page_and_the_page_is_the_same_each_time(outcome: Outcome, report: str, tmp_path: Path) -> None:
+    write_report(outcome, tmp_path / "report.html")
+    assert (tmp_path / "report.html").read_text("utf-8") == report
+
+
+def test_every_figure_has_words_and_units(report: str) -> None:
+    plots = html.fromstring(report).xpath('//*[name()="svg"]')
+    assert len(plots) == 2 + 2 + 6 + 3 + 2 * 6  # data, before and after, axes, planes, position and rotation by joint
+    for plot in plots:
+        assert plot.get("role") == "img"
+        assert len(plot.get("aria-label")) > 20
+        assert plot.xpath("ancestor::figure/figcaption")[0].text_content()
+        assert re.search(r"\[(mm|mrad|m|°|%)\]", plot.text_content())
+
+
+def test_every_table_has_a_caption_and_titled_columns(report: str) -> None:
+    found = html.fromstring(report).xpath("//table")
+    assert len(found) > 10
+    for each in found:
+        assert each.find("caption").text_content()
+        assert len({len(row) for row in each.iter("tr")}) == 1
+        assert len(each.xpath("thead/tr/th[@scope='col']")) == len(each.xpath("thead/tr/*"))
+        assert len(each.xpath("tbody/tr/th[@scope='row']")) == len(each.xpath("tbody/tr"))
+
+
+def test_twelve_thousand_rows_stay_below_two_megabytes(outcome: Outcome) -> None:
+    some = np.random.default_rng(0).integers(0, len(outcome.measurements), 12_000)
+    many = replace(
+        outcome,
+        measurements=outcome.measurements.select(some),
+        stages=tuple(replace(s, residual=s.residual[some]) for s in outcome.stages),
+        outlier=outcome.outlier[some],
+        stale=outcome.stale[some],
+    )
+    written = page(many)
+    assert len(written.encode()) < 2_000_000
+    assert "12,000 rows" in text(written, "//header")
+
+
+# ---- what it says ----------------------------------------------------------------------------------------------------
+
+
+def test_errors_of_every_stage_and_part_are_those_of_the_outcome(outcome: Outcome, report: str) -> None:
+    parts = {"never used": "test", "never used, outliers too": "test_all", "fitted": "train"}
+    for key, caption in (("position_mm", "Position error"), ("rotation_mrad", "Rotation error")):
+        shown = {}
+        for names, rows, *cells in table(report, caption):
+            shown |= {(name, parts[rows]): cells for name in names.split(" = ")}
+        assert len(shown) == 3 * len(outcome.stages)
+        for stage in outcome.stages:
+            for part, mask in outcome.parts().items():
+                expected = errors(stage.residual, mask)[key]
+                found = [plain(v) for v in shown[stage.name, part]]
+                assert found == pytest.approx([expected[s] for s in STATISTICS], rel=5.1e-3)
+
+
+def test_the_first_screen_has_the_errors_on_unused_rows(outcome: Outcome, report: str) -> None:
+    first = text(report, "//header")
+    test = outcome.parts()["test"]
+    for stage in (outcome.stages[0], outcome.stages[-1]):
+        for key, unit in (("position_mm", "mm"), ("rotation_mrad", "mrad")):
+            assert f"{number(errors(stage.residual, test)[key]['rms'])} {unit}" in first
+    assert "Calibration of ur10" in first
+    assert "measurements.csv · 124 rows" in first
+    assert f"on {test.sum()} rows never used" in first
+    for question in ("Why", "What remains", "Can I trust it?"):
+        assert question in first
+
+
+def test_outliers_are_named_with_file_and_line(outcome: Outcome, report: str) -> None:
+    assert outcome.outlier.sum() == 2
+    found = table(report, "Outliers")
+    assert [row[0] for row in found] == ["measurements.csv, line 7", "measurements.csv, line 19"]
+    assert all(49 < plain(row[3]) < 51 for row in found)
+
+
+def test_repeats_are_reported_as_iso_9283_does(outcome: Outcome, report: str) -> None:
+    assert outcome.repeats is not None
+    assert outcome.repeats.groups == 4
+    shown = text(report, "//section[@id='data']")
+    assert "4 configurations measured more than once (8 rows)" in shown
+    assert "RP as in ISO 9283, mean distance to the centre plus three standard deviations: " in shown
+    assert f"{number(1e3 * outcome.repeats.repeatability)} mm" in shown
+
+
+def test_pose_accuracy_averages_repeats_first(outcome: Outcome) -> None:
+    m = outcome.measurements.select(np.arange(116, 124))
+    assert np.ptp(m.readings[:4] - m.readings[4:]) == 0
+    apart = np.tile([[3e-3, 4e-3, 0.0]], (8, 1))
+    apart[4:, 0] = -3e-3  # repeats 6 mm apart along x: their centre is 4 mm off
+    assert accuracy(outcome.robot, m, apart) == pytest.approx(np.full(4, 4e-3))
+    assert accuracy(outcome.robot, m.select(np.zeros(8, dtype=bool)), apart[:0]).shape == (0,)
+
+
+def test_redundant_coefficients_are_named_with_their_twins(outcome: Outcome, report: str) -> None:
+    fit = outcome.stage("geometric").fit
+    found = dict(table(report, "Redundant coefficients"))
+    assert found.keys() == fit.redundant.keys()
+    for name, partners in fit.redundant.items():
+        assert found[name].split(", ")[:6] == list(partners[:6])
+
+
+def test_every_identified_constant_is_given_with_its_uncertainty(outcome: Outcome, report: str) -> None:
+    root = html.fromstring(report)
+    for p in parameters(outcome.stage("geometric").fit):
+        where, component = p["name"].rsplit(".", 1)
+        cells = root.xpath(f'//table[normalize-space(caption)="{where}"]//tr[th="{component}"]/td/text()')
+        if p["status"] != "identified":
+            continue
+        unit = 1e-3 * (np.pi / 180 / 1e-3 if where in ("world_base", "tip_target") and p["unit"] == "rad" else 1.0)
+        value, spread = (cells[0].split(" ± ") if len(cells) == 1 else cells)[:2]
+        assert plain(value.split()[0].rstrip("°")) * unit == pytest.approx(p["value"], abs=0.6 * p["std"] + 1e-6)
+        assert 1e-3 * plain(spread.split()[0]) == pytest.approx(p["std"], rel=0.06)
+
+
+def test_the_link_tables_add_corrections_to_nominal_parameters(tmp_path: Path) -> None:
+    truth = robots.simulate(robots.arid(), 60, np.random.default_rng(3), noise=1e-5, which="doty")
+    found = identify(robots.write_campaign(tmp_path, truth, parameters={"set": "doty"}))
+    report = page(found)
+    corrections = {p["name"]: p for p in parameters(found.stage("geometric").fit)}
+    names = {"d": "d", "θ": "theta", "β": "beta", "a": "a", "α": "alpha"}
+    for link in doty_links(found.robot):
+        for symbol, nominal, _, calibrated in table(report, link.joint):
+            if symbol not in names:
+                continue
+            p = corrections[f"{link.joint}.{names[symbol]}"]
+            start = 0.0 if symbol == "d" else getattr(link, names[symbol])
+            scale, unit = (180 / np.pi, "°") if p["unit"] == "rad" else (1e3, " mm")
+            assert plain(nominal.removesuffix(unit)) == pytest.approx(scale * start, abs=6e-4)
+            assert plain(calibrated.removesuffix(unit)) == pytest.approx(scale * (start + p["value"]), abs=6e-4)
+    assert "(a < 1 mm)" in text(report, "//section[@id='data']")
+
+
+def test_positions_alone_give_a_report_without_rotation_errors(tmp_path: Path) -> None:
+    truth = robots.simulate(robots.ur10(), 80, np.random.default_rng(1), noise=1e-4, kind="position")
+    report = page(identify(robots.write_campaign(tmp_path, truth)))
+    assert_sound(report)
+    assert "otation error [mrad]" not in report
+    assert "nan" not in text(report).lower()
+    assert len(html.fromstring(report).xpath('//*[name()="svg"]')) == 2 + 1 + 3 + 3 + 6
+
+
+def test_without_unused_rows_the_report_says_so(truth: robots.Truth, tmp_path: Path) -> None:
+    rows = robots.table(truth).assign(split="train")
+    found = identify(robots.write_campaign(tmp_path, truth, rows))
+    report = page(found)
+    assert_sound(report)
+    assert "on 120 rows that were fitted" in text(report, "//header")
+    assert "No row was kept apart" in text(report, "//header")
+    assert {row[1] for row in table(report, "Position error")} == {"fitted"}
+
+
+def test_a_frame_per_station_is_listed_with_its_label(truth: robots.Truth, tmp_path: Path) -> None:
+    rows = robots.table(truth).assign(station=np.array(["north <b>", "south"])[np.arange(120) % 2])
+    found = identify(robots.write_campaign(tmp_path, truth, rows, frames={"world_base": {"per": "station"}}))
+    report = page(found)
+    assert_sound(report)
+    for label in ("north <b>", "south"):
+        assert [row[0] for row in table(report, f"world_base[{label}]")] == ["x", "y", "z", "roll", "pitch", "yaw"]
+
+
+def test_of_a_hundred_refused_rows_some_are_named_and_all_are_counted(truth: robots.Truth, tmp_path: Path) -> None:
+    rows = pd.concat([robots.table(truth)] * 2, ignore_index=True)
+    rows.loc[120:219, "qx"] = np.nan
+    report = page(identify(robots.write_campaign(tmp_path, truth, rows.head(220))))
+    shown = text(report, "//section[@id='data']")
+    assert dict(table(report, "Rows of"))["refused, because they cannot be used"] == "100"
+    assert "line 122" in shown
+    assert "line 200" not in shown
+    assert "and 75 more" in shown
+
+
+def test_many_outliers_question_the_data(outcome: Outcome, report: str) -> None:
+    assert "questions the measurement" not in text(report)
+    flagged = outcome.outlier.copy()
+    flagged[:10] = True
+    said = join(list(sections.data(replace(outcome, outlier=flagged))))
+    assert f"{100 * flagged.mean():.0f} % of the rows are outliers. More than 3 % questions the measurement" in said
+
+
+@pytest.mark.parametrize(
+    ("verdict", "words"),
+    [
+        ("noise_floor", "consistent with the measurement noise"),
+        ("structure_remains", "Something repeatable remains"),
+        ("not_enough_data", "measure more rows"),
+    ],
+)
+def test_the_verdict_is_said_in_words(outcome: Outcome, verdict: str, words: str) -> None:
+    first = join(list(summary(replace(outcome, verdict=verdict, unexplained_fraction=0.42))))
+    assert words in first
+    assert "42 % of the remaining variance" in first
+
+
+def test_halves_that_disagree_are_held_against_the_result(outcome: Outcome) -> None:
+    good = replace(outcome, precision=replace(outcome.precision, halves_measured=1e-4, halves_expected=1e-4))
+    bad = replace(outcome, precision=replace(outcome.precision, halves_measured=3e-4, halves_expected=1e-4))
+    assert (True, "Two halves fitted apart agree.") in checks(good)
+    assert (False, "Two halves fitted apart disagree by more than noise explains.") in checks(bad)
+    unknown = replace(outcome, precision=replace(outcome.precision, halves_measured=float("nan")))
+    assert not any("halves" in words for _, words in checks(unknown))
+    assert "too few rows to fit two halves" in join(list(sections.fits(unknown)))
+
+
+def test_another_days_data_get_a_section_of_their_own(outcome: Outcome) -> None:
+    residuals = {stage.name: 2 * stage.residual for stage in outcome.stages}
+    other = Verification("<day 2>.csv", outcome.measurements, residuals, outcome.stages[-1].residual)
+    report = page(replace(outcome, verification=other))
+    assert_sound(report)
+    section = text(report, "//section[@id='verification']")
+    assert "<day 2>.csv: 124 rows" in section
+    assert "final, frames fitted anew" in section
+    every = np.ones(124, dtype=bool)
+    assert number(errors(residuals["final"], every)["position_mm"]["rms"]) in section
+
+
+def test_effects_and_what_else_was_tried_are_shown(outcome: Outcome) -> None:
+    name = outcome.robot.names[1]
+    gain = Coefficient(name, "axis", Basis("linear", (name,), (0.0,)))
+    effect = Effect("joint_gain", name, (gain,))
+    grid = np.linspace(-2, 2, 50)
+    rows = outcome.measurements.readings[:, 1]
+    curve = Curve("axis", "rad", name, grid, 1e-3 * grid, np.full(50, 1e-5), rows, 1e-3 * rows)
+    before = np.tile([[3e-3, 0, 0, 2e-3, 0, 0]], (10, 1))
+    other = Effect("joint_compliance", outcome.robot.names[2], ())
+    named = NamedEffect(effect, False, 1e-300, before, before / 4, (other,), (curve,))
+    found = Diagnosis(
+        (named,), (Rejected(other, 0.2, 1.0, "too small <b>"),), (("thermal", "no <i>"),), 77, (("white?", 0.1, 0.5),)
+    )
+    report = page(replace(outcome, diagnosis=found))
+    assert_sound(report)
+    assert table(report, "Gain of each effect") == [
+        [f"joint_gain at {name}", "axis", name, "found", "below 1e−100", "3.00", "0.750", "2.00", "0.500"]
+    ]
+    section = text(report, "//section[@id='depends']")
+    for words in ("or joint_compliance", "4.00 mrad from lowest to highest", "77 candidates", "too small <b>",
+                  "thermal: no <i>", "white?"):  # fmt: skip
+        assert words in section
+    assert "model.urdf" in text(report, "//section[@id='use']")
+
+
+# ---- hostile names and browsers --------------------------------------------------------------------------------------
+
+
+def test_names_that_a_user_wrote_stay_text(truth: robots.Truth, tmp_path: Path) -> None:
+    urdf = truth.model.robot.urdf.decode()
+    for name in ("shoulder_pan_joint", '"ur10"', '"tool0"'):
+        urdf = urdf.replace(name, name.replace(name.strip('"'), escape(HOSTILE + name.strip('"'))))
+    robot = truth.model.robot
+    hostile = parse_robot(urdf.encode(), HOSTILE + robot.tip, robot.base, robot.path)
+    other = replace(truth, model=replace(truth.model, robot=hostile, coefficients=()))
+    rows = rows_with_faults(other)
+    rows.loc[40, "z"] = np.nan
+    file = f"{HOSTILE}.csv".replace("/", "")
+    path = robots.write_campaign(tmp_path, other, rows, measurements={"file": file})
+    (tmp_path / "measurements.csv").rename(tmp_path / file)
+    report = page(identify(path))
+    assert_sound(report)
+    first = text(report, "//header")
+    assert f"Calibration of {HOSTILE}ur10" in first
+    assert file in first
+    assert f"to {HOSTILE}tool0" in first
+    assert f"{HOSTILE}shoulder_pan_joint" in text(report, "//section[@id='enough']")
+    assert f"{file}, line 42" in text(report, "//section[@id='data']")
+
+
+@pytest.mark.parametrize("width", [390, 1280])
+def test_the_page_fits_a_browser_window(outcome: Outcome, report: str, tmp_path: Path, width: int) -> None:
+    chromium = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    if chromium is None:
+        if os.environ.get("ARIDCAL_REQUIRE_CHROMIUM") == "1":
+            pytest.fail("ARIDCAL_REQUIRE_CHROMIUM=1, but there is no Chromium")
+        pytest.skip("no Chromium on this computer")
+    # A window cannot be narrower than 500 pixels: the page is looked at in a frame.
+    (tmp_path / "report.html").write_text(report, "utf-8")
+    (tmp_path / "frame.html").write_text(
+        f"""<iframe src="report.html" style="width:{width}px;height:900px;border:0"></iframe><script>
+        onload = () => {{
+          const page = document.querySelector("iframe").contentDocument;
+          const small = [...page.querySelectorAll("svg text")].filter(t => t.getBoundingClientRect().height < 8);
+          const now = page.querySelector(".now").getBoundingClientRect();
+          document.title = [page.documentElement.scrollWidth, small.length, now.bottom, page.links.length].join();
+        }}</script>"""
+    )
+    done = subprocess.run(
+        [chromium, "--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking",
+         "--allow-file-access-from-files", "--host-resolver-rules=MAP * ~NOTFOUND",
+         f"--user-data-dir={tmp_path / 'profile'}", "--window-size=1400,1000", "--enable-logging=stderr", "--v=0",
+         "--dump-dom", (tmp_path / "frame.html").as_uri()],
+        capture_output=True, text=True, timeout=120, check=True,
+    )  # fmt: skip
+    assert "CONSOLE" not in done.stderr
+    wide, small, now, links = map(float, re.findall(r"<title>(.*?)</title>", done.stdout)[0].split(","))
+    assert wide <= width
+    assert small == 0
+    assert now < 500  # the answer is on the first screen
+    assert links == len(ANSWERS)
