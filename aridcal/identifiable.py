@@ -66,4 +66,4 @@ def _partners(R: np.ndarray, k: int, kept: list[int], length: np.ndarray) -> tup
     if not kept or length[k] * WORST < 1.0:
         return ()
     share = np.linalg.lstsq(R[:, kept] / length[kept], R[:, k] / length[k], rcond=None)[0]
-    return tuple(kept[i] for i in np.argsort(-np.abs(share)) if abs(share[i]) > SHARE * np.abs(share).max())
+    return tuple(kept[i] for i in np.argsort(-np.abs(share)) if abs(share[i]) > SHARE)
