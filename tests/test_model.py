@@ -315,7 +315,7 @@ def test_recentring_moves_the_frames_and_no_pose() -> None:
     rng = np.random.default_rng(0)
     coefficients = (*robots.FRAMES, *constants(robot, "full"), Coefficient("world_base", "x", TIME))
     model = build(robot, coefficients)
-    q, rows = rows_of(model)
+    _, rows = rows_of(model)
     theta = rng.normal(0, 0.3, len(coefficients))
     centred, rest = model.recentred(theta)
     assert not rest[:12].any()
