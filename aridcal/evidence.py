@@ -99,25 +99,28 @@ def extended(s: Sums, A: Sequence[np.ndarray], C: Sequence[np.ndarray], r: Seque
 
 def solve(s: Sums, precision: np.ndarray, sigma: Sigma, fixed: bool = False) -> Solution:
     """Least squares with priors; the noise is estimated with it unless ``fixed``."""
-    beta, inverse = np.zeros(len(precision)), np.zeros_like(precision)
-    for _ in range(1 if fixed else 4):
+    beta, inverse, square = _solved(s, precision, sigma)
+    for _ in range(0 if fixed else 6):
         variance = np.array([sigma.position, sigma.rotation]) ** 2
-        H = s.AA[0] / variance[0] + s.AA[1] / variance[1] + precision
-        inverse = _inverse(H)
-        beta = inverse @ (s.Ar[0] / variance[0] + s.Ar[1] / variance[1])
-        square = s.rr - 2 * s.Ar @ beta + np.einsum("i,kij,j->k", beta, s.AA, beta)
-        if fixed:
-            break
         spent = np.einsum("ij,kij->k", inverse, s.AA) / variance
         freedom = np.maximum(s.count - spent, 0.05 * s.count + 1e-9)
-        fresh = np.sqrt(np.maximum(square, 0.0) / freedom)
+        fresh = np.sqrt(square / freedom)
         before, sigma = sigma, Sigma(max(float(fresh[0]), FLOOR), max(float(fresh[1]), FLOOR) if s.count[1] else 1.0)
+        beta, inverse, square = _solved(s, precision, sigma)
         if abs(np.log(before.position / sigma.position)) + abs(np.log(before.rotation / sigma.rotation)) < 1e-2:
             break
     variance = np.array([sigma.position, sigma.rotation]) ** 2
-    square = np.maximum(s.rr - 2 * s.Ar @ beta + np.einsum("i,kij,j->k", beta, s.AA, beta), 0.0)
     likelihood = -0.5 * float(s.count @ np.log(variance) + np.sum(square / variance) + beta @ precision @ beta)
     return Solution(beta, sigma, likelihood, inverse)
+
+
+def _solved(s: Sums, precision: np.ndarray, sigma: Sigma) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Coefficients, inverse and sums of squares left for a given noise: always of one piece."""
+    variance = np.array([sigma.position, sigma.rotation]) ** 2
+    inverse = _inverse(s.AA[0] / variance[0] + s.AA[1] / variance[1] + precision)
+    beta = inverse @ (s.Ar[0] / variance[0] + s.Ar[1] / variance[1])
+    square = s.rr - 2 * s.Ar @ beta + np.einsum("i,kij,j->k", beta, s.AA, beta)
+    return beta, inverse, np.maximum(square, 0.0)
 
 
 def score(M: np.ndarray, s: np.ndarray, raw: np.ndarray, left: float, count: float, smooth: bool) -> Score:
@@ -131,7 +134,7 @@ def score(M: np.ndarray, s: np.ndarray, raw: np.ndarray, left: float, count: flo
         count: Numbers measured.
         smooth: True for samples of a smooth function.
     """
-    return _smooth(M, s, left, count) if smooth else _plain(M, s, raw, left, count)
+    return _smooth(M, s, raw, left, count) if smooth else _plain(M, s, raw, left, count)
 
 
 def _plain(M: np.ndarray, s: np.ndarray, raw: np.ndarray, left: float, count: float) -> Score:
@@ -147,13 +150,14 @@ def _plain(M: np.ndarray, s: np.ndarray, raw: np.ndarray, left: float, count: fl
     return Score(gain, float(chi2.sf(twice, d)), d)
 
 
-def _smooth(M: np.ndarray, s: np.ndarray, left: float, count: float) -> Score:
+def _smooth(M: np.ndarray, s: np.ndarray, raw: np.ndarray, left: float, count: float) -> Score:
     best = Score(-np.inf, 1.0, 0)
     for length in LENGTHS:
         root = kernel_root(len(s), length)
         spectrum, vectors = np.linalg.eigh(root.T @ M @ root)
         values = np.maximum(spectrum, 0.0)
-        a = (vectors.T @ (root.T @ s)) ** 2
+        seen = values > DEPENDENT * float(np.sum(root**2 * raw[:, None])) / len(s)
+        a = np.where(seen, (vectors.T @ (root.T @ s)) ** 2, 0.0)
         if values[-1] <= 0.0:
             return Score(0.0, 1.0, 0)
         tau2 = np.logspace(-1.5, 9, 43)[:, None] / values[-1]

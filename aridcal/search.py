@@ -262,11 +262,10 @@ def rank(bench: Bench, library: Sequence[Effect], state: State) -> list[tuple[Ef
     scores = _scores(bench, free, state)
     order = sorted(range(len(free)), key=lambda k: -scores[k].gain)
     enough = 0.4 * scores[order[0]].gain if order else 0.0
-    head = [(free[k], scores[k]) for k in order if scores[k].gain > max(enough, 0.0)][:REFINED]
-    refined = [(e, _refine(bench, state, e, s)) for e, s in head]
-    refined.sort(key=lambda pair: -pair[1].gain)
-    done = {e for e, _ in head}
-    return refined + [(free[k], scores[k]) for k in order if free[k] not in done]
+    head = [free[k] for k in order if scores[k].gain > max(enough, 0.0)][:REFINED]
+    rough = dict(zip(free, scores, strict=True))
+    refined = sorted(((e, _refine(bench, state, e, rough[e])) for e in head), key=lambda pair: -pair[1].gain)
+    return refined + [(free[k], scores[k]) for k in order if free[k] not in head]
 
 
 def _forward(
