@@ -22,23 +22,21 @@ def depends(outcome: Outcome) -> Iterator[Content]:
     if outcome.diagnosis is not None:
         yield from _effects(outcome)
         yield from _search(outcome.diagnosis)
-    yield tag("h3", "Error against each joint")
+    yield tag("h3", "What is left, against each joint")
     yield tag(
         "p",
-        "Lines are the RMS of the rows in slices of equal width. Where only noise is left, the line after calibration "
-        "is flat; where it rises or waves, something that depends on this joint may be left.",
+        "Where only noise is left, the RMS of the slices follows the dashed line; where it departs from it in several "
+        "slices together, something that depends on this joint may be left.",
     )
     rows = ~outcome.outlier
-    first, last = norms(outcome.stages[0].residual[rows]), norms(outcome.stages[-1].residual[rows])
-    for k, (key, what) in enumerate(list(ERRORS.items())[: len(last)]):
+    for k, left in enumerate(norms(outcome.stages[-1].residual[rows])):
+        key, what = list(ERRORS.items())[k]
         drawn = []
         for i, name in enumerate(outcome.robot.readings):
             unit, scale = _unit(outcome, name)
-            pair = {"before calibration": first[k], "after": last[k]}
-            alt = f"{what} against {name}, before and after calibration"
             q = scale * outcome.measurements.readings[rows, i]
-            picture = profile(f"{key}-{i}", alt, q, pair, (f"{name}{unit}", what))
-            drawn.append(([f"{what.split(' [')[0].capitalize()} against ", tag("code", name)], picture))
+            picture = profile(f"{key}-{i}", f"{what} after calibration, over {name}", q, left, (f"{name}{unit}", what))
+            drawn.append(([f"{what.split(' [')[0].capitalize()} over ", tag("code", name)], picture))
         yield figures(drawn)
 
 

@@ -176,30 +176,27 @@ def field(key: str, alt: str, points: np.ndarray, values: np.ndarray, labels: tu
 
 
 @_figure
-def profile(key: str, alt: str, x: np.ndarray, values: Mapping[str, np.ndarray], labels: tuple[str, str]) -> Figure:
-    """RMS of two quantities along x, in slices of equal width, with the rows behind it.
+def profile(key: str, alt: str, x: np.ndarray, values: np.ndarray, labels: tuple[str, str]) -> Figure:
+    """RMS of a quantity along x, in slices of equal width, with the rows behind it and the RMS of all.
 
     Args:
         key: Of the figure, unique in the page.
         alt: What the figure shows, for those who cannot see it.
         x: Shape (N,).
-        values: Two arrays by name, shape (N,) each.
+        values: Shape (N,), not negative.
         labels: Of the two axes, with their units.
     """
     figure, axes = _axes()
     edges = np.linspace(x.min(), x.max() + 1e-9, int(np.clip(len(x) // 20, 1, 24)) + 1)
     place = np.searchsorted(edges, x, side="right") - 1
     count = np.bincount(place, minlength=len(edges) - 1)
-    few = count < FEW
-    for (name, v), color, line in zip(values.items(), (BEFORE, AFTER), ("--", "-"), strict=True):
-        rms = np.sqrt(np.bincount(place, v**2, len(edges) - 1) / np.maximum(count, 1))
-        _dots(axes, x, v, color, alpha=0.25)
-        axes.stairs(
-            np.where(few, np.nan, rms), edges, baseline=None, color=color, linestyle=line, linewidth=2, label=name
-        )
-    top = max(float(np.percentile(v, 99.5)) for v in values.values())
-    axes.set(xlabel=labels[0], ylabel=labels[1], ylim=(0, 1.08 * top or 1))
-    return _with_legend(figure, axes)
+    rms = np.sqrt(np.bincount(place, values**2, len(edges) - 1) / np.maximum(count, 1))
+    _dots(axes, x, values, GREY, label="rows", alpha=0.3)
+    axes.axhline(np.sqrt(np.mean(values**2)), color=BEFORE, linestyle="--", linewidth=1.4, label="RMS of all")
+    rms = np.where(count < FEW, np.nan, rms)
+    axes.stairs(rms, edges, baseline=None, color=AFTER, linewidth=2.0, label="RMS of each slice")
+    axes.set(xlabel=labels[0], ylabel=labels[1], ylim=(0, 1.08 * float(np.percentile(values, 99.5)) or 1))
+    return _with_legend(figure, axes, columns=3)
 
 
 @_figure
@@ -220,15 +217,16 @@ def curve(
         at: Where the function was evaluated, shape (G,).
         value: The function there, shape (G,).
         std: Its standard deviation, shape (G,).
-        rows: Where each row stands and what it asks for, shape (N,) each; the wildest two in a hundred are cut off.
+        rows: Where each row stands and what it asks for, shape (N,) each; the wildest are cut off.
         labels: Of the two axes, with their units.
     """
     figure, axes = _axes()
     axes.fill_between(at, value - 2 * std, value + 2 * std, color=AFTER, alpha=0.25, linewidth=0)
     _dots(axes, *rows, GREY, label="rows", alpha=0.3)
     axes.plot(at, value, color=AFTER, linewidth=2.0, label="identified, ± 2σ")
-    low, high = np.percentile(rows[1], [1, 99]) if len(rows[1]) else (0.0, 0.0)
-    low, high = min(low, float((value - 2 * std).min())), max(high, float((value + 2 * std).max()))
+    cut = [*np.percentile(value - 2 * std, [3, 97]), *np.percentile(value + 2 * std, [3, 97]), value.min(), value.max()]
+    cut += [*np.percentile(rows[1], [1, 99])] if len(rows[1]) else []
+    low, high = min(cut), max(cut)
     room = 0.06 * (high - low) or 1.0
     axes.set(xlabel=labels[0], ylabel=labels[1], ylim=(low - room, high + room))
     return _with_legend(figure, axes)

@@ -130,13 +130,16 @@ def _why(outcome: Outcome) -> Iterator[Content]:
     fit = outcome.stage("geometric").fit
     found = [p for p in parameters(fit) if p["status"] == "identified" and not _of_frame(p["name"])]
     effects = _first([e.effect.label for e in outcome.effects])
+    took = []
     for (_, before), (name, after) in pairwise(square):
         what = {
             "geometric": f"{counted(len(found), 'constant')} of the geometry",
             "final": f"{counted(len(outcome.effects), 'effect')} ({effects})",
         }.get(name, name)
         if before != after:
-            yield f"{what}: {100 * (before - after) / square[0][1]:.0f} % of the squared position error. "
+            took.append(f"{what} took off {100 * (before - after) / square[0][1]:.0f} %")
+    if took:
+        yield f"Of the squared position error {', '.join(took)}. "
     largest = [
         max((p for p in found if p["unit"] == unit), key=lambda p: abs(p["value"]), default=None)
         for unit in ("rad", "m")
