@@ -1,0 +1,414 @@
+"""Random imperfect robots, what is wrong with them, and the rows that a tracker would measure of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+from scipy.spatial.transform import Rotation
+
+from aridcal.campaign import Campaign
+from aridcal.causes import Cause, TrueEffect, draw_columns, make_causes
+from aridcal.effects import FRAME_COMPONENTS, Coefficient, Surroundings, covariate_table
+from aridcal.errors import CampaignError
+from aridcal.evidence import kernel_root
+from aridcal.geometry import constants
+from aridcal.measurements import Measurements
+from aridcal.model import Model
+from aridcal.residual import Observations, linearise
+from aridcal.robot import Robot, parse_robot
+from aridcal.simulate import draw_readings
+
+FAMILIES = ("rail", "six", "seven", "scara", "gantry")
+NAMED = (
+    "joint_gain", "joint_harmonic", "joint_map", "joint_backlash", "joint_compliance", "bearing_compliance",
+    "axis_wobble", "rail_straightness", "rail_angular", "joint_coupling", "thermal", "drift", "payload_compliance",
+)  # fmt: skip
+SIZES = (1.0, 40.0)  # of an effect: RMS per component in sigma, after projection off constants and frames
+ROWS = (100, 400)
+QUERIES = 200
+TEST_SHARE = 0.2
+TOO_MUCH = 0.03  # an effect that must move the target by more than this to be seen at all is drawn anew, [m], [rad]
+OUTLIERS = (20.0, 100.0)  # how far off a gross error is, [sigma]
+
+Draw = tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Case:
+    """One simulated campaign and all that is known of it.
+
+    Attributes:
+        seed: Makes it again.
+        what: ``clean``, ``single``, ``combination`` or ``off`` (no catalogue has it).
+        family: Of the robot.
+        campaign: What the user would have written.
+        rows: Measured, train and test.
+        columns: Covariates and values of the true functions, for the training rows, shape (N,) each.
+        truth: The true model: frames, constants, then each cause's coefficients.
+        theta: Their values.
+        causes: True effects.
+        shapes: For each smooth cause its standard deviation and correlation length in knots; else None.
+        sizes: Of each cause, [sigma].
+        sigma: Of the noise per component, shape (6,) or (3,), [m] and [rad].
+        query: Readings never measured, shape (M, columns).
+        query_columns: Their covariates.
+        target: Their true poses.
+    """
+
+    seed: int
+    what: str
+    family: str
+    campaign: Campaign
+    rows: Measurements
+    columns: dict[str, np.ndarray]
+    truth: Model
+    theta: np.ndarray
+    causes: tuple[Cause, ...]
+    shapes: tuple[tuple[float, float] | None, ...]
+    sizes: tuple[float, ...]
+    sigma: np.ndarray
+    query: np.ndarray
+    query_columns: dict[str, np.ndarray]
+    target: Observations
+
+    @property
+    def names(self) -> str:
+        """What is wrong, in words."""
+        said = [f"{c.effect.label} {'/'.join(c.effect.motion)} of {','.join(c.effect.covariates)} ({s:.1f} sigma)"
+                for c, s in zip(self.causes, self.sizes, strict=True)]  # fmt: skip
+        return " + ".join(said) or "nothing"
+
+
+def draw_case(seed: int, what: str, kind: str | None = None, outliers: float = 0.0) -> Case:
+    """Draw a robot, its faults and its measurements.
+
+    Args:
+        seed: Fixes everything.
+        what: ``clean``, ``single``, ``combination`` or ``off``.
+        kind: Of a single effect.
+        outliers: Share of the rows that are grossly wrong.
+    """
+    rng = np.random.default_rng(seed)
+    for _ in range(200):
+        case = _draw(seed, what, kind, outliers, rng)
+        if case is not None:
+            return case
+    raise RuntimeError(f"case {seed}: no robot can have {kind or what}")
+
+
+def contribution(model: Model, theta: np.ndarray, case_rows: Measurements, columns: dict[str, np.ndarray],
+                 sigma: np.ndarray) -> np.ndarray:  # fmt: skip
+    """Columns of a model's coefficients in units of sigma, shape (N * m, K)."""
+    measured = Observations(case_rows.position, None if case_rows.quaternion is None else
+                            Rotation.from_quat(case_rows.quaternion).as_matrix())  # fmt: skip
+    _, J = linearise(model, theta, model.rows(case_rows.readings, columns), measured)
+    return np.asarray((J / sigma[:, None]).reshape(-1, J.shape[2]))
+
+
+def basis_of(A: np.ndarray) -> np.ndarray:
+    """Orthonormal basis of the span of columns, shape (rows, rank)."""
+    A = A / np.maximum(np.linalg.norm(A, axis=0), 1e-300)
+    U, s, _ = np.linalg.svd(A, full_matrices=False)
+    return np.asarray(U[:, s > 1e-9 * s[0]])
+
+
+def _draw(seed: int, what: str, kind: str | None, outliers: float, rng: np.random.Generator) -> Case | None:
+    family = str(rng.choice(FAMILIES))
+    robot, gravity = draw_robot(family, rng)
+    n = int(rng.integers(ROWS[0], ROWS[1] + 1))
+    total = n + QUERIES
+    readings = draw_readings(robot, total, rng)
+    pose = bool(rng.random() < 0.85)
+    sigma = np.repeat(np.exp(rng.uniform(np.log(3e-5), np.log(3e-4), 2)), 3)[: 6 if pose else 3]
+    frames = [pin.SE3(Rotation.random(rng=rng).as_matrix(), rng.uniform(-3, 3, 3)),
+              pin.SE3(Rotation.random(rng=rng).as_matrix(), rng.uniform(-0.3, 0.3, 3))]  # fmt: skip
+    around = Surroundings(gravity, frames[1].translation)
+    columns = _covariates(robot, readings, rng)
+
+    count = {"clean": 0, "single": 1, "off": 1, "combination": int(rng.integers(2, 4))}[what]
+    drawn: list[tuple[TrueEffect, tuple[float, float] | None]] = []
+    for k in range(count):
+        one = kind if kind is not None and k == 0 else str(rng.choice(NAMED))
+        effect = _off(robot, columns, rng) if what == "off" else _named(one, robot, readings, columns, around, rng)
+        if effect is None or any(e.kind == effect[0].kind and e.where == effect[0].where for e, _ in drawn):
+            return None
+        drawn.append(effect)
+    try:
+        causes, known = make_causes([e for e, _ in drawn], robot, readings, columns, around, rng, "case")
+    except CampaignError:
+        return None
+
+    place = [Coefficient(where, c) for where in ("world_base", "tip_target") for c in FRAME_COMPONENTS]
+    geometry = (*place, *constants(robot, "full"))
+    truth = Model(robot, (*geometry, *(c for cause in causes for c in cause.effect.coefficients)),
+                  ((None, frames[0]),), ((None, frames[1]),), around)  # fmt: skip
+    off = np.exp(rng.uniform(np.log(2e-4), np.log(3e-3)))
+    values = np.concatenate([np.zeros(len(place)), off * rng.standard_normal(len(geometry) - len(place))])
+
+    query = np.zeros(total, dtype=bool)
+    query[rng.choice(total, QUERIES, replace=False)] = True
+    test = rng.random(n) < TEST_SHARE
+    bare = truth.with_coefficients(geometry)
+    R, p = bare.poses(values, bare.rows(readings[~query]))
+    rows = _measurements(robot, readings[~query], R, p, {k: v[~query] for k, v in columns.items()}, test, pose)
+    here = {k: v[~query][~test] for k, v in known.items()}
+
+    zero = np.concatenate([values, np.zeros(len(truth.coefficients) - len(values))])
+    J = contribution(truth, zero, rows.select(~test), here, sigma)
+    U = basis_of(J[:, : len(geometry)])
+    at, sizes, scaled, shapes = len(geometry), [], [], []
+    for cause, (_, shape) in zip(causes, drawn, strict=True):
+        d = len(cause.values)
+        moved = J[:, at : at + d] @ cause.values
+        at += d
+        seen = np.sqrt(np.mean((moved - U @ (U.T @ moved)) ** 2))
+        size = float(np.exp(rng.uniform(*np.log(SIZES))))
+        if seen <= 0.0:
+            return None
+        factor = size / seen
+        if factor * np.abs(moved.reshape(-1, len(sigma)) * sigma).max() > TOO_MUCH:
+            return None
+        scaled.append(Cause(cause.effect, factor * cause.values, cause.ranges))
+        shapes.append(None if shape is None else (factor * shape[0], shape[1]))
+        sizes.append(size)
+    theta = np.concatenate([values, *(c.values for c in scaled)])
+
+    R, p = truth.poses(theta, truth.rows(readings, known))
+    target = Observations(p[query], R[query] if pose else None)
+    error = rng.standard_normal((n, 6))
+    wrong = rng.permutation(n)[: round(outliers * n)]
+    direction = rng.standard_normal((len(wrong), 2, 3))
+    direction /= np.linalg.norm(direction, axis=2, keepdims=True)
+    error[wrong] += (rng.uniform(*OUTLIERS, len(wrong))[:, None, None] * direction).reshape(-1, 6)
+    error = error[:, : len(sigma)] * sigma
+    p = p[~query] + error[:, :3]
+    R = Rotation.from_rotvec(error[:, 3:]).as_matrix() @ R[~query] if pose else R[~query]
+    rows = _measurements(robot, readings[~query], R, p, {k: v[~query] for k, v in columns.items()}, test, pose)
+    declared = rng.random() < 0.7
+    return Case(seed, what, family, _campaign(robot, gravity, sigma, declared), rows, here, truth, theta,
+                tuple(scaled), tuple(shapes), tuple(sizes), sigma, readings[query],
+                {k: v[query] for k, v in known.items()}, target)  # fmt: skip
+
+
+def _covariates(robot: Robot, readings: np.ndarray, rng: np.random.Generator) -> dict[str, np.ndarray]:
+    """Some of the columns that a table may have, and one to three that mean nothing."""
+    names = [name for name in ("time", "temperature", "payload") if rng.random() < 0.8]
+    names += [f"{j}_direction" for j in robot.names] if rng.random() < 0.4 else []
+    names += ["voltage", "humidity", "pressure"][: int(rng.integers(1, 4))]
+    return draw_columns(names, robot, readings, int(rng.integers(2**31)))
+
+
+def _named(
+    kind: str, robot: Robot, readings: np.ndarray, columns: dict[str, np.ndarray], around: Surroundings,
+    rng: np.random.Generator,
+) -> tuple[TrueEffect, tuple[float, float] | None] | None:  # fmt: skip
+    """An effect of the catalogue with coefficients of natural proportions; None if this robot cannot have it."""
+    joints = {k: [j.name for j in robot.joints if k in ("", j.kind)] for k in ("", "revolute", "prismatic")}
+    wanted = {"joint_harmonic": "revolute", "axis_wobble": "revolute", "rail_straightness": "prismatic",
+              "rail_angular": "prismatic"}.get(kind, "")  # fmt: skip
+    if not joints[wanted]:
+        return None
+    where = str(rng.choice(joints[wanted]))
+    joint = robot.joint(where)
+    keys: dict[str, object] = {"kind": kind, "where": where}
+    if kind == "joint_harmonic":
+        keys["order"] = (float(rng.integers(1, 5)),)
+    elif kind == "axis_wobble":
+        keys |= {"order": (float(rng.integers(1, 3)),), "motion": _some(("r1", "r2", "t1", "t2"), rng)}
+    elif kind == "joint_coupling":
+        keys["with"] = str(rng.choice([j for j in robot.names if j != where]))
+    elif kind == "joint_backlash":
+        keys["by"] = "direction" if f"{where}_direction" in columns else "load"
+    elif kind == "bearing_compliance":
+        keys["motion"] = _some(("r1", "r2") if joint.kind == "revolute" else ("roll", "pitch", "yaw"), rng)
+    elif kind in ("rail_straightness", "rail_angular"):
+        keys["motion"] = (str(rng.choice(("t1", "t2") if kind == "rail_straightness" else ("roll", "pitch", "yaw"))),)
+    elif kind == "thermal":
+        if "temperature" not in columns:
+            return None
+        keys["where"] = str(rng.choice([*robot.names, "world_base", "tip_target"]))
+        keys["motion"] = (str(rng.choice(FRAME_COMPONENTS)),)
+    elif kind == "drift":
+        if "time" not in columns:
+            return None
+        keys |= {"where": str(rng.choice(["world_base", "tip_target"])), "motion": _some(FRAME_COMPONENTS, rng)}
+    elif kind == "payload_compliance":
+        if "payload" not in columns:
+            return None
+        if rng.random() < 0.5:
+            keys |= {"motion": ("axis",), "covariates": (f"{where}.payload_torque",)}
+        else:
+            keys |= {"motion": (str(rng.choice(("axis", "t1", "t2", "r1", "r2"))),), "covariates": ("payload",)}
+    table = covariate_table(robot, readings, columns, around, np.zeros(len(readings), dtype=int), {".gravity_"})
+    if kind in ("joint_compliance", "joint_backlash") and keys.get("by") != "direction":
+        load = table[f"{where}.gravity_torque"]
+        if np.ptp(load) < 1e-2 * max(1.0, np.abs(load).max()):
+            return None
+        if kind == "joint_backlash" and min(np.mean(load > 0), np.mean(load < 0)) < 0.1:
+            return None
+    probe = TrueEffect.model_validate(keys | {"coefficients": ({"std": 1.0},)})
+    try:
+        (cause,), _ = make_causes([probe], robot, readings, columns, around, rng, "case")
+    except CampaignError:
+        return None
+    effect = cause.effect
+    if effect.smooth:
+        length = float(rng.choice((2.0, 4.0, 8.0)))
+        values = kernel_root(len(effect.coefficients), length) @ rng.standard_normal(len(effect.coefficients))
+        return _with(keys, values), (1.0, length)
+    if len(effect.coefficients) > 1:
+        values = rng.standard_normal(len(effect.coefficients))
+        if kind == "bearing_compliance":  # a compliance is positive, and grows with travel
+            values = np.abs(values)
+        return _with(keys, values), None
+    return _with(keys, np.ones(1)), None
+
+
+def _off(
+    robot: Robot, columns: dict[str, np.ndarray], rng: np.random.Generator
+) -> tuple[TrueEffect, tuple[float, float] | None] | None:
+    """An effect that is in no catalogue: a named function of anything at any place."""
+    where = str(rng.choice([*robot.names, "tip_target"]))
+    motion = (str(rng.choice(FRAME_COMPONENTS)),)
+    form = str(rng.choice(("bow", "kink", "step", "dent", "ripple", "product", "ridge", "twist")))
+    count = 2 if form in ("product", "ridge", "twist") else 1
+    anything = [j for j in robot.names if j != where]
+    anything += [c for c in columns if not c.endswith("_direction") and c != "payload"]
+    covariates = tuple(str(c) for c in rng.choice(anything, count, replace=False))
+    keys = {"kind": "unknown", "where": where, "motion": motion, "form": form, "covariates": covariates}
+    return _with(keys, np.ones(1)), None
+
+
+def _with(keys: dict[str, object], values: np.ndarray) -> TrueEffect:
+    return TrueEffect.model_validate(keys | {"coefficients": tuple(float(v) for v in values)})
+
+
+def _some(components: Sequence[str], rng: np.random.Generator) -> tuple[str, ...]:
+    """One of some components, or all of them."""
+    return tuple(components) if rng.random() < 0.3 else (str(rng.choice(list(components))),)
+
+
+def _measurements(
+    robot: Robot, readings: np.ndarray, R: np.ndarray, p: np.ndarray, columns: dict[str, np.ndarray],
+    test: np.ndarray, pose: bool,
+) -> Measurements:  # fmt: skip
+    n = len(readings)
+    quaternion = Rotation.from_matrix(R).as_quat(canonical=True) if pose else None
+    return Measurements(robot.readings, (), "", (), (), np.zeros(n, dtype=int), np.arange(n) + 2, readings, p, quaternion,
+                        None, columns, None, test, True)  # fmt: skip
+
+
+def _campaign(robot: Robot, gravity: np.ndarray, sigma: np.ndarray, declared: bool) -> Campaign:
+    pose = len(sigma) == 6
+    noise = {"position": float(sigma[0])} | ({"rotation": float(sigma[3])} if pose else {})
+    return Campaign.model_validate({
+        "format": 1,
+        "robot": {"urdf": Path("robot.urdf"), "tip": robot.tip, "gravity": gravity.tolist()},
+        "measurements": {"file": (Path("rows.csv"),), "kind": "pose" if pose else "position"}
+        | ({"noise": noise} if declared else {}),
+    })  # fmt: skip
+
+
+# -- robots
+
+
+def draw_robot(family: str, rng: np.random.Generator) -> tuple[Robot, np.ndarray]:
+    """A robot of one of :data:`FAMILIES` with random lengths and masses, and gravity in its base's frame."""
+    joints, gravity = _BUILD[family](rng)
+    return parse_robot(_urdf(joints, rng), "tip"), np.array(gravity)
+
+
+# (kind, origin xyz, axis, lower, upper) of each joint.
+Link = tuple[str, tuple[float, float, float], str, float, float]
+DOWN = (0.0, 0.0, -9.81)
+
+
+def _rail(rng: np.random.Generator) -> tuple[list[Link], Draw]:
+    """The ARID's build: a horizontal rail and three parallel joints that lift against gravity."""
+    a, b = rng.uniform(0.4, 2.0, 2)
+    reach = rng.uniform(2.0, 18.0)
+    side = float(rng.uniform(0.1, 0.4))
+    return [
+        ("prismatic", (0, 0, 0), "0 0 1", 0.0, reach),
+        ("revolute", (side, 0, 0), "0 0 1", -0.3, rng.uniform(1.5, 2.2)),
+        ("revolute", (a, 0, 0), "0 0 1", rng.uniform(0.2, 1.2), 2.6),
+        ("revolute", (b, 0, 0), "0 0 1", -2.2, rng.uniform(-0.5, 1.5)),
+    ], (0.0, 9.81, 0.0)
+
+
+def _six(rng: np.random.Generator) -> tuple[list[Link], Draw]:
+    """An anthropomorphic arm."""
+    a, b = rng.uniform(0.3, 0.9, 2)
+    w = rng.uniform(0.08, 0.15, 3)
+    most = float(rng.uniform(1.6, 2.8))
+    return [
+        ("revolute", (0, 0, rng.uniform(0.1, 0.5)), "0 0 1", -most, most),
+        ("revolute", (rng.uniform(0, 0.3), w[0], 0), "0 1 0", -1.9, 0.6),
+        ("revolute", (0, -w[0], a), "0 1 0", -2.0, 2.0),
+        ("revolute", (0, w[1], b), "0 1 0" if rng.random() < 0.5 else "0 0 1", -most, most),
+        ("revolute", (0, 0, w[1]), "0 0 1" if rng.random() < 0.5 else "1 0 0", -2.0, 2.0),
+        ("revolute", (0, w[2], 0), "0 1 0", -most, most),
+    ], DOWN
+
+
+def _seven(rng: np.random.Generator) -> tuple[list[Link], Draw]:
+    """A redundant arm."""
+    up = rng.uniform(0.15, 0.4, 7)
+    out = rng.uniform(-0.05, 0.05, 7)
+    axes = ("0 0 1", "0 1 0", "0 0 1", "0 1 0", "0 0 1", "0 1 0", "0 0 1")
+    most = rng.uniform(1.5, 2.5, 7)
+    return [("revolute", (o, 0, u), x, -m, m) for o, u, x, m in zip(out, up, axes, most, strict=True)], DOWN
+
+
+def _scara(rng: np.random.Generator) -> tuple[list[Link], Draw]:
+    a, b = rng.uniform(0.2, 0.6, 2)
+    return [
+        ("revolute", (0, 0, rng.uniform(0.2, 0.5)), "0 0 1", -2.3, 2.3),
+        ("revolute", (a, 0, 0), "0 0 1", -2.5, 2.5),
+        ("prismatic", (b, 0, 0), "0 0 -1", 0.0, rng.uniform(0.15, 0.5)),
+        ("revolute", (0, 0, -0.1), "0 0 1", -3.1, 3.1),
+    ], DOWN
+
+
+def _gantry(rng: np.random.Generator) -> tuple[list[Link], Draw]:
+    """Three slides and a wrist."""
+    x, y, z = rng.uniform(0.8, 3.0), rng.uniform(0.6, 2.0), rng.uniform(0.3, 1.2)
+    return [
+        ("prismatic", (0, 0, 1.5), "1 0 0", 0.0, x),
+        ("prismatic", (0, 0, 0.2), "0 1 0", 0.0, y),
+        ("prismatic", (0.15, 0, 0), "0 0 -1", 0.0, z),
+        ("revolute", (0, 0, -0.3), "0 0 1", -2.8, 2.8),
+        ("revolute", (0, 0.05, -0.12), "0 1 0", -1.8, 1.8),
+        ("revolute", (0, 0, -0.1), "1 0 0", -2.8, 2.8),
+    ], DOWN
+
+
+_BUILD: dict[str, Callable[[np.random.Generator], tuple[list[Link], Draw]]] = {
+    "rail": _rail, "six": _six, "seven": _seven, "scara": _scara, "gantry": _gantry,
+}  # fmt: skip
+
+
+def _urdf(joints: Sequence[Link], rng: np.random.Generator) -> bytes:
+    parts = ['<robot name="random"><link name="base"/>']
+    mass = float(np.exp(rng.uniform(np.log(5.0), np.log(60.0))))
+    ends = [xyz for _, xyz, *_ in joints[1:]] + [(0.1, 0.0, 0.05)]
+    for k, ((kind, xyz, axis, lower, upper), end) in enumerate(zip(joints, ends, strict=True), start=1):
+        com = np.array(end) / 2 + rng.normal(0.0, 0.03, 3)
+        parts.append(
+            f'<link name="link_{k}"><inertial><origin xyz="{com[0]:.4f} {com[1]:.4f} {com[2]:.4f}"/>'
+            f'<mass value="{mass:.3f}"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+            f'<joint name="joint_{k}" type="{kind}"><parent link="{f"link_{k - 1}" if k > 1 else "base"}"/>'
+            f'<child link="link_{k}"/><origin xyz="{xyz[0]:.6f} {xyz[1]:.6f} {xyz[2]:.6f}"/><axis xyz="{axis}"/>'
+            f'<limit lower="{lower:.6f}" upper="{upper:.6f}" effort="1" velocity="1"/></joint>'
+        )
+        mass *= float(rng.uniform(0.4, 0.8))
+    end = ends[-1]
+    parts.append(
+        f'<link name="tip"/><joint name="tip_fixed" type="fixed"><parent link="link_{len(joints)}"/><child link="tip"/>'
+        f'<origin xyz="{end[0]} {end[1]} {end[2]}"/></joint></robot>'
+    )
+    return "".join(parts).encode()
