@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations, product
 
 import numpy as np
 
@@ -16,6 +17,7 @@ ORDERS = (1.0, 2.0, 3.0, 4.0)  # periods per turn that a shaft, a bearing or a d
 WOBBLES = (1.0, 2.0)
 POWERS = (0.0, 1.0, 2.0)  # of a rail's travel, for what bends the more the further it is out
 MAP_KNOTS, RAIL_KNOTS, UNKNOWN_KNOTS = 72, 16, 9
+PAIR_KNOTS = 5
 MOVED_ANGLE, MOVED_LENGTH = 1e-2, 1e-3  # less travel than this says nothing about a joint, [rad] and [m]
 
 
@@ -210,6 +212,23 @@ def _unknown(s: Scene) -> Iterator[Effect]:
         for name in covariates:
             where = "tip_target"
             yield Effect("unknown", where, bumps(where, c, name, s.table[name], UNKNOWN_KNOTS), smooth=True)
+
+
+def pairs(s: Scene) -> list[Effect]:
+    """The same for smooth functions of two covariates at once: a joint's own motion, and that of the target."""
+    covariates = [j.name for j in s.moving()] + list(s.measured)
+    places = [(j.name, "axis") for j in s.robot.joints] + [("tip_target", c) for c in FRAME_COMPONENTS[:3]]
+    found = []
+    for where, component in places:
+        for a, b in combinations(covariates, 2):
+            low = [float(s.table[n].min()) for n in (a, b)]
+            step = [float(np.ptp(s.table[n])) / (PAIR_KNOTS - 1) for n in (a, b)]
+            centres = product(*([low[k] + i * step[k] for i in range(PAIR_KNOTS)] for k in (0, 1)))
+            coefficients = tuple(
+                Coefficient(where, component, Basis("bump2", (a, b), (u, step[0], v, step[1]))) for u, v in centres
+            )
+            found.append(Effect("unknown", where, coefficients, smooth=True, grid=(PAIR_KNOTS, PAIR_KNOTS)))
+    return found
 
 
 KINDS: dict[str, Callable[[Scene], Iterator[Effect]]] = {

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from aridcal.campaign import Campaign
-from aridcal.catalogue import Barred, Scene, barred_joints, candidates, declared, usable_columns
+from aridcal.catalogue import Barred, Scene, barred_joints, candidates, declared, pairs, usable_columns
 from aridcal.effects import Basis, Coefficient, Effect, Surroundings, covariate_table, evaluate
 from aridcal.measurements import Measurements, blocks
 from aridcal.model import Model
@@ -90,13 +90,14 @@ def diagnose(
     kinds = campaign.diagnosis.candidates if campaign.diagnosis.enabled else ()
     named = candidates(scene, tuple(k for k in kinds if k != "unknown"))
     unnamed = candidates(scene, ("unknown",)) if "unknown" in kinds else []
+    paired = pairs(scene) if unnamed else []
     stated = [declared(scene, d, str(campaign.path)) for d in campaign.effects]
     taken = {(e.kind, e.where, e.with_, e.by) for e in stated}
     named = [e for e in named if (e.kind, e.where, e.with_, e.by) not in taken]
     if named:
         progress(f"testing {len(named)} candidate effects")
     current = at = geometric
-    bench = linear_bench(bound, current, (), [*named, *unnamed, *stated], scene)
+    bench = linear_bench(bound, current, (), [*named, *unnamed, *paired, *stated], scene)
     state = solve_state(bench, (), current.sigma, current.weight)
     for effect in stated:
         state = solve_state(bench, (*state.active, admitted(bench, state, effect)), state.solution.sigma, state.weight)
@@ -104,6 +105,8 @@ def diagnose(
         found = search(bench, named, state)
         if unnamed:
             more = search(bench, unnamed, found.state, UNNAMED)
+            if more.state.active != found.state.active:  # functions of one covariate help: perhaps it takes two at once
+                more = search(bench, paired, more.state, UNNAMED)
             found = replace(more, rejected=found.rejected + more.rejected[:1], tested=found.tested + more.tested)
         same = [a.effect for a in found.state.active] == [a.effect for a in state.active]
         state = found.state
@@ -114,7 +117,7 @@ def diagnose(
         if not is_small(bench, named):
             break
         at = current
-        bench = linear_bench(bound, at, state.active, [*named, *unnamed, *stated], scene)
+        bench = linear_bench(bound, at, state.active, [*named, *unnamed, *paired, *stated], scene)
         state = solve_state(bench, state.active, state.solution.sigma, state.weight)
     return Diagnosed(current, at, bench, scene, found, twins(bench, named, state), tuple(stated), tuple(barred))
 

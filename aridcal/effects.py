@@ -106,6 +106,7 @@ class Effect:
         with_: The other joint of a coupling.
         by: What a backlash switches with.
         smooth: True where the coefficients are samples of a smooth function and shrink to zero where unseen.
+        grid: For a smooth function of two covariates: samples along each; else empty.
     """
 
     kind: str
@@ -115,6 +116,12 @@ class Effect:
     with_: str | None = None
     by: str | None = None
     smooth: bool = False
+    grid: tuple[int, ...] = ()
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Samples of a smooth function along each of its covariates."""
+        return self.grid or (len(self.coefficients),)
 
     @property
     def motion(self) -> tuple[str, ...]:

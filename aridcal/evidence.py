@@ -123,7 +123,9 @@ def _solved(s: Sums, precision: np.ndarray, sigma: Sigma) -> tuple[np.ndarray, n
     return beta, inverse, np.maximum(square, 0.0)
 
 
-def score(M: np.ndarray, s: np.ndarray, raw: np.ndarray, left: float, count: float, smooth: bool) -> Score:
+def score(
+    M: np.ndarray, s: np.ndarray, raw: np.ndarray, left: float, count: float, shape: tuple[int, ...] | None = None
+) -> Score:
     """Evidence for d columns.
 
     Args:
@@ -132,9 +134,9 @@ def score(M: np.ndarray, s: np.ndarray, raw: np.ndarray, left: float, count: flo
         raw: Their squared lengths before projection, shape (d,).
         left: The residual's sum of squares, in units of sigma.
         count: Numbers measured.
-        smooth: True for samples of a smooth function.
+        shape: Of the grid, for samples of a smooth function; else None.
     """
-    return _smooth(M, s, raw, left, count) if smooth else _plain(M, s, raw, left, count)
+    return _smooth(M, s, raw, left, count, shape) if shape else _plain(M, s, raw, left, count)
 
 
 def _plain(M: np.ndarray, s: np.ndarray, raw: np.ndarray, left: float, count: float) -> Score:
@@ -150,10 +152,10 @@ def _plain(M: np.ndarray, s: np.ndarray, raw: np.ndarray, left: float, count: fl
     return Score(gain, float(chi2.sf(twice, d)), d)
 
 
-def _smooth(M: np.ndarray, s: np.ndarray, raw: np.ndarray, left: float, count: float) -> Score:
+def _smooth(M: np.ndarray, s: np.ndarray, raw: np.ndarray, left: float, count: float, shape: tuple[int, ...]) -> Score:
     best = Score(-np.inf, 1.0, 0)
     for length in LENGTHS:
-        root = kernel_root(len(s), length)
+        root = kernel_root(shape, length)
         spectrum, vectors = np.linalg.eigh(root.T @ M @ root)
         values = np.maximum(spectrum, 0.0)
         seen = values > DEPENDENT * float(np.sum(root**2 * raw[:, None])) / len(s)
@@ -173,16 +175,19 @@ def _smooth(M: np.ndarray, s: np.ndarray, raw: np.ndarray, left: float, count: f
     return best
 
 
-def kernel_root(knots: int, length: float) -> np.ndarray:
-    """Square root of the prior covariance of a smooth function's coefficients, shape (knots, knots)."""
-    apart = np.abs(np.subtract.outer(np.arange(knots), np.arange(knots))) / length
-    matern = (1.0 + np.sqrt(3.0) * apart) * np.exp(-np.sqrt(3.0) * apart)
-    return np.asarray(np.linalg.cholesky(matern + 1e-9 * np.eye(knots)))
+def kernel_root(shape: tuple[int, ...], length: float) -> np.ndarray:
+    """Square root of the prior covariance of a smooth function's samples: Matern 3/2 along each covariate."""
+    root = np.ones((1, 1))
+    for knots in shape:
+        apart = np.abs(np.subtract.outer(np.arange(knots), np.arange(knots))) / length
+        matern = (1.0 + np.sqrt(3.0) * apart) * np.exp(-np.sqrt(3.0) * apart)
+        root = np.kron(root, np.linalg.cholesky(matern + 1e-9 * np.eye(knots)))
+    return root
 
 
-def smooth_precision(knots: int, tau: float, length: float) -> np.ndarray:
+def smooth_precision(shape: tuple[int, ...], tau: float, length: float) -> np.ndarray:
     """Inverse of the prior covariance of a smooth function's coefficients."""
-    root = np.linalg.inv(kernel_root(knots, length))
+    root = np.linalg.inv(kernel_root(shape, length))
     return np.asarray(root.T @ root) / tau**2
 
 

@@ -115,7 +115,11 @@ class Active:
     def coefficient_precision(self) -> np.ndarray:
         """Prior precision of its coefficients, shape (d, d)."""
         d = len(self.effect.coefficients)
-        return smooth_precision(d, self.score.tau, self.score.length) if self.effect.smooth else np.zeros((d, d))
+        return (
+            smooth_precision(self.effect.shape, self.score.tau, self.score.length)
+            if self.effect.smooth
+            else np.zeros((d, d))
+        )
 
     def columns(self, bench: Bench) -> np.ndarray:
         """Its columns, shape (N, m, d or modes)."""
@@ -241,7 +245,7 @@ def activate(bench: Bench, state: State, effect: Effect, found: Score) -> Active
     """Make a candidate ready to be solved for."""
     if not effect.smooth:
         return Active(effect, found)
-    root = kernel_root(len(effect.coefficients), found.length)
+    root = kernel_root(effect.shape, found.length)
     sigma = np.repeat([state.solution.sigma.position, state.solution.sigma.rotation], 3)[: bench.r.shape[1]]
     C = bench.columns(effect) / sigma[:, None]
     U, s, _ = np.linalg.svd(root * found.tau, full_matrices=False)
@@ -362,7 +366,11 @@ def _scores(bench: Bench, effects: Sequence[Effect], state: State) -> list[Score
         projected = CC - CA @ state.solution.inverse @ CA.T
         for effect, low, high in zip(group, ends[:-1], ends[1:], strict=True):
             own = slice(low, high)
-            found.append(score(projected[own, own], Cr[own], np.diag(CC)[own], left, count, effect.smooth))
+            found.append(
+                score(
+                    projected[own, own], Cr[own], np.diag(CC)[own], left, count, effect.shape if effect.smooth else None
+                )
+            )
     return found
 
 
