@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +12,10 @@ from scipy.optimize import minimize
 from aridcal.residual import Observations
 
 MOST_ROWS = 4000  # more rows sharpen a start by nothing
+FREE = 1e-3  # [m/m]: a target translation that moves the points less than this, the base following, is left at its hint
+STRAIN = 1 / 3  # share of the misfit that the points may move by on the way to the hint
+
+Cost = Callable[[np.ndarray], tuple[float, np.ndarray]]
 
 
 @dataclass(frozen=True)
@@ -53,7 +58,8 @@ def start_frames(
         tip: Number of each row's tip_target frame, shape (N,).
         known_world: The frames, where they are not to be identified.
         known_tip: Likewise.
-        hint_tip: Rotation of the target where nothing measures it.
+        hint_tip: The target where nothing measures it: its rotation from positions alone, its translation along
+            directions that the base can follow (a tool that never tilts).
     """
     if known_world is not None and known_tip is not None:
         return [FrameStart(known_world, known_tip)]
@@ -61,17 +67,17 @@ def start_frames(
     M = None if measured.rotation is None else measured.rotation[keep]
     data = _Data(rotation[keep], position[keep], M, measured.position[keep], world[keep], tip[keep])
     if known_world is not None:
-        return [_from_world(data, known_world, hint_tip)]
+        return [_with_target(data, known_world, _seen_from(data, known_world, len(hint_tip)), hint_tip)]
     if known_tip is not None:
         t = np.array([frame.translation for frame in known_tip])
         turned = None
         if M is not None:
             turned = data.R @ np.array([frame.rotation for frame in known_tip])[data.tip]
         return [FrameStart(_kabsch(data, t, turned), known_tip)]
-    starts = [_from_world(data, _kabsch(data, t, None), hint_tip) for t in _levers(data)]
-    if M is not None:
-        starts += [_from_world(data, world_base, hint_tip) for world_base in _kronecker(data)]
-    return starts
+    hint = np.array([frame.translation for frame in hint_tip])
+    found = [(_kabsch(data, t, None), t) for t in _levers(data, hint)]
+    found += _kronecker(data, hint) if M is not None else []
+    return [_with_target(data, world_base, t, hint_tip) for world_base, t in found]
 
 
 def _points(data: _Data, t: np.ndarray) -> np.ndarray:
@@ -79,30 +85,38 @@ def _points(data: _Data, t: np.ndarray) -> np.ndarray:
     return data.p + np.einsum("nij,nj->ni", data.R, t[data.tip])
 
 
-def _levers(data: _Data) -> list[np.ndarray]:
+def _columns(data: _Data, tips: int) -> np.ndarray:
+    """What the target translations move in the base frame, shape (N, 3, 3 tips)."""
+    columns = np.zeros((len(data.p), 3, 3 * tips))
+    for k in range(tips):
+        columns[data.tip == k, :, 3 * k : 3 * k + 3] = data.R[data.tip == k]
+    return columns
+
+
+def _centred(values: np.ndarray, label: np.ndarray) -> np.ndarray:
+    """Values minus the mean of the rows that share a label."""
+    out = values.copy()
+    for k in np.unique(label):
+        out[label == k] -= values[label == k].mean(axis=0)
+    return out
+
+
+def _levers(data: _Data, hint: np.ndarray) -> list[np.ndarray]:
     """Target translations t, shape (tips, 3) each, that let the measured points fall on the robot's.
 
     Minimises over t what Kabsch's rotation leaves: |m|^2 + |c(t)|^2 - 2 sum over worlds of the (signed) nuclear norm
     of H(t), with c(t) linear in t; so the cost of a step does not depend on the number of rows.
     """
-    worlds, tips = int(data.world.max()) + 1, int(data.tip.max()) + 1
-    n = len(data.p)
-    columns = np.zeros((n, 3, 3 * tips))
-    for k in range(tips):
-        columns[data.tip == k, :, 3 * k : 3 * k + 3] = data.R[data.tip == k]
-    c, C, m = data.p.copy(), columns, data.m.copy()
-    for w in range(worlds):
-        own = data.world == w
-        c[own] -= c[own].mean(axis=0)
-        C[own] -= C[own].mean(axis=0)
-        m[own] -= m[own].mean(axis=0)
+    worlds, tips = int(data.world.max()) + 1, len(hint)
+    c, C, m = (_centred(part, data.world) for part in (data.p, _columns(data, tips), data.m))
     H0 = np.array([m[data.world == w].T @ c[data.world == w] for w in range(worlds)])
     H1 = np.array([np.einsum("ni,njk->kij", m[data.world == w], C[data.world == w]) for w in range(worlds)])
     h, A = np.einsum("nik,ni->k", C, c), np.einsum("nik,nil->kl", C, C)
     scale = max(float(np.sum(m**2)), 1e-30)
+    constant = float(np.sum(m**2) + np.sum(c**2))
 
     def cost(t: np.ndarray) -> tuple[float, np.ndarray]:
-        value, slope = 2 * h @ t + t @ A @ t, 2 * h + 2 * A @ t
+        value, slope = constant + 2 * h @ t + t @ A @ t, 2 * h + 2 * A @ t
         for w in range(worlds):
             U, s, Vt = np.linalg.svd(H0[w] + np.tensordot(t, H1[w], 1))
             sign = np.array([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))])
@@ -114,10 +128,29 @@ def _levers(data: _Data) -> list[np.ndarray]:
     found: list[tuple[float, np.ndarray]] = []
     for direction in np.vstack([np.zeros(3), np.eye(3), -np.eye(3)]):
         best = minimize(cost, np.tile(size * direction, tips), jac=True, method="L-BFGS-B")
-        if not any(np.allclose(best.x, t, atol=1e-3 * size) for _, t in found):
-            found.append((float(best.fun), best.x))
+        t = best.x + _slide(cost, best.x, hint.ravel() - best.x, size)
+        if not any(np.allclose(t, other, atol=1e-3 * size) for _, other in found):
+            found.append((float(best.fun), t))
     found.sort(key=lambda pair: pair[0])
     return [t.reshape(tips, 3) for _, t in found[:2]]
+
+
+def _slide(cost: Cost, t: np.ndarray, gap: np.ndarray, size: float) -> np.ndarray:
+    """The part of a gap to cross that the misfit does not notice: what cannot be identified stays at its hint.
+
+    Args:
+        cost: Misfit and slope, in units of size squared, the base following.
+        t: Its minimum, shape (T,).
+        gap: From there to the hint, shape (T,).
+        size: RMS distance of the measured points from their centre, [m].
+    """
+    steps = 1e-2 * size * np.eye(len(t))
+    H = np.array([(cost(t + step)[1] - cost(t - step)[1]) / (4e-2 / size) for step in steps])
+    moves, V = np.linalg.eigh(0.5 * (H + H.T))  # squared displacement of the points, [m^2/m^2]
+    misfit = size * np.sqrt(max(cost(t)[0], 1e-8))
+    reach = STRAIN * misfit / np.sqrt(np.maximum(moves - 1e-10, 1e-30))
+    along = V.T @ gap
+    return np.asarray(V @ np.where(moves < FREE**2, np.clip(along, -reach, reach), 0.0))
 
 
 def _kabsch(data: _Data, t: np.ndarray, turned: np.ndarray | None) -> tuple[pin.SE3, ...]:
@@ -142,7 +175,7 @@ def _kabsch(data: _Data, t: np.ndarray, turned: np.ndarray | None) -> tuple[pin.
     return tuple(frames)
 
 
-def _kronecker(data: _Data) -> list[tuple[pin.SE3, ...]]:
+def _kronecker(data: _Data, hint: np.ndarray) -> list[tuple[tuple[pin.SE3, ...], np.ndarray]]:
     """Rotations from orientations alone (Shah 2013, doi:10.1115/1.4024473), both signs; then translations linearly."""
     assert data.M is not None
     found = []
@@ -154,36 +187,42 @@ def _kronecker(data: _Data) -> list[tuple[pin.SE3, ...]]:
             K = np.einsum("nij,nkl->ikjl", data.M[own], data.R[own]).reshape(9, 9)
             U, _, _ = np.linalg.svd(K)
             rotations.append(_nearest_rotation(sign * U[:, 0].reshape(3, 3)))
-        found.append(_translations(data, np.array(rotations)))
+        found.append(_translations(data, np.array(rotations), hint))
     return found
 
 
-def _translations(data: _Data, RX: np.ndarray) -> tuple[pin.SE3, ...]:
-    """T_world_base for known rotations: m = RX (p + R t) + tX is linear in t and tX."""
-    worlds, tips, n = len(RX), int(data.tip.max()) + 1, len(data.p)
-    A = np.zeros((n, 3, 3 * (worlds + tips)))
-    for w in range(worlds):
-        A[data.world == w, :, 3 * w : 3 * w + 3] = np.eye(3)
-    for k in range(tips):
-        own, at = data.tip == k, 3 * (worlds + k)
-        A[own, :, at : at + 3] = RX[data.world[own]] @ data.R[own]
-    rest = data.m - np.einsum("nij,nj->ni", RX[data.world], data.p)
-    x = np.linalg.lstsq(A.reshape(3 * n, -1), rest.ravel(), rcond=1e-9)[0]
-    return tuple(pin.SE3(RX[w], x[3 * w : 3 * w + 3]) for w in range(worlds))
+def _translations(data: _Data, RX: np.ndarray, hint: np.ndarray) -> tuple[tuple[pin.SE3, ...], np.ndarray]:
+    """Translations for known rotations: m = RX (p + R t) + tX is linear in t and tX; t is the nearest to its hint."""
+    worlds, tips, n = len(RX), len(hint), len(data.p)
+    turn = RX[data.world]
+    columns = np.einsum("nij,njk->nik", turn, _columns(data, tips))
+    rest = data.m - np.einsum("nij,nj->ni", turn, _points(data, hint))
+    A, b = _centred(columns, data.world), _centred(rest, data.world)
+    moves, V = np.linalg.eigh(np.einsum("nik,nil->kl", A, A) / n)
+    inverse = np.where(moves < FREE**2, 0.0, 1.0 / np.maximum(moves, FREE**2))
+    x = V @ (inverse * (V.T @ (np.einsum("nik,ni->k", A, b) / n)))
+    tX = rest - columns @ x
+    world_base = tuple(pin.SE3(RX[w], tX[data.world == w].mean(axis=0)) for w in range(worlds))
+    return world_base, hint + x.reshape(tips, 3)
 
 
-def _from_world(data: _Data, world_base: tuple[pin.SE3, ...], hint: tuple[pin.SE3, ...]) -> FrameStart:
-    """The target frames that belong to given world_base frames."""
+def _seen_from(data: _Data, world_base: tuple[pin.SE3, ...], tips: int) -> np.ndarray:
+    """Target translations t, shape (tips, 3), that belong to given world_base frames."""
     RX = np.array([frame.rotation for frame in world_base])[data.world]
     tX = np.array([frame.translation for frame in world_base])[data.world]
     lever = np.einsum("nji,nj->ni", RX @ data.R, data.m - tX) - np.einsum("nji,nj->ni", data.R, data.p)
+    return np.array([np.median(lever[data.tip == k], axis=0) for k in range(tips)])
+
+
+def _with_target(data: _Data, world_base: tuple[pin.SE3, ...], t: np.ndarray, hint: tuple[pin.SE3, ...]) -> FrameStart:
+    """The target frames for given world_base frames and target translations: their rotation from the measured ones."""
+    RX = np.array([frame.rotation for frame in world_base])[data.world]
     tips = []
-    for k in range(int(data.tip.max()) + 1):
-        own = data.tip == k
-        rotation = hint[k].rotation
+    for k, frame in enumerate(hint):
+        own, rotation = data.tip == k, frame.rotation
         if data.M is not None:
             rotation = _nearest_rotation(np.einsum("nji,njk->ik", RX[own] @ data.R[own], data.M[own]))
-        tips.append(pin.SE3(rotation, np.median(lever[own], axis=0)))
+        tips.append(pin.SE3(rotation, t[k]))
     return FrameStart(world_base, tuple(tips))
 
 
