@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -12,11 +12,14 @@ import pyarrow.csv
 import yaml
 from scipy.spatial.transform import Rotation
 
+from aridcal.campaign import Campaign
 from aridcal.effects import FRAME_COMPONENTS, Coefficient
 from aridcal.geometry import constants
+from aridcal.measurements import Measurements
 from aridcal.model import Frames, Model
 from aridcal.residual import Observations
 from aridcal.robot import Robot, load_robot, parse_robot
+from aridcal.settings import parse_settings
 from aridcal.solver import Data
 
 URDF = Path(__file__).resolve().parents[1] / "urdf"
@@ -173,3 +176,40 @@ def write_campaign(folder: Path, truth: Truth, rows: pd.DataFrame | None = None,
     path = folder / "campaign.yaml"
     path.write_text(yaml.safe_dump(keys | changes, sort_keys=False))
     return path
+
+
+def campaign(kind: str = "pose", **sections: object) -> Campaign:
+    """A campaign's settings, without its files."""
+    keys = {"format": 1, "robot": {"urdf": "r.urdf", "tip": "tip"}, "measurements": {"file": "m.csv", "kind": kind}}
+    return parse_settings(yaml.safe_dump(keys | sections), Path("campaign.yaml"), Campaign)
+
+
+def measurements(truth: Truth, station: np.ndarray | None = None) -> Measurements:
+    """The rows as if they had been read from a file, all of them for training."""
+    n, R = len(truth.readings), truth.measured.rotation
+    return Measurements(
+        names=truth.model.robot.readings,
+        files=(Path("m.csv"),),
+        sha256="",
+        refused=(),
+        notices=(),
+        file=np.zeros(n, dtype=int),
+        line=np.arange(2, n + 2),
+        readings=truth.readings,
+        position=truth.measured.position,
+        quaternion=None if R is None else Rotation.from_matrix(R).as_quat(),
+        std=None,
+        covariates={},
+        station=station,
+        test=np.zeros(n, dtype=bool),
+    )
+
+
+def moved(truth: Truth, world: pin.SE3, tip: pin.SE3) -> Truth:
+    """The same rows seen from elsewhere, with the target elsewhere on the tip (poses only)."""
+    R, p = truth.measured.rotation, truth.measured.position
+    assert R is not None
+    p = (p + R @ tip.translation) @ world.rotation.T + world.translation
+    frames = [((None, world * truth.model.world_base[0][1]),), ((None, truth.model.tip_target[0][1] * tip),)]
+    model = replace(truth.model, world_base=frames[0], tip_target=frames[1])
+    return replace(truth, model=model, measured=Observations(p, world.rotation @ R @ tip.rotation))
