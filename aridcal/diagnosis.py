@@ -13,13 +13,29 @@ from aridcal.effects import Basis, Coefficient, Effect, Surroundings, covariate_
 from aridcal.measurements import Measurements, blocks
 from aridcal.model import Model
 from aridcal.residual import Observations, linearise
-from aridcal.search import FOLDS, Active, Bench, Found, State, admitted, is_small, search, solve_state, twins
+from aridcal.search import (
+    FOLDS,
+    Active,
+    Bench,
+    Found,
+    State,
+    activate,
+    admitted,
+    is_small,
+    rank,
+    search,
+    solve_state,
+    twins,
+)
 from aridcal.solver import Data, Fit, Noise, Prior, fit
 from aridcal.source import Kind
 
 RUNS = 24  # stretches of time into which the rows are cut
 GAUGE = 1e-3  # weight with which the constants are held at the geometric stage: only what nothing else decides
 ROUNDS = 3
+MOST_LARGE = 4
+RIVALS = 5
+LARGE = 100.0  # nats in favour of an effect that is worth comparing on the exact model
 UNNAMED = 6  # effects without a name that are added at the most
 
 
@@ -97,10 +113,13 @@ def diagnose(
     if named:
         progress(f"testing {len(named)} candidate effects")
     current = at = geometric
-    bench = linear_bench(bound, current, (), [*named, *unnamed, *paired, *stated], scene)
+    library = [*named, *unnamed, *paired, *stated]
+    bench = linear_bench(bound, current, (), library, scene)
     state = solve_state(bench, (), current.sigma, current.weight)
     for effect in stated:
         state = solve_state(bench, (*state.active, admitted(bench, state, effect)), state.solution.sigma, state.weight)
+    if is_small(bench, named):
+        current, at, bench, state = _large_first(bound, bench, named, library, state, current, noise, scene)
     for _ in range(ROUNDS):
         found = search(bench, named, state)
         if unnamed:
@@ -110,16 +129,52 @@ def diagnose(
             found = replace(more, rejected=found.rejected + more.rejected[:1], tested=found.tested + more.tested)
         same = [a.effect for a in found.state.active] == [a.effect for a in state.active]
         state = found.state
-        if not state.active or (same and current is not geometric):
+        if not state.active or (same and at is current and current is not geometric):
             break
         progress(f"fitting {len(state.active)} effects: {', '.join(a.effect.label for a in state.active[:4])}")
         current = refit(bound, state, current, noise)
         if not is_small(bench, named):
             break
         at = current
-        bench = linear_bench(bound, at, state.active, [*named, *unnamed, *paired, *stated], scene)
+        bench = linear_bench(bound, at, state.active, library, scene)
         state = solve_state(bench, state.active, state.solution.sigma, state.weight)
     return Diagnosed(current, at, bench, scene, found, twins(bench, named, state), tuple(stated), tuple(barred))
+
+
+def _large_first(
+    bound: Bound,
+    bench: Bench,
+    named: Sequence[Effect],
+    library: Sequence[Effect],
+    state: State,
+    current: Fit,
+    noise: Noise,
+    scene: Scene,
+) -> tuple[Fit, Fit, Bench, State]:
+    """Take effects so large that they bend the constants: rivals are compared on the exact model, not the linear one."""
+    at = current
+    for _ in range(MOST_LARGE):
+        ranked = rank(bench, named, state)
+        top = ranked[0][1].gain if ranked else 0.0
+        rivals = {
+            (e.kind, e.where, e.motion): (e, s) for e, s in reversed(ranked[:RIVALS]) if s.gain > max(LARGE, top / 2)
+        }
+        best: tuple[float, Fit, State] | None = None
+        for effect, found in reversed(rivals.values()):
+            trial = solve_state(
+                bench, (*state.active, activate(bench, state, effect, found)), state.solution.sigma, state.weight
+            )
+            fitted = refit(bound, trial, current, noise)
+            worth = -0.5 * found.freedom * (1.0 + np.log(max(2.0 * found.gain / max(found.freedom, 1), 1.0)))
+            worth -= float(trial.sums.count @ np.log([fitted.estimated.position, fitted.estimated.rotation]))
+            if best is None or worth > best[0]:
+                best = worth, fitted, trial
+        if best is None:
+            break
+        current = at = best[1]
+        bench = linear_bench(bound, at, best[2].active, library, scene)
+        state = solve_state(bench, best[2].active, current.sigma, best[2].weight)
+    return current, at, bench, state
 
 
 def look(bound: Bound) -> tuple[Scene, list[Barred]]:

@@ -177,7 +177,7 @@ def _smooth(M: np.ndarray, s: np.ndarray, raw: np.ndarray, left: float, count: f
 
 def kernel_root(shape: tuple[int, ...], length: float) -> np.ndarray:
     """Square root of the prior covariance of a smooth function's samples: Matern 3/2 along each covariate."""
-    root = np.ones((1, 1))
+    root: np.ndarray = np.ones((1, 1))
     for knots in shape:
         apart = np.abs(np.subtract.outer(np.arange(knots), np.arange(knots))) / length
         matern = (1.0 + np.sqrt(3.0) * apart) * np.exp(-np.sqrt(3.0) * apart)

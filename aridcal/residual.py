@@ -11,8 +11,8 @@ from aridcal.model import Model, Rows
 
 BLOCK = 512  # rows differentiated at a time: they stay in the cache, and memory stays flat
 FLOOR = 1e-12  # [m] or [rad]: below this everything is rounding
-# Median of the norm of three standard normal numbers: turns a median norm into a sigma per axis.
-MEDIAN_NORM_3 = 1.5381722544550522
+# Median and 90th percentile of the norm of three standard normal numbers: they turn norms into a sigma per axis.
+MEDIAN_NORM_3, TENTH_NORM_3 = 1.5381722544550522, 2.5002777108094164
 
 
 @dataclass(frozen=True)
@@ -89,10 +89,17 @@ def scaled(r: np.ndarray, measured: Observations) -> np.ndarray:
 
 
 def robust_sigma(r: np.ndarray) -> Sigma:
-    """Sigma per axis from the median norms of scaled residuals: half of the rows may be wild."""
-    norms = [np.linalg.norm(part, axis=1) for part in (r[:, :3], r[:, 3:])]
-    values = [max(float(np.median(n)) / MEDIAN_NORM_3, FLOOR) for n in norms]
-    return Sigma(values[0], values[1] if r.shape[1] == 6 else 1.0)
+    """Sigma per axis from norms of scaled residuals, by the median and by the 90th percentile: the larger counts.
+
+    A tenth of the rows may be wild. More than that are no outliers but a part of the robot's life that the model lacks
+    (one of two sides of a backlash, say): they must not be flagged away.
+    """
+    values = []
+    for part in (r[:, :3], r[:, 3:]):
+        if part.size:
+            middle, tenth = np.quantile(np.linalg.norm(part, axis=1), [0.5, 0.9])
+            values.append(max(float(middle) / MEDIAN_NORM_3, float(tenth) / TENTH_NORM_3, FLOOR))
+    return Sigma(values[0], values[1] if len(values) > 1 else 1.0)
 
 
 def distance(r: np.ndarray, sigma: Sigma) -> np.ndarray:
@@ -132,7 +139,7 @@ def normal(
         root = np.sqrt(w)[:, None]
         for k in range(r.shape[1] // 3):
             part = slice(3 * k, 3 * k + 3)
-            A = (J[:, part] * root[:, :, None]).reshape(-1, count)
+            A = (J[:, part] * root[:, :, None]).reshape(3 * len(r), count)
             H[k] += A.T @ A
             g[k] += A.T @ (r[:, part] * root).ravel()
         parts.append(r)
@@ -164,5 +171,5 @@ def triangle(
         r, J = linearise(model, theta, rows[block], measured[block])
         scale = np.repeat([1.0 / sigma.position, 1.0 / sigma.rotation], 3)[: r.shape[1]]
         J = J * (np.sqrt(weight[block])[:, None] * scale)[:, :, None]
-        R = np.asarray(np.linalg.qr(np.vstack([R, J.reshape(-1, len(theta))]), mode="r"))
+        R = np.asarray(np.linalg.qr(np.vstack([R, J.reshape(r.size, len(theta))]), mode="r"))
     return R

@@ -28,7 +28,7 @@ from aridcal.residual import (
 
 OUTLIER = 6.0  # sigmas per axis, position or rotation, beyond which a row is flagged: 1 clean row in 10 million
 STEPS = 60
-SETTLED = 1e-3  # a step that moves no combination of coefficients by more than this share of its sigma is the last
+SETTLED = 1e-2  # a step that moves no combination of coefficients by more than this share of its sigma is the last
 ROUGH = 0.1  # the same for a robust fit, whose flags are all that is wanted of it
 ROUGH_ROWS = 400
 SUSPECT = 3.0  # sigmas beyond which a row is flagged that repeats another's measurement although the joints moved

@@ -124,7 +124,7 @@ def _levers(data: _Data, hint: np.ndarray) -> list[np.ndarray]:
             slope = slope - 2 * np.einsum("kij,ij->k", H1[w], (U * sign) @ Vt)
         return value / scale, slope / scale
 
-    size = float(np.sqrt(np.mean(np.sum(m**2, axis=1))))
+    size = max(float(np.sqrt(np.mean(np.sum(m**2, axis=1)))), 1e-6)  # one row alone has none
     found: list[tuple[float, np.ndarray]] = []
     for direction in np.vstack([np.zeros(3), np.eye(3), -np.eye(3)]):
         best = minimize(cost, np.tile(size * direction, tips), jac=True, method="L-BFGS-B")
