@@ -9,7 +9,7 @@ from itertools import combinations, product
 import numpy as np
 
 from aridcal.campaign import EffectDeclaration
-from aridcal.effects import FRAME_COMPONENTS, Basis, Coefficient, Effect, bearing_components
+from aridcal.effects import ANGULAR, FRAME_COMPONENTS, Basis, Coefficient, Effect, bearing_components
 from aridcal.errors import CampaignError, nearest
 from aridcal.robot import Joint, Robot
 
@@ -206,8 +206,10 @@ def _unknown(s: Scene) -> Iterator[Effect]:
     covariates = [j.name for j in s.moving()] + list(s.measured)
     for j in s.robot.joints:
         for c in FRAME_COMPONENTS:
+            own = abs(j.axis[FRAME_COMPONENTS.index(c) % 3]) > 0.99 and (c in ANGULAR) == (j.kind == "revolute")
             for name in covariates:
-                yield Effect("unknown", j.name, bumps(j.name, c, name, s.table[name], UNKNOWN_KNOTS), smooth=True)
+                if not (own and name == j.name):  # that is a joint_map
+                    yield Effect("unknown", j.name, bumps(j.name, c, name, s.table[name], UNKNOWN_KNOTS), smooth=True)
     for c in FRAME_COMPONENTS:
         for name in covariates:
             where = "tip_target"

@@ -10,9 +10,10 @@ import numpy as np
 from aridcal.campaign import Campaign
 from aridcal.catalogue import Barred, Scene, barred_joints, candidates, declared, pairs, usable_columns
 from aridcal.effects import Basis, Coefficient, Effect, Surroundings, covariate_table, evaluate
+from aridcal.identifiable import identifiable
 from aridcal.measurements import Measurements, blocks
 from aridcal.model import Model
-from aridcal.residual import Observations, linearise
+from aridcal.residual import Observations, linearise, triangle
 from aridcal.search import (
     FOLDS,
     Active,
@@ -217,24 +218,48 @@ def linear_bench(
 
 
 def refit(bound: Bound, state: State, current: Fit, noise: Noise) -> Fit:
-    """Fit constants and effects together on the exact model, the constants gauged to the geometric stage."""
-    geometric, active = bound.geometric, state.active
-    constants = tuple(c for c in geometric.model.coefficients if c.basis.constant)
-    coefficients = constants + tuple(c for a in active for c in a.effect.coefficients)
-    model = geometric.model.with_coefficients(coefficients)
+    """Fit constants and effects together on the exact model, the constants gauged to the geometric stage.
+
+    Constants that the geometric stage could not tell apart, its residual being large, are taken in when they can be now.
+    """
+    constants = tuple(c for c in current.model.coefficients if c.basis.constant)
+    found = _refit(bound, constants, state, current, noise)
+    more = _regained(bound, found)
+    return _refit(bound, constants + more, state, found, noise) if more else found
+
+
+def _refit(bound: Bound, constants: tuple[Coefficient, ...], state: State, current: Fit, noise: Noise) -> Fit:
+    geometric = bound.geometric
+    model = geometric.model.with_coefficients(constants + tuple(c for a in state.active for c in a.effect.coefficients))
     known = dict(zip(current.model.names, current.theta, strict=True))
     theta = np.array([known.get(name, 0.0) for name in model.names])
-    K = len(constants)
     precision = np.zeros((len(theta), len(theta)))
-    precision[:K, :K] = GAUGE * np.linalg.pinv(geometric.covariance, hermitian=True)
-    at = K
-    for a in active:
+    mean = np.zeros(len(theta))
+    place = {name: k for k, name in enumerate(model.names)}
+    held = np.array([place[name] for name in geometric.model.names], dtype=int)
+    precision[np.ix_(held, held)] = GAUGE * np.linalg.pinv(geometric.covariance, hermitian=True)
+    mean[held] = geometric.theta
+    at = len(constants)
+    for a in state.active:
         d = len(a.effect.coefficients)
         precision[at : at + d, at : at + d] = a.coefficient_precision
         at += d
-    mean = np.concatenate([geometric.theta, np.zeros(len(theta) - K)])
     found = fit(model, bound.data(model), noise, theta, state.weight, Prior(mean, precision))
-    return replace(found, candidates=geometric.candidates, redundant=geometric.redundant)
+    redundant = {name: why for name, why in geometric.redundant.items() if name not in place}
+    return replace(found, candidates=geometric.candidates, redundant=redundant)
+
+
+def _regained(bound: Bound, found: Fit) -> tuple[Coefficient, ...]:
+    """Constants that were given up in the geometric stage and can be told apart from all else now."""
+    dropped = tuple(c for c in found.candidates if c.name in found.redundant)
+    if not dropped:
+        return ()
+    model = found.model.with_coefficients(found.model.coefficients + dropped)
+    theta = np.concatenate([found.theta, np.zeros(len(dropped))])
+    data = bound.data(model)
+    R = triangle(model, theta, data.rows, data.measured, found.weight, found.sigma)
+    kept = identifiable(R, range(len(theta))).kept
+    return tuple(c for k, c in enumerate(model.coefficients) if k >= len(found.theta) and k in kept)
 
 
 def _folds(bound: Bound) -> tuple[np.ndarray, np.ndarray]:

@@ -29,6 +29,7 @@ FAINT = 0.02  # a mode that the data could move by less than this share of its p
 MOST = 24
 FOLDS = 5
 SCANNED = 800  # orders of a joint's error that are looked through, a quarter period over its range apart
+MAPPED = 30.0  # highest order that a joint_map resolves
 LOUD = 30.0  # chi-square of a harmonic that is worth a closer look
 CHUNK = 128
 
@@ -262,7 +263,9 @@ def rank(bench: Bench, library: Sequence[Effect], state: State) -> list[tuple[Ef
     """Score every candidate that is not in the model; the best first, the first few with their noise apart."""
     taken = {a.effect for a in state.active}
     kinds = {e.kind for e in library}
-    free = [e for e in (*library, *(_scanned(bench, state) if "joint_harmonic" in kinds else ())) if e not in taken]
+    mapped = {e.where for e in taken if e.kind == "joint_map"}
+    scanned = _scanned(bench, state) if "joint_harmonic" in kinds else []
+    free = [e for e in (*library, *scanned) if e not in taken and not (e.where in mapped and _in_a_map(e))]
     scores = _scores(bench, free, state)
     order = sorted(range(len(free)), key=lambda k: -scores[k].gain)
     enough = 0.4 * scores[order[0]].gain if order else 0.0
@@ -270,6 +273,11 @@ def rank(bench: Bench, library: Sequence[Effect], state: State) -> list[tuple[Ef
     rough = dict(zip(free, scores, strict=True))
     refined = sorted(((e, _refine(bench, state, e, rough[e])) for e in head), key=lambda pair: -pair[1].gain)
     return refined + [(free[k], scores[k]) for k in order if free[k] not in head]
+
+
+def _in_a_map(effect: Effect) -> bool:
+    """True for functions of a joint's own reading that a joint_map of the same joint holds already."""
+    return effect.kind == "joint_gain" or (effect.kind == "joint_harmonic" and max(effect.order) < MAPPED)
 
 
 def _forward(
