@@ -26,7 +26,7 @@ from aridcal.export import stage_urdf, write_results
 from aridcal.geometry import Geometry, fit_geometry, observations, recentred, unused_links
 from aridcal.measurements import Measurements, load_measurements
 from aridcal.outcome import Outcome, Stage, Verification, errors
-from aridcal.quality import halves, joint_kinds, joint_limits, outliers, precision, repeats
+from aridcal.quality import halves, joint_kinds, joint_limits, outliers, precision, realigned, repeats
 from aridcal.report import write_report
 from aridcal.residual import predict_residuals, scaled
 from aridcal.robot import load_robot, parse_robot
@@ -110,7 +110,7 @@ def identify(path: Path, seed: int = 0, verify: Path | None = None, progress: Pr
         diagnosis=diagnosis,
     )
     if verify is not None:
-        outcome = replace(outcome, verification=_verify(outcome, verify, noise))
+        outcome = replace(outcome, verification=_verify(outcome, verify))
     return replace(outcome, seconds=time.perf_counter() - started)
 
 
@@ -182,23 +182,20 @@ def _check_stations(campaign: Campaign, rows: Measurements) -> tuple[Measurement
     )
 
 
-def _verify(outcome: Outcome, path: Path, noise: Noise) -> Verification:
-    """Score another table with the models as they are, and with its two frames fitted anew."""
+def _verify(outcome: Outcome, path: Path) -> Verification:
+    """Score another table with the models as they are, and with the two frames fitted anew."""
     campaign, robot = outcome.campaign, outcome.robot
-    rows = load_measurements(
-        campaign,
-        robot.readings,
-        joint_limits(robot),
-        joint_kinds(robot),
-        files=[path],
-    )
+    rows = load_measurements(campaign, robot.readings, joint_limits(robot), joint_kinds(robot), files=[path])
     measured = observations(rows, campaign.measurements.noise.rows)
     residuals = {}
     for stage in outcome.stages:
         model = stage.fit.model
         prepared = model.rows(rows.readings, rows.covariates, rows.station)
         residuals[stage.name] = predict_residuals(model, stage.fit.theta, prepared, measured)
-    return Verification(path.name, rows, residuals, None)
+    again = realigned(outcome.stage("final").fit, _data(campaign, outcome.stage("final").fit, rows, stale_rows(rows)))
+    if measured.relative is not None:
+        again = again * measured.relative[:, : again.shape[1]]
+    return Verification(path.name, rows, residuals, again)
 
 
 VERDICTS = {
@@ -235,6 +232,15 @@ def summary(outcome: Outcome, console: Console) -> None:
         ]
         gain = f": {rms[0]:.3f} mm without it, {rms[1]:.3f} mm with it" if rms else ""
         console.print(f"{found}: {effect.effect.label} [{', '.join(effect.effect.motion)}]{gain}", markup=False)
+    if outcome.verification is not None:
+        v = outcome.verification
+        every = np.ones(len(v.measurements), dtype=bool)
+        rms = {name: errors(r, every)["position_mm"]["rms"] for name, r in v.residuals.items()}
+        figures = ", ".join(f"{name} {value:.3f} mm" for name, value in rms.items())
+        console.print(f"{v.file}, {len(every)} rows of another day: {figures}", markup=False)
+        if v.realigned is not None:
+            rest = errors(v.realigned, every)["position_mm"]["rms"]
+            console.print(f"  with both frames fitted anew: {rest:.3f} mm", markup=False)
     console.print(f"verdict: {outcome.verdict}: {VERDICTS[outcome.verdict]}", markup=False)
     for notice in outcome.notices[:8]:
         console.print(f"note: {notice}", markup=False)

@@ -6,12 +6,13 @@ import numpy as np
 
 from aridcal.measurements import Measurements, blocks
 from aridcal.outcome import Precision, Repeats
-from aridcal.residual import Sigma, distance, robust_sigma
+from aridcal.residual import Sigma, distance, normal, robust_sigma
 from aridcal.robot import Robot
 from aridcal.solver import Data, Fit, Noise, minimise
 from aridcal.source import Kind
 
 REACH_SAMPLES = 300
+REALIGN_STEPS = 12
 FAR = 10.0  # robust scales beyond which a test row is a gross outlier
 
 
@@ -106,6 +107,26 @@ def halves(fit: Fit, train: Measurements, data: Data, noise: Noise) -> tuple[flo
         predicted.append(p)
     apart = np.linalg.norm(predicted[0] - predicted[1], axis=1)
     return float(np.sqrt(np.mean(apart**2))), float(np.sqrt(spread))
+
+
+def realigned(fit: Fit, data: Data) -> np.ndarray:
+    """Residuals of other rows after fitting the two frames anew to them, all else as it was, shape (N, m), scaled.
+
+    What this takes away was changed by remounting the target or moving the tracker, not by the robot.
+    """
+    theta = fit.theta.copy()
+    own = [c.where in ("world_base", "tip_target") and c.basis.constant for c in fit.model.coefficients]
+    frames = np.flatnonzero(own)
+    r = fit.residual
+    for _ in range(REALIGN_STEPS):
+        here = normal(fit.model, theta, data.rows, data.measured, None, fit.sigma)
+        r = here.residual
+        H, g = here.hessian(fit.sigma)[np.ix_(frames, frames)], here.gradient(fit.sigma)[frames]
+        step = np.linalg.lstsq(H, g, rcond=1e-12)[0]
+        theta[frames] += step
+        if np.all(np.abs(step) < 1e-12):
+            break
+    return r
 
 
 def outliers(train: np.ndarray, flags: np.ndarray, stages: list[np.ndarray]) -> np.ndarray:
