@@ -26,9 +26,9 @@ from aridcal.export import stage_urdf, write_results
 from aridcal.geometry import Geometry, fit_geometry, observations, recentred, unused_links
 from aridcal.measurements import Measurements, load_measurements
 from aridcal.outcome import Outcome, Stage, Verification, errors
-from aridcal.quality import halves, joint_kinds, joint_limits, outliers, precision, realigned, repeats
+from aridcal.quality import FAR, halves, joint_kinds, joint_limits, outliers, precision, realigned, repeats
 from aridcal.report import write_report
-from aridcal.residual import predict_residuals, scaled
+from aridcal.residual import distance, predict_residuals, robust_sigma, scaled
 from aridcal.robot import load_robot, parse_robot
 from aridcal.scene import Scene, write_scene
 from aridcal.solver import Data, Fit, Noise, fit
@@ -193,9 +193,10 @@ def _verify(outcome: Outcome, path: Path) -> Verification:
         prepared = model.rows(rows.readings, rows.covariates, rows.station)
         residuals[stage.name] = predict_residuals(model, stage.fit.theta, prepared, measured)
     again = realigned(outcome.stage("final").fit, _data(campaign, outcome.stage("final").fit, rows, stale_rows(rows)))
+    outlier = distance(again, robust_sigma(again)) > FAR
     if measured.relative is not None:
         again = again * measured.relative[:, : again.shape[1]]
-    return Verification(path.name, rows, residuals, again)
+    return Verification(path.name, rows, residuals, outlier, again)
 
 
 VERDICTS = {
@@ -234,12 +235,13 @@ def summary(outcome: Outcome, console: Console) -> None:
         console.print(f"{found}: {effect.effect.label} [{', '.join(effect.effect.motion)}]{gain}", markup=False)
     if outcome.verification is not None:
         v = outcome.verification
-        every = np.ones(len(v.measurements), dtype=bool)
-        rms = {name: errors(r, every)["position_mm"]["rms"] for name, r in v.residuals.items()}
-        figures = ", ".join(f"{name} {value:.3f} mm" for name, value in rms.items())
-        console.print(f"{v.file}, {len(every)} rows of another day: {figures}", markup=False)
+        sound = ~v.outlier
+        scored = ((name, errors(r, sound)["position_mm"]["rms"]) for name, r in v.residuals.items())
+        figures = ", ".join(f"{name} {value:.3f} mm" for name, value in scored)
+        gross = f" ({v.outlier.sum()} gross outliers left out)" if v.outlier.any() else ""
+        console.print(f"{v.file}, {sound.sum()} rows of another day{gross}: {figures}", markup=False)
         if v.realigned is not None:
-            rest = errors(v.realigned, every)["position_mm"]["rms"]
+            rest = errors(v.realigned, sound)["position_mm"]["rms"]
             console.print(f"  with both frames fitted anew: {rest:.3f} mm", markup=False)
     console.print(f"verdict: {outcome.verdict}: {VERDICTS[outcome.verdict]}", markup=False)
     for notice in outcome.notices[:8]:

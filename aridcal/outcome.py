@@ -76,12 +76,14 @@ class Verification:
         file: Where it came from.
         measurements: Its rows.
         residuals: Measured minus predicted of each stage, shape (N, 6) or (N, 3).
+        outlier: Rows that are off by more than 10 robust scales even with the frames fitted anew, shape (N,).
         realigned: The final stage's after fitting the two frames anew: what remounting target or tracker changed.
     """
 
     file: str
     measurements: Measurements
     residuals: dict[str, np.ndarray]
+    outlier: np.ndarray
     realigned: np.ndarray | None
 
 

@@ -211,16 +211,16 @@ def verification(outcome: Outcome) -> Iterator[Content]:
     stages = dict(found.residuals)
     if found.realigned is not None:
         stages["final, frames fitted anew"] = found.realigned
-    every = np.ones(len(found.measurements), dtype=bool)
     for key, what in sections.ERRORS.items():
-        scores = {name: errors(residual, every).get(key) for name, residual in stages.items()}
+        scores = {name: errors(residual, ~found.outlier).get(key) for name, residual in stages.items()}
         lines = [[name, *(number(s[k]) for k in STATISTICS)] for name, s in scores.items() if s is not None]
         if lines:
             yield table(["model", "RMS", "mean", "median", "95 % below", "max"], lines, what)
     yield tag(
         "p",
-        "Outliers are not left out here. If the error is much larger than on the campaign's own unused rows, the "
-        "target or the instrument was mounted anew, or the robot has changed since.",
+        f"{counted(int(found.outlier.sum()), 'gross outlier')} left out. If the error is much larger than on the campaign's "
+        "own unused rows, but small again with the frames fitted anew, the target or the instrument was mounted anew; if it "
+        "stays large, the robot has changed since.",
     )
 
 

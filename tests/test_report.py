@@ -317,7 +317,13 @@ def test_halves_that_disagree_are_held_against_the_result(outcome: Outcome) -> N
 
 def test_another_days_data_get_a_section_of_their_own(outcome: Outcome) -> None:
     residuals = {stage.name: 2 * stage.residual for stage in outcome.stages}
-    other = Verification("<day 2>.csv", outcome.measurements, residuals, outcome.stages[-1].residual)
+    other = Verification(
+        "<day 2>.csv",
+        outcome.measurements,
+        residuals,
+        np.zeros(len(outcome.measurements), bool),
+        outcome.stages[-1].residual,
+    )
     report = page(replace(outcome, verification=other))
     assert_sound(report)
     section = text(report, "//section[@id='verification']")
