@@ -1,0 +1,227 @@
+"""The main job, end to end: simulated campaigns, and the public UR10 data with their published figures."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pinocchio as pin
+import pytest
+import robots
+from scipy.spatial.transform import Rotation
+
+from aridcal import identify, predict
+from aridcal.calibration import Calibration
+from aridcal.export import stage_urdf
+from aridcal.outcome import Outcome
+
+FILES = {"result.json", "calibrated.urdf", "calibration.yaml", "report.html", "scene.html", "residuals.csv"}
+
+
+def written(outcome: Outcome) -> bytes:
+    return stage_urdf(outcome.stage("geometric").fit)
+
+
+def chain_of_calibrated_urdf(urdf: bytes, robot, frames: dict, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:  # type: ignore[no-untyped-def, type-arg]
+    """Poses by Pinocchio's own reading of calibrated.urdf, between the frames of result.json."""
+    model = pin.buildModelFromXML(urdf.decode())
+    data = model.createData()
+    ends = [pin.SE3(pin.rpy.rpyToMatrix(np.array(f["rpy"])), np.array(f["xyz"])) for f in
+            (frames["world_base"], frames["tip_target"])]  # fmt: skip
+    index = [model.joints[model.getJointId(name)].idx_q for name in robot.readings]
+    R, p = np.empty((len(q), 3, 3)), np.empty((len(q), 3))
+    for n, row in enumerate(q):
+        whole = pin.neutral(model)
+        whole[index] = row
+        pin.framesForwardKinematics(model, data, whole)
+        base, tip = (data.oMf[model.getFrameId(link)] for link in (robot.base, robot.tip))
+        T = ends[0] * (base.inverse() * tip) * ends[1]
+        R[n], p[n] = T.rotation, T.translation
+    return R, p
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory: pytest.TempPathFactory) -> tuple[robots.Truth, Path]:
+    """One ARID campaign of 120 rows, three of them wild, identified once by the command itself."""
+    folder = tmp_path_factory.mktemp("small")
+    rng = np.random.default_rng(0)
+    truth = robots.simulate(robots.arid(), 120, rng, 2e-3, 1e-4, world=robots.random_placement(rng),
+                            tip=robots.random_placement(rng, 0.2))  # fmt: skip
+    rows = robots.table(truth)
+    rows["split"] = np.where(np.arange(120) % 5 == 4, "test", "train")
+    rows.loc[[10, 20], "x"] += 0.01
+    rows.loc[30, ["qx", "qy", "qz", "qw"]] = rows.loc[31, ["qx", "qy", "qz", "qw"]].to_numpy()
+    rows.loc[40, "y"] = np.nan
+    assert identify.main([str(robots.write_campaign(folder, truth, rows))]) == 0
+    return truth, folder
+
+
+def test_every_file_appears(small: tuple[robots.Truth, Path]) -> None:
+    results = {f.name for f in (small[1] / "results").iterdir()}
+    assert results == FILES
+
+
+def test_figures_tell_what_was_done(small: tuple[robots.Truth, Path]) -> None:
+    result = json.loads((small[1] / "results" / "result.json").read_text())
+    n = result["n"]
+    assert (n["rows"], n["used"], n["outliers"]) == (120, 119, 3)
+    assert (n["train"], n["test"]) == (96 - 3 - 1, 24)
+    assert [(r["row"], r["column"]) for r in n["refused"]] == [(42, "y")]
+    assert sorted(r["row"] for r in n["outlier_rows"]) == [12, 22, 32]
+    test = {stage: e["test"]["position_mm"]["rms"] for stage, e in result["error"].items()}
+    assert test["nominal"] > 1.0
+    assert test["geometric"] < 1.25 * np.sqrt(3) * 0.1
+    assert result["noise"]["source"] == "estimated"
+    assert result["noise"]["position_mm"] == pytest.approx(0.1, rel=0.15)
+    status = [p["status"] for p in result["parameters"]]
+    assert status.count("identified") == 20
+    assert all(p["redundant_with"] for p in result["parameters"] if p["status"] == "redundant")
+    assert result["convergence"]["geometric"]["converged"]
+
+
+def test_frames_and_parameters_agree_with_the_truth_within_their_sigmas(small: tuple[robots.Truth, Path]) -> None:
+    """What can be compared: predictions anywhere in the range, against the machine as it is."""
+    truth, folder = small
+    model = Calibration.load(folder / "results" / "calibration.yaml")
+    q = robots.readings(truth.model.robot, 200, np.random.default_rng(1))
+    _, p = model.final.poses(q)
+    _, exact = truth.model.poses(truth.theta, truth.model.rows(q))
+    assert np.sqrt(np.mean(np.sum((p - exact) ** 2, axis=1))) < 3e-4
+
+
+def test_calibrated_urdf_and_frames_predict_what_the_model_predicts(small: tuple[robots.Truth, Path]) -> None:
+    truth, folder = small
+    results = folder / "results"
+    q = robots.readings(truth.model.robot, 50, np.random.default_rng(2))
+    frames = json.loads((results / "result.json").read_text())["frames"]
+    R, p = chain_of_calibrated_urdf((results / "calibrated.urdf").read_bytes(), truth.model.robot, frames, q)
+    pd.DataFrame(q, columns=truth.model.robot.readings).to_csv(folder / "q.csv", index=False, float_format="%.17g")
+    assert predict.main([str(results / "calibration.yaml"), str(folder / "q.csv"), "-o", str(folder / "p.csv")]) == 0
+    found = robots.read_csv(folder / "p.csv")
+    np.testing.assert_allclose(found[["x", "y", "z"]], p, atol=1e-9, rtol=0)
+    turned = Rotation.from_quat(found[["qx", "qy", "qz", "qw"]].to_numpy()).as_matrix()
+    np.testing.assert_allclose(turned, R, atol=1e-9, rtol=0)
+
+
+def test_residuals_are_measured_minus_predicted_row_by_row(small: tuple[robots.Truth, Path]) -> None:
+    _, folder = small
+    table = pd.read_csv(folder / "results" / "residuals.csv")
+    rows = pd.read_csv(folder / "measurements.csv")
+    model = Calibration.load(folder / "results" / "calibration.yaml").final
+    used = rows.loc[table["row"] - 2].reset_index(drop=True)
+    _, p = model.poses(used[list(model.model.robot.readings)].to_numpy())
+    np.testing.assert_allclose(table[["final_x", "final_y", "final_z"]], used[["x", "y", "z"]] - p, atol=2e-9)
+    assert set(table.loc[table["weight"] == 0, "row"]) == {12, 22, 32}
+    assert (table["split"] == used["split"]).all()
+
+
+def test_a_second_run_writes_the_same_figures(small: tuple[robots.Truth, Path], tmp_path: Path) -> None:
+    _, folder = small
+    assert identify.main([str(folder / "campaign.yaml"), "--out", str(tmp_path / "again")]) == 0
+    for name in ("calibrated.urdf", "calibration.yaml", "residuals.csv"):
+        assert (tmp_path / "again" / name).read_bytes() == (folder / "results" / name).read_bytes()
+
+
+def test_another_day_is_scored_with_the_models_as_they_are(small: tuple[robots.Truth, Path], tmp_path: Path) -> None:
+    truth, folder = small
+    rng = np.random.default_rng(3)
+    q = robots.readings(truth.model.robot, 40, rng)
+    R, p = truth.model.poses(truth.theta, truth.model.rows(q))
+    other = robots.Truth(truth.model, truth.theta, q, robots.Observations(p + 1e-4 * rng.normal(size=p.shape), R))
+    robots.table(other).to_csv(tmp_path / "other.csv", index=False, float_format="%.17g")
+    outcome = identify.identify(folder / "campaign.yaml", verify=tmp_path / "other.csv")
+    assert outcome.verification is not None
+    final = outcome.verification.residuals["final"]
+    assert final.shape == (40, 6)
+    assert np.sqrt(np.mean(final[:, :3] ** 2)) < 1.5e-4
+    assert np.sqrt(np.mean(outcome.verification.residuals["nominal"][:, :3] ** 2)) > 5e-4
+
+
+def test_positions_alone_are_enough(tmp_path: Path) -> None:
+    rng = np.random.default_rng(4)
+    truth = robots.simulate(robots.ur10(), 150, rng, 1e-3, 5e-5, world=robots.random_placement(rng),
+                            tip=robots.random_placement(rng, 0.2), kind="position")  # fmt: skip
+    outcome = identify.identify(robots.write_campaign(tmp_path, truth))
+    assert len(outcome.stage("geometric").fit.theta) == 4 * 6 + 3
+    test = outcome.parts()["test"]
+    rms = np.sqrt(np.mean(np.sum(outcome.stage("geometric").residual[test] ** 2, axis=1)))
+    assert rms < 1.3 * np.sqrt(3) * 5e-5
+
+
+def test_a_station_without_training_rows_lends_them_from_the_test(tmp_path: Path) -> None:
+    rng = np.random.default_rng(5)
+    truth = robots.simulate(robots.arid(), 60, rng, 1e-3, 1e-5)
+    rows = robots.table(truth)
+    rows["station"] = np.where(np.arange(60) < 57, "near", "far")
+    frames = {"world_base": {"per": "station"}}
+    outcome = identify.identify(robots.write_campaign(tmp_path, truth, rows, frames=frames))
+    labels = [label for label, _ in outcome.stage("final").fit.model.world_base]
+    assert labels == ["far", "near"]
+    assert (~outcome.measurements.test & (outcome.measurements.station == "far")).any()
+
+
+def ur10_campaign(folder: Path, series: Path) -> Path:
+    (folder / "ur10.urdf").write_bytes((robots.URDF / "ur10.urdf").read_bytes())
+    path = folder / "campaign.yaml"
+    path.write_text(
+        "format: 1\nrobot: {urdf: ur10.urdf, base: base_link, tip: tool0}\n"
+        f"measurements: {{file: {series}, noise: {{rows: ignore}}, ignore: [sequence]}}\n"
+        "diagnosis: {enabled: false}\n"
+    )
+    return path
+
+
+BAD_ROWS = {532, 854, 855, 1063}
+"""Known from the data's README: two stale readings, two gross outliers."""
+
+
+def test_ur10_series_b_reaches_the_published_accuracy(shared_data: Path, tmp_path: Path) -> None:
+    """Public tools reach 0.417 to 0.521 mm on one split; asked for: 0.445 mm and 0.91 mrad, over splits."""
+    series = shared_data / "ur10-laser-tracker" / "series_b.csv"
+    path = ur10_campaign(tmp_path, series)
+    position, rotation, nominal = [], [], []
+    for seed in range(3):
+        outcome = identify.identify(path, seed)
+        test = outcome.parts()["test"]
+        geometric, bare = outcome.stage("geometric"), outcome.stage("nominal")
+        position.append(np.sqrt(np.mean(np.sum(geometric.residual[test, :3] ** 2, axis=1))))
+        rotation.append(np.sqrt(np.mean(np.sum(geometric.residual[test, 3:] ** 2, axis=1))))
+        nominal.append(np.sqrt(np.mean(np.sum(bare.residual[test, :3] ** 2, axis=1))))
+        sequence = outcome.measurements.line - 2
+        # On test rows only what is off by ten robust scales counts: none of the four is.
+        assert set(sequence[outcome.outlier]) == BAD_ROWS & set(sequence[~outcome.measurements.test])
+        assert len(geometric.fit.theta) == 30
+        assert geometric.fit.convergence.converged
+        assert geometric.fit.convergence.agreed == geometric.fit.convergence.restarts
+    assert np.mean(nominal) == pytest.approx(1.08e-3, rel=0.05)
+    assert np.mean(position) <= 0.445e-3
+    assert np.mean(rotation) <= 0.91e-3
+    model = geometric.fit.model
+    rows = outcome.measurements.readings[:100]
+    frames = {
+        name: {"xyz": T.translation, "rpy": pin.rpy.matrixToRpy(T.rotation)}
+        for name, ((_, T),) in zip(("world_base", "tip_target"), model.frames(geometric.fit.theta), strict=True)
+    }
+    R, p = chain_of_calibrated_urdf(written(outcome), outcome.robot, frames, rows)
+    for a, b in zip(model.poses(geometric.fit.theta, model.rows(rows)), (R, p), strict=True):
+        np.testing.assert_allclose(a, b, atol=1e-9, rtol=0)
+
+
+def test_ur10_series_d_names_its_degenerate_target_translation(shared_data: Path, tmp_path: Path) -> None:
+    """The tool never turns: tip_target's translation goes with world_base's. It is named and nothing runs away."""
+    outcome = identify.identify(ur10_campaign(tmp_path, shared_data / "ur10-laser-tracker" / "series_d.csv"))
+    for stage in ("nominal", "geometric"):
+        fit = outcome.stage(stage).fit
+        lost = {name: set(partners) for name, partners in fit.redundant.items() if name.startswith("tip_target.")}
+        assert {"tip_target.x", "tip_target.y", "tip_target.z"} & set(lost)
+        for name, partners in lost.items():
+            assert any(p.startswith("world_base.") for p in partners), (name, partners)
+        for frames in fit.model.frames(fit.theta):
+            assert np.linalg.norm(frames[0][1].translation) < 10.0
+        assert np.linalg.norm(fit.model.frames(fit.theta)[1][0][1].translation) < 1.0
+        assert fit.std.max() < 0.02
+    test = outcome.parts()["test"]
+    rms = [np.sqrt(np.mean(np.sum(outcome.stage(s).residual[test, :3] ** 2, axis=1))) for s in ("nominal", "geometric")]
+    assert rms[1] < rms[0]
