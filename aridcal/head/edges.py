@@ -247,7 +247,7 @@ def _edges(pixels: _Pixels, shapes: Shapes, theta: np.ndarray) -> tuple[np.ndarr
         delta = pixels.spread((np.sum(c[:, 1:3] ** 4, axis=1) / 240) ** 0.25)
         inverse_sigma = 1 / np.sqrt(np.maximum(theta[3] + PIXEL_VARIANCE - delta**2, 0.01))
         half = pixels.spread(0.5 / pitch) + theta[2]
-        cover, by_variance = np.float32(-1), np.float32(0)
+        cover, by_variance = -np.ones_like(x), np.zeros_like(x)
         by_d = []
         for t in (half - place, half + place):
             t1, t2 = (t + delta) * inverse_sigma, (t - delta) * inverse_sigma

@@ -32,18 +32,12 @@ class Fiducials:
         pixels: Images of their centres, shape (M, 2).
         covariances: Of those, shape (M, 2, 2), [px²].
         T_camera_square: Pose that their shapes were predicted with, shape (4, 4).
-        blur: Median standard deviation of the edges' blur, [px].
-        noise: Median standard deviation of the grey levels.
-        contrast: Median fiducial minus paper, [grey levels].
     """
 
     layout: Layout
     pixels: np.ndarray
     covariances: np.ndarray
     T_camera_square: np.ndarray
-    blur: float
-    noise: float
-    contrast: float
 
 
 def find_fiducials(image: np.ndarray, layout: Layout, intrinsics: np.ndarray, sonars: Sonars) -> Fiducials:
@@ -115,13 +109,7 @@ def _refine(
             break
     layout, fits = layout[good], fits[good]
     _check(layout)
-    return Fiducials(
-        layout,
-        fits.centres,
-        fits.covariances,
-        T,
-        *(float(np.median(values)) for values in (fits.blur, fits.noise, fits.contrast)),
-    )
+    return Fiducials(layout, fits.centres, fits.covariances, T)
 
 
 def _acceptable(fits: Fits, half_extent: np.ndarray, dark: bool) -> np.ndarray:

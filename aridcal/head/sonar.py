@@ -119,6 +119,6 @@ def report_plane(h: np.ndarray, gamma: float) -> Plane:
     cos_beta = np.sqrt(1 - ((h[2] - h[1]) / (2 * gamma)) ** 2)
     e = h / np.array([cos_alpha, cos_beta, cos_beta, cos_alpha])
     v = np.array([e[1] - e[0], e[2] - e[1], 2 * gamma]) / (gamma * (e[0] + e[2]))
-    normal, distance = v / np.linalg.norm(v), 1 / np.linalg.norm(v)
+    normal, distance = v / np.linalg.norm(v), float(1 / np.linalg.norm(v))
     positions = gamma * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
-    return Plane(normal, float(distance), h - ranges(normal, distance, positions, "perpendicular"))
+    return Plane(normal, distance, h - ranges(normal, distance, positions, "perpendicular"))

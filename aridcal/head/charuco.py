@@ -1,0 +1,90 @@
+"""A ChArUco board in place of the calibration squares, found by OpenCV.
+
+Its frame is like that of the square: origin at the board's centre, x right, y up, z out of the paper towards the camera.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from aridcal.errors import CampaignError, nearest
+from aridcal.head.camera import rays
+from aridcal.head.fiducials import Fiducials
+from aridcal.head.matching import NotMeasured, spans_plane
+from aridcal.head.pose import NO_SONARS, fit_pose
+from aridcal.head.square import Layout
+
+MIN_CORNERS = 6
+FIRST_STD = 0.1  # [px] of a corner, before the residuals tell
+
+
+@dataclass(frozen=True)
+class Board:
+    """A ChArUco board: chessboard squares and markers, sides in [m]."""
+
+    squares_x: int
+    squares_y: int
+    square: float
+    marker: float
+    dictionary: str
+
+    def opencv(self) -> cv2.aruco.CharucoBoard:
+        """Return OpenCV's own board.
+
+        Raises:
+            CampaignError: The dictionary is unknown, or the sizes make no board.
+        """
+        known = [name for name in dir(cv2.aruco) if name.startswith("DICT_")]
+        if self.dictionary not in known:
+            raise CampaignError(f"`dictionary`: unknown {self.dictionary!r}{nearest(self.dictionary, known)}")
+        words = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, self.dictionary))
+        try:
+            return cv2.aruco.CharucoBoard((self.squares_x, self.squares_y), self.square, self.marker, words)
+        except cv2.error:
+            raise CampaignError("`marker` must be smaller than `square`, and the board larger than 1 x 1") from None
+
+
+def find_charuco(image: np.ndarray, board: Board, index: int, intrinsics: np.ndarray) -> Fiducials:
+    """Find a board's inner corners.
+
+    Args:
+        image: Grey levels, uint8, shape (height, width).
+        board: What to look for.
+        index: The board's index in the table of squares.
+        intrinsics: In the order of ``camera.INTRINSICS``, shape (9,).
+
+    Returns:
+        The corners, numbered as OpenCV does; their noise is what their residuals show.
+
+    Raises:
+        NotMeasured: Too few corners are seen.
+    """
+    made = board.opencv()
+    corners, ids, _, _ = cv2.aruco.CharucoDetector(made).detectBoard(image)
+    if ids is None or len(ids) < MIN_CORNERS:
+        seen = 0 if ids is None else len(ids)
+        raise NotMeasured(f"only {seen} corners of the board are seen: {MIN_CORNERS} are needed")
+    ids, pixels = ids.ravel(), corners.reshape(-1, 2).astype(float)
+    # OpenCV puts the board's origin at its upper left corner, with y down.
+    middle = np.array([board.squares_x, board.squares_y, 0]) * board.square / 2
+    points = (np.asarray(made.getChessboardCorners(), dtype=float)[ids] - middle) * [1, -1, 1]
+    if not spans_plane(points):
+        raise NotMeasured("the corners that are seen lie on one line")
+    done, turn, shift = cv2.solvePnP(points, rays(pixels, intrinsics), np.eye(3), None, flags=cv2.SOLVEPNP_IPPE)
+    if not done:
+        raise NotMeasured("the board's corners fit no pose")
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = cv2.Rodrigues(turn)[0], shift.ravel()
+    covariances = np.tile(FIRST_STD**2 * np.eye(2), (len(ids), 1, 1))
+    pose = fit_pose(points, pixels, covariances, NO_SONARS, intrinsics, T)
+    layout = Layout(
+        square=np.full(len(ids), index),
+        fiducial=ids,
+        centres=points,
+        axes=np.tile(np.eye(3)[:2], (len(ids), 1, 1)),
+        sizes=np.zeros((len(ids), 2)),
+    )
+    return Fiducials(layout, pixels, covariances * pose.chi2 / pose.dof, pose.T_camera_square)
