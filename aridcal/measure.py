@@ -248,7 +248,7 @@ def contact_sheet(results: Sequence[Measured], title: str) -> Html:
     good = sum(m.std is not None for m in results)
     head = tag("head", Html('<meta charset="utf-8">'), tag("title", title), tag("style", Html(STYLE)))
     body = tag("body", tag("h1", title), tag("p", f"{good} of {len(results)} shots measured."), tag("main", figures))
-    return Html("<!doctype html>") + tag("html", head, body, lang="en")
+    return Html("<!doctype html>" + tag("html", head, body, lang="en"))
 
 
 def sonar_remarks(results: Sequence[Measured], std: float) -> list[str]:
@@ -315,7 +315,7 @@ def _mapping(n: int) -> Iterator[Callable[[Callable[[Shot], Measured], list[Shot
         yield map
         return
     with ProcessPoolExecutor(os.cpu_count(), mp_context=multiprocessing.get_context("spawn")) as pool:
-        yield partial(pool.map, chunksize=4)  # type: ignore[misc]
+        yield partial(pool.map, chunksize=4)
 
 
 if __name__ == "__main__":

@@ -176,7 +176,8 @@ def robust_pose(
             "mi,mi->m", pose.pixel_residuals, np.linalg.solve(spread, pose.pixel_residuals[..., None])[..., 0]
         )
         worst = int(np.argmax(distance2))
-        common = max(1.0, float(np.median(distance2)) / (2 * np.log(2)))
+        # Without that point chi2 falls by its distance2: what remains is the misfit of the others.
+        common = max(1.0, (pose.chi2 - float(distance2[worst])) / max(pose.dof - 2, 1.0))
         if np.count_nonzero(used) <= 3 or distance2[worst] < STANDS_OUT**2 * common:
             return pose, used
         used[np.flatnonzero(used)[worst]] = False
