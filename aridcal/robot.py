@@ -147,6 +147,10 @@ def parse_robot(urdf: bytes, tip: str, base: str | None = None, path: Path = Pat
     tree = _parse_xml(urdf, path)
     links = [e.get("name", "") for e in tree.findall("link")]
     elements = _joint_elements(tree, path)
+    for inertial in tree.iterfind("link/inertial"):
+        for element in inertial.iter("mass", "inertia"):
+            for key in element.keys():  # noqa: SIM118
+                _numbers(element, str(key), "", 1, path)
     parent_of = {}
     for element in elements.values():
         child, parent = _link(element, "child", links, path), _link(element, "parent", links, path)
@@ -329,7 +333,8 @@ def _parse_xml(urdf: bytes, path: Path) -> etree._Element:
     try:
         root = etree.fromstring(urdf, parser)
     except (etree.XMLSyntaxError, ValueError) as error:
-        raise RobotError(f"{path}: not well-formed XML: {error}") from None
+        said = getattr(error, "msg", None) or error
+        raise RobotError(f"{path}: not well-formed XML: {said}. Mend the URDF, or name another one.") from None
     if root.getroottree().docinfo.doctype:  # type: ignore[union-attr]
         raise RobotError(f"{path}: has a DOCTYPE: DTDs and entities are refused. Remove it from the URDF.")
     if root.tag != "robot":
@@ -436,6 +441,8 @@ def _joint(
     if limit is not None and not continuous and (limit.get("lower") or limit.get("upper")):
         lower = float(_numbers(limit, "lower", "0", 1, path)[0])
         upper = float(_numbers(limit, "upper", "0", 1, path)[0])
+        if lower > upper:
+            raise RobotError(f"{path}: joint {master!r}: its lower limit {lower:g} is above its upper limit {upper:g}")
     return Joint(
         name,
         MOVING[kind],
