@@ -86,9 +86,9 @@ class RobotSettings(Section):
 class Noise(Section):
     """1-sigma of the measurement per axis; what is absent is estimated."""
 
-    position: float | None = Field(default=None, gt=0)
+    position: float | None = Field(default=None, ge=1e-12, le=1e3)
     """[m]"""
-    rotation: float | None = Field(default=None, gt=0)
+    rotation: float | None = Field(default=None, ge=1e-12, le=1e3)
     """[rad]"""
     rows: Literal["relative", "absolute", "ignore"] = "relative"
     """What the `std_*` columns are taken for."""
