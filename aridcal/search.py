@@ -155,7 +155,8 @@ class State:
         """Columns (N, m, d) brought to the design's shape."""
         used = self.weight > 0.5
         return [
-            columns[used, 3 * k : 3 * k + 3].reshape(-1, columns.shape[2]) for k in range(self.residual.shape[1] // 3)
+            columns[used, 3 * k : 3 * k + 3].reshape(3 * used.sum(), columns.shape[2])
+            for k in range(self.residual.shape[1] // 3)
         ]
 
 
@@ -230,7 +231,7 @@ def solve_state(bench: Bench, active: Sequence[Active], sigma: Sigma, weight: np
         weight = flags
         used = weight > 0.5
         parts = range(bench.r.shape[1] // 3)
-        A = tuple(design[used, 3 * k : 3 * k + 3].reshape(-1, design.shape[2]) for k in parts)
+        A = tuple(design[used, 3 * k : 3 * k + 3].reshape(3 * used.sum(), design.shape[2]) for k in parts)
         b = tuple(bench.r[used, 3 * k : 3 * k + 3].ravel() for k in parts)
         gram = sums(A, b)
         solution = solve(gram, precision, sigma)
