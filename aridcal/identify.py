@@ -20,7 +20,7 @@ from rich.table import Table
 from aridcal.campaign import Campaign, load_campaign
 from aridcal.commands import atomic_folder, check_writable, run
 from aridcal.diagnosis import Bound, diagnose, surroundings
-from aridcal.errors import AridcalError, MeasurementError
+from aridcal.errors import AridcalError, CampaignError, MeasurementError
 from aridcal.explain import explain, verdict
 from aridcal.export import stage_urdf, write_results
 from aridcal.geometry import Geometry, fit_geometry, observations, recentred, unused_links
@@ -35,6 +35,7 @@ from aridcal.solver import Data, Fit, Noise, fit
 from aridcal.whiteness import clues, noise_notice
 
 Progress = Callable[[str], None]
+STILL = 1e-3  # a joint that moves by less than this does not move, [rad] or [m]
 
 
 def identify(path: Path, seed: int = 0, verify: Path | None = None, progress: Progress = lambda _: None) -> Outcome:
@@ -64,6 +65,7 @@ def identify(path: Path, seed: int = 0, verify: Path | None = None, progress: Pr
     noise = Noise(declared.position, declared.rotation)
     labels = _labels(campaign, rows)
     train = ~rows.test
+    notices += _check_motion(campaign, rows, train)
 
     progress(f"fitting frames and constants to {train.sum()} rows")
     geometry = fit_geometry(campaign, robot, rows.select(train), labels, noise, stale[train])
@@ -123,6 +125,27 @@ def _freedom(fit: Fit) -> float:
     """Share of the numbers measured that is left after fitting."""
     used = fit.weight.sum() * fit.residual.shape[1]
     return float(1.0 - fit.spent / max(used, 1.0))
+
+
+def _check_motion(campaign: Campaign, rows: Measurements, train: np.ndarray) -> tuple[str, ...]:
+    """Refuse rows that can tell nothing whatever the model, and name the joints that never move."""
+    title = str(rows.files[0])
+    if not train.any():
+        raise MeasurementError(f"{title}: every row is kept for the test: mark some as `train` in the column `split`")
+    frames = campaign.frames
+    constant = frames.world_base.identify or frames.tip_target.identify or campaign.parameters.set != "none"
+    if not (constant or campaign.effects or campaign.diagnosis.enabled):
+        raise CampaignError(
+            f"{campaign.path}: nothing is to be identified: both frames have `identify: false`, `parameters` has "
+            "`set: none`, and no effect is declared or sought. Change one of them"
+        )
+    travel = np.ptp(rows.readings[train], axis=0)
+    still = [name for name, moved in zip(rows.names, travel, strict=True) if moved < STILL]
+    if len(still) == len(rows.names):
+        count = train.sum()
+        why = "there is only one row to fit" if count == 1 else f"no joint moves in any of its {count} rows"
+        raise MeasurementError(f"{title}: {why}: nothing can be identified. Measure other configurations")
+    return tuple(f"{name} never moves: its parameters cannot be told from its neighbours'" for name in still)
 
 
 def stale_rows(rows: Measurements) -> np.ndarray:
