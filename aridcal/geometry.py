@@ -15,12 +15,15 @@ from aridcal.errors import MeasurementError, NotIdentifiable
 from aridcal.measurements import Measurements
 from aridcal.model import Frames, Model
 from aridcal.report1992 import start as closed_form
-from aridcal.residual import Observations, residuals, robust_sigma
+from aridcal.residual import Observations, predict_residuals, residuals, robust_sigma
 from aridcal.robot import Robot
 from aridcal.solver import Data, Fit, Noise, fit, fit_identifiable, minimise, thin
 from aridcal.start import FrameStart, start_frames
 
-RESTART_ROWS = 300
+START_ROWS = 1000  # more rows sharpen a start by nothing
+RESTART_ROWS = 150
+# What no robot leaves after calibration: the measurements are of something else.
+STRANGE_SHARE, STRANGE_LENGTH, STRANGE_ANGLE = 0.05, 5e-3, 0.2  # of the targets' spread; per axis [m]; [rad]
 RESTART_ANGLE, RESTART_LENGTH = 0.05, 0.02  # how far from the answer another start is put, [rad] and [m]
 
 
@@ -121,16 +124,41 @@ def fit_geometry(
     model = Model(robot, frames, *_placements(starts[0], campaign, labels))
     data = Data(model.rows(train.readings, None, train.station), measured, suspect)
     order = tuple(range(len(frames)))
-    nominal = fit_identifiable(model, data, noise, order) if frames else fit(model, data, noise)
+    try:
+        nominal = fit_identifiable(model, data, noise, order) if frames else fit(model, data, noise)
+    except NotIdentifiable:
+        _refuse_strangers(predict_residuals(model, np.zeros(len(frames)), data.rows, measured), measured, train)
+        raise
     centred, _ = nominal.model.recentred(nominal.theta)
 
     candidates = frames + constants(robot, campaign.parameters.set)
     model = centred.with_coefficients(candidates)
     data = replace(data, rows=model.rows(train.readings, None, train.station))
+    geometric = fit_identifiable(model, data, noise, range(len(candidates))) if candidates else nominal
+    _refuse_strangers(geometric.residual, measured, train)
     if not candidates:
         return Geometry(nominal, nominal)
-    geometric = fit_identifiable(model, data, noise, range(len(candidates)))
     return Geometry(nominal, _with_restarts(geometric, data, noise, train))
+
+
+def _refuse_strangers(residual: np.ndarray, measured: Observations, train: Measurements) -> None:
+    """Refuse measurements that cannot be of this robot: a result would look like one and be none."""
+    sigma = robust_sigma(residual)
+    centre = measured.position - measured.position.mean(axis=0)
+    spread = float(np.sqrt(np.mean(np.sum(centre**2, axis=1))))
+    turned = measured.rotation is not None and sigma.rotation > STRANGE_ANGLE
+    if sigma.position > max(STRANGE_SHARE * spread, STRANGE_LENGTH):
+        left = f"{1e3 * sigma.position:.0f} mm per axis of the {1e3 * spread:.0f} mm by which the targets spread"
+        advice = "every joint's column, unit, sign and order of rows, and the unit of the positions"
+    elif turned:
+        left = f"{1e3 * sigma.rotation:.0f} mrad per axis"
+        advice = "the order qx qy qz qw, `orientation` and its unit"
+    else:
+        return
+    raise MeasurementError(
+        f"{train.files[0]}: these measurements are not of this robot: {left} cannot be explained. Check {advice}; "
+        "that the URDF is the right one; and whether tracker or target were moved in between (then `per: station`)"
+    )
 
 
 def recentred(fit: Fit) -> Fit:
@@ -141,7 +169,7 @@ def recentred(fit: Fit) -> Fit:
 
 def _with_restarts(found: Fit, data: Data, noise: Noise, train: Measurements) -> Fit:
     """Solve again from other places, on some of the rows: a fit that depends on its start is not an answer."""
-    some = thin(len(data), max(RESTART_ROWS, 4 * len(found.theta)))
+    some = thin(data.rows, max(RESTART_ROWS, 4 * len(found.theta)))
     rows = found.model.rows(train.readings[some], None, None if train.station is None else train.station[some])
     part = Data(rows, data.measured[some], data.suspect[some])
     weight = found.weight[some]
@@ -196,13 +224,13 @@ def _starts(
 ) -> list[FrameStart]:
     """Closed-form starts of the frames, the best first."""
     bare = Model(robot, ())
-    R, p = bare.poses(np.zeros(0), bare.rows(train.readings))
+    rows = bare.rows(train.readings)
     number = {label: k for k, label in enumerate(labels)}
     station = np.array([number[s] for s in train.station], dtype=int) if train.station is not None and labels else None
 
     def which(settings: FrameSettings) -> tuple[np.ndarray, int]:
         if settings.per != "station":
-            return np.zeros(len(p), dtype=int), 1
+            return np.zeros(len(rows), dtype=int), 1
         if station is None:
             raise MeasurementError("a frame is per station: the table needs a `station` column")
         return station, len(labels)
@@ -216,6 +244,9 @@ def _starts(
         hint if not f.identify else None
         for f, hint in ((campaign.frames.world_base, hints[0]), (campaign.frames.tip_target, hints[1]))
     ]
+    some = thin(replace(rows, world=world, tip=tip), START_ROWS)
+    R, p = bare.poses(np.zeros(0), rows[some])
+    measured, world, tip = measured[some], world[some], tip[some]
     starts = start_frames(R, p, measured, world, tip, known[0], known[1], hints[1])
 
     def misfit(start: FrameStart) -> float:

@@ -58,12 +58,15 @@ def identifiable(R: np.ndarray, order: Sequence[int]) -> Subset:
         dropped.append(kept.pop(worst))
     scaled = R[:, kept] / length[kept]
     s = np.linalg.svd(scaled, compute_uv=False) if kept else np.ones(1)
-    return Subset(tuple(kept), {k: _partners(R, k, kept, length) for k in dropped}, float(s[0] / s[-1]))
+    return Subset(tuple(kept), _partners(R, dropped, kept, length), float(s[0] / s[-1]))
 
 
-def _partners(R: np.ndarray, k: int, kept: list[int], length: np.ndarray) -> tuple[int, ...]:
-    """Kept columns whose sum imitates column k."""
-    if not kept or length[k] * WORST < 1.0:
-        return ()
-    share = np.linalg.lstsq(R[:, kept] / length[kept], R[:, k] / length[k], rcond=None)[0]
-    return tuple(kept[i] for i in np.argsort(-np.abs(share)) if abs(share[i]) > SHARE)
+def _partners(R: np.ndarray, dropped: list[int], kept: list[int], length: np.ndarray) -> dict[int, tuple[int, ...]]:
+    """For each dropped column, the kept ones whose sum imitates it; none if it moves nothing."""
+    moving = [k for k in dropped if kept and length[k] * WORST >= 1.0]
+    found: dict[int, tuple[int, ...]] = dict.fromkeys(dropped, ())
+    if moving:
+        shares = np.linalg.lstsq(R[:, kept] / length[kept], R[:, moving] / length[moving], rcond=None)[0]
+        for k, share in zip(moving, shares.T, strict=True):
+            found[k] = tuple(kept[i] for i in np.argsort(-np.abs(share)) if abs(share[i]) > SHARE)
+    return found

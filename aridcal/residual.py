@@ -74,8 +74,19 @@ def residuals(rotation: np.ndarray, position: np.ndarray, measured: Observations
     r = measured.position - position
     if measured.rotation is None:
         return r
-    turn = Rotation.from_matrix(measured.rotation @ rotation.transpose(0, 2, 1), assume_valid=True).as_rotvec()
-    return np.hstack([r, turn])
+    return np.hstack([r, rotation_vector(measured.rotation @ rotation.transpose(0, 2, 1))])
+
+
+def rotation_vector(R: np.ndarray) -> np.ndarray:
+    """Axis times angle of rotations, shape (N, 3, 3) to (N, 3); fast where they turn by less than 90 degrees."""
+    vector = 0.5 * np.stack([R[:, 2, 1] - R[:, 1, 2], R[:, 0, 2] - R[:, 2, 0], R[:, 1, 0] - R[:, 0, 1]], axis=1)
+    sine = np.sqrt(np.einsum("ni,ni->n", vector, vector))
+    cosine = 0.5 * (R[:, 0, 0] + R[:, 1, 1] + R[:, 2, 2] - 1.0)
+    vector *= (np.arctan2(sine, cosine) / np.where(sine > 0.0, sine, 1.0) + (sine == 0.0))[:, None]
+    wide = cosine < 0.0
+    if wide.any():
+        vector[wide] = Rotation.from_matrix(R[wide], assume_valid=True).as_rotvec()
+    return vector
 
 
 def predict_residuals(model: Model, theta: np.ndarray, rows: Rows, measured: Observations) -> np.ndarray:

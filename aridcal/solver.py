@@ -17,7 +17,6 @@ from aridcal.residual import (
     Normal,
     Observations,
     Sigma,
-    cauchy,
     distance,
     normal,
     predict_residuals,
@@ -28,9 +27,10 @@ from aridcal.residual import (
 
 OUTLIER = 6.0  # sigmas per axis, position or rotation, beyond which a row is flagged: 1 clean row in 10 million
 STEPS = 60
-SETTLED = 1e-2  # a step that moves no combination of coefficients by more than this share of its sigma is the last
-ROUGH = 0.1  # the same for a robust fit, whose flags are all that is wanted of it
+SETTLED = 0.03  # a step that moves no combination of coefficients by more than this share of its sigma is the last
+ROUGH = 1.0  # the same for a robust fit, whose flags are all that is wanted of it
 ROUGH_ROWS = 400
+FEWEST = 10  # rows of each frame in any choice of rows: enough to find the frame
 SUSPECT = 3.0  # sigmas beyond which a row is flagged that repeats another's measurement although the joints moved
 
 
@@ -225,7 +225,7 @@ def fit(
     steps = 0
     searching = weight is None
     if weight is None:
-        some = thin(len(data), max(ROUGH_ROWS, 4 * len(theta)))
+        some = thin(data.rows, max(ROUGH_ROWS, 4 * len(theta)))
         rough = minimise(model, data[some], theta, noise, None, prior)
         theta, steps = rough.theta, rough.steps
         weight = flag(scaled(predict_residuals(model, theta, data.rows, data.measured), data.measured), data.suspect)
@@ -265,15 +265,15 @@ def fit_identifiable(
     """
     theta = np.zeros(len(model.coefficients)) if theta is None else theta
     sigma = noise.sigma(Sigma(1e-4, 1e-4))
-    some = thin(len(data), max(2 * ROUGH_ROWS, 4 * len(theta)))
-    first = data[some]
-    r = scaled(predict_residuals(model, theta, first.rows, first.measured), first.measured)
-    subset = identifiable(triangle(model, theta, first.rows, first.measured, cauchy(r, robust_sigma(r)), sigma), order)
+    some = thin(data.rows, max(ROUGH_ROWS, 4 * len(theta)))
+    first, weight = data[some], np.full(len(some), len(data) / len(some))
+    subset = identifiable(triangle(model, theta, first.rows, first.measured, weight, sigma), order)
     for _ in range(4):
         kept = sorted(subset.kept)
         if not kept:
             raise NotIdentifiable([model.names])
-        inner = model.with_coefficients([model.coefficients[k] for k in kept])
+        every = len(kept) == len(model.coefficients)
+        inner = model if every else model.with_coefficients([model.coefficients[k] for k in kept])
         result = fit(inner, _with_rows(data, model, kept), noise, theta[kept])
         theta = np.zeros(len(model.coefficients))
         theta[kept] = result.theta
@@ -293,11 +293,18 @@ def flag(r: np.ndarray, suspect: np.ndarray) -> np.ndarray:
     return np.where(distance(r, robust_sigma(r)) > np.where(suspect, SUSPECT, OUTLIER), 0.0, 1.0)
 
 
-def thin(count: int, most: int) -> np.ndarray:
-    """Row numbers: all, or a reproducible random choice of ``most`` of them, in order."""
-    if count <= most:
-        return np.arange(count)
-    return np.sort(np.random.default_rng(0).choice(count, most, replace=False))
+def thin(rows: Rows, most: int) -> np.ndarray:
+    """Row numbers: all, or a reproducible random choice of about ``most`` of them in order, of every frame its share."""
+    if len(rows) <= most:
+        return np.arange(len(rows))
+    rng = np.random.default_rng(0)
+    pair = rows.world * (rows.tip.max() + 1) + rows.tip
+    chosen = []
+    for k in np.unique(pair):
+        own = np.flatnonzero(pair == k)
+        share = max(most * len(own) // len(rows), min(len(own), FEWEST))
+        chosen.append(rng.choice(own, share, replace=False))
+    return np.sort(np.concatenate(chosen))
 
 
 def _with_rows(data: Data, model: Model, kept: Sequence[int]) -> Data:

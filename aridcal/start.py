@@ -11,7 +11,6 @@ from scipy.optimize import minimize
 
 from aridcal.residual import Observations
 
-MOST_ROWS = 4000  # more rows sharpen a start by nothing
 FREE = 1e-3  # [m/m]: a target translation that moves the points less than this, the base following, is left at its hint
 STRAIN = 1 / 3  # share of the misfit that the points may move by on the way to the hint
 
@@ -63,9 +62,8 @@ def start_frames(
     """
     if known_world is not None and known_tip is not None:
         return [FrameStart(known_world, known_tip)]
-    keep = np.linspace(0, len(position) - 1, min(len(position), MOST_ROWS)).astype(int)
-    M = None if measured.rotation is None else measured.rotation[keep]
-    data = _Data(rotation[keep], position[keep], M, measured.position[keep], world[keep], tip[keep])
+    M = measured.rotation
+    data = _Data(rotation, position, M, measured.position, world, tip)
     if known_world is not None:
         return [_with_target(data, known_world, _seen_from(data, known_world, len(hint_tip)), hint_tip)]
     if known_tip is not None:
@@ -128,11 +126,17 @@ def _levers(data: _Data, hint: np.ndarray) -> list[np.ndarray]:
     found: list[tuple[float, np.ndarray]] = []
     for direction in np.vstack([np.zeros(3), np.eye(3), -np.eye(3)]):
         best = minimize(cost, np.tile(size * direction, tips), jac=True, method="L-BFGS-B")
-        t = best.x + _slide(cost, best.x, hint.ravel() - best.x, size)
-        if not any(np.allclose(t, other, atol=1e-3 * size) for _, other in found):
-            found.append((float(best.fun), t))
+        if not any(np.allclose(best.x, t, atol=1e-3 * size) for _, t in found):
+            found.append((float(best.fun), best.x))
     found.sort(key=lambda pair: pair[0])
-    return [t.reshape(tips, 3) for _, t in found[:2]]
+    slid: list[np.ndarray] = []
+    for _, t in found:
+        t = t + _slide(cost, t, hint.ravel() - t, size)
+        if not any(np.allclose(t, other, atol=1e-3 * size) for other in slid):
+            slid.append(t)
+        if len(slid) == 2:
+            break
+    return [t.reshape(tips, 3) for t in slid]
 
 
 def _slide(cost: Cost, t: np.ndarray, gap: np.ndarray, size: float) -> np.ndarray:

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from aridcal.effects import Coefficient
 from aridcal.errors import NotIdentifiable
 from aridcal.geometry import constants
-from aridcal.model import Model
+from aridcal.model import Model, Rows
 from aridcal.residual import (
     FLOOR,
     Observations,
@@ -308,9 +308,13 @@ def test_noise_found_robustly_is_that_of_the_bulk() -> None:
     assert robust_sigma(r).position < 1.2e-4
 
 
-def test_thinning_is_reproducible_and_keeps_the_order() -> None:
-    some = thin(1000, 100)
-    assert len(set(some.tolist())) == 100
+def test_thinning_is_reproducible_keeps_the_order_and_leaves_no_frame_out() -> None:
+    tip = np.zeros(1000, dtype=int)
+    tip[[3, 500, 900]] = 1
+    rows = Rows(np.zeros((1000, 1)), np.empty((1000, 0)), np.zeros(1000, dtype=int), tip)
+    some = thin(rows, 100)
+    assert len(set(some.tolist())) == len(some) == 102
     assert np.array_equal(some, np.sort(some))
-    assert np.array_equal(some, thin(1000, 100))
-    assert np.array_equal(thin(50, 100), np.arange(50))
+    assert np.array_equal(some, thin(rows, 100))
+    assert {3, 500, 900} <= set(some.tolist())
+    assert np.array_equal(thin(rows[:50], 100), np.arange(50))
