@@ -21,11 +21,12 @@ LAYERS = [
     {"effects", "catalogue", "head"},
     {"model", "report1992", "residual"},
     {"start", "identifiable", "solver", "geometry"},
-    {"outcome", "quality", "diagnosis", "search", "evidence"},
+    {"outcome", "quality", "diagnosis", "search", "evidence", "explain", "whiteness"},
     {"export", "urdf_writer", "formats", "calibration"},
     {
         "report",
         "sections",
+        "dependence",
         "plots",
         "markup",
         "view",
@@ -35,6 +36,7 @@ LAYERS = [
         "measure",
         "design",
         "simulate",
+        "causes",
     },
     {"identify", "__main__"},
 ]
