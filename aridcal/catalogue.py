@@ -15,6 +15,8 @@ from aridcal.robot import Joint, Robot
 
 ORDERS = (1.0, 2.0, 3.0, 4.0)  # periods per turn that a shaft, a bearing or a disk is most likely to have
 WOBBLES = (1.0, 2.0)
+BENDS = (1.0, 2.0, 3.0, 4.0)  # powers of the travel: tilt, sag, twist
+WAVES = (0.5, 1.0, 2.0)  # periods of a wave over the travel seen
 POWERS = (0.0, 1.0, 2.0)  # of a rail's travel, for what bends the more the further it is out
 MAP_KNOTS, RAIL_KNOTS, UNKNOWN_KNOTS = 72, 16, 9
 PAIR_KNOTS = 5
@@ -150,8 +152,17 @@ def _axis_wobble(s: Scene) -> Iterator[Effect]:
 def _rail(kind: str, components: tuple[str, ...]) -> Callable[[Scene], Iterator[Effect]]:
     def make(s: Scene) -> Iterator[Effect]:
         for j in s.moving("prismatic"):
+            travel = s.table[j.name]
+            middle, half = float(travel.min() + travel.max()) / 2, float(np.ptp(travel)) / 2
             for c in components:
-                yield Effect(kind, j.name, bumps(j.name, c, j.name, s.table[j.name], RAIL_KNOTS), smooth=True)
+                yield Effect(kind, j.name, bumps(j.name, c, j.name, travel, RAIL_KNOTS), smooth=True)
+                for last in BENDS:
+                    bend = tuple(
+                        Coefficient(j.name, c, Basis("power", (j.name,), (middle, half, n))) for n in BENDS if n <= last
+                    )
+                    yield Effect(kind, j.name, bend)
+                for k in WAVES:
+                    yield Effect(kind, j.name, turns(j.name, c, j.name, k * np.pi / half))
 
     return make
 

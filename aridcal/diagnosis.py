@@ -126,7 +126,7 @@ def diagnose(
         if unnamed:
             more = search(bench, unnamed, found.state, UNNAMED)
             if more.state.active != found.state.active:  # functions of one covariate help: perhaps it takes two at once
-                more = search(bench, paired, more.state, UNNAMED)
+                more = search(bench, paired, more.state, UNNAMED // 2)
             found = replace(more, rejected=found.rejected + more.rejected[:1], tested=found.tested + more.tested)
         same = [a.effect for a in found.state.active] == [a.effect for a in state.active]
         state = found.state

@@ -210,7 +210,7 @@ def search(bench: Bench, library: Sequence[Effect], start: State, most: int = MO
 
 def is_small(bench: Bench, library: Sequence[Effect]) -> bool:
     """True where every choice can be tried again after each step in little time."""
-    return bench.r.size * len(library) < 1e6
+    return bench.r.size * len(library) < 1e6 and not any(e.kind == "unknown" for e in library)
 
 
 def twins(bench: Bench, library: Sequence[Effect], state: State) -> tuple[tuple[Effect, ...], ...]:
@@ -260,12 +260,12 @@ def admitted(bench: Bench, state: State, effect: Effect) -> Active:
     return activate(bench, state, effect, _scores(bench, [effect], state)[0])
 
 
-def rank(bench: Bench, library: Sequence[Effect], state: State) -> list[tuple[Effect, Score]]:
+def rank(bench: Bench, library: Sequence[Effect], state: State, scan: bool = False) -> list[tuple[Effect, Score]]:
     """Score every candidate that is not in the model; the best first, the first few with their noise apart."""
     taken = {a.effect for a in state.active}
     kinds = {e.kind for e in library}
     mapped = {e.where for e in taken if e.kind == "joint_map"}
-    scanned = _scanned(bench, state) if "joint_harmonic" in kinds else []
+    scanned = _scanned(bench, state) if scan and "joint_harmonic" in kinds else []
     free = [e for e in (*library, *scanned) if e not in taken and not (e.where in mapped and _in_a_map(e))]
     scores = _scores(bench, free, state)
     order = sorted(range(len(free)), key=lambda k: -scores[k].gain)
@@ -286,7 +286,7 @@ def _forward(
 ) -> tuple[State, tuple[Verdict, ...]]:
     rejected: tuple[Verdict, ...] = ()
     while len(state.active) < most:
-        ranked = rank(bench, library, state)
+        ranked = rank(bench, library, state, scan=True)
         verdicts = []
         chosen = None
         for effect, found in ranked[:JUDGED]:
@@ -308,6 +308,9 @@ def _forward(
 
 def _tidy(bench: Bench, library: Sequence[Effect], state: State, rounds: int) -> State:
     """Take each effect out in turn: drop it if it is not missed, exchange it if another does better in its place."""
+    kinds = {e.kind for e in library}
+    # Harmonics of an order of their own are no part of the library, but are tried again like all else.
+    library = list(dict.fromkeys([*library, *(a.effect for a in state.active if a.effect.kind in kinds)]))
     known = set(library)
     for _ in range(rounds):
         before = [a.effect for a in state.active]
@@ -339,7 +342,8 @@ def _judge(bench: Bench, state: State, effect: Effect, found: Score, tested: int
     if found.gain <= 0.0 or p_value > ALPHA:
         return verdict(0.0, f"chance would do as well (p = {p_value:.2g} among {tested} candidates)")
     held_back = _held_back(bench, state, activate(bench, state, effect, found))
-    if held_back < LEAST:
+    same = any((a.effect.kind, a.effect.where) == (effect.kind, effect.where) for a in state.active)
+    if held_back < (0.0 if same else LEAST):
         return verdict(
             held_back, f"takes only {100 * max(held_back, 0.0):.2g} % off the squared error of rows held back"
         )
