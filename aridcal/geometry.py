@@ -135,7 +135,8 @@ def fit_geometry(
     model = centred.with_coefficients(candidates)
     data = replace(data, rows=model.rows(train.readings, None, train.station))
     geometric = fit_identifiable(model, data, noise, range(len(candidates))) if candidates else nominal
-    _refuse_strangers(geometric.residual, measured, train)
+    scale = 1.0 if measured.relative is None else measured.relative[:, : geometric.residual.shape[1]]
+    _refuse_strangers(geometric.residual * scale, measured, train)
     if not candidates:
         return Geometry(nominal, nominal)
     return Geometry(nominal, _with_restarts(geometric, data, noise, train))

@@ -252,3 +252,14 @@ def test_large_errors_of_a_robot_are_no_reason_to_refuse_it() -> None:
     rng = np.random.default_rng(2)
     truth = robots.simulate(robots.ur10(), 100, rng, 0.05, 1e-4, world=robots.random_placement(rng))
     assert rms(truth, solve(truth))[1] < 1.3 * np.sqrt(3) * 1e-4
+
+
+@pytest.mark.parametrize("how", ["relative", "absolute"])
+def test_sigmas_of_the_rows_change_no_unit(how: str) -> None:
+    """Residuals are weighed by them, but judged in metres."""
+    truth = example(80)
+    rows = replace(robots.measurements(truth), std=np.full((80, 6), 1e-5))
+    clean = np.zeros(80, dtype=bool)
+    settings = robots.campaign(measurements={"file": "m.csv", "noise": {"rows": how}})
+    found = fit_geometry(settings, truth.model.robot, rows, (), Noise(), clean)
+    assert rms(truth, found)[1] < 1.2 * np.sqrt(3) * 1e-5
