@@ -29,7 +29,7 @@ OUTLIER = 6.0  # sigmas per axis, position or rotation, beyond which a row is fl
 STEPS = 60
 SETTLED = 0.03  # a step that moves no combination of coefficients by more than this share of its sigma is the last
 ROUGH = 1.0  # the same for a robust fit, whose flags are all that is wanted of it
-ROUGH_ROWS = 400
+ROUGH_ROWS = 300
 FEWEST = 10  # rows of each frame in any choice of rows: enough to find the frame
 SUSPECT = 3.0  # sigmas beyond which a row is flagged that repeats another's measurement although the joints moved
 

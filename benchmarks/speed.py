@@ -1,0 +1,281 @@
+"""How long the solver takes and how much memory it needs: against rows, against coefficients, against SciPy.
+
+Example:
+    python benchmarks/speed.py            # all tables
+    python benchmarks/speed.py --quick    # without the largest case, the scaling and SciPy's own derivatives
+
+Every case runs in a process of its own with one thread, is loaded through ``aridcal``'s own reader, and is solved by
+``fit_geometry`` as ``identify`` does it: frames unknown, no noise declared, outliers looked for, everything that cannot
+be told apart found and named, the answer checked from other starts. Times are CPU seconds of the process: the first
+solve, which a user waits for, and the best of several, which disturbs least; memory is the peak over what the process
+held once its modules were imported, the table and its reading included.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from rich.console import Console
+from rich.table import Table
+from scipy.optimize import least_squares
+
+from aridcal import geometry
+from aridcal.campaign import Campaign, load_campaign
+from aridcal.geometry import constants, fit_geometry, observations
+from aridcal.identify import stale_rows
+from aridcal.measurements import Measurements, load_measurements
+from aridcal.quality import joint_kinds, joint_limits
+from aridcal.residual import linearise, residuals
+from aridcal.robot import Robot, load_robot
+from aridcal.settings import load_settings
+from aridcal.simulate import Scenario, simulate, write_campaign
+from aridcal.solver import Data, Fit, Noise
+
+ONE_THREAD = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")}
+TOP = Path(__file__).resolve().parents[1]
+SERIES_B = TOP / "identification" / "ur10-laser-tracker" / "campaign-b.yaml"
+ARID = TOP / "identification" / "arid" / "campaign.yaml"
+STAGES = {"start": "_starts", "fit": "fit_identifiable", "restarts": "_with_restarts"}
+
+
+@dataclass(frozen=True)
+class Loaded:
+    """A campaign with its robot and rows."""
+
+    campaign: Campaign
+    robot: Robot
+    rows: Measurements
+
+    def solve(self) -> geometry.Geometry:
+        """Frames, then frames and constants, from all rows."""
+        declared = self.campaign.measurements.noise
+        noise = Noise(declared.position, declared.rotation)
+        return fit_geometry(self.campaign, self.robot, self.rows, (), noise, stale_rows(self.rows))
+
+
+def load(path: Path) -> Loaded:
+    campaign = load_campaign(path)
+    robot = load_robot(campaign.robot.urdf, campaign.robot.tip, campaign.robot.base)
+    rows = load_measurements(campaign, robot.readings, joint_limits(robot), joint_kinds(robot), 0)
+    return Loaded(campaign, robot, rows)
+
+
+def make_campaign(folder: Path, n: int, parameters: str = "full") -> Path:
+    """Simulate a UR10 whose 42 constants are all off by a millimetre or a milliradian; returns its campaign."""
+    urdf = TOP / "urdf" / "ur10.urdf"
+    wrong = {c.name: {"std": 1e-3} for c in constants(load_robot(urdf, "tool0"), "full")}
+    frames = {
+        "world_base": {"xyz": [2.9, -1.1, -1.2], "rpy": [0.01, 0.02, 1.4]},
+        "tip_target": {"xyz": [0.02, 0.05, 0.11], "rpy": [0.4, -0.3, -1.6]},
+    }
+    truth = {"parameters": wrong, "frames": frames, "noise": {"position": 1e-4, "rotation": 1e-4}, "n": n}
+    settings = {
+        "format": 1,
+        "robot": {"urdf": str(urdf), "base": "base_link", "tip": "tool0"},
+        "measurements": {"kind": "pose"},
+        "parameters": {"set": parameters},
+        "truth": truth,
+    }
+    scenario = folder / "scenario.yaml"
+    scenario.write_text(yaml.safe_dump(settings))
+    write_campaign(simulate(load_settings(scenario, Scenario)), folder, folder)
+    return folder / "campaign.yaml"
+
+
+def time_stages(taken: dict[str, list[float]]) -> None:
+    """Let the stages of ``fit_geometry`` note their CPU time, call by call."""
+    for stage, name in STAGES.items():
+        inner = getattr(geometry, name)
+
+        def timed(*given: Any, inner: Callable[..., Any] = inner, stage: str = stage) -> Any:
+            began = time.process_time()
+            result = inner(*given)
+            taken.setdefault(stage, []).append(time.process_time() - began)
+            return result
+
+        setattr(geometry, name, timed)
+
+
+def measure(path: Path, repeats: int) -> dict[str, float]:
+    """Load and solve a campaign; figures of the best solve, of the first, and the peak of memory, [s] and [MB]."""
+    before = _held_mb()
+    began = time.process_time()
+    loaded = load(path)
+    loading = time.process_time() - began
+    taken: dict[str, list[float]] = {}
+    time_stages(taken)
+    solves = []
+    for _ in range(repeats):
+        taken.clear()
+        began = time.process_time()
+        found = loaded.solve()
+        total = time.process_time() - began
+        nominal, geometric = taken["fit"]
+        solves.append((total, taken["start"][0], nominal, geometric + taken["restarts"][0]))
+    best = min(solves)
+    return {
+        "rows": len(loaded.rows),
+        "candidates": len(found.geometric.candidates),
+        "identified": len(found.geometric.theta),
+        "loading": loading,
+        "start": best[1],
+        "nominal": best[2],
+        "geometric": best[3],
+        "total": best[0],
+        "first": solves[0][0],
+        "memory": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024 - before,
+    }
+
+
+def compare(path: Path, numerical: bool) -> dict[str, float]:
+    """The final least squares alone, from the same start and for the same coefficients: here, and by SciPy."""
+    loaded = load(path)
+    found = loaded.solve().geometric
+    model = found.model
+    data = Data(model.rows(loaded.rows.readings), observations(loaded.rows, "ignore"), stale_rows(loaded.rows))
+    scale = np.repeat([found.sigma.position, found.sigma.rotation], 3)
+
+    def r(theta: np.ndarray) -> np.ndarray:
+        return (residuals(*model.poses(theta, data.rows), data.measured) / scale).ravel()
+
+    def J(theta: np.ndarray) -> np.ndarray:
+        columns = linearise(model, theta, data.rows, data.measured)[1]
+        return np.asarray(-(columns / scale[:, None]).reshape(-1, len(theta)))
+
+    start = np.zeros(len(found.theta))
+    noise = Noise(found.sigma.position, found.sigma.rotation)
+    ours = _best(lambda: geometry.fit(model, data, noise, start), 3)
+    analytic = _best(lambda: least_squares(r, start, jac=J, x_scale="jac", method="trf"), 3)
+    times = {"ours": ours, "scipy": analytic}
+    if numerical:
+        times["numerical"] = _best(lambda: least_squares(r, start, x_scale="jac", method="trf"), 1)
+    return times
+
+
+def _best(job: Callable[[], Fit | Any], repeats: int) -> float:
+    times = []
+    for _ in range(repeats):
+        began = time.process_time()
+        job()
+        times.append(time.process_time() - began)
+    return min(times)
+
+
+def _held_mb() -> float:
+    """Resident memory now, [MB]."""
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * resource.getpagesize() / 2**20
+
+
+def in_a_process(*arguments: str) -> dict[str, float]:
+    done = subprocess.run(
+        [sys.executable, str(Path(__file__)), *arguments], check=True, capture_output=True, text=True,
+        env=os.environ | ONE_THREAD,
+    )  # fmt: skip
+    return dict(json.loads(done.stdout))
+
+
+def identify_seconds(path: Path, out: Path) -> tuple[float, float]:
+    """Wall and CPU time of ``aridcal identify`` from the command to the finished report, threads as the user has them."""
+    free = {name: value for name, value in os.environ.items() if name not in ONE_THREAD}
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    began = time.perf_counter()
+    command = [sys.executable, "-m", "aridcal.identify", str(path), "--out", str(out)]
+    subprocess.run(command, check=True, capture_output=True, env=free, cwd=TOP)
+    wall = time.perf_counter() - began
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return wall, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+
+def add_row(table: Table, label: str, m: dict[str, float]) -> None:
+    times = [f"{m[k]:.3f}" for k in ("loading", "start", "nominal", "geometric", "total", "first")]
+    counts = [f"{m['rows']:,.0f}", f"{m['candidates']:.0f}", f"{m['identified']:.0f}"]
+    table.add_row(label, *counts, *times, f"{1e6 * m['total'] / m['rows']:.1f}", f"{m['memory']:.0f}")
+
+
+def stage_table(title: str) -> Table:
+    table = Table(title=title, title_justify="left")
+    table.add_column("data")
+    for head in ("rows", "unknowns", "identified", "loading", "start", "nominal", "geometric", "solved", "first time",
+                 "µs per row", "MB"):  # fmt: skip
+        table.add_column(head, justify="right")
+    return table
+
+
+def main() -> int:
+    """Print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help="leave out what takes long")
+    parser.add_argument("--one", type=Path, help=argparse.SUPPRESS)
+    parser.add_argument("--against", type=Path, help=argparse.SUPPRESS)
+    parser.add_argument("--repeats", type=int, default=5, help="solves of which the best counts")
+    arguments = parser.parse_args()
+    if arguments.one:
+        print(json.dumps(measure(arguments.one, arguments.repeats)))
+        return 0
+    if arguments.against:
+        print(json.dumps(compare(arguments.against, not arguments.quick)))
+        return 0
+
+    console = Console(width=140)
+    with tempfile.TemporaryDirectory() as temporary:
+        _tables(Path(temporary), console, arguments.quick, arguments.repeats)
+    return 0
+
+
+def _tables(top: Path, console: Console, quick: bool, repeats: int) -> None:
+    def made(name: str, n: int, parameters: str = "full") -> Path:
+        folder = top / name
+        folder.mkdir()
+        return make_campaign(folder, n, parameters)
+
+    def measured(path: Path, times: int = repeats) -> dict[str, float]:
+        return in_a_process("--one", str(path), "--repeats", str(times))
+
+    table = stage_table("CPU seconds by stage")
+    series_b = (TOP.parent / "shared" / "data").is_dir()
+    small = SERIES_B if series_b else made("small", 1495)
+    add_row(table, "UR10 series B" if series_b else "UR10, simulated", measured(small))
+    large = made("large", 12_000)
+    add_row(table, "UR10, simulated", measured(large, 3))
+    console.print(table)
+
+    table = stage_table("Against the number of coefficients: 3,000 rows, four parameter sets")
+    for which in ("none", "angles", "doty", "full"):
+        add_row(table, f"set: {which}", measured(made(which, 3000, which)))
+    console.print(table)
+
+    if not quick:
+        table = stage_table("Against the number of rows: set full")
+        for n in (1000, 3000, 10_000, 30_000, 100_000):
+            add_row(table, "UR10, simulated", measured(made(f"rows_{n}", n), 3 if n < 50_000 else 1))
+        console.print(table)
+
+    table = Table(title="The last least squares alone, same model and start: CPU time, ours = 1", title_justify="left")
+    for head in ("data", "ours, outliers looked for", "SciPy, our derivatives", "SciPy, its own derivatives"):
+        table.add_column(head, justify="right" if head != "data" else "left")
+    times = in_a_process("--against", str(small), *(["--quick"] if quick else []))
+    ratios = [f"{times[k] / times['ours']:.1f}" if k in times else "" for k in ("scipy", "numerical")]
+    table.add_row(small.parent.name, f"{times['ours']:.3f} s", *ratios)
+    console.print(table)
+
+    runs = [identify_seconds(ARID, top / f"out_{k}") for k in range(3)]
+    wall, cpu = min(runs)
+    console.print(f"aridcal identify {ARID.relative_to(TOP)}: {wall:.1f} s wall, {cpu:.1f} s CPU, report and all")
+
+
+if __name__ == "__main__":
+    sys.exit(main())
