@@ -285,6 +285,7 @@ def _forward(
     bench: Bench, library: Sequence[Effect], state: State, most: int, small: bool
 ) -> tuple[State, tuple[Verdict, ...]]:
     rejected: tuple[Verdict, ...] = ()
+    seen = {frozenset(a.effect for a in state.active)}
     while len(state.active) < most:
         ranked = rank(bench, library, state, scan=True)
         verdicts = []
@@ -303,6 +304,9 @@ def _forward(
         state = solve_state(bench, (*state.active, chosen), state.solution.sigma, state.weight)
         if small and len(state.active) > 1:
             state = _tidy(bench, library, state, 1)
+        if frozenset(a.effect for a in state.active) in seen:
+            break  # what is added is taken out again: this goes round in circles
+        seen.add(frozenset(a.effect for a in state.active))
     return state, rejected
 
 
