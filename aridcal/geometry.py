@@ -36,17 +36,28 @@ class Geometry:
 
 
 def observations(measurements: Measurements, rows: str) -> Observations:
-    """Measured poses with the rows' relative sigmas, as ``noise.rows`` says."""
+    """Measured poses with the rows' relative sigmas, unless ``noise.rows`` says to ignore them."""
     relative = None
     if measurements.std is not None and rows != "ignore":
-        relative = measurements.std.copy()
-        if rows == "relative":
-            for part in (slice(0, 3), slice(3, 6)):
-                relative[:, part] /= np.sqrt(np.mean(relative[:, part] ** 2))
+        relative = measurements.std / np.repeat(_typical(measurements.std), 3)
     rotation = None
     if measurements.quaternion is not None:
         rotation = Rotation.from_quat(measurements.quaternion).as_matrix()
     return Observations(measurements.position, rotation, relative)
+
+
+def declared_noise(campaign: Campaign, train: Measurements) -> Noise:
+    """What the campaign states of the noise; with ``rows: absolute``, what the rows themselves state."""
+    noise = campaign.measurements.noise
+    if noise.rows == "absolute" and train.std is not None:
+        position, rotation = _typical(train.std)
+        return Noise(float(position), float(rotation) if train.quaternion is not None else None)
+    return Noise(noise.position, noise.rotation)
+
+
+def _typical(std: np.ndarray) -> np.ndarray:
+    """RMS of the rows' sigmas, shape (2,): position [m], rotation [rad]."""
+    return np.sqrt([np.mean(std[:, :3] ** 2), np.mean(std[:, 3:] ** 2)])
 
 
 def frame_coefficients(campaign: Campaign, labels: tuple[str, ...]) -> tuple[Coefficient, ...]:

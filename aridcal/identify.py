@@ -23,7 +23,7 @@ from aridcal.diagnosis import Bound, diagnose, surroundings
 from aridcal.errors import AridcalError, CampaignError, MeasurementError
 from aridcal.explain import explain, verdict
 from aridcal.export import stage_urdf, write_results
-from aridcal.geometry import Geometry, fit_geometry, observations, recentred, unused_links
+from aridcal.geometry import Geometry, declared_noise, fit_geometry, observations, recentred, unused_links
 from aridcal.measurements import Measurements, load_measurements
 from aridcal.outcome import Outcome, Stage, Verification, errors
 from aridcal.quality import FAR, halves, joint_kinds, joint_limits, outliers, precision, realigned, repeats
@@ -62,10 +62,10 @@ def identify(path: Path, seed: int = 0, verify: Path | None = None, progress: Pr
     rows, notices = _check_stations(campaign, rows)
     stale = stale_rows(rows)
     declared = campaign.measurements.noise
-    noise = Noise(declared.position, declared.rotation)
     labels = _labels(campaign, rows)
     train = ~rows.test
     notices += _check_motion(campaign, rows, train)
+    noise = declared_noise(campaign, rows.select(train))
 
     progress(f"fitting frames and constants to {train.sum()} rows")
     geometry = fit_geometry(campaign, robot, rows.select(train), labels, noise, stale[train])
@@ -88,7 +88,8 @@ def identify(path: Path, seed: int = 0, verify: Path | None = None, progress: Pr
     # A model of hundreds of coefficients is not fitted twice more: its constants speak for it.
     compared = final if len(final.theta) < 120 else geometric
     apart = halves(compared, bound.train, bound.data(compared.model), noise)
-    source = "declared" if declared.position and (declared.rotation or rows.quaternion is None) else "estimated"
+    stated = noise.declared_position and (noise.declared_rotation or rows.quaternion is None)
+    source = "declared" if stated else "estimated"
     outcome = Outcome(
         campaign=campaign,
         robot=robot,

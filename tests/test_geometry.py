@@ -14,6 +14,7 @@ from aridcal.errors import AridcalError, MeasurementError
 from aridcal.geometry import (
     Geometry,
     constants,
+    declared_noise,
     fit_geometry,
     frame_coefficients,
     observations,
@@ -200,18 +201,28 @@ def test_too_few_rows_end_in_words_or_in_a_fit_but_never_in_a_crash(n: int) -> N
         assert len(found.geometric.theta) <= 6 * n
 
 
-def test_relative_sigmas_have_rms_1_and_absolute_ones_are_kept() -> None:
+def test_sigmas_of_the_rows_are_relative_with_rms_1_and_absolute_ones_declare_the_noise() -> None:
     truth = example(50)
-    std = np.random.default_rng(0).uniform(1e-5, 1e-4, (50, 6))
+    std = np.random.default_rng(0).uniform(1e-5, 1e-4, (50, 6)) * [1, 1, 1, 5, 5, 5]
     rows = replace(robots.measurements(truth), std=std)
-    relative = observations(rows, "relative").relative
-    assert relative is not None
-    for part in (slice(0, 3), slice(3, 6)):
-        assert np.mean(relative[:, part] ** 2) == pytest.approx(1.0)
-        ratio = relative[:, part] / std[:, part]
-        np.testing.assert_allclose(ratio, ratio[0, 0])
-    assert np.array_equal(observations(rows, "absolute").relative, std)
+    for how in ("relative", "absolute"):
+        relative = observations(rows, how).relative
+        assert relative is not None
+        for part in (slice(0, 3), slice(3, 6)):
+            assert np.mean(relative[:, part] ** 2) == pytest.approx(1.0)
+            ratio = relative[:, part] / std[:, part]
+            np.testing.assert_allclose(ratio, ratio[0, 0])
     assert observations(rows, "ignore").relative is None
+
+    def noise(**keys: object) -> Noise:
+        return declared_noise(robots.campaign(measurements={"file": "m.csv", "noise": keys}), rows)
+
+    assert noise(rows="relative") == Noise(None, None)
+    assert noise(rows="relative", position=1e-3) == Noise(1e-3, None)
+    absolute = noise(rows="absolute")
+    for stated, part in ((absolute.declared_position, std[:, :3]), (absolute.declared_rotation, std[:, 3:])):
+        assert stated == pytest.approx(np.sqrt(np.mean(part**2)))
+    np.testing.assert_allclose(relative[:, 0] * absolute.declared_position, std[:, 0])
 
 
 def test_frames_to_identify_come_world_first_and_per_station() -> None:
