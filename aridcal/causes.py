@@ -243,7 +243,7 @@ def _values(e: TrueEffect, effect: Effect, rng: np.random.Generator, place: str)
         if effect.smooth:
             for component in effect.motion:
                 own = np.array([c.component == component for c in effect.coefficients])
-                drawn[own] = kernel_root(int(own.sum()), SMOOTH_LENGTH) @ drawn[own]
+                drawn[own] = kernel_root(effect.grid or (int(own.sum()),), SMOOTH_LENGTH) @ drawn[own]
         return wanted[0].value + wanted[0].std * drawn
     if len(wanted) != count:
         names = ", ".join(c.name for c in effect.coefficients[:8]) + (", ..." if count > 8 else "")

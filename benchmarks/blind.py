@@ -21,6 +21,7 @@ from __future__ import annotations
 import argparse
 import multiprocessing
 import os
+import signal
 import sys
 import time
 from collections import defaultdict
@@ -32,16 +33,17 @@ from machines import NAMED, Case, basis_of, contribution, draw_case
 
 from aridcal.diagnosis import Bound, Diagnosed, diagnose, surroundings
 from aridcal.effects import Effect
-from aridcal.evidence import smooth_precision
 from aridcal.explain import verdict
 from aridcal.geometry import fit_geometry, observations, recentred
+from aridcal.identifiable import identifiable
 from aridcal.quality import joint_kinds, outliers
-from aridcal.residual import Observations, predict_residuals
+from aridcal.residual import Observations, Sigma, predict_residuals, triangle
 from aridcal.solver import Data, Fit, Noise, Prior, fit
 from aridcal.whiteness import clues
 
 TELLABLE = 12.0
 COVERED = 0.5  # share of the error of an effect without a name that must be gone
+PATIENCE = 120  # for one case, [s]
 OFF = 0.7  # error in sigma at which nobody may say that only noise is left
 
 
@@ -141,31 +143,34 @@ def judge(case: Case) -> Score:
              for e in named.values() for m in [dict.fromkeys(c for x in e for c in x.motion)]]  # fmt: skip
     return Score(
         case.seed, case.what, case.family, case.names, tuple(c.effect.kind for c in case.causes), right,
-        len(named) - len(used), " + ".join(words) or "nothing", said, *(
-            error(f, case) for f in (geometric, found.fit, oracle(case, geometric))
-        ), seconds, len(case.rows),
+        len(named) - len(used), " + ".join(words) or "nothing", said, error(geometric, case), error(found.fit, case),
+        error(oracle(case, geometric), case), seconds, len(case.rows),
     )  # fmt: skip
 
 
 def oracle(case: Case, geometric: Fit) -> Fit:
     """The true form fitted to the same rows with the same solver; smooth curves with their true stiffness."""
     train = case.rows.select(~case.rows.test)
-    causes = [c for cause in case.causes for c in cause.effect.coefficients]
-    model = geometric.model.with_coefficients((*geometric.model.coefficients, *causes))
-    theta = np.concatenate([geometric.theta, np.zeros(len(causes))])
-    precision = np.zeros((len(theta), len(theta)))
-    at = len(geometric.theta)
+    measured, truth = observations(train, "relative"), case.truth
+    rows = truth.rows(train.readings, case.columns)
+    first = len(case.theta) - sum(len(c.values) for c in case.causes)
+    sigma = Sigma(float(case.sigma[0]), float(case.sigma[-1]))
+    R = triangle(truth, case.theta, rows, measured, np.ones(len(train)), sigma)
+    # What is well known stays ahead of what the effect makes barely separable.
+    order = sorted(range(first), key=lambda k: truth.names[k] not in geometric.model.names)
+    kept = [*sorted(identifiable(R[:, :first], order).kept), *range(first, len(case.theta))]
+    model, theta = truth.with_coefficients([truth.coefficients[k] for k in kept]), case.theta[kept]
+    precision = np.zeros((len(kept), len(kept)))
+    at = len(kept) - (len(case.theta) - first)
     for cause, shape in zip(case.causes, case.shapes, strict=True):
         d = len(cause.values)
         if shape is not None:
-            precision[at : at + d, at : at + d] = smooth_precision(d, *shape)
+            precision[at : at + d, at : at + d] = np.linalg.inv(shape)
         at += d
     declared = case.campaign.measurements.noise
-    rows = model.rows(train.readings, case.columns)
-    data = Data(rows, observations(train, "relative"), np.zeros(len(train), dtype=bool))
-    return fit(
-        model, data, Noise(declared.position, declared.rotation), theta, prior=Prior(np.zeros_like(theta), precision)
-    )
+    data = Data(model.rows(train.readings, case.columns), measured, np.zeros(len(train), dtype=bool))
+    prior = Prior(np.zeros_like(theta), precision)
+    return fit(model, data, Noise(declared.position, declared.rotation), theta, prior=prior)
 
 
 def error(found: Fit, case: Case) -> float:
@@ -234,10 +239,16 @@ def _matches(
 
 def _run(job: tuple[int, str, str | None, float]) -> Score | str:
     seed = job[0]
+    signal.signal(signal.SIGALRM, _too_long)
+    signal.alarm(PATIENCE)
     try:
         return judge(draw_case(*job))
     except Exception as problem:  # a crash is a result, and must not end the others
         return f"{seed} {job[1]} {job[2] or ''} failed: {type(problem).__name__}: {problem}"
+
+
+def _too_long(*_: object) -> None:
+    raise TimeoutError(f"more than {PATIENCE} s")
 
 
 def jobs(cases: int, clean: int, seed: int, only: str | None, share: float) -> list[tuple[int, str, str | None, float]]:

@@ -12,9 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from aridcal.campaign import Campaign
 from aridcal.causes import Cause, TrueEffect, draw_columns, make_causes
-from aridcal.effects import FRAME_COMPONENTS, Coefficient, Surroundings, covariate_table
+from aridcal.effects import FRAME_COMPONENTS, Basis, Coefficient, Effect, Surroundings, covariate_table
 from aridcal.errors import CampaignError
-from aridcal.evidence import kernel_root
 from aridcal.geometry import constants
 from aridcal.measurements import Measurements
 from aridcal.model import Model
@@ -27,6 +26,12 @@ NAMED = (
     "joint_gain", "joint_harmonic", "joint_map", "joint_backlash", "joint_compliance", "bearing_compliance",
     "axis_wobble", "rail_straightness", "rail_angular", "joint_coupling", "thermal", "drift", "payload_compliance",
 )  # fmt: skip
+CURVES = {
+    "joint_map": (("axis",), 36, (2.0, 4.0, 8.0)),
+    "rail_straightness": (("t1", "t2"), 18, (3.0, 6.0, 12.0)),
+    "rail_angular": (("roll", "pitch", "yaw"), 18, (3.0, 6.0, 12.0)),
+}
+"""Kinds that are smooth curves: motions, knots, and correlation lengths in knots."""
 SIZES = (1.0, 40.0)  # of an effect: RMS per component in sigma, after projection off constants and frames
 ROWS = (100, 400)
 QUERIES = 200
@@ -51,7 +56,7 @@ class Case:
         truth: The true model: frames, constants, then each cause's coefficients.
         theta: Their values.
         causes: True effects.
-        shapes: For each smooth cause its standard deviation and correlation length in knots; else None.
+        shapes: Covariance from which the coefficients of each smooth cause were drawn; else None.
         sizes: Of each cause, [sigma].
         sigma: Of the noise per component, shape (6,) or (3,), [m] and [rad].
         query: Readings never measured, shape (M, columns).
@@ -68,7 +73,7 @@ class Case:
     truth: Model
     theta: np.ndarray
     causes: tuple[Cause, ...]
-    shapes: tuple[tuple[float, float] | None, ...]
+    shapes: tuple[np.ndarray | None, ...]
     sizes: tuple[float, ...]
     sigma: np.ndarray
     query: np.ndarray
@@ -130,17 +135,23 @@ def _draw(seed: int, what: str, kind: str | None, outliers: float, rng: np.rando
     columns = _covariates(robot, readings, rng)
 
     count = {"clean": 0, "single": 1, "off": 1, "combination": int(rng.integers(2, 4))}[what]
-    drawn: list[tuple[TrueEffect, tuple[float, float] | None]] = []
+    causes: list[Cause] = []
+    lengths: list[float | None] = []
+    known = dict(columns)
     for k in range(count):
         one = kind if kind is not None and k == 0 else str(rng.choice(NAMED))
-        effect = _off(robot, columns, rng) if what == "off" else _named(one, robot, readings, columns, around, rng)
-        if effect is None or any(e.kind == effect[0].kind and e.where == effect[0].where for e, _ in drawn):
+        length = None
+        if what == "off":
+            made, known = make_causes([_off(robot, columns, rng)], robot, readings, columns, around, rng, "case")
+            cause: Cause | None = made[0]
+        elif one in CURVES:
+            cause, length = _curve(one, robot, readings, rng)
+        else:
+            cause = _named(one, robot, readings, columns, around, rng)
+        if cause is None or any(c.effect.kind == one and c.effect.where == cause.effect.where for c in causes):
             return None
-        drawn.append(effect)
-    try:
-        causes, known = make_causes([e for e, _ in drawn], robot, readings, columns, around, rng, "case")
-    except CampaignError:
-        return None
+        causes.append(cause)
+        lengths.append(length)
 
     place = [Coefficient(where, c) for where in ("world_base", "tip_target") for c in FRAME_COMPONENTS]
     geometry = (*place, *constants(robot, "full"))
@@ -161,7 +172,7 @@ def _draw(seed: int, what: str, kind: str | None, outliers: float, rng: np.rando
     J = contribution(truth, zero, rows.select(~test), here, sigma)
     U = basis_of(J[:, : len(geometry)])
     at, sizes, scaled, shapes = len(geometry), [], [], []
-    for cause, (_, shape) in zip(causes, drawn, strict=True):
+    for cause, length in zip(causes, lengths, strict=True):
         d = len(cause.values)
         moved = J[:, at : at + d] @ cause.values
         at += d
@@ -173,7 +184,7 @@ def _draw(seed: int, what: str, kind: str | None, outliers: float, rng: np.rando
         if factor * np.abs(moved.reshape(-1, len(sigma)) * sigma).max() > TOO_MUCH:
             return None
         scaled.append(Cause(cause.effect, factor * cause.values, cause.ranges))
-        shapes.append(None if shape is None else (factor * shape[0], shape[1]))
+        shapes.append(None if length is None else factor**2 * stiffness(len(cause.values), length))
         sizes.append(size)
     theta = np.concatenate([values, *(c.values for c in scaled)])
 
@@ -205,11 +216,10 @@ def _covariates(robot: Robot, readings: np.ndarray, rng: np.random.Generator) ->
 def _named(
     kind: str, robot: Robot, readings: np.ndarray, columns: dict[str, np.ndarray], around: Surroundings,
     rng: np.random.Generator,
-) -> tuple[TrueEffect, tuple[float, float] | None] | None:  # fmt: skip
+) -> Cause | None:  # fmt: skip
     """An effect of the catalogue with coefficients of natural proportions; None if this robot cannot have it."""
     joints = {k: [j.name for j in robot.joints if k in ("", j.kind)] for k in ("", "revolute", "prismatic")}
-    wanted = {"joint_harmonic": "revolute", "axis_wobble": "revolute", "rail_straightness": "prismatic",
-              "rail_angular": "prismatic"}.get(kind, "")  # fmt: skip
+    wanted = "revolute" if kind in ("joint_harmonic", "axis_wobble") else ""
     if not joints[wanted]:
         return None
     where = str(rng.choice(joints[wanted]))
@@ -225,8 +235,6 @@ def _named(
         keys["by"] = "direction" if f"{where}_direction" in columns else "load"
     elif kind == "bearing_compliance":
         keys["motion"] = _some(("r1", "r2") if joint.kind == "revolute" else ("roll", "pitch", "yaw"), rng)
-    elif kind in ("rail_straightness", "rail_angular"):
-        keys["motion"] = (str(rng.choice(("t1", "t2") if kind == "rail_straightness" else ("roll", "pitch", "yaw"))),)
     elif kind == "thermal":
         if "temperature" not in columns:
             return None
@@ -255,22 +263,36 @@ def _named(
         (cause,), _ = make_causes([probe], robot, readings, columns, around, rng, "case")
     except CampaignError:
         return None
-    effect = cause.effect
-    if effect.smooth:
-        length = float(rng.choice((2.0, 4.0, 8.0)))
-        values = kernel_root(len(effect.coefficients), length) @ rng.standard_normal(len(effect.coefficients))
-        return _with(keys, values), (1.0, length)
-    if len(effect.coefficients) > 1:
-        values = rng.standard_normal(len(effect.coefficients))
-        if kind == "bearing_compliance":  # a compliance is positive, and grows with travel
-            values = np.abs(values)
-        return _with(keys, values), None
-    return _with(keys, np.ones(1)), None
+    values = rng.standard_normal(len(cause.values))
+    if kind == "bearing_compliance":  # a compliance is positive, and grows with travel
+        values = np.abs(values)
+    return Cause(cause.effect, values if len(values) > 1 else np.ones(1), {})
 
 
-def _off(
-    robot: Robot, columns: dict[str, np.ndarray], rng: np.random.Generator
-) -> tuple[TrueEffect, tuple[float, float] | None] | None:
+def _curve(kind: str, robot: Robot, readings: np.ndarray, rng: np.random.Generator) -> tuple[Cause | None, float]:
+    """A smooth curve over a joint's travel, and its correlation length in knots."""
+    components, count, lengths = CURVES[kind]
+    joints = [k for k, j in enumerate(robot.joints) if kind == "joint_map" or j.kind == "prismatic"]
+    length = float(rng.choice(lengths))
+    if not joints:
+        return None, length
+    k = int(rng.choice(joints))
+    name, travel = robot.names[k], robot.positions(readings)[:, k]
+    low, step = float(travel.min()), float(np.ptp(travel)) / (count - 3)
+    motion = str(rng.choice(components))
+    # One knot beyond each end: a curve is not to know where the rows end.
+    knots = tuple(Coefficient(name, motion, Basis("bump", (name,), (low + (i - 1) * step, step))) for i in range(count))
+    values = np.linalg.cholesky(stiffness(count, length)) @ rng.standard_normal(count)
+    return Cause(Effect(kind, name, knots, smooth=True), values, {}), length
+
+
+def stiffness(count: int, length: float) -> np.ndarray:
+    """Covariance of the knots of a curve without kinks, shape (count, count): what any other set of knots can follow."""
+    apart = np.subtract.outer(np.arange(count), np.arange(count)) / length
+    return np.asarray(np.exp(-0.5 * apart**2) + 1e-6 * np.eye(count))
+
+
+def _off(robot: Robot, columns: dict[str, np.ndarray], rng: np.random.Generator) -> TrueEffect:
     """An effect that is in no catalogue: a named function of anything at any place."""
     where = str(rng.choice([*robot.names, "tip_target"]))
     motion = (str(rng.choice(FRAME_COMPONENTS)),)
@@ -280,11 +302,7 @@ def _off(
     anything += [c for c in columns if not c.endswith("_direction") and c != "payload"]
     covariates = tuple(str(c) for c in rng.choice(anything, count, replace=False))
     keys = {"kind": "unknown", "where": where, "motion": motion, "form": form, "covariates": covariates}
-    return _with(keys, np.ones(1)), None
-
-
-def _with(keys: dict[str, object], values: np.ndarray) -> TrueEffect:
-    return TrueEffect.model_validate(keys | {"coefficients": tuple(float(v) for v in values)})
+    return TrueEffect.model_validate(keys | {"coefficients": (1.0,)})
 
 
 def _some(components: Sequence[str], rng: np.random.Generator) -> tuple[str, ...]:
