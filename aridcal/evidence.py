@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
-from scipy.stats import chi2
+from scipy.special import gammaincc
 
 from aridcal.residual import FLOOR, Sigma
 
@@ -140,6 +141,11 @@ def score(
 
 
 def _plain(M: np.ndarray, s: np.ndarray, raw: np.ndarray, left: float, count: float) -> Score:
+    if len(s) == 1:  # most candidates: no need of a decomposition
+        if M[0, 0] <= DEPENDENT * raw[0]:
+            return Score(0.0, 1.0, 0)
+        twice = _profiled(float(s[0] ** 2 / M[0, 0]), left, count)
+        return Score(0.5 * (twice - 1.0 - np.log(max(twice, 1.0))), tail(twice, 1), 1)
     scale = 1.0 / np.sqrt(np.maximum(raw, 1e-300))
     values, vectors = np.linalg.eigh(M * np.outer(scale, scale))
     good = values > DEPENDENT
@@ -149,7 +155,7 @@ def _plain(M: np.ndarray, s: np.ndarray, raw: np.ndarray, left: float, count: fl
     explained = float(np.sum((vectors[:, good].T @ (s * scale)) ** 2 / values[good]))
     twice = _profiled(explained, left, count)
     gain = 0.5 * (twice - d * (1.0 + np.log(max(twice / d, 1.0))))
-    return Score(gain, float(chi2.sf(twice, d)), d)
+    return Score(gain, tail(twice, d), d)
 
 
 def _smooth(M: np.ndarray, s: np.ndarray, raw: np.ndarray, left: float, count: float, shape: tuple[int, ...]) -> Score:
@@ -175,6 +181,12 @@ def _smooth(M: np.ndarray, s: np.ndarray, raw: np.ndarray, left: float, count: f
     return best
 
 
+def tail(twice: float, d: int) -> float:
+    """Chance that chi-square with d degrees of freedom exceeds a value."""
+    return float(gammaincc(0.5 * d, 0.5 * max(twice, 0.0)))
+
+
+@cache
 def kernel_root(shape: tuple[int, ...], length: float) -> np.ndarray:
     """Square root of the prior covariance of a smooth function's samples: Matern 3/2 along each covariate."""
     root: np.ndarray = np.ones((1, 1))

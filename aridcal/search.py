@@ -8,12 +8,11 @@ from functools import cached_property
 
 import numpy as np
 from scipy.linalg import block_diag
-from scipy.stats import chi2
 from scipy.stats import f as f_distribution
 
 from aridcal.catalogue import turns
 from aridcal.effects import Basis, Effect, evaluate
-from aridcal.evidence import Score, Solution, Sums, extended, kernel_root, score, smooth_precision, solve, sums
+from aridcal.evidence import Score, Solution, Sums, extended, kernel_root, score, smooth_precision, solve, sums, tail
 from aridcal.residual import Sigma
 from aridcal.solver import flag
 
@@ -26,7 +25,7 @@ REFINED = 6
 JUDGED = 4
 PLAIN = 100.0  # nats in an effect's favour beyond which it needs no further trial
 FAINT = 0.02  # a mode that the data could move by less than this share of its prior is left out
-MOST = 24
+MOST = 14
 FOLDS = 5
 SCANNED = 800  # orders of a joint's error that are looked through, a quarter period over its range apart
 MAPPED = 30.0  # highest order that a joint_map resolves
@@ -447,7 +446,7 @@ def _refine(bench: Bench, state: State, effect: Effect, rough: Score) -> Score:
     d = rough.freedom
     if not effect.smooth:
         gain = 0.5 * (twice - d * (1.0 + np.log(max(twice / d, 1.0))))
-        return replace(rough, gain=gain, p_value=float(chi2.sf(max(twice, 0.0), d)))
+        return replace(rough, gain=gain, p_value=tail(twice, d))
     own = candidate.precision
     n = len(own)
     twice += float(np.linalg.slogdet(own)[1] + np.linalg.slogdet(solution.inverse[-n:, -n:])[1])
