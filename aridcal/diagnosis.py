@@ -121,24 +121,27 @@ def diagnose(
         state = solve_state(bench, (*state.active, admitted(bench, state, effect)), state.solution.sigma, state.weight)
     if is_small(bench, named):
         current, at, bench, state = _large_first(bound, bench, named, library, state, current, noise, scene)
-    for _ in range(ROUNDS):
+    small = is_small(bench, named)
+    for _ in range(ROUNDS if small else 1):
         found = search(bench, named, state)
-        if unnamed:
-            more = search(bench, unnamed, found.state, UNNAMED)
-            if more.state.active != found.state.active:  # functions of one covariate help: perhaps it takes two at once
-                more = search(bench, paired, more.state, UNNAMED // 2)
-            found = replace(more, rejected=found.rejected + more.rejected[:1], tested=found.tested + more.tested)
         same = [a.effect for a in found.state.active] == [a.effect for a in state.active]
         state = found.state
-        if not state.active or (same and at is current and current is not geometric):
+        if not small or not state.active or (same and at is current and current is not geometric):
             break
         progress(f"fitting {len(state.active)} effects: {', '.join(a.effect.label for a in state.active[:4])}")
-        current = refit(bound, state, current, noise)
-        if not is_small(bench, named):
-            break
-        at = current
+        current = at = refit(bound, state, current, noise)
         bench = linear_bench(bound, at, state.active, library, scene)
         state = solve_state(bench, state.active, state.solution.sigma, state.weight)
+    fitted = [a.effect for a in state.active] if at is not geometric else []
+    if unnamed:
+        more = search(bench, unnamed, state, UNNAMED)
+        if len(more.state.active) > len(state.active):  # functions of one covariate help: perhaps it takes two at once
+            more = search(bench, paired, more.state, UNNAMED // 2)
+        state = more.state
+        found = replace(more, rejected=found.rejected + more.rejected[:1], tested=found.tested + more.tested)
+    if [a.effect for a in state.active] != fitted:
+        progress(f"fitting {len(state.active)} effects: {', '.join(a.effect.label for a in state.active[:4])}")
+        current = refit(bound, state, current, noise)
     return Diagnosed(current, at, bench, scene, found, twins(bench, named, state), tuple(stated), tuple(barred))
 
 
