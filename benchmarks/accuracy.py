@@ -1,0 +1,309 @@
+"""How right the answers are: on a real robot's unused rows, and in simulations whose truth is known.
+
+Example:
+    python benchmarks/accuracy.py                      # all tables
+    python benchmarks/accuracy.py real ranks           # some of them
+
+- ``real``: UR10 series B (public laser-tracker data), ten splits by seed, through ``identify``.
+- ``coverage``: 400 simulated ARIDs with noise. Do 2-sigma intervals hold the truth in 95.4 % of all cases, and is the
+  predicted sigma of the target the scatter of its prediction? What cannot be told apart has no truth of its own, so the
+  truth is written in the fit's own coefficients: the same model fitted to the same rows without noise.
+- ``frames``: 100 true frames of any attitude, all with an identity hint: is the optimum the one that a start at the true
+  frames leads to?
+- ``exact``: rows without noise: do the coefficients come back?
+- ``ranks``: how many coefficients are told apart, against 4 R + 2 P + 6 (poses) and 4 R + 2 P + 3 (positions).
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pinocchio as pin
+import yaml
+from rich.console import Console
+from rich.table import Table
+from scipy.spatial.transform import Rotation
+
+from aridcal.campaign import Campaign
+from aridcal.effects import FRAME_COMPONENTS, Coefficient
+from aridcal.geometry import constants, fit_geometry, observations, recentred
+from aridcal.identifiable import identifiable
+from aridcal.identify import identify
+from aridcal.measurements import Measurements
+from aridcal.model import Model
+from aridcal.outcome import errors
+from aridcal.residual import Observations, Sigma, predict_residuals, triangle
+from aridcal.robot import Robot, load_robot
+from aridcal.simulate import draw_readings
+from aridcal.solver import Data, Fit, Noise, fit
+
+TOP = Path(__file__).resolve().parents[1]
+SHARED_ROBOTS = Path(pin.__file__).resolve().parents[4] / "share" / "example-robot-data" / "robots"
+BAD_ROWS = (532, 854, 855, 1063)  # of series B: stale or disturbed measurements, by `sequence`
+NOISE = 1e-4  # per axis, [m] and [rad]
+WRONG = 2e-3  # standard deviation of every constant, [m] and [rad]
+ARID_FRAMES = (
+    pin.SE3(pin.rpy.rpyToMatrix(1.58, 0.02, -2.3), np.array([6.2, -1.4, 3.1])),
+    pin.SE3(pin.rpy.rpyToMatrix(0.3, -1.2, 0.5), np.array([0.35, 0.04, -0.06])),
+)
+
+
+def arid() -> Robot:
+    return load_robot(TOP / "urdf" / "arid.urdf", "flange")
+
+
+def ur10() -> Robot:
+    return load_robot(TOP / "urdf" / "ur10.urdf", "tool0")
+
+
+ROBOTS = {"arid": arid, "ur10": ur10}
+
+
+def truth_of(robot: Robot, which: str, frames: tuple[pin.SE3, pin.SE3]) -> Model:
+    """A robot with all constants of a set, seen from and seen at some frames."""
+    return Model(robot, constants(robot, which), ((None, frames[0]),), ((None, frames[1]),))
+
+
+def measure(
+    truth: Model, theta: np.ndarray, readings: np.ndarray, error: np.ndarray, kind: str = "pose"
+) -> Measurements:
+    """What a tracker says of some configurations; errors in world axes, shape (N, 6), [m] and [rad]."""
+    n = len(readings)
+    R, p = truth.poses(theta, truth.rows(readings))
+    turned = Rotation.from_rotvec(error[:, 3:]) * Rotation.from_matrix(R, assume_valid=True)
+    return Measurements(
+        truth.robot.readings, (), "", (), (), np.zeros(n, dtype=int), np.arange(n) + 2, readings, p + error[:, :3],
+        turned.as_quat(canonical=True) if kind == "pose" else None, None, {}, None, np.zeros(n, dtype=bool), True,
+    )  # fmt: skip
+
+
+def campaign_of(robot: Robot, which: str, kind: str = "pose", known: tuple[pin.SE3, pin.SE3] | None = None) -> Campaign:
+    """What a user would have written; frames are unknown, with no hint, unless they are given."""
+    frames = {}
+    for name, frame in zip(("world_base", "tip_target"), known or (), strict=known is not None):
+        rpy = pin.rpy.matrixToRpy(frame.rotation)
+        frames[name] = {"xyz": frame.translation.tolist(), "rpy": rpy.tolist(), "identify": False}
+    return Campaign.model_validate({
+        "format": 1,
+        "robot": {"urdf": Path("robot.urdf"), "tip": robot.tip},
+        "measurements": {"file": (Path("rows.csv"),), "kind": kind},
+        "frames": frames,
+        "parameters": {"set": which},
+    })  # fmt: skip
+
+
+def solve(campaign: Campaign, robot: Robot, rows: Measurements, noise: Noise) -> Fit:
+    return fit_geometry(campaign, robot, rows, (), noise, np.zeros(len(rows), dtype=bool)).geometric
+
+
+def data_of(model: Model, rows: Measurements) -> Data:
+    return Data(model.rows(rows.readings), observations(rows, "ignore"), np.zeros(len(rows), dtype=bool))
+
+
+def real(console: Console) -> None:
+    if not (TOP.parent / "shared" / "data").is_dir():
+        console.print("real: the public data are not beside this repository: see identification/ur10-laser-tracker")
+        return
+    path = TOP / "identification" / "ur10-laser-tracker" / "campaign-b.yaml"
+    keys = yaml.safe_load(path.read_text())
+    keys["robot"]["urdf"] = str((path.parent / keys["robot"]["urdf"]).resolve())
+    file = (path.parent / keys["measurements"]["file"]).resolve()
+    keys["measurements"]["file"] = str(file)
+    keys["diagnosis"] = {"enabled": False}
+    table = Table(title="UR10 series B, frames unknown: RMS on rows never used", title_justify="left")
+    for head in ("seed", "test rows", "nominal [mm]", "geometric [mm]", "nominal [mrad]", "geometric [mrad]",
+                 "identified", "flagged, by sequence (in test)"):  # fmt: skip
+        table.add_column(head, justify="right")
+    sequence = pd.read_csv(file)["sequence"].to_numpy()
+    figures = []
+    with tempfile.TemporaryDirectory() as folder:
+        campaign = Path(folder) / "campaign.yaml"
+        campaign.write_text(yaml.safe_dump(keys))
+        for seed in range(10):
+            found = identify(campaign, seed)
+            test = found.parts()["test"]
+            e = [errors(found.stage(name).residual, test) for name in ("nominal", "geometric")]
+            row = [e[k][unit]["rms"] for unit in ("position_mm", "rotation_mrad") for k in (0, 1)]
+            figures.append(row)
+            number, left_out = sequence[found.measurements.line - 2], found.measurements.test
+            flagged = [f"({number[k]})" if left_out[k] else str(number[k]) for k in np.flatnonzero(found.outlier)]
+            passed = np.isin(number, BAD_ROWS) & ~found.outlier
+            missed = [f"{number[k]} in {'test' if left_out[k] else 'TRAIN'} passed" for k in np.flatnonzero(passed)]
+            identified = len(found.stage("geometric").fit.theta)
+            cells = [f"{v:.4f}" for v in row]
+            table.add_row(str(seed), str(test.sum()), *cells, str(identified), ", ".join(flagged + missed))
+    table.add_section()
+    mean, spread = np.mean(figures, axis=0), np.std(figures, axis=0, ddof=1)
+    table.add_row("mean", "", *(f"{m:.4f} ± {s:.4f}" for m, s in zip(mean, spread, strict=True)))
+    console.print(table)
+
+
+def coverage(console: Console, count: int = 400) -> None:
+    robot = arid()
+    truth = truth_of(robot, "doty", ARID_FRAMES)
+    query = draw_readings(robot, 100, np.random.default_rng(0))
+    table = Table(title=f"{count} noisy ARIDs, set doty, 150 rows of poses", title_justify="left")
+    for head in ("frames", "noise", "coefficients", "inside 2 sigma [%]", "worst coefficient [%]",
+                 "sigma/scatter, position", "sigma/scatter, rotation", "dropped coefficients hide [sigma]"):  # fmt: skip
+        table.add_column(head, justify="right")
+    for known, noise in ((None, Noise()), (None, Noise(NOISE, NOISE)), (ARID_FRAMES, Noise())):
+        campaign = campaign_of(robot, "doty", known=known)
+        inside: dict[str, list[bool]] = {}
+        expected, happened, hidden = np.zeros(2), np.zeros(2), 0.0
+        for seed in range(count):
+            rng = np.random.default_rng([seed, 1992])
+            theta = WRONG * rng.standard_normal(len(truth.coefficients))
+            readings = draw_readings(robot, 150, rng)
+            error = NOISE * rng.standard_normal((150, 6))
+            found = solve(campaign, robot, measure(truth, theta, readings, error), noise)
+            exact = data_of(found.model, measure(truth, theta, readings, 0 * error))
+            true = fit(found.model, exact, Noise(), found.theta, np.ones(150))
+            hidden = max(hidden, float(np.abs(true.residual).max()) / NOISE)
+            for name, d, std in zip(found.model.names, found.theta - true.theta, found.std, strict=True):
+                inside.setdefault(name, []).append(bool(abs(d) < 2 * std))
+            rows = found.model.rows(query)
+            _, _, J = found.model.jacobian(found.theta, rows)
+            R, p = truth.poses(theta, truth.rows(query))
+            off = predict_residuals(found.model, found.theta, rows, Observations(p, R))
+            variance = np.einsum("nik,kl,nil->ni", J, found.covariance, J)
+            for k in (0, 1):
+                expected[k] += variance[:, 3 * k : 3 * k + 3].sum()
+                happened[k] += (off[:, 3 * k : 3 * k + 3] ** 2).sum()
+        shares = {name: 100 * float(np.mean(hits)) for name, hits in inside.items()}
+        pooled = 100 * float(np.mean([hit for hits in inside.values() for hit in hits]))
+        worst = min(shares, key=lambda name: shares[name])
+        ratio = np.sqrt(expected / happened)
+        table.add_row(
+            "unknown" if known is None else "known", "declared" if noise.declared_position else "estimated",
+            str(len(shares)), f"{pooled:.2f}", f"{shares[worst]:.1f} ({worst}, {len(inside[worst])} fits)",
+            f"{ratio[0]:.3f}", f"{ratio[1]:.3f}", f"{hidden:.3f}",
+        )  # fmt: skip
+    console.print(table)
+
+
+def frames(console: Console, count: int = 100) -> None:
+    table = Table(title=f"{count} true frames of any attitude, hint = identity, 150 noisy rows", title_justify="left")
+    for head in ("robot", "set", "kind", "same optimum", "largest difference of a residual [sigma]", "most steps"):
+        table.add_column(head, justify="right")
+    for name, which in (("arid", "doty"), ("ur10", "full")):
+        robot = ROBOTS[name]()
+        for kind in ("pose", "position"):
+            campaign = campaign_of(robot, which, kind)
+            worst, same, steps = 0.0, 0, 0
+            for seed in range(count):
+                rng = np.random.default_rng([seed, 7])
+                attitude = Rotation.random(2, rng=rng).as_matrix()
+                world, tip = (
+                    pin.SE3(attitude[0], rng.uniform(-5, 5, 3)),
+                    pin.SE3(attitude[1], rng.uniform(-0.4, 0.4, 3)),
+                )
+                truth = truth_of(robot, which, (world, tip))
+                theta = WRONG * rng.standard_normal(len(truth.coefficients))
+                error = NOISE * rng.standard_normal((150, 6))
+                rows = measure(truth, theta, draw_readings(robot, 150, rng), error, kind)
+                found = solve(campaign, robot, rows, Noise(NOISE, NOISE))
+                model = truth.with_coefficients(found.model.coefficients)
+                known = fit(model, data_of(model, rows), Noise(NOISE, NOISE))
+                off = float(np.abs(found.residual - known.residual).max()) / NOISE
+                worst, same, steps = max(worst, off), same + (off < 0.05), max(steps, found.convergence.steps)
+            table.add_row(name, which, kind, f"{same} of {count}", f"{worst:.2g}", str(steps))
+    console.print(table)
+
+
+def exact(console: Console) -> None:
+    table = Table(title="150 rows without noise: largest error of what comes back", title_justify="left")
+    for head in (
+        "robot",
+        "set",
+        "frames",
+        "coefficients",
+        "constants [m, rad]",
+        "frames [m, rad]",
+        "residual [m, rad]",
+    ):
+        table.add_column(head, justify="right")
+    cases = (("arid", "doty", True), ("arid", "full", True), ("ur10", "full", True), ("ur10", "full", False))
+    for name, which, known in cases:
+        robot, rng = ROBOTS[name](), np.random.default_rng(3)
+        pair = ARID_FRAMES
+        truth = truth_of(robot, which, pair)
+        readings = draw_readings(robot, 150, rng)
+        campaign = campaign_of(robot, which, known=pair if known else None)
+        # Only what can be told apart has a truth that can come back: let the rest be nominal.
+        perfect = measure(truth, np.zeros(len(truth.coefficients)), readings, np.zeros((150, 6)))
+        kept = set(solve(campaign, robot, perfect, Noise()).model.names)
+        theta = np.array([WRONG * rng.standard_normal() * (c.name in kept) for c in truth.coefficients])
+        found = recentred(solve(campaign, robot, measure(truth, theta, readings, np.zeros((150, 6))), Noise()))
+        value = dict(zip(found.model.names, found.theta, strict=True))
+        constant = max(abs(value.get(c.name, 0.0) - t) for c, t in zip(truth.coefficients, theta, strict=True))
+        placed = [pin.log6(a.inverse() * b[0][1]).vector for a, b in
+                  zip(pair, (found.model.world_base, found.model.tip_target), strict=True)]  # fmt: skip
+        table.add_row(
+            name, which, "known" if known else "unknown", str(len(found.theta)), f"{constant:.1e}",
+            "" if known else f"{np.abs(placed).max():.1e}", f"{np.abs(found.residual).max():.1e}",
+        )  # fmt: skip
+    console.print(table)
+
+
+def ranks(console: Console) -> None:
+    table = Table(title="Coefficients told apart, set full with both frames, 300 rows", title_justify="left")
+    for head in ("robot", "joints", "candidates", "poses", "4R+2P+6", "positions", "4R+2P+3"):
+        table.add_column(head, justify="right" if head != "robot" else "left")
+    robots = {name: make() for name, make in ROBOTS.items()}
+    for file, tip in (
+        ("panda_description/urdf/panda.urdf", "panda_link8"),
+        ("kinova_description/robots/kinova.urdf", "j2s6s200_end_effector"),
+        ("z1_description/urdf/z1.urdf", "link06"),
+        ("so_arm_description/urdf/so101.urdf", "gripper_frame_link"),
+        ("tiago_description/robots/tiago.urdf", "arm_tool_link"),
+    ):
+        if (SHARED_ROBOTS / file).is_file():
+            robots[Path(file).stem] = load_robot(SHARED_ROBOTS / file, tip)
+    for name, robot in robots.items():
+        candidates = tuple(Coefficient(w, c) for w in ("world_base", "tip_target") for c in FRAME_COMPONENTS)
+        candidates += constants(robot, "full")
+        # Off the last axis: the turn of a point on it could not be seen.
+        model = Model(robot, candidates, tip_target=((None, pin.SE3(np.eye(3), np.array([0.11, 0.07, 0.05]))),))
+        readings = draw_readings(robot, 300, np.random.default_rng(0))
+        rows, zero = model.rows(readings), np.zeros(len(candidates))
+        R, p = model.poses(zero, rows)
+        told = []
+        for measured in (Observations(p, R), Observations(p, None)):
+            whole = triangle(model, zero, rows, measured, np.ones(300), Sigma(NOISE, NOISE))
+            told.append(len(identifiable(whole, range(len(candidates))).kept))
+        turning = sum(joint.kind == "revolute" for joint in robot.joints)
+        sliding = len(robot.joints) - turning
+        most = 4 * turning + 2 * sliding
+        table.add_row(
+            name, f"{turning} R, {sliding} P", str(len(candidates)),
+            str(told[0]), str(most + 6), str(told[1]), str(most + 3),
+        )  # fmt: skip
+    console.print(table)
+
+
+TABLES: dict[str, Callable[[Console], None]] = {
+    "real": real, "coverage": coverage, "frames": frames, "exact": exact, "ranks": ranks,
+}  # fmt: skip
+
+
+def main() -> int:
+    """Print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("tables", nargs="*", metavar="TABLE", help=f"of {', '.join(TABLES)}; default: all")
+    arguments = parser.parse_args()
+    unknown = [name for name in arguments.tables if name not in TABLES]
+    if unknown:
+        parser.error(f"no table {unknown[0]!r}: choose from {', '.join(TABLES)}")
+    for name in arguments.tables or TABLES:
+        TABLES[name](Console(width=150))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
