@@ -13,6 +13,7 @@ from aridcal.errors import AridcalError, nearest
 COMMANDS = {
     "identify": "campaign in; calibrated URDF, figures and pictures out",
     "predict": "where the real target is, for each row of joints",
+    "measure": "camera images and sonar ranges to measured poses",
     "view": "nominal and calibrated robot in the browser",
     "simulate": "make a campaign with a known truth",
 }

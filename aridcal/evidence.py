@@ -209,8 +209,10 @@ def _profiled(explained: float, left: float, count: float) -> float:
 
 
 def _inverse(H: np.ndarray) -> np.ndarray:
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(H), 1e-300))
-    S = H * np.outer(scale, scale) + 1e-13 * np.eye(len(H))
+    diagonal = np.diag(H)
+    moves = diagonal > 1e-300  # a column that moves nothing is left where it is
+    scale = np.where(moves, 1.0 / np.sqrt(np.where(moves, diagonal, 1.0)), 0.0)
+    S = H * np.outer(scale, scale) + np.diag(np.where(moves, 1e-13, 1.0))
     try:
         inverse = np.asarray(cho_solve(cho_factor(S), np.eye(len(H))))
     except np.linalg.LinAlgError:

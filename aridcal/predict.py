@@ -116,7 +116,7 @@ def _main(arguments: argparse.Namespace) -> None:
         arguments.query,
         model.robot.readings,
         joint_limits(model.robot),
-        joint_kinds(model.robot),  # type: ignore[arg-type]
+        joint_kinds(model.robot),
         calibration.measurements,
         per_station=len(model.world_base) > 1 or len(model.tip_target) > 1,
     )

@@ -9,8 +9,6 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from aridcal import __version__, sections
 from aridcal.dependence import depends
 from aridcal.doty import Link, doty_links

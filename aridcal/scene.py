@@ -180,16 +180,14 @@ def scene_content(scene: Scene, shapes: tuple[Shape, ...]) -> dict[str, Any]:
 
 
 def body_poses(robot: Robot, readings: np.ndarray) -> np.ndarray:
-    """Frame of every joint of the tree in the base's frame, shape (N, joints, 4, 4); joint 0 is what does not move."""
+    """Frame of every joint of the tree in the base's frame, shape (N, joints, 4, 4); what is above the base is at rest."""
     model = robot.tree
-    base = model.frames[model.getFrameId(robot.base)]
     data = model.createData()
     pin.framesForwardKinematics(model, data, pin.neutral(model))
     T = np.tile(data.oMf[model.getFrameId(robot.base)].inverse().homogeneous, (len(readings), model.njoints, 1, 1))
     for k, _, turned, at in tree_frames(robot, readings):
         T[:, k, :3, :3], T[:, k, :3, 3] = turned, at
-    # A joint above the base moves it, if one on the chain mimics that joint.
-    return np.linalg.inv(T[:, base.parentJoint] @ base.placement.homogeneous)[:, None] @ T
+    return T
 
 
 def robot_shapes(robot: Robot) -> tuple[tuple[Shape, ...], tuple[str, ...]]:
