@@ -58,12 +58,12 @@ def explain(diagnosed: Diagnosed, bound: Bound, test: Bound | None, clues: Seque
 
 def verdict(clues: Sequence[Clue], diagnosed: Diagnosed, enough: bool) -> tuple[str, float]:
     """The campaign's verdict, and the share of the remaining variance that is repeatable."""
-    telling = [c.share for c in clues if c.tells]
-    unknown = any(a.effect.kind == "unknown" for a in diagnosed.found.state.active)
-    share = max(telling, default=0.0)
+    share = max((c.share for c in clues if c.tells), default=0.0)
     if not enough:
         return "not_enough_data", share
-    return ("structure_remains" if share > LEAST or (unknown and telling) else "noise_floor"), share
+    # What has no name is followed by a smooth curve at best: between and beyond the rows it is not known.
+    unnamed = any(a.effect.kind == "unknown" for a in diagnosed.found.state.active)
+    return ("structure_remains" if share > LEAST or unnamed else "noise_floor"), share
 
 
 def _identity(effect: Effect) -> tuple[object, ...]:
