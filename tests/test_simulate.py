@@ -14,11 +14,12 @@ from lxml import etree
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
-from aridcal.campaign import load_campaign
+from aridcal.campaign import EFFECT_KINDS, HEAD_KINDS, load_campaign
 from aridcal.errors import CampaignError
+from aridcal.identify import identify
 from aridcal.robot import load_robot
 from aridcal.settings import load_settings
-from aridcal.simulate import Scenario, main, simulate
+from aridcal.simulate import Scenario, main, simulate, truth_document
 
 ROOT = Path(__file__).parent.parent
 ARID = ROOT / "urdf" / "arid.urdf"
@@ -39,6 +40,8 @@ MIXED = """<robot name="mixed">
     <parent link="c"/><child link="d"/><axis xyz="0 1 0"/><limit lower="0.5" upper="0.75" effort="1" velocity="1"/>
   </joint>
 </robot>"""
+
+BOW = {"kind": "rail_straightness", "where": "joint_1", "form": "bow", "coefficients": [1e-3, 0]}
 
 TRUTH = {
     "n": 40,
@@ -164,6 +167,137 @@ def test_frames_that_the_truth_does_not_mention_are_as_the_campaign_says(tmp_pat
     assert frames["world_base"] == pin.SE3.Identity()
 
 
+# -- effects
+
+
+def effects(*declared: dict, **truth) -> dict:
+    """Truth with effects and without other faults."""
+    return {"parameters": {}, "frames": {}, "n": 60, "effects": list(declared)} | truth
+
+
+def moved(folder: Path, *declared: dict, **keys) -> tuple[np.ndarray, pd.DataFrame]:
+    """How effects move the flange, in its place without them: (linear, angular) in world axes, shape (N, 6)."""
+    with_it = simulate(scenario(folder, effects(*declared), **keys)).measurements
+    without = simulate(scenario(folder, effects(), **keys)).measurements
+    p = (with_it - without)[["x", "y", "z"]].to_numpy()
+    return np.hstack([p, (rotations(with_it) * rotations(without).inv()).as_rotvec()]), with_it
+
+
+def test_a_yielding_elbow_turns_by_its_gravity_torque_times_the_compliance(tmp_path):
+    keys = {"robot": {"urdf": str(ARID), "tip": "flange", "gravity": [0.0, 9.81, 0.0]}}
+    off, table = moved(tmp_path, {"kind": "joint_compliance", "where": "joint_3", "coefficients": 2e-6}, **keys)
+    # Another road to the torque: MuJoCo is not needed, Pinocchio's generalized gravity is minus the load.
+    model = pin.buildModelFromUrdf(str(ARID))
+    model.gravity.linear = np.array([0.0, 9.81, 0.0])
+    q = table[["joint_1", "joint_2", "joint_3", "joint_4"]].to_numpy()
+    torque = np.array([-pin.computeGeneralizedGravity(model, model.createData(), row)[2] for row in q])
+    np.testing.assert_allclose(off[:, 5], 2e-6 * torque, rtol=1e-6, atol=1e-12)
+    assert np.ptp(torque) > 100
+
+
+def test_a_rail_that_bows_shifts_the_arm_by_the_named_function(tmp_path):
+    bow = {"kind": "rail_straightness", "where": "joint_1", "motion": "t2", "form": "bow", "coefficients": 2e-3}
+    off, table = moved(tmp_path, bow)
+    u = 2 * (table.joint_1 - table.joint_1.min()) / np.ptp(table.joint_1) - 1
+    np.testing.assert_allclose(off[:, 1], 2e-3 * (1 - u**2), atol=1e-12)
+    np.testing.assert_allclose(np.delete(off, 1, axis=1), 0, atol=1e-12)
+
+
+def test_a_harmonic_has_the_amplitude_and_phase_given(tmp_path):
+    wave = {"kind": "joint_harmonic", "where": "joint_2", "order": 3, "coefficients": [3e-4, -1e-4]}
+    off, table = moved(tmp_path, wave)
+    np.testing.assert_allclose(
+        off[:, 5], 3e-4 * np.sin(3 * table.joint_2) - 1e-4 * np.cos(3 * table.joint_2), atol=1e-12
+    )
+
+
+def test_an_effect_in_no_catalogue_moves_two_ways_by_a_product(tmp_path):
+    odd = {
+        "kind": "unknown", "where": "world_base", "motion": ["x", "roll"], "covariates": ["joint_4", "temperature"],
+        "form": "product", "coefficients": [1e-3, 2e-4],
+    }  # fmt: skip
+    off, table = moved(tmp_path, odd)
+    u, v = (2 * (c - c.min()) / np.ptp(c) - 1 for c in (table.joint_4.to_numpy(), table.temperature.to_numpy()))
+    np.testing.assert_allclose(off[:, 0], 1e-3 * u * v, atol=1e-12)
+    np.testing.assert_allclose(off[:, 3], 2e-4 * u * v, atol=1e-9)
+
+
+def test_payload_pulls_the_elbow_by_its_weight_times_its_lever(tmp_path):
+    keys = {
+        "robot": {"urdf": str(ARID), "tip": "flange", "gravity": [0.0, 9.81, 0.0]},
+        "frames": {"tip_target": {"xyz": [0.4, 0.0, 0.0]}},
+    }
+    heavy = {
+        "kind": "payload_compliance", "where": "joint_3", "covariates": "joint_3.payload_torque", "motion": "axis",
+        "coefficients": 1e-5,
+    }  # fmt: skip
+    off, table = moved(tmp_path, heavy, **keys)
+    a, b = table.joint_2 + table.joint_3, table.joint_2 + table.joint_3 + table.joint_4
+    lever = 1.98 * np.cos(a) + 0.4 * np.cos(b)
+    np.testing.assert_allclose(off[:, 5], 1e-5 * 9.81 * table.payload * lever, atol=1e-9)
+    assert set(table.payload) == {0.0, 1.0, 2.5, 5.0}
+
+
+@pytest.mark.parametrize("kind", sorted(set(EFFECT_KINDS) - set(HEAD_KINDS)))
+def test_every_kind_can_be_simulated_and_its_truth_is_told(tmp_path, kind):
+    more = {
+        "joint_coupling": {"with": "joint_2"},
+        "joint_backlash": {"by": "direction"},
+        "joint_harmonic": {"order": 2},
+        "axis_wobble": {"order": 1, "motion": "r1"},
+        "rail_straightness": {"motion": "t1"},
+        "rail_angular": {"motion": "yaw"},
+        "unknown": {"motion": "yaw", "covariates": "voltage"},
+        "drift": {"where": "world_base"},
+    }
+    rail = {"where": "joint_1" if kind.startswith("rail") else "joint_3"}
+    given = {"kind": kind, "coefficients": {"std": 1e-4}} | rail | more.get(kind, {})
+    robot = {"urdf": str(ARID), "tip": "flange", "gravity": [0.0, 9.81, 0.0]}
+    made = simulate(scenario(tmp_path, effects(given), robot=robot))
+    plain = simulate(scenario(tmp_path, effects(), robot=robot))
+    shift = (made.measurements[list(plain.measurements)] - plain.measurements).to_numpy()
+    assert np.abs(shift).max() > 1e-6
+    (told,) = truth_document(made)["effects"]
+    assert told["kind"] == kind
+    assert told["where"] == given["where"]
+    assert all(c["name"].startswith(given["where"]) for c in told["coefficients"])
+    assert all(abs(c["value"]) > 0 for c in told["coefficients"])
+
+
+def test_a_calibration_that_declares_the_true_effect_gives_back_its_coefficient(tmp_path):
+    heavy = {"kind": "joint_compliance", "where": "joint_3", "coefficients": 3e-6}
+    robot = {"urdf": str(ARID), "tip": "flange", "gravity": [0.0, 9.81, 0.0]}
+    truth = {"n": 120, "effects": [heavy], "noise": {"position": 1e-6, "rotation": 1e-6}}
+    declared = {"effects": [{"kind": "joint_compliance", "where": "joint_3"}], "diagnosis": {"enabled": False}}
+    given = scenario(tmp_path, truth, robot=robot, **declared)
+    assert main([str(given.path), "-o", str(tmp_path / "out")]) == 0
+    found = identify(tmp_path / "out" / "campaign.yaml").stages[-1].fit
+    k = found.model.names.index("joint_3.axis:gravity_torque")
+    assert found.theta[k] == pytest.approx(3e-6, abs=5 * found.covariance[k, k] ** 0.5)
+
+
+def test_columns_are_what_a_day_of_measuring_gives(tmp_path):
+    names = ["time", "temperature", "temperature_arm", "payload", "joint_2_direction", "humidity"]
+    table = simulate(scenario(tmp_path, effects(covariates=names, n=400))).measurements
+    assert list(table)[-6:] == names
+    assert (np.diff(table.time) > 0).all()
+    came = np.sign(np.diff(table.joint_2))
+    np.testing.assert_array_equal(table.joint_2_direction[1:], came)
+    for name in ("temperature", "humidity"):  # neighbours are alike
+        assert np.corrcoef(table[name][1:], table[name][:-1])[0, 1] > 0.9
+    assert not np.allclose(table.temperature, table.temperature_arm)
+
+
+def test_a_further_column_or_effect_leaves_the_others_as_they_are(tmp_path):
+    gain = {"kind": "joint_gain", "where": "joint_2", "coefficients": {"std": 1e-4}}
+    warm = {"kind": "thermal", "where": "joint_3", "motion": "x", "coefficients": 1e-5}
+    one = simulate(scenario(tmp_path, effects(gain)))
+    two = simulate(scenario(tmp_path, effects(gain, warm, covariates=["humidity"])))
+    assert one.causes[0].values == two.causes[0].values
+    three = simulate(scenario(tmp_path, effects(warm)))
+    np.testing.assert_array_equal(two.measurements.temperature, three.measurements.temperature)
+
+
 # -- files
 
 
@@ -267,6 +401,27 @@ def test_the_shipped_campaign_is_what_its_scenario_makes(tmp_path):
         ({"parameters": {"joint_3.x": "big"}}, {}, r"joint_3\.x"),
         ({"n": 0}, {}, r"truth\.n"),
         ({"seed": -1}, {}, r"truth\.seed"),
+        ({"effects": [{"kind": "drift"}]}, {}, r"effects\[0\]\.where: this key is missing"),
+        (effects({"kind": "lens_distortion", "where": "camera", "coefficients": 1}), {}, r"lens_distortion"),
+        (effects({"kind": "joint_gain", "where": "joint_9", "coefficients": 1}), {}, r"no place 'joint_9'"),
+        (effects({"kind": "joint_gain", "where": "joint_2", "coefficients": [1, 2]}), {}, r"joint_2\.axis:joint_2"),
+        (
+            effects({"kind": "thermal", "where": "joint_2", "coefficients": 1}),
+            {},
+            r"has 7 coefficients, not 1: .*motion",
+        ),
+        (
+            effects({"kind": "rail_straightness", "where": "joint_2", "coefficients": 1}),
+            {},
+            r"rail_straightness at joint_2",
+        ),
+        (effects(BOW | {"form": "bough"}), {}, r"'bough'.*did you mean 'bow'"),
+        (effects(BOW | {"form": "product"}), {}, r"product is a function of 2 covariates"),
+        (effects(BOW | {"kind": "joint_gain"}), {}, r"joint_gain has its own"),
+        (effects(BOW | {"motion": "yaw"}), {}, r"has no motion 'yaw'"),
+        (effects(BOW | {"where": "joint_5"}), {}, r"no covariate 'joint_5'.*did you mean"),
+        (effects(BOW | {"covariates": "joint_7"}), {}, r"no covariate 'joint_7'"),
+        (effects(BOW | {"kind": "unknown"}), {}, r"needs `motion` and `covariates`"),
         ({"outliers": {"share": 0.1, "size": 5}}, {}, r"truth\.noise"),
         ({"outliers": {"share": 1.1, "size": 5}}, {}, r"truth\.outliers\.share"),
         ({}, {"measurements": {"units": {"length": "mm"}}}, r"measurements\.units"),
