@@ -373,16 +373,18 @@ def test_a_scenario_is_not_overwritten_by_its_campaign(tmp_path, capsys):
     assert path.read_text() == text
 
 
-def test_the_shipped_campaign_is_what_its_scenario_makes(tmp_path):
-    shipped = ROOT / "identification" / "arid"
+@pytest.mark.parametrize("name", ["arid", "arid-undeclared"])
+def test_the_shipped_campaign_is_what_its_scenario_makes(tmp_path, name):
+    shipped = ROOT / "identification" / name
     assert main([str(shipped / "scenario.yaml"), "-o", str(tmp_path)]) == 0
     made, stored = (read(f / "measurements.csv") for f in (tmp_path, shipped))
     # Another processor rounds otherwise: 12 digits, not bytes.
     np.testing.assert_allclose(made, stored, rtol=0, atol=1e-12)
-    assert (
-        json.loads((tmp_path / "truth.json").read_text())["outliers"]
-        == json.loads((shipped / "truth.json").read_text())["outliers"]
-    )
+    for key in ("outliers", "effects"):
+        assert (
+            json.loads((tmp_path / "truth.json").read_text())[key]
+            == json.loads((shipped / "truth.json").read_text())[key]
+        )
     assert (tmp_path / "campaign.yaml").read_text().replace("arid.urdf", "../../urdf/arid.urdf") == (
         shipped / "campaign.yaml"
     ).read_text()
