@@ -6,6 +6,7 @@ twice as small, are told apart by the report's threshold between them and not by
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import cv2
@@ -55,17 +56,23 @@ def find_blobs(smoothed: np.ndarray, dark: bool, intrinsics: np.ndarray, plane: 
         plane: What the sonars say.
 
     Returns:
-        The candidates. Each pixel is compared with the middle between the darkest and the brightest one near it, so that
-        uneven light does not matter.
+        The candidates. A mark is what stands out from all that is too wide for one (morphology's black or white hat) by half
+        of what anything near it does, so that neither uneven light nor the paper's edge matters.
     """
     scale = intrinsics[0] / plane.distance
     width = int(1.5 * SIZES[CENTRE_FIDUCIAL - 1, 0] * scale) | 1  # wider than the narrowest way out of any fiducial
     kernel = np.ones((width, 1), np.uint8)
-    low, high = (f(f(smoothed, kernel), kernel.T) for f in (cv2.erode, cv2.dilate))
+
+    def wide(f: Callable[[np.ndarray, np.ndarray], np.ndarray], image: np.ndarray) -> np.ndarray:
+        return f(f(image, kernel), kernel.T)
+
+    if dark:
+        hat = cv2.subtract(wide(cv2.erode, wide(cv2.dilate, smoothed)), smoothed)
+    else:
+        hat = cv2.subtract(smoothed, wide(cv2.dilate, wide(cv2.erode, smoothed)))
+    top = wide(cv2.dilate, hat)
     noise = np.median(np.abs(smoothed[::4, :-3:4].astype(float) - smoothed[::4, 3::4])) / 0.95
-    enough = cv2.subtract(high, low) > MIN_CONTRAST * max(noise, 1.0)
-    middle = cv2.addWeighted(low, 0.5, high, 0.5, 0)
-    marks = ((smoothed < middle) if dark else (smoothed > middle)) & enough
+    marks = (hat > cv2.convertScaleAbs(top, alpha=0.5)) & (top > MIN_CONTRAST * max(noise, 1.0))
     _, labels, boxes, middles = cv2.connectedComponentsWithStats(marks.view(np.uint8), connectivity=4)
     x, y, w, h, area = boxes.T.astype(float)
     limits = SMALL_AREA * scale**2 / AREA_TOLERANCE**1.5, CENTRE_AREA * scale**2 * AREA_TOLERANCE**1.5

@@ -72,6 +72,9 @@ def match(blobs: Blobs, layout: Layout, blank: Callable[[np.ndarray, complex], n
         against = [int(blank(m.turn * places[k] + m.shift, m.turn).sum()) for m, k in zip(tied, missed, strict=True)]
         tied = [m for m, n in zip(tied, against, strict=True) if n == min(against)]
     if len(tied) == 1:
+        spare = np.delete(blobs.places, tied[0].pairs[:, 1])
+        if np.sum(np.abs((spare - tied[0].shift) / tied[0].turn) < SIDE / 2) > most:
+            raise NotMeasured("more marks on the square than fiducials: it is something else")
         return tied[0]
     if abs(tied[0].turn + tied[1].turn) < SAME_TURN:
         raise NotMeasured("the corner marker is not seen: the square may be upside down")
