@@ -35,7 +35,7 @@ CHROMIUM ?= chromium
 SHOOT = $(CHROMIUM) --headless --no-sandbox --hide-scrollbars --use-angle=swiftshader --enable-unsafe-swiftshader \
 	--virtual-time-budget=9000
 pictures:
-	$(SHOOT) --window-size=1200,560 --screenshot=docs/images/report.png file://$(CURDIR)/$(DEMO)/results/report.html
+	$(SHOOT) --window-size=1200,505 --screenshot=docs/images/report.png file://$(CURDIR)/$(DEMO)/results/report.html
 	$(SHOOT) --window-size=1000,640 --screenshot=docs/images/scene.png file://$(CURDIR)/$(DEMO)/results/scene.html
 
 clean:
