@@ -65,12 +65,14 @@ class Scene:
 
 
 def bumps(where: str, component: str, of: str, values: np.ndarray, knots: int) -> tuple[Coefficient, ...]:
-    """A smooth function of a covariate: cubic B-splines over the range seen, as many as there is data for."""
+    """A smooth function of a covariate: cubic B-splines over the range seen, one beyond each end, as many as data allow."""
     low, high = float(values.min()), float(values.max())
     different = len(np.unique(np.round(values, 6)))
     count = int(np.clip(different // 2, 4, knots))
     step = (high - low) / (count - 1)
-    return tuple(Coefficient(where, component, Basis("bump", (of,), (low + k * step, step))) for k in range(count))
+    return tuple(
+        Coefficient(where, component, Basis("bump", (of,), (low + k * step, step))) for k in range(-1, count + 1)
+    )
 
 
 def turns(where: str, component: str, of: str, order: float) -> tuple[Coefficient, ...]:
@@ -236,11 +238,11 @@ def pairs(s: Scene) -> list[Effect]:
         for a, b in combinations(covariates, 2):
             low = [float(s.table[n].min()) for n in (a, b)]
             step = [float(np.ptp(s.table[n])) / (PAIR_KNOTS - 1) for n in (a, b)]
-            centres = product(*([low[k] + i * step[k] for i in range(PAIR_KNOTS)] for k in (0, 1)))
+            centres = product(*([low[k] + i * step[k] for i in range(-1, PAIR_KNOTS + 1)] for k in (0, 1)))
             coefficients = tuple(
                 Coefficient(where, component, Basis("bump2", (a, b), (u, step[0], v, step[1]))) for u, v in centres
             )
-            found.append(Effect("unknown", where, coefficients, smooth=True, grid=(PAIR_KNOTS, PAIR_KNOTS)))
+            found.append(Effect("unknown", where, coefficients, smooth=True, grid=(PAIR_KNOTS + 2,) * 2))
     return found
 
 

@@ -32,7 +32,7 @@ from aridcal.solver import Data, Fit, Noise, Prior, fit
 from aridcal.source import Kind
 
 RUNS = 24  # stretches of time into which the rows are cut
-GAUGE = 1e-3  # weight with which the constants are held at the geometric stage: only what nothing else decides
+GAUGE = 1e-5  # weight with which the constants are held at the geometric stage: only what nothing else decides
 ROUNDS = 3
 MOST_LARGE = 4
 RIVALS = 5

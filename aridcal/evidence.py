@@ -188,11 +188,11 @@ def tail(twice: float, d: int) -> float:
 
 @cache
 def kernel_root(shape: tuple[int, ...], length: float) -> np.ndarray:
-    """Square root of the prior covariance of a smooth function's samples: Matern 3/2 along each covariate."""
+    """Square root of the prior covariance of a smooth function's samples: Matern 5/2 along each covariate."""
     root: np.ndarray = np.ones((1, 1))
     for knots in shape:
         apart = np.abs(np.subtract.outer(np.arange(knots), np.arange(knots))) / length
-        matern = (1.0 + np.sqrt(3.0) * apart) * np.exp(-np.sqrt(3.0) * apart)
+        matern = (1.0 + np.sqrt(5.0) * apart + 5.0 / 3.0 * apart**2) * np.exp(-np.sqrt(5.0) * apart)
         root = np.kron(root, np.linalg.cholesky(matern + 1e-9 * np.eye(knots)))
     return root
 
