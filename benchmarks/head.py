@@ -111,14 +111,14 @@ def hard_view(seed: int) -> View:
     if rng.random() < 0.6:  # dirt, 0.4 to 2.5 mm
         for _ in range(rng.integers(1, 9)):
             radius = scale * rng.uniform(0.0004, 0.0025)
-            patches.append(blot(rng, *rng.uniform(0, 511, 2), radius, rng.uniform(0, 0.95)))
+            patches.append(blot(rng, rng.uniform(0, 511), rng.uniform(0, 511), radius, rng.uniform(0, 0.95)))
     if rng.random() < 0.4:  # obstacles over some fiducials
         seen = predict_pixels(T, ALONE.centres, INTRINSICS)[0]
         for k in rng.choice(6, rng.integers(1, 3), replace=False):
             at = seen[k] + scale * rng.uniform(-0.004, 0.004, 2)
-            patches.append(blot(rng, *at, scale * rng.uniform(0.005, 0.02), rng.uniform(0, 0.95)))
+            patches.append(blot(rng, at[0], at[1], scale * rng.uniform(0.005, 0.02), rng.uniform(0, 0.95)))
     glares = [
-        Glare(*rng.uniform(0, 511, 2), rng.uniform(20, 120), rng.uniform(0.1, 0.6))
+        Glare(rng.uniform(0, 511), rng.uniform(0, 511), rng.uniform(20, 120), rng.uniform(0.1, 0.6))
         for _ in range(rng.integers(0, 3) if rng.random() < 0.4 else 0)
     ]
     scene = Scene(
@@ -152,7 +152,10 @@ def clean_fiducials(T: np.ndarray, scene: Scene) -> np.ndarray:
     for k in np.flatnonzero(clean):
         middle = outlines[k].mean(axis=0)
         around = middle + 1.25 * (outlines[k] - middle)
-        clean[k] = np.sum(hidden * coverage(around[None], WIDTH, HEIGHT)) < 0.5
+        low, high = np.floor(around.min(axis=0)).astype(int) - 1, np.ceil(around.max(axis=0)).astype(int) + 2
+        low, high = np.clip(low, 0, WIDTH), np.clip(high, 0, WIDTH)
+        part = hidden[low[1] : high[1], low[0] : high[0]]
+        clean[k] = np.sum(part * coverage(around[None] - low, *(high - low))) < 0.5
     return clean
 
 
@@ -185,7 +188,7 @@ def empty_view(seed: int) -> View:
         places = predict_pixels(T, AROUND.centres, INTRINSICS)[0]
         spared = rng.choice(6, 2, replace=False)
         patches = [
-            blot(rng, *p, scale * 0.03, 0.5)
+            blot(rng, p[0], p[1], scale * 0.03, 0.5)
             for k, p in enumerate(places)
             if k not in spared and np.all(np.abs(p) < 800)
         ]
@@ -235,14 +238,14 @@ def _accuracy(job: tuple[int, bool]) -> dict[str, np.ndarray]:
     found, pose = measure(view, ALONE if own_only else AROUND)
     error = twist_error(pose.T_camera_square, view.T)
     truth, _, _ = predict_pixels(view.T, found.layout.centres, INTRINSICS)
-    I = information(view.T, found.layout)
+    fisher = information(view.T, found.layout)
     off = found.pixels - truth
     return {
         "pixels": off.ravel(),
         "pixel_chi2": np.einsum("mi,mi->m", off, np.linalg.solve(found.covariances, off[..., None])[..., 0]),
         "error": error,
-        "bound": np.sqrt(np.diag(np.linalg.inv(I))),
-        "efficiency": error @ I @ error,
+        "bound": np.sqrt(np.diag(np.linalg.inv(fisher))),
+        "efficiency": error @ fisher @ error,
         "chi2": error @ np.linalg.solve(pose.covariance, error),
         "range": view.T[2, 3],
         "stated": np.sqrt(np.diag(pose.covariance)),
@@ -330,7 +333,7 @@ def speed(images: int) -> None:
     print(f"by the clock, both at once: {sum(n / w for _, w, n in rows):.0f}")
 
 
-def _map(function: Callable, jobs: list) -> list:  # type: ignore[type-arg]
+def _map(function: Callable, jobs: list) -> list:
     with ProcessPoolExecutor(PROCESSES, multiprocessing.get_context("spawn")) as pool:
         return list(pool.map(function, jobs, chunksize=max(1, min(8, len(jobs) // PROCESSES))))
 
