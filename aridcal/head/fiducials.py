@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -15,10 +15,13 @@ from aridcal.head.sonar import Plane, fit_plane
 from aridcal.head.square import Layout
 
 BLOB_STD = 0.3  # [px] of a blob's centroid
+LOOSE_STD = 0.01  # [m] of a sonar, as long as it only helps to find fiducials: its faults are none of theirs
 GROSS_STEPS = 2
 MAX_NOISE = 2.2  # times that of the other fiducials: something is on it
 MIN_EDGE_WEIGHT = 0.7
 MIN_SNR = 4.0  # contrast over noise
+LEAST_CONTRAST = 0.5  # of that of the other fiducials
+MAX_STD = 0.3  # [px]
 MAX_GROWTH = 0.25  # of the fiducial's half size
 MAX_SHIFT = 1.0  # [px] from where the blobs' pose puts it, and a tenth of its size
 
@@ -56,6 +59,7 @@ def find_fiducials(image: np.ndarray, layout: Layout, intrinsics: np.ndarray, so
         NotMeasured: No usable square, and why.
     """
     plane = fit_plane(sonars.readings, sonars.positions, sonars.measures)
+    sonars = replace(sonars, std=max(sonars.std, LOOSE_STD))
     smoothed = smooth(image)
     found: list[tuple[Match, Blobs, bool]] = []
     refusals: list[NotMeasured] = []
@@ -113,16 +117,25 @@ def _refine(
 
 
 def _acceptable(fits: Fits, half_extent: np.ndarray, dark: bool) -> np.ndarray:
+    """Tell which fits are those of a fiducial, and clean: alike in contrast, blur and growth, and well determined."""
     contrast = -fits.contrast if dark else fits.contrast
-    with np.errstate(invalid="ignore"):
-        return (
-            np.all(np.isfinite(fits.theta), axis=1)
-            & (contrast > MIN_SNR * fits.noise)
-            & (contrast > 0.4 * np.median(contrast))
-            & (fits.noise < MAX_NOISE * np.median(fits.noise) + 0.01 * contrast)
-            & (fits.edge_weight > MIN_EDGE_WEIGHT)
-            & (np.abs(fits.growth) < MAX_GROWTH * np.min(half_extent, axis=1))
-        )
+    known = np.all(np.isfinite(fits.theta), axis=1) & (fits.edge_weight > MIN_EDGE_WEIGHT)
+    known &= contrast > MIN_SNR * fits.noise
+    if not np.any(known):
+        return known
+    usual_contrast, usual_noise, usual_blur, usual_growth = (
+        float(np.median(values[known])) for values in (contrast, fits.noise, fits.blur, fits.growth)
+    )
+    std = np.sqrt(np.max(np.linalg.eigvalsh(fits.covariances), axis=1))
+    return (
+        known
+        & (contrast > LEAST_CONTRAST * usual_contrast)
+        & (fits.noise < MAX_NOISE * usual_noise + 0.01 * contrast)
+        & (np.abs(fits.blur - usual_blur) < 0.5 * usual_blur + 0.3)
+        & (np.abs(fits.growth - usual_growth) < 0.3 + 0.2 * usual_blur)
+        & (np.abs(fits.growth) < MAX_GROWTH * np.min(half_extent, axis=1))
+        & (std < MAX_STD)
+    )
 
 
 def _check(layout: Layout) -> None:

@@ -59,7 +59,6 @@ def match(blobs: Blobs, layout: Layout, blank: Callable[[np.ndarray, complex], n
     for proposals in (_from_centres(blobs), _from_pairs(blobs)):
         matches = [m for turn, shift in proposals for m in _labelled(turn, shift, blobs, layout)]
         matches = [m for m in matches if spans_plane(layout.centres[m.pairs[:, 0]])]
-        matches = [m for m in matches if not any(_beside(m, other) for other in matches)]
         if matches:
             break
     else:
@@ -90,11 +89,13 @@ def _distinct(matches: list[Match]) -> list[Match]:
 
 
 def _from_centres(blobs: Blobs) -> list[tuple[complex, complex]]:
-    return [
+    """Propose, for each centre fiducial, its square and those beside it, whose own centre may be hidden."""
+    turns = [
         (sign * np.exp(1j * (blobs.angles[k] - np.pi / 2)), blobs.places[k])
         for k in np.flatnonzero(blobs.is_centre)
         for sign in (1, -1)
     ]
+    return [(turn, place + step * SIDE * 1j * turn) for turn, place in turns for step in (0, 1, -1)]
 
 
 def _from_pairs(blobs: Blobs) -> list[tuple[complex, complex]]:
@@ -126,7 +127,8 @@ def _labelled(turn: complex, shift: complex, blobs: Blobs, layout: Layout) -> li
     for middle in middles:
         own_shift = shift - turn * middle  # if the proposal's square is this one
         axis = -own_shift / turn  # where the optical axis meets the square
-        if np.any(np.abs(axis - middles[1:]) < np.abs(axis) + AXIS_TIE):
+        others = np.append(middles[1:], np.sign(axis.imag) * SIDE * 1j)  # the square beside need not be listed
+        if np.any(np.abs(axis - others) < np.abs(axis) + AXIS_TIE):
             continue
         own_turn = turn
         for _ in range(2):
@@ -137,12 +139,6 @@ def _labelled(turn: complex, shift: complex, blobs: Blobs, layout: Layout) -> li
         else:
             matches.append(Match(own_turn, own_shift, pairs))
     return matches
-
-
-def _beside(m: Match, other: Match) -> bool:
-    """Tell whether a proposal takes the square beside the one nearest the optical axis, where none is listed."""
-    step = abs(abs(m.shift - other.shift) - SIDE) < 0.005 and abs(m.turn - other.turn) < SAME_TURN
-    return step and abs(other.shift) < abs(m.shift) - AXIS_TIE
 
 
 def _pairs(places: np.ndarray, is_centre: np.ndarray, blobs: Blobs, tolerance: float) -> np.ndarray:

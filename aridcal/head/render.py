@@ -127,17 +127,13 @@ def light_map(
     """
     fine_size = (SUBPIXELS * width, SUBPIXELS * height)
 
-    def area(polygons: np.ndarray) -> np.ndarray:
-        return coverage(SUBPIXELS * (polygons + 0.5) - 0.5, *fine_size).astype(np.float32)
-
     fine = np.full(fine_size[::-1], scene.surroundings, np.float32)
-    layers = [
-        (np.concatenate([image_outlines(T, make(index), intrinsics) for index, T in T_camera_squares.items()]), value)
-        for make, value in ((lambda _: paper_corners()[None], scene.paper), (_printed, scene.ink))
-        if T_camera_squares
-    ]
-    for polygons, value in layers + [(patch.outline[None], patch.reflectance) for patch in scene.patches]:
-        fine += area(polygons) * (value - fine)
+    seen = T_camera_squares.items()
+    for make, value in ((lambda _: paper_corners()[None], scene.paper), (_printed, scene.ink)):
+        if seen:
+            _paint(fine, np.concatenate([image_outlines(T, make(index), intrinsics) for index, T in seen]), value)
+    for patch in scene.patches:
+        _paint(fine, patch.outline[None], patch.reflectance)
     if scene.blur > 0:
         fine = cv2.GaussianBlur(fine, (0, 0), SUBPIXELS * scene.blur, borderType=cv2.BORDER_REPLICATE)
     image = cv2.resize(fine, (width, height), interpolation=cv2.INTER_AREA).astype(float)
@@ -164,6 +160,17 @@ def render(
         wrong = rng.random(image.shape) < scene.wrong_pixels
         image[wrong] = rng.uniform(0, 255, np.count_nonzero(wrong))
     return np.clip(np.rint(image), 0, 255).astype(np.uint8)
+
+
+def _paint(fine: np.ndarray, polygons: np.ndarray, reflectance: float) -> None:
+    """Cover a part of the fine image with polygons given in pixels of the coarse one."""
+    polygons = SUBPIXELS * (polygons + 0.5) - 0.5
+    size = fine.shape[::-1]
+    low = np.clip(np.floor(polygons.min(axis=(0, 1))).astype(int) - 1, 0, size)
+    high = np.clip(np.ceil(polygons.max(axis=(0, 1))).astype(int) + 2, 0, size)
+    if np.all(high > low):
+        part = fine[low[1] : high[1], low[0] : high[0]]
+        part += coverage(polygons - low, *(high - low)) * (reflectance - part)
 
 
 def _printed(index: int) -> np.ndarray:
