@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 TOLERANCE = 1e-7  # what is left of a column, relative to its length, when it is called a sum of others
+CLEAR = 0.02  # the same, when it can be told from others without doubt
 SHARE = 0.02  # a column takes part in a redundancy if it carries at least this share of it
 WORST = 0.02  # [m] and [rad]: a direction that the noise moves further than 20 mm or 20 mrad is redundant
 
@@ -27,38 +28,52 @@ class Subset:
     condition: float
 
 
-def identifiable(R: np.ndarray, order: Sequence[int]) -> Subset:
+def identifiable(R: np.ndarray, order: Sequence[int], ahead: Sequence[int] = ()) -> Subset:
     """Keep columns in the order given as long as each adds something that can be measured.
+
+    What is clearly apart from those before it is kept first, and only then what barely is: where two axes are parallel
+    but for a milliradian, the shift of one along itself hardly differs from that of the other, and must not push out
+    a column that is well known.
 
     Args:
         R: Triangle of the Jacobian's QR in units of sigma, shape (<= K, K): column k per [m] or [rad] of coefficient k.
         order: All indices, the ones to keep before others first.
+        ahead: Indices to keep before all others, if they can be measured at all.
     """
     length = np.linalg.norm(R, axis=0)
-    kept: list[int] = []
-    dropped: list[int] = []
-    Q = np.empty((len(R), 0))
-    for k in order:
-        column = R[:, k]
-        rest = column - Q @ (Q.T @ column)
-        rest -= Q @ (Q.T @ rest)
-        left = float(np.linalg.norm(rest))
-        if left <= TOLERANCE * length[k] or left * WORST < 1.0:
-            dropped.append(k)
-        else:
-            kept.append(k)
-            Q = np.column_stack([Q, rest / left])
+    kept = _extended(R, length, [], ahead, TOLERANCE)
+    for share in (CLEAR, TOLERANCE):
+        kept = _extended(R, length, kept, order, share)
     # One at a time the columns may pass although a combination of them moves almost nothing.
+    weak: list[int] = []
     while kept:
         _, s, Vt = np.linalg.svd(R[:, kept])
         if s[-1] * WORST >= 1.0:
             break
-        weak = np.abs(Vt[-1])
-        worst = max(i for i in range(len(kept)) if weak[i] > 0.3 * weak.max())
-        dropped.append(kept.pop(worst))
+        part = np.abs(Vt[-1])
+        weak.append(kept.pop(max(i for i in range(len(kept)) if part[i] > 0.3 * part.max())))
+        kept = _extended(R, length, kept, [k for k in order if k not in weak], TOLERANCE)
     scaled = R[:, kept] / length[kept]
     s = np.linalg.svd(scaled, compute_uv=False) if kept else np.ones(1)
+    dropped = [k for k in order if k not in kept]
+    kept = [k for k in order if k in kept]
     return Subset(tuple(kept), _partners(R, dropped, kept, length), float(s[0] / s[-1]))
+
+
+def _extended(R: np.ndarray, length: np.ndarray, kept: list[int], candidates: Sequence[int], share: float) -> list[int]:
+    """Kept columns and those candidates of which more than a share of their length is new, and can be measured."""
+    Q = np.linalg.qr(R[:, kept])[0]
+    kept = list(kept)
+    for k in candidates:
+        if k in kept:
+            continue
+        rest = R[:, k] - Q @ (Q.T @ R[:, k])
+        rest -= Q @ (Q.T @ rest)
+        left = float(np.linalg.norm(rest))
+        if left > share * length[k] and left * WORST >= 1.0:
+            kept.append(k)
+            Q = np.column_stack([Q, rest / left])
+    return kept
 
 
 def _partners(R: np.ndarray, dropped: list[int], kept: list[int], length: np.ndarray) -> dict[int, tuple[int, ...]]:

@@ -280,7 +280,7 @@ def fit_identifiable(
         R = triangle(model, theta, data.rows, data.measured, result.weight, result.sigma)
         # What was kept stays ahead: near the solution a symmetry of the nominal robot is broken a little, and what
         # that makes barely separable must not push out what is well known.
-        subset = identifiable(R, sorted(order, key=lambda k: k not in kept))
+        subset = identifiable(R, order, kept)
         if sorted(subset.kept) == kept:
             break
     redundant = {model.names[k]: tuple(model.names[j] for j in partners) for k, partners in subset.redundant.items()}
