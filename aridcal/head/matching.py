@@ -127,7 +127,7 @@ def _labelled(turn: complex, shift: complex, blobs: Blobs, layout: Layout) -> li
     for middle in middles:
         own_shift = shift - turn * middle  # if the proposal's square is this one
         axis = -own_shift / turn  # where the optical axis meets the square
-        others = np.append(middles[1:], np.sign(axis.imag) * SIDE * 1j)  # the square beside need not be listed
+        others = np.append(middles[1:], 1j * np.copysign(SIDE, axis.imag))  # the square beside need not be listed
         if np.any(np.abs(axis - others) < np.abs(axis) + AXIS_TIE):
             continue
         own_turn = turn
