@@ -35,7 +35,7 @@ class CameraSettings(Section):
 class SonarSettings(Section):
     """Sonars, three or more, and what they measure."""
 
-    positions: Annotated[list[Vector3], Field(min_length=3)]
+    positions: Annotated[tuple[Vector3, ...], Field(min_length=3)]
     """In the report's camera frame, [m], in the order h1, h2, ..."""
     measures: Measures = "perpendicular"
     std: PositiveFloat
