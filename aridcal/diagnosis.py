@@ -32,7 +32,7 @@ from aridcal.solver import Data, Fit, Noise, Prior, fit
 from aridcal.source import Kind
 
 RUNS = 24  # stretches of time into which the rows are cut
-GAUGE = 1e-5  # weight with which the constants are held at the geometric stage: only what nothing else decides
+GAUGE = 0.02  # [m] and [rad]: constants are held at the geometric stage this loosely, where nothing else decides
 ROUNDS = 3
 MOST_LARGE = 4
 RIVALS = 5
@@ -240,7 +240,7 @@ def _refit(bound: Bound, constants: tuple[Coefficient, ...], state: State, curre
     mean = np.zeros(len(theta))
     place = {name: k for k, name in enumerate(model.names)}
     held = np.array([place[name] for name in geometric.model.names], dtype=int)
-    precision[np.ix_(held, held)] = GAUGE * np.linalg.pinv(geometric.covariance, hermitian=True)
+    precision[held, held] = 1.0 / GAUGE**2
     mean[held] = geometric.theta
     at = len(constants)
     for a in state.active:
