@@ -73,17 +73,22 @@ def find_blobs(smoothed: np.ndarray, dark: bool, intrinsics: np.ndarray, plane: 
     top = wide(cv2.dilate, hat)
     noise = np.median(np.abs(smoothed[::4, :-3:4].astype(float) - smoothed[::4, 3::4])) / 0.95
     marks = (hat > cv2.convertScaleAbs(top, alpha=0.5)) & (top > MIN_CONTRAST * max(noise, 1.0))
-    _, labels, boxes, middles = cv2.connectedComponentsWithStats(marks.view(np.uint8), connectivity=4)
-    x, y, w, h, area = boxes.T.astype(float)
     limits = SMALL_AREA * scale**2 / AREA_TOLERANCE**1.5, CENTRE_AREA * scale**2 * AREA_TOLERANCE**1.5
-    inside = (x > 0) & (y > 0) & (x + w < smoothed.shape[1]) & (y + h < smoothed.shape[0])
-    chosen = np.flatnonzero(inside & (area > limits[0]) & (area < limits[1]) & (area > 0.3 * w * h))
-    if not 0 < len(chosen) <= 4 * MAX_BLOBS:
+    found, _ = cv2.findContours(marks.view(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    lengths = 2 * np.sqrt(limits[0]), 8 * np.sqrt(limits[1])
+    outlines = [o for o in found if lengths[0] < len(o) < lengths[1] and not _at_border(o, smoothed)]
+    if not 0 < len(outlines) <= 4 * MAX_BLOBS:
         return Blobs(np.zeros((0, 2)), np.zeros(0, complex), np.zeros(0, bool), np.zeros(0))
-    spreads = np.array([_second_moments(labels, boxes[k], int(k)) for k in chosen])
-    pixels, area = middles[chosen], area[chosen]
+    m = [cv2.moments(o) for o in outlines]
+    m00, m10, m01, mu20, mu11, mu02 = np.array(
+        [[max(k["m00"], 1.0)] + [k[name] for name in ("m10", "m01", "mu20", "mu11", "mu02")] for k in m]
+    ).T
+    # An outline runs through the middles of a mark's outer pixels: half a pixel is missing all around (Pick's theorem).
+    area = m00 + np.array([len(o) for o in outlines]) / 2 + 1
+    pixels = np.column_stack([m10, m01]) / m00[:, None]
+    spreads = np.moveaxis(np.array([[mu20, mu11], [mu11, mu02]]), 2, 0) / m00[:, None, None]
     variances, axes = np.linalg.eigh(spreads)
-    short, long = np.sqrt(12 * np.maximum(variances - 1 / 12, 0.1)).T
+    short, long = np.sqrt(12 * np.maximum(variances, 0.1)).T + 1
     points = np.stack([pixels, pixels + axes[:, :, 1]])
     places = on_plane(points, intrinsics, plane.normal, plane.distance)
     area_m2 = area * np.abs(places[0, :, 2]) ** 3 / (intrinsics[0] * intrinsics[1] * plane.distance)  # px to m²
@@ -137,7 +142,6 @@ def _plane_axes(plane: Plane) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return right, np.cross(plane.normal, right), np.array([0, 0, -plane.distance / plane.normal[2]])
 
 
-def _second_moments(labels: np.ndarray, box: np.ndarray, label: int) -> np.ndarray:
-    x, y, w, h, _ = box
-    m = cv2.moments((labels[y : y + h, x : x + w] == label).view(np.uint8), binaryImage=True)
-    return np.array([[m["mu20"], m["mu11"]], [m["mu11"], m["mu02"]]]) / m["m00"]
+def _at_border(outline: np.ndarray, image: np.ndarray) -> bool:
+    x, y, w, h = cv2.boundingRect(outline)
+    return bool(x <= 0 or y <= 0 or x + w >= image.shape[1] or y + h >= image.shape[0])

@@ -57,8 +57,8 @@ def match(blobs: Blobs, layout: Layout, blank: Callable[[np.ndarray, complex], n
         NotMeasured: Too few blobs, or two proposals explain as many.
     """
     for proposals in (_from_centres(blobs), _from_pairs(blobs)):
-        matches = [m for turn, shift in proposals for m in _labelled(turn, shift, blobs, layout)]
-        matches = [m for m in matches if spans_plane(layout.centres[m.pairs[:, 0]])]
+        refined = [_refined(turn, shift, blobs, layout) for turn, shift in proposals]
+        matches = [m for m in refined if m is not None and spans_plane(layout.centres[m.pairs[:, 0]])]
         if matches:
             break
     else:
@@ -115,30 +115,24 @@ def _from_pairs(blobs: Blobs) -> list[tuple[complex, complex]]:
     return [(turn[k], shift[k]) for k in order if found[k] >= 3]
 
 
-def _labelled(turn: complex, shift: complex, blobs: Blobs, layout: Layout) -> list[Match]:
-    """Refine a proposal for some square and work out which square it is; nothing if it can not be the nearest."""
-    pairs = _pairs(turn * _CENTRES + shift, np.arange(N_FIDUCIALS) == 3, blobs, NEAR)
-    if len(pairs) < 2:
-        return []
-    turn, shift = _rigid(_CENTRES[pairs[:, 0]], blobs.places[pairs[:, 1]])
+def _refined(turn: complex, shift: complex, blobs: Blobs, layout: Layout) -> Match | None:
+    """Match a proposal and refine it; None if another square would be nearer the optical axis, or too little is matched."""
     here = layout.centres[:, :2] @ [1, 1j]
     middles = here[layout.is_centre]  # of the squares: the own one first
-    matches = []
-    for middle in middles:
-        own_shift = shift - turn * middle  # if the proposal's square is this one
-        axis = -own_shift / turn  # where the optical axis meets the square
-        others = np.append(middles[1:], 1j * np.copysign(SIDE, axis.imag))  # the square beside need not be listed
-        if np.any(np.abs(axis - others) < np.abs(axis) + AXIS_TIE):
-            continue
-        own_turn = turn
-        for _ in range(2):
-            pairs = _pairs(own_turn * here + own_shift, layout.is_centre, blobs, CLOSE)
-            if len(pairs) < 2:
-                break
-            own_turn, own_shift = _rigid(here[pairs[:, 0]], blobs.places[pairs[:, 1]])
-        else:
-            matches.append(Match(own_turn, own_shift, pairs))
-    return matches
+    axis = -shift / turn  # where the optical axis meets the square
+    others = np.append(middles[1:], 1j * np.copysign(SIDE, axis.imag))  # the square beside need not be listed
+    if np.any(np.abs(axis - others) < np.abs(axis) + AXIS_TIE - 2 * NEAR):
+        return None
+    near = slice(N_FIDUCIALS)
+    for part, tolerance in ((near, NEAR), (slice(None), CLOSE), (slice(None), CLOSE)):
+        pairs = _pairs(turn * here[part] + shift, layout.is_centre[part], blobs, tolerance)
+        if len(pairs) < 2:
+            return None
+        turn, shift = _rigid(here[pairs[:, 0]], blobs.places[pairs[:, 1]])
+    axis = -shift / turn
+    if np.any(np.abs(axis - others) < np.abs(axis) + AXIS_TIE):
+        return None
+    return Match(turn, shift, pairs)
 
 
 def _pairs(places: np.ndarray, is_centre: np.ndarray, blobs: Blobs, tolerance: float) -> np.ndarray:
