@@ -103,9 +103,11 @@ class Score:
         missed = [k for k, right in zip(self.kinds, self.right, strict=True) if not right and self.what != "off"]
         marks = [f"MISSED {k}" for k in missed] + ([f"INVENTED {self.invented}"] if self.invented else [])
         marks = marks if self.what != "off" else []
-        return (f"{' '.join(marks) or 'ok'}: {self.seed} {self.what} {self.family} n={self.rows} {self.truth} "
-                f"-> {self.said} | {self.verdict} | error {self.geometric:.2f} -> {self.final:.3f}, oracle {self.oracle:.3f} ({self.ratio:.2f}) | "
-                f"{self.seconds:.1f} s")  # fmt: skip
+        return (
+            f"{' '.join(marks) or 'ok'}: {self.seed} {self.what} {self.family} n={self.rows} {self.truth} "
+            f"-> {self.said} | {self.verdict} | error {self.geometric:.2f} -> {self.final:.3f}, "
+            f"oracle {self.oracle:.3f} ({self.ratio:.2f}) | {self.seconds:.1f} s"
+        )
 
 
 def analyse(case: Case) -> tuple[Fit, Diagnosed, str]:
