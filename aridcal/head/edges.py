@@ -22,6 +22,8 @@ N_PARAMETERS = 12
 START_BLUR = 0.7  # [px]
 LEAK_STD = 60.0  # [grey levels] by which the surroundings may differ from the paper
 PIXEL_VARIANCE = 1 / 12
+# Where dirt has cost an edge some of its weight, what is left of the dirt shows in the centre too (measured on rendered dirt).
+CLEAN_EDGE, DOUBT = 0.9, 30.0
 MODEL_STD = 0.0015  # [px] what the edge model itself may be wrong by
 _GRID = 1.2 * np.array([[i, j] for i in (-0.5, 0, 0.5) for j in (-0.5, 0, 0.5)])
 
@@ -71,6 +73,7 @@ class Fits:
     Attributes:
         centres: Images of the fiducials' centres, shape (F, 2), [px].
         covariances: Of the centres, shape (F, 2, 2), [px²].
+        shape_std: Standard deviation of growth [px] and blur variance [px²], shape (F, 2).
         noise: Robust standard deviation of what remains, shape (F,), [grey levels].
         edge_weight: Mean robust weight of the pixels at the outline, 0 to 1, shape (F,).
         theta: All parameters, shape (F, 12): shift u, v from the predicted centre [px]; growth, by which each edge lies
@@ -81,6 +84,7 @@ class Fits:
 
     centres: np.ndarray
     covariances: np.ndarray
+    shape_std: np.ndarray
     noise: np.ndarray
     edge_weight: np.ndarray
     theta: np.ndarray
@@ -160,13 +164,17 @@ def fit_outlines(image: np.ndarray, shapes: Shapes, start: Fits | None = None, g
         theta[:, 3] = np.clip(theta[:, 3], -0.01, (0.6 * reach) ** 2)
     pooled = float(np.median(noise))
     sigma = np.where(noise < 1.3 * pooled, pooled, noise)
-    inverse = np.linalg.inv(A)[:, :2, :2] / (unit[:, :2, None] * unit[:, None, :2])
+    inverse = np.linalg.inv(A) / (unit[:, :, None] * unit[:, None, :])
+    inverse *= TUKEY_VARIANCE * sigma[:, None, None] ** 2
     rim = np.abs(pixels.depth) < 1.5
+    edge_weight = np.add.reduceat(np.where(rim, w, 0), first) / np.add.reduceat(rim, first)
+    doubt = 1 + DOUBT * np.maximum(0, CLEAN_EDGE - edge_weight)
     return Fits(
         centres=shapes.centres + theta[:, :2],
-        covariances=TUKEY_VARIANCE * sigma[:, None, None] ** 2 * inverse + MODEL_STD**2 * np.eye(2),
+        covariances=inverse[:, :2, :2] * doubt[:, None, None] + MODEL_STD**2 * np.eye(2),
+        shape_std=np.sqrt(np.maximum(np.einsum("fii->fi", inverse)[:, 2:4], 0)),
         noise=noise,
-        edge_weight=np.add.reduceat(np.where(rim, w, 0), first) / np.add.reduceat(rim, first),
+        edge_weight=edge_weight,
         theta=theta,
     )
 

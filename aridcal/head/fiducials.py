@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 
 from aridcal.head.blobs import Blobs, find_blobs, is_blank, smooth
-from aridcal.head.edges import Fits, fit_outlines, predict_shapes
+from aridcal.head.edges import PIXEL_VARIANCE, Fits, fit_outlines, predict_shapes
 from aridcal.head.matching import Match, NotMeasured, match, spans_plane
 from aridcal.head.pose import Sonars, robust_pose, start_on_plane
 from aridcal.head.sonar import Plane, fit_plane
@@ -22,6 +22,8 @@ MIN_EDGE_WEIGHT = 0.7
 MIN_SNR = 4.0  # contrast over noise
 LEAST_CONTRAST = 0.5  # of that of the other fiducials
 MAX_STD = 0.3  # [px]
+GROWTH_SPREAD = 0.08  # [px] by which growth may differ between fiducials, beyond noise: dirt and glare show in it
+VARIANCE_SPREAD = 0.25  # likewise, share of the edges' variance: some are nearer, some out of focus
 MAX_GROWTH = 0.25  # of the fiducial's half size
 MAX_SHIFT = 1.0  # [px] from where the blobs' pose puts it, and a tenth of its size
 
@@ -123,16 +125,18 @@ def _acceptable(fits: Fits, half_extent: np.ndarray, dark: bool) -> np.ndarray:
     known &= contrast > MIN_SNR * fits.noise
     if not np.any(known):
         return known
-    usual_contrast, usual_noise, usual_blur, usual_growth = (
-        float(np.median(values[known])) for values in (contrast, fits.noise, fits.blur, fits.growth)
+    variance = fits.blur**2
+    usual_contrast, usual_noise, usual_growth, usual_variance = (
+        float(np.median(values[known])) for values in (contrast, fits.noise, fits.growth, variance)
     )
+    growth_std, variance_std = fits.shape_std.T
     std = np.sqrt(np.max(np.linalg.eigvalsh(fits.covariances), axis=1))
     return (
         known
         & (contrast > LEAST_CONTRAST * usual_contrast)
         & (fits.noise < MAX_NOISE * usual_noise + 0.01 * contrast)
-        & (np.abs(fits.blur - usual_blur) < 0.5 * usual_blur + 0.3)
-        & (np.abs(fits.growth - usual_growth) < 0.3 + 0.2 * usual_blur)
+        & (np.abs(fits.growth - usual_growth) < GROWTH_SPREAD + 5 * growth_std)
+        & (np.abs(variance - usual_variance) < VARIANCE_SPREAD * (usual_variance + PIXEL_VARIANCE) + 5 * variance_std)
         & (np.abs(fits.growth) < MAX_GROWTH * np.min(half_extent, axis=1))
         & (std < MAX_STD)
     )

@@ -18,6 +18,7 @@ from aridcal.head.sonar import Measures, Plane, predict_ranges
 
 STANDS_OUT = 5.0  # sigma
 MISFIT_P = 1e-4  # a chi-square less likely than this is no noise: the model, the lens or a sonar is wrong
+FEW_DOF, FEW_MISFIT_P = 5, 0.1  # with so few, a wrong point cannot stand out: doubt earlier
 
 
 @dataclass(frozen=True)
@@ -199,7 +200,8 @@ def measure_pose(
     """
     pose, _ = robust_pose(points, pixels, covariances, sonars, intrinsics, start)
     covariance = pose.covariance
-    if pose.dof > 0 and chi2.sf(pose.chi2, pose.dof) < MISFIT_P:
+    unlikely = MISFIT_P if pose.dof > FEW_DOF else FEW_MISFIT_P
+    if pose.dof > 0 and chi2.sf(pose.chi2, pose.dof) < unlikely:
         covariance = covariance * pose.chi2 / pose.dof
     r = pose.range_residuals / sonars.std
     if r @ r > chi2.isf(MISFIT_P, max(len(r), 1)):
