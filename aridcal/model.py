@@ -219,13 +219,36 @@ class Model:
     def calibrated(self, theta: np.ndarray) -> pin.Model:
         """The calibrated robot alone: constants locked at their values, effects at zero, frames left out."""
         model = replace(self, world_base=ONE_FRAME, tip_target=ONE_FRAME)
-        extended, _ = model._pinocchio(0, 0)
+        moving = {(name, "q", "") for name in self.robot.names}
+        value = {s: v for s, v in self._constant_values(theta).items() if s[0] not in ("world_base", "tip_target")}
+        return model._locked(value, moving, 0, 0)
+
+    def locked(self, theta: np.ndarray, world: int = 0, tip: int = 0) -> tuple[pin.Model, pin.SE3, dict[Slot, int]]:
+        """The robot and its effects alone: whatever moves alike in all rows is locked where theta has it.
+
+        Args:
+            theta: Coefficients, shape (K,).
+            world: Index of the ``world_base`` frame.
+            tip: Index of the ``tip_target`` frame.
+
+        Returns:
+            The model, the target on its last joint, and the index of each joint that is left, by its slot. A joint
+            that carries both a constant and an effect starts at zero: its constant is still to be added.
+        """
+        moving = {(name, "q", "") for name in self.robot.names} | {self._slots[k] for k in self._varying}
+        model = self._locked(self._constant_values(theta), moving, world, tip)
+        extended, end = self._pinocchio(world, tip)
+        last = model.frames[model.getFrameId(extended.names[-1])]
+        names = {name: k for k, name in enumerate(list(model.names)[1:])}
+        return model, last.placement * end, {slot: names[_joint_name(slot)] for slot in moving}
+
+    def _locked(self, value: Mapping[Slot, float], moving: set[Slot], world: int, tip: int) -> pin.Model:
+        extended, _ = self._pinocchio(world, tip)
         q = pin.neutral(extended)
-        lock = [k for k in range(1, extended.njoints) if extended.names[k] not in self.robot.names]
-        value = self._constant_values(theta)
-        for slot, k in model._index.items():
-            if slot[0] not in ("world_base", "tip_target"):
-                q[k] = value.get(slot, 0.0)
+        for slot, k in self._index.items():
+            q[k] = value.get(slot, 0.0)
+        names = {_joint_name(slot) for slot in moving}
+        lock = [k for k in range(1, extended.njoints) if extended.names[k] not in names]
         return pin.buildReducedModel(extended, lock, q)
 
     @cached_property
@@ -327,8 +350,7 @@ class Model:
             def add(slot: Slot, motion: Motion | str) -> None:
                 nonlocal parent, pending
                 assert not isinstance(motion, str)
-                name = slot[0] if slot[1] == "q" else ".".join(slot)
-                parent = model.addJoint(parent, _joint_model(motion), pending, name)
+                parent = model.addJoint(parent, _joint_model(motion), pending, _joint_name(slot))
                 model.addJointFrame(parent)
                 pending = pin.SE3.Identity()
 
@@ -383,6 +405,10 @@ class Model:
             for k, (slot, c) in enumerate(zip(self._slots, self.coefficients, strict=True))
             if c.basis.constant
         }
+
+
+def _joint_name(slot: Slot) -> str:
+    return slot[0] if slot[1] == "q" else ".".join(slot)
 
 
 def _slot(c: Coefficient) -> Slot:
