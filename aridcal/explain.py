@@ -2,30 +2,33 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from aridcal.catalogue import Scene, merged
-from aridcal.diagnosis import Bound, Diagnosed, linear_bench, rows_of
+from aridcal.diagnosis import Bound, Diagnosed
 from aridcal.effects import ANGULAR, Effect, evaluate
-from aridcal.evidence import solve
 from aridcal.outcome import Curve, Diagnosis, NamedEffect, Rejected
+from aridcal.residual import predict_residuals
 from aridcal.search import Bench, State
 from aridcal.solver import Fit
 from aridcal.whiteness import LEAST, Clue
 
-GRID = 160
+GRID = 160  # points of a curve
+PER_PERIOD = 16  # points at the least in each period of a harmonic
 FLOOR_P = 1e-300
 
 
-def explain(diagnosed: Diagnosed, bound: Bound, test: Bound | None, clues: Sequence[Clue]) -> Diagnosis:
+def explain(diagnosed: Diagnosed, every: Bound, test: np.ndarray, clues: Sequence[Clue]) -> Diagnosis:
     """Gather what the search did.
 
     Args:
         diagnosed: The search and the final model.
-        bound: The training rows.
-        test: The rows never used; None where there are none.
+        every: All rows.
+        test: Those never used, without outliers, shape (N,).
         clues: Whether what remains is noise.
     """
     found = diagnosed.found
@@ -34,19 +37,30 @@ def explain(diagnosed: Diagnosed, bound: Bound, test: Bound | None, clues: Seque
     for k, a in enumerate(state.active):
         groups.setdefault(_identity(a.effect), []).append(k)
     stated = {_identity(e) for e in diagnosed.declared}
-    other = _test_bench(diagnosed, test)
+    fit, data = diagnosed.fit, every.data(diagnosed.fit.model)
+
+    def residual(own: Sequence[Effect]) -> np.ndarray:
+        """What the model with some of its effects leaves of all rows."""
+        names = {c.name for e in own for c in e.coefficients}
+        keep = np.array([c.basis.constant or c.name in names for c in fit.model.coefficients], dtype=bool)
+        return predict_residuals(fit.model, refitted(fit, keep), data.rows, data.measured)
+
+    final = predict_residuals(fit.model, fit.theta, data.rows, data.measured)
     effects = []
     for identity, members in groups.items():
         own = [state.active[k] for k in members]
         effect = merged([a.effect for a in own])
-        before, after = _with_and_without(other, state, members)
-        if test is not None and test.measured.relative is not None:
-            before, after = (r * test.measured.relative[:, : r.shape[1]] for r in (before, after))
+        without = residual([a.effect for k, a in enumerate(state.active) if k not in members])
         twins = {_identity(e): e for k in members for e in diagnosed.confounded[k] if _identity(e) not in groups}
         p_value = max(min(1.0, min(a.score.p_value for a in own) * max(found.tested, 1)), FLOOR_P)
-        curves = tuple(_curves(effect, diagnosed.fit, diagnosed.scene, diagnosed.bench, state))
-        effects.append(NamedEffect(effect, identity in stated, p_value, before, after, tuple(twins.values()), curves))
-    effects.sort(key=lambda e: _rms(e.after) - _rms(e.before))
+        curves = tuple(_curves(effect, fit, diagnosed.scene, diagnosed.bench, state))
+        effects.append(
+            NamedEffect(effect, identity in stated, p_value, without[test], final[test], final, tuple(twins.values()),
+                        curves)
+        )  # fmt: skip
+    effects.sort(key=lambda e: -_rms(e.before))
+    for k in range(len(effects) - 1):
+        effects[k] = replace(effects[k], reached=residual([e.effect for e in effects[: k + 1]]))
     return Diagnosis(
         tuple(effects),
         tuple(Rejected(v.effect, v.p_value, v.score.gain, v.why) for v in found.rejected),
@@ -74,26 +88,26 @@ def _rms(r: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.sum(r[:, :3] ** 2, axis=1)))) if len(r) else 0.0
 
 
-def _test_bench(diagnosed: Diagnosed, test: Bound | None) -> Bench | None:
-    if test is None or len(test.train) == 0:
-        return None
-    return linear_bench(
-        test, diagnosed.linearised_at, diagnosed.found.state.active, (), rows_of(test, diagnosed.scene.measured)
-    )
+def refitted(fit: Fit, keep: np.ndarray) -> np.ndarray:
+    r"""Coefficients of a model of which some are taken to be zero, the others fitted anew to the same rows.
 
+    .. math:: \theta_S = \theta^*_S + H_{SS}^{-1} H_{SN} \theta^*_N
 
-def _with_and_without(test: Bench | None, state: State, own: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
-    """Residuals of the test rows without some effects, the rest refitted, and with all."""
-    if test is None:
-        empty = np.zeros((0, state.residual.shape[1]))
-        return empty, empty
-    design = np.concatenate([test.A, *(a.columns(test) for a in state.active)], axis=2)
-    owner = np.concatenate(
-        [np.full(test.A.shape[2], -1), *(np.full(len(a.precision), k) for k, a in enumerate(state.active))]
-    )
-    keep = np.flatnonzero(~np.isin(owner, own))
-    less = solve(state.sums.part(keep), state.precision[np.ix_(keep, keep)], state.solution.sigma, fixed=True)
-    return test.r - design[:, :, keep] @ less.beta, test.r - design @ state.solution.beta
+    Args:
+        fit: The whole model, solved: theta* and H, the inverse of its covariance.
+        keep: Coefficients S that stay free, shape (K,); the others are N.
+
+    Returns:
+        Shape (K,). It is one Gauss-Newton step: constants that move by milliradians are exact to microradians, and the
+        error that they leave is right to second order in that, since it is at its minimum.
+    """
+    scale = np.sqrt(np.diag(fit.covariance))
+    H = np.linalg.inv(fit.covariance / np.outer(scale, scale)) / np.outer(scale, scale)
+    theta = np.where(keep, fit.theta, 0.0)
+    theta[keep] += np.linalg.solve(
+        H[np.ix_(keep, keep)] * np.outer(scale[keep], scale[keep]), scale[keep] * (H[np.ix_(keep, ~keep)] @ fit.theta[~keep])
+    ) * scale[keep]  # fmt: skip
+    return theta
 
 
 def _curves(effect: Effect, fit: Fit, scene: Scene, bench: Bench, state: State) -> list[Curve]:
@@ -108,9 +122,12 @@ def _curves(effect: Effect, fit: Fit, scene: Scene, bench: Bench, state: State) 
             part = [c for c in own if c.basis.of[0] == name]
             k = [index[c.name] for c in part]
             seen = scene.table[name]
-            grid = np.linspace(float(seen.min()), float(seen.max()), GRID)
+            low, high = float(seen.min()), float(seen.max())
+            highest = max((abs(c.basis.numbers[0]) for c in part if c.basis.form in ("sin", "cos")), default=0.0)
+            points = max(GRID, math.ceil(PER_PERIOD * highest * (high - low) / (2 * math.pi)))
+            grid = np.linspace(low, high, points)
             # A second covariate (a rail's travel, say) is held at its median.
-            held = {o: np.full(GRID, float(np.median(scene.table[o]))) for c in part for o in c.basis.of[1:]}
+            held = {o: np.full(points, float(np.median(scene.table[o]))) for c in part for o in c.basis.of[1:]}
             phi = np.column_stack([evaluate(c.basis, held | {name: grid}) for c in part])
             rows = np.column_stack([evaluate(c.basis, scene.table) for c in part])
             place = bench.G[:, :, bench.slots.index((part[0].where, component))]

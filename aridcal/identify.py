@@ -28,10 +28,11 @@ from aridcal.measurements import Measurements, load_measurements
 from aridcal.outcome import Outcome, Stage, Verification, errors
 from aridcal.quality import FAR, halves, joint_kinds, joint_limits, outliers, precision, realigned, repeats
 from aridcal.report import write_report
-from aridcal.residual import distance, predict_residuals, robust_sigma, scaled
+from aridcal.residual import distance, predict_residuals, robust_sigma, scaled, unscaled
 from aridcal.robot import load_robot, parse_robot
 from aridcal.scene import Scene, write_scene
 from aridcal.solver import Data, Fit, Noise, fit
+from aridcal.traces import trace
 from aridcal.whiteness import clues, noise_notice
 
 Progress = Callable[[str], None]
@@ -81,9 +82,10 @@ def identify(path: Path, seed: int = 0, verify: Path | None = None, progress: Pr
         scaled(stages[-1].residual, observations(rows, declared.rows))[~outlier], kept.readings,
         kept.covariates.get("time"), repeated, noise, _freedom(final),
     )  # fmt: skip
-    tested = rows.test & ~outlier
-    test = _bound(campaign, geometric, rows.select(tested), stale[tested])
-    diagnosis = explain(diagnosed, bound, test, questions)
+    every = _bound(campaign, geometric, rows, stale)
+    diagnosis = explain(diagnosed, every, rows.test & ~outlier, questions)
+    used = _bound(campaign, geometric, kept, stale[~outlier])
+    traces = trace(final, used, *(s.residual[~outlier] for s in stages[1:]))
     said, unexplained = verdict(questions, diagnosed, _freedom(final) > 0.5)
     # A model of hundreds of coefficients is not fitted twice more: its constants speak for it.
     compared = final if len(final.theta) < 120 else geometric
@@ -110,6 +112,7 @@ def identify(path: Path, seed: int = 0, verify: Path | None = None, progress: Pr
             *(str(n) for n in rows.notices),
         ),
         seconds=0.0,
+        traces=traces,
         diagnosis=diagnosis,
     )
     if verify is not None:
@@ -218,9 +221,7 @@ def _verify(outcome: Outcome, path: Path) -> Verification:
         residuals[stage.name] = predict_residuals(model, stage.fit.theta, prepared, measured)
     again = realigned(outcome.stage("final").fit, _data(campaign, outcome.stage("final").fit, rows, stale_rows(rows)))
     outlier = distance(again, robust_sigma(again)) > FAR
-    if measured.relative is not None:
-        again = again * measured.relative[:, : again.shape[1]]
-    return Verification(path.name, rows, residuals, outlier, again)
+    return Verification(path.name, rows, residuals, outlier, unscaled(again, measured))
 
 
 VERDICTS = {

@@ -21,7 +21,7 @@ class Stage:
     """One model and what it leaves.
 
     Attributes:
-        name: ``nominal``, ``geometric``, the name of an accepted effect, or ``final``.
+        name: ``nominal``, ``geometric`` or ``final``.
         fit: The solved model.
         residual: Measured minus predicted for every row, world axes, shape (N, 6) or (N, 3): [m], then [rad].
     """
@@ -39,7 +39,7 @@ class Repeats:
         groups: Number of configurations that were measured more than once.
         rows: Rows in them.
         sigma: Scatter within them, per axis, [m] and [rad].
-        repeatability: RP: mean distance to the group's centre plus three standard deviations, [m]; worst group.
+        repeatability: RP: mean distance to the group's centre plus three standard deviations, over all groups, [m].
     """
 
     groups: int
@@ -120,8 +120,9 @@ class NamedEffect:
         effect: What, where, on what it depends; all its coefficients.
         declared: True if the campaign named it.
         p_value: After correction for the number of candidates, not below 1e-300.
-        before: Residuals of the test rows of the final model without it, refitted, shape (T, m).
+        before: Residuals of the test rows of the final model without it, the rest refitted, shape (T, m).
         after: The same with it.
+        reached: Residuals of all rows of the model with this effect and those listed before it, refitted, shape (N, m).
         confounded_with: Effects that these data cannot tell from it.
         curves: Its motions over its covariates.
     """
@@ -131,6 +132,7 @@ class NamedEffect:
     p_value: float
     before: np.ndarray
     after: np.ndarray
+    reached: np.ndarray
     confounded_with: tuple[Effect, ...]
     curves: tuple[Curve, ...] = ()
 
@@ -165,6 +167,91 @@ class Diagnosis:
 
 
 @dataclass(frozen=True)
+class Trace:
+    """Residuals, as a motion that each row asks for by itself, over something that they may depend on.
+
+    Attributes:
+        motion: A joint, for its own axis, or an axis of the world: ``x y z rx ry rz``.
+        unit: ``m`` or ``rad``.
+        covariate: A joint, a measured column, or a load.
+        seen: Covariate of the rows that say something of this motion, in order, shape (n,).
+        before: What they ask for without effects, shape (n,).
+        after: What they ask for with the final model, shape (n,).
+        centre: Covariate of slices of these rows, shape (B,).
+        mean_before: Mean of each slice without effects, shape (B,).
+        mean_after: The same with the final model.
+        std: Standard deviation that noise gives these means, shape (B,).
+        at: Where two smooth curves through the means were evaluated, shape (G,).
+        smooth_before: The one without effects, shape (G,).
+        smooth_after: The one of the final model, shape (G,).
+        size_before: RMS of the means beyond their noise, without effects, [m] or [rad].
+        size_after: The same with the final model.
+        p_value: That slices of noise would differ from zero as much as those of the final model do.
+    """
+
+    motion: str
+    unit: str
+    covariate: str
+    seen: np.ndarray
+    before: np.ndarray
+    after: np.ndarray
+    centre: np.ndarray
+    mean_before: np.ndarray
+    mean_after: np.ndarray
+    std: np.ndarray
+    at: np.ndarray
+    smooth_before: np.ndarray
+    smooth_after: np.ndarray
+    size_before: float
+    size_after: float
+    p_value: float
+
+
+@dataclass(frozen=True)
+class Order:
+    """The final model's residuals one after the other.
+
+    Attributes:
+        timed: True if the order is that of a column ``time``, False if it is that of the table.
+        order: The rows in use in that order, shape (n,).
+        lags: Rows apart, shape (L,).
+        correlation: Of residuals so many rows apart, mean of the axes, shape (L,).
+        bound: What 95 % of such correlations stay within if all is noise.
+        changes: Changes of sign from one row to the next, all axes together.
+        expected: As many as noise makes.
+        spread: Standard deviation of that number.
+        p_value: That noise makes so few.
+    """
+
+    timed: bool
+    order: np.ndarray
+    lags: np.ndarray
+    correlation: np.ndarray
+    bound: float
+    changes: int
+    expected: float
+    spread: float
+    p_value: float
+
+
+@dataclass(frozen=True)
+class Traces:
+    """What remains, asked on what it depends.
+
+    Attributes:
+        joints: Each joint's own motion over its own position.
+        strongest: For each joint, load and column: the motion that depends on it most clearly.
+        asked: Number of pairs of a motion and a covariate that these were chosen from.
+        order: In the order of time.
+    """
+
+    joints: tuple[Trace, ...]
+    strongest: tuple[Trace, ...]
+    asked: int
+    order: Order
+
+
+@dataclass(frozen=True)
 class Outcome:
     """The result of one campaign.
 
@@ -172,7 +259,7 @@ class Outcome:
         campaign: What was asked.
         robot: The nominal chain.
         measurements: All usable rows.
-        stages: nominal, geometric, one for each accepted effect, final; at least the three.
+        stages: nominal, geometric, final.
         outlier: Flagged rows, shape (N,): one set for all stages.
         stale: Rows whose measurement repeats the row before bit for bit although the joints moved, shape (N,).
         noise: Noise per axis, [m] and [rad].
@@ -185,6 +272,7 @@ class Outcome:
         seconds: Wall time.
         verification: Another day's data, if it was given.
         diagnosis: The search for undeclared effects.
+        traces: On what the residual depends.
     """
 
     campaign: Campaign
@@ -201,6 +289,7 @@ class Outcome:
     unexplained_fraction: float
     notices: tuple[str, ...]
     seconds: float
+    traces: Traces
     verification: Verification | None = None
     diagnosis: Diagnosis | None = None
 

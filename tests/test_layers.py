@@ -21,7 +21,7 @@ LAYERS = [
     {"effects", "catalogue", "head"},
     {"model", "report1992", "residual"},
     {"start", "identifiable", "solver", "geometry"},
-    {"outcome", "quality", "diagnosis", "search", "evidence", "explain", "whiteness"},
+    {"outcome", "quality", "diagnosis", "search", "evidence", "explain", "whiteness", "traces"},
     {"export", "urdf_writer", "formats", "calibration"},
     {
         "report",

@@ -342,7 +342,7 @@ def test_effects_and_what_else_was_tried_are_shown(outcome: Outcome) -> None:
     curve = Curve("axis", "rad", name, grid, 1e-3 * grid, np.full(50, 1e-5), rows, 1e-3 * rows)
     before = np.tile([[3e-3, 0, 0, 2e-3, 0, 0]], (10, 1))
     other = Effect("joint_compliance", outcome.robot.names[2], ())
-    named = NamedEffect(effect, False, 1e-300, before, before / 4, (other,), (curve,))
+    named = NamedEffect(effect, False, 1e-300, before, before / 4, outcome.stages[1].residual, (other,), (curve,))
     found = Diagnosis(
         (named,), (Rejected(other, 0.2, 1.0, "too small <b>"),), (("thermal", "no <i>"),), 77, (("white?", 0.1, 0.5),)
     )
