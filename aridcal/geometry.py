@@ -15,7 +15,7 @@ from aridcal.errors import MeasurementError, NotIdentifiable
 from aridcal.measurements import Measurements
 from aridcal.model import Frames, Model
 from aridcal.report1992 import start as closed_form
-from aridcal.residual import Observations, predict_residuals, residuals, robust_sigma
+from aridcal.residual import Observations, predict_residuals, residuals, robust_sigma, unscaled
 from aridcal.robot import Robot
 from aridcal.solver import Data, Fit, Noise, fit, fit_identifiable, minimise, thin
 from aridcal.start import FrameStart, start_frames
@@ -38,7 +38,9 @@ class Geometry:
 def observations(measurements: Measurements, rows: str) -> Observations:
     """Measured poses with the rows' relative sigmas, unless ``noise.rows`` says to ignore them."""
     relative = None
-    if measurements.std is not None and rows != "ignore":
+    if measurements.covariance is not None and rows != "ignore":
+        relative = _factors(measurements.covariance)
+    elif measurements.std is not None and rows != "ignore":
         relative = measurements.std / np.repeat(_typical(measurements.std), 3)
     rotation = None
     if measurements.quaternion is not None:
@@ -49,8 +51,8 @@ def observations(measurements: Measurements, rows: str) -> Observations:
 def declared_noise(campaign: Campaign, train: Measurements) -> Noise:
     """What the campaign states of the noise; with ``rows: absolute``, what the rows themselves state."""
     noise = campaign.measurements.noise
-    if noise.rows == "absolute" and train.std is not None:
-        position, rotation = _typical(train.std)
+    if noise.rows == "absolute" and not (train.std is None and train.covariance is None):
+        position, rotation = _typical(_std(train.covariance) if train.std is None else train.std)
         return Noise(float(position), float(rotation) if train.quaternion is not None else None)
     return Noise(noise.position, noise.rotation)
 
@@ -58,6 +60,28 @@ def declared_noise(campaign: Campaign, train: Measurements) -> Noise:
 def _typical(std: np.ndarray) -> np.ndarray:
     """RMS of the rows' sigmas, shape (2,): position [m], rotation [rad]."""
     return np.sqrt([np.mean(std[:, :3] ** 2), np.mean(std[:, 3:] ** 2)])
+
+
+def _std(covariance: np.ndarray) -> np.ndarray:
+    """Sigmas of rows, shape (N, 6), from their covariances, shape (N, 6, 6)."""
+    return np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+
+
+def _factors(covariance: np.ndarray) -> np.ndarray:
+    """Factors of the rows' covariances, shape (N, 6, 6): each row's noise is L times noise of the typical sigmas.
+
+    The first three of the independent noises are those of the position that the rotation does not explain, so that sigmas
+    of positions and rotations can still be estimated apart.
+    """
+    typical = _typical(_std(covariance))
+    turn = np.linalg.cholesky(covariance[:, 3:, 3:])
+    lever = np.linalg.solve(covariance[:, 3:, 3:], covariance[:, 3:, :3]).transpose(0, 2, 1)
+    alone = covariance[:, :3, :3] - lever @ covariance[:, 3:, :3]
+    L = np.zeros_like(covariance)
+    L[:, :3, :3] = np.linalg.cholesky(alone) / typical[0]
+    L[:, :3, 3:] = lever @ turn / typical[1]
+    L[:, 3:, 3:] = turn / typical[1]
+    return L
 
 
 def frame_coefficients(campaign: Campaign, labels: tuple[str, ...]) -> tuple[Coefficient, ...]:
@@ -146,8 +170,7 @@ def fit_geometry(
     model = centred.with_coefficients(candidates)
     data = replace(data, rows=model.rows(train.readings, None, train.station))
     geometric = fit_identifiable(model, data, noise, range(len(candidates))) if candidates else nominal
-    scale = 1.0 if measured.relative is None else measured.relative[:, : geometric.residual.shape[1]]
-    _refuse_strangers(geometric.residual * scale, measured, train)
+    _refuse_strangers(unscaled(geometric.residual, measured), measured, train)
     if not candidates:
         return Geometry(nominal, nominal)
     return Geometry(nominal, _with_restarts(geometric, data, noise, train))

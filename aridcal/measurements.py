@@ -45,6 +45,8 @@ class Measurements:
         station: Label of the rows that share a frame, shape (N,).
         test: Rows kept for the test, shape (N,) bool.
         split_given: True if the files say which rows those are.
+        covariance: Of the rows' position [m] and rotation vector [rad] in world axes, shape (N, 6, 6), in place of `std`
+            where their components err together; `None`: not known.
     """
 
     names: tuple[str, ...]
@@ -62,6 +64,7 @@ class Measurements:
     station: np.ndarray | None
     test: np.ndarray
     split_given: bool = False
+    covariance: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.line)

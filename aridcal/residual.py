@@ -22,8 +22,9 @@ class Observations:
     Attributes:
         position: Shape (N, 3), [m], world frame.
         rotation: Shape (N, 3, 3); None where only positions were measured.
-        relative: Weights of the rows' six components in world axes as relative sigmas with RMS 1, shape (N, 6); None
-            where all rows are alike.
+        relative: How the rows' noise differs from the common sigmas: relative sigmas of the six components in world axes
+            with RMS 1, shape (N, 6), or factors L of shape (N, 6, 6) where components err together, so that the noise is
+            L times independent noise of the common sigmas; None where all rows are alike.
     """
 
     position: np.ndarray
@@ -95,8 +96,22 @@ def predict_residuals(model: Model, theta: np.ndarray, rows: Rows, measured: Obs
 
 
 def scaled(r: np.ndarray, measured: Observations) -> np.ndarray:
-    """Residuals divided by the rows' relative sigmas."""
-    return r if measured.relative is None else r / measured.relative[:, : r.shape[1]]
+    """Residuals or columns, shape (N, m) or (N, m, K), divided by the rows' relative sigmas."""
+    if measured.relative is None:
+        return r
+    columns = r.reshape(*r.shape[:2], -1)
+    if measured.relative.ndim == 3:
+        return np.linalg.solve(measured.relative, columns).reshape(r.shape)
+    return np.asarray((columns / measured.relative[:, : r.shape[1], None]).reshape(r.shape))
+
+
+def unscaled(r: np.ndarray, measured: Observations) -> np.ndarray:
+    """Scaled residuals, shape (N, m), back in [m] and [rad]."""
+    if measured.relative is None:
+        return r
+    if measured.relative.ndim == 3:
+        return np.asarray(np.einsum("nij,nj->ni", measured.relative, r))
+    return np.asarray(r * measured.relative[:, : r.shape[1]])
 
 
 def robust_sigma(r: np.ndarray) -> Sigma:
@@ -167,8 +182,7 @@ def linearise(model: Model, theta: np.ndarray, rows: Rows, measured: Observation
         if r.shape[1] == 6:
             # log(exp(r) exp(-w)) = r - (w + r x w / 2 + ...): matters only where a row's axes weigh unequally.
             J[:, 3:] += 0.5 * np.cross(r[:, 3:, None], J[:, 3:], axis=1)
-        relative = measured.relative[:, : r.shape[1]]
-        r, J = r / relative, J / relative[:, :, None]
+        r, J = scaled(r, measured), scaled(J, measured)
     return r, J
 
 
