@@ -71,7 +71,7 @@ def bumps(where: str, component: str, of: str, values: np.ndarray, knots: int) -
     count = int(np.clip(different // 2, 4, knots))
     step = (high - low) / (count - 1)
     return tuple(
-        Coefficient(where, component, Basis("bump", (of,), (low + k * step, step))) for k in range(-1, count + 1)
+        Coefficient(where, component, Basis("bump", (of,), (low + k * step, step))) for k in range(-3, count + 3)
     )
 
 
@@ -149,6 +149,8 @@ def _axis_wobble(s: Scene) -> Iterator[Effect]:
                     yield Effect("axis_wobble", j.name, turns(j.name, c, j.name, k), order=(k,))
                 both = tuple(x for c in pair for x in turns(j.name, c, j.name, k))
                 yield Effect("axis_wobble", j.name, both, order=(k,))
+            every = tuple(x for c in ("r1", "r2", "t1", "t2") for x in turns(j.name, c, j.name, k))
+            yield Effect("axis_wobble", j.name, every, order=(k,))
 
 
 def _rail(kind: str, components: tuple[str, ...]) -> Callable[[Scene], Iterator[Effect]]:

@@ -14,7 +14,7 @@ from aridcal.campaign import HEAD_KINDS, EffectDeclaration
 from aridcal.catalogue import Scene, declared
 from aridcal.effects import FRAME_COMPONENTS, Basis, Coefficient, Effect, Surroundings, covariate_table
 from aridcal.errors import CampaignError, nearest
-from aridcal.evidence import kernel_root
+from aridcal.evidence import Kernel, kernel_root
 from aridcal.robot import Robot
 from aridcal.settings import Section
 
@@ -22,7 +22,7 @@ PERIOD = 30.0  # from one row to the next, [s]
 WARMTH, WANDERS = 20.0, 6.0  # temperature at the start and how far it wanders, [deg C]
 LOADS = (0.0, 1.0, 2.5, 5.0)  # payloads, [kg]
 STRETCHES = 24  # times that the payload changes
-SMOOTH_LENGTH = 3.0  # correlation length of a curve that is drawn, in knots
+DRAWN = Kernel(3.0)  # what a curve that is drawn is like
 
 FUNCTIONS: dict[str, tuple[int, Callable[..., np.ndarray]]] = {
     "line": (1, lambda u: u),
@@ -243,7 +243,7 @@ def _values(e: TrueEffect, effect: Effect, rng: np.random.Generator, place: str)
         if effect.smooth:
             for component in effect.motion:
                 own = np.array([c.component == component for c in effect.coefficients])
-                drawn[own] = kernel_root(effect.grid or (int(own.sum()),), SMOOTH_LENGTH) @ drawn[own]
+                drawn[own] = kernel_root(effect.grid or (int(own.sum()),), DRAWN) @ drawn[own]
         return wanted[0].value + wanted[0].std * drawn
     if len(wanted) != count:
         names = ", ".join(c.name for c in effect.coefficients[:8]) + (", ..." if count > 8 else "")

@@ -10,6 +10,7 @@ import numpy as np
 from aridcal.campaign import Campaign
 from aridcal.catalogue import Barred, Scene, barred_joints, candidates, declared, pairs, usable_columns
 from aridcal.effects import Basis, Coefficient, Effect, Surroundings, covariate_table, evaluate
+from aridcal.evidence import Kernel
 from aridcal.identifiable import identifiable
 from aridcal.measurements import Measurements, blocks
 from aridcal.model import Model
@@ -116,12 +117,14 @@ def diagnose(
     current = at = geometric
     library = [*named, *unnamed, *paired, *stated]
     bench = linear_bench(bound, current, (), library, scene)
+    named = [e for e in named if bench.moves(e)]
     state = solve_state(bench, (), current.sigma, current.weight)
     for effect in stated:
         state = solve_state(bench, (*state.active, admitted(bench, state, effect)), state.solution.sigma, state.weight)
     if is_small(bench, named):
         current, at, bench, state = _large_first(bound, bench, named, library, state, current, noise, scene)
     small = is_small(bench, named)
+    fitted = _shapes(replace(state, active=()))
     for _ in range(ROUNDS if small else 1):
         found = search(bench, named, state)
         same = [a.effect for a in found.state.active] == [a.effect for a in state.active]
@@ -130,19 +133,24 @@ def diagnose(
             break
         progress(f"fitting {len(state.active)} effects: {', '.join(a.effect.label for a in state.active[:4])}")
         current = at = refit(bound, state, current, noise)
+        fitted = _shapes(state)
         bench = linear_bench(bound, at, state.active, library, scene)
         state = solve_state(bench, state.active, state.solution.sigma, state.weight)
-    fitted = [a.effect for a in state.active] if at is not geometric else []
     if unnamed:
         more = search(bench, unnamed, state, UNNAMED)
         if len(more.state.active) > len(state.active):  # functions of one covariate help: perhaps it takes two at once
             more = search(bench, paired, more.state, UNNAMED // 2)
         state = more.state
         found = replace(more, rejected=found.rejected + more.rejected[:1], tested=found.tested + more.tested)
-    if [a.effect for a in state.active] != fitted:
+    if _shapes(state) != fitted:
         progress(f"fitting {len(state.active)} effects: {', '.join(a.effect.label for a in state.active[:4])}")
         current = refit(bound, state, current, noise)
     return Diagnosed(current, at, bench, scene, found, twins(bench, named, state), tuple(stated), tuple(barred))
+
+
+def _shapes(state: State) -> list[tuple[Effect, float, Kernel]]:
+    """The effects of a state, smooth ones with their shape."""
+    return [(a.effect, a.score.tau, a.score.kernel) for a in state.active]
 
 
 def _large_first(

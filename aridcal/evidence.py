@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -12,9 +12,27 @@ from scipy.special import gammaincc
 
 from aridcal.residual import FLOOR, Sigma
 
-LENGTHS = (0.7, 1.5, 3.0, 6.0, 12.0)  # correlation lengths of a smooth function that are tried, in knots
 DEPENDENT = 1e-6  # share of a column's square that must be left when the model's own columns are taken off
 SMOOTH_PRICE = 2.0  # nats for the two numbers that shape a smooth function
+TAUS = np.logspace(-1.5, 9, 43)[:, None]  # prior variances that are tried, in units of the best seen mode
+SPREAD = 1e-11  # smallest variance of a smooth function's modes, as a share of the largest
+
+
+@dataclass(frozen=True)
+class Kernel:
+    """What is believed of a smooth function beforehand: over how many knots it is alike, and if it has kinks.
+
+    Attributes:
+        length: Correlation length in knots.
+        kinks: True: Matern 7/2, three derivatives; False: a squared exponential, all derivatives.
+    """
+
+    length: float
+    kinks: bool = True
+
+
+ROUGH = tuple(Kernel(length) for length in (0.7, 1.5, 3.0, 6.0, 12.0, 24.0))
+KERNELS = (*ROUGH, *(Kernel(length, kinks=False) for length in (1.5, 3.0, 6.0, 9.0, 12.0, 18.0)))
 
 
 @dataclass(frozen=True)
@@ -36,6 +54,10 @@ class Sums:
     def minus(self, other: Sums) -> Sums:
         """What is left when some of the rows are taken out."""
         return Sums(self.AA - other.AA, self.Ar - other.Ar, self.rr - other.rr, self.count - other.count)
+
+    def combined(self, T: np.ndarray) -> Sums:
+        """The sums of combinations of the columns, shape (K, new)."""
+        return Sums(T.T @ self.AA @ T, self.Ar @ T, self.rr, self.count)
 
     def part(self, keep: np.ndarray) -> Sums:
         """The sums of some of the columns."""
@@ -68,14 +90,16 @@ class Score:
         p_value: Of its columns' contribution if nothing were there, before correction for the number of candidates.
         freedom: Columns that say something new.
         tau: For smooth functions: prior standard deviation [m] or [rad]; else 0.
-        length: For smooth functions: correlation length in knots; else 0.
+        kernel: For smooth functions: what they are like.
+        sigma: For smooth functions: the noise that is left with them in the model, per axis; unknown at first.
     """
 
     gain: float
     p_value: float
     freedom: int
     tau: float = 0.0
-    length: float = 0.0
+    kernel: Kernel = ROUGH[0]
+    sigma: Sigma | None = None
 
 
 def sums(A: Sequence[np.ndarray], r: Sequence[np.ndarray]) -> Sums:
@@ -137,7 +161,25 @@ def score(
         count: Numbers measured.
         shape: Of the grid, for samples of a smooth function; else None.
     """
-    return _smooth(M, s, raw, left, count, shape) if shape else _plain(M, s, raw, left, count)
+    return _smooth(M, s, raw, shape, ROUGH, left, count) if shape else _plain(M, s, raw, left, count)
+
+
+def shaped(total: Sums, precision: np.ndarray, shape: tuple[int, ...], sigma: Sigma) -> Score:
+    """The shape that suits a smooth function best, for a given noise.
+
+    Args:
+        total: Sums of the model's columns and, after them, the samples of the function.
+        precision: Prior of the model's own coefficients.
+        shape: Of the function's grid.
+        sigma: Noise per axis.
+    """
+    K = len(precision)
+    variance = np.array([sigma.position, sigma.rotation]) ** 2
+    H, g = (total.AA / variance[:, None, None]).sum(0), (total.Ar / variance[:, None]).sum(0)
+    inverse = _inverse(H[:K, :K] + precision)
+    M = H[K:, K:] - H[K:, :K] @ inverse @ H[:K, K:]
+    s = g[K:] - H[K:, :K] @ (inverse @ g[:K])
+    return replace(_smooth(M, s, np.diag(H)[K:], shape, KERNELS), sigma=sigma)
 
 
 def _plain(M: np.ndarray, s: np.ndarray, raw: np.ndarray, left: float, count: float) -> Score:
@@ -158,26 +200,36 @@ def _plain(M: np.ndarray, s: np.ndarray, raw: np.ndarray, left: float, count: fl
     return Score(gain, tail(twice, d), d)
 
 
-def _smooth(M: np.ndarray, s: np.ndarray, raw: np.ndarray, left: float, count: float, shape: tuple[int, ...]) -> Score:
+def _smooth(
+    M: np.ndarray,
+    s: np.ndarray,
+    raw: np.ndarray,
+    shape: tuple[int, ...],
+    kernels: Sequence[Kernel],
+    left: float = np.inf,
+    count: float = 0.0,
+) -> Score:
+    """Evidence of the best kernel; the noise is profiled if what is left of the residual is given, else known."""
     best = Score(-np.inf, 1.0, 0)
-    for length in LENGTHS:
-        root = kernel_root(shape, length)
+    for kernel in kernels:
+        root = kernel_root(shape, kernel)
         spectrum, vectors = np.linalg.eigh(root.T @ M @ root)
         values = np.maximum(spectrum, 0.0)
-        seen = values > DEPENDENT * float(np.sum(root**2 * raw[:, None])) / len(s)
-        a = np.where(seen, (vectors.T @ (root.T @ s)) ** 2, 0.0)
         if values[-1] <= 0.0:
             return Score(0.0, 1.0, 0)
-        tau2 = np.logspace(-1.5, 9, 43)[:, None] / values[-1]
-        explained = np.sum(a * tau2 / (1.0 + tau2 * values), axis=1)
-        twice = -count * np.log1p(-np.minimum(explained / left, 1 - 1e-12)) - np.sum(np.log1p(tau2 * values), axis=1)
+        seen = values > DEPENDENT * float(np.sum(root**2 * raw[:, None])) / len(s)
+        a = np.where(seen, (vectors.T @ (root.T @ s)) ** 2, 0.0)
+        tau2 = TAUS / values[-1]
+        explained = (tau2 / (1.0 + tau2 * values)) @ a
+        twice = explained if left == np.inf else -count * np.log1p(-np.minimum(explained / left, 1 - 1e-12))
+        twice = twice - np.sum(np.log1p(tau2 * values), axis=1)
         k = int(np.argmax(twice))
         gain = 0.5 * float(twice[k]) - SMOOTH_PRICE
         if gain > best.gain:
             freedom = float(np.sum(tau2[k] * values / (1.0 + tau2[k] * values)))
             # A variance that may only be positive: half the cases give nothing, the rest at most chi-square with 2.
             p_value = float(np.exp(-max(0.5 * float(twice[k]), 0.0)))
-            best = Score(gain, p_value, max(round(freedom), 1), float(np.sqrt(tau2[k, 0])), length)
+            best = Score(gain, p_value, max(round(freedom), 1), float(np.sqrt(tau2[k, 0])), kernel)
     return best
 
 
@@ -187,19 +239,21 @@ def tail(twice: float, d: int) -> float:
 
 
 @cache
-def kernel_root(shape: tuple[int, ...], length: float) -> np.ndarray:
-    """Square root of the prior covariance of a smooth function's samples: Matern 5/2 along each covariate."""
+def kernel_root(shape: tuple[int, ...], kernel: Kernel) -> np.ndarray:
+    """Square root of the prior covariance of a smooth function's samples, a product over its covariates."""
     root: np.ndarray = np.ones((1, 1))
     for knots in shape:
-        apart = np.abs(np.subtract.outer(np.arange(knots), np.arange(knots))) / length
-        matern = (1.0 + np.sqrt(5.0) * apart + 5.0 / 3.0 * apart**2) * np.exp(-np.sqrt(5.0) * apart)
-        root = np.kron(root, np.linalg.cholesky(matern + 1e-9 * np.eye(knots)))
+        apart = np.abs(np.subtract.outer(np.arange(knots), np.arange(knots))) / kernel.length
+        a = np.sqrt(7.0) * apart
+        matern = (1.0 + a + 0.4 * a**2 + a**3 / 15.0) * np.exp(-a)
+        values, vectors = np.linalg.eigh(matern if kernel.kinks else np.exp(-0.5 * apart**2))
+        root = np.kron(root, vectors * np.sqrt(np.maximum(values, SPREAD * values[-1])))
     return root
 
 
-def smooth_precision(shape: tuple[int, ...], tau: float, length: float) -> np.ndarray:
+def smooth_precision(shape: tuple[int, ...], tau: float, kernel: Kernel) -> np.ndarray:
     """Inverse of the prior covariance of a smooth function's coefficients."""
-    root = np.linalg.inv(kernel_root(shape, length))
+    root = np.linalg.inv(kernel_root(shape, kernel))
     return np.asarray(root.T @ root) / tau**2
 
 

@@ -12,7 +12,20 @@ from scipy.stats import f as f_distribution
 
 from aridcal.catalogue import turns
 from aridcal.effects import Basis, Effect, evaluate
-from aridcal.evidence import Score, Solution, Sums, extended, kernel_root, score, smooth_precision, solve, sums, tail
+from aridcal.evidence import (
+    SMOOTH_PRICE,
+    Score,
+    Solution,
+    Sums,
+    extended,
+    kernel_root,
+    score,
+    shaped,
+    smooth_precision,
+    solve,
+    sums,
+    tail,
+)
 from aridcal.residual import Sigma
 from aridcal.solver import flag
 
@@ -31,6 +44,7 @@ SCANNED = 800  # orders of a joint's error that are looked through, a quarter pe
 MAPPED = 30.0  # highest order that a joint_map resolves
 LOUD = 30.0  # chi-square of a harmonic that is worth a closer look
 CHUNK = 128
+SHAPINGS = 4  # times that shape and noise of a smooth function are found in turn, at the most
 
 
 @dataclass(frozen=True)
@@ -80,6 +94,10 @@ class Bench:
         """True if all its bases are among ``bases``."""
         return all(c.basis in self._basis for c in effect.coefficients)
 
+    def moves(self, effect: Effect) -> bool:
+        """True if each of its motions is seen at all: a turn of the target is not, where only positions are measured."""
+        return all(bool(np.any(self.G[:, :, self._slot[c.where, c.component]])) for c in effect.coefficients)
+
     def columns(self, effect: Effect) -> np.ndarray:
         """Columns of an effect, shape (N, m, d)."""
         slots = [self._slot[c.where, c.component] for c in effect.coefficients]
@@ -116,7 +134,7 @@ class Active:
         """Prior precision of its coefficients, shape (d, d)."""
         d = len(self.effect.coefficients)
         return (
-            smooth_precision(self.effect.shape, self.score.tau, self.score.length)
+            smooth_precision(self.effect.shape, self.score.tau, self.score.kernel)
             if self.effect.smooth
             else np.zeros((d, d))
         )
@@ -246,8 +264,8 @@ def activate(bench: Bench, state: State, effect: Effect, found: Score) -> Active
     """Make a candidate ready to be solved for."""
     if not effect.smooth:
         return Active(effect, found)
-    root = kernel_root(effect.shape, found.length)
-    sigma = np.repeat([state.solution.sigma.position, state.solution.sigma.rotation], 3)[: bench.r.shape[1]]
+    root, noise = kernel_root(effect.shape, found.kernel), found.sigma or state.solution.sigma
+    sigma = np.repeat([noise.position, noise.rotation], 3)[: bench.r.shape[1]]
     C = bench.columns(effect) / sigma[:, None]
     U, s, _ = np.linalg.svd(root * found.tau, full_matrices=False)
     seen = s**2 * float(np.einsum("nmd,nmd->", C, C)) / C.shape[2]
@@ -256,7 +274,7 @@ def activate(bench: Bench, state: State, effect: Effect, found: Score) -> Active
 
 def admitted(bench: Bench, state: State, effect: Effect) -> Active:
     """An effect that is taken without trial, with the shape that suits the data if it is smooth."""
-    return activate(bench, state, effect, _scores(bench, [effect], state)[0])
+    return activate(bench, state, effect, _refine(bench, state, effect, _scores(bench, [effect], state)[0]))
 
 
 def rank(bench: Bench, library: Sequence[Effect], state: State, scan: bool = False) -> list[tuple[Effect, Score]]:
@@ -439,18 +457,30 @@ def _chunks(effects: Sequence[Effect]) -> list[list[Effect]]:
 
 def _refine(bench: Bench, state: State, effect: Effect, rough: Score) -> Score:
     """The same score with the noise of positions and rotations estimated apart, with the candidate in."""
+    if effect.smooth:
+        return _reshaped(bench, state, effect, rough)
     candidate = activate(bench, state, effect, rough)
     with_it, precision = _with(bench, state, candidate)
-    solution = solve(with_it, precision, state.solution.sigma)
-    twice = 2.0 * (solution.likelihood - state.solution.likelihood)
+    twice = 2.0 * (solve(with_it, precision, state.solution.sigma).likelihood - state.solution.likelihood)
     d = rough.freedom
-    if not effect.smooth:
-        gain = 0.5 * (twice - d * (1.0 + np.log(max(twice / d, 1.0))))
-        return replace(rough, gain=gain, p_value=tail(twice, d))
-    own = candidate.precision
-    n = len(own)
-    twice += float(np.linalg.slogdet(own)[1] + np.linalg.slogdet(solution.inverse[-n:, -n:])[1])
-    return replace(rough, gain=0.5 * twice - 2.0, p_value=float(np.exp(-max(0.5 * twice, 0.0))))
+    gain = 0.5 * (twice - d * (1.0 + np.log(max(twice / d, 1.0))))
+    return replace(rough, gain=gain, p_value=tail(twice, d))
+
+
+def _reshaped(bench: Bench, state: State, effect: Effect, rough: Score) -> Score:
+    """Shape and noise of a smooth function in turn, until they agree: what it hides makes the noise look large."""
+    total = extended(state.sums, state.design, state.flat(bench.columns(effect)), state.right)
+    K, found = len(state.precision), rough
+    for _ in range(SHAPINGS):
+        candidate = activate(bench, state, effect, found)
+        modes = block_diag(np.eye(K), candidate.modes)
+        solution = solve(total.combined(modes), block_diag(state.precision, candidate.precision), state.solution.sigma)
+        if found.sigma is not None and abs(np.log(found.sigma.position / solution.sigma.position)) < 0.02:
+            break
+        found = shaped(total, state.precision, effect.shape, solution.sigma)
+    twice = 2.0 * (solution.likelihood - state.solution.likelihood)
+    twice += float(np.linalg.slogdet(solution.inverse[K:, K:])[1])
+    return replace(found, gain=0.5 * twice - SMOOTH_PRICE, p_value=float(np.exp(-max(0.5 * twice, 0.0))))
 
 
 def _with(bench: Bench, state: State, candidate: Active) -> tuple[Sums, np.ndarray]:

@@ -239,7 +239,7 @@ def fit(
     H, _ = _with_prior(point.sums, point.sigma, theta, prior)
     diagonal = np.maximum(np.diag(H), 1e-300)
     covariance = _solve(H, np.eye(len(H)), diagonal)
-    correlation = H / np.sqrt(np.outer(diagonal, diagonal))
+    correlation = H / np.sqrt(diagonal) / np.sqrt(diagonal)[:, None]
     condition = float(np.sqrt(np.linalg.cond(correlation))) if len(H) else 1.0
     return Fit(
         model, theta, covariance, point.sigma, _estimate(point.sums, point.sigma, prior), point.sums.weight,
