@@ -11,6 +11,7 @@ from aridcal.commands import run
 from aridcal.errors import AridcalError, nearest
 
 COMMANDS = {
+    "init": "URDF and measurements in; a campaign to start from out",
     "identify": "campaign in; calibrated URDF, figures and pictures out",
     "predict": "where the real target is, for each row of joints",
     "measure": "camera images and sonar ranges to measured poses",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import os
 import shutil
 import signal
@@ -12,7 +13,7 @@ from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
-from typing import Any, Literal
+from typing import Any, Literal, NoReturn
 
 from rich.console import Console
 from rich.text import Text
@@ -52,6 +53,32 @@ def run(body: Callable[[], None]) -> int:
         console.print("this is a bug in aridcal: please report it with the lines above", style="bold red")
         return BUG
     return DONE
+
+
+class CommandParser(argparse.ArgumentParser):
+    """A command's arguments; a slip in them is answered with where to look."""
+
+    def error(self, message: str) -> NoReturn:
+        """Print what is wrong and exit with status 2."""
+        super().error(f"{message}\n`{self.prog} --help` has an example")
+
+
+def command_parser(command: str, doc: str | None, more: str = "") -> CommandParser:
+    """Start a command's arguments from its module's docstring, whose ``Example:`` ends the help.
+
+    Args:
+        command: Its name.
+        doc: The module's docstring.
+        more: What the help should tell below the arguments, above the example.
+    """
+    about, _, example = (doc or "").partition("\nExample:\n")
+    epilog = f"{more}\nexample:\n{example.rstrip()}" if more else f"example:\n{example.rstrip()}"
+    return CommandParser(
+        prog=f"aridcal {command}",
+        description=about.strip(),
+        epilog=epilog,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
 
 
 def check_writable(path: Path, kind: Literal["folder", "file"] | None = None) -> None:

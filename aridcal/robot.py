@@ -195,6 +195,11 @@ def parse_robot(urdf: bytes, tip: str, base: str | None = None, path: Path = Pat
     return Robot(urdf, path, link, tip, tuple(joints), name, before, origin, moves, mimics)
 
 
+def links(urdf: bytes, path: Path = Path("robot.urdf")) -> tuple[str, ...]:
+    """All links of a URDF, in the order of the file."""
+    return tuple(link.get("name", "") for link in _parse_xml(urdf, path).findall("link"))
+
+
 def transverse(axis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Two unit vectors across an axis (FORMATS section 4).
 

@@ -17,16 +17,17 @@ CONTRIBUTING = Path(__file__).parent.parent / "CONTRIBUTING.md"
 
 LAYERS = [
     {"__init__", "errors"},
-    {"robot", "doty", "settings", "tables", "source", "campaign", "measurements", "commands"},
+    {"robot", "doty", "settings", "tables", "columns", "source", "campaign", "measurements", "commands"},
     {"effects", "catalogue", "head"},
-    {"model", "report1992", "residual"},
-    {"start", "identifiable", "solver", "geometry"},
+    {"model", "machine", "report1992", "residual"},
+    {"start", "identifiable", "solver", "geometry", "inverse"},
     {"outcome", "quality", "diagnosis", "search", "evidence", "explain", "whiteness", "traces"},
     {"export", "urdf_writer", "formats", "calibration"},
     {
         "report",
         "sections",
         "dependence",
+        "apart",
         "plots",
         "markup",
         "view",
@@ -37,8 +38,11 @@ LAYERS = [
         "design",
         "simulate",
         "causes",
+        "init",
+        "propose",
+        "dialect",
     },
-    {"identify", "__main__"},
+    {"identify", "doctor", "completion", "__main__"},
 ]
 LAYER = {module: number for number, modules in enumerate(LAYERS) for module in modules}
 

@@ -1,0 +1,259 @@
+"""`aridcal init`: a table written in somebody's dialect is read back as the SI values from which it was made."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from robots import SHARED_ROBOTS, URDF, random_placement, readings
+from scipy.spatial.transform import Rotation
+
+import aridcal.init
+from aridcal.campaign import load_campaign
+from aridcal.columns import match_joints, positions, words
+from aridcal.errors import AridcalError
+from aridcal.identify import identify
+from aridcal.init import draft
+from aridcal.measurements import load_measurements
+from aridcal.model import Model
+from aridcal.quality import joint_kinds, joint_limits
+from aridcal.robot import Robot, load_robot
+
+UR10 = URDF / "ur10.urdf"
+
+
+def never(question: str, answers: object, why: str) -> int:
+    raise AssertionError(f"asked {question!r} ({answers}) though the data tell: {why}")
+
+
+def first(question: str, answers: object, why: str) -> int:
+    return 0
+
+
+def measured(robot: Robot, n: int = 40, seed: int = 0, world=None) -> tuple[np.ndarray, np.ndarray, Rotation]:
+    """Readings, positions and orientations of a target on a robot that is a little wrong, [rad] and [m]."""
+    rng = np.random.default_rng(seed)
+    q = readings(robot, n, rng, 0.7)
+    frames = ((None, world or random_placement(rng)),), ((None, random_placement(rng, 0.2)),)
+    off = 1e-3 * rng.standard_normal(q.shape[1])  # joint zeros, so that nothing fits exactly
+    model = Model(robot, (), *frames)
+    R, p = model.poses(np.zeros(0), model.rows(q + off))
+    return q, p, Rotation.from_matrix(R)
+
+
+def ur10_rows(n: int = 40) -> tuple[Robot, np.ndarray, np.ndarray, Rotation]:
+    robot = load_robot(UR10, "tool0")
+    return robot, *measured(robot, n)
+
+
+def named(names: str, values: np.ndarray) -> dict[str, np.ndarray]:
+    return dict(zip(names.split(), values.T, strict=True))
+
+
+def spelt(robot: Robot, q: np.ndarray, p: np.ndarray, R: Rotation) -> dict[str, dict[str, np.ndarray]]:
+    """The same measurements as different people write them."""
+    deg = np.degrees
+    wxyz = R.as_quat()[:, [3, 0, 1, 2]]
+    trap = np.random.default_rng(9).normal(size=(len(q), 6))
+    ros = {f"joint_states.position.{name}": q[:, k] for k, name in enumerate(robot.names)}
+    return {
+        "our own": named(" ".join(robot.names), q) | named("x y z", p) | named("qx qy qz qw", R.as_quat()),
+        "KUKA": named("A1 A2 A3 A4 A5 A6", deg(q))
+        | named("X Y Z", 1e3 * p)
+        | named("A B C", R.as_euler("ZYX", degrees=True)),
+        "Fanuc": named("J1 J2 J3 J4 J5 J6", deg(q))
+        | named("x y z", 1e3 * p)
+        | named("w p r", R.as_euler("xyz", degrees=True)),
+        "UR's real-time data": named("target_q_0 target_q_1 target_q_2 target_q_3 target_q_4 target_q_5", trap)
+        | named("actual_q_0 actual_q_1 actual_q_2 actual_q_3 actual_q_4 actual_q_5", q)
+        | named("actual_qd_0 actual_qd_1 actual_qd_2 actual_qd_3 actual_qd_4 actual_qd_5", trap)
+        | named("leica_x leica_y leica_z", p)
+        | named("leica_rx leica_ry leica_rz", R.as_rotvec()),
+        "ROS": ros
+        | named("pose.position.x pose.position.y pose.position.z", p)
+        | named("pose.orientation.w pose.orientation.x pose.orientation.y pose.orientation.z", wxyz),
+        "numbers only": named("joint1 joint2 joint3 joint4 joint5 joint6", deg(q))
+        | named("tx ty tz", 100 * p)
+        | named("quat0 quat1 quat2 quat3", wxyz),
+        "a spreadsheet": {f"{name} [deg]": deg(q[:, k]) for k, name in enumerate(robot.names)}
+        | {f"goal {a}": trap[:, k] for k, a in enumerate("xyz")}
+        | {f"Measured {a.upper()} [in]": p[:, k] / 0.0254 for k, a in enumerate("xyz")}
+        | {
+            name: angle for name, angle in zip(("Roll", "Pitch", "Yaw"), R.as_euler("XYZ", degrees=True).T, strict=True)
+        },
+    }
+
+
+DIALECTS = list(spelt(*ur10_rows(2)))
+
+
+def read_back(out: Path, robot: Robot):
+    return load_measurements(load_campaign(out), robot.readings, joint_limits(robot), joint_kinds(robot))
+
+
+@pytest.mark.parametrize("dialect", DIALECTS)
+def test_every_dialect_is_read_back_in_si(dialect, tmp_path, monkeypatch):
+    robot, q, p, R = ur10_rows()
+    pd.DataFrame(spelt(robot, q, p, R)[dialect]).to_csv(tmp_path / "m.csv", index=False)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sys.stdin", io.StringIO())
+    assert aridcal.init.main(["--urdf", str(UR10), "--measurements", "m.csv"]) == 0
+    rows = read_back(tmp_path / "campaign.yaml", robot)
+    np.testing.assert_allclose(rows.readings, q, atol=1e-12)
+    np.testing.assert_allclose(rows.position, p, atol=1e-12)
+    assert (Rotation.from_quat(rows.quaternion) * R.inv()).magnitude().max() < 1e-12
+
+
+def test_any_dialect_identifies_like_the_table_in_si(tmp_path):
+    tables = spelt(*ur10_rows())
+    found = []
+    for dialect in ("our own", "KUKA"):
+        pd.DataFrame(tables[dialect]).to_csv(tmp_path / f"{dialect}.csv", index=False)
+        out = tmp_path / f"{dialect}.yaml"
+        text, _, _ = draft(UR10, [tmp_path / f"{dialect}.csv"], out, never)
+        out.write_text(text + "diagnosis: {enabled: false}\n")
+        found.append({s.name: np.sqrt(np.mean(s.residual[:, :3] ** 2)) for s in identify(out).stages})
+    assert found[0]["nominal"] > 1e-4  # [m]: the joints' zeros
+    assert found[0]["geometric"] < 0.01 * found[0]["nominal"]
+    assert found[1]["nominal"] == pytest.approx(found[0]["nominal"], rel=1e-6)
+
+
+def test_units_of_a_rail_are_found_too(tmp_path):
+    robot = load_robot(URDF / "arid.urdf", "flange")
+    q, p, R = measured(robot, 60)
+    table = named("axis1 axis2 axis3 axis4", q * [1e3, *[180 / np.pi] * 3])
+    table |= named("x y z", 1e3 * p) | named("rx ry rz", R.as_rotvec(degrees=True))
+    pd.DataFrame(table).to_csv(tmp_path / "m.csv", index=False)
+    _, proposal, rows = draft(URDF / "arid.urdf", [tmp_path / "m.csv"], tmp_path / "c.yaml", never)
+    np.testing.assert_allclose(rows.readings, q, atol=1e-12)
+    assert {g.key: g.value for g in proposal.guesses}["measurements.units"] == {"length": "mm", "angle": "deg"}
+
+
+def test_a_gripper_that_was_not_recorded_is_left_out_of_the_chain(tmp_path):
+    urdf = SHARED_ROBOTS / "panda_description" / "urdf" / "panda.urdf"
+    robot = load_robot(urdf, "panda_link8")
+    q, p, _ = measured(robot)
+    pd.DataFrame(named(" ".join(robot.names), q) | named("x y z", p)).to_csv(tmp_path / "m.csv", index=False)
+    _, proposal, _ = draft(urdf, [tmp_path / "m.csv"], tmp_path / "c.yaml", first)
+    assert proposal.robot.readings == robot.readings
+    assert {g.key: g.value for g in proposal.guesses}["measurements.kind"] == "position"
+
+
+def test_joints_matched_by_order_alone_are_marked_in_the_file(tmp_path):
+    _, q, p, _ = ur10_rows()
+    pd.DataFrame(named("q1 q2 q3 q4 q5 q6", q) | named("x y z", p)).to_csv(tmp_path / "m.csv", index=False)
+    text, _, _ = draft(UR10, [tmp_path / "m.csv"], tmp_path / "c.yaml", never)
+    above, _, after = text.partition("    shoulder_pan_joint: q1\n")
+    assert "GUESSED: by their ORDER" in above.splitlines()[-1]
+    assert "wrist_3_joint: q6" in after
+
+
+def test_a_moved_tracker_gets_a_frame_for_each_station(tmp_path):
+    robot, q, p, _ = ur10_rows(60)
+    moved = random_placement(np.random.default_rng(5))
+    p[30:] = p[30:] @ moved.rotation.T + moved.translation
+    table = named(" ".join(robot.names), q) | named("x y z", p) | {"station": np.repeat(["A", "B"], 30)}
+    pd.DataFrame(table).to_csv(tmp_path / "m.csv", index=False)
+    _, proposal, _ = draft(UR10, [tmp_path / "m.csv"], tmp_path / "c.yaml", never)
+    values = {g.key: g.value for g in proposal.guesses}
+    assert values["frames.world_base"] == {"per": "station"}
+    assert "frames.tip_target" not in values
+
+
+def test_a_split_of_the_users_is_kept_and_a_row_counter_ignored(tmp_path):
+    robot, q, p, _ = ur10_rows()
+    own = np.where(np.arange(len(q)) % 3 == 0, "test", "train")
+    table = named(" ".join(robot.names), q) | named("x y z", p)
+    table |= {"subset": own, "no": np.arange(len(q)), "remark": ["fine"] * len(q), "humidity": p[:, 0] ** 2}
+    pd.DataFrame(table).to_csv(tmp_path / "m.csv", index=False)
+    text, _, rows = draft(UR10, [tmp_path / "m.csv"], tmp_path / "c.yaml", never)
+    assert rows.split_given
+    np.testing.assert_array_equal(rows.test, own == "test")
+    assert "ignore: ['no', remark]" in text
+    assert list(rows.covariates) == ["humidity"]
+
+
+@pytest.mark.parametrize(
+    ("spoil", "why"),
+    [
+        (lambda t: t.drop(columns="elbow_joint"), "no columns for the joints elbow_joint, though"),
+        (lambda t: t.drop(columns="y"), "no columns for the target's position"),
+        (lambda t: t[:3], "4 are the least"),
+        (
+            lambda t: t.assign(rx=10 * t.x, ry=20 * t.y, rz=30 * t.z).pipe(_mixed),
+            "joints are in rad but rx ry rz in deg",
+        ),
+    ],
+)
+def test_what_no_campaign_can_say_is_refused_with_a_remedy(spoil, why, tmp_path, capsys, monkeypatch):
+    robot, q, p, R = ur10_rows()
+    _mixed.rotation = R  # type: ignore[attr-defined]
+    table = pd.DataFrame(named(" ".join(robot.names), q) | named("x y z", p))
+    spoil(table).to_csv(tmp_path / "m.csv", index=False)
+    monkeypatch.setattr("sys.stdin", io.StringIO())
+    out = tmp_path / "campaign.yaml"
+    assert aridcal.init.main(["--urdf", str(UR10), "--measurements", str(tmp_path / "m.csv"), "-o", str(out)]) == 2
+    assert why in capsys.readouterr().err
+    assert not out.exists()
+
+
+def _mixed(table: pd.DataFrame) -> pd.DataFrame:
+    angles = _mixed.rotation.as_euler("xyz", degrees=True)  # type: ignore[attr-defined]
+    return table.assign(rx=angles[:, 0], ry=angles[:, 1], rz=angles[:, 2])
+
+
+def test_a_campaign_that_is_there_is_never_overwritten(tmp_path, capsys):
+    (tmp_path / "campaign.yaml").write_text("mine")
+    arguments = ["--urdf", str(UR10), "--measurements", "m.csv", "-o", str(tmp_path / "campaign.yaml")]
+    assert aridcal.init.main(arguments) == 2
+    assert "is there already" in capsys.readouterr().err
+    assert (tmp_path / "campaign.yaml").read_text() == "mine"
+
+
+def test_measurements_of_another_robot_are_called_so(tmp_path):
+    robot, q, p, _ = ur10_rows()
+    rng = np.random.default_rng(0)
+    table = named(" ".join(robot.names), q[rng.permutation(len(q))]) | named("x y z", p)
+    pd.DataFrame(table).to_csv(tmp_path / "m.csv", index=False)
+    text, proposal, _ = draft(UR10, [tmp_path / "m.csv"], tmp_path / "c.yaml", first)
+    assert "MUCH" in text
+    assert not next(g for g in proposal.guesses if g.key == "measurements.units").sure
+
+
+def test_answers_on_the_terminal_are_kept(tmp_path):
+    urdf = UR10.read_text().replace('"tool0"', '"hand"').replace('"ee_link"', '"foot"')
+    (tmp_path / "r.urdf").write_text(urdf)
+    robot, q, p, _ = ur10_rows()
+    pd.DataFrame(named(" ".join(robot.names), q) | named("x y z", p)).to_csv(tmp_path / "m.csv", index=False)
+    asked = []
+
+    def choose(question: str, answers: list[str], why: str) -> int:
+        asked.append(question)
+        return answers.index("hand")
+
+    text, _, _ = draft(tmp_path / "r.urdf", [tmp_path / "m.csv"], tmp_path / "c.yaml", choose)
+    assert asked == ["which link is the tip"]
+    assert "  tip: hand\n" in text
+
+
+def test_names_are_taken_apart():
+    assert words("Measured X [mm]") == words("measuredX") == words("measured_x_mm") == ("measured", "x")
+    assert words("J1_deg") == ("j", "1")
+    assert match_joints(["left_joint1", "left_joint2"], ["q2", "q1"]) == (
+        {"left_joint1": "q1", "left_joint2": "q2"},
+        "number",
+    )
+    assert match_joints(["a_joint", "b_joint"], ["a [deg]", "time", "b [deg]"]) is None
+    assert [f.columns for f in positions(["rx", "ry", "rz", "std_x", "std_y", "std_z", "px", "py", "pz"])] == [
+        ("px", "py", "pz")
+    ]
+
+
+def test_a_bad_urdf_is_an_error_of_the_robot(tmp_path):
+    (tmp_path / "r.urdf").write_text("<robot/>")
+    (tmp_path / "m.csv").write_text("a,b\n1,2\n")
+    with pytest.raises(AridcalError, match=r"r\.urdf"):
+        draft(tmp_path / "r.urdf", [tmp_path / "m.csv"], tmp_path / "c.yaml", never)
