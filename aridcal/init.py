@@ -22,7 +22,7 @@ from rich.console import Console
 from rich.prompt import IntPrompt
 
 from aridcal.campaign import Campaign
-from aridcal.commands import atomic_file, check_writable, command_parser, run
+from aridcal.commands import CommandParser, atomic_file, check_writable, command_parser, run
 from aridcal.errors import OutputError, RobotError
 from aridcal.measurements import Measurements, load_measurements
 from aridcal.propose import Choose, Guess, Proposal, propose
@@ -126,7 +126,7 @@ def draft(urdf: Path, files: Sequence[Path], out: Path, choose: Choose) -> tuple
     return text, proposal, load_measurements(campaign, robot.readings, joint_limits(robot), joint_kinds(robot))
 
 
-def parser() -> Any:
+def parser() -> CommandParser:
     """The command's arguments."""
     arguments = command_parser("init", __doc__)
     arguments.add_argument("--urdf", type=Path, required=True, help="the nominal robot")

@@ -1,7 +1,7 @@
 """Where the real target is: its pose for each row of joint readings, through the whole calibrated model.
 
 Example:
-    python -m aridcal.predict results/calibration.yaml query.csv -o predicted.csv
+    aridcal predict results/calibration.yaml query.csv -o predicted.csv
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from rich.console import Console
 from scipy.spatial.transform import Rotation
 
 from aridcal.calibration import Calibration
-from aridcal.commands import atomic_file, check_writable, run
+from aridcal.commands import CommandParser, atomic_file, check_writable, command_parser, run
 from aridcal.errors import MeasurementError, OutputError
 from aridcal.measurements import Query, load_query
 from aridcal.quality import joint_kinds, joint_limits
@@ -94,15 +94,18 @@ def write_table(table: pd.DataFrame, path: Path) -> None:
         table.assign(extrapolates=words).to_csv(path, index=False, float_format="%.17g")
 
 
+def parser() -> CommandParser:
+    """The command's arguments."""
+    arguments = command_parser("predict", __doc__, EPILOG)
+    arguments.add_argument("calibration", type=Path, help="calibration.yaml of a result folder")
+    arguments.add_argument("query", type=Path, help="joint readings (and covariates), .csv or .parquet")
+    arguments.add_argument("-o", "--out", type=Path, required=True, help="where to write them with the poses, likewise")
+    return arguments
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; returns its exit status."""
-    parser = argparse.ArgumentParser(
-        prog="aridcal predict", description=__doc__, epilog=EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("calibration", type=Path, help="calibration.yaml of a result folder")
-    parser.add_argument("query", type=Path, help="joint readings (and covariates), .csv or .parquet")
-    parser.add_argument("-o", "--out", type=Path, required=True, help="where to write them with the poses, likewise")
-    arguments = parser.parse_args(argv)
+    arguments = parser().parse_args(argv)
     return run(lambda: _main(arguments))
 
 

@@ -1,14 +1,13 @@
 """Make a campaign whose truth is known: a scenario in; measurements of an imperfect robot and their truth out.
 
-Example:
-    python -m aridcal.simulate identification/arid/scenario.yaml -o /tmp/arid
-
 What a scenario's `truth.effects` may hold is told in docs/simulate.md.
+
+Example:
+    aridcal simulate identification/arid/scenario.yaml -o /tmp/arid
 """
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
 import os
@@ -28,7 +27,7 @@ from scipy.spatial.transform import Rotation
 
 from aridcal.campaign import EFFECT_KINDS, Job
 from aridcal.causes import Cause, Parameter, TrueEffect, columns_needed, draw_columns, given, make_causes
-from aridcal.commands import atomic_folder, check_writable, run
+from aridcal.commands import CommandParser, atomic_folder, check_writable, command_parser, run
 from aridcal.doty import doty_links
 from aridcal.effects import FRAME_COMPONENTS, Coefficient, Surroundings
 from aridcal.errors import CampaignError, OutputError, nearest
@@ -303,13 +302,17 @@ def _table(
     return pd.DataFrame(dict(zip(columns, (*values.values(), *measured.values()), strict=True)))
 
 
+def parser() -> CommandParser:
+    """The command's arguments."""
+    arguments = command_parser("simulate", __doc__)
+    arguments.add_argument("scenario", type=Path, help="scenario.yaml: a campaign's keys and `truth`")
+    arguments.add_argument("-o", "--out", type=Path, required=True, metavar="DIR", help="folder of the campaign")
+    return arguments
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; returns its exit status."""
-    parser = argparse.ArgumentParser(prog="aridcal simulate", description=__doc__,
-                                     formatter_class=argparse.RawDescriptionHelpFormatter)  # fmt: skip
-    parser.add_argument("scenario", type=Path, help="scenario.yaml: a campaign's keys and `truth`")
-    parser.add_argument("-o", "--out", type=Path, required=True, metavar="DIR", help="folder of the campaign")
-    arguments = parser.parse_args(argv)
+    arguments = parser().parse_args(argv)
     return run(lambda: _main(arguments.scenario, arguments.out))
 
 

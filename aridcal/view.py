@@ -1,17 +1,17 @@
 """Look at a calibration: the result folder's scene, in the browser.
 
-    aridcal view results
-
 The page is ``DIR/scene.html``, meshcat's viewer with the whole scene in it (see :mod:`aridcal.scene`), served to this
 computer only until Ctrl-C; reload it after another run of identify. Meshcat's own server is left out on purpose: it is
 a second process in a session of its own, which outlives a killed parent, and its page knows nothing of the panel. Here
 the command itself is the server, so nothing can be left behind. Over ssh, forward the port that is printed, or copy
 ``scene.html`` and open it: it needs neither server nor network.
+
+Example:
+    aridcal view results
 """
 
 from __future__ import annotations
 
-import argparse
 import os
 import sys
 import webbrowser
@@ -21,7 +21,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from aridcal.commands import run
+from aridcal.commands import CommandParser, command_parser, run
 from aridcal.errors import OutputError
 
 
@@ -68,13 +68,16 @@ def scene_file(folder: Path) -> Path:
     return path
 
 
+def parser() -> CommandParser:
+    """The command's arguments."""
+    arguments = command_parser("view", __doc__)
+    arguments.add_argument("folder", type=Path, metavar="DIR", help="a result folder, as written by aridcal.identify")
+    return arguments
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; returns its exit status."""
-    parser = argparse.ArgumentParser(
-        prog="aridcal view", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("folder", type=Path, metavar="DIR", help="a result folder, as written by aridcal.identify")
-    arguments = parser.parse_args(argv)
+    arguments = parser().parse_args(argv)
     return run(lambda: _main(arguments.folder))
 
 
