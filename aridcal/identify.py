@@ -1,7 +1,8 @@
 """The main job: campaign in; calibrated URDF, figures and pictures out.
 
 Example:
-    python -m aridcal.identify identification/arid/campaign.yaml
+    aridcal identify identification/arid/campaign.yaml
+    aridcal identify campaign.yaml --verify another_day.csv
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from rich.console import Console
 from rich.table import Table
 
 from aridcal.campaign import Campaign, load_campaign
-from aridcal.commands import atomic_folder, check_writable, run
+from aridcal.commands import CommandParser, atomic_folder, check_writable, command_parser, run
 from aridcal.diagnosis import Bound, diagnose, surroundings
 from aridcal.errors import AridcalError, CampaignError, MeasurementError
 from aridcal.explain import explain, verdict
@@ -273,15 +274,19 @@ def summary(outcome: Outcome, console: Console) -> None:
         console.print(f"note: {notice}", markup=False)
 
 
+def parser() -> CommandParser:
+    """The command's arguments."""
+    arguments = command_parser("identify", __doc__)
+    arguments.add_argument("campaign", type=Path, help="campaign.yaml")
+    arguments.add_argument("--out", type=Path, help="result folder (default: results/ beside the campaign)")
+    arguments.add_argument("--verify", type=Path, metavar="CSV", help="another day's measurements to score")
+    arguments.add_argument("--seed", type=int, default=0, help="of the train/test split, where the table has none")
+    return arguments
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; returns its exit status."""
-    parser = argparse.ArgumentParser(prog="aridcal identify", description=__doc__,
-                                     formatter_class=argparse.RawDescriptionHelpFormatter)  # fmt: skip
-    parser.add_argument("campaign", type=Path, help="campaign.yaml")
-    parser.add_argument("--out", type=Path, help="result folder (default: results/ beside the campaign)")
-    parser.add_argument("--verify", type=Path, metavar="CSV", help="another day's measurements to score")
-    parser.add_argument("--seed", type=int, default=0, help="of the train/test split, where the table has none")
-    arguments = parser.parse_args(argv)
+    arguments = parser().parse_args(argv)
     return run(lambda: _main(arguments))
 
 
