@@ -1,7 +1,7 @@
 """Shots of the measuring head (images and sonar ranges) to measured poses of the tip, with their uncertainty.
 
 Example:
-    python -m aridcal.measure head.yaml -o measurements.csv
+    aridcal measure head.yaml -o measurements.csv
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from rich.console import Console
 from rich.progress import track
 from scipy.spatial.transform import Rotation
 
-from aridcal.commands import atomic_file, check_writable, run
+from aridcal.commands import CommandParser, atomic_file, check_writable, command_parser, run
 from aridcal.errors import AridcalError, MeasurementError, OutputError
 from aridcal.head.matching import NotMeasured
 from aridcal.head.settings import HeadSettings
@@ -264,14 +264,17 @@ def sonar_remarks(results: Sequence[Measured], std: float) -> list[str]:
     ]
 
 
+def parser() -> CommandParser:
+    """The command's arguments."""
+    arguments = command_parser("measure", __doc__)
+    arguments.add_argument("head", type=Path, help="head.yaml: camera, sonars, squares and shots")
+    arguments.add_argument("-o", "--out", type=Path, required=True, help="table of measured poses to write, .csv")
+    return arguments
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; returns its exit status."""
-    parser = argparse.ArgumentParser(
-        prog="aridcal measure", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("head", type=Path, help="head.yaml: camera, sonars, squares and shots")
-    parser.add_argument("-o", "--out", type=Path, required=True, help="table of measured poses to write, .csv")
-    arguments = parser.parse_args(argv)
+    arguments = parser().parse_args(argv)
     return run(lambda: _main(arguments))
 
 
