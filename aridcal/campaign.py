@@ -13,7 +13,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, field_validator, mo
 from aridcal.errors import nearest
 from aridcal.settings import RelativePath, Section, Settings, Vector3, load_settings
 
-HEAD_KINDS = ("lens_distortion", "sonar_bias", "sonar_scale")
+HEAD_KINDS = ("lens_distortion", "focal_length", "principal_point", "sonar_bias", "sonar_scale")
 """Effects of the measuring head."""
 
 EFFECT_KINDS = (

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,12 +15,14 @@ import pinocchio as pin
 from aridcal import __version__
 from aridcal.calibration import Calibration, SolvedModel
 from aridcal.effects import ANGULAR, FRAME_COMPONENTS, Effect
-from aridcal.outcome import NamedEffect, Outcome, Stage, errors
+from aridcal.model import ONE_FRAME
+from aridcal.outcome import MeasuringHead, NamedEffect, Outcome, Stage, errors
 from aridcal.solver import Fit
 from aridcal.urdf_writer import splice_origins
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 WHERE = ("world_base", "tip_target")
+HEAD_COVARIATES = {"lens_distortion": ("image_radius",), "focal_length": ("image_radius",), "sonar_scale": ("range",)}
 
 
 def write_results(outcome: Outcome, folder: Path) -> None:
@@ -30,6 +33,8 @@ def write_results(outcome: Outcome, folder: Path) -> None:
         (folder / "model.urdf").write_bytes(stage_urdf(outcome.stage("final").fit))
     (folder / "calibration.yaml").write_text(calibration(outcome).dump(), encoding="utf-8")
     residual_table(outcome).to_csv(folder / "residuals.csv", index=False, float_format="%.9g")
+    if outcome.head is not None:
+        pd.DataFrame(outcome.head.fiducials).to_csv(folder / "fiducials.csv", index=False)
 
 
 def stage_urdf(fit: Fit) -> bytes:
@@ -75,6 +80,7 @@ def result_document(outcome: Outcome) -> dict[str, Any]:
         "frames": frames(outcome.stage("final")),
         "parameters": parameters(outcome.stage("geometric").fit),
         "effects": [_effect(e, outcome) for e in outcome.effects],
+        **({"head": _head(outcome.head)} if outcome.head is not None else {}),
         "verdict": outcome.verdict,
         "unexplained_fraction": outcome.unexplained_fraction,
         "seconds": round(outcome.seconds, 3),
@@ -129,6 +135,24 @@ def parameters(fit: Fit) -> list[dict[str, Any]]:
     return found
 
 
+def _head(head: MeasuringHead) -> dict[str, Any]:
+    """The measuring head: its numbers, and how far image points and ranges of single shots fit together."""
+    return {
+        "numbers": [
+            {
+                "name": n.name, "unit": n.unit, "declared": n.declared, "value": n.value, "std": n.std,
+                "status": n.status, "redundant_with": list(n.redundant_with),
+            }
+            for n in head.numbers
+        ],
+        "misfit_within_shots": {"declared": head.misfit[0], "identified": head.misfit[1]},
+        "range_rms_mm": {
+            name: {f"sonar_{k + 1}": 1e3 * float(v) for k, v in enumerate(row)}
+            for name, row in zip(("declared", "identified"), head.ranges, strict=True)
+        },
+    }  # fmt: skip
+
+
 def _effect(named: NamedEffect, outcome: Outcome) -> dict[str, Any]:
     fit, effect = outcome.stage("final").fit, named.effect
     index = {name: k for k, name in enumerate(fit.model.names)}
@@ -141,15 +165,15 @@ def _effect(named: NamedEffect, outcome: Outcome) -> dict[str, Any]:
     if effect.by:
         found["by"] = effect.by
     turning = {c: c in ANGULAR or (c == "axis" and joints.get(effect.where) == "revolute") for c in effect.motion}
+    known = {c.name: (c.unit, c.value, c.std) for c in outcome.head.coefficients} if outcome.head else {}
+    for c in effect.coefficients:
+        if c.name in index:
+            k = index[c.name]
+            known[c.name] = "rad" if turning[c.component] else "m", float(fit.theta[k]), float(fit.std[k])
     found |= {
-        "covariates": list(effect.covariates),
+        "covariates": list(HEAD_COVARIATES.get(effect.kind, effect.covariates)),
         "coefficients": [
-            {
-                "name": c.name,
-                "unit": "rad" if turning[c.component] else "m",
-                "value": float(fit.theta[index[c.name]]),
-                "std": float(fit.std[index[c.name]]),
-            }
+            dict(zip(("name", "unit", "value", "std"), (c.name, *known[c.name]), strict=True))
             for c in effect.coefficients
         ],
         "p_value": named.p_value,
@@ -209,8 +233,8 @@ def calibration(outcome: Outcome) -> Calibration:
         "versions": {"aridcal": __version__, "pinocchio": pin.__version__, "numpy": np.__version__},
     }
     return Calibration(
-        _solved(outcome.stage("geometric").fit),
-        _solved(final),
+        _solved(outcome.stage("geometric").fit, outcome.head is None),
+        _solved(final, outcome.head is None),
         "position" if m.quaternion is None else "pose",
         campaign.robot.gravity,
         (outcome.noise.position, outcome.noise.rotation),
@@ -219,8 +243,16 @@ def calibration(outcome: Outcome) -> Calibration:
     )
 
 
-def _solved(fit: Fit) -> SolvedModel:
-    return SolvedModel(fit.model, fit.theta, fit.covariance)
+def _solved(fit: Fit, targeted: bool) -> SolvedModel:
+    """A stage's model; of one that was measured by a head on the tip, without the head's mounting: its target is the tip."""
+    model = fit.model
+    if targeted:
+        return SolvedModel(model, fit.theta, fit.covariance)
+    keep = np.array([c.where != "tip_target" for c in model.coefficients], dtype=bool)
+    arm = replace(
+        model, coefficients=tuple(c for c in model.coefficients if c.where != "tip_target"), tip_target=ONE_FRAME
+    )
+    return SolvedModel(arm, fit.theta[keep], fit.covariance[np.ix_(keep, keep)])
 
 
 def _convergence(fit: Fit) -> dict[str, Any]:

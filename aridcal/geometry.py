@@ -51,8 +51,9 @@ def observations(measurements: Measurements, rows: str) -> Observations:
 def declared_noise(campaign: Campaign, train: Measurements) -> Noise:
     """What the campaign states of the noise; with ``rows: absolute``, what the rows themselves state."""
     noise = campaign.measurements.noise
-    if noise.rows == "absolute" and not (train.std is None and train.covariance is None):
-        position, rotation = _typical(_std(train.covariance) if train.std is None else train.std)
+    std = train.std if train.covariance is None else _std(train.covariance)
+    if noise.rows == "absolute" and std is not None:
+        position, rotation = _typical(std)
         return Noise(float(position), float(rotation) if train.quaternion is not None else None)
     return Noise(noise.position, noise.rotation)
 

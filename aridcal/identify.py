@@ -18,13 +18,14 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from aridcal.arm import bind, fit_arm, fit_constants
+from aridcal.arm_and_head import fit_arm_and_head, with_head
 from aridcal.campaign import Campaign, load_campaign
 from aridcal.commands import CommandParser, atomic_folder, check_writable, command_parser, run
-from aridcal.diagnosis import Bound, diagnose, surroundings
-from aridcal.errors import AridcalError, CampaignError, MeasurementError
+from aridcal.errors import CampaignError, MeasurementError
 from aridcal.explain import explain, verdict
 from aridcal.export import stage_urdf, write_results
-from aridcal.geometry import Geometry, declared_noise, fit_geometry, observations, recentred, unused_links
+from aridcal.geometry import Geometry, observations, recentred, unused_links
 from aridcal.measurements import Measurements, load_measurements
 from aridcal.outcome import Outcome, Stage, Verification, errors
 from aridcal.quality import FAR, halves, joint_kinds, joint_limits, outliers, precision, realigned, repeats
@@ -32,6 +33,7 @@ from aridcal.report import write_report
 from aridcal.residual import distance, predict_residuals, robust_sigma, scaled, unscaled
 from aridcal.robot import load_robot, parse_robot
 from aridcal.scene import Scene, write_scene
+from aridcal.sighted import CACHE, read_shots
 from aridcal.solver import Data, Fit, Noise, fit
 from aridcal.traces import trace
 from aridcal.whiteness import clues, noise_notice
@@ -40,7 +42,13 @@ Progress = Callable[[str], None]
 STILL = 1e-3  # a joint that moves by less than this does not move, [rad] or [m]
 
 
-def identify(path: Path, seed: int = 0, verify: Path | None = None, progress: Progress = lambda _: None) -> Outcome:
+def identify(
+    path: Path,
+    seed: int = 0,
+    verify: Path | None = None,
+    progress: Progress = lambda _: None,
+    cache: Path | None = None,
+) -> Outcome:
     """Run a campaign up to its outcome; nothing is written.
 
     Args:
@@ -48,44 +56,48 @@ def identify(path: Path, seed: int = 0, verify: Path | None = None, progress: Pr
         seed: Of the split into train and test, where the table has none.
         verify: Another day's table, to be scored.
         progress: Called with what is being done.
+        cache: ``fiducials.csv`` of an earlier run on the same images, if there is one.
 
     Raises:
         AridcalError: whatever in the input needs mending.
     """
     started = time.perf_counter()
     campaign = load_campaign(path)
-    if campaign.measurements.kind == "camera_sonar":
-        raise AridcalError(
-            f"{path}: `kind: camera_sonar` is not identified yet; run aridcal.measure, then use its table"
-        )
     robot = load_robot(campaign.robot.urdf, campaign.robot.tip, campaign.robot.base)
     progress("reading the measurements")
-    rows = load_measurements(campaign, robot.readings, joint_limits(robot), joint_kinds(robot), seed)
+    shots, both = None, None
+    if campaign.measurements.kind == "camera_sonar":
+        if verify is not None:
+            raise CampaignError(f"{path}: --verify needs a table of poses; `kind: camera_sonar` has shots")
+        shots = read_shots(campaign, robot, cache, seed, progress)
+        campaign, rows = shots.campaign, shots.rows
+    else:
+        rows = load_measurements(campaign, robot.readings, joint_limits(robot), joint_kinds(robot), seed)
     rows, notices = _check_stations(campaign, rows)
-    stale = stale_rows(rows)
-    declared = campaign.measurements.noise
     labels = _labels(campaign, rows)
     train = ~rows.test
     notices += _check_motion(campaign, rows, train)
-    noise = declared_noise(campaign, rows.select(train))
-
-    progress(f"fitting frames and constants to {train.sum()} rows")
-    geometry = fit_geometry(campaign, robot, rows.select(train), labels, noise, stale[train])
-    geometric = recentred(geometry.geometric)
-    geometric = replace(geometric, model=replace(geometric.model, around=surroundings(campaign, geometric.model)))
-    bound = _bound(campaign, geometric, rows.select(train), stale[train])
-    diagnosed = diagnose(campaign, bound, noise, progress)
+    declared = campaign.measurements.noise
+    if shots is not None:
+        both = fit_arm_and_head(shots, rows, robot, labels, progress)
+        campaign, arm, rows = both.campaign, both.arm, both.arm.rows
+        stale = np.zeros(len(rows), dtype=bool)
+    else:
+        stale = stale_rows(rows)
+        progress(f"fitting frames and constants to {train.sum()} rows")
+        arm = fit_arm(campaign, fit_constants(campaign, robot, rows, labels, stale), rows, stale, progress)
+    noise, geometric, bound, diagnosed = arm.noise, arm.geometry.geometric, arm.bound, arm.diagnosed
     progress("scoring")
-    stages, outlier = _stages(campaign, rows, replace(geometry, geometric=geometric), diagnosed.fit, noise, stale)
+    stages, outlier = _stages(campaign, rows, arm.geometry, diagnosed.fit, noise, stale)
     final, kept = stages[-1].fit, rows.select(~outlier)
     repeated = repeats(robot, kept, stages[-1].residual[~outlier])
     questions = clues(
         scaled(stages[-1].residual, observations(rows, declared.rows))[~outlier], kept.readings,
         kept.covariates.get("time"), repeated, noise, _freedom(final),
     )  # fmt: skip
-    every = _bound(campaign, geometric, rows, stale)
+    every = bind(campaign, geometric, rows, stale)
     diagnosis = explain(diagnosed, every, rows.test & ~outlier, questions)
-    used = _bound(campaign, geometric, kept, stale[~outlier])
+    used = bind(campaign, geometric, kept, stale[~outlier])
     traces = trace(final, used, *(s.residual[~outlier] for s in stages[1:]))
     said, unexplained = verdict(questions, diagnosed, _freedom(final) > 0.5)
     # A model of hundreds of coefficients is not fitted twice more: its constants speak for it.
@@ -116,14 +128,11 @@ def identify(path: Path, seed: int = 0, verify: Path | None = None, progress: Pr
         traces=traces,
         diagnosis=diagnosis,
     )
+    if both is not None and shots is not None:
+        outcome = with_head(outcome, both, shots)
     if verify is not None:
         outcome = replace(outcome, verification=_verify(outcome, verify))
     return replace(outcome, seconds=time.perf_counter() - started)
-
-
-def _bound(campaign: Campaign, geometric: Fit, rows: Measurements, stale: np.ndarray) -> Bound:
-    measured = observations(rows, campaign.measurements.noise.rows)
-    return Bound(geometric, rows, measured, stale, tuple(joint_kinds(geometric.model.robot)))
 
 
 def _freedom(fit: Fit) -> float:
@@ -300,7 +309,7 @@ def _main(arguments: argparse.Namespace) -> None:
     def progress(step: str) -> None:
         steps.print(f"[dim]{time.perf_counter() - started:5.1f} s  {step}[/dim]")
 
-    outcome = identify(arguments.campaign, arguments.seed, arguments.verify, progress)
+    outcome = identify(arguments.campaign, arguments.seed, arguments.verify, progress, out / CACHE)
     with atomic_folder(out, replaces={"model.urdf", "fiducials.csv"}) as folder:
         progress("writing the results")
         write_results(outcome, folder)

@@ -26,7 +26,9 @@ from scipy.spatial.transform import Rotation
 
 from aridcal.commands import CommandParser, atomic_file, check_writable, command_parser, run
 from aridcal.errors import AridcalError, MeasurementError, OutputError
+from aridcal.head.fiducials import Fiducials
 from aridcal.head.matching import NotMeasured
+from aridcal.head.reduction import carried
 from aridcal.head.settings import HeadSettings
 from aridcal.head.shots import (
     POSE_COLUMNS,
@@ -86,7 +88,7 @@ class Measured:
         T_world_tip: Shape (4, 4); None if the shot was refused.
         std: Position [m] and rotation vector [rad] in world axes, shape (6,).
         range_residuals: What each sonar reads beyond the pose, shape (S,), [m].
-        fiducials: How many were used.
+        fiducials: Those that were found; None if there are none.
         why: Why the shot was refused; empty if it was not.
         thumbnail: The image with the fiducials drawn on it, JPEG.
     """
@@ -96,7 +98,7 @@ class Measured:
     T_world_tip: np.ndarray | None = None
     std: np.ndarray | None = None
     range_residuals: np.ndarray | None = None
-    fiducials: int = 0
+    fiducials: Fiducials | None = None
     why: str = ""
     thumbnail: bytes = b""
 
@@ -113,11 +115,7 @@ def tip_pose(sighting: Sighting, T_world_square: np.ndarray, T_tip_camera: np.nd
         T_world_tip, shape (4, 4), and its covariance, position and rotation vector in world axes, shape (6, 6).
     """
     T_square_tip = np.linalg.inv(T_tip_camera @ sighting.pose.T_camera_square)
-    R, p = T_world_square[:3, :3], T_square_tip[:3, 3]
-    # T_camera_square exp(twist) moves the tip by exp(-twist), seen from the square.
-    J = np.zeros((6, 6))
-    J[:3, :3] = J[3:, 3:] = -R
-    J[:3, 3:] = R @ np.array([[0, -p[2], p[1]], [p[2], 0, -p[0]], [-p[1], p[0], 0]])
+    J = carried(T_world_square[:3, :3], T_square_tip[:3, 3])
     return T_world_square @ T_square_tip, J @ sighting.pose.covariance @ J.T
 
 
@@ -146,7 +144,7 @@ def measure_shot(shot: Shot, head: HeadSettings, squares: dict[int, np.ndarray])
         T_world_tip=T_world_tip,
         std=np.sqrt(np.diag(covariance)),
         range_residuals=sighting.pose.range_residuals,
-        fiducials=len(sighting.fiducials.pixels),
+        fiducials=sighting.fiducials,
         thumbnail=picture(image, sighting.fiducials, square, width),
     )
 
@@ -219,6 +217,12 @@ def _nominal_cameras(robot: Robot, table: Table, head: HeadSettings) -> Iterator
         yield head.world_base.homogeneous @ T @ head.tip_camera.homogeneous
 
 
+def measure_shots(shots: Sequence[Shot], head: HeadSettings, squares: dict[int, np.ndarray]) -> Iterator[Measured]:
+    """Measure shots one after the other, over all processors if there are many."""
+    with _mapping(len(shots)) as apply:
+        yield from apply(partial(measure_shot, head=head, squares=squares), list(shots))
+
+
 def measured_table(table: Table, results: Sequence[Measured], head: HeadSettings) -> pd.DataFrame:
     """Write measured shots as rows of ``measurements.csv``: shot, the user's other columns, the pose, its ``std_*``."""
     good = [(k, m) for k, m in enumerate(results) if m.T_world_tip is not None]
@@ -238,11 +242,13 @@ def contact_sheet(results: Sequence[Measured], title: str) -> Html:
     for m in results:
         source = f"data:image/jpeg;base64,{base64.b64encode(m.thumbnail).decode()}"
         image = Html(f'<img alt="" width="{THUMBNAIL}" src="{source}">') if m.thumbnail else Html("")
-        if m.std is None:
+        if m.std is None or m.fiducials is None:
             text = tag("figcaption", f"shot {m.shot.line}, {m.shot.image}: {m.why}", class_="refused")
         else:
             um, mrad = 1e6 * np.max(m.std[:3]), 1e3 * np.max(m.std[3:])
-            said = f"square {m.square}, {m.fiducials} fiducials, std of the tip {um:.0f} µm, {mrad:.2f} mrad"
+            said = (
+                f"square {m.square}, {len(m.fiducials.pixels)} fiducials, std of the tip {um:.0f} µm, {mrad:.2f} mrad"
+            )
             text = tag("figcaption", f"shot {m.shot.line}, {m.shot.image}: {said}")
         figures.append(tag("figure", image, text))
     good = sum(m.std is not None for m in results)
@@ -285,9 +291,8 @@ def _main(arguments: argparse.Namespace) -> None:
     check_writable(out, "file")
     head, squares, table, shots = load(arguments.head)
     console = Console(stderr=True)
-    with _mapping(len(shots)) as apply:
-        work = apply(partial(measure_shot, head=head, squares=squares), shots)
-        results = list(track(work, "measuring", total=len(shots), console=console, transient=True))
+    work = measure_shots(shots, head, squares)
+    results = list(track(work, "measuring", total=len(shots), console=console, transient=True))
     refused = [(m.shot.line, m.shot.image, m.why) for m in results if m.why]
     refused += [(remark.row or 0, "", remark.why) for remark in table.refused]
     if len(refused) == len(results) + len(table.refused):

@@ -252,6 +252,48 @@ class Traces:
 
 
 @dataclass(frozen=True)
+class HeadNumber:
+    """One number of the measuring head.
+
+    Attributes:
+        name: ``camera.k1``, ``sonar_2.bias`` for instance.
+        unit: ``px``, ``m`` or ``1``.
+        declared: As head.yaml has it.
+        value: As identified.
+        std: 1-sigma; None if it was not identified.
+        status: ``identified``, ``fixed`` or ``redundant``.
+        redundant_with: Names of those that it cannot be told from.
+    """
+
+    name: str
+    unit: str
+    declared: float
+    value: float
+    std: float | None
+    status: str
+    redundant_with: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class MeasuringHead:
+    """What was found of the measuring head.
+
+    Attributes:
+        numbers: All of them.
+        coefficients: Those of its effects: change from what was declared.
+        misfit: RMS of what shots have beyond their poses, in sigmas: with the head as declared and as identified.
+        ranges: RMS of what each sonar reads beyond the poses, likewise, shape (2, S), [m].
+        fiducials: Columns of the cache of what was found in the images.
+    """
+
+    numbers: tuple[HeadNumber, ...]
+    coefficients: tuple[HeadNumber, ...]
+    misfit: tuple[float, float]
+    ranges: np.ndarray
+    fiducials: dict[str, np.ndarray]
+
+
+@dataclass(frozen=True)
 class Outcome:
     """The result of one campaign.
 
@@ -273,6 +315,7 @@ class Outcome:
         verification: Another day's data, if it was given.
         diagnosis: The search for undeclared effects.
         traces: On what the residual depends.
+        head: The measuring head, for ``kind: camera_sonar``.
     """
 
     campaign: Campaign
@@ -292,6 +335,7 @@ class Outcome:
     traces: Traces
     verification: Verification | None = None
     diagnosis: Diagnosis | None = None
+    head: MeasuringHead | None = None
 
     @property
     def effects(self) -> tuple[NamedEffect, ...]:

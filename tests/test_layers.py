@@ -21,7 +21,7 @@ LAYERS = [
     {"effects", "catalogue", "head"},
     {"model", "machine", "report1992", "residual"},
     {"start", "identifiable", "solver", "geometry", "inverse"},
-    {"outcome", "quality", "diagnosis", "search", "evidence", "explain", "whiteness", "traces"},
+    {"outcome", "arm", "instrument", "quality", "diagnosis", "search", "evidence", "explain", "whiteness", "traces"},
     {"export", "urdf_writer", "formats", "calibration"},
     {
         "report",
@@ -35,6 +35,8 @@ LAYERS = [
         "predict",
         "compensate",
         "measure",
+        "sighted",
+        "arm_and_head",
         "design",
         "simulate",
         "causes",

@@ -47,6 +47,13 @@ class Board:
             raise CampaignError("`marker` must be smaller than `square`, and the board larger than 1 x 1") from None
 
 
+def corner_places(board: Board) -> np.ndarray:
+    """Return the places of the board's inner corners in its frame, numbered as OpenCV does, shape (N, 3), [m]."""
+    # OpenCV puts the board's origin at its upper left corner, with y down.
+    middle = np.array([board.squares_x, board.squares_y, 0]) * board.square / 2
+    return (np.asarray(board.opencv().getChessboardCorners(), dtype=float) - middle) * [1, -1, 1]
+
+
 def find_charuco(image: np.ndarray, board: Board, index: int, intrinsics: np.ndarray) -> Fiducials:
     """Find a board's inner corners.
 
@@ -68,9 +75,7 @@ def find_charuco(image: np.ndarray, board: Board, index: int, intrinsics: np.nda
         seen = 0 if ids is None else len(ids)
         raise NotMeasured(f"only {seen} corners of the board are seen: {MIN_CORNERS} are needed")
     ids, pixels = ids.ravel(), corners.reshape(-1, 2).astype(float)
-    # OpenCV puts the board's origin at its upper left corner, with y down.
-    middle = np.array([board.squares_x, board.squares_y, 0]) * board.square / 2
-    points = (np.asarray(made.getChessboardCorners(), dtype=float)[ids] - middle) * [1, -1, 1]
+    points = corner_places(board)[ids]
     if not spans_plane(points):
         raise NotMeasured("the corners that are seen lie on one line")
     done, turn, shift = cv2.solvePnP(points, rays(pixels, intrinsics), np.eye(3), None, flags=cv2.SOLVEPNP_IPPE)
