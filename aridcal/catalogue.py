@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations, product
+from itertools import product
 
 import numpy as np
 
@@ -53,6 +53,10 @@ class Scene:
     def moving(self, kind: str = "") -> Iterator[Joint]:
         """Joints of a kind that moved."""
         return (j for j in self.robot.joints if kind in ("", j.kind) and self.moves(j))
+
+    def anything(self) -> list[str]:
+        """All readings and columns that vary."""
+        return [j.name for j in self.moving()] + list(self.measured)
 
     def varies(self, name: str) -> bool:
         """True if a load is there and changes."""
@@ -218,7 +222,7 @@ def _payload_compliance(s: Scene) -> Iterator[Effect]:
 
 def _unknown(s: Scene) -> Iterator[Effect]:
     """Any motion of any joint as a smooth function of any reading or column: what the other kinds do not name."""
-    covariates = [j.name for j in s.moving()] + list(s.measured)
+    covariates = s.anything()
     for j in s.robot.joints:
         for c in FRAME_COMPONENTS:
             own = abs(j.axis[FRAME_COMPONENTS.index(c) % 3]) > 0.99 and (c in ANGULAR) == (j.kind == "revolute")
@@ -231,21 +235,15 @@ def _unknown(s: Scene) -> Iterator[Effect]:
             yield Effect("unknown", where, bumps(where, c, name, s.table[name], UNKNOWN_KNOTS), smooth=True)
 
 
-def pairs(s: Scene) -> list[Effect]:
-    """The same for smooth functions of two covariates at once: a joint's own motion, and that of the target."""
-    covariates = [j.name for j in s.moving()] + list(s.measured)
-    places = [(j.name, "axis") for j in s.robot.joints] + [("tip_target", c) for c in FRAME_COMPONENTS[:3]]
-    found = []
-    for where, component in places:
-        for a, b in combinations(covariates, 2):
-            low = [float(s.table[n].min()) for n in (a, b)]
-            step = [float(np.ptp(s.table[n])) / (PAIR_KNOTS - 1) for n in (a, b)]
-            centres = product(*([low[k] + i * step[k] for i in range(-1, PAIR_KNOTS + 1)] for k in (0, 1)))
-            coefficients = tuple(
-                Coefficient(where, component, Basis("bump2", (a, b), (u, step[0], v, step[1]))) for u, v in centres
-            )
-            found.append(Effect("unknown", where, coefficients, smooth=True, grid=(PAIR_KNOTS + 2,) * 2))
-    return found
+def pair(s: Scene, where: str, component: str, of: tuple[str, str]) -> Effect:
+    """A motion as a smooth function of two covariates at once."""
+    low = [float(s.table[name].min()) for name in of]
+    step = [float(np.ptp(s.table[name])) / (PAIR_KNOTS - 1) for name in of]
+    centres = product(*([low[k] + i * step[k] for i in range(-1, PAIR_KNOTS + 1)] for k in (0, 1)))
+    coefficients = tuple(
+        Coefficient(where, component, Basis("bump2", of, (u, step[0], v, step[1]))) for u, v in centres
+    )
+    return Effect("unknown", where, coefficients, smooth=True, grid=(PAIR_KNOTS + 2,) * 2)
 
 
 KINDS: dict[str, Callable[[Scene], Iterator[Effect]]] = {

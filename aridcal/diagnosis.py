@@ -7,31 +7,22 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from aridcal.bench import Active, Bench, State, activate, solve_state
 from aridcal.campaign import Campaign
-from aridcal.catalogue import Barred, Scene, barred_joints, candidates, declared, pairs, usable_columns
+from aridcal.catalogue import Barred, Scene, barred_joints, candidates, declared, pair, usable_columns
 from aridcal.effects import Basis, Coefficient, Effect, Surroundings, covariate_table, evaluate
 from aridcal.evidence import Kernel
 from aridcal.identifiable import identifiable
 from aridcal.measurements import Measurements, blocks
 from aridcal.model import Model
 from aridcal.residual import Observations, linearise, triangle
-from aridcal.search import (
-    FOLDS,
-    Active,
-    Bench,
-    Found,
-    State,
-    activate,
-    admitted,
-    is_small,
-    rank,
-    search,
-    solve_state,
-    twins,
-)
+from aridcal.scan import pairs
+from aridcal.scoring import admitted
+from aridcal.search import Found, is_small, rank, search, twins
 from aridcal.solver import Data, Fit, Noise, Prior, fit
 from aridcal.source import Kind
 
+FOLDS = 5
 RUNS = 24  # stretches of time into which the rows are cut
 GAUGE = 0.02  # [m] and [rad]: constants are held at the geometric stage this loosely, where nothing else decides
 ROUNDS = 3
@@ -108,14 +99,13 @@ def diagnose(
     kinds = campaign.diagnosis.candidates if campaign.diagnosis.enabled else ()
     named = candidates(scene, tuple(k for k in kinds if k != "unknown"))
     unnamed = candidates(scene, ("unknown",)) if "unknown" in kinds else []
-    paired = pairs(scene) if unnamed else []
     stated = [declared(scene, d, str(campaign.path)) for d in campaign.effects]
     taken = {(e.kind, e.where, e.with_, e.by) for e in stated}
     named = [e for e in named if (e.kind, e.where, e.with_, e.by) not in taken]
     if named:
         progress(f"testing {len(named)} candidate effects")
     current = at = geometric
-    library = [*named, *unnamed, *paired, *stated]
+    library = [*named, *unnamed, *stated]
     bench = linear_bench(bound, current, (), library, scene)
     named = [e for e in named if bench.moves(e)]
     state = solve_state(bench, (), current.sigma, current.weight)
@@ -137,15 +127,29 @@ def diagnose(
         bench = linear_bench(bound, at, state.active, library, scene)
         state = solve_state(bench, state.active, state.solution.sigma, state.weight)
     if unnamed:
-        more = search(bench, unnamed, state, UNNAMED)
-        if len(more.state.active) > len(state.active):  # functions of one covariate help: perhaps it takes two at once
-            more = search(bench, paired, more.state, UNNAMED // 2)
-        state = more.state
-        found = replace(more, rejected=found.rejected + more.rejected[:1], tested=found.tested + more.tested)
+        found = _unnamed(bench, unnamed, found, scene)
+        if len(found.state.active) > len(state.active):  # what only imitated it is not missed any more
+            found = replace(search(bench, named, found.state, 0), rejected=found.rejected, tested=found.tested)
+        state = found.state
     if _shapes(state) != fitted:
         progress(f"fitting {len(state.active)} effects: {', '.join(a.effect.label for a in state.active[:4])}")
         current = refit(bound, state, current, noise)
     return Diagnosed(current, at, bench, scene, found, twins(bench, named, state), tuple(stated), tuple(barred))
+
+
+def _unnamed(bench: Bench, unnamed: Sequence[Effect], named: Found, scene: Scene) -> Found:
+    """Smooth functions of one covariate, and then of two, for what no kind of effect explains."""
+    more = search(bench, unnamed, named.state, UNNAMED)
+    rejected, tested = named.rejected + more.rejected[:1], named.tested + more.tested
+    for k in range(UNNAMED // 2):
+        before = more.state
+        places, looked = pairs(bench, before, scene.anything())
+        library = [pair(scene, *place) for place in places]
+        more = search(bench.prepare(library), library, before, 1, looked)
+        tested += looked if k == 0 else 0
+        if len(more.state.active) == len(before.active):
+            break
+    return Found(more.state, rejected, tested)
 
 
 def _shapes(state: State) -> list[tuple[Effect, float, Kernel]]:

@@ -247,7 +247,8 @@ def kernel_root(shape: tuple[int, ...], kernel: Kernel) -> np.ndarray:
         a = np.sqrt(7.0) * apart
         matern = (1.0 + a + 0.4 * a**2 + a**3 / 15.0) * np.exp(-a)
         values, vectors = np.linalg.eigh(matern if kernel.kinks else np.exp(-0.5 * apart**2))
-        root = np.kron(root, vectors * np.sqrt(np.maximum(values, SPREAD * values[-1])))
+        least = SPREAD ** (1 / len(shape)) * values[-1]
+        root = np.kron(root, vectors * np.sqrt(np.maximum(values, least)))
     return root
 
 

@@ -13,7 +13,7 @@ from aridcal.diagnosis import Bound, Diagnosed
 from aridcal.effects import ANGULAR, Effect, evaluate
 from aridcal.outcome import Curve, Diagnosis, NamedEffect, Rejected
 from aridcal.residual import predict_residuals
-from aridcal.search import Bench, State
+from aridcal.bench import Bench, State
 from aridcal.solver import Fit
 from aridcal.whiteness import LEAST, Clue
 

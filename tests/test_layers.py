@@ -21,7 +21,7 @@ LAYERS = [
     {"effects", "catalogue", "head"},
     {"model", "machine", "report1992", "residual"},
     {"start", "identifiable", "solver", "geometry", "inverse"},
-    {"outcome", "arm", "instrument", "quality", "diagnosis", "search", "evidence", "explain", "whiteness", "traces"},
+    {"outcome", "arm", "instrument", "quality", "diagnosis", "search", "scoring", "scan", "bench", "evidence", "explain", "whiteness", "traces"},
     {"export", "urdf_writer", "formats", "calibration"},
     {
         "report",
