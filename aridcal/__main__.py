@@ -17,6 +17,8 @@ COMMANDS = {
     "measure": "camera images and sonar ranges to measured poses",
     "view": "nominal and calibrated robot in the browser",
     "simulate": "make a campaign with a known truth",
+    "doctor": "check this installation",
+    "completion": "complete commands with Tab in your shell",
 }
 """Modules with a ``main``, and the job of each."""
 

@@ -264,7 +264,18 @@ def test_every_command_explains_itself(command, capsys):
     with pytest.raises(SystemExit) as stop:
         aridcal_main([command, "--help"])
     assert stop.value.code == 0
-    assert f"aridcal {command}" in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert out.startswith(f"usage: aridcal {command}")
+    example = out.partition("\nexample:\n")[2].splitlines()
+    assert example
+    assert all(line.startswith(f"    aridcal {command}") for line in example if line)
+
+
+def test_a_slip_in_the_arguments_is_answered_with_where_to_look(capsys):
+    with pytest.raises(SystemExit) as stop:
+        aridcal_main(["identify"])
+    assert stop.value.code == 2
+    assert "`aridcal identify --help` has an example" in capsys.readouterr().err
 
 
 def test_arguments_and_exit_status_pass_through(monkeypatch):

@@ -1,0 +1,50 @@
+"""Print what makes a shell complete commands, options and file names after Tab.
+
+bash reads it from the folder below; zsh from a file `_aridcal` in a folder of $fpath; tcsh sources it.
+
+Example:
+    aridcal completion bash > ~/.local/share/bash-completion/completions/aridcal
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import shtab
+
+from aridcal.__main__ import COMMANDS
+from aridcal.commands import CommandParser, command_parser, run
+
+
+def whole_parser() -> argparse.ArgumentParser:
+    """All commands with all their arguments as one parser; where a path is meant, file names complete it."""
+    whole = argparse.ArgumentParser(prog="aridcal")
+    commands = whole.add_subparsers()
+    for command, job in COMMANDS.items():
+        own = importlib.import_module(f"aridcal.{command}").parser()
+        for action in own._actions:
+            if action.type is Path:
+                action.complete = shtab.FILE
+        commands.add_parser(command, parents=[own], add_help=False, help=job)
+    return whole
+
+
+def parser() -> CommandParser:
+    """The command's arguments."""
+    arguments = command_parser("completion", __doc__)
+    arguments.add_argument("shell", choices=shtab.SUPPORTED_SHELLS, help="which shell")
+    return arguments
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command; returns its exit status."""
+    arguments = parser().parse_args(argv)
+    return run(lambda: print(shtab.complete(whole_parser(), arguments.shell)))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,217 @@
+"""Check an installation: libraries, a small robot calibrated from end to end, places to write, and what is optional.
+
+One line for each check, with the remedy where it fails. Exit status 0 if all is well, 2 if something needed is not.
+
+Example:
+    aridcal doctor
+"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.metadata
+import importlib.util
+import re
+import shutil
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from rich.console import Console
+
+from aridcal import __version__
+from aridcal.commands import CommandParser, check_writable, command_parser, run
+from aridcal.errors import AridcalError
+
+IMPORTED_AS = {
+    "opencv-python-headless": "cv2",
+    "pin": "pinocchio",
+    "pycollada": "collada",
+    "pyyaml": "yaml",
+}
+"""Distributions whose modules have another name."""
+
+GOOD_ENOUGH = 2.0  # times the noise that a sound calibration may leave
+
+ARM = """\
+<robot name="check">
+  <link name="base"/><link name="a"/><link name="b"/><link name="c"/>
+  <joint name="turn" type="revolute"><parent link="base"/><child link="a"/><origin xyz="0 0 0.5"/><axis xyz="0 0 1"/>
+    <limit lower="-3" upper="3" effort="1" velocity="1"/></joint>
+  <joint name="lift" type="revolute"><parent link="a"/><child link="b"/><origin xyz="0.2 0 0"/><axis xyz="0 1 0"/>
+    <limit lower="-2" upper="2" effort="1" velocity="1"/></joint>
+  <joint name="roll" type="revolute"><parent link="b"/><child link="c"/><origin xyz="0.8 0 0"/><axis xyz="1 0 0"/>
+    <limit lower="-3" upper="3" effort="1" velocity="1"/></joint>
+</robot>
+"""
+SCENARIO = """\
+format: 1
+robot: {urdf: arm.urdf, tip: c}
+measurements: {noise: {position: 1.0e-4, rotation: 1.0e-4}}
+diagnosis: {enabled: false}
+truth:
+  n: 40
+  noise: {position: 1.0e-4, rotation: 1.0e-4}
+  frames: {world_base: {xyz: [2, 1, 0], rpy: [0.1, 0.2, 3]}, tip_target: {xyz: [0.1, 0.05, 0], rpy: [1, 0, 0]}}
+  parameters: {lift.x: 0.003, lift.roll: 0.002, roll.y: -0.002, roll.yaw: 0.004}
+"""
+
+
+@dataclass(frozen=True)
+class Check:
+    """One thing that was looked at.
+
+    Attributes:
+        what: In a few words.
+        found: What was found.
+        remedy: What to do about it; empty: nothing needs doing.
+        optional: True if aridcal does its work without.
+    """
+
+    what: str
+    found: str
+    remedy: str = ""
+    optional: bool = False
+
+
+def checks(here: Path) -> Iterator[Check]:
+    """Look at everything, the least first.
+
+    Args:
+        here: Folder in which results are to be written.
+    """
+    yield _python()
+    yield from _libraries()
+    yield _pinocchio()
+    yield _attempt("round trip", _round_trip)
+    for folder, remedy in ((here, "work in a folder of your own"), (Path(tempfile.gettempdir()), "set TMPDIR")):
+        yield _writable(folder, remedy)
+    browser = shutil.which("chromium") or shutil.which("google-chrome") or shutil.which("firefox")
+    need = "only for looking at pages on this machine; reports and scenes open in any browser"
+    yield Check("browser", browser or "none", "" if browser else need, optional=True)
+
+
+def _python() -> Check:
+    found = f"{sys.version.split()[0]}, {sys.executable}"
+    old = sys.version_info < (3, 11)
+    return Check("python", found, "install Python 3.11 or newer and make a new environment with it" if old else "")
+
+
+def _libraries() -> Iterator[Check]:
+    """Every library that aridcal requires: there, new enough, and importable."""
+    for requirement in importlib.metadata.requires("aridcal") or ():
+        match = re.match(r"([\w.-]+)\s*(?:>=\s*([\d.]+))?", requirement)
+        if "extra ==" in requirement or match is None:
+            continue
+        name, least = match.groups()
+        again = f"pip install --upgrade '{requirement}'"
+        try:
+            version = importlib.metadata.version(name)
+            importlib.import_module(IMPORTED_AS.get(name.lower(), name))
+        except importlib.metadata.PackageNotFoundError:
+            yield Check(name, "is not installed", again)
+        except Exception as error:
+            yield Check(name, f"cannot be imported: {type(error).__name__}: {error}", f"{again} --force-reinstall")
+        else:
+            old = least is not None and _release(version) < _release(least)
+            yield Check(name, version, again if old else "")
+
+
+def _release(version: str) -> tuple[int, ...]:
+    return tuple(int(part) for part in re.findall(r"\d+", version.partition("+")[0])[:3])
+
+
+def _pinocchio() -> Check:
+    """Another Pinocchio, of ROS for instance, may come first on the path."""
+    spec = importlib.util.find_spec("pinocchio")
+    where = Path(spec.origin or "").resolve() if spec else Path()
+    if where.is_relative_to(Path(sys.prefix).resolve()):
+        return Check("pinocchio's place", "in this environment")
+    said = f"comes from {where}, not from this environment"
+    return Check("pinocchio's place", said, "unset PYTHONPATH (ROS sets it), then try again", optional=True)
+
+
+def _attempt(what: str, look: Callable[[], Check]) -> Check:
+    try:
+        return look()
+    except Exception as error:
+        remedy = "mend what is wrong above; if all else is well, report this line"
+        return Check(what, f"failed: {type(error).__name__}: {error}", remedy)
+
+
+def _round_trip() -> Check:
+    """Simulate a small wrong robot, calibrate it, write all results, and see whether it came out right."""
+    from aridcal.calibration import Calibration
+    from aridcal.export import write_results
+    from aridcal.identify import identify, scene
+    from aridcal.outcome import errors
+    from aridcal.report import write_report
+    from aridcal.scene import write_scene
+    from aridcal.settings import load_settings
+    from aridcal.simulate import Scenario, simulate, write_campaign
+
+    started = time.perf_counter()
+    with tempfile.TemporaryDirectory() as folder:
+        home = Path(folder)
+        (home / "arm.urdf").write_text(ARM)
+        (home / "scenario.yaml").write_text(SCENARIO)
+        write_campaign(simulate(load_settings(home / "scenario.yaml", Scenario)), home, home)
+        outcome = identify(home / "campaign.yaml")
+        write_results(outcome, home)
+        write_report(outcome, home / "report.html")
+        write_scene(scene(outcome), home / "scene.html")
+        Calibration.load(home / "calibration.yaml")
+    test = outcome.parts()["test"]
+    before, after = (errors(s.residual, test)["position_mm"]["rms"] for s in (outcome.stages[0], outcome.stages[-1]))
+    said = f"{before:.2f} mm before, {after:.2f} mm calibrated (noise 0.17), {time.perf_counter() - started:.1f} s"
+    wrong = after > GOOD_ENOUGH * 0.1 * 3**0.5
+    return Check("round trip", said, "this is a bug: report it with these lines" if wrong else "")
+
+
+def _writable(folder: Path, remedy: str) -> Check:
+    try:
+        check_writable(folder / "results", "folder")
+    except AridcalError as error:
+        return Check("writing", str(error), remedy)
+    room = shutil.disk_usage(folder).free / 1e6
+    return Check("writing", f"{folder}, {room:.0f} MB free", "make room" if room < 50 else "")
+
+
+def parser() -> CommandParser:
+    """The command's arguments."""
+    return command_parser("doctor", __doc__)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command; returns its exit status."""
+    parser().parse_args(argv)
+    return run(_main)
+
+
+def _main() -> None:
+    console = Console()
+    bad = 0
+    console.print(f"aridcal {__version__}, {Path(__file__).parent}", highlight=False, markup=False, soft_wrap=True)
+    for check in checks(Path.cwd()):
+        failed = bool(check.remedy) and not check.optional
+        bad += failed
+        mark = (
+            "[bold red]FAIL[/bold red]"
+            if failed
+            else "[yellow]note[/yellow]"
+            if check.remedy
+            else "[green]ok[/green]  "
+        )
+        console.print(mark, end="  ")
+        said = f"{check.what}: {check.found}" + (f". Remedy: {check.remedy}" if check.remedy else "")
+        console.print(said, highlight=False, markup=False, soft_wrap=True)
+    if bad:
+        raise AridcalError(f"{bad} of these checks failed")
+    console.print("all is well. next: aridcal init --urdf robot.urdf --measurements table.csv", highlight=False)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
