@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, field_validator, model_validator
 
-from aridcal.errors import nearest
+from aridcal.errors import CampaignError, nearest
 from aridcal.settings import RelativePath, Section, Settings, Vector3, load_settings
 
 HEAD_KINDS = ("lens_distortion", "focal_length", "principal_point", "sonar_bias", "sonar_scale")
@@ -270,4 +270,10 @@ def load_campaign(path: str | Path) -> Campaign:
     Raises:
         CampaignError: naming the file, the line, the key and the nearest known one.
     """
+    path = Path(path)
+    if not path.is_file() or path.suffix.lower() in (".csv", ".parquet", ".urdf"):
+        what = "is a folder" if path.is_dir() else "is no campaign" if path.exists() else "there is no such file"
+        raise CampaignError(
+            f"{path}: {what}. `aridcal init --urdf ROBOT.urdf --measurements TABLE.csv` writes a campaign"
+        )
     return load_settings(path, Campaign)

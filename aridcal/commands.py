@@ -51,6 +51,7 @@ def run(body: Callable[[], None]) -> int:
     except Exception:
         console.print_exception()
         console.print("this is a bug in aridcal: please report it with the lines above", style="bold red")
+        console.print("`aridcal doctor` tells whether the installation is at fault")
         return BUG
     return DONE
 

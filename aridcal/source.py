@@ -97,7 +97,8 @@ class Source:
 
     def joints(self, kinds: Sequence[Kind]) -> np.ndarray:
         """All readings, shape (N, columns), [rad] or [m]."""
-        self.table.require(self.joint_columns, "Name the joints' columns as in the URDF, or under measurements.columns")
+        advice = "Name them as in the URDF, or under measurements.columns; `aridcal init` tells which are which"
+        self.table.require(self.joint_columns, advice)
         return self._needed(self.joint_columns, self._scales(kinds))
 
     def seeds(self, kinds: Sequence[Kind]) -> np.ndarray:

@@ -257,3 +257,20 @@ def test_a_bad_urdf_is_an_error_of_the_robot(tmp_path):
     (tmp_path / "m.csv").write_text("a,b\n1,2\n")
     with pytest.raises(AridcalError, match=r"r\.urdf"):
         draft(tmp_path / "r.urdf", [tmp_path / "m.csv"], tmp_path / "c.yaml", never)
+
+
+@pytest.mark.parametrize("name", ["m.csv", "nowhere.yaml", "."])
+def test_what_is_no_campaign_is_answered_with_the_command_that_writes_one(name, tmp_path):
+    (tmp_path / "m.csv").write_text("a,b\n1,2\n")
+    with pytest.raises(AridcalError, match=r"`aridcal init --urdf"):
+        load_campaign(tmp_path / name)
+
+
+def test_a_table_without_the_joints_columns_is_answered_with_init(tmp_path):
+    robot, q, p, _ = ur10_rows()
+    pd.DataFrame(named("q1 q2 q3 q4 q5 q6", q) | named("x y z", p)).to_csv(tmp_path / "m.csv", index=False)
+    (tmp_path / "c.yaml").write_text(
+        f"format: 1\nrobot: {{urdf: {UR10}, tip: tool0}}\nmeasurements: {{file: m.csv, kind: position}}\n"
+    )
+    with pytest.raises(AridcalError, match="`aridcal init` tells which are which"):
+        read_back(tmp_path / "c.yaml", robot)
