@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 
-from aridcal.campaign import HEAD_KINDS, EffectDeclaration
+from aridcal.campaign import EffectDeclaration
 from aridcal.catalogue import Scene, declared
 from aridcal.effects import FRAME_COMPONENTS, Basis, Coefficient, Effect, Surroundings, covariate_table
 from aridcal.errors import CampaignError, nearest
@@ -68,8 +68,6 @@ class TrueEffect(EffectDeclaration):
 
     @model_validator(mode="after")
     def _can_be_simulated(self) -> TrueEffect:
-        if self.kind in HEAD_KINDS:
-            raise ValueError(f"{self.kind} is an effect of the measuring head, which is not simulated here")
         if self.form is not None:
             if self.form not in FUNCTIONS:
                 raise ValueError(f"form: no function {self.form!r}{nearest(self.form, FUNCTIONS)}")
@@ -201,7 +199,7 @@ def make_causes(
             column = f"{e.form}({','.join(names)})"
             known[column], ranges = _function(e, names, table, place)
             effect = _functional(e, column, robot, place)
-        causes.append(Cause(effect, _values(e, effect, rng, place), ranges))
+        causes.append(Cause(effect, values(e, effect, rng, place), ranges))
     return causes, known
 
 
@@ -236,7 +234,12 @@ def _functional(e: TrueEffect, column: str, robot: Robot, place: str) -> Effect:
     return Effect(e.kind, e.where, tuple(Coefficient(e.where, c, basis) for c in motion))
 
 
-def _values(e: TrueEffect, effect: Effect, rng: np.random.Generator, place: str) -> np.ndarray:
+def values(e: TrueEffect, effect: Effect, rng: np.random.Generator, place: str) -> np.ndarray:
+    """True coefficients of an effect, given or drawn, shape (K,).
+
+    Raises:
+        CampaignError: it has another number of coefficients.
+    """
     wanted, count = e.coefficients, len(effect.coefficients)
     if len(wanted) == 1 and wanted[0].std > 0.0:
         drawn = rng.standard_normal(count)

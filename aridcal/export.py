@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -80,7 +81,7 @@ def result_document(outcome: Outcome) -> dict[str, Any]:
         "frames": frames(outcome.stage("final")),
         "parameters": parameters(outcome.stage("geometric").fit),
         "effects": [_effect(e, outcome) for e in outcome.effects],
-        **({"head": _head(outcome.head)} if outcome.head is not None else {}),
+        **({"head": _head(outcome.head, frames(outcome.stage("final")))} if outcome.head is not None else {}),
         "verdict": outcome.verdict,
         "unexplained_fraction": outcome.unexplained_fraction,
         "seconds": round(outcome.seconds, 3),
@@ -135,9 +136,10 @@ def parameters(fit: Fit) -> list[dict[str, Any]]:
     return found
 
 
-def _head(head: MeasuringHead) -> dict[str, Any]:
-    """The measuring head: its numbers, and how far image points and ranges of single shots fit together."""
+def _head(head: MeasuringHead, found: Mapping[str, Any]) -> dict[str, Any]:
+    """The measuring head: mounting, numbers, and how far image points and ranges of single shots fit together."""
     return {
+        "tip_camera": found["tip_target"],
         "numbers": [
             {
                 "name": n.name, "unit": n.unit, "declared": n.declared, "value": n.value, "std": n.std,

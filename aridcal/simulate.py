@@ -13,7 +13,7 @@ import math
 import os
 import sys
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -25,15 +25,21 @@ from pydantic import BeforeValidator, Field
 from rich.console import Console
 from scipy.spatial.transform import Rotation
 
-from aridcal.campaign import EFFECT_KINDS, Job
-from aridcal.causes import Cause, Parameter, TrueEffect, columns_needed, draw_columns, given, make_causes
+from aridcal.campaign import EFFECT_KINDS, HEAD_KINDS, Job
+from aridcal.causes import Cause, Parameter, TrueEffect, columns_needed, draw_columns, given, make_causes, values
 from aridcal.commands import CommandParser, atomic_folder, check_writable, command_parser, run
 from aridcal.doty import doty_links
 from aridcal.effects import FRAME_COMPONENTS, Coefficient, Surroundings
 from aridcal.errors import CampaignError, OutputError, nearest
+from aridcal.head.photograph import Optics
+from aridcal.head.reduction import Head
+from aridcal.head.settings import HeadSettings
+from aridcal.head.shots import load_squares, range_columns
+from aridcal.instrument import directions, stated
 from aridcal.model import Model
 from aridcal.robot import Robot, load_robot
 from aridcal.settings import Section, Vector3, load_settings
+from aridcal.shooting import draw_views, photographs
 
 
 class TrueFrame(Section):
@@ -48,6 +54,8 @@ class TrueFrames(Section):
 
     world_base: TrueFrame | None = None
     tip_target: TrueFrame | None = None
+    tip_camera: TrueFrame | None = None
+    """In place of ``tip_target`` for `kind: camera_sonar`; what is absent is as head.yaml has it."""
 
 
 class TrueNoise(Section):
@@ -99,6 +107,7 @@ class Simulation:
         frames: True T_world_base and T_tip_target.
         causes: True effects, drawn or given.
         outliers: Which rows are grossly wrong, shape (N,) bool.
+        images: For `kind: camera_sonar`: JPEG files by their names.
     """
 
     scenario: Scenario
@@ -108,6 +117,7 @@ class Simulation:
     frames: dict[str, pin.SE3]
     causes: tuple[Cause, ...]
     outliers: np.ndarray
+    images: Mapping[str, bytes] = field(default_factory=dict)
 
 
 def simulate(scenario: Scenario) -> Simulation:
@@ -127,17 +137,36 @@ def simulate(scenario: Scenario) -> Simulation:
     )
     coefficients = named_constants(robot, truth.parameters, scenario.path)
     theta = np.array([p.value + p.std * constants.standard_normal() for p in truth.parameters.values()])
-    frames = true_frames(scenario)
-    readings = draw_readings(robot, truth.n, configurations)
+    head = load_settings(scenario.measurements.head, HeadSettings) if scenario.measurements.head else None
+    frames = true_frames(scenario, head)
+    if head is None:
+        readings = draw_readings(robot, truth.n, configurations)
+    else:
+        optics = Optics(head.camera.width, head.camera.height, load_squares(head.squares))
+        nominal = Model(robot, (), ((None, frames["world_base"]),), ((None, frames["tip_target"]),))
+        place = str(scenario.path)
+        readings, square = draw_views(nominal, optics, head.camera.intrinsics, truth.n, configurations, place)
 
     around = surroundings(scenario, frames)
-    names = dict.fromkeys((*truth.covariates, *columns_needed(truth.effects, robot)))
+    of_arm = [e for e in truth.effects if e.kind not in HEAD_KINDS]
+    names = dict.fromkeys((*truth.covariates, *columns_needed(of_arm, robot)))
     columns = draw_columns(tuple(names), robot, readings, truth.seed)
-    causes, depends = make_causes(truth.effects, robot, readings, columns, around, chance, f"{scenario.path}: truth")
+    causes, depends = make_causes(of_arm, robot, readings, columns, around, chance, f"{scenario.path}: truth")
     coefficients += tuple(c for cause in causes for c in cause.effect.coefficients)
-    values = np.concatenate([theta, *(cause.values for cause in causes)])
+    true = np.concatenate([theta, *(cause.values for cause in causes)])
     model = Model(robot, coefficients, ((None, frames["world_base"]),), ((None, frames["tip_target"]),), around)
-    R, p = model.poses(values, model.rows(readings, depends))
+    R, p = model.poses(true, model.rows(readings, depends))
+    parameters = dict(zip(truth.parameters, theta.tolist(), strict=True))
+    if head is not None:
+        T = np.broadcast_to(np.eye(4), (truth.n, 4, 4)).copy()
+        T[:, :3, :3], T[:, :3, 3] = R, p
+        real, of_head = true_head(scenario, head, chance)
+        taken, h = photographs(T, square, optics, real, noise)
+        images = {f"images/{k + 1:03d}.jpg": image for k, image in enumerate(taken)}
+        table = pd.DataFrame(dict(zip(robot.readings, readings.T, strict=True)) | columns)
+        table = table.assign(image=list(images), square=square, **dict(zip(range_columns(head), h.T, strict=True)))
+        nothing = np.zeros(truth.n, dtype=bool)
+        return Simulation(scenario, robot, table, parameters, frames, (*causes, *of_head), nothing, images)
     wrong = np.zeros(truth.n, dtype=bool)
     error = noise.standard_normal((truth.n, 6))
     if truth.outliers is not None:
@@ -151,7 +180,7 @@ def simulate(scenario: Scenario) -> Simulation:
         scenario=scenario,
         robot=robot,
         measurements=_table(scenario, robot, readings, columns, position, rotation),
-        parameters=dict(zip(truth.parameters, theta.tolist(), strict=True)),
+        parameters=parameters,
         frames=frames,
         causes=tuple(causes),
         outliers=wrong,
@@ -180,13 +209,24 @@ def named_constants(robot: Robot, names: Iterable[str], path: Path) -> tuple[Coe
     return tuple(by_name[name] for name in names)
 
 
-def true_frames(scenario: Scenario) -> dict[str, pin.SE3]:
-    """T_world_base and T_tip_target of the simulated machine."""
-    frames = {}
-    for where in ("world_base", "tip_target"):
-        frame = getattr(scenario.truth.frames, where) or getattr(scenario.frames, where)
-        frames[where] = pin.SE3(pin.rpy.rpyToMatrix(*frame.rpy), np.array(frame.xyz))
-    return frames
+def true_frames(scenario: Scenario, head: HeadSettings | None = None) -> dict[str, pin.SE3]:
+    """T_world_base and T_tip_target of the simulated machine; with a measuring head, its camera is the target."""
+    truth, given = scenario.truth.frames, scenario.frames
+    base = truth.world_base or given.world_base
+    target = truth.tip_target or given.tip_target if head is None else truth.tip_camera or head.tip_camera
+    pairs = (("world_base", base), ("tip_target", target))
+    return {name: pin.SE3(pin.rpy.rpyToMatrix(*frame.rpy), np.array(frame.xyz)) for name, frame in pairs}
+
+
+def true_head(scenario: Scenario, settings: HeadSettings, rng: np.random.Generator) -> tuple[Head, list[Cause]]:
+    """The measuring head as it really is, and its effects."""
+    head, place = Head.of(settings), f"{scenario.path}: truth"
+    phi, causes = head.phi, []
+    wanted = [e for e in scenario.truth.effects if e.kind in HEAD_KINDS]
+    for e, effect in zip(wanted, stated(head, wanted, place), strict=True):
+        causes.append(Cause(effect, values(e, effect, rng, place), {}))
+        phi = phi + directions(head, effect.coefficients) @ causes[-1].values
+    return replace(head, phi=phi), causes
 
 
 def surroundings(scenario: Scenario, frames: Mapping[str, pin.SE3]) -> Surroundings:
@@ -221,15 +261,35 @@ def write_campaign(simulation: Simulation, folder: Path, home: Path) -> None:
         keys["robot"]["urdf"] = robot.path.name
         (folder / robot.path.name).write_bytes(robot.urdf)
     keys.setdefault("measurements", {}).pop("file", None)
-    keys["measurements"] = {"file": "measurements.csv"} | keys["measurements"]
+    if scenario.measurements.head is None:
+        keys["measurements"] = {"file": "measurements.csv"} | keys["measurements"]
+        simulation.measurements.to_csv(folder / "measurements.csv", index=False)
+    else:
+        keys["measurements"]["head"] = _write_shots(simulation, scenario.measurements.head, folder, home)
     if keys.get("diagnosis", {}).get("candidates") == list(EFFECT_KINDS):
         keys["diagnosis"]["candidates"] = "all"
     text = yaml.safe_dump(keys, sort_keys=False, allow_unicode=True, default_flow_style=None, width=120)
     made = f"# Made by `aridcal simulate {scenario.path.name}`; the truth is in truth.json.\n"
     (folder / "campaign.yaml").write_text(made + text, encoding="utf-8")
-    simulation.measurements.to_csv(folder / "measurements.csv", index=False)
     truth = json.dumps(truth_document(simulation), indent=2, allow_nan=False)
     (folder / "truth.json").write_text(truth + "\n", encoding="utf-8")
+
+
+def _write_shots(simulation: Simulation, path: Path, folder: Path, home: Path) -> str:
+    """Write shots and images, and the head's own files unless they are there; returns the name of ``head.yaml``."""
+    settings = load_settings(path, HeadSettings)
+    if path.parent.resolve() != home.resolve():
+        keys = settings.model_dump(mode="json", exclude_unset=True, exclude={"robot", "world_base"})
+        keys |= {"squares": "squares.csv", "shots": "shots.csv"}
+        (folder / path.name).write_text(yaml.safe_dump(keys, sort_keys=False, default_flow_style=None, width=120))
+        (folder / "squares.csv").write_bytes(settings.squares.read_bytes())
+        simulation.measurements.to_csv(folder / "shots.csv", index=False)
+    else:
+        simulation.measurements.to_csv(folder / settings.shots.name, index=False)
+    (folder / "images").mkdir()
+    for name, image in simulation.images.items():
+        (folder / name).write_bytes(image)
+    return path.name
 
 
 def truth_document(simulation: Simulation) -> dict[str, Any]:
@@ -241,7 +301,10 @@ def truth_document(simulation: Simulation) -> dict[str, Any]:
         "seed": truth.seed,
         "parameters": simulation.parameters,
         "frames": {
-            where: {"xyz": frame.translation.tolist(), "rpy": pin.rpy.matrixToRpy(frame.rotation).tolist()}
+            "tip_camera" if simulation.images and where == "tip_target" else where: {
+                "xyz": frame.translation.tolist(),
+                "rpy": pin.rpy.matrixToRpy(frame.rotation).tolist(),
+            }
             for where, frame in simulation.frames.items()
         },
         "effects": [cause.document() for cause in simulation.causes],
@@ -255,9 +318,20 @@ def truth_document(simulation: Simulation) -> dict[str, Any]:
 
 def _check(scenario: Scenario) -> None:
     """Refuse what a campaign may ask for but a simulation cannot give."""
-    measurements = scenario.measurements
+    measurements, truth = scenario.measurements, scenario.truth
     refused = {
-        "measurements.kind": (measurements.kind == "camera_sonar", "images are not simulated here"),
+        "measurements.head": (
+            measurements.kind == "camera_sonar" and measurements.head is None,
+            "`kind: camera_sonar` needs it: `head: head.yaml`",
+        ),
+        "truth.noise": (
+            measurements.head is not None and (truth.noise != TrueNoise() or truth.outliers is not None),
+            "with `kind: camera_sonar` the noise is that of images and sonars; delete this key and `outliers`",
+        ),
+        "truth.effects": (
+            measurements.head is None and any(e.kind in HEAD_KINDS for e in truth.effects),
+            f"{', '.join(HEAD_KINDS)} need `kind: camera_sonar`",
+        ),
         "measurements.units": ("units" in measurements.model_fields_set, "the table is written in SI; delete this key"),
         "measurements.orientation": (
             "orientation" in measurements.model_fields_set,
@@ -271,7 +345,6 @@ def _check(scenario: Scenario) -> None:
     for key, (asked, why) in refused.items():
         if asked:
             raise CampaignError(f"{scenario.path}: {key}: {why}")
-    truth = scenario.truth
     if truth.outliers is not None and truth.noise == TrueNoise():
         raise CampaignError(
             f"{scenario.path}: truth.outliers.size is in sigmas: `truth.noise` must say how much that is"

@@ -36,6 +36,7 @@ LAYERS = [
         "compensate",
         "measure",
         "sighted",
+        "shooting",
         "arm_and_head",
         "design",
         "simulate",

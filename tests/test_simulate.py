@@ -428,7 +428,7 @@ def test_the_shipped_campaign_is_what_its_scenario_makes(tmp_path, name):
         ({"outliers": {"share": 1.1, "size": 5}}, {}, r"truth\.outliers\.share"),
         ({}, {"measurements": {"units": {"length": "mm"}}}, r"measurements\.units"),
         ({}, {"measurements": {"orientation": {"rotvec": ["a", "b", "c"]}}}, r"measurements\.orientation"),
-        ({}, {"measurements": {"kind": "camera_sonar"}}, r"measurements\.kind"),
+        ({}, {"measurements": {"kind": "camera_sonar"}}, r"measurements\.head"),
         ({}, {"frames": {"world_base": {"per": "station"}}}, r"per: station"),
     ],
 )
