@@ -186,7 +186,8 @@ class Trace:
         smooth_after: The one of the final model, shape (G,).
         size_before: RMS of the means beyond their noise, without effects, [m] or [rad].
         size_after: The same with the final model.
-        p_value: That slices of noise would differ from zero as much as those of the final model do.
+        p_before: That slices of noise would differ from zero as much as those without effects do.
+        p_value: The same for those of the final model.
     """
 
     motion: str
@@ -204,6 +205,7 @@ class Trace:
     smooth_after: np.ndarray
     size_before: float
     size_after: float
+    p_before: float
     p_value: float
 
 

@@ -6,6 +6,7 @@ import functools
 import io
 import re
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from html import escape
 from typing import TYPE_CHECKING, Any, ParamSpec
 
@@ -26,13 +27,10 @@ LEVELS = ("#c9d3dc", "#8cc3e8", "#3f93c9", "#a3326b", "#3b1f5b")
 SQUARES = 36
 """Along the longer side of a field."""
 
-FEW = 5
-"""Rows of a slice; fewer have no RMS worth drawing."""
-
-POINTS = 800
+POINTS = 500
 """At most so many points are drawn in one cloud."""
 
-WIDTH, HEIGHT = 4.3, 2.7
+WIDTH, WIDE, HEIGHT = 4.3, 8.8, 2.7
 """Of a figure, in inches: it is legible on a phone, and three stand side by side on a desk."""
 
 STYLE: dict[Any, Any] = {
@@ -126,23 +124,91 @@ def coverage(key: str, alt: str, names: Sequence[str], shares: Sequence[np.ndarr
     return figure
 
 
+@dataclass(frozen=True)
+class Trend:
+    """What a cloud of points follows: means of slices with their noise, and a smooth curve; shapes (B,) and (G,)."""
+
+    centre: np.ndarray
+    mean: np.ndarray
+    std: np.ndarray
+    at: np.ndarray
+    smooth: np.ndarray
+
+
 @_figure
-def clouds(key: str, alt: str, x: np.ndarray, values: Mapping[str, np.ndarray], labels: tuple[str, str]) -> Figure:
-    """Two clouds of points about zero.
+def panels(
+    key: str,
+    alt: str,
+    x: np.ndarray,
+    values: Mapping[str, np.ndarray],
+    labels: tuple[str, str],
+    trends: Mapping[str, Trend] | None = None,
+) -> Figure:
+    """Clouds of points about zero side by side, on one scale; the last is the present one.
 
     Args:
         key: Of the figure, unique in the page.
         alt: What the figure shows, for those who cannot see it.
         x: Shape (N,).
-        values: Two arrays by name, shape (N,) each.
+        values: One or two arrays by name, shape (N,) each; the wildest points are cut off where there are trends.
         labels: Of the two axes, with their units.
+        trends: Of each cloud, by the same names.
     """
     figure, axes = _axes()
-    for (name, v), color in zip(values.items(), (BEFORE, AFTER), strict=True):
-        _dots(axes, x, v, color, label=name)
-    top = max(float(np.abs(v).max()) for v in values.values())
-    axes.set(xlabel=labels[0], ylabel=labels[1], ylim=(-1.08 * top or -1, 1.08 * top or 1))
+    low, _, right, _ = axes.get_position().extents
+    gap = 0.035
+    wide = (right - low - gap * (len(values) - 1)) / len(values)
+    top = max(_reach(v, trends[name] if trends else None) for name, v in values.items()) or 1.0
+    for k, (name, v) in enumerate(values.items()):
+        _, bottom, _, height = axes.get_position().bounds
+        panel = figure.add_axes((low + k * (wide + gap), bottom, wide, height), facecolor="none")
+        color = AFTER if k == len(values) - 1 else BEFORE
+        _dots(panel, x, v, GREY if trends else color, alpha=0.35 if trends else 0.6)
+        panel.axhline(0.0, color=GREY, linewidth=0.8)
+        if trends:
+            t = trends[name]
+            panel.vlines(t.centre, t.mean - 2 * t.std, t.mean + 2 * t.std, color=color, linewidth=1.0)
+            _dots(panel, t.centre, t.mean, color, size=4.0, alpha=1.0)
+            panel.plot(t.at, t.smooth, color=color, linewidth=1.8)
+        panel.set(ylim=(-1.05 * top, 1.05 * top))
+        panel.locator_params(axis="x", nbins=4 if len(values) > 1 else 6)
+        panel.locator_params(axis="y", nbins=6)
+        panel.set_title(name, loc="left", fontsize=9, color=color, pad=4)
+        if k:
+            panel.tick_params(labelleft=False)
+        else:
+            panel.set_ylabel(labels[1])
+    figure.text((low + right) / 2, 0.03, labels[0], ha="center")
+    axes.remove()
+    return figure
+
+
+def _reach(values: np.ndarray, trend: Trend | None) -> float:
+    """How far from zero a panel shows."""
+    if trend is None:
+        return float(np.abs(values).max())
+    return max(float(np.percentile(np.abs(values), 98)), float((np.abs(trend.mean) + 2 * trend.std).max()))
+
+
+@_figure
+def correlogram(key: str, alt: str, lags: np.ndarray, correlation: np.ndarray, bound: float, label: str) -> Figure:
+    """Correlation of residuals some rows apart, and what 95 % of it stays within if all is noise.
+
+    Args:
+        key: Of the figure, unique in the page.
+        alt: What the figure shows, for those who cannot see it.
+        lags: Rows apart, shape (L,).
+        correlation: Shape (L,).
+        bound: Half width of the band.
+        label: Of the horizontal axis.
+    """
+    figure, axes = _axes(WIDE)
+    axes.axhspan(-bound, bound, color=GREY, alpha=0.18, linewidth=0, label="95 % of noise")
+    axes.vlines(lags, 0.0, correlation, color=AFTER, linewidth=2.0)
+    _dots(axes, lags.astype(float), correlation, AFTER, label="residuals", size=4.5, alpha=1.0)
     axes.axhline(0.0, color=GREY, linewidth=0.8)
+    top = 1.15 * max(float(np.abs(correlation).max()), 2.0 * bound)
+    axes.set(xlabel=label, ylabel="correlation [1]", ylim=(-top, top))
     return _with_legend(figure, axes)
 
 
@@ -176,30 +242,6 @@ def field(key: str, alt: str, points: np.ndarray, values: np.ndarray, labels: tu
 
 
 @_figure
-def profile(key: str, alt: str, x: np.ndarray, values: np.ndarray, labels: tuple[str, str]) -> Figure:
-    """RMS of a quantity along x, in slices of equal width, with the rows behind it and the RMS of all.
-
-    Args:
-        key: Of the figure, unique in the page.
-        alt: What the figure shows, for those who cannot see it.
-        x: Shape (N,).
-        values: Shape (N,), not negative.
-        labels: Of the two axes, with their units.
-    """
-    figure, axes = _axes()
-    edges = np.linspace(x.min(), x.max() + 1e-9, int(np.clip(len(x) // 20, 1, 24)) + 1)
-    place = np.searchsorted(edges, x, side="right") - 1
-    count = np.bincount(place, minlength=len(edges) - 1)
-    rms = np.sqrt(np.bincount(place, values**2, len(edges) - 1) / np.maximum(count, 1))
-    _dots(axes, x, values, GREY, label="rows", alpha=0.3)
-    axes.axhline(np.sqrt(np.mean(values**2)), color=BEFORE, linestyle="--", linewidth=1.4, label="RMS of all")
-    rms = np.where(count < FEW, np.nan, rms)
-    axes.stairs(rms, edges, baseline=None, color=AFTER, linewidth=2.0, label="RMS of each slice")
-    axes.set(xlabel=labels[0], ylabel=labels[1], ylim=(0, 1.08 * float(np.percentile(values, 99.5)) or 1))
-    return _with_legend(figure, axes, columns=3)
-
-
-@_figure
 def curve(
     key: str,
     alt: str,
@@ -208,6 +250,7 @@ def curve(
     std: np.ndarray,
     rows: tuple[np.ndarray, np.ndarray],
     labels: tuple[str, str],
+    wide: bool = False,
 ) -> Figure:
     """A function with its band of two standard deviations, and the rows behind it.
 
@@ -219,8 +262,9 @@ def curve(
         std: Its standard deviation, shape (G,).
         rows: Where each row stands and what it asks for, shape (N,) each; the wildest are cut off.
         labels: Of the two axes, with their units.
+        wide: Twice as wide as other figures: for one that stands alone, or winds a lot.
     """
-    figure, axes = _axes()
+    figure, axes = _axes(WIDE) if wide else _axes()
     axes.fill_between(at, value - 2 * std, value + 2 * std, color=AFTER, alpha=0.25, linewidth=0)
     _dots(axes, *rows, GREY, label="rows", alpha=0.3)
     axes.plot(at, value, color=AFTER, linewidth=2.0, label="identified, ± 2σ")
@@ -233,12 +277,13 @@ def curve(
 
 
 def _axes(width: float = WIDTH, height: float = HEIGHT, left: float = 0.14, top: float = 0.3) -> tuple[Figure, Axes]:
-    """One figure with one pair of axes; ``left`` is a share of the width, ``top`` in inches."""
+    """One figure with one pair of axes; ``left`` is a share of the usual width, ``top`` in inches."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(width, height), facecolor="none")
-    bottom = 0.45
-    axes = figure.add_axes((left, bottom / height, 0.97 - left, 1 - (bottom + top) / height), facecolor="none")
+    bottom, usual = 0.45, min(WIDTH / width, 1.0)
+    left, right = left * usual, 1.0 - 0.03 * usual
+    axes = figure.add_axes((left, bottom / height, right - left, 1 - (bottom + top) / height), facecolor="none")
     axes.locator_params(nbins=6)
     return figure, axes
 
@@ -283,12 +328,13 @@ def _inline(svg: str, key: str, alt: str) -> Html:
     size = re.search(r'viewBox="0 0 ([\d.]+) ([\d.]+)"', svg)
     assert size is not None
     body = svg[svg.index(">") + 1 :]
-    body = re.sub(r"<metadata>.*?</metadata>|<style.*?</style>", "", body, flags=re.DOTALL)
+    body = re.sub(r"<metadata>.*?</metadata>|<style.*?</style>|<!--.*?-->", "", body, flags=re.DOTALL)
     referred = set(re.findall(r'(?:url\(|href=")#([^)"]+)', body))
     body = re.sub(r' id="([^"]+)"', lambda m: f' id="{key}-{m[1]}"' if m[1] in referred else "", body)
     body = re.sub(r'(url\(|href=")#', rf"\1#{key}-", body).replace("xlink:href", "href")
-    body = re.sub(r"(?<=\d)(\.\d{2})\d+", r"\1", body)
+    body = re.sub(r"<[^>]*>", lambda m: re.sub(r"(?<=\d)(\.\d{2})\d+", r"\1", m[0]), body)  # not in what is read
     body = re.sub(r"\s+", " ", body).replace("> <", "><")
     body = re.sub(r"M (\S+ \S+) L \1(?= )", r"M\1h0", body)
-    head = f'<svg class="plot" viewBox="0 0 {size[1]} {size[2]}" role="img" aria-label="{escape(alt)}">'
+    kind = "plot wide" if float(size[1]) > 72 * WIDTH + 1 else "plot"
+    head = f'<svg class="{kind}" viewBox="0 0 {size[1]} {size[2]}" role="img" aria-label="{escape(alt)}">'
     return Html(head + body.strip())

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from aridcal import __version__, sections
+from aridcal.apart import MEANING
 from aridcal.dependence import depends
 from aridcal.doty import Link, doty_links
 from aridcal.effects import FRAME_COMPONENTS, LINK_COMPONENTS
@@ -20,6 +21,8 @@ from aridcal.outcome import STATISTICS, Outcome, errors
 SYMBOLS = {"d": "d", "theta": "θ", "beta": "β", "a": "a", "alpha": "α"}
 MOST_FRAMES = 12
 FEW = 20  # rows: fewer say little about a percentile
+MOST_BARS = 7
+MOST_REASONS = 3
 
 Section = Callable[[Outcome], Iterable[Content]]
 
@@ -78,7 +81,6 @@ def page(outcome: Outcome) -> Html:
 def summary(outcome: Outcome) -> Iterator[Content]:
     """The first screen: how good before, how good now, why, what remains, can I trust it."""
     m, robot = outcome.measurements, outcome.robot
-    mask, words = sections.scored(outcome)
     yield tag("h1", f"Calibration of {robot.tree.name}")
     yield tag(
         "p",
@@ -86,12 +88,8 @@ def summary(outcome: Outcome) -> Iterator[Content]:
         f"{robot.path.name}, {robot.base} to {robot.tip}",
         class_="about",
     )
-    before, now = (errors(stage.residual, mask) for stage in (outcome.stages[0], outcome.stages[-1]))
-    yield tag(
-        "div",
-        [_card(key, before[key], now[key], f"{mask.sum():,} {words}") for key in now],
-        class_="cards",
-    )
+    keys = list(sections.ERRORS)[: outcome.stages[-1].residual.shape[1] // 3]
+    yield tag("div", [_card(outcome, key) for key in keys], class_="cards")
     yield tag(
         "div",
         tag("div", tag("h2", "Why"), tag("p", list(_why(outcome)))),
@@ -101,8 +99,17 @@ def summary(outcome: Outcome) -> Iterator[Content]:
     )
 
 
-def _card(key: str, before: dict[str, float], now: dict[str, float], rows: str) -> Html:
+def _card(outcome: Outcome, key: str) -> Html:
+    """Before and now in large figures, then one bar for each model."""
+    mask, rows = sections.scored(outcome)
     what, unit = sections.ERRORS[key].removesuffix("]").split(" [")
+    found = {name: errors(residual, mask)[key] for name, residual in sections.steps(outcome)}
+    before, *_, now = found.values() if len(found) > 1 else (*found.values(), *found.values())
+    bars = [(name, e["rms"]) for name, e in found.items()]
+    if len(bars) > MOST_BARS:
+        cut = len(bars) - MOST_BARS + 1
+        bars = [*bars[: -cut - 1], (f"{sections.PLUS}{cut} more effects", bars[-2][1]), bars[-1]]
+    largest = max(value for _, value in bars) or 1.0
     return tag(
         "div",
         tag("h2", f"{what.capitalize()}, RMS"),
@@ -115,29 +122,46 @@ def _card(key: str, before: dict[str, float], now: dict[str, float], rows: str) 
         ),
         tag(
             "p",
-            f"before → now, on {rows}. Now 95 % are below {number(now['p95'])} {unit}; the worst is "
+            f"before → now, on {mask.sum():,} {rows}. Now 95 % are below {number(now['p95'])} {unit}; the worst is "
             f"{number(now['max'])} {unit}.",
         ),
+        tag("ol", [_bar(name.removesuffix(" = final"), value, largest, unit) for name, value in bars], class_="bars"),
         class_="card",
+    )
+
+
+def _bar(name: str, value: float, largest: float, unit: str) -> Html:
+    return tag(
+        "li",
+        tag("span", name, class_="name"),
+        tag("span", tag("i", style=f"width:{100 * value / largest:.1f}%"), class_="track"),
+        tag("span", f"{number(value)} {unit}", class_="value"),
     )
 
 
 def _why(outcome: Outcome) -> Iterator[Content]:
     mask, _ = sections.scored(outcome)
-    square = [(s.name, errors(s.residual, mask)["position_mm"]["rms"] ** 2) for s in outcome.stages]
+    square = [(name, errors(r, mask)["position_mm"]["rms"] ** 2) for name, r in sections.steps(outcome)]
     fit = outcome.stage("geometric").fit
     found = [p for p in parameters(fit) if p["status"] == "identified" and not _of_frame(p["name"])]
-    effects = _first([e.effect.label for e in outcome.effects])
+    meaning = {e.effect.label: MEANING[e.effect.kind] for e in outcome.effects}
     took = []
     for (_, before), (name, after) in pairwise(square):
-        what = {
-            "geometric": f"{counted(len(found), 'constant')} of the geometry",
-            "final": f"{counted(len(outcome.effects), 'effect')} ({effects})",
-        }.get(name, name)
+        what = (
+            f"{counted(len(found), 'constant')} of the geometry"
+            if "geometric" in name
+            else name.removeprefix(sections.PLUS).removesuffix(" = final")
+        )
         if before != after:
-            took.append(f"{what} took off {100 * (before - after) / square[0][1]:.0f} %")
+            took.append((before - after, what))
+    took.sort(reverse=True)
     if took:
-        yield f"Of the squared position error {', '.join(took)}. "
+        more = f", {len(took) - MOST_REASONS} more the rest" if len(took) > MOST_REASONS else ""
+        parts = []
+        for gain, what in took[:MOST_REASONS]:
+            why = f" ({meaning[what]})" if meaning.get(what) else ""
+            parts.append(f"{what}{why} took off {100 * gain / square[0][1]:.2g} %")
+        yield f"Of the squared position error {', '.join(parts)}{more}. "
     largest = [
         max((p for p in found if p["unit"] == unit), key=lambda p: abs(p["value"]), default=None)
         for unit in ("rad", "m")
@@ -161,7 +185,12 @@ def _left(outcome: Outcome) -> Iterator[Content]:
     if outcome.unexplained_fraction > 0:
         yield f" {100 * outcome.unexplained_fraction:.0f} % of the remaining variance is repeatable beyond the noise."
     turn = f" and {number(1e3 * outcome.noise.rotation)} mrad" if outcome.measurements.quaternion is not None else ""
-    yield f" Noise per axis: {number(1e3 * outcome.noise.position)} mm{turn}, {outcome.noise_source}."
+    noise = outcome.noise
+    both = f" and {number(1e3 * math.sqrt(3) * noise.rotation)} mrad" if turn else ""
+    yield (
+        f" Noise per axis is {number(1e3 * noise.position)} mm{turn}, {outcome.noise_source}: over three axes it makes "
+        f"about {number(1e3 * math.sqrt(3) * noise.position)} mm{both}, and no model can do better but by chance."
+    )
 
 
 def checks(outcome: Outcome) -> Iterator[tuple[bool, str]]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from aridcal.markup import Content, Html, bullets, counted, figures, fixed, number, table, tag
 from aridcal.outcome import STATISTICS, Outcome, Stage, errors, statistics
-from aridcal.plots import clouds, coverage, field, histogram
+from aridcal.plots import coverage, field, histogram, panels
 from aridcal.quality import accuracy, joint_kinds, joint_limits
 
 ERRORS = {"position_mm": "position error [mm]", "rotation_mrad": "rotation error [mrad]"}
@@ -20,6 +20,7 @@ PARTS = {
     "test_all": "never used, outliers too",
     "train": "fitted",
 }
+PLUS = "+\u00a0"
 MOST = 25  # lines of a list of rows
 QUESTIONABLE = 0.03  # share of outliers above which the data are to blame, not the rows
 
@@ -38,6 +39,21 @@ def distinct(outcome: Outcome) -> list[tuple[str, Stage]]:
         if found and np.array_equal(found[-1][1].residual, stage.residual):
             name = f"{found.pop()[0]} = {name}"
         found.append((name, stage))
+    return found
+
+
+def steps(outcome: Outcome) -> list[tuple[str, np.ndarray]]:
+    """From the nominal robot to the final model, one effect at a time: a name and all rows' residuals, shape (N, m)."""
+    residuals = {s.name: s.residual for s in outcome.stages}
+    for e in outcome.effects[:-1]:
+        residuals[f"{PLUS}{e.effect.label}"] = e.reached
+    final = residuals.pop("final")
+    residuals[f"{PLUS}{outcome.effects[-1].effect.label} = final" if outcome.effects else "final"] = final
+    found: list[tuple[str, np.ndarray]] = []
+    for name, residual in residuals.items():
+        if found and np.array_equal(found[-1][1], residual):
+            name = f"{found.pop()[0]} = {name}"
+        found.append((name, residual))
     return found
 
 
@@ -261,8 +277,8 @@ def fits(outcome: Outcome) -> Iterator[Content]:
     yield tag("h3", "Axis by axis")
     axes = AXES[: first.shape[1]]
     lines = [
-        [name, *(number(v) for v in 1e3 * np.sqrt(np.mean(stage.residual[mask] ** 2, axis=0)))]
-        for name, stage in distinct(outcome)
+        [name, *(number(v) for v in 1e3 * np.sqrt(np.mean(residual[mask] ** 2, axis=0)))]
+        for name, residual in steps(outcome)
     ]
     yield table(["model", *axes], lines, f"RMS of the residual in the world's axes, {words}")
     order = np.arange(1.0, mask.sum() + 1)
@@ -270,7 +286,7 @@ def fits(outcome: Outcome) -> Iterator[Content]:
     for k, axis in enumerate(axes):
         pair = {name: 1e3 * residual[:, k] for name, residual in names.items()}
         alt = f"Residual {axis} row by row, before and after calibration"
-        cloud = clouds(f"axis-{k}", alt, order, pair, (words, axis))
+        cloud = panels(f"axis-{k}", alt, order, pair, (f"number of the row, {words}", axis))
         drawn.append((f"Measured minus predicted: {axis}", cloud))
     yield figures(drawn)
 
@@ -283,30 +299,35 @@ def fits(outcome: Outcome) -> Iterator[Content]:
 
 def _stage_tables(outcome: Outcome) -> Iterator[Content]:
     parts = outcome.parts()
+    if not (parts["test_all"] & outcome.outlier).any():
+        del parts["test_all"]
     head = ["model", "rows", "RMS", "mean", "median", "95 % below", "max"]
     for key, what in ERRORS.items():
         lines = []
-        for part, title in PARTS.items():
-            for name, stage in distinct(outcome):
-                found = errors(stage.residual, parts[part]).get(key)
-                if found and parts[part].any():
-                    lines.append([name, title, *(number(found[s]) for s in STATISTICS)])
+        for part, mask in ((p, parts[p]) for p in PARTS if p in parts and parts[p].any()):
+            for name, residual in steps(outcome):
+                found = errors(residual, mask).get(key)
+                if found:
+                    lines.append([name, PARTS[part], *(number(found[s]) for s in STATISTICS)])
         if lines:
             yield table(head, lines, what.capitalize(), numbers=2)
     yield tag(
         "p",
         ["A position error is the length of a residual, a rotation error the angle of a residual rotation. "],
         [tag("code", "nominal"), " is the URDF as it came, with only the unknown frames fitted; "],
-        [tag("code", "geometric"), " adds the constants, and is what ", tag("code", "calibrated.urdf"), " holds; "],
-        [tag("code", "final"), " adds every accepted effect. Outliers are left out unless a line says otherwise."],
+        [tag("code", "geometric"), " adds the constants, and is what ", tag("code", "calibrated.urdf"), " holds"],
+        "; each line with a + adds one effect to all that stands above it, constants and effects fitted again together; "
+        if outcome.effects
+        else "; ",
+        [tag("code", "final"), " is the whole model. Outliers are left out unless a line says otherwise."],
     )
 
 
 def _iso(outcome: Outcome, mask: np.ndarray, words: str) -> Html:
     rows = outcome.measurements.select(mask)
     lines = []
-    for name, stage in distinct(outcome):
-        found = statistics(1e3 * accuracy(outcome.robot, rows, stage.residual[mask]))
+    for name, residual in steps(outcome):
+        found = statistics(1e3 * accuracy(outcome.robot, rows, residual[mask]))
         lines.append([name, *(number(found[s]) for s in ("mean", "p95", "max"))])
     caption = f"Pose accuracy AP [mm] as in ISO 9283, {words}"
     return table(["model", "mean", "95 % below", "worst pose"], lines, caption)
@@ -369,7 +390,8 @@ def remains(outcome: Outcome) -> Iterator[Content]:
         "differ by 0.1 to 0.2 mrad: feed it the kind that was recorded here.",
     ])  # fmt: skip
     yield tag("h3", "What to measure again after a change")
-    hidden = sorted({n.rsplit(".", 1)[0] for n, p in outcome.stage("geometric").fit.redundant.items() if _at_tip(p)})
+    redundant = outcome.stage("geometric").fit.redundant
+    hidden = sorted({n.rsplit(".", 1)[0] for n, p in redundant.items() if _at_tip(p) and not _at_tip((n,))})
     yield table(
         ["changed", "measure again", "stays"],
         [

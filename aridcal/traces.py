@@ -102,7 +102,7 @@ def _trace(pulled: _Pulled, covariate: str, values: np.ndarray) -> Trace:
     return Trace(
         pulled.motion, pulled.unit, covariate, values[seen], pulled.before[seen], pulled.after[seen],
         left.centre, was.mean, left.mean, left.std, at, _smooth(was, at), _smooth(left, at),
-        _size(was), _size(left), _chance(left),
+        _size(was), _size(left), _chance(was), _chance(left),
     )  # fmt: skip
 
 

@@ -117,12 +117,12 @@ def _alike(white: np.ndarray, first: np.ndarray, second: np.ndarray, what: str) 
 
 
 def _stated(sigma: Sigma, noise: Noise, rows: float, m: int) -> list[Clue]:
-    pairs = [(noise.declared_position, sigma.position)]
-    pairs += [(noise.declared_rotation, sigma.rotation)] if m == 6 else []
+    pairs = [("position", noise.declared_position, sigma.position)]
+    pairs += [("rotation", noise.declared_rotation, sigma.rotation)] if m == 6 else []
     found = []
-    for stated, seen in pairs:
+    for what, stated, seen in pairs:
         if stated:
             share = float(np.clip(1.0 - (stated / seen) ** 2, 0.0, 1.0))
             p_value = float(chi2.sf(3.0 * rows * (seen / stated) ** 2, 3.0 * rows))
-            found.append(Clue("the residual exceeds the declared noise", share, p_value))
+            found.append(Clue(f"the residual exceeds the declared {what} noise", share, p_value))
     return found

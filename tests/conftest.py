@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
+import chromium
 import pytest
 
 
@@ -18,3 +20,11 @@ def shared_data() -> Path:
             pytest.fail(reason)
         pytest.skip(reason)
     return folder
+
+
+@pytest.fixture(scope="session")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[chromium.Browser]:
+    """Headless Chromium, one for all tests of a process."""
+    started = chromium.Browser(chromium.find(), tmp_path_factory.mktemp("chromium"))
+    yield started
+    started.close()

@@ -1,0 +1,50 @@
+"""What an effect is worth: the model without it, refitted, is what a fit of that model finds."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import robots
+
+from aridcal.effects import Basis, Coefficient
+from aridcal.explain import refitted
+from aridcal.residual import predict_residuals
+from aridcal.solver import Noise, fit
+
+
+def test_taking_coefficients_out_agrees_with_fitting_without_them() -> None:
+    truth = robots.simulate(robots.ur10(), 150, np.random.default_rng(4), size=1e-3, noise=5e-5)
+    waves = tuple(
+        Coefficient(joint, "axis", Basis(form, (joint,), (1.0,)))
+        for joint in ("shoulder_lift_joint", "elbow_joint")
+        for form in ("sin", "cos")
+    )
+    constants = tuple(c for c in truth.model.coefficients if c.component in ("roll", "x"))
+    model = truth.model.with_coefficients((*constants, *waves))
+    theta = np.concatenate([np.random.default_rng(0).normal(0, 1e-3, len(constants)), [2e-3, -1e-3, 5e-4, 3e-3]])
+    rows = model.rows(truth.readings)
+    R, p = model.poses(theta, rows)
+    noise = np.random.default_rng(1).normal(0, 5e-5, p.shape)
+    measured = type(truth.measured)(p + noise, R)
+    data = type(truth.data(model))(rows, measured, np.zeros(150, dtype=bool))
+    whole = fit(model, data, Noise())
+    for gone in (waves[:2], waves[2:], waves, constants[:3]):
+        keep = np.array([c not in gone for c in model.coefficients])
+        less = model.with_coefficients([c for c, k in zip(model.coefficients, keep, strict=True) if k])
+        again = fit(less, type(data)(less.rows(truth.readings), measured, data.suspect), Noise(), weight=whole.weight)
+        # Both weigh positions and rotations by the noise that the whole model shows.
+        fixed = fit(
+            less, type(data)(less.rows(truth.readings), measured, data.suspect),
+            Noise(whole.sigma.position, whole.sigma.rotation), weight=whole.weight,
+        )  # fmt: skip
+        found = refitted(whole, keep)
+        assert not found[~keep].any()
+        np.testing.assert_allclose(found[keep], fixed.theta, atol=2e-5)
+        mine, exact = (
+            np.sqrt(np.mean(np.sum(predict_residuals(m, t, m.rows(truth.readings), measured)[:, :3] ** 2, axis=1)))
+            for m, t in ((model, found), (less, fixed.theta))
+        )
+        assert mine == pytest.approx(exact, rel=2e-3)
+        assert exact > 2 * 5e-5  # what is missing is missed
+        assert again.estimated.position > whole.estimated.position
+    np.testing.assert_allclose(refitted(whole, np.ones(len(model.coefficients), dtype=bool)), whole.theta)
