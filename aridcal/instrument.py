@@ -173,8 +173,9 @@ def system(fit: Fit, data: Data, reduced: Reduced, moved: np.ndarray) -> System:
     sound = ~reduced.wild
     own, own_pull = reduced.information[sound].sum(axis=0), reduced.pull[sound].sum(axis=0)
     misfit, count = float(reduced.misfit[sound].sum()), float(reduced.freedom[sound].sum())
-    # At the arm's minimum its own gradient is nil, priors included: the residual needs no projection.
-    information = np.array([(G.T @ G + (G.T @ A) @ response) / noise + own, own])
+    # What the arm cannot take up. At its minimum its own gradient is nil: the residual needs no projection.
+    across = G + A @ response
+    information = np.array([across.T @ across / noise + own, own])
     pull = np.array([G.T @ r / noise + own_pull, own_pull])
     left = np.array([float(r @ r) / noise + misfit, misfit])
     left = left + 2 * pull @ moved + np.einsum("i,kij,j->k", moved, information, moved)
