@@ -14,6 +14,7 @@ COMMANDS = {
     "init": "URDF and measurements in; a campaign to start from out",
     "identify": "campaign in; calibrated URDF, figures and pictures out",
     "predict": "where the real target is, for each row of joints",
+    "compensate": "joint commands that bring the real target to wanted poses",
     "measure": "camera images and sonar ranges to measured poses",
     "view": "nominal and calibrated robot in the browser",
     "simulate": "make a campaign with a known truth",

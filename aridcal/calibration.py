@@ -6,6 +6,7 @@ import base64
 import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +18,12 @@ from aridcal import __version__
 from aridcal.campaign import Campaign, MeasurementSettings
 from aridcal.effects import Basis, Coefficient, Surroundings
 from aridcal.errors import AridcalError, CampaignError
+from aridcal.inverse import Arm, Command
+from aridcal.machine import Machine
 from aridcal.model import Frames, Model
+from aridcal.quality import joint_kinds, joint_limits
 from aridcal.robot import parse_robot
-from aridcal.settings import parse_settings
+from aridcal.settings import MAX_BYTES, decode, parse_settings, read_bytes, refuse_tricks
 
 # libyaml where PyYAML was built with it: a covariance of a hundred coefficients is ten thousand numbers.
 Loader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
@@ -98,17 +102,20 @@ class Calibration:
 
     @classmethod
     def load(cls, path: str | Path) -> Calibration:
-        """Read `calibration.yaml`.
+        """Read `calibration.yaml`, or that of a result folder.
 
         Raises:
-            AridcalError: it is not there, or is not a calibration of this format.
+            AridcalError: it is not there, is hostile, or is not a calibration of this format.
         """
         path = Path(path)
+        path = path / "calibration.yaml" if path.is_dir() else path
+        content = read_bytes(path, CampaignError)
+        if len(content) > MAX_BYTES:
+            raise CampaignError(f"{path}: {len(content) / 1e6:.0f} MB is too large for a calibration")
         try:
-            document = yaml.load(path.read_bytes(), Loader=Loader)
-            return _parse(document)
-        except OSError as error:
-            raise CampaignError(f"{path}: cannot read the calibration: {error.strerror}") from None
+            text = decode(content, path, CampaignError)
+            refuse_tricks(text, path)
+            return _parse(yaml.load(text, Loader=Loader))
         except AridcalError:
             raise
         except (yaml.YAMLError, KeyError, TypeError, ValueError) as error:
@@ -116,6 +123,46 @@ class Calibration:
                 f"{path}: not a calibration that this version wrote ({type(error).__name__}: {error}). "
                 "Run aridcal.identify again."
             ) from None
+
+    def command(
+        self,
+        pose: np.ndarray,
+        seed: np.ndarray,
+        covariates: Mapping[str, float] | None = None,
+        station: str | None = None,
+    ) -> Command:
+        """Find the joint readings that bring the real target to a wanted pose, fast enough for a stream of them.
+
+        Args:
+            pose: T_world_target, shape (4, 4), [m]; of a calibration from positions only its last column counts.
+            seed: Readings to start from, shape (columns,) in the order of ``final.model.robot.readings``, [rad] or [m]:
+                what the controller's own inverse kinematics says, or the command before.
+            covariates: What the effects depend on beside the joints, temperature or ``JOINT_direction`` for instance.
+            station: Label of the frames, where they are per station.
+
+        Returns:
+            The readings, what the model still misses with them, and whether the pose is reached.
+
+        Raises:
+            CovariateNotFound: an effect depends on something that is not given.
+            MeasurementError: the station is none of those that were calibrated.
+        """
+        return self.arm(station).command(pose[:3, :3], pose[:3, 3], seed, covariates or {})
+
+    def arm(self, station: str | None = None) -> Arm:
+        """The machine to be commanded; made once for each station."""
+        if station not in self._arms:
+            robot = self.final.model.robot
+            low, high = joint_limits(robot).T
+            turning = np.array([kind != "prismatic" for kind in joint_kinds(robot)])
+            lever = self.noise[0] / self.noise[1] if self.kind == "pose" else 1.0
+            machine = Machine(self.final.model, self.final.theta, station)
+            self._arms[station] = Arm(machine, low, high, turning, self.kind == "pose", lever)
+        return self._arms[station]
+
+    @cached_property
+    def _arms(self) -> dict[str | None, Arm]:
+        return {}
 
     def dump(self) -> str:
         """The file's text."""
@@ -198,9 +245,14 @@ def _parse(document: Any) -> Calibration:
         model = Model(robot, coefficients, _frames(part["world_base"]), _frames(part["tip_target"]), around)
         count = len(entries)
         covariance = _unpacked(part["covariance"]["data"], count)
-        return SolvedModel(model, np.array([e["value"] for e in entries], dtype=float), covariance)
+        theta = np.array([e["value"] for e in entries], dtype=float)
+        if not np.isfinite(theta).all():
+            raise ValueError("a coefficient is not finite")
+        return SolvedModel(model, theta, covariance)
 
     gravity = about["gravity"]
+    if document["kind"] not in ("pose", "position"):
+        raise ValueError(f"kind: {document['kind']!r} is neither pose nor position")
     return Calibration(
         solved(document["geometric"]),
         solved(document["final"]),

@@ -49,9 +49,8 @@ class Form:
 def _bump(z: list[np.ndarray], numbers: tuple[float, ...]) -> np.ndarray:
     """Cubic B-spline centred at numbers[0] with knots numbers[1] apart: zero beyond two knots."""
     u = np.abs(z[0] - numbers[0]) / numbers[1]
-    near = 2 / 3 - u**2 + u**3 / 2
-    far = np.maximum(2.0 - u, 0.0) ** 3 / 6
-    return np.asarray(np.where(u < 1.0, near, far) * 1.5)
+    v = np.maximum(2.0 - u, 0.0)
+    return np.asarray(np.where(u < 1.0, 1.0 - u * u * (1.5 - 0.75 * u), 0.25 * v * v * v))
 
 
 FORMS: dict[str, Form] = {
@@ -207,7 +206,7 @@ def covariate_table(
         force, moment = loads[:, j, :3], loads[:, j, 3:]
         table[f"{joint.name}.gravity_torque"] = (moment if joint.kind == "revolute" else force) @ joint.axis
         for component in bearing_components(joint.kind):
-            table[f"{joint.name}.gravity_moment_{component}"] = moment @ _about(component, joint.axis)
+            table[f"{joint.name}.gravity_moment_{component}"] = moment @ bearing_direction(component, joint.axis)
     payload = measured.get("payload")
     if payload is not None:
         axes, origins = joint_frames(robot, readings)
@@ -225,7 +224,8 @@ def bearing_components(kind: str) -> tuple[str, ...]:
     return ("r1", "r2") if kind == "revolute" else ("roll", "pitch", "yaw")
 
 
-def _about(component: str, axis: np.ndarray) -> np.ndarray:
+def bearing_direction(component: str, axis: np.ndarray) -> np.ndarray:
+    """Unit vector about which a rotation of :func:`bearing_components` turns, in the joint's axes, shape (3,)."""
     if component in FRAME_COMPONENTS:
         return np.eye(3)[FRAME_COMPONENTS.index(component) % 3]
     return transverse(axis)[int(component[1]) - 1]

@@ -223,24 +223,33 @@ class Model:
         value = {s: v for s, v in self._constant_values(theta).items() if s[0] not in ("world_base", "tip_target")}
         return model._locked(value, moving, 0, 0)
 
-    def locked(self, theta: np.ndarray, world: int = 0, tip: int = 0) -> tuple[pin.Model, pin.SE3, dict[Slot, int]]:
+    def locked(
+        self, theta: np.ndarray, station: str | None = None
+    ) -> tuple[pin.Model, pin.SE3, np.ndarray, np.ndarray]:
         """The robot and its effects alone: whatever moves alike in all rows is locked where theta has it.
 
         Args:
             theta: Coefficients, shape (K,).
-            world: Index of the ``world_base`` frame.
-            tip: Index of the ``tip_target`` frame.
+            station: Label of the frames to use, where they are per station.
 
         Returns:
-            The model, the target on its last joint, and the index of each joint that is left, by its slot. A joint
-            that carries both a constant and an effect starts at zero: its constant is still to be added.
+            The model; the target on its last joint; which of its joints each joint of the robot is, shape (joints,);
+            and which one carries each coefficient, shape (K,), -1 where that is locked. A joint that carries a constant
+            beside an effect starts at zero: its constant is still to be added.
+
+        Raises:
+            MeasurementError: the station is none of those that the model knows.
         """
-        moving = {(name, "q", "") for name in self.robot.names} | {self._slots[k] for k in self._varying}
+        label = None if station is None else np.array([station])
+        world, tip = (int(_frame_index(f, label, 1)[0]) for f in (self.world_base, self.tip_target))
+        own = [(name, "q", "") for name in self.robot.names]
+        moving = {*own, *(self._slots[k] for k in self._varying)}
         model = self._locked(self._constant_values(theta), moving, world, tip)
         extended, end = self._pinocchio(world, tip)
         last = model.frames[model.getFrameId(extended.names[-1])]
-        names = {name: k for k, name in enumerate(list(model.names)[1:])}
-        return model, last.placement * end, {slot: names[_joint_name(slot)] for slot in moving}
+        index = {name: k for k, name in enumerate(list(model.names)[1:])}
+        carriers = [index[_joint_name(slot)] if slot in moving else -1 for slot in self._slots]
+        return model, last.placement * end, np.array([index[_joint_name(s)] for s in own]), np.array(carriers, dtype=int)
 
     def _locked(self, value: Mapping[Slot, float], moving: set[Slot], world: int, tip: int) -> pin.Model:
         extended, _ = self._pinocchio(world, tip)

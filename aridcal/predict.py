@@ -90,8 +90,8 @@ def write_table(table: pd.DataFrame, path: Path) -> None:
     if path.suffix.lower() == ".parquet":
         table.to_parquet(path, index=False)
     else:
-        words = table["extrapolates"].map({True: "true", False: "false"})
-        table.assign(extrapolates=words).to_csv(path, index=False, float_format="%.17g")
+        words = {str(name): table[name].map({True: "true", False: "false"}) for name in table.select_dtypes(bool)}
+        table.assign(**words).to_csv(path, index=False, float_format="%.17g")
 
 
 def parser() -> CommandParser:

@@ -161,7 +161,7 @@ def parse_settings(text: str, path: Path, model: type[AnySettings]) -> AnySettin
 def _parse_yaml(text: str, path: Path) -> tuple[dict[str, Any], dict[Location, int]]:
     """Return a YAML mapping and the line of each of its keys, or complain about what is no plain YAML."""
     try:
-        _refuse_tricks(text, path)
+        refuse_tricks(text, path)
         loader = _Loader(text)
         node = loader.get_single_node()
         if not isinstance(node, yaml.MappingNode):
@@ -181,7 +181,7 @@ def _parse_yaml(text: str, path: Path) -> tuple[dict[str, Any], dict[Location, i
         raise CampaignError(f"{path}: is not valid YAML: {problem}") from None
 
 
-def _refuse_tricks(text: str, path: Path) -> None:
+def refuse_tricks(text: str, path: Path) -> None:
     """Refuse aliases, which can blow up a few lines to gigabytes, nesting that would exhaust the stack, and tags."""
     depth = 0
     for event in yaml.parse(text, Loader=_Loader):

@@ -32,6 +32,7 @@ LAYERS = [
         "markup",
         "view",
         "scene",
+        "shapes",
         "predict",
         "compensate",
         "measure",

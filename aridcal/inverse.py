@@ -1,0 +1,196 @@
+"""Joint readings that bring the target to a wanted pose: Newton's method on a machine with its effects."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from aridcal.machine import Machine
+
+SETTLED = 1e-8  # the last step moves the target by less, [m] and [rad]
+REACHED = 1e-6  # a pose is reached if the model misses it by less than that, [m] and [rad]
+UNAVOIDABLE = (
+    2e-2  # what an arm of fewer joints than the pose has numbers may miss of a pose meant for it, [m] and [rad]
+)
+NEARBY = 1e-2  # effects are taken into account once the target is as near as that, [m] and [rad]
+TURN = 0.5  # the most that a joint turns in one step, [rad]
+KICK, KICKS = 0.05, 4  # [rad] or [m]; how far a second start is, and how many there are
+STEPS = 40
+PROGRESS = 1e-4  # a step that shortens the way (squared) by no larger share is the last of a search that is stuck
+FIRST, LAST = 1e-6, 1e3  # damping
+TINY = 1e-13  # damping that only keeps a singular arm's step finite
+SMALL = 1e-6  # for differences, [rad] or [m]
+FAR, NEAR, STUCK = range(3)  # stages of a search
+
+
+@dataclass(frozen=True)
+class Command:
+    """Readings for one wanted pose.
+
+    Attributes:
+        readings: Shape (columns,), in the order of ``robot.readings``, [rad] or [m].
+        position_error: How far from the wanted position the model says that the target will be, [m].
+        rotation_error: The same of its rotation, [rad]; NaN where only a position is wanted.
+        reached: True if the readings settled and bring the target there: within 1 um and 1 urad, or, of a robot with
+            fewer joints than the pose has numbers, as near as it can get, within 20 mm and 20 mrad.
+    """
+
+    readings: np.ndarray
+    position_error: float
+    rotation_error: float
+    reached: bool
+
+
+@dataclass(frozen=True)
+class Arm:
+    """A machine with the limits of its joints, to be told where to go.
+
+    Attributes:
+        machine: What the robot does, effects and all.
+        low: Lower limits of the readings, shape (columns,), [rad] or [m]; -inf where there is none.
+        high: Upper limits, likewise.
+        turning: Readings that turn a joint, shape (columns,) bool.
+        pose: True where poses are wanted, False where positions alone are.
+        lever: [m/rad]: an error of 1 rad counts as much as one of so many metres, where not both can be had.
+    """
+
+    machine: Machine
+    low: np.ndarray
+    high: np.ndarray
+    turning: np.ndarray
+    pose: bool
+    lever: float
+
+    def command(self, R: np.ndarray, p: np.ndarray, seed: np.ndarray, covariates: Mapping[str, float]) -> Command:
+        """Find readings near a seed.
+
+        The arm comes within a centimetre without its effects, as a controller's own inverse kinematics would bring it,
+        then settles with them. Levenberg-Marquardt, each step the shortest that does it, so that a redundant arm stays
+        near the seed; joints that meet a limit stay there while the others go on. Close to a singularity the search
+        may stick: it is then tried again from close by.
+
+        Args:
+            R: Wanted rotation, T_world_target's, shape (3, 3); unused where positions alone are wanted.
+            p: Wanted position, shape (3,), [m].
+            seed: Where to start, shape (columns,), [rad] or [m].
+            covariates: Value of each of ``machine.needs``.
+
+        Raises:
+            CovariateNotFound: one of them is missing.
+        """
+        best = self._approach(R, p, seed, covariates)
+        if not best.reached:
+            rng = np.random.default_rng(0)
+            for kick in KICK * rng.standard_normal((KICKS, len(seed))):
+                other = self._approach(R, p, seed + kick, covariates)
+                if other.reached:
+                    return other
+        return best
+
+    def _approach(self, R: np.ndarray, p: np.ndarray, seed: np.ndarray, covariates: Mapping[str, float]) -> Command:
+        q = np.minimum(np.maximum(seed, self.low), self.high)
+        stage, damping = FAR, 0.0
+        e, J = self._look(R, p, q, covariates, stage)
+        lean = len(q) < len(e)
+        for _ in range(STEPS):
+            size = float(e @ e)
+            if stage == FAR and size < NEARBY**2:
+                stage = NEAR
+                e, J = self._look(R, p, q, covariates, stage)
+                size = float(e @ e)
+            step = self._step(J, e, q, damping)
+            promised = J @ step
+            settled = damping == 0.0 and float(promised @ promised) < SETTLED**2
+            shorter = 1.0
+            if not settled:
+                e_trial, J_trial = self._look(R, p, q + step, covariates, stage)
+                shorter = float(e_trial @ e_trial) / size
+            if shorter < 1.0:
+                q, e, J = q + step, e_trial, J_trial
+                damping = 0.0 if damping < FIRST else damping / 10
+                if stage != FAR and shorter * size < SETTLED**2:
+                    break
+                if stage != STUCK or shorter < 1.0 - PROGRESS:
+                    continue
+            if (stage == STUCK and (settled or shorter < 1.0 or damping > LAST)) or (
+                stage == NEAR and settled and lean
+            ):
+                break
+            if stage == NEAR or settled or damping > LAST:  # FAR: out of reach; NEAR: close to a singularity
+                stage, damping = stage + 1, 0.0
+                e, J = self._look(R, p, q, covariates, stage)
+            else:
+                damping = max(10 * damping, FIRST)
+        position, rotation = float(np.linalg.norm(e[:3])), float(np.linalg.norm(e[3:])) / self.lever
+        allowed = UNAVOIDABLE if lean else REACHED
+        reached = stage != FAR and position < allowed and (rotation < allowed or not self.pose)
+        return Command(q, position, rotation if self.pose else float("nan"), reached)
+
+    def _look(
+        self, R: np.ndarray, p: np.ndarray, q: np.ndarray, covariates: Mapping[str, float], stage: int
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """What a stage of the search sees: FAR no effect, NEAR effects that stay, STUCK effects that change."""
+        e, J = self.error(R, p, q, None if stage == FAR else covariates)
+        if stage == STUCK:
+            moved = [self.error(R, p, q + column, covariates)[0] for column in SMALL * np.eye(len(q))]
+            J = np.asarray((e - np.array(moved)).T / SMALL)
+        return e, J
+
+    def error(
+        self, R: np.ndarray, p: np.ndarray, q: np.ndarray, covariates: Mapping[str, float] | None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """How far a pose is, and how the readings bring it nearer while the effects stay as they are.
+
+        Args:
+            R: Wanted rotation, shape (3, 3).
+            p: Wanted position, shape (3,), [m].
+            q: Readings, shape (columns,), [rad] or [m].
+            covariates: Value of each of ``machine.needs``; None: no effect acts.
+
+        Returns:
+            Position, then rotation vector times ``lever``, in world axes, shape (6,) or (3,), [m]; and the Jacobian of
+            what the readings take from it, shape (6, columns) or (3, columns).
+        """
+        machine = self.machine
+        here, at, J = machine.jacobian(q, machine.still if covariates is None else machine.effects(q, covariates))
+        if not self.pose:
+            return p - at, J[:3]
+        e = np.empty(6)
+        e[:3] = p - at
+        e[3:] = self.lever * pin.log3(R @ here.T)
+        J[3:] *= self.lever
+        return e, J
+
+    def _step(self, J: np.ndarray, e: np.ndarray, q: np.ndarray, damping: float) -> np.ndarray:
+        """Newton's step, or the least-squares one, inside the limits."""
+        step = _solve(J, e, damping)
+        fastest = max(np.abs(step[self.turning]), default=0.0)
+        shorter = TURN / fastest if fastest > TURN else 1.0
+        trial = q + shorter * step
+        inside = np.minimum(np.maximum(trial, self.low), self.high)
+        stopped = inside != trial
+        while stopped.any() and not stopped.all():
+            step = (inside - q) / shorter
+            free = ~stopped
+            step[free] = _solve(J[:, free], e - J[:, stopped] @ step[stopped], damping)
+            trial = q + shorter * step
+            inside = np.minimum(np.maximum(trial, self.low), self.high)
+            if not (inside != trial)[free].any():
+                break
+            stopped |= inside != trial
+        return inside - q
+
+
+def _solve(J: np.ndarray, e: np.ndarray, damping: float) -> np.ndarray:
+    """Solve J step = e: the shortest step where there are many, least squares where there is none."""
+    rows, columns = J.shape
+    if columns < rows:
+        H = J.T @ J
+        H.flat[:: columns + 1] += damping + TINY
+        return np.asarray(np.linalg.solve(H, J.T @ e))
+    H = J @ J.T
+    H.flat[:: rows + 1] += damping + TINY
+    return np.asarray(J.T @ np.linalg.solve(H, e))
