@@ -23,11 +23,12 @@ class Bench:
 
     Attributes:
         A: Columns of the constants, shape (N, m, K), in units of the rows' relative sigmas.
+        gauge: Prior precision of the constants about the geometric stage, shape (K, K).
         G: Columns of the places where effects may act, shape (N, m, S).
         slots: (where, component) of each, S of them.
         phi: Values of the bases, shape (N, B).
         bases: The bases, B of them.
-        r: Residual of the model without effects, shape (N, m).
+        r: Residual of the geometric stage, linearised, shape (N, m).
         suspect: Rows that repeat another's measurement although the joints moved.
         run: Number of the row's stretch of time, shape (N,).
         fold: Number of the row's fold for cross-validation, shape (N,).
@@ -36,6 +37,7 @@ class Bench:
     """
 
     A: np.ndarray
+    gauge: np.ndarray
     G: np.ndarray
     slots: tuple[tuple[str, str], ...]
     phi: np.ndarray
@@ -144,8 +146,7 @@ class State:
 def solve_state(bench: Bench, active: Sequence[Active], sigma: Sigma, weight: np.ndarray) -> State:
     """Solve a set of effects, noise and outlier flags with it."""
     design = np.concatenate([bench.A, *(a.columns(bench) for a in active)], axis=2)
-    K = bench.A.shape[2]
-    precision = block_diag(np.zeros((K, K)), *(a.precision for a in active))
+    precision = block_diag(bench.gauge, *(a.precision for a in active))
     flags = weight
     for _ in range(6):
         weight = flags

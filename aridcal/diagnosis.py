@@ -15,17 +15,18 @@ from aridcal.evidence import Kernel
 from aridcal.identifiable import identifiable
 from aridcal.measurements import Measurements, blocks
 from aridcal.model import Model
-from aridcal.residual import Observations, linearise, triangle
+from aridcal.residual import Observations, linearise, predict_residuals, scaled, triangle
 from aridcal.scan import pairs
 from aridcal.scoring import admitted
 from aridcal.search import Found, is_small, rank, search, twins
-from aridcal.solver import Data, Fit, Noise, Prior, fit
+from aridcal.solver import Data, Fit, Noise, Prior, fit, flag, thin
 from aridcal.source import Kind
 
 FOLDS = 5
 RUNS = 24  # stretches of time into which the rows are cut
-GAUGE = 0.02  # [m] and [rad]: constants are held at the geometric stage this loosely, where nothing else decides
+GAUGE = 0.05  # [m] and [rad]: constants are held at the geometric stage this loosely, where nothing else decides
 ROUNDS = 3
+SEARCHED = 2000  # rows at the most that are searched
 MOST_LARGE = 4
 RIVALS = 5
 LARGE = 100.0  # nats in favour of an effect that is worth comparing on the exact model
@@ -55,8 +56,8 @@ class Diagnosed:
     Attributes:
         fit: Constants and effects, fitted together on the exact model.
         linearised_at: Where the model was linearised for the last search.
-        bench: That linearised model.
-        scene: The training rows' covariates.
+        bench: That linearised model; of some of the training rows, if there are thousands.
+        scene: The same rows' covariates.
         found: The search's result.
         confounded: For each active effect, the candidates that these data cannot tell from it.
         declared: Effects that the campaign states.
@@ -94,6 +95,7 @@ def diagnose(
         noise: Declared noise.
         progress: Called with what is being done.
     """
+    every, bound = bound, _thinned(bound)
     geometric = bound.geometric
     scene, barred = look(bound)
     kinds = campaign.diagnosis.candidates if campaign.diagnosis.enabled else ()
@@ -134,7 +136,33 @@ def diagnose(
     if _shapes(state) != fitted:
         progress(f"fitting {len(state.active)} effects: {', '.join(a.effect.label for a in state.active[:4])}")
         current = refit(bound, state, current, noise)
+    if len(every.train) > len(bound.train):
+        progress(f"fitting all {len(every.train)} rows")
+        current = _widened(every, state, current, noise)
     return Diagnosed(current, at, bench, scene, found, twins(bench, named, state), tuple(stated), tuple(barred))
+
+
+def _thinned(bound: Bound) -> Bound:
+    """Enough rows to search with: an effect that matters shows in these, and every trial costs as many as there are."""
+    some = thin(bound.data(bound.geometric.model).rows, SEARCHED)
+    if len(some) == len(bound.train):
+        return bound
+    chosen = np.zeros(len(bound.train), dtype=bool)
+    chosen[some] = True
+    g = bound.geometric
+    geometric = replace(g, weight=g.weight[some], residual=g.residual[some])
+    return replace(bound, geometric=geometric, train=bound.train.select(chosen), measured=bound.measured[some],
+                   suspect=bound.suspect[some])  # fmt: skip
+
+
+def _widened(bound: Bound, state: State, current: Fit, noise: Noise) -> Fit:
+    """What was found on some of the rows, fitted to all of them."""
+    if not state.active:
+        return bound.geometric
+    data = bound.data(current.model)
+    residual = scaled(predict_residuals(current.model, current.theta, data.rows, data.measured), data.measured)
+    constants = tuple(c for c in current.model.coefficients if c.basis.constant)
+    return _refit(bound, constants, replace(state, weight=flag(residual, bound.suspect)), current, noise)
 
 
 def _unnamed(bench: Bench, unnamed: Sequence[Effect], named: Found, scene: Scene) -> Found:
@@ -224,12 +252,14 @@ def linear_bench(
     r, J = linearise(model, theta, data.rows, data.measured)
     constant = np.array([c.basis.constant for c in current.model.coefficients], dtype=bool)
     K = len(constant)
-    effect_part = np.flatnonzero(~constant)
-    r = r + J[:, :, effect_part] @ current.theta[effect_part]
+    known = dict(zip(bound.geometric.model.names, bound.geometric.theta, strict=True))
+    start = np.array([known.get(name, 0.0) for name in current.model.names])
+    r = r + J[:, :, :K] @ (current.theta - start)
     phi = np.column_stack([evaluate(b, scene.table) for b in bases]) if bases else np.zeros((len(r), 0))
     run, fold = _folds(bound)
     A, G = (np.ascontiguousarray(J[:, :, k]) for k in (np.flatnonzero(constant), slice(K, None)))
-    return Bench(A, G, slots, phi, bases, r, bound.suspect, run, fold, scene.robot.names, scene.table)
+    gauge = np.eye(A.shape[2]) / GAUGE**2
+    return Bench(A, gauge, G, slots, phi, bases, r, bound.suspect, run, fold, scene.robot.names, scene.table)
 
 
 def refit(bound: Bound, state: State, current: Fit, noise: Noise) -> Fit:
@@ -250,17 +280,16 @@ def _refit(bound: Bound, constants: tuple[Coefficient, ...], state: State, curre
     theta = np.array([known.get(name, 0.0) for name in model.names])
     precision = np.zeros((len(theta), len(theta)))
     mean = np.zeros(len(theta))
-    place = {name: k for k, name in enumerate(model.names)}
-    held = np.array([place[name] for name in geometric.model.names], dtype=int)
-    precision[held, held] = 1.0 / GAUGE**2
-    mean[held] = geometric.theta
+    before = dict(zip(geometric.model.names, geometric.theta, strict=True))
     at = len(constants)
+    precision[:at, :at] = np.eye(at) / GAUGE**2
+    mean[:at] = [before.get(name, 0.0) for name in model.names[:at]]
     for a in state.active:
         d = len(a.effect.coefficients)
         precision[at : at + d, at : at + d] = a.coefficient_precision
         at += d
     found = fit(model, bound.data(model), noise, theta, state.weight, Prior(mean, precision))
-    redundant = {name: why for name, why in geometric.redundant.items() if name not in place}
+    redundant = {name: why for name, why in geometric.redundant.items() if name not in model.names}
     return replace(found, candidates=geometric.candidates, redundant=redundant)
 
 

@@ -16,7 +16,7 @@ from aridcal.effects import Effect
 from aridcal.evidence import SMOOTH_PRICE, Score, extended, score, shaped, solve, sums, tail
 from aridcal.scan import SCANNED
 
-ALPHA = 1e-3  # chance that a clean campaign shows any effect at all, by these tests alone
+ALPHA = 3e-4  # chance that a clean campaign shows any effect at all, by these tests alone
 LEAST = 1e-2  # share of the squared error, on rows held back, that an effect must take away to matter
 ROBUST = 1e-3  # the same chance for one candidate when residuals of neighbouring rows may be alike
 CHUNK = 128
