@@ -1,8 +1,8 @@
 """Joint commands that bring the real target to wanted poses, through the whole calibrated model.
 
 Example:
-    python -m aridcal.compensate results/calibration.yaml poses.csv -o joints.csv
-    python -m aridcal.compensate results/calibration.yaml --grid 5 -o table.csv
+    aridcal compensate results/calibration.yaml poses.csv -o joints.csv
+    aridcal compensate results/calibration.yaml --grid 5 -o table.csv
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from scipy.interpolate import RegularGridInterpolator
 from scipy.spatial.transform import Rotation
 
 from aridcal.calibration import Calibration
-from aridcal.commands import atomic_file, check_writable, run
+from aridcal.commands import CommandParser, atomic_file, check_writable, command_parser, run
 from aridcal.errors import AridcalError, CovariateNotFound, MeasurementError, OutputError
 from aridcal.inverse import Arm, Command
 from aridcal.measurements import Query, load_query
@@ -246,25 +246,28 @@ def _arm(calibration: Calibration) -> Arm:
     return calibration.arm(labels[0] if labels else None)
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command; returns its exit status."""
-    parser = argparse.ArgumentParser(
-        prog="aridcal compensate", description=__doc__, epilog=EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )  # fmt: skip
-    parser.add_argument("calibration", type=Path, help="calibration.yaml of a result folder")
-    parser.add_argument(
+def parser() -> CommandParser:
+    """The command's arguments."""
+    command = command_parser("compensate", __doc__, EPILOG)
+    command.add_argument("calibration", type=Path, help="calibration.yaml of a result folder")
+    command.add_argument(
         "poses", type=Path, nargs="?", help="wanted poses (and covariates, and joints), .csv or .parquet"
     )
-    parser.add_argument(
+    command.add_argument(
         "--grid", type=int, metavar="POINTS", help="a correction table: so many points along each joint"
     )
-    parser.add_argument("-o", "--out", type=Path, required=True, help="where to write the commands, .csv or .parquet")
-    arguments = parser.parse_args(argv)
+    command.add_argument("-o", "--out", type=Path, required=True, help="where to write the commands, .csv or .parquet")
+    return command
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command; returns its exit status."""
+    command = parser()
+    arguments = command.parse_args(argv)
     if (arguments.poses is None) == (arguments.grid is None):
-        parser.error("give either the poses or --grid POINTS")
+        command.error("give either the poses or --grid POINTS")
     if arguments.grid is not None and arguments.grid < 2:
-        parser.error("--grid: 2 points at least")
+        command.error("--grid: 2 points at least")
     return run(lambda: _main(arguments))
 
 
