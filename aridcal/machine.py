@@ -122,7 +122,7 @@ class Machine:
         """T_world_target: rotation (3, 3) and position (3,) in [m]."""
         pin.framesForwardKinematics(self._model, self._data, effects + self._drive @ readings)
         target = self._data.oMf[self._target]
-        return target.rotation, target.translation
+        return target.rotation.copy(), target.translation.copy()
 
     def jacobian(self, readings: np.ndarray, effects: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The pose, and how it changes with the readings while the effects stay where they are.
@@ -134,7 +134,7 @@ class Machine:
         q = effects + self._drive @ readings
         J = pin.computeFrameJacobian(self._model, self._data, q, self._target, pin.LOCAL_WORLD_ALIGNED)
         target = pin.updateFramePlacement(self._model, self._data, self._target)
-        return target.rotation, target.translation, J @ self._drive
+        return target.rotation.copy(), target.translation.copy(), J @ self._drive
 
 
 class _Loads:
