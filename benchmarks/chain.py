@@ -26,7 +26,7 @@ import pinocchio as pin
 
 from aridcal.arm_and_head import fit_arm_and_head
 from aridcal.campaign import Campaign, FrameSettings
-from aridcal.effects import FRAME_COMPONENTS, Coefficient
+from aridcal.effects import FRAME_COMPONENTS, Basis, Coefficient, Surroundings
 from aridcal.geometry import constants
 from aridcal.head.matching import NotMeasured
 from aridcal.head.photograph import Optics, photograph, read_sonars
@@ -56,7 +56,12 @@ CASES = {
     "sonars read 1 % more": "{kind: sonar_scale, where: sonars}",
     "focal length off by 0.5 %": "{kind: focal_length, where: camera}",
     "camera 2 mm and 5 mrad off": "",
+    "elbow gives way": "",
+    "elbow gives way, k1 = -0.02": "{kind: lens_distortion, where: camera, motion: k1}",
 }
+ELBOW = Coefficient("joint_3", "axis", Basis("linear", ("joint_3.gravity_torque",), (0.0,)))
+GIVES = 1e-6  # [rad/Nm]
+GRAVITY = np.array([0.0, 9.81, 0.0])
 SIZES = {"k1": -0.02, "bias": 3e-3, "scale": 0.01, "f": 3.5}
 
 
@@ -99,13 +104,16 @@ def trial(job: tuple[str, int, bool]) -> Trial:
 
     names = [Coefficient(*n.split(".")) for n in scenario.truth.parameters]  # type: ignore[arg-type]
     theta = np.array([p.std for p in scenario.truth.parameters.values()]) * rng.standard_normal(len(names))
+    if "elbow" in case:
+        names, theta = [*names, ELBOW], np.append(theta, GIVES)
     base = scenario.truth.frames.world_base
     assert base is not None
     T_world_base = pin.SE3(pin.rpy.rpyToMatrix(*base.rpy), np.array(base.xyz))
     T_tip_camera = pin.SE3(settings.tip_camera.homogeneous)
     if "mrad" in case:
         T_tip_camera = T_tip_camera * pin.exp6(np.r_[2e-3 * _unit(rng), 5e-3 * _unit(rng)])
-    model = Model(robot, tuple(names), ((None, T_world_base),), ((None, T_tip_camera),))
+    frames = ((None, T_world_base),), ((None, T_tip_camera),)
+    model = Model(robot, tuple(names), *frames, Surroundings(GRAVITY, T_tip_camera.translation))
     nominal = replace(model, coefficients=())
     q, square = draw_views(nominal, optics, settings.camera.intrinsics, N, rng, case)
     T = _poses(model, theta, q)
@@ -129,13 +137,12 @@ def trial(job: tuple[str, int, bool]) -> Trial:
     anywhere = rng.uniform(low, high, (QUERIES, len(low)))
     true = _poses(model, theta, anywhere)
     final, plain = both.arm.diagnosed.fit, both.declared.geometric
-    oracle = _oracle(
-        model, T_tip_camera, found, q[kept], start, directions(start, [c for e in wrong for c in e.coefficients])
-    )
+    oracle = _oracle(model, found, q[kept], start, directions(start, [c for e in wrong for c in e.coefficients]))
+    truth = {(e.kind, e.where) for e in wrong} | ({("joint_compliance", "joint_3")} if "elbow" in case else set())
     said = (*both.choice.effects, *(a.effect for a in both.arm.diagnosed.found.state.active))
     return Trial(
         tuple(e.label for e in said),
-        {(e.kind, e.where) for e in said} == {(e.kind, e.where) for e in wrong},
+        {(e.kind, e.where) for e in said} == truth,
         _error(_poses(plain.model, plain.theta, anywhere), true),
         _error(_poses(final.model, final.theta, anywhere), true),
         _error(_poses(*oracle, anywhere), true),
@@ -201,11 +208,12 @@ def _rows(names: tuple[str, ...], q: np.ndarray) -> Measurements:
 
 
 def _oracle(
-    model: Model, mount: pin.SE3, seen: tuple[Seen, ...], q: np.ndarray, start: Head, H: np.ndarray
+    model: Model, seen: tuple[Seen, ...], q: np.ndarray, start: Head, H: np.ndarray
 ) -> tuple[Model, np.ndarray]:
     """Bundle adjustment: constants, both frames and the head's wrong number from all image points and ranges at once."""
     frames = [Coefficient(where, c) for where in ("world_base", "tip_target") for c in FRAME_COMPONENTS]
-    coefficients = [*frames, *constants(model.robot, "full")]
+    varying = [c for c in model.coefficients if not c.basis.constant]
+    coefficients = [*frames, *constants(model.robot, "full"), *varying]
     moving = model.with_coefficients(coefficients)
     theta, phi = np.zeros(len(coefficients)), np.zeros(H.shape[1])
     kept = np.zeros(0, dtype=int)
