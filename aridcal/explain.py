@@ -8,12 +8,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from aridcal.bench import Bench, State
 from aridcal.catalogue import Scene, merged
 from aridcal.diagnosis import Bound, Diagnosed
 from aridcal.effects import ANGULAR, Effect, evaluate
 from aridcal.outcome import Curve, Diagnosis, NamedEffect, Rejected
 from aridcal.residual import predict_residuals
-from aridcal.bench import Bench, State
 from aridcal.solver import Fit
 from aridcal.whiteness import LEAST, Clue
 
@@ -43,7 +43,7 @@ def explain(diagnosed: Diagnosed, every: Bound, test: np.ndarray, clues: Sequenc
         """What the model with some of its effects leaves of all rows."""
         names = {c.name for e in own for c in e.coefficients}
         keep = np.array([c.basis.constant or c.name in names for c in fit.model.coefficients], dtype=bool)
-        return predict_residuals(fit.model, refitted(fit, keep), data.rows, data.measured)
+        return predict_residuals(fit.model, refitted(fit, ~keep, keep), data.rows, data.measured)
 
     final = predict_residuals(fit.model, fit.theta, data.rows, data.measured)
     effects = []
@@ -88,25 +88,25 @@ def _rms(r: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.sum(r[:, :3] ** 2, axis=1)))) if len(r) else 0.0
 
 
-def refitted(fit: Fit, keep: np.ndarray) -> np.ndarray:
-    r"""Coefficients of a model of which some are taken to be zero, the others fitted anew to the same rows.
+def refitted(fit: Fit, gone: np.ndarray, free: np.ndarray) -> np.ndarray:
+    r"""Coefficients of a model of which some are taken to be zero, and others fitted anew to the same rows.
 
-    .. math:: \theta_S = \theta^*_S + H_{SS}^{-1} H_{SN} \theta^*_N
+    .. math:: \theta_F = \theta^*_F + H_{FF}^{-1} H_{FG} \theta^*_G
 
     Args:
         fit: The whole model, solved: theta* and H, the inverse of its covariance.
-        keep: Coefficients S that stay free, shape (K,); the others are N.
+        gone: Coefficients G that become zero, shape (K,).
+        free: Coefficients F that are fitted anew, shape (K,); the rest stay.
 
     Returns:
         Shape (K,). It is one Gauss-Newton step: constants that move by milliradians are exact to microradians, and the
         error that they leave is right to second order in that, since it is at its minimum.
     """
     scale = np.sqrt(np.diag(fit.covariance))
-    H = np.linalg.inv(fit.covariance / np.outer(scale, scale)) / np.outer(scale, scale)
-    theta = np.where(keep, fit.theta, 0.0)
-    theta[keep] += np.linalg.solve(
-        H[np.ix_(keep, keep)] * np.outer(scale[keep], scale[keep]), scale[keep] * (H[np.ix_(keep, ~keep)] @ fit.theta[~keep])
-    ) * scale[keep]  # fmt: skip
+    H = np.linalg.inv(fit.covariance / np.outer(scale, scale))  # in units of each coefficient's sigma
+    theta = np.where(gone, 0.0, fit.theta)
+    step = np.linalg.solve(H[np.ix_(free, free)], H[np.ix_(free, gone)] @ (fit.theta / scale)[gone])
+    theta[free] += scale[free] * step
     return theta
 
 

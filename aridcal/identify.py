@@ -23,7 +23,7 @@ from aridcal.arm_and_head import fit_arm_and_head, with_head
 from aridcal.campaign import Campaign, load_campaign
 from aridcal.commands import CommandParser, atomic_folder, check_writable, command_parser, run
 from aridcal.errors import CampaignError, MeasurementError
-from aridcal.explain import explain, verdict
+from aridcal.explain import explain, refitted, verdict
 from aridcal.export import stage_urdf, write_results
 from aridcal.geometry import Geometry, observations, recentred, unused_links
 from aridcal.measurements import Measurements, load_measurements
@@ -324,14 +324,23 @@ def _main(arguments: argparse.Namespace) -> None:
 def scene(outcome: Outcome) -> Scene:
     """What the picture shows: nominal and calibrated robot, measured targets, and every stage's prediction."""
     fit, m, robot = outcome.stage("final").fit, outcome.measurements, outcome.robot
-    world = fit.model.rows(m.readings, m.covariates, m.station).world
-    T_world_base = np.array([frame.homogeneous for _, frame in fit.model.world_base])[world]
+    rows = fit.model.rows(m.readings, m.covariates, m.station)
+    T_world_base = np.array([frame.homogeneous for _, frame in fit.model.world_base])[rows.world]
     calibrated = parse_robot(stage_urdf(outcome.stage("geometric").fit), robot.tip, robot.base, robot.path)
     predicted = {stage.name: m.position - stage.residual[:, :3] for stage in outcome.stages}
     gravity = np.atleast_2d(fit.model.around.gravity)[0]
     return Scene(
-        robot, calibrated, m.readings, T_world_base, m.position, predicted, m.test, outcome.outlier, m.line, gravity
-    )
+        robot, calibrated, m.readings, T_world_base, m.position, predicted, m.test, outcome.outlier, m.line, gravity,
+        moved, outcome.precision.places, outcome.precision.reach,
+    )  # fmt: skip
+    whole = fit.model.poses(fit.theta, rows)[1]
+    constant = np.array([c.basis.constant for c in fit.model.coefficients], dtype=bool)
+    moved = {}
+    for e in outcome.effects:
+        own = {c.name for c in e.effect.coefficients}
+        gone = np.array([name in own for name in fit.model.names], dtype=bool)
+        if gone.any():
+            moved[e.effect.label] = whole - fit.model.poses(refitted(fit, gone, constant), rows)[1]
 
 
 if __name__ == "__main__":

@@ -56,6 +56,7 @@ class Precision:
         position: 1-sigma of the target in its worst direction at each row, shape (N,), [m].
         rotation: Likewise for its orientation, [rad].
         reach: The same at configurations drawn from the whole joint range, shape (M,), [m].
+        places: Targets of those configurations in the base frame, shape (M, 3), [m].
         halves_measured: RMS difference of two calibrations from one half of the training rows each, [m]; nan if the
             halves are too small.
         halves_expected: RMS difference that noise alone would make, [m].
@@ -64,6 +65,7 @@ class Precision:
     position: np.ndarray
     rotation: np.ndarray
     reach: np.ndarray
+    places: np.ndarray
     halves_measured: float
     halves_expected: float
 

@@ -78,7 +78,10 @@ def precision(fit: Fit, train: Measurements, data: Data, halves: tuple[float, fl
     covariates = {name: values[some] for name, values in train.covariates.items()}
     rows = fit.model.rows(anywhere, covariates, None if train.station is None else train.station[some])
     reach, _ = target_sigma(fit, Data(rows, data.measured[some], data.suspect[some]))
-    return Precision(position, rotation, reach, *halves)
+    bases = fit.model.frames(fit.theta)[0]
+    targets = fit.model.poses(fit.theta, rows)[1]
+    places = np.array([bases[k][1].actInv(p) for k, p in zip(rows.world, targets, strict=True)])
+    return Precision(position, rotation, reach, places, *halves)
 
 
 def target_sigma(fit: Fit, data: Data) -> tuple[np.ndarray, np.ndarray]:

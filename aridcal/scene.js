@@ -5,13 +5,18 @@
   byId("meshcat-pane").insertAdjacentHTML("afterend", `
     <details id="panel" open>
     <summary><b id="title"></b> <span id="count"></span></summary>
-    <section><h2>Position error <small>RMS of <span id="scored"></span></small></h2><div id="stages"></div>
+    <section><h2>Position error <small>RMS of <span id="scored"></span></small></h2>
+    <button id="flip" title="key b">before / after</button><div id="stages"></div>
+    <div id="effects"></div><p id="alone"></p></section>
+    <section><h2><label for="field">Colour</label></h2><select id="field"></select>
     <div id="bar"></div><div id="ticks"></div></section>
     <section><h2><label for="factor">Magnified <output id="times"></output></label></h2>
     <input id="factor" type="range" min="0" step="1">
     <p>Needles point from the measured target to where the model puts it, lengths magnified. The ghost is the nominal
     robot, its deviation from the calibrated one magnified <output id="ghost"></output>.</p></section>
-    <section><h2><label for="row">Robot at row <output id="line"></output></label></h2>
+    <section><h2><label for="row">Robot at row <output id="line"></output></label>
+    <button id="back" title="arrow left">&lt;</button><button id="on" title="arrow right">&gt;</button>
+    <button id="worst">worst</button></h2>
     <input id="row" type="range" min="0" step="1" title="arrow keys step through the rows">
     <p id="here"></p><p id="readings"></p></section>
     <section><h2>Show</h2><div id="show"></div><p id="grid"></p></section>
@@ -25,11 +30,27 @@
   const flags = unpack(data.flags, Uint8Array);
   const count = flags.length;
   const stages = data.stages.map((stage) => ({ ...stage, error: floats(stage.error) }));
-  const millimetres = (stage, i) => 1e3 * Math.hypot(...stage.error.subarray(3 * i, 3 * i + 3));
+  const effects = data.effects.map((effect) => ({ ...effect, moved: unpack(effect.moved, Int16Array), on: true }));
+  const places = floats(data.places);
+  const sigma = floats(data.sigma);
+  const length = (vectors, i) => Math.hypot(vectors[3 * i], vectors[3 * i + 1], vectors[3 * i + 2]);
+  function rms(vectors, unit) {
+    let square = 0;
+    let used = 0;
+    for (let i = 0; i < count; i++) {
+      if (!(flags[i] & 4)) continue;
+      square += length(vectors, i) ** 2;
+      used += 1;
+    }
+    return unit * Math.sqrt(square / used);
+  }
   const text = (value) => (value >= 100 ? value.toFixed(0) : value >= 1e-3 ? value.toPrecision(3) : value.toExponential(1));
 
   // ---- what is shown now -------------------------------------------------------------------------------------------
-  const state = { stage: stages.length - 1, factor: data.factor, row: 0 };
+  const last = stages.length - 1;
+  const state = { stage: last, factor: data.factor, row: 0, field: "none" };
+  let current = stages[last].error; // of every row: what the stage shown leaves, less the effects switched off
+  const millimetres = (i) => 1e3 * length(current, i);
   const shown = { calibrated: true, nominal: true, targets: true, vectors: true, train: true, test: true };
 
   let viewer;
@@ -45,8 +66,11 @@
 
   // ---- colours -----------------------------------------------------------------------------------------------------
   const stops = data.colours.map((c) => new THREE.Color(c));
-  const [low, high] = data.range;
+  const sorted = Array.from(sigma).sort((a, b) => a - b);
+  const known = [sorted[Math.floor(0.02 * sorted.length)], sorted[Math.floor(0.98 * sorted.length)]];
+  const ranges = { none: data.range, error: data.range, sigma: [known[0], Math.max(known[1], 1.05 * known[0])] };
   function colour(mm) {
+    const [low, high] = ranges[state.field];
     const t = Math.min(Math.max(Math.log(mm / low) / Math.log(high / low), 0), 1) * (stops.length - 1);
     const k = Math.min(Math.floor(t), stops.length - 2);
     return stops[k].clone().lerp(stops[k + 1], t - k);
@@ -89,7 +113,7 @@
     const back = new THREE.Vector3(Math.cos(azimuth) * 0.93, Math.sin(azimuth) * 0.93, 0.37).normalize();
     const right = new THREE.Vector3(-back.y, back.x, 0).normalize();
     const up = back.clone().cross(right);
-    const wide = viewer.dom_element.offsetWidth / window.innerHeight;
+    const wide = viewer.dom_element.offsetWidth / viewer.dom_element.offsetHeight;
     const target = centre.clone();
     let distance = 2 * extent;
     for (let k = 0; k < 20; k++) {
@@ -216,25 +240,60 @@
   needles.frustumCulled = false;
   viewer.set_object(["robot", "vectors"], needles);
 
+  const soft = sprite((pen) => {
+    const shade = pen.createRadialGradient(32, 32, 2, 32, 32, 32);
+    shade.addColorStop(0, "#ffff");
+    shade.addColorStop(0.5, "#fffa");
+    shade.addColorStop(1, "#fff0");
+    pen.fillStyle = shade;
+    pen.fillRect(0, 0, 64, 64);
+  });
+  const cell = extent / 16;
+  const fog = cloud({ size: (1.6 * cell) / tangent, map: soft, vertexColors: true, transparent: true, depthWrite: false });
+  viewer.set_object(["robot", "field"], fog);
+
   const target = (i) => new THREE.Vector3().fromArray(measured, 3 * i);
   const visible = () => [...flags.keys()].filter((i) => (flags[i] & 1 ? shown.test : shown.train));
   const setPoints = (points, rows) =>
     points.geometry.setAttribute("position", new THREE.Float32BufferAttribute(rows.flatMap((i) => target(i).toArray()), 3));
+  const paint = (points, colours) =>
+    points.geometry.setAttribute("color", new THREE.Float32BufferAttribute(colours.flatMap((c) => c.toArray()), 3));
+
+  // Either what the model leaves, RMS of the targets in each cell of the room, or how well noise lets it know the target.
+  function drawField() {
+    const points = new Map();
+    if (state.field === "error") {
+      for (const i of visible()) {
+        if (flags[i] & 2) continue;
+        const key = [0, 1, 2].map((k) => Math.floor(measured[3 * i + k] / cell)).join();
+        const sum = points.get(key) || points.set(key, { at: new THREE.Vector3(), square: 0, used: 0 }).get(key);
+        sum.at.add(target(i));
+        sum.square += millimetres(i) ** 2;
+        sum.used += 1;
+      }
+      for (const sum of points.values()) Object.assign(sum, { at: sum.at.divideScalar(sum.used), value: Math.sqrt(sum.square / sum.used) });
+    } else if (state.field === "sigma") {
+      sigma.forEach((value, i) => points.set(i, { at: new THREE.Vector3().fromArray(places, 3 * i), value }));
+    }
+    const shownPoints = [...points.values()];
+    fog.geometry.setAttribute("position", new THREE.Float32BufferAttribute(shownPoints.flatMap((p) => p.at.toArray()), 3));
+    paint(fog, shownPoints.map((p) => colour(p.value)));
+  }
+
   function drawTargets() {
-    const stage = stages[state.stage];
     const rows = visible();
-    const colours = rows.map((i) => colour(millimetres(stage, i)));
+    const colours = rows.map((i) => colour(millimetres(i)));
     setPoints(targets, rows);
-    targets.geometry.setAttribute("color", new THREE.Float32BufferAttribute(colours.flatMap((c) => c.toArray()), 3));
+    paint(targets, colours);
     setPoints(flagged, rows.filter((i) => flags[i] & 2));
     const up = new THREE.Vector3(0, 1, 0);
     needles.count = rows.length;
     rows.forEach((i, k) => {
-      const error = new THREE.Vector3().fromArray(stage.error, 3 * i);
-      const length = Math.max(error.length(), 1e-12);
-      const turn = new THREE.Quaternion().setFromUnitVectors(up, error.divideScalar(length));
-      const width = Math.min(0.35 * dot, 0.3 * length * state.factor);
-      const scale = new THREE.Vector3(width, length * state.factor, width);
+      const error = new THREE.Vector3().fromArray(current, 3 * i);
+      const long = Math.max(error.length(), 1e-12);
+      const turn = new THREE.Quaternion().setFromUnitVectors(up, error.divideScalar(long));
+      const width = Math.min(0.35 * dot, 0.3 * long * state.factor);
+      const scale = new THREE.Vector3(width, long * state.factor, width);
       needles.setMatrixAt(k, new THREE.Matrix4().compose(target(i), turn, scale));
       needles.setColorAt(k, colours[k]);
     });
@@ -254,34 +313,64 @@
   byId("scored").textContent = data.scored;
   stages.forEach((stage, k) => {
     const label = element("label", byId("stages"));
-    const radio = element("input", label, null, { type: "radio", name: "stage", value: k, checked: k === state.stage });
+    const radio = element("input", label, null, { type: "radio", name: "stage", value: k });
     label.append(stage.name);
-    element("b", label, `${text(stage.rms)} mm`);
+    stage.shown = element("b", label, `${text(stage.rms)} mm`);
     radio.addEventListener("change", () => update({ stage: k }));
   });
+  const flip = () => update({ stage: state.stage === last ? 0 : last });
+  byId("flip").addEventListener("click", flip);
+  if (effects.length) element("h3", byId("effects"), "How far each effect moves the target, beyond what frames and constants could take up");
+  effects.forEach((effect) => {
+    const label = element("label", byId("effects"));
+    const tick = element("input", label, null, { type: "checkbox", name: "effect", checked: true });
+    element("span", label, effect.name);
+    element("b", label, `${text(rms(effect.moved, 1e3 * effect.step))} mm`);
+    tick.addEventListener("change", () => {
+      effect.on = tick.checked;
+      update({ stage: last });
+    });
+  });
+  const fields = { none: "each target, by its error", error: "the room, by the errors in it" };
+  if (sigma.length) fields.sigma = "all within reach, by 1σ of the target";
+  for (const [value, name] of Object.entries(fields)) element("option", byId("field"), name, { value });
+  byId("field").addEventListener("change", (event) => update({ field: event.target.value }));
   byId("bar").style.background = `linear-gradient(90deg, ${data.colours})`;
   const decades = Array.from({ length: 30 }, (_, k) => k - 20).flatMap((k) => [1, 2, 5].map((m) => m * 10 ** k));
-  const within = decades.filter((v) => v >= low * 0.999 && v <= high * 1.001);
-  const ticks = within.length > 5 ? within.filter((v) => /^1/.test(v.toExponential(0))) : within;
-  for (const v of ticks) {
-    const tick = element("span", byId("ticks"), `${Number(v.toPrecision(1))}${v === ticks[ticks.length - 1] ? " mm" : ""}`);
-    tick.style.left = `${(100 * Math.log(v / low)) / Math.log(high / low)}%`;
+  function drawScale() {
+    const [low, high] = ranges[state.field];
+    const within = decades.filter((v) => v >= low * 0.999 && v <= high * 1.001);
+    let ticks = within.length > 5 ? within.filter((v) => /^1/.test(v.toExponential(0))) : within;
+    if (ticks.length < 2) ticks = [low, high];
+    byId("ticks").replaceChildren();
+    for (const v of ticks) {
+      const tick = element("span", byId("ticks"), `${Number(v.toPrecision(2))}${v === ticks[ticks.length - 1] ? " mm" : ""}`);
+      tick.style.left = `${(100 * Math.log(v / low)) / Math.log(high / low)}%`;
+    }
   }
   const ladder = data.factors.filter((f) => f <= 20 * data.factor);
   Object.assign(byId("factor"), { max: ladder.length - 1, value: ladder.indexOf(data.factor) });
   byId("factor").addEventListener("input", (event) => update({ factor: ladder[event.target.value] }));
   Object.assign(byId("row"), { max: data.rows.length - 1, value: 0 });
   byId("row").addEventListener("input", (event) => update({ row: Number(event.target.value) }));
-  window.addEventListener("keydown", (event) => {
-    const by = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
-    if (!by || event.target.tagName === "INPUT") return;
-    update({ row: Math.min(Math.max(state.row + by, 0), data.rows.length - 1) });
+  const walk = (by) => update({ row: Math.min(Math.max(state.row + by, 0), data.rows.length - 1) });
+  byId("back").addEventListener("click", () => walk(-1));
+  byId("on").addEventListener("click", () => walk(1));
+  byId("worst").addEventListener("click", () => {
+    const off = data.rows.map((i) => (flags[i] & 2 ? 0 : millimetres(i)));
+    update({ row: off.indexOf(Math.max(...off)) });
   });
-  const names = {
+  window.addEventListener("keydown", (event) => {
+    if (["INPUT", "SELECT"].includes(event.target.tagName)) return;
+    if (event.key === "b") flip();
+    const by = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
+    if (by) walk(by);
+  });
+  const switches = {
     calibrated: "Calibrated", nominal: "Nominal ghost", targets: "Targets", vectors: "Error needles",
     train: "Training rows", test: "Test rows",
   };
-  for (const [key, name] of Object.entries(names)) {
+  for (const [key, name] of Object.entries(switches)) {
     const label = element("label", byId("show"));
     const tick = element("input", label, null, { type: "checkbox", name: key, checked: true });
     label.append(name);
@@ -294,21 +383,32 @@
   function update(change) {
     Object.assign(state, change);
     const i = data.rows[state.row];
+    const off = state.stage === last ? effects.filter((effect) => !effect.on) : [];
+    current = stages[state.stage].error;
+    if (off.length) {
+      current = current.map((value, k) => off.reduce((sum, effect) => sum - effect.step * effect.moved[k], value));
+    }
+    stages[last].shown.textContent = `${text(off.length ? rms(current, 1e3) : stages[last].rms)} mm`;
+    byId("alone").textContent = off.length ? "Without what is switched off; frames and constants refitted, other effects as they are." : "";
+    document.getElementsByName("stage").forEach((radio, k) => (radio.checked = k === state.stage));
     placeRobots();
+    drawScale();
     drawTargets();
+    drawField();
     setPoints(here, [i]);
     viewer.set_property(["robot", "calibrated"], "visible", shown.calibrated);
     viewer.set_property(["robot", "nominal"], "visible", shown.nominal);
-    viewer.set_property(["robot", "targets"], "visible", shown.targets);
-    viewer.set_property(["robot", "vectors"], "visible", shown.vectors);
+    const room = state.field === "sigma"; // its colours mean something else than those of the targets
+    viewer.set_property(["robot", "targets"], "visible", shown.targets && !room);
+    viewer.set_property(["robot", "vectors"], "visible", shown.vectors && !room);
     viewer.set_dirty();
     byId("times").textContent = `×${state.factor}`;
     byId("ghost").textContent = `×${Number(ghostFactor().toPrecision(2))}`;
     byId("row").value = state.row;
     byId("line").textContent = data.line[i];
     const kind = [flags[i] & 1 ? "test row" : "training row", ...(flags[i] & 2 ? ["flagged as outlier"] : [])];
-    const off = stages.map((stage) => `${stage.name} ${text(millimetres(stage, i))}`);
-    byId("here").textContent = `${kind.join(", ")}: ${off.join(" → ")} mm`;
+    const errors = stages.map((stage) => `${stage.name} ${text(1e3 * length(stage.error, i))}`);
+    byId("here").textContent = `${kind.join(", ")}: ${errors.join(" → ")} mm`;
     byId("readings").replaceChildren();
     for (const joint of data.readings) {
       const line = element("span", byId("readings"));
@@ -316,11 +416,18 @@
       element("span", line, `${joint.values[state.row].toFixed(1)} ${joint.unit}`);
     }
   }
-  if (window.innerWidth <= 720) byId("panel").open = false;
-  else byId("panel").querySelector("summary").addEventListener("click", (event) => event.preventDefault());
+  const fit = () => viewer.set_3d_pane_size(viewer.dom_element.offsetWidth, viewer.dom_element.offsetHeight);
+  window.addEventListener("resize", fit);
+  if (window.innerWidth <= 720) {
+    byId("panel").open = false;
+    byId("panel").addEventListener("toggle", () => {
+      fit();
+      frameCamera();
+    });
+  } else byId("panel").querySelector("summary").addEventListener("click", (event) => event.preventDefault());
   update({});
   requestAnimationFrame(() => {
-    viewer.set_3d_pane_size();
+    fit();
     frameCamera();
     document.documentElement.dataset.ready = "yes";
   });

@@ -14,9 +14,8 @@ import base64
 import html
 import importlib.util
 import json
-import os
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -27,20 +26,16 @@ from scipy.spatial.transform import Rotation
 
 from aridcal.errors import OutputError
 from aridcal.robot import Robot, tree_frames
+from aridcal.shapes import Shape, robot_shapes, turn
 
 ROWS = 200
 """At most so many rows can be stepped through; all are drawn as targets and vectors."""
-
-TRIANGLES = 120_000
-"""Meshes are thinned to about so many triangles in all: the page stays within a few megabytes."""
 
 VIRIDIS = ("#414487", "#355f8d", "#2a788e", "#21918c", "#22a884", "#44bf70", "#7ad151", "#bddf26", "#fde725")
 """Viridis from 0.2 to 1, evenly: its darkest fifth is left out because the page is dark."""
 
 LADDER = tuple(m * 10**k for k in range(6) for m in (1, 2, 5))
 """Magnifications to choose from."""
-
-GREY = (0.72, 0.74, 0.77)
 
 
 @dataclass(frozen=True)
@@ -58,6 +53,10 @@ class Scene:
         outlier: Flagged rows, shape (N,) bool.
         line: What each row is called: its line in the file, shape (N,); default: 1 to N.
         gravity: In the base frame, shape (3,); the view is upright against it.
+        moved: How each effect moves the last stage's prediction in the world frame, beyond what frames and constants could
+            take up, by its name, shape (N, 3) each, [m].
+        places: Targets all over the joint range in the base frame, shape (M, 3), [m].
+        sigma: How well the model knows them: 1-sigma in the worst direction, shape (M,), [m].
     """
 
     nominal: Robot
@@ -70,41 +69,9 @@ class Scene:
     outlier: np.ndarray
     line: np.ndarray | None = None
     gravity: np.ndarray = field(default_factory=lambda: np.array([0.0, 0.0, -9.81]))
-
-
-@dataclass(frozen=True, eq=False)
-class Shape:
-    """A thing to draw, rigidly attached to a joint of the tree.
-
-    Attributes:
-        joint: Id in ``robot.tree``; 0 does not move.
-        placement: From the shape's frame to the joint's, shape (4, 4).
-        kind: ``box`` (edges), ``cylinder`` (radius, length; along z), ``sphere`` (radius) or ``mesh``.
-        size: As the kind has it, [m].
-        colour: Red, green, blue from 0 to 1.
-        vertices: Of a mesh, shape (V, 3), [m].
-        faces: Of a mesh, shape (F, 3).
-    """
-
-    joint: int
-    placement: np.ndarray
-    kind: str
-    size: tuple[float, ...]
-    colour: tuple[float, float, float]
-    vertices: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
-    faces: np.ndarray = field(default_factory=lambda: np.zeros((0, 3), int))
-
-    def corners(self) -> np.ndarray:
-        """Corners of its bounding box in the joint's frame, shape (8, 3)."""
-        if self.kind == "mesh":
-            low, high = self.vertices.min(axis=0), self.vertices.max(axis=0)
-        else:
-            x = self.size
-            half = {"box": x, "cylinder": (2 * x[0], 2 * x[0], x[-1]), "sphere": (2 * x[0],) * 3}[self.kind]
-            high = np.array(half) / 2
-            low = -high
-        box = np.stack(np.meshgrid(*zip(low, high, strict=True)), axis=-1).reshape(8, 3)
-        return box @ self.placement[:3, :3].T + self.placement[:3, 3]
+    moved: dict[str, np.ndarray] = field(default_factory=dict)
+    places: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
+    sigma: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
 
 def write_scene(scene: Scene, path: Path) -> tuple[str, ...]:
@@ -148,6 +115,7 @@ def scene_content(scene: Scene, shapes: tuple[Shape, ...]) -> dict[str, Any]:
     factor = _magnification([d[~scene.outlier] for d in distance.values()], extent)
     unused = scene.test & ~scene.outlier
     scored = unused if unused.any() else ~scene.outlier
+    counts = scene.test + 2 * scene.outlier + 4 * scored
     geometries, visuals = _deduplicated(shapes, joints)
     return {
         "title": etree.fromstring(scene.nominal.urdf).get("name", "robot"),
@@ -163,11 +131,14 @@ def scene_content(scene: Scene, shapes: tuple[Shape, ...]) -> dict[str, Any]:
             for k, (j, unit, scale) in enumerate(_reading_units(scene.nominal))
         ],
         "measured": _pack(measured),
-        "flags": _pack(scene.test + 2 * scene.outlier, np.uint8),
+        "flags": _pack(counts, np.uint8),
         "stages": [
             {"name": k, "rms": 1e3 * float(np.sqrt(np.mean(distance[k][scored] ** 2))), "error": _pack(e)}
             for k, e in errors.items()
         ],
+        "effects": [_stepped(k, np.einsum("nij,nj->ni", R_base_world, v)) for k, v in scene.moved.items()],
+        "places": _pack(scene.places),
+        "sigma": _pack(1e3 * scene.sigma),
         "scored": "test rows" if unused.any() else "all rows",
         "colours": VIRIDIS,
         "range": _colour_range([d[~scene.outlier] for d in distance.values()]),
@@ -190,175 +161,9 @@ def body_poses(robot: Robot, readings: np.ndarray) -> np.ndarray:
     return T
 
 
-def robot_shapes(robot: Robot) -> tuple[tuple[Shape, ...], tuple[str, ...]]:
-    """Every ``<visual>`` of a URDF that can be drawn, or a stick figure if none can; then what is missing, and why."""
-    root = etree.fromstring(robot.urdf, etree.XMLParser(resolve_entities=False, no_network=True))
-    named = {m.get("name"): m.find("color") for m in root.findall("material")}
-    visuals = [(link.get("name", ""), visual) for link in root.findall("link") for visual in link.findall("visual")]
-    shapes: list[Shape] = []
-    notices: list[str] = []
-    for link, visual in visuals:
-        frame = robot.tree.frames[robot.tree.getFrameId(link, pin.FrameType.BODY)]
-        placement = frame.placement.homogeneous @ _origin(visual.find("origin"))
-        material = visual.find("material")
-        colour = None if material is None else material.find("color")
-        if colour is None and material is not None:
-            colour = named.get(material.get("name"))
-        paint = None if colour is None else _floats(colour, "rgba", "1 1 1 1")[:3]
-        try:
-            for part in _parts(visual, robot.path.parent):
-                kind, size, own, vertices, faces = part
-                rgb = own or paint or GREY
-                shapes.append(
-                    Shape(frame.parentJoint, placement, kind, size, (rgb[0], rgb[1], rgb[2]), vertices, faces)
-                )
-        except (_NotDrawable, ValueError) as error:
-            notices.append(f"link {link!r} is not drawn: {error}")
-    if not shapes:
-        notices.append("no link has a shape that can be drawn: the robot is drawn as a stick figure")
-    return _thinned(shapes) or _skeleton(robot), tuple(dict.fromkeys(notices))
-
-
-class _NotDrawable(Exception):
-    """A visual has to be left out; the message says why."""
-
-
-_Part = tuple[str, tuple[float, ...], tuple[float, ...] | None, np.ndarray, np.ndarray]
-
-
-def _parts(visual: etree._Element, folder: Path) -> Iterator[_Part]:
-    """Kind, size, own colour, vertices, faces of each part of a visual."""
-    none = np.zeros((0, 3))
-    for element in visual.iterfind("geometry/*"):
-        if element.tag == "box":
-            yield "box", _floats(element, "size", ""), None, none, none
-        elif element.tag == "cylinder":
-            size = _floats(element, "radius", "") + _floats(element, "length", "")
-            yield "cylinder", size, None, none, none
-        elif element.tag == "sphere":
-            yield "sphere", _floats(element, "radius", ""), None, none, none
-        elif element.tag == "mesh":
-            scale = np.array(_floats(element, "scale", "1 1 1"))
-            for colour, vertices, faces in load_mesh(find_mesh(element.get("filename", ""), folder)):
-                yield "mesh", (), colour, vertices * scale, faces
-        elif isinstance(element.tag, str):
-            raise _NotDrawable(f"<{element.tag}> is no shape of URDF")
-
-
-def find_mesh(uri: str, folder: Path) -> Path:
-    """Find a mesh file that a URDF names.
-
-    ``package://NAME/...`` is looked for in the folders above the URDF, and in those of ROS_PACKAGE_PATH and
-    AMENT_PREFIX_PATH; any other name is relative to the URDF's folder.
-    """
-    scheme, _, rest = uri.rpartition("://")
-    if scheme == "package":
-        name, _, inside = rest.partition("/")
-        above = [folder.resolve(), *folder.resolve().parents]
-        ros = [Path(p) for p in os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep) if p]
-        ament = [Path(p) / "share" for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
-        roots = [a for a in above + ros if a.name == name] + [a / name for a in above + ros + ament]
-        candidates = [root / inside for root in roots]
-    elif scheme in ("", "file"):
-        candidates = [folder / rest]
-    else:
-        raise _NotDrawable(f"{uri!r} is not a local file")
-    for path in candidates:
-        if path.is_file():
-            return path
-    raise _NotDrawable(f"no mesh {uri!r}")
-
-
-def load_mesh(path: Path) -> list[tuple[tuple[float, ...] | None, np.ndarray, np.ndarray]]:
-    """Read a mesh file: per colour (``None``: the file has none) vertices (V, 3) and faces (F, 3)."""
-    import trimesh
-
-    try:
-        meshes = trimesh.load_scene(path).dump()
-    except Exception as error:  # whatever its many readers raise, a picture is not worth losing the results for
-        raise _NotDrawable(f"mesh {path.name!r} cannot be read: {error}") from None
-    groups: dict[tuple[float, ...] | None, list[Any]] = {}
-    for mesh in meshes:
-        if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces) and np.isfinite(mesh.vertices).all():
-            groups.setdefault(_mesh_colour(mesh, path), []).append(mesh)
-    if not groups:
-        raise _NotDrawable(f"mesh {path.name!r} has no faces")
-    joined = {colour: trimesh.util.concatenate(same) for colour, same in groups.items()}
-    return [(colour, whole.vertices, whole.faces) for colour, whole in joined.items()]
-
-
-def _mesh_colour(mesh: Any, path: Path) -> tuple[float, ...] | None:
-    if path.suffix.lower() == ".stl":
-        return None
-    rgba = getattr(getattr(mesh.visual, "material", None), "main_color", None)
-    if rgba is None:
-        rgba = getattr(mesh.visual, "main_color", None)
-    return None if rgba is None else tuple((np.asarray(rgba[:3], float) / 255).tolist())
-
-
-def _thinned(shapes: list[Shape]) -> tuple[Shape, ...]:
-    """Meshes within the page's allowance: the small ones whole, the large ones down to one common number of faces."""
-    counts = np.sort([len(s.faces) for s in shapes if s.kind == "mesh"])
-    most = TRIANGLES
-    for k, count in enumerate(counts):
-        most = max((TRIANGLES - int(counts[:k].sum())) // (len(counts) - k), 100)
-        if count > most:
-            break
-    thinned = []
-    for shape in shapes:
-        if shape.kind == "mesh":
-            vertices, faces = weld(shape.vertices, shape.faces, most)
-            shape = replace(shape, vertices=vertices, faces=faces)
-        thinned.append(shape)
-    return tuple(thinned)
-
-
-def weld(vertices: np.ndarray, faces: np.ndarray, most: int) -> tuple[np.ndarray, np.ndarray]:
-    """Snap vertices to a grid, join those that meet and drop faces that vanish.
-
-    The grid starts at a thousandth of the mesh's size and is made coarser until at most ``most`` faces are left
-    (or it is down to 16 cells).
-    """
-    low, cells = vertices.min(axis=0), 1000.0
-    cell = max(float(np.ptp(vertices, axis=0).max()), 1e-12)
-    while True:
-        grid = ((vertices - low) * (cells / cell)).round().astype(np.int64)
-        _, first, inverse = np.unique(
-            (grid[:, 0] << 40) + (grid[:, 1] << 20) + grid[:, 2], return_index=True, return_inverse=True
-        )
-        welded = inverse.reshape(-1)[faces]
-        a, b, c = welded.T
-        welded = welded[(a != b) & (b != c) & (c != a)]
-        if len(welded) <= most or cells < 16:
-            used, again = np.unique(welded, return_inverse=True)
-            return vertices[first[used]], again.reshape(-1, 3)
-        cells *= 0.7
-
-
-def _skeleton(robot: Robot) -> tuple[Shape, ...]:
-    """A ball at each joint, a rod to it from the joint before."""
-    model = robot.tree
-    lengths = [float(np.linalg.norm(p.translation)) for p in model.jointPlacements[1:]]
-    radius = max(0.015 * sum(lengths), 1e-3)
-    shapes = []
-    for k in range(1, model.njoints):
-        shapes.append(Shape(k, np.eye(4), "sphere", (1.6 * radius,), (0.93, 0.45, 0.13)))
-        if lengths[k - 1] > radius:
-            step = model.jointPlacements[k].translation
-            T = np.eye(4)
-            T[:3, :3], T[:3, 3] = _turn(np.array([0.0, 0.0, 1.0]), step), step / 2
-            shapes.append(Shape(model.parents[k], T, "cylinder", (radius, lengths[k - 1]), GREY))
-    return tuple(shapes)
-
-
-def _turn(start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """The smallest rotation that brings one direction to another, shape (3, 3)."""
-    return pin.Quaternion.FromTwoVectors(start, end).toRotationMatrix()
-
-
 def _upright(gravity: np.ndarray) -> np.ndarray:
     """R_view_base: the view's z is up."""
-    return _turn(-gravity, np.array([0.0, 0.0, 1.0])) if np.linalg.norm(gravity) > 1e-9 else np.eye(3)
+    return turn(-gravity, np.array([0.0, 0.0, 1.0])) if np.linalg.norm(gravity) > 1e-9 else np.eye(3)
 
 
 def _colour_range(distances: list[np.ndarray]) -> list[float]:
@@ -420,19 +225,14 @@ def _position_quaternion(T: np.ndarray) -> np.ndarray:
     return np.concatenate([T[..., :3, 3], quaternion.reshape(*T.shape[:2], 4)], axis=-1)
 
 
+def _stepped(name: str, values: np.ndarray) -> dict[str, Any]:
+    """Small motions [m] as 16-bit steps: there may be many effects, each with a vector for every row."""
+    step = max(float(np.abs(values).max()), 1e-12) / 32767
+    return {"name": name, "step": step, "moved": _pack((values / step).round(), np.int16)}
+
+
 def _pack(values: np.ndarray, dtype: type = np.float32) -> str:
     return base64.b64encode(np.ascontiguousarray(values, np.dtype(dtype).newbyteorder("<")).tobytes()).decode()
-
-
-def _floats(element: etree._Element, key: str, default: str) -> tuple[float, ...]:
-    return tuple(float(v) for v in element.get(key, default).split())
-
-
-def _origin(element: etree._Element | None) -> np.ndarray:
-    if element is None:
-        return np.eye(4)
-    rotation = pin.rpy.rpyToMatrix(np.array(_floats(element, "rpy", "0 0 0")))
-    return pin.SE3(rotation, np.array(_floats(element, "xyz", "0 0 0"))).homogeneous
 
 
 def _page(content: dict[str, Any]) -> str:

@@ -37,7 +37,7 @@ def test_taking_coefficients_out_agrees_with_fitting_without_them() -> None:
             less, type(data)(less.rows(truth.readings), measured, data.suspect),
             Noise(whole.sigma.position, whole.sigma.rotation), weight=whole.weight,
         )  # fmt: skip
-        found = refitted(whole, keep)
+        found = refitted(whole, ~keep, keep)
         assert not found[~keep].any()
         np.testing.assert_allclose(found[keep], fixed.theta, atol=2e-5)
         mine, exact = (
@@ -47,4 +47,11 @@ def test_taking_coefficients_out_agrees_with_fitting_without_them() -> None:
         assert mine == pytest.approx(exact, rel=2e-3)
         assert exact > 2 * 5e-5  # what is missing is missed
         assert again.estimated.position > whole.estimated.position
-    np.testing.assert_allclose(refitted(whole, np.ones(len(model.coefficients), dtype=bool)), whole.theta)
+    every = np.ones(len(model.coefficients), dtype=bool)
+    np.testing.assert_array_equal(refitted(whole, ~every, every), whole.theta)
+    # What is neither gone nor free stays; what several take with them adds up.
+    parts = [np.array([c in some for c in model.coefficients]) for some in (waves[:2], waves[2:])]
+    free = np.array([c in constants for c in model.coefficients])
+    both, *single = (refitted(whole, gone, free) - whole.theta for gone in (parts[0] | parts[1], *parts))
+    np.testing.assert_allclose(both, sum(single), atol=1e-12)
+    np.testing.assert_array_equal(single[0][parts[1]], 0.0)

@@ -6,15 +6,16 @@ import base64
 import json
 import os
 import re
-import shutil
 import signal
 import subprocess
 import sys
 import urllib.error
 import urllib.request
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
+import chromium
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -29,12 +30,10 @@ from aridcal.scene import (
     VIRIDIS,
     Scene,
     body_poses,
-    find_mesh,
-    robot_shapes,
     scene_content,
-    weld,
     write_scene,
 )
+from aridcal.shapes import find_mesh, robot_shapes, weld
 from aridcal.view import main, serve
 
 ROOT = Path(aridcal.__file__).parents[1]
@@ -104,7 +103,7 @@ def unpack(text: str, dtype: type = np.float32) -> np.ndarray:
     ],
 )
 def test_meshes_lie_where_pinocchio_puts_them(urdf: str, tip: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("aridcal.scene.TRIANGLES", 10**8)
+    monkeypatch.setattr("aridcal.shapes.TRIANGLES", 10**8)
     path = PUBLIC / urdf
     if not path.is_file():
         pytest.skip("example-robot-data is not installed")
@@ -171,7 +170,7 @@ def test_all_meshes_together_stay_within_the_allowance(monkeypatch: pytest.Monke
     path = PUBLIC / "panda_description/urdf/panda.urdf"
     if not path.is_file():
         pytest.skip("example-robot-data is not installed")
-    monkeypatch.setattr("aridcal.scene.TRIANGLES", 20_000)
+    monkeypatch.setattr("aridcal.shapes.TRIANGLES", 20_000)
     shapes, _ = robot_shapes(load_robot(path, "panda_hand"))
     assert 10_000 < sum(len(s.faces) for s in shapes) <= 20_000
 
@@ -394,24 +393,17 @@ def test_only_this_computer_is_served(tmp_path: Path) -> None:
 # ---- in a browser ----------------------------------------------------------------------------------------------------
 
 
-def browse(page: Path, picture: Path) -> tuple[np.ndarray, list[str]]:
-    """Open a page in headless Chromium with software WebGL and no network: pixels (H, W, 3) and console messages."""
-    chromium = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-    if chromium is None:
-        if os.environ.get("ARIDCAL_REQUIRE_CHROMIUM") == "1":
-            pytest.fail("ARIDCAL_REQUIRE_CHROMIUM=1, but there is no Chromium")
-        pytest.skip("no Chromium on this computer")
-    done = subprocess.run(
-        [chromium, "--headless", "--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--disable-gpu-sandbox",
-         "--enable-unsafe-swiftshader", "--disable-background-networking", "--host-resolver-rules=MAP * ~NOTFOUND",
-         f"--user-data-dir={page.parent / 'profile'}", "--window-size=1000,700", "--virtual-time-budget=6000",
-         "--enable-logging=stderr", "--v=0", f"--screenshot={picture}", page.as_uri()],
-        capture_output=True, text=True, timeout=120, check=True,
-    )  # fmt: skip
-    from PIL import Image
-
-    console = re.findall(r"CONSOLE[^\]]*\] \"(.*?)\", source:", done.stderr, re.S)
-    return np.asarray(Image.open(picture).convert("RGB"), float), console
+def with_effect(scene: Scene) -> Scene:
+    """The same with an effect that moves the target by 1 mm upwards, and three places of known uncertainty."""
+    up = np.tile([0.0, 0.0, 1e-3], (len(scene.measured), 1))
+    places = np.array([[0.5, 0.0, 0.5], [0.5, 0.5, 0.5], [0.5, -0.5, 0.5]])
+    return replace(
+        scene,
+        line=np.arange(40) + 2,
+        moved={"joint_map at swing": up},
+        places=places,
+        sigma=np.array([1e-5, 5e-5, 1e-4]),
+    )
 
 
 def red(pixels: np.ndarray) -> int:
@@ -420,46 +412,147 @@ def red(pixels: np.ndarray) -> int:
     return int(((r > 60) & (g < 0.35 * r) & (b < 0.35 * r)).sum())
 
 
-def yellow(pixels: np.ndarray) -> int:
-    """Pixels of the colour of large errors."""
-    return int((np.abs(pixels[:, 330:] - [253, 231, 37]).max(axis=-1) < 40).sum())
+def coloured(pixels: np.ndarray, hexadecimal: str) -> int:
+    """Pixels of an unlit colour."""
+    wanted = [int(hexadecimal[k : k + 2], 16) for k in (1, 3, 5)]
+    return int((np.abs(pixels[:, 330:] - wanted).max(axis=-1) < 40).sum())
 
 
-def test_the_page_draws_the_scene_and_its_panel_works(tmp_path: Path) -> None:
-    page = tmp_path / "scene.html"
-    scene = replace(example(), line=np.arange(40) + 2)
-    write_scene(scene, page)
-    pixels, console = browse(page, tmp_path / "scene.png")
-    assert console == []
-    assert red(pixels) > 2000  # the robot is there
-    assert len(np.unique(pixels[:, :330].reshape(-1, 3), axis=0)) > 50  # so is the panel
+def changed(before: np.ndarray, after: np.ndarray) -> int:
+    """Pixels of the room that differ."""
+    return int((np.abs(before - after)[:, 330:].max(axis=-1) > 12).sum())
 
-    # A second page works its own panel, then tells what it reads.
-    script = """<script>window.addEventListener("load", () => setTimeout(() => {
-      const work = (selector, change, event) => {
-        const control = document.querySelector(selector);
-        Object.assign(control, change);
-        control.dispatchEvent(new Event(event));
-      };
-      work("input[name=stage]", {checked: true}, "change");
-      work("#row", {value: 7}, "input");
-      window.dispatchEvent(new KeyboardEvent("keydown", {key: "ArrowRight"}));
-      work("#factor", {value: Number(document.querySelector("#factor").value) + 1}, "input");
-      work("input[name=calibrated]", {checked: false}, "change");
-      const read = (id) => document.getElementById(id).textContent;
-      console.log(JSON.stringify(["line", "here", "times", "readings", "stages", "count"].map(read)));
-    }, 500))</script></body>"""
-    page.write_text(page.read_text("utf-8").replace("</body>", script), encoding="utf-8")
-    worked, console = browse(page, tmp_path / "worked.png")
-    assert len(console) == 1
-    line, here, times, readings, stages, count = json.loads(console[0])
-    content = embedded(page.read_text("utf-8"))
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return with_effect(example())
+
+
+@pytest.fixture
+def page(scene: Scene, browser: chromium.Browser, tmp_path: Path) -> Iterator[chromium.Page]:
+    write_scene(scene, tmp_path / "scene.html")
+    with browser.open(tmp_path / "scene.html", 1000, 800) as opened:
+        opened.wait("document.documentElement.dataset.ready")
+        yield opened
+        assert opened.console == []
+        assert opened.requests == []
+
+
+def choose(page: chromium.Page, control: str, value: object) -> None:
+    """Set a slider or a list."""
+    page.evaluate(f"""(() => {{
+      const control = document.getElementById("{control}");
+      control.value = {json.dumps(value)};
+      for (const event of ["input", "change"]) control.dispatchEvent(new Event(event));
+    }})()""")
+
+
+def click(page: chromium.Page, selector: str) -> None:
+    page.evaluate(f"document.querySelector({json.dumps(selector)}).click()")
+
+
+def read(page: chromium.Page, control: str) -> str:
+    return str(page.evaluate(f"document.getElementById('{control}').innerText"))
+
+
+def test_the_page_draws_robot_ghost_targets_and_needles(page: chromium.Page) -> None:
+    whole = page.pixels()
+    assert red(whole) > 2000  # the robot
+    assert len(np.unique(whole[:, :330].reshape(-1, 3), axis=0)) > 50  # the panel
+    for name, least in (("calibrated", 5000), ("nominal", 500), ("targets", 100), ("vectors", 100)):
+        click(page, f"input[name={name}]")
+        without = page.pixels()
+        assert changed(whole, without) > least, name
+        click(page, f"input[name={name}]")
+        assert changed(whole, page.pixels()) < 20, name
+    click(page, "input[name=calibrated]")
+    assert red(page.pixels()) < 0.05 * red(whole)  # the base's red axis is left
+
+
+def test_before_and_after_are_one_click_apart(page: chromium.Page, scene: Scene) -> None:
+    after = page.pixels()
+    click(page, "#flip")
+    before = page.pixels()
+    assert page.evaluate("document.querySelector('input[name=stage]:checked').value") == "0"
+    assert coloured(before, VIRIDIS[-1]) > 3 * coloured(after, VIRIDIS[-1])  # before calibration the errors are large
+    click(page, "#flip")
+    assert changed(after, page.pixels()) < 20
+    assert read(page, "stages").split("\n")[::2] == ["nominal", "final"]
+    assert read(page, "count") == "40 measured poses"
+
+
+def test_rows_are_stepped_through_with_buttons_keys_and_slider(page: chromium.Page, scene: Scene) -> None:
+    still = page.pixels()
+    choose(page, "row", 7)
+    page.evaluate("window.dispatchEvent(new KeyboardEvent('keydown', {key: 'ArrowRight'}))")
+    assert read(page, "line") == "10"
     errors = [1e3 * np.linalg.norm(p[8] - scene.measured[8]) for p in scene.predicted.values()]
-    assert line == "10"
-    assert here == f"test row: nominal {errors[0]:.3g} → final {errors[1]:.3g} mm"
-    assert times == f"×{LADDER[LADDER.index(content['factor']) + 1]}"
-    assert readings == f"swing{np.degrees(scene.readings[8, 0]):.1f} °reach{1e3 * scene.readings[8, 1]:.1f} mm"
-    assert stages.startswith("nominal4.0")
-    assert count == "40 measured poses"
-    assert red(worked) < 0.05 * red(pixels)  # the calibrated robot is switched off; the base's red axis is left
-    assert yellow(worked) > 3 * yellow(pixels)  # before calibration the errors are large
+    assert read(page, "here") == f"test row: nominal {errors[0]:.3g} → final {errors[1]:.3g} mm"
+    shown = page.evaluate("document.getElementById('readings').textContent")
+    assert shown == f"swing{np.degrees(scene.readings[8, 0]):.1f} °reach{1e3 * scene.readings[8, 1]:.1f} mm"
+    assert changed(still, page.pixels()) > 5000  # the robot stands elsewhere
+    click(page, "#back")
+    assert read(page, "line") == "9"
+    click(page, "#worst")
+    off = np.linalg.norm(scene.predicted["final"] - scene.measured, axis=1)
+    assert read(page, "line") == str(2 + int(np.argmax(np.where(scene.outlier, 0, off))))
+
+
+def test_needles_grow_with_the_slider(page: chromium.Page, scene: Scene) -> None:
+    factor = scene_content(scene, robot_shapes(scene.nominal)[0])["factor"]
+    assert read(page, "times") == f"×{factor}"
+    click(page, "input[name=nominal]")  # the ghost is magnified with them
+    drawn = page.pixels()
+    rung = LADDER.index(factor)
+    choose(page, "factor", rung + 2)
+    assert read(page, "times") == f"×{LADDER[rung + 2]}"
+    longer = page.pixels()
+    click(page, "input[name=vectors]")
+    bare = page.pixels()
+    assert changed(bare, longer) > 2 * changed(bare, drawn)
+
+
+def test_an_effect_switched_off_leaves_what_it_explained(page: chromium.Page, scene: Scene) -> None:
+    shown = page.pixels()
+    click(page, "input[name=effect]")
+    scored = scene.test & ~scene.outlier
+    left = scene.predicted["final"] - scene.moved["joint_map at swing"] - scene.measured
+    rms = 1e3 * np.sqrt(np.mean(np.sum(left[scored] ** 2, axis=1)))
+    assert read(page, "stages").split("\n")[-1] == f"{rms:.3g} mm"
+    assert "Without what is switched off" in read(page, "alone")
+    assert changed(shown, page.pixels()) > 300
+    assert "joint_map at swing" in read(page, "effects")
+    assert read(page, "effects").endswith("1.00 mm")
+    click(page, "input[name=effect]")
+    assert changed(shown, page.pixels()) < 20
+
+
+def test_the_room_is_coloured_by_errors_and_by_uncertainty(page: chromium.Page) -> None:
+    plain = page.pixels()
+    choose(page, "field", "error")
+    errors = page.pixels()
+    assert changed(plain, errors) > 3000
+    choose(page, "field", "sigma")
+    sigma = page.pixels()
+    assert changed(errors, sigma) > 3000
+    assert "0.1 mm" in read(page, "ticks")
+    choose(page, "field", "none")
+    assert changed(plain, page.pixels()) < 20
+
+
+def test_on_a_phone_the_panel_opens_below_the_robot(browser: chromium.Browser, scene: Scene, tmp_path: Path) -> None:
+    write_scene(scene, tmp_path / "scene.html")
+    with browser.open(tmp_path / "scene.html", 390, 800) as page:
+        page.wait("document.documentElement.dataset.ready")
+        assert page.evaluate("document.documentElement.scrollWidth") == 390
+        assert page.evaluate("document.getElementById('panel').getBoundingClientRect().height") < 80
+        page.evaluate("document.getElementById('panel').open = true")
+        page.wait("document.querySelector('canvas').getBoundingClientRect().height < 450")
+        box = "document.getElementById('panel').getBoundingClientRect()"
+        assert (
+            page.evaluate(f"{box}.top")
+            >= page.evaluate("document.querySelector('canvas').getBoundingClientRect().bottom") - 1
+        )
+        r, g, b = np.moveaxis(page.pixels()[:400], -1, 0)
+        assert ((r > 60) & (g < 0.35 * r) & (b < 0.35 * r)).sum() > 500  # the robot is still in sight
+        assert page.console == []

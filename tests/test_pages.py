@@ -1,0 +1,116 @@
+"""Pages as a reader opens them: headless Chromium without network, at phone and desk width, and on paper."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Iterator
+from pathlib import Path
+
+import chromium
+import numpy as np
+import pytest
+import robots
+import test_measure
+from scipy.spatial.transform import Rotation
+
+from aridcal.identify import main as identify
+
+LOUD = """(() => {
+  const wide = (e) => e.getBoundingClientRect().right > innerWidth + 1 && !e.closest(".scroll, figure");
+  return [...document.querySelectorAll("main *, header *")].filter(wide).map((e) => e.outerHTML.slice(0, 80));
+})()"""
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The result folder of a robot whose second joint has an error curve that nobody declared."""
+    folder = tmp_path_factory.mktemp("pages")
+    truth = robots.simulate(robots.arid(), 150, np.random.default_rng(2), noise=5e-5, which="doty")
+    rows = robots.table(truth)
+    model, q = truth.model, truth.readings.copy()
+    q[:, 1] += 2e-3 * np.sin(2 * q[:, 1])
+    R, p = model.poses(truth.theta, model.rows(q))
+    rows[["x", "y", "z"]] = p + np.random.default_rng(3).normal(0, 5e-5, p.shape)
+    turned = Rotation.from_rotvec(np.random.default_rng(4).normal(0, 5e-5, p.shape)).as_matrix() @ R
+    rows[["qx", "qy", "qz", "qw"]] = Rotation.from_matrix(turned).as_quat()
+    rows = rows.assign(time=30.0 * np.arange(150), temperature=20 + np.random.default_rng(5).normal(0, 1, 150))
+    path = robots.write_campaign(folder, truth, rows, diagnosis={"enabled": True})
+    assert identify([str(path), "--out", str(folder / "results")]) == 0
+    return folder / "results"
+
+
+@pytest.fixture(params=[390, 1280])
+def report(request: pytest.FixtureRequest, result: Path, browser: chromium.Browser) -> Iterator[chromium.Page]:
+    with browser.open(result / "report.html", request.param, 900) as page:
+        yield page
+        assert page.console == []
+        assert page.requests == []
+
+
+def test_the_report_fits_the_window_and_can_be_read(report: chromium.Page) -> None:
+    width = report.evaluate("innerWidth")
+    assert report.evaluate("document.documentElement.scrollWidth") <= width
+    assert report.evaluate(LOUD) == []
+    small = "[...document.querySelectorAll('svg text')].filter((t) => t.getBoundingClientRect().height < 8).length"
+    assert report.evaluate(small) == 0
+    assert report.evaluate("document.querySelector('.now').getBoundingClientRect().bottom") < 500
+    if width > 1000:  # on a desk the first screen answers all five questions
+        assert report.evaluate("document.querySelector('.answers').getBoundingClientRect().bottom") < 900
+
+
+def test_figures_stand_in_the_page_with_ink_in_them(report: chromium.Page) -> None:
+    count = report.evaluate("document.querySelectorAll('svg.plot').length")
+    assert count > 15
+    for k in range(0, count, 4):
+        report.evaluate(
+            f"document.querySelectorAll('svg.plot')[{k}].scrollIntoView({{behavior: 'instant', block: 'center'}})"
+        )
+        box = report.evaluate(
+            f"(() => {{const b = document.querySelectorAll('svg.plot')[{k}].getBoundingClientRect();"
+            "return [b.left, b.top, Math.min(b.right, innerWidth), b.bottom]})()"
+        )
+        left, top, right, bottom = (int(v) for v in box)
+        part = report.pixels()[max(top, 0) : bottom, left:right]
+        assert (part.min(axis=-1) < 200).mean() > 0.005, k
+
+
+def test_links_lead_to_sections(report: chromium.Page) -> None:
+    found = "[...document.querySelectorAll('nav a')].every((a) => document.querySelector(a.getAttribute('href')))"
+    assert report.evaluate(found)
+
+
+def test_on_paper_the_report_keeps_its_order_and_width(result: Path, browser: chromium.Browser) -> None:
+    with browser.open(result / "report.html", 718, 1000) as page:  # A4 less its margins, at 96 dots an inch
+        page.call("Emulation.setEmulatedMedia", media="print")
+        assert page.evaluate(LOUD) == []
+        tables = "[...document.querySelectorAll('.scroll')].filter((e) => e.scrollWidth > e.clientWidth + 1).length"
+        assert page.evaluate(tables) == 0  # paper does not scroll
+        tops = page.evaluate(
+            "[...document.querySelectorAll('main > section')].map((e) => e.getBoundingClientRect().top)"
+        )
+        assert tops == sorted(tops)
+        assert page.evaluate("getComputedStyle(document.querySelector('nav')).display") == "none"
+        made = base64.b64decode(page.call("Page.printToPDF", preferCSSPageSize=True)["data"])
+        assert made.startswith(b"%PDF")
+        assert 4 <= made.count(b"/Type /Page\n") <= 20
+        assert len(made) < 2_000_000
+
+
+def test_the_results_scene_opens_without_complaint(result: Path, browser: chromium.Browser) -> None:
+    with browser.open(result / "scene.html", 1000, 700) as page:
+        page.wait("document.documentElement.dataset.ready")
+        assert page.pixels()[:, 330:].std() > 10
+        assert page.evaluate("document.querySelectorAll('input[name=effect]').length") >= 1
+        assert page.console == page.requests == []
+
+
+def test_the_sheet_of_shots_opens_without_complaint(browser: chromium.Browser, tmp_path: Path) -> None:
+    shots = test_measure.Campaign(tmp_path)
+    assert shots.run() == 0
+    for width in (390, 1280):
+        with browser.open(tmp_path / "out" / "shots.html", width, 900) as page:
+            assert page.evaluate("document.documentElement.scrollWidth") <= width
+            assert page.evaluate("document.images.length") == 4
+            assert page.evaluate("[...document.images].every((i) => i.complete && i.naturalWidth > 0)")
+            assert page.pixels().std() > 20
+            assert page.console == page.requests == []
