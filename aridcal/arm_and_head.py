@@ -9,6 +9,7 @@ import numpy as np
 
 from aridcal.arm import Arm, fit_arm, fit_constants
 from aridcal.campaign import HEAD_KINDS, Campaign
+from aridcal.closed_form import closed_form
 from aridcal.effects import Coefficient
 from aridcal.geometry import Geometry, declared_noise, observations
 from aridcal.head.reduction import Head, Reduced, reduce_shots
@@ -139,6 +140,7 @@ def with_head(outcome: Outcome, both: ArmAndHead, shots: Shots) -> Outcome:
     ]
     ranges = np.array([np.sqrt(np.mean(r.range_residuals**2, axis=0)) for r in (both.before, both.after)])
     numbers, coefficients = _numbers(both)
+    mount = stages[-1].fit.model.tip_target[0][1].homogeneous
     fiducials = {str(name): shots.fiducials[name].to_numpy() for name in shots.fiducials}
     notices = [
         "tip_target is the camera's mounting on the tip, T_tip_camera; that of head.yaml is only where it started"
@@ -154,7 +156,15 @@ def with_head(outcome: Outcome, both: ArmAndHead, shots: Shots) -> Outcome:
         outcome,
         stages=tuple(stages),
         diagnosis=diagnosis,
-        head=MeasuringHead(numbers, coefficients, (spread[0], spread[1]), ranges, fiducials),
+        head=MeasuringHead(
+            numbers,
+            coefficients,
+            (spread[0], spread[1]),
+            ranges,
+            fiducials,
+            np.array([shots.mount, mount]),
+            closed_form(both.arm.geometry.geometric, outcome.measurements, outcome.parts()["train"]),
+        ),
         notices=(*notices, *outcome.notices),
     )
 

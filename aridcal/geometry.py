@@ -228,7 +228,7 @@ def _report_starts(found: Fit, data: Data, readings: np.ndarray) -> list[np.ndar
     """The report's closed form (its section 3, corrected), for an arm of the ARID's build and its own parameters."""
     robot = found.model.robot
     wanted = [(k, c) for k, c in enumerate(found.model.coefficients) if c.component in LINK_COMPONENTS]
-    if not wanted or data.measured.rotation is None or not _is_arid(robot):
+    if not wanted or data.measured.rotation is None or not is_arid(robot):
         return []
     world, tip = found.model.world_base[0][1].inverse(), found.model.tip_target[0][1].inverse()
     poses = np.broadcast_to(np.eye(4), (len(data), 4, 4)).copy()
@@ -246,7 +246,7 @@ def _report_starts(found: Fit, data: Data, readings: np.ndarray) -> list[np.ndar
     return [theta]
 
 
-def _is_arid(robot: Robot) -> bool:
+def is_arid(robot: Robot) -> bool:
     """A rail and three revolute joints, all parallel, frames as in the report."""
     kinds = [joint.kind for joint in robot.joints] == ["prismatic", "revolute", "revolute", "revolute"]
     return kinds and all(

@@ -279,6 +279,23 @@ class HeadNumber:
 
 
 @dataclass(frozen=True)
+class ClosedForm:
+    """The closed-form answer of the report of 1992, beside the full one.
+
+    Attributes:
+        nominal: ``d theta beta a alpha`` of each link, shape (4, 5), [m] and [rad].
+        links: Likewise, from the closed form.
+        full: Likewise, of the geometric stage.
+        residual: What the closed form leaves of all rows, shape (N, 6), [m] and [rad].
+    """
+
+    nominal: np.ndarray
+    links: np.ndarray
+    full: np.ndarray
+    residual: np.ndarray
+
+
+@dataclass(frozen=True)
 class MeasuringHead:
     """What was found of the measuring head.
 
@@ -288,6 +305,8 @@ class MeasuringHead:
         misfit: RMS of what shots have beyond their poses, in sigmas: with the head as declared and as identified.
         ranges: RMS of what each sonar reads beyond the poses, likewise, shape (2, S), [m].
         fiducials: Columns of the cache of what was found in the images.
+        mount: T_tip_camera as declared and as identified, shape (2, 4, 4).
+        closed_form: The report's own answer on the same poses; None for an arm that is not the ARID's like.
     """
 
     numbers: tuple[HeadNumber, ...]
@@ -295,6 +314,8 @@ class MeasuringHead:
     misfit: tuple[float, float]
     ranges: np.ndarray
     fiducials: dict[str, np.ndarray]
+    mount: np.ndarray
+    closed_form: ClosedForm | None = None
 
 
 @dataclass(frozen=True)

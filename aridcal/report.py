@@ -15,6 +15,7 @@ from aridcal.dependence import depends
 from aridcal.doty import Link, doty_links
 from aridcal.effects import FRAME_COMPONENTS, LINK_COMPONENTS
 from aridcal.export import frames, parameters
+from aridcal.head_section import measuring_head
 from aridcal.markup import Content, Html, counted, fixed, join, number, plus_minus, table, tag
 from aridcal.outcome import STATISTICS, Outcome, errors
 
@@ -57,6 +58,8 @@ def page(outcome: Outcome) -> Html:
         ("parameters", "What was identified", identified),
         ("use", "How to use the result", use),
     ]
+    if outcome.head is not None:
+        chapters.insert(7, ("head", "The measuring head", measuring_head))
     if outcome.verification is not None:
         chapters.insert(6, ("verification", "Another day's data", verification))
     links = [tag("a", title, href=f"#{key}") for key, title, _ in chapters]

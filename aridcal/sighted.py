@@ -40,6 +40,7 @@ class Shots:
         rows: Joints, covariates and split of each shot; no pose yet.
         seen: What was found in each.
         fiducials: The cache: a line for each fiducial.
+        mount: T_tip_camera as head.yaml has it, shape (4, 4).
     """
 
     campaign: Campaign
@@ -47,6 +48,7 @@ class Shots:
     rows: Measurements
     seen: tuple[Seen, ...]
     fiducials: pd.DataFrame
+    mount: np.ndarray
 
 
 def read_shots(
@@ -95,7 +97,8 @@ def read_shots(
     kept = rows.select(np.isin(rows.line, good))
     every = sorted((*rows.refused, *remarks), key=lambda r: r.row or 0)
     lines = pd.concat([found[line] for line in good], ignore_index=True)
-    return Shots(campaign, Head.of(settings), replace(kept, refused=tuple(every)), tuple(seen), lines)
+    return Shots(campaign, Head.of(settings), replace(kept, refused=tuple(every)), tuple(seen), lines,
+                 settings.tip_camera.homogeneous)  # fmt: skip
 
 
 def posed(rows: Measurements, reduced: Reduced) -> Measurements:

@@ -131,7 +131,13 @@ def trial(job: tuple[str, int, bool]) -> Trial:
     asked = job_given.model_copy(update={"frames": job_given.frames.model_copy(update={"tip_target": mount})})
     rows = _rows(robot.readings, q[kept])
     began = time.perf_counter()
-    both = fit_arm_and_head(Shots(asked, start, rows, found, pd.DataFrame()), rows, robot, (), lambda _: None)
+    both = fit_arm_and_head(
+        Shots(asked, start, rows, found, pd.DataFrame(), settings.tip_camera.homogeneous),
+        rows,
+        robot,
+        (),
+        lambda _: None,
+    )
     seconds = time.perf_counter() - began
     low, high = q.min(axis=0), q.max(axis=0)
     anywhere = rng.uniform(low, high, (QUERIES, len(low)))

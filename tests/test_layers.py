@@ -22,7 +22,7 @@ LAYERS = [
     {"model", "machine", "report1992", "residual"},
     {"start", "identifiable", "solver", "geometry", "inverse"},
     {"outcome", "arm", "instrument", "quality", "diagnosis", "search", "scoring", "scan", "bench", "evidence", "explain", "whiteness", "traces"},
-    {"export", "urdf_writer", "formats", "calibration"},
+    {"export", "urdf_writer", "formats", "calibration", "handover"},
     {
         "report",
         "sections",
@@ -37,6 +37,8 @@ LAYERS = [
         "compensate",
         "measure",
         "sighted",
+        "closed_form",
+        "head_section",
         "shooting",
         "arm_and_head",
         "design",
