@@ -151,6 +151,11 @@ def parse_robot(urdf: bytes, tip: str, base: str | None = None, path: Path = Pat
         for element in inertial.iter("mass", "inertia"):
             for key in element.keys():  # noqa: SIM118
                 _numbers(element, str(key), "", 1, path)
+    for origin in tree.iter("origin"):
+        if origin.get("quat_xyzw") is not None:  # Pinocchio and yourdfpy pass over it, and see no rotation at all
+            raise RobotError(
+                f"{path}: line {origin.sourceline}: <origin> has quat_xyzw, which few parsers read: write the rotation as rpy"
+            )
     parent_of = {}
     for element in elements.values():
         child, parent = _link(element, "child", links, path), _link(element, "parent", links, path)

@@ -299,6 +299,7 @@ ERRORS = [
     (broken('xyz="0 0.1 0.3"', 'xyz="0 nan 0.3"'), "hand", None, "0 nan 0.3"),
     (broken('xyz="0 0.1 0.3"', 'xyz="0 0,1 0.3"'), "hand", None, "0 0,1 0.3"),
     (broken('rpy="0 0.2 0"', 'rpy="0 1e999 0"'), "hand", None, "1e999"),
+    (broken('rpy="0 0.2 0"', 'quat_xyzw="0 0.1 0 0.995"'), "hand", None, r"line \d+: .*quat_xyzw.*as rpy"),
     (broken('lower="-3"', 'lower="low"'), "hand", None, "'low'"),
     (broken('<mimic joint="motor"', '<mimic joint="moter"'), "hand", None, "did you mean 'motor'"),
     (broken('<axis xyz="0 0 1"/><limit lower="-3"', '<mimic joint="lift"/><axis xyz="0 0 1"/><limit lower="-3"'),
