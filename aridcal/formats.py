@@ -13,7 +13,7 @@ import numpy as np
 import pinocchio as pin
 import yaml
 
-from aridcal.doty import align, link_transform
+from aridcal.doty import align, doty_links, link_transform
 from aridcal.robot import Robot
 
 ILL_CONDITIONED_ANGLE = np.radians(0.1)
@@ -79,6 +79,17 @@ class DHTable:
     rows: tuple[DHRow, ...]
     tool: pin.SE3
 
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What to know before trusting the table: one sentence for each ill-conditioned pair of axes."""
+        return tuple(
+            f"WARNING: the axes of {row.joint} and {after.joint} are nearly parallel: theta and d of these two rows hang "
+            f"on an angle that can hardly be measured (d = {row.d:.6g} m). The product is right; copy both rows or none. "
+            "kinematics.yaml and doty.yaml have no such rows."
+            for row, after in zip(self.rows, self.rows[1:], strict=False)
+            if row.ill_conditioned
+        )
+
     def poses(self, positions: np.ndarray) -> np.ndarray:
         """Multiply the table out: T_base_tip, shape (N, 4, 4), for joint positions, shape (N, joints), [rad] or [m]."""
         T = np.broadcast_to(self.base.homogeneous, (len(positions), 4, 4))
@@ -127,6 +138,26 @@ def modified_dh(robot: Robot) -> DHTable:
     """
     base, rows, tool = _rows(robot, _base(robot))
     return DHTable(True, base, _modified(rows), tool)
+
+
+def doty_yaml(robot: Robot) -> str:
+    """Write the report's link parameters (equations 3-1 to 3-4) as YAML, SI, with their product in words."""
+    links = doty_links(robot)
+    rows = [
+        {"joint": k.joint, "kind": "prismatic" if k.prismatic else "revolute", "theta": k.theta, "beta": k.beta, "a": k.a,
+         "alpha": k.alpha, "singular": k.singular, "before": _xyz_rpy(k.before), "after": _xyz_rpy(k.after)}
+        for k in links
+    ]  # fmt: skip
+    first = robot.joints[0]
+    document = {
+        "convention": "Doty (1992): Rz(theta) Ry(beta) Tx(a) Rx(alpha)",
+        "product": "T_base_tip = base * prod(motion(q) * before * Rz(theta) Ry(beta) Tx(a) Rx(alpha) * after); motion: "
+        "about or along `axis` of the joint",
+        "base": _xyz_rpy(first.placement),
+        "axes": {j.name: j.axis.tolist() for j in robot.joints},
+        "rows": rows,
+    }
+    return yaml.safe_dump(document, sort_keys=False, width=200)
 
 
 def kinematics_yaml(nominal: Robot, calibrated: Robot) -> str:

@@ -26,6 +26,7 @@ from aridcal.errors import CampaignError, MeasurementError
 from aridcal.explain import explain, refitted, verdict
 from aridcal.export import stage_urdf, write_results
 from aridcal.geometry import Geometry, observations, recentred, unused_links
+from aridcal.handover import hand_over, write_controllers
 from aridcal.measurements import Measurements, load_measurements
 from aridcal.outcome import Outcome, Stage, Verification, errors
 from aridcal.quality import FAR, halves, joint_kinds, joint_limits, outliers, precision, realigned, repeats
@@ -310,12 +311,15 @@ def _main(arguments: argparse.Namespace) -> None:
         steps.print(f"[dim]{time.perf_counter() - started:5.1f} s  {step}[/dim]")
 
     outcome = identify(arguments.campaign, arguments.seed, arguments.verify, progress, out / CACHE)
-    with atomic_folder(out, replaces={"model.urdf", "fiducials.csv"}) as folder:
+    with atomic_folder(out, replaces={"model.urdf", "fiducials.csv", "joint_maps.urdf", "joint_maps.csv"}) as folder:
         progress("writing the results")
         write_results(outcome, folder)
+        handover = hand_over(outcome)
+        write_controllers(outcome, handover, folder)
         write_report(outcome, folder / "report.html")
         notices = write_scene(scene(outcome), folder / "scene.html")
     summary(outcome, console)
+    console.print(f"what controllers can be given, RMS on {handover.rows}: {handover.summary()}", soft_wrap=True)
     for notice in notices:
         console.print(f"note: {notice}", markup=False)
     console.print(f"report: {out / 'report.html'}", soft_wrap=True, markup=False, highlight=False)

@@ -17,7 +17,16 @@ from aridcal.calibration import Calibration
 from aridcal.export import stage_urdf
 from aridcal.outcome import Outcome
 
-FILES = {"result.json", "calibrated.urdf", "calibration.yaml", "report.html", "scene.html", "residuals.csv"}
+CONTROLLERS = {"kinematics.yaml", "dh.yaml", "dh_modified.yaml", "doty.yaml", "joint_offsets.yaml"}
+FILES = {
+    "result.json",
+    "calibrated.urdf",
+    "calibration.yaml",
+    "report.html",
+    "scene.html",
+    "residuals.csv",
+    *CONTROLLERS,
+}
 
 
 def written(outcome: Outcome) -> bytes:

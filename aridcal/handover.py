@@ -1,0 +1,222 @@
+"""What controllers are given: as much of the calibration as each of them takes, and the error that this leaves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import yaml
+
+from aridcal.effects import Coefficient, evaluate
+from aridcal.export import stage_urdf
+from aridcal.formats import doty_yaml, kinematics_yaml, modified_dh, standard_dh
+from aridcal.geometry import observations
+from aridcal.model import Model
+from aridcal.outcome import Outcome
+from aridcal.residual import predict_residuals
+from aridcal.robot import Robot, parse_robot
+from aridcal.solver import Data, Fit, Noise, Prior, fit, fit_identifiable, thin
+
+ROWS = 2000  # that an export is fitted to
+MAP_POINTS = 401
+FIRM = 1e12  # precision of a coefficient that is held, in units of the noise's own
+
+
+@dataclass(frozen=True)
+class Export:
+    """One way to hand the calibration over, and what it leaves.
+
+    Attributes:
+        name: ``URDF alone``, ``full model`` and so on.
+        files: Where it is, in the result folder.
+        error: RMS position error on measured rows, those never used if there are any, [m].
+        apart: RMS distance of its predictions from the full model's on the same rows, [m].
+    """
+
+    name: str
+    files: tuple[str, ...]
+    error: float
+    apart: float
+
+
+@dataclass(frozen=True)
+class Handover:
+    """All exports of a calibration.
+
+    Attributes:
+        exports: The least complete first, the full model last.
+        rows: On which they are scored, ``60 rows never used`` for instance.
+        offsets: Joint-zero offsets alone: readings' corrections by name, [rad] or [m]; those that the frames take up
+            are absent.
+        maps: For joints with an error curve of their own: readings and what to add to them, shape (points,) each.
+        with_maps: The fit whose constants go with the maps; None where no joint has a curve.
+        calibrated: The chain of ``calibrated.urdf``.
+    """
+
+    exports: tuple[Export, ...]
+    rows: str
+    offsets: dict[str, float]
+    maps: dict[str, tuple[np.ndarray, np.ndarray]]
+    with_maps: Fit | None
+    calibrated: Robot
+
+    def summary(self) -> str:
+        """One line: ``nominal 1.73 mm, URDF alone 0.65, full model 0.16``."""
+        figures = [f"{e.name} {1e3 * e.error:.3f}" for e in self.exports]
+        return f"{figures[0]} mm, {', '.join(figures[1:])}"
+
+
+def hand_over(outcome: Outcome) -> Handover:
+    """Work out what each kind of controller can be given.
+
+    Joint-zero offsets alone, and constants that go with the joints' own curves, are fitted anew to the training rows:
+    the best under that restriction, with both frames left free.
+    """
+    m, final = outcome.measurements, outcome.stage("final")
+    parts = outcome.parts()
+    scored = parts["test"] if parts["test"].any() else parts["train"]
+    label = f"{int(scored.sum())} rows {'never used' if parts['test'].any() else 'that were fitted'}"
+
+    def export(name: str, files: tuple[str, ...], residual: np.ndarray) -> Export:
+        return Export(name, files, _rms(residual[scored]), _rms((residual - final.residual)[scored]))
+
+    def residual(found: Fit) -> np.ndarray:
+        rows = found.model.rows(m.readings, m.covariates, m.station)
+        return predict_residuals(found.model, found.theta, rows, observations(m, "ignore"))
+
+    offsets = _offsets(outcome)
+    with_maps = _with_maps(outcome)
+    urdf = ("kinematics.yaml", "dh.yaml", "dh_modified.yaml", "doty.yaml")
+    exports = [
+        export("nominal", (), outcome.stage("nominal").residual),
+        export("joint offsets alone", ("joint_offsets.yaml",), residual(offsets)),
+        export("URDF alone", ("calibrated.urdf", *urdf), outcome.stage("geometric").residual),
+    ]
+    if with_maps is not None:
+        files = ("joint_maps.urdf", "joint_maps.csv")
+        exports.append(export("+ joint maps", files, residual(with_maps)))
+    exports.append(export("full model", ("calibration.yaml",), final.residual))
+    found = dict(zip(offsets.model.names, offsets.theta, strict=True))
+    robot = outcome.robot
+    return Handover(
+        exports=tuple(exports),
+        rows=label,
+        offsets={name: float(found[f"{name}.axis"]) for name in robot.readings if f"{name}.axis" in found},
+        maps=_curves(outcome, with_maps) if with_maps is not None else {},
+        with_maps=with_maps,
+        calibrated=parse_robot(stage_urdf(outcome.stage("geometric").fit), robot.tip, robot.base, robot.path),
+    )
+
+
+def write_controllers(outcome: Outcome, handover: Handover, folder: Path) -> None:
+    """Write what controllers read into a result folder; each file that takes comments says what error it leaves."""
+    robot, calibrated = outcome.robot, handover.calibrated
+
+    def write(name: str, text: str, export: str, *notes: str) -> None:
+        lines = [*_statement(handover, export), *notes]
+        (folder / name).write_text("".join(f"# {line}\n" for line in lines) + text, encoding="utf-8")
+
+    write("kinematics.yaml", kinematics_yaml(robot, calibrated), "URDF alone")
+    for name, table in (("dh.yaml", standard_dh(calibrated)), ("dh_modified.yaml", modified_dh(calibrated))):
+        write(name, table.dump(), "URDF alone", *table.warnings)
+    write("doty.yaml", doty_yaml(calibrated), "URDF alone")
+    text = yaml.safe_dump({"joint_offsets": handover.offsets}, sort_keys=False)
+    taken = [name for name in robot.readings if name not in handover.offsets]
+    write(
+        "joint_offsets.yaml", text, "joint offsets alone",
+        "To be added to what each joint reads [rad, m]; all else nominal, base and target fitted to that.",
+        *([f"Of {', '.join(taken)}: none, the base or the target takes it up."] if taken else []),
+    )  # fmt: skip
+    if handover.with_maps is not None:
+        (folder / "joint_maps.urdf").write_bytes(stage_urdf(handover.with_maps))
+        rows = [
+            pd.DataFrame({"joint": name, "reading": at, "correction": value})
+            for name, (at, value) in handover.maps.items()
+        ]
+        pd.concat(rows).to_csv(folder / "joint_maps.csv", index=False, float_format="%.12g")
+
+
+def _statement(handover: Handover, name: str) -> list[str]:
+    """An export's own error in words."""
+    own = next(e for e in handover.exports if e.name == name)
+    return [
+        f"{name}: {1e3 * own.error:.3f} mm RMS position error on {handover.rows}, "
+        f"{1e3 * own.apart:.3f} mm from the full model there.",
+        f"All exports: {handover.summary()}.",
+    ]
+
+
+def _rms(residual: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(np.sum(residual[:, :3] ** 2, axis=1))))
+
+
+def _data(outcome: Outcome, model: Model) -> Data:
+    """Some of the rows that the calibration was fitted to."""
+    m = outcome.measurements
+    used = ~m.test & ~outcome.outlier
+    rows = m.select(used)
+    measured = observations(rows, outcome.campaign.measurements.noise.rows)
+    data = Data(model.rows(rows.readings, rows.covariates, rows.station), measured, np.zeros(len(rows), dtype=bool))
+    return data[thin(data.rows, ROWS)]
+
+
+def _noise(outcome: Outcome) -> Noise:
+    return Noise(outcome.noise.position, outcome.noise.rotation)
+
+
+def _offsets(outcome: Outcome) -> Fit:
+    """Both frames and the joints' zeros, nothing else."""
+    nominal = outcome.stage("nominal").fit.model
+    candidates = outcome.stage("geometric").fit.candidates
+    frames = tuple(c for c in candidates if c.basis.constant and c.where in ("world_base", "tip_target"))
+    robot = outcome.robot
+    model = nominal.with_coefficients(
+        (*frames, *(Coefficient(name, "axis") for name in robot.readings if name in robot.names))
+    )
+    if not model.coefficients:
+        return outcome.stage("nominal").fit
+    order = range(len(model.coefficients))
+    return fit_identifiable(model, _data(outcome, model), _noise(outcome), order)
+
+
+def _own(c: Coefficient) -> bool:
+    """True for what moves a joint along its axis as a function of its own position."""
+    return c.component == "axis" and c.basis.of == (c.where,)
+
+
+def _with_maps(outcome: Outcome) -> Fit | None:
+    """The constants that suit the joints' own curves when all other effects are left out."""
+    final, geometric = outcome.stage("final").fit, outcome.stage("geometric").fit
+    curves = [k for k, c in enumerate(final.model.coefficients) if _own(c)]
+    if not curves:
+        return None
+    coefficients = final.model.coefficients
+    if all(c.basis.constant or _own(c) for c in coefficients):
+        return final
+    kept = [k for k, c in enumerate(coefficients) if c.basis.constant or _own(c)]
+    model = final.model.with_coefficients([coefficients[k] for k in kept])
+    theta = final.theta[kept]
+    held = np.array([_own(c) for c in model.coefficients])
+    data = _data(outcome, model)
+    precision = FIRM * len(data) / min(geometric.sigma.position, geometric.sigma.rotation) ** 2
+    return fit(
+        model, data, _noise(outcome), theta, np.ones(len(data)), Prior(theta, np.diag(np.where(held, precision, 0.0)))
+    )
+
+
+def _curves(outcome: Outcome, found: Fit) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Correction of each joint with a curve of its own, over the range seen; shape (points,) each."""
+    robot, m = outcome.robot, outcome.measurements
+    used = ~m.test & ~outcome.outlier
+    seen = robot.positions(m.readings[used])
+    curves = {}
+    for joint, at in zip(robot.joints, seen.T, strict=True):
+        own = [k for k, c in enumerate(found.model.coefficients) if _own(c) and c.where == joint.name]
+        if not own:
+            continue
+        points = np.linspace(at.min(), at.max(), MAP_POINTS)
+        phi = np.array([evaluate(found.model.coefficients[k].basis, {joint.name: points}) for k in own])
+        curves[joint.name] = points, found.theta[own] @ phi
+    return curves
