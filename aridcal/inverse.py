@@ -19,7 +19,7 @@ NEARBY = 1e-2  # effects are taken into account once the target is as near as th
 TURN = 0.5  # the most that a joint turns in one step, [rad]
 KICK, KICKS = 0.05, 4  # [rad] or [m]; how far a second start is, and how many there are
 STEPS = 40
-PROGRESS = 1e-4  # a step that shortens the way (squared) by no larger share is the last of a search that is stuck
+PROGRESS = 5e-2  # a step that shortens the way (squared) by no larger share is the last of a search that is stuck
 FIRST, LAST = 1e-6, 1e3  # damping
 TINY = 1e-13  # damping that only keeps a singular arm's step finite
 SMALL = 1e-6  # for differences, [rad] or [m]
@@ -82,7 +82,7 @@ class Arm:
             CovariateNotFound: one of them is missing.
         """
         best = self._approach(R, p, seed, covariates)
-        if not best.reached:
+        if not best.reached and best.position_error < NEARBY:
             rng = np.random.default_rng(0)
             for kick in KICK * rng.standard_normal((KICKS, len(seed))):
                 other = self._approach(R, p, seed + kick, covariates)
