@@ -135,9 +135,7 @@ def with_head(outcome: Outcome, both: ArmAndHead, shots: Shots) -> Outcome:
     assert diagnosis is not None
     effects = sorted((*_named(outcome, both), *diagnosis.effects), key=lambda e: -float(np.sum(e.before[:, :3] ** 2)))
     diagnosis = replace(diagnosis, effects=tuple(effects), tested=diagnosis.tested + both.choice.tested)
-    spread = [
-        float(np.sqrt(r.misfit[~r.wild].sum() / max(r.freedom[~r.wild].sum(), 1.0))) for r in (both.before, both.after)
-    ]
+    spread = both.before.scatter, both.after.scatter
     ranges = np.array([np.sqrt(np.mean(r.range_residuals**2, axis=0)) for r in (both.before, both.after)])
     numbers, coefficients = _numbers(both)
     mount = stages[-1].fit.model.tip_target[0][1].homogeneous
@@ -159,7 +157,7 @@ def with_head(outcome: Outcome, both: ArmAndHead, shots: Shots) -> Outcome:
         head=MeasuringHead(
             numbers,
             coefficients,
-            (spread[0], spread[1]),
+            spread,
             ranges,
             fiducials,
             np.array([shots.mount, mount]),

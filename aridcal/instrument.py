@@ -170,9 +170,9 @@ def system(fit: Fit, data: Data, reduced: Reduced, moved: np.ndarray) -> System:
     freedom = float(fit.weight.sum()) * 6 - fit.spent
     # What the arm's model lacks, as long as it lacks anything, counts as noise.
     noise = max(float(r @ r) / max(freedom, 1.0), 1.0)
-    sound = ~reduced.wild
-    own, own_pull = reduced.information[sound].sum(axis=0), reduced.pull[sound].sum(axis=0)
-    misfit, count = float(reduced.misfit[sound].sum()), float(reduced.freedom[sound].sum())
+    trust = reduced.trust
+    own, own_pull = np.einsum("n,nij->ij", trust, reduced.information), trust @ reduced.pull
+    misfit, count = float(trust @ reduced.misfit), float(trust @ reduced.freedom)
     # What the arm cannot take up. At its minimum its own gradient is nil: the residual needs no projection.
     across = G + A @ response
     information = np.array([across.T @ across / noise + own, own])
@@ -263,7 +263,7 @@ def _score(
         back = A @ _inverse(A.T @ M @ A) @ A.T
         left = max(left - float(s @ back @ s), 1e-9)
         own = score(E.T @ (M - M @ back @ M) @ E, E.T @ (s - M @ back @ s), np.diag(E.T @ M @ E), left, count)
-        found.append((own, 2.0 * own.gain / left))
+        found.append((own, -np.expm1(-2.0 * own.gain / count)))
     (total, share), (alone, _) = found
     if sure and (max(total.p_value, alone.p_value) * tested > ALPHA or share < LEAST):
         return Score(0.0, 1.0, 0)

@@ -103,7 +103,7 @@ def read_shots(
 
 def posed(rows: Measurements, reduced: Reduced) -> Measurements:
     """The shots as measured poses of the camera; those that do not fit together within themselves own up to it."""
-    doubt = np.where(reduced.wild, reduced.misfit / np.maximum(reduced.freedom, 1.0), 1.0)
+    doubt = 1.0 / reduced.trust
     quaternion = Rotation.from_matrix(reduced.T_world_camera[:, :3, :3]).as_quat()
     position = reduced.T_world_camera[:, :3, 3]
     return replace(rows, position=position, quaternion=quaternion, covariance=reduced.covariance * doubt[:, None, None])

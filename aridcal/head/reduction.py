@@ -20,7 +20,7 @@ from aridcal.head.pose import Sonars, fit_pose, predict_pixels, start_on_plane
 from aridcal.head.settings import HeadSettings
 from aridcal.head.sonar import Measures, fit_plane, predict_ranges
 
-WILD = 4.0  # times the usual misfit: a shot that says nothing about the head
+WILD = 4.0  # times the usual misfit, beyond which a shot is trusted less
 
 
 @dataclass(frozen=True)
@@ -119,10 +119,15 @@ class Reduced:
         return Reduced(*(getattr(self, f.name)[rows] for f in fields(self)))
 
     @property
-    def wild(self) -> np.ndarray:
-        """Shots that fit together far worse than the others do: a wild range, a wrong fiducial. Shape (N,)."""
-        share = np.sqrt(self.misfit / np.maximum(self.freedom, 1.0))
-        return np.asarray(share > WILD * max(float(np.median(share)), 1.0))
+    def trust(self) -> np.ndarray:
+        """Weights of shots that fit together far worse than most do (a wild range, a wrong fiducial); else 1. Shape (N,)."""
+        share = self.misfit / np.maximum(self.freedom, 1.0)
+        return np.asarray(np.minimum(1.0, WILD**2 * max(float(np.median(share)), 1.0) / np.maximum(share, 1e-300)))
+
+    @property
+    def scatter(self) -> float:
+        """How many times their noise image points and ranges miss each other by within shots, RMS."""
+        return float(np.sqrt(self.trust @ self.misfit / max(self.trust @ self.freedom, 1.0)))
 
 
 def reduce_shots(shots: Sequence[Seen], head: Head) -> Reduced:
