@@ -155,9 +155,8 @@ class Calibration:
             robot = self.final.model.robot
             low, high = joint_limits(robot).T
             turning = np.array([kind != "prismatic" for kind in joint_kinds(robot)])
-            lever = self.noise[0] / self.noise[1] if self.kind == "pose" else 1.0
             machine = Machine(self.final.model, self.final.theta, station)
-            self._arms[station] = Arm(machine, low, high, turning, self.kind == "pose", lever)
+            self._arms[station] = Arm(machine, low, high, turning, self.kind == "pose", self.noise)
         return self._arms[station]
 
     @cached_property

@@ -44,9 +44,9 @@ joints, if there are any, are where to start: the controller's own solution, say
 row before ended. A JOINT_direction that an effect needs and the table lacks is taken from the row before.
 
 All columns and rows are kept in their order. The joints' columns are filled in; `reached` tells whether the target gets
-to the pose within 1 um and 1 urad (of a robot with fewer than six joints: as near as it can, weighted by the noise),
-`position_error` and `rotation_error` how far it is off, `extrapolates` whether the command is outside what the
-calibration has seen. Limits are kept.
+to the pose within the noise of the measurements behind the calibration (of a robot with fewer than six joints: as near
+as it can, weighted by the noise, and within 20 mm and 20 mrad), `position_error` and `rotation_error` how far it is off,
+`extrapolates` whether the command is outside what the calibration has seen. Limits are kept.
 
 With --grid the output is a table for controllers that take no model: at each point of a grid over the joints, what is
 to be added to the nominal solution.

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import pinocchio as pin
 
 from aridcal.machine import Machine
 
-SETTLED = 1e-8  # the last step moves the target by less, [m] and [rad]
-REACHED = 1e-6  # a pose is reached if the model misses it by less than that, [m] and [rad]
+SETTLED = 1e-7  # the last step moves the target by less, [m] and [rad]
+FINEST = 1e-6  # a pose is reached if the model misses it by less than the noise, or than that, [m] and [rad]
 UNAVOIDABLE = (
     2e-2  # what an arm of fewer joints than the pose has numbers may miss of a pose meant for it, [m] and [rad]
 )
@@ -34,14 +35,19 @@ class Command:
         readings: Shape (columns,), in the order of ``robot.readings``, [rad] or [m].
         position_error: How far from the wanted position the model says that the target will be, [m].
         rotation_error: The same of its rotation, [rad]; NaN where only a position is wanted.
-        reached: True if the readings settled and bring the target there: within 1 um and 1 urad, or, of a robot with
-            fewer joints than the pose has numbers, as near as it can get, within 20 mm and 20 mrad.
+        reached: True if they bring the target there: within the noise (per axis) of the measurements behind the model,
+            or, of a robot with fewer joints than the pose has numbers, as near as it can get, within 20 mm and 20 mrad.
     """
 
     readings: np.ndarray
     position_error: float
     rotation_error: float
     reached: bool
+
+    @property
+    def miss(self) -> float:
+        """The larger error, [m] or [rad]."""
+        return max(self.position_error, 0.0 if np.isnan(self.rotation_error) else self.rotation_error)
 
 
 @dataclass(frozen=True)
@@ -54,7 +60,8 @@ class Arm:
         high: Upper limits, likewise.
         turning: Readings that turn a joint, shape (columns,) bool.
         pose: True where poses are wanted, False where positions alone are.
-        lever: [m/rad]: an error of 1 rad counts as much as one of so many metres, where not both can be had.
+        noise: Of the measurements behind the model, per axis, [m] and [rad]: what is missed by less cannot be told from
+            what is reached, and where position and rotation cannot both be had, errors weigh in proportion to it.
     """
 
     machine: Machine
@@ -62,7 +69,12 @@ class Arm:
     high: np.ndarray
     turning: np.ndarray
     pose: bool
-    lever: float
+    noise: tuple[float, float]
+
+    @cached_property
+    def lever(self) -> float:
+        """[m/rad]: an error of 1 rad counts as much as one of so many metres."""
+        return self.noise[0] / self.noise[1] if self.pose else 1.0
 
     def command(self, R: np.ndarray, p: np.ndarray, seed: np.ndarray, covariates: Mapping[str, float]) -> Command:
         """Find readings near a seed.
@@ -82,12 +94,12 @@ class Arm:
             CovariateNotFound: one of them is missing.
         """
         best = self._approach(R, p, seed, covariates)
-        if not best.reached and best.position_error < NEARBY:
+        if len(seed) >= (6 if self.pose else 3) and FINEST < best.miss < NEARBY:
             rng = np.random.default_rng(0)
             for kick in KICK * rng.standard_normal((KICKS, len(seed))):
-                other = self._approach(R, p, seed + kick, covariates)
-                if other.reached:
-                    return other
+                best = min(best, self._approach(R, p, seed + kick, covariates), key=lambda c: c.miss)
+                if best.miss < FINEST:
+                    break
         return best
 
     def _approach(self, R: np.ndarray, p: np.ndarray, seed: np.ndarray, covariates: Mapping[str, float]) -> Command:
@@ -125,8 +137,8 @@ class Arm:
             else:
                 damping = max(10 * damping, FIRST)
         position, rotation = float(np.linalg.norm(e[:3])), float(np.linalg.norm(e[3:])) / self.lever
-        allowed = UNAVOIDABLE if lean else REACHED
-        reached = stage != FAR and position < allowed and (rotation < allowed or not self.pose)
+        allowed = [UNAVOIDABLE if lean else max(sigma, FINEST) for sigma in self.noise]
+        reached = stage != FAR and position < allowed[0] and (rotation < allowed[1] or not self.pose)
         return Command(q, position, rotation if self.pose else float("nan"), reached)
 
     def _look(
