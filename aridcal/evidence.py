@@ -8,6 +8,7 @@ from functools import cache
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg.lapack import dpotrf, dpotri
 from scipy.special import gammaincc
 
 from aridcal.residual import FLOOR, Sigma
@@ -56,8 +57,13 @@ class Sums:
         return Sums(self.AA - other.AA, self.Ar - other.Ar, self.rr - other.rr, self.count - other.count)
 
     def combined(self, T: np.ndarray) -> Sums:
-        """The sums of combinations of the columns, shape (K, new)."""
-        return Sums(T.T @ self.AA @ T, self.Ar @ T, self.rr, self.count)
+        """The sums with the last d columns replaced by combinations of them, shape (d, new)."""
+        first = self.AA.shape[1] - len(T)
+        cross = self.AA[:, :first, first:] @ T
+        AA = np.concatenate([np.concatenate([self.AA[:, :first, :first], cross], axis=2),
+                             np.concatenate([cross.transpose(0, 2, 1), T.T @ self.AA[:, first:, first:] @ T], axis=2)],
+                            axis=1)  # fmt: skip
+        return Sums(AA, np.hstack([self.Ar[:, :first], self.Ar[:, first:] @ T]), self.rr, self.count)
 
     def part(self, keep: np.ndarray) -> Sums:
         """The sums of some of the columns."""
@@ -122,10 +128,22 @@ def extended(s: Sums, A: Sequence[np.ndarray], C: Sequence[np.ndarray], r: Seque
     return Sums(AA, Ar, s.rr, s.count)
 
 
-def solve(s: Sums, precision: np.ndarray, sigma: Sigma, fixed: bool = False) -> Solution:
-    """Least squares with priors; the noise is estimated with it unless ``fixed``."""
+def coefficients(s: Sums, precision: np.ndarray, sigma: Sigma) -> np.ndarray:
+    """Least squares with priors for a given noise, shape (K,)."""
+    variance = np.array([sigma.position, sigma.rotation]) ** 2
+    H = s.AA[0] / variance[0] + s.AA[1] / variance[1] + precision
+    S, scale = _scaled(H)
+    g = scale * (s.Ar[0] / variance[0] + s.Ar[1] / variance[1])
+    try:
+        return np.asarray(scale * cho_solve(cho_factor(S), g))
+    except np.linalg.LinAlgError:
+        return np.asarray(scale * (np.linalg.pinv(S, hermitian=True, rcond=1e-12) @ g))
+
+
+def solve(s: Sums, precision: np.ndarray, sigma: Sigma) -> Solution:
+    """Least squares with priors, the noise estimated with it."""
     beta, inverse, square = _solved(s, precision, sigma)
-    for _ in range(0 if fixed else 6):
+    for _ in range(6):
         variance = np.array([sigma.position, sigma.rotation]) ** 2
         spent = np.einsum("ij,kij->k", inverse, s.AA) / variance
         freedom = np.maximum(s.count - spent, 0.05 * s.count + 1e-9)
@@ -264,12 +282,19 @@ def _profiled(explained: float, left: float, count: float) -> float:
 
 
 def _inverse(H: np.ndarray) -> np.ndarray:
+    S, scale = _scaled(H)
+    factor, failed = dpotrf(S, lower=1)
+    if failed:
+        inverse = np.asarray(np.linalg.pinv(S, hermitian=True, rcond=1e-12))
+    else:
+        lower = np.tril(dpotri(factor, lower=1)[0])
+        inverse = lower + np.tril(lower, -1).T
+    return inverse * scale * scale[:, None]
+
+
+def _scaled(H: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A matrix brought to unit diagonal, and the scale of its columns."""
     diagonal = np.diag(H)
     moves = diagonal > 1e-300  # a column that moves nothing is left where it is
     scale = np.where(moves, 1.0 / np.sqrt(np.where(moves, diagonal, 1.0)), 0.0)
-    S = H * np.outer(scale, scale) + np.diag(np.where(moves, 1e-13, 1.0))
-    try:
-        inverse = np.asarray(cho_solve(cho_factor(S), np.eye(len(H))))
-    except np.linalg.LinAlgError:
-        inverse = np.asarray(np.linalg.pinv(S, hermitian=True, rcond=1e-12))
-    return inverse * np.outer(scale, scale)
+    return H * scale * scale[:, None] + np.diag(np.where(moves, 1e-13, 1.0)), scale

@@ -13,11 +13,14 @@ from scipy.stats import wilcoxon
 from aridcal.bench import Active, Bench, State, activate, apart, with_candidate
 from aridcal.catalogue import ORDERS
 from aridcal.effects import Effect
-from aridcal.evidence import SMOOTH_PRICE, Score, extended, score, shaped, solve, sums, tail
+from aridcal.evidence import SMOOTH_PRICE, Score, coefficients, extended, score, shaped, solve, sums, tail
 from aridcal.scan import SCANNED
 
 ALPHA = 3e-4  # chance that a clean campaign shows any effect at all, by these tests alone
 LEAST = 1e-2  # share of the squared error, on rows held back, that an effect must take away to matter
+ODD = (
+    5e-2  # the same for an order that nothing suggests: where structure is left, one of thousands always fits a little
+)
 ROBUST = 1e-3  # the same chance for one candidate when residuals of neighbouring rows may be alike
 CHUNK = 128
 PARTS = 5  # into which stretches of time are put to hold them back
@@ -92,16 +95,16 @@ def refine(bench: Bench, state: State, effect: Effect, rough: Score) -> Score:
 def _reshaped(bench: Bench, state: State, effect: Effect, rough: Score) -> Score:
     """Shape and noise of a smooth function in turn, until they agree: what it hides makes the noise look large."""
     total = extended(state.sums, state.design, state.flat(bench.columns(effect)), state.right)
-    K, found = len(state.precision), rough
+    found = rough
     for _ in range(SHAPINGS):
         candidate = activate(bench, state, effect, found)
-        modes = block_diag(np.eye(K), candidate.modes)
-        solution = solve(total.combined(modes), block_diag(state.precision, candidate.precision), state.solution.sigma)
+        precision = block_diag(state.precision, candidate.precision)
+        solution = solve(total.combined(candidate.modes), precision, state.solution.sigma)
         if found.sigma is not None and abs(np.log(found.sigma.position / solution.sigma.position)) < 0.02:
             break
         found = shaped(total, state.precision, effect.shape, solution.sigma)
     twice = 2.0 * (solution.likelihood - state.solution.likelihood)
-    twice += float(np.linalg.slogdet(solution.inverse[K:, K:])[1])
+    twice += float(np.linalg.slogdet(solution.inverse[len(state.precision) :, len(state.precision) :])[1])
     return replace(found, gain=0.5 * twice - SMOOTH_PRICE, p_value=float(np.exp(-max(0.5 * twice, 0.0))))
 
 
@@ -122,18 +125,23 @@ def judge(bench: Bench, state: State, effect: Effect, found: Score, tested: int)
     if found.gain <= 0.0 or p_value > ALPHA:
         return verdict(0.0, f"chance would do as well (p = {p_value:.2g} among {tested} candidates)")
     candidate = activate(bench, state, effect, found)
-    held_back = _held_back(bench, state, candidate)
+    loss = _losses(bench, state, candidate, state.fold)
+    held_back = float(1.0 - loss[1].sum() / loss[0].sum())
     same = any((a.effect.kind, a.effect.where) == (effect.kind, effect.where) for a in state.active)
     if held_back < (0.0 if same else LEAST):
         return verdict(
             held_back, f"takes only {100 * max(held_back, 0.0):.2g} % off the squared error of rows held back"
         )
-    used = state.weight > 0.5
-    robust = _robust(bench, state, candidate, np.arange(used.sum()))
-    if robust * (1 if effect.smooth else tested) > ALPHA:
+    robust = _ranked(loss) if effect.smooth else tested * _robust(bench, state, candidate, np.arange(loss.shape[1]))
+    if robust > ALPHA:
         return verdict(held_back, f"the rows do not agree about it (p = {robust:.2g})")
     if not set(_sources(effect)) <= set(bench.own):
-        robust = _robust(bench, state, candidate, bench.run[used])
+        run = np.unique(bench.run[state.weight > 0.5], return_inverse=True)[1]
+        if effect.smooth:  # which may have more freedom than there are stretches
+            loss = _losses(bench, state, candidate, run % PARTS)
+            robust = _ranked(np.array([np.bincount(run, each) for each in loss]))
+        else:
+            robust = _robust(bench, state, candidate, run)
         if robust > ROBUST:
             return verdict(held_back, f"seen in too few stretches of time to be believed (p = {robust:.2g})")
     return verdict(held_back, "")
@@ -143,10 +151,9 @@ def _sources(effect: Effect) -> list[str]:
     return [name.split(".")[0] if ".gravity_" in name else name for name in effect.covariates]
 
 
-def _held_back(bench: Bench, state: State, candidate: Active) -> float:
-    """Share of the squared error that a candidate takes away on rows held back, fold by fold."""
-    loss = _losses(bench, state, candidate, state.fold).sum(axis=1)
-    return float(1.0 - loss[1] / loss[0])
+def _ranked(loss: np.ndarray) -> float:
+    """p-value, by signed ranks, of losses (2, n) that a candidate makes no smaller."""
+    return float(wilcoxon(loss[0] - loss[1], alternative="greater").pvalue)
 
 
 def _losses(bench: Bench, state: State, candidate: Active, part: np.ndarray) -> np.ndarray:
@@ -169,7 +176,7 @@ def _losses(bench: Bench, state: State, candidate: Active, part: np.ndarray) -> 
         own = np.flatnonzero(np.repeat(part == k, 3))
         rest = total.minus(sums([a[own] for a in design], [b[own] for b in state.right]))
         for i, width in enumerate((len(state.precision), len(precision))):
-            beta = solve(rest.part(np.arange(width)), precision[:width, :width], sigma, fixed=True).beta
+            beta = coefficients(rest.part(np.arange(width)), precision[:width, :width], sigma)
             for a, b, scale in zip(design, state.right, (sigma.position, sigma.rotation), strict=False):
                 left = (b[own] - a[own, :width] @ beta) / scale
                 loss[i, part == k] += np.sum(left.reshape(-1, 3) ** 2, axis=1)
@@ -177,10 +184,7 @@ def _losses(bench: Bench, state: State, candidate: Active, part: np.ndarray) -> 
 
 
 def _robust(bench: Bench, state: State, candidate: Active, cluster: np.ndarray) -> float:
-    """p-value of a candidate when the numbers of one cluster of rows may err together.
-
-    A cluster-robust score test; for a smooth function, which may have more freedom than there are clusters: whether it
-    makes clusters better of which it has seen nothing, by their signed ranks.
+    """p-value of a candidate when the numbers of one cluster of rows may err together: a cluster-robust score test.
 
     Args:
         bench: The linearised model.
@@ -188,11 +192,6 @@ def _robust(bench: Bench, state: State, candidate: Active, cluster: np.ndarray) 
         candidate: What is added.
         cluster: Number of the cluster of each row in use, shape (n,).
     """
-    clusters, cluster = np.unique(cluster, return_inverse=True)
-    if candidate.effect.smooth:
-        loss = _losses(bench, state, candidate, cluster % PARTS)
-        gain = np.bincount(cluster, loss[0] - loss[1])
-        return float(wilcoxon(gain, alternative="greater").pvalue)
     scale = (1.0 / state.solution.sigma.position, 1.0 / state.solution.sigma.rotation)
     A = np.vstack([a * f for a, f in zip(state.design, scale, strict=False)])
     C = np.vstack([c * f for c, f in zip(state.flat(bench.columns(candidate.effect)), scale, strict=False)])
@@ -200,7 +199,7 @@ def _robust(bench: Bench, state: State, candidate: Active, cluster: np.ndarray) 
     C = C[:, np.linalg.norm(C, axis=0) > 1e-9]
     r = np.concatenate([f * b.ravel() for b, f in zip(apart(state.residual[state.weight > 0.5]), scale, strict=False)])
     after = r - C @ np.linalg.lstsq(C, r, rcond=None)[0]
-    n, d = len(clusters), C.shape[1]
+    n, d = int(cluster.max()) + 1, C.shape[1]
     if n <= d + 2:
         return 1.0
     pulls = np.zeros((n, d))
