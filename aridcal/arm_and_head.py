@@ -23,6 +23,7 @@ from aridcal.solver import Data, Fit, fit
 
 STEPS, ROUNDS = 6, 3
 DOUBTFUL = 1.3  # times the stated noise
+ENOUGH = 20  # shots that tell a sonar's noise
 SETTLED = 0.1  # a step of the head that is smaller than this, in its own sigmas, is the last
 
 
@@ -148,6 +149,10 @@ def with_head(outcome: Outcome, both: ArmAndHead, shots: Shots) -> Outcome:
             f"within single shots, image points and ranges scatter by {spread[1]:.1f} times their stated noise: the camera, "
             "the sonars or their std are not as head.yaml says, in a way that no effect of the head describes"
         )
+    for k, seen in enumerate(ranges[1]):
+        ratio = float(seen) / both.start.std
+        if len(both.after.misfit) >= ENOUGH and abs(np.log(ratio)) > np.log(DOUBTFUL):
+            notices.append(f"sonar_{k + 1} scatters by {1e3 * seen:.2g} mm, not the stated {1e3 * both.start.std:.2g} mm")
     for name, why in both.choice.redundant.items():
         notices.append(f"{name} cannot be told from {', '.join(why)}: it stays as head.yaml has it")
     return replace(
