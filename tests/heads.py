@@ -1,0 +1,106 @@
+"""Shots of a measuring head on the ARID that several test files share: drawn with their noise, no images."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pinocchio as pin
+
+from aridcal.campaign import Campaign, FrameSettings
+from aridcal.effects import Coefficient
+from aridcal.head.photograph import Optics, read_sonars
+from aridcal.head.pose import Sonars, predict_pixels
+from aridcal.head.reduction import Head, Seen, start_anywhere
+from aridcal.head.settings import HeadSettings
+from aridcal.head.shots import load_squares
+from aridcal.head.square import layout
+from aridcal.measurements import Measurements
+from aridcal.model import Model
+from aridcal.robot import load_robot
+from aridcal.settings import load_settings, parse_settings
+from aridcal.shooting import draw_views
+from aridcal.sighted import Shots
+
+ROOT = Path(__file__).resolve().parents[1]
+STRIP = ROOT / "identification" / "arid-strip"
+SETTINGS = load_settings(STRIP / "head.yaml", HeadSettings)
+START = Head.of(SETTINGS)
+OPTICS = Optics(512, 512, load_squares(SETTINGS.squares))
+ARID = load_robot(ROOT / "urdf" / "arid.urdf", "flange")
+T_WORLD_BASE = pin.SE3(pin.rpy.rpyToMatrix(-1.569, 0.001, -1.572), np.array([0.004, -0.003, 0.002]))
+T_TIP_CAMERA = pin.SE3(pin.rpy.rpyToMatrix(0.004, 1.5738, 0.002), np.array([0.101, -0.001, 0.0013]))
+OFF = [  # constants that are wrong, and by how much: [m] and [rad]
+    ("joint_2.pitch", 1e-3), ("joint_3.x", -2e-3), ("joint_3.yaw", 1.5e-3), ("joint_3.roll", -1e-3), ("joint_4.pitch", 2e-3),
+]  # fmt: skip
+MODEL = Model(
+    ARID,
+    tuple(Coefficient(*name.split(".")) for name, _ in OFF),
+    ((None, T_WORLD_BASE),),
+    ((None, T_TIP_CAMERA),),
+)
+THETA = np.array([value for _, value in OFF])
+
+
+def moved(**numbers: float) -> Head:
+    """The head of arid-strip with some of its numbers changed: ``camera_k1=-0.02``, ``sonar_2_bias=3e-3``."""
+    phi = START.phi.copy()
+    for name, value in numbers.items():
+        phi[START.names.index(".".join(name.rsplit("_", 1)))] += value
+    return replace(START, phi=phi)
+
+
+def poses(model: Model, theta: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """T_world_camera, shape (N, 4, 4)."""
+    R, p = model.poses(theta, model.rows(q))
+    T = np.broadcast_to(np.eye(4), (len(q), 4, 4)).copy()
+    T[:, :3, :3], T[:, :3, 3] = R, p
+    return T
+
+
+def views(n: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Readings (n, 4) and the square that each looks at."""
+    nominal = replace(MODEL, coefficients=())
+    return draw_views(nominal, OPTICS, START.intrinsics, n, np.random.default_rng(seed), "test")
+
+
+def look(T_world_camera: np.ndarray, own: int, head: Head, rng: np.random.Generator, noise: float = 1.0) -> Seen:
+    """What one shot sees: fiducials wholly in view, with the noise that is stated of them, or ``noise`` times that."""
+    near = OPTICS.seen(T_world_camera, own)
+    marks = layout({k: OPTICS.squares[k] for k in near}, own)
+    corners, _, _ = predict_pixels(near[own], marks.corners, head.intrinsics)
+    marks = marks[np.all((corners > 3) & (corners < 508), axis=(1, 2))]
+    pixels, _, _ = predict_pixels(near[own], marks.centres, head.intrinsics)
+    sigma = rng.uniform(0.01, 0.03, pixels.shape)
+    pixels = pixels + noise * sigma * rng.standard_normal(pixels.shape)
+    h = read_sonars(near[own], replace(head, std=noise * head.std), rng)
+    start = start_anywhere(marks.centres, pixels, Sonars(h, head.positions, head.measures, head.std), START.intrinsics)
+    return Seen(marks.centres, pixels, sigma[:, :, None] ** 2 * np.eye(2), h, OPTICS.squares[own], start)
+
+
+def campaign(more: str = "") -> Campaign:
+    """The job of arid-strip, its target at the camera."""
+    text = f"""format: 1
+robot: {{urdf: {ROOT / "urdf" / "arid.urdf"}, base: base_link, tip: flange, gravity: [0, 9.81, 0]}}
+measurements: {{kind: camera_sonar, head: head.yaml}}
+{more}"""
+    job = parse_settings(text, STRIP / "campaign.yaml", Campaign)
+    mount = FrameSettings(xyz=SETTINGS.tip_camera.xyz, rpy=SETTINGS.tip_camera.rpy)
+    return job.model_copy(update={"frames": job.frames.model_copy(update={"tip_target": mount})})
+
+
+def shots(
+    n: int, head: Head, seed: int = 0, more: str = "", model: Model = MODEL, theta: np.ndarray = THETA
+) -> tuple[Shots, np.ndarray]:
+    """A campaign of n shots, and its readings."""
+    q, square = views(n, seed)
+    rng = np.random.default_rng([seed, 1])
+    T = poses(model, theta, q)
+    seen = tuple(look(T[k], int(square[k]), head, rng) for k in range(n))
+    rows = Measurements(
+        ARID.readings, (Path("shots.csv"),), "", (), (), np.zeros(n, int), np.arange(n) + 2, q, np.full((n, 3), np.nan),
+        None, None, {}, None, np.zeros(n, bool), True,
+    )  # fmt: skip
+    return Shots(campaign(more), START, rows, seen, pd.DataFrame(), SETTINGS.tip_camera.homogeneous), q
