@@ -253,9 +253,9 @@ def _accuracy(job: tuple[int, bool]) -> dict[str, np.ndarray]:
     }
 
 
-def accuracy(views: int) -> None:
+def accuracy(views: int, first: int) -> None:
     for own_only in (True, False):
-        rows = _map(_accuracy, [(seed, own_only) for seed in range(views)])
+        rows = _map(_accuracy, [(first + k, own_only) for k in range(views)])
         error, bound = (np.array([r[k] for r in rows]) for k in ("error", "bound"))
         pixels = np.concatenate([r["pixels"] for r in rows])
         near = np.array([r["range"] for r in rows]) < 0.27
@@ -290,8 +290,8 @@ def _attempt(job: tuple[Callable[[int], View], int]) -> tuple[bool, str, float, 
     return view.usable, "", float(np.max(np.abs(error) / sigma)), float(np.linalg.norm(error[:3])), chi2
 
 
-def hard(images: int, verbose: bool = False) -> None:
-    rows = _map(_attempt, [(hard_view, seed) for seed in range(images)])
+def hard(images: int, first: int, verbose: bool = False) -> None:
+    rows = _map(_attempt, [(hard_view, first + k) for k in range(images)])
     usable = [r for r in rows if r[0]]
     measured = [r for r in rows if not r[1]]
     missed = [r for r in usable if r[1]]
@@ -303,14 +303,17 @@ def hard(images: int, verbose: bool = False) -> None:
     print(f"chi2/dof {np.mean(chi2) / 6:.2f}, median {np.median(chi2) / 5.35:.2f}")
     print("  usable ones refused:", dict(Counter(r[1] for r in missed)))
     if verbose:
-        print("  wrong:", [(k, round(rows[k][2], 1), f"{1e3 * rows[k][3]:.3f} mm", rows[k][0]) for k in wrong])
-        print("  missed:", [(k, r[1][:40]) for k, r in enumerate(rows) if r[0] and r[1]])
+        print("  wrong:", [(first + k, round(rows[k][2], 1), f"{1e3 * rows[k][3]:.3f} mm", rows[k][0]) for k in wrong])
+        print("  missed:", [(first + k, r[1][:40]) for k, r in enumerate(rows) if r[0] and r[1]])
 
 
-def empty(images: int) -> None:
-    rows = _map(_attempt, [(empty_view, seed) for seed in range(images)])
+def empty(images: int, first: int) -> None:
+    rows = _map(_attempt, [(empty_view, first + k) for k in range(images)])
     print(f"{images} images without a usable square: {sum(bool(r[1]) for r in rows)} refused")
-    print("  measured all the same:", [(k, k % 5, round(r[2], 1)) for k, r in enumerate(rows) if not r[1]])
+    print(
+        "  measured all the same:",
+        [(first + k, (first + k) % 5, round(r[2], 1)) for k, r in enumerate(rows) if not r[1]],
+    )
 
 
 def _timed(seeds: list[int]) -> tuple[float, float, int]:
@@ -323,8 +326,8 @@ def _timed(seeds: list[int]) -> tuple[float, float, int]:
     return time.process_time() - cpu, time.perf_counter() - wall, len(views)
 
 
-def speed(images: int) -> None:
-    rows = _map(_timed, [list(range(k, images, PROCESSES)) for k in range(PROCESSES)])
+def speed(images: int, first: int) -> None:
+    rows = _map(_timed, [list(range(first + k, first + images, PROCESSES)) for k in range(PROCESSES)])
     cpu = np.mean([c / n for c, _, n in rows])
     print(
         f"{1e3 * cpu:.1f} ms of CPU per image of 512 x 512: {PROCESSES / cpu:.0f} images a second on {PROCESSES} cores;",
@@ -343,16 +346,17 @@ def main() -> None:
     parser.add_argument("what", choices=["accuracy", "hard", "empty", "speed"])
     parser.add_argument("--views", type=int, default=60)
     parser.add_argument("--images", type=int, default=200)
+    parser.add_argument("--first", type=int, default=0, help="seed of the first view or image")
     parser.add_argument("--verbose", action="store_true")
     arguments = parser.parse_args()
     if arguments.what == "accuracy":
-        accuracy(arguments.views)
+        accuracy(arguments.views, arguments.first)
     elif arguments.what == "hard":
-        hard(arguments.images, arguments.verbose)
+        hard(arguments.images, arguments.first, arguments.verbose)
     elif arguments.what == "empty":
-        empty(arguments.images)
+        empty(arguments.images, arguments.first)
     else:
-        speed(arguments.images)
+        speed(arguments.images, arguments.first)
 
 
 if __name__ == "__main__":

@@ -22,6 +22,7 @@ AREA_TOLERANCE = 1.7  # times too large or too small: blur, the threshold, a son
 SMALL_ASPECT, CENTRE_ASPECT = 1.4, (1.45, 2.8)
 FILLED = (0.85, 1.15)  # area over that of the rectangle with the same second moments
 MIN_CONTRAST = 8.0  # [grey levels], and as many standard deviations of the smoothed noise
+WASHED_OUT = 250  # [grey levels]
 MAX_BLOBS = 60  # of the right size: more of them are texture
 
 
@@ -106,33 +107,40 @@ def find_blobs(smoothed: np.ndarray, dark: bool, intrinsics: np.ndarray, plane: 
 
 
 def is_blank(
-    smoothed: np.ndarray, dark: bool, intrinsics: np.ndarray, plane: Plane, places: np.ndarray, turn: complex
+    smoothed: np.ndarray, intrinsics: np.ndarray, plane: Plane, known: np.ndarray, places: np.ndarray, turn: complex
 ) -> np.ndarray:
     """Tell at which places on the plane there plainly is bare paper where a small fiducial should be.
 
     Args:
         smoothed: From ``smooth``, shape (height, width).
-        dark: Whether fiducials are darker than the paper.
         intrinsics: In the order of ``camera.INTRINSICS``, shape (9,).
         plane: What the sonars say.
-        places: As in ``Blobs``, shape (M,), [m].
+        known: Where small fiducials of the same square are seen, as in ``Blobs``, shape (K,), [m].
+        places: Where there should be more of them, shape (M,), [m].
         turn: Of the square on the plane, of modulus 1.
 
     Returns:
-        Shape (M,); False where the place is not wholly in view, or covered by something that is not like the paper.
+        Shape (M,); False where the place is not wholly in view, is covered by something that is not like the paper around the
+        nearest known fiducial, or may be washed out.
     """
+    if len(known) == 0:
+        return np.zeros(len(places), dtype=bool)
     right, up, axis = _plane_axes(plane)
     side = np.linspace(-0.8, 0.8, 9) * SIZES[0, 0]  # the fiducial and some paper around it
-    spots = places[:, None] + turn * (side[:, None] + 1j * side).ravel()
+    spots = np.concatenate([known, places])[:, None] + turn * (side[:, None] + 1j * side).ravel()
     points = axis + spots.real[..., None] * right + spots.imag[..., None] * up
     uv = np.rint(project(points @ REPORT_OPENCV, intrinsics)).astype(int)
     height, width = smoothed.shape
-    seen = np.all((uv >= 0) & (uv < [width, height]), axis=(1, 2))
-    u, v = np.clip(uv, 0, [width - 1, height - 1]).T
-    grey = smoothed[v, u].astype(float)  # (81, M)
-    paper, ink = (np.percentile(smoothed[::4, ::4], q) for q in ((90, 2) if dark else (10, 98)))
-    level = np.abs(grey - paper) < 0.35 * abs(paper - ink)
-    return seen & np.all(level, axis=0) & (np.ptp(grey, axis=0) < 0.25 * abs(paper - ink))
+    seen = np.all((uv >= 0) & (uv < [width, height]), axis=(1, 2))[len(known) :]
+    u, v = np.moveaxis(np.clip(uv, 0, [width - 1, height - 1]), 2, 0)
+    grey = smoothed[v, u].astype(float)  # (K + M, 81)
+    outer = np.pad(np.zeros((7, 7), dtype=bool), 1, constant_values=True).ravel()
+    paper, middle = np.median(grey[: len(known), outer], axis=1), grey[: len(known), 40]
+    there, nearest = grey[len(known) :], np.argmin(np.abs(places[:, None] - known), axis=1)
+    expected, contrast = paper[nearest, None], np.abs(middle - paper)
+    like_paper = np.abs(there - expected) < 0.4 * np.minimum(contrast[nearest], np.median(contrast))[:, None]
+    washed_out = (there > WASHED_OUT) & np.any(paper < WASHED_OUT)
+    return seen & np.all(like_paper & ~washed_out, axis=1)
 
 
 def _plane_axes(plane: Plane) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -20,11 +20,14 @@ TUKEY = 6.0  # residuals beyond so many sigma have no weight
 TUKEY_VARIANCE = 0.965
 N_PARAMETERS = 12
 START_BLUR = 0.7  # [px]
+# Light falls on paper and fiducial alike, so that contrast changes as the paper does; glare spares it. By how much the change
+# may differ from that: a share of it, and some grey levels across half a fiducial.
+UNEVEN, UNEVEN_STD = 1.0, 0.05
 LEAK_STD = 60.0  # [grey levels] by which the surroundings may differ from the paper
 PIXEL_VARIANCE = 1 / 12
 # Where dirt has cost an edge some of its weight, what is left of the dirt shows in the centre too (measured on rendered dirt).
 CLEAN_EDGE, DOUBT = 0.9, 30.0
-MODEL_STD = 0.0015  # [px] what the edge model itself may be wrong by
+MODEL_STD = 0.0008  # [px] what the edge model itself may be wrong by
 _GRID = 1.2 * np.array([[i, j] for i in (-0.5, 0, 0.5) for j in (-0.5, 0, 0.5)])
 
 
@@ -139,21 +142,25 @@ def fit_outlines(image: np.ndarray, shapes: Shapes, start: Fits | None = None, g
         contrast = light[7] + J[5] * light[8] + J[6] * light[9]
         J[:4] = contrast * slope
         r = pixels.grey - np.sum(J[[4, 5, 6, 10, 11]] * light[[4, 5, 6, 10, 11]], axis=0) - contrast * model
-        size = np.abs(r)
-        noise = 1.4826 * np.array(
-            [np.partition(size[part], len(size[part]) // 2)[len(size[part]) // 2] for part in parts]
-        )
+        clipped = ((pixels.grey >= 255) & (r < 0)) | ((pixels.grey <= 0) & (r > 0))  # as bright or dark as can be
+        r[clipped] = 0
+        size = np.where(clipped, np.inf, np.abs(r))
+        middle = np.maximum(pixels.counts - np.add.reduceat(clipped, first), 1) // 2
+        noise = 1.4826 * np.array([np.partition(size[p], m)[m] for p, m in zip(parts, middle, strict=True)])
         gross = step < gross_steps
         settled = start is not None
         level = np.abs(theta[:, 7])
         cut = 0.6 * level + 5 if gross else np.maximum(TUKEY * noise, (0.01 if settled else 0.1) * level + 1)
         w = np.maximum(1 - (r / spread(cut)) ** 2, 0) ** 2
-        Jw = J * w
+        Jw = J * np.where(clipped, 0, w)
         A = np.array([Jw[:, part] @ J[:, part].T for part in parts], dtype=float)
         b = np.array([Jw[:, part] @ r[part] for part in parts], dtype=float)
-        prior = (noise[:, None] / LEAK_STD) ** 2
-        A[:, [10, 11], [10, 11]] += prior
-        b[:, 10:] -= prior * theta[:, 10:]
+        expected, doubt = np.zeros((2, len(theta), 4))
+        expected[:, :2] = theta[:, 5:7] * (theta[:, 7] / np.maximum(theta[:, 4], 1 + level / 50))[:, None]
+        doubt[:, :2], doubt[:, 2:] = UNEVEN * np.abs(expected[:, :2]) + UNEVEN_STD, LEAK_STD
+        prior = (noise[:, None] / doubt) ** 2
+        A[:, range(8, 12), range(8, 12)] += prior
+        b[:, 8:] -= prior * (theta[:, 8:] - expected)
         unit = np.sqrt(np.einsum("fii->fi", A)) + 1e-6
         A = A / (unit[:, :, None] * unit[:, None, :]) + 1e-6 * np.eye(N_PARAMETERS)
         change = np.linalg.solve(A, (b / unit)[..., None])[..., 0] / unit
@@ -168,10 +175,10 @@ def fit_outlines(image: np.ndarray, shapes: Shapes, start: Fits | None = None, g
     inverse *= TUKEY_VARIANCE * sigma[:, None, None] ** 2
     rim = np.abs(pixels.depth) < 1.5
     edge_weight = np.add.reduceat(np.where(rim, w, 0), first) / np.add.reduceat(rim, first)
-    doubt = 1 + DOUBT * np.maximum(0, CLEAN_EDGE - edge_weight)
+    dirt = 1 + DOUBT * np.maximum(0, CLEAN_EDGE - edge_weight)
     return Fits(
         centres=shapes.centres + theta[:, :2],
-        covariances=inverse[:, :2, :2] * doubt[:, None, None] + MODEL_STD**2 * np.eye(2),
+        covariances=inverse[:, :2, :2] * dirt[:, None, None] + MODEL_STD**2 * np.eye(2),
         shape_std=np.sqrt(np.maximum(np.einsum("fii->fi", inverse)[:, 2:4], 0)),
         noise=noise,
         edge_weight=edge_weight,

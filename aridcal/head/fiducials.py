@@ -68,7 +68,7 @@ def find_fiducials(image: np.ndarray, layout: Layout, intrinsics: np.ndarray, so
     for dark in (True, False):
         blobs = find_blobs(smoothed, dark, intrinsics, plane)
         try:
-            found.append((match(blobs, layout, partial(is_blank, smoothed, dark, intrinsics, plane)), blobs, dark))
+            found.append((match(blobs, layout, partial(is_blank, smoothed, intrinsics, plane)), blobs, dark))
         except NotMeasured as refusal:
             refusals.append(refusal)
         if found and len(found[0][0].pairs) >= 4:
@@ -76,8 +76,11 @@ def find_fiducials(image: np.ndarray, layout: Layout, intrinsics: np.ndarray, so
     if not found:
         raise max(refusals, key=lambda refusal: "no square" not in str(refusal))
     matched, blobs, dark = max(found, key=lambda candidate: len(candidate[0].pairs))
-    T = _blob_pose(matched, blobs, layout, intrinsics, sonars, plane)
-    return _refine(image, T, layout, intrinsics, sonars, dark)
+    try:
+        T = _blob_pose(matched, blobs, layout, intrinsics, sonars, plane)
+        return _refine(image, T, layout, intrinsics, sonars, dark)
+    except ValueError as error:
+        raise NotMeasured(str(error)) from None
 
 
 def _blob_pose(

@@ -15,11 +15,15 @@ import numpy as np
 
 from aridcal.errors import AridcalError
 from aridcal.head.blobs import Blobs
-from aridcal.head.square import CENTRES, INCH, N_FIDUCIALS, SIDE, Layout
+from aridcal.head.square import CENTRE_FIDUCIAL, CENTRES, CORNER_MARKER, INCH, N_FIDUCIALS, ONE_SQUARE, SIDE, Layout
 
 NEAR, CLOSE = 0.0035, 0.0022  # [m] a blob may be from its place, before and after the turn is refined
 AXIS_TIE = 0.002  # [m] by which one square must be nearer the optical axis than the others
+SPARE_MARK = 2  # a mark too many says more than one that is not seen
+CLEAR_LEAD = 3  # marks by which a proposal that explains more needs no further comparison
 SAME_TURN, SAME_SHIFT = 0.2, 0.01  # [rad], [m] within which two proposals are one
+MAX_PROPOSALS = 60
+MAX_SLANT = 0.35  # sine by which a centre fiducial's long side may seem to be turned
 _CENTRES = CENTRES @ [1, 1j]
 
 
@@ -42,42 +46,54 @@ class Match:
     pairs: np.ndarray
 
 
-def match(blobs: Blobs, layout: Layout, blank: Callable[[np.ndarray, complex], np.ndarray]) -> Match:
+def match(blobs: Blobs, layout: Layout, blank: Callable[[np.ndarray, np.ndarray, complex], np.ndarray]) -> Match:
     """Find out which blobs are which fiducials.
 
     Args:
         blobs: Candidates.
         layout: Fiducials that may be in view, those of the square nearest the optical axis first.
-        blank: Tells at which places on the plane, (M,), there plainly is no fiducial of a square so turned.
+        blank: Tells from places on the plane where small fiducials are seen, (K,), at which others, (M,), there plainly is none.
 
     Returns:
-        The one proposal that explains more blobs than any other.
+        The proposal that explains most blobs, less what speaks against it.
 
     Raises:
-        NotMeasured: Too few blobs, or two proposals explain as many.
+        NotMeasured: Too few blobs, two proposals are as good, or nothing tells how the square is turned.
     """
-    for proposals in (_from_centres(blobs), _from_pairs(blobs)):
-        refined = [_refined(turn, shift, blobs, layout) for turn, shift in proposals]
+    for propose in (_from_centres, _from_pairs):
+        refined = [_refined(turn, shift, blobs, layout) for turn, shift in propose(blobs)]
         matches = [m for m in refined if m is not None and spans_plane(layout.centres[m.pairs[:, 0]])]
         if matches:
             break
     else:
         raise NotMeasured(f"no square found among {len(blobs.places)} marks of a fiducial's size and shape")
-    most = max(len(m.pairs) for m in matches)
-    tied = _distinct([m for m in matches if len(m.pairs) == most])
+    matches.sort(key=lambda m: -len(m.pairs))
+    rivals = _distinct([m for m in matches if len(m.pairs) > len(matches[0].pairs) - CLEAR_LEAD])
+    against = [_contradictions(m, blobs, layout, blank) for m in rivals]
+    scores = [len(m.pairs) - n for m, n in zip(rivals, against, strict=True)]
+    tied = [k for k, score in enumerate(scores) if score == max(scores)]
+    best = rivals[tied[0]]
     if len(tied) > 1:
-        places = layout.centres[:, :2] @ [1, 1j]
-        missed = [np.setdiff1d(np.arange(len(layout)), m.pairs[:, 0]) for m in tied]
-        against = [int(blank(m.turn * places[k] + m.shift, m.turn).sum()) for m, k in zip(tied, missed, strict=True)]
-        tied = [m for m, n in zip(tied, against, strict=True) if n == min(against)]
-    if len(tied) == 1:
-        spare = np.delete(blobs.places, tied[0].pairs[:, 1])
-        if np.sum(np.abs((spare - tied[0].shift) / tied[0].turn) < SIDE / 2) > most:
-            raise NotMeasured("more marks on the square than fiducials: it is something else")
-        return tied[0]
-    if abs(tied[0].turn + tied[1].turn) < SAME_TURN:
-        raise NotMeasured("the corner marker is not seen: the square may be upside down")
-    raise NotMeasured("the marks fit the square in more than one way")
+        if abs(best.turn + rivals[tied[1]].turn) < SAME_TURN:
+            raise NotMeasured("the corner marker is not seen: the square may be upside down")
+        raise NotMeasured("the marks fit the square in more than one way")
+    if not np.any(np.isin(layout.fiducial[best.pairs[:, 0]], (CORNER_MARKER, CENTRE_FIDUCIAL))):
+        raise NotMeasured("neither a centre fiducial nor a corner marker is seen: they tell how the square is turned")
+    if against[tied[0]] > len(best.pairs) - 2:
+        raise NotMeasured("too much on the square is not as it should be: it is something else, or dirty")
+    return best
+
+
+def _contradictions(
+    m: Match, blobs: Blobs, layout: Layout, blank: Callable[[np.ndarray, np.ndarray, complex], np.ndarray]
+) -> int:
+    """Count what speaks against a match: bare paper where fiducials should be, and more marks on the square than it has."""
+    missed = np.setdiff1d(np.arange(len(layout)), m.pairs[:, 0])
+    places = m.turn * (layout.centres[missed, :2] @ [1, 1j]) + m.shift
+    spare = (np.delete(blobs.places, m.pairs[:, 1]) - m.shift) / m.turn
+    on_square = np.maximum(np.abs(spare.real), np.abs(spare.imag)) < SIDE / 2
+    small = blobs.places[m.pairs[:, 1]][~layout.is_centre[m.pairs[:, 0]]]
+    return int(blank(small, places, m.turn).sum() + SPARE_MARK * on_square.sum())
 
 
 def _distinct(matches: list[Match]) -> list[Match]:
@@ -90,12 +106,15 @@ def _distinct(matches: list[Match]) -> list[Match]:
 
 def _from_centres(blobs: Blobs) -> list[tuple[complex, complex]]:
     """Propose, for each centre fiducial, its square and those beside it, whose own centre may be hidden."""
-    turns = [
-        (sign * np.exp(1j * (blobs.angles[k] - np.pi / 2)), blobs.places[k])
-        for k in np.flatnonzero(blobs.is_centre)
-        for sign in (1, -1)
-    ]
-    return [(turn, place + step * SIDE * 1j * turn) for turn, place in turns for step in (0, 1, -1)]
+    proposals = []
+    for k in np.flatnonzero(blobs.is_centre):
+        for sign in (1, -1):
+            turn, shift = sign * np.exp(1j * (blobs.angles[k] - np.pi / 2)), blobs.places[k]
+            pairs = _pairs(turn, shift, ONE_SQUARE, blobs, NEAR)
+            if len(pairs) > 1:  # the turn is to be exact enough for the squares beside
+                turn, shift = _rigid(_CENTRES[pairs[:, 0]], blobs.places[pairs[:, 1]])
+            proposals += [(turn, shift + step * SIDE * 1j * turn) for step in (0, 1, -1)]
+    return proposals
 
 
 def _from_pairs(blobs: Blobs) -> list[tuple[complex, complex]]:
@@ -110,8 +129,11 @@ def _from_pairs(blobs: Blobs) -> list[tuple[complex, complex]]:
     if len(turn) > 20_000:
         return []
     distance = np.abs(turn[:, None, None] * _CENTRES[:, None] + shift[:, None, None] - blobs.places)
-    found = np.any((distance < CLOSE) & _same_kind(np.arange(N_FIDUCIALS) == 3, blobs), axis=2).sum(axis=1)
-    order = np.argsort(-found, kind="stable")[:40]
+    found = np.any((distance < CLOSE) & (ONE_SQUARE.is_centre[:, None] == blobs.is_centre), axis=2).sum(axis=1)
+    order = np.argsort(-found, kind="stable")
+    rough = np.column_stack([turn.real / SAME_TURN, turn.imag / SAME_TURN, shift.real / CLOSE, shift.imag / CLOSE])
+    _, first = np.unique(np.rint(rough[order]), axis=0, return_index=True)
+    order = order[np.sort(first)][:MAX_PROPOSALS]
     return [(turn[k], shift[k]) for k in order if found[k] >= 3]
 
 
@@ -123,9 +145,8 @@ def _refined(turn: complex, shift: complex, blobs: Blobs, layout: Layout) -> Mat
     others = np.append(middles[1:], 1j * np.copysign(SIDE, axis.imag))  # the square beside need not be listed
     if np.any(np.abs(axis - others) < np.abs(axis) + AXIS_TIE - 2 * NEAR):
         return None
-    near = slice(N_FIDUCIALS)
-    for part, tolerance in ((near, NEAR), (slice(None), CLOSE), (slice(None), CLOSE)):
-        pairs = _pairs(turn * here[part] + shift, layout.is_centre[part], blobs, tolerance)
+    for part, tolerance in ((layout[np.arange(N_FIDUCIALS)], NEAR), (layout, CLOSE), (layout, CLOSE)):
+        pairs = _pairs(turn, shift, part, blobs, tolerance)
         if len(pairs) < 2:
             return None
         turn, shift = _rigid(here[pairs[:, 0]], blobs.places[pairs[:, 1]])
@@ -135,19 +156,20 @@ def _refined(turn: complex, shift: complex, blobs: Blobs, layout: Layout) -> Mat
     return Match(turn, shift, pairs)
 
 
-def _pairs(places: np.ndarray, is_centre: np.ndarray, blobs: Blobs, tolerance: float) -> np.ndarray:
-    distance = np.abs(places[:, None] - blobs.places)
-    distance[~_same_kind(is_centre, blobs)] = np.inf
-    if distance.size == 0:
+def _pairs(turn: complex, shift: complex, layout: Layout, blobs: Blobs, tolerance: float) -> np.ndarray:
+    """Pair fiducials and blobs of the same kind that are each other's nearest, shape (K, 2)."""
+    if len(blobs.places) == 0:
         return np.zeros((0, 2), dtype=int)
+    places = turn * (layout.centres[:, :2] @ [1, 1j]) + shift
+    distance = np.abs(places[:, None] - blobs.places)
+    upright = turn * (layout.axes[:, 1, :2] @ [1, 1j])
+    slant = np.abs(np.imag(np.exp(1j * blobs.angles) * np.conj(upright[:, None])))
+    alike = np.where(layout.is_centre[:, None], blobs.is_centre & (slant < MAX_SLANT), ~blobs.is_centre)
+    distance[~alike] = np.inf
     nearest = np.argmin(distance, axis=1)
     mutual = np.argmin(distance, axis=0)[nearest] == np.arange(len(places))
     mine = np.flatnonzero(mutual & (distance[np.arange(len(places)), nearest] < tolerance))
     return np.column_stack([mine, nearest[mine]])
-
-
-def _same_kind(is_centre: np.ndarray, blobs: Blobs) -> np.ndarray:
-    return is_centre[:, None] == blobs.is_centre
 
 
 def _rigid(model: np.ndarray, seen: np.ndarray) -> tuple[complex, complex]:

@@ -17,7 +17,7 @@ SIDE = 4 * INCH  # of a square, and the pitch of a strip
 STRIP_SQUARES = 28
 CENTRES = INCH * np.array([[-1.75, 1.75], [0, 1.75], [-1.75, 0], [0, 0], [1.75, 0], [0, -1.75]])
 SIZES = INCH * np.array([[0.25, 0.25], [0.25, 0.25], [0.25, 0.25], [0.25, 0.5], [0.25, 0.25], [0.25, 0.25]])
-CENTRE_FIDUCIAL = 4
+CORNER_MARKER, CENTRE_FIDUCIAL = 1, 4
 N_FIDUCIALS = len(CENTRES)
 UNIT = np.array([[-0.5, 0.5], [0.5, 0.5], [0.5, -0.5], [-0.5, -0.5]])
 
@@ -130,3 +130,6 @@ def layout(squares: Mapping[int, np.ndarray], own: int, reach: float = 2.5 * SID
         axes=np.repeat(np.swapaxes(R, 1, 2), N_FIDUCIALS, axis=0),
         sizes=np.tile(SIZES, (len(names), 1)),
     )
+
+
+ONE_SQUARE = layout({0: np.eye(4)}, 0)
