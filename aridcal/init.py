@@ -98,9 +98,8 @@ def _ask(question: str, answers: Sequence[str], why: str) -> int:
     return IntPrompt.ask("your choice", choices=picks, default=1, console=console) - 1
 
 
-def _first(question: str, answers: Sequence[str], why: str) -> int:
-    """Take the likeliest; nobody is there to be asked."""
-    return 0
+def _nobody(question: str, answers: Sequence[str], why: str) -> None:
+    """Leave a question open: the likeliest answer is taken, and said to be a guess."""
 
 
 def draft(urdf: Path, files: Sequence[Path], out: Path, choose: Choose) -> tuple[str, Proposal, Measurements]:
@@ -149,7 +148,7 @@ def _main(urdf: Path, files: Sequence[Path], out: Path) -> None:
     if out.exists():
         raise OutputError(f"{out}: is there already; delete it, or choose another name with -o")
     check_writable(out, "file")
-    text, proposal, rows = draft(urdf, files, out, _ask if sys.stdin.isatty() else _first)
+    text, proposal, rows = draft(urdf, files, out, _ask if sys.stdin.isatty() else _nobody)
     with atomic_file(out) as path:
         path.write_text(text, encoding="utf-8")
     console = Console()

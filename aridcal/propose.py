@@ -27,8 +27,8 @@ UPRIGHT = 5.0  # [deg]: the base's z is the instrument's
 TIPS = ("tool0", "flange", "ee_link", "tcp")
 HOW = {"similar name": "names alike", "number": "by their numbers", "order": "by their ORDER along the chain"}
 
-Choose = Callable[[str, Sequence[str], str], int]
-"""Asks a question with its possible answers, the proposed one first, and why; returns the number of the answer."""
+Choose = Callable[[str, Sequence[str], str], int | None]
+"""Asks a question with its possible answers, the likeliest first, and why; returns the answer's number, None without."""
 
 
 @dataclass(frozen=True)
@@ -78,11 +78,11 @@ def propose(urdf: bytes, path: Path, table: Table, choose: Choose) -> Proposal:
         MeasurementError: joints or positions have no columns, or a campaign cannot tell their units.
         RobotError: the URDF cannot be read, or has no serial chain.
     """
-    robot, joints, how = _chain(urdf, path, table, choose)
+    robot, joints, how, sure = _chain(urdf, path, table, choose)
     made = Proposal(robot)
     made.say("robot.base", robot.base, "the URDF's root link")
     ends = f"{robot.names[0]} … {robot.names[-1]}" if len(robot.names) > 1 else robot.names[0]
-    made.say("robot.tip", robot.tip, f"end of the chain {ends}; anything rigid after the last joint does as well")
+    made.say("robot.tip", robot.tip, f"end of the chain {ends}; anything rigid after the last joint does as well", sure)
     made.say_columns(joints, HOW.get(how, "named as in the URDF"), sure=how != "order")
     used = set(joints.values())
     place = _position(table, used, choose, made)
@@ -96,8 +96,8 @@ def propose(urdf: bytes, path: Path, table: Table, choose: Choose) -> Proposal:
     return made
 
 
-def _chain(urdf: bytes, path: Path, table: Table, choose: Choose) -> tuple[Robot, dict[str, str], str]:
-    """The longest chain from the root whose joints all have columns, those columns, and how they were matched."""
+def _chain(urdf: bytes, path: Path, table: Table, choose: Choose) -> tuple[Robot, dict[str, str], str, bool]:
+    """The longest chain whose joints all have columns, those columns, how they were matched, and if its tip is sure."""
     names = [name for name in table.names if name]
     chains: dict[tuple[str, ...], list[Robot]] = {}
     why: RobotError | None = None
@@ -125,11 +125,17 @@ def _chain(urdf: bytes, path: Path, table: Table, choose: Choose) -> tuple[Robot
             f"{table.title}: no columns for the joints {', '.join(lacking)}, though for joints beyond"
         )
     ends = sorted(chains[best], key=lambda r: (TIPS.index(r.tip) if r.tip in TIPS else len(TIPS), r.tip_joint is None))
-    picked = 0
+    picked, sure = 0, True
     if len(ends) > 1 and ends[0].tip not in TIPS:
-        why_ask = "all are rigid after the last joint: take what your programs call the tool"
-        picked = choose("which link is the tip", [robot.tip for robot in ends], why_ask)
-    return ends[picked], *found[best]
+        about = "all are rigid after the last joint: take what your programs call the tool"
+        picked, sure = _ask(choose, "which link is the tip", [robot.tip for robot in ends], about)
+    return ends[picked], *found[best], sure
+
+
+def _ask(choose: Choose, question: str, answers: Sequence[str], why: str) -> tuple[int, bool]:
+    """The answer's number, the first if nobody answers, and whether somebody did."""
+    answer = choose(question, answers, why)
+    return answer or 0, answer is not None
 
 
 def _position(table: Table, used: set[str], choose: Choose, made: Proposal) -> Family:
@@ -138,12 +144,13 @@ def _position(table: Table, used: set[str], choose: Choose, made: Proposal) -> F
     if not families:
         raise MeasurementError(f"{table.title}: no columns for the target's position: call them x, y and z")
     options = [" ".join(family.columns) for family in families]
-    asked = len(families) > 1 and not families[1].commanded
-    picked = choose("which columns are the measured position", options, "more than one may be") if asked else 0
+    picked, sure = 0, not families[0].commanded
+    if len(families) > 1 and not families[1].commanded:
+        picked, sure = _ask(choose, "which columns are the measured position", options, "more than one may be")
     passed = [option for k, option in enumerate(options) if k != picked]
     why = "the measured position" + (f", not {' or '.join(passed)}" if passed else "")
     columns = dict(zip(POSITION, families[picked].columns, strict=True))
-    made.say_columns(columns, why, sure=not asked and not families[picked].commanded)
+    made.say_columns(columns, why, sure)
     return families[picked]
 
 
@@ -189,7 +196,9 @@ def _units(sample: Sample, robot: Robot, columns: Sequence[str], choose: Choose,
     clear = len(near) == 1 or near[1].share > CLEAR * near[0].share
     if not clear:
         names = [f"{r.angle} and {r.length}" for r in near]
-        best = near[choose("which units have joints and positions", names, "they fit the nominal robot alike")]
+        about = "they fit the nominal robot alike"
+        picked, clear = _ask(choose, "which units have joints and positions", names, about)
+        best = near[picked]
     said = {unit(column) for column in columns} - {None}
     why = "as the header says: " if said and said <= {best.angle, best.length} else ""
     why += f"in {best.angle} and {best.length} the nominal robot misses the targets by {1e3 * best.metres:.3g} mm"
@@ -221,9 +230,11 @@ def _orientation(
     else:
         made.say("measurements.kind", "position", "no columns of an orientation", sure=False)
         return set()
-    clear = len(ways) == 1 or ways[1].misfit > CLEAR * ways[0].misfit
-    asked = [way.what for way in ways[:4]]
-    best = ways[0 if clear else choose("how are orientations written", asked, "they fit the nominal robot alike")]
+    best, clear = ways[0], len(ways) == 1 or ways[1].misfit > CLEAR * ways[0].misfit
+    if not clear:
+        about = "they fit the nominal robot alike"
+        picked, clear = _ask(choose, "how are orientations written", [way.what for way in ways[:4]], about)
+        best = ways[picked]
     if best.angle not in (None, reading.angle):
         raise MeasurementError(
             f"{table.title}: joints are in {reading.angle} but {' '.join(family.columns)} in {best.angle}: `units` "

@@ -29,8 +29,8 @@ def never(question: str, answers: object, why: str) -> int:
     raise AssertionError(f"asked {question!r} ({answers}) though the data tell: {why}")
 
 
-def first(question: str, answers: object, why: str) -> int:
-    return 0
+def nobody(question: str, answers: object, why: str) -> None:
+    """Nobody answers."""
 
 
 def measured(robot: Robot, n: int = 40, seed: int = 0, world=None) -> tuple[np.ndarray, np.ndarray, Rotation]:
@@ -137,7 +137,7 @@ def test_a_gripper_that_was_not_recorded_is_left_out_of_the_chain(tmp_path):
     robot = load_robot(urdf, "panda_link8")
     q, p, _ = measured(robot)
     pd.DataFrame(named(" ".join(robot.names), q) | named("x y z", p)).to_csv(tmp_path / "m.csv", index=False)
-    _, proposal, _ = draft(urdf, [tmp_path / "m.csv"], tmp_path / "c.yaml", first)
+    _, proposal, _ = draft(urdf, [tmp_path / "m.csv"], tmp_path / "c.yaml", nobody)
     assert proposal.robot.readings == robot.readings
     assert {g.key: g.value for g in proposal.guesses}["measurements.kind"] == "position"
 
@@ -218,7 +218,7 @@ def test_measurements_of_another_robot_are_called_so(tmp_path):
     rng = np.random.default_rng(0)
     table = named(" ".join(robot.names), q[rng.permutation(len(q))]) | named("x y z", p)
     pd.DataFrame(table).to_csv(tmp_path / "m.csv", index=False)
-    text, proposal, _ = draft(UR10, [tmp_path / "m.csv"], tmp_path / "c.yaml", first)
+    text, proposal, _ = draft(UR10, [tmp_path / "m.csv"], tmp_path / "c.yaml", nobody)
     assert "MUCH" in text
     assert not next(g for g in proposal.guesses if g.key == "measurements.units").sure
 
@@ -237,6 +237,9 @@ def test_answers_on_the_terminal_are_kept(tmp_path):
     text, _, _ = draft(tmp_path / "r.urdf", [tmp_path / "m.csv"], tmp_path / "c.yaml", choose)
     assert asked == ["which link is the tip"]
     assert "  tip: hand\n" in text
+    assert "GUESSED" not in text.partition("  tip: ")[0]
+    text, _, _ = draft(tmp_path / "r.urdf", [tmp_path / "m.csv"], tmp_path / "c.yaml", nobody)
+    assert "GUESSED: end of the chain" in text.partition("  tip: ")[0]
 
 
 def test_names_are_taken_apart():
