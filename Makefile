@@ -7,7 +7,7 @@ READY := .venv/.ready
 export OMP_NUM_THREADS ?= 1
 export MPLBACKEND ?= Agg
 
-.PHONY: demo test lint bench pictures clean
+.PHONY: demo test lint bench pictures docs clean
 .DEFAULT_GOAL := demo
 
 DEMO := identification/arid-undeclared
@@ -37,6 +37,12 @@ SHOOT = $(CHROMIUM) --headless --no-sandbox --hide-scrollbars --use-angle=swifts
 pictures:
 	$(SHOOT) --window-size=1200,505 --screenshot=docs/images/report.png file://$(CURDIR)/$(DEMO)/results/report.html
 	$(SHOOT) --window-size=1000,640 --screenshot=docs/images/scene.png file://$(CURDIR)/$(DEMO)/results/scene.html
+
+# The pages of docs/ as a site in build/site, notebooks run; it opens without a network.
+docs: $(READY)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check '.[docs]' --editable .
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+	@echo "open $(CURDIR)/build/site/index.html"
 
 clean:
 	rm -rf .venv build *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis

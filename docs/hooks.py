@@ -1,0 +1,116 @@
+"""What `mkdocs build` adds to the pages of this folder: the start page, the commands' help, and the notebooks, run."""
+
+from __future__ import annotations
+
+import base64
+import importlib
+import os
+import posixpath
+import re
+from pathlib import Path
+
+import nbformat
+from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.plugins import get_plugin_logger
+from mkdocs.structure.files import File, Files
+from mkdocs.structure.pages import Page
+from nbclient import NotebookClient
+from nbclient.exceptions import CellExecutionError
+
+from aridcal.__main__ import COMMANDS, USAGE
+
+TOP = Path(__file__).resolve().parents[1]
+RUN = os.environ.get("ARIDCAL_DOCS_RUN", "1") == "1"
+"""Whether notebooks are run; `ARIDCAL_DOCS_RUN=0` shows them as they are, which is quick."""
+
+COLOUR = re.compile(r"\x1b\[[\d;]*m")
+log = get_plugin_logger("aridcal")
+
+
+def on_files(files: Files, config: MkDocsConfig) -> Files:
+    """Add the pages that are made from something else."""
+    made = {"index.md": (TOP / "README.md").read_text("utf-8"), "commands.md": commands_page()}
+    for path in sorted((TOP / "notebooks").glob("*.ipynb")):
+        made |= notebook_page(path)
+    for name, content in made.items():
+        files.append(File.generated(config, name, content=content))
+    return files
+
+
+def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
+    """Links are those of the repository; of one that leads out of the site the text remains."""
+    own = page.file.src_uri
+    folder = "" if own == "index.md" else "notebooks" if own.startswith("notebooks/") else "docs"
+
+    def link(match: re.Match[str]) -> str:
+        text, target, anchor = match.groups("")
+        if not target or "://" in target:
+            return match[0]
+        path = posixpath.normpath(posixpath.join(folder, target)).removeprefix("docs/")
+        path = re.sub(r"^(notebooks/.*)\.ipynb$", r"\1.md", path.replace("README.md", "index.md"))
+        if files.get_file_from_path(path) is None:
+            return text.strip("![]")
+        return f"{text}({posixpath.relpath(path, posixpath.dirname(own) or '.')}{anchor})"
+
+    return re.sub(r"(!?\[[^\]]*\])\(([^)#\s]*)(#[^)]*)?\)", link, markdown)
+
+
+def on_post_page(output: str, page: Page, config: MkDocsConfig) -> str:
+    """The theme loads one script from elsewhere, for the search on file://; it is shipped with the site instead."""
+    here = posixpath.relpath("javascripts/iframe-worker.js", posixpath.dirname(page.file.src_uri) or ".")
+    return output.replace("https://unpkg.com/iframe-worker/shim", here)
+
+
+def on_post_template(output: str, template_name: str, config: MkDocsConfig) -> str:
+    """The page for what is not found loads it too; it is only ever seen from a server."""
+    return output.replace("https://unpkg.com/iframe-worker/shim", "/javascripts/iframe-worker.js")
+
+
+def commands_page() -> str:
+    """Each command's own help."""
+    os.environ["COLUMNS"] = "100"
+    parts = [
+        "# Commands",
+        f"```text\n{USAGE}\n```",
+        "Exit status: 0 done, 1 a bug, 2 bad input or use, 130 interrupted.",
+    ]
+    for command in COMMANDS:
+        own = importlib.import_module(f"aridcal.{command}").parser()
+        parts.append(f"## aridcal {command}\n\n```text\n{own.format_help().rstrip()}\n```")
+    return "\n\n".join(parts)
+
+
+def notebook_page(path: Path) -> dict[str, str | bytes]:
+    """A notebook as a page with its pictures."""
+    notebook = nbformat.read(path, as_version=4)
+    note = "not run for this page"
+    if RUN:
+        where = {"metadata": {"path": str(path.parent)}}
+        try:
+            NotebookClient(notebook, timeout=600, kernel_name="python3", resources=where).execute()
+            note = "run when this page was made"
+        except CellExecutionError as error:
+            note = f"not run to its end: {COLOUR.sub('', str(error)).strip().splitlines()[-1]}"
+            log.info(f"{path.name}: {note}")
+    made: dict[str, str | bytes] = {}
+    parts = []
+    for cell in notebook.cells:
+        parts.append(cell.source if cell.cell_type == "markdown" else _fenced(cell.source, "python"))
+        for output in cell.get("outputs", []):
+            data = output.get("data", {})
+            if "image/png" in data:
+                name = f"{path.stem}-{len(made) + 1}.png"
+                made[f"notebooks/{name}"] = base64.b64decode(data["image/png"])
+                parts.append(f"![]({name})")
+            elif "text" in output or "text/plain" in data:
+                parts.append(_fenced(output.get("text") or data["text/plain"], "text"))
+    title, _, text = "\n\n".join(parts).partition("\n")
+    made[f"notebooks/{path.stem}.md"] = f"{title}\n\n<small>`notebooks/{path.name}`, {note}.</small>\n{text}\n"
+    return made
+
+
+def _fenced(text: str, language: str) -> str:
+    clean = COLOUR.sub("", text).replace("\r", "")
+    if language == "text":
+        clean = re.sub(r"\n{2,}", "\n", clean).strip()
+    return f"```{language}\n{clean}\n```"
