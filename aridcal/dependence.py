@@ -293,7 +293,9 @@ def _search(found: Diagnosis) -> Iterator[Content]:
         return
     yield tag("h3", "What else was tried")
     yield tag(
-        "p", f"{counted(found.tested, 'candidate')} tested: effects of every kind, then functions for what has no name."
+        "p",
+        f"{counted(found.tested, 'candidate')} tested in all: the effects that have a name, then functions of one or two "
+        "covariates for what has none.",
     )
     if found.rejected:
         lines = [[r.effect.label, _chance(r.p_value), r.why] for r in found.rejected[:MOST_REJECTED]]

@@ -104,12 +104,12 @@ def diagnose(
     stated = [declared(scene, d, str(campaign.path)) for d in campaign.effects]
     taken = {(e.kind, e.where, e.with_, e.by) for e in stated}
     named = [e for e in named if (e.kind, e.where, e.with_, e.by) not in taken]
-    if named:
-        progress(f"testing {len(named)} candidate effects")
     current = at = geometric
     library = [*named, *unnamed, *stated]
     bench = linear_bench(bound, current, (), library, scene)
     named = [e for e in named if bench.moves(e)]
+    if named:
+        progress(f"testing {len(named)} effects that have a name")
     state = solve_state(bench, (), current.sigma, current.weight)
     for effect in stated:
         state = solve_state(bench, (*state.active, admitted(bench, state, effect)), state.solution.sigma, state.weight)
@@ -129,6 +129,7 @@ def diagnose(
         bench = linear_bench(bound, at, state.active, library, scene)
         state = solve_state(bench, state.active, state.solution.sigma, state.weight)
     if unnamed:
+        progress(f"testing {len(unnamed)} functions, then pairs, for what has no name")
         found = _unnamed(bench, unnamed, found, scene)
         if len(found.state.active) > len(state.active):  # what only imitated it is not missed any more
             found = replace(search(bench, named, found.state, 0), rejected=found.rejected, tested=found.tested)

@@ -14,7 +14,7 @@ from aridcal.diagnosis import Bound, Diagnosed
 from aridcal.effects import ANGULAR, Effect, evaluate
 from aridcal.outcome import Curve, Diagnosis, NamedEffect, Rejected
 from aridcal.residual import predict_residuals
-from aridcal.solver import Fit
+from aridcal.solver import Data, Fit
 from aridcal.whiteness import LEAST, Clue
 
 GRID = 160  # points of a curve
@@ -38,29 +38,30 @@ def explain(diagnosed: Diagnosed, every: Bound, test: np.ndarray, clues: Sequenc
         groups.setdefault(_identity(a.effect), []).append(k)
     stated = {_identity(e) for e in diagnosed.declared}
     fit, data = diagnosed.fit, every.data(diagnosed.fit.model)
+    unused = data[test]
 
-    def residual(own: Sequence[Effect]) -> np.ndarray:
-        """What the model with some of its effects leaves of all rows."""
+    def residual(own: Sequence[Effect], of: Data) -> np.ndarray:
+        """What the model with some of its effects leaves."""
         names = {c.name for e in own for c in e.coefficients}
         keep = np.array([c.basis.constant or c.name in names for c in fit.model.coefficients], dtype=bool)
-        return predict_residuals(fit.model, refitted(fit, ~keep, keep), data.rows, data.measured)
+        return predict_residuals(fit.model, refitted(fit, ~keep, keep), of.rows, of.measured)
 
     final = predict_residuals(fit.model, fit.theta, data.rows, data.measured)
     effects = []
     for identity, members in groups.items():
         own = [state.active[k] for k in members]
         effect = merged([a.effect for a in own])
-        without = residual([a.effect for k, a in enumerate(state.active) if k not in members])
+        without = residual([a.effect for k, a in enumerate(state.active) if k not in members], unused)
         twins = {_identity(e): e for k in members for e in diagnosed.confounded[k] if _identity(e) not in groups}
         p_value = max(min(1.0, min(a.score.p_value for a in own) * max(found.tested, 1)), FLOOR_P)
         curves = tuple(_curves(effect, fit, diagnosed.scene, diagnosed.bench, state))
         effects.append(
-            NamedEffect(effect, identity in stated, p_value, without[test], final[test], final, tuple(twins.values()),
+            NamedEffect(effect, identity in stated, p_value, without, final[test], final, tuple(twins.values()),
                         curves)
         )  # fmt: skip
     effects.sort(key=lambda e: -_rms(e.before))
     for k in range(len(effects) - 1):
-        effects[k] = replace(effects[k], reached=residual([e.effect for e in effects[: k + 1]]))
+        effects[k] = replace(effects[k], reached=residual([e.effect for e in effects[: k + 1]], data))
     return Diagnosis(
         tuple(effects),
         tuple(Rejected(v.effect, v.p_value, v.score.gain, v.why) for v in found.rejected),

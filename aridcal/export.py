@@ -17,7 +17,7 @@ from aridcal import __version__
 from aridcal.calibration import Calibration, SolvedModel
 from aridcal.effects import ANGULAR, FRAME_COMPONENTS, Effect
 from aridcal.model import ONE_FRAME
-from aridcal.outcome import MeasuringHead, NamedEffect, Outcome, Stage, errors
+from aridcal.outcome import MeasuringHead, NamedEffect, Outcome, Stage, Verification, errors
 from aridcal.solver import Fit
 from aridcal.urdf_writer import splice_origins
 
@@ -87,8 +87,22 @@ def result_document(outcome: Outcome) -> dict[str, Any]:
         "seconds": round(outcome.seconds, 3),
         "version": __version__,
         "convergence": {s.name: _convergence(s.fit) for s in outcome.stages},
+        **({"verification": _verification(outcome.verification)} if outcome.verification is not None else {}),
         "notices": list(outcome.notices),
     })  # fmt: skip
+
+
+def _verification(found: Verification) -> dict[str, Any]:
+    """Another day's rows: the errors of each stage, and of the last with the frames fitted anew."""
+    residuals = dict(found.residuals)
+    if found.realigned is not None:
+        residuals["realigned"] = found.realigned
+    return {
+        "file": found.file,
+        "rows": len(found.measurements),
+        "outliers": int(found.outlier.sum()),
+        "error": {name: errors(residual, ~found.outlier) for name, residual in residuals.items()},
+    }
 
 
 def frames(stage: Stage) -> dict[str, Any]:

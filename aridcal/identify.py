@@ -269,6 +269,8 @@ def summary(outcome: Outcome, console: Console) -> None:
         ]
         gain = f": {rms[0]:.3f} mm without it, {rms[1]:.3f} mm with it" if rms else ""
         console.print(f"{found}: {effect.effect.label} [{', '.join(effect.effect.motion)}]{gain}", markup=False)
+    if outcome.diagnosis is not None and outcome.diagnosis.tested:
+        console.print(f"{outcome.diagnosis.tested:,} candidates tested in all", markup=False)
     if outcome.verification is not None:
         v = outcome.verification
         sound = ~v.outlier
@@ -332,11 +334,6 @@ def scene(outcome: Outcome) -> Scene:
     T_world_base = np.array([frame.homogeneous for _, frame in fit.model.world_base])[rows.world]
     calibrated = parse_robot(stage_urdf(outcome.stage("geometric").fit), robot.tip, robot.base, robot.path)
     predicted = {stage.name: m.position - stage.residual[:, :3] for stage in outcome.stages}
-    gravity = np.atleast_2d(fit.model.around.gravity)[0]
-    return Scene(
-        robot, calibrated, m.readings, T_world_base, m.position, predicted, m.test, outcome.outlier, m.line, gravity,
-        moved, outcome.precision.places, outcome.precision.reach,
-    )  # fmt: skip
     whole = fit.model.poses(fit.theta, rows)[1]
     constant = np.array([c.basis.constant for c in fit.model.coefficients], dtype=bool)
     moved = {}
@@ -345,6 +342,11 @@ def scene(outcome: Outcome) -> Scene:
         gone = np.array([name in own for name in fit.model.names], dtype=bool)
         if gone.any():
             moved[e.effect.label] = whole - fit.model.poses(refitted(fit, gone, constant), rows)[1]
+    gravity = np.atleast_2d(fit.model.around.gravity)[0]
+    return Scene(
+        robot, calibrated, m.readings, T_world_base, m.position, predicted, m.test, outcome.outlier, m.line, gravity,
+        moved, outcome.precision.places, outcome.precision.reach,
+    )  # fmt: skip
 
 
 if __name__ == "__main__":

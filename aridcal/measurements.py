@@ -131,7 +131,12 @@ def load_measurements(
         MeasurementError: a file cannot be read, lacks columns, is not in the stated units, or has no usable row.
     """
     settings = campaign.measurements
-    table = read_tables([Path(file) for file in (settings.files if files is None else files)])
+    paths = [Path(file) for file in (settings.files if files is None else files)]
+    readme = campaign.path.parent / "README.md"
+    missing = next((path for path in paths if not path.exists()), None)
+    if missing is not None and files is None and readme.is_file():
+        raise MeasurementError(f"{missing}: there is no such file. {readme} may say where to get it")
+    table = read_tables(paths)
     source = Source(table, settings, tuple(readings), str(campaign.path))
     q = source.joints(kinds)
     position, quaternion, std = np.full((len(table), 3), np.nan), None, None

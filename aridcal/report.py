@@ -353,7 +353,7 @@ def use(outcome: Outcome) -> Iterator[Content]:
          f"{rms['geometric']} mm"],
         ["calibration.yaml", ["the whole model with frames and effects: ",
          tag("code", "python -m aridcal.predict calibration.yaml query.csv -o predicted.csv")], f"{rms['final']} mm"],
-        ["result.json", "every figure of this page, for programs", ""],
+        ["result.json", "the figures of this page, for programs", ""],
         ["residuals.csv", "what each model leaves of each row, its part and its flags", ""],
         ["scene.html", "robot, targets and magnified errors in 3D", ""],
     ]  # fmt: skip

@@ -120,6 +120,10 @@ def test_a_table_that_cannot_be_used(
 
 FILES: dict[str, tuple[Callable[[Path], object], str]] = {
     "no table": (gone("measurements.csv"), r"measurements\.csv: there is no such file"),
+    "no table, but a file that tells where": (
+        lambda folder: (gone("measurements.csv")(folder), put("README.md", b"Get it from ...")(folder)),
+        r"measurements\.csv: there is no such file\. \S*README\.md may say where",
+    ),
     "an empty table": (put("measurements.csv", b""), r"measurements\.csv: is empty"),
     "a table in UTF-16": (
         edit("measurements.csv", lambda c: c.decode().encode("utf-16")), r"measurements\.csv, line 1: is not UTF-8",

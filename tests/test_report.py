@@ -18,7 +18,7 @@ from aridcal import sections
 from aridcal.apart import MEANING
 from aridcal.doty import doty_links
 from aridcal.effects import Basis, Coefficient, Effect
-from aridcal.export import parameters
+from aridcal.export import parameters, result_document
 from aridcal.identify import identify
 from aridcal.markup import join, number
 from aridcal.outcome import STATISTICS, Curve, Diagnosis, NamedEffect, Outcome, Rejected, Verification, errors
@@ -329,6 +329,11 @@ def test_another_days_data_get_a_section_of_their_own(outcome: Outcome) -> None:
     assert "final, frames fitted anew" in section
     every = np.ones(124, dtype=bool)
     assert number(errors(residuals["final"], every)["position_mm"]["rms"]) in section
+    written = result_document(replace(outcome, verification=other))["verification"]
+    assert written["rows"] == 124
+    assert written["error"]["final"] == errors(residuals["final"], every)
+    assert written["error"]["realigned"] == errors(outcome.stages[-1].residual, every)
+    assert "verification" not in result_document(outcome)
 
 
 def test_effects_and_what_else_was_tried_are_shown(outcome: Outcome) -> None:
