@@ -17,6 +17,7 @@ from typing import Any, Literal, NoReturn
 
 from rich.console import Console
 from rich.text import Text
+from threadpoolctl import threadpool_limits
 
 from aridcal.errors import AridcalError, OutputError
 
@@ -36,7 +37,8 @@ def run(body: Callable[[], None]) -> int:
     """
     console = Console(stderr=True)
     try:
-        with _terminated_as_interrupted():
+        # Matrices of some hundred columns: threads that wait for each other cost ten times what they gain.
+        with _terminated_as_interrupted(), threadpool_limits(1, user_api="blas"):
             body()
     except AridcalError as error:
         # As plain text: a station's name in brackets is no markup, and a path must not be broken into lines.
