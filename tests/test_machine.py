@@ -1,0 +1,123 @@
+"""One configuration at a time gives what the model gives for many rows."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import robots
+
+from aridcal.campaign import EFFECT_KINDS
+from aridcal.catalogue import Scene, candidates
+from aridcal.effects import FRAME_COMPONENTS, Basis, Coefficient, Surroundings, covariate_table
+from aridcal.errors import CovariateNotFound, MeasurementError
+from aridcal.geometry import constants
+from aridcal.machine import Machine
+from aridcal.model import Model
+from aridcal.robot import Robot, parse_robot
+
+ROWS = 20
+
+
+def measured(robot: Robot, rng: np.random.Generator) -> dict[str, np.ndarray]:
+    columns = {f"{name}_direction": rng.choice([-1.0, 0.0, 1.0], ROWS) for name in robot.names}
+    return columns | {name: rng.uniform(0.0, 20.0, ROWS) for name in ("temperature", "time", "payload")}
+
+
+def every_effect(
+    robot: Robot, q: np.ndarray, columns: dict[str, np.ndarray], around: Surroundings
+) -> tuple[Coefficient, ...]:
+    """All coefficients of the table of kinds."""
+    wanted = {f"{name}.{load}" for name in robot.names for load in ("gravity_torque", "payload_torque")}
+    table = covariate_table(robot, q, columns, around, np.zeros(len(q), dtype=int), wanted)
+    effects = candidates(Scene(robot, table, tuple(columns)), EFFECT_KINDS)
+    return tuple(dict.fromkeys(c for e in effects for c in e.coefficients))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_pose_is_the_models_for_every_kind_of_effect(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    robot = robots.random_robot(seed) if seed else robots.arid()
+    q, columns = robots.readings(robot, ROWS, rng), measured(robot, rng)
+    around = Surroundings(rng.normal(size=3) * 9.81, rng.normal(size=3) * 0.2)
+    effects = every_effect(robot, q, columns, around)
+    assert {c.basis.form for c in effects} >= {"linear", "sin", "bump", "power", "times_power"}
+    some = tuple(effects[k] for k in rng.permutation(len(effects))[:300])
+    frames = tuple(Coefficient(w, c) for w in ("world_base", "tip_target") for c in FRAME_COMPONENTS)
+    coefficients = tuple(dict.fromkeys((*constants(robot, "full"), *some, *frames)))
+    place = ((None, robots.random_placement(rng)),)
+    model = Model(robot, coefficients, place, ((None, robots.random_placement(rng)),), around)
+    theta = rng.normal(0.0, 1e-2, len(coefficients))
+    R, p = model.poses(theta, model.rows(q, columns))
+    machine = Machine(model, theta)
+    assert set(machine.needs) <= set(columns)
+    for k in range(ROWS):
+        effect = machine.effects(q[k], {name: columns[name][k] for name in machine.needs})
+        at, position, J = machine.jacobian(q[k], effect)
+        np.testing.assert_allclose(position, p[k], rtol=0, atol=1e-12)
+        np.testing.assert_allclose(at, R[k], rtol=0, atol=1e-12)
+        same = machine.pose(q[k], effect)
+        assert np.array_equal(same[0], at) and np.array_equal(same[1], position)
+        h = 1e-6
+        for column in range(q.shape[1]):  # the Jacobian, by differences
+            ahead, behind = (machine.pose(q[k] + s * h * np.eye(q.shape[1])[column], effect) for s in (1, -1))
+            np.testing.assert_allclose((ahead[1] - behind[1]) / (2 * h), J[:3, column], rtol=0, atol=1e-7)
+            turn = (ahead[0] - behind[0]) @ at.T / (2 * h)
+            np.testing.assert_allclose([turn[2, 1], turn[0, 2], turn[1, 0]], J[3:, column], rtol=0, atol=1e-7)
+
+
+def test_mimic_joints_follow_their_master() -> None:
+    text = robots.random_chain(np.random.default_rng(9), "RRR").decode()
+    i = text.index("</joint>", text.index('name="joint_3"'))
+    robot = parse_robot(
+        (text[:i] + '<mimic joint="joint_2" multiplier="-0.5" offset="0.3"/>' + text[i:]).encode(), "tip"
+    )
+    sag = Coefficient("joint_3", "axis", Basis("linear", ("joint_3.gravity_torque",), (0.0,)))
+    model = Model(robot, (sag,))
+    theta = np.array([1e-4])
+    q = np.array([[0.4, -0.7]])
+    machine = Machine(model, theta)
+    R, p = model.poses(theta, model.rows(q))
+    at, position = machine.pose(q[0], machine.effects(q[0], {}))
+    np.testing.assert_allclose(position, p[0], rtol=0, atol=1e-13)
+    np.testing.assert_allclose(at, R[0], rtol=0, atol=1e-13)
+
+
+def test_stations_have_their_own_frames_gravity_and_drift() -> None:
+    rng = np.random.default_rng(3)
+    robot = robots.arid()
+    world = tuple((label, robots.random_placement(rng)) for label in "AB")
+    sag = Coefficient("joint_2", "axis", Basis("linear", ("joint_2.gravity_torque",), (0.0,)))
+    own = tuple(Coefficient("world_base", "x", Basis("linear", ("time",), (0.0,)), label) for label in "AB")
+    moved = tuple(Coefficient("world_base", "yaw", station=label) for label in "AB")
+    around = Surroundings(np.array([[0.0, 9.81, 0.0], [9.81, 0.0, 0.0]]))
+    model = Model(robot, (sag, *own, *moved), world, around=around)
+    theta = np.array([1e-5, 1e-3, 2e-3, 0.01, 0.02])
+    q = robots.readings(robot, 2, rng)
+    columns = {"time": np.array([1.0, 2.0])}
+    _, p = model.poses(theta, model.rows(q, columns, np.array(["A", "B"])))
+    for k, label in enumerate("AB"):
+        machine = Machine(model, theta, label)
+        _, position = machine.pose(q[k], machine.effects(q[k], {"time": columns["time"][k]}))
+        np.testing.assert_allclose(position, p[k], rtol=0, atol=1e-12)
+    for wrong in ("C", None):
+        with pytest.raises(MeasurementError, match="station"):
+            Machine(model, theta, wrong)
+
+
+def test_what_an_effect_needs_and_is_not_given_is_named() -> None:
+    heat = Coefficient("joint_2", "axis", Basis("linear", ("temperature",), (20.0,)))
+    load = Coefficient("joint_2", "axis", Basis("linear", ("joint_2.payload_torque",), (0.0,)))
+    machine = Machine(Model(robots.arid(), (heat, load)), np.ones(2))
+    assert machine.needs == ("payload", "temperature")
+    with pytest.raises(CovariateNotFound, match="'payload'"):
+        machine.effects(np.zeros(4), {"temperature": 20.0})
+    with pytest.raises(CovariateNotFound, match=r"'temperature'.*did you mean 'temperatur'"):
+        machine.effects(np.zeros(4), {"temperatur": 20.0, "payload": 1.0})
+
+
+def test_a_pose_is_not_changed_by_the_next_one() -> None:
+    machine = Machine(Model(robots.ur10(), ()), np.zeros(0))
+    first = machine.pose(np.zeros(6), machine.still)
+    kept = [part.copy() for part in first]
+    machine.pose(np.ones(6), machine.still)
+    assert all(np.array_equal(a, b) for a, b in zip(first, kept, strict=True))
