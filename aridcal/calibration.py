@@ -98,7 +98,8 @@ class Calibration:
     def measurements(self) -> MeasurementSettings:
         """Columns and units of the campaign's tables; those of FORMATS, in SI, if the record has no campaign."""
         text = self.record.get("campaign")
-        return parse_settings(text, Path("campaign.yaml"), Campaign).measurements if text else MeasurementSettings()
+        settings = parse_settings(text, Path("campaign.yaml"), Campaign).measurements if text else MeasurementSettings()
+        return settings.model_copy(update={"kind": self.kind})
 
     @classmethod
     def load(cls, path: str | Path) -> Calibration:

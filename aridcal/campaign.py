@@ -149,6 +149,8 @@ class MeasurementSettings(Section):
     head: RelativePath | None = None
     """Settings of the measuring head; for `kind: camera_sonar`."""
     kind: Literal["pose", "position", "camera_sonar"] = "pose"
+    joint_reading: Literal["reported", "commanded"] | None = None
+    """Whether the joints' columns are what the controller reports or what it was told; `None`: not said."""
     noise: Noise = Noise()
     columns: dict[str, str] = Field(default_factory=dict)
     """Column of a joint or a quantity where the two names differ."""

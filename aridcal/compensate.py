@@ -48,6 +48,9 @@ to the pose within the noise of the measurements behind the calibration (of a ro
 as it can, weighted by the noise, and within 20 mm and 20 mrad), `position_error` and `rotation_error` how far it is off,
 `extrapolates` whether the command is outside what the calibration has seen. Limits are kept.
 
+The joints are what the calibration's own joints were: commands, if those were commanded; where they were reported
+(`joint_reading: reported` in the campaign), what the controller must report when the target is there.
+
 With --grid the output is a table for controllers that take no model: at each point of a grid over the joints, what is
 to be added to the nominal solution.
 """
@@ -330,6 +333,8 @@ def _report(table: pd.DataFrame, calibration: Calibration, query: Query, out: Pa
     for k in missed[:SHOWN_REMARKS]:
         off = 1e3 * float(table["position_error"].iloc[k]) * calibration.measurements.units.metres
         say(f"line {query.line[k]}: cannot be reached: {off:.3f} mm off at best, limits kept")
+    if calibration.measurements.joint_reading == "reported":
+        say("these are joints to be reported, as in the calibration: where a drive sags below its command, add how far")
     said = f"{out}: {len(table)} rows, {int(table['reached'].sum())} reached"
     said += f", {len(missed)} out of reach" if len(missed) else ""
     said += f", {int((~commanded).sum())} without a command because a number is missing" if not commanded.all() else ""
