@@ -293,6 +293,9 @@ def report(scores: Sequence[Score], failed: Sequence[str], seconds: float) -> No
         p = np.percentile(ratios, [50, 95, 99, 100])
         print(f"error over the oracle's: median {p[0]:.3f} (<= 1.05), 95 % {p[1]:.2f} (<= 1.5), 99 % {p[2]:.2f} (<= 2), "
               f"worst {p[3]:.2f}")  # fmt: skip
+        known = by["single"] + by["combination"]
+        middle = [float(np.median([getattr(s, name) for s in known])) for name in ("geometric", "final", "oracle")]
+        print(f"median error [sigma]: constants alone {middle[0]:.3f}, final {middle[1]:.3f}, oracle {middle[2]:.3f}")
         print(f"invented beside true effects: {sum(s.invented for s in by['single'] + by['combination'])}")
         wrong = sum(s.verdict == "noise_floor" and s.final > OFF for s in by["single"] + by["combination"])
         print(f"noise_floor said of models off by more than {OFF} sigma: {wrong}")
