@@ -17,7 +17,7 @@ import yaml
 from aridcal import __version__
 from aridcal.campaign import Campaign, MeasurementSettings
 from aridcal.effects import Basis, Coefficient, Surroundings
-from aridcal.errors import AridcalError, CampaignError
+from aridcal.errors import AridcalError, CampaignError, RobotError
 from aridcal.inverse import Arm, Command
 from aridcal.machine import Machine
 from aridcal.model import Frames, Model
@@ -117,6 +117,8 @@ class Calibration:
             text = decode(content, path, CampaignError)
             refuse_tricks(text, path)
             return _parse(yaml.load(text, Loader=Loader))
+        except RobotError as error:
+            raise CampaignError(f"{path}: the robot in it: {error}") from None
         except AridcalError:
             raise
         except (yaml.YAMLError, KeyError, TypeError, ValueError) as error:

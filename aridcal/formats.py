@@ -16,7 +16,7 @@ import yaml
 from aridcal.doty import align, doty_links, link_transform
 from aridcal.robot import Robot
 
-ILL_CONDITIONED_ANGLE = np.radians(0.1)
+ILL_CONDITIONED_ANGLE = np.radians(1.0)
 """Axes nearer to parallel than this [rad] have a common normal that small errors move by metres."""
 
 PARALLEL_ANGLE = float(np.sqrt(np.finfo(float).eps))
@@ -47,7 +47,7 @@ class DHRow:
         d: Offset along z [m].
         a: Length along x [m]; of this joint's link (standard) or of the one before (modified).
         alpha: Twist about x [rad]; likewise.
-        ill_conditioned: The next axis is within 0.1 deg of parallel: ``theta`` and ``d`` of this row and the next hang
+        ill_conditioned: The next axis is within 1 deg of parallel: ``theta`` and ``d`` of this row and the next hang
             on an angle that can hardly be measured, and may be huge.
     """
 

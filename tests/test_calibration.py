@@ -112,3 +112,30 @@ def test_another_file_is_refused_by_name(tmp_path: Path, text: str) -> None:
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
     with pytest.raises(AridcalError, match=r"nowhere\.yaml"):
         Calibration.load(tmp_path / "nowhere.yaml")
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda text: text.replace("kind: pose", "kind: [&a x, *a]"), "alias"),
+        (lambda text: text.replace("kind: pose", "kind: !!python/name:os.system x"), "tag"),
+        (lambda text: text.replace("kind: pose", "kind: " + "[" * 200 + "]" * 200), "nested"),
+        (lambda text: text.replace("kind: pose", "kind: poem"), "poem"),
+        (lambda text: text.replace("value: ", "value: .nan #", 1), "not finite"),
+        (lambda text: text.encode("utf-16"), "UTF-8"),
+        (lambda text: text[: len(text) // 2], "calibration.yaml"),
+    ],
+)
+def test_a_file_that_is_no_calibration_is_refused_with_the_reason(tmp_path: Path, change, says: str) -> None:
+    text = change(example().dump())
+    path = tmp_path / "calibration.yaml"
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    with pytest.raises(AridcalError, match=says):
+        Calibration.load(path)
+
+
+def test_a_result_folder_is_as_good_as_its_file(tmp_path: Path) -> None:
+    (tmp_path / "calibration.yaml").write_text(example().dump(), encoding="utf-8")
+    assert np.array_equal(Calibration.load(tmp_path).final.theta, example().final.theta)
+    with pytest.raises(AridcalError, match="no such file"):
+        Calibration.load(tmp_path / "nowhere")

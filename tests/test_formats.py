@@ -126,7 +126,12 @@ def test_nearly_parallel_axes_are_flagged_and_stay_within_nanometres():
     robot = load("ur10")
     nominal = {j.name: j.origin for j in robot.joints}["elbow_joint"]
     q = random_positions(robot, np.random.default_rng(4), 20)
-    for degrees, flagged, offset in [(0.0, True, (0.0, 1e-9)), (0.09, True, (300, 500)), (0.11, False, (250, 400))]:
+    for degrees, flagged, offset in [
+        (0.0, True, (0.0, 1e-9)),
+        (0.09, True, (300, 500)),
+        (0.9, True, (30, 50)),
+        (1.1, False, (25, 40)),
+    ]:
         turned = nominal.rotation @ pin.exp3(np.array([np.radians(degrees), 0.0, 0.0]))  # across the elbow's axis, y
         spliced = splice_origins(robot.urdf, {"elbow_joint": (nominal.translation, pin.rpy.matrixToRpy(turned))})
         tilted = parse_robot(spliced, robot.tip, robot.base)
