@@ -40,7 +40,7 @@ def test_a_fault_that_nobody_declared_is_named_and_sized(fault, kind, where, com
     assert both.before.scatter > 1.5 and both.after.scatter == pytest.approx(1.0, abs=0.15)
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_sound_head_is_left_alone(seed):
     both, _ = calibrated(30, seed=seed)
     assert both.choice.effects == () and np.array_equal(both.head.phi, START.phi)
@@ -93,7 +93,7 @@ def test_focal_length_and_sonar_scale_look_alike_within_shots_and_the_arm_tells_
 
 def test_the_arm_is_better_for_it_and_says_how_well_it_is_known():
     ratios = []
-    for seed in range(3):
+    for seed in range(2):
         both, q = calibrated(40, moved(camera_k1=-0.02), seed=10 + seed)
         true = poses(MODEL, THETA, q)[:, :3, 3]
         off = {}
