@@ -18,6 +18,7 @@ from aridcal.export import frames, parameters
 from aridcal.head_section import measuring_head
 from aridcal.markup import Content, Html, counted, fixed, join, number, plus_minus, table, tag
 from aridcal.outcome import STATISTICS, Outcome, errors
+from aridcal.residual import Sigma
 
 SYMBOLS = {"d": "d", "theta": "θ", "beta": "β", "a": "a", "alpha": "α"}
 MOST_FRAMES = 12
@@ -160,9 +161,9 @@ def _why(outcome: Outcome) -> Iterator[Content]:
     took.sort(reverse=True)
     if took:
         more = f", {len(took) - MOST_REASONS} more the rest" if len(took) > MOST_REASONS else ""
-        parts = []
+        parts: list[str] = []
         for gain, what in took[:MOST_REASONS]:
-            why = f" ({meaning[what]})" if meaning.get(what) else ""
+            why = f" ({meaning[what]})" if meaning.get(what) and meaning[what] not in " ".join(parts) else ""
             parts.append(f"{what}{why} took off {100 * gain / square[0][1]:.2g} %")
         yield f"Of the squared position error {', '.join(parts)}{more}. "
     largest = [
@@ -187,13 +188,21 @@ def _left(outcome: Outcome) -> Iterator[Content]:
     yield VERDICTS[outcome.verdict]
     if outcome.unexplained_fraction > 0:
         yield f" {100 * outcome.unexplained_fraction:.0f} % of the remaining variance is repeatable beyond the noise."
-    turn = f" and {number(1e3 * outcome.noise.rotation)} mrad" if outcome.measurements.quaternion is not None else ""
-    noise = outcome.noise
-    both = f" and {number(1e3 * math.sqrt(3) * noise.rotation)} mrad" if turn else ""
-    yield (
-        f" Noise per axis is {number(1e3 * noise.position)} mm{turn}, {outcome.noise_source}: over three axes it makes "
-        f"about {number(1e3 * math.sqrt(3) * noise.position)} mm{both}, and no model can do better but by chance."
-    )
+    noise, pose = outcome.noise, outcome.measurements.quaternion is not None
+    yield f" Noise per axis: {_both(noise, pose)}, {outcome.noise_source}"
+    if outcome.noise_source == "declared":
+        yield f"; over three axes it makes about {_both(noise, pose, math.sqrt(3))}: no model can do better but by chance."
+    elif outcome.repeats is not None:
+        floor = _both(outcome.repeats.sigma, pose, math.sqrt(3))
+        yield f" from what the model leaves. Repeats scatter by {floor} over three axes: no model can do better."
+    else:
+        yield f" from what the model leaves; over three axes it makes about {_both(noise, pose, math.sqrt(3))}."
+
+
+def _both(sigma: Sigma, pose: bool, times: float = 1.0) -> str:
+    """Position and, for poses, rotation in words."""
+    turn = f" and {number(1e3 * times * sigma.rotation)} mrad" if pose else ""
+    return f"{number(1e3 * times * sigma.position)} mm{turn}"
 
 
 def checks(outcome: Outcome) -> Iterator[tuple[bool, str]]:

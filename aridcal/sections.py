@@ -9,17 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from aridcal.markup import Content, Html, bullets, counted, figures, fixed, number, table, tag
-from aridcal.outcome import STATISTICS, Outcome, Stage, errors, statistics
+from aridcal.outcome import Outcome, Stage, errors, statistics
 from aridcal.plots import coverage, field, histogram, panels
 from aridcal.quality import accuracy, joint_kinds, joint_limits
 
 ERRORS = {"position_mm": "position error [mm]", "rotation_mrad": "rotation error [mrad]"}
 AXES = ("x [mm]", "y [mm]", "z [mm]", "rx [mrad]", "ry [mrad]", "rz [mrad]")
-PARTS = {
-    "test": "never used",
-    "test_all": "never used, outliers too",
-    "train": "fitted",
-}
+PARTS = {"test": "never used", "train": "fitted", "test_all": "never used, outliers too"}
 PLUS = "+\u00a0"
 MOST = 25  # lines of a list of rows
 QUESTIONABLE = 0.03  # share of outliers above which the data are to blame, not the rows
@@ -298,19 +294,20 @@ def fits(outcome: Outcome) -> Iterator[Content]:
 
 
 def _stage_tables(outcome: Outcome) -> Iterator[Content]:
-    parts = outcome.parts()
-    if not (parts["test_all"] & outcome.outlier).any():
-        del parts["test_all"]
-    head = ["model", "rows", "RMS", "mean", "median", "95 % below", "max"]
-    for key, what in ERRORS.items():
-        lines = []
-        for part, mask in ((p, parts[p]) for p in PARTS if p in parts and parts[p].any()):
-            for name, residual in steps(outcome):
-                found = errors(residual, mask).get(key)
-                if found:
-                    lines.append([name, PARTS[part], *(number(found[s]) for s in STATISTICS)])
-        if lines:
-            yield table(head, lines, what.capitalize(), numbers=2)
+    parts = {name: mask for name, mask in outcome.parts().items() if mask.any()}
+    if not (parts.get("test_all", outcome.outlier) & outcome.outlier).any():
+        parts.pop("test_all", None)
+    shown = {"rms": "RMS", "mean": "mean", "median": "median", "p95": "95 % below", "max": "max"}
+    head = ["model"]
+    for name, title in PARTS.items():
+        if name in parts:
+            head += [f"{title}: RMS", *list(shown.values())[1:]]
+    for key, what in list(ERRORS.items())[: outcome.stages[0].residual.shape[1] // 3]:
+        lines = [
+            [name, *(number(errors(residual, parts[part])[key][s]) for part in PARTS if part in parts for s in shown)]
+            for name, residual in steps(outcome)
+        ]
+        yield table(head, lines, what.capitalize())
     yield tag(
         "p",
         ["A position error is the length of a residual, a rotation error the angle of a residual rotation. "],

@@ -154,9 +154,13 @@ class Browser:
         """End it."""
         with contextlib.suppress(AssertionError, OSError):
             self.call("Browser.close")
-        self._process.wait(timeout=PATIENCE)
         os.close(self._out)
         os.close(self._in)
+        try:
+            self._process.wait(timeout=5)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
 
 
 def find() -> str:
