@@ -23,6 +23,7 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.figure import Figure
 from PIL import Image
 
 from aridcal.identify import identify
@@ -199,17 +200,44 @@ def draw(kind: str, picture: Picture) -> None:
     ax.set_ylabel(f"asked for, {'mm' if length and 'turn' not in motion else 'mrad'}")
     ax.spines[["top", "right"]].set_visible(False)
     ax.legend(frameon=False, loc="upper left", bbox_to_anchor=(0, 1.16), ncols=2, handletextpad=0.1, markerscale=3)
-    OUT.mkdir(parents=True, exist_ok=True)
-    page = io.BytesIO()
-    fig.savefig(page, dpi=110)
-    plt.close(fig)
-    Image.open(page).convert("RGB").quantize(48).save(OUT / f"{kind}.png", optimize=True)
+    save(fig, kind)
     rms = [
         1e3 * float(np.sqrt(np.mean(np.sum(o.stage("final").residual[:, :3] ** 2, axis=1)))) for o in (without, with_it)
     ]
     print(f"{kind}: {rms[0]:.3f} mm RMS without, {rms[1]:.3f} mm with it")
 
 
+def draw_head() -> None:
+    """What the measuring head's own errors do to an image point and to a range: the models themselves."""
+    f, r, h = 700.0, np.linspace(0, 350, 100), np.linspace(0.2, 1.0, 100)
+    lens = {"lens_distortion: k1 = -0.03": -0.03 * r**3 / f**2, "focal_length: 0.3 % long": 0.003 * r}
+    sonar = {"sonar_bias: 3 mm": np.full(100, 3.0), "sonar_scale: 0.5 %": 5.0 * h}
+    fig, axes = plt.subplots(1, 2, figsize=(7.2, 2.4), layout="constrained")
+    for ax, x, curves in ((axes[0], r, lens), (axes[1], h, sonar)):
+        for (label, y), colour in zip(curves.items(), (BEFORE, AFTER), strict=True):
+            ax.plot(x, y, color=colour, label=label)
+        ax.legend(frameon=False, loc="lower left" if x is r else "upper left")
+        ax.spines[["top", "right"]].set_visible(False)
+    axes[0].axhline(1.0, color="0.4", ls=":")
+    axes[0].annotate(
+        "principal_point: the same everywhere", (0, 1.0), xytext=(3, 3), textcoords="offset points", fontsize=9
+    )
+    axes[0].set(xlabel="distance from the image's centre, pixels", ylabel="image point off by, pixels")
+    axes[1].set(xlabel="range, m", ylabel="range off by, mm", ylim=(0, 6))
+    save(fig, "head")
+
+
+def save(fig: Figure, name: str) -> None:
+    """Write a small PNG."""
+    page = io.BytesIO()
+    fig.savefig(page, dpi=110)
+    plt.close(fig)
+    OUT.mkdir(parents=True, exist_ok=True)
+    Image.open(page).convert("RGB").quantize(48).save(OUT / f"{name}.png", optimize=True)
+
+
 if __name__ == "__main__":
     for kind in sys.argv[1:] or PICTURES:
         draw(kind, PICTURES[kind])
+    if not sys.argv[1:]:
+        draw_head()
