@@ -126,16 +126,16 @@ def is_blank(
     if len(known) == 0:
         return np.zeros(len(places), dtype=bool)
     right, up, axis = _plane_axes(plane)
-    side = np.linspace(-0.8, 0.8, 9) * SIZES[0, 0]  # the fiducial and some paper around it
+    side = np.linspace(-0.8, 0.8, 7) * SIZES[0, 0]  # the fiducial and some paper around it
     spots = np.concatenate([known, places])[:, None] + turn * (side[:, None] + 1j * side).ravel()
     points = axis + spots.real[..., None] * right + spots.imag[..., None] * up
     uv = np.rint(project(points @ REPORT_OPENCV, intrinsics)).astype(int)
     height, width = smoothed.shape
     seen = np.all((uv >= 0) & (uv < [width, height]), axis=(1, 2))[len(known) :]
     u, v = np.moveaxis(np.clip(uv, 0, [width - 1, height - 1]), 2, 0)
-    grey = smoothed[v, u].astype(float)  # (K + M, 81)
-    outer = np.pad(np.zeros((7, 7), dtype=bool), 1, constant_values=True).ravel()
-    paper, middle = np.median(grey[: len(known), outer], axis=1), grey[: len(known), 40]
+    grey = smoothed[v, u].astype(float)  # (K + M, 49)
+    outer = np.pad(np.zeros((5, 5), dtype=bool), 1, constant_values=True).ravel()
+    paper, middle = np.median(grey[: len(known), outer], axis=1), grey[: len(known), 24]
     there, nearest = grey[len(known) :], np.argmin(np.abs(places[:, None] - known), axis=1)
     expected, contrast = paper[nearest, None], np.abs(middle - paper)
     like_paper = np.abs(there - expected) < 0.4 * np.minimum(contrast[nearest], np.median(contrast))[:, None]

@@ -50,6 +50,10 @@ class Shapes:
     scale: np.ndarray
     paper_edge: np.ndarray
 
+    def __getitem__(self, which: np.ndarray) -> Shapes:
+        """Select fiducials."""
+        return Shapes(*(getattr(self, f.name)[which] for f in fields(self)))
+
 
 def predict_shapes(T_camera_square: np.ndarray, layout: Layout, intrinsics: np.ndarray) -> Shapes:
     """Predict the images of fiducials, perspective and distortion to second order across each of them."""
@@ -141,7 +145,8 @@ def fit_outlines(image: np.ndarray, shapes: Shapes, start: Fits | None = None, g
         J[7], J[8:10], J[10:] = model, J[5:7] * model, _beyond_paper(pixels, shapes, light)
         contrast = light[7] + J[5] * light[8] + J[6] * light[9]
         J[:4] = contrast * slope
-        r = pixels.grey - np.sum(J[[4, 5, 6, 10, 11]] * light[[4, 5, 6, 10, 11]], axis=0) - contrast * model
+        r = pixels.grey - np.einsum("kp,kp->p", J[4:7], light[4:7]) - np.einsum("kp,kp->p", J[10:], light[10:])
+        r -= contrast * model
         clipped = ((pixels.grey >= 255) & (r < 0)) | ((pixels.grey <= 0) & (r > 0))  # as bright or dark as can be
         r[clipped] = 0
         size = np.where(clipped, np.inf, np.abs(r))
@@ -261,17 +266,13 @@ def _edges(pixels: _Pixels, shapes: Shapes, theta: np.ndarray) -> tuple[np.ndarr
         along = pixels.spread(c[:, 1:3])
         delta = pixels.spread((np.sum(c[:, 1:3] ** 4, axis=1) / 240) ** 0.25)
         inverse_sigma = 1 / np.sqrt(np.maximum(theta[3] + PIXEL_VARIANCE - delta**2, 0.01))
-        half = pixels.spread(0.5 / pitch) + theta[2]
-        cover, by_variance = -np.ones_like(x), np.zeros_like(x)
-        by_d = []
-        for t in (half - place, half + place):
-            t1, t2 = (t + delta) * inverse_sigma, (t - delta) * inverse_sigma
-            (cdf1, pdf1), (cdf2, pdf2) = _normal(t1), _normal(t2)
-            cover += 0.5 * (cdf1 + cdf2)
-            by_d.append(0.5 * inverse_sigma * (pdf1 + pdf2))
-            by_variance -= 0.25 * inverse_sigma**2 * (t1 * pdf1 + t2 * pdf2)
-        across = by_d[0] - by_d[1]  # by a shift towards growing place
-        strips.append((cover, np.stack([across * along[0], across * along[1], by_d[0] + by_d[1], by_variance])))
+        t = pixels.spread(0.5 / pitch) + theta[2] - np.abs(place)  # inside the nearer edge; the other one is far
+        t1, t2 = (t + delta) * inverse_sigma, (t - delta) * inverse_sigma
+        (cdf1, pdf1), (cdf2, pdf2) = _normal(t1), _normal(t2)
+        outwards = 0.5 * inverse_sigma * (pdf1 + pdf2)
+        by_variance = -0.25 * inverse_sigma**2 * (t1 * pdf1 + t2 * pdf2)
+        across = np.copysign(outwards, place)  # by a shift towards growing place
+        strips.append((0.5 * (cdf1 + cdf2), np.stack([across * along[0], across * along[1], outwards, by_variance])))
     (cover_x, by_x), (cover_y, by_y) = strips
     return cover_x * cover_y, by_x * cover_y + by_y * cover_x
 

@@ -102,7 +102,7 @@ def _refine(
     shapes = predict_shapes(T, layout, intrinsics)
     reach = shapes.half_extent + 2
     inside = np.all((shapes.centres > reach) & (shapes.centres < [width - 1, height - 1] - reach), axis=1)
-    layout, shapes = layout[inside], predict_shapes(T, layout[inside], intrinsics)
+    layout, shapes = layout[inside], shapes[inside]
     fits = fit_outlines(image, shapes, None, GROSS_STEPS)
     good = _acceptable(fits, shapes.half_extent, dark)
     good &= np.max(np.abs(fits.theta[:, :2]), axis=1) < MAX_SHIFT + 0.2 * np.min(shapes.half_extent, axis=1)

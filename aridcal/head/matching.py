@@ -60,15 +60,18 @@ def match(blobs: Blobs, layout: Layout, blank: Callable[[np.ndarray, np.ndarray,
     Raises:
         NotMeasured: Too few blobs, two proposals are as good, or nothing tells how the square is turned.
     """
+    matches: list[Match] = []
     for propose in (_from_centres, _from_pairs):
-        refined = [_refined(turn, shift, blobs, layout) for turn, shift in propose(blobs)]
-        matches = [m for m in refined if m is not None and spans_plane(layout.centres[m.pairs[:, 0]])]
+        for turn, shift in propose(blobs):
+            m = None if _among(turn, shift, matches) else _refined(turn, shift, blobs, layout)
+            if m is not None and spans_plane(layout.centres[m.pairs[:, 0]]) and not _among(m.turn, m.shift, matches):
+                matches.append(m)
         if matches:
             break
     else:
         raise NotMeasured(f"no square found among {len(blobs.places)} marks of a fiducial's size and shape")
-    matches.sort(key=lambda m: -len(m.pairs))
-    rivals = _distinct([m for m in matches if len(m.pairs) > len(matches[0].pairs) - CLEAR_LEAD])
+    most = max(len(m.pairs) for m in matches)
+    rivals = [m for m in matches if len(m.pairs) > most - CLEAR_LEAD]
     against = [_contradictions(m, blobs, layout, blank) for m in rivals]
     scores = [len(m.pairs) - n for m, n in zip(rivals, against, strict=True)]
     tied = [k for k, score in enumerate(scores) if score == max(scores)]
@@ -96,12 +99,8 @@ def _contradictions(
     return int(blank(small, places, m.turn).sum() + SPARE_MARK * on_square.sum())
 
 
-def _distinct(matches: list[Match]) -> list[Match]:
-    distinct: list[Match] = []
-    for m in matches:
-        if all(abs(m.turn - d.turn) > SAME_TURN or abs(m.shift - d.shift) > SAME_SHIFT for d in distinct):
-            distinct.append(m)
-    return distinct
+def _among(turn: complex, shift: complex, matches: list[Match]) -> bool:
+    return any(abs(turn - m.turn) < SAME_TURN and abs(shift - m.shift) < SAME_SHIFT for m in matches)
 
 
 def _from_centres(blobs: Blobs) -> list[tuple[complex, complex]]:
