@@ -107,9 +107,9 @@ class DHTable:
         document = {
             "convention": "modified (Craig)" if self.modified else "standard (Denavit-Hartenberg)",
             "product": f"T_base_tip = base * prod({row}) * tool; the joint's position adds to theta (prismatic: to d)",
-            "base": _xyz_rpy(self.base),
+            "base": xyz_rpy(self.base),
             "rows": [vars(r) for r in self.rows],
-            "tool": _xyz_rpy(self.tool),
+            "tool": xyz_rpy(self.tool),
         }
         return yaml.safe_dump(document, sort_keys=False, width=200)
 
@@ -145,7 +145,7 @@ def doty_yaml(robot: Robot) -> str:
     links = doty_links(robot)
     rows = [
         {"joint": k.joint, "kind": "prismatic" if k.prismatic else "revolute", "theta": k.theta, "beta": k.beta, "a": k.a,
-         "alpha": k.alpha, "singular": k.singular, "before": _xyz_rpy(k.before), "after": _xyz_rpy(k.after)}
+         "alpha": k.alpha, "singular": k.singular, "before": xyz_rpy(k.before), "after": xyz_rpy(k.after)}
         for k in links
     ]  # fmt: skip
     first = robot.joints[0]
@@ -153,7 +153,7 @@ def doty_yaml(robot: Robot) -> str:
         "convention": "Doty (1992): Rz(theta) Ry(beta) Tx(a) Rx(alpha)",
         "product": "T_base_tip = base * prod(motion(q) * before * Rz(theta) Ry(beta) Tx(a) Rx(alpha) * after); motion: "
         "about or along `axis` of the joint",
-        "base": _xyz_rpy(first.placement),
+        "base": xyz_rpy(first.placement),
         "axes": {j.name: j.axis.tolist() for j in robot.joints},
         "rows": rows,
     }
@@ -274,7 +274,8 @@ def _modified(rows: tuple[DHRow, ...]) -> tuple[DHRow, ...]:
     )
 
 
-def _xyz_rpy(T: pin.SE3) -> dict[str, list[float]]:
+def xyz_rpy(T: pin.SE3) -> dict[str, list[float]]:
+    """Write a placement as URDF does: ``xyz`` [m] and ``rpy`` [rad]."""
     return {"xyz": T.translation.tolist(), "rpy": pin.rpy.matrixToRpy(T.rotation).tolist()}
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +11,8 @@ import yaml
 
 from aridcal.effects import Coefficient, evaluate
 from aridcal.export import stage_urdf
-from aridcal.formats import doty_yaml, kinematics_yaml, modified_dh, standard_dh
-from aridcal.geometry import observations
+from aridcal.formats import doty_yaml, kinematics_yaml, modified_dh, standard_dh, xyz_rpy
+from aridcal.geometry import observations, recentred
 from aridcal.model import Model
 from aridcal.outcome import Outcome
 from aridcal.residual import predict_residuals
@@ -33,12 +33,14 @@ class Export:
         files: Where it is, in the result folder.
         error: RMS position error on measured rows, those never used if there are any, [m].
         apart: RMS distance of its predictions from the full model's on the same rows, [m].
+        model: Holds the two frames that go with it, fitted to what it can express.
     """
 
     name: str
     files: tuple[str, ...]
     error: float
     apart: float
+    model: Model = field(repr=False)
 
 
 @dataclass(frozen=True)
@@ -79,25 +81,24 @@ def hand_over(outcome: Outcome) -> Handover:
     scored = parts["test"] if parts["test"].any() else parts["train"]
     label = f"{int(scored.sum())} rows {'never used' if parts['test'].any() else 'that were fitted'}"
 
-    def export(name: str, files: tuple[str, ...], residual: np.ndarray) -> Export:
-        return Export(name, files, _rms(residual[scored]), _rms((residual - final.residual)[scored]))
-
-    def residual(found: Fit) -> np.ndarray:
+    def export(name: str, files: tuple[str, ...], found: Fit) -> Export:
+        found = recentred(found)
         rows = found.model.rows(m.readings, m.covariates, m.station)
-        return predict_residuals(found.model, found.theta, rows, observations(m, "ignore"))
+        left = predict_residuals(found.model, found.theta, rows, observations(m, "ignore"))
+        return Export(name, files, _rms(left[scored]), _rms((left - final.residual)[scored]), found.model)
 
     offsets = _offsets(outcome)
     with_maps = _with_maps(outcome)
     urdf = ("kinematics.yaml", "dh.yaml", "dh_modified.yaml", "doty.yaml")
     exports = [
-        export("nominal", (), outcome.stage("nominal").residual),
-        export("joint offsets alone", ("joint_offsets.yaml",), residual(offsets)),
-        export("URDF alone", ("calibrated.urdf", *urdf), outcome.stage("geometric").residual),
+        export("nominal", (), outcome.stage("nominal").fit),
+        export("joint offsets alone", ("joint_offsets.yaml",), offsets),
+        export("URDF alone", ("calibrated.urdf", *urdf), outcome.stage("geometric").fit),
     ]
     if with_maps is not None:
         files = ("joint_maps.urdf", "joint_maps.csv")
-        exports.append(export("+ joint maps", files, residual(with_maps)))
-    exports.append(export("full model", ("calibration.yaml",), final.residual))
+        exports.append(export("+ joint maps", files, with_maps))
+    exports.append(export("full model", ("calibration.yaml",), final.fit))
     found = dict(zip(offsets.model.names, offsets.theta, strict=True))
     robot = outcome.robot
     return Handover(
@@ -129,6 +130,9 @@ def write_controllers(outcome: Outcome, handover: Handover, folder: Path) -> Non
         "To be added to what each joint reads [rad, m]; all else nominal, base and target fitted to that.",
         *([f"Of {', '.join(taken)}: none, the base or the target takes it up."] if taken else []),
     )  # fmt: skip
+    frames = {e.name: _frames(e.model) for e in handover.exports}
+    note = "# Where the base stands in the world and the target on the tip, for each export [m, rad].\n"
+    (folder / "frames.yaml").write_text(note + yaml.safe_dump(frames, sort_keys=False, width=200), encoding="utf-8")
     if handover.with_maps is not None:
         (folder / "joint_maps.urdf").write_bytes(stage_urdf(handover.with_maps))
         rows = [
@@ -146,6 +150,14 @@ def _statement(handover: Handover, name: str) -> list[str]:
         f"{1e3 * own.apart:.3f} mm from the full model there.",
         f"All exports: {handover.summary()}.",
     ]
+
+
+def _frames(model: Model) -> dict[str, dict[str, list[float]]]:
+    return {
+        where if label is None else f"{where}[{label}]": xyz_rpy(placement)
+        for where, frames in (("world_base", model.world_base), ("tip_target", model.tip_target))
+        for label, placement in frames
+    }
 
 
 def _rms(residual: np.ndarray) -> float:

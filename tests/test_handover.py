@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+import pinocchio as pin
 import pytest
 import robots
 import yaml
@@ -79,34 +80,37 @@ def test_every_export_has_the_error_that_it_states(wavy: tuple[Outcome, Handover
     outcome, handover, folder = wavy
     m, test = outcome.measurements, scored(outcome)
     error = {e.name: e.error for e in handover.exports}
-    stages = {s.name: s.fit.model for s in outcome.stages}
+    frames = yaml.safe_load((folder / "frames.yaml").read_text())
 
-    def rms(urdf: bytes, q: np.ndarray, stage: str) -> float:
+    def rms(urdf: bytes, q: np.ndarray, name: str) -> float:
         robot = parse_robot(urdf, "tool0", "base_link")
-        model = Model(robot, (), stages[stage].world_base, stages[stage].tip_target)
+        world, tip = (
+            ((None, pin.SE3(pin.rpy.rpyToMatrix(*f["rpy"]), np.array(f["xyz"]))),)
+            for f in (frames[name]["world_base"], frames[name]["tip_target"])
+        )
+        model = Model(robot, (), world, tip)
         _, p = model.poses(np.zeros(0), model.rows(q))
         return float(np.sqrt(np.mean(np.sum((m.position[test] - p) ** 2, axis=1))))
 
-    origins = yaml.safe_load((folder / "kinematics.yaml").read_text())
-    assert "kinematics" in origins
+    assert rms(outcome.robot.urdf, m.readings[test], "nominal") == pytest.approx(error["nominal"], rel=1e-6)
+    zeros = yaml.safe_load((folder / "joint_offsets.yaml").read_text())["joint_offsets"]
+    q = m.readings[test] + [zeros.get(name, 0.0) for name in outcome.robot.readings]
+    assert rms(outcome.robot.urdf, q, "joint offsets alone") == pytest.approx(error["joint offsets alone"], rel=1e-6)
     calibrated = handover.calibrated.urdf
-    assert rms(calibrated, m.readings[test], "geometric") == pytest.approx(error["URDF alone"], rel=1e-6)
+    assert rms(calibrated, m.readings[test], "URDF alone") == pytest.approx(error["URDF alone"], rel=1e-6)
 
     maps = pd.read_csv(folder / "joint_maps.csv")
     assert set(maps["joint"]) == {"elbow_joint"}
     q = m.readings[test].copy()
     q[:, 2] += np.interp(q[:, 2], maps["reading"], maps["correction"])
-    fit = handover.with_maps
-    assert fit is not None
-    stages["with maps"] = fit.model.recentred(fit.theta)[0]
     mapped = (folder / "joint_maps.urdf").read_bytes()
-    assert rms(mapped, q, "with maps") == pytest.approx(error["+ joint maps"], rel=1e-3)
+    assert rms(mapped, q, "+ joint maps") == pytest.approx(error["+ joint maps"], rel=1e-3)
 
 
 def test_comments_state_the_error(wavy: tuple[Outcome, Handover, Path]) -> None:
     _, handover, folder = wavy
     names = {"kinematics.yaml", "dh.yaml", "dh_modified.yaml", "doty.yaml", "joint_offsets.yaml"}
-    assert {f.name for f in folder.iterdir()} == names | {"joint_maps.csv", "joint_maps.urdf"}
+    assert {f.name for f in folder.iterdir()} == names | {"joint_maps.csv", "joint_maps.urdf", "frames.yaml"}
     for name in names:
         first = (folder / name).read_text().splitlines()[0]
         own = handover.exports[1 if name == "joint_offsets.yaml" else 2]

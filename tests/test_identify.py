@@ -17,7 +17,7 @@ from aridcal.calibration import Calibration
 from aridcal.export import stage_urdf
 from aridcal.outcome import Outcome
 
-CONTROLLERS = {"kinematics.yaml", "dh.yaml", "dh_modified.yaml", "doty.yaml", "joint_offsets.yaml"}
+CONTROLLERS = {"kinematics.yaml", "dh.yaml", "dh_modified.yaml", "doty.yaml", "joint_offsets.yaml", "frames.yaml"}
 FILES = {
     "result.json",
     "calibrated.urdf",
