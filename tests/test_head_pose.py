@@ -97,6 +97,10 @@ def test_report_frame_and_opencv_frame_7_25_to_7_29():
         assert np.isclose(p[2], -(w[0] * p[0] + w[1] * p[1] + 1) / w[2])  # (7-27)
         assert np.allclose(-np.array([*image, 700]) / (w[:2] @ image + w[2] * 700), p)  # (7-28), (7-29)
         assert np.allclose(on_plane(np.array([u, v]), STRAIGHT, plane.normal, plane.distance), p)
+        # The other choice is the same camera turned by 180 degrees about z.
+        other = np.diag([-1.0, 1, -1]) @ p_cv
+        assert np.allclose(other, np.diag([-1.0, -1, 1]) @ p)
+        assert np.allclose(np.array([u - 255.5, -(v - 255.5)]) / 700, other[:2] / other[2])
 
 
 def test_erratum_image_y_decreases_along_the_squares_y():
@@ -128,7 +132,8 @@ def test_reference_reading_exactly_and_as_the_report_has_it():
 def test_axes_7_33_return_the_true_frame_and_erratum_section_5_3_exchanges_them():
     R = pin.exp3(np.array([0.1, -0.07, 0.2]))
     p = {k: R @ P + [0.01, -0.005, -0.25] for k, P in enumerate(POINTS, 1)}
-    assert np.allclose(report_axes(p[2], p[3], p[5], p[6]), R)
+    assert np.allclose(report_axes(p[2], p[3], p[5], p[6]), R)  # (7-34)
+    assert np.allclose(p[4], [0.01, -0.005, -0.25])  # (7-35a)
     a, b = p[4] - p[6], p[4] - p[3]
     x, y = a / np.linalg.norm(a), b / np.linalg.norm(b)
     printed = np.column_stack([x, y, np.cross(x, y)])
@@ -149,6 +154,23 @@ def test_axes_of_noisy_points_are_not_a_rotation_and_kabsch_is_better_by_the_sta
     assert np.allclose(kabsch(POINTS, POINTS @ R.T + t)[:3], np.column_stack([R, t]))
 
 
+def test_three_places_off_one_line_are_enough_and_three_image_points_are_not():
+    for T in poses(10, seed=12):
+        three = POINTS[[0, 4, 5]]
+        pixels = predict_pixels(T, three, STRAIGHT)[0]
+        plane = fit_plane(sonars(T).readings, CORNERS, "perpendicular")
+        start = start_on_plane(three, pixels, plane, STRAIGHT)  # places, by the sonars
+        assert np.allclose(start, T)
+        assert np.allclose(
+            fit_pose(three, pixels, np.tile(1e-4 * np.eye(2), (3, 1, 1)), sonars(T), STRAIGHT, start).T_camera_square, T
+        )
+        K = np.array([[700, 0, 255.5], [0, 700, 255.5], [0, 0, 1]])
+        n, turns, shifts = cv2.solveP3P(three, pixels, K, None, cv2.SOLVEPNP_P3P)
+        assert 2 <= n <= 4  # all of which show the same image
+        for turn, shift in zip(turns, shifts, strict=True):
+            assert np.allclose(cv2.projectPoints(three, turn, shift, K, None)[0][:, 0], pixels, atol=1e-3)
+
+
 def test_tilt_of_the_reports_procedure_is_that_of_the_sonars_alone():
     T = poses(1)[0]
     noise = np.array([3e-4, -1e-4, 2e-4, 4e-4])
@@ -167,14 +189,24 @@ def centroid(polygon: np.ndarray) -> np.ndarray:
     return ((a + b) * cross[:, None]).sum(axis=0) / (3 * cross.sum())
 
 
-BIAS_TABLE = {  # Z [in], tilt [deg]: centre about x, about y; the others from, to [px], at f = 128 Z
-    (4, 5): (0.232, 0.058, 0.052, 0.065),
-    (4, 10): (0.456, 0.114, 0.092, 0.145),
-    (10, 5): (0.093, 0.023, 0.022, 0.024),
-    (10, 10): (0.182, 0.046, 0.042, 0.050),
-    (20, 5): (0.046, 0.012, 0.011, 0.012),
-    (20, 10): (0.091, 0.023, 0.022, 0.024),
+BIAS_TABLE = {  # Z [in], tilt [deg]: centre about x, about y; the others from, to [px], at f = 128 Z; worst [in]
+    (4, 5): (0.232, 0.058, 0.052, 0.065, 0.0018),
+    (4, 10): (0.456, 0.114, 0.092, 0.145, 0.0036),
+    (10, 5): (0.093, 0.023, 0.022, 0.024, 0.0007),
+    (10, 10): (0.182, 0.046, 0.042, 0.050, 0.0014),
+    (20, 5): (0.046, 0.012, 0.011, 0.012, 0.0004),
+    (20, 10): (0.091, 0.023, 0.022, 0.024, 0.0007),
 }
+INCH_PER_PIXEL = 4 / 512
+
+
+def test_quantisation_is_a_fifth_of_a_millimetre():
+    assert INCH_PER_PIXEL == 1 / 128 == 0.0078125 and np.isclose(INCH_PER_PIXEL * INCH, 0.198e-3, atol=0.5e-6)
+    T = np.diag([1.0, -1, -1, 1])
+    T[2, 3] = 10 * INCH
+    lens = np.array([1280.0, 1280, 255.5, 255.5, 0, 0, 0, 0, 0])  # 512 px across 4 in at 10 in
+    u = predict_pixels(T, np.array([[-2.0, 0, 0], [2, 0, 0]]) * INCH, lens)[0][:, 0]
+    assert np.isclose(u[1] - u[0], 512)
 
 
 @pytest.mark.parametrize(("z", "tilt"), BIAS_TABLE)
@@ -195,7 +227,8 @@ def test_centroid_of_an_image_is_not_the_image_of_the_centre(z, tilt):
             bias.append(np.linalg.norm(seen))
         found[axis] = bias
     others = [b for axis in (0, 1) for k, b in enumerate(found[axis]) if k != 3]
-    assert np.allclose((found[0][3], found[1][3], min(others), max(others)), BIAS_TABLE[z, tilt], atol=0.00051)
+    assert np.allclose((found[0][3], found[1][3], min(others), max(others)), BIAS_TABLE[z, tilt][:4], atol=0.00051)
+    assert np.isclose(max(max(b) for b in found.values()) * INCH_PER_PIXEL, BIAS_TABLE[z, tilt][4], atol=0.000051)
 
 
 def test_exact_pixels_and_ranges_give_the_exact_pose_from_a_poor_start():

@@ -99,15 +99,16 @@ def test_noise_of_the_plane_is_that_of_equations_section_5():
 
 def test_corner_layout_can_not_see_a_curved_surface_and_a_plus_layout_can():
     R, h0 = 60 * INCH, 10 * INCH
-    for corners, plus in (
-        (np.full(4, np.hypot(GAMMA, h0 + R) - R), np.array([np.hypot(y, h0 + R) - R for y in PLUS[:, 1]])),
-    ):
+    for side in (1, -1):  # convex towards the camera, concave: centre of curvature behind or in front
+        corners = np.full(4, side * (np.hypot(GAMMA, R + side * h0) - R))
+        plus = np.array([side * (np.hypot(y, R + side * h0) - R) for y in PLUS[:, 1]])
         plane = fit_plane(corners, CORNERS, "perpendicular")
         assert np.allclose(plane.residual, 0, atol=1e-15)
-        assert np.isclose(plane.distance - h0, GAMMA**2 / (2 * (R + h0)), rtol=2e-3)
-        assert np.isclose((plane.distance - h0) / INCH, 0.029, atol=5e-4)
+        assert np.isclose(plane.distance - h0, side * GAMMA**2 / (2 * (R + side * h0)), rtol=2e-3)
+        if side == 1:
+            assert np.isclose((plane.distance - h0) / INCH, 0.029, atol=5e-4)
         # Sensors on the axis of the cylinder see no change, the other two twice that of the corners: a residual.
-        assert np.isclose(np.ptp(plus), 2 * (plane.distance - h0), rtol=2e-3)
+        assert np.isclose(np.ptp(plus), 2 * abs(plane.distance - h0), rtol=2e-3)
         assert np.allclose(np.abs(fit_plane(plus, PLUS, "perpendicular").residual), np.ptp(plus) / 2, rtol=1e-6)
 
 
@@ -158,6 +159,19 @@ def test_erratum_the_two_angles_of_the_report_measure_the_same_tilt():
         assert np.isclose((h[1] - h[0]) / (2 * GAMMA), normal[0])  # the tilt about y is in the readings all the same
 
 
+def test_erratum_the_spacing_is_given_three_ways_and_7_1_must_be_written_differently_for_each():
+    normal = tilted(0, 0.12)  # about x
+    sine = normal[1]
+    h = ranges(normal, 0.25, CORNERS, "perpendicular")
+    adjacent, to_axis = 2 * GAMMA, np.sqrt(2) * GAMMA
+    assert np.isclose((h[3] - h[0]) / adjacent, sine)  # d between adjacent sensors
+    assert np.isclose((h[3] - h[0]) / (to_axis * np.sqrt(2)), sine)  # d from sensor to axis: (7-1) as printed
+    assert np.isclose((h[3] - h[0]) * np.sqrt(2) / (2 * to_axis), sine)  # d between opposite sensors
+    assert not np.isclose((h[3] - h[0]) / (adjacent * np.sqrt(2)), sine, rtol=0.2)  # printed (7-1), d = 2 gamma
+    # Erratum: the "+" of section 4 is another layout: the same readings there would be another plane.
+    assert not np.allclose(fit_plane(h, PLUS, "perpendicular").normal, normal, atol=0.01)
+
+
 def test_plane_through_points_7_6_to_7_24():
     rng = np.random.default_rng(3)
     g = GAMMA
@@ -184,6 +198,35 @@ def test_plane_through_points_7_6_to_7_24():
         v1 = np.array([off[1] - off[0], off[2] - off[1], 2 * g]) / (g * (off[0] + off[2]))
         v2 = np.array([off[1] - off[0], off[3] - off[0], 2 * g]) / (g * (off[1] + off[3]))
         assert not np.allclose(v1, v2)  # (7-24): equal only if h1 + h3 = h2 + h4
+        off[3] = off[0] + off[2] - off[1]  # and then whatever the readings
+        v1 = np.array([off[1] - off[0], off[2] - off[1], 2 * g]) / (g * (off[0] + off[2]))
+        v2 = np.array([off[1] - off[0], off[3] - off[0], 2 * g]) / (g * (off[1] + off[3]))
+        assert np.allclose(v1, v2)
+
+
+def test_7_24_holds_just_when_the_sonars_agree_on_a_plane():
+    for normal, distance in random_planes(10):
+        h = ranges(normal, distance, CORNERS, "perpendicular")
+        for fault in (0.0, 0.003):
+            read = h + [fault, 0, 0, 0]
+            ca, cb = (np.sqrt(1 - ((read[a] - read[b]) / (2 * GAMMA)) ** 2) for a, b in ((3, 0), (2, 1)))
+            e = read / [ca, cb, cb, ca]
+            r = (read[0] - read[1] + read[2] - read[3]) / 4
+            assert np.isclose(e[0] + e[2], e[1] + e[3], atol=1e-12) == np.isclose(r, 0, atol=1e-12) == (fault == 0)
+            assert np.isclose(ca, cb, atol=1e-12) == (fault == 0)
+
+
+def test_erratum_7_11_minimises_no_distances_and_needs_four_ones():
+    p = CORNERS - np.outer([0.21, 0.25, 0.26, 0.24], [0, 0, 1])  # on no plane
+    v = np.linalg.inv(p.T @ p) @ p.T @ -np.ones(4)  # (7-11)..(7-13)
+    with pytest.raises(ValueError, match="size"):
+        np.linalg.inv(p.T @ p) @ p.T @ -np.ones(3)  # as printed
+    algebraic = np.linalg.norm(1 + p @ v)
+    normal = np.linalg.svd(p - p.mean(axis=0))[2][2]  # the plane with the least squares of distances
+    distances = (p - p.mean(axis=0)) @ normal
+    w = -normal / (p.mean(axis=0) @ normal)
+    assert algebraic < np.linalg.norm(1 + p @ w) and not np.allclose(v, w, rtol=1e-3)
+    assert np.linalg.norm(distances) < np.linalg.norm((1 + p @ v) / np.linalg.norm(v))
 
 
 def test_erratum_points_off_one_line_are_not_enough_when_the_plane_meets_the_lens():
