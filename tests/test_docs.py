@@ -1,0 +1,108 @@
+"""The documents: every link leads somewhere, every effect has its picture, and the site builds."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+
+import chromium
+import pytest
+import yaml
+
+from aridcal.__main__ import COMMANDS
+from aridcal.campaign import EFFECT_KINDS, HEAD_KINDS
+
+TOP = Path(__file__).resolve().parents[1]
+DOCS = TOP / "docs"
+PAGES = [*sorted(DOCS.glob("*.md")), TOP / "README.md", TOP / "CONTRIBUTING.md", *sorted(TOP.glob("notebooks/*.ipynb"))]
+
+
+def text_of(page: Path) -> str:
+    """A page's markdown without its blocks of code."""
+    text = page.read_text("utf-8")
+    if page.suffix == ".ipynb":
+        cells = json.loads(text)["cells"]
+        text = "\n\n".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "markdown")
+    return re.sub(r"^ *```.*?^ *```", "", text, flags=re.DOTALL | re.MULTILINE)
+
+
+def anchors(page: Path) -> set[str]:
+    """Anchors of a page's headings, as forges and the site make them."""
+    titles = re.findall(r"^#+ (.*)$", text_of(page), re.MULTILINE)
+    return {re.sub(r"\s", "-", re.sub(r"[^\w\s-]", "", title).strip().lower()) for title in titles}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_link_leads_somewhere(page):
+    wrong = []
+    for target, anchor in re.findall(r"\]\(([^)#\s]*)#?([^)]*)\)", re.sub(r"`[^`\n]*`", "", text_of(page))):
+        if "://" in target:
+            continue
+        to = page.parent / target if target else page
+        if not to.exists() or (anchor and anchor not in anchors(to)):
+            wrong.append(f"{target}#{anchor}")
+    assert wrong == []
+
+
+def test_every_kind_of_effect_has_its_paragraph_and_its_picture():
+    text = (DOCS / "effects.md").read_text("utf-8")
+    for kind in set(EFFECT_KINDS) - set(HEAD_KINDS):
+        assert f"### `{kind}`\n![" in text, kind
+        assert (DOCS / "images" / "effects" / f"{kind}.png").stat().st_size < 30_000
+    assert [kind for kind in HEAD_KINDS if f"| `{kind}` |" not in text] == []
+
+
+def test_the_readme_and_the_formats_name_every_command():
+    for page in ("README.md", "docs/formats.md"):
+        text = (TOP / page).read_text("utf-8")
+        assert [command for command in COMMANDS if f"`aridcal {command}" not in text] == [], page
+
+
+def test_the_site_has_every_page_in_its_menu():
+    menu = yaml.safe_load((TOP / "mkdocs.yml").read_text("utf-8"))["nav"]
+    named = set(re.findall(r"[\w/-]+\.md", json.dumps(menu)))
+    made = {"index.md", "commands.md", *(f"notebooks/{path.stem}.md" for path in TOP.glob("notebooks/*.ipynb"))}
+    assert named == made | {path.name for path in DOCS.glob("*.md")}
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The site, notebooks not run."""
+    if find_spec("mkdocs") is None:
+        pytest.skip("needs mkdocs, which only the extra `docs` installs: `make docs`")
+    folder = tmp_path_factory.mktemp("site")
+    environment = os.environ | {"ARIDCAL_DOCS_RUN": "0", "NO_MKDOCS_2_WARNING": "1"}
+    build = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(folder)]
+    subprocess.run(build, cwd=TOP, check=True, env=environment)
+    return folder
+
+
+def test_the_site_asks_nothing_of_the_network(site: Path) -> None:
+    for page in site.rglob("*.html"):
+        asked = re.findall(r"<(?:script|link|img|iframe)[^>]*(?:src|href)=\"?(?:https?:)?//", page.read_text("utf-8"))
+        assert asked == [], page
+
+
+def test_every_page_opens_from_the_disk_without_a_complaint(site: Path, browser: chromium.Browser) -> None:
+    for name in sorted(site.rglob("*.html")):
+        if name.name == "404.html":
+            continue
+        with browser.open(name) as page:
+            assert page.evaluate("[...document.images].every((i) => i.complete && i.naturalWidth > 0)"), name
+            assert page.console == [], name
+            assert {url.partition(":")[0] for url in page.requests} <= {"file"}, name
+
+
+def test_the_search_works_from_the_disk(site: Path, browser: chromium.Browser) -> None:
+    with browser.open(site / "index.html") as page:
+        page.evaluate("document.querySelector('[data-md-toggle=search]').click()")
+        page.evaluate("document.querySelector('[data-md-component=search-query]').focus()")
+        page.call("Input.insertText", text="backlash")
+        page.wait("document.querySelector('.md-search-result__item a')")
+        found = page.evaluate("[...document.querySelectorAll('.md-search-result__item a')].map((a) => a.href).join()")
+        assert "effects.html" in found
