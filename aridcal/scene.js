@@ -249,7 +249,7 @@
     pen.fillRect(0, 0, 64, 64);
   });
   const cell = extent / 16;
-  const fog = cloud({ size: (1.6 * cell) / tangent, map: soft, vertexColors: true, transparent: true, depthWrite: false });
+  const fog = cloud({ map: soft, vertexColors: true, transparent: true, depthWrite: false });
   viewer.set_object(["robot", "field"], fog);
 
   const target = (i) => new THREE.Vector3().fromArray(measured, 3 * i);
@@ -276,6 +276,7 @@
       sigma.forEach((value, i) => points.set(i, { at: new THREE.Vector3().fromArray(places, 3 * i), value }));
     }
     const shownPoints = [...points.values()];
+    fog.material.size = ((state.field === "sigma" ? 0.8 : 1.6) * cell) / tangent;
     fog.geometry.setAttribute("position", new THREE.Float32BufferAttribute(shownPoints.flatMap((p) => p.at.toArray()), 3));
     paint(fog, shownPoints.map((p) => colour(p.value)));
   }

@@ -25,10 +25,12 @@ import pytest
 from PIL import Image
 
 PATIENCE = 60.0  # seconds for one answer
+# WebGL in software; pages are drawn without it, since a plot of thousands of strokes takes it a minute.
 FLAGS = [
     "--headless", "--no-sandbox", "--disable-gpu-sandbox", "--use-gl=angle", "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader", "--disable-background-networking", "--disable-component-update", "--no-first-run",
-    "--hide-scrollbars", "--host-resolver-rules=MAP * ~NOTFOUND", "--proxy-server=127.0.0.1:9", "--remote-debugging-pipe",
+    "--enable-unsafe-swiftshader", "--disable-gpu-rasterization", "--disable-background-networking",
+    "--disable-component-update", "--no-first-run", "--hide-scrollbars", "--host-resolver-rules=MAP * ~NOTFOUND",
+    "--proxy-server=127.0.0.1:9", "--remote-debugging-pipe",
 ]  # fmt: skip
 
 
