@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,6 +11,7 @@ from aridcal.arm import Arm, fit_arm, fit_constants
 from aridcal.campaign import HEAD_KINDS, Campaign
 from aridcal.closed_form import closed_form
 from aridcal.effects import Coefficient
+from aridcal.explain import refitted
 from aridcal.geometry import Geometry, declared_noise, observations
 from aridcal.head.reduction import Head, Reduced, reduce_shots
 from aridcal.instrument import Choice, System, candidates, choose, stated, system, unit
@@ -135,6 +136,7 @@ def with_head(outcome: Outcome, both: ArmAndHead, shots: Shots) -> Outcome:
     diagnosis = outcome.diagnosis
     assert diagnosis is not None
     effects = sorted((*_named(outcome, both), *diagnosis.effects), key=lambda e: -float(np.sum(e.before[:, :3] ** 2)))
+    effects = [replace(e, reached=_reached(outcome, both, effects[: k + 1])) for k, e in enumerate(effects)]
     diagnosis = replace(diagnosis, effects=tuple(effects), tested=diagnosis.tested + both.choice.tested)
     spread = both.before.scatter, both.after.scatter
     ranges = np.array([np.sqrt(np.mean(r.range_residuals**2, axis=0)) for r in (both.before, both.after)])
@@ -152,7 +154,9 @@ def with_head(outcome: Outcome, both: ArmAndHead, shots: Shots) -> Outcome:
     for k, seen in enumerate(ranges[1]):
         ratio = float(seen) / both.start.std
         if len(both.after.misfit) >= ENOUGH and abs(np.log(ratio)) > np.log(DOUBTFUL):
-            notices.append(f"sonar_{k + 1} scatters by {1e3 * seen:.2g} mm, not the stated {1e3 * both.start.std:.2g} mm")
+            notices.append(
+                f"sonar_{k + 1} scatters by {1e3 * seen:.2g} mm, not the stated {1e3 * both.start.std:.2g} mm"
+            )
     for name, why in both.choice.redundant.items():
         notices.append(f"{name} cannot be told from {', '.join(why)}: it stays as head.yaml has it")
     return replace(
@@ -202,6 +206,27 @@ def _named(outcome: Outcome, both: ArmAndHead) -> list[NamedEffect]:
             )
         )  # fmt: skip
     return found
+
+
+def _reached(outcome: Outcome, both: ArmAndHead, first: Sequence[NamedEffect]) -> np.ndarray:
+    """What the constants leave of all rows with the first few effects, of the arm or the head, all refitted to first order."""
+    fit, choice, rows = outcome.stage("final").fit, both.choice, outcome.measurements
+    model = fit.model
+    names = {c.name for e in first for c in e.effect.coefficients}
+    keep = np.array([c.basis.constant or c.name in names for c in model.coefficients], dtype=bool)
+    theta = refitted(fit, ~keep, keep)
+    measured = observations(rows, both.campaign.measurements.noise.rows)
+    prepared = model.rows(rows.readings, rows.covariates, rows.station)
+    absent = np.array([c.name not in names for c in choice.coefficients], dtype=bool)
+    step = choice.directions @ np.where(absent, -choice.values, 0.0)
+    # The arm's answer to that step when some of its effects are not there to give it.
+    scale = fit.std
+    H = np.linalg.inv(fit.covariance / np.outer(scale, scale))
+    answer = np.zeros(len(theta))
+    pull = (H @ (both.equations.response @ step / scale))[keep]
+    answer[keep] = scale[keep] * np.linalg.solve(H[np.ix_(keep, keep)], pull)
+    _, _, J = model.jacobian(theta, prepared)
+    return predict_residuals(model, theta, prepared, measured) + both.after.sensitivity @ step - J @ answer
 
 
 def _numbers(both: ArmAndHead) -> tuple[tuple[HeadNumber, ...], tuple[HeadNumber, ...]]:

@@ -164,7 +164,7 @@ def _why(outcome: Outcome) -> Iterator[Content]:
         parts: list[str] = []
         for gain, what in took[:MOST_REASONS]:
             why = f" ({meaning[what]})" if meaning.get(what) and meaning[what] not in " ".join(parts) else ""
-            parts.append(f"{what}{why} took off {100 * gain / square[0][1]:.2g} %")
+            parts.append(f"{what}{why} took off {number(100 * gain / square[0][1], 2)} %")
         yield f"Of the squared position error {', '.join(parts)}{more}. "
     largest = [
         max((p for p in found if p["unit"] == unit), key=lambda p: abs(p["value"]), default=None)

@@ -161,6 +161,8 @@ def simulate(scenario: Scenario) -> Simulation:
         T = np.broadcast_to(np.eye(4), (truth.n, 4, 4)).copy()
         T[:, :3, :3], T[:, :3, 3] = R, p
         real, of_head = true_head(scenario, head, chance)
+        # The arm is not quite where it was sent: another square may be nearest the optical axis.
+        square = np.array([optics.nearest(pose) for pose in T])
         taken, h = photographs(T, square, optics, real, noise)
         images = {f"images/{k + 1:03d}.jpg": image for k, image in enumerate(taken)}
         table = pd.DataFrame(dict(zip(robot.readings, readings.T, strict=True)) | columns)

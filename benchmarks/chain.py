@@ -117,6 +117,7 @@ def trial(job: tuple[str, int, bool]) -> Trial:
     nominal = replace(model, coefficients=())
     q, square = draw_views(nominal, optics, settings.camera.intrinsics, N, rng, case)
     T = _poses(model, theta, q)
+    square = np.array([optics.nearest(pose) for pose in T])
     seen = []
     for k in range(N):
         if images:

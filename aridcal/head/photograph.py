@@ -42,6 +42,13 @@ class Optics:
         near = {k: here @ T for k, T in self.squares.items() if np.linalg.norm(T[:3, 3] - middle) < AROUND}
         return {k: T for k, T in near.items() if T[2, 3] > NEAREST and T[2, 2] < 0}
 
+    def nearest(self, T_world_camera: np.ndarray) -> int:
+        """Index of the square nearest the optical axis, of those before the camera."""
+        here = np.linalg.inv(T_world_camera)
+        seen = {k: here @ T for k, T in self.squares.items()}
+        off = {k: np.hypot(*_pierced(T)) for k, T in seen.items() if T[2, 3] > NEAREST and T[2, 2] < 0}
+        return min(off, key=lambda k: off[k])
+
     def in_view(self, T_world_camera: np.ndarray, own: int, intrinsics: np.ndarray) -> int:
         """Count the square's own fiducials that are wholly in view, if no other square is nearer the optical axis."""
         seen = self.seen(T_world_camera, own)
