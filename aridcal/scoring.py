@@ -18,10 +18,8 @@ from aridcal.scan import SCANNED
 
 ALPHA = 3e-4  # chance that a clean campaign shows any effect at all, by these tests alone
 LEAST = 1e-2  # share of the squared error, on rows held back, that an effect must take away to matter
-ODD = (
-    5e-2  # the same for an order that nothing suggests: where structure is left, one of thousands always fits a little
-)
 ROBUST = 1e-3  # the same chance for one candidate when residuals of neighbouring rows may be alike
+DOUBT = 0.05  # the same for a smooth function on rows held back, beside its evidence
 CHUNK = 128
 PARTS = 5  # into which stretches of time are put to hold them back
 SHAPINGS = 4  # times that shape and noise of a smooth function are found in turn, at the most
@@ -115,8 +113,9 @@ def admitted(bench: Bench, state: State, effect: Effect) -> Active:
 
 def judge(bench: Bench, state: State, effect: Effect, found: Score, tested: int) -> Verdict:
     """Accept a candidate, or say why not."""
-    if effect.kind == "joint_harmonic" and max(effect.order) not in ORDERS:
-        tested += SCANNED * len(bench.own)
+    odd = effect.kind == "joint_harmonic" and max(effect.order) not in ORDERS
+    orders = SCANNED * len(bench.own) if odd else 1  # among which this one was the loudest
+    tested += orders if odd else 0
     p_value = min(1.0, found.p_value * tested)
 
     def verdict(held_back: float, why: str) -> Verdict:
@@ -132,8 +131,8 @@ def judge(bench: Bench, state: State, effect: Effect, found: Score, tested: int)
         return verdict(
             held_back, f"takes only {100 * max(held_back, 0.0):.2g} % off the squared error of rows held back"
         )
-    robust = _ranked(loss) if effect.smooth else tested * _robust(bench, state, candidate, np.arange(loss.shape[1]))
-    if robust > ALPHA:
+    robust = _ranked(loss) if effect.smooth else orders * _robust(bench, state, candidate, np.arange(loss.shape[1]))
+    if robust > (DOUBT if effect.smooth else ROBUST):
         return verdict(held_back, f"the rows do not agree about it (p = {robust:.2g})")
     if not set(_sources(effect)) <= set(bench.own):
         run = np.unique(bench.run[state.weight > 0.5], return_inverse=True)[1]
