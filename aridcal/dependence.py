@@ -199,9 +199,12 @@ def _gains(effects: tuple[NamedEffect, ...], pose: bool) -> Html:
     head = ["effect", "moves", "depends on", "", "chance of being noise"]
     for what in list(ERRORS.values())[: 1 + pose]:
         head += [f"{what} without it", "with it"]
-    lines = []
+    lines, known = [], set()
     for e in effects:
-        name = [e.effect.label, tag("br"), tag("em", MEANING[e.effect.kind])]
+        name: list[Content] = [e.effect.label]
+        if e.effect.kind not in known:
+            name += [tag("br"), tag("em", MEANING[e.effect.kind])]
+            known.add(e.effect.kind)
         line: list[Content] = [name, ", ".join(e.effect.motion), ", ".join(e.effect.covariates)]
         line += ["declared" if e.declared else "found", _chance(e.p_value)]
         for k in range(1 + pose):

@@ -170,7 +170,8 @@ def panels(
             panel.vlines(t.centre, t.mean - 2 * t.std, t.mean + 2 * t.std, color=color, linewidth=1.0)
             _dots(panel, t.centre, t.mean, color, size=4.0, alpha=1.0)
             panel.plot(t.at, t.smooth, color=color, linewidth=1.8)
-        panel.set(ylim=(-1.05 * top, 1.05 * top))
+        room = 0.03 * float(np.ptp(x)) or 1.0
+        panel.set(xlim=(x.min() - room, x.max() + room), ylim=(-1.05 * top, 1.05 * top))
         panel.locator_params(axis="x", nbins=4 if len(values) > 1 else 6)
         panel.locator_params(axis="y", nbins=6)
         panel.set_title(name, loc="left", fontsize=9, color=color, pad=4)
