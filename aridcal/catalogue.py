@@ -97,6 +97,8 @@ def _joint_harmonic(s: Scene) -> Iterator[Effect]:
     for j in s.moving("revolute"):
         for k in ORDERS:
             yield Effect("joint_harmonic", j.name, turns(j.name, "axis", j.name, k), order=(k,))
+        both = tuple(x for k in ORDERS[:2] for x in turns(j.name, "axis", j.name, k))
+        yield Effect("joint_harmonic", j.name, both, order=ORDERS[:2])
 
 
 def _joint_map(s: Scene) -> Iterator[Effect]:
