@@ -156,6 +156,30 @@ def test_uneven_light_glare_dirt_and_wrong_pixels_do_not_matter():
     assert np.all(np.abs(e) < 5 * np.sqrt(np.diag(p.covariance)))
 
 
+@pytest.mark.parametrize(("paper", "ink"), [(0.8, 0.12), (0.06, 0.85)])
+def test_light_that_changes_across_the_image_moves_no_fiducial(paper, ink):
+    # Contrast changes with the light: by much where the fiducials are white on black.
+    scores = []
+    for k, T in enumerate(VIEWS):
+        image, sonars = look(T, Scene(paper=paper, ink=ink, light=(0.25, -0.2), blur=1.5), seed=k)
+        found = find_fiducials(image, AROUND, INTRINSICS, sonars)
+        common = np.linalg.inv(found.covariances).sum(axis=0)  # of a shift of all of them
+        shift = np.linalg.solve(common, np.einsum("mij,mj->i", np.linalg.inv(found.covariances), errors(found, T)))
+        scores.append(shift @ common @ shift)
+    assert np.mean(scores) / 2 < 2.5  # chi-square of 10: less likely than 1 in 150
+
+
+def test_paper_brighter_than_the_camera_can_show_biases_nothing():
+    scores = []
+    for k, T in enumerate(VIEWS):
+        image, sonars = look(T, Scene(paper=0.9, light=(0.3, -0.25), blur=1.3, noise=1.0), seed=k)
+        assert np.mean(image == 255) > 0.05
+        found = find_fiducials(image, AROUND, INTRINSICS, sonars)
+        off = errors(found, T)
+        scores += list(np.einsum("mi,mi->m", off, np.linalg.solve(found.covariances, off[..., None])[..., 0]))
+    assert np.mean(scores) / 2 < 1.3
+
+
 @pytest.mark.parametrize("hidden", [(4,), (2, 5), (3, 4, 6)])
 def test_covered_fiducials_are_left_out(hidden):
     T = pose(0.2, -0.3, 0.3, (0.1, 0.1), 0.5)
@@ -178,6 +202,38 @@ def test_without_the_corner_marker_bare_paper_where_it_would_be_upside_down_deci
     image, sonars = look(T, Scene(patches=covered(T, [1])), squares={2: STRIP[2]})
     found = find_fiducials(image, ALONE, INTRINSICS, sonars)
     assert own(found) == {2, 3, 4, 5, 6} and np.max(np.abs(errors(found, T))) < 0.1
+
+
+def test_a_neighbours_centre_leads_to_the_own_square_and_not_to_one_turned_by_a_right_angle():
+    # Own centre hidden; the four perimeter fiducials of the square beside fit a square turned by 90 degrees about it.
+    T = pose(1.292, -1.354, 0.3628, (0.188, -0.045), -1.524)
+    image, sonars = look(T, Scene(patches=covered(T, [4])))
+    found = find_fiducials(image, AROUND, INTRINSICS, sonars)
+    assert own(found) == {1, 2, 3, 5, 6} and np.max(np.abs(errors(found, T))) < 0.1
+
+
+def test_perimeter_fiducials_alone_do_not_tell_how_the_square_is_turned():
+    T = pose(0, 0, 0.3)
+    image, sonars = look(T, Scene(patches=covered(T, [1, 4])), squares={2: STRIP[2]})
+    assert "how the square is turned" in refusal(image, sonars)
+
+
+def test_area_of_a_fiducials_image_is_that_of_equations_section_4():
+    # f^2 xi A / Z^3: -21 to +25 % across the square at 10 degrees and 4 in.
+    z = 4 * INCH
+    lens = np.array([512.0, 512, 255.5, 255.5, 0, 0, 0, 0, 0])
+    share = []
+    for tilt in ((np.radians(10), 0), (0, np.radians(10))):
+        T = pose(z=z, tilt=tilt)
+        tiny = ALONE.centres[:, None] + 0.01 * (ALONE.corners - ALONE.centres[:, None])
+        corners, _, _ = predict_pixels(T, tiny, lens)
+        a, b = corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1]
+        area = 1e4 * 0.5 * np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
+        depth = (ALONE.centres @ T[:3, :3].T + T[:3, 3])[:, 2]
+        xi = -T[:3, 2] @ T[:3, 3]
+        assert np.allclose(area, 512**2 * xi * np.prod(ALONE.sizes, axis=1) / depth**3, rtol=1e-3)
+        share.append(area / (512**2 * np.prod(ALONE.sizes, axis=1) / z**2) - 1)
+    assert np.isclose(np.min(share), -0.21, atol=0.01) and np.isclose(np.max(share), 0.25, atol=0.01)
 
 
 def refusal(image, sonars, marks=ALONE) -> str:
