@@ -15,6 +15,7 @@ from aridcal.dependence import depends
 from aridcal.doty import Link, doty_links
 from aridcal.effects import FRAME_COMPONENTS, LINK_COMPONENTS
 from aridcal.export import frames, parameters
+from aridcal.handover import hand_over
 from aridcal.head_section import measuring_head
 from aridcal.markup import Content, Html, counted, fixed, join, number, plus_minus, table, tag
 from aridcal.outcome import STATISTICS, Outcome, errors
@@ -370,3 +371,9 @@ def use(outcome: Outcome) -> Iterator[Content]:
         lines.insert(1, ["model.urdf", "only together with the effects in calibration.yaml, never alone", ""])
     head = ["file", "what for", "position RMS"]
     yield table(head, [[tag("code", str(name)), *rest] for name, *rest in lines], "Files beside this one", numbers=2)
+    handover = hand_over(outcome)
+    given: list[list[Content]] = [
+        [e.name, ", ".join(e.files), f"{number(1e3 * e.error)} mm", f"{number(1e3 * e.apart)} mm"] for e in handover.exports
+    ]
+    head = ["what a controller takes", "files", "position RMS", "from the full model"]
+    yield table(head, given, f"What each kind of controller can be given, on {handover.rows}", numbers=2)

@@ -19,6 +19,7 @@ from aridcal.handover import Handover, hand_over, write_controllers
 from aridcal.identify import identify
 from aridcal.model import Model
 from aridcal.outcome import Outcome
+from aridcal.report import page
 from aridcal.robot import parse_robot
 from aridcal.settings import load_settings
 from aridcal.simulate import Scenario, simulate, write_campaign
@@ -158,3 +159,13 @@ def test_identify_prints_what_controllers_can_be_given(
     assert hand_over(outcome).summary() in said
     assert Calibration.load(tmp_path / "out").kind == "pose"
     assert not (tmp_path / "out" / "joint_maps.csv").exists()
+
+
+def test_the_report_states_the_error_of_each_export(wavy: tuple[Outcome, Handover, Path]) -> None:
+    outcome, handover, _ = wavy
+    text = page(outcome).partition("What each kind of controller can be given")[2]
+    for export in handover.exports:
+        row = re.search(rf"<th[^>]*>{re.escape(export.name)}</th>.*?</tr>", text, re.DOTALL)
+        assert row is not None
+        assert all(name in row[0] for name in export.files)
+        assert float(re.findall(r">([\d.]+) mm<", row[0])[0]) == pytest.approx(1e3 * export.error, rel=0.01)
