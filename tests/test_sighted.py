@@ -4,21 +4,29 @@ import json
 import shutil
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pandas as pd
 import pinocchio as pin
 import pytest
-from heads import ARID, ROOT, STRIP, poses
+import robots
+from heads import ARID, ROOT, START, STRIP, poses
+from scipy.spatial.transform import Rotation
 
 from aridcal.__main__ import main as aridcal
 from aridcal.calibration import Calibration
 from aridcal.campaign import load_campaign
+from aridcal.effects import Coefficient
+from aridcal.head.charuco import Board
+from aridcal.head.photograph import Optics
 from aridcal.identify import main
 from aridcal.model import Model
+from aridcal.shooting import draw_views
 from aridcal.sighted import Shots, read_shots
 from aridcal.simulate import named_constants
 
 EVERY = 6  # of the shipped shots
+CAMERA = np.array([[700, 0, 255.5], [0, 700, 255.5], [0, 0, 1]])
 
 
 @pytest.fixture
@@ -217,3 +225,46 @@ def test_the_report_shows_head_mounting_and_the_answer_of_1992(shipped):
     page = (shipped / "report.html").read_text()
     for words in ("The measuring head", "sonar_2.bias", "The answer of 1992 on the same poses", "closed form − full"):
         assert words in page
+
+
+def test_a_charuco_board_and_no_sonars_calibrate_an_arm_too(tmp_path, capsys):
+    board, side = Board(7, 7, 0.02, 0.015, "DICT_4X4_50"), 0.07
+    sheet = cv2.cvtColor(board.opencv().generateImage((1400, 1400)), cv2.COLOR_GRAY2BGR)[..., 0]
+    to_square = np.array([[1e-4, 0, -side], [0, -1e-4, side], [0, 0, 1]])
+    boards = {0: pin.SE3(pin.rpy.rpyToMatrix(0.3, 0.1, 0.4), np.array([0.7, -0.2, 0.1])).homogeneous}
+    robot = robots.ur10()
+    mount = pin.SE3(pin.rpy.rpyToMatrix(0.02, -0.01, 0.3), np.array([0.03, 0.01, 0.1]))
+    off = {"shoulder_lift_joint.yaw": 2e-2, "elbow_joint.x": 1.5e-2, "wrist_1_joint.roll": -2e-2}
+    true = Model(robot, tuple(Coefficient(*name.split(".")) for name in off), tip_target=((None, mount),))
+    nominal = true.with_coefficients(())
+    rng = np.random.default_rng(4)
+    q, _ = draw_views(nominal, Optics(512, 512, boards), START.intrinsics, 24, rng, "test")
+    (tmp_path / "images").mkdir()
+    names = []
+    for k, T in enumerate(poses(true, np.array(list(off.values())), q)):
+        seen = np.linalg.inv(T) @ boards[0]
+        fine = np.array([[4, 0, 1.5], [0, 4, 1.5], [0, 0, 1]]) @ CAMERA @ seen[:3, [0, 1, 3]] @ to_square
+        image = cv2.warpPerspective(sheet, fine, (2048, 2048), borderValue=255)
+        names.append(f"images/{k}.png")
+        cv2.imwrite(str(tmp_path / names[-1]), cv2.resize(image, (512, 512), interpolation=cv2.INTER_AREA))
+    pd.DataFrame(q, columns=list(robot.readings)).assign(image=names, square=0).to_csv(
+        tmp_path / "shots.csv", index=False
+    )
+    R = Rotation.from_matrix(boards[0][:3, :3]).as_quat()
+    where = pd.DataFrame([[0, *boards[0][:3, 3], *R]], columns=["index", *"xyz", "qx", "qy", "qz", "qw"])
+    where.to_csv(tmp_path / "squares.csv", index=False)
+    (tmp_path / "head.yaml").write_text(
+        "format: 1\ncamera: {fx: 700, fy: 700, cx: 255.5, cy: 255.5, width: 512, height: 512}\n"
+        "tip_camera: {}\ntarget: charuco\nsquares_x: 7\nsquares_y: 7\nsquare: 0.02\nmarker: 0.015\n"
+        "dictionary: DICT_4X4_50\nsquares: squares.csv\nshots: shots.csv\n"
+    )
+    (tmp_path / "campaign.yaml").write_text(
+        f"format: 1\nrobot: {{urdf: {robot.path}, tip: tool0}}\nmeasurements: {{kind: camera_sonar, head: head.yaml}}\n"
+        "diagnosis: {candidates: [lens_distortion, joint_gain]}\n"
+    )
+    found = run(tmp_path)
+    assert len(found["head"]["numbers"]) == 9 and found["head"]["range_rms_mm"] == {"declared": {}, "identified": {}}
+    rms = [found["error"][stage]["test"]["position_mm"]["rms"] for stage in ("nominal", "final")]
+    assert rms[1] < rms[0] / 3 and found["verdict"] == "noise_floor"
+    camera = frame(found["head"]["tip_camera"])
+    assert np.linalg.norm((mount.inverse() * camera).translation) < 2e-3

@@ -55,7 +55,7 @@ class Optics:
         if own not in seen:
             return 0
         off = {k: np.hypot(*_pierced(T)) for k, T in seen.items()}
-        if min(off, key=lambda k: off[k]) != own or sorted(off.values())[:2][-1] - off[own] < SIDE / 10:
+        if any(off[k] < off[own] + SIDE / 10 for k in off if k != own):
             return 0
         T = seen[own]
         corners = fiducial_corners().reshape(-1, 2)
