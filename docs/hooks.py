@@ -96,14 +96,16 @@ def notebook_page(path: Path) -> dict[str, str | bytes]:
     parts = []
     for cell in notebook.cells:
         parts.append(cell.source if cell.cell_type == "markdown" else _fenced(cell.source, "python"))
+        said = ""
         for output in cell.get("outputs", []):
             data = output.get("data", {})
+            said += output.get("text", "") or ("" if "image/png" in data else data.get("text/plain", ""))
             if "image/png" in data:
                 name = f"{path.stem}-{len(made) + 1}.png"
                 made[f"notebooks/{name}"] = base64.b64decode(data["image/png"])
                 parts.append(f"![]({name})")
-            elif "text" in output or "text/plain" in data:
-                parts.append(_fenced(output.get("text") or data["text/plain"], "text"))
+        if said.strip():
+            parts.append(_fenced(said, "text"))
     title, _, text = "\n\n".join(parts).partition("\n")
     made[f"notebooks/{path.stem}.md"] = f"{title}\n\n<small>`notebooks/{path.name}`, {note}.</small>\n{text}\n"
     return made
