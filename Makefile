@@ -35,8 +35,8 @@ CHROMIUM ?= chromium
 SHOOT = $(CHROMIUM) --headless --no-sandbox --hide-scrollbars --use-angle=swiftshader --enable-unsafe-swiftshader \
 	--virtual-time-budget=9000
 pictures:
-	$(SHOOT) --window-size=1200,505 --screenshot=docs/images/report.png file://$(CURDIR)/$(DEMO)/results/report.html
-	$(SHOOT) --window-size=1000,640 --screenshot=docs/images/scene.png file://$(CURDIR)/$(DEMO)/results/scene.html
+	$(SHOOT) --window-size=1200,620 --screenshot=docs/images/report.png file://$(CURDIR)/$(DEMO)/results/report.html
+	$(SHOOT) --window-size=1200,760 --screenshot=docs/images/scene.png file://$(CURDIR)/$(DEMO)/results/scene.html
 
 # The pages of docs/ as a site in build/site, notebooks run; it opens without a network.
 docs: $(READY)
