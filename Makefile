@@ -40,7 +40,7 @@ pictures:
 
 # The pages of docs/ as a site in build/site, notebooks run; it opens without a network.
 docs: $(READY)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check '.[docs]' --editable .
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[docs]'
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 	@echo "open $(CURDIR)/build/site/index.html"
 

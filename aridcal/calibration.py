@@ -110,6 +110,8 @@ class Calibration:
         """
         path = Path(path)
         path = path / "calibration.yaml" if path.is_dir() else path
+        if not path.exists():
+            raise CampaignError(f"{path}: there is no such file; `aridcal identify campaign.yaml` writes one")
         content = read_bytes(path, CampaignError)
         if len(content) > MAX_BYTES:
             raise CampaignError(f"{path}: {len(content) / 1e6:.0f} MB is too large for a calibration")
@@ -150,7 +152,8 @@ class Calibration:
             CovariateNotFound: an effect depends on something that is not given.
             MeasurementError: the station is none of those that were calibrated.
         """
-        return self.arm(station).command(pose[:3, :3], pose[:3, 3], seed, covariates or {})
+        pose = np.asarray(pose, dtype=float)
+        return self.arm(station).command(pose[:3, :3], pose[:3, 3], np.asarray(seed, dtype=float), covariates or {})
 
     def arm(self, station: str | None = None) -> Arm:
         """The machine to be commanded; made once for each station."""

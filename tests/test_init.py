@@ -12,6 +12,7 @@ from robots import SHARED_ROBOTS, URDF, random_placement, readings
 from scipy.spatial.transform import Rotation
 
 import aridcal.init
+from aridcal.calibration import Calibration
 from aridcal.campaign import load_campaign
 from aridcal.columns import match_joints, positions, words
 from aridcal.errors import AridcalError
@@ -277,3 +278,8 @@ def test_a_table_without_the_joints_columns_is_answered_with_init(tmp_path):
     )
     with pytest.raises(AridcalError, match="`aridcal init` tells which are which"):
         read_back(tmp_path / "c.yaml", robot)
+
+
+def test_a_missing_calibration_is_answered_with_the_command_that_writes_one(tmp_path):
+    with pytest.raises(AridcalError, match=r"calibration\.yaml: there is no such file; `aridcal identify"):
+        Calibration.load(tmp_path)
