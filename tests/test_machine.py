@@ -8,7 +8,7 @@ import robots
 
 from aridcal.campaign import EFFECT_KINDS
 from aridcal.catalogue import Scene, candidates
-from aridcal.effects import FRAME_COMPONENTS, Basis, Coefficient, Surroundings, covariate_table
+from aridcal.effects import FRAME_COMPONENTS, Basis, Coefficient, Surroundings, bearing_components, covariate_table
 from aridcal.errors import CovariateNotFound, MeasurementError
 from aridcal.geometry import constants
 from aridcal.machine import Machine
@@ -80,6 +80,25 @@ def test_mimic_joints_follow_their_master() -> None:
     at, position = machine.pose(q[0], machine.effects(q[0], {}))
     np.testing.assert_allclose(position, p[0], rtol=0, atol=1e-13)
     np.testing.assert_allclose(at, R[0], rtol=0, atol=1e-13)
+
+
+@pytest.mark.parametrize("base", ["base", "link_1", "link_2"])
+def test_loads_are_those_of_the_arrays_wherever_the_chain_starts(base: str) -> None:
+    rng = np.random.default_rng(21)
+    robot = parse_robot(robots.random_chain(rng, "RCPRR"), "tip", base)
+    loads = [f"{j.name}.gravity_torque" for j in robot.joints] + [f"{j.name}.payload_torque" for j in robot.joints]
+    loads += [f"{j.name}.gravity_moment_{c}" for j in robot.joints for c in bearing_components(j.kind)]
+    effects = tuple(Coefficient(load.partition(".")[0], "axis", Basis("linear", (load,), (0.0,))) for load in loads)
+    around = Surroundings(rng.normal(size=3) * 9.81, rng.normal(size=3) * 0.2)
+    model = Model(robot, effects, around=around)
+    theta = rng.normal(0.0, 1e-4, len(effects))
+    q, payload = robots.readings(robot, ROWS, rng), rng.uniform(0.0, 5.0, ROWS)
+    R, p = model.poses(theta, model.rows(q, {"payload": payload}))
+    machine = Machine(model, theta)
+    for k in range(ROWS):
+        at, position = machine.pose(q[k], machine.effects(q[k], {"payload": payload[k]}))
+        np.testing.assert_allclose(position, p[k], rtol=0, atol=1e-12)
+        np.testing.assert_allclose(at, R[k], rtol=0, atol=1e-12)
 
 
 def test_stations_have_their_own_frames_gravity_and_drift() -> None:
