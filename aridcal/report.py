@@ -373,7 +373,8 @@ def use(outcome: Outcome) -> Iterator[Content]:
     yield table(head, [[tag("code", str(name)), *rest] for name, *rest in lines], "Files beside this one", numbers=2)
     handover = hand_over(outcome)
     given: list[list[Content]] = [
-        [e.name, ", ".join(e.files), f"{number(1e3 * e.error)} mm", f"{number(1e3 * e.apart)} mm"] for e in handover.exports
+        [e.name, ", ".join(e.files), f"{number(1e3 * e.error)} mm", f"{number(1e3 * e.apart)} mm"]
+        for e in handover.exports
     ]
     head = ["what a controller takes", "files", "position RMS", "from the full model"]
     yield table(head, given, f"What each kind of controller can be given, on {handover.rows}", numbers=2)
