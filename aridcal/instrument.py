@@ -184,20 +184,14 @@ def system(fit: Fit, data: Data, reduced: Reduced, moved: np.ndarray) -> System:
 
 def choose(equations: System, head: Head, declared: Sequence[Effect], library: Sequence[Effect]) -> Choice:
     """Take the declared effects and those that the shots ask for; one at a time, each tried again when another came in."""
-    kept: list[Coefficient] = []
-    redundant: dict[str, tuple[str, ...]] = {}
-    for e in declared:
-        own, lost = _identifiable(equations, head, kept, e)
-        kept += own
-        redundant |= lost
-    active = [replace(e, coefficients=tuple(c for c in e.coefficients if c.name not in redundant)) for e in declared]
-    fixed = [e for e in active if e.coefficients]
+    fixed, redundant = _independent(equations, head, declared)
     taken: list[Effect] = []
     tested = len(library)
 
-    def ranked(others: Sequence[Effect]) -> list[tuple[Score, Effect]]:
+    def ranked(others: Sequence[Effect]) -> list[tuple[float, Effect]]:
+        """What could be added to the declared effects and some others, the best first."""
         scores = [(_score(equations, head, (*fixed, *others), e, tested), e) for e in library]
-        return sorted(((s, e) for s, e in scores if s.gain > 0), key=lambda pair: -pair[0].gain)
+        return sorted(((s.gain, e) for s, e in scores if s.gain > 0), key=lambda pair: -pair[0])
 
     for _ in range(2 * tested):
         best = next(iter(ranked(taken)), None)
@@ -207,31 +201,34 @@ def choose(equations: System, head: Head, declared: Sequence[Effect], library: S
         for e in list(taken):
             others = [t for t in taken if t is not e]
             again = ranked(others)
-            mine = next((s.gain for s, other in again if other == e), 0.0)
+            mine = next((gain for gain, other in again if other == e), 0.0)
             if not again:
                 taken = others
-            elif again[0][0].gain > mine + BETTER and again[0][1] not in others:
+            elif again[0][0] > mine + BETTER and again[0][1] not in others:
                 taken = [*others, again[0][1]]
-    effects = _merged([*fixed, *taken])
+    effects, _ = _independent(equations, head, _merged([*fixed, *taken]))
     H = directions(head, [c for e in effects for c in e.coefficients])
     covariance = _inverse(H.T @ equations.information[0] @ H)
-    values = covariance @ (H.T @ equations.pull[0])
+    there = {(e.kind, e.where) for e in effects}
     p_values, confounded = [], []
     for e in effects:
         others = [o for o in effects if o is not e]
-        found = _score(equations, head, others, e, tested, sure=False)
-        p_values.append(min(1.0, found.p_value * max(tested, 1)))
-        there = {(o.kind, o.where) for o in effects}
-        twins = {
-            (t.kind, t.where): t
-            for t in library
-            if (t.kind, t.where) not in there
-            and _score(equations, head, others, t, tested, sure=False).gain > found.gain - CLOSE
-        }
-        confounded.append(tuple(twins.values()))
-    names = {(e.kind, e.where) for e in fixed}
-    known = tuple((e.kind, e.where) in names for e in effects)
-    return Choice(tuple(effects), known, values, covariance, H, tuple(p_values), tuple(confounded), redundant, tested)
+        own = _score(equations, head, others, e)
+        rivals = [t for t in library if (t.kind, t.where) not in there]
+        close = [t for t in rivals if _score(equations, head, others, t).gain > own.gain - CLOSE]
+        p_values.append(min(1.0, own.p_value * max(tested, 1)))
+        confounded.append(tuple(_merged(close)))
+    return Choice(
+        effects=tuple(effects),
+        declared=tuple((e.kind, e.where) in {(f.kind, f.where) for f in fixed} for e in effects),
+        values=covariance @ (H.T @ equations.pull[0]),
+        covariance=covariance,
+        directions=H,
+        p_values=tuple(p_values),
+        confounded=tuple(confounded),
+        redundant=redundant,
+        tested=tested,
+    )
 
 
 def _merged(effects: Sequence[Effect]) -> list[Effect]:
@@ -241,6 +238,32 @@ def _merged(effects: Sequence[Effect]) -> list[Effect]:
     return [merged(group) for group in groups.values()]
 
 
+def _independent(
+    equations: System, head: Head, effects: Sequence[Effect]
+) -> tuple[list[Effect], dict[str, tuple[str, ...]]]:
+    """Effects without the coefficients that are sums of those before them; those, and what they are sums of."""
+    M = equations.information[0]
+    kept: list[Coefficient] = []
+    found: list[Effect] = []
+    redundant: dict[str, tuple[str, ...]] = {}
+    for effect in effects:
+        mine = []
+        for c in effect.coefficients:
+            A, e = directions(head, kept), directions(head, [c])[:, 0]
+            own, gram = float(e @ M @ e), A.T @ M @ A
+            share = _inverse(gram) @ (A.T @ M @ e)
+            if own - float(share @ (A.T @ M @ e)) > SMALL * own:
+                mine.append(c)
+                kept.append(c)
+            else:
+                size = np.abs(share) * np.sqrt(np.maximum(np.diag(gram), 0.0))
+                largest = max(size, default=0.0)
+                redundant[c.name] = tuple(b.name for b, s in zip(kept, size, strict=True) if s > 0.05 * largest)
+        if mine:
+            found.append(replace(effect, coefficients=tuple(mine)))
+    return found, redundant
+
+
 def _inverse(M: np.ndarray) -> np.ndarray:
     if len(M) == 0:
         return M
@@ -248,13 +271,11 @@ def _inverse(M: np.ndarray) -> np.ndarray:
     return np.asarray(np.linalg.pinv(M * np.outer(scale, scale), hermitian=True, rcond=1e-12) * np.outer(scale, scale))
 
 
-def _score(
-    equations: System, head: Head, others: Sequence[Effect], effect: Effect, tested: int, sure: bool = True
-) -> Score:
-    """What an effect adds to others; nothing if it fails a test and ``sure`` is asked for.
+def _score(equations: System, head: Head, others: Sequence[Effect], effect: Effect, tested: int | None = None) -> Score:
+    """What an effect adds to others.
 
-    It must stand out from the arm and the shots together, by more than matters, and from the shots alone: what arms lack can
-    look like many things, but it leaves no trace within a shot.
+    With the number of candidates ``tested`` it is nothing unless it stands out from arm and shots together, by more than
+    matters, and from the shots alone: what an arm lacks can look like many things, but it leaves no trace within a shot.
     """
     E = directions(head, effect.coefficients)
     A = directions(head, [c for e in others for c in e.coefficients])
@@ -265,27 +286,6 @@ def _score(
         own = score(E.T @ (M - M @ back @ M) @ E, E.T @ (s - M @ back @ s), np.diag(E.T @ M @ E), left, count)
         found.append((own, -np.expm1(-2.0 * own.gain / count)))
     (total, share), (alone, _) = found
-    if sure and (max(total.p_value, alone.p_value) * tested > ALPHA or share < LEAST):
+    if tested is not None and (max(total.p_value, alone.p_value) * tested > ALPHA or share < LEAST):
         return Score(0.0, 1.0, 0)
     return total
-
-
-def _identifiable(
-    equations: System, head: Head, kept: Sequence[Coefficient], effect: Effect
-) -> tuple[list[Coefficient], dict[str, tuple[str, ...]]]:
-    """Coefficients of a declared effect that differ from those kept before; the others, and what they are sums of."""
-    M = equations.information[0]
-    mine: list[Coefficient] = []
-    lost: dict[str, tuple[str, ...]] = {}
-    for c in effect.coefficients:
-        before = [*kept, *mine]
-        A, e = directions(head, before), directions(head, [c])[:, 0]
-        own = float(e @ M @ e)
-        share = _inverse(A.T @ M @ A) @ (A.T @ M @ e) if before else np.zeros(0)
-        if own - float(share @ A.T @ M @ e) > SMALL * own:
-            mine.append(c)
-        else:
-            size = np.abs(share) * np.sqrt(np.maximum(np.diag(A.T @ M @ A), 0.0))
-            partners = [b.name for b, s in zip(before, size, strict=True) if s > 0.05 * max(size, default=0.0)]
-            lost[c.name] = tuple(partners)
-    return mine, lost
