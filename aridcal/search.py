@@ -135,7 +135,10 @@ def _tidy(bench: Bench, library: Sequence[Effect], state: State, rounds: int, te
                 continue
             without = solve_state(bench, active, state.solution.sigma, state.weight)
             ranked = rank(bench, library, without)
-            mine = next(s for e, s in ranked if e == effect)
+            mine = next((s for e, s in ranked if e == effect), None)
+            if mine is None:  # a map of the same joint, taken since, holds it
+                state = without
+                continue
             best, its = ranked[0]
             if best == effect or its.gain < mine.gain + 1.0:
                 best, its = effect, mine
