@@ -21,8 +21,9 @@ COMMANDED = _set(
     "goal cmd command commanded desired nominal setpoint ref reference planned wanted expected theoretical"
 )
 MEASURED = _set("measured measurement meas actual tracker laser mocap leica marker reflector smr probe")
-OTHER = _set(
-    "std sigma sd stdev error err residual delta diff d v vel velocity speed qd acc acceleration f force torque tau "
+SCATTER = _set("std sigma sd stdev error err residual")
+OTHER = SCATTER | _set(
+    "delta diff d v vel velocity speed qd acc acceleration f force torque tau "
     "moment effort current temperature temp direction"
 )
 TURNED = _set("r rot rotation rv rotvec euler orientation ori angle angles rpy o q quat quaternion")
@@ -152,8 +153,11 @@ def angle_triples(names: Iterable[str]) -> list[Family]:
 
 
 def named(names: Iterable[str], *wanted: str) -> str | None:
-    """The first column that is one of some words, alone or with a unit."""
-    return next((name for name in names if words(name) in [(w,) for w in wanted]), None)
+    """The first column that is one of some words, with a unit perhaps and a word that says that it was measured."""
+    return next(
+        (name for name in names if tuple(w for w in words(name) if w not in MEASURED) in zip(wanted, strict=False)),
+        None,
+    )
 
 
 def _split(name: str) -> tuple[str, ...]:

@@ -10,7 +10,18 @@ from typing import Any
 import numpy as np
 
 from aridcal.campaign import ANGLES, LENGTHS
-from aridcal.columns import Family, angle_triples, match_joints, named, numbered, positions, quaternions, unit
+from aridcal.columns import (
+    SCATTER,
+    Family,
+    angle_triples,
+    match_joints,
+    named,
+    numbered,
+    positions,
+    quaternions,
+    unit,
+    words,
+)
 from aridcal.dialect import Reading, Sample, angle_writings, quaternion_writings, readings
 from aridcal.errors import MeasurementError, RobotError
 from aridcal.measurements import blocks
@@ -206,7 +217,8 @@ def _units(sample: Sample, robot: Robot, columns: Sequence[str], choose: Choose,
     others = [f"; in {r.angle} and {r.length} by {100 * r.share:.2g} %" for r in near if r is not best]
     why += others[0] if others else ""
     if best.share > STRANGE_SHARE:
-        why += ". That is MUCH: check that the URDF is this robot's, and each joint's column, sign and zero"
+        why += ". That is MUCH: check that the URDF is this robot's, each joint's column, sign and zero, and whether tracker"
+        why += " or target were moved in between (then give each place its label in a column `station`)"
     units = (("length", best.length, "m"), ("angle", best.angle, "rad"))
     value = {key: unit for key, unit, default in units if unit != default}
     made.say("measurements.units", value or None, why, sure=clear and best.share <= STRANGE_SHARE)
@@ -271,15 +283,15 @@ def _covariates(table: Table, used: set[str], made: Proposal) -> None:
         why = f"{' '.join(std)} weigh the rows; if they flatter the instrument, write {{rows: ignore}}"
     made.say("measurements.noise", None, why)
     free = [name for name in table.names if name and name not in used and name not in STD]
-    for quantity, spellings in {
-        "time": ("time", "timestamp", "stamp", "t"),
-        "temperature": ("temperature", "temp"),
-        "payload": ("payload", "load"),
-    }.items():
+    for quantity, taken_for, spellings in (
+        ("time", "s", ("time", "timestamp", "stamp", "t")),
+        ("temperature", "°C", ("temperature", "temp")),
+        ("payload", "kg", ("payload", "load")),
+    ):
         column = named(free, *spellings)
         if column and np.isfinite(table.numbers(column)[0]).any():
             free.remove(column)
-            made.say_columns({quantity: column}, "by its name")
+            made.say_columns({quantity: column}, f"by its name, taken for {taken_for}")
     ignored = {name: reason for name in free if (reason := _no_covariate(table, name, free))}
     if ignored:
         why = ", ".join(f"{name} ({reason})" for name, reason in ignored.items())
@@ -295,6 +307,8 @@ def _no_covariate(table: Table, name: str, free: Sequence[str]) -> str:
     """Why no effect can sensibly depend on a column; empty if one can."""
     if name.endswith("_direction"):
         return ""
+    if set(words(name)) & SCATTER:
+        return "how well something was measured"
     values = table.numbers(name)[0]
     values = values[np.isfinite(values)]
     if not len(values):

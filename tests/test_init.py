@@ -169,12 +169,13 @@ def test_a_split_of_the_users_is_kept_and_a_row_counter_ignored(tmp_path):
     own = np.where(np.arange(len(q)) % 3 == 0, "test", "train")
     table = named(" ".join(robot.names), q) | named("x y z", p)
     table |= {"subset": own, "no": np.arange(len(q)), "remark": ["fine"] * len(q), "humidity": p[:, 0] ** 2}
+    table |= {"laser std x": p[:, 1] ** 2, "measured temp": p[:, 2]}
     pd.DataFrame(table).to_csv(tmp_path / "m.csv", index=False)
     text, _, rows = draft(UR10, [tmp_path / "m.csv"], tmp_path / "c.yaml", never)
     assert rows.split_given
     np.testing.assert_array_equal(rows.test, own == "test")
-    assert "ignore: ['no', remark]" in text
-    assert list(rows.covariates) == ["humidity"]
+    assert "ignore: ['no', remark, laser std x]" in text
+    assert list(rows.covariates) == ["humidity", "temperature"]
 
 
 @pytest.mark.parametrize(
