@@ -1,5 +1,7 @@
 """Shots to measured poses: the table, its uncertainty, what is refused, which square is seen, the contact sheet."""
 
+import struct
+import zlib
 from pathlib import Path
 
 import cv2
@@ -146,6 +148,25 @@ def spoil_size(c: Campaign) -> None:
     cv2.imwrite(str(c.folder / "images/0.png"), np.zeros((480, 640), np.uint8))
 
 
+def spoil_huge(c: Campaign) -> None:
+    """A picture of 40 bytes that says to be of 60,000 x 60,000 pixels."""
+    path = c.folder / "images/0.png"
+    content = bytearray(path.read_bytes()[:33])
+    content[16:24] = struct.pack(">II", 60_000, 60_000)
+    content[29:33] = struct.pack(">I", zlib.crc32(content[12:29]))
+    path.write_bytes(content)
+
+
+def spoil_link(c: Campaign) -> None:
+    (c.folder / "images/0.png").unlink()
+    (c.folder / "images/0.png").symlink_to("/etc/hostname")
+
+
+def spoil_cut(c: Campaign) -> None:
+    path = c.folder / "images/0.png"
+    path.write_bytes(path.read_bytes()[:20_000])
+
+
 def spoil_blank(c: Campaign) -> None:
     cv2.imwrite(str(c.folder / "images/0.png"), np.full((512, 512), 200, np.uint8))
 
@@ -163,18 +184,28 @@ def put(column, value):
     [
         (spoil_empty, "empty or no image"),
         (spoil_text, "empty or no image"),
+        (spoil_cut, "empty or no image"),
+        (spoil_huge, "empty or no image"),
+        (spoil_link, "outside the folder"),
         (spoil_size, "640 x 480 pixels, the camera 512 x 512"),
         (spoil_blank, "no square found"),
         (put("image", "images/9.png"), "no such image"),
         (put("image", ""), "no image is named"),
+        (put("image", "images"), "no such image"),
+        (put("image", 300 * "a" + ".png"), "cannot be read: File name too long"),
+        (put("image", "images/0\0.png"), "cannot be read: embedded null byte"),
         (put("image", "../../etc/passwd.png"), "outside the folder"),
         (put("image", "/etc/passwd"), "outside the folder"),
         (put("h1", ""), "h1: the range is missing"),
         (put("h3", "far"), "h3: the range is missing or no number"),
         (put("h2", -0.2), "h2: a range of -0.2 m can not be right"),
+        (put("h1", 0.0), "h1: a range of 0 m can not be right"),
+        (put("h1", "inf"), "h1: the range is missing or no number"),
         (put("h4", 250), "h4: a range of 250 m can not be right; ranges are in metres"),
         (put("h4", 1.5), "sonars: "),
         (put("square", 17), "no square 17"),
+        (put("square", -1), "no square -1"),
+        (put("square", 1.5), "'1.5' should be the index of a square"),
         (put("square", "left"), "'left' should be the index of a square"),
     ],
 )

@@ -83,17 +83,23 @@ def read_image(name: str, folder: Path, settings: HeadSettings) -> np.ndarray:
     """Read a shot's image as grey levels, uint8.
 
     Raises:
-        NotMeasured: No such image in the folder, not an image, or not of the camera's size.
+        NotMeasured: No such image in the folder, not readable, not an image, or not of the camera's size.
     """
     if not name:
         raise NotMeasured("no image is named")
     path = folder / name
-    if not path.resolve().is_relative_to(folder.resolve()):
-        raise NotMeasured("the image lies outside the folder of the shots")
-    if not path.is_file():
-        raise NotMeasured("there is no such image")
-    content = np.fromfile(path, np.uint8)
-    image = cv2.imdecode(content, cv2.IMREAD_GRAYSCALE) if len(content) else None
+    try:
+        if not path.resolve().is_relative_to(folder.resolve()):
+            raise NotMeasured("the image lies outside the folder of the shots")
+        if not path.is_file():
+            raise NotMeasured("there is no such image")
+        content = np.fromfile(path, np.uint8)
+    except (OSError, ValueError) as error:  # a name that no file can have, or no permission
+        raise NotMeasured(f"the image cannot be read: {getattr(error, 'strerror', None) or error}") from None
+    try:
+        image = cv2.imdecode(content, cv2.IMREAD_GRAYSCALE) if len(content) else None
+    except cv2.error:  # says to be larger than OpenCV reads
+        image = None
     if image is None:
         raise NotMeasured("the file is empty or no image")
     camera = settings.camera
