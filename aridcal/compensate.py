@@ -310,8 +310,8 @@ def _tabulate(calibration: Calibration, points: int, out: Path) -> None:
     with atomic_file(out) as path:
         write_table(pd.DataFrame(values / [*units, *units], columns=columns), path)
     Console(stderr=True).print(
-        f"{out}: {len(values)} points. Between them, over the ranges that the calibration has seen, the target is off by "
-        f"{1e3 * found.after:.3f} mm RMS with the table, by {1e3 * found.before:.3f} mm without it",
+        f"{out}: {len(values)} points; between them the target is off by {1e3 * found.after:.3f} mm RMS, "
+        f"without the table by {1e3 * found.before:.3f} mm",
         markup=False, highlight=False, soft_wrap=True,
     )  # fmt: skip
 

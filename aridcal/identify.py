@@ -321,7 +321,7 @@ def _main(arguments: argparse.Namespace) -> None:
         write_report(outcome, folder / "report.html")
         notices = write_scene(scene(outcome), folder / "scene.html")
     summary(outcome, console)
-    console.print(f"what controllers can be given, RMS on {handover.rows}: {handover.summary()}", soft_wrap=True)
+    console.print(f"what controllers can be given, RMS on {handover.rows}:\n  {handover.summary()}", soft_wrap=True)
     for notice in notices:
         console.print(f"note: {notice}", markup=False)
     console.print(f"report: {out / 'report.html'}", soft_wrap=True, markup=False, highlight=False)
