@@ -154,10 +154,8 @@ def angle_triples(names: Iterable[str]) -> list[Family]:
 
 def named(names: Iterable[str], *wanted: str) -> str | None:
     """The first column that is one of some words, with a unit perhaps and a word that says that it was measured."""
-    return next(
-        (name for name in names if tuple(w for w in words(name) if w not in MEASURED) in zip(wanted, strict=False)),
-        None,
-    )
+    found = ((name, [word for word in words(name) if word not in MEASURED]) for name in names)
+    return next((name for name, said in found if len(said) == 1 and said[0] in wanted), None)
 
 
 def _split(name: str) -> tuple[str, ...]:
