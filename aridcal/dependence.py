@@ -42,9 +42,9 @@ def _clues(found: Diagnosis) -> Iterator[Content]:
     lines = []
     for what, share, p in found.clues:
         tells = share > LEAST and p < SURE
-        lines.append([what, f"{100 * share:.0f} %", _chance(p), "yes: it repeats" if tells else "no more than chance"])
+        lines.append([what, f"{100 * share:.0f} %", _chance(p), "yes" if tells else "no"])
     if lines:
-        head = ["question", "share of the variance", "chance if all were noise", "seen"]
+        head = ["question", "share of the variance", "chance if all were noise", "beyond chance"]
         yield table(head, lines, "What the residual of the final model was asked")
 
 
@@ -147,10 +147,10 @@ def _strongest(outcome: Outcome) -> Iterator[Content]:
         chance = min(1.0, t.p_value * asked)
         lines.append([
             tag("code", t.covariate), t.motion, *(sizes if outcome.effects else sizes[1:]), _chance(chance),
-            "yes" if chance <= SURE else "no more than chance",
+            "yes" if chance <= SURE else "no",
         ])  # fmt: skip
     sizes = ["without effects", "now"] if outcome.effects else ["now"]
-    head = ["what remains, over", "seen most clearly in", *sizes, f"chance among {asked}", "seen"]
+    head = ["what remains, over", "seen most clearly in", *sizes, f"chance among {asked}", "beyond chance"]
     yield table(head, lines, "RMS of the slices' means beyond their noise, the clearest first", numbers=2)
     own = {(t.motion, t.covariate) for t in outcome.traces.joints}
     columns = set(outcome.measurements.covariates)
@@ -172,7 +172,7 @@ def _effects(outcome: Outcome) -> Iterator[Content]:
     pose = outcome.measurements.quaternion is not None
     yield _gains(outcome.effects, pose)
     pairs = [(e, c) for e in outcome.effects for c in e.curves]
-    yield figures(_curve(outcome, f"effect-{k}", e, c, len(pairs) == 1) for k, (e, c) in enumerate(pairs))
+    yield figures(_curve(outcome, f"effect-{k}", e, c) for k, (e, c) in enumerate(pairs))
     yield _coefficients(outcome)
     yield from _twins(outcome)
 
@@ -224,7 +224,7 @@ def _chance(p: float) -> str:
     return "below 1e−100" if p < 1e-100 else number(p, 2)
 
 
-def _curve(outcome: Outcome, key: str, effect: NamedEffect, found: Curve, alone: bool) -> tuple[Content, Html]:
+def _curve(outcome: Outcome, key: str, effect: NamedEffect, found: Curve) -> tuple[Content, Html]:
     unit, scale = axis_unit(outcome, found.covariate)
     moved = "mm" if found.unit == "m" else "mrad"
     alt = f"{effect.effect.label}: {found.component} over {found.covariate}"
@@ -232,7 +232,7 @@ def _curve(outcome: Outcome, key: str, effect: NamedEffect, found: Curve, alone:
     labels = (f"{found.covariate}{unit}", f"{found.component} [{moved}]")
     winds = max(effect.effect.order, default=0.0) * float(np.ptp(found.at)) / (2 * math.pi) > WINDING
     picture = curve(
-        key, alt, scale * found.at, 1e3 * found.value, 1e3 * found.std, rows, labels, wide=alone or winds
+        key, alt, scale * found.at, 1e3 * found.value, 1e3 * found.std, rows, labels, wide=winds
     )  # fmt: skip
     span, known = 1e3 * float(np.ptp(found.value)), 1e3 * float(np.median(found.std))
     seen = f": {number(span)} {moved} from lowest to highest, known to {number(known, 2)} {moved} (median 1σ)"

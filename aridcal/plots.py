@@ -203,7 +203,7 @@ def correlogram(key: str, alt: str, lags: np.ndarray, correlation: np.ndarray, b
         bound: Half width of the band.
         label: Of the horizontal axis.
     """
-    figure, axes = _axes(WIDE)
+    figure, axes = _axes()
     axes.axhspan(-bound, bound, color=GREY, alpha=0.18, linewidth=0, label="95 % of noise")
     axes.vlines(lags, 0.0, correlation, color=AFTER, linewidth=2.0)
     _dots(axes, lags.astype(float), correlation, AFTER, label="residuals", size=4.5, alpha=1.0)
@@ -263,7 +263,7 @@ def curve(
         std: Its standard deviation, shape (G,).
         rows: Where each row stands and what it asks for, shape (N,) each; the wildest are cut off.
         labels: Of the two axes, with their units.
-        wide: Twice as wide as other figures: for one that stands alone, or winds a lot.
+        wide: Twice as wide as other figures, for a curve that winds a lot.
     """
     figure, axes = _axes(WIDE) if wide else _axes()
     axes.fill_between(at, value - 2 * std, value + 2 * std, color=AFTER, alpha=0.25, linewidth=0)
