@@ -4,7 +4,7 @@
     python benchmarks/chain.py --cases 2 --images
 
 The ARID of ``identification/arid-strip``, 120 shots, its constants drawn anew for each seed. By default the fiducials are
-drawn with the noise that the detector states of them; with ``--images`` they are found in images with 2 grey levels of noise.
+drawn with the noise that the detector states of them; with ``--images`` they are found in JPEG images with 2 grey levels of noise.
 Sonars have 0.25 mm. The oracle is a bundle adjustment of its own: it knows which constants and which number of the head are
 off, and fits those alone to all image points and ranges at once. Errors are those of the camera's pose at configurations
 never measured, without noise.
@@ -48,6 +48,7 @@ from aridcal.simulate import Scenario
 
 STRIP = Path(__file__).parents[1] / "identification" / "arid-strip"
 N, QUERIES = 120, 400
+GREY = 2.0  # standard deviation of an image's noise, [grey levels]
 PIXEL_STD = (0.008, 0.025)  # [px] of a fiducial, as the detector states it
 CASES = {
     "clean": "",
@@ -195,7 +196,7 @@ def _found(
     T: np.ndarray, own: int, optics: Optics, head: Head, settings: HeadSettings, rng: np.random.Generator
 ) -> Seen | None:
     """The same as the detector finds it in an image."""
-    content, h = photograph(T, own, optics, head, rng)
+    content, h = photograph(T, own, optics, head, rng, GREY)
     image = np.asarray(cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_GRAYSCALE))
     sonars = Sonars(h, head.positions, head.measures, head.std)
     try:

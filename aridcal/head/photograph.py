@@ -71,7 +71,7 @@ def _pierced(T_camera_square: np.ndarray) -> np.ndarray:
 
 
 def photograph(
-    T_world_camera: np.ndarray, own: int, optics: Optics, head: Head, rng: np.random.Generator
+    T_world_camera: np.ndarray, own: int, optics: Optics, head: Head, rng: np.random.Generator, noise: float = NOISE
 ) -> tuple[bytes, np.ndarray]:
     """Take one shot.
 
@@ -81,13 +81,14 @@ def photograph(
         optics: The camera's size and the squares.
         head: As it really is.
         rng: Of light, blur and noise.
+        noise: Standard deviation, [grey levels].
 
     Returns:
         The image as JPEG, and the ranges, shape (S,), [m].
     """
     seen = optics.seen(T_world_camera, own)
     right, down = rng.uniform(-LIGHT, LIGHT, 2)
-    scene = Scene(light=(float(right), float(down)), blur=float(rng.uniform(*BLUR)), noise=NOISE)
+    scene = Scene(light=(float(right), float(down)), blur=float(rng.uniform(*BLUR)), noise=noise)
     image = render(seen, head.intrinsics, optics.width, optics.height, scene, rng)
     content = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])[1]
     return content.tobytes(), read_sonars(seen[own], head, rng)
