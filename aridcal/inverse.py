@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 import pinocchio as pin
+from scipy.linalg.lapack import dposv
 
 from aridcal.machine import Machine
 
@@ -202,7 +203,7 @@ def _solve(J: np.ndarray, e: np.ndarray, damping: float) -> np.ndarray:
     if columns < rows:
         H = J.T @ J
         H.flat[:: columns + 1] += damping + TINY
-        return np.asarray(np.linalg.solve(H, J.T @ e))
+        return np.asarray(dposv(H, J.T @ e)[1])
     H = J @ J.T
     H.flat[:: rows + 1] += damping + TINY
-    return np.asarray(J.T @ np.linalg.solve(H, e))
+    return np.asarray(J.T @ dposv(H, e)[1])
