@@ -4,10 +4,10 @@
     python benchmarks/chain.py --cases 2 --images
 
 The ARID of ``identification/arid-strip``, 120 shots, its constants drawn anew for each seed. By default the fiducials are
-drawn with the noise that the detector states of them; with ``--images`` they are found in JPEG images with 2 grey levels of noise.
-Sonars have 0.25 mm. The oracle is a bundle adjustment of its own: it knows which constants and which number of the head are
-off, and fits those alone to all image points and ranges at once. Errors are those of the camera's pose at configurations
-never measured, without noise.
+drawn with the noise that the detector states of them; with ``--images`` they are found in JPEG images with 2 grey levels of
+noise. Sonars have 0.25 mm. The oracle is a bundle adjustment of its own: it knows which constants and which number of the
+head are off, and fits those alone to all image points and ranges at once. Errors are those of the camera's pose at
+configurations never measured, without noise.
 """
 
 from __future__ import annotations
