@@ -290,8 +290,8 @@ def test_a_place_that_cannot_be_written_is_refused_before_any_work(
 @pytest.mark.parametrize(
     ("moment", "stop"),
     [
-        ("fit_geometry", signal.SIGINT),
-        ("fit_geometry", signal.SIGTERM),
+        ("fit_arm", signal.SIGINT),
+        ("fit_arm", signal.SIGTERM),
         ("write_results", signal.SIGTERM),
         ("write_scene", signal.SIGINT),
     ],
@@ -308,7 +308,7 @@ def test_an_interruption_leaves_the_earlier_result(
     real = getattr(identify, moment)
 
     def interrupted(*arguments: object) -> object:
-        if moment != "fit_geometry":
+        if moment != "fit_arm":
             real(*arguments)
         os.kill(os.getpid(), stop)
         return real(*arguments)
