@@ -86,6 +86,8 @@ def refine(bench: Bench, state: State, effect: Effect, rough: Score) -> Score:
     with_it, precision = with_candidate(bench, state, candidate)
     twice = 2.0 * (solve(with_it, precision, state.solution.sigma).likelihood - state.solution.likelihood)
     d = rough.freedom
+    if d == 0:  # declared, though the model can do all that it does
+        return rough
     gain = 0.5 * (twice - d * (1.0 + np.log(max(twice / d, 1.0))))
     return replace(rough, gain=gain, p_value=tail(twice, d))
 

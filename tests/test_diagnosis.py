@@ -89,6 +89,17 @@ def test_a_declared_effect_is_fitted_as_it_is_declared(tmp_path, kind):
     assert error(outcome, "final") < 1.15 * LEAST
 
 
+def test_an_effect_that_is_declared_twice_is_fitted_once(tmp_path):
+    path = campaign(tmp_path, [{"kind": "joint_gain", **EFFECTS["joint_gain"]}])
+    twice = {"diagnosis": {"enabled": False}, "effects": [{"kind": "joint_gain", "where": "joint_1"} for _ in range(2)]}
+    path.write_text(path.read_text() + "".join(yaml.safe_dump({key: value}) for key, value in twice.items()))
+    outcome = identify(path)
+    found = [e for e in outcome.effects for c in e.effect.coefficients if c.name.startswith("joint_1.axis")]
+    assert named(outcome) == {("joint_gain", "joint_1")}
+    assert len(found) == 1
+    assert error(outcome, "final") < 1.15 * LEAST
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_a_clean_machine_shows_no_effect_whatever_columns_were_logged(tmp_path, seed):
     logged = ("time", "temperature", "humidity", "payload", "joint_3_direction")
