@@ -25,6 +25,27 @@ class _Term:
     spread: np.ndarray  # (joints, terms): theta, where the coefficient acts
 
 
+@dataclass(frozen=True)
+class _Curve:
+    """Splines of one covariate on evenly spaced knots, summed: a cubic polynomial between each knot and the next."""
+
+    joint: int  # that it moves
+    of: int  # index of the covariate
+    start: float
+    step: float
+    pieces: list[list[float]]  # coefficients of 1, u, u^2, u^3 between knots, u from 0 to 1
+
+    def value(self, z: float) -> float:
+        """The curve's value; zero beyond its ends."""
+        u = (z - self.start) / self.step
+        if not 0.0 <= u < len(self.pieces):
+            return 0.0 * u  # of what is not a number, no number either
+        k = int(u)
+        u -= k
+        a, b, c, d = self.pieces[k]
+        return a + u * (b + u * (c + u * d))
+
+
 class Machine:
     """What :class:`~aridcal.model.Model` computes for many rows, for one configuration without the cost of arrays.
 
@@ -63,6 +84,17 @@ class Machine:
         terms = [k for k in free if not model.coefficients[k].basis.constant]
         names = list(dict.fromkeys(n for k in terms for n in model.coefficients[k].basis.of))
         place = {name: i for i, name in enumerate(names)}
+        families: dict[tuple[int, int, float], list[int]] = {}
+        for k in terms:
+            basis = model.coefficients[k].basis
+            if basis.form == "bump":
+                families.setdefault((int(carrier[k]), place[basis.of[0]], basis.numbers[1]), []).append(k)
+        self._curves = []
+        for (joint, of, step), own in families.items():
+            centres = np.array([model.coefficients[k].basis.numbers[0] for k in own])
+            if _even(centres, step):
+                self._curves.append(_curve(joint, of, centres, step, theta[own]))
+                terms = [k for k in terms if k not in own]
         self._terms = []
         for form in dict.fromkeys(model.coefficients[k].basis.form for k in terms):
             own = [k for k in terms if model.coefficients[k].basis.form == form]
@@ -74,7 +106,7 @@ class Machine:
             self._terms.append(_Term(FORMS[form].value, arguments, numbers, spread))
 
         self._joints = [(place[n], robot.names.index(n)) for n in names if n in robot.names]
-        loads = [n for n in names if n.partition(".")[0] in robot.names and "." in n]
+        loads = [n for n in names if n not in robot.names and n.rpartition(".")[0] in robot.names]
         gravity = np.atleast_2d(model.around.gravity)
         world = [label for label, _ in model.world_base].index(station) if len(gravity) > 1 else 0
         around = replace(model.around, gravity=gravity[world])
@@ -97,7 +129,7 @@ class Machine:
         Raises:
             CovariateNotFound: one of :attr:`needs` is missing.
         """
-        if not self._terms:
+        if not self._covariates:
             return self.still
         z = np.empty(self._covariates)
         positions = readings[self._column] * self._multiplier + self._offset
@@ -113,9 +145,11 @@ class Machine:
             raise CovariateNotFound(
                 f"the model depends on {name!r}, which was not given{nearest(name, covariates)}: add it"
             ) from None
-        moved = self.still
+        moved = self.still.copy()
+        for curve in self._curves:
+            moved[curve.joint] += curve.value(float(z[curve.of]))
         for term in self._terms:
-            moved = moved + term.spread @ term.value([z[of] for of in term.of], term.numbers)
+            moved += term.spread @ term.value([z[of] for of in term.of], term.numbers)
         return moved
 
     def pose(self, readings: np.ndarray, effects: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -135,6 +169,22 @@ class Machine:
         J = pin.computeFrameJacobian(self._model, self._data, q, self._target, pin.LOCAL_WORLD_ALIGNED)
         target = pin.updateFramePlacement(self._model, self._data, self._target)
         return target.rotation.copy(), target.translation.copy(), J @ self._drive
+
+
+def _even(centres: np.ndarray, step: float) -> bool:
+    """True if the centres stand a whole number of steps apart."""
+    apart = (centres - centres.min()) / step
+    return bool(np.abs(apart - np.round(apart)).max() < 1e-6)
+
+
+def _curve(joint: int, of: int, centres: np.ndarray, step: float, theta: np.ndarray) -> _Curve:
+    start = float(centres.min()) - 2.0 * step
+    count = round(float(np.ptp(centres)) / step) + 4
+    u = np.arange(4) / 3.0  # four points give a cubic
+    z = start + step * (np.arange(count)[:, None] + u)
+    values = FORMS["bump"].value([z[:, :, None]], (centres, step)) @ theta  # type: ignore[arg-type]
+    pieces = np.linalg.solve(np.vander(u, increasing=True), values.T).T
+    return _Curve(joint, of, start, step, pieces.tolist())
 
 
 class _Loads:
@@ -166,7 +216,7 @@ class _Loads:
         self._across: list[tuple[int, int, np.ndarray, np.ndarray]] = []
         self._payload: list[tuple[int, int]] = []
         for place, name in wanted:
-            joint, kind = name.split(".", 1)
+            joint, kind = name.rsplit(".", 1)
             k = tree.getJointId(joint)
             if kind == "gravity_torque":
                 self._along.append((place, tree.idx_vs[k]))

@@ -7,7 +7,7 @@ import pytest
 import robots
 
 from aridcal.campaign import EFFECT_KINDS
-from aridcal.catalogue import Scene, candidates
+from aridcal.catalogue import Scene, bumps, candidates
 from aridcal.effects import FRAME_COMPONENTS, Basis, Coefficient, Surroundings, bearing_components, covariate_table
 from aridcal.errors import CovariateNotFound, MeasurementError
 from aridcal.geometry import constants
@@ -132,6 +132,25 @@ def test_what_an_effect_needs_and_is_not_given_is_named() -> None:
         machine.effects(np.zeros(4), {"temperature": 20.0})
     with pytest.raises(CovariateNotFound, match=r"'temperature'.*did you mean 'temperatur'"):
         machine.effects(np.zeros(4), {"temperatur": 20.0, "payload": 1.0})
+
+
+def test_a_map_is_its_splines_inside_between_and_beyond_its_knots() -> None:
+    """Evenly spaced splines are summed to polynomials; a gap among them, or two spacings, change nothing."""
+    rng = np.random.default_rng(23)
+    splines = bumps("joint_2", "axis", "temperature", np.linspace(10.0, 30.0, 99), 12)
+    others = (Coefficient("joint_2", "axis", Basis("bump", ("temperature",), (17.3, 0.9))),
+              Coefficient("joint_2", "axis", Basis("bump", ("temperature",), (18.6, 0.9))))  # fmt: skip
+    coefficients = (*splines[:4], *splines[6:], *others)
+    model = Model(robots.arid(), coefficients)
+    theta = rng.normal(size=len(coefficients))
+    machine = Machine(model, theta)
+    at = np.concatenate([rng.uniform(0.0, 40.0, 200), [c.basis.numbers[0] for c in coefficients]])
+    q = np.zeros((len(at), 4))
+    _, p = model.poses(theta, model.rows(q, {"temperature": at}))
+    for k, temperature in enumerate(at):
+        position = machine.pose(q[k], machine.effects(q[k], {"temperature": temperature}))[1]
+        np.testing.assert_allclose(position, p[k], rtol=0, atol=1e-12)
+    assert np.isnan(machine.effects(q[0], {"temperature": np.nan})).any()
 
 
 def test_a_pose_is_not_changed_by_the_next_one() -> None:
