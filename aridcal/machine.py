@@ -196,14 +196,14 @@ class _Loads:
     def __init__(self, robot: Robot, around: Surroundings, wanted: list[tuple[int, str]]) -> None:
         self._tree = tree = robot.tree.copy()
         self._data = tree.createData()
-        base = tree.frames[tree.getFrameId(robot.base)]
+        base = tree.getFrameId(robot.base, pin.FrameType.BODY)
         self._q = pin.neutral(tree)
         pin.framesForwardKinematics(tree, self._data, self._q)
-        root_base = self._data.oMf[tree.getFrameId(robot.base)].rotation
+        root_base = self._data.oMf[base].rotation
         self._gravity = root_base @ around.gravity
         tree.gravity.linear = self._gravity
         column = {name: k for k, name in enumerate(robot.readings)}
-        upstream = set(tree.supports[base.parentJoint])
+        upstream = set(tree.supports[tree.frames[base].parentJoint])
         self._driven = []
         for k in range(1, tree.njoints):
             master, multiplier, offset = robot.mimics.get(tree.names[k], (tree.names[k], 1.0, 0.0))
