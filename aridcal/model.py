@@ -249,7 +249,12 @@ class Model:
         last = model.frames[model.getFrameId(extended.names[-1])]
         index = {name: k for k, name in enumerate(list(model.names)[1:])}
         carriers = [index[_joint_name(slot)] if slot in moving else -1 for slot in self._slots]
-        return model, last.placement * end, np.array([index[_joint_name(s)] for s in own]), np.array(carriers, dtype=int)
+        return (
+            model,
+            last.placement * end,
+            np.array([index[_joint_name(s)] for s in own]),
+            np.array(carriers, dtype=int),
+        )
 
     def _locked(self, value: Mapping[Slot, float], moving: set[Slot], world: int, tip: int) -> pin.Model:
         extended, _ = self._pinocchio(world, tip)
@@ -341,7 +346,10 @@ class Model:
     @cached_property
     def _bodies(self) -> dict[str, pin.Inertia]:
         """Inertia carried by each joint of the chain: fixed links and locked side branches included."""
-        tree = self.robot.tree
+        tree = self.robot.tree.copy()
+        for frame in tree.frames:  # Pinocchio looks for frames by name, and a link may have that of a joint
+            if frame.type != pin.FrameType.JOINT:
+                frame.name = f"{frame.name} {frame.type}"
         lock = [k for k in range(1, tree.njoints) if tree.names[k] not in self.robot.names]
         reduced = pin.buildReducedModel(tree, lock, pin.neutral(tree))
         return {name: reduced.inertias[reduced.getJointId(name)] for name in self.robot.names}

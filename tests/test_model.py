@@ -335,3 +335,16 @@ def test_a_coefficients_name_says_where_what_and_on_what_it_depends() -> None:
         Coefficient("joint_1", "yaw", Basis("power", ("joint_1",), (0.0, 1.0, 2.0))),
     )).names  # fmt: skip
     assert names == ("joint_2.pitch", "world_base[b].x", "joint_3.axis:gravity_torque", "joint_1.yaw:joint_1^2")
+
+
+def test_a_link_may_have_the_name_of_a_joint():
+    robot = robots.random_robot(11)
+    urdf = robot.urdf.replace(b'"plate_fixed"', b'"plate"').replace(b'"branch_joint"', b'"branch"')
+    q = robots.readings(robot, 5, np.random.default_rng(0))
+    for got, expected in zip(*(nominal(r, q) for r in (parse_robot(urdf, "tip"), robot)), strict=True):
+        np.testing.assert_array_equal(got, expected)
+
+
+def nominal(robot: Robot, q: np.ndarray) -> tuple[np.ndarray, ...]:
+    model = Model(robot, ())
+    return *model.poses(np.zeros(0), model.rows(q)), gravity_loads(robot, q, np.array([1.0, 2.0, -9.81]))
