@@ -136,7 +136,7 @@ def large(console: Console) -> None:
         started = time.perf_counter()
         before = resource.getrusage(resource.RUSAGE_CHILDREN)
         done = subprocess.run(
-            [*aridcal, "identify", f"{folder}/campaign.yaml"], check=True, capture_output=True, text=True
+            [*aridcal, "identify", f"{folder}/made/campaign.yaml"], check=True, capture_output=True, text=True
         )
         after = resource.getrusage(resource.RUSAGE_CHILDREN)
     console.print(f"12,000 rows, maps on six joints: {time.perf_counter() - started:.1f} s wall (<= 60), "
