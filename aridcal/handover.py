@@ -20,7 +20,8 @@ from aridcal.robot import Robot, parse_robot
 from aridcal.solver import Data, Fit, Noise, Prior, fit, fit_identifiable, thin
 
 ROWS = 2000  # that an export is fitted to
-MAP_POINTS = 401
+MAP_POINTS = 401  # of a joint's error curve, at least
+PER_WAVE = 24  # points in each wave of a harmonic: linear interpolation is then off by 1 % of it at most
 FIRM = 1e12  # precision of a coefficient that is held, in units of the noise's own
 
 
@@ -219,16 +220,20 @@ def _with_maps(outcome: Outcome) -> Fit | None:
 
 
 def _curves(outcome: Outcome, found: Fit) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Correction of each joint with a curve of its own, over the range seen; shape (points,) each."""
-    robot, m = outcome.robot, outcome.measurements
-    used = ~m.test & ~outcome.outlier
-    seen = robot.positions(m.readings[used])
+    """Correction of each joint with a curve of its own, over the range measured; shape (points,) each."""
+    robot = outcome.robot
+    seen = robot.positions(outcome.measurements.readings)
     curves = {}
     for joint, at in zip(robot.joints, seen.T, strict=True):
         own = [k for k, c in enumerate(found.model.coefficients) if _own(c) and c.where == joint.name]
         if not own:
             continue
-        points = np.linspace(at.min(), at.max(), MAP_POINTS)
+        order = max(
+            (c.basis.numbers[0] for k in own if (c := found.model.coefficients[k]).basis.form in ("sin", "cos")),
+            default=0.0,
+        )
+        count = max(MAP_POINTS, int(PER_WAVE * order * np.ptp(at) / (2.0 * np.pi)) + 1)
+        points = np.linspace(at.min(), at.max(), count)
         phi = np.array([evaluate(found.model.coefficients[k].basis, {joint.name: points}) for k in own])
         curves[joint.name] = points, found.theta[own] @ phi
     return curves

@@ -49,7 +49,7 @@ def wavy(tmp_path_factory: pytest.TempPathFactory) -> tuple[Outcome, Handover, P
     """Wrong constants, a wavy elbow and a shoulder that sags."""
     folder = tmp_path_factory.mktemp("wavy")
     effects = [
-        {"kind": "joint_harmonic", "where": "elbow_joint", "order": [2], "coefficients": [3e-4, 5e-4]},
+        {"kind": "joint_harmonic", "where": "elbow_joint", "order": [2, 101], "coefficients": [3e-4, 5e-4, 2e-4, 1e-4]},
         {"kind": "joint_compliance", "where": "shoulder_lift_joint", "coefficients": 6e-6},
     ]
     wrong = {
