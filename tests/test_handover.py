@@ -19,7 +19,7 @@ from aridcal.handover import Handover, hand_over, write_controllers
 from aridcal.identify import identify
 from aridcal.model import Model
 from aridcal.outcome import Outcome
-from aridcal.report import page
+from aridcal.report import use
 from aridcal.robot import parse_robot
 from aridcal.settings import load_settings
 from aridcal.simulate import Scenario, simulate, write_campaign
@@ -163,7 +163,7 @@ def test_identify_prints_what_controllers_can_be_given(
 
 def test_the_report_states_the_error_of_each_export(wavy: tuple[Outcome, Handover, Path]) -> None:
     outcome, handover, _ = wavy
-    text = page(outcome).partition("What each kind of controller can be given")[2]
+    text = "".join(map(str, use(outcome))).partition("What each kind of controller can be given")[2]
     for export in handover.exports:
         row = re.search(rf"<th[^>]*>{re.escape(export.name)}</th>.*?</tr>", text, re.DOTALL)
         assert row is not None
