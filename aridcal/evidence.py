@@ -282,6 +282,8 @@ def _profiled(explained: float, left: float, count: float) -> float:
 
 
 def _inverse(H: np.ndarray) -> np.ndarray:
+    if not len(H):
+        return H
     S, scale = _scaled(H)
     factor, failed = dpotrf(S, lower=1)
     if failed:

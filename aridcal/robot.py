@@ -237,7 +237,7 @@ def tree_frames(robot: Robot, readings: np.ndarray) -> Iterator[tuple[int, np.nd
     model = robot.tree
     column = {name: k for k, name in enumerate(robot.readings)}
     n = len(readings)
-    base = model.frames[model.getFrameId(robot.base)]
+    base = model.frames[model.getFrameId(robot.base, pin.FrameType.BODY)]
     start = _locked_placement(model, base).inverse()
     upstream, above = set(), base.parentJoint
     while above > 0:  # what moves the base itself moves nothing in the base's frame

@@ -155,7 +155,10 @@ def body_poses(robot: Robot, readings: np.ndarray) -> np.ndarray:
     model = robot.tree
     data = model.createData()
     pin.framesForwardKinematics(model, data, pin.neutral(model))
-    T = np.tile(data.oMf[model.getFrameId(robot.base)].inverse().homogeneous, (len(readings), model.njoints, 1, 1))
+    T = np.tile(
+        data.oMf[model.getFrameId(robot.base, pin.FrameType.BODY)].inverse().homogeneous,
+        (len(readings), model.njoints, 1, 1),
+    )
     for k, _, turned, at in tree_frames(robot, readings):
         T[:, k, :3, :3], T[:, k, :3, 3] = turned, at
     return T

@@ -327,3 +327,13 @@ def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
 def test_a_joint_that_is_not_there_is_named() -> None:
     with pytest.raises(RobotError, match="did you mean 'joint_2'"):
         robots.arid().joint("joint_22")
+
+
+def test_a_joint_may_bear_the_name_of_the_base() -> None:
+    plain = robots.arid().urdf
+    twin = plain.replace(b'"joint_1"', b'"base_link_"').replace(b"base_link", b"arm").replace(b'"arm_"', b'"arm"')
+    both = (parse_robot(plain, "flange", "base_link"), parse_robot(twin, "flange", "arm"))
+    assert both[1].names[0] == both[1].base == "arm"
+    q = np.random.default_rng(0).uniform(-1.0, 1.0, (5, 4))
+    for one, other in zip(*(joint_frames(robot, q) for robot in both), strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-15)
