@@ -169,7 +169,7 @@ def empty_view(seed: int) -> View:
     scene = Scene(blur=rng.uniform(0.3, 1.5), noise=rng.uniform(1, 6), surroundings=rng.uniform(0.1, 0.9))
     kind, seen = seed % KINDS, strip_seen(T)
     scale = INTRINSICS[0] / T[2, 3]
-    if kind == 0:
+    if kind in (0, 5):
         seen = {}
     elif kind == 1:  # rectangles of the fiducials' sizes, anywhere
         seen, patches = {}, []

@@ -19,6 +19,8 @@ TUKEY = 6.0  # residuals beyond so many sigma have no weight
 # With Tukey weights w at Gaussian noise, variance = sigma^2 * TUKEY_VARIANCE * inv(J' w J): E[w] E[psi^2] / E[psi']^2.
 TUKEY_VARIANCE = 0.965
 N_PARAMETERS = 12
+MAX_STEPS = 8
+STILL, MOST = 0.4, 0.75  # a fit is done when its last step was below so many sigma for most of the fiducials
 START_BLUR = 0.7  # [px]
 # Light falls on paper and fiducial alike, so that contrast changes as the paper does; glare spares it. By how much the change
 # may differ from that: a share of it, and some grey levels across half a fiducial.
@@ -117,13 +119,13 @@ class Fits:
 
 
 def fit_outlines(image: np.ndarray, shapes: Shapes, start: Fits | None = None, gross_steps: int = 0) -> Fits:
-    """Fit shift, growth, blur and light of each fiducial by robust least squares: one step of Gauss and Newton, or more.
+    """Fit shift, growth, blur and light of each fiducial by robust least squares.
 
     Args:
         image: Grey levels, shape (height, width).
         shapes: How the fiducials are imaged, as far as known; all of them inside the image.
         start: An earlier fit of the same fiducials.
-        gross_steps: Steps to take first that leave out gross errors only.
+        gross_steps: Steps of Gauss and Newton to take first that leave out gross errors only.
 
     Returns:
         The fits. A fiducial that is not there shows by its contrast, noise or edge weight.
@@ -139,7 +141,7 @@ def fit_outlines(image: np.ndarray, shapes: Shapes, start: Fits | None = None, g
         theta[:, :2] = start.centres - shapes.centres
     J = np.empty((N_PARAMETERS, len(pixels.grey)), np.float32)
     J[4], J[5:7] = 1, pixels.d.T / spread(reach)
-    for step in range(gross_steps + 1):
+    for step in range(gross_steps + MAX_STEPS):
         light = spread(theta)
         model, slope = _edges(pixels, shapes, light)
         J[7], J[8:10], J[10:] = model, J[5:7] * model, _beyond_paper(pixels, shapes, light)
@@ -174,9 +176,12 @@ def fit_outlines(image: np.ndarray, shapes: Shapes, start: Fits | None = None, g
         theta += change
         theta[:, 2] = np.clip(theta[:, 2], -0.3 * reach, 0.3 * reach)
         theta[:, 3] = np.clip(theta[:, 3], -0.01, (0.6 * reach) ** 2)
+        inverse = np.linalg.inv(A) / (unit[:, :, None] * unit[:, None, :])
+        moved = np.abs(change[:, :4]) / (noise[:, None] * np.sqrt(np.einsum("fii->fi", inverse)[:, :4]) + 1e-6)
+        if not gross and np.quantile(np.max(moved, axis=1), MOST) < STILL:
+            break
     pooled = float(np.median(noise))
     sigma = np.where(noise < 1.3 * pooled, pooled, noise)
-    inverse = np.linalg.inv(A) / (unit[:, :, None] * unit[:, None, :])
     inverse *= TUKEY_VARIANCE * sigma[:, None, None] ** 2
     rim = np.abs(pixels.depth) < 1.5
     edge_weight = np.add.reduceat(np.where(rim, w, 0), first) / np.add.reduceat(rim, first)

@@ -202,7 +202,7 @@ def measure_pose(
     covariance = pose.covariance
     unlikely = MISFIT_P if pose.dof > FEW_DOF else FEW_MISFIT_P
     if pose.dof > 0 and chi2.sf(pose.chi2, pose.dof) < unlikely:
-        covariance = covariance * pose.chi2 / pose.dof
+        covariance = covariance * max(1.0, pose.chi2 / pose.dof)  # dof may be next to nothing
     r = pose.range_residuals / sonars.std
     if r @ r > chi2.isf(MISFIT_P, max(len(r), 1)):
         _, J = predict_ranges(pose.T_camera_square, sonars.positions, sonars.measures)
