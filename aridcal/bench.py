@@ -115,6 +115,13 @@ class Active:
             else np.zeros((d, d))
         )
 
+    @property
+    def root(self) -> np.ndarray:
+        """Combinations of its coefficients that are independent beforehand, shape (d, d)."""
+        if not self.effect.smooth:
+            return np.eye(len(self.effect.coefficients))
+        return self.score.tau * kernel_root(self.effect.shape, self.score.kernel)
+
     def columns(self, bench: Bench) -> np.ndarray:
         """Its columns, shape (N, m, d or modes)."""
         return bench.columns(self.effect) @ self.modes

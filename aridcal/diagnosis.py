@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from aridcal.bench import Active, Bench, State, activate, solve_state
 from aridcal.campaign import Campaign
@@ -285,11 +286,12 @@ def _refit(bound: Bound, constants: tuple[Coefficient, ...], state: State, curre
     at = len(constants)
     precision[:at, :at] = np.eye(at) / GAUGE**2
     mean[:at] = [before.get(name, 0.0) for name in model.names[:at]]
+    basis = block_diag(np.eye(at), *(a.root for a in state.active))
     for a in state.active:
         d = len(a.effect.coefficients)
         precision[at : at + d, at : at + d] = a.coefficient_precision
         at += d
-    found = fit(model, bound.data(model), noise, theta, state.weight, Prior(mean, precision))
+    found = fit(model, bound.data(model), noise, theta, state.weight, Prior(mean, precision, basis))
     redundant = {name: why for name, why in geometric.redundant.items() if name not in model.names}
     return replace(found, candidates=geometric.candidates, redundant=redundant)
 

@@ -68,10 +68,18 @@ class Noise:
 
 @dataclass(frozen=True)
 class Prior:
-    """What is believed of the coefficients beforehand: a mean (K,) and a precision (K, K)."""
+    """What is believed of the coefficients beforehand.
+
+    Attributes:
+        mean: Shape (K,).
+        precision: Shape (K, K).
+        basis: Combinations of coefficients, in columns, that are alike in how sure one is of them, shape (K, K): the
+            samples of a smooth function are far too alike themselves to be solved for one by one. None: each its own.
+    """
 
     mean: np.ndarray
     precision: np.ndarray
+    basis: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -182,8 +190,7 @@ def minimise(
     damping, taken = 0.0, 0
     while taken < STEPS and damping < 1e8:
         H, g = _with_prior(here, sigma, theta, prior)
-        diagonal = np.maximum(np.diag(H), 1e-300)
-        step = _solve(H + damping * np.diag(diagonal), g, diagonal)
+        step = _solve(H, g, prior, damping)
         last = float(np.sqrt(max(step @ g, 0.0))) < settled and damping == 0.0
         last |= bool(np.all(np.abs(step) < 1e-13 * (1.0 + np.abs(theta))))
         trial = normal(model, theta + step, data.rows, data.measured, weight, scale)
@@ -199,7 +206,7 @@ def minimise(
         if last:
             break
     H, g = _with_prior(here, sigma, theta, prior)
-    rest = _solve(H, g, np.maximum(np.diag(H), 1e-300))
+    rest = _solve(H, g, prior)
     return _Point(theta, here, sigma, taken, float(np.sqrt(max(rest @ g, 0.0))))
 
 
@@ -237,8 +244,8 @@ def fit(
             break
         weight = flags
     H, _ = _with_prior(point.sums, point.sigma, theta, prior)
+    covariance = _solve(H, np.eye(len(H)), prior)
     diagonal = np.maximum(np.diag(H), 1e-300)
-    covariance = _solve(H, np.eye(len(H)), diagonal)
     correlation = H / np.sqrt(diagonal) / np.sqrt(diagonal)[:, None]
     condition = float(np.sqrt(np.linalg.cond(correlation))) if len(H) else 1.0
     return Fit(
@@ -331,16 +338,18 @@ def _cost(r: np.ndarray, weight: np.ndarray, sigma: Sigma, theta: np.ndarray, pr
     return value
 
 
-def _solve(H: np.ndarray, b: np.ndarray, diagonal: np.ndarray) -> np.ndarray:
-    """H^-1 b with the coefficients scaled to unit diagonal, so that metres and radians do not upset the rank."""
-    scale = 1.0 / np.sqrt(diagonal)
-    S = H * np.outer(scale, scale)
-    scale_b = scale if b.ndim == 1 else scale[:, None]
+def _solve(H: np.ndarray, b: np.ndarray, prior: Prior | None, damping: float = 0.0) -> np.ndarray:
+    """H^-1 b in the prior's basis, scaled to unit diagonal, so that metres and radians do not upset the rank."""
+    B = np.eye(len(H)) if prior is None or prior.basis is None else prior.basis
+    H = B.T @ H @ B
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(H), 1e-300))
+    S = H * scale * scale[:, None] + damping * np.eye(len(H))
+    scaled_b = ((B.T @ b).T * scale).T
     try:
-        x = cho_solve(cho_factor(S), b * scale_b)
+        x = cho_solve(cho_factor(S), scaled_b)
     except LinAlgError:
-        x = np.linalg.lstsq(S, b * scale_b, rcond=1e-13)[0]
-    return np.asarray(x * scale_b)
+        x = np.linalg.lstsq(S, scaled_b, rcond=1e-13)[0]
+    return np.asarray(B @ (x.T * scale).T)
 
 
 def _estimate(sums: Normal, sigma: Sigma, prior: Prior | None) -> Sigma:
@@ -349,7 +358,7 @@ def _estimate(sums: Normal, sigma: Sigma, prior: Prior | None) -> Sigma:
     H = sums.hessian(sigma)
     if prior is not None:
         H = H + prior.precision
-    inverse = _solve(H, np.eye(len(H)), np.maximum(np.diag(H), 1e-300))
+    inverse = _solve(H, np.eye(len(H)), prior)
     values = []
     parts = ((slice(0, 3), sums.hessian_position, sigma.position), (slice(3, 6), sums.hessian_rotation, sigma.rotation))
     for part, hessian, scale in parts:
