@@ -163,8 +163,10 @@ def fit_outlines(image: np.ndarray, shapes: Shapes, start: Fits | None = None, g
         A = np.array([Jw[:, part] @ J[:, part].T for part in parts], dtype=float)
         b = np.array([Jw[:, part] @ r[part] for part in parts], dtype=float)
         expected, doubt = np.zeros((2, len(theta), 4))
-        expected[:, :2] = theta[:, 5:7] * (theta[:, 7] / np.maximum(theta[:, 4], 1 + level / 50))[:, None]
-        doubt[:, :2], doubt[:, 2:] = UNEVEN * np.abs(expected[:, :2]) + UNEVEN_STD, LEAK_STD
+        ratio = (theta[:, 7] / np.maximum(theta[:, 4], 1 + level / 50))[:, None]
+        expected[:, :2] = ratio * theta[:, 5:7]  # on dark paper its change is hardly known
+        doubt[:, :2] = UNEVEN * np.abs(expected[:, :2]) + UNEVEN_STD * np.maximum(1, ratio**2)
+        doubt[:, 2:] = LEAK_STD
         prior = (noise[:, None] / doubt) ** 2
         A[:, range(8, 12), range(8, 12)] += prior
         b[:, 8:] -= prior * (theta[:, 8:] - expected)
