@@ -317,6 +317,8 @@ def declared(scene: Scene, declaration: EffectDeclaration, place: str) -> Effect
             and (d.motion is None or set(e.motion) <= set(d.motion))
             and (d.covariates is None or set(e.covariates) <= set(d.covariates))
         ]  # fmt: skip
+        curves = [e for e in found if e.smooth]  # they hold what the others can
+        found = curves or found
         if d.kind == "joint_harmonic":
             found = found[:1]
         if d.kind == "joint_backlash" and d.by is None:
