@@ -14,7 +14,7 @@ DEMO := identification/arid-undeclared
 demo: $(READY)
 	$(BIN)/python -m aridcal.identify $(DEMO)/campaign.yaml
 	@echo
-	@echo "Nobody had told it of the effect that it found. Now open in a browser:"
+	@echo "The campaign did not declare the effect that was found. Now open in a browser:"
 	@echo "  $(CURDIR)/$(DEMO)/results/report.html   the answer, and the reasons for it"
 	@echo "  $(CURDIR)/$(DEMO)/results/scene.html    the robot and its errors in 3D"
 

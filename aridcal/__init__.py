@@ -1,3 +1,37 @@
-"""Robot calibration that explains itself."""
+"""Robot calibration that explains itself.
+
+Example:
+    import aridcal
+
+    campaign = aridcal.propose("ur5.urdf", table)  # a path or a DataFrame; prints what was guessed
+    cal = aridcal.calibrate(campaign)  # or the path of a campaign.yaml
+    cal.errors, cal.effects, cal.parameters  # DataFrames
+    poses = cal.predict(queries)
+    joints = cal.compensate(poses, seed=queries)
+    cal.save("results")
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
 
 __version__ = "0.1.0"
+__all__ = ["AridcalError", "Calibration", "Campaign", "__version__", "calibrate", "load", "propose"]
+
+if TYPE_CHECKING:
+    from aridcal.api import calibrate, load, propose
+    from aridcal.calibration import Calibration
+    from aridcal.errors import AridcalError
+    from aridcal.inputs.campaign import Campaign
+else:
+
+    def __getattr__(name):
+        """Load the face when it is asked for (PEP 562): Pinocchio and pandas would make every command slow to start."""
+        if name not in __all__:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        from aridcal import api
+
+        return getattr(api, name)
+
+    def __dir__():
+        return sorted({*globals(), *__all__})

@@ -7,17 +7,17 @@ import sys
 from collections.abc import Sequence
 
 from aridcal import __version__
-from aridcal.commands import run
+from aridcal.command_line import run
 from aridcal.errors import AridcalError, nearest
 
 COMMANDS = {
-    "init": "URDF and measurements in; a campaign to start from out",
-    "identify": "campaign in; calibrated URDF, figures and pictures out",
-    "predict": "where the real target is, for each row of joints",
+    "init": "write a campaign for a URDF and a table of measurements",
+    "identify": "calibrate: from a campaign to a calibrated URDF, a report and a 3D scene",
+    "predict": "poses of the real target for rows of joint readings",
     "compensate": "joint commands that bring the real target to wanted poses",
-    "measure": "camera images and sonar ranges to measured poses",
-    "view": "nominal and calibrated robot in the browser",
-    "simulate": "make a campaign with a known truth",
+    "measure": "measured poses from camera images and sonar ranges",
+    "view": "3D scene of a result in the browser",
+    "simulate": "simulate a campaign with a known truth",
     "doctor": "check this installation",
     "completion": "complete commands with Tab in your shell",
 }
@@ -26,7 +26,7 @@ COMMANDS = {
 USAGE = "\n".join(
     ["usage: aridcal COMMAND …", "", "commands:"]
     + [f"  {command:<11} {job}" for command, job in COMMANDS.items()]
-    + ["", "`aridcal COMMAND --help` tells more; `aridcal --version` tells the version."]
+    + ["", "`aridcal COMMAND --help` explains a command; `aridcal --version` prints the version."]
 )
 
 

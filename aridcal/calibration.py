@@ -1,299 +1,303 @@
-"""The calibrated model as a file: everything needed to predict, compensate and solve again, in one YAML."""
+"""A calibration as Python users have it: figures as DataFrames, poses and joints in the campaign's own dialect."""
 
 from __future__ import annotations
 
-import base64
-import hashlib
-from collections.abc import Mapping
+import json
+import tempfile
+import warnings
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import pinocchio as pin
-import yaml
+import pandas as pd
 
-from aridcal import __version__
-from aridcal.campaign import Campaign, MeasurementSettings
-from aridcal.effects import Basis, Coefficient, Surroundings
-from aridcal.errors import AridcalError, CampaignError, RobotError
-from aridcal.inverse import Arm, Command
-from aridcal.machine import Machine
-from aridcal.model import Frames, Model
-from aridcal.quality import joint_kinds, joint_limits
-from aridcal.robot import parse_robot
-from aridcal.settings import MAX_BYTES, decode, parse_settings, read_bytes, refuse_tricks
+from aridcal.errors import AridcalError, MeasurementError
+from aridcal.files import atomic_file
+from aridcal.identify import VERDICTS
+from aridcal.inputs.query import Query
+from aridcal.inputs.tables import AnyTable, read_tables
+from aridcal.report.html import tag
+from aridcal.report.page import write_report
+from aridcal.report.scene import scene, write_scene
+from aridcal.result.as_tables import effect_table, error_table, parameter_table, verification_table
+from aridcal.result.compensate import compensate
+from aridcal.result.controllers import hand_over
+from aridcal.result.folder import result_document
+from aridcal.result.outcome import Outcome
+from aridcal.result.pipeline import score
+from aridcal.result.predict import predict, read_query
+from aridcal.result.saved_model import SavedModel
+from aridcal.result_folder import write_folder
+from aridcal.showing import Page, working
 
-# libyaml where PyYAML was built with it: a covariance of a hundred coefficients is ten thousand numbers.
-Loader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-Dumper: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
+SHOWN_REMARKS = 5
+"""Remarks that are shown: notices of a calibration, rows that a warning names."""
 
-LAYOUT = "lower triangle row by row, float64, little endian, base64"
+HEADLINE = ("position_rms_mm", "position_p95_mm", "position_max_mm", "rotation_rms_mrad")
+"""Errors that a calibration shows of itself."""
 
-
-class _Block(str):
-    """Text that is written as a readable block."""
-
-
-Dumper.add_representer(
-    _Block, lambda dumper, text: dumper.represent_scalar("tag:yaml.org,2002:str", str(text), style="|")
-)
-
-
-@dataclass(frozen=True)
-class SolvedModel:
-    """A model with its coefficients: theta (K,) and covariance (K, K)."""
-
-    model: Model
-    theta: np.ndarray
-    covariance: np.ndarray
-
-    def poses(
-        self,
-        readings: np.ndarray,
-        covariates: Mapping[str, np.ndarray] | None = None,
-        station: np.ndarray | None = None,
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Predict the target: T_world_target for N configurations.
-
-        Args:
-            readings: Shape (N, columns) in the order of ``model.robot.readings``, [rad] or [m].
-            covariates: Columns that the effects depend on, each of shape (N,).
-            station: Label of each row; needed where a frame is per station.
-
-        Returns:
-            Rotations (N, 3, 3) and positions (N, 3) in [m].
-
-        Raises:
-            CovariateNotFound: an effect depends on a column that is not there.
-            MeasurementError: a row's station is none of those that were calibrated.
-        """
-        return self.model.poses(self.theta, self.model.rows(readings, covariates, station))
+DECIMALS = "{:.3f}".format
+"""How errors are shown, to 1 µm and 1 µrad."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False, eq=False)
 class Calibration:
-    """What `calibration.yaml` holds.
+    """A calibrated robot: what was found, how good it is, and its use.
+
+    Tables come and go as the campaign's own do: its columns, units and orientation.
 
     Attributes:
-        geometric: Frames and constants: the best URDF by itself.
-        final: The same with every accepted effect; right as a whole.
-        kind: ``pose`` or ``position``.
-        gravity: As in the campaign: a vector in the base frame, or ``world``.
-        noise: Per axis, [m] and [rad].
-        ranges: Lowest and highest value seen of every joint column and covariate that the model depends on.
-        record: What the file says besides: options, data, versions.
+        model: The model behind it, for arrays and for streams of commands; all that ``calibration.yaml`` holds.
+        outcome: Everything behind the figures, row by row; None of a calibration that was loaded.
+        folder: Where it was loaded from; None of one that was not.
     """
 
-    geometric: SolvedModel
-    final: SolvedModel
-    kind: str
-    gravity: tuple[float, float, float] | str
-    noise: tuple[float, float]
-    ranges: dict[str, tuple[float, float]]
-    record: dict[str, Any]
-
-    @property
-    def measurements(self) -> MeasurementSettings:
-        """Columns and units of the campaign's tables; those of FORMATS, in SI, if the record has no campaign."""
-        text = self.record.get("campaign")
-        settings = parse_settings(text, Path("campaign.yaml"), Campaign).measurements if text else MeasurementSettings()
-        return settings.model_copy(update={"kind": self.kind})
-
-    @classmethod
-    def load(cls, path: str | Path) -> Calibration:
-        """Read `calibration.yaml`, or that of a result folder.
-
-        Raises:
-            AridcalError: it is not there, is hostile, or is not a calibration of this format.
-        """
-        path = Path(path)
-        path = path / "calibration.yaml" if path.is_dir() else path
-        if not path.exists():
-            raise CampaignError(f"{path}: there is no such file; `aridcal identify campaign.yaml` writes one")
-        content = read_bytes(path, CampaignError)
-        if len(content) > MAX_BYTES:
-            raise CampaignError(f"{path}: {len(content) / 1e6:.0f} MB is too large for a calibration")
-        try:
-            text = decode(content, path, CampaignError)
-            refuse_tricks(text, path)
-            return _parse(yaml.load(text, Loader=Loader))
-        except RobotError as error:
-            raise CampaignError(f"{path}: the robot in it: {error}") from None
-        except AridcalError:
-            raise
-        except (yaml.YAMLError, KeyError, TypeError, ValueError) as error:
-            raise CampaignError(
-                f"{path}: not a calibration that this version wrote ({type(error).__name__}: {error}). "
-                "Run aridcal.identify again."
-            ) from None
-
-    def command(
-        self,
-        pose: np.ndarray,
-        seed: np.ndarray,
-        covariates: Mapping[str, float] | None = None,
-        station: str | None = None,
-    ) -> Command:
-        """Find the joint readings that bring the real target to a wanted pose, fast enough for a stream of them.
-
-        Args:
-            pose: T_world_target, shape (4, 4), [m]; of a calibration from positions only its last column counts.
-            seed: Readings to start from, shape (columns,) in the order of ``final.model.robot.readings``, [rad] or [m]:
-                what the controller's own inverse kinematics says, or the command before.
-            covariates: What the effects depend on beside the joints, temperature or ``JOINT_direction`` for instance.
-            station: Label of the frames, where they are per station.
-
-        Returns:
-            The readings, what the model still misses with them, and whether the pose is reached.
-
-        Raises:
-            CovariateNotFound: an effect depends on something that is not given.
-            MeasurementError: the station is none of those that were calibrated.
-        """
-        pose = np.asarray(pose, dtype=float)
-        return self.arm(station).command(pose[:3, :3], pose[:3, 3], np.asarray(seed, dtype=float), covariates or {})
-
-    def arm(self, station: str | None = None) -> Arm:
-        """The machine to be commanded; made once for each station."""
-        if station not in self._arms:
-            robot = self.final.model.robot
-            low, high = joint_limits(robot).T
-            turning = np.array([kind != "prismatic" for kind in joint_kinds(robot)])
-            machine = Machine(self.final.model, self.final.theta, station)
-            self._arms[station] = Arm(machine, low, high, turning, self.kind == "pose", self.noise)
-        return self._arms[station]
+    model: SavedModel
+    outcome: Outcome | None = None
+    folder: Path | None = None
 
     @cached_property
-    def _arms(self) -> dict[str | None, Arm]:
-        return {}
+    def result(self) -> dict[str, Any]:
+        """All figures, as ``result.json`` holds them (docs/formats.md).
 
-    def dump(self) -> str:
-        """The file's text."""
-        robot = self.final.model.robot
-        encoding = _encoding(robot.urdf)
-        document = {
-            "format": 1,
-            "aridcal": __version__,
-            "kind": self.kind,
-            "robot": {
-                "base": robot.base,
-                "tip": robot.tip,
-                "gravity": self.gravity if isinstance(self.gravity, str) else list(self.gravity),
-                "urdf_name": robot.path.name,
-                "urdf_sha256": hashlib.sha256(robot.urdf).hexdigest(),
-                "urdf_encoding": encoding,
-                "urdf": _Block(robot.urdf.decode(encoding)),
-            },
-            "noise": {"position": self.noise[0], "rotation": self.noise[1]},
-            "ranges": {name: list(pair) for name, pair in self.ranges.items()},
-            "geometric": _solved_document(self.geometric),
-            "final": _solved_document(self.final),
-            **self.record,
-        }
-        return str(yaml.dump(document, Dumper=Dumper, sort_keys=False, allow_unicode=True, width=110))
+        Raises:
+            AridcalError: of a loaded ``calibration.yaml`` without its ``result.json``.
+        """
+        if self.outcome is not None:
+            return result_document(self.outcome)
+        text = self._beside("result.json", "the figures are").read_text("utf-8")
+        try:
+            return dict(json.loads(text))
+        except ValueError as error:
+            raise AridcalError(f"{self.folder}: result.json cannot be read: {error}. Run identify again") from None
 
+    @property
+    def errors(self) -> pd.DataFrame:
+        """Error of the target, [mm] and [mrad]: a row for each model and part of the rows (train, test, test_all)."""
+        return error_table(self.result)
 
-def frames_document(frames: Frames) -> list[dict[str, Any]]:
-    """Frames as plain data: xyz [m] and quaternion (xyzw), with the station's label."""
-    return [
-        {"station": label, "xyz": _floats(f.translation), "quaternion": _floats(pin.Quaternion(f.rotation).coeffs())}
-        for label, f in frames
-    ]
+    @property
+    def effects(self) -> pd.DataFrame:
+        """What the model holds beyond geometry, the largest gain first; before and after are on held-out rows."""
+        return effect_table(self.result)
 
+    @property
+    def parameters(self) -> pd.DataFrame:
+        """Frames and corrections of the nominal constants by name, lengths in [mm] and angles in [mrad]."""
+        return parameter_table(self.result)
 
-def _solved_document(solved: SolvedModel) -> dict[str, Any]:
-    model = solved.model
-    std = np.sqrt(np.maximum(np.diag(solved.covariance), 0.0))
-    return {
-        "world_base": frames_document(model.world_base),
-        "tip_target": frames_document(model.tip_target),
-        "loads": {"gravity": model.around.gravity.tolist(), "payload_at": model.around.lever.tolist()},
-        "coefficients": [
-            {
-                "name": c.name,
-                "where": c.where,
-                "component": c.component,
-                "basis": {"form": c.basis.form, "of": list(c.basis.of), "numbers": _floats(c.basis.numbers)},
-                "station": c.station,
-                "value": float(solved.theta[k]),
-                "std": float(std[k]),
-            }
-            for k, c in enumerate(model.coefficients)
-        ],
-        "covariance": {"layout": LAYOUT, "data": _packed(solved.covariance)},
-    }
+    def predict(self, queries: AnyTable) -> pd.DataFrame:
+        """Tell where the real target is for each row of joint readings.
 
+        Args:
+            queries: A column for each joint and each covariate that an effect depends on.
 
-def _parse(document: Any) -> Calibration:
-    if not isinstance(document, Mapping) or document.get("format") != 1:
-        raise ValueError("`format: 1` expected on top")
-    about = document["robot"]
-    robot = parse_robot(
-        about["urdf"].encode(about["urdf_encoding"]), about["tip"], about["base"], Path(about["urdf_name"])
-    )
-    known = ("format", "aridcal", "kind", "robot", "noise", "ranges", "geometric", "final")
+        Returns:
+            The same rows and columns with the target's pose, and ``extrapolates``: outside what the calibration saw.
 
-    def solved(part: Mapping[str, Any]) -> SolvedModel:
-        entries = part["coefficients"]
-        coefficients = tuple(
-            Coefficient(
-                e["where"],
-                e["component"],
-                Basis(e["basis"]["form"], tuple(e["basis"]["of"]), tuple(e["basis"]["numbers"])),
-                e["station"],
-            )
-            for e in entries
+        Raises:
+            AridcalError: a column is missing, or no row can be predicted.
+        """
+        query = read_query(self.model, queries)
+        _warn(query)
+        return _with_numbers(predict(self.model, query))
+
+    def compensate(self, poses: AnyTable, seed: AnyTable | None = None) -> pd.DataFrame:
+        """Find the joints that bring the real target to each of the wanted poses.
+
+        Args:
+            poses: A row for each pose; its columns of joints, if it has any, are where to start.
+            seed: Rows whose joints are where to start instead: the controller's own solution, for instance.
+
+        Returns:
+            The same rows and columns with the joints, ``reached``, ``position_error`` (and ``rotation_error``) in the
+            campaign's units, and ``extrapolates``.
+
+        Raises:
+            AridcalError: a column is missing, two orientations disagree, or no row can be commanded.
+        """
+        query = read_query(self.model, poses if seed is None else self._seeded(poses, seed), poses=True)
+        _warn(query)
+        return _with_numbers(compensate(self.model, query))
+
+    def verify(self, measurements: AnyTable) -> Verified:
+        """Score another day's measurements with the models as they are, and with both frames fitted anew.
+
+        Args:
+            measurements: In the columns and units of the campaign's own.
+
+        Raises:
+            AridcalError: the table needs mending, or this calibration was loaded.
+        """
+        with working() as progress:
+            progress("scoring")
+            found = score(self._with_data("verify"), measurements)
+        outliers = int(found.outlier.sum())
+        return Verified(found.file, len(found.measurements), outliers, verification_table(found))
+
+    def report(self, path: str | Path | None = None) -> Page:
+        """The report: the answer, and the reasons for it. A notebook shows it; with a path it is saved as well."""
+        return self._page(
+            "report.html", lambda outcome, target: write_report(outcome, hand_over(outcome), target), path
         )
-        around = Surroundings(*(np.array(part["loads"][key], dtype=float) for key in ("gravity", "payload_at")))
-        model = Model(robot, coefficients, _frames(part["world_base"]), _frames(part["tip_target"]), around)
-        count = len(entries)
-        covariance = _unpacked(part["covariance"]["data"], count)
-        theta = np.array([e["value"] for e in entries], dtype=float)
-        if not np.isfinite(theta).all():
-            raise ValueError("a coefficient is not finite")
-        return SolvedModel(model, theta, covariance)
 
-    gravity = about["gravity"]
-    if document["kind"] not in ("pose", "position"):
-        raise ValueError(f"kind: {document['kind']!r} is neither pose nor position")
-    return Calibration(
-        solved(document["geometric"]),
-        solved(document["final"]),
-        document["kind"],
-        gravity if isinstance(gravity, str) else tuple(gravity),
-        (document["noise"]["position"], document["noise"]["rotation"]),
-        {name: (pair[0], pair[1]) for name, pair in document["ranges"].items()},
-        {key: value for key, value in document.items() if key not in known},
-    )
+    def scene(self, path: str | Path | None = None) -> Page:
+        """The robot and its errors in 3D. A notebook shows it; with a path it is saved as well."""
+        return self._page("scene.html", lambda outcome, target: write_scene(scene(outcome), target), path)
+
+    def save(self, folder: str | Path) -> None:
+        """Write the result folder that ``aridcal identify`` writes: all its files, or none.
+
+        Raises:
+            AridcalError: the folder cannot be written, or this calibration was loaded.
+        """
+        outcome = self._with_data("save")
+        with working() as progress:
+            progress("writing the results")
+            write_folder(outcome, Path(folder))
+
+    def __repr__(self) -> str:
+        if not self._has_figures:
+            return self._title
+        return "\n".join([self._title, self._headline.to_string(float_format=DECIMALS), *self._remarks])
+
+    def _repr_html_(self) -> str:
+        title = tag("p", tag("b", self._title))
+        if not self._has_figures:
+            return title
+        table = self._headline.to_html(float_format=DECIMALS, border=0)
+        remarks = "".join(tag("div", remark) for remark in self._remarks)
+        return f"{title}{table}{remarks}"
+
+    @property
+    def _title(self) -> str:
+        robot = self.model.final.model.robot.tree.name
+        if not self._has_figures:
+            return f"Calibration of {robot}: the model alone, without its figures"
+        n = self.result["n"]
+        scored = f"{n['test']} held-out rows" if n["test"] else f"the {n['train']} rows that were fitted"
+        return f"Calibration of {robot}: error on {scored}"
+
+    @property
+    def _has_figures(self) -> bool:
+        return self.folder is None or (self.folder / "result.json").is_file()
+
+    @property
+    def _headline(self) -> pd.DataFrame:
+        """Each model's error on the rows that count: those held out, if there are any."""
+        part = "test" if self.result["n"]["test"] else "train"
+        return _headline(self.errors[self.errors.index.get_level_values("rows") == part].droplevel("rows"))
+
+    @property
+    def _remarks(self) -> list[str]:
+        """What the table of errors does not say."""
+        verdict = self.result["verdict"]
+        effects = ", ".join(f"{effect['kind']} at {effect['where']}" for effect in self.result["effects"])
+        notices = [f"note: {notice}" for notice in self.result["notices"][:SHOWN_REMARKS]]
+        return [f"effects: {effects or 'none'}", f"verdict: {verdict}: {VERDICTS[verdict]}", *notices]
+
+    def _seeded(self, poses: AnyTable, seed: AnyTable) -> pd.DataFrame:
+        """Poses with the joints of other rows, as many as there are poses."""
+        names = self.model.measurements.columns
+        joints = [names.get(joint, joint) for joint in self.model.final.model.robot.readings]
+        start = read_tables([seed])
+        start.require(joints, "`seed` has a column for each joint")
+        wanted, rows = _frame(poses), start.frame()
+        if len(rows) != len(wanted):
+            raise MeasurementError(
+                f"{start.title}: {len(rows)} rows of seeds for {len(wanted)} poses: give one for each"
+            )
+        return wanted.assign(**{joint: rows[joint].to_numpy() for joint in joints})
+
+    def _page(self, name: str, write: Callable[[Outcome, Path], Any], path: str | Path | None) -> Page:
+        """A page made anew, or of a loaded calibration the folder's own."""
+        if self.outcome is None:
+            source = self._beside(name, f"{name} is").read_text("utf-8")
+        else:
+            with working() as progress, tempfile.TemporaryDirectory() as folder:
+                progress(f"drawing {name}")
+                write(self.outcome, Path(folder) / name)
+                source = (Path(folder) / name).read_text("utf-8")
+        if path is not None:
+            with atomic_file(Path(path)) as stage:
+                stage.write_text(source, encoding="utf-8", newline="\n")
+        return Page(f"{name.removesuffix('.html')} of {self.model.final.model.robot.tree.name}", source)
+
+    def _beside(self, name: str, what: str) -> Path:
+        """A file of the folder from which the calibration was loaded."""
+        path = (self.folder or Path()) / name
+        if not path.is_file():
+            raise AridcalError(
+                f"{path}: there is no such file: {what} not in calibration.yaml. Load the whole result folder, or "
+                "calibrate again"
+            )
+        return path
+
+    def _with_data(self, what: str) -> Outcome:
+        """What was found, with the measurements behind it."""
+        if self.outcome is None:
+            raise AridcalError(
+                f"{self.folder}: `{what}` needs the measurements behind a calibration, and this one was loaded: "
+                f"`aridcal.calibrate(campaign)` has them"
+            )
+        return self.outcome
 
 
-def _frames(entries: list[dict[str, Any]]) -> Frames:
-    return tuple(
-        (e["station"], pin.SE3(pin.Quaternion(np.array(e["quaternion"])).matrix(), np.array(e["xyz"]))) for e in entries
-    )
+@dataclass(frozen=True, repr=False, eq=False)
+class Verified:
+    """Another day's measurements, scored with models that have never seen them.
+
+    Attributes:
+        file: Where they came from.
+        rows: How many.
+        outliers: How many of them were left out: grossly off even with the frames fitted anew.
+        errors: Of each model, and of the last with both frames fitted anew (``realigned``), [mm] and [mrad].
+    """
+
+    file: str
+    rows: int
+    outliers: int
+    errors: pd.DataFrame
+
+    def __repr__(self) -> str:
+        return f"{self._title}\n{_headline(self.errors).to_string(float_format=DECIMALS)}"
+
+    def _repr_html_(self) -> str:
+        return f"{tag('p', self._title)}{_headline(self.errors).to_html(float_format=DECIMALS, border=0)}"
+
+    @property
+    def _title(self) -> str:
+        left_out = f", {self.outliers} gross outliers left out" if self.outliers else ""
+        return f"{self.file}: {self.rows} rows of another day{left_out}"
 
 
-def _packed(covariance: np.ndarray) -> str:
-    lower = covariance[np.tril_indices(len(covariance))]
-    return base64.b64encode(lower.astype("<f8").tobytes()).decode("ascii")
+def _headline(table: pd.DataFrame) -> pd.DataFrame:
+    """The columns of a table of errors that fit on a screen."""
+    names = [name for name in HEADLINE if name in table]
+    return table[names].rename_axis(None)
 
 
-def _unpacked(data: str, count: int) -> np.ndarray:
-    covariance = np.zeros((count, count))
-    covariance[np.tril_indices(count)] = np.frombuffer(base64.b64decode(data), dtype="<f8")
-    return covariance + np.tril(covariance, -1).T
+def _frame(table: AnyTable) -> pd.DataFrame:
+    return table if isinstance(table, pd.DataFrame) else read_tables([table]).frame()
 
 
-def _encoding(urdf: bytes) -> str:
-    """utf-8 where that gives the bytes back, else latin-1, which always does."""
-    try:
-        urdf.decode("utf-8")
-    except UnicodeDecodeError:
-        return "latin-1"
-    return "utf-8"
+def _with_numbers(table: pd.DataFrame) -> pd.DataFrame:
+    """A table that was read from csv, its columns of numbers made numbers."""
+    for name in table.select_dtypes(["object", "str"]):
+        try:
+            table[name] = pd.to_numeric(table[name])
+        except (ValueError, TypeError):
+            continue
+    return table
 
 
-def _floats(values: Any) -> list[float]:
-    return [float(v) for v in values]
+def _warn(query: Query) -> None:
+    """Say which rows have no answer, and which have an odd one."""
+    odd = [remark for remark in query.notices if remark.row is not None]
+    remarks = [str(remark) for remark in (*query.refused, *odd)]
+    if len(remarks) > SHOWN_REMARKS:
+        remarks[SHOWN_REMARKS:] = [f"and {len(remarks) - SHOWN_REMARKS} more remarks"]
+    if remarks:
+        warnings.warn("\n".join(remarks), stacklevel=3)

@@ -1,6 +1,6 @@
-"""Print what makes a shell complete commands, options and file names after Tab.
+"""Print a script for your shell: it completes commands, options and file names after Tab.
 
-bash reads it from the folder below; zsh from a file `_aridcal` in a folder of $fpath; tcsh sources it.
+bash reads it from the folder in the example, zsh from a file `_aridcal` in a folder of $fpath; tcsh sources it.
 
 Example:
     aridcal completion bash > ~/.local/share/bash-completion/completions/aridcal
@@ -17,7 +17,7 @@ from pathlib import Path
 import shtab
 
 from aridcal.__main__ import COMMANDS
-from aridcal.commands import CommandParser, command_parser, run
+from aridcal.command_line import CommandParser, command_parser, run
 
 
 def whole_parser() -> argparse.ArgumentParser:

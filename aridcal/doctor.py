@@ -1,6 +1,6 @@
-"""Check an installation: libraries, a small robot calibrated from end to end, places to write, and what is optional.
+"""Check an installation: its libraries, a small robot calibrated from end to end, and places to write.
 
-One line for each check, with the remedy where it fails. Exit status 0 if all is well, 2 if something needed is not.
+One line for each check, with the remedy where it fails. Exit status 0 if all required checks pass, else 2.
 
 Example:
     aridcal doctor
@@ -23,15 +23,11 @@ from pathlib import Path
 from rich.console import Console
 
 from aridcal import __version__
-from aridcal.commands import CommandParser, check_writable, command_parser, run
+from aridcal.command_line import CommandParser, command_parser, run
 from aridcal.errors import AridcalError
+from aridcal.files import check_writable
 
-IMPORTED_AS = {
-    "opencv-python-headless": "cv2",
-    "pin": "pinocchio",
-    "pycollada": "collada",
-    "pyyaml": "yaml",
-}
+IMPORTED_AS = {"opencv-python-headless": "cv2", "pin": "pinocchio", "pycollada": "collada", "pyyaml": "yaml"}
 """Distributions whose modules have another name."""
 
 GOOD_ENOUGH = 2.0  # times the noise that a sound calibration may leave
@@ -138,20 +134,19 @@ def _attempt(what: str, look: Callable[[], Check]) -> Check:
     try:
         return look()
     except Exception as error:
-        remedy = "mend what is wrong above; if all else is well, report this line"
+        remedy = "mend what fails above; if all else passes, report this line"
         return Check(what, f"failed: {type(error).__name__}: {error}", remedy)
 
 
 def _round_trip() -> Check:
     """Simulate a small wrong robot, calibrate it, write all results, and see whether it came out right."""
-    from aridcal.calibration import Calibration
-    from aridcal.export import write_results
-    from aridcal.identify import identify, scene
-    from aridcal.outcome import errors
-    from aridcal.report import write_report
-    from aridcal.scene import write_scene
-    from aridcal.settings import load_settings
-    from aridcal.simulate import Scenario, simulate, write_campaign
+    from aridcal.inputs.yaml_file import load_settings
+    from aridcal.prepare.scenario import Scenario
+    from aridcal.prepare.simulation import simulate, write_campaign
+    from aridcal.result.key_figures import rms_position
+    from aridcal.result.pipeline import identify
+    from aridcal.result.saved_model import SavedModel
+    from aridcal.result_folder import write_folder
 
     started = time.perf_counter()
     with tempfile.TemporaryDirectory() as folder:
@@ -160,12 +155,10 @@ def _round_trip() -> Check:
         (home / "scenario.yaml").write_text(SCENARIO)
         write_campaign(simulate(load_settings(home / "scenario.yaml", Scenario)), home, home)
         outcome = identify(home / "campaign.yaml")
-        write_results(outcome, home)
-        write_report(outcome, home / "report.html")
-        write_scene(scene(outcome), home / "scene.html")
-        Calibration.load(home / "calibration.yaml")
+        write_folder(outcome, home / "results")
+        SavedModel.load(home / "results")
     test = outcome.parts()["test"]
-    before, after = (errors(s.residual, test)["position_mm"]["rms"] for s in (outcome.stages[0], outcome.stages[-1]))
+    before, after = (rms_position(s.residual, test) for s in (outcome.stages[0], outcome.stages[-1]))
     said = f"{before:.2f} mm before, {after:.2f} mm calibrated (noise 0.17), {time.perf_counter() - started:.1f} s"
     wrong = after > GOOD_ENOUGH * 0.1 * 3**0.5
     return Check("round trip", said, "this is a bug: report it with these lines" if wrong else "")
@@ -177,7 +170,7 @@ def _writable(folder: Path, remedy: str) -> Check:
     except AridcalError as error:
         return Check("writing", str(error), remedy)
     room = shutil.disk_usage(folder).free / 1e6
-    return Check("writing", f"{folder}, {room:.0f} MB free", "make room" if room < 50 else "")
+    return Check("writing", f"{folder}, {room:.0f} MB free", "free some disk space" if room < 50 else "")
 
 
 def parser() -> CommandParser:
@@ -210,7 +203,7 @@ def _main() -> None:
         console.print(said, highlight=False, markup=False, soft_wrap=True)
     if bad:
         raise AridcalError(f"{bad} of these checks failed")
-    console.print("all is well. next: aridcal init --urdf robot.urdf --measurements table.csv", highlight=False)
+    console.print("all checks passed. next: aridcal init --urdf robot.urdf --measurements table.csv", highlight=False)
 
 
 if __name__ == "__main__":

@@ -31,12 +31,12 @@ class OutputError(AridcalError):
 
 
 class NotIdentifiable(AridcalError):
-    """Some coefficients cannot be told apart with these measurements."""
+    """Some coefficients are confounded in these measurements."""
 
     def __init__(self, groups: Sequence[Sequence[str]]) -> None:
         self.groups = groups
         mixed = "; ".join(" with ".join(names) for names in groups)
-        super().__init__(f"cannot tell apart: {mixed}. Fix one of each, or measure poses that separate them.")
+        super().__init__(f"confounded: {mixed}. Fix one of each, or measure poses that separate them.")
 
 
 def nearest(name: str, known: Iterable[str]) -> str:

@@ -1,10 +1,7 @@
-"""Look at a calibration: the result folder's scene, in the browser.
+"""Show the 3D scene of a result folder in the browser.
 
-The page is ``DIR/scene.html``, meshcat's viewer with the whole scene in it (see :mod:`aridcal.scene`), served to this
-computer only until Ctrl-C; reload it after another run of identify. Meshcat's own server is left out on purpose: it is
-a second process in a session of its own, which outlives a killed parent, and its page knows nothing of the panel. Here
-the command itself is the server, so nothing can be left behind. Over ssh, forward the port that is printed, or copy
-``scene.html`` and open it: it needs neither server nor network.
+The page is DIR/scene.html, served to this computer only, until Ctrl-C; reload it after another run of identify. Over ssh,
+forward the port that is printed, or copy scene.html and open it: it needs neither server nor network.
 
 Example:
     aridcal view results
@@ -21,8 +18,11 @@ from pathlib import Path
 
 from rich.console import Console
 
-from aridcal.commands import CommandParser, command_parser, run
+from aridcal.command_line import CommandParser, command_parser, run
 from aridcal.errors import OutputError
+
+# Meshcat's own server is left out on purpose: it is a second process in a session of its own, which outlives a killed
+# parent, and its page knows nothing of the panel. Here the command itself is the server, so nothing can be left behind.
 
 
 def serve(scene: Path, port: int = 0) -> ThreadingHTTPServer:
@@ -63,15 +63,15 @@ def scene_file(folder: Path) -> Path:
     """
     path = folder if folder.suffix == ".html" else folder / "scene.html"
     if not path.is_file():
-        what = "is no result folder: there is no scene.html in it" if folder.is_dir() else "does not exist"
-        raise OutputError(f"{folder} {what}. Run aridcal.identify first and give the folder that it wrote.")
+        what = "is not a result folder: there is no scene.html in it" if folder.is_dir() else "does not exist"
+        raise OutputError(f"{folder} {what}. Run `aridcal identify` first and give the folder that it wrote.")
     return path
 
 
 def parser() -> CommandParser:
     """The command's arguments."""
     arguments = command_parser("view", __doc__)
-    arguments.add_argument("folder", type=Path, metavar="DIR", help="a result folder, as written by aridcal.identify")
+    arguments.add_argument("folder", type=Path, metavar="DIR", help="a result folder, as written by `aridcal identify`")
     return arguments
 
 

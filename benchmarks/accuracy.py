@@ -30,18 +30,19 @@ from rich.console import Console
 from rich.table import Table
 from scipy.spatial.transform import Rotation
 
-from aridcal.campaign import Campaign
-from aridcal.effects import FRAME_COMPONENTS, Coefficient
-from aridcal.geometry import constants, fit_geometry, observations, recentred
-from aridcal.identifiable import identifiable
-from aridcal.identify import identify
-from aridcal.measurements import Measurements
-from aridcal.model import Model
-from aridcal.outcome import errors
-from aridcal.residual import Observations, Sigma, predict_residuals, triangle
-from aridcal.robot import Robot, load_robot
-from aridcal.simulate import draw_readings
-from aridcal.solver import Data, Fit, Noise, fit
+from aridcal.effects.effect import FRAME_COMPONENTS, Coefficient
+from aridcal.fit.constants import constants
+from aridcal.fit.identifiable import identifiable
+from aridcal.fit.least_squares import Fit, fit
+from aridcal.fit.residual import problem, triangle
+from aridcal.fit.stages import fit_geometry, recentred
+from aridcal.inputs.campaign import Campaign
+from aridcal.inputs.dataset import Dataset, dataset
+from aridcal.model.model import Model
+from aridcal.prepare.simulation import draw_readings
+from aridcal.result.outcome import errors
+from aridcal.result.pipeline import identify
+from aridcal.robot.chain import Robot, load_robot
 
 TOP = Path(__file__).resolve().parents[1]
 SHARED_ROBOTS = Path(pin.__file__).resolve().parents[4] / "share" / "example-robot-data" / "robots"
@@ -71,16 +72,19 @@ def truth_of(robot: Robot, which: str, frames: tuple[pin.SE3, pin.SE3]) -> Model
 
 
 def measure(
-    truth: Model, theta: np.ndarray, readings: np.ndarray, error: np.ndarray, kind: str = "pose"
-) -> Measurements:
-    """What a tracker says of some configurations; errors in world axes, shape (N, 6), [m] and [rad]."""
-    n = len(readings)
+    truth: Model,
+    theta: np.ndarray,
+    readings: np.ndarray,
+    error: np.ndarray | None = None,
+    kind: str = "pose",
+    sigma: tuple[float, ...] = (),
+) -> Dataset:
+    """What a tracker says of some configurations; errors in world axes, shape (N, 6), [m] and [rad], default none."""
+    error = np.zeros((len(readings), 6)) if error is None else error
     R, p = truth.poses(theta, truth.rows(readings))
     turned = Rotation.from_rotvec(error[:, 3:]) * Rotation.from_matrix(R, assume_valid=True)
-    return Measurements(
-        truth.robot.readings, (), "", (), (), np.zeros(n, dtype=int), np.arange(n) + 2, readings, p + error[:, :3],
-        turned.as_quat(canonical=True) if kind == "pose" else None, None, {}, None, np.zeros(n, dtype=bool), True,
-    )  # fmt: skip
+    rotation = turned.as_matrix() if kind == "pose" else None
+    return dataset(truth.robot.readings, truth.robot.kinds, readings, p + error[:, :3], rotation, sigma=sigma)
 
 
 def campaign_of(robot: Robot, which: str, kind: str = "pose", known: tuple[pin.SE3, pin.SE3] | None = None) -> Campaign:
@@ -98,12 +102,8 @@ def campaign_of(robot: Robot, which: str, kind: str = "pose", known: tuple[pin.S
     })  # fmt: skip
 
 
-def solve(campaign: Campaign, robot: Robot, rows: Measurements, noise: Noise) -> Fit:
-    return fit_geometry(campaign, robot, rows, (), noise, np.zeros(len(rows), dtype=bool)).geometric
-
-
-def data_of(model: Model, rows: Measurements) -> Data:
-    return Data(model.rows(rows.readings), observations(rows, "ignore"), np.zeros(len(rows), dtype=bool))
+def solve(campaign: Campaign, robot: Robot, rows: Dataset) -> Fit:
+    return fit_geometry(campaign, robot, rows, ()).geometric
 
 
 def real(console: Console) -> None:
@@ -128,7 +128,7 @@ def real(console: Console) -> None:
         for seed in range(10):
             found = identify(campaign, seed)
             test = found.parts()["test"]
-            e = [errors(found.stage(name).residual, test) for name in ("nominal", "geometric")]
+            e = [errors(found.stage(name).residual, test, found.channels) for name in ("nominal", "geometric")]
             row = [e[k][unit]["rms"] for unit in ("position_mm", "rotation_mrad") for k in (0, 1)]
             figures.append(row)
             number, left_out = sequence[found.measurements.line - 2], found.measurements.test
@@ -152,7 +152,7 @@ def coverage(console: Console, count: int = 400) -> None:
     for head in ("frames", "noise", "coefficients", "inside 2 sigma [%]", "worst coefficient [%]",
                  "sigma/scatter, position", "sigma/scatter, rotation", "dropped coefficients hide [sigma]"):  # fmt: skip
         table.add_column(head, justify="right")
-    for known, noise in ((None, Noise()), (None, Noise(NOISE, NOISE)), (ARID_FRAMES, Noise())):
+    for known, sigma in ((None, ()), (None, (NOISE, NOISE)), (ARID_FRAMES, ())):
         campaign = campaign_of(robot, "doty", known=known)
         inside: dict[str, list[bool]] = {}
         expected, happened, hidden = np.zeros(2), np.zeros(2), 0.0
@@ -161,16 +161,14 @@ def coverage(console: Console, count: int = 400) -> None:
             theta = WRONG * rng.standard_normal(len(truth.coefficients))
             readings = draw_readings(robot, 150, rng)
             error = NOISE * rng.standard_normal((150, 6))
-            found = solve(campaign, robot, measure(truth, theta, readings, error), noise)
-            exact = data_of(found.model, measure(truth, theta, readings, 0 * error))
-            true = fit(found.model, exact, Noise(), found.theta, np.ones(150))
+            found = solve(campaign, robot, measure(truth, theta, readings, error, sigma=sigma))
+            true = fit(problem(found.model, measure(truth, theta, readings)), found.theta, np.ones(150))
             hidden = max(hidden, float(np.abs(true.residual).max()) / NOISE)
             for name, d, std in zip(found.model.names, found.theta - true.theta, found.std, strict=True):
                 inside.setdefault(name, []).append(bool(abs(d) < 2 * std))
-            rows = found.model.rows(query)
-            _, _, J = found.model.jacobian(found.theta, rows)
-            R, p = truth.poses(theta, truth.rows(query))
-            off = predict_residuals(found.model, found.theta, rows, Observations(p, R))
+            unseen = problem(found.model, measure(truth, theta, query))
+            _, _, J = found.model.jacobian(found.theta, unseen.rows)
+            off = unseen.residual(found.theta)
             variance = np.einsum("nik,kl,nil->ni", J, found.covariance, J)
             for k in (0, 1):
                 expected[k] += variance[:, 3 * k : 3 * k + 3].sum()
@@ -180,7 +178,7 @@ def coverage(console: Console, count: int = 400) -> None:
         worst = min(shares, key=lambda name: shares[name])
         ratio = np.sqrt(expected / happened)
         table.add_row(
-            "unknown" if known is None else "known", "declared" if noise.declared_position else "estimated",
+            "unknown" if known is None else "known", "declared" if sigma else "estimated",
             str(len(shares)), f"{pooled:.2f}", f"{shares[worst]:.1f} ({worst}, {len(inside[worst])} fits)",
             f"{ratio[0]:.3f}", f"{ratio[1]:.3f}", f"{hidden:.3f}",
         )  # fmt: skip
@@ -206,10 +204,9 @@ def frames(console: Console, count: int = 100) -> None:
                 truth = truth_of(robot, which, (world, tip))
                 theta = WRONG * rng.standard_normal(len(truth.coefficients))
                 error = NOISE * rng.standard_normal((150, 6))
-                rows = measure(truth, theta, draw_readings(robot, 150, rng), error, kind)
-                found = solve(campaign, robot, rows, Noise(NOISE, NOISE))
-                model = truth.with_coefficients(found.model.coefficients)
-                known = fit(model, data_of(model, rows), Noise(NOISE, NOISE))
+                rows = measure(truth, theta, draw_readings(robot, 150, rng), error, kind, (NOISE, NOISE))
+                found = solve(campaign, robot, rows)
+                known = fit(problem(truth.with_coefficients(found.model.coefficients), rows))
                 off = float(np.abs(found.residual - known.residual).max()) / NOISE
                 worst, same, steps = max(worst, off), same + (off < 0.05), max(steps, found.convergence.steps)
             table.add_row(name, which, kind, f"{same} of {count}", f"{worst:.2g}", str(steps))
@@ -236,10 +233,10 @@ def exact(console: Console) -> None:
         readings = draw_readings(robot, 150, rng)
         campaign = campaign_of(robot, which, known=pair if known else None)
         # Only what can be told apart has a truth that can come back: let the rest be nominal.
-        perfect = measure(truth, np.zeros(len(truth.coefficients)), readings, np.zeros((150, 6)))
-        kept = set(solve(campaign, robot, perfect, Noise()).model.names)
+        perfect = measure(truth, np.zeros(len(truth.coefficients)), readings)
+        kept = set(solve(campaign, robot, perfect).model.names)
         theta = np.array([WRONG * rng.standard_normal() * (c.name in kept) for c in truth.coefficients])
-        found = recentred(solve(campaign, robot, measure(truth, theta, readings, np.zeros((150, 6))), Noise()))
+        found = recentred(solve(campaign, robot, measure(truth, theta, readings)))
         value = dict(zip(found.model.names, found.theta, strict=True))
         constant = max(abs(value.get(c.name, 0.0) - t) for c, t in zip(truth.coefficients, theta, strict=True))
         placed = [pin.log6(a.inverse() * b[0][1]).vector for a, b in
@@ -271,11 +268,10 @@ def ranks(console: Console) -> None:
         # Off the last axis: the turn of a point on it could not be seen.
         model = Model(robot, candidates, tip_target=((None, pin.SE3(np.eye(3), np.array([0.11, 0.07, 0.05]))),))
         readings = draw_readings(robot, 300, np.random.default_rng(0))
-        rows, zero = model.rows(readings), np.zeros(len(candidates))
-        R, p = model.poses(zero, rows)
-        told = []
-        for measured in (Observations(p, R), Observations(p, None)):
-            whole = triangle(model, zero, rows, measured, np.ones(300), Sigma(NOISE, NOISE))
+        zero, told = np.zeros(len(candidates)), []
+        for kind in ("pose", "position"):
+            asked = problem(model, measure(model, zero, readings, kind=kind))
+            whole = triangle(asked, zero, np.ones(300), np.full(len(asked.channels), NOISE))
             told.append(len(identifiable(whole, range(len(candidates))).kept))
         turning = sum(joint.kind == "revolute" for joint in robot.joints)
         sliding = len(robot.joints) - turning

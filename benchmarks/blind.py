@@ -26,20 +26,21 @@ import sys
 import time
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from machines import NAMED, Case, basis_of, contribution, draw_case
 
-from aridcal.diagnosis import Bound, Diagnosed, diagnose, surroundings
-from aridcal.effects import Effect
-from aridcal.explain import verdict
-from aridcal.geometry import fit_geometry, observations, recentred
-from aridcal.identifiable import identifiable
-from aridcal.quality import joint_kinds, outliers
-from aridcal.residual import Observations, Sigma, predict_residuals, triangle
-from aridcal.solver import Data, Fit, Noise, Prior, fit
-from aridcal.whiteness import clues
+from aridcal.effects.effect import Effect
+from aridcal.fit.identifiable import identifiable
+from aridcal.fit.least_squares import Fit, Prior, fit
+from aridcal.fit.residual import problem, triangle
+from aridcal.inputs.channels import spread
+from aridcal.result.pipeline import FREE
+from aridcal.result.uncertainty import outliers
+from aridcal.search.arm import CalibratedArm, fit_arm, fit_constants
+from aridcal.search.gains import verdict
+from aridcal.search.noise_tests import clues
 
 TELLABLE = 12.0
 COVERED = 0.5  # share of the error of an effect without a name that must be gone
@@ -110,32 +111,24 @@ class Score:
         )
 
 
-def analyse(case: Case) -> tuple[Fit, Diagnosed, str]:
+def analyse(case: Case) -> tuple[CalibratedArm, str]:
     """Do with a case what ``aridcal identify`` does: constants, search, verdict."""
-    rows, campaign = case.rows, case.campaign
-    declared = campaign.measurements.noise
-    noise = Noise(declared.position, declared.rotation)
-    train = rows.select(~rows.test)
-    nothing = np.zeros(len(train), dtype=bool)
-    geometry = fit_geometry(campaign, case.truth.robot, train, (), noise, nothing)
-    geometric = recentred(geometry.geometric)
-    geometric = replace(geometric, model=replace(geometric.model, around=surroundings(campaign, geometric.model)))
-    kinds = tuple(joint_kinds(case.truth.robot))
-    found = diagnose(campaign, Bound(geometric, train, observations(train, "relative"), nothing, kinds), noise)
-
-    left = [_residual(f, case) for f in (geometric, found.fit)]
-    kept = ~outliers(~rows.test, found.fit.outliers, left)
-    free = 1.0 - found.fit.spent / max(float(found.fit.weight.sum() * left[1].shape[1]), 1.0)
-    questions = clues(left[1][kept], rows.readings[kept], _time(case, kept), None, noise, free)
-    said, _ = verdict(questions, found, free > 0.5)
-    return geometric, found, said
+    rows = case.rows
+    arm = fit_arm(case.campaign, fit_constants(case.campaign, case.truth.robot, rows, ()), rows, lambda _: None)
+    final = arm.diagnosed.fit
+    left = [problem(f.model, rows).residual(f.theta) for f in (arm.geometry.geometric, final)]
+    kept = ~outliers(rows.train, final.outliers, left, rows.channels)
+    free = 1.0 - final.spent / max(float(final.weight.sum() * left[1].shape[1]), 1.0)
+    said, _ = verdict(clues(rows.select(kept), left[1][kept], None, free), arm.diagnosed, free > FREE)
+    return arm, said
 
 
 def judge(case: Case) -> Score:
     """Analyse a case and compare with its truth."""
     started = time.perf_counter()
-    geometric, found, said = analyse(case)
+    arm, said = analyse(case)
     seconds = time.perf_counter() - started
+    geometric, found = arm.geometry.geometric, arm.diagnosed
     named: dict[tuple[object, ...], list[Effect]] = defaultdict(list)
     twins: dict[tuple[object, ...], set[tuple[str, str]]] = defaultdict(set)
     for active, others in zip(found.found.state.active, found.confounded, strict=True):
@@ -155,12 +148,9 @@ def judge(case: Case) -> Score:
 
 def oracle(case: Case, geometric: Fit) -> Fit:
     """The true form fitted to the same rows with the same solver; smooth curves with their true stiffness."""
-    train = case.rows.select(~case.rows.test)
-    measured, truth = observations(train, "relative"), case.truth
-    rows = truth.rows(train.readings, case.columns)
+    train, truth = case.train, case.truth
     first = len(case.theta) - sum(len(c.values) for c in case.causes)
-    sigma = Sigma(float(case.sigma[0]), float(case.sigma[-1]))
-    R = triangle(truth, case.theta, rows, measured, np.ones(len(train)), sigma)
+    R = triangle(problem(truth, train), case.theta, np.ones(len(train)), case.sigma)
     # What is well known stays ahead of what the effect makes barely separable.
     order = sorted(range(first), key=lambda k: truth.names[k] not in geometric.model.names)
     kept = [*sorted(identifiable(R[:, :first], order).kept), *range(first, len(case.theta))]
@@ -172,41 +162,25 @@ def oracle(case: Case, geometric: Fit) -> Fit:
         if shape is not None:
             precision[at : at + d, at : at + d] = np.linalg.inv(shape)
         at += d
-    declared = case.campaign.measurements.noise
-    data = Data(model.rows(train.readings, case.columns), measured, np.zeros(len(train), dtype=bool))
-    prior = Prior(np.zeros_like(theta), precision)
-    return fit(model, data, Noise(declared.position, declared.rotation), theta, prior=prior)
+    return fit(problem(model, train), theta, prior=Prior(np.zeros_like(theta), precision))
 
 
 def error(found: Fit, case: Case) -> float:
     """RMS per component, in sigma, on configurations never measured."""
-    rows = found.model.rows(case.query, case.query_columns)
-    return float(np.sqrt(np.mean((predict_residuals(found.model, found.theta, rows, case.target) / case.sigma) ** 2)))
-
-
-def _residual(found: Fit, case: Case) -> np.ndarray:
-    rows = found.model.rows(case.rows.readings, case.rows.covariates)
-    measured: Observations = observations(case.rows, "relative")
-    return predict_residuals(found.model, found.theta, rows, measured)
-
-
-def _time(case: Case, kept: np.ndarray) -> np.ndarray | None:
-    return case.rows.covariates["time"][kept] if "time" in case.rows.covariates else None
+    off = problem(found.model, case.query).residual(found.theta) / spread(case.sigma, case.query.channels)
+    return float(np.sqrt(np.mean(off**2)))
 
 
 def _matches(
-    case: Case,
-    named: dict[tuple[object, ...], list[Effect]],
-    twins: dict[tuple[object, ...], set[tuple[str, str]]],
+    case: Case, named: dict[tuple[object, ...], list[Effect]], twins: dict[tuple[object, ...], set[tuple[str, str]]]
 ) -> tuple[tuple[bool, ...], set[tuple[object, ...]]]:
     """Which true effects were named, and which of those named are true ones."""
     if not case.causes or not named:
         return (False,) * len(case.causes), set()
-    train = case.rows.select(~case.rows.test)
     extra = [c for group in named.values() for e in group for c in e.coefficients]
     model = case.truth.with_coefficients((*case.truth.coefficients, *extra))
     theta = np.concatenate([case.theta, np.zeros(len(extra))])
-    J = contribution(model, theta, train, case.columns, case.sigma)
+    J = contribution(model, theta, case.train, case.sigma)
     true = len(case.truth.coefficients)
     first = true - sum(len(c.values) for c in case.causes)
     U = basis_of(J[:, :first])

@@ -24,27 +24,30 @@ import numpy as np
 import pandas as pd
 import pinocchio as pin
 
-from aridcal.arm_and_head import fit_arm_and_head
-from aridcal.campaign import Campaign, FrameSettings
-from aridcal.effects import FRAME_COMPONENTS, Basis, Coefficient, Surroundings
-from aridcal.geometry import constants
+from aridcal.effects.basis import Basis
+from aridcal.effects.effect import FRAME_COMPONENTS, Coefficient
+from aridcal.effects.loads import Surroundings
+from aridcal.fit.constants import constants
+from aridcal.fit.identifiable import identifiable
+from aridcal.head.camera import predict_pixels
+from aridcal.head.detections import Shots
 from aridcal.head.matching import NotMeasured
-from aridcal.head.photograph import Optics, photograph, read_sonars
-from aridcal.head.pose import Sonars, predict_pixels
+from aridcal.head.pose import Sonars
 from aridcal.head.reduction import Head, Seen, carried, start_anywhere
-from aridcal.head.settings import HeadSettings
-from aridcal.head.shots import load_squares, sight
+from aridcal.head.render import Optics, photograph, read_sonars
+from aridcal.head.shots import sight
 from aridcal.head.sonar import predict_ranges
 from aridcal.head.square import layout
-from aridcal.identifiable import identifiable
-from aridcal.instrument import directions, stated
-from aridcal.measurements import Measurements
-from aridcal.model import Model
-from aridcal.robot import load_robot
-from aridcal.settings import load_settings, parse_settings
-from aridcal.shooting import draw_views
-from aridcal.sighted import Shots
-from aridcal.simulate import Scenario
+from aridcal.inputs.campaign import Campaign, FrameSettings
+from aridcal.inputs.dataset import dataset
+from aridcal.inputs.head_settings import HeadSettings, load_squares
+from aridcal.inputs.yaml_file import load_settings, parse_settings
+from aridcal.model.model import Model
+from aridcal.prepare.scenario import Scenario
+from aridcal.prepare.viewpoints import draw_views
+from aridcal.robot.chain import load_robot
+from aridcal.search.arm_and_head import fit_arm_and_head
+from aridcal.search.head_effects import directions, stated
 
 STRIP = Path(__file__).parents[1] / "identification" / "arid-strip"
 N, QUERIES = 120, 400
@@ -131,15 +134,11 @@ def trial(job: tuple[str, int, bool]) -> Trial:
     job_given = campaign()
     mount = FrameSettings(xyz=settings.tip_camera.xyz, rpy=settings.tip_camera.rpy)
     asked = job_given.model_copy(update={"frames": job_given.frames.model_copy(update={"tip_target": mount})})
-    rows = _rows(robot.readings, q[kept])
+    nowhere = np.full((kept.sum(), 3), np.nan), np.full((kept.sum(), 3, 3), np.nan)
+    rows = dataset(robot.readings, robot.kinds, q[kept], *nowhere)
     began = time.perf_counter()
-    both = fit_arm_and_head(
-        Shots(asked, start, rows, found, pd.DataFrame(), settings.tip_camera.homogeneous),
-        rows,
-        robot,
-        (),
-        lambda _: None,
-    )
+    shots = Shots(asked, start, rows, found, pd.DataFrame(), settings.tip_camera.homogeneous)
+    both = fit_arm_and_head(shots, robot, (), lambda _: None)
     seconds = time.perf_counter() - began
     low, high = q.min(axis=0), q.max(axis=0)
     anywhere = rng.uniform(low, high, (QUERIES, len(low)))
@@ -205,14 +204,6 @@ def _found(
         return None
     f = seen.fiducials
     return Seen(f.layout.centres, f.pixels, f.covariances, h, optics.squares[own], f.T_camera_square)
-
-
-def _rows(names: tuple[str, ...], q: np.ndarray) -> Measurements:
-    n = len(q)
-    return Measurements(
-        names, (Path("shots.csv"),), "", (), (), np.zeros(n, int), np.arange(n) + 2, q, np.full((n, 3), np.nan),
-        None, None, {}, None, np.zeros(n, bool), True,
-    )  # fmt: skip
 
 
 def _oracle(

@@ -11,7 +11,7 @@ where the target is, its backlash on the side from which the commands themselves
 the calibrated model on as many other configurations, without noise: no compensation can be better. A second table has
 the true model in place of the identified one: what is left there is the fault of the inversion alone.
 
-Times are those of one call of ``Calibration.command`` from the nominal solution: CPU time, one thread, the best of five
+Times are those of one call of ``SavedModel.command`` from the nominal solution: CPU time, one thread, the best of five
 calls, the median over the poses.
 """
 
@@ -33,19 +33,14 @@ from rich.console import Console
 from rich.table import Table
 from scipy.spatial.transform import Rotation
 
-from aridcal.calibration import Calibration, SolvedModel
-from aridcal.compensate import follow
-from aridcal.effects import Surroundings, covariate_table
-from aridcal.export import calibration
-from aridcal.geometry import constants
-from aridcal.identify import identify
-from aridcal.inverse import Command
-from aridcal.measurements import Query
-from aridcal.model import Model
-from aridcal.robot import Robot, load_robot
-from aridcal.settings import load_settings
-from aridcal.simulate import (
-    Scenario,
+from aridcal.effects.loads import Surroundings, covariate_table
+from aridcal.fit.constants import constants
+from aridcal.inputs.query import Query
+from aridcal.inputs.yaml_file import load_settings
+from aridcal.model.inverse import Command
+from aridcal.model.model import Model
+from aridcal.prepare.scenario import Scenario
+from aridcal.prepare.simulation import (
     Simulation,
     draw_readings,
     named_constants,
@@ -53,6 +48,11 @@ from aridcal.simulate import (
     surroundings,
     write_campaign,
 )
+from aridcal.result.compensate import follow
+from aridcal.result.folder import calibration
+from aridcal.result.pipeline import identify
+from aridcal.result.saved_model import SavedModel, SolvedModel
+from aridcal.robot.chain import Robot, load_robot
 
 TOP = Path(__file__).resolve().parents[1]
 PUBLIC = Path(pin.__file__).resolve().parents[4] / "share" / "example-robot-data" / "robots"
@@ -158,7 +158,7 @@ def wanted(case: Case, truth: SolvedModel, poses: int) -> Query:
     )
 
 
-def nominal_solutions(calibrated: Calibration, query: Query) -> Query:
+def nominal_solutions(calibrated: SavedModel, query: Query) -> Query:
     """What the controller's own inverse kinematics answers: the nominal robot in the identified frames."""
     model = calibrated.final.model
     world, tip = model.frames(calibrated.final.theta)
@@ -184,7 +184,7 @@ def prediction_error(truth: SolvedModel, model: SolvedModel, case: Case, query: 
     return np.linalg.norm(truth.poses(query.readings, side)[1] - model.poses(query.readings, side)[1], axis=1)
 
 
-def microseconds(calibrated: Calibration, query: Query, case: Case) -> float:
+def microseconds(calibrated: SavedModel, query: Query, case: Case) -> float:
     """Median over the poses of a call's best CPU time, [us]."""
     assert query.position is not None and query.quaternion is not None
     poses = np.tile(np.eye(4), (len(query.line), 1, 1))

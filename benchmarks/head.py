@@ -25,12 +25,12 @@ import cv2
 import numpy as np
 import pinocchio as pin
 
-from aridcal.head.camera import REPORT_OPENCV
+from aridcal.head.camera import DOTY_OPENCV, predict_pixels
 from aridcal.head.fiducials import Fiducials, find_fiducials
 from aridcal.head.matching import NotMeasured, spans_plane
-from aridcal.head.pose import Pose, Sonars, measure_pose, predict_pixels
+from aridcal.head.pose import Pose, Sonars, measure_pose
 from aridcal.head.render import Glare, Patch, Scene, coverage, light_map, render
-from aridcal.head.sonar import fit_plane, predict_ranges, ranges, report_plane
+from aridcal.head.sonar import doty_plane, fit_plane, predict_ranges, ranges
 from aridcal.head.square import INCH, Layout, layout, strip_placements
 
 WIDTH = HEIGHT = 512
@@ -63,7 +63,7 @@ def random_pose(rng: np.random.Generator, tilt_deg: float = 12.0, off_inch: floa
     direction = rng.uniform(0, 2 * np.pi)
     tilt = np.radians(tilt_deg) * np.sqrt(rng.random())
     T = np.eye(4)
-    T[:3, :3] = REPORT_OPENCV @ pin.exp3(tilt * np.array([np.cos(direction), np.sin(direction), 0]))
+    T[:3, :3] = DOTY_OPENCV @ pin.exp3(tilt * np.array([np.cos(direction), np.sin(direction), 0]))
     T[:3, :3] = T[:3, :3] @ pin.exp3(np.array([0, 0, rng.uniform(-np.pi, np.pi)]))
     on_axis = np.array([*rng.uniform(-off_inch, off_inch, 2) * INCH, 0])
     T[:3, 3] = [0, 0, rng.uniform(0.18, 0.45)] - T[:3, :3] @ on_axis
@@ -338,7 +338,7 @@ def sonar() -> None:
             normal = np.array([*slope, np.sqrt(1 - slope @ slope)])
             axial = 10 * INCH
             h = ranges(normal, axial * normal[2], SONARS_AT, "perpendicular")
-            for plane in (report_plane(h, gamma), fit_plane(h, SONARS_AT, "perpendicular")):
+            for plane in (doty_plane(h, gamma), fit_plane(h, SONARS_AT, "perpendicular")):
                 angle = np.degrees(np.arcsin(min(1.0, float(np.linalg.norm(np.cross(plane.normal, normal))))))
                 error = (plane.distance / plane.normal[2] - axial) / INCH
                 cells.append(f"{angle:6.4f} {error:7.4f}")

@@ -21,7 +21,6 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -32,17 +31,19 @@ from rich.console import Console
 from rich.table import Table
 from scipy.spatial.transform import Rotation
 
-from aridcal.campaign import Campaign
-from aridcal.diagnosis import Bound, diagnose, surroundings
-from aridcal.effects import Basis, Coefficient, Surroundings
-from aridcal.geometry import constants, fit_geometry, observations, recentred
-from aridcal.identify import identify
-from aridcal.measurements import Measurements
-from aridcal.model import Model
-from aridcal.outcome import errors
-from aridcal.quality import joint_kinds, joint_limits
-from aridcal.robot import Robot, parse_robot
-from aridcal.solver import Data, Fit, Noise, fit
+from aridcal.effects.basis import Basis
+from aridcal.effects.effect import Coefficient
+from aridcal.effects.loads import Surroundings
+from aridcal.fit.constants import constants
+from aridcal.fit.least_squares import Fit, fit
+from aridcal.fit.residual import problem
+from aridcal.inputs.campaign import Campaign
+from aridcal.inputs.dataset import Dataset, dataset
+from aridcal.model.model import Model
+from aridcal.result.outcome import errors
+from aridcal.result.pipeline import identify
+from aridcal.robot.chain import Robot, parse_robot
+from aridcal.search.arm import fit_arm, fit_constants
 
 TOP = Path(__file__).resolve().parent.parent
 UR10 = TOP / "identification" / "ur10-laser-tracker" / "campaign-b.yaml"
@@ -98,16 +99,12 @@ def column(console: Console) -> None:
         table.add_column(head)
     for seed in range(4):
         robot, campaign, rows, truth, theta = _column(seed)
-        train, noise = rows.select(~rows.test), Noise(2 * SIGMA, None)
-        nothing = np.zeros(len(train), dtype=bool)
-        found = recentred(fit_geometry(campaign, robot, train, (), noise, nothing).geometric)
-        found = replace(found, model=replace(found.model, around=surroundings(campaign, found.model)))
-        bound = Bound(found, train, observations(train, "relative"), nothing, tuple(joint_kinds(robot)))
-        diagnosed = diagnose(campaign, bound, noise)
+        arm = fit_arm(campaign, fit_constants(campaign, robot, rows, ()), rows, lambda _: None)
+        found, diagnosed = arm.geometry.geometric, arm.diagnosed
         own = [c for c in truth.coefficients if not c.basis.constant]
         model = found.model.with_coefficients((*found.model.coefficients, *own))
-        data = Data(model.rows(train.readings), bound.measured, nothing)
-        oracle = fit(model, data, noise, np.concatenate([found.theta, np.zeros(len(own))]))
+        start = np.concatenate([found.theta, np.zeros(len(own))])
+        oracle = fit(problem(model, rows.select(rows.train)), start)
         test = rows.select(rows.test)
         target = truth.poses(theta, truth.rows(test.readings))[1]
         e = [_off(f, test, target) for f in (found, diagnosed.fit, oracle)]
@@ -167,23 +164,23 @@ def _row(table: Table, first: str, campaign: Path, seed: int) -> list[float]:
     started = time.perf_counter()
     found = identify(campaign, seed)
     test = found.parts()["test"]
-    e = [errors(found.stage(name).residual, test) for name in ("geometric", "final")]
+    e = [errors(found.stage(name).residual, test, found.channels) for name in ("geometric", "final")]
     row = [e[k][unit]["rms"] for unit in ("position_mm", "rotation_mrad") for k in (0, 1)]
     cells = [*(f"{v:.3f}" for v in row), str(len(found.effects)), found.verdict]
     table.add_row(first, str(test.sum()), *cells, f"{time.perf_counter() - started:.0f}")
     return row
 
 
-def _off(found: Fit, rows: Measurements, target: np.ndarray) -> float:
+def _off(found: Fit, rows: Dataset, target: np.ndarray) -> float:
     position = found.model.poses(found.theta, found.model.rows(rows.readings))[1]
     return 1e3 * float(np.sqrt(np.mean(np.sum((position - target) ** 2, axis=1))))
 
 
-def _column(seed: int) -> tuple[Robot, Campaign, Measurements, Model, np.ndarray]:
+def _column(seed: int) -> tuple[Robot, Campaign, Dataset, Model, np.ndarray]:
     """A lift with a seven-joint arm on it, and what a tracker saw of its target."""
     rng = np.random.default_rng(seed)
     robot = parse_robot(_urdf().encode(), "tip")
-    limits = joint_limits(robot)
+    limits = robot.limits
     n, unseen = 450, 2000
     q = rng.uniform(limits[:, 0], limits[:, 1], (n + unseen, len(limits)))
     q[:, 0] = rng.choice(np.linspace(0.02, 0.38, 5), n + unseen)
@@ -201,9 +198,8 @@ def _column(seed: int) -> tuple[Robot, Campaign, Measurements, Model, np.ndarray
     softer = np.tile([7e-6, 9e-6, 18e-6], 2)  # rad per N m: five times as soft when out as when in
     theta = np.concatenate([1e-3 * rng.standard_normal(len(geometry)), softer, [8e-4]])
     position = truth.poses(theta, truth.rows(q))[1] + SIGMA * rng.standard_normal((len(q), 3))
-    zero = np.zeros(len(q), dtype=int)
-    rows = Measurements(robot.readings, (), "", (), (), zero, np.arange(len(q)) + 2, q, position, None, None, {}, None,
-                        np.arange(len(q)) >= n, True)  # fmt: skip
+    test = np.arange(len(q)) >= n
+    rows = dataset(robot.readings, robot.kinds, q, position, sigma=(2 * SIGMA,), test=test)
     campaign = Campaign.model_validate({
         "format": 1,
         "robot": {"urdf": Path("column.urdf"), "tip": "tip"},

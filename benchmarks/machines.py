@@ -3,23 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
-from aridcal.campaign import Campaign
-from aridcal.causes import Cause, TrueEffect, draw_columns, make_causes
-from aridcal.effects import FRAME_COMPONENTS, Basis, Coefficient, Effect, Surroundings, covariate_table
+from aridcal.effects.basis import Basis
+from aridcal.effects.effect import FRAME_COMPONENTS, Coefficient, Effect
+from aridcal.effects.loads import Surroundings, covariate_table
 from aridcal.errors import CampaignError
-from aridcal.geometry import constants
-from aridcal.measurements import Measurements
-from aridcal.model import Model
-from aridcal.residual import Observations, linearise
-from aridcal.robot import Robot, parse_robot
-from aridcal.simulate import draw_readings
+from aridcal.fit.constants import constants
+from aridcal.fit.residual import problem
+from aridcal.inputs.campaign import Campaign
+from aridcal.inputs.channels import spread
+from aridcal.inputs.dataset import Dataset, dataset
+from aridcal.model.model import Model
+from aridcal.prepare.simulation import draw_readings
+from aridcal.prepare.true_effects import Cause, TrueEffect, draw_columns, make_causes
+from aridcal.robot.chain import Robot, parse_robot
 
 FAMILIES = ("rail", "six", "seven", "scara", "gantry")
 NAMED = (
@@ -52,33 +55,29 @@ class Case:
         family: Of the robot.
         campaign: What the user would have written.
         rows: Measured, train and test.
-        columns: Covariates and values of the true functions, for the training rows, shape (N,) each.
+        train: The training rows; their covariates hold the values of the true functions too.
         truth: The true model: frames, constants, then each cause's coefficients.
         theta: Their values.
         causes: True effects.
         shapes: Covariance from which the coefficients of each smooth cause were drawn; else None.
         sizes: Of each cause, [sigma].
-        sigma: Of the noise per component, shape (6,) or (3,), [m] and [rad].
-        query: Readings never measured, shape (M, columns).
-        query_columns: Their covariates.
-        target: Their true poses.
+        sigma: Of the noise of each channel, shape (2,) or (1,), [m] and [rad].
+        query: Configurations never measured and their true poses, M rows, covariates as in ``train``.
     """
 
     seed: int
     what: str
     family: str
     campaign: Campaign
-    rows: Measurements
-    columns: dict[str, np.ndarray]
+    rows: Dataset
+    train: Dataset
     truth: Model
     theta: np.ndarray
     causes: tuple[Cause, ...]
     shapes: tuple[np.ndarray | None, ...]
     sizes: tuple[float, ...]
     sigma: np.ndarray
-    query: np.ndarray
-    query_columns: dict[str, np.ndarray]
-    target: Observations
+    query: Dataset
 
     @property
     def names(self) -> str:
@@ -105,13 +104,10 @@ def draw_case(seed: int, what: str, kind: str | None = None, outliers: float = 0
     raise RuntimeError(f"case {seed}: no robot can have {kind or what}")
 
 
-def contribution(model: Model, theta: np.ndarray, case_rows: Measurements, columns: dict[str, np.ndarray],
-                 sigma: np.ndarray) -> np.ndarray:  # fmt: skip
-    """Columns of a model's coefficients in units of sigma, shape (N * m, K)."""
-    measured = Observations(case_rows.position, None if case_rows.quaternion is None else
-                            Rotation.from_quat(case_rows.quaternion).as_matrix())  # fmt: skip
-    _, J = linearise(model, theta, model.rows(case_rows.readings, columns), measured)
-    return np.asarray((J / sigma[:, None]).reshape(-1, J.shape[2]))
+def contribution(model: Model, theta: np.ndarray, rows: Dataset, sigma: np.ndarray) -> np.ndarray:
+    """Columns of a model's coefficients in units of the channels' sigma, shape (N * m, K)."""
+    _, J = problem(model, rows).linearised(theta)
+    return np.asarray((J / spread(sigma, rows.channels)[:, None]).reshape(-1, J.shape[2]))
 
 
 def basis_of(A: np.ndarray) -> np.ndarray:
@@ -128,7 +124,8 @@ def _draw(seed: int, what: str, kind: str | None, outliers: float, rng: np.rando
     total = n + QUERIES
     readings = draw_readings(robot, total, rng)
     pose = bool(rng.random() < 0.85)
-    sigma = np.repeat(np.exp(rng.uniform(np.log(3e-5), np.log(3e-4), 2)), 3)[: 6 if pose else 3]
+    sigma = np.exp(rng.uniform(np.log(3e-5), np.log(3e-4), 2))[: 2 if pose else 1]
+    per_number = np.repeat(sigma, 3)
     frames = [pin.SE3(Rotation.random(rng=rng).as_matrix(), rng.uniform(-3, 3, 3)),
               pin.SE3(Rotation.random(rng=rng).as_matrix(), rng.uniform(-0.3, 0.3, 3))]  # fmt: skip
     around = Surroundings(gravity, frames[1].translation)
@@ -165,11 +162,11 @@ def _draw(seed: int, what: str, kind: str | None, outliers: float, rng: np.rando
     test = rng.random(n) < TEST_SHARE
     bare = truth.with_coefficients(geometry)
     R, p = bare.poses(values, bare.rows(readings[~query]))
-    rows = _measurements(robot, readings[~query], R, p, {k: v[~query] for k, v in columns.items()}, test, pose)
-    here = {k: v[~query][~test] for k, v in known.items()}
+    perfect = dataset(robot.readings, robot.kinds, readings[~query], p, R if pose else None,
+                      covariates={k: v[~query] for k, v in known.items()}, test=test)  # fmt: skip
 
     zero = np.concatenate([values, np.zeros(len(truth.coefficients) - len(values))])
-    J = contribution(truth, zero, rows.select(~test), here, sigma)
+    J = contribution(truth, zero, perfect.select(~test), sigma)
     U = basis_of(J[:, : len(geometry)])
     at, sizes, scaled, shapes = len(geometry), [], [], []
     for cause, length in zip(causes, lengths, strict=True):
@@ -181,7 +178,7 @@ def _draw(seed: int, what: str, kind: str | None, outliers: float, rng: np.rando
         if seen <= 0.0:
             return None
         factor = size / seen
-        if factor * np.abs(moved.reshape(-1, len(sigma)) * sigma).max() > TOO_MUCH:
+        if factor * np.abs(moved.reshape(-1, len(per_number)) * per_number).max() > TOO_MUCH:
             return None
         scaled.append(Cause(cause.effect, factor * cause.values, cause.ranges))
         shapes.append(None if length is None else factor**2 * stiffness(len(cause.values), length))
@@ -189,20 +186,21 @@ def _draw(seed: int, what: str, kind: str | None, outliers: float, rng: np.rando
     theta = np.concatenate([values, *(c.values for c in scaled)])
 
     R, p = truth.poses(theta, truth.rows(readings, known))
-    target = Observations(p[query], R[query] if pose else None)
+    unseen = dataset(robot.readings, robot.kinds, readings[query], p[query], R[query] if pose else None,
+                     covariates={k: v[query] for k, v in known.items()})  # fmt: skip
     error = rng.standard_normal((n, 6))
     wrong = rng.permutation(n)[: round(outliers * n)]
     direction = rng.standard_normal((len(wrong), 2, 3))
     direction /= np.linalg.norm(direction, axis=2, keepdims=True)
     error[wrong] += (rng.uniform(*OUTLIERS, len(wrong))[:, None, None] * direction).reshape(-1, 6)
-    error = error[:, : len(sigma)] * sigma
+    error = error[:, : len(per_number)] * per_number
     p = p[~query] + error[:, :3]
-    R = Rotation.from_rotvec(error[:, 3:]).as_matrix() @ R[~query] if pose else R[~query]
-    rows = _measurements(robot, readings[~query], R, p, {k: v[~query] for k, v in columns.items()}, test, pose)
-    declared = rng.random() < 0.7
-    return Case(seed, what, family, _campaign(robot, gravity, sigma, declared), rows, here, truth, theta,
-                tuple(scaled), tuple(shapes), tuple(sizes), sigma, readings[query],
-                {k: v[query] for k, v in known.items()}, target)  # fmt: skip
+    rotation = Rotation.from_rotvec(error[:, 3:]).as_matrix() @ R[~query] if pose else None
+    noise = tuple(sigma.tolist()) if rng.random() < 0.7 else ()
+    measured = replace(perfect, position=p, rotation=rotation, sigma=noise or perfect.sigma)
+    rows = replace(measured, covariates={name: measured.covariates[name] for name in columns})
+    return Case(seed, what, family, _campaign(robot, gravity, pose, noise), rows, measured.select(~test), truth, theta,
+                tuple(scaled), tuple(shapes), tuple(sizes), sigma, unseen)  # fmt: skip
 
 
 def _covariates(robot: Robot, readings: np.ndarray, rng: np.random.Generator) -> dict[str, np.ndarray]:
@@ -310,24 +308,12 @@ def _some(components: Sequence[str], rng: np.random.Generator) -> tuple[str, ...
     return tuple(components) if rng.random() < 0.3 else (str(rng.choice(list(components))),)
 
 
-def _measurements(
-    robot: Robot, readings: np.ndarray, R: np.ndarray, p: np.ndarray, columns: dict[str, np.ndarray],
-    test: np.ndarray, pose: bool,
-) -> Measurements:  # fmt: skip
-    n = len(readings)
-    quaternion = Rotation.from_matrix(R).as_quat(canonical=True) if pose else None
-    return Measurements(robot.readings, (), "", (), (), np.zeros(n, dtype=int), np.arange(n) + 2, readings, p, quaternion,
-                        None, columns, None, test, True)  # fmt: skip
-
-
-def _campaign(robot: Robot, gravity: np.ndarray, sigma: np.ndarray, declared: bool) -> Campaign:
-    pose = len(sigma) == 6
-    noise = {"position": float(sigma[0])} | ({"rotation": float(sigma[3])} if pose else {})
+def _campaign(robot: Robot, gravity: np.ndarray, pose: bool, noise: tuple[float, ...]) -> Campaign:
+    declared = dict(zip(("position", "rotation"), noise, strict=False))
     return Campaign.model_validate({
         "format": 1,
         "robot": {"urdf": Path("robot.urdf"), "tip": robot.tip, "gravity": gravity.tolist()},
-        "measurements": {"file": (Path("rows.csv"),), "kind": "pose" if pose else "position"}
-        | ({"noise": noise} if declared else {}),
+        "measurements": {"file": (Path("rows.csv"),), "kind": "pose" if pose else "position", "noise": declared},
     })  # fmt: skip
 
 

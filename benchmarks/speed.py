@@ -22,7 +22,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -32,23 +32,23 @@ from rich.console import Console
 from rich.table import Table
 from scipy.optimize import least_squares
 
-from aridcal import geometry
-from aridcal.campaign import Campaign, load_campaign
-from aridcal.geometry import constants, fit_geometry, observations
-from aridcal.identify import stale_rows
-from aridcal.measurements import Measurements, load_measurements
-from aridcal.quality import joint_kinds, joint_limits
-from aridcal.residual import linearise, residuals
-from aridcal.robot import Robot, load_robot
-from aridcal.settings import load_settings
-from aridcal.simulate import Scenario, simulate, write_campaign
-from aridcal.solver import Data, Fit, Noise
+from aridcal.fit import stages
+from aridcal.fit.constants import constants
+from aridcal.fit.residual import problem
+from aridcal.inputs.campaign import Campaign, load_campaign
+from aridcal.inputs.channels import spread
+from aridcal.inputs.dataset import Dataset
+from aridcal.inputs.read import load_measurements
+from aridcal.inputs.yaml_file import load_settings
+from aridcal.prepare.scenario import Scenario
+from aridcal.prepare.simulation import simulate, write_campaign
+from aridcal.robot.chain import Robot, load_robot
 
 ONE_THREAD = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")}
 TOP = Path(__file__).resolve().parents[1]
 SERIES_B = TOP / "identification" / "ur10-laser-tracker" / "campaign-b.yaml"
 ARID = TOP / "identification" / "arid" / "campaign.yaml"
-STAGES = {"start": "_starts", "fit": "fit_identifiable", "restarts": "_with_restarts"}
+STAGES = {"start": "_starts", "fit": "fit_identifiable", "restarts": "with_restarts"}
 
 
 @dataclass(frozen=True)
@@ -57,19 +57,17 @@ class Loaded:
 
     campaign: Campaign
     robot: Robot
-    rows: Measurements
+    rows: Dataset
 
-    def solve(self) -> geometry.Geometry:
+    def solve(self) -> stages.Geometry:
         """Frames, then frames and constants, from all rows."""
-        declared = self.campaign.measurements.noise
-        noise = Noise(declared.position, declared.rotation)
-        return fit_geometry(self.campaign, self.robot, self.rows, (), noise, stale_rows(self.rows))
+        return stages.fit_geometry(self.campaign, self.robot, self.rows, ())
 
 
 def load(path: Path) -> Loaded:
     campaign = load_campaign(path)
     robot = load_robot(campaign.robot.urdf, campaign.robot.tip, campaign.robot.base)
-    rows = load_measurements(campaign, robot.readings, joint_limits(robot), joint_kinds(robot), 0)
+    rows = load_measurements(campaign, robot.readings, robot.limits, robot.kinds, 0)
     return Loaded(campaign, robot, rows)
 
 
@@ -98,7 +96,7 @@ def make_campaign(folder: Path, n: int, parameters: str = "full") -> Path:
 def time_stages(taken: dict[str, list[float]]) -> None:
     """Let the stages of ``fit_geometry`` note their CPU time, call by call."""
     for stage, name in STAGES.items():
-        inner = getattr(geometry, name)
+        inner = getattr(stages, name)
 
         def timed(*given: Any, inner: Callable[..., Any] = inner, stage: str = stage) -> Any:
             began = time.process_time()
@@ -106,7 +104,7 @@ def time_stages(taken: dict[str, list[float]]) -> None:
             taken.setdefault(stage, []).append(time.process_time() - began)
             return result
 
-        setattr(geometry, name, timed)
+        setattr(stages, name, timed)
 
 
 def measure(path: Path, repeats: int) -> dict[str, float]:
@@ -144,20 +142,18 @@ def compare(path: Path, numerical: bool) -> dict[str, float]:
     """The final least squares alone, from the same start and for the same coefficients: here, and by SciPy."""
     loaded = load(path)
     found = loaded.solve().geometric
-    model = found.model
-    data = Data(model.rows(loaded.rows.readings), observations(loaded.rows, "ignore"), stale_rows(loaded.rows))
-    scale = np.repeat([found.sigma.position, found.sigma.rotation], 3)
+    asked = problem(found.model, replace(loaded.rows, sigma=tuple(found.sigma.tolist())))
+    scale = spread(found.sigma, asked.channels)
 
     def r(theta: np.ndarray) -> np.ndarray:
-        return (residuals(*model.poses(theta, data.rows), data.measured) / scale).ravel()
+        return (asked.scaled_residual(theta) / scale).ravel()
 
     def J(theta: np.ndarray) -> np.ndarray:
-        columns = linearise(model, theta, data.rows, data.measured)[1]
+        columns = asked.linearised(theta)[1]
         return np.asarray(-(columns / scale[:, None]).reshape(-1, len(theta)))
 
     start = np.zeros(len(found.theta))
-    noise = Noise(found.sigma.position, found.sigma.rotation)
-    ours = _best(lambda: geometry.fit(model, data, noise, start), 3)
+    ours = _best(lambda: stages.fit(asked, start), 3)
     analytic = _best(lambda: least_squares(r, start, jac=J, x_scale="jac", method="trf"), 3)
     times = {"ours": ours, "scipy": analytic}
     if numerical:
@@ -165,7 +161,7 @@ def compare(path: Path, numerical: bool) -> dict[str, float]:
     return times
 
 
-def _best(job: Callable[[], Fit | Any], repeats: int) -> float:
+def _best(job: Callable[[], Any], repeats: int) -> float:
     times = []
     for _ in range(repeats):
         began = time.process_time()

@@ -26,11 +26,12 @@ import numpy as np
 from matplotlib.figure import Figure
 from PIL import Image
 
-from aridcal.identify import identify
-from aridcal.outcome import Outcome
-from aridcal.robot import gravity_loads, joint_frames, transverse
-from aridcal.settings import load_settings
-from aridcal.simulate import Scenario, simulate, write_campaign
+from aridcal.inputs.yaml_file import load_settings
+from aridcal.prepare.scenario import Scenario
+from aridcal.prepare.simulation import simulate, write_campaign
+from aridcal.result.outcome import Outcome
+from aridcal.result.pipeline import identify
+from aridcal.robot.kinematics import gravity_loads, joint_frames, transverse
 
 DOCS = Path(__file__).resolve().parent
 OUT = DOCS / "images" / "effects"

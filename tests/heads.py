@@ -9,20 +9,21 @@ import numpy as np
 import pandas as pd
 import pinocchio as pin
 
-from aridcal.campaign import Campaign, FrameSettings
-from aridcal.effects import Coefficient
-from aridcal.head.photograph import Optics, read_sonars
-from aridcal.head.pose import Sonars, predict_pixels
+from aridcal.effects.effect import Coefficient
+from aridcal.head.camera import predict_pixels
+from aridcal.head.detections import Shots
+from aridcal.head.pose import Sonars
 from aridcal.head.reduction import Head, Seen, start_anywhere
-from aridcal.head.settings import HeadSettings
-from aridcal.head.shots import load_squares
+from aridcal.head.render import Optics, read_sonars
 from aridcal.head.square import layout
-from aridcal.measurements import Measurements
-from aridcal.model import Model
-from aridcal.robot import load_robot
-from aridcal.settings import load_settings, parse_settings
-from aridcal.shooting import draw_views
-from aridcal.sighted import Shots
+from aridcal.inputs.campaign import Campaign, FrameSettings
+from aridcal.inputs.channels import TARGET_POSITION, TARGET_ROTATION
+from aridcal.inputs.dataset import dataset
+from aridcal.inputs.head_settings import HeadSettings, load_squares
+from aridcal.inputs.yaml_file import load_settings, parse_settings
+from aridcal.model.model import Model
+from aridcal.prepare.viewpoints import draw_views
+from aridcal.robot.chain import load_robot
 
 ROOT = Path(__file__).resolve().parents[1]
 STRIP = ROOT / "identification" / "arid-strip"
@@ -36,10 +37,7 @@ OFF = [  # constants that are wrong, and by how much: [m] and [rad]
     ("joint_2.pitch", 1e-3), ("joint_3.x", -2e-3), ("joint_3.yaw", 1.5e-3), ("joint_3.roll", -1e-3), ("joint_4.pitch", 2e-3),
 ]  # fmt: skip
 MODEL = Model(
-    ARID,
-    tuple(Coefficient(*name.split(".")) for name, _ in OFF),
-    ((None, T_WORLD_BASE),),
-    ((None, T_TIP_CAMERA),),
+    ARID, tuple(Coefficient(*name.split(".")) for name, _ in OFF), ((None, T_WORLD_BASE),), ((None, T_TIP_CAMERA),)
 )
 THETA = np.array([value for _, value in OFF])
 
@@ -99,8 +97,11 @@ def shots(
     rng = np.random.default_rng([seed, 1])
     T = poses(model, theta, q)
     seen = tuple(look(T[k], int(square[k]), head, rng) for k in range(n))
-    rows = Measurements(
-        ARID.readings, (Path("shots.csv"),), "", (), (), np.zeros(n, int), np.arange(n) + 2, q, np.full((n, 3), np.nan),
-        None, None, {}, None, np.zeros(n, bool), True,
-    )  # fmt: skip
+    rows = replace(
+        dataset(ARID.readings, ARID.kinds, q, np.full((n, 3), np.nan)),
+        files=(Path("shots.csv"),),
+        channels=(TARGET_POSITION, TARGET_ROTATION),
+        sigma=(None, None),
+        split_given=True,
+    )
     return Shots(campaign(more), START, rows, seen, pd.DataFrame(), SETTINGS.tip_camera.homogeneous), q

@@ -12,15 +12,14 @@ import pyarrow.csv
 import yaml
 from scipy.spatial.transform import Rotation
 
-from aridcal.campaign import Campaign
-from aridcal.effects import FRAME_COMPONENTS, Coefficient
-from aridcal.geometry import constants
-from aridcal.measurements import Measurements
-from aridcal.model import Frames, Model
-from aridcal.residual import Observations
-from aridcal.robot import Robot, load_robot, parse_robot
-from aridcal.settings import parse_settings
-from aridcal.solver import Data
+from aridcal.effects.effect import FRAME_COMPONENTS, Coefficient
+from aridcal.fit.constants import constants
+from aridcal.fit.residual import Problem, problem
+from aridcal.inputs.campaign import Campaign
+from aridcal.inputs.dataset import Dataset, dataset
+from aridcal.inputs.yaml_file import parse_settings
+from aridcal.model.model import Frames, Model
+from aridcal.robot.chain import Robot, load_robot, parse_robot
 
 URDF = Path(__file__).resolve().parents[1] / "urdf"
 SHARED_ROBOTS = Path(pin.__file__).resolve().parents[4] / "share" / "example-robot-data" / "robots"
@@ -29,7 +28,7 @@ FRAMES = tuple(Coefficient(where, c) for where in ("world_base", "tip_target") f
 
 
 def arid() -> Robot:
-    """The report's arm."""
+    """Doty's arm."""
     return load_robot(URDF / "arid.urdf", "flange")
 
 
@@ -112,13 +111,32 @@ class Truth:
 
     model: Model
     theta: np.ndarray
-    readings: np.ndarray
-    measured: Observations
+    measured: Dataset
 
-    def data(self, model: Model, some: slice = slice(None)) -> Data:
-        """The rows as another model sees them."""
-        q = self.readings[some]
-        return Data(model.rows(q), self.measured[some], np.zeros(len(q), dtype=bool))
+    @property
+    def readings(self) -> np.ndarray:
+        return self.measured.readings
+
+    def data(self, model: Model, *sigma: float) -> Problem:
+        """The rows as another model sees them, with the noise that is declared of them."""
+        return problem(model, declared(self.measured, *sigma))
+
+
+def measured(robot: Robot, q: np.ndarray, position: np.ndarray, rotation: np.ndarray | None = None) -> Dataset:
+    """Rows as if they had been read from a file, all of them for training."""
+    rows = dataset(robot.readings, robot.kinds, q, position, rotation)
+    return replace(rows, files=(Path("m.csv"),))
+
+
+def positions_alone(rows: Dataset) -> Dataset:
+    """The same rows of which no rotation was measured."""
+    return replace(rows, rotation=None, channels=rows.channels[:1], sigma=rows.sigma[:1])
+
+
+def declared(rows: Dataset, *sigma: float | None) -> Dataset:
+    """The same rows with declared noise of position and rotation; what is not given is to be estimated."""
+    missing = (None,) * len(rows.channels)
+    return replace(rows, sigma=(*sigma, *missing)[: len(rows.channels)])
 
 
 def simulate(
@@ -141,7 +159,7 @@ def simulate(
     R, p = model.poses(theta, model.rows(q))
     p = p + noise * rng.normal(size=p.shape)
     R = Rotation.from_rotvec(noise * rng.normal(size=p.shape)).as_matrix() @ R
-    return Truth(model, theta, q, Observations(p, R if kind == "pose" else None))
+    return Truth(model, theta, measured(robot, q, p, R if kind == "pose" else None))
 
 
 def table(truth: Truth) -> pd.DataFrame:
@@ -167,10 +185,7 @@ def write_campaign(folder: Path, truth: Truth, rows: pd.DataFrame | None = None,
     keys: dict[str, object] = {
         "format": 1,
         "robot": {"urdf": "robot.urdf", "base": robot.base, "tip": robot.tip},
-        "measurements": {
-            "file": "measurements.csv",
-            "kind": "position" if truth.measured.rotation is None else "pose",
-        },
+        "measurements": {"file": "measurements.csv", "kind": "position" if truth.measured.rotation is None else "pose"},
         "diagnosis": {"enabled": False},
     }
     path = folder / "campaign.yaml"
@@ -184,25 +199,9 @@ def campaign(kind: str = "pose", **sections: object) -> Campaign:
     return parse_settings(yaml.safe_dump(keys | sections), Path("campaign.yaml"), Campaign)
 
 
-def measurements(truth: Truth, station: np.ndarray | None = None) -> Measurements:
-    """The rows as if they had been read from a file, all of them for training."""
-    n, R = len(truth.readings), truth.measured.rotation
-    return Measurements(
-        names=truth.model.robot.readings,
-        files=(Path("m.csv"),),
-        sha256="",
-        refused=(),
-        notices=(),
-        file=np.zeros(n, dtype=int),
-        line=np.arange(2, n + 2),
-        readings=truth.readings,
-        position=truth.measured.position,
-        quaternion=None if R is None else Rotation.from_matrix(R).as_quat(),
-        std=None,
-        covariates={},
-        station=station,
-        test=np.zeros(n, dtype=bool),
-    )
+def measurements(truth: Truth, station: np.ndarray | None = None) -> Dataset:
+    """The rows, at stations if there are any."""
+    return replace(truth.measured, station=station)
 
 
 def moved(truth: Truth, world: pin.SE3, tip: pin.SE3) -> Truth:
@@ -212,4 +211,5 @@ def moved(truth: Truth, world: pin.SE3, tip: pin.SE3) -> Truth:
     p = (p + R @ tip.translation) @ world.rotation.T + world.translation
     frames = [((None, world * truth.model.world_base[0][1]),), ((None, truth.model.tip_target[0][1] * tip),)]
     model = replace(truth.model, world_base=frames[0], tip_target=frames[1])
-    return replace(truth, model=model, measured=Observations(p, world.rotation @ R @ tip.rotation))
+    rows = replace(truth.measured, position=p, rotation=world.rotation @ R @ tip.rotation)
+    return replace(truth, model=model, measured=rows)

@@ -6,16 +6,16 @@ import numpy as np
 import pinocchio as pin
 from heads import ARID, MODEL, START, T_TIP_CAMERA, THETA, moved, poses, shots
 
-from aridcal.arm_and_head import ArmAndHead, fit_arm_and_head
-from aridcal.campaign import Noise as NoiseSettings
-from aridcal.head.pose import predict_pixels
+from aridcal.head.camera import predict_pixels
+from aridcal.head.detections import Shots
 from aridcal.head.reduction import Head
 from aridcal.head.sonar import predict_ranges
-from aridcal.sighted import Shots
+from aridcal.inputs.campaign import Noise as NoiseSettings
+from aridcal.search.arm_and_head import ArmAndHead, fit_arm_and_head
 
 
 def calibrated(given: Shots) -> ArmAndHead:
-    return fit_arm_and_head(given, given.rows, ARID, (), lambda _: None)
+    return fit_arm_and_head(given, ARID, (), lambda _: None)
 
 
 def misfit(T: np.ndarray, given: Shots, head: Head) -> np.ndarray:

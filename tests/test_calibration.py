@@ -8,14 +8,16 @@ import numpy as np
 import pytest
 import robots
 
-from aridcal.calibration import Calibration, SolvedModel
-from aridcal.effects import Basis, Coefficient, Surroundings
+from aridcal.effects.basis import Basis
+from aridcal.effects.effect import Coefficient
+from aridcal.effects.loads import Surroundings
 from aridcal.errors import AridcalError
-from aridcal.model import Model
-from aridcal.robot import parse_robot
+from aridcal.model.model import Model
+from aridcal.result.saved_model import SavedModel, SolvedModel
+from aridcal.robot.chain import parse_robot
 
 
-def example(urdf: bytes | None = None) -> Calibration:
+def example(urdf: bytes | None = None) -> SavedModel:
     """Everything a calibration may hold: stations, effects, a full covariance, numbers with all their digits."""
     rng = np.random.default_rng(3)
     robot = parse_robot(urdf or robots.arid().urdf, "flange", path=Path("arid.urdf"))
@@ -30,7 +32,7 @@ def example(urdf: bytes | None = None) -> Calibration:
     gravity = rng.normal(size=(2, 3))
     geometric = Model(robot, constants, world, tip, Surroundings(gravity, tip[0][1].translation))
     A = rng.normal(size=(6, 6))
-    return Calibration(
+    return SavedModel(
         SolvedModel(geometric, rng.normal(size=3), np.eye(3) / 3),
         SolvedModel(geometric.with_coefficients(constants + effects), rng.normal(size=6), A @ A.T),
         "pose",
@@ -45,7 +47,7 @@ def test_what_is_written_is_what_is_read(tmp_path: Path) -> None:
     before = example()
     path = tmp_path / "calibration.yaml"
     path.write_text(before.dump(), encoding="utf-8")
-    after = Calibration.load(path)
+    after = SavedModel.load(path)
     for a, b in ((before.geometric, after.geometric), (before.final, after.final)):
         assert np.array_equal(a.theta, b.theta)
         assert np.array_equal(a.covariance, b.covariance)
@@ -64,7 +66,7 @@ def test_what_is_written_is_what_is_read(tmp_path: Path) -> None:
 def test_a_calibration_predicts_the_same_after_a_round_trip(tmp_path: Path) -> None:
     before = example()
     (tmp_path / "c.yaml").write_text(before.dump(), encoding="utf-8")
-    after = Calibration.load(tmp_path / "c.yaml")
+    after = SavedModel.load(tmp_path / "c.yaml")
     rng = np.random.default_rng(0)
     q = robots.readings(robots.arid(), 20, rng)
     covariates = {"temperature": rng.uniform(10, 30, 20), "time": rng.uniform(0, 1e4, 20)}
@@ -94,7 +96,7 @@ def test_the_urdfs_own_bytes_come_back(tmp_path: Path, change) -> None:  # type:
     urdf = change(source)
     assert urdf != robots.arid().urdf
     (tmp_path / "c.yaml").write_text(example(urdf).dump(), encoding="utf-8")
-    assert Calibration.load(tmp_path / "c.yaml").final.model.robot.urdf == urdf
+    assert SavedModel.load(tmp_path / "c.yaml").final.model.robot.urdf == urdf
 
 
 @pytest.mark.parametrize(
@@ -106,12 +108,12 @@ def test_another_file_is_refused_by_name(tmp_path: Path, text: str) -> None:
     path = tmp_path / "calibration.yaml"
     path.write_text(text)
     with pytest.raises(AridcalError, match=r"calibration\.yaml"):
-        Calibration.load(path)
+        SavedModel.load(path)
 
 
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
     with pytest.raises(AridcalError, match=r"nowhere\.yaml"):
-        Calibration.load(tmp_path / "nowhere.yaml")
+        SavedModel.load(tmp_path / "nowhere.yaml")
 
 
 @pytest.mark.parametrize(
@@ -131,11 +133,11 @@ def test_a_file_that_is_no_calibration_is_refused_with_the_reason(tmp_path: Path
     path = tmp_path / "calibration.yaml"
     path.write_bytes(text if isinstance(text, bytes) else text.encode())
     with pytest.raises(AridcalError, match=says):
-        Calibration.load(path)
+        SavedModel.load(path)
 
 
 def test_a_result_folder_is_as_good_as_its_file(tmp_path: Path) -> None:
     (tmp_path / "calibration.yaml").write_text(example().dump(), encoding="utf-8")
-    assert np.array_equal(Calibration.load(tmp_path).final.theta, example().final.theta)
+    assert np.array_equal(SavedModel.load(tmp_path).final.theta, example().final.theta)
     with pytest.raises(AridcalError, match="no such file"):
-        Calibration.load(tmp_path / "nowhere")
+        SavedModel.load(tmp_path / "nowhere")

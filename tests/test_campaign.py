@@ -4,9 +4,10 @@ from pathlib import Path
 
 import pytest
 
-from aridcal.campaign import EFFECT_KINDS, LENGTHS, Campaign, Job, load_campaign
+from aridcal.effects.catalogue import KINDS
 from aridcal.errors import CampaignError
-from aridcal.settings import Section, load_settings, parse_settings
+from aridcal.inputs.campaign import LENGTHS, Campaign, Job, load_campaign
+from aridcal.inputs.yaml_file import Section, load_settings, parse_settings
 
 SMALLEST = "format: 1\nrobot: {urdf: robot.urdf, tip: flange}\nmeasurements: {file: m.csv}\n"
 
@@ -86,7 +87,7 @@ def test_what_is_left_out_has_the_stated_defaults() -> None:
         assert (frame.xyz, frame.rpy, frame.identify, frame.per) == ((0, 0, 0), (0, 0, 0), True, None)
     assert (job.parameters.set, job.effects, job.diagnosis.enabled) == ("full", (), True)
     assert job.diagnosis.candidates == parse(SMALLEST + "diagnosis: {candidates: all}").diagnosis.candidates
-    assert set(job.diagnosis.candidates) == set(EFFECT_KINDS)
+    assert set(job.diagnosis.candidates) == set(KINDS)
 
 
 def test_paths_are_relative_to_the_file_and_its_text_is_kept(tmp_path: Path) -> None:

@@ -8,13 +8,18 @@ import numpy as np
 import pandas as pd
 import pytest
 import robots
+from scipy.spatial.transform import Rotation
 
 from aridcal import compensate, predict
-from aridcal.calibration import Calibration, SolvedModel
-from aridcal.effects import Basis, Coefficient, Surroundings
-from aridcal.geometry import constants
-from aridcal.model import Model
-from aridcal.robot import Robot
+from aridcal.effects.basis import Basis
+from aridcal.effects.effect import Coefficient
+from aridcal.effects.loads import Surroundings
+from aridcal.fit.constants import constants
+from aridcal.inputs.query import load_query
+from aridcal.model.model import Model
+from aridcal.result.compensate import approach
+from aridcal.result.saved_model import SavedModel, SolvedModel
+from aridcal.robot.chain import Robot
 
 POSE = ["x", "y", "z", "qx", "qy", "qz", "qw"]
 BACKLASH = Coefficient("elbow_joint", "axis", Basis("linear", ("elbow_joint_direction",), (0.0,)))
@@ -28,7 +33,7 @@ def calibration(
     text: str = "",
     stations: tuple[str | None, ...] = (None,),
     kind: str = "pose",
-) -> Calibration:
+) -> SavedModel:
     """A robot whose constants are all off by a millimetre and a milliradian, with some effects."""
     rng = np.random.default_rng(2)
     robot, effects = robot or robots.ur10(), effects or {}
@@ -41,7 +46,7 @@ def calibration(
     values = np.concatenate([theta, list(effects.values())])
     ranges = {name: (-1.2, 1.2) for name in robot.readings}
     ranges |= {name: (10.0, 30.0) for c in effects for name in c.basis.of if name == "temperature"}
-    return Calibration(
+    return SavedModel(
         SolvedModel(geometric, theta, np.eye(len(theta))), SolvedModel(final, values, np.eye(len(values))), kind,
         (0.0, 0.0, -9.81), (1e-5, 1e-5), ranges, {"campaign": text} if text else {},
     )  # fmt: skip
@@ -54,7 +59,7 @@ def readings(n: int, seed: int = 3) -> pd.DataFrame:
     return pd.DataFrame(rng.uniform(low, high, (n, 6)), columns=list(robots.ur10().readings))
 
 
-def run(folder: Path, model: Calibration, poses: pd.DataFrame, out: str = "joints.csv") -> tuple[int, Path]:
+def run(folder: Path, model: SavedModel, poses: pd.DataFrame, out: str = "joints.csv") -> tuple[int, Path]:
     (folder / "calibration.yaml").write_text(model.dump(), encoding="utf-8")
     poses.to_csv(folder / "poses.csv", index=False, float_format="%.17g")
     status = compensate.main([str(folder), str(folder / "poses.csv"), "-o", str(folder / out)])
@@ -67,7 +72,7 @@ def predicted(folder: Path, query: Path) -> pd.DataFrame:
     return robots.read_csv(folder / "back.csv")
 
 
-def wanted(folder: Path, model: Calibration, q: pd.DataFrame) -> pd.DataFrame:
+def wanted(folder: Path, model: SavedModel, q: pd.DataFrame) -> pd.DataFrame:
     """Poses that the machine takes at some joints."""
     (folder / "calibration.yaml").write_text(model.dump(), encoding="utf-8")
     q.to_csv(folder / "q.csv", index=False, float_format="%.17g")
@@ -184,6 +189,59 @@ def test_tables_speak_as_the_campaigns_tables_do(tmp_path: Path) -> None:
     assert "elbow_joint" not in found
 
 
+DIALECTS = {
+    "quaternions": "{}",
+    "quaternions in columns of their own": "{columns: {x: X, qx: q1, qy: q2, qz: q3, qw: q0}, units: {length: in}}",
+    "rotation vectors": "{units: {length: mm}, orientation: {rotvec: [rx, ry, rz]}}",
+    "rotation vectors in degrees": "{units: {angle: deg}, orientation: {rotvec: [u, v, w]}}",
+    "KUKA": "{columns: {x: X, y: Y, z: Z, elbow_joint: A3}, units: {length: mm, angle: deg}, "
+    "orientation: {euler: ZYX, columns: [A, B, C]}}",
+    "Fanuc": "{units: {length: mm, angle: deg}, orientation: {euler: xyz, columns: [w, p, r]}}",
+    **{
+        f"Euler {sequence}": f"{{orientation: {{euler: {sequence}, columns: [e1, e2, e3]}}}}"
+        for sequence in ("XYZ", "ZYZ", "ZXZ", "zyx", "yxz", "XZY")
+    },
+}
+
+
+@pytest.mark.parametrize("dialect", DIALECTS)
+def test_poses_go_round_in_every_dialect(tmp_path: Path, dialect: str) -> None:
+    """Joints to poses, to joints from other starts, to poses: the same to 1e-7 in metres and radians."""
+    text = f"format: 1\nrobot: {{urdf: ur10.urdf, tip: tool0}}\nmeasurements: {{file: m.csv, {DIALECTS[dialect][1:]}\n"
+    model = calibration(effects={SAG: 1e-5, HEAT: 1e-5}, text=text)
+    settings, names = model.measurements, model.final.model.robot.readings
+    scale = settings.units.radians
+    own = {name: settings.columns.get(name, name) for name in names}
+    q = (readings(12) / scale).rename(columns=own).assign(temperature=25.0)
+    poses = wanted(tmp_path, model, q)
+    assert ("qw" in poses) == (dialect == "quaternions")
+    poses[list(own.values())] += 0.02 / scale
+    status, out = run(tmp_path, model, poses)
+    assert status == 0
+    assert robots.read_csv(out)["reached"].all()
+    before, after = (
+        load_query(table, names, robots.ur10().limits, ["revolute"] * 6, settings, poses=True)
+        for table in (poses, predicted(tmp_path, out))
+    )
+    np.testing.assert_allclose(after.position, before.position, rtol=0, atol=1e-7)
+    apart = Rotation.from_quat(after.quaternion) * Rotation.from_quat(before.quaternion).inv()
+    assert apart.magnitude().max() < 1e-7
+
+
+def test_two_orientations_that_disagree_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    text = "format: 1\nrobot: {urdf: ur10.urdf, tip: tool0}\nmeasurements: {file: m.csv, orientation: %s}\n"
+    model = calibration(text=text % "{euler: ZYX, columns: [A, B, C]}")
+    quaternions = wanted(tmp_path, calibration(), readings(4))[POSE]
+    angles = wanted(tmp_path, model, readings(4))[["A", "B", "C"]]
+    both = pd.concat([quaternions, angles], axis=1)
+    assert run(tmp_path, model, both)[0] == 0
+    both.loc[2, "B"] += 0.01
+    capsys.readouterr()
+    assert run(tmp_path, model, both)[0] == 2
+    said = " ".join(capsys.readouterr().err.split())
+    assert "line 4: A B C and qx qy qz qw are two orientations, 0.5" in said and "degrees apart" in said
+
+
 @pytest.mark.parametrize("which", ["reported", "commanded"])
 def test_joints_that_were_reported_are_to_be_reported(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], which: str
@@ -222,7 +280,7 @@ def test_a_stream_gets_the_commands_that_the_table_gets(tmp_path: Path) -> None:
     poses = wanted(tmp_path, model, q)
     _, out = run(tmp_path, model, poses)
     table = robots.read_csv(out)
-    loaded = Calibration.load(tmp_path)
+    loaded = SavedModel.load(tmp_path)
     R, p = model.final.poses(readings(5).to_numpy(), {"temperature": np.full(5, 25.0)})
     for k in range(5):
         pose = np.eye(4)
@@ -234,14 +292,14 @@ def test_a_stream_gets_the_commands_that_the_table_gets(tmp_path: Path) -> None:
 
 def test_sides_of_approach_are_those_of_the_last_move() -> None:
     reading = np.array([0.0, 1.0, 1.0, np.nan, 0.5, 0.5 + 1e-9, 0.6])
-    assert compensate.approach(reading).tolist() == [0, 1, 1, 1, -1, -1, 1]
+    assert approach(reading).tolist() == [0, 1, 1, 1, -1, -1, 1]
 
 
 def test_a_correction_table_brings_the_target_where_the_nominal_robot_would_be(tmp_path: Path) -> None:
     sag = Coefficient("joint_2", "axis", Basis("linear", ("joint_2.gravity_torque",), (0.0,)))
     model = calibration(robots.arid(), {sag: 1e-6})
     ranges = {"joint_1": (1.0, 9.0), "joint_2": (0.3, 1.8), "joint_3": (1.9, 2.5), "joint_4": (-1.9, -0.4)}
-    model = Calibration(model.geometric, model.final, "pose", model.gravity, (1e-4, 1e-4), ranges, {})
+    model = SavedModel(model.geometric, model.final, "pose", model.gravity, (1e-4, 1e-4), ranges, {})
     (tmp_path / "calibration.yaml").write_text(model.dump(), encoding="utf-8")
     status = compensate.main([str(tmp_path), "--grid", "4", "-o", str(tmp_path / "table.csv")])
     assert status == 0

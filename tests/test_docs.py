@@ -2,24 +2,36 @@
 
 from __future__ import annotations
 
+import ast
 import json
 import os
 import re
 import subprocess
 import sys
+from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
+from types import ModuleType
 
 import chromium
+import numpy as np
 import pytest
 import yaml
 
 from aridcal.__main__ import COMMANDS
-from aridcal.campaign import EFFECT_KINDS, HEAD_KINDS
+from aridcal.effects.catalogue import KINDS, is_of_head
+from aridcal.effects.smooth import Kernel
 
 TOP = Path(__file__).resolve().parents[1]
 DOCS = TOP / "docs"
 PAGES = [*sorted(DOCS.glob("*.md")), TOP / "README.md", TOP / "CONTRIBUTING.md", *sorted(TOP.glob("notebooks/*.ipynb"))]
+
+
+SEARCH_PAGE = DOCS / "how-the-search-works.md"
+THRESHOLD = re.compile(r"^\| `([A-Z_0-9]+)` \| ([^|]+) \| `([\w/]+)` \| [^|]{3,} \|$", re.MULTILINE)
+DECIDING_ROOMS = ("effects", "fit", "search")
+OTHER_DECIDERS = ("result/pipeline", "result/uncertainty", "inputs/split", "inputs/repeats")
+GEOMETRY = ("fit/doty1992",)
 
 
 def text_of(page: Path) -> str:
@@ -49,12 +61,84 @@ def test_every_link_leads_somewhere(page):
     assert wrong == []
 
 
+def test_the_code_that_conventions_show_for_an_equation_is_there():
+    text = (DOCS / "conventions.md").read_text("utf-8")
+    named = set(re.findall(r"`head\.(\w+)\.(\w+)`", text))
+    assert len(named) > 4
+    assert [(module, name) for module, name in sorted(named) if not hasattr(module_of(f"head/{module}"), name)] == []
+    tests = set(re.findall(r"test_\w+\.py", text))
+    assert [name for name in sorted(tests) if not (TOP / "tests" / name).is_file()] == []
+
+
 def test_every_kind_of_effect_has_its_paragraph_and_its_picture():
     text = (DOCS / "effects.md").read_text("utf-8")
-    for kind in set(EFFECT_KINDS) - set(HEAD_KINDS):
+    for kind in (kind for kind in KINDS if not is_of_head(kind)):
         assert f"### `{kind}`\n![" in text, kind
         assert (DOCS / "images" / "effects" / f"{kind}.png").stat().st_size < 30_000
-    assert [kind for kind in HEAD_KINDS if f"| `{kind}` |" not in text] == []
+    assert [kind for kind in filter(is_of_head, KINDS) if f"| `{kind}` |" not in text] == []
+
+
+def thresholds() -> dict[tuple[str, str], str]:
+    """Rows of the page's tables: (module, name) and the value as it is written."""
+    rows = THRESHOLD.findall(SEARCH_PAGE.read_text("utf-8"))
+    assert len({(module, name) for name, _, module in rows}) == len(rows)
+    return {(module, name): value for name, value, module in rows}
+
+
+def module_of(path: str) -> ModuleType:
+    return import_module(f"aridcal.{path.replace('/', '.')}")
+
+
+def numbers_of(constant: object) -> list[float]:
+    """A constant as numbers, in order; a kernel is its length."""
+    many = isinstance(constant, tuple | list | np.ndarray)
+    flat = np.ravel(constant).tolist() if isinstance(constant, np.ndarray) else constant if many else [constant]
+    return [float(k.length if isinstance(k, Kernel) else k) for k in flat]
+
+
+def numbers_written(value: str) -> list[float]:
+    """`3e-4`, `1, 2, 3`, `10^-1.5`."""
+    parts = (re.fullmatch(r"(?:10\^)(\S+)|(\S+)", part.strip()) for part in value.split(","))
+    return [10.0 ** float(part[1]) if part[1] else float(part[2]) for part in parts if part]
+
+
+@pytest.mark.parametrize("module, name", sorted(thresholds()))
+def test_a_threshold_in_the_documents_is_that_of_the_code(module, name):
+    value, constant = thresholds()[module, name], numbers_of(getattr(module_of(module), name))
+    if span := re.fullmatch(r"(\S+) … (\S+) \((\d+)\)", value.strip()):
+        assert len(constant) == int(span[3])
+        constant, value = [constant[0], constant[-1]], f"{span[1]}, {span[2]}"
+    np.testing.assert_allclose(constant, numbers_written(value), rtol=1e-12)
+
+
+def constants_of(module: str) -> dict[str, str]:
+    """Numeric constants of a module by name: their reasons, where a docstring follows, else nothing."""
+    body = ast.parse((TOP / "aridcal" / f"{module}.py").read_text("utf-8")).body
+    found = {}
+    for node, after in zip(body, [*body[1:], None], strict=True):
+        if isinstance(node, ast.Assign | ast.AnnAssign):
+            target = node.targets[0] if isinstance(node, ast.Assign) else node.target
+            documented = isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant)
+            reason = " ".join(str(after.value.value).split()) if documented else ""
+            for name in ast.unparse(target).strip("()").split(", "):
+                constant = getattr(module_of(module), name)
+                first = constant[0] if isinstance(constant, tuple) and constant else constant
+                if name.isupper() and isinstance(first, int | float | np.ndarray | Kernel):
+                    found[name] = reason
+    return found
+
+
+def test_every_number_that_the_search_decides_by_is_in_the_documents_with_its_reason():
+    """What fails here names the rows that are missing, ready to be pasted."""
+    inside = [f"{room}/{path.stem}" for room in DECIDING_ROOMS for path in (TOP / "aridcal" / room).glob("[!_]*.py")]
+    written = thresholds()
+    missing = [
+        f"| `{name}` | {', '.join(map(str, numbers_of(getattr(module_of(module), name))))} | `{module}` | {reason} |"
+        for module in sorted({*inside, *OTHER_DECIDERS} - {*GEOMETRY})
+        for name, reason in constants_of(module).items()
+        if (module, name) not in written
+    ]
+    assert not missing, "\n".join(missing)
 
 
 def test_the_readme_and_the_formats_name_every_command():

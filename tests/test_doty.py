@@ -1,4 +1,4 @@
-"""The Doty description of a chain: exact for any chain, the report's numbers for the ARID, honest where singular."""
+"""The Doty description of a chain: exact for any chain, Doty's numbers for the ARID, honest where singular."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -7,8 +7,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from aridcal.doty import COMPONENTS, align, axis_to_link, doty_links, doty_table, fold, link_transform, motion, segments
-from aridcal.robot import Joint, Robot, load_robot
+from aridcal.robot.chain import Joint, Robot, load_robot
+from aridcal.robot.doty import COMPONENTS, Link, align, axis_to_link, doty_links, link_transform, motion, segments
 
 URDF = Path(__file__).parents[1] / "urdf"
 X, Y, Z = np.eye(3)
@@ -31,6 +31,15 @@ def at(rotation: np.ndarray = NO_TURN, x: float = 0.0, y: float = 0.0, z: float 
 def placements(robot: Robot) -> list[pin.SE3]:
     """From each moving joint, after its motion, to the next one's frame, the tip last."""
     return [j.placement for j in robot.joints[1:]] + [robot.tip_before * robot.tip_origin]
+
+
+def fold(link: Link, **corrections: float) -> pin.SE3:
+    """From a joint's frame, after its motion, to the next one's, with corrections dd, dtheta, dbeta, da, dalpha."""
+    d = {c: corrections.get(f"d{c}", 0.0) for c in COMPONENTS}
+    corrected = link_transform(
+        link.theta + d["theta"], link.beta + d["beta"], link.a + d["a"], link.alpha + d["alpha"], d["d"]
+    )
+    return link.before * pin.SE3(corrected) * link.after
 
 
 def joint_motion(joint: Joint, q: float) -> pin.SE3:
@@ -187,15 +196,27 @@ def test_the_arids_fourth_link_is_singular_and_the_others_are_not():
 
 
 def test_table_3_1_of_the_shipped_arid():
-    rows = doty_table(load_robot(URDF / "arid.urdf", tip="flange"))
-    assert [row["joint"] for row in rows] == ["joint_1", "joint_2", "joint_3", "joint_4"]
-    assert [row["kind"] for row in rows] == ["prismatic", "revolute", "revolute", "revolute"]
-    assert [row["a"] for row in rows] == [0.3, 1.98, 1.98, 0.0]
-    assert all(row["theta"] == row["beta"] == row["alpha"] == 0.0 for row in rows)
-    assert [row["singular"] for row in rows] == [False, False, False, True]
-    limits = np.array([[row["lower"], row["upper"]] for row in rows])
-    np.testing.assert_allclose(limits[0], [0.0, 718 * 0.0254], atol=1e-9)
-    np.testing.assert_allclose(np.degrees(limits[1:]), [[4, 112], [102, 148], [-117, -16]], atol=1e-3)
+    robot = load_robot(URDF / "arid.urdf", tip="flange")
+    links = doty_links(robot)
+    assert [link.joint for link in links] == ["joint_1", "joint_2", "joint_3", "joint_4"]
+    assert [link.prismatic for link in links] == [True, False, False, False]
+    assert [link.a for link in links] == [0.3, 1.98, 1.98, 0.0]
+    assert all(link.theta == link.beta == link.alpha == 0.0 for link in links)
+    assert [link.singular for link in links] == [False, False, False, True]
+    np.testing.assert_allclose(robot.limits[0], [0.0, 718 * 0.0254], atol=1e-9)
+    np.testing.assert_allclose(np.degrees(robot.limits[1:]), [[4, 112], [102, 148], [-117, -16]], atol=1e-3)
+
+
+@pytest.mark.parametrize("height", [1.0, 0.1, -1e-9, -0.9, -0.99, -0.9989, -0.9991, -1.0 + 1e-9])
+def test_a_turn_onto_an_axis_is_a_rotation_wherever_the_axis_points(height):
+    rng = np.random.default_rng(2)
+    for turn in rng.uniform(-np.pi, np.pi, 20):
+        across = np.sqrt((1.0 - height) * (1.0 + height))
+        direction = np.array([across * np.cos(turn), across * np.sin(turn), height])
+        R = align(direction / np.linalg.norm(direction)).rotation
+        # Each entry is a dozen operations on numbers up to 2.
+        np.testing.assert_allclose(R.T @ R, np.eye(3), rtol=0, atol=5e-15)
+        np.testing.assert_allclose(R[:, 2], direction, rtol=0, atol=5e-15)
 
 
 @pytest.mark.parametrize("height", [0.0, 0.3, -0.7])

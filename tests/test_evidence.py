@@ -4,23 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.stats import kstest, multivariate_normal
+from scipy.linalg import toeplitz
+from scipy.optimize import minimize_scalar
+from scipy.stats import chi2, kstest, multivariate_normal, norm
+from scipy.stats import t as t_distribution
 
-from aridcal.evidence import (
-    KERNELS,
-    Kernel,
-    coefficients,
-    extended,
-    kernel_root,
-    score,
-    shaped,
-    smooth_precision,
-    solve,
-    sums,
-)
-from aridcal.residual import Sigma
+from aridcal.effects.smooth import Kernel, kernel_root, smooth_precision
+from aridcal.fit.normal_equations import accumulate
+from aridcal.search.evidence import KERNELS, coefficients, score, shaped, solve
 
-UNIT = Sigma(1.0, 1.0)
+UNIT = np.ones(1)
 
 
 def problem(seed: int, n: int = 80, K: int = 5, d: int = 3) -> tuple[np.ndarray, ...]:
@@ -37,16 +30,32 @@ def scored(A: np.ndarray, C: np.ndarray, r: np.ndarray, shape: tuple[int, ...] |
 @pytest.mark.parametrize("d", [1, 3])
 def test_plain_gain_is_the_profiled_likelihood_ratio_less_its_price(d):
     A, C, r = problem(1, d=d)
+    r = r + C @ np.full(d, 0.4)
     squares = [np.sum((r - X @ np.linalg.lstsq(X, r, rcond=None)[0]) ** 2) for X in (A, np.hstack([A, C]))]
     twice = len(r) * np.log(squares[0] / squares[1])
     found = scored(A, C, r)
     assert found.freedom == d
-    assert found.gain == pytest.approx(0.5 * (twice - d * (1.0 + np.log(max(twice / d, 1.0)))))
+    # d numbers with that sum of squares and unit noise: the evidence that they have a variance of their own beside it.
+    numbers = np.sqrt(twice / d) * np.ones(d)
+
+    def against(variance: float) -> float:
+        return -float(multivariate_normal(cov=(1.0 + variance) * np.eye(d)).logpdf(numbers))
+
+    best = -minimize_scalar(against, bounds=(0.0, 1e3), method="bounded").fun
+    assert found.gain == pytest.approx(best - multivariate_normal(cov=np.eye(d)).logpdf(numbers), abs=1e-6)
+    assert found.p_value == pytest.approx(chi2.sf(twice, d))
 
 
 def test_p_values_of_columns_that_mean_nothing_are_uniform():
     values = [scored(*problem(seed, n=300)).p_value for seed in range(400)]
     assert kstest(values, "uniform").pvalue > 1e-3
+
+
+def test_columns_that_explain_less_than_chance_would_are_worth_less_than_nothing():
+    scores = [scored(*problem(seed, n=300)) for seed in range(200)]
+    usual = chi2.median(3)
+    assert all(s.gain < 0 for s in scores if s.p_value > chi2.sf(usual, 3))
+    assert max(s.gain for s in scores) < 6.0  # a chance of 1 in 200
 
 
 def test_columns_that_the_model_has_already_add_nothing():
@@ -57,12 +66,13 @@ def test_columns_that_the_model_has_already_add_nothing():
 
 @pytest.mark.parametrize("kernel", KERNELS)
 def test_a_kernels_root_and_precision_are_those_of_its_covariance(kernel):
-    knots = np.arange(9.0)
+    """Integrated over their spectra: Student's t with 7 degrees of freedom (Matern 7/2), and the normal distribution."""
     root = kernel_root((9,), kernel)
-    apart = np.abs(np.subtract.outer(knots, knots)) / kernel.length
-    a = np.sqrt(7.0) * apart
-    covariance = (1 + a + 0.4 * a**2 + a**3 / 15) * np.exp(-a) if kernel.kinks else np.exp(-0.5 * apart**2)
-    np.testing.assert_allclose(root @ root.T, covariance, atol=1e-9)
+    spectrum = t_distribution(7) if kernel.kinks else norm()
+    frequency = np.linspace(-100.0, 100.0, 20_001)
+    weight = spectrum.pdf(frequency) * (frequency[1] - frequency[0])
+    along = np.array([weight @ np.cos(k / kernel.length * frequency) for k in range(9)])
+    np.testing.assert_allclose(root @ root.T, toeplitz(along), atol=1e-7)
     np.testing.assert_allclose(smooth_precision((9,), 0.5, kernel) @ (0.25 * root @ root.T), np.eye(9), atol=1e-4)
 
 
@@ -78,7 +88,7 @@ def test_smooth_evidence_is_that_of_a_gaussian_process_integrated_in_full():
     A, C, _ = problem(4, n=60, d=8)
     truth = kernel_root((8,), Kernel(3.0)) @ rng.standard_normal(8)
     r = C @ truth + rng.standard_normal(60)
-    gram = extended(sums([A], [r]), [A], [C], [r])
+    gram = accumulate([A], [r]).extended([A], [C], [r])
     found = shaped(gram, np.zeros((5, 5)), (8,), UNIT)
     basis = np.linalg.svd(A)[0][:, 5:]  # what the model cannot take up
     seen, columns = basis.T @ r, basis.T @ C
@@ -98,13 +108,13 @@ def test_solve_gives_each_part_its_own_noise():
     A = [rng.standard_normal((600, 4)) for _ in range(2)]
     beta = np.array([1.0, -2.0, 0.5, 3.0])
     r = [a @ beta + s * rng.standard_normal(600) for a, s in zip(A, (0.1, 2.0), strict=True)]
-    found = solve(sums(A, r), np.zeros((4, 4)), UNIT)
-    assert found.sigma.position == pytest.approx(0.1, rel=0.1)
-    assert found.sigma.rotation == pytest.approx(2.0, rel=0.1)
-    W = np.concatenate([np.full(600, 1 / found.sigma.position), np.full(600, 1 / found.sigma.rotation)])
+    found = solve(accumulate(A, r), np.zeros((4, 4)), np.ones(2))
+    assert found.sigma[0] == pytest.approx(0.1, rel=0.1)
+    assert found.sigma[1] == pytest.approx(2.0, rel=0.1)
+    W = np.concatenate([np.full(600, 1 / found.sigma[0]), np.full(600, 1 / found.sigma[1])])
     full = np.linalg.lstsq(np.vstack(A) * W[:, None], np.concatenate(r) * W, rcond=None)[0]
     np.testing.assert_allclose(found.beta, full, rtol=1e-6)
-    np.testing.assert_allclose(coefficients(sums(A, r), np.zeros((4, 4)), found.sigma), full, rtol=1e-6)
+    np.testing.assert_allclose(coefficients(accumulate(A, r), np.zeros((4, 4)), found.sigma), full, rtol=1e-6)
     np.testing.assert_allclose(found.inverse, np.linalg.inv((np.vstack(A) * W[:, None]).T @ (np.vstack(A) * W[:, None])),
                                rtol=1e-6)  # fmt: skip
 
@@ -112,7 +122,7 @@ def test_solve_gives_each_part_its_own_noise():
 def test_sums_of_combined_columns_are_those_of_the_columns_themselves():
     A, C, r = problem(6)
     T = np.random.default_rng(7).standard_normal((3, 2))
-    short = extended(sums([A], [r]), [A], [C], [r]).combined(T)
-    long = sums([np.hstack([A, C @ T])], [r])
+    short = accumulate([A], [r]).extended([A], [C], [r]).combined(T)
+    long = accumulate([np.hstack([A, C @ T])], [r])
     np.testing.assert_allclose(short.AA, long.AA, atol=1e-12)
     np.testing.assert_allclose(short.Ar, long.Ar, atol=1e-12)

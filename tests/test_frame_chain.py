@@ -1,4 +1,4 @@
-"""The chain of frames from the Orbiter to a calibration square and back (report, sections 3.1, 5.3 and 8), in all conventions."""
+"""The chain of frames from the Orbiter to a calibration square and back (Doty 1992, sections 3.1, 5.3, 8), in all conventions."""
 
 import cv2
 import numpy as np
@@ -6,17 +6,17 @@ import pinocchio as pin
 import pytest
 from heads import ARID, OPTICS, START
 
-from aridcal.head.camera import REPORT_OPENCV, on_plane
-from aridcal.head.pose import report_axes
+from aridcal.fit.doty1992 import ORBITER_TO_BASE, pose
+from aridcal.head.camera import DOTY_OPENCV, on_plane
+from aridcal.head.pose import doty_axes
 from aridcal.head.reduction import Seen, reduce_shots
 from aridcal.head.sonar import fit_plane, ranges
 from aridcal.head.square import CENTRES
-from aridcal.model import Model
-from aridcal.report1992 import ORBITER_TO_BASE, pose
+from aridcal.model.model import Model
 
 K = np.array([[700.0, 0, 255.5], [0, 700.0, 255.5], [0, 0, 1]])
 POINTS = np.column_stack([CENTRES, np.zeros(6)])
-FLIP = pin.SE3(REPORT_OPENCV, np.zeros(3))  # the report's camera frame <-> OpenCV's
+FLIP = pin.SE3(DOTY_OPENCV, np.zeros(3))  # Doty's camera frame <-> OpenCV's
 ORB_M_0 = pin.SE3(ORBITER_TO_BASE.T, np.array([1.5, -0.2, 0.7]))
 LINKS = np.array(  # d theta beta a alpha
     [
@@ -35,16 +35,16 @@ def se3(T: np.ndarray) -> pin.SE3:
 
 
 T_0_4 = se3(pose(LINKS, Q[None])[0])
-CAM_M_CAL_CV = pin.SE3(REPORT_OPENCV @ pin.rpy.rpyToMatrix(0.08, -0.11, 0.4), np.array([0.01, -0.02, 0.3]))
+CAM_M_CAL_CV = pin.SE3(DOTY_OPENCV @ pin.rpy.rpyToMatrix(0.08, -0.11, 0.4), np.array([0.01, -0.02, 0.3]))
 ORB_M_CAL = ORB_M_0 * T_0_4 * M4_CAM_CV * CAM_M_CAL_CV
 
 
 def shot(T: pin.SE3) -> tuple[np.ndarray, np.ndarray]:
-    """Pixels by OpenCV and ranges by the report's own plane, of a square at T in OpenCV's camera frame."""
+    """Pixels by OpenCV and ranges by Doty's own plane, of a square at T in OpenCV's camera frame."""
     turn = cv2.Rodrigues(T.rotation)[0]
     pixels = cv2.projectPoints(POINTS, turn, T.translation, K, np.zeros(5))[0][:, 0]
-    n = REPORT_OPENCV @ T.rotation[:, 2]
-    return pixels, ranges(n, float(-n @ (REPORT_OPENCV @ T.translation)), START.positions, "perpendicular")
+    n = DOTY_OPENCV @ T.rotation[:, 2]
+    return pixels, ranges(n, float(-n @ (DOTY_OPENCV @ T.translation)), START.positions, "perpendicular")
 
 
 def assert_same(a: pin.SE3, b: pin.SE3, atol: float = 1e-9) -> None:
@@ -62,8 +62,8 @@ def test_the_squares_pose_in_the_orbiter_is_the_same_through_either_camera_frame
 def test_the_end_frame_comes_back_from_an_image_and_ranges_by_the_reports_own_steps():
     pixels, h = shot(CAM_M_CAL_CV)
     plane = fit_plane(h, START.positions, "perpendicular")
-    places = on_plane(pixels, START.intrinsics, plane.normal, plane.distance)  # (7-28), (7-29), report's frame
-    axes = report_axes(*(places[k] for k in (1, 2, 4, 5)))  # (7-33), (7-34)
+    places = on_plane(pixels, START.intrinsics, plane.normal, plane.distance)  # (7-28), (7-29), Doty's frame
+    axes = doty_axes(*(places[k] for k in (1, 2, 4, 5)))  # (7-33), (7-34)
     cam_M_cal = pin.SE3(axes, places[3])  # (7-35a)
     assert_same(cam_M_cal, FLIP * CAM_M_CAL_CV)
     found = ORB_M_0.inverse() * ORB_M_CAL * cam_M_cal.inverse() * (M4_CAM_CV * FLIP).inverse()  # (7-35c)

@@ -7,10 +7,10 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from aridcal.head.camera import REPORT_OPENCV
+from aridcal.head.camera import DOTY_OPENCV, predict_pixels
 from aridcal.head.fiducials import Fiducials, find_fiducials
 from aridcal.head.matching import NotMeasured
-from aridcal.head.pose import Sonars, measure_pose, predict_pixels
+from aridcal.head.pose import Sonars, measure_pose
 from aridcal.head.render import Glare, Patch, Scene, render
 from aridcal.head.sonar import predict_ranges
 from aridcal.head.square import INCH, layout, strip_placements
@@ -25,7 +25,7 @@ AROUND, ALONE = layout(STRIP, 2), layout({2: STRIP[2]}, 2)
 def pose(x_in=0.0, y_in=0.0, z=0.25, tilt=(0.0, 0.0), turn=0.0) -> np.ndarray:
     """Square's centre (x, y) inches off the axis in the square's frame."""
     T = np.eye(4)
-    T[:3, :3] = REPORT_OPENCV @ pin.exp3(np.array([*tilt, 0.0])) @ pin.exp3(np.array([0, 0, turn]))
+    T[:3, :3] = DOTY_OPENCV @ pin.exp3(np.array([*tilt, 0.0])) @ pin.exp3(np.array([0, 0, turn]))
     T[:3, 3] = [0, 0, z] - T[:3, :3] @ (INCH * np.array([x_in, y_in, 0]))
     return T
 
@@ -215,7 +215,7 @@ def test_a_neighbours_centre_leads_to_the_own_square_and_not_to_one_turned_by_a_
 def test_perimeter_fiducials_alone_do_not_tell_how_the_square_is_turned():
     T = pose(0, 0, 0.3)
     image, sonars = look(T, Scene(patches=covered(T, [1, 4])), squares={2: STRIP[2]})
-    assert "how the square is turned" in refusal(image, sonars)
+    assert "turn of the square is ambiguous" in refusal(image, sonars)
 
 
 def test_area_of_a_fiducials_image_is_that_of_equations_section_4():

@@ -5,19 +5,18 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from aridcal.head.camera import REPORT_OPENCV, on_plane, project, project_jacobian, rays
+from aridcal.head.camera import DOTY_OPENCV, on_plane, predict_pixels, project, project_jacobian, rays
 from aridcal.head.pose import (
     NO_SONARS,
     Sonars,
+    doty_axes,
     fit_pose,
     kabsch,
     measure_pose,
-    predict_pixels,
-    report_axes,
     robust_pose,
     start_on_plane,
 )
-from aridcal.head.sonar import fit_plane, predict_ranges, report_plane
+from aridcal.head.sonar import doty_plane, fit_plane, predict_ranges
 from aridcal.head.square import CENTRES, INCH, SIZES
 
 cv2.setNumThreads(1)
@@ -33,7 +32,7 @@ def poses(n: int, seed: int = 0, tilt: float = 0.2) -> np.ndarray:
     made = np.tile(np.eye(4), (n, 1, 1))
     for T in made:
         T[:3, :3] = (
-            REPORT_OPENCV @ pin.exp3(np.r_[rng.uniform(-tilt, tilt, 2), 0]) @ pin.exp3(np.r_[0, 0, rng.uniform(-3, 3)])
+            DOTY_OPENCV @ pin.exp3(np.r_[rng.uniform(-tilt, tilt, 2), 0]) @ pin.exp3(np.r_[0, 0, rng.uniform(-3, 3)])
         )
         T[:3, 3] = [*rng.uniform(-0.03, 0.03, 2), rng.uniform(0.18, 0.45)]
     return made
@@ -88,7 +87,7 @@ def test_report_frame_and_opencv_frame_7_25_to_7_29():
         plane = fit_plane(sonars(T).readings, CORNERS, "perpendicular")
         local = np.array([*rng.uniform(-0.05, 0.05, 2), 0])
         p_cv = T[:3, :3] @ local + T[:3, 3]
-        p = REPORT_OPENCV @ p_cv
+        p = DOTY_OPENCV @ p_cv
         u, v = project(p_cv, STRAIGHT)
         image = np.array([-(u - 255.5), v - 255.5])
         assert p[2] < 0 < p_cv[2] and np.allclose(image / 700, p[:2] / p[2])  # (7-25)
@@ -118,7 +117,7 @@ def test_reference_reading_exactly_and_as_the_report_has_it():
     intrinsics = np.array([1280.0, 1280, 0, 0, 0, 0, 0, 0, 0])
     p = on_plane(pixel, intrinsics, exact.normal, exact.distance) / INCH
     assert np.allclose(p, [1.142766, -1.523688, -9.751600], atol=1e-6)
-    report = report_plane(h, GAMMA)
+    report = doty_plane(h, GAMMA)
     p = on_plane(pixel, intrinsics, report.normal, report.distance) / INCH
     assert np.allclose(p, [1.136909, -1.515878, -9.701619], atol=1e-6)
     # (7-30)..(7-32) are the same with the heights of (7-2)..(7-5) written out
@@ -132,7 +131,7 @@ def test_reference_reading_exactly_and_as_the_report_has_it():
 def test_axes_7_33_return_the_true_frame_and_erratum_section_5_3_exchanges_them():
     R = pin.exp3(np.array([0.1, -0.07, 0.2]))
     p = {k: R @ P + [0.01, -0.005, -0.25] for k, P in enumerate(POINTS, 1)}
-    assert np.allclose(report_axes(p[2], p[3], p[5], p[6]), R)  # (7-34)
+    assert np.allclose(doty_axes(p[2], p[3], p[5], p[6]), R)  # (7-34)
     assert np.allclose(p[4], [0.01, -0.005, -0.25])  # (7-35a)
     a, b = p[4] - p[6], p[4] - p[3]
     x, y = a / np.linalg.norm(a), b / np.linalg.norm(b)
@@ -145,7 +144,7 @@ def test_axes_of_noisy_points_are_not_a_rotation_and_kabsch_is_better_by_the_sta
     rng = np.random.default_rng(5)
     R, t = pin.exp3(np.array([0.1, -0.07, 0.2])), np.array([0.01, -0.005, -0.25])
     seen = POINTS @ R.T + t + 1e-4 * rng.normal(size=(3000, 6, 3))
-    axes = report_axes(*(seen[0, k] for k in (1, 2, 4, 5)))
+    axes = doty_axes(*(seen[0, k] for k in (1, 2, 4, 5)))
     assert not np.allclose(axes.T @ axes, np.eye(3), atol=1e-6)
     fits = np.array([kabsch(POINTS, s) for s in seen])
     assert np.allclose(np.linalg.det(fits[:, :3, :3]), 1)
@@ -177,7 +176,7 @@ def test_tilt_of_the_reports_procedure_is_that_of_the_sonars_alone():
     plane = fit_plane(sonars(T, noise).readings, CORNERS, "perpendicular")
     pixels = predict_pixels(T, POINTS, STRAIGHT)[0]
     start = start_on_plane(POINTS, pixels, plane, STRAIGHT)
-    assert np.allclose(REPORT_OPENCV @ start[:3, 2], plane.normal)
+    assert np.allclose(DOTY_OPENCV @ start[:3, 2], plane.normal)
     exact = fit_plane(sonars(T).readings, CORNERS, "perpendicular")
     assert np.allclose(start_on_plane(POINTS, pixels, exact, STRAIGHT), T)
 
@@ -305,5 +304,5 @@ def test_frames_of_section_8_chain_and_its_inverse():
     assert np.allclose(inverse(orb_M_0) @ orb_M_cal @ inverse(cam_M_cal) @ inverse(M_4cam), T_04)  # (7-35c)
     # Either camera frame gives the same chain if the mounting is written in it too.
     D = np.eye(4)
-    D[:3, :3] = REPORT_OPENCV
+    D[:3, :3] = DOTY_OPENCV
     assert np.allclose(orb_M_0 @ T_04 @ (M_4cam @ D) @ (D @ cam_M_cal), orb_M_cal)

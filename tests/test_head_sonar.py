@@ -1,11 +1,11 @@
-"""Sonars and plane: EQUATIONS section 5, the exact relation, the report's own, and the difference."""
+"""Sonars and plane: EQUATIONS section 5, the exact relation, Doty's own, and the difference."""
 
 import numpy as np
 import pinocchio as pin
 import pytest
 
-from aridcal.head.camera import REPORT_OPENCV
-from aridcal.head.sonar import fit_plane, predict_ranges, ranges, report_plane
+from aridcal.head.camera import DOTY_OPENCV
+from aridcal.head.sonar import doty_plane, fit_plane, predict_ranges, ranges
 
 INCH = 0.0254
 GAMMA = 2 * INCH
@@ -24,7 +24,7 @@ def random_planes(n: int) -> list[tuple[np.ndarray, float]]:
 
 def square_pose(normal: np.ndarray, distance: float, rng: np.random.Generator) -> np.ndarray:
     """A square somewhere on the plane, in OpenCV's camera frame."""
-    z = REPORT_OPENCV @ normal
+    z = DOTY_OPENCV @ normal
     x = np.cross(rng.normal(size=3), z)
     x /= np.linalg.norm(x)
     T = np.eye(4)
@@ -114,7 +114,7 @@ def test_corner_layout_can_not_see_a_curved_surface_and_a_plus_layout_can():
 
 # Erratum: (7-2)..(7-5) are exact only for a tilt about x. Table of EQUATIONS section 5: (n_x, n_y) times sin(tilt); error of the
 # normal in degrees and of the axial range in inches, then the same with d = 2 gamma put in (7-1).
-REPORT_TABLE = [
+DOTY_TABLE = [
     (1, 1, 1, 0.0002, -0.0015, 0.0003, -0.0023),
     (2, 1, 1, 0.0017, -0.0061, 0.0026, -0.0091),
     (5, 1, 1, 0.027, -0.038, 0.040, -0.057),
@@ -130,7 +130,7 @@ REPORT_TABLE = [
 ]
 
 
-@pytest.mark.parametrize(("tilt", "k_x", "k_y", "angle", "length", "angle_2g", "length_2g"), REPORT_TABLE)
+@pytest.mark.parametrize(("tilt", "k_x", "k_y", "angle", "length", "angle_2g", "length_2g"), DOTY_TABLE)
 def test_erratum_the_reports_plane_is_wrong_by_the_tabulated_amount(tilt, k_x, k_y, angle, length, angle_2g, length_2g):
     s = np.sin(np.radians(tilt))
     normal = tilted(k_x * s, k_y * s)
@@ -141,7 +141,7 @@ def test_erratum_the_reports_plane_is_wrong_by_the_tabulated_amount(tilt, k_x, k
         return turn, plane_distance / plane_normal[2] / INCH - 10
 
     half = 0.5 * 10 ** -(4 if tilt < 5 else 3)
-    assert np.allclose(error(*report_plane(h, GAMMA)[:2]), (angle, length), atol=1.01 * half)
+    assert np.allclose(error(*doty_plane(h, GAMMA)[:2]), (angle, length), atol=1.01 * half)
     exact = error(*fit_plane(h, CORNERS, "perpendicular")[:2])
     assert exact[0] < 1e-6 and abs(exact[1]) < 1e-12
     if angle_2g is not None:  # d = 2 gamma in (7-1): the sines are too small by sqrt 2
@@ -176,7 +176,7 @@ def test_plane_through_points_7_6_to_7_24():
     rng = np.random.default_rng(3)
     g = GAMMA
     for normal, distance in random_planes(10):
-        h = ranges(normal, distance, CORNERS, "along_axis")  # heights below the sensors: the h' of the report, exactly
+        h = ranges(normal, distance, CORNERS, "along_axis")  # heights below the sensors: the h' of Doty (1992), exactly
         p = CORNERS - np.outer(h, [0, 0, 1])
         v = normal / distance
         assert np.allclose(p @ v, -1)  # (7-6), (7-7)

@@ -1,4 +1,4 @@
-"""The calibration square, the strip, and how they are printed and rendered (report, sections 5.1, 5.2 and 7.4)."""
+"""The calibration square, the strip, and how they are printed and rendered (Doty 1992, sections 5.1, 5.2 and 7.4)."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""What can be told apart: the ranks that theory predicts, and every redundancy named by those it hides among."""
+"""What is identifiable: the ranks that theory predicts, and every redundancy named by those it hides among."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ import pytest
 import robots
 from scipy.optimize import least_squares
 
-from aridcal.effects import Coefficient
-from aridcal.geometry import constants
-from aridcal.identifiable import Subset, identifiable
-from aridcal.model import Model
-from aridcal.residual import Observations, Sigma, triangle
-from aridcal.robot import Robot, load_robot
+from aridcal.effects.effect import Coefficient
+from aridcal.fit.constants import constants
+from aridcal.fit.identifiable import Subset, identifiable
+from aridcal.fit.residual import problem, triangle
+from aridcal.model.model import Model
+from aridcal.robot.chain import Robot, load_robot
 
 PANDA = robots.SHARED_ROBOTS / "panda_description" / "urdf" / "panda.urdf"
 TIAGO = robots.SHARED_ROBOTS / "tiago_description" / "robots" / "tiago.urdf"
@@ -38,9 +38,9 @@ def subset_of(robot: Robot, q: np.ndarray, kind: str, which: str = "full", noise
     model = Model(robot, (*robots.FRAMES, *constants(robot, which)), *frames)
     theta = np.zeros(len(model.coefficients))
     R, p = model.poses(theta, model.rows(q))
-    measured = Observations(p, R if kind == "pose" else None)
-    sums = triangle(model, theta, model.rows(q), measured, np.ones(len(q)), Sigma(noise, noise))
-    return model, identifiable(sums, range(len(theta)))
+    asked = problem(model, robots.measured(robot, q, p, R if kind == "pose" else None))
+    R = triangle(asked, theta, np.ones(len(q)), np.full(len(asked.channels), noise))
+    return model, identifiable(R, range(len(theta)))
 
 
 @pytest.mark.parametrize("kind", ["pose", "position"])

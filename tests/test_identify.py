@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import io
 import json
+import re
+from contextlib import redirect_stdout
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,9 +17,9 @@ import robots
 from scipy.spatial.transform import Rotation
 
 from aridcal import identify, predict
-from aridcal.calibration import Calibration
-from aridcal.export import stage_urdf
-from aridcal.outcome import Outcome
+from aridcal.fit.calibrated import stage_urdf
+from aridcal.result.outcome import Outcome
+from aridcal.result.saved_model import SavedModel
 
 CONTROLLERS = {"kinematics.yaml", "dh.yaml", "dh_modified.yaml", "doty.yaml", "joint_offsets.yaml", "frames.yaml"}
 FILES = {
@@ -63,13 +67,32 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> tuple[robots.Truth, Path]
     rows.loc[[10, 20], "x"] += 0.01
     rows.loc[30, ["qx", "qy", "qz", "qw"]] = rows.loc[31, ["qx", "qy", "qz", "qw"]].to_numpy()
     rows.loc[40, "y"] = np.nan
-    assert identify.main([str(robots.write_campaign(folder, truth, rows))]) == 0
+    with redirect_stdout(io.StringIO()) as said:
+        assert identify.main([str(robots.write_campaign(folder, truth, rows))]) == 0
+    (folder / "stdout.txt").write_text(said.getvalue())
     return truth, folder
 
 
 def test_every_file_appears(small: tuple[robots.Truth, Path]) -> None:
     results = {f.name for f in (small[1] / "results").iterdir()}
     assert results == FILES
+
+
+def test_what_is_printed_are_the_errors_that_the_files_state(small: tuple[robots.Truth, Path]) -> None:
+    _, folder = small
+    said = " ".join(re.findall(r"[^\s│┃]+", (folder / "stdout.txt").read_text()))
+    for file in ("joint_offsets.yaml", "kinematics.yaml"):
+        comment = (folder / "results" / file).read_text().splitlines()[0]
+        stated = re.match(r"# (.+): ([\d.]+) mm RMS", comment)
+        assert stated is not None
+        printed = re.search(rf"{re.escape(stated[1])} ([\d.]+)", said)
+        assert printed is not None
+        assert float(printed[1]) == pytest.approx(float(stated[2]), abs=1.1e-3)
+    error = json.loads((folder / "results" / "result.json").read_text())["error"]
+    for stage in ("nominal", "geometric", "final"):
+        position, rotation = (error[stage]["test"][name] for name in ("position_mm", "rotation_mrad"))
+        figures = [position["rms"], position["p95"], position["max"], rotation["rms"], rotation["p95"]]
+        assert " ".join([stage, *(f"{value:.3f}" for value in figures)]) in said
 
 
 def test_figures_tell_what_was_done(small: tuple[robots.Truth, Path]) -> None:
@@ -93,7 +116,7 @@ def test_figures_tell_what_was_done(small: tuple[robots.Truth, Path]) -> None:
 def test_frames_and_parameters_agree_with_the_truth_within_their_sigmas(small: tuple[robots.Truth, Path]) -> None:
     """What can be compared: predictions anywhere in the range, against the machine as it is."""
     truth, folder = small
-    model = Calibration.load(folder / "results" / "calibration.yaml")
+    model = SavedModel.load(folder / "results" / "calibration.yaml")
     q = robots.readings(truth.model.robot, 200, np.random.default_rng(1))
     _, p = model.final.poses(q)
     _, exact = truth.model.poses(truth.theta, truth.model.rows(q))
@@ -118,7 +141,7 @@ def test_residuals_are_measured_minus_predicted_row_by_row(small: tuple[robots.T
     _, folder = small
     table = pd.read_csv(folder / "results" / "residuals.csv")
     rows = pd.read_csv(folder / "measurements.csv")
-    model = Calibration.load(folder / "results" / "calibration.yaml").final
+    model = SavedModel.load(folder / "results" / "calibration.yaml").final
     used = rows.loc[table["row"] - 2].reset_index(drop=True)
     _, p = model.poses(used[list(model.model.robot.readings)].to_numpy())
     np.testing.assert_allclose(table[["final_x", "final_y", "final_z"]], used[["x", "y", "z"]] - p, atol=2e-9)
@@ -138,7 +161,8 @@ def test_another_day_is_scored_with_the_models_as_they_are(small: tuple[robots.T
     rng = np.random.default_rng(3)
     q = robots.readings(truth.model.robot, 40, rng)
     R, p = truth.model.poses(truth.theta, truth.model.rows(q))
-    other = robots.Truth(truth.model, truth.theta, q, robots.Observations(p + 1e-4 * rng.normal(size=p.shape), R))
+    p = p + 1e-4 * rng.normal(size=p.shape)
+    other = replace(truth, measured=robots.measured(truth.model.robot, q, p, R))
     robots.table(other).to_csv(tmp_path / "other.csv", index=False, float_format="%.17g")
     outcome = identify.identify(folder / "campaign.yaml", verify=tmp_path / "other.csv")
     assert outcome.verification is not None

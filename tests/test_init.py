@@ -12,26 +12,22 @@ from robots import SHARED_ROBOTS, URDF, random_placement, readings
 from scipy.spatial.transform import Rotation
 
 import aridcal.init
-from aridcal.calibration import Calibration
-from aridcal.campaign import load_campaign
-from aridcal.columns import match_joints, positions, words
 from aridcal.errors import AridcalError
-from aridcal.identify import identify
-from aridcal.init import draft
-from aridcal.measurements import load_measurements
-from aridcal.model import Model
-from aridcal.quality import joint_kinds, joint_limits
-from aridcal.robot import Robot, load_robot
+from aridcal.inputs.campaign import load_campaign
+from aridcal.inputs.read import load_measurements
+from aridcal.model.model import Model
+from aridcal.prepare.campaign_text import draft
+from aridcal.prepare.column_names import match_joints, positions, words
+from aridcal.prepare.guesses import nobody
+from aridcal.result.pipeline import identify
+from aridcal.result.saved_model import SavedModel
+from aridcal.robot.chain import Robot, load_robot
 
 UR10 = URDF / "ur10.urdf"
 
 
 def never(question: str, answers: object, why: str) -> int:
     raise AssertionError(f"asked {question!r} ({answers}) though the data tell: {why}")
-
-
-def nobody(question: str, answers: object, why: str) -> None:
-    """Nobody answers."""
 
 
 def measured(robot: Robot, n: int = 40, seed: int = 0, world=None) -> tuple[np.ndarray, np.ndarray, Rotation]:
@@ -92,7 +88,7 @@ DIALECTS = list(spelt(*ur10_rows(2)))
 
 
 def read_back(out: Path, robot: Robot):
-    return load_measurements(load_campaign(out), robot.readings, joint_limits(robot), joint_kinds(robot))
+    return load_measurements(load_campaign(out), robot.readings, robot.limits, robot.kinds)
 
 
 @pytest.mark.parametrize("dialect", DIALECTS)
@@ -105,7 +101,7 @@ def test_every_dialect_is_read_back_in_si(dialect, tmp_path, monkeypatch):
     rows = read_back(tmp_path / "campaign.yaml", robot)
     np.testing.assert_allclose(rows.readings, q, atol=1e-12)
     np.testing.assert_allclose(rows.position, p, atol=1e-12)
-    assert (Rotation.from_quat(rows.quaternion) * R.inv()).magnitude().max() < 1e-12
+    assert (Rotation.from_matrix(rows.rotation) * R.inv()).magnitude().max() < 1e-12
 
 
 def test_any_dialect_identifies_like_the_table_in_si(tmp_path):
@@ -114,8 +110,8 @@ def test_any_dialect_identifies_like_the_table_in_si(tmp_path):
     for dialect in ("our own", "KUKA"):
         pd.DataFrame(tables[dialect]).to_csv(tmp_path / f"{dialect}.csv", index=False)
         out = tmp_path / f"{dialect}.yaml"
-        text, _, _ = draft(UR10, [tmp_path / f"{dialect}.csv"], out, never)
-        out.write_text(text + "diagnosis: {enabled: false}\n")
+        made = draft(UR10, [tmp_path / f"{dialect}.csv"], out, never)
+        out.write_text(made.campaign.text + "diagnosis: {enabled: false}\n")
         found.append({s.name: np.sqrt(np.mean(s.residual[:, :3] ** 2)) for s in identify(out).stages})
     assert found[0]["nominal"] > 1e-4  # [m]: the joints' zeros
     assert found[0]["geometric"] < 0.01 * found[0]["nominal"]
@@ -128,9 +124,9 @@ def test_units_of_a_rail_are_found_too(tmp_path):
     table = named("axis1 axis2 axis3 axis4", q * [1e3, *[180 / np.pi] * 3])
     table |= named("x y z", 1e3 * p) | named("rx ry rz", R.as_rotvec(degrees=True))
     pd.DataFrame(table).to_csv(tmp_path / "m.csv", index=False)
-    _, proposal, rows = draft(URDF / "arid.urdf", [tmp_path / "m.csv"], tmp_path / "c.yaml", never)
-    np.testing.assert_allclose(rows.readings, q, atol=1e-12)
-    assert {g.key: g.value for g in proposal.guesses}["measurements.units"] == {"length": "mm", "angle": "deg"}
+    made = draft(URDF / "arid.urdf", [tmp_path / "m.csv"], tmp_path / "c.yaml", never)
+    np.testing.assert_allclose(made.rows.readings, q, atol=1e-12)
+    assert {g.key: g.value for g in made.proposal.guesses}["measurements.units"] == {"length": "mm", "angle": "deg"}
 
 
 def test_a_gripper_that_was_not_recorded_is_left_out_of_the_chain(tmp_path):
@@ -138,7 +134,7 @@ def test_a_gripper_that_was_not_recorded_is_left_out_of_the_chain(tmp_path):
     robot = load_robot(urdf, "panda_link8")
     q, p, _ = measured(robot)
     pd.DataFrame(named(" ".join(robot.names), q) | named("x y z", p)).to_csv(tmp_path / "m.csv", index=False)
-    _, proposal, _ = draft(urdf, [tmp_path / "m.csv"], tmp_path / "c.yaml", nobody)
+    proposal = draft(urdf, [tmp_path / "m.csv"], tmp_path / "c.yaml", nobody).proposal
     assert proposal.robot.readings == robot.readings
     assert {g.key: g.value for g in proposal.guesses}["measurements.kind"] == "position"
 
@@ -146,7 +142,7 @@ def test_a_gripper_that_was_not_recorded_is_left_out_of_the_chain(tmp_path):
 def test_joints_matched_by_order_alone_are_marked_in_the_file(tmp_path):
     _, q, p, _ = ur10_rows()
     pd.DataFrame(named("q1 q2 q3 q4 q5 q6", q) | named("x y z", p)).to_csv(tmp_path / "m.csv", index=False)
-    text, _, _ = draft(UR10, [tmp_path / "m.csv"], tmp_path / "c.yaml", never)
+    text = draft(UR10, [tmp_path / "m.csv"], tmp_path / "c.yaml", never).campaign.text
     above, _, after = text.partition("    shoulder_pan_joint: q1\n")
     assert "GUESSED: by their ORDER" in above.splitlines()[-1]
     assert "wrist_3_joint: q6" in after
@@ -158,7 +154,7 @@ def test_a_moved_tracker_gets_a_frame_for_each_station(tmp_path):
     p[30:] = p[30:] @ moved.rotation.T + moved.translation
     table = named(" ".join(robot.names), q) | named("x y z", p) | {"station": np.repeat(["A", "B"], 30)}
     pd.DataFrame(table).to_csv(tmp_path / "m.csv", index=False)
-    _, proposal, _ = draft(UR10, [tmp_path / "m.csv"], tmp_path / "c.yaml", never)
+    proposal = draft(UR10, [tmp_path / "m.csv"], tmp_path / "c.yaml", never).proposal
     values = {g.key: g.value for g in proposal.guesses}
     assert values["frames.world_base"] == {"per": "station"}
     assert "frames.tip_target" not in values
@@ -171,7 +167,8 @@ def test_a_split_of_the_users_is_kept_and_a_row_counter_ignored(tmp_path):
     table |= {"subset": own, "no": np.arange(len(q)), "remark": ["fine"] * len(q), "humidity": p[:, 0] ** 2}
     table |= {"laser std x": p[:, 1] ** 2, "measured temp": p[:, 2]}
     pd.DataFrame(table).to_csv(tmp_path / "m.csv", index=False)
-    text, _, rows = draft(UR10, [tmp_path / "m.csv"], tmp_path / "c.yaml", never)
+    made = draft(UR10, [tmp_path / "m.csv"], tmp_path / "c.yaml", never)
+    text, rows = made.campaign.text, made.rows
     assert rows.split_given
     np.testing.assert_array_equal(rows.test, own == "test")
     assert "ignore: ['no', remark, laser std x]" in text
@@ -211,7 +208,7 @@ def test_a_campaign_that_is_there_is_never_overwritten(tmp_path, capsys):
     (tmp_path / "campaign.yaml").write_text("mine")
     arguments = ["--urdf", str(UR10), "--measurements", "m.csv", "-o", str(tmp_path / "campaign.yaml")]
     assert aridcal.init.main(arguments) == 2
-    assert "is there already" in capsys.readouterr().err
+    assert "exists already" in capsys.readouterr().err
     assert (tmp_path / "campaign.yaml").read_text() == "mine"
 
 
@@ -220,9 +217,24 @@ def test_measurements_of_another_robot_are_called_so(tmp_path):
     rng = np.random.default_rng(0)
     table = named(" ".join(robot.names), q[rng.permutation(len(q))]) | named("x y z", p)
     pd.DataFrame(table).to_csv(tmp_path / "m.csv", index=False)
-    text, proposal, _ = draft(UR10, [tmp_path / "m.csv"], tmp_path / "c.yaml", nobody)
+    made = draft(UR10, [tmp_path / "m.csv"], tmp_path / "c.yaml", nobody)
+    text, proposal = made.campaign.text, made.proposal
     assert "MUCH" in text
     assert not next(g for g in proposal.guesses if g.key == "measurements.units").sure
+
+
+def test_a_frame_in_memory_is_proposed_and_read_like_the_file_of_it(tmp_path):
+    tables = spelt(*ur10_rows())
+    frame = pd.DataFrame(tables["KUKA"])
+    frame.to_csv(tmp_path / "measurements.csv", index=False)
+    in_memory, in_file = (
+        draft(UR10, [table], tmp_path / "c.yaml", never) for table in (frame, tmp_path / "measurements.csv")
+    )
+    assert in_memory.campaign.tables == (frame,) and in_file.campaign.tables == in_file.campaign.measurements.files
+    np.testing.assert_array_equal(in_memory.rows.position, in_file.rows.position)
+    np.testing.assert_array_equal(in_memory.rows.rotation, in_file.rows.rotation)
+    remark = "  # measurements.csv is a DataFrame: `df.to_csv('measurements.csv', index=False)` saves it\n"
+    assert in_memory.campaign.text.replace(remark, "") == in_file.campaign.text
 
 
 def test_answers_on_the_terminal_are_kept(tmp_path):
@@ -236,11 +248,11 @@ def test_answers_on_the_terminal_are_kept(tmp_path):
         asked.append(question)
         return answers.index("hand")
 
-    text, _, _ = draft(tmp_path / "r.urdf", [tmp_path / "m.csv"], tmp_path / "c.yaml", choose)
+    text = draft(tmp_path / "r.urdf", [tmp_path / "m.csv"], tmp_path / "c.yaml", choose).campaign.text
     assert asked == ["which link is the tip"]
     assert "  tip: hand\n" in text
     assert "GUESSED" not in text.partition("  tip: ")[0]
-    text, _, _ = draft(tmp_path / "r.urdf", [tmp_path / "m.csv"], tmp_path / "c.yaml", nobody)
+    text = draft(tmp_path / "r.urdf", [tmp_path / "m.csv"], tmp_path / "c.yaml", nobody).campaign.text
     assert "GUESSED: end of the chain" in text.partition("  tip: ")[0]
 
 
@@ -277,10 +289,10 @@ def test_a_table_without_the_joints_columns_is_answered_with_init(tmp_path):
     (tmp_path / "c.yaml").write_text(
         f"format: 1\nrobot: {{urdf: {UR10}, tip: tool0}}\nmeasurements: {{file: m.csv, kind: position}}\n"
     )
-    with pytest.raises(AridcalError, match="`aridcal init` tells which are which"):
+    with pytest.raises(AridcalError, match="`aridcal init` finds which is which"):
         read_back(tmp_path / "c.yaml", robot)
 
 
 def test_a_missing_calibration_is_answered_with_the_command_that_writes_one(tmp_path):
     with pytest.raises(AridcalError, match=r"calibration\.yaml: there is no such file; `aridcal identify"):
-        Calibration.load(tmp_path)
+        SavedModel.load(tmp_path)

@@ -1,9 +1,8 @@
-"""The layer table of CONTRIBUTING.md: who may import whom."""
+"""The rooms of CONTRIBUTING.md: imports go downwards only, between rooms and inside each."""
 
 from __future__ import annotations
 
 import ast
-import graphlib
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,79 +14,47 @@ import aridcal
 PACKAGE = Path(aridcal.__file__).parent
 CONTRIBUTING = Path(__file__).parent.parent / "CONTRIBUTING.md"
 
-LAYERS = [
-    {"__init__", "errors"},
-    {"robot", "doty", "settings", "tables", "columns", "source", "campaign", "measurements", "commands"},
-    {"effects", "catalogue", "head"},
-    {"model", "machine", "report1992", "residual"},
-    {"start", "identifiable", "solver", "geometry", "inverse"},
-    {
-        "outcome",
-        "arm",
-        "instrument",
-        "quality",
-        "diagnosis",
-        "search",
-        "scoring",
-        "scan",
-        "bench",
-        "evidence",
-        "explain",
-        "whiteness",
-        "traces",
-    },
-    {"export", "urdf_writer", "formats", "calibration", "handover"},
-    {
-        "report",
-        "sections",
-        "dependence",
-        "apart",
-        "plots",
-        "markup",
-        "view",
-        "scene",
-        "shapes",
-        "predict",
-        "compensate",
-        "measure",
-        "sighted",
-        "closed_form",
-        "head_section",
-        "shooting",
-        "arm_and_head",
-        "design",
-        "simulate",
-        "causes",
-        "init",
-        "propose",
-        "dialect",
-    },
-    {"identify", "doctor", "completion", "__main__"},
-]
-LAYER = {module: number for number, modules in enumerate(LAYERS) for module in modules}
+HOUSE: dict[str, tuple[str, ...]] = {
+    room: tuple(re.findall(r"`([a-z_0-9]+)`", modules))
+    for room, modules in re.findall(r"^\| `?([a-z ]+)/?`? \| (`.*?) \|", CONTRIBUTING.read_text("utf-8"), re.MULTILINE)
+}
+"""Rooms, the lowest first, and the modules of each, the lowest first."""
+
+SUBPACKAGES = {path.parent.name for path in PACKAGE.glob("*/__init__.py")}
+
+PLACE = {
+    f"aridcal.{room}.{module}" if room in SUBPACKAGES else f"aridcal.{module}": (floor, step)
+    for floor, (room, modules) in enumerate(HOUSE.items())
+    for step, module in enumerate(modules)
+}
+"""Floor and step of each module."""
+
+STRANGERS = [{"fit", "head"}, {"report", "prepare"}]
+"""Rooms that never meet."""
 
 KEPT_TO = {
-    "cv2": {"head"},
-    "meshcat": {"view", "scene"},
-    "scipy.optimize": {"solver", "start"},
+    "cv2": ("aridcal.head.",),
+    "meshcat": ("aridcal.view", "aridcal.report.scene"),
+    "scipy.optimize": ("aridcal.fit.",),
 }
 """Libraries that only some modules may import."""
 
-MODULES = {
-    path: path.relative_to(PACKAGE).parts[0].removesuffix(".py")
-    for path in sorted(PACKAGE.rglob("*.py"))
-    if "__pycache__" not in path.parts
-}
+MODULES = sorted(path for path in PACKAGE.rglob("*.py") if "__pycache__" not in path.parts)
 
 
-def imported(source: str, path: Path) -> Iterator[str]:
+def name_of(path: Path) -> str:
+    """A module's full name."""
+    return ".".join(("aridcal", *path.relative_to(PACKAGE).with_suffix("").parts)).removesuffix(".__init__")
+
+
+def imported(source: str, name: str, package: bool = False) -> Iterator[str]:
     """Full names of all that a module imports, wherever in it: ``from a import b`` gives ``a`` and ``a.b``."""
-    package = ["aridcal", *path.relative_to(PACKAGE).parts[:-1]]
+    home = name.split(".") if package else name.split(".")[:-1]
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
-            start = package[: len(package) - node.level + 1] if node.level else []
+            start = home[: len(home) - node.level + 1] if node.level else []
             base = ".".join([*start, *([node.module] if node.module else [])])
             yield base
             yield from (f"{base}.{alias.name}" for alias in node.names)
@@ -96,77 +63,92 @@ def imported(source: str, path: Path) -> Iterator[str]:
 def module_of(name: str) -> str | None:
     """The module of aridcal that a full name lies in; None for what is not a module of aridcal."""
     parts = name.split(".")
-    if parts[0] != "aridcal" or len(parts) == 1:
+    if parts[0] != "aridcal" or len(parts) == 1 or (len(parts) == 2 and parts[1].startswith("__")):
         return None
-    if (PACKAGE / f"{parts[1]}.py").is_file() or (PACKAGE / parts[1]).is_dir():
-        return parts[1]
-    return "__init__" if hasattr(aridcal, parts[1]) else parts[1]
+    while len(parts) > 1:
+        if ".".join(parts) in PLACE:
+            return ".".join(parts)
+        if (PACKAGE.joinpath(*parts[1:])).is_dir() and len(parts) == 2:
+            return None  # a room's name alone imports nothing of it
+        parts.pop()
+    return name
 
 
-def complaints(source: str, path: Path) -> list[str]:
-    """What in a module goes against the layer table or the list of kept libraries."""
-    module = MODULES.get(path, path.stem)
-    if module not in LAYER:
-        return [f"{module} has no layer: give it one in tests/test_layers.py and CONTRIBUTING.md"]
+def complaints(source: str, name: str) -> list[str]:
+    """What in a module goes against the house."""
+    if name not in PLACE:
+        return [f"{name} has no place: give it one in CONTRIBUTING.md"]
     found = []
-    for name in sorted(set(imported(source, path))):
-        other = module_of(name)
-        if other is not None and LAYER.get(other, len(LAYERS)) > LAYER[module]:
-            found.append(f"{module} (layer {LAYER[module]}) imports {name} (layer {LAYER.get(other, 'none')})")
+    floor, step = PLACE[name]
+    room = list(HOUSE)[floor]
+    for full in sorted(set(imported(source, name))):
+        other = module_of(full)
+        if other is not None and other != name:
+            place = PLACE.get(other)
+            if place is None or place >= (floor, step):
+                found.append(f"{name} imports {full}, which does not lie below it")
+            elif {room, list(HOUSE)[place[0]]} in STRANGERS:
+                found.append(f"{name} imports {full}: {room} and {list(HOUSE)[place[0]]} never meet")
         for library, users in KEPT_TO.items():
-            if (name == library or name.startswith(f"{library}.")) and module not in users:
-                found.append(f"{module} imports {name}: {library} is kept to {', '.join(sorted(users))}")
+            if (full == library or full.startswith(f"{library}.")) and not name.startswith(users):
+                found.append(f"{name} imports {full}: {library} is kept to {', '.join(users)}")
     return found
 
 
 @pytest.mark.parametrize("path", MODULES, ids=lambda path: path.relative_to(PACKAGE).as_posix())
-def test_module_imports_only_its_own_layer_and_lower_ones(path: Path) -> None:
-    assert complaints(path.read_text("utf-8"), path) == []
+def test_a_module_imports_only_what_lies_below_it(path: Path) -> None:
+    if path.name == "__init__.py":  # of a room: a docstring and no more; the package's own loads lazily
+        names = set(imported(path.read_text("utf-8"), name_of(path), package=True))
+        assert path.parent == PACKAGE or not {name for name in names if name.startswith("aridcal")}
+    else:
+        assert complaints(path.read_text("utf-8"), name_of(path)) == []
 
 
-def test_imports_have_no_cycle() -> None:
-    parts = {path: ["aridcal", *path.relative_to(PACKAGE).with_suffix("").parts] for path in MODULES}
-    names = {path: ".".join(parts[path]).removesuffix(".__init__") for path in MODULES}
-    graph = {name: set(imported(path.read_text("utf-8"), path)) - {name} for path, name in names.items()}
-    order = list(graphlib.TopologicalSorter(graph).static_order())  # raises CycleError, which names the cycle
-    assert set(names.values()) <= set(order)
+def test_every_module_has_one_place_and_every_place_a_module() -> None:
+    there = {name_of(path) for path in MODULES if path.name != "__init__.py"}
+    assert sum(map(len, HOUSE.values())) == len(PLACE)
+    assert set(PLACE) == there
 
 
-def test_contributing_shows_the_same_table() -> None:
-    shown: list[set[str]] = [set() for _ in LAYERS]
-    for layer, modules in re.findall(r"^\| (\d) \| (.*?) \|", CONTRIBUTING.read_text("utf-8"), re.MULTILINE):
-        shown[int(layer)] |= {name.rstrip("/") for name in re.findall(r"`(.*?)`", modules)}
-    assert shown == [modules - {"__init__"} for modules in LAYERS]
+def test_the_house_is_small_enough_to_be_looked_over() -> None:
+    rooms = [path.parent for path in PACKAGE.glob("*/__init__.py")]
+    assert len(rooms) <= 14
+    assert len([path for path in PACKAGE.iterdir() if path.is_file()]) <= 24
+    assert max(len([path for path in room.iterdir() if path.is_file()]) for room in rooms) <= 16
+    long = {name_of(path): n for path in MODULES if (n := len(path.read_text("utf-8").splitlines())) > 400}
+    assert long == {}
 
 
 @pytest.mark.parametrize(
     ("module", "source", "culprit"),
     [
-        ("robot", "from aridcal.model import Model", "aridcal.model"),
-        ("robot", "def late():\n    import aridcal.solver", "aridcal.solver"),
-        ("robot", "from aridcal import solver", "aridcal.solver"),
-        ("robot", "from . import model", "aridcal.model"),
-        ("robot", "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from .model import Model", "aridcal.model"),
-        ("model", "import aridcal.nowhere", "aridcal.nowhere"),
-        ("model", "import cv2", "cv2"),
-        ("report", "from meshcat import geometry", "meshcat"),
-        ("model", "from scipy import optimize", "scipy.optimize"),
-        ("model", "from scipy.optimize import minimize", "scipy.optimize"),
-        ("brand_new", "", "brand_new has no layer"),
+        ("robot.chain", "from aridcal.model.model import Model", "aridcal.model.model"),
+        ("robot.chain", "def late():\n    import aridcal.fit.stages", "aridcal.fit.stages"),
+        ("robot.chain", "from aridcal.model import model", "aridcal.model.model"),
+        ("robot.chain", "from . import doty", "aridcal.robot.doty"),
+        ("robot.chain", "from ..model import model", "aridcal.model.model"),
+        ("robot.chain", "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from .doty import Link", "aridcal.robot.doty"),
+        ("model.model", "import aridcal.nowhere", "aridcal.nowhere"),
+        ("model.model", "import cv2", "cv2"),
+        ("head.pose", "from aridcal.fit.residual import residuals", "never meet"),
+        ("report.page", "from meshcat import geometry", "meshcat"),
+        ("model.model", "from scipy import optimize", "scipy.optimize"),
+        ("model.model", "from scipy.optimize import minimize", "scipy.optimize"),
+        ("brand_new", "", "aridcal.brand_new has no place"),
     ],
-)
+)  # fmt: skip
 def test_forbidden_imports_are_named(module: str, source: str, culprit: str) -> None:
-    assert culprit in "\n".join(complaints(source, PACKAGE / f"{module}.py"))
+    assert culprit in "\n".join(complaints(source, f"aridcal.{module}"))
 
 
 @pytest.mark.parametrize(
     ("module", "source"),
     [
-        ("doty", "from aridcal.robot import Joint"),
-        ("model", "from . import effects\nfrom aridcal.errors import AridcalError"),
-        ("identify", "from aridcal import __version__, solver\nfrom scipy.spatial.transform import Rotation"),
-        ("solver", "from scipy.optimize import minimize"),
+        ("robot.doty", "from aridcal.robot.chain import Joint"),
+        ("model.model", "from aridcal.effects import basis\nfrom aridcal.errors import AridcalError"),
+        ("identify", "from aridcal import __version__\nfrom scipy.spatial.transform import Rotation"),
+        ("fit.frame_starts", "from scipy.optimize import minimize"),
     ],
 )
 def test_allowed_imports_pass(module: str, source: str) -> None:
-    assert complaints(source, PACKAGE / f"{module}.py") == []
+    assert complaints(source, f"aridcal.{module}") == []

@@ -11,14 +11,14 @@ import pinocchio as pin
 import pytest
 from scipy.spatial.transform import Rotation
 
-from aridcal.head.camera import REPORT_OPENCV
+from aridcal.head.camera import DOTY_OPENCV
 from aridcal.head.charuco import Board
 from aridcal.head.render import Scene, render
 from aridcal.head.sonar import predict_ranges
 from aridcal.head.square import INCH, strip_placements
 from aridcal.measure import main
-from aridcal.model import Model
-from aridcal.robot import load_robot
+from aridcal.model.model import Model
+from aridcal.robot.chain import load_robot
 
 cv2.setNumThreads(1)
 ARID = Path(__file__).parent.parent / "urdf" / "arid.urdf"
@@ -43,7 +43,7 @@ def sight(k: int) -> np.ndarray:
     rng = np.random.default_rng(k)
     T = np.eye(4)
     T[:3, :3] = (
-        REPORT_OPENCV @ pin.exp3(np.r_[rng.uniform(-0.12, 0.12, 2), 0]) @ pin.exp3(np.r_[0, 0, rng.uniform(-0.5, 0.5)])
+        DOTY_OPENCV @ pin.exp3(np.r_[rng.uniform(-0.12, 0.12, 2), 0]) @ pin.exp3(np.r_[0, 0, rng.uniform(-0.5, 0.5)])
     )
     T[:3, 3] = [0, 0, rng.uniform(0.22, 0.4)] - T[:3, :3] @ np.r_[rng.uniform(-1, 1, 2) * INCH, 0]
     return T
@@ -198,10 +198,10 @@ def put(column, value):
         (put("image", "/etc/passwd"), "outside the folder"),
         (put("h1", ""), "h1: the range is missing"),
         (put("h3", "far"), "h3: the range is missing or no number"),
-        (put("h2", -0.2), "h2: a range of -0.2 m can not be right"),
-        (put("h1", 0.0), "h1: a range of 0 m can not be right"),
+        (put("h2", -0.2), "h2: a range of -0.2 m cannot be right"),
+        (put("h1", 0.0), "h1: a range of 0 m cannot be right"),
         (put("h1", "inf"), "h1: the range is missing or no number"),
-        (put("h4", 250), "h4: a range of 250 m can not be right; ranges are in metres"),
+        (put("h4", 250), "h4: a range of 250 m cannot be right; ranges are in metres"),
         (put("h4", 1.5), "sonars: "),
         (put("square", 17), "no square 17"),
         (put("square", -1), "no square -1"),
@@ -253,7 +253,7 @@ def test_wrong_squares_are_exit_2_and_named(campaign, capsys):
 def test_a_sonar_that_contradicts_the_camera_throughout_is_named(campaign, capsys):
     campaign.shots["h3"] += 0.004
     assert campaign.run() == 0
-    assert "sonar 3 reads" in capsys.readouterr().err.replace("\n", " ")
+    assert "sonar 3 differs from the camera by" in capsys.readouterr().err.replace("\n", " ")
     assert campaign.measured()["std_x"].min() > 1e-4  # and the poses own up to it
 
 

@@ -11,13 +11,16 @@ import pytest
 import robots
 import yourdfpy
 
-from aridcal.doty import doty_links, link_transform
-from aridcal.effects import FRAME_COMPONENTS, LINK_COMPONENTS, Basis, Coefficient, Surroundings
+from aridcal.effects.basis import Basis
+from aridcal.effects.effect import FRAME_COMPONENTS, LINK_COMPONENTS, Coefficient
+from aridcal.effects.loads import Surroundings
 from aridcal.errors import CovariateNotFound, MeasurementError
-from aridcal.export import stage_urdf
-from aridcal.geometry import constants
-from aridcal.model import Model
-from aridcal.robot import Robot, gravity_loads, parse_robot, rotations, tip_frames, transverse
+from aridcal.fit.calibrated import stage_urdf
+from aridcal.fit.constants import constants
+from aridcal.model.model import Model
+from aridcal.robot.chain import Robot, parse_robot
+from aridcal.robot.doty import doty_links, link_transform
+from aridcal.robot.kinematics import gravity_loads, rotations, tip_frames, transverse
 
 TIME = Basis("linear", ("time",), (0.5,))
 ROBOTS = {
@@ -167,8 +170,8 @@ def test_pose_is_the_product_that_the_conventions_state(name: str) -> None:
         def values(where: str, constant: bool, n: int = n) -> dict[str, float]:
             own = [k for k, c in enumerate(coefficients) if c.where == where and c.basis.constant == constant]
             own = [k for k in own if coefficients[k].component not in LINK_COMPONENTS]
-            phi = dict(zip(model._varying, rows.phi[n], strict=True))
-            return {coefficients[k].component: theta[k] * phi.get(k, 1.0) for k in own}
+            phi = 1.0 if constant else np.sin(1.5 * q[n, robot.readings.index(where)])
+            return {coefficients[k].component: theta[k] * phi for k in own}
 
         T = model.world_base[0][1] * urdf_transform(values("world_base", True))
         placement = robot.joints[0].placement
@@ -217,13 +220,15 @@ def test_only_joints_that_are_corrected_get_a_new_origin() -> None:
 
 @pytest.mark.parametrize("which", ["full", "doty"])
 @pytest.mark.parametrize("name", ["any axes", "frame axes", "arid", "ur10"])
-def test_reduced_model_is_the_calibrated_urdf(name: str, which: str) -> None:
-    """Constants locked at their values: same joints, same poses, same masses as Pinocchio loads from the new file."""
+def test_with_its_constants_locked_the_model_is_the_calibrated_urdf(name: str, which: str) -> None:
+    """Same joints, same poses, same masses as Pinocchio loads from the new file."""
     robot = ROBOTS.get(name, robots.ur10)()
     tip = robot.tip_joint
-    model = build(robot, tuple(c for c in constants(robot, which)) + robots.FRAMES)
+    model = Model(robot, constants(robot, which))
     theta = np.random.default_rng(5).normal(0, 0.02, len(model.coefficients))
-    reduced = model.calibrated(theta)
+    locked = model.locked(theta)
+    reduced = locked.model
+    assert np.array_equal(locked.own, np.arange(len(robot.names))) and (locked.carrier == -1).all()
     tree = pin.buildModelFromXML(as_urdf(model, theta).urdf.decode())
     other = pin.buildReducedModel(
         tree, [k for k in range(1, tree.njoints) if tree.names[k] not in robot.names], pin.neutral(tree)
@@ -256,11 +261,13 @@ def test_the_extended_models_gravity_is_the_nominal_load() -> None:
     q = robots.readings(robot, 5, np.random.default_rng(0))
     gravity = np.array([3.0, -4.0, 8.0])
     loads = gravity_loads(robot, q, gravity)
-    extended, _ = model._pinocchio(0, 0)
+    locked = model.locked(np.zeros(len(coefficients)))
+    extended, own, carrier = locked.model, locked.own, locked.carrier
     extended.gravity.linear = gravity
-    wide = model._configurations(np.zeros(len(coefficients)), model.rows(q))
     for n in range(len(q)):
-        pull = -pin.computeGeneralizedGravity(extended, extended.createData(), wide[n])
+        wide = np.zeros(extended.nq)
+        wide[own] = q[n]
+        pull = -pin.computeGeneralizedGravity(extended, extended.createData(), wide)
         for k, c in enumerate(coefficients):
             j = robot.names.index(c.where)
             axis = robot.joints[j].axis
@@ -268,7 +275,7 @@ def test_the_extended_models_gravity_is_the_nominal_load() -> None:
             direction = {"1": e1, "2": e2, "s": axis}[c.component[-1]]
             turns = c.component[0] == "r" or (c.component == "axis" and robot.joints[j].kind == "revolute")
             expected = loads[n, j, 3 * turns : 3 * turns + 3] @ direction
-            assert pull[model._column[k]] == pytest.approx(expected, abs=1e-9), c.name
+            assert pull[carrier[k]] == pytest.approx(expected, abs=1e-9), c.name
 
 
 def test_frames_of_a_station_move_its_rows_only() -> None:
@@ -348,3 +355,14 @@ def test_a_link_may_have_the_name_of_a_joint():
 def nominal(robot: Robot, q: np.ndarray) -> tuple[np.ndarray, ...]:
     model = Model(robot, ())
     return *model.poses(np.zeros(0), model.rows(q)), gravity_loads(robot, q, np.array([1.0, 2.0, -9.81]))
+
+
+def test_the_order_of_the_coefficients_moves_no_pose() -> None:
+    """Components of one rank (r1 and roll of an axis askew) do not commute: their order must not hang on who came first."""
+    robot = robots.random_robot(0, "PRCR")
+    coefficients = tuple(Coefficient("joint_1", c, wave("joint_1")) for c in ("roll", "r1", "z", "axis", "pitch", "r2"))
+    theta = np.random.default_rng(0).normal(0, 0.02, len(coefficients))
+    one, other = build(robot, coefficients), build(robot, coefficients[::-1])
+    (_, rows), (_, same) = rows_of(one), rows_of(other)
+    for a, b in zip(one.poses(theta, rows), other.poses(theta[::-1], same), strict=True):
+        np.testing.assert_array_equal(a, b)

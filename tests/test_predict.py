@@ -13,12 +13,17 @@ import robots
 from scipy.spatial.transform import Rotation
 
 from aridcal import predict
-from aridcal.calibration import Calibration, SolvedModel
-from aridcal.effects import Basis, Coefficient, Surroundings
-from aridcal.model import Model
-from aridcal.robot import rotations
+from aridcal.effects.basis import Basis
+from aridcal.effects.effect import Coefficient
+from aridcal.effects.loads import Surroundings
+from aridcal.inputs.campaign import MeasurementSettings
+from aridcal.model.model import Model
+from aridcal.result.predict import orientations
+from aridcal.result.saved_model import SavedModel, SolvedModel
+from aridcal.robot.kinematics import rotations
 
 RNG = np.random.default_rng(7)
+QUATERNION = ["qx", "qy", "qz", "qw"]
 
 
 def calibration(
@@ -26,7 +31,7 @@ def calibration(
     effects: tuple[Coefficient, ...] = (),
     stations: tuple[str | None, ...] = (None,),
     text: str = "",
-) -> Calibration:
+) -> SavedModel:
     """The ARID with two constants, any effects of 1e-3 each, and any frames."""
     rng = np.random.default_rng(1)
     world = tuple((s, robots.random_placement(rng)) for s in stations)
@@ -39,7 +44,7 @@ def calibration(
     count = len(theta)
     ranges = {"joint_1": (1.0, 9.0), "joint_2": (0.1, 1.9), "joint_3": (1.8, 2.5), "joint_4": (-2.0, -0.3)}
     ranges |= {name: (10.0, 30.0) for c in effects for name in c.basis.of if "." not in name}
-    return Calibration(
+    return SavedModel(
         SolvedModel(geometric, theta[:2], np.eye(2) * 1e-8),
         SolvedModel(final, theta, np.eye(count) * 1e-8),
         kind,
@@ -56,7 +61,7 @@ def inside(n: int) -> pd.DataFrame:
     return pd.DataFrame(RNG.uniform(low, high, (n, 4)), columns=["joint_1", "joint_2", "joint_3", "joint_4"])
 
 
-def run(folder: Path, model: Calibration, query: pd.DataFrame, out: str = "out.csv") -> tuple[int, Path]:
+def run(folder: Path, model: SavedModel, query: pd.DataFrame, out: str = "out.csv") -> tuple[int, Path]:
     (folder / "calibration.yaml").write_text(model.dump(), encoding="utf-8")
     query.to_csv(folder / "query.csv", index=False, float_format="%.17g")
     target = folder / out
@@ -107,7 +112,7 @@ def test_written_poses_are_exact(tmp_path: Path) -> None:
     model, query = calibration(), inside(50)
     run(tmp_path, model, query)
     found = robots.read_csv(tmp_path / "out.csv")
-    loaded = Calibration.load(tmp_path / "calibration.yaml")
+    loaded = SavedModel.load(tmp_path / "calibration.yaml")
     _, p = loaded.final.poses(query.to_numpy())
     assert np.array_equal(found[["x", "y", "z"]].to_numpy(), p)
     assert (found["qw"] >= 0).all()
@@ -238,6 +243,33 @@ def test_tables_speak_as_the_campaigns_tables_do(tmp_path: Path) -> None:
     assert "x" not in found
 
 
+@pytest.mark.parametrize("sequence", ["ZYX", "xyz", "ZYZ"])
+def test_euler_angles_are_written_in_the_campaigns_columns(tmp_path: Path, sequence: str) -> None:
+    """Second road: the quaternions of the same calibration without that campaign, turned by scipy."""
+    query = inside(20)
+    _, out = run(tmp_path, calibration(), query)
+    plain = robots.read_csv(out)
+    text = (
+        "format: 1\nrobot: {urdf: arid.urdf, tip: flange}\nmeasurements:\n  file: m.csv\n  units: {angle: deg}\n"
+        f"  orientation: {{euler: {sequence}, columns: [A, B, C]}}\n"
+    )
+    other = query.assign(B=0.0, qx=0.5, **{name: np.degrees(query[name]) for name in list(query)[1:]})
+    status, out = run(tmp_path, calibration(text=text), other, "other.csv")
+    assert status == 0
+    found = robots.read_csv(out)
+    assert sorted({*found} - {*query}) == ["A", "B", "C", "extrapolates", "x", "y", "z"]
+    angles = found[["A", "B", "C"]].to_numpy()
+    apart = Rotation.from_euler(sequence, angles, degrees=True) * Rotation.from_quat(plain[QUATERNION]).inv()
+    assert apart.magnitude().max() < 1e-12
+
+
+def test_where_euler_angles_are_not_unique_they_still_say_the_same_rotation() -> None:
+    settings = MeasurementSettings.model_validate({"orientation": {"euler": "ZYX", "columns": ("A", "B", "C")}})
+    R = Rotation.from_euler("ZYX", [[0.3, np.pi / 2, 0.7]])
+    again = Rotation.from_euler("ZYX", orientations(R.as_matrix(), settings))
+    assert (again * R.inv()).magnitude().max() < 1e-7
+
+
 def test_nothing_is_overwritten_by_a_failed_prediction(tmp_path: Path) -> None:
     (tmp_path / "out.csv").write_text("precious")
     status, out = run(tmp_path, calibration(), inside(2).drop(columns="joint_3"))
@@ -252,7 +284,7 @@ def test_a_place_that_cannot_be_written_is_refused_before_any_work(tmp_path: Pat
 
 def test_a_rotation_that_is_half_a_turn_has_a_unit_quaternion() -> None:
     R = np.stack([np.diag([1.0, -1.0, -1.0]), np.full((3, 3), np.nan)])
-    q = predict.quaternions(R)
+    q = orientations(R, MeasurementSettings())
     assert np.array_equal(q[0], [1.0, 0.0, 0.0, 0.0])
     assert np.isnan(q[1]).all()
 

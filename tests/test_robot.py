@@ -12,16 +12,8 @@ import robots
 import yourdfpy
 
 from aridcal.errors import RobotError
-from aridcal.robot import (
-    Robot,
-    gravity_loads,
-    joint_frames,
-    load_robot,
-    parse_robot,
-    rotations,
-    tip_frames,
-    transverse,
-)
+from aridcal.robot.chain import Robot, load_robot, parse_robot
+from aridcal.robot.kinematics import gravity_loads, joint_frames, rotations, tip_frames, transverse
 
 FRANKA = robots.SHARED_ROBOTS / "panda_description" / "urdf" / "panda.urdf"
 TIAGO = robots.SHARED_ROBOTS / "tiago_description" / "robots" / "tiago.urdf"

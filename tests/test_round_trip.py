@@ -14,10 +14,10 @@ import pytest
 import yourdfpy
 from lxml import etree
 
-from aridcal.geometry import constants
-from aridcal.model import Model
-from aridcal.robot import Robot, load_robot
-from aridcal.urdf_writer import splice_origins
+from aridcal.fit.constants import constants
+from aridcal.model.model import Model
+from aridcal.robot.chain import Robot, load_robot
+from aridcal.robot.splice import splice_origins
 
 PUBLIC = Path(str(distribution("example-robot-data").locate_file("cmeel.prefix/share/example-robot-data/robots")))
 ROBOTS = {

@@ -14,12 +14,15 @@ from lxml import etree
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
-from aridcal.campaign import EFFECT_KINDS, HEAD_KINDS, load_campaign
+from aridcal.effects.catalogue import KINDS, is_of_head
 from aridcal.errors import CampaignError
-from aridcal.identify import identify
-from aridcal.robot import load_robot
-from aridcal.settings import load_settings
-from aridcal.simulate import Scenario, main, simulate, truth_document
+from aridcal.inputs.campaign import load_campaign
+from aridcal.inputs.yaml_file import load_settings
+from aridcal.prepare.scenario import Scenario
+from aridcal.prepare.simulation import simulate, truth_document
+from aridcal.result.pipeline import identify
+from aridcal.robot.chain import load_robot
+from aridcal.simulate import main
 
 ROOT = Path(__file__).parent.parent
 ARID = ROOT / "urdf" / "arid.urdf"
@@ -238,7 +241,7 @@ def test_payload_pulls_the_elbow_by_its_weight_times_its_lever(tmp_path):
     assert set(table.payload) == {0.0, 1.0, 2.5, 5.0}
 
 
-@pytest.mark.parametrize("kind", sorted(set(EFFECT_KINDS) - set(HEAD_KINDS)))
+@pytest.mark.parametrize("kind", sorted(kind for kind in KINDS if not is_of_head(kind)))
 def test_every_kind_can_be_simulated_and_its_truth_is_told(tmp_path, kind):
     more = {
         "joint_coupling": {"with": "joint_2"},

@@ -23,17 +23,9 @@ from scipy.spatial.transform import Rotation
 
 import aridcal
 from aridcal.errors import OutputError
-from aridcal.robot import Robot, load_robot, parse_robot
-from aridcal.scene import (
-    LADDER,
-    ROWS,
-    VIRIDIS,
-    Scene,
-    body_poses,
-    scene_content,
-    write_scene,
-)
-from aridcal.shapes import find_mesh, robot_shapes, weld
+from aridcal.report.scene import LADDER, ROWS, VIRIDIS, Scene, body_poses, scene_content, write_scene
+from aridcal.report.shapes import TRIANGLES, find_mesh, robot_shapes, weld
+from aridcal.robot.chain import Robot, load_robot, parse_robot
 from aridcal.view import main, serve
 
 ROOT = Path(aridcal.__file__).parents[1]
@@ -102,8 +94,7 @@ def unpack(text: str, dtype: type = np.float32) -> np.ndarray:
         ("so_arm_description/urdf/so100.urdf", "gripper"),  # stl
     ],
 )
-def test_meshes_lie_where_pinocchio_puts_them(urdf: str, tip: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("aridcal.shapes.TRIANGLES", 10**8)
+def test_meshes_lie_where_pinocchio_puts_them(urdf: str, tip: str) -> None:
     path = PUBLIC / urdf
     if not path.is_file():
         pytest.skip("example-robot-data is not installed")
@@ -127,7 +118,8 @@ def test_meshes_lie_where_pinocchio_puts_them(urdf: str, tip: str, monkeypatch: 
     for joint in theirs:
         a, b = np.vstack(mine[joint]), np.vstack(theirs[joint])
         for extreme in (np.min, np.max):
-            np.testing.assert_allclose(extreme(a, axis=0), extreme(b, axis=0), atol=0.002 * np.ptp(b, axis=0).max())
+            # Thinning rounds the corners of large meshes by less than that; a wrong scale, turn or mirror is off by more.
+            np.testing.assert_allclose(extreme(a, axis=0), extreme(b, axis=0), atol=0.02 * np.ptp(b, axis=0).max())
 
 
 def test_primitives_lie_where_pinocchio_puts_them() -> None:
@@ -166,13 +158,16 @@ def test_a_thinned_mesh_keeps_its_form() -> None:
     assert volume(vertices, kept) == pytest.approx(4 / 3 * np.pi, rel=0.03)
 
 
-def test_all_meshes_together_stay_within_the_allowance(monkeypatch: pytest.MonkeyPatch) -> None:
-    path = PUBLIC / "panda_description/urdf/panda.urdf"
+def test_all_meshes_together_stay_within_the_allowance() -> None:
+    path = PUBLIC / "talos_data/robots/talos_reduced.urdf"
     if not path.is_file():
         pytest.skip("example-robot-data is not installed")
-    monkeypatch.setattr("aridcal.shapes.TRIANGLES", 20_000)
-    shapes, _ = robot_shapes(load_robot(path, "panda_hand"))
-    assert 10_000 < sum(len(s.faces) for s in shapes) <= 20_000
+    robot = load_robot(path, "gripper_left_base_link")
+    whole = pin.buildGeomFromUrdf(robot.tree, str(path), pin.GeometryType.VISUAL, package_dirs=[str(PUBLIC.parents[1])])
+    meshes = [t.geometry for t in whole.geometryObjects if isinstance(t.geometry, pin.hppfcl.BVHModelBase)]
+    assert sum(mesh.num_tris for mesh in meshes) > 1.2 * TRIANGLES
+    shapes, _ = robot_shapes(robot)
+    assert 0.8 * TRIANGLES < sum(len(s.faces) for s in shapes) <= TRIANGLES
 
 
 # ---- meshes that are and are not found -------------------------------------------------------------------------------
@@ -211,6 +206,22 @@ def test_a_mesh_that_cannot_be_drawn_is_named_and_the_rest_is_drawn(tmp_path: Pa
     assert "package://lost/a.dae" in notices[0]
     assert "'tip'" in notices[1]
     assert "broken.stl" in notices[1]
+
+
+@pytest.mark.parametrize(
+    ("spoilt", "why"),
+    [
+        ("<sphere/>", "`radius` of <sphere> should be a number"),
+        ('<box size="1 2"/>', "`size` of <box> should be 3 numbers"),
+        ('<box size="1 2 x"/>', "could not convert"),
+        ('<capsule radius="1"/>', "<capsule> is no shape of URDF"),
+    ],
+)
+def test_a_shape_that_is_wrong_is_named_and_the_rest_is_drawn(spoilt: str, why: str) -> None:
+    text = TOY.format(x=0, name="toy").replace('<sphere radius="0.1"/>', spoilt)
+    shapes, notices = robot_shapes(parse_robot(text.encode(), "tip", "base"))
+    assert [s.kind for s in shapes] == ["box", "cylinder"]
+    assert len(notices) == 1 and "'slide'" in notices[0] and why in notices[0]
 
 
 def test_a_robot_without_visuals_is_a_stick_figure_that_moves_with_its_joints() -> None:
@@ -282,7 +293,7 @@ def test_errors_are_scored_on_test_rows_without_outliers() -> None:
     error = np.linalg.norm(scene.predicted["final"] - scene.measured, axis=1)
     content = scene_content(scene, robot_shapes(scene.nominal)[0])
     assert content["stages"][1]["rms"] == pytest.approx(1e3 * np.sqrt(np.mean(error[scored] ** 2)), rel=1e-6)
-    assert content["scored"] == "test rows"
+    assert content["scored"] == "held-out rows"
     untested = scene_content(replace(scene, test=np.zeros_like(scene.test)), robot_shapes(scene.nominal)[0])
     assert untested["scored"] == "all rows"
 
@@ -381,7 +392,7 @@ def test_a_folder_without_a_result_is_named(tmp_path: Path, capsys: pytest.Captu
         assert main([str(folder)]) == 2
         message = capsys.readouterr().err
         assert str(folder) in message
-        assert "aridcal.identify" in message
+        assert "aridcal identify" in message
 
 
 def test_only_this_computer_is_served(tmp_path: Path) -> None:
@@ -487,7 +498,7 @@ def test_rows_are_stepped_through_with_buttons_keys_and_slider(page: chromium.Pa
     page.evaluate("window.dispatchEvent(new KeyboardEvent('keydown', {key: 'ArrowRight'}))")
     assert read(page, "line") == "10"
     errors = [1e3 * np.linalg.norm(p[8] - scene.measured[8]) for p in scene.predicted.values()]
-    assert read(page, "here") == f"test row: nominal {errors[0]:.3g} → final {errors[1]:.3g} mm"
+    assert read(page, "here") == f"held-out row: nominal {errors[0]:.3g} → final {errors[1]:.3g} mm"
     shown = page.evaluate("document.getElementById('readings').textContent")
     assert shown == f"swing{np.degrees(scene.readings[8, 0]):.1f} °reach{1e3 * scene.readings[8, 1]:.1f} mm"
     assert changed(still, page.pixels()) > 5000  # the robot stands elsewhere
@@ -519,7 +530,7 @@ def test_an_effect_switched_off_leaves_what_it_explained(page: chromium.Page, sc
     left = scene.predicted["final"] - scene.moved["joint_map at swing"] - scene.measured
     rms = 1e3 * np.sqrt(np.mean(np.sum(left[scored] ** 2, axis=1)))
     assert read(page, "stages").split("\n")[-1] == f"{rms:.3g} mm"
-    assert "Without what is switched off" in read(page, "alone")
+    assert "Without the effects switched off" in read(page, "alone")
     assert changed(shown, page.pixels()) > 300
     assert "joint_map at swing" in read(page, "effects")
     assert read(page, "effects").endswith("1.00 mm")

@@ -1,1 +1,1 @@
-"""The measuring head: a camera and sonars on the end frame that look at calibration squares. The only home of OpenCV."""
+"""The measuring head: images and ranges to poses with their uncertainty. The only place for OpenCV."""

@@ -1,56 +1,110 @@
-"""The camera: OpenCV's projection model with its Jacobians, and the report's camera frame.
+"""The camera: OpenCV's projection model with its Jacobians, and Doty's camera frame.
 
-OpenCV's camera frame has x right, y down and z forward; the report's has x right, y up and z towards the camera's back. In
-the report's frame the image plane stands behind the lens, at z = +f (7-25).
+OpenCV's camera frame has x right, y down and z forward; Doty's has x right, y up and z towards the camera's back. In
+Doty's frame the image plane stands behind the lens, at z = +f (7-25).
+
+A point (X, Y, Z) of OpenCV's frame has the normalised image point (x, y) = (X, Y) / Z. The lens bends it to (x'', y''), see
+:func:`distort`, and its pixel is u = fx x'' + cx, v = fy y'' + cy (OpenCV, "Camera Calibration and 3D Reconstruction").
 """
 
 from __future__ import annotations
 
 import numpy as np
 
+# OpenCV's numbers of a camera, in this order everywhere: the first four in [px], the others without unit.
 INTRINSICS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
-REPORT_OPENCV = np.diag([1.0, -1.0, -1.0])  # turns one camera frame into the other, either way
+
+# Turns one camera frame into the other, either way.
+DOTY_OPENCV = np.diag([1.0, -1.0, -1.0])
+
+# Steps to undo a distortion; real lenses take about five.
+NEWTON_STEPS = 20
+
+# Last step of a normalised image point: 1e-10 px, no more than rounding.
+NEWTON_TOLERANCE = 1e-13
 
 
 def distort(xy: np.ndarray, intrinsics: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Apply the lens distortion (Brown and Conrady, as in OpenCV) to normalised image points.
 
+    With r² = x² + y² and R = 1 + k1 r² + k2 r⁴ + k3 r⁶::
+
+        x'' = x R + 2 p1 x y + p2 (r² + 2 x²)
+        y'' = y R + p1 (r² + 2 y²) + 2 p2 x y
+
     Args:
-        xy: Points x/z, y/z, shape (..., 2).
-        intrinsics: In the order of ``INTRINSICS``, shape (9,), [px] for the first four.
+        xy: Points x, y, shape (..., 2).
+        intrinsics: In the order of ``INTRINSICS``, shape (9,).
 
     Returns:
         Distorted points (..., 2), their derivatives by xy (..., 2, 2) and by k1, k2, p1, p2, k3 (..., 2, 5).
     """
     k1, k2, p1, p2, k3 = intrinsics[4:]
-    x, y = xy[..., 0], xy[..., 1]
+    x = xy[..., 0]
+    y = xy[..., 1]
     r2 = x * x + y * y
     radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
-    slope = k1 + r2 * (2 * k2 + 3 * r2 * k3)  # d radial / d r2
-    bent = np.stack(
-        [x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x), y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y], -1
-    )
-    cross = 2 * x * y * slope + 2 * p1 * x + 2 * p2 * y
-    by_xy = np.empty((*r2.shape, 2, 2))
-    by_xy[..., 0, 0] = radial + 2 * x * x * slope + 2 * p1 * y + 6 * p2 * x
-    by_xy[..., 0, 1] = by_xy[..., 1, 0] = cross
-    by_xy[..., 1, 1] = radial + 2 * y * y * slope + 6 * p1 * y + 2 * p2 * x
-    by_k = np.empty((*r2.shape, 2, 5))
-    for column, power in ((0, r2), (1, r2**2), (4, r2**3)):
-        by_k[..., column] = xy * power[..., None]
-    by_k[..., 0, 2] = by_k[..., 1, 3] = 2 * x * y
-    by_k[..., 0, 3] = r2 + 2 * x * x
-    by_k[..., 1, 2] = r2 + 2 * y * y
+    wide = r2 + 2 * x * x
+    high = r2 + 2 * y * y
+    both = x * y
+    bent_x = x * radial + 2 * p1 * both + p2 * wide
+    bent_y = y * radial + p1 * high + 2 * p2 * both
+    bent = np.stack([bent_x, bent_y], -1)
+    by_xy = _distortion_by_point(x, y, radial, intrinsics)
+    by_k = _distortion_by_coefficients(x, y)
     return bent, by_xy, by_k
+
+
+def _distortion_by_point(x: np.ndarray, y: np.ndarray, radial: np.ndarray, intrinsics: np.ndarray) -> np.ndarray:
+    """Differentiate the distorted points by the normalised ones, shape (..., 2, 2).
+
+    With R' = dR / d(r²) = k1 + 2 k2 r² + 3 k3 r⁴ the matrix is symmetric::
+
+        dx''/dx = R + 2 x² R' + 2 p1 y + 6 p2 x        dx''/dy = dy''/dx = 2 x y R' + 2 p1 x + 2 p2 y
+        dy''/dy = R + 2 y² R' + 6 p1 y + 2 p2 x
+    """
+    k1, k2, p1, p2, k3 = intrinsics[4:]
+    xx = x * x
+    yy = y * y
+    r2 = xx + yy
+    slope = k1 + r2 * (2 * k2 + 3 * r2 * k3)
+    x_by_x = radial + 2 * xx * slope
+    x_by_x = x_by_x + 2 * p1 * y + 6 * p2 * x
+    y_by_y = radial + 2 * yy * slope
+    y_by_y = y_by_y + 6 * p1 * y + 2 * p2 * x
+    mixed = 2 * x * y * slope
+    mixed = mixed + 2 * p1 * x + 2 * p2 * y
+    of_x = np.stack([x_by_x, mixed], axis=-1)
+    of_y = np.stack([mixed, y_by_y], axis=-1)
+    return np.stack([of_x, of_y], axis=-2)
+
+
+def _distortion_by_coefficients(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Differentiate the distorted points by k1, k2, p1, p2, k3, shape (..., 2, 5): the factors of each in the formula."""
+    r2 = x * x + y * y
+    both = 2 * x * y
+    r4 = r2**2
+    r6 = r2**3
+    wide = r2 + 2 * x * x
+    high = r2 + 2 * y * y
+    of_x = np.stack([x * r2, x * r4, both, wide, x * r6], axis=-1)
+    of_y = np.stack([y * r2, y * r4, high, both, y * r6], axis=-1)
+    return np.stack([of_x, of_y], axis=-2)
 
 
 def project(points: np.ndarray, intrinsics: np.ndarray) -> np.ndarray:
     """Project points of OpenCV's camera frame, shape (..., 3), [m], to pixels, shape (..., 2)."""
-    return intrinsics[2:4] + intrinsics[:2] * distort(points[..., :2] / points[..., 2:], intrinsics)[0]
+    xy = points[..., :2] / points[..., 2:]
+    bent, _, _ = distort(xy, intrinsics)
+    focal, middle = intrinsics[:2], intrinsics[2:4]
+    return middle + focal * bent
 
 
 def project_jacobian(points: np.ndarray, intrinsics: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Project points, with derivatives.
+
+    With f = (fx, fy) and D = d(x'', y'') / d(x, y), the pixel's derivative by (X, Y) is f D / Z, and by Z it is
+    -f D (x, y) / Z.
 
     Args:
         points: In OpenCV's camera frame, shape (..., 3), [m].
@@ -59,31 +113,37 @@ def project_jacobian(points: np.ndarray, intrinsics: np.ndarray) -> tuple[np.nda
     Returns:
         Pixels (..., 2), their derivatives by the point (..., 2, 3) [px/m] and by the intrinsics (..., 2, 9).
     """
+    focal, middle = intrinsics[:2], intrinsics[2:4]
     z = points[..., 2]
     xy = points[..., :2] / z[..., None]
     bent, by_xy, by_k = distort(xy, intrinsics)
-    f = intrinsics[:2]
-    by_point = np.empty((*z.shape, 2, 3))
-    by_point[..., :2] = f[:, None] * by_xy / z[..., None, None]
-    by_point[..., 2] = -np.einsum("...ij,...j->...i", by_point[..., :2], xy)
-    by_intrinsics = np.zeros((*z.shape, 2, len(INTRINSICS)))
-    by_intrinsics[..., [0, 1], [0, 1]] = bent
-    by_intrinsics[..., [0, 1], [2, 3]] = 1
-    by_intrinsics[..., 4:] = f[:, None] * by_k
-    return intrinsics[2:4] + f * bent, by_point, by_intrinsics
+    pixels = middle + focal * bent
+
+    across = focal[:, None] * by_xy / z[..., None, None]
+    along = -np.einsum("...ij,...j->...i", across, xy)
+    by_point = np.concatenate([across, along[..., None]], axis=-1)
+
+    own = np.eye(2)  # fx and cx move u alone, fy and cy move v alone
+    by_focal = own * bent[..., None]
+    by_middle = np.broadcast_to(own, by_focal.shape)
+    by_lens = focal[:, None] * by_k
+    by_intrinsics = np.concatenate([by_focal, by_middle, by_lens], axis=-1)
+    return pixels, by_point, by_intrinsics
 
 
 def rays(pixels: np.ndarray, intrinsics: np.ndarray) -> np.ndarray:
-    """Return the undistorted x/z, y/z of pixels, shape (..., 2), by Newton's method on the distortion."""
-    bent = (pixels - intrinsics[2:4]) / intrinsics[:2]
+    """Return the undistorted x, y of pixels, shape (..., 2), by Newton's method on the distortion."""
+    focal, middle = intrinsics[:2], intrinsics[2:4]
+    bent = (pixels - middle) / focal
     xy = bent.copy()
     if not np.any(intrinsics[4:]):
         return xy
-    for _ in range(20):
+    for _ in range(NEWTON_STEPS):
         value, slope, _ = distort(xy, intrinsics)
-        step = np.linalg.solve(slope, (bent - value)[..., None])[..., 0]
+        missing = (bent - value)[..., None]
+        step = np.linalg.solve(slope, missing)[..., 0]
         xy += step
-        if np.all(np.abs(step) < 1e-13):
+        if np.all(np.abs(step) < NEWTON_TOLERANCE):
             break
     return xy
 
@@ -91,17 +151,55 @@ def rays(pixels: np.ndarray, intrinsics: np.ndarray) -> np.ndarray:
 def on_plane(pixels: np.ndarray, intrinsics: np.ndarray, normal: np.ndarray, distance: float) -> np.ndarray:
     """Put image points back on the plane they were seen on: (7-28), (7-29).
 
+    Doty's (x', y', f) is -(x, y, 1) f of OpenCV, mirrored: with w = (-(u - cx), v - cy, f_px) and v = n / xi,
+    p = -w / (v . w). Here w is divided by f, which leaves p as it is.
+
     Args:
         pixels: Shape (..., 2).
         intrinsics: In the order of ``INTRINSICS``, shape (9,).
-        normal: Of the plane, towards the camera, in the REPORT's camera frame, shape (3,).
+        normal: Of the plane, towards the camera, in Doty's camera frame, shape (3,).
         distance: xi of n.p + xi = 0, from the lens to the plane, [m].
 
     Returns:
-        Points in the report's camera frame, shape (..., 3), [m].
-
-    The report's (x', y', f) is -(x, y, 1) f of OpenCV, mirrored: with w = (-(u - cx), v - cy, f_px), p = -w / (v . w).
+        Points in Doty's camera frame, shape (..., 3), [m].
     """
     xy = rays(pixels, intrinsics)
-    w = np.concatenate([-xy[..., :1], xy[..., 1:], np.ones_like(xy[..., :1])], axis=-1)
-    return -w / (w @ (normal / distance))[..., None]
+    x = xy[..., :1]
+    y = xy[..., 1:]
+    w = np.concatenate([-x, y, np.ones_like(x)], axis=-1)
+    v = normal / distance
+    return -w / (w @ v)[..., None]
+
+
+def predict_pixels(
+    T_camera_square: np.ndarray, points: np.ndarray, intrinsics: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Predict the image points of the square's points, with derivatives.
+
+    A twist (v, w) of the square in its own frame, T exp(twist), moves its point P by R (v + w x P) in the camera.
+
+    Args:
+        T_camera_square: Shape (..., 4, 4).
+        points: In the square's frame, shape (..., M, 3), [m].
+        intrinsics: In the order of ``INTRINSICS``, shape (9,).
+
+    Returns:
+        Pixels (..., M, 2), their derivatives by the twist (linear, angular) of the square in its own frame
+        (..., M, 2, 6) and by the intrinsics (..., M, 2, 9).
+    """
+    R = T_camera_square[..., :3, :3]
+    t = T_camera_square[..., None, :3, 3]
+    seen = points @ np.swapaxes(R, -1, -2) + t
+    pixels, by_point, by_intrinsics = project_jacobian(seen, intrinsics)
+    linear = by_point @ R[..., None, :, :]
+    by_twist = np.empty((*pixels.shape, 6))
+    by_twist[..., :3] = linear
+    for k in range(3):  # (w x P) for w along axis k is P_i e_j - P_j e_i
+        i = (k + 1) % 3
+        j = (k + 2) % 3
+        P_i = points[..., i, None]
+        P_j = points[..., j, None]
+        along_j = P_i * linear[..., j]
+        along_i = P_j * linear[..., i]
+        by_twist[..., 3 + k] = along_j - along_i
+    return pixels, by_twist, by_intrinsics

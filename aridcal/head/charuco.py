@@ -17,8 +17,11 @@ from aridcal.head.matching import NotMeasured, spans_plane
 from aridcal.head.pose import NO_SONARS, fit_pose
 from aridcal.head.square import Layout
 
+# Corners to measure a pose from: six numbers, and as many again that tell how well they fit.
 MIN_CORNERS = 6
-FIRST_STD = 0.1  # [px] of a corner, before the residuals tell
+
+# [px] of a corner, before the residuals tell.
+FIRST_STD = 0.1
 
 
 @dataclass(frozen=True)
@@ -50,12 +53,15 @@ class Board:
 def corner_places(board: Board) -> np.ndarray:
     """Return the places of the board's inner corners in its frame, numbered as OpenCV does, shape (N, 3), [m]."""
     # OpenCV puts the board's origin at its upper left corner, with y down.
+    corners = np.asarray(board.opencv().getChessboardCorners(), dtype=float)
     middle = np.array([board.squares_x, board.squares_y, 0]) * board.square / 2
-    return (np.asarray(board.opencv().getChessboardCorners(), dtype=float) - middle) * [1, -1, 1]
+    return (corners - middle) * [1, -1, 1]
 
 
 def find_charuco(image: np.ndarray, board: Board, index: int, intrinsics: np.ndarray) -> Fiducials:
     """Find a board's inner corners.
+
+    OpenCV finds them, and its solver for plane targets (IPPE, Collins and Bartoli, IJCV 2014) starts the fit of the pose.
 
     Args:
         image: Grey levels, uint8, shape (height, width).
@@ -69,8 +75,8 @@ def find_charuco(image: np.ndarray, board: Board, index: int, intrinsics: np.nda
     Raises:
         NotMeasured: Too few corners are seen.
     """
-    made = board.opencv()
-    corners, ids, _, _ = cv2.aruco.CharucoDetector(made).detectBoard(image)
+    detector = cv2.aruco.CharucoDetector(board.opencv())
+    corners, ids, _, _ = detector.detectBoard(image)
     if ids is None or len(ids) < MIN_CORNERS:
         seen = 0 if ids is None else len(ids)
         raise NotMeasured(f"only {seen} corners of the board are seen: {MIN_CORNERS} are needed")
@@ -78,18 +84,21 @@ def find_charuco(image: np.ndarray, board: Board, index: int, intrinsics: np.nda
     points = corner_places(board)[ids]
     if not spans_plane(points):
         raise NotMeasured("the corners that are seen lie on one line")
-    done, turn, shift = cv2.solvePnP(points, rays(pixels, intrinsics), np.eye(3), None, flags=cv2.SOLVEPNP_IPPE)
+    normalised = rays(pixels, intrinsics)
+    done, turn, shift = cv2.solvePnP(points, normalised, np.eye(3), None, flags=cv2.SOLVEPNP_IPPE)
     if not done:
         raise NotMeasured("the board's corners fit no pose")
     T = np.eye(4)
-    T[:3, :3], T[:3, 3] = cv2.Rodrigues(turn)[0], shift.ravel()
+    T[:3, :3], _ = cv2.Rodrigues(turn)
+    T[:3, 3] = shift.ravel()
     covariances = np.tile(FIRST_STD**2 * np.eye(2), (len(ids), 1, 1))
     pose = fit_pose(points, pixels, covariances, NO_SONARS, intrinsics, T)
+    x_and_y = np.eye(3)[:2]
     layout = Layout(
         square=np.full(len(ids), index),
         fiducial=ids,
         centres=points,
-        axes=np.tile(np.eye(3)[:2], (len(ids), 1, 1)),
+        axes=np.tile(x_and_y, (len(ids), 1, 1)),
         sizes=np.zeros((len(ids), 2)),
     )
     return Fiducials(layout, pixels, covariances * pose.chi2 / pose.dof, pose.T_camera_square)

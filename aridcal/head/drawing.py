@@ -13,11 +13,18 @@ from pathlib import Path
 
 import numpy as np
 
-from aridcal.commands import atomic_folder, run
+from aridcal.command_line import run
+from aridcal.files import atomic_folder
 from aridcal.head.square import SIDE, STRIP_SQUARES, fiducial_corners, index_corners, paper_corners, strip_placements
 
+# In a metre.
+MM = 1e3
+
+# PDF counts in points of 1/72 in.
 MM_PER_POINT = 25.4 / 72
-CUT_LINE = 0.1  # [mm], grey
+
+# Width of the line around each square, [mm]; grey, so that it is no mark.
+CUT_LINE = 0.1
 
 
 def strip_polygons(indexes: Sequence[int]) -> tuple[np.ndarray, np.ndarray, tuple[float, float]]:
@@ -30,61 +37,91 @@ def strip_polygons(indexes: Sequence[int]) -> tuple[np.ndarray, np.ndarray, tupl
         The squares' outlines (S, 4, 2) and all that is black (M, 4, 2), [mm] from the sheet's lower left corner; width and
         height of the sheet, [mm].
     """
-    up = strip_placements(len(indexes))[:, :2, 3] + SIDE / 2
-    paper = np.array([paper_corners() + at for at in up])
-    ink = np.concatenate(
-        [np.concatenate([fiducial_corners(), index_corners(k)]) + at for k, at in zip(indexes, up, strict=True)]
-    )
-    return 1e3 * paper, 1e3 * ink, (1e3 * SIDE, 1e3 * SIDE * len(indexes))
+    middles = strip_placements(len(indexes))[:, :2, 3] + SIDE / 2
+    paper, ink = [], []
+    for index, middle in zip(indexes, middles, strict=True):
+        printed = np.concatenate([fiducial_corners(), index_corners(index)])
+        paper.append(paper_corners() + middle)
+        ink.append(printed + middle)
+    width, height = MM * SIDE, MM * SIDE * len(indexes)
+    return MM * np.array(paper), MM * np.concatenate(ink), (width, height)
 
 
 def svg(indexes: Sequence[int]) -> str:
-    """Draw squares as SVG in millimetres."""
+    """Draw squares as SVG in millimetres.
+
+    Args:
+        indexes: Of the squares, from below upwards.
+    """
     paper, ink, (width, height) = strip_polygons(indexes)
-
-    def polygons(corners: np.ndarray, style: str) -> list[str]:
-        flipped = corners * [1, -1] + [0, height]  # SVG's y points down
-        points = (" ".join(f"{x:.4f},{y:.4f}" for x, y in polygon) for polygon in flipped)
-        return [f'<polygon points="{p}" {style}/>' for p in points]
-
+    cut_line = f'fill="none" stroke="#999" stroke-width="{CUT_LINE}"'
     lines = [
         f'<svg xmlns="http://www.w3.org/2000/svg" width="{width:g}mm" height="{height:g}mm" '
         f'viewBox="0 0 {width:g} {height:g}">',
         f'<rect width="{width:g}" height="{height:g}" fill="white"/>',
-        *polygons(paper, f'fill="none" stroke="#999" stroke-width="{CUT_LINE}"'),
-        *polygons(ink, 'fill="black"'),
+        *_svg_polygons(paper, height, cut_line),
+        *_svg_polygons(ink, height, 'fill="black"'),
         "</svg>",
     ]
     return "\n".join(lines) + "\n"
 
 
+def _svg_polygons(corners: np.ndarray, height: float, style: str) -> list[str]:
+    """Write polygons, shape (M, K, 2), [mm], on a sheet of that height; SVG's y points down."""
+    flipped = corners * [1, -1] + [0, height]
+    lines = []
+    for polygon in flipped:
+        points = " ".join(f"{x:.4f},{y:.4f}" for x, y in polygon)
+        lines.append(f'<polygon points="{points}" {style}/>')
+    return lines
+
+
 def pdf(indexes: Sequence[int]) -> bytes:
-    """Draw squares as a PDF of one page: a page description needs no library when all is polygons."""
-    paper, ink, size = (np.asarray(part) / MM_PER_POINT for part in strip_polygons(indexes))
+    """Draw squares as a PDF of one page: a page description needs no library when all is polygons.
 
-    def paths(corners: np.ndarray, paint: str) -> list[str]:
-        return [
-            " ".join(f"{x:.4f} {y:.4f} {'l' if k else 'm'}" for k, (x, y) in enumerate(polygon)) + f" h {paint}"
-            for polygon in corners
-        ]
-
-    content = "\n".join(
-        [f"0.6 G {CUT_LINE / MM_PER_POINT:.4f} w", *paths(paper, "S"), "0 g", *paths(ink, "f")],
-    ).encode()
+    Args:
+        indexes: Of the squares, from below upwards.
+    """
+    paper, ink, (width, height) = (np.asarray(part) / MM_PER_POINT for part in strip_polygons(indexes))
+    pen = f"0.6 G {CUT_LINE / MM_PER_POINT:.4f} w"
+    operators = [pen, *_pdf_polygons(paper, "S"), "0 g", *_pdf_polygons(ink, "f")]
+    content = "\n".join(operators).encode()
     # A user unit of 1/72 in allows 200 in, the strip is 112 in long.
-    objects = [
+    page = f"/MediaBox [0 0 {width:.4f} {height:.4f}] /Resources << >> /Contents 4 0 R".encode()
+    return _pdf_document([
         b"<< /Type /Catalog /Pages 2 0 R >>",
         b"<< /Type /Pages /Kids [3 0 R] /Count 1 >>",
-        f"<< /Type /Page /Parent 2 0 R /MediaBox [0 0 {size[0]:.4f} {size[1]:.4f}] /Resources << >> /Contents 4 0 R >>".encode(),
+        b"<< /Type /Page /Parent 2 0 R %s >>" % page,
         b"<< /Length %d >>\nstream\n%s\nendstream" % (len(content), content),
-    ]
-    document, offsets = b"%PDF-1.4\n", []
+    ])  # fmt: skip
+
+
+def _pdf_polygons(corners: np.ndarray, paint: str) -> list[str]:
+    """Write polygons, shape (M, K, 2), [pt], each closed and painted: ``m`` moves, ``l`` draws a line, ``h`` closes."""
+    lines = []
+    for polygon in corners:
+        verbs = ["m", *["l"] * (len(polygon) - 1)]
+        steps = [f"{x:.4f} {y:.4f} {verb}" for (x, y), verb in zip(polygon, verbs, strict=True)]
+        lines.append(" ".join([*steps, "h", paint]))
+    return lines
+
+
+def _pdf_document(objects: Sequence[bytes]) -> bytes:
+    """Join objects, the catalogue first, with the table that tells where in the file each begins (ISO 32000-1, 7.5).
+
+    Args:
+        objects: Bodies of the objects 1, 2, ...
+    """
+    document = b"%PDF-1.4\n"
+    offsets = []
     for number, body in enumerate(objects, 1):
         offsets.append(len(document))
         document += b"%d 0 obj\n%s\nendobj\n" % (number, body)
-    table = b"".join(b"%010d 00000 n \n" % offset for offset in offsets)
-    trailer = b"trailer\n<< /Size %d /Root 1 0 R >>\nstartxref\n%d\n%%%%EOF\n" % (len(objects) + 1, len(document))
-    return document + b"xref\n0 %d\n0000000000 65535 f \n" % (len(objects) + 1) + table + trailer
+    entries = len(objects) + 1
+    table = b"xref\n0 %d\n0000000000 65535 f \n" % entries
+    table += b"".join(b"%010d 00000 n \n" % offset for offset in offsets)
+    trailer = b"trailer\n<< /Size %d /Root 1 0 R >>\nstartxref\n%d\n%%%%EOF\n" % (entries, len(document))
+    return document + table + trailer
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -101,8 +138,9 @@ def write(folder: Path) -> None:
     Raises:
         OutputError: The folder cannot be written.
     """
+    drawings = {"square": range(1), "strip": range(STRIP_SQUARES)}
     with atomic_folder(folder) as new:
-        for name, indexes in (("square", range(1)), ("strip", range(STRIP_SQUARES))):
+        for name, indexes in drawings.items():
             (new / f"{name}.svg").write_text(svg(indexes), encoding="utf-8")
             (new / f"{name}.pdf").write_bytes(pdf(indexes))
 

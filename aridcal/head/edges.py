@@ -1,8 +1,14 @@
 """Where a fiducial is, to a few thousandths of a pixel: its outline fitted to the grey levels around it.
 
-The pose that is already known to a fraction of a pixel gives the shape of each fiducial in the image. The shape is then
-shifted, grown, blurred and lit until it explains the grey levels, all fiducials of an image at once. What is reported is the
-image of the fiducial's centre, not the centroid of its image, so that the perspective bias of centroids does not arise.
+The pose that is already known to a fraction of a pixel gives the shape of each fiducial in the image
+(:func:`aridcal.head.outlines.predict_shapes`). The shape is then shifted, grown, blurred and lit until it explains the grey
+levels, all fiducials of an image at once. What is reported is the image of the fiducial's centre, not the centroid of its
+image, so that the perspective bias of centroids does not arise.
+
+The model of a pixel's grey level at an offset d from the fiducial's centre, with e(d) the share of its light that comes from
+the fiducial and b(d) the shares from beyond the paper::
+
+    grey = paper + slope.d + e(d) (contrast + contrast slope.d) + leak.b(d)
 """
 
 from __future__ import annotations
@@ -11,68 +17,42 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from aridcal.head.pose import predict_pixels
-from aridcal.head.square import CENTRES, SIDE, Layout
+from aridcal.head.outlines import Pixels, Shapes, fiducial_share, near_outlines, share_beyond_paper
 
-MARGIN = 0.0030  # [m] of surroundings used: less than from a fiducial to the paper's edge
-TUKEY = 6.0  # residuals beyond so many sigma have no weight
-# With Tukey weights w at Gaussian noise, variance = sigma^2 * TUKEY_VARIANCE * inv(J' w J): E[w] E[psi^2] / E[psi']^2.
-TUKEY_VARIANCE = 0.965
+# Places in theta, see ``Fits``: what shifts, grows and blurs the outline, the paper's light, the contrast and what lies around.
 N_PARAMETERS = 12
+SHIFT, GROWTH, VARIANCE = slice(0, 2), 2, 3
+PAPER, PAPER_SLOPE, CONTRAST, CONTRAST_SLOPE = 4, slice(5, 7), 7, slice(8, 10)
+LEAK = slice(10, 12)
+OUTLINE, LIGHT, DOUBTFUL = slice(0, 4), slice(4, 7), slice(8, 12)  # the last ones have a prior
+
+# Robust weights. Tukey's biweight has 95 % efficiency at 4.7 sigma and about 98 % at 6. With weights w at Gaussian noise the
+# variance is sigma² TUKEY_VARIANCE inv(J' w J), E[w] E[psi²] / E[psi']² (Huber, "Robust Statistics", 1981).
+TUKEY = 6.0
+TUKEY_VARIANCE = 0.965
+SIGMA_PER_MAD = 1.4826  # sigma of Gaussian noise over the median of its absolute values
+GROSS_CUT = (
+    0.6,
+    5.0,
+)  # share of the contrast, and [grey levels], that a residual may have while edges may be a pixel off
+LEAST_CUT = 0.1, 0.01  # share of the contrast that is never cut off, before a fit has settled and after
+NOISIER = 1.3  # times the usual noise: only then a fiducial's own is believed, which it knows to some 10 %
+
+# Steps and their end.
+RIM = 1.5  # [px] to either side of an outline: its edge
 MAX_STEPS = 8
 STILL, MOST = 0.4, 0.75  # a fit is done when its last step was below so many sigma for most of the fiducials
-START_BLUR = 0.7  # [px]
-# Light falls on paper and fiducial alike, so that contrast changes as the paper does; glare spares it. By how much the change
-# may differ from that: a share of it, and some grey levels across half a fiducial.
+START_BLUR = 0.7  # [px] of a lens in focus
+LARGEST_STEP = 1.0  # [px] of shift and growth: the edge's slope is known no further
+LARGEST_GROWTH, LARGEST_BLUR = 0.3, 0.6  # of the fiducial's half size: what goes beyond is no fiducial
+RIDGE = 1e-6  # of the diagonal: keeps the equations solvable where a fiducial shows nothing of a parameter
+
+# What is expected. Light falls on paper and fiducial alike, so that contrast changes as the paper does; glare spares it. By how
+# much the change may differ from that: a share of it, and some grey levels across half a fiducial.
 UNEVEN, UNEVEN_STD = 1.0, 0.05
 LEAK_STD = 60.0  # [grey levels] by which the surroundings may differ from the paper
-PIXEL_VARIANCE = 1 / 12
-# Where dirt has cost an edge some of its weight, what is left of the dirt shows in the centre too (measured on rendered dirt).
-CLEAN_EDGE, DOUBT = 0.9, 30.0
-MODEL_STD = 0.0008  # [px] what the edge model itself may be wrong by
-_GRID = 1.2 * np.array([[i, j] for i in (-0.5, 0, 0.5) for j in (-0.5, 0, 0.5)])
-
-
-@dataclass(frozen=True)
-class Shapes:
-    """How fiducials are imaged from a given pose.
-
-    Attributes:
-        centres: Images of their centres, shape (F, 2), [px].
-        inverse: From (1, du, dv, du², du dv, dv²) around ``centres`` to places in units of the fiducial's width and height
-            from its centre, shape (F, 6, 2).
-        half_extent: Half of the box around the image of the fiducial, shape (F, 2), [px].
-        scale: Pixels per metre, shape (F,).
-        paper_edge: Where the paper ends on its near side, in the coordinates of ``inverse``, shape (F, 2); inf for none.
-    """
-
-    centres: np.ndarray
-    inverse: np.ndarray
-    half_extent: np.ndarray
-    scale: np.ndarray
-    paper_edge: np.ndarray
-
-    def __getitem__(self, which: np.ndarray) -> Shapes:
-        """Select fiducials."""
-        return Shapes(*(getattr(self, f.name)[which] for f in fields(self)))
-
-
-def predict_shapes(T_camera_square: np.ndarray, layout: Layout, intrinsics: np.ndarray) -> Shapes:
-    """Predict the images of fiducials, perspective and distortion to second order across each of them."""
-    local = layout.sizes[:, None] * _GRID
-    pixels, _, _ = predict_pixels(T_camera_square, layout.centres[:, None] + local @ layout.axes, intrinsics)
-    centres = pixels[:, 4]
-    d = pixels - centres[:, None]
-    extent = np.abs(d).max(axis=1)
-    unit = d / extent[:, None]  # well conditioned
-    A = _quadratic(unit[..., 0], unit[..., 1])
-    coefficients = np.linalg.solve(np.swapaxes(A, 1, 2) @ A, np.swapaxes(A, 1, 2) @ np.broadcast_to(_GRID, d.shape))
-    eu, ev = extent[:, 0], extent[:, 1]
-    scaling = np.stack([np.ones_like(eu), eu, ev, eu**2, eu * ev, ev**2], axis=-1)
-    scale = np.linalg.norm(pixels[:, 7] - pixels[:, 1], axis=1) / (1.2 * layout.sizes[:, 0])
-    place = CENTRES[layout.fiducial - 1]
-    paper_edge = np.where(np.abs(place) > SIDE / 4, (np.sign(place) * SIDE / 2 - place) / layout.sizes, np.inf)
-    return Shapes(centres, coefficients / scaling[..., None], extent / 1.2, scale, paper_edge)
+CLEAN_EDGE, DOUBT = 0.9, 30.0  # dirt that has cost an edge weight shows in the centre too (measured on rendered dirt)
+MODEL_STD = 0.0008  # [px] that the edge model itself may be wrong by
 
 
 @dataclass(frozen=True)
@@ -103,215 +83,202 @@ class Fits:
         return Fits(*(getattr(self, f.name)[which] for f in fields(self)))
 
     @property
+    def shift(self) -> np.ndarray:
+        """Of the centres from where they were predicted, shape (F, 2), [px]."""
+        return self.theta[:, SHIFT]
+
+    @property
     def growth(self) -> np.ndarray:
         """By how much each edge lies further out than it should, shape (F,), [px]."""
-        return self.theta[:, 2]
+        return self.theta[:, GROWTH]
 
     @property
     def blur(self) -> np.ndarray:
         """Standard deviation of the edges' blur without the pixel's own, shape (F,), [px]."""
-        return np.sqrt(np.maximum(self.theta[:, 3], 0))
+        return np.sqrt(np.maximum(self.theta[:, VARIANCE], 0))
 
     @property
     def contrast(self) -> np.ndarray:
         """Fiducial minus paper, shape (F,), [grey levels]."""
-        return self.theta[:, 7]
+        return self.theta[:, CONTRAST]
 
 
 def fit_outlines(image: np.ndarray, shapes: Shapes, start: Fits | None = None, gross_steps: int = 0) -> Fits:
     """Fit shift, growth, blur and light of each fiducial by robust least squares.
 
+    Gauss-Newton with Tukey's weights and a weak prior on what the fiducial alone may not determine: each step solves
+    (J'wJ + prior) change = J'w r - prior (theta - expected), fiducial by fiducial.
+
     Args:
         image: Grey levels, shape (height, width).
         shapes: How the fiducials are imaged, as far as known; all of them inside the image.
         start: An earlier fit of the same fiducials.
-        gross_steps: Steps of Gauss and Newton to take first that leave out gross errors only.
+        gross_steps: Steps to take first that leave out gross errors only.
 
     Returns:
         The fits. A fiducial that is not there shows by its contrast, noise or edge weight.
     """
     blur = START_BLUR if start is None else float(np.median(start.blur))
-    pixels = _near_outlines(image, shapes, np.minimum(MARGIN * shapes.scale, 2.5 + 3 * blur))
-    first = np.cumsum(pixels.counts) - pixels.counts
-    parts = [slice(a, a + c) for a, c in zip(first, pixels.counts, strict=True)]
-    spread = pixels.spread
+    pixels = near_outlines(image, shapes, blur)
     reach = np.max(shapes.half_extent, axis=1)
-    theta = _start(pixels, shapes, first) if start is None else start.theta.copy()
+    across = pixels.d.T / pixels.spread(reach)
+    theta = _start(pixels) if start is None else start.theta.copy()
     if start is not None:
-        theta[:, :2] = start.centres - shapes.centres
-    J = np.empty((N_PARAMETERS, len(pixels.grey)), np.float32)
-    J[4], J[5:7] = 1, pixels.d.T / spread(reach)
+        theta[:, SHIFT] = start.centres - shapes.centres
     for step in range(gross_steps + MAX_STEPS):
-        light = spread(theta)
-        model, slope = _edges(pixels, shapes, light)
-        J[7], J[8:10], J[10:] = model, J[5:7] * model, _beyond_paper(pixels, shapes, light)
-        contrast = light[7] + J[5] * light[8] + J[6] * light[9]
-        J[:4] = contrast * slope
-        r = pixels.grey - np.einsum("kp,kp->p", J[4:7], light[4:7]) - np.einsum("kp,kp->p", J[10:], light[10:])
-        r -= contrast * model
-        clipped = ((pixels.grey >= 255) & (r < 0)) | ((pixels.grey <= 0) & (r > 0))  # as bright or dark as can be
-        r[clipped] = 0
-        size = np.where(clipped, np.inf, np.abs(r))
-        middle = np.maximum(pixels.counts - np.add.reduceat(clipped, first), 1) // 2
-        noise = 1.4826 * np.array([np.partition(size[p], m)[m] for p, m in zip(parts, middle, strict=True)])
         gross = step < gross_steps
-        settled = start is not None
-        level = np.abs(theta[:, 7])
-        cut = 0.6 * level + 5 if gross else np.maximum(TUKEY * noise, (0.01 if settled else 0.1) * level + 1)
-        w = np.maximum(1 - (r / spread(cut)) ** 2, 0) ** 2
-        Jw = J * np.where(clipped, 0, w)
-        A = np.array([Jw[:, part] @ J[:, part].T for part in parts], dtype=float)
-        b = np.array([Jw[:, part] @ r[part] for part in parts], dtype=float)
-        expected, doubt = np.zeros((2, len(theta), 4))
-        ratio = (theta[:, 7] / np.maximum(theta[:, 4], 1 + level / 50))[:, None]
-        expected[:, :2] = ratio * theta[:, 5:7]  # on dark paper its change is hardly known
-        doubt[:, :2] = UNEVEN * np.abs(expected[:, :2]) + UNEVEN_STD * np.maximum(1, ratio**2)
-        doubt[:, 2:] = LEAK_STD
-        prior = (noise[:, None] / doubt) ** 2
-        A[:, range(8, 12), range(8, 12)] += prior
-        b[:, 8:] -= prior * (theta[:, 8:] - expected)
-        unit = np.sqrt(np.einsum("fii->fi", A)) + 1e-6
-        A = A / (unit[:, :, None] * unit[:, None, :]) + 1e-6 * np.eye(N_PARAMETERS)
-        change = np.linalg.solve(A, (b / unit)[..., None])[..., 0] / unit
-        change[:, :3] = np.clip(change[:, :3], -1, 1)
-        change[:, 3] = np.clip(change[:, 3], -theta[:, 3] / 2 - 0.05, theta[:, 3] / 2 + 0.2)
-        theta += change
-        theta[:, 2] = np.clip(theta[:, 2], -0.3 * reach, 0.3 * reach)
-        theta[:, 3] = np.clip(theta[:, 3], -0.01, (0.6 * reach) ** 2)
-        inverse = np.linalg.inv(A) / (unit[:, :, None] * unit[:, None, :])
-        moved = np.abs(change[:, :4]) / (noise[:, None] * np.sqrt(np.einsum("fii->fi", inverse)[:, :4]) + 1e-6)
-        if not gross and np.quantile(np.max(moved, axis=1), MOST) < STILL:
+        r, J, clipped = _residuals(pixels, shapes, theta, across)
+        noise = _noise(pixels, r, clipped)
+        cut = _cut(noise, np.abs(theta[:, CONTRAST]), gross, start is not None)
+        weights = np.maximum(1 - (r / pixels.spread(cut)) ** 2, 0) ** 2
+        A, b = _normal_equations(pixels, r, J, np.where(clipped, 0, weights))
+        _add_prior(A, b, theta, noise)
+        change, inverse = _solve(A, b)
+        theta, change = _stepped(theta, change, reach)
+        if not gross and _is_still(change, inverse, noise):
             break
-    pooled = float(np.median(noise))
-    sigma = np.where(noise < 1.3 * pooled, pooled, noise)
-    inverse *= TUKEY_VARIANCE * sigma[:, None, None] ** 2
-    rim = np.abs(pixels.depth) < 1.5
-    edge_weight = np.add.reduceat(np.where(rim, w, 0), first) / np.add.reduceat(rim, first)
+    return _fits(pixels, shapes, theta, noise, inverse, weights)
+
+
+def _fits(
+    pixels: Pixels, shapes: Shapes, theta: np.ndarray, noise: np.ndarray, inverse: np.ndarray, weights: np.ndarray
+) -> Fits:
+    """Turn the inverse of the last step's equations, (F, 12, 12), into covariances: noise² TUKEY_VARIANCE inverse."""
+    usual = float(np.median(noise))
+    sigma = np.where(noise < NOISIER * usual, usual, noise)
+    covariance = inverse * (TUKEY_VARIANCE * sigma[:, None, None] ** 2)
+    rim = np.abs(pixels.depth) < RIM
+    edge_weight = pixels.total(np.where(rim, weights, 0)) / pixels.total(rim)
     dirt = 1 + DOUBT * np.maximum(0, CLEAN_EDGE - edge_weight)
+    of_shape = np.einsum("fii->fi", covariance)[:, GROWTH : VARIANCE + 1]
     return Fits(
-        centres=shapes.centres + theta[:, :2],
-        covariances=inverse[:, :2, :2] * dirt[:, None, None] + MODEL_STD**2 * np.eye(2),
-        shape_std=np.sqrt(np.maximum(np.einsum("fii->fi", inverse)[:, 2:4], 0)),
+        centres=shapes.centres + theta[:, SHIFT],
+        covariances=covariance[:, SHIFT, SHIFT] * dirt[:, None, None] + MODEL_STD**2 * np.eye(2),
+        shape_std=np.sqrt(np.maximum(of_shape, 0)),
         noise=noise,
         edge_weight=edge_weight,
         theta=theta,
     )
 
 
-def _start(pixels: _Pixels, shapes: Shapes, first: np.ndarray) -> np.ndarray:
-    theta = np.zeros((len(first), N_PARAMETERS))
-    theta[:, 3] = START_BLUR**2
+def _start(pixels: Pixels) -> np.ndarray:
+    """Start theta, shape (F, 12), from the mean grey levels a pixel inside and a pixel outside the predicted outlines."""
+    theta = np.zeros((len(pixels.counts), N_PARAMETERS))
     inside, outside = (
-        np.add.reduceat(np.where(there, pixels.grey, 0), first) / np.add.reduceat(there, first)
+        pixels.total(np.where(there, pixels.grey, 0)) / pixels.total(there)
         for there in (pixels.depth > 1, pixels.depth < -1)
     )
-    theta[:, 4], theta[:, 7] = outside, inside - outside
+    theta[:, VARIANCE] = START_BLUR**2
+    theta[:, PAPER] = outside
+    theta[:, CONTRAST] = inside - outside
     return theta
 
 
-@dataclass(frozen=True)
-class _Pixels:
-    """Pixels near the outlines of all fiducials, in one list.
+def _residuals(
+    pixels: Pixels, shapes: Shapes, theta: np.ndarray, across: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Compare the grey levels with the model.
 
-    Attributes:
-        grey: Grey levels, shape (P,).
-        d: Places relative to the predicted centres, shape (P, 2), [px].
-        depth: Distance inside the predicted outline, shape (P,), [px].
-        counts: How many there are of each fiducial, shape (F,).
+    Args:
+        pixels: P of them.
+        shapes: Of F fiducials.
+        theta: Of the fiducials, shape (F, 12).
+        across: Places in half sizes of the fiducial, to the right and down, shape (2, P).
+
+    Returns:
+        Grey level minus model (P,), the model's derivatives (12, P), and which pixels are as bright or dark as can be (P,).
     """
-
-    grey: np.ndarray
-    d: np.ndarray
-    depth: np.ndarray
-    counts: np.ndarray
-
-    def spread(self, values: np.ndarray) -> np.ndarray:
-        """Give each pixel its fiducial's values, shape (F, ...): shape (..., P)."""
-        return np.repeat(values.astype(np.float32).T, self.counts, axis=-1)
-
-
-def _near_outlines(image: np.ndarray, shapes: Shapes, margin: np.ndarray) -> _Pixels:
-    middle = np.rint(shapes.centres).astype(int)
-    reach_u, reach_v = np.ceil(np.max(shapes.half_extent + margin[:, None], axis=0)).astype(int)
-    dv, du = (g.ravel() for g in np.mgrid[-reach_v : reach_v + 1, -reach_u : reach_u + 1])
-    u, v = middle[:, :1] + du, middle[:, 1:] + dv
-    off = middle - shapes.centres
-    x, y = (du + off[:, :1]).astype(np.float32), (dv + off[:, 1:]).astype(np.float32)
-    c = np.moveaxis(shapes.inverse, 0, -1)[..., None].astype(np.float32)
-    px, py = _pitch(shapes)
-    depth = np.minimum(
-        (0.5 - np.abs(_place(x, y, c[:, 0]))) / px[:, None], (0.5 - np.abs(_place(x, y, c[:, 1]))) / py[:, None]
-    )
-    height, width = image.shape
-    near = (np.abs(depth) < margin[:, None]) & (u >= 0) & (v >= 0) & (u < width) & (v < height)
-    return _Pixels(
-        image[v[near], u[near]].astype(np.float32), np.stack([x[near], y[near]], axis=-1), depth[near], near.sum(axis=1)
-    )
+    own = pixels.spread(theta)
+    cover, by_outline = fiducial_share(pixels, shapes, own[OUTLINE])
+    J = np.empty((N_PARAMETERS, len(pixels.grey)), np.float32)
+    J[PAPER] = 1
+    J[PAPER_SLOPE] = across
+    J[CONTRAST] = cover
+    J[CONTRAST_SLOPE] = across * cover
+    J[LEAK] = share_beyond_paper(pixels, shapes, own[OUTLINE])
+    right, down = across
+    by_right, by_down = own[CONTRAST_SLOPE]
+    contrast = own[CONTRAST] + right * by_right + down * by_down
+    J[OUTLINE] = contrast * by_outline
+    paper = np.einsum("kp,kp->p", J[LIGHT], own[LIGHT])
+    leak = np.einsum("kp,kp->p", J[LEAK], own[LEAK])
+    r = pixels.grey - paper - leak
+    r -= contrast * cover
+    too_bright = (pixels.grey >= 255) & (r < 0)
+    too_dark = (pixels.grey <= 0) & (r > 0)
+    clipped = too_bright | too_dark
+    r[clipped] = 0
+    return r, J, clipped
 
 
-def _pitch(shapes: Shapes) -> tuple[np.ndarray, np.ndarray]:
-    """Return how much of the fiducial's width and height one pixel across its edges is."""
-    pitch = np.linalg.norm(shapes.inverse[:, 1:3], axis=1)
-    return pitch[:, 0], pitch[:, 1]
+def _noise(pixels: Pixels, r: np.ndarray, clipped: np.ndarray) -> np.ndarray:
+    """Estimate the noise of each fiducial's pixels by the median of their absolute residuals, shape (F,), [grey levels]."""
+    size = np.where(clipped, np.inf, np.abs(r))
+    middle = np.maximum(pixels.counts - pixels.total(clipped), 1) // 2
+    medians = [np.partition(size[part], m)[m] for part, m in zip(pixels.parts, middle, strict=True)]
+    return SIGMA_PER_MAD * np.array(medians)
 
 
-def _place(x: np.ndarray, y: np.ndarray, c: np.ndarray) -> np.ndarray:
-    return c[0] + x * (c[1] + c[3] * x + c[4] * y) + y * (c[2] + c[5] * y)
+def _cut(noise: np.ndarray, level: np.ndarray, gross: bool, settled: bool) -> np.ndarray:
+    """Choose the residuals from which pixels have no weight, shape (F,), from noise and size of the contrast (F,)."""
+    if gross:
+        return GROSS_CUT[0] * level + GROSS_CUT[1]
+    least = LEAST_CUT[1] if settled else LEAST_CUT[0]
+    return np.maximum(TUKEY * noise, least * level + 1)
 
 
-def _edges(pixels: _Pixels, shapes: Shapes, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the share of each pixel's light from the fiducial (P,), and its derivatives by the first four parameters (4, P).
+def _normal_equations(
+    pixels: Pixels, r: np.ndarray, J: np.ndarray, weights: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return J'wJ, shape (F, 12, 12), and J'w r, shape (F, 12), of each fiducial."""
+    Jw = J * weights
+    A = [Jw[:, part] @ J[:, part].T for part in pixels.parts]
+    b = [Jw[:, part] @ r[part] for part in pixels.parts]
+    return np.array(A, dtype=float), np.array(b, dtype=float)
 
-    Seen along an edge's normal, a pixel is a trapezoid: two impulses +-delta and a Gaussian of the same variance and
-    kurtosis stand for it.
+
+def _add_prior(A: np.ndarray, b: np.ndarray, theta: np.ndarray, noise: np.ndarray) -> None:
+    """Add what is expected of the contrast's slope and of the leaks, with its doubt, to the equations.
+
+    The contrast should change as the paper's light does: by ratio = contrast / paper times the paper's slope.
     """
-    x, y = pixels.d[:, 0] - theta[0], pixels.d[:, 1] - theta[1]
-    strips = []
-    for k, pitch in enumerate(_pitch(shapes)):
-        c = shapes.inverse[:, :, k] / pitch[:, None]  # place in pixels across the edge
-        place = _place(x, y, pixels.spread(c))
-        along = pixels.spread(c[:, 1:3])
-        delta = pixels.spread((np.sum(c[:, 1:3] ** 4, axis=1) / 240) ** 0.25)
-        inverse_sigma = 1 / np.sqrt(np.maximum(theta[3] + PIXEL_VARIANCE - delta**2, 0.01))
-        t = pixels.spread(0.5 / pitch) + theta[2] - np.abs(place)  # inside the nearer edge; the other one is far
-        t1, t2 = (t + delta) * inverse_sigma, (t - delta) * inverse_sigma
-        (cdf1, pdf1), (cdf2, pdf2) = _normal(t1), _normal(t2)
-        outwards = 0.5 * inverse_sigma * (pdf1 + pdf2)
-        by_variance = -0.25 * inverse_sigma**2 * (t1 * pdf1 + t2 * pdf2)
-        across = np.copysign(outwards, place)  # by a shift towards growing place
-        strips.append((0.5 * (cdf1 + cdf2), np.stack([across * along[0], across * along[1], outwards, by_variance])))
-    (cover_x, by_x), (cover_y, by_y) = strips
-    return cover_x * cover_y, by_x * cover_y + by_y * cover_x
+    expected, doubt = np.zeros((2, len(theta), 4))
+    paper = np.maximum(theta[:, PAPER], 1 + np.abs(theta[:, CONTRAST]) / 50)  # on dark paper its change is hardly known
+    ratio = (theta[:, CONTRAST] / paper)[:, None]
+    slope = ratio * theta[:, PAPER_SLOPE]
+    expected[:, :2] = slope
+    doubt[:, :2] = UNEVEN * np.abs(slope) + UNEVEN_STD * np.maximum(1, ratio**2)
+    doubt[:, 2:] = LEAK_STD
+    prior = (noise[:, None] / doubt) ** 2
+    own = range(DOUBTFUL.start, DOUBTFUL.stop)
+    A[:, own, own] += prior
+    b[:, DOUBTFUL] -= prior * (theta[:, DOUBTFUL] - expected)
 
 
-def _beyond_paper(pixels: _Pixels, shapes: Shapes, theta: np.ndarray) -> np.ndarray:
-    """Return the share of each pixel's light from beyond the paper's near edges, shape (2, P)."""
-    shares = np.zeros((2, len(pixels.grey)), np.float32)
-    for k, pitch in enumerate(_pitch(shapes)):
-        edge = shapes.paper_edge[:, k]
-        c = shapes.inverse[:, :3, k].copy()
-        c[:, 0] -= np.where(np.isfinite(edge), edge, 0)
-        c *= (np.where(np.isfinite(edge), np.sign(edge), 0) / pitch)[:, None]
-        c[:, 0] -= np.where(np.isfinite(edge), 0, 1e3)
-        c = pixels.spread(c)
-        t = (c[0] + c[1] * (pixels.d[:, 0] - theta[0]) + c[2] * (pixels.d[:, 1] - theta[1])) / np.sqrt(
-            theta[3] + PIXEL_VARIANCE
-        )
-        near = t > -4
-        shares[k, near] = _normal(t[near])[0]
-    return shares
+def _solve(A: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Solve A x = b of each fiducial, its diagonal brought to one: x, shape (F, 12), and A^-1, shape (F, 12, 12)."""
+    unit = np.sqrt(np.einsum("fii->fi", A)) + RIDGE
+    units = unit[:, :, None] * unit[:, None, :]
+    scaled = A / units + RIDGE * np.eye(N_PARAMETERS)
+    x = np.linalg.solve(scaled, (b / unit)[..., None])[..., 0] / unit
+    return x, np.linalg.inv(scaled) / units
 
 
-def _normal(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the normal distribution and density (Abramowitz and Stegun 26.2.17, to 1e-7)."""
-    density = np.exp(t * t * np.float32(-0.5)) * np.float32(0.3989422804)
-    k = 1 / (1 + np.float32(0.2316419) * np.abs(t))
-    tail = np.float32(1.330274429)
-    for a in (-1.821255978, 1.781477937, -0.356563782, 0.319381530):
-        tail = tail * k + np.float32(a)
-    tail = tail * k * density
-    return np.where(t > 0, 1 - tail, tail), density
+def _stepped(theta: np.ndarray, change: np.ndarray, reach: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Take a step, not too far, and keep growth and blur where a fiducial is still one: theta and the step taken."""
+    change = change.copy()
+    variance = theta[:, VARIANCE]
+    change[:, :3] = np.clip(change[:, :3], -LARGEST_STEP, LARGEST_STEP)
+    change[:, VARIANCE] = np.clip(change[:, VARIANCE], -variance / 2 - 0.05, variance / 2 + 0.2)
+    theta = theta + change
+    theta[:, GROWTH] = np.clip(theta[:, GROWTH], -LARGEST_GROWTH * reach, LARGEST_GROWTH * reach)
+    theta[:, VARIANCE] = np.clip(theta[:, VARIANCE], -0.01, (LARGEST_BLUR * reach) ** 2)
+    return theta, change
 
 
-def _quadratic(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1)
+def _is_still(change: np.ndarray, inverse: np.ndarray, noise: np.ndarray) -> bool:
+    """Tell whether the last step moved the edges of most fiducials by next to nothing."""
+    variance = np.einsum("fii->fi", inverse)[:, OUTLINE]
+    sigma = noise[:, None] * np.sqrt(variance)
+    moved = np.max(np.abs(change[:, OUTLINE]) / (sigma + 1e-6), axis=1)
+    return bool(np.quantile(moved, MOST) < STILL)

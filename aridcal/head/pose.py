@@ -1,6 +1,6 @@
 """Pose of the square in the camera: fiducials and ranges in one weighted least squares on SE(3).
 
-The report's own two steps, the sonars' plane (7-28) and the axes on it (7-33), (7-34), only start it: they take the tilt from
+Doty's own two steps, the sonars' plane (7-28) and the axes on it (7-33), (7-34), only start it: they take the tilt from
 the sonars alone, which the camera knows ten times better. Poses are T_camera_square in OpenCV's camera frame; their
 covariance is that of a twist (linear, angular) of the square in its own frame, T_true = T exp(twist).
 """
@@ -13,12 +13,34 @@ import numpy as np
 import pinocchio as pin
 from scipy.stats import chi2
 
-from aridcal.head.camera import REPORT_OPENCV, on_plane, project_jacobian
-from aridcal.head.sonar import Measures, Plane, predict_ranges
+from aridcal.head.camera import DOTY_OPENCV, on_plane, predict_pixels
+from aridcal.head.sonar import Plane, predict_ranges
+from aridcal.inputs.head_settings import Measures
 
-STANDS_OUT = 5.0  # sigma
-MISFIT_P = 1e-4  # a chi-square less likely than this is no noise: the model, the lens or a sonar is wrong
-FEW_DOF, FEW_MISFIT_P = 5, 0.1  # with so few, a wrong point cannot stand out: doubt earlier
+# Sigma beyond which an image point is a gross error: noise does that once in 300,000 points.
+STANDS_OUT = 5.0
+
+# A chi-square less likely than this is no noise: the model, the lens or a sonar is wrong.
+MISFIT_P = 1e-4
+
+# With so few degrees of freedom a wrong point cannot stand out from the others: doubt earlier.
+FEW_DOF, FEW_MISFIT_P = 5, 0.1
+
+# Of Gauss-Newton; from the sonars' start it takes three or four.
+MAX_STEPS = 30
+
+# Sigma: a step that moves no residual by more, in the norm of all of them, ends the fit.
+STILL = 1e-4
+
+# A step turns by at most 1/4 rad and shifts by at most 1/4 of the distance: as far as the linear model is of use.
+SHORTEN = 4.0
+
+# Places off one line that determine a pose.
+FEWEST_POINTS = 3
+
+# Share of the pose's own uncertainty taken off a residual's covariance; all of it would leave a point that alone
+# determines something with none.
+LEAST_SPREAD = 0.999
 
 
 @dataclass(frozen=True)
@@ -27,7 +49,7 @@ class Sonars:
 
     Attributes:
         readings: h of each, shape (S,), [m]; S = 0 for a head without sonars.
-        positions: In the report's camera frame, shape (S, 3), [m].
+        positions: In Doty's camera frame, shape (S, 3), [m].
         measures: What a reading is.
         std: Standard deviation of a reading, [m].
     """
@@ -63,30 +85,39 @@ class Pose:
 
 
 def kabsch(model: np.ndarray, seen: np.ndarray) -> np.ndarray:
-    """Find the rigid placement T that brings model points (M, 3) onto seen ones (M, 3) with the least squares, (4, 4)."""
-    U, _, Vt = np.linalg.svd((seen - seen.mean(0)).T @ (model - model.mean(0)))
+    """Find the rigid placement T that brings model points (M, 3) onto seen ones (M, 3) with the least squares, (4, 4).
+
+    H = sum of seen x model', means removed, = U S V'; R = U diag(1, 1, det(U V')) V' (Kabsch, Acta Cryst. A32, 1976).
+    """
+    model_mean, seen_mean = model.mean(0), seen.mean(0)
+    H = (seen - seen_mean).T @ (model - model_mean)
+    U, _, Vt = np.linalg.svd(H)
+    no_mirror = np.diag([1, 1, np.linalg.det(U @ Vt)])
     T = np.eye(4)
-    T[:3, :3] = U @ np.diag([1, 1, np.linalg.det(U @ Vt)]) @ Vt
-    T[:3, 3] = seen.mean(0) - T[:3, :3] @ model.mean(0)
+    T[:3, :3] = U @ no_mirror @ Vt
+    T[:3, 3] = seen_mean - T[:3, :3] @ model_mean
     return T
 
 
-def report_axes(p2: np.ndarray, p3: np.ndarray, p5: np.ndarray, p6: np.ndarray) -> np.ndarray:
+def doty_axes(p2: np.ndarray, p3: np.ndarray, p5: np.ndarray, p6: np.ndarray) -> np.ndarray:
     """The square's axes from its perimeter fiducials' places in the camera, as columns, shape (3, 3): (7-33), (7-34).
 
-    Not quite a rotation when the places are noisy, as the report says: z is the product of two axes that are not square.
+    Not quite a rotation when the places are noisy, as Doty (1992) says: z is the product of two axes that are not square.
     """
-    x, y = (p5 - p3) / np.linalg.norm(p5 - p3), (p2 - p6) / np.linalg.norm(p2 - p6)
+    right, up = p5 - p3, p2 - p6
+    x = right / np.linalg.norm(right)
+    y = up / np.linalg.norm(up)
     return np.column_stack([x, y, np.cross(x, y)])
 
 
 def start_on_plane(points: np.ndarray, pixels: np.ndarray, plane: Plane, intrinsics: np.ndarray) -> np.ndarray:
     """Place the square where its image points (M, 2) meet the sonars' plane: T_camera_square, (4, 4).
 
-    The report's procedure with all fiducials in place of four: the tilt is the sonars', the turn the camera's.
+    Doty's procedure with all fiducials in place of four: the tilt is the sonars', the turn the camera's.
     """
-    T = kabsch(points, on_plane(pixels, intrinsics, plane.normal, plane.distance))
-    T[:3] = REPORT_OPENCV @ T[:3]
+    places = on_plane(pixels, intrinsics, plane.normal, plane.distance)
+    T = kabsch(points, places)
+    T[:3] = DOTY_OPENCV @ T[:3]
     return T
 
 
@@ -100,6 +131,10 @@ def fit_pose(
 ) -> Pose:
     """Fit the pose to image points and ranges, each weighted by its own noise.
 
+    Gauss-Newton on SE(3): with B the derivatives of what is predicted by the twist t and e what is measured less what is
+    predicted, both divided by the noise, a step is t = (B'B)^-1 B'e and T becomes T exp(t). The covariance is (B'B)^-1, that
+    of the stated noise: the bound of Cramer and Rao for a linear model with Gaussian noise.
+
     Args:
         points: Fiducials' centres in the square's frame, shape (M, 3), [m].
         pixels: Where they are in the image, shape (M, 2).
@@ -108,46 +143,66 @@ def fit_pose(
         intrinsics: In the order of ``camera.INTRINSICS``, shape (9,).
         start: T_camera_square, shape (4, 4).
 
-    Returns:
-        The pose, its covariance that of the stated noise.
-
     Raises:
         ValueError: The points do not determine a pose, or no pose fits them.
     """
     whiten = np.linalg.inv(np.linalg.cholesky(covariances))
     T = start
-    for _ in range(30):
+    for _ in range(MAX_STEPS):
         predicted, J, _ = predict_pixels(T, points, intrinsics)
         predicted_h, J_h = predict_ranges(T, sonars.positions, sonars.measures)
-        r, h = pixels - predicted, sonars.readings - predicted_h
-        rows = np.concatenate([(whiten @ J).reshape(-1, 6), J_h / sonars.std])
-        errors = np.concatenate([np.einsum("mij,mj->mi", whiten, r).ravel(), h / sonars.std])
-        information = rows.T @ rows
-        scale = 1 / np.sqrt(np.diag(information))
-        try:
-            twist = scale * np.linalg.solve(information * np.outer(scale, scale), scale * (rows.T @ errors))
-        except np.linalg.LinAlgError:
-            raise ValueError("the fiducials in view do not determine a pose") from None
-        if not np.all(np.isfinite(twist)):
-            raise ValueError("the fiducials in view do not determine a pose")
-        twist /= max(1.0, 4 * float(np.linalg.norm(twist[3:])), 4 * float(np.linalg.norm(twist[:3]) / T[2, 3]))
+        pixel_residuals = pixels - predicted
+        range_residuals = sonars.readings - predicted_h
+        whitened = np.einsum("mij,mj->mi", whiten, pixel_residuals)
+        B = np.concatenate([(whiten @ J).reshape(-1, 6), J_h / sonars.std])
+        e = np.concatenate([whitened.ravel(), range_residuals / sonars.std])
+        information = B.T @ B
+        twist = _shortened(_scaled_solve(information, B.T @ e), T[2, 3])
         T = T @ pin.exp6(twist).homogeneous
         if T[2, 3] <= 0:
             raise ValueError("the fiducials in view fit no pose in front of the camera")
-        if np.linalg.norm(rows @ twist) < 1e-4:  # of one sigma
+        if np.linalg.norm(B @ twist) < STILL:
             break
     else:
         raise ValueError("the fit of the pose does not converge")
-    covariance = np.outer(scale, scale) * np.linalg.inv(information * np.outer(scale, scale))
-    seen = rows[: 2 * len(points)]
+    covariance = _scaled_inverse(information)
+    of_pixels = B[: 2 * len(points)]
+    taken = np.trace(covariance @ of_pixels.T @ of_pixels)  # of six: what the image points determine of the pose
     return Pose(
         T_camera_square=T,
         covariance=covariance,
-        pixel_residuals=r,
-        range_residuals=h,
-        chi2=float(np.sum(np.einsum("mij,mj->mi", whiten, r) ** 2)),
-        dof=2 * len(points) - float(np.trace(covariance @ seen.T @ seen)),
+        pixel_residuals=pixel_residuals,
+        range_residuals=range_residuals,
+        chi2=float(np.sum(whitened**2)),
+        dof=2 * len(points) - float(taken),
     )
+
+
+def _scaled_solve(information: np.ndarray, gradient: np.ndarray) -> np.ndarray:
+    """Solve information x = gradient, metres and radians brought to one scale: ones on the diagonal, shape (6,)."""
+    scale = 1 / np.sqrt(np.diag(information))
+    scaled = information * np.outer(scale, scale)
+    try:
+        x = scale * np.linalg.solve(scaled, scale * gradient)
+    except np.linalg.LinAlgError:
+        raise ValueError("the fiducials in view do not determine a pose") from None
+    if not np.all(np.isfinite(x)):
+        raise ValueError("the fiducials in view do not determine a pose")
+    return np.asarray(x)
+
+
+def _scaled_inverse(information: np.ndarray) -> np.ndarray:
+    """Invert the information of a pose, scaled as in ``_scaled_solve``, shape (6, 6)."""
+    scale = 1 / np.sqrt(np.diag(information))
+    outer = np.outer(scale, scale)
+    return np.asarray(outer * np.linalg.inv(information * outer))
+
+
+def _shortened(twist: np.ndarray, distance: float) -> np.ndarray:
+    """Shorten a step that goes further than the linear model reaches, see ``SHORTEN``; distance from the camera in [m]."""
+    shift = float(np.linalg.norm(twist[:3]) / distance)
+    turn = float(np.linalg.norm(twist[3:]))
+    return twist / max(1.0, SHORTEN * turn, SHORTEN * shift)
 
 
 def robust_pose(
@@ -160,28 +215,37 @@ def robust_pose(
 ) -> tuple[Pose, np.ndarray]:
     """Fit the pose as ``fit_pose`` does, without the image points that stand out from the others.
 
-    Returns:
-        The pose, and which points were used, shape (M,).
-
     A point stands out by its own noise *and* by the misfit of the others: a lens that is not quite as declared moves all of
     them a little, and is no reason to drop any.
+
+    Returns:
+        The pose, and which points were used, shape (M,).
     """
     used = np.ones(len(points), dtype=bool)
     T = start
     while True:
         pose = fit_pose(points[used], pixels[used], covariances[used], sonars, intrinsics, T)
         T = pose.T_camera_square
-        _, J, _ = predict_pixels(T, points[used], intrinsics)
-        spread = covariances[used] - 0.999 * J @ pose.covariance @ np.swapaxes(J, 1, 2)
-        distance2 = np.einsum(
-            "mi,mi->m", pose.pixel_residuals, np.linalg.solve(spread, pose.pixel_residuals[..., None])[..., 0]
-        )
+        distance2 = _outlying(pose, points[used], covariances[used], intrinsics)
         worst = int(np.argmax(distance2))
         # Without that point chi2 falls by its distance2: what remains is the misfit of the others.
-        common = max(1.0, (pose.chi2 - float(distance2[worst])) / max(pose.dof - 2, 1.0))
-        if np.count_nonzero(used) <= 3 or distance2[worst] < STANDS_OUT**2 * common:
+        others = (pose.chi2 - float(distance2[worst])) / max(pose.dof - 2, 1.0)
+        limit = STANDS_OUT**2 * max(1.0, others)
+        if np.count_nonzero(used) <= FEWEST_POINTS or distance2[worst] < limit:
             return pose, used
         used[np.flatnonzero(used)[worst]] = False
+
+
+def _outlying(pose: Pose, points: np.ndarray, covariances: np.ndarray, intrinsics: np.ndarray) -> np.ndarray:
+    """Return the squared distance of each residual r from zero in its own standard deviations, shape (M,).
+
+    r' S^-1 r with S = covariance - J C J': a residual is smaller than its noise by what the pose was drawn to it.
+    """
+    _, J, _ = predict_pixels(pose.T_camera_square, points, intrinsics)
+    r = pose.pixel_residuals
+    drawn = LEAST_SPREAD * J @ pose.covariance @ np.swapaxes(J, 1, 2)
+    solved = np.linalg.solve(covariances - drawn, r[..., None])[..., 0]
+    return np.asarray(np.einsum("mi,mi->m", r, solved))
 
 
 def measure_pose(
@@ -195,7 +259,7 @@ def measure_pose(
     """Measure the pose as ``robust_pose`` does, with a covariance that owns up to a misfit.
 
     Where the image points do not fit together by more than their noise, the covariance grows by their chi-square. Where camera
-    and sonars contradict each other (a lens, a sonar or their mounting is not as declared, and one shot can not tell which)
+    and sonars contradict each other (a lens, a sonar or their mounting is not as declared, and one shot cannot tell which)
     what they differ by is itself taken for an error of one sigma.
     """
     pose, _ = robust_pose(points, pixels, covariances, sonars, intrinsics, start)
@@ -205,33 +269,15 @@ def measure_pose(
         covariance = covariance * max(1.0, pose.chi2 / pose.dof)  # dof may be next to nothing
     r = pose.range_residuals / sonars.std
     if r @ r > chi2.isf(MISFIT_P, max(len(r), 1)):
-        _, J = predict_ranges(pose.T_camera_square, sonars.positions, sonars.measures)
-        off = np.zeros(6)
-        off[2:5] = np.linalg.lstsq(J[:, 2:5], pose.range_residuals, rcond=None)[0]
+        off = _contradiction(pose, sonars)
         covariance = covariance + np.outer(off, off)
     return replace(pose, covariance=covariance)
 
 
-def predict_pixels(
-    T_camera_square: np.ndarray, points: np.ndarray, intrinsics: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Predict the image points of the square's points, with derivatives.
-
-    Args:
-        T_camera_square: Shape (..., 4, 4).
-        points: In the square's frame, shape (..., M, 3), [m].
-        intrinsics: In the order of ``camera.INTRINSICS``, shape (9,).
-
-    Returns:
-        Pixels (..., M, 2), their derivatives by the twist (linear, angular) of the square in its own frame
-        (..., M, 2, 6) and by the intrinsics (..., M, 2, 9).
-    """
-    R = T_camera_square[..., :3, :3]
-    seen = points @ np.swapaxes(R, -1, -2) + T_camera_square[..., None, :3, 3]
-    pixels, by_point, by_intrinsics = project_jacobian(seen, intrinsics)
-    by_twist = np.empty((*pixels.shape, 6))
-    by_twist[..., :3] = by_point @ R[..., None, :, :]
-    for k in range(3):  # omega x P
-        i, j = (k + 1) % 3, (k + 2) % 3
-        by_twist[..., 3 + k] = points[..., i, None] * by_twist[..., j] - points[..., j, None] * by_twist[..., i]
-    return pixels, by_twist, by_intrinsics
+def _contradiction(pose: Pose, sonars: Sonars) -> np.ndarray:
+    """Return the twist, shape (6,), that the ranges ask for beyond the pose: along z and in the two tilts they can see."""
+    _, J = predict_ranges(pose.T_camera_square, sonars.positions, sonars.measures)
+    seen = slice(2, 5)
+    twist = np.zeros(6)
+    twist[seen] = np.linalg.lstsq(J[:, seen], pose.range_residuals, rcond=None)[0]
+    return twist

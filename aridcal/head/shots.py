@@ -1,36 +1,88 @@
-"""Shots: images and ranges read and checked, one at a time, and measured."""
+"""One shot of the measuring head, from its row of ``shots.csv`` to a measured pose of the tip.
+
+Image and ranges are read and checked, the square in view is identified and measured in the camera (``sight``), and its place
+in the world gives the tip (``measure_shot``). A shot that cannot be measured says why and spoils no other.
+"""
 
 from __future__ import annotations
 
+import multiprocessing
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import cv2
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from aridcal.errors import MeasurementError
 from aridcal.head.charuco import Board, find_charuco
 from aridcal.head.fiducials import Fiducials, find_fiducials
 from aridcal.head.matching import NotMeasured
 from aridcal.head.pose import NO_SONARS, Pose, Sonars, measure_pose
-from aridcal.head.settings import HeadSettings
+from aridcal.head.reduction import carried
 from aridcal.head.sonar import fit_plane
 from aridcal.head.square import layout
-from aridcal.tables import Table, read_tables
+from aridcal.inputs.head_settings import HeadSettings, load_shots, load_squares, range_columns
+from aridcal.inputs.tables import Table
+from aridcal.inputs.yaml_file import load_settings
+from aridcal.model.model import Model
+from aridcal.robot.chain import Robot, load_robot
 
-POSE_COLUMNS = ("x", "y", "z", "qx", "qy", "qz", "qw")
-NEAREST, FARTHEST = 0.02, 5.0  # [m] of a sonar's range that is not absurd
-STEEPEST = 0.7  # cosine of the tilt at which the sonars must be wrong
-QUATERNION_SLACK = 1e-3
+# [m] of a range that can be right: an ultrasonic sensor's, with room to spare; others are in another unit.
+NEAREST, FARTHEST = 0.02, 5.0
+
+# Cosine of the tilt, 45 degrees, at which the sonars must be wrong: from so steep a plane the echo goes elsewhere.
+STEEPEST = 0.7
+
+# Share of the next square's distance within which the nearest must be, seen from the nominal arm, to be taken for
+# it.
+CLEARLY = 0.5
+
+# [m] A turn of the camera counts as a shift of this times as much: about its distance from the square.
+LEVER = 0.25
+
+# Shots: fewer are measured sooner than processes are started.
+PARALLEL_FROM = 200
+
+# [px] Width of a shot's picture on the contact sheet.
+THUMBNAIL = 256
+
+# Of its JPEG.
+THUMBNAIL_QUALITY = 80
+
+# Green and blue, in OpenCV's order: fiducials of the square itself, and of its neighbours.
+OWN_COLOUR, OTHER_COLOUR = (60, 160, 0), (200, 90, 0)
+
+
+@dataclass(frozen=True)
+class Shot:
+    """One row of ``shots.csv``, ready to be measured.
+
+    Attributes:
+        line: Of the file.
+        image: Name of its image.
+        ranges: h1, h2, ..., shape (S,), [m].
+        square: Index of the square nearest the optical axis; a text if the file has something else there; None if not given.
+        T_world_camera: From the nominal arm, shape (4, 4); None if the square is given.
+    """
+
+    line: int
+    image: str
+    ranges: np.ndarray
+    square: int | str | None
+    T_world_camera: np.ndarray | None
 
 
 @dataclass(frozen=True)
 class Sighting:
-    """What one shot says.
+    """What one image says.
 
     Attributes:
-        fiducials: Found in its image.
+        fiducials: Found in it.
         pose: Of the square in the camera.
     """
 
@@ -38,45 +90,78 @@ class Sighting:
     pose: Pose
 
 
-def load_squares(path: Path) -> dict[int, np.ndarray]:
-    """Read ``squares.csv``: T_world_square, (4, 4), of each square by its index.
+@dataclass(frozen=True)
+class Measured:
+    """What became of a shot.
+
+    Attributes:
+        shot: Which one.
+        square: Index of the square that was seen.
+        T_world_tip: Shape (4, 4); None if the shot was refused.
+        std: Position [m] and rotation vector [rad] in world axes, shape (6,).
+        range_residuals: What each sonar reads beyond the pose, shape (S,), [m].
+        fiducials: Those that were found; None if there are none.
+        why: Why the shot was refused; empty if it was not.
+        thumbnail: The image with the fiducials drawn on it, JPEG.
+    """
+
+    shot: Shot
+    square: int | None = None
+    T_world_tip: np.ndarray | None = None
+    std: np.ndarray | None = None
+    range_residuals: np.ndarray | None = None
+    fiducials: Fiducials | None = None
+    why: str = ""
+    thumbnail: bytes = b""
+
+
+def load(path: Path) -> tuple[HeadSettings, dict[int, np.ndarray], Table, list[Shot]]:
+    """Read ``head.yaml`` and the tables that it names.
+
+    Returns:
+        The settings; T_world_square of each square, (4, 4), by its index; the table of shots; its rows as shots.
 
     Raises:
-        MeasurementError: A cell is missing or no number, a quaternion is not of unit length, an index appears twice.
+        AridcalError: A file, key, column or row of ``squares.csv`` is wrong; rows of ``shots.csv`` are not looked at.
     """
-    table = read_tables([path])
-    names = ("index", *POSE_COLUMNS)
-    table.require(names)
-    if table.refused:
-        raise MeasurementError(str(table.refused[0]))
-    columns = np.column_stack([table.numbers(name)[0] for name in names])
-    squares: dict[int, np.ndarray] = {}
-    for row, values in enumerate(columns):
-        for name, value in zip(names, values, strict=True):
-            if not np.isfinite(value):
-                raise MeasurementError(str(table.remark(row, name, "should be a number")))
-        if values[0] != round(values[0]) or values[0] < 0:
-            raise MeasurementError(str(table.remark(row, "index", "should be a whole number, 0 or more")))
-        if abs(np.linalg.norm(values[4:]) - 1) > QUATERNION_SLACK:
-            raise MeasurementError(str(table.remark(row, "qw", "the quaternion is not of unit length", "")))
-        if int(values[0]) in squares:
-            raise MeasurementError(str(table.remark(row, "index", "appears twice")))
-        T = np.eye(4)
-        T[:3, :3], T[:3, 3] = Rotation.from_quat(values[4:]).as_matrix(), values[1:4]
-        squares[int(values[0])] = T
-    return squares
+    head = load_settings(path, HeadSettings)
+    squares = load_squares(head.squares)
+    table = load_shots(head.shots, head)
+    n = len(table)
+    ranges = [table.numbers(name)[0] for name in range_columns(head)]
+    h = np.column_stack(ranges) if ranges else np.zeros((n, 0))
+    given: list[int | str | None] = [None] * n
+    cameras: list[np.ndarray | None] = [None] * n
+    if "square" in table.names:
+        given = _given_squares(table)
+    else:
+        if head.robot is None:
+            raise MeasurementError(f"{head.shots}: no column 'square'; add it, or name the `robot` in {path}")
+        robot = load_robot(head.robot.urdf, head.robot.tip, head.robot.base)
+        cameras = list(_nominal_cameras(robot, table, head))
+    images = table.texts("image")
+    columns = zip(table.line, images, h, given, cameras, strict=True)
+    shots = [Shot(int(line), str(image), own, square, T) for line, image, own, square, T in columns]
+    return head, squares, table, shots
 
 
-def load_shots(path: Path, settings: HeadSettings) -> Table:
-    """Read ``shots.csv`` and check its columns; what is wrong with a single row shows when it is measured."""
-    table = read_tables([path])
-    table.require(["image", *range_columns(settings)])
-    return table
+def _given_squares(table: Table) -> list[int | str | None]:
+    """Read the column ``square``: whole numbers as such, anything else as its text."""
+    numbers, _ = table.numbers("square")
+    texts = table.texts("square")
+    return [int(n) if n == np.rint(n) else str(t) for n, t in zip(numbers, texts, strict=True)]
 
 
-def range_columns(settings: HeadSettings) -> list[str]:
-    """Return h1, h2, ..."""
-    return [f"h{k + 1}" for k in range(len(settings.sonars.positions))] if settings.sonars else []
+def _nominal_cameras(robot: Robot, table: Table, head: HeadSettings) -> Iterator[np.ndarray]:
+    """Give T_world_camera, (4, 4), of each row as the nominal arm has it: T_world_base T_base_tip(q) T_tip_camera."""
+    table.require(robot.readings, "They tell which square is seen, as there is no column 'square'.")
+    q = np.column_stack([table.numbers(name)[0] for name in robot.readings])
+    model = Model(robot, ())
+    R, p = model.poses(np.zeros(0), model.rows(np.nan_to_num(q)))
+    for turn, place in zip(R, p, strict=True):
+        T_base_tip = np.eye(4)
+        T_base_tip[:3, :3], T_base_tip[:3, 3] = turn, place
+        yield head.world_base.homogeneous @ T_base_tip @ head.tip_camera.homogeneous
 
 
 def read_image(name: str, folder: Path, settings: HeadSettings) -> np.ndarray:
@@ -103,10 +188,9 @@ def read_image(name: str, folder: Path, settings: HeadSettings) -> np.ndarray:
     if image is None:
         raise NotMeasured("the file is empty or no image")
     camera = settings.camera
-    if image.shape != (camera.height, camera.width):
-        raise NotMeasured(
-            f"the image is {image.shape[1]} x {image.shape[0]} pixels, the camera {camera.width} x {camera.height}"
-        )
+    height, width = image.shape
+    if (height, width) != (camera.height, camera.width):
+        raise NotMeasured(f"the image is {width} x {height} pixels, the camera {camera.width} x {camera.height}")
     return image
 
 
@@ -119,11 +203,11 @@ def read_ranges(h: np.ndarray, settings: HeadSettings) -> Sonars:
     if settings.sonars is None:
         return NO_SONARS
     sonars = Sonars(h, np.array(settings.sonars.positions), settings.sonars.measures, settings.sonars.std)
-    for k, value in enumerate(h):
+    for name, value in zip(range_columns(settings), h, strict=True):
         if not np.isfinite(value):
-            raise NotMeasured(f"h{k + 1}: the range is missing or no number")
+            raise NotMeasured(f"{name}: the range is missing or no number")
         if not NEAREST <= value <= FARTHEST:
-            raise NotMeasured(f"h{k + 1}: a range of {value:g} m can not be right; ranges are in metres")
+            raise NotMeasured(f"{name}: a range of {value:g} m cannot be right; ranges are in metres")
     try:
         plane = fit_plane(h, sonars.positions, sonars.measures)
     except ValueError as error:
@@ -134,7 +218,7 @@ def read_ranges(h: np.ndarray, settings: HeadSettings) -> Sonars:
 
 
 def sight(
-    image: np.ndarray, sonars: Sonars, square: int, squares: dict[int, np.ndarray], head: HeadSettings
+    image: np.ndarray, sonars: Sonars, square: int, squares: Mapping[int, np.ndarray], head: HeadSettings
 ) -> Sighting:
     """Measure the pose of a square in the camera.
 
@@ -154,9 +238,8 @@ def sight(
             found = find_charuco(image, board(head), square, intrinsics)
         else:
             found = find_fiducials(image, layout(squares, square), intrinsics, sonars)
-        pose = measure_pose(
-            found.layout.centres, found.pixels, found.covariances, sonars, intrinsics, found.T_camera_square
-        )
+        points, start = found.layout.centres, found.T_camera_square
+        pose = measure_pose(points, found.pixels, found.covariances, sonars, intrinsics, start)
     except ValueError as error:
         raise NotMeasured(str(error)) from None
     return Sighting(found, pose)
@@ -164,9 +247,98 @@ def sight(
 
 def board(head: HeadSettings) -> Board:
     """Return the ChArUco board of the settings."""
-    return Board(
-        head.squares_x or 0, head.squares_y or 0, head.square or 0.0, head.marker or 0.0, head.dictionary or ""
+    numbers = (head.squares_x or 0, head.squares_y or 0, head.square or 0.0, head.marker or 0.0)
+    return Board(*numbers, head.dictionary or "")
+
+
+def tip_pose(sighting: Sighting, T_world_square: np.ndarray, T_tip_camera: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Turn a sighting into the pose of the tip: T_world_square · T_camera_square⁻¹ · T_tip_camera⁻¹ (7-35c).
+
+    Args:
+        sighting: Pose of the square in the camera, with its covariance.
+        T_world_square: Shape (4, 4).
+        T_tip_camera: Shape (4, 4).
+
+    Returns:
+        T_world_tip, shape (4, 4), and its covariance, position and rotation vector in world axes, shape (6, 6).
+    """
+    T_square_tip = np.linalg.inv(T_tip_camera @ sighting.pose.T_camera_square)
+    J = carried(T_world_square[:3, :3], T_square_tip[:3, 3])
+    return T_world_square @ T_square_tip, J @ sighting.pose.covariance @ J.T
+
+
+def measure_shot(shot: Shot, head: HeadSettings, squares: Mapping[int, np.ndarray]) -> Measured:
+    """Measure one shot, or say why it cannot be."""
+    image = None
+    try:
+        image = read_image(shot.image, head.shots.parent, head)
+        sonars = read_ranges(shot.ranges, head)
+        square, sighting = _identified(shot, image, sonars, head, squares)
+    except NotMeasured as refusal:
+        thumbnail = b"" if image is None else picture(image, None, None, THUMBNAIL)
+        return Measured(shot, why=str(refusal), thumbnail=thumbnail)
+    T_world_tip, covariance = tip_pose(sighting, squares[square], head.tip_camera.homogeneous)
+    return Measured(
+        shot,
+        square=square,
+        T_world_tip=T_world_tip,
+        std=np.sqrt(np.diag(covariance)),
+        range_residuals=sighting.pose.range_residuals,
+        fiducials=sighting.fiducials,
+        thumbnail=picture(image, sighting.fiducials, square, THUMBNAIL),
     )
+
+
+def _identified(
+    shot: Shot, image: np.ndarray, sonars: Sonars, head: HeadSettings, squares: Mapping[int, np.ndarray]
+) -> tuple[int, Sighting]:
+    """Find out which square is seen, and measure it.
+
+    Without a given square the nominal arm proposes the one nearest its camera's optical axis; the pose measured then tells
+    better, and a square that it puts nearer is measured instead.
+    """
+    square = _square(shot, squares)
+    sighting = sight(image, sonars, square, squares, head)
+    if shot.T_world_camera is None:
+        return square, sighting
+    nearest = _square_seen(sighting, shot.T_world_camera, squares)
+    if nearest != square:
+        square, sighting = nearest, sight(image, sonars, nearest, squares, head)
+        if _square_seen(sighting, shot.T_world_camera, squares) != square:
+            raise NotMeasured("which square is seen is ambiguous, by the nominal arm too: give `square`")
+    return square, sighting
+
+
+def _square(shot: Shot, squares: Mapping[int, np.ndarray]) -> int:
+    """Return the square that the shot names, or the one nearest the optical axis of the nominal arm's camera."""
+    if shot.T_world_camera is None:
+        if not isinstance(shot.square, int):
+            raise NotMeasured(f"square: {shot.square!r} should be the index of a square")
+        if shot.square not in squares:
+            raise NotMeasured(f"square: there is no square {shot.square} in the table of squares")
+        return shot.square
+    T_camera_world = np.linalg.inv(shot.T_world_camera)
+    middles = {index: (T_camera_world @ T)[:3, 3] for index, T in squares.items()}
+    off_axis = {index: float(np.hypot(x, y)) for index, (x, y, z) in middles.items() if z > 0}
+    if not off_axis:
+        raise NotMeasured("the nominal arm's camera looks away from all squares: give `square`, or check `tip_camera`")
+    return min(off_axis, key=lambda index: off_axis[index])
+
+
+def _square_seen(sighting: Sighting, T_world_camera: np.ndarray, squares: Mapping[int, np.ndarray]) -> int:
+    """Return the square that would put the camera nearest to where the nominal arm has it."""
+    T_camera_world = np.linalg.inv(T_world_camera)
+    T_square_camera = np.linalg.inv(sighting.pose.T_camera_square)
+    off = {}
+    for index, T_world_square in squares.items():
+        T = T_camera_world @ T_world_square @ T_square_camera
+        cosine = (np.trace(T[:3, :3]) - 1) / 2
+        turn = np.arccos(np.clip(cosine, -1, 1))
+        off[index] = float(np.linalg.norm(T[:3, 3]) + LEVER * turn)
+    best, *others = sorted(off, key=lambda index: off[index])
+    if others and off[best] > CLEARLY * off[others[0]]:
+        raise NotMeasured(f"which square is seen is ambiguous, {best} or {others[0]}: give `square`")
+    return best
 
 
 def picture(image: np.ndarray, found: Fiducials | None, own: int | None, width: int) -> bytes:
@@ -177,8 +349,25 @@ def picture(image: np.ndarray, found: Fiducials | None, own: int | None, width: 
     if found is not None:
         labels = zip(found.layout.square, found.layout.fiducial, found.pixels, strict=True)
         for square, fiducial, (u, v) in labels:
-            at = round(factor * (u + 0.5)), round(factor * (v + 0.5))
-            colour = (60, 160, 0) if square == own else (200, 90, 0)
-            cv2.drawMarker(small, at, colour, cv2.MARKER_CROSS, 9, 1, cv2.LINE_AA)
-            cv2.putText(small, str(fiducial), (at[0] + 5, at[1] - 4), cv2.FONT_HERSHEY_SIMPLEX, 0.33, colour, 1)
-    return bytes(cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, 80])[1])
+            x, y = round(factor * (u + 0.5)), round(factor * (v + 0.5))
+            colour = OWN_COLOUR if square == own else OTHER_COLOUR
+            cv2.drawMarker(small, (x, y), colour, cv2.MARKER_CROSS, 9, 1, cv2.LINE_AA)
+            cv2.putText(small, str(fiducial), (x + 5, y - 4), cv2.FONT_HERSHEY_SIMPLEX, 0.33, colour, 1)
+    _, content = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, THUMBNAIL_QUALITY])
+    return bytes(content)
+
+
+def measure_shots(shots: Sequence[Shot], head: HeadSettings, squares: Mapping[int, np.ndarray]) -> Iterator[Measured]:
+    """Measure shots one after the other, over all processors if there are many."""
+    with _mapping(len(shots)) as apply:
+        yield from apply(partial(measure_shot, head=head, squares=squares), list(shots))
+
+
+@contextmanager
+def _mapping(n: int) -> Iterator[Callable[[Callable[[Shot], Measured], list[Shot]], Iterator[Measured]]]:
+    """Give ``map``, over all processors if there is enough to do."""
+    if n < PARALLEL_FROM:
+        yield map
+        return
+    with ProcessPoolExecutor(os.cpu_count(), mp_context=multiprocessing.get_context("spawn")) as pool:
+        yield partial(pool.map, chunksize=4)

@@ -1,24 +1,39 @@
-"""The sonars and the plane they see (report, sections 6, 7.1 and 7.2), exactly.
+"""The sonars and the plane they see (Doty 1992, sections 6, 7.1 and 7.2), exactly.
 
-All in the REPORT's camera frame: the camera looks along -z, the plane is n.p + xi = 0 with n towards the camera and xi > 0.
+All in Doty's camera frame: the camera looks along -z, the plane is n.p + xi = 0 with n towards the camera and xi > 0.
 A sensor at s that measures the perpendicular distance reads h = n.s + xi; one that measures along the camera's axis reads
-h = (n.s + xi) / n_z. The report's own form (7-2)..(7-5) is exact for a tilt about x alone; ``report_plane`` keeps it for
+h = (n.s + xi) / n_z. Doty's own form (7-2)..(7-5) is exact for a tilt about x alone; ``doty_plane`` keeps it for
 comparison.
 """
 
 from __future__ import annotations
 
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from aridcal.head.camera import REPORT_OPENCV
+from aridcal.head.camera import DOTY_OPENCV
+from aridcal.inputs.head_settings import Measures
 
-Measures = Literal["perpendicular", "along_axis"]
+# [m] Singular value of the sensors' layout below which they sit on one line: a micrometre.
+ON_ONE_LINE = 1e-6
+
+# Rounds for sensors off the plane z = 0; each gains a factor of about tilt² z / baseline, so that a few are enough.
+TILT_STEPS = 50
+
+# Change of n_z that is rounding.
+TILT_TOLERANCE = 1e-15
+
+
+# Standard errors of a sonar's mean residual that are worth a word: noise does that once in 16,000 times.
+DISAGREES = 4.0
+
+# Whose scatter says something.
+FEWEST_SHOTS = 3
 
 
 class Plane(NamedTuple):
-    """A plane n.p + xi = 0 in the report's camera frame.
+    """A plane n.p + xi = 0 in Doty's camera frame.
 
     Attributes:
         normal: Unit vector towards the camera, shape (3,).
@@ -40,37 +55,55 @@ def ranges(normal: np.ndarray, distance: float, positions: np.ndarray, measures:
 def fit_plane(h: np.ndarray, positions: np.ndarray, measures: Measures) -> Plane:
     """Find the plane that the readings show, by least squares, for any layout of three or more sensors off one line.
 
+    For the square layout its slopes are (7-1) made right: n_x = (-h1 + h2 + h3 - h4) / (4 gamma),
+    n_y = (-h1 - h2 + h3 + h4) / (4 gamma), xi = mean(h), and the residual is (h1 - h2 + h3 - h4) / 4 times (1, -1, 1, -1).
+
     Args:
         h: Readings, shape (S,), [m].
-        positions: Sensors in the report's camera frame, shape (S, 3), [m].
+        positions: Sensors in Doty's camera frame, shape (S, 3), [m].
         measures: What a reading is.
-
-    Returns:
-        The plane. For the square layout its slopes are (7-1) made right: n_x = (-h1 + h2 + h3 - h4) / (4 gamma),
-        n_y = (-h1 - h2 + h3 + h4) / (4 gamma), xi = mean(h), and the residual is (h1 - h2 + h3 - h4) / 4 times (1, -1, 1, -1).
 
     Raises:
         ValueError: The readings differ by more than any plane allows, or the sensors are on one line.
     """
-    A = np.column_stack([positions[:, :2], np.ones(len(h))])
-    if np.linalg.matrix_rank(A, tol=1e-6) < 3:
+    x_y_1 = np.column_stack([positions[:, :2], np.ones(len(h))])
+    if np.linalg.matrix_rank(x_y_1, tol=ON_ONE_LINE) < 3:
         raise ValueError("the sonars sit on one line: no plane can be found")
     z = positions[:, 2]
-    if measures == "along_axis":  # the plane passes through (x, y, z - h): divide n.p + xi = 0 by n_z
-        slope_x, slope_y, intercept = np.linalg.lstsq(A, h - z, rcond=None)[0]
-        n_z = 1 / np.sqrt(1 + slope_x**2 + slope_y**2)
-        normal, distance = n_z * np.array([slope_x, slope_y, 1.0]), n_z * intercept
-    else:
-        n_z = 1.0
-        for _ in range(50):  # n_z is needed only for sensors off the plane z = 0; it converges like tilt^2 z / baseline
-            n_x, n_y, distance = np.linalg.lstsq(A, h - n_z * z, rcond=None)[0]
-            if n_x**2 + n_y**2 >= 1:
-                raise ValueError("the readings differ by more than any plane allows")
-            last, n_z = n_z, np.sqrt(1 - n_x**2 - n_y**2)
-            if abs(n_z - last) < 1e-15:
-                break
-        normal = np.array([n_x, n_y, n_z])
-    return Plane(normal, float(distance), h - ranges(normal, float(distance), positions, measures))
+    fit = _fit_along_axis if measures == "along_axis" else _fit_perpendicular
+    normal, distance = fit(x_y_1, z, h)
+    residual = h - ranges(normal, distance, positions, measures)
+    return Plane(normal, distance, residual)
+
+
+def _fit_along_axis(x_y_1: np.ndarray, z: np.ndarray, h: np.ndarray) -> tuple[np.ndarray, float]:
+    """Fit normal and distance to readings along the camera's axis.
+
+    The plane passes through (x, y, z - h). Divided by n_z, n.p + xi = 0 is linear in the slopes:
+    (n_x / n_z) x + (n_y / n_z) y + xi / n_z = h - z.
+    """
+    slope_x, slope_y, intercept = np.linalg.lstsq(x_y_1, h - z, rcond=None)[0]
+    n_z = 1 / np.sqrt(1 + slope_x**2 + slope_y**2)
+    normal = n_z * np.array([slope_x, slope_y, 1.0])
+    return normal, float(n_z * intercept)
+
+
+def _fit_perpendicular(x_y_1: np.ndarray, z: np.ndarray, h: np.ndarray) -> tuple[np.ndarray, float]:
+    """Fit normal and distance to perpendicular distances.
+
+    n_x x + n_y y + xi = h - n_z z is linear for sensors in the plane z = 0; for others n_z is put in and found again from
+    n_z² = 1 - n_x² - n_y² until it stays.
+    """
+    n_z = 1.0
+    for _ in range(TILT_STEPS):
+        n_x, n_y, distance = np.linalg.lstsq(x_y_1, h - n_z * z, rcond=None)[0]
+        if n_x**2 + n_y**2 >= 1:
+            raise ValueError("the readings differ by more than any plane allows")
+        last = n_z
+        n_z = np.sqrt(1 - n_x**2 - n_y**2)
+        if abs(n_z - last) < TILT_TOLERANCE:
+            break
+    return np.array([n_x, n_y, n_z]), float(distance)
 
 
 def predict_ranges(
@@ -78,47 +111,76 @@ def predict_ranges(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Predict the readings from poses of the square in OpenCV's camera frame, with derivatives.
 
+    With the square's axes x, y, n and origin t in the camera, h = n.(s - t). A twist (v, w) of the square in its own frame,
+    T exp(twist), changes it by dh = -v_z - w_x y.(s - t) + w_y x.(s - t). Along the axis, h is divided by n_z > 0, which
+    changes with w as n does.
+
     Args:
         T_camera_square: Shape (..., 4, 4).
-        positions: Sensors in the report's camera frame, shape (S, 3), [m].
+        positions: Sensors in Doty's camera frame, shape (S, 3), [m].
         measures: What a reading is.
 
     Returns:
         Readings (..., S), [m], and their derivatives (..., S, 6) by a twist (linear, angular) of the square in its own
-        frame, T exp(twist).
+        frame.
     """
-    R, t = T_camera_square[..., :3, :3], T_camera_square[..., :3, 3]
-    s = positions @ REPORT_OPENCV
-    arm = s - t[..., None, :]  # from the square's origin to each sensor
-    n = R[..., 2]
+    R = T_camera_square[..., :3, :3]
+    t = T_camera_square[..., :3, 3]
+    x, y, n = R[..., 0], R[..., 1], R[..., 2]
+    arm = positions @ DOTY_OPENCV - t[..., None, :]  # from the square's origin to each sensor, s - t
     h = np.einsum("...si,...i->...s", arm, n)
     J = np.zeros((*h.shape, 6))
-    J[..., 2] = -1.0  # the square comes closer along its own z
-    J[..., 3] = -np.einsum("...si,...i->...s", arm, R[..., 1])  # n turns by omega: dn = R (omega x z)
-    J[..., 4] = np.einsum("...si,...i->...s", arm, R[..., 0])
+    J[..., 2] = -1.0
+    J[..., 3] = -np.einsum("...si,...i->...s", arm, y)
+    J[..., 4] = np.einsum("...si,...i->...s", arm, x)
     if measures == "along_axis":
-        n_z = -n[..., 2, None]  # the component towards the camera's back
-        J[..., 3] += h / n_z * -R[..., 2, 1, None]
-        J[..., 4] += h / n_z * R[..., 2, 0, None]
-        h, J = h / n_z, J / n_z[..., None]
+        n_z = -n[..., 2, None]  # towards the camera's back: Doty's z
+        share = h / n_z
+        J[..., 3] += share * -y[..., 2, None]
+        J[..., 4] += share * x[..., 2, None]
+        return share, J / n_z[..., None]
     return h, J
 
 
-def report_plane(h: np.ndarray, gamma: float) -> Plane:
-    """The report's approximate plane, (7-1)..(7-5) and (7-21), for the square layout: for comparison only.
+def contradictions(residuals: np.ndarray, std: float) -> dict[int, float]:
+    """Find the sonars that contradict the camera throughout: a fault of the head, which no single shot can show.
+
+    A sonar does if the mean of its residuals is more than ``DISAGREES`` standard errors, scatter / sqrt(N), from zero.
+
+    Args:
+        residuals: Readings minus what the poses predict, of N shots, shape (N, S), [m].
+        std: Of a reading, [m]; the scatter is taken to be no less.
+
+    Returns:
+        Mean residual by the sonar's index, [m].
+    """
+    n = len(residuals)
+    if n < FEWEST_SHOTS or residuals.shape[1] == 0:
+        return {}
+    mean = residuals.mean(axis=0)
+    scatter = np.maximum(residuals.std(axis=0, ddof=1), std)
+    faulty = np.abs(mean) > DISAGREES * (scatter / np.sqrt(n))
+    return {int(k): float(mean[k]) for k in np.flatnonzero(faulty)}
+
+
+def doty_plane(h: np.ndarray, gamma: float) -> Plane:
+    """Doty's approximate plane, (7-1)..(7-5) and (7-21), for the square layout: for comparison only.
+
+    Its error grows with the square of the tilt about y, which no angle of Doty (1992) measures. The sines of (7-1) are divided
+    by the true spacing 2 gamma; Doty's three spacings contradict each other.
 
     Args:
         h: Readings h1..h4, shape (4,), [m].
         gamma: Half the distance between adjacent sensors, [m].
-
-    Returns:
-        The plane, with the sines of (7-1) divided by the true spacing 2 gamma (the report's three spacings contradict each
-        other). Its error grows with the square of the tilt about y, which no angle of the report measures.
     """
-    cos_alpha = np.sqrt(1 - ((h[3] - h[0]) / (2 * gamma)) ** 2)
-    cos_beta = np.sqrt(1 - ((h[2] - h[1]) / (2 * gamma)) ** 2)
-    e = h / np.array([cos_alpha, cos_beta, cos_beta, cos_alpha])
-    v = np.array([e[1] - e[0], e[2] - e[1], 2 * gamma]) / (gamma * (e[0] + e[2]))
-    normal, distance = v / np.linalg.norm(v), float(1 / np.linalg.norm(v))
-    positions = gamma * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
+    h1, h2, h3, h4 = h
+    spacing = 2 * gamma
+    cos_alpha = np.sqrt(1 - ((h4 - h1) / spacing) ** 2)  # (7-1)
+    cos_beta = np.sqrt(1 - ((h3 - h2) / spacing) ** 2)  # (7-5)
+    e1, e2, e3, _ = h / np.array([cos_alpha, cos_beta, cos_beta, cos_alpha])  # (7-2)..(7-4)
+    v = np.array([e2 - e1, e3 - e2, spacing]) / (gamma * (e1 + e3))  # (7-21)
+    length = np.linalg.norm(v)
+    normal, distance = v / length, float(1 / length)
+    corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
+    positions = gamma * corners
     return Plane(normal, distance, h - ranges(normal, distance, positions, "perpendicular"))

@@ -1,7 +1,7 @@
 """The calibration square and the strip of squares: geometry as data, shared by printer, simulator and detector.
 
-Square frame: origin at the centre fiducial, x right, y up along its long side, z out of the paper (report, sections 5.1 and
-7.4). The report numbers the fiducials p1 to p6 in raster order of the upright square; p1, the corner marker, has no printed
+Square frame: origin at the centre fiducial, x right, y up along its long side, z out of the paper (Doty 1992, sections 5.1 and
+7.4). Doty (1992) numbers the fiducials p1 to p6 in raster order of the upright square; p1, the corner marker, has no printed
 place: (-1.75, +1.75) in follows from symmetry.
 """
 
@@ -12,16 +12,27 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
+# [m]
 INCH = 0.0254
-SIDE = 4 * INCH  # of a square, and the pitch of a strip
+
+# Side of a square, and the pitch of a strip, [m].
+SIDE = 4 * INCH
+
 STRIP_SQUARES = 28
+
+# Centres of p1 to p6 in the square frame, shape (6, 2), [m].
 CENTRES = INCH * np.array([[-1.75, 1.75], [0, 1.75], [-1.75, 0], [0, 0], [1.75, 0], [0, -1.75]])
+
+# Width and height of p1 to p6, shape (6, 2), [m].
 SIZES = INCH * np.array([[0.25, 0.25], [0.25, 0.25], [0.25, 0.25], [0.25, 0.5], [0.25, 0.25], [0.25, 0.25]])
+
 CORNER_MARKER, CENTRE_FIDUCIAL = 1, 4
 N_FIDUCIALS = len(CENTRES)
+
+# Corners of a rectangle of size one around its centre, clockwise as seen, shape (4, 2).
 UNIT = np.array([[-0.5, 0.5], [0.5, 0.5], [0.5, -0.5], [-0.5, -0.5]])
 
-# Segments of each digit, from the top clockwise, the middle one last; bars in units of the digit's width.
+# Which segments each digit lights: from the top clockwise, the middle one last.
 _SEGMENTS = (
     "1111110",
     "0110000",
@@ -34,7 +45,9 @@ _SEGMENTS = (
     "1111111",
     "1111011",
 )
-_BAR = 0.2
+_DIGIT_PITCH = 1.4  # from digit to digit, in widths of a digit
+_BAR = 0.2  # thickness of a segment, likewise
+# x, y, width and height of each segment, likewise
 _BARS = np.array([[0, 0.8, 1, _BAR], [0.4, 0.4, _BAR, 0.6], [0.4, -0.4, _BAR, 0.6], [0, -0.8, 1, _BAR],
                   [-0.4, -0.4, _BAR, 0.6], [-0.4, 0.4, _BAR, 0.6], [0, 0, 0.6, _BAR]])  # fmt: skip
 _DIGIT_WIDTH = 0.1 * INCH
@@ -54,21 +67,20 @@ def paper_corners() -> np.ndarray:
 def index_corners(index: int) -> np.ndarray:
     """Return the bars that print a square's index as seven-segment digits, shape (M, 4, 2), [m]."""
     text = str(index)
-    bars = [
-        bar + [1.4 * (k - (len(text) - 1) / 2), 0, 0, 0]
-        for k, digit in enumerate(text)
-        for bar, lit in zip(_BARS, _SEGMENTS[int(digit)], strict=True)
-        if lit == "1"
-    ]
-    middle, size = np.split(_DIGIT_WIDTH * np.array(bars), 2, axis=1)
-    return _DIGITS_AT + middle[:, None] + size[:, None] * UNIT
+    bars = []
+    for k, digit in enumerate(text):
+        to_the_right = _DIGIT_PITCH * (k - (len(text) - 1) / 2)
+        lit = np.array(list(_SEGMENTS[int(digit)])) == "1"
+        bars.append(_BARS[lit] + [to_the_right, 0, 0, 0])
+    middles, sizes = np.split(_DIGIT_WIDTH * np.concatenate(bars), 2, axis=1)
+    return _DIGITS_AT + middles[:, None] + sizes[:, None] * UNIT
 
 
 def strip_placements(n: int = STRIP_SQUARES) -> np.ndarray:
     """Return T_first_square of each square of a flat strip: stacked along +y, shape (n, 4, 4)."""
-    T = np.tile(np.eye(4), (n, 1, 1))
-    T[:, 1, 3] = SIDE * np.arange(n)
-    return T
+    T_first_square = np.tile(np.eye(4), (n, 1, 1))
+    T_first_square[:, 1, 3] = SIDE * np.arange(n)
+    return T_first_square
 
 
 @dataclass(frozen=True)
@@ -100,7 +112,8 @@ class Layout:
     @property
     def corners(self) -> np.ndarray:
         """Corners of each fiducial, shape (M, 4, 3), [m]."""
-        return self.centres[:, None] + (self.sizes[:, None] * UNIT) @ self.axes
+        flat = self.sizes[:, None] * UNIT
+        return self.centres[:, None] + flat @ self.axes
 
     @property
     def is_centre(self) -> np.ndarray:
@@ -108,7 +121,11 @@ class Layout:
         return self.fiducial == CENTRE_FIDUCIAL
 
 
-def layout(squares: Mapping[int, np.ndarray], own: int, reach: float = 2.5 * SIDE) -> Layout:
+# [m] Two squares to either side of one: all that a camera near enough to measure has in view.
+REACH = 2.5 * SIDE
+
+
+def layout(squares: Mapping[int, np.ndarray], own: int, reach: float = REACH) -> Layout:
     """Collect the fiducials of a square, first, and of those whose centres lie within reach of its centre.
 
     Args:
@@ -119,17 +136,23 @@ def layout(squares: Mapping[int, np.ndarray], own: int, reach: float = 2.5 * SID
     Returns:
         Six fiducials per square.
     """
-    inverse = np.linalg.inv(squares[own])
-    near = {k: inverse @ T for k, T in squares.items()}
-    names = sorted((k for k, T in near.items() if np.linalg.norm(T[:3, 3]) <= reach), key=lambda k: (k != own, k))
-    R, t = np.array([near[k][:3, :2] for k in names]), np.array([near[k][:3, 3] for k in names])
+    T_own_world = np.linalg.inv(squares[own])
+    T_own_square = {k: T_own_world @ T for k, T in squares.items()}
+    near = [k for k, T in T_own_square.items() if np.linalg.norm(T[:3, 3]) <= reach]
+    names = sorted(near, key=lambda k: (k != own, k))
+    xy_axes = np.array([T_own_square[k][:3, :2] for k in names])  # (S, 3, 2)
+    origins = np.array([T_own_square[k][:3, 3] for k in names])
+    centres = origins[:, None] + np.einsum("sij,fj->sfi", xy_axes, CENTRES)
+    axes = np.swapaxes(xy_axes, 1, 2)
+    numbers = np.arange(1, N_FIDUCIALS + 1)
     return Layout(
         square=np.repeat(names, N_FIDUCIALS),
-        fiducial=np.tile(np.arange(1, N_FIDUCIALS + 1), len(names)),
-        centres=(t[:, None] + np.einsum("sij,fj->sfi", R, CENTRES)).reshape(-1, 3),
-        axes=np.repeat(np.swapaxes(R, 1, 2), N_FIDUCIALS, axis=0),
+        fiducial=np.tile(numbers, len(names)),
+        centres=centres.reshape(-1, 3),
+        axes=np.repeat(axes, N_FIDUCIALS, axis=0),
         sizes=np.tile(SIZES, (len(names), 1)),
     )
 
 
+# A square alone, in its own frame.
 ONE_SQUARE = layout({0: np.eye(4)}, 0)

@@ -1,0 +1,84 @@
+"""What all commands share: exit status, what is printed when something goes wrong, and results that appear whole."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import signal
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import NoReturn
+
+from rich.console import Console
+from rich.text import Text
+from threadpoolctl import threadpool_limits
+
+from aridcal.errors import AridcalError
+from aridcal.files import handling
+
+DONE, BUG, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+
+
+def run(body: Callable[[], None]) -> int:
+    """Do a command's work and turn what goes wrong into a message and an exit status.
+
+    SIGTERM counts as Ctrl-C, so that no way to stop a command politely leaves half a result.
+
+    Args:
+        body: The work; what it raises decides.
+
+    Returns:
+        0 done, 1 a bug, 2 bad input or use, 130 interrupted.
+    """
+    console = Console(stderr=True)
+    try:
+        # Matrices of some hundred columns: threads that wait for each other cost ten times what they gain.
+        with _terminated_as_interrupted(), threadpool_limits(1, user_api="blas"):
+            body()
+    except AridcalError as error:
+        # As plain text: a station's name in brackets is no markup, and a path must not be broken into lines.
+        console.print(Text("error: ", style="bold red") + Text(str(error), style="not bold"), soft_wrap=True)
+        return BAD_INPUT
+    except KeyboardInterrupt:
+        console.print("interrupted: nothing was left half written", soft_wrap=True)
+        return INTERRUPTED
+    except BrokenPipeError:  # whoever read the output, `head` for instance, has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return DONE
+    except Exception:
+        console.print_exception()
+        console.print("this is a bug in aridcal: please report it with the lines above", style="bold red")
+        console.print("`aridcal doctor` tells whether the installation is at fault")
+        return BUG
+    return DONE
+
+
+class CommandParser(argparse.ArgumentParser):
+    """A command's arguments; a slip in them is answered with where to look."""
+
+    def error(self, message: str) -> NoReturn:
+        """Print what is wrong and exit with status 2."""
+        super().error(f"{message}\n`{self.prog} --help` has an example")
+
+
+def command_parser(command: str, doc: str | None) -> CommandParser:
+    """Start a command's arguments from its module's docstring, whose ``Example:`` ends the help.
+
+    Args:
+        command: Its name.
+        doc: The module's docstring.
+    """
+    about, _, example = (doc or "").partition("\nExample:\n")
+    return CommandParser(
+        prog=f"aridcal {command}",
+        description=about.strip(),
+        epilog=f"example:\n{example.rstrip()}",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+
+
+@contextmanager
+def _terminated_as_interrupted() -> Iterator[None]:
+    with handling({signal.SIGTERM: signal.default_int_handler}):
+        yield

@@ -1,0 +1,1 @@
+"""Corrections: where x component x basis, and the table of their kinds."""

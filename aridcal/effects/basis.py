@@ -1,0 +1,144 @@
+"""Functions of covariates: what a coefficient is multiplied with, row by row."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from aridcal.errors import CovariateNotFound, nearest
+
+
+@dataclass(frozen=True)
+class Basis:
+    """A function of covariates; the constant 1 by default.
+
+    Attributes:
+        form: Key of the function in :data:`FORMS`.
+        of: Names of the covariates it depends on.
+        numbers: What else it needs: order, power, centre, knots.
+    """
+
+    form: str = "1"
+    of: tuple[str, ...] = ()
+    numbers: tuple[float, ...] = ()
+
+    @property
+    def constant(self) -> bool:
+        """True for the basis 1."""
+        return self.form == "1"
+
+
+CONSTANT = Basis()
+
+
+Columns = Sequence[np.ndarray]
+"""Values of the covariates that a basis depends on, each of one shape."""
+
+Numbers = Sequence[Any]
+"""What a basis needs beside its covariates: floats, or arrays of a shape that broadcasts, for many bases at once."""
+
+
+@dataclass(frozen=True)
+class Form:
+    """A family of basis functions.
+
+    Attributes:
+        value: The function of covariates and numbers.
+        name: Its readable name: a template of ``of``, the covariates' names, and ``n``, the numbers.
+    """
+
+    value: Callable[[Columns, Numbers], np.ndarray]
+    name: str
+
+
+def _ones(z: Columns, n: Numbers) -> np.ndarray:
+    """1 wherever the covariate is there."""
+    return np.ones_like(z[0])
+
+
+def _linear(z: Columns, n: Numbers) -> np.ndarray:
+    """Distance z - n0 from n0, where the effect is nil."""
+    return np.asarray(z[0] - n[0])
+
+
+def _power(z: Columns, n: Numbers) -> np.ndarray:
+    """((z - n0) / n1)^n2, with n0 the middle and n1 half of the range seen."""
+    centred = (z[0] - n[0]) / n[1]
+    return np.asarray(centred ** n[2])
+
+
+def _sine(z: Columns, n: Numbers) -> np.ndarray:
+    """sin(n0 z), with n0 the order [1/rad] or the wave number [rad/m]."""
+    return np.sin(n[0] * z[0])
+
+
+def _cosine(z: Columns, n: Numbers) -> np.ndarray:
+    """cos(n0 z); see :func:`_sine`."""
+    return np.cos(n[0] * z[0])
+
+
+def _sign(z: Columns, n: Numbers) -> np.ndarray:
+    """-1, 0 or 1."""
+    return np.sign(z[0])
+
+
+def _bump(z: Columns, n: Numbers) -> np.ndarray:
+    r"""Cubic B-spline centred at n0 with knots n1 apart: 1 at its centre, zero beyond two knots.
+
+    .. math:: B(u) = 1 - \tfrac32 u^2 + \tfrac34 u^3 \ (u < 1), \quad \tfrac14 (2 - u)^3 \ (1 \le u < 2), \quad
+        u = |z - n_0| / n_1
+
+    C. de Boor, A Practical Guide to Splines (Springer, 1978), scaled by 3/2.
+    """
+    u = np.abs(z[0] - n[0]) / n[1]
+    v = np.maximum(2.0 - u, 0.0)
+    near = 1.0 - u * u * (1.5 - 0.75 * u)
+    far = 0.25 * v * v * v
+    return np.asarray(np.where(u < 1.0, near, far))
+
+
+def _bump_of_two(z: Columns, n: Numbers) -> np.ndarray:
+    """B-spline of one covariate times that of another: n0, n1 of the first, n2, n3 of the second."""
+    return _bump(z[:1], n[:2]) * _bump(z[1:], n[2:])
+
+
+def _times_power(z: Columns, n: Numbers) -> np.ndarray:
+    """(z0 - n0) (z1 / n1)^n2: what grows with a power of a second covariate, a load with travel for instance."""
+    return np.asarray((z[0] - n[0]) * (z[1] / n[1]) ** n[2])
+
+
+FORMS: dict[str, Form] = {
+    "ones": Form(_ones, "1"),
+    "linear": Form(_linear, "{of[0]}"),
+    "power": Form(_power, "{of[0]}^{n[2]:g}"),
+    "sin": Form(_sine, "sin({n[0]:g}*{of[0]})"),
+    "cos": Form(_cosine, "cos({n[0]:g}*{of[0]})"),
+    "sign": Form(_sign, "sign({of[0]})"),
+    "bump": Form(_bump, "map({of[0]}@{n[0]:.6g})"),
+    "bump2": Form(_bump_of_two, "map({of[0]}@{n[0]:.6g},{of[1]}@{n[2]:.6g})"),
+    "times_power": Form(_times_power, "{of[0]}*{of[1]}^{n[2]:g}"),
+}
+
+
+def basis_name(basis: Basis) -> str:
+    """Readable name of a basis, ``sin(2*joint_3)`` for instance."""
+    return FORMS[basis.form].name.format(of=basis.of, n=basis.numbers)
+
+
+def evaluate(basis: Basis, covariates: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Values of a basis, shape (N,).
+
+    Raises:
+        CovariateNotFound: a column that it depends on was not measured.
+    """
+    columns = []
+    for name in basis.of:
+        if name not in covariates:
+            raise CovariateNotFound(
+                f"the model depends on {name!r}, which was not measured{nearest(name, covariates)}: add that column"
+            )
+        columns.append(covariates[name])
+    return FORMS[basis.form].value(columns, basis.numbers)

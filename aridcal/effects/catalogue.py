@@ -1,0 +1,139 @@
+"""The table of kinds, and the effects that it gives: those that some rows can test, and those that a campaign declares."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from aridcal.effects.condition_kinds import CONDITION_KINDS
+from aridcal.effects.effect import Effect
+from aridcal.effects.head_kinds import HEAD_KINDS
+from aridcal.effects.joint_kinds import JOINT_KINDS
+from aridcal.effects.kinds import Declaration, Kind, Observed
+from aridcal.effects.unknown_kind import UNKNOWN
+from aridcal.errors import CampaignError, nearest
+
+KINDS: dict[str, Kind] = {kind.name: kind for kind in (*JOINT_KINDS, *CONDITION_KINDS, *HEAD_KINDS, UNKNOWN)}
+"""Every kind of effect, in the order in which they are tried: the only list of them."""
+
+CONSTANT_COLUMN = 1e-9
+"""A column that changes by a smaller share of its largest value (of 1, if that is less) is constant."""
+
+
+@dataclass(frozen=True)
+class Barred:
+    """A candidate that these data cannot test, and why."""
+
+    what: str
+    why: str
+
+
+def is_of_head(kind: str) -> bool:
+    """True for a kind of the measuring head."""
+    return KINDS[kind].of_head is not None
+
+
+def usable_columns(measured: Mapping[str, np.ndarray]) -> tuple[tuple[str, ...], list[Barred]]:
+    """Measured columns that effects may depend on, and why the others may not."""
+    good, barred = [], []
+    for name, values in measured.items():
+        empty = int(np.isnan(values).sum())
+        if empty:
+            barred.append(Barred(f"effects of {name}", f"the column has {empty} empty cells"))
+        elif np.ptp(values) <= CONSTANT_COLUMN * max(1.0, float(np.abs(values).max())):
+            barred.append(Barred(f"effects of {name}", "the column is constant"))
+        else:
+            good.append(name)
+    return tuple(good), barred
+
+
+def barred_joints(rows: Observed) -> list[Barred]:
+    """Joints whose own effects cannot be tested."""
+    still = [j.name for j in rows.robot.joints if not rows.moves(j)]
+    found = [Barred(f"effects of {name}'s reading", "the joint never moves") for name in still]
+    if not any(rows.robot.mass_beyond > 0):
+        found.append(Barred("compliance and load-side backlash", "the URDF has no masses beyond any joint"))
+    return found
+
+
+def candidates(rows: Observed, kinds: Iterable[str]) -> list[Effect]:
+    """All effects of some kinds that these rows can test; those of the measuring head are not among them."""
+    generators = [KINDS[kind].testable for kind in kinds]
+    return [effect for testable in generators if testable for effect in testable(rows)]
+
+
+def head_candidates(numbers: Sequence[str], kinds: Iterable[str]) -> list[Effect]:
+    """All effects of some kinds that a measuring head may have, in the table's order.
+
+    Args:
+        numbers: Names of the head's numbers, ``camera.fx`` or ``sonar_1.bias`` for instance.
+        kinds: Of any sort; those that are not of the head have no such effects.
+    """
+    wanted = set(kinds)
+    generators = [kind.of_head for kind in KINDS.values() if kind.name in wanted]
+    return [effect for generator in generators if generator for effect in generator(numbers)]
+
+
+def declared(rows: Observed, declaration: Declaration, place: str) -> Effect:
+    """The effect that a campaign states.
+
+    Args:
+        rows: What it may depend on.
+        declaration: What is stated.
+        place: The file, for the message.
+
+    Raises:
+        CampaignError: there is no such effect on this robot or with these columns.
+    """
+    d = declaration
+    known = (*rows.robot.names, "world_base", "tip_target")
+    if d.where not in known:
+        raise CampaignError(f"{place}: effects: no place {d.where!r}{nearest(d.where, known)}")
+    kind = KINDS[d.kind]
+    if kind.of_order and d.order:
+        found = [effect for order in d.order for effect in kind.of_order(d, order)]
+    else:
+        fitting = [effect for effect in candidates(rows, (d.kind,)) if _meant(effect, d)]
+        curves = [effect for effect in fitting if effect.smooth]  # they hold what the others can
+        found = curves or fitting
+        found = found[:1] if kind.exclusive else found
+    if not found:
+        raise CampaignError(
+            f"{place}: effects: {d.kind} at {d.where} cannot be fitted: this robot or these columns have nothing that "
+            "it could depend on"
+        )
+    return merged(found)
+
+
+def _meant(effect: Effect, d: Declaration) -> bool:
+    """True if an effect agrees with all that a declaration says."""
+    return (
+        effect.where == d.where
+        and (d.with_ is None or effect.with_ == d.with_)
+        and (d.by is None or effect.by == d.by)
+        and (d.motion is None or set(effect.motion) <= set(d.motion))
+        and (d.covariates is None or set(effect.covariates) <= set(d.covariates))
+    )
+
+
+def merged(effects: Sequence[Effect]) -> Effect:
+    """Effects of one kind and place as one, each coefficient once."""
+    coefficients = tuple(dict.fromkeys(c for e in effects for c in e.coefficients))
+    order = tuple(dict.fromkeys(k for e in effects for k in e.order))
+    return replace(effects[0], coefficients=coefficients, order=order)
+
+
+def kinds_table() -> str:
+    """The table of kinds as Markdown, as ``docs/effects.md`` shows it."""
+    head = "| kind | acts at | what it is | functions | declared by |\n|---|---|---|---|---|\n"
+    rows = [
+        (f"[`{k.name}`](#{k.doc})", k.where, k.words, ", ".join(f"`{form}`" for form in k.bases), f"`{k.example}`")
+        for k in KINDS.values()
+    ]
+    return head + "".join(f"| {' | '.join(row)} |\n" for row in rows)
+
+
+if __name__ == "__main__":
+    print(kinds_table(), end="")

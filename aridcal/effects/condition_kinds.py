@@ -1,0 +1,87 @@
+"""Kinds of effects of conditions that change while measuring: temperature, time, payload."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from aridcal.effects.basis import Basis
+from aridcal.effects.effect import FRAME_COMPONENTS, Coefficient, Effect
+from aridcal.effects.kinds import Kind, Observed, middle, slope
+
+FRAMES = ("world_base", "tip_target")
+
+
+def _thermal(rows: Observed) -> Iterator[Effect]:
+    """Difference T - mean(T) for each motion of each place; of a rail also times its travel: it grows."""
+    for column in rows.columns("temperature"):
+        mean = middle(rows.table[column])
+        for j in rows.robot.joints:
+            for component in ("axis", *FRAME_COMPONENTS):
+                yield Effect("thermal", j.name, (slope(j.name, component, column, mean),))
+            if j.kind == "prismatic" and rows.moves(j):
+                growth = Basis("times_power", (column, j.name), (mean, 1.0, 1.0))
+                yield Effect("thermal", j.name, (Coefficient(j.name, "axis", growth),))
+        for where in FRAMES:
+            for component in FRAME_COMPONENTS:
+                yield Effect("thermal", where, (slope(where, component, column, mean),))
+
+
+def _drift(rows: Observed) -> Iterator[Effect]:
+    """Difference t - mean(t) for each motion of a frame, and for its shift, its turn and both."""
+    if "time" not in rows.measured:
+        return
+    mean = middle(rows.table["time"])
+    for where in FRAMES:
+        each = tuple(slope(where, component, "time", mean) for component in FRAME_COMPONENTS)
+        shift, turn = each[:3], each[3:]
+        for coefficient in each:
+            yield Effect("drift", where, (coefficient,))
+        for coefficients in (shift, turn, each):
+            yield Effect("drift", where, coefficients)
+
+
+def _payload_compliance(rows: Observed) -> Iterator[Effect]:
+    """The payload's torque about each axis; the payload itself for each motion of each joint."""
+    if "payload" not in rows.measured:
+        return
+    for j in rows.robot.joints:
+        torque = f"{j.name}.payload_torque"
+        if rows.load_changes(torque):
+            yield Effect("payload_compliance", j.name, (slope(j.name, "axis", torque),))
+        for component in ("axis", "t1", "t2", "r1", "r2"):
+            yield Effect("payload_compliance", j.name, (slope(j.name, component, "payload"),))
+
+
+CONDITION_KINDS = (
+    Kind(
+        "thermal",
+        where="a joint, `world_base` or `tip_target`",
+        words="it grows or shifts with temperature",
+        bases=("linear", "times_power"),
+        example="{kind: thermal, where: rail, motion: axis, covariates: [temperature, rail]}",
+        doc="thermal",
+        testable=_thermal,
+        columns=lambda d: d.covariates or ("temperature",),
+    ),
+    Kind(
+        "drift",
+        where="`world_base` or `tip_target`",
+        words="a frame that moved while these rows were measured",
+        bases=("linear",),
+        example="{kind: drift, where: world_base, motion: [x, y, z]}",
+        doc="drift",
+        testable=_drift,
+        columns=lambda _: ("time",),
+    ),
+    Kind(
+        "payload_compliance",
+        where="a joint",
+        words="it yields under the payload",
+        bases=("linear",),
+        example="{kind: payload_compliance, where: joint_2, motion: axis, covariates: payload}",
+        doc="payload_compliance",
+        testable=_payload_compliance,
+        columns=lambda _: ("payload",),
+    ),
+)
+"""In the order in which they are tried."""

@@ -1,0 +1,97 @@
+"""What a coefficient multiplies: where x component x basis, the one form of every correction."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from aridcal.effects.basis import CONSTANT, Basis, basis_name
+from aridcal.robot.kinematics import transverse
+
+FRAME_COMPONENTS = ("x", "y", "z", "roll", "pitch", "yaw")
+LINK_COMPONENTS = ("d", "theta", "beta", "a", "alpha")
+ANGULAR = frozenset({"roll", "pitch", "yaw", "theta", "beta", "alpha", "r1", "r2"})
+
+
+@dataclass(frozen=True)
+class Coefficient:
+    """One unknown of the model: a basis times a small motion somewhere.
+
+    Attributes:
+        where: A joint of the chain, the tip's fixed joint, ``world_base`` or ``tip_target``.
+        component: ``x y z roll pitch yaw``; ``axis t1 t2 r1 r2`` of a joint; ``theta beta a alpha d`` of its link.
+        basis: What it is multiplied with, row by row.
+        station: For one frame per station: the label of the rows that it moves.
+    """
+
+    where: str
+    component: str
+    basis: Basis = CONSTANT
+    station: str | None = None
+
+    @property
+    def name(self) -> str:
+        """The same string in tables, files and messages, ``joint_2.pitch`` for instance."""
+        label = "" if self.station is None else f"[{self.station}]"
+        tail = "" if self.basis.constant else f":{basis_name(self.basis).replace(f'{self.where}.', '')}"
+        return f"{self.where}{label}.{self.component}{tail}"
+
+
+@dataclass(frozen=True)
+class Effect:
+    """One cause of error: a kind, a place, and the coefficients that describe it (FORMATS section 4).
+
+    Attributes:
+        kind: Of the table of kinds.
+        where: A joint of the chain, ``world_base`` or ``tip_target``.
+        coefficients: One for each motion and basis.
+        order: Periods per turn, for harmonics and wobble.
+        with_: The other joint of a coupling.
+        by: What a backlash switches with.
+        smooth: True where the coefficients are samples of a smooth function and shrink to zero where unseen.
+        grid: For a smooth function of two covariates: samples along each; else empty.
+    """
+
+    kind: str
+    where: str
+    coefficients: tuple[Coefficient, ...]
+    order: tuple[float, ...] = ()
+    with_: str | None = None
+    by: str | None = None
+    smooth: bool = False
+    grid: tuple[int, ...] = ()
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Samples of a smooth function along each of its covariates."""
+        return self.grid or (len(self.coefficients),)
+
+    @property
+    def motion(self) -> tuple[str, ...]:
+        """Components that move, each once."""
+        return tuple(dict.fromkeys(c.component for c in self.coefficients))
+
+    @property
+    def covariates(self) -> tuple[str, ...]:
+        """Columns it depends on, each once."""
+        return tuple(dict.fromkeys(name for c in self.coefficients for name in c.basis.of))
+
+    @property
+    def label(self) -> str:
+        """Short name for tables and messages."""
+        extra = self.with_ or self.by or (",".join(f"{k:g}" for k in self.order) if self.order else "")
+        return f"{self.kind} at {self.where}" + (f" ({extra})" if extra else "")
+
+
+def direction(component: str, axis: np.ndarray | None) -> np.ndarray:
+    """Unit vector along or about which a component moves, shape (3,).
+
+    Args:
+        component: ``x y z roll pitch yaw`` of a frame, or ``t1 t2 r1 r2`` across a joint's axis.
+        axis: Of the joint, in its own frame, shape (3,); a frame's components need none.
+    """
+    if component in FRAME_COMPONENTS:
+        return np.eye(3)[FRAME_COMPONENTS.index(component) % 3]
+    assert axis is not None
+    return transverse(axis)[int(component[1]) - 1]

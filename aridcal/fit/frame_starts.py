@@ -1,0 +1,271 @@
+"""Closed-form starts of unknown frames, from any attitude: AX = ZB for poses, Kabsch inside for positions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+from scipy.optimize import minimize
+
+FREE = 1e-3
+"""[m/m]: a target translation that moves the points by a smaller share, the base following, is left at its hint."""
+
+STRAIN = 1 / 3
+"""Share of the misfit that the points may move by on the way to the hint: it then grows by a twentieth at the most."""
+
+BEST = 2
+"""Target translations that are handed on: a fit of each tells which is right."""
+
+SAME = 1e-3
+"""Share of the points' spread within which two minima are one."""
+
+Cost = Callable[[np.ndarray], tuple[float, np.ndarray]]
+
+
+@dataclass(frozen=True)
+class FrameStart:
+    """Placements of the world_base and tip_target frames, one per station or one in all."""
+
+    world_base: tuple[pin.SE3, ...]
+    tip_target: tuple[pin.SE3, ...]
+
+
+@dataclass(frozen=True)
+class _Data:
+    """T_base_tip (R, p), measured (M, m), and the frame that each row belongs to."""
+
+    R: np.ndarray
+    p: np.ndarray
+    M: np.ndarray | None
+    m: np.ndarray
+    world: np.ndarray
+    tip: np.ndarray
+
+
+def start_frames(
+    rotation: np.ndarray,
+    position: np.ndarray,
+    measured_position: np.ndarray,
+    measured_rotation: np.ndarray | None,
+    world: np.ndarray,
+    tip: np.ndarray,
+    known_world: tuple[pin.SE3, ...] | None,
+    known_tip: tuple[pin.SE3, ...] | None,
+    hint_tip: tuple[pin.SE3, ...],
+) -> list[FrameStart]:
+    """Candidate starts for the unknown ones of T_world_base and T_tip_target; a fit of each tells which is right.
+
+    Args:
+        rotation: Nominal T_base_tip, shape (N, 3, 3).
+        position: Its translation, shape (N, 3), [m].
+        measured_position: Of the target in the world, shape (N, 3), [m].
+        measured_rotation: Likewise, shape (N, 3, 3), or None.
+        world: Number of each row's world_base frame, shape (N,).
+        tip: Number of each row's tip_target frame, shape (N,).
+        known_world: The frames, where they are not to be identified.
+        known_tip: Likewise.
+        hint_tip: The target where nothing measures it: its rotation from positions alone, its translation along
+            directions that the base can follow (a tool that never tilts).
+    """
+    if known_world is not None and known_tip is not None:
+        return [FrameStart(known_world, known_tip)]
+    M = measured_rotation
+    data = _Data(rotation, position, M, measured_position, world, tip)
+    if known_world is not None:
+        return [_with_target(data, known_world, _seen_from(data, known_world, len(hint_tip)), hint_tip)]
+    if known_tip is not None:
+        t = np.array([frame.translation for frame in known_tip])
+        turned = None
+        if M is not None:
+            turned = data.R @ np.array([frame.rotation for frame in known_tip])[data.tip]
+        return [FrameStart(_kabsch(data, t, turned), known_tip)]
+    hint = np.array([frame.translation for frame in hint_tip])
+    found = [(_kabsch(data, t, None), t) for t in _levers(data, hint)]
+    found += _kronecker(data, hint) if M is not None else []
+    return [_with_target(data, world_base, t, hint_tip) for world_base, t in found]
+
+
+def _points(data: _Data, t: np.ndarray) -> np.ndarray:
+    """Target in the base frame for target translations t, shape (tips, 3)."""
+    return data.p + np.einsum("nij,nj->ni", data.R, t[data.tip])
+
+
+def _columns(data: _Data, tips: int) -> np.ndarray:
+    """What the target translations move in the base frame, shape (N, 3, 3 tips)."""
+    columns = np.zeros((len(data.p), 3, 3 * tips))
+    for k in range(tips):
+        columns[data.tip == k, :, 3 * k : 3 * k + 3] = data.R[data.tip == k]
+    return columns
+
+
+def _centred(values: np.ndarray, label: np.ndarray) -> np.ndarray:
+    """Values minus the mean of the rows that share a label."""
+    out = values.copy()
+    for k in np.unique(label):
+        out[label == k] -= values[label == k].mean(axis=0)
+    return out
+
+
+def _levers(data: _Data, hint: np.ndarray) -> list[np.ndarray]:
+    """Target translations t, shape (tips, 3) each, that let the measured points fall on the robot's.
+
+    Minimises over t what Kabsch's rotation leaves: |m|^2 + |c(t)|^2 - 2 sum over worlds of the (signed) nuclear norm
+    of H(t), with c(t) linear in t; so the cost of a step does not depend on the number of rows.
+    """
+    tips = len(hint)
+    cost = _lever_cost(data, tips)
+    spread = np.sum(_centred(data.m, data.world) ** 2, axis=1)
+    size = max(float(np.sqrt(np.mean(spread))), 1e-6)  # one row alone has none
+    found: list[tuple[float, np.ndarray]] = []
+    for direction in np.vstack([np.zeros(3), np.eye(3), -np.eye(3)]):
+        start = np.tile(size * direction, tips)
+        best = minimize(cost, start, jac=True, method="L-BFGS-B")
+        if not any(np.allclose(best.x, t, atol=SAME * size) for _, t in found):
+            found.append((float(best.fun), best.x))
+    found.sort(key=lambda pair: pair[0])
+    slid: list[np.ndarray] = []
+    for _, minimum in found:
+        t = minimum + _slide(cost, minimum, hint.ravel() - minimum, size)
+        if not any(np.allclose(t, other, atol=SAME * size) for other in slid):
+            slid.append(t)
+        if len(slid) == BEST:
+            break
+    return [t.reshape(tips, 3) for t in slid]
+
+
+def _lever_cost(data: _Data, tips: int) -> Cost:
+    r"""Misfit of target translations t and its slope, the base following by Kabsch, in units of the points' spread.
+
+    .. math:: |m|^2 + |c_0 + C t|^2 - 2 \sum_w (\sigma_1 + \sigma_2 \pm \sigma_3)(H_{0w} + H_{1w} t)
+    """
+    worlds = int(data.world.max()) + 1
+    c, C, m = (_centred(part, data.world) for part in (data.p, _columns(data, tips), data.m))
+    own = [data.world == w for w in range(worlds)]
+    H0 = np.array([m[rows].T @ c[rows] for rows in own])
+    H1 = np.array([np.einsum("ni,njk->kij", m[rows], C[rows]) for rows in own])
+    linear = np.einsum("nik,ni->k", C, c)
+    quadratic = np.einsum("nik,nil->kl", C, C)
+    measured = float(np.sum(m**2))
+    constant = float(measured + np.sum(c**2))
+    scale = max(measured, 1e-30)
+
+    def cost(t: np.ndarray) -> tuple[float, np.ndarray]:
+        curved = quadratic @ t
+        value = constant + 2 * linear @ t + t @ curved
+        slope = 2 * linear + 2 * curved
+        for first, second in zip(H0, H1, strict=True):
+            U, singular, Vt = np.linalg.svd(first + np.tensordot(t, second, 1))
+            sign = np.array([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))])
+            turn = (U * sign) @ Vt
+            value -= 2 * float(singular @ sign)
+            slope = slope - 2 * np.einsum("kij,ij->k", second, turn)
+        return value / scale, slope / scale
+
+    return cost
+
+
+def _slide(cost: Cost, t: np.ndarray, gap: np.ndarray, size: float) -> np.ndarray:
+    """The part of a gap to cross that the misfit does not notice: what cannot be identified stays at its hint.
+
+    Args:
+        cost: Misfit and slope, in units of size squared, the base following.
+        t: Its minimum, shape (T,).
+        gap: From there to the hint, shape (T,).
+        size: RMS distance of the measured points from their centre, [m].
+    """
+    steps = 1e-2 * size * np.eye(len(t))
+    H = np.array([(cost(t + step)[1] - cost(t - step)[1]) / (4e-2 / size) for step in steps])
+    moves, V = np.linalg.eigh(0.5 * (H + H.T))  # squared displacement of the points, [m^2/m^2]
+    misfit = size * np.sqrt(max(cost(t)[0], 1e-8))
+    reach = STRAIN * misfit / np.sqrt(np.maximum(moves - 1e-10, 1e-30))
+    along = V.T @ gap
+    return np.asarray(V @ np.where(moves < FREE**2, np.clip(along, -reach, reach), 0.0))
+
+
+def _kabsch(data: _Data, t: np.ndarray, turned: np.ndarray | None) -> tuple[pin.SE3, ...]:
+    """T_world_base of each world frame for known target translations; measured rotations help where there are any.
+
+    Args:
+        data: The rows.
+        t: Target translations, shape (tips, 3).
+        turned: Rotation of the target in the base frame where it is known, shape (N, 3, 3).
+    """
+    c = _points(data, t)
+    frames = []
+    for w in range(int(data.world.max()) + 1):
+        own = data.world == w
+        middle_c, middle_m = c[own].mean(axis=0), data.m[own].mean(axis=0)
+        H = (data.m[own] - middle_m).T @ (c[own] - middle_c)
+        if turned is not None and data.M is not None:
+            size = np.trace((c[own] - middle_c).T @ (c[own] - middle_c)) / own.sum()
+            H += max(size, 1e-6) * np.einsum("nik,njk->ij", data.M[own], turned[own])
+        R = _nearest_rotation(H)
+        frames.append(pin.SE3(R, middle_m - R @ middle_c))
+    return tuple(frames)
+
+
+def _kronecker(data: _Data, hint: np.ndarray) -> list[tuple[tuple[pin.SE3, ...], np.ndarray]]:
+    """Rotations from orientations alone (Shah 2013, doi:10.1115/1.4024473), both signs; then translations linearly."""
+    assert data.M is not None
+    found = []
+    worlds = int(data.world.max()) + 1
+    for sign in (1.0, -1.0):
+        rotations = []
+        for w in range(worlds):
+            own = data.world == w
+            K = np.einsum("nij,nkl->ikjl", data.M[own], data.R[own]).reshape(9, 9)
+            U, _, _ = np.linalg.svd(K)
+            rotations.append(_nearest_rotation(sign * U[:, 0].reshape(3, 3)))
+        found.append(_translations(data, np.array(rotations), hint))
+    return found
+
+
+def _translations(data: _Data, RX: np.ndarray, hint: np.ndarray) -> tuple[tuple[pin.SE3, ...], np.ndarray]:
+    """Translations for known rotations: m = RX (p + R t) + tX is linear in t and tX; t is the nearest to its hint."""
+    tips, n = len(hint), len(data.p)
+    turn = RX[data.world]
+    columns = np.einsum("nij,njk->nik", turn, _columns(data, tips))
+    rest = data.m - np.einsum("nij,nj->ni", turn, _points(data, hint))
+    A, b = _centred(columns, data.world), _centred(rest, data.world)
+    information = np.einsum("nik,nil->kl", A, A) / n
+    pull = np.einsum("nik,ni->k", A, b) / n
+    moves, V = np.linalg.eigh(information)
+    inverse = np.where(moves < FREE**2, 0.0, 1.0 / np.maximum(moves, FREE**2))
+    along = inverse * (V.T @ pull)
+    x = V @ along
+    tX = rest - columns @ x
+    bases = [tX[data.world == w].mean(axis=0) for w in range(len(RX))]
+    world_base = tuple(pin.SE3(R, base) for R, base in zip(RX, bases, strict=True))
+    return world_base, hint + x.reshape(tips, 3)
+
+
+def _seen_from(data: _Data, world_base: tuple[pin.SE3, ...], tips: int) -> np.ndarray:
+    """Target translations t, shape (tips, 3), that belong to given world_base frames."""
+    RX = np.array([frame.rotation for frame in world_base])[data.world]
+    tX = np.array([frame.translation for frame in world_base])[data.world]
+    from_base = data.m - tX
+    target = np.einsum("nji,nj->ni", RX @ data.R, from_base)
+    tip = np.einsum("nji,nj->ni", data.R, data.p)
+    lever = target - tip
+    return np.array([np.median(lever[data.tip == k], axis=0) for k in range(tips)])
+
+
+def _with_target(data: _Data, world_base: tuple[pin.SE3, ...], t: np.ndarray, hint: tuple[pin.SE3, ...]) -> FrameStart:
+    """The target frames for given world_base frames and target translations: their rotation from the measured ones."""
+    RX = np.array([frame.rotation for frame in world_base])[data.world]
+    tips = []
+    for k, frame in enumerate(hint):
+        own, rotation = data.tip == k, frame.rotation
+        if data.M is not None:
+            turned = RX[own] @ data.R[own]
+            rotation = _nearest_rotation(np.einsum("nji,njk->ik", turned, data.M[own]))
+        tips.append(pin.SE3(rotation, t[k]))
+    return FrameStart(world_base, tuple(tips))
+
+
+def _nearest_rotation(H: np.ndarray) -> np.ndarray:
+    """Rotation R that maximises tr(R' H) (Kabsch 1976; Umeyama 1991)."""
+    U, _, Vt = np.linalg.svd(H)
+    return np.asarray((U * [1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt)

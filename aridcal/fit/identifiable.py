@@ -1,0 +1,114 @@
+"""Which coefficients are identifiable: a rank-revealing QR in a fixed order, every redundancy named."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+TOLERANCE = 1e-7
+"""Share of a column's length that is left off the others when it is called their sum: redundant columns of real robots keep
+1e-14 of it, identifiable ones 1e-2."""
+
+CLEAR = 0.02
+"""The same for a column that is identifiable beyond doubt: where axes are parallel but for a milliradian, less is left."""
+
+SHARE = 0.02
+"""Share of a redundancy that a column must carry to be named in it."""
+
+CARRIES = 0.3
+"""Share of the largest part in a weak combination that makes a column one of those that may go: the last of them goes, so
+that the order of preference holds."""
+
+WORST = 0.02
+"""[m] and [rad]: a direction that the noise moves further than 20 mm or 20 mrad is redundant."""
+
+
+@dataclass(frozen=True)
+class Subset:
+    """The coefficients that are kept, and why the others are not.
+
+    Attributes:
+        kept: Indices, in the order given.
+        redundant: For each dropped index, the kept indices that it is confounded with; empty if it moves nothing.
+        condition: Of the kept columns, each scaled to length 1.
+    """
+
+    kept: tuple[int, ...]
+    redundant: dict[int, tuple[int, ...]]
+    condition: float
+
+
+def identifiable(R: np.ndarray, order: Sequence[int], ahead: Sequence[int] = ()) -> Subset:
+    """Keep columns in the order given as long as each adds something that can be measured.
+
+    What is clearly apart from those before it is kept first, and only then what barely is: where two axes are parallel
+    but for a milliradian, the shift of one along itself hardly differs from that of the other, and must not push out
+    a column that is well known.
+
+    Args:
+        R: Triangle of the Jacobian's QR in units of sigma, shape (<= K, K): column k per [m] or [rad] of coefficient k.
+        order: All indices, the ones to keep before others first.
+        ahead: Indices to keep before all others, if they can be measured at all.
+    """
+    length = np.linalg.norm(R, axis=0)
+    kept = _extended(R, length, [], ahead, TOLERANCE)
+    for share in (CLEAR, TOLERANCE):
+        kept = _extended(R, length, kept, order, share)
+    kept = _without_weak(R, length, kept, order)
+    scaled = R[:, kept] / length[kept]
+    singular = np.linalg.svd(scaled, compute_uv=False) if kept else np.ones(1)
+    dropped = [k for k in order if k not in kept]
+    kept = [k for k in order if k in kept]
+    return Subset(tuple(kept), _partners(R, dropped, kept, length), float(singular[0] / singular[-1]))
+
+
+def _measured(length: float | np.ndarray) -> bool | np.ndarray:
+    """Whether the noise moves a direction of so many sigmas per [m] or [rad] by less than :data:`WORST`."""
+    return length * WORST >= 1.0
+
+
+def _extended(R: np.ndarray, length: np.ndarray, kept: list[int], candidates: Sequence[int], share: float) -> list[int]:
+    """Kept columns and those candidates of which more than a share of their length is new, and can be measured.
+
+    Gram-Schmidt, twice for each column, so that what is left is right to rounding.
+    """
+    Q = np.linalg.qr(R[:, kept])[0]
+    kept = list(kept)
+    for k in candidates:
+        if k in kept:
+            continue
+        rest = R[:, k] - Q @ (Q.T @ R[:, k])
+        rest -= Q @ (Q.T @ rest)
+        left = float(np.linalg.norm(rest))
+        if left > share * length[k] and _measured(left):
+            kept.append(k)
+            Q = np.column_stack([Q, rest / left])
+    return kept
+
+
+def _without_weak(R: np.ndarray, length: np.ndarray, kept: list[int], order: Sequence[int]) -> list[int]:
+    """Kept columns without those of combinations that move almost nothing, though each column by itself does."""
+    weak: list[int] = []
+    while kept:
+        _, singular, Vt = np.linalg.svd(R[:, kept])
+        if _measured(singular[-1]):
+            break
+        part = np.abs(Vt[-1])
+        carrying = np.flatnonzero(part > CARRIES * part.max())
+        weak.append(kept.pop(int(carrying[-1])))
+        kept = _extended(R, length, kept, [k for k in order if k not in weak], TOLERANCE)
+    return kept
+
+
+def _partners(R: np.ndarray, dropped: list[int], kept: list[int], length: np.ndarray) -> dict[int, tuple[int, ...]]:
+    """For each dropped column, the kept ones whose sum imitates it; none if it moves nothing."""
+    moving = [k for k in dropped if kept and _measured(length[k])]
+    found: dict[int, tuple[int, ...]] = dict.fromkeys(dropped, ())
+    if moving:
+        shares = np.linalg.lstsq(R[:, kept] / length[kept], R[:, moving] / length[moving], rcond=None)[0]
+        for k, share in zip(moving, shares.T, strict=True):
+            largest_first = np.argsort(-np.abs(share))
+            found[k] = tuple(kept[i] for i in largest_first if abs(share[i]) > SHARE)
+    return found

@@ -1,0 +1,388 @@
+"""Weighted least squares on the extended model: robust start, flags, identifiable subset, covariance."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from aridcal.effects.effect import Coefficient
+from aridcal.errors import NotIdentifiable
+from aridcal.fit.identifiable import identifiable
+from aridcal.fit.normal_equations import TINY, NormalEquations, solve
+from aridcal.fit.residual import (
+    FLOOR,
+    Linearisation,
+    Problem,
+    distance,
+    linearise,
+    robust_sigma,
+    triangle,
+    weighted_squares,
+)
+from aridcal.inputs.channels import Channels
+from aridcal.model.model import Model, Rows
+
+OUTLIER = 6.0
+"""Sigmas per axis, in any channel, beyond which a row is flagged: 1 clean pose in 7 million."""
+
+SUSPECT = 3.0
+"""The same for a row that repeats another's measurement although the joints moved: that alone makes it doubtful."""
+
+STEPS = 60
+"""Gauss-Newton steps at the most; five are usual."""
+
+SETTLED = 0.03
+"""A step that moves no combination of coefficients by more than this share of its sigma is the last."""
+
+ROUGH = 1.0
+"""The same for a robust fit, whose flags are all that is wanted of it."""
+
+ROUNDING = 1e-13
+"""A step of this share of the coefficients is rounding: the last, whatever the noise."""
+
+ROUGH_ROWS = 300
+"""Rows of a robust fit, or four times the coefficients if that is more: flags need no more."""
+
+FEWEST = 10
+"""Rows of each frame in any choice of rows: enough to find the frame."""
+
+FLAGGING = 8
+"""Times that flags and fit are found in turn; three are usual."""
+
+RESELECTIONS = 4
+"""Times that the identifiable set and the fit are found in turn; two are usual."""
+
+LEAST_FREEDOM = 0.5
+"""Degrees of freedom below which the noise of a channel cannot be estimated, and stays as it was."""
+
+FIRST_DAMPING, MOST_DAMPING = 1e-4, 1e8
+"""Levenberg's damping of balanced equations: the first that changes anything, and the last that lets anything move."""
+
+VANISHED = 1e-2
+"""Sigmas of a coefficient: a gradient that asks for less has vanished."""
+
+UNKNOWN_NOISE = 1e-4
+"""[m] and [rad]: noise of a good instrument, where nothing is known of it yet."""
+
+
+@dataclass(frozen=True)
+class Prior:
+    """What is believed of the coefficients beforehand.
+
+    Attributes:
+        mean: Shape (K,).
+        precision: Shape (K, K).
+        basis: Combinations of coefficients, in columns, that are alike in how sure one is of them, shape (K, K): the
+            samples of a smooth function are far too alike themselves to be solved for one by one. None: each its own.
+    """
+
+    mean: np.ndarray
+    precision: np.ndarray
+    basis: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class Convergence:
+    """Proof that a minimum was found.
+
+    Attributes:
+        steps: Gauss-Newton steps taken.
+        gradient: Largest gradient, as the step it asks for in sigmas of the coefficient.
+        condition: Of the Jacobian, each column scaled to length 1.
+        restarts: Other starts that were tried; each must lead to the same minimum.
+        agreed: How many of them did.
+    """
+
+    steps: int
+    gradient: float
+    condition: float
+    restarts: int = 0
+    agreed: int = 0
+
+    @property
+    def converged(self) -> bool:
+        """True if the gradient vanished. Whether other starts lead to the same minimum is told by ``agreed``."""
+        return self.gradient < VANISHED
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A solved model.
+
+    Attributes:
+        model: The coefficients that were kept, frames at their start.
+        theta: Their values, shape (K,).
+        covariance: Shape (K, K).
+        sigma: Noise of each channel per axis that weighed the rows, shape (C,).
+        estimated: Noise that the residuals show, degrees of freedom taken into account, shape (C,).
+        weight: Of each row, shape (N,): 0 for outliers.
+        residual: Measured minus predicted, scaled by the rows' relative sigmas, shape (N, m).
+        candidates: All coefficients that were asked for.
+        redundant: For each that was dropped: the names of those it is confounded with.
+        convergence: How well the minimum was found.
+        spent: Degrees of freedom used up: K, or less where priors shrink.
+    """
+
+    model: Model
+    theta: np.ndarray
+    covariance: np.ndarray
+    sigma: np.ndarray
+    estimated: np.ndarray
+    weight: np.ndarray
+    residual: np.ndarray
+    candidates: tuple[Coefficient, ...]
+    redundant: dict[str, tuple[str, ...]]
+    convergence: Convergence
+    spent: float
+
+    @property
+    def std(self) -> np.ndarray:
+        """Standard deviation of each coefficient, shape (K,)."""
+        return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+
+    @property
+    def outliers(self) -> np.ndarray:
+        """Rows that were given no weight, shape (N,)."""
+        return np.asarray(self.weight < 0.5)
+
+    @property
+    def freedom(self) -> float:
+        """Degrees of freedom left: numbers measured minus those used up."""
+        return float((~self.outliers).sum() * self.residual.shape[1] - self.spent)
+
+
+@dataclass(frozen=True)
+class Minimum:
+    """Where a minimisation ended.
+
+    Attributes:
+        theta: Shape (K,).
+        at: The problem there.
+        sigma: Noise of each channel, shape (C,).
+        steps: Steps taken.
+        gradient: As in :class:`Convergence`.
+    """
+
+    theta: np.ndarray
+    at: Linearisation
+    sigma: np.ndarray
+    steps: int
+    gradient: float
+
+
+def minimise(problem: Problem, theta: np.ndarray, weight: np.ndarray | None, prior: Prior | None = None) -> Minimum:
+    """Levenberg-Marquardt from theta, noise that is not declared estimated on the way.
+
+    Args:
+        problem: K coefficients, N rows.
+        theta: Start, shape (K,).
+        weight: Of each row, shape (N,); None: Cauchy's, its scale found anew at each step, and the last decimals
+            left to a later call with fixed weights.
+        prior: Beliefs that are not measured here.
+    """
+    channels, declared = problem.channels, problem.data.declared
+    robust, settled = weight is None, SETTLED
+    scale = np.ones(len(channels))
+    if robust:
+        settled = ROUGH
+        scale = robust_sigma(problem.scaled_residual(theta), channels)
+
+    def noise_at(place: Linearisation, sigma: np.ndarray) -> np.ndarray:
+        return declared(scale if robust else _estimate(place.equations, sigma, prior))
+
+    here = linearise(problem, theta, weight, scale)
+    sigma = noise_at(here, declared(robust_sigma(here.residual, channels)))
+    damping, taken = 0.0, 0
+    while taken < STEPS and damping < MOST_DAMPING:
+        H, g = _with_prior(here.equations, sigma, theta, prior)
+        step = _solve(H, g, prior, damping)
+        last = float(np.sqrt(max(step @ g, 0.0))) < settled and damping == 0.0
+        last |= bool(np.all(np.abs(step) < ROUNDING * (1.0 + np.abs(theta))))
+        trial = linearise(problem, theta + step, weight, scale)
+        before = _cost(here.residual, here.weight, channels, sigma, theta, prior)
+        after = _cost(trial.residual, here.weight, channels, sigma, theta + step, prior)
+        taken += 1
+        if after <= before or last:
+            theta, here, damping = theta + step, trial, 0.0 if damping < FIRST_DAMPING else damping / 10
+            scale = robust_sigma(here.residual, channels) if robust else scale
+            sigma = noise_at(here, sigma)
+        else:
+            damping = max(10 * damping, FIRST_DAMPING)
+        if last:
+            break
+    H, g = _with_prior(here.equations, sigma, theta, prior)
+    rest = _solve(H, g, prior)
+    return Minimum(theta, here, sigma, taken, float(np.sqrt(max(rest @ g, 0.0))))
+
+
+def fit(
+    problem: Problem, theta: np.ndarray | None = None, weight: np.ndarray | None = None, prior: Prior | None = None
+) -> Fit:
+    """Fit the given coefficients, all of them: robustly on some of the rows, then on all with the outliers flagged.
+
+    Args:
+        problem: K identifiable coefficients, N rows.
+        theta: Start; default: zero.
+        weight: Weights to use instead of looking for outliers, shape (N,).
+        prior: Beliefs that are not measured here.
+    """
+    model, data = problem.model, problem.data
+    theta = np.zeros(len(model.coefficients)) if theta is None else theta
+    steps = 0
+    searching = weight is None
+    if weight is None:
+        some = thin(problem.rows, max(ROUGH_ROWS, 4 * len(theta)))
+        rough = minimise(problem.select(some), theta, None, prior)
+        theta, steps = rough.theta, rough.steps
+        weight = _weights(flagged(problem.scaled_residual(theta), problem.channels, data.stale))
+    for _ in range(FLAGGING):
+        found = minimise(problem, theta, weight, prior)
+        theta, steps = found.theta, steps + found.steps
+        again = _weights(flagged(found.at.residual, problem.channels, data.stale)) if searching else weight
+        if np.array_equal(again, weight):
+            break
+        weight = again
+    equations, sigma = found.at.equations, found.sigma
+    H, _ = _with_prior(equations, sigma, theta, prior)
+    covariance = _solve(H, np.eye(len(H)), prior)
+    return Fit(
+        model=model,
+        theta=theta,
+        covariance=covariance,
+        sigma=sigma,
+        estimated=_estimate(equations, sigma, prior),
+        weight=found.at.weight,
+        residual=found.at.residual,
+        candidates=model.coefficients,
+        redundant={},
+        convergence=Convergence(steps, found.gradient, _condition(H)),
+        spent=float(np.sum(covariance * equations.information(sigma))),
+    )
+
+
+def fit_identifiable(problem: Problem, order: Sequence[int], theta: np.ndarray | None = None) -> Fit:
+    """Fit the identifiable ones of a model's coefficients; the others stay nominal and are named.
+
+    Args:
+        problem: All candidates, N rows.
+        order: The candidates' indices, the ones to keep before others first.
+        theta: Start, shape (all candidates,); default: zero.
+
+    Raises:
+        NotIdentifiable: nothing at all can be identified.
+    """
+    model = problem.model
+    theta = np.zeros(len(model.coefficients)) if theta is None else theta
+    sigma = problem.data.declared(np.full(len(problem.channels), UNKNOWN_NOISE))
+    some = thin(problem.rows, max(ROUGH_ROWS, 4 * len(theta)))
+    share = np.full(len(some), len(problem) / len(some))
+    subset = identifiable(triangle(problem.select(some), theta, share, sigma), order)
+    for _ in range(RESELECTIONS):
+        kept = sorted(subset.kept)
+        if not kept:
+            raise NotIdentifiable([model.names])
+        result = fit(_narrowed(problem, kept), theta[kept])
+        theta = np.zeros(len(model.coefficients))
+        theta[kept] = result.theta
+        R = triangle(problem, theta, result.weight, result.sigma)
+        # What was kept stays ahead: near the solution a symmetry of the nominal robot is broken a little, and what
+        # that makes barely separable must not push out what is well known.
+        subset = identifiable(R, order, kept)
+        if sorted(subset.kept) == kept:
+            break
+    redundant = {model.names[k]: tuple(model.names[j] for j in partners) for k, partners in subset.redundant.items()}
+    convergence = replace(result.convergence, condition=subset.condition)
+    return replace(result, candidates=model.coefficients, redundant=redundant, convergence=convergence)
+
+
+def flagged(r: np.ndarray, channels: Channels, stale: np.ndarray) -> np.ndarray:
+    """Outliers: rows further off than the bulk of the rows can explain, shape (N,) bool.
+
+    Args:
+        r: Scaled residuals, shape (N, m).
+        channels: Their channels.
+        stale: Rows that repeat another's measurement although the joints moved, shape (N,).
+    """
+    off = distance(r, robust_sigma(r, channels), channels)
+    return np.asarray(off > np.where(stale, SUSPECT, OUTLIER))
+
+
+def thin(rows: Rows, most: int) -> np.ndarray:
+    """Row numbers: all, or a reproducible random choice of about ``most`` of them in order, of every frame its share."""
+    if len(rows) <= most:
+        return np.arange(len(rows))
+    rng = np.random.default_rng(0)
+    pair = rows.world * (rows.tip.max() + 1) + rows.tip
+    chosen = []
+    for k in np.unique(pair):
+        own = np.flatnonzero(pair == k)
+        share = max(most * len(own) // len(rows), min(len(own), FEWEST))
+        chosen.append(rng.choice(own, share, replace=False))
+    return np.sort(np.concatenate(chosen))
+
+
+def _weights(outliers: np.ndarray) -> np.ndarray:
+    """Weights of rows, shape (N,): none for outliers, one for all others."""
+    return np.where(outliers, 0.0, 1.0)
+
+
+def _narrowed(problem: Problem, kept: Sequence[int]) -> Problem:
+    """The same rows for fewer coefficients: their bases follow."""
+    model = problem.model
+    if len(kept) == len(model.coefficients):
+        return problem
+    varies = [not c.basis.constant or c.station is not None for c in model.coefficients]
+    varying = [int(k) for k in np.flatnonzero(varies)]
+    columns = [varying.index(k) for k in kept if k in varying]
+    rows = replace(problem.rows, phi=problem.rows.phi[:, columns])
+    return Problem(model.with_coefficients([model.coefficients[k] for k in kept]), problem.data, rows)
+
+
+def _condition(H: np.ndarray) -> float:
+    """Condition number of the Jacobian with its columns scaled to length 1, from J'J."""
+    if not len(H):
+        return 1.0
+    length = np.sqrt(np.maximum(np.diag(H), TINY))
+    return float(np.sqrt(np.linalg.cond(H / length / length[:, None])))
+
+
+def _with_prior(
+    equations: NormalEquations, sigma: np.ndarray, theta: np.ndarray, prior: Prior | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """H and g of a step from theta, the prior's pull included."""
+    H, g = equations.information(sigma), equations.pull(sigma)
+    if prior is not None:
+        H, g = H + prior.precision, g + prior.precision @ (prior.mean - theta)
+    return H, g
+
+
+def _cost(
+    r: np.ndarray, weight: np.ndarray, channels: Channels, sigma: np.ndarray, theta: np.ndarray, prior: Prior | None
+) -> float:
+    """Sum of squares in sigmas, and what the prior adds."""
+    value = float(np.sum(weighted_squares(r, weight, channels) / sigma**2))
+    if prior is not None:
+        off = theta - prior.mean
+        value += float(off @ prior.precision @ off)
+    return value
+
+
+def _solve(H: np.ndarray, b: np.ndarray, prior: Prior | None, damping: float = 0.0) -> np.ndarray:
+    """H^-1 b, shape of b, in the combinations that the prior holds independent."""
+    if prior is None or prior.basis is None:
+        return solve(H, b, damping)
+    B = prior.basis
+    return np.asarray(B @ solve(B.T @ H @ B, B.T @ b, damping))
+
+
+def _estimate(equations: NormalEquations, sigma: np.ndarray, prior: Prior | None) -> np.ndarray:
+    """Noise of each channel from the residuals, shape (C,): sum of squares over the degrees of freedom that it has left."""
+    H = equations.information(sigma)
+    if prior is not None:
+        H = H + prior.precision
+    spent = equations.spent(_solve(H, np.eye(len(H)), prior), sigma)
+    freedom = equations.count - spent
+    left = np.sqrt(equations.rr / np.where(freedom > LEAST_FREEDOM, freedom, 1.0))
+    return np.where(freedom > LEAST_FREEDOM, np.maximum(left, FLOOR), sigma)

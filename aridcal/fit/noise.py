@@ -1,0 +1,88 @@
+"""What repeats say of the noise, and what the rows' own scatter says of a declared one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from aridcal.inputs.channels import Channel, columns
+from aridcal.inputs.dataset import Dataset
+
+
+@dataclass(frozen=True)
+class Repeats:
+    """Rows that repeat a configuration (ISO 9283's attained poses).
+
+    Attributes:
+        groups: Number of configurations that were measured more than once.
+        rows: Rows in them.
+        sigma: Scatter within them in each channel, per axis, shape (C,).
+        repeatability: RP: mean distance to the group's centre plus three standard deviations, over all groups, [m].
+    """
+
+    groups: int
+    rows: int
+    sigma: np.ndarray
+    repeatability: float
+
+
+def repeats(rows: Dataset, residual: np.ndarray) -> Repeats | None:
+    """Scatter of rows that repeat a configuration; None where none does.
+
+    Residuals, not raw poses, are compared: readings of repeats differ a little, and the model knows how much.
+
+    Args:
+        rows: N rows.
+        residual: Of each, in world axes, shape (N, m), [m] and [rad].
+    """
+    label = rows.configuration
+    size = np.bincount(label)
+    own = size[label] > 1
+    groups = int((size > 1).sum())
+    if groups == 0:
+        return None
+    total = np.zeros((len(size), residual.shape[1]))
+    np.add.at(total, label, residual)
+    centre = total[label] / size[label, None]
+    off = (residual - centre)[own]
+    parts = zip(rows.channels, columns(rows.channels), strict=True)
+    sigma = np.array([_scatter(off[:, part], channel, groups) for channel, part in parts])
+    # The centre is estimated from the same rows: distances come out too short by this factor.
+    n = size[label[own]]
+    distance = np.linalg.norm(off[:, :3], axis=1) * np.sqrt(n / (n - 1.0))
+    return Repeats(groups, int(own.sum()), sigma, float(distance.mean() + 3.0 * distance.std(ddof=1)))
+
+
+def _scatter(off: np.ndarray, channel: Channel, groups: int) -> float:
+    """Sigma per axis of deviations from their groups' centres, shape (n, size)."""
+    freedom = float(channel.size) * (len(off) - groups)
+    return float(np.sqrt(np.sum(off**2) / freedom))
+
+
+def declared_notices(rows: Dataset, estimated: np.ndarray, numbers: float) -> Sequence[str]:
+    """Sentences on declared noise that the residuals contradict.
+
+    Args:
+        rows: What was measured, and the noise declared.
+        estimated: Noise that the residuals show, shape (C,).
+        numbers: Degrees of freedom behind it.
+    """
+    said = []
+    for channel, stated, seen in zip(rows.channels, rows.sigma, estimated, strict=True):
+        if stated:
+            ratio = seen / stated
+            chance = SURE_SIGMAS / np.sqrt(2.0 * max(numbers, 1.0))
+            if abs(np.log(ratio)) > max(WORTH_SAYING, chance):
+                small = "an error remains, or the declared noise is too small"
+                meaning = small if ratio > 1 else "the declared noise is too large"
+                said.append(f"the residual is {ratio:.2g} times the declared {channel.name} noise: {meaning}")
+    return said
+
+
+WORTH_SAYING = 0.2
+"""Logarithm of the ratio of seen to declared noise that is worth a word: people state their noise to about 20 %."""
+
+SURE_SIGMAS = 4.0
+"""Standard deviations of the estimated logarithm of a sigma, 1 / sqrt(2 n), that chance hardly makes."""

@@ -1,0 +1,185 @@
+r"""Normal equations of weighted linear least squares, channel by channel: the one type that all fits and tests share.
+
+For columns A and right-hand side r, split into channels c of noise :math:`\sigma_c`,
+
+.. math:: H = \sum_c A_c^T A_c / \sigma_c^2, \qquad g = \sum_c A_c^T r_c / \sigma_c^2, \qquad \theta = (H + P)^{-1} g
+
+with P the precision of a prior. The sums are kept for unit noise, so that the noise can be estimated with theta and
+rows can be taken out (:meth:`NormalEquations.minus`) without a second look at the data.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import LinAlgError, cho_factor, cho_solve
+from scipy.linalg.lapack import dpotrf, dpotri
+
+TINY = 1e-300
+"""Stands for nothing where a logarithm or a division needs something."""
+
+RIDGE = 1e-13
+"""Added to the unit diagonal of balanced equations: a thousand roundings, so that columns that nearly coincide factorise."""
+
+RANK = 1e-12
+"""Share of the largest singular value below which a direction of balanced equations is rounding."""
+
+
+@dataclass(frozen=True)
+class NormalEquations:
+    """Sums over rows for unit noise, K unknowns, C channels.
+
+    Attributes:
+        AA: A'A, shape (C, K, K).
+        Ar: A'r, shape (C, K).
+        rr: r'r, shape (C,).
+        count: Numbers measured, shape (C,).
+    """
+
+    AA: np.ndarray
+    Ar: np.ndarray
+    rr: np.ndarray
+    count: np.ndarray
+
+    def information(self, sigma: np.ndarray) -> np.ndarray:
+        """H, shape (K, K), for noise of shape (C,)."""
+        return np.asarray((self.AA / (sigma**2)[:, None, None]).sum(axis=0))
+
+    def pull(self, sigma: np.ndarray) -> np.ndarray:
+        """g, shape (K,)."""
+        return np.asarray((self.Ar / (sigma**2)[:, None]).sum(axis=0))
+
+    def squares_left(self, theta: np.ndarray) -> np.ndarray:
+        """Sum of squares that a solution leaves in each channel, shape (C,)."""
+        left = self.rr - 2 * self.Ar @ theta + np.einsum("i,cij,j->c", theta, self.AA, theta)
+        return np.maximum(left, 0.0)
+
+    def spent(self, inverse: np.ndarray, sigma: np.ndarray) -> np.ndarray:
+        """Degrees of freedom that each channel gives up: tr(H^-1 A_c'A_c) / sigma_c^2, shape (C,)."""
+        return np.asarray(np.einsum("ij,cij->c", inverse, self.AA) / sigma**2)
+
+    def minus(self, other: NormalEquations) -> NormalEquations:
+        """What is left when the rows of others are taken out."""
+        return NormalEquations(self.AA - other.AA, self.Ar - other.Ar, self.rr - other.rr, self.count - other.count)
+
+    def part(self, keep: np.ndarray) -> NormalEquations:
+        """Those of some of the unknowns."""
+        return NormalEquations(self.AA[:, keep][:, :, keep], self.Ar[:, keep], self.rr, self.count)
+
+    def extended(self, A: Sequence[np.ndarray], C: Sequence[np.ndarray], r: Sequence[np.ndarray]) -> NormalEquations:
+        """Those of columns A with columns C added, where those of A are known; one array for each channel."""
+        cross = np.array([a.T @ c for a, c in zip(A, C, strict=True)])
+        own = np.array([c.T @ c for c in C])
+        pull = np.array([c.T @ b for c, b in zip(C, r, strict=True)])
+        AA = _bordered(self.AA, cross, own)
+        return NormalEquations(AA, np.hstack([self.Ar, pull]), self.rr, self.count)
+
+    def combined(self, T: np.ndarray) -> NormalEquations:
+        """Those with the last d unknowns replaced by combinations of them, T of shape (d, new)."""
+        first = self.AA.shape[1] - len(T)
+        kept, replaced = slice(first), slice(first, None)
+        cross = self.AA[:, kept, replaced] @ T
+        own = T.T @ self.AA[:, replaced, replaced] @ T
+        AA = _bordered(self.AA[:, kept, kept], cross, own)
+        pull = self.Ar[:, replaced] @ T
+        return NormalEquations(AA, np.hstack([self.Ar[:, kept], pull]), self.rr, self.count)
+
+
+def accumulate(A: Sequence[np.ndarray], r: Sequence[np.ndarray]) -> NormalEquations:
+    """Sums of columns (n, K) and right-hand sides (n,), one of each for every channel."""
+    information = np.array([a.T @ a for a in A])
+    pull = np.array([a.T @ b for a, b in zip(A, r, strict=True)])
+    squares = np.array([b @ b for b in r])
+    count = np.array([float(len(b)) for b in r])
+    return NormalEquations(information, pull, squares, count)
+
+
+def _bordered(first: np.ndarray, cross: np.ndarray, last: np.ndarray) -> np.ndarray:
+    """Symmetric matrices from their blocks: (C, K, K), (C, K, d) and (C, d, d) to (C, K + d, K + d)."""
+    upper = np.concatenate([first, cross], axis=2)
+    lower = np.concatenate([cross.transpose(0, 2, 1), last], axis=2)
+    return np.concatenate([upper, lower], axis=1)
+
+
+def balanced(H: np.ndarray, ridge: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    """H brought to unit diagonal (plus a ridge), and the scale of its unknowns: metres and radians must not upset the rank.
+
+    An unknown that moves nothing keeps a diagonal of 1 and a scale of 0: its solution is 0.
+    """
+    diagonal = np.diag(H)
+    moves = diagonal > TINY
+    scale = np.where(moves, 1.0 / np.sqrt(np.where(moves, diagonal, 1.0)), 0.0)
+    return H * scale * scale[:, None] + np.diag(np.where(moves, ridge, 1.0)), scale
+
+
+def inverse(H: np.ndarray) -> np.ndarray:
+    """H^-1 by Cholesky with a :data:`RIDGE`; the pseudo-inverse where H is singular. Twice as fast as :func:`solve`."""
+    if not len(H):
+        return H
+    S, scale = balanced(H, RIDGE)
+    factor, failed = dpotrf(S, lower=1)
+    if failed:
+        found = np.asarray(np.linalg.pinv(S, hermitian=True, rcond=RANK))
+    else:
+        lower = np.tril(dpotri(factor, lower=1)[0])
+        found = lower + np.tril(lower, -1).T
+    return found * scale * scale[:, None]
+
+
+def solve(H: np.ndarray, g: np.ndarray, damping: float = 0.0, ridge: float = 0.0) -> np.ndarray:
+    """(H + damping)^-1 g by Cholesky, damping in units of H's diagonal; the shortest solution where H is singular.
+
+    Args:
+        H: Shape (K, K).
+        g: Shape (K,) or (K, n).
+        damping: Levenberg's, for steps that overshoot.
+        ridge: See :data:`RIDGE`.
+    """
+    S, scale = balanced(H, ridge)
+    S = S + damping * np.eye(len(H))
+    pull = (g.T * scale).T
+    try:
+        found = cho_solve(cho_factor(S), pull)
+    except LinAlgError:
+        found = np.linalg.pinv(S, hermitian=True, rcond=RANK) @ pull
+    return np.asarray((found.T * scale).T)
+
+
+def projected(
+    H: np.ndarray, g: np.ndarray, others: np.ndarray, others_inverse: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    r"""Equations of some unknowns with others solved for: the Schur complement.
+
+    .. math:: M = H_{bb} - H_{ba} H_{aa}^{-1} H_{ab}, \qquad s = g_b - H_{ba} H_{aa}^{-1} g_a
+
+    Args:
+        H: Shape (K, K).
+        g: Shape (K,).
+        others: Mask of the unknowns a that are solved for, shape (K,).
+        others_inverse: H_aa^-1, with a prior if there is one.
+
+    Returns:
+        M of shape (d, d) and s of shape (d,) for the d unknowns b.
+    """
+    own = ~others
+    cross = H[np.ix_(own, others)]
+    M = H[np.ix_(own, own)] - cross @ others_inverse @ cross.T
+    return M, g[own] - cross @ (others_inverse @ g[others])
+
+
+def without(H: np.ndarray, theta: np.ndarray, gone: np.ndarray, free: np.ndarray) -> np.ndarray:
+    r"""Solution when some unknowns become zero and others follow, from the solution of all.
+
+    .. math:: \theta_F = \theta^*_F + H_{FF}^{-1} H_{FG} \theta^*_G
+
+    Args:
+        H: Information of all, shape (K, K).
+        theta: Their solution theta*, shape (K,).
+        gone: Unknowns G that become zero, shape (K,) bool.
+        free: Unknowns F that follow, shape (K,) bool; the rest stay.
+    """
+    moved = np.where(gone, 0.0, theta)
+    moved[free] += np.linalg.solve(H[np.ix_(free, free)], H[np.ix_(free, gone)] @ theta[gone])
+    return moved

@@ -1,0 +1,232 @@
+"""A model asked about the rows of a data set: measured minus predicted, its derivatives, and robust measures of size."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+from scipy.special import gammaincinv
+
+from aridcal.fit.normal_equations import NormalEquations
+from aridcal.inputs.channels import Channels, columns, norms, spread
+from aridcal.inputs.dataset import Dataset
+from aridcal.model.model import Model, Rows
+
+BLOCK = 512
+"""Rows differentiated at a time: they stay in the cache, and memory stays flat."""
+
+FLOOR = 1e-12
+"""[m] or [rad]: below this everything is rounding."""
+
+QUANTILES = (0.5, 0.9)
+"""Of the rows' norms that tell a sigma. A tenth of the rows may be wild; more than that is a part of the robot's life that
+the model lacks (one of two sides of a backlash, say) and must not be flagged away."""
+
+CAUCHY = 4.0
+"""Sigmas at which a row's weight has fallen to a half: one clean row of three numbers in a thousand is as far."""
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A model asked about the rows of a data set.
+
+    Attributes:
+        model: K coefficients.
+        data: N rows, m numbers each.
+        rows: The same rows as the model sees them.
+    """
+
+    model: Model
+    data: Dataset
+    rows: Rows
+
+    def __len__(self) -> int:
+        return len(self.data)
+
+    @property
+    def channels(self) -> Channels:
+        """What each row measures."""
+        return self.data.channels
+
+    def select(self, some: np.ndarray) -> Problem:
+        """The same question about some of the rows."""
+        return Problem(self.model, self.data.select(some), self.rows[some])
+
+    def residual(self, theta: np.ndarray) -> np.ndarray:
+        """Measured minus predicted in world axes, shape (N, m), [m] and [rad]."""
+        return residuals(*self.model.poses(theta, self.rows), self.data.position, self.data.rotation)
+
+    def scaled_residual(self, theta: np.ndarray) -> np.ndarray:
+        """The same, divided by the rows' relative sigmas."""
+        return scaled(self.residual(theta), self.data.relative)
+
+    def linearised(self, theta: np.ndarray, part: slice = slice(None)) -> tuple[np.ndarray, np.ndarray]:
+        """Scaled residuals (n, m) of a stretch of rows, and what each coefficient takes off them, shape (n, m, K)."""
+        data = self.data
+        R, p, J = self.model.jacobian(theta, self.rows[part])
+        r = residuals(R, p, data.position[part], None if data.rotation is None else data.rotation[part])
+        J = J[:, : r.shape[1]]
+        if data.relative is None:
+            return r, J
+        if data.rotation is not None:
+            # log(exp(r) exp(-w)) = r - (w + r x w / 2 + ...): matters only where a row's axes weigh unequally.
+            J[:, 3:] += 0.5 * np.cross(r[:, 3:, None], J[:, 3:], axis=1)
+        return scaled(r, data.relative[part]), scaled(J, data.relative[part])
+
+
+def problem(model: Model, data: Dataset) -> Problem:
+    """Ask a model about a data set.
+
+    Raises:
+        CovariateNotFound: an effect depends on a column that was not measured.
+        MeasurementError: a row's station is none of those that the model knows.
+    """
+    return Problem(model, data, model.rows(data.readings, data.covariates, data.station))
+
+
+def residuals(
+    rotation: np.ndarray, position: np.ndarray, measured_position: np.ndarray, measured_rotation: np.ndarray | None
+) -> np.ndarray:
+    """Measured minus predicted in world axes.
+
+    Args:
+        rotation: Predicted, shape (N, 3, 3).
+        position: Predicted, shape (N, 3), [m].
+        measured_position: Shape (N, 3), [m].
+        measured_rotation: Shape (N, 3, 3), or None.
+
+    Returns:
+        Position [m], then rotation vector [rad], shape (N, 6); positions alone, shape (N, 3), where no rotation was
+        measured.
+    """
+    r = measured_position - position
+    if measured_rotation is None:
+        return r
+    return np.hstack([r, rotation_vector(measured_rotation @ rotation.transpose(0, 2, 1))])
+
+
+def rotation_vector(R: np.ndarray) -> np.ndarray:
+    """Axis times angle of rotations, shape (N, 3, 3) to (N, 3); fast where they turn by less than 90 degrees."""
+    vector = 0.5 * np.stack([R[:, 2, 1] - R[:, 1, 2], R[:, 0, 2] - R[:, 2, 0], R[:, 1, 0] - R[:, 0, 1]], axis=1)
+    sine = np.sqrt(np.einsum("ni,ni->n", vector, vector))
+    cosine = 0.5 * (R[:, 0, 0] + R[:, 1, 1] + R[:, 2, 2] - 1.0)
+    angle = np.arctan2(sine, cosine)
+    per_sine = angle / np.where(sine > 0.0, sine, 1.0) + (sine == 0.0)
+    vector *= per_sine[:, None]
+    wide = cosine < 0.0
+    if wide.any():
+        vector[wide] = Rotation.from_matrix(R[wide], assume_valid=True).as_rotvec()
+    return vector
+
+
+def scaled(values: np.ndarray, relative: np.ndarray | None) -> np.ndarray:
+    """Residuals or columns, shape (N, m) or (N, m, K), divided by the rows' relative sigmas (see :class:`Dataset`)."""
+    if relative is None:
+        return values
+    wide = values.reshape(*values.shape[:2], -1)
+    divided = np.linalg.solve(relative, wide) if relative.ndim == 3 else wide / relative[:, :, None]
+    return np.asarray(divided.reshape(values.shape))
+
+
+def unscaled(r: np.ndarray, relative: np.ndarray | None) -> np.ndarray:
+    """Scaled residuals, shape (N, m), back in [m] and [rad]."""
+    if relative is None:
+        return r
+    return np.asarray(np.einsum("nij,nj->ni", relative, r) if relative.ndim == 3 else r * relative)
+
+
+def robust_sigma(r: np.ndarray, channels: Channels) -> np.ndarray:
+    """Sigma of each channel from the norms of scaled residuals, by two :data:`QUANTILES`: the larger counts.
+
+    Args:
+        r: Shape (N, m).
+        channels: C of them.
+
+    Returns:
+        Shape (C,).
+    """
+    found = []
+    for channel, length in zip(channels, norms(r, channels), strict=True):
+        seen = np.quantile(length, QUANTILES)
+        ratios = [float(q) / usual for q, usual in zip(seen, usual_norms(channel.size), strict=True)]
+        found.append(max(*ratios, FLOOR))
+    return np.array(found)
+
+
+@cache
+def usual_norms(size: int) -> tuple[float, ...]:
+    """Quantiles of the norm of so many standard normal numbers, at :data:`QUANTILES` (chi distribution)."""
+    return tuple(float(np.sqrt(2.0 * gammaincinv(0.5 * size, q))) for q in QUANTILES)
+
+
+def distance(r: np.ndarray, sigma: np.ndarray, channels: Channels) -> np.ndarray:
+    """How many sigmas per axis a row is off in its worst channel, shape (N,), from scaled residuals (N, m)."""
+    return np.asarray((norms(r, channels) / sigma[:, None]).max(axis=0))
+
+
+def cauchy(r: np.ndarray, sigma: np.ndarray, channels: Channels) -> np.ndarray:
+    """Weights that let go of far rows gradually (Cauchy's loss on the row's distance), shape (N,)."""
+    return 1.0 / (1.0 + (distance(r, sigma, channels) / CAUCHY) ** 2)
+
+
+@dataclass(frozen=True)
+class Linearisation:
+    """A problem at one place: residuals, weights and normal equations.
+
+    Attributes:
+        residual: Scaled, shape (N, m).
+        weight: Of each row, shape (N,).
+        equations: Their sums, weights included.
+    """
+
+    residual: np.ndarray
+    weight: np.ndarray
+    equations: NormalEquations
+
+
+def linearise(question: Problem, theta: np.ndarray, weight: np.ndarray | None, sigma: np.ndarray) -> Linearisation:
+    """Accumulate the normal equations, block by block.
+
+    Args:
+        question: K coefficients, N rows.
+        theta: Values of the coefficients, shape (K,).
+        weight: Of each row, shape (N,); None: Cauchy's, at scale ``sigma``.
+        sigma: See ``weight``, shape (C,).
+    """
+    channels, count = question.channels, len(theta)
+    AA, Ar = np.zeros((len(channels), count, count)), np.zeros((len(channels), count))
+    parts, used = [], []
+    for start in range(0, len(question), BLOCK):
+        block = slice(start, start + BLOCK)
+        r, J = question.linearised(theta, block)
+        w = cauchy(r, sigma, channels) if weight is None else weight[block]
+        root = np.sqrt(w)[:, None]
+        for k, part in enumerate(columns(channels)):
+            A = (J[:, part] * root[:, :, None]).reshape(r[:, part].size, count)
+            AA[k] += A.T @ A
+            Ar[k] += A.T @ (r[:, part] * root).ravel()
+        parts.append(r)
+        used.append(w)
+    residual, weight = np.concatenate(parts), np.concatenate(used)
+    rr = weighted_squares(residual, weight, channels)
+    numbers = np.array([channel.size * float(weight.sum()) for channel in channels])
+    return Linearisation(residual, weight, NormalEquations(AA, Ar, rr, numbers))
+
+
+def weighted_squares(residual: np.ndarray, weight: np.ndarray, channels: Channels) -> np.ndarray:
+    """Sum of squares of each channel, shape (C,), rows counted by weight."""
+    return np.array([float(weight @ np.sum(residual[:, part] ** 2, axis=1)) for part in columns(channels)])
+
+
+def triangle(question: Problem, theta: np.ndarray, weight: np.ndarray, sigma: np.ndarray) -> np.ndarray:
+    """Upper triangle R of the whitened Jacobian's QR, shape (<= K, K): all that rank and covariance need."""
+    per_number = spread(1.0 / sigma, question.channels)
+    R = np.empty((0, len(theta)))
+    for start in range(0, len(question), BLOCK):
+        block = slice(start, start + BLOCK)
+        r, J = question.linearised(theta, block)
+        whitened = J * (np.sqrt(weight[block])[:, None] * per_number)[:, :, None]
+        R = np.asarray(np.linalg.qr(np.vstack([R, whitened.reshape(r.size, len(theta))]), mode="r"))
+    return R

@@ -1,0 +1,152 @@
+"""The nominal and the geometric stage of a calibration: frames alone, then frames with the identifiable constants."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pinocchio as pin
+
+from aridcal.errors import MeasurementError, NotIdentifiable
+from aridcal.fit.constants import constants, frame_coefficients
+from aridcal.fit.frame_starts import FrameStart, start_frames
+from aridcal.fit.least_squares import Fit, fit, fit_identifiable, thin
+from aridcal.fit.residual import Problem, problem, residuals, robust_sigma, unscaled
+from aridcal.fit.restarts import with_restarts
+from aridcal.inputs.campaign import Campaign, FrameSettings
+from aridcal.inputs.dataset import Dataset
+from aridcal.model.model import Frames, Model
+from aridcal.robot.chain import Robot
+
+START_ROWS = 1000
+"""Rows that a start is found from: more sharpen it by nothing."""
+
+STRANGE_SHARE, STRANGE_LENGTH, STRANGE_ANGLE = 0.05, 5e-3, 0.2
+"""What no robot leaves after calibration, so that the measurements must be of something else: a twentieth of the targets'
+spread and 5 mm per axis, or 200 mrad per axis."""
+
+TURN_COUNTS = 0.1
+"""[m/rad]: how much a start's misfit in rotation counts beside that in position."""
+
+
+@dataclass(frozen=True)
+class Geometry:
+    """Two fits of the same rows: frames alone, and frames with the identifiable constants."""
+
+    nominal: Fit
+    geometric: Fit
+
+
+def fit_geometry(campaign: Campaign, robot: Robot, train: Dataset, labels: tuple[str, ...]) -> Geometry:
+    """Fit the frames alone, then the frames and the identifiable constants.
+
+    Args:
+        campaign: Which frames and which set of constants.
+        robot: The nominal chain.
+        train: Rows to fit.
+        labels: All stations, where a frame is per station.
+
+    Raises:
+        NotIdentifiable: nothing can be identified from these rows.
+        MeasurementError: the rows cannot be of this robot.
+    """
+    frames = frame_coefficients(campaign, labels)
+    best = _starts(campaign, robot, train, labels)[0]
+    asked = problem(Model(robot, frames, *_placements(best, campaign, labels)), train)
+    try:
+        nominal = fit_identifiable(asked, range(len(frames))) if frames else fit(asked)
+    except NotIdentifiable:
+        _refuse_strangers(asked.residual(np.zeros(len(frames))), train)
+        raise
+    candidates = frames + constants(robot, campaign.parameters.set)
+    if not candidates:
+        _refuse_strangers(unscaled(nominal.residual, train.relative), train)
+        return Geometry(nominal, nominal)
+    centred, _ = nominal.model.recentred(nominal.theta)
+    geometric = fit_identifiable(problem(centred.with_coefficients(candidates), train), range(len(candidates)))
+    _refuse_strangers(unscaled(geometric.residual, train.relative), train)
+    return Geometry(nominal, with_restarts(geometric, train))
+
+
+def recentred(fit: Fit) -> Fit:
+    """The same fit with its frames at their identified place: their coefficients' std is a twist in their own axes."""
+    model, theta = fit.model.recentred(fit.theta)
+    return replace(fit, model=model, theta=theta)
+
+
+def _refuse_strangers(residual: np.ndarray, train: Dataset) -> None:
+    """Refuse measurements that cannot be of this robot: a result would look like one and be none.
+
+    Args:
+        residual: What the geometry leaves, shape (N, m), [m] and [rad].
+        train: The rows.
+
+    Raises:
+        MeasurementError: naming what to check.
+    """
+    position, *rotation = robust_sigma(residual, train.channels)
+    centre = train.position - train.position.mean(axis=0)
+    spread = float(np.sqrt(np.mean(np.sum(centre**2, axis=1))))
+    if position > max(STRANGE_SHARE * spread, STRANGE_LENGTH):
+        left = f"{1e3 * position:.0f} mm per axis of the {1e3 * spread:.0f} mm by which the targets spread"
+        advice = "every joint's column, unit, sign and order of rows, and the unit of the positions"
+    elif rotation and rotation[0] > STRANGE_ANGLE:
+        left = f"{1e3 * rotation[0]:.0f} mrad per axis"
+        advice = "the order qx qy qz qw, `orientation` and its unit"
+    else:
+        return
+    raise MeasurementError(
+        f"{train.title}: these measurements are not of this robot: {left} cannot be explained. Check {advice}; "
+        "that the URDF is the right one; and whether tracker or target were moved in between (then `per: station`)"
+    )
+
+
+def _starts(campaign: Campaign, robot: Robot, train: Dataset, labels: tuple[str, ...]) -> list[FrameStart]:
+    """Closed-form starts of the frames, the best first."""
+    bare = Problem(Model(robot, ()), train, Model(robot, ()).rows(train.readings))
+    settings = (campaign.frames.world_base, campaign.frames.tip_target)
+    indices = [_frame_of_each_row(frame, train, labels) for frame in settings]
+    counts = [len(labels) if frame.per == "station" else 1 for frame in settings]
+    hints = [(_placement(frame),) * n for frame, n in zip(settings, counts, strict=True)]
+    known = [None if frame.identify else hint for frame, hint in zip(settings, hints, strict=True)]
+    some = thin(replace(bare.rows, world=indices[0], tip=indices[1]), START_ROWS)
+    R, p = bare.model.poses(np.zeros(0), bare.rows[some])
+    world, tip = indices[0][some], indices[1][some]
+    measured = train.position[some], None if train.rotation is None else train.rotation[some]
+    starts = start_frames(R, p, *measured, world, tip, known[0], known[1], hints[1])
+
+    def misfit(start: FrameStart) -> float:
+        X = np.array([f.homogeneous for f in start.world_base])[world]
+        Y = np.array([f.homogeneous for f in start.tip_target])[tip]
+        T = np.broadcast_to(np.eye(4), (len(p), 4, 4)).copy()
+        T[:, :3, :3], T[:, :3, 3] = R, p
+        T = X @ T @ Y
+        sigma = robust_sigma(residuals(T[:, :3, :3], T[:, :3, 3], *measured), train.channels)
+        return float(sigma[0] + TURN_COUNTS * sigma[1:].sum())
+
+    return sorted(starts, key=misfit)
+
+
+def _frame_of_each_row(settings: FrameSettings, train: Dataset, labels: tuple[str, ...]) -> np.ndarray:
+    """Number of the frame that each row belongs to, shape (N,)."""
+    if settings.per != "station":
+        return np.zeros(len(train), dtype=int)
+    if train.station is None or not labels:
+        raise MeasurementError("a frame is per station: the table needs a `station` column")
+    number = {label: k for k, label in enumerate(labels)}
+    return np.array([number[s] for s in train.station], dtype=int)
+
+
+def _placements(start: FrameStart, campaign: Campaign, labels: tuple[str, ...]) -> tuple[Frames, Frames]:
+    """Frames of the model, with their labels."""
+    world, tip = campaign.frames.world_base, campaign.frames.tip_target
+    return _labelled(world, start.world_base, labels), _labelled(tip, start.tip_target, labels)
+
+
+def _labelled(settings: FrameSettings, placements: tuple[pin.SE3, ...], labels: tuple[str, ...]) -> Frames:
+    names: tuple[str | None, ...] = labels if settings.per == "station" else (None,)
+    return tuple(zip(names, placements, strict=True))
+
+
+def _placement(settings: FrameSettings) -> pin.SE3:
+    return pin.SE3(pin.rpy.rpyToMatrix(np.array(settings.rpy)), np.array(settings.xyz))

@@ -1,0 +1,250 @@
+"""The shots of a campaign: what was seen in each, from its image or from the cache of an earlier run, and their rows.
+
+Fiducials are all that is kept of an image. They are cached as ``fiducials.csv``, a line for each fiducial, with a digest of all
+that they depend on, so that a second run needs no image and an image that changed is read anew.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from aridcal.errors import AridcalError, MeasurementError
+from aridcal.head.charuco import corner_places
+from aridcal.head.fiducials import Fiducials
+from aridcal.head.matching import NotMeasured, spans_plane
+from aridcal.head.reduction import Head, Reduced, Seen, reduce_shots, start_anywhere
+from aridcal.head.shots import Shot, board, load, measure_shots, read_ranges
+from aridcal.head.square import CENTRES
+from aridcal.inputs.campaign import Campaign, FrameSettings
+from aridcal.inputs.dataset import Dataset, RowNoise, weighed
+from aridcal.inputs.head_settings import HeadSettings, range_columns
+from aridcal.inputs.read import load_measurements
+from aridcal.inputs.tables import Remark, Table, read_tables
+from aridcal.robot.chain import Robot
+
+CACHE = "fiducials.csv"
+INDEX_COLUMNS = ("shot", "square", "fiducial")
+NUMBER_COLUMNS = ("u", "v", "std_u", "std_v")
+CACHE_COLUMNS = (*INDEX_COLUMNS, *NUMBER_COLUMNS, "digest")
+
+# Of a pixel: far below any noise, and the same from a cache as from images.
+DECIMALS = 5
+
+# Hexadecimal digits: 64 bits, so that a change goes unnoticed once in 10^19 times.
+DIGEST_LENGTH = 16
+
+
+@dataclass(frozen=True)
+class Shots:
+    """What the head saw, shot by shot, N of them.
+
+    Attributes:
+        campaign: The job, its target at the camera: ``tip_target`` is T_tip_camera, and what head.yaml says of it is a hint.
+        head: As head.yaml declares it.
+        rows: Joints, covariates and split of each shot; no pose yet.
+        seen: What was found in each.
+        fiducials: The cache: a line for each fiducial.
+        mount: T_tip_camera as head.yaml has it, shape (4, 4).
+    """
+
+    campaign: Campaign
+    head: Head
+    rows: Dataset
+    seen: tuple[Seen, ...]
+    fiducials: pd.DataFrame
+    mount: np.ndarray
+
+
+def read_shots(
+    campaign: Campaign, robot: Robot, cache: Path | None, seed: int, progress: Callable[[str], None]
+) -> Shots:
+    """Read the shots of a campaign; images only where the cache does not know them.
+
+    Args:
+        campaign: Of ``kind: camera_sonar``.
+        robot: The nominal chain.
+        cache: ``fiducials.csv`` of an earlier run; it need not exist.
+        seed: Of the split into train and test.
+        progress: Called with what is being done.
+
+    Raises:
+        AridcalError: A file is wrong, or nothing could be measured.
+    """
+    assert campaign.measurements.head is not None
+    settings, squares, table, shots = load(campaign.measurements.head)
+    campaign = _with_head(campaign, settings, table)
+    limits, kinds = robot.limits, robot.kinds
+    rows = load_measurements(campaign, robot.readings, limits, kinds, seed, files=[settings.shots], require_pose=False)
+    lines = rows.line.tolist()
+    usable = set(lines)
+    by_line = {shot.line: shot for shot in shots if shot.line in usable}
+    found, refused = _fiducials(list(by_line.values()), settings, squares, cache, progress)
+    seen: dict[int, Seen] = {}
+    for line in lines:
+        if line in refused:
+            continue
+        try:
+            seen[line] = _seen(by_line[line], found[line], settings, squares)
+        except (NotMeasured, ValueError) as refusal:
+            refused[line] = str(refusal)
+    if not seen:
+        line, why = next(iter(refused.items()))
+        raise AridcalError(f"{settings.shots}: nothing could be measured. First: line {line}: {why}")
+    remarks = [Remark(settings.shots.name, line, "image", by_line[line].image, why) for line, why in refused.items()]
+    every = sorted((*rows.refused, *remarks), key=lambda remark: remark.row or 0)
+    kept = rows.select(np.isin(rows.line, list(seen)))
+    return Shots(
+        campaign=campaign,
+        head=Head.of(settings),
+        rows=replace(kept, refused=tuple(every)),
+        seen=tuple(seen.values()),
+        fiducials=pd.concat([found[line] for line in seen], ignore_index=True),
+        mount=settings.tip_camera.homogeneous,
+    )
+
+
+def _with_head(campaign: Campaign, settings: HeadSettings, table: Table) -> Campaign:
+    """Put the target at the camera, and leave the columns that describe shots out of the covariates."""
+    own = [name for name in ("image", "square", "shot", *range_columns(settings)) if name in table.names]
+    ignore = dict.fromkeys((*campaign.measurements.ignore, *own))
+    measurements = campaign.measurements.model_copy(update={"ignore": tuple(ignore)})
+    mount = FrameSettings(xyz=settings.tip_camera.xyz, rpy=settings.tip_camera.rpy)
+    frames = campaign.frames.model_copy(update={"tip_target": mount})
+    return campaign.model_copy(update={"measurements": measurements, "frames": frames})
+
+
+def posed(rows: Dataset, reduced: Reduced, noise: str) -> Dataset:
+    """The shots as measured poses of the camera; those that do not fit together within themselves own up to it.
+
+    Args:
+        rows: N shots.
+        reduced: What they say.
+        noise: What the rows' own covariances are taken for: ``relative``, ``absolute`` or ``ignore``.
+    """
+    doubt = 1.0 / reduced.trust
+    T = reduced.T_world_camera
+    seen = replace(rows, position=T[:, :3, 3], rotation=T[:, :3, :3])
+    if noise == "ignore":
+        return weighed(seen, RowNoise())
+    return weighed(seen, RowNoise(covariance=reduced.covariance * doubt[:, None, None], absolute=noise == "absolute"))
+
+
+def _fiducials(
+    shots: Sequence[Shot],
+    settings: HeadSettings,
+    squares: Mapping[int, np.ndarray],
+    cache: Path | None,
+    progress: Callable[[str], None],
+) -> tuple[dict[int, pd.DataFrame], dict[int, str]]:
+    """Give the fiducials of each shot, and why the others have none.
+
+    Lines of the cache are taken if their digest is that of the shot as it is now, or if its image is no longer there.
+
+    Returns:
+        Lines of the cache (M, 8) by the line of their shot; refusals likewise.
+    """
+    known = _cached(cache)
+    digests = _digests(shots, settings, squares)
+    found: dict[int, pd.DataFrame] = {}
+    for shot in shots:
+        lines = known.get(shot.line)
+        if lines is not None and digests[shot.line] in ("", lines["digest"].iloc[0]):
+            found[shot.line] = lines
+    todo = [shot for shot in shots if shot.line not in found]
+    refused: dict[int, str] = {}
+    if todo:
+        progress(f"reading {len(todo)} images")
+    for measured in measure_shots(todo, settings, squares):
+        line = measured.shot.line
+        if measured.fiducials is None:
+            refused[line] = measured.why
+        else:
+            found[line] = _lines(line, measured.fiducials).assign(digest=digests[line])
+    return found, refused
+
+
+def _lines(shot: int, fiducials: Fiducials) -> pd.DataFrame:
+    """Write the fiducials of a shot as lines of the cache, less the digest.
+
+    Of a centre's covariance the standard deviations along u and v are kept.
+    """
+    sigma = np.sqrt(np.diagonal(fiducials.covariances, axis1=1, axis2=2))
+    numbers = np.round(np.hstack([fiducials.pixels, sigma]), DECIMALS)
+    lines = pd.DataFrame(numbers, columns=list(NUMBER_COLUMNS))
+    lines.insert(0, "shot", shot)
+    lines.insert(1, "square", fiducials.layout.square)
+    lines.insert(2, "fiducial", fiducials.layout.fiducial)
+    return lines
+
+
+def _digests(shots: Sequence[Shot], settings: HeadSettings, squares: Mapping[int, np.ndarray]) -> dict[int, str]:
+    """Say in short what the fiducials of each shot depend on, by its line."""
+    places = sorted((index, T.tobytes()) for index, T in squares.items())
+    about = repr((settings.camera, settings.sonars, settings.target, places))
+    return {shot.line: _digest(shot, settings, about) for shot in shots}
+
+
+def _digest(shot: Shot, settings: HeadSettings, about: str) -> str:
+    """Say in short what the fiducials of a shot depend on; empty if its image is not there to ask."""
+    path = settings.shots.parent / shot.image
+    if not path.is_file():
+        return ""
+    place = f"{shot.square} {shot.T_world_camera} {about}"
+    content = path.read_bytes() + shot.ranges.tobytes() + place.encode()
+    return hashlib.sha256(content).hexdigest()[:DIGEST_LENGTH]
+
+
+def _cached(cache: Path | None) -> dict[int, pd.DataFrame]:
+    """Read the fiducials by the line of their shot; a cache that cannot be read is none."""
+    if cache is None or not cache.is_file():
+        return {}
+    try:
+        table = read_tables([cache])
+        table.require(CACHE_COLUMNS)
+    except MeasurementError:
+        return {}
+    lines = pd.DataFrame({name: table.numbers(name)[0] for name in (*INDEX_COLUMNS, *NUMBER_COLUMNS)})
+    if table.refused or not np.isfinite(lines.to_numpy()).all():
+        return {}
+    lines = lines.astype(dict.fromkeys(INDEX_COLUMNS, int))
+    lines["digest"] = table.texts("digest")
+    by_shot = (own.reset_index(drop=True) for _, own in lines.groupby("shot", sort=False))
+    return {int(own["shot"].iloc[0]): own for own in by_shot}
+
+
+def _seen(shot: Shot, lines: pd.DataFrame, settings: HeadSettings, squares: Mapping[int, np.ndarray]) -> Seen:
+    """Give fiducials their places on the square that is listed first, and try that they fit a pose.
+
+    Raises:
+        NotMeasured: They do not, or a range is wrong.
+        ValueError: Likewise.
+    """
+    sonars = read_ranges(shot.ranges, settings)
+    own = int(lines["square"].iloc[0])
+    points = _places(lines, own, settings, squares)
+    if not spans_plane(points):
+        raise NotMeasured("three fiducials that are not on one line are needed")
+    pixels = lines[["u", "v"]].to_numpy()
+    sigma = lines[["std_u", "std_v"]].to_numpy()
+    start = start_anywhere(points, pixels, sonars, settings.camera.intrinsics)
+    covariances = sigma[:, :, None] ** 2 * np.eye(2)
+    seen = Seen(points, pixels, covariances, shot.ranges, squares[own], start)
+    reduce_shots([seen], Head.of(settings))
+    return seen
+
+
+def _places(lines: pd.DataFrame, own: int, settings: HeadSettings, squares: Mapping[int, np.ndarray]) -> np.ndarray:
+    """Return the places of fiducials, or of a board's corners, in the frame of one square, shape (M, 3), [m]."""
+    number = lines["fiducial"].to_numpy()
+    if settings.target == "charuco":
+        return corner_places(board(settings))[number]
+    T_own_world = np.linalg.inv(squares[own])
+    T_own_square = np.array([T_own_world @ squares[int(k)] for k in lines["square"]])
+    xy_axes, origin = T_own_square[:, :3, :2], T_own_square[:, :3, 3]
+    return np.asarray(np.einsum("nij,nj->ni", xy_axes, CENTRES[number - 1]) + origin)

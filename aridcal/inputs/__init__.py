@@ -1,0 +1,1 @@
+"""Files to data: campaign, tables, quantities in SI, repeats and the split."""

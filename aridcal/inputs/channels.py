@@ -1,0 +1,75 @@
+"""What a row measures, as data: channels, each with a name, a unit and so many numbers a row.
+
+A residual has one column for each number, channel after channel: three of the position [m], then three of the rotation
+[rad] for poses. Noise belongs to a channel: one sigma for all its numbers. Nothing beyond this module knows which
+channels there are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import accumulate, pairwise
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One kind of number that is measured.
+
+    Attributes:
+        name: ``position``, for instance.
+        unit: Of the numbers inside, SI.
+        axes: Names of the numbers that a row has of it, in files and figures.
+        shown: Unit in which people read it.
+        scale: Of those in one of ``unit``.
+        noun: What a residual of it is called, ``position error`` for instance.
+    """
+
+    name: str
+    unit: str
+    axes: tuple[str, ...]
+    shown: str
+    scale: float
+    noun: str
+
+    @property
+    def size(self) -> int:
+        """Numbers that a row has of it."""
+        return len(self.axes)
+
+    @property
+    def title(self) -> str:
+        """What a residual of it is called, with the unit that is shown."""
+        return f"{self.noun} [{self.shown}]"
+
+    @property
+    def key(self) -> str:
+        """Name with the unit that is shown, ``position_mm``."""
+        return f"{self.name}_{self.shown}"
+
+
+# Of the target, in world axes.
+TARGET_POSITION = Channel("position", "m", ("x", "y", "z"), "mm", 1e3, "position error")
+
+# Of the target, as a rotation vector in world axes.
+TARGET_ROTATION = Channel("rotation", "rad", ("rx", "ry", "rz"), "mrad", 1e3, "rotation error")
+
+Channels = tuple[Channel, ...]
+
+
+def columns(channels: Sequence[Channel]) -> tuple[slice, ...]:
+    """Columns of each channel in a row's residual."""
+    ends = accumulate((channel.size for channel in channels), initial=0)
+    return tuple(slice(low, high) for low, high in pairwise(ends))
+
+
+def spread(values: np.ndarray, channels: Sequence[Channel]) -> np.ndarray:
+    """One value for each number of a row, shape (m,), from one for each channel, shape (C,)."""
+    return np.repeat(values, [channel.size for channel in channels])
+
+
+def norms(residual: np.ndarray, channels: Sequence[Channel]) -> np.ndarray:
+    """Length of each row's residual in each channel, shape (C, N), from residuals of shape (N, m)."""
+    return np.array([np.linalg.norm(residual[:, part], axis=1) for part in columns(channels)])

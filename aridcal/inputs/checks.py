@@ -1,0 +1,168 @@
+"""Are the data in the stated units, inside the limits, renewed at each row?"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+
+import numpy as np
+import pandas as pd
+
+from aridcal.errors import MeasurementError
+from aridcal.inputs.quantities import POSITION, STD, TURNS, Source
+from aridcal.inputs.repeats import first_alike, tolerances
+from aridcal.robot.chain import JointKind
+
+# A limit may be printed with few digits, [rad] or [m].
+LIMIT_SLACK = 1e-5
+
+# Farther than any arm reaches, [m].
+FAR = 100.0
+
+# A target that stays within this while joints turn is in the wrong unit, [m].
+STUCK = 0.02
+
+# A joint that covers this turns, [rad]; two that do move a target by more than any tool is short.
+TURNED = 0.5
+
+# Once round, [rad].
+TURN = 2 * np.pi
+
+# Share of the rows that must be impossible before all are refused: fewer are bad rows, not a wrong unit.
+MOST = 0.5
+
+
+def nothing_usable(source: Source) -> MeasurementError:
+    """The error for a table of which every row is refused: the commonest reasons, and the first."""
+    refused = source.refusals()
+    counts = Counter(remark.why for remark in refused)
+    reasons = "; ".join(f"{count} x {why}" for why, count in counts.most_common(3))
+    of_sigma = {source.column(name) for name in STD}
+    sigmas = any(remark.column in of_sigma for remark in refused)
+    hint = ". To do without the std_* columns, write `noise: {rows: ignore}`" if sigmas else ""
+    return MeasurementError(f"{source.table.title}: no usable row: {reasons}. First: {refused[0]}{hint}")
+
+
+def refuse_copies(source: Source, columns: Sequence[np.ndarray | None], station: np.ndarray | None) -> None:
+    """Of rows that are the same in every column keep the first."""
+    rows = np.flatnonzero(source.usable)
+    there = [column[rows] for column in columns if column is not None]
+    cells = pd.DataFrame(np.column_stack(there))
+    if station is not None:
+        cells["station"] = station[rows]
+    first = rows[first_alike(cells)]
+    copies = rows != first
+    table = source.table
+    for row, kept in zip(rows[copies].tolist(), first[copies].tolist(), strict=True):
+        home = table.file[kept]
+        file = "" if table.file[row] == home else f" of {table.files[home].name}"
+        source.refused.append(table.remark(row, "", f"identical to line {table.line[kept]}{file}"))
+        source.usable[row] = False
+
+
+def stale_rows(source: Source, q: np.ndarray, kinds: Sequence[JointKind], measured: np.ndarray) -> np.ndarray:
+    """For each row the earlier row whose measurement it repeats bit for bit although the joints moved, -1 if none.
+
+    Args:
+        source: The table; only its usable rows are looked at.
+        q: Readings, shape (N, columns), [rad] or [m].
+        kinds: Of each.
+        measured: What was measured, shape (N, numbers).
+    """
+    rows = np.flatnonzero(source.usable)
+    first = rows[first_alike(pd.DataFrame(measured[rows]))]
+    moved = (np.abs(q[rows] - q[first]) > tolerances(kinds)).any(axis=1)
+    earlier = np.full(len(q), -1)
+    earlier[rows[moved]] = first[moved]
+    return earlier
+
+
+def note_stale(source: Source, earlier: np.ndarray) -> None:
+    """Name the rows that :func:`stale_rows` found."""
+    for row in np.flatnonzero(earlier >= 0).tolist():
+        line = source.table.line[earlier[row]]
+        why = f"repeats the pose of line {line} exactly although the joints moved: a stale measurement?"
+        source.notices.append(source.table.remark(row, "", why))
+
+
+def note_limits(source: Source, q: np.ndarray, limits: np.ndarray, kinds: Sequence[JointKind]) -> None:
+    """Name the readings outside their joint's limits.
+
+    Args:
+        source: The table.
+        q: Readings, shape (N, columns), [rad] or [m].
+        limits: Of each, shape (columns, 2).
+        kinds: Of each; limits of a ``continuous`` joint count whole turns.
+    """
+    rows = np.flatnonzero(source.usable)
+    for k, (joint, kind) in enumerate(zip(source.joint_names, kinds, strict=True)):
+        (low, high), reading = limits[k], q[rows, k]
+        above, below = reading - high, low - reading
+        beyond = np.maximum(below, above)
+        if kind == "continuous" and np.isfinite([low, high]).all():
+            past_low = np.mod(-below, TURN)
+            beyond = np.minimum(past_low - (high - low), np.mod(below, TURN))
+        why = f"outside the limits {low:.6g} .. {high:.6g} of {joint}"
+        for row in rows[beyond > LIMIT_SLACK].tolist():
+            source.notices.append(source.table.remark(row, source.joint_columns[k], why))
+
+
+def check_units(
+    source: Source, q: np.ndarray, limits: np.ndarray, kinds: Sequence[JointKind], position: np.ndarray | None
+) -> None:
+    """Refuse data that cannot be in the stated units, and mention what may not be.
+
+    Args:
+        source: The table.
+        q: Readings, shape (N, columns), [rad] or [m].
+        limits: Of each, shape (columns, 2).
+        kinds: Of each.
+        position: Of the target, shape (N, 3), [m], if it was measured.
+
+    Raises:
+        MeasurementError: most rows are where no robot can be.
+    """
+    q = np.nan_to_num(q[source.usable])
+    turning = np.array([kind != "prismatic" for kind in kinds], dtype=bool)
+    endless = np.array([kind == "continuous" for kind in kinds], dtype=bool)
+    _refuse_impossible(source, q, np.where(endless[:, None], [-np.inf, np.inf], limits), turning)
+    _note_odd_angles(source, np.abs(q[:, turning]))
+    if position is not None:
+        _check_positions(source, position[source.usable], np.ptp(q[:, turning], axis=0))
+
+
+def _refuse_impossible(source: Source, q: np.ndarray, limits: np.ndarray, turning: np.ndarray) -> None:
+    """Refuse readings of which most are outside their limits and further than any joint moves."""
+    limited = np.isfinite(limits).all(axis=1)
+    outside = limited & ((q < limits[:, 0]) | (q > limits[:, 1]))
+    impossible = outside & (np.abs(q) > np.where(turning, TURNS, FAR))
+    if impossible.any(axis=1).mean() <= MOST:
+        return
+    bad = impossible.any(axis=0)
+    angles = bool(turning[bad].any())  # wrong angles before wrong lengths
+    worst = np.flatnonzero(bad & (turning == angles))
+    largest = float(np.abs(q[:, worst]).max())
+    raise source.wrong_unit([source.joint_columns[k] for k in worst], "angle" if angles else "length", largest)
+
+
+def _note_odd_angles(source: Source, turns: np.ndarray) -> None:
+    """Mention angles that may be in the other unit, from absolute readings of shape (N, turning joints), [rad]."""
+    if turns.size and np.median(turns.max(axis=1)) > TURNS:
+        source.note("", "most rows have a joint beyond two turns: are the angles in degrees (`units: {angle: deg}`)?")
+    if turns.any() and source.settings.units.angle == "deg" and turns.max() < np.radians(TURN):
+        source.note("", "no joint turns beyond 6.3 degrees: are the angles in radians (`units: {angle: rad}`)?")
+
+
+def _check_positions(source: Source, position: np.ndarray, travel: np.ndarray) -> None:
+    """Refuse positions (N, 3), [m], that no arm reaches, or that stay in place though joints turn by ``travel`` [rad]."""
+    units = source.settings.units
+    if np.median(np.linalg.norm(position, axis=1)) > FAR:
+        columns = [source.column(name) for name in POSITION]
+        error = source.wrong_unit(columns, "length", float(np.abs(position).max()))
+        raise MeasurementError(f"{error}; if they are right, move the origin of the world near the robot")
+    span = float(np.linalg.norm(np.ptp(position, axis=0)))
+    if units.length != "m" and span < STUCK and np.sum(travel > TURNED) >= 2:
+        raise MeasurementError(
+            f"{source.table.title}: with `units: {{length: {units.length}}}` all positions lie within "
+            f"{1000 * span:.3g} mm though the joints turn; are they in metres (`units: {{length: m}}`)?"
+        )

@@ -1,0 +1,205 @@
+"""One data set, from the files to the report: what was measured, row by row, and how well."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from aridcal.inputs.channels import TARGET_POSITION, TARGET_ROTATION, Channels, columns, spread
+from aridcal.inputs.repeats import blocks
+from aridcal.inputs.tables import Remark
+from aridcal.robot.chain import JointKind
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """Usable rows in SI, N of them, in the order of the files. Made once; a part of it is made by :meth:`select`.
+
+    Attributes:
+        names: The reading columns, by the names of their joints.
+        kinds: Kind of each reading column.
+        files: The files that were read.
+        sha256: Hash of their bytes.
+        refused: Rows that cannot be used, each named once; they are not among the N.
+        notices: What is odd but used: rows outside limits, columns that are ignored.
+        file: Index into `files`, shape (N,).
+        line: Line of the file, the header being line 1, shape (N,).
+        readings: Joint readings or commands, shape (N, columns), [rad] or [m].
+        channels: What each row measures, C channels of m numbers in all.
+        position: Of the target in the world frame, shape (N, 3), [m]; NaN where nothing measured it.
+        rotation: Of the target in the world frame, shape (N, 3, 3); None where only positions were measured.
+        sigma: Declared 1-sigma of each channel per axis, in its unit; None where it is to be estimated.
+        relative: How the rows' noise differs from the channels' sigmas: relative sigmas of the numbers in world axes,
+            shape (N, m), with RMS 1 over the training rows; or factors L, shape (N, m, m), where numbers of a row err
+            together, so that the noise is L times independent noise of the channels' sigmas; None where rows are alike.
+        covariates: Every other numeric column, shape (N,), NaN in its holes.
+        station: Label of the rows that share a frame, shape (N,); None if there is no such column.
+        configuration: Number of the row's configuration: rows that repeat one share it, shape (N,).
+        stale: Rows whose measurement repeats an earlier one bit for bit although the joints moved, shape (N,) bool.
+        test: Held-out rows, shape (N,) bool: they never fit and never choose.
+        split_given: True if the files say which rows those are.
+    """
+
+    names: tuple[str, ...]
+    kinds: tuple[JointKind, ...]
+    files: tuple[Path, ...]
+    sha256: str
+    refused: tuple[Remark, ...]
+    notices: tuple[Remark, ...]
+    file: np.ndarray
+    line: np.ndarray
+    readings: np.ndarray
+    channels: Channels
+    position: np.ndarray
+    rotation: np.ndarray | None
+    sigma: tuple[float | None, ...]
+    relative: np.ndarray | None
+    covariates: dict[str, np.ndarray]
+    station: np.ndarray | None
+    configuration: np.ndarray
+    stale: np.ndarray
+    test: np.ndarray
+    split_given: bool = False
+
+    def __len__(self) -> int:
+        return len(self.line)
+
+    @property
+    def train(self) -> np.ndarray:
+        """Rows that may be fitted, shape (N,) bool."""
+        return ~self.test
+
+    @property
+    def title(self) -> str:
+        """The first file, for messages."""
+        return str(self.files[0]) if self.files else "the data"
+
+    def select(self, rows: np.ndarray) -> Dataset:
+        """The data of some rows, chosen by a mask or by indices; remarks on the files stay."""
+        per_row = {f.name: getattr(self, f.name) for f in fields(self)}
+        chosen = {name: value[rows] for name, value in per_row.items() if isinstance(value, np.ndarray)}
+        chosen["configuration"] = pd.factorize(chosen["configuration"])[0]
+        return replace(self, **chosen, covariates={name: value[rows] for name, value in self.covariates.items()})
+
+    def declared(self, estimate: np.ndarray) -> np.ndarray:
+        """Sigma of each channel, shape (C,): as declared, and the estimate where nothing is declared."""
+        return np.array([stated or seen for stated, seen in zip(self.sigma, estimate, strict=True)])
+
+
+@dataclass(frozen=True)
+class RowNoise:
+    """What is known of the rows' noise beyond the channels' sigmas.
+
+    Attributes:
+        std: 1-sigma of each number of the rows in world axes, shape (N, m), or None.
+        covariance: Of each row's numbers where they err together, shape (N, m, m), in place of ``std``; or None.
+        absolute: True if they state the noise itself, not only how it differs from row to row.
+    """
+
+    std: np.ndarray | None = None
+    covariance: np.ndarray | None = None
+    absolute: bool = False
+
+
+def dataset(
+    names: Sequence[str],
+    kinds: Sequence[JointKind],
+    readings: np.ndarray,
+    position: np.ndarray,
+    rotation: np.ndarray | None = None,
+    *,
+    sigma: Sequence[float | None] = (),
+    noise: RowNoise | None = None,
+    covariates: dict[str, np.ndarray] | None = None,
+    station: np.ndarray | None = None,
+    stale: np.ndarray | None = None,
+    test: np.ndarray | None = None,
+) -> Dataset:
+    """A data set from arrays: rows that come from no file, numbered as if a header stood above them.
+
+    Args:
+        names: Joints whose readings these are.
+        kinds: Of each.
+        readings: Shape (N, columns), [rad] or [m].
+        position: Measured target positions in the world frame, shape (N, 3), [m].
+        rotation: Measured rotations, shape (N, 3, 3), if there are any.
+        sigma: Declared noise of each channel; default: all to be estimated.
+        noise: How the rows' noise differs.
+        covariates: Columns that effects may depend on, shape (N,) each.
+        station: Labels, shape (N,).
+        stale: See :class:`Dataset`; default: none.
+        test: Held-out rows, shape (N,); default: none.
+    """
+    n = len(readings)
+    channels = (TARGET_POSITION,) if rotation is None else (TARGET_POSITION, TARGET_ROTATION)
+    nothing = np.zeros(n, dtype=bool)
+    made = Dataset(
+        names=tuple(names),
+        kinds=tuple(kinds),
+        files=(),
+        sha256="",
+        refused=(),
+        notices=(),
+        file=np.zeros(n, dtype=int),
+        line=np.arange(n) + 2,
+        readings=readings,
+        channels=channels,
+        position=position,
+        rotation=rotation,
+        sigma=tuple(sigma)[: len(channels)] or (None,) * len(channels),
+        relative=None,
+        covariates=dict(covariates or {}),
+        station=station,
+        configuration=blocks(readings, kinds),
+        stale=nothing if stale is None else stale,
+        test=nothing if test is None else test,
+        split_given=test is not None,
+    )
+    return made if noise is None else weighed(made, noise)
+
+
+def weighed(data: Dataset, noise: RowNoise) -> Dataset:
+    """The same rows with what is known of their noise; the split must be final, for the training rows set the scale."""
+    if noise.covariance is not None:
+        std = np.sqrt(np.diagonal(noise.covariance, axis1=1, axis2=2))
+        typical = _typical(std[data.train], data.channels)
+        relative = _factors(noise.covariance, typical)
+    elif noise.std is not None:
+        std = noise.std
+        typical = _typical(std[data.train], data.channels)
+        relative = std / spread(typical, data.channels)
+    else:
+        return replace(data, relative=None)
+    return replace(data, relative=relative, sigma=tuple(typical.tolist()) if noise.absolute else data.sigma)
+
+
+def _typical(std: np.ndarray, channels: Channels) -> np.ndarray:
+    """RMS of the rows' sigmas in each channel, shape (C,), from sigmas of shape (N, m)."""
+    return np.array([np.sqrt(np.mean(std[:, part] ** 2)) for part in columns(channels)])
+
+
+def _factors(covariance: np.ndarray, typical: np.ndarray) -> np.ndarray:
+    r"""Factors of the rows' covariances: each row's noise is L times independent noise of the typical sigmas.
+
+    .. math:: L = \begin{pmatrix} chol(C_{pp} - G C_{rp}) & G\, chol(C_{rr}) \\ 0 & chol(C_{rr}) \end{pmatrix}
+              diag(s_p, s_r)^{-1}, \qquad G = C_{pr} C_{rr}^{-1}
+
+    The first three of the independent noises are those of the position that the rotation does not explain, so that
+    sigmas of positions and rotations can still be estimated apart.
+
+    Args:
+        covariance: Of position p and rotation vector r, shape (N, 6, 6).
+        typical: Their typical sigmas, shape (2,).
+    """
+    turn = np.linalg.cholesky(covariance[:, 3:, 3:])
+    lever = np.linalg.solve(covariance[:, 3:, 3:], covariance[:, 3:, :3]).transpose(0, 2, 1)
+    alone = covariance[:, :3, :3] - lever @ covariance[:, 3:, :3]
+    L = np.zeros_like(covariance)
+    L[:, :3, :3] = np.linalg.cholesky(alone) / typical[0]
+    L[:, :3, 3:] = lever @ turn / typical[1]
+    L[:, 3:, 3:] = turn / typical[1]
+    return L

@@ -1,0 +1,178 @@
+"""``head.yaml``: the camera, the sonars, the squares and the shots, and the tables that it names (FORMATS section 5)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+import pinocchio as pin
+from pydantic import Field, PositiveFloat, PositiveInt, model_validator
+from scipy.spatial.transform import Rotation
+
+from aridcal.errors import MeasurementError
+from aridcal.inputs.quantities import POSITION, QUATERNION, QUATERNION_SLACK
+from aridcal.inputs.tables import Table, read_tables
+from aridcal.inputs.yaml_file import RelativePath, Section, Settings, Vector3
+
+CHARUCO_KEYS = ("squares_x", "squares_y", "square", "marker", "dictionary")
+POSE_COLUMNS = (*POSITION, *QUATERNION)
+
+# What a sonar reads: the distance to the plane, or that along the camera's axis.
+Measures = Literal["perpendicular", "along_axis"]
+
+# [m] Second singular value of the sonars' layout below which they sit on one line: a millimetre shows no tilt.
+LEAST_SPREAD = 1e-3
+
+
+class CameraSettings(Section):
+    """A camera after OpenCV's model (:mod:`aridcal.head.camera`): z forward, y down; lengths in pixels."""
+
+    fx: PositiveFloat
+    fy: PositiveFloat
+    """Focal lengths, [px]."""
+    cx: float
+    cy: float
+    """Principal point, [px]; the middle of the first pixel is 0."""
+    width: PositiveInt
+    height: PositiveInt
+    """Of the images, [px]."""
+    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    """k1, k2, p1, p2, k3."""
+
+    @property
+    def intrinsics(self) -> np.ndarray:
+        """In the order of ``camera.INTRINSICS``, shape (9,)."""
+        return np.array([self.fx, self.fy, self.cx, self.cy, *self.distortion])
+
+
+class SonarSettings(Section):
+    """Sonars, three or more, and what they measure."""
+
+    positions: Annotated[tuple[Vector3, ...], Field(min_length=3)]
+    """In Doty's camera frame, [m], in the order h1, h2, ..."""
+    measures: Measures = "perpendicular"
+    std: PositiveFloat
+    """Of a reading, [m]."""
+
+    @model_validator(mode="after")
+    def _off_one_line(self) -> SonarSettings:
+        across = np.array(self.positions)[:, :2]
+        extents = np.linalg.svd(across - across.mean(axis=0), compute_uv=False)
+        if extents[1] < LEAST_SPREAD:
+            raise ValueError("the sonars sit on one line: they cannot see a plane's tilt about it")
+        return self
+
+
+class Placement(Section):
+    """A frame, as in URDF: ``xyz`` in [m], ``rpy`` in [rad]."""
+
+    xyz: Vector3 = (0.0, 0.0, 0.0)
+    rpy: Vector3 = (0.0, 0.0, 0.0)
+
+    @property
+    def homogeneous(self) -> np.ndarray:
+        """The same as a matrix, shape (4, 4)."""
+        R = pin.rpy.rpyToMatrix(np.array(self.rpy))
+        return np.asarray(pin.SE3(R, np.array(self.xyz)).homogeneous)
+
+
+class ArmSettings(Section):
+    """The nominal arm that tells which square is in view, for shots without a column ``square``."""
+
+    urdf: RelativePath
+    base: str | None = None
+    tip: str
+
+
+class HeadSettings(Settings):
+    """The whole of ``head.yaml``."""
+
+    camera: CameraSettings
+    sonars: SonarSettings | None = None
+    tip_camera: Placement
+    """T_tip_camera, OpenCV's camera frame."""
+    target: Annotated[str, Field(pattern="^(arid_square|charuco)$")] = "arid_square"
+    squares_x: PositiveInt | None = None
+    squares_y: PositiveInt | None = None
+    square: PositiveFloat | None = None
+    """Side of a chessboard square, [m]."""
+    marker: PositiveFloat | None = None
+    """Side of a marker, [m]."""
+    dictionary: str | None = None
+    """OpenCV's name for it: DICT_4X4_50, ..."""
+    squares: RelativePath
+    """Table of T_world_square, see ``load_squares``."""
+    shots: RelativePath
+    """Table of images and ranges, see ``load_shots``."""
+    robot: ArmSettings | None = None
+    world_base: Placement = Placement()
+    """T_world_base of that arm."""
+
+    @model_validator(mode="after")
+    def _what_the_target_needs(self) -> HeadSettings:
+        given = [key for key in CHARUCO_KEYS if getattr(self, key) is not None]
+        if self.target == "arid_square":
+            if given:
+                raise ValueError(f"`{given[0]}` belongs to `target: charuco`")
+            if self.sonars is None:
+                raise ValueError("`sonars` is missing: they tell how large the square's fiducials are in the image")
+        elif len(given) < len(CHARUCO_KEYS):
+            missing = ", ".join(key for key in CHARUCO_KEYS if key not in given)
+            raise ValueError(f"`target: charuco` also needs: {missing}")
+        return self
+
+
+def load_squares(path: Path) -> dict[int, np.ndarray]:
+    """Read ``squares.csv``: T_world_square, (4, 4), of each square by its index.
+
+    Raises:
+        MeasurementError: A cell is missing or no number, a quaternion is not of unit length, an index appears twice.
+    """
+    table = read_tables([path])
+    names = ("index", *POSE_COLUMNS)
+    table.require(names)
+    if table.refused:
+        raise MeasurementError(str(table.refused[0]))
+    numbers = np.column_stack([table.numbers(name)[0] for name in names])
+    squares: dict[int, np.ndarray] = {}
+    for row, (number, *pose) in enumerate(numbers):
+        _check_square(table, row, names, numbers[row])
+        if int(number) in squares:
+            raise MeasurementError(str(table.remark(row, "index", "appears twice")))
+        position, quaternion = pose[:3], pose[3:]
+        T = np.eye(4)
+        T[:3, :3] = Rotation.from_quat(quaternion).as_matrix()
+        T[:3, 3] = position
+        squares[int(number)] = T
+    return squares
+
+
+def _check_square(table: Table, row: int, names: tuple[str, ...], numbers: np.ndarray) -> None:
+    """Refuse a row of ``squares.csv`` that is no pose of a square."""
+    for name, value in zip(names, numbers, strict=True):
+        if not np.isfinite(value):
+            raise MeasurementError(str(table.remark(row, name, "should be a number")))
+    index, length = numbers[0], np.linalg.norm(numbers[4:])
+    if index != round(index) or index < 0:
+        raise MeasurementError(str(table.remark(row, "index", "should be a whole number, 0 or more")))
+    if abs(length - 1) > QUATERNION_SLACK:
+        raise MeasurementError(str(table.remark(row, "qw", "the quaternion is not of unit length", "")))
+
+
+def load_shots(path: Path, settings: HeadSettings) -> Table:
+    """Read ``shots.csv`` and check its columns; what is wrong with a single row shows when it is measured.
+
+    Raises:
+        MeasurementError: The table cannot be read, or a column is missing.
+    """
+    table = read_tables([path])
+    table.require(["image", *range_columns(settings)])
+    return table
+
+
+def range_columns(settings: HeadSettings) -> list[str]:
+    """Name the columns of the ranges: h1, h2, ..., one for each sonar."""
+    if settings.sonars is None:
+        return []
+    return [f"h{k + 1}" for k in range(len(settings.sonars.positions))]

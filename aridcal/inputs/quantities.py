@@ -1,0 +1,386 @@
+"""A table of a user as quantities in SI: which column holds what, and which rows cannot be used."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from aridcal.errors import CampaignError, MeasurementError, nearest
+from aridcal.inputs.campaign import MeasurementSettings
+from aridcal.inputs.tables import DECIMAL_COMMA, Remark, Table
+from aridcal.robot.chain import JointKind
+
+POSITION = ("x", "y", "z")
+QUATERNION = ("qx", "qy", "qz", "qw")
+IDENTITY = (0.0, 0.0, 0.0, 1.0)
+STD = ("std_x", "std_y", "std_z", "std_rx", "std_ry", "std_rz")
+LABELS = ("station", "split")
+POSE_OR_LABEL = (*POSITION, *QUATERNION, *STD, *LABELS)
+QUANTITIES = (*POSE_OR_LABEL, "time", "temperature", "payload")
+
+# How far from 1 the norm of a measured quaternion may be: three decimals in the table are enough.
+QUATERNION_SLACK = 1e-3
+# Two columns of one orientation that are farther apart disagree, [rad]; rounding to three decimals is allowed.
+SAME_ORIENTATION = 1e-3
+# No reading and no place is that large, [rad] or [m].
+ABSURD = 1e9
+# A covariate that large is a hole: some programs write 1e308 where they know nothing.
+UNUSABLE = 1e30
+# More than an angle of a pose, or a joint with limits, turns, [rad].
+TURNS = 4 * np.pi
+
+
+def column_of(quantity: str, settings: MeasurementSettings, joint_names: Collection[str]) -> str:
+    """Column that holds a quantity; where a joint has its name, `columns` speaks of the joint."""
+    return quantity if quantity in joint_names else settings.columns.get(quantity, quantity)
+
+
+def angle_columns(settings: MeasurementSettings) -> tuple[str, str, str] | None:
+    """Columns of the campaign's Euler angles or rotation vectors; `None` where it has quaternions."""
+    return settings.orientation.columns or settings.orientation.rotvec
+
+
+@dataclass
+class Source:
+    """A table while it is read: which rows are still usable, and what was said about the others.
+
+    Attributes:
+        table: The cells.
+        settings: Which column holds which quantity, in which unit.
+        joint_names: Joints whose readings are columns of the table.
+        origin: The file that the settings come from, for messages.
+        usable: Rows in which nothing needed was wrong so far, shape (N,) bool.
+        refused: Why the others are not.
+        notices: What is odd but used.
+        used: Columns that are taken.
+    """
+
+    table: Table
+    settings: MeasurementSettings
+    joint_names: tuple[str, ...]
+    origin: str
+    usable: np.ndarray = field(init=False)
+    refused: list[Remark] = field(init=False)
+    notices: list[Remark] = field(init=False, default_factory=list)
+    used: set[str] = field(init=False, default_factory=set)
+
+    def __post_init__(self) -> None:
+        self.usable = np.ones(len(self.table), dtype=bool)
+        self.refused = list(self.table.refused)
+        directions = [f"{joint}_direction" for joint in self.joint_names]
+        quantities = (*QUANTITIES, *directions)
+        known = (*self.joint_names, *quantities)
+        for name in self.settings.columns:
+            if name not in known and not name.startswith("temperature_"):
+                raise CampaignError(
+                    f"{self.origin}: measurements.columns.{name}: is neither a joint of the chain nor a quantity"
+                    f"{nearest(name, known)}"
+                )
+        for joint in self.joint_names:
+            like_a_quantity = joint in quantities or joint.startswith("temperature_")
+            column = self.settings.columns.get(joint, joint)
+            if like_a_quantity and column == joint:
+                raise CampaignError(
+                    f"{self.origin}: the joint {joint!r} has the name of a quantity; "
+                    f"say under measurements which column is the joint: `columns: {{{joint}: COLUMN}}`"
+                )
+
+    @property
+    def joint_columns(self) -> list[str]:
+        """Column of each joint."""
+        return [self.settings.columns.get(joint, joint) for joint in self.joint_names]
+
+    def column(self, quantity: str) -> str:
+        """Column that holds a quantity."""
+        return column_of(quantity, self.settings, self.joint_names)
+
+    def refuse(self, bad: np.ndarray, column: str, why: str) -> None:
+        """Refuse rows that are still usable.
+
+        Args:
+            bad: Which, shape (N,) bool.
+            column: Where their fault stands.
+            why: What is wrong, for messages.
+        """
+        rows = np.flatnonzero(bad & self.usable)
+        self.refused += [self.table.remark(row, column, why) for row in rows.tolist()]
+        self.usable[rows] = False
+
+    def refusals(self) -> tuple[Remark, ...]:
+        """All refusals in the order of the files."""
+        rank = {path.name: k for k, path in enumerate(self.table.files)}
+        in_order = sorted(self.refused, key=lambda remark: (rank[remark.file], remark.row or 0))
+        return tuple(in_order)
+
+    def note(self, column: str, why: str) -> None:
+        """Say something about a column, or about the whole table."""
+        self.notices.append(Remark(self.table.files[0].name, None, column, "", why))
+
+    def joints(self, kinds: Sequence[JointKind]) -> np.ndarray:
+        """All readings, shape (N, columns), [rad] or [m]; rows that lack one are refused.
+
+        Args:
+            kinds: Of each joint: prismatic ones are in units of length.
+
+        Raises:
+            MeasurementError: a joint has no column.
+        """
+        advice = "Name them as in the URDF, or map them under measurements.columns; `aridcal init` finds which is which"
+        self.table.require(self.joint_columns, advice)
+        return self._needed(self.joint_columns, self._scales(kinds))
+
+    def seeds(self, kinds: Sequence[JointKind]) -> np.ndarray:
+        """Readings where there are some, NaN elsewhere; nothing is refused."""
+        values = np.full((len(self.table), len(self.joint_names)), np.nan)
+        scales = self._scales(kinds)
+        for k, name in enumerate(self.joint_columns):
+            if name in self.table.cells:
+                self._take([name])
+                numbers, _ = self.table.numbers(name)
+                readings = numbers * scales[k]
+                values[:, k] = np.where(np.abs(readings) <= ABSURD, readings, np.nan)
+        return values
+
+    def position(self) -> np.ndarray:
+        """Measured positions, shape (N, 3), [m]; rows that lack one are refused.
+
+        Raises:
+            MeasurementError: there are no such columns.
+        """
+        columns = [self.column(name) for name in POSITION]
+        self.table.require(columns, "Name them x y z, or map them under measurements.columns")
+        return self._needed(columns, self.settings.units.metres)
+
+    @property
+    def orientation_columns(self) -> list[str]:
+        """Columns of the campaign's own orientation: three angles, or the four of a quaternion."""
+        angles = angle_columns(self.settings)
+        return list(angles or (self.column(name) for name in QUATERNION))
+
+    def quaternion(self) -> np.ndarray:
+        """Measured orientations as unit quaternions, shape (N, 4); rows that have none are refused.
+
+        Raises:
+            MeasurementError: there are no such columns, or their angles are in another unit.
+        """
+        columns = self.orientation_columns
+        advice = "Say under measurements how orientations are given (`orientation`), or `kind: position`"
+        self.table.require(columns, advice)
+        return self._from_angles(columns) if angle_columns(self.settings) else self._from_quaternions(columns)
+
+    def _from_quaternions(self, columns: list[str]) -> np.ndarray:
+        """Columns of quaternions, made to have norm 1, shape (N, 4)."""
+        cells = self._needed(columns, 1.0)
+        norm = np.linalg.norm(self._or_identity(cells), axis=1)
+        for row in np.flatnonzero(np.abs(norm - 1) > QUATERNION_SLACK).tolist():
+            why = "the norm of the quaternion is not 1"
+            self.refused.append(self.table.remark(row, " ".join(columns), why, f"{norm[row]:.6g}"))
+            self.usable[row] = False
+        divisor = np.where(self.usable, norm, 1)
+        return self._or_identity(cells) / divisor[:, None]
+
+    def _or_identity(self, quaternion: np.ndarray) -> np.ndarray:
+        """Quaternions with no rotation in place of those of unusable rows, shape (N, 4)."""
+        return np.where(self.usable[:, None], quaternion, IDENTITY)
+
+    def _from_angles(self, columns: list[str]) -> np.ndarray:
+        """Columns of Euler angles or of a rotation vector as unit quaternions, shape (N, 4)."""
+        angles = self._needed(columns, self.settings.units.radians)
+        angles = np.where(self.usable[:, None], angles, 0)
+        largest = np.abs(angles[self.usable]).max(axis=1, initial=0)
+        if len(largest) and np.mean(largest > TURNS) > 0.5:
+            raise self.wrong_unit(columns, "angle", float(np.abs(angles).max()))
+        euler = self.settings.orientation.euler
+        rotation = Rotation.from_euler(euler, angles) if euler else Rotation.from_rotvec(angles)
+        return rotation.as_quat()
+
+    def refuse_second_orientation(self, quaternion: np.ndarray) -> None:
+        """Refuse a table of Euler angles or rotation vectors whose quaternions are other orientations.
+
+        Args:
+            quaternion: What :meth:`quaternion` gave, shape (N, 4).
+
+        Raises:
+            MeasurementError: the two differ by more than rounding in some row.
+        """
+        own, second = self.orientation_columns, [self.column(name) for name in QUATERNION]
+        if own == second or not all(self._has(name) for name in second):
+            return
+        also = self.table.matrix(second)
+        rows = np.flatnonzero(self.usable & (np.linalg.norm(also, axis=1) > 0.5))  # neither holes nor zeros
+        if not len(rows):
+            return
+        difference = Rotation.from_quat(quaternion[rows]) * Rotation.from_quat(also[rows]).inv()
+        apart = np.atleast_1d(difference.magnitude())
+        worst = int(np.argmax(apart))
+        if apart[worst] > SAME_ORIENTATION:
+            raise MeasurementError(
+                f"{self.table.title}, line {self.table.line[rows[worst]]}: {' '.join(own)} and {' '.join(second)} are "
+                f"two orientations, {np.degrees(apart[worst]):.3g} degrees apart. Delete one of them; the campaign's own "
+                f"is {' '.join(own)}"
+            )
+
+    def std(self) -> np.ndarray | None:
+        """1-sigma of the rows, shape (N, 6): position in [m], then rotation vector in [rad].
+
+        Returns:
+            Ones for the half that is not given; `None` if neither is given, or wanted.
+
+        Raises:
+            MeasurementError: one or two of three columns are there, or none though the campaign relies on them.
+        """
+        noise, units = self.settings.noise, self.settings.units
+        if noise.rows == "ignore":
+            return None
+        halves = [(slice(0, 3), units.metres), (slice(3, 6), units.radians)]
+        wanted = halves[:1] if self.settings.kind == "position" else halves
+        std = np.ones((len(self.table), 6))
+        given = 0
+        for half, scale in wanted:
+            columns = [self.column(name) for name in STD[half]]
+            if any(self._has(name) for name in columns):
+                self.table.require(columns, "Give all three, or write `noise: {rows: ignore}`")
+                std[:, half] = self._needed(columns, scale)
+                for sigma, name in zip(std[:, half].T, columns, strict=True):
+                    self.refuse(sigma <= 0, name, "a sigma must be positive")
+                given += 1
+        if noise.rows == "absolute" and given < len(wanted):
+            raise MeasurementError(f"{self.table.title}: `noise: {{rows: absolute}}` needs the std_* columns")
+        return std if given else None
+
+    def labels(self, quantity: str, needed: bool = False) -> np.ndarray | None:
+        """A column of words, shape (N,); `None` if there is none.
+
+        Args:
+            quantity: ``station`` or ``split``.
+            needed: Rows without a word are refused.
+
+        Raises:
+            MeasurementError: it is needed, but not there.
+        """
+        name = self.column(quantity)
+        if needed:
+            self.table.require([name], f"`per: {quantity}` needs it")
+        elif not self._has(name):
+            return None
+        self._take([name])
+        words = self.table.texts(name)
+        if needed:
+            self.refuse(words == "", name, "empty")
+        return words
+
+    def split(self) -> np.ndarray | None:
+        """Rows that the file itself keeps for the test, shape (N,) bool; `None` if it does not say."""
+        words = self.labels("split")
+        if words is None:
+            return None
+        neither = (words != "train") & (words != "test")
+        self.refuse(neither, self.column("split"), "neither train nor test")
+        return words == "test"
+
+    def covariates(self) -> dict[str, np.ndarray]:
+        """Every numeric column that is nothing else, by its quantity, shape (N,), NaN in its holes.
+
+        To be called last: what other methods have read is no covariate.
+        """
+        quantities = {column: quantity for quantity, column in self.settings.columns.items()}
+        found = {}
+        for name in self.table.names:
+            if not name or name in self.used or name in self.settings.ignore:
+                continue
+            quantity = quantities.get(name, name)
+            if name not in quantities and name in self.settings.columns:
+                self.note(name, f"is not used: {name} is in the column {self.settings.columns[name]!r}")
+            elif quantity not in POSE_OR_LABEL:
+                values = self._covariate(name, quantity)
+                if values is not None:
+                    found[quantity] = values
+        for name in self.settings.ignore:
+            if name not in self.table.cells:
+                self.note(name, "is listed under `ignore`, but there is no such column")
+        return found
+
+    def _covariate(self, name: str, quantity: str) -> np.ndarray | None:
+        """A covariate's values, NaN in its holes, shape (N,); `None` for a column of words."""
+        numbers, is_text = self.table.numbers(name)
+        holes = ~(np.abs(numbers) < UNUSABLE)
+        if quantity.removesuffix("_direction") in self.joint_names:
+            holes |= ~np.isin(numbers, (-1, 0, 1))
+        filled = np.sum(~holes)
+        if filled == 0 or is_text.sum() > filled:
+            self.note(name, "is not numeric: no effect can depend on it")
+            return None
+        if holes.any():
+            self._note_holes(name, holes)
+        return np.where(holes, np.nan, numbers)
+
+    def _note_holes(self, name: str, holes: np.ndarray) -> None:
+        """Name the first cell of a covariate that holds something but counts as empty."""
+        odd = np.flatnonzero(holes & (self.table.texts(name) != ""))
+        if not len(odd):
+            return
+        more = f", like {len(odd) - 1} more in this column" if len(odd) > 1 else ""
+        remark = self.table.remark(int(odd[0]), name, f"is read as missing{more}")
+        self.notices.append(remark)
+
+    def wrong_unit(self, columns: Sequence[str], unit: Literal["angle", "length"], largest: float) -> MeasurementError:
+        """The error for columns that cannot be in the stated unit; `largest` in [rad] or [m]."""
+        units = self.settings.units
+        stated, one = (units.angle, units.radians) if unit == "angle" else (units.length, units.metres)
+        remedy = "in degrees, write `units: {angle: deg}`" if unit == "angle" else "in mm, write `units: {length: mm}`"
+        names = ", ".join(repr(name) for name in columns)
+        return MeasurementError(
+            f"{self.table.title}: column {names} cannot be in {stated}: values up to {largest / one:.6g}. "
+            f"If they are {remedy} under measurements"
+        )
+
+    def _needed(self, columns: Sequence[str], scale: Sequence[float] | float) -> np.ndarray:
+        """Columns in SI, shape (N, columns); rows with a cell that is no sensible number are refused.
+
+        Args:
+            columns: Their names.
+            scale: SI units in one of the table's, of each column or of all.
+        """
+        self._take(columns)
+        scales = np.broadcast_to(scale, len(columns))
+        values = np.empty((len(self.table), len(columns)))
+        for k, name in enumerate(columns):
+            values[:, k] = self._finite(name) * scales[k]
+            too_large = np.abs(values[:, k]) > ABSURD
+            self.refuse(too_large, name, "implausibly large")
+        return values
+
+    def _finite(self, name: str) -> np.ndarray:
+        """A column's numbers, shape (N,); rows without one are refused."""
+        numbers, is_text = self.table.numbers(name)
+        if is_text.any():
+            words = self.table.texts(name)[is_text].tolist()
+            with_comma = [word for word in words if DECIMAL_COMMA.fullmatch(word)]
+            if len(with_comma) > len(numbers) / 2:
+                raise MeasurementError(f"{self.table.title}: column {name!r} has decimal commas; write points")
+            self.refuse(is_text, name, "not a number")
+        missing = ~np.isfinite(numbers)
+        if missing.any():
+            empty = self.table.texts(name) == ""
+            self.refuse(missing & empty, name, "empty")
+            self.refuse(missing, name, "not finite")
+        return numbers
+
+    def _take(self, columns: Collection[str]) -> None:
+        for name in columns:
+            if name in self.used:
+                raise CampaignError(
+                    f"{self.origin}: the column {name!r} would be two quantities; map it to one under measurements.columns"
+                )
+            self.used.add(name)
+
+    def _has(self, name: str) -> bool:
+        return name in self.table.cells and name not in self.settings.ignore
+
+    def _scales(self, kinds: Sequence[JointKind]) -> list[float]:
+        units = self.settings.units
+        return [units.metres if kind == "prismatic" else units.radians for kind in kinds]

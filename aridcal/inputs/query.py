@@ -1,0 +1,102 @@
+"""Rows that ask for poses or commands."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from aridcal.errors import MeasurementError
+from aridcal.inputs.campaign import MeasurementSettings
+from aridcal.inputs.checks import check_units, note_limits
+from aridcal.inputs.quantities import Source
+from aridcal.inputs.tables import AnyTable, Remark, read_tables
+from aridcal.robot.chain import JointKind
+
+
+@dataclass(frozen=True)
+class Query:
+    """Every row of a file that asks for poses or for commands; what a row lacks is NaN there.
+
+    Attributes:
+        table: All columns as they were given, in their order; cells of a csv file are text.
+        readings: Shape (N, columns), [rad] or [m].
+        position: Shape (N, 3), [m]; `None` unless poses were asked for.
+        quaternion: Unit, qx qy qz qw, shape (N, 4); `None` likewise.
+        covariates: Every other numeric column, shape (N,).
+        station: Labels, shape (N,), or `None`.
+        line: Line of the file, shape (N,).
+        usable: Rows in which nothing needed is wrong, shape (N,) bool.
+        refused: Why the others are not.
+        notices: What is odd but used.
+    """
+
+    table: pd.DataFrame
+    readings: np.ndarray
+    position: np.ndarray | None
+    quaternion: np.ndarray | None
+    covariates: dict[str, np.ndarray]
+    station: np.ndarray | None
+    line: np.ndarray
+    usable: np.ndarray
+    refused: tuple[Remark, ...]
+    notices: tuple[Remark, ...]
+
+
+def load_query(
+    query: AnyTable,
+    readings: Sequence[str],
+    limits: np.ndarray,
+    kinds: Sequence[JointKind],
+    settings: MeasurementSettings | None = None,
+    *,
+    poses: bool = False,
+    per_station: bool = False,
+) -> Query:
+    """Read a table of joint readings, or of wanted poses, keeping every row and column.
+
+    Args:
+        query: A csv or parquet file, or a DataFrame.
+        readings: Joints of the robot; all needed, unless `poses`: then those present are seeds.
+        limits: As for :func:`load_measurements`.
+        kinds: As for :func:`load_measurements`.
+        settings: Columns, units and orientations; default: those of FORMATS, in SI.
+        poses: The pose of the target is needed, its position only if `settings.kind` is `position`.
+        per_station: The `station` column is needed.
+
+    Raises:
+        MeasurementError: the file cannot be read, lacks columns or has rows that are no rows; its poses have two
+            orientations that contradict each other.
+    """
+    settings = settings or MeasurementSettings()
+    table = read_tables([query])
+    if table.refused:
+        raise MeasurementError(f"{table.title}: {table.refused[0]}; mend the file")
+    source = Source(table, settings, tuple(readings), table.title)
+    q = source.seeds(kinds) if poses else source.joints(kinds)
+    position = source.position() if poses else None
+    quaternion = source.quaternion() if poses and settings.kind != "position" else None
+    if quaternion is not None:
+        source.refuse_second_orientation(quaternion)
+    station = source.labels("station", needed=per_station)
+    covariates = source.covariates()
+    if source.usable.any():
+        check_units(source, q, limits, kinds, position)
+        note_limits(source, q, limits, kinds)
+    for values in (q, position, quaternion):
+        if values is not None:
+            values[~source.usable] = np.nan
+    return Query(
+        table=query.copy() if isinstance(query, pd.DataFrame) else table.frame(),
+        readings=q,
+        position=position,
+        quaternion=quaternion,
+        covariates=covariates,
+        station=station,
+        line=table.line,
+        usable=source.usable,
+        refused=source.refusals(),
+        notices=tuple(source.notices),
+    )

@@ -1,0 +1,119 @@
+"""Files of a campaign to one data set: read, checked, converted to SI and split."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from aridcal.errors import MeasurementError
+from aridcal.inputs.campaign import Campaign
+from aridcal.inputs.channels import TARGET_POSITION, TARGET_ROTATION
+from aridcal.inputs.checks import check_units, note_limits, note_stale, nothing_usable, refuse_copies, stale_rows
+from aridcal.inputs.dataset import Dataset, RowNoise, weighed
+from aridcal.inputs.quantities import Source
+from aridcal.inputs.repeats import blocks
+from aridcal.inputs.split import draw_split, with_training_rows
+from aridcal.inputs.tables import AnyTable, read_tables
+from aridcal.robot.chain import JointKind
+
+
+def load_measurements(
+    campaign: Campaign,
+    readings: Sequence[str],
+    limits: np.ndarray,
+    kinds: Sequence[JointKind],
+    seed: int = 0,
+    *,
+    files: Sequence[AnyTable] | None = None,
+    require_pose: bool = True,
+    fitted: bool = True,
+) -> Dataset:
+    """Read the measurements of a campaign.
+
+    Args:
+        campaign: Says which files, columns, units and orientations.
+        readings: Joints whose readings are needed.
+        limits: Lower and upper limit of each, shape (columns, 2), [rad] or [m], infinite where there is none.
+        kinds: Of each joint; limits of a `continuous` one count whole turns.
+        seed: For the split into train and test, where the files have no `split`.
+        files: Tables in place of the campaign's own, in the same format.
+        require_pose: False for rows that measure something else than the target; then `position` is NaN.
+        fitted: False for rows that are scored only: their stations need no training rows.
+
+    Raises:
+        CampaignError: `columns` names an unknown quantity.
+        MeasurementError: a file cannot be read, lacks columns, is not in the stated units, or has no usable row; or a
+            station that needs a frame of its own has held-out rows only.
+    """
+    settings = campaign.measurements
+    table = read_tables(_existing(campaign, files))
+    source = Source(table, settings, tuple(readings), str(campaign.path))
+    q = source.joints(kinds)
+    position, quaternion, std = np.full((len(table), 3), np.nan), None, None
+    if require_pose:
+        position = source.position()
+        quaternion = source.quaternion() if settings.kind == "pose" else None
+        std = source.std()
+    station = source.labels("station", needed=per_station(campaign))
+    split = source.split()
+    covariates = source.covariates()
+    refuse_copies(source, [q, position, quaternion, std, *covariates.values()], station)
+    if not source.usable.any():
+        raise nothing_usable(source)
+    check_units(source, q, limits, kinds, position if require_pose else None)
+    note_limits(source, q, limits, kinds)
+    stale = np.full(len(table), -1)
+    if require_pose:
+        stale = stale_rows(source, q, kinds, position if quaternion is None else np.hstack([position, quaternion]))
+    if quaternion is not None:
+        note_stale(source, stale)
+    channels = (TARGET_POSITION,) if settings.kind == "position" else (TARGET_POSITION, TARGET_ROTATION)
+    rows = Dataset(
+        names=tuple(readings),
+        kinds=tuple(kinds),
+        files=table.files,
+        sha256=table.sha256,
+        refused=source.refusals(),
+        notices=tuple(source.notices),
+        file=table.file,
+        line=table.line,
+        readings=q,
+        channels=channels,
+        position=position,
+        rotation=None if quaternion is None else Rotation.from_quat(quaternion).as_matrix(),
+        sigma=(settings.noise.position, settings.noise.rotation)[: len(channels)],
+        relative=None,
+        covariates=covariates,
+        station=station,
+        configuration=np.zeros(len(table), dtype=int),
+        stale=stale >= 0,
+        test=np.zeros(len(table), dtype=bool) if split is None else split,
+        split_given=split is not None,
+    ).select(source.usable)
+    rows = replace(rows, configuration=blocks(rows.readings, kinds))
+    if split is None:
+        rows = replace(rows, test=draw_split(rows.configuration, seed))
+    if fitted:
+        rows = with_training_rows(rows, per_station(campaign))
+    numbers = sum(channel.size for channel in channels)
+    noise = RowNoise(None if std is None else std[source.usable, :numbers], absolute=settings.noise.rows == "absolute")
+    return weighed(rows, noise)
+
+
+def per_station(campaign: Campaign) -> bool:
+    """True where a frame is one for each station, so that every row must say at which it is."""
+    return "station" in (campaign.frames.world_base.per, campaign.frames.tip_target.per)
+
+
+def _existing(campaign: Campaign, files: Sequence[AnyTable] | None) -> Sequence[AnyTable]:
+    """The tables to read; a README beside the campaign may say where to get a file that is not there."""
+    tables = campaign.tables if files is None else files
+    readme = campaign.path.parent / "README.md"
+    missing = next((path for path in tables if isinstance(path, Path) and not path.exists()), None)
+    if missing is not None and files is None and readme.is_file():
+        raise MeasurementError(f"{missing}: there is no such file. {readme} may say where to get it")
+    return tables

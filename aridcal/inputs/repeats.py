@@ -1,0 +1,55 @@
+"""Rows that repeat a configuration, or another row."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pandas as pd
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from aridcal.robot.chain import JointKind
+
+SAME_ANGLE, SAME_LENGTH = 1e-3, 1e-4  # readings this close repeat one configuration, [rad] and [m]
+
+
+def blocks(readings: np.ndarray, kinds: Sequence[JointKind]) -> np.ndarray:
+    """Number the configurations: rows that repeat one have the same label.
+
+    Rows within 1 mrad and 0.1 mm of each other, or joined by a chain of such rows, always share a label; rows more
+    than 1.5 times as far apart do only through a chain. On `continuous` joints whole turns do not count.
+
+    Args:
+        readings: Shape (N, columns), [rad] or [m].
+        kinds: Kind of each column.
+
+    Returns:
+        Labels 0, 1, ... in order of appearance, shape (N,).
+    """
+    turning = np.array([kind == "continuous" for kind in kinds], dtype=bool)
+    same = tolerances(kinds)
+    circle = [f(readings[:, turning]) / SAME_ANGLE for f in (np.cos, np.sin)]
+    points = np.hstack([readings[:, ~turning] / same[~turning], *circle])
+    # Cells of half the distance keep the pairs few however often a configuration is repeated.
+    cells, cell = np.unique(np.floor(2 * points), axis=0, return_inverse=True)
+    pairs = cKDTree(cells).query_pairs(2.5, p=np.inf, output_type="ndarray")
+    graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(cells), len(cells)))
+    _, label = connected_components(graph, directed=False)
+    return pd.factorize(label[cell.reshape(-1)])[0]
+
+
+def first_alike(rows: pd.DataFrame) -> np.ndarray:
+    """For each row the number of the first that equals it, holes included, shape (N,)."""
+    first = np.arange(len(rows))
+    alike = np.flatnonzero(rows.duplicated(keep=False))
+    if len(alike):
+        group = rows.iloc[alike].groupby(list(rows.columns), sort=False, dropna=False).ngroup().to_numpy()
+        first[alike] = alike[np.unique(group, return_index=True)[1]][group]
+    return first
+
+
+def tolerances(kinds: Sequence[JointKind]) -> np.ndarray:
+    """How far readings of each kind may be apart and still repeat a configuration, [rad] or [m], shape (columns,)."""
+    return np.where([kind == "prismatic" for kind in kinds], SAME_LENGTH, SAME_ANGLE)

@@ -1,0 +1,299 @@
+"""Settings files: YAML read safely, checked against a pydantic model, every complaint with its file, line and key."""
+
+from __future__ import annotations
+
+import datetime
+import re
+from collections.abc import Hashable, Iterator
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar
+
+import yaml
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    PrivateAttr,
+    ValidationError,
+    ValidationInfo,
+    model_validator,
+)
+from pydantic_core import ErrorDetails, PydanticCustomError
+
+from aridcal.errors import AridcalError, CampaignError, nearest
+
+MAX_BYTES = 50_000_000
+MAX_DEPTH = 50
+MAX_COMPLAINTS = 8
+
+Location = tuple[str | int, ...]
+
+# The parser in C where there is one: a covariance of a hundred parameters is ten thousand numbers.
+_SafeLoader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+
+
+class _Loader(_SafeLoader):
+    """Safe loader that also takes ``1e-4`` for a number: YAML 1.1 would make it text for want of a point."""
+
+
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float", re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+\Z"), list("-+.0123456789")
+)
+
+
+def _path(name: Any, info: ValidationInfo) -> Any:
+    if not isinstance(name, str | Path) or not str(name).strip():
+        raise ValueError(f"should be a file name, not {name!r}")
+    return info.context["folder"] / name if info.context else Path(name)
+
+
+# A path that is relative to the settings file that names it; already resolved on the loaded model.
+RelativePath = Annotated[Path, BeforeValidator(_path)]
+
+Vector3 = tuple[float, float, float]
+
+
+class Section(BaseModel):
+    """One mapping of a settings file: immutable, finite numbers only, no unknown keys."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _refuse_unknown_keys(cls, keys: Any) -> Any:
+        if isinstance(keys, dict):
+            known = [field.alias or name for name, field in cls.model_fields.items()]
+            for key in keys:
+                if key not in known:
+                    facts = {"key": key, "hint": nearest(str(key), known)}
+                    raise PydanticCustomError("unknown_key", "unknown key{hint}", facts)
+        return keys
+
+
+class Settings(Section):
+    """A whole settings file. Keeps its text and where it came from."""
+
+    format: Literal[1]
+    _path: Path = PrivateAttr(default=Path())
+    _text: str = PrivateAttr(default="")
+
+    @property
+    def path(self) -> Path:
+        """The file that the settings were read from."""
+        return self._path
+
+    @property
+    def text(self) -> str:
+        """The file as the user wrote it."""
+        return self._text
+
+    def __str__(self) -> str:
+        return self._text
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__} {self._path}>"
+
+
+AnySettings = TypeVar("AnySettings", bound=Settings)
+
+
+def read_bytes(path: Path, error: type[AridcalError]) -> bytes:
+    """Read a whole file that the user named.
+
+    Args:
+        path: The file.
+        error: The kind of error to raise.
+
+    Raises:
+        AridcalError: of the given kind, if the file is missing, a folder, unreadable or empty.
+    """
+    try:
+        content = path.read_bytes()
+    except FileNotFoundError:
+        raise error(f"{path}: there is no such file") from None
+    except IsADirectoryError:
+        raise error(f"{path}: is a folder, not a file") from None
+    except (OSError, ValueError) as problem:
+        raise error(f"{path}: cannot be read: {getattr(problem, 'strerror', None) or problem}") from None
+    if not content or content.isspace():
+        raise error(f"{path}: is empty")
+    return content
+
+
+def decode(content: bytes, path: Path, error: type[AridcalError]) -> str:
+    """Decode UTF-8 with or without a byte order mark.
+
+    Args:
+        content: Bytes of a file.
+        path: The file, for messages.
+        error: The kind of error to raise.
+
+    Raises:
+        AridcalError: of the given kind, naming the line that is something else.
+    """
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError as problem:
+        line = content.count(b"\n", 0, problem.start) + 1
+        raise error(f"{path}, line {line}: is not UTF-8 text; save the file as UTF-8") from None
+
+
+def load_settings(path: str | Path, model: type[AnySettings]) -> AnySettings:
+    """Read a settings file.
+
+    Args:
+        path: A YAML file in UTF-8.
+        model: What it must look like.
+
+    Returns:
+        The settings, paths made relative to the file's folder.
+
+    Raises:
+        CampaignError: naming the file, the line, the key and the remedy.
+    """
+    path = Path(path)
+    content = read_bytes(path, CampaignError)
+    if len(content) > MAX_BYTES:
+        raise CampaignError(f"{path}: {len(content) / 1e6:.0f} MB is too large for a settings file")
+    return parse_settings(decode(content, path, CampaignError), path, model)
+
+
+def parse_settings(text: str, path: Path, model: type[AnySettings]) -> AnySettings:
+    """Check the text of a settings file as :func:`load_settings` does.
+
+    Args:
+        text: YAML.
+        path: Whence it came; the paths in it are relative to that file's folder.
+        model: What it must look like.
+
+    Raises:
+        CampaignError: naming the file, the line, the key and the remedy.
+    """
+    keys, lines = _parse_yaml(text, path)
+    if "format" not in keys:
+        raise CampaignError(f"{path}: the key 'format' is missing; write `format: 1` on top")
+    if type(keys["format"]) is not int or keys["format"] != 1:
+        where = f"{path}, line {lines['format',]}"
+        raise CampaignError(f"{where}: format: this version reads format 1 only, not {keys['format']!r}")
+    try:
+        settings = model.model_validate(_frozen(keys), strict=True, context={"folder": path.parent})
+    except ValidationError as problem:
+        complaints = [_complaint(error, path, lines) for error in problem.errors(include_url=False)]
+        if len(complaints) > MAX_COMPLAINTS:
+            complaints[MAX_COMPLAINTS:] = [f"and {len(complaints) - MAX_COMPLAINTS} more"]
+        raise CampaignError("\n".join(complaints)) from None
+    settings._path, settings._text = path, text
+    return settings
+
+
+def _parse_yaml(text: str, path: Path) -> tuple[dict[str, Any], dict[Location, int]]:
+    """Return a YAML mapping and the line of each of its keys, or complain about what is no plain YAML."""
+    try:
+        refuse_tricks(text, path)
+        loader = _Loader(text)
+        node = loader.get_single_node()
+        if not isinstance(node, yaml.MappingNode):
+            raise CampaignError(f"{path}: holds no `key: value` pairs")
+        lines = dict(_lines(node, (), path))
+        return loader.construct_document(node), lines
+    except yaml.reader.ReaderError as problem:
+        line = text.count("\n", 0, problem.position) + 1
+        raise CampaignError(f"{path}, line {line}: holds a character that YAML forbids") from None
+    except yaml.MarkedYAMLError as problem:
+        mark = problem.problem_mark or problem.context_mark
+        number = mark.line if mark else 0
+        shown = (text.splitlines() or [""])[number : number + 1]
+        tab = " (YAML wants spaces, not tabs)" if shown and "\t" in shown[0] else ""
+        raise CampaignError(f"{path}, line {number + 1}: is not valid YAML: {problem.problem}{tab}") from None
+    except ValueError as problem:  # a date such as 2024-02-30
+        raise CampaignError(f"{path}: is not valid YAML: {problem}") from None
+
+
+def refuse_tricks(text: str, path: Path) -> None:
+    """Refuse what a settings file has no need of and an attacker has.
+
+    Aliases can blow up a few lines to gigabytes, deep nesting exhausts the stack, and tags make objects.
+
+    Raises:
+        CampaignError: naming the line.
+    """
+    depth = 0
+    for event in yaml.parse(text, Loader=_Loader):
+        mark = event.start_mark
+        where = f"{path}, line {mark.line + 1 if mark else 1}"
+        if isinstance(event, yaml.AliasEvent):
+            raise CampaignError(f"{where}: the alias *{event.anchor} is refused; write the value out")
+        if isinstance(event, yaml.ScalarEvent | yaml.CollectionStartEvent) and event.tag:
+            raise CampaignError(f"{where}: the tag {event.tag} is refused; write plain values")
+        depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+        if depth > MAX_DEPTH:
+            raise CampaignError(f"{where}: is nested more than {MAX_DEPTH} deep")
+
+
+def _lines(node: yaml.Node, location: Location, path: Path) -> Iterator[tuple[Location, int]]:
+    """Yield the line of every key and list item below a node; refuse a key twice and keys that are not text."""
+    if isinstance(node, yaml.SequenceNode):
+        for number, item in enumerate(node.value):
+            yield (*location, number), item.start_mark.line + 1
+            yield from _lines(item, (*location, number), path)
+    elif isinstance(node, yaml.MappingNode):
+        seen: set[Hashable] = set()
+        for key, value in node.value:
+            line = key.start_mark.line + 1
+            where = f"{path}, line {line}"
+            if not isinstance(key, yaml.ScalarNode):
+                raise CampaignError(f"{where}: a key must be a plain word")
+            name = _dotted((*location, key.value))
+            if key.tag != "tag:yaml.org,2002:str":
+                kind = key.tag.rpartition(":")[2]
+                raise CampaignError(f"{where}: {name}: YAML reads this key as a {kind}; put it in quotes")
+            if key.value in seen:
+                raise CampaignError(f"{where}: {name}: this key is there twice")
+            seen.add(key.value)
+            yield (*location, key.value), line
+            yield from _lines(value, (*location, key.value), path)
+
+
+def _frozen(value: Any) -> Any:
+    """Make lists tuples, as strict models want them, and dates the text that they were."""
+    if isinstance(value, dict):
+        return {key: _frozen(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return tuple(_frozen(item) for item in value)
+    return str(value) if isinstance(value, datetime.date) else value
+
+
+def _dotted(location: Location) -> str:
+    return "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in location).removeprefix(".")
+
+
+def _complaint(error: ErrorDetails, path: Path, lines: dict[Location, int]) -> str:
+    """Turn an error of pydantic into one line: where, which key, what is wrong, what was meant."""
+    location: Location = error["loc"]
+    facts = error.get("ctx", {})
+    value = error["input"]
+    if error["type"] == "unknown_key":
+        location = (*location, facts["key"])
+        wrong = error["msg"]
+    elif error["type"] == "missing":
+        wrong = "this item is missing" if isinstance(location[-1], int) else "this key is missing"
+    elif value is None:
+        wrong = "has no value; give one or delete the key"
+    elif error["type"] == "value_error":
+        wrong = str(facts["error"])
+    else:
+        wrong = error["msg"].replace("Input should", "should").replace("valid tuple", "list")
+        wrong = re.sub(r"valid dictionary( or instance of \w+)?", "mapping", wrong)
+        wrong += f", not {_shown(value)}"
+        if error["type"] == "literal_error":
+            wrong += nearest(str(value), re.findall(r"'([^']*)'", facts["expected"]))
+    known = location
+    while known and known not in lines:
+        known = known[:-1]
+    where = f"{path}, line {lines[known]}" if known else f"{path}"
+    return f"{where}: {_dotted(location)}: {wrong}" if location else f"{where}: {wrong}"
+
+
+def _shown(value: object) -> str:
+    text = repr(list(value) if isinstance(value, tuple) else value)
+    return text if len(text) <= 60 else text[:57] + "..."

@@ -1,0 +1,1 @@
+"""Chain and corrections to the target's pose, its Jacobian and its inverse."""

@@ -1,0 +1,265 @@
+"""The extended Pinocchio model: every component that a coefficient moves is one more joint of the robot.
+
+Pinocchio's own forward kinematics and Jacobians then give poses and columns, exact at any size of a correction. With P the
+nominal placement of a joint, M its motion, C and D the corrections in axes of frames and of links:
+
+    T_parent_joint = P C(constants) C(effects) M(q) D(link)      revolute: the bearing moves, and does not turn along
+    T_parent_joint = P C(constants) M(q) C(effects) D(link)      prismatic: the carriage moves, where it is now
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal, NamedTuple
+
+import numpy as np
+import pinocchio as pin
+
+from aridcal.effects.effect import LINK_COMPONENTS, Coefficient
+from aridcal.model.motions import Motion, joint_model, motion, rank
+from aridcal.robot.chain import Joint, Robot
+from aridcal.robot.doty import Link, doty_links, segments
+
+# C(x, y, z, roll, pitch, yaw) = Tx Ty Tz Rz(yaw) Ry(pitch) Rx(roll): exactly URDF's xyz and rpy.
+ORDER = ("x", "y", "z", "yaw", "pitch", "roll")
+
+# Doty's link parameters as motions of frame components.
+LINK_AXES = {"d": "z", "theta": "yaw", "beta": "pitch", "a": "x", "alpha": "roll"}
+
+Group = Literal["constant", "effect", "link", "own"]
+
+
+class Slot(NamedTuple):
+    """One joint of the extended model.
+
+    Attributes:
+        where: A joint of the chain, the tip's fixed joint, ``world_base`` or ``tip_target``.
+        group: A constant or an effect in axes of a frame, a correction of a link, or the robot's own motion.
+        component: That moves; empty for the robot's own motion.
+    """
+
+    where: str
+    group: Group
+    component: str
+
+    @property
+    def name(self) -> str:
+        """Of the Pinocchio joint; the robot's own joints keep theirs."""
+        return self.where if self.group == "own" else ".".join(self)
+
+
+class Step(NamedTuple):
+    """A step from base to tip: a fixed placement, then a joint of the extended model or the end of an origin.
+
+    Attributes:
+        placement: From the step before.
+        slot: The joint; None where a joint's own ``<origin>`` ends.
+        motion: Of that joint.
+        origin: Name of the joint whose ``<origin>`` ends here; empty where there is a joint instead.
+    """
+
+    placement: pin.SE3
+    slot: Slot | None = None
+    motion: Motion | None = None
+    origin: str = ""
+
+
+def own_slot(name: str) -> Slot:
+    """A joint of the robot itself."""
+    return Slot(name, "own", "")
+
+
+def slot_of(c: Coefficient) -> Slot:
+    """The joint that carries a coefficient; a frame's constants and its effects share theirs."""
+    if c.component in LINK_COMPONENTS:
+        return Slot(c.where, "link", c.component)
+    frame = c.where in ("world_base", "tip_target")
+    return Slot(c.where, "constant" if c.basis.constant or frame else "effect", c.component)
+
+
+def frame_slots(where: str, needed: Sequence[Slot]) -> list[Slot]:
+    """The joints that move a frame, in the order of C."""
+    every = [Slot(where, "constant", component) for component in ORDER]
+    return [slot for slot in every if slot in needed]
+
+
+def chain_steps(robot: Robot, links: Sequence[Link], needed: Sequence[Slot]) -> list[Step]:
+    """Walk from base to tip.
+
+    Args:
+        robot: The nominal chain.
+        links: Its link model; may be empty if no link is corrected.
+        needed: The joints wanted beside the robot's own, each once.
+    """
+    corrected = {slot.where for slot in needed if slot.group == "link"}
+    link_after = {link.joint: link for link in links if link.joint in corrected}
+    ends = [joint.placement for joint in robot.joints[1:]] + [robot.tip_before * robot.tip_origin]
+    steps: list[Step] = []
+    placement = robot.joints[0].placement
+
+    def put(found: Sequence[tuple[Slot, Motion]]) -> None:
+        nonlocal placement
+        for slot, move in found:
+            steps.append(Step(placement, slot, move))
+            placement = pin.SE3.Identity()
+
+    def end_of_origin(name: str) -> None:
+        nonlocal placement
+        steps.append(Step(placement, origin=name))
+        placement = pin.SE3.Identity()
+
+    for joint, after in zip(robot.joints, ends, strict=True):
+        put(_sorted(needed, joint.name, "constant", joint))
+        end_of_origin(joint.name)
+        effects = _sorted(needed, joint.name, "effect", joint)
+        own = [(own_slot(joint.name), motion("axis", joint))]
+        put(own + effects if joint.kind == "prismatic" else effects + own)
+        if joint.name in link_after:
+            parts, after = segments(link_after[joint.name])
+            for component, before in parts:
+                placement = placement * before
+                slot = Slot(joint.name, "link", component)
+                put([(slot, motion(LINK_AXES[component]))] if slot in needed else [])
+        placement = placement * after
+    put(_sorted(needed, robot.tip_joint, "constant", None) if robot.tip_joint else [])
+    end_of_origin(robot.tip_joint or "")
+    return steps
+
+
+def _sorted(needed: Sequence[Slot], where: str, group: Group, joint: Joint | None) -> list[tuple[Slot, Motion]]:
+    """A group of joints at one place with their motions, in the order of C; those of one rank by their names."""
+    found = [slot for slot in needed if (slot.where, slot.group) == (where, group)]
+    found.sort(key=lambda slot: (rank(slot.component, joint), slot.component))
+    return [(slot, motion(slot.component, joint)) for slot in found]
+
+
+def carried_bodies(robot: Robot) -> dict[str, pin.Inertia]:
+    """Inertia carried by each joint of the chain: fixed links and locked side branches included."""
+    tree = robot.tree.copy()
+    for frame in tree.frames:  # Pinocchio looks for frames by name, and a link may have that of a joint
+        if frame.type != pin.FrameType.JOINT:
+            frame.name = f"{frame.name} {frame.type}"
+    lock = [k for k in range(1, tree.njoints) if tree.names[k] not in robot.names]
+    reduced = pin.buildReducedModel(tree, lock, pin.neutral(tree))
+    return {name: reduced.inertias[reduced.getJointId(name)] for name in robot.names}
+
+
+@dataclass(frozen=True)
+class ExtendedModel:
+    """Robot, frames and one more joint for each component that some coefficients move.
+
+    Attributes:
+        robot: The nominal chain.
+        coefficients: K of them.
+        world_base: Starts of T_world_base, one or one for each station.
+        tip_target: Starts of T_tip_target, likewise.
+    """
+
+    robot: Robot
+    coefficients: tuple[Coefficient, ...]
+    world_base: tuple[pin.SE3, ...]
+    tip_target: tuple[pin.SE3, ...]
+
+    @cached_property
+    def slots(self) -> tuple[Slot, ...]:
+        """The joint that carries each coefficient, K of them; several may share one."""
+        return tuple(slot_of(c) for c in self.coefficients)
+
+    @cached_property
+    def chain(self) -> list[Step]:
+        """From base to tip, without the frames at either end."""
+        return chain_steps(self.robot, self.links, self._needed)
+
+    @cached_property
+    def links(self) -> tuple[Link, ...]:
+        """Doty's link model, if a coefficient corrects a link; else empty."""
+        return doty_links(self.robot) if any(slot.group == "link" for slot in self.slots) else ()
+
+    @cached_property
+    def index(self) -> dict[Slot, int]:
+        """Which coordinate of the extended model each joint has: every one of them has one."""
+        first, last = (frame_slots(where, self._needed) for where in ("world_base", "tip_target"))
+        inner = [step.slot for step in self.chain if step.slot is not None]
+        return {slot: k for k, slot in enumerate([*first, *inner, *last])}
+
+    @cached_property
+    def carrier(self) -> np.ndarray:
+        """Coordinate that each coefficient moves, shape (K,)."""
+        return np.array([self.index[slot] for slot in self.slots], dtype=int)
+
+    @cached_property
+    def own(self) -> list[int]:
+        """Coordinate of each joint of the robot itself."""
+        return [self.index[own_slot(name)] for name in self.robot.names]
+
+    @cached_property
+    def data(self) -> pin.Data:
+        """Pinocchio's workspace; frames differ in their placement alone, so one serves all of them.
+
+        It grows with the cube of the joints: made anew for each block of rows, it would cost more than the rows.
+        """
+        return self.build(0, 0)[0].createData()
+
+    def build(self, world: int, tip: int) -> tuple[pin.Model, pin.SE3]:
+        """Pinocchio's model for one pair of frames, and the target's placement on its last joint; made once for each."""
+        if (world, tip) not in self._built:
+            self._built[world, tip] = self._build(self.world_base[world], self.tip_target[tip])
+        return self._built[world, tip]
+
+    def locked(self, value: Mapping[Slot, float], moving: set[Slot], world: int, tip: int) -> pin.Model:
+        """The model with few joints left.
+
+        Args:
+            value: Where joints are locked; those that are not named, at zero.
+            moving: Joints that stay.
+            world: Index of the frame to use.
+            tip: Likewise.
+        """
+        extended, _ = self.build(world, tip)
+        q = pin.neutral(extended)
+        for slot, k in self.index.items():
+            q[k] = value.get(slot, 0.0)
+        names = {slot.name for slot in moving}
+        lock = [k for k in range(1, extended.njoints) if extended.names[k] not in names]
+        return pin.buildReducedModel(extended, lock, q)
+
+    def _build(self, world_base: pin.SE3, tip_target: pin.SE3) -> tuple[pin.Model, pin.SE3]:
+        model, parent = pin.Model(), 0
+        pending = world_base
+
+        def add(slot: Slot, move: Motion) -> None:
+            nonlocal parent, pending
+            parent = model.addJoint(parent, joint_model(move), pending, slot.name)
+            model.addJointFrame(parent)  # without it buildReducedModel refuses
+            pending = pin.SE3.Identity()
+
+        for slot in frame_slots("world_base", self._needed):
+            add(slot, motion(slot.component))
+        body = ""  # that waits for the joint that carries it
+        for step in self.chain:
+            carriage = step.slot is not None and (step.slot.where, step.slot.group) == (body, "effect")
+            if body and not carriage:  # a carriage's own effects carry its body
+                model.appendBodyToJoint(parent, self._bodies[body], pin.SE3.Identity())
+                body = ""
+            pending = pending * step.placement
+            if step.slot is not None and step.motion is not None:
+                add(step.slot, step.motion)
+                body = step.slot.where if step.slot.group == "own" else body
+        pending = pending * tip_target
+        for slot in frame_slots("tip_target", self._needed):
+            add(slot, motion(slot.component))
+        return model, pending
+
+    @cached_property
+    def _needed(self) -> tuple[Slot, ...]:
+        return tuple(dict.fromkeys(self.slots))
+
+    @cached_property
+    def _bodies(self) -> dict[str, pin.Inertia]:
+        return carried_bodies(self.robot)
+
+    @cached_property
+    def _built(self) -> dict[tuple[int, int], tuple[pin.Model, pin.SE3]]:
+        return {}

@@ -1,0 +1,308 @@
+"""Robot, frames and coefficients as a model of the target: its poses, and how they change with the coefficients."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+import pinocchio as pin
+
+from aridcal.effects.basis import evaluate
+from aridcal.effects.effect import FRAME_COMPONENTS, LINK_COMPONENTS, Coefficient
+from aridcal.effects.loads import Surroundings, covariate_table
+from aridcal.errors import MeasurementError
+from aridcal.model.extended import ORDER, ExtendedModel, Slot, own_slot
+from aridcal.model.motions import motion, transform
+from aridcal.robot.chain import Robot
+
+ONE_FRAME = ((None, pin.SE3.Identity()),)
+
+Frames = tuple[tuple[str | None, pin.SE3], ...]
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Measured configurations as a model sees them.
+
+    Attributes:
+        positions: Joint positions, shape (N, joints), [rad] or [m].
+        phi: Bases of the coefficients that vary, shape (N, varying).
+        world: Index of each row's ``world_base`` frame, shape (N,).
+        tip: Index of each row's ``tip_target`` frame, shape (N,).
+    """
+
+    positions: np.ndarray
+    phi: np.ndarray
+    world: np.ndarray
+    tip: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.positions)
+
+    def __getitem__(self, rows: slice | np.ndarray) -> Rows:
+        return Rows(self.positions[rows], self.phi[rows], self.world[rows], self.tip[rows])
+
+
+@dataclass(frozen=True)
+class Locked:
+    """A robot with its effects, and nothing else that moves.
+
+    Attributes:
+        model: Pinocchio's.
+        target: The target on its last joint.
+        own: Which coordinate each joint of the robot has, shape (joints,).
+        carrier: Which coordinate carries each coefficient, shape (K,); -1 where that is locked. A joint that carries a
+            constant beside an effect starts at zero: its constant is still to be added.
+    """
+
+    model: pin.Model
+    target: pin.SE3
+    own: np.ndarray
+    carrier: np.ndarray
+
+
+@dataclass(frozen=True)
+class Model:
+    """Robot + frames + coefficients: target poses and their Jacobian.
+
+    Attributes:
+        robot: The nominal chain.
+        coefficients: The unknowns, K of them; theta is their value.
+        world_base: Start of T_world_base, for all rows (label None) or for each station.
+        tip_target: Start of T_tip_target, likewise.
+        around: Gravity and the payload's place, for the loads that effects depend on.
+    """
+
+    robot: Robot
+    coefficients: tuple[Coefficient, ...]
+    world_base: Frames = ONE_FRAME
+    tip_target: Frames = ONE_FRAME
+    around: Surroundings = field(default_factory=Surroundings)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the coefficients."""
+        return tuple(c.name for c in self.coefficients)
+
+    def with_coefficients(self, coefficients: Sequence[Coefficient]) -> Model:
+        """The same robot and frames with other unknowns."""
+        return replace(self, coefficients=tuple(coefficients))
+
+    def rows(
+        self,
+        readings: np.ndarray,
+        covariates: Mapping[str, np.ndarray] | None = None,
+        station: np.ndarray | None = None,
+    ) -> Rows:
+        """Prepare measured configurations.
+
+        Args:
+            readings: Shape (N, columns) in the order of ``robot.readings``, [rad] or [m].
+            covariates: Columns that the bases depend on, each of shape (N,).
+            station: Label of each row; needed where a frame is per station.
+
+        Raises:
+            CovariateNotFound: an effect depends on a column that was not measured.
+            MeasurementError: a row's station is none of those that the model knows.
+        """
+        n = len(readings)
+        world, tip = (_frame_index(f, station, n) for f in (self.world_base, self.tip_target))
+        varying = [self.coefficients[k] for k in self._varying]
+        wanted = {name for c in varying for name in c.basis.of}
+        table = covariate_table(self.robot, readings, covariates or {}, self.around, world, wanted) if wanted else {}
+        phi = np.empty((n, len(varying)))
+        for k, c in enumerate(varying):
+            phi[:, k] = 1.0 if c.basis.constant else evaluate(c.basis, table)
+            if c.station is not None:
+                phi[:, k] *= _labels(station, n) == c.station
+        return Rows(self.robot.positions(readings), phi, world, tip)
+
+    def poses(self, theta: np.ndarray, rows: Rows) -> tuple[np.ndarray, np.ndarray]:
+        """Target poses T_world_target: rotations (N, 3, 3) and positions (N, 3) in [m]."""
+        R, p = np.empty((len(rows), 3, 3)), np.empty((len(rows), 3))
+        q = self._configurations(theta, rows)
+        data = self._extended.data
+        for index, model, end in self._variants(rows):
+            last = data.oMi[model.njoints - 1]
+            rotation, translation = last.rotation, last.translation
+            for i in index:
+                pin.forwardKinematics(model, data, q[i])
+                R[i], p[i] = rotation, translation
+            p[index] += R[index] @ end.translation
+            R[index] = R[index] @ end.rotation
+        return R, p
+
+    def jacobian(self, theta: np.ndarray, rows: Rows) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        r"""Differentiate the target pose with respect to the coefficients.
+
+        .. math:: J_k = J_{joint(k)} \, \varphi_k(z)
+
+        Args:
+            theta: Coefficients, shape (K,), each in [component unit / basis unit].
+            rows: N measured configurations.
+
+        Returns:
+            The poses, as :meth:`poses`, and the twists of the target at its own origin in world axes, shape (N, 6, K):
+            linear [m], then angular [rad], per unit of each coefficient.
+        """
+        n = len(rows)
+        R, p = np.empty((n, 3, 3)), np.empty((n, 3))
+        wide = np.empty((n, 6, len(self._extended.index)))
+        q = self._configurations(theta, rows)
+        data = self._extended.data
+        for index, model, end in self._variants(rows):
+            last = data.oMi[model.njoints - 1]
+            rotation, translation, columns = last.rotation, last.translation, data.J
+            for i in index:
+                pin.computeJointJacobians(model, data, q[i])
+                wide[i], R[i], p[i] = columns, rotation, translation
+            p[index] += R[index] @ end.translation
+            R[index] = R[index] @ end.rotation
+        J = wide[:, :, self._extended.carrier]
+        _move_to(p, J)
+        if len(self._varying):
+            J[:, :, self._varying] *= rows.phi[:, None, :]
+        return R, p, J
+
+    def origins(self, theta: np.ndarray) -> dict[str, pin.SE3]:
+        """Own ``<origin>`` of every joint that the constants move: nominal placement times corrections."""
+        value = self._constant_values(theta)
+        before = {j.name: j.before for j in self.robot.joints} | {str(self.robot.tip_joint): self.robot.tip_before}
+        found: dict[str, pin.SE3] = {}
+        here = pin.SE3.Identity()  # from the last origin's end
+        for step in self._extended.chain:
+            here = here * step.placement
+            if step.slot is None:
+                if step.origin in before:
+                    found[step.origin] = before[step.origin].inverse() * here
+                here = pin.SE3.Identity()
+            elif step.slot in value and step.motion is not None:
+                here = here * transform(step.motion, value[step.slot])
+        moved = {c.where for c in self.coefficients if c.basis.constant and c.component in FRAME_COMPONENTS}
+        corrected = {c.where for c in self.coefficients if c.component in LINK_COMPONENTS}
+        moved |= {str(link.next_origin) for link in self._extended.links if link.joint in corrected}
+        return {name: origin for name, origin in found.items() if name in moved}
+
+    def frames(self, theta: np.ndarray) -> tuple[Frames, Frames]:
+        """T_world_base and T_tip_target with the constants applied."""
+        world = [(label, self._moved("world_base", label, start, theta)) for label, start in self.world_base]
+        tip = [(label, self._moved("tip_target", label, start, theta)) for label, start in self.tip_target]
+        return tuple(world), tuple(tip)
+
+    def _moved(self, where: str, label: str | None, start: pin.SE3, theta: np.ndarray) -> pin.SE3:
+        """One frame with its constants applied, in the order of C."""
+        value = {
+            c.component: theta[k]
+            for k, c in enumerate(self.coefficients)
+            if c.where == where and c.basis.constant and c.station == label
+        }
+        for component in ORDER:
+            if component in value:
+                start = start * transform(motion(component), value[component])
+        return start
+
+    def recentred(self, theta: np.ndarray) -> tuple[Model, np.ndarray]:
+        """The same model with the frames' constants moved into their start: those coefficients become zero."""
+        world, tip = self.frames(theta)
+        frame = [c.where in ("world_base", "tip_target") and c.basis.constant for c in self.coefficients]
+        return replace(self, world_base=world, tip_target=tip), np.where(frame, 0.0, theta)
+
+    def locked(self, theta: np.ndarray, station: str | None = None) -> Locked:
+        """The robot and its effects alone: whatever moves alike in all rows is locked where theta has it.
+
+        Args:
+            theta: Coefficients, shape (K,).
+            station: Label of the frames to use, where they are per station.
+
+        Raises:
+            MeasurementError: the station is none of those that the model knows.
+        """
+        label = None if station is None else np.array([station])
+        world, tip = (int(_frame_index(f, label, 1)[0]) for f in (self.world_base, self.tip_target))
+        slots = self._extended.slots
+        own = [own_slot(name) for name in self.robot.names]
+        moving = {*own, *(slots[k] for k in self._varying)}
+        model = self._extended.locked(self._constant_values(theta), moving, world, tip)
+        extended, end = self._extended.build(world, tip)
+        last = model.frames[model.getFrameId(extended.names[-1])]
+        index = {name: k for k, name in enumerate(list(model.names)[1:])}
+        carrier = [index[slot.name] if slot in moving else -1 for slot in slots]
+        return Locked(
+            model=model,
+            target=last.placement * end,
+            own=np.array([index[slot.name] for slot in own]),
+            carrier=np.array(carrier, dtype=int),
+        )
+
+    @cached_property
+    def _extended(self) -> ExtendedModel:
+        world, tip = (tuple(placement for _, placement in frames) for frames in (self.world_base, self.tip_target))
+        return ExtendedModel(self.robot, self.coefficients, world, tip)
+
+    @cached_property
+    def _varying(self) -> np.ndarray:
+        """Coefficients that do not act alike on every row."""
+        alike = [c.basis.constant and c.station is None for c in self.coefficients]
+        return np.flatnonzero(~np.array(alike, dtype=bool))
+
+    def _variants(self, rows: Rows) -> list[tuple[np.ndarray, pin.Model, pin.SE3]]:
+        """Rows that share their frames: (row numbers, extended model, target on its last joint)."""
+        tips = len(self.tip_target)
+        pair = rows.world * tips + rows.tip
+        found = []
+        for k in np.unique(pair):
+            world, tip = divmod(int(k), tips)
+            found.append((np.flatnonzero(pair == k), *self._extended.build(world, tip)))
+        return found
+
+    def _configurations(self, theta: np.ndarray, rows: Rows) -> np.ndarray:
+        """Positions of all joints of the extended model, shape (N, nv): theta_k phi_k(z), summed where joints are shared."""
+        carrier = self._extended.carrier
+        q = np.zeros((len(rows), len(self._extended.index)))
+        q[:, self._extended.own] = rows.positions
+        varying = np.zeros(len(theta), dtype=bool)
+        varying[self._varying] = True
+        for k in np.flatnonzero(~varying):
+            q[:, carrier[k]] += theta[k]
+        for column, k in enumerate(self._varying):
+            q[:, carrier[k]] += theta[k] * rows.phi[:, column]
+        return q
+
+    def _constant_values(self, theta: np.ndarray) -> dict[Slot, float]:
+        pairs = zip(self._extended.slots, self.coefficients, strict=True)
+        return {slot: float(theta[k]) for k, (slot, c) in enumerate(pairs) if c.basis.constant}
+
+
+def _move_to(p: np.ndarray, J: np.ndarray) -> None:
+    """Turn velocities of the point at the world's origin, as Pinocchio has them, into those at p: v + w x p.
+
+    Args:
+        p: Shape (N, 3), [m].
+        J: Twists (v, w), shape (N, 6, K); changed in place.
+    """
+    x, y, z = p[:, 0, None], p[:, 1, None], p[:, 2, None]
+    wx, wy, wz = J[:, 3], J[:, 4], J[:, 5]
+    J[:, 0] += wy * z - wz * y
+    J[:, 1] += wz * x - wx * z
+    J[:, 2] += wx * y - wy * x
+
+
+def _labels(station: np.ndarray | None, n: int) -> np.ndarray:
+    return np.full(n, "") if station is None else station
+
+
+def _frame_index(frames: Frames, station: np.ndarray | None, n: int) -> np.ndarray:
+    labels = [label for label, _ in frames]
+    if labels == [None]:
+        return np.zeros(n, dtype=int)
+    if station is None:
+        raise MeasurementError("a frame is per station: the table needs a `station` column")
+    number = {label: k for k, label in enumerate(labels)}
+    unknown = sorted({str(s) for s in station} - set(map(str, labels)))
+    if unknown:
+        raise MeasurementError(
+            f"station {unknown[0]!r} was not in the calibration (known: {', '.join(map(str, labels))})"
+        )
+    return np.array([number[s] for s in station], dtype=int)

@@ -1,0 +1,331 @@
+"""A solved model one configuration at a time: the target's pose and Jacobian in microseconds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+import pinocchio as pin
+
+from aridcal.effects.basis import FORMS, Basis, Columns, Numbers
+from aridcal.effects.effect import direction
+from aridcal.effects.loads import Surroundings, bearing_components
+from aridcal.errors import CovariateNotFound, nearest
+from aridcal.model.model import Model
+from aridcal.robot.chain import Robot
+
+
+@dataclass(frozen=True)
+class _Term:
+    """Coefficients that share a form: ``spread @ value(z[of], numbers)`` is what they move, joint by joint.
+
+    Attributes:
+        value: Of :data:`aridcal.effects.basis.FORMS`, here for many numbers at once.
+        of: For each argument of the form: index into the covariates, shape (terms,).
+        numbers: Each of shape (terms,).
+        spread: Theta where each coefficient acts, else 0, shape (joints, terms).
+    """
+
+    value: Callable[[Columns, Numbers], np.ndarray]
+    of: list[np.ndarray]
+    numbers: tuple[np.ndarray, ...]
+    spread: np.ndarray
+
+
+@dataclass(frozen=True)
+class _Curve:
+    """Splines of one covariate on evenly spaced knots, summed: a cubic polynomial between each knot and the next.
+
+    Attributes:
+        joint: That it moves.
+        of: Index of the covariate.
+        start: The first knot.
+        step: From one knot to the next.
+        pieces: Coefficients of 1, u, u^2, u^3 between knots, with u from 0 to 1.
+    """
+
+    joint: int
+    of: int
+    start: float
+    step: float
+    pieces: list[list[float]]
+
+    def value(self, z: float) -> float:
+        """The curve's value; zero beyond its ends."""
+        u = (z - self.start) / self.step
+        if not 0.0 <= u < len(self.pieces):
+            return 0.0 * u  # of what is not a number, no number either
+        k = int(u)
+        u -= k
+        a, b, c, d = self.pieces[k]
+        return a + u * (b + u * (c + u * d))
+
+
+class OneRowModel:
+    """What :class:`~aridcal.model.model.Model` computes for many rows, for one configuration without the cost of arrays.
+
+    Whatever moves alike in all rows is locked in Pinocchio's model, so that only the robot's joints and those of its
+    effects are left.
+
+    Args:
+        model: Robot, frames and coefficients.
+        theta: Coefficients, shape (K,).
+        station: Label of the frames to use, where they are per station.
+
+    Attributes:
+        needs: Covariates that the effects depend on and that the caller must give, sorted.
+        still: The effects' joints when no effect acts, shape (joints,).
+    """
+
+    def __init__(self, model: Model, theta: np.ndarray, station: str | None = None) -> None:
+        robot, locked = model.robot, model.locked(theta, station)
+        self._model = locked.model
+        last = self._model.njoints - 1
+        target = pin.Frame("target", last, 0, locked.target, pin.FrameType.OP_FRAME)
+        self._target = self._model.addFrame(target)
+        self._data = self._model.createData()
+        self._size = self._model.nv
+        self._carrier = locked.carrier
+
+        column = {name: k for k, name in enumerate(robot.readings)}
+        self._multiplier = np.array([j.multiplier for j in robot.joints])
+        self._offset = np.array([j.offset for j in robot.joints])
+        self._column = np.array([column[j.reading] for j in robot.joints])
+        self._drive = np.zeros((self._size, len(column)))
+        self._drive[locked.own, self._column] = self._multiplier
+        self.still = np.zeros(self._size)
+        self.still[locked.own] = self._offset
+
+        here = [c.station in (None, station) for c in model.coefficients]
+        free = [k for k, c in enumerate(model.coefficients) if locked.carrier[k] >= 0 and here[k]]
+        bases = {k: model.coefficients[k].basis for k in free}
+        for k in free:
+            if bases[k].constant:
+                self.still[locked.carrier[k]] += theta[k]
+                del bases[k]
+        names = list(dict.fromkeys(name for basis in bases.values() for name in basis.of))
+        place = {name: i for i, name in enumerate(names)}
+        self._curves = self._take_curves(bases, theta, place)
+        self._terms = self._all_terms(bases, theta, place)
+
+        loads = [n for n in names if n not in robot.names and n.rpartition(".")[0] in robot.names]
+        measured = [n for n in names if n not in robot.names and n not in loads]
+        self._joints = [(place[n], robot.names.index(n)) for n in names if n in robot.names]
+        self._measured = [(place[n], n) for n in measured]
+        around = _surroundings_at(model, station)
+        self._loads = _Loads(robot, around, [(place[n], n) for n in loads]) if loads else None
+        self._covariates = len(names)
+        payload = ("payload",) if self._loads and self._loads.payload else ()
+        self.needs = tuple(sorted({*measured, *payload}))
+
+    def _take_curves(self, bases: dict[int, Basis], theta: np.ndarray, place: Mapping[str, int]) -> list[_Curve]:
+        """Sum the splines that stand on the same evenly spaced knots, and take them out of the bases."""
+        families: dict[tuple[int, int, float], list[int]] = {}
+        for k, basis in bases.items():
+            if basis.form == "bump":
+                _, step = basis.numbers
+                families.setdefault((int(self._carrier[k]), place[basis.of[0]], step), []).append(k)
+        curves = []
+        for (joint, of, step), own in families.items():
+            centres = np.array([bases[k].numbers[0] for k in own])
+            if _even(centres, step):
+                curves.append(_curve(joint, of, centres, step, theta[own]))
+                for k in own:
+                    del bases[k]
+        return curves
+
+    def _all_terms(self, bases: Mapping[int, Basis], theta: np.ndarray, place: Mapping[str, int]) -> list[_Term]:
+        """Gather bases by their form."""
+        terms = []
+        for form in dict.fromkeys(basis.form for basis in bases.values()):
+            own = [k for k, basis in bases.items() if basis.form == form]
+            count = len(own)
+            spread = np.zeros((self._size, count))
+            spread[self._carrier[own], np.arange(count)] = theta[own]
+            covariates = np.array([[place[name] for name in bases[k].of] for k in own])
+            numbers = np.array([bases[k].numbers for k in own]).reshape(count, -1)
+            terms.append(_Term(FORMS[form].value, list(covariates.T), tuple(numbers.T), spread))
+        return terms
+
+    def effects(self, readings: np.ndarray, covariates: Mapping[str, float]) -> np.ndarray:
+        """Where the effects stand in one configuration.
+
+        Args:
+            readings: Shape (columns,), in the order of ``robot.readings``, [rad] or [m].
+            covariates: Value of each of :attr:`needs`.
+
+        Returns:
+            Shape (joints,), to be given to :meth:`pose` and :meth:`jacobian`.
+
+        Raises:
+            CovariateNotFound: one of :attr:`needs` is missing.
+        """
+        if not self._covariates:
+            return self.still
+        z = np.empty(self._covariates)
+        positions = readings[self._column] * self._multiplier + self._offset
+        for k, joint in self._joints:
+            z[k] = positions[joint]
+        try:
+            for k, name in self._measured:
+                z[k] = covariates[name]
+            if self._loads:
+                self._loads.fill(z, readings, covariates)
+        except KeyError as missing:
+            name = str(missing.args[0])
+            raise CovariateNotFound(
+                f"the model depends on {name!r}, which was not given{nearest(name, covariates)}: add it"
+            ) from None
+        moved = self.still.copy()
+        for curve in self._curves:
+            moved[curve.joint] += curve.value(float(z[curve.of]))
+        for term in self._terms:
+            moved += term.spread @ term.value([z[of] for of in term.of], term.numbers)
+        return moved
+
+    def pose(self, readings: np.ndarray, effects: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """T_world_target: rotation (3, 3) and position (3,) in [m]."""
+        pin.framesForwardKinematics(self._model, self._data, effects + self._drive @ readings)
+        target = self._data.oMf[self._target]
+        return target.rotation.copy(), target.translation.copy()
+
+    def jacobian(self, readings: np.ndarray, effects: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The pose, and how it changes with the readings while the effects stay where they are.
+
+        Returns:
+            Rotation (3, 3), position (3,) [m], and the target's twists at its own origin in world axes, shape
+            (6, columns): linear, then angular.
+        """
+        q = effects + self._drive @ readings
+        J = pin.computeFrameJacobian(self._model, self._data, q, self._target, pin.LOCAL_WORLD_ALIGNED)
+        target = pin.updateFramePlacement(self._model, self._data, self._target)
+        return target.rotation.copy(), target.translation.copy(), J @ self._drive
+
+
+def _even(centres: np.ndarray, step: float) -> bool:
+    """True if the centres stand a whole number of steps apart, to the digits that files keep of them."""
+    steps = (centres - centres.min()) / step
+    return bool(np.abs(steps - np.round(steps)).max() < 1e-6)
+
+
+def _curve(joint: int, of: int, centres: np.ndarray, step: float, theta: np.ndarray) -> _Curve:
+    """The sum of B-splines as cubic pieces, from two knots before the first centre to two behind the last."""
+    start = float(centres.min()) - 2.0 * step
+    count = round(float(np.ptp(centres)) / step) + 4
+    u = np.arange(4) / 3.0  # four points give a cubic
+    z = start + step * (np.arange(count)[:, None] + u)
+    values = FORMS["bump"].value([z[:, :, None]], (centres, step)) @ theta
+    powers = np.vander(u, increasing=True)
+    pieces = np.linalg.solve(powers, values.T).T
+    return _Curve(joint, of, start, step, pieces.tolist())
+
+
+def _surroundings_at(model: Model, station: str | None) -> Surroundings:
+    """Gravity in the base of a station."""
+    gravity = np.atleast_2d(model.around.gravity)
+    labels = [label for label, _ in model.world_base]
+    return replace(model.around, gravity=gravity[labels.index(station) if len(gravity) > 1 else 0])
+
+
+class _Driven(NamedTuple):
+    """How a reading sets a joint of the tree.
+
+    Attributes:
+        place: Of its first coordinate in Pinocchio's configuration.
+        as_unit_vector: True where Pinocchio has cosine and sine, as of joints that turn without end.
+        column: Of the readings.
+        multiplier: Position = multiplier * reading + offset.
+        offset: See ``multiplier``.
+    """
+
+    place: int
+    as_unit_vector: bool
+    column: int
+    multiplier: float
+    offset: float
+
+
+class _Loads:
+    """Gravity's and the payload's pull on the nominal joints: :func:`aridcal.effects.loads.covariate_table` for one row.
+
+    There are two roads to the loads because one row must not cost more than its pose: Pinocchio's recursion takes 4 us
+    for it, the arrays of ``covariate_table`` over 1 ms (for thousands of rows both take 3 us a row). Each checks the other
+    in ``tests/test_one_row.py``.
+
+    Pinocchio's recursion gives the wrench that holds up everything beyond a joint; its opposite is the load.
+
+    Args:
+        robot: The nominal chain.
+        around: Gravity in the base frame, shape (3,), and the payload's place.
+        wanted: For each load: where it goes among the covariates, and its name.
+
+    Attributes:
+        payload: True if one of the loads depends on the payload.
+    """
+
+    def __init__(self, robot: Robot, around: Surroundings, wanted: list[tuple[int, str]]) -> None:
+        self._tree = tree = robot.tree.copy()
+        self._data = tree.createData()
+        base = tree.getFrameId(robot.base, pin.FrameType.BODY)
+        self._q = pin.neutral(tree)
+        pin.framesForwardKinematics(tree, self._data, self._q)
+        root_base = self._data.oMf[base].rotation
+        self._gravity = root_base @ around.gravity
+        tree.gravity.linear = self._gravity
+        upstream = set(tree.supports[tree.frames[base].parentJoint])
+        self._driven = list(_driven(robot, upstream))
+        self._last = tree.getJointId(robot.joints[-1].name)
+        self._lever = (robot.tip_before * robot.tip_origin).act(around.lever)
+        self._along: list[tuple[int, int]] = []
+        self._across: list[tuple[int, int, np.ndarray]] = []
+        self._payload: list[tuple[int, int]] = []
+        for place, name in wanted:
+            joint, kind = name.rsplit(".", 1)
+            k = tree.getJointId(joint)
+            if kind == "gravity_torque":
+                self._along.append((place, tree.idx_vs[k]))
+            elif kind == "payload_torque":
+                self._payload.append((place, tree.idx_vs[k]))
+            else:
+                component = kind.removeprefix("gravity_moment_")
+                assert component in bearing_components(robot.joint(joint).kind)
+                about = direction(component, robot.joint(joint).axis)
+                self._across.append((place, k, tree.jointPlacements[k].rotation @ about))
+        self.payload = bool(self._payload)
+
+    def fill(self, z: np.ndarray, readings: np.ndarray, covariates: Mapping[str, float]) -> None:
+        """Write the loads into the covariates z."""
+        q = self._q
+        for k, as_unit_vector, column, multiplier, offset in self._driven:
+            angle = multiplier * readings[column] + offset
+            if as_unit_vector:
+                q[k], q[k + 1] = np.cos(angle), np.sin(angle)
+            else:
+                q[k] = angle
+        data = self._data
+        if self._along or self._across:
+            holding = pin.computeGeneralizedGravity(self._tree, data, q)
+            for place, k in self._along:
+                z[place] = -holding[k]
+            for place, joint, about in self._across:
+                moment = data.liMi[joint].rotation @ data.f[joint].angular
+                z[place] = -about @ moment
+        if self._payload:
+            pin.computeJointJacobians(self._tree, data, q)
+            last = data.oMi[self._last]
+            push = covariates["payload"] * self._gravity
+            turn = np.cross(last.act(self._lever), push)
+            for place, k in self._payload:
+                z[place] = data.J[:3, k] @ push + data.J[3:, k] @ turn
+
+
+def _driven(robot: Robot, upstream: set[int]) -> Iterator[_Driven]:
+    """The joints of the tree that readings set; what moves the base itself stays."""
+    tree = robot.tree
+    column = {name: k for k, name in enumerate(robot.readings)}
+    for k in range(1, tree.njoints):
+        master, multiplier, offset = robot.mimics.get(tree.names[k], (tree.names[k], 1.0, 0.0))
+        if master in column and k not in upstream:
+            yield _Driven(tree.idx_qs[k], tree.nqs[k] == 2, column[master], multiplier, offset)

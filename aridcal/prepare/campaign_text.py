@@ -1,0 +1,136 @@
+"""A proposal written as campaign.yaml, every choice with its reason."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import textwrap
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import yaml
+
+from aridcal.errors import RobotError
+from aridcal.inputs.campaign import Campaign
+from aridcal.inputs.dataset import Dataset
+from aridcal.inputs.read import load_measurements
+from aridcal.inputs.tables import AnyTable, read_tables
+from aridcal.inputs.yaml_file import parse_settings, read_bytes
+from aridcal.prepare.guesses import Choose, Guess, Proposal
+from aridcal.prepare.propose import propose
+
+# Of a line with a comment.
+WIDTH = 116
+# So wide that YAML breaks no value.
+ONE_LINE = 10_000
+HEAD = """\
+# Proposed by `aridcal init`. What was guessed says so: read it once. All keys: docs/formats.md.
+format: 1
+"""
+
+
+@dataclass(frozen=True)
+class Draft:
+    """A campaign that was proposed, tried once.
+
+    Attributes:
+        campaign: As it will be read; its text says of every choice why. DataFrames stay with it.
+        proposal: What it rests on.
+        rows: The measurements as it reads them.
+    """
+
+    campaign: Campaign
+    proposal: Proposal
+    rows: Dataset
+
+
+def draft(urdf: Path, tables: Sequence[AnyTable], out: Path, choose: Choose) -> Draft:
+    """Propose a campaign and try it: what comes back can be identified as it stands.
+
+    Args:
+        urdf: The robot.
+        tables: Its measurements.
+        out: Where the campaign will be.
+        choose: Asked where the evidence does not decide.
+
+    Raises:
+        AridcalError: what in the files needs mending first.
+    """
+    table = read_tables(tables)
+    proposal = propose(read_bytes(urdf, RobotError), urdf, table, choose)
+    text = campaign_text(proposal, urdf, tables, out.parent)
+    campaign = parse_settings(text, out, Campaign)
+    if any(isinstance(table, pd.DataFrame) for table in tables):
+        campaign = campaign.with_tables(tables)
+    robot = proposal.robot
+    rows = load_measurements(campaign, robot.readings, robot.limits, robot.kinds)
+    return Draft(campaign, proposal, rows)
+
+
+def campaign_text(proposal: Proposal, urdf: Path, tables: Sequence[AnyTable], home: Path) -> str:
+    """Write a proposal as ``campaign.yaml``, every choice with its reason above it.
+
+    Args:
+        proposal: What was found.
+        urdf: The robot.
+        tables: The measurements.
+        home: Folder of the campaign; paths are relative to it.
+    """
+    parts: dict[str, list[Guess]] = {}
+    for guess in proposal.guesses:
+        section, _, _ = guess.key.rpartition(".")
+        parts.setdefault(section, []).append(guess)
+    columns = [guess for guess in parts["measurements.columns"] if guess.value is not None or not guess.sure]
+    renamed = any(guess.value is not None for guess in columns)
+    lines = [
+        f"{HEAD}robot:",
+        f"  urdf: {scalar(_relative(urdf, home))}",
+        *_mapping(parts["robot"], "  "),
+        "measurements:",
+        *_files(tables, home),
+        *_mapping([*parts.get("", []), *parts["measurements"]], "  "),
+        *(["  columns:"] if renamed else []),
+        *_mapping(columns, "    "),
+    ]
+    if "frames" in parts:
+        lines += ["frames:", *_mapping(parts["frames"], "  ")]
+    return "\n".join(lines) + "\n"
+
+
+def _files(tables: Sequence[AnyTable], home: Path) -> list[str]:
+    """The line that names the tables; a DataFrame gets a name under which it may be saved."""
+    names, lines = [], []
+    for number, table in enumerate(tables):
+        if isinstance(table, pd.DataFrame):
+            names.append("measurements.csv" if len(tables) == 1 else f"measurements_{number + 1}.csv")
+            lines.append(f"  # {names[-1]} is a DataFrame: `df.to_csv({names[-1]!r}, index=False)` saves it")
+        else:
+            names.append(_relative(Path(table), home))
+    return [*lines, f"  file: {scalar(names[0] if len(names) == 1 else names)}"]
+
+
+def _mapping(guesses: Sequence[Guess], indent: str) -> list[str]:
+    """Lines of a mapping; guesses with one reason share its comment."""
+    lines = []
+    for (why, sure), group in itertools.groupby(guesses, key=lambda guess: (guess.why, guess.sure)):
+        entries = list(group)
+        # A default has no line of its own: then the comment says what it is about.
+        about = "" if entries[0].value is not None else f"{entries[0].name}: "
+        said = f"{'' if sure else 'GUESSED: '}{about}{why}"
+        lines += textwrap.wrap(said, WIDTH, initial_indent=f"{indent}# ", subsequent_indent=f"{indent}#   ")
+        written = [guess for guess in entries if guess.value is not None]
+        lines += [f"{indent}{scalar(guess.name)}: {scalar(guess.value)}" for guess in written]
+    return lines
+
+
+def scalar(value: Any) -> str:
+    """A value on one line of YAML, quoted where it must be."""
+    text = yaml.safe_dump(value, default_flow_style=True, width=ONE_LINE, allow_unicode=True)
+    return text.removesuffix("...\n").strip()
+
+
+def _relative(path: Path, home: Path) -> str:
+    return Path(os.path.relpath(path, home)).as_posix()

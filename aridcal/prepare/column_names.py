@@ -1,0 +1,247 @@
+"""What a user's columns may mean, by their names alone: joints, positions, orientations, labels."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+
+def _set(text: str) -> frozenset[str]:
+    return frozenset(text.split())
+
+
+# Words for units, and what campaigns call them.
+UNIT_WORDS = {
+    **{word: "rad" for word in ("rad", "radians")},
+    **{word: "deg" for word in ("deg", "degree", "degrees", "°")},
+    **{word: word for word in ("m", "cm", "mm", "um", "in", "ft", "s")},
+}
+# Words for one letter.
+SYNONYMS = {"roll": "rx", "pitch": "ry", "yaw": "rz", "alpha": "a", "beta": "b", "gamma": "c"}
+# Words that tell nothing.
+FILLERS = _set("joint joints position positions pos reading readings state states robot value angle")
+# Words for what was asked for.
+COMMANDED = _set(
+    "goal cmd command commanded desired nominal setpoint ref reference planned wanted expected theoretical"
+)
+# Words for what was measured.
+MEASURED = _set("measured measurement meas actual tracker laser mocap leica marker reflector smr probe")
+# Words for how well something was measured.
+SCATTER = _set("std sigma sd stdev error err residual")
+# Words for what is neither a reading nor a pose.
+OTHER = SCATTER | _set(
+    "delta diff d v vel velocity speed qd acc acceleration f force torque tau "
+    "moment effort current temperature temp direction"
+)
+# Words for orientations.
+TURNED = _set("r rot rotation rv rotvec euler orientation ori angle angles rpy o q quat quaternion")
+# Words for joints.
+JOINT_LIKE = _set("j q joint joints axis a theta th angle")
+# Where a word ends without a separator: before a capital, a number, or a letter after a number.
+WORD_ENDS = re.compile(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Za-z])(?=\d)|(?<=\d)(?=[A-Za-z])")
+
+# Words before the one in which a family differs, what its members share of that word, and words after it.
+_Pattern = tuple[tuple[str, ...], str, tuple[str, ...]]
+
+
+@dataclass(frozen=True)
+class Family:
+    """Columns whose names differ in one letter or number only.
+
+    Attributes:
+        columns: In the order of the letters or numbers.
+        about: The words that they share.
+        numbers: Where they are numbered: their numbers.
+    """
+
+    columns: tuple[str, ...]
+    about: frozenset[str]
+    numbers: tuple[int, ...] = ()
+
+    @property
+    def commanded(self) -> bool:
+        """Whether the names speak of what was asked for, not of what was measured."""
+        return bool(self.about & COMMANDED)
+
+    @property
+    def measured(self) -> bool:
+        """Whether the names say that this was measured."""
+        return bool(self.about & MEASURED)
+
+
+def words(name: str) -> tuple[str, ...]:
+    """A name's words without units: ``Measured X [mm]`` and ``measuredX`` give ``measured x``, ``J1_deg`` ``j 1``."""
+    said = tuple(SYNONYMS.get(word, word) for word in _split(name))
+    without_units = tuple(word for word in said if word not in UNIT_WORDS)
+    return without_units or said
+
+
+def unit(name: str) -> str | None:
+    """The unit that a name ends in, as campaigns write it: ``deg`` of ``J1 [degrees]``; None where it ends in none."""
+    said = _split(name)
+    return UNIT_WORDS.get(said[-1]) if len(said) > 1 else None
+
+
+def lettered(names: Iterable[str], letters: str) -> list[Family]:
+    """Families of columns that differ in the last letter of one word: ``tcp_x tcp_y tcp_z``, ``rx ry rz``.
+
+    Args:
+        names: Columns.
+        letters: One for each member, in their order.
+
+    Returns:
+        Families that have all their members; of two columns for one letter the first.
+    """
+    found: dict[_Pattern, dict[str, str]] = {}
+    for name in names:
+        said = words(name)
+        for k, word in enumerate(said):
+            stem, letter = word[:-1], word[-1]
+            if letter in letters:
+                members = found.setdefault((said[:k], stem, said[k + 1 :]), {})
+                members.setdefault(letter, name)
+    families = []
+    for (before, stem, after), members in found.items():
+        if len(members) == len(letters):
+            columns = tuple(members[letter] for letter in letters)
+            about = frozenset((*before, stem, *after)) - {""}
+            families.append(Family(columns, about))
+    return families
+
+
+def numbered(names: Iterable[str]) -> list[Family]:
+    """Families of columns that differ in one number only and count without a gap: ``q0`` … ``q5``.
+
+    Args:
+        names: Columns; of two with the same number the first counts.
+    """
+    found: dict[_Pattern, dict[int, str]] = {}
+    for name in names:
+        said = words(name)
+        places = [k for k, word in enumerate(said) if word.isdecimal()]
+        if len(places) == 1:
+            k = places[0]
+            members = found.setdefault((said[:k], "", said[k + 1 :]), {})
+            members.setdefault(int(said[k]), name)
+    families = []
+    for (before, _, after), members in found.items():
+        numbers = tuple(sorted(members))
+        without_gap = tuple(range(numbers[0], numbers[0] + len(numbers)))
+        if numbers == without_gap:
+            columns = tuple(members[n] for n in numbers)
+            families.append(Family(columns, frozenset((*before, *after)), numbers))
+    return families
+
+
+def match_joints(joints: Sequence[str], names: Sequence[str]) -> tuple[dict[str, str], str] | None:
+    """Find a column for each joint: by its own name, by a similar one, by number, or by order alone.
+
+    Args:
+        joints: Names as in the URDF, in the order of the chain.
+        names: Columns.
+
+    Returns:
+        The column of each joint and how they were matched: ``same name``, ``similar name``, ``number`` or ``order``;
+        None if a joint has no column.
+    """
+    if set(joints) <= set(names):
+        return {joint: joint for joint in joints}, "same name"
+    plain = [name for name in names if not set(words(name)) & OTHER]
+    similar = _similar(joints, plain)
+    if similar is not None:
+        return similar, "similar name"
+    families = [family for family in numbered(plain) if _may_be_joints(family, len(joints))]
+    if not families:
+        return None
+    family = min(families, key=_doubt)
+    own = _numbers(joints)
+    if sorted(own) == list(family.numbers):
+        column = dict(zip(family.numbers, family.columns, strict=True))
+        return {joint: column[number] for joint, number in zip(joints, own, strict=True)}, "number"
+    return dict(zip(joints, family.columns, strict=True)), "order"
+
+
+def _similar(joints: Sequence[str], names: Sequence[str]) -> dict[str, str] | None:
+    """The column of each joint whose words are the joint's; None unless every joint has one of its own."""
+    found = {joint: column for joint in joints if (column := _alike(joint, names))}
+    complete = len(found) == len(joints) == len(set(found.values()))
+    return found if complete else None
+
+
+def _may_be_joints(family: Family, count: int) -> bool:
+    return len(family.columns) == count and bool(family.about & (JOINT_LIKE | FILLERS))
+
+
+def _doubt(family: Family) -> tuple[bool, bool]:
+    """Sorts families by how likely they hold what was measured: the surest first."""
+    return family.commanded or "target" in family.about, not family.measured
+
+
+def positions(names: Iterable[str]) -> list[Family]:
+    """Families that may hold measured positions, the likeliest first.
+
+    What was measured comes before what was not said to be, what was commanded last; among these, short names first.
+    """
+    found = [family for family in lettered(names, "xyz") if not family.about & (TURNED | OTHER)]
+    return sorted(found, key=lambda family: (family.commanded, not family.measured, len(family.about)))
+
+
+def quaternions(names: Iterable[str]) -> list[Family]:
+    """Families of four columns that may be quaternions, the likeliest first: x y z w by letter, or numbered."""
+    names = list(names)
+    by_letter = lettered(names, "xyzw")
+    by_number = [family for family in numbered(names) if len(family.columns) == 4 and family.about & TURNED]
+    found = [family for family in (*by_letter, *by_number) if not family.about & OTHER]
+    return sorted(found, key=lambda family: (family.commanded, not family.measured, bool(family.numbers)))
+
+
+def angle_triples(names: Iterable[str]) -> list[Family]:
+    """Families of three columns that may be Euler angles or a rotation vector, the likeliest first.
+
+    By axis (``rx ry rz``, where another word speaks of orientation), KUKA's ``A B C``, Fanuc's ``W P R``.
+    """
+    names = list(names)
+    by_axis = [family for family in lettered(names, "xyz") if family.about & TURNED]
+    candidates = (*by_axis, *lettered(names, "abc"), *lettered(names, "wpr"))
+    found = [family for family in candidates if not family.about & OTHER]
+    return sorted(found, key=lambda family: (family.commanded, not family.measured))
+
+
+def named(names: Iterable[str], *wanted: str) -> str | None:
+    """The first column that is one of some words, with a unit perhaps and a word that says that it was measured."""
+    for name in names:
+        said = [word for word in words(name) if word not in MEASURED]
+        if len(said) == 1 and said[0] in wanted:
+            return name
+    return None
+
+
+def _split(name: str) -> tuple[str, ...]:
+    """``actualQ1 [deg]``: ``actual q 1 deg``."""
+    apart = WORD_ENDS.sub(" ", name)
+    return tuple(re.findall(r"[^\W_]+|°", apart.lower())) or (name,)
+
+
+def _core(name: str) -> tuple[str, ...]:
+    """A name's words without those that tell nothing."""
+    said = words(name)
+    return tuple(word for word in said if word not in FILLERS | MEASURED) or said
+
+
+def _alike(joint: str, names: Sequence[str]) -> str | None:
+    """The one column whose words are the joint's, fillers aside."""
+    core = _core(joint)
+    if not any(word.isalpha() and word not in JOINT_LIKE for word in core):
+        return None  # only a number: other columns have numbers too
+    found = [name for name in names if _core(name) == core]
+    return found[0] if len(found) == 1 else None
+
+
+def _numbers(joints: Sequence[str]) -> list[int]:
+    """The one number in each name, -1 where there is none."""
+    found = [re.findall(r"\d+", joint) for joint in joints]
+    prefixes = {tuple(digits[:-1]) for digits in found}
+    if joints and len(prefixes) == 1:  # panda2_joint1 … panda2_joint7
+        found = [digits[-1:] for digits in found]
+    return [int(digits[0]) if len(digits) == 1 else -1 for digits in found]

@@ -1,0 +1,89 @@
+"""What a table holds beside joints and poses: covariates, sigmas, and rows that repeat a configuration."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from aridcal.inputs.campaign import ANGLES, LENGTHS
+from aridcal.inputs.quantities import STD
+from aridcal.inputs.repeats import blocks
+from aridcal.inputs.tables import Table
+from aridcal.prepare.column_names import SCATTER, angle_triples, named, numbered, positions, quaternions, words
+from aridcal.prepare.guesses import Proposal
+from aridcal.prepare.units_and_angles import Reading
+
+# Quantities known by their names: what they are called in a campaign, their unit, and spellings.
+COVARIATES = (
+    ("time", "s", ("time", "timestamp", "stamp", "t")),
+    ("temperature", "°C", ("temperature", "temp")),
+    ("payload", "kg", ("payload", "load")),
+)
+
+
+def say_covariates(table: Table, used: set[str], made: Proposal) -> None:
+    """Say what the columns are that are left: sigmas of the rows, covariates, and what is neither.
+
+    Args:
+        table: The measurements.
+        used: Columns that are spoken for.
+        made: Told what was found.
+    """
+    std = [name for name in STD if name in table.cells]
+    why = "not known: it is estimated. If you know it, write {position: …, rotation: …}, 1 sigma per axis, m and rad"
+    if std:
+        why = f"{' '.join(std)} weigh the rows; if they flatter the instrument, write {{rows: ignore}}"
+    made.say("measurements.noise", None, why)
+    free = [name for name in table.names if name and name not in used and name not in STD]
+    for quantity, si_unit, spellings in COVARIATES:
+        column = named(free, *spellings)
+        if column and np.isfinite(table.numbers(column)[0]).any():
+            free.remove(column)
+            made.say_columns({quantity: column}, f"by its name, taken for {si_unit}")
+    reasons = {name: _no_covariate(table, name, free) for name in free}
+    ignored = [name for name in free if reasons[name]]
+    if ignored:
+        why = ", ".join(f"{name} ({reasons[name]})" for name in ignored)
+        made.say("measurements.ignore", ignored, f"no covariates: {why}", sure=False)
+    kept = ", ".join(name for name in free if not reasons[name])
+    if kept:
+        made.say("covariates", None, f"effects may depend on {kept}; name under `ignore` what is none", sure=False)
+
+
+def _no_covariate(table: Table, name: str, free: Sequence[str]) -> str:
+    """Why no effect can sensibly depend on a column; empty if one can."""
+    if name.endswith("_direction"):
+        return ""
+    if set(words(name)) & SCATTER:
+        return "how well something was measured"
+    numbers, _ = table.numbers(name)
+    values = numbers[np.isfinite(numbers)]
+    if not len(values):
+        return "no numbers"
+    if len(values) > 2 and np.all(np.diff(values) == 1):
+        return "counts the rows"
+    if np.ptp(values) == 0:
+        return "never changes"
+    families = (*positions(free), *angle_triples(free), *quaternions(free), *numbered(free))
+    in_family = any(name in family.columns for family in families)
+    return "of another pose or chain" if in_family else ""
+
+
+def say_repeats(q: np.ndarray, reading: Reading, made: Proposal) -> None:
+    """Say how many rows repeat a configuration.
+
+    Args:
+        q: Readings, shape (N, columns), in the table's units; NaN where there is none.
+        reading: Says which units.
+        made: Told what was found.
+    """
+    kinds = made.robot.kinds
+    scale = [LENGTHS[reading.length] if kind == "prismatic" else ANGLES[reading.angle] for kind in kinds]
+    whole = np.isfinite(q).all(axis=1)
+    sizes = np.bincount(blocks((q * scale)[whole], kinds))
+    repeated = sizes[sizes > 1]
+    why = "no configuration is repeated: that would tell the noise by itself"
+    if len(repeated):
+        why = f"{repeated.sum()} rows repeat {len(repeated)} configurations: they tell the noise by itself"
+    made.say("repeats", None, why)

@@ -1,0 +1,1 @@
+"""Pages and pictures. Nothing is computed here that a result does not hold."""

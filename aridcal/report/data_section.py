@@ -1,0 +1,152 @@
+"""The report on the measurements: are they sound, are there enough, and in the right places?"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from aridcal.report.figures import coverage, histogram
+from aridcal.report.html import Content, Html, bullets, counted, figures, number, table, tag
+from aridcal.report.words import range_in_words, sigmas_in_words
+from aridcal.result.key_figures import QUESTIONABLE, JointRange, joint_ranges, row_errors
+from aridcal.result.outcome import Outcome, statistics
+
+# Lines of a list of rows.
+MOST = 25
+
+
+def data(outcome: Outcome) -> Iterator[Content]:
+    """Question 1: is the data sound?"""
+    m = outcome.measurements
+    flagged = int(outcome.outlier.sum())
+    yield _row_counts(outcome)
+    if flagged > QUESTIONABLE * len(m):
+        share = 100 * flagged / len(m)
+        yield tag(
+            "p",
+            f"{share:.0f} % of the rows are outliers. More than {100 * QUESTIONABLE:.0f} % points to a fault in the "
+            "measurement itself: check for a loose target, a late trigger, mixed-up files or a joint in the wrong unit.",
+            class_="look",
+        )
+    yield _repeats(outcome)
+    if flagged:
+        yield _outliers(outcome)
+    if m.refused:
+        yield tag("h3", "Refused rows")
+        yield bullets([str(remark) for remark in m.refused], MOST, "more; result.json lists them all")
+    if outcome.notices:
+        yield tag("h3", "Notices")
+        yield bullets(outcome.notices, MOST, "more; result.json lists them all")
+
+
+def _row_counts(outcome: Outcome) -> Html:
+    """How many rows there are, and what became of them."""
+    m, parts = outcome.measurements, outcome.parts()
+    refused = len(m.refused)
+    split = "as the table says" if m.split_given else "split by configuration, the same in every run"
+    counts = {
+        "read": len(m) + refused,
+        "refused: unusable": refused,
+        "outliers: neither fitted nor scored": outcome.outlier.sum(),
+        "stale: the measurement did not change although the joints moved": outcome.measurements.stale.sum(),
+        "fitted": parts["train"].sum(),
+        f"held out, to judge the result ({split})": parts["test"].sum(),
+    }
+    files = ", ".join(path.name for path in m.files)
+    lines = [[what, f"{count:,}"] for what, count in counts.items()]
+    return table(["rows", "number"], lines, f"Rows of {files}")
+
+
+def _repeats(outcome: Outcome) -> Html:
+    """Scatter of configurations that were measured more than once."""
+    found = outcome.repeats
+    if found is None:
+        return tag(
+            "p",
+            "No configuration was measured twice, so the noise of robot and instrument cannot be separated from the "
+            "error of the model. Repeat a few poses next time.",
+        )
+    scatter = sigmas_in_words(found.sigma, outcome.channels)
+    repeatability = number(1e3 * found.repeatability)
+    return tag(
+        "p",
+        f"{counted(found.groups, 'configuration')} measured more than once ({counted(found.rows, 'row')}). "
+        f"Repeats scatter by {scatter} (1σ per axis). Repeatability RP of ISO 9283, the mean distance to the centre plus "
+        f"three standard deviations: {repeatability} mm. No calibration can reliably get below the scatter of the repeats.",
+    )
+
+
+def _outliers(outcome: Outcome) -> list[Content]:
+    """The flagged rows by file and line."""
+    rows = np.flatnonzero(outcome.outlier)
+    why = ["stale" if outcome.measurements.stale[k] else "gross outlier" for k in rows]
+    shown = row_table(outcome, rows[:MOST], "why", why[:MOST], "Outliers and their error after calibration")
+    rest = len(rows) - MOST
+    return [shown, tag("p", tag("em", f"and {rest:,} more; residuals.csv flags them all")) if rest > 0 else ""]
+
+
+def row_table(outcome: Outcome, rows: np.ndarray, head: str, words: list[str], caption: str) -> Html:
+    """Some rows with the error that the final model leaves.
+
+    Args:
+        outcome: What was found.
+        rows: Their numbers, shape (n,).
+        head: Title of a column with a word on each.
+        words: What stands in it, n of them.
+        caption: What the table shows.
+    """
+    m = outcome.measurements
+    left = row_errors(outcome.stages[-1].residual[rows], outcome.channels)
+    lines = []
+    for i, (k, word) in enumerate(zip(rows, words, strict=True)):
+        place = f"{m.files[m.file[k]].name}, line {m.line[k]}"
+        part = "held out" if m.test[k] else "fitted"
+        lines.append([place, part, word, *(number(error[i]) for error in left)])
+    titles = [channel.title for channel in outcome.channels]
+    return table(["row", "part", head, *titles], lines, caption, numbers=3)
+
+
+def enough(outcome: Outcome) -> Iterator[Content]:
+    """Question 3: is there enough data, in the right places?"""
+    precision, joints = outcome.precision, joint_ranges(outcome)
+    sigma = {"at the fitted rows": 1e3 * precision.position, "over the whole joint range": 1e3 * precision.reach}
+    yield _pictures(joints, sigma)
+    yield _joint_table(joints)
+    named = {f"{name} [mm]": values for name, values in sigma.items()}
+    if outcome.measurements.rotation is not None:
+        named["rotation, at the fitted rows [mrad]"] = 1e3 * precision.rotation
+    lines = []
+    for name, values in named.items():
+        found = statistics(values)
+        lines.append([name, *(number(found[key]) for key in ("median", "p95", "max"))])
+    caption = "1σ of the calibrated target in its worst direction"
+    yield table(["", "median", "95 % below", "max"], lines, caption)
+    yield tag(
+        "p",
+        "This is the uncertainty that the noise of these measurements causes. It does not include errors that the model "
+        "lacks; sections 4 and 5 look for those.",
+    )
+
+
+def _pictures(joints: list[JointRange], sigma: dict[str, np.ndarray]) -> Html:
+    """Readings between their limits, and the uncertainty of the target [mm]."""
+    limits = [range_in_words(j.limits, j.kind) for j in joints]
+    names, shares = [j.name for j in joints], [j.share for j in joints]
+    where = coverage("coverage", "Histogram of each joint's readings between its limits", names, shares, limits)
+    label = "1σ of the target, worst direction [mm]"
+    known = histogram("precision", f"Histogram of the {label}", sigma, label)
+    return figures([
+        ("Readings of each joint between its limits", where),
+        ("Uncertainty of the calibrated target, propagated from the measurement noise", known),
+    ])  # fmt: skip
+
+
+def _joint_table(joints: list[JointRange]) -> Html:
+    """Limits and measured range of every joint."""
+    lines: list[list[Content]] = []
+    for j in joints:
+        limits, seen = range_in_words(j.limits, j.kind), range_in_words(j.seen, j.kind)
+        lines.append([tag("code", j.name), limits, seen, f"{100 * j.measured:.0f} %"])
+    head = ["joint", "limits", "measured", "share of the range, or of one turn"]
+    return table(head, lines, "Joint ranges of the fitted rows")

@@ -1,0 +1,181 @@
+"""Question 5 of the report: what drives the remaining error?"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from aridcal.report.effects_section import axis_unit, effects_in_the_model, other_candidates, p_in_words
+from aridcal.report.figures import Trend, correlogram, panels
+from aridcal.report.html import Content, Html, figures, number, table, tag
+from aridcal.result.key_figures import clear_traces, corrected, significant, slowly_changing, strays
+from aridcal.result.outcome import Outcome
+from aridcal.search.gains import Diagnosis
+from aridcal.search.noise_tests import SURE
+from aridcal.search.residual_trends import Order, Trace
+
+MOST_TRACES = 12
+
+# Share of autocorrelations that noise puts outside its 95 % band.
+BAND = 0.05
+
+# The two models that are compared.
+WITHOUT, WITH = "without effects", "final model"
+
+
+def drives(outcome: Outcome) -> Iterator[Content]:
+    """Question 5: what drives the remaining error?"""
+    if outcome.diagnosis is not None:
+        yield from effects_in_the_model(outcome)
+        yield from _noise_tests(outcome.diagnosis)
+    yield from _in_order(outcome.traces.order)
+    yield from _joints(outcome)
+    yield from _strongest(outcome)
+    if outcome.diagnosis is not None:
+        yield from other_candidates(outcome.diagnosis)
+
+
+def _noise_tests(found: Diagnosis) -> Iterator[Content]:
+    """Tests of the final model's residual."""
+    yield tag("h3", "Is the remaining error noise?")
+    lines = []
+    for clue in found.clues:
+        answer = "yes" if clue.tells else "no"
+        lines.append([clue.what, f"{100 * clue.share:.0f} %", p_in_words(clue.p_value), answer])
+    if lines:
+        head = ["sign of structure", "share of the variance", "p-value", "significant"]
+        yield table(head, lines, "Is there structure in the residual of the final model?")
+
+
+def _in_order(order: Order) -> Iterator[Content]:
+    """Runs and correlation from one row to the next."""
+    count = len(order.lags)
+    if count == 0:
+        return
+    ordered = "time order" if order.timed else "table order"
+    place = f"In {ordered}" if order.timed else f"In {ordered} (no time was recorded)"
+    off, by_chance = strays(order), max(round(BAND * count), 1)
+    yield tag(
+        "p",
+        f"{place}, residuals change sign {order.changes:,} times from one row to the next; pure noise gives "
+        f"{order.expected:,.0f} ± {order.spread:,.0f} (p = {number(order.p_value, 2)} for so few). {off} of {count} "
+        f"autocorrelations {'is' if off == 1 else 'are'} outside the 95 % band of noise; about {by_chance} may be by "
+        "chance. ",
+        "Consecutive rows have similar residuals: either something changed slowly during the measurement, or such rows "
+        "share something else that the model lacks."
+        if slowly_changing(order)
+        else "There is no sign of a slow change during the measurement.",
+    )
+    alt = "Autocorrelation of the residuals over the number of rows between them"
+    label = f"lag in rows, {ordered} [1]"
+    picture = correlogram("order", alt, order.lags, order.correlation, order.bound, label)
+    yield figures([("Autocorrelation of the residuals, mean over all axes", picture)])
+
+
+def _joints(outcome: Outcome) -> Iterator[Content]:
+    """The residual as an error of each joint, over that joint."""
+    found = outcome.traces.joints
+    if not found:
+        return
+    yield tag("h3", "Remaining error as an error of each joint")
+    yield tag(
+        "p",
+        "Each dot is the motion of that joint which best explains the residual of one row. Bars are means over groups of "
+        "rows, ± 2σ of noise; the line is a smooth curve through them. Rows at which the joint hardly moves the target are "
+        "left out.",
+    )
+    drawn: list[tuple[Content, Html]] = []
+    for k, trace in enumerate(found):
+        caption = [tag("code", trace.motion), f": {_in_words(outcome, trace, len(found))}"]
+        drawn.append((caption, _picture(outcome, f"joint-{k}", trace)))
+    yield figures(drawn)
+
+
+def _in_words(outcome: Outcome, trace: Trace, asked: int) -> str:
+    """What a trace shows, in a sentence."""
+    now = _size_in_words(trace, trace.size_after, corrected(trace.p_value, asked))
+    if not outcome.effects:
+        return f"{now}."
+    before = _size_in_words(trace, trace.size_before, corrected(trace.p_before, asked))
+    return f"{WITHOUT} {before}; {WITH} {now}."
+
+
+def _size_in_words(trace: Trace, size: float, p: float) -> str:
+    """A repeatable part, [m] or [rad], with its p-value."""
+    if p > SURE:
+        return f"nothing significant (p = {p_in_words(p)})"
+    return f"{_size(trace, size)} RMS repeatable (p {'' if p < 1e-100 else '= '}{p_in_words(p)})"
+
+
+def _unit(trace: Trace) -> str:
+    return "mrad" if trace.unit == "rad" else "mm"
+
+
+def _size(trace: Trace, size: float) -> str:
+    """A size of a trace, [m] or [rad], in words."""
+    return f"{number(1e3 * size, 2)} {_unit(trace)}" if size > 0 else "0"
+
+
+def _picture(outcome: Outcome, key: str, trace: Trace) -> Html:
+    """The rows' motions over a covariate, with their means and smooth curves."""
+    unit, scale = axis_unit(outcome, trace.covariate)
+    centre, at = scale * trace.centre, scale * trace.at
+    models = {WITH: (trace.after, trace.mean_after, trace.smooth_after)}
+    if outcome.effects:
+        models = {WITHOUT: (trace.before, trace.mean_before, trace.smooth_before), **models}
+    values = {name: 1e3 * rows for name, (rows, _, _) in models.items()}
+    trends = {
+        name: Trend(centre, 1e3 * mean, 1e3 * trace.std, at, 1e3 * smooth) for name, (_, mean, smooth) in models.items()
+    }
+    alt = f"Remaining error as a motion of {trace.motion}, over {trace.covariate}"
+    labels = (f"{trace.covariate}{unit}", f"{trace.motion} [{_unit(trace)}]")
+    return panels(key, alt, scale * trace.seen, values, labels, trends)
+
+
+def _strongest(outcome: Outcome) -> Iterator[Content]:
+    """On which joint, load or column anything depends."""
+    found, asked = clear_traces(outcome), outcome.traces.asked
+    if not found:
+        return
+    clear = [trace for trace in found if significant(trace, asked)]
+    yield tag("h3", "Remaining error against every recorded quantity")
+    said = (
+        f"{len(clear)} of the quantities below {'is' if len(clear) == 1 else 'are'} significant; the clearest dependence is "
+        f"that of {clear[0].motion} on {clear[0].covariate}."
+        if clear
+        else "No dependence is significant among so many tests."
+    )
+    yield tag(
+        "p",
+        "The residual along each joint's own motion and along each world axis was tested against every joint, load and "
+        f"column: {asked:,} tests. {said}",
+    )
+    yield _trace_table(outcome, found[:MOST_TRACES])
+    own = {(trace.motion, trace.covariate) for trace in outcome.traces.joints}  # are drawn above
+    columns = set(outcome.measurements.covariates)
+    worth = [
+        trace
+        for trace in found
+        if (trace.motion, trace.covariate) not in own and (significant(trace, asked) or trace.covariate in columns)
+    ]
+    drawn: list[tuple[Content, Html]] = []
+    for k, trace in enumerate(worth[:MOST_TRACES]):
+        names = [tag("code", trace.motion), " over ", tag("code", trace.covariate)]
+        drawn.append(([*names, f": {_in_words(outcome, trace, asked)}"], _picture(outcome, f"trace-{k}", trace)))
+    yield figures(drawn)
+
+
+def _trace_table(outcome: Outcome, found: list[Trace]) -> Html:
+    """Size and p-value of some dependences."""
+    asked = outcome.traces.asked
+    lines: list[list[Content]] = []
+    for trace in found:
+        sizes = [_size(trace, trace.size_after)]
+        if outcome.effects:
+            sizes = [_size(trace, trace.size_before), *sizes]
+        p = p_in_words(corrected(trace.p_value, asked))
+        verdict = "yes" if significant(trace, asked) else "no"
+        lines.append([tag("code", trace.covariate), trace.motion, *sizes, p, verdict])
+    models = [WITHOUT, WITH] if outcome.effects else [WITH]
+    head = ["quantity", "clearest in", *models, f"p-value, corrected for {asked:,} tests", "significant"]
+    caption = "Repeatable part of the remaining error, RMS, the most significant first"
+    return table(head, lines, caption, numbers=2)

@@ -1,0 +1,229 @@
+"""The first screen of the report: the error before and after, its causes, what remains, and how far to trust it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+from aridcal.effects.catalogue import KINDS
+from aridcal.inputs.channels import Channel
+from aridcal.report.html import Content, Html, counted, number, plus_minus, tag
+from aridcal.report.words import sigmas_in_words
+from aridcal.result.key_figures import (
+    FEW,
+    OVERFITTED,
+    PLUS,
+    QUESTIONABLE,
+    Step,
+    constants,
+    generalisation,
+    halves_agree,
+    narrow_joints,
+    removed_shares,
+    scored,
+    steps,
+)
+from aridcal.result.outcome import Outcome, errors
+
+MOST_BARS = 7
+MOST_CAUSES = 3
+MOST_NAMES = 3
+
+# Share of the squared error below which only its smallness is told.
+FAINT = 1e-3
+
+SPELLED = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten", "eleven", "twelve")
+
+VERDICTS = {
+    "noise_floor": "The remaining error is consistent with the measurement noise. Nothing repeatable is left to model.",
+    "structure_remains": "A repeatable error remains that the model does not describe. Section 5 shows what drives it.",
+    "not_enough_data": "There are too few data for a model of this size. Measure more rows, spread over more of each "
+    "joint's range, or identify fewer parameters.",
+}
+
+
+def summary(outcome: Outcome) -> Iterator[Content]:
+    """The first screen: how good before, how good now, why, what remains, can I trust it."""
+    m, robot = outcome.measurements, outcome.robot
+    files = ", ".join(path.name for path in m.files)
+    rows = f"{counted(len(m), 'row')}, {m.test.sum():,} of them held out"
+    yield tag("h1", f"Calibration of {robot.tree.name}")
+    yield tag("p", f"{files} · {rows} · {robot.path.name}, {robot.base} to {robot.tip}", class_="about")
+    yield tag("div", [_card(outcome, channel) for channel in outcome.channels], class_="cards")
+    checked = [_check(good, words) for good, words in checks(outcome)]
+    yield tag(
+        "div",
+        tag("div", tag("h2", "Main corrections"), tag("p", list(_causes(outcome)))),
+        tag("div", tag("h2", "What remains"), tag("p", list(_remaining(outcome)))),
+        tag("div", tag("h2", "Can I trust it?"), tag("ul", checked, class_="checks")),
+        class_="answers",
+    )
+
+
+def _card(outcome: Outcome, channel: Channel) -> Html:
+    """Before and after in large figures, then one bar for each model."""
+    mask, rows = scored(outcome)
+    what, unit = channel.noun, channel.shown
+    found = [(step, errors(step.residual, mask, outcome.channels)[channel.key]) for step in steps(outcome)]
+    before, after = found[0][1], found[-1][1]
+    figures = tag(
+        "p",
+        tag("span", f"{number(before['rms'])} ", tag("small", unit), class_="before", title="before calibration"),
+        tag("span", " → ", class_="arrow"),
+        tag("span", f"{number(after['rms'])} ", tag("small", unit), class_="now", title="after calibration"),
+        class_="change",
+    )
+    said = (
+        f"before → after calibration, on {mask.sum():,} {rows}. After it 95 % are below {number(after['p95'])} {unit}; "
+        f"the largest is {number(after['max'])} {unit}."
+    )
+    bars = _bars([(step, e["rms"]) for step, e in found], unit)
+    return tag("div", tag("h2", f"{what.capitalize()}, RMS"), figures, tag("p", said), bars, class_="card")
+
+
+def _bars(scores: list[tuple[Step, float]], unit: str) -> Html:
+    """One bar for each model; of many the ones before the last are taken together."""
+    bars = [(_name(step), value) for step, value in scores]
+    if len(bars) > MOST_BARS:
+        kept = MOST_BARS - 2
+        hidden = len(bars) - kept - 1
+        _, reached = bars[-2]
+        bars = [*bars[:kept], (f"{PLUS}{hidden} more effects", reached), bars[-1]]
+    largest = max(value for _, value in bars) or 1.0
+    drawn = []
+    for name, value in bars:
+        track = tag("span", tag("i", style=f"width:{100 * value / largest:.1f}%"), class_="track")
+        figure = tag("span", f"{number(value)} {unit}", class_="value")
+        drawn.append(tag("li", tag("span", name, class_="name"), track, figure))
+    return tag("ol", drawn, class_="bars")
+
+
+def _name(step: Step) -> str:
+    """Name of a model; what equals the whole model keeps its other name."""
+    names = step.names[:-1] if len(step.names) > 1 and step.names[-1] == "final" else step.names
+    return " = ".join(names)
+
+
+def _causes(outcome: Outcome) -> Iterator[Content]:
+    """Which corrections removed how much of the squared error, and the largest of them."""
+    shares = removed_shares(outcome)
+    identified = [p for p in constants(outcome) if p["status"] == "identified"]
+    if shares:
+        yield _shares_in_words(outcome, shares, len(identified))
+    words: list[Content] = []
+    for unit in ("rad", "m"):
+        largest = max((p for p in identified if p["unit"] == unit), key=lambda p: abs(p["value"]), default=None)
+        if largest is not None:
+            words += [", ", *_correction(largest)]
+    if words:
+        yield ["Largest corrections: ", words[1:], "."]
+
+
+def _shares_in_words(outcome: Outcome, shares: list[tuple[Step, float]], corrections: int) -> str:
+    """``Nine geometric corrections account for 86 % of the squared position error, joint_map at joint_2 for 12 %``.
+
+    Args:
+        outcome: What was found.
+        shares: Steps with their shares of the squared error, the largest first.
+        corrections: How many geometric corrections were identified.
+    """
+    meanings = {e.effect.label: KINDS[e.effect.kind].words for e in outcome.effects}
+    parts: list[str] = []
+    for step, share in shares[:MOST_CAUSES]:
+        geometric = "geometric" in step.names
+        who = _corrections_in_words(corrections) if geometric else step.effect or "the final fit"
+        what = "" if geometric else meanings.get(step.effect, "")
+        if what and not any(what in part for part in parts):
+            who = f"{who} ({what})"
+        verb = "account" if geometric and corrections != 1 else "accounts"
+        first = f" {verb} for {_percent(share)} of the squared position error"
+        parts.append(who + (f" for {_percent(share)}" if parts else first))
+    rest = [share for _, share in shares[MOST_CAUSES:]]
+    if rest:
+        parts.append(f"{counted(len(rest), 'further correction')} for {_percent(sum(rest))}")
+    sentence = ", ".join(parts)
+    capital = "geometric" in shares[0][0].names  # the name of an effect stays as it is
+    return f"{sentence[0].upper() if capital else sentence[0]}{sentence[1:]}. "
+
+
+def _corrections_in_words(count: int) -> str:
+    """``nine geometric corrections``, ``14 geometric corrections``."""
+    spelled = SPELLED[count] if count < len(SPELLED) else f"{count}"
+    return f"{spelled} geometric correction{'' if count == 1 else 's'}"
+
+
+def _percent(share: float) -> str:
+    """A share of the squared error in words."""
+    return f"{number(100 * share, 2)} %" if abs(share) >= FAINT else f"less than {100 * FAINT:g} %"
+
+
+def _correction(p: dict[str, Any]) -> list[Content]:
+    """A parameter with its uncertainty."""
+    unit = "mrad" if p["unit"] == "rad" else "mm"
+    return [tag("code", p["name"]), f" {plus_minus(1e3 * p['value'], 1e3 * p['std'])} {unit}"]
+
+
+def _remaining(outcome: Outcome) -> Iterator[Content]:
+    """The verdict, and the noise that no model can get below."""
+    yield VERDICTS[outcome.verdict]
+    if outcome.unexplained_fraction > 0:
+        yield f" {100 * outcome.unexplained_fraction:.0f} % of the remaining variance is repeatable."
+    in_space = sigmas_in_words(outcome.noise, outcome.channels, math.sqrt(3))
+    per_axis = sigmas_in_words(outcome.noise, outcome.channels)
+    if outcome.noise_source == "declared":
+        yield f" Declared noise: {per_axis} per axis, {in_space} over three axes. No model can reliably do better."
+        return
+    yield f" Noise estimated from the residuals: {per_axis} per axis, {in_space} over three axes."
+    if outcome.repeats is not None:
+        floor = sigmas_in_words(outcome.repeats.sigma, outcome.channels, math.sqrt(3))
+        yield f" Repeats scatter by {floor} over three axes: no model can reliably do better."
+
+
+def checks(outcome: Outcome) -> Iterator[tuple[bool, str]]:
+    """What speaks for the result (True) and what should be looked at first (False)."""
+    yield from _row_checks(outcome)
+    yield from _fit_checks(outcome)
+    narrow = [j.name for j in narrow_joints(outcome)]
+    if narrow:
+        rest = len(narrow) - MOST_NAMES
+        more = f" and {rest} more" if rest > 0 else ""
+        yield False, f"Less than half of the range was measured of {', '.join(narrow[:MOST_NAMES])}{more}."
+
+
+def _row_checks(outcome: Outcome) -> Iterator[tuple[bool, str]]:
+    """Are rows held out, and how many are bad?"""
+    m = outcome.measurements
+    held_out = int(outcome.parts()["test"].sum())
+    if held_out:
+        yield held_out >= FEW, f"Checked on {counted(held_out, 'held-out row')}."
+    else:
+        yield False, "No rows were held out: the errors above are those of the fit itself, and too optimistic."
+    flagged, refused = int(outcome.outlier.sum()), len(m.refused)
+    yield flagged <= QUESTIONABLE * len(m), f"{counted(flagged, 'outlier')} in {counted(len(m), 'row')}."
+    if refused:
+        read = len(m) + refused
+        yield refused <= QUESTIONABLE * read, f"{refused:,} of {counted(read, 'row')} could not be used."
+
+
+def _fit_checks(outcome: Outcome) -> Iterator[tuple[bool, str]]:
+    """Is the minimum the right one, and does the model hold on rows that it was not fitted to?"""
+    c = outcome.stage("geometric").fit.convergence
+    if c.restarts:
+        reached = f"{c.agreed} of {c.restarts} other starting points lead to the same minimum."
+        yield c.converged and c.agreed == c.restarts, reached
+    else:
+        yield c.converged, "The fit converged." if c.converged else "The fit did not converge."
+    ratio = generalisation(outcome)
+    if ratio is not None:
+        yield ratio < OVERFITTED, f"The held-out error is {ratio:.2f} times the error of the fitted rows."
+    if math.isfinite(outcome.precision.halves_measured):
+        agree = halves_agree(outcome)
+        differ = "agree" if agree else "differ by more than noise explains"
+        yield agree, f"Models fitted to two halves of the rows {differ}."
+
+
+def _check(good: bool, text: str) -> Html:
+    """A line with a tick, or with a mark that it needs a look."""
+    mark = tag("b", "✓" if good else "!", title="passed" if good else "check this")
+    return tag("li", mark, text, class_="good" if good else "look")

@@ -1,0 +1,183 @@
+"""The report on the fit: what each model leaves, and whether another day confirms it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from aridcal.inputs.channels import Channels, spread
+from aridcal.report.data_section import row_table
+from aridcal.report.figures import field, histogram, panels
+from aridcal.report.html import Content, Html, counted, figures, number, table, tag
+from aridcal.report.words import reading_in_words
+from aridcal.result.key_figures import axis_rms, halves_agree, pose_accuracy, row_errors, scored, steps, worst_rows
+from aridcal.result.outcome import STATISTICS, Outcome, errors, statistics
+
+PARTS = {"test": "held out", "train": "fitted", "test_all": "held out, with outliers"}
+STATISTIC_NAMES = dict(zip(STATISTICS, ("RMS", "mean", "median", "95 % below", "max"), strict=True))
+MOST_WORST = 5
+
+
+def fits(outcome: Outcome) -> Iterator[Content]:
+    """Question 4: does the model fit?"""
+    mask, words = scored(outcome)
+    first, last = outcome.stages[0].residual[mask], outcome.stages[-1].residual[mask]
+    compared = {"before calibration": first, "after": last}
+    yield from _error_tables(outcome)
+    yield tag("h3", f"Before and after, on {words}")
+    yield _histograms(compared, outcome.channels)
+    yield _iso_9283(outcome)
+    yield _halves(outcome)
+    yield tag("h3", "Axis by axis")
+    yield _axis_table(outcome)
+    yield _axis_pictures(compared, outcome.channels, words)
+    yield tag("h3", "Over the workspace")
+    yield _workspace(outcome)
+    worst = worst_rows(outcome, MOST_WORST)
+    readings = [_configuration(outcome, k) for k in worst]
+    yield row_table(outcome, worst, "configuration", readings, f"The worst {words}, after calibration")
+
+
+def _error_tables(outcome: Outcome) -> Iterator[Content]:
+    """Error statistics of every step on every part of the rows that has any."""
+    parts = {name: mask for name, mask in outcome.parts().items() if mask.any()}
+    if not (parts.get("test_all", outcome.outlier) & outcome.outlier).any():
+        parts.pop("test_all", None)
+    shown = {name: title for name, title in PARTS.items() if name in parts}
+    _, *other_titles = STATISTIC_NAMES.values()
+    head = ["model"]
+    for title in shown.values():
+        head += [f"{title}: RMS", *other_titles]
+    path = steps(outcome)
+    for channel in outcome.channels:
+        lines = []
+        for step in path:
+            found = [errors(step.residual, parts[part], outcome.channels)[channel.key] for part in shown]
+            lines.append([step.title, *(number(f[s]) for f in found for s in STATISTICS)])
+        yield table(head, lines, channel.title.capitalize())
+    yield _error_words(bool(outcome.effects))
+
+
+def _error_words(effects: bool) -> Html:
+    """What the lines of the error tables are."""
+    added = " Each line with a + adds one effect to the model above it, and all coefficients are fitted again."
+    return tag(
+        "p",
+        "A position error is the length of the residual, a rotation error the angle of the residual rotation. ",
+        tag("code", "nominal"), " is the unchanged URDF, with only the unknown frames fitted. ",
+        tag("code", "geometric"), " adds the geometric corrections; ", tag("code", "calibrated.urdf"), " contains it.",
+        added if effects else "",
+        " ", tag("code", "final"), " is the whole model. Outliers are excluded unless a column says otherwise.",
+    )  # fmt: skip
+
+
+def _histograms(compared: dict[str, np.ndarray], channels: Channels) -> Html:
+    """Distribution of the errors before and after, from residuals (n, m)."""
+    drawn: list[tuple[Content, Html]] = []
+    for k, channel in enumerate(channels):
+        values = {name: row_errors(residual, channels)[k] for name, residual in compared.items()}
+        alt = f"Histogram of the {channel.title} before and after calibration"
+        drawn.append((channel.title.capitalize(), histogram(channel.key, alt, values, channel.title)))
+    return figures(drawn)
+
+
+def _iso_9283(outcome: Outcome) -> Html:
+    """Pose accuracy of every step."""
+    _, words = scored(outcome)
+    lines = []
+    for step in steps(outcome):
+        found = statistics(pose_accuracy(outcome, step.residual))
+        lines.append([step.title, *(number(found[key]) for key in ("mean", "p95", "max"))])
+    caption = f"Pose accuracy AP of ISO 9283 [mm], {words}"
+    return table(["model", "mean", "95 % below", "worst pose"], lines, caption)
+
+
+def _halves(outcome: Outcome) -> Html:
+    """Whether models fitted to two halves of the rows agree."""
+    precision = outcome.precision
+    if not math.isfinite(precision.halves_measured):
+        return tag("p", "There are too few rows to fit two halves of them separately and compare the models.")
+    measured, expected = (number(1e3 * v) for v in (precision.halves_measured, precision.halves_expected))
+    meaning = (
+        "Noise explains this difference."
+        if halves_agree(outcome)
+        else "Noise does not explain this difference: the model does not fit everywhere."
+    )
+    return tag(
+        "p",
+        f"Two models, each fitted to one half of the rows, differ by {measured} mm RMS at the target; noise alone would "
+        f"cause {expected} mm. {meaning}",
+    )
+
+
+def _axes(channels: Channels) -> list[str]:
+    """Titles of the numbers of a residual."""
+    return [f"{axis} [{channel.shown}]" for channel in channels for axis in channel.axes]
+
+
+def _axis_table(outcome: Outcome) -> Html:
+    """RMS of every step in each axis of the world."""
+    mask, words = scored(outcome)
+    path = steps(outcome)
+    lines = [[step.title, *(number(v) for v in axis_rms(step.residual[mask], outcome.channels))] for step in path]
+    axes = _axes(outcome.channels)
+    return table(["model", *axes], lines, f"RMS of the residual in world axes, {words}")
+
+
+def _axis_pictures(compared: dict[str, np.ndarray], channels: Channels, words: str) -> Html:
+    """Residuals (n, m) row by row, before and after."""
+    drawn: list[tuple[Content, Html]] = []
+    before, _ = compared.values()
+    order = np.arange(1.0, len(before) + 1)
+    scale = spread(np.array([c.scale for c in channels]), channels)
+    for k, axis in enumerate(_axes(channels)):
+        values = {name: scale[k] * residual[:, k] for name, residual in compared.items()}
+        alt = f"Residual {axis} row by row, before and after calibration"
+        labels = (f"number of the row among the {words}", axis)
+        drawn.append((f"Measured minus predicted: {axis}", panels(f"axis-{k}", alt, order, values, labels)))
+    return figures(drawn)
+
+
+def _workspace(outcome: Outcome) -> Html:
+    """Position errors over the three planes of the world."""
+    sound = ~outcome.outlier
+    error = row_errors(outcome.stages[-1].residual[sound], outcome.channels)[0]
+    points = outcome.measurements.position[sound]
+    drawn: list[tuple[Content, Html]] = []
+    for a, b in ((0, 1), (0, 2), (1, 2)):
+        first, second = "xyz"[a], "xyz"[b]
+        labels = (f"world {first} [m]", f"world {second} [m]")
+        alt = f"Position error after calibration over {labels[0]} and {labels[1]}"
+        plot = field(f"field-{first}{second}", alt, points[:, [a, b]], error, labels, "mm")
+        drawn.append((f"Position error after calibration, {first}–{second} plane", plot))
+    return figures(drawn)
+
+
+def _configuration(outcome: Outcome, row: int) -> str:
+    """Joint readings of a row in words."""
+    readings = zip(outcome.measurements.readings[row], outcome.robot.kinds, strict=True)
+    return ", ".join(reading_in_words(value, kind) for value, kind in readings)
+
+
+def verification(outcome: Outcome) -> Iterator[Content]:
+    """How the models do on another day's data."""
+    found = outcome.verification
+    assert found is not None
+    yield tag("p", f"{found.file}: {counted(len(found.measurements), 'row')} that were not used for the calibration.")
+    models = dict(found.residuals)
+    if found.realigned is not None:
+        models["final, frames refitted"] = found.realigned
+    sound = ~found.outlier
+    channels = found.measurements.channels
+    for channel in channels:
+        scores = {name: errors(residual, sound, channels)[channel.key] for name, residual in models.items()}
+        lines = [[name, *(number(s[k]) for k in STATISTICS)] for name, s in scores.items()]
+        yield table(["model", *STATISTIC_NAMES.values()], lines, channel.title.capitalize())
+    excluded = counted(int(found.outlier.sum()), "gross outlier")
+    yield tag(
+        "p",
+        f"{excluded} excluded. If the error is much larger than on the campaign's own held-out rows but small again with "
+        "the frames refitted, the target or the instrument was remounted. If it stays large, the robot has changed since.",
+    )

@@ -1,0 +1,138 @@
+"""HTML that is safe by construction (text is escaped unless it is markup already), and numbers as text."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from html import escape
+
+
+class Html(str):
+    """Text that is markup and goes into a page as it is."""
+
+
+# Text, which is escaped; markup, which is not; or a sequence of either.
+Content = str | Sequence["Content"]
+
+# Elements without content.
+VOID = frozenset({"meta", "br"})
+
+# Numbers between the first two are written without an exponent, with no more decimals than the third.
+SMALL, LARGE, MOST_DECIMALS = 1e-4, 1e6, 9
+
+
+def tag(name: str, /, *content: Content, **attributes: str | None) -> Html:
+    """An element with its content.
+
+    Args:
+        name: Of the element.
+        content: See :data:`Content`.
+        attributes: By name; `class_` stands for `class`, `aria_label` for `aria-label`. `None` leaves one out.
+
+    Returns:
+        ``<name key="value">content</name>``, or the start alone for the elements of :data:`VOID`.
+    """
+    pairs = ""
+    for key, value in attributes.items():
+        if value is not None:
+            written = key.rstrip("_").replace("_", "-")
+            pairs += f' {written}="{escape(value)}"'
+    start = f"<{name}{pairs}>"
+    if name in VOID:
+        return Html(start)
+    return Html(f"{start}{join(content)}</{name}>")
+
+
+def join(content: Content) -> Html:
+    """Content one after the other: text is escaped, markup goes in as it is."""
+    if isinstance(content, Html):
+        return content
+    if isinstance(content, str):
+        return Html(escape(content))
+    return Html("".join(join(part) for part in content))
+
+
+def table(head: Sequence[Content], rows: Iterable[Sequence[Content]], caption: Content, numbers: int = 1) -> Html:
+    """A table that scrolls by itself where the page is narrow.
+
+    Args:
+        head: Titles of the columns.
+        rows: Cells; the first of a row is its title.
+        caption: What the table shows.
+        numbers: From this column on cells are numbers, set to the right.
+    """
+
+    def kind(column: int) -> str | None:
+        return "n" if column >= numbers else None
+
+    def line(row: Sequence[Content]) -> Html:
+        title, *cells = row
+        first = tag("th", title, scope="row")
+        others = [tag("td", cell, class_=kind(column)) for column, cell in enumerate(cells, start=1)]
+        return tag("tr", first, others)
+
+    titles = [tag("th", title, scope="col", class_=kind(column)) for column, title in enumerate(head)]
+    top = tag("thead", tag("tr", titles))
+    body = tag("tbody", [line(row) for row in rows])
+    whole = tag("table", tag("caption", caption), top, body)
+    return tag("div", whole, class_="scroll", tabindex="0", role="group", aria_label="table")
+
+
+def figures(drawn: Iterable[tuple[Content, Html]]) -> Html:
+    """Figures side by side where there is room.
+
+    Args:
+        drawn: The caption and the picture of each.
+    """
+    made = [tag("figure", tag("figcaption", caption), picture) for caption, picture in drawn]
+    return tag("div", made, class_="figures")
+
+
+def bullets(items: Iterable[Content], most: int | None = None, what: str = "more") -> Html:
+    """A list; of a long one the first items and the number of the others.
+
+    Args:
+        items: What to list.
+        most: How many items are shown; all if it is None.
+        what: What the others are called, after their number.
+    """
+    shown = list(items)
+    rest = len(shown) - most if most is not None else 0
+    if rest > 0:
+        shown = [*shown[:most], tag("em", f"and {rest:,} {what}")]
+    return tag("ul", [tag("li", item) for item in shown])
+
+
+def number(value: float, digits: int = 3) -> str:
+    """A number with so many significant digits, a dash where there is none.
+
+    ``0.0123`` and ``1,234`` are written out; what is below :data:`SMALL` or from :data:`LARGE` on has an exponent.
+    """
+    if not math.isfinite(value):
+        return "–"
+    if value == 0:
+        return "0"
+    size = abs(value)
+    if not SMALL <= size < LARGE:
+        return f"{value:.{digits - 1}e}".replace("-", "−")
+    leading = math.floor(math.log10(size))  # place of the first digit: 0 for 1 to 9.99
+    return fixed(value, max(digits - 1 - leading, 0))
+
+
+def plus_minus(value: float, std: float) -> str:
+    """A value with its standard deviation, both to two digits of the latter; the value alone if there is none."""
+    if not (math.isfinite(std) and std > 0):
+        return number(value, 4)
+    leading = math.floor(math.log10(std))
+    decimals = min(max(1 - leading, 0), MOST_DECIMALS)
+    return f"{fixed(value, decimals)} ± {fixed(std, decimals)}"
+
+
+def fixed(value: float, decimals: int) -> str:
+    """A number with so many decimals, and no sign on zero."""
+    return f"{round(value, decimals) + 0.0:,.{decimals}f}".replace("-", "−")
+
+
+def counted(count: int, what: str) -> str:
+    """A number of things: `1 row`, `1,495 rows`."""
+    return f"{count:,} {what}{'' if count == 1 else 's'}"

@@ -1,0 +1,179 @@
+"""The report on the parameters: which are identifiable, and what was identified."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+from aridcal.effects.effect import FRAME_COMPONENTS, LINK_COMPONENTS
+from aridcal.report.html import Content, Html, counted, fixed, number, plus_minus, table, tag
+from aridcal.result.folder import frames, parameters
+from aridcal.result.key_figures import constants, solved_stages
+from aridcal.result.outcome import Outcome
+from aridcal.robot.doty import Link, doty_links
+
+SYMBOLS = {"d": "d", "theta": "θ", "beta": "β", "a": "a", "alpha": "α"}
+MOST_FRAMES = 12
+MOST_PARTNERS = 6
+
+# One parameter as :func:`aridcal.result.folder.parameters` has it.
+Parameter = dict[str, Any]
+
+
+def identifiable(outcome: Outcome) -> Iterator[Content]:
+    """Question 2: which parameters are identifiable?"""
+    yield _convergence(outcome)
+    redundant = outcome.stage("geometric").fit.redundant
+    if not redundant:
+        yield tag("p", "All requested parameters are identifiable.")
+        return
+    yield tag(
+        "p",
+        f"{counted(len(redundant), 'redundant coefficient')}: these measurements confound each with those named beside it. "
+        "It keeps its nominal value, and the others contain its error. Predictions of the target lose nothing by this.",
+    )
+    lines = [[tag("code", name), _partners(names)] for name, names in redundant.items()]
+    yield table(["keeps its nominal value", "confounded with"], lines, "Redundant coefficients", numbers=2)
+
+
+def _convergence(outcome: Outcome) -> Html:
+    """Rank and convergence of every fitted model."""
+    stages = solved_stages(outcome)
+    facts: dict[str, list[str]] = {
+        "coefficients requested": [],
+        "coefficients identified (the rank)": [],
+        "condition number, columns scaled to length 1": [],
+        "iterations": [],
+        "remaining step of the gradient, in σ": [],
+        "other starting points that reach the same minimum": [],
+    }
+    for stage in stages.values():
+        fit, c = stage.fit, stage.fit.convergence
+        values = [
+            f"{len(fit.candidates):,}",
+            f"{len(fit.theta):,}",
+            number(c.condition),
+            f"{c.steps:,}",
+            number(c.gradient, 2),
+            f"{c.agreed} of {c.restarts}" if c.restarts else "none tried",
+        ]
+        for fact, value in zip(facts.values(), values, strict=True):
+            fact.append(value)
+    lines = [[what, *values] for what, values in facts.items()]
+    return table(["model", *stages], lines, "Rank and convergence")
+
+
+def _partners(names: tuple[str, ...]) -> Content:
+    """What a redundant coefficient is confounded with."""
+    if not names:
+        return "nothing: it hardly moves the target"
+    shown = codes(names[:MOST_PARTNERS])
+    rest = len(names) - MOST_PARTNERS
+    return [shown, f" and {rest} more" if rest > 0 else ""]
+
+
+def codes(names: tuple[str, ...] | list[str]) -> Content:
+    """Names one after the other, set as code."""
+    return [part for name in names for part in (", ", tag("code", name))][1:]
+
+
+def identified(outcome: Outcome) -> Iterator[Content]:
+    """Geometric parameters and frames with their uncertainty."""
+    yield from _constants(outcome)
+    yield tag("h3", "Frames")
+    yield tag(
+        "p",
+        tag("code", "world_base"), " is the pose of the robot's base in the measured world, ",
+        tag("code", "tip_target"), " the pose of the measured target on the tip. Their ± is a twist in the frame's own "
+        "axes. Neither is in the URDF.",
+    )  # fmt: skip
+    yield from _frames(outcome)
+
+
+def _constants(outcome: Outcome) -> Iterator[Content]:
+    """A table of the corrections for each link or joint origin."""
+    groups: dict[str, list[Parameter]] = {}
+    for p in constants(outcome):
+        where, component = p["name"].rsplit(".", 1)
+        groups.setdefault(where, []).append(p | {"component": component})
+    if not groups:
+        yield tag("p", "No geometric parameters were requested.")
+    elif outcome.campaign.parameters.set in ("doty", "angles"):
+        yield tag(
+            "p",
+            "Parameters of the link after each joint, Tz(d) Rz(θ) Ry(β) Tx(a) Rx(α), with one standard deviation. "
+            "Where two axes intersect, θ and β are undefined; yaw and pitch of the next origin replace them.",
+        )
+        nominal = {link.joint: link for link in doty_links(outcome.robot)}
+        tables = [_link(nominal, where, group) for where, group in groups.items()]
+        yield tag("div", tables, class_="links wide")
+    else:
+        yield tag(
+            "p",
+            "Corrections of each joint's own origin, in its own axes, relative to the nominal URDF, with one standard "
+            "deviation. Those marked nominal are redundant (section 2).",
+        )
+        yield tag("div", [_origin(where, group) for where, group in groups.items()], class_="links")
+
+
+def _correction(p: Parameter) -> str:
+    """A correction with its uncertainty, or why it has none."""
+    if p["status"] != "identified":
+        return "nominal" if p["status"] == "redundant" else "fixed"
+    unit = "mrad" if p["unit"] == "rad" else "mm"
+    return f"{plus_minus(1e3 * p['value'], 1e3 * p['std'])} {unit}"
+
+
+def _origin(where: str, group: list[Parameter]) -> Html:
+    """Corrections of a joint's origin."""
+    by_component = {p["component"]: p for p in group}
+    ordered = [by_component[c] for c in FRAME_COMPONENTS]
+    lines = [[p["component"], _correction(p)] for p in ordered if p["status"] == "identified"]
+    nominal = [p["component"] for p in ordered if p["status"] != "identified"]
+    if nominal:
+        lines.append([", ".join(nominal), "nominal"])
+    return table(["", "correction ± 1σ"], lines, tag("code", where))
+
+
+def _link(nominal: dict[str, Link], where: str, group: list[Parameter]) -> Html:
+    """Nominal and calibrated parameters of the link after a joint."""
+    lines = []
+    for p in group:
+        component, angle = p["component"], p["unit"] == "rad"
+        if component not in LINK_COMPONENTS:
+            lines.append([f"{component} of its origin", "", _correction(p), ""])
+            continue
+        start = 0.0 if component == "d" else float(getattr(nominal[where], component))
+        before, after = (length_or_angle(v, angle) for v in (start, start + p["value"]))
+        lines.append([SYMBOLS[component], before, _correction(p), after])
+    return table(["", "nominal", "correction ± 1σ", "calibrated"], lines, tag("code", where))
+
+
+def length_or_angle(value: float, angle: bool) -> str:
+    """An angle [rad] in degrees, or a length [m] in millimetres, with its unit."""
+    return f"{fixed(math.degrees(value), 4)}°" if angle else f"{fixed(1e3 * value, 3)} mm"
+
+
+def _frames(outcome: Outcome) -> Iterator[Content]:
+    """A table for each identified frame."""
+    status = {p["name"]: p["status"] for p in parameters(outcome.stage("geometric").fit)}
+    found = frames(outcome.stage("final"))
+    shown = list(found.items())[:MOST_FRAMES]
+    yield tag("div", [_frame(name, frame, status) for name, frame in shown], class_="links")
+    rest = len(found) - len(shown)
+    if rest:
+        yield tag("p", tag("em", f"and {rest} more; result.json lists them all"))
+
+
+def _frame(name: str, frame: dict[str, Any], status: dict[str, str]) -> Html:
+    """Position and angles of one frame; ``status`` by the names of its coefficients."""
+    lines = []
+    values = [*frame["xyz"], *frame["rpy"]]
+    for k, component in enumerate(FRAME_COMPONENTS):
+        angle = k >= 3
+        known = status[f"{name}.{component}"]
+        unit = "mrad" if angle else "mm"
+        spread = f"{number(1e3 * frame['std'][k], 2)} {unit}" if known == "identified" else known
+        lines.append([component, length_or_angle(values[k], angle), spread])
+    return table(["", "value", "± 1σ"], lines, tag("code", name))

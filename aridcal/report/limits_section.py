@@ -1,0 +1,128 @@
+"""The end of the report: where the calibration holds, what to measure again, and which file is for what."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from aridcal.report.html import Content, Html, bullets, number, table, tag
+from aridcal.report.identified_section import codes
+from aridcal.report.words import range_in_words, sigmas_in_words
+from aridcal.result.controllers import Handover
+from aridcal.result.key_figures import narrow_joints
+from aridcal.result.outcome import Outcome
+
+# How the names of the coefficients of the target's frame begin.
+AT_TIP = ("tip_target.", "tip_target[")
+
+JOINT_VALUES = (
+    "The calibration is valid for the kind of joint values in the table. Reported and commanded joint values of real arms "
+    "differ by 0.1 to 0.2 mrad: use the kind that was recorded here."
+)
+
+
+def limits(outcome: Outcome) -> Iterator[Content]:
+    """Question 6: where does the calibration hold?"""
+    yield bullets([_outside(outcome), _uncertainty(outcome), JOINT_VALUES])
+    yield tag("h3", "What to measure again after a change")
+    yield _after_a_change()
+    hidden = _inside_the_target(outcome)
+    if hidden:
+        yield tag(
+            "p",
+            "Part of the errors of ", codes(hidden), " is contained in ", tag("code", "tip_target"), ", with which they "
+            "are confounded. The pose of the measuring target is calibrated, but the pose of the bare tip link is only as "
+            "accurate as the nominal URDF.",
+        )  # fmt: skip
+
+
+def _outside(outcome: Outcome) -> str:
+    """On extrapolation."""
+    ranges = [f"{j.name} ({range_in_words(j.seen, j.kind)})" for j in narrow_joints(outcome)]
+    measured = (
+        f"Less than half of the range was measured of: {', '.join(ranges)}."
+        if ranges
+        else "At least half of every joint's range was measured."
+    )
+    return f"Outside the joint ranges of section 3 the model extrapolates; aridcal.predict marks such rows. {measured}"
+
+
+def _uncertainty(outcome: Outcome) -> str:
+    """On what each standard deviation covers."""
+    noise = sigmas_in_words(outcome.noise, outcome.channels)
+    source = (
+        "as declared in the campaign"
+        if outcome.noise_source == "declared"
+        else "estimated from the residuals, so that errors which the model lacks widen every ±"
+    )
+    return (
+        f"Each ± is one standard deviation caused by the measurement noise of {noise} per axis, {source}. It does not "
+        "include systematic errors of the instrument (scale, levelling), later changes of the robot, or loads and "
+        "temperatures other than those measured."
+    )
+
+
+def _after_a_change() -> Html:
+    """What to repeat, by what was changed."""
+    lines: list[list[Content]] = [
+        [
+            "measuring target or tool",
+            ["a few poses with the wrist turned widely, to refit ", tag("code", "tip_target")],
+            "every constant in the URDF",
+        ],
+        [
+            "place of the robot's base or the tracker",
+            ["a few poses spread over the workspace, to refit ", tag("code", "world_base")],
+            "every constant in the URDF",
+        ],
+        ["motor, gear, encoder or zero position; a collision", "the whole campaign", "nothing"],
+    ]
+    caption: Content = [
+        "For the first two use ",
+        tag("code", "calibrated.urdf"),
+        " and ",
+        tag("code", "parameters: {set: none}"),
+        ": only the frames are then fitted",
+    ]
+    return table(["changed", "measure again", "stays valid"], lines, caption, numbers=3)
+
+
+def _inside_the_target(outcome: Outcome) -> list[str]:
+    """Where those coefficients act that are confounded with the target's frame, in alphabetical order."""
+    redundant = outcome.stage("geometric").fit.redundant
+    found = set()
+    for name, partners in redundant.items():
+        if not name.startswith(AT_TIP) and any(partner.startswith(AT_TIP) for partner in partners):
+            found.add(name.rsplit(".", 1)[0])
+    return sorted(found)
+
+
+def use(outcome: Outcome, handover: Handover) -> Iterator[Content]:
+    """Which file is for what."""
+    yield _files(handover, bool(outcome.effects))
+    lines: list[list[Content]] = []
+    for export in handover.exports:
+        error, distance = (f"{number(1e3 * v)} mm" for v in (export.error, export.apart))
+        lines.append([export.name, ", ".join(export.files), error, distance])
+    head = ["export", "files", "position RMS", "distance from the full model"]
+    yield table(head, lines, f"Exports for controllers, on {handover.rows}", numbers=2)
+
+
+def _files(handover: Handover, effects: bool) -> Html:
+    """The files of the result folder."""
+    error = {file: f"{number(1e3 * export.error)} mm" for export in handover.exports for file in export.files}
+    predict = tag("code", "python -m aridcal.predict calibration.yaml query.csv -o predicted.csv")
+    lines: list[list[Content]] = [
+        [
+            "calibrated.urdf",
+            "replaces the nominal URDF wherever that is read; only joint origins differ",
+            error["calibrated.urdf"],
+        ],
+        ["calibration.yaml", ["the whole model with frames and effects: ", predict], error["calibration.yaml"]],
+        ["result.json", "the figures of this page, for programs", ""],
+        ["residuals.csv", "residual of each model for every row, with the row's part and flags", ""],
+        ["scene.html", "robot, targets and magnified errors in 3D", ""],
+    ]
+    if effects:
+        lines.insert(1, ["model.urdf", "valid only together with the effects in calibration.yaml, never alone", ""])
+    named = [[tag("code", str(name)), *rest] for name, *rest in lines]
+    return table(["file", "purpose", "position RMS"], named, "Files in the result folder", numbers=2)

@@ -1,0 +1,74 @@
+"""``report.html``: what a calibration found, on one page that needs nothing else."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from importlib.resources import files
+from pathlib import Path
+
+from aridcal import __version__
+from aridcal.report.data_section import data, enough
+from aridcal.report.dependence import drives
+from aridcal.report.first_screen import summary
+from aridcal.report.fit_section import fits, verification
+from aridcal.report.head_section import measuring_head
+from aridcal.report.html import Content, Html, counted, join, tag
+from aridcal.report.identified_section import identifiable, identified
+from aridcal.report.limits_section import limits, use
+from aridcal.result.controllers import Handover
+from aridcal.result.outcome import Outcome
+
+# Anchor, title and content.
+Chapter = tuple[str, str, Iterable[Content]]
+
+
+def write_report(outcome: Outcome, handover: Handover, path: Path) -> None:
+    """Write the report of a calibration.
+
+    Args:
+        outcome: What was found.
+        handover: What controllers can be given of it.
+        path: The HTML file.
+    """
+    path.write_text(page(outcome, handover), encoding="utf-8", newline="\n")
+
+
+def page(outcome: Outcome, handover: Handover) -> Html:
+    """The report as one self-contained HTML page."""
+    chapters = _chapters(outcome, handover)
+    links = [tag("a", title, href=f"#{key}") for key, title, _ in chapters]
+    sections = [tag("section", tag("h2", title), list(content), id=key) for key, title, content in chapters]
+    m = outcome.measurements
+    body = [
+        tag("header", list(summary(outcome)), tag("nav", links, aria_label="Sections")),
+        tag("main", sections),
+        tag("footer", f"aridcal {__version__}, {counted(len(m), 'row')} with sha256 {m.sha256[:16]}"),
+    ]
+    style = files("aridcal.report").joinpath("assets/report.css").read_text("utf-8")
+    head = [
+        tag("meta", charset="utf-8"),
+        tag("meta", name="viewport", content="width=device-width, initial-scale=1"),
+        tag("title", f"Calibration of {outcome.robot.tree.name}"),
+        tag("style", Html(style)),
+    ]
+    whole = tag("html", tag("head", head), tag("body", body), lang="en")
+    return join([Html("<!DOCTYPE html>\n"), whole])
+
+
+def _chapters(outcome: Outcome, handover: Handover) -> list[Chapter]:
+    """The six questions, then what was identified and which file is for what."""
+    chapters: list[Chapter] = [
+        ("data", "1. Is the data sound?", data(outcome)),
+        ("separable", "2. Which parameters are identifiable?", identifiable(outcome)),
+        ("enough", "3. Is there enough data, in the right places?", enough(outcome)),
+        ("fits", "4. Does the model fit?", fits(outcome)),
+        ("depends", "5. What drives the remaining error?", drives(outcome)),
+        ("remains", "6. Where does the calibration hold?", limits(outcome)),
+    ]
+    if outcome.verification is not None:
+        chapters.append(("verification", "Verification on another day's data", verification(outcome)))
+    chapters.append(("parameters", "What was identified", identified(outcome)))
+    if outcome.head is not None:
+        chapters.append(("head", "The measuring head", measuring_head(outcome)))
+    chapters.append(("use", "How to use the result", use(outcome, handover)))
+    return chapters

@@ -1,0 +1,127 @@
+"""Words of the report: errors, readings and effects, and what to measure to separate two confounded effects."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from aridcal.effects.effect import Effect
+from aridcal.inputs.channels import Channels
+from aridcal.report.html import fixed, number
+from aridcal.robot.chain import Robot
+
+"""Each kind of effect in a few words; its section in docs/effects.md says more."""
+
+# Correlation of two columns from which the reader is told: beyond it less than 1 - 0.8^2 = 36 % of the variance of
+# one is its own.
+TOGETHER = 0.8
+
+# Measured columns: what they are, and how to change one while all else stays the same.
+COLUMNS = {
+    "time": ("time", "repeat the same configurations hours later, in another order"),
+    "temperature": ("temperature", "measure the same configurations cold and warm"),
+    "payload": ("the payload", "measure the same configurations with and without payload"),
+}
+
+# Computed loads, by the end of their names.
+LOADS = {
+    "gravity_torque": "the gravity load on {}",
+    "gravity_moment": "the gravity moment on the bearing of {}",
+    "payload_torque": "the payload's load on {}",
+}
+
+
+def sigmas_in_words(sigma: np.ndarray, channels: Channels, times: float = 1.0) -> str:
+    """A multiple of one value for each channel, shape (C,), in words: ``0.1 mm and 0.2 mrad``."""
+    shown = [f"{number(times * c.scale * float(s))} {c.shown}" for c, s in zip(channels, sigma, strict=True)]
+    return " and ".join(shown)
+
+
+def range_in_words(ends: tuple[float, float] | None, kind: str) -> str:
+    """A range of a joint's readings, [rad] or [m]; None stands for no limits."""
+    if ends is None:
+        return "no limits"
+    low, high = (reading_in_words(value, kind) for value in ends)
+    return f"{low} … {high}"
+
+
+def reading_in_words(value: float, kind: str) -> str:
+    """A joint reading, [rad] or [m], with its unit; ``kind`` is that of the joint."""
+    return f"{fixed(value, 3)} m" if kind == "prismatic" else f"{fixed(math.degrees(value), 0)}°"
+
+
+def how_to_separate(a: Effect, b: Effect, robot: Robot, columns: Mapping[str, np.ndarray]) -> str:
+    """A sentence on what to measure, so that two effects are no longer confounded.
+
+    Args:
+        a: The effect in the model.
+        b: One that explains these data as well.
+        robot: The chain that both act on.
+        columns: Joint positions and measured columns of the rows, shape (N,) each.
+    """
+    own, other = list(a.covariates), list(b.covariates)
+    only_other = [name for name in other if name not in own]
+    only_own = [name for name in own if name not in other]
+    for changing, kept in ((only_other, own), (only_own, other)):
+        if changing:
+            return _change_one(changing[0], kept, columns)
+    follows = " and ".join(_words(name)[0] for name in own)
+    between = _joints_between(a.where, b.where, robot, own)
+    if between:
+        return f"both depend on {follows}: at the same {follows}, turn {', '.join(between)} widely; they lie between the two."
+    return (
+        f"both depend on {follows} and act at the same place; only their shapes differ. Measure more of the range of "
+        f"{follows}, in smaller steps."
+    )
+
+
+def _change_one(change: str, kept: Sequence[str], columns: Mapping[str, np.ndarray]) -> str:
+    """How to change one covariate while others stay the same."""
+    what, how = _words(change)
+    stays = " and ".join(_words(name)[0] for name in kept)
+    correlated = _correlated(change, kept, columns)
+    return f"measure rows in which {what} changes while {stays} stays the same: {how}{correlated}."
+
+
+def _joints_between(a: str, b: str, robot: Robot, but: Sequence[str]) -> list[str]:
+    """Joints between two places on the chain, without those named."""
+    names = list(robot.names)
+    first, last = sorted(_place(where, names) for where in (a, b))
+    return [name for name in names[first:last] if name not in but]
+
+
+def _place(where: str, names: list[str]) -> int:
+    """Where on the chain: 0 before the first joint."""
+    if where in names:
+        return names.index(where) + 1
+    return 0 if where == "world_base" else len(names) + 1
+
+
+def _words(name: str) -> tuple[str, str]:
+    """A covariate in words, and how to change it."""
+    joint, _, load = name.rpartition(".")
+    for ending, words in LOADS.items():
+        if joint and load.startswith(ending):
+            return words.format(joint), f"keep {joint} where it is, and stretch, fold or load the arm beyond it"
+    if name.endswith("_direction"):
+        joint = name.removesuffix("_direction")
+        return f"the direction in which {joint} approached", "reach the same configurations from both sides"
+    for column, (words, how) in COLUMNS.items():
+        if name == column:
+            return words, how
+        if name.startswith(f"{column}_"):
+            return name, how
+    return name, f"move {name} over its range, in each of a few configurations of the other joints"
+
+
+def _correlated(change: str, kept: Sequence[str], columns: Mapping[str, np.ndarray]) -> str:
+    """A clause on the column that went together with the one to be changed in these data."""
+    for name in kept:
+        if change in columns and name in columns:
+            with np.errstate(invalid="ignore"):
+                r = float(np.corrcoef(columns[change], columns[name])[0, 1])
+            if abs(r) > TOGETHER:
+                return f" (in these data the two are correlated: r = {r:.2f})"
+    return ""

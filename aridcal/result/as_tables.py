@@ -1,0 +1,95 @@
+"""What ``result.json`` holds, as DataFrames whose columns name their units."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import pandas as pd
+
+from aridcal.result.outcome import STATISTICS, Verification, errors
+
+Document = Mapping[str, Any]
+
+EFFECT_COLUMNS = (
+    "kind",
+    "where",
+    "motion",
+    "covariates",
+    "declared",
+    "p_value",
+    "position_rms_before_mm",
+    "position_rms_after_mm",
+    "rotation_rms_before_mrad",
+    "rotation_rms_after_mrad",
+)
+
+PARAMETER_COLUMNS = ("value_mm", "std_mm", "value_mrad", "std_mrad", "status", "redundant_with")
+
+
+def error_table(result: Document) -> pd.DataFrame:
+    """Errors of the target, [mm] and [mrad].
+
+    Args:
+        result: ``result.json``.
+
+    Returns:
+        Statistics of each model (``nominal``, ``geometric``, ``final``) on each part of the rows (``train``, ``test``,
+        ``test_all``); indexed by both.
+    """
+    found = {(model, part): e for model, parts in result["error"].items() for part, e in parts.items()}
+    index = pd.MultiIndex.from_tuples(found, names=["model", "rows"])
+    return _statistics(found.values(), index)
+
+
+def verification_table(found: Verification) -> pd.DataFrame:
+    """Errors on another day's rows, [mm] and [mrad], gross outliers left out: of each model, and ``realigned``."""
+    residuals = dict(found.residuals)
+    if found.realigned is not None:
+        residuals["realigned"] = found.realigned
+    scored = [errors(residual, ~found.outlier, found.measurements.channels) for residual in residuals.values()]
+    return _statistics(scored, pd.Index(residuals, name="model"))
+
+
+def effect_table(result: Document) -> pd.DataFrame:
+    """Effects of a ``result.json``, one a row, the largest gain first; before and after are on held-out rows."""
+    rows = []
+    for effect in result["effects"]:
+        row = dict(effect)
+        row["motion"] = ", ".join(effect["motion"])
+        row["covariates"] = ", ".join(effect["covariates"])
+        for quantity, unit in (("position", "mm"), ("rotation", "mrad")):
+            for when, value in effect.get(f"{quantity}_rms_{unit}", {}).items():
+                row[f"{quantity}_rms_{when}_{unit}"] = value
+        rows.append(row)
+    positions_only = not any("rotation_mrad" in found for found in result["error"]["final"].values())
+    columns = [name for name in EFFECT_COLUMNS if not (positions_only and name.startswith("rotation"))]
+    return pd.DataFrame(rows, columns=columns)
+
+
+def parameter_table(result: Document) -> pd.DataFrame:
+    """Constants of a ``result.json`` by name, lengths in [mm] and angles in [mrad]; empty where they are the other."""
+    rows = {}
+    for parameter in result["parameters"]:
+        unit = {"m": "mm", "rad": "mrad"}[parameter["unit"]]
+        row = {"status": parameter["status"], "redundant_with": ", ".join(parameter["redundant_with"])}
+        for key in ("value", "std"):
+            if parameter[key] is not None:
+                row[f"{key}_{unit}"] = 1e3 * parameter[key]
+        rows[parameter["name"]] = row
+    table = pd.DataFrame.from_dict(rows, orient="index", columns=list(PARAMETER_COLUMNS))
+    numbers = dict.fromkeys(PARAMETER_COLUMNS[:4], float)
+    return table.astype(numbers).rename_axis("name")
+
+
+def _statistics(found: Iterable[Mapping[str, Mapping[str, float]]], index: pd.Index) -> pd.DataFrame:
+    """Error statistics as a table: ``{"position_mm": {"rms": 0.1}}`` gives the column ``position_rms_mm``."""
+    rows = []
+    for quantities in found:
+        row = {}
+        for name, values in quantities.items():
+            quantity, _, unit = name.partition("_")
+            for statistic in STATISTICS:
+                row[f"{quantity}_{statistic}_{unit}"] = values[statistic]
+        rows.append(row)
+    return pd.DataFrame(rows, index=index).astype(float)

@@ -1,0 +1,274 @@
+"""Joint commands that bring the real target to wanted poses, through the whole calibrated model."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+import pandas as pd
+from scipy.interpolate import RegularGridInterpolator
+from scipy.spatial.transform import Rotation
+
+from aridcal.errors import AridcalError, CovariateNotFound
+from aridcal.inputs.query import Query
+from aridcal.model.inverse import Command, InverseKinematics
+from aridcal.model.model import Model
+from aridcal.result.predict import extrapolates, per_station
+from aridcal.result.saved_model import SavedModel
+
+STILL = 1e-6
+"""A joint that moves by less keeps its side of the backlash, [rad] or [m]."""
+RESTARTS = 30
+"""Starts that are tried for a pose that comes without a seed."""
+GENTLE = 0.02
+"""[m/rad]: what turns the target by less than so much is not corrected by a table: that is close to a singularity."""
+GENTLE_STEPS = 4
+"""Newton's steps to a table's corrections; they are a thousandth of the joints' range, so that two would do."""
+MOST_POINTS = 1_000_000
+"""Of a table: more make no table that a controller could hold."""
+CHECKED = 300
+"""Configurations between its points at which a table is checked."""
+
+
+def compensate(saved: SavedModel, query: Query) -> pd.DataFrame:
+    """Fill in the joint commands for each row of wanted poses.
+
+    Args:
+        saved: The model.
+        query: N rows, read with the calibration's own `measurements` settings and ``poses=True``.
+
+    Returns:
+        The query's table with the joints, ``reached``, ``position_error``, ``rotation_error`` and ``extrapolates``, N
+        rows; a row that lacks a number has no command.
+
+    Raises:
+        CovariateNotFound: an effect depends on a column that is not there.
+        MeasurementError: a row's station is none of those that were calibrated.
+    """
+    settings, robot = saved.measurements, saved.final.model.robot
+    units = settings.units
+    found, covariates = follow(saved, query)
+    readings = np.array([command.readings for command in found])
+    table = query.table.copy()
+    for k, (name, kind) in enumerate(zip(robot.readings, robot.kinds, strict=True)):
+        unit = units.metres if kind == "prismatic" else units.radians
+        table[settings.columns.get(name, name)] = readings[:, k] / unit
+    for name in directions(saved):
+        table[settings.columns.get(name, name)] = covariates[name]
+    table["reached"] = [command.reached for command in found]
+    table["position_error"] = [command.position_error / units.metres for command in found]
+    if saved.kind == "pose":
+        table["rotation_error"] = [command.rotation_error / units.radians for command in found]
+    commanded = replace(query, readings=readings, covariates=covariates)
+    table["extrapolates"] = extrapolates(saved, commanded)
+    return table
+
+
+def follow(saved: SavedModel, query: Query) -> tuple[list[Command], dict[str, np.ndarray]]:
+    """Command the rows one after the other.
+
+    Returns:
+        N commands, NaN where a row lacks a number, and the covariates, missing approach directions filled in: the side
+        from which each joint comes to its place without backlash; 0 as long as it has not moved.
+    """
+    model, unknown = saved.final.model, np.full(len(query.line), np.nan)
+    sides = {name: query.covariates.get(name, unknown) for name in directions(saved)}
+    guessed = {name: np.where(np.isnan(side), 0.0, side) for name, side in sides.items()}
+    covariates = query.covariates | guessed
+    commands = _walk(saved, query, covariates)
+    if not any(np.isnan(side).any() for side in sides.values()):
+        return commands, covariates
+    readings = np.array([command.readings for command in commands])
+    for name, side in sides.items():
+        joint = model.robot.joint(name.removesuffix("_direction"))
+        own = readings[:, model.robot.readings.index(joint.reading)]
+        covariates[name] = np.where(np.isnan(side), approach(own), side)
+    again = _walk(saved, replace(query, readings=readings), covariates)
+    return again, covariates
+
+
+def directions(saved: SavedModel) -> tuple[str, ...]:
+    """Approach directions that the effects depend on, ``joint_2_direction`` for instance."""
+    known = {f"{name}_direction" for name in saved.final.model.robot.names}
+    return tuple(name for name in _inverse(saved).model.needs if name in known)
+
+
+def approach(reading: np.ndarray) -> np.ndarray:
+    """The side from which a joint comes to each reading of a trajectory: -1 or 1; 0 until it first moves.
+
+    Args:
+        reading: Shape (N,), [rad] or [m]; rows of NaN are passed over.
+    """
+    sides, side, last = np.zeros(len(reading)), 0.0, math.nan
+    for k, value in enumerate(reading.tolist()):
+        if abs(value - last) > STILL:
+            side = math.copysign(1.0, value - last)
+        sides[k] = side
+        last = last if math.isnan(value) else value
+    return sides
+
+
+def _walk(saved: SavedModel, query: Query, covariates: Mapping[str, np.ndarray]) -> list[Command]:
+    """One command for each row, each starting from its seed or where the row before ended."""
+    model = saved.final.model
+    seen = np.array([saved.ranges.get(name, (0.0, 0.0)) for name in model.robot.readings])
+    needs = _inverse(saved).model.needs
+    missing = [name for name in needs if name not in covariates]
+    if missing:
+        raise CovariateNotFound(f"the model depends on {missing[0]!r}, which the poses do not have: add that column")
+    usable = query.usable & ~np.isnan([covariates[name] for name in needs]).any(axis=0)
+    assert query.position is not None
+    R = np.zeros((len(usable), 3, 3))
+    if query.quaternion is not None and usable.any():
+        R[usable] = Rotation.from_quat(query.quaternion[usable]).as_matrix()
+    stations = query.station if per_station(model) else None
+    nothing = Command(np.full(len(seen), np.nan), math.nan, math.nan, False)
+    found, last = [], seen.mean(axis=1)
+    rng = np.random.default_rng(0)
+    for k in range(len(usable)):
+        if not usable[k]:
+            found.append(nothing)
+            continue
+        inverse = saved.inverse_kinematics(None if stations is None else str(stations[k]))
+        given = {name: float(covariates[name][k]) for name in needs}
+        own = query.readings[k]
+        seed = np.where(np.isnan(own), last, own)
+        best = inverse.command(R[k], query.position[k], seed, given)
+        if np.isnan(own).any() and not best.reached:
+            best = _searched(inverse, R[k], query.position[k], given, seen, rng) or best
+        last = best.readings
+        found.append(best)
+    return found
+
+
+def _searched(
+    inverse: InverseKinematics,
+    R: np.ndarray,
+    p: np.ndarray,
+    covariates: Mapping[str, float],
+    seen: np.ndarray,
+    rng: np.random.Generator,
+) -> Command | None:
+    """The first command that reaches a pose from starts drawn evenly over the ranges seen; None if none does.
+
+    Args:
+        inverse: What is commanded.
+        R: Wanted rotation, shape (3, 3).
+        p: Wanted position, shape (3,), [m].
+        covariates: What the effects depend on.
+        seen: Lowest and highest reading of each joint, shape (columns, 2), [rad] or [m].
+        rng: Draws the starts.
+    """
+    for _ in range(RESTARTS):
+        start = rng.uniform(seen[:, 0], seen[:, 1])
+        command = inverse.command(R, p, start, covariates)
+        if command.reached:
+            return command
+    return None
+
+
+@dataclass(frozen=True)
+class CorrectionTable:
+    """What to add to the nominal solution, over a grid of the joints.
+
+    Attributes:
+        axes: Points of each reading, [rad] or [m].
+        delta: Correction at each point, shape (points of axis 1, ..., columns), [rad] or [m].
+        before: RMS distance of the target from where the nominal model has it, between the points, [m].
+        after: The same with the table's correction, interpolated linearly.
+    """
+
+    axes: tuple[np.ndarray, ...]
+    delta: np.ndarray
+    before: float
+    after: float
+
+
+def correction_table(saved: SavedModel, points: int) -> CorrectionTable:
+    """Tabulate the corrections of a controller that knows the nominal robot alone.
+
+    They bring the real target to where the nominal robot, with the base and the target where the calibration found
+    them, would have it. Covariates stand in the middle of their ranges, backlash in the middle of its play. Near a
+    singularity the corrections stay small and leave an error.
+
+    Args:
+        saved: The model.
+        points: Of the grid, along each joint, over the range that the calibration has seen.
+
+    Raises:
+        AridcalError: the grid would have more than a million points, or frames are per station.
+    """
+    model = saved.final.model
+    if per_station(model):
+        raise AridcalError("a correction table holds for one place: this calibration has frames per station")
+    seen = np.array([saved.ranges[name] for name in model.robot.readings])
+    axes = tuple(np.linspace(low, high, points if high > low else 1) for low, high in seen)
+    sizes = [len(axis) for axis in axes]
+    if math.prod(sizes) > MOST_POINTS:
+        raise AridcalError(f"--grid {points}: would have more than {MOST_POINTS:,} points; take fewer")
+    world, tip = model.frames(saved.final.theta)
+    nominal = Model(model.robot, (), world, tip)
+    inverse = saved.inverse_kinematics()
+    middle = {name: float(np.mean(saved.ranges[name])) for name in inverse.model.needs}
+    middle |= dict.fromkeys(directions(saved), 0.0)
+
+    grid = np.array(list(product(*axes)))
+    R, p = nominal.poses(np.zeros(0), nominal.rows(grid))
+    corrections = [_gentle(inverse, *wanted, middle) for wanted in zip(R, p, grid, strict=True)]
+    delta = np.array(corrections).reshape(*sizes, -1)
+
+    between = np.random.default_rng(0).uniform(seen[:, 0], seen[:, 1], (CHECKED, len(seen)))
+    corrected = between + _interpolated(axes, delta, between)
+    _, wanted = nominal.poses(np.zeros(0), nominal.rows(between))
+    before, after = (_rms_distance(inverse, readings, middle, wanted) for readings in (between, corrected))
+    return CorrectionTable(axes, delta, before, after)
+
+
+def _interpolated(axes: tuple[np.ndarray, ...], delta: np.ndarray, readings: np.ndarray) -> np.ndarray:
+    """A table's corrections between its points, linearly, shape (N, columns); axes of one point do not count.
+
+    Args:
+        axes: Points of each reading.
+        delta: Correction at each point, shape (points of axis 1, ..., columns).
+        readings: Shape (N, columns), inside the table.
+    """
+    moving = [k for k, axis in enumerate(axes) if len(axis) > 1]
+    inner = delta[tuple(slice(None) if k in moving else 0 for k in range(len(axes)))]
+    table = RegularGridInterpolator([axes[k] for k in moving], inner)
+    return np.asarray(table(readings[:, moving]))
+
+
+def _rms_distance(
+    inverse: InverseKinematics, readings: np.ndarray, covariates: Mapping[str, float], wanted: np.ndarray
+) -> float:
+    """RMS distance of the target from wanted positions (N, 3) at some readings (N, columns), [m]."""
+    machine = inverse.model
+    at = np.array([machine.pose(q, machine.effects(q, covariates))[1] for q in readings])
+    squared = np.sum((at - wanted) ** 2, axis=1)
+    return float(np.sqrt(np.mean(squared)))
+
+
+def _gentle(
+    inverse: InverseKinematics, R: np.ndarray, p: np.ndarray, q: np.ndarray, covariates: Mapping[str, float]
+) -> np.ndarray:
+    """Correction that brings the target near a pose without large moves, shape (columns,).
+
+    Gauss-Newton on |e(q + delta)|^2 + GENTLE^2 |delta|^2, with the error e and its Jacobian J:
+    (J' J + GENTLE^2 I) delta_new = J' (e + J delta).
+    """
+    delta = np.zeros(len(q))
+    for _ in range(GENTLE_STEPS):
+        e, J = inverse.error(R, p, q + delta, covariates)
+        H = J.T @ J + GENTLE**2 * np.eye(len(q))
+        delta = np.linalg.solve(H, J.T @ (e + J @ delta))
+    return delta
+
+
+def _inverse(saved: SavedModel) -> InverseKinematics:
+    """Inverse kinematics at the first station; all need the same covariates."""
+    model = saved.final.model
+    labels = [label for label, _ in (*model.world_base, *model.tip_target) if label is not None]
+    return saved.inverse_kinematics(labels[0] if labels else None)

@@ -1,0 +1,230 @@
+"""What controllers are given: as much of the calibration as each of them takes, and the error that this leaves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import yaml
+
+from aridcal.effects.basis import evaluate
+from aridcal.effects.effect import Coefficient
+from aridcal.fit.calibrated import stage_urdf
+from aridcal.fit.least_squares import Fit, Prior, fit, fit_identifiable, thin
+from aridcal.fit.residual import Problem, problem
+from aridcal.fit.stages import recentred
+from aridcal.model.model import Model
+from aridcal.result.key_figures import scored
+from aridcal.result.outcome import Outcome
+from aridcal.robot.chain import Robot, parse_robot
+from aridcal.robot.dh import doty_yaml, kinematics_yaml, modified_dh, standard_dh, xyz_rpy
+
+ROWS = 2000  # that an export is fitted to
+MAP_POINTS = 401  # of a joint's error curve, at least
+PER_WAVE = 24  # points in each wave of a harmonic: linear interpolation is then off by 1 % of it at most
+FIRM = 1e12  # precision of a coefficient that is held, in units of the noise's own
+
+
+@dataclass(frozen=True)
+class Export:
+    """One way to hand the calibration over, and what it leaves.
+
+    Attributes:
+        name: ``URDF alone``, ``full model`` and so on.
+        files: Where it is, in the result folder.
+        error: RMS position error on the held-out rows, or on the fitted ones if none were held out, [m].
+        apart: RMS distance of its predictions from the full model's on the same rows, [m].
+        model: Holds the two frames that go with it, fitted to what it can express.
+    """
+
+    name: str
+    files: tuple[str, ...]
+    error: float
+    apart: float
+    model: Model = field(repr=False)
+
+
+@dataclass(frozen=True)
+class Handover:
+    """All exports of a calibration.
+
+    Attributes:
+        exports: The least complete first, the full model last.
+        rows: On which they are scored, ``60 held-out rows`` for instance.
+        offsets: Joint-zero offsets alone: readings' corrections by name, [rad] or [m]; those that the frames take up
+            are absent.
+        maps: For joints with an error curve of their own: readings and what to add to them, shape (points,) each.
+        with_maps: The fit whose constants go with the maps; None where no joint has a curve.
+        calibrated: The chain of ``calibrated.urdf``.
+    """
+
+    exports: tuple[Export, ...]
+    rows: str
+    offsets: dict[str, float]
+    maps: dict[str, tuple[np.ndarray, np.ndarray]]
+    with_maps: Fit | None
+    calibrated: Robot
+
+    def summary(self) -> str:
+        """One line: ``nominal 1.73 mm, URDF alone 0.65, full model 0.16``."""
+        figures = [f"{e.name} {1e3 * e.error:.3f}" for e in self.exports]
+        return f"{figures[0]} mm, {', '.join(figures[1:])}"
+
+
+def hand_over(outcome: Outcome) -> Handover:
+    """Work out what each kind of controller can be given.
+
+    Joint-zero offsets alone, and constants that go with the joints' own curves, are fitted anew to the training rows:
+    the best under that restriction, with both frames left free.
+    """
+    m, final = outcome.measurements, outcome.stage("final")
+    judged, kind = scored(outcome)
+
+    def export(name: str, files: tuple[str, ...], found: Fit) -> Export:
+        found = recentred(found)
+        left = problem(found.model, m).residual(found.theta)
+        return Export(name, files, _rms(left[judged]), _rms((left - final.residual)[judged]), found.model)
+
+    offsets = _offsets(outcome)
+    with_maps = _with_maps(outcome)
+    urdf = ("kinematics.yaml", "dh.yaml", "dh_modified.yaml", "doty.yaml")
+    exports = [
+        export("nominal", (), outcome.stage("nominal").fit),
+        export("joint offsets alone", ("joint_offsets.yaml",), offsets),
+        export("URDF alone", ("calibrated.urdf", *urdf), outcome.stage("geometric").fit),
+    ]
+    if with_maps is not None:
+        files = ("joint_maps.urdf", "joint_maps.csv")
+        exports.append(export("+ joint maps", files, with_maps))
+    exports.append(export("full model", ("calibration.yaml",), final.fit))
+    found = dict(zip(offsets.model.names, offsets.theta, strict=True))
+    robot = outcome.robot
+    return Handover(
+        exports=tuple(exports),
+        rows=f"{int(judged.sum())} {kind}",
+        offsets={name: float(found[f"{name}.axis"]) for name in robot.readings if f"{name}.axis" in found},
+        maps=_curves(outcome, with_maps) if with_maps is not None else {},
+        with_maps=with_maps,
+        calibrated=parse_robot(stage_urdf(outcome.stage("geometric").fit), robot.tip, robot.base, robot.path),
+    )
+
+
+def write_controllers(outcome: Outcome, handover: Handover, folder: Path) -> None:
+    """Write what controllers read into a result folder; each file that takes comments says what error it leaves."""
+    robot, calibrated = outcome.robot, handover.calibrated
+
+    def write(name: str, text: str, export: str, *notes: str) -> None:
+        lines = [*_statement(handover, export), *notes]
+        (folder / name).write_text("".join(f"# {line}\n" for line in lines) + text, encoding="utf-8")
+
+    write("kinematics.yaml", kinematics_yaml(robot, calibrated), "URDF alone")
+    for name, table in (("dh.yaml", standard_dh(calibrated)), ("dh_modified.yaml", modified_dh(calibrated))):
+        write(name, table.dump(), "URDF alone", *table.warnings)
+    write("doty.yaml", doty_yaml(calibrated), "URDF alone")
+    text = yaml.safe_dump({"joint_offsets": handover.offsets}, sort_keys=False)
+    taken = [name for name in robot.readings if name not in handover.offsets]
+    write(
+        "joint_offsets.yaml", text, "joint offsets alone",
+        "To be added to what each joint reads [rad, m]; all else nominal, base and target fitted to that.",
+        *([f"Of {', '.join(taken)}: none, the base or the target takes it up."] if taken else []),
+    )  # fmt: skip
+    frames = {e.name: _frames(e.model) for e in handover.exports}
+    note = "# Where the base stands in the world and the target on the tip, for each export [m, rad].\n"
+    (folder / "frames.yaml").write_text(note + yaml.safe_dump(frames, sort_keys=False, width=200), encoding="utf-8")
+    if handover.with_maps is not None:
+        (folder / "joint_maps.urdf").write_bytes(stage_urdf(handover.with_maps))
+        rows = [
+            pd.DataFrame({"joint": name, "reading": at, "correction": value})
+            for name, (at, value) in handover.maps.items()
+        ]
+        pd.concat(rows).to_csv(folder / "joint_maps.csv", index=False, float_format="%.12g")
+
+
+def _statement(handover: Handover, name: str) -> list[str]:
+    """An export's own error in words."""
+    own = next(e for e in handover.exports if e.name == name)
+    return [
+        f"{name}: {1e3 * own.error:.3f} mm RMS position error on {handover.rows}, "
+        f"{1e3 * own.apart:.3f} mm from the full model there.",
+        f"All exports: {handover.summary()}.",
+    ]
+
+
+def _frames(model: Model) -> dict[str, dict[str, list[float]]]:
+    return {
+        where if label is None else f"{where}[{label}]": xyz_rpy(placement)
+        for where, frames in (("world_base", model.world_base), ("tip_target", model.tip_target))
+        for label, placement in frames
+    }
+
+
+def _rms(residual: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(np.sum(residual[:, :3] ** 2, axis=1))))
+
+
+def _asked(outcome: Outcome, model: Model) -> Problem:
+    """A model asked about some of the rows that the calibration was fitted to, at the noise that it found."""
+    m = outcome.measurements
+    rows = replace(m.select(~m.test & ~outcome.outlier), sigma=tuple(outcome.noise.tolist()))
+    every = problem(model, rows)
+    return every.select(thin(every.rows, ROWS))
+
+
+def _offsets(outcome: Outcome) -> Fit:
+    """Both frames and the joints' zeros, nothing else."""
+    nominal = outcome.stage("nominal").fit.model
+    candidates = outcome.stage("geometric").fit.candidates
+    frames = tuple(c for c in candidates if c.basis.constant and c.where in ("world_base", "tip_target"))
+    robot = outcome.robot
+    model = nominal.with_coefficients(
+        (*frames, *(Coefficient(name, "axis") for name in robot.readings if name in robot.names))
+    )
+    if not model.coefficients:
+        return outcome.stage("nominal").fit
+    return fit_identifiable(_asked(outcome, model), range(len(model.coefficients)))
+
+
+def _own(c: Coefficient) -> bool:
+    """True for what moves a joint along its axis as a function of its own position."""
+    return c.component == "axis" and c.basis.of == (c.where,)
+
+
+def _with_maps(outcome: Outcome) -> Fit | None:
+    """The constants that suit the joints' own curves when all other effects are left out."""
+    final, geometric = outcome.stage("final").fit, outcome.stage("geometric").fit
+    curves = [k for k, c in enumerate(final.model.coefficients) if _own(c)]
+    if not curves:
+        return None
+    coefficients = final.model.coefficients
+    if all(c.basis.constant or _own(c) for c in coefficients):
+        return final
+    kept = [k for k, c in enumerate(coefficients) if c.basis.constant or _own(c)]
+    model = final.model.with_coefficients([coefficients[k] for k in kept])
+    theta = final.theta[kept]
+    held = np.array([_own(c) for c in model.coefficients])
+    asked = _asked(outcome, model)
+    precision = FIRM * len(asked) / float(geometric.sigma.min()) ** 2
+    prior = Prior(theta, np.diag(np.where(held, precision, 0.0)))
+    return fit(asked, theta, np.ones(len(asked)), prior)
+
+
+def _curves(outcome: Outcome, found: Fit) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Correction of each joint with a curve of its own, over the range measured; shape (points,) each."""
+    robot = outcome.robot
+    seen = robot.positions(outcome.measurements.readings)
+    curves = {}
+    for joint, at in zip(robot.joints, seen.T, strict=True):
+        own = [k for k, c in enumerate(found.model.coefficients) if _own(c) and c.where == joint.name]
+        if not own:
+            continue
+        order = max(
+            (c.basis.numbers[0] for k in own if (c := found.model.coefficients[k]).basis.form in ("sin", "cos")),
+            default=0.0,
+        )
+        count = max(MAP_POINTS, int(PER_WAVE * order * np.ptp(at) / (2.0 * np.pi)) + 1)
+        points = np.linspace(at.min(), at.max(), count)
+        phi = np.array([evaluate(found.model.coefficients[k].basis, {joint.name: points}) for k in own])
+        curves[joint.name] = points, found.theta[own] @ phi
+    return curves

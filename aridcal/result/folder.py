@@ -1,0 +1,272 @@
+"""The result folder: figures, URDFs, the whole model, and every row's residual (FORMATS section 3)."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pinocchio as pin
+
+from aridcal import __version__
+from aridcal.effects.catalogue import KINDS
+from aridcal.effects.effect import ANGULAR, FRAME_COMPONENTS, Effect
+from aridcal.fit.calibrated import stage_urdf
+from aridcal.fit.least_squares import Fit
+from aridcal.inputs.channels import columns
+from aridcal.model.model import ONE_FRAME
+from aridcal.result.outcome import Outcome, Stage, Verification, errors
+from aridcal.result.saved_model import SavedModel, SolvedModel
+from aridcal.search.arm_and_head import MeasuringHead
+from aridcal.search.gains import NamedEffect
+
+WHERE = ("world_base", "tip_target")
+
+
+def write_results(outcome: Outcome, folder: Path) -> None:
+    """Write every file of the result folder that needs no drawing."""
+    (folder / "result.json").write_text(json.dumps(result_document(outcome), indent=2, allow_nan=False) + "\n")
+    (folder / "calibrated.urdf").write_bytes(stage_urdf(outcome.stage("geometric").fit))
+    if outcome.effects:
+        (folder / "model.urdf").write_bytes(stage_urdf(outcome.stage("final").fit))
+    (folder / "calibration.yaml").write_text(calibration(outcome).dump(), encoding="utf-8")
+    residual_table(outcome).to_csv(folder / "residuals.csv", index=False, float_format="%.9g")
+    if outcome.head is not None:
+        pd.DataFrame(outcome.head.fiducials).to_csv(folder / "fiducials.csv", index=False)
+
+
+def result_document(outcome: Outcome) -> dict[str, Any]:
+    """`result.json` as plain data."""
+    m = outcome.measurements
+    parts = outcome.parts()
+    return _finite({
+        "format": 1,
+        "n": {
+            "rows": len(m) + len(m.refused),
+            "used": len(m),
+            "train": int(parts["train"].sum()),
+            "test": int(parts["test"].sum()),
+            "outliers": int(outcome.outlier.sum()),
+            "refused": [
+                asdict(remark) for remark in m.refused
+            ],
+            "outlier_rows": [
+                {"file": m.files[m.file[k]].name, "row": int(m.line[k]), "why": why}
+                for k in np.flatnonzero(outcome.outlier)
+                for why in ["stale measurement" if m.stale[k] else "gross outlier"]
+            ],
+        },
+        "error": {
+            name: {part: errors(outcome.stage(name).residual, mask, outcome.channels) for part, mask in parts.items()}
+            for name in ("nominal", "geometric", "final")
+        },
+        "noise": {
+            **{c.key: c.scale * float(sigma) for c, sigma in zip(outcome.channels, outcome.noise, strict=True)},
+            "source": outcome.noise_source,
+        },
+        "frames": frames(outcome.stage("final")),
+        "parameters": parameters(outcome.stage("geometric").fit),
+        "effects": [_effect(e, outcome) for e in outcome.effects],
+        **({"head": _head(outcome.head, frames(outcome.stage("final")))} if outcome.head is not None else {}),
+        "verdict": outcome.verdict,
+        "unexplained_fraction": outcome.unexplained_fraction,
+        "seconds": round(outcome.seconds, 3),
+        "version": __version__,
+        "convergence": {s.name: _convergence(s.fit) for s in outcome.stages},
+        **({"verification": _verification(outcome.verification)} if outcome.verification is not None else {}),
+        "notices": list(outcome.notices),
+    })  # fmt: skip
+
+
+def _verification(found: Verification) -> dict[str, Any]:
+    """Another day's rows: the errors of each stage, and of the last with the frames fitted anew."""
+    residuals = dict(found.residuals)
+    if found.realigned is not None:
+        residuals["realigned"] = found.realigned
+    return {
+        "file": found.file,
+        "rows": len(found.measurements),
+        "outliers": int(found.outlier.sum()),
+        "error": {
+            name: errors(residual, ~found.outlier, found.measurements.channels) for name, residual in residuals.items()
+        },
+    }
+
+
+def frames(stage: Stage) -> dict[str, Any]:
+    """Identified frames: xyz [m], rpy [rad], and std as a twist in the frame's own axes."""
+    fit = stage.fit
+    std = dict(zip(fit.model.names, fit.std, strict=True))
+    found: dict[str, Any] = {}
+    for where, placements in zip(WHERE, (fit.model.world_base, fit.model.tip_target), strict=True):
+        for label, placement in placements:
+            name = where if label is None else f"{where}[{label}]"
+            found[name] = {
+                "xyz": placement.translation.tolist(),
+                "rpy": pin.rpy.matrixToRpy(placement.rotation).tolist(),
+                "std": [float(std.get(f"{name}.{c}", 0.0)) for c in FRAME_COMPONENTS],
+            }
+    return found
+
+
+def parameters(fit: Fit) -> list[dict[str, Any]]:
+    """Every candidate constant: its value, or those that it is confounded with.
+
+    A frame's constants are given as the frame's own xyz and rpy; all others as the correction of the nominal value.
+    """
+    value = dict(zip(fit.model.names, fit.theta, strict=True))
+    std = dict(zip(fit.model.names, fit.std, strict=True))
+    own: dict[str, float] = {}
+    for where, placements in zip(WHERE, (fit.model.world_base, fit.model.tip_target), strict=True):
+        for label, placement in placements:
+            numbers = [*placement.translation, *pin.rpy.matrixToRpy(placement.rotation)]
+            name = where if label is None else f"{where}[{label}]"
+            own |= {f"{name}.{c}": float(v) for c, v in zip(FRAME_COMPONENTS, numbers, strict=True)}
+    candidates = {c.name: c.component for c in fit.candidates if c.basis.constant}
+    fixed = {name: name.rsplit(".", 1)[1] for name in own if name not in candidates}
+    found = []
+    for name, component in (candidates | fixed).items():
+        status = "identified" if name in value else "redundant" if name in candidates else "fixed"
+        found.append({
+            "name": name,
+            "unit": "rad" if component in ANGULAR else "m",
+            "value": own.get(name, float(value.get(name, 0.0))),
+            "std": float(std[name]) if name in value else None,
+            "status": status,
+            "redundant_with": list(fit.redundant.get(name, ())),
+        })  # fmt: skip
+    return found
+
+
+def _head(head: MeasuringHead, found: Mapping[str, Any]) -> dict[str, Any]:
+    """The measuring head: mounting, numbers, and how far image points and ranges of single shots fit together."""
+    return {
+        "tip_camera": found["tip_target"],
+        "numbers": [asdict(n) | {"redundant_with": list(n.redundant_with)} for n in head.numbers],
+        "misfit_within_shots": {"declared": head.misfit[0], "identified": head.misfit[1]},
+        "range_rms_mm": {
+            name: {f"sonar_{k + 1}": 1e3 * float(v) for k, v in enumerate(row)}
+            for name, row in zip(("declared", "identified"), head.ranges, strict=True)
+        },
+    }  # fmt: skip
+
+
+def _effect(named: NamedEffect, outcome: Outcome) -> dict[str, Any]:
+    fit, effect = outcome.stage("final").fit, named.effect
+    index = {name: k for k, name in enumerate(fit.model.names)}
+    joints = {j.name: j.kind for j in outcome.robot.joints}
+    found: dict[str, Any] = {"kind": effect.kind, "where": effect.where, "motion": list(effect.motion)}
+    if effect.order:
+        found["order"] = list(effect.order)
+    if effect.with_:
+        found["with"] = effect.with_
+    if effect.by:
+        found["by"] = effect.by
+    turning = {c: c in ANGULAR or (c == "axis" and joints.get(effect.where) == "revolute") for c in effect.motion}
+    known = {c.name: (c.unit, c.value, c.std) for c in outcome.head.coefficients} if outcome.head else {}
+    for c in effect.coefficients:
+        if c.name in index:
+            k = index[c.name]
+            known[c.name] = "rad" if turning[c.component] else "m", float(fit.theta[k]), float(fit.std[k])
+    found |= {
+        "covariates": list(KINDS[effect.kind].shown or effect.covariates),
+        "coefficients": [
+            dict(zip(("name", "unit", "value", "std"), (c.name, *known[c.name]), strict=True))
+            for c in effect.coefficients
+        ],
+        "p_value": named.p_value,
+    }
+    for channel, part in zip(outcome.channels, columns(outcome.channels), strict=True):
+        found[f"{channel.name}_rms_{channel.shown}"] = _before_after(named, part, channel.scale)
+    found["confounded_with"] = [_short(e) for e in named.confounded_with]
+    found["declared"] = named.declared
+    return found
+
+
+def _before_after(named: NamedEffect, part: slice, scale: float) -> dict[str, float]:
+    """RMS of a channel on the held-out rows without an effect and with it."""
+    return {
+        name: scale * float(np.sqrt(np.mean(np.sum(r[:, part] ** 2, axis=1)))) if len(r) else math.nan
+        for name, r in (("before", named.before), ("after", named.after))
+    }
+
+
+def _short(effect: Effect) -> dict[str, Any]:
+    named = {"kind": effect.kind, "where": effect.where, "with": effect.with_, "by": effect.by}
+    return {key: value for key, value in named.items() if value}
+
+
+def residual_table(outcome: Outcome) -> pd.DataFrame:
+    """One line per usable row: where it stands, its part and flags, and what each stage leaves, [m] and [rad]."""
+    m = outcome.measurements
+    axes = [axis for channel in outcome.channels for axis in channel.axes]
+    table: dict[str, Any] = {
+        "file": [m.files[k].name for k in m.file],
+        "row": m.line,
+        "split": np.where(m.test, "test", "train"),
+        "weight": np.where(outcome.outlier, 0.0, 1.0),
+        "outlier": outcome.outlier.astype(int),
+        "stale": m.stale.astype(int),
+    }
+    for stage in outcome.stages:
+        label = stage.name.replace(" ", "_")
+        table |= {f"{label}_{axis}": column for axis, column in zip(axes, stage.residual.T, strict=True)}
+    return pd.DataFrame(table)
+
+
+def calibration(outcome: Outcome) -> SavedModel:
+    """The whole model, self-contained."""
+    campaign, m = outcome.campaign, outcome.measurements
+    used = ~m.test & ~outcome.outlier
+    seen = dict(zip(outcome.robot.readings, m.readings.T, strict=True))
+    final = outcome.stage("final").fit
+    for c in final.model.coefficients:
+        seen |= {name: m.covariates[name] for name in c.basis.of if name in m.covariates}
+    record = {
+        "campaign": campaign.text,
+        "data": {"files": [f.name for f in m.files], "sha256": m.sha256, "rows": len(m), "train": int(used.sum())},
+        "versions": {"aridcal": __version__, "pinocchio": pin.__version__, "numpy": np.__version__},
+    }
+    return SavedModel(
+        _solved(outcome.stage("geometric").fit, outcome.head is None),
+        _solved(final, outcome.head is None),
+        "position" if m.rotation is None else "pose",
+        campaign.robot.gravity,
+        (float(outcome.noise[0]), float(outcome.noise[1]) if m.rotation is not None else 1.0),
+        {name: (float(np.nanmin(v[used])), float(np.nanmax(v[used]))) for name, v in seen.items()},
+        record,
+    )
+
+
+def _solved(fit: Fit, targeted: bool) -> SolvedModel:
+    """A stage's model; of one that was measured by a head on the tip, without the head's mounting: its target is the tip."""
+    model = fit.model
+    if targeted:
+        return SolvedModel(model, fit.theta, fit.covariance)
+    keep = np.array([c.where != "tip_target" for c in model.coefficients], dtype=bool)
+    others = tuple(c for c in model.coefficients if c.where != "tip_target")
+    arm = replace(model, coefficients=others, tip_target=ONE_FRAME)
+    return SolvedModel(arm, fit.theta[keep], fit.covariance[np.ix_(keep, keep)])
+
+
+def _convergence(fit: Fit) -> dict[str, Any]:
+    """How well a stage's minimum was found."""
+    c = fit.convergence
+    tried = {"rank": len(fit.theta), "restarts": c.restarts, "restarts_agreed": c.agreed}
+    return {"converged": c.converged, "steps": c.steps, "gradient": c.gradient, "condition": c.condition} | tried
+
+
+def _finite(value: Any) -> Any:
+    """JSON has no NaN: what could not be computed is null."""
+    if isinstance(value, dict):
+        return {key: _finite(v) for key, v in value.items()}
+    if isinstance(value, list):
+        return [_finite(v) for v in value]
+    if isinstance(value, float | np.floating):
+        return float(value) if math.isfinite(value) else None
+    return value

@@ -1,0 +1,252 @@
+"""Key figures of an outcome: the numbers that its report and the summary on the screen put into words."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from aridcal.inputs.channels import Channels, norms, spread
+from aridcal.result.folder import parameters
+from aridcal.result.outcome import Outcome, Stage, statistics
+from aridcal.result.uncertainty import accuracy
+from aridcal.search.noise_tests import SURE
+from aridcal.search.residual_trends import Order, Trace
+
+QUESTIONABLE = 0.03
+"""Share of outliers above which the measurement is at fault. A sound setup loses a reflector now and then: some rows in a
+thousand. Where it is some in a hundred, rows that are not flagged are wrong for the same reason."""
+
+FEW = 20
+"""Held-out rows below which an RMS is known to no better than about 10 %: of 3 n numbers it is 1 / sqrt(6 n)."""
+
+OVERFITTED = 1.3
+"""Held-out error over fitted error from which the model is too large for its data: noise alone, with n >= FEW rows held
+out, stays below 1 + 3 / sqrt(6 n) = 1.27."""
+
+DISAGREEING = 1.5
+"""Times the difference of two halves that noise explains: beyond it the model does not fit everywhere. The expected value
+is itself a propagated noise, known to some ten per cent."""
+
+STRAYING = 0.2
+"""Share of autocorrelations off their 95 % band from which consecutive rows count as alike: of 30 lags noise leaves it with
+1.5 on average, and with more than 6 of them in fewer than 1 of 1000 cases."""
+
+NARROW = 0.5
+"""Share of a joint's range below which the calibration extrapolates over more of the range than it has seen."""
+
+PLUS = "+\u00a0"
+"""Before the name of an effect that a step adds; the blank does not break a line."""
+
+FULL_TURN = 2 * np.pi
+"""The error curve of a revolute joint repeats after it [rad]."""
+
+FRAMES = ("world_base.", "world_base[", "tip_target.", "tip_target[")
+"""How the names of the frames' own coefficients begin."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """One model on the way from the nominal robot to the whole model.
+
+    Attributes:
+        names: What it is called: a stage, ``nominal``, ``geometric`` or ``final``, or ``+ EFFECT``; several if models
+            leave the same.
+        effect: The effect that it adds to the step before; empty if it adds none.
+        residual: Measured minus predicted of all rows, shape (N, m), [m] and [rad].
+    """
+
+    names: tuple[str, ...]
+    effect: str
+    residual: np.ndarray
+
+    @property
+    def title(self) -> str:
+        """Its names in one line: ``geometric = final``."""
+        return " = ".join(self.names)
+
+
+@dataclass(frozen=True)
+class JointRange:
+    """Where a joint was measured, by the fitted rows.
+
+    Attributes:
+        name: Of the joint.
+        kind: ``revolute``, ``continuous`` or ``prismatic``.
+        limits: Its lower and upper limit, [rad] or [m]; None if it has none.
+        seen: Its lowest and highest reading, [rad] or [m].
+        share: Its readings, shape (N,): 0 at the lower limit, 1 at the upper one (the ends of ``seen`` without limits).
+        measured: Share of the range between the extreme readings; of one turn, where the range is larger.
+    """
+
+    name: str
+    kind: str
+    limits: tuple[float, float] | None
+    seen: tuple[float, float]
+    share: np.ndarray
+    measured: float
+
+
+def scored(outcome: Outcome) -> tuple[np.ndarray, str]:
+    """The rows that judge the calibration: those held out, or those fitted if none were; outliers are excluded.
+
+    Returns:
+        A mask of the rows, shape (N,), and what they are called.
+    """
+    parts = outcome.parts()
+    if parts["test"].any():
+        return parts["test"], "held-out rows"
+    return parts["train"], "fitted rows"
+
+
+def row_errors(residual: np.ndarray, channels: Channels) -> np.ndarray:
+    """Error of each row in the unit that is shown, shape (C, N), from residuals of shape (N, m)."""
+    scale = np.array([channel.scale for channel in channels])
+    return norms(residual, channels) * scale[:, None]
+
+
+def rms_position(residual: np.ndarray, mask: np.ndarray) -> float:
+    """RMS position error of the rows of a mask, [mm]; nan if there are none."""
+    return statistics(1e3 * np.linalg.norm(residual[mask, :3], axis=1))["rms"]
+
+
+def solved_stages(outcome: Outcome) -> dict[str, Stage]:
+    """The fitted stages by name; neighbours that leave the same residual share an entry, ``geometric = final``."""
+    found: list[tuple[str, Stage]] = []
+    for stage in outcome.stages:
+        name = stage.name
+        if found and np.array_equal(found[-1][1].residual, stage.residual):
+            same, _ = found.pop()
+            name = f"{same} = {name}"
+        found.append((name, stage))
+    return {name: stage for name, stage in found if stage.name != "nominal"}
+
+
+def steps(outcome: Outcome) -> list[Step]:
+    """From the nominal robot to the whole model, one effect at a time; models that leave the same are one step."""
+    *first, final = outcome.stages
+    last = outcome.effects[-1].effect.label if outcome.effects else ""
+    path = [Step((stage.name,), "", stage.residual) for stage in first]
+    path += [Step((f"{PLUS}{e.effect.label}",), e.effect.label, e.reached) for e in outcome.effects[:-1]]
+    path.append(Step((f"{PLUS}{last}", final.name) if last else (final.name,), last, final.residual))
+    found: list[Step] = []
+    for step in path:
+        if found and np.array_equal(found[-1].residual, step.residual):
+            before = found.pop()
+            step = Step(before.names + step.names, before.effect or step.effect, step.residual)
+        found.append(step)
+    return found
+
+
+def removed_shares(outcome: Outcome) -> list[tuple[Step, float]]:
+    r"""Which share of the squared position error each step removes, the largest first.
+
+    .. math:: s_k = (e_{k-1}^2 - e_k^2) / e_0^2
+
+    with the RMS errors :math:`e_k` of the rows of :func:`scored`; :math:`e_0` is that of the nominal robot. A share is
+    negative if a step makes those rows worse. Steps that change nothing are left out.
+    """
+    mask, _ = scored(outcome)
+    path = steps(outcome)
+    square = [rms_position(step.residual, mask) ** 2 for step in path]
+    gains = [(step, square[k] - square[k + 1]) for k, step in enumerate(path[1:]) if square[k] != square[k + 1]]
+    gains.sort(key=lambda pair: pair[1], reverse=True)
+    return [(step, gain / square[0]) for step, gain in gains]
+
+
+def of_frame(name: str) -> bool:
+    """True if a coefficient belongs to the frame of the base or of the target."""
+    return name.startswith(FRAMES)
+
+
+def constants(outcome: Outcome) -> list[dict[str, Any]]:
+    """The geometric parameters without the two frames, each as :func:`aridcal.result.folder.parameters` has it."""
+    return [p for p in parameters(outcome.stage("geometric").fit) if not of_frame(p["name"])]
+
+
+def joint_ranges(outcome: Outcome) -> list[JointRange]:
+    """Where each joint was measured, base first."""
+    m, robot = outcome.measurements, outcome.robot
+    fitted = m.readings[outcome.parts()["train"]]
+    joints = zip(robot.readings, robot.kinds, robot.limits, fitted.T, strict=True)
+    return [_joint_range(name, kind, limits, q) for name, kind, limits, q in joints]
+
+
+def _joint_range(name: str, kind: str, limits: np.ndarray, q: np.ndarray) -> JointRange:
+    """Range of one joint from its limits (2,) and readings (N,); a continuous joint counts within one turn."""
+    if kind == "continuous":
+        q, limits = np.angle(np.exp(1j * q)), np.array([-np.pi, np.pi])
+    limited = bool(np.isfinite(limits).all())
+    seen = float(q.min()), float(q.max())
+    low, high = (float(limits[0]), float(limits[1])) if limited else seen
+    span = high - low
+    share = np.clip((q - low) / (span if span > 0 else 1.0), 0, 1)
+    whole = span if kind == "prismatic" else min(span, FULL_TURN)
+    measured = min(float(np.ptp(q)) / whole, 1.0) if whole > 0 else 0.0
+    return JointRange(name, kind, (low, high) if limited else None, seen, share, measured)
+
+
+def narrow_joints(outcome: Outcome) -> list[JointRange]:
+    """Joints of which less than half of the range, or of one turn, was measured."""
+    return [j for j in joint_ranges(outcome) if j.measured < NARROW]
+
+
+def halves_agree(outcome: Outcome) -> bool:
+    """Whether models fitted to two halves of the rows differ by no more than noise explains."""
+    precision = outcome.precision
+    return precision.halves_measured <= DISAGREEING * precision.halves_expected
+
+
+def generalisation(outcome: Outcome) -> float | None:
+    """RMS position error on held-out rows over that on fitted rows; None with few held-out rows or an exact fit."""
+    parts, last = outcome.parts(), outcome.stages[-1].residual
+    if parts["test"].sum() < FEW:
+        return None
+    fitted, held_out = (rms_position(last, parts[part]) for part in ("train", "test"))
+    return held_out / fitted if fitted > 0 else None
+
+
+def pose_accuracy(outcome: Outcome, residual: np.ndarray) -> np.ndarray:
+    """AP of ISO 9283 for each configuration among the rows of :func:`scored`, [mm]."""
+    mask, _ = scored(outcome)
+    rows = outcome.measurements.select(mask)
+    return 1e3 * accuracy(rows, residual[mask])
+
+
+def axis_rms(residual: np.ndarray, channels: Channels) -> np.ndarray:
+    """RMS of each axis of residuals (N, m) in the unit that is shown, shape (m,)."""
+    scale = spread(np.array([channel.scale for channel in channels]), channels)
+    return np.asarray(scale * np.sqrt(np.mean(residual**2, axis=0)))
+
+
+def worst_rows(outcome: Outcome, count: int) -> np.ndarray:
+    """Row numbers of the largest position errors of the final model among the rows of :func:`scored`."""
+    rows = np.flatnonzero(scored(outcome)[0])
+    error = row_errors(outcome.stages[-1].residual[rows], outcome.channels)[0]
+    return rows[np.argsort(-error, kind="stable")[:count]]
+
+
+def corrected(p_value: float, asked: int) -> float:
+    """A p-value corrected for the number of questions that were asked (Bonferroni): min(1, asked * p)."""
+    return min(1.0, p_value * asked)
+
+
+def strays(order: Order) -> int:
+    """How many autocorrelations leave the 95 % band of noise."""
+    return int(np.sum(np.abs(order.correlation) > order.bound))
+
+
+def slowly_changing(order: Order) -> bool:
+    """Whether consecutive rows have similar residuals: too few changes of sign, or too many correlations off the band."""
+    return order.p_value < SURE or strays(order) / len(order.lags) > STRAYING
+
+
+def clear_traces(outcome: Outcome) -> list[Trace]:
+    """The strongest dependences of the residual, the most significant first."""
+    return sorted(outcome.traces.strongest, key=lambda t: t.p_value)
+
+
+def significant(trace: Trace, asked: int) -> bool:
+    """Whether a dependence is more than chance gives among so many."""
+    return trace.p_value * asked <= SURE

@@ -1,0 +1,145 @@
+"""Everything a calibration found, ready to be written down: stages, and their errors on fitted and held-out rows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from aridcal.fit.least_squares import Fit
+from aridcal.fit.noise import Repeats
+from aridcal.inputs.campaign import Campaign
+from aridcal.inputs.channels import Channels, norms
+from aridcal.inputs.dataset import Dataset
+from aridcal.result.uncertainty import Precision
+from aridcal.robot.chain import Robot
+from aridcal.search.arm_and_head import MeasuringHead
+from aridcal.search.gains import Diagnosis, NamedEffect
+from aridcal.search.residual_trends import Traces
+
+STATISTICS = ("rms", "mean", "median", "p95", "max")
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One model and what it leaves.
+
+    Attributes:
+        name: ``nominal``, ``geometric`` or ``final``.
+        fit: The solved model.
+        residual: Measured minus predicted for every row, world axes, shape (N, m), [m] and [rad].
+    """
+
+    name: str
+    fit: Fit
+    residual: np.ndarray
+
+
+@dataclass(frozen=True)
+class Verification:
+    """Another day's data, scored with the models that were identified.
+
+    Attributes:
+        file: Where it came from.
+        measurements: Its rows.
+        residuals: Measured minus predicted of each stage, shape (N, m).
+        outlier: Rows that are off by more than 10 robust scales even with the frames fitted anew, shape (N,).
+        realigned: The final stage's after fitting the two frames anew: what remounting target or tracker changed.
+    """
+
+    file: str
+    measurements: Dataset
+    residuals: dict[str, np.ndarray]
+    outlier: np.ndarray
+    realigned: np.ndarray | None
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """The result of one campaign.
+
+    Attributes:
+        campaign: What was asked.
+        robot: The nominal chain.
+        measurements: All usable rows.
+        stages: nominal, geometric, final.
+        outlier: Flagged rows, shape (N,): one set for all stages.
+        noise: Noise of each channel per axis, shape (C,).
+        noise_source: ``declared`` or ``estimated``.
+        repeats: Rows that repeat a configuration; None where there are none.
+        precision: Uncertainty of the target.
+        verdict: ``noise_floor``, ``structure_remains`` or ``not_enough_data``.
+        unexplained_fraction: Share of the remaining variance that is repeatable beyond the noise.
+        notices: Sentences that the user should read.
+        seconds: Wall time.
+        verification: Another day's data, if it was given.
+        diagnosis: The search for undeclared effects.
+        traces: On what the residual depends.
+        head: The measuring head, for ``kind: camera_sonar``.
+    """
+
+    campaign: Campaign
+    robot: Robot
+    measurements: Dataset
+    stages: tuple[Stage, ...]
+    outlier: np.ndarray
+    noise: np.ndarray
+    noise_source: str
+    repeats: Repeats | None
+    precision: Precision
+    verdict: str
+    unexplained_fraction: float
+    notices: tuple[str, ...]
+    seconds: float
+    traces: Traces
+    verification: Verification | None = None
+    diagnosis: Diagnosis | None = None
+    head: MeasuringHead | None = None
+
+    @property
+    def channels(self) -> Channels:
+        """What each row measures."""
+        return self.measurements.channels
+
+    @property
+    def effects(self) -> tuple[NamedEffect, ...]:
+        """Accepted and declared effects."""
+        return () if self.diagnosis is None else self.diagnosis.effects
+
+    def stage(self, name: str) -> Stage:
+        """The first or last stage of that name."""
+        return next(s for s in self.stages if s.name == name)
+
+    def parts(self) -> dict[str, np.ndarray]:
+        """Masks of the rows scored: ``train`` and ``test`` without outliers, ``test_all`` with them."""
+        test = self.measurements.test
+        return {"train": ~test & ~self.outlier, "test": test & ~self.outlier, "test_all": test}
+
+
+def errors(residual: np.ndarray, mask: np.ndarray, channels: Channels) -> dict[str, dict[str, float]]:
+    """Error statistics of some rows.
+
+    Args:
+        residual: Shape (N, m), [m] and [rad].
+        mask: Rows to count, shape (N,).
+        channels: Of the residual.
+
+    Returns:
+        For each channel's key, ``position_mm`` for instance, rms, mean, median, p95 and max of the norm of its residual;
+        nan where no row counts.
+    """
+    lengths = norms(residual[mask], channels)
+    return {c.key: statistics(c.scale * length) for c, length in zip(channels, lengths, strict=True)}
+
+
+def statistics(values: np.ndarray) -> dict[str, float]:
+    """rms, mean, median, p95 and max of absolute values, shape (N,)."""
+    if len(values) == 0:
+        return dict.fromkeys(STATISTICS, float("nan"))
+    return {
+        "rms": float(np.sqrt(np.mean(values**2))),
+        "mean": float(np.mean(values)),
+        "median": float(np.median(values)),
+        "p95": float(np.percentile(values, 95)),
+        "max": float(np.max(values)),
+    }

@@ -1,0 +1,191 @@
+"""From a campaign to its outcome: read, fit, search, score. Nothing is written."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from aridcal.errors import CampaignError, MeasurementError
+from aridcal.fit.constants import station_labels, unused_links
+from aridcal.fit.least_squares import Fit, fit
+from aridcal.fit.noise import declared_notices, repeats
+from aridcal.fit.residual import distance, problem, robust_sigma, scaled, unscaled
+from aridcal.fit.stages import Geometry, recentred
+from aridcal.head.detections import read_shots
+from aridcal.inputs.campaign import Campaign, load_campaign
+from aridcal.inputs.dataset import Dataset
+from aridcal.inputs.read import load_measurements
+from aridcal.inputs.tables import AnyTable
+from aridcal.result.outcome import Outcome, Stage, Verification
+from aridcal.result.uncertainty import FAR, halves, outliers, precision, realigned
+from aridcal.result.with_head import with_head
+from aridcal.robot.chain import Robot, load_robot
+from aridcal.search.arm import CalibratedArm, fit_arm, fit_constants
+from aridcal.search.arm_and_head import fit_arm_and_head
+from aridcal.search.gains import explain, verdict
+from aridcal.search.noise_tests import clues
+from aridcal.search.residual_trends import trace
+
+Progress = Callable[[str], None]
+
+STILL = 1e-3
+"""[rad] or [m]: a joint that covers less does not move."""
+
+HALVED = 120
+"""A model of more coefficients is not fitted twice more, to halves of the rows: its constants speak for it."""
+
+FREE = 0.5
+"""Share of the numbers measured that must be left after fitting, or the data are too few for the model."""
+
+
+def identify(
+    job: Path | Campaign,
+    seed: int = 0,
+    verify: AnyTable | None = None,
+    progress: Progress = lambda _: None,
+    cache: Path | None = None,
+) -> Outcome:
+    """Run a campaign up to its outcome.
+
+    Args:
+        job: The campaign, or the path of its ``campaign.yaml``.
+        seed: Of the split into train and test, where the table has none.
+        verify: Another day's table, to be scored.
+        progress: Called with what is being done.
+        cache: ``fiducials.csv`` of an earlier run on the same images, if there is one.
+
+    Raises:
+        AridcalError: whatever in the input needs mending.
+    """
+    started = time.perf_counter()
+    campaign = job if isinstance(job, Campaign) else load_campaign(job)
+    robot = load_robot(campaign.robot.urdf, campaign.robot.tip, campaign.robot.base)
+    progress("reading the measurements")
+    if campaign.measurements.kind == "camera_sonar":
+        outcome = _from_shots(campaign, robot, seed, verify, progress, cache)
+    else:
+        rows = load_measurements(campaign, robot.readings, robot.limits, robot.kinds, seed)
+        still = _check_motion(campaign, rows)
+        labels = station_labels(campaign, rows)
+        progress(f"fitting frames and constants to {rows.train.sum()} rows")
+        arm = fit_arm(campaign, fit_constants(campaign, robot, rows, labels), rows, progress)
+        outcome = _outcome(campaign, robot, arm, still, progress)
+    if verify is not None:
+        outcome = replace(outcome, verification=score(outcome, verify))
+    return replace(outcome, seconds=time.perf_counter() - started)
+
+
+def _from_shots(
+    campaign: Campaign, robot: Robot, seed: int, verify: AnyTable | None, progress: Progress, cache: Path | None
+) -> Outcome:
+    """The outcome of a campaign whose rows are shots of the measuring head."""
+    if verify is not None:
+        raise CampaignError(f"{campaign.path}: --verify needs a table of poses; `kind: camera_sonar` has shots")
+    shots = read_shots(campaign, robot, cache, seed, progress)
+    still = _check_motion(shots.campaign, shots.rows)
+    both = fit_arm_and_head(shots, robot, station_labels(shots.campaign, shots.rows), progress)
+    return with_head(_outcome(both.campaign, robot, both.arm, still, progress), both, shots)
+
+
+def _outcome(
+    campaign: Campaign, robot: Robot, arm: CalibratedArm, still: tuple[str, ...], progress: Progress
+) -> Outcome:
+    """Score every stage of a calibrated arm, and ask what remains."""
+    progress("scoring")
+    rows, geometric, diagnosed = arm.rows, arm.geometry.geometric, arm.diagnosed
+    train = rows.select(rows.train)
+    stages, outlier = _stages(rows, arm.geometry, diagnosed.fit)
+    final, last = stages[-1].fit, stages[-1].residual
+    kept = rows.select(~outlier)
+    repeated = repeats(kept, last[~outlier])
+    questions = clues(kept, scaled(last, rows.relative)[~outlier], repeated, _freedom(final))
+    said, unexplained = verdict(questions, diagnosed, _freedom(final) > FREE)
+    compared = final if len(final.theta) < HALVED else geometric
+    return Outcome(
+        campaign=campaign,
+        robot=robot,
+        measurements=rows,
+        stages=stages,
+        outlier=outlier,
+        noise=final.sigma,
+        noise_source="declared" if all(rows.sigma) else "estimated",
+        repeats=repeated,
+        precision=precision(final, train, halves(compared, train)),
+        verdict=said,
+        unexplained_fraction=unexplained,
+        notices=(
+            *still,
+            *declared_notices(rows, final.estimated, final.freedom),
+            *unused_links(robot, campaign.parameters.set),
+            *(str(n) for n in rows.notices),
+        ),
+        seconds=0.0,
+        traces=trace(final, kept, *(stage.residual[~outlier] for stage in stages[1:])),
+        diagnosis=explain(diagnosed, rows, rows.test & ~outlier, questions),
+    )
+
+
+def _freedom(fit: Fit) -> float:
+    """Share of the numbers measured that is left after fitting."""
+    used = fit.weight.sum() * fit.residual.shape[1]
+    return float(1.0 - fit.spent / max(used, 1.0))
+
+
+def _check_motion(campaign: Campaign, rows: Dataset) -> tuple[str, ...]:
+    """Refuse rows that can tell nothing whatever the model, and name the joints that never move."""
+    if not rows.train.any():
+        raise MeasurementError(f"{rows.title}: every row is held out: mark some as `train` in the column `split`")
+    frames = campaign.frames
+    constant = frames.world_base.identify or frames.tip_target.identify or campaign.parameters.set != "none"
+    if not (constant or campaign.effects or campaign.diagnosis.enabled):
+        raise CampaignError(
+            f"{campaign.path}: nothing is to be identified: both frames have `identify: false`, `parameters` has "
+            "`set: none`, and no effect is declared or sought. Change one of them"
+        )
+    travel = np.ptp(rows.readings[rows.train], axis=0)
+    still = [name for name, moved in zip(rows.names, travel, strict=True) if moved < STILL]
+    if len(still) == len(rows.names):
+        count = rows.train.sum()
+        why = "there is only one row to fit" if count == 1 else f"no joint moves in any of its {count} rows"
+        raise MeasurementError(f"{rows.title}: {why}: nothing can be identified. Measure other configurations")
+    return tuple(f"{name} never moves: its parameters are confounded with its neighbours'" for name in still)
+
+
+def _stages(rows: Dataset, geometry: Geometry, final: Fit) -> tuple[tuple[Stage, ...], np.ndarray]:
+    """Every stage fitted with the final model's flags, and the flags of all rows."""
+    train = rows.select(rows.train)
+    stages = []
+    for name, found in (("nominal", geometry.nominal), ("geometric", geometry.geometric), ("final", final)):
+        if not np.array_equal(found.outliers, final.outliers):
+            again = fit(problem(found.model, train), found.theta, final.weight)
+            tried = {"restarts": found.convergence.restarts, "agreed": found.convergence.agreed}
+            convergence = replace(again.convergence, **tried)
+            found = replace(again, candidates=found.candidates, redundant=found.redundant, convergence=convergence)
+        found = recentred(found)
+        stages.append(Stage(name, found, problem(found.model, rows).residual(found.theta)))
+    left = [scaled(stage.residual, rows.relative) for stage in stages]
+    return tuple(stages), outliers(rows.train, final.outliers, left, rows.channels)
+
+
+def score(outcome: Outcome, table: AnyTable) -> Verification:
+    """Score another day's table with the models as they are, and with the two frames fitted anew.
+
+    Args:
+        outcome: The models.
+        table: Measurements in the columns and units of the campaign's own.
+
+    Raises:
+        AridcalError: the table needs mending.
+    """
+    campaign, robot = outcome.campaign, outcome.robot
+    limits, kinds = robot.limits, robot.kinds
+    rows = load_measurements(campaign, robot.readings, limits, kinds, files=[table], fitted=False)
+    asked = {stage.name: (problem(stage.fit.model, rows), stage.fit) for stage in outcome.stages}
+    again = realigned(asked["final"][1], asked["final"][0])
+    outlier = distance(again, robust_sigma(again, rows.channels), rows.channels) > FAR
+    residuals = {name: question.residual(found.theta) for name, (question, found) in asked.items()}
+    return Verification(rows.files[0].name, rows, residuals, outlier, unscaled(again, rows.relative))

@@ -1,0 +1,162 @@
+"""Where the real target is, through the whole calibrated model, written as the campaign's own tables are."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from scipy.spatial.transform import Rotation
+
+from aridcal.errors import MeasurementError
+from aridcal.inputs.campaign import MeasurementSettings
+from aridcal.inputs.quantities import POSITION, QUATERNION, angle_columns, column_of
+from aridcal.inputs.query import Query, load_query
+from aridcal.inputs.tables import AnyTable
+from aridcal.model.model import Model
+from aridcal.result.saved_model import SavedModel
+
+ENDINGS = (".csv", ".parquet")
+
+
+def read_query(saved: SavedModel, table: AnyTable, poses: bool = False) -> Query:
+    """Read joint readings, or wanted poses, in the columns and units of the calibration's own campaign.
+
+    Args:
+        saved: The model.
+        table: The rows.
+        poses: Wanted poses; the joints, if there are any, are where to start.
+
+    Raises:
+        MeasurementError: the table cannot be read, lacks columns, or has no usable row.
+    """
+    robot = saved.final.model.robot
+    query = load_query(
+        table,
+        robot.readings,
+        robot.limits,
+        robot.kinds,
+        saved.measurements,
+        poses=poses,
+        per_station=per_station(saved.final.model),
+    )
+    if not query.usable.any():
+        raise MeasurementError(f"no row can be {'commanded' if poses else 'predicted'}. First: {query.refused[0]}")
+    return query
+
+
+def per_station(model: Model) -> bool:
+    """True where a frame is one for each station, so that rows must say at which they are."""
+    return len(model.world_base) > 1 or len(model.tip_target) > 1
+
+
+def predict(saved: SavedModel, query: Query) -> pd.DataFrame:
+    """Fill in the target's pose for each row of a query.
+
+    Args:
+        saved: The model.
+        query: N rows, read with the calibration's own `measurements` settings.
+
+    Returns:
+        The query's table with the pose and `extrapolates`, N rows; a pose that cannot be told is left empty. Columns,
+        units and the writing of orientations are the campaign's; columns of another orientation are left out.
+
+    Raises:
+        CovariateNotFound: an effect depends on a column that is not there.
+        MeasurementError: a row's station is none of those that were calibrated.
+    """
+    known = query.usable
+    covariates = {name: values[known] for name, values in query.covariates.items()}
+    station = None if query.station is None else query.station[known]
+    R, p = saved.final.poses(query.readings[known], covariates, station)
+    R[np.isnan(p).any(axis=1)] = np.nan
+
+    settings, joints = saved.measurements, saved.final.model.robot.readings
+    filled = pose_columns(R, p, settings, joints)
+    stale = {*orientation_columns(settings, joints), *_quaternion_columns(settings, joints)} - set(filled)
+    table = query.table.drop(columns=list(stale), errors="ignore")
+    for name, values in filled.items():
+        column = np.full(len(table), np.nan)
+        column[known] = values
+        table[name] = column
+    table["extrapolates"] = extrapolates(saved, query)
+    return table
+
+
+def pose_columns(
+    R: np.ndarray, p: np.ndarray, settings: MeasurementSettings, joints: tuple[str, ...] = ()
+) -> dict[str, np.ndarray]:
+    """Write poses as a campaign's tables have them.
+
+    Args:
+        R: Rotations, shape (N, 3, 3), NaN where unknown.
+        p: Positions, shape (N, 3), [m].
+        settings: Columns, units and orientation.
+        joints: Names of the joints; where one is called like a quantity, `columns` speaks of the joint.
+
+    Returns:
+        Values of each column, shape (N,) each, in the campaign's units; positions alone for `kind: position`.
+    """
+    units = settings.units
+    names = [column_of(name, settings, joints) for name in POSITION]
+    columns = dict(zip(names, (p / units.metres).T, strict=True))
+    if settings.kind == "position":
+        return columns
+    numbers = orientations(R, settings)
+    return columns | dict(zip(orientation_columns(settings, joints), numbers.T, strict=True))
+
+
+def orientation_columns(settings: MeasurementSettings, joints: tuple[str, ...] = ()) -> tuple[str, ...]:
+    """Columns of the campaign's orientations: three angles, or the four numbers of a quaternion."""
+    return angle_columns(settings) or _quaternion_columns(settings, joints)
+
+
+def _quaternion_columns(settings: MeasurementSettings, joints: tuple[str, ...]) -> tuple[str, ...]:
+    return tuple(column_of(name, settings, joints) for name in QUATERNION)
+
+
+def orientations(R: np.ndarray, settings: MeasurementSettings) -> np.ndarray:
+    """Write rotations in the campaign's way and unit; NaN where R is.
+
+    Args:
+        R: Shape (N, 3, 3).
+        settings: Say which way.
+
+    Returns:
+        Euler angles or rotation vectors, shape (N, 3), or unit quaternions qx qy qz qw with qw >= 0, shape (N, 4).
+        Where Euler angles are not unique, the last one is 0.
+    """
+    spec, radians = settings.orientation, settings.units.radians
+    known = ~np.isnan(R).any(axis=(1, 2))
+    rotation = Rotation.from_matrix(R[known], assume_valid=True)
+    if spec.euler:
+        with warnings.catch_warnings():  # scipy's remark on angles that are not unique
+            warnings.simplefilter("ignore", UserWarning)
+            numbers = rotation.as_euler(spec.euler) / radians  # type: ignore[call-overload]
+    elif spec.rotvec:
+        numbers = rotation.as_rotvec() / radians
+    else:
+        numbers = rotation.as_quat(canonical=True)
+    every = np.full((len(R), numbers.shape[1]), np.nan)
+    every[known] = numbers
+    return every
+
+
+def extrapolates(saved: SavedModel, query: Query) -> np.ndarray:
+    """Rows outside the ranges of joints and covariates that the calibration has seen, shape (N,)."""
+    readings = dict(zip(saved.final.model.robot.readings, query.readings.T, strict=True))
+    columns = query.covariates | readings
+    outside = np.zeros(len(query.line), dtype=bool)
+    for name, (low, high) in saved.ranges.items():
+        outside |= (columns[name] < low) | (columns[name] > high)
+    return outside
+
+
+def write_table(table: pd.DataFrame, path: Path) -> None:
+    """Write csv or parquet, by the name's ending; every float with the digits that give it back exactly."""
+    if path.suffix.lower() == ".parquet":
+        table.to_parquet(path, index=False)
+        return
+    words = {str(name): table[name].map({True: "true", False: "false"}) for name in table.select_dtypes(bool)}
+    table.assign(**words).to_csv(path, index=False, float_format="%.17g")

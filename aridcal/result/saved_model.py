@@ -1,0 +1,302 @@
+"""The calibrated model as a file: everything needed to predict, compensate and solve again, in one YAML."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import yaml
+
+from aridcal import __version__
+from aridcal.effects.basis import Basis
+from aridcal.effects.effect import Coefficient
+from aridcal.effects.loads import Surroundings
+from aridcal.errors import AridcalError, CampaignError, RobotError
+from aridcal.inputs.campaign import Campaign, MeasurementSettings
+from aridcal.inputs.yaml_file import MAX_BYTES, decode, parse_settings, read_bytes, refuse_tricks
+from aridcal.model.inverse import Command, InverseKinematics
+from aridcal.model.model import Frames, Model
+from aridcal.model.one_row import OneRowModel
+from aridcal.robot.chain import parse_robot
+
+# libyaml where PyYAML was built with it: a covariance of a hundred coefficients is ten thousand numbers.
+Loader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+Dumper: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
+
+LAYOUT = "lower triangle row by row, float64, little endian, base64"
+
+
+class _Block(str):
+    """Text that is written as a readable block."""
+
+
+Dumper.add_representer(
+    _Block, lambda dumper, text: dumper.represent_scalar("tag:yaml.org,2002:str", str(text), style="|")
+)
+
+
+@dataclass(frozen=True)
+class SolvedModel:
+    """A model with its coefficients: theta (K,) and covariance (K, K)."""
+
+    model: Model
+    theta: np.ndarray
+    covariance: np.ndarray
+
+    def poses(
+        self,
+        readings: np.ndarray,
+        covariates: Mapping[str, np.ndarray] | None = None,
+        station: np.ndarray | None = None,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Predict the target: T_world_target for N configurations.
+
+        Args:
+            readings: Shape (N, columns) in the order of ``model.robot.readings``, [rad] or [m].
+            covariates: Columns that the effects depend on, each of shape (N,).
+            station: Label of each row; needed where a frame is per station.
+
+        Returns:
+            Rotations (N, 3, 3) and positions (N, 3) in [m].
+
+        Raises:
+            CovariateNotFound: an effect depends on a column that is not there.
+            MeasurementError: a row's station is none of those that were calibrated.
+        """
+        return self.model.poses(self.theta, self.model.rows(readings, covariates, station))
+
+
+@dataclass(frozen=True)
+class SavedModel:
+    """A calibrated robot as `calibration.yaml` holds it: predicts and commands, without the measurements.
+
+    Attributes:
+        geometric: Frames and constants: the best URDF by itself.
+        final: The same with every accepted effect; right as a whole.
+        kind: ``pose`` or ``position``.
+        gravity: As in the campaign: a vector in the base frame, or ``world``.
+        noise: Per axis, [m] and [rad].
+        ranges: Lowest and highest value seen of every joint column and covariate that the model depends on.
+        record: What the file says besides: options, data, versions.
+    """
+
+    geometric: SolvedModel
+    final: SolvedModel
+    kind: str
+    gravity: tuple[float, float, float] | str
+    noise: tuple[float, float]
+    ranges: dict[str, tuple[float, float]]
+    record: dict[str, Any]
+
+    @property
+    def measurements(self) -> MeasurementSettings:
+        """Columns and units of the campaign's tables; those of FORMATS, in SI, if the record has no campaign."""
+        text = self.record.get("campaign")
+        settings = parse_settings(text, Path("campaign.yaml"), Campaign).measurements if text else MeasurementSettings()
+        return settings.model_copy(update={"kind": self.kind})
+
+    @classmethod
+    def load(cls, path: str | Path) -> SavedModel:
+        """Read `calibration.yaml`, or that of a result folder.
+
+        Raises:
+            AridcalError: it is not there, is hostile, or is not a calibration of this format.
+        """
+        path = Path(path)
+        path = path / "calibration.yaml" if path.is_dir() else path
+        if not path.exists():
+            raise CampaignError(f"{path}: there is no such file; `aridcal identify campaign.yaml` writes one")
+        content = read_bytes(path, CampaignError)
+        if len(content) > MAX_BYTES:
+            raise CampaignError(f"{path}: {len(content) / 1e6:.0f} MB is too large for a calibration")
+        try:
+            text = decode(content, path, CampaignError)
+            refuse_tricks(text, path)
+            return _parse(yaml.load(text, Loader=Loader))
+        except RobotError as error:
+            raise CampaignError(f"{path}: the robot in it: {error}") from None
+        except AridcalError:
+            raise
+        except (yaml.YAMLError, KeyError, TypeError, ValueError) as error:
+            raise CampaignError(
+                f"{path}: not a calibration that this version wrote ({type(error).__name__}: {error}). "
+                "Run `aridcal identify` again."
+            ) from None
+
+    def command(
+        self,
+        pose: np.ndarray,
+        seed: np.ndarray,
+        covariates: Mapping[str, float] | None = None,
+        station: str | None = None,
+    ) -> Command:
+        """Find the joint readings that bring the real target to a wanted pose, fast enough for a stream of them.
+
+        Args:
+            pose: T_world_target, shape (4, 4), [m]; of a calibration from positions only its last column counts.
+            seed: Readings to start from, shape (columns,) in the order of ``final.model.robot.readings``, [rad] or [m]:
+                what the controller's own inverse kinematics says, or the command before.
+            covariates: What the effects depend on beside the joints, temperature or ``JOINT_direction`` for instance.
+            station: Label of the frames, where they are per station.
+
+        Returns:
+            The readings, what the model still misses with them, and whether the pose is reached.
+
+        Raises:
+            CovariateNotFound: an effect depends on something that is not given.
+            MeasurementError: the station is none of those that were calibrated.
+        """
+        pose = np.asarray(pose, dtype=float)
+        return self.inverse_kinematics(station).command(
+            pose[:3, :3], pose[:3, 3], np.asarray(seed, dtype=float), covariates or {}
+        )
+
+    def inverse_kinematics(self, station: str | None = None) -> InverseKinematics:
+        """Readings for wanted poses at a station; made once for each."""
+        if station not in self._inverses:
+            robot = self.final.model.robot
+            low, high = robot.limits.T
+            turning = np.array([kind != "prismatic" for kind in robot.kinds])
+            one_row = OneRowModel(self.final.model, self.final.theta, station)
+            self._inverses[station] = InverseKinematics(one_row, low, high, turning, self.kind == "pose", self.noise)
+        return self._inverses[station]
+
+    @cached_property
+    def _inverses(self) -> dict[str | None, InverseKinematics]:
+        return {}
+
+    def dump(self) -> str:
+        """The file's text."""
+        robot = self.final.model.robot
+        encoding = _encoding(robot.urdf)
+        document = {
+            "format": 1,
+            "aridcal": __version__,
+            "kind": self.kind,
+            "robot": {
+                "base": robot.base,
+                "tip": robot.tip,
+                "gravity": self.gravity if isinstance(self.gravity, str) else list(self.gravity),
+                "urdf_name": robot.path.name,
+                "urdf_sha256": hashlib.sha256(robot.urdf).hexdigest(),
+                "urdf_encoding": encoding,
+                "urdf": _Block(robot.urdf.decode(encoding)),
+            },
+            "noise": {"position": self.noise[0], "rotation": self.noise[1]},
+            "ranges": {name: list(pair) for name, pair in self.ranges.items()},
+            "geometric": _solved_document(self.geometric),
+            "final": _solved_document(self.final),
+            **self.record,
+        }
+        return str(yaml.dump(document, Dumper=Dumper, sort_keys=False, allow_unicode=True, width=110))
+
+
+def frames_document(frames: Frames) -> list[dict[str, Any]]:
+    """Frames as plain data: xyz [m] and quaternion (xyzw), with the station's label."""
+    return [
+        {"station": label, "xyz": _floats(f.translation), "quaternion": _floats(pin.Quaternion(f.rotation).coeffs())}
+        for label, f in frames
+    ]
+
+
+def _solved_document(solved: SolvedModel) -> dict[str, Any]:
+    model = solved.model
+    std = np.sqrt(np.maximum(np.diag(solved.covariance), 0.0))
+    return {
+        "world_base": frames_document(model.world_base),
+        "tip_target": frames_document(model.tip_target),
+        "loads": {"gravity": model.around.gravity.tolist(), "payload_at": model.around.lever.tolist()},
+        "coefficients": [
+            {
+                "name": c.name,
+                "where": c.where,
+                "component": c.component,
+                "basis": {"form": c.basis.form, "of": list(c.basis.of), "numbers": _floats(c.basis.numbers)},
+                "station": c.station,
+                "value": float(solved.theta[k]),
+                "std": float(std[k]),
+            }
+            for k, c in enumerate(model.coefficients)
+        ],
+        "covariance": {"layout": LAYOUT, "data": _packed(solved.covariance)},
+    }
+
+
+def _parse(document: Any) -> SavedModel:
+    if not isinstance(document, Mapping) or document.get("format") != 1:
+        raise ValueError("`format: 1` expected on top")
+    about = document["robot"]
+    robot = parse_robot(
+        about["urdf"].encode(about["urdf_encoding"]), about["tip"], about["base"], Path(about["urdf_name"])
+    )
+    known = ("format", "aridcal", "kind", "robot", "noise", "ranges", "geometric", "final")
+
+    def solved(part: Mapping[str, Any]) -> SolvedModel:
+        entries = part["coefficients"]
+        coefficients = tuple(
+            Coefficient(
+                e["where"],
+                e["component"],
+                Basis(e["basis"]["form"], tuple(e["basis"]["of"]), tuple(e["basis"]["numbers"])),
+                e["station"],
+            )
+            for e in entries
+        )
+        around = Surroundings(*(np.array(part["loads"][key], dtype=float) for key in ("gravity", "payload_at")))
+        model = Model(robot, coefficients, _frames(part["world_base"]), _frames(part["tip_target"]), around)
+        count = len(entries)
+        covariance = _unpacked(part["covariance"]["data"], count)
+        theta = np.array([e["value"] for e in entries], dtype=float)
+        if not np.isfinite(theta).all():
+            raise ValueError("a coefficient is not finite")
+        return SolvedModel(model, theta, covariance)
+
+    gravity = about["gravity"]
+    if document["kind"] not in ("pose", "position"):
+        raise ValueError(f"kind: {document['kind']!r} is neither pose nor position")
+    return SavedModel(
+        solved(document["geometric"]),
+        solved(document["final"]),
+        document["kind"],
+        gravity if isinstance(gravity, str) else tuple(gravity),
+        (document["noise"]["position"], document["noise"]["rotation"]),
+        {name: (pair[0], pair[1]) for name, pair in document["ranges"].items()},
+        {key: value for key, value in document.items() if key not in known},
+    )
+
+
+def _frames(entries: list[dict[str, Any]]) -> Frames:
+    return tuple(
+        (e["station"], pin.SE3(pin.Quaternion(np.array(e["quaternion"])).matrix(), np.array(e["xyz"]))) for e in entries
+    )
+
+
+def _packed(covariance: np.ndarray) -> str:
+    lower = covariance[np.tril_indices(len(covariance))]
+    return base64.b64encode(lower.astype("<f8").tobytes()).decode("ascii")
+
+
+def _unpacked(data: str, count: int) -> np.ndarray:
+    covariance = np.zeros((count, count))
+    covariance[np.tril_indices(count)] = np.frombuffer(base64.b64decode(data), dtype="<f8")
+    return covariance + np.tril(covariance, -1).T
+
+
+def _encoding(urdf: bytes) -> str:
+    """utf-8 where that gives the bytes back, else latin-1, which always does."""
+    try:
+        urdf.decode("utf-8")
+    except UnicodeDecodeError:
+        return "latin-1"
+    return "utf-8"
+
+
+def _floats(values: Any) -> list[float]:
+    return [float(v) for v in values]

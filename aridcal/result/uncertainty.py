@@ -1,0 +1,151 @@
+"""How far a calibration can be trusted: uncertainty of the target, two halves fitted apart, gross outliers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from aridcal.fit.least_squares import Fit, minimise
+from aridcal.fit.residual import Problem, distance, linearise, problem, robust_sigma
+from aridcal.inputs.channels import Channels
+from aridcal.inputs.dataset import Dataset
+from aridcal.model.model import Rows
+
+REACH_SAMPLES = 300
+"""Configurations drawn from the whole joint range: their 95th percentile is then known to a few per cent."""
+
+REALIGN_STEPS = 12
+"""Gauss-Newton steps at the most to fit two frames anew; five are usual."""
+
+SETTLED = 1e-12
+"""[m] and [rad]: a step of the frames below this is rounding."""
+
+FAR = 10.0
+"""Robust scales beyond which a held-out row is a gross outlier: so far that no model is to blame."""
+
+
+@dataclass(frozen=True)
+class Precision:
+    """How well the calibrated target is known, by propagating the noise, and by fitting two halves apart.
+
+    Attributes:
+        position: 1-sigma of the target in its worst direction at each row, shape (N,), [m].
+        rotation: Likewise for its orientation, [rad].
+        reach: The same at configurations drawn from the whole joint range, shape (M,), [m].
+        places: Targets of those configurations in the base frame, shape (M, 3), [m].
+        halves_measured: RMS difference of two calibrations from one half of the training rows each, [m]; nan if the
+            halves are too small.
+        halves_expected: RMS difference that noise alone would make, [m].
+    """
+
+    position: np.ndarray
+    rotation: np.ndarray
+    reach: np.ndarray
+    places: np.ndarray
+    halves_measured: float
+    halves_expected: float
+
+
+def accuracy(rows: Dataset, residual: np.ndarray) -> np.ndarray:
+    """ISO 9283's AP of every configuration: how far the centre of its attained positions is off, [m].
+
+    Args:
+        rows: N rows; those that repeat a configuration count as one.
+        residual: Measured minus predicted, shape (N, m), [m] and [rad].
+    """
+    if len(rows) == 0:
+        return np.empty(0)
+    label = np.unique(rows.configuration, return_inverse=True)[1]
+    total = np.stack([np.bincount(label, axis) for axis in residual[:, :3].T], axis=1)
+    return np.asarray(np.linalg.norm(total / np.bincount(label)[:, None], axis=1))
+
+
+def precision(fit: Fit, train: Dataset, halves: tuple[float, float]) -> Precision:
+    """Propagate the noise to the target, and set it beside what two halves fitted apart show (see :func:`halves`)."""
+    model, robot = fit.model, fit.model.robot
+    position, rotation = target_sigma(fit, model.rows(train.readings, train.covariates, train.station))
+    limits = robot.limits
+    seen = np.stack([train.readings.min(axis=0), train.readings.max(axis=0)], axis=1)
+    low, high = np.where(np.isfinite(limits), limits, seen).T
+    rng = np.random.default_rng(0)
+    anywhere = rng.uniform(low, high, (REACH_SAMPLES, len(low)))
+    some = rng.integers(0, len(train), REACH_SAMPLES)
+    covariates = {name: values[some] for name, values in train.covariates.items()}
+    rows = model.rows(anywhere, covariates, None if train.station is None else train.station[some])
+    reach, _ = target_sigma(fit, rows)
+    bases = model.frames(fit.theta)[0]
+    targets = model.poses(fit.theta, rows)[1]
+    places = np.array([bases[k][1].actInv(p) for k, p in zip(rows.world, targets, strict=True)])
+    return Precision(position, rotation, reach, places, *halves)
+
+
+def target_sigma(fit: Fit, rows: Rows) -> tuple[np.ndarray, np.ndarray]:
+    r"""1-sigma of the predicted target in its worst direction, [m] and [rad], shape (N,) each.
+
+    The square root of the largest eigenvalue of :math:`J \Sigma J^T`, J the target's Jacobian and Sigma the covariance of
+    the coefficients.
+    """
+    _, _, J = fit.model.jacobian(fit.theta, rows)
+    worst = []
+    for part in (J[:, :3], J[:, 3:]):
+        spread = part @ fit.covariance @ part.transpose(0, 2, 1)
+        worst.append(np.sqrt(np.maximum(np.linalg.eigvalsh(spread)[:, -1], 0.0)))
+    return worst[0], worst[1]
+
+
+def halves(fit: Fit, train: Dataset) -> tuple[float, float]:
+    """RMS difference of two calibrations from one half of the rows each, and what noise alone would make, [m]."""
+    asked = problem(fit.model, train)
+    number = np.random.default_rng(0).permutation(int(train.configuration.max()) + 1)
+    side = number[train.configuration] % 2 == 0
+    count, numbers = len(fit.theta), fit.residual.shape[1]
+    if count == 0 or min(side.sum(), (~side).sum()) * numbers < 2 * count:
+        return float("nan"), float("nan")
+    predicted, variance = [], 0.0
+    for half in (side, ~side):
+        found = minimise(asked.select(half), fit.theta, fit.weight[half])
+        _, p, J = fit.model.jacobian(found.theta, asked.rows)
+        covariance = np.linalg.pinv(found.at.equations.information(found.sigma), hermitian=True)
+        variance += float(np.mean(np.einsum("nik,kl,nil->n", J[:, :3], covariance, J[:, :3])))
+        predicted.append(p)
+    between = np.linalg.norm(predicted[0] - predicted[1], axis=1)
+    return float(np.sqrt(np.mean(between**2))), float(np.sqrt(variance))
+
+
+def realigned(fit: Fit, other: Problem) -> np.ndarray:
+    """Residuals of other rows after fitting the two frames anew to them, all else as it was, shape (N, m), scaled.
+
+    What this takes away was changed by remounting the target or moving the tracker, not by the robot.
+    """
+    theta = fit.theta.copy()
+    own = [c.where in ("world_base", "tip_target") and c.basis.constant for c in fit.model.coefficients]
+    frames = np.flatnonzero(own)
+    r = fit.residual
+    for _ in range(REALIGN_STEPS):
+        here = linearise(other, theta, None, fit.sigma)
+        r = here.residual
+        H = here.equations.information(fit.sigma)[np.ix_(frames, frames)]
+        step = np.linalg.lstsq(H, here.equations.pull(fit.sigma)[frames], rcond=1e-12)[0]
+        theta[frames] += step
+        if np.all(np.abs(step) < SETTLED):
+            break
+    return r
+
+
+def outliers(train: np.ndarray, flags: np.ndarray, stages: list[np.ndarray], channels: Channels) -> np.ndarray:
+    """One set of flags for all stages: the final model's on train; on test only what is far off at every stage.
+
+    "Far" is ten times the robust scale of the final model's training residuals: a held-out row that any stage predicts
+    better than that is never left out.
+
+    Args:
+        train: Mask of the training rows, shape (N,).
+        flags: Flags of the training rows, shape (train rows,).
+        stages: Residuals of every stage, the final one last, all rows, scaled by the rows' relative sigmas.
+        channels: Of the residuals.
+    """
+    sigma = robust_sigma(stages[-1][train], channels)
+    far = np.all([distance(r, sigma, channels) > FAR for r in stages], axis=0)
+    far[train] = flags
+    return far

@@ -1,0 +1,44 @@
+"""A result folder with all its files: figures, URDFs, exports for controllers, the report and the scene."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from aridcal.files import atomic_folder
+from aridcal.report.page import write_report
+from aridcal.report.scene import scene, write_scene
+from aridcal.result.controllers import Handover, hand_over, write_controllers
+from aridcal.result.folder import write_results
+from aridcal.result.outcome import Outcome
+
+NOT_ALWAYS = frozenset({"model.urdf", "fiducials.csv", "joint_maps.urdf", "joint_maps.csv"})
+"""Files that only some results have: those of an earlier one must not outlive it."""
+
+
+@dataclass(frozen=True)
+class Written:
+    """What is worth saying of a folder that was written.
+
+    Attributes:
+        handover: What each kind of controller can be given.
+        notices: What could not be drawn, and why.
+    """
+
+    handover: Handover
+    notices: tuple[str, ...]
+
+
+def write_folder(outcome: Outcome, folder: Path) -> Written:
+    """Write every file of a result folder: all appear together or none does.
+
+    Raises:
+        OutputError: the folder cannot be written.
+    """
+    with atomic_folder(folder, NOT_ALWAYS) as stage:
+        write_results(outcome, stage)
+        handover = hand_over(outcome)
+        write_controllers(outcome, handover, stage)
+        write_report(outcome, handover, stage / "report.html")
+        notices = write_scene(scene(outcome), stage / "scene.html")
+    return Written(handover, notices)

@@ -1,0 +1,58 @@
+"""The arm calibrated from measured poses: frames and constants, then effects that nobody declared."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from aridcal.effects.loads import Surroundings
+from aridcal.fit.stages import Geometry, fit_geometry, recentred
+from aridcal.inputs.campaign import Campaign
+from aridcal.inputs.dataset import Dataset
+from aridcal.model.model import Model
+from aridcal.robot.chain import Robot
+from aridcal.search.diagnose import Diagnosed, diagnose
+
+EARTH = np.array([0.0, 0.0, -9.81])
+"""Gravity in a levelled world, [m/s^2]."""
+
+
+@dataclass(frozen=True)
+class CalibratedArm:
+    """A calibrated arm.
+
+    Attributes:
+        rows: All rows, the held-out ones too.
+        geometry: Frames alone, and frames with constants; the latter recentred and knowing gravity.
+        diagnosed: The final model and how it came about.
+    """
+
+    rows: Dataset
+    geometry: Geometry
+    diagnosed: Diagnosed
+
+
+def fit_constants(campaign: Campaign, robot: Robot, rows: Dataset, labels: tuple[str, ...]) -> Geometry:
+    """Frames and constants from the training rows, the frames at their identified place."""
+    found = fit_geometry(campaign, robot, rows.select(rows.train), labels)
+    geometric = recentred(found.geometric)
+    around = surroundings(campaign, geometric.model)
+    return replace(found, geometric=replace(geometric, model=replace(geometric.model, around=around)))
+
+
+def fit_arm(campaign: Campaign, geometry: Geometry, rows: Dataset, progress: Callable[[str], None]) -> CalibratedArm:
+    """Look for what the constants do not explain, on the training rows, and fit all together."""
+    found = diagnose(campaign, geometry.geometric, rows.select(rows.train), progress)
+    return CalibratedArm(rows, geometry, found)
+
+
+def surroundings(campaign: Campaign, model: Model) -> Surroundings:
+    """Gravity in the base frame and the payload's place, from the campaign and the geometric stage's frames."""
+    gravity = campaign.robot.gravity
+    lever = model.tip_target[0][1].translation
+    if gravity == "world":
+        vectors = [frame.rotation.T @ EARTH for _, frame in model.world_base]
+        return Surroundings(np.array(vectors) if len(vectors) > 1 else vectors[0], lever)
+    return Surroundings(np.array(gravity, dtype=float), lever)

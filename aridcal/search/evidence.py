@@ -1,0 +1,243 @@
+r"""How much columns explain beyond what chance would: the evidence for a candidate against a linearised model.
+
+For d plain columns, with the noise profiled out, twice the gain in log-likelihood is
+
+.. math:: x = -n \log(1 - e / l)
+
+with e the sum of squares that they explain, l what is left of the residual, both in sigmas, and n the numbers measured.
+The evidence charges each column half of :math:`1 + \log x/d`: a normal prior as wide as the data ask for (an
+empirical-Bayes g-prior; George and Foster 2000, doi:10.1093/biomet/87.4.731). A smooth function is a Gaussian process
+sampled at knots: its evidence is the marginal likelihood, maximised over amplitude and correlation length (Rasmussen and
+Williams 2006, section 5.4), less a price for those two. See docs/how-the-search-works.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.special import gammaincc
+
+from aridcal.effects.smooth import Kernel, kernel_root
+from aridcal.fit.normal_equations import RIDGE, TINY, NormalEquations, inverse, projected
+from aridcal.fit.normal_equations import solve as solve_equations
+from aridcal.fit.residual import FLOOR
+
+DEPENDENT = 1e-6
+"""Share of a column's square that must be left when the model's own columns are taken off: below it is rounding."""
+
+SMOOTH_PRICE = 2.0
+"""[nat] for the two numbers that shape a smooth function: one each, as for a column."""
+
+TAUS = np.logspace(-1.5, 9, 43)[:, None]
+"""Prior variances that are tried, in units of the best seen mode: four a decade, from nothing to all that it asks for."""
+
+NOISE_ROUNDS = 6
+"""Times that noise and coefficients are found in turn; three are usual."""
+
+NOISE_SETTLED = 1e-2
+"""Change of the logarithm of the noise that ends this: a hundredth of a sigma moves no decision."""
+
+LEAST_FREEDOM = 0.05
+"""Share of a channel's numbers that is left to estimate its noise from, whatever the freedom of the model."""
+
+WHOLE = 1.0 - 1e-12
+"""A share of the residual that is explained is at most this: beyond it is rounding."""
+
+ROUGH = tuple(Kernel(length) for length in (0.7, 1.5, 3.0, 6.0, 12.0, 24.0))
+"""Shapes of smooth functions for a first look: an octave apart, from one knot to a third of a joint map."""
+
+KERNELS = (*ROUGH, *(Kernel(length, kinks=False) for length in (1.5, 3.0, 6.0, 9.0, 12.0, 18.0)))
+"""All shapes: those, and functions without any kink."""
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Coefficients of a linearised model and the noise that goes with them.
+
+    Attributes:
+        beta: Shape (K,).
+        sigma: Noise of each channel per axis, shape (C,).
+        likelihood: Logarithm, up to a constant.
+        inverse: (A'WA + prior)^-1, shape (K, K).
+    """
+
+    beta: np.ndarray
+    sigma: np.ndarray
+    likelihood: float
+    inverse: np.ndarray
+
+
+@dataclass(frozen=True)
+class Score:
+    """What one candidate would add.
+
+    Attributes:
+        gain: Logarithm of the evidence in its favour: what it explains less what its freedom costs, [nat].
+        p_value: Of its columns' contribution if nothing were there, before correction for the number of candidates.
+        freedom: Columns that say something new.
+        tau: For smooth functions: prior standard deviation [m] or [rad]; else 0.
+        kernel: For smooth functions: what they are like.
+        sigma: For smooth functions: the noise that is left with them in the model, shape (C,); unknown at first.
+    """
+
+    gain: float
+    p_value: float
+    freedom: int
+    tau: float = 0.0
+    kernel: Kernel = ROUGH[0]
+    sigma: np.ndarray | None = None
+
+
+NOTHING = Score(0.0, 1.0, 0)
+"""Of columns that say nothing new."""
+
+
+def coefficients(equations: NormalEquations, precision: np.ndarray, sigma: np.ndarray) -> np.ndarray:
+    """Least squares with priors for a given noise, shape (K,)."""
+    return solve_equations(equations.information(sigma) + precision, equations.pull(sigma), ridge=RIDGE)
+
+
+def solve(equations: NormalEquations, precision: np.ndarray, sigma: np.ndarray) -> Solution:
+    """Least squares with priors, the noise estimated with it.
+
+    Args:
+        equations: Of K coefficients.
+        precision: Of their priors, which are centred at zero, shape (K, K).
+        sigma: Noise to begin with, shape (C,).
+    """
+    count = equations.count
+    beta, covariance, squares = _solved(equations, precision, sigma)
+    for _ in range(NOISE_ROUNDS):
+        freedom = np.maximum(count - equations.spent(covariance, sigma), LEAST_FREEDOM * count + 1e-9)
+        before, sigma = sigma, np.maximum(np.sqrt(squares / freedom), FLOOR)
+        beta, covariance, squares = _solved(equations, precision, sigma)
+        if float(np.sum(np.abs(np.log(before / sigma)))) < NOISE_SETTLED:
+            break
+    misfit = float(count @ np.log(sigma**2) + np.sum(squares / sigma**2))
+    return Solution(beta, sigma, -0.5 * (misfit + float(beta @ precision @ beta)), covariance)
+
+
+def _solved(
+    equations: NormalEquations, precision: np.ndarray, sigma: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Coefficients, inverse and sums of squares left for a given noise: always of one piece."""
+    covariance = inverse(equations.information(sigma) + precision)
+    beta = covariance @ equations.pull(sigma)
+    return beta, covariance, equations.squares_left(beta)
+
+
+def score(
+    M: np.ndarray, s: np.ndarray, raw: np.ndarray, left: float, count: float, shape: tuple[int, ...] | None = None
+) -> Score:
+    """Evidence for d columns.
+
+    Args:
+        M: Their Gram matrix after projection off the model, in units of sigma, shape (d, d).
+        s: Their product with the residual, shape (d,).
+        raw: Their squared lengths before projection, shape (d,).
+        left: The residual's sum of squares, in units of sigma.
+        count: Numbers measured.
+        shape: Of the grid, for samples of a smooth function; else None.
+    """
+    return _smooth(M, s, raw, shape, ROUGH, left, count) if shape else _plain(M, s, raw, left, count)
+
+
+def shaped(total: NormalEquations, precision: np.ndarray, shape: tuple[int, ...], sigma: np.ndarray) -> Score:
+    """The shape that suits a smooth function best, for a given noise.
+
+    Args:
+        total: Equations of the model's coefficients and, after them, of the samples of the function.
+        precision: Prior of the model's own coefficients.
+        shape: Of the function's grid.
+        sigma: Noise of each channel, shape (C,).
+    """
+    K = len(precision)
+    H, g = total.information(sigma), total.pull(sigma)
+    model = np.arange(len(H)) < K
+    M, s = projected(H, g, model, inverse(H[:K, :K] + precision))
+    return replace(_smooth(M, s, np.diag(H)[K:], shape, KERNELS), sigma=sigma)
+
+
+def price(twice: float, freedom: int) -> float:
+    """Evidence [nat] of columns that raise twice the log-likelihood by so much, less what their freedom costs."""
+    each = twice / freedom
+    return 0.5 * (twice - freedom * (1.0 + float(np.log(max(each, 1.0)))))
+
+
+def _plain(M: np.ndarray, s: np.ndarray, raw: np.ndarray, left: float, count: float) -> Score:
+    """Evidence for columns that are no smooth function; see :func:`score`."""
+    if len(s) == 1:  # most candidates: no need of a decomposition
+        if M[0, 0] <= DEPENDENT * raw[0]:
+            return NOTHING
+        explained, freedom = float(s[0] ** 2 / M[0, 0]), 1
+    else:
+        scale = 1.0 / np.sqrt(np.maximum(raw, TINY))
+        values, vectors = np.linalg.eigh(M * np.outer(scale, scale))
+        new = values > DEPENDENT
+        freedom = int(new.sum())
+        if freedom == 0:
+            return NOTHING
+        along = vectors[:, new].T @ (s * scale)
+        explained = float(np.sum(along**2 / values[new]))
+    twice = _profiled(explained, left, count)
+    return Score(price(twice, freedom), tail(twice, freedom), freedom)
+
+
+def _smooth(
+    M: np.ndarray,
+    s: np.ndarray,
+    raw: np.ndarray,
+    shape: tuple[int, ...],
+    kernels: Sequence[Kernel],
+    left: float = np.inf,
+    count: float = 0.0,
+) -> Score:
+    r"""Evidence of the best kernel and amplitude; the noise is profiled if what is left of the residual is given.
+
+    In the eigenbasis of the samples' information under the prior, values :math:`v_i` and pulls :math:`a_i`,
+
+    .. math:: 2 \log L(\tau) = \sum_i \frac{\tau^2 a_i^2}{1 + \tau^2 v_i} - \sum_i \log(1 + \tau^2 v_i)
+
+    with the first sum, what is explained, profiled as for plain columns where the noise is not known.
+    """
+    best = Score(-np.inf, 1.0, 0)
+    for kernel in kernels:
+        root = kernel_root(shape, kernel)
+        spectrum, vectors = np.linalg.eigh(root.T @ M @ root)
+        values = np.maximum(spectrum, 0.0)
+        if values[-1] <= 0.0:
+            return NOTHING
+        mean_square = float(np.sum(root**2 * raw[:, None])) / len(s)
+        squares = np.where(values > DEPENDENT * mean_square, (vectors.T @ (root.T @ s)) ** 2, 0.0)
+        variances = TAUS / values[-1]
+        shrunk = 1.0 + variances * values
+        explained = (variances / shrunk) @ squares
+        likelihood = explained if left == np.inf else -count * np.log1p(-np.minimum(explained / left, WHOLE))
+        twice = likelihood - np.sum(np.log1p(variances * values), axis=1)
+        k = int(np.argmax(twice))
+        gain = 0.5 * float(twice[k]) - SMOOTH_PRICE
+        if gain > best.gain:
+            freedom = float(np.sum(variances[k] * values / (1.0 + variances[k] * values)))
+            tau = float(np.sqrt(variances[k, 0]))
+            best = Score(gain, smooth_tail(float(twice[k])), max(round(freedom), 1), tau, kernel)
+    return best
+
+
+def smooth_tail(twice: float) -> float:
+    """Chance that noise raises twice the log-likelihood of a smooth function by so much, at the most.
+
+    A variance that may only be positive: half the cases give nothing, the rest at most chi-square with 2 degrees.
+    """
+    return float(np.exp(-max(0.5 * twice, 0.0)))
+
+
+def tail(twice: float, freedom: int) -> float:
+    """Chance that chi-square with so many degrees of freedom exceeds a value."""
+    return float(gammaincc(0.5 * freedom, 0.5 * max(twice, 0.0)))
+
+
+def _profiled(explained: float, left: float, count: float) -> float:
+    """Twice the gain in log-likelihood when the noise is estimated anew."""
+    return float(-count * np.log1p(-min(explained / left, WHOLE)))

@@ -1,0 +1,250 @@
+"""A linearised model with everything that could be added to it, and what is added solved at once."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from aridcal.effects.basis import Basis, evaluate
+from aridcal.effects.effect import Effect
+from aridcal.effects.smooth import kernel_root, smooth_precision
+from aridcal.fit.least_squares import flagged
+from aridcal.fit.normal_equations import NormalEquations, accumulate
+from aridcal.inputs.channels import Channels, columns, spread
+from aridcal.search.evidence import Score, Solution, solve
+
+FAINT = 0.02
+"""A mode that the data could move by less than this share of its prior is left out: nothing would be learnt of it."""
+
+FLAGGING = 6
+"""Times that flags and coefficients are found in turn; two are usual."""
+
+
+@dataclass(frozen=True)
+class LinearModel:
+    """A linearised model and everything that could be added to it: N rows of m numbers, K constants, S slots, B bases.
+
+    A candidate's column is that of its slot times its basis: A and G are differentiated once, and thousands of
+    candidates cost a product each.
+
+    Attributes:
+        channels: What each row measures.
+        A: Columns of the constants, shape (N, m, K), in units of the rows' relative sigmas.
+        gauge: Prior precision of the constants about the geometric stage, shape (K, K).
+        G: Columns of the slots, the motions that effects may have, shape (N, m, S).
+        slots: (where, component) of each.
+        phi: Values of the bases, shape (N, B).
+        bases: The bases.
+        r: Residual of the geometric stage, linearised, shape (N, m).
+        stale: Rows that repeat another's measurement although the joints moved, shape (N,).
+        run: Number of the row's stretch of time, shape (N,).
+        fold: Number of the row's fold for cross-validation, shape (N,).
+        own: Names of the joints: covariates that are under the user's control.
+        table: Covariates of the rows, shape (N,) each.
+    """
+
+    channels: Channels
+    A: np.ndarray
+    gauge: np.ndarray
+    G: np.ndarray
+    slots: tuple[tuple[str, str], ...]
+    phi: np.ndarray
+    bases: tuple[Basis, ...]
+    r: np.ndarray
+    stale: np.ndarray
+    run: np.ndarray
+    fold: np.ndarray
+    own: tuple[str, ...]
+    table: Mapping[str, np.ndarray]
+
+    @cached_property
+    def slot_index(self) -> dict[tuple[str, str], int]:
+        """Number of each slot."""
+        return {slot: k for k, slot in enumerate(self.slots)}
+
+    @cached_property
+    def basis_index(self) -> dict[Basis, int]:
+        """Number of each basis."""
+        return {basis: k for k, basis in enumerate(self.bases)}
+
+    def slot_columns(self, where: str, component: str) -> np.ndarray:
+        """Columns of one slot, shape (N, m)."""
+        return self.G[:, :, self.slot_index[where, component]]
+
+    def indices(self, effect: Effect) -> tuple[list[int], list[int]]:
+        """Slot and basis of each of an effect's coefficients."""
+        return self._slots_of(effect), [self.basis_index[c.basis] for c in effect.coefficients]
+
+    def _slots_of(self, effect: Effect) -> list[int]:
+        return [self.slot_index[c.where, c.component] for c in effect.coefficients]
+
+    def prepared(self, effect: Effect) -> bool:
+        """True if all its bases are among ``bases``."""
+        return all(c.basis in self.basis_index for c in effect.coefficients)
+
+    def prepare(self, effects: Sequence[Effect]) -> LinearModel:
+        """The same with the bases of further effects evaluated beforehand."""
+        asked = dict.fromkeys(c.basis for e in effects for c in e.coefficients)
+        new = [basis for basis in asked if basis not in self.basis_index]
+        phi = [self.phi, *(evaluate(basis, self.table)[:, None] for basis in new)]
+        return replace(self, bases=(*self.bases, *new), phi=np.hstack(phi))
+
+    def moves(self, effect: Effect) -> bool:
+        """True if each of its motions is seen at all: a turn of the target is not, where only positions are measured."""
+        return all(bool(np.any(self.slot_columns(c.where, c.component))) for c in effect.coefficients)
+
+    def columns(self, effect: Effect) -> np.ndarray:
+        """Columns of an effect, shape (N, m, d)."""
+        if self.prepared(effect):
+            phi = self.phi[:, self.indices(effect)[1]]
+        else:
+            phi = np.column_stack([evaluate(c.basis, self.table) for c in effect.coefficients])
+        return np.asarray(self.G[:, :, self._slots_of(effect)] * phi[:, None, :])
+
+
+@dataclass(frozen=True)
+class Active:
+    """An effect that is in the model; a smooth one by the modes that its data can tell, each with unit prior.
+
+    Attributes:
+        effect: The effect.
+        score: Its evidence, and its shape if it is smooth.
+        modes: Coefficients of each mode, shape (d, modes); the coefficients themselves if it is not smooth.
+    """
+
+    effect: Effect
+    score: Score
+    modes: np.ndarray
+
+    @property
+    def precision(self) -> np.ndarray:
+        """Prior precision of what is solved for."""
+        return (1.0 if self.effect.smooth else 0.0) * np.eye(self.modes.shape[1])
+
+    @property
+    def coefficient_precision(self) -> np.ndarray:
+        """Prior precision of its coefficients, shape (d, d)."""
+        if not self.effect.smooth:
+            d = len(self.effect.coefficients)
+            return np.zeros((d, d))
+        return smooth_precision(self.effect.shape, self.score.tau, self.score.kernel)
+
+    @property
+    def root(self) -> np.ndarray:
+        """Combinations of its coefficients that are independent beforehand, shape (d, d)."""
+        if not self.effect.smooth:
+            return np.eye(len(self.effect.coefficients))
+        return self.score.tau * kernel_root(self.effect.shape, self.score.kernel)
+
+    def columns(self, model: LinearModel) -> np.ndarray:
+        """Its columns, shape (N, m, d or modes)."""
+        return model.columns(self.effect) @ self.modes
+
+
+@dataclass(frozen=True)
+class State:
+    """A solved set of effects: the constants and P - K modes of effects, n rows in use.
+
+    Attributes:
+        channels: What each row measures.
+        active: The effects.
+        design: Columns of the rows in use, one array for each channel, shape (n size, P).
+        right: Their residuals likewise, shape (n size,).
+        precision: Of the prior of all that is solved for, shape (P, P).
+        equations: Of the same.
+        solution: Their solution.
+        residual: What is left of every row, shape (N, m).
+        used: Rows in use: those that are no outliers, shape (N,) bool.
+        fold: Fold of each row in use, shape (n,).
+    """
+
+    channels: Channels
+    active: tuple[Active, ...]
+    design: tuple[np.ndarray, ...]
+    right: tuple[np.ndarray, ...]
+    precision: np.ndarray
+    equations: NormalEquations
+    solution: Solution
+    residual: np.ndarray
+    used: np.ndarray
+    fold: np.ndarray
+
+    @property
+    def sigma(self) -> np.ndarray:
+        """Noise of each number of a row, shape (m,)."""
+        return spread(self.solution.sigma, self.channels)
+
+    def flat(self, values: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Columns (N, m, d) or residuals (N, m) brought to the design's shape: rows in use, channel by channel."""
+        return flat(values[self.used], self.channels)
+
+    def whitened(self, values: Sequence[np.ndarray]) -> np.ndarray:
+        """Arrays of the design's shape in sigmas, all channels under one another."""
+        scaled = [part / sigma for part, sigma in zip(values, self.solution.sigma, strict=True)]
+        return np.concatenate(scaled)
+
+
+def flat(values: np.ndarray, channels: Channels) -> tuple[np.ndarray, ...]:
+    """Columns (n, m, d) or residuals (n, m) by channel, one number under the other: (n size, d) or (n size,) each."""
+    rows, _, *tail = values.shape
+    parts = zip(channels, columns(channels), strict=True)
+    return tuple(values[:, part].reshape(rows * channel.size, *tail) for channel, part in parts)
+
+
+def solve_state(model: LinearModel, active: Sequence[Active], sigma: np.ndarray, used: np.ndarray) -> State:
+    """Solve a set of effects, noise and outlier flags with it.
+
+    Args:
+        model: The linearised model.
+        active: Effects.
+        sigma: Noise to begin with, shape (C,).
+        used: Rows to begin with, shape (N,) bool.
+    """
+    design = np.concatenate([model.A, *(a.columns(model) for a in active)], axis=2)
+    precision = block_diag(model.gauge, *(a.precision for a in active))
+    sound = used
+    for _ in range(FLAGGING):
+        used = sound
+        A, b = flat(design[used], model.channels), flat(model.r[used], model.channels)
+        equations = accumulate(A, b)
+        solution = solve(equations, precision, sigma)
+        residual = model.r - design @ solution.beta
+        sigma = solution.sigma
+        sound = ~flagged(residual, model.channels, model.stale)
+        if np.array_equal(sound, used):
+            break
+    return State(
+        channels=model.channels,
+        active=tuple(active),
+        design=A,
+        right=b,
+        precision=precision,
+        equations=equations,
+        solution=solution,
+        residual=residual,
+        used=used,
+        fold=model.fold[used],
+    )
+
+
+def activate(model: LinearModel, state: State, effect: Effect, found: Score) -> Active:
+    """Make a candidate ready to be solved for: of a smooth one, the modes of which the data say something."""
+    if not effect.smooth:
+        return Active(effect, found, np.eye(len(effect.coefficients)))
+    root = kernel_root(effect.shape, found.kernel)
+    noise = found.sigma if found.sigma is not None else state.solution.sigma
+    whitened = model.columns(effect) / spread(noise, model.channels)[:, None]
+    mean_square = float(np.einsum("nmd,nmd->", whitened, whitened)) / whitened.shape[2]
+    modes, sizes, _ = np.linalg.svd(root * found.tau, full_matrices=False)
+    seen = sizes**2 * mean_square > FAINT
+    return Active(effect, found, (modes * sizes)[:, seen])
+
+
+def with_candidate(model: LinearModel, state: State, candidate: Active) -> tuple[NormalEquations, np.ndarray]:
+    """Equations of the model with a candidate added, and the prior precision of all its coefficients."""
+    added = state.flat(candidate.columns(model))
+    return state.equations.extended(state.design, added, state.right), block_diag(state.precision, candidate.precision)

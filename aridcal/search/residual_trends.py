@@ -1,0 +1,313 @@
+"""What remains, traced: to each joint as an error of its own, to every column measured, and to the order of time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2, norm
+
+from aridcal.effects.basis import Basis
+from aridcal.effects.effect import Coefficient
+from aridcal.effects.loads import covariate_table
+from aridcal.fit.least_squares import Fit
+from aridcal.fit.normal_equations import TINY
+from aridcal.fit.residual import FLOOR, problem, scaled
+from aridcal.inputs.channels import columns, spread
+from aridcal.inputs.dataset import Dataset
+
+SLICE, MOST_SLICES = 20, 48
+"""Rows of a slice at the least, for its mean to be known to a fifth of the scatter; slices at the most, to be drawn."""
+
+FEW_VALUES = 12
+"""A column with no more different values has one slice for each: they are settings, not readings."""
+
+CURVE = 120
+"""Points of a smooth curve."""
+
+LENGTHS = (0.02, 0.05, 0.1, 0.2, 0.4, 1.0)
+"""Over which a smooth curve may be alike, in shares of the covariate's range: about an octave apart."""
+
+LAGS = 30
+"""Rows apart at the most for which a correlation is shown."""
+
+FAINT = 0.05
+"""Rows at which a motion moves the target by less than this share of the median lever say nothing of it."""
+
+VARIES = 1e-3
+"""Share of its size by which a covariate must vary for anything to depend on it."""
+
+BAND = 1.96
+"""Standard deviations within which 95 % of chance lies."""
+
+
+@dataclass(frozen=True)
+class Trace:
+    """Residuals, as a motion that each row asks for by itself, over something that they may depend on.
+
+    Attributes:
+        motion: A joint, for its own axis, or an axis of a channel: ``x y z rx ry rz``.
+        unit: ``m`` or ``rad``.
+        covariate: A joint, a measured column, or a load.
+        seen: Covariate of the rows that say something of this motion, in order, shape (n,).
+        before: What they ask for without effects, shape (n,).
+        after: What they ask for with the final model, shape (n,).
+        centre: Covariate of slices of these rows, shape (B,).
+        mean_before: Mean of each slice without effects, shape (B,).
+        mean_after: The same with the final model.
+        std: Standard deviation that noise gives these means, shape (B,).
+        at: Where two smooth curves through the means were evaluated, shape (G,).
+        smooth_before: The one without effects, shape (G,).
+        smooth_after: The one of the final model, shape (G,).
+        size_before: RMS of the means beyond their noise, without effects, [m] or [rad].
+        size_after: The same with the final model.
+        p_before: That slices of noise would differ from zero as much as those without effects do.
+        p_value: The same for those of the final model.
+    """
+
+    motion: str
+    unit: str
+    covariate: str
+    seen: np.ndarray
+    before: np.ndarray
+    after: np.ndarray
+    centre: np.ndarray
+    mean_before: np.ndarray
+    mean_after: np.ndarray
+    std: np.ndarray
+    at: np.ndarray
+    smooth_before: np.ndarray
+    smooth_after: np.ndarray
+    size_before: float
+    size_after: float
+    p_before: float
+    p_value: float
+
+
+@dataclass(frozen=True)
+class Order:
+    """The final model's residuals one after the other.
+
+    Attributes:
+        timed: True if the order is that of a column ``time``, False if it is that of the table.
+        order: The rows in use in that order, shape (n,).
+        lags: Rows apart, shape (L,).
+        correlation: Of residuals so many rows apart, mean of the axes, shape (L,).
+        bound: What 95 % of such correlations stay within if all is noise.
+        changes: Changes of sign from one row to the next, all axes together.
+        expected: As many as noise makes.
+        spread: Standard deviation of that number.
+        p_value: That noise makes so few.
+    """
+
+    timed: bool
+    order: np.ndarray
+    lags: np.ndarray
+    correlation: np.ndarray
+    bound: float
+    changes: int
+    expected: float
+    spread: float
+    p_value: float
+
+
+@dataclass(frozen=True)
+class Traces:
+    """What remains, asked on what it depends.
+
+    Attributes:
+        joints: Each joint's own motion over its own position.
+        strongest: For each joint, load and column: the motion that depends on it most clearly.
+        asked: Number of pairs of a motion and a covariate that these were chosen from.
+        order: In the order of time.
+    """
+
+    joints: tuple[Trace, ...]
+    strongest: tuple[Trace, ...]
+    asked: int
+    order: Order
+
+
+@dataclass(frozen=True)
+class _Pulled:
+    """Residuals as a motion that each row asks for by itself; ``weight`` is 1 / variance that the noise makes of it."""
+
+    motion: str
+    unit: str
+    before: np.ndarray
+    after: np.ndarray
+    weight: np.ndarray
+
+
+def trace(fit: Fit, rows: Dataset, before: np.ndarray, after: np.ndarray) -> Traces:
+    """Trace residuals to joints, columns and time.
+
+    Args:
+        fit: The final model.
+        rows: The N rows in use.
+        before: Residuals of the model without effects, shape (N, m), [m] and [rad].
+        after: Residuals of the final model.
+    """
+    robot = fit.model.robot
+    pulled = _pull(fit, rows, before, after)
+    own = {p.motion: p for p in pulled}
+    complete = {name: values for name, values in rows.covariates.items() if np.isfinite(values).all()}
+    world = fit.model.rows(rows.readings, rows.covariates, rows.station).world
+    table = covariate_table(robot, rows.readings, complete, fit.model.around, world, {".gravity_"})
+    asked = {name: v for name, v in table.items() if _varies(v) and ".gravity_moment" not in name}
+    return Traces(
+        joints=tuple(_trace(own[name], name, asked[name]) for name in robot.names if name in own and name in asked),
+        strongest=tuple(_strongest(pulled, name, values) for name, values in asked.items()),
+        asked=len(pulled) * len(asked),
+        order=_order(after, rows.covariates.get("time")),
+    )
+
+
+def _varies(values: np.ndarray) -> bool:
+    return float(np.ptp(values)) > VARIES * float(np.abs(values).max())
+
+
+def _pull(fit: Fit, rows: Dataset, before: np.ndarray, after: np.ndarray) -> list[_Pulled]:
+    r"""Residuals pulled back to each joint's own axis, row by row, and along the axes of each channel.
+
+    Weighted least squares in one unknown: with J the joint's column and r the residual, both in sigmas, a row asks for
+    :math:`J^T r / J^T J`, known with variance :math:`1 / J^T J`.
+    """
+    robot, K = fit.model.robot, len(fit.theta)
+    ones = Basis("ones", (robot.names[0],))
+    turned = [Coefficient(name, "axis", ones) for name in robot.names]
+    asked = problem(fit.model.with_coefficients((*fit.model.coefficients, *turned)), rows)
+    theta = np.concatenate([fit.theta, np.zeros(len(turned))])
+    was, left = (scaled(r, rows.relative) for r in (before, after))
+    # The noise that the residual shows, not the declared one: a pattern is sought, whatever the size.
+    seen = [max(float(np.sqrt(np.mean(left[:, part] ** 2))), FLOOR) for part in columns(rows.channels)]
+    sigma = spread(np.array(seen), rows.channels)
+    twists = asked.model.jacobian(theta, asked.rows)[2][:, : len(sigma), K:]
+    J = scaled(twists, rows.relative) / sigma[:, None]
+    found = []
+    for k, joint in enumerate(robot.joints):
+        lever = np.sum(J[:, :, k] ** 2, axis=1)
+        asked_before, asked_after = (
+            np.sum(J[:, :, k] * r / sigma, axis=1) / np.maximum(lever, TINY) for r in (was, left)
+        )
+        weight = np.where(lever > FAINT * np.median(lever), lever, 0.0)
+        if weight.any():
+            found.append(
+                _Pulled(joint.name, "rad" if joint.kind == "revolute" else "m", asked_before, asked_after, weight)
+            )
+    axes = [(axis, channel.unit) for channel in rows.channels for axis in channel.axes]
+    for k, (axis, unit) in enumerate(axes):
+        weight = np.full(len(after), 1.0 / max(float(np.mean(after[:, k] ** 2)), FLOOR**2))
+        found.append(_Pulled(axis, unit, before[:, k], after[:, k], weight))
+    return found
+
+
+def _strongest(pulled: Sequence[_Pulled], covariate: str, values: np.ndarray) -> Trace:
+    """The motion of which noise would least likely show as much."""
+    chances = [_chance(_means(p, values, p.after)) for p in pulled]
+    return _trace(pulled[int(np.argmin(chances))], covariate, values)
+
+
+def _trace(pulled: _Pulled, covariate: str, values: np.ndarray) -> Trace:
+    """A motion over a covariate, before and after."""
+    seen = pulled.weight > 0
+    was, left = (_means(pulled, values, v) for v in (pulled.before, pulled.after))
+    at = np.linspace(left.centre[0], left.centre[-1], CURVE)
+    return Trace(
+        motion=pulled.motion,
+        unit=pulled.unit,
+        covariate=covariate,
+        seen=values[seen],
+        before=pulled.before[seen],
+        after=pulled.after[seen],
+        centre=left.centre,
+        mean_before=was.mean,
+        mean_after=left.mean,
+        std=left.std,
+        at=at,
+        smooth_before=_smooth(was, at),
+        smooth_after=_smooth(left, at),
+        size_before=_size(was),
+        size_after=_size(left),
+        p_before=_chance(was),
+        p_value=_chance(left),
+    )
+
+
+@dataclass(frozen=True)
+class _Means:
+    """Slices of rows: mean covariate, weighted mean of what the rows ask for, and the noise of that; shape (B,) each."""
+
+    centre: np.ndarray
+    mean: np.ndarray
+    std: np.ndarray
+
+
+def _means(pulled: _Pulled, values: np.ndarray, asks: np.ndarray) -> _Means:
+    """Slices of equally many rows; of a column with few values, one slice for each."""
+    seen = np.flatnonzero(pulled.weight > 0)
+    seen = seen[np.argsort(values[seen], kind="stable")]
+    weight = pulled.weight[seen]
+    different, place = np.unique(values[seen], return_inverse=True)
+    if len(different) > FEW_VALUES:
+        place = np.arange(len(seen)) * int(np.clip(len(seen) // SLICE, 1, MOST_SLICES)) // len(seen)
+    total = np.bincount(place, weight)
+    centre, mean = (np.bincount(place, weight * v[seen]) / total for v in (values, asks))
+    return _Means(centre, mean, 1.0 / np.sqrt(total))
+
+
+def _chance(m: _Means) -> float:
+    """That noise alone makes such means."""
+    return float(chi2.sf(np.sum((m.mean / m.std) ** 2), len(m.mean)))
+
+
+def _size(m: _Means) -> float:
+    """RMS of the means beyond what noise makes of them."""
+    weight = 1.0 / m.std**2
+    return float(np.sqrt(max(weight @ m.mean**2 - len(weight), 0.0) / weight.sum()))
+
+
+def _smooth(m: _Means, at: np.ndarray) -> np.ndarray:
+    """The likeliest smooth function through the means (Gaussian process, Matern 5/2); zero where they are noise."""
+    variance = _size(m) ** 2
+    span = float(np.ptp(m.centre))
+    if variance == 0.0 or span == 0.0:
+        return np.zeros(len(at))
+
+    def kernel(x: np.ndarray, length: float) -> np.ndarray:
+        d = np.sqrt(5.0) * np.abs(x[:, None] - m.centre) / (length * span)
+        return np.asarray(variance * (1.0 + d + d**2 / 3.0) * np.exp(-d))
+
+    best, curve = -np.inf, np.zeros(len(at))
+    for length in LENGTHS:
+        K = kernel(m.centre, length) + np.diag(m.std**2)
+        pull = np.linalg.solve(K, m.mean)
+        likelihood = -0.5 * float(m.mean @ pull + np.linalg.slogdet(K)[1])
+        if likelihood > best:
+            best, curve = likelihood, kernel(at, length) @ pull
+    return curve
+
+
+def _order(residual: np.ndarray, time: np.ndarray | None) -> Order:
+    """Changes of sign, and correlation over so many rows, in the order of time (of the table, where there is none)."""
+    timed = time is not None and bool(np.isfinite(time).all())
+    order = np.argsort(time, kind="stable") if timed and time is not None else np.arange(len(residual))
+    r = residual[order]
+    n, m = r.shape
+    square = np.sum(r**2, axis=0)
+    lags = np.arange(1, min(LAGS, n // 4) + 1)
+    correlation = np.array([np.mean(np.sum(r[k:] * r[:-k], axis=0) / np.maximum(square, 1e-300)) for k in lags])
+    changes = int(np.sum(np.diff(np.sign(r), axis=0) != 0))
+    expected, deviation = m * (n - 1) / 2, float(np.sqrt(m * (n - 1)) / 2)
+    return Order(
+        timed=timed,
+        order=order,
+        lags=lags,
+        correlation=correlation,
+        bound=BAND / np.sqrt(m * n),
+        changes=changes,
+        expected=expected,
+        spread=deviation,
+        p_value=float(norm.cdf((changes - expected) / max(deviation, 1e-12))),
+    )

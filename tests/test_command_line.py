@@ -1,0 +1,141 @@
+"""Every command: exit status, messages, help."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import re
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import aridcal
+from aridcal.__main__ import COMMANDS
+from aridcal.__main__ import main as aridcal_main
+from aridcal.command_line import run
+from aridcal.errors import AridcalError
+
+
+def raising(error: BaseException):
+    def body() -> None:
+        raise error
+
+    return body
+
+
+# -- exit status and messages
+
+
+def test_work_done_exits_with_0_and_says_nothing(capsys):
+    done = []
+    assert run(lambda: done.append(1)) == 0
+    assert done == [1]
+    assert capsys.readouterr() == ("", "")
+
+
+def test_bad_input_exits_with_2_and_its_own_words_on_stderr(capsys):
+    message = "/a/very/long/path" + "/x" * 100 + "/m.csv, row 17: tip_target[A] [red] is empty\nfill it in"
+    assert run(raising(AridcalError(message))) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err == f"error: {message}\n"
+
+
+def test_a_bug_exits_with_1_and_shows_where(capsys):
+    assert run(raising(ZeroDivisionError("by zero"))) == 1
+    err = capsys.readouterr().err
+    assert "ZeroDivisionError" in err
+    assert Path(__file__).name in err
+    assert "this is a bug" in err
+
+
+def test_ctrl_c_exits_with_130_without_traceback(capsys):
+    assert run(raising(KeyboardInterrupt())) == 130
+    err = capsys.readouterr().err
+    assert err.startswith("interrupted")
+    assert "Traceback" not in err
+
+
+def test_usage_errors_of_argparse_pass_through():
+    with pytest.raises(SystemExit) as stop:
+        run(raising(SystemExit(2)))
+    assert stop.value.code == 2
+
+
+def test_sigterm_counts_as_ctrl_c_and_the_handler_is_put_back():
+    before = signal.getsignal(signal.SIGTERM)
+
+    def body() -> None:
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    assert run(body) == 130
+    assert signal.getsignal(signal.SIGTERM) is before
+
+
+# -- the console script
+
+
+def test_commands_are_the_modules_that_have_a_main():
+    package = Path(aridcal.__file__).parent
+    found = {p.stem for p in package.glob("*.py") if re.search(r"^def main\(", p.read_text("utf-8"), re.MULTILINE)}
+    assert set(COMMANDS) == found - {"__main__"}
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_explains_itself(command, capsys):
+    with pytest.raises(SystemExit) as stop:
+        aridcal_main([command, "--help"])
+    assert stop.value.code == 0
+    out = capsys.readouterr().out
+    assert out.startswith(f"usage: aridcal {command}")
+    example = out.partition("\nexample:\n")[2].splitlines()
+    assert example
+    assert all(line.startswith(f"    aridcal {command}") for line in example if line)
+
+
+def test_a_slip_in_the_arguments_is_answered_with_where_to_look(capsys):
+    with pytest.raises(SystemExit) as stop:
+        aridcal_main(["identify"])
+    assert stop.value.code == 2
+    assert "`aridcal identify --help` has an example" in capsys.readouterr().err
+
+
+def test_arguments_and_exit_status_pass_through(monkeypatch):
+    command = next(iter(COMMANDS))
+    seen = []
+    module = importlib.import_module(f"aridcal.{command}")
+    monkeypatch.setattr(module, "main", lambda argv: seen.append(argv) or 7)
+    assert aridcal_main([command, "a.yaml", "--out", "b"]) == 7
+    assert seen == [["a.yaml", "--out", "b"]]
+
+
+def test_unknown_command_exits_with_2_and_names_the_nearest(capsys):
+    assert aridcal_main(["simulat"]) == 2
+    err = capsys.readouterr().err
+    assert "'simulat'" in err
+    assert "did you mean 'simulate'?" in err
+
+
+def test_no_command_exits_with_2_and_lists_all(capsys):
+    assert aridcal_main([]) == 2
+    err = capsys.readouterr().err
+    assert all(command in err for command in COMMANDS)
+
+
+def test_help_lists_all_commands_with_their_job(capsys):
+    assert aridcal_main(["--help"]) == 0
+    out = capsys.readouterr().out
+    assert all(command in out and job in out for command, job in COMMANDS.items())
+
+
+def test_version_is_told(capsys):
+    assert aridcal_main(["--version"]) == 0
+    assert capsys.readouterr().out == f"aridcal {aridcal.__version__}\n"
+
+
+def test_help_is_quick_because_no_command_is_imported():
+    code = "import sys, aridcal.__main__ as m; m.main(['--help']); sys.exit('pinocchio' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], stdout=subprocess.DEVNULL, check=False).returncode == 0

@@ -1,0 +1,53 @@
+"""What an effect is worth: the model without it, refitted, is what a fit of that model finds."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import robots
+
+from aridcal.effects.basis import Basis
+from aridcal.effects.effect import Coefficient
+from aridcal.fit.least_squares import fit
+from aridcal.fit.residual import problem
+from aridcal.search.gains import refitted
+
+
+def test_taking_coefficients_out_agrees_with_fitting_without_them() -> None:
+    truth = robots.simulate(robots.ur10(), 150, np.random.default_rng(4), size=1e-3, noise=5e-5)
+    waves = tuple(
+        Coefficient(joint, "axis", Basis(form, (joint,), (1.0,)))
+        for joint in ("shoulder_lift_joint", "elbow_joint")
+        for form in ("sin", "cos")
+    )
+    constants = tuple(c for c in truth.model.coefficients if c.component in ("roll", "x"))
+    model = truth.model.with_coefficients((*constants, *waves))
+    theta = np.concatenate([np.random.default_rng(0).normal(0, 1e-3, len(constants)), [2e-3, -1e-3, 5e-4, 3e-3]])
+    R, p = model.poses(theta, model.rows(truth.readings))
+    noise = np.random.default_rng(1).normal(0, 5e-5, p.shape)
+    data = robots.measured(model.robot, truth.readings, p + noise, R)
+    whole = fit(problem(model, data))
+    for gone in (waves[:2], waves[2:], waves, constants[:3]):
+        keep = np.array([c not in gone for c in model.coefficients])
+        less = model.with_coefficients([c for c, k in zip(model.coefficients, keep, strict=True) if k])
+        again = fit(problem(less, data), weight=whole.weight)
+        # Both weigh positions and rotations by the noise that the whole model shows.
+        fixed = fit(problem(less, robots.declared(data, *whole.sigma)), weight=whole.weight)
+        found = refitted(whole, ~keep, keep)
+        assert not found[~keep].any()
+        np.testing.assert_allclose(found[keep], fixed.theta, atol=2e-5)
+        mine, exact = (
+            np.sqrt(np.mean(np.sum(problem(m, data).residual(t)[:, :3] ** 2, axis=1)))
+            for m, t in ((model, found), (less, fixed.theta))
+        )
+        assert mine == pytest.approx(exact, rel=2e-3)
+        assert exact > 2 * 5e-5  # what is missing is missed
+        assert again.estimated[0] > whole.estimated[0]
+    every = np.ones(len(model.coefficients), dtype=bool)
+    np.testing.assert_array_equal(refitted(whole, ~every, every), whole.theta)
+    # What is neither gone nor free stays; what several take with them adds up.
+    parts = [np.array([c in some for c in model.coefficients]) for some in (waves[:2], waves[2:])]
+    free = np.array([c in constants for c in model.coefficients])
+    both, *single = (refitted(whole, gone, free) - whole.theta for gone in (parts[0] | parts[1], *parts))
+    np.testing.assert_allclose(both, sum(single), atol=1e-12)
+    np.testing.assert_array_equal(single[0][parts[1]], 0.0)

@@ -1,0 +1,133 @@
+"""Looking through thousands of possibilities: what is planted stands out, and where nothing is nothing is taken."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import kstest
+
+from aridcal.effects.basis import Basis
+from aridcal.effects.effect import Coefficient, Effect
+from aridcal.effects.kinds import turns
+from aridcal.inputs.channels import TARGET_POSITION, TARGET_ROTATION
+from aridcal.search.evidence import Score
+from aridcal.search.hints import harmonics, pairs
+from aridcal.search.linear_model import LinearModel, activate, solve_state
+from aridcal.search.scoring import Judgement, judge, refine, score_all
+
+SLOTS = (("j1", "axis"), ("j1", "x"), ("j2", "axis"), ("tip_target", "z"))
+UNIT = np.ones(2)
+
+
+def made_up(rng: np.random.Generator, n: int = 300, noise: np.ndarray | None = None) -> LinearModel:
+    """A made-up linear model of two joints and two columns."""
+    table = {name: rng.uniform(-2.0, 2.0, n) for name in ("j1", "j2", "time", "humidity")}
+    table["time"] = np.sort(table["time"])
+    r = rng.standard_normal((n, 6)) if noise is None else noise
+    run = np.arange(n) * 24 // n
+    return LinearModel(
+        channels=(TARGET_POSITION, TARGET_ROTATION),
+        A=rng.standard_normal((n, 6, 4)),
+        gauge=1e-6 * np.eye(4),
+        G=rng.standard_normal((n, 6, len(SLOTS))),
+        slots=SLOTS,
+        phi=np.zeros((n, 0)),
+        bases=(),
+        r=r,
+        stale=np.zeros(n, dtype=bool),
+        run=run,
+        fold=rng.integers(0, 5, n),
+        own=("j1", "j2"),
+        table=table,
+    )
+
+
+def with_effect(b: LinearModel, slot: int, values: np.ndarray) -> LinearModel:
+    return replace(b, r=b.r + b.G[:, :, slot] * values[:, None])
+
+
+def state(b: LinearModel):  # type: ignore[no-untyped-def]
+    return solve_state(b, (), UNIT, np.ones(len(b.r), dtype=bool))
+
+
+def linear(where: str, component: str, of: str) -> Effect:
+    return Effect("thermal", where, (Coefficient(where, component, Basis("linear", (of,), (0.0,))),))
+
+
+def judged(b: LinearModel, effect: Effect, tested: int) -> Judgement:
+    s = state(b)
+    return judge(b, s, effect, refine(b, s, effect, score_all(b, [effect], s)[0]), tested)
+
+
+@pytest.mark.parametrize("order", [3.0, 17.3, 53.68])
+def test_a_harmonic_of_any_order_is_found_at_its_joint(order):
+    b = made_up(np.random.default_rng(1))
+    b = with_effect(b, 2, 0.6 * np.sin(order * b.table["j2"] + 0.3))
+    found = harmonics(b, state(b))
+    assert found[0].where == "j2"
+    assert found[0].order[0] == pytest.approx(order, abs=0.1)
+
+
+def test_a_function_of_two_covariates_is_found_where_it_acts():
+    b = made_up(np.random.default_rng(2))
+    b = with_effect(b, 1, 1.0 * b.table["j2"] * b.table["humidity"])
+    places, looked = pairs(b, state(b), ["j1", "j2", "time", "humidity"])
+    assert places[0] == ("j1", "x", ("j2", "humidity"))
+    assert looked == 6 * 2  # pairs times motions that are not a joint's own
+
+
+def test_a_column_that_means_nothing_is_rejected_and_one_that_does_is_accepted():
+    rng = np.random.default_rng(3)
+    b = with_effect(made_up(rng), 1, 0.5 * rng.standard_normal(300))  # real, but of nothing that was measured
+    b = with_effect(b, 3, 0.3 * b.table["humidity"])
+    assert not judged(b, linear("tip_target", "z", "humidity"), 300).why
+    assert judged(b, linear("j1", "x", "time"), 300).why
+
+
+def test_drifts_that_come_in_stretches_do_not_make_a_smooth_column_credible():
+    rng = np.random.default_rng(4)
+    b = made_up(rng)
+    b = with_effect(b, 3, np.repeat(rng.standard_normal(12), 25))  # every other stretch of its own
+    verdict = judged(b, linear("tip_target", "z", "time"), 1)
+    assert verdict.p_value < 1e-6  # chance is not the reason
+    assert verdict.why
+    ramp = np.repeat(np.linspace(-1.5, 1.5, 12), 25)  # as large, and the column does tell it
+    assert not judged(with_effect(made_up(np.random.default_rng(4)), 3, ramp), linear("tip_target", "z", "time"), 1).why
+
+
+@pytest.mark.parametrize("effect", [linear("tip_target", "z", "time"), linear("j1", "x", "j2")])
+def test_the_chance_of_a_candidate_that_means_nothing_is_uniform(effect):
+    """So that of clean campaigns the share that shows one is the share of p-values that a verdict lets pass."""
+    chances = [judged(made_up(np.random.default_rng(100 + seed), n=60), effect, 1).p_value for seed in range(300)]
+    assert kstest(chances, "uniform").pvalue > 1e-3
+
+
+def test_a_verdict_lets_pass_one_clean_campaign_in_a_thousand_at_the_most():
+    """Effects of every size, alone or as one of 3000 candidates: what is accepted, chance does more seldom than that."""
+    accepted, refused = [], []
+    for k, size in enumerate(np.repeat(np.linspace(0.1, 0.8, 30), 4)):
+        b = made_up(np.random.default_rng(500 + k), n=60)
+        b = with_effect(b, 3, size * b.table["humidity"])
+        effect = linear("tip_target", "z", "humidity")
+        one, many = (judged(b, effect, tested) for tested in (1, 3000))
+        assert many.p_value == pytest.approx(min(1.0, 3000 * one.p_value))
+        for v in (one, many):
+            (refused if v.why else accepted).append(v)
+    assert max(v.p_value for v in accepted) < 1e-3
+    assert min(v.p_value for v in refused) > 1e-8  # and what is clear is not refused
+    assert len(accepted) > 20 and len(refused) > 20
+
+
+def test_what_is_active_and_smooth_has_modes_of_unit_prior():
+    b = made_up(np.random.default_rng(5))
+    knots = tuple(Coefficient("j1", "axis", Basis("bump", ("j1",), (c, 0.5))) for c in np.arange(-3.0, 3.1, 0.5))
+    curve = Effect("joint_map", "j1", knots, smooth=True)
+    active = activate(b, state(b), curve, Score(1.0, 0.0, 3, tau=0.2))
+    np.testing.assert_array_equal(active.precision, np.eye(active.modes.shape[1]))
+    np.testing.assert_allclose(active.modes @ active.modes.T, np.linalg.inv(active.coefficient_precision), atol=1e-3)
+    plain = activate(
+        b, state(b), Effect("joint_harmonic", "j1", turns("j1", "axis", "j1", 2.0), (2.0,)), Score(1.0, 0.0, 2)
+    )
+    assert not plain.precision.any()

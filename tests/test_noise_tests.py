@@ -1,0 +1,121 @@
+"""What is asked of a residual: silent on noise, and each question answered by what was planted for it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import kstest
+
+from aridcal.fit.noise import Repeats, declared_notices
+from aridcal.inputs.dataset import Dataset, dataset
+from aridcal.search.noise_tests import Clue, clues
+
+UNKNOWN = (None, None)
+
+
+def rows(
+    r: np.ndarray, q: np.ndarray, time: np.ndarray | None = None, noise: tuple[float | None, ...] = UNKNOWN
+) -> Dataset:
+    """Rows of poses or positions that only say where, when and how well they were measured."""
+    n, m = r.shape
+    names = tuple(f"joint_{k}" for k in range(q.shape[1]))
+    covariates = {} if time is None else {"time": time}
+    rotation = np.broadcast_to(np.eye(3), (n, 3, 3)) if m == 6 else None
+    return dataset(names, ["revolute"] * len(names), q, np.zeros((n, 3)), rotation, sigma=noise, covariates=covariates)
+
+
+def telling(
+    r: np.ndarray,
+    q: np.ndarray,
+    time: np.ndarray | None = None,
+    noise: tuple[float | None, ...] = UNKNOWN,
+    repeats: Repeats | None = None,
+) -> list[Clue]:
+    """What shows structure."""
+    return [c for c in clues(rows(r, q, time, noise), r, repeats, 1.0) if c.tells]
+
+
+def test_chances_of_noise_are_uniform_and_hardly_ever_tell() -> None:
+    """Every question to white noise: p-values are spread evenly, which is what makes one of 0.001 rare."""
+    chances, told = [], 0
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        r, q, time = rng.standard_normal((50, 6)), rng.uniform(-1, 1, (50, 4)), rng.permutation(50).astype(float)
+        asked = clues(rows(r, q, time, (1.0, 1.0)), r, None, 1.0)
+        told += sum(c.tells for c in asked)
+        chances.append([c.p_value for c in asked])
+    assert np.shape(chances) == (60, 4)
+    for values in np.array(chances).T:
+        assert kstest(values, "uniform").pvalue > 1e-3
+    assert told <= 2  # of 240
+
+
+def test_chances_that_the_declared_noise_makes_the_residual_are_uniform() -> None:
+    chances = []
+    for seed in range(300):
+        rng = np.random.default_rng(seed)  # so few rows that nothing else is asked
+        r, q = rng.standard_normal((16, 6)) * np.repeat([0.1, 3.0], 3), rng.uniform(-1, 1, (16, 4))
+        chances.append([c.p_value for c in clues(rows(r, q, noise=(0.1, 3.0)), r, None, 1.0)])
+    assert np.shape(chances) == (300, 2)
+    for values in np.array(chances).T:
+        assert kstest(values, "uniform").pvalue > 1e-3
+
+
+def test_what_depends_on_the_configuration_makes_neighbours_err_alike() -> None:
+    rng = np.random.default_rng(1)
+    q = rng.uniform(-1, 1, (2000, 2))
+    f = np.sin(2 * q[:, :1] + q[:, 1:])
+    noise = rng.standard_normal((2000, 6))
+    (found,) = telling(noise + f, q)
+    variance = np.mean(f**2)
+    assert found.share == pytest.approx(variance / (1 + variance), abs=0.04)
+    assert telling(noise + rng.permutation(f), q) == []  # the same errors, at other configurations
+
+
+def test_a_walk_in_time_makes_rows_err_alike_in_the_order_of_time_alone() -> None:
+    rng = np.random.default_rng(2)
+    walk = np.cumsum(0.3 * rng.standard_normal((300, 6)), axis=0)
+    time = rng.permutation(300).astype(float)
+    r = walk[time.astype(int)] + rng.standard_normal((300, 6))
+    q = rng.uniform(-1, 1, (300, 3))
+    (found,) = telling(r, q, time)
+    variance = np.mean(np.var(walk, axis=0)) + np.mean(walk.mean(axis=0) ** 2)
+    assert found.share == pytest.approx(variance / (1 + variance), abs=0.1)
+    assert telling(r, q) == []
+    assert len(telling(r[np.argsort(time)], q)) == 1  # the order of the table counts where no time was logged
+
+
+@pytest.mark.parametrize("half", ["position", "rotation"])
+def test_a_residual_above_the_declared_noise_tells_how_much_of_it_is_not_noise(half: str) -> None:
+    """Positions, or rotations, with twice the noise: only the declaration of that half is contradicted."""
+    rng = np.random.default_rng(3)
+    q = rng.uniform(-1, 1, (300, 3))
+    scale = np.repeat([2.0, 1.0] if half == "position" else [1.0, 2.0], 3)
+    r = scale * rng.standard_normal((300, 6))
+    (found,) = telling(r, q, noise=(1.0, 1.0))
+    assert found.share == pytest.approx(0.75, abs=0.05)
+    assert telling(r, q, noise=(None, 1.0) if half == "position" else (1.0, None)) == []
+    assert telling(r, q, noise=(2.0, 2.0)) == []  # less than was declared is no structure
+    assert len(telling(r[:, :3], q, noise=(1.0, 1.0))) == (half == "position")
+
+
+def test_repeats_that_scatter_less_than_the_residual_are_the_measure_of_what_is_repeatable() -> None:
+    """The scatter of 3 rows about their mean is noise of variance 1; configurations differ by a variance of 4."""
+    rng = np.random.default_rng(4)
+    group = rng.permutation(np.repeat(np.arange(200), 3))
+    noise = rng.standard_normal((600, 3))
+    r = noise + 2.0 * rng.standard_normal((200, 3))[group]
+    q = rng.uniform(-1, 1, (600, 3))  # neighbours are strangers, so that only the repeats can tell
+    (found,) = telling(r, q, repeats=Repeats(200, 600, np.ones(1), 0.0))
+    assert found.share == pytest.approx(0.8, abs=0.05)
+    assert telling(noise, q, repeats=Repeats(200, 600, np.ones(1), 0.0)) == []
+
+
+def test_noise_stated_wrongly_is_said_both_ways_and_noise_stated_well_is_not() -> None:
+    poses, positions = (rows(np.zeros((5, m)), np.zeros((5, 1)), noise=(1.0, 1.0)) for m in (6, 3))
+    assert declared_notices(poses, np.array([1.02, 0.98]), 1000.0) == []
+    large, small = declared_notices(poses, np.array([2.0, 0.25]), 1000.0)
+    assert "is 2 times" in large and "position" in large and "rotation" not in large and "too small" in large
+    assert "is 0.25 times" in small and "rotation" in small and "position" not in small and "too large" in small
+    assert len(declared_notices(positions, np.array([2.0]), 1000.0)) == 1
+    assert declared_notices(poses, np.array([2.0, 0.5]), 5.0) == []  # five numbers do not tell

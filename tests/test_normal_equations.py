@@ -1,0 +1,155 @@
+"""Sums of weighted least squares: each against the columns themselves, stacked and solved by another code."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+
+import numpy as np
+import pytest
+from scipy.linalg import block_diag
+
+from aridcal.fit.normal_equations import NormalEquations, accumulate, inverse, projected, solve, without
+
+SIZES = (90, 60, 30)
+"""Numbers measured in each of three channels."""
+
+SIGMA = np.array([0.1, 2.0, 30.0])
+
+Columns = list[np.ndarray]
+
+
+def columns(seed: int, K: int, sizes: tuple[int, ...] = SIZES) -> Columns:
+    rng = np.random.default_rng(seed)
+    return [rng.standard_normal((n, K)) * np.logspace(0, 3, K) for n in sizes]
+
+
+def right(seed: int, sizes: tuple[int, ...] = SIZES) -> Columns:
+    rng = np.random.default_rng(seed)
+    return [s * rng.standard_normal(n) for s, n in zip(SIGMA, sizes, strict=True)]
+
+
+def beside(A: Columns, C: Columns) -> Columns:
+    return [np.hstack(pair) for pair in zip(A, C, strict=True)]
+
+
+def stacked(parts: Columns, sigma: np.ndarray = SIGMA) -> np.ndarray:
+    """All channels under one another, in sigmas."""
+    return np.concatenate([part / s for part, s in zip(parts, sigma, strict=True)])
+
+
+def least_squares(A: Columns, r: Columns) -> np.ndarray:
+    return np.linalg.lstsq(stacked(A), stacked(r), rcond=None)[0]
+
+
+def assert_same(one: NormalEquations, other: NormalEquations) -> None:
+    for field in fields(NormalEquations):
+        a, b = getattr(one, field.name), getattr(other, field.name)
+        np.testing.assert_allclose(a, b, rtol=1e-10, atol=1e-10 * np.abs(b).max())
+
+
+def test_information_and_pull_are_those_of_the_whitened_columns() -> None:
+    A, r = columns(0, 4), right(1)
+    found = accumulate(A, r)
+    W, b = stacked(A), stacked(r)
+    np.testing.assert_allclose(found.information(SIGMA), W.T @ W, rtol=1e-10)
+    np.testing.assert_allclose(found.pull(SIGMA), W.T @ b, rtol=1e-10)
+    assert found.count.tolist() == list(SIZES)
+    theta = solve(found.information(SIGMA), found.pull(SIGMA))
+    np.testing.assert_allclose(theta, least_squares(A, r), rtol=1e-9)
+    left = [np.sum((b - a @ theta) ** 2) for a, b in zip(A, r, strict=True)]
+    np.testing.assert_allclose(found.squares_left(theta), left, rtol=1e-9)
+    H = inverse(found.information(SIGMA))
+    np.testing.assert_allclose(H, np.linalg.inv(W.T @ W), rtol=1e-9, atol=1e-12 * np.abs(H).max())
+
+
+def test_a_channel_gives_up_the_trace_of_its_part_of_the_hat_matrix() -> None:
+    A, r = columns(2, 4), right(3)
+    found = accumulate(A, r)
+    W = stacked(A)
+    hat = np.diag(W @ np.linalg.pinv(W))
+    each = [part.sum() for part in np.split(hat, np.cumsum(SIZES)[:-1])]
+    spent = found.spent(inverse(found.information(SIGMA)), SIGMA)
+    np.testing.assert_allclose(spent, each, rtol=1e-9)
+    assert spent.sum() == pytest.approx(4)
+
+
+def test_rows_taken_out_were_never_there() -> None:
+    A, r = columns(4, 4), right(5)
+    few = tuple(n // 3 for n in SIZES)
+    gone, kept = (
+        accumulate(
+            [a[part] for a, part in zip(A, parts, strict=True)], [b[part] for b, part in zip(r, parts, strict=True)]
+        )
+        for parts in ([slice(0, n) for n in few], [slice(n, None) for n in few])
+    )
+    assert_same(accumulate(A, r).minus(gone), kept)
+
+
+def test_added_and_combined_and_chosen_unknowns_are_those_of_the_columns_themselves() -> None:
+    A, C, r = columns(6, 4), columns(7, 3), right(8)
+    both = accumulate(A, r).extended(A, C, r)
+    assert_same(both, accumulate(beside(A, C), r))
+    T = np.random.default_rng(9).standard_normal((3, 2))
+    assert_same(both.combined(T), accumulate(beside(A, [c @ T for c in C]), r))
+    keep = np.array([True, False, True, True, False, False, True])
+    assert_same(both.part(keep), accumulate([a[:, keep] for a in beside(A, C)], r))
+
+
+def test_unknowns_solved_for_beforehand_leave_the_joint_solution() -> None:
+    """The others may be anywhere among the unknowns, and believed in beforehand: a prior is a few rows more."""
+    A, r = columns(10, 6), right(11)
+    others = np.array([True, False, True, False, False, True])
+    H, g = accumulate(A, r).information(SIGMA), accumulate(A, r).pull(SIGMA)
+    prior = np.diag([1e2, 1e4, 1e6])
+    for P in (np.zeros((3, 3)), prior):
+        M, s = projected(H, g, others, np.linalg.inv(H[np.ix_(others, others)] + P))
+        rows = np.zeros((3, 6))
+        rows[:, others] = np.sqrt(P)
+        joint = np.linalg.lstsq(np.vstack([stacked(A), rows]), np.append(stacked(r), np.zeros(3)), rcond=None)[0]
+        np.testing.assert_allclose(np.linalg.solve(M, s), joint[~others], rtol=1e-9)
+
+
+def test_unknowns_taken_out_leave_the_solution_of_the_rest() -> None:
+    A, r = columns(12, 6), right(13)
+    theta = least_squares(A, r)
+    W = stacked(A)
+    gone = np.array([False, True, False, False, True, False])
+    found = without(W.T @ W, theta, gone, ~gone)
+    assert not found[gone].any()
+    np.testing.assert_allclose(found[~gone], least_squares([a[:, ~gone] for a in A], r), rtol=1e-8)
+    held = np.array([True, False, False, False, False, True])  # neither gone nor free: these stay where they were
+    found = without(W.T @ W, theta, gone, ~gone & ~held)
+    np.testing.assert_array_equal(found[held], theta[held])
+    rest = [b - a[:, held] @ theta[held] for a, b in zip(A, r, strict=True)]
+    np.testing.assert_allclose(found[~gone & ~held], least_squares([a[:, ~gone & ~held] for a in A], rest), rtol=1e-8)
+
+
+def test_columns_that_are_the_same_share_the_solution_and_one_that_moves_nothing_stays_at_zero() -> None:
+    """Each column scaled to length 1: the shortest solution then, numpy's pseudo-inverse of the columns."""
+    a, r = columns(14, 3), right(15)
+    A = [np.column_stack([c, c[:, 0], np.zeros(len(c))]) for c in a]
+    found = accumulate(A, r)
+    theta = solve(found.information(SIGMA), found.pull(SIGMA))
+    assert theta[4] == 0.0
+    np.testing.assert_allclose(theta[:4], least_squares([part[:, :4] for part in A], r), rtol=1e-3, atol=1e-9)
+    np.testing.assert_allclose(stacked(A) @ theta, stacked(a) @ least_squares(a, r), atol=1e-6)
+
+
+def test_damping_shortens_each_unknown_by_its_own_measure() -> None:
+    """Levenberg's: as if each were measured to be zero, so often as a share of what the rows say of it."""
+    A, r = columns(16, 4), right(17)
+    W = stacked(A)
+    H = W.T @ W
+    rows = np.diag(np.sqrt(0.3 * np.diag(H)))
+    shorter = np.linalg.lstsq(np.vstack([W, rows]), np.append(stacked(r), np.zeros(4)), rcond=None)[0]
+    np.testing.assert_allclose(solve(H, W.T @ stacked(r), damping=0.3), shorter, rtol=1e-9)
+
+
+def test_channels_of_one_are_the_sum_of_their_rows() -> None:
+    """Rows whitened beforehand and put into one channel say what several channels say."""
+    A, r = columns(18, 4), right(19)
+    one = accumulate([stacked(A)], [stacked(r)])
+    np.testing.assert_allclose(one.information(np.ones(1)), accumulate(A, r).information(SIGMA), rtol=1e-10)
+    apart = block_diag(*(np.eye(n) / s**2 for n, s in zip(SIZES, SIGMA, strict=True)))
+    whole = np.concatenate(A)
+    np.testing.assert_allclose(one.information(np.ones(1)), whole.T @ apart @ whole, rtol=1e-10)

@@ -1,0 +1,199 @@
+"""How far a calibration can be trusted: each figure against a simulation that knows the answer."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import robots
+from scipy.spatial.transform import Rotation
+from scipy.stats import kstest
+
+from aridcal.effects.basis import Basis
+from aridcal.effects.effect import Coefficient
+from aridcal.fit.constants import constants
+from aridcal.fit.least_squares import Fit, fit, fit_identifiable
+from aridcal.fit.noise import repeats
+from aridcal.inputs.channels import TARGET_POSITION, TARGET_ROTATION
+from aridcal.inputs.dataset import Dataset
+from aridcal.model.model import Model, Rows
+from aridcal.result.uncertainty import accuracy, halves, outliers, precision, target_sigma
+from aridcal.robot.chain import parse_robot
+from aridcal.robot.kinematics import tip_frames
+
+
+def example(n: int = 200, noise: float = 1e-4, seed: int = 0) -> tuple[robots.Truth, Fit, Dataset]:
+    """The ARID, its identifiable constants fitted to noisy poses, and those with the noise declared."""
+    rng = np.random.default_rng(seed)
+    truth = robots.simulate(robots.arid(), n, rng, 1e-3, noise, world=robots.random_placement(rng))
+    model = truth.model.with_coefficients((*robots.FRAMES, *constants(truth.model.robot, "full")))
+    found = fit_identifiable(truth.data(model, noise, noise), range(len(model.coefficients)))
+    return truth, found, robots.declared(truth.measured, noise, noise)
+
+
+def test_kinds_and_limits_are_those_of_the_columns() -> None:
+    robot = robots.arid()
+    assert robot.kinds == ("prismatic", "revolute", "revolute", "revolute")
+    np.testing.assert_allclose(robot.limits[0], [0.0, 718 * 0.0254])
+    urdf = robots.random_chain(np.random.default_rng(0), "RCP")
+    end = urdf.index(b"</joint>", urdf.index(b'<joint name="joint_1"'))
+    urdf = urdf[:end] + b'<mimic joint="joint_2"/>' + urdf[end:]
+    follower = parse_robot(urdf, "tip")
+    assert follower.readings == ("joint_2", "joint_3")
+    assert follower.kinds == ("continuous", "prismatic")
+    assert np.isinf(follower.limits[0]).all()
+
+
+def test_scatter_of_repeats_is_the_noise_whatever_the_model_lacks() -> None:
+    """30 configurations, 6 times each; the residuals also hold an error of the model, a hundred times the noise."""
+    rng = np.random.default_rng(1)
+    robot = robots.arid()
+    q = np.repeat(robots.readings(robot, 30, rng), 6, axis=0)
+    rows = robots.measured(robot, q, np.zeros((180, 3)), np.tile(np.eye(3), (180, 1, 1)))
+    r = np.repeat(rng.normal(0, 1e-2, (30, 6)), 6, axis=0)
+    r += np.hstack([rng.normal(0, 1e-4, (180, 3)), rng.normal(0, 3e-4, (180, 3))])
+    found = repeats(rows, r)
+    assert found is not None
+    assert (found.groups, found.rows) == (30, 180)
+    assert found.sigma[0] == pytest.approx(1e-4, rel=0.1)
+    assert found.sigma[1] == pytest.approx(3e-4, rel=0.1)
+    # ISO 9283's RP of isotropic noise: the mean and three standard deviations of a chi with three degrees.
+    chi = np.linalg.norm(rng.normal(size=(200000, 3)), axis=1)
+    assert found.repeatability == pytest.approx(1e-4 * (chi.mean() + 3 * chi.std()), rel=0.1)
+
+
+def test_rows_that_never_repeat_have_no_scatter() -> None:
+    truth, found, _ = example(40)
+    assert repeats(truth.measured, found.residual) is None
+
+
+def worst(scatter: np.ndarray) -> np.ndarray:
+    """Standard deviation in the worst direction of many points or small turns at each of N places: (many, N, 3) to (N,)."""
+    off = scatter - scatter.mean(axis=0)
+    covariance = np.einsum("sni,snj->nij", off, off) / (len(scatter) - 1)
+    return np.sqrt(np.linalg.eigvalsh(covariance)[:, -1])
+
+
+def again(truth: robots.Truth, rng: np.random.Generator, q: np.ndarray | None = None) -> robots.Truth:
+    """The same configurations, or others, measured anew."""
+    q = truth.readings if q is None else q
+    R, p = truth.model.poses(truth.theta, truth.model.rows(q))
+    turn = Rotation.from_rotvec(1e-4 * rng.normal(size=p.shape)).as_matrix()
+    p = p + 1e-4 * rng.normal(size=p.shape)
+    return replace(truth, measured=robots.measured(truth.model.robot, q, p, turn @ R))
+
+
+def fitted(truth: robots.Truth, model: Model, some: np.ndarray | None = None) -> Fit:
+    whole = truth.data(model, 1e-4, 1e-4)
+    asked = whole if some is None else whole.select(some)
+    return fit(asked, weight=np.ones(len(asked)))
+
+
+def test_sigma_of_the_target_is_the_scatter_of_repeated_calibrations() -> None:
+    """60 campaigns of 40 rows each: RMS over poses of predicted sigma against the scatter seen."""
+    rng = np.random.default_rng(2)
+    truth, first, _ = example(40)
+    model = first.model
+    query = model.rows(robots.readings(model.robot, 60, rng))
+    position, rotation = target_sigma(first, query)
+    middle, _ = model.poses(first.theta, query)
+    places, turns = [], []
+    for _ in range(60):
+        R, p = model.poses(fitted(again(truth, rng), model).theta, query)
+        places.append(p)
+        turns.append(Rotation.from_matrix(R @ middle.transpose(0, 2, 1)).as_rotvec())
+    for predicted, seen in ((position, places), (rotation, turns)):
+        scatter = worst(np.array(seen))
+        assert np.sqrt(np.mean(predicted**2)) == pytest.approx(np.sqrt(np.mean(scatter**2)), rel=0.1)
+        np.testing.assert_allclose(predicted, scatter, rtol=0.5)
+
+
+def test_precision_is_that_of_the_rows_and_of_places_all_over_the_joint_range() -> None:
+    """Second road: coefficients drawn from their covariance, at configurations drawn here."""
+    rng = np.random.default_rng(7)
+    truth, found, data = example(100)
+    robot, model = truth.model.robot, found.model
+    result = precision(found, data, (1.0, 2.0))
+    draws = rng.multivariate_normal(found.theta, found.covariance, 300)
+
+    def drawn(rows: Rows) -> np.ndarray:
+        return worst(np.array([model.poses(theta, rows)[1] for theta in draws]))
+
+    assert np.median(result.position / drawn(model.rows(data.readings))) == pytest.approx(1.0, abs=0.05)
+    q = rng.uniform([j.lower for j in robot.joints], [j.upper for j in robot.joints], (300, 4))  # far beyond the rows
+    anywhere = drawn(model.rows(q))
+    for share in (0.1, 0.5, 0.9):
+        assert np.quantile(result.reach, share) == pytest.approx(np.quantile(anywhere, share), rel=0.2)
+    _, tips = tip_frames(robot, q)
+    for places, expected in zip(result.places.T, tips.T, strict=True):  # in the base's frame, wherever the world's is
+        assert kstest(places, expected).pvalue > 1e-3
+
+
+def test_two_halves_differ_as_two_campaigns_of_half_the_rows_do() -> None:
+    """Second road: the first half's rows and the others' measured and fitted apart, many times."""
+    rng = np.random.default_rng(8)
+    truth, found, _ = example(80)
+    model, rows = found.model, truth.model.rows(truth.readings)
+    pairs = []
+    for _ in range(40):
+        mixed = again(truth, rng, rng.permutation(truth.readings))
+        one, other = (fitted(mixed, model, half) for half in np.split(np.arange(80), 2))
+        pairs.append(model.poses(one.theta, rows)[1] - model.poses(other.theta, rows)[1])
+    usual = np.sqrt(np.mean(np.sum(np.square(pairs), axis=2)))
+    seen = []
+    for _ in range(20):
+        anew = again(truth, rng)
+        measured, expected = halves(fitted(anew, model), robots.declared(anew.measured, 1e-4, 1e-4))
+        seen.append(measured)
+    assert expected == pytest.approx(usual, rel=0.2)
+    assert np.sqrt(np.mean(np.square(seen))) == pytest.approx(usual, rel=0.2)
+
+
+def test_two_halves_betray_a_model_that_does_not_fit() -> None:
+    """A harmonic of 3 mrad that no constant can hold, and too few rows to average it out."""
+    rng = np.random.default_rng(3)
+    truth, _, _ = example(60)
+    bent = truth.model.with_coefficients(
+        (*truth.model.coefficients, Coefficient("joint_2", "axis", Basis("sin", ("joint_2",), (7.0,))))
+    )
+    R, p = bent.poses(np.append(truth.theta, 3e-3), bent.rows(truth.readings))
+    measured = robots.measured(bent.robot, truth.readings, p + 1e-4 * rng.normal(size=p.shape), R)
+    truth = replace(truth, measured=measured)
+    model = truth.model.with_coefficients((*robots.FRAMES, *constants(truth.model.robot, "full")))
+    found = fit_identifiable(truth.data(model, 1e-4, 1e-4), range(len(model.coefficients)))
+    seen, expected = halves(found, robots.declared(measured, 1e-4, 1e-4))
+    assert seen > 5 * expected
+
+
+def test_halves_that_are_too_small_say_nothing() -> None:
+    _, found, data = example(8)
+    assert np.isnan(halves(found, data)).all()
+
+
+def test_a_test_row_is_flagged_only_if_it_is_far_off_at_every_stage() -> None:
+    rng = np.random.default_rng(4)
+    train = np.arange(100) < 80
+    nominal, final = rng.normal(0, 1e-3, (100, 6)), rng.normal(0, 1e-4, (100, 6))
+    flags = np.zeros(80, dtype=bool)
+    flags[3] = True
+    nominal[90], final[90] = 0.5, 0.5  # off everywhere
+    nominal[91] = 0.0
+    final[91, 0] = 0.5  # the final model alone is off: that is an error, not an outlier
+    nominal[92] = 0.5  # what the final model explains is none either
+    found = outliers(train, flags, [nominal, final], (TARGET_POSITION, TARGET_ROTATION))
+    assert set(np.flatnonzero(found)) == {3, 90}
+
+
+def test_accuracy_is_the_distance_of_each_configurations_centre() -> None:
+    rng = np.random.default_rng(5)
+    robot = robots.arid()
+    q = np.repeat(robots.readings(robot, 20, rng), 5, axis=0)
+    rows = robots.measured(robot, q, np.zeros((100, 3)))
+    centre = rng.normal(0, 1e-3, (20, 3))
+    jitter = rng.normal(0, 1e-4, (20, 5, 3))
+    jitter -= jitter.mean(axis=1, keepdims=True)
+    r = (centre[:, None] + jitter).reshape(100, 3)
+    found = accuracy(rows, r)
+    np.testing.assert_allclose(np.sort(found), np.sort(np.linalg.norm(centre, axis=1)), rtol=1e-9)
+    assert accuracy(rows.select(np.zeros(100, dtype=bool)), r[:0]).size == 0
