@@ -9,6 +9,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 from rich.console import Console
+from rich.live import Live
+from rich.spinner import Spinner
 from threadpoolctl import threadpool_limits
 
 HEIGHT = 720
@@ -32,10 +34,21 @@ def working() -> Iterator[Callable[[str], None]]:
         if console.is_jupyter:
             yield from _in_notebook(line)
         elif console.is_terminal:
-            with console.status("") as status:
-                yield lambda step: status.update(line(step))
+            yield from _in_terminal(console, line)
         else:
             yield lambda step: None
+
+
+def _in_terminal(console: Console, line: Callable[[str], str]) -> Iterator[Callable[[str], None]]:
+    """One line with a spinner. Each step is drawn at once: the next tick may come after the step has ended."""
+    spinner = Spinner("dots")
+    with Live(spinner, console=console, transient=True) as live:
+
+        def show(step: str) -> None:
+            spinner.update(text=line(step))
+            live.refresh()
+
+        yield show
 
 
 def _in_notebook(line: Callable[[str], str]) -> Iterator[Callable[[str], None]]:
