@@ -51,6 +51,7 @@ class Effect:
         by: What a backlash switches with.
         smooth: True where the coefficients are samples of a smooth function and shrink to zero where unseen.
         grid: For a smooth function of two covariates: samples along each; else empty.
+        looked: Members of its kind that were looked through before this one, the loudest, became a candidate.
     """
 
     kind: str
@@ -61,6 +62,12 @@ class Effect:
     by: str | None = None
     smooth: bool = False
     grid: tuple[int, ...] = ()
+    looked: int = 1
+
+    @property
+    def hinted(self) -> bool:
+        """True for a member that the residual hinted at, beside those that are always tried."""
+        return self.looked > 1
 
     @property
     def shape(self) -> tuple[int, ...]:

@@ -12,7 +12,7 @@ from scipy.linalg import block_diag
 from aridcal.effects.basis import Basis, evaluate
 from aridcal.effects.effect import Effect
 from aridcal.effects.smooth import kernel_root, smooth_precision
-from aridcal.fit.least_squares import flagged
+from aridcal.fit.flags import flagged
 from aridcal.fit.normal_equations import NormalEquations, accumulate
 from aridcal.inputs.channels import Channels, columns, spread
 from aridcal.search.evidence import Score, Solution, solve
@@ -40,9 +40,10 @@ class LinearModel:
         phi: Values of the bases, shape (N, B).
         bases: The bases.
         r: Residual of the geometric stage, linearised, shape (N, m).
-        stale: Rows that repeat another's measurement although the joints moved, shape (N,).
+        limit: Sigmas beyond which each row is flagged, shape (N,).
         run: Number of the row's stretch of time, shape (N,).
         fold: Number of the row's fold for cross-validation, shape (N,).
+        configuration: Number of the row's configuration, shape (N,).
         own: Names of the joints: covariates that are under the user's control.
         table: Covariates of the rows, shape (N,) each.
     """
@@ -55,9 +56,10 @@ class LinearModel:
     phi: np.ndarray
     bases: tuple[Basis, ...]
     r: np.ndarray
-    stale: np.ndarray
+    limit: np.ndarray
     run: np.ndarray
     fold: np.ndarray
+    configuration: np.ndarray
     own: tuple[str, ...]
     table: Mapping[str, np.ndarray]
 
@@ -114,11 +116,13 @@ class Active:
         effect: The effect.
         score: Its evidence, and its shape if it is smooth.
         modes: Coefficients of each mode, shape (d, modes); the coefficients themselves if it is not smooth.
+        stated: True if the campaign declares it: it stays, whatever the evidence.
     """
 
     effect: Effect
     score: Score
     modes: np.ndarray
+    stated: bool = False
 
     @property
     def precision(self) -> np.ndarray:
@@ -214,7 +218,7 @@ def solve_state(model: LinearModel, active: Sequence[Active], sigma: np.ndarray,
         solution = solve(equations, precision, sigma)
         residual = model.r - design @ solution.beta
         sigma = solution.sigma
-        sound = ~flagged(residual, model.channels, model.stale)
+        sound = ~flagged(residual, model.channels, model.limit)
         if np.array_equal(sound, used):
             break
     return State(

@@ -15,10 +15,8 @@ from scipy.stats import f as f_distribution
 from scipy.stats import wilcoxon
 
 from aridcal.effects.effect import Effect
-from aridcal.effects.joint_kinds import ORDERS
 from aridcal.fit.normal_equations import accumulate
 from aridcal.search.evidence import SMOOTH_PRICE, Score, coefficients, price, score, shaped, smooth_tail, solve, tail
-from aridcal.search.hints import SCANNED
 from aridcal.search.linear_model import Active, LinearModel, State, activate, flat, with_candidate
 
 ALPHA = 3e-4
@@ -149,9 +147,9 @@ def _reshaped(model: LinearModel, state: State, effect: Effect, rough: Score) ->
 
 
 def admitted(model: LinearModel, state: State, effect: Effect) -> Active:
-    """An effect that is taken without trial, with the shape that suits the data if it is smooth."""
+    """An effect that the campaign states, taken without trial, with the shape that suits the data if it is smooth."""
     rough = score_all(model, [effect], state)[0]
-    return activate(model, state, effect, refine(model, state, effect, rough))
+    return replace(activate(model, state, effect, refine(model, state, effect, rough)), stated=True)
 
 
 def judge(model: LinearModel, state: State, effect: Effect, found: Score, tested: int) -> Judgement:
@@ -164,34 +162,32 @@ def judge(model: LinearModel, state: State, effect: Effect, found: Score, tested
         found: Its evidence.
         tested: Number of candidates among which it stood out.
     """
-    odd = effect.kind == "joint_harmonic" and max(effect.order) not in ORDERS
-    orders = SCANNED * len(model.own) if odd else 1  # among which this one was the loudest
-    tested += orders if odd else 0
+    tested += effect.looked if effect.hinted else 0
     p_value = min(1.0, found.p_value * tested)
 
-    def judgement(held_back: float, why: str) -> Judgement:
-        return Judgement(effect, found, p_value, held_back, why)
+    def judgement(gain: float, why: str) -> Judgement:
+        return Judgement(effect, found, p_value, gain, why)
 
     if found.gain <= 0.0 or p_value > ALPHA:
         return judgement(0.0, f"not significant (p = {p_value:.2g}, corrected for {tested} candidates)")
     candidate = activate(model, state, effect, found)
-    loss = _losses(model, state, candidate, state.fold)
-    held_back = float(1.0 - loss[1].sum() / loss[0].sum())
+    loss = held_back(model, state, candidate, state.fold).sum(axis=1)
+    share = float(1.0 - loss[1].sum() / loss[0].sum())
     known = any((a.effect.kind, a.effect.where) == (effect.kind, effect.where) for a in state.active)
-    if held_back < (0.0 if known else LEAST):
-        share = 100 * max(held_back, 0.0)
-        return judgement(held_back, f"reduces the cross-validated squared error by only {share:.2g} %")
+    if share < (0.0 if known else LEAST):
+        percent = 100 * max(share, 0.0)
+        return judgement(share, f"reduces the cross-validated squared error by only {percent:.2g} %")
     if effect.smooth:
         robust, least = _ranked(loss), DOUBT
     else:
-        robust, least = orders * _robust(model, state, candidate, np.arange(loss.shape[1])), ROBUST
+        robust, least = effect.looked * _robust(model, state, candidate, np.arange(loss.shape[1])), ROBUST
     if robust > least:
-        return judgement(held_back, f"the gain is not consistent across rows (p = {robust:.2g})")
+        return judgement(share, f"the gain is not consistent across rows (p = {robust:.2g})")
     if not set(_sources(effect)) <= set(model.own):
         robust = _over_time(model, state, candidate)
         if robust > ROBUST:
-            return judgement(held_back, f"seen in too few separate periods of time (p = {robust:.2g})")
-    return judgement(held_back, "")
+            return judgement(share, f"seen in too few separate periods of time (p = {robust:.2g})")
+    return judgement(share, "")
 
 
 def _sources(effect: Effect) -> list[str]:
@@ -205,7 +201,7 @@ def _over_time(model: LinearModel, state: State, candidate: Active) -> float:
     if not candidate.effect.smooth:
         return _robust(model, state, candidate, run)
     # It may have more freedom than there are stretches: whole stretches are held back instead.
-    loss = _losses(model, state, candidate, run % PARTS)
+    loss = held_back(model, state, candidate, run % PARTS).sum(axis=1)
     return _ranked(np.array([np.bincount(run, each) for each in loss]))
 
 
@@ -214,7 +210,7 @@ def _ranked(loss: np.ndarray) -> float:
     return float(wilcoxon(loss[0] - loss[1], alternative="greater").pvalue)
 
 
-def _losses(model: LinearModel, state: State, candidate: Active, part: np.ndarray) -> np.ndarray:
+def held_back(model: LinearModel, state: State, candidate: Active, part: np.ndarray) -> np.ndarray:
     """Squared error in sigmas of each row in use when the rows of its part are held back, without and with a candidate.
 
     Args:
@@ -224,14 +220,14 @@ def _losses(model: LinearModel, state: State, candidate: Active, part: np.ndarra
         part: Number of the part of each row in use, shape (n,).
 
     Returns:
-        Shape (2, n).
+        Shape (2, C, n), channel by channel.
     """
     total, precision = with_candidate(model, state, candidate)
     sigma = solve(total, precision, state.solution.sigma).sigma
     added = state.flat(candidate.columns(model))
     design = [np.hstack([a, c]) for a, c in zip(state.design, added, strict=True)]
     sizes = [channel.size for channel in model.channels]
-    loss = np.zeros((2, len(part)))
+    loss = np.zeros((2, len(sizes), len(part)))
     for k in np.unique(part):
         held = part == k
         own = [np.flatnonzero(np.repeat(held, size)) for size in sizes]
@@ -240,9 +236,9 @@ def _losses(model: LinearModel, state: State, candidate: Active, part: np.ndarra
         rest = total.minus(accumulate(A, b))
         for i, width in enumerate((len(state.precision), len(precision))):
             beta = coefficients(rest.part(np.arange(width)), precision[:width, :width], sigma)
-            for a, values, scale, size in zip(A, b, sigma, sizes, strict=True):
-                left = (values - a[:, :width] @ beta) / scale
-                loss[i, held] += np.sum(left.reshape(-1, size) ** 2, axis=1)
+            for c, (a, values, size) in enumerate(zip(A, b, sizes, strict=True)):
+                left = (values - a[:, :width] @ beta) / sigma[c]
+                loss[i, c, held] = np.sum(left.reshape(-1, size) ** 2, axis=1)
     return loss
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from aridcal.effects.catalogue import KINDS
 from aridcal.effects.effect import Effect
 from aridcal.search.evidence import Score
-from aridcal.search.hints import harmonics
+from aridcal.search.hints import hinted
 from aridcal.search.linear_model import LinearModel, State, activate, solve_state
 from aridcal.search.scoring import ALPHA, Judgement, judge, refine, score_all
 
@@ -99,8 +99,8 @@ def rank(model: LinearModel, library: Sequence[Effect], state: State, scan: bool
     """Score every candidate that is not in the model; the best first, the first few with their noise apart."""
     taken = {a.effect for a in state.active}
     kinds = {e.kind for e in library}
-    held = {(kind, e.where) for e in taken for kind in KINDS[e.kind].holds}
-    scanned = harmonics(model, state) if scan and "joint_harmonic" in kinds else []
+    held = {(kind, e.where) for e in taken if not e.hinted for kind in KINDS[e.kind].holds}
+    scanned = hinted(model, state, kinds) if scan else []
     free = [e for e in (*library, *scanned) if e not in taken and not _is_held(e, held)]
     found = score_all(model, free, state)
     order = sorted(range(len(free)), key=lambda k: -found[k].gain)
@@ -151,6 +151,7 @@ def _tidy(model: LinearModel, library: Sequence[Effect], state: State, rounds: i
     # Harmonics of an order of their own are no part of the library, but are tried again like all else.
     library = list(dict.fromkeys([*library, *(a.effect for a in state.active if a.effect.kind in kinds)]))
     known = set(library)
+    known -= {a.effect for a in state.active if a.stated}
     for _ in range(rounds):
         before = [a.effect for a in state.active]
         for effect in before:
