@@ -63,21 +63,21 @@ def flagged(r: np.ndarray, channels: Channels, limit: np.ndarray) -> np.ndarray:
 
 
 def cluster(flags: np.ndarray, data: Dataset) -> Cluster | None:
-    r"""The window of one coordinate that holds more of the flagged rows than chance would, if there are three or more.
+    r"""The window of one coordinate that holds more of the flagged rows than chance would, if there are two or more.
 
-    Of N rows f are flagged. Take two of them as the ends of a window with n rows. If flags fell anywhere, each of the
-    f - 2 others would lie in it with chance :math:`(n - 2) / (N - 2)`, so that k - 2 or more of them do with
+    Of N rows f are flagged. From one of them, n rows reach to another and hold k of them. If flags fell anywhere, each of
+    the f - 1 others would lie within those n - 1 rows with chance :math:`(n - 1) / (N - 1)`, so that k - 1 or more do with
 
-    .. math:: p = P(\mathrm{Bin}(f - 2, \tfrac{n - 2}{N - 2}) \ge k - 2)
+    .. math:: p = P(\mathrm{Bin}(f - 1, \tfrac{n - 1}{N - 1}) \ge k - 1)
 
-    which is multiplied by the number of windows and of coordinates (Bonferroni): a scan statistic (Naus 1965,
+    which is multiplied by the number of such windows and of coordinates (Bonferroni): a scan statistic (Naus 1965,
     doi:10.1080/01621459.1965.10480810).
 
     Args:
         flags: Shape (N,) bool.
         data: N rows.
     """
-    if flags.sum() < 3:
+    if flags.sum() < 2:
         return None
     places = coordinates(data)
     found = [_window(name, values, flags, len(places)) for name, values in places.items()]
@@ -103,7 +103,7 @@ def _window(name: str, values: np.ndarray, flags: np.ndarray, coordinates: int) 
     low, high = (ends[k] for k in np.triu_indices(len(ends)))
     inside = np.searchsorted(every, high, side="right") - np.searchsorted(every, low)
     hits = np.searchsorted(own, high, side="right") - np.searchsorted(own, low)
-    chance = binom.sf(hits - 3, f - 2, np.maximum(inside - 2, 1) / max(len(every) - 2, 1))
+    chance = binom.sf(hits - 2, f - 1, (inside - 1) / (len(every) - 1))
     best = int(np.argmin(chance))
     a, b = float(low[best]), float(high[best])
     rows = flags & (values >= a) & (values <= b)

@@ -53,7 +53,7 @@ RIVAL_SHARE = 0.5
 PAIRED = 3
 """Functions of two covariates that are added at the most: each costs as much as all functions of one."""
 
-TOGETHER = 0.05
+TOGETHER = 0.5
 """Chance of a cluster of flagged rows at which the search is repeated with them: it costs time, and decides nothing yet."""
 
 EXPLAINED = 0.5

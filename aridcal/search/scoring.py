@@ -31,6 +31,9 @@ ROBUST = 1e-3
 DOUBT = 0.05
 """The same for a smooth function on rows held back, beside its evidence: a second opinion, so the usual 5 %."""
 
+UNTOUCHED = 1e-4
+"""Share of the largest squared motion below which a row says nothing of an effect: a hundredth of the motion."""
+
 CHUNK = 128
 """Columns that are scored at once: their Gram matrix stays in the cache."""
 
@@ -178,7 +181,7 @@ def judge(model: LinearModel, state: State, effect: Effect, found: Score, tested
         percent = 100 * max(share, 0.0)
         return judgement(share, f"reduces the cross-validated squared error by only {percent:.2g} %")
     if effect.smooth:
-        robust, least = _ranked(loss), DOUBT
+        robust, least = _ranked(loss[:, _touched(model, state, effect)]), DOUBT
     else:
         robust, least = effect.looked * _robust(model, state, candidate, np.arange(loss.shape[1])), ROBUST
     if robust > least:
@@ -188,6 +191,12 @@ def judge(model: LinearModel, state: State, effect: Effect, found: Score, tested
         if robust > ROBUST:
             return judgement(share, f"seen in too few separate periods of time (p = {robust:.2g})")
     return judgement(share, "")
+
+
+def _touched(model: LinearModel, state: State, effect: Effect) -> np.ndarray:
+    """Rows in use that an effect can move by more than rounding: a narrow map leaves most of them alone, shape (n,)."""
+    size = np.einsum("nmd,nmd->n", *[model.columns(effect)[state.used]] * 2)
+    return np.asarray(size > UNTOUCHED * size.max())
 
 
 def _sources(effect: Effect) -> list[str]:

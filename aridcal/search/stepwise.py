@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 from aridcal.effects.catalogue import KINDS
@@ -95,13 +95,21 @@ def twins(model: LinearModel, library: Sequence[Effect], state: State) -> tuple[
     )
 
 
-def rank(model: LinearModel, library: Sequence[Effect], state: State, scan: bool = False) -> list[tuple[Effect, Score]]:
-    """Score every candidate that is not in the model; the best first, the first few with their noise apart."""
+def rank(
+    model: LinearModel, library: Sequence[Effect], state: State, hints: Collection[str] = ()
+) -> list[tuple[Effect, Score]]:
+    """Score every candidate that is not in the model; the best first, the first few with their noise apart.
+
+    Args:
+        model: The linearised model.
+        library: Candidates.
+        state: The model as it is.
+        hints: Kinds of which those that the residual hints at are candidates too.
+    """
     taken = {a.effect for a in state.active}
-    kinds = {e.kind for e in library}
     held = {(kind, e.where) for e in taken if not e.hinted for kind in KINDS[e.kind].holds}
-    scanned = hinted(model, state, kinds) if scan else []
-    free = [e for e in (*library, *scanned) if e not in taken and not _is_held(e, held)]
+    every = dict.fromkeys([*library, *hinted(model, state, hints)])
+    free = [e for e in every if e not in taken and not _is_held(e, held)]
     found = score_all(model, free, state)
     order = sorted(range(len(free)), key=lambda k: -found[k].gain)
     enough = PROMISING * found[order[0]].gain if order else 0.0
@@ -122,7 +130,7 @@ def _forward(
     rejected: tuple[Judgement, ...] = ()
     seen = {frozenset(a.effect for a in state.active)}
     while len(state.active) < most:
-        ranked = rank(model, library, state, scan=True)
+        ranked = rank(model, library, state, {e.kind for e in library})
         judgements = []
         chosen = None
         for effect, found in ranked[:JUDGED]:
@@ -159,7 +167,7 @@ def _tidy(model: LinearModel, library: Sequence[Effect], state: State, rounds: i
             if len(active) == len(state.active) or effect not in known:
                 continue
             without = solve_state(model, active, state.solution.sigma, state.used)
-            ranked = rank(model, library, without)
+            ranked = rank(model, library, without, () if effect.hinted else {effect.kind})
             mine = next((s for e, s in ranked if e == effect), None)
             if mine is None:  # a map of the same joint, taken since, holds it
                 state = without
