@@ -31,9 +31,6 @@ ROBUST = 1e-3
 DOUBT = 0.05
 """The same for a smooth function on rows held back, beside its evidence: a second opinion, so the usual 5 %."""
 
-UNTOUCHED = 1e-4
-"""Share of the largest squared motion below which a row says nothing of an effect: a hundredth of the motion."""
-
 CHUNK = 128
 """Columns that are scored at once: their Gram matrix stays in the cache."""
 
@@ -180,10 +177,11 @@ def judge(model: LinearModel, state: State, effect: Effect, found: Score, tested
     if share < (0.0 if known else LEAST):
         percent = 100 * max(share, 0.0)
         return judgement(share, f"reduces the cross-validated squared error by only {percent:.2g} %")
-    if effect.smooth:
-        robust, least = _ranked(loss[:, _touched(model, state, effect)]), DOUBT
+    if effect.smooth and not effect.hinted:
+        robust, least = _ranked(loss), DOUBT
     else:
-        robust, least = effect.looked * _robust(model, state, candidate, np.arange(loss.shape[1])), ROBUST
+        moved = _fitted(model, state, candidate) if effect.smooth else model.columns(effect)
+        robust, least = effect.looked * _robust(model, state, moved, np.arange(loss.shape[1])), ROBUST
     if robust > least:
         return judgement(share, f"the gain is not consistent across rows (p = {robust:.2g})")
     if not set(_sources(effect)) <= set(model.own):
@@ -193,10 +191,11 @@ def judge(model: LinearModel, state: State, effect: Effect, found: Score, tested
     return judgement(share, "")
 
 
-def _touched(model: LinearModel, state: State, effect: Effect) -> np.ndarray:
-    """Rows in use that an effect can move by more than rounding: a narrow map leaves most of them alone, shape (n,)."""
-    size = np.einsum("nmd,nmd->n", *[model.columns(effect)[state.used]] * 2)
-    return np.asarray(size > UNTOUCHED * size.max())
+def _fitted(model: LinearModel, state: State, candidate: Active) -> np.ndarray:
+    """A smooth candidate as the one column that fits best, shape (N, m, 1): of a narrow map few rows know anything."""
+    total, precision = with_candidate(model, state, candidate)
+    beta = solve(total, precision, state.solution.sigma).beta[len(state.precision) :]
+    return candidate.columns(model) @ beta[:, None]
 
 
 def _sources(effect: Effect) -> list[str]:
@@ -208,7 +207,7 @@ def _over_time(model: LinearModel, state: State, candidate: Active) -> float:
     """p-value of what depends on a column that the user does not control, when rows of one stretch may err together."""
     run = np.unique(model.run[state.used], return_inverse=True)[1]
     if not candidate.effect.smooth:
-        return _robust(model, state, candidate, run)
+        return _robust(model, state, model.columns(candidate.effect), run)
     # It may have more freedom than there are stretches: whole stretches are held back instead.
     loss = held_back(model, state, candidate, run % PARTS).sum(axis=1)
     return _ranked(np.array([np.bincount(run, each) for each in loss]))
@@ -251,7 +250,7 @@ def held_back(model: LinearModel, state: State, candidate: Active, part: np.ndar
     return loss
 
 
-def _robust(model: LinearModel, state: State, candidate: Active, cluster: np.ndarray) -> float:
+def _robust(model: LinearModel, state: State, moved: np.ndarray, cluster: np.ndarray) -> float:
     r"""p-value of a candidate when the numbers of one cluster of rows may err together: a cluster-robust score test.
 
     With C its columns off the model's, r the residual and e what it leaves, all in sigmas,
@@ -264,11 +263,11 @@ def _robust(model: LinearModel, state: State, candidate: Active, cluster: np.nda
     Args:
         model: The linearised model.
         state: The model without it.
-        candidate: What is added.
+        moved: The candidate's columns, shape (N, m, d).
         cluster: Number of the cluster of each row in use, shape (n,).
     """
     A = state.whitened(state.design)
-    C = state.whitened(state.flat(model.columns(candidate.effect)))
+    C = state.whitened(state.flat(moved))
     C = C - A @ (state.solution.inverse @ (A.T @ C))
     C = C[:, np.linalg.norm(C, axis=0) > 1e-9]
     r = state.whitened(flat(state.residual[state.used], model.channels))

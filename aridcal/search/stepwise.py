@@ -167,7 +167,7 @@ def _tidy(model: LinearModel, library: Sequence[Effect], state: State, rounds: i
             if len(active) == len(state.active) or effect not in known:
                 continue
             without = solve_state(model, active, state.solution.sigma, state.used)
-            ranked = rank(model, library, without, () if effect.hinted else {effect.kind})
+            ranked = rank(model, library, without, {effect.kind})
             mine = next((s for e, s in ranked if e == effect), None)
             if mine is None:  # a map of the same joint, taken since, holds it
                 state = without
