@@ -37,7 +37,7 @@ def missed(model: LinearModel, state: State) -> State:
 
 def _gain(model: LinearModel, state: State, k: int) -> float:
     """By how many standard errors an effect lowers the squared error of held-back rows; negative if it is not missed."""
-    rest = solve_state(model, _without(state.active, k), state.solution.sigma, state.used)
+    rest = solve_state(model, _without(state.active, k), state.solution.sigma, state.used, fixed=True)
     block = _blocks(model)[rest.used]
     squares = held_back(model, rest, state.active[k], block)
     gain = squares[0] - squares[1]

@@ -11,7 +11,9 @@ from aridcal.effects.basis import Basis
 from aridcal.effects.effect import FRAME_COMPONENTS, Coefficient, Effect
 from aridcal.effects.joint_kinds import ORDERS
 from aridcal.effects.kinds import turns
+from aridcal.fit.flags import OUTLIER
 from aridcal.fit.normal_equations import TINY
+from aridcal.fit.residual import distance
 from aridcal.search.linear_model import LinearModel, State
 
 SCANNED = 800
@@ -79,7 +81,7 @@ def harmonics(model: LinearModel, state: State) -> list[Effect]:
     found = []
     looked = SCANNED * len(model.own)
     for name in model.own:
-        q, pull, weight = _asked(model, state, name)
+        q, pull, weight = _asked(model, state, name, state.residual, state.used)
         orders = _loud_orders(q, pull, float(weight.sum())) if np.ptp(q) >= STILL else []
         for order in orders:
             usual = order in ORDERS  # tried anyway
@@ -97,7 +99,11 @@ def narrow_maps(model: LinearModel, state: State) -> list[Effect]:
 
     The candidate is a smooth function about the loudest window alone: over the rest of the range it costs nothing.
     """
-    places = {name: _asked(model, state, name) for name in model.own}
+    # Flagged rows may be what is to be explained: they count, by as much as a row that is nearly flagged.
+    far = distance(state.residual, state.solution.sigma, model.channels)
+    clipped = state.residual * np.minimum(1.0, OUTLIER / np.maximum(far, TINY))[:, None]
+    every = np.ones(len(clipped), dtype=bool)
+    places = {name: _asked(model, state, name, clipped, every) for name in model.own}
     looked = sum(int(LOOKS * np.ptp(q) / width) for q, _, _ in places.values() for width in WINDOWS)
     found = []
     for name, (q, pull, weight) in places.items():
@@ -111,16 +117,18 @@ def narrow_maps(model: LinearModel, state: State) -> list[Effect]:
     return found
 
 
-def _asked(model: LinearModel, state: State, joint: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A joint's readings in the rows in use, and the turn that each row's residual asks for: pull and weight, shape (n,).
+def _asked(
+    model: LinearModel, state: State, joint: str, residual: np.ndarray, rows: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A joint's readings in some rows, and the turn that each row's residual asks for: pull and weight, shape (n,).
 
     The mean of the turns is taken off: it belongs to the constants.
     """
-    q = model.table[joint][state.used]
+    q = model.table[joint][rows]
     if (joint, "axis") not in model.slot_index:
         return q, np.zeros(len(q)), np.zeros(len(q))
-    column = model.slot_columns(joint, "axis")[state.used] / state.sigma
-    weight, pull = np.sum(column**2, axis=1), np.sum(column * state.residual[state.used] / state.sigma, axis=1)
+    column = model.slot_columns(joint, "axis")[rows] / state.sigma
+    weight, pull = np.sum(column**2, axis=1), np.sum(column * residual[rows] / state.sigma, axis=1)
     return q, pull - weight * pull.sum() / max(weight.sum(), TINY), weight
 
 

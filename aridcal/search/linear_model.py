@@ -199,7 +199,9 @@ def flat(values: np.ndarray, channels: Channels) -> tuple[np.ndarray, ...]:
     return tuple(values[:, part].reshape(rows * channel.size, *tail) for channel, part in parts)
 
 
-def solve_state(model: LinearModel, active: Sequence[Active], sigma: np.ndarray, used: np.ndarray) -> State:
+def solve_state(
+    model: LinearModel, active: Sequence[Active], sigma: np.ndarray, used: np.ndarray, fixed: bool = False
+) -> State:
     """Solve a set of effects, noise and outlier flags with it.
 
     Args:
@@ -207,6 +209,7 @@ def solve_state(model: LinearModel, active: Sequence[Active], sigma: np.ndarray,
         active: Effects.
         sigma: Noise to begin with, shape (C,).
         used: Rows to begin with, shape (N,) bool.
+        fixed: Keep to these rows: what is compared with another model must be solved on the same ones.
     """
     design = np.concatenate([model.A, *(a.columns(model) for a in active)], axis=2)
     precision = block_diag(model.gauge, *(a.precision for a in active))
@@ -219,7 +222,7 @@ def solve_state(model: LinearModel, active: Sequence[Active], sigma: np.ndarray,
         residual = model.r - design @ solution.beta
         sigma = solution.sigma
         sound = ~flagged(residual, model.channels, model.limit)
-        if np.array_equal(sound, used):
+        if fixed or np.array_equal(sound, used):
             break
     return State(
         channels=model.channels,

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from aridcal.effects.catalogue import KINDS
 from aridcal.effects.effect import Effect
 from aridcal.search.evidence import Score
@@ -129,8 +131,10 @@ def _forward(
 ) -> tuple[State, tuple[Judgement, ...]]:
     rejected: tuple[Judgement, ...] = ()
     seen = {frozenset(a.effect for a in state.active)}
+    kinds = {e.kind for e in library}
     while len(state.active) < most:
-        ranked = rank(model, library, state, {e.kind for e in library})
+        before, state = state, _with_rows_of_hints(model, state, kinds)
+        ranked = rank(model, library, state, kinds)
         judgements = []
         chosen = None
         for effect, found in ranked[:JUDGED]:
@@ -143,6 +147,7 @@ def _forward(
                 break
         rejected = tuple(judgements)
         if chosen is None:
+            state = before
             break
         state = solve_state(model, (*state.active, chosen), state.solution.sigma, state.used)
         if small and len(state.active) > 1:
@@ -151,6 +156,15 @@ def _forward(
             break  # what is added is taken out again: this goes round in circles
         seen.add(frozenset(a.effect for a in state.active))
     return state, rejected
+
+
+def _with_rows_of_hints(model: LinearModel, state: State, kinds: Collection[str]) -> State:
+    """The same effects solved with the flagged rows that a hint would explain: they are what it was seen by."""
+    used = state.used.copy()
+    for effect in hinted(model, state, kinds):
+        if effect.smooth:
+            used |= np.any(model.columns(effect), axis=(1, 2))
+    return state if np.array_equal(used, state.used) else solve_state(model, state.active, state.solution.sigma, used, True)
 
 
 def _tidy(model: LinearModel, library: Sequence[Effect], state: State, rounds: int, tested: int) -> State:
@@ -166,7 +180,7 @@ def _tidy(model: LinearModel, library: Sequence[Effect], state: State, rounds: i
             active = [a for a in state.active if a.effect != effect]
             if len(active) == len(state.active) or effect not in known:
                 continue
-            without = solve_state(model, active, state.solution.sigma, state.used)
+            without = solve_state(model, active, state.solution.sigma, state.used, fixed=True)
             ranked = rank(model, library, without, {effect.kind})
             mine = next((s for e, s in ranked if e == effect), None)
             if mine is None:  # a map of the same joint, taken since, holds it
@@ -187,7 +201,7 @@ def _twins(model: LinearModel, library: Sequence[Effect], state: State, k: int) 
     """Candidates that would do about as well in the place of one of the effects."""
     mine = state.active[k]
     active = [a for a in state.active if a is not mine]
-    without = solve_state(model, active, state.solution.sigma, state.used)
+    without = solve_state(model, active, state.solution.sigma, state.used, fixed=True)
     ranked = rank(model, library, without)
     own = next((s for e, s in ranked if e == mine.effect), None)
     if own is None:
