@@ -20,7 +20,7 @@ from rich.table import Table
 from aridcal.command_line import CommandParser, command_parser, run
 from aridcal.files import check_writable
 from aridcal.head.detections import CACHE
-from aridcal.result.key_figures import rms_position, scored
+from aridcal.result.key_figures import every_held_out_row, rms_position, scored
 from aridcal.result.outcome import Outcome, Verification, errors
 from aridcal.result.pipeline import identify
 from aridcal.result_folder import write_folder
@@ -42,6 +42,8 @@ SHOWN_AS = {"rms": "RMS", "p95": "p95", "max": "max"}
 def summary(outcome: Outcome, console: Console) -> None:
     """Print the figures that matter."""
     console.print(_error_table(outcome))
+    if outcome.parts()["test_all"].any():
+        console.print(every_held_out_row(outcome), markup=False)
     for effect in outcome.effects:
         console.print(_effect_line(effect), markup=False)
     if outcome.diagnosis is not None and outcome.diagnosis.tested:
@@ -49,7 +51,10 @@ def summary(outcome: Outcome, console: Console) -> None:
     if outcome.verification is not None:
         for line in _verification_lines(outcome.verification):
             console.print(line, markup=False)
-    console.print(f"verdict: {outcome.verdict}: {VERDICTS[outcome.verdict]}", markup=False)
+    said = outcome.verdict
+    console.print(f"verdict: {said.word}: {VERDICTS[said.word]}", markup=False)
+    for reason in said.reasons:
+        console.print(f"  {reason}", markup=False)
     for notice in outcome.notices[:MOST_NOTICES]:
         console.print(f"note: {notice}", markup=False)
 

@@ -31,6 +31,7 @@ from aridcal.robot.chain import parse_robot
 from aridcal.robot.doty import doty_links
 from aridcal.search.gains import Curve, Diagnosis, NamedEffect, Rejected
 from aridcal.search.noise_tests import Clue
+from aridcal.search.verdict import Verdict
 
 ANSWERS = ["data", "separable", "enough", "fits", "depends", "remains", "parameters", "use"]
 HOSTILE = """<img src=x onerror="alert('1')">$\\frac{1}{0}$ &amp;"""
@@ -327,7 +328,7 @@ def test_many_outliers_question_the_data(outcome: Outcome, report: str) -> None:
     ],
 )
 def test_the_verdict_is_said_in_words(outcome: Outcome, verdict: str, words: str) -> None:
-    first = join(list(summary(replace(outcome, verdict=verdict, unexplained_fraction=0.42))))
+    first = join(list(summary(replace(outcome, verdict=Verdict(verdict, 0.42, ("rows differ",))))))
     assert words in first
     assert "42 % of the remaining variance" in first
 

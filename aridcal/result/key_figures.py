@@ -91,13 +91,25 @@ class JointRange:
 def scored(outcome: Outcome) -> tuple[np.ndarray, str]:
     """The rows that judge the calibration: those held out, or those fitted if none were; outliers are excluded.
 
+    If all held-out rows are outliers, they judge it all the same.
+
     Returns:
         A mask of the rows, shape (N,), and what they are called.
     """
     parts = outcome.parts()
     if parts["test"].any():
         return parts["test"], "held-out rows"
+    if parts["test_all"].any():
+        return parts["test_all"], "held-out rows, all flagged as outliers"
     return parts["train"], "fitted rows"
+
+
+def every_held_out_row(outcome: Outcome) -> str:
+    """The error of the final model on all held-out rows, flagged ones too, in words."""
+    every = outcome.parts()["test_all"]
+    flagged = int((every & outcome.outlier).sum())
+    error = rms_position(outcome.stages[-1].residual, every)
+    return f"{flagged} of {every.sum():,} held-out rows flagged as outliers; {error:.3f} mm RMS with all of them"
 
 
 def row_errors(residual: np.ndarray, channels: Channels) -> np.ndarray:

@@ -16,6 +16,7 @@ from aridcal.robot.chain import Robot
 from aridcal.search.arm_and_head import MeasuringHead
 from aridcal.search.gains import Diagnosis, NamedEffect
 from aridcal.search.residual_trends import Traces
+from aridcal.search.verdict import Verdict
 
 STATISTICS = ("rms", "mean", "median", "p95", "max")
 
@@ -68,8 +69,7 @@ class Outcome:
         noise_source: ``declared`` or ``estimated``.
         repeats: Rows that repeat a configuration; None where there are none.
         precision: Uncertainty of the target.
-        verdict: ``noise_floor``, ``structure_remains`` or ``not_enough_data``.
-        unexplained_fraction: Share of the remaining variance that is repeatable beyond the noise.
+        verdict: What may be said of what remains.
         notices: Sentences that the user should read.
         seconds: Wall time.
         verification: Another day's data, if it was given.
@@ -87,8 +87,7 @@ class Outcome:
     noise_source: str
     repeats: Repeats | None
     precision: Precision
-    verdict: str
-    unexplained_fraction: float
+    verdict: Verdict
     notices: tuple[str, ...]
     seconds: float
     traces: Traces

@@ -160,7 +160,12 @@ def _diagnosed(
 
 
 def _only_missed(
-    start: Start, current: Fit, found: Found, library: Sequence[Effect], observed: Observed, progress: Callable[[str], None]
+    start: Start,
+    current: Fit,
+    found: Found,
+    library: Sequence[Effect],
+    observed: Observed,
+    progress: Callable[[str], None],
 ) -> tuple[Place, Fit, Found]:
     """The model about its own optimum, without the effects that are not missed on blocks held back."""
     place = Place(current, linear_model(start, current, found.state.active, library, observed))

@@ -9,14 +9,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from aridcal.effects.basis import evaluate
-from aridcal.effects.catalogue import KINDS, Barred, merged
+from aridcal.effects.catalogue import Barred, merged
 from aridcal.effects.effect import ANGULAR, Coefficient, Effect
 from aridcal.fit.least_squares import Fit
 from aridcal.fit.normal_equations import TINY, without
 from aridcal.fit.residual import Problem, problem
 from aridcal.inputs.dataset import Dataset
 from aridcal.search.diagnose import Diagnosed
-from aridcal.search.noise_tests import LEAST, Clue
+from aridcal.search.noise_tests import Clue
 
 GRID = 160
 """Points of a curve, at least: it is drawn without corners."""
@@ -161,16 +161,6 @@ def explain(diagnosed: Diagnosed, every: Dataset, scored: np.ndarray, clues: Seq
         tested=found.tested,
         clues=tuple(clues),
     )
-
-
-def verdict(clues: Sequence[Clue], diagnosed: Diagnosed, enough: bool) -> tuple[str, float]:
-    """The campaign's verdict, and the share of the remaining variance that is repeatable."""
-    share = max((c.share for c in clues if c.tells), default=0.0)
-    if not enough:
-        return "not_enough_data", share
-    # What has no name is followed by a smooth curve at best: between and beyond the rows it is not known.
-    unnamed = any(not KINDS[a.effect.kind].named for a in diagnosed.found.state.active)
-    return ("structure_remains" if share > LEAST or unnamed else "noise_floor"), share
 
 
 def identity(effect: Effect) -> tuple[object, ...]:

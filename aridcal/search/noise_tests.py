@@ -28,7 +28,7 @@ FEWEST = 16
 SHUFFLES = 400
 """Orders drawn at random that tell how much chance varies: its spread is then known to 4 %."""
 
-Question = Literal["repeats", "neighbours", "order", "declared"]
+Question = Literal["repeats", "neighbours", "order", "declared", "held_out", "offset", "flags"]
 
 
 @dataclass(frozen=True)

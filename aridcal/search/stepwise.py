@@ -164,7 +164,11 @@ def _with_rows_of_hints(model: LinearModel, state: State, kinds: Collection[str]
     for effect in hinted(model, state, kinds):
         if effect.smooth:
             used |= np.any(model.columns(effect), axis=(1, 2))
-    return state if np.array_equal(used, state.used) else solve_state(model, state.active, state.solution.sigma, used, True)
+    return (
+        state
+        if np.array_equal(used, state.used)
+        else solve_state(model, state.active, state.solution.sigma, used, True)
+    )
 
 
 def _tidy(model: LinearModel, library: Sequence[Effect], state: State, rounds: int, tested: int) -> State:
