@@ -50,9 +50,10 @@ from aridcal.result.pipeline import identify
 OFF = 0.7  # miss in sigma at which nobody may say that only noise is left
 WHOLE = 1.3  # times the oracle's miss within which a fault is found whole
 PLACED = 0.02  # share of the rows by which a step may be placed wrongly
-CLOSE = 0.15  # relative error of a scatter that still names it
-WORSE = 1.05  # times the nominal robot's miss that no calibration may exceed
+CLOSE = 0.15  # relative error of a number that still names it
+WORSE = 1.05  # times the miss of the nominal robot with its frames fitted: no calibration may exceed it
 PATIENCE = 300  # for one case, [s]
+QUIET = ("clean", "copies")  # of which noise_floor is the right verdict
 HEAD = "attack        cases failed floor struct few false wrongly  named  whole"
 VERDICTS = {"noise_floor": "floor", "structure_remains": "structure", "not_enough_data": "few"}
 
@@ -73,6 +74,7 @@ class Score:
         close: What else is asked of an answer, and whether it holds.
         miss: Of the final model, [sigma].
         oracle: Of the oracle, [sigma].
+        nominal: Of the nominal robot with its frames fitted, [sigma].
         curve: Of an oracle that knows the fault as a smooth curve; nan where it is none.
         seconds: Wall time.
     """
@@ -88,6 +90,7 @@ class Score:
     close: Mapping[str, bool]
     miss: float
     oracle: float
+    nominal: float
     curve: float
     seconds: float
 
@@ -114,8 +117,9 @@ class Score:
         marks += [f"NOT {what}" for what, right in self.close.items() if not right]
         curve = f", curve {self.curve:.3f}" if np.isfinite(self.curve) else ""
         return (
-            f"{', '.join(marks) or 'ok'}: {self.seed} {self.attack}: {self.told} -> {self.said} | {self.verdict} | miss "
-            f"{self.miss:.3f}, oracle {self.oracle:.3f} ({self.miss / self.oracle:.2f}){curve} | {self.seconds:.1f} s"
+            f"{', '.join(marks) or 'ok'}: {self.seed} {self.attack}: {self.told} -> {self.said} | {self.verdict} | "
+            f"miss {self.nominal:.2f} -> {self.miss:.3f}, oracle {self.oracle:.3f} ({self.miss / self.oracle:.2f}){curve} | "
+            f"{self.seconds:.1f} s"
         )
 
 
@@ -160,7 +164,7 @@ def judge(case: Case) -> Score:
     return Score(
         case.attack, case.seed, f"{kind}{', time' if s.timed else ''}; {s.said}", " + ".join(words) or "nothing",
         result["verdict"], sum(not is_cause(case, e) for e in effects), case.contradicted, right, close, miss,
-        case.oracle, case.curve, seconds,
+        case.oracle, case.nominal, case.curve, seconds,
     )  # fmt: skip
 
 
@@ -192,21 +196,33 @@ def named(case: Case, result: Mapping[str, Any], miss: float) -> tuple[bool, dic
     """Whether a result says what is the matter, and what else of it is right.
 
     - A step: a ``shift`` at the right place and row. A bump or a payload: the kind and the joint.
-    - Held-out rows that contradict: any verdict but noise_floor.
+    - Held-out rows that contradict: any verdict but noise_floor. A base that wanders: that, or an effect of the base.
     - A joint that scatters: it scatters most of all in ``noise.joint_readings``; of all joints: each that moves the target
       by more than the instrument's noise is there.
+    - Wild rows: all of them are flagged, and there is no effect.
+    - Markers of one body, few poses: the final model is no worse than the nominal one.
     - Nothing, or noise of another kind: no effect.
     """
-    s, cause, effects = case.scene, case.scene.cause, result["effects"]
+    s, cause, effects, verdict = case.scene, case.scene.cause, result["effects"], result["verdict"]
     if case.contradicted:
-        return result["verdict"] != "noise_floor", {}
+        return verdict != "noise_floor", {}
     if s.scatter.any():
         return _scatter_named(case, result)
+    if s.label is not None:
+        return miss <= WORSE * case.nominal, {}
+    if case.wild:
+        flagged = {row["row"] - FIRST_LINE for row in result["n"].get("outlier_rows", ())}
+        return set(case.wild) <= flagged and not effects, {}
     if cause is None:
-        return not effects, {}
+        return not effects, {"noise_floor": verdict == "noise_floor"} if case.attack in QUIET else {}
     own = [e for e in effects if is_cause(case, e)]
+    if case.attack == "walk":
+        return bool(own) or verdict != "noise_floor", {}
     if cause.row is not None:
         return any(placed(case, e) for e in own), {"at the right place": bool(own)}
+    if cause.value is not None:
+        first = [e["coefficients"][0]["value"] for e in own if e["kind"] in cause.kinds]
+        return bool(own), {"value within 15 %": any(abs(v / cause.value - 1.0) <= CLOSE for v in first)}
     return bool(own), {}
 
 

@@ -180,6 +180,7 @@ class Measuring:
     Attributes:
         error: Of the instrument, in world axes, shape (N, 6), [m] and [rad].
         growth: Sigma of each row over the instrument's, shape (N,).
+        step: To which positions are rounded, [m]; 0 if they are not.
         wild: Rows that are grossly wrong, by their number.
         contradicted: Whether the rows that lie apart contradict those that are fitted.
         shuffled: Whether the table's rows are not in the order of measuring.
@@ -189,6 +190,7 @@ class Measuring:
 
     error: np.ndarray
     growth: np.ndarray
+    step: float = 0.0
     wild: tuple[int, ...] = ()
     contradicted: bool = False
     shuffled: bool = False
@@ -228,14 +230,17 @@ def white(scene: Scene) -> Measuring:
 def measure(attack: str, seed: int, scene: Scene, how: Measuring) -> Case:
     """Make the table, and what a fit that knows the truth would make of it."""
     s, n, m = scene, scene.n, len(scene.per_number)
-    test = np.zeros(n, dtype=bool)
-    test[s.rng.permutation(n)[: round(TEST_SHARE * n)]] = True
+    # What is measured from one configuration stays together.
+    _, one = np.unique(s.q[:n], axis=0, return_inverse=True)
+    count = int(one.max()) + 1
+    test = np.isin(one.ravel(), s.rng.permutation(count)[: round(TEST_SHARE * count)])
     jitter = s.scatter * s.rng.standard_normal((n, len(s.scatter)))
     R, p = s.arm.target(
         (s.q + s.joints)[:n] + jitter, s.world @ small(s.base[:n]),
         (s.tool if s.tool.ndim == 2 else s.tool[:n]) @ small(s.held[:n]), s.off,
     )  # fmt: skip
     p = p + how.error[:, :3]
+    p = np.round(p / how.step) * how.step if how.step else p
     R = Rotation.from_rotvec(how.error[:, 3:]).as_matrix() @ R
     table = pd.DataFrame(dict(zip(s.arm.names, s.q[:n].T, strict=True)))
     table[["x", "y", "z"]] = p

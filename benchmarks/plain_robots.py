@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +15,7 @@ MOST = 2.6
 """[rad]: no joint turns further to either side, as in a cell."""
 
 
-def _links(rows: list[tuple[str, tuple[float, ...], tuple[float, ...], str, float, float]], mass: float) -> str:
+def _links(rows: Sequence[tuple[str, tuple[float, ...], tuple[float, ...], str, float, float]], mass: float) -> str:
     """A URDF of joints (type, xyz, rpy, axis, lower, upper); masses fall towards the tip."""
     text = ['<robot name="plain"><link name="base"/>']
     for k, (kind, xyz, rpy, axis, low, high) in enumerate(rows, start=1):
@@ -89,3 +89,5 @@ def _arid(_: np.random.Generator) -> Arm:
 ARMS: dict[str, Callable[[np.random.Generator], Arm]] = {
     "six": _random_six, "ur10": _ur10, "scara": _scara, "arid": _arid, "metre": _metre, "ur-like": _like_ur,
 }  # fmt: skip
+HEAVY = ("six", "ur10", "metre", "ur-like")
+"""Arms that gravity loads and that a payload of ten kilograms bends."""
