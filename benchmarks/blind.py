@@ -29,7 +29,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from machines import NAMED, Case, basis_of, contribution, draw_case
+from machines import ADDED, NAMED, Case, basis_of, contribution, draw_case
 
 from aridcal.effects.effect import Effect
 from aridcal.fit.identifiable import identifiable
@@ -52,6 +52,7 @@ class Score:
     Attributes:
         seed: Makes the case again.
         what: ``clean``, ``single``, ``combination`` or ``off``.
+        kind: Which of the kinds of ``machines.py`` was asked for.
         family: Of the robot.
         truth: What is wrong, in words.
         kinds: Kind of each true effect.
@@ -68,6 +69,7 @@ class Score:
 
     seed: int
     what: str
+    kind: str | None
     family: str
     truth: str
     kinds: tuple[str, ...]
@@ -132,7 +134,7 @@ def judge(case: Case) -> Score:
     words = [f"{e[0].label} {'/'.join(m)} of {','.join(e[0].covariates[:2])}"
              for e in named.values() for m in [dict.fromkeys(c for x in e for c in x.motion)]]  # fmt: skip
     return Score(
-        case.seed, case.what, case.family, case.names, tuple(c.effect.kind for c in case.causes), right,
+        case.seed, case.what, case.kind, case.family, case.names, tuple(c.effect.kind for c in case.causes), right,
         len(named) - len(used), " + ".join(words) or "nothing", said, error(geometric, case), error(found.fit, case),
         error(oracle(case, geometric), case), seconds, len(case.rows),
     )  # fmt: skip
@@ -223,17 +225,27 @@ def _too_long(*_: object) -> None:
 
 
 def jobs(cases: int, clean: int, seed: int, only: str | None, share: float) -> list[tuple[int, str, str | None, float]]:
-    """What to run: 6 of 10 cases with effects have one, 2 have two or three, 2 one without a name."""
+    """What to run: 6 of 10 cases with effects have one, 2 have two or three, 2 one without a name.
+
+    One in five more is of a kind of :data:`ADDED`: of four of these, three have one effect and one has two or three.
+    """
     found: list[tuple[int, str, str | None, float]] = []
     for k in range(cases):
         number = seed * 100_000 + k
+        if only in ADDED:
+            found.append((number + FROM, "single", only, share))
+            continue
         what = only if only in ("single", "combination", "off") else "single" if only else PLAN[k % 10]
         kind = only if only in NAMED else NAMED[k % len(NAMED)] if what == "single" else None
         found.append((number, what, kind, share))
+    for k in range(cases // 5 if only is None else 0):
+        what = "combination" if k % 4 == 3 else "single"
+        found.append((seed * 100_000 + FROM + k, what, ADDED[k % len(ADDED)], share))
     found += [(seed * 100_000 + 50_000 + k, "clean", None, share) for k in range(clean)]
     return found
 
 
+FROM = 40_000  # number of the first case of an added kind
 PLAN = ("single", "single", "combination", "single", "off", "single", "single", "combination", "single", "off")
 
 
@@ -241,8 +253,8 @@ def report(scores: Sequence[Score], failed: Sequence[str], seconds: float) -> No
     """Print the figures."""
     by = {what: [s for s in scores if s.what == what] for what in ("single", "combination", "off", "clean")}
     print()
-    for kind in NAMED:
-        rows = [s for s in by["single"] if s.kinds[0] == kind]
+    for kind in (*NAMED, *ADDED):
+        rows = [s for s in by["single"] if s.kind == kind]
         if rows:
             good = sum(s.right[0] for s in rows)
             print(f"  {kind:20} {good:3}/{len(rows):<3} named right, {sum(s.invented for s in rows)} invented beside")
@@ -288,7 +300,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--clean", type=int, default=500, help="without")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--only", choices=("single", "combination", "off", *NAMED), help="cases with effects to run")
+    parser.add_argument(
+        "--only", choices=("single", "combination", "off", *NAMED, *ADDED), help="cases with effects to run"
+    )
     parser.add_argument("--outliers", type=float, default=0.0, help="share of the rows grossly wrong")
     parser.add_argument("--replay", type=int, metavar="SEED", help="one case (with the same --only)")
     parser.add_argument("--verbose", action="store_true", help="a line for every case, not only for those to look at")
@@ -296,9 +310,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     todo = jobs(arguments.cases, arguments.clean, arguments.seed, arguments.only, arguments.outliers)
     if arguments.replay is not None:
         base, k = divmod(arguments.replay, 100_000)
-        clean = k >= 50_000
-        again = jobs(0 if clean else k + 1, k - 50_000 + 1 if clean else 0, base, arguments.only, arguments.outliers)
-        todo, arguments.verbose = again[-1:], True
+        every = jobs(FROM, 50_000, base, arguments.only, arguments.outliers)
+        todo, arguments.verbose = [job for job in every if job[0] == arguments.replay], True
+        if not todo:
+            parser.error(f"--replay: no case has the number {k} with the base {base}")
     os.environ["OMP_NUM_THREADS"] = "1"  # for the workers: the arrays are too small to gain from more
     started = time.perf_counter()
     scores, failed = [], []

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
+from random_robots import FAMILIES, draw_robot
 from scipy.spatial.transform import Rotation
 
 from aridcal.effects.basis import Basis
+from aridcal.effects.catalogue import KINDS
 from aridcal.effects.effect import FRAME_COMPONENTS, Coefficient, Effect
 from aridcal.effects.loads import Surroundings, covariate_table
 from aridcal.errors import CampaignError
@@ -22,13 +24,16 @@ from aridcal.inputs.dataset import Dataset, dataset
 from aridcal.model.model import Model
 from aridcal.prepare.simulation import draw_readings
 from aridcal.prepare.true_effects import Cause, TrueEffect, draw_columns, make_causes
-from aridcal.robot.chain import Robot, parse_robot
+from aridcal.robot.chain import Robot
 
-FAMILIES = ("rail", "six", "seven", "scara", "gantry")
 NAMED = (
     "joint_gain", "joint_harmonic", "joint_map", "joint_backlash", "joint_compliance", "bearing_compliance",
     "axis_wobble", "rail_straightness", "rail_angular", "joint_coupling", "thermal", "drift", "payload_compliance",
 )  # fmt: skip
+ADDED = ("payload", "bump", *(("shift",) if "shift" in KINDS else ()))
+"""Cases that have numbers of their own, so that those of :data:`NAMED` stay what they were: a ``joint_compliance`` with a
+payload on it, a ``joint_map`` that is one narrow bump, and a ``shift``, once there is this kind."""
+
 CURVES = {
     "joint_map": (("axis",), 36, (2.0, 4.0, 8.0)),
     "rail_straightness": (("t1", "t2"), 18, (3.0, 6.0, 12.0)),
@@ -39,10 +44,12 @@ SIZES = (1.0, 40.0)  # of an effect: RMS per component in sigma, after projectio
 ROWS = (100, 400)
 QUERIES = 200
 TEST_SHARE = 0.2
+WIDTHS = (0.05, 0.2)  # of a narrow bump: standard deviation of the Gaussian most like it, [rad]
+BELL = 1.0 / np.sqrt(3.0)  # that of the spline of a curve's knot, in distances of knots
+STEPS = (0.2, 0.8)  # where in the rows something moves once, of all rows
+MOVED = "moved"  # column that is -1 before that and 0 after it
 TOO_MUCH = 0.03  # an effect that must move the target by more than this to be seen at all is drawn anew, [m], [rad]
 OUTLIERS = (20.0, 100.0)  # how far off a gross error is, [sigma]
-
-Draw = tuple[float, ...]
 
 
 @dataclass(frozen=True)
@@ -52,6 +59,7 @@ class Case:
     Attributes:
         seed: Makes it again.
         what: ``clean``, ``single``, ``combination`` or ``off`` (no catalogue has it).
+        kind: Which of :data:`NAMED` or :data:`ADDED` was asked for.
         family: Of the robot.
         campaign: What the user would have written.
         rows: Measured, train and test.
@@ -67,6 +75,7 @@ class Case:
 
     seed: int
     what: str
+    kind: str | None
     family: str
     campaign: Campaign
     rows: Dataset
@@ -93,7 +102,7 @@ def draw_case(seed: int, what: str, kind: str | None = None, outliers: float = 0
     Args:
         seed: Fixes everything.
         what: ``clean``, ``single``, ``combination`` or ``off``.
-        kind: Of a single effect.
+        kind: Of a single effect, or of the first of a combination.
         outliers: Share of the rows that are grossly wrong.
     """
     rng = np.random.default_rng(seed)
@@ -133,22 +142,30 @@ def _draw(seed: int, what: str, kind: str | None, outliers: float, rng: np.rando
 
     count = {"clean": 0, "single": 1, "off": 1, "combination": int(rng.integers(2, 4))}[what]
     causes: list[Cause] = []
-    lengths: list[float | None] = []
+    drawn: list[np.ndarray | None] = []
     known = dict(columns)
     for k in range(count):
         one = kind if kind is not None and k == 0 else str(rng.choice(NAMED))
-        length = None
+        shape = None
         if what == "off":
             made, known = make_causes([_off(robot, columns, rng)], robot, readings, columns, around, rng, "case")
             cause: Cause | None = made[0]
         elif one in CURVES:
-            cause, length = _curve(one, robot, readings, rng)
+            cause, shape = _curve(one, robot, readings, rng)
+        elif one == "bump":
+            cause, shape = _bump(robot, readings, rng)
+        elif one == "shift":
+            cause, known[MOVED] = _shift(robot, total, pose, rng)
+        elif one == "payload":
+            cause = _named("joint_compliance", robot, readings, columns, around, rng) if one in columns else None
         else:
             cause = _named(one, robot, readings, columns, around, rng)
-        if cause is None or any(c.effect.kind == one and c.effect.where == cause.effect.where for c in causes):
+        if cause is None or any(
+            (c.effect.kind, c.effect.where) == (cause.effect.kind, cause.effect.where) for c in causes
+        ):
             return None
         causes.append(cause)
-        lengths.append(length)
+        drawn.append(shape)
 
     place = [Coefficient(where, c) for where in ("world_base", "tip_target") for c in FRAME_COMPONENTS]
     geometry = (*place, *constants(robot, "full"))
@@ -159,6 +176,10 @@ def _draw(seed: int, what: str, kind: str | None, outliers: float, rng: np.rando
 
     query = np.zeros(total, dtype=bool)
     query[rng.choice(total, QUERIES, replace=False)] = True
+    if MOVED in known:  # what is asked for is how the machine is now
+        known |= {MOVED: np.where(query, 0.0, known[MOVED])} | (
+            {"time": _last(known["time"], query)} if "time" in known else {}
+        )
     test = rng.random(n) < TEST_SHARE
     bare = truth.with_coefficients(geometry)
     R, p = bare.poses(values, bare.rows(readings[~query]))
@@ -169,7 +190,7 @@ def _draw(seed: int, what: str, kind: str | None, outliers: float, rng: np.rando
     J = contribution(truth, zero, perfect.select(~test), sigma)
     U = basis_of(J[:, : len(geometry)])
     at, sizes, scaled, shapes = len(geometry), [], [], []
-    for cause, length in zip(causes, lengths, strict=True):
+    for cause, shape in zip(causes, drawn, strict=True):
         d = len(cause.values)
         moved = J[:, at : at + d] @ cause.values
         at += d
@@ -181,13 +202,15 @@ def _draw(seed: int, what: str, kind: str | None, outliers: float, rng: np.rando
         if factor * np.abs(moved.reshape(-1, len(per_number)) * per_number).max() > TOO_MUCH:
             return None
         scaled.append(Cause(cause.effect, factor * cause.values, cause.ranges))
-        shapes.append(None if length is None else factor**2 * stiffness(len(cause.values), length))
+        shapes.append(None if shape is None else factor**2 * shape)
         sizes.append(size)
     theta = np.concatenate([values, *(c.values for c in scaled)])
 
     R, p = truth.poses(theta, truth.rows(readings, known))
     unseen = dataset(robot.readings, robot.kinds, readings[query], p[query], R[query] if pose else None,
                      covariates={k: v[query] for k, v in known.items()})  # fmt: skip
+    if "order" in {f.name for f in fields(unseen)}:
+        unseen = replace(unseen, **{"order": np.full(QUERIES, np.inf)})  # type: ignore[arg-type]
     error = rng.standard_normal((n, 6))
     wrong = rng.permutation(n)[: round(outliers * n)]
     direction = rng.standard_normal((len(wrong), 2, 3))
@@ -199,7 +222,7 @@ def _draw(seed: int, what: str, kind: str | None, outliers: float, rng: np.rando
     noise = tuple(sigma.tolist()) if rng.random() < 0.7 else ()
     measured = replace(perfect, position=p, rotation=rotation, sigma=noise or perfect.sigma)
     rows = replace(measured, covariates={name: measured.covariates[name] for name in columns})
-    return Case(seed, what, family, _campaign(robot, gravity, pose, noise), rows, measured.select(~test), truth, theta,
+    return Case(seed, what, kind, family, _campaign(robot, gravity, pose, noise), rows, measured.select(~test), truth, theta,
                 tuple(scaled), tuple(shapes), tuple(sizes), sigma, unseen)  # fmt: skip
 
 
@@ -267,21 +290,56 @@ def _named(
     return Cause(cause.effect, values if len(values) > 1 else np.ones(1), {})
 
 
-def _curve(kind: str, robot: Robot, readings: np.ndarray, rng: np.random.Generator) -> tuple[Cause | None, float]:
-    """A smooth curve over a joint's travel, and its correlation length in knots."""
+def _curve(
+    kind: str, robot: Robot, readings: np.ndarray, rng: np.random.Generator
+) -> tuple[Cause | None, np.ndarray | None]:
+    """A smooth curve over a joint's travel, and the covariance of its knots."""
     components, count, lengths = CURVES[kind]
     joints = [k for k, j in enumerate(robot.joints) if kind == "joint_map" or j.kind == "prismatic"]
     length = float(rng.choice(lengths))
     if not joints:
-        return None, length
+        return None, None
     k = int(rng.choice(joints))
     name, travel = robot.names[k], robot.positions(readings)[:, k]
     low, step = float(travel.min()), float(np.ptp(travel)) / (count - 3)
     motion = str(rng.choice(components))
     # One knot beyond each end: a curve is not to know where the rows end.
     knots = tuple(Coefficient(name, motion, Basis("bump", (name,), (low + (i - 1) * step, step))) for i in range(count))
-    values = np.linalg.cholesky(stiffness(count, length)) @ rng.standard_normal(count)
-    return Cause(Effect(kind, name, knots, smooth=True), values, {}), length
+    shape = stiffness(count, length)
+    values = np.linalg.cholesky(shape) @ rng.standard_normal(count)
+    return Cause(Effect(kind, name, knots, smooth=True), values, {}), shape
+
+
+def _bump(robot: Robot, readings: np.ndarray, rng: np.random.Generator) -> tuple[Cause | None, np.ndarray | None]:
+    """An error curve that is nil but for one knot, and the covariance of its knots to one who knows not which."""
+    turning = [k for k, j in enumerate(robot.joints) if j.kind == "revolute"]
+    if not turning:
+        return None, None
+    k = int(rng.choice(turning))
+    name, travel = robot.names[k], robot.positions(readings)[:, k]
+    width = float(np.exp(rng.uniform(*np.log(WIDTHS))))
+    low, step = float(travel.min()) - float(rng.random()) * width / BELL, width / BELL
+    count = int(np.ceil((float(travel.max()) - low) / step)) + 1
+    knots = tuple(Coefficient(name, "axis", Basis("bump", (name,), (low + i * step, step))) for i in range(count))
+    values = np.zeros(count)
+    values[int(rng.integers(1, count - 1))] = float(rng.choice((-1.0, 1.0)))
+    return Cause(Effect("joint_map", name, knots, smooth=True), values, {}), np.eye(count) / count
+
+
+def _shift(robot: Robot, total: int, pose: bool, rng: np.random.Generator) -> tuple[Cause, np.ndarray]:
+    """A base, a target or a joint's zero that moved between two rows, and the column that says when."""
+    where = str(rng.choice([*robot.names, "world_base", "world_base", "tip_target", "tip_target"]))
+    motion = {"world_base": FRAME_COMPONENTS, "tip_target": FRAME_COMPONENTS[: 6 if pose else 3]}.get(where, ("axis",))
+    once = Basis("linear", (MOVED,), (0.0,))
+    values = rng.standard_normal(len(motion))
+    after = np.arange(total) >= int(rng.uniform(*STEPS) * total)
+    effect = Effect("shift", where, tuple(Coefficient(where, component, once) for component in motion))
+    return Cause(effect, values, {}), np.where(after, 0.0, -1.0)
+
+
+def _last(time: np.ndarray, query: np.ndarray) -> np.ndarray:
+    """Time of the last row in place of what the rows of a query have."""
+    return np.where(query, time.max(), time)
 
 
 def stiffness(count: int, length: float) -> np.ndarray:
@@ -315,104 +373,3 @@ def _campaign(robot: Robot, gravity: np.ndarray, pose: bool, noise: tuple[float,
         "robot": {"urdf": Path("robot.urdf"), "tip": robot.tip, "gravity": gravity.tolist()},
         "measurements": {"file": (Path("rows.csv"),), "kind": "pose" if pose else "position", "noise": declared},
     })  # fmt: skip
-
-
-# -- robots
-
-
-def draw_robot(family: str, rng: np.random.Generator) -> tuple[Robot, np.ndarray]:
-    """A robot of one of :data:`FAMILIES` with random lengths and masses, and gravity in its base's frame."""
-    joints, gravity = _BUILD[family](rng)
-    return parse_robot(_urdf(joints, rng), "tip"), np.array(gravity)
-
-
-# (kind, origin xyz, axis, lower, upper) of each joint.
-Link = tuple[str, tuple[float, float, float], str, float, float]
-DOWN = (0.0, 0.0, -9.81)
-
-
-def _rail(rng: np.random.Generator) -> tuple[list[Link], Draw]:
-    """The ARID's build: a horizontal rail and three parallel joints that lift against gravity."""
-    a, b = rng.uniform(0.4, 2.0, 2)
-    reach = rng.uniform(2.0, 18.0)
-    side = float(rng.uniform(0.1, 0.4))
-    return [
-        ("prismatic", (0, 0, 0), "0 0 1", 0.0, reach),
-        ("revolute", (side, 0, 0), "0 0 1", -0.3, rng.uniform(1.5, 2.2)),
-        ("revolute", (a, 0, 0), "0 0 1", rng.uniform(0.2, 1.2), 2.6),
-        ("revolute", (b, 0, 0), "0 0 1", -2.2, rng.uniform(-0.5, 1.5)),
-    ], (0.0, 9.81, 0.0)
-
-
-def _six(rng: np.random.Generator) -> tuple[list[Link], Draw]:
-    """An anthropomorphic arm."""
-    a, b = rng.uniform(0.3, 0.9, 2)
-    w = rng.uniform(0.08, 0.15, 3)
-    most = float(rng.uniform(1.6, 2.8))
-    return [
-        ("revolute", (0, 0, rng.uniform(0.1, 0.5)), "0 0 1", -most, most),
-        ("revolute", (rng.uniform(0, 0.3), w[0], 0), "0 1 0", -1.9, 0.6),
-        ("revolute", (0, -w[0], a), "0 1 0", -2.0, 2.0),
-        ("revolute", (0, w[1], b), "0 1 0" if rng.random() < 0.5 else "0 0 1", -most, most),
-        ("revolute", (0, 0, w[1]), "0 0 1" if rng.random() < 0.5 else "1 0 0", -2.0, 2.0),
-        ("revolute", (0, w[2], 0), "0 1 0", -most, most),
-    ], DOWN
-
-
-def _seven(rng: np.random.Generator) -> tuple[list[Link], Draw]:
-    """A redundant arm."""
-    up = rng.uniform(0.15, 0.4, 7)
-    out = rng.uniform(-0.05, 0.05, 7)
-    axes = ("0 0 1", "0 1 0", "0 0 1", "0 1 0", "0 0 1", "0 1 0", "0 0 1")
-    most = rng.uniform(1.5, 2.5, 7)
-    return [("revolute", (o, 0, u), x, -m, m) for o, u, x, m in zip(out, up, axes, most, strict=True)], DOWN
-
-
-def _scara(rng: np.random.Generator) -> tuple[list[Link], Draw]:
-    a, b = rng.uniform(0.2, 0.6, 2)
-    return [
-        ("revolute", (0, 0, rng.uniform(0.2, 0.5)), "0 0 1", -2.3, 2.3),
-        ("revolute", (a, 0, 0), "0 0 1", -2.5, 2.5),
-        ("prismatic", (b, 0, 0), "0 0 -1", 0.0, rng.uniform(0.15, 0.5)),
-        ("revolute", (0, 0, -0.1), "0 0 1", -3.1, 3.1),
-    ], DOWN
-
-
-def _gantry(rng: np.random.Generator) -> tuple[list[Link], Draw]:
-    """Three slides and a wrist."""
-    x, y, z = rng.uniform(0.8, 3.0), rng.uniform(0.6, 2.0), rng.uniform(0.3, 1.2)
-    return [
-        ("prismatic", (0, 0, 1.5), "1 0 0", 0.0, x),
-        ("prismatic", (0, 0, 0.2), "0 1 0", 0.0, y),
-        ("prismatic", (0.15, 0, 0), "0 0 -1", 0.0, z),
-        ("revolute", (0, 0, -0.3), "0 0 1", -2.8, 2.8),
-        ("revolute", (0, 0.05, -0.12), "0 1 0", -1.8, 1.8),
-        ("revolute", (0, 0, -0.1), "1 0 0", -2.8, 2.8),
-    ], DOWN
-
-
-_BUILD: dict[str, Callable[[np.random.Generator], tuple[list[Link], Draw]]] = {
-    "rail": _rail, "six": _six, "seven": _seven, "scara": _scara, "gantry": _gantry,
-}  # fmt: skip
-
-
-def _urdf(joints: Sequence[Link], rng: np.random.Generator) -> bytes:
-    parts = ['<robot name="random"><link name="base"/>']
-    mass = float(np.exp(rng.uniform(np.log(5.0), np.log(60.0))))
-    ends = [xyz for _, xyz, *_ in joints[1:]] + [(0.1, 0.0, 0.05)]
-    for k, ((kind, xyz, axis, lower, upper), end) in enumerate(zip(joints, ends, strict=True), start=1):
-        com = np.array(end) / 2 + rng.normal(0.0, 0.03, 3)
-        parts.append(
-            f'<link name="link_{k}"><inertial><origin xyz="{com[0]:.4f} {com[1]:.4f} {com[2]:.4f}"/>'
-            f'<mass value="{mass:.3f}"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>'
-            f'<joint name="joint_{k}" type="{kind}"><parent link="{f"link_{k - 1}" if k > 1 else "base"}"/>'
-            f'<child link="link_{k}"/><origin xyz="{xyz[0]:.6f} {xyz[1]:.6f} {xyz[2]:.6f}"/><axis xyz="{axis}"/>'
-            f'<limit lower="{lower:.6f}" upper="{upper:.6f}" effort="1" velocity="1"/></joint>'
-        )
-        mass *= float(rng.uniform(0.4, 0.8))
-    end = ends[-1]
-    parts.append(
-        f'<link name="tip"/><joint name="tip_fixed" type="fixed"><parent link="link_{len(joints)}"/><child link="tip"/>'
-        f'<origin xyz="{end[0]} {end[1]} {end[2]}"/></joint></robot>'
-    )
-    return "".join(parts).encode()
