@@ -225,8 +225,7 @@ def calibration(outcome: Outcome) -> SavedModel:
     used = ~m.test & ~outcome.outlier
     seen = dict(zip(outcome.robot.readings, m.readings.T, strict=True))
     final = outcome.stage("final").fit
-    for c in final.model.coefficients:
-        seen |= {name: m.covariates[name] for name in c.basis.of if name in m.covariates}
+    seen |= {name: m.covariates[name] for name in final.model.needs}
     record = {
         "campaign": campaign.text,
         "data": {"files": [f.name for f in m.files], "sha256": m.sha256, "rows": len(m), "train": int(used.sum())},

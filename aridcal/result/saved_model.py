@@ -212,7 +212,11 @@ def _solved_document(solved: SolvedModel) -> dict[str, Any]:
     return {
         "world_base": frames_document(model.world_base),
         "tip_target": frames_document(model.tip_target),
-        "loads": {"gravity": model.around.gravity.tolist(), "payload_at": model.around.lever.tolist()},
+        "loads": {
+            "gravity": model.around.gravity.tolist(),
+            "payload_at": model.around.lever.tolist(),
+            "payload": model.around.loaded,
+        },
         "coefficients": [
             {
                 "name": c.name,
@@ -249,7 +253,9 @@ def _parse(document: Any) -> SavedModel:
             )
             for e in entries
         )
-        around = Surroundings(*(np.array(part["loads"][key], dtype=float) for key in ("gravity", "payload_at")))
+        loads = part["loads"]
+        gravity, lever = (np.array(loads[key], dtype=float) for key in ("gravity", "payload_at"))
+        around = Surroundings(gravity, lever, bool(loads.get("payload", False)))  # older files: never counted
         model = Model(robot, coefficients, _frames(part["world_base"]), _frames(part["tip_target"]), around)
         count = len(entries)
         covariance = _unpacked(part["covariance"]["data"], count)
