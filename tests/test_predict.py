@@ -24,6 +24,7 @@ from aridcal.robot.kinematics import rotations
 
 RNG = np.random.default_rng(7)
 QUATERNION = ["qx", "qy", "qz", "qw"]
+STD = [f"std_{axis}" for axis in ("x", "y", "z", "rx", "ry", "rz")]
 
 
 def calibration(
@@ -102,7 +103,7 @@ def test_columns_and_rows_are_kept_in_order_and_the_pose_is_overwritten(tmp_path
     assert status == 0
     found = robots.read_csv(out)
     assert list(found)[:7] == ["note", "joint_1", "z", "joint_2", "joint_3", "joint_4", "count"]
-    assert sorted(list(found)[7:]) == ["extrapolates", "qw", "qx", "qy", "qz", "x", "y"]
+    assert list(found)[7:] == ["x", "y", *QUATERNION, *STD, "extrapolates"]
     kept = ["note", "joint_1", "joint_2", "joint_3", "joint_4", "count"]
     pd.testing.assert_frame_equal(found[kept], query[kept], check_exact=True)
     assert (found["z"] != 99.0).all()
@@ -197,7 +198,7 @@ def test_positions_only_leave_no_orientation(tmp_path: Path) -> None:
     query["qw"] = 1.0
     status, out = run(tmp_path, calibration("position"), query)
     assert status == 0
-    assert list(pd.read_csv(out)) == ["joint_1", "joint_2", "joint_3", "joint_4", "x", "y", "z", "extrapolates"]
+    assert list(pd.read_csv(out)) == ["joint_1", "joint_2", "joint_3", "joint_4", "x", "y", "z", *STD[:3], "extrapolates"]
 
 
 def test_each_row_is_seen_from_its_own_station(tmp_path: Path) -> None:
@@ -257,7 +258,7 @@ def test_euler_angles_are_written_in_the_campaigns_columns(tmp_path: Path, seque
     status, out = run(tmp_path, calibration(text=text), other, "other.csv")
     assert status == 0
     found = robots.read_csv(out)
-    assert sorted({*found} - {*query}) == ["A", "B", "C", "extrapolates", "x", "y", "z"]
+    assert sorted({*found} - {*query}) == sorted(["A", "B", "C", *STD, "extrapolates", "x", "y", "z"])
     angles = found[["A", "B", "C"]].to_numpy()
     apart = Rotation.from_euler(sequence, angles, degrees=True) * Rotation.from_quat(plain[QUATERNION]).inv()
     assert apart.magnitude().max() < 1e-12
