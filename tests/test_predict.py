@@ -198,7 +198,17 @@ def test_positions_only_leave_no_orientation(tmp_path: Path) -> None:
     query["qw"] = 1.0
     status, out = run(tmp_path, calibration("position"), query)
     assert status == 0
-    assert list(pd.read_csv(out)) == ["joint_1", "joint_2", "joint_3", "joint_4", "x", "y", "z", *STD[:3], "extrapolates"]
+    assert list(pd.read_csv(out)) == [
+        "joint_1",
+        "joint_2",
+        "joint_3",
+        "joint_4",
+        "x",
+        "y",
+        "z",
+        *STD[:3],
+        "extrapolates",
+    ]
 
 
 def test_each_row_is_seen_from_its_own_station(tmp_path: Path) -> None:
