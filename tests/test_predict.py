@@ -274,6 +274,57 @@ def test_euler_angles_are_written_in_the_campaigns_columns(tmp_path: Path, seque
     assert apart.magnitude().max() < 1e-12
 
 
+@pytest.mark.parametrize("kind", ["pose", "position"])
+def test_nothing_stale_is_left_beside_a_new_pose(tmp_path: Path, kind: str) -> None:
+    """Old standard deviations, and orientations of another writing, are replaced or gone, whatever they are called."""
+    text = (
+        f"format: 1\nrobot: {{urdf: arid.urdf, tip: flange}}\nmeasurements:\n  file: m.csv\n  kind: {kind}\n"
+        "  orientation: {rotvec: [u, v, w]}\n  columns: {std_x: sx, qx: i}\n  units: {length: mm, angle: deg}\n"
+    )
+    query = in_mm_and_degrees(inside(5))
+    old = [*STD, "sx", *QUATERNION, "u", "v", "w", "x"]
+    status, out = run(tmp_path, calibration(kind, text=text), query.assign(**dict.fromkeys(old, 99.0), note="kept"))
+    assert status == 0
+    found = robots.read_csv(out)
+    written = {"x", "y", "z", "sx", "std_y", "std_z"}
+    written |= {"u", "v", "w", "std_rx", "std_ry", "std_rz"} if kind == "pose" else set()
+    assert {*found} == {*query, *written, "note", "extrapolates"}
+    assert not (found[sorted(written)] == 99.0).any(axis=None)
+
+
+def in_mm_and_degrees(query: pd.DataFrame) -> pd.DataFrame:
+    return query.assign(joint_1=1e3 * query["joint_1"], **{name: np.degrees(query[name]) for name in list(query)[1:]})
+
+
+def test_standard_deviations_are_in_the_campaigns_units_and_those_of_the_model(tmp_path: Path) -> None:
+    model, query = calibration(), inside(6)
+    _, out = run(tmp_path, model, query)
+    std = model.final.std(query.to_numpy())
+    assert std[:, :3].min() > 1e-6
+    np.testing.assert_allclose(robots.read_csv(out)[STD], std, rtol=1e-9, atol=1e-15)
+    text = "format: 1\nrobot: {urdf: arid.urdf, tip: flange}\nmeasurements: {file: m.csv, units: {length: mm, angle: deg}}\n"
+    _, out = run(tmp_path, calibration(text=text), in_mm_and_degrees(query), "other.csv")
+    scaled = np.hstack([1e3 * std[:, :3], np.degrees(std[:, 3:])])
+    np.testing.assert_allclose(robots.read_csv(out)[STD], scaled, rtol=1e-9, atol=1e-12)
+
+
+def test_a_row_without_a_pose_has_no_standard_deviation_and_does_not_extrapolate(tmp_path: Path) -> None:
+    query = inside(3)
+    query.loc[1, "joint_2"] = np.nan
+    _, out = run(tmp_path, calibration(), query)
+    found = pd.read_csv(out)
+    assert found[STD].isna().all(axis=1).tolist() == [False, True, False]
+    assert not found["extrapolates"].any()
+
+
+def test_a_prediction_several_times_as_uncertain_as_any_fitted_row_extrapolates(tmp_path: Path) -> None:
+    model, query = calibration(), inside(40)
+    size = np.linalg.norm(model.final.std(query.to_numpy())[:, :3], axis=1)
+    edge = float(np.median(size))
+    _, out = run(tmp_path, replace(model, largest_std=(edge / 3.0, np.inf)), query)
+    assert np.array_equal(pd.read_csv(out)["extrapolates"], size > edge)
+
+
 def test_where_euler_angles_are_not_unique_they_still_say_the_same_rotation() -> None:
     settings = MeasurementSettings.model_validate({"orientation": {"euler": "ZYX", "columns": ("A", "B", "C")}})
     R = Rotation.from_euler("ZYX", [[0.3, np.pi / 2, 0.7]])

@@ -77,12 +77,8 @@ def predict(saved: SavedModel, query: Query) -> pd.DataFrame:
 
     settings, joints = saved.measurements, saved.final.model.robot.readings
     filled = pose_columns(R, p, settings, joints) | std_columns(std[known], settings, joints)
-    own = {
-        *orientation_columns(settings, joints),
-        *_quaternion_columns(settings, joints),
-        *_std_names(settings, joints),
-    }
-    table = query.table.drop(columns=list(own - set(filled)), errors="ignore")
+    stale = _pose_names(settings, joints) - set(filled)
+    table = query.table.drop(columns=list(stale), errors="ignore")
     for name, values in filled.items():
         column = np.full(len(table), np.nan)
         column[known] = values
@@ -138,6 +134,13 @@ def _std_names(settings: MeasurementSettings, joints: tuple[str, ...]) -> tuple[
 def orientation_columns(settings: MeasurementSettings, joints: tuple[str, ...] = ()) -> tuple[str, ...]:
     """Columns of the campaign's orientations: three angles, or the four numbers of a quaternion."""
     return angle_columns(settings) or _quaternion_columns(settings, joints)
+
+
+def _pose_names(settings: MeasurementSettings, joints: tuple[str, ...]) -> set[str]:
+    """Columns that hold an orientation or a pose's standard deviations: of another pose, unless they are written anew."""
+    plain = {*QUATERNION, *STD} - {*joints, *settings.columns.values()}
+    mapped = {*_quaternion_columns(settings, joints), *_std_names(settings, joints)}
+    return plain | mapped | set(orientation_columns(settings, joints))
 
 
 def _quaternion_columns(settings: MeasurementSettings, joints: tuple[str, ...]) -> tuple[str, ...]:
