@@ -46,6 +46,7 @@ from aridcal.prepare.simulation import draw_readings
 from aridcal.result.outcome import errors
 from aridcal.result.pipeline import identify
 from aridcal.result.saved_model import SolvedModel
+from aridcal.result.uncertainty import with_noise_seen
 from aridcal.robot.chain import Robot, load_robot
 from aridcal.search.arm import fit_arm, fit_constants
 
@@ -207,7 +208,8 @@ def predictions(console: Console, count: int = 150) -> None:
         seen = case.train.readings
         unseen = case.query.select(((q >= seen.min(axis=0)) & (q <= seen.max(axis=0))).all(axis=1))
         off = problem(final.model, unseen).residual(final.theta)
-        solved = SolvedModel(final.model, final.theta, final.covariance)
+        covariance = with_noise_seen(final, case.train).covariance
+        solved = SolvedModel(final.model, final.theta, covariance)
         std = solved.std(unseen.readings, unseen.covariates)[:, : off.shape[1]]
         ratio = np.full((len(off), 6), np.nan)
         ratio[:, : off.shape[1]] = off / std
