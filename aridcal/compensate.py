@@ -9,7 +9,8 @@ row before.
 All columns and rows are kept in their order, and the joints' columns are filled in. `reached` is true if the target gets
 to the pose within the measurement noise of the calibration. With fewer than six joints it is true if the target gets as
 near as the robot can, weighted by the noise, and within 20 mm and 20 mrad. `position_error` and `rotation_error` are the
-errors that remain. `extrapolates` is true if the command is outside the calibrated range. Joint limits are kept.
+errors that remain. `extrapolates` is true if the command is outside the calibrated range, in a hole of what was measured, or
+where the model is three times as uncertain as at any calibrated row. Joint limits are kept.
 
 The joints are of the same kind as in the calibration: commands, if commands were recorded. If reported joints were
 recorded (`joint_reading: reported` in the campaign), they are what the controller must report when the target is there.
@@ -126,7 +127,7 @@ def _report(table: pd.DataFrame, calibration: SavedModel, query: Query, out: Pat
     said = f"{out}: {len(table)} rows, {int(table['reached'].sum())} reached"
     said += f", {len(missed)} out of reach" if len(missed) else ""
     said += f", {int((~commanded).sum())} without a command because a number is missing" if not commanded.all() else ""
-    say(f"{said}; {int(table['extrapolates'].sum())} of them outside the calibrated range")
+    say(f"{said}; {int(table['extrapolates'].sum())} of them unlike what was measured")
 
 
 if __name__ == "__main__":

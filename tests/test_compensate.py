@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pandas as pd
@@ -11,9 +12,11 @@ import robots
 from scipy.spatial.transform import Rotation
 
 from aridcal import compensate, predict
+from aridcal.calibration import Calibration
 from aridcal.effects.basis import Basis
 from aridcal.effects.effect import Coefficient
 from aridcal.effects.loads import Surroundings
+from aridcal.errors import MeasurementError
 from aridcal.fit.constants import constants
 from aridcal.inputs.query import load_query
 from aridcal.model.model import Model
@@ -228,18 +231,41 @@ def test_poses_go_round_in_every_dialect(tmp_path: Path, dialect: str) -> None:
     assert apart.magnitude().max() < 1e-7
 
 
-def test_two_orientations_that_disagree_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def two_orientations(tmp_path: Path) -> tuple[SavedModel, pd.DataFrame]:
+    """A calibration that has angles, and poses that have quaternions too."""
     text = "format: 1\nrobot: {urdf: ur10.urdf, tip: tool0}\nmeasurements: {file: m.csv, orientation: %s}\n"
     model = calibration(text=text % "{euler: ZYX, columns: [A, B, C]}")
     quaternions = wanted(tmp_path, calibration(), readings(4))[POSE]
     angles = wanted(tmp_path, model, readings(4))[["A", "B", "C"]]
-    both = pd.concat([quaternions, angles], axis=1)
-    assert run(tmp_path, model, both)[0] == 0
+    return model, pd.concat([quaternions, angles, readings(4)], axis=1)
+
+
+@pytest.mark.parametrize("command", [compensate, predict], ids=["compensate", "predict"])
+def test_two_orientations_that_disagree_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], command: ModuleType
+) -> None:
+    model, both = two_orientations(tmp_path)
+
+    def status(table: pd.DataFrame) -> int:
+        (tmp_path / "calibration.yaml").write_text(model.dump(), encoding="utf-8")
+        table.to_csv(tmp_path / "t.csv", index=False, float_format="%.17g")
+        return int(command.main([str(tmp_path), str(tmp_path / "t.csv"), "-o", str(tmp_path / "o.csv")]))
+
+    assert status(both) == 0
+    assert status(both.assign(qw=both["qw"].where(both.index != 2))) == 0  # a hole is no other orientation
     both.loc[2, "B"] += 0.01
     capsys.readouterr()
-    assert run(tmp_path, model, both)[0] == 2
+    assert status(both) == 2
     said = " ".join(capsys.readouterr().err.split())
     assert "line 4: A B C and qx qy qz qw are two orientations, 0.5" in said and "degrees apart" in said
+
+
+def test_the_face_refuses_two_orientations_that_disagree(tmp_path: Path) -> None:
+    model, both = two_orientations(tmp_path)
+    both.loc[1, "C"] += 0.01
+    for use in (Calibration(model).predict, Calibration(model).compensate):
+        with pytest.raises(MeasurementError, match=r"line 3: A B C and qx qy qz qw are two orientations"):
+            use(both)
 
 
 @pytest.mark.parametrize("which", ["reported", "commanded"])

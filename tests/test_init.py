@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+import yaml
 from robots import SHARED_ROBOTS, URDF, random_placement, readings
 from scipy.spatial.transform import Rotation
 
@@ -197,6 +198,28 @@ def test_what_no_campaign_can_say_is_refused_with_a_remedy(spoil, why, tmp_path,
     assert aridcal.init.main(["--urdf", str(UR10), "--measurements", str(tmp_path / "m.csv"), "-o", str(out)]) == 2
     assert why in capsys.readouterr().err
     assert not out.exists()
+
+
+def test_two_orientations_that_disagree_are_refused(tmp_path):
+    """In a proposal and in what is read for it; one that was commanded, and a copy of the other, are none."""
+    robot, q, p, R = ur10_rows()
+    table = pd.DataFrame(named(" ".join(robot.names), q) | named("x y z", p) | named("qx qy qz qw", R.as_quat()))
+    table = table.assign(**named("A B C", R.as_euler("ZYX")))
+    draft(UR10, [table], tmp_path / "c.yaml", never)
+    spoilt = table.assign(B=table.B + np.where(table.index == 7, 0.02, 0.0))
+    with pytest.raises(AridcalError, match=r"line 9: qx qy qz qw and A B C are two orientations, 1\.1. degrees apart"):
+        draft(UR10, [spoilt], tmp_path / "c.yaml", never)
+    commanded = spoilt.rename(columns={"A": "cmd_A", "B": "cmd_B", "C": "cmd_C"})
+    draft(UR10, [commanded], tmp_path / "c.yaml", never)
+
+    keys = {"format": 1, "robot": {"urdf": str(UR10), "tip": "tool0"}}
+    keys["measurements"] = {"file": "m.csv", "orientation": {"euler": "ZYX", "columns": ["A", "B", "C"]}}
+    (tmp_path / "campaign.yaml").write_text(yaml.safe_dump(keys))
+    table.to_csv(tmp_path / "m.csv", index=False)
+    read_back(tmp_path / "campaign.yaml", robot)
+    spoilt.to_csv(tmp_path / "m.csv", index=False)
+    with pytest.raises(AridcalError, match="line 9: A B C and qx qy qz qw are two orientations"):
+        read_back(tmp_path / "campaign.yaml", robot)
 
 
 def _mixed(table: pd.DataFrame) -> pd.DataFrame:

@@ -53,7 +53,10 @@ def barred_joints(rows: Observed) -> list[Barred]:
     """Joints whose own effects cannot be tested."""
     still = [j.name for j in rows.robot.joints if not rows.moves(j)]
     found = [Barred(f"effects of {name}'s reading", "the joint never moves") for name in still]
-    if not any(rows.robot.mass_beyond > 0):
+    loads = [values for name, values in rows.table.items() if ".gravity_" in name]
+    if not loads:
+        found.append(Barred("compliance and load-side backlash", "the column payload has empty cells"))
+    elif not (np.any(loads) or any(rows.robot.mass_beyond > 0)):
         found.append(Barred("compliance and load-side backlash", "the URDF has no masses beyond any joint"))
     return found
 

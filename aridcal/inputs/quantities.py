@@ -194,27 +194,23 @@ class Source:
         largest = np.abs(angles[self.usable]).max(axis=1, initial=0)
         if len(largest) and np.mean(largest > TURNS) > 0.5:
             raise self.wrong_unit(columns, "angle", float(np.abs(angles).max()))
-        euler = self.settings.orientation.euler
-        rotation = Rotation.from_euler(euler, angles) if euler else Rotation.from_rotvec(angles)
-        return rotation.as_quat()
+        return np.asarray(self._turned(angles).as_quat())
 
-    def refuse_second_orientation(self, quaternion: np.ndarray) -> None:
+    def refuse_second_orientation(self) -> None:
         """Refuse a table of Euler angles or rotation vectors whose quaternions are other orientations.
-
-        Args:
-            quaternion: What :meth:`quaternion` gave, shape (N, 4).
 
         Raises:
             MeasurementError: the two differ by more than rounding in some row.
         """
         own, second = self.orientation_columns, [self.column(name) for name in QUATERNION]
-        if own == second or not all(self._has(name) for name in second):
+        if own == second or not all(self._has(name) for name in (*own, *second)):
             return
-        also = self.table.matrix(second)
-        rows = np.flatnonzero(self.usable & (np.linalg.norm(also, axis=1) > 0.5))  # neither holes nor zeros
+        angles, also = self.table.matrix(own) * self.settings.units.radians, self.table.matrix(second)
+        whole = np.isfinite(angles).all(axis=1) & (np.linalg.norm(also, axis=1) > 0.5)  # neither holes nor zeros
+        rows = np.flatnonzero(self.usable & whole)
         if not len(rows):
             return
-        difference = Rotation.from_quat(quaternion[rows]) * Rotation.from_quat(also[rows]).inv()
+        difference = self._turned(angles[rows]) * Rotation.from_quat(also[rows]).inv()
         apart = np.atleast_1d(difference.magnitude())
         worst = int(np.argmax(apart))
         if apart[worst] > SAME_ORIENTATION:
@@ -223,6 +219,11 @@ class Source:
                 f"two orientations, {np.degrees(apart[worst]):.3g} degrees apart. Delete one of them; the campaign's own "
                 f"is {' '.join(own)}"
             )
+
+    def _turned(self, angles: np.ndarray) -> Rotation:
+        """Rotations of Euler angles or rotation vectors, shape (N, 3), [rad]."""
+        euler = self.settings.orientation.euler
+        return Rotation.from_euler(euler, angles) if euler else Rotation.from_rotvec(angles)
 
     def std(self) -> np.ndarray | None:
         """1-sigma of the rows, shape (N, 6): position in [m], then rotation vector in [rad].

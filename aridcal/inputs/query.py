@@ -67,8 +67,8 @@ def load_query(
         per_station: The `station` column is needed.
 
     Raises:
-        MeasurementError: the file cannot be read, lacks columns or has rows that are no rows; its poses have two
-            orientations that contradict each other.
+        MeasurementError: the file cannot be read, lacks columns or has rows that are no rows; it has poses with two
+            orientations that contradict each other, even where they are not asked for.
     """
     settings = settings or MeasurementSettings()
     table = read_tables([query])
@@ -78,8 +78,8 @@ def load_query(
     q = source.seeds(kinds) if poses else source.joints(kinds)
     position = source.position() if poses else None
     quaternion = source.quaternion() if poses and settings.kind != "position" else None
-    if quaternion is not None:
-        source.refuse_second_orientation(quaternion)
+    if settings.kind != "position":
+        source.refuse_second_orientation()
     station = source.labels("station", needed=per_station)
     covariates = source.covariates()
     if source.usable.any():

@@ -46,8 +46,8 @@ def load_measurements(
 
     Raises:
         CampaignError: `columns` names an unknown quantity.
-        MeasurementError: a file cannot be read, lacks columns, is not in the stated units, or has no usable row; or a
-            station that needs a frame of its own has held-out rows only.
+        MeasurementError: a file cannot be read, lacks columns, is not in the stated units, has two orientations that
+            disagree, or has no usable row; or a station that needs a frame of its own has held-out rows only.
     """
     settings = campaign.measurements
     table = read_tables(_existing(campaign, files))
@@ -57,6 +57,8 @@ def load_measurements(
     if require_pose:
         position = source.position()
         quaternion = source.quaternion() if settings.kind == "pose" else None
+        if quaternion is not None:
+            source.refuse_second_orientation()
         std = source.std()
     station = source.labels("station", needed=per_station(campaign))
     split = source.split()

@@ -16,7 +16,7 @@ from aridcal.errors import AridcalError, CovariateNotFound
 from aridcal.inputs.query import Query
 from aridcal.model.inverse import Command, InverseKinematics
 from aridcal.model.model import Model
-from aridcal.result.predict import extrapolates, per_station
+from aridcal.result.predict import extrapolates, per_station, std_of
 from aridcal.result.saved_model import SavedModel
 
 STILL = 1e-6
@@ -63,7 +63,7 @@ def compensate(saved: SavedModel, query: Query) -> pd.DataFrame:
     if saved.kind == "pose":
         table["rotation_error"] = [command.rotation_error / units.radians for command in found]
     commanded = replace(query, readings=readings, covariates=covariates)
-    table["extrapolates"] = extrapolates(saved, commanded)
+    table["extrapolates"] = extrapolates(saved, commanded, std_of(saved, commanded))
     return table
 
 

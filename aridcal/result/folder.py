@@ -22,6 +22,7 @@ from aridcal.inputs.channels import columns
 from aridcal.model.model import ONE_FRAME
 from aridcal.result.outcome import Outcome, Stage, Verification, errors
 from aridcal.result.saved_model import SavedModel, SolvedModel
+from aridcal.result.seen import holes, largest
 from aridcal.search.arm_and_head import MeasuringHead
 from aridcal.search.gains import NamedEffect
 
@@ -226,21 +227,27 @@ def calibration(outcome: Outcome) -> SavedModel:
     used = ~m.test & ~outcome.outlier
     seen = dict(zip(outcome.robot.readings, m.readings.T, strict=True))
     final = outcome.stage("final").fit
-    for c in final.model.coefficients:
-        seen |= {name: m.covariates[name] for name in c.basis.of if name in m.covariates}
+    seen |= {name: m.covariates[name] for name in final.model.needs}
     record = {
         "campaign": campaign.text,
         "data": {"files": [f.name for f in m.files], "sha256": m.sha256, "rows": len(m), "train": int(used.sum())},
         "versions": {"aridcal": __version__, "pinocchio": pin.__version__, "numpy": np.__version__},
     }
+    solved = _solved(final, outcome.head is None)
+    fitted = m.select(used)
+    std = solved.std(fitted.readings, fitted.covariates, fitted.station)
+    if m.rotation is None:  # that of a target whose rotation was never measured says nothing
+        std[:, 3:] = np.inf
     return SavedModel(
         _solved(outcome.stage("geometric").fit, outcome.head is None),
-        _solved(final, outcome.head is None),
+        solved,
         "position" if m.rotation is None else "pose",
         campaign.robot.gravity,
         (float(outcome.noise[0]), float(outcome.noise[1]) if m.rotation is not None else 1.0),
         {name: (float(np.nanmin(v[used])), float(np.nanmax(v[used]))) for name, v in seen.items()},
         record,
+        {name: found for name, v in seen.items() if (found := holes(v[used]))},
+        largest(std),
     )
 
 

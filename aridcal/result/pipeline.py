@@ -21,7 +21,7 @@ from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.read import load_measurements
 from aridcal.inputs.tables import AnyTable
 from aridcal.result.outcome import Outcome, Stage, Verification
-from aridcal.result.uncertainty import FAR, halves, outliers, precision, realigned
+from aridcal.result.uncertainty import FAR, halves, outliers, precision, realigned, with_noise_seen
 from aridcal.result.with_head import with_head
 from aridcal.robot.chain import Robot, load_robot
 from aridcal.search.arm import CalibratedArm, fit_arm, fit_constants
@@ -190,7 +190,7 @@ def _stages(rows: Dataset, geometry: Geometry, final: Fit) -> tuple[tuple[Stage,
             tried = {"restarts": found.convergence.restarts, "agreed": found.convergence.agreed}
             convergence = replace(again.convergence, **tried)
             found = replace(again, candidates=found.candidates, redundant=found.redundant, convergence=convergence)
-        found = recentred(found)
+        found = recentred(with_noise_seen(found, train) if name == "final" else found)
         stages.append(Stage(name, found, problem(found.model, rows).residual(found.theta)))
     left = [scaled(stage.residual, rows.relative) for stage in stages]
     return tuple(stages), outliers(rows.train, final.outliers, left, rows.channels)

@@ -38,7 +38,7 @@ def fit_constants(campaign: Campaign, robot: Robot, rows: Dataset, labels: tuple
     """Frames and constants from the training rows, the frames at their identified place."""
     found = fit_geometry(campaign, robot, rows.select(rows.train), labels)
     geometric = recentred(found.geometric)
-    around = surroundings(campaign, geometric.model)
+    around = surroundings(campaign, geometric.model, "payload" in rows.covariates)
     return replace(found, geometric=replace(geometric, model=replace(geometric.model, around=around)))
 
 
@@ -48,11 +48,17 @@ def fit_arm(campaign: Campaign, geometry: Geometry, rows: Dataset, progress: Cal
     return CalibratedArm(rows, geometry, found)
 
 
-def surroundings(campaign: Campaign, model: Model) -> Surroundings:
-    """Gravity in the base frame and the payload's place, from the campaign and the geometric stage's frames."""
+def surroundings(campaign: Campaign, model: Model, loaded: bool) -> Surroundings:
+    """Gravity in the base frame and the payload's place, from the campaign and the geometric stage's frames.
+
+    Args:
+        campaign: Says where gravity pulls.
+        model: The geometric stage's, its frames where they were identified.
+        loaded: True where the rows have a payload.
+    """
     gravity = campaign.robot.gravity
     lever = model.tip_target[0][1].translation
     if gravity == "world":
         vectors = [frame.rotation.T @ EARTH for _, frame in model.world_base]
-        return Surroundings(np.array(vectors) if len(vectors) > 1 else vectors[0], lever)
-    return Surroundings(np.array(gravity, dtype=float), lever)
+        return Surroundings(np.array(vectors) if len(vectors) > 1 else vectors[0], lever, loaded)
+    return Surroundings(np.array(gravity, dtype=float), lever, loaded)

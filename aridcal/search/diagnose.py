@@ -329,6 +329,9 @@ def look(start: Start) -> tuple[Observed, list[Barred]]:
     model, rows = start.geometric.model, start.train
     world = model.rows(rows.readings, None, rows.station).world
     measured = {name: rows.covariates[name] for name in usable}
+    payload = rows.covariates.get("payload")
+    if payload is not None and not np.isnan(payload).any():
+        measured["payload"] = payload  # it counts in the loads even where it is always the same
     table = covariate_table(model.robot, rows.readings, measured, model.around, world, {".gravity_", ".payload_"})
     observed = Observed(model.robot, table, tuple(usable))
     return observed, barred + barred_joints(observed)
