@@ -95,7 +95,7 @@ def parser() -> CommandParser:
     """The command's arguments."""
     arguments = command_parser("identify", __doc__)
     arguments.add_argument("campaign", type=Path, help="campaign.yaml")
-    arguments.add_argument("--out", type=Path, help="result folder (default: results/ beside the campaign)")
+    arguments.add_argument("-o", "--out", type=Path, help="result folder (default: results/ beside the campaign)")
     arguments.add_argument(
         "--verify", type=Path, metavar="CSV", help="measurements of another day, to check the result on"
     )

@@ -96,6 +96,15 @@ def test_every_command_explains_itself(command, capsys):
     assert all(line.startswith(f"    aridcal {command}") for line in example if line)
 
 
+@pytest.mark.parametrize("command", COMMANDS)
+def test_o_and_out_mean_the_same(command):
+    """A command that writes knows both names of the place to write to."""
+    parser = importlib.import_module(f"aridcal.{command}").parser()
+    named = [action.option_strings for action in parser._actions if {"-o", "--out"} & set(action.option_strings)]
+    assert all(options == ["-o", "--out"] for options in named)
+    assert len(named) == (command in {"identify", "init", "measure", "simulate", "predict", "compensate"})
+
+
 def test_a_slip_in_the_arguments_is_answered_with_where_to_look(capsys):
     with pytest.raises(SystemExit) as stop:
         aridcal_main(["identify"])
