@@ -4,8 +4,8 @@ The query has a column for each joint and for each covariate that an effect depe
 those of the campaign's tables. All columns and rows are kept in their order. The pose is added, or overwritten if present,
 in the columns, units and orientation of those tables: `x y z qx qy qz qw` (qw >= 0), or X Y Z A B C in mm and degrees where
 the campaign has that. A calibration from positions gives no orientation, since it does not know the target's.
-`extrapolates` is true where a joint or a covariate is outside the calibrated range. A row with a missing number gets no
-pose.
+`extrapolates` is true where a joint or a covariate is outside the calibrated range. A row with an empty joint gets no pose;
+a word in its place, or a hole in a covariate that an effect depends on, is an error.
 
 Example:
     aridcal predict results/calibration.yaml query.csv -o predicted.csv
@@ -51,7 +51,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _main(arguments: argparse.Namespace) -> None:
     if arguments.out.suffix.lower() not in ENDINGS:
         raise OutputError(f"{arguments.out}: should be a .csv or .parquet file")
-    check_writable(arguments.out)
+    check_writable(arguments.out, "file")
     calibration = SavedModel.load(arguments.calibration)
     query = read_query(calibration, arguments.query)
     table = predict(calibration, query)

@@ -315,7 +315,7 @@ def xyz_rpy(T: pin.SE3) -> dict[str, list[float]]:
 
 def _components(T: pin.SE3, nominal: pin.SE3) -> dict[str, float]:
     """A placement by name, its angles near the nominal one's."""
-    xyz = without_rounding(T.translation, nominal.translation)
+    xyz = without_rounding(T.translation, without_rounding(nominal.translation, np.zeros(3)))
     usual = rpy_near(nominal.rotation, np.zeros(3))
     return _named(np.concatenate([xyz, rpy_near(T.rotation, usual)]))
 
