@@ -20,6 +20,7 @@ from rich.table import Table
 from aridcal.command_line import CommandParser, command_parser, run
 from aridcal.files import check_writable
 from aridcal.head.detections import CACHE
+from aridcal.prepare.other_readings import refuse_misread
 from aridcal.result.key_figures import rms_position, scored
 from aridcal.result.outcome import Outcome, Verification, errors
 from aridcal.result.pipeline import identify
@@ -124,7 +125,7 @@ def _main(arguments: argparse.Namespace) -> None:
     def progress(step: str) -> None:
         steps.print(f"[dim]{time.perf_counter() - started:5.1f} s  {step}[/dim]")
 
-    outcome = identify(arguments.campaign, arguments.seed, arguments.verify, progress, out / CACHE)
+    outcome = identify(arguments.campaign, arguments.seed, arguments.verify, progress, out / CACHE, refuse_misread)
     progress("writing the results")
     written = write_folder(outcome, out)
     summary(outcome, console)
