@@ -234,11 +234,6 @@ def _orientations(settings: MeasurementSettings, robot: Robot, table: pd.DataFra
             spec = {"euler": None, "columns": None, "rotvec": tuple(names)}
             said = f"orientation: {{rotvec: [{', '.join(names)}]}}"
             yield Other("rotation vectors", _write(said), _oriented(settings, spec), table)
-        unit, factor = _other_angle(settings)
-        yield Other(
-            f"orientations in {SPELT[unit]}", f"Convert {' '.join(names)} to {settings.units.angle} in the file",
-            settings, table.assign(**{name: factor * _numbers(table, [name])[:, 0] for name in names}),
-        )  # fmt: skip
     turned = _written(settings, rotation.inv(), names)
     yield Other(
         "orientations of the world in the target", f"Invert the orientation {' '.join(names)} in the file",
