@@ -3,8 +3,8 @@
 The poses are the columns `x y z qx qy qz qw` of the target in the world (`x y z` if only positions were measured). Each
 covariate that an effect depends on needs a column, too. Names, units and orientation are those of the campaign's tables.
 If the joints have columns, the search starts there, for example at the controller's own solution; a row without them
-starts from the solution of the row before. A JOINT_direction that an effect needs and the table lacks follows from the
-row before.
+starts from the solution of the row before, and goes to another branch if that leaves the calibrated range. A
+JOINT_direction that an effect needs and the table lacks follows from the row before.
 
 All columns and rows are kept in their order, and the joints' columns are filled in. `reached` is true if the target gets
 to the pose within the measurement noise of the calibration. With fewer than six joints it is true if the target gets as
@@ -74,7 +74,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _main(arguments: argparse.Namespace) -> None:
     if arguments.out.suffix.lower() not in ENDINGS:
         raise OutputError(f"{arguments.out}: should be a .csv or .parquet file")
-    check_writable(arguments.out)
+    check_writable(arguments.out, "file")
     calibration = SavedModel.load(arguments.calibration)
     if arguments.grid is not None:
         _tabulate(calibration, arguments.grid, arguments.out)

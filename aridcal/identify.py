@@ -20,6 +20,7 @@ from rich.table import Table
 from aridcal.command_line import CommandParser, command_parser, run
 from aridcal.files import check_writable
 from aridcal.head.detections import CACHE
+from aridcal.prepare.other_readings import refuse_misread
 from aridcal.result.key_figures import every_held_out_row, rms_position, scored
 from aridcal.result.outcome import Outcome, Verification, errors
 from aridcal.result.pipeline import identify
@@ -100,7 +101,7 @@ def parser() -> CommandParser:
     """The command's arguments."""
     arguments = command_parser("identify", __doc__)
     arguments.add_argument("campaign", type=Path, help="campaign.yaml")
-    arguments.add_argument("--out", type=Path, help="result folder (default: results/ beside the campaign)")
+    arguments.add_argument("-o", "--out", type=Path, help="result folder (default: results/ beside the campaign)")
     arguments.add_argument(
         "--verify", type=Path, metavar="CSV", help="measurements of another day, to check the result on"
     )
@@ -129,7 +130,7 @@ def _main(arguments: argparse.Namespace) -> None:
     def progress(step: str) -> None:
         steps.print(f"[dim]{time.perf_counter() - started:5.1f} s  {step}[/dim]")
 
-    outcome = identify(arguments.campaign, arguments.seed, arguments.verify, progress, out / CACHE)
+    outcome = identify(arguments.campaign, arguments.seed, arguments.verify, progress, out / CACHE, refuse_misread)
     progress("writing the results")
     written = write_folder(outcome, out)
     summary(outcome, console)

@@ -7,7 +7,8 @@ the campaign has that. A calibration from positions gives no orientation, since 
 `std_x std_y std_z std_rx std_ry std_rz` are the pose's standard deviations, in the same units, about the world's axes; what
 the table had in these columns is replaced, and orientations of another writing are dropped.
 `extrapolates` is true where a joint or a covariate is outside the calibrated range or in a hole of what was measured, and where
-the pose is three times as uncertain as at any calibrated row. A row with a missing number gets no pose.
+the pose is three times as uncertain as at any calibrated row. A row with an empty joint gets no pose; a word in its place, or a
+hole in a covariate that an effect depends on, is an error.
 
 Example:
     aridcal predict results/calibration.yaml query.csv -o predicted.csv
@@ -53,7 +54,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _main(arguments: argparse.Namespace) -> None:
     if arguments.out.suffix.lower() not in ENDINGS:
         raise OutputError(f"{arguments.out}: should be a .csv or .parquet file")
-    check_writable(arguments.out)
+    check_writable(arguments.out, "file")
     calibration = SavedModel.load(arguments.calibration)
     query = read_query(calibration, arguments.query)
     table = predict(calibration, query)

@@ -154,14 +154,67 @@ def test_poses_out_of_reach_are_said_to_be(tmp_path: Path, capsys: pytest.Captur
 def test_a_row_that_lacks_a_number_has_no_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     model = calibration(effects={HEAT: 1e-5})
     poses = wanted(tmp_path, model, readings(3).assign(temperature=20.0))[[*POSE, "temperature"]]
-    poses.loc[1, "temperature"] = np.nan
     poses.loc[2, "x"] = np.nan
     status, out = run(tmp_path, model, poses)
     assert status == 0
     found = pd.read_csv(out)
-    assert found["elbow_joint"].isna().tolist() == [False, True, True]
-    assert found["reached"].tolist() == [True, False, False]
-    assert "2 without a command" in " ".join(capsys.readouterr().err.split())
+    assert found["elbow_joint"].isna().tolist() == [False, False, True]
+    assert found["reached"].tolist() == [True, True, False]
+    assert "1 without a command" in " ".join(capsys.readouterr().err.split())
+
+
+@pytest.mark.parametrize(
+    ("column", "cell", "says"),
+    [
+        ("temperature", "", "line 3: column 'temperature': missing"),
+        ("y", "left", "line 3: column 'y', left: not a number"),
+        ("qz", "?", "line 3: column 'qz', ?: not a number"),
+        ("elbow_joint", "up", "line 3: column 'elbow_joint', up: not a number"),
+    ],
+)
+def test_cells_that_no_command_can_be_made_from_are_named(
+    column: str, cell: str, says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A word among the starting joints used to be passed over."""
+    model = calibration(effects={HEAT: 1e-5})
+    q = readings(3).assign(temperature=20.0)
+    poses = wanted(tmp_path, model, q)[[*POSE, "temperature", "elbow_joint"]].astype(object)
+    poses.loc[1, column] = cell
+    status, out = run(tmp_path, model, poses)
+    assert (status, out.exists()) == (2, False)
+    assert says in " ".join(capsys.readouterr().err.split())
+
+
+def test_a_direction_that_is_not_stated_is_no_hole(tmp_path: Path) -> None:
+    model = calibration(effects={BACKLASH: -2e-4})
+    poses = wanted(tmp_path, calibration(), readings(3))[POSE]
+    assert run(tmp_path, model, poses.assign(elbow_joint_direction=[1, np.nan, np.nan]))[0] == 0
+
+
+def test_without_joints_in_the_table_the_ranges_seen_are_kept_to(tmp_path: Path) -> None:
+    """The first solution found lies on any of eight branches: the calibration knows one."""
+    model = calibration(effects={SAG: 1e-5})
+    poses = wanted(tmp_path, model, readings(40))[POSE]
+    status, out = run(tmp_path, model, poses)
+    assert status == 0
+    found = robots.read_csv(out)
+    assert found["reached"].all()
+    assert not found["extrapolates"].any()
+    joints = found[list(model.final.model.robot.readings)].to_numpy()
+    assert np.abs(joints).max() <= 1.2
+    np.testing.assert_allclose(predicted(tmp_path, out)[POSE], poses, rtol=0, atol=1e-6)
+
+
+def test_a_pose_that_is_reached_only_outside_the_ranges_seen_is_still_reached(tmp_path: Path) -> None:
+    model = calibration()
+    q = readings(3)
+    q["shoulder_pan_joint"] = 2.5
+    poses = wanted(tmp_path, model, q)[POSE]
+    _, out = run(tmp_path, model, poses)
+    found = robots.read_csv(out)
+    assert found["reached"].all()
+    assert found["extrapolates"].all()
+    np.testing.assert_allclose(predicted(tmp_path, out)[POSE], poses, rtol=0, atol=1e-6)
 
 
 def test_a_missing_covariate_is_an_error_that_names_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -13,7 +13,7 @@ from robots import SHARED_ROBOTS, URDF, random_placement, readings
 from scipy.spatial.transform import Rotation
 
 import aridcal.init
-from aridcal.errors import AridcalError
+from aridcal.errors import AridcalError, MeasurementError
 from aridcal.inputs.campaign import load_campaign
 from aridcal.inputs.read import load_measurements
 from aridcal.model.model import Model
@@ -117,6 +117,32 @@ def test_any_dialect_identifies_like_the_table_in_si(tmp_path):
     assert found[0]["nominal"] > 1e-4  # [m]: the joints' zeros
     assert found[0]["geometric"] < 0.01 * found[0]["nominal"]
     assert found[1]["nominal"] == pytest.approx(found[0]["nominal"], rel=1e-6)
+
+
+def test_a_column_that_the_next_table_lacks_is_ignored_and_said_to_be(tmp_path):
+    """Two days' tables: the first has a note and a temperature, the second neither, but a counter."""
+    robot, q, p, R = ur10_rows()
+    whole = pd.DataFrame(spelt(robot, q, p, R)["our own"])
+    half = len(whole) // 2
+    whole[:half].assign(temperature=20.0 + np.arange(half) % 7, note="day 1").to_csv(tmp_path / "a.csv", index=False)
+    whole[half:].assign(shot=np.arange(len(whole) - half)).to_csv(tmp_path / "b.csv", index=False)
+    out = tmp_path / "campaign.yaml"
+    made = draft(UR10, [tmp_path / "a.csv", tmp_path / "b.csv"], out, never)
+    out.write_text(made.campaign.text)
+    assert "temperature (not in b.csv)" in " ".join(made.campaign.text.replace("#", "").split())
+    assert "shot (not in a.csv)" in " ".join(made.campaign.text.replace("#", "").split())
+    rows = read_back(out, robot)
+    assert len(rows) == len(whole) and not rows.refused and rows.covariates == {}
+    assert not [note for note in rows.notices if "ignore" in note.why]
+
+
+def test_a_joint_that_the_next_table_lacks_is_named(tmp_path):
+    robot, q, p, R = ur10_rows()
+    whole = pd.DataFrame(spelt(robot, q, p, R)["our own"])
+    whole.to_csv(tmp_path / "a.csv", index=False)
+    whole.drop(columns="elbow_joint").to_csv(tmp_path / "b.csv", index=False)
+    with pytest.raises(MeasurementError, match=r"b\.csv: no column 'elbow_joint', which .*a\.csv has"):
+        draft(UR10, [tmp_path / "a.csv", tmp_path / "b.csv"], tmp_path / "c.yaml", never)
 
 
 def test_units_of_a_rail_are_found_too(tmp_path):

@@ -170,19 +170,42 @@ def test_effects_act_with_the_gravity_that_the_calibration_was_made_with(tmp_pat
     assert np.linalg.norm(expected - straight, axis=1).min() > 1e-3
 
 
-def test_row_that_lacks_a_number_has_no_pose_and_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_row_that_lacks_a_joint_has_no_pose_and_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     effect = Coefficient("joint_3", "axis", Basis("linear", ("temperature",), (20.0,)))
     query = inside(4)
-    query["temperature"] = [20.0, np.nan, 20.0, 20.0]
+    query["temperature"] = [20.0, 20.0, np.nan, 20.0]  # of a row that has no pose anyway
     query.loc[2, "joint_1"] = np.nan
     status, out = run(tmp_path, calibration(effects=(effect,)), query)
     assert status == 0
     pose = pd.read_csv(out)[["x", "y", "z", "qx", "qy", "qz", "qw"]].isna().to_numpy()
-    assert np.array_equal(pose.all(axis=1), [False, True, True, False])
-    assert not pose[[0, 3]].any()
+    assert np.array_equal(pose.all(axis=1), [False, False, True, False])
+    assert not pose[[0, 1, 3]].any()
     said = " ".join(capsys.readouterr().err.split())
     assert "line 4: column 'joint_1': empty" in said
-    assert "2 without a pose" in said
+    assert "1 without a pose" in said
+
+
+@pytest.mark.parametrize("cell", ["", "warm", "1e308"])
+def test_a_hole_in_a_covariate_that_an_effect_needs_is_an_error(
+    cell: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    effect = Coefficient("joint_3", "axis", Basis("linear", ("temperature",), (20.0,)))
+    query = inside(4)
+    query["temperature"] = ["20", cell, "21", cell]
+    status, out = run(tmp_path, calibration(effects=(effect,)), query)
+    assert (status, out.exists()) == (2, False)
+    said = " ".join(capsys.readouterr().err.split())
+    assert "line 3: column 'temperature'" in said
+    assert "missing, like 1 more in this column; the calibration has an effect that depends on it" in said
+
+
+def test_a_word_in_a_joint_is_an_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    query = inside(4).astype(object)
+    query.loc[1, "joint_3"] = "home"
+    status, out = run(tmp_path, calibration(), query)
+    assert (status, out.exists()) == (2, False)
+    said = " ".join(capsys.readouterr().err.split())
+    assert "line 3: column 'joint_3', home: not a number; write one, or leave the cell empty" in said
 
 
 def test_a_query_without_a_usable_row_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -339,7 +362,7 @@ def test_nothing_is_overwritten_by_a_failed_prediction(tmp_path: Path) -> None:
     assert out.read_text() == "precious"
 
 
-@pytest.mark.parametrize("name", ["out.txt", "query.csv/out.csv"])
+@pytest.mark.parametrize("name", ["out.txt", "query.csv/out.csv", "nowhere/out.csv"])
 def test_a_place_that_cannot_be_written_is_refused_before_any_work(tmp_path: Path, name: str) -> None:
     assert run(tmp_path, calibration(), inside(2), name)[0] == 2
 

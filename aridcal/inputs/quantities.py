@@ -300,10 +300,13 @@ class Source:
                 values = self._covariate(name, quantity)
                 if values is not None:
                     found[quantity] = values
-        for name in self.settings.ignore:
-            if name not in self.table.cells:
-                self.note(name, "is listed under `ignore`, but there is no such column")
         return found
+
+    def note_unknown_ignored(self) -> None:
+        """Name the columns under `ignore` that no file has: slips, perhaps."""
+        for name in self.settings.ignore:
+            if name not in self.table.cells and name not in self.table.partial:
+                self.note(name, "is listed under `ignore`, but there is no such column")
 
     def _covariate(self, name: str, quantity: str) -> np.ndarray | None:
         """A covariate's values, NaN in its holes, shape (N,); `None` for a column of words."""

@@ -50,7 +50,7 @@ def load_measurements(
             disagree, or has no usable row; or a station that needs a frame of its own has held-out rows only.
     """
     settings = campaign.measurements
-    table = read_tables(_existing(campaign, files))
+    table = read_tables(_existing(campaign, files), settings.ignore)
     source = Source(table, settings, tuple(readings), str(campaign.path))
     q = source.joints(kinds)
     position, quaternion, std = np.full((len(table), 3), np.nan), None, None
@@ -63,6 +63,8 @@ def load_measurements(
     station = source.labels("station", needed=per_station(campaign))
     split = source.split()
     covariates = source.covariates()
+    if files is None:  # other tables, another day's for instance, need not have what is ignored anyway
+        source.note_unknown_ignored()
     refuse_copies(source, [q, position, quaternion, std, *covariates.values()], station)
     if not source.usable.any():
         raise nothing_usable(source)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from aridcal.errors import CampaignError, MeasurementError
+from aridcal.errors import CampaignError, MeasurementError, NotOfThisRobot
 from aridcal.fit.constants import station_labels, unused_links
 from aridcal.fit.least_squares import Fit, fit
 from aridcal.fit.noise import Repeats, declared_notices, repeats
@@ -32,6 +32,9 @@ from aridcal.search.residual_trends import trace
 from aridcal.search.verdict import Verdict, decide, row_clues
 
 Progress = Callable[[str], None]
+
+Judge = Callable[[Campaign, Robot, Dataset, Geometry | None], None]
+"""Told what frames and constants leave of the rows, None if nothing can be made of them; may refuse them and say why."""
 
 STILL = 1e-3
 """[rad] or [m]: a joint that covers less does not move."""
@@ -65,6 +68,7 @@ def identify(
     verify: AnyTable | None = None,
     progress: Progress = lambda _: None,
     cache: Path | None = None,
+    judge: Judge = lambda *_: None,
 ) -> Outcome:
     """Run a campaign up to its outcome.
 
@@ -74,6 +78,7 @@ def identify(
         verify: Another day's table, to be scored.
         progress: Called with what is being done.
         cache: ``fiducials.csv`` of an earlier run on the same images, if there is one.
+        judge: Asked about a table of poses before effects are sought.
 
     Raises:
         AridcalError: whatever in the input needs mending.
@@ -89,7 +94,13 @@ def identify(
         still = _check_motion(campaign, rows)
         labels = station_labels(campaign, rows)
         progress(f"fitting frames and constants to {rows.train.sum()} rows")
-        arm = fit_arm(campaign, fit_constants(campaign, robot, rows, labels), rows, progress)
+        try:
+            geometry = fit_constants(campaign, robot, rows, labels)
+        except NotOfThisRobot:
+            judge(campaign, robot, rows, None)
+            raise
+        judge(campaign, robot, rows, geometry)
+        arm = fit_arm(campaign, geometry, rows, progress)
         outcome = _outcome(campaign, robot, arm, still, progress)
     if verify is not None:
         outcome = replace(outcome, verification=score(outcome, verify))

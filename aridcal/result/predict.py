@@ -14,6 +14,7 @@ from aridcal.inputs.campaign import MeasurementSettings
 from aridcal.inputs.quantities import POSITION, QUATERNION, STD, angle_columns, column_of
 from aridcal.inputs.query import Query, load_query
 from aridcal.inputs.tables import AnyTable
+from aridcal.model.inverse import InverseKinematics
 from aridcal.model.model import Model
 from aridcal.result.saved_model import SavedModel
 from aridcal.result.seen import CHANNELS, SPREAD, inside
@@ -41,10 +42,24 @@ def read_query(saved: SavedModel, table: AnyTable, poses: bool = False) -> Query
         saved.measurements,
         poses=poses,
         per_station=per_station(saved.final.model),
+        needs=set(at_any_station(saved).model.needs) - set(directions(saved) if poses else ()),
     )
     if not query.usable.any():
         raise MeasurementError(f"no row can be {'commanded' if poses else 'predicted'}. First: {query.refused[0]}")
     return query
+
+
+def at_any_station(saved: SavedModel) -> InverseKinematics:
+    """Inverse kinematics at the first station; all need the same covariates."""
+    model = saved.final.model
+    labels = [label for label, _ in (*model.world_base, *model.tip_target) if label is not None]
+    return saved.inverse_kinematics(labels[0] if labels else None)
+
+
+def directions(saved: SavedModel) -> tuple[str, ...]:
+    """Approach directions that the effects depend on, ``joint_2_direction`` for instance."""
+    known = {f"{name}_direction" for name in saved.final.model.robot.names}
+    return tuple(name for name in at_any_station(saved).model.needs if name in known)
 
 
 def per_station(model: Model) -> bool:
