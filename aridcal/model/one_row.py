@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -113,12 +113,13 @@ class OneRowModel:
         loads = [n for n in names if n not in robot.names and n.rpartition(".")[0] in robot.names]
         measured = [n for n in names if n not in robot.names and n not in loads]
         self._joints = [(place[n], robot.names.index(n)) for n in names if n in robot.names]
+        self._absent = _absent(bases.values())
         self._measured = [(place[n], n) for n in measured]
         around = _surroundings_at(model, station)
         self._loads = _Loads(robot, around, [(place[n], n) for n in loads]) if loads else None
         self._covariates = len(names)
         payload = ("payload",) if self._loads and self._loads.payload else ()
-        self.needs = tuple(sorted({*measured, *payload}))
+        self.needs = tuple(sorted({*measured, *payload} - set(self._absent)))
 
     def _take_curves(self, bases: dict[int, Basis], theta: np.ndarray, place: Mapping[str, int]) -> list[_Curve]:
         """Sum the splines that stand on the same evenly spaced knots, and take them out of the bases."""
@@ -170,7 +171,7 @@ class OneRowModel:
             z[k] = positions[joint]
         try:
             for k, name in self._measured:
-                z[k] = covariates[name]
+                z[k] = covariates[name] if name not in self._absent else covariates.get(name, self._absent[name])
             if self._loads:
                 self._loads.fill(z, readings, covariates)
         except KeyError as missing:
@@ -202,6 +203,13 @@ class OneRowModel:
         J = pin.computeFrameJacobian(self._model, self._data, q, self._target, pin.LOCAL_WORLD_ALIGNED)
         target = pin.updateFramePlacement(self._model, self._data, self._target)
         return target.rotation.copy(), target.translation.copy(), J @ self._drive
+
+
+def _absent(bases: Iterable[Basis]) -> dict[str, float]:
+    """Covariates that need not be given, and what each counts as then: those on which no other form depends."""
+    absent = {(name, FORMS[basis.form].absent) for basis in bases for name in basis.of}
+    needed = {name for name, value in absent if value is None}
+    return {name: value for name, value in absent if value is not None and name not in needed}
 
 
 def _even(centres: np.ndarray, step: float) -> bool:

@@ -17,6 +17,7 @@ from scipy.stats import wilcoxon
 from aridcal.effects.effect import Effect
 from aridcal.effects.joint_kinds import ORDERS
 from aridcal.fit.normal_equations import accumulate
+from aridcal.search.change_points import walk_instead
 from aridcal.search.evidence import SMOOTH_PRICE, Score, coefficients, price, score, shaped, smooth_tail, solve, tail
 from aridcal.search.hints import SCANNED
 from aridcal.search.linear_model import Active, LinearModel, State, activate, flat, with_candidate
@@ -167,6 +168,8 @@ def judge(model: LinearModel, state: State, effect: Effect, found: Score, tested
     odd = effect.kind == "joint_harmonic" and max(effect.order) not in ORDERS
     orders = SCANNED * len(model.own) if odd else 1  # among which this one was the loudest
     tested += orders if odd else 0
+    if effect.at is not None:  # the best of all rows at all places: both frames and each joint
+        tested += len(state.fold) * (len(model.own) + 2)
     p_value = min(1.0, found.p_value * tested)
 
     def judgement(held_back: float, why: str) -> Judgement:
@@ -177,7 +180,8 @@ def judge(model: LinearModel, state: State, effect: Effect, found: Score, tested
     candidate = activate(model, state, effect, found)
     loss = _losses(model, state, candidate, state.fold)
     held_back = float(1.0 - loss[1].sum() / loss[0].sum())
-    known = any((a.effect.kind, a.effect.where) == (effect.kind, effect.where) for a in state.active)
+    who = (effect.kind, effect.where, effect.at)
+    known = any((a.effect.kind, a.effect.where, a.effect.at) == who for a in state.active)
     if held_back < (0.0 if known else LEAST):
         share = 100 * max(held_back, 0.0)
         return judgement(held_back, f"reduces the cross-validated squared error by only {share:.2g} %")
@@ -191,6 +195,10 @@ def judge(model: LinearModel, state: State, effect: Effect, found: Score, tested
         robust = _over_time(model, state, candidate)
         if robust > ROBUST:
             return judgement(held_back, f"seen in too few separate periods of time (p = {robust:.2g})")
+    if effect.at is not None:
+        robust = walk_instead(model, state, candidate)
+        if robust > ROBUST:
+            return judgement(held_back, f"looks like a slow change, not like a step (p = {robust:.2g})")
     return judgement(held_back, "")
 
 

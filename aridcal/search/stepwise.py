@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from aridcal.effects.catalogue import KINDS
 from aridcal.effects.effect import Effect
+from aridcal.search.change_points import best_steps
 from aridcal.search.evidence import Score
 from aridcal.search.hints import harmonics
 from aridcal.search.linear_model import LinearModel, State, activate, solve_state
@@ -95,8 +96,21 @@ def twins(model: LinearModel, library: Sequence[Effect], state: State) -> tuple[
     )
 
 
-def rank(model: LinearModel, library: Sequence[Effect], state: State, scan: bool = False) -> list[tuple[Effect, Score]]:
-    """Score every candidate that is not in the model; the best first, the first few with their noise apart."""
+def rank(
+    model: LinearModel, library: Sequence[Effect], state: State, scan: bool = False, also: Sequence[Effect] = ()
+) -> list[tuple[Effect, Score]]:
+    """Score every candidate that is not in the model; the best first, the first few with their noise apart.
+
+    Args:
+        model: The linearised model.
+        library: All candidates; a step among them is tried where the residual asks for it most.
+        state: The model as it is.
+        scan: Look for harmonics of any order, too.
+        also: Further candidates, as they are.
+    """
+    jumps = [e for e in library if e.at is not None]
+    library = [*(e for e in library if e.at is None), *best_steps(model, state, jumps), *also]
+    library = list(dict.fromkeys(library))
     taken = {a.effect for a in state.active}
     kinds = {e.kind for e in library}
     held = {(kind, e.where) for e in taken for kind in KINDS[e.kind].holds}
@@ -148,9 +162,9 @@ def _forward(
 def _tidy(model: LinearModel, library: Sequence[Effect], state: State, rounds: int, tested: int) -> State:
     """Take each effect out in turn: drop it if it is not missed, exchange it if another does better in its place."""
     kinds = {e.kind for e in library}
-    # Harmonics of an order of their own are no part of the library, but are tried again like all else.
-    library = list(dict.fromkeys([*library, *(a.effect for a in state.active if a.effect.kind in kinds)]))
-    known = set(library)
+    # Harmonics of an order of their own, and steps, are no part of the library, but are tried again like all else.
+    also = [a.effect for a in state.active if a.effect.kind in kinds]
+    known = {*library, *also}
     for _ in range(rounds):
         before = [a.effect for a in state.active]
         for effect in before:
@@ -158,7 +172,7 @@ def _tidy(model: LinearModel, library: Sequence[Effect], state: State, rounds: i
             if len(active) == len(state.active) or effect not in known:
                 continue
             without = solve_state(model, active, state.solution.sigma, state.used)
-            ranked = rank(model, library, without)
+            ranked = rank(model, library, without, also=also)
             mine = next((s for e, s in ranked if e == effect), None)
             if mine is None:  # a map of the same joint, taken since, holds it
                 state = without
@@ -179,7 +193,7 @@ def _twins(model: LinearModel, library: Sequence[Effect], state: State, k: int) 
     mine = state.active[k]
     active = [a for a in state.active if a is not mine]
     without = solve_state(model, active, state.solution.sigma, state.used)
-    ranked = rank(model, library, without)
+    ranked = rank(model, library, without, also=[mine.effect])
     own = next((s for e, s in ranked if e == mine.effect), None)
     if own is None:
         return ()
