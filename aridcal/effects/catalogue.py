@@ -115,19 +115,19 @@ def _at_moment(rows: Observed, effect: Effect, d: Declaration, place: str) -> Ef
     Raises:
         CampaignError: there is no such column, or all rows are on one side of it.
     """
-    of, key, number = ("time", "time", d.at.time) if d.at.row is None else (ROW_ORDER, "row", d.at.row - 0.5)
+    of, key = ("time", "time") if d.at.row is None else (ROW_ORDER, "row")
     if of != ROW_ORDER and of not in rows.measured:
         raise CampaignError(
             f"{place}: effects: {d.kind} at {d.where}: at.time: no complete column `time`; say the row: `at: {{row: LINE}}`"
         )
-    before = int(np.sum(rows.table[of] < number))
+    before = int(np.sum(rows.table[of] < d.at.number))
     if before in (0, len(rows.table[of])):
         low, high = (f"{v:.12g}" for v in (rows.table[of].min(), rows.table[of].max()))
         raise CampaignError(
             f"{place}: effects: {d.kind} at {d.where}: at.{key}: no fitted row is {'after' if before else 'before'} it: "
             f"their {of} is from {low} to {high}"
         )
-    basis = Basis("step", (of,), (float(number),))
+    basis = Basis("step", (of,), (d.at.number,))
     return replace(effect, coefficients=tuple(replace(c, basis=basis) for c in effect.coefficients))
 
 

@@ -194,6 +194,11 @@ class Moment(Section):
     time: float | None = None
     """[s], as in the column `time`."""
 
+    @property
+    def number(self) -> float:
+        """Between it and the row before, or the time itself."""
+        return self.row - 0.5 if self.row is not None else float(self.time or 0.0)
+
     @model_validator(mode="after")
     def _one_of_both(self) -> Moment:
         if (self.row is None) == (self.time is None):

@@ -32,7 +32,8 @@ ROBUST = 1e-3
 """Chance of one candidate when rows may err together; it has stood out among all candidates before this is asked."""
 
 DOUBT = 0.05
-"""The same for a smooth function on rows held back, beside its evidence: a second opinion, so the usual 5 %."""
+"""The same for a smooth function on rows held back, and for a step beside a slow change, beside their evidence: a second
+opinion, so the usual 5 %."""
 
 CHUNK = 128
 """Columns that are scored at once: their Gram matrix stays in the cache."""
@@ -197,7 +198,7 @@ def judge(model: LinearModel, state: State, effect: Effect, found: Score, tested
             return judgement(held_back, f"seen in too few separate periods of time (p = {robust:.2g})")
     if effect.at is not None:
         robust = walk_instead(model, state, candidate)
-        if robust > ROBUST:
+        if robust > DOUBT:
             return judgement(held_back, f"looks like a slow change, not like a step (p = {robust:.2g})")
     return judgement(held_back, "")
 
