@@ -102,7 +102,7 @@ def _outcome(
     final, last = stages[-1].fit, stages[-1].residual
     kept = rows.select(~outlier)
     repeated = repeats(kept, last[~outlier])
-    questions = clues(kept, scaled(last, rows.relative)[~outlier], repeated, _freedom(final))
+    questions = clues(kept, scaled(last, rows.relative)[~outlier], repeated, _freedom(final), final)
     said, unexplained = verdict(questions, diagnosed, _freedom(final) > FREE)
     compared = final if len(final.theta) < HALVED else geometric
     return Outcome(
