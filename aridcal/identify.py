@@ -20,6 +20,7 @@ from rich.table import Table
 from aridcal.command_line import CommandParser, command_parser, run
 from aridcal.files import check_writable
 from aridcal.head.detections import CACHE
+from aridcal.result.folder import what_moved
 from aridcal.result.key_figures import rms_position, scored
 from aridcal.result.outcome import Outcome, Verification, errors
 from aridcal.result.pipeline import identify
@@ -43,7 +44,8 @@ def summary(outcome: Outcome, console: Console) -> None:
     """Print the figures that matter."""
     console.print(_error_table(outcome))
     for effect in outcome.effects:
-        console.print(_effect_line(effect), markup=False)
+        moved = what_moved(effect.effect, outcome.measurements)
+        console.print(_effect_line(effect) + (f": {moved}" if moved else ""), markup=False)
     if outcome.diagnosis is not None and outcome.diagnosis.tested:
         console.print(f"{outcome.diagnosis.tested:,} candidates tested", markup=False)
     if outcome.verification is not None:

@@ -107,13 +107,13 @@ class OneRowModel:
                 del bases[k]
         names = list(dict.fromkeys(name for basis in bases.values() for name in basis.of))
         place = {name: i for i, name in enumerate(names)}
+        self._absent = _absent(bases.values())
         self._curves = self._take_curves(bases, theta, place)
         self._terms = self._all_terms(bases, theta, place)
 
         loads = [n for n in names if n not in robot.names and n.rpartition(".")[0] in robot.names]
         measured = [n for n in names if n not in robot.names and n not in loads]
         self._joints = [(place[n], robot.names.index(n)) for n in names if n in robot.names]
-        self._absent = _absent(bases.values())
         self._measured = [(place[n], n) for n in measured]
         around = _surroundings_at(model, station)
         self._loads = _Loads(robot, around, [(place[n], n) for n in loads]) if loads else None

@@ -201,6 +201,21 @@ def moment(step: Basis, rows: Dataset) -> dict[str, Any]:
     return found | ({"time": float(time)} if np.isfinite(time) else {})
 
 
+def what_moved(effect: Effect, rows: Dataset) -> str:
+    """A step in words, ``world_base moved between rows 117 and 118``; empty for what always acts."""
+    if effect.at is None:
+        return ""
+    last, first = rows_around(effect.at, rows)
+    who = effect.where if effect.where in WHERE else f"the zero of {effect.where}"
+    if rows.file[last] == rows.file[first]:
+        between = f"rows {rows.line[last]} and {rows.line[first]}"
+    else:
+        ends = (f"row {rows.line[k]} of {rows.files[rows.file[k]].name}" for k in (last, first))
+        between = " and ".join(ends)
+    when = f" (from time {effect.at.numbers[0]:.6g} on)" if effect.at.of[0] == "time" else ""
+    return f"{who} moved between {between}{when}"
+
+
 def rows_around(step: Basis, rows: Dataset) -> tuple[int, int]:
     """The last row before a step and the first after it."""
     values = rows.conditions[step.of[0]]

@@ -31,7 +31,7 @@ COARSE = 200
 LENGTHS = (2.0, 5.0, 12.0, 30.0, np.inf)
 """Rows over which noise may stay alike: two and a half times apart, from one row to the next to a walk without end."""
 
-WANDERS = np.logspace(-4.0, 1.5, 12)
+WANDERS = (1e-4, 3e-4, 1e-3, 3e-3, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0)
 """Variances of such noise that are tried, in units of a row's own: two in a decade, from nothing to all that there is."""
 
 
