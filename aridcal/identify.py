@@ -21,6 +21,7 @@ from aridcal.command_line import CommandParser, command_parser, run
 from aridcal.files import check_writable
 from aridcal.head.detections import CACHE
 from aridcal.prepare.other_readings import refuse_misread
+from aridcal.result.folder import what_moved
 from aridcal.result.key_figures import every_held_out_row, rms_position, scored
 from aridcal.result.outcome import Outcome, Verification, errors
 from aridcal.result.pipeline import identify
@@ -46,7 +47,8 @@ def summary(outcome: Outcome, console: Console) -> None:
     if outcome.parts()["test_all"].any():
         console.print(every_held_out_row(outcome), markup=False)
     for effect in outcome.effects:
-        console.print(_effect_line(effect), markup=False)
+        moved = what_moved(effect.effect, outcome.measurements)
+        console.print(_effect_line(effect) + (f": {moved}" if moved else ""), markup=False)
     if outcome.diagnosis is not None and outcome.diagnosis.tested:
         console.print(f"{outcome.diagnosis.tested:,} candidates tested", markup=False)
     if outcome.verification is not None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from aridcal.effects.basis import Basis
+from aridcal.effects.basis import FORMS, Basis
 from aridcal.effects.effect import direction
 from aridcal.robot.chain import Joint, Robot
 from aridcal.robot.kinematics import gravity_loads, joint_frames, tip_frames
@@ -38,8 +38,8 @@ class Surroundings:
 
 
 def needs(robot: Robot, bases: Iterable[Basis], around: Surroundings) -> tuple[str, ...]:
-    """Columns beside the joints that some bases depend on, sorted; ``payload`` where one of their loads holds it."""
-    names = {name for basis in bases for name in basis.of} - set(robot.names)
+    """Columns beside the joints that some bases cannot do without, sorted; ``payload`` where one of their loads holds it."""
+    names = {name for basis in bases for name in basis.of if FORMS[basis.form].absent is None} - set(robot.names)
     loads = {name for name in names if is_load(name)}
     held = any(around.loaded or ".payload_" in name for name in loads)
     return tuple(sorted((names - loads) | ({"payload"} if held else set())))

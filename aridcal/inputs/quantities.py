@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from aridcal.effects.effect import ROW_ORDER
 from aridcal.errors import CampaignError, MeasurementError, nearest
 from aridcal.inputs.campaign import MeasurementSettings
 from aridcal.inputs.tables import DECIMAL_COMMA, Remark, Table
@@ -294,7 +295,9 @@ class Source:
             if not name or name in self.used or name in self.settings.ignore:
                 continue
             quantity = quantities.get(name, name)
-            if name not in quantities and name in self.settings.columns:
+            if quantity == ROW_ORDER:
+                self.note(name, "is not used: that is what the order of the rows is called; rename the column")
+            elif name not in quantities and name in self.settings.columns:
                 self.note(name, f"is not used: {name} is in the column {self.settings.columns[name]!r}")
             elif quantity not in POSE_OR_LABEL:
                 values = self._covariate(name, quantity)

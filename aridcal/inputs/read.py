@@ -17,7 +17,7 @@ from aridcal.inputs.dataset import Dataset, RowNoise, weighed
 from aridcal.inputs.quantities import Source
 from aridcal.inputs.repeats import blocks
 from aridcal.inputs.split import draw_split, with_training_rows
-from aridcal.inputs.tables import AnyTable, read_tables
+from aridcal.inputs.tables import AnyTable, Table, read_tables
 from aridcal.robot.chain import JointKind
 
 
@@ -85,6 +85,7 @@ def load_measurements(
         notices=tuple(source.notices),
         file=table.file,
         line=table.line,
+        order=_counted_on(table) if fitted else np.full(len(table), np.inf),
         readings=q,
         channels=channels,
         position=position,
@@ -106,6 +107,12 @@ def load_measurements(
     numbers = sum(channel.size for channel in channels)
     noise = RowNoise(None if std is None else std[source.usable, :numbers], absolute=settings.noise.rows == "absolute")
     return weighed(rows, noise)
+
+
+def _counted_on(table: Table) -> np.ndarray:
+    """Lines of the rows, those of the second file after those of the first, shape (N,)."""
+    last = [table.line[table.file == k].max(initial=0) for k in range(len(table.files))]
+    return np.asarray(table.line + np.cumsum([0, *last])[table.file], dtype=float)
 
 
 def per_station(campaign: Campaign) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -107,6 +107,7 @@ class OneRowModel:
                 del bases[k]
         names = list(dict.fromkeys(name for basis in bases.values() for name in basis.of))
         place = {name: i for i, name in enumerate(names)}
+        self._absent = _absent(bases.values())
         self._curves = self._take_curves(bases, theta, place)
         self._terms = self._all_terms(bases, theta, place)
 
@@ -169,7 +170,7 @@ class OneRowModel:
             z[k] = positions[joint]
         try:
             for k, name in self._measured:
-                z[k] = covariates[name]
+                z[k] = covariates[name] if name not in self._absent else covariates.get(name, self._absent[name])
             if self._loads:
                 self._loads.fill(z, readings, covariates)
         except KeyError as missing:
@@ -201,6 +202,13 @@ class OneRowModel:
         J = pin.computeFrameJacobian(self._model, self._data, q, self._target, pin.LOCAL_WORLD_ALIGNED)
         target = pin.updateFramePlacement(self._model, self._data, self._target)
         return target.rotation.copy(), target.translation.copy(), J @ self._drive
+
+
+def _absent(bases: Iterable[Basis]) -> dict[str, float]:
+    """Covariates that need not be given, and what each counts as then: those on which no other form depends."""
+    absent = {(name, FORMS[basis.form].absent) for basis in bases for name in basis.of}
+    needed = {name for name, value in absent if value is None}
+    return {name: value for name, value in absent if value is not None and name not in needed}
 
 
 def _even(centres: np.ndarray, step: float) -> bool:

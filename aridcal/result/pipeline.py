@@ -160,7 +160,7 @@ def judge(arm: CalibratedArm) -> Judged:
     final, last = stages[-1].fit, stages[-1].residual
     kept, left = rows.select(~outlier), scaled(last, rows.relative)
     repeated = repeats(kept, last[~outlier])
-    asked = clues(kept, left[~outlier], repeated, _freedom(final)) + row_clues(rows, final, left, outlier)
+    asked = clues(kept, left[~outlier], repeated, _freedom(final), final) + row_clues(rows, final, left, outlier)
     effects = [active.effect for active in arm.diagnosed.found.state.active]
     return Judged(stages, outlier, repeated, tuple(asked), decide(asked, effects, _freedom(final)))
 

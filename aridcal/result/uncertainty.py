@@ -65,7 +65,7 @@ def accuracy(rows: Dataset, residual: np.ndarray) -> np.ndarray:
 def precision(fit: Fit, train: Dataset, halves: tuple[float, float]) -> Precision:
     """Propagate the noise to the target, and set it beside what two halves fitted apart show (see :func:`halves`)."""
     model, robot = fit.model, fit.model.robot
-    position, rotation = target_sigma(fit, model.rows(train.readings, train.covariates, train.station))
+    position, rotation = target_sigma(fit, model.rows(train.readings, train.conditions, train.station))
     limits = robot.limits
     seen = np.stack([train.readings.min(axis=0), train.readings.max(axis=0)], axis=1)
     low, high = np.where(np.isfinite(limits), limits, seen).T

@@ -9,7 +9,7 @@ import numpy as np
 
 from aridcal.effects.basis import Basis, evaluate
 from aridcal.effects.catalogue import KINDS, Barred, barred_joints, candidates, declared, usable_columns
-from aridcal.effects.effect import Coefficient, Effect
+from aridcal.effects.effect import ROW_ORDER, Coefficient, Effect
 from aridcal.effects.kinds import Observed
 from aridcal.effects.loads import covariate_table
 from aridcal.effects.smooth import Kernel
@@ -19,6 +19,7 @@ from aridcal.fit.least_squares import Fit, thin
 from aridcal.fit.residual import problem
 from aridcal.inputs.campaign import Campaign
 from aridcal.inputs.dataset import Dataset
+from aridcal.search.change_points import best_steps
 from aridcal.search.exact import GAUGE, Start, flagged_again, refit, refit_constants, worth
 from aridcal.search.held_back import missed
 from aridcal.search.hints import pairs
@@ -126,15 +127,17 @@ def _diagnosed(
     observed, barred = look(start)
     kinds = campaign.diagnosis.candidates if campaign.diagnosis.enabled else ()
     stated = [declared(observed, d, str(campaign.path)) for d in campaign.effects]
-    taken = {_identity(e) for e in stated}
-    named = [e for e in candidates(observed, tuple(k for k in kinds if KINDS[k].named)) if _identity(e) not in taken]
+    taken = {e.identity for e in stated}
+    named = [e for e in candidates(observed, tuple(k for k in kinds if KINDS[k].named)) if e.identity not in taken]
     unnamed = candidates(observed, tuple(k for k in kinds if not KINDS[k].named))
     library = [*named, *unnamed, *stated]
     place = Place(start.geometric, linear_model(start, start.geometric, (), library, observed))
     named = [e for e in named if place.linear.moves(e)]
     if named:
         progress(f"testing {len(named)} known effects")
-    state = _with_declared(place, stated, start.geometric)
+    sought = [d.at is None for d in campaign.effects]
+    state = _with_declared(place, stated, sought, start.geometric)
+    stated = [a.effect for a in state.active]
     if is_small(place.linear, named):
         place, state = _large_first(start, place, named, library, state, observed)
     place, current, found, fitted = _searched(start, place, named, library, state, observed, progress)
@@ -185,22 +188,19 @@ class Place:
     linear: LinearModel
 
 
-def _identity(effect: Effect) -> tuple[object, ...]:
-    """What makes two effects the same for a user."""
-    return effect.kind, effect.where, effect.with_, effect.by
-
-
 def _fitting(state: State) -> str:
     """Words for a refit."""
     count = len(state.active)
     return f"fitting {count} effect{'' if count == 1 else 's'}: {', '.join(a.effect.label for a in state.active[:4])}"
 
 
-def _with_declared(place: Place, stated: Sequence[Effect], geometric: Fit) -> State:
-    """The model with the declared effects, which need no evidence."""
+def _with_declared(place: Place, stated: Sequence[Effect], sought: Sequence[bool], geometric: Fit) -> State:
+    """The model with the declared effects, which need no evidence; a step for which no row was said is sought."""
     linear = place.linear
     state = solve_state(linear, (), geometric.sigma, ~geometric.outliers)
-    for effect in stated:
+    for effect, anywhere in zip(stated, sought, strict=True):
+        if anywhere and effect.at is not None:
+            effect = next(iter(best_steps(linear, state, [effect])), effect)
         active = (*state.active, admitted(linear, state, effect))
         state = solve_state(linear, active, state.solution.sigma, state.used)
     return state
@@ -253,7 +253,7 @@ def _exchanged(before: State, after: State) -> bool:
 def _thinned(every: Start) -> Start:
     """Enough rows to search with."""
     geometric, train = every.geometric, every.train
-    rows = geometric.model.rows(train.readings, train.covariates, train.station)
+    rows = geometric.model.rows(train.readings, train.conditions, train.station)
     some = thin(rows, SEARCHED)
     if len(some) == len(train):
         return every
@@ -328,12 +328,12 @@ def look(start: Start) -> tuple[Observed, list[Barred]]:
     usable, barred = usable_columns(start.train.covariates)
     model, rows = start.geometric.model, start.train
     world = model.rows(rows.readings, None, rows.station).world
-    measured = {name: rows.covariates[name] for name in usable}
+    measured = {name: rows.conditions[name] for name in (*usable, ROW_ORDER)}
     payload = rows.covariates.get("payload")
     if payload is not None and not np.isnan(payload).any():
         measured["payload"] = payload  # it counts in the loads even where it is always the same
     table = covariate_table(model.robot, rows.readings, measured, model.around, world, {".gravity_", ".payload_"})
-    observed = Observed(model.robot, table, tuple(usable))
+    observed = Observed(model.robot, table, tuple(usable), orientations=rows.rotation is not None)
     return observed, barred + barred_joints(observed)
 
 

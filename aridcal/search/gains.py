@@ -126,8 +126,8 @@ def explain(diagnosed: Diagnosed, every: Dataset, scored: np.ndarray, clues: Seq
     active = found.state.active
     groups: dict[tuple[object, ...], list[int]] = {}
     for k, a in enumerate(active):
-        groups.setdefault(identity(a.effect), []).append(k)
-    stated = {identity(e) for e in diagnosed.declared}
+        groups.setdefault(a.effect.identity, []).append(k)
+    stated = {e.identity for e in diagnosed.declared}
     asked = problem(fit.model, every)
     held_out = asked.select(scored)
     final = asked.residual(fit.theta)
@@ -136,7 +136,7 @@ def explain(diagnosed: Diagnosed, every: Dataset, scored: np.ndarray, clues: Seq
         own = [active[k] for k in members]
         effect = merged([a.effect for a in own])
         others = [a.effect for k, a in enumerate(active) if k not in members]
-        twins = {identity(e): e for k in members for e in diagnosed.confounded[k] if identity(e) not in groups}
+        twins = {e.identity: e for k in members for e in diagnosed.confounded[k] if e.identity not in groups}
         p_value = min(a.score.p_value for a in own) * max(found.tested, 1)
         named = NamedEffect(
             effect=effect,
@@ -161,11 +161,6 @@ def explain(diagnosed: Diagnosed, every: Dataset, scored: np.ndarray, clues: Seq
         tested=found.tested,
         clues=tuple(clues),
     )
-
-
-def identity(effect: Effect) -> tuple[object, ...]:
-    """What makes two effects the same for a user."""
-    return effect.kind, effect.where, effect.with_, effect.by
 
 
 def refitted(fit: Fit, gone: np.ndarray, free: np.ndarray) -> np.ndarray:

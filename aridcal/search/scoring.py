@@ -16,6 +16,7 @@ from scipy.stats import wilcoxon
 
 from aridcal.effects.effect import Effect
 from aridcal.fit.normal_equations import accumulate
+from aridcal.search.change_points import walk_instead
 from aridcal.search.evidence import SMOOTH_PRICE, Score, coefficients, price, score, shaped, smooth_tail, solve, tail
 from aridcal.search.linear_model import Active, LinearModel, State, activate, flat, with_candidate
 
@@ -29,7 +30,8 @@ ROBUST = 1e-3
 """Chance of one candidate when rows may err together; it has stood out among all candidates before this is asked."""
 
 DOUBT = 0.05
-"""The same for a smooth function on rows held back, beside its evidence: a second opinion, so the usual 5 %."""
+"""The same for a smooth function on rows held back, and for a step beside a slow change, beside their evidence: a second
+opinion, so the usual 5 %."""
 
 CHUNK = 128
 """Columns that are scored at once: their Gram matrix stays in the cache."""
@@ -163,6 +165,8 @@ def judge(model: LinearModel, state: State, effect: Effect, found: Score, tested
         tested: Number of candidates among which it stood out.
     """
     tested += effect.looked if effect.hinted else 0
+    if effect.at is not None:  # the best of all rows at all places: both frames and each joint
+        tested += len(state.fold) * (len(model.own) + 2)
     p_value = min(1.0, found.p_value * tested)
 
     def judgement(gain: float, why: str) -> Judgement:
@@ -173,7 +177,8 @@ def judge(model: LinearModel, state: State, effect: Effect, found: Score, tested
     candidate = activate(model, state, effect, found)
     loss = held_back(model, state, candidate, state.fold).sum(axis=1)
     share = float(1.0 - loss[1].sum() / loss[0].sum())
-    known = any((a.effect.kind, a.effect.where) == (effect.kind, effect.where) for a in state.active)
+    who = (effect.kind, effect.where, effect.at)
+    known = any((a.effect.kind, a.effect.where, a.effect.at) == who for a in state.active)
     if share < (0.0 if known else LEAST):
         percent = 100 * max(share, 0.0)
         return judgement(share, f"reduces the cross-validated squared error by only {percent:.2g} %")
@@ -188,6 +193,10 @@ def judge(model: LinearModel, state: State, effect: Effect, found: Score, tested
         robust = _over_time(model, state, candidate)
         if robust > ROBUST:
             return judgement(share, f"seen in too few separate periods of time (p = {robust:.2g})")
+    if effect.at is not None:
+        robust = walk_instead(model, state, candidate)
+        if robust > DOUBT:
+            return judgement(share, f"looks like a slow change, not like a step (p = {robust:.2g})")
     return judgement(share, "")
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from aridcal.effects.catalogue import KINDS
 from aridcal.effects.effect import Effect
+from aridcal.search.change_points import best_steps
 from aridcal.search.evidence import Score
 from aridcal.search.hints import hinted
 from aridcal.search.linear_model import LinearModel, State, activate, solve_state
@@ -98,16 +99,23 @@ def twins(model: LinearModel, library: Sequence[Effect], state: State) -> tuple[
 
 
 def rank(
-    model: LinearModel, library: Sequence[Effect], state: State, hints: Collection[str] = ()
+    model: LinearModel,
+    library: Sequence[Effect],
+    state: State,
+    hints: Collection[str] = (),
+    also: Sequence[Effect] = (),
 ) -> list[tuple[Effect, Score]]:
     """Score every candidate that is not in the model; the best first, the first few with their noise apart.
 
     Args:
         model: The linearised model.
-        library: Candidates.
+        library: Candidates; a step among them is tried where the residual asks for it most.
         state: The model as it is.
         hints: Kinds of which those that the residual hints at are candidates too.
+        also: Further candidates, as they are.
     """
+    jumps = [e for e in library if e.at is not None]
+    library = [*(e for e in library if e.at is None), *best_steps(model, state, jumps), *also]
     taken = {a.effect for a in state.active}
     held = {(kind, e.where) for e in taken if not e.hinted for kind in KINDS[e.kind].holds}
     every = dict.fromkeys([*library, *hinted(model, state, hints)])
@@ -174,10 +182,9 @@ def _with_rows_of_hints(model: LinearModel, state: State, kinds: Collection[str]
 def _tidy(model: LinearModel, library: Sequence[Effect], state: State, rounds: int, tested: int) -> State:
     """Take each effect out in turn: drop it if it is not missed, exchange it if another does better in its place."""
     kinds = {e.kind for e in library}
-    # Harmonics of an order of their own are no part of the library, but are tried again like all else.
-    library = list(dict.fromkeys([*library, *(a.effect for a in state.active if a.effect.kind in kinds)]))
-    known = set(library)
-    known -= {a.effect for a in state.active if a.stated}
+    # Harmonics of an order of their own, and steps, are no part of the library, but are tried again like all else.
+    also = [a.effect for a in state.active if a.effect.kind in kinds]
+    known = {*library, *also} - {a.effect for a in state.active if a.stated}
     for _ in range(rounds):
         before = [a.effect for a in state.active]
         for effect in before:
@@ -185,7 +192,7 @@ def _tidy(model: LinearModel, library: Sequence[Effect], state: State, rounds: i
             if len(active) == len(state.active) or effect not in known:
                 continue
             without = solve_state(model, active, state.solution.sigma, state.used, fixed=True)
-            ranked = rank(model, library, without, {effect.kind})
+            ranked = rank(model, library, without, {effect.kind}, also)
             mine = next((s for e, s in ranked if e == effect), None)
             if mine is None:  # a map of the same joint, taken since, holds it
                 state = without
@@ -206,7 +213,7 @@ def _twins(model: LinearModel, library: Sequence[Effect], state: State, k: int) 
     mine = state.active[k]
     active = [a for a in state.active if a is not mine]
     without = solve_state(model, active, state.solution.sigma, state.used, fixed=True)
-    ranked = rank(model, library, without)
+    ranked = rank(model, library, without, also=[mine.effect])
     own = next((s for e, s in ranked if e == mine.effect), None)
     if own is None:
         return ()
