@@ -10,6 +10,7 @@ from scipy.stats import multivariate_normal
 
 from aridcal.effects.basis import Basis, evaluate
 from aridcal.effects.effect import ROW_ORDER, Coefficient, Effect
+from aridcal.fit.flags import OUTLIER
 from aridcal.inputs.channels import TARGET_POSITION, TARGET_ROTATION
 from aridcal.search.change_points import (
     COARSE,
@@ -40,7 +41,8 @@ def made_up(seed: int, n: int = 300) -> LinearModel:
         phi=np.zeros((n, 0)),
         bases=(),
         r=rng.standard_normal((n, 6)),
-        stale=np.zeros(n, dtype=bool),
+        limit=np.full(n, OUTLIER),
+        configuration=np.arange(n),
         run=np.arange(n) * 24 // n,
         fold=rng.integers(0, 5, n),
         own=("j1",),

@@ -27,11 +27,11 @@ from aridcal.result.folder import parameters, result_document
 from aridcal.result.outcome import STATISTICS, Outcome, Verification, errors
 from aridcal.result.pipeline import identify
 from aridcal.result.uncertainty import accuracy
+from aridcal.result.verdict import Verdict
 from aridcal.robot.chain import parse_robot
 from aridcal.robot.doty import doty_links
 from aridcal.search.gains import Curve, Diagnosis, NamedEffect, Rejected
 from aridcal.search.noise_tests import Clue
-from aridcal.search.verdict import Verdict
 
 ANSWERS = ["data", "separable", "enough", "fits", "depends", "remains", "parameters", "use"]
 HOSTILE = """<img src=x onerror="alert('1')">$\\frac{1}{0}$ &amp;"""

@@ -120,7 +120,7 @@ def test_what_moved_is_named_with_its_row_and_the_rest_is_noise(moves: Moves, ki
     ((name, place, at),) = happened(outcome)
     assert (name, place) == ("shift", where)
     assert abs(at - (row + 2)) <= 2
-    assert outcome.verdict == "noise_floor"
+    assert outcome.verdict.word == "noise_floor"
     assert machine.miss(calibration(outcome)) < 0.6 * SIGMA
 
 
@@ -173,7 +173,7 @@ def test_a_machine_that_stood_still_or_wandered_slowly_has_no_shift(what: str, t
     table[["x", "y", "z"]] += wander
     outcome = identify(machine.campaign(tmp_path, table))
     assert not any(kind == "shift" for kind, _, _ in happened(outcome))
-    assert outcome.verdict == ("noise_floor" if what == "nothing" else "structure_remains")
+    assert outcome.verdict.word == ("noise_floor" if what == "nothing" else "structure_remains")
 
 
 @pytest.mark.parametrize("at", [{"row": 82}, {"time": 2415.0}, None], ids=["row", "time", "sought"])

@@ -12,11 +12,11 @@ from aridcal.inputs.campaign import Campaign
 from aridcal.inputs.channels import Channels, norms
 from aridcal.inputs.dataset import Dataset
 from aridcal.result.uncertainty import Precision
+from aridcal.result.verdict import Verdict
 from aridcal.robot.chain import Robot
 from aridcal.search.arm_and_head import MeasuringHead
 from aridcal.search.gains import Diagnosis, NamedEffect
 from aridcal.search.residual_trends import Traces
-from aridcal.search.verdict import Verdict
 
 STATISTICS = ("rms", "mean", "median", "p95", "max")
 

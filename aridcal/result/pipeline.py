@@ -22,6 +22,7 @@ from aridcal.inputs.read import load_measurements
 from aridcal.inputs.tables import AnyTable
 from aridcal.result.outcome import Outcome, Stage, Verification
 from aridcal.result.uncertainty import FAR, halves, outliers, precision, realigned, with_noise_seen
+from aridcal.result.verdict import Verdict, decide, row_clues
 from aridcal.result.with_head import with_head
 from aridcal.robot.chain import Robot, load_robot
 from aridcal.search.arm import CalibratedArm, fit_arm, fit_constants
@@ -29,7 +30,6 @@ from aridcal.search.arm_and_head import fit_arm_and_head
 from aridcal.search.gains import explain
 from aridcal.search.noise_tests import Clue, clues
 from aridcal.search.residual_trends import trace
-from aridcal.search.verdict import Verdict, decide, row_clues
 
 Progress = Callable[[str], None]
 
