@@ -119,8 +119,8 @@ def _other_views(rows: Dataset, residual: np.ndarray, sigma: np.ndarray, fit: Fi
     R, _, twists = asked.model.jacobian(np.concatenate([fit.theta, np.zeros(len(moved))]), asked.rows)
     parts = columns(rows.channels)
     turned = np.concatenate([np.einsum("nji,nj->ni", R, residual[:, part]) for part in parts], axis=1)
-    views = [View("in the target's axes", turned / np.sqrt(np.mean(turned**2, axis=0)))]
     scale = spread(sigma, rows.channels)
+    views = [View("in the target's axes", turned / scale)]
     J = scaled(twists[:, : len(scale), K:], rows.relative) / scale[:, None]
     lever = np.linalg.norm(J, axis=1)
     along = np.einsum("nms,nm->ns", J, residual / scale) / np.maximum(lever, TINY)
