@@ -21,7 +21,7 @@ from aridcal.command_line import CommandParser, command_parser, run
 from aridcal.files import check_writable
 from aridcal.head.detections import CACHE
 from aridcal.prepare.other_readings import refuse_misread
-from aridcal.result.key_figures import rms_position, scored
+from aridcal.result.key_figures import another_day, rms_position, scored
 from aridcal.result.outcome import Outcome, Verification, errors
 from aridcal.result.pipeline import identify
 from aridcal.result_folder import write_folder
@@ -50,6 +50,9 @@ def summary(outcome: Outcome, console: Console) -> None:
     if outcome.verification is not None:
         for line in _verification_lines(outcome.verification):
             console.print(line, markup=False)
+    verified = another_day(outcome)
+    if verified is not None:
+        console.print(verified[1], markup=False)
     console.print(f"verdict: {outcome.verdict}: {VERDICTS[outcome.verdict]}", markup=False)
     for notice in outcome.notices[:MOST_NOTICES]:
         console.print(f"note: {notice}", markup=False)

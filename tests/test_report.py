@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import re
 from dataclasses import replace
 from html import escape
@@ -13,10 +14,12 @@ import pandas as pd
 import pytest
 import robots
 from lxml import html
+from rich.console import Console
 
 from aridcal.effects.basis import Basis
 from aridcal.effects.catalogue import KINDS, Barred
 from aridcal.effects.effect import Coefficient, Effect
+from aridcal.identify import summary as print_summary
 from aridcal.report.data_section import data
 from aridcal.report.first_screen import checks, summary
 from aridcal.report.fit_section import fits
@@ -363,6 +366,35 @@ def test_another_days_data_get_a_section_of_their_own(outcome: Outcome, handover
     assert written["error"]["final"] == errors(residuals["final"], every, outcome.channels)
     assert written["error"]["realigned"] == errors(outcome.stages[-1].residual, every, outcome.channels)
     assert "verification" not in result_document(outcome)
+
+
+@pytest.mark.parametrize(
+    ("times", "realigned", "good", "says"),
+    [
+        (1.1, 1.0, True, ""),
+        (3.0, 1.0, False, "mm with both frames fitted anew: the target or the instrument was remounted."),
+        (3.0, 2.9, False, "mm with both frames fitted anew: the robot has changed since."),
+    ],
+)
+def test_another_days_data_are_judged_on_the_first_screen(
+    times: float, realigned: float, good: bool, says: str, outcome: Outcome
+) -> None:
+    flagged = outcome.outlier
+    last = outcome.stages[-1].residual
+    rows = outcome.measurements
+    residuals = {stage.name: times * stage.residual for stage in outcome.stages}
+    other = Verification("<day 2>.csv", rows, residuals, flagged, realigned * last)
+    sentences = [(fine, said) for fine, said in checks(replace(outcome, verification=other)) if "Another day" in said]
+    ((fine, said),) = sentences
+    rms = 1e3 * np.sqrt(np.mean(np.sum((times * last[~flagged, :3]) ** 2, axis=1)))
+    assert fine is good
+    assert said.startswith(f"Another day's rows (<day 2>.csv, 122 of 124): {rms:.3f} mm RMS, ")
+    assert said.endswith(says or "held-out rows.")
+    assert "Another day" in join(list(summary(replace(outcome, verification=other))))
+    assert not any("Another day" in words for _, words in checks(outcome))
+    console = Console(file=io.StringIO(), width=250)
+    print_summary(replace(outcome, verification=other), console)
+    assert said in console.file.getvalue()  # type: ignore[attr-defined]
 
 
 def test_effects_and_what_else_was_tried_are_shown(outcome: Outcome, handover: Handover) -> None:

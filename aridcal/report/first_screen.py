@@ -16,6 +16,7 @@ from aridcal.result.key_figures import (
     PLUS,
     QUESTIONABLE,
     Step,
+    another_day,
     constants,
     generalisation,
     halves_agree,
@@ -184,6 +185,9 @@ def checks(outcome: Outcome) -> Iterator[tuple[bool, str]]:
     """What speaks for the result (True) and what should be looked at first (False)."""
     yield from _row_checks(outcome)
     yield from _fit_checks(outcome)
+    verified = another_day(outcome)
+    if verified is not None:
+        yield verified
     narrow = [j.name for j in narrow_joints(outcome)]
     if narrow:
         rest = len(narrow) - MOST_NAMES

@@ -111,6 +111,26 @@ def rms_position(residual: np.ndarray, mask: np.ndarray) -> float:
     return statistics(1e3 * np.linalg.norm(residual[mask, :3], axis=1))["rms"]
 
 
+def another_day(outcome: Outcome) -> tuple[bool, str] | None:
+    """What another day's rows say of the calibration: whether it holds, and the sentence; None: there are none."""
+    found = outcome.verification
+    if found is None:
+        return None
+    mask, words = scored(outcome)
+    own = rms_position(outcome.stages[-1].residual, mask)
+    sound = ~found.outlier
+    now = rms_position(found.residuals[outcome.stages[-1].name], sound)
+    said = f"Another day's rows ({found.file}, {sound.sum():,} of {len(sound):,}): {now:.3f} mm RMS, {own:.3f} on the {words}"
+    if now < OVERFITTED * own:
+        return True, f"{said}."
+    if found.realigned is None:
+        return False, f"{said}: the robot, the target or the instrument has changed since."
+    again = rms_position(found.realigned, sound)
+    moved = again < OVERFITTED * own
+    why = "the target or the instrument was remounted" if moved else "the robot has changed since"
+    return False, f"{said}; {again:.3f} mm with both frames fitted anew: {why}."
+
+
 def solved_stages(outcome: Outcome) -> dict[str, Stage]:
     """The fitted stages by name; neighbours that leave the same residual share an entry, ``geometric = final``."""
     found: list[tuple[str, Stage]] = []
