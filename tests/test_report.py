@@ -27,6 +27,7 @@ from aridcal.report.html import Html, join, number
 from aridcal.report.page import page, write_report
 from aridcal.result.controllers import Handover, hand_over
 from aridcal.result.folder import parameters, result_document
+from aridcal.result.key_figures import or_as_well
 from aridcal.result.outcome import STATISTICS, Outcome, Verification, errors
 from aridcal.result.pipeline import identify
 from aridcal.result.uncertainty import accuracy
@@ -418,6 +419,13 @@ def test_effects_and_what_else_was_tried_are_shown(outcome: Outcome, handover: H
     )
     report = page(replace(outcome, diagnosis=found), handover)
     assert_sound(report)
+    screen = Console(file=io.StringIO(), width=250)
+    print_summary(replace(outcome, diagnosis=found), screen)
+    twin = f"or as well joint_compliance at {beyond}"
+    assert f"found: joint_gain at {name} [axis], {twin}: " in screen.file.getvalue()  # type: ignore[attr-defined]
+    assert or_as_well(replace(named, confounded_with=())) == ""
+    five = tuple(Effect("thermal", joint, ()) for joint in outcome.robot.names[:5])
+    assert or_as_well(replace(named, confounded_with=five * 2)).endswith(f"thermal at {five[2].where} and 2 more")
     assert table(report, "Gain of each effect") == [
         [
             f"joint_gain at {name}{KINDS['joint_gain'].words}",
@@ -470,6 +478,10 @@ def test_each_effect_has_its_line_between_the_geometry_and_the_whole(outcome: Ou
     first = text(report, "//header")
     assert "9 more" not in first
     assert f"joint_gain at {names[0]} ({KINDS['joint_gain'].words}) for 31 %" in first  # 0.75^2 - 0.5^2
+    confounded = replace(effects[0], confounded_with=(effects[1].effect,))
+    diagnosis = Diagnosis((confounded, effects[1]), (), (), 0, ())
+    first = text(page(replace(outcome, stages=stages, diagnosis=diagnosis), handover), "//header")
+    assert f"({KINDS['joint_gain'].words}, or as well joint_gain at {names[1]}) for 31 %" in first
 
 
 # ---- hostile names --------------------------------------------------------------------------------------------------

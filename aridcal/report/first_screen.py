@@ -21,6 +21,7 @@ from aridcal.result.key_figures import (
     generalisation,
     halves_agree,
     narrow_joints,
+    or_as_well,
     removed_shares,
     scored,
     steps,
@@ -129,7 +130,7 @@ def _shares_in_words(outcome: Outcome, shares: list[tuple[Step, float]], correct
         shares: Steps with their shares of the squared error, the largest first.
         corrections: How many geometric corrections were identified.
     """
-    meanings = {e.effect.label: KINDS[e.effect.kind].words for e in outcome.effects}
+    meanings = {e.effect.label: f"{KINDS[e.effect.kind].words}{or_as_well(e)}" for e in outcome.effects}
     parts: list[str] = []
     for step, share in shares[:MOST_CAUSES]:
         geometric = "geometric" in step.names
