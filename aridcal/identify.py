@@ -22,7 +22,7 @@ from aridcal.files import check_writable
 from aridcal.head.detections import CACHE
 from aridcal.prepare.other_readings import refuse_misread
 from aridcal.result.folder import what_moved
-from aridcal.result.key_figures import every_held_out_row, rms_position, scored
+from aridcal.result.key_figures import another_day, every_held_out_row, or_as_well, rms_position, scored
 from aridcal.result.outcome import Outcome, Verification, errors
 from aridcal.result.pipeline import identify
 from aridcal.result_folder import write_folder
@@ -54,6 +54,9 @@ def summary(outcome: Outcome, console: Console) -> None:
     if outcome.verification is not None:
         for line in _verification_lines(outcome.verification):
             console.print(line, markup=False)
+    verified = another_day(outcome)
+    if verified is not None:
+        console.print(verified[1], markup=False)
     said = outcome.verdict
     console.print(f"verdict: {said.word}: {VERDICTS[said.word]}", markup=False)
     for reason in said.reasons:
@@ -78,14 +81,14 @@ def _error_table(outcome: Outcome) -> Table:
 
 
 def _effect_line(named: NamedEffect) -> str:
-    """An effect and its gain on the held-out rows, if there are any."""
+    """An effect, those that would do as well in its place, and its gain on the held-out rows, if there are any."""
     source = "declared" if named.declared else "found"
     gain = ""
     if len(named.before):
         every = np.ones(len(named.before), dtype=bool)
         without, with_it = (rms_position(r, every) for r in (named.before, named.after))
         gain = f": {without:.3f} mm without it, {with_it:.3f} mm with it"
-    return f"{source}: {named.effect.label} [{', '.join(named.effect.motion)}]{gain}"
+    return f"{source}: {named.effect.label} [{', '.join(named.effect.motion)}]{or_as_well(named)}{gain}"
 
 
 def _verification_lines(v: Verification) -> list[str]:

@@ -19,11 +19,13 @@ from aridcal.result.key_figures import (
     PLUS,
     QUESTIONABLE,
     Step,
+    another_day,
     constants,
     every_held_out_row,
     generalisation,
     halves_agree,
     narrow_joints,
+    or_as_well,
     removed_shares,
     scored,
     steps,
@@ -138,7 +140,7 @@ def _shares_in_words(outcome: Outcome, shares: list[tuple[Step, float]], correct
         shares: Steps with their shares of the squared error, the largest first.
         corrections: How many geometric corrections were identified.
     """
-    meanings = {e.effect.label: KINDS[e.effect.kind].words for e in outcome.effects}
+    meanings = {e.effect.label: f"{KINDS[e.effect.kind].words}{or_as_well(e)}" for e in outcome.effects}
     parts: list[str] = []
     for step, share in shares[:MOST_CAUSES]:
         geometric = "geometric" in step.names
@@ -205,6 +207,9 @@ def checks(outcome: Outcome) -> Iterator[tuple[bool, str]]:
     """What speaks for the result (True) and what should be looked at first (False)."""
     yield from _row_checks(outcome)
     yield from _fit_checks(outcome)
+    verified = another_day(outcome)
+    if verified is not None:
+        yield verified
     narrow = [j.name for j in narrow_joints(outcome)]
     if narrow:
         rest = len(narrow) - MOST_NAMES
