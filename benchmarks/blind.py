@@ -147,7 +147,11 @@ def oracle(case: Case, geometric: Fit) -> Fit:
     R = triangle(problem(truth, train), case.theta, np.ones(len(train)), case.sigma)
     # What is well known stays ahead of what the effect makes barely separable.
     order = sorted(range(first), key=lambda k: truth.names[k] not in geometric.model.names)
-    kept = [*sorted(identifiable(R[:, :first], order).kept), *range(first, len(case.theta))]
+    columns = first
+    if any(cause.effect.kind == "shift" for cause in case.causes):
+        # Turning the frame of a target that moved turns its step too: that is no direction of its own.
+        columns, order = len(case.theta), [*range(first, len(case.theta)), *order]
+    kept = [k for k in sorted(identifiable(R[:, :columns], order).kept) if k < first] + [*range(first, len(case.theta))]
     model, theta = truth.with_coefficients([truth.coefficients[k] for k in kept]), case.theta[kept]
     precision = np.zeros((len(kept), len(kept)))
     at = len(kept) - (len(case.theta) - first)
