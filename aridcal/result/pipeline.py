@@ -24,9 +24,10 @@ from aridcal.result.outcome import Outcome, Stage, Verification
 from aridcal.result.uncertainty import FAR, halves, outliers, precision, realigned
 from aridcal.result.with_head import with_head
 from aridcal.robot.chain import Robot, load_robot
-from aridcal.search.arm import CalibratedArm, fit_arm, fit_constants
+from aridcal.search.arm import CalibratedArm, calibrated_arm
 from aridcal.search.arm_and_head import fit_arm_and_head
 from aridcal.search.gains import explain, verdict
+from aridcal.search.noise_causes import structured_notices
 from aridcal.search.noise_tests import clues
 from aridcal.search.residual_trends import trace
 
@@ -72,7 +73,7 @@ def identify(
         still = _check_motion(campaign, rows)
         labels = station_labels(campaign, rows)
         progress(f"fitting frames and constants to {rows.train.sum()} rows")
-        arm = fit_arm(campaign, fit_constants(campaign, robot, rows, labels), rows, progress)
+        arm = calibrated_arm(campaign, robot, rows, labels, progress)
         outcome = _outcome(campaign, robot, arm, still, progress)
     if verify is not None:
         outcome = replace(outcome, verification=score(outcome, verify))
@@ -101,8 +102,9 @@ def _outcome(
     stages, outlier = _stages(rows, arm.geometry, diagnosed.fit)
     final, last = stages[-1].fit, stages[-1].residual
     kept = rows.select(~outlier)
-    repeated = repeats(kept, last[~outlier])
-    questions = clues(kept, scaled(last, rows.relative)[~outlier], repeated, _freedom(final))
+    white = scaled(last, rows.relative)[~outlier]
+    # Repeats are set beside the residual that they are part of: both divided by what the rows' noise is known to be.
+    questions = clues(kept, white, repeats(kept, white), _freedom(final))
     said, unexplained = verdict(questions, diagnosed, _freedom(final) > FREE)
     compared = final if len(final.theta) < HALVED else geometric
     return Outcome(
@@ -113,12 +115,14 @@ def _outcome(
         outlier=outlier,
         noise=final.sigma,
         noise_source="declared" if all(rows.sigma) else "estimated",
-        repeats=repeated,
+        repeats=repeats(kept, last[~outlier]),
         precision=precision(final, train, halves(compared, train)),
         verdict=said,
         unexplained_fraction=unexplained,
+        causes=arm.causes,
         notices=(
             *still,
+            *structured_notices(arm.causes),
             *declared_notices(rows, final.estimated, final.freedom),
             *unused_links(robot, campaign.parameters.set),
             *(str(n) for n in rows.notices),

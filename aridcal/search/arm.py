@@ -14,6 +14,7 @@ from aridcal.inputs.dataset import Dataset
 from aridcal.model.model import Model
 from aridcal.robot.chain import Robot
 from aridcal.search.diagnose import Diagnosed, diagnose
+from aridcal.search.noise_causes import NoiseCauses, noise_causes
 
 EARTH = np.array([0.0, 0.0, -9.81])
 """Gravity in a levelled world, [m/s^2]."""
@@ -27,11 +28,33 @@ class CalibratedArm:
         rows: All rows, the held-out ones too.
         geometry: Frames alone, and frames with constants; the latter recentred and knowing gravity.
         diagnosed: The final model and how it came about.
+        causes: What its residual's scatter is made of; None where that was not asked.
     """
 
     rows: Dataset
     geometry: Geometry
     diagnosed: Diagnosed
+    causes: NoiseCauses | None = None
+
+
+def calibrated_arm(
+    campaign: Campaign, robot: Robot, rows: Dataset, labels: tuple[str, ...], progress: Callable[[str], None]
+) -> CalibratedArm:
+    """Fit and search; ask what makes the rows scatter; if that is more than the instrument, do it again with it as weights.
+
+    So no effect is made of the scatter of a joint's reading, and rows that this scatter does not touch count in full.
+    """
+
+    def fitted(data: Dataset) -> CalibratedArm:
+        arm = fit_arm(campaign, fit_constants(campaign, robot, data, labels), data, progress)
+        progress("asking what the scatter is made of")
+        return replace(arm, causes=noise_causes(arm.diagnosed, rows))
+
+    first = fitted(rows)
+    if first.causes is None or first.causes.relative is None:
+        return first
+    progress("weighing the rows by what makes them scatter, and fitting again")
+    return fitted(replace(rows, relative=first.causes.relative))
 
 
 def fit_constants(campaign: Campaign, robot: Robot, rows: Dataset, labels: tuple[str, ...]) -> Geometry:
