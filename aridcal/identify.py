@@ -8,6 +8,7 @@ Example:
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 import time
 from collections.abc import Sequence
@@ -20,6 +21,7 @@ from rich.table import Table
 from aridcal.command_line import CommandParser, command_parser, run
 from aridcal.files import check_writable
 from aridcal.head.detections import CACHE
+from aridcal.report.words import causes_in_words, sigmas_in_words
 from aridcal.result.key_figures import rms_position, scored
 from aridcal.result.outcome import Outcome, Verification, errors
 from aridcal.result.pipeline import identify
@@ -49,6 +51,7 @@ def summary(outcome: Outcome, console: Console) -> None:
     if outcome.verification is not None:
         for line in _verification_lines(outcome.verification):
             console.print(line, markup=False)
+    console.print(_noise_line(outcome), markup=False)
     console.print(f"verdict: {outcome.verdict}: {VERDICTS[outcome.verdict]}", markup=False)
     for notice in outcome.notices[:MOST_NOTICES]:
         console.print(f"note: {notice}", markup=False)
@@ -78,6 +81,13 @@ def _effect_line(named: NamedEffect) -> str:
         without, with_it = (rms_position(r, every) for r in (named.before, named.after))
         gain = f": {without:.3f} mm without it, {with_it:.3f} mm with it"
     return f"{source}: {named.effect.label} [{', '.join(named.effect.motion)}]{gain}"
+
+
+def _noise_line(outcome: Outcome) -> str:
+    """The noise that is left, and what it is made of beyond the instrument."""
+    causes = causes_in_words(outcome)
+    over = sigmas_in_words(outcome.scatter, outcome.channels, math.sqrt(3))
+    return f"noise: {over} over three axes{'. ' if causes else ''}{causes}"
 
 
 def _verification_lines(v: Verification) -> list[str]:

@@ -9,7 +9,7 @@ from typing import Any
 from aridcal.effects.catalogue import KINDS
 from aridcal.inputs.channels import Channel
 from aridcal.report.html import Content, Html, counted, number, plus_minus, tag
-from aridcal.report.words import sigmas_in_words
+from aridcal.report.words import causes_in_words, sigmas_in_words
 from aridcal.result.key_figures import (
     FEW,
     OVERFITTED,
@@ -169,13 +169,18 @@ def _remaining(outcome: Outcome) -> Iterator[Content]:
     yield VERDICTS[outcome.verdict]
     if outcome.unexplained_fraction > 0:
         yield f" {100 * outcome.unexplained_fraction:.0f} % of the remaining variance is repeatable."
-    in_space = sigmas_in_words(outcome.noise, outcome.channels, math.sqrt(3))
+    in_space = sigmas_in_words(outcome.scatter, outcome.channels, math.sqrt(3))
     per_axis = sigmas_in_words(outcome.noise, outcome.channels)
+    causes = causes_in_words(outcome)
+    whose, all_of_it = (" of the instrument", "with all that scatters ") if causes else ("", "")
     if outcome.noise_source == "declared":
-        yield f" Declared noise: {per_axis} per axis, {in_space} over three axes. No model can reliably do better."
-        return
-    yield f" Noise estimated from the residuals: {per_axis} per axis, {in_space} over three axes."
-    if outcome.repeats is not None:
+        yield f" Declared noise{whose}: {per_axis} per axis, {all_of_it}{in_space} over three axes."
+        yield " No model can reliably do better."
+    else:
+        yield f" Noise{whose} estimated from the residuals: {per_axis} per axis, {all_of_it}{in_space} over three axes."
+    if causes:
+        yield f" {causes}"
+    if outcome.noise_source != "declared" and outcome.repeats is not None:
         floor = sigmas_in_words(outcome.repeats.sigma, outcome.channels, math.sqrt(3))
         yield f" Repeats scatter by {floor} over three axes: no model can reliably do better."
 

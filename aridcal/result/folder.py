@@ -24,6 +24,7 @@ from aridcal.result.outcome import Outcome, Stage, Verification, errors
 from aridcal.result.saved_model import SavedModel, SolvedModel
 from aridcal.search.arm_and_head import MeasuringHead
 from aridcal.search.gains import NamedEffect
+from aridcal.search.noise_causes import NoiseCauses
 
 WHERE = ("world_base", "tip_target")
 
@@ -68,6 +69,7 @@ def result_document(outcome: Outcome) -> dict[str, Any]:
         "noise": {
             **{c.key: c.scale * float(sigma) for c, sigma in zip(outcome.channels, outcome.noise, strict=True)},
             "source": outcome.noise_source,
+            **({} if outcome.causes is None else noise_document(outcome.causes)),
         },
         "frames": frames(outcome.stage("final")),
         "parameters": parameters(outcome.stage("geometric").fit),
@@ -81,6 +83,17 @@ def result_document(outcome: Outcome) -> dict[str, Any]:
         **({"verification": _verification(outcome.verification)} if outcome.verification is not None else {}),
         "notices": list(outcome.notices),
     })  # fmt: skip
+
+
+CAUSES = {"channel": "channels", "joint": "joint_readings", "range": "per_range", "sight": "about_line_of_sight"}
+
+
+def noise_document(causes: NoiseCauses) -> dict[str, Any]:
+    """What the scatter is made of: of each kind, by name, its value with std and unit."""
+    found: dict[str, Any] = {}
+    for c in causes.causes:
+        found.setdefault(CAUSES[c.kind], {})[c.name] = {"value": c.value, "std": c.std, "unit": c.unit}
+    return found
 
 
 def _verification(found: Verification) -> dict[str, Any]:

@@ -144,7 +144,8 @@ def noise_causes(diagnosed: Diagnosed, rows: Dataset) -> NoiseCauses | None:
     possible = _possible(asked, fit.theta)
     scatter = _scatter(asked, fit, diagnosed.found.state.active, some, [p.block[some] for p in possible])
     channels = np.array([p.kind == "channel" for p in possible])
-    start = np.where(channels, np.resize(np.maximum(fit.estimated, FLOOR) ** 2, len(possible)), 0.0)
+    start = np.zeros(len(possible))
+    start[channels] = np.maximum(fit.estimated, FLOOR) ** 2
     orders = _orders(rows.select(some))
     free, structured = channels.copy(), np.zeros(len(possible), dtype=bool)
     found = estimate(scatter, start, free, channels)
@@ -210,11 +211,11 @@ def _possible(asked: Problem, theta: np.ndarray) -> list[_Asked]:
     found = []
     for channel, part in zip(rows.channels, columns(rows.channels), strict=True):
         found.append(_asked("channel", channel.name, channel.unit, np.eye(m)[None, :, part], len(rows)))
-    for reading, kind in zip(model.robot.readings, model.robot.kinds, strict=True):
-        driven = [(k, j.multiplier) for k, j in enumerate(model.robot.joints) if j.reading == reading]
-        column = sum(times * J[:, :m, k] for k, times in driven)
-        unit = "m" if kind == "prismatic" else "rad"
-        found.append(_asked("joint", reading, unit, scaled(column[:, :, None], rows.relative), len(rows)))
+    joints, readings = model.robot.joints, model.robot.readings
+    driven = np.array([[j.multiplier * (j.reading == reading) for reading in readings] for j in joints])
+    moved = scaled(J[:, :m] @ driven, rows.relative)
+    for k, (reading, kind) in enumerate(zip(readings, model.robot.kinds, strict=True)):
+        found.append(_asked("joint", reading, "m" if kind == "prismatic" else "rad", moved[:, :, k, None], len(rows)))
     for what, name, unit, root in _from_the_instrument(rows, p, m):
         found.append(_asked(what, name, unit, scaled(root, rows.relative), len(rows)))
     return found
@@ -350,7 +351,7 @@ def _weights(possible: Sequence[_Asked], variance: np.ndarray, noise: np.ndarray
     channel = np.array([p.kind == "channel" for p in possible])
     if not (noise & ~channel).any():
         return None
-    V = sum(variance[k] * possible[k].block for k in np.flatnonzero(noise))
+    V = np.sum([variance[k] * p.block for k, p in enumerate(possible) if noise[k]], axis=0)
     sigma = np.sqrt(variance[channel])
     own = spread(sigma**2, rows.channels) / np.diagonal(V, axis1=1, axis2=2)
     if float(1.0 - own.min()) < MATTERS:
