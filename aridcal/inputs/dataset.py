@@ -42,6 +42,7 @@ class Dataset:
         stale: Rows whose measurement repeats an earlier one bit for bit although the joints moved, shape (N,) bool.
         test: Held-out rows, shape (N,) bool: they never fit and never choose.
         split_given: True if the files say which rows those are.
+        derived: Covariates that no file holds: the side of approach, from the order of rows.
     """
 
     names: tuple[str, ...]
@@ -64,6 +65,7 @@ class Dataset:
     stale: np.ndarray
     test: np.ndarray
     split_given: bool = False
+    derived: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.line)

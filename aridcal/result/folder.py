@@ -243,6 +243,7 @@ def calibration(outcome: Outcome) -> SavedModel:
     record = {
         "campaign": campaign.text,
         "data": {"files": [f.name for f in m.files], "sha256": m.sha256, "rows": len(m), "train": int(used.sum())},
+        "derived_columns": [name for name in m.derived if name in seen],
         "versions": {"aridcal": __version__, "pinocchio": pin.__version__, "numpy": np.__version__},
     }
     return SavedModel(

@@ -26,6 +26,7 @@ from aridcal.result.with_head import with_head
 from aridcal.robot.chain import Robot, load_robot
 from aridcal.search.arm import CalibratedArm, calibrated_arm
 from aridcal.search.arm_and_head import fit_arm_and_head
+from aridcal.search.diagnose import Diagnosed
 from aridcal.search.gains import explain, verdict
 from aridcal.search.noise_causes import structured_notices
 from aridcal.search.noise_tests import clues
@@ -123,6 +124,7 @@ def _outcome(
         notices=(
             *still,
             *structured_notices(arm.causes),
+            *_derived_notices(rows, diagnosed),
             *declared_notices(rows, final.estimated, final.freedom),
             *unused_links(robot, campaign.parameters.set),
             *(str(n) for n in rows.notices),
@@ -130,6 +132,15 @@ def _outcome(
         seconds=0.0,
         traces=trace(final, kept, *(stage.residual[~outlier] for stage in stages[1:])),
         diagnosis=explain(diagnosed, rows, rows.test & ~outlier, questions),
+    )
+
+
+def _derived_notices(rows: Dataset, diagnosed: Diagnosed) -> tuple[str, ...]:
+    """Sentences on effects of a side of approach that no column gave."""
+    needed = [name for a in diagnosed.found.state.active for name in a.effect.covariates if name in rows.derived]
+    return tuple(
+        f"{name} is derived from the order of the rows: predict takes the middle between both sides where a table lacks it"
+        for name in dict.fromkeys(needed)
     )
 
 

@@ -275,11 +275,14 @@ def _best_rival(start: Start, place: Place, named: Sequence[Effect], state: Stat
 
 def look(start: Start) -> tuple[Observed, list[Barred]]:
     """What candidates can be made from, and what cannot be tested."""
-    usable, barred = usable_columns(start.train.covariates)
     model, rows = start.geometric.model, start.train
+    derived = {name: rows.covariates[name] for name in rows.derived}
+    usable, barred = usable_columns({name: v for name, v in rows.covariates.items() if name not in derived})
     world = model.rows(rows.readings, None, rows.station).world
     measured = {name: rows.covariates[name] for name in usable}
     table = covariate_table(model.robot, rows.readings, measured, model.around, world, {".gravity_", ".payload_"})
+    # A derived side of approach is for backlash alone: nothing else is asked whether it depends on it.
+    table |= {name: derived[name] for name in usable_columns(derived)[0]}
     observed = Observed(model.robot, table, tuple(usable))
     return observed, barred + barred_joints(observed)
 
