@@ -21,20 +21,12 @@ from aridcal.effects.effect import Coefficient
 from aridcal.fit.least_squares import Fit, thin
 from aridcal.fit.normal_equations import TINY
 from aridcal.fit.residual import BLOCK, FLOOR, Problem, problem, scaled
-from aridcal.fit.variance_components import Components, Scatter, asked_for, boundary_chance, estimate
+from aridcal.fit.variance_components import Components, Scatter, estimate, one_more
 from aridcal.inputs.channels import TARGET_POSITION, TARGET_ROTATION, columns, spread
 from aridcal.inputs.dataset import Dataset, factors
 from aridcal.search.diagnose import GAUGE, SEARCHED, Diagnosed
 from aridcal.search.linear_model import Active
 from aridcal.search.noise_tests import NEIGHBOURS
-
-CHANCE = 1e-3
-"""Of naming a cause in data that have none, after correction for the number of causes asked about: one of 1000 clean
-campaigns. Weights from a cause that is not there would cost little, the word would cost trust."""
-
-PLAIN = 3.0
-"""Standard deviations by which the rows' own contributions must ask for a cause, whatever their distribution: a few wild
-rows, or an instrument with long tails, do not make one (1 of 700 by chance)."""
 
 MATTERS = 0.05
 """Share of a channel's variance, at the row where it is largest, from which causes beyond the channels change the weights:
@@ -147,32 +139,15 @@ def noise_causes(diagnosed: Diagnosed, rows: Dataset) -> NoiseCauses | None:
     start = np.zeros(len(possible))
     start[channels] = np.maximum(fit.estimated, FLOOR) ** 2
     orders = _orders(rows.select(some))
-    free, structured = channels.copy(), np.zeros(len(possible), dtype=bool)
-    found = estimate(scatter, start, free, channels)
-    while True:
-        step = _next(scatter, found, free, channels)
-        if step is None:
-            break
-        free[step[0]], found = True, step[1]
-        own = possible[step[0]].kind == "joint"
+    channels = np.array([p.kind == "channel" for p in possible])
+    structured = np.zeros(len(possible), dtype=bool)
+    found = estimate(scatter, np.maximum(fit.estimated, FLOOR) ** 2, channels)
+    while (more := one_more(scatter, found, channels)) is not None:
+        k, found = more
         # What comes back stays in the model here, so that no other joint has to take it over, but it is not noise.
-        structured[step[0]] = own and _comes_back(found, step[0], possible[step[0]].root[some, :, 0], orders)
+        own = possible[k]
+        structured[k] = own.kind == "joint" and _comes_back(found, k, own.root[some, :, 0], orders)
     return _told(possible, found, structured, rows, some)
-
-
-def _next(scatter: Scatter, found: Components, free: np.ndarray, channels: np.ndarray) -> tuple[int, Components] | None:
-    """The cause that is asked for most, and the maximum with it; None if that may be chance."""
-    asked = asked_for(scatter, found, free)
-    k = int(np.argmax(asked.normal))
-    if free[k] or asked.plain[k] < PLAIN:
-        return None
-    trial = free.copy()
-    trial[k] = True
-    start = np.where(free, found.variance, 0.0)
-    start[k] = asked.variance[k]
-    more = estimate(scatter, start, trial, channels)
-    chance = boundary_chance(2.0 * (more.log_likelihood - found.log_likelihood)) * int((~channels).sum())
-    return (k, more) if chance < CHANCE else None
 
 
 def _sound(asked: Problem, fit: Fit) -> np.ndarray:
