@@ -35,9 +35,9 @@ CHANCE = 1e-3
 """Of naming a cause in data that have none, after correction for the number of causes asked about: one of 1000 clean
 campaigns. Weights from a cause that is not there would cost little, the word would cost trust."""
 
-PLAIN = 3.0
-"""Standard deviations by which the rows' own contributions must ask for a cause, whatever their distribution: a few wild
-rows, or an instrument with long tails, do not make one (1 of 700 by chance)."""
+PLAIN = 2.0
+"""Standard deviations by which the rows' own contributions must ask for a component, whatever their distribution: one wild
+row gives 1 at the most. A check beside the likelihood (1 of 44 by chance), not a second threshold."""
 
 LEAST = 1e-6
 """Share of its start below which the variance of a channel does not fall: a covariance must be positive, and an instrument a

@@ -24,7 +24,7 @@ from aridcal.fit.residual import BLOCK, FLOOR, Problem, problem, scaled
 from aridcal.fit.variance_components import Components, Scatter, estimate, one_more
 from aridcal.inputs.channels import TARGET_POSITION, TARGET_ROTATION, columns, spread
 from aridcal.inputs.dataset import Dataset, factors
-from aridcal.search.diagnose import GAUGE, SEARCHED, Diagnosed
+from aridcal.search.diagnose import GAUGE, SEARCHED
 from aridcal.search.linear_model import Active
 from aridcal.search.noise_tests import NEIGHBOURS
 
@@ -121,20 +121,20 @@ class _Asked:
     block: np.ndarray
 
 
-def noise_causes(diagnosed: Diagnosed, rows: Dataset) -> NoiseCauses | None:
+def noise_causes(fit: Fit, active: Sequence[Active], rows: Dataset) -> NoiseCauses | None:
     """Find what the scatter is made of; None if there are too few rows to ask.
 
     Args:
-        diagnosed: The final model, fitted to the training rows.
+        fit: The final model, fitted to the training rows.
+        active: Its effects.
         rows: All rows, scaled by what the campaign says of their noise. Held-out rows are not asked; they are weighed.
     """
-    fit = diagnosed.fit
     asked = problem(fit.model, rows)
     some = _sound(asked, fit)
     if len(some) < FEWEST:
         return None
     possible = _possible(asked, fit.theta)
-    scatter = _scatter(asked, fit, diagnosed.found.state.active, some, [p.block[some] for p in possible])
+    scatter = _scatter(asked, fit, active, some, [p.block[some] for p in possible])
     channels = np.array([p.kind == "channel" for p in possible])
     start = np.zeros(len(possible))
     start[channels] = np.maximum(fit.estimated, FLOOR) ** 2
@@ -151,9 +151,12 @@ def noise_causes(diagnosed: Diagnosed, rows: Dataset) -> NoiseCauses | None:
 
 
 def _sound(asked: Problem, fit: Fit) -> np.ndarray:
-    """Numbers of the training rows that are not flagged; of thousands, a reproducible choice."""
-    train = np.flatnonzero(asked.data.train)[~fit.outliers]
-    return train[thin(asked.rows[train], SEARCHED)]
+    """Numbers of the training rows that are not flagged; of thousands, the choice that is searched."""
+    train = np.flatnonzero(asked.data.train)
+    some = train[thin(asked.rows[train], SEARCHED)]
+    weight = np.ones(len(asked))
+    weight[some if len(fit.weight) == len(some) else train] = fit.weight
+    return some[weight[some] > 0.5]
 
 
 def _scatter(
