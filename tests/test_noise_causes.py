@@ -171,9 +171,19 @@ def test_an_error_curve_is_no_noise() -> None:
     q[:, 2] += 1e-3 * np.exp(-0.5 * (q[:, 2] / 0.5) ** 2)
     arm = calibrated(replace(data, readings=q))
     assert arm.causes is not None
-    assert UR10.readings[2] in arm.causes.structured
+    assert ("joint", UR10.readings[2]) in arm.causes.structured
     assert UR10.readings[2] not in {c.name for c in arm.causes.further}
     assert any(UR10.readings[2] in notice for notice in structured_notices(arm.causes))
+
+
+def test_a_frame_that_turns_slowly_is_no_noise_that_grows_with_range() -> None:
+    """The tracker turns by 0.1 mrad and back while the rows are measured: far targets are off by more, and so again."""
+    data = rows(8, 2e-5).measured
+    turn = 1e-4 * np.sin(np.linspace(0.0, 12.0, ROWS))[:, None] * [0.0, 0.0, 1.0]
+    found = causes(replace(data, position=data.position + np.cross(turn, data.position)))
+    assert ("range", "position") in found.structured
+    assert "range" not in {c.kind for c in found.further}
+    assert any("origin of the world frame" in notice for notice in structured_notices(found))
 
 
 def far(seed: int) -> Dataset:

@@ -19,7 +19,6 @@ from scipy.spatial import cKDTree
 from aridcal.effects.basis import Basis
 from aridcal.effects.effect import Coefficient
 from aridcal.fit.least_squares import Fit, thin
-from aridcal.fit.normal_equations import TINY
 from aridcal.fit.residual import BLOCK, FLOOR, Problem, problem, scaled
 from aridcal.fit.variance_components import Components, Scatter, estimate, one_more
 from aridcal.inputs.channels import TARGET_POSITION, TARGET_ROTATION, columns, spread
@@ -76,14 +75,15 @@ class NoiseCauses:
     Attributes:
         causes: The channels first, then what was found beyond them.
         total: What all of them make of each channel, RMS per axis over the training rows, shape (C,).
-        structured: Joints that seem to scatter but whose errors come back at neighbouring rows: no noise.
+        structured: Joints, and channels as range or line of sight concern them, that seem to scatter but whose errors come
+            back at neighbouring rows: no noise.
         relative: Factors of all N rows' noise (see :class:`Dataset`), shape (N, m, m); None where the rows' own will do, as
             nothing beyond the channels matters.
     """
 
     causes: tuple[NoiseCause, ...]
     total: np.ndarray
-    structured: tuple[str, ...]
+    structured: tuple[tuple[Kind, str], ...]
     relative: np.ndarray | None
 
     @property
@@ -144,9 +144,8 @@ def noise_causes(fit: Fit, active: Sequence[Active], rows: Dataset) -> NoiseCaus
     found = estimate(scatter, np.maximum(fit.estimated, FLOOR) ** 2, channels)
     while (more := one_more(scatter, found, channels)) is not None:
         k, found = more
-        # What comes back stays in the model here, so that no other joint has to take it over, but it is not noise.
-        own = possible[k]
-        structured[k] = own.kind == "joint" and _comes_back(found, k, own.root[some, :, 0], orders)
+        # What comes back stays in the model here, so that no other cause has to take it over, but it is not noise.
+        structured[k] = _comes_back(found, k, possible[k].root[some], orders)
     return _told(possible, found, structured, rows, some)
 
 
@@ -253,24 +252,25 @@ def _successors(values: np.ndarray) -> np.ndarray:
     return np.concatenate([np.column_stack([order[:-k], order[k:]]) for k in range(1, REACH + 1)])
 
 
-def _comes_back(found: Components, k: int, column: np.ndarray, orders: Sequence[np.ndarray]) -> bool:
-    """True if what a joint's reading was off by comes back at neighbouring rows.
+def _comes_back(found: Components, k: int, root: np.ndarray, orders: Sequence[np.ndarray]) -> bool:
+    """True if what a cause was off by comes back at neighbouring rows.
 
-    What a row's residual says of the reading, with its sign, is u = J' P y of mean 0 and variance J' P J theta J' P J and
-    more. Of noise, products of two rows have the mean 0; of what comes back, theta times both rows' J' P J.
+    What a row's residual says of it, with its sign, is u = J' P y; J' P J times the cause is in it. Of noise, products of
+    two rows have the mean 0; of what comes back, they have theta times the product of both rows' J' P J.
 
     Args:
         found: The maximum with this component.
         k: Which.
-        column: Its J, shape (n, m).
+        root: Its J, shape (n, m, d).
         orders: Pairs of rows, shape (pairs, 2) each.
     """
-    said = np.einsum("ni,ni->n", column, found.pull)
-    known = np.einsum("ni,nij,nj->n", column, found.kernel, column)
+    said = np.einsum("nmd,nm->nd", root, found.pull)
+    known = root.transpose(0, 2, 1) @ found.kernel @ root
     for a, b in (pairs.T for pairs in orders):
-        product = said[a] * said[b]
-        share = float(product.sum()) / float(found.variance[k] * (known[a] @ known[b]) + TINY)
-        if share > REPEATABLE and float(product.sum()) > ALIKE * float(np.sqrt(product @ product)):
+        product = np.einsum("nd,nd->n", said[a], said[b])
+        whole = float(found.variance[k] * np.sum(known[a] * known[b]))
+        enough = float(product.sum()) > ALIKE * float(np.sqrt(product @ product))
+        if enough and float(product.sum()) > REPEATABLE * whole:
             return True
     return False
 
@@ -296,18 +296,21 @@ def _told(
     return NoiseCauses(
         causes=causes,
         total=np.sqrt(total),
-        structured=tuple(p.name for p, back in zip(possible, structured, strict=True) if back),
+        structured=tuple((p.kind, p.name) for p, back in zip(possible, structured, strict=True) if back),
         relative=relative,
     )
 
 
 def structured_notices(causes: NoiseCauses | None) -> list[str]:
-    """Sentences on joints that seem to scatter and do not."""
-    return [
-        f"the residual looks as if {name} were misread at random, but its errors come back at neighbouring rows: an error "
-        "curve or play that the model lacks, and no noise"
-        for name in (causes.structured if causes is not None else ())
-    ]
+    """Sentences on what seems to scatter and does not."""
+    looks = {
+        "joint": "the residual looks as if {} were misread at random, but its errors come back at neighbouring rows: an error "
+        "curve or play that the model lacks, and no noise",
+        "range": "the {} error grows with the distance from the origin of the world frame, but comes back at neighbouring "
+        "rows: it is no noise",
+        "sight": "the {} error is about the line of sight, but comes back at neighbouring rows: it is no noise",
+    }
+    return [looks[kind].format(name) for kind, name in (causes.structured if causes is not None else ())]
 
 
 def stretched(relative: np.ndarray, values: np.ndarray) -> np.ndarray:
