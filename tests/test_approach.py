@@ -82,7 +82,7 @@ def test_nothing_but_backlash_may_depend_on_a_derived_side(tmp_path: Path) -> No
     """Every other candidate is the same with it and without."""
     found = load_campaign(campaign(tmp_path))
     robot = robots.ur10()
-    rows = load_measurements(found, robot.readings, robot.limits, robot.kinds)
+    rows = with_directions(load_measurements(found, robot.readings, robot.limits, robot.kinds))
     geometric = fit_constants(found, robot, rows, ()).geometric
     train = rows.select(rows.train)
     asked = [look(Start(geometric, part))[0] for part in (train, replace(train, covariates={}, derived=()))]

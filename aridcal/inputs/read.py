@@ -10,7 +10,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from aridcal.errors import MeasurementError
-from aridcal.inputs.approach import with_directions
 from aridcal.inputs.campaign import Campaign
 from aridcal.inputs.channels import TARGET_POSITION, TARGET_ROTATION
 from aridcal.inputs.checks import check_units, note_limits, note_stale, nothing_usable, refuse_copies, stale_rows
@@ -95,7 +94,7 @@ def load_measurements(
         test=np.zeros(len(table), dtype=bool) if split is None else split,
         split_given=split is not None,
     ).select(source.usable)
-    rows = with_directions(replace(rows, configuration=blocks(rows.readings, kinds)))
+    rows = replace(rows, configuration=blocks(rows.readings, kinds))
     if split is None:
         rows = replace(rows, test=draw_split(rows.configuration, seed))
     if fitted:

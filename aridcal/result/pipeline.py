@@ -16,6 +16,7 @@ from aridcal.fit.noise import declared_notices, repeats
 from aridcal.fit.residual import distance, problem, robust_sigma, scaled, unscaled
 from aridcal.fit.stages import Geometry, recentred
 from aridcal.head.detections import read_shots
+from aridcal.inputs.approach import with_directions
 from aridcal.inputs.campaign import Campaign, load_campaign
 from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.read import load_measurements
@@ -70,7 +71,7 @@ def identify(
     if campaign.measurements.kind == "camera_sonar":
         outcome = _from_shots(campaign, robot, seed, verify, progress, cache)
     else:
-        rows = load_measurements(campaign, robot.readings, robot.limits, robot.kinds, seed)
+        rows = with_directions(load_measurements(campaign, robot.readings, robot.limits, robot.kinds, seed))
         still = _check_motion(campaign, rows)
         labels = station_labels(campaign, rows)
         progress(f"fitting frames and constants to {rows.train.sum()} rows")
@@ -198,7 +199,7 @@ def score(outcome: Outcome, table: AnyTable) -> Verification:
     """
     campaign, robot = outcome.campaign, outcome.robot
     limits, kinds = robot.limits, robot.kinds
-    rows = load_measurements(campaign, robot.readings, limits, kinds, files=[table], fitted=False)
+    rows = with_directions(load_measurements(campaign, robot.readings, limits, kinds, files=[table], fitted=False))
     asked = {stage.name: (problem(stage.fit.model, rows), stage.fit) for stage in outcome.stages}
     again = realigned(asked["final"][1], asked["final"][0])
     outlier = distance(again, robust_sigma(again, rows.channels), rows.channels) > FAR
