@@ -8,6 +8,7 @@ Example:
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 import time
 from collections.abc import Sequence
@@ -21,6 +22,7 @@ from aridcal.command_line import CommandParser, command_parser, run
 from aridcal.files import check_writable
 from aridcal.head.detections import CACHE
 from aridcal.prepare.other_readings import refuse_misread
+from aridcal.report.words import causes_in_words, sigmas_in_words
 from aridcal.result.folder import what_moved
 from aridcal.result.key_figures import another_day, every_held_out_row, or_as_well, rms_position, scored
 from aridcal.result.outcome import Outcome, Verification, errors
@@ -57,6 +59,7 @@ def summary(outcome: Outcome, console: Console) -> None:
     verified = another_day(outcome)
     if verified is not None:
         console.print(verified[1], markup=False)
+    console.print(_noise_line(outcome), markup=False)
     said = outcome.verdict
     console.print(f"verdict: {said.word}: {VERDICTS[said.word]}", markup=False)
     for reason in said.reasons:
@@ -89,6 +92,13 @@ def _effect_line(named: NamedEffect) -> str:
         without, with_it = (rms_position(r, every) for r in (named.before, named.after))
         gain = f": {without:.3f} mm without it, {with_it:.3f} mm with it"
     return f"{source}: {named.effect.label} [{', '.join(named.effect.motion)}]{or_as_well(named)}{gain}"
+
+
+def _noise_line(outcome: Outcome) -> str:
+    """The noise that is left, and what it is made of beyond the instrument."""
+    causes = causes_in_words(outcome)
+    over = sigmas_in_words(outcome.scatter, outcome.channels, math.sqrt(3))
+    return f"noise: {over} over three axes{'. ' if causes else ''}{causes}"
 
 
 def _verification_lines(v: Verification) -> list[str]:

@@ -36,7 +36,7 @@ from aridcal.fit.identifiable import identifiable
 from aridcal.fit.least_squares import Fit, Prior, fit
 from aridcal.fit.residual import problem, triangle
 from aridcal.inputs.channels import spread
-from aridcal.result.pipeline import judge as verdict_of
+from aridcal.result.pipeline import judged
 from aridcal.search.arm import CalibratedArm, fit_arm, fit_constants
 
 TELLABLE = 12.0
@@ -114,7 +114,7 @@ def analyse(case: Case) -> tuple[CalibratedArm, str]:
     """Do with a case what ``aridcal identify`` does: constants, search, verdict."""
     rows = case.rows
     arm = fit_arm(case.campaign, fit_constants(case.campaign, case.truth.robot, rows, ()), rows, lambda _: None)
-    return arm, verdict_of(arm).verdict.word
+    return arm, judged(arm).verdict.word
 
 
 def judge(case: Case) -> Score:

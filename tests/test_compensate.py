@@ -18,9 +18,9 @@ from aridcal.effects.effect import Coefficient
 from aridcal.effects.loads import Surroundings
 from aridcal.errors import MeasurementError
 from aridcal.fit.constants import constants
+from aridcal.inputs.approach import approach
 from aridcal.inputs.query import load_query
 from aridcal.model.model import Model
-from aridcal.result.compensate import approach
 from aridcal.result.saved_model import SavedModel, SolvedModel
 from aridcal.robot.chain import Robot
 
@@ -371,7 +371,7 @@ def test_a_stream_gets_the_commands_that_the_table_gets(tmp_path: Path) -> None:
 
 def test_sides_of_approach_are_those_of_the_last_move() -> None:
     reading = np.array([0.0, 1.0, 1.0, np.nan, 0.5, 0.5 + 1e-9, 0.6])
-    assert approach(reading).tolist() == [0, 1, 1, 1, -1, -1, 1]
+    assert approach(reading, 1e-6).tolist() == [0, 1, 1, 1, -1, -1, 1]
 
 
 def test_a_correction_table_brings_the_target_where_the_nominal_robot_would_be(tmp_path: Path) -> None:

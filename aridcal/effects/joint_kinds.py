@@ -73,7 +73,7 @@ def _joint_backlash(rows: Observed) -> Iterator[Effect]:
     """The side of approach, -1 or 1, or the sign of gravity's torque where it takes either."""
     for j in rows.robot.joints:
         direction, load = f"{j.name}_direction", f"{j.name}.gravity_torque"
-        if direction in rows.measured:
+        if direction in rows.table:
             yield Effect("joint_backlash", j.name, (slope(j.name, "axis", direction),), by="direction")
         if load in rows.table and np.ptp(np.sign(rows.table[load])) > 0:
             flank = Coefficient(j.name, "axis", Basis("sign", (load,)))

@@ -44,6 +44,7 @@ class Dataset:
         stale: Rows whose measurement repeats an earlier one bit for bit although the joints moved, shape (N,) bool.
         test: Held-out rows, shape (N,) bool: they never fit and never choose.
         split_given: True if the files say which rows those are.
+        derived: Covariates that no file holds: the side of approach, from the order of rows.
     """
 
     names: tuple[str, ...]
@@ -67,6 +68,7 @@ class Dataset:
     stale: np.ndarray
     test: np.ndarray
     split_given: bool = False
+    derived: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.line)
@@ -176,7 +178,7 @@ def weighed(data: Dataset, noise: RowNoise) -> Dataset:
     if noise.covariance is not None:
         std = np.sqrt(np.diagonal(noise.covariance, axis1=1, axis2=2))
         typical = _typical(std[data.train], data.channels)
-        relative = _factors(noise.covariance, typical)
+        relative = factors(noise.covariance, typical)
     elif noise.std is not None:
         std = noise.std
         typical = _typical(std[data.train], data.channels)
@@ -191,7 +193,7 @@ def _typical(std: np.ndarray, channels: Channels) -> np.ndarray:
     return np.array([np.sqrt(np.mean(std[:, part] ** 2)) for part in columns(channels)])
 
 
-def _factors(covariance: np.ndarray, typical: np.ndarray) -> np.ndarray:
+def factors(covariance: np.ndarray, typical: np.ndarray) -> np.ndarray:
     r"""Factors of the rows' covariances: each row's noise is L times independent noise of the typical sigmas.
 
     .. math:: L = \begin{pmatrix} chol(C_{pp} - G C_{rp}) & G\, chol(C_{rr}) \\ 0 & chol(C_{rr}) \end{pmatrix}
@@ -201,9 +203,11 @@ def _factors(covariance: np.ndarray, typical: np.ndarray) -> np.ndarray:
     sigmas of positions and rotations can still be estimated apart.
 
     Args:
-        covariance: Of position p and rotation vector r, shape (N, 6, 6).
-        typical: Their typical sigmas, shape (2,).
+        covariance: Of position p and rotation vector r, shape (N, 6, 6); of positions alone, shape (N, 3, 3).
+        typical: Their typical sigmas, shape (2,) or (1,).
     """
+    if len(typical) == 1:
+        return np.asarray(np.linalg.cholesky(covariance) / typical[0])
     turn = np.linalg.cholesky(covariance[:, 3:, 3:])
     lever = np.linalg.solve(covariance[:, 3:, 3:], covariance[:, 3:, :3]).transpose(0, 2, 1)
     alone = covariance[:, :3, :3] - lever @ covariance[:, 3:, :3]

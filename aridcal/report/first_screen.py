@@ -12,7 +12,7 @@ from aridcal.effects.catalogue import KINDS
 from aridcal.fit.noise import WORTH_SAYING
 from aridcal.inputs.channels import Channel
 from aridcal.report.html import Content, Html, counted, number, plus_minus, tag
-from aridcal.report.words import sigmas_in_words
+from aridcal.report.words import causes_in_words, sigmas_in_words
 from aridcal.result.key_figures import (
     FEW,
     OVERFITTED,
@@ -184,14 +184,18 @@ def _remaining(outcome: Outcome) -> Iterator[Content]:
         yield f" Signs of it: {'; '.join(said.reasons)}."
     if said.share > 0:
         yield f" {100 * said.share:.0f} % of the remaining variance is repeatable."
-    in_space = sigmas_in_words(outcome.noise, outcome.channels, math.sqrt(3))
+    in_space = sigmas_in_words(outcome.scatter, outcome.channels, math.sqrt(3))
     per_axis = sigmas_in_words(outcome.noise, outcome.channels)
+    causes = causes_in_words(outcome)
+    whose, all_of_it = (" of the instrument", "with all that scatters ") if causes else ("", "")
     if outcome.noise_source == "declared":
-        yield f" Declared noise: {per_axis} per axis, {in_space} over three axes."
+        yield f" Declared noise{whose}: {per_axis} per axis, {all_of_it}{in_space} over three axes."
         yield NO_BETTER if _is_floor(outcome, outcome.noise) else BELOW.format("the declared noise")
-        return
-    yield f" Noise estimated from the residuals: {per_axis} per axis, {in_space} over three axes."
-    if outcome.repeats is not None:
+    else:
+        yield f" Noise{whose} estimated from the residuals: {per_axis} per axis, {all_of_it}{in_space} over three axes."
+    if causes:
+        yield f" {causes}"
+    if outcome.noise_source != "declared" and outcome.repeats is not None:
         floor = sigmas_in_words(outcome.repeats.sigma, outcome.channels, math.sqrt(3))
         yield f" Repeats scatter by {floor} over three axes."
         yield NO_BETTER if _is_floor(outcome, outcome.repeats.sigma) else BELOW.format("the scatter of the repeats")

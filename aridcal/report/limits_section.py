@@ -48,7 +48,7 @@ def _outside(outcome: Outcome) -> str:
 
 def _uncertainty(outcome: Outcome) -> str:
     """On what each standard deviation covers."""
-    noise = sigmas_in_words(outcome.noise, outcome.channels)
+    noise = sigmas_in_words(outcome.scatter, outcome.channels)
     source = (
         "as declared in the campaign"
         if outcome.noise_source == "declared"

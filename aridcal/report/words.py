@@ -9,14 +9,22 @@ import numpy as np
 
 from aridcal.effects.effect import ROW_ORDER, Effect
 from aridcal.inputs.channels import Channels
-from aridcal.report.html import fixed, number
+from aridcal.report.html import fixed, number, plus_minus
+from aridcal.result.outcome import Outcome
 from aridcal.robot.chain import Robot
+from aridcal.search.noise_causes import NoiseCause
 
 """Each kind of effect in a few words; its section in docs/effects.md says more."""
 
 # Correlation of two columns from which the reader is told: beyond it less than 1 - 0.8^2 = 36 % of the variance of
 # one is its own.
 TOGETHER = 0.8
+
+# Share of the position's variance from which readings are most of what scatters.
+MOST = 0.5
+
+# A thousandth of a reading's unit, as it is shown.
+SHOWN_UNIT = {"rad": "mrad", "m": "mm"}
 
 # Measured columns: what they are, and how to change one while all else stays the same.
 COLUMNS = {
@@ -38,6 +46,34 @@ def sigmas_in_words(sigma: np.ndarray, channels: Channels, times: float = 1.0) -
     """A multiple of one value for each channel, shape (C,), in words: ``0.1 mm and 0.2 mrad``."""
     shown = [f"{number(times * c.scale * float(s))} {c.shown}" for c, s in zip(channels, sigma, strict=True)]
     return " and ".join(shown)
+
+
+def causes_in_words(outcome: Outcome) -> str:
+    """What scatters beyond the instrument's channels, as sentences; nothing where nothing was found."""
+    further = () if outcome.causes is None else outcome.causes.further
+    joints = [c for c in further if c.kind == "joint"]
+    said = [_joints_that_scatter(joints)] if joints else []
+    for c in further:
+        value = plus_minus(1e3 * c.value, 1e3 * c.std)
+        if c.kind == "range":
+            said.append(f"The position noise grows by {value} mm per m from the origin of the world frame.")
+        if c.kind == "sight":
+            said.append(f"About the line of sight from there the measured rotation scatters by {value} mrad more.")
+    return " ".join(said)
+
+
+def _joints_that_scatter(joints: Sequence[NoiseCause]) -> str:
+    """A sentence on the readings of joints, those first that scatter the target's position most."""
+    readings = [f"{c.name} ({plus_minus(1e3 * c.value, 1e3 * c.std)} {SHOWN_UNIT[c.unit]})" for c in joints]
+    first, *others = joints
+    if first.share[0] > MOST:
+        rest = f" {'; '.join(readings[1:])} scatter less." if others else ""
+        return f"Most of what scatters is the reading of {readings[0]}: were the joints read before standstill?{rest}"
+    share = float(sum(c.share[0] for c in joints))
+    if share > MOST:
+        named = ", ".join(readings)
+        return f"Most of what scatters are the readings of the joints, {named}: were they read before standstill?"
+    return f"Part of what scatters is the reading of {', '.join(readings)}: {100 * share:.0f} % of the position's variance."
 
 
 def range_in_words(ends: tuple[float, float] | None, kind: str) -> str:

@@ -13,6 +13,7 @@ from scipy.interpolate import RegularGridInterpolator
 from scipy.spatial.transform import Rotation
 
 from aridcal.errors import AridcalError, CovariateNotFound
+from aridcal.inputs.approach import approach
 from aridcal.inputs.query import Query
 from aridcal.model.inverse import Command, InverseKinematics
 from aridcal.model.model import Model
@@ -87,24 +88,9 @@ def follow(saved: SavedModel, query: Query) -> tuple[list[Command], dict[str, np
     for name, side in sides.items():
         joint = model.robot.joint(name.removesuffix("_direction"))
         own = readings[:, model.robot.readings.index(joint.reading)]
-        covariates[name] = np.where(np.isnan(side), approach(own), side)
+        covariates[name] = np.where(np.isnan(side), approach(own, STILL), side)
     again = _walk(saved, replace(query, readings=readings), covariates)
     return again, covariates
-
-
-def approach(reading: np.ndarray) -> np.ndarray:
-    """The side from which a joint comes to each reading of a trajectory: -1 or 1; 0 until it first moves.
-
-    Args:
-        reading: Shape (N,), [rad] or [m]; rows of NaN are passed over.
-    """
-    sides, side, last = np.zeros(len(reading)), 0.0, math.nan
-    for k, value in enumerate(reading.tolist()):
-        if abs(value - last) > STILL:
-            side = math.copysign(1.0, value - last)
-        sides[k] = side
-        last = last if math.isnan(value) else value
-    return sides
 
 
 def _walk(saved: SavedModel, query: Query, covariates: Mapping[str, np.ndarray]) -> list[Command]:

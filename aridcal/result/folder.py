@@ -27,6 +27,7 @@ from aridcal.result.saved_model import SavedModel, SolvedModel
 from aridcal.result.seen import holes, largest
 from aridcal.search.arm_and_head import MeasuringHead
 from aridcal.search.gains import NamedEffect
+from aridcal.search.noise_causes import NoiseCauses
 
 WHERE = ("world_base", "tip_target")
 
@@ -71,6 +72,7 @@ def result_document(outcome: Outcome) -> dict[str, Any]:
         "noise": {
             **{c.key: c.scale * float(sigma) for c, sigma in zip(outcome.channels, outcome.noise, strict=True)},
             "source": outcome.noise_source,
+            **({} if outcome.causes is None else noise_document(outcome.causes)),
         },
         "frames": frames(outcome.stage("final")),
         "parameters": parameters(outcome.stage("geometric").fit),
@@ -85,6 +87,17 @@ def result_document(outcome: Outcome) -> dict[str, Any]:
         **({"verification": _verification(outcome.verification)} if outcome.verification is not None else {}),
         "notices": list(outcome.notices),
     })  # fmt: skip
+
+
+CAUSES = {"channel": "channels", "joint": "joint_readings", "range": "per_range", "sight": "about_line_of_sight"}
+
+
+def noise_document(causes: NoiseCauses) -> dict[str, Any]:
+    """What the scatter is made of: of each kind, by name, its value with std and unit."""
+    found: dict[str, Any] = {}
+    for c in causes.causes:
+        found.setdefault(CAUSES[c.kind], {})[c.name] = {"value": c.value, "std": c.std, "unit": c.unit}
+    return found
 
 
 def _verification(found: Verification) -> dict[str, Any]:
@@ -268,6 +281,7 @@ def calibration(outcome: Outcome) -> SavedModel:
     record = {
         "campaign": campaign.text,
         "data": {"files": [f.name for f in m.files], "sha256": m.sha256, "rows": len(m), "train": int(used.sum())},
+        "derived_columns": [name for name in m.derived if name in seen],
         "versions": {"aridcal": __version__, "pinocchio": pin.__version__, "numpy": np.__version__},
     }
     solved = _solved(final, outcome.head is None)

@@ -16,6 +16,7 @@ from aridcal.result.verdict import Verdict
 from aridcal.robot.chain import Robot
 from aridcal.search.arm_and_head import MeasuringHead
 from aridcal.search.gains import Diagnosis, NamedEffect
+from aridcal.search.noise_causes import NoiseCauses
 from aridcal.search.residual_trends import Traces
 
 STATISTICS = ("rms", "mean", "median", "p95", "max")
@@ -76,6 +77,7 @@ class Outcome:
         diagnosis: The search for undeclared effects.
         traces: On what the residual depends.
         head: The measuring head, for ``kind: camera_sonar``.
+        causes: What the scatter of the rows is made of; None where that was not asked.
     """
 
     campaign: Campaign
@@ -94,6 +96,13 @@ class Outcome:
     verification: Verification | None = None
     diagnosis: Diagnosis | None = None
     head: MeasuringHead | None = None
+    causes: NoiseCauses | None = None
+
+    @property
+    def scatter(self) -> np.ndarray:
+        """What noise of all causes makes of each channel per axis, shape (C,): the instrument's, and what was found beyond it."""
+        beyond = self.causes.beyond if self.causes is not None else np.zeros(len(self.noise))
+        return np.hypot(self.noise, beyond)
 
     @property
     def channels(self) -> Channels:

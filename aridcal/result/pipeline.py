@@ -16,6 +16,7 @@ from aridcal.fit.noise import Repeats, declared_notices, repeats
 from aridcal.fit.residual import distance, problem, robust_sigma, scaled, unscaled
 from aridcal.fit.stages import Geometry, recentred
 from aridcal.head.detections import read_shots
+from aridcal.inputs.approach import with_directions
 from aridcal.inputs.campaign import Campaign, load_campaign
 from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.read import load_measurements
@@ -25,9 +26,11 @@ from aridcal.result.uncertainty import FAR, halves, outliers, precision, realign
 from aridcal.result.verdict import Verdict, decide, row_clues
 from aridcal.result.with_head import with_head
 from aridcal.robot.chain import Robot, load_robot
-from aridcal.search.arm import CalibratedArm, fit_arm, fit_constants
+from aridcal.search.arm import CalibratedArm, calibrated_arm, fit_constants
 from aridcal.search.arm_and_head import fit_arm_and_head
+from aridcal.search.diagnose import Diagnosed
 from aridcal.search.gains import explain
+from aridcal.search.noise_causes import structured_notices
 from aridcal.search.noise_tests import Clue, clues
 from aridcal.search.residual_trends import trace
 
@@ -90,7 +93,7 @@ def identify(
     if campaign.measurements.kind == "camera_sonar":
         outcome = _from_shots(campaign, robot, seed, verify, progress, cache)
     else:
-        rows = load_measurements(campaign, robot.readings, robot.limits, robot.kinds, seed)
+        rows = with_directions(load_measurements(campaign, robot.readings, robot.limits, robot.kinds, seed))
         still = _check_motion(campaign, rows)
         labels = station_labels(campaign, rows)
         progress(f"fitting frames and constants to {rows.train.sum()} rows")
@@ -100,7 +103,7 @@ def identify(
             judge(campaign, robot, rows, None)
             raise
         judge(campaign, robot, rows, geometry)
-        arm = fit_arm(campaign, geometry, rows, progress)
+        arm = calibrated_arm(campaign, robot, rows, labels, geometry, progress)
         outcome = _outcome(campaign, robot, arm, still, progress)
     if verify is not None:
         outcome = replace(outcome, verification=score(outcome, verify))
@@ -126,8 +129,8 @@ def _outcome(
     progress("scoring")
     rows, geometric, diagnosed = arm.rows, arm.geometry.geometric, arm.diagnosed
     train = rows.select(rows.train)
-    judged = judge(arm)
-    stages, outlier, final = judged.stages, judged.outlier, judged.stages[-1].fit
+    known = judged(arm)
+    stages, outlier, final = known.stages, known.outlier, known.stages[-1].fit
     kept = rows.select(~outlier)
     compared = final if len(final.theta) < HALVED else geometric
     return Outcome(
@@ -138,31 +141,45 @@ def _outcome(
         outlier=outlier,
         noise=final.sigma,
         noise_source="declared" if all(rows.sigma) else "estimated",
-        repeats=judged.repeats,
+        repeats=known.repeats,
         precision=precision(final, train, halves(compared, train)),
-        verdict=judged.verdict,
+        verdict=known.verdict,
+        causes=arm.causes,
         notices=(
             *still,
+            *structured_notices(arm.causes),
+            *_derived_notices(rows, diagnosed),
             *declared_notices(rows, final.estimated, final.freedom),
             *unused_links(robot, campaign.parameters.set),
             *(str(n) for n in rows.notices),
         ),
         seconds=0.0,
         traces=trace(final, kept, *(stage.residual[~outlier] for stage in stages[1:])),
-        diagnosis=explain(diagnosed, rows, rows.test & ~outlier, judged.clues),
+        diagnosis=explain(diagnosed, rows, rows.test & ~outlier, known.clues),
     )
 
 
-def judge(arm: CalibratedArm) -> Judged:
+def judged(arm: CalibratedArm) -> Judged:
     """Fit every stage with the final model's flags, ask the residuals all questions, and decide what may be said."""
     rows = arm.rows
     stages, outlier = _stages(rows, arm.geometry, arm.diagnosed.fit)
     final, last = stages[-1].fit, stages[-1].residual
     kept, left = rows.select(~outlier), scaled(last, rows.relative)
-    repeated = repeats(kept, last[~outlier])
-    asked = clues(kept, left[~outlier], repeated, _freedom(final), final) + row_clues(rows, final, left, outlier)
+    white = left[~outlier]
+    # Repeats are set beside the residual that they are part of: both divided by what the rows' noise is known to be.
+    asked = clues(kept, white, repeats(kept, white), _freedom(final), final) + row_clues(rows, final, left, outlier)
     effects = [active.effect for active in arm.diagnosed.found.state.active]
-    return Judged(stages, outlier, repeated, tuple(asked), decide(asked, effects, _freedom(final)))
+    said = decide(asked, effects, _freedom(final))
+    return Judged(stages, outlier, repeats(kept, last[~outlier]), tuple(asked), said)
+
+
+def _derived_notices(rows: Dataset, diagnosed: Diagnosed) -> tuple[str, ...]:
+    """Sentences on effects of a side of approach that no column gave."""
+    needed = [name for a in diagnosed.found.state.active for name in a.effect.covariates if name in rows.derived]
+    return tuple(
+        f"{name} is derived from the order of the rows: predict takes the middle between both sides where a table lacks it"
+        for name in dict.fromkeys(needed)
+    )
 
 
 def _freedom(fit: Fit) -> float:
@@ -219,7 +236,7 @@ def score(outcome: Outcome, table: AnyTable) -> Verification:
     """
     campaign, robot = outcome.campaign, outcome.robot
     limits, kinds = robot.limits, robot.kinds
-    rows = load_measurements(campaign, robot.readings, limits, kinds, files=[table], fitted=False)
+    rows = with_directions(load_measurements(campaign, robot.readings, limits, kinds, files=[table], fitted=False))
     asked = {stage.name: (problem(stage.fit.model, rows), stage.fit) for stage in outcome.stages}
     again = realigned(asked["final"][1], asked["final"][0])
     outlier = distance(again, robust_sigma(again, rows.channels), rows.channels) > FAR

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from aridcal.errors import MeasurementError
 from aridcal.inputs.campaign import MeasurementSettings
 from aridcal.inputs.quantities import POSITION, QUATERNION, STD, angle_columns, column_of
 from aridcal.inputs.query import Query, load_query
-from aridcal.inputs.tables import AnyTable
+from aridcal.inputs.tables import IN_MEMORY, AnyTable, Remark
 from aridcal.model.inverse import InverseKinematics
 from aridcal.model.model import Model
 from aridcal.result.saved_model import SavedModel
@@ -46,7 +47,20 @@ def read_query(saved: SavedModel, table: AnyTable, poses: bool = False) -> Query
     )
     if not query.usable.any():
         raise MeasurementError(f"no row can be {'commanded' if poses else 'predicted'}. First: {query.refused[0]}")
-    return query
+    return query if poses else _sides_unknown(saved, query, table)
+
+
+def _sides_unknown(saved: SavedModel, query: Query, table: AnyTable) -> Query:
+    """A query with 0, the middle, for each side of approach that the calibration had from the order of its rows.
+
+    Rows that ask for poses need not be in the order in which a robot takes them, so that theirs says nothing.
+    """
+    absent = [name for name in saved.record.get("derived_columns", ()) if name not in query.covariates]
+    file = IN_MEMORY.name if isinstance(table, pd.DataFrame) else Path(table).name
+    why = "is not given: the middle between the two sides of approach is predicted"
+    notices = tuple(Remark(file, None, name, "", why) for name in absent)
+    zeros = dict.fromkeys(absent, np.zeros(len(query.line)))
+    return replace(query, covariates=query.covariates | zeros, notices=query.notices + notices)
 
 
 def at_any_station(saved: SavedModel) -> InverseKinematics:

@@ -10,6 +10,7 @@ import numpy as np
 from aridcal.effects.basis import Basis
 from aridcal.effects.effect import Effect
 from aridcal.effects.loads import Surroundings
+from aridcal.fit.least_squares import Fit
 from aridcal.fit.residual import problem
 from aridcal.fit.stages import Geometry, fit_geometry, recentred
 from aridcal.inputs.campaign import Campaign
@@ -18,6 +19,8 @@ from aridcal.inputs.dataset import Dataset
 from aridcal.model.model import Model
 from aridcal.robot.chain import Robot
 from aridcal.search.diagnose import Diagnosed, diagnose
+from aridcal.search.linear_model import State
+from aridcal.search.noise_causes import NoiseCauses, noise_causes
 
 EARTH = np.array([0.0, 0.0, -9.81])
 """Gravity in a levelled world, [m/s^2]."""
@@ -31,11 +34,42 @@ class CalibratedArm:
         rows: All rows, the held-out ones too.
         geometry: Frames alone, and frames with constants; the latter recentred and knowing gravity.
         diagnosed: The final model and how it came about.
+        causes: What its residual's scatter is made of; None where that was not asked.
     """
 
     rows: Dataset
     geometry: Geometry
     diagnosed: Diagnosed
+    causes: NoiseCauses | None = None
+
+
+def calibrated_arm(
+    campaign: Campaign,
+    robot: Robot,
+    rows: Dataset,
+    labels: tuple[str, ...],
+    geometry: Geometry,
+    progress: Callable[[str], None],
+) -> CalibratedArm:
+    """Fit and search; ask what makes the rows scatter; if that is more than the instrument, do it again with it as weights.
+
+    So no effect is made of the scatter of a joint's reading, and rows that this scatter does not touch count in full. What
+    has no name is then sought only once.
+    """
+    first: list[NoiseCauses] = []
+
+    def more_than_the_instrument(fit: Fit, state: State) -> bool:
+        progress("asking what the scatter is made of")
+        causes = noise_causes(fit, state.active, rows)
+        first.extend([causes] if causes is not None and causes.relative is not None else [])
+        return bool(first)
+
+    arm = fit_arm(campaign, geometry, rows, progress, more_than_the_instrument)
+    if first:
+        progress("weighing the rows by what makes them scatter, and fitting again")
+        weighed = replace(rows, relative=first[0].relative)
+        arm = fit_arm(campaign, fit_constants(campaign, robot, weighed, labels), weighed, progress)
+    return replace(arm, causes=noise_causes(arm.diagnosed.fit, arm.diagnosed.found.state.active, rows))
 
 
 def fit_constants(campaign: Campaign, robot: Robot, rows: Dataset, labels: tuple[str, ...]) -> Geometry:
@@ -46,9 +80,15 @@ def fit_constants(campaign: Campaign, robot: Robot, rows: Dataset, labels: tuple
     return replace(found, geometric=replace(geometric, model=replace(geometric.model, around=around)))
 
 
-def fit_arm(campaign: Campaign, geometry: Geometry, rows: Dataset, progress: Callable[[str], None]) -> CalibratedArm:
-    """Look for what the constants do not explain, on the training rows, and fit all together."""
-    found = diagnose(campaign, geometry.geometric, rows.select(rows.train), progress)
+def fit_arm(
+    campaign: Campaign,
+    geometry: Geometry,
+    rows: Dataset,
+    progress: Callable[[str], None],
+    halt: Callable[[Fit, State], bool] = lambda *_: False,
+) -> CalibratedArm:
+    """Look for what the constants do not explain, on the training rows, and fit all together; ``halt`` as for a search."""
+    found = diagnose(campaign, geometry.geometric, rows.select(rows.train), progress, halt)
     stated = {d.at.number for d in campaign.effects if d.at is not None}
     return CalibratedArm(rows, geometry, settled(found, rows, stated))
 

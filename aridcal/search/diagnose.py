@@ -7,9 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from aridcal.effects.basis import Basis, evaluate
 from aridcal.effects.catalogue import KINDS, Barred, barred_joints, candidates, declared, usable_columns
-from aridcal.effects.effect import ROW_ORDER, Coefficient, Effect
+from aridcal.effects.effect import ROW_ORDER, Effect
 from aridcal.effects.kinds import Observed
 from aridcal.effects.loads import covariate_table
 from aridcal.effects.smooth import Kernel
@@ -20,18 +19,11 @@ from aridcal.fit.residual import problem
 from aridcal.inputs.campaign import Campaign
 from aridcal.inputs.dataset import Dataset
 from aridcal.search.change_points import best_steps
-from aridcal.search.exact import GAUGE, Start, flagged_again, refit, refit_constants, worth
-from aridcal.search.held_back import missed
+from aridcal.search.exact import Start, flagged_again, linear_model, refit, refit_constants, worth
 from aridcal.search.hints import pairs
-from aridcal.search.linear_model import Active, LinearModel, State, activate, solve_state
+from aridcal.search.linear_model import LinearModel, State, activate, solve_state
 from aridcal.search.scoring import admitted
-from aridcal.search.stepwise import Found, is_small, rank, search, twins
-
-FOLDS = 5
-"""Parts that are held back in turn: as usual, and four fifths of the rows are enough to tell an effect."""
-
-RUNS = 24
-"""Stretches of time into which the rows are cut: enough for a test that takes each of them as one."""
+from aridcal.search.stepwise import Found, is_small, missed, rank, search, twins
 
 ROUNDS = 3
 """Times that the model is linearised anew and searched, where that is cheap; two are usual."""
@@ -77,6 +69,7 @@ class Diagnosed:
         confounded: For each active effect, the candidates that are confounded with it in these data.
         declared: Effects that the campaign states.
         barred: Candidates that could not be tested, and why.
+        halted: True if the search was ended before what has no name was sought.
     """
 
     fit: Fit
@@ -87,10 +80,15 @@ class Diagnosed:
     confounded: tuple[tuple[Effect, ...], ...]
     declared: tuple[Effect, ...]
     barred: tuple[Barred, ...]
+    halted: bool = False
 
 
 def diagnose(
-    campaign: Campaign, geometric: Fit, train: Dataset, progress: Callable[[str], None] = lambda _: None
+    campaign: Campaign,
+    geometric: Fit,
+    train: Dataset,
+    progress: Callable[[str], None] = lambda _: None,
+    halt: Callable[[Fit, State], bool] = lambda *_: False,
 ) -> Diagnosed:
     """Find the effects that the geometric model lacks, and fit all together.
 
@@ -99,19 +97,25 @@ def diagnose(
         geometric: The geometric stage.
         train: The rows that it was fitted to.
         progress: Called with what is being done.
+        halt: Asked, with the fit and the named effects, whether to end there: what has no name takes longest.
     """
-    found = _diagnosed(campaign, geometric, train, None, progress)
-    together = cluster(found.fit.outliers, train)
+    found = _diagnosed(campaign, geometric, train, None, progress, halt)
+    together = None if found.halted else cluster(found.fit.outliers, train)
     if together is None or together.p_value > TOGETHER:
         return found
     progress(f"{together.rows.sum()} flagged rows lie together in {together.coordinate}: searching with them")
-    again = _diagnosed(campaign, geometric, train, together.rows, progress)
+    again = _diagnosed(campaign, geometric, train, together.rows, progress, lambda *_: False)
     left = int((again.fit.outliers & together.rows).sum())
     return again if left < EXPLAINED * together.rows.sum() else found
 
 
 def _diagnosed(
-    campaign: Campaign, geometric: Fit, train: Dataset, kept: np.ndarray | None, progress: Callable[[str], None]
+    campaign: Campaign,
+    geometric: Fit,
+    train: Dataset,
+    kept: np.ndarray | None,
+    progress: Callable[[str], None],
+    halt: Callable[[Fit, State], bool],
 ) -> Diagnosed:
     """One search; see :func:`diagnose`.
 
@@ -121,6 +125,7 @@ def _diagnosed(
         train: N rows.
         kept: Rows that count whatever they leave, shape (N,) bool: what they show may be structure.
         progress: See there.
+        halt: See there.
     """
     every = Start(geometric, train, limits(train, kept))
     start = _thinned(every)
@@ -142,6 +147,12 @@ def _diagnosed(
         place, state = _large_first(start, place, named, library, state, observed)
     place, current, found, fitted = _searched(start, place, named, library, state, observed, progress)
     state = found.state
+    if _shapes(state) != fitted:
+        progress(_fitting(state))
+        current, fitted = refit(start, state, current), _shapes(state)
+    if halt(current, state):
+        untold: tuple[tuple[Effect, ...], ...] = ((),) * len(state.active)
+        return Diagnosed(current, place.at, place.linear, observed, found, untold, tuple(stated), tuple(barred), True)
     if unnamed:
         progress(f"testing {len(unnamed)} functions of unknown cause, then pairs")
         more = _unnamed(place.linear, unnamed, found, observed)
@@ -325,68 +336,16 @@ def _best_rival(start: Start, place: Place, named: Sequence[Effect], state: Stat
 
 def look(start: Start) -> tuple[Observed, list[Barred]]:
     """What candidates can be made from, and what cannot be tested."""
-    usable, barred = usable_columns(start.train.covariates)
     model, rows = start.geometric.model, start.train
+    derived = {name: rows.covariates[name] for name in rows.derived}
+    usable, barred = usable_columns({name: v for name, v in rows.covariates.items() if name not in derived})
     world = model.rows(rows.readings, None, rows.station).world
     measured = {name: rows.conditions[name] for name in (*usable, ROW_ORDER)}
     payload = rows.covariates.get("payload")
     if payload is not None and not np.isnan(payload).any():
         measured["payload"] = payload  # it counts in the loads even where it is always the same
     table = covariate_table(model.robot, rows.readings, measured, model.around, world, {".gravity_", ".payload_"})
+    # A derived side of approach is for backlash alone: nothing else is asked whether it depends on it.
+    table |= {name: derived[name] for name in usable_columns(derived)[0]}
     observed = Observed(model.robot, table, tuple(usable), orientations=rows.rotation is not None)
     return observed, barred + barred_joints(observed)
-
-
-def linear_model(
-    start: Start, current: Fit, active: Sequence[Active], library: Sequence[Effect], observed: Observed
-) -> LinearModel:
-    """Linearise the current model, and the slots where the library's effects act.
-
-    Args:
-        start: The geometric stage, about which the constants are gauged, and the rows.
-        current: The model as it is.
-        active: Effects that are in it.
-        library: Effects that may be added.
-        observed: Covariates of the rows.
-    """
-    effects = list(dict.fromkeys([*library, *(a.effect for a in active)]))
-    slots = tuple(dict.fromkeys((c.where, c.component) for e in effects for c in e.coefficients))
-    bases = tuple(dict.fromkeys(c.basis for e in effects for c in e.coefficients))
-    ones = Basis("ones", (observed.robot.names[0],))
-    own = current.model.coefficients
-    model = current.model.with_coefficients((*own, *(Coefficient(*slot, ones) for slot in slots)))
-    theta = np.concatenate([current.theta, np.zeros(len(slots))])
-    r, J = problem(model, start.train).linearised(theta)
-    # The residual as it was at the geometric stage, to first order: what is solved for are distances from there.
-    known = dict(zip(start.geometric.model.names, start.geometric.theta, strict=True))
-    geometric = np.array([known.get(name, 0.0) for name in current.model.names])
-    r = r + J[:, :, : len(own)] @ (current.theta - geometric)
-    constant = np.flatnonzero([c.basis.constant for c in own])
-    run, fold = _folds(start.train)
-    return LinearModel(
-        channels=start.train.channels,
-        A=np.ascontiguousarray(J[:, :, constant]),
-        gauge=np.eye(len(constant)) / GAUGE**2,
-        G=np.ascontiguousarray(J[:, :, len(own) :]),
-        slots=slots,
-        phi=np.column_stack([evaluate(b, observed.table) for b in bases]) if bases else np.zeros((len(r), 0)),
-        bases=bases,
-        r=r,
-        limit=start.limit,
-        run=run,
-        fold=fold,
-        configuration=start.train.configuration,
-        own=observed.robot.names,
-        table=observed.table,
-    )
-
-
-def _folds(train: Dataset) -> tuple[np.ndarray, np.ndarray]:
-    """Stretches of time, and folds that keep repeats together, one number each for every row, shape (N,)."""
-    n = len(train)
-    time = train.covariates.get("time")
-    order = np.argsort(time, kind="stable") if time is not None and not np.isnan(time).any() else np.arange(n)
-    run = np.empty(n, dtype=int)
-    run[order] = np.arange(n) * min(RUNS, n) // n
-    number = np.random.default_rng(0).permutation(int(train.configuration.max()) + 1)
-    return run, number[train.configuration] % FOLDS

@@ -1,19 +1,28 @@
-"""Fits of constants and effects together on the exact model."""
+"""The exact model: constants and effects fitted together, and linearised for the search where that ended."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import block_diag
 
-from aridcal.effects.effect import Coefficient
+from aridcal.effects.basis import Basis, evaluate
+from aridcal.effects.effect import Coefficient, Effect
+from aridcal.effects.kinds import Observed
 from aridcal.fit.flags import flagged
 from aridcal.fit.identifiable import identifiable
 from aridcal.fit.least_squares import Fit, Prior, fit
 from aridcal.fit.residual import problem, triangle
 from aridcal.inputs.dataset import Dataset
-from aridcal.search.linear_model import State
+from aridcal.search.linear_model import Active, LinearModel, State
+
+FOLDS = 5
+"""Parts that are held back in turn: as usual, and four fifths of the rows are enough to tell an effect."""
+
+RUNS = 24
+"""Stretches of time into which the rows are cut: enough for a test that takes each of them as one."""
 
 GAUGE = 0.05
 """[m] and [rad]: constants are held at the geometric stage this loosely, where nothing else decides."""
@@ -103,3 +112,58 @@ def _regained(start: Start, found: Fit) -> tuple[Coefficient, ...]:
     R = triangle(problem(model, start.train), theta, found.weight, found.sigma)
     kept = identifiable(R, range(len(theta))).kept
     return tuple(c for k, c in enumerate(model.coefficients) if k >= len(found.theta) and k in kept)
+
+
+def linear_model(
+    start: Start, current: Fit, active: Sequence[Active], library: Sequence[Effect], observed: Observed
+) -> LinearModel:
+    """Linearise the current model, and the slots where the library's effects act.
+
+    Args:
+        start: The geometric stage, about which the constants are gauged, and the rows.
+        current: The model as it is.
+        active: Effects that are in it.
+        library: Effects that may be added.
+        observed: Covariates of the rows.
+    """
+    effects = list(dict.fromkeys([*library, *(a.effect for a in active)]))
+    slots = tuple(dict.fromkeys((c.where, c.component) for e in effects for c in e.coefficients))
+    bases = tuple(dict.fromkeys(c.basis for e in effects for c in e.coefficients))
+    ones = Basis("ones", (observed.robot.names[0],))
+    own = current.model.coefficients
+    model = current.model.with_coefficients((*own, *(Coefficient(*slot, ones) for slot in slots)))
+    theta = np.concatenate([current.theta, np.zeros(len(slots))])
+    r, J = problem(model, start.train).linearised(theta)
+    # The residual as it was at the geometric stage, to first order: what is solved for are distances from there.
+    known = dict(zip(start.geometric.model.names, start.geometric.theta, strict=True))
+    geometric = np.array([known.get(name, 0.0) for name in current.model.names])
+    r = r + J[:, :, : len(own)] @ (current.theta - geometric)
+    constant = np.flatnonzero([c.basis.constant for c in own])
+    run, fold = _folds(start.train)
+    return LinearModel(
+        channels=start.train.channels,
+        A=np.ascontiguousarray(J[:, :, constant]),
+        gauge=np.eye(len(constant)) / GAUGE**2,
+        G=np.ascontiguousarray(J[:, :, len(own) :]),
+        slots=slots,
+        phi=np.column_stack([evaluate(b, observed.table) for b in bases]) if bases else np.zeros((len(r), 0)),
+        bases=bases,
+        r=r,
+        limit=start.limit,
+        run=run,
+        fold=fold,
+        configuration=start.train.configuration,
+        own=observed.robot.names,
+        table=observed.table,
+    )
+
+
+def _folds(train: Dataset) -> tuple[np.ndarray, np.ndarray]:
+    """Stretches of time, and folds that keep repeats together, one number each for every row, shape (N,)."""
+    n = len(train)
+    time = train.covariates.get("time")
+    order = np.argsort(time, kind="stable") if time is not None and not np.isnan(time).any() else np.arange(n)
+    run = np.empty(n, dtype=int)
+    run[order] = np.arange(n) * min(RUNS, n) // n
+    number = np.random.default_rng(0).permutation(int(train.configuration.max()) + 1)
+    return run, number[train.configuration] % FOLDS

@@ -152,7 +152,8 @@ def trace(fit: Fit, rows: Dataset, before: np.ndarray, after: np.ndarray) -> Tra
     robot = fit.model.robot
     pulled = _pull(fit, rows, before, after)
     own = {p.motion: p for p in pulled}
-    complete = {name: values for name, values in rows.covariates.items() if np.isfinite(values).all()}
+    measured = {name: values for name, values in rows.covariates.items() if name not in rows.derived}
+    complete = {name: values for name, values in measured.items() if np.isfinite(values).all()}
     world = fit.model.rows(rows.readings, rows.conditions, rows.station).world
     table = covariate_table(robot, rows.readings, complete, fit.model.around, world, {".gravity_"})
     asked = {name: v for name, v in table.items() if _varies(v) and ".gravity_moment" not in name}

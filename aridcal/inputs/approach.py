@@ -1,0 +1,49 @@
+"""From which side joints came to their readings, by the order of the rows."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from aridcal.inputs.dataset import Dataset
+from aridcal.inputs.repeats import SAME_ANGLE, SAME_LENGTH
+
+
+def approach(reading: np.ndarray, still: float) -> np.ndarray:
+    """The side from which a joint comes to each reading of a trajectory: -1 or 1; 0 until it first moves.
+
+    Args:
+        reading: Shape (N,), [rad] or [m]; rows of NaN are passed over.
+        still: A joint that moves by less keeps its side, [rad] or [m].
+    """
+    sides, side, last = np.zeros(len(reading)), 0.0, math.nan
+    for k, value in enumerate(reading.tolist()):
+        if abs(value - last) > still:
+            side = math.copysign(1.0, value - last)
+        sides[k] = side
+        last = last if math.isnan(value) else value
+    return sides
+
+
+def with_directions(rows: Dataset) -> Dataset:
+    """The rows with a column ``JOINT_direction`` derived for every joint that has none.
+
+    The rows of each file are taken in the order of ``time``, or as they stand where that is missing. A joint that comes
+    back within what counts as the same configuration keeps its side. Where rows are in no order, or others were measured
+    in between, the column is chance, and no effect will depend on it.
+    """
+    found: dict[str, np.ndarray] = {}
+    time = rows.covariates.get("time")
+    for name, kind, reading in zip(rows.names, rows.kinds, rows.readings.T, strict=True):
+        column = f"{name}_direction"
+        if column in rows.covariates:
+            continue
+        found[column] = np.zeros(len(rows))
+        for file in np.unique(rows.file):
+            own = np.flatnonzero(rows.file == file)
+            if time is not None and np.isfinite(time[own]).all():
+                own = own[np.argsort(time[own], kind="stable")]
+            found[column][own] = approach(reading[own], SAME_LENGTH if kind == "prismatic" else SAME_ANGLE)
+    return replace(rows, covariates=rows.covariates | found, derived=tuple(found))

@@ -1,0 +1,166 @@
+"""Variance components against the same likelihood written with dense matrices, and against simulated scatter."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.linalg import block_diag, null_space
+from scipy.optimize import minimize
+from scipy.stats import kstest, multivariate_normal
+
+from aridcal.fit.variance_components import (
+    Components,
+    Scatter,
+    asked_for,
+    boundary_chance,
+    estimate,
+    one_more,
+    restricted_likelihood,
+)
+
+HELD = np.array([True, True, False, False])
+"""Two channels, then two joints."""
+
+
+def scatter(n: int = 60, m: int = 4, columns: int = 5, seed: int = 0, prior: float = 0.0) -> Scatter:
+    """Rows of two channels, each of half the numbers, that two joints move by random levers; no residuals yet."""
+    rng = np.random.default_rng(seed)
+    first = np.diag(np.repeat([1.0, 0.0], m // 2))
+    levers = rng.standard_normal((2, n, m))
+    joints = levers[..., :, None] * levers[..., None, :]
+    channels = [np.broadcast_to(block, (n, m, m)) for block in (first, np.eye(m) - first)]
+    precision = prior * np.diag(np.arange(columns, dtype=float))
+    return Scatter(np.zeros((n, m)), rng.standard_normal((n, m, columns)), precision, np.array([*channels, *joints]))
+
+
+def scattered(rows: Scatter, sigma: np.ndarray, seed: int) -> Scatter:
+    """Residuals of those standard deviations: columns of random coefficients, and noise of every component."""
+    rng = np.random.default_rng(seed)
+    count, n, m, _ = rows.blocks.shape
+    y = rows.A @ rng.standard_normal(rows.A.shape[2])
+    for k in range(count):
+        values, vectors = np.linalg.eigh(rows.blocks[k])
+        roots = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
+        y = y + sigma[k] * np.einsum("nij,nj->ni", roots, rng.standard_normal((n, m)))
+    return replace(rows, y=y)
+
+
+def dense(rows: Scatter, variance: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """V, A and y of all numbers under one another."""
+    n, m, columns = rows.A.shape
+    V = block_diag(*np.tensordot(variance, rows.blocks, axes=1))
+    return V, rows.A.reshape(n * m, columns), rows.y.ravel()
+
+
+def dense_likelihood(rows: Scatter, variance: np.ndarray) -> float:
+    """The textbook's restricted log-likelihood, its matrices written out."""
+    V, A, y = dense(rows, variance)
+    W = np.linalg.inv(V)
+    H = A.T @ W @ A + rows.precision
+    P = W - W @ A @ np.linalg.inv(H) @ A.T @ W
+    return -0.5 * float(np.linalg.slogdet(V)[1] + np.linalg.slogdet(H)[1] + y @ P @ y)
+
+
+@pytest.mark.parametrize("prior", [0.0, 0.7])
+def test_the_likelihood_is_that_of_dense_matrices(prior: float) -> None:
+    rows = scattered(scatter(12, prior=prior), np.array([1.0, 0.3, 0.8, 0.0]), 3)
+    for variance in np.random.default_rng(0).uniform(0.1, 2.0, (5, 4)):
+        assert restricted_likelihood(rows, variance) == pytest.approx(dense_likelihood(rows, variance), rel=1e-9)
+
+
+def test_without_a_prior_it_is_the_density_of_what_the_columns_cannot_reach() -> None:
+    rows = scattered(scatter(12), np.array([1.0, 0.3, 0.8, 0.0]), 3)
+    likelihoods, densities = [], []
+    for variance in np.random.default_rng(0).uniform(0.1, 2.0, (5, 4)):
+        V, A, y = dense(rows, variance)
+        contrasts = null_space(A.T)
+        covariance = contrasts.T @ V @ contrasts
+        densities.append(multivariate_normal.logpdf(contrasts.T @ y, cov=covariance))
+        likelihoods.append(restricted_likelihood(rows, variance))
+    np.testing.assert_allclose(np.diff(likelihoods), np.diff(densities), rtol=1e-8)
+
+
+def whole(rows: Scatter) -> Components:
+    """Every component that is asked for."""
+    found = estimate(rows, np.ones(2), HELD)
+    while (more := one_more(rows, found, HELD)) is not None:
+        found = more[1]
+    return found
+
+
+def test_the_maximum_is_the_one_that_another_search_finds() -> None:
+    rows = scattered(scatter(40), np.array([1.0, 0.3, 1.5, 1.5]), 2)
+    found = whole(rows)
+    assert found.free.all()
+    again = minimize(lambda log: -dense_likelihood(rows, np.exp(log)), np.zeros(4), method="Nelder-Mead",
+                     options={"xatol": 1e-5, "fatol": 1e-9, "maxiter": 4000})  # fmt: skip
+    np.testing.assert_allclose(found.variance, np.exp(again.x), rtol=0.01)  # a step of 1e-3 nat is the last
+    assert found.log_likelihood == pytest.approx(-again.fun, abs=1e-3)
+
+
+def test_components_come_out_as_they_were_simulated_and_their_std_is_their_scatter() -> None:
+    truth, rows = np.array([1.0, 0.3, 0.8, 0.0]), scatter(120)
+    found = [f for f in (whole(scattered(rows, truth, seed)) for seed in range(80)) if f.free[2]]
+    assert len(found) >= 75
+    assert sum(f.free[3] for f in found) == 0
+    sigma, std = (np.array([getattr(f, what)[:3] for f in found]) for what in ("sigma", "sigma_std"))
+    # 80 draws: a mean is known to 1/9 of a standard deviation, a standard deviation to 8 %.
+    np.testing.assert_allclose(sigma.mean(axis=0), truth[:3], atol=4 * std.mean(axis=0).max() / 9)
+    np.testing.assert_allclose(sigma.std(axis=0), std.mean(axis=0), rtol=0.25)
+
+
+@pytest.mark.parametrize("long_tails", [False, True])
+def test_clean_rows_name_no_component(long_tails: bool) -> None:
+    """Long tails (Student's, 5 degrees) make variances look unequal by chance: they do not deceive."""
+    rows, named = scatter(50), 0
+    for seed in range(200):
+        rng = np.random.default_rng(seed)
+        y = rng.standard_t(5, rows.y.shape) if long_tails else rng.standard_normal(rows.y.shape)
+        clean = replace(rows, y=y)
+        named += one_more(clean, estimate(clean, np.ones(2), HELD), HELD) is not None
+    assert named <= 1
+
+
+def test_a_wild_row_names_no_component() -> None:
+    """Ten sigmas along a joint's motion, in one row of 50: enough for the normal model, not for the rows themselves."""
+    rows = scattered(scatter(50), np.array([1.0, 1.0, 0.0, 0.0]), 1)
+    y, k = rows.y.copy(), int(np.argmax(np.trace(rows.blocks[2], axis1=1, axis2=2)))
+    y[k] += 10.0 * np.linalg.eigh(rows.blocks[2, k])[1][:, -1]
+    wild = replace(rows, y=y)
+    found = estimate(wild, np.ones(2), HELD)
+    asked = asked_for(wild, found)
+    assert asked.normal[2] > 4.0 > 2.0 > asked.plain[2]
+    assert one_more(wild, found, HELD) is None
+
+
+def test_scores_of_clean_rows_have_unit_spread() -> None:
+    rows, scores = scatter(50), []
+    for seed in range(100):
+        clean = scattered(rows, np.array([1.0, 0.3, 0.0, 0.0]), seed)
+        scores.append(asked_for(clean, estimate(clean, np.ones(2), HELD)).normal[2:])
+    assert np.std(scores) == pytest.approx(1.0, abs=0.15)
+    assert abs(np.mean(scores)) < 0.2
+
+
+def test_a_component_that_others_imitate_asks_for_nothing() -> None:
+    rows = scattered(scatter(60), np.array([1.0, 0.3, 0.9, 0.0]), 2)
+    twin = replace(rows, blocks=np.array([*rows.blocks[:2], 0.5 * (rows.blocks[0] + rows.blocks[1]), rows.blocks[0]]))
+    asked = asked_for(twin, estimate(twin, np.ones(2), HELD))
+    assert asked.normal[2:].tolist() == [0.0, 0.0]
+
+
+def test_the_chance_at_the_boundary_is_half_of_a_chi_square() -> None:
+    """Twice the log-likelihood ratio of clean rows: nothing in half of them, and else as often as it is said."""
+    rows, chances = scatter(50), []
+    for seed in range(120):
+        clean = scattered(rows, np.array([1.0, 1.0, 0.0, 0.0]), seed)
+        clean = replace(clean, blocks=clean.blocks[:3])
+        found = estimate(clean, np.ones(2), HELD[:3])
+        grid = np.concatenate([[0.0], np.geomspace(1e-3, 1.0, 15)])
+        best = max(restricted_likelihood(clean, np.array([*found.variance[:2], v])) for v in grid)
+        chances.append(boundary_chance(2.0 * (best - found.log_likelihood)))
+    chances = np.array(chances)
+    assert np.mean(chances > 0.49) == pytest.approx(0.5, abs=0.14)  # three standard deviations
+    assert kstest(chances[chances < 0.45] / 0.45, "uniform").pvalue > 1e-3
