@@ -45,7 +45,8 @@ def misread(data: Dataset, joint: int, size: float, seed: int = 0) -> Dataset:
 
 def calibrated(data: Dataset, robot: Robot = UR10, **sections: object) -> CalibratedArm:
     settings = robots.campaign("pose" if data.rotation is not None else "position", **(sections or FRAMES_ALONE))
-    return calibrated_arm(settings, robot, data, (), lambda _: None)
+    geometry = fit_constants(settings, robot, data, ())
+    return calibrated_arm(settings, robot, data, (), geometry, lambda _: None)
 
 
 def causes(data: Dataset, robot: Robot = UR10) -> NoiseCauses:
