@@ -85,19 +85,13 @@ def test_sigmas_are_honest_in_large_and_quiet_images_too(times):
     """Where the pixels' noise is next to nothing, what the edge model is said to be wrong by is most of a sigma."""
     size = 512 * times
     intrinsics = np.array([700.0 * times, 700.0 * times, (size - 1) / 2, (size - 1) / 2, 0, 0, 0, 0, 0])
-    of_centres, of_poses = [], []
+    of_centres = []
     for k, T in enumerate(VIEWS):
         image, sonars = look(T, Scene(noise=0.5), seed=20 + k, intrinsics=intrinsics, size=size)
         found = find_fiducials(image, AROUND, intrinsics, sonars)
         off = errors(found, T, intrinsics)
         of_centres += list(np.einsum("mi,mi->m", off, np.linalg.solve(found.covariances, off[..., None])[..., 0]))
-        p = measure_pose(
-            found.layout.centres, found.pixels, found.covariances, sonars, intrinsics, found.T_camera_square
-        )
-        e = pin.log6(pin.SE3(np.linalg.inv(p.T_camera_square) @ T)).vector
-        of_poses.append(e @ np.linalg.solve(p.covariance, e))
     assert 0.5 < np.mean(of_centres) / 2 < 1.4  # of seventy centres: sigma 0.12
-    assert 0.5 < np.mean(of_poses) / 6 < 1.6  # of five poses: sigma 0.26
 
 
 def test_pose_is_true_to_microns_and_its_covariance_is_honest():
