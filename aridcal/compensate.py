@@ -37,7 +37,7 @@ from rich.console import Console
 
 from aridcal.command_line import CommandParser, command_parser, run
 from aridcal.errors import OutputError
-from aridcal.files import atomic_file, check_writable
+from aridcal.files import atomic_file, check_home, check_writable
 from aridcal.inputs.query import Query
 from aridcal.result.compensate import compensate, correction_table
 from aridcal.result.predict import ENDINGS, read_query, write_table
@@ -74,6 +74,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _main(arguments: argparse.Namespace) -> None:
     if arguments.out.suffix.lower() not in ENDINGS:
         raise OutputError(f"{arguments.out}: should be a .csv or .parquet file")
+    check_home(arguments.out)
     check_writable(arguments.out, "file")
     calibration = SavedModel.load(arguments.calibration)
     if arguments.grid is not None:

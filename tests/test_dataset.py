@@ -224,6 +224,10 @@ def test_several_files_are_one_table_in_their_order(write: Callable[..., Path]) 
     np.testing.assert_array_equal(m.line, [2, 3, 4, 5, 6, 2, 3, 5, 6, 7, 8])
     assert [(r.file, r.row) for r in m.refused] == [("b.csv", 4), ("b.csv", 9)]
     assert m.refused[1].why == "identical to line 2 of a.csv"
+    stale = first.iloc[:1].assign(rail=first["rail"].iloc[0] + 0.1)
+    noted = load([paths[0], write(stale, "stale.csv")]).notices
+    assert [(n.file, n.row) for n in noted] == [("stale.csv", 2)]
+    assert "repeats the pose of line 2 of a.csv exactly" in noted[0].why
     both = b"".join(path.read_bytes() for path in paths)
     assert m.sha256 == hashlib.sha256(both).hexdigest()
     parquet = load([paths[0], write(rows(7, seed=9), "c.parquet")])

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from aridcal.errors import AridcalError, OutputError
-from aridcal.files import atomic_file, atomic_folder, check_writable
+from aridcal.files import atomic_file, atomic_folder, check_home, check_writable
 
 not_root = pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
 
@@ -124,11 +124,13 @@ def test_what_cannot_be_written_is_said_before_any_work(tmp_path):
         (tmp_path / "file" / "results", "folder", "is a file"),
         (tmp_path / "file" / "deep" / "out.csv", "file", "is a file"),
         (Path("/proc/results"), "folder", "cannot be written"),
-        (tmp_path / "nowhere" / "out.csv", "file", "there is no folder .*nowhere; make it, or mend the path"),
     ]:
         with pytest.raises(OutputError, match=why) as complaint:
             check_writable(path, kind)
         assert str(path) in str(complaint.value)
+    with pytest.raises(OutputError, match="there is no folder .*nowhere; make it, or mend the path"):
+        check_home(tmp_path / "nowhere" / "out.csv")
+    check_home(tmp_path / "out.csv")
     check_writable(tmp_path / "new" / "results")
     check_writable(tmp_path / "folder", "folder")
     check_writable(tmp_path / "file", "file")

@@ -52,12 +52,16 @@ def refuse_copies(source: Source, columns: Sequence[np.ndarray | None], station:
         cells["station"] = station[rows]
     first = rows[first_alike(cells)]
     copies = rows != first
-    table = source.table
     for row, kept in zip(rows[copies].tolist(), first[copies].tolist(), strict=True):
-        home = table.file[kept]
-        file = "" if table.file[row] == home else f" of {table.files[home].name}"
-        source.refused.append(table.remark(row, "", f"identical to line {table.line[kept]}{file}"))
+        source.refused.append(source.table.remark(row, "", f"identical to {_line(source, kept, row)}"))
         source.usable[row] = False
+
+
+def _line(source: Source, there: int, here: int) -> str:
+    """Where a row stands, as a remark on another row says it: with its file, if that is another one."""
+    table = source.table
+    file = "" if table.file[here] == table.file[there] else f" of {table.files[table.file[there]].name}"
+    return f"line {table.line[there]}{file}"
 
 
 def stale_rows(source: Source, q: np.ndarray, kinds: Sequence[JointKind], measured: np.ndarray) -> np.ndarray:
@@ -80,8 +84,8 @@ def stale_rows(source: Source, q: np.ndarray, kinds: Sequence[JointKind], measur
 def note_stale(source: Source, earlier: np.ndarray) -> None:
     """Name the rows that :func:`stale_rows` found."""
     for row in np.flatnonzero(earlier >= 0).tolist():
-        line = source.table.line[earlier[row]]
-        why = f"repeats the pose of line {line} exactly although the joints moved: a stale measurement?"
+        line = _line(source, int(earlier[row]), row)
+        why = f"repeats the pose of {line} exactly although the joints moved: a stale measurement?"
         source.notices.append(source.table.remark(row, "", why))
 
 
