@@ -13,7 +13,11 @@ Example:
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from aridcal import interrupt
+
+interrupt.watch()  # before all other imports: they take a second, in which Ctrl-C would print a traceback
+
+from typing import TYPE_CHECKING  # noqa: E402
 
 __version__ = "0.1.0"
 __all__ = ["AridcalError", "Calibration", "Campaign", "__version__", "calibrate", "load", "propose"]

@@ -22,6 +22,7 @@ from aridcal.inputs.campaign import Campaign
 from aridcal.inputs.tables import AnyTable
 from aridcal.prepare.campaign_text import draft
 from aridcal.prepare.guesses import nobody
+from aridcal.prepare.other_readings import refuse_misread
 from aridcal.result.folder import calibration
 from aridcal.result.pipeline import identify
 from aridcal.result.saved_model import SavedModel
@@ -65,7 +66,7 @@ def calibrate(campaign: str | Path | Campaign, seed: int = 0) -> Calibration:
     """
     job = campaign if isinstance(campaign, Campaign) else Path(campaign)
     with working() as progress:
-        outcome = identify(job, seed, progress=progress)
+        outcome = identify(job, seed, progress=progress, judge=refuse_misread)
     return Calibration(calibration(outcome), outcome)
 
 

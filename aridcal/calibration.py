@@ -95,10 +95,11 @@ class Calibration:
             queries: A column for each joint and each covariate that an effect depends on.
 
         Returns:
-            The same rows and columns with the target's pose, and ``extrapolates``: outside what the calibration saw.
+            The same rows and columns with the target's pose, its standard deviations ``std_x`` to ``std_rz``, and
+            ``extrapolates``: not like what the calibration saw.
 
         Raises:
-            AridcalError: a column is missing, or no row can be predicted.
+            AridcalError: a column is missing, two orientations disagree, or no row can be predicted.
         """
         query = read_query(self.model, queries)
         _warn(query)

@@ -15,9 +15,10 @@ from rich.text import Text
 from threadpoolctl import threadpool_limits
 
 from aridcal.errors import AridcalError
-from aridcal.files import handling
+from aridcal.files import Handler, handling
+from aridcal.interrupt import INTERRUPTED, MESSAGE, leave
 
-DONE, BUG, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+DONE, BUG, BAD_INPUT = 0, 1, 2
 
 
 def run(body: Callable[[], None]) -> int:
@@ -41,7 +42,7 @@ def run(body: Callable[[], None]) -> int:
         console.print(Text("error: ", style="bold red") + Text(str(error), style="not bold"), soft_wrap=True)
         return BAD_INPUT
     except KeyboardInterrupt:
-        console.print("interrupted: nothing was left half written", soft_wrap=True)
+        console.print(MESSAGE, soft_wrap=True)
         return INTERRUPTED
     except BrokenPipeError:  # whoever read the output, `head` for instance, has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -80,5 +81,8 @@ def command_parser(command: str, doc: str | None) -> CommandParser:
 
 @contextmanager
 def _terminated_as_interrupted() -> Iterator[None]:
-    with handling({signal.SIGTERM: signal.default_int_handler}):
+    handlers: dict[signal.Signals, Handler] = {signal.SIGTERM: signal.default_int_handler}
+    if signal.getsignal(signal.SIGINT) is leave:  # from here on there may be half a result to clear away
+        handlers[signal.SIGINT] = signal.default_int_handler
+    with handling(handlers):
         yield

@@ -3,13 +3,14 @@
 The poses are the columns `x y z qx qy qz qw` of the target in the world (`x y z` if only positions were measured). Each
 covariate that an effect depends on needs a column, too. Names, units and orientation are those of the campaign's tables.
 If the joints have columns, the search starts there, for example at the controller's own solution; a row without them
-starts from the solution of the row before. A JOINT_direction that an effect needs and the table lacks follows from the
-row before.
+starts from the solution of the row before, and goes to another branch if that leaves the calibrated range. A
+JOINT_direction that an effect needs and the table lacks follows from the row before.
 
 All columns and rows are kept in their order, and the joints' columns are filled in. `reached` is true if the target gets
 to the pose within the measurement noise of the calibration. With fewer than six joints it is true if the target gets as
 near as the robot can, weighted by the noise, and within 20 mm and 20 mrad. `position_error` and `rotation_error` are the
-errors that remain. `extrapolates` is true if the command is outside the calibrated range. Joint limits are kept.
+errors that remain. `extrapolates` is true if the command is outside the calibrated range, in a hole of what was measured, or
+where the model is three times as uncertain as at any calibrated row. Joint limits are kept.
 
 The joints are of the same kind as in the calibration: commands, if commands were recorded. If reported joints were
 recorded (`joint_reading: reported` in the campaign), they are what the controller must report when the target is there.
@@ -73,7 +74,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _main(arguments: argparse.Namespace) -> None:
     if arguments.out.suffix.lower() not in ENDINGS:
         raise OutputError(f"{arguments.out}: should be a .csv or .parquet file")
-    check_writable(arguments.out)
+    check_writable(arguments.out, "file")
     calibration = SavedModel.load(arguments.calibration)
     if arguments.grid is not None:
         _tabulate(calibration, arguments.grid, arguments.out)
@@ -126,7 +127,7 @@ def _report(table: pd.DataFrame, calibration: SavedModel, query: Query, out: Pat
     said = f"{out}: {len(table)} rows, {int(table['reached'].sum())} reached"
     said += f", {len(missed)} out of reach" if len(missed) else ""
     said += f", {int((~commanded).sum())} without a command because a number is missing" if not commanded.all() else ""
-    say(f"{said}; {int(table['extrapolates'].sum())} of them outside the calibrated range")
+    say(f"{said}; {int(table['extrapolates'].sum())} of them unlike what was measured")
 
 
 if __name__ == "__main__":

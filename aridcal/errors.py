@@ -22,6 +22,10 @@ class MeasurementError(AridcalError):
     """A table of measurements cannot be read, or nothing usable is left of it."""
 
 
+class NotOfThisRobot(MeasurementError):
+    """Measurements that no constants of this robot explain: of another robot, or not read as they were written."""
+
+
 class CovariateNotFound(AridcalError):
     """An effect depends on a column that was not measured."""
 

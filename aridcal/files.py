@@ -20,7 +20,8 @@ def check_writable(path: Path, kind: Literal["folder", "file"] | None = None) ->
     """Make sure that results can be written, before any work is done for them.
 
     Args:
-        path: What is to be written; it need not exist, nor need its parents.
+        path: What is to be written; it need not exist. A folder's parents need not either; a file's folder must: a slip
+            in its name would else make a folder that nobody looks into.
         kind: What it is to be; None if either would do.
 
     Raises:
@@ -31,6 +32,8 @@ def check_writable(path: Path, kind: Literal["folder", "file"] | None = None) ->
     home = _nearest_existing(path if path.is_dir() else path.parent)
     if not home.is_dir():
         raise OutputError(f"{path}: cannot be written: {home} is a file, not a folder")
+    if kind == "file" and not path.parent.is_dir():
+        raise OutputError(f"{path}: cannot be written: there is no folder {path.parent}; make it, or mend the path")
     try:
         # os.access knows nothing of read-only or full file systems: only writing tells.
         with tempfile.TemporaryFile(dir=home):
@@ -53,7 +56,6 @@ def atomic_file(path: Path) -> Iterator[Path]:
     with _staged(path, path.parent) as stage:
         yield stage / path.name
         target = Path(os.path.realpath(path))  # a link stays a link
-        target.parent.mkdir(parents=True, exist_ok=True)
         (stage / path.name).replace(target)
 
 

@@ -20,7 +20,9 @@ from rich.table import Table
 from aridcal.command_line import CommandParser, command_parser, run
 from aridcal.files import check_writable
 from aridcal.head.detections import CACHE
-from aridcal.result.key_figures import rms_position, scored
+from aridcal.prepare.other_readings import refuse_misread
+from aridcal.result.folder import what_moved
+from aridcal.result.key_figures import another_day, every_held_out_row, or_as_well, rms_position, scored
 from aridcal.result.outcome import Outcome, Verification, errors
 from aridcal.result.pipeline import identify
 from aridcal.result_folder import write_folder
@@ -42,14 +44,23 @@ SHOWN_AS = {"rms": "RMS", "p95": "p95", "max": "max"}
 def summary(outcome: Outcome, console: Console) -> None:
     """Print the figures that matter."""
     console.print(_error_table(outcome))
+    if outcome.parts()["test_all"].any():
+        console.print(every_held_out_row(outcome), markup=False)
     for effect in outcome.effects:
-        console.print(_effect_line(effect), markup=False)
+        moved = what_moved(effect.effect, outcome.measurements)
+        console.print(_effect_line(effect) + (f": {moved}" if moved else ""), markup=False)
     if outcome.diagnosis is not None and outcome.diagnosis.tested:
         console.print(f"{outcome.diagnosis.tested:,} candidates tested", markup=False)
     if outcome.verification is not None:
         for line in _verification_lines(outcome.verification):
             console.print(line, markup=False)
-    console.print(f"verdict: {outcome.verdict}: {VERDICTS[outcome.verdict]}", markup=False)
+    verified = another_day(outcome)
+    if verified is not None:
+        console.print(verified[1], markup=False)
+    said = outcome.verdict
+    console.print(f"verdict: {said.word}: {VERDICTS[said.word]}", markup=False)
+    for reason in said.reasons:
+        console.print(f"  {reason}", markup=False)
     for notice in outcome.notices[:MOST_NOTICES]:
         console.print(f"note: {notice}", markup=False)
 
@@ -70,14 +81,14 @@ def _error_table(outcome: Outcome) -> Table:
 
 
 def _effect_line(named: NamedEffect) -> str:
-    """An effect and its gain on the held-out rows, if there are any."""
+    """An effect, those that would do as well in its place, and its gain on the held-out rows, if there are any."""
     source = "declared" if named.declared else "found"
     gain = ""
     if len(named.before):
         every = np.ones(len(named.before), dtype=bool)
         without, with_it = (rms_position(r, every) for r in (named.before, named.after))
         gain = f": {without:.3f} mm without it, {with_it:.3f} mm with it"
-    return f"{source}: {named.effect.label} [{', '.join(named.effect.motion)}]{gain}"
+    return f"{source}: {named.effect.label} [{', '.join(named.effect.motion)}]{or_as_well(named)}{gain}"
 
 
 def _verification_lines(v: Verification) -> list[str]:
@@ -95,7 +106,7 @@ def parser() -> CommandParser:
     """The command's arguments."""
     arguments = command_parser("identify", __doc__)
     arguments.add_argument("campaign", type=Path, help="campaign.yaml")
-    arguments.add_argument("--out", type=Path, help="result folder (default: results/ beside the campaign)")
+    arguments.add_argument("-o", "--out", type=Path, help="result folder (default: results/ beside the campaign)")
     arguments.add_argument(
         "--verify", type=Path, metavar="CSV", help="measurements of another day, to check the result on"
     )
@@ -124,7 +135,7 @@ def _main(arguments: argparse.Namespace) -> None:
     def progress(step: str) -> None:
         steps.print(f"[dim]{time.perf_counter() - started:5.1f} s  {step}[/dim]")
 
-    outcome = identify(arguments.campaign, arguments.seed, arguments.verify, progress, out / CACHE)
+    outcome = identify(arguments.campaign, arguments.seed, arguments.verify, progress, out / CACHE, refuse_misread)
     progress("writing the results")
     written = write_folder(outcome, out)
     summary(outcome, console)

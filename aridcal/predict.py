@@ -4,8 +4,11 @@ The query has a column for each joint and for each covariate that an effect depe
 those of the campaign's tables. All columns and rows are kept in their order. The pose is added, or overwritten if present,
 in the columns, units and orientation of those tables: `x y z qx qy qz qw` (qw >= 0), or X Y Z A B C in mm and degrees where
 the campaign has that. A calibration from positions gives no orientation, since it does not know the target's.
-`extrapolates` is true where a joint or a covariate is outside the calibrated range. A row with a missing number gets no
-pose.
+`std_x std_y std_z std_rx std_ry std_rz` are the pose's standard deviations, in the same units, about the world's axes; what
+the table had in these columns is replaced, and orientations of another writing are dropped.
+`extrapolates` is true where a joint or a covariate is outside the calibrated range or in a hole of what was measured, and where
+the pose is three times as uncertain as at any calibrated row. A row with an empty joint gets no pose; a word in its place, or a
+hole in a covariate that an effect depends on, is an error.
 
 Example:
     aridcal predict results/calibration.yaml query.csv -o predicted.csv
@@ -51,7 +54,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _main(arguments: argparse.Namespace) -> None:
     if arguments.out.suffix.lower() not in ENDINGS:
         raise OutputError(f"{arguments.out}: should be a .csv or .parquet file")
-    check_writable(arguments.out)
+    check_writable(arguments.out, "file")
     calibration = SavedModel.load(arguments.calibration)
     query = read_query(calibration, arguments.query)
     table = predict(calibration, query)
@@ -69,7 +72,7 @@ def _report(table: pd.DataFrame, x: str, query: Query, out: Path) -> None:
     if more > 0:
         console.print(f"and {more} more remarks", highlight=False)
     bare = int(table[x].isna().sum())
-    said = f"{out}: {len(table)} rows, {int(table['extrapolates'].sum())} of them outside the calibrated range"
+    said = f"{out}: {len(table)} rows, {int(table['extrapolates'].sum())} of them unlike what was measured"
     said += f", {bare} without a pose because a number is missing" if bare else ""
     console.print(said, markup=False, highlight=False, soft_wrap=True)
 

@@ -8,6 +8,8 @@ Example:
 - ``coverage``: 400 simulated ARIDs with noise. Do 2-sigma intervals hold the truth in 95.4 % of all cases, and is the
   predicted sigma of the target the scatter of its prediction? What cannot be told apart has no truth of its own, so the
   truth is written in the fit's own coefficients: the same model fitted to the same rows without noise.
+- ``predictions``: 150 of the blind benchmark's robots (``machines.py``), their effects found by the search. How often is the
+  truth inside 2 ``std_*`` of the prediction at configurations never measured, inside the ranges seen?
 - ``frames``: 100 true frames of any attitude, all with an identity hint: is the optimum the one that a start at the true
   frames leads to?
 - ``exact``: rows without noise: do the coefficients come back?
@@ -26,6 +28,7 @@ import numpy as np
 import pandas as pd
 import pinocchio as pin
 import yaml
+from machines import draw_case
 from rich.console import Console
 from rich.table import Table
 from scipy.spatial.transform import Rotation
@@ -42,13 +45,18 @@ from aridcal.model.model import Model
 from aridcal.prepare.simulation import draw_readings
 from aridcal.result.outcome import errors
 from aridcal.result.pipeline import identify
+from aridcal.result.saved_model import SolvedModel
+from aridcal.result.uncertainty import with_noise_seen
 from aridcal.robot.chain import Robot, load_robot
+from aridcal.search.arm import fit_arm, fit_constants
 
 TOP = Path(__file__).resolve().parents[1]
 SHARED_ROBOTS = Path(pin.__file__).resolve().parents[4] / "share" / "example-robot-data" / "robots"
 BAD_ROWS = (532, 854, 855, 1063)  # of series B: stale or disturbed measurements, by `sequence`
 NOISE = 1e-4  # per axis, [m] and [rad]
 WRONG = 2e-3  # standard deviation of every constant, [m] and [rad]
+PREDICTED = ("clean", "single", "single", "combination", "off")  # in turn
+PREDICTED_SEED = 2_600_000
 ARID_FRAMES = (
     pin.SE3(pin.rpy.rpyToMatrix(1.58, 0.02, -2.3), np.array([6.2, -1.4, 3.1])),
     pin.SE3(pin.rpy.rpyToMatrix(0.3, -1.2, 0.5), np.array([0.35, 0.04, -0.06])),
@@ -185,6 +193,35 @@ def coverage(console: Console, count: int = 400) -> None:
     console.print(table)
 
 
+def predictions(console: Console, count: int = 150) -> None:
+    table = Table(title=f"{count} robots, effects found by the search: truth inside 2 std", title_justify="left")
+    for head in ("campaigns", "number", "predictions", "position [%]", "rotation [%]", "all [%]", "RMS of error/std"):
+        table.add_column(head, justify="left" if head == "campaigns" else "right")
+    found: dict[str, list[np.ndarray]] = {}
+    for k in range(count):
+        what = PREDICTED[k % len(PREDICTED)]
+        case = draw_case(PREDICTED_SEED + k, what)
+        arm = fit_arm(
+            case.campaign, fit_constants(case.campaign, case.truth.robot, case.rows, ()), case.rows, lambda _: None
+        )
+        final, q = arm.diagnosed.fit, case.query.readings
+        seen = case.train.readings
+        unseen = case.query.select(((q >= seen.min(axis=0)) & (q <= seen.max(axis=0))).all(axis=1))
+        off = problem(final.model, unseen).residual(final.theta)
+        covariance = with_noise_seen(final, case.train).covariance
+        solved = SolvedModel(final.model, final.theta, covariance)
+        std = solved.std(unseen.readings, unseen.covariates)[:, : off.shape[1]]
+        ratio = np.full((len(off), 6), np.nan)
+        ratio[:, : off.shape[1]] = off / std
+        found.setdefault(what, []).append(ratio)
+        found.setdefault("all", []).append(ratio)
+    for what, ratios in sorted(found.items(), key=lambda pair: pair[0] == "all"):
+        r = np.concatenate(ratios)
+        shares = [f"{100 * np.mean(np.abs(part[np.isfinite(part)]) < 2):.1f}" for part in (r[:, :3], r[:, 3:], r)]
+        table.add_row(what, str(len(ratios)), str(len(r)), *shares, f"{np.sqrt(np.nanmean(r**2)):.2f}")
+    console.print(table)
+
+
 def frames(console: Console, count: int = 100) -> None:
     table = Table(title=f"{count} true frames of any attitude, hint = identity, 150 noisy rows", title_justify="left")
     for head in ("robot", "set", "kind", "same optimum", "largest difference of a residual [sigma]", "most steps"):
@@ -284,7 +321,7 @@ def ranks(console: Console) -> None:
 
 
 TABLES: dict[str, Callable[[Console], None]] = {
-    "real": real, "coverage": coverage, "frames": frames, "exact": exact, "ranks": ranks,
+    "real": real, "coverage": coverage, "predictions": predictions, "frames": frames, "exact": exact, "ranks": ranks,
 }  # fmt: skip
 
 

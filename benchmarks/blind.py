@@ -36,11 +36,8 @@ from aridcal.fit.identifiable import identifiable
 from aridcal.fit.least_squares import Fit, Prior, fit
 from aridcal.fit.residual import problem, triangle
 from aridcal.inputs.channels import spread
-from aridcal.result.pipeline import FREE
-from aridcal.result.uncertainty import outliers
+from aridcal.result.pipeline import judge as verdict_of
 from aridcal.search.arm import CalibratedArm, fit_arm, fit_constants
-from aridcal.search.gains import verdict
-from aridcal.search.noise_tests import clues
 
 TELLABLE = 12.0
 COVERED = 0.5  # share of the error of an effect without a name that must be gone
@@ -117,12 +114,7 @@ def analyse(case: Case) -> tuple[CalibratedArm, str]:
     """Do with a case what ``aridcal identify`` does: constants, search, verdict."""
     rows = case.rows
     arm = fit_arm(case.campaign, fit_constants(case.campaign, case.truth.robot, rows, ()), rows, lambda _: None)
-    final = arm.diagnosed.fit
-    left = [problem(f.model, rows).residual(f.theta) for f in (arm.geometry.geometric, final)]
-    kept = ~outliers(rows.train, final.outliers, left, rows.channels)
-    free = 1.0 - final.spent / max(float(final.weight.sum() * left[1].shape[1]), 1.0)
-    said, _ = verdict(clues(rows.select(kept), left[1][kept], None, free), arm.diagnosed, free > FREE)
-    return arm, said
+    return arm, verdict_of(arm).verdict.word
 
 
 def judge(case: Case) -> Score:

@@ -166,7 +166,7 @@ def _row(table: Table, first: str, campaign: Path, seed: int) -> list[float]:
     test = found.parts()["test"]
     e = [errors(found.stage(name).residual, test, found.channels) for name in ("geometric", "final")]
     row = [e[k][unit]["rms"] for unit in ("position_mm", "rotation_mrad") for k in (0, 1)]
-    cells = [*(f"{v:.3f}" for v in row), str(len(found.effects)), found.verdict]
+    cells = [*(f"{v:.3f}" for v in row), str(len(found.effects)), found.verdict.word]
     table.add_row(first, str(test.sum()), *cells, f"{time.perf_counter() - started:.0f}")
     return row
 

@@ -137,8 +137,8 @@ def _draw(seed: int, what: str, kind: str | None, outliers: float, rng: np.rando
     per_number = np.repeat(sigma, 3)
     frames = [pin.SE3(Rotation.random(rng=rng).as_matrix(), rng.uniform(-3, 3, 3)),
               pin.SE3(Rotation.random(rng=rng).as_matrix(), rng.uniform(-0.3, 0.3, 3))]  # fmt: skip
-    around = Surroundings(gravity, frames[1].translation)
     columns = _covariates(robot, readings, rng)
+    around = Surroundings(gravity, frames[1].translation, "payload" in columns)
 
     count = {"clean": 0, "single": 1, "off": 1, "combination": int(rng.integers(2, 4))}[what]
     causes: list[Cause] = []

@@ -53,6 +53,11 @@ def covariate(name: str) -> Callable[[Outcome], np.ndarray]:
     return lambda o: o.measurements.covariates[name]
 
 
+def row(o: Outcome) -> np.ndarray:
+    """The line of the file."""
+    return o.measurements.line
+
+
 def torque(joint: str, motion: str = "axis") -> Callable[[Outcome], np.ndarray]:
     """Gravity's moment about a joint's own axis, or across it."""
 
@@ -128,6 +133,9 @@ PICTURES = {
     ),
     "drift": Picture(
         {"where": "world_base", "motion": "y", "coefficients": 2e-7}, covariate("time"), "time, s", motion="y",
+    ),
+    "shift": Picture(
+        {"where": "world_base", "at": {"row": 162}, "coefficients": [0, 5e-4, 0, 0, 0, 0]}, row, "row of the table", motion="y",
     ),
     "payload_compliance": Picture(
         {"where": LIFT, "motion": "axis", "covariates": "payload", "coefficients": 2e-4}, covariate("payload"), "payload, kg",

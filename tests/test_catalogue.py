@@ -51,6 +51,7 @@ CONTRACT: dict[str, tuple[set[str], tuple[str, ...]]] = {
     "joint_coupling": (AXIS, ()),
     "thermal": (AXIS | FRAME, ("temperature", "temperature_hall", "")),
     "drift": (FRAME, ("time",)),
+    "shift": (FRAME | AXIS, ("time",)),
     "payload_compliance": (AXIS | ACROSS, ("payload", ".payload_torque")),
     "lens_distortion": ({"k1", "k2", "k3", "p1", "p2"}, ()),
     "focal_length": ({"f", "fx", "fy"}, ()),

@@ -8,7 +8,7 @@ from scipy.stats import chi
 
 from aridcal.effects.basis import Basis
 from aridcal.effects.effect import Coefficient, Effect
-from aridcal.fit.least_squares import flagged
+from aridcal.fit.flags import OUTLIER, flagged
 from aridcal.fit.normal_equations import accumulate
 from aridcal.fit.residual import QUANTILES, distance, robust_sigma, usual_norms
 from aridcal.inputs.channels import TARGET_POSITION, TARGET_ROTATION, Channel, Channels, columns, norms, spread
@@ -78,12 +78,12 @@ def test_robust_sigma_of_each_channel_is_that_of_its_bulk(channels: Channels) ->
 
 @every
 def test_a_row_far_off_in_any_channel_is_flagged_and_no_other(channels: Channels) -> None:
-    r, stale = noise(channels, 400, 1), np.zeros(400, dtype=bool)
-    assert not flagged(r, channels, stale).any()
+    r, limit = noise(channels, 400, 1), np.full(400, OUTLIER)
+    assert not flagged(r, channels, limit).any()
     for k, part in enumerate(columns(channels)):
         r[k] = 0.0
         r[k, part.start] = 8.0 * sigmas(channels)[k]
-    assert set(np.flatnonzero(flagged(r, channels, stale))) == set(range(len(channels)))
+    assert set(np.flatnonzero(flagged(r, channels, limit))) == set(range(len(channels)))
     np.testing.assert_allclose(distance(r, sigmas(channels), channels)[: len(channels)], 8.0, rtol=1e-12)
 
 
@@ -121,7 +121,8 @@ def test_an_effect_is_scored_by_all_that_it_moves(channels: Channels) -> None:
         phi=np.zeros((n, 0)),
         bases=(),
         r=noise(channels, n, 5) + 0.6 * G[:, :, 0] * warmth[:, None],
-        stale=np.zeros(n, dtype=bool),
+        limit=np.full(n, OUTLIER),
+        configuration=np.arange(n),
         run=np.arange(n) * 24 // n,
         fold=rng.integers(0, 5, n),
         own=("j1",),

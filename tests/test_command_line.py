@@ -17,6 +17,7 @@ from aridcal.__main__ import COMMANDS
 from aridcal.__main__ import main as aridcal_main
 from aridcal.command_line import run
 from aridcal.errors import AridcalError
+from aridcal.interrupt import is_command
 
 
 def raising(error: BaseException):
@@ -75,6 +76,51 @@ def test_sigterm_counts_as_ctrl_c_and_the_handler_is_put_back():
     assert signal.getsignal(signal.SIGTERM) is before
 
 
+STOPPER = """
+import os, signal, sys
+
+class Stopper:
+    def find_spec(self, name, path=None, target=None):
+        if name == os.environ["STOP_AT"]:
+            os.kill(os.getpid(), signal.SIGINT)
+
+sys.meta_path.insert(0, Stopper())
+"""
+"""A `sitecustomize` that presses Ctrl-C when a module is about to be imported."""
+
+
+@pytest.mark.parametrize("stop_at", ["aridcal.command_line", "rich", "threadpoolctl", "numpy", "pinocchio", "pandas"])
+@pytest.mark.parametrize("start", ["module", "package", "script"])
+def test_ctrl_c_while_libraries_load_ends_with_130_and_one_line(start, stop_at, tmp_path):
+    (tmp_path / "sitecustomize.py").write_text(STOPPER)
+    (tmp_path / "aridcal").write_text("import sys\nfrom aridcal.__main__ import main\nsys.exit(main())\n")
+    how = {"module": ["-m", "aridcal.identify"], "package": ["-m", "aridcal", "identify"]}
+    how["script"] = [str(tmp_path / "aridcal"), "identify"]
+    root = str(Path(aridcal.__file__).parents[1])
+    done = subprocess.run(
+        [sys.executable, *how[start], "nowhere.yaml"],
+        env=os.environ | {"PYTHONPATH": os.pathsep.join([str(tmp_path), root]), "STOP_AT": stop_at},
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "interrupted: nothing was left half written\n")
+
+
+def test_the_library_leaves_ctrl_c_to_its_user():
+    """A program that imports aridcal, from a script, a prompt or a test runner, gets KeyboardInterrupt as ever."""
+    code = "import aridcal, signal, sys; sys.exit(signal.getsignal(signal.SIGINT) is not signal.default_int_handler)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+    assert not is_command(["/usr/bin/pytest", "aridcal"], ["python", "/usr/bin/pytest", "aridcal"])
+    assert not is_command(["-m"], ["python", "-m", "pytest"])
+    assert not is_command([], [])
+    assert is_command(["-m"], ["python", "-X", "dev", "-maridcal.view", "results"])
+
+
+def test_a_command_in_the_background_that_ignores_ctrl_c_goes_on_ignoring_it():
+    code = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN); import sys; sys.argv[0] = 'aridcal'; import aridcal"
+    code += "; sys.exit(signal.getsignal(signal.SIGINT) is not signal.SIG_IGN)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
 # -- the console script
 
 
@@ -94,6 +140,15 @@ def test_every_command_explains_itself(command, capsys):
     example = out.partition("\nexample:\n")[2].splitlines()
     assert example
     assert all(line.startswith(f"    aridcal {command}") for line in example if line)
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_o_and_out_mean_the_same(command):
+    """A command that writes knows both names of the place to write to."""
+    parser = importlib.import_module(f"aridcal.{command}").parser()
+    named = [action.option_strings for action in parser._actions if {"-o", "--out"} & set(action.option_strings)]
+    assert all(options == ["-o", "--out"] for options in named)
+    assert len(named) == (command in {"identify", "init", "measure", "simulate", "predict", "compensate"})
 
 
 def test_a_slip_in_the_arguments_is_answered_with_where_to_look(capsys):

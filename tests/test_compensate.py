@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pandas as pd
@@ -11,9 +12,11 @@ import robots
 from scipy.spatial.transform import Rotation
 
 from aridcal import compensate, predict
+from aridcal.calibration import Calibration
 from aridcal.effects.basis import Basis
 from aridcal.effects.effect import Coefficient
 from aridcal.effects.loads import Surroundings
+from aridcal.errors import MeasurementError
 from aridcal.fit.constants import constants
 from aridcal.inputs.query import load_query
 from aridcal.model.model import Model
@@ -151,14 +154,67 @@ def test_poses_out_of_reach_are_said_to_be(tmp_path: Path, capsys: pytest.Captur
 def test_a_row_that_lacks_a_number_has_no_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     model = calibration(effects={HEAT: 1e-5})
     poses = wanted(tmp_path, model, readings(3).assign(temperature=20.0))[[*POSE, "temperature"]]
-    poses.loc[1, "temperature"] = np.nan
     poses.loc[2, "x"] = np.nan
     status, out = run(tmp_path, model, poses)
     assert status == 0
     found = pd.read_csv(out)
-    assert found["elbow_joint"].isna().tolist() == [False, True, True]
-    assert found["reached"].tolist() == [True, False, False]
-    assert "2 without a command" in " ".join(capsys.readouterr().err.split())
+    assert found["elbow_joint"].isna().tolist() == [False, False, True]
+    assert found["reached"].tolist() == [True, True, False]
+    assert "1 without a command" in " ".join(capsys.readouterr().err.split())
+
+
+@pytest.mark.parametrize(
+    ("column", "cell", "says"),
+    [
+        ("temperature", "", "line 3: column 'temperature': missing"),
+        ("y", "left", "line 3: column 'y', left: not a number"),
+        ("qz", "?", "line 3: column 'qz', ?: not a number"),
+        ("elbow_joint", "up", "line 3: column 'elbow_joint', up: not a number"),
+    ],
+)
+def test_cells_that_no_command_can_be_made_from_are_named(
+    column: str, cell: str, says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A word among the starting joints used to be passed over."""
+    model = calibration(effects={HEAT: 1e-5})
+    q = readings(3).assign(temperature=20.0)
+    poses = wanted(tmp_path, model, q)[[*POSE, "temperature", "elbow_joint"]].astype(object)
+    poses.loc[1, column] = cell
+    status, out = run(tmp_path, model, poses)
+    assert (status, out.exists()) == (2, False)
+    assert says in " ".join(capsys.readouterr().err.split())
+
+
+def test_a_direction_that_is_not_stated_is_no_hole(tmp_path: Path) -> None:
+    model = calibration(effects={BACKLASH: -2e-4})
+    poses = wanted(tmp_path, calibration(), readings(3))[POSE]
+    assert run(tmp_path, model, poses.assign(elbow_joint_direction=[1, np.nan, np.nan]))[0] == 0
+
+
+def test_without_joints_in_the_table_the_ranges_seen_are_kept_to(tmp_path: Path) -> None:
+    """The first solution found lies on any of eight branches: the calibration knows one."""
+    model = calibration(effects={SAG: 1e-5})
+    poses = wanted(tmp_path, model, readings(40))[POSE]
+    status, out = run(tmp_path, model, poses)
+    assert status == 0
+    found = robots.read_csv(out)
+    assert found["reached"].all()
+    assert not found["extrapolates"].any()
+    joints = found[list(model.final.model.robot.readings)].to_numpy()
+    assert np.abs(joints).max() <= 1.2
+    np.testing.assert_allclose(predicted(tmp_path, out)[POSE], poses, rtol=0, atol=1e-6)
+
+
+def test_a_pose_that_is_reached_only_outside_the_ranges_seen_is_still_reached(tmp_path: Path) -> None:
+    model = calibration()
+    q = readings(3)
+    q["shoulder_pan_joint"] = 2.5
+    poses = wanted(tmp_path, model, q)[POSE]
+    _, out = run(tmp_path, model, poses)
+    found = robots.read_csv(out)
+    assert found["reached"].all()
+    assert found["extrapolates"].all()
+    np.testing.assert_allclose(predicted(tmp_path, out)[POSE], poses, rtol=0, atol=1e-6)
 
 
 def test_a_missing_covariate_is_an_error_that_names_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -228,18 +284,41 @@ def test_poses_go_round_in_every_dialect(tmp_path: Path, dialect: str) -> None:
     assert apart.magnitude().max() < 1e-7
 
 
-def test_two_orientations_that_disagree_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def two_orientations(tmp_path: Path) -> tuple[SavedModel, pd.DataFrame]:
+    """A calibration that has angles, and poses that have quaternions too."""
     text = "format: 1\nrobot: {urdf: ur10.urdf, tip: tool0}\nmeasurements: {file: m.csv, orientation: %s}\n"
     model = calibration(text=text % "{euler: ZYX, columns: [A, B, C]}")
     quaternions = wanted(tmp_path, calibration(), readings(4))[POSE]
     angles = wanted(tmp_path, model, readings(4))[["A", "B", "C"]]
-    both = pd.concat([quaternions, angles], axis=1)
-    assert run(tmp_path, model, both)[0] == 0
+    return model, pd.concat([quaternions, angles, readings(4)], axis=1)
+
+
+@pytest.mark.parametrize("command", [compensate, predict], ids=["compensate", "predict"])
+def test_two_orientations_that_disagree_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], command: ModuleType
+) -> None:
+    model, both = two_orientations(tmp_path)
+
+    def status(table: pd.DataFrame) -> int:
+        (tmp_path / "calibration.yaml").write_text(model.dump(), encoding="utf-8")
+        table.to_csv(tmp_path / "t.csv", index=False, float_format="%.17g")
+        return int(command.main([str(tmp_path), str(tmp_path / "t.csv"), "-o", str(tmp_path / "o.csv")]))
+
+    assert status(both) == 0
+    assert status(both.assign(qw=both["qw"].where(both.index != 2))) == 0  # a hole is no other orientation
     both.loc[2, "B"] += 0.01
     capsys.readouterr()
-    assert run(tmp_path, model, both)[0] == 2
+    assert status(both) == 2
     said = " ".join(capsys.readouterr().err.split())
     assert "line 4: A B C and qx qy qz qw are two orientations, 0.5" in said and "degrees apart" in said
+
+
+def test_the_face_refuses_two_orientations_that_disagree(tmp_path: Path) -> None:
+    model, both = two_orientations(tmp_path)
+    both.loc[1, "C"] += 0.01
+    for use in (Calibration(model).predict, Calibration(model).compensate):
+        with pytest.raises(MeasurementError, match=r"line 3: A B C and qx qy qz qw are two orientations"):
+            use(both)
 
 
 @pytest.mark.parametrize("which", ["reported", "commanded"])

@@ -603,18 +603,18 @@ def query_of(path: Path, **options: Any):
 
 
 def test_a_query_keeps_every_row_and_column_as_written(write: Callable[..., Path]) -> None:
-    text = "note,wrist,rail,shoulder,temperature\nfirst,0.10,1.000,0,20\n,x,2,1,\nlast,0.3,3,1e-1,22.50\n"
+    text = "note,wrist,rail,shoulder,temperature\nfirst,0.10,1.000,0,20\n,,2,1,\nlast,0.3,3,1e-1,22.50\n"
     query = query_of(write(text))
     back = query.table.to_csv(index=False)
     assert pd.read_csv(io.StringIO(back), dtype=str).equals(pd.read_csv(io.StringIO(text), dtype=str))
     assert list(query.usable) == [True, False, True] and query.position is None
     np.testing.assert_array_equal(query.readings, [[1, 0, 0.1], [np.nan] * 3, [3, 0.1, 0.3]])
     np.testing.assert_array_equal(query.covariates["temperature"], [20, np.nan, 22.5])
-    assert [(r.row, r.column, r.value) for r in query.refused] == [(3, "wrist", "x")]
+    assert [(r.row, r.column, r.value) for r in query.refused] == [(3, "wrist", "")]
 
 
 def test_wanted_poses_need_no_readings_but_take_them_as_seeds(write: Callable[..., Path]) -> None:
-    table = rows(4)[POSE].assign(shoulder=["0.5", "", "what", "1"])
+    table = rows(4)[POSE].assign(shoulder=["0.5", "", "nan", "1"])
     query = query_of(write(table), poses=True)
     assert query.usable.all() and query.position is not None and query.quaternion is not None
     np.testing.assert_array_equal(query.readings[:, 1], [0.5, np.nan, np.nan, 1])
@@ -622,6 +622,20 @@ def test_wanted_poses_need_no_readings_but_take_them_as_seeds(write: Callable[..
     np.testing.assert_array_equal(query.position, table[POSE[:3]])
     with pytest.raises(MeasurementError, match="'qw'"):
         query_of(write(table.drop(columns="qw")), poses=True)
+
+
+@pytest.mark.parametrize("poses", [False, True])
+def test_a_word_among_the_joints_of_a_query_is_refused(poses: bool, write: Callable[..., Path]) -> None:
+    table = rows(4).assign(shoulder=["0.5", "", "what", "1"])
+    with pytest.raises(MeasurementError, match="line 4: column 'shoulder', what: not a number"):
+        query_of(write(table), poses=poses)
+
+
+def test_a_hole_in_a_covariate_that_is_needed_is_refused(write: Callable[..., Path]) -> None:
+    path = write(rows(3).assign(temperature=[20, None, 21], humidity=[None, 1, 2]))
+    assert query_of(path).usable.all()
+    with pytest.raises(MeasurementError, match="line 3: column 'temperature': missing; the calibration has an effect"):
+        query_of(path, needs=["temperature"])
 
 
 def test_a_query_in_other_units_and_names_is_read_as_its_campaign_was(write: Callable[..., Path]) -> None:

@@ -241,3 +241,58 @@ def test_kinematics_yaml_of_other_robots_put_into_their_urdf_is_the_calibrated_o
     q = random_positions(nominal, rng, 20)
     spliced = parse_robot(splice_origins(nominal.urdf, origins), nominal.tip, nominal.base)
     np.testing.assert_allclose(poses(spliced, q), poses(calibrated, q), rtol=0, atol=1e-14)
+
+
+def mounted(urdf, base):
+    """A UR on a pedestal: the chain starts at ``base``, 0.7 m below ``base_link`` and turned."""
+    extra = f'<link name="{base}"/><joint name="pedestal" type="fixed"><parent link="{base}"/><child link="base_link"/>'
+    extra += '<origin xyz="0.1 -0.2 0.7" rpy="0.3 0.1 -0.4"/></joint></robot>'
+    return urdf.replace(b"</robot>", extra.encode())
+
+
+def test_a_ur_on_a_pedestal_has_the_same_kinematics_yaml():
+    """The chain may start at `world`: ur_description's frames still start at its base_link."""
+    rng = np.random.default_rng(8)
+    plain = load("ur10")
+    calibrated = corrected(plain, rng, 1e-3)
+    on_it = [parse_robot(mounted(robot.urdf, "world"), "tool0", "world") for robot in (plain, calibrated)]
+    wanted = yaml.safe_load(kinematics_yaml(plain, calibrated))["kinematics"]
+    found = yaml.safe_load(kinematics_yaml(*on_it))["kinematics"]
+    for link in ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3"):
+        assert found[link] == pytest.approx(wanted[link], abs=1e-12)
+
+
+def test_a_chain_from_base_link_inertia_has_the_same_kinematics_yaml():
+    rng = np.random.default_rng(9)
+    plain = load("ur10")
+    calibrated = corrected(plain, rng, 1e-3)
+    turned = []
+    for robot in (plain, calibrated):
+        text = robot.urdf.decode().replace('"base_link"', '"base_link_inertia"')
+        first = next(j for j in robot.joints)
+        turn = z_turn(np.pi) * first.origin
+        origins = {first.name: (turn.translation, pin.rpy.matrixToRpy(turn.rotation))}
+        turned.append(parse_robot(splice_origins(text.encode(), origins), "tool0"))
+    assert turned[0].base == "base_link_inertia"
+    wanted = yaml.safe_load(kinematics_yaml(plain, calibrated))["kinematics"]
+    found = yaml.safe_load(kinematics_yaml(*turned))["kinematics"]
+    for link in wanted.keys() - {"hash"}:
+        assert found[link] == pytest.approx(wanted[link], abs=1e-12)
+
+
+def test_another_layout_for_a_ur_is_not_taken_silently():
+    robot = load("ur10")
+    renamed = parse_robot(robot.urdf.replace(b'"base_link"', b'"foot"'), "tool0")
+    text = kinematics_yaml(renamed, renamed)
+    assert text.startswith("# Each joint's own <origin>, not the layout of ur_description: ")
+    assert "foot" in text.splitlines()[0]
+    assert set(yaml.safe_load(text)) >= set(robot.names)
+
+
+def test_kinematics_yaml_has_no_far_branches_and_no_rounding():
+    nominal = load("ur10")
+    calibrated = corrected(nominal, np.random.default_rng(10), 1e-3)
+    usual, found = (yaml.safe_load(kinematics_yaml(nominal, robot))["kinematics"] for robot in (nominal, calibrated))
+    for link in found.keys() - {"hash"}:
+        assert found[link] == pytest.approx(usual[link], abs=0.02)
+        assert all(value == 0 or abs(value) > 1e-14 for value in usual[link].values())

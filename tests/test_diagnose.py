@@ -87,7 +87,7 @@ def test_an_undeclared_effect_is_named_and_taken_away(tmp_path, kind):
     alike = {(found.effect.kind, found.effect.where)} | {(t.kind, t.where) for t in found.confounded_with}
     assert (kind, EFFECTS[kind]["where"]) in alike
     assert error(outcome, "final") < 1.15 * LEAST
-    assert outcome.verdict == "noise_floor"
+    assert outcome.verdict.word == "noise_floor"
 
 
 @pytest.mark.parametrize("kind", ["rail_straightness", "rail_angular", "joint_map", "bearing_compliance", "drift"])
@@ -122,7 +122,7 @@ def clean(tmp_path_factory: pytest.TempPathFactory) -> Callable[[int], Outcome]:
 def test_a_clean_machine_shows_no_effect_whatever_columns_were_logged(clean, seed):
     outcome = clean(seed)
     assert not outcome.effects
-    assert outcome.verdict == "noise_floor"
+    assert outcome.verdict.word == "noise_floor"
     assert error(outcome, "final") < 1.15 * LEAST
 
 
@@ -177,7 +177,7 @@ def test_a_function_of_two_columns_has_no_name_but_is_seen_and_said(tmp_path):
     twist = {"kind": "unknown", "where": "joint_3", "motion": "z", "form": "twist", "covariates": ["joint_4", "time"],
              "coefficients": 1e-3}  # fmt: skip
     outcome = identify(campaign(tmp_path, [twist]))
-    assert outcome.verdict == "structure_remains"
+    assert outcome.verdict.word == "structure_remains"
     assert {e.effect.kind for e in outcome.effects} == {"unknown"}
     assert set(outcome.effects[0].effect.covariates) == {"joint_4", "time"}
     assert error(outcome, "final") < 0.5 * error(outcome, "geometric")

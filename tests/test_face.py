@@ -30,6 +30,7 @@ UR10 = robots.URDF / "ur10.urdf"
 UNDECLARED = robots.URDF.parent / "identification" / "arid-undeclared"
 JOINTS = [f"A{k}" for k in range(1, 7)]
 ANGLES = ["A", "B", "C"]
+STD = [f"std_{axis}" for axis in ("x", "y", "z", "rx", "ry", "rz")]
 TRUTH = """
 format: 1
 robot: {{urdf: {urdf}, tip: tool0}}
@@ -219,7 +220,7 @@ def test_poses_and_joints_speak_the_campaigns_dialect_and_go_round(cal: aridcal.
     queries.index = range(100, 115)
     kept = queries.copy()
     poses = cal.predict(queries)
-    assert list(poses) == [*JOINTS, "X", "Y", "Z", *ANGLES, "extrapolates"]
+    assert list(poses) == [*JOINTS, "X", "Y", "Z", *ANGLES, *STD, "extrapolates"]
     assert list(poses.index) == list(queries.index)
     pd.testing.assert_frame_equal(queries, kept)
     joints = cal.compensate(poses.drop(columns=JOINTS), seed=queries + 0.5)
@@ -378,7 +379,7 @@ def test_a_calibration_of_positions_says_nothing_of_orientations(tmp_path: Path)
     cal = aridcal.calibrate(campaign.model_copy(update={"diagnosis": quick}))
     assert not any("rotation" in name for name in (*cal.errors, *cal.effects))
     poses = cal.predict(table[JOINTS])
-    assert list(poses) == [*JOINTS, "X", "Y", "Z", "extrapolates"]
+    assert list(poses) == [*JOINTS, "X", "Y", "Z", *STD[:3], "extrapolates"]
     assert "rotation_error" not in cal.compensate(poses)
 
 

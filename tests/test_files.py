@@ -124,6 +124,7 @@ def test_what_cannot_be_written_is_said_before_any_work(tmp_path):
         (tmp_path / "file" / "results", "folder", "is a file"),
         (tmp_path / "file" / "deep" / "out.csv", "file", "is a file"),
         (Path("/proc/results"), "folder", "cannot be written"),
+        (tmp_path / "nowhere" / "out.csv", "file", "there is no folder .*nowhere; make it, or mend the path"),
     ]:
         with pytest.raises(OutputError, match=why) as complaint:
             check_writable(path, kind)

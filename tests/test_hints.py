@@ -11,6 +11,7 @@ from scipy.stats import kstest
 from aridcal.effects.basis import Basis
 from aridcal.effects.effect import Coefficient, Effect
 from aridcal.effects.kinds import turns
+from aridcal.fit.flags import OUTLIER
 from aridcal.inputs.channels import TARGET_POSITION, TARGET_ROTATION
 from aridcal.search.evidence import Score
 from aridcal.search.hints import harmonics, pairs
@@ -36,7 +37,8 @@ def made_up(rng: np.random.Generator, n: int = 300, noise: np.ndarray | None = N
         phi=np.zeros((n, 0)),
         bases=(),
         r=r,
-        stale=np.zeros(n, dtype=bool),
+        limit=np.full(n, OUTLIER),
+        configuration=np.arange(n),
         run=run,
         fold=rng.integers(0, 5, n),
         own=("j1", "j2"),

@@ -8,11 +8,12 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+import yaml
 from robots import SHARED_ROBOTS, URDF, random_placement, readings
 from scipy.spatial.transform import Rotation
 
 import aridcal.init
-from aridcal.errors import AridcalError
+from aridcal.errors import AridcalError, MeasurementError
 from aridcal.inputs.campaign import load_campaign
 from aridcal.inputs.read import load_measurements
 from aridcal.model.model import Model
@@ -118,6 +119,32 @@ def test_any_dialect_identifies_like_the_table_in_si(tmp_path):
     assert found[1]["nominal"] == pytest.approx(found[0]["nominal"], rel=1e-6)
 
 
+def test_a_column_that_the_next_table_lacks_is_ignored_and_said_to_be(tmp_path):
+    """Two days' tables: the first has a note and a temperature, the second neither, but a counter."""
+    robot, q, p, R = ur10_rows()
+    whole = pd.DataFrame(spelt(robot, q, p, R)["our own"])
+    half = len(whole) // 2
+    whole[:half].assign(temperature=20.0 + np.arange(half) % 7, note="day 1").to_csv(tmp_path / "a.csv", index=False)
+    whole[half:].assign(shot=np.arange(len(whole) - half)).to_csv(tmp_path / "b.csv", index=False)
+    out = tmp_path / "campaign.yaml"
+    made = draft(UR10, [tmp_path / "a.csv", tmp_path / "b.csv"], out, never)
+    out.write_text(made.campaign.text)
+    assert "temperature (not in b.csv)" in " ".join(made.campaign.text.replace("#", "").split())
+    assert "shot (not in a.csv)" in " ".join(made.campaign.text.replace("#", "").split())
+    rows = read_back(out, robot)
+    assert len(rows) == len(whole) and not rows.refused and rows.covariates == {}
+    assert not [note for note in rows.notices if "ignore" in note.why]
+
+
+def test_a_joint_that_the_next_table_lacks_is_named(tmp_path):
+    robot, q, p, R = ur10_rows()
+    whole = pd.DataFrame(spelt(robot, q, p, R)["our own"])
+    whole.to_csv(tmp_path / "a.csv", index=False)
+    whole.drop(columns="elbow_joint").to_csv(tmp_path / "b.csv", index=False)
+    with pytest.raises(MeasurementError, match=r"b\.csv: no column 'elbow_joint', which .*a\.csv has"):
+        draft(UR10, [tmp_path / "a.csv", tmp_path / "b.csv"], tmp_path / "c.yaml", never)
+
+
 def test_units_of_a_rail_are_found_too(tmp_path):
     robot = load_robot(URDF / "arid.urdf", "flange")
     q, p, R = measured(robot, 60)
@@ -197,6 +224,28 @@ def test_what_no_campaign_can_say_is_refused_with_a_remedy(spoil, why, tmp_path,
     assert aridcal.init.main(["--urdf", str(UR10), "--measurements", str(tmp_path / "m.csv"), "-o", str(out)]) == 2
     assert why in capsys.readouterr().err
     assert not out.exists()
+
+
+def test_two_orientations_that_disagree_are_refused(tmp_path):
+    """In a proposal and in what is read for it; one that was commanded, and a copy of the other, are none."""
+    robot, q, p, R = ur10_rows()
+    table = pd.DataFrame(named(" ".join(robot.names), q) | named("x y z", p) | named("qx qy qz qw", R.as_quat()))
+    table = table.assign(**named("A B C", R.as_euler("ZYX")))
+    draft(UR10, [table], tmp_path / "c.yaml", never)
+    spoilt = table.assign(B=table.B + np.where(table.index == 7, 0.02, 0.0))
+    with pytest.raises(AridcalError, match=r"line 9: qx qy qz qw and A B C are two orientations, 1\.1. degrees apart"):
+        draft(UR10, [spoilt], tmp_path / "c.yaml", never)
+    commanded = spoilt.rename(columns={"A": "cmd_A", "B": "cmd_B", "C": "cmd_C"})
+    draft(UR10, [commanded], tmp_path / "c.yaml", never)
+
+    keys = {"format": 1, "robot": {"urdf": str(UR10), "tip": "tool0"}}
+    keys["measurements"] = {"file": "m.csv", "orientation": {"euler": "ZYX", "columns": ["A", "B", "C"]}}
+    (tmp_path / "campaign.yaml").write_text(yaml.safe_dump(keys))
+    table.to_csv(tmp_path / "m.csv", index=False)
+    read_back(tmp_path / "campaign.yaml", robot)
+    spoilt.to_csv(tmp_path / "m.csv", index=False)
+    with pytest.raises(AridcalError, match="line 9: A B C and qx qy qz qw are two orientations"):
+        read_back(tmp_path / "campaign.yaml", robot)
 
 
 def _mixed(table: pd.DataFrame) -> pd.DataFrame:

@@ -14,7 +14,8 @@ from scipy.spatial.transform import Rotation
 from aridcal.effects.effect import Coefficient
 from aridcal.errors import NotIdentifiable
 from aridcal.fit.constants import constants
-from aridcal.fit.least_squares import Prior, fit, fit_identifiable, flagged, minimise, thin
+from aridcal.fit.flags import OUTLIER, SUSPECT, flagged
+from aridcal.fit.least_squares import Prior, fit, fit_identifiable, minimise, thin
 from aridcal.fit.residual import FLOOR, Problem, linearise, problem, residuals, robust_sigma, triangle
 from aridcal.inputs.channels import TARGET_POSITION, TARGET_ROTATION
 from aridcal.inputs.dataset import Dataset
@@ -142,9 +143,9 @@ def test_a_stale_row_is_flagged_sooner() -> None:
     sigma = robust_sigma(r, POSE)
     r[0], r[1] = 0.0, 0.0
     r[0, 0] = r[1, 0] = 4.5 * sigma[0]
-    stale = np.zeros(400, dtype=bool)
-    stale[0] = True
-    assert flagged(r, POSE, stale)[:2].tolist() == [True, False]
+    limit = np.full(400, OUTLIER)
+    limit[0] = SUSPECT
+    assert flagged(r, POSE, limit)[:2].tolist() == [True, False]
 
 
 def test_predicted_covariance_matches_repeated_fits() -> None:

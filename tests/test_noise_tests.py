@@ -4,9 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import robots
 from scipy.stats import kstest
 
+from aridcal.effects.basis import Basis
+from aridcal.effects.effect import Coefficient
+from aridcal.fit.least_squares import Fit, fit
 from aridcal.fit.noise import Repeats, declared_notices
+from aridcal.fit.residual import problem
 from aridcal.inputs.dataset import Dataset, dataset
 from aridcal.search.noise_tests import Clue, clues
 
@@ -44,10 +49,10 @@ def test_chances_of_noise_are_uniform_and_hardly_ever_tell() -> None:
         asked = clues(rows(r, q, time, (1.0, 1.0)), r, None, 1.0)
         told += sum(c.tells for c in asked)
         chances.append([c.p_value for c in asked])
-    assert np.shape(chances) == (60, 4)
+    assert np.shape(chances) == (60, 6)
     for values in np.array(chances).T:
         assert kstest(values, "uniform").pvalue > 1e-3
-    assert told <= 2  # of 240
+    assert told <= 2  # of 360
 
 
 def test_chances_that_the_declared_noise_makes_the_residual_are_uniform() -> None:
@@ -78,11 +83,14 @@ def test_a_walk_in_time_makes_rows_err_alike_in_the_order_of_time_alone() -> Non
     time = rng.permutation(300).astype(float)
     r = walk[time.astype(int)] + rng.standard_normal((300, 6))
     q = rng.uniform(-1, 1, (300, 3))
-    (found,) = telling(r, q, time)
+    found, change = telling(r, q, time)
+    assert (found.question, change.question) == ("order", "change")
+    assert "in the order of time" in change.what
     variance = np.mean(np.var(walk, axis=0)) + np.mean(walk.mean(axis=0) ** 2)
     assert found.share == pytest.approx(variance / (1 + variance), abs=0.1)
     assert telling(r, q) == []
-    assert len(telling(r[np.argsort(time)], q)) == 1  # the order of the table counts where no time was logged
+    there = telling(r[np.argsort(time)], q)  # the order of the table counts where no time was logged
+    assert [clue.question for clue in there] == ["order", "change"]
 
 
 @pytest.mark.parametrize("half", ["position", "rotation"])
@@ -119,3 +127,70 @@ def test_noise_stated_wrongly_is_said_both_ways_and_noise_stated_well_is_not() -
     assert "is 0.25 times" in small and "rotation" in small and "position" not in small and "too large" in small
     assert len(declared_notices(positions, np.array([2.0]), 1000.0)) == 1
     assert declared_notices(poses, np.array([2.0, 0.5]), 5.0) == []  # five numbers do not tell
+
+
+@pytest.mark.parametrize("timed", [False, True])
+def test_a_jump_is_seen_at_its_row_in_the_order_in_which_it_came(timed: bool) -> None:
+    rng = np.random.default_rng(6)
+    r, q = rng.standard_normal((240, 6)), rng.uniform(-1, 1, (240, 3))
+    late = np.arange(240) >= 90
+    r += 1.3 * late[:, None] * [1, -1, 0, 0, 1, 0]
+    mixed = rng.permutation(240) if timed else np.arange(240)
+    time = np.arange(240.0)[mixed] if timed else None
+    found = [c for c in telling(r[mixed], q, time) if c.question == "change"]
+    (told,) = found
+    at = int(np.flatnonzero(mixed == 90)[0]) + 2
+    assert f"and {at}" in told.what or not timed
+    if not timed:
+        first = int(told.what.split(" and ")[1].split(",")[0])
+        assert abs(first - at) <= 3
+    between = 3 * 1.3**2 * 0.375 * 0.625  # variance of three of the six numbers
+    assert told.share == pytest.approx(between / (6 + between), abs=0.05)
+    assert not [c for c in telling(rng.permutation(r), q) if c.question == "change"]
+
+
+def solved(seed: int, kind: str = "pose", n: int = 150) -> tuple[Fit, Dataset, np.ndarray, np.random.Generator]:
+    """A machine with its model, and white residuals of its rows in units of 0.1 mm and 0.1 mrad."""
+    rng = np.random.default_rng(seed)
+    place = robots.random_placement(rng), robots.random_placement(rng, 0.2)
+    truth = robots.simulate(robots.ur10(), n, rng, 1e-3, world=place[0], tip=place[1], kind=kind)
+    r = 1e-4 * rng.standard_normal((n, 6 if kind == "pose" else 3))
+    found = fit(problem(truth.model, truth.measured), truth.theta)
+    return found, truth.measured, r, rng
+
+
+def asked(found: Fit, rows_: Dataset, r: np.ndarray) -> dict[str, Clue]:
+    """What tells, by its question."""
+    return {c.question: c for c in clues(rows_, r, None, 1.0, found) if c.tells}
+
+
+@pytest.mark.parametrize("kind", ["pose", "position"])
+def test_a_target_that_slipped_is_seen_in_its_own_axes_alone(kind: str) -> None:
+    found, data, r, _ = solved(7, kind)
+    R = found.model.poses(found.theta, found.model.rows(data.readings))[0]
+    axis = found.model.tip_target[0][1].rotation.T[:, 2]  # of the tip's z, about which the last joint turns
+    slip = np.where(np.arange(150) < 75, -1.0, 1.0)[:, None] * 1.5e-4 * axis
+    r[:, :3] += np.einsum("nij,nj->ni", R, slip)
+    told = asked(found, data, r)
+    assert "in the target's axes" in told["change"].what
+    assert "in the target's axes" in told["order"].what
+    assert not [c for c in clues(data, r, None, 1.0) if c.tells]  # in world axes there is nothing
+
+
+def test_a_zero_that_jumped_is_seen_as_that_joint_s_motion() -> None:
+    found, data, r, _ = solved(8)
+    joint = Coefficient("elbow_joint", "axis", Basis("ones", ("elbow_joint",)))
+    model = found.model.with_coefficients((*found.model.coefficients, joint))
+    twist = model.jacobian(np.append(found.theta, 0.0), model.rows(data.readings))[2][:, :, -1]
+    r += np.where(np.arange(150) < 60, -1.0, 1.0)[:, None] * 1e-4 * twist
+    told = asked(found, data, r)
+    assert "as a motion of elbow_joint" in told["change"].what
+    assert "as a motion of elbow_joint" in told["order"].what
+
+
+def test_asking_in_more_axes_makes_no_more_false_alarms() -> None:
+    told = 0
+    for seed in range(40):
+        found, data, r, _ = solved(200 + seed, "pose" if seed % 2 else "position", 60)
+        told += bool(asked(found, data, r))
+    assert told <= 1  # one of 200 is allowed

@@ -24,6 +24,7 @@ from aridcal.robot.kinematics import rotations
 
 RNG = np.random.default_rng(7)
 QUATERNION = ["qx", "qy", "qz", "qw"]
+STD = [f"std_{axis}" for axis in ("x", "y", "z", "rx", "ry", "rz")]
 
 
 def calibration(
@@ -102,7 +103,7 @@ def test_columns_and_rows_are_kept_in_order_and_the_pose_is_overwritten(tmp_path
     assert status == 0
     found = robots.read_csv(out)
     assert list(found)[:7] == ["note", "joint_1", "z", "joint_2", "joint_3", "joint_4", "count"]
-    assert sorted(list(found)[7:]) == ["extrapolates", "qw", "qx", "qy", "qz", "x", "y"]
+    assert list(found)[7:] == ["x", "y", *QUATERNION, *STD, "extrapolates"]
     kept = ["note", "joint_1", "joint_2", "joint_3", "joint_4", "count"]
     pd.testing.assert_frame_equal(found[kept], query[kept], check_exact=True)
     assert (found["z"] != 99.0).all()
@@ -169,19 +170,42 @@ def test_effects_act_with_the_gravity_that_the_calibration_was_made_with(tmp_pat
     assert np.linalg.norm(expected - straight, axis=1).min() > 1e-3
 
 
-def test_row_that_lacks_a_number_has_no_pose_and_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_row_that_lacks_a_joint_has_no_pose_and_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     effect = Coefficient("joint_3", "axis", Basis("linear", ("temperature",), (20.0,)))
     query = inside(4)
-    query["temperature"] = [20.0, np.nan, 20.0, 20.0]
+    query["temperature"] = [20.0, 20.0, np.nan, 20.0]  # of a row that has no pose anyway
     query.loc[2, "joint_1"] = np.nan
     status, out = run(tmp_path, calibration(effects=(effect,)), query)
     assert status == 0
     pose = pd.read_csv(out)[["x", "y", "z", "qx", "qy", "qz", "qw"]].isna().to_numpy()
-    assert np.array_equal(pose.all(axis=1), [False, True, True, False])
-    assert not pose[[0, 3]].any()
+    assert np.array_equal(pose.all(axis=1), [False, False, True, False])
+    assert not pose[[0, 1, 3]].any()
     said = " ".join(capsys.readouterr().err.split())
     assert "line 4: column 'joint_1': empty" in said
-    assert "2 without a pose" in said
+    assert "1 without a pose" in said
+
+
+@pytest.mark.parametrize("cell", ["", "warm", "1e308"])
+def test_a_hole_in_a_covariate_that_an_effect_needs_is_an_error(
+    cell: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    effect = Coefficient("joint_3", "axis", Basis("linear", ("temperature",), (20.0,)))
+    query = inside(4)
+    query["temperature"] = ["20", cell, "21", cell]
+    status, out = run(tmp_path, calibration(effects=(effect,)), query)
+    assert (status, out.exists()) == (2, False)
+    said = " ".join(capsys.readouterr().err.split())
+    assert "line 3: column 'temperature'" in said
+    assert "missing, like 1 more in this column; the calibration has an effect that depends on it" in said
+
+
+def test_a_word_in_a_joint_is_an_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    query = inside(4).astype(object)
+    query.loc[1, "joint_3"] = "home"
+    status, out = run(tmp_path, calibration(), query)
+    assert (status, out.exists()) == (2, False)
+    said = " ".join(capsys.readouterr().err.split())
+    assert "line 3: column 'joint_3', home: not a number; write one, or leave the cell empty" in said
 
 
 def test_a_query_without_a_usable_row_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -197,7 +221,17 @@ def test_positions_only_leave_no_orientation(tmp_path: Path) -> None:
     query["qw"] = 1.0
     status, out = run(tmp_path, calibration("position"), query)
     assert status == 0
-    assert list(pd.read_csv(out)) == ["joint_1", "joint_2", "joint_3", "joint_4", "x", "y", "z", "extrapolates"]
+    assert list(pd.read_csv(out)) == [
+        "joint_1",
+        "joint_2",
+        "joint_3",
+        "joint_4",
+        "x",
+        "y",
+        "z",
+        *STD[:3],
+        "extrapolates",
+    ]
 
 
 def test_each_row_is_seen_from_its_own_station(tmp_path: Path) -> None:
@@ -257,10 +291,61 @@ def test_euler_angles_are_written_in_the_campaigns_columns(tmp_path: Path, seque
     status, out = run(tmp_path, calibration(text=text), other, "other.csv")
     assert status == 0
     found = robots.read_csv(out)
-    assert sorted({*found} - {*query}) == ["A", "B", "C", "extrapolates", "x", "y", "z"]
+    assert sorted({*found} - {*query}) == sorted(["A", "B", "C", *STD, "extrapolates", "x", "y", "z"])
     angles = found[["A", "B", "C"]].to_numpy()
     apart = Rotation.from_euler(sequence, angles, degrees=True) * Rotation.from_quat(plain[QUATERNION]).inv()
     assert apart.magnitude().max() < 1e-12
+
+
+@pytest.mark.parametrize("kind", ["pose", "position"])
+def test_nothing_stale_is_left_beside_a_new_pose(tmp_path: Path, kind: str) -> None:
+    """Old standard deviations, and orientations of another writing, are replaced or gone, whatever they are called."""
+    text = (
+        f"format: 1\nrobot: {{urdf: arid.urdf, tip: flange}}\nmeasurements:\n  file: m.csv\n  kind: {kind}\n"
+        "  orientation: {rotvec: [u, v, w]}\n  columns: {std_x: sx, qx: i}\n  units: {length: mm, angle: deg}\n"
+    )
+    query = in_mm_and_degrees(inside(5))
+    old = [*STD, "sx", *QUATERNION, "u", "v", "w", "x"]
+    status, out = run(tmp_path, calibration(kind, text=text), query.assign(**dict.fromkeys(old, 99.0), note="kept"))
+    assert status == 0
+    found = robots.read_csv(out)
+    written = {"x", "y", "z", "sx", "std_y", "std_z"}
+    written |= {"u", "v", "w", "std_rx", "std_ry", "std_rz"} if kind == "pose" else set()
+    assert {*found} == {*query, *written, "note", "extrapolates"}
+    assert not (found[sorted(written)] == 99.0).any(axis=None)
+
+
+def in_mm_and_degrees(query: pd.DataFrame) -> pd.DataFrame:
+    return query.assign(joint_1=1e3 * query["joint_1"], **{name: np.degrees(query[name]) for name in list(query)[1:]})
+
+
+def test_standard_deviations_are_in_the_campaigns_units_and_those_of_the_model(tmp_path: Path) -> None:
+    model, query = calibration(), inside(6)
+    _, out = run(tmp_path, model, query)
+    std = model.final.std(query.to_numpy())
+    assert std[:, :3].min() > 1e-6
+    np.testing.assert_allclose(robots.read_csv(out)[STD], std, rtol=1e-9, atol=1e-15)
+    text = "format: 1\nrobot: {urdf: arid.urdf, tip: flange}\nmeasurements: {file: m.csv, units: {length: mm, angle: deg}}\n"
+    _, out = run(tmp_path, calibration(text=text), in_mm_and_degrees(query), "other.csv")
+    scaled = np.hstack([1e3 * std[:, :3], np.degrees(std[:, 3:])])
+    np.testing.assert_allclose(robots.read_csv(out)[STD], scaled, rtol=1e-9, atol=1e-12)
+
+
+def test_a_row_without_a_pose_has_no_standard_deviation_and_does_not_extrapolate(tmp_path: Path) -> None:
+    query = inside(3)
+    query.loc[1, "joint_2"] = np.nan
+    _, out = run(tmp_path, calibration(), query)
+    found = pd.read_csv(out)
+    assert found[STD].isna().all(axis=1).tolist() == [False, True, False]
+    assert not found["extrapolates"].any()
+
+
+def test_a_prediction_several_times_as_uncertain_as_any_fitted_row_extrapolates(tmp_path: Path) -> None:
+    model, query = calibration(), inside(40)
+    size = np.linalg.norm(model.final.std(query.to_numpy())[:, :3], axis=1)
+    edge = float(np.median(size))
+    _, out = run(tmp_path, replace(model, largest_std=(edge / 3.0, np.inf)), query)
+    assert np.array_equal(pd.read_csv(out)["extrapolates"], size > edge)
 
 
 def test_where_euler_angles_are_not_unique_they_still_say_the_same_rotation() -> None:
@@ -277,7 +362,7 @@ def test_nothing_is_overwritten_by_a_failed_prediction(tmp_path: Path) -> None:
     assert out.read_text() == "precious"
 
 
-@pytest.mark.parametrize("name", ["out.txt", "query.csv/out.csv"])
+@pytest.mark.parametrize("name", ["out.txt", "query.csv/out.csv", "nowhere/out.csv"])
 def test_a_place_that_cannot_be_written_is_refused_before_any_work(tmp_path: Path, name: str) -> None:
     assert run(tmp_path, calibration(), inside(2), name)[0] == 2
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import re
 from dataclasses import replace
 from html import escape
@@ -13,10 +14,12 @@ import pandas as pd
 import pytest
 import robots
 from lxml import html
+from rich.console import Console
 
 from aridcal.effects.basis import Basis
 from aridcal.effects.catalogue import KINDS, Barred
 from aridcal.effects.effect import Coefficient, Effect
+from aridcal.identify import summary as print_summary
 from aridcal.report.data_section import data
 from aridcal.report.first_screen import checks, summary
 from aridcal.report.fit_section import fits
@@ -24,9 +27,11 @@ from aridcal.report.html import Html, join, number
 from aridcal.report.page import page, write_report
 from aridcal.result.controllers import Handover, hand_over
 from aridcal.result.folder import parameters, result_document
+from aridcal.result.key_figures import or_as_well
 from aridcal.result.outcome import STATISTICS, Outcome, Verification, errors
 from aridcal.result.pipeline import identify
 from aridcal.result.uncertainty import accuracy
+from aridcal.result.verdict import Verdict
 from aridcal.robot.chain import parse_robot
 from aridcal.robot.doty import doty_links
 from aridcal.search.gains import Curve, Diagnosis, NamedEffect, Rejected
@@ -327,7 +332,7 @@ def test_many_outliers_question_the_data(outcome: Outcome, report: str) -> None:
     ],
 )
 def test_the_verdict_is_said_in_words(outcome: Outcome, verdict: str, words: str) -> None:
-    first = join(list(summary(replace(outcome, verdict=verdict, unexplained_fraction=0.42))))
+    first = join(list(summary(replace(outcome, verdict=Verdict(verdict, 0.42, ("rows differ",))))))
     assert words in first
     assert "42 % of the remaining variance" in first
 
@@ -365,6 +370,35 @@ def test_another_days_data_get_a_section_of_their_own(outcome: Outcome, handover
     assert "verification" not in result_document(outcome)
 
 
+@pytest.mark.parametrize(
+    ("times", "realigned", "good", "says"),
+    [
+        (1.1, 1.0, True, ""),
+        (3.0, 1.0, False, "mm with both frames fitted anew: the target or the instrument was remounted."),
+        (3.0, 2.9, False, "mm with both frames fitted anew: the robot has changed since."),
+    ],
+)
+def test_another_days_data_are_judged_on_the_first_screen(
+    times: float, realigned: float, good: bool, says: str, outcome: Outcome
+) -> None:
+    flagged = outcome.outlier
+    last = outcome.stages[-1].residual
+    rows = outcome.measurements
+    residuals = {stage.name: times * stage.residual for stage in outcome.stages}
+    other = Verification("<day 2>.csv", rows, residuals, flagged, realigned * last)
+    sentences = [(fine, said) for fine, said in checks(replace(outcome, verification=other)) if "Another day" in said]
+    ((fine, said),) = sentences
+    rms = 1e3 * np.sqrt(np.mean(np.sum((times * last[~flagged, :3]) ** 2, axis=1)))
+    assert fine is good
+    assert said.startswith(f"Another day's rows (<day 2>.csv, 122 of 124): {rms:.3f} mm RMS, ")
+    assert said.endswith(says or "held-out rows.")
+    assert "Another day" in join(list(summary(replace(outcome, verification=other))))
+    assert not any("Another day" in words for _, words in checks(outcome))
+    console = Console(file=io.StringIO(), width=250)
+    print_summary(replace(outcome, verification=other), console)
+    assert said in console.file.getvalue()  # type: ignore[attr-defined]
+
+
 def test_effects_and_what_else_was_tried_are_shown(outcome: Outcome, handover: Handover) -> None:
     name = outcome.robot.names[1]
     gain = Coefficient(name, "axis", Basis("linear", (name,), (0.0,)))
@@ -386,6 +420,13 @@ def test_effects_and_what_else_was_tried_are_shown(outcome: Outcome, handover: H
     )
     report = page(replace(outcome, diagnosis=found), handover)
     assert_sound(report)
+    screen = Console(file=io.StringIO(), width=250)
+    print_summary(replace(outcome, diagnosis=found), screen)
+    twin = f"or as well joint_compliance at {beyond}"
+    assert f"found: joint_gain at {name} [axis], {twin}: " in screen.file.getvalue()  # type: ignore[attr-defined]
+    assert or_as_well(replace(named, confounded_with=())) == ""
+    five = tuple(Effect("thermal", joint, ()) for joint in outcome.robot.names[:5])
+    assert or_as_well(replace(named, confounded_with=five * 2)).endswith(f"thermal at {five[2].where} and 2 more")
     assert table(report, "Gain of each effect") == [
         [
             f"joint_gain at {name}{KINDS['joint_gain'].words}",
@@ -438,6 +479,10 @@ def test_each_effect_has_its_line_between_the_geometry_and_the_whole(outcome: Ou
     first = text(report, "//header")
     assert "9 more" not in first
     assert f"joint_gain at {names[0]} ({KINDS['joint_gain'].words}) for 31 %" in first  # 0.75^2 - 0.5^2
+    confounded = replace(effects[0], confounded_with=(effects[1].effect,))
+    diagnosis = Diagnosis((confounded, effects[1]), (), (), 0, ())
+    first = text(page(replace(outcome, stages=stages, diagnosis=diagnosis), handover), "//header")
+    assert f"({KINDS['joint_gain'].words}, or as well joint_gain at {names[1]}) for 31 %" in first
 
 
 # ---- hostile names --------------------------------------------------------------------------------------------------

@@ -257,6 +257,12 @@ def broken(change: str, to: str, urdf: bytes = COLUMN) -> bytes:
     return text.replace(change, to, 1).encode()
 
 
+RING = (
+    '<link name="ring_1"/><link name="ring_2"/>'
+    '<joint name="back" type="fixed"><parent link="ring_1"/><child link="ring_2"/></joint>'
+    '<joint name="round" type="fixed"><parent link="ring_2"/><child link="ring_1"/></joint></robot>'
+)
+
 ERRORS = [
     (COLUMN[:-10], "hand", None, "not well-formed"),
     (b"", "hand", None, "not well-formed"),
@@ -279,9 +285,14 @@ ERRORS = [
     (COLUMN, "base", None, "no joint moves"),
     (broken('<parent link="top"/>', '<parent link="tup"/>'), "hand", None, "'wrist': its parent link 'tup'"),
     (broken('<child link="hand"/>', ""), "hand", None, "'wrist': its child link"),
-    (broken('<child link="spindle"/>', '<child link="hand"/>'), "hand", None, "two parents"),
+    (broken('<child link="spindle"/>', '<child link="hand"/>'), "hand", None, "'hand' has two parents: .*'wrist'"),
+    (broken('<link name="spindle"/>', '<link name="spindle"/><link name="hand"/>'), "hand", None,
+     r"line \d+: link 'hand' is there twice"),
+    (broken('<link name="spindle"/>', '<link name="spindle"/><link/>'), "hand", None, r"line \d+: a link has no name"),
+    (broken("</robot>", RING), "hand", None, "'ring_1', 'ring_2' form a loop.*'round', 'back'"),
+    (broken("</robot>", '<link name="lost"/></robot>'), "hand", None, "'root', 'lost' have no parent"),
     (broken('<parent link="base"/><child link="stage"/>', '<parent link="hand"/><child link="stage"/>'), "hand", None,
-     "loop"),
+     "'base'|'stage'.*form a loop.*'lift'"),
     (broken('name="wrist" type="continuous"', 'name="wrist" type="floating"'), "hand", None, "'wrist'.*'floating'"),
     (broken('name="wrist" type="continuous"', 'name="wrist"'), "hand", None, "'wrist'"),
     (broken('name="wrist" type', 'name="lift" type'), "hand", None, "'lift' is there twice"),

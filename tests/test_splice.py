@@ -2,6 +2,7 @@ import difflib
 import io
 import re
 from importlib.metadata import distribution
+from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
@@ -15,8 +16,8 @@ from scipy.spatial.transform import Rotation
 from aridcal.effects.effect import Coefficient
 from aridcal.errors import RobotError
 from aridcal.model.model import Model
-from aridcal.robot.chain import parse_robot
-from aridcal.robot.splice import splice_origins
+from aridcal.robot.chain import load_robot, parse_robot
+from aridcal.robot.splice import rpy_near, splice_origins, written_origins
 
 ROBOTS = distribution("example-robot-data").locate_file("cmeel.prefix/share/example-robot-data/robots")
 PUBLIC = (
@@ -29,6 +30,7 @@ PUBLIC = (
     "talos_data/robots/talos_full_v2.urdf",
     "pr2_description/urdf/pr2.urdf",
 )
+URDF = Path(__file__).parents[1] / "urdf" / "ur10.urdf"
 VALUES = re.compile(rb"""\s(xyz|rpy)\s*=\s*("[^"]*"|'[^']*')""")
 FOREIGN = """<?xml version="1.0"?>
 <robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro">
@@ -360,3 +362,66 @@ def test_pinocchios_rpy_rebuild_the_rotation_to_rounding_at_gimbal_lock_too():
             got = Rotation.from_euler("xyz", pin.rpy.matrixToRpy(rotation)).as_matrix()
             worst = max(worst, np.abs(got - rotation).max())
     assert worst < 10 * np.finfo(float).eps
+
+
+def turned(rpy):
+    """The rotation that URDF's roll, pitch and yaw say, by scipy: another road than Pinocchio's."""
+    return Rotation.from_euler("xyz", rpy).as_matrix()
+
+
+def test_angles_are_those_nearest_to_the_nominal_ones():
+    """A wrist that stands upright, corrected: rounding to the other branch reads 3.102 1.567 3.103."""
+    nominal = np.array([0.0, np.pi / 2, 0.0])
+    wanted = np.array([-0.039, 1.575, -0.039])
+    np.testing.assert_allclose(rpy_near(turned(wanted), nominal), wanted, rtol=0, atol=1e-12)
+    rng = np.random.default_rng(0)
+    for near in rng.uniform(-7, 7, (300, 3)):
+        R = Rotation.random(random_state=rng).as_matrix()
+        found = rpy_near(R, near)
+        np.testing.assert_allclose(turned(found), R, rtol=0, atol=1e-14)
+        whole = 2 * np.pi * np.stack(np.meshgrid(*[np.arange(-3, 4)] * 3), -1).reshape(-1, 3)
+        r, p, y = found
+        others = np.concatenate([found + whole, [r + np.pi, np.pi - p, y + np.pi] + whole])
+        assert np.abs(found - near).sum() <= np.abs(others - near).sum(axis=1).min() + 1e-12
+
+
+@pytest.mark.parametrize("pitch", [np.pi / 2, -np.pi / 2])
+def test_at_gimbal_lock_roll_and_yaw_stay_near_the_nominal_ones(pitch):
+    rng = np.random.default_rng(1)
+    for roll, yaw in rng.uniform(-3, 3, (50, 2)):
+        R = turned([roll, pitch, yaw])
+        same = rpy_near(R, np.array([roll, pitch, yaw]))
+        np.testing.assert_allclose(same, [roll, pitch, yaw], rtol=0, atol=1e-7)
+        near = np.array([roll + 0.2, pitch, yaw - 0.1])
+        found = rpy_near(R, near)
+        np.testing.assert_allclose(turned(found), R, rtol=0, atol=1e-12)
+        assert np.abs(found - near).sum() < 0.31
+
+
+def test_rounding_is_not_written():
+    urdf = FOREIGN.replace('<origin xyz="0 0 0"/>', '<origin xyz="0 0.1273 2" rpy="1.5707963 0 -3.1"/>', 1)
+    urdf = urdf.replace('<axis xyz="0 0 1"/><origin xyz="0 0 0"/>', '<axis xyz="0 0 1"/><origin xyz="0 0.1273 2"/>')
+    placement = pin.SE3(turned([-1e-15, 2e-16, 0.0]), np.array([-1e-15, 0.1273 + 3e-17, 2 - 5e-16]))
+    xyz, rpy = written_origins(urdf.encode(), {"a": placement})["a"]
+    assert xyz.tolist() == [0.0, 0.1273, 2.0]
+    assert rpy.tolist() == [0.0, 0.0, 0.0]
+    real = pin.SE3(turned([1e-9, 0.0, 0.0]), np.array([1e-9, 0.1273, 2.0]))
+    xyz, rpy = written_origins(urdf.encode(), {"a": real})["a"]
+    assert xyz[0] == 1e-9
+    assert rpy[0] == pytest.approx(1e-9, abs=1e-16)
+
+
+def test_a_calibrated_urdf_is_written_on_the_branch_of_the_nominal_one(tmp_path):
+    """The UR10's forearm stands at a pitch of 90 degrees: small corrections used to read as half turns."""
+    robot = load_robot(URDF, "tool0")
+    nominal = {j.name: etree.fromstring(robot.urdf).find(f"joint[@name='{j.name}']/origin") for j in robot.joints}
+    coefficients = [Coefficient(j.name, c) for j in robot.joints for c in ("roll", "pitch", "yaw")]
+    model = Model(robot, coefficients)
+    theta = np.random.default_rng(2).normal(0, 2e-3, len(coefficients))
+    spliced = splice_origins(robot.urdf, written_origins(robot.urdf, model.origins(theta)))
+    for name, before in nominal.items():
+        after = etree.fromstring(spliced).find(f"joint[@name='{name}']/origin")
+        old, new = (np.array([float(v) for v in e.get("rpy").split()]) for e in (before, after))
+        locked = abs(abs(old[1]) - np.pi / 2) < 0.1
+        assert abs(new[1] - old[1]) < 0.02
+        assert np.abs(new - old).max() < (np.pi / 2 + 0.1 if locked else 0.02), name

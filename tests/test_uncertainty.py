@@ -15,10 +15,11 @@ from aridcal.effects.effect import Coefficient
 from aridcal.fit.constants import constants
 from aridcal.fit.least_squares import Fit, fit, fit_identifiable
 from aridcal.fit.noise import repeats
+from aridcal.fit.residual import problem
 from aridcal.inputs.channels import TARGET_POSITION, TARGET_ROTATION
 from aridcal.inputs.dataset import Dataset
 from aridcal.model.model import Model, Rows
-from aridcal.result.uncertainty import accuracy, halves, outliers, precision, target_sigma
+from aridcal.result.uncertainty import accuracy, halves, outliers, precision, target_sigma, with_noise_seen
 from aridcal.robot.chain import parse_robot
 from aridcal.robot.kinematics import tip_frames
 
@@ -107,6 +108,25 @@ def test_sigma_of_the_target_is_the_scatter_of_repeated_calibrations() -> None:
         scatter = worst(np.array(seen))
         assert np.sqrt(np.mean(predicted**2)) == pytest.approx(np.sqrt(np.mean(scatter**2)), rel=0.1)
         np.testing.assert_allclose(predicted, scatter, rtol=0.5)
+
+
+@pytest.mark.parametrize("stated", [0.3e-4, 1e-4, 3e-4], ids=["too small", "as it is", "too large"])
+def test_sigma_of_the_target_is_its_scatter_though_the_noise_of_positions_was_stated_too_small(stated: float) -> None:
+    """40 campaigns whose positions scatter by 1e-4 m; what is stated weighs them, and must not make them look surer."""
+    rng = np.random.default_rng(3)
+    truth, first, _ = example(40)
+    query = first.model.rows(robots.readings(first.model.robot, 40, rng))
+    places, predicted = [], []
+    for _ in range(40):
+        rows = robots.declared(again(truth, rng).measured, stated, 1e-4)
+        asked = problem(first.model, rows)
+        plain = fit(asked, weight=np.ones(len(asked)))
+        found = with_noise_seen(plain, rows)
+        assert (found is plain) == (stated >= 1e-4)
+        predicted.append(target_sigma(found, query)[0])
+        places.append(found.model.poses(found.theta, query)[1])
+    ratio = np.sqrt(np.mean(np.square(predicted)) / np.mean(worst(np.array(places)) ** 2))
+    assert ratio > 1.0 if stated > 1e-4 else ratio == pytest.approx(1.0, rel=0.12)
 
 
 def test_precision_is_that_of_the_rows_and_of_places_all_over_the_joint_range() -> None:

@@ -48,10 +48,12 @@ class Form:
     Attributes:
         value: The function of covariates and numbers.
         name: Its readable name: a template of ``of``, the covariates' names, and ``n``, the numbers.
+        absent: What its covariate counts as where nobody gives it; None if it must be given.
     """
 
     value: Callable[[Columns, Numbers], np.ndarray]
     name: str
+    absent: float | None = None
 
 
 def _ones(z: Columns, n: Numbers) -> np.ndarray:
@@ -110,6 +112,11 @@ def _times_power(z: Columns, n: Numbers) -> np.ndarray:
     return np.asarray((z[0] - n[0]) * (z[1] / n[1]) ** n[2])
 
 
+def _step(z: Columns, n: Numbers) -> np.ndarray:
+    """-1 before n0, 0 from there on: the constants are those of the machine as it is now."""
+    return np.where(z[0] < n[0], -1.0, 0.0)
+
+
 FORMS: dict[str, Form] = {
     "ones": Form(_ones, "1"),
     "linear": Form(_linear, "{of[0]}"),
@@ -120,6 +127,7 @@ FORMS: dict[str, Form] = {
     "bump": Form(_bump, "map({of[0]}@{n[0]:.6g})"),
     "bump2": Form(_bump_of_two, "map({of[0]}@{n[0]:.6g},{of[1]}@{n[2]:.6g})"),
     "times_power": Form(_times_power, "{of[0]}*{of[1]}^{n[2]:g}"),
+    "step": Form(_step, "step({of[0]}@{n[0]:.12g})", absent=np.inf),
 }
 
 
@@ -134,11 +142,15 @@ def evaluate(basis: Basis, covariates: Mapping[str, np.ndarray]) -> np.ndarray:
     Raises:
         CovariateNotFound: a column that it depends on was not measured.
     """
+    form = FORMS[basis.form]
     columns = []
     for name in basis.of:
-        if name not in covariates:
+        if name in covariates:
+            columns.append(covariates[name])
+        elif form.absent is not None:
+            columns.append(np.full_like(next(iter(covariates.values())), form.absent, dtype=float))
+        else:
             raise CovariateNotFound(
                 f"the model depends on {name!r}, which was not measured{nearest(name, covariates)}: add that column"
             )
-        columns.append(covariates[name])
-    return FORMS[basis.form].value(columns, basis.numbers)
+    return form.value(columns, basis.numbers)

@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from aridcal.effects.basis import Basis
 from aridcal.effects.condition_kinds import CONDITION_KINDS
-from aridcal.effects.effect import Effect
+from aridcal.effects.effect import ROW_ORDER, Effect
 from aridcal.effects.head_kinds import HEAD_KINDS
 from aridcal.effects.joint_kinds import JOINT_KINDS
 from aridcal.effects.kinds import Declaration, Kind, Observed
@@ -53,7 +54,10 @@ def barred_joints(rows: Observed) -> list[Barred]:
     """Joints whose own effects cannot be tested."""
     still = [j.name for j in rows.robot.joints if not rows.moves(j)]
     found = [Barred(f"effects of {name}'s reading", "the joint never moves") for name in still]
-    if not any(rows.robot.mass_beyond > 0):
+    loads = [values for name, values in rows.table.items() if ".gravity_" in name]
+    if not loads:
+        found.append(Barred("compliance and load-side backlash", "the column payload has empty cells"))
+    elif not (np.any(loads) or any(rows.robot.mass_beyond > 0)):
         found.append(Barred("compliance and load-side backlash", "the URDF has no masses beyond any joint"))
     return found
 
@@ -95,7 +99,7 @@ def declared(rows: Observed, declaration: Declaration, place: str) -> Effect:
     if kind.of_order and d.order:
         found = [effect for order in d.order for effect in kind.of_order(d, order)]
     else:
-        fitting = [effect for effect in candidates(rows, (d.kind,)) if _meant(effect, d)]
+        fitting = [effect for effect in _parts(candidates(rows, (d.kind,)), d) if _meant(effect, d)]
         curves = [effect for effect in fitting if effect.smooth]  # they hold what the others can
         found = curves or fitting
         found = found[:1] if kind.exclusive else found
@@ -104,7 +108,38 @@ def declared(rows: Observed, declaration: Declaration, place: str) -> Effect:
             f"{place}: effects: {d.kind} at {d.where} cannot be fitted: this robot or these columns have nothing that "
             "it could depend on"
         )
-    return merged(found)
+    effect = merged(found)
+    return effect if d.at is None else _at_moment(rows, effect, d, place)
+
+
+def _at_moment(rows: Observed, effect: Effect, d: Declaration, place: str) -> Effect:
+    """A step where a declaration has it.
+
+    Raises:
+        CampaignError: there is no such column, or all rows are on one side of it.
+    """
+    of, key = ("time", "time") if d.at.row is None else (ROW_ORDER, "row")
+    if of != ROW_ORDER and of not in rows.measured:
+        raise CampaignError(
+            f"{place}: effects: {d.kind} at {d.where}: at.time: no complete column `time`; say the row: `at: {{row: LINE}}`"
+        )
+    before = int(np.sum(rows.table[of] < d.at.number))
+    if before in (0, len(rows.table[of])):
+        low, high = (f"{v:.12g}" for v in (rows.table[of].min(), rows.table[of].max()))
+        raise CampaignError(
+            f"{place}: effects: {d.kind} at {d.where}: at.{key}: no fitted row is {'after' if before else 'before'} it: "
+            f"their {of} is from {low} to {high}"
+        )
+    basis = Basis("step", (of,), (d.at.number,))
+    return replace(effect, coefficients=tuple(replace(c, basis=basis) for c in effect.coefficients))
+
+
+def _parts(effects: Sequence[Effect], d: Declaration) -> list[Effect]:
+    """The motions that a declaration names of those that move all at once, as what jumped does."""
+    if d.motion is None:
+        return list(effects)
+    own = [(e, tuple(c for c in e.coefficients if e.at is None or c.component in d.motion)) for e in effects]
+    return [replace(e, coefficients=coefficients) for e, coefficients in own if coefficients]
 
 
 def _meant(effect: Effect, d: Declaration) -> bool:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+import numpy as np
+
 from aridcal.effects.basis import Basis
-from aridcal.effects.effect import FRAME_COMPONENTS, Coefficient, Effect
+from aridcal.effects.effect import FRAME_COMPONENTS, ROW_ORDER, Coefficient, Effect
 from aridcal.effects.kinds import Kind, Observed, middle, slope
 
 FRAMES = ("world_base", "tip_target")
@@ -40,6 +42,22 @@ def _drift(rows: Observed) -> Iterator[Effect]:
             yield Effect("drift", where, coefficients)
 
 
+def _shift(rows: Observed) -> Iterator[Effect]:
+    """Each frame and each joint's zero, half way through the rows: where it jumped is for the data to say.
+
+    All motions of a frame that the rows can show: a target that slips turns, too.
+    """
+    of = "time" if "time" in rows.measured else ROW_ORDER
+    values = np.unique(rows.table[of]) if of in rows.table else np.zeros(0)
+    if len(values) < 2:
+        return
+    half = len(values) // 2
+    step = Basis("step", (of,), (float(values[half - 1 : half + 1].mean()),))
+    seen = {"world_base": FRAME_COMPONENTS, "tip_target": FRAME_COMPONENTS if rows.orientations else ("x", "y", "z")}
+    for where, motion in (*seen.items(), *((j.name, ("axis",)) for j in rows.moving())):
+        yield Effect("shift", where, tuple(Coefficient(where, component, step) for component in motion))
+
+
 def _payload_compliance(rows: Observed) -> Iterator[Effect]:
     """The payload's torque about each axis; the payload itself for each motion of each joint."""
     if "payload" not in rows.measured:
@@ -72,6 +90,17 @@ CONDITION_KINDS = (
         doc="drift",
         testable=_drift,
         columns=lambda _: ("time",),
+    ),
+    Kind(
+        "shift",
+        where="`world_base`, `tip_target` or a joint",
+        words="it moved once, between two rows",
+        bases=("step",),
+        example="{kind: shift, where: world_base, at: {row: 118}}",
+        doc="shift",
+        testable=_shift,
+        key="at",
+        columns=lambda d: ("time",) if d.at is not None and d.at.time is not None else (),
     ),
     Kind(
         "payload_compliance",

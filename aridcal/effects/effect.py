@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,6 +12,9 @@ from aridcal.robot.kinematics import transverse
 
 FRAME_COMPONENTS = ("x", "y", "z", "roll", "pitch", "yaw")
 LINK_COMPONENTS = ("d", "theta", "beta", "a", "alpha")
+ROW_ORDER = "file row"
+"""Covariate that every table has: the line of the file, counted on through several files."""
+
 ANGULAR = frozenset({"roll", "pitch", "yaw", "theta", "beta", "alpha", "r1", "r2"})
 
 
@@ -51,6 +55,7 @@ class Effect:
         by: What a backlash switches with.
         smooth: True where the coefficients are samples of a smooth function and shrink to zero where unseen.
         grid: For a smooth function of two covariates: samples along each; else empty.
+        looked: Members of its kind that were looked through before this one, the loudest, became a candidate.
     """
 
     kind: str
@@ -61,6 +66,12 @@ class Effect:
     by: str | None = None
     smooth: bool = False
     grid: tuple[int, ...] = ()
+    looked: int = 1
+
+    @property
+    def hinted(self) -> bool:
+        """True for a member that the residual hinted at, beside those that are always tried."""
+        return self.looked > 1
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -78,10 +89,33 @@ class Effect:
         return tuple(dict.fromkeys(name for c in self.coefficients for name in c.basis.of))
 
     @property
+    def at(self) -> Basis | None:
+        """The step of what happened between two rows; None of what always acts."""
+        return next((c.basis for c in self.coefficients if c.basis.form == "step"), None)
+
+    def placed(self, number: float) -> Effect:
+        """The same with its step at another value of its covariate."""
+        moved = tuple(replace(c, basis=replace(c.basis, numbers=(number,))) for c in self.coefficients)
+        return replace(self, coefficients=moved)
+
+    @property
+    def identity(self) -> tuple[object, ...]:
+        """What makes two effects the same for a user: two steps at one place are two effects."""
+        return self.kind, self.where, self.with_, self.by, self.at
+
+    @property
     def label(self) -> str:
         """Short name for tables and messages."""
         extra = self.with_ or self.by or (",".join(f"{k:g}" for k in self.order) if self.order else "")
+        if self.at is not None:
+            extra = _moment(self.at)
         return f"{self.kind} at {self.where}" + (f" ({extra})" if extra else "")
+
+
+def _moment(step: Basis) -> str:
+    """Where a step is: the first row after it, or the time."""
+    (of,), (number,) = step.of, step.numbers
+    return f"row {math.ceil(number)}" if of == ROW_ORDER else f"{of} {number:.6g}"
 
 
 def direction(component: str, axis: np.ndarray | None) -> np.ndarray:

@@ -33,6 +33,7 @@ class Declaration(Protocol):
         order: Periods in one turn of the joint.
         motion: Components that move.
         covariates: Columns that it depends on.
+        at: Row or time of the first measurement after it.
     """
 
     kind: str
@@ -42,6 +43,7 @@ class Declaration(Protocol):
     order: tuple[float, ...] | None
     motion: tuple[str, ...] | None
     covariates: tuple[str, ...] | None
+    at: Any  # of a campaign a `Moment`
 
 
 @dataclass(frozen=True)
@@ -52,11 +54,13 @@ class Observed:
         robot: The chain.
         table: Covariates of those rows (see :func:`aridcal.effects.loads.covariate_table`), shape (N,) each.
         measured: Names of the columns beside the joints that are complete and not constant.
+        orientations: False where only positions were measured: the target's own turns are not seen then.
     """
 
     robot: Robot
     table: Mapping[str, np.ndarray]
     measured: tuple[str, ...]
+    orientations: bool = True
 
     def moves(self, joint: Joint) -> bool:
         """True if the joint's reading covers enough to say anything about it."""
@@ -99,7 +103,7 @@ class Kind:
             for a kind of the measuring head.
         of_head: The same for a kind of the measuring head, from the names of the head's numbers, ``camera.fx`` for
             instance. None for all others.
-        key: Key of a declaration that belongs to this kind alone: ``with``, which it then needs, or ``by``.
+        key: Key of a declaration that belongs to this kind alone: ``with``, which it then needs, ``by`` or ``at``.
         of_order: Effects that a declaration with ``order`` means, where any order may be declared: the generator can
             yield only some.
         exclusive: True if the effects of this kind at one place are alternatives, the most likely first. A declaration
@@ -119,7 +123,7 @@ class Kind:
     doc: str
     testable: Callable[[Observed], Iterator[Effect]] | None = None
     of_head: Callable[[Sequence[str]], Iterator[Effect]] | None = None
-    key: Literal["with", "by"] | None = None
+    key: Literal["with", "by", "at"] | None = None
     of_order: Callable[[Declaration, float], Iterator[Effect]] | None = None
     exclusive: bool = False
     columns: Callable[[Declaration], tuple[str, ...]] = lambda _: ()

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 
+from aridcal.effects.basis import FORMS, Basis
 from aridcal.effects.effect import direction
-from aridcal.robot.chain import Robot
+from aridcal.robot.chain import Joint, Robot
 from aridcal.robot.kinematics import gravity_loads, joint_frames, tip_frames
 
 LOADS = (".gravity_", ".payload_")
@@ -27,10 +28,21 @@ class Surroundings:
     Attributes:
         gravity: In the base frame, [m/s^2], shape (3,), or (worlds, 3) where each station has its own base.
         lever: The payload's place, T_tip_target of the geometric stage, shape (3,), [m].
+        loaded: True where the rows have a ``payload``: it hangs there and counts in every gravity load. False of rows
+            without one, whose loads are those of the links alone.
     """
 
     gravity: np.ndarray = field(default_factory=lambda: np.array([0.0, 0.0, -9.81]))
     lever: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    loaded: bool = False
+
+
+def needs(robot: Robot, bases: Iterable[Basis], around: Surroundings) -> tuple[str, ...]:
+    """Columns beside the joints that some bases cannot do without, sorted; ``payload`` where one of their loads holds it."""
+    names = {name for basis in bases for name in basis.of if FORMS[basis.form].absent is None} - set(robot.names)
+    loads = {name for name in names if is_load(name)}
+    held = any(around.loaded or ".payload_" in name for name in loads)
+    return tuple(sorted((names - loads) | ({"payload"} if held else set())))
 
 
 def covariate_table(
@@ -53,7 +65,8 @@ def covariate_table(
 
     Returns:
         The joints' positions by name; the measured columns; ``JOINT.gravity_torque`` (force, if prismatic) and
-        ``JOINT.gravity_moment_C`` for the components C in which a joint does not move; ``JOINT.payload_torque``.
+        ``JOINT.gravity_moment_C`` for the components C in which a joint does not move, both with the payload where it
+        counts; ``JOINT.payload_torque``. What would need a payload that is not among the columns is left out.
     """
     positions = dict(zip(robot.names, robot.positions(readings).T, strict=True))
     table = dict(measured) | positions
@@ -61,38 +74,35 @@ def covariate_table(
         return table
     per_row = np.atleast_2d(around.gravity)[world if np.ndim(around.gravity) == 2 else 0]
     gravity = np.broadcast_to(per_row, (len(readings), 3))
-    table |= _gravity_columns(robot, readings, gravity)
+    pull = np.zeros((len(readings), len(robot.names), 6))
     if "payload" in measured:
-        weight = measured["payload"][:, None] * gravity
-        table |= _payload_columns(robot, readings, weight, around.lever)
+        pull = _payload_loads(robot, readings, measured["payload"][:, None] * gravity, around.lever)
+        table |= {f"{joint.name}.payload_torque": _driving(joint, pull[:, j]) for j, joint in enumerate(robot.joints)}
+    elif around.loaded:
+        return table
+    loads = gravity_loads(robot, readings, gravity) + (pull if around.loaded else 0.0)
+    for j, joint in enumerate(robot.joints):
+        table[f"{joint.name}.gravity_torque"] = _driving(joint, loads[:, j])
+        for component in bearing_components(joint.kind):
+            about = direction(component, joint.axis)
+            table[f"{joint.name}.gravity_moment_{component}"] = loads[:, j, 3:] @ about
     return table
 
 
-def _gravity_columns(robot: Robot, readings: np.ndarray, gravity: np.ndarray) -> dict[str, np.ndarray]:
-    """What gravity does to each joint: along or about its axis, and about the directions across it."""
-    loads = gravity_loads(robot, readings, gravity)
-    columns = {}
-    for j, joint in enumerate(robot.joints):
-        force, moment = loads[:, j, :3], loads[:, j, 3:]
-        columns[f"{joint.name}.gravity_torque"] = (moment if joint.kind == "revolute" else force) @ joint.axis
-        for component in bearing_components(joint.kind):
-            columns[f"{joint.name}.gravity_moment_{component}"] = moment @ direction(component, joint.axis)
-    return columns
+def _driving(joint: Joint, load: np.ndarray) -> np.ndarray:
+    """Force along a prismatic joint's axis, or moment about a revolute one's, of loads of shape (N, 6)."""
+    part = load[:, 3:] if joint.kind == "revolute" else load[:, :3]
+    return np.asarray(part @ joint.axis)
 
 
-def _payload_columns(
-    robot: Robot, readings: np.ndarray, weight: np.ndarray, lever: np.ndarray
-) -> dict[str, np.ndarray]:
-    """What a payload of some weight, shape (N, 3) [N], does to each joint along or about its axis."""
+def _payload_loads(robot: Robot, readings: np.ndarray, weight: np.ndarray, lever: np.ndarray) -> np.ndarray:
+    """What a payload of some weight, shape (N, 3) [N], does to each joint, as :func:`gravity_loads` has it."""
     axes, origins = joint_frames(robot, readings)
     R, tip = tip_frames(robot, readings)
     target = tip + R @ lever
-    columns = {}
-    for j, joint in enumerate(robot.joints):
-        moment = np.cross(target - origins[:, j], weight)
-        push = moment if joint.kind == "revolute" else weight
-        columns[f"{joint.name}.payload_torque"] = np.einsum("nji,nj,i->n", axes[:, j], push, joint.axis)
-    return columns
+    moment = np.cross(target[:, None] - origins, weight[:, None])
+    force = np.broadcast_to(weight[:, None], moment.shape)
+    return np.concatenate([np.einsum("njki,njk->nji", axes, part) for part in (force, moment)], axis=2)
 
 
 def bearing_components(kind: str) -> tuple[str, ...]:

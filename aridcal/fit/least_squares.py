@@ -9,13 +9,13 @@ import numpy as np
 
 from aridcal.effects.effect import Coefficient
 from aridcal.errors import NotIdentifiable
+from aridcal.fit.flags import flagged, limits
 from aridcal.fit.identifiable import identifiable
 from aridcal.fit.normal_equations import TINY, NormalEquations, solve
 from aridcal.fit.residual import (
     FLOOR,
     Linearisation,
     Problem,
-    distance,
     linearise,
     robust_sigma,
     triangle,
@@ -23,12 +23,6 @@ from aridcal.fit.residual import (
 )
 from aridcal.inputs.channels import Channels
 from aridcal.model.model import Model, Rows
-
-OUTLIER = 6.0
-"""Sigmas per axis, in any channel, beyond which a row is flagged: 1 clean pose in 7 million."""
-
-SUSPECT = 3.0
-"""The same for a row that repeats another's measurement although the joints moved: that alone makes it doubtful."""
 
 STEPS = 60
 """Gauss-Newton steps at the most; five are usual."""
@@ -230,17 +224,17 @@ def fit(
     """
     model, data = problem.model, problem.data
     theta = np.zeros(len(model.coefficients)) if theta is None else theta
-    steps = 0
+    steps, limit = 0, limits(data)
     searching = weight is None
     if weight is None:
         some = thin(problem.rows, max(ROUGH_ROWS, 4 * len(theta)))
         rough = minimise(problem.select(some), theta, None, prior)
         theta, steps = rough.theta, rough.steps
-        weight = _weights(flagged(problem.scaled_residual(theta), problem.channels, data.stale))
+        weight = _weights(flagged(problem.scaled_residual(theta), problem.channels, limit))
     for _ in range(FLAGGING):
         found = minimise(problem, theta, weight, prior)
         theta, steps = found.theta, steps + found.steps
-        again = _weights(flagged(found.at.residual, problem.channels, data.stale)) if searching else weight
+        again = _weights(flagged(found.at.residual, problem.channels, limit)) if searching else weight
         if np.array_equal(again, weight):
             break
         weight = again
@@ -295,18 +289,6 @@ def fit_identifiable(problem: Problem, order: Sequence[int], theta: np.ndarray |
     redundant = {model.names[k]: tuple(model.names[j] for j in partners) for k, partners in subset.redundant.items()}
     convergence = replace(result.convergence, condition=subset.condition)
     return replace(result, candidates=model.coefficients, redundant=redundant, convergence=convergence)
-
-
-def flagged(r: np.ndarray, channels: Channels, stale: np.ndarray) -> np.ndarray:
-    """Outliers: rows further off than the bulk of the rows can explain, shape (N,) bool.
-
-    Args:
-        r: Scaled residuals, shape (N, m).
-        channels: Their channels.
-        stale: Rows that repeat another's measurement although the joints moved, shape (N,).
-    """
-    off = distance(r, robust_sigma(r, channels), channels)
-    return np.asarray(off > np.where(stale, SUSPECT, OUTLIER))
 
 
 def thin(rows: Rows, most: int) -> np.ndarray:

@@ -70,15 +70,25 @@ def declared_notices(rows: Dataset, estimated: np.ndarray, numbers: float) -> Se
         numbers: Degrees of freedom behind it.
     """
     said = []
-    for channel, stated, seen in zip(rows.channels, rows.sigma, estimated, strict=True):
-        if stated:
-            ratio = seen / stated
-            chance = SURE_SIGMAS / np.sqrt(2.0 * max(numbers, 1.0))
-            if abs(np.log(ratio)) > max(WORTH_SAYING, chance):
-                small = "an error remains, or the declared noise is too small"
-                meaning = small if ratio > 1 else "the declared noise is too large"
-                said.append(f"the residual is {ratio:.2g} times the declared {channel.name} noise: {meaning}")
+    for channel, ratio in zip(rows.channels, contradicted(rows, estimated, numbers).tolist(), strict=True):
+        if ratio != 1.0:
+            small = "an error remains, or the declared noise is too small"
+            meaning = small if ratio > 1 else "the declared noise is too large"
+            said.append(f"the residual is {ratio:.2g} times the declared {channel.name} noise: {meaning}")
     return said
+
+
+def contradicted(rows: Dataset, estimated: np.ndarray, numbers: float) -> np.ndarray:
+    """How many times the declared noise the residuals show, where they contradict it beyond chance; 1 elsewhere, shape (C,).
+
+    Args:
+        rows: As for :func:`declared_notices`.
+        estimated: Likewise.
+        numbers: Likewise.
+    """
+    chance = SURE_SIGMAS / np.sqrt(2.0 * max(numbers, 1.0))
+    ratio = estimated / rows.declared(estimated)
+    return np.where(np.abs(np.log(ratio)) > max(WORTH_SAYING, chance), ratio, 1.0)
 
 
 WORTH_SAYING = 0.2

@@ -83,7 +83,7 @@ def problem(model: Model, data: Dataset) -> Problem:
         CovariateNotFound: an effect depends on a column that was not measured.
         MeasurementError: a row's station is none of those that the model knows.
     """
-    return Problem(model, data, model.rows(data.readings, data.covariates, data.station))
+    return Problem(model, data, model.rows(data.readings, data.conditions, data.station))
 
 
 def residuals(

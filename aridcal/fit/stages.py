@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pinocchio as pin
 
-from aridcal.errors import MeasurementError, NotIdentifiable
+from aridcal.errors import MeasurementError, NotIdentifiable, NotOfThisRobot
 from aridcal.fit.constants import constants, frame_coefficients
 from aridcal.fit.frame_starts import FrameStart, start_frames
 from aridcal.fit.least_squares import Fit, fit, fit_identifiable, thin
@@ -48,10 +48,10 @@ def fit_geometry(campaign: Campaign, robot: Robot, train: Dataset, labels: tuple
 
     Raises:
         NotIdentifiable: nothing can be identified from these rows.
-        MeasurementError: the rows cannot be of this robot.
+        NotOfThisRobot: the rows cannot be of this robot.
     """
     frames = frame_coefficients(campaign, labels)
-    best = _starts(campaign, robot, train, labels)[0]
+    best, _ = _starts(campaign, robot, train, labels)[0]
     asked = problem(Model(robot, frames, *_placements(best, campaign, labels)), train)
     try:
         nominal = fit_identifiable(asked, range(len(frames))) if frames else fit(asked)
@@ -68,6 +68,16 @@ def fit_geometry(campaign: Campaign, robot: Robot, train: Dataset, labels: tuple
     return Geometry(nominal, with_restarts(geometric, train))
 
 
+def nominal_sigma(campaign: Campaign, robot: Robot, rows: Dataset, labels: tuple[str, ...]) -> np.ndarray:
+    """How far the rows are from the nominal robot whose frames are placed in closed form: quick, and nearly the fit's.
+
+    Returns:
+        Robust sigma of each channel, shape (C,), [m] and [rad] per axis.
+    """
+    _, sigma = _starts(campaign, robot, rows, labels)[0]
+    return sigma
+
+
 def recentred(fit: Fit) -> Fit:
     """The same fit with its frames at their identified place: their coefficients' std is a twist in their own axes."""
     model, theta = fit.model.recentred(fit.theta)
@@ -82,7 +92,7 @@ def _refuse_strangers(residual: np.ndarray, train: Dataset) -> None:
         train: The rows.
 
     Raises:
-        MeasurementError: naming what to check.
+        NotOfThisRobot: naming what to check.
     """
     position, *rotation = robust_sigma(residual, train.channels)
     centre = train.position - train.position.mean(axis=0)
@@ -95,14 +105,16 @@ def _refuse_strangers(residual: np.ndarray, train: Dataset) -> None:
         advice = "the order qx qy qz qw, `orientation` and its unit"
     else:
         return
-    raise MeasurementError(
+    raise NotOfThisRobot(
         f"{train.title}: these measurements are not of this robot: {left} cannot be explained. Check {advice}; "
         "that the URDF is the right one; and whether tracker or target were moved in between (then `per: station`)"
     )
 
 
-def _starts(campaign: Campaign, robot: Robot, train: Dataset, labels: tuple[str, ...]) -> list[FrameStart]:
-    """Closed-form starts of the frames, the best first."""
+def _starts(
+    campaign: Campaign, robot: Robot, train: Dataset, labels: tuple[str, ...]
+) -> list[tuple[FrameStart, np.ndarray]]:
+    """Closed-form starts of the frames, the best first, and the robust sigma that each leaves, shape (C,)."""
     bare = Problem(Model(robot, ()), train, Model(robot, ()).rows(train.readings))
     settings = (campaign.frames.world_base, campaign.frames.tip_target)
     indices = [_frame_of_each_row(frame, train, labels) for frame in settings]
@@ -115,16 +127,16 @@ def _starts(campaign: Campaign, robot: Robot, train: Dataset, labels: tuple[str,
     measured = train.position[some], None if train.rotation is None else train.rotation[some]
     starts = start_frames(R, p, *measured, world, tip, known[0], known[1], hints[1])
 
-    def misfit(start: FrameStart) -> float:
+    def left(start: FrameStart) -> np.ndarray:
         X = np.array([f.homogeneous for f in start.world_base])[world]
         Y = np.array([f.homogeneous for f in start.tip_target])[tip]
         T = np.broadcast_to(np.eye(4), (len(p), 4, 4)).copy()
         T[:, :3, :3], T[:, :3, 3] = R, p
         T = X @ T @ Y
-        sigma = robust_sigma(residuals(T[:, :3, :3], T[:, :3, 3], *measured), train.channels)
-        return float(sigma[0] + TURN_COUNTS * sigma[1:].sum())
+        return robust_sigma(residuals(T[:, :3, :3], T[:, :3, 3], *measured), train.channels)
 
-    return sorted(starts, key=misfit)
+    found = [(start, left(start)) for start in starts]
+    return sorted(found, key=lambda pair: float(pair[1][0] + TURN_COUNTS * pair[1][1:].sum()))
 
 
 def _frame_of_each_row(settings: FrameSettings, train: Dataset, labels: tuple[str, ...]) -> np.ndarray:

@@ -186,6 +186,26 @@ def _kinds_with(key: str) -> str:
     return " or ".join(kind.name for kind in KINDS.values() if kind.key == key)
 
 
+class Moment(Section):
+    """When something happened once: the first measurement after it, by its line in the file or by its time."""
+
+    row: int | None = Field(default=None, ge=2)
+    """Line of the file; of several files, counted on through them."""
+    time: float | None = None
+    """[s], as in the column `time`."""
+
+    @property
+    def number(self) -> float:
+        """Between it and the row before, or the time itself."""
+        return self.row - 0.5 if self.row is not None else float(self.time or 0.0)
+
+    @model_validator(mode="after")
+    def _one_of_both(self) -> Moment:
+        if (self.row is None) == (self.time is None):
+            raise ValueError("write {row: LINE} or {time: SECONDS} of the first measurement after it")
+        return self
+
+
 class EffectDeclaration(Section):
     """An effect that the user knows of: what, where, and what the kind needs besides."""
 
@@ -199,6 +219,8 @@ class EffectDeclaration(Section):
     """Periods in one turn of the joint."""
     motion: Names | None = None
     covariates: Names | None = None
+    at: Moment | None = None
+    """When a `shift` happened; where it is not said, it is sought."""
 
     @model_validator(mode="after")
     def _fits_the_kind(self) -> EffectDeclaration:
@@ -207,6 +229,8 @@ class EffectDeclaration(Section):
             raise ValueError(f"`with: JOINT` belongs to a {_kinds_with('with')}, which needs it")
         if self.by is not None and key != "by":
             raise ValueError(f"`by` belongs to a {_kinds_with('by')} only")
+        if self.at is not None and key != "at":
+            raise ValueError(f"`at` belongs to a {_kinds_with('at')} only")
         return self
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from aridcal.effects.effect import ROW_ORDER
 from aridcal.inputs.channels import TARGET_POSITION, TARGET_ROTATION, Channels, columns, spread
 from aridcal.inputs.repeats import blocks
 from aridcal.inputs.tables import Remark
@@ -28,6 +29,7 @@ class Dataset:
         notices: What is odd but used: rows outside limits, columns that are ignored.
         file: Index into `files`, shape (N,).
         line: Line of the file, the header being line 1, shape (N,).
+        order: The same counted on through the files; infinite in rows that came after all that was fitted, shape (N,).
         readings: Joint readings or commands, shape (N, columns), [rad] or [m].
         channels: What each row measures, C channels of m numbers in all.
         position: Of the target in the world frame, shape (N, 3), [m]; NaN where nothing measured it.
@@ -52,6 +54,7 @@ class Dataset:
     notices: tuple[Remark, ...]
     file: np.ndarray
     line: np.ndarray
+    order: np.ndarray
     readings: np.ndarray
     channels: Channels
     position: np.ndarray
@@ -72,6 +75,11 @@ class Dataset:
     def train(self) -> np.ndarray:
         """Rows that may be fitted, shape (N,) bool."""
         return ~self.test
+
+    @property
+    def conditions(self) -> dict[str, np.ndarray]:
+        """Everything beside the joints that effects depend on: the covariates and the order of the rows."""
+        return self.covariates | {ROW_ORDER: self.order}
 
     @property
     def title(self) -> str:
@@ -146,6 +154,7 @@ def dataset(
         notices=(),
         file=np.zeros(n, dtype=int),
         line=np.arange(n) + 2,
+        order=np.arange(n) + 2.0,
         readings=readings,
         channels=channels,
         position=position,

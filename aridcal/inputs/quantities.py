@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from aridcal.effects.effect import ROW_ORDER
 from aridcal.errors import CampaignError, MeasurementError, nearest
 from aridcal.inputs.campaign import MeasurementSettings
 from aridcal.inputs.tables import DECIMAL_COMMA, Remark, Table
@@ -194,27 +195,23 @@ class Source:
         largest = np.abs(angles[self.usable]).max(axis=1, initial=0)
         if len(largest) and np.mean(largest > TURNS) > 0.5:
             raise self.wrong_unit(columns, "angle", float(np.abs(angles).max()))
-        euler = self.settings.orientation.euler
-        rotation = Rotation.from_euler(euler, angles) if euler else Rotation.from_rotvec(angles)
-        return rotation.as_quat()
+        return np.asarray(self._turned(angles).as_quat())
 
-    def refuse_second_orientation(self, quaternion: np.ndarray) -> None:
+    def refuse_second_orientation(self) -> None:
         """Refuse a table of Euler angles or rotation vectors whose quaternions are other orientations.
-
-        Args:
-            quaternion: What :meth:`quaternion` gave, shape (N, 4).
 
         Raises:
             MeasurementError: the two differ by more than rounding in some row.
         """
         own, second = self.orientation_columns, [self.column(name) for name in QUATERNION]
-        if own == second or not all(self._has(name) for name in second):
+        if own == second or not all(self._has(name) for name in (*own, *second)):
             return
-        also = self.table.matrix(second)
-        rows = np.flatnonzero(self.usable & (np.linalg.norm(also, axis=1) > 0.5))  # neither holes nor zeros
+        angles, also = self.table.matrix(own) * self.settings.units.radians, self.table.matrix(second)
+        whole = np.isfinite(angles).all(axis=1) & (np.linalg.norm(also, axis=1) > 0.5)  # neither holes nor zeros
+        rows = np.flatnonzero(self.usable & whole)
         if not len(rows):
             return
-        difference = Rotation.from_quat(quaternion[rows]) * Rotation.from_quat(also[rows]).inv()
+        difference = self._turned(angles[rows]) * Rotation.from_quat(also[rows]).inv()
         apart = np.atleast_1d(difference.magnitude())
         worst = int(np.argmax(apart))
         if apart[worst] > SAME_ORIENTATION:
@@ -223,6 +220,11 @@ class Source:
                 f"two orientations, {np.degrees(apart[worst]):.3g} degrees apart. Delete one of them; the campaign's own "
                 f"is {' '.join(own)}"
             )
+
+    def _turned(self, angles: np.ndarray) -> Rotation:
+        """Rotations of Euler angles or rotation vectors, shape (N, 3), [rad]."""
+        euler = self.settings.orientation.euler
+        return Rotation.from_euler(euler, angles) if euler else Rotation.from_rotvec(angles)
 
     def std(self) -> np.ndarray | None:
         """1-sigma of the rows, shape (N, 6): position in [m], then rotation vector in [rad].
@@ -293,16 +295,21 @@ class Source:
             if not name or name in self.used or name in self.settings.ignore:
                 continue
             quantity = quantities.get(name, name)
-            if name not in quantities and name in self.settings.columns:
+            if quantity == ROW_ORDER:
+                self.note(name, "is not used: that is what the order of the rows is called; rename the column")
+            elif name not in quantities and name in self.settings.columns:
                 self.note(name, f"is not used: {name} is in the column {self.settings.columns[name]!r}")
             elif quantity not in POSE_OR_LABEL:
                 values = self._covariate(name, quantity)
                 if values is not None:
                     found[quantity] = values
-        for name in self.settings.ignore:
-            if name not in self.table.cells:
-                self.note(name, "is listed under `ignore`, but there is no such column")
         return found
+
+    def note_unknown_ignored(self) -> None:
+        """Name the columns under `ignore` that no file has: slips, perhaps."""
+        for name in self.settings.ignore:
+            if name not in self.table.cells and name not in self.table.partial:
+                self.note(name, "is listed under `ignore`, but there is no such column")
 
     def _covariate(self, name: str, quantity: str) -> np.ndarray | None:
         """A covariate's values, NaN in its holes, shape (N,); `None` for a column of words."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +11,7 @@ import pandas as pd
 from aridcal.errors import MeasurementError
 from aridcal.inputs.campaign import MeasurementSettings
 from aridcal.inputs.checks import check_units, note_limits
-from aridcal.inputs.quantities import Source
+from aridcal.inputs.quantities import POSITION, Source
 from aridcal.inputs.tables import AnyTable, Remark, read_tables
 from aridcal.robot.chain import JointKind
 
@@ -54,6 +54,7 @@ def load_query(
     *,
     poses: bool = False,
     per_station: bool = False,
+    needs: Collection[str] = (),
 ) -> Query:
     """Read a table of joint readings, or of wanted poses, keeping every row and column.
 
@@ -65,10 +66,12 @@ def load_query(
         settings: Columns, units and orientations; default: those of FORMATS, in SI.
         poses: The pose of the target is needed, its position only if `settings.kind` is `position`.
         per_station: The `station` column is needed.
+        needs: Covariates that every row needs, where they have a column.
 
     Raises:
-        MeasurementError: the file cannot be read, lacks columns or has rows that are no rows; its poses have two
-            orientations that contradict each other.
+        MeasurementError: the file cannot be read, lacks columns or has rows that are no rows; a joint or a pose is text; a
+            covariate that is needed has a hole; its poses have two orientations that contradict each other, even where
+            they are not asked for.
     """
     settings = settings or MeasurementSettings()
     table = read_tables([query])
@@ -78,10 +81,12 @@ def load_query(
     q = source.seeds(kinds) if poses else source.joints(kinds)
     position = source.position() if poses else None
     quaternion = source.quaternion() if poses and settings.kind != "position" else None
-    if quaternion is not None:
-        source.refuse_second_orientation(quaternion)
+    if settings.kind != "position":
+        source.refuse_second_orientation()
     station = source.labels("station", needed=per_station)
     covariates = source.covariates()
+    _refuse_text(source, poses)
+    _refuse_holes(source, covariates, needs)
     if source.usable.any():
         check_units(source, q, limits, kinds, position)
         note_limits(source, q, limits, kinds)
@@ -100,3 +105,30 @@ def load_query(
         refused=source.refusals(),
         notices=tuple(source.notices),
     )
+
+
+def _refuse_text(source: Source, poses: bool) -> None:
+    """Refuse a table with words among its joints or poses: an empty cell asks for nothing, a word is a slip."""
+    wanted = [source.column(name) for name in POSITION] if poses else []
+    wanted += source.orientation_columns if poses and source.settings.kind != "position" else []
+    for name in (*source.joint_columns, *wanted):
+        if name in source.table.cells:
+            _, is_text = source.table.numbers(name)
+            _refuse(source, is_text, name, "not a number", "write one, or leave the cell empty")
+
+
+def _refuse_holes(source: Source, covariates: dict[str, np.ndarray], needs: Collection[str]) -> None:
+    """Refuse a table in which a covariate that an effect depends on is not known in every usable row."""
+    for name in needs:
+        if name in covariates:
+            holes = np.isnan(covariates[name]) & source.usable
+            advice = "the calibration has an effect that depends on it: give its value in every row"
+            _refuse(source, holes, source.column(name), "missing", advice)
+
+
+def _refuse(source: Source, bad: np.ndarray, column: str, why: str, advice: str) -> None:
+    """Refuse the table for some of its rows (N,), naming the first."""
+    rows = np.flatnonzero(bad)
+    if len(rows):
+        more = f", like {len(rows) - 1} more in this column" if len(rows) > 1 else ""
+        raise MeasurementError(f"{source.table.remark(int(rows[0]), column, why)}{more}; {advice}")

@@ -17,7 +17,7 @@ from aridcal.inputs.dataset import Dataset, RowNoise, weighed
 from aridcal.inputs.quantities import Source
 from aridcal.inputs.repeats import blocks
 from aridcal.inputs.split import draw_split, with_training_rows
-from aridcal.inputs.tables import AnyTable, read_tables
+from aridcal.inputs.tables import AnyTable, Table, read_tables
 from aridcal.robot.chain import JointKind
 
 
@@ -46,21 +46,25 @@ def load_measurements(
 
     Raises:
         CampaignError: `columns` names an unknown quantity.
-        MeasurementError: a file cannot be read, lacks columns, is not in the stated units, or has no usable row; or a
-            station that needs a frame of its own has held-out rows only.
+        MeasurementError: a file cannot be read, lacks columns, is not in the stated units, has two orientations that
+            disagree, or has no usable row; or a station that needs a frame of its own has held-out rows only.
     """
     settings = campaign.measurements
-    table = read_tables(_existing(campaign, files))
+    table = read_tables(_existing(campaign, files), settings.ignore)
     source = Source(table, settings, tuple(readings), str(campaign.path))
     q = source.joints(kinds)
     position, quaternion, std = np.full((len(table), 3), np.nan), None, None
     if require_pose:
         position = source.position()
         quaternion = source.quaternion() if settings.kind == "pose" else None
+        if quaternion is not None:
+            source.refuse_second_orientation()
         std = source.std()
     station = source.labels("station", needed=per_station(campaign))
     split = source.split()
     covariates = source.covariates()
+    if files is None:  # other tables, another day's for instance, need not have what is ignored anyway
+        source.note_unknown_ignored()
     refuse_copies(source, [q, position, quaternion, std, *covariates.values()], station)
     if not source.usable.any():
         raise nothing_usable(source)
@@ -81,6 +85,7 @@ def load_measurements(
         notices=tuple(source.notices),
         file=table.file,
         line=table.line,
+        order=_counted_on(table) if fitted else np.full(len(table), np.inf),
         readings=q,
         channels=channels,
         position=position,
@@ -102,6 +107,12 @@ def load_measurements(
     numbers = sum(channel.size for channel in channels)
     noise = RowNoise(None if std is None else std[source.usable, :numbers], absolute=settings.noise.rows == "absolute")
     return weighed(rows, noise)
+
+
+def _counted_on(table: Table) -> np.ndarray:
+    """Lines of the rows, those of the second file after those of the first, shape (N,)."""
+    last = [table.line[table.file == k].max(initial=0) for k in range(len(table.files))]
+    return np.asarray(table.line + np.cumsum([0, *last])[table.file], dtype=float)
 
 
 def per_station(campaign: Campaign) -> bool:

@@ -6,8 +6,8 @@ import csv
 import hashlib
 import io
 import re
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -70,6 +70,7 @@ class Table:
         line: Line of the file, shape (N,); the header is line 1.
         refused: Rows that do not have as many cells as the header. They are not among the N.
         sha256: Hash of the bytes of all files.
+        partial: Columns that were left out because a file lacks them, each with the first such file.
     """
 
     files: tuple[Path, ...]
@@ -79,6 +80,7 @@ class Table:
     line: np.ndarray
     refused: tuple[Remark, ...]
     sha256: str
+    partial: dict[str, Path] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.line)
@@ -168,22 +170,27 @@ class _Part:
     content: bytes
 
 
-def read_tables(tables: Sequence[AnyTable]) -> Table:
+def read_tables(tables: Sequence[AnyTable], spare: Collection[str] | None = ()) -> Table:
     """Read csv (UTF-8, comma, decimal point, one header line) and parquet files and DataFrames as one table.
+
+    Args:
+        tables: In the order of their rows.
+        spare: Columns that are left out if some files lack them; None: any.
 
     Raises:
         MeasurementError: a file is missing, empty, of another kind or in another dialect, has a column twice, or the
             files do not have the same columns.
     """
     parts = [_read(table) for table in tables]
-    first = parts[0]
-    names = first.cells.column_names
-    for part in parts[1:]:
-        for name in set(names) ^ set(part.cells.column_names):
-            lacking, having = (first, part) if name not in names else (part, first)
+    having = {name: part.path for part in reversed(parts) for name in part.cells.column_names}
+    lacking = {name: part.path for part in reversed(parts) for name in having if name not in part.cells.column_names}
+    for name in sorted(lacking if spare is not None else ()):
+        if name not in (spare or ()):
             raise MeasurementError(
-                f"{lacking.path}: no column {name!r}, which {having.path} has; files that are read together need the same columns"
+                f"{lacking[name]}: no column {name!r}, which {having[name]} has; files that are read together need the same "
+                f"columns. Add it, or leave it out: `ignore: [{name}]` under measurements"
             )
+    names = [name for name in parts[0].cells.column_names if name not in lacking]
     counts = [part.cells.num_rows for part in parts]
     everything = b"".join(part.content for part in parts)
     return Table(
@@ -194,6 +201,7 @@ def read_tables(tables: Sequence[AnyTable]) -> Table:
         line=np.concatenate([part.line for part in parts]),
         refused=tuple(remark for part in parts for remark in part.refused),
         sha256=hashlib.sha256(everything).hexdigest(),
+        partial=lacking,
     )
 
 

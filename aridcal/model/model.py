@@ -11,8 +11,8 @@ import pinocchio as pin
 
 from aridcal.effects.basis import evaluate
 from aridcal.effects.effect import FRAME_COMPONENTS, LINK_COMPONENTS, Coefficient
-from aridcal.effects.loads import Surroundings, covariate_table
-from aridcal.errors import MeasurementError
+from aridcal.effects.loads import Surroundings, covariate_table, needs
+from aridcal.errors import CovariateNotFound, MeasurementError
 from aridcal.model.extended import ORDER, ExtendedModel, Slot, own_slot
 from aridcal.model.motions import motion, transform
 from aridcal.robot.chain import Robot
@@ -86,6 +86,11 @@ class Model:
         """Names of the coefficients."""
         return tuple(c.name for c in self.coefficients)
 
+    @property
+    def needs(self) -> tuple[str, ...]:
+        """Columns beside the joints that the effects depend on, sorted."""
+        return needs(self.robot, (c.basis for c in self.coefficients), self.around)
+
     def with_coefficients(self, coefficients: Sequence[Coefficient]) -> Model:
         """The same robot and frames with other unknowns."""
         return replace(self, coefficients=tuple(coefficients))
@@ -111,6 +116,8 @@ class Model:
         world, tip = (_frame_index(f, station, n) for f in (self.world_base, self.tip_target))
         varying = [self.coefficients[k] for k in self._varying]
         wanted = {name for c in varying for name in c.basis.of}
+        if "payload" in self.needs and "payload" not in (covariates or {}):
+            raise CovariateNotFound("the model depends on 'payload', which was not measured: add that column")
         table = covariate_table(self.robot, readings, covariates or {}, self.around, world, wanted) if wanted else {}
         phi = np.empty((n, len(varying)))
         for k, c in enumerate(varying):

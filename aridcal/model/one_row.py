@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -11,7 +11,7 @@ import pinocchio as pin
 
 from aridcal.effects.basis import FORMS, Basis, Columns, Numbers
 from aridcal.effects.effect import direction
-from aridcal.effects.loads import Surroundings, bearing_components
+from aridcal.effects.loads import Surroundings, bearing_components, is_load, needs
 from aridcal.errors import CovariateNotFound, nearest
 from aridcal.model.model import Model
 from aridcal.robot.chain import Robot
@@ -107,18 +107,18 @@ class OneRowModel:
                 del bases[k]
         names = list(dict.fromkeys(name for basis in bases.values() for name in basis.of))
         place = {name: i for i, name in enumerate(names)}
+        self._absent = _absent(bases.values())
         self._curves = self._take_curves(bases, theta, place)
         self._terms = self._all_terms(bases, theta, place)
 
-        loads = [n for n in names if n not in robot.names and n.rpartition(".")[0] in robot.names]
+        loads = [n for n in names if n not in robot.names and is_load(n)]
         measured = [n for n in names if n not in robot.names and n not in loads]
         self._joints = [(place[n], robot.names.index(n)) for n in names if n in robot.names]
         self._measured = [(place[n], n) for n in measured]
         around = _surroundings_at(model, station)
         self._loads = _Loads(robot, around, [(place[n], n) for n in loads]) if loads else None
         self._covariates = len(names)
-        payload = ("payload",) if self._loads and self._loads.payload else ()
-        self.needs = tuple(sorted({*measured, *payload}))
+        self.needs = needs(robot, (model.coefficients[k].basis for k in free), around)
 
     def _take_curves(self, bases: dict[int, Basis], theta: np.ndarray, place: Mapping[str, int]) -> list[_Curve]:
         """Sum the splines that stand on the same evenly spaced knots, and take them out of the bases."""
@@ -170,7 +170,7 @@ class OneRowModel:
             z[k] = positions[joint]
         try:
             for k, name in self._measured:
-                z[k] = covariates[name]
+                z[k] = covariates[name] if name not in self._absent else covariates.get(name, self._absent[name])
             if self._loads:
                 self._loads.fill(z, readings, covariates)
         except KeyError as missing:
@@ -202,6 +202,13 @@ class OneRowModel:
         J = pin.computeFrameJacobian(self._model, self._data, q, self._target, pin.LOCAL_WORLD_ALIGNED)
         target = pin.updateFramePlacement(self._model, self._data, self._target)
         return target.rotation.copy(), target.translation.copy(), J @ self._drive
+
+
+def _absent(bases: Iterable[Basis]) -> dict[str, float]:
+    """Covariates that need not be given, and what each counts as then: those on which no other form depends."""
+    absent = {(name, FORMS[basis.form].absent) for basis in bases for name in basis.of}
+    needed = {name for name, value in absent if value is None}
+    return {name: value for name, value in absent if value is not None and name not in needed}
 
 
 def _even(centres: np.ndarray, step: float) -> bool:
@@ -260,9 +267,6 @@ class _Loads:
         robot: The nominal chain.
         around: Gravity in the base frame, shape (3,), and the payload's place.
         wanted: For each load: where it goes among the covariates, and its name.
-
-    Attributes:
-        payload: True if one of the loads depends on the payload.
     """
 
     def __init__(self, robot: Robot, around: Surroundings, wanted: list[tuple[int, str]]) -> None:
@@ -293,7 +297,7 @@ class _Loads:
                 assert component in bearing_components(robot.joint(joint).kind)
                 about = direction(component, robot.joint(joint).axis)
                 self._across.append((place, k, tree.jointPlacements[k].rotation @ about))
-        self.payload = bool(self._payload)
+        self._bare = tree.inertias[self._last].copy() if around.loaded else None
 
     def fill(self, z: np.ndarray, readings: np.ndarray, covariates: Mapping[str, float]) -> None:
         """Write the loads into the covariates z."""
@@ -306,6 +310,9 @@ class _Loads:
                 q[k] = angle
         data = self._data
         if self._along or self._across:
+            if self._bare is not None:
+                hung = pin.Inertia(covariates["payload"], self._lever, np.zeros((3, 3)))
+                self._tree.inertias[self._last] = self._bare + hung
             holding = pin.computeGeneralizedGravity(self._tree, data, q)
             for place, k in self._along:
                 z[place] = -holding[k]

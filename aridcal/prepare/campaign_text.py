@@ -13,7 +13,7 @@ from typing import Any
 import pandas as pd
 import yaml
 
-from aridcal.errors import RobotError
+from aridcal.errors import MeasurementError, RobotError
 from aridcal.inputs.campaign import Campaign
 from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.read import load_measurements
@@ -59,8 +59,12 @@ def draft(urdf: Path, tables: Sequence[AnyTable], out: Path, choose: Choose) -> 
     Raises:
         AridcalError: what in the files needs mending first.
     """
-    table = read_tables(tables)
-    proposal = propose(read_bytes(urdf, RobotError), urdf, table, choose)
+    table = read_tables(tables, None)
+    try:
+        proposal = propose(read_bytes(urdf, RobotError), urdf, table, choose)
+    except MeasurementError:
+        read_tables(tables)  # what lacks may be in some of the files: then that is the fault
+        raise
     text = campaign_text(proposal, urdf, tables, out.parent)
     campaign = parse_settings(text, out, Campaign)
     if any(isinstance(table, pd.DataFrame) for table in tables):

@@ -42,7 +42,8 @@ def say_covariates(table: Table, used: set[str], made: Proposal) -> None:
             free.remove(column)
             made.say_columns({quantity: column}, f"by its name, taken for {si_unit}")
     reasons = {name: _no_covariate(table, name, free) for name in free}
-    ignored = [name for name in free if reasons[name]]
+    reasons |= {name: f"not in {path.name}" for name, path in table.partial.items()}
+    ignored = [name for name in reasons if reasons[name]]
     if ignored:
         why = ", ".join(f"{name} ({reasons[name]})" for name in ignored)
         made.say("measurements.ignore", ignored, f"no covariates: {why}", sure=False)

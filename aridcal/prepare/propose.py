@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from aridcal.errors import MeasurementError, RobotError
-from aridcal.inputs.quantities import POSITION
+from aridcal.inputs.quantities import POSITION, SAME_ORIENTATION
 from aridcal.inputs.tables import Table
 from aridcal.prepare.column_names import Family, angle_triples, match_joints, positions, quaternions, unit
 from aridcal.prepare.covariates import say_covariates, say_repeats
@@ -278,13 +278,14 @@ def _orientation(
         The columns of the orientation; none where there are only positions.
 
     Raises:
-        MeasurementError: joints and orientations are in different units, which a campaign cannot say.
+        MeasurementError: joints and orientations are in different units, which a campaign cannot say; or there are two
+            orientations that disagree.
     """
     found = _writings(table, used, rows, reading)
-    if found is None:
+    if not found:
         made.say("measurements.kind", "position", "no columns of an orientation", sure=False)
         return set()
-    family, ways = found
+    family, ways = found[0]
     best, clear = ways[0], len(ways) == 1 or ways[1].misfit > CLEAR * ways[0].misfit
     if not clear:
         answers = [way.what for way in ways[:MOST_ANSWERS]]
@@ -295,6 +296,7 @@ def _orientation(
             f"{table.title}: joints are in {reading.angle} but {' '.join(family.columns)} in {best.angle}: `units` "
             "speaks of all angles of a file. Convert one of them, in a spreadsheet for instance, and run this again"
         )
+    _refuse_second_orientation(table, rows, family, best, found[1:])
     why = f"{best.what} misses the nominal robot's orientations by {1e3 * best.misfit:.3g} mrad"
     for other in [way for way in ways if way is not best][:1]:
         why += f"; {other.what} by {1e3 * other.misfit:.3g}"
@@ -307,19 +309,50 @@ def _orientation(
     return set(family.columns)
 
 
-def _writings(table: Table, used: set[str], rows: np.ndarray, reading: Reading) -> tuple[Family, list[Writing]] | None:
-    """The likeliest columns of an orientation, and every way to read them, the best first; None: there are none."""
+def _refuse_second_orientation(
+    table: Table, rows: np.ndarray, family: Family, best: Writing, others: Sequence[tuple[Family, list[Writing]]]
+) -> None:
+    """Refuse a second orientation that nothing says was commanded, and that is another than the first.
+
+    Args:
+        table: N rows.
+        rows: Those to judge by.
+        family: The first one's columns.
+        best: How it is written.
+        others: Further columns that may be orientations, and every way to read them.
+
+    Raises:
+        MeasurementError: naming a row and both.
+    """
+    for other, ways in others:
+        alike = (other.commanded, other.measured) == (family.commanded, family.measured)
+        if set(other.columns) & set(family.columns) or not alike or ways[0].misfit > STRANGE_ANGLE:
+            continue
+        whole = np.isfinite(table.matrix((*family.columns, *other.columns))[rows]).all(axis=1)
+        apart = [np.where(whole, (way.rotation * best.rotation.inv()).magnitude(), 0.0) for way in ways]
+        nearest = min(apart, key=np.max)
+        worst = int(np.argmax(nearest))
+        if nearest[worst] > SAME_ORIENTATION:
+            raise MeasurementError(
+                f"{table.title}, line {table.line[rows[worst]]}: {' '.join(family.columns)} and {' '.join(other.columns)} "
+                f"are two orientations, {np.degrees(nearest[worst]):.3g} degrees apart. Delete the one that was not "
+                "measured, or call its columns commanded"
+            )
+
+
+def _writings(table: Table, used: set[str], rows: np.ndarray, reading: Reading) -> list[tuple[Family, list[Writing]]]:
+    """Columns that may be an orientation, the likeliest first, and every way to read each, the best first."""
     free = [name for name in table.names if name and name not in used]
+    found = []
     for family in (*quaternions(free), *angle_triples(free)):
         values = table.matrix(family.columns)[rows]
         if not np.isfinite(values).all(axis=1).any():
             continue
         if len(family.columns) == 3:
-            return family, angle_writings(family, values, reading)
-        norm = float(np.nanmedian(np.linalg.norm(values, axis=1)))
-        if abs(norm - 1) <= UNIT_SLACK:
-            return family, quaternion_writings(family, values, reading)
-    return None
+            found.append((family, angle_writings(family, values, reading)))
+        elif abs(float(np.nanmedian(np.linalg.norm(values, axis=1))) - 1) <= UNIT_SLACK:
+            found.append((family, quaternion_writings(family, values, reading)))
+    return found
 
 
 def _gravity(reading: Reading, made: Proposal) -> None:

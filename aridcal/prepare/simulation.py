@@ -87,10 +87,10 @@ def simulate(scenario: Scenario) -> Simulation:
         intrinsics, place = head.camera.intrinsics, str(scenario.path)
         readings, _ = draw_views(nominal, optics, intrinsics, truth.n, configurations, place)
 
-    around = surroundings(scenario, frames)
     of_arm = [e for e in truth.effects if not is_of_head(e.kind)]
     names = dict.fromkeys((*truth.covariates, *columns_needed(of_arm, robot)))
     columns = draw_columns(tuple(names), robot, readings, truth.seed)
+    around = surroundings(scenario, frames, "payload" in columns)
     causes, depends = make_causes(of_arm, robot, readings, columns, around, chance, f"{scenario.path}: truth")
 
     of_effects = tuple(c for cause in causes for c in cause.effect.coefficients)
@@ -237,12 +237,12 @@ def true_head(scenario: Scenario, settings: HeadSettings, rng: np.random.Generat
     return replace(head, phi=phi), causes
 
 
-def surroundings(scenario: Scenario, frames: Mapping[str, pin.SE3]) -> Surroundings:
-    """Gravity in the base's frame, and the payload's place."""
+def surroundings(scenario: Scenario, frames: Mapping[str, pin.SE3], loaded: bool) -> Surroundings:
+    """Gravity in the base's frame, and the payload's place; ``loaded`` where there is one."""
     gravity = scenario.robot.gravity
     R_world_base = frames["world_base"].rotation
     vector = R_world_base.T @ [0.0, 0.0, -9.81] if gravity == "world" else np.array(gravity)
-    return Surroundings(vector, frames["tip_target"].translation)
+    return Surroundings(vector, frames["tip_target"].translation, loaded)
 
 
 def draw_readings(robot: Robot, n: int, rng: np.random.Generator) -> np.ndarray:

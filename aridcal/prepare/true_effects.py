@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -12,12 +13,13 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from aridcal.effects.basis import Basis
 from aridcal.effects.catalogue import KINDS, declared
-from aridcal.effects.effect import FRAME_COMPONENTS, Coefficient, Effect
+from aridcal.effects.effect import FRAME_COMPONENTS, ROW_ORDER, Coefficient, Effect
 from aridcal.effects.kinds import Observed
 from aridcal.effects.loads import LOADS, Surroundings, covariate_table, is_load
 from aridcal.effects.smooth import Kernel, kernel_root
 from aridcal.errors import CampaignError, nearest
 from aridcal.inputs.campaign import EffectDeclaration
+from aridcal.inputs.tables import FIRST_LINE
 from aridcal.inputs.yaml_file import Section
 from aridcal.robot.chain import Robot
 
@@ -121,7 +123,10 @@ class Cause:
         told: dict[str, Any] = {"kind": e.kind, "where": e.where}
         extra = {"with": e.with_, "by": e.by, "order": list(e.order) or None, "range": self.ranges or None}
         told |= {key: value for key, value in extra.items() if value is not None}
-        told |= {"motion": list(e.motion), "covariates": list(e.covariates)}
+        if e.at is not None:
+            key = "row" if e.at.of[0] == ROW_ORDER else "time"
+            told["at"] = {key: math.ceil(e.at.numbers[0]) if key == "row" else e.at.numbers[0]}
+        told |= {"motion": list(e.motion), "covariates": [name for name in e.covariates if name != ROW_ORDER]}
         values = zip(e.coefficients, self.values.tolist(), strict=True)
         told["coefficients"] = [{"name": c.name, "value": value} for c, value in values]
         return told
@@ -190,15 +195,16 @@ def make_causes(
         place: What to name if an effect is impossible.
 
     Returns:
-        The causes, and all columns that they depend on: those given and the named functions' values.
+        The causes, and all columns that they depend on: those given, the order of the rows, and the named functions' values.
 
     Raises:
         CampaignError: there is no such effect on this robot, or it has other coefficients.
     """
     world = np.zeros(len(readings), dtype=int)
-    table = covariate_table(robot, readings, columns, around, world, set(LOADS))
+    known = {**columns, ROW_ORDER: np.arange(len(readings)) + float(FIRST_LINE)}
+    table = covariate_table(robot, readings, known, around, world, set(LOADS))
     rows = Observed(robot, table, tuple(columns))
-    causes, known = [], dict(columns)
+    causes = []
     for e in effects:
         ranges: dict[str, tuple[float, float]] = {}
         if e.form is None:

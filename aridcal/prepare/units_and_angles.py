@@ -90,12 +90,14 @@ class Writing:
         misfit: Median angle from the nominal robot's orientations, [rad].
         what: In words.
         keys: What a campaign says of it; None: the default.
+        rotation: Of each row.
         angle: Unit of its angles; None: it has none.
     """
 
     misfit: float
     what: str
     keys: dict[str, Any]
+    rotation: Rotation
     angle: str | None = None
 
 
@@ -152,7 +154,7 @@ def quaternion_writings(family: Family, values: np.ndarray, reading: Reading) ->
         if columns != QUATERNION:
             keys = {f"measurements.columns.{q}": column for q, column in zip(QUATERNION, columns, strict=True)}
         rotation = Rotation.from_quat(_whole(values)[:, order])
-        found.append(Writing(_misfit(rotation, values, reading), what, keys))
+        found.append(Writing(_misfit(rotation, values, reading), what, keys, rotation))
     return sorted(found, key=lambda writing: writing.misfit)
 
 
@@ -165,16 +167,18 @@ def angle_writings(family: Family, values: np.ndarray, reading: Reading) -> list
             continue
         angles = _whole(values) * radians
         orientation: dict[str, Any] = {"rotvec": list(family.columns)}
-        misfit = _misfit(Rotation.from_rotvec(angles), values, reading)
+        rotation = Rotation.from_rotvec(angles)
+        misfit = _misfit(rotation, values, reading)
         what = f"a rotation vector in {unit}"
-        found.append(Writing(misfit, what, {"measurements.orientation": orientation}, unit))
+        found.append(Writing(misfit, what, {"measurements.orientation": orientation}, rotation, unit))
         for sequence, order in _sequences(family):
             columns = [family.columns[k] for k in order]
             orientation = {"euler": sequence, "columns": columns}
-            misfit = _misfit(Rotation.from_euler(sequence, angles[:, order]), values, reading)
+            rotation = Rotation.from_euler(sequence, angles[:, order])
+            misfit = _misfit(rotation, values, reading)
             axes = "turning" if sequence.isupper() else "fixed"
             what = f"Euler angles {sequence} ({axes} axes, {' '.join(columns)}) in {unit}"
-            found.append(Writing(misfit, what, {"measurements.orientation": orientation}, unit))
+            found.append(Writing(misfit, what, {"measurements.orientation": orientation}, rotation, unit))
     return sorted(found, key=lambda writing: writing.misfit)
 
 

@@ -39,7 +39,7 @@ def _noise_tests(found: Diagnosis) -> Iterator[Content]:
     yield tag("h3", "Is the remaining error noise?")
     lines = []
     for clue in found.clues:
-        answer = "yes" if clue.tells else "no"
+        answer = "yes" if clue.tells else "yes, but too little to matter" if clue.p_value < SURE else "no"
         lines.append([clue.what, f"{100 * clue.share:.0f} %", p_in_words(clue.p_value), answer])
     if lines:
         head = ["sign of structure", "share of the variance", "p-value", "significant"]

@@ -12,6 +12,7 @@ from aridcal.effects.catalogue import KINDS
 from aridcal.report.figures import curve
 from aridcal.report.html import Content, Html, bullets, counted, figures, number, plus_minus, table, tag
 from aridcal.report.words import how_to_separate
+from aridcal.result.folder import what_moved
 from aridcal.result.outcome import Outcome, errors
 from aridcal.search.gains import Curve, Diagnosis, NamedEffect
 
@@ -54,6 +55,8 @@ def _gains(outcome: Outcome) -> Html:
         if e.effect.kind not in explained:
             name += [tag("br"), tag("em", KINDS[e.effect.kind].words)]
             explained.add(e.effect.kind)
+        if e.effect.at is not None:
+            name += [tag("br"), what_moved(e.effect, outcome.measurements)]
         line: list[Content] = [name, ", ".join(e.effect.motion), ", ".join(e.effect.covariates)]
         line += ["declared" if e.declared else "found", p_in_words(e.p_value)]
         every = np.ones(len(e.before), dtype=bool)
@@ -148,7 +151,7 @@ def _confounded(outcome: Outcome) -> Iterator[Content]:
     """Which effects these data cannot separate from those in the model, and what to measure."""
     m, robot = outcome.measurements, outcome.robot
     positions = robot.positions(m.readings)
-    columns = dict(zip(robot.names, positions.T, strict=True)) | dict(m.covariates)
+    columns = dict(zip(robot.names, positions.T, strict=True)) | m.conditions
     lines: list[list[Content]] = []
     for e in outcome.effects:
         for other in e.confounded_with:

@@ -6,7 +6,10 @@ import math
 from collections.abc import Iterator
 from typing import Any
 
+import numpy as np
+
 from aridcal.effects.catalogue import KINDS
+from aridcal.fit.noise import WORTH_SAYING
 from aridcal.inputs.channels import Channel
 from aridcal.report.html import Content, Html, counted, number, plus_minus, tag
 from aridcal.report.words import sigmas_in_words
@@ -16,15 +19,24 @@ from aridcal.result.key_figures import (
     PLUS,
     QUESTIONABLE,
     Step,
+    another_day,
     constants,
+    every_held_out_row,
     generalisation,
     halves_agree,
     narrow_joints,
+    or_as_well,
     removed_shares,
     scored,
     steps,
 )
 from aridcal.result.outcome import Outcome, errors
+from aridcal.search.noise_tests import Clue
+
+NO_BETTER = " No model can reliably do better."
+BELOW = (
+    " The remaining error is smaller than {}, so that is no floor: it is stated too large, or was measured otherwise."
+)
 
 MOST_BARS = 7
 MOST_CAUSES = 3
@@ -128,7 +140,7 @@ def _shares_in_words(outcome: Outcome, shares: list[tuple[Step, float]], correct
         shares: Steps with their shares of the squared error, the largest first.
         corrections: How many geometric corrections were identified.
     """
-    meanings = {e.effect.label: KINDS[e.effect.kind].words for e in outcome.effects}
+    meanings = {e.effect.label: f"{KINDS[e.effect.kind].words}{or_as_well(e)}" for e in outcome.effects}
     parts: list[str] = []
     for step, share in shares[:MOST_CAUSES]:
         geometric = "geometric" in step.names
@@ -166,24 +178,38 @@ def _correction(p: dict[str, Any]) -> list[Content]:
 
 def _remaining(outcome: Outcome) -> Iterator[Content]:
     """The verdict, and the noise that no model can get below."""
-    yield VERDICTS[outcome.verdict]
-    if outcome.unexplained_fraction > 0:
-        yield f" {100 * outcome.unexplained_fraction:.0f} % of the remaining variance is repeatable."
+    said = outcome.verdict
+    yield VERDICTS[said.word]
+    if said.reasons:
+        yield f" Signs of it: {'; '.join(said.reasons)}."
+    if said.share > 0:
+        yield f" {100 * said.share:.0f} % of the remaining variance is repeatable."
     in_space = sigmas_in_words(outcome.noise, outcome.channels, math.sqrt(3))
     per_axis = sigmas_in_words(outcome.noise, outcome.channels)
     if outcome.noise_source == "declared":
-        yield f" Declared noise: {per_axis} per axis, {in_space} over three axes. No model can reliably do better."
+        yield f" Declared noise: {per_axis} per axis, {in_space} over three axes."
+        yield NO_BETTER if _is_floor(outcome, outcome.noise) else BELOW.format("the declared noise")
         return
     yield f" Noise estimated from the residuals: {per_axis} per axis, {in_space} over three axes."
     if outcome.repeats is not None:
         floor = sigmas_in_words(outcome.repeats.sigma, outcome.channels, math.sqrt(3))
-        yield f" Repeats scatter by {floor} over three axes: no model can reliably do better."
+        yield f" Repeats scatter by {floor} over three axes."
+        yield NO_BETTER if _is_floor(outcome, outcome.repeats.sigma) else BELOW.format("the scatter of the repeats")
+
+
+def _is_floor(outcome: Outcome, sigma: np.ndarray) -> bool:
+    """True if the final residual is nowhere below a noise, shape (C,), by more than people misstate one by."""
+    seen = outcome.stage("final").fit.estimated
+    return bool(np.all(seen > sigma * math.exp(-WORTH_SAYING)))
 
 
 def checks(outcome: Outcome) -> Iterator[tuple[bool, str]]:
     """What speaks for the result (True) and what should be looked at first (False)."""
     yield from _row_checks(outcome)
     yield from _fit_checks(outcome)
+    verified = another_day(outcome)
+    if verified is not None:
+        yield verified
     narrow = [j.name for j in narrow_joints(outcome)]
     if narrow:
         rest = len(narrow) - MOST_NAMES
@@ -194,8 +220,10 @@ def checks(outcome: Outcome) -> Iterator[tuple[bool, str]]:
 def _row_checks(outcome: Outcome) -> Iterator[tuple[bool, str]]:
     """Are rows held out, and how many are bad?"""
     m = outcome.measurements
-    held_out = int(outcome.parts()["test"].sum())
-    if held_out:
+    held_out, every = (int(outcome.parts()[part].sum()) for part in ("test", "test_all"))
+    if every:
+        flagged = every - held_out
+        yield flagged <= QUESTIONABLE * every, f"{every_held_out_row(outcome)}."
         yield held_out >= FEW, f"Checked on {counted(held_out, 'held-out row')}."
     else:
         yield False, "No rows were held out: the errors above are those of the fit itself, and too optimistic."
@@ -216,11 +244,20 @@ def _fit_checks(outcome: Outcome) -> Iterator[tuple[bool, str]]:
         yield c.converged, "The fit converged." if c.converged else "The fit did not converge."
     ratio = generalisation(outcome)
     if ratio is not None:
-        yield ratio < OVERFITTED, f"The held-out error is {ratio:.2f} times the error of the fitted rows."
+        differs = any(clue.question == "held_out" and clue.tells for clue in _clues(outcome))
+        yield (
+            ratio < OVERFITTED and not differs,
+            f"The held-out error is {ratio:.2f} times the error of the fitted rows.",
+        )
     if math.isfinite(outcome.precision.halves_measured):
         agree = halves_agree(outcome)
         differ = "agree" if agree else "differ by more than noise explains"
         yield agree, f"Models fitted to two halves of the rows {differ}."
+
+
+def _clues(outcome: Outcome) -> tuple[Clue, ...]:
+    """Answers of all questions to the residual."""
+    return () if outcome.diagnosis is None else outcome.diagnosis.clues
 
 
 def _check(good: bool, text: str) -> Html:

@@ -360,7 +360,7 @@ def _page(content: dict[str, Any]) -> str:
 def scene(outcome: Outcome) -> Scene:
     """Collect what the picture shows: nominal and calibrated robot, measured targets, and every stage's prediction."""
     fit, m, robot = outcome.stage("final").fit, outcome.measurements, outcome.robot
-    rows = fit.model.rows(m.readings, m.covariates, m.station)
+    rows = fit.model.rows(m.readings, m.conditions, m.station)
     bases = np.array([frame.homogeneous for _, frame in fit.model.world_base])
     calibrated = stage_urdf(outcome.stage("geometric").fit)
     return Scene(

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from aridcal.effects.effect import Effect
+from aridcal.effects.effect import ROW_ORDER, Effect
 from aridcal.inputs.channels import Channels
 from aridcal.report.html import fixed, number
 from aridcal.robot.chain import Robot
@@ -20,6 +20,7 @@ TOGETHER = 0.8
 
 # Measured columns: what they are, and how to change one while all else stays the same.
 COLUMNS = {
+    ROW_ORDER: ("the order of the rows", "repeat the same configurations after it, in another order"),
     "time": ("time", "repeat the same configurations hours later, in another order"),
     "temperature": ("temperature", "measure the same configurations cold and warm"),
     "payload": ("the payload", "measure the same configurations with and without payload"),

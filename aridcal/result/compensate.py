@@ -16,13 +16,15 @@ from aridcal.errors import AridcalError, CovariateNotFound
 from aridcal.inputs.query import Query
 from aridcal.model.inverse import Command, InverseKinematics
 from aridcal.model.model import Model
-from aridcal.result.predict import extrapolates, per_station
+from aridcal.result.predict import at_any_station, directions, extrapolates, per_station, std_of
 from aridcal.result.saved_model import SavedModel
 
 STILL = 1e-6
 """A joint that moves by less keeps its side of the backlash, [rad] or [m]."""
 RESTARTS = 30
-"""Starts that are tried for a pose that comes without a seed."""
+"""Starts that are tried for a pose that comes without a seed, until one ends inside the ranges seen."""
+TURN = 2.0 * math.pi
+"""Once round, [rad]."""
 GENTLE = 0.02
 """[m/rad]: what turns the target by less than so much is not corrected by a table: that is close to a singularity."""
 GENTLE_STEPS = 4
@@ -63,7 +65,7 @@ def compensate(saved: SavedModel, query: Query) -> pd.DataFrame:
     if saved.kind == "pose":
         table["rotation_error"] = [command.rotation_error / units.radians for command in found]
     commanded = replace(query, readings=readings, covariates=covariates)
-    table["extrapolates"] = extrapolates(saved, commanded)
+    table["extrapolates"] = extrapolates(saved, commanded, std_of(saved, commanded))
     return table
 
 
@@ -90,12 +92,6 @@ def follow(saved: SavedModel, query: Query) -> tuple[list[Command], dict[str, np
     return again, covariates
 
 
-def directions(saved: SavedModel) -> tuple[str, ...]:
-    """Approach directions that the effects depend on, ``joint_2_direction`` for instance."""
-    known = {f"{name}_direction" for name in saved.final.model.robot.names}
-    return tuple(name for name in _inverse(saved).model.needs if name in known)
-
-
 def approach(reading: np.ndarray) -> np.ndarray:
     """The side from which a joint comes to each reading of a trajectory: -1 or 1; 0 until it first moves.
 
@@ -112,10 +108,13 @@ def approach(reading: np.ndarray) -> np.ndarray:
 
 
 def _walk(saved: SavedModel, query: Query, covariates: Mapping[str, np.ndarray]) -> list[Command]:
-    """One command for each row, each starting from its seed or where the row before ended."""
+    """One command for each row, each starting from its seed or where the row before ended.
+
+    Rows without a seed may change to another branch to stay inside the ranges seen.
+    """
     model = saved.final.model
     seen = np.array([saved.ranges.get(name, (0.0, 0.0)) for name in model.robot.readings])
-    needs = _inverse(saved).model.needs
+    needs = at_any_station(saved).model.needs
     missing = [name for name in needs if name not in covariates]
     if missing:
         raise CovariateNotFound(f"the model depends on {missing[0]!r}, which the poses do not have: add that column")
@@ -137,8 +136,8 @@ def _walk(saved: SavedModel, query: Query, covariates: Mapping[str, np.ndarray])
         own = query.readings[k]
         seed = np.where(np.isnan(own), last, own)
         best = inverse.command(R[k], query.position[k], seed, given)
-        if np.isnan(own).any() and not best.reached:
-            best = _searched(inverse, R[k], query.position[k], given, seen, rng) or best
+        if np.isnan(own).any():
+            best = _searched(inverse, R[k], query.position[k], given, seen, rng, best)
         last = best.readings
         found.append(best)
     return found
@@ -151,8 +150,12 @@ def _searched(
     covariates: Mapping[str, float],
     seen: np.ndarray,
     rng: np.random.Generator,
-) -> Command | None:
-    """The first command that reaches a pose from starts drawn evenly over the ranges seen; None if none does.
+    found: Command,
+) -> Command:
+    """A command that reaches a pose inside the ranges seen, where the model is known; else the best that was found.
+
+    Starts are the command there is, joints that left the ranges turned back by whole turns; the middle of the ranges; and
+    places drawn evenly over them.
 
     Args:
         inverse: What is commanded.
@@ -161,13 +164,27 @@ def _searched(
         covariates: What the effects depend on.
         seen: Lowest and highest reading of each joint, shape (columns, 2), [rad] or [m].
         rng: Draws the starts.
+        found: The command that the search from the row before ended in.
     """
-    for _ in range(RESTARTS):
-        start = rng.uniform(seen[:, 0], seen[:, 1])
-        command = inverse.command(R, p, start, covariates)
-        if command.reached:
-            return command
-    return None
+
+    def preferred(command: Command) -> tuple[bool, float, float]:
+        """Sorts commands, the best first: those that reach the pose, those that miss it least, the nearest to the ranges."""
+        return not command.reached, 0.0 if command.reached else command.miss, _outside(command.readings, seen)
+
+    middle = seen.mean(axis=1)
+    turns = np.where(inverse.turning, np.round((middle - found.readings) / TURN), 0.0)
+    starts = (found.readings + TURN * turns, middle)
+    for k in range(-len(starts), RESTARTS):
+        if found.reached and _outside(found.readings, seen) == 0.0:
+            return found
+        start = starts[k] if k < 0 else rng.uniform(seen[:, 0], seen[:, 1])
+        found = min(found, inverse.command(R, p, start, covariates), key=preferred)
+    return found
+
+
+def _outside(readings: np.ndarray, seen: np.ndarray) -> float:
+    """How far readings (columns,) are outside ranges (columns, 2), all joints together, [rad] or [m]; 0 inside."""
+    return float(np.maximum(np.maximum(seen[:, 0] - readings, readings - seen[:, 1]), 0.0).sum())
 
 
 @dataclass(frozen=True)
@@ -265,10 +282,3 @@ def _gentle(
         H = J.T @ J + GENTLE**2 * np.eye(len(q))
         delta = np.linalg.solve(H, J.T @ (e + J @ delta))
     return delta
-
-
-def _inverse(saved: SavedModel) -> InverseKinematics:
-    """Inverse kinematics at the first station; all need the same covariates."""
-    model = saved.final.model
-    labels = [label for label, _ in (*model.world_base, *model.tip_target) if label is not None]
-    return saved.inverse_kinematics(labels[0] if labels else None)

@@ -14,14 +14,17 @@ import pandas as pd
 import pinocchio as pin
 
 from aridcal import __version__
+from aridcal.effects.basis import Basis
 from aridcal.effects.catalogue import KINDS
-from aridcal.effects.effect import ANGULAR, FRAME_COMPONENTS, Effect
+from aridcal.effects.effect import ANGULAR, FRAME_COMPONENTS, ROW_ORDER, Effect
 from aridcal.fit.calibrated import stage_urdf
 from aridcal.fit.least_squares import Fit
 from aridcal.inputs.channels import columns
+from aridcal.inputs.dataset import Dataset
 from aridcal.model.model import ONE_FRAME
 from aridcal.result.outcome import Outcome, Stage, Verification, errors
 from aridcal.result.saved_model import SavedModel, SolvedModel
+from aridcal.result.seen import holes, largest
 from aridcal.search.arm_and_head import MeasuringHead
 from aridcal.search.gains import NamedEffect
 
@@ -73,8 +76,9 @@ def result_document(outcome: Outcome) -> dict[str, Any]:
         "parameters": parameters(outcome.stage("geometric").fit),
         "effects": [_effect(e, outcome) for e in outcome.effects],
         **({"head": _head(outcome.head, frames(outcome.stage("final")))} if outcome.head is not None else {}),
-        "verdict": outcome.verdict,
-        "unexplained_fraction": outcome.unexplained_fraction,
+        "verdict": outcome.verdict.word,
+        "unexplained_fraction": outcome.verdict.share,
+        "reasons": list(outcome.verdict.reasons),
         "seconds": round(outcome.seconds, 3),
         "version": __version__,
         "convergence": {s.name: _convergence(s.fit) for s in outcome.stages},
@@ -167,6 +171,8 @@ def _effect(named: NamedEffect, outcome: Outcome) -> dict[str, Any]:
         found["with"] = effect.with_
     if effect.by:
         found["by"] = effect.by
+    if effect.at is not None:
+        found["at"] = moment(effect.at, outcome.measurements)
     turning = {c: c in ANGULAR or (c == "axis" and joints.get(effect.where) == "revolute") for c in effect.motion}
     known = {c.name: (c.unit, c.value, c.std) for c in outcome.head.coefficients} if outcome.head else {}
     for c in effect.coefficients:
@@ -174,7 +180,7 @@ def _effect(named: NamedEffect, outcome: Outcome) -> dict[str, Any]:
             k = index[c.name]
             known[c.name] = "rad" if turning[c.component] else "m", float(fit.theta[k]), float(fit.std[k])
     found |= {
-        "covariates": list(KINDS[effect.kind].shown or effect.covariates),
+        "covariates": [name for name in KINDS[effect.kind].shown or effect.covariates if name != ROW_ORDER],
         "coefficients": [
             dict(zip(("name", "unit", "value", "std"), (c.name, *known[c.name]), strict=True))
             for c in effect.coefficients
@@ -186,6 +192,38 @@ def _effect(named: NamedEffect, outcome: Outcome) -> dict[str, Any]:
     found["confounded_with"] = [_short(e) for e in named.confounded_with]
     found["declared"] = named.declared
     return found
+
+
+def moment(step: Basis, rows: Dataset) -> dict[str, Any]:
+    """The first row after a step: its line, its file if there are several, its time if there is one."""
+    first = rows_around(step, rows)[1]
+    found: dict[str, Any] = {"file": rows.files[rows.file[first]].name} if len(rows.files) > 1 else {}
+    found["row"] = int(rows.line[first])
+    time = rows.covariates.get("time", np.full(len(rows), np.nan))[first]
+    return found | ({"time": float(time)} if np.isfinite(time) else {})
+
+
+def what_moved(effect: Effect, rows: Dataset) -> str:
+    """A step in words, ``world_base moved between rows 117 and 118``; empty for what always acts."""
+    if effect.at is None:
+        return ""
+    last, first = rows_around(effect.at, rows)
+    who = effect.where if effect.where in WHERE else f"the zero of {effect.where}"
+    if rows.file[last] == rows.file[first]:
+        between = f"rows {rows.line[last]} and {rows.line[first]}"
+    else:
+        ends = (f"row {rows.line[k]} of {rows.files[rows.file[k]].name}" for k in (last, first))
+        between = " and ".join(ends)
+    when = f" (from time {effect.at.numbers[0]:.6g} on)" if effect.at.of[0] == "time" else ""
+    return f"{who} moved between {between}{when}"
+
+
+def rows_around(step: Basis, rows: Dataset) -> tuple[int, int]:
+    """The last row before a step and the first after it."""
+    values = rows.conditions[step.of[0]]
+    last = np.where(values < step.numbers[0], values, -np.inf)
+    first = np.where(values >= step.numbers[0], values, np.inf)
+    return int(np.argmax(last)), int(np.argmin(first))
 
 
 def _before_after(named: NamedEffect, part: slice, scale: float) -> dict[str, float]:
@@ -225,21 +263,28 @@ def calibration(outcome: Outcome) -> SavedModel:
     used = ~m.test & ~outcome.outlier
     seen = dict(zip(outcome.robot.readings, m.readings.T, strict=True))
     final = outcome.stage("final").fit
-    for c in final.model.coefficients:
-        seen |= {name: m.covariates[name] for name in c.basis.of if name in m.covariates}
+    for name in final.model.needs:
+        seen[name] = m.covariates[name]
     record = {
         "campaign": campaign.text,
         "data": {"files": [f.name for f in m.files], "sha256": m.sha256, "rows": len(m), "train": int(used.sum())},
         "versions": {"aridcal": __version__, "pinocchio": pin.__version__, "numpy": np.__version__},
     }
+    solved = _solved(final, outcome.head is None)
+    fitted = m.select(used)
+    std = solved.std(fitted.readings, fitted.covariates, fitted.station)
+    if m.rotation is None:  # that of a target whose rotation was never measured says nothing
+        std[:, 3:] = np.inf
     return SavedModel(
         _solved(outcome.stage("geometric").fit, outcome.head is None),
-        _solved(final, outcome.head is None),
+        solved,
         "position" if m.rotation is None else "pose",
         campaign.robot.gravity,
         (float(outcome.noise[0]), float(outcome.noise[1]) if m.rotation is not None else 1.0),
         {name: (float(np.nanmin(v[used])), float(np.nanmax(v[used]))) for name, v in seen.items()},
         record,
+        {name: found for name, v in seen.items() if (found := holes(v[used]))},
+        largest(std),
     )
 
 

@@ -11,6 +11,7 @@ from aridcal.inputs.channels import Channels, norms, spread
 from aridcal.result.folder import parameters
 from aridcal.result.outcome import Outcome, Stage, statistics
 from aridcal.result.uncertainty import accuracy
+from aridcal.search.gains import NamedEffect
 from aridcal.search.noise_tests import SURE
 from aridcal.search.residual_trends import Order, Trace
 
@@ -24,6 +25,9 @@ FEW = 20
 OVERFITTED = 1.3
 """Held-out error over fitted error from which the model is too large for its data: noise alone, with n >= FEW rows held
 out, stays below 1 + 3 / sqrt(6 n) = 1.27."""
+
+MOST_TWINS = 3
+"""Effects confounded with one that are named beside it; a screen holds no more, and the report lists all."""
 
 DISAGREEING = 1.5
 """Times the difference of two halves that noise explains: beyond it the model does not fit everywhere. The expected value
@@ -91,13 +95,25 @@ class JointRange:
 def scored(outcome: Outcome) -> tuple[np.ndarray, str]:
     """The rows that judge the calibration: those held out, or those fitted if none were; outliers are excluded.
 
+    If all held-out rows are outliers, they judge it all the same.
+
     Returns:
         A mask of the rows, shape (N,), and what they are called.
     """
     parts = outcome.parts()
     if parts["test"].any():
         return parts["test"], "held-out rows"
+    if parts["test_all"].any():
+        return parts["test_all"], "held-out rows, all flagged as outliers"
     return parts["train"], "fitted rows"
+
+
+def every_held_out_row(outcome: Outcome) -> str:
+    """The error of the final model on all held-out rows, flagged ones too, in words."""
+    every = outcome.parts()["test_all"]
+    flagged = int((every & outcome.outlier).sum())
+    error = rms_position(outcome.stages[-1].residual, every)
+    return f"{flagged} of {every.sum():,} held-out rows flagged as outliers; {error:.3f} mm RMS with all of them"
 
 
 def row_errors(residual: np.ndarray, channels: Channels) -> np.ndarray:
@@ -109,6 +125,35 @@ def row_errors(residual: np.ndarray, channels: Channels) -> np.ndarray:
 def rms_position(residual: np.ndarray, mask: np.ndarray) -> float:
     """RMS position error of the rows of a mask, [mm]; nan if there are none."""
     return statistics(1e3 * np.linalg.norm(residual[mask, :3], axis=1))["rms"]
+
+
+def or_as_well(effect: NamedEffect) -> str:
+    """Effects that would do as well as one, in words: ``, or as well thermal at joint_4``; empty if there are none."""
+    names = list(dict.fromkeys(other.label for other in effect.confounded_with))
+    if not names:
+        return ""
+    rest = f" and {len(names) - MOST_TWINS} more" if len(names) > MOST_TWINS else ""
+    return f", or as well {', '.join(names[:MOST_TWINS])}{rest}"
+
+
+def another_day(outcome: Outcome) -> tuple[bool, str] | None:
+    """What another day's rows say of the calibration: whether it holds, and the sentence; None: there are none."""
+    found = outcome.verification
+    if found is None:
+        return None
+    mask, words = scored(outcome)
+    own = rms_position(outcome.stages[-1].residual, mask)
+    sound = ~found.outlier
+    now = rms_position(found.residuals[outcome.stages[-1].name], sound)
+    said = f"Another day's rows ({found.file}, {sound.sum():,} of {len(sound):,}): {now:.3f} mm RMS, {own:.3f} on the {words}"
+    if now < OVERFITTED * own:
+        return True, f"{said}."
+    if found.realigned is None:
+        return False, f"{said}: the robot, the target or the instrument has changed since."
+    again = rms_position(found.realigned, sound)
+    moved = again < OVERFITTED * own
+    why = "the target or the instrument was remounted" if moved else "the robot has changed since"
+    return False, f"{said}; {again:.3f} mm with both frames fitted anew: {why}."
 
 
 def solved_stages(outcome: Outcome) -> dict[str, Stage]:

@@ -12,6 +12,7 @@ from aridcal.inputs.campaign import Campaign
 from aridcal.inputs.channels import Channels, norms
 from aridcal.inputs.dataset import Dataset
 from aridcal.result.uncertainty import Precision
+from aridcal.result.verdict import Verdict
 from aridcal.robot.chain import Robot
 from aridcal.search.arm_and_head import MeasuringHead
 from aridcal.search.gains import Diagnosis, NamedEffect
@@ -68,8 +69,7 @@ class Outcome:
         noise_source: ``declared`` or ``estimated``.
         repeats: Rows that repeat a configuration; None where there are none.
         precision: Uncertainty of the target.
-        verdict: ``noise_floor``, ``structure_remains`` or ``not_enough_data``.
-        unexplained_fraction: Share of the remaining variance that is repeatable beyond the noise.
+        verdict: What may be said of what remains.
         notices: Sentences that the user should read.
         seconds: Wall time.
         verification: Another day's data, if it was given.
@@ -87,8 +87,7 @@ class Outcome:
     noise_source: str
     repeats: Repeats | None
     precision: Precision
-    verdict: str
-    unexplained_fraction: float
+    verdict: Verdict
     notices: tuple[str, ...]
     seconds: float
     traces: Traces

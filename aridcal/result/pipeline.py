@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from aridcal.errors import CampaignError, MeasurementError
+from aridcal.errors import CampaignError, MeasurementError, NotOfThisRobot
 from aridcal.fit.constants import station_labels, unused_links
 from aridcal.fit.least_squares import Fit, fit
-from aridcal.fit.noise import declared_notices, repeats
+from aridcal.fit.noise import Repeats, declared_notices, repeats
 from aridcal.fit.residual import distance, problem, robust_sigma, scaled, unscaled
 from aridcal.fit.stages import Geometry, recentred
 from aridcal.head.detections import read_shots
@@ -21,16 +21,20 @@ from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.read import load_measurements
 from aridcal.inputs.tables import AnyTable
 from aridcal.result.outcome import Outcome, Stage, Verification
-from aridcal.result.uncertainty import FAR, halves, outliers, precision, realigned
+from aridcal.result.uncertainty import FAR, halves, outliers, precision, realigned, with_noise_seen
+from aridcal.result.verdict import Verdict, decide, row_clues
 from aridcal.result.with_head import with_head
 from aridcal.robot.chain import Robot, load_robot
 from aridcal.search.arm import CalibratedArm, fit_arm, fit_constants
 from aridcal.search.arm_and_head import fit_arm_and_head
-from aridcal.search.gains import explain, verdict
-from aridcal.search.noise_tests import clues
+from aridcal.search.gains import explain
+from aridcal.search.noise_tests import Clue, clues
 from aridcal.search.residual_trends import trace
 
 Progress = Callable[[str], None]
+
+Judge = Callable[[Campaign, Robot, Dataset, Geometry | None], None]
+"""Told what frames and constants leave of the rows, None if nothing can be made of them; may refuse them and say why."""
 
 STILL = 1e-3
 """[rad] or [m]: a joint that covers less does not move."""
@@ -38,8 +42,24 @@ STILL = 1e-3
 HALVED = 120
 """A model of more coefficients is not fitted twice more, to halves of the rows: its constants speak for it."""
 
-FREE = 0.5
-"""Share of the numbers measured that must be left after fitting, or the data are too few for the model."""
+
+@dataclass(frozen=True)
+class Judged:
+    """A calibrated arm with what may be said of it.
+
+    Attributes:
+        stages: nominal, geometric, final.
+        outlier: Flagged rows, shape (N,).
+        repeats: Rows that repeat a configuration; None where there are none.
+        clues: Answers of all questions to the residual.
+        verdict: The decision.
+    """
+
+    stages: tuple[Stage, ...]
+    outlier: np.ndarray
+    repeats: Repeats | None
+    clues: tuple[Clue, ...]
+    verdict: Verdict
 
 
 def identify(
@@ -48,6 +68,7 @@ def identify(
     verify: AnyTable | None = None,
     progress: Progress = lambda _: None,
     cache: Path | None = None,
+    judge: Judge = lambda *_: None,
 ) -> Outcome:
     """Run a campaign up to its outcome.
 
@@ -57,6 +78,7 @@ def identify(
         verify: Another day's table, to be scored.
         progress: Called with what is being done.
         cache: ``fiducials.csv`` of an earlier run on the same images, if there is one.
+        judge: Asked about a table of poses before effects are sought.
 
     Raises:
         AridcalError: whatever in the input needs mending.
@@ -72,7 +94,13 @@ def identify(
         still = _check_motion(campaign, rows)
         labels = station_labels(campaign, rows)
         progress(f"fitting frames and constants to {rows.train.sum()} rows")
-        arm = fit_arm(campaign, fit_constants(campaign, robot, rows, labels), rows, progress)
+        try:
+            geometry = fit_constants(campaign, robot, rows, labels)
+        except NotOfThisRobot:
+            judge(campaign, robot, rows, None)
+            raise
+        judge(campaign, robot, rows, geometry)
+        arm = fit_arm(campaign, geometry, rows, progress)
         outcome = _outcome(campaign, robot, arm, still, progress)
     if verify is not None:
         outcome = replace(outcome, verification=score(outcome, verify))
@@ -98,12 +126,9 @@ def _outcome(
     progress("scoring")
     rows, geometric, diagnosed = arm.rows, arm.geometry.geometric, arm.diagnosed
     train = rows.select(rows.train)
-    stages, outlier = _stages(rows, arm.geometry, diagnosed.fit)
-    final, last = stages[-1].fit, stages[-1].residual
+    judged = judge(arm)
+    stages, outlier, final = judged.stages, judged.outlier, judged.stages[-1].fit
     kept = rows.select(~outlier)
-    repeated = repeats(kept, last[~outlier])
-    questions = clues(kept, scaled(last, rows.relative)[~outlier], repeated, _freedom(final))
-    said, unexplained = verdict(questions, diagnosed, _freedom(final) > FREE)
     compared = final if len(final.theta) < HALVED else geometric
     return Outcome(
         campaign=campaign,
@@ -113,10 +138,9 @@ def _outcome(
         outlier=outlier,
         noise=final.sigma,
         noise_source="declared" if all(rows.sigma) else "estimated",
-        repeats=repeated,
+        repeats=judged.repeats,
         precision=precision(final, train, halves(compared, train)),
-        verdict=said,
-        unexplained_fraction=unexplained,
+        verdict=judged.verdict,
         notices=(
             *still,
             *declared_notices(rows, final.estimated, final.freedom),
@@ -125,8 +149,20 @@ def _outcome(
         ),
         seconds=0.0,
         traces=trace(final, kept, *(stage.residual[~outlier] for stage in stages[1:])),
-        diagnosis=explain(diagnosed, rows, rows.test & ~outlier, questions),
+        diagnosis=explain(diagnosed, rows, rows.test & ~outlier, judged.clues),
     )
+
+
+def judge(arm: CalibratedArm) -> Judged:
+    """Fit every stage with the final model's flags, ask the residuals all questions, and decide what may be said."""
+    rows = arm.rows
+    stages, outlier = _stages(rows, arm.geometry, arm.diagnosed.fit)
+    final, last = stages[-1].fit, stages[-1].residual
+    kept, left = rows.select(~outlier), scaled(last, rows.relative)
+    repeated = repeats(kept, last[~outlier])
+    asked = clues(kept, left[~outlier], repeated, _freedom(final), final) + row_clues(rows, final, left, outlier)
+    effects = [active.effect for active in arm.diagnosed.found.state.active]
+    return Judged(stages, outlier, repeated, tuple(asked), decide(asked, effects, _freedom(final)))
 
 
 def _freedom(fit: Fit) -> float:
@@ -165,7 +201,7 @@ def _stages(rows: Dataset, geometry: Geometry, final: Fit) -> tuple[tuple[Stage,
             tried = {"restarts": found.convergence.restarts, "agreed": found.convergence.agreed}
             convergence = replace(again.convergence, **tried)
             found = replace(again, candidates=found.candidates, redundant=found.redundant, convergence=convergence)
-        found = recentred(found)
+        found = recentred(with_noise_seen(found, train) if name == "final" else found)
         stages.append(Stage(name, found, problem(found.model, rows).residual(found.theta)))
     left = [scaled(stage.residual, rows.relative) for stage in stages]
     return tuple(stages), outliers(rows.train, final.outliers, left, rows.channels)

@@ -11,11 +11,13 @@ from scipy.spatial.transform import Rotation
 
 from aridcal.errors import MeasurementError
 from aridcal.inputs.campaign import MeasurementSettings
-from aridcal.inputs.quantities import POSITION, QUATERNION, angle_columns, column_of
+from aridcal.inputs.quantities import POSITION, QUATERNION, STD, angle_columns, column_of
 from aridcal.inputs.query import Query, load_query
 from aridcal.inputs.tables import AnyTable
+from aridcal.model.inverse import InverseKinematics
 from aridcal.model.model import Model
 from aridcal.result.saved_model import SavedModel
+from aridcal.result.seen import CHANNELS, SPREAD, inside
 
 ENDINGS = (".csv", ".parquet")
 
@@ -40,10 +42,24 @@ def read_query(saved: SavedModel, table: AnyTable, poses: bool = False) -> Query
         saved.measurements,
         poses=poses,
         per_station=per_station(saved.final.model),
+        needs=set(at_any_station(saved).model.needs) - set(directions(saved) if poses else ()),
     )
     if not query.usable.any():
         raise MeasurementError(f"no row can be {'commanded' if poses else 'predicted'}. First: {query.refused[0]}")
     return query
+
+
+def at_any_station(saved: SavedModel) -> InverseKinematics:
+    """Inverse kinematics at the first station; all need the same covariates."""
+    model = saved.final.model
+    labels = [label for label, _ in (*model.world_base, *model.tip_target) if label is not None]
+    return saved.inverse_kinematics(labels[0] if labels else None)
+
+
+def directions(saved: SavedModel) -> tuple[str, ...]:
+    """Approach directions that the effects depend on, ``joint_2_direction`` for instance."""
+    known = {f"{name}_direction" for name in saved.final.model.robot.names}
+    return tuple(name for name in at_any_station(saved).model.needs if name in known)
 
 
 def per_station(model: Model) -> bool:
@@ -59,8 +75,8 @@ def predict(saved: SavedModel, query: Query) -> pd.DataFrame:
         query: N rows, read with the calibration's own `measurements` settings.
 
     Returns:
-        The query's table with the pose and `extrapolates`, N rows; a pose that cannot be told is left empty. Columns,
-        units and the writing of orientations are the campaign's; columns of another orientation are left out.
+        The query's table with the pose, its standard deviations and `extrapolates`, N rows; a pose that cannot be told is left
+        empty. Columns, units and the writing of orientations are the campaign's; columns of another orientation are left out.
 
     Raises:
         CovariateNotFound: an effect depends on a column that is not there.
@@ -72,15 +88,17 @@ def predict(saved: SavedModel, query: Query) -> pd.DataFrame:
     R, p = saved.final.poses(query.readings[known], covariates, station)
     R[np.isnan(p).any(axis=1)] = np.nan
 
+    std = std_of(saved, query)
+
     settings, joints = saved.measurements, saved.final.model.robot.readings
-    filled = pose_columns(R, p, settings, joints)
-    stale = {*orientation_columns(settings, joints), *_quaternion_columns(settings, joints)} - set(filled)
+    filled = pose_columns(R, p, settings, joints) | std_columns(std[known], settings, joints)
+    stale = _pose_names(settings, joints) - set(filled)
     table = query.table.drop(columns=list(stale), errors="ignore")
     for name, values in filled.items():
         column = np.full(len(table), np.nan)
         column[known] = values
         table[name] = column
-    table["extrapolates"] = extrapolates(saved, query)
+    table["extrapolates"] = extrapolates(saved, query, std)
     return table
 
 
@@ -107,9 +125,37 @@ def pose_columns(
     return columns | dict(zip(orientation_columns(settings, joints), numbers.T, strict=True))
 
 
+def std_columns(std: np.ndarray, settings: MeasurementSettings, joints: tuple[str, ...] = ()) -> dict[str, np.ndarray]:
+    """Write standard deviations as a campaign's tables have them.
+
+    Args:
+        std: Of the position [m] and of the rotation vector [rad], world axes, shape (N, 6), NaN where unknown.
+        settings: Columns and units.
+        joints: As for :func:`pose_columns`.
+
+    Returns:
+        Values of each column, shape (N,) each, in the campaign's units; those of positions alone for `kind: position`.
+    """
+    units = settings.units
+    scaled = std / np.repeat([units.metres, units.radians], 3)
+    count = 3 if settings.kind == "position" else 6
+    return dict(zip(_std_names(settings, joints)[:count], scaled.T, strict=False))
+
+
+def _std_names(settings: MeasurementSettings, joints: tuple[str, ...]) -> tuple[str, ...]:
+    return tuple(column_of(name, settings, joints) for name in STD)
+
+
 def orientation_columns(settings: MeasurementSettings, joints: tuple[str, ...] = ()) -> tuple[str, ...]:
     """Columns of the campaign's orientations: three angles, or the four numbers of a quaternion."""
     return angle_columns(settings) or _quaternion_columns(settings, joints)
+
+
+def _pose_names(settings: MeasurementSettings, joints: tuple[str, ...]) -> set[str]:
+    """Columns that hold an orientation or a pose's standard deviations: of another pose, unless they are written anew."""
+    plain = {*QUATERNION, *STD} - {*joints, *settings.columns.values()}
+    mapped = {*_quaternion_columns(settings, joints), *_std_names(settings, joints)}
+    return plain | mapped | set(orientation_columns(settings, joints))
 
 
 def _quaternion_columns(settings: MeasurementSettings, joints: tuple[str, ...]) -> tuple[str, ...]:
@@ -143,14 +189,41 @@ def orientations(R: np.ndarray, settings: MeasurementSettings) -> np.ndarray:
     return every
 
 
-def extrapolates(saved: SavedModel, query: Query) -> np.ndarray:
-    """Rows outside the ranges of joints and covariates that the calibration has seen, shape (N,)."""
+def std_of(saved: SavedModel, query: Query) -> np.ndarray:
+    """Standard deviations of the target's pose, as :meth:`SolvedModel.std` has them, shape (N, 6); NaN where unknown.
+
+    Args:
+        saved: The model.
+        query: N rows; those without a number that is needed have none.
+    """
+    known = query.usable & np.isfinite(query.readings).all(axis=1)
+    covariates = {name: values[known] for name, values in query.covariates.items()}
+    station = None if query.station is None else query.station[known]
+    std = np.full((len(known), 6), np.nan)
+    std[known] = saved.final.std(query.readings[known], covariates, station)
+    return std
+
+
+def extrapolates(saved: SavedModel, query: Query, std: np.ndarray) -> np.ndarray:
+    """Rows that are not like those that the calibration has seen, shape (N,).
+
+    Outside the range of a joint or of a covariate that an effect depends on, in a hole of what was measured of it, or where
+    the prediction is several times as uncertain as it was at any fitted row.
+
+    Args:
+        saved: The model.
+        query: N rows.
+        std: See :func:`std_of`.
+    """
     readings = dict(zip(saved.final.model.robot.readings, query.readings.T, strict=True))
     columns = query.covariates | readings
-    outside = np.zeros(len(query.line), dtype=bool)
+    beyond = np.zeros(len(query.line), dtype=bool)
     for name, (low, high) in saved.ranges.items():
-        outside |= (columns[name] < low) | (columns[name] > high)
-    return outside
+        values = columns[name]
+        beyond |= (values < low) | (values > high) | inside(values, saved.holes.get(name, ()))
+    for axes, largest in zip(CHANNELS, saved.largest_std, strict=True):
+        beyond |= np.linalg.norm(std[:, axes], axis=1) > SPREAD * largest
+    return beyond
 
 
 def write_table(table: pd.DataFrame, path: Path) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -24,11 +24,15 @@ from aridcal.inputs.yaml_file import MAX_BYTES, decode, parse_settings, read_byt
 from aridcal.model.inverse import Command, InverseKinematics
 from aridcal.model.model import Frames, Model
 from aridcal.model.one_row import OneRowModel
+from aridcal.result.seen import Ranges
 from aridcal.robot.chain import parse_robot
 
 # libyaml where PyYAML was built with it: a covariance of a hundred coefficients is ten thousand numbers.
 Loader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 Dumper: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
+
+# Rows whose Jacobians are held in memory together: of three hundred coefficients they take 7 MB.
+AT_ONCE = 500
 
 LAYOUT = "lower triangle row by row, float64, little endian, base64"
 
@@ -72,6 +76,37 @@ class SolvedModel:
         """
         return self.model.poses(self.theta, self.model.rows(readings, covariates, station))
 
+    def std(
+        self,
+        readings: np.ndarray,
+        covariates: Mapping[str, np.ndarray] | None = None,
+        station: np.ndarray | None = None,
+    ) -> np.ndarray:
+        r"""How well the target is known in N configurations: the square root of the diagonal of :math:`J \Sigma J^T`.
+
+        J is the target's Jacobian and Sigma the covariance of the coefficients. That of a smooth function is its prior's where
+        the calibration saw nothing.
+
+        Args:
+            readings: As for :meth:`poses`.
+            covariates: Likewise.
+            station: Likewise.
+
+        Returns:
+            1-sigma of the position [m] and of the rotation vector [rad], world axes, shape (N, 6).
+
+        Raises:
+            CovariateNotFound: an effect depends on a column that is not there.
+            MeasurementError: a row's station is none of those that were calibrated.
+        """
+        rows = self.model.rows(readings, covariates, station)
+        variance = np.empty((len(rows), 6))
+        for start in range(0, len(rows), AT_ONCE):
+            some = slice(start, start + AT_ONCE)
+            _, _, J = self.model.jacobian(self.theta, rows[some])
+            variance[some] = np.einsum("nik,nik->ni", J @ self.covariance, J)
+        return np.sqrt(np.maximum(variance, 0.0))
+
 
 @dataclass(frozen=True)
 class SavedModel:
@@ -85,6 +120,9 @@ class SavedModel:
         noise: Per axis, [m] and [rad].
         ranges: Lowest and highest value seen of every joint column and covariate that the model depends on.
         record: What the file says besides: options, data, versions.
+        holes: Where nothing was seen inside those ranges; none in files from before they were looked for.
+        largest_std: Largest standard deviation of the predicted position [m], and of the rotation [rad], at the fitted rows, all
+            three axes together; infinite in such files.
     """
 
     geometric: SolvedModel
@@ -94,6 +132,8 @@ class SavedModel:
     noise: tuple[float, float]
     ranges: dict[str, tuple[float, float]]
     record: dict[str, Any]
+    holes: dict[str, Ranges] = field(default_factory=dict)
+    largest_std: tuple[float, float] = (np.inf, np.inf)
 
     @property
     def measurements(self) -> MeasurementSettings:
@@ -191,6 +231,8 @@ class SavedModel:
             },
             "noise": {"position": self.noise[0], "rotation": self.noise[1]},
             "ranges": {name: list(pair) for name, pair in self.ranges.items()},
+            "holes": {name: [list(pair) for pair in pairs] for name, pairs in self.holes.items()},
+            "largest_std": dict(zip(("position", "rotation"), self.largest_std, strict=True)),
             "geometric": _solved_document(self.geometric),
             "final": _solved_document(self.final),
             **self.record,
@@ -212,7 +254,11 @@ def _solved_document(solved: SolvedModel) -> dict[str, Any]:
     return {
         "world_base": frames_document(model.world_base),
         "tip_target": frames_document(model.tip_target),
-        "loads": {"gravity": model.around.gravity.tolist(), "payload_at": model.around.lever.tolist()},
+        "loads": {
+            "gravity": model.around.gravity.tolist(),
+            "payload_at": model.around.lever.tolist(),
+            "payload": model.around.loaded,
+        },
         "coefficients": [
             {
                 "name": c.name,
@@ -236,7 +282,7 @@ def _parse(document: Any) -> SavedModel:
     robot = parse_robot(
         about["urdf"].encode(about["urdf_encoding"]), about["tip"], about["base"], Path(about["urdf_name"])
     )
-    known = ("format", "aridcal", "kind", "robot", "noise", "ranges", "geometric", "final")
+    known = ("format", "aridcal", "kind", "robot", "noise", "ranges", "holes", "largest_std", "geometric", "final")
 
     def solved(part: Mapping[str, Any]) -> SolvedModel:
         entries = part["coefficients"]
@@ -249,7 +295,9 @@ def _parse(document: Any) -> SavedModel:
             )
             for e in entries
         )
-        around = Surroundings(*(np.array(part["loads"][key], dtype=float) for key in ("gravity", "payload_at")))
+        loads = part["loads"]
+        gravity, lever = (np.array(loads[key], dtype=float) for key in ("gravity", "payload_at"))
+        around = Surroundings(gravity, lever, bool(loads.get("payload", False)))  # older files: never counted
         model = Model(robot, coefficients, _frames(part["world_base"]), _frames(part["tip_target"]), around)
         count = len(entries)
         covariance = _unpacked(part["covariance"]["data"], count)
@@ -259,6 +307,7 @@ def _parse(document: Any) -> SavedModel:
         return SolvedModel(model, theta, covariance)
 
     gravity = about["gravity"]
+    largest = document.get("largest_std", {"position": np.inf, "rotation": np.inf})
     if document["kind"] not in ("pose", "position"):
         raise ValueError(f"kind: {document['kind']!r} is neither pose nor position")
     return SavedModel(
@@ -269,6 +318,8 @@ def _parse(document: Any) -> SavedModel:
         (document["noise"]["position"], document["noise"]["rotation"]),
         {name: (pair[0], pair[1]) for name, pair in document["ranges"].items()},
         {key: value for key, value in document.items() if key not in known},
+        {name: tuple((low, high) for low, high in pairs) for name, pairs in document.get("holes", {}).items()},
+        (largest["position"], largest["rotation"]),
     )
 
 

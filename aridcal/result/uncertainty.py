@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from aridcal.fit.least_squares import Fit, minimise
+from aridcal.fit.noise import contradicted
 from aridcal.fit.residual import Problem, distance, linearise, problem, robust_sigma
 from aridcal.inputs.channels import Channels
 from aridcal.inputs.dataset import Dataset
@@ -64,7 +65,7 @@ def accuracy(rows: Dataset, residual: np.ndarray) -> np.ndarray:
 def precision(fit: Fit, train: Dataset, halves: tuple[float, float]) -> Precision:
     """Propagate the noise to the target, and set it beside what two halves fitted apart show (see :func:`halves`)."""
     model, robot = fit.model, fit.model.robot
-    position, rotation = target_sigma(fit, model.rows(train.readings, train.covariates, train.station))
+    position, rotation = target_sigma(fit, model.rows(train.readings, train.conditions, train.station))
     limits = robot.limits
     seen = np.stack([train.readings.min(axis=0), train.readings.max(axis=0)], axis=1)
     low, high = np.where(np.isfinite(limits), limits, seen).T
@@ -78,6 +79,26 @@ def precision(fit: Fit, train: Dataset, halves: tuple[float, float]) -> Precisio
     targets = model.poses(fit.theta, rows)[1]
     places = np.array([bases[k][1].actInv(p) for k, p in zip(rows.world, targets, strict=True)])
     return Precision(position, rotation, reach, places, *halves)
+
+
+def with_noise_seen(fit: Fit, train: Dataset) -> Fit:
+    r"""The same fit, its covariance that of the noise which the residuals show where they contradict a smaller declared one.
+
+    .. math:: \Sigma + \Sigma \Big( \sum_c (s_c^2 - 1) A_c^T A_c / \sigma_c^2 \Big) \Sigma
+
+    with the columns A_c of channel c, its declared noise sigma_c, and s_c times that seen: the scatter of coefficients that
+    were found with other weights than the noise's own.
+
+    Args:
+        fit: A stage.
+        train: The rows that it was fitted to.
+    """
+    excess = np.maximum(contradicted(train, fit.estimated, fit.freedom), 1.0)
+    if np.all(excess == 1.0):
+        return fit
+    equations = linearise(problem(fit.model, train), fit.theta, fit.weight, fit.sigma).equations
+    more = equations.information(fit.sigma / excess) - equations.information(fit.sigma)
+    return replace(fit, covariance=fit.covariance + fit.covariance @ more @ fit.covariance)
 
 
 def target_sigma(fit: Fit, rows: Rows) -> tuple[np.ndarray, np.ndarray]:

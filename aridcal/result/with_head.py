@@ -125,7 +125,7 @@ def _moved_residual(
         answer: Of the arm's coefficients, shape (K,).
     """
     model = fit.model
-    _, _, J = model.jacobian(theta, model.rows(rows.readings, rows.covariates, rows.station))
+    _, _, J = model.jacobian(theta, model.rows(rows.readings, rows.conditions, rows.station))
     return np.asarray(both.after.sensitivity @ step - J @ answer)
 
 

@@ -162,7 +162,7 @@ def load_robot(path: str | Path, tip: str, base: str | None = None) -> Robot:
 def parse_robot(urdf: bytes, tip: str, base: str | None = None, path: Path = Path("robot.urdf")) -> Robot:
     """Read the chain base -> tip from a URDF's bytes; see :func:`load_robot`."""
     tree = _parse_xml(urdf, path)
-    links = [e.get("name", "") for e in tree.findall("link")]
+    links = _link_names(tree, path)
     elements = _joint_elements(tree, path)
     for inertial in tree.iterfind("link/inertial"):
         for element in inertial.iter("mass", "inertia"):
@@ -173,12 +173,7 @@ def parse_robot(urdf: bytes, tip: str, base: str | None = None, path: Path = Pat
             raise RobotError(
                 f"{path}: line {origin.sourceline}: <origin> has quat_xyzw, which few parsers read: write the rotation as rpy"
             )
-    parent_of = {}
-    for element in elements.values():
-        child, parent = _link(element, "child", links, path), _link(element, "parent", links, path)
-        if child in parent_of:
-            raise RobotError(f"{path}: link {child!r} has two parents: the URDF is not a tree")
-        parent_of[child] = (parent, element)
+    parent_of = _parents(elements, links, path)
     if tip not in links:
         raise RobotError(f"{path}: no link {tip!r}{nearest(tip, links)}. Check `robot.tip`.")
     if base is not None and base not in links:
@@ -189,8 +184,6 @@ def parse_robot(urdf: bytes, tip: str, base: str | None = None, path: Path = Pat
     while link != base and link in parent_of:
         link, element = parent_of[link]
         chain.insert(0, element)
-        if len(chain) > len(elements):
-            raise RobotError(f"{path}: the links of {tip!r} form a loop: the URDF is not a tree")
     if base is not None and link != base:
         raise RobotError(f"{path}: link {tip!r} does not descend from {base!r}: check `robot.base` and `robot.tip`")
 
@@ -256,6 +249,55 @@ def _joint_elements(tree: etree._Element, path: Path) -> dict[str, etree._Elemen
             raise RobotError(f"{path}: line {element.sourceline}: joint {name!r} is there twice")
         elements[name] = element
     return elements
+
+
+def _link_names(tree: etree._Element, path: Path) -> list[str]:
+    """Names of all links, each there once."""
+    names: list[str] = []
+    for element in tree.findall("link"):
+        name = element.get("name", "")
+        if not name:
+            raise RobotError(f"{path}: line {element.sourceline}: a link has no name: give it one")
+        if name in names:
+            raise RobotError(f"{path}: line {element.sourceline}: link {name!r} is there twice: rename or delete one")
+        names.append(name)
+    return names
+
+
+def _parents(
+    elements: dict[str, etree._Element], links: list[str], path: Path
+) -> dict[str, tuple[str, etree._Element]]:
+    """The parent of each link and the joint between them; the links are one tree.
+
+    Raises:
+        RobotError: naming what has two parents, a loop, or two roots.
+    """
+    parent_of: dict[str, tuple[str, etree._Element]] = {}
+    for name, element in elements.items():
+        child, parent = _link(element, "child", links, path), _link(element, "parent", links, path)
+        if child in parent_of:
+            other, joint = parent_of[child]
+            raise RobotError(
+                f"{path}: link {child!r} has two parents: {other!r} by joint {joint.get('name')!r} and {parent!r} by joint "
+                f"{name!r}: a URDF is a tree; delete one of these joints"
+            )
+        parent_of[child] = (parent, element)
+    for link in links:
+        loop = [link]
+        while loop[-1] in parent_of and len(loop) <= len(links):
+            loop.append(parent_of[loop[-1]][0])
+            if loop[-1] == link:
+                joints = ", ".join(repr(parent_of[each][1].get("name")) for each in loop[:-1])
+                raise RobotError(
+                    f"{path}: the links {', '.join(map(repr, loop[:-1]))} form a loop: a URDF is a tree; delete or turn "
+                    f"round one of the joints {joints}"
+                )
+    roots = [link for link in links if link not in parent_of]
+    if len(roots) > 1:
+        raise RobotError(
+            f"{path}: the links {', '.join(map(repr, roots))} have no parent: a URDF has one root; join them by fixed joints"
+        )
+    return parent_of
 
 
 def _link(element: etree._Element, role: str, links: list[str], path: Path) -> str:

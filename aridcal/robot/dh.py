@@ -6,7 +6,7 @@ import hashlib
 import json
 import math
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,7 @@ import yaml
 
 from aridcal.robot.chain import Robot
 from aridcal.robot.doty import align, doty_links, link_transform
+from aridcal.robot.splice import rpy_near, without_rounding, written_origins
 
 # Axes nearer to parallel than this [rad] have a common normal that small errors move by metres.
 ILL_CONDITIONED_ANGLE = np.radians(1.0)
@@ -24,6 +25,9 @@ PARALLEL_ANGLE = float(np.sqrt(np.finfo(float).eps))
 
 # Parallel axes nearer than this [m] are one axis.
 COINCIDENT_LENGTH = 1e-9
+
+# From ``base_link`` of Universal Robots' description to its ``base_link_inertia``, where the first joint is mounted.
+HALF_TURN = pin.SE3(np.diag([-1.0, -1.0, 1.0]), np.zeros(3))
 
 # How Universal Robots' description names the joints (after a prefix), and its ``kinematics.yaml`` the links.
 UR_LINKS = {
@@ -163,19 +167,27 @@ def doty_yaml(robot: Robot) -> str:
 def kinematics_yaml(nominal: Robot, calibrated: Robot) -> str:
     """Write ``kinematics.yaml``: x y z [m] and roll pitch yaw [rad] of each joint's origin, as descriptions read them.
 
-    For a robot with Universal Robots' joint names, from ``base_link``: the layout of ``ur_description``, whose frames
-    have z on the joints' axes, whatever axes the URDF has. They are the modified DH frames of the nominal robot,
-    carried along by the calibration, so nearly parallel axes move nothing by metres. A comment states where the tip is
-    from that description's ``tool0``. For every other robot: the layout of ``franka_description``, with each joint's
-    own ``<origin>`` and that of the tip's fixed joint.
+    For a robot with Universal Robots' joint names: the layout of ``ur_description``, whose frames have z on the joints'
+    axes, whatever axes the URDF has. They are the modified DH frames of the nominal robot, carried along by the
+    calibration, so nearly parallel axes move nothing by metres. They start at that description's ``base_link``, wherever
+    the chain does: that link, or ``base_link_inertia``, has to be rigid with the chain's base. A comment states where the
+    tip is from that description's ``tool0``. For every other robot: the layout of ``franka_description``, with each
+    joint's own ``<origin>`` and that of the tip's fixed joint; a comment says so where the names are Universal Robots'.
 
     Args:
         nominal: The chain before calibration.
         calibrated: The same chain after it.
     """
     stems = [next((stem for stem in UR_LINKS if name.endswith(stem)), "") for name in nominal.names]
-    if stems == list(UR_LINKS) and nominal.base.endswith("base_link"):
-        return _ur_kinematics(nominal, calibrated)
+    why = ""
+    if stems == list(UR_LINKS):
+        start = _ur_base(nominal)
+        if start is not None:
+            return _ur_kinematics(*(_from(robot, start) for robot in (nominal, calibrated)))
+        why = (
+            f"# Each joint's own <origin>, not the layout of ur_description: no link base_link or base_link_inertia is "
+            f"rigid with {nominal.base}, where the chain starts.\n"
+        )
     origins = {j.name: j.origin for j in calibrated.joints}
     if calibrated.tip_joint is not None:
         origins[calibrated.tip_joint] = calibrated.tip_origin
@@ -183,16 +195,36 @@ def kinematics_yaml(nominal: Robot, calibrated: Robot) -> str:
     short = {name: found.group() if (found := re.search(r"joint\d+$", name)) else name for name in origins}
     if len(set(short.values())) < len(short):
         short = {name: name for name in origins}
-    return yaml.safe_dump(
-        {short[name]: {"kinematic": _components(origin)} for name, origin in origins.items()}, sort_keys=False
-    )
+    written = written_origins(nominal.urdf, origins)
+    entries = {short[name]: {"kinematic": _named(np.concatenate(vectors))} for name, vectors in written.items()}
+    return why + yaml.safe_dump(entries, sort_keys=False)
+
+
+def _ur_base(robot: Robot) -> pin.SE3 | None:
+    """Where ``ur_description``'s ``base_link`` is in the chain's base; None: no such link is rigid with it."""
+    if robot.base.endswith("base_link"):
+        return pin.SE3.Identity()
+    tree = robot.tree
+    prefix = robot.names[0].removesuffix(next(iter(UR_LINKS)))
+    links = {f.name: f for f in tree.frames if f.type == pin.FrameType.BODY}
+    base = links[robot.base]
+    for name, turn in ((f"{prefix}base_link", pin.SE3.Identity()), (f"{prefix}base_link_inertia", HALF_TURN)):
+        found = links.get(name)
+        if found is not None and found.parentJoint == base.parentJoint:
+            return base.placement.actInv(found.placement) * turn
+    return None
+
+
+def _from(robot: Robot, start: pin.SE3) -> Robot:
+    """The same chain seen from a frame that is rigid with its base."""
+    first, *others = robot.joints
+    return replace(robot, joints=(replace(first, before=start.actInv(first.before)), *others))
 
 
 def _ur_kinematics(nominal: Robot, calibrated: Robot) -> str:
-    half_turn = pin.SE3(np.diag([-1.0, -1.0, 1.0]), np.zeros(3))  # base_link to base_link_inertia
     # A nominal robot that is itself a factory calibration has nearly parallel axes: frames near them are near enough.
-    start, rows, _ = _rows(nominal, _base(nominal) * half_turn, ILL_CONDITIONED_ANGLE)
-    joint, frame, before = pin.SE3.Identity(), start, half_turn
+    start, rows, _ = _rows(nominal, _base(nominal) * HALF_TURN, ILL_CONDITIONED_ANGLE)
+    joint, frame, before = pin.SE3.Identity(), start, HALF_TURN
     links: dict[str, Any] = {}
     for nominal_joint, calibrated_joint, row, link in zip(
         nominal.joints, calibrated.joints, _modified(rows), UR_LINKS.values(), strict=True
@@ -201,9 +233,11 @@ def _ur_kinematics(nominal: Robot, calibrated: Robot) -> str:
         step = link_transform(0.0, 0.0, row.a, row.alpha) @ link_transform(row.theta, 0.0, 0.0, 0.0, row.d)
         frame = frame * pin.SE3(step)
         inside = _onto_axis(joint.actInv(frame), nominal_joint.axis)  # the description's frame in the URDF's
-        links[link] = _components(before.inverse() * calibrated_joint.placement * inside)
+        usual = before.inverse() * nominal_joint.placement * inside
+        links[link] = _components(before.inverse() * calibrated_joint.placement * inside, usual)
         before = inside
-    left = _components(before.inverse() * calibrated.tip_before * calibrated.tip_origin)
+    usual = before.inverse() * nominal.tip_before * nominal.tip_origin
+    left = _components(before.inverse() * calibrated.tip_before * calibrated.tip_origin, usual)
     links["hash"] = f"aridcal_{hashlib.sha256(repr(links).encode()).hexdigest()[:16]}"
     return (
         "# For ur_description. The driver warns that the hash is not the controller's: these numbers are measured.\n"
@@ -279,6 +313,12 @@ def xyz_rpy(T: pin.SE3) -> dict[str, list[float]]:
     return {"xyz": T.translation.tolist(), "rpy": pin.rpy.matrixToRpy(T.rotation).tolist()}
 
 
-def _components(T: pin.SE3) -> dict[str, float]:
-    values = np.concatenate([T.translation, pin.rpy.matrixToRpy(T.rotation)])
+def _components(T: pin.SE3, nominal: pin.SE3) -> dict[str, float]:
+    """A placement by name, its angles near the nominal one's."""
+    xyz = without_rounding(T.translation, without_rounding(nominal.translation, np.zeros(3)))
+    usual = rpy_near(nominal.rotation, np.zeros(3))
+    return _named(np.concatenate([xyz, rpy_near(T.rotation, usual)]))
+
+
+def _named(values: np.ndarray) -> dict[str, float]:
     return dict(zip(("x", "y", "z", "roll", "pitch", "yaw"), (values + 0.0).tolist(), strict=True))

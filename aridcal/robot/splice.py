@@ -8,8 +8,14 @@ from dataclasses import dataclass, field
 from xml.parsers import expat
 
 import numpy as np
+import pinocchio as pin
 
 from aridcal.errors import RobotError, nearest
+
+# Numbers of an origin that differ by less are the same, [m] or [rad]: some products of matrices round by that much.
+ROUNDING = 1e-14
+# A cosine of the pitch below this is rounding alone: roll and yaw turn about one axis, and only their sum is known.
+LOCKED = 1e-13
 
 _ATTRIBUTE = re.compile(r"""\s+(?P<key>[^\s=]+)\s*=\s*(?P<quoted>"[^"]*"|'[^']*')""", re.ASCII)
 _LINE_START = re.compile(r"(\r\n|\n|\r)[ \t]*\Z")
@@ -48,6 +54,76 @@ def splice_origins(urdf: bytes, origins: Mapping[str, tuple[np.ndarray, np.ndarr
     if after.rest != before.rest:
         raise RobotError("splicing the new origins into the URDF would change more than the origins")
     return result
+
+
+def written_origins(urdf: bytes, placements: Mapping[str, pin.SE3]) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Write placements as a URDF's author did: angles near those in the file, and nothing changed by rounding alone.
+
+    Args:
+        urdf: The file's bytes.
+        placements: New origins by joint name.
+
+    Returns:
+        (xyz [m], rpy [rad]), each of shape (3,), by joint name.
+
+    Raises:
+        RobotError: as for :func:`splice_origins`.
+    """
+    joints = _Scan(urdf, placements).joints
+    found = {}
+    for name, placement in placements.items():
+        there = joints[name].origin if name in joints else {}
+        xyz, rpy = (_vector(there.get(key, "")) for key in ("xyz", "rpy"))
+        found[name] = without_rounding(placement.translation, xyz), rpy_near(placement.rotation, rpy)
+    return found
+
+
+def rpy_near(rotation: np.ndarray, near: np.ndarray) -> np.ndarray:
+    r"""The roll, pitch and yaw of a rotation that are nearest to given ones, shape (3,), [rad].
+
+    Every rotation R = Rz(y) Ry(p) Rx(r) has two, (r, p, y) and (r + pi, pi - p, y + pi), and whole turns of each. From
+    one roll follow
+
+    .. math:: y = atan2(s_r R_{13} - c_r R_{12}, c_r R_{22} - s_r R_{23}), \quad
+              p = atan2(-R_{31}, c_y R_{11} + s_y R_{21})
+
+    Args:
+        rotation: Shape (3, 3).
+        near: Roll, pitch and yaw, shape (3,), [rad].
+    """
+    R = rotation
+    if np.hypot(R[2, 1], R[2, 2]) > LOCKED:
+        rolls = [np.arctan2(R[2, 1], R[2, 2])]
+        rolls.append(rolls[0] + np.pi)
+    else:  # share what is left of the turn between roll and yaw alike
+        side = 1.0 if R[2, 0] < 0 else -1.0
+        left = _yaw(R, near[0]) - near[2]
+        rolls = [near[0] - side * (left - 2 * np.pi * np.round(left / (2 * np.pi))) / 2]
+    found = []
+    for r in rolls:
+        y = _yaw(R, r)
+        p = np.arctan2(-R[2, 0], np.cos(y) * R[0, 0] + np.sin(y) * R[1, 0])
+        angles = np.array([r, p, y])
+        found.append(angles - 2 * np.pi * np.round((angles - near) / (2 * np.pi)))
+    best = min(found, key=lambda angles: float(np.abs(angles - near).sum()))
+    return without_rounding(best, near)
+
+
+def _yaw(R: np.ndarray, roll: float) -> float:
+    """The yaw of a rotation that goes with a roll, [rad]."""
+    s, c = np.sin(roll), np.cos(roll)
+    return float(np.arctan2(s * R[0, 2] - c * R[0, 1], c * R[1, 1] - s * R[1, 2]))
+
+
+def without_rounding(values: np.ndarray, nominal: np.ndarray) -> np.ndarray:
+    """Nominal numbers, or zero, in place of those that differ from them by rounding alone."""
+    values = np.where(np.abs(values) < ROUNDING, 0.0, values)
+    return np.where(np.abs(values - nominal) < ROUNDING, nominal, values)
+
+
+def _vector(text: str) -> np.ndarray:
+    """Three numbers of an attribute that has been read before; zeros where it is absent."""
+    return np.array([float(v) for v in text.split()]) if text else np.zeros(3)
 
 
 @dataclass

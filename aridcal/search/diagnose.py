@@ -6,20 +6,22 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from aridcal.effects.basis import Basis, evaluate
 from aridcal.effects.catalogue import KINDS, Barred, barred_joints, candidates, declared, usable_columns
-from aridcal.effects.effect import Coefficient, Effect
+from aridcal.effects.effect import ROW_ORDER, Coefficient, Effect
 from aridcal.effects.kinds import Observed
 from aridcal.effects.loads import covariate_table
 from aridcal.effects.smooth import Kernel
 from aridcal.effects.unknown_kind import pair
-from aridcal.fit.identifiable import identifiable
-from aridcal.fit.least_squares import Fit, Prior, fit, flagged, thin
-from aridcal.fit.residual import problem, triangle
+from aridcal.fit.flags import cluster, flagged, limits
+from aridcal.fit.least_squares import Fit, thin
+from aridcal.fit.residual import problem
 from aridcal.inputs.campaign import Campaign
 from aridcal.inputs.dataset import Dataset
+from aridcal.search.change_points import best_steps
+from aridcal.search.exact import GAUGE, Start, flagged_again, refit, refit_constants, worth
+from aridcal.search.held_back import missed
 from aridcal.search.hints import pairs
 from aridcal.search.linear_model import Active, LinearModel, State, activate, solve_state
 from aridcal.search.scoring import admitted
@@ -30,9 +32,6 @@ FOLDS = 5
 
 RUNS = 24
 """Stretches of time into which the rows are cut: enough for a test that takes each of them as one."""
-
-GAUGE = 0.05
-"""[m] and [rad]: constants are held at the geometric stage this loosely, where nothing else decides."""
 
 ROUNDS = 3
 """Times that the model is linearised anew and searched, where that is cheap; two are usual."""
@@ -54,6 +53,12 @@ RIVAL_SHARE = 0.5
 
 PAIRED = 3
 """Functions of two covariates that are added at the most: each costs as much as all functions of one."""
+
+TOGETHER = 0.5
+"""Chance of a cluster of flagged rows at which the search is repeated with them: it costs time, and decides nothing yet."""
+
+EXPLAINED = 0.5
+"""Share of those rows that may be flagged again: if fewer are, what was found explains them."""
 
 UNNAMED = 6
 """Effects without a name that are added at the most: what is left then has no simple form."""
@@ -95,19 +100,44 @@ def diagnose(
         train: The rows that it was fitted to.
         progress: Called with what is being done.
     """
-    start = _thinned(geometric, train)
+    found = _diagnosed(campaign, geometric, train, None, progress)
+    together = cluster(found.fit.outliers, train)
+    if together is None or together.p_value > TOGETHER:
+        return found
+    progress(f"{together.rows.sum()} flagged rows lie together in {together.coordinate}: searching with them")
+    again = _diagnosed(campaign, geometric, train, together.rows, progress)
+    left = int((again.fit.outliers & together.rows).sum())
+    return again if left < EXPLAINED * together.rows.sum() else found
+
+
+def _diagnosed(
+    campaign: Campaign, geometric: Fit, train: Dataset, kept: np.ndarray | None, progress: Callable[[str], None]
+) -> Diagnosed:
+    """One search; see :func:`diagnose`.
+
+    Args:
+        campaign: See there.
+        geometric: See there.
+        train: N rows.
+        kept: Rows that count whatever they leave, shape (N,) bool: what they show may be structure.
+        progress: See there.
+    """
+    every = Start(geometric, train, limits(train, kept))
+    start = _thinned(every)
     observed, barred = look(start)
     kinds = campaign.diagnosis.candidates if campaign.diagnosis.enabled else ()
     stated = [declared(observed, d, str(campaign.path)) for d in campaign.effects]
-    taken = {_identity(e) for e in stated}
-    named = [e for e in candidates(observed, tuple(k for k in kinds if KINDS[k].named)) if _identity(e) not in taken]
+    taken = {e.identity for e in stated}
+    named = [e for e in candidates(observed, tuple(k for k in kinds if KINDS[k].named)) if e.identity not in taken]
     unnamed = candidates(observed, tuple(k for k in kinds if not KINDS[k].named))
     library = [*named, *unnamed, *stated]
     place = Place(start.geometric, linear_model(start, start.geometric, (), library, observed))
     named = [e for e in named if place.linear.moves(e)]
     if named:
         progress(f"testing {len(named)} known effects")
-    state = _with_declared(place, stated, start.geometric)
+    sought = [d.at is None for d in campaign.effects]
+    state = _with_declared(place, stated, sought, start.geometric)
+    stated = [a.effect for a in state.active]
     if is_small(place.linear, named):
         place, state = _large_first(start, place, named, library, state, observed)
     place, current, found, fitted = _searched(start, place, named, library, state, observed, progress)
@@ -122,19 +152,32 @@ def diagnose(
     if _shapes(state) != fitted:
         progress(_fitting(state))
         current = refit(start, state, current)
+    if state.active:
+        place, current, found = _only_missed(start, current, found, library, observed, progress)
+    current = flagged_again(replace(start, limit=limits(start.train)), found.state, current)
     if len(train) > len(start.train):
         progress(f"fitting all {len(train)} rows")
-        current = _widened(Start(geometric, train), state, current)
-    confounded = twins(place.linear, named, state)
+        current = _widened(replace(every, limit=limits(train)), found.state, current)
+    confounded = twins(place.linear, named, found.state)
     return Diagnosed(current, place.at, place.linear, observed, found, confounded, tuple(stated), tuple(barred))
 
 
-@dataclass(frozen=True)
-class Start:
-    """Where a search begins: the geometric stage and the rows that it was fitted to."""
-
-    geometric: Fit
-    train: Dataset
+def _only_missed(
+    start: Start,
+    current: Fit,
+    found: Found,
+    library: Sequence[Effect],
+    observed: Observed,
+    progress: Callable[[str], None],
+) -> tuple[Place, Fit, Found]:
+    """The model about its own optimum, without the effects that are not missed on blocks held back."""
+    place = Place(current, linear_model(start, current, found.state.active, library, observed))
+    state = solve_state(place.linear, found.state.active, current.sigma, found.state.used)
+    kept = missed(place.linear, state)
+    if len(kept.active) < len(state.active):
+        progress(_fitting(kept))
+        current = refit(start, kept, current)
+    return place, current, replace(found, state=kept)
 
 
 @dataclass(frozen=True)
@@ -145,22 +188,19 @@ class Place:
     linear: LinearModel
 
 
-def _identity(effect: Effect) -> tuple[object, ...]:
-    """What makes two effects the same for a user."""
-    return effect.kind, effect.where, effect.with_, effect.by
-
-
 def _fitting(state: State) -> str:
     """Words for a refit."""
     count = len(state.active)
     return f"fitting {count} effect{'' if count == 1 else 's'}: {', '.join(a.effect.label for a in state.active[:4])}"
 
 
-def _with_declared(place: Place, stated: Sequence[Effect], geometric: Fit) -> State:
-    """The model with the declared effects, which need no evidence."""
+def _with_declared(place: Place, stated: Sequence[Effect], sought: Sequence[bool], geometric: Fit) -> State:
+    """The model with the declared effects, which need no evidence; a step for which no row was said is sought."""
     linear = place.linear
     state = solve_state(linear, (), geometric.sigma, ~geometric.outliers)
-    for effect in stated:
+    for effect, anywhere in zip(stated, sought, strict=True):
+        if anywhere and effect.at is not None:
+            effect = next(iter(best_steps(linear, state, [effect])), effect)
         active = (*state.active, admitted(linear, state, effect))
         state = solve_state(linear, active, state.solution.sigma, state.used)
     return state
@@ -184,14 +224,20 @@ def _searched(
     small = is_small(place.linear, named)
     fitted = _shapes(replace(state, active=()))
     for _ in range(ROUNDS if small else 1):
+        before = state
         found = search(place.linear, named, state)
-        same = [a.effect for a in found.state.active] == [a.effect for a in state.active]
+        same = [a.effect for a in found.state.active] == [a.effect for a in before.active]
         state = found.state
         settled = same and place.at is current and current is not start.geometric
         if not small or not state.active or settled:
             break
         progress(_fitting(state))
-        current = refit(start, state, current)
+        trial = refit(start, state, current)
+        if _exchanged(before, state) and worth(trial, state) < worth(current, before):
+            # What looks better on the linear model is not so on the exact one.
+            found = replace(found, state=before)
+            break
+        current = trial
         fitted = _shapes(state)
         place = Place(current, linear_model(start, current, state.active, library, observed))
         state = solve_state(place.linear, state.active, state.solution.sigma, state.used)
@@ -199,14 +245,20 @@ def _searched(
     return place, current, found, fitted
 
 
-def _thinned(geometric: Fit, train: Dataset) -> Start:
+def _exchanged(before: State, after: State) -> bool:
+    """True if an effect of a state is not in the next one."""
+    return not {a.effect for a in before.active} <= {a.effect for a in after.active}
+
+
+def _thinned(every: Start) -> Start:
     """Enough rows to search with."""
-    rows = geometric.model.rows(train.readings, train.covariates, train.station)
+    geometric, train = every.geometric, every.train
+    rows = geometric.model.rows(train.readings, train.conditions, train.station)
     some = thin(rows, SEARCHED)
     if len(some) == len(train):
-        return Start(geometric, train)
+        return every
     fewer = replace(geometric, weight=geometric.weight[some], residual=geometric.residual[some])
-    return Start(fewer, train.select(some))
+    return Start(fewer, train.select(some), every.limit[some])
 
 
 def _widened(every: Start, state: State, current: Fit) -> Fit:
@@ -214,9 +266,9 @@ def _widened(every: Start, state: State, current: Fit) -> Fit:
     if not state.active:
         return every.geometric
     asked = problem(current.model, every.train)
-    used = ~flagged(asked.scaled_residual(current.theta), every.train.channels, every.train.stale)
+    used = ~flagged(asked.scaled_residual(current.theta), every.train.channels, every.limit)
     constants = tuple(c for c in current.model.coefficients if c.basis.constant)
-    return _refit(every, constants, replace(state, used=used), current)
+    return refit_constants(every, constants, replace(state, used=used), current)
 
 
 def _unnamed(model: LinearModel, unnamed: Sequence[Effect], named: Found, observed: Observed) -> Found:
@@ -265,11 +317,9 @@ def _best_rival(start: Start, place: Place, named: Sequence[Effect], state: Stat
         active = (*state.active, activate(linear, state, effect, found))
         trial = solve_state(linear, active, state.solution.sigma, state.used)
         fitted = refit(start, trial, place.at)
-        each = 2.0 * found.gain / max(found.freedom, 1)
-        worth = -0.5 * found.freedom * (1.0 + np.log(max(each, 1.0)))
-        worth -= float(trial.equations.count @ np.log(fitted.estimated))
-        if best is None or worth > best[0]:
-            best = worth, fitted, trial
+        value = worth(fitted, trial)
+        if best is None or value > best[0]:
+            best = value, fitted, trial
     return None if best is None else best[1:]
 
 
@@ -278,9 +328,12 @@ def look(start: Start) -> tuple[Observed, list[Barred]]:
     usable, barred = usable_columns(start.train.covariates)
     model, rows = start.geometric.model, start.train
     world = model.rows(rows.readings, None, rows.station).world
-    measured = {name: rows.covariates[name] for name in usable}
+    measured = {name: rows.conditions[name] for name in (*usable, ROW_ORDER)}
+    payload = rows.covariates.get("payload")
+    if payload is not None and not np.isnan(payload).any():
+        measured["payload"] = payload  # it counts in the loads even where it is always the same
     table = covariate_table(model.robot, rows.readings, measured, model.around, world, {".gravity_", ".payload_"})
-    observed = Observed(model.robot, table, tuple(usable))
+    observed = Observed(model.robot, table, tuple(usable), orientations=rows.rotation is not None)
     return observed, barred + barred_joints(observed)
 
 
@@ -319,60 +372,13 @@ def linear_model(
         phi=np.column_stack([evaluate(b, observed.table) for b in bases]) if bases else np.zeros((len(r), 0)),
         bases=bases,
         r=r,
-        stale=start.train.stale,
+        limit=start.limit,
         run=run,
         fold=fold,
+        configuration=start.train.configuration,
         own=observed.robot.names,
         table=observed.table,
     )
-
-
-def refit(start: Start, state: State, current: Fit) -> Fit:
-    """Fit constants and effects together on the exact model, the constants gauged to the geometric stage.
-
-    Constants that the geometric stage could not identify, its residual being large, are taken in when they can be now.
-    """
-    constants = tuple(c for c in current.model.coefficients if c.basis.constant)
-    found = _refit(start, constants, state, current)
-    more = _regained(start, found)
-    return _refit(start, constants + more, state, found) if more else found
-
-
-def _refit(start: Start, constants: tuple[Coefficient, ...], state: State, current: Fit) -> Fit:
-    """Fit given constants and the effects of a state; see :func:`refit`."""
-    geometric = start.geometric
-    effects = tuple(c for a in state.active for c in a.effect.coefficients)
-    model = geometric.model.with_coefficients(constants + effects)
-    known = dict(zip(current.model.names, current.theta, strict=True))
-    theta = np.array([known.get(name, 0.0) for name in model.names])
-    asked = problem(model, start.train)
-    weight = np.where(state.used, 1.0, 0.0)
-    found = fit(asked, theta, weight, _prior(geometric, constants, state))
-    redundant = {name: why for name, why in geometric.redundant.items() if name not in model.names}
-    return replace(found, candidates=geometric.candidates, redundant=redundant)
-
-
-def _prior(geometric: Fit, constants: tuple[Coefficient, ...], state: State) -> Prior:
-    """Constants loosely at the geometric stage, smooth effects after their kernels, the rest free."""
-    before = dict(zip(geometric.model.names, geometric.theta, strict=True))
-    count = len(constants)
-    parts = [np.eye(count) / GAUGE**2, *(a.coefficient_precision for a in state.active)]
-    precision = block_diag(*parts)
-    mean = np.zeros(len(precision))
-    mean[:count] = [before.get(c.name, 0.0) for c in constants]
-    return Prior(mean, precision, block_diag(np.eye(count), *(a.root for a in state.active)))
-
-
-def _regained(start: Start, found: Fit) -> tuple[Coefficient, ...]:
-    """Constants that were given up in the geometric stage and are identifiable now."""
-    dropped = tuple(c for c in found.candidates if c.name in found.redundant)
-    if not dropped:
-        return ()
-    model = found.model.with_coefficients(found.model.coefficients + dropped)
-    theta = np.concatenate([found.theta, np.zeros(len(dropped))])
-    R = triangle(problem(model, start.train), theta, found.weight, found.sigma)
-    kept = identifiable(R, range(len(theta))).kept
-    return tuple(c for k, c in enumerate(model.coefficients) if k >= len(found.theta) and k in kept)
 
 
 def _folds(train: Dataset) -> tuple[np.ndarray, np.ndarray]:

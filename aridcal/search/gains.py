@@ -9,14 +9,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from aridcal.effects.basis import evaluate
-from aridcal.effects.catalogue import KINDS, Barred, merged
+from aridcal.effects.catalogue import Barred, merged
 from aridcal.effects.effect import ANGULAR, Coefficient, Effect
 from aridcal.fit.least_squares import Fit
 from aridcal.fit.normal_equations import TINY, without
 from aridcal.fit.residual import Problem, problem
 from aridcal.inputs.dataset import Dataset
 from aridcal.search.diagnose import Diagnosed
-from aridcal.search.noise_tests import LEAST, Clue
+from aridcal.search.noise_tests import Clue
 
 GRID = 160
 """Points of a curve, at least: it is drawn without corners."""
@@ -126,8 +126,8 @@ def explain(diagnosed: Diagnosed, every: Dataset, scored: np.ndarray, clues: Seq
     active = found.state.active
     groups: dict[tuple[object, ...], list[int]] = {}
     for k, a in enumerate(active):
-        groups.setdefault(identity(a.effect), []).append(k)
-    stated = {identity(e) for e in diagnosed.declared}
+        groups.setdefault(a.effect.identity, []).append(k)
+    stated = {e.identity for e in diagnosed.declared}
     asked = problem(fit.model, every)
     held_out = asked.select(scored)
     final = asked.residual(fit.theta)
@@ -136,7 +136,7 @@ def explain(diagnosed: Diagnosed, every: Dataset, scored: np.ndarray, clues: Seq
         own = [active[k] for k in members]
         effect = merged([a.effect for a in own])
         others = [a.effect for k, a in enumerate(active) if k not in members]
-        twins = {identity(e): e for k in members for e in diagnosed.confounded[k] if identity(e) not in groups}
+        twins = {e.identity: e for k in members for e in diagnosed.confounded[k] if e.identity not in groups}
         p_value = min(a.score.p_value for a in own) * max(found.tested, 1)
         named = NamedEffect(
             effect=effect,
@@ -161,21 +161,6 @@ def explain(diagnosed: Diagnosed, every: Dataset, scored: np.ndarray, clues: Seq
         tested=found.tested,
         clues=tuple(clues),
     )
-
-
-def verdict(clues: Sequence[Clue], diagnosed: Diagnosed, enough: bool) -> tuple[str, float]:
-    """The campaign's verdict, and the share of the remaining variance that is repeatable."""
-    share = max((c.share for c in clues if c.tells), default=0.0)
-    if not enough:
-        return "not_enough_data", share
-    # What has no name is followed by a smooth curve at best: between and beyond the rows it is not known.
-    unnamed = any(not KINDS[a.effect.kind].named for a in diagnosed.found.state.active)
-    return ("structure_remains" if share > LEAST or unnamed else "noise_floor"), share
-
-
-def identity(effect: Effect) -> tuple[object, ...]:
-    """What makes two effects the same for a user."""
-    return effect.kind, effect.where, effect.with_, effect.by
 
 
 def refitted(fit: Fit, gone: np.ndarray, free: np.ndarray) -> np.ndarray:

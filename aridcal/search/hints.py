@@ -1,15 +1,19 @@
-"""What the residual hints at, before anything is tested: harmonics of any order, functions of two covariates."""
+"""What the residual hints at, before anything is tested: harmonics of any order, narrow bumps, functions of two covariates."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from itertools import combinations
 
 import numpy as np
 
-from aridcal.effects.effect import FRAME_COMPONENTS, Effect
+from aridcal.effects.basis import Basis
+from aridcal.effects.effect import FRAME_COMPONENTS, Coefficient, Effect
+from aridcal.effects.joint_kinds import ORDERS
 from aridcal.effects.kinds import turns
+from aridcal.fit.flags import OUTLIER
 from aridcal.fit.normal_equations import TINY
+from aridcal.fit.residual import distance
 from aridcal.search.linear_model import LinearModel, State
 
 SCANNED = 800
@@ -28,6 +32,26 @@ FINE = 81
 WHOLE = 0.05
 """An order this near to a whole number is one: shafts turn a whole number of times."""
 
+WINDOWS = (0.12, 0.24, 0.48)
+"""Widths [rad] of the windows of a narrow bump: a Gaussian is loudest in 2.8 of its own sigmas, so 0.04 to 0.2 rad. What is
+wider, the curves of 72 knots over a turn can follow."""
+
+LOOKS = 4
+"""Places of a window within its own width that are different from one another."""
+
+LOUD_WINDOW = 20.0
+"""Chi-square of one degree at which a window is worth a closer look: chance makes it once in 100,000, and a thousand are
+looked through."""
+
+FEWEST_IN_WINDOW = 3
+"""Rows of a window at the least: one or two are outliers sooner than a bump."""
+
+KNOTS_IN_WINDOW = 4
+"""Knots of a narrow map over the width of its window: 0.7 sigma of a Gaussian bump apart, which they follow to 1 %."""
+
+WINDOWS_AROUND = 1.5
+"""Windows on either side of the centre over which a narrow map reaches: four sigmas of a Gaussian bump."""
+
 STILL = 1e-3
 """[rad] or [m]: a joint that covers less hints at nothing."""
 
@@ -36,6 +60,12 @@ DEGREE = 4
 
 LOUDEST = 12
 """Pairs that are tested: each has some fifty columns, and what explains less is seldom the cause."""
+
+
+def hinted(model: LinearModel, state: State, kinds: Collection[str]) -> list[Effect]:
+    """Candidates of some kinds that are not always tried, but that the residual hints at."""
+    sources = {"joint_harmonic": harmonics, "joint_map": narrow_maps}
+    return [effect for kind, source in sources.items() if kind in kinds for effect in source(model, state)]
 
 
 def harmonics(model: LinearModel, state: State) -> list[Effect]:
@@ -49,18 +79,73 @@ def harmonics(model: LinearModel, state: State) -> list[Effect]:
     doi:10.1007/BF00648343).
     """
     found = []
+    looked = SCANNED * len(model.own)
     for name in model.own:
-        q = model.table[name][state.used]
-        if (name, "axis") not in model.slot_index or np.ptp(q) < STILL:
-            continue
-        column = model.slot_columns(name, "axis")[state.used] / state.sigma
-        weight, pull = np.sum(column**2, axis=1), np.sum(column * state.residual[state.used] / state.sigma, axis=1)
-        pull = pull - weight * pull.sum() / max(weight.sum(), TINY)
-        found += [
-            Effect("joint_harmonic", name, turns(name, "axis", name, order), (order,))
-            for order in _loud_orders(q, pull, float(weight.sum()))
-        ]
+        q, pull, weight = _asked(model, state, name, state.residual, state.used)
+        orders = _loud_orders(q, pull, float(weight.sum())) if np.ptp(q) >= STILL else []
+        for order in orders:
+            usual = order in ORDERS  # tried anyway
+            wave = turns(name, "axis", name, order)
+            found.append(Effect("joint_harmonic", name, wave, (order,), looked=1 if usual else looked))
     return found
+
+
+def narrow_maps(model: LinearModel, state: State) -> list[Effect]:
+    r"""Narrow bumps of a joint's error curve that the residual hints at: a window slid over each joint's reading.
+
+    With p and w as in :func:`harmonics`, a window of rows that ask for the same turn has
+
+    .. math:: \chi^2_1 = \Big( \sum_n p_n \Big)^2 \Big/ \sum_n w_n
+
+    The candidate is a smooth function about the loudest window alone: over the rest of the range it costs nothing.
+    """
+    # Flagged rows may be what is to be explained: they count, by as much as a row that is nearly flagged.
+    far = distance(state.residual, state.solution.sigma, model.channels)
+    clipped = state.residual * np.minimum(1.0, OUTLIER / np.maximum(far, TINY))[:, None]
+    every = np.ones(len(clipped), dtype=bool)
+    places = {name: _asked(model, state, name, clipped, every) for name in model.own}
+    looked = sum(int(LOOKS * np.ptp(q) / width) for q, _, _ in places.values() for width in WINDOWS)
+    found = []
+    for name, (q, pull, weight) in places.items():
+        chi_square, centre, width = _loudest_window(q, pull, weight)
+        if chi_square > LOUD_WINDOW:
+            step = width / KNOTS_IN_WINDOW
+            reach = round(WINDOWS_AROUND * KNOTS_IN_WINDOW)
+            knots = [round(centre + k * step, 9) for k in range(-reach, reach + 1)]
+            curve = tuple(Coefficient(name, "axis", Basis("bump", (name,), (knot, step))) for knot in knots)
+            found.append(Effect("joint_map", name, curve, smooth=True, looked=looked))
+    return found
+
+
+def _asked(
+    model: LinearModel, state: State, joint: str, residual: np.ndarray, rows: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A joint's readings in some rows, and the turn that each row's residual asks for: pull and weight, shape (n,).
+
+    The mean of the turns is taken off: it belongs to the constants.
+    """
+    q = model.table[joint][rows]
+    if (joint, "axis") not in model.slot_index:
+        return q, np.zeros(len(q)), np.zeros(len(q))
+    column = model.slot_columns(joint, "axis")[rows] / state.sigma
+    weight, pull = np.sum(column**2, axis=1), np.sum(column * residual[rows] / state.sigma, axis=1)
+    return q, pull - weight * pull.sum() / max(weight.sum(), TINY), weight
+
+
+def _loudest_window(q: np.ndarray, pull: np.ndarray, weight: np.ndarray) -> tuple[float, float, float]:
+    """Chi-square, centre and width of the window whose rows agree most on a turn."""
+    order = np.argsort(q)
+    q = q[order]
+    pulls, weights = (np.concatenate([[0.0], np.cumsum(values[order])]) for values in (pull, weight))
+    best = (0.0, 0.0, WINDOWS[0])
+    for width in WINDOWS:
+        first, last = np.arange(len(q)), np.searchsorted(q, q + width, side="right")
+        chi_square = (pulls[last] - pulls[first]) ** 2 / np.maximum(weights[last] - weights[first], TINY)
+        chi_square[last - first < FEWEST_IN_WINDOW] = 0.0
+        k = int(np.argmax(chi_square))
+        if chi_square[k] > best[0]:
+            best = float(chi_square[k]), float(q[k] + q[last[k] - 1]) / 2, width
+    return best
 
 
 def _loud_orders(q: np.ndarray, pull: np.ndarray, weight: float) -> list[float]:

@@ -12,7 +12,7 @@ from scipy.linalg import block_diag
 from aridcal.effects.basis import Basis, evaluate
 from aridcal.effects.effect import Effect
 from aridcal.effects.smooth import kernel_root, smooth_precision
-from aridcal.fit.least_squares import flagged
+from aridcal.fit.flags import flagged
 from aridcal.fit.normal_equations import NormalEquations, accumulate
 from aridcal.inputs.channels import Channels, columns, spread
 from aridcal.search.evidence import Score, Solution, solve
@@ -40,9 +40,10 @@ class LinearModel:
         phi: Values of the bases, shape (N, B).
         bases: The bases.
         r: Residual of the geometric stage, linearised, shape (N, m).
-        stale: Rows that repeat another's measurement although the joints moved, shape (N,).
+        limit: Sigmas beyond which each row is flagged, shape (N,).
         run: Number of the row's stretch of time, shape (N,).
         fold: Number of the row's fold for cross-validation, shape (N,).
+        configuration: Number of the row's configuration, shape (N,).
         own: Names of the joints: covariates that are under the user's control.
         table: Covariates of the rows, shape (N,) each.
     """
@@ -55,9 +56,10 @@ class LinearModel:
     phi: np.ndarray
     bases: tuple[Basis, ...]
     r: np.ndarray
-    stale: np.ndarray
+    limit: np.ndarray
     run: np.ndarray
     fold: np.ndarray
+    configuration: np.ndarray
     own: tuple[str, ...]
     table: Mapping[str, np.ndarray]
 
@@ -114,11 +116,13 @@ class Active:
         effect: The effect.
         score: Its evidence, and its shape if it is smooth.
         modes: Coefficients of each mode, shape (d, modes); the coefficients themselves if it is not smooth.
+        stated: True if the campaign declares it: it stays, whatever the evidence.
     """
 
     effect: Effect
     score: Score
     modes: np.ndarray
+    stated: bool = False
 
     @property
     def precision(self) -> np.ndarray:
@@ -195,7 +199,9 @@ def flat(values: np.ndarray, channels: Channels) -> tuple[np.ndarray, ...]:
     return tuple(values[:, part].reshape(rows * channel.size, *tail) for channel, part in parts)
 
 
-def solve_state(model: LinearModel, active: Sequence[Active], sigma: np.ndarray, used: np.ndarray) -> State:
+def solve_state(
+    model: LinearModel, active: Sequence[Active], sigma: np.ndarray, used: np.ndarray, fixed: bool = False
+) -> State:
     """Solve a set of effects, noise and outlier flags with it.
 
     Args:
@@ -203,6 +209,7 @@ def solve_state(model: LinearModel, active: Sequence[Active], sigma: np.ndarray,
         active: Effects.
         sigma: Noise to begin with, shape (C,).
         used: Rows to begin with, shape (N,) bool.
+        fixed: Keep to these rows: what is compared with another model must be solved on the same ones.
     """
     design = np.concatenate([model.A, *(a.columns(model) for a in active)], axis=2)
     precision = block_diag(model.gauge, *(a.precision for a in active))
@@ -214,8 +221,8 @@ def solve_state(model: LinearModel, active: Sequence[Active], sigma: np.ndarray,
         solution = solve(equations, precision, sigma)
         residual = model.r - design @ solution.beta
         sigma = solution.sigma
-        sound = ~flagged(residual, model.channels, model.stale)
-        if np.array_equal(sound, used):
+        sound = ~flagged(residual, model.channels, model.limit)
+        if fixed or np.array_equal(sound, used):
             break
     return State(
         channels=model.channels,

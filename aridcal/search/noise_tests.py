@@ -1,20 +1,32 @@
-"""Is what remains noise? Repeats, neighbours, order of time and the stated noise, each asked on its own."""
+"""Is what remains noise? Repeats, neighbours, order, jumps and the stated noise, each asked on its own.
+
+What moves with the base looks alike in world axes, what moves with the target in the target's, and what a joint's zero does
+only as that joint's own motion. So neighbours, order and jumps are asked in all of these, and the answer is the clearest of
+them, corrected for their number.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from scipy.spatial import cKDTree
-from scipy.stats import chi2, norm
+from scipy.stats import chi2, gumbel_r, norm
 
+from aridcal.effects.basis import Basis
+from aridcal.effects.effect import Coefficient
+from aridcal.fit.least_squares import Fit
 from aridcal.fit.noise import Repeats
+from aridcal.fit.normal_equations import TINY
+from aridcal.fit.residual import problem, scaled
 from aridcal.inputs.channels import columns, spread
 from aridcal.inputs.dataset import Dataset
+from aridcal.search.change_points import SIDE
 
-SURE = 1e-3
-"""Chance of a false alarm of each question. There are five at the most: one of 200 clean campaigns is called structured."""
+SURE = 7e-4
+"""Chance of a false alarm of each question. There are seven at the most: one of 200 clean campaigns is called structured."""
 
 LEAST = 0.1
 """Share of the variance below which repeatable structure is not worth a word: 5 % of the error."""
@@ -28,7 +40,23 @@ FEWEST = 16
 SHUFFLES = 400
 """Orders drawn at random that tell how much chance varies: its spread is then known to 4 %."""
 
-Question = Literal["repeats", "neighbours", "order", "declared"]
+FELT = 1e-9
+"""Share of its largest lever below which a joint moves the target in none of a row's numbers."""
+
+Question = Literal["repeats", "neighbours", "order", "change", "declared", "held_out", "offset", "flags"]
+
+
+@dataclass(frozen=True)
+class View:
+    """Residuals as something may have moved: in some axes, or along one joint's own motion.
+
+    Attributes:
+        words: Which, for messages.
+        white: In sigmas, shape (N, k).
+    """
+
+    words: str
+    white: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -53,7 +81,9 @@ class Clue:
         return self.p_value < SURE and self.share > LEAST
 
 
-def clues(rows: Dataset, residual: np.ndarray, repeats: Repeats | None, freedom: float) -> list[Clue]:
+def clues(
+    rows: Dataset, residual: np.ndarray, repeats: Repeats | None, freedom: float, fit: Fit | None = None
+) -> list[Clue]:
     """Ask whether residuals are white.
 
     Args:
@@ -61,6 +91,7 @@ def clues(rows: Dataset, residual: np.ndarray, repeats: Repeats | None, freedom:
         residual: Theirs, scaled by their relative sigmas, shape (N, m).
         repeats: Scatter of repeated configurations, if there are any.
         freedom: Share of the numbers that is left after fitting, 0 to 1.
+        fit: The model, for the target's axes and the joints' motions; without it, world axes are all that is asked.
     """
     sigma = np.array([np.sqrt(np.mean(residual[:, part] ** 2)) for part in columns(rows.channels)])
     white = residual / spread(sigma, rows.channels)
@@ -68,9 +99,36 @@ def clues(rows: Dataset, residual: np.ndarray, repeats: Repeats | None, freedom:
     if repeats is not None:
         found.append(_repeated(repeats, sigma, residual.shape[1]))
     if len(white) > FEWEST:
-        found.append(_neighbours(white, rows.readings))
-        found.append(_order(white, rows.covariates.get("time")))
+        views = [View("in world axes", white), *(_other_views(rows, residual, sigma, fit) if fit else ())]
+        found.append(_neighbours(views, rows.readings))
+        found.append(_order(views, rows.covariates.get("time")))
+        found += _changes(views, rows)
     return found + _stated(rows, sigma, len(residual) * freedom)
+
+
+def _other_views(rows: Dataset, residual: np.ndarray, sigma: np.ndarray, fit: Fit) -> list[View]:
+    """Residuals in the target's axes, and as each joint's own motion.
+
+    With J a joint's column and r the residual of a row, both in sigmas, J'r / |J| is the part of r along that motion: white
+    and of variance 1 if r is.
+    """
+    robot, K = fit.model.robot, len(fit.theta)
+    ones = Basis("ones", (robot.names[0],))
+    moved = [Coefficient(name, "axis", ones) for name in robot.names]
+    asked = problem(fit.model.with_coefficients((*fit.model.coefficients, *moved)), rows)
+    R, _, twists = asked.model.jacobian(np.concatenate([fit.theta, np.zeros(len(moved))]), asked.rows)
+    parts = columns(rows.channels)
+    turned = np.concatenate([np.einsum("nji,nj->ni", R, residual[:, part]) for part in parts], axis=1)
+    scale = spread(sigma, rows.channels)
+    views = [View("in the target's axes", turned / scale)]
+    J = scaled(twists[:, : len(scale), K:], rows.relative) / scale[:, None]
+    lever = np.linalg.norm(J, axis=1)
+    along = np.einsum("nms,nm->ns", J, residual / scale) / np.maximum(lever, TINY)
+    for k, name in enumerate(robot.names):
+        felt = lever[:, k] > FELT * lever.max()
+        if felt.all():
+            views.append(View(f"as a motion of {name}", along[:, k, None] / np.sqrt(np.mean(along[:, k] ** 2))))
+    return views
 
 
 def _repeated(repeats: Repeats, sigma: np.ndarray, m: int) -> Clue:
@@ -81,46 +139,102 @@ def _repeated(repeats: Repeats, sigma: np.ndarray, m: int) -> Clue:
     return Clue("repeats", "repeats scatter less than the residual", share, p_value)
 
 
-def _neighbours(white: np.ndarray, readings: np.ndarray) -> Clue:
+def _neighbours(views: Sequence[View], readings: np.ndarray) -> Clue:
     """Do rows at near configurations err alike? Distances in standard deviations of each joint's readings."""
     deviation = readings.std(axis=0)
     moves = deviation > 1e-9
     points = readings[:, moves] / deviation[moves]
     near = np.asarray(cKDTree(points).query(points, k=NEIGHBOURS + 1)[1])
-    rows, others = np.repeat(np.arange(len(white)), NEIGHBOURS), near[:, 1:].ravel()
-    return _alike("neighbours", "neighbouring configurations have similar residuals", white, rows, others)
+    rows, others = np.repeat(np.arange(len(points)), NEIGHBOURS), near[:, 1:].ravel()
+    return _alike("neighbours", "neighbouring configurations have similar residuals", views, rows, others)
 
 
-def _order(white: np.ndarray, time: np.ndarray | None) -> Clue:
+def _order(views: Sequence[View], time: np.ndarray | None) -> Clue:
     """Do rows that follow one another err alike?"""
-    order = np.argsort(time, kind="stable") if time is not None else np.arange(len(white))
+    order = np.argsort(time, kind="stable") if time is not None else np.arange(len(views[0].white))
     what = (
         "consecutive measurements have similar residuals"
         if time is not None
         else "consecutive rows have similar residuals"
     )
-    return _alike("order", what, white, order[:-1], order[1:])
+    return _alike("order", what, views, order[:-1], order[1:])
 
 
-def _alike(question: Question, what: str, white: np.ndarray, first: np.ndarray, second: np.ndarray) -> Clue:
+def _alike(question: Question, what: str, views: Sequence[View], first: np.ndarray, second: np.ndarray) -> Clue:
     """Correlation of pairs of rows; how much chance varies comes from shuffled rows.
 
     Args:
         question: Which question this answers.
         what: In words.
-        white: Residuals in sigmas, shape (N, m).
+        views: Residuals in sigmas.
         first: One row of each pair, shape (pairs,).
         second: The other.
     """
     rng = np.random.default_rng(0)
+    white, starts = _side_by_side(views)
 
-    def correlation(r: np.ndarray) -> float:
-        return float(np.mean(np.einsum("nm,nm->n", r[first], r[second]))) / white.shape[1]
+    def correlations(r: np.ndarray) -> np.ndarray:
+        return np.asarray(np.add.reduceat(np.einsum("nm,nm->m", r[first], r[second]), starts))
 
-    seen = correlation(white)
-    shuffled = np.array([correlation(white[rng.permutation(len(white))]) for _ in range(SHUFFLES)])
-    z = (seen - shuffled.mean()) / max(float(shuffled.std()), 1e-12)
-    return Clue(question, what, float(np.clip(seen, 0.0, 1.0)), float(norm.sf(z)))
+    numbers = len(first) * np.array([view.white.shape[1] for view in views])
+    seen = correlations(white) / numbers
+    shuffled = np.array([correlations(white[rng.permutation(len(white))]) for _ in range(SHUFFLES)]) / numbers
+    z = (seen - shuffled.mean(axis=0)) / np.maximum(shuffled.std(axis=0), 1e-12)
+    best = int(np.argmax(z))
+    p_value = min(1.0, len(views) * float(norm.sf(z[best])))
+    return Clue(question, f"{what} {views[best].words}", float(np.clip(seen[best], 0.0, 1.0)), p_value)
+
+
+def _side_by_side(views: Sequence[View]) -> tuple[np.ndarray, np.ndarray]:
+    """All views in one array, shape (N, columns), and where each begins."""
+    sizes = [view.white.shape[1] for view in views]
+    return np.hstack([view.white for view in views]), np.cumsum([0, *sizes[:-1]])
+
+
+def _changes(views: Sequence[View], rows: Dataset) -> list[Clue]:
+    """Did the residual jump between two rows? In the order of the files, and of time if that is another one."""
+    order = np.argsort(rows.order, kind="stable")
+    found = [_change(views, rows, order, "")]
+    time = rows.covariates.get("time")
+    if time is not None and not np.isnan(time).any():
+        timed = np.argsort(time, kind="stable")
+        if not np.array_equal(order, timed):
+            found.append(_change(views, rows, timed, " in the order of time"))
+    return found
+
+
+def _change(views: Sequence[View], rows: Dataset, order: np.ndarray, words: str) -> Clue:
+    r"""The largest step of the mean of any view, over all rows where it might be.
+
+    .. math:: x = \max_k \frac{|S_k|^2}{k (1 - k / N)}, \qquad S_k = \sum_{n \le k} (r_n - \bar r)
+
+    What chance makes of it comes from shuffled rows; maxima of many follow Gumbel's distribution, whose two numbers the
+    shuffles give (Worsley 1986, doi:10.1093/biomet/73.1.91, has exact bounds where noise is normal).
+    """
+    rng = np.random.default_rng(0)
+    white, starts = _side_by_side(views)
+    white = white - white.mean(axis=0)
+    n = len(white)
+    before = np.arange(min(SIDE, n // 2), n - min(SIDE, n // 2) + 1)
+    weight = before * (1.0 - before / n)
+
+    def statistics(r: np.ndarray) -> np.ndarray:
+        squares = np.cumsum(r, axis=0)[before - 1] ** 2 / weight[:, None]
+        return np.asarray(np.add.reduceat(squares, starts, axis=1))
+
+    steps = statistics(white[order])
+    seen = steps.max(axis=0)
+    shuffled = np.array([statistics(white[rng.permutation(n)]).max(axis=0) for _ in range(SHUFFLES)])
+    scale = np.maximum(shuffled.std(axis=0), 1e-12) * np.sqrt(6.0) / np.pi
+    place = shuffled.mean(axis=0) - np.euler_gamma * scale
+    chances = gumbel_r.sf(seen, place, scale)
+    best = int(np.argmin(chances))
+    total = float(np.sum(views[best].white ** 2))
+    share = float(np.clip((seen[best] - shuffled[:, best].mean()) / total, 0.0, 1.0))
+    k = int(before[np.argmax(steps[:, best])])
+    last, first = rows.line[order[k - 1 : k + 1]]
+    what = f"residuals jump between rows {last} and {first}{words}, {views[best].words}"
+    return Clue("change", what, share, min(1.0, len(views) * float(chances[best])))
 
 
 def _stated(rows: Dataset, sigma: np.ndarray, used: float) -> list[Clue]:

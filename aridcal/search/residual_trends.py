@@ -153,7 +153,7 @@ def trace(fit: Fit, rows: Dataset, before: np.ndarray, after: np.ndarray) -> Tra
     pulled = _pull(fit, rows, before, after)
     own = {p.motion: p for p in pulled}
     complete = {name: values for name, values in rows.covariates.items() if np.isfinite(values).all()}
-    world = fit.model.rows(rows.readings, rows.covariates, rows.station).world
+    world = fit.model.rows(rows.readings, rows.conditions, rows.station).world
     table = covariate_table(robot, rows.readings, complete, fit.model.around, world, {".gravity_"})
     asked = {name: v for name, v in table.items() if _varies(v) and ".gravity_moment" not in name}
     return Traces(

@@ -15,10 +15,9 @@ from scipy.stats import f as f_distribution
 from scipy.stats import wilcoxon
 
 from aridcal.effects.effect import Effect
-from aridcal.effects.joint_kinds import ORDERS
 from aridcal.fit.normal_equations import accumulate
+from aridcal.search.change_points import walk_instead
 from aridcal.search.evidence import SMOOTH_PRICE, Score, coefficients, price, score, shaped, smooth_tail, solve, tail
-from aridcal.search.hints import SCANNED
 from aridcal.search.linear_model import Active, LinearModel, State, activate, flat, with_candidate
 
 ALPHA = 3e-4
@@ -31,7 +30,8 @@ ROBUST = 1e-3
 """Chance of one candidate when rows may err together; it has stood out among all candidates before this is asked."""
 
 DOUBT = 0.05
-"""The same for a smooth function on rows held back, beside its evidence: a second opinion, so the usual 5 %."""
+"""The same for a smooth function on rows held back, and for a step beside a slow change, beside their evidence: a second
+opinion, so the usual 5 %."""
 
 CHUNK = 128
 """Columns that are scored at once: their Gram matrix stays in the cache."""
@@ -149,9 +149,9 @@ def _reshaped(model: LinearModel, state: State, effect: Effect, rough: Score) ->
 
 
 def admitted(model: LinearModel, state: State, effect: Effect) -> Active:
-    """An effect that is taken without trial, with the shape that suits the data if it is smooth."""
+    """An effect that the campaign states, taken without trial, with the shape that suits the data if it is smooth."""
     rough = score_all(model, [effect], state)[0]
-    return activate(model, state, effect, refine(model, state, effect, rough))
+    return replace(activate(model, state, effect, refine(model, state, effect, rough)), stated=True)
 
 
 def judge(model: LinearModel, state: State, effect: Effect, found: Score, tested: int) -> Judgement:
@@ -164,34 +164,47 @@ def judge(model: LinearModel, state: State, effect: Effect, found: Score, tested
         found: Its evidence.
         tested: Number of candidates among which it stood out.
     """
-    odd = effect.kind == "joint_harmonic" and max(effect.order) not in ORDERS
-    orders = SCANNED * len(model.own) if odd else 1  # among which this one was the loudest
-    tested += orders if odd else 0
+    tested += effect.looked if effect.hinted else 0
+    if effect.at is not None:  # the best of all rows at all places: both frames and each joint
+        tested += len(state.fold) * (len(model.own) + 2)
     p_value = min(1.0, found.p_value * tested)
 
-    def judgement(held_back: float, why: str) -> Judgement:
-        return Judgement(effect, found, p_value, held_back, why)
+    def judgement(gain: float, why: str) -> Judgement:
+        return Judgement(effect, found, p_value, gain, why)
 
     if found.gain <= 0.0 or p_value > ALPHA:
         return judgement(0.0, f"not significant (p = {p_value:.2g}, corrected for {tested} candidates)")
     candidate = activate(model, state, effect, found)
-    loss = _losses(model, state, candidate, state.fold)
-    held_back = float(1.0 - loss[1].sum() / loss[0].sum())
-    known = any((a.effect.kind, a.effect.where) == (effect.kind, effect.where) for a in state.active)
-    if held_back < (0.0 if known else LEAST):
-        share = 100 * max(held_back, 0.0)
-        return judgement(held_back, f"reduces the cross-validated squared error by only {share:.2g} %")
-    if effect.smooth:
+    loss = held_back(model, state, candidate, state.fold).sum(axis=1)
+    share = float(1.0 - loss[1].sum() / loss[0].sum())
+    who = (effect.kind, effect.where, effect.at)
+    known = any((a.effect.kind, a.effect.where, a.effect.at) == who for a in state.active)
+    if share < (0.0 if known else LEAST):
+        percent = 100 * max(share, 0.0)
+        return judgement(share, f"reduces the cross-validated squared error by only {percent:.2g} %")
+    if effect.smooth and not effect.hinted:
         robust, least = _ranked(loss), DOUBT
     else:
-        robust, least = orders * _robust(model, state, candidate, np.arange(loss.shape[1])), ROBUST
+        moved = _fitted(model, state, candidate) if effect.smooth else model.columns(effect)
+        robust, least = effect.looked * _robust(model, state, moved, np.arange(loss.shape[1])), ROBUST
     if robust > least:
-        return judgement(held_back, f"the gain is not consistent across rows (p = {robust:.2g})")
+        return judgement(share, f"the gain is not consistent across rows (p = {robust:.2g})")
     if not set(_sources(effect)) <= set(model.own):
         robust = _over_time(model, state, candidate)
         if robust > ROBUST:
-            return judgement(held_back, f"seen in too few separate periods of time (p = {robust:.2g})")
-    return judgement(held_back, "")
+            return judgement(share, f"seen in too few separate periods of time (p = {robust:.2g})")
+    if effect.at is not None:
+        robust = walk_instead(model, state, candidate)
+        if robust > DOUBT:
+            return judgement(share, f"looks like a slow change, not like a step (p = {robust:.2g})")
+    return judgement(share, "")
+
+
+def _fitted(model: LinearModel, state: State, candidate: Active) -> np.ndarray:
+    """A smooth candidate as the one column that fits best, shape (N, m, 1): of a narrow map few rows know anything."""
+    total, precision = with_candidate(model, state, candidate)
+    beta = solve(total, precision, state.solution.sigma).beta[len(state.precision) :]
+    return candidate.columns(model) @ beta[:, None]
 
 
 def _sources(effect: Effect) -> list[str]:
@@ -203,9 +216,9 @@ def _over_time(model: LinearModel, state: State, candidate: Active) -> float:
     """p-value of what depends on a column that the user does not control, when rows of one stretch may err together."""
     run = np.unique(model.run[state.used], return_inverse=True)[1]
     if not candidate.effect.smooth:
-        return _robust(model, state, candidate, run)
+        return _robust(model, state, model.columns(candidate.effect), run)
     # It may have more freedom than there are stretches: whole stretches are held back instead.
-    loss = _losses(model, state, candidate, run % PARTS)
+    loss = held_back(model, state, candidate, run % PARTS).sum(axis=1)
     return _ranked(np.array([np.bincount(run, each) for each in loss]))
 
 
@@ -214,7 +227,7 @@ def _ranked(loss: np.ndarray) -> float:
     return float(wilcoxon(loss[0] - loss[1], alternative="greater").pvalue)
 
 
-def _losses(model: LinearModel, state: State, candidate: Active, part: np.ndarray) -> np.ndarray:
+def held_back(model: LinearModel, state: State, candidate: Active, part: np.ndarray) -> np.ndarray:
     """Squared error in sigmas of each row in use when the rows of its part are held back, without and with a candidate.
 
     Args:
@@ -224,14 +237,14 @@ def _losses(model: LinearModel, state: State, candidate: Active, part: np.ndarra
         part: Number of the part of each row in use, shape (n,).
 
     Returns:
-        Shape (2, n).
+        Shape (2, C, n), channel by channel.
     """
     total, precision = with_candidate(model, state, candidate)
     sigma = solve(total, precision, state.solution.sigma).sigma
     added = state.flat(candidate.columns(model))
     design = [np.hstack([a, c]) for a, c in zip(state.design, added, strict=True)]
     sizes = [channel.size for channel in model.channels]
-    loss = np.zeros((2, len(part)))
+    loss = np.zeros((2, len(sizes), len(part)))
     for k in np.unique(part):
         held = part == k
         own = [np.flatnonzero(np.repeat(held, size)) for size in sizes]
@@ -240,13 +253,13 @@ def _losses(model: LinearModel, state: State, candidate: Active, part: np.ndarra
         rest = total.minus(accumulate(A, b))
         for i, width in enumerate((len(state.precision), len(precision))):
             beta = coefficients(rest.part(np.arange(width)), precision[:width, :width], sigma)
-            for a, values, scale, size in zip(A, b, sigma, sizes, strict=True):
-                left = (values - a[:, :width] @ beta) / scale
-                loss[i, held] += np.sum(left.reshape(-1, size) ** 2, axis=1)
+            for c, (a, values, size) in enumerate(zip(A, b, sizes, strict=True)):
+                left = (values - a[:, :width] @ beta) / sigma[c]
+                loss[i, c, held] = np.sum(left.reshape(-1, size) ** 2, axis=1)
     return loss
 
 
-def _robust(model: LinearModel, state: State, candidate: Active, cluster: np.ndarray) -> float:
+def _robust(model: LinearModel, state: State, moved: np.ndarray, cluster: np.ndarray) -> float:
     r"""p-value of a candidate when the numbers of one cluster of rows may err together: a cluster-robust score test.
 
     With C its columns off the model's, r the residual and e what it leaves, all in sigmas,
@@ -259,11 +272,11 @@ def _robust(model: LinearModel, state: State, candidate: Active, cluster: np.nda
     Args:
         model: The linearised model.
         state: The model without it.
-        candidate: What is added.
+        moved: The candidate's columns, shape (N, m, d).
         cluster: Number of the cluster of each row in use, shape (n,).
     """
     A = state.whitened(state.design)
-    C = state.whitened(state.flat(model.columns(candidate.effect)))
+    C = state.whitened(state.flat(moved))
     C = C - A @ (state.solution.inverse @ (A.T @ C))
     C = C[:, np.linalg.norm(C, axis=0) > 1e-9]
     r = state.whitened(flat(state.residual[state.used], model.channels))

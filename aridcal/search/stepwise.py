@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+
+import numpy as np
 
 from aridcal.effects.catalogue import KINDS
 from aridcal.effects.effect import Effect
+from aridcal.search.change_points import best_steps
 from aridcal.search.evidence import Score
-from aridcal.search.hints import harmonics
+from aridcal.search.hints import hinted
 from aridcal.search.linear_model import LinearModel, State, activate, solve_state
 from aridcal.search.scoring import ALPHA, Judgement, judge, refine, score_all
 
@@ -95,13 +98,28 @@ def twins(model: LinearModel, library: Sequence[Effect], state: State) -> tuple[
     )
 
 
-def rank(model: LinearModel, library: Sequence[Effect], state: State, scan: bool = False) -> list[tuple[Effect, Score]]:
-    """Score every candidate that is not in the model; the best first, the first few with their noise apart."""
+def rank(
+    model: LinearModel,
+    library: Sequence[Effect],
+    state: State,
+    hints: Collection[str] = (),
+    also: Sequence[Effect] = (),
+) -> list[tuple[Effect, Score]]:
+    """Score every candidate that is not in the model; the best first, the first few with their noise apart.
+
+    Args:
+        model: The linearised model.
+        library: Candidates; a step among them is tried where the residual asks for it most.
+        state: The model as it is.
+        hints: Kinds of which those that the residual hints at are candidates too.
+        also: Further candidates, as they are.
+    """
+    jumps = [e for e in library if e.at is not None]
+    library = [*(e for e in library if e.at is None), *best_steps(model, state, jumps), *also]
     taken = {a.effect for a in state.active}
-    kinds = {e.kind for e in library}
-    held = {(kind, e.where) for e in taken for kind in KINDS[e.kind].holds}
-    scanned = harmonics(model, state) if scan and "joint_harmonic" in kinds else []
-    free = [e for e in (*library, *scanned) if e not in taken and not _is_held(e, held)]
+    held = {(kind, e.where) for e in taken if not e.hinted for kind in KINDS[e.kind].holds}
+    every = dict.fromkeys([*library, *hinted(model, state, hints)])
+    free = [e for e in every if e not in taken and not _is_held(e, held)]
     found = score_all(model, free, state)
     order = sorted(range(len(free)), key=lambda k: -found[k].gain)
     enough = PROMISING * found[order[0]].gain if order else 0.0
@@ -121,8 +139,10 @@ def _forward(
 ) -> tuple[State, tuple[Judgement, ...]]:
     rejected: tuple[Judgement, ...] = ()
     seen = {frozenset(a.effect for a in state.active)}
+    kinds = {e.kind for e in library}
     while len(state.active) < most:
-        ranked = rank(model, library, state, scan=True)
+        before, state = state, _with_rows_of_hints(model, state, kinds)
+        ranked = rank(model, library, state, kinds)
         judgements = []
         chosen = None
         for effect, found in ranked[:JUDGED]:
@@ -135,6 +155,7 @@ def _forward(
                 break
         rejected = tuple(judgements)
         if chosen is None:
+            state = before
             break
         state = solve_state(model, (*state.active, chosen), state.solution.sigma, state.used)
         if small and len(state.active) > 1:
@@ -145,20 +166,33 @@ def _forward(
     return state, rejected
 
 
+def _with_rows_of_hints(model: LinearModel, state: State, kinds: Collection[str]) -> State:
+    """The same effects solved with the flagged rows that a hint would explain: they are what it was seen by."""
+    used = state.used.copy()
+    for effect in hinted(model, state, kinds):
+        if effect.smooth:
+            used |= np.any(model.columns(effect), axis=(1, 2))
+    return (
+        state
+        if np.array_equal(used, state.used)
+        else solve_state(model, state.active, state.solution.sigma, used, True)
+    )
+
+
 def _tidy(model: LinearModel, library: Sequence[Effect], state: State, rounds: int, tested: int) -> State:
     """Take each effect out in turn: drop it if it is not missed, exchange it if another does better in its place."""
     kinds = {e.kind for e in library}
-    # Harmonics of an order of their own are no part of the library, but are tried again like all else.
-    library = list(dict.fromkeys([*library, *(a.effect for a in state.active if a.effect.kind in kinds)]))
-    known = set(library)
+    # Harmonics of an order of their own, and steps, are no part of the library, but are tried again like all else.
+    also = [a.effect for a in state.active if a.effect.kind in kinds]
+    known = {*library, *also} - {a.effect for a in state.active if a.stated}
     for _ in range(rounds):
         before = [a.effect for a in state.active]
         for effect in before:
             active = [a for a in state.active if a.effect != effect]
             if len(active) == len(state.active) or effect not in known:
                 continue
-            without = solve_state(model, active, state.solution.sigma, state.used)
-            ranked = rank(model, library, without)
+            without = solve_state(model, active, state.solution.sigma, state.used, fixed=True)
+            ranked = rank(model, library, without, {effect.kind}, also)
             mine = next((s for e, s in ranked if e == effect), None)
             if mine is None:  # a map of the same joint, taken since, holds it
                 state = without
@@ -178,8 +212,8 @@ def _twins(model: LinearModel, library: Sequence[Effect], state: State, k: int) 
     """Candidates that would do about as well in the place of one of the effects."""
     mine = state.active[k]
     active = [a for a in state.active if a is not mine]
-    without = solve_state(model, active, state.solution.sigma, state.used)
-    ranked = rank(model, library, without)
+    without = solve_state(model, active, state.solution.sigma, state.used, fixed=True)
+    ranked = rank(model, library, without, also=[mine.effect])
     own = next((s for e, s in ranked if e == mine.effect), None)
     if own is None:
         return ()

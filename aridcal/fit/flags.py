@@ -1,0 +1,111 @@
+"""Which rows are outliers, and whether those lie together: what is wrong in one place only is structure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import binom
+
+from aridcal.fit.residual import distance, robust_sigma
+from aridcal.inputs.channels import Channels
+from aridcal.inputs.dataset import Dataset
+
+OUTLIER = 6.0
+"""Sigmas per axis, in any channel, beyond which a row is flagged: 1 clean pose in 7 million."""
+
+SUSPECT = 3.0
+"""The same for a row that repeats another's measurement although the joints moved: that alone makes it doubtful."""
+
+ENDS = 150
+"""Flagged rows at which a window may begin or end: 11,000 windows of each coordinate are enough to see a cluster."""
+
+
+@dataclass(frozen=True)
+class Cluster:
+    """Flagged rows that lie together in one coordinate, more than chance would have it.
+
+    Attributes:
+        coordinate: A joint, a measured column, ``x y z`` of the target, ``station``, or ``row`` for the order of rows.
+        low: The smallest value among them.
+        high: The largest.
+        rows: The flagged rows between them, shape (N,) bool.
+        p_value: Chance of any such cluster, all windows of all coordinates counted.
+    """
+
+    coordinate: str
+    low: float
+    high: float
+    rows: np.ndarray
+    p_value: float
+
+
+def limits(data: Dataset, kept: np.ndarray | None = None) -> np.ndarray:
+    """Sigmas beyond which each row is flagged, shape (N,).
+
+    Args:
+        data: N rows.
+        kept: Rows that are not to be flagged whatever they leave, shape (N,) bool.
+    """
+    usual = np.where(data.stale, SUSPECT, OUTLIER)
+    return usual if kept is None else np.where(kept, np.inf, usual)
+
+
+def flagged(r: np.ndarray, channels: Channels, limit: np.ndarray) -> np.ndarray:
+    """Outliers: rows further off than the bulk of the rows can explain, shape (N,) bool.
+
+    Args:
+        r: Scaled residuals, shape (N, m).
+        channels: Their channels.
+        limit: Sigmas at which each row becomes one, shape (N,); see :func:`limits`.
+    """
+    return np.asarray(distance(r, robust_sigma(r, channels), channels) > limit)
+
+
+def cluster(flags: np.ndarray, data: Dataset) -> Cluster | None:
+    r"""The window of one coordinate that holds more of the flagged rows than chance would, if there are two or more.
+
+    Of N rows f are flagged. From one of them, n rows reach to another and hold k of them. If flags fell anywhere, each of
+    the f - 1 others would lie within those n - 1 rows with chance :math:`(n - 1) / (N - 1)`, so that k - 1 or more do with
+
+    .. math:: p = P(\mathrm{Bin}(f - 1, \tfrac{n - 1}{N - 1}) \ge k - 1)
+
+    which is multiplied by the number of such windows and of coordinates (Bonferroni): a scan statistic (Naus 1965,
+    doi:10.1080/01621459.1965.10480810).
+
+    Args:
+        flags: Shape (N,) bool.
+        data: N rows.
+    """
+    if flags.sum() < 2:
+        return None
+    places = coordinates(data)
+    found = [_window(name, values, flags, len(places)) for name, values in places.items()]
+    return min(found, key=lambda c: c.p_value)
+
+
+def coordinates(data: Dataset) -> dict[str, np.ndarray]:
+    """Everything in which rows may lie together, shape (N,) each."""
+    found = {"row": np.arange(len(data), dtype=float)}
+    found |= dict(zip(data.names, data.readings.T, strict=True))
+    found |= dict(zip("xyz", data.position.T, strict=True))
+    found |= {name: values for name, values in data.covariates.items() if not np.isnan(values).any()}
+    if data.station is not None:
+        found["station"] = np.unique(data.station, return_inverse=True)[1].astype(float)
+    return {name: values for name, values in found.items() if np.ptp(values) > 0}
+
+
+def _window(name: str, values: np.ndarray, flags: np.ndarray, coordinates: int) -> Cluster:
+    """The window of one coordinate that is least likely by chance."""
+    every, own = np.sort(values), np.sort(values[flags])
+    f = len(own)
+    ends = np.unique(own[np.linspace(0, f - 1, min(f, ENDS)).round().astype(int)])
+    low, high = (ends[k] for k in np.triu_indices(len(ends)))
+    inside = np.searchsorted(every, high, side="right") - np.searchsorted(every, low)
+    hits = np.searchsorted(own, high, side="right") - np.searchsorted(own, low)
+    chance = np.asarray(binom.sf(hits - 2, f - 1, (inside - 1) / (len(every) - 1)))
+    best = int(np.argmin(chance))
+    a, b = float(low[best]), float(high[best])
+    rows = flags & (values >= a) & (values <= b)
+    windows = f * (f - 1) / 2
+    return Cluster(name, a, b, rows, float(min(1.0, chance[best] * windows * coordinates)))

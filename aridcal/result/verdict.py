@@ -1,0 +1,168 @@
+"""The verdict: one decision from all that is known, which every sentence on what remains repeats."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import f as f_distribution
+
+from aridcal.effects.catalogue import KINDS
+from aridcal.effects.effect import Effect
+from aridcal.fit.flags import Cluster, cluster
+from aridcal.fit.least_squares import Fit
+from aridcal.fit.residual import BLOCK, problem
+from aridcal.inputs.channels import columns, spread
+from aridcal.inputs.dataset import Dataset
+from aridcal.search.noise_tests import Clue
+
+MANY_FLAGGED = 0.03
+"""Share of flagged held-out rows above which nobody may say that only noise is left: a sound setup loses some rows in a
+thousand, and what is flagged away is not explained."""
+
+LEAST_FLAGGED = 2
+"""Flagged held-out rows below which their share says nothing: one of thirty may be a reflector that was lost."""
+
+FEWEST = 5
+"""Held-out configurations from which their error is compared with that of the fitted rows."""
+
+LEAST_FREEDOM = 0.5
+"""Share of the numbers measured that must be left after fitting, or the data are too few for the model."""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What may be said of what remains.
+
+    Attributes:
+        word: ``noise_floor``, ``structure_remains`` or ``not_enough_data``.
+        share: Of the remaining variance that is repeatable beyond the noise, 0 to 1.
+        reasons: Why it is not ``noise_floor``, in words; empty if it is.
+    """
+
+    word: str
+    share: float
+    reasons: tuple[str, ...]
+
+
+def decide(clues: Sequence[Clue], effects: Sequence[Effect], freedom: float) -> Verdict:
+    """The verdict.
+
+    Args:
+        clues: Answers of all questions to the residual.
+        effects: Those in the model.
+        freedom: Share of the numbers measured that is left after fitting.
+    """
+    telling = [c for c in clues if c.tells]
+    share = max((c.share for c in telling), default=0.0)
+    reasons = [c.what for c in telling]
+    unnamed = [e for e in effects if not KINDS[e.kind].named]
+    if unnamed:
+        # Between and beyond the rows a smooth curve without a cause is not known.
+        of = ", ".join(dict.fromkeys(f"{e.where} by {' and '.join(e.covariates)}" for e in unnamed))
+        reasons.append(f"a repeatable error has no known cause ({of})")
+    if freedom <= LEAST_FREEDOM:
+        few = f"only {100 * max(freedom, 0.0):.0f} % of the measured numbers are left to judge the model by"
+        return Verdict("not_enough_data", share, (few, *reasons))
+    return Verdict("structure_remains" if reasons else "noise_floor", share, tuple(reasons))
+
+
+def row_clues(rows: Dataset, fit: Fit, residual: np.ndarray, outlier: np.ndarray) -> list[Clue]:
+    """What held-out rows and flagged rows say against the model.
+
+    Args:
+        rows: All N rows.
+        fit: The final model.
+        residual: Of all rows, scaled by their relative sigmas, shape (N, m).
+        outlier: Flagged rows, shape (N,) bool.
+    """
+    asked = [
+        _held_out(rows, fit, residual, outlier),
+        _offset(residual[~outlier]),
+        _many_flagged(rows, outlier),
+        _together(rows, residual, outlier),
+    ]
+    return [clue for clue in asked if clue is not None]
+
+
+def _held_out(rows: Dataset, fit: Fit, residual: np.ndarray, outlier: np.ndarray) -> Clue | None:
+    r"""Do held-out rows err more than the noise of the fitted ones and the model's own uncertainty explain?
+
+    With :math:`q = r^T D^{-1} r / m` of a held-out row, D the diagonal of its predicted variance
+    :math:`\sigma_c^2 + (J \Sigma J^T)`, the mean of q follows :math:`F(n m / \kappa, \nu / \kappa)`, n configurations held
+    out, :math:`\nu` the degrees of freedom of the fit. :math:`\kappa`, how much more the fitted rows' squares vary than
+    those of normal noise, keeps heavy tails from being taken for a difference.
+    """
+    test, train = rows.test & ~outlier, ~rows.test & ~outlier
+    configurations = len(np.unique(rows.configuration[test]))
+    if configurations < FEWEST or fit.freedom <= 0:
+        return None
+    m = residual.shape[1]
+    variance = spread(fit.estimated**2, rows.channels)
+    expected = variance + _model_variance(rows.select(test), fit)
+    ratio = float(np.mean(np.mean(residual[test] ** 2 / expected, axis=1)))
+    fitted = np.mean(residual[train] ** 2 / variance, axis=1)
+    kappa = max(1.0, float(np.var(fitted) / np.mean(fitted) ** 2) * m / 2.0)
+    p_value = float(f_distribution.sf(ratio, configurations * m / kappa, fit.freedom / kappa))
+    what = f"held-out rows err {np.sqrt(ratio):.2g} times as much as the noise of the fitted rows explains"
+    return Clue("held_out", what, float(np.clip(1.0 - 1.0 / max(ratio, 1e-12), 0.0, 1.0)), p_value)
+
+
+def _offset(residual: np.ndarray) -> Clue | None:
+    """Is the mean of the residuals zero? With frames and constants held it need not be (Hotelling's T squared)."""
+    n, m = residual.shape
+    if n <= m + 1:
+        return None
+    mean = residual.mean(axis=0)
+    spread_of_mean = np.cov(residual.T) / n
+    statistic = float(mean @ np.linalg.pinv(spread_of_mean, hermitian=True) @ mean)
+    p_value = float(f_distribution.sf(statistic * (n - m) / (m * (n - 1)), m, n - m))
+    share = float(np.mean(mean**2 / np.maximum(np.mean(residual**2, axis=0), 1e-24)))
+    return Clue(
+        "offset", "the mean of the residuals is not zero: something constant is held at a wrong value", share, p_value
+    )
+
+
+def _model_variance(rows: Dataset, fit: Fit) -> np.ndarray:
+    """Variance of the prediction by the coefficients' covariance, scaled as the residuals, shape (N, m)."""
+    asked = problem(fit.model, rows)
+    parts = []
+    for start in range(0, len(rows), BLOCK):
+        J = asked.linearised(fit.theta, slice(start, start + BLOCK))[1]
+        parts.append(np.einsum("nmk,nmk->nm", J @ fit.covariance, J))
+    return np.concatenate(parts)
+
+
+def _many_flagged(rows: Dataset, outlier: np.ndarray) -> Clue | None:
+    """Are more held-out rows flagged than a sound setup loses?"""
+    held_out, flagged = int(rows.test.sum()), int((rows.test & outlier).sum())
+    if flagged < LEAST_FLAGGED or flagged <= MANY_FLAGGED * held_out:
+        return None
+    what = (
+        f"{flagged} of {held_out} held-out rows are flagged as outliers: no figure without them speaks for these rows"
+    )
+    return Clue("flags", what, flagged / held_out if flagged < held_out else 1.0, 0.0)
+
+
+def _together(rows: Dataset, residual: np.ndarray, outlier: np.ndarray) -> Clue | None:
+    """Do flagged rows lie together? Then what is wrong there is repeatable."""
+    found = cluster(outlier, rows)
+    if found is None:
+        return None
+    sigma = np.array([np.mean(residual[~outlier][:, part] ** 2) for part in columns(rows.channels)])
+    squares = np.sum(residual**2 / spread(np.maximum(sigma, 1e-24), rows.channels), axis=1)
+    share = float(squares[found.rows].sum() / squares.sum())
+    return Clue(
+        "flags",
+        f"{found.rows.sum()} of {outlier.sum()} flagged rows lie together: {where(found)}",
+        share,
+        found.p_value,
+    )
+
+
+def where(found: Cluster) -> str:
+    """The place of a cluster in words: ``joint_2 between 0.31 and 0.52``."""
+    if found.coordinate == "row":
+        return f"rows {found.low + 1:.0f} to {found.high + 1:.0f} of those used"
+    return f"{found.coordinate} between {found.low:.4g} and {found.high:.4g}"

@@ -1,0 +1,201 @@
+r"""When something moved once: the best row for a step at each place, and whether it is a step or a slow walk.
+
+A step between two rows is a column that is the motion's own up to there and nothing after. For every row k at once, with
+:math:`G_n` the motion's columns in row n and :math:`A_n` the model's, both in sigmas, the sums
+
+.. math:: (C^T C)_k = \sum_{n < k} G_n^T G_n, \qquad (C^T A)_k = \sum_{n < k} G_n^T A_n, \qquad
+          s_k = \sum_{n < k} G_n^T r_n
+
+are cumulative, so that the score statistic of all of them, :math:`s_k^T M_k^+ s_k` with
+:math:`M_k = (C^T C)_k - (C^T A)_k H^{-1} (C^T A)_k^T`, costs as much as a few (Andrews 1993, doi:10.2307/2951764, for the
+largest of such statistics; Worsley 1986, doi:10.1093/biomet/73.1.91, for its correction).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.special import gammaincc
+
+from aridcal.effects.effect import Effect
+from aridcal.search.evidence import DEPENDENT, solve
+from aridcal.search.linear_model import Active, LinearModel, State, with_candidate
+
+SIDE = 6
+"""Rows at the least on either side of a step: fewer are outliers, not a new state."""
+
+COARSE = 200
+"""Steps that are looked at in the first round; between the best and its neighbours all are looked at."""
+
+LENGTHS = (2.0, 5.0, 12.0, 30.0, np.inf)
+"""Rows over which noise may stay alike: two and a half times apart, from one row to the next to a walk without end."""
+
+WANDERS = (1e-4, 3e-4, 1e-3, 3e-3, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0)
+"""Variances of such noise that are tried, in units of a row's own: two in a decade, from nothing to all that there is."""
+
+
+def step_points(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where steps of a covariate can be: midway between two rows, with enough rows on either side.
+
+    Args:
+        values: Of the rows in use, shape (n,).
+
+    Returns:
+        How many rows come before each, shape (k,), and the values themselves, shape (k,).
+    """
+    ordered = np.sort(values)
+    before = np.arange(SIDE, len(ordered) - SIDE + 1)
+    before = before[ordered[before - 1] < ordered[before]] if len(before) else before
+    return before, 0.5 * (ordered[before - 1] + ordered[before])
+
+
+def best_steps(model: LinearModel, state: State, templates: Sequence[Effect]) -> list[Effect]:
+    """The same effects, each with its step where the residual asks for it most; those that fit nowhere are left out."""
+    found: dict[int, Effect] = {}
+    for of in dict.fromkeys(e.covariates[0] for e in templates):
+        values = model.table[of][state.used]
+        before, points = step_points(values)
+        if not len(before):
+            continue
+        scan = _Scan.of(model, state, values, [e for e in templates if e.covariates[0] == of])
+        for k, effect in enumerate(templates):
+            if effect.covariates[0] == of:
+                best = scan.best([model.slot_index[c.where, c.component] for c in effect.coefficients], before)
+                found[k] = effect.placed(float(points[best]))
+    return [found[k] for k in sorted(found)]
+
+
+class _Scan:
+    """Cumulative sums over the rows in the order of a covariate.
+
+    Attributes:
+        slots: Position of each slot in the sums.
+        squares: (C'C)_k, shape (n + 1, S, S).
+        shared: (C'A)_k, shape (n + 1, S, P).
+        pulls: s_k, shape (n + 1, S).
+        inverse: Of the model's own information, shape (P, P).
+    """
+
+    def __init__(self, slots: dict[int, int], G: np.ndarray, A: np.ndarray, r: np.ndarray, inverse: np.ndarray) -> None:
+        self.slots, self.inverse = slots, inverse
+        self.squares = _sums(np.swapaxes(G, 1, 2) @ G)
+        self.shared = _sums(np.swapaxes(G, 1, 2) @ A)
+        self.pulls = _sums(np.einsum("nms,nm->ns", G, r))
+
+    @classmethod
+    def of(cls, model: LinearModel, state: State, values: np.ndarray, templates: Sequence[Effect]) -> _Scan:
+        """The sums for the places of some effects, rows in the order of values (n,)."""
+        own = dict.fromkeys(model.slot_index[c.where, c.component] for e in templates for c in e.coefficients)
+        slots = {slot: k for k, slot in enumerate(own)}
+        order = np.argsort(values, kind="stable")
+        G = (model.G[state.used] / state.sigma[:, None])[order][:, :, list(slots)]
+        r = (state.residual[state.used] / state.sigma)[order]
+        return cls(slots, G, by_row(state, state.design)[order], r, state.solution.inverse)
+
+    def best(self, of: Sequence[int], before: np.ndarray) -> int:
+        """Index of the step that explains most, among those with so many rows before them, shape (k,)."""
+        own = [self.slots[slot] for slot in of]
+        rough = np.unique(np.linspace(0, len(before) - 1, min(COARSE, len(before))).round().astype(int))
+        top = int(np.argmax(self._explained(own, before[rough])))
+        low, high = rough[max(top - 1, 0)], rough[min(top + 1, len(rough) - 1)]
+        return int(low + np.argmax(self._explained(own, before[low : high + 1])))
+
+    def _explained(self, own: Sequence[int], before: np.ndarray) -> np.ndarray:
+        """Squares that steps explain, shape (k,)."""
+        CC = self.squares[before][:, own][:, :, own]
+        CA, s = self.shared[before][:, own], self.pulls[before][:, own]
+        raw = np.einsum("kss->ks", CC)
+        scale = 1.0 / np.sqrt(np.maximum(raw, np.finfo(float).tiny))
+        M = (CC - CA @ self.inverse @ np.swapaxes(CA, 1, 2)) * scale[:, :, None] * scale[:, None, :]
+        values, vectors = np.linalg.eigh(M)
+        along = np.einsum("kst,ks->kt", vectors, s * scale) ** 2
+        return np.asarray(np.sum(np.where(values > DEPENDENT, along / np.maximum(values, DEPENDENT), 0.0), axis=1))
+
+
+def _sums(rows: np.ndarray) -> np.ndarray:
+    """Sums over the rows before each, from none to all."""
+    return np.concatenate([np.zeros_like(rows[:1]), np.cumsum(rows, axis=0)])
+
+
+def by_row(state: State, parts: Sequence[np.ndarray]) -> np.ndarray:
+    """Columns of the design's shape in sigmas, row by row again, shape (n, m, P)."""
+    whitened = [part / sigma for part, sigma in zip(parts, state.solution.sigma, strict=True)]
+    n = len(state.fold)
+    return np.concatenate([w.reshape(n, -1, w.shape[1]) for w in whitened], axis=1)
+
+
+def walk_instead(model: LinearModel, state: State, candidate: Active) -> float:
+    r"""Chance that a step as clear as this one comes from noise that stays alike for some rows, or walks.
+
+    What each row asks for along the step's own motion is a series y, with the step in the model. It is explained twice,
+    with and without the step, as a constant and noise of two sorts: white, and an autoregression over the rows
+
+    .. math:: x_{t+1} = e^{-1/L} x_t + \eta_t, \qquad L = \infty \text{ for a random walk}
+
+    of the variance and length L that suit each best (Harvey 1989, sections 3.4 and 4.3: the likelihood from a Kalman
+    filter). Twice the gain in log-likelihood is compared with chi-square with as many degrees as the step has motions, and
+    corrected for all rows at which the step might have been. A walk has many small steps and explains one that stands
+    alone badly; whatever changes slowly it explains well.
+
+    Args:
+        model: The linearised model.
+        state: The model without the step.
+        candidate: The step.
+    """
+    effect = candidate.effect
+    values = model.table[effect.covariates[0]][state.used]
+    order = np.argsort(values, kind="stable")
+    total, precision = with_candidate(model, state, candidate)
+    solution = solve(total, precision, state.solution.sigma)
+    d = len(effect.coefficients)
+    sigma = np.concatenate([np.repeat(s, c.size) for s, c in zip(solution.sigma, model.channels, strict=True)])
+    design = by_row(state, state.design) * (state.sigma / sigma)[:, None]
+    right = np.concatenate([b.reshape(len(order), -1) for b in state.right], axis=1) / sigma
+    slots = [model.slot_index[c.where, c.component] for c in effect.coefficients]
+    motion = model.G[state.used][:, :, slots] / sigma[:, None] @ solution.beta[-d:]
+    weight = np.sum(motion**2, axis=1)
+    asked = np.sum(motion * (right - design @ solution.beta[:-d]), axis=1)
+    seen = weight > 0.0
+    order = order[seen[order]]
+    step = np.where(values < effect.coefficients[0].basis.numbers[0], -1.0, 0.0)
+    points = len(step_points(values)[0])
+    series = np.stack([asked / np.where(seen, weight, 1.0), np.ones(len(values)), step], axis=1)[order]
+    without, with_step = _likelihoods(series, 1.0 / weight[order])
+    twice = 2.0 * max(with_step - without, 0.0)
+    return float(min(1.0, points * gammaincc(0.5 * d, 0.5 * twice)))
+
+
+def _likelihoods(series: np.ndarray, variance: np.ndarray) -> tuple[float, float]:
+    """Best log-likelihoods of a series explained by its second column, and by its second and third.
+
+    Args:
+        series: What is explained, a constant and a step, shape (n, 3).
+        variance: White noise of each row up to a common factor, shape (n,).
+    """
+    n = len(series)
+    white = float(np.median(variance))
+    length, wander = (grid.ravel() for grid in np.meshgrid(LENGTHS, WANDERS))
+    fade = np.exp(-1.0 / length)
+    endless = np.isinf(length)
+    own = white * wander
+    # A walk of so much a row; an autoregression that has so much variance in the long run.
+    added = np.where(endless, own, own * (1.0 - fade**2))
+    P = np.where(endless, 0.0, own)
+    x = np.zeros((len(fade), 3))
+    products = np.zeros((len(fade), 3, 3))
+    logs = np.zeros(len(fade))
+    for row, v in zip(series, variance, strict=True):
+        F = P + v
+        innovation = row - x
+        products += innovation[:, :, None] * innovation[:, None, :] / F[:, None, None]
+        logs += np.log(F)
+        gain = P / F
+        x = fade[:, None] * (x + gain[:, None] * innovation)
+        P = fade**2 * P * (1.0 - gain) + added
+    best = []
+    for k in (1, 2):
+        inner, cross = products[:, 1 : k + 1, 1 : k + 1], products[:, 1 : k + 1, 0]
+        left = products[:, 0, 0] - np.einsum("pk,pk->p", cross, np.linalg.solve(inner, cross[:, :, None])[:, :, 0])
+        best.append(float(np.max(-0.5 * (n * np.log(np.maximum(left, np.finfo(float).tiny)) + logs))))
+    return best[0], best[1]

@@ -1,0 +1,105 @@
+"""Fits of constants and effects together on the exact model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from aridcal.effects.effect import Coefficient
+from aridcal.fit.flags import flagged
+from aridcal.fit.identifiable import identifiable
+from aridcal.fit.least_squares import Fit, Prior, fit
+from aridcal.fit.residual import problem, triangle
+from aridcal.inputs.dataset import Dataset
+from aridcal.search.linear_model import State
+
+GAUGE = 0.05
+"""[m] and [rad]: constants are held at the geometric stage this loosely, where nothing else decides."""
+
+
+@dataclass(frozen=True)
+class Start:
+    """Where a search begins.
+
+    Attributes:
+        geometric: The geometric stage.
+        train: The rows that it was fitted to.
+        limit: Sigmas beyond which each of them is flagged, shape (N,).
+    """
+
+    geometric: Fit
+    train: Dataset
+    limit: np.ndarray
+
+
+def refit(start: Start, state: State, current: Fit) -> Fit:
+    """Fit constants and effects together on the exact model, the constants gauged to the geometric stage.
+
+    Constants that the geometric stage could not identify, its residual being large, are taken in when they can be now.
+    """
+    constants = tuple(c for c in current.model.coefficients if c.basis.constant)
+    found = refit_constants(start, constants, state, current)
+    more = _regained(start, found)
+    return refit_constants(start, constants + more, state, found) if more else found
+
+
+def refit_constants(start: Start, constants: tuple[Coefficient, ...], state: State, current: Fit) -> Fit:
+    """Fit given constants and the effects of a state; see :func:`refit`."""
+    geometric = start.geometric
+    effects = tuple(c for a in state.active for c in a.effect.coefficients)
+    model = geometric.model.with_coefficients(constants + effects)
+    known = dict(zip(current.model.names, current.theta, strict=True))
+    theta = np.array([known.get(name, 0.0) for name in model.names])
+    asked = problem(model, start.train)
+    weight = np.where(state.used, 1.0, 0.0)
+    found = fit(asked, theta, weight, _prior(geometric, constants, state))
+    redundant = {name: why for name, why in geometric.redundant.items() if name not in model.names}
+    return replace(found, candidates=geometric.candidates, redundant=redundant)
+
+
+def flagged_again(start: Start, state: State, current: Fit) -> Fit:
+    """The fit with the rows flagged that it leaves far off; the same fit if those are the ones it was made without."""
+    used = ~flagged(current.residual, start.train.channels, start.limit)
+    if np.array_equal(used, ~current.outliers) or not state.active:
+        return current
+    constants = tuple(c for c in current.model.coefficients if c.basis.constant)
+    return refit_constants(start, constants, replace(state, used=used), current)
+
+
+def worth(fit: Fit, state: State) -> float:
+    r"""Log-likelihood of an exact fit with its noise profiled out, less the price of its effects, [nat].
+
+    .. math:: -\sum_c n_c \log \hat\sigma_c - \tfrac12 \sum_e d_e (1 + \log \max(2 g_e / d_e, 1))
+
+    for effects e of d degrees of freedom and evidence g; see :func:`aridcal.search.evidence.price`.
+    """
+    value = -float(state.equations.count @ np.log(fit.estimated))
+    for active in state.active:
+        each = 2.0 * active.score.gain / max(active.score.freedom, 1)
+        value -= 0.5 * active.score.freedom * (1.0 + float(np.log(max(each, 1.0))))
+    return value
+
+
+def _prior(geometric: Fit, constants: tuple[Coefficient, ...], state: State) -> Prior:
+    """Constants loosely at the geometric stage, smooth effects after their kernels, the rest free."""
+    before = dict(zip(geometric.model.names, geometric.theta, strict=True))
+    count = len(constants)
+    parts = [np.eye(count) / GAUGE**2, *(a.coefficient_precision for a in state.active)]
+    precision = block_diag(*parts)
+    mean = np.zeros(len(precision))
+    mean[:count] = [before.get(c.name, 0.0) for c in constants]
+    return Prior(mean, precision, block_diag(np.eye(count), *(a.root for a in state.active)))
+
+
+def _regained(start: Start, found: Fit) -> tuple[Coefficient, ...]:
+    """Constants that were given up in the geometric stage and are identifiable now."""
+    dropped = tuple(c for c in found.candidates if c.name in found.redundant)
+    if not dropped:
+        return ()
+    model = found.model.with_coefficients(found.model.coefficients + dropped)
+    theta = np.concatenate([found.theta, np.zeros(len(dropped))])
+    R = triangle(problem(model, start.train), theta, found.weight, found.sigma)
+    kept = identifiable(R, range(len(theta))).kept
+    return tuple(c for k, c in enumerate(model.coefficients) if k >= len(found.theta) and k in kept)

@@ -1,0 +1,202 @@
+"""The payload hangs at the target and counts in every gravity load, wherever loads are computed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pinocchio as pin
+import pytest
+import robots
+from lxml import etree
+from scipy.spatial.transform import Rotation
+
+from aridcal.effects.basis import Basis
+from aridcal.effects.effect import Coefficient, direction
+from aridcal.effects.loads import Surroundings, bearing_components, covariate_table, needs
+from aridcal.errors import CovariateNotFound
+from aridcal.model.model import Model
+from aridcal.model.one_row import OneRowModel
+from aridcal.result.compensate import compensate
+from aridcal.result.folder import calibration
+from aridcal.result.pipeline import identify
+from aridcal.result.predict import predict, read_query
+from aridcal.result.saved_model import SavedModel, SolvedModel
+from aridcal.robot.chain import Robot, parse_robot
+
+SAG = Coefficient("shoulder_lift_joint", "axis", Basis("linear", ("shoulder_lift_joint.gravity_torque",), (0.0,)))
+COMPLIANCE, SIGMA = 2e-5, 5e-5
+
+
+def loads_of(robot: Robot, q: np.ndarray, around: Surroundings, payload: np.ndarray | None) -> dict[str, np.ndarray]:
+    measured = {} if payload is None else {"payload": payload}
+    return covariate_table(robot, q, measured, around, np.zeros(len(q), dtype=int), {"joint_1.gravity_torque"})
+
+
+def with_mass(urdf: bytes, mass: float, lever: np.ndarray) -> pin.Model:
+    """Pinocchio's own reading of a URDF with a point mass on a link of its own, fixed to the tip at the target."""
+    root = etree.fromstring(urdf)
+    link = etree.SubElement(root, "link", name="payload")
+    inertial = etree.SubElement(link, "inertial")
+    etree.SubElement(inertial, "mass", value=f"{mass:.17g}")
+    etree.SubElement(inertial, "inertia", **dict.fromkeys(("ixx", "iyy", "izz", "ixy", "ixz", "iyz"), "0"))
+    joint = etree.SubElement(root, "joint", name="holds", type="fixed")
+    etree.SubElement(joint, "parent", link="tip")
+    etree.SubElement(joint, "child", link="payload")
+    etree.SubElement(joint, "origin", xyz=robots.numbers(lever), rpy="0 0 0")
+    return pin.buildModelFromXML(etree.tostring(root, encoding="unicode"))
+
+
+@pytest.mark.parametrize("kinds", ["RRRRRR", "PRCRR", "PPR", "RPRCR"])
+def test_loads_are_those_of_a_point_mass_at_the_target(kinds: str) -> None:
+    """Second road: Pinocchio's inverse dynamics of a URDF that carries the payload, forces along rails included."""
+    rng = np.random.default_rng(len(kinds))
+    urdf = robots.random_chain(rng, kinds)
+    robot = parse_robot(urdf, "tip")
+    q, payload = robots.readings(robot, 12, rng), rng.uniform(0.0, 20.0, 12)
+    around = Surroundings(rng.normal(size=3) * 9.81, rng.normal(size=3) * 0.3, loaded=True)
+    found = loads_of(robot, q, around, payload)
+    for k in range(len(q)):
+        model = with_mass(urdf, payload[k], around.lever)
+        model.gravity.linear = around.gravity
+        data = model.createData()
+        at = pin.neutral(model)
+        for name, value in zip(robot.names, q[k], strict=True):
+            joint = model.getJointId(name)
+            place = model.idx_qs[joint]
+            own = [np.cos(value), np.sin(value)] if model.nqs[joint] == 2 else [value]
+            at[place : place + len(own)] = own
+        torque = pin.rnea(model, data, at, np.zeros(model.nv), np.zeros(model.nv))
+        for joint in robot.joints:
+            i = model.getJointId(joint.name)
+            pulled = found[f"{joint.name}.gravity_torque"][k]
+            np.testing.assert_allclose(pulled, -torque[model.idx_vs[i]], rtol=1e-10, atol=1e-10)
+            R = data.liMi[i].rotation  # what holds the joint, in the axes of the one before
+            moment = -model.jointPlacements[i].rotation.T @ R @ data.f[i].angular
+            for component in bearing_components(joint.kind):
+                across = found[f"{joint.name}.gravity_moment_{component}"][k]
+                np.testing.assert_allclose(across, direction(component, joint.axis) @ moment, rtol=1e-10, atol=1e-10)
+
+
+def test_without_a_payload_column_or_with_one_of_zeros_nothing_changes() -> None:
+    rng = np.random.default_rng(4)
+    robot = robots.random_robot(4)
+    q, around = robots.readings(robot, 9, rng), Surroundings(lever=np.array([0.1, 0.2, 0.3]))
+    bare = loads_of(robot, q, around, None)
+    of_links = [name for name in bare if ".gravity_" in name]
+    assert of_links
+    empty = loads_of(robot, q, replace(around, loaded=True), np.zeros(9))
+    unasked = loads_of(robot, q, around, np.full(9, 7.0))  # of calibrations from before it counted
+    for name in of_links:
+        assert np.array_equal(bare[name], empty[name])
+        assert np.array_equal(bare[name], unasked[name])
+
+
+@pytest.mark.parametrize("base", ["base", "link_1"])
+def test_one_row_bears_the_payload_that_many_rows_bear(base: str) -> None:
+    rng = np.random.default_rng(8)
+    robot = parse_robot(robots.random_chain(rng, "RCPRR"), "tip", base)
+    names = [f"{j.name}.gravity_torque" for j in robot.joints]
+    names += [f"{j.name}.gravity_moment_{c}" for j in robot.joints for c in bearing_components(j.kind)]
+    effects = tuple(Coefficient(n.partition(".")[0], "axis", Basis("linear", (n,), (0.0,))) for n in names)
+    around = Surroundings(rng.normal(size=3) * 9.81, rng.normal(size=3) * 0.2, loaded=True)
+    model, theta = Model(robot, effects, around=around), rng.normal(0.0, 1e-4, len(effects))
+    q, payload = robots.readings(robot, 20, rng), rng.uniform(0.0, 9.0, 20)
+    _, p = model.poses(theta, model.rows(q, {"payload": payload}))
+    one_row = OneRowModel(model, theta)
+    for k in rng.permutation(20):  # no row may feel the payload of the one before
+        _, position = one_row.pose(q[k], one_row.effects(q[k], {"payload": payload[k]}))
+        np.testing.assert_allclose(position, p[k], rtol=0, atol=1e-12)
+
+
+def test_the_payload_is_needed_only_where_a_load_holds_it() -> None:
+    robot = robots.ur10()
+    own = Basis("linear", ("elbow_joint",), (0.0,))
+    other = Basis("linear", ("shoulder_lift_joint.payload_torque",), (0.0,))
+    bare, loaded = Surroundings(), Surroundings(loaded=True)
+    assert needs(robot, [own, SAG.basis], bare) == ()
+    assert needs(robot, [own], loaded) == ()
+    assert needs(robot, [own, SAG.basis], loaded) == ("payload",)
+    assert needs(robot, [other], bare) == ("payload",)
+    model = Model(robot, (SAG,), around=loaded)
+    assert model.needs == OneRowModel(model, np.zeros(1)).needs == ("payload",)
+    with pytest.raises(CovariateNotFound, match="'payload'"):
+        model.rows(np.zeros((2, 6)))
+
+
+def write_under(folder: Path, loads: list[float], holes: int = 0) -> Path:
+    """The campaign of a UR10 whose shoulder yields by 2e-5 rad/N m, measured under some payloads in turn."""
+    rng = np.random.default_rng(12)
+    tip = robots.random_placement(rng, 0.2)
+    rigid = robots.simulate(robots.ur10(), 240, rng, world=robots.random_placement(rng), tip=tip)
+    payload = rng.choice(loads, 240)
+    model = replace(
+        rigid.model,
+        coefficients=(*rigid.model.coefficients, SAG),
+        around=Surroundings(np.array([0.0, 0.0, -9.81]), tip.translation, loaded=True),
+    )
+    R, p = model.poses(np.append(rigid.theta, COMPLIANCE), model.rows(rigid.readings, {"payload": payload}))
+    p = p + SIGMA * rng.normal(size=p.shape)
+    R = Rotation.from_rotvec(SIGMA * rng.normal(size=p.shape)).as_matrix() @ R
+    truth = robots.Truth(model, rigid.theta, robots.measured(model.robot, rigid.readings, p, R))
+    payload[:holes] = np.nan
+    rows, noise = robots.table(truth).assign(payload=payload), {"position": SIGMA, "rotation": SIGMA}
+    sections = {"measurements": {"file": "measurements.csv", "noise": noise}}
+    sections["diagnosis"] = {"candidates": ["joint_compliance", "joint_harmonic", "payload_compliance"]}
+    return robots.write_campaign(folder, truth, rows, **sections)
+
+
+@pytest.mark.parametrize("loads", [[0.0, 5.0, 10.0], [10.0]], ids=["three loads", "always one"])
+def test_a_compliance_under_loads_is_found_as_it_is(tmp_path: Path, loads: list[float]) -> None:
+    outcome = identify(write_under(tmp_path, loads))
+    assert [(e.effect.kind, e.effect.where) for e in outcome.effects] == [("joint_compliance", "shoulder_lift_joint")]
+    fit = outcome.stage("final").fit
+    k = fit.model.names.index(SAG.name)
+    assert abs(fit.theta[k] - COMPLIANCE) < 4 * fit.std[k]
+    assert fit.std[k] < 0.05 * COMPLIANCE
+    left = outcome.stage("final").residual[outcome.measurements.test][:, :3]
+    assert np.sqrt(np.mean(left**2)) < 1.2 * SIGMA
+
+
+def test_what_a_calibration_saw_of_the_payload_is_needed_of_those_who_use_it(tmp_path: Path) -> None:
+    saved = calibration(identify(write_under(tmp_path, [0.0, 5.0, 10.0])))
+    assert saved.ranges["payload"] == (0.0, 10.0)
+    (tmp_path / "calibration.yaml").write_text(saved.dump(), encoding="utf-8")
+    again = SavedModel.load(tmp_path)
+    q = robots.readings(robots.ur10(), 6, np.random.default_rng(1), 0.1)
+    query = pd.DataFrame(q, columns=list(robots.ur10().readings))
+    with pytest.raises(CovariateNotFound, match="'payload'"):
+        predict(again, read_query(again, query))
+    query["payload"] = [0.0, 5.0, 10.0, 10.0, np.nan, 5.0]
+    poses = predict(again, read_query(again, query))
+    assert poses["x"].isna().tolist() == [False] * 4 + [True, False]
+    sag = poses.loc[2, ["x", "y", "z"]].to_numpy(float)
+    lighter = predict(again, read_query(again, query.assign(payload=0.0))).loc[2, ["x", "y", "z"]].to_numpy(float)
+    assert np.linalg.norm(sag - lighter) > 1e-4
+    commands = compensate(again, read_query(again, poses.dropna(), poses=True))
+    np.testing.assert_allclose(commands[query.columns[:6]], q[poses["x"].notna()], rtol=0, atol=1e-6)
+
+
+def test_an_older_calibration_goes_on_as_it_was_made(tmp_path: Path) -> None:
+    """Its loads were those of the links alone, whatever columns it saw."""
+    place = ((None, pin.SE3.Identity()),)
+    model = Model(robots.ur10(), (SAG,), place, place, Surroundings(loaded=True))
+    solved = SolvedModel(model, np.array([COMPLIANCE]), np.eye(1) * 1e-12)
+    saved = SavedModel(solved, solved, "pose", (0.0, 0.0, -9.81), (1e-4, 1e-4), {}, {})
+    text = saved.dump()
+    assert text.count("    payload: true\n") == 2
+    (tmp_path / "calibration.yaml").write_text(text.replace("    payload: true\n", ""), encoding="utf-8")
+    old = SavedModel.load(tmp_path).final
+    assert old.model.needs == ()
+    q = robots.readings(robots.ur10(), 3, np.random.default_rng(2))
+    assert np.array_equal(old.poses(q)[1], old.poses(q, {"payload": np.full(3, 9.0)})[1])
+
+
+def test_a_payload_with_holes_bars_the_loads_and_says_so(tmp_path: Path) -> None:
+    outcome = identify(write_under(tmp_path, [0.0, 10.0], holes=40))
+    assert outcome.diagnosis is not None
+    assert "joint_compliance" not in {e.effect.kind for e in outcome.effects}
+    why = {b.what: b.why for b in outcome.diagnosis.barred}
+    assert why["compliance and load-side backlash"] == "the column payload has empty cells"

@@ -1,0 +1,212 @@
+"""Tables that were not read as they were written: the right remedy is named before effects are sought, and only then."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+import robots
+import yaml
+from scipy.spatial.transform import Rotation
+
+import aridcal.identify
+from aridcal.effects.basis import Basis
+from aridcal.effects.effect import Coefficient
+from aridcal.errors import NotOfThisRobot
+from aridcal.fit.constants import constants, station_labels
+from aridcal.inputs.campaign import load_campaign
+from aridcal.inputs.read import load_measurements
+from aridcal.model.model import Model
+from aridcal.prepare.other_readings import refuse_misread
+from aridcal.robot.chain import Robot
+from aridcal.search.arm import fit_constants
+
+Q = ["qx", "qy", "qz", "qw"]
+XYZ = ["x", "y", "z"]
+ABC = ["A", "B", "C"]
+FIRST = {"orientation": {"euler": "ZYX", "columns": ABC}}
+
+Spoil = Callable[[pd.DataFrame], pd.DataFrame]
+
+
+def machine(robot: Robot, share: float = 1.0, n: int = 120, size: float = 2e-3, seed: int = 0) -> robots.Truth:
+    """A robot whose constants are off by 2 mm and 2 mrad, moving over a share of its range about a bent posture."""
+    rng = np.random.default_rng(seed)
+    coefficients = constants(robot, "full")
+    frames = (((None, robots.random_placement(rng)),), ((None, robots.random_placement(rng, 0.2)),))
+    model = Model(robot, coefficients, *frames)
+    theta = rng.normal(0.0, size, len(coefficients))
+    q = robots.readings(robot, n, rng, share) + (min(0.3, share) if share < 1 else 0.0)
+    R, p = model.poses(theta, model.rows(q))
+    p = p + rng.normal(0, 1e-4, p.shape)
+    R = Rotation.from_rotvec(rng.normal(0, 1e-4, p.shape)).as_matrix() @ R
+    return robots.Truth(model, theta, robots.measured(robot, q, p, R))
+
+
+def judge(folder: Path, truth: robots.Truth, table: pd.DataFrame, **sections: Any) -> None:
+    """What `identify` does before it looks for effects."""
+    measurements = {"file": "measurements.csv", "kind": "pose"} | sections.pop("measurements", {})
+    path = robots.write_campaign(folder, truth, table, measurements=measurements, **sections)
+    campaign, robot = load_campaign(path), truth.model.robot
+    rows = load_measurements(campaign, robot.readings, robot.limits, robot.kinds)
+    try:
+        geometry = fit_constants(campaign, robot, rows, station_labels(campaign, rows))
+    except NotOfThisRobot:
+        refuse_misread(campaign, robot, rows, None)
+        raise
+    refuse_misread(campaign, robot, rows, geometry)
+
+
+def rotation(table: pd.DataFrame) -> Rotation:
+    return Rotation.from_quat(table[Q])
+
+
+def in_letters(word: str) -> Spoil:
+    """Orientations as A B C in place of a quaternion."""
+
+    def change(table: pd.DataFrame) -> pd.DataFrame:
+        angles = rotation(table).as_euler(word)  # type: ignore[call-overload]
+        return table.drop(columns=Q).assign(**dict(zip(ABC, angles.T, strict=True)))
+
+    return change
+
+
+def inverted(places: bool) -> Spoil:
+    def change(table: pd.DataFrame) -> pd.DataFrame:
+        back = rotation(table).inv()
+        table = table.assign(**dict(zip(Q, back.as_quat().T, strict=True)))
+        return (
+            table.assign(**dict(zip(XYZ, -back.apply(table[XYZ].to_numpy(copy=True)).T, strict=True)))
+            if places
+            else table
+        )
+
+    return change
+
+
+def scaled(factor: float, *columns: str) -> Spoil:
+    return lambda table: table.assign(**{name: factor * table[name] for name in columns})
+
+
+def exchanged(one: str, two: str) -> Spoil:
+    return lambda table: table.rename(columns={one: two, two: one})
+
+
+ROTATED = dict(zip(Q, ["qy", "qz", "qw", "qx"], strict=True))
+WRONG: dict[str, tuple[str, float, Spoil, dict[str, Any], str, dict[str, Any] | None]] = {
+    "scalar first": ("ur10", 1.0, lambda t: t.rename(columns=ROTATED), {}, "scalar-first quaternions",
+                     {"columns": {"qx": "qy", "qy": "qz", "qz": "qw", "qw": "qx"}}),
+    "scalar first, small turns": ("arid", 0.1, lambda t: t.rename(columns=ROTATED), {}, "scalar-first quaternions",
+                                  {"columns": {"qx": "qy", "qy": "qz", "qz": "qw", "qw": "qx"}}),
+    "scalar last called first": ("ur10", 0.3, lambda t: t, {"columns": ROTATED}, "scalar-last quaternions",
+                                 {"columns": {name: name for name in Q}}),
+    "turned back": ("ur10", 0.1, inverted(False), {}, "orientations of the world in the target", None),
+    "poses turned back": ("arid", 1.0, inverted(True), {}, "T_target_world", None),
+    "turning axes called fixed": ("ur10", 1.0, in_letters("XYZ"),
+                                  {"orientation": {"euler": "xyz", "columns": ABC}}, "Euler angles XYZ",
+                                  {"orientation": {"euler": "XYZ", "columns": ABC}}),
+    "letters in the other order": ("arid", 0.3, in_letters("ZYX"), {"orientation": {"euler": "XYZ", "columns": ABC}},
+                                   "Euler angles ZYX", FIRST),
+    "rotation vectors called angles": (
+        "ur10", 0.3,
+        lambda t: t.drop(columns=Q).assign(**dict(zip(ABC, rotation(t).as_rotvec().T, strict=True))),
+        FIRST, "rotation vectors", {"orientation": {"rotvec": ABC}},
+    ),
+    "all angles in degrees": ("ur10", 0.03, scaled(180 / np.pi, *robots.ur10().readings), {}, "angles in degrees",
+                              {"units": {"angle": "deg"}}),
+    "one joint in degrees": ("ur10", 0.02, scaled(180 / np.pi, "wrist_2_joint"), {}, "wrist_2_joint in degrees", None),
+    "a sign": ("ur10", 0.3, scaled(-1.0, "wrist_3_joint"), {}, "wrist_3_joint with the other sign", None),
+    "a sign that axes absorb": ("ur10", 0.1, scaled(-1.0, "elbow_joint"), {}, "elbow_joint with the other sign", None),
+    "two wrists exchanged": ("ur10", 0.1, exchanged("wrist_2_joint", "wrist_3_joint"), {},
+                             "wrist_2_joint and wrist_3_joint exchanged",
+                             {"columns": {"wrist_2_joint": "wrist_3_joint", "wrist_3_joint": "wrist_2_joint"}}),
+    "inches, which constants absorb": ("ur10", 0.1, scaled(1 / 0.0254, *XYZ), {}, "lengths in inches",
+                                       {"units": {"length": "in"}}),
+    "a rail in inches": ("arid", 0.3, scaled(1 / 0.0254, "joint_1"), {}, "joint_1 in inches", None),
+    "positions in inches": ("arid", 0.1, scaled(1 / 0.0254, *XYZ), {}, "positions in inches", None),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_a_table_read_wrongly_is_refused_with_the_reading_that_fits(name: str, tmp_path: Path) -> None:
+    which, share, spoil, said, what, keys = WRONG[name]
+    truth = machine(getattr(robots, which)(), share)
+    table = spoil(robots.table(truth))
+    with pytest.raises(NotOfThisRobot, match=re.escape(f"Read as {what} they would be ")) as caught:
+        judge(tmp_path, truth, table, measurements=said)
+    remedy = str(caught.value)
+    assert str(tmp_path / "measurements.csv") in remedy
+    if keys is None:
+        assert remedy.endswith("in the file") or "Invert every pose in the file" in remedy
+        return
+    # The remedy, followed to the letter, is one.
+    written = yaml.safe_load(remedy.partition("`")[2].removesuffix("`"))
+    assert written == keys
+    judge(tmp_path, truth, table, measurements=said | written)
+
+
+def backlash_and_gears(truth: robots.Truth) -> pd.DataFrame:
+    """The machine's poses when every joint is out by 20 mrad of play and 10 mrad of gear error besides."""
+    robot, rng = truth.model.robot, np.random.default_rng(3)
+    effects = [Coefficient(j, "axis", Basis("sin", (j,), (3.0,))) for j in robot.names]
+    model = truth.model.with_coefficients((*truth.model.coefficients, *effects))
+    q = truth.readings + 0.01 * rng.choice([-1, 1], truth.readings.shape)
+    R, p = model.poses(np.concatenate([truth.theta, np.full(len(effects), 0.01)]), model.rows(q))
+    rows = robots.measured(robot, truth.readings, p, R)
+    return robots.table(robots.Truth(truth.model, truth.theta, rows))
+
+
+def at_two_places(truth: robots.Truth) -> pd.DataFrame:
+    """The tracker was moved by 40 mm and 2 degrees half way, and nobody wrote it down."""
+    table = robots.table(truth)
+    half = slice(len(table) // 2, None)
+    turn = Rotation.from_rotvec([0.0, 0.02, 0.03])
+    table.loc[table.index[half], Q] = (turn * rotation(table[half])).as_quat()
+    table.loc[table.index[half], XYZ] = turn.apply(table[XYZ][half].to_numpy(copy=True)) + [0.04, 0.0, -0.02]
+    return table
+
+
+def zeros_off(truth: robots.Truth) -> pd.DataFrame:
+    """Encoders that were mounted anyhow."""
+    off = np.random.default_rng(4).uniform(-0.25, 0.25, truth.readings.shape[1])
+    return robots.table(truth).assign(**dict(zip(truth.model.robot.readings, (truth.readings + off).T, strict=True)))
+
+
+TRUE: dict[str, tuple[float, Callable[[robots.Truth], pd.DataFrame], dict[str, Any]]] = {
+    "as good as new": (2e-3, robots.table, {}),
+    "3 % off": (0.03, robots.table, {}),
+    "zeros off by 14 degrees": (2e-3, zeros_off, {}),
+    "play and gears": (2e-3, backlash_and_gears, {}),
+    "moved without a word": (2e-3, at_two_places, {}),
+    "moved between stations": (
+        2e-3, lambda t: at_two_places(t).assign(station=["a"] * 60 + ["b"] * 60), {"frames": {"world_base": {"per": "station"}}},
+    ),
+    "only the frames are sought": (5e-3, robots.table, {"parameters": {"set": "none"}}),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("which", "share"), [("ur10", 1.0), ("arid", 0.3)])
+@pytest.mark.parametrize("name", TRUE)
+def test_a_robot_with_large_errors_of_its_own_is_not_refused(
+    name: str, which: str, share: float, tmp_path: Path
+) -> None:
+    size, table, sections = TRUE[name]
+    truth = machine(getattr(robots, which)(), share, size=size, seed=5)
+    judge(tmp_path, truth, table(truth), **sections)
+
+
+def test_the_command_stops_before_the_search(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    truth = machine(robots.ur10(), 0.1)
+    table = robots.table(truth).rename(columns=ROTATED)
+    path = robots.write_campaign(tmp_path, truth, table, diagnosis={"enabled": True})
+    assert aridcal.identify.main([str(path)]) == 2
+    said = " ".join(capsys.readouterr().err.split())
+    assert "scalar-first quaternions" in said
+    assert "`columns: {qx: qy, qy: qz, qz: qw, qw: qx}`" in said
+    assert "candidates" not in said
+    assert not (tmp_path / "results").exists()
