@@ -275,7 +275,10 @@ def copies(rng: np.random.Generator, k: int) -> Made:
 
 
 def walk(rng: np.random.Generator, k: int) -> Made:
-    """The base wanders from row to row; it is asked for where it was at some of the rows."""
+    """The base wanders from row to row; it is asked for where it was at some of the rows.
+
+    The first joint's place wanders with it: that is the same motion.
+    """
     s = _quiet(draw_scene(rng, k))
     path = np.cumsum(rng.standard_normal((s.n, 6)), axis=0)
     path -= path.mean(axis=0)
@@ -284,7 +287,7 @@ def walk(rng: np.random.Generator, k: int) -> Made:
     when = rng.integers(0, s.n, QUERIES)
     made = replace(
         s, base=np.vstack([path, path[when]]), extra={"time": np.append(s.time, s.time[when])} if s.timed else {},
-        causes=(Cause(("drift", "shift", "unknown"), "world_base"),),
+        causes=tuple(Cause(("drift", "shift", "unknown"), where) for where in ("world_base", s.arm.names[0])),
         said=f"base wanders by {1e3 * size[0]:.2f} mm, {1e3 * size[3]:.2f} mrad RMS",
     )  # fmt: skip
     return made, white(made)
