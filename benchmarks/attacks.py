@@ -41,7 +41,7 @@ from typing import Any
 
 import numpy as np
 from faults import ATTACKS, SPACING, draw_case
-from hostile import FIRST_LINE, Case
+from hostile import FIRST_LINE, Case, Cause
 from scipy.spatial.transform import Rotation
 
 from aridcal.calibration import Calibration
@@ -162,9 +162,10 @@ def judge(case: Case) -> Score:
     readings = result["noise"].get("joint_readings", {})
     words += [f"{name} scatters by {1e3 * v['value']:.2f} mrad" for name, v in readings.items()]
     right, close = named(case, result, miss)
+    false = sum(not any(says(e, cause) for cause in s.causes) for e in effects)
     return Score(
         case.attack, case.seed, f"{kind}{', time' if s.timed else ''}; {s.said}", " + ".join(words) or "nothing",
-        result["verdict"], sum(not is_cause(case, e) for e in effects), case.contradicted, right, close, miss,
+        result["verdict"], false, case.contradicted, right, close, miss,
         case.oracle if np.isnan(case.curve) else case.curve, case.oracle, case.nominal, seconds,
     )  # fmt: skip
 
@@ -174,17 +175,16 @@ def _at(effect: Mapping[str, Any]) -> str:
     return f" from row {at['row']}" if at else ""
 
 
-def is_cause(case: Case, effect: Mapping[str, Any]) -> bool:
-    """Whether an effect is the true one, or says that it cannot be told from the true one."""
-    cause = case.scene.cause
+def says(effect: Mapping[str, Any], cause: Cause) -> bool:
+    """Whether an effect is a true one, or says that it cannot be told from it."""
     others = [effect, *effect.get("confounded_with", ())]
-    return cause is not None and any(e["kind"] in cause.kinds and e["where"] == cause.where for e in others)
+    return any(e["kind"] in cause.kinds and e["where"] == cause.where for e in others)
 
 
-def placed(case: Case, effect: Mapping[str, Any]) -> bool:
+def placed(case: Case, effect: Mapping[str, Any], cause: Cause) -> bool:
     """Whether a step is where it truly is, within 2 % of the rows in order of measuring."""
-    cause, at = case.scene.cause, effect.get("at")
-    if cause is None or cause.row is None or not at:
+    at = effect.get("at")
+    if cause.row is None or not at:
         return False
     if case.scene.timed and at.get("time") is not None:
         row = int(np.searchsorted(case.scene.time, at["time"] - 1e-6))
@@ -196,7 +196,7 @@ def placed(case: Case, effect: Mapping[str, Any]) -> bool:
 def named(case: Case, result: Mapping[str, Any], miss: float) -> tuple[bool, dict[str, bool]]:
     """Whether a result says what is the matter, and what else of it is right.
 
-    - A step: a ``shift`` at the right place and row. A bump or a payload: the kind and the joint.
+    - A step: a ``shift`` at the right place and row; of two, both. A bump, a drift or a payload: the kind and the place.
     - Held-out rows that contradict: any verdict but noise_floor. A base that wanders: that, or an effect of the base.
     - A joint that scatters: it scatters most of all in ``noise.joint_readings``; of all joints: each that moves the target
       by more than the instrument's noise is there.
@@ -204,7 +204,7 @@ def named(case: Case, result: Mapping[str, Any], miss: float) -> tuple[bool, dic
     - Markers of one body, few poses: the final model is no worse than the nominal one.
     - Nothing, or noise of another kind: no effect.
     """
-    s, cause, effects, verdict = case.scene, case.scene.cause, result["effects"], result["verdict"]
+    s, effects, verdict = case.scene, result["effects"], result["verdict"]
     if case.contradicted:
         return verdict != "noise_floor", {}
     if s.scatter.any():
@@ -214,17 +214,21 @@ def named(case: Case, result: Mapping[str, Any], miss: float) -> tuple[bool, dic
     if case.wild:
         flagged = {row["row"] - FIRST_LINE for row in result["n"].get("outlier_rows", ())}
         return set(case.wild) <= flagged and not effects, {}
-    if cause is None:
+    if not s.causes:
         return not effects, {"noise_floor": verdict == "noise_floor"} if case.attack in QUIET else {}
-    own = [e for e in effects if is_cause(case, e)]
+    own = [[e for e in effects if says(e, cause)] for cause in s.causes]
     if case.attack == "walk":
-        return bool(own) or verdict != "noise_floor", {}
-    if cause.row is not None:
-        return any(placed(case, e) for e in own), {"at the right place": bool(own)}
-    if cause.value is not None:
-        first = [e["coefficients"][0]["value"] for e in own if e["kind"] in cause.kinds]
-        return bool(own), {"value within 15 %": any(abs(v / cause.value - 1.0) <= CLOSE for v in first)}
-    return bool(own), {}
+        return any(own) or verdict != "noise_floor", {}
+    pairs = list(zip(s.causes, own, strict=True))
+    if any(cause.row is not None for cause in s.causes):
+        right = all(any(placed(case, e, cause) for e in found) for cause, found in pairs)
+        return right, {"at the right place": all(own)}
+    close = {}
+    for cause, found in pairs:
+        if cause.value is not None:
+            values = [e["coefficients"][0]["value"] for e in found if e["kind"] in cause.kinds]
+            close["value within 15 %"] = any(abs(v / cause.value - 1.0) <= CLOSE for v in values)
+    return all(own), close
 
 
 def _scatter_named(case: Case, result: Mapping[str, Any]) -> tuple[bool, dict[str, bool]]:

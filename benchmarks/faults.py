@@ -65,7 +65,7 @@ def bump(rng: np.random.Generator, k: int) -> Made:
     name = s.arm.names[joint]
     made = replace(
         s, joints=joints, free=((s.about(joint), amount),), curve=(s.about(joint), curve),
-        cause=Cause(("joint_map", "joint_harmonic", "unknown"), name),
+        causes=(Cause(("joint_map", "joint_harmonic", "unknown"), name),),
         said=f"bump at {name}, {width:.3f} rad wide, {1e3 * height:.2f} mrad high, {size:.1f} sigma in {near.sum()} rows",
     )  # fmt: skip
     return made, white(made)
@@ -81,19 +81,25 @@ def _after(s: Scene, row: int) -> np.ndarray:
     return (np.arange(len(s.q)) >= row).astype(float)
 
 
-def _stepped(s: Scene, row: int, where: str, said: str, directions: np.ndarray, **moved: np.ndarray) -> Made:
+def _stepped(s: Scene, row: int, where: str, said: str, directions: np.ndarray, **moved: np.ndarray) -> Scene:
+    """A scene with one step more, and its true motion."""
     after = _after(s, row)
-    free = tuple((d, after) for d in directions)
     order = "time" if s.timed else "rows"
-    made = replace(s, free=free, cause=Cause(("shift",), where, row), said=f"{said} at row {row} (in order of {order})")
-    made = replace(made, **moved)  # type: ignore[arg-type]
-    return made, replace(white(made), shuffled=s.timed and bool(s.rng.random() < 0.5))
+    told = f"{said} at row {row} (in order of {order})"
+    made = replace(
+        s, free=(*s.free, *((d, after) for d in directions)), causes=(*s.causes, Cause(("shift",), where, row)),
+        said=f"{s.said}, {told}" if s.causes else told,
+    )  # fmt: skip
+    return replace(made, **moved)  # type: ignore[arg-type]
 
 
-def _frame_step(rng: np.random.Generator, k: int, where: str) -> Made:
-    s = _quiet(draw_scene(rng, k))
-    row = int(rng.uniform(*STEPS) * s.n)
-    twist = np.zeros(6)
+def _in_any_order(s: Scene) -> Made:
+    """Measured, and of those that have a time half with their rows in another order."""
+    return s, replace(white(s), shuffled=s.timed and bool(s.rng.random() < 0.5))
+
+
+def _frame_step(s: Scene, row: int, where: str) -> Scene:
+    rng, twist = s.rng, np.zeros(6)
     if where == "tip_target":
         twist[:3] = rng.uniform(*SLIP) * _direction(rng)
         at, slot = slice(6, 12), "held"
@@ -107,12 +113,37 @@ def _frame_step(rng: np.random.Generator, k: int, where: str) -> Made:
 
 def slip(rng: np.random.Generator, k: int) -> Made:
     """The target slips in its grip at some row."""
-    return _frame_step(rng, k, "tip_target")
+    s = _quiet(draw_scene(rng, k))
+    return _in_any_order(_frame_step(s, int(rng.uniform(*STEPS) * s.n), "tip_target"))
 
 
 def tripod(rng: np.random.Generator, k: int) -> Made:
     """The instrument, or the base, moves at some row."""
-    return _frame_step(rng, k, "world_base")
+    s = _quiet(draw_scene(rng, k))
+    return _in_any_order(_frame_step(s, int(rng.uniform(*STEPS) * s.n), "world_base"))
+
+
+def two_steps(rng: np.random.Generator, k: int) -> Made:
+    """The target slips and the base moves, at rows that are not close together."""
+    s = _quiet(draw_scene(rng, k))
+    rows = np.array([rng.uniform(STEPS[0], 0.4), rng.uniform(0.6, STEPS[1])]) * s.n
+    first, second = rng.permutation(rows.astype(int)).tolist()
+    return _in_any_order(_frame_step(_frame_step(s, first, "tip_target"), second, "world_base"))
+
+
+def drift(rng: np.random.Generator, k: int) -> Made:
+    """The base or the target moves evenly with time: that is no step."""
+    s = replace(_quiet(draw_scene(rng, k)), timed=True)
+    where = "world_base" if rng.random() < 0.5 else "tip_target"
+    twist = np.append(rng.uniform(4e-4, 1e-3) * _direction(rng), rng.uniform(2e-4, 5e-4) * _direction(rng))
+    run = np.append((s.time - s.time[-1]) / (s.time[-1] - s.time[0]), np.zeros(QUERIES))
+    moved = np.outer(run, twist)
+    at = slice(0, 6) if where == "world_base" else slice(6, 12)
+    s = replace(
+        s, free=tuple((d, run) for d in np.eye(12 + s.off.size)[at]), causes=(Cause(("drift",), where),),
+        said=f"{where} drifts by {1e3 * np.linalg.norm(twist[:3]):.2f} mm, {1e3 * np.linalg.norm(twist[3:]):.2f} mrad",
+    )  # fmt: skip
+    return _in_any_order(replace(s, base=moved) if where == "world_base" else replace(s, held=moved))
 
 
 def jump(rng: np.random.Generator, k: int) -> Made:
@@ -127,7 +158,8 @@ def jump(rng: np.random.Generator, k: int) -> Made:
     joints = s.joints.copy()
     joints[:, joint] = size * _after(s, row)
     name = s.arm.names[joint]
-    return _stepped(s, row, name, f"zero of {name} jumps by {1e3 * size:.2f} mrad", s.about(joint)[None], joints=joints)
+    said = f"zero of {name} jumps by {1e3 * size:.2f} mrad"
+    return _in_any_order(_stepped(s, row, name, said, s.about(joint)[None], joints=joints))
 
 
 def _shifted_tests(rng: np.random.Generator, k: int, size: float) -> Made:
@@ -180,7 +212,7 @@ def joint_noise(rng: np.random.Generator, k: int) -> Made:
         joint = int(rng.integers(len(scatter)))
         scatter[joint] = rng.uniform(*SCATTER)
         if _rms(s.moved(joint, np.full(len(s.q), scatter[joint]))) >= CLEAR:
-            made = replace(s, cause=Cause(("joint_readings",), s.arm.names[joint], value=float(scatter[joint])))
+            made = replace(s, causes=(Cause(("joint_readings",), s.arm.names[joint], value=float(scatter[joint])),))
             return _scattering(made, scatter)
 
 
@@ -243,7 +275,10 @@ def copies(rng: np.random.Generator, k: int) -> Made:
 
 
 def walk(rng: np.random.Generator, k: int) -> Made:
-    """The base wanders from row to row; it is asked for where it was at some of the rows."""
+    """The base wanders from row to row; it is asked for where it was at some of the rows.
+
+    The first joint's place wanders with it: that is the same motion.
+    """
     s = _quiet(draw_scene(rng, k))
     path = np.cumsum(rng.standard_normal((s.n, 6)), axis=0)
     path -= path.mean(axis=0)
@@ -252,7 +287,7 @@ def walk(rng: np.random.Generator, k: int) -> Made:
     when = rng.integers(0, s.n, QUERIES)
     made = replace(
         s, base=np.vstack([path, path[when]]), extra={"time": np.append(s.time, s.time[when])} if s.timed else {},
-        cause=Cause(("drift", "shift", "unknown"), "world_base"),
+        causes=tuple(Cause(("drift", "shift", "unknown"), where) for where in ("world_base", s.arm.names[0])),
         said=f"base wanders by {1e3 * size[0]:.2f} mm, {1e3 * size[3]:.2f} mrad RMS",
     )  # fmt: skip
     return made, white(made)
@@ -273,7 +308,7 @@ def payload(rng: np.random.Generator, k: int) -> Made:
     name = s.arm.names[joint]
     made = replace(
         s, joints=joints, free=((s.about(joint), joints[:, joint]),), extra={"payload": carried},
-        cause=Cause(("joint_compliance",), name, value=float(value)),
+        causes=(Cause(("joint_compliance",), name, value=float(value)),),
         said=f"{name} yields by {value:.2e} rad/(N m) under 0, 5, 10 kg, {size:.1f} sigma",
     )  # fmt: skip
     return made, white(made)
@@ -316,7 +351,7 @@ ATTACKS: dict[str, Callable[[np.random.Generator, int], Made]] = {
     "clean": clean, "bump": bump, "slip": slip, "tripod": tripod, "jump": jump, "tests-0.5mm": tests_half,
     "tests-5mm": tests_five, "tests-wild": tests_wild, "joint-noise": joint_noise, "all-joints": all_joints,
     "rounding": rounding, "ar1": ar1, "range-noise": range_noise, "copies": copies, "walk": walk, "payload": payload,
-    "wild": wild, "markers": markers,
+    "wild": wild, "markers": markers, "two-steps": two_steps, "drift": drift,
 }  # fmt: skip
 """In the order of their seeds: a new one goes last."""
 

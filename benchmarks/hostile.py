@@ -63,7 +63,7 @@ class Scene:
         held: What moves the target in the tip's grip, the same.
         free: What an oracle knows the form of: a direction among the derivatives, and its amount for each row.
         curve: Knots of a smooth curve that follows the true one: a direction, and amounts, shape (M, knots).
-        cause: How the result should name it.
+        causes: How the result should name it.
         said: The same in words.
         scatter: Standard deviation of each joint's readings, shape (J,).
         label: Which target each row measured, shape (M,).
@@ -88,7 +88,7 @@ class Scene:
     held: np.ndarray
     free: tuple[tuple[np.ndarray, np.ndarray], ...] = ()
     curve: tuple[np.ndarray, np.ndarray] | None = None
-    cause: Cause | None = None
+    causes: tuple[Cause, ...] = ()
     said: str = "nothing"
     scatter: np.ndarray = field(default_factory=lambda: np.zeros(0))
     label: np.ndarray | None = None

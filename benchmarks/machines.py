@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +12,6 @@ from random_robots import FAMILIES, draw_robot
 from scipy.spatial.transform import Rotation
 
 from aridcal.effects.basis import Basis
-from aridcal.effects.catalogue import KINDS
 from aridcal.effects.effect import FRAME_COMPONENTS, Coefficient, Effect
 from aridcal.effects.loads import Surroundings, covariate_table
 from aridcal.errors import CampaignError
@@ -30,9 +29,9 @@ NAMED = (
     "joint_gain", "joint_harmonic", "joint_map", "joint_backlash", "joint_compliance", "bearing_compliance",
     "axis_wobble", "rail_straightness", "rail_angular", "joint_coupling", "thermal", "drift", "payload_compliance",
 )  # fmt: skip
-ADDED = ("payload", "bump", *(("shift",) if "shift" in KINDS else ()))
+ADDED = ("payload", "bump", "shift")
 """Cases that have numbers of their own, so that those of :data:`NAMED` stay what they were: a ``joint_compliance`` with a
-payload on it, a ``joint_map`` that is one narrow bump, and a ``shift``, once there is this kind."""
+payload on it, a ``joint_map`` that is one narrow bump, and a ``shift``."""
 
 CURVES = {
     "joint_map": (("axis",), 36, (2.0, 4.0, 8.0)),
@@ -209,8 +208,7 @@ def _draw(seed: int, what: str, kind: str | None, outliers: float, rng: np.rando
     R, p = truth.poses(theta, truth.rows(readings, known))
     unseen = dataset(robot.readings, robot.kinds, readings[query], p[query], R[query] if pose else None,
                      covariates={k: v[query] for k, v in known.items()})  # fmt: skip
-    if "order" in {f.name for f in fields(unseen)}:
-        unseen = replace(unseen, **{"order": np.full(QUERIES, np.inf)})  # type: ignore[arg-type]
+    unseen = replace(unseen, order=np.full(QUERIES, np.inf))
     error = rng.standard_normal((n, 6))
     wrong = rng.permutation(n)[: round(outliers * n)]
     direction = rng.standard_normal((len(wrong), 2, 3))

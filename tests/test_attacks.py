@@ -11,7 +11,7 @@ import hostile
 import numpy as np
 import pinocchio as pin
 import pytest
-from attacks import campaign, is_cause, judge, named, placed, report
+from attacks import campaign, judge, named, placed, report, says
 from faults import ATTACKS, SPACING, draw_case
 from hostile import QUERIES, Case
 from plain_arm import Arm, answer, derivatives, misses, small
@@ -148,7 +148,7 @@ def test_a_step_moves_the_rows_after_it_and_what_is_asked_for(attack: str) -> No
         s = drawn(attack, k).scene
         without = s.arm.target(s.q, s.world, s.tool, s.off)
         moved = np.linalg.norm(misses(s.truth, without, True), axis=1)
-        assert np.all(moved[: s.cause.row] < 1e-12) and np.all(moved[s.cause.row :] > 1e-6)
+        assert np.all(moved[: s.causes[0].row] < 1e-12) and np.all(moved[s.causes[0].row :] > 1e-6)
 
 
 def test_a_step_is_placed_by_row_or_by_time_within_two_per_cent() -> None:
@@ -156,13 +156,40 @@ def test_a_step_is_placed_by_row_or_by_time_within_two_per_cent() -> None:
     assert any(np.any(np.diff(c.order) < 0) for c in cases), "no table is shuffled"
     for case in cases:
         s = case.scene
+        (cause,) = s.causes
         for wrong, right in ((0, True), (4, True), (8, False)):
-            row = s.cause.row + wrong
+            row = cause.row + wrong
             at = {"row": int(case.order[row]) + 2} | ({"time": float(s.time[row])} if s.timed else {})
-            effect = {"kind": "shift", "where": s.cause.where, "at": at, "confounded_with": []}
-            assert placed(case, effect) == right
-            assert placed(case, effect | {"at": {"row": at["row"]}}) == right
-            assert is_cause(case, effect) and not is_cause(case, effect | {"where": "nowhere"})
+            effect = {"kind": "shift", "where": cause.where, "at": at, "confounded_with": []}
+            assert placed(case, effect, cause) == right
+            assert placed(case, effect | {"at": {"row": at["row"]}}, cause) == right
+            assert says(effect, cause) and not says(effect | {"where": "nowhere"}, cause)
+
+
+def test_of_two_steps_both_must_be_placed() -> None:
+    case = drawn("two-steps")
+    s = case.scene
+    assert {cause.where for cause in s.causes} == {"tip_target", "world_base"}
+    effects = [
+        {"kind": "shift", "where": cause.where, "at": {"row": int(case.order[cause.row]) + 2, "time": float(s.time[cause.row])}}
+        for cause in s.causes
+    ]  # fmt: skip
+    result = {"effects": effects, "verdict": "noise_floor"}
+    assert named(case, result, 0.1) == (True, {"at the right place": True})
+    assert named(case, result | {"effects": effects[:1]}, 0.1) == (False, {"at the right place": False})
+    late = [effects[0], effects[1] | {"at": effects[0]["at"]}]
+    assert named(case, result | {"effects": late}, 0.1) == (False, {"at the right place": True})
+
+
+def test_a_drift_ends_where_the_machine_is_now_and_is_no_step() -> None:
+    case = drawn("drift")
+    s = case.scene
+    without = s.arm.target(s.q, s.world, s.tool, s.off)
+    moved = np.linalg.norm(misses(s.truth, without, True), axis=1)
+    assert np.all(moved[s.n - 1 :] < 1e-12) and moved[0] > 1e-4
+    assert np.abs(np.diff(s.base + s.held, axis=0)).max() < 0.05 * np.abs(s.base + s.held).max()
+    step = {"kind": "shift", "where": s.causes[0].where, "coefficients": [{"value": 1.0}]}
+    assert not says(step, s.causes[0]) and says(step | {"kind": "drift"}, s.causes[0])
 
 
 def test_rows_of_a_shuffled_table_are_those_measured() -> None:
@@ -173,7 +200,7 @@ def test_rows_of_a_shuffled_table_are_those_measured() -> None:
 def test_a_joint_that_scatters_is_named_by_the_largest_and_its_size() -> None:
     case = drawn("joint-noise", 1)
     s = case.scene
-    value, name = s.cause.value, s.cause.where
+    value, name = s.causes[0].value, s.causes[0].where
     other = next(n for n in s.arm.names if n != name)
     noise = {"position_mm": 1e3 * s.sigma[0], "rotation_mrad": 1e3 * s.sigma[1]}
 
@@ -197,7 +224,7 @@ def test_reading_scatter_shows_in_the_rows_and_not_in_the_truth() -> None:
     p = case.table[["x", "y", "z"]].to_numpy()
     off = misses((s.truth[0][: s.n], p), (s.truth[0][: s.n], s.truth[1][: s.n]), False)
     assert np.sqrt(np.mean(off**2)) == pytest.approx(case.scale[0], rel=0.15)
-    assert s.scatter[joint] == s.cause.value
+    assert s.scatter[joint] == s.causes[0].value
 
 
 def test_noise_floor_is_wrong_of_a_model_that_misses_or_that_held_out_rows_contradict() -> None:
