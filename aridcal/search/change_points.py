@@ -14,13 +14,15 @@ largest of such statistics; Worsley 1986, doi:10.1093/biomet/73.1.91, for its co
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.special import gammaincc
 
 from aridcal.effects.effect import Effect
+from aridcal.fit.least_squares import OUTLIER
 from aridcal.search.evidence import DEPENDENT, solve
-from aridcal.search.linear_model import Active, LinearModel, State, with_candidate
+from aridcal.search.linear_model import Active, LinearModel, State, solve_state, with_candidate
 
 SIDE = 6
 """Rows at the least on either side of a step: fewer are outliers, not a new state."""
@@ -111,6 +113,14 @@ class _Scan:
         values, vectors = np.linalg.eigh(M)
         along = np.einsum("kst,ks->kt", vectors, s * scale) ** 2
         return np.asarray(np.sum(np.where(values > DEPENDENT, along / np.maximum(values, DEPENDENT), 0.0), axis=1))
+
+
+def opened(model: LinearModel, state: State) -> State:
+    """The same with all rows in use; those far off pull no more than one at the limit of outliers does."""
+    size = np.linalg.norm(state.residual / state.sigma, axis=1)
+    clip = np.minimum(1.0, OUTLIER * np.sqrt(model.r.shape[1]) / np.maximum(size, 1.0))
+    pulled = replace(model, r=state.residual * clip[:, None])
+    return solve_state(pulled, state.active, state.solution.sigma, ~model.stale, flag=False)
 
 
 def _sums(rows: np.ndarray) -> np.ndarray:

@@ -24,7 +24,7 @@ from aridcal.search.change_points import best_steps
 from aridcal.search.hints import pairs
 from aridcal.search.linear_model import Active, LinearModel, State, activate, solve_state
 from aridcal.search.scoring import admitted
-from aridcal.search.stepwise import Found, is_small, rank, search, twins
+from aridcal.search.stepwise import Found, is_small, lifted, rank, search, twins
 
 FOLDS = 5
 """Parts that are held back in turn: as usual, and four fifths of the rows are enough to tell an effect."""
@@ -111,6 +111,7 @@ def diagnose(
     sought = [d.at is None for d in campaign.effects]
     state = _with_declared(place, stated, sought, start.geometric)
     stated = [a.effect for a in state.active]
+    state = lifted(place.linear, named, state)
     if is_small(place.linear, named):
         place, state = _large_first(start, place, named, library, state, observed)
     place, current, found, fitted = _searched(start, place, named, library, state, observed, progress)

@@ -195,7 +195,9 @@ def flat(values: np.ndarray, channels: Channels) -> tuple[np.ndarray, ...]:
     return tuple(values[:, part].reshape(rows * channel.size, *tail) for channel, part in parts)
 
 
-def solve_state(model: LinearModel, active: Sequence[Active], sigma: np.ndarray, used: np.ndarray) -> State:
+def solve_state(
+    model: LinearModel, active: Sequence[Active], sigma: np.ndarray, used: np.ndarray, flag: bool = True
+) -> State:
     """Solve a set of effects, noise and outlier flags with it.
 
     Args:
@@ -203,6 +205,7 @@ def solve_state(model: LinearModel, active: Sequence[Active], sigma: np.ndarray,
         active: Effects.
         sigma: Noise to begin with, shape (C,).
         used: Rows to begin with, shape (N,) bool.
+        flag: Whether rows are flagged anew; else those to begin with are the rows in use.
     """
     design = np.concatenate([model.A, *(a.columns(model) for a in active)], axis=2)
     precision = block_diag(model.gauge, *(a.precision for a in active))
@@ -215,7 +218,7 @@ def solve_state(model: LinearModel, active: Sequence[Active], sigma: np.ndarray,
         residual = model.r - design @ solution.beta
         sigma = solution.sigma
         sound = ~flagged(residual, model.channels, model.stale)
-        if np.array_equal(sound, used):
+        if not flag or np.array_equal(sound, used):
             break
     return State(
         channels=model.channels,

@@ -5,10 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from aridcal.effects.catalogue import KINDS
 from aridcal.effects.effect import Effect
-from aridcal.search.change_points import best_steps
-from aridcal.search.evidence import Score
+from aridcal.fit.least_squares import OUTLIER
+from aridcal.search.change_points import SIDE, best_steps, opened
+from aridcal.search.evidence import NOTHING, Score
 from aridcal.search.hints import harmonics
 from aridcal.search.linear_model import LinearModel, State, activate, solve_state
 from aridcal.search.scoring import ALPHA, Judgement, judge, refine, score_all
@@ -81,6 +84,45 @@ def search(model: LinearModel, library: Sequence[Effect], start: State, most: in
         if same:
             break
     return Found(state, rejected, tested)
+
+
+def lifted(model: LinearModel, library: Sequence[Effect], state: State) -> State:
+    """The model with a step that explains rows which were flagged: a tenth of them that moved alike look like outliers.
+
+    Each place's best step over all rows, flags or not, is solved for; the one that leaves least is taken if it clears
+    enough flags and passes the gates on the rows that it has cleared.
+
+    Args:
+        model: The linearised model.
+        library: All candidates.
+        state: The model as it is.
+    """
+    sound, flags = ~model.stale, int(np.sum(~state.used & ~model.stale))
+    jumps = [e for e in library if e.at is not None]
+    if flags < SIDE or not jumps:
+        return state
+    far = OUTLIER**2 * model.r.shape[1]
+
+    def misfit(trial: State) -> float:
+        squares = np.sum((trial.residual / state.sigma) ** 2, axis=1)
+        return float(np.sum(np.minimum(squares[sound], far)))
+
+    trials = []
+    for effect in best_steps(model, opened(model, state), jumps):
+        active = (*state.active, activate(model, state, effect, NOTHING))
+        trials.append(solve_state(model, active, state.solution.sigma, sound))
+    if not trials:
+        return state
+    best = min(trials, key=misfit)
+    if int(np.sum(~best.used & sound)) > flags - SIDE or misfit(best) >= misfit(state):
+        return state
+    effect = best.active[-1].effect
+    without = solve_state(model, state.active, best.solution.sigma, best.used, flag=False)
+    found = refine(model, without, effect, score_all(model, [effect], without)[0])
+    if judge(model, without, effect, found, len(library)).why:
+        return state
+    active = (*state.active, activate(model, without, effect, found))
+    return solve_state(model, active, best.solution.sigma, best.used)
 
 
 def is_small(model: LinearModel, library: Sequence[Effect]) -> bool:
@@ -171,7 +213,8 @@ def _tidy(model: LinearModel, library: Sequence[Effect], state: State, rounds: i
             active = [a for a in state.active if a.effect != effect]
             if len(active) == len(state.active) or effect not in known:
                 continue
-            without = solve_state(model, active, state.solution.sigma, state.used)
+            # Rows that a step explains would be flagged without it, and then nothing would ask for it.
+            without = solve_state(model, active, state.solution.sigma, state.used, flag=effect.at is None)
             ranked = rank(model, library, without, also=also)
             mine = next((s for e, s in ranked if e == effect), None)
             if mine is None:  # a map of the same joint, taken since, holds it
@@ -192,7 +235,7 @@ def _twins(model: LinearModel, library: Sequence[Effect], state: State, k: int) 
     """Candidates that would do about as well in the place of one of the effects."""
     mine = state.active[k]
     active = [a for a in state.active if a is not mine]
-    without = solve_state(model, active, state.solution.sigma, state.used)
+    without = solve_state(model, active, state.solution.sigma, state.used, flag=mine.effect.at is None)
     ranked = rank(model, library, without, also=[mine.effect])
     own = next((s for e, s in ranked if e == mine.effect), None)
     if own is None:
