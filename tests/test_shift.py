@@ -176,6 +176,19 @@ def test_a_machine_that_stood_still_or_wandered_slowly_has_no_shift(what: str, t
     assert outcome.verdict.word == ("noise_floor" if what == "nothing" else "structure_remains")
 
 
+def test_rows_that_moved_alike_are_no_outliers_and_a_wild_one_stays_one(tmp_path: Path) -> None:
+    """So few rows before the knock that the geometric stage flags them all: the step takes their flags off."""
+    machine = Machine(14, [(12, "world_base", HEAVY)])
+    table = machine.table()
+    table.loc[100, "x"] += 0.019
+    outcome = identify(machine.campaign(tmp_path, table.assign(split=np.where(np.arange(N) % 5 == 4, "test", "train"))))
+    ((kind, where, row),) = happened(outcome)
+    assert (kind, where) == ("shift", "world_base")
+    assert abs(row - 14) <= 1
+    assert list(np.flatnonzero(outcome.outlier)) == [100]
+    assert machine.miss(calibration(outcome)) < 0.6 * SIGMA
+
+
 @pytest.mark.parametrize("at", [{"row": 82}, {"time": 2415.0}, None], ids=["row", "time", "sought"])
 def test_a_declared_shift_is_fitted_where_it_is_said_or_found_to_be(at: object, tmp_path: Path) -> None:
     machine = Machine(7, [(80, "tip_target", SLIP)])
