@@ -8,14 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from aridcal.effects.loads import Surroundings
-from aridcal.fit.least_squares import Fit
 from aridcal.fit.stages import Geometry, fit_geometry, recentred
 from aridcal.inputs.campaign import Campaign
 from aridcal.inputs.dataset import Dataset
 from aridcal.model.model import Model
 from aridcal.robot.chain import Robot
 from aridcal.search.diagnose import Diagnosed, diagnose
-from aridcal.search.linear_model import State
 from aridcal.search.noise_causes import NoiseCauses, noise_causes
 
 EARTH = np.array([0.0, 0.0, -9.81])
@@ -44,24 +42,19 @@ def calibrated_arm(
 ) -> CalibratedArm:
     """Fit and search; ask what makes the rows scatter; if that is more than the instrument, do it again with it as weights.
 
-    So no effect is made of the scatter of a joint's reading, and rows that this scatter does not touch count in full. What
-    has no name is then sought only once.
+    So no effect is made of the scatter of a joint's reading, and rows that this scatter does not touch count in full.
     """
-    first: list[NoiseCauses] = []
 
-    def more_than_the_instrument(fit: Fit, state: State) -> bool:
+    def fitted(data: Dataset) -> CalibratedArm:
+        arm = fit_arm(campaign, fit_constants(campaign, robot, data, labels), data, progress)
         progress("asking what the scatter is made of")
-        causes = noise_causes(fit, state.active, rows)
-        first.extend([causes] if causes is not None and causes.relative is not None else [])
-        return bool(first)
+        return replace(arm, causes=noise_causes(arm.diagnosed.fit, arm.diagnosed.found.state.active, rows))
 
-    geometry = fit_constants(campaign, robot, rows, labels)
-    arm = fit_arm(campaign, geometry, rows, progress, more_than_the_instrument)
-    if first:
-        progress("weighing the rows by what makes them scatter, and fitting again")
-        weighed = replace(rows, relative=first[0].relative)
-        arm = fit_arm(campaign, fit_constants(campaign, robot, weighed, labels), weighed, progress)
-    return replace(arm, causes=noise_causes(arm.diagnosed.fit, arm.diagnosed.found.state.active, rows))
+    first = fitted(rows)
+    if first.causes is None or first.causes.relative is None:
+        return first
+    progress("weighing the rows by what makes them scatter, and fitting again")
+    return fitted(replace(rows, relative=first.causes.relative))
 
 
 def fit_constants(campaign: Campaign, robot: Robot, rows: Dataset, labels: tuple[str, ...]) -> Geometry:
@@ -72,15 +65,9 @@ def fit_constants(campaign: Campaign, robot: Robot, rows: Dataset, labels: tuple
     return replace(found, geometric=replace(geometric, model=replace(geometric.model, around=around)))
 
 
-def fit_arm(
-    campaign: Campaign,
-    geometry: Geometry,
-    rows: Dataset,
-    progress: Callable[[str], None],
-    halt: Callable[[Fit, State], bool] = lambda *_: False,
-) -> CalibratedArm:
-    """Look for what the constants do not explain, on the training rows, and fit all together; ``halt`` as for a search."""
-    found = diagnose(campaign, geometry.geometric, rows.select(rows.train), progress, halt)
+def fit_arm(campaign: Campaign, geometry: Geometry, rows: Dataset, progress: Callable[[str], None]) -> CalibratedArm:
+    """Look for what the constants do not explain, on the training rows, and fit all together."""
+    found = diagnose(campaign, geometry.geometric, rows.select(rows.train), progress)
     return CalibratedArm(rows, geometry, found)
 
 

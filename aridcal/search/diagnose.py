@@ -85,11 +85,7 @@ class Diagnosed:
 
 
 def diagnose(
-    campaign: Campaign,
-    geometric: Fit,
-    train: Dataset,
-    progress: Callable[[str], None] = lambda _: None,
-    halt: Callable[[Fit, State], bool] = lambda *_: False,
+    campaign: Campaign, geometric: Fit, train: Dataset, progress: Callable[[str], None] = lambda _: None
 ) -> Diagnosed:
     """Find the effects that the geometric model lacks, and fit all together.
 
@@ -98,7 +94,6 @@ def diagnose(
         geometric: The geometric stage.
         train: The rows that it was fitted to.
         progress: Called with what is being done.
-        halt: Asked, with the fit and the named effects, whether to end there: what has no name takes longest.
     """
     start = _thinned(geometric, train)
     observed, barred = look(start)
@@ -117,12 +112,6 @@ def diagnose(
         place, state = _large_first(start, place, named, library, state, observed)
     place, current, found, fitted = _searched(start, place, named, library, state, observed, progress)
     state = found.state
-    if _shapes(state) != fitted:
-        progress(_fitting(state))
-        current, fitted = refit(start, state, current), _shapes(state)
-    if halt(current, state):
-        untold: tuple[tuple[Effect, ...], ...] = ((),) * len(state.active)
-        return Diagnosed(current, place.at, place.linear, observed, found, untold, tuple(stated), tuple(barred))
     if unnamed:
         progress(f"testing {len(unnamed)} functions of unknown cause, then pairs")
         more = _unnamed(place.linear, unnamed, found, observed)
