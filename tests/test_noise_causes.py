@@ -187,6 +187,37 @@ def test_a_frame_that_turns_slowly_is_no_noise_that_grows_with_range() -> None:
     assert any("origin of the world frame" in notice for notice in structured_notices(found))
 
 
+def hostile(kind: str, seed: int) -> Dataset:
+    """Rows of which something is wrong that is no scatter of a reading."""
+    rng, data = np.random.default_rng(seed), rows(seed).measured
+    late = (np.arange(ROWS) > ROWS // 2)[:, None]
+    rotation, p, q = data.rotation, data.position, data.readings.copy()
+    assert rotation is not None
+    if kind == "zero jumps":
+        q[late[:, 0], 2] += 4e-4
+    moved = {
+        "target slips": 3e-4 * late * rotation[:, :, 0],
+        "base wanders": np.cumsum(2e-5 * rng.standard_normal((ROWS, 3)), axis=0),
+        "positions rounded": np.round(p, 3) - p,
+        "long tails": 1e-4 * rng.standard_t(3, (ROWS, 3)),
+        "outliers": 5e-3 * (rng.random((ROWS, 1)) < 0.05) * rng.standard_normal((ROWS, 3)),
+    }
+    return replace(data, position=p + moved.get(kind, 0.0), readings=q)
+
+
+@pytest.mark.parametrize(
+    "kind", ["zero jumps", "target slips", "base wanders", "positions rounded", "long tails", "outliers"]
+)
+def test_what_is_wrong_otherwise_is_not_taken_for_scatter(kind: str) -> None:
+    for seed in (1, 2):
+        assert causes(hostile(kind, seed)).further == ()
+
+
+def test_outliers_do_not_hide_a_joint_that_is_misread() -> None:
+    only = the_only(causes(misread(hostile("outliers", 3), 1, 2e-4, 3)))
+    assert (only.name, only.value) == (UR10.readings[1], pytest.approx(2e-4, rel=0.2))
+
+
 def far(seed: int) -> Dataset:
     """Rows seen from an instrument at the world's origin, near the robot, with little noise."""
     return rows(seed, 2e-5).measured

@@ -77,16 +77,34 @@ def row_clues(rows: Dataset, fit: Fit, residual: np.ndarray, outlier: np.ndarray
         residual: Of all rows, scaled by their relative sigmas, shape (N, m).
         outlier: Flagged rows, shape (N,) bool.
     """
+    judging = rows.test & ~_beside_steps(rows, fit)
     asked = [
-        _held_out(rows, fit, residual, outlier),
+        _held_out(rows, judging & ~outlier, fit, residual, outlier),
         _offset(residual[~outlier]),
-        _many_flagged(rows, outlier),
+        _many_flagged(judging, outlier),
         _together(rows, residual, outlier),
     ]
     return [clue for clue in asked if clue is not None]
 
 
-def _held_out(rows: Dataset, fit: Fit, residual: np.ndarray, outlier: np.ndarray) -> Clue | None:
+def _beside_steps(rows: Dataset, fit: Fit) -> np.ndarray:
+    """Held-out rows between the last fitted row before a step and the first after it, shape (N,) bool.
+
+    No fitted row tells on which side of the step they are, so that they cannot speak against the model.
+    """
+    beside = np.zeros(len(rows), dtype=bool)
+    for step in dict.fromkeys(c.basis for c in fit.model.coefficients if c.basis.form == "step"):
+        values, at = rows.conditions[step.of[0]], step.numbers[0]
+        fitted = values[rows.train]
+        last, first = (
+            np.max(fitted, where=fitted < at, initial=-np.inf),
+            np.min(fitted, where=fitted >= at, initial=np.inf),
+        )
+        beside |= rows.test & (values > last) & (values < first)
+    return beside
+
+
+def _held_out(rows: Dataset, test: np.ndarray, fit: Fit, residual: np.ndarray, outlier: np.ndarray) -> Clue | None:
     r"""Do held-out rows err more than the noise of the fitted ones and the model's own uncertainty explain?
 
     With :math:`q = r^T D^{-1} r / m` of a held-out row, D the diagonal of its predicted variance
@@ -94,7 +112,7 @@ def _held_out(rows: Dataset, fit: Fit, residual: np.ndarray, outlier: np.ndarray
     out, :math:`\nu` the degrees of freedom of the fit. :math:`\kappa`, how much more the fitted rows' squares vary than
     those of normal noise, keeps heavy tails from being taken for a difference.
     """
-    test, train = rows.test & ~outlier, ~rows.test & ~outlier
+    train = rows.train & ~outlier
     configurations = len(np.unique(rows.configuration[test]))
     if configurations < FEWEST or fit.freedom <= 0:
         return None
@@ -134,9 +152,9 @@ def _model_variance(rows: Dataset, fit: Fit) -> np.ndarray:
     return np.concatenate(parts)
 
 
-def _many_flagged(rows: Dataset, outlier: np.ndarray) -> Clue | None:
+def _many_flagged(test: np.ndarray, outlier: np.ndarray) -> Clue | None:
     """Are more held-out rows flagged than a sound setup loses?"""
-    held_out, flagged = int(rows.test.sum()), int((rows.test & outlier).sum())
+    held_out, flagged = int(test.sum()), int((test & outlier).sum())
     if flagged < LEAST_FLAGGED or flagged <= MANY_FLAGGED * held_out:
         return None
     what = (

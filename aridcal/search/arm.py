@@ -2,24 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from aridcal.effects.basis import Basis
-from aridcal.effects.effect import Effect
 from aridcal.effects.loads import Surroundings
-from aridcal.fit.least_squares import Fit
-from aridcal.fit.residual import problem
 from aridcal.fit.stages import Geometry, fit_geometry, recentred
 from aridcal.inputs.campaign import Campaign
-from aridcal.inputs.channels import spread
 from aridcal.inputs.dataset import Dataset
 from aridcal.model.model import Model
 from aridcal.robot.chain import Robot
 from aridcal.search.diagnose import Diagnosed, diagnose
-from aridcal.search.linear_model import State
 from aridcal.search.noise_causes import NoiseCauses, noise_causes
 
 EARTH = np.array([0.0, 0.0, -9.81])
@@ -53,23 +47,20 @@ def calibrated_arm(
 ) -> CalibratedArm:
     """Fit and search; ask what makes the rows scatter; if that is more than the instrument, do it again with it as weights.
 
-    So no effect is made of the scatter of a joint's reading, and rows that this scatter does not touch count in full. What
-    has no name is then sought only once.
+    So no effect is made of the scatter of a joint's reading, and rows that this scatter does not touch count in full.
     """
-    first: list[NoiseCauses] = []
 
-    def more_than_the_instrument(fit: Fit, state: State) -> bool:
+    def fitted(data: Dataset, geometry: Geometry) -> CalibratedArm:
+        arm = fit_arm(campaign, geometry, data, progress)
         progress("asking what the scatter is made of")
-        causes = noise_causes(fit, state.active, rows)
-        first.extend([causes] if causes is not None and causes.relative is not None else [])
-        return bool(first)
+        return replace(arm, causes=noise_causes(arm.diagnosed.fit, arm.diagnosed.found.state.active, rows))
 
-    arm = fit_arm(campaign, geometry, rows, progress, more_than_the_instrument)
-    if first:
-        progress("weighing the rows by what makes them scatter, and fitting again")
-        weighed = replace(rows, relative=first[0].relative)
-        arm = fit_arm(campaign, fit_constants(campaign, robot, weighed, labels), weighed, progress)
-    return replace(arm, causes=noise_causes(arm.diagnosed.fit, arm.diagnosed.found.state.active, rows))
+    first = fitted(rows, geometry)
+    if first.causes is None or first.causes.relative is None:
+        return first
+    progress("weighing the rows by what makes them scatter, and fitting again")
+    weighed = replace(rows, relative=first.causes.relative)
+    return fitted(weighed, fit_constants(campaign, robot, weighed, labels))
 
 
 def fit_constants(campaign: Campaign, robot: Robot, rows: Dataset, labels: tuple[str, ...]) -> Geometry:
@@ -80,68 +71,10 @@ def fit_constants(campaign: Campaign, robot: Robot, rows: Dataset, labels: tuple
     return replace(found, geometric=replace(geometric, model=replace(geometric.model, around=around)))
 
 
-def fit_arm(
-    campaign: Campaign,
-    geometry: Geometry,
-    rows: Dataset,
-    progress: Callable[[str], None],
-    halt: Callable[[Fit, State], bool] = lambda *_: False,
-) -> CalibratedArm:
-    """Look for what the constants do not explain, on the training rows, and fit all together; ``halt`` as for a search."""
-    found = diagnose(campaign, geometry.geometric, rows.select(rows.train), progress, halt)
-    stated = {d.at.number for d in campaign.effects if d.at is not None}
-    return CalibratedArm(rows, geometry, settled(found, rows, stated))
-
-
-def settled(found: Diagnosed, rows: Dataset, stated: Collection[float] = ()) -> Diagnosed:
-    """Put each step among the held-out rows that lie between the last fitted row before it and the first one after.
-
-    The fitted rows cannot tell on which side those are, and a wrong guess would count as an error of the model. They say
-    it themselves; no coefficient depends on it. Steps that the campaign states stay.
-    """
-    for step in dict.fromkeys(a.effect.at for a in found.found.state.active):
-        if step is not None and step.numbers[0] not in stated:
-            found = _with_step(found, step, _between(found, step, rows))
-    return found
-
-
-def _between(found: Diagnosed, step: Basis, rows: Dataset) -> Basis:
-    """The step where the held-out rows next to it fit best."""
-    values = rows.conditions[step.of[0]]
-    fitted = np.sort(values[rows.train])
-    here = int(np.searchsorted(fitted, step.numbers[0]))
-    if not 0 < here < len(fitted):
-        return step
-    low, high = fitted[here - 1], fitted[here]
-    unknown = np.flatnonzero(rows.test & (values > low) & (values < high))
-    ends = np.unique(np.concatenate([[low], values[unknown], [high]]))
-    places = [replace(step, numbers=(float(middle),)) for middle in 0.5 * (ends[:-1] + ends[1:])]
-    if not len(unknown):
-        return step
-
-    def misfit(place: Basis) -> float:
-        fit = _with_step(found, step, place).fit
-        r = problem(fit.model, rows.select(unknown)).scaled_residual(fit.theta)
-        return float(np.sum((r / spread(fit.sigma, rows.channels)) ** 2))
-
-    return min(places, key=misfit)
-
-
-def _with_step(found: Diagnosed, old: Basis, new: Basis) -> Diagnosed:
-    """The same with a step elsewhere between the same two fitted rows."""
-
-    def moved(effect: Effect) -> Effect:
-        return effect.placed(new.numbers[0]) if effect.at == old else effect
-
-    coefficients = [replace(c, basis=new) if c.basis == old else c for c in found.fit.model.coefficients]
-    state = found.found.state
-    active = tuple(replace(a, effect=moved(a.effect)) for a in state.active)
-    return replace(
-        found,
-        fit=replace(found.fit, model=found.fit.model.with_coefficients(coefficients)),
-        found=replace(found.found, state=replace(state, active=active)),
-        declared=tuple(moved(e) for e in found.declared),
-    )
+def fit_arm(campaign: Campaign, geometry: Geometry, rows: Dataset, progress: Callable[[str], None]) -> CalibratedArm:
+    """Look for what the constants do not explain, on the training rows, and fit all together."""
+    found = diagnose(campaign, geometry.geometric, rows.select(rows.train), progress)
+    return CalibratedArm(rows, geometry, found)
 
 
 def surroundings(campaign: Campaign, model: Model, loaded: bool) -> Surroundings:

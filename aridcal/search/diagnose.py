@@ -69,7 +69,6 @@ class Diagnosed:
         confounded: For each active effect, the candidates that are confounded with it in these data.
         declared: Effects that the campaign states.
         barred: Candidates that could not be tested, and why.
-        halted: True if the search was ended before what has no name was sought.
     """
 
     fit: Fit
@@ -80,15 +79,10 @@ class Diagnosed:
     confounded: tuple[tuple[Effect, ...], ...]
     declared: tuple[Effect, ...]
     barred: tuple[Barred, ...]
-    halted: bool = False
 
 
 def diagnose(
-    campaign: Campaign,
-    geometric: Fit,
-    train: Dataset,
-    progress: Callable[[str], None] = lambda _: None,
-    halt: Callable[[Fit, State], bool] = lambda *_: False,
+    campaign: Campaign, geometric: Fit, train: Dataset, progress: Callable[[str], None] = lambda _: None
 ) -> Diagnosed:
     """Find the effects that the geometric model lacks, and fit all together.
 
@@ -97,14 +91,13 @@ def diagnose(
         geometric: The geometric stage.
         train: The rows that it was fitted to.
         progress: Called with what is being done.
-        halt: Asked, with the fit and the named effects, whether to end there: what has no name takes longest.
     """
-    found = _diagnosed(campaign, geometric, train, None, progress, halt)
-    together = None if found.halted else cluster(found.fit.outliers, train)
+    found = _diagnosed(campaign, geometric, train, None, progress)
+    together = cluster(found.fit.outliers, train)
     if together is None or together.p_value > TOGETHER:
         return found
     progress(f"{together.rows.sum()} flagged rows lie together in {together.coordinate}: searching with them")
-    again = _diagnosed(campaign, geometric, train, together.rows, progress, lambda *_: False)
+    again = _diagnosed(campaign, geometric, train, together.rows, progress)
     left = int((again.fit.outliers & together.rows).sum())
     return again if left < EXPLAINED * together.rows.sum() else found
 
@@ -115,7 +108,6 @@ def _diagnosed(
     train: Dataset,
     kept: np.ndarray | None,
     progress: Callable[[str], None],
-    halt: Callable[[Fit, State], bool],
 ) -> Diagnosed:
     """One search; see :func:`diagnose`.
 
@@ -125,7 +117,6 @@ def _diagnosed(
         train: N rows.
         kept: Rows that count whatever they leave, shape (N,) bool: what they show may be structure.
         progress: See there.
-        halt: See there.
     """
     every = Start(geometric, train, limits(train, kept))
     start = _thinned(every)
@@ -147,12 +138,6 @@ def _diagnosed(
         place, state = _large_first(start, place, named, library, state, observed)
     place, current, found, fitted = _searched(start, place, named, library, state, observed, progress)
     state = found.state
-    if _shapes(state) != fitted:
-        progress(_fitting(state))
-        current, fitted = refit(start, state, current), _shapes(state)
-    if halt(current, state):
-        untold: tuple[tuple[Effect, ...], ...] = ((),) * len(state.active)
-        return Diagnosed(current, place.at, place.linear, observed, found, untold, tuple(stated), tuple(barred), True)
     if unnamed:
         progress(f"testing {len(unnamed)} functions of unknown cause, then pairs")
         more = _unnamed(place.linear, unnamed, found, observed)

@@ -151,12 +151,9 @@ def noise_causes(fit: Fit, active: Sequence[Active], rows: Dataset) -> NoiseCaus
 
 
 def _sound(asked: Problem, fit: Fit) -> np.ndarray:
-    """Numbers of the training rows that are not flagged; of thousands, the choice that is searched."""
-    train = np.flatnonzero(asked.data.train)
-    some = train[thin(asked.rows[train], SEARCHED)]
-    weight = np.ones(len(asked))
-    weight[some if len(fit.weight) == len(some) else train] = fit.weight
-    return some[weight[some] > 0.5]
+    """Numbers of the training rows that are not flagged; of thousands, a reproducible choice."""
+    train = np.flatnonzero(asked.data.train)[~fit.outliers]
+    return train[thin(asked.rows[train], SEARCHED)]
 
 
 def _scatter(
