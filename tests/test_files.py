@@ -128,7 +128,7 @@ def test_what_cannot_be_written_is_said_before_any_work(tmp_path):
         with pytest.raises(OutputError, match=why) as complaint:
             check_writable(path, kind)
         assert str(path) in str(complaint.value)
-    with pytest.raises(OutputError, match="there is no folder .*nowhere; make it, or mend the path"):
+    with pytest.raises(OutputError, match=r"there is no folder .*nowhere; make it, or mend the path"):
         check_home(tmp_path / "nowhere" / "out.csv")
     check_home(tmp_path / "out.csv")
     check_writable(tmp_path / "new" / "results")
