@@ -280,7 +280,7 @@ def test_the_noise_that_is_said_is_the_error_that_is_left(shaken: Outcome) -> No
     left = np.sqrt([np.mean(last[:, :3] ** 2), np.mean(last[:, 3:] ** 2)])
     assert shaken.scatter[0] > 1.5 * shaken.noise[0]
     np.testing.assert_allclose(shaken.scatter, left, rtol=0.08)
-    assert shaken.verdict == "noise_floor"
+    assert shaken.verdict.word == "noise_floor"
 
 
 def test_std_of_the_constants_cover_the_truth_where_a_joint_is_misread() -> None:
