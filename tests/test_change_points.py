@@ -43,6 +43,7 @@ def made_up(seed: int, n: int = 300) -> LinearModel:
         r=rng.standard_normal((n, 6)),
         limit=np.full(n, OUTLIER),
         configuration=np.arange(n),
+        share=1.0,
         run=np.arange(n) * 24 // n,
         fold=rng.integers(0, 5, n),
         own=("j1",),

@@ -123,6 +123,7 @@ def test_an_effect_is_scored_by_all_that_it_moves(channels: Channels) -> None:
         r=noise(channels, n, 5) + 0.6 * G[:, :, 0] * warmth[:, None],
         limit=np.full(n, OUTLIER),
         configuration=np.arange(n),
+        share=1.0,
         run=np.arange(n) * 24 // n,
         fold=rng.integers(0, 5, n),
         own=("j1",),

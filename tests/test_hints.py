@@ -39,6 +39,7 @@ def made_up(rng: np.random.Generator, n: int = 300, noise: np.ndarray | None = N
         r=r,
         limit=np.full(n, OUTLIER),
         configuration=np.arange(n),
+        share=1.0,
         run=run,
         fold=rng.integers(0, 5, n),
         own=("j1", "j2"),

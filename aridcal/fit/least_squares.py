@@ -117,6 +117,7 @@ class Fit:
         redundant: For each that was dropped: the names of those it is confounded with.
         convergence: How well the minimum was found.
         spent: Degrees of freedom used up: K, or less where priors shrink.
+        numbers: Numbers measured in the rows in use.
     """
 
     model: Model
@@ -130,6 +131,7 @@ class Fit:
     redundant: dict[str, tuple[str, ...]]
     convergence: Convergence
     spent: float
+    numbers: float
 
     @property
     def std(self) -> np.ndarray:
@@ -144,7 +146,7 @@ class Fit:
     @property
     def freedom(self) -> float:
         """Degrees of freedom left: numbers measured minus those used up."""
-        return float((~self.outliers).sum() * self.residual.shape[1] - self.spent)
+        return self.numbers - self.spent
 
 
 @dataclass(frozen=True)
@@ -253,6 +255,7 @@ def fit(
         redundant={},
         convergence=Convergence(steps, found.gradient, _condition(H)),
         spent=float(np.sum(covariance * equations.information(sigma))),
+        numbers=float(equations.count.sum()),
     )
 
 

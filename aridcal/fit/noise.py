@@ -6,9 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import pandas as pd
 
 from aridcal.inputs.channels import Channel, columns
 from aridcal.inputs.dataset import Dataset
+from aridcal.inputs.repeats import first_alike
 
 
 @dataclass(frozen=True)
@@ -37,7 +39,16 @@ def repeats(rows: Dataset, residual: np.ndarray) -> Repeats | None:
         rows: N rows.
         residual: Of each, in world axes, shape (N, m), [m] and [rad].
     """
-    label = rows.configuration
+    # Poses that are the same bit for bit are copies, whatever else their rows say, and tell nothing of the noise.
+    poses = [
+        rows.configuration,
+        rows.position,
+        *([] if rows.rotation is None else [rows.rotation.reshape(len(rows), 9)]),
+    ]
+    first = first_alike(pd.DataFrame(np.column_stack(poses))) == np.arange(len(rows))
+    rows, residual = rows.select(first), residual[first]
+    station = np.zeros(len(rows)) if rows.station is None else np.unique(rows.station, return_inverse=True)[1]
+    label = np.unique(np.column_stack([rows.configuration, station]), axis=0, return_inverse=True)[1].reshape(-1)
     size = np.bincount(label)
     own = size[label] > 1
     groups = int((size > 1).sum())

@@ -202,7 +202,7 @@ def linearise(question: Problem, theta: np.ndarray, weight: np.ndarray | None, s
         block = slice(start, start + BLOCK)
         r, J = question.linearised(theta, block)
         w = cauchy(r, sigma, channels) if weight is None else weight[block]
-        root = np.sqrt(w)[:, None]
+        root = np.sqrt(w * question.data.share)[:, None]
         for k, part in enumerate(columns(channels)):
             A = (J[:, part] * root[:, :, None]).reshape(r[:, part].size, count)
             AA[k] += A.T @ A
@@ -210,8 +210,9 @@ def linearise(question: Problem, theta: np.ndarray, weight: np.ndarray | None, s
         parts.append(r)
         used.append(w)
     residual, weight = np.concatenate(parts), np.concatenate(used)
-    rr = weighted_squares(residual, weight, channels)
-    numbers = np.array([channel.size * float(weight.sum()) for channel in channels])
+    counted = weight * question.data.share
+    rr = weighted_squares(residual, counted, channels)
+    numbers = np.array([channel.size * float(counted.sum()) for channel in channels])
     return Linearisation(residual, weight, NormalEquations(AA, Ar, rr, numbers))
 
 

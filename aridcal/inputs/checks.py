@@ -44,7 +44,7 @@ def nothing_usable(source: Source) -> MeasurementError:
 
 
 def refuse_copies(source: Source, columns: Sequence[np.ndarray | None], station: np.ndarray | None) -> None:
-    """Of rows that are the same in every column keep the first."""
+    """Of rows that are the same in every column that is compared keep the first: no instrument measures the same bits twice."""
     rows = np.flatnonzero(source.usable)
     there = [column[rows] for column in columns if column is not None]
     cells = pd.DataFrame(np.column_stack(there))

@@ -44,6 +44,7 @@ class Dataset:
         stale: Rows whose measurement repeats an earlier one bit for bit although the joints moved, shape (N,) bool.
         test: Held-out rows, shape (N,) bool: they never fit and never choose.
         split_given: True if the files say which rows those are.
+        share: Of a measurement that each row counts for: 1, or less where several rows are one measurement of one body.
         derived: Covariates that no file holds: the side of approach, from the order of rows.
     """
 
@@ -69,6 +70,7 @@ class Dataset:
     test: np.ndarray
     split_given: bool = False
     derived: tuple[str, ...] = ()
+    share: float = 1.0
 
     def __len__(self) -> int:
         return len(self.line)

@@ -65,7 +65,8 @@ def load_measurements(
     covariates = source.covariates()
     if files is None:  # other tables, another day's for instance, need not have what is ignored anyway
         source.note_unknown_ignored()
-    refuse_copies(source, [q, position, quaternion, std, *covariates.values()], station)
+    compared = [values for name, values in covariates.items() if name != "time"]  # the same pose later is a copy, too
+    refuse_copies(source, [q, position, quaternion, std, *compared], station)
     if not source.usable.any():
         raise nothing_usable(source)
     check_units(source, q, limits, kinds, position if require_pose else None)

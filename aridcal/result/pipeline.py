@@ -42,6 +42,11 @@ Judge = Callable[[Campaign, Robot, Dataset, Geometry | None], None]
 STILL = 1e-3
 """[rad] or [m]: a joint that covers less does not move."""
 
+ONE_BODY = (
+    "{} targets keep their distances exactly: they were made from one pose of one body, and count as one measurement"
+)
+"""What is said of them: their errors are the same, so that three of them know no more than one."""
+
 HALVED = 120
 """A model of more coefficients is not fitted twice more, to halves of the rows: its constants speak for it."""
 
@@ -147,6 +152,8 @@ def _outcome(
         causes=arm.causes,
         notices=(
             *still,
+            *([arm.geometry.kept] if arm.geometry.kept else []),
+            *([ONE_BODY.format(round(1 / rows.share))] if rows.share < 1 else []),
             *structured_notices(arm.causes),
             *_derived_notices(rows, diagnosed),
             *declared_notices(rows, final.estimated, final.freedom),
@@ -184,8 +191,7 @@ def _derived_notices(rows: Dataset, diagnosed: Diagnosed) -> tuple[str, ...]:
 
 def _freedom(fit: Fit) -> float:
     """Share of the numbers measured that is left after fitting."""
-    used = fit.weight.sum() * fit.residual.shape[1]
-    return float(1.0 - fit.spent / max(used, 1.0))
+    return float(1.0 - fit.spent / max(fit.numbers, 1.0))
 
 
 def _check_motion(campaign: Campaign, rows: Dataset) -> tuple[str, ...]:

@@ -12,7 +12,7 @@ from aridcal.effects.catalogue import KINDS
 from aridcal.effects.effect import Effect
 from aridcal.fit.flags import Cluster, cluster
 from aridcal.fit.least_squares import Fit
-from aridcal.fit.residual import BLOCK, problem
+from aridcal.fit.residual import BLOCK, FLOOR, problem
 from aridcal.inputs.channels import columns, spread
 from aridcal.inputs.dataset import Dataset
 from aridcal.search.noise_tests import Clue
@@ -81,7 +81,7 @@ def row_clues(rows: Dataset, fit: Fit, residual: np.ndarray, outlier: np.ndarray
     asked = [
         _held_out(rows, judging & ~outlier, fit, residual, outlier),
         _offset(residual[~outlier]),
-        _many_flagged(judging, outlier),
+        _many_flagged(judging, residual, outlier),
         _together(rows, residual, outlier),
     ]
     return [clue for clue in asked if clue is not None]
@@ -136,7 +136,7 @@ def _offset(residual: np.ndarray) -> Clue | None:
     spread_of_mean = np.cov(residual.T) / n
     statistic = float(mean @ np.linalg.pinv(spread_of_mean, hermitian=True) @ mean)
     p_value = float(f_distribution.sf(statistic * (n - m) / (m * (n - 1)), m, n - m))
-    share = float(np.mean(mean**2 / np.maximum(np.mean(residual**2, axis=0), 1e-24)))
+    share = float(np.mean(mean**2 / np.maximum(np.mean(residual**2, axis=0), FLOOR**2)))
     return Clue(
         "offset", "the mean of the residuals is not zero: something constant is held at a wrong value", share, p_value
     )
@@ -152,7 +152,7 @@ def _model_variance(rows: Dataset, fit: Fit) -> np.ndarray:
     return np.concatenate(parts)
 
 
-def _many_flagged(test: np.ndarray, outlier: np.ndarray) -> Clue | None:
+def _many_flagged(test: np.ndarray, residual: np.ndarray, outlier: np.ndarray) -> Clue | None:
     """Are more held-out rows flagged than a sound setup loses?"""
     held_out, flagged = int(test.sum()), int((test & outlier).sum())
     if flagged < LEAST_FLAGGED or flagged <= MANY_FLAGGED * held_out:
@@ -160,7 +160,9 @@ def _many_flagged(test: np.ndarray, outlier: np.ndarray) -> Clue | None:
     what = (
         f"{flagged} of {held_out} held-out rows are flagged as outliers: no figure without them speaks for these rows"
     )
-    return Clue("flags", what, flagged / held_out if flagged < held_out else 1.0, 0.0)
+    scale = np.sqrt(np.mean(residual[~outlier] ** 2, axis=0))
+    squares = np.sum((residual / np.maximum(scale, FLOOR)) ** 2, axis=1)
+    return Clue("flags", what, float(squares[test & outlier].sum() / squares[test].sum()), 0.0)
 
 
 def _together(rows: Dataset, residual: np.ndarray, outlier: np.ndarray) -> Clue | None:
@@ -169,7 +171,7 @@ def _together(rows: Dataset, residual: np.ndarray, outlier: np.ndarray) -> Clue 
     if found is None:
         return None
     sigma = np.array([np.mean(residual[~outlier][:, part] ** 2) for part in columns(rows.channels)])
-    squares = np.sum(residual**2 / spread(np.maximum(sigma, 1e-24), rows.channels), axis=1)
+    squares = np.sum(residual**2 / spread(np.maximum(sigma, FLOOR**2), rows.channels), axis=1)
     share = float(squares[found.rows].sum() / squares.sum())
     return Clue(
         "flags",

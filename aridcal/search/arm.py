@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,9 +11,11 @@ from aridcal.effects.loads import Surroundings
 from aridcal.fit.stages import Geometry, fit_geometry, recentred
 from aridcal.inputs.campaign import Campaign
 from aridcal.inputs.dataset import Dataset
+from aridcal.inputs.rigid_bodies import targets_of_one_body
 from aridcal.model.model import Model
 from aridcal.robot.chain import Robot
 from aridcal.search.diagnose import Diagnosed, diagnose
+from aridcal.search.linear_model import Active
 from aridcal.search.noise_causes import NoiseCauses, noise_causes
 
 EARTH = np.array([0.0, 0.0, -9.81])
@@ -49,9 +51,13 @@ def calibrated_arm(
 
     So no effect is made of the scatter of a joint's reading, and rows that this scatter does not touch count in full.
     """
+    bodies = targets_of_one_body(rows, float(geometry.geometric.estimated[0]))
+    if bodies > 1:
+        rows = replace(rows, share=1.0 / bodies)
+        geometry = fit_constants(campaign, robot, rows, labels)
 
-    def fitted(data: Dataset, geometry: Geometry) -> CalibratedArm:
-        arm = fit_arm(campaign, geometry, data, progress)
+    def fitted(data: Dataset, geometry: Geometry, begin: Sequence[Active] = ()) -> CalibratedArm:
+        arm = fit_arm(campaign, geometry, data, progress, begin)
         progress("asking what the scatter is made of")
         return replace(arm, causes=noise_causes(arm.diagnosed.fit, arm.diagnosed.found.state.active, rows))
 
@@ -60,7 +66,7 @@ def calibrated_arm(
         return first
     progress("weighing the rows by what makes them scatter, and fitting again")
     weighed = replace(rows, relative=first.causes.relative)
-    return fitted(weighed, fit_constants(campaign, robot, weighed, labels))
+    return fitted(weighed, fit_constants(campaign, robot, weighed, labels), first.diagnosed.found.state.active)
 
 
 def fit_constants(campaign: Campaign, robot: Robot, rows: Dataset, labels: tuple[str, ...]) -> Geometry:
@@ -71,9 +77,23 @@ def fit_constants(campaign: Campaign, robot: Robot, rows: Dataset, labels: tuple
     return replace(found, geometric=replace(geometric, model=replace(geometric.model, around=around)))
 
 
-def fit_arm(campaign: Campaign, geometry: Geometry, rows: Dataset, progress: Callable[[str], None]) -> CalibratedArm:
-    """Look for what the constants do not explain, on the training rows, and fit all together."""
-    found = diagnose(campaign, geometry.geometric, rows.select(rows.train), progress)
+def fit_arm(
+    campaign: Campaign,
+    geometry: Geometry,
+    rows: Dataset,
+    progress: Callable[[str], None],
+    begin: Sequence[Active] = (),
+) -> CalibratedArm:
+    """Look for what the constants do not explain, on the training rows, and fit all together.
+
+    Args:
+        campaign: Which effects are declared, and which kinds may be sought.
+        geometry: Fitted to the training rows.
+        rows: All rows.
+        progress: Called with what is being done.
+        begin: Effects of an earlier search, on other weights.
+    """
+    found = diagnose(campaign, geometry.geometric, rows.select(rows.train), progress, begin)
     return CalibratedArm(rows, geometry, found)
 
 

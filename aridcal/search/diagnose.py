@@ -21,9 +21,9 @@ from aridcal.inputs.dataset import Dataset
 from aridcal.search.change_points import best_steps
 from aridcal.search.exact import Start, flagged_again, linear_model, refit, refit_constants, worth
 from aridcal.search.hints import pairs
-from aridcal.search.linear_model import LinearModel, State, activate, solve_state
+from aridcal.search.linear_model import Active, LinearModel, State, activate, solve_state
 from aridcal.search.scoring import admitted
-from aridcal.search.stepwise import Found, is_small, missed, rank, search, twins
+from aridcal.search.stepwise import Found, confirmed, is_small, missed, rank, search, twins
 
 ROUNDS = 3
 """Times that the model is linearised anew and searched, where that is cheap; two are usual."""
@@ -46,7 +46,7 @@ RIVAL_SHARE = 0.5
 PAIRED = 3
 """Functions of two covariates that are added at the most: each costs as much as all functions of one."""
 
-TOGETHER = 0.5
+TOGETHER = 0.01
 """Chance of a cluster of flagged rows at which the search is repeated with them: it costs time, and decides nothing yet."""
 
 EXPLAINED = 0.5
@@ -82,7 +82,11 @@ class Diagnosed:
 
 
 def diagnose(
-    campaign: Campaign, geometric: Fit, train: Dataset, progress: Callable[[str], None] = lambda _: None
+    campaign: Campaign,
+    geometric: Fit,
+    train: Dataset,
+    progress: Callable[[str], None] = lambda _: None,
+    begin: Sequence[Active] = (),
 ) -> Diagnosed:
     """Find the effects that the geometric model lacks, and fit all together.
 
@@ -91,13 +95,15 @@ def diagnose(
         geometric: The geometric stage.
         train: The rows that it was fitted to.
         progress: Called with what is being done.
+        begin: Effects of an earlier search, on other weights: where a search takes long, they are confirmed and added to, and
+            not sought again.
     """
-    found = _diagnosed(campaign, geometric, train, None, progress)
+    found = _diagnosed(campaign, geometric, train, None, progress, begin)
     together = cluster(found.fit.outliers, train)
     if together is None or together.p_value > TOGETHER:
         return found
     progress(f"{together.rows.sum()} flagged rows lie together in {together.coordinate}: searching with them")
-    again = _diagnosed(campaign, geometric, train, together.rows, progress)
+    again = _diagnosed(campaign, geometric, train, together.rows, progress, found.found.state.active)
     left = int((again.fit.outliers & together.rows).sum())
     return again if left < EXPLAINED * together.rows.sum() else found
 
@@ -108,6 +114,7 @@ def _diagnosed(
     train: Dataset,
     kept: np.ndarray | None,
     progress: Callable[[str], None],
+    begin: Sequence[Active],
 ) -> Diagnosed:
     """One search; see :func:`diagnose`.
 
@@ -117,6 +124,7 @@ def _diagnosed(
         train: N rows.
         kept: Rows that count whatever they leave, shape (N,) bool: what they show may be structure.
         progress: See there.
+        begin: See there.
     """
     every = Start(geometric, train, limits(train, kept))
     start = _thinned(every)
@@ -134,14 +142,20 @@ def _diagnosed(
     sought = [d.at is None for d in campaign.effects]
     state = _with_declared(place, stated, sought, start.geometric)
     stated = [a.effect for a in state.active]
-    if is_small(place.linear, named):
+    small = is_small(place.linear, named)
+    if small:
         place, state = _large_first(start, place, named, library, state, observed)
-    place, current, found, fitted = _searched(start, place, named, library, state, observed, progress)
+    fresh = small or not begin
+    if not fresh:
+        every_one = (*state.active, *(a for a in begin if not a.stated))
+        state = solve_state(place.linear, every_one, state.solution.sigma, state.used)
+        state = confirmed(place.linear, state, len(named) + len(unnamed))
+    place, current, found, fitted = _searched(start, place, named, library, state, observed, progress, fresh)
     state = found.state
     if unnamed:
         progress(f"testing {len(unnamed)} functions of unknown cause, then pairs")
-        more = _unnamed(place.linear, unnamed, found, observed)
-        if len(more.state.active) > len(state.active):  # what only imitated it is not missed any more
+        more = _unnamed(place.linear, unnamed, found, observed, fresh)
+        if fresh and len(more.state.active) > len(state.active):  # what only imitated it is not missed any more
             again = search(place.linear, named, more.state, 0)
             more = replace(again, rejected=more.rejected, tested=more.tested)
         found, state = more, more.state
@@ -210,6 +224,7 @@ def _searched(
     state: State,
     observed: Observed,
     progress: Callable[[str], None],
+    fresh: bool,
 ) -> tuple[Place, Fit, Found, list[tuple[Effect, float, Kernel]]]:
     """Search, refit on the exact model and search again about that, until the same effects are found.
 
@@ -221,7 +236,7 @@ def _searched(
     fitted = _shapes(replace(state, active=()))
     for _ in range(ROUNDS if small else 1):
         before = state
-        found = search(place.linear, named, state)
+        found = search(place.linear, named, state, exchange=fresh)
         same = [a.effect for a in found.state.active] == [a.effect for a in before.active]
         state = found.state
         settled = same and place.at is current and current is not start.geometric
@@ -267,15 +282,15 @@ def _widened(every: Start, state: State, current: Fit) -> Fit:
     return refit_constants(every, constants, replace(state, used=used), current)
 
 
-def _unnamed(model: LinearModel, unnamed: Sequence[Effect], named: Found, observed: Observed) -> Found:
+def _unnamed(model: LinearModel, unnamed: Sequence[Effect], named: Found, observed: Observed, fresh: bool) -> Found:
     """Smooth functions of one covariate, and then of two, for what no kind of effect explains."""
-    more = search(model, unnamed, named.state, UNNAMED)
+    more = search(model, unnamed, named.state, UNNAMED, exchange=fresh)
     rejected, tested = named.rejected + more.rejected[:1], named.tested + more.tested
     for k in range(PAIRED):
         before = more.state
         places, looked = pairs(model, before, observed.varying())
         library = [pair(observed, *place) for place in places]
-        more = search(model.prepare(library), library, before, 1, looked)
+        more = search(model.prepare(library), library, before, 1, looked, fresh)
         tested += looked if k == 0 else 0
         if len(more.state.active) == len(before.active):
             break

@@ -139,6 +139,7 @@ def linear_model(
     geometric = np.array([known.get(name, 0.0) for name in current.model.names])
     r = r + J[:, :, : len(own)] @ (current.theta - geometric)
     constant = np.flatnonzero([c.basis.constant for c in own])
+    r, J = (np.sqrt(start.train.share) * values for values in (r, J))
     run, fold = _folds(start.train)
     return LinearModel(
         channels=start.train.channels,
@@ -153,6 +154,7 @@ def linear_model(
         run=run,
         fold=fold,
         configuration=start.train.configuration,
+        share=start.train.share,
         own=observed.robot.names,
         table=observed.table,
     )

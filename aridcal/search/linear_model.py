@@ -44,6 +44,7 @@ class LinearModel:
         run: Number of the row's stretch of time, shape (N,).
         fold: Number of the row's fold for cross-validation, shape (N,).
         configuration: Number of the row's configuration, shape (N,).
+        share: Of a measurement that each row counts for; its residual and columns are scaled by the square root of that.
         own: Names of the joints: covariates that are under the user's control.
         table: Covariates of the rows, shape (N,) each.
     """
@@ -60,6 +61,7 @@ class LinearModel:
     run: np.ndarray
     fold: np.ndarray
     configuration: np.ndarray
+    share: float
     own: tuple[str, ...]
     table: Mapping[str, np.ndarray]
 
@@ -218,6 +220,7 @@ def solve_state(
         used = sound
         A, b = flat(design[used], model.channels), flat(model.r[used], model.channels)
         equations = accumulate(A, b)
+        equations = replace(equations, count=model.share * equations.count)
         solution = solve(equations, precision, sigma)
         residual = model.r - design @ solution.beta
         sigma = solution.sigma

@@ -182,11 +182,12 @@ def judge(model: LinearModel, state: State, effect: Effect, found: Score, tested
     if share < (0.0 if known else LEAST):
         percent = 100 * max(share, 0.0)
         return judgement(share, f"reduces the cross-validated squared error by only {percent:.2g} %")
+    configuration = np.unique(model.configuration[state.used], return_inverse=True)[1]
     if effect.smooth and not effect.hinted:
-        robust, least = _ranked(loss), DOUBT
+        robust, least = _ranked(np.array([np.bincount(configuration, each) for each in loss])), DOUBT
     else:
         moved = _fitted(model, state, candidate) if effect.smooth else model.columns(effect)
-        robust, least = effect.looked * _robust(model, state, moved, np.arange(loss.shape[1])), ROBUST
+        robust, least = effect.looked * _robust(model, state, moved, configuration), ROBUST
     if robust > least:
         return judgement(share, f"the gain is not consistent across rows (p = {robust:.2g})")
     if not set(_sources(effect)) <= set(model.own):

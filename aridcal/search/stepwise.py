@@ -68,7 +68,14 @@ class Found:
     tested: int
 
 
-def search(model: LinearModel, library: Sequence[Effect], start: State, most: int = MOST, tested: int = 0) -> Found:
+def search(
+    model: LinearModel,
+    library: Sequence[Effect],
+    start: State,
+    most: int = MOST,
+    tested: int = 0,
+    exchange: bool = True,
+) -> Found:
     """Add effects one at a time, test again what was taken and what was not, until nothing more is worth it.
 
     Args:
@@ -77,6 +84,7 @@ def search(model: LinearModel, library: Sequence[Effect], start: State, most: in
         start: Effects to begin with; see :func:`solve_state`.
         most: Effects to add at the most.
         tested: Candidates of which the library holds the most promising ones, if it does.
+        exchange: Whether effects may be exchanged for others; else they are only added.
     """
     tested = max(tested, len(library))
     state, most = start, most + len(start.active)
@@ -84,12 +92,32 @@ def search(model: LinearModel, library: Sequence[Effect], start: State, most: in
     small = is_small(model, library)
     for _ in range(PASSES if small else 1):
         state, rejected = _forward(model, library, state, most, small, tested)
+        if not exchange:
+            break
         tidied = _tidy(model, library, state, 2 if small else 1, tested)
         same = [a.effect for a in tidied.active] == [a.effect for a in state.active]
         state = tidied
         if same:
             break
     return Found(state, rejected, tested)
+
+
+def confirmed(model: LinearModel, state: State, tested: int) -> State:
+    """The model without those of its effects that would not pass the gates now, tried one after the other.
+
+    Args:
+        model: The linearised model.
+        state: Solved with effects that were found on other rows or with other weights.
+        tested: Candidates among which they stood out.
+    """
+    for effect in [a.effect for a in state.active if not a.stated]:
+        rest = [a for a in state.active if a.effect != effect]
+        without = solve_state(model, rest, state.solution.sigma, state.used, fixed=True)
+        found = refine(model, without, effect, score_all(model, [effect], without)[0])
+        keep = not judge(model, without, effect, found, tested).why
+        active = (*rest, activate(model, without, effect, found)) if keep else rest
+        state = solve_state(model, active, without.solution.sigma, without.used)
+    return state
 
 
 def is_small(model: LinearModel, library: Sequence[Effect]) -> bool:
