@@ -32,7 +32,7 @@ def is_better(larger: Fit, smaller: Fit, data: Dataset) -> bool:
         data: N rows.
     """
     used = ~larger.outliers
-    if used.sum() * larger.residual.shape[1] * data.share > PLENTY * len(larger.theta):
+    if larger.numbers > PLENTY * len(larger.theta) or len(larger.theta) == len(smaller.theta):
         return True
     part = data.select(used)
     squares = [_squares(fit, part) for fit in (smaller, larger)]
@@ -42,16 +42,23 @@ def is_better(larger: Fit, smaller: Fit, data: Dataset) -> bool:
 
 
 def _squares(fit: Fit, data: Dataset) -> np.ndarray:
-    """Squared residual of each row in each channel, its block held back, shape (N, C)."""
+    r"""Squared residual of each row in each channel, its block held back, shape (N, C).
+
+    With :math:`\Lambda` the information of the whole fit, priors included, and :math:`H_b, g_b` the sums of one block, the
+    solution without it differs by :math:`-(\Lambda - H_b)^{-1} g_b`: at the optimum all pulls together are zero.
+    """
     asked = problem(fit.model, data)
     pieces = [asked.linearised(fit.theta, slice(k, k + BLOCK)) for k in range(0, len(data), BLOCK)]
     r, J = (np.concatenate(stacked) for stacked in zip(*pieces, strict=True))
     number = np.random.default_rng(2).permutation(int(data.configuration.max()) + 1)
     block = number[data.configuration] % BLOCKS
     parts, K = columns(data.channels), J.shape[2]
+    scale = fit.std
+    whole = np.linalg.inv(fit.covariance / np.outer(scale, scale)) / np.outer(scale, scale)
     left = r.copy()
     for k in np.unique(block):
         own = block == k
-        rest = accumulate([J[~own][:, c].reshape(-1, K) for c in parts], [r[~own][:, c].ravel() for c in parts])
-        left[own] = r[own] - J[own] @ solve(rest.information(fit.sigma), rest.pull(fit.sigma), ridge=RIDGE)
+        sums = accumulate([J[own][:, c].reshape(-1, K) for c in parts], [r[own][:, c].ravel() for c in parts])
+        H, g = data.share * sums.information(fit.sigma), data.share * sums.pull(fit.sigma)
+        left[own] = r[own] + J[own] @ solve(whole - H, g, ridge=RIDGE)
     return np.stack([np.sum(left[:, c] ** 2, axis=1) for c in parts], axis=1)

@@ -10,7 +10,6 @@ import pinocchio as pin
 from aridcal.errors import MeasurementError, NotIdentifiable, NotOfThisRobot
 from aridcal.fit.constants import constants, frame_coefficients
 from aridcal.fit.frame_starts import FrameStart, start_frames
-from aridcal.fit.held_back import is_better
 from aridcal.fit.least_squares import Fit, fit, fit_identifiable, thin
 from aridcal.fit.residual import Problem, problem, residuals, robust_sigma, unscaled
 from aridcal.fit.restarts import with_restarts
@@ -26,11 +25,6 @@ STRANGE_SHARE, STRANGE_LENGTH, STRANGE_ANGLE = 0.05, 5e-3, 0.2
 """What no robot leaves after calibration, so that the measurements must be of something else: a twentieth of the targets'
 spread and 5 mm per axis, or 200 mrad per axis."""
 
-KEPT_NOMINAL = (
-    "{} configurations are too few to correct the geometry: the corrected robot predicts held-back ones no better than the "
-    "nominal robot, which is kept. Measure more configurations, or identify fewer parameters"
-)
-
 TURN_COUNTS = 0.1
 """[m/rad]: how much a start's misfit in rotation counts beside that in position."""
 
@@ -41,7 +35,7 @@ class Geometry:
 
     Attributes:
         nominal: Frames alone.
-        geometric: With the constants; the same as ``nominal`` where those do not predict held-back rows better.
+        geometric: With the constants; the same as ``nominal`` where nothing predicts held-back rows better than that.
         kept: Why the constants stay nominal, in words; empty if they do not.
     """
 
@@ -78,8 +72,6 @@ def fit_geometry(campaign: Campaign, robot: Robot, train: Dataset, labels: tuple
     centred, _ = nominal.model.recentred(nominal.theta)
     geometric = fit_identifiable(problem(centred.with_coefficients(candidates), train), range(len(candidates)))
     _refuse_strangers(unscaled(geometric.residual, train.relative), train)
-    if not is_better(geometric, nominal, train):
-        return Geometry(nominal, nominal, kept=KEPT_NOMINAL.format(train.configuration.max() + 1))
     return Geometry(nominal, with_restarts(geometric, train))
 
 

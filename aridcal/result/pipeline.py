@@ -152,7 +152,6 @@ def _outcome(
         causes=arm.causes,
         notices=(
             *still,
-            *([arm.geometry.kept] if arm.geometry.kept else []),
             *([ONE_BODY.format(round(1 / rows.share))] if rows.share < 1 else []),
             *structured_notices(arm.causes),
             *_derived_notices(rows, diagnosed),
@@ -174,9 +173,12 @@ def judged(arm: CalibratedArm) -> Judged:
     kept, left = rows.select(~outlier), scaled(last, rows.relative)
     white = left[~outlier]
     # Repeats are set beside the residual that they are part of: both divided by what the rows' noise is known to be.
-    asked = clues(kept, white, repeats(kept, white), _freedom(final), final) + row_clues(rows, final, left, outlier)
+    # Of several targets of one body one is asked: the others err like it, whatever the model.
+    first = np.unique(kept.configuration, return_index=True)[1] if rows.share < 1.0 else np.arange(len(kept))
+    asked = clues(kept.select(first), white[first], repeats(kept, white), _freedom(final), final)
+    asked += row_clues(rows, final, left, outlier)
     effects = [active.effect for active in arm.diagnosed.found.state.active]
-    said = decide(asked, effects, _freedom(final))
+    said = decide(asked, effects, _freedom(final), arm.geometry.kept)
     return Judged(stages, outlier, repeats(kept, last[~outlier]), tuple(asked), said)
 
 

@@ -46,13 +46,14 @@ class Verdict:
     reasons: tuple[str, ...]
 
 
-def decide(clues: Sequence[Clue], effects: Sequence[Effect], freedom: float) -> Verdict:
+def decide(clues: Sequence[Clue], effects: Sequence[Effect], freedom: float, kept: str = "") -> Verdict:
     """The verdict.
 
     Args:
         clues: Answers of all questions to the residual.
         effects: Those in the model.
         freedom: Share of the numbers measured that is left after fitting.
+        kept: Why the nominal robot was kept, if it was.
     """
     telling = [c for c in clues if c.tells]
     share = max((c.share for c in telling), default=0.0)
@@ -62,6 +63,8 @@ def decide(clues: Sequence[Clue], effects: Sequence[Effect], freedom: float) -> 
         # Between and beyond the rows a smooth curve without a cause is not known.
         of = ", ".join(dict.fromkeys(f"{e.where} by {' and '.join(e.covariates)}" for e in unnamed))
         reasons.append(f"a repeatable error has no known cause ({of})")
+    if kept:
+        return Verdict("not_enough_data", share, (kept, *reasons))
     if freedom <= LEAST_FREEDOM:
         few = f"only {100 * max(freedom, 0.0):.0f} % of the measured numbers are left to judge the model by"
         return Verdict("not_enough_data", share, (few, *reasons))

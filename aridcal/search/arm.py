@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from aridcal.effects.loads import Surroundings
+from aridcal.fit.held_back import is_better
 from aridcal.fit.stages import Geometry, fit_geometry, recentred
 from aridcal.inputs.campaign import Campaign
 from aridcal.inputs.dataset import Dataset
@@ -20,6 +21,13 @@ from aridcal.search.noise_causes import NoiseCauses, noise_causes
 
 EARTH = np.array([0.0, 0.0, -9.81])
 """Gravity in a levelled world, [m/s^2]."""
+
+
+KEPT_NOMINAL = (
+    "{} configurations are too few to correct the geometry: the corrected robot predicts held-back ones no better than the "
+    "nominal robot, which is kept. Measure more configurations, or identify fewer parameters"
+)
+"""What is said where neither constants nor effects are worth their freedom."""
 
 
 @dataclass(frozen=True)
@@ -62,11 +70,25 @@ def calibrated_arm(
         return replace(arm, causes=noise_causes(arm.diagnosed.fit, arm.diagnosed.found.state.active, rows))
 
     first = fitted(rows, geometry)
+    train = rows.select(rows.train)
+    if not is_better(first.diagnosed.fit, geometry.nominal, train):
+        return _nominal(campaign, geometry, rows, progress)
     if first.causes is None or first.causes.relative is None:
         return first
     progress("weighing the rows by what makes them scatter, and fitting again")
     weighed = replace(rows, relative=first.causes.relative)
     return fitted(weighed, fit_constants(campaign, robot, weighed, labels), first.diagnosed.found.state.active)
+
+
+def _nominal(campaign: Campaign, geometry: Geometry, rows: Dataset, progress: Callable[[str], None]) -> CalibratedArm:
+    """The nominal robot with its frames alone, and effects that the campaign states."""
+    progress("the nominal robot predicts held-back rows as well: keeping it")
+    frames = recentred(geometry.nominal)
+    frames = replace(frames, model=replace(frames.model, around=geometry.geometric.model.around))
+    kept = KEPT_NOMINAL.format(len(np.unique(rows.configuration[rows.train])))
+    quiet = campaign.model_copy(update={"diagnosis": campaign.diagnosis.model_copy(update={"enabled": False})})
+    arm = fit_arm(quiet, Geometry(geometry.nominal, frames, kept), rows, progress)
+    return replace(arm, causes=noise_causes(arm.diagnosed.fit, arm.diagnosed.found.state.active, rows))
 
 
 def fit_constants(campaign: Campaign, robot: Robot, rows: Dataset, labels: tuple[str, ...]) -> Geometry:
