@@ -322,7 +322,10 @@ def test_of_identical_rows_the_first_is_kept(write: Callable[..., Path]) -> None
     assert len(m) == 5 and not m.test.any()
     assert [(r.row, r.why) for r in m.refused] == [(k, f"identical to line {j}") for k, j in ((7, 3), (8, 3), (9, 5))]
     measured_again = table.assign(time=range(8))
-    assert len(load(write(measured_again))) == 8
+    copies = load(write(measured_again))
+    assert len(copies) == 5 and [r.row for r in copies.refused] == [7, 8, 9]
+    other = measured_again.assign(temperature=[20.0] * 5 + [20.0, 25.0, 25.0])  # the same bits under another condition
+    assert len(load(write(other))) == 7
 
 
 def test_a_pose_that_did_not_follow_the_joints_is_named(write: Callable[..., Path]) -> None:

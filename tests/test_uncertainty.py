@@ -51,7 +51,7 @@ def test_scatter_of_repeats_is_the_noise_whatever_the_model_lacks() -> None:
     rng = np.random.default_rng(1)
     robot = robots.arid()
     q = np.repeat(robots.readings(robot, 30, rng), 6, axis=0)
-    rows = robots.measured(robot, q, np.zeros((180, 3)), np.tile(np.eye(3), (180, 1, 1)))
+    rows = robots.measured(robot, q, rng.normal(size=(180, 3)), np.tile(np.eye(3), (180, 1, 1)))
     r = np.repeat(rng.normal(0, 1e-2, (30, 6)), 6, axis=0)
     r += np.hstack([rng.normal(0, 1e-4, (180, 3)), rng.normal(0, 3e-4, (180, 3))])
     found = repeats(rows, r)
@@ -62,6 +62,22 @@ def test_scatter_of_repeats_is_the_noise_whatever_the_model_lacks() -> None:
     # ISO 9283's RP of isotropic noise: the mean and three standard deviations of a chi with three degrees.
     chi = np.linalg.norm(rng.normal(size=(200000, 3)), axis=1)
     assert found.repeatability == pytest.approx(1e-4 * (chi.mean() + 3 * chi.std()), rel=0.1)
+
+
+def test_copies_of_a_pose_are_no_repeats_of_it() -> None:
+    """Whatever else their rows say: a copied row would make the noise look like nothing."""
+    rng = np.random.default_rng(2)
+    robot = robots.arid()
+    q = np.repeat(robots.readings(robot, 20, rng), 2, axis=0)
+    position, r = rng.normal(size=(40, 3)), rng.normal(0, 1e-4, (40, 6))
+    turn = np.tile(np.eye(3), (40, 1, 1))
+    position[1], r[1] = position[0], r[0]
+    found = repeats(robots.measured(robot, q, position, turn), r)
+    assert found is not None
+    assert (found.groups, found.rows) == (19, 38)
+    assert found.sigma[0] == pytest.approx(1e-4, rel=0.25)
+    position[1::2], r[1::2] = position[::2], r[::2]
+    assert repeats(robots.measured(robot, q, position, turn), r) is None
 
 
 def test_rows_that_never_repeat_have_no_scatter() -> None:

@@ -13,8 +13,8 @@ from aridcal.inputs.dataset import Dataset
 BLOCKS = 10
 """Blocks of configurations that are held back in turn. Convention: nine tenths of the rows stay to fit with."""
 
-PLENTY = 50.0
-"""Numbers measured for each coefficient from which a model cannot lose by its freedom: that costs 2 % of the squares."""
+PLENTY = 8.0
+"""Numbers measured for each coefficient from which a model is not asked: its freedom costs an eighth of the squares at most."""
 
 SURE = 1.0
 """Standard errors by which the larger model must be better (the one-standard-error rule: Breiman and others 1984)."""

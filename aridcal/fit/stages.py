@@ -37,11 +37,13 @@ class Geometry:
         nominal: Frames alone.
         geometric: With the constants; the same as ``nominal`` where nothing predicts held-back rows better than that.
         kept: Why the constants stay nominal, in words; empty if they do not.
+        free: Share of the numbers measured that the model which was not kept leaves.
     """
 
     nominal: Fit
     geometric: Fit
     kept: str = ""
+    free: float = 1.0
 
 
 def fit_geometry(campaign: Campaign, robot: Robot, train: Dataset, labels: tuple[str, ...]) -> Geometry:

@@ -152,6 +152,7 @@ def _outcome(
         causes=arm.causes,
         notices=(
             *still,
+            *([arm.geometry.kept] if arm.geometry.kept else []),
             *([ONE_BODY.format(round(1 / rows.share))] if rows.share < 1 else []),
             *structured_notices(arm.causes),
             *_derived_notices(rows, diagnosed),
@@ -178,7 +179,7 @@ def judged(arm: CalibratedArm) -> Judged:
     asked = clues(kept.select(first), white[first], repeats(kept, white), _freedom(final), final)
     asked += row_clues(rows, final, left, outlier)
     effects = [active.effect for active in arm.diagnosed.found.state.active]
-    said = decide(asked, effects, _freedom(final), arm.geometry.kept)
+    said = decide(asked, effects, min(_freedom(final), arm.geometry.free))
     return Judged(stages, outlier, repeats(kept, last[~outlier]), tuple(asked), said)
 
 

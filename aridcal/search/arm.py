@@ -24,8 +24,8 @@ EARTH = np.array([0.0, 0.0, -9.81])
 
 
 KEPT_NOMINAL = (
-    "{} configurations are too few to correct the geometry: the corrected robot predicts held-back ones no better than the "
-    "nominal robot, which is kept. Measure more configurations, or identify fewer parameters"
+    "the nominal robot is kept: fitted to these {} configurations, constants and effects do not predict held-back ones better. "
+    "Measure more configurations, or identify fewer parameters"
 )
 """What is said where neither constants nor effects are worth their freedom."""
 
@@ -69,25 +69,26 @@ def calibrated_arm(
         progress("asking what the scatter is made of")
         return replace(arm, causes=noise_causes(arm.diagnosed.fit, arm.diagnosed.found.state.active, rows))
 
-    first = fitted(rows, geometry)
-    train = rows.select(rows.train)
-    if not is_better(first.diagnosed.fit, geometry.nominal, train):
-        return _nominal(campaign, geometry, rows, progress)
-    if first.causes is None or first.causes.relative is None:
-        return first
-    progress("weighing the rows by what makes them scatter, and fitting again")
-    weighed = replace(rows, relative=first.causes.relative)
-    return fitted(weighed, fit_constants(campaign, robot, weighed, labels), first.diagnosed.found.state.active)
+    arm = fitted(rows, geometry)
+    if arm.causes is not None and arm.causes.relative is not None:
+        progress("weighing the rows by what makes them scatter, and fitting again")
+        weighed = replace(rows, relative=arm.causes.relative)
+        arm = fitted(weighed, fit_constants(campaign, robot, weighed, labels), arm.diagnosed.found.state.active)
+    if is_better(arm.diagnosed.fit, arm.geometry.nominal, arm.rows.select(arm.rows.train)):
+        return arm
+    return _nominal(campaign, arm, progress)
 
 
-def _nominal(campaign: Campaign, geometry: Geometry, rows: Dataset, progress: Callable[[str], None]) -> CalibratedArm:
-    """The nominal robot with its frames alone, and effects that the campaign states."""
+def _nominal(campaign: Campaign, arm: CalibratedArm, progress: Callable[[str], None]) -> CalibratedArm:
+    """The nominal robot with its frames alone, and effects that the campaign states, in place of a calibrated arm."""
+    rows, geometry, fit = arm.rows, arm.geometry, arm.diagnosed.fit
     progress("the nominal robot predicts held-back rows as well: keeping it")
     frames = recentred(geometry.nominal)
     frames = replace(frames, model=replace(frames.model, around=geometry.geometric.model.around))
     kept = KEPT_NOMINAL.format(len(np.unique(rows.configuration[rows.train])))
     quiet = campaign.model_copy(update={"diagnosis": campaign.diagnosis.model_copy(update={"enabled": False})})
-    arm = fit_arm(quiet, Geometry(geometry.nominal, frames, kept), rows, progress)
+    free = 1.0 - fit.spent / fit.numbers
+    arm = fit_arm(quiet, Geometry(geometry.nominal, frames, kept, free), rows, progress)
     return replace(arm, causes=noise_causes(arm.diagnosed.fit, arm.diagnosed.found.state.active, rows))
 
 
