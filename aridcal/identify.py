@@ -24,7 +24,7 @@ from aridcal.head.detections import CACHE
 from aridcal.prepare.other_readings import refuse_misread
 from aridcal.report.words import causes_in_words, sigmas_in_words
 from aridcal.result.folder import what_moved
-from aridcal.result.key_figures import another_day, every_held_out_row, or_as_well, rms_position, scored
+from aridcal.result.key_figures import another_day, every_held_out_row, or_as_well, over_time, rms_position, scored
 from aridcal.result.outcome import Outcome, Verification, errors
 from aridcal.result.pipeline import identify
 from aridcal.result_folder import write_folder
@@ -48,6 +48,8 @@ def summary(outcome: Outcome, console: Console) -> None:
     console.print(_error_table(outcome))
     if outcome.parts()["test_all"].any():
         console.print(every_held_out_row(outcome), markup=False)
+    if over_time(outcome):
+        console.print(over_time(outcome), markup=False)
     for effect in outcome.effects:
         moved = what_moved(effect.effect, outcome.measurements)
         console.print(_effect_line(effect) + (f": {moved}" if moved else ""), markup=False)

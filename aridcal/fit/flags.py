@@ -70,8 +70,8 @@ def cluster(flags: np.ndarray, data: Dataset) -> Cluster | None:
 
     .. math:: p = P(\mathrm{Bin}(f - 1, \tfrac{n - 1}{N - 1}) \ge k - 1)
 
-    which is multiplied by the number of such windows and of coordinates (Bonferroni): a scan statistic (Naus 1965,
-    doi:10.1080/01621459.1965.10480810).
+    which is multiplied by f (f - 1), the choices of that row and of k, and by the number of coordinates (Bonferroni): a scan
+    statistic (Naus 1965, doi:10.1080/01621459.1965.10480810).
 
     Args:
         flags: Shape (N,) bool.
@@ -107,5 +107,5 @@ def _window(name: str, values: np.ndarray, flags: np.ndarray, coordinates: int) 
     best = int(np.argmin(chance))
     a, b = float(low[best]), float(high[best])
     rows = flags & (values >= a) & (values <= b)
-    windows = f * (f - 1) / 2
+    windows = f * (f - 1)
     return Cluster(name, a, b, rows, float(min(1.0, chance[best] * windows * coordinates)))

@@ -26,6 +26,7 @@ from aridcal.result.key_figures import (
     halves_agree,
     narrow_joints,
     or_as_well,
+    over_time,
     removed_shares,
     scored,
     steps,
@@ -228,6 +229,8 @@ def _row_checks(outcome: Outcome) -> Iterator[tuple[bool, str]]:
     if every:
         flagged = every - held_out
         yield flagged <= QUESTIONABLE * every, f"{every_held_out_row(outcome)}."
+        if over_time(outcome):
+            yield True, f"{over_time(outcome).capitalize()}."
         yield held_out >= FEW, f"Checked on {counted(held_out, 'held-out row')}."
     else:
         yield False, "No rows were held out: the errors above are those of the fit itself, and too optimistic."

@@ -78,6 +78,7 @@ def result_document(outcome: Outcome) -> dict[str, Any]:
         "parameters": parameters(outcome.stage("geometric").fit),
         "effects": [_effect(e, outcome) for e in outcome.effects],
         **({"head": _head(outcome.head, frames(outcome.stage("final")))} if outcome.head is not None else {}),
+        **_over_time(outcome),
         "verdict": outcome.verdict.word,
         "unexplained_fraction": outcome.verdict.share,
         "reasons": list(outcome.verdict.reasons),
@@ -98,6 +99,12 @@ def noise_document(causes: NoiseCauses) -> dict[str, Any]:
     for c in causes.causes:
         found.setdefault(CAUSES[c.kind], {})[c.name] = {"value": c.value, "std": c.std, "unit": c.unit}
     return found
+
+
+def _over_time(outcome: Outcome) -> dict[str, Any]:
+    """The error with whole stretches of time held back, where an effect depends on time."""
+    found = None if outcome.diagnosis is None else outcome.diagnosis.over_time
+    return {} if found is None else {"over_time": {"position_mm": {"rms": 1e3 * found}}}
 
 
 def _verification(found: Verification) -> dict[str, Any]:

@@ -116,6 +116,12 @@ def every_held_out_row(outcome: Outcome) -> str:
     return f"{flagged} of {every.sum():,} held-out rows flagged as outliers; {error:.3f} mm RMS with all of them"
 
 
+def over_time(outcome: Outcome) -> str:
+    """The error with whole stretches of time held back, in words; empty where no effect depends on time."""
+    found = None if outcome.diagnosis is None else outcome.diagnosis.over_time
+    return "" if found is None else f"with whole stretches of time held back: {1e3 * found:.3f} mm RMS"
+
+
 def row_errors(residual: np.ndarray, channels: Channels) -> np.ndarray:
     """Error of each row in the unit that is shown, shape (C, N), from residuals of shape (N, m)."""
     scale = np.array([channel.scale for channel in channels])

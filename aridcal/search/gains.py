@@ -10,13 +10,15 @@ import numpy as np
 
 from aridcal.effects.basis import evaluate
 from aridcal.effects.catalogue import Barred, merged
-from aridcal.effects.effect import ANGULAR, Coefficient, Effect
+from aridcal.effects.effect import ANGULAR, ROW_ORDER, Coefficient, Effect
 from aridcal.fit.least_squares import Fit
 from aridcal.fit.normal_equations import TINY, without
 from aridcal.fit.residual import Problem, problem
 from aridcal.inputs.dataset import Dataset
 from aridcal.search.diagnose import Diagnosed
+from aridcal.search.linear_model import solve_state
 from aridcal.search.noise_tests import Clue
+from aridcal.search.scoring import PARTS, held_back
 
 GRID = 160
 """Points of a curve, at least: it is drawn without corners."""
@@ -104,6 +106,8 @@ class Diagnosis:
         barred: What could not be tested, and why.
         tested: Number of candidates.
         clues: Whether what remains is noise.
+        over_time: Position error of the fitted rows with whole stretches of time held back in turn, RMS [m]; None where
+            no effect depends on time.
     """
 
     effects: tuple[NamedEffect, ...]
@@ -111,6 +115,7 @@ class Diagnosis:
     barred: tuple[Barred, ...]
     tested: int
     clues: tuple[Clue, ...]
+    over_time: float | None = None
 
 
 def explain(diagnosed: Diagnosed, every: Dataset, scored: np.ndarray, clues: Sequence[Clue]) -> Diagnosis:
@@ -160,7 +165,20 @@ def explain(diagnosed: Diagnosed, every: Dataset, scored: np.ndarray, clues: Seq
         barred=diagnosed.barred,
         tested=found.tested,
         clues=tuple(clues),
+        over_time=_over_time(diagnosed),
     )
+
+
+def _over_time(diagnosed: Diagnosed) -> float | None:
+    """Position error with whole stretches of time held back, on the linear model; None where no effect depends on time."""
+    linear, state = diagnosed.linear, diagnosed.found.state
+    of_time = [a for a in state.active if {ROW_ORDER, "time"} & set(a.effect.covariates)]
+    if not of_time:
+        return None
+    rest = [a for a in state.active if a is not of_time[-1]]
+    without_it = solve_state(linear, rest, state.solution.sigma, state.used, fixed=True)
+    squares = held_back(linear, without_it, of_time[-1], linear.run[state.used] % PARTS)
+    return float(state.solution.sigma[0] * np.sqrt(squares[1, 0].mean() / linear.share))
 
 
 def refitted(fit: Fit, gone: np.ndarray, free: np.ndarray) -> np.ndarray:

@@ -1,0 +1,76 @@
+"""A bump in one joint's error curve is found whole, not flagged away; what is declared stays."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import robots
+
+from aridcal.result.outcome import Outcome
+from aridcal.result.pipeline import identify
+
+SIGMA = 1e-4
+N = 250
+JOINT = 2
+PLACE = 0.4
+
+
+def outcome_of(folder: Path, width: float, height: float, kind: str, seed: int = 8, **sections: object) -> Outcome:
+    """A UR10 within half a turn of each joint; the elbow is off by a Gaussian about one reading."""
+    rng = np.random.default_rng(seed)
+    robot = robots.ur10()
+    q = rng.uniform(-2.6, 2.6, (N, 6))
+    truth = robots.simulate(robot, N, rng, noise=SIGMA)
+    model, theta = truth.model, truth.theta
+    turned = q.copy()
+    turned[:, JOINT] += height * np.exp(-0.5 * ((q[:, JOINT] - PLACE) / width) ** 2)
+    R, p = model.poses(theta, model.rows(turned))
+    rows = robots.measured(robot, q, p + rng.normal(0, SIGMA, p.shape), R if kind == "pose" else None)
+    made = robots.replace(truth, measured=rows)
+    return identify(robots.write_campaign(folder, made, **({"diagnosis": {"enabled": True}} | sections)))
+
+
+def named(outcome: Outcome) -> list[tuple[str, str]]:
+    return [(e.effect.kind, e.effect.where) for e in outcome.effects]
+
+
+@pytest.mark.parametrize(("width", "height"), [(0.05, 5e-3), (0.1, 20e-3), (0.2, 3e-3)])
+@pytest.mark.parametrize("kind", ["pose", "position"])
+def test_a_bump_is_a_joint_map_and_no_row_of_it_is_an_outlier(
+    width: float, height: float, kind: str, tmp_path: Path
+) -> None:
+    outcome = outcome_of(tmp_path, width, height, kind)
+    assert named(outcome) == [("joint_map", robots.ur10().names[JOINT])]
+    m, inside = outcome.measurements, np.abs(outcome.measurements.readings[:, JOINT] - PLACE) < 2.5 * width
+    assert inside.sum() > 5
+    assert not outcome.outlier.any()
+    left = outcome.stage("final").residual[inside & m.train, :3]
+    assert np.sqrt(np.mean(left**2)) < 1.4 * SIGMA
+
+
+def test_gross_errors_stay_outliers_beside_a_bump(tmp_path: Path) -> None:
+    """Six rows off by centimetres anywhere are not explained away, and hide nothing."""
+    outcome = outcome_of(tmp_path, 0.1, 8e-3, "pose", seed=9)
+    rows = robots.pd.read_csv(tmp_path / "measurements.csv")
+    wild = np.array([11, 60, 97, 140, 181, 233])
+    rows.loc[wild, "x"] += 0.03
+    rows.to_csv(tmp_path / "measurements.csv", index=False, float_format="%.17g")
+    again = identify(tmp_path / "campaign.yaml")
+    assert named(again) == named(outcome) == [("joint_map", robots.ur10().names[JOINT])]
+    np.testing.assert_array_equal(np.flatnonzero(again.outlier), wild)
+
+
+def test_a_declared_map_stays_whatever_else_would_fit(tmp_path: Path) -> None:
+    """Of the last joint, in positions alone, where hardly anything is seen of it."""
+    where = robots.ur10().names[5]
+    outcome = outcome_of(tmp_path, 0.15, 8e-3, "position", effects=[{"kind": "joint_map", "where": where}])
+    assert ("joint_map", where) in named(outcome)
+    assert ("joint_map", robots.ur10().names[JOINT]) in named(outcome)
+
+
+def test_nothing_is_made_of_rows_without_a_bump(tmp_path: Path) -> None:
+    outcome = outcome_of(tmp_path, 0.1, 0.0, "pose", seed=10)
+    assert named(outcome) == []
+    assert outcome.verdict.word == "noise_floor"
