@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import robots
+from scipy.spatial.transform import Rotation
 
 from aridcal.result.outcome import Outcome
 from aridcal.result.pipeline import identify
@@ -27,6 +28,7 @@ def outcome_of(folder: Path, width: float, height: float, kind: str, seed: int =
     turned = q.copy()
     turned[:, JOINT] += height * np.exp(-0.5 * ((q[:, JOINT] - PLACE) / width) ** 2)
     R, p = model.poses(theta, model.rows(turned))
+    R = Rotation.from_rotvec(rng.normal(0, SIGMA, p.shape)).as_matrix() @ R
     rows = robots.measured(robot, q, p + rng.normal(0, SIGMA, p.shape), R if kind == "pose" else None)
     made = robots.replace(truth, measured=rows)
     return identify(robots.write_campaign(folder, made, **({"diagnosis": {"enabled": True}} | sections)))
@@ -74,3 +76,17 @@ def test_nothing_is_made_of_rows_without_a_bump(tmp_path: Path) -> None:
     outcome = outcome_of(tmp_path, 0.1, 0.0, "pose", seed=10)
     assert named(outcome) == []
     assert outcome.verdict.word == "noise_floor"
+
+
+def test_a_channel_without_any_noise_is_no_reason_to_stop(tmp_path: Path) -> None:
+    """Rotations that a program made, positions that an instrument measured: variances 20 decades apart."""
+    rng = np.random.default_rng(11)
+    robot = robots.ur10()
+    truth = robots.simulate(robot, 120, rng)
+    rows = robots.replace(truth.measured, position=truth.measured.position + rng.normal(0, SIGMA, (120, 3)))
+    path = robots.write_campaign(tmp_path, robots.replace(truth, measured=rows), diagnosis={"enabled": True})
+    table = robots.pd.read_csv(tmp_path / "measurements.csv")
+    name = robot.names[JOINT]
+    table[name] += 2e-3 * np.exp(-0.5 * ((table[name] - PLACE) / 0.3) ** 2)
+    table.to_csv(tmp_path / "measurements.csv", index=False, float_format="%.17g")
+    assert identify(path).verdict.word in ("noise_floor", "structure_remains")

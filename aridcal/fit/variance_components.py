@@ -163,7 +163,7 @@ def _maximum(scatter: Scatter, theta: np.ndarray, free: np.ndarray, held: np.nda
     """
     low = np.where(held, LEAST * theta, 0.0)
     here = _place(scatter, theta)
-    for _ in range(STEPS):
+    for _ in range(STEPS if np.isfinite(here.log_likelihood) else 0):
         score, information = _derivatives(scatter, here)
         moving = free & ~((theta <= low) & (score <= 0.0))
         step = np.zeros(len(theta))
@@ -242,11 +242,15 @@ IMITATED = 0.01
 
 
 def _place(scatter: Scatter, theta: np.ndarray) -> _Place:
-    """The likelihood at some variances, shape (C,)."""
+    """The likelihood at some variances, shape (C,); none at all where a channel is exact beside what else scatters."""
     n, m, count = scatter.A.shape
     used = theta > 0.0
     V = np.tensordot(theta[used], scatter.blocks[used], axes=1)
-    L = np.linalg.cholesky(V)
+    try:
+        L = np.linalg.cholesky(V)
+    except np.linalg.LinAlgError:
+        nothing = np.zeros((n, m, m))
+        return _Place(-np.inf, np.zeros((n, m)), nothing, nothing, np.zeros((n * m, count)))
     root = np.linalg.solve(L, np.broadcast_to(np.eye(m), V.shape))
     U = (root @ scatter.A).reshape(n * m, count)
     z = np.einsum("nij,nj->ni", root, scatter.y).ravel()
