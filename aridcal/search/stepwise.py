@@ -9,11 +9,12 @@ import numpy as np
 
 from aridcal.effects.catalogue import KINDS
 from aridcal.effects.effect import Effect
+from aridcal.fit.normal_equations import accumulate
 from aridcal.search.change_points import best_steps
-from aridcal.search.evidence import Score
+from aridcal.search.evidence import Score, coefficients
 from aridcal.search.hints import hinted
-from aridcal.search.linear_model import Active, LinearModel, State, activate, solve_state
-from aridcal.search.scoring import ALPHA, Judgement, held_back, judge, refine, score_all
+from aridcal.search.linear_model import LinearModel, State, activate, solve_state
+from aridcal.search.scoring import ALPHA, Judgement, judge, refine, score_all
 
 CLOSE = 3.0
 """[nat] by which another candidate may be worse and still be confounded with the one named: odds of 20 to 1."""
@@ -271,35 +272,65 @@ def missed(model: LinearModel, state: State) -> State:
         model: Linearised at the exact fit.
         state: Solved with all effects.
     """
-    while True:
-        trials = [
-            (gain, k) for k, a in enumerate(state.active) if not a.stated for gain in [_held_back_gain(model, state, k)]
-        ]
-        worst = min(trials, default=None)
-        if worst is None or worst[0] > 0.0:
-            return state
-        rest = _without(state.active, worst[1])
+    asked = {a.effect for a in state.active if not a.stated}
+    while asked:
+        gains = _held_back_gains(model, state, asked)
+        worst = min(gains, key=lambda effect: gains[effect])
+        if gains[worst] > 0.0:
+            break
+        rest = [a for a in state.active if a.effect != worst]
         state = solve_state(model, rest, state.solution.sigma, state.used)
+        # What is missed for sure is not asked again: the others stand in for what went, if anything.
+        asked = {effect for effect, gain in gains.items() if gain < SURE_GAIN} - {worst}
+    return state
 
 
-def _held_back_gain(model: LinearModel, state: State, k: int) -> float:
-    """By how many standard errors an effect lowers the squared error of held-back rows; negative if it is not missed."""
-    rest = solve_state(model, _without(state.active, k), state.solution.sigma, state.used, fixed=True)
-    block = _blocks(model)[rest.used]
-    squares = held_back(model, rest, state.active[k], block)
-    gain = squares[0] - squares[1]
-    each = np.bincount(model.configuration[rest.used], gain.sum(axis=0))
-    error = float(np.sqrt(np.sum(each**2)))
-    total = float(each.sum()) / error if error > 0.0 else 0.0
-    worse = float(gain.sum(axis=1).min())
-    return total if worse >= 0.0 or total > SURE_GAIN else min(total, worse)
-
-
-def _blocks(model: LinearModel) -> np.ndarray:
-    """Number of each row's block, shape (N,): rows of one configuration share it."""
+def _held_back_gains(model: LinearModel, state: State, asked: Collection[Effect]) -> dict[Effect, float]:
+    """By how many standard errors effects lower the squared error of held-back rows; negative where one is not missed."""
     number = np.random.default_rng(1).permutation(int(model.configuration.max()) + 1)
-    return np.asarray(number[model.configuration] % BLOCKS)
+    configuration = model.configuration[state.used]
+    block = number[configuration] % BLOCKS
+    ends = len(model.gauge) + np.cumsum([0, *(a.modes.shape[1] for a in state.active)])
+    everything = np.ones(len(state.precision), dtype=bool)
+    without = {}
+    for a, low, high in zip(state.active, ends[:-1], ends[1:], strict=True):
+        if a.effect in asked:
+            without[a.effect] = everything.copy()
+            without[a.effect][low:high] = False
+    whole, *squares = _held_back_squares(model, state, block, [everything, *without.values()])
+    gains = {}
+    for effect, left in zip(without, squares, strict=True):
+        gain = left - whole
+        each = np.bincount(configuration, gain.sum(axis=0))
+        error = float(np.sqrt(np.sum(each**2)))
+        total = float(each.sum()) / error if error > 0.0 else 0.0
+        worse = float(gain.sum(axis=1).min())
+        gains[effect] = total if worse >= 0.0 or total > SURE_GAIN else min(total, worse)
+    return gains
 
 
-def _without(active: Sequence[Active], k: int) -> tuple[Active, ...]:
-    return (*active[:k], *active[k + 1 :])
+def _held_back_squares(
+    model: LinearModel, state: State, block: np.ndarray, kept: Sequence[np.ndarray]
+) -> list[np.ndarray]:
+    """Squared error in sigmas of each row in use when its block is held back, with some of the columns, shape (C, n) each.
+
+    Args:
+        model: The linearised model.
+        state: Solved with all P columns.
+        block: Of each row in use, shape (n,).
+        kept: Masks of the columns, shape (P,).
+    """
+    sigma, sizes = state.solution.sigma, [channel.size for channel in model.channels]
+    squares = [np.zeros((len(sizes), len(block))) for _ in kept]
+    for k in np.unique(block):
+        held = block == k
+        own = [np.flatnonzero(np.repeat(held, size)) for size in sizes]
+        A = [a[rows] for a, rows in zip(state.design, own, strict=True)]
+        b = [values[rows] for values, rows in zip(state.right, own, strict=True)]
+        rest = state.equations.minus(accumulate(A, b))
+        for found, keep in zip(squares, kept, strict=True):
+            beta = coefficients(rest.part(keep), state.precision[np.ix_(keep, keep)], sigma)
+            for c, (a, values, size) in enumerate(zip(A, b, sizes, strict=True)):
+                left = (values - a[:, keep] @ beta) / sigma[c]
+                found[c, held] = np.sum(left.reshape(-1, size) ** 2, axis=1)
+    return squares
