@@ -168,7 +168,7 @@ def _corrections_in_words(count: int) -> str:
 
 def _percent(share: float) -> str:
     """A share of the squared error in words."""
-    return f"{number(100 * share, 2)} %" if abs(share) >= FAINT else f"less than {100 * FAINT:g} %"
+    return f"{number(100 * share, 2)}\u00a0%" if abs(share) >= FAINT else f"less than {100 * FAINT:g}\u00a0%"
 
 
 def _correction(p: dict[str, Any]) -> list[Content]:
