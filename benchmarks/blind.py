@@ -37,7 +37,7 @@ from aridcal.fit.least_squares import Fit, Prior, fit
 from aridcal.fit.residual import problem, triangle
 from aridcal.inputs.channels import spread
 from aridcal.result.pipeline import judged
-from aridcal.search.arm import CalibratedArm, fit_arm, fit_constants
+from aridcal.search.arm import CalibratedArm, calibrated_arm, fit_constants
 
 TELLABLE = 12.0
 COVERED = 0.5  # share of the error of an effect without a name that must be gone
@@ -113,7 +113,8 @@ class Score:
 def analyse(case: Case) -> tuple[CalibratedArm, str]:
     """Do with a case what ``aridcal identify`` does: constants, search, verdict."""
     rows = case.rows
-    arm = fit_arm(case.campaign, fit_constants(case.campaign, case.truth.robot, rows, ()), rows, lambda _: None)
+    robot, geometry = case.truth.robot, fit_constants(case.campaign, case.truth.robot, rows, ())
+    arm = calibrated_arm(case.campaign, robot, rows, (), geometry, lambda _: None)
     return arm, judged(arm).verdict.word
 
 

@@ -202,3 +202,11 @@ def test_a_payload_with_holes_bars_the_loads_and_says_so(tmp_path: Path) -> None
     assert "joint_compliance" not in {e.effect.kind for e in outcome.effects}
     why = {b.what: b.why for b in outcome.diagnosis.barred}
     assert why["compliance and load-side backlash"] == "the column payload has empty cells"
+
+
+def test_the_payload_hangs_where_the_final_model_has_the_target(tmp_path: Path) -> None:
+    """A large compliance bends the geometric stage, and with it the target that its own load depends on."""
+    outcome = identify(write_under(tmp_path, [0.0, 5.0, 10.0]))
+    final = outcome.stage("final").fit
+    lever = final.model.frames(final.theta)[1][0][1].translation
+    assert np.linalg.norm(final.model.around.lever - lever) < 2e-4

@@ -27,7 +27,7 @@ class Surroundings:
 
     Attributes:
         gravity: In the base frame, [m/s^2], shape (3,), or (worlds, 3) where each station has its own base.
-        lever: The payload's place, T_tip_target of the geometric stage, shape (3,), [m].
+        lever: The payload's place, T_tip_target as the calibration has it, shape (3,), [m].
         loaded: True where the rows have a ``payload``: it hangs there and counts in every gravity load. False of rows
             without one, whose loads are those of the links alone.
     """

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from aridcal.effects.loads import Surroundings
+from aridcal.effects.loads import Surroundings, is_load
 from aridcal.fit.held_back import is_better
 from aridcal.fit.stages import Geometry, fit_geometry, recentred
 from aridcal.inputs.campaign import Campaign
@@ -22,6 +22,10 @@ from aridcal.search.noise_causes import NoiseCauses, noise_causes
 EARTH = np.array([0.0, 0.0, -9.81])
 """Gravity in a levelled world, [m/s^2]."""
 
+
+HANGS = 1e-4
+"""[m] by which the target of the final model may be elsewhere than that of the geometric stage, where the payload was hung:
+0.1 mm of some 100 mm change a load by a thousandth."""
 
 KEPT_NOMINAL = (
     "the nominal robot is kept: fitted to these {} configurations, constants and effects do not predict held-back ones better. "
@@ -70,13 +74,36 @@ def calibrated_arm(
         return replace(arm, causes=noise_causes(arm.diagnosed.fit, arm.diagnosed.found.state.active, rows))
 
     arm = fitted(rows, geometry)
+    hung = _hung_again(arm)
+    if hung is not None:
+        progress("the target is elsewhere than the geometry had it: the payload hangs there, fitting again")
+        geometry = hung
+        arm = fitted(rows, geometry, arm.diagnosed.found.state.active)
     if arm.causes is not None and arm.causes.relative is not None:
         progress("weighing the rows by what makes them scatter, and fitting again")
         weighed = replace(rows, relative=arm.causes.relative)
-        arm = fitted(weighed, fit_constants(campaign, robot, weighed, labels), arm.diagnosed.found.state.active)
+        around = geometry.geometric.model.around
+        again = _around(fit_constants(campaign, robot, weighed, labels), around)
+        arm = fitted(weighed, again, arm.diagnosed.found.state.active)
     if is_better(arm.diagnosed.fit, arm.geometry.nominal, arm.rows.select(arm.rows.train)):
         return arm
     return _nominal(campaign, arm, progress)
+
+
+def _hung_again(arm: CalibratedArm) -> Geometry | None:
+    """The geometry with the payload where the final model has the target; None where that changes no load that matters."""
+    fit, before = arm.diagnosed.fit, arm.geometry.geometric.model.around
+    loads = any(is_load(name) for a in arm.diagnosed.found.state.active for name in a.effect.covariates)
+    lever = fit.model.frames(fit.theta)[1][0][1].translation
+    if not (before.loaded and loads and np.linalg.norm(lever - before.lever) > HANGS):
+        return None
+    return _around(arm.geometry, replace(before, lever=lever))
+
+
+def _around(geometry: Geometry, around: Surroundings) -> Geometry:
+    """A geometry that knows of other surroundings."""
+    geometric = geometry.geometric
+    return replace(geometry, geometric=replace(geometric, model=replace(geometric.model, around=around)))
 
 
 def _nominal(campaign: Campaign, arm: CalibratedArm, progress: Callable[[str], None]) -> CalibratedArm:
