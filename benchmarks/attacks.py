@@ -28,8 +28,6 @@ The table has a row for each attack:
 from __future__ import annotations
 
 import argparse
-import multiprocessing
-import os
 import signal
 import sys
 import tempfile
@@ -40,6 +38,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from cases import run_cases
 from faults import ATTACKS, SPACING, draw_case
 from hostile import FIRST_LINE, Case, Cause
 from scipy.spatial.transform import Rotation
@@ -309,18 +308,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     ]
     if arguments.replay is not None:
         seeds, arguments.verbose = [arguments.replay], True
-    os.environ["OMP_NUM_THREADS"] = "1"  # for the workers: the arrays are too small to gain from more
     started = time.perf_counter()
-    scores, failed = [], []
-    with multiprocessing.get_context("spawn").Pool(min(arguments.jobs, len(seeds))) as pool:
-        for result in pool.imap_unordered(_run, seeds):
-            if isinstance(result, str):
-                failed.append(result)
-                print(result, flush=True)
-                continue
-            scores.append(result)
-            if arguments.verbose or not result.good:
-                print(result.line(), flush=True)
+    scores, failed = run_cases(_run, seeds, arguments.jobs, arguments.verbose)
     report(scores, failed, time.perf_counter() - started)
     return 1 if failed else 0
 

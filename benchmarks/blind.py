@@ -19,8 +19,6 @@ RMS per component, in sigma, of what it moves on the training rows after project
 from __future__ import annotations
 
 import argparse
-import multiprocessing
-import os
 import signal
 import sys
 import time
@@ -29,6 +27,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from cases import run_cases
 from machines import ADDED, NAMED, Case, basis_of, contribution, draw_case
 
 from aridcal.effects.effect import Effect
@@ -319,18 +318,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         todo, arguments.verbose = [job for job in every if job[0] == arguments.replay], True
         if not todo:
             parser.error(f"--replay: no case has the number {k} with the base {base}")
-    os.environ["OMP_NUM_THREADS"] = "1"  # for the workers: the arrays are too small to gain from more
     started = time.perf_counter()
-    scores, failed = [], []
-    with multiprocessing.get_context("spawn").Pool(min(arguments.jobs, len(todo))) as pool:
-        for result in pool.imap_unordered(_run, todo):
-            if isinstance(result, str):
-                failed.append(result)
-                print(result, flush=True)
-                continue
-            scores.append(result)
-            if arguments.verbose or not result.good:
-                print(result.line(), flush=True)
+    scores, failed = run_cases(_run, todo, arguments.jobs, arguments.verbose)
     report(scores, failed, time.perf_counter() - started)
     return 1 if failed else 0
 

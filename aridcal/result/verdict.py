@@ -13,7 +13,7 @@ from aridcal.effects.effect import Effect
 from aridcal.fit.flags import Cluster, cluster
 from aridcal.fit.least_squares import Fit
 from aridcal.fit.residual import BLOCK, FLOOR, problem
-from aridcal.inputs.channels import columns, spread
+from aridcal.inputs.channels import spread
 from aridcal.inputs.dataset import Dataset
 from aridcal.search.noise_tests import Clue
 
@@ -125,7 +125,7 @@ def _held_out(rows: Dataset, test: np.ndarray, fit: Fit, residual: np.ndarray, o
     kappa = max(1.0, float(np.var(fitted) / np.mean(fitted) ** 2) * m / 2.0)
     p_value = float(f_distribution.sf(ratio, configurations * m / kappa, fit.freedom / kappa))
     what = f"held-out rows err {np.sqrt(ratio):.2g} times as much as the noise of the fitted rows explains"
-    return Clue("held_out", what, float(np.clip(1.0 - 1.0 / max(ratio, 1e-12), 0.0, 1.0)), p_value)
+    return Clue("held_out", what, float(np.clip(1.0 - 1.0 / max(ratio, FLOOR), 0.0, 1.0)), p_value)
 
 
 def _offset(residual: np.ndarray) -> Clue | None:
@@ -161,8 +161,7 @@ def _many_flagged(test: np.ndarray, residual: np.ndarray, outlier: np.ndarray) -
     what = (
         f"{flagged} of {held_out} held-out rows are flagged as outliers: no figure without them speaks for these rows"
     )
-    scale = np.sqrt(np.mean(residual[~outlier] ** 2, axis=0))
-    squares = np.sum((residual / np.maximum(scale, FLOOR)) ** 2, axis=1)
+    squares = _squares(residual, outlier)
     return Clue("flags", what, float(squares[test & outlier].sum() / squares[test].sum()), 0.0)
 
 
@@ -171,8 +170,7 @@ def _together(rows: Dataset, residual: np.ndarray, outlier: np.ndarray) -> Clue 
     found = cluster(outlier, rows)
     if found is None:
         return None
-    sigma = np.array([np.mean(residual[~outlier][:, part] ** 2) for part in columns(rows.channels)])
-    squares = np.sum(residual**2 / spread(np.maximum(sigma, FLOOR**2), rows.channels), axis=1)
+    squares = _squares(residual, outlier)
     share = float(squares[found.rows].sum() / squares.sum())
     return Clue(
         "flags",
@@ -180,6 +178,12 @@ def _together(rows: Dataset, residual: np.ndarray, outlier: np.ndarray) -> Clue 
         share,
         found.p_value,
     )
+
+
+def _squares(residual: np.ndarray, outlier: np.ndarray) -> np.ndarray:
+    """Square of each row's residual (N, m) in units of what the rows that are not flagged leave, shape (N,)."""
+    usual = np.mean(residual[~outlier] ** 2, axis=0)
+    return np.asarray(np.sum(residual**2 / np.maximum(usual, FLOOR**2), axis=1))
 
 
 def where(found: Cluster) -> str:

@@ -22,7 +22,6 @@ from aridcal.search.noise_causes import NoiseCauses, noise_causes
 EARTH = np.array([0.0, 0.0, -9.81])
 """Gravity in a levelled world, [m/s^2]."""
 
-
 HANGS = 1e-4
 """[m] by which the target of the final model may be elsewhere than that of the geometric stage, where the payload was hung:
 0.1 mm of some 100 mm change a load by a thousandth."""

@@ -137,10 +137,7 @@ def noise_causes(fit: Fit, active: Sequence[Active], rows: Dataset) -> NoiseCaus
     possible = _possible(asked, fit.theta)
     scatter = _scatter(asked, fit, active, some, [p.block[some] for p in possible])
     channels = np.array([p.kind == "channel" for p in possible])
-    start = np.zeros(len(possible))
-    start[channels] = np.maximum(fit.estimated, FLOOR) ** 2
     orders = _orders(rows.select(some))
-    channels = np.array([p.kind == "channel" for p in possible])
     structured = np.zeros(len(possible), dtype=bool)
     found = estimate(scatter, np.maximum(fit.estimated, FLOOR) ** 2, channels)
     while (more := one_more(scatter, found, channels)) is not None:

@@ -241,23 +241,43 @@ def held_back(model: LinearModel, state: State, candidate: Active, part: np.ndar
         Shape (2, C, n), channel by channel.
     """
     total, precision = with_candidate(model, state, candidate)
-    sigma = solve(total, precision, state.solution.sigma).sigma
     added = state.flat(candidate.columns(model))
-    design = [np.hstack([a, c]) for a, c in zip(state.design, added, strict=True)]
-    sizes = [channel.size for channel in model.channels]
-    loss = np.zeros((2, len(sizes), len(part)))
+    both = replace(
+        state,
+        design=tuple(np.hstack([a, c]) for a, c in zip(state.design, added, strict=True)),
+        equations=total,
+        precision=precision,
+        solution=solve(total, precision, state.solution.sigma),
+    )
+    everything = np.ones(len(precision), dtype=bool)
+    return held_back_squares(both, part, [np.arange(len(precision)) < len(state.precision), everything])
+
+
+def held_back_squares(state: State, part: np.ndarray, kept: Sequence[np.ndarray]) -> np.ndarray:
+    """Squared error in sigmas of each row in use when the rows of its part are held back, with some of the columns each time.
+
+    Args:
+        state: Solved with all P columns.
+        part: Number of the part of each row in use, shape (n,).
+        kept: Masks of the columns, shape (P,); L of them.
+
+    Returns:
+        Shape (L, C, n), channel by channel.
+    """
+    sigma, sizes = state.solution.sigma, [channel.size for channel in state.channels]
+    squares = np.zeros((len(kept), len(sizes), len(part)))
     for k in np.unique(part):
         held = part == k
         own = [np.flatnonzero(np.repeat(held, size)) for size in sizes]
-        A = [a[rows] for a, rows in zip(design, own, strict=True)]
+        A = [a[rows] for a, rows in zip(state.design, own, strict=True)]
         b = [values[rows] for values, rows in zip(state.right, own, strict=True)]
-        rest = total.minus(accumulate(A, b))
-        for i, width in enumerate((len(state.precision), len(precision))):
-            beta = coefficients(rest.part(np.arange(width)), precision[:width, :width], sigma)
+        rest = state.equations.minus(accumulate(A, b))
+        for i, keep in enumerate(kept):
+            beta = coefficients(rest.part(keep), state.precision[np.ix_(keep, keep)], sigma)
             for c, (a, values, size) in enumerate(zip(A, b, sizes, strict=True)):
-                left = (values - a[:, :width] @ beta) / sigma[c]
-                loss[i, c, held] = np.sum(left.reshape(-1, size) ** 2, axis=1)
-    return loss
+                left = (values - a[:, keep] @ beta) / sigma[c]
+                squares[i, c, held] = np.sum(left.reshape(-1, size) ** 2, axis=1)
+    return squares
 
 
 def _robust(model: LinearModel, state: State, moved: np.ndarray, cluster: np.ndarray) -> float:

@@ -9,12 +9,11 @@ import numpy as np
 
 from aridcal.effects.catalogue import KINDS
 from aridcal.effects.effect import Effect
-from aridcal.fit.normal_equations import accumulate
 from aridcal.search.change_points import best_steps
-from aridcal.search.evidence import Score, coefficients
+from aridcal.search.evidence import Score
 from aridcal.search.hints import hinted
 from aridcal.search.linear_model import LinearModel, State, activate, solve_state
-from aridcal.search.scoring import ALPHA, Judgement, judge, refine, score_all
+from aridcal.search.scoring import ALPHA, Judgement, held_back_squares, judge, refine, score_all
 
 CLOSE = 3.0
 """[nat] by which another candidate may be worse and still be confounded with the one named: odds of 20 to 1."""
@@ -45,7 +44,6 @@ SMALL = 1e6
 
 MAPPED = 30.0
 """Highest order that a joint_map resolves: 72 knots over a turn, two for each half period."""
-
 
 BLOCKS = 10
 """Blocks of configurations, other ones than those by which the effects were chosen."""
@@ -297,7 +295,7 @@ def _held_back_gains(model: LinearModel, state: State, asked: Collection[Effect]
         if a.effect in asked:
             without[a.effect] = everything.copy()
             without[a.effect][low:high] = False
-    whole, *squares = _held_back_squares(model, state, block, [everything, *without.values()])
+    whole, *squares = held_back_squares(state, block, [everything, *without.values()])
     gains = {}
     for effect, left in zip(without, squares, strict=True):
         gain = left - whole
@@ -307,30 +305,3 @@ def _held_back_gains(model: LinearModel, state: State, asked: Collection[Effect]
         worse = float(gain.sum(axis=1).min())
         gains[effect] = total if worse >= 0.0 or total > SURE_GAIN else min(total, worse)
     return gains
-
-
-def _held_back_squares(
-    model: LinearModel, state: State, block: np.ndarray, kept: Sequence[np.ndarray]
-) -> list[np.ndarray]:
-    """Squared error in sigmas of each row in use when its block is held back, with some of the columns, shape (C, n) each.
-
-    Args:
-        model: The linearised model.
-        state: Solved with all P columns.
-        block: Of each row in use, shape (n,).
-        kept: Masks of the columns, shape (P,).
-    """
-    sigma, sizes = state.solution.sigma, [channel.size for channel in model.channels]
-    squares = [np.zeros((len(sizes), len(block))) for _ in kept]
-    for k in np.unique(block):
-        held = block == k
-        own = [np.flatnonzero(np.repeat(held, size)) for size in sizes]
-        A = [a[rows] for a, rows in zip(state.design, own, strict=True)]
-        b = [values[rows] for values, rows in zip(state.right, own, strict=True)]
-        rest = state.equations.minus(accumulate(A, b))
-        for found, keep in zip(squares, kept, strict=True):
-            beta = coefficients(rest.part(keep), state.precision[np.ix_(keep, keep)], sigma)
-            for c, (a, values, size) in enumerate(zip(A, b, sizes, strict=True)):
-                left = (values - a[:, keep] @ beta) / sigma[c]
-                found[c, held] = np.sum(left.reshape(-1, size) ** 2, axis=1)
-    return squares
