@@ -48,7 +48,7 @@ from aridcal.result.pipeline import identify
 from aridcal.result.saved_model import SolvedModel
 from aridcal.result.uncertainty import with_noise_seen
 from aridcal.robot.chain import Robot, load_robot
-from aridcal.search.arm import fit_arm, fit_constants
+from aridcal.search.arm import calibrated_arm, fit_constants
 
 TOP = Path(__file__).resolve().parents[1]
 SHARED_ROBOTS = Path(pin.__file__).resolve().parents[4] / "share" / "example-robot-data" / "robots"
@@ -201,14 +201,14 @@ def predictions(console: Console, count: int = 150) -> None:
     for k in range(count):
         what = PREDICTED[k % len(PREDICTED)]
         case = draw_case(PREDICTED_SEED + k, what)
-        arm = fit_arm(
-            case.campaign, fit_constants(case.campaign, case.truth.robot, case.rows, ()), case.rows, lambda _: None
-        )
+        robot, rows = case.truth.robot, case.rows
+        geometry = fit_constants(case.campaign, robot, rows, ())
+        arm = calibrated_arm(case.campaign, robot, rows, (), geometry, lambda _: None)
         final, q = arm.diagnosed.fit, case.query.readings
         seen = case.train.readings
         unseen = case.query.select(((q >= seen.min(axis=0)) & (q <= seen.max(axis=0))).all(axis=1))
         off = problem(final.model, unseen).residual(final.theta)
-        covariance = with_noise_seen(final, case.train).covariance
+        covariance = with_noise_seen(final, arm.rows.select(arm.rows.train)).covariance
         solved = SolvedModel(final.model, final.theta, covariance)
         std = solved.std(unseen.readings, unseen.covariates)[:, : off.shape[1]]
         ratio = np.full((len(off), 6), np.nan)

@@ -43,7 +43,7 @@ from aridcal.model.model import Model
 from aridcal.result.outcome import errors
 from aridcal.result.pipeline import identify
 from aridcal.robot.chain import Robot, parse_robot
-from aridcal.search.arm import fit_arm, fit_constants
+from aridcal.search.arm import calibrated_arm, fit_constants
 
 TOP = Path(__file__).resolve().parent.parent
 UR10 = TOP / "identification" / "ur10-laser-tracker" / "campaign-b.yaml"
@@ -99,7 +99,8 @@ def column(console: Console) -> None:
         table.add_column(head)
     for seed in range(4):
         robot, campaign, rows, truth, theta = _column(seed)
-        arm = fit_arm(campaign, fit_constants(campaign, robot, rows, ()), rows, lambda _: None)
+        geometry = fit_constants(campaign, robot, rows, ())
+        arm = calibrated_arm(campaign, robot, rows, (), geometry, lambda _: None)
         found, diagnosed = arm.geometry.geometric, arm.diagnosed
         own = [c for c in truth.coefficients if not c.basis.constant]
         model = found.model.with_coefficients((*found.model.coefficients, *own))
