@@ -142,6 +142,8 @@ def _shares_in_words(outcome: Outcome, shares: list[tuple[Step, float]], correct
         corrections: How many geometric corrections were identified.
     """
     meanings = {e.effect.label: f"{KINDS[e.effect.kind].words}{or_as_well(e)}" for e in outcome.effects}
+    if shares[0][1] <= 0.0:
+        return "No correction lowers the position error of these rows. "
     parts: list[str] = []
     for step, share in shares[:MOST_CAUSES]:
         geometric = "geometric" in step.names
@@ -231,7 +233,8 @@ def _row_checks(outcome: Outcome) -> Iterator[tuple[bool, str]]:
         yield flagged <= QUESTIONABLE * every, f"{every_held_out_row(outcome)}."
         if over_time(outcome):
             yield True, f"{over_time(outcome).capitalize()}."
-        yield held_out >= FEW, f"Checked on {counted(held_out, 'held-out row')}."
+        if held_out:
+            yield held_out >= FEW, f"Checked on {counted(held_out, 'held-out row')}."
     else:
         yield False, "No rows were held out: the errors above are those of the fit itself, and too optimistic."
     flagged, refused = int(outcome.outlier.sum()), len(m.refused)
