@@ -49,7 +49,7 @@ def test_a_bump_is_a_joint_map_and_no_row_of_it_is_an_outlier(
     assert inside.sum() > 5
     assert not outcome.outlier.any()
     left = outcome.stage("final").residual[inside & m.train, :3]
-    # Few rows, three numbers each: with n >= 5 the RMS of noise alone stays below 1 + 3 / sqrt(6 n) = 1.55, of these 1.4.
+    # Of n rows, three numbers each, the RMS of noise alone stays below 1 + 3 / sqrt(6 n): 1.4 for ten.
     assert np.sqrt(np.mean(left**2)) < 1.4 * SIGMA
 
 
