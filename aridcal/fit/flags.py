@@ -86,7 +86,7 @@ def cluster(flags: np.ndarray, data: Dataset) -> Cluster | None:
 
 def coordinates(data: Dataset) -> dict[str, np.ndarray]:
     """Everything in which rows may lie together, shape (N,) each."""
-    found = {"row": np.arange(len(data), dtype=float)}
+    found = {"row": np.argsort(data.sequence).astype(float)}  # the place of each in the order of measurement
     found |= dict(zip(data.names, data.readings.T, strict=True))
     found |= dict(zip("xyz", data.position.T, strict=True))
     found |= {name: values for name, values in data.covariates.items() if not np.isnan(values).any()}

@@ -18,7 +18,10 @@ from aridcal.robot.chain import JointKind
 
 @dataclass(frozen=True)
 class Dataset:
-    """Usable rows in SI, N of them, in the order of the files. Made once; a part of it is made by :meth:`select`.
+    """Usable rows in SI, N of them. Made once; a part of it is made by :meth:`select`.
+
+    Rows that were read from files are in an order that depends on what they hold, not on where they stand (see
+    :func:`aridcal.inputs.repeats.by_content`): sums, and draws of random rows, are then the same whatever the order of a table.
 
     Attributes:
         names: The reading columns, by the names of their joints.
@@ -84,6 +87,19 @@ class Dataset:
     def conditions(self) -> dict[str, np.ndarray]:
         """Everything beside the joints that effects depend on: the covariates and the order of the rows."""
         return self.covariates | {ROW_ORDER: self.order}
+
+    @property
+    def sequence(self) -> np.ndarray:
+        """Numbers of the rows as they were measured: by `time`, or as they stand where not every row has one, shape (N,)."""
+        time = self.covariates.get("time")
+        if time is None or not np.isfinite(time).all():
+            return self.as_read
+        return np.argsort(time, kind="stable")
+
+    @property
+    def as_read(self) -> np.ndarray:
+        """Numbers of the rows as they stand in the files, shape (N,)."""
+        return np.lexsort((self.line, self.file))
 
     @property
     def title(self) -> str:
