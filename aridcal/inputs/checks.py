@@ -75,8 +75,8 @@ def _line(source: Source, there: int, here: int) -> str:
 
 def stale_rows(
     source: Source, q: np.ndarray, kinds: Sequence[JointKind], measured: np.ndarray, sequence: np.ndarray
-) -> np.ndarray:
-    """For each row the earlier row whose measurement it repeats bit for bit although the joints moved, -1 if none.
+) -> tuple[np.ndarray, np.ndarray]:
+    """Rows that share a measurement bit for bit although the joints moved between them: one of them was not measured.
 
     Args:
         source: The table; only its usable rows are looked at.
@@ -84,13 +84,19 @@ def stale_rows(
         kinds: Of each.
         measured: What was measured, shape (N, numbers).
         sequence: Numbers of the rows as they were measured, shape (N,).
+
+    Returns:
+        For each row the earlier one that it repeats so, -1 if none, and whether it is one of such rows, the earliest
+        included; shape (N,) each.
     """
     rows = sequence[source.usable[sequence]]
     first = rows[first_alike(pd.DataFrame(measured[rows]))]
     moved = (np.abs(q[rows] - q[first]) > tolerances(kinds)).any(axis=1)
     earlier = np.full(len(q), -1)
     earlier[rows[moved]] = first[moved]
-    return earlier
+    shared = np.zeros(len(q), dtype=bool)
+    shared[rows] = np.isin(first, first[moved])
+    return earlier, shared
 
 
 def note_stale(source: Source, earlier: np.ndarray) -> None:

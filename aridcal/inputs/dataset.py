@@ -45,6 +45,7 @@ class Dataset:
         station: Label of the rows that share a frame, shape (N,); None if there is no such column.
         configuration: Number of the row's configuration: rows that repeat one share it, shape (N,).
         stale: Rows whose measurement repeats an earlier one bit for bit although the joints moved, shape (N,) bool.
+        doubtful: The same rows and those that they repeat: that the later one is stale, the order of rows says alone.
         test: Held-out rows, shape (N,) bool: they never fit and never choose.
         split_given: True if the files say which rows those are.
         share: Of a measurement that each row counts for: 1, or less where several rows are one measurement of one body.
@@ -70,6 +71,7 @@ class Dataset:
     station: np.ndarray | None
     configuration: np.ndarray
     stale: np.ndarray
+    doubtful: np.ndarray
     test: np.ndarray
     split_given: bool = False
     derived: tuple[str, ...] = ()
@@ -185,6 +187,7 @@ def dataset(
         station=station,
         configuration=blocks(readings, kinds),
         stale=nothing if stale is None else stale,
+        doubtful=nothing if stale is None else stale,
         test=nothing if test is None else test,
         split_given=test is not None,
     )

@@ -76,11 +76,10 @@ def load_measurements(
         raise nothing_usable(source)
     check_units(source, q, limits, kinds, position if require_pose else None)
     note_limits(source, q, limits, kinds)
-    stale = np.full(len(table), -1)
+    stale, doubtful = np.full(len(table), -1), np.zeros(len(table), dtype=bool)
     if require_pose:
-        stale = stale_rows(
-            source, q, kinds, position if quaternion is None else np.hstack([position, quaternion]), sequence
-        )
+        measured = position if quaternion is None else np.hstack([position, quaternion])
+        stale, doubtful = stale_rows(source, q, kinds, measured, sequence)
     if quaternion is not None:
         note_stale(source, stale)
     channels = (TARGET_POSITION,) if settings.kind == "position" else (TARGET_POSITION, TARGET_ROTATION)
@@ -105,6 +104,7 @@ def load_measurements(
         station=station,
         configuration=np.zeros(len(table), dtype=int),
         stale=stale >= 0,
+        doubtful=doubtful,
         test=np.zeros(len(table), dtype=bool) if split is None else split,
         split_given=split is not None,
     ).select(chosen)
