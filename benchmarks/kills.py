@@ -157,7 +157,7 @@ def die_at(at: int, home: Path) -> None:
                 isinstance(path, str)
                 and isinstance(flags, int)
                 and flags & WRITING
-                and str(home) in os.path.abspath(path)
+                and Path(path).absolute().is_relative_to(home)
             ):
                 step()
         elif event in CHANGES:
@@ -370,9 +370,8 @@ def stops(master: Path, home: Path, times: int, seed: int) -> int:
         fresh(home, master)
         by, expected = ((signal.SIGINT, 130), (signal.SIGTERM, 143))[number % 2]
         start = commands[number // 2 % 2]
-        with subprocess.Popen(
-            [*start, "campaign.yaml"], cwd=home, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
-        ) as process:
+        pipes: Any = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
+        with subprocess.Popen([*start, "campaign.yaml"], cwd=home, **pipes) as process:
             moment = choose.uniform(0, 3.0)
             time.sleep(moment)
             process.send_signal(by)
