@@ -236,7 +236,7 @@ def clear_up(folder: Path, taken: Path) -> None:
 
 def can_be_swapped(target: Path, own: Collection[str]) -> bool:
     """Whether a folder can change its place as a whole, with nobody missing it who stands or writes in it."""
-    if home_of(target) == target or os.path.ismount(target):
+    if home_of(target) == target:
         return False
     if not target.is_dir():
         return True
@@ -250,6 +250,21 @@ def can_be_swapped(target: Path, own: Collection[str]) -> bool:
             found += 1
             if OURS in entry or found > MOST_SHARED:  # OURS: another command writes in it
                 return False
+    return _takes_files(target)
+
+
+def _takes_files(target: Path) -> bool:
+    """Whether a file can be moved into a folder from beside it. Into a mount point it cannot; only trying tells of all kinds."""
+    name = f"{hidden(target)}{secrets.token_hex(4)}"
+    try:
+        disk.write(target.parent / name, "")
+        disk.rename(target.parent / name, target / name)
+    except OSError:
+        return False
+    finally:
+        with suppress(OSError):
+            disk.remove(target.parent / name)
+            disk.remove(target / name)
     return True
 
 
