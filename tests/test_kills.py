@@ -354,23 +354,27 @@ def test_a_folder_that_one_stands_in_keeps_its_identity(tmp_path, monkeypatch):
     assert Path.cwd().stat().st_ino == inode
 
 
-def test_a_folder_into_which_no_file_can_be_moved_from_beside_it_gets_its_files_from_within(tmp_path, monkeypatch):
-    """A mount point, for instance. Only the stand-in for the system differs between the two folders."""
-    target = tmp_path / "results"
+def test_a_mount_point_gets_its_files_from_within(tmp_path, monkeypatch):
+    """Mounting takes root's rights: the system's list and its answer to a move across are put in its place."""
+    target = tmp_path / "my results"
     fill(target, {**OLD, **MINE})
-    rename = disk.rename
+    rename, listed = disk.rename, str(target).replace(" ", "\\040")
 
     def across(source: Path, place: Path) -> None:
         if source.is_relative_to(target) != place.is_relative_to(target):
             raise OSError(errno.EXDEV, os.strerror(errno.EXDEV), str(place))
         rename(source, place)
 
+    (tmp_path / "mounts").write_text(
+        f"36 35 98:0 / / rw - ext4 /dev/a rw\n37 36 98:0 /x {listed} rw - ext4 /dev/a rw\n"
+    )
+    monkeypatch.setattr(staging, "MOUNTS", tmp_path / "mounts")
     monkeypatch.setattr(disk, "rename", across)
     inode = target.stat().st_ino
     write_folder(target)
     assert contents(target) == {**NEW, **MINE}
     assert target.stat().st_ino == inode
-    assert [p.name for p in tmp_path.iterdir()] == ["results"]
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["mounts", "my results"]
 
 
 def test_a_folder_in_which_another_command_writes_is_not_swapped_under_it(tmp_path):
