@@ -139,6 +139,20 @@ def test_permuted_rows_without_a_time_give_the_same_numbers_to_the_last_bit() ->
     pd.testing.assert_frame_equal(residuals_of(here, table), residuals_of(there, mixed), check_exact=True)
 
 
+def test_commands_compute_on_one_blas_thread_however_many_are_asked_for() -> None:
+    """Both libraries are found and held: an old threadpoolctl knows neither of those in today's wheels, and says nothing."""
+    code = """
+import scipy.linalg, threadpoolctl
+from aridcal.command_line import run
+def threads(): print(sorted(i["num_threads"] for i in threadpoolctl.threadpool_info() if i["user_api"] == "blas"))
+threads()
+run(threads)
+"""
+    env = os.environ | {"OPENBLAS_NUM_THREADS": "2", "OMP_NUM_THREADS": "2", "PYTHONPATH": str(HOME)}
+    said = subprocess.run([sys.executable, "-c", code], env=env, check=True, capture_output=True, text=True).stdout
+    assert said.splitlines() == ["[2, 2]", "[1, 1]"]
+
+
 def test_threads_hashes_language_clock_and_folder_change_no_byte(tmp_path: Path) -> None:
     """A run on one thread in the campaign's folder; another on two, elsewhere, through a link, of another hash seed."""
     table = attacked(UNDECLARED)
