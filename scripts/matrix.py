@@ -32,6 +32,7 @@ QUICK = (
     "test_command_line",
     "test_completion",
     "test_dataset",
+    "test_doctor",
     "test_determinism",
     "test_files",
     "test_head_pose",
