@@ -2,7 +2,8 @@
 
 Each cell is a virtual environment of its own in a temporary folder. `lowest` are the floors of `dependencies` in
 pyproject.toml, as wheels; whatever they need in turn, and the tools of the tests, are the newest that go with them. `newest` is
-what pip would give today. The lock file plays no part.
+what pip would give today. The lock file plays no part. First `aridcal doctor` runs with what a user gets, then the tests with
+what they need besides.
 
 Example:
     python scripts/matrix.py                        # all six cells, with the quick tests
@@ -32,8 +33,6 @@ QUICK = (
     "test_command_line",
     "test_completion",
     "test_dataset",
-    "test_doctor",
-    "test_determinism",
     "test_files",
     "test_head_pose",
     "test_head_square",
@@ -45,7 +44,7 @@ QUICK = (
     "test_splice",
     "test_urdf_files",
 )
-"""Test files that call every dependency: readers, model, fit, head, and a whole calibration with its files."""
+"""Test files that call every dependency but those of the pictures, which the doctor's calibration draws."""
 
 
 def interpreter(version: str) -> str | None:
@@ -58,25 +57,27 @@ def interpreter(version: str) -> str | None:
     return None
 
 
-def uv(*arguments: str) -> None:
-    """Run uv; what it says is shown only if it fails."""
-    done = subprocess.run(
-        [sys.executable, "-m", "uv", *arguments], cwd=ROOT, capture_output=True, text=True, check=False
-    )
+def call(*command: str) -> None:
+    """Run a command; what it says is shown only if it fails."""
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     if done.returncode:
-        raise RuntimeError(done.stderr)
+        raise RuntimeError(f"{' '.join(command[1:4])} fails:\n{done.stdout}{done.stderr}")
 
 
 def install(python: str, versions: str, folder: Path) -> Path:
-    """Make the environment of one cell, and return its Python."""
-    uv("venv", "--python", python, str(folder / "env"))
+    """Make the environment of one cell, with a sound aridcal in it, and return its Python."""
+    uv = (sys.executable, "-m", "uv")
+    call(*uv, "venv", "--python", python, str(folder / "env"))
     environment = folder / "env" / "bin" / "python"
     floors = folder / "floors.txt"
     floors.touch()
     if versions == "lowest":
         lowest = ("--resolution", "lowest-direct", "--only-binary", ":all:", "--python", str(environment))
-        uv("pip", "compile", "pyproject.toml", *lowest, "--output-file", str(floors))
-    uv("pip", "install", "--python", str(environment), "--constraint", str(floors), "--editable", ".[dev]")
+        call(*uv, "pip", "compile", "pyproject.toml", *lowest, "--output-file", str(floors))
+    add = (*uv, "pip", "install", "--python", str(environment), "--constraint", str(floors), "--editable")
+    call(*add, ".")
+    call(str(environment), "-m", "aridcal", "doctor")
+    call(*add, ".[dev]")
     return environment
 
 
@@ -91,7 +92,7 @@ def run(cell: str, whole: bool) -> tuple[bool, str]:
         try:
             environment = install(python, versions, folder)
         except RuntimeError as error:
-            return False, f"cannot be installed:\n{error}"
+            return False, str(error)
         files = [] if whole else [f"tests/{file}.py" for file in QUICK]
         path = f"{environment.parent}{os.pathsep}{os.environ['PATH']}"
         env = os.environ | {"PATH": path, "PYTHONPATH": str(ROOT), "VIRTUAL_ENV": str(folder / "env")}
