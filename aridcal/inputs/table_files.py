@@ -16,7 +16,8 @@ import pyarrow.parquet
 
 from aridcal.errors import MeasurementError, shortened
 from aridcal.inputs.yaml_file import not_utf8
-from aridcal.reading import MEGA, Limit, check_name
+from aridcal.reading.files import MEGA, Limit
+from aridcal.reading.names import check_name
 
 # Line of a table's first row: the header is line 1.
 FIRST_LINE = 2
