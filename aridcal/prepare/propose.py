@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from aridcal.errors import MeasurementError, RobotError
+from aridcal.errors import MeasurementError, RobotError, listed
 from aridcal.inputs.quantities import POSITION, SAME_ORIENTATION
 from aridcal.inputs.tables import Table
 from aridcal.prepare.column_names import Family, angle_triples, match_joints, positions, quaternions, unit
@@ -110,7 +110,7 @@ def _joints(chains: Iterable[tuple[str, ...]], table: Table) -> tuple[tuple[str,
     if not found:
         lacking = [joint for joint in max(matches, key=len) if joint not in names]
         raise MeasurementError(
-            f"{table.title}: no columns for the joints {', '.join(lacking)}. Its columns are {', '.join(names)}. Name "
+            f"{table.title}: no columns for the joints {', '.join(lacking)}. Its columns are {listed(names)}. Name "
             "the joints' columns as in the URDF, or number them q1, q2, … along the chain"
         )
     best = max(found, key=lambda joints: (found[joints][1] != "order", len(joints)))
