@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import io
 import os
 import re
 import socket
@@ -464,14 +463,23 @@ def paths() -> Iterator[tuple[str, Case]]:
             says = rf"{re.escape(file)}, line \d+: {re.escape(place)}.*(control character|cannot be the name|file name)"
             yield f"{what} for {place}", Case(commands[file], key(file, place, value), says)
     for option in ("campaign", "calibration", "head", "scenario", "out"):
-        command = {"campaign": IDENTIFY, "calibration": PREDICT, "head": MEASURE, "scenario": SIMULATE, "out": COMPENSATE}[option]
+        command = {
+            "campaign": IDENTIFY,
+            "calibration": PREDICT,
+            "head": MEASURE,
+            "scenario": SIMULATE,
+            "out": COMPENSATE,
+        }[option]
         last = option == "out"
         for what, text in (("NUL", "a\0b.csv"), ("a line break", "a\nb.csv"), ("5,000 letters", f"{LONG}.csv")):
             arguments = (*command[:-1], text) if last else (command[0], text, *command[2:])
             says = r"a(\\x00|\\n|a+).*(control character: rename|cannot be the name of a file.*Give another)"
             yield f"{what} for the argument {option}", Case(arguments, nothing, says)
     yield "a scene that is no file", Case(("view", f"{LONG}"), nothing, "cannot be the name of a file")
-    yield "a result folder that is not there", Case(("view", "[bold red]"), nothing, r"\[bold red\] does not exist. Run")
+    yield (
+        "a result folder that is not there",
+        Case(("view", "[bold red]"), nothing, r"\[bold red\] does not exist. Run"),
+    )
     yield "a folder without a result", Case(("view", "."), nothing, "not a result folder.*Run")
     pipe = together(lambda folder: (folder / "r").mkdir(), lambda folder: os.mkfifo(folder / "r" / "scene.html"))
     yield "a scene that is a pipe", Case(("view", "r"), pipe, "r is not a result folder|is a pipe")
@@ -500,7 +508,7 @@ SETTINGS: dict[str, tuple[Spoil, str]] = {
     "a key that is a number": (put("campaign.yaml", "format: 1\n5: 2\n"), "YAML reads this key as a int; put it in quotes"),
     "a key that is a truth": (put("campaign.yaml", "format: 1\nyes: 2\n"), "reads this key as a bool; put it in quotes"),
     "a key twice": (edit("campaign.yaml", "format: 1", "format: 1\nformat: 1"), "format: this key is there twice"),
-    "a key of 5,000 letters": (edit("campaign.yaml", "format: 1", f"format: 1\n{LONG}: 1"), "a+….*unknown key"),
+    "a key of 5,000 letters": (edit("campaign.yaml", "format: 1", f"format: 1\n? {LONG}\n: 1"), "a+….*unknown key"),
     "a key with an escape": (edit("campaign.yaml", "format: 1", 'format: 1\n"a\\eb": 1'), r"a\\x1bb: unknown key"),
     "a key in bold": (edit("campaign.yaml", "format: 1", 'format: 1\n"[bold]x": 1'), r"\[bold\]x: unknown key"),
     "a control character": (put("campaign.yaml", "format: 1\x07\n"), "line 1: holds a character that YAML forbids"),
@@ -525,7 +533,7 @@ SETTINGS: dict[str, tuple[Spoil, str]] = {
     "two columns of three angles": (
         key("campaign.yaml", "measurements.orientation", {"euler": "XYZ", "columns": ["a", "b"]}), r"orientation\.columns",
     ),
-    "effects that are no list": (key("campaign.yaml", "effects", {"kind": "x"}), "effects: should be a valid list"),
+    "effects that are no list": (key("campaign.yaml", "effects", {"kind": "x"}), "effects: should be a list"),
     "an effect at a place with markup": (
         key("campaign.yaml", "effects", [{"kind": "joint_compliance", "where": BRACKETS}]), r"'a\[/\]b'",
     ),
@@ -534,7 +542,7 @@ SETTINGS: dict[str, tuple[Spoil, str]] = {
     ),
     "an effect of a column that is not there": (
         key("campaign.yaml", "effects", [
-            {"kind": "unknown", "where": "joint_2", "motion": ["axis"], "covariates": ["[bold]"]}]), r"'?\[bold\]'?",
+            {"kind": "unknown", "where": "joint_2", "motion": ["axis"], "covariates": ["[bold]"]}]), "effects: unknown at joint_2 cannot be fitted",
     ),
     "the same column for two joints": (
         key("campaign.yaml", "measurements.columns", {"joint_2": "joint_3"}), "'joint_3' would be two quantities; map",
@@ -598,7 +606,7 @@ TABLES: dict[str, tuple[Spoil, str]] = {
     "a header cell of 200,000 letters": (put("measurements.csv", 200_000 * "a" + ",b\n1,2\n"), "line 1: is not a header row"),
     "a name of 5,000 letters": (put("measurements.csv", f"{LONG},b\n1,2\n"), "a column: the name 'a+…' has 5,000"),
     "a million columns": (
-        put("measurements.csv", ",".join(map(str, range(10**6))) + ",a\n" + 10**6 * "1,"), "has 1,000,001 columns, at most 200,000",
+        put("measurements.csv", ",".join(map(str, range(10**6))) + ",a\n" + 10**6 * "1,"), "has 1,000,001 columns, at most 10,000",
     ),
     "the same column 100,000 times": (put("measurements.csv", "a" + 100_000 * ",a" + "\n1" + 100_000 * ",1"), "'a' is there twice"),
     "a column with a line break in its name": (put("measurements.csv", f'"x\ny",{HEADER}\n1,{ROW}\n'), r"measurements\.csv"),
@@ -660,11 +668,21 @@ def tables() -> Iterator[tuple[str, Case]]:
     for what, (spoil, says) in TABLES.items():
         yield f"a table with {what}", Case(IDENTIFY, spoil, says)
     other = key("campaign.yaml", "measurements.file", "m.xlsx")
-    yield "a table of another kind", Case(IDENTIFY, together(put("m.xlsx", b"PK"), other), r"m\.xlsx: should be a \.csv or \.parquet")
-    short = [f"c{k}" for k in range(100_000)]
-    wide = put("measurements.csv", ",".join(short) + "\n" + ",".join("1" * 100_000) + "\n")
-    yield "a table of 100,000 columns that are not the joints'", Case(IDENTIFY, wide, "no column 'joint_1'.*99,970 more")
-    yield "init of 100,000 columns", Case(INIT, wide, r"measurements\.csv: no columns for the joints.*more")
+    yield (
+        "a table of another kind",
+        Case(IDENTIFY, together(put("m.xlsx", b"PK"), other), r"m\.xlsx: should be a \.csv or \.parquet"),
+    )
+    wide = put("measurements.csv", ",".join(f"c{k}" for k in range(10_000)) + "\n" + ",".join("1" * 10_000) + "\n")
+    yield "a table of 10,000 columns that are not the joints'", Case(IDENTIFY, wide, "no column 'joint_1'.*9,970 more")
+    yield "init of 10,000 columns", Case(INIT, wide, r"measurements\.csv: no columns for the joints.*9,970 more")
+    yield (
+        "init of 100,000 columns",
+        Case(
+            INIT,
+            put("measurements.csv", ",".join(f"c{k}" for k in range(100_000)) + "\n1\n"),
+            "has 100,000 columns, at most 10,000",
+        ),
+    )
 
 
 def zeros(count: int, names: tuple[str, ...] = ("joint_1",)) -> pa.Table:
@@ -943,7 +961,10 @@ IMAGES: dict[str, tuple[bytes, str]] = {
     "a JPEG of fill bytes": (b"\xff\xd8" + 1_000_000 * b"\xff", "or damaged"),
     "a JPEG of segments without length": (b"\xff\xd8" + 100_000 * b"\xff\xe0\x00\x00", "or damaged"),
     "a BMP of another size": (encoded(".bmp", 640, 480), "is 640 x 480 pixels"),
-    "a BMP of two billion squared": (b"BM" + bytes(12) + struct.pack("<Iii", 40, 2**31 - 1, -(2**31)), "is 2147483647 x"),
+    "a BMP of two billion squared": (
+        b"BM" + bytes(12) + struct.pack("<Iii", 40, 2**31 - 1, -(2**31)),
+        "is 2147483647 x",
+    ),
     "a TIFF of another size": (encoded(".tiff", 640, 480), "is 640 x 480 pixels"),
     "a TIFF of four billion squared": (tiff(2**32 - 1, 2**32 - 1), "is 4294967295 x 4294967295"),
     "a TIFF whose tags are elsewhere": (b"II*\0\xff\xff\xff\x7f", "or damaged"),
@@ -1029,8 +1050,21 @@ def heads() -> Iterator[tuple[str, Case]]:
 
 
 CASES: dict[str, Case] = {}
-for group in (no_files, too_large, urdfs, numbers, paths, settings, scenarios, tables, parquets, inits, calibrations, queries, heads):
+for group in (
+    no_files,
+    too_large,
+    urdfs,
+    numbers,
+    paths,
+    settings,
+    scenarios,
+    tables,
+    parquets,
+    inits,
+    calibrations,
+    queries,
+    heads,
+):
     for name, case in group():
         assert name not in CASES, name
         CASES[name] = case
-_ = io

@@ -14,7 +14,7 @@ import pytest
 
 REMEDY = re.compile(
     r"add|change|check|choose|close|convert|correct|delete|do without|done|end each|exchange|expected|fewer|fix|give|has an example|"
-    r"leave|lower|make|map|measure|mend|merge|move|name|needs?|only|open|own|put it|raise|remove|rename|run|save|say|should|shows?|"
+    r"leave|lower|make|map|measure|mend|merge|move|name|needs?|only|open|number|own|put|raise|remove|rename|run|save|say|should|shows?|"
     r"spaces|split|take|turn|use|wait|wants|write|\(did you mean|\(known: |is refused|must|missing|unknown|at most|at least|"
     r"there is no|are the least|there are: |first: |cannot|not a number|is there twice|not finite|decimal",
     re.IGNORECASE,

@@ -34,8 +34,8 @@ CELL = 8
 # Bytes of a line of csv: that of 100,000 columns of 17 digits takes 2 MB.
 LONGEST_LINE = 16_000_000
 
-# A column takes some 5 kB beside its cells.
-MOST_COLUMNS = 200_000
+# A column takes some 5 kB beside its cells, and each is a covariate to be looked at.
+MOST_COLUMNS = 10_000
 
 # Rows with too few or too many cells that are listed; a file with more is no table of that header.
 MOST_BROKEN = 100_000
