@@ -21,8 +21,8 @@ from pathlib import Path
 READERS = tuple(sorted(folder.name for folder in (Path(__file__).parent / "corpus").iterdir()))
 FOUND = Path("build") / "fuzz"
 
-# One process that fuzzes for each processor.
-AT_ONCE = os.cpu_count() or 1
+# One process that fuzzes for each processor that it may use (`taskset -c 0` leaves it one).
+AT_ONCE = len(os.sched_getaffinity(0))
 
 # [s] What `make fuzz` takes.
 BUDGET = 600.0
@@ -41,7 +41,9 @@ def fuzz(reader: str, runs: int, seconds: float) -> dict[str, float]:
 
 def main(argv: list[str] | None = None) -> int:
     """Fuzz; the exit status is 1 if anything was found."""
-    parser = argparse.ArgumentParser("python -m fuzz", description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser = argparse.ArgumentParser(
+        "python -m fuzz", description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
     parser.add_argument("readers", nargs="*", metavar="READER", help=f"default: all of {', '.join(READERS)}")
     parser.add_argument("--runs", type=int, default=0, help="files to read with each; default: as many as time allows")
     parser.add_argument("--seconds", type=float, help=f"for each; default: {BUDGET:g} in all unless --runs is given")
@@ -51,7 +53,10 @@ def main(argv: list[str] | None = None) -> int:
         if name not in READERS:
             parser.error(f"no reader {name!r}: {', '.join(READERS)}")
     seconds = arguments.seconds or (0.0 if arguments.runs else BUDGET * min(AT_ONCE, len(readers)) / len(readers))
-    print(f"{'reader':12s} {'executions':>10s} {'accepted':>9s} {'findings':>8s} {'slowest':>9s} {'memory':>8s} {'time':>7s}", flush=True)
+    print(
+        f"{'reader':12s} {'executions':>10s} {'accepted':>9s} {'findings':>8s} {'slowest':>9s} {'memory':>8s} {'time':>7s}",
+        flush=True,
+    )
     findings = 0
     with ThreadPoolExecutor(AT_ONCE) as pool:
         tallies = pool.map(lambda name: fuzz(name, arguments.runs, seconds), readers)

@@ -17,13 +17,15 @@ AFRESH = 0.5
 
 # What has no place where a number or a name is expected, or is the last of its kind.
 HOSTILE: tuple[bytes, ...] = (
-    *b"0 -0 1 -1 2 7 1.0 0.5 -1e-9 1e-320 1e9 1e308 -1e308 1e999 nan NaN .nan inf -inf .inf -.inf 2147483648 -2147483649".split(),
-    *b"18446744073709551616 0xfff 0o17 0b1 1_000 190:20:30 2024-02-30 2001-12-14t21:59:43.10-05:00 3.14 -3.14 1e400".split(),
-    *b"~ null true false yes on ' \" , ; : - # % @ ` ! & * | > ? [ ] { } [] {} [[]] {a: b} <<: &a *a !!python/name:os.system".split(),
-    *b"!!binary !!float % < > </robot> <a/> <![CDATA[x]]> &amp; &lt; &#10; &#0; &x; <!DOCTYPE <!-- <?xml xmlns:a='b' / .. ../x".split(),
-    b"", b" ", b"\t", b"\n", b"\r", b"\r\n\r\n", b"\0", b"\x1b[31m", b"\x7f", b"\xff", b"\xc3\xa9", b"\xe2\x80\xa8", b"\xc2\x85",
-    b"\xf0\x9f\xa4\x96", b"\xef\xbb\xbf", b"[bold red]", b"a[/]b", b"a: b", b"x" * 300, b"9" * 400, b"[" * 60, b"- " * 60,
-)  # fmt: skip
+    *b"0 -0 1 -1 2 7 1.0 0.5 -1e-9 1e-320 1e9 1e308 -1e308 1e999 nan NaN .nan inf -inf .inf -.inf 2147483648".split(),
+    *b"-2147483649 18446744073709551616 0xfff 0o17 0b1 1_000 190:20:30 2024-02-30 2001-12-14t21:59:43.10-05:00 3.14".split(),
+    *b"~ null true false yes on ' \" , ; : - # % @ ` ! & * | > ? [ ] { } [] {} [[]] {a: b} <<: &a *a !!binary".split(),
+    *b"!!python/name:os.system !!float % < > </robot> <a/> <![CDATA[x]]> &amp; &lt; &#10; &#0; &x; <!DOCTYPE".split(),
+    *b"<!-- <?xml xmlns:a='b' / .. ../x".split(),
+    *(b"", b" ", b"\t", b"\n", b"\r", b"\r\n\r\n", b"\0", b"\x1b[31m", b"\x7f", b"\xff", b"\xc3\xa9", b"\xe2\x80\xa8"),
+    *(b"\xc2\x85", b"\xf0\x9f\xa4\x96", b"\xef\xbb\xbf", b"[bold red]", b"a[/]b", b"a: b", b"x" * 300, b"9" * 400),
+    *(b"[" * 60, b"- " * 60),
+)
 
 Edit = Callable[[bytes, Random, Sequence[bytes]], bytes]
 
@@ -70,7 +72,10 @@ def _other_number(content: bytes, rng: Random, seeds: Sequence[bytes]) -> bytes:
     found = NUMBER.search(content, rng.randrange(len(content) + 1))
     if found is None:
         return content
-    number = b"%.*g" % (rng.choice((1, 3, 17)), rng.choice((-1, 1)) * 10.0 ** rng.choice((rng.gauss(0, 1), rng.uniform(-320, 308))))
+    number = b"%.*g" % (
+        rng.choice((1, 3, 17)),
+        rng.choice((-1, 1)) * 10.0 ** rng.choice((rng.gauss(0, 1), rng.uniform(-320, 308))),
+    )
     whole = b"%d" % rng.choice((0, 1, 2, 3, rng.randrange(100), 2**31, 2**63, 10**20))
     return content[: found.start()] + rng.choice((number, whole, b"-" + found.group())) + content[found.end() :]
 
@@ -89,7 +94,16 @@ def _insert_word(content: bytes, rng: Random, seeds: Sequence[bytes]) -> bytes:
 def _wrap_word(content: bytes, rng: Random, seeds: Sequence[bytes]) -> bytes:
     start, stop = _span(content, rng)
     before, after = rng.choice(
-        ((b"[", b"]"), (b"{a: ", b"}"), (b"'", b"'"), (b'"', b'"'), (b"- ", b""), (b"-", b""), (b"<a>", b"</a>"), (b"&#x", b";"))
+        (
+            (b"[", b"]"),
+            (b"{a: ", b"}"),
+            (b"'", b"'"),
+            (b'"', b'"'),
+            (b"- ", b""),
+            (b"-", b""),
+            (b"<a>", b"</a>"),
+            (b"&#x", b";"),
+        )
     )
     return content[:start] + before + content[start:stop] + after + content[stop:]
 
@@ -152,7 +166,8 @@ def _edit_column(content: bytes, rng: Random, seeds: Sequence[bytes]) -> bytes:
     return b"\n".join(b",".join(row) for row in rows)
 
 
+# Those that go deepest stand twice.
 _CHOICE: tuple[Edit, ...] = (
-    _replace_word, _replace_word, _other_number, _other_number, _drop_word, _insert_word, _wrap_word, _swap_words, _rename, _edit_lines,
-    _edit_lines, _edit_column,
-)  # fmt: skip
+    *(_replace_word, _replace_word, _other_number, _other_number, _edit_lines, _edit_lines),
+    *(_drop_word, _insert_word, _wrap_word, _swap_words, _rename, _edit_column),
+)

@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 
 from aridcal.head.matching import NotMeasured
-from aridcal.head.shots import Shot, board, load, read_image, read_ranges
+from aridcal.head.shots import board, load, read_image, read_ranges
 from aridcal.inputs.campaign import Campaign, load_campaign
 from aridcal.inputs.head_settings import HeadSettings, load_squares
 from aridcal.inputs.query import load_query

@@ -60,7 +60,11 @@ class Worker:
             if not str(error).strip():
                 self.keep(content, "an error that says nothing")
         except Exception as error:
-            where = [f"{Path(f.filename).name}:{f.name}" for f in traceback.extract_tb(error.__traceback__) if "aridcal" in f.filename]
+            where = [
+                f"{Path(f.filename).name}:{f.name}"
+                for f in traceback.extract_tb(error.__traceback__)
+                if "aridcal" in f.filename
+            ]
             self.keep(content, f"{type(error).__name__} in {where[-1] if where else '?'}", traceback.format_exc())
         taken = time.perf_counter() - start
         self.slowest = max(self.slowest, taken)
@@ -113,8 +117,16 @@ def main() -> None:
     worker = Worker(reader, folder, runs, seconds)
     gathered = folder / "gathered"  # libFuzzer adds what it finds interesting to the first folder
     gathered.mkdir(exist_ok=True)
-    options = [f"-max_len={LONGEST}", f"-rss_limit_mb={LARGE}", f"-timeout={SLOW:.0f}", f"-artifact_prefix={folder}/", "-mutate_depth=1"]
-    atheris.Setup([sys.argv[0], *options, str(gathered), str(CORPUS / reader)], worker.one, custom_mutator=worker.mutant)
+    options = [
+        f"-max_len={LONGEST}",
+        f"-rss_limit_mb={LARGE}",
+        f"-timeout={SLOW:.0f}",
+        f"-artifact_prefix={folder}/",
+        "-mutate_depth=1",
+    ]
+    atheris.Setup(
+        [sys.argv[0], *options, str(gathered), str(CORPUS / reader)], worker.one, custom_mutator=worker.mutant
+    )
     atheris.Fuzz()
 
 
