@@ -12,6 +12,7 @@ from typing import Literal
 
 import numpy as np
 
+from aridcal.errors import RobotError
 from aridcal.head.matching import NotMeasured
 from aridcal.head.shots import board, load, read_image, read_ranges
 from aridcal.inputs.campaign import Campaign, load_campaign
@@ -20,10 +21,12 @@ from aridcal.inputs.query import load_query
 from aridcal.inputs.read import load_measurements
 from aridcal.inputs.yaml_file import load_settings, parse_settings
 from aridcal.prepare.scenario import Scenario, check_scenario
+from aridcal.reading import URDF, read_file
 from aridcal.result.saved_model import SavedModel
-from aridcal.robot.chain import Robot, links, load_robot
+from aridcal.robot.chain import Robot, chain, load_robot
 from aridcal.robot.doty import doty_links
 from aridcal.robot.splice import splice_origins
+from aridcal.robot.tree import read_tree
 
 CORPUS = Path(__file__).parent / "corpus"
 """A folder of small files for each reader."""
@@ -45,8 +48,8 @@ class Target:
 
 
 def _urdf(path: Path) -> None:
-    names = links(path.read_bytes(), path)
-    robot = load_robot(path, names[-1] if names else "tip")
+    tree = read_tree(read_file(path, RobotError, URDF), path)
+    robot = chain(tree, ("tip", *tree.links)[-1])
     _ = robot.limits, robot.kinds
     doty_links(robot)
     if np.isfinite(robot.mass_beyond).all():
