@@ -81,7 +81,7 @@ class Worker:
             self.keep(content, "large", f"{self.memory} MB")
         tally = {
             "executions": self.executions, "accepted": self.accepted, "findings": len(self.findings), "slowest": self.slowest,
-            "memory": self.memory, "seconds": self.told - self.start,
+            "memory": self.memory, "seconds": self.told - self.start, "cpu": time.process_time(),
         }  # fmt: skip
         (self.folder / "tally.json").write_text(json.dumps(tally))
         if self.executions == self.runs or (self.seconds and tally["seconds"] > self.seconds):
