@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 import stat
+import struct
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NoReturn
 
 from aridcal.errors import AridcalError, has_controls, printable, shortened
 
@@ -76,15 +78,16 @@ def read_file(path: Path, error: type[AridcalError], limit: Limit) -> bytes:
     shown = shortened(printable(str(path)), LONGEST_NAME)
     try:
         _check_regular(path.stat(), shown, error, limit)  # before opening: some devices act on that alone
-        with open(path, "rb", opener=_without_waiting) as file:  # noqa: PTH123
-            _check_regular(os.fstat(file.fileno()), shown, error, limit)  # it may be another one by now
-            content = file.read(int(limit.megabytes * MEGA) + 1)
+        with open(path, "rb", opener=_without_waiting) as file:
+            status = os.fstat(file.fileno())
+            _check_regular(status, shown, error, limit)  # it may be another one by now
+            content = file.read(status.st_size + 1)
     except FileNotFoundError:
         raise error(f"{shown}: there is no such file") from None
     except (OSError, ValueError) as problem:
         raise error(f"{shown}: cannot be read: {why(problem)}") from None
-    if len(content) > limit.megabytes * MEGA:  # it grew
-        _too_large(shown, len(content), error, limit)
+    if len(content) > status.st_size:
+        raise error(f"{shown}: grew while it was read: wait until it is complete")
     if not content or content.isspace():
         raise error(f"{shown}: is empty")
     return content
@@ -101,13 +104,107 @@ def _check_regular(status: os.stat_result, shown: str, error: type[AridcalError]
         kind = next((kind for is_kind, kind in KINDS if is_kind(status.st_mode)), "no regular file")
         raise error(f"{shown}: is {kind}; only regular files are read: save its content as a file")
     if status.st_size > limit.megabytes * MEGA:
-        _too_large(shown, status.st_size, error, limit)
+        size = status.st_size / MEGA
+        raise error(f"{shown}: has {size:,.1f} MB, at most {limit.megabytes:g} MB are read; {limit.remedy}")
     if not status.st_size:  # also what the kernel makes up while it is read, as under /proc
         raise error(f"{shown}: is empty")
 
 
-def _too_large(shown: str, size: int, error: type[AridcalError], limit: Limit) -> NoReturn:
-    raise error(f"{shown}: has {size / MEGA:,.1f} MB, at most {limit.megabytes:g} MB are read; {limit.remedy}")
+def image_size(content: bytes) -> tuple[int, int] | None:
+    """Width and height of an image as its header states them, [px]: a few bytes can ask for gigabytes of pixels.
+
+    Args:
+        content: A file: PNG, JPEG, TIFF, BMP, PGM and its kin, or WebP.
+
+    Returns:
+        None of anything else, and of a header that is cut off.
+    """
+    for magic, size in IMAGE_SIZES.items():
+        if content.startswith(magic):
+            try:
+                width, height = size(content)
+            except (struct.error, ValueError, IndexError):
+                return None
+            return (width, height) if width > 0 and height > 0 else None
+    return None
+
+
+def _png(content: bytes) -> tuple[int, int]:
+    width, height = struct.unpack_from(">II", content, 16)
+    return width, height
+
+
+def _jpeg(content: bytes) -> tuple[int, int]:
+    """Of the frame header, behind any number of other segments."""
+    place = 2
+    for _ in range(MOST_SEGMENTS):
+        marker, kind, length = struct.unpack_from(">BBH", content, place)
+        if marker != 0xFF:
+            raise ValueError("no segment starts here")
+        if kind == 0xFF:  # a fill byte
+            place += 1
+        elif kind in JPEG_FRAMES:
+            height, width = struct.unpack_from(">HH", content, place + 5)
+            return width, height
+        else:
+            place += 2 + length
+    raise ValueError("segments without end")
+
+
+def _tiff(content: bytes) -> tuple[int, int]:
+    """Of the first image of the file: its tags 256 and 257."""
+    order = "<" if content[:2] == b"II" else ">"
+    (place,) = struct.unpack_from(f"{order}I", content, 4)
+    (count,) = struct.unpack_from(f"{order}H", content, place)
+    found = {}
+    for k in range(count):
+        tag, kind = struct.unpack_from(f"{order}HH", content, place + 2 + 12 * k)
+        if tag in (256, 257):
+            (found[tag],) = struct.unpack_from(f"{order}{'H' if kind == 3 else 'I'}", content, place + 10 + 12 * k)
+    return found.get(256, 0), found.get(257, 0)
+
+
+def _bmp(content: bytes) -> tuple[int, int]:
+    (header,) = struct.unpack_from("<I", content, 14)
+    width, height = struct.unpack_from("<HH" if header == 12 else "<ii", content, 18)
+    return width, abs(height)  # negative where the first row is the uppermost
+
+
+def _netpbm(content: bytes) -> tuple[int, int]:
+    words = re.sub(rb"#[^\n]*", b" ", content[:1000]).split()
+    return int(words[1]), int(words[2])
+
+
+def _webp(content: bytes) -> tuple[int, int]:
+    kind = content[12:16]
+    if content[8:12] != b"WEBP" or kind not in (b"VP8 ", b"VP8L", b"VP8X"):
+        raise ValueError("no WebP")
+    if kind == b"VP8X":
+        numbers = int.from_bytes(content[24:30].ljust(6, b"\0"), "little")
+        return 1 + (numbers & 0xFFFFFF), 1 + (numbers >> 24)
+    if kind == b"VP8L":
+        (bits,) = struct.unpack_from("<I", content, 21)
+        return 1 + (bits & 0x3FFF), 1 + (bits >> 14 & 0x3FFF)
+    width, height = struct.unpack_from("<HH", content, 26)
+    return width & 0x3FFF, height & 0x3FFF
+
+
+MOST_SEGMENTS = 10_000
+"""Before the frame header of a JPEG; there are some ten, and some hundreds with a large colour profile."""
+
+JPEG_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
+"""Markers of frame headers; the other three are tables."""
+
+IMAGE_SIZES: dict[bytes, Callable[[bytes], tuple[int, int]]] = {
+    b"\x89PNG\r\n\x1a\n": _png,
+    b"\xff\xd8": _jpeg,
+    b"II*\0": _tiff,
+    b"MM\0*": _tiff,
+    b"BM": _bmp,
+    **dict.fromkeys((b"P1", b"P2", b"P3", b"P4", b"P5", b"P6"), _netpbm),
+    b"RIFF": _webp,
+}
+"""What each sort of image starts with, and how its size is read."""
 
 
 def why(problem: Exception) -> str:

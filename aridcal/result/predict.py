@@ -44,6 +44,7 @@ def read_query(saved: SavedModel, table: AnyTable, poses: bool = False) -> Query
         poses=poses,
         per_station=per_station(saved.final.model),
         needs=set(at_any_station(saved).model.needs) - set(directions(saved) if poses else ()),
+        limit=saved.limits.table,
     )
     if not query.usable.any():
         raise MeasurementError(f"no row can be {'commanded' if poses else 'predicted'}. First: {query.refused[0]}")
