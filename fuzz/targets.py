@@ -95,12 +95,12 @@ def _shots(path: Path) -> None:
 
 def _image(path: Path) -> None:
     with suppress(NotMeasured):
-        read_image(path.name, path.parent, _camera())
+        read_image(path.name, _camera(path.parent))
 
 
 @cache
-def _camera() -> HeadSettings:
-    return load_settings(CORPUS / "head" / "square.yaml", HeadSettings)
+def _camera(folder: Path) -> HeadSettings:
+    return load_settings(CORPUS / "head" / "square.yaml", HeadSettings).model_copy(update={"shots": folder / "shots.csv"})
 
 
 @cache

@@ -150,7 +150,7 @@ def _given_squares(table: Table) -> list[int | str | None]:
     """Read the column ``square``: whole numbers as such, anything else as its text."""
     numbers, _ = table.numbers("square")
     texts = table.texts("square")
-    return [int(n) if n == np.rint(n) else str(t) for n, t in zip(numbers, texts, strict=True)]
+    return [int(n) if np.isfinite(n) and n == np.rint(n) else str(t) for n, t in zip(numbers, texts, strict=True)]
 
 
 def _nominal_cameras(robot: Robot, table: Table, head: HeadSettings) -> Iterator[np.ndarray]:
