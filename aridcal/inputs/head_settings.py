@@ -11,7 +11,7 @@ from pydantic import Field, PositiveInt, model_validator
 from scipy.spatial.transform import Rotation
 
 from aridcal.errors import MeasurementError
-from aridcal.inputs.quantities import POSITION, QUATERNION, QUATERNION_SLACK
+from aridcal.inputs.quantities import ABSURD, POSITION, QUATERNION, QUATERNION_SLACK
 from aridcal.inputs.tables import Table, read_tables
 from aridcal.inputs.yaml_file import Number, Positive, RelativePath, Section, Settings, Vector3
 from aridcal.reading import MEGA, TABLE, Limit
@@ -164,6 +164,8 @@ def _check_square(table: Table, row: int, names: tuple[str, ...], numbers: np.nd
     for name, value in zip(names, numbers, strict=True):
         if not np.isfinite(value):
             raise MeasurementError(str(table.remark(row, name, "should be a number")))
+        if abs(value) > ABSURD:
+            raise MeasurementError(str(table.remark(row, name, "implausibly large")))
     index, length = numbers[0], np.linalg.norm(numbers[4:])
     if index != round(index) or index < 0:
         raise MeasurementError(str(table.remark(row, "index", "should be a whole number, 0 or more")))

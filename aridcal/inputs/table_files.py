@@ -132,6 +132,7 @@ def read_parquet(content: bytes, path: Path, limit: Limit) -> FileCells:
         cells = pa.parquet.ParquetFile(pa.BufferReader(content), read_dictionary=texts).read(columns=names)
         _check_words(cells, path, limit)
         cells = cells.cast(pa.schema([schema.field(name) for name in names]))
+        cells.validate(full=True)  # words that are not UTF-8, above all
     except (pa.ArrowException, OSError, ValueError, OverflowError, MemoryError) as problem:
         said = shortened((str(problem) or type(problem).__name__).splitlines()[0], 200)
         raise MeasurementError(f"{path}: is not a readable Parquet file: {said}. Write it anew, or as csv") from None
