@@ -32,11 +32,14 @@ def fuzz(reader: str, runs: int, seconds: float) -> dict[str, float]:
     """Fuzz a reader in a process of its own; return its tally."""
     folder = FOUND / reader
     folder.mkdir(parents=True, exist_ok=True)
+    for old in folder.iterdir():  # of an earlier run; what it gathered is a start for this one
+        if old.is_file():
+            old.unlink()
     command = [sys.executable, "-m", "fuzz.worker", reader, str(folder), str(runs), str(seconds)]
     with (folder / "log.txt").open("wb") as log:
         status = subprocess.run(command, stdout=log, stderr=log, check=False).returncode
     tally: dict[str, float] = json.loads((folder / "tally.json").read_text())
-    return tally | {"status": status}
+    return tally | {"findings": tally["findings"] + (status != 0)}  # a status: the process itself was killed
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -61,7 +64,7 @@ def main(argv: list[str] | None = None) -> int:
     with ThreadPoolExecutor(AT_ONCE) as pool:
         tallies = pool.map(lambda name: fuzz(name, arguments.runs, seconds), readers)
         for name, tally in zip(readers, tallies, strict=True):
-            found = int(tally["findings"]) + (tally["status"] != 0)
+            found = int(tally["findings"])
             findings += found
             print(
                 f"{name:12s} {tally['executions']:10,.0f} {tally['accepted'] / max(tally['executions'], 1):9.1%} {found:8d} "

@@ -21,7 +21,7 @@ from aridcal.inputs.query import load_query
 from aridcal.inputs.read import load_measurements
 from aridcal.inputs.yaml_file import load_settings, parse_settings
 from aridcal.prepare.scenario import Scenario, check_scenario
-from aridcal.reading import URDF, read_file
+from aridcal.reading.files import URDF, read_file
 from aridcal.result.saved_model import SavedModel
 from aridcal.robot.chain import Robot, chain, load_robot
 from aridcal.robot.doty import doty_links
@@ -100,7 +100,9 @@ def _image(path: Path) -> None:
 
 @cache
 def _camera(folder: Path) -> HeadSettings:
-    return load_settings(CORPUS / "head" / "square.yaml", HeadSettings).model_copy(update={"shots": folder / "shots.csv"})
+    return load_settings(CORPUS / "head" / "square.yaml", HeadSettings).model_copy(
+        update={"shots": folder / "shots.csv"}
+    )
 
 
 @cache

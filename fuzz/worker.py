@@ -48,6 +48,7 @@ class Worker:
         self.executions = self.accepted = 0
         self.slowest = 0.0
         self.findings: set[str] = set()
+        self.tell(b"")
 
     def one(self, content: bytes) -> None:
         """Read one file."""

@@ -30,7 +30,9 @@ from aridcal.inputs.head_settings import HeadSettings, load_shots, load_squares,
 from aridcal.inputs.tables import Table
 from aridcal.inputs.yaml_file import load_settings
 from aridcal.model.model import Model
-from aridcal.reading import check_path, image_size, read_file
+from aridcal.reading.files import read_file
+from aridcal.reading.images import image_size
+from aridcal.reading.names import check_path
 from aridcal.robot.chain import Robot, load_robot
 
 # [m] of a range that can be right: an ultrasonic sensor's, with room to spare; others are in another unit.
@@ -177,16 +179,14 @@ def image_content(name: str, settings: HeadSettings) -> bytes:
     path = folder / name
     try:
         check_path(path, AridcalError)
-        if not path.resolve().is_relative_to(folder.resolve()):
-            raise NotMeasured("the image lies outside the folder of the shots")
-        if not path.exists():
-            raise NotMeasured("there is no such image")
-        return read_file(path, AridcalError, settings.limits.image)
-    except NotMeasured:
-        raise
+        inside = path.resolve().is_relative_to(folder.resolve())
+        content = read_file(path, AridcalError, settings.limits.image) if inside and path.exists() else b""
     except (AridcalError, OSError, RuntimeError) as problem:  # links that go round are a RuntimeError
         said = str(problem).removeprefix(f"{path}: ")
         raise NotMeasured(f"the image cannot be read: {said}") from None
+    if not content:
+        raise NotMeasured("there is no such image" if inside else "the image lies outside the folder of the shots")
+    return content
 
 
 def read_image(name: str, settings: HeadSettings) -> np.ndarray:

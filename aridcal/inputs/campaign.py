@@ -15,7 +15,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, PrivateAttr, field_
 from aridcal.effects.catalogue import KINDS, is_of_head
 from aridcal.errors import CampaignError, nearest
 from aridcal.inputs.yaml_file import LARGEST, RelativePath, Section, Settings, Vector3, load_settings
-from aridcal.reading import check_path
+from aridcal.reading.names import check_path
 
 # Metres in one of each unit of length.
 LENGTHS = MappingProxyType({"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254, "ft": 0.3048})

@@ -14,7 +14,7 @@ from aridcal.errors import MeasurementError
 from aridcal.inputs.quantities import ABSURD, POSITION, QUATERNION, QUATERNION_SLACK
 from aridcal.inputs.tables import Table, read_tables
 from aridcal.inputs.yaml_file import Number, Positive, RelativePath, Section, Settings, Vector3
-from aridcal.reading import MEGA, TABLE, Limit
+from aridcal.reading.files import MEGA, TABLE, Limit
 
 CHARUCO_KEYS = ("squares_x", "squares_y", "square", "marker", "dictionary")
 POSE_COLUMNS = (*POSITION, *QUATERNION)

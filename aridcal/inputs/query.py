@@ -13,7 +13,7 @@ from aridcal.inputs.campaign import MeasurementSettings
 from aridcal.inputs.checks import check_units, note_limits
 from aridcal.inputs.quantities import POSITION, Source
 from aridcal.inputs.tables import AnyTable, Remark, read_tables
-from aridcal.reading import TABLE, Limit
+from aridcal.reading.files import TABLE, Limit
 from aridcal.robot.chain import JointKind
 
 

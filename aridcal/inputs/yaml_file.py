@@ -23,7 +23,8 @@ from pydantic import (
 from pydantic_core import ErrorDetails, PydanticCustomError
 
 from aridcal.errors import AridcalError, CampaignError, nearest, printable, shortened
-from aridcal.reading import IMAGE, SETTINGS, TABLE, URDF, Limit, check_path, read_file
+from aridcal.reading.files import IMAGE, SETTINGS, TABLE, URDF, Limit, read_file
+from aridcal.reading.names import check_path
 
 MAX_DEPTH = 50
 

@@ -21,7 +21,7 @@ from aridcal.inputs.tables import AnyTable, read_tables
 from aridcal.inputs.yaml_file import parse_settings
 from aridcal.prepare.guesses import Choose, Guess, Proposal
 from aridcal.prepare.propose import propose
-from aridcal.reading import URDF, read_file
+from aridcal.reading.files import URDF, read_file
 
 # Of a line with a comment.
 WIDTH = 116

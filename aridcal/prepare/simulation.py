@@ -30,7 +30,7 @@ from aridcal.model.model import Model
 from aridcal.prepare.scenario import Scenario, Truth, check_scenario
 from aridcal.prepare.true_effects import Cause, columns_needed, draw_columns, make_causes, values
 from aridcal.prepare.viewpoints import draw_views, photographs
-from aridcal.reading import read_file
+from aridcal.reading.files import read_file
 from aridcal.robot.chain import Robot, load_robot
 from aridcal.robot.doty import doty_links
 from aridcal.search.head_effects import directions, stated

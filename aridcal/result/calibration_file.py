@@ -15,7 +15,7 @@ from pydantic import Field, field_validator, model_validator
 from aridcal.effects.basis import FORMS
 from aridcal.errors import CampaignError, has_controls
 from aridcal.inputs.yaml_file import LARGEST, Number, Section, Settings, Vector3, decode, parse_yaml, validated
-from aridcal.reading import CALIBRATION, read_file
+from aridcal.reading.files import CALIBRATION, read_file
 
 UNIT = 1e-6
 """How far from 1 the norm of a quaternion may be that was written with all its digits."""

@@ -23,7 +23,7 @@ from aridcal.inputs.yaml_file import Limits, parse_settings
 from aridcal.model.inverse import Command, InverseKinematics
 from aridcal.model.model import Frames, Model
 from aridcal.model.one_row import OneRowModel
-from aridcal.reading import check_path
+from aridcal.reading.names import check_path
 from aridcal.result.calibration_file import (
     NOT_OURS,
     CalibrationDocument,

@@ -13,7 +13,7 @@ import pinocchio as pin
 from lxml import etree
 
 from aridcal.errors import RobotError, nearest, shortened
-from aridcal.reading import URDF, Limit, read_file
+from aridcal.reading.files import URDF, Limit, read_file
 from aridcal.robot.tree import LARGEST, UrdfTree, numbers, parse_xml, read_tree
 
 JointKind = Literal["revolute", "prismatic", "continuous"]

@@ -12,7 +12,7 @@ import pinocchio as pin
 from lxml import etree
 
 from aridcal.errors import RobotError, nearest, shortened
-from aridcal.reading import check_name
+from aridcal.reading.names import check_name
 
 MOVING: dict[str, Literal["revolute", "prismatic"]] = {
     "revolute": "revolute",
