@@ -85,7 +85,7 @@ class Worker:
             "memory": self.memory, "seconds": self.told - self.start, "cpu": time.process_time(),
         }  # fmt: skip
         (self.folder / "tally.json").write_text(json.dumps(tally))
-        if self.executions == self.runs or (self.seconds and tally["seconds"] > self.seconds):
+        if (self.runs and self.executions == self.runs) or (self.seconds and tally["seconds"] > self.seconds):
             shutil.rmtree(self.home, ignore_errors=True)
             os._exit(0)  # libFuzzer has no way to be told to stop
 

@@ -13,7 +13,7 @@ import pandas as pd
 import pinocchio as pin
 import pytest
 import robots
-from hypothesis import HealthCheck, Phase, assume, given, settings
+from hypothesis import HealthCheck, Phase, assume, example, given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
@@ -38,7 +38,7 @@ from aridcal.robot.splice import splice_origins
 def examples(n: int) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """The same examples every time; a slow machine is no failure."""
     return settings(
-        max_examples=n, derandomize=True, deadline=None, database=None, phases=(Phase.generate, Phase.shrink),
+        max_examples=n, derandomize=True, deadline=None, database=None, phases=(Phase.explicit, Phase.generate, Phase.shrink),
         suppress_health_check=(HealthCheck.too_slow, HealthCheck.function_scoped_fixture),
     )  # fmt: skip
 
@@ -378,6 +378,8 @@ KINDS = st.sampled_from(["RR", "PRR", "RPR", "RRRR", "CRPR"])
 
 @examples(12)
 @given(KINDS, SEEDS, st.sampled_from(["pose", "position"]))
+@example("RPR", 37681269, "pose")  # turns that fit exactly while places are off by millimetres
+@example("PRR", 10, "pose")
 def test_exact_data_leave_nothing_and_predict_what_was_never_measured(kinds: str, seed: int, kind: str) -> None:
     """Everything that moves the target is either identified or named as redundant: then other rows are predicted, too."""
     robot, rng = robots.random_robot(seed % 1000, kinds), np.random.default_rng(seed)
