@@ -39,11 +39,13 @@ class Target:
     Attributes:
         read: Takes the path of a file, and does with it all that a command would before the mathematics begins.
         suffix: Of that file.
+        longest: Bytes that a mutant may have: what is wrong with a long file is wrong with a short one, and sooner found.
         kind: Text is mutated by lines and words too, binary files by bytes alone.
     """
 
     read: Callable[[Path], object]
     suffix: str
+    longest: int = 3000
     kind: Literal["text", "binary"] = "text"
 
 
@@ -138,10 +140,10 @@ TARGETS = {
     "campaign": Target(load_campaign, ".yaml"),
     "scenario": Target(_scenario, ".yaml"),
     "head": Target(_head, ".yaml"),
-    "calibration": Target(_calibration, ".yaml"),
+    "calibration": Target(_calibration, ".yaml", 6000),
     "table": Target(_table, ".csv"),
     "squares": Target(load_squares, ".csv"),
     "shots": Target(_shots, ".csv"),
-    "parquet": Target(_table, ".parquet", "binary"),
-    "image": Target(_image, ".png", "binary"),
+    "parquet": Target(_table, ".parquet", kind="binary"),
+    "image": Target(_image, ".png", 5000, "binary"),
 }

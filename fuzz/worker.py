@@ -25,9 +25,6 @@ from fuzz.mutate import mutate
 # [s] and [MB]: more for one small file is a finding.
 SLOW, LARGE = 5.0, 1000
 
-# [bytes] Files are small: what is wrong with a large one is wrong with a small one.
-LONGEST = 6000
-
 # Share of the mutants of text that are made byte by byte, by libFuzzer.
 BYTEWISE = 5
 
@@ -119,7 +116,7 @@ def main() -> None:
     gathered = folder / "gathered"  # libFuzzer adds what it finds interesting to the first folder
     gathered.mkdir(exist_ok=True)
     options = [
-        f"-max_len={LONGEST}",
+        f"-max_len={worker.target.longest}",
         f"-rss_limit_mb={LARGE}",
         f"-timeout={SLOW:.0f}",
         f"-artifact_prefix={folder}/",
