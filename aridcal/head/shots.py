@@ -28,7 +28,7 @@ from aridcal.head.sonar import fit_plane
 from aridcal.head.square import layout
 from aridcal.inputs.head_settings import HeadSettings, load_shots, load_squares, range_columns
 from aridcal.inputs.tables import Table
-from aridcal.inputs.yaml_file import load_settings
+from aridcal.inputs.yaml_file import LARGEST, load_settings
 from aridcal.model.model import Model
 from aridcal.reading.files import read_file
 from aridcal.reading.images import image_size
@@ -152,7 +152,7 @@ def _given_squares(table: Table) -> list[int | str | None]:
     """Read the column ``square``: whole numbers as such, anything else as its text."""
     numbers, _ = table.numbers("square")
     texts = table.texts("square")
-    return [int(n) if np.isfinite(n) and n == np.rint(n) else str(t) for n, t in zip(numbers, texts, strict=True)]
+    return [int(n) if abs(n) < LARGEST and n == np.rint(n) else str(t) for n, t in zip(numbers, texts, strict=True)]
 
 
 def _nominal_cameras(robot: Robot, table: Table, head: HeadSettings) -> Iterator[np.ndarray]:

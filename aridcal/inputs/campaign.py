@@ -303,7 +303,7 @@ def load_campaign(path: str | Path) -> Campaign:
     """
     path = Path(path)
     check_path(path, CampaignError)
-    if not path.is_file() or path.suffix.lower() in (".csv", ".parquet", ".urdf"):
+    if path.is_dir() or not path.exists() or path.suffix.lower() in (".csv", ".parquet", ".urdf"):
         what = "is a folder" if path.is_dir() else "is no campaign" if path.exists() else "there is no such file"
         raise CampaignError(
             f"{path}: {what}. `aridcal init --urdf ROBOT.urdf --measurements TABLE.csv` writes a campaign"

@@ -61,7 +61,8 @@ class Loader(_SafeLoader):
             if abs(value) <= LARGEST_INTEGER:
                 return int(value)
         raise yaml.constructor.ConstructorError(
-            problem=f"the number {shortened(node.value)} is too large", problem_mark=node.start_mark
+            problem=f"the number {shortened(node.value)} is too large: write a smaller one",
+            problem_mark=node.start_mark,
         )
 
 
@@ -282,15 +283,17 @@ def parse_yaml(text: str, path: Path) -> tuple[dict[str, Any], dict[Location, in
         return loader.construct_document(node), lines
     except yaml.reader.ReaderError as problem:
         line = text.count("\n", 0, problem.position) + 1
-        raise CampaignError(f"{path}, line {line}: holds a character that YAML forbids") from None
+        raise CampaignError(f"{path}, line {line}: holds a character that YAML forbids; delete it") from None
     except yaml.MarkedYAMLError as problem:
         mark = problem.problem_mark or problem.context_mark
         number = mark.line if mark else 0
         shown = (text.splitlines() or [""])[number : number + 1]
         tab = " (YAML wants spaces, not tabs)" if shown and "\t" in shown[0] else ""
-        raise CampaignError(f"{path}, line {number + 1}: is not valid YAML: {problem.problem}{tab}") from None
+        raise CampaignError(
+            f"{path}, line {number + 1}: is not valid YAML: {problem.problem}{tab}. Mend that line"
+        ) from None
     except ValueError as problem:  # a date such as 2024-02-30
-        raise CampaignError(f"{path}: is not valid YAML: {problem}") from None
+        raise CampaignError(f"{path}: is not valid YAML: {problem}; put what is no date in quotes") from None
 
 
 # How much deeper an event goes.
