@@ -11,7 +11,7 @@ from pydantic import Field, PositiveInt, model_validator
 from scipy.spatial.transform import Rotation
 
 from aridcal.errors import MeasurementError
-from aridcal.inputs.quantities import ABSURD, POSITION, QUATERNION, QUATERNION_SLACK
+from aridcal.inputs.quantities import POSITION, QUATERNION, QUATERNION_SLACK
 from aridcal.inputs.tables import Table, read_tables
 from aridcal.inputs.yaml_file import LARGEST, Number, Positive, RelativePath, Section, Settings, Vector3
 from aridcal.reading.files import MEGA, TABLE, Limit

@@ -296,13 +296,8 @@ def parse_yaml(text: str, path: Path) -> tuple[dict[str, Any], dict[Location, in
         raise CampaignError(f"{path}: is not valid YAML: {problem}; put what is no date in quotes") from None
 
 
-# How much deeper an event goes.
-DEEPER = {
-    yaml.MappingStartEvent: 1,
-    yaml.SequenceStartEvent: 1,
-    yaml.MappingEndEvent: -1,
-    yaml.SequenceEndEvent: -1,
-}
+# What an event adds to the depth.
+DEEPER = {yaml.MappingStartEvent: 1, yaml.SequenceStartEvent: 1, yaml.MappingEndEvent: -1, yaml.SequenceEndEvent: -1}
 
 
 def _refuse_tricks(text: str, path: Path) -> None:
@@ -318,7 +313,8 @@ def _refuse_tricks(text: str, path: Path) -> None:
         kind = type(event)
         depth += DEEPER.get(kind, 0)
         if kind is yaml.AliasEvent:
-            trick = f"the alias *{shortened(str(event.anchor))} is refused; write the value out"
+            anchor = str(getattr(event, "anchor", ""))
+            trick = f"the alias *{shortened(anchor)} is refused; write the value out"
         elif tag := getattr(event, "tag", None):
             trick = f"the tag {shortened(tag)} is refused; write plain values"
         elif depth > MAX_DEPTH:
