@@ -14,9 +14,9 @@ import numpy as np
 
 from aridcal.errors import RobotError
 from aridcal.head.matching import NotMeasured
-from aridcal.head.shots import board, load, read_image, read_ranges
+from aridcal.head.shots import board, read_image, read_ranges, shots_of
 from aridcal.inputs.campaign import Campaign, load_campaign
-from aridcal.inputs.head_settings import HeadSettings, load_squares
+from aridcal.inputs.head_settings import ArmSettings, HeadSettings, load_shots, load_squares
 from aridcal.inputs.query import load_query
 from aridcal.inputs.read import load_measurements
 from aridcal.inputs.yaml_file import load_settings, parse_settings
@@ -83,28 +83,23 @@ def _calibration(path: Path) -> None:
 
 
 def _shots(path: Path) -> None:
-    head = path.with_name("head.yaml")
-    if not head.exists():
-        text = (CORPUS / "head" / "square.yaml").read_text("utf-8")
-        head.write_text(text.replace("shots.csv", path.name), "utf-8")
-        for name, source in (("squares.csv", "squares/two.csv"), ("small.urdf", "urdf/small.urdf")):
-            path.with_name(name).write_bytes((CORPUS / source).read_bytes())
-    settings, _, _, shots = load(head)
-    for shot in shots:
+    head = _head_of(path.parent)
+    for shot in shots_of(load_shots(path, head), head, path):
         with suppress(NotMeasured):
-            read_ranges(shot.ranges, settings)
+            read_ranges(shot.ranges, head)
 
 
 def _image(path: Path) -> None:
     with suppress(NotMeasured):
-        read_image(path.name, _camera(path.parent))
+        read_image(path.name, _head_of(path.parent))
 
 
 @cache
-def _camera(folder: Path) -> HeadSettings:
-    return load_settings(CORPUS / "head" / "square.yaml", HeadSettings).model_copy(
-        update={"shots": folder / "shots.csv"}
-    )
+def _head_of(folder: Path) -> HeadSettings:
+    """A head whose shots and images are in a folder."""
+    head = load_settings(CORPUS / "head" / "square.yaml", HeadSettings)
+    arm = ArmSettings(urdf=CORPUS / "urdf" / "small.urdf", tip="tip")
+    return head.model_copy(update={"shots": folder / "shots.csv", "robot": arm})
 
 
 @cache

@@ -130,6 +130,20 @@ def load(path: Path) -> tuple[HeadSettings, dict[int, np.ndarray], Table, list[S
     head = load_settings(path, HeadSettings)
     squares = load_squares(head.squares, head.limits.table)
     table = load_shots(head.shots, head)
+    return head, squares, table, shots_of(table, head, path)
+
+
+def shots_of(table: Table, head: HeadSettings, path: Path) -> list[Shot]:
+    """The rows of a table of shots, ready to be measured.
+
+    Args:
+        table: As :func:`load_shots` reads it.
+        head: The settings.
+        path: The file that they come from, for messages.
+
+    Raises:
+        AridcalError: There is no column ``square``, and no robot that could tell which square is seen, or a bad one.
+    """
     n = len(table)
     ranges = [table.numbers(name)[0] for name in range_columns(head)]
     h = np.column_stack(ranges) if ranges else np.zeros((n, 0))
@@ -144,8 +158,7 @@ def load(path: Path) -> tuple[HeadSettings, dict[int, np.ndarray], Table, list[S
         cameras = list(_nominal_cameras(robot, table, head))
     images = table.texts("image")
     columns = zip(table.line, images, h, given, cameras, strict=True)
-    shots = [Shot(int(line), str(image), own, square, T) for line, image, own, square, T in columns]
-    return head, squares, table, shots
+    return [Shot(int(line), str(image), own, square, T) for line, image, own, square, T in columns]
 
 
 def _given_squares(table: Table) -> list[int | str | None]:
