@@ -41,8 +41,7 @@ NEAREST, FARTHEST = 0.02, 5.0
 # Cosine of the tilt, 45 degrees, at which the sonars must be wrong: from so steep a plane the echo goes elsewhere.
 STEEPEST = 0.7
 
-# Share of the next square's distance within which the nearest must be, seen from the nominal arm, to be taken for
-# it.
+# Share of the next square's distance within which the nearest must be, seen from the nominal arm, to be taken for it.
 CLEARLY = 0.5
 
 # [m] A turn of the camera counts as a shift of this times as much: about its distance from the square.
@@ -51,11 +50,8 @@ LEVER = 0.25
 # Shots: fewer are measured sooner than processes are started.
 PARALLEL_FROM = 200
 
-# [px] Width of a shot's picture on the contact sheet.
-THUMBNAIL = 256
-
-# Of its JPEG.
-THUMBNAIL_QUALITY = 80
+# [px] Width of a shot's picture on the contact sheet, and the quality of its JPEG.
+THUMBNAIL, THUMBNAIL_QUALITY = 256, 80
 
 # Green and blue, in OpenCV's order: fiducials of the square itself, and of its neighbours.
 OWN_COLOUR, OTHER_COLOUR = (60, 160, 0), (200, 90, 0)
@@ -134,16 +130,7 @@ def load(path: Path) -> tuple[HeadSettings, dict[int, np.ndarray], Table, list[S
 
 
 def shots_of(table: Table, head: HeadSettings, path: Path) -> list[Shot]:
-    """The rows of a table of shots, ready to be measured.
-
-    Args:
-        table: As :func:`load_shots` reads it.
-        head: The settings.
-        path: The file that they come from, for messages.
-
-    Raises:
-        AridcalError: There is no column ``square``, and no robot that could tell which square is seen, or a bad one.
-    """
+    """The rows of a table of shots, ready to be measured; ``path`` names the head's file in messages."""
     n = len(table)
     ranges = [table.numbers(name)[0] for name in range_columns(head)]
     h = np.column_stack(ranges) if ranges else np.zeros((n, 0))
