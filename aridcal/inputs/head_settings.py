@@ -61,7 +61,7 @@ class SonarSettings(Section):
         across = np.array(self.positions)[:, :2]
         extents = np.linalg.svd(across - across.mean(axis=0), compute_uv=False)
         if extents[1] < LEAST_SPREAD:
-            raise ValueError("the sonars sit on one line: they cannot see a plane's tilt about it")
+            raise ValueError("the sonars sit on one line: they cannot see a plane's tilt about it; check `positions`")
         return self
 
 
@@ -127,7 +127,7 @@ class HeadSettings(Settings):
             if given:
                 raise ValueError(f"`{given[0]}` belongs to `target: charuco`")
             if self.sonars is None:
-                raise ValueError("`sonars` is missing: they tell how large the square's fiducials are in the image")
+                raise ValueError("add `sonars`: they tell how large the square's fiducials are in the image")
         elif len(given) < len(CHARUCO_KEYS):
             missing = ", ".join(key for key in CHARUCO_KEYS if key not in given)
             raise ValueError(f"`target: charuco` also needs: {missing}")

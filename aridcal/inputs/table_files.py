@@ -161,6 +161,8 @@ def read_parquet(content: bytes, path: Path, limit: Limit) -> FileCells:
     except (pa.ArrowException, OSError, ValueError, OverflowError, MemoryError) as problem:
         said = shortened((str(problem) or type(problem).__name__).splitlines()[0], 200)
         raise MeasurementError(f"{path}: is not a readable Parquet file: {said}. Write it anew, or as csv") from None
+    if not cells.num_rows:
+        raise MeasurementError(f"{path}: has columns but no rows; name the table that was measured")
     return whole(cells)
 
 
@@ -208,7 +210,7 @@ def read_csv(content: bytes, path: Path, limit: Limit) -> FileCells:
     header = _header(text, path)
     if not re.search(rb"\n\s*\S", text):
         check_header(header, path)
-        raise MeasurementError(f"{path}: has a header but no rows")
+        raise MeasurementError(f"{path}: has a header but no rows; name the table that was measured")
     _check_columns([name for name in header if name], path)
     check_size(path, text.count(b"\n"), len(header), limit)
     cells, broken, blank = _parse(text, len(header), path)

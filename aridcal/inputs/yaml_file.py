@@ -225,7 +225,9 @@ def parse_settings(text: str, path: Path, model: type[AnySettings]) -> AnySettin
         raise CampaignError(f"{path}: the key 'format' is missing; write `format: 1` on top")
     if type(keys["format"]) is not int or keys["format"] != 1:
         where = f"{path}, line {lines['format',]}"
-        raise CampaignError(f"{where}: format: this version reads format 1 only, not {_shown(keys['format'])}")
+        raise CampaignError(
+            f"{where}: format: this version reads format 1 only, not {_shown(keys['format'])}; write `format: 1`"
+        )
     settings = validated(keys, lines, path, model)
     settings._path, settings._text = path, text
     return settings
@@ -338,14 +340,14 @@ def _lines(node: yaml.Node, location: Location, path: Path) -> Iterator[tuple[Lo
         for key, value in node.value:
             line = key.start_mark.line + 1
             if not isinstance(key, yaml.ScalarNode):
-                raise CampaignError(f"{path}, line {line}: a key must be a plain word")
+                raise CampaignError(f"{where}: a key must be a plain word; write `key: value`")
+            name = _dotted((*location, key.value))
             if key.tag != "tag:yaml.org,2002:str":
                 kind = key.tag.rpartition(":")[2]
                 name = _dotted((*location, key.value))
                 raise CampaignError(f"{path}, line {line}: {name}: YAML reads this key as a {kind}; put it in quotes")
             if key.value in seen:
-                name = _dotted((*location, key.value))
-                raise CampaignError(f"{path}, line {line}: {name}: this key is there twice")
+                raise CampaignError(f"{where}: {name}: this key is there twice; delete one")
             seen.add(key.value)
             yield (*location, key.value), line
             yield from _lines(value, (*location, key.value), path)
@@ -374,7 +376,7 @@ def _complaint(error: ErrorDetails, path: Path, lines: dict[Location, int]) -> s
         location = (*location, facts["key"])
         wrong = error["msg"]
     elif error["type"] == "missing":
-        wrong = "this item is missing" if isinstance(location[-1], int) else "this key is missing"
+        wrong = f"this {'item' if isinstance(location[-1], int) else 'key'} is missing; add it"
     elif value is None:
         wrong = "has no value; give one or delete the key"
     elif error["type"] == "value_error":

@@ -121,7 +121,8 @@ def _joints(chains: Iterable[tuple[str, ...]], table: Table) -> tuple[tuple[str,
         if set(joints) > set(best) and beyond & set(names):
             lacking = [joint for joint in joints if joint in beyond and joint not in names]
             raise MeasurementError(
-                f"{table.title}: no columns for the joints {', '.join(lacking)}, though for joints beyond"
+                f"{table.title}: no columns for the joints {', '.join(lacking)}, though for joints beyond. Name them as in "
+                "the URDF"
             )
     columns, how = found[best]
     return best, columns, how
@@ -199,7 +200,7 @@ def _sample(table: Table, robot: Robot, joints: Sequence[str], place: Family) ->
         emptiest = [*joints, *place.columns][int(np.argmin(counts))]
         raise MeasurementError(
             f"{table.title}: {len(whole)} rows have all joints and positions; {FEWEST} are the least. The column "
-            f"{emptiest!r} has numbers in {counts.min()} of {len(table)} rows"
+            f"{emptiest!r} has numbers in {counts.min()} of {len(table)} rows: mend it, or measure more"
         )
     drawn = np.random.default_rng(0).permutation(whole)[:SAMPLE]
     rows = np.sort(drawn)

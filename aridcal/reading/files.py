@@ -79,7 +79,7 @@ def read_file(path: Path, error: type[AridcalError], limit: Limit) -> bytes:
     except FileNotFoundError:
         raise error(f"{shown}: there is no such file; check its name") from None
     except (OSError, ValueError) as problem:
-        raise error(f"{shown}: cannot be read: {why(problem)}") from None
+        raise error(f"{shown}: cannot be read: {why(problem)}; check the file and who may read it") from None
     if len(content) > status.st_size:
         raise error(f"{shown}: grew while it was read: wait until it is complete")
     if not content or content.isspace():

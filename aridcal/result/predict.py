@@ -47,7 +47,9 @@ def read_query(saved: SavedModel, table: AnyTable, poses: bool = False) -> Query
         limit=saved.limits.table,
     )
     if not query.usable.any():
-        raise MeasurementError(f"no row can be {'commanded' if poses else 'predicted'}. First: {query.refused[0]}")
+        raise MeasurementError(
+            f"no row can be {'commanded' if poses else 'predicted'}. First: {query.refused[0]}; mend the table"
+        )
     return query if poses else _sides_unknown(saved, query, table)
 
 

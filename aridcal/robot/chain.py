@@ -193,7 +193,8 @@ def chain(tree: UrdfTree, tip: str, base: str | None = None) -> Robot:
         else:
             raise RobotError(
                 f"{path}: joint {joint!r} on the chain is {shortened(kind)!r}: only serial chains of "
-                "revolute, continuous, prismatic and fixed joints can be calibrated"
+                "revolute, continuous, prismatic and fixed joints can be calibrated. Make it one of these, or choose another "
+                "`robot.tip`"
             )
     if not joints:
         raise RobotError(f"{path}: no joint moves between {base or link!r} and {tip!r}: nothing to calibrate")
