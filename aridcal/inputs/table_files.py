@@ -136,15 +136,28 @@ def read_parquet(content: bytes, path: Path, limit: Limit) -> FileCells:
         schema = footer.schema.to_arrow_schema()
         names = [name for name in schema.names if not PANDAS_INDEX.fullmatch(name)]
         check_header(names, path)
-        groups = [footer.row_group(k) for k in range(footer.num_row_groups)]
-        values = sum(group.column(k).num_values for group in groups for k in range(group.num_columns))
-        check_size(path, max(values // max(len(names), 1), footer.num_rows), len(names), limit)
+        check_size(path, footer.num_rows, len(names), limit)
+        # No more of the footer is looked at: PyArrow lets a damaged row group end the process.
         leaves = [footer.schema.column(k) for k in range(len(footer.schema))]
+        lists = [leaf.path.split(".")[0] for leaf in leaves if leaf.max_repetition_level]
+        if lists:
+            raise MeasurementError(
+                f"{path}: column {lists[0]!r} holds lists; write one value into a cell, or delete it"
+            )
         texts = [leaf.path for leaf in leaves if leaf.physical_type == "BYTE_ARRAY"]
         # Words as they are stored, each once: a word of a megabyte in a million rows takes a few bytes there.
-        cells = pa.parquet.ParquetFile(pa.BufferReader(content), read_dictionary=texts).read(columns=names)
+        file = pa.parquet.ParquetFile(pa.BufferReader(content), read_dictionary=texts)
+        batches, rows = [], 0
+        for batch in file.iter_batches(columns=names):
+            rows += batch.num_rows
+            check_size(path, rows, len(names), limit)  # the footer may lie
+            batches.append(batch)
+        if not rows:
+            raise MeasurementError(f"{path}: has columns but no rows")
+        cells = pa.Table.from_batches(batches)
         _check_words(cells, path, limit)
         cells = cells.cast(pa.schema([schema.field(name) for name in names]))
+        cells.validate(full=True)  # words that are not UTF-8, above all
     except (pa.ArrowException, OSError, ValueError, OverflowError, MemoryError) as problem:
         said = shortened((str(problem) or type(problem).__name__).splitlines()[0], 200)
         raise MeasurementError(f"{path}: is not a readable Parquet file: {said}. Write it anew, or as csv") from None
@@ -174,9 +187,6 @@ def _written_out(cells: pa.Array) -> int:
         return 0 if lengths is None else int(pc.sum(pc.take(lengths, cells.indices)).as_py() or 0)
     if pa.types.is_struct(cells.type):
         return sum(_written_out(cells.field(k)) for k in range(cells.type.num_fields))
-    if pa.types.is_list(cells.type) or pa.types.is_large_list(cells.type) or pa.types.is_map(cells.type):
-        parts = (cells.keys, cells.items) if pa.types.is_map(cells.type) else (cells.values,)
-        return sum(_written_out(part) for part in parts)
     return 0
 
 
