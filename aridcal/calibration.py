@@ -18,6 +18,8 @@ from aridcal.files import atomic_file
 from aridcal.identify import VERDICTS
 from aridcal.inputs.query import Query
 from aridcal.inputs.tables import AnyTable, read_tables
+from aridcal.inputs.yaml_file import decode
+from aridcal.reading.files import RESULT, read_file
 from aridcal.report.html import tag
 from aridcal.report.page import write_report
 from aridcal.report.scene import scene, write_scene
@@ -67,11 +69,11 @@ class Calibration:
         """
         if self.outcome is not None:
             return result_document(self.outcome)
-        text = self._beside("result.json", "the figures are").read_text("utf-8")
+        path = self._beside("result.json", "the figures are")
         try:
-            return dict(json.loads(text))
-        except ValueError as error:
-            raise AridcalError(f"{self.folder}: result.json cannot be read: {error}. Run identify again") from None
+            return dict(json.loads(_text(path)))
+        except (ValueError, TypeError, RecursionError) as error:
+            raise AridcalError(f"{path}: cannot be read: {error}. Run identify again") from None
 
     @property
     def errors(self) -> pd.DataFrame:
@@ -215,7 +217,7 @@ class Calibration:
     def _page(self, name: str, write: Callable[[Outcome, Path], Any], path: str | Path | None) -> Page:
         """A page made anew, or of a loaded calibration the folder's own."""
         if self.outcome is None:
-            source = self._beside(name, f"{name} is").read_text("utf-8")
+            source = _text(self._beside(name, f"{name} is"))
         else:
             with working() as progress, tempfile.TemporaryDirectory() as folder:
                 progress(f"drawing {name}")
@@ -272,6 +274,11 @@ class Verified:
     def _title(self) -> str:
         left_out = f", {self.outliers} gross outliers left out" if self.outliers else ""
         return f"{self.file}: {self.rows} rows of another day{left_out}"
+
+
+def _text(path: Path) -> str:
+    """A file of a result folder."""
+    return decode(read_file(path, AridcalError, RESULT), path, AridcalError)
 
 
 def _headline(table: pd.DataFrame) -> pd.DataFrame:

@@ -22,6 +22,7 @@ from aridcal.command_line import CommandParser, command_parser, run
 from aridcal.files import claimed
 from aridcal.head.detections import CACHE
 from aridcal.prepare.other_readings import refuse_misread
+from aridcal.reading.names import path_argument
 from aridcal.report.words import causes_in_words, sigmas_in_words
 from aridcal.result.folder import what_moved
 from aridcal.result.key_figures import another_day, every_held_out_row, or_as_well, over_time, rms_position, scored
@@ -117,10 +118,12 @@ def _verification_lines(v: Verification) -> list[str]:
 def parser() -> CommandParser:
     """The command's arguments."""
     arguments = command_parser("identify", __doc__)
-    arguments.add_argument("campaign", type=Path, help="campaign.yaml")
-    arguments.add_argument("-o", "--out", type=Path, help="result folder (default: results/ beside the campaign)")
+    arguments.add_argument("campaign", type=path_argument, help="campaign.yaml")
     arguments.add_argument(
-        "--verify", type=Path, metavar="CSV", help="measurements of another day, to check the result on"
+        "-o", "--out", type=path_argument, help="result folder (default: results/ beside the campaign)"
+    )
+    arguments.add_argument(
+        "--verify", type=path_argument, metavar="CSV", help="measurements of another day, to check the result on"
     )
     arguments.add_argument(
         "--seed",
@@ -149,14 +152,18 @@ def _identify(arguments: argparse.Namespace, out: Path) -> None:
     started = time.perf_counter()
 
     def progress(step: str) -> None:
-        steps.print(f"[dim]{time.perf_counter() - started:5.1f} s  {step}[/dim]")
+        steps.print(f"{time.perf_counter() - started:5.1f} s  {step}", style="dim", markup=False)
 
     outcome = identify(arguments.campaign, arguments.seed, arguments.verify, progress, out / CACHE, refuse_misread)
     progress("writing the results")
     written = write_folder(outcome, out)
     summary(outcome, console)
     handover = written.handover
-    console.print(f"exports for controllers, position RMS on {handover.rows}:\n  {handover.summary()}", soft_wrap=True)
+    console.print(
+        f"exports for controllers, position RMS on {handover.rows}:\n  {handover.summary()}",
+        soft_wrap=True,
+        markup=False,
+    )
     for notice in written.notices:
         console.print(f"note: {notice}", markup=False)
     console.print(f"report: {out / 'report.html'}", soft_wrap=True, markup=False, highlight=False)

@@ -26,6 +26,7 @@ from aridcal.head.sonar import contradictions
 from aridcal.inputs.head_settings import POSE_COLUMNS, HeadSettings, range_columns
 from aridcal.inputs.quantities import STD
 from aridcal.inputs.tables import Table
+from aridcal.reading.names import path_argument
 from aridcal.report.html import Html, tag
 
 BESIDE = REFUSED, SHEET = "refused.csv", "shots.html"
@@ -118,8 +119,10 @@ def sonar_remarks(results: Sequence[Measured], std: float) -> list[str]:
 def parser() -> CommandParser:
     """The command's arguments."""
     arguments = command_parser("measure", __doc__)
-    arguments.add_argument("head", type=Path, help="head.yaml: camera, sonars, squares and shots")
-    arguments.add_argument("-o", "--out", type=Path, required=True, help="table of measured poses to write, .csv")
+    arguments.add_argument("head", type=path_argument, help="head.yaml: camera, sonars, squares and shots")
+    arguments.add_argument(
+        "-o", "--out", type=path_argument, required=True, help="table of measured poses to write, .csv"
+    )
     return arguments
 
 

@@ -29,9 +29,10 @@ from aridcal.command_line import CommandParser, command_parser, run
 from aridcal.errors import OutputError
 from aridcal.files import atomic_file, check_home, check_writable
 from aridcal.inputs.query import Query, Remarks
-from aridcal.progress import told_on
+from aridcal.reading.names import path_argument
 from aridcal.result.predict import ENDINGS, predict, read_queries, table_file
 from aridcal.result.saved_model import SavedModel
+from aridcal.showing import told_on
 
 SHOWN_REMARKS = 5
 
@@ -39,10 +40,10 @@ SHOWN_REMARKS = 5
 def parser() -> CommandParser:
     """The command's arguments."""
     arguments = command_parser("predict", __doc__)
-    arguments.add_argument("calibration", type=Path, help="calibration.yaml of a result folder")
-    arguments.add_argument("query", type=Path, help="joint readings (and covariates), .csv or .parquet")
+    arguments.add_argument("calibration", type=path_argument, help="calibration.yaml of a result folder")
+    arguments.add_argument("query", type=path_argument, help="joint readings (and covariates), .csv or .parquet")
     arguments.add_argument(
-        "-o", "--out", type=Path, required=True, help="where to write them with their poses, .csv or .parquet"
+        "-o", "--out", type=path_argument, required=True, help="where to write them with their poses, .csv or .parquet"
     )
     return arguments
 

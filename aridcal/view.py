@@ -20,6 +20,7 @@ from rich.console import Console
 
 from aridcal.command_line import CommandParser, command_parser, run
 from aridcal.errors import OutputError
+from aridcal.reading.names import path_argument
 
 # Meshcat's own server is left out on purpose: it is a second process in a session of its own, which outlives a killed
 # parent, and its page knows nothing of the panel. Here the command itself is the server, so nothing can be left behind.
@@ -71,7 +72,9 @@ def scene_file(folder: Path) -> Path:
 def parser() -> CommandParser:
     """The command's arguments."""
     arguments = command_parser("view", __doc__)
-    arguments.add_argument("folder", type=Path, metavar="DIR", help="a result folder, as written by `aridcal identify`")
+    arguments.add_argument(
+        "folder", type=path_argument, metavar="DIR", help="a result folder, as written by `aridcal identify`"
+    )
     return arguments
 
 
@@ -84,7 +87,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _main(folder: Path) -> None:
     with serve(scene_file(folder)) as server:
         url = f"http://127.0.0.1:{server.server_port}/"
-        Console().print(f"{url}  (Ctrl-C ends it)", soft_wrap=True, highlight=False)
+        Console().print(f"{url}  (Ctrl-C ends it)", soft_wrap=True, highlight=False, markup=False)
         if _has_screen():
             webbrowser.open(url)
         server.serve_forever()

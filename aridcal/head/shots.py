@@ -18,7 +18,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from aridcal.errors import MeasurementError
+from aridcal.errors import AridcalError, MeasurementError
 from aridcal.head.charuco import Board, find_charuco
 from aridcal.head.fiducials import Fiducials, find_fiducials
 from aridcal.head.matching import NotMeasured
@@ -30,6 +30,9 @@ from aridcal.inputs.head_settings import HeadSettings, load_shots, load_squares,
 from aridcal.inputs.tables import Table
 from aridcal.inputs.yaml_file import load_settings
 from aridcal.model.model import Model
+from aridcal.reading.files import read_file
+from aridcal.reading.images import image_size
+from aridcal.reading.names import check_path
 from aridcal.robot.chain import Robot, load_robot
 
 # [m] of a range that can be right: an ultrasonic sensor's, with room to spare; others are in another unit.
@@ -125,7 +128,7 @@ def load(path: Path) -> tuple[HeadSettings, dict[int, np.ndarray], Table, list[S
         AridcalError: A file, key, column or row of ``squares.csv`` is wrong; rows of ``shots.csv`` are not looked at.
     """
     head = load_settings(path, HeadSettings)
-    squares = load_squares(head.squares)
+    squares = load_squares(head.squares, head.limits.table)
     table = load_shots(head.shots, head)
     n = len(table)
     ranges = [table.numbers(name)[0] for name in range_columns(head)]
@@ -137,7 +140,7 @@ def load(path: Path) -> tuple[HeadSettings, dict[int, np.ndarray], Table, list[S
     else:
         if head.robot is None:
             raise MeasurementError(f"{head.shots}: no column 'square'; add it, or name the `robot` in {path}")
-        robot = load_robot(head.robot.urdf, head.robot.tip, head.robot.base)
+        robot = load_robot(head.robot.urdf, head.robot.tip, head.robot.base, head.limits.urdf)
         cameras = list(_nominal_cameras(robot, table, head))
     images = table.texts("image")
     columns = zip(table.line, images, h, given, cameras, strict=True)
@@ -164,34 +167,58 @@ def _nominal_cameras(robot: Robot, table: Table, head: HeadSettings) -> Iterator
         yield head.world_base.homogeneous @ T_base_tip @ head.tip_camera.homogeneous
 
 
-def read_image(name: str, folder: Path, settings: HeadSettings) -> np.ndarray:
-    """Read a shot's image as grey levels, uint8.
+def image_content(name: str, settings: HeadSettings) -> bytes:
+    """Read the file of a shot's image.
 
     Raises:
-        NotMeasured: No such image in the folder, not readable, not an image, or not of the camera's size.
+        NotMeasured: No such image in the folder of the shots, or one that cannot be read.
     """
     if not name:
         raise NotMeasured("no image is named")
+    folder = settings.shots.parent
     path = folder / name
     try:
-        if not path.resolve().is_relative_to(folder.resolve()):
-            raise NotMeasured("the image lies outside the folder of the shots")
-        if not path.is_file():
-            raise NotMeasured("there is no such image")
-        content = np.fromfile(path, np.uint8)
-    except (OSError, ValueError) as error:  # a name that no file can have, or no permission
-        raise NotMeasured(f"the image cannot be read: {getattr(error, 'strerror', None) or error}") from None
+        check_path(path, AridcalError)
+        inside = path.resolve().is_relative_to(folder.resolve())
+        content = read_file(path, AridcalError, settings.limits.image) if inside and path.exists() else b""
+    except (AridcalError, OSError, RuntimeError) as problem:  # links that go round are a RuntimeError
+        said = str(problem).removeprefix(f"{path}: ")
+        raise NotMeasured(f"the image cannot be read: {said}") from None
+    if not content:
+        raise NotMeasured("there is no such image" if inside else "the image lies outside the folder of the shots")
+    return content
+
+
+def read_image(name: str, settings: HeadSettings) -> np.ndarray:
+    """Read a shot's image as grey levels, uint8; its header decides whether it is decoded at all.
+
+    Raises:
+        NotMeasured: No such image in the folder of the shots, not readable, not an image, or not of the camera's size.
+    """
+    content = image_content(name, settings)
+    camera = settings.camera
+    size = image_size(content)
+    if size is None:
+        raise NotMeasured(
+            "the file is no image of a known kind, or damaged: save it as PNG, JPEG, TIFF, BMP, PGM or WebP"
+        )
+    if sorted(size) != sorted((camera.width, camera.height)):  # turned round by what a JPEG says of its camera, perhaps
+        raise _other_size(*size, settings)
     try:
-        image = cv2.imdecode(content, cv2.IMREAD_GRAYSCALE) if len(content) else None
-    except cv2.error:  # says to be larger than OpenCV reads
+        image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_GRAYSCALE)
+    except cv2.error:
         image = None
     if image is None:
-        raise NotMeasured("the file is empty or no image")
-    camera = settings.camera
+        raise NotMeasured("the image cannot be decoded: is the file complete?")
     height, width = image.shape
     if (height, width) != (camera.height, camera.width):
-        raise NotMeasured(f"the image is {width} x {height} pixels, the camera {camera.width} x {camera.height}")
+        raise _other_size(width, height, settings)
     return image
+
+
+def _other_size(width: int, height: int, settings: HeadSettings) -> NotMeasured:
+    camera = settings.camera
+    return NotMeasured(f"the image is {width} x {height} pixels, the camera {camera.width} x {camera.height}")
 
 
 def read_ranges(h: np.ndarray, settings: HeadSettings) -> Sonars:
@@ -271,7 +298,7 @@ def measure_shot(shot: Shot, head: HeadSettings, squares: Mapping[int, np.ndarra
     """Measure one shot, or say why it cannot be."""
     image = None
     try:
-        image = read_image(shot.image, head.shots.parent, head)
+        image = read_image(shot.image, head)
         sonars = read_ranges(shot.ranges, head)
         square, sighting = _identified(shot, image, sonars, head, squares)
     except NotMeasured as refusal:

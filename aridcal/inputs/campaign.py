@@ -14,7 +14,8 @@ from pydantic import AfterValidator, BeforeValidator, Field, PrivateAttr, field_
 
 from aridcal.effects.catalogue import KINDS, is_of_head
 from aridcal.errors import CampaignError, nearest
-from aridcal.inputs.yaml_file import RelativePath, Section, Settings, Vector3, load_settings
+from aridcal.inputs.yaml_file import LARGEST, RelativePath, Section, Settings, Vector3, load_settings
+from aridcal.reading.names import check_path
 
 # Metres in one of each unit of length.
 LENGTHS = MappingProxyType({"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254, "ft": 0.3048})
@@ -61,7 +62,7 @@ class RobotSettings(Section):
     @classmethod
     def _vector_or_world(cls, gravity: Any) -> Any:
         listed = isinstance(gravity, list | tuple) and len(gravity) == 3
-        if gravity != "world" and not (listed and all(type(g) in (int, float) and math.isfinite(g) for g in gravity)):
+        if gravity != "world" and not (listed and all(type(g) in (int, float) and abs(g) <= LARGEST for g in gravity)):
             raise ValueError("should be `world` or [x, y, z] in m/s²")
         return gravity
 
@@ -215,7 +216,7 @@ class EffectDeclaration(Section):
     """The other joint of a `joint_coupling`."""
     by: Literal["direction", "load"] | None = None
     """What a `joint_backlash` switches with."""
-    order: Annotated[tuple[Annotated[float, Field(gt=0)], ...], BeforeValidator(_listed)] | None = None
+    order: Annotated[tuple[Annotated[float, Field(gt=0, le=1e6)], ...], BeforeValidator(_listed)] | None = None
     """Periods in one turn of the joint."""
     motion: Names | None = None
     covariates: Names | None = None
@@ -301,6 +302,7 @@ def load_campaign(path: str | Path) -> Campaign:
         CampaignError: naming the file, the line, the key and the nearest known one.
     """
     path = Path(path)
+    check_path(path, CampaignError)
     if not path.is_file() or path.suffix.lower() in (".csv", ".parquet", ".urdf"):
         what = "is a folder" if path.is_dir() else "is no campaign" if path.exists() else "there is no such file"
         raise CampaignError(

@@ -7,13 +7,14 @@ from typing import Annotated, Literal
 
 import numpy as np
 import pinocchio as pin
-from pydantic import Field, PositiveFloat, PositiveInt, model_validator
+from pydantic import Field, PositiveInt, model_validator
 from scipy.spatial.transform import Rotation
 
 from aridcal.errors import MeasurementError
 from aridcal.inputs.quantities import POSITION, QUATERNION, QUATERNION_SLACK
 from aridcal.inputs.tables import Table, read_tables
-from aridcal.inputs.yaml_file import RelativePath, Section, Settings, Vector3
+from aridcal.inputs.yaml_file import Number, Positive, RelativePath, Section, Settings, Vector3
+from aridcal.reading.files import MEGA, TABLE, Limit
 
 CHARUCO_KEYS = ("squares_x", "squares_y", "square", "marker", "dictionary")
 POSE_COLUMNS = (*POSITION, *QUATERNION)
@@ -28,16 +29,16 @@ LEAST_SPREAD = 1e-3
 class CameraSettings(Section):
     """A camera after OpenCV's model (:mod:`aridcal.head.camera`): z forward, y down; lengths in pixels."""
 
-    fx: PositiveFloat
-    fy: PositiveFloat
+    fx: Positive
+    fy: Positive
     """Focal lengths, [px]."""
-    cx: float
-    cy: float
+    cx: Number
+    cy: Number
     """Principal point, [px]; the middle of the first pixel is 0."""
     width: PositiveInt
     height: PositiveInt
     """Of the images, [px]."""
-    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    distortion: tuple[Number, Number, Number, Number, Number] = (0.0, 0.0, 0.0, 0.0, 0.0)
     """k1, k2, p1, p2, k3."""
 
     @property
@@ -52,7 +53,7 @@ class SonarSettings(Section):
     positions: Annotated[tuple[Vector3, ...], Field(min_length=3)]
     """In Doty's camera frame, [m], in the order h1, h2, ..."""
     measures: Measures = "perpendicular"
-    std: PositiveFloat
+    std: Positive
     """Of a reading, [m]."""
 
     @model_validator(mode="after")
@@ -95,9 +96,9 @@ class HeadSettings(Settings):
     target: Annotated[str, Field(pattern="^(arid_square|charuco)$")] = "arid_square"
     squares_x: PositiveInt | None = None
     squares_y: PositiveInt | None = None
-    square: PositiveFloat | None = None
+    square: Positive | None = None
     """Side of a chessboard square, [m]."""
-    marker: PositiveFloat | None = None
+    marker: Positive | None = None
     """Side of a marker, [m]."""
     dictionary: str | None = None
     """OpenCV's name for it: DICT_4X4_50, ..."""
@@ -108,6 +109,16 @@ class HeadSettings(Settings):
     robot: ArmSettings | None = None
     world_base: Placement = Placement()
     """T_world_base of that arm."""
+
+    @model_validator(mode="after")
+    def _not_too_many_pixels(self) -> HeadSettings:
+        pixels, most = self.camera.width * self.camera.height / MEGA, self.limits.image_megapixels
+        if pixels > most:
+            raise ValueError(
+                f"camera: {self.camera.width} x {self.camera.height} are {pixels:,.0f} megapixels, at most {most:g} are "
+                "decoded; raise `limits: {image_megapixels: …}` if they are meant to be"
+            )
+        return self
 
     @model_validator(mode="after")
     def _what_the_target_needs(self) -> HeadSettings:
@@ -123,13 +134,13 @@ class HeadSettings(Settings):
         return self
 
 
-def load_squares(path: Path) -> dict[int, np.ndarray]:
+def load_squares(path: Path, limit: Limit = TABLE) -> dict[int, np.ndarray]:
     """Read ``squares.csv``: T_world_square, (4, 4), of each square by its index.
 
     Raises:
         MeasurementError: A cell is missing or no number, a quaternion is not of unit length, an index appears twice.
     """
-    table = read_tables([path])
+    table = read_tables([path], limit=limit)
     names = ("index", *POSE_COLUMNS)
     table.require(names)
     if table.refused:
@@ -166,7 +177,7 @@ def load_shots(path: Path, settings: HeadSettings) -> Table:
     Raises:
         MeasurementError: The table cannot be read, or a column is missing.
     """
-    table = read_tables([path])
+    table = read_tables([path], limit=settings.limits.table)
     table.require(["image", *range_columns(settings)])
     return table
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -12,13 +12,15 @@ import pyarrow as pa
 import pyarrow.parquet
 
 from aridcal.errors import MeasurementError
-from aridcal.inputs.tables import FIRST_LINE, PANDAS_INDEX, AnyTable, Remark, Table, _read_csv, read_tables
+from aridcal.inputs.table_files import FIRST_LINE, PANDAS_INDEX, check_header, check_size, read_csv
+from aridcal.inputs.tables import AnyTable, Remark, Table, is_number, read_tables
+from aridcal.reading.files import MEGA, TABLE, Limit
 
 STRETCH = 2_000_000
 """Bytes of csv that are read together: some 18,000 rows of six joints, which take fifty times as much while they are
 predicted. A shorter file is one stretch: whatever is asked of a table as a whole is asked of it."""
 
-CELL = 18
+WRITTEN = 18
 """Bytes of a number in csv, by which a stretch of parquet has as many rows."""
 
 
@@ -48,17 +50,21 @@ class Stretch:
         return (self.before + (self.done - self.before) * rows / len(self.table)) / self.total
 
 
-def stretches(table: AnyTable) -> Iterator[Stretch]:
+def stretches(table: AnyTable, limit: Limit = TABLE) -> Iterator[Stretch]:
     """Read a table a stretch at a time; a short one, or a DataFrame, as a whole.
+
+    Args:
+        table: Where the rows are.
+        limit: How large it may be.
 
     Raises:
         MeasurementError: as :func:`read_tables`.
     """
     path = None if isinstance(table, pd.DataFrame) else Path(table)
     found: Iterator[Stretch] = iter(())
-    if path is not None and path.is_file() and path.stat().st_size > STRETCH:
+    if path is not None and path.is_file() and STRETCH < path.stat().st_size <= limit.megabytes * MEGA:
         sorts = {".csv": _of_csv, ".parquet": _of_parquet}
-        found = sorts[path.suffix.lower()](path) if path.suffix.lower() in sorts else found
+        found = sorts[path.suffix.lower()](path, limit) if path.suffix.lower() in sorts else found
     names = None
     for stretch in found:
         names = names or stretch.table.names
@@ -67,11 +73,11 @@ def stretches(table: AnyTable) -> Iterator[Stretch]:
             raise MeasurementError(f"{path}: from line {line} on, a column has cells and no name: name it in line 1")
         yield stretch
     if names is None:
-        whole = read_tables([table])
+        whole = read_tables([table], limit=limit)
         yield Stretch(whole, 0, len(whole), len(whole))
 
 
-def _of_csv(path: Path) -> Iterator[Stretch]:
+def _of_csv(path: Path, limit: Limit) -> Iterator[Stretch]:
     """Stretches of whole lines, each read below the header."""
     total, before = path.stat().st_size, 0
     with path.open("rb") as file:
@@ -81,28 +87,28 @@ def _of_csv(path: Path) -> Iterator[Stretch]:
             block += file.readline()
             first, done = done, done + len(block)
             if not block.isspace():
-                yield Stretch(_table_of_csv(header + block, path, before), first, done, total)
+                yield Stretch(_table_of_csv(header + block, path, before, limit), first, done, total)
             before += block.count(b"\n") + block.count(b"\r") - block.count(b"\r\n")
 
 
-def _table_of_csv(content: bytes, path: Path, before: int) -> Table:
+def _table_of_csv(content: bytes, path: Path, before: int, limit: Limit) -> Table:
     """Lines of a csv file below its header, after so many others."""
     try:
-        part = _read_csv(content, path)
+        read = read_csv(content, path, limit)
     except MeasurementError:
         if (
             before
         ):  # the lines in this message are counted from the stretch's beginning: the whole file tells the right ones
-            whole = read_tables([path])
+            whole = read_tables([path], limit=limit)
             if whole.refused:
                 raise MeasurementError(f"{path}: {whole.refused[0]}; mend the file") from None
         raise
-    refused = [replace(remark, row=None if remark.row is None else remark.row + before) for remark in part.refused]
-    return _table(path, part.cells, part.line + before, refused)
+    refused = [Remark(path.name, row.line + before, "", row.text, row.why) for row in read.broken]
+    return _table(path, read.cells, read.line + before, refused)
 
 
-def _of_parquet(path: Path) -> Iterator[Stretch]:
-    """Stretches of rows; what is no parquet has none."""
+def _of_parquet(path: Path, limit: Limit) -> Iterator[Stretch]:
+    """Stretches of rows; of what is no parquet, or has words, which may be far larger in memory than in the file, none."""
     try:
         file = pa.parquet.ParquetFile(path)
     except (pa.ArrowException, OSError):
@@ -110,7 +116,11 @@ def _of_parquet(path: Path) -> Iterator[Stretch]:
     with file:
         total, done = file.metadata.num_rows, 0
         names = [name for name in file.schema_arrow.names if not PANDAS_INDEX.fullmatch(name)]
-        for batch in file.iter_batches(max(STRETCH // (CELL * max(len(names), 1)), 1), columns=names):
+        if not all(is_number(file.schema_arrow.field(name).type) for name in names):
+            return
+        check_header(names, path)
+        check_size(path, total, len(names), limit)
+        for batch in file.iter_batches(max(STRETCH // (WRITTEN * max(len(names), 1)), 1), columns=names):
             first, done = done, done + len(batch)
             if len(batch):
                 line = np.arange(first, done) + FIRST_LINE

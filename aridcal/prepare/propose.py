@@ -14,7 +14,8 @@ from aridcal.prepare.column_names import Family, angle_triples, match_joints, po
 from aridcal.prepare.covariates import say_covariates, say_repeats
 from aridcal.prepare.guesses import Choose, Proposal, ask
 from aridcal.prepare.units_and_angles import Reading, Sample, Writing, angle_writings, quaternion_writings, readings
-from aridcal.robot.chain import Robot, links, parse_robot
+from aridcal.robot.chain import Robot, chain
+from aridcal.robot.tree import read_tree
 
 # Rows that judge; more make no clearer verdict.
 SAMPLE = 150
@@ -81,9 +82,10 @@ def _chains(urdf: bytes, path: Path) -> dict[tuple[str, ...], list[Robot]]:
     """
     chains: dict[tuple[str, ...], list[Robot]] = {}
     why: RobotError | None = None
-    for link in links(urdf, path):
+    tree = read_tree(urdf, path)
+    for link in tree.links:
         try:
-            robot = parse_robot(urdf, link, None, path)
+            robot = chain(tree, link)
         except RobotError as error:
             why = error
         else:

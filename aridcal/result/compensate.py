@@ -17,9 +17,9 @@ from aridcal.inputs.approach import approach
 from aridcal.inputs.query import Query
 from aridcal.model.inverse import Command, InverseKinematics
 from aridcal.model.model import Model
-from aridcal.progress import SILENT, Progress
 from aridcal.result.predict import at_any_station, directions, extrapolates, per_station, std_of
 from aridcal.result.saved_model import SavedModel
+from aridcal.showing import SILENT, Progress
 
 STILL = 1e-6
 """A joint that moves by less keeps its side of the backlash, [rad] or [m]."""

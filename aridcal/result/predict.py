@@ -66,7 +66,7 @@ def read_queries(saved: SavedModel, table: AnyTable, poses: bool = False) -> Ite
     """
     first: list[Remark] = []
     usable = False
-    for stretch in stretches(table):
+    for stretch in stretches(table, saved.limits.table):
         query = _query(saved, stretch.table, poses)
         usable |= bool(query.usable.any())
         first = first or list(query.refused[:1])
@@ -88,6 +88,7 @@ def _query(saved: SavedModel, table: AnyTable | Table, poses: bool) -> Query:
         poses=poses,
         per_station=per_station(saved.final.model),
         needs=set(at_any_station(saved).model.needs) - set(directions(saved) if poses else ()),
+        limit=saved.limits.table,
     )
     if poses:
         return query
