@@ -45,7 +45,7 @@ def with_directions(rows: Dataset) -> Dataset:
         found[column] = np.zeros(len(rows))
         for file in np.unique(rows.file):
             own = np.flatnonzero(rows.file == file)
-            if time is not None and np.isfinite(time[own]).all():
-                own = own[np.argsort(time[own], kind="stable")]
+            timed = time is not None and np.isfinite(time[own]).all()
+            own = own[np.argsort(time[own] if time is not None and timed else rows.line[own], kind="stable")]
             found[column][own] = approach(reading[own], SAME_LENGTH if kind == "prismatic" else SAME_ANGLE)
     return replace(rows, covariates=rows.covariates | found, derived=tuple(found))

@@ -79,7 +79,8 @@ def _repeats(outcome: Outcome) -> Html:
 
 def _outliers(outcome: Outcome) -> list[Content]:
     """The flagged rows by file and line."""
-    rows = np.flatnonzero(outcome.outlier)
+    as_read = outcome.measurements.as_read
+    rows = as_read[outcome.outlier[as_read]]
     why = ["stale" if outcome.measurements.stale[k] else "gross outlier" for k in rows]
     shown = row_table(outcome, rows[:MOST], "why", why[:MOST], "Outliers and their error after calibration")
     rest = len(rows) - MOST

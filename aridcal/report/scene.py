@@ -360,21 +360,22 @@ def _page(content: dict[str, Any]) -> str:
 def scene(outcome: Outcome) -> Scene:
     """Collect what the picture shows: nominal and calibrated robot, measured targets, and every stage's prediction."""
     fit, m, robot = outcome.stage("final").fit, outcome.measurements, outcome.robot
-    rows = fit.model.rows(m.readings, m.conditions, m.station)
+    rows = m.as_read  # they are stepped through as they stand in the files
+    world = fit.model.rows(m.readings, m.conditions, m.station).world
     bases = np.array([frame.homogeneous for _, frame in fit.model.world_base])
     calibrated = stage_urdf(outcome.stage("geometric").fit)
     return Scene(
         nominal=robot,
         calibrated=parse_robot(calibrated, robot.tip, robot.base, robot.path),
-        readings=m.readings,
-        T_world_base=bases[rows.world],
-        measured=m.position,
-        predicted={stage.name: m.position - stage.residual[:, :3] for stage in outcome.stages},
-        test=m.test,
-        outlier=outcome.outlier,
-        line=m.line,
+        readings=m.readings[rows],
+        T_world_base=bases[world[rows]],
+        measured=m.position[rows],
+        predicted={stage.name: (m.position - stage.residual[:, :3])[rows] for stage in outcome.stages},
+        test=m.test[rows],
+        outlier=outcome.outlier[rows],
+        line=m.line[rows],
         gravity=np.atleast_2d(fit.model.around.gravity)[0],
-        moved={e.effect.label: e.adds for e in outcome.effects if e.adds is not None},
+        moved={e.effect.label: e.adds[rows] for e in outcome.effects if e.adds is not None},
         places=outcome.precision.places,
         sigma=outcome.precision.reach,
     )

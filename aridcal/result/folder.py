@@ -61,7 +61,7 @@ def result_document(outcome: Outcome) -> dict[str, Any]:
             ],
             "outlier_rows": [
                 {"file": m.files[m.file[k]].name, "row": int(m.line[k]), "why": why}
-                for k in np.flatnonzero(outcome.outlier)
+                for k in m.as_read[outcome.outlier[m.as_read]]
                 for why in ["stale measurement" if m.stale[k] else "gross outlier"]
             ],
         },
@@ -274,7 +274,7 @@ def residual_table(outcome: Outcome) -> pd.DataFrame:
     for stage in outcome.stages:
         label = stage.name.replace(" ", "_")
         table |= {f"{label}_{axis}": column for axis, column in zip(axes, stage.residual.T, strict=True)}
-    return pd.DataFrame(table)
+    return pd.DataFrame(table).iloc[m.as_read]
 
 
 def calibration(outcome: Outcome) -> SavedModel:

@@ -163,9 +163,7 @@ def linear_model(
 def _folds(train: Dataset) -> tuple[np.ndarray, np.ndarray]:
     """Stretches of time, and folds that keep repeats together, one number each for every row, shape (N,)."""
     n = len(train)
-    time = train.covariates.get("time")
-    order = np.argsort(time, kind="stable") if time is not None and not np.isnan(time).any() else np.arange(n)
     run = np.empty(n, dtype=int)
-    run[order] = np.arange(n) * min(RUNS, n) // n
+    run[train.sequence] = np.arange(n) * min(RUNS, n) // n
     number = np.random.default_rng(0).permutation(int(train.configuration.max()) + 1)
     return run, number[train.configuration] % FOLDS

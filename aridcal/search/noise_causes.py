@@ -229,21 +229,18 @@ def _orders(rows: Dataset) -> list[np.ndarray]:
     In time (as they stand, where there is no time), along every reading, and in all readings at once, where repeats are
     nearest.
     """
-    time = rows.covariates.get("time")
-    timed = time is not None and bool(np.isfinite(time).all())
-    found = [_successors(time if timed and time is not None else np.arange(len(rows)))]
+    found = [_successors(rows.sequence)]
     deviation = rows.readings.std(axis=0)
     moves = deviation > FLOOR
-    found += [_successors(q) for q in rows.readings.T[moves]]
+    found += [_successors(np.argsort(q, kind="stable")) for q in rows.readings.T[moves]]
     points = rows.readings[:, moves] / deviation[moves]
     near = np.asarray(cKDTree(points).query(points, k=NEIGHBOURS + 1)[1])[:, 1:]
     pairs = np.column_stack([np.repeat(np.arange(len(rows)), NEIGHBOURS), near.ravel()])
     return [*found, np.unique(np.sort(pairs, axis=1), axis=0)]
 
 
-def _successors(values: np.ndarray) -> np.ndarray:
-    """Pairs of rows that are at most :data:`REACH` apart when ordered by values of shape (N,)."""
-    order = np.argsort(values, kind="stable")
+def _successors(order: np.ndarray) -> np.ndarray:
+    """Pairs of rows that are at most :data:`REACH` apart in an order of shape (N,)."""
     return np.concatenate([np.column_stack([order[:-k], order[k:]]) for k in range(1, REACH + 1)])
 
 

@@ -101,7 +101,7 @@ def clues(
     if len(white) > FEWEST:
         views = [View("in world axes", white), *(_other_views(rows, residual, sigma, fit) if fit else ())]
         found.append(_neighbours(views, rows.readings))
-        found.append(_order(views, rows.covariates.get("time")))
+        found.append(_order(views, rows))
         found += _changes(views, rows)
     return found + _stated(rows, sigma, len(residual) * freedom)
 
@@ -149,14 +149,11 @@ def _neighbours(views: Sequence[View], readings: np.ndarray) -> Clue:
     return _alike("neighbours", "neighbouring configurations have similar residuals", views, rows, others)
 
 
-def _order(views: Sequence[View], time: np.ndarray | None) -> Clue:
+def _order(views: Sequence[View], rows: Dataset) -> Clue:
     """Do rows that follow one another err alike?"""
-    order = np.argsort(time, kind="stable") if time is not None else np.arange(len(views[0].white))
-    what = (
-        "consecutive measurements have similar residuals"
-        if time is not None
-        else "consecutive rows have similar residuals"
-    )
+    order = rows.sequence
+    each = "measurements" if "time" in rows.covariates else "rows"
+    what = f"consecutive {each} have similar residuals"
     return _alike("order", what, views, order[:-1], order[1:])
 
 
@@ -192,15 +189,11 @@ def _side_by_side(views: Sequence[View]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _changes(views: Sequence[View], rows: Dataset) -> list[Clue]:
-    """Did the residual jump between two rows? In the order of the files, and of time if that is another one."""
-    order = np.argsort(rows.order, kind="stable")
-    found = [_change(views, rows, order, "")]
-    time = rows.covariates.get("time")
-    if time is not None and not np.isnan(time).any():
-        timed = np.argsort(time, kind="stable")
-        if not np.array_equal(order, timed):
-            found.append(_change(views, rows, timed, " in the order of time"))
-    return found
+    """Did the residual jump between two rows? File by file, and in the order of time if that is another one."""
+    sequence = rows.sequence
+    by_file = sequence[np.argsort(rows.file[sequence], kind="stable")]
+    orders = [by_file] if np.array_equal(by_file, sequence) else [by_file, sequence]
+    return [_change(views, rows, o, "" if np.array_equal(o, rows.as_read) else " in the order of time") for o in orders]
 
 
 def _change(views: Sequence[View], rows: Dataset, order: np.ndarray, words: str) -> Clue:

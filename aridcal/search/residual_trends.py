@@ -161,7 +161,7 @@ def trace(fit: Fit, rows: Dataset, before: np.ndarray, after: np.ndarray) -> Tra
         joints=tuple(_trace(own[name], name, asked[name]) for name in robot.names if name in own and name in asked),
         strongest=tuple(_strongest(pulled, name, values) for name, values in asked.items()),
         asked=len(pulled) * len(asked),
-        order=_order(after, rows.covariates.get("time")),
+        order=_order(after, rows),
     )
 
 
@@ -290,10 +290,9 @@ def _smooth(m: _Means, at: np.ndarray) -> np.ndarray:
     return curve
 
 
-def _order(residual: np.ndarray, time: np.ndarray | None) -> Order:
+def _order(residual: np.ndarray, rows: Dataset) -> Order:
     """Changes of sign, and correlation over so many rows, in the order of time (of the table, where there is none)."""
-    timed = time is not None and bool(np.isfinite(time).all())
-    order = np.argsort(time, kind="stable") if timed and time is not None else np.arange(len(residual))
+    order = rows.sequence
     r = residual[order]
     n, m = r.shape
     square = np.sum(r**2, axis=0)
@@ -302,7 +301,7 @@ def _order(residual: np.ndarray, time: np.ndarray | None) -> Order:
     changes = int(np.sum(np.diff(np.sign(r), axis=0) != 0))
     expected, deviation = m * (n - 1) / 2, float(np.sqrt(m * (n - 1)) / 2)
     return Order(
-        timed=timed,
+        timed=bool(np.isfinite(rows.covariates.get("time", np.nan)).all()),
         order=order,
         lags=lags,
         correlation=correlation,
