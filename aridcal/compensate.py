@@ -40,11 +40,11 @@ from aridcal.command_line import CommandParser, command_parser, run
 from aridcal.errors import OutputError
 from aridcal.files import atomic_file, check_home, check_writable
 from aridcal.inputs.query import Query, Remarks
-from aridcal.inputs.stretches import Stretch
 from aridcal.reading.names import path_argument
 from aridcal.result.compensate import Trajectory, compensate, correction_table
 from aridcal.result.predict import ENDINGS, read_queries, table_file, write_table
 from aridcal.result.saved_model import SavedModel
+from aridcal.result.stretches import Stretch
 from aridcal.showing import told_on
 
 SHOWN_REMARKS = 5

@@ -14,6 +14,7 @@ from rich.control import Control
 from rich.live import Live
 from rich.segment import ControlType
 from rich.spinner import Spinner
+from rich.text import Text
 from threadpoolctl import threadpool_limits
 
 HEIGHT = 720

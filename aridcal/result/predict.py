@@ -18,12 +18,12 @@ from aridcal.errors import MeasurementError
 from aridcal.inputs.campaign import MeasurementSettings
 from aridcal.inputs.quantities import POSITION, QUATERNION, STD, angle_columns, column_of
 from aridcal.inputs.query import Query, load_query
-from aridcal.inputs.stretches import Stretch, stretches
 from aridcal.inputs.tables import IN_MEMORY, AnyTable, Remark, Table
 from aridcal.model.inverse import InverseKinematics
 from aridcal.model.model import Model
 from aridcal.result.saved_model import SavedModel
 from aridcal.result.seen import CHANNELS, SPREAD, inside
+from aridcal.result.stretches import Stretch, stretches
 
 ENDINGS = (".csv", ".parquet")
 
