@@ -74,10 +74,10 @@ class Progress:
         """Go through items, and tell how many are done."""
         return self.through(items, len(items), of)
 
-    def through(self, items: Iterable[T], total: int, of: str) -> Iterator[T]:
-        """The same where their number must be said."""
+    def through(self, items: Iterable[T], total: int, of: str, each: int = 1) -> Iterator[T]:
+        """The same where their number must be said, or where each stands for several."""
         for done, item in enumerate(items):
-            self.part(done, total, of)
+            self.part(done * each, total, of)
             yield item
 
 
