@@ -5,10 +5,13 @@ from __future__ import annotations
 import errno
 import json
 import os
+import re
 import secrets
+import time
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import asdict, dataclass, replace
+from itertools import chain
 from pathlib import Path
 
 from aridcal import disk
@@ -24,6 +27,12 @@ NAME_SHOWN = 50
 
 MOST_SHARED = 1000
 """Other files in a folder that is swapped: each is linked into the new one, which takes some 10 µs."""
+
+MOUNTS = Path("/proc/self/mountinfo")
+"""Its fifth word is the mount point, blanks as ``\\040`` (proc(5))."""
+
+GRACE = 0.1
+"""Before an earlier folder is removed, [s]: a program that is listing it, or reading its files one after another, may finish."""
 
 PLAN, NEW, OLD, LINK = "plan.json", "new", "old", "link"
 """What is in a stage: how it gets into its place; what was built (after a swap: what it replaced); what gave way to a link."""
@@ -94,7 +103,8 @@ def put_in_place(stage: Path, target: Path, replaces: Collection[str], swap: boo
     stale = tuple(sorted(set(replaces).difference(arriving)))
     folders = {name for name in arriving if (new / name).is_dir()}
     check_names(target, [name for name in arriving if name not in folders], folders)
-    if target.is_dir():
+    earlier = target.is_dir()
+    if earlier:
         for name in arriving:
             if (target / name).exists():
                 disk.keep_mode(target / name, new / name)
@@ -111,6 +121,8 @@ def put_in_place(stage: Path, target: Path, replaces: Collection[str], swap: boo
         else:
             _move(plan, new, target)
         disk.sync(target.parent)
+    if swap and earlier:
+        time.sleep(GRACE)
 
 
 def _share_others(target: Path, new: Path, own: Collection[str]) -> bool:
@@ -228,21 +240,33 @@ def clear_up(folder: Path, taken: Path) -> None:
 
 def can_be_swapped(target: Path, own: Collection[str]) -> bool:
     """Whether a folder can change its place as a whole, with nobody missing it who stands or writes in it."""
-    if home_of(target) == target or os.path.ismount(target):
+    if home_of(target) == target or _is_mount_point(target):
         return False
     if not target.is_dir():
         return True
     with suppress(FileNotFoundError):  # this process stands in a folder that is gone
         if Path.cwd().is_relative_to(os.path.realpath(target)):
             return False
-    count = 0
+    found = 0
     for name in others_than(target, own):
-        if OURS in name:  # another command writes a file of its own in it
-            return False
-        count += 1 + sum(len(folders) + len(files) for _, folders, files in os.walk(target / name))
-        if count > MOST_SHARED:
-            return False
+        inside = (entry for _, folders, files in os.walk(target / name) for entry in (*folders, *files))
+        for entry in chain([name], inside):
+            found += 1
+            if OURS in entry or found > MOST_SHARED:  # OURS: another command writes in it
+                return False
     return True
+
+
+def _is_mount_point(folder: Path) -> bool:
+    """Whether a folder is where a file system, or a part of one, is mounted; of a part only the system's own list tells."""
+    if os.path.ismount(folder):
+        return True
+    try:
+        mounts = MOUNTS.read_text(encoding="utf-8", errors="surrogateescape")
+    except OSError:  # not a Linux
+        return False
+    points = (line.split()[4] for line in mounts.splitlines())
+    return str(folder) in {re.sub(r"\\(\d{3})", lambda octal: chr(int(octal[1], 8)), point) for point in points}
 
 
 def others_than(folder: Path, own: Collection[str]) -> list[str]:
