@@ -130,15 +130,8 @@ class Model:
         """Target poses T_world_target: rotations (N, 3, 3) and positions (N, 3) in [m]."""
         R, p = np.empty((len(rows), 3, 3)), np.empty((len(rows), 3))
         q = self._configurations(theta, rows)
-        data = self._extended.data
-        for index, model, end in self._variants(rows):
-            last = data.oMi[model.njoints - 1]
-            rotation, translation = last.rotation, last.translation
-            for i in index:
-                pin.forwardKinematics(model, data, q[i])
-                R[i], p[i] = rotation, translation
-            p[index] += R[index] @ end.translation
-            R[index] = R[index] @ end.rotation
+        for index, world, tip in self._variants(rows):
+            R[index], p[index] = self._extended.poses(q[index], world, tip)
         return R, p
 
     def jacobian(self, theta: np.ndarray, rows: Rows) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -158,15 +151,8 @@ class Model:
         R, p = np.empty((n, 3, 3)), np.empty((n, 3))
         wide = np.empty((n, 6, len(self._extended.index)))
         q = self._configurations(theta, rows)
-        data = self._extended.data
-        for index, model, end in self._variants(rows):
-            last = data.oMi[model.njoints - 1]
-            rotation, translation, columns = last.rotation, last.translation, data.J
-            for i in index:
-                pin.computeJointJacobians(model, data, q[i])
-                wide[i], R[i], p[i] = columns, rotation, translation
-            p[index] += R[index] @ end.translation
-            R[index] = R[index] @ end.rotation
+        for index, world, tip in self._variants(rows):
+            R[index], p[index], wide[index] = self._extended.jacobian(q[index], world, tip)
         J = wide[:, :, self._extended.carrier]
         _move_to(p, J)
         if len(self._varying):
@@ -231,14 +217,12 @@ class Model:
         slots = self._extended.slots
         own = [own_slot(name) for name in self.robot.names]
         moving = {*own, *(slots[k] for k in self._varying)}
-        model = self._extended.locked(self._constant_values(theta), moving, world, tip)
-        extended, end = self._extended.build(world, tip)
-        last = model.frames[model.getFrameId(extended.names[-1])]
+        model, target = self._extended.locked(self._constant_values(theta), moving, world, tip)
         index = {name: k for k, name in enumerate(list(model.names)[1:])}
         carrier = [index[slot.name] if slot in moving else -1 for slot in slots]
         return Locked(
             model=model,
-            target=last.placement * end,
+            target=target,
             own=np.array([index[slot.name] for slot in own]),
             carrier=np.array(carrier, dtype=int),
         )
@@ -254,15 +238,15 @@ class Model:
         alike = [c.basis.constant and c.station is None for c in self.coefficients]
         return np.flatnonzero(~np.array(alike, dtype=bool))
 
-    def _variants(self, rows: Rows) -> list[tuple[np.ndarray, pin.Model, pin.SE3]]:
-        """Rows that share their frames: (row numbers, extended model, target on its last joint)."""
+    def _variants(self, rows: Rows) -> list[tuple[slice | np.ndarray, int, int]]:
+        """Rows that share their frames: (row numbers, world, tip)."""
         tips = len(self.tip_target)
+        if len(self.world_base) == tips == 1:
+            return [(slice(None), 0, 0)]
         pair = rows.world * tips + rows.tip
-        found = []
-        for k in np.unique(pair):
-            world, tip = divmod(int(k), tips)
-            found.append((np.flatnonzero(pair == k), *self._extended.build(world, tip)))
-        return found
+        order = np.argsort(pair, kind="stable")
+        ends = np.flatnonzero(np.diff(pair[order])) + 1
+        return [(index, *divmod(int(pair[index[0]]), tips)) for index in np.split(order, ends) if len(index)]
 
     def _configurations(self, theta: np.ndarray, rows: Rows) -> np.ndarray:
         """Positions of all joints of the extended model, shape (N, nv): theta_k phi_k(z), summed where joints are shared."""
