@@ -24,8 +24,9 @@ from scipy.spatial.transform import Rotation
 import aridcal
 from aridcal.errors import OutputError
 from aridcal.report.scene import LADDER, ROWS, VIRIDIS, Scene, body_poses, scene_content, write_scene
-from aridcal.report.shapes import TRIANGLES, find_mesh, robot_shapes, weld
+from aridcal.report.shapes import find_mesh, robot_shapes
 from aridcal.robot.chain import Robot, load_robot, parse_robot
+from aridcal.robot.meshes import TRIANGLES, weld
 from aridcal.view import main, serve
 
 ROOT = Path(aridcal.__file__).parents[1]
@@ -211,9 +212,9 @@ def test_a_mesh_that_cannot_be_drawn_is_named_and_the_rest_is_drawn(tmp_path: Pa
 @pytest.mark.parametrize(
     ("spoilt", "why"),
     [
-        ("<sphere/>", "`radius` of <sphere> should be a number"),
-        ('<box size="1 2"/>', "`size` of <box> should be 3 numbers"),
-        ('<box size="1 2 x"/>', "could not convert"),
+        ("<sphere/>", "`radius` of <sphere> should be a positive number"),
+        ('<box size="1 2"/>', "`size` of <box> should be 3 positive numbers"),
+        ('<box size="1 2 x"/>', "should be numbers, not '1 2 x'"),
         ('<capsule radius="1"/>', "<capsule> is no shape of URDF"),
     ],
 )

@@ -168,7 +168,7 @@ def parse_robot(urdf: bytes, tip: str, base: str | None = None, path: Path = Pat
         for element in inertial.iter("mass", "inertia"):
             for key in element.keys():  # noqa: SIM118
                 _numbers(element, str(key), "", 1, path)
-    for origin in tree.iter("origin"):
+    for origin in (*tree.iterfind("joint/origin"), *tree.iterfind("link/inertial/origin")):
         if origin.get("quat_xyzw") is not None:  # Pinocchio and yourdfpy pass over it, and see no rotation at all
             raise RobotError(
                 f"{path}: line {origin.sourceline}: <origin> has quat_xyzw, which few parsers read: write the rotation as rpy"
@@ -216,7 +216,10 @@ def links(urdf: bytes, path: Path = Path("robot.urdf")) -> tuple[str, ...]:
 
 
 def _tree(urdf: bytes, path: Path) -> pin.Model:
-    text = etree.tostring(_parse_xml(urdf, path), encoding="unicode")
+    root = _parse_xml(urdf, path)
+    for part in (*root.findall("link/visual"), *root.findall("link/collision"), *root.findall("material")):
+        part.getparent().remove(part)  # type: ignore[union-attr]  # looks: Pinocchio would only complain of wrong ones
+    text = etree.tostring(root, encoding="unicode")
     try:
         return pin.buildModelFromXML(text)
     except (ValueError, RuntimeError, IndexError) as error:
