@@ -20,7 +20,7 @@ from aridcal.inputs.query import Query
 from aridcal.inputs.tables import AnyTable, read_tables
 from aridcal.report.html import tag
 from aridcal.report.page import write_report
-from aridcal.report.scene import scene, write_scene
+from aridcal.report.scene import write_scene
 from aridcal.result.as_tables import effect_table, error_table, parameter_table, verification_table
 from aridcal.result.compensate import compensate
 from aridcal.result.controllers import hand_over
@@ -146,7 +146,7 @@ class Calibration:
 
     def scene(self, path: str | Path | None = None) -> Page:
         """The robot and its errors in 3D. A notebook shows it; with a path it is saved as well."""
-        return self._page("scene.html", lambda outcome, target: write_scene(scene(outcome), target), path)
+        return self._page("scene.html", write_scene, path)
 
     def save(self, folder: str | Path) -> None:
         """Write the result folder that ``aridcal identify`` writes: all its files, or none.
@@ -212,15 +212,17 @@ class Calibration:
             )
         return wanted.assign(**{joint: rows[joint].to_numpy() for joint in joints})
 
-    def _page(self, name: str, write: Callable[[Outcome, Path], Any], path: str | Path | None) -> Page:
-        """A page made anew, or of a loaded calibration the folder's own."""
+    def _page(self, name: str, write: Callable[[Outcome, Path], tuple[str, ...]], path: str | Path | None) -> Page:
+        """A page made anew, or of a loaded calibration the folder's own; warns of what could not be drawn."""
         if self.outcome is None:
             source = self._beside(name, f"{name} is").read_text("utf-8")
         else:
             with working() as progress, tempfile.TemporaryDirectory() as folder:
                 progress(f"drawing {name}")
-                write(self.outcome, Path(folder) / name)
+                notices = write(self.outcome, Path(folder) / name)
                 source = (Path(folder) / name).read_text("utf-8")
+            if notices:
+                warnings.warn("\n".join(notices), stacklevel=3)
         if path is not None:
             with atomic_file(Path(path)) as stage:
                 stage.write_text(source, encoding="utf-8", newline="\n")

@@ -153,8 +153,10 @@ def _main(arguments: argparse.Namespace) -> None:
     summary(outcome, console)
     handover = written.handover
     console.print(f"exports for controllers, position RMS on {handover.rows}:\n  {handover.summary()}", soft_wrap=True)
-    for notice in written.notices:
-        console.print(f"note: {notice}", markup=False)
+    for notice in written.notices[:MOST_NOTICES]:
+        console.print(f"note: {notice}", markup=False, soft_wrap=True)
+    if len(written.notices) > MOST_NOTICES:
+        console.print(f"note: and {len(written.notices) - MOST_NOTICES} more, in the pages themselves")
     console.print(f"report: {out / 'report.html'}", soft_wrap=True, markup=False, highlight=False)
 
 

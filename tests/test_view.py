@@ -22,12 +22,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import aridcal
-from aridcal.errors import OutputError
-from aridcal.report.scene import LADDER, ROWS, VIRIDIS, Scene, body_poses, scene_content, write_scene
+from aridcal.report.scene import LADDER, ROWS, VIRIDIS, Scene, body_poses, scene_content, scene_page
 from aridcal.report.shapes import find_mesh, robot_shapes
 from aridcal.robot.chain import Robot, load_robot, parse_robot
 from aridcal.robot.meshes import TRIANGLES, weld
-from aridcal.view import main, serve
+from aridcal.view import main
 
 ROOT = Path(aridcal.__file__).parents[1]
 PUBLIC = Path(sys.prefix) / "lib" / f"python3.{sys.version_info.minor}" / "site-packages" / "cmeel.prefix" / "share"
@@ -315,10 +314,9 @@ def test_the_magnification_makes_errors_of_any_size_visible_and_does_not_overdo_
         assert after > 0.002
 
 
-def test_ten_thousand_rows_make_a_page_of_few_megabytes(tmp_path: Path) -> None:
+def test_ten_thousand_rows_make_a_page_of_few_megabytes() -> None:
     scene = example(12_000)
-    assert write_scene(scene, tmp_path / "scene.html") == ()
-    text = (tmp_path / "scene.html").read_text("utf-8")
+    text = scene_page(scene)
     content = embedded(text)
     assert len(text) < 3e6
     assert len(content["rows"]) == ROWS == len(set(content["rows"]))
@@ -345,18 +343,12 @@ def test_colours_are_viridis() -> None:
     assert list(VIRIDIS) == [colors.to_hex(colormaps["viridis"](t)) for t in np.linspace(0.2, 1, len(VIRIDIS))]
 
 
-def test_hostile_names_stay_text_and_the_page_fetches_nothing(tmp_path: Path) -> None:
+def test_hostile_names_stay_text_and_the_page_fetches_nothing() -> None:
     scene = example(name="&lt;/script&gt;&lt;script&gt;alert(1)&lt;/script&gt;")
-    write_scene(scene, tmp_path / "scene.html")
-    text = (tmp_path / "scene.html").read_text("utf-8")
+    text = scene_page(scene)
     assert embedded(text)["title"] == "</script><script>alert(1)</script>"
     assert "<script>alert(1)" not in text
     assert not re.search(r"<(script|link|img|iframe)[^>]*\s(src|href)=", text)
-
-
-def test_a_scene_that_cannot_be_written_is_an_error(tmp_path: Path) -> None:
-    with pytest.raises(OutputError, match="nowhere"):
-        write_scene(example(), tmp_path / "nowhere" / "scene.html")
 
 
 # ---- the command -----------------------------------------------------------------------------------------------------
@@ -442,7 +434,7 @@ def scene() -> Scene:
 
 @pytest.fixture
 def page(scene: Scene, browser: chromium.Browser, tmp_path: Path) -> Iterator[chromium.Page]:
-    write_scene(scene, tmp_path / "scene.html")
+    (tmp_path / "scene.html").write_text(scene_page(scene))
     with browser.open(tmp_path / "scene.html", 1000, 800) as opened:
         opened.wait("document.documentElement.dataset.ready")
         yield opened
@@ -553,7 +545,7 @@ def test_the_room_is_coloured_by_errors_and_by_uncertainty(page: chromium.Page) 
 
 
 def test_on_a_phone_the_panel_opens_below_the_robot(browser: chromium.Browser, scene: Scene, tmp_path: Path) -> None:
-    write_scene(scene, tmp_path / "scene.html")
+    (tmp_path / "scene.html").write_text(scene_page(scene))
     with browser.open(tmp_path / "scene.html", 390, 800) as page:
         page.wait("document.documentElement.dataset.ready")
         assert page.evaluate("document.documentElement.scrollWidth") == 390

@@ -2,9 +2,11 @@
 // Puts the scene into meshcat's tree and works the panel. `Scene` data: aridcal/report/scene.py, scene_content().
 (() => {
   const byId = (id) => document.getElementById(id);
-  byId("meshcat-pane").insertAdjacentHTML("afterend", `
+  const THREE = MeshCat.THREE;
+  const PANEL = `
     <details id="panel" open>
-    <summary><b id="title"></b> <span id="count"></span></summary>
+    <summary><b id="title"></b> <span id="count"></span> <span id="live"></span></summary>
+    <p id="missing"></p>
     <section><h2>Position error <small>RMS of <span id="scored"></span></small></h2>
     <button id="flip" title="key b">before / after</button><div id="stages"></div>
     <div id="effects"></div><p id="alone"></p></section>
@@ -20,10 +22,34 @@
     <input id="row" type="range" min="0" step="1" title="arrow keys step through the rows">
     <p id="here"></p><p id="readings"></p></section>
     <section><h2>Show</h2><div id="show"></div><p id="grid"></p></section>
-    </details>`);
-  const data = JSON.parse(byId("scene").textContent);
-  const THREE = MeshCat.THREE;
+    </details>`;
 
+  let viewer;
+  try {
+    viewer = new MeshCat.Viewer(byId("meshcat-pane"));
+  } catch (error) {
+    byId("meshcat-pane").insertAdjacentHTML("afterend", PANEL);
+    const box = document.createElement("div");
+    box.className = "problem";
+    box.textContent = "This browser cannot draw in 3D: WebGL is missing or switched off.";
+    document.body.append(box);
+    return;
+  }
+
+  // What the user has chosen stays when another scene is shown.
+  const shown = { calibrated: true, nominal: true, targets: true, vectors: true, train: true, test: true };
+  let chosen = { row: 0, field: "none" };
+  let framed = null; // name and size of the scene that the camera was set to
+  let ending = new AbortController(); // of the scene that is shown: takes its listeners away
+
+  function show(data) {
+  ending.abort();
+  ending = new AbortController();
+  const { signal } = ending;
+  byId("panel")?.remove();
+  viewer.delete_path(["robot"]);
+  byId("meshcat-pane").insertAdjacentHTML("afterend", PANEL);
+  byId("missing").textContent = data.notices.join("; ");
   const unpack = (text, Type) => new Type(Uint8Array.from(atob(text), (c) => c.charCodeAt(0)).buffer);
   const floats = (text) => unpack(text, Float32Array);
   const measured = floats(data.measured);
@@ -48,21 +74,11 @@
 
   // ---- what is shown now -------------------------------------------------------------------------------------------
   const last = stages.length - 1;
-  const state = { stage: last, factor: data.factor, row: 0, field: "none" };
+  const state = { stage: last, factor: data.factor, row: Math.min(chosen.row, data.rows.length - 1), field: chosen.field };
+  if (state.field === "sigma" && !sigma.length) state.field = "none";
+  chosen = state;
   let current = stages[last].error; // of every row: what the stage shown leaves, less the effects switched off
   const millimetres = (i) => 1e3 * length(current, i);
-  const shown = { calibrated: true, nominal: true, targets: true, vectors: true, train: true, test: true };
-
-  let viewer;
-  try {
-    viewer = new MeshCat.Viewer(byId("meshcat-pane"));
-  } catch (error) {
-    const box = document.createElement("div");
-    box.className = "problem";
-    box.textContent = "This browser cannot draw in 3D: WebGL is missing or switched off.";
-    document.body.append(box);
-    return;
-  }
 
   // ---- colours -----------------------------------------------------------------------------------------------------
   const stops = data.colours.map((c) => new THREE.Color(c));
@@ -335,6 +351,7 @@
   const fields = { none: "targets by their error", error: "space by the errors in it" };
   if (sigma.length) fields.sigma = "reachable space by 1σ of the target";
   for (const [value, name] of Object.entries(fields)) element("option", byId("field"), name, { value });
+  byId("field").value = state.field;
   byId("field").addEventListener("change", (event) => update({ field: event.target.value }));
   byId("bar").style.background = `linear-gradient(90deg, ${data.colours})`;
   const decades = Array.from({ length: 30 }, (_, k) => k - 20).flatMap((k) => [1, 2, 5].map((m) => m * 10 ** k));
@@ -366,14 +383,14 @@
     if (event.key === "b") flip();
     const by = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
     if (by) walk(by);
-  });
+  }, { signal });
   const switches = {
     calibrated: "Calibrated", nominal: "Nominal ghost", targets: "Targets", vectors: "Error needles",
     train: "Fitted rows", test: "Held-out rows",
   };
   for (const [key, name] of Object.entries(switches)) {
     const label = element("label", byId("show"));
-    const tick = element("input", label, null, { type: "checkbox", name: key, checked: true });
+    const tick = element("input", label, null, { type: "checkbox", name: key, checked: shown[key] });
     label.append(name);
     tick.addEventListener("change", () => {
       shown[key] = tick.checked;
@@ -418,7 +435,7 @@
     }
   }
   const fit = () => viewer.set_3d_pane_size(viewer.dom_element.offsetWidth, viewer.dom_element.offsetHeight);
-  window.addEventListener("resize", fit);
+  window.addEventListener("resize", fit, { signal });
   if (window.innerWidth <= 720) {
     byId("panel").open = false;
     byId("panel").addEventListener("toggle", () => {
@@ -429,7 +446,14 @@
   update({});
   requestAnimationFrame(() => {
     fit();
-    frameCamera();
+    // Another result of the same robot is looked at from where the user stands.
+    if (framed?.title !== data.title || Math.abs(Math.log(framed.extent / extent)) > 0.4) frameCamera();
+    framed = { title: data.title, extent };
     document.documentElement.dataset.ready = "yes";
   });
+  }
+
+  const data = JSON.parse(byId("scene").textContent);
+  show(data);
+  window.calibrationScene = { viewer, show, script: data.script }; // for live.js
 })();
