@@ -82,7 +82,7 @@ class Viewer(ZMQWebSocketBridge):
         """Meshcat's hook: what is served."""
         this = {"viewer": self}
         return _Application(
-            [("/(?:scene.html)?", _Page, this), ("/live", _Connection, {"bridge": self})],
+            [(r"/(?:scene\.html)?", _Page, this), ("/live", _Connection, {"bridge": self})],
             default_handler_class=_Nothing,
             log_function=lambda handler: None,  # the terminal is the user's
             websocket_max_message_size=MOST_ASKED,
@@ -112,8 +112,9 @@ class Viewer(ZMQWebSocketBridge):
         """The file's page, with the script that keeps it up to date."""
         script = files("aridcal.report").joinpath("assets/live.js").read_text("utf-8")
         live = f'<script data-stamp="{self._stamp}">{script}</script>'
-        before, end, after = self._page.rpartition("</body>")
-        return f"{before}{live}{end}{after}" if end else f"{self._page}{live}"
+        no_icon = '<link rel="icon" href="data:,">'  # browsers would ask for one
+        before, end, after = self._page.replace("</head>", f"{no_icon}</head>", 1).rpartition("</body>")
+        return f"{before}{live}{end}{after}" if end else f"{after}{live}"
 
     def send_scene(self, websocket: _Connection) -> None:
         """Meshcat's hook: tell a browser that has just come what it has not."""

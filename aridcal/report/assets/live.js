@@ -8,9 +8,9 @@
     const mark = document.getElementById("live");
     if (mark) mark.textContent = words;
   };
-  function another(data) {
-    if (data?.script !== scene.script) location.reload(); // written by another aridcal, or without a scene
-    else scene.show(data);
+  function redraw(data) {
+    if (data?.script !== scene.script) return location.reload(); // written by another aridcal, or without a scene
+    scene.show(data);
     say(`live, redrawn ${new Date().toLocaleTimeString()}`);
   }
   let connection;
@@ -18,7 +18,7 @@
     const { viewer } = scene;
     const usual = viewer.handle_command;
     viewer.handle_command = function (command) {
-      if (command.path === "/calibration") another(JSON.parse(command.object));
+      if (command.path === "/calibration") redraw(JSON.parse(command.object));
       else usual.call(viewer, command);
     };
     viewer.connect(url);
