@@ -15,6 +15,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import IO, Any
 
@@ -98,10 +99,16 @@ def _ask(paths: Sequence[Path], end: float) -> Iterator[list[Part] | NotDrawable
         "OPENBLAS_NUM_THREADS": "1",  # each thread would reserve memory
         "OMP_NUM_THREADS": "1",
     }
-    command = [sys.executable, "-P", "-m", __name__]  # -P: no module from the folder where the user happens to be
-    with subprocess.Popen(
-        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=environment
-    ) as reader:
+    # -P: no module from the folder where the user happens to be
+    command = [sys.executable, "-P", "-m", __name__, str(FILE_SECONDS), str(MEMORY_GB)]
+    try:
+        reader = subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=environment
+        )
+    except OSError as error:
+        yield from (NotDrawable(f"mesh {path.name!r} is not read: no reader can be started: {error}") for path in paths)
+        return
+    with reader:
         assert reader.stdin is not None
         assert reader.stdout is not None
         try:
@@ -110,7 +117,8 @@ def _ask(paths: Sequence[Path], end: float) -> Iterator[list[Part] | NotDrawable
                 if not started:
                     yield NotDrawable(f"mesh {path.name!r} is not read: the reader of meshes does not start")
                     continue
-                os.write(reader.stdin.fileno(), f"{json.dumps(str(path.absolute()))}\n".encode())
+                with suppress(BrokenPipeError):  # it is dead: it has no answer, either
+                    os.write(reader.stdin.fileno(), f"{json.dumps(str(path.absolute()))}\n".encode())
                 answer = _answer(reader.stdout)
                 if answer is None:
                     yield _died(path, reader.wait())
@@ -192,7 +200,7 @@ def load_mesh(path: Path) -> list[Part]:
         with path.open("rb") as file:
             meshes = trimesh.load_scene(file, file_type=path.suffix[1:].lower(), resolver=_companions(path)).dump()
     except MemoryError:
-        raise NotDrawable(f"mesh {path.name!r} takes more than {MEMORY_GB} GB of memory to read") from None
+        raise NotDrawable(f"mesh {path.name!r} takes too much memory to read") from None
     except Exception as error:  # whatever its many readers raise
         raise NotDrawable(f"mesh {path.name!r} cannot be read: {error or type(error).__name__}") from None
     groups: dict[Colour, list[Any]] = {}
@@ -244,17 +252,17 @@ def _mesh_colour(mesh: Any, path: Path) -> Colour:
     return tuple(rgb.tolist())
 
 
-def _serve(answers: IO[bytes]) -> None:
+def _serve(answers: IO[bytes], seconds: int, gigabytes: float) -> None:
     """Answer each file named on the standard input; die of one that takes too long."""
     import trimesh  # noqa: F401  (before the clock runs)
 
-    most = int(1e9 * MEMORY_GB)
+    most = int(1e9 * gigabytes)
     resource.setrlimit(resource.RLIMIT_AS, (most, most))
     signal.signal(signal.SIGALRM, signal.SIG_DFL)
     answers.write(READY)
     answers.flush()
     for line in sys.stdin:
-        signal.alarm(FILE_SECONDS)
+        signal.alarm(seconds)
         content = io.BytesIO()
         said: dict[str, Any] = {}
         try:
@@ -272,4 +280,4 @@ def _serve(answers: IO[bytes]) -> None:
 if __name__ == "__main__":
     with os.fdopen(os.dup(1), "wb") as ours:
         os.dup2(2, 1)  # what a reader prints is no answer
-        _serve(ours)
+        _serve(ours, int(sys.argv[1]), float(sys.argv[2]))
