@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import tempfile
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -151,13 +151,16 @@ class Calibration:
     def save(self, folder: str | Path) -> None:
         """Write the result folder that ``aridcal identify`` writes: all its files, or none.
 
+        A picture that cannot be drawn costs a warning and no file.
+
         Raises:
             AridcalError: the folder cannot be written, or this calibration was loaded.
         """
         outcome = self._with_data("save")
         with working() as progress:
             progress("writing the results")
-            write_folder(outcome, Path(folder))
+            written = write_folder(outcome, Path(folder))
+        _warn_of(written.notices)
 
     def __repr__(self) -> str:
         if not self._has_figures:
@@ -221,8 +224,7 @@ class Calibration:
                 progress(f"drawing {name}")
                 notices = write(self.outcome, Path(folder) / name)
                 source = (Path(folder) / name).read_text("utf-8")
-            if notices:
-                warnings.warn("\n".join(notices), stacklevel=3)
+            _warn_of(notices, stacklevel=4)
         if path is not None:
             with atomic_file(Path(path)) as stage:
                 stage.write_text(source, encoding="utf-8", newline="\n")
@@ -294,6 +296,12 @@ def _with_numbers(table: pd.DataFrame) -> pd.DataFrame:
         except (ValueError, TypeError):
             continue
     return table
+
+
+def _warn_of(notices: Sequence[str], stacklevel: int = 3) -> None:
+    """Say what could not be drawn."""
+    if notices:
+        warnings.warn("\n".join(notices), stacklevel=stacklevel)
 
 
 def _warn(query: Query) -> None:
