@@ -15,35 +15,34 @@ from rich.text import Text
 from threadpoolctl import threadpool_limits
 
 from aridcal.errors import AridcalError
-from aridcal.files import Handler, handling
-from aridcal.interrupt import INTERRUPTED, MESSAGE, leave
+from aridcal.interrupt import MESSAGE, SIGNALLED, leave
+from aridcal.signals import Handler, Terminated, handling, terminate
 
 DONE, BUG, BAD_INPUT = 0, 1, 2
+INTERRUPTED, TERMINATED = SIGNALLED + signal.SIGINT, SIGNALLED + signal.SIGTERM
 
 
 def run(body: Callable[[], None]) -> int:
     """Do a command's work and turn what goes wrong into a message and an exit status.
 
-    SIGTERM counts as Ctrl-C, so that no way to stop a command politely leaves half a result.
-
     Args:
         body: The work; what it raises decides.
 
     Returns:
-        0 done, 1 a bug, 2 bad input or use, 130 interrupted.
+        0 done, 1 a bug, 2 bad input or use, 130 after Ctrl-C, 143 after SIGTERM.
     """
     console = Console(stderr=True)
     try:
         # Matrices of some hundred columns: threads that wait for each other cost ten times what they gain.
-        with _terminated_as_interrupted(), threadpool_limits(1, user_api="blas"):
+        with _stopped_politely(), threadpool_limits(1, user_api="blas"):
             body()
     except AridcalError as error:
         # As plain text: a station's name in brackets is no markup, and a path must not be broken into lines.
         console.print(Text("error: ", style="bold red") + Text(str(error), style="not bold"), soft_wrap=True)
         return BAD_INPUT
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as stop:
         console.print(MESSAGE, soft_wrap=True)
-        return INTERRUPTED
+        return TERMINATED if isinstance(stop, Terminated) else INTERRUPTED
     except BrokenPipeError:  # whoever read the output, `head` for instance, has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return DONE
@@ -80,8 +79,8 @@ def command_parser(command: str, doc: str | None) -> CommandParser:
 
 
 @contextmanager
-def _terminated_as_interrupted() -> Iterator[None]:
-    handlers: dict[signal.Signals, Handler] = {signal.SIGTERM: signal.default_int_handler}
+def _stopped_politely() -> Iterator[None]:
+    handlers: dict[signal.Signals, Handler] = {signal.SIGTERM: terminate}
     if signal.getsignal(signal.SIGINT) is leave:  # from here on there may be half a result to clear away
         handlers[signal.SIGINT] = signal.default_int_handler
     with handling(handlers):

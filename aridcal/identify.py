@@ -19,7 +19,7 @@ from rich.console import Console
 from rich.table import Table
 
 from aridcal.command_line import CommandParser, command_parser, run
-from aridcal.files import check_writable
+from aridcal.files import claimed
 from aridcal.head.detections import CACHE
 from aridcal.prepare.other_readings import refuse_misread
 from aridcal.report.words import causes_in_words, sigmas_in_words
@@ -27,7 +27,7 @@ from aridcal.result.folder import what_moved
 from aridcal.result.key_figures import another_day, every_held_out_row, or_as_well, over_time, rms_position, scored
 from aridcal.result.outcome import Outcome, Verification, errors
 from aridcal.result.pipeline import identify
-from aridcal.result_folder import write_folder
+from aridcal.result_folder import RESULT_FILES, write_folder
 from aridcal.search.gains import NamedEffect
 
 VERDICTS = {
@@ -138,9 +138,13 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _main(arguments: argparse.Namespace) -> None:
-    console = Console()
     out = arguments.out or arguments.campaign.parent / "results"
-    check_writable(out, "folder")
+    with claimed(out, "folder", RESULT_FILES):
+        _identify(arguments, out)
+
+
+def _identify(arguments: argparse.Namespace, out: Path) -> None:
+    console = Console()
     steps = Console(stderr=True)
     started = time.perf_counter()
 

@@ -19,7 +19,7 @@ from rich.prompt import IntPrompt
 
 from aridcal.command_line import CommandParser, command_parser, run
 from aridcal.errors import OutputError
-from aridcal.files import atomic_file, check_writable
+from aridcal.files import atomic_file, claimed
 from aridcal.prepare.campaign_text import Draft, draft, scalar
 from aridcal.prepare.guesses import nobody
 
@@ -72,10 +72,10 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _main(urdf: Path, files: Sequence[Path], out: Path) -> None:
     if out.exists():
         raise OutputError(f"{out}: exists already; delete it, or choose another name with -o")
-    check_writable(out, "file")
-    proposed = draft(urdf, files, out, _ask if sys.stdin.isatty() else nobody)
-    with atomic_file(out) as path:
-        path.write_text(proposed.campaign.text, encoding="utf-8")
+    with claimed(out, "file"):
+        proposed = draft(urdf, files, out, _ask if sys.stdin.isatty() else nobody)
+        with atomic_file(out) as path:
+            path.write_text(proposed.campaign.text, encoding="utf-8")
     console = Console()
     tell(proposed, str(out), console)
     console.print(f"next: aridcal identify {out}", soft_wrap=True, highlight=False)

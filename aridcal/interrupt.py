@@ -1,4 +1,6 @@
-"""Ctrl-C while a command still loads its libraries: a line and exit status 130, as at any later moment."""
+"""Ctrl-C or SIGTERM while a command still loads its libraries: a line and exit status 130 or 143, as at any later moment."""
+
+# Imports as little as can be: until `watch` has run, Ctrl-C prints a traceback.
 
 from __future__ import annotations
 
@@ -8,13 +10,14 @@ import sys
 from types import FrameType
 
 MESSAGE = "interrupted: nothing was left half written"
-INTERRUPTED = 130
+SIGNALLED = 128
+"""What shells add to a signal's number for the exit status: 130 after Ctrl-C, 143 after SIGTERM."""
 
 
 def leave(number: int, frame: FrameType | None) -> None:
     """End the process at once: a KeyboardInterrupt inside an import would print a traceback, or be lost in it."""
     os.write(2, f"{MESSAGE}\n".encode())
-    os._exit(INTERRUPTED)
+    os._exit(SIGNALLED + number)
 
 
 def is_command(argv: list[str], original: list[str]) -> bool:
@@ -31,7 +34,9 @@ def is_command(argv: list[str], original: list[str]) -> bool:
 
 
 def watch() -> None:
-    """From now on Ctrl-C ends a command as :func:`leave` does; whoever imports the library keeps Python's own way."""
-    untouched = signal.getsignal(signal.SIGINT) is signal.default_int_handler
-    if untouched and is_command(sys.argv, sys.orig_argv):
-        signal.signal(signal.SIGINT, leave)
+    """From now on signals end a command as :func:`leave` does; whoever imports the library keeps Python's own way."""
+    if not is_command(sys.argv, sys.orig_argv):
+        return
+    for number, usual in ((signal.SIGINT, signal.default_int_handler), (signal.SIGTERM, signal.SIG_DFL)):
+        if signal.getsignal(number) is usual:
+            signal.signal(number, leave)

@@ -20,13 +20,16 @@ from scipy.spatial.transform import Rotation
 
 from aridcal.command_line import CommandParser, command_parser, run
 from aridcal.errors import AridcalError, OutputError
-from aridcal.files import atomic_file, check_writable
+from aridcal.files import atomic_table, check_writable, claimed
 from aridcal.head.shots import THUMBNAIL, Measured, load, measure_shots
 from aridcal.head.sonar import contradictions
 from aridcal.inputs.head_settings import POSE_COLUMNS, HeadSettings, range_columns
 from aridcal.inputs.quantities import STD
 from aridcal.inputs.tables import Table
 from aridcal.report.html import Html, tag
+
+BESIDE = REFUSED, SHEET = "refused.csv", "shots.html"
+"""Written beside the table: the shots that were not measured, and a page with all images."""
 
 REFUSED_COLUMNS = ("shot", "image", "why")
 SHOWN = 5
@@ -128,10 +131,17 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _main(arguments: argparse.Namespace) -> None:
     out: Path = arguments.out
-    if out.suffix.lower() != ".csv":
-        raise OutputError(f"{out}: should be a .csv file")
+    if out.suffix.lower() != ".csv" or out.name == REFUSED:
+        raise OutputError(
+            f"{out}: should be a .csv file, and not {REFUSED}, which names the shots that were not measured"
+        )
     check_writable(out, "file")
-    head, squares, table, shots = load(arguments.head)
+    with claimed(out.parent, "folder", [out.name, *BESIDE]):
+        _measure(arguments.head, out)
+
+
+def _measure(settings: Path, out: Path) -> None:
+    head, squares, table, shots = load(settings)
     console = Console(stderr=True)
     work = measure_shots(shots, head, squares)
     results = list(track(work, "measuring", total=len(shots), console=console, transient=True))
@@ -141,12 +151,10 @@ def _main(arguments: argparse.Namespace) -> None:
     if len(refused) == rows:
         first = lines[0] if lines else "it has no rows"
         raise AridcalError(f"{head.shots}: nothing could be measured. First: {first}")
-    with atomic_file(out) as path:
-        measured_table(table, results, head).to_csv(path, index=False, float_format="%.17g")
-    with atomic_file(out.parent / "refused.csv") as path:
-        refused.to_csv(path, index=False)
-    with atomic_file(out.parent / "shots.html") as path:
-        path.write_text(contact_sheet(results, f"Shots of {head.shots.name}"), encoding="utf-8")
+    with atomic_table(out, BESIDE) as folder:
+        measured_table(table, results, head).to_csv(folder / out.name, index=False, float_format="%.17g")
+        refused.to_csv(folder / REFUSED, index=False)
+        (folder / SHEET).write_text(contact_sheet(results, f"Shots of {head.shots.name}"), encoding="utf-8")
     said = [f"refused: {line}" for line in lines[:SHOWN]]
     if head.sonars:
         said += sonar_remarks(results, head.sonars.std)

@@ -12,8 +12,14 @@ from aridcal.result.controllers import Handover, hand_over, write_controllers
 from aridcal.result.folder import write_results
 from aridcal.result.outcome import Outcome
 
-NOT_ALWAYS = frozenset({"model.urdf", "fiducials.csv", "joint_maps.urdf", "joint_maps.csv"})
-"""Files that only some results have: those of an earlier one must not outlive it."""
+RESULT_FILES = frozenset(
+    {
+        *("result.json", "calibration.yaml", "calibrated.urdf", "model.urdf", "residuals.csv", "fiducials.csv"),
+        *("kinematics.yaml", "dh.yaml", "dh_modified.yaml", "doty.yaml", "joint_offsets.yaml", "frames.yaml"),
+        *("joint_maps.urdf", "joint_maps.csv", "report.html", "scene.html"),
+    }
+)
+"""All that a result may have: what an earlier one had and this has not must not outlive it."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +43,7 @@ def write_folder(outcome: Outcome, folder: Path) -> Written:
     Raises:
         OutputError: the folder cannot be written.
     """
-    with atomic_folder(folder, NOT_ALWAYS) as stage:
+    with atomic_folder(folder, RESULT_FILES) as stage:
         write_results(outcome, stage)
         handover = hand_over(outcome)
         write_controllers(outcome, handover, stage)

@@ -16,7 +16,7 @@ from rich.console import Console
 
 from aridcal.command_line import CommandParser, command_parser, run
 from aridcal.errors import OutputError
-from aridcal.files import atomic_folder, check_writable
+from aridcal.files import atomic_folder, claimed
 from aridcal.inputs.yaml_file import load_settings
 from aridcal.prepare.scenario import Scenario
 from aridcal.prepare.simulation import simulate, write_campaign
@@ -37,12 +37,12 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _main(path: Path, out: Path) -> None:
-    check_writable(out, "folder")
     if (out / "campaign.yaml").resolve() == path.resolve():
         raise OutputError(f"{path}: the campaign would overwrite its scenario; rename it or choose another folder")
-    simulation = simulate(load_settings(path, Scenario))
-    with atomic_folder(out) as folder:
-        write_campaign(simulation, folder, out)
+    with claimed(out, "folder"):
+        simulation = simulate(load_settings(path, Scenario))
+        with atomic_folder(out) as folder:
+            write_campaign(simulation, folder, out)
     rows, wrong = len(simulation.outliers), int(simulation.outliers.sum())
     console = Console()
     console.print(f"{out}: {rows} rows, {wrong} of them outliers; the truth is in truth.json", soft_wrap=True)

@@ -25,6 +25,7 @@ from aridcal.inputs.campaign import load_campaign
 from aridcal.inputs.yaml_file import parse_settings
 from aridcal.prepare.scenario import Scenario
 from aridcal.prepare.simulation import simulate
+from aridcal.result_folder import RESULT_FILES
 
 UR10 = robots.URDF / "ur10.urdf"
 UNDECLARED = robots.URDF.parent / "identification" / "arid-undeclared"
@@ -282,7 +283,7 @@ def test_what_is_saved_is_what_the_command_writes(found: aridcal.Calibration, tm
     assert main([str(UNDECLARED / "campaign.yaml"), "--out", str(tmp_path / "command")]) == 0
     names = {path.name for path in (tmp_path / "command").iterdir()}
     assert {path.name for path in (tmp_path / "face").iterdir()} == names
-    assert {"report.html", "scene.html", "calibration.yaml", "model.urdf", "frames.yaml"} < names
+    assert {"report.html", "scene.html", "calibration.yaml", "model.urdf", "frames.yaml"} < names <= RESULT_FILES
     for name in names - {"result.json"}:
         assert (tmp_path / "face" / name).read_bytes() == (tmp_path / "command" / name).read_bytes(), name
     results = [json.loads((tmp_path / way / "result.json").read_text()) for way in ("face", "command")]

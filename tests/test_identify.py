@@ -20,6 +20,7 @@ from aridcal import identify, predict
 from aridcal.fit.calibrated import stage_urdf
 from aridcal.result.outcome import Outcome
 from aridcal.result.saved_model import SavedModel
+from aridcal.result_folder import RESULT_FILES
 
 CONTROLLERS = {"kinematics.yaml", "dh.yaml", "dh_modified.yaml", "doty.yaml", "joint_offsets.yaml", "frames.yaml"}
 FILES = {
@@ -76,6 +77,7 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> tuple[robots.Truth, Path]
 def test_every_file_appears(small: tuple[robots.Truth, Path]) -> None:
     results = {f.name for f in (small[1] / "results").iterdir()}
     assert results == FILES
+    assert results <= RESULT_FILES
 
 
 def test_what_is_printed_are_the_errors_that_the_files_state(small: tuple[robots.Truth, Path]) -> None:

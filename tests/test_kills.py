@@ -1,0 +1,374 @@
+"""Whatever stops a command at whichever operation on a file: the output is the old one or the new one, whole."""
+
+from __future__ import annotations
+
+import errno
+import os
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from aridcal import disk, files, staging
+from aridcal.errors import OutputError
+from aridcal.files import atomic_file, atomic_folder, atomic_table, claimed
+
+OLD = {"a.txt": "old a", "b.txt": "old b", "stale.txt": "old"}
+NEW = {"a.txt": "new a", "b.txt": "new b", "c.txt": "new c"}
+MINE = {"mine.txt": "mine", "notes/today.txt": "mine too"}
+REPLACES = {*OLD, *NEW}
+
+
+def contents(folder: Path) -> dict[str, str]:
+    return {str(p.relative_to(folder)): p.read_text() for p in sorted(folder.rglob("*")) if p.is_file()}
+
+
+def fill(folder: Path, texts: dict[str, str]) -> None:
+    for name, text in texts.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(text)
+
+
+def write_folder(target: Path) -> None:
+    with atomic_folder(target, REPLACES) as folder:
+        fill(folder, NEW)
+
+
+def write_table(target: Path) -> None:
+    with atomic_table(target / "a.txt", ["b.txt", "c.txt", "stale.txt"]) as folder:
+        fill(folder, NEW)
+
+
+def write_file(target: Path) -> None:
+    with atomic_file(target / "a.txt") as path:
+        path.write_text("new a")
+
+
+def without_exchange(one: Path, other: Path) -> bool:
+    disk.before("exchange", other)
+    return False
+
+
+@contextmanager
+def acting(at: int, act: Callable[[], None]) -> Iterator[list[str]]:
+    """Do something just before the k-th operation on files; yields the names of those that were done."""
+    done: list[str] = []
+
+    def observer(operation: str, path: Path) -> None:
+        done.append(operation)
+        if len(done) - 1 == at:
+            act()
+
+    disk.before = observer
+    try:
+        yield done
+    finally:
+        disk.before = disk._nothing
+
+
+def die() -> None:
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def fail(code: int) -> Callable[[], None]:
+    def act() -> None:
+        raise OSError(code, os.strerror(code), "the disk")
+
+    return act
+
+
+def killed_at(at: int, body: Callable[[], None]) -> bool:
+    """Run in a child that is killed before its k-th operation; False if it has fewer."""
+    child = os.fork()
+    if child == 0:
+        with acting(at, die):
+            body()
+        os._exit(0)
+    return os.WIFSIGNALED(os.waitpid(child, 0)[1])
+
+
+WAYS = {
+    "swapped": (write_folder, {}),
+    "relinked": (write_folder, {"exchange": without_exchange}),
+    "moved": (write_folder, {"can_be_swapped": lambda target, own: not target.is_dir()}),
+    "table": (write_table, {}),
+    "file": (write_file, {}),
+}
+"""Each way in which an output gets into its place, and what of the system is missing for it."""
+
+
+@pytest.fixture(params=WAYS)
+def way(request, monkeypatch) -> tuple[str, Callable[[Path], None]]:
+    monkeypatch.setattr(staging, "GRACE", 0)  # nobody reads
+    write, missing = WAYS[request.param]
+    if "exchange" in missing:
+        monkeypatch.setattr(disk, "exchange", missing["exchange"])
+    if "can_be_swapped" in missing:
+        monkeypatch.setattr(files, "can_be_swapped", missing["can_be_swapped"])
+    return request.param, write
+
+
+def expected(name: str, earlier: bool) -> tuple[dict[str, str], dict[str, str]]:
+    """What a folder holds before and after."""
+    mine = {} if not earlier else MINE
+    before = {**OLD, **mine} if earlier else {}
+    return before, ({**before, "a.txt": "new a"} if name == "file" else {**NEW, **mine})
+
+
+@pytest.mark.parametrize("earlier", [True, False])
+def test_a_kill_before_any_operation_leaves_old_or_new_and_the_next_run_leaves_nothing_else(tmp_path, way, earlier):
+    name, write = way
+    at, seen = 0, set()
+    while True:
+        home = tmp_path / str(at)
+        target = home / "results"
+        if earlier:
+            fill(target, {**OLD, **MINE})
+        else:
+            home.mkdir()
+        before, after = expected(name, earlier)
+        killed = killed_at(at, lambda target=target: write(target))
+        found = {k: v for k, v in contents(target).items() if staging.OURS not in k} if target.is_dir() else {}
+        if name in ("swapped", "file", "relinked"):
+            assert found in ((before, after) if not (name == "relinked" and earlier) else (before, after, {})), at
+        else:  # files move one by one: a new one never stands beside an old one of the result
+            ours = {text.partition(" ")[0] for text in found.values() if not text.startswith("mine")}
+            assert ours in ({"old"}, {"new"}, set()), (at, found)
+        seen.add(frozenset(found.items()))
+        with claimed(target, "folder"):  # any command that writes there clears up
+            pass
+        left = contents(target) if target.is_dir() else {}
+        assert left in (before, after), at
+        assert {p.name for p in home.iterdir()} <= {"results", target.resolve().name}, at
+        write(target)
+        assert contents(target) == after
+        if not killed:
+            break
+        at += 1
+    assert at >= 4
+    assert {frozenset(before.items()), frozenset(after.items())} <= seen
+
+
+@pytest.mark.parametrize("code", [errno.ENOSPC, errno.EIO, errno.EXDEV, errno.EACCES, errno.EBUSY])
+def test_a_failure_of_any_operation_leaves_old_or_new_and_is_said(tmp_path, way, code):
+    name, write = way
+    before, after = expected(name, True)
+    at = 0
+    while True:
+        home = tmp_path / str(at)
+        target = home / "results"
+        fill(target, {**OLD, **MINE})
+        with acting(at, fail(code)) as done:
+            try:
+                write(target)
+                said = ""
+            except OutputError as error:
+                said = str(error)
+        with claimed(target, "folder"):  # where the very removal fails, the next run removes
+            pass
+        found = contents(target)
+        assert found in (before, after), at
+        assert {p.name for p in home.iterdir()} <= {"results", target.resolve().name}, at
+        if said:
+            assert str(target) in said and os.strerror(code) in said
+        else:
+            assert found == after
+        if len(done) <= at:
+            break
+        at += 1
+    assert at >= 4
+
+
+def test_a_file_that_the_user_adds_at_the_last_moment_is_not_lost_even_by_a_kill(tmp_path, way):
+    _, write = way
+    for at in range(200):
+        target = tmp_path / str(at) / "results"
+        fill(target, OLD)
+        child = os.fork()
+        if child == 0:
+            with acting(at, lambda target=target: fill(target, {"late.txt": "mine"})) as done:
+                add = disk.before
+
+                def add_and_die(operation: str, path: Path, add=add, at=at, done=done) -> None:
+                    if len(done) == at + 2:
+                        die()
+                    add(operation, path)
+
+                disk.before = add_and_die
+                write(target)
+            os._exit(7)
+        ended = os.waitpid(child, 0)[1]
+        with claimed(target, "folder"):
+            pass
+        assert (target / "late.txt").exists() or os.waitstatus_to_exitcode(ended) == 7, at
+        if os.waitstatus_to_exitcode(ended) == 7:
+            break
+    assert at >= 4
+
+
+def test_a_reader_of_a_swapped_folder_never_sees_a_mixture(tmp_path):
+    target = tmp_path / "results"
+    fill(target, dict.fromkeys(NEW, "0"))
+    stop = threading.Event()
+    looks: list[tuple[int, int]] = []
+
+    def read() -> None:
+        while not stop.is_set():
+            handle = os.open(target, os.O_RDONLY)  # one look: all its names in one and the same folder
+            try:
+                names = sorted(entry.name for entry in os.scandir(handle))
+                texts = set()
+                for name in names:
+                    file = os.open(name, os.O_RDONLY, dir_fd=handle)
+                    texts.add(os.read(file, 99))
+                    os.close(file)
+            finally:
+                os.close(handle)
+            looks.append((len(names), len(texts)))
+
+    reader = threading.Thread(target=read)
+    reader.start()
+    for k in range(20):
+        with atomic_folder(target, REPLACES) as folder:
+            fill(folder, dict.fromkeys(NEW, str(k)))
+    stop.set()
+    reader.join()
+    assert len(looks) > 50
+    assert set(looks) == {(len(NEW), 1)}
+
+
+HOLDER = """
+import sys
+from pathlib import Path
+from aridcal.files import claimed
+
+with claimed(Path(sys.argv[1]), sys.argv[2]):
+    print("held", flush=True)
+    sys.stdin.read()
+"""
+
+
+@pytest.mark.parametrize(("kind", "name"), [("folder", "results"), ("file", "poses.csv")])
+def test_a_second_writer_is_told_the_number_of_the_first(tmp_path, kind, name):
+    command = [sys.executable, "-c", HOLDER, str(tmp_path / name), kind]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as holder:
+        assert holder.stdout is not None
+        assert holder.stdout.readline() == b"held\n"
+        with pytest.raises(OutputError, match=rf"{name}: is being written by process {holder.pid}; wait"):  # noqa: SIM117
+            with claimed(tmp_path / name, kind):
+                pass
+        with claimed(tmp_path / "another", "file"):  # what lives beside it is left alone
+            assert (tmp_path / f".{name}.aridcal-lock").exists()
+    with claimed(tmp_path / name, kind):
+        pass
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_killed_holder_holds_nothing(tmp_path):
+    command = [sys.executable, "-c", HOLDER, str(tmp_path / "results"), "folder"]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as holder:
+        assert holder.stdout is not None
+        holder.stdout.readline()
+        holder.kill()
+    assert (tmp_path / ".results.aridcal-lock").exists()
+    write_file(tmp_path)  # another output beside it
+    assert contents(tmp_path) == {"a.txt": "new a"}
+
+
+def test_two_threads_do_not_write_the_same_output(tmp_path):
+    said = []
+
+    def write() -> None:
+        try:
+            write_folder(tmp_path / "results")
+        except OutputError as error:
+            said.append(str(error))
+
+    with claimed(tmp_path / "results", "folder"):
+        thread = threading.Thread(target=write)
+        thread.start()
+        thread.join()
+    assert said and "this very process, in another thread" in said[0]
+
+
+def test_permissions_links_and_the_users_files_stay_what_they_are(tmp_path):
+    target = tmp_path / "results"
+    fill(target, {**OLD, **MINE})
+    target.chmod(0o750)
+    (target / "a.txt").chmod(0o600)
+    (target / "mine.txt").chmod(0o444)
+    (target / "link").symlink_to("mine.txt")
+    inode = (target / "mine.txt").stat().st_ino
+    write_folder(target)
+    modes = {name: (target / name).stat().st_mode & 0o777 for name in ("", "a.txt", "mine.txt")}
+    assert modes == {"": 0o750, "a.txt": 0o600, "mine.txt": 0o444}
+    assert (target / "link").readlink() == Path("mine.txt")
+    assert (target / "mine.txt").stat().st_ino == inode  # an editor that has it open goes on writing to it
+
+
+@pytest.mark.parametrize("write", [write_folder, write_table])
+@pytest.mark.parametrize("kind", ["folder", "link", "pipe"])
+def test_what_is_no_file_is_never_replaced_by_one(tmp_path, write, kind):
+    target = tmp_path / "results"
+    fill(target, {**OLD, "elsewhere.txt": "mine"})
+    (target / "b.txt").unlink()
+    match kind:
+        case "folder":
+            fill(target / "b.txt", {"inside.txt": "mine"})
+        case "link":
+            (target / "b.txt").symlink_to("elsewhere.txt")
+        case "pipe":
+            os.mkfifo(target / "b.txt")
+    before = sorted(str(p) for p in target.rglob("*"))
+    with pytest.raises(OutputError, match=r"b\.txt: is (a link|not a file)"):
+        write(target)
+    assert sorted(str(p) for p in target.rglob("*")) == before
+
+
+def test_a_device_is_never_replaced_by_a_file():
+    with pytest.raises(OutputError, match="/dev/null: is a device or a pipe"), atomic_file(Path("/dev/null")):
+        pass
+
+
+def test_a_folder_that_one_stands_in_keeps_its_identity(tmp_path, monkeypatch):
+    target = tmp_path / "results"
+    fill(target, OLD)
+    monkeypatch.chdir(target)
+    inode = target.stat().st_ino
+    write_folder(Path())
+    assert contents(target) == NEW
+    assert Path.cwd().stat().st_ino == inode
+
+
+def test_a_folder_in_which_another_command_writes_is_not_swapped_under_it(tmp_path):
+    target = tmp_path / "results"
+    fill(target, {**OLD, "sub/mine.txt": "mine"})
+    with atomic_file(target / "sub" / "predicted.csv") as path:
+        path.write_text("slow")
+        write_folder(target)
+    assert contents(target) == {**NEW, "sub/mine.txt": "mine", "sub/predicted.csv": "slow"}
+
+
+def test_a_folder_with_very_many_other_files_keeps_its_identity(tmp_path):
+    target = tmp_path / "results"
+    fill(target, {**OLD, **{f"other/{k}": "" for k in range(staging.MOST_SHARED)}})
+    inode = target.stat().st_ino
+    write_folder(target)
+    assert target.stat().st_ino == inode
+    assert len(contents(target)) == len(NEW) + staging.MOST_SHARED
+
+
+def test_a_link_to_a_version_is_renewed_and_one_version_stays(tmp_path, monkeypatch):
+    monkeypatch.setattr(disk, "exchange", without_exchange)
+    target = tmp_path / "results"
+    fill(target, {**OLD, **MINE})
+    for _ in range(3):
+        write_folder(target)
+        assert target.is_symlink()
+        assert contents(target) == {**NEW, **MINE}
+        assert sorted(p.name for p in tmp_path.iterdir()) == ["results", target.readlink().name]
