@@ -679,6 +679,7 @@ def test_the_browser_follows_the_folder_without_a_reload(
         page.evaluate("window.same = true")
         assert red(page.pixels()) > 2000
         choose(page, "row", 7)
+        choose(page, "factor", 9)
         click(page, "input[name=vectors]")
         before, said, camera = page.pixels(), read(page, "stages"), page.evaluate(CAMERA)
 
@@ -686,6 +687,7 @@ def test_the_browser_follows_the_folder_without_a_reload(
         page.wait("document.getElementById('live').textContent.includes('redrawn')")
         assert read(page, "stages") != said  # the errors are those of the new scene
         assert f"{content_of(other)['stages'][1]['rms']:.3g}" in read(page, "stages")
+        assert read(page, "times") == f"×{LADDER[9]}"
         assert read(page, "line") == "9"  # what was chosen stays: the row, what is shown, where one stands
         assert not page.evaluate("document.querySelector('input[name=vectors]').checked")
         assert page.evaluate(CAMERA) == camera

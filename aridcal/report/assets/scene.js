@@ -50,7 +50,7 @@
 
   // What the user has chosen stays when another scene is shown.
   const shown = { calibrated: true, nominal: true, targets: true, vectors: true, train: true, test: true };
-  let chosen = { row: 0, field: "none" };
+  let chosen = { row: 0, field: "none", own: false }; // own: a magnification of the user's
   let framed = null; // name and size of the scene that the camera was set to
   let ending = new AbortController(); // of the scene that is shown: takes its listeners away
 
@@ -86,8 +86,11 @@
 
     // ---- what is shown now -------------------------------------------------------------------------------------------
     const last = stages.length - 1;
-    const state = { stage: last, factor: data.factor, row: Math.min(chosen.row, data.rows.length - 1), field: chosen.field };
-    if (state.field === "sigma" && !sigma.length) state.field = "none";
+    const ladder = data.factors.filter((f) => f <= 20 * data.factor);
+    const { own, field } = chosen;
+    const factor = own && ladder.includes(chosen.factor) ? chosen.factor : data.factor;
+    const state = { stage: last, factor, own, row: Math.min(chosen.row, data.rows.length - 1), field };
+    if (field === "sigma" && !sigma.length) state.field = "none";
     chosen = state;
     let current = stages[last].error; // of every row: what the stage shown leaves, less the effects switched off
     const millimetres = (i) => 1e3 * length(current, i);
@@ -367,9 +370,8 @@
         tick.style.left = `${(100 * Math.log(v / low)) / Math.log(high / low)}%`;
       }
     }
-    const ladder = data.factors.filter((f) => f <= 20 * data.factor);
-    Object.assign(byId("factor"), { max: ladder.length - 1, value: ladder.indexOf(data.factor) });
-    byId("factor").addEventListener("input", (event) => update({ factor: ladder[event.target.value] }));
+    Object.assign(byId("factor"), { max: ladder.length - 1, value: ladder.indexOf(factor) });
+    byId("factor").addEventListener("input", (event) => update({ factor: ladder[event.target.value], own: true }));
     Object.assign(byId("row"), { max: data.rows.length - 1, value: 0 });
     byId("row").addEventListener("input", (event) => update({ row: Number(event.target.value) }));
     const walk = (by) => update({ row: Math.min(Math.max(state.row + by, 0), data.rows.length - 1) });
