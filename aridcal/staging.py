@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import json
 import os
+import re
 import secrets
 import time
 from collections.abc import Collection, Iterator
@@ -26,6 +27,9 @@ NAME_SHOWN = 50
 
 MOST_SHARED = 1000
 """Other files in a folder that is swapped: each is linked into the new one, which takes some 10 µs."""
+
+MOUNTS = Path("/proc/self/mountinfo")
+"""Its fifth word is the mount point, blanks as ``\\040`` (proc(5))."""
 
 GRACE = 0.1
 """Before an earlier folder is removed, [s]: a program that is listing it, or reading its files one after another, may finish."""
@@ -236,7 +240,7 @@ def clear_up(folder: Path, taken: Path) -> None:
 
 def can_be_swapped(target: Path, own: Collection[str]) -> bool:
     """Whether a folder can change its place as a whole, with nobody missing it who stands or writes in it."""
-    if home_of(target) == target or os.path.ismount(target):
+    if home_of(target) == target or _is_mount_point(target):
         return False
     if not target.is_dir():
         return True
@@ -251,6 +255,18 @@ def can_be_swapped(target: Path, own: Collection[str]) -> bool:
             if OURS in entry or found > MOST_SHARED:  # OURS: another command writes in it
                 return False
     return True
+
+
+def _is_mount_point(folder: Path) -> bool:
+    """Whether a folder is where a file system, or a part of one, is mounted; of a part only the system's own list tells."""
+    if os.path.ismount(folder):
+        return True
+    try:
+        mounts = MOUNTS.read_text(encoding="utf-8", errors="surrogateescape")
+    except OSError:  # not a Linux
+        return False
+    points = (line.split()[4] for line in mounts.splitlines())
+    return str(folder) in {re.sub(r"\\(\d{3})", lambda octal: chr(int(octal[1], 8)), point) for point in points}
 
 
 def others_than(folder: Path, own: Collection[str]) -> list[str]:

@@ -8,9 +8,11 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -211,29 +213,36 @@ def test_a_file_that_the_user_adds_at_the_last_moment_is_not_lost_even_by_a_kill
     assert at >= 4
 
 
-def test_a_reader_of_a_swapped_folder_never_sees_a_mixture(tmp_path):
+def test_a_reader_of_a_swapped_folder_never_sees_a_mixture(tmp_path, monkeypatch):
     target = tmp_path / "results"
     fill(target, dict.fromkeys(NEW, "0"))
-    stop = threading.Event()
+    stop, looking = threading.Event(), threading.Lock()
     looks: list[tuple[int, int]] = []
+
+    def wait(seconds: float) -> None:
+        """The grace of a replaced folder, as long as a look needs, however busy the machine is."""
+        assert seconds > 0
+        with looking:
+            pass
 
     def read() -> None:
         while not stop.is_set():
-            handle = os.open(target, os.O_RDONLY)  # one look: all its names in one and the same folder
-            try:
-                names = sorted(entry.name for entry in os.scandir(handle))
+            with looking:
+                handle = os.open(target, os.O_RDONLY)  # one look: all its names in one and the same folder
+                names = [entry.name for entry in os.scandir(handle)]
                 texts = set()
                 for name in names:
                     file = os.open(name, os.O_RDONLY, dir_fd=handle)
                     texts.add(os.read(file, 99))
                     os.close(file)
-            finally:
                 os.close(handle)
-            looks.append((len(names), len(texts)))
+                looks.append((len(names), len(texts)))
+            time.sleep(0)
 
+    monkeypatch.setattr(staging, "time", SimpleNamespace(sleep=wait))
     reader = threading.Thread(target=read)
     reader.start()
-    for k in range(20):
+    for k in range(50):
         with atomic_folder(target, REPLACES) as folder:
             fill(folder, dict.fromkeys(NEW, str(k)))
     stop.set()
@@ -343,6 +352,29 @@ def test_a_folder_that_one_stands_in_keeps_its_identity(tmp_path, monkeypatch):
     write_folder(Path())
     assert contents(target) == NEW
     assert Path.cwd().stat().st_ino == inode
+
+
+def test_a_mount_point_gets_its_files_from_within(tmp_path, monkeypatch):
+    """Mounting takes root's rights: the system's list and its answer to a move across are put in its place."""
+    target = tmp_path / "my results"
+    fill(target, {**OLD, **MINE})
+    rename, listed = disk.rename, str(target).replace(" ", "\\040")
+
+    def across(source: Path, place: Path) -> None:
+        if source.is_relative_to(target) != place.is_relative_to(target):
+            raise OSError(errno.EXDEV, os.strerror(errno.EXDEV), str(place))
+        rename(source, place)
+
+    (tmp_path / "mounts").write_text(
+        f"36 35 98:0 / / rw - ext4 /dev/a rw\n37 36 98:0 /x {listed} rw - ext4 /dev/a rw\n"
+    )
+    monkeypatch.setattr(staging, "MOUNTS", tmp_path / "mounts")
+    monkeypatch.setattr(disk, "rename", across)
+    inode = target.stat().st_ino
+    write_folder(target)
+    assert contents(target) == {**NEW, **MINE}
+    assert target.stat().st_ino == inode
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["mounts", "my results"]
 
 
 def test_a_folder_in_which_another_command_writes_is_not_swapped_under_it(tmp_path):
