@@ -5,9 +5,11 @@ from __future__ import annotations
 import json
 import os
 import struct
+import subprocess
 import sys
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -327,6 +329,39 @@ def test_a_reader_that_takes_much_memory_is_stopped(tmp_path: Path, monkeypatch:
     monkeypatch.setattr(meshes, "FILE_SECONDS", 60)
     (bad,) = read_meshes([tmp_path / "bomb.dae"]).values()
     assert isinstance(bad, NotDrawable) and "longer" not in str(bad)
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="elsewhere the reader ends when its time is over")
+def test_a_reader_dies_with_the_command_that_started_it(tmp_path: Path) -> None:
+    (tmp_path / "bomb.dae").write_bytes(bomb())
+    code = "\n".join([
+        "import sys; from pathlib import Path; from aridcal.robot import meshes",
+        "meshes.FILE_SECONDS, meshes.MEMORY_GB = 600, 8.0",  # by itself it would not end while we wait
+        "meshes.read_meshes([Path(sys.argv[1])])",
+    ])  # fmt: skip
+    with subprocess.Popen([sys.executable, "-c", code, str(tmp_path / "bomb.dae")]) as command:
+        started = Path(f"/proc/{command.pid}/task/{command.pid}/children")
+        until(lambda: "bomb.dae" in opened_by(started.read_text()))
+        reader = Path(f"/proc/{int(started.read_text())}")
+        command.kill()
+    until(lambda: not reader.exists() or "Z" in (reader / "stat").read_text().rpartition(")")[2])
+
+
+def opened_by(process: str) -> str:
+    """Names of the files that a process has open, if there is one."""
+    folder = Path(f"/proc/{process.strip() or 0}/fd")
+    return " ".join(str(fd.readlink()) for fd in folder.iterdir()) if folder.exists() else ""
+
+
+def until(condition: Callable[[], bool]) -> None:
+    """Wait for something that comes soon, and fail if it never does."""
+    end = time.monotonic() + 20
+    while time.monotonic() < end:
+        with suppress(OSError):  # a process that ends while it is looked at
+            if condition():
+                return
+        time.sleep(0.02)
+    raise AssertionError("it never came")
 
 
 def test_meshes_together_have_a_limit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,6 +6,7 @@ It dies of a file that takes too long or too much memory, and is then started an
 
 from __future__ import annotations
 
+import ctypes
 import io
 import json
 import os
@@ -45,6 +46,9 @@ FINEST, COARSER, COARSEST = 1000.0, 0.7, 16
 
 READY = b"ready\n"
 
+# Of Linux's prctl: the signal that a process gets when the one that started it dies.
+PR_SET_PDEATHSIG = 1
+
 Colour = tuple[float, ...] | None
 Part = tuple[Colour, np.ndarray, np.ndarray]
 """Red, green and blue from 0 to 1 (None: the file has no colour), vertices (V, 3) and faces (F, 3)."""
@@ -55,7 +59,7 @@ class NotDrawable(Exception):
 
 
 def read_meshes(paths: Sequence[Path]) -> dict[Path, list[Part] | NotDrawable]:
-    """Read mesh files; textures and other files that they name are not looked at, but for an OBJ's colours.
+    """Read mesh files. Of the files that these name only an OBJ's colours and a glTF's numbers are looked at, never a texture.
 
     Returns:
         By path, the parts of each file, one for each colour, or why there are none.
@@ -256,6 +260,8 @@ def _serve(answers: IO[bytes], seconds: int, gigabytes: float) -> None:
     """Answer each file named on the standard input; die of one that takes too long."""
     import trimesh  # noqa: F401  (before the clock runs)
 
+    with suppress(AttributeError):  # elsewhere than on Linux it lives on until its time is over
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
     most = int(1e9 * gigabytes)
     resource.setrlimit(resource.RLIMIT_AS, (most, most))
     signal.signal(signal.SIGALRM, signal.SIG_DFL)
