@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import tempfile
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -22,7 +22,7 @@ from aridcal.inputs.yaml_file import decode
 from aridcal.reading.files import RESULT, read_file
 from aridcal.report.html import tag
 from aridcal.report.page import write_report
-from aridcal.report.scene import scene, write_scene
+from aridcal.report.scene import write_scene
 from aridcal.result.as_tables import effect_table, error_table, parameter_table, verification_table
 from aridcal.result.compensate import compensate
 from aridcal.result.controllers import hand_over
@@ -148,10 +148,12 @@ class Calibration:
 
     def scene(self, path: str | Path | None = None) -> Page:
         """The robot and its errors in 3D. A notebook shows it; with a path it is saved as well."""
-        return self._page("scene.html", lambda outcome, target: write_scene(scene(outcome), target), path)
+        return self._page("scene.html", write_scene, path)
 
     def save(self, folder: str | Path) -> None:
         """Write the result folder that ``aridcal identify`` writes: all its files, or none.
+
+        A picture that cannot be drawn costs a warning and no file.
 
         Raises:
             AridcalError: the folder cannot be written, or this calibration was loaded.
@@ -159,7 +161,8 @@ class Calibration:
         outcome = self._with_data("save")
         with working() as progress:
             progress("writing the results")
-            write_folder(outcome, Path(folder))
+            written = write_folder(outcome, Path(folder))
+        _warn_of(written.notices)
 
     def __repr__(self) -> str:
         if not self._has_figures:
@@ -221,15 +224,16 @@ class Calibration:
             )
         return wanted.assign(**{joint: rows[joint].to_numpy() for joint in joints})
 
-    def _page(self, name: str, write: Callable[[Outcome, Path], Any], path: str | Path | None) -> Page:
-        """A page made anew, or of a loaded calibration the folder's own."""
+    def _page(self, name: str, write: Callable[[Outcome, Path], tuple[str, ...]], path: str | Path | None) -> Page:
+        """A page made anew, or of a loaded calibration the folder's own; warns of what could not be drawn."""
         if self.outcome is None:
             source = _text(self._beside(name, f"{name} is"))
         else:
             with working() as progress, tempfile.TemporaryDirectory() as folder:
                 progress(f"drawing {name}")
-                write(self.outcome, Path(folder) / name)
+                notices = write(self.outcome, Path(folder) / name)
                 source = (Path(folder) / name).read_text("utf-8")
+            _warn_of(notices, stacklevel=4)
         if path is not None:
             with atomic_file(Path(path)) as stage:
                 stage.write_text(source, encoding="utf-8", newline="\n")
@@ -313,6 +317,12 @@ def _with_numbers(table: pd.DataFrame) -> pd.DataFrame:
         except (ValueError, TypeError):
             continue
     return table
+
+
+def _warn_of(notices: Sequence[str], stacklevel: int = 3) -> None:
+    """Say what could not be drawn."""
+    if notices:
+        warnings.warn("\n".join(notices), stacklevel=stacklevel)
 
 
 def _warn(query: Query) -> None:

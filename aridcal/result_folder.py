@@ -7,7 +7,7 @@ from pathlib import Path
 
 from aridcal.files import atomic_folder
 from aridcal.report.page import write_report
-from aridcal.report.scene import scene, write_scene
+from aridcal.report.scene import write_scene
 from aridcal.result.controllers import Handover, hand_over, write_controllers
 from aridcal.result.folder import write_results
 from aridcal.result.outcome import Outcome
@@ -38,6 +38,8 @@ class Written:
 def write_folder(outcome: Outcome, folder: Path) -> Written:
     """Write every file of a result folder: all appear together or none does.
 
+    Figures come first. A picture that cannot be drawn costs a notice and no other file.
+
     Raises:
         OutputError: the folder cannot be written.
     """
@@ -45,6 +47,6 @@ def write_folder(outcome: Outcome, folder: Path) -> Written:
         write_results(outcome, stage)
         handover = hand_over(outcome)
         write_controllers(outcome, handover, stage)
-        write_report(outcome, handover, stage / "report.html")
-        notices = write_scene(scene(outcome), stage / "scene.html")
+        notices = write_report(outcome, handover, stage / "report.html")
+        notices += write_scene(outcome, stage / "scene.html")
     return Written(handover, notices)
