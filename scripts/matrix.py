@@ -29,6 +29,7 @@ PYTHONS = ("3.11", "3.12", "3.13")
 CELLS = tuple(f"{python}-{versions}" for python in PYTHONS for versions in ("lowest", "newest"))
 
 QUICK = (
+    "test_calibration",
     "test_campaign",
     "test_command_line",
     "test_completion",
