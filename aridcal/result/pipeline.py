@@ -21,6 +21,7 @@ from aridcal.inputs.campaign import Campaign, load_campaign
 from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.read import load_measurements
 from aridcal.inputs.tables import AnyTable
+from aridcal.result.memory import check_memory
 from aridcal.result.outcome import Outcome, Stage, Verification
 from aridcal.result.uncertainty import FAR, halves, outliers, precision, realigned, with_noise_seen
 from aridcal.result.verdict import Verdict, decide, row_clues
@@ -100,6 +101,7 @@ def identify(
         rows = with_directions(load_measurements(campaign, robot.readings, robot.limits, robot.kinds, seed))
         still = _check_motion(campaign, rows)
         labels = station_labels(campaign, rows)
+        check_memory(campaign, robot, rows, labels)
         progress(f"fitting frames and constants to {rows.train.sum()} rows")
         try:
             geometry = fit_constants(campaign, robot, rows, labels, progress)
