@@ -39,6 +39,7 @@ from aridcal.command_line import CommandParser, command_parser, run
 from aridcal.errors import OutputError
 from aridcal.files import atomic_file, check_home, check_writable
 from aridcal.inputs.query import Query
+from aridcal.reading.names import path_argument
 from aridcal.result.compensate import compensate, correction_table
 from aridcal.result.predict import ENDINGS, read_query, write_table
 from aridcal.result.saved_model import SavedModel
@@ -49,14 +50,16 @@ SHOWN_REMARKS = 5
 def parser() -> CommandParser:
     """The command's arguments."""
     command = command_parser("compensate", __doc__)
-    command.add_argument("calibration", type=Path, help="calibration.yaml of a result folder")
+    command.add_argument("calibration", type=path_argument, help="calibration.yaml of a result folder")
     command.add_argument(
-        "poses", type=Path, nargs="?", help="wanted poses (and covariates, and joints), .csv or .parquet"
+        "poses", type=path_argument, nargs="?", help="wanted poses (and covariates, and joints), .csv or .parquet"
     )
     command.add_argument(
         "--grid", type=int, metavar="POINTS", help="write a correction table with this many points along each joint"
     )
-    command.add_argument("-o", "--out", type=Path, required=True, help="where to write the commands, .csv or .parquet")
+    command.add_argument(
+        "-o", "--out", type=path_argument, required=True, help="where to write the commands, .csv or .parquet"
+    )
     return command
 
 

@@ -28,6 +28,7 @@ from aridcal.command_line import CommandParser, command_parser, run
 from aridcal.errors import OutputError
 from aridcal.files import atomic_file, check_home, check_writable
 from aridcal.inputs.query import Query
+from aridcal.reading.names import path_argument
 from aridcal.result.predict import ENDINGS, predict, read_query, write_table
 from aridcal.result.saved_model import SavedModel
 
@@ -37,10 +38,10 @@ SHOWN_REMARKS = 5
 def parser() -> CommandParser:
     """The command's arguments."""
     arguments = command_parser("predict", __doc__)
-    arguments.add_argument("calibration", type=Path, help="calibration.yaml of a result folder")
-    arguments.add_argument("query", type=Path, help="joint readings (and covariates), .csv or .parquet")
+    arguments.add_argument("calibration", type=path_argument, help="calibration.yaml of a result folder")
+    arguments.add_argument("query", type=path_argument, help="joint readings (and covariates), .csv or .parquet")
     arguments.add_argument(
-        "-o", "--out", type=Path, required=True, help="where to write them with their poses, .csv or .parquet"
+        "-o", "--out", type=path_argument, required=True, help="where to write them with their poses, .csv or .parquet"
     )
     return arguments
 
@@ -71,7 +72,7 @@ def _report(table: pd.DataFrame, x: str, query: Query, out: Path) -> None:
         console.print(str(remark), markup=False, highlight=False, soft_wrap=True)
     more = len(query.refused) + len(query.notices) - SHOWN_REMARKS
     if more > 0:
-        console.print(f"and {more} more remarks", highlight=False)
+        console.print(f"and {more} more remarks", highlight=False, markup=False)
     bare = int(table[x].isna().sum())
     said = f"{out}: {len(table)} rows, {int(table['extrapolates'].sum())} of them unlike what was measured"
     said += f", {bare} without a pose because a number is missing" if bare else ""

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from rich.console import Console
 from rich.live import Live
 from rich.spinner import Spinner
+from rich.text import Text
 from threadpoolctl import threadpool_limits
 
 HEIGHT = 720
@@ -45,7 +46,7 @@ def _in_terminal(console: Console, line: Callable[[str], str]) -> Iterator[Calla
     with Live(spinner, console=console, transient=True) as live:
 
         def show(step: str) -> None:
-            spinner.update(text=line(step))
+            spinner.update(text=Text(line(step)))
             live.refresh()
 
         yield show

@@ -33,6 +33,8 @@ from tornado.netutil import bind_sockets
 
 from aridcal.command_line import CommandParser, command_parser, run
 from aridcal.errors import OutputError
+from aridcal.reading.files import RESULT, read_file
+from aridcal.reading.names import path_argument
 
 # Meshcat's server runs inside this process: its own way, a child in a session of its own, outlives a parent that is
 # killed. Two things of it are closed: it would listen to the whole network, and take drawing commands from any program on
@@ -95,8 +97,8 @@ class Viewer(ZMQWebSocketBridge):
             seen = (status.st_dev, status.st_ino, status.st_mtime_ns, status.st_size)
             if seen == self._seen:
                 return
-            self._page = self._file.read_text("utf-8", "replace")
-        except OSError:
+            self._page = read_file(self._file, OutputError, RESULT).decode("utf-8", "replace")
+        except (OSError, OutputError):
             return
         self._seen = seen
         stamp = hashlib.sha256(self._page.encode()).hexdigest()[:16]
@@ -205,7 +207,9 @@ def scene_file(folder: Path) -> Path:
 def parser() -> CommandParser:
     """The command's arguments."""
     arguments = command_parser("view", __doc__)
-    arguments.add_argument("folder", type=Path, metavar="DIR", help="a result folder, as written by `aridcal identify`")
+    arguments.add_argument(
+        "folder", type=path_argument, metavar="DIR", help="a result folder, as written by `aridcal identify`"
+    )
     return arguments
 
 
@@ -218,7 +222,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 async def _main(scene: Path) -> None:
     viewer = Viewer(scene)
     try:
-        Console().print(f"{viewer.url}  (follows the folder; Ctrl-C ends it)", soft_wrap=True, highlight=False)
+        Console().print(
+            f"{viewer.url}  (follows the folder; Ctrl-C ends it)", soft_wrap=True, highlight=False, markup=False
+        )
         if _has_screen():
             webbrowser.open(viewer.url)
         await viewer.follow()

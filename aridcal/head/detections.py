@@ -7,6 +7,7 @@ that they depend on, so that a second run needs no image and an image that chang
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,7 +20,7 @@ from aridcal.head.charuco import corner_places
 from aridcal.head.fiducials import Fiducials
 from aridcal.head.matching import NotMeasured, spans_plane
 from aridcal.head.reduction import Head, Reduced, Seen, reduce_shots, start_anywhere
-from aridcal.head.shots import Shot, board, load, measure_shots, read_ranges
+from aridcal.head.shots import Shot, board, image_content, load, measure_shots, read_ranges
 from aridcal.head.square import CENTRES
 from aridcal.inputs.campaign import Campaign, FrameSettings
 from aridcal.inputs.dataset import Dataset, RowNoise, weighed
@@ -38,6 +39,9 @@ DECIMALS = 5
 
 # Hexadecimal digits: 64 bits, so that a change goes unnoticed once in 10^19 times.
 DIGEST_LENGTH = 16
+
+# In place of the digest of an image that is there and cannot be read: no fiducials were ever found in it.
+UNREADABLE = "unreadable"
 
 
 @dataclass(frozen=True)
@@ -192,12 +196,12 @@ def _digests(shots: Sequence[Shot], settings: HeadSettings, squares: Mapping[int
 
 def _digest(shot: Shot, settings: HeadSettings, about: str) -> str:
     """Say in short what the fiducials of a shot depend on; empty if its image is not there to ask."""
-    path = settings.shots.parent / shot.image
-    if not path.is_file():
-        return ""
+    try:
+        content = image_content(shot.image, settings)
+    except NotMeasured:
+        return "" if not os.path.lexists(settings.shots.parent / shot.image) else UNREADABLE
     place = f"{shot.square} {shot.T_world_camera} {about}"
-    content = path.read_bytes() + shot.ranges.tobytes() + place.encode()
-    return hashlib.sha256(content).hexdigest()[:DIGEST_LENGTH]
+    return hashlib.sha256(content + shot.ranges.tobytes() + place.encode()).hexdigest()[:DIGEST_LENGTH]
 
 
 def _cached(cache: Path | None) -> dict[int, pd.DataFrame]:

@@ -13,6 +13,7 @@ from aridcal.inputs.campaign import MeasurementSettings
 from aridcal.inputs.checks import check_units, note_limits
 from aridcal.inputs.quantities import POSITION, Source
 from aridcal.inputs.tables import AnyTable, Remark, read_tables
+from aridcal.reading.files import TABLE, Limit
 from aridcal.robot.chain import JointKind
 
 
@@ -55,6 +56,7 @@ def load_query(
     poses: bool = False,
     per_station: bool = False,
     needs: Collection[str] = (),
+    limit: Limit = TABLE,
 ) -> Query:
     """Read a table of joint readings, or of wanted poses, keeping every row and column.
 
@@ -67,6 +69,7 @@ def load_query(
         poses: The pose of the target is needed, its position only if `settings.kind` is `position`.
         per_station: The `station` column is needed.
         needs: Covariates that every row needs, where they have a column.
+        limit: How large the table may be.
 
     Raises:
         MeasurementError: the file cannot be read, lacks columns or has rows that are no rows; a joint or a pose is text; a
@@ -74,7 +77,7 @@ def load_query(
             they are not asked for.
     """
     settings = settings or MeasurementSettings()
-    table = read_tables([query])
+    table = read_tables([query], limit=limit)
     if table.refused:
         raise MeasurementError(f"{table.title}: {table.refused[0]}; mend the file")
     source = Source(table, settings, tuple(readings), table.title)

@@ -93,7 +93,7 @@ def identify(
     """
     started = time.perf_counter()
     campaign = job if isinstance(job, Campaign) else load_campaign(job)
-    robot = load_robot(campaign.robot.urdf, campaign.robot.tip, campaign.robot.base)
+    robot = load_robot(campaign.robot.urdf, campaign.robot.tip, campaign.robot.base, campaign.limits.urdf)
     progress("reading the measurements")
     if campaign.measurements.kind == "camera_sonar":
         outcome = _from_shots(campaign, robot, seed, verify, progress, cache)

@@ -44,9 +44,12 @@ def read_query(saved: SavedModel, table: AnyTable, poses: bool = False) -> Query
         poses=poses,
         per_station=per_station(saved.final.model),
         needs=set(at_any_station(saved).model.needs) - set(directions(saved) if poses else ()),
+        limit=saved.limits.table,
     )
     if not query.usable.any():
-        raise MeasurementError(f"no row can be {'commanded' if poses else 'predicted'}. First: {query.refused[0]}")
+        raise MeasurementError(
+            f"no row can be {'commanded' if poses else 'predicted'}. First: {query.refused[0]}; mend the table"
+        )
     return query if poses else _sides_unknown(saved, query, table)
 
 

@@ -1,0 +1,319 @@
+"""A table as it stands in a file: csv as text cells, parquet with its types, none larger in memory than it may be."""
+
+from __future__ import annotations
+
+import codecs
+import csv
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.csv
+import pyarrow.parquet
+
+from aridcal.errors import MeasurementError, shortened
+from aridcal.inputs.yaml_file import not_utf8
+from aridcal.reading.files import MEGA, Limit
+from aridcal.reading.names import check_name
+
+# Line of a table's first row: the header is line 1.
+FIRST_LINE = 2
+
+# What a header is not made of.
+NUMBER = re.compile(r"[-+]?[\d.]+([eE][-+]?\d+)?")
+
+# Columns that pandas adds to a parquet file for the index of a DataFrame.
+PANDAS_INDEX = re.compile(r"__index_level_\d+__")
+
+# Bytes of a cell as a number; as text it also takes what is written in it, which is no more than the file's own size.
+CELL = 8
+
+# Bytes of a line of csv: that of 100,000 columns of 17 digits takes 2 MB.
+LONGEST_LINE = 16_000_000
+
+# A column takes some 5 kB beside its cells, and each is a covariate to be looked at.
+MOST_COLUMNS = 10_000
+
+# Rows with too few or too many cells that are listed; a file with more is no table of that header.
+MOST_BROKEN = 100_000
+
+# Bytes that are checked together, so that a file of many MB is never there twice.
+AT_ONCE = 1_000_000
+
+
+@dataclass(frozen=True)
+class Broken:
+    """A row that does not have as many cells as the header.
+
+    Attributes:
+        line: Of the file.
+        text: Its beginning.
+        why: What is wrong, for messages.
+    """
+
+    line: int
+    text: str
+    why: str
+
+
+@dataclass(frozen=True)
+class FileCells:
+    """One file, read.
+
+    Attributes:
+        cells: Its columns, n rows.
+        line: Line of each row, shape (n,).
+        broken: Rows that do not have as many cells as the header; they are not among the n.
+    """
+
+    cells: pa.Table
+    line: np.ndarray
+    broken: tuple[Broken, ...] = ()
+
+
+def whole(cells: pa.Table) -> FileCells:
+    """A table in which no row can be broken."""
+    return FileCells(cells, np.arange(FIRST_LINE, FIRST_LINE + cells.num_rows))
+
+
+def check_header(names: list[str], path: Path) -> None:
+    """Refuse columns that cannot be told from each other, or not be named in a message.
+
+    Raises:
+        MeasurementError: naming the column.
+    """
+    if not any(names):
+        raise MeasurementError(f"{path}: line 1 is empty; it should name the columns")
+    if all(NUMBER.fullmatch(name) for name in names):
+        raise MeasurementError(f"{path}: line 1 holds numbers; it should name the columns")
+    _check_columns(names, path)
+
+
+def _check_columns(names: list[str], path: Path) -> None:
+    """Refuse too many columns, two of one name, and names that no message can show."""
+    if len(names) > MOST_COLUMNS:
+        raise MeasurementError(
+            f"{path}: has {len(names):,} columns, at most {MOST_COLUMNS:,} are read; split the table"
+        )
+    seen = set()
+    for name in names:
+        check_name(name, f"{path}: a column", MeasurementError)
+        if name in seen:
+            raise MeasurementError(f"{path}: the column {name!r} is there twice; rename or delete one")
+        seen.add(name)
+
+
+def check_size(path: Path, rows: int, columns: int, limit: Limit) -> None:
+    """Refuse a table that would not fit into memory, before it is read.
+
+    Raises:
+        MeasurementError: with what it would take.
+    """
+    size = CELL * rows * columns / MEGA
+    if size > limit.megabytes:
+        raise MeasurementError(
+            f"{path}: {rows:,} rows of {columns:,} columns would take {size:,.0f} MB, at most {limit.megabytes:g} MB are read; "
+            f"{limit.remedy}"
+        )
+
+
+def read_parquet(content: bytes, path: Path, limit: Limit) -> FileCells:
+    """Read a parquet file: what its footer says decides whether the rest is read at all.
+
+    Args:
+        content: Its bytes.
+        path: Whence they came, for messages.
+        limit: Memory that it may take.
+
+    Raises:
+        MeasurementError: it is none, is too large, or has no rows.
+    """
+    try:
+        footer = pa.parquet.read_metadata(pa.BufferReader(content))
+        schema = footer.schema.to_arrow_schema()
+        names = [name for name in schema.names if not PANDAS_INDEX.fullmatch(name)]
+        check_header(names, path)
+        groups = [footer.row_group(k) for k in range(footer.num_row_groups)]
+        values = sum(group.column(k).num_values for group in groups for k in range(group.num_columns))
+        check_size(path, max(values // max(len(names), 1), footer.num_rows), len(names), limit)
+        leaves = [footer.schema.column(k) for k in range(len(footer.schema))]
+        texts = [leaf.path for leaf in leaves if leaf.physical_type == "BYTE_ARRAY"]
+        # Words as they are stored, each once: a word of a megabyte in a million rows takes a few bytes there.
+        cells = pa.parquet.ParquetFile(pa.BufferReader(content), read_dictionary=texts).read(columns=names)
+        _check_words(cells, path, limit)
+        cells = cells.cast(pa.schema([schema.field(name) for name in names]))
+    except (pa.ArrowException, OSError, ValueError, OverflowError, MemoryError) as problem:
+        said = shortened((str(problem) or type(problem).__name__).splitlines()[0], 200)
+        raise MeasurementError(f"{path}: is not a readable Parquet file: {said}. Write it anew, or as csv") from None
+    if not cells.num_rows:
+        raise MeasurementError(f"{path}: has columns but no rows; name the table that was measured")
+    return whole(cells)
+
+
+def _check_words(cells: pa.Table, path: Path, limit: Limit) -> None:
+    """Refuse words that are stored once and would be in memory in every row."""
+    for name, column in zip(cells.column_names, cells.columns, strict=True):
+        size = sum(_written_out(chunk) for chunk in column.chunks) / MEGA
+        if size > limit.megabytes:
+            raise MeasurementError(
+                f"{path}: the words of column {name!r} would take {size:,.0f} MB, at most {limit.megabytes:g} MB are read; "
+                f"delete the column, or {limit.remedy}"
+            )
+
+
+def _written_out(cells: pa.Array) -> int:
+    """Bytes of the words that an array stores once, in each of its rows."""
+    if pa.types.is_dictionary(cells.type):
+        kind = cells.type.value_type
+        if pa.types.is_nested(kind) or not len(cells.dictionary):
+            return 0
+        lengths = pc.binary_length(cells.dictionary) if _is_text(kind) else None
+        return 0 if lengths is None else int(pc.sum(pc.take(lengths, cells.indices)).as_py() or 0)
+    if pa.types.is_struct(cells.type):
+        return sum(_written_out(cells.field(k)) for k in range(cells.type.num_fields))
+    if pa.types.is_list(cells.type) or pa.types.is_large_list(cells.type) or pa.types.is_map(cells.type):
+        parts = (cells.keys, cells.items) if pa.types.is_map(cells.type) else (cells.values,)
+        return sum(_written_out(part) for part in parts)
+    return 0
+
+
+def _is_text(kind: pa.DataType) -> bool:
+    text = pa.types.is_string(kind) or pa.types.is_large_string(kind)
+    return text or pa.types.is_binary(kind) or pa.types.is_large_binary(kind)
+
+
+def read_csv(content: bytes, path: Path, limit: Limit) -> FileCells:
+    """Read csv as text cells; rows with too few or too many cells are broken, blank lines are no rows.
+
+    Args:
+        content: UTF-8, comma, one header line.
+        path: Whence it came, for messages.
+        limit: Memory that its cells may take.
+
+    Raises:
+        MeasurementError: it is in another dialect, is too large, has a column twice, no rows, or open quotes.
+    """
+    text = _plain(content, path)
+    header = _header(text, path)
+    if not re.search(rb"\n\s*\S", text):
+        check_header(header, path)
+        raise MeasurementError(f"{path}: has a header but no rows; name the table that was measured")
+    _check_columns([name for name in header if name], path)
+    check_size(path, text.count(b"\n"), len(header), limit)
+    cells, broken, blank = _parse(text, len(header), path)
+    line = np.arange(FIRST_LINE, FIRST_LINE + cells.num_rows + len(broken) + len(blank))
+    line = np.delete(line, np.array([row.number for row in broken] + blank, dtype=int) - FIRST_LINE)
+    if b'"' in text:
+        _refuse_line_breaks(cells, line, broken, path)
+    empty = [cells[k].null_count == cells.num_rows for k in range(len(header))]
+    kept = [k for k, name in enumerate(header) if name or not empty[k]]
+    cells = cells.rename_columns(header).select(kept)
+    check_header(cells.column_names, path)
+    if cells.num_rows and cells[0].null_count:
+        nothing = np.logical_and.reduce([column.is_null().to_numpy() for column in cells.columns])
+        cells, line = cells.filter(~nothing), line[~nothing]
+    if broken and not cells.num_rows:
+        row = broken[0]
+        raise MeasurementError(
+            f"{path}: no row has as many cells as the header, {len(header)}; line {row.number} has "
+            f"{row.actual_columns}. Decimal commas, or a separator too many? Write points, separate with commas"
+        )
+    why = f"cells in a row of {len(header)} columns"
+    return FileCells(
+        cells, line, tuple(Broken(row.number, shortened(row.text), f"{row.actual_columns} {why}") for row in broken)
+    )
+
+
+def _plain(content: bytes, path: Path) -> bytes:
+    """UTF-8 without a byte order mark, lines ended as on Unix."""
+    if not content.isascii():
+        _check_utf8(content, path)
+        content = content.removeprefix(b"\xef\xbb\xbf")
+    if b"\r" in content:
+        content = content.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+    return content
+
+
+def _check_utf8(content: bytes, path: Path) -> None:
+    """Refuse other encodings; decoded as a whole, a file would take up to four times its size."""
+    decoder = codecs.getincrementaldecoder("utf-8")()
+    for start in range(0, len(content), AT_ONCE):
+        try:
+            decoder.decode(content[start : start + AT_ONCE], final=start + AT_ONCE >= len(content))
+        except UnicodeDecodeError as problem:
+            raise not_utf8(content, start + problem.start, path, MeasurementError) from None
+
+
+def _header(text: bytes, path: Path) -> list[str]:
+    """The names of the columns, surrounding blanks removed."""
+    end = text.find(b"\n")
+    end = len(text) if end < 0 else end
+    if end > LONGEST_LINE:
+        raise MeasurementError(
+            f"{path}, line 1: has {end / MEGA:,.1f} MB; is a line break missing? End each row with one"
+        )
+    first = text[:end].decode(errors="replace")
+    try:
+        cells = next(csv.reader([first]), [])
+    except csv.Error as problem:
+        raise MeasurementError(f"{path}, line 1: is not a header row: {problem}. It should name the columns") from None
+    if len(cells) <= 1 and re.search(r"[;\t]", first):
+        raise MeasurementError(
+            f"{path}: looks separated by semicolons or tabs; convert it to commas and decimal points"
+        )
+    return [name.strip() for name in cells] or [""]
+
+
+def _parse(text: bytes, columns: int, path: Path) -> tuple[pa.Table, list[pyarrow.csv.InvalidRow], list[int]]:
+    """Read the rows below the header as text, those that do not have as many cells, and the lines that are blank."""
+    broken: list[pyarrow.csv.InvalidRow] = []
+    blank: list[int] = []
+
+    def skip(row: pyarrow.csv.InvalidRow) -> str:
+        if row.text.strip():
+            broken.append(row)
+        else:
+            blank.append(row.number)
+        return "skip" if len(broken) <= MOST_BROKEN else "error"
+
+    numbers = [str(k) for k in range(columns)]
+    # One thread: only then does a broken row know its line.
+    reading = pyarrow.csv.ReadOptions(
+        use_threads=False, column_names=numbers, skip_rows=1, block_size=min(len(text) + 1, LONGEST_LINE)
+    )
+    parsing = pyarrow.csv.ParseOptions(ignore_empty_lines=False, invalid_row_handler=skip)
+    as_text = pyarrow.csv.ConvertOptions(
+        column_types=dict.fromkeys(numbers, pa.string()), null_values=[""], strings_can_be_null=True
+    )
+    try:
+        cells = pyarrow.csv.read_csv(pa.BufferReader(text), reading, parsing, as_text)
+    except (pa.ArrowException, MemoryError) as problem:
+        if len(broken) > MOST_BROKEN:
+            raise MeasurementError(
+                f"{path}, line {broken[0].number}: has {broken[0].actual_columns} cells in a row of {columns} columns, like "
+                f"{MOST_BROKEN:,} rows more; mend the header or the rows"
+            ) from None
+        if "straddling" in str(problem):
+            raise MeasurementError(
+                f"{path}: a row has more than {LONGEST_LINE / MEGA:g} MB; is a line break missing? End each row with one"
+            ) from None
+        said = shortened((str(problem) or type(problem).__name__).splitlines()[0], 200)
+        raise MeasurementError(f"{path}: cannot be read as a table: {said}. Write it anew") from None
+    return cells, broken, blank
+
+
+def _refuse_line_breaks(cells: pa.Table, line: np.ndarray, broken: list[pyarrow.csv.InvalidRow], path: Path) -> None:
+    """A quote left open would swallow rows unseen, and a cell of several lines would shift the count of lines."""
+    lines = [row.number for row in broken if "\n" in row.text]
+    for column in cells.columns:
+        several = pc.match_substring(column, "\n")
+        found = pc.index(several, True).as_py()
+        if found >= 0:
+            lines.append(int(line[found]))
+    if lines:
+        raise MeasurementError(
+            f"{path}, line {min(lines)}: a quote is left open, or a cell has several lines; close it, or write one line"
+        )
