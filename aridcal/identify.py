@@ -18,6 +18,7 @@ from rich.console import Console
 from rich.table import Table
 
 from aridcal.command_line import CommandParser, command_parser, run
+from aridcal.errors import shortened
 from aridcal.files import claimed
 from aridcal.head.detections import CACHE
 from aridcal.prepare.other_readings import refuse_misread
@@ -37,6 +38,8 @@ VERDICTS = {
     "not_enough_data": "too few data for this model",
 }
 MOST_NOTICES = 8
+
+SEED_DIGITS = 18
 
 SHOWN = ("rms", "p95", "max")
 """Statistics of an error on the screen; of all channels but the first only two, so that the table keeps its width."""
@@ -115,6 +118,13 @@ def _verification_lines(v: Verification) -> list[str]:
     return lines
 
 
+def _seed(text: str) -> int:
+    """A seed of the command line: whole, and not below zero."""
+    if not text.isdecimal() or len(text) > SEED_DIGITS:
+        raise argparse.ArgumentTypeError(f"should be a whole number from 0 on, not {shortened(text)!r}")
+    return int(text)
+
+
 def parser() -> CommandParser:
     """The command's arguments."""
     arguments = command_parser("identify", __doc__)
@@ -127,7 +137,7 @@ def parser() -> CommandParser:
     )
     arguments.add_argument(
         "--seed",
-        type=int,
+        type=_seed,
         default=0,
         help="seed of the random split into fitted and held-out rows, where the table has no column `split`",
     )
@@ -150,8 +160,7 @@ def _identify(arguments: argparse.Namespace, out: Path) -> None:
     console = Console()
     with told_on(Console(stderr=True)) as progress:
         outcome = identify(arguments.campaign, arguments.seed, arguments.verify, progress, out / CACHE, refuse_misread)
-        progress("writing the results")
-        written = write_folder(outcome, out)
+        written = write_folder(outcome, out, progress)
     summary(outcome, console)
     handover = written.handover
     console.print(
@@ -159,8 +168,10 @@ def _identify(arguments: argparse.Namespace, out: Path) -> None:
         soft_wrap=True,
         markup=False,
     )
-    for notice in written.notices:
-        console.print(f"note: {notice}", markup=False)
+    for notice in written.notices[:MOST_NOTICES]:
+        console.print(f"note: {notice}", markup=False, soft_wrap=True)
+    if len(written.notices) > MOST_NOTICES:
+        console.print(f"note: and {len(written.notices) - MOST_NOTICES} more, in the pages themselves")
     console.print(f"report: {out / 'report.html'}", soft_wrap=True, markup=False, highlight=False)
 
 

@@ -19,7 +19,7 @@ from rich.progress import track
 from scipy.spatial.transform import Rotation
 
 from aridcal.command_line import CommandParser, command_parser, run
-from aridcal.errors import AridcalError, OutputError
+from aridcal.errors import AridcalError, OutputError, printable, shortened
 from aridcal.files import atomic_table, check_writable, claimed
 from aridcal.head.shots import THUMBNAIL, Measured, load, measure_shots
 from aridcal.head.sonar import contradictions
@@ -150,7 +150,9 @@ def _measure(settings: Path, out: Path) -> None:
     results = list(track(work, "measuring", total=len(shots), console=console, transient=True))
     refused = refused_table(table, results)
     rows = len(results) + len(table.refused)
-    lines = [f"line {line}, {image}: {why}" for line, image, why in refused.itertuples(index=False)]
+    lines = [
+        f"line {line}, {shortened(printable(image))}: {why}" for line, image, why in refused.itertuples(index=False)
+    ]
     if len(refused) == rows:
         first = lines[0] if lines else "it has no rows"
         raise AridcalError(f"{head.shots}: nothing could be measured. First: {first}")

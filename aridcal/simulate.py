@@ -40,10 +40,11 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _main(path: Path, out: Path) -> None:
+    scenario = load_settings(path, Scenario)
     if (out / "campaign.yaml").resolve() == path.resolve():
         raise OutputError(f"{path}: the campaign would overwrite its scenario; rename it or choose another folder")
     with claimed(out, "folder"):
-        simulation = simulate(load_settings(path, Scenario))
+        simulation = simulate(scenario)
         with atomic_folder(out) as folder:
             write_campaign(simulation, folder, out)
     rows, wrong = len(simulation.outliers), int(simulation.outliers.sum())

@@ -94,6 +94,13 @@ def simulated(folder: Path, n: int, urdf: Path = UR10, tip: str = "tool0") -> No
     write_campaign(simulate(load_settings(scenario, Scenario)), folder, folder)
 
 
+def to_simulate(folder: Path, n: int) -> None:
+    """A scenario of so many rows."""
+    simulated(folder, 10)
+    scenario = folder / "scenario.yaml"
+    scenario.write_text(scenario.read_text().replace("n: 10\n", f"n: {n}\n"))
+
+
 def long_arm(folder: Path, joints: int, n: int) -> None:
     """A snake of so many revolute joints about z and y in turn, 50 mm apart."""
     links = ['<link name="base_link"/>']
@@ -131,13 +138,12 @@ def stationed(folder: Path, n: int, stations: int) -> None:
 
 def asked(folder: Path, n: int, parquet: bool = False, poses: bool = False) -> None:
     """A calibration of the UR10, and a table of joints, or of poses with the joints to start from."""
-    simulated(folder, 300 if not poses else max(n, 300))
-    joints = [name for name in pd.read_csv(folder / "measurements.csv", nrows=1) if name.endswith("_joint")]
+    simulated(folder, max(n, 300) if poses else 300)
+    joints = [str(name) for name in pd.read_csv(folder / "measurements.csv", nrows=1) if str(name).endswith("_joint")]
     if poses:
-        pd.read_csv(folder / "measurements.csv")[:n].to_csv(folder / "query.csv", index=False)
-        campaign = folder / "campaign.yaml"
-        pd.read_csv(folder / "measurements.csv")[:300].to_csv(folder / "measurements.csv", index=False)
-        campaign.write_text(campaign.read_text())
+        table = pd.read_csv(folder / "measurements.csv")
+        table[:n].to_csv(folder / "query.csv", index=False)
+        table[:300].to_csv(folder / "measurements.csv", index=False)
     else:
         drawn = np.random.default_rng(0).uniform(-1.5, 1.5, (n, len(joints)))
         query = pd.DataFrame(drawn, columns=joints)
@@ -168,10 +174,7 @@ CASES = (
     ),
     Case(
         "simulate 1,000,000 rows",
-        lambda f: (
-            simulated(f, 10),
-            (f / "scenario.yaml").write_text((f / "scenario.yaml").read_text().replace("n: 10\n", "n: 1000000\n")),
-        )[0],
+        lambda f: to_simulate(f, 1_000_000),
         ("simulate", "scenario.yaml", "-o", "made"),
         2 * GIGA,
     ),
@@ -220,7 +223,7 @@ def memory(arguments: argparse.Namespace) -> int:
             f"{run.silence:.1f}",
             str(run.status),
         )
-        Console().print(table.rows and f"{case.name}: {run}", soft_wrap=True)
+        Console(stderr=True).print(f"{case.name}: {run}", soft_wrap=True)
     Console().print(table)
     return 0 if good else 1
 

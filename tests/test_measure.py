@@ -201,7 +201,7 @@ def put(column, value):
         (put("h2", -0.2), "h2: a range of -0.2 m cannot be right"),
         (put("h1", 0.0), "h1: a range of 0 m cannot be right"),
         (put("h1", "inf"), "h1: the range is missing or no number"),
-        (put("h4", 250), "h4: a range of 250 m cannot be right; ranges are in metres"),
+        (put("h4", 250), "h4: a range of 250 m cannot be right; give metres"),
         (put("h4", 1.5), "sonars: "),
         (put("square", 17), "no square 17"),
         (put("square", -1), "no square -1"),

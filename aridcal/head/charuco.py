@@ -44,6 +44,11 @@ class Board:
         if self.dictionary not in known:
             raise CampaignError(f"`dictionary`: unknown {self.dictionary!r}{nearest(self.dictionary, known)}")
         words = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, self.dictionary))
+        if self.squares_x * self.squares_y // 2 > len(words.bytesList):
+            raise CampaignError(
+                f"`squares_x` and `squares_y`: {self.dictionary} has {len(words.bytesList)} markers, too few for "
+                f"{self.squares_x} x {self.squares_y} squares; check both numbers"
+            )
         try:
             return cv2.aruco.CharucoBoard((self.squares_x, self.squares_y), self.square, self.marker, words)
         except cv2.error:

@@ -28,11 +28,9 @@ from aridcal.head.sonar import fit_plane
 from aridcal.head.square import layout
 from aridcal.inputs.head_settings import HeadSettings, load_shots, load_squares, range_columns
 from aridcal.inputs.tables import Table
-from aridcal.inputs.yaml_file import load_settings
+from aridcal.inputs.yaml_file import LARGEST, load_settings
 from aridcal.model.model import Model
-from aridcal.reading.files import read_file
-from aridcal.reading.images import image_size
-from aridcal.reading.names import check_path
+from aridcal.reading.images import image_size, read_image_file
 from aridcal.robot.chain import Robot, load_robot
 
 # [m] of a range that can be right: an ultrasonic sensor's, with room to spare; others are in another unit.
@@ -152,7 +150,7 @@ def _given_squares(table: Table) -> list[int | str | None]:
     """Read the column ``square``: whole numbers as such, anything else as its text."""
     numbers, _ = table.numbers("square")
     texts = table.texts("square")
-    return [int(n) if n == np.rint(n) else str(t) for n, t in zip(numbers, texts, strict=True)]
+    return [int(n) if abs(n) < LARGEST and n == np.rint(n) else str(t) for n, t in zip(numbers, texts, strict=True)]
 
 
 def _nominal_cameras(robot: Robot, table: Table, head: HeadSettings) -> Iterator[np.ndarray]:
@@ -173,20 +171,10 @@ def image_content(name: str, settings: HeadSettings) -> bytes:
     Raises:
         NotMeasured: No such image in the folder of the shots, or one that cannot be read.
     """
-    if not name:
-        raise NotMeasured("no image is named")
-    folder = settings.shots.parent
-    path = folder / name
     try:
-        check_path(path, AridcalError)
-        inside = path.resolve().is_relative_to(folder.resolve())
-        content = read_file(path, AridcalError, settings.limits.image) if inside and path.exists() else b""
-    except (AridcalError, OSError, RuntimeError) as problem:  # links that go round are a RuntimeError
-        said = str(problem).removeprefix(f"{path}: ")
-        raise NotMeasured(f"the image cannot be read: {said}") from None
-    if not content:
-        raise NotMeasured("there is no such image" if inside else "the image lies outside the folder of the shots")
-    return content
+        return read_image_file(name, settings.shots.parent, settings.limits.image)
+    except AridcalError as problem:
+        raise NotMeasured(str(problem)) from None
 
 
 def read_image(name: str, settings: HeadSettings) -> np.ndarray:
@@ -209,7 +197,7 @@ def read_image(name: str, settings: HeadSettings) -> np.ndarray:
     except cv2.error:
         image = None
     if image is None:
-        raise NotMeasured("the image cannot be decoded: is the file complete?")
+        raise NotMeasured("the image cannot be decoded: is the file complete? Save it anew")
     height, width = image.shape
     if (height, width) != (camera.height, camera.width):
         raise _other_size(width, height, settings)
@@ -218,7 +206,9 @@ def read_image(name: str, settings: HeadSettings) -> np.ndarray:
 
 def _other_size(width: int, height: int, settings: HeadSettings) -> NotMeasured:
     camera = settings.camera
-    return NotMeasured(f"the image is {width} x {height} pixels, the camera {camera.width} x {camera.height}")
+    return NotMeasured(
+        f"the image is {width} x {height} pixels, the camera {camera.width} x {camera.height}: check `camera`"
+    )
 
 
 def read_ranges(h: np.ndarray, settings: HeadSettings) -> Sonars:
@@ -234,7 +224,7 @@ def read_ranges(h: np.ndarray, settings: HeadSettings) -> Sonars:
         if not np.isfinite(value):
             raise NotMeasured(f"{name}: the range is missing or no number")
         if not NEAREST <= value <= FARTHEST:
-            raise NotMeasured(f"{name}: a range of {value:g} m cannot be right; ranges are in metres")
+            raise NotMeasured(f"{name}: a range of {value:g} m cannot be right; give metres")
     try:
         plane = fit_plane(h, sonars.positions, sonars.measures)
     except ValueError as error:
@@ -342,7 +332,7 @@ def _square(shot: Shot, squares: Mapping[int, np.ndarray]) -> int:
         if not isinstance(shot.square, int):
             raise NotMeasured(f"square: {shot.square!r} should be the index of a square")
         if shot.square not in squares:
-            raise NotMeasured(f"square: there is no square {shot.square} in the table of squares")
+            raise NotMeasured(f"square: there is no square {shot.square} in the table of squares: check both")
         return shot.square
     T_camera_world = np.linalg.inv(shot.T_world_camera)
     middles = {index: (T_camera_world @ T)[:3, 3] for index, T in squares.items()}

@@ -227,11 +227,11 @@ class EffectDeclaration(Section):
     def _fits_the_kind(self) -> EffectDeclaration:
         key = KINDS[self.kind].key
         if (self.with_ is not None) != (key == "with"):
-            raise ValueError(f"`with: JOINT` belongs to a {_kinds_with('with')}, which needs it")
+            raise ValueError(f"`with: JOINT` belongs to a {_kinds_with('with')}, which needs it; write it there alone")
         if self.by is not None and key != "by":
-            raise ValueError(f"`by` belongs to a {_kinds_with('by')} only")
+            raise ValueError(f"`by` belongs to a {_kinds_with('by')} only; delete it")
         if self.at is not None and key != "at":
-            raise ValueError(f"`at` belongs to a {_kinds_with('at')} only")
+            raise ValueError(f"`at` belongs to a {_kinds_with('at')} only; delete it")
         return self
 
 
@@ -261,7 +261,7 @@ class Job(Settings):
                 raise ValueError("frames.tip_target: `kind: camera_sonar` has its target at the tip; delete this key")
         else:
             if self.measurements.head is not None:
-                raise ValueError("measurements.head: belongs to `kind: camera_sonar`")
+                raise ValueError("measurements.head: belongs to `kind: camera_sonar`; delete it, or write that kind")
             for number, effect in enumerate(self.effects):
                 if is_of_head(effect.kind):
                     raise ValueError(f"effects[{number}].kind: {effect.kind} needs `kind: camera_sonar`")
@@ -289,7 +289,9 @@ class Campaign(Job):
         files, head = self.measurements.files, self.measurements.head
         if self.measurements.kind == "camera_sonar":
             if head is None or files:
-                raise ValueError("measurements: `kind: camera_sonar` has `head: head.yaml` and no `file`")
+                raise ValueError(
+                    "measurements: `kind: camera_sonar` has `head: head.yaml` and no `file`; delete `file`, or name the head"
+                )
         elif not files:
             raise ValueError("measurements.file: name the table of measurements, or a list of them")
         return self
@@ -303,7 +305,7 @@ def load_campaign(path: str | Path) -> Campaign:
     """
     path = Path(path)
     check_path(path, CampaignError)
-    if not path.is_file() or path.suffix.lower() in (".csv", ".parquet", ".urdf"):
+    if path.is_dir() or not path.exists() or path.suffix.lower() in (".csv", ".parquet", ".urdf"):
         what = "is a folder" if path.is_dir() else "is no campaign" if path.exists() else "there is no such file"
         raise CampaignError(
             f"{path}: {what}. `aridcal init --urdf ROBOT.urdf --measurements TABLE.csv` writes a campaign"

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from aridcal.errors import MeasurementError
 from aridcal.inputs.quantities import POSITION, QUATERNION, QUATERNION_SLACK
 from aridcal.inputs.tables import Table, read_tables
-from aridcal.inputs.yaml_file import Number, Positive, RelativePath, Section, Settings, Vector3
+from aridcal.inputs.yaml_file import LARGEST, Number, Positive, RelativePath, Section, Settings, Vector3
 from aridcal.reading.files import MEGA, TABLE, Limit
 
 CHARUCO_KEYS = ("squares_x", "squares_y", "square", "marker", "dictionary")
@@ -61,7 +61,7 @@ class SonarSettings(Section):
         across = np.array(self.positions)[:, :2]
         extents = np.linalg.svd(across - across.mean(axis=0), compute_uv=False)
         if extents[1] < LEAST_SPREAD:
-            raise ValueError("the sonars sit on one line: they cannot see a plane's tilt about it")
+            raise ValueError("the sonars sit on one line: they cannot see a plane's tilt about it; check `positions`")
         return self
 
 
@@ -127,7 +127,7 @@ class HeadSettings(Settings):
             if given:
                 raise ValueError(f"`{given[0]}` belongs to `target: charuco`")
             if self.sonars is None:
-                raise ValueError("`sonars` is missing: they tell how large the square's fiducials are in the image")
+                raise ValueError("add `sonars`: they tell how large the square's fiducials are in the image")
         elif len(given) < len(CHARUCO_KEYS):
             missing = ", ".join(key for key in CHARUCO_KEYS if key not in given)
             raise ValueError(f"`target: charuco` also needs: {missing}")
@@ -150,7 +150,7 @@ def load_squares(path: Path, limit: Limit = TABLE) -> dict[int, np.ndarray]:
     for row, (number, *pose) in enumerate(numbers):
         _check_square(table, row, names, numbers[row])
         if int(number) in squares:
-            raise MeasurementError(str(table.remark(row, "index", "appears twice")))
+            raise MeasurementError(str(table.remark(row, "index", "appears twice: number the squares anew")))
         position, quaternion = pose[:3], pose[3:]
         T = np.eye(4)
         T[:3, :3] = Rotation.from_quat(quaternion).as_matrix()
@@ -162,13 +162,15 @@ def load_squares(path: Path, limit: Limit = TABLE) -> dict[int, np.ndarray]:
 def _check_square(table: Table, row: int, names: tuple[str, ...], numbers: np.ndarray) -> None:
     """Refuse a row of ``squares.csv`` that is no pose of a square."""
     for name, value in zip(names, numbers, strict=True):
-        if not np.isfinite(value):
-            raise MeasurementError(str(table.remark(row, name, "should be a number")))
+        if not np.abs(value) <= LARGEST:
+            raise MeasurementError(str(table.remark(row, name, f"should be a number, not beyond {LARGEST:g}")))
     index, length = numbers[0], np.linalg.norm(numbers[4:])
     if index != round(index) or index < 0:
         raise MeasurementError(str(table.remark(row, "index", "should be a whole number, 0 or more")))
     if abs(length - 1) > QUATERNION_SLACK:
-        raise MeasurementError(str(table.remark(row, "qw", "the quaternion is not of unit length", "")))
+        raise MeasurementError(
+            str(table.remark(row, "qw", "the quaternion is not of unit length: write x y z w of norm 1", ""))
+        )
 
 
 def load_shots(path: Path, settings: HeadSettings) -> Table:

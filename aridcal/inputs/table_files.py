@@ -34,6 +34,9 @@ CELL = 8
 # Bytes of a line of csv: that of 100,000 columns of 17 digits takes 2 MB.
 LONGEST_LINE = 16_000_000
 
+# A column takes some 5 kB beside its cells, and each is a covariate to be looked at.
+MOST_COLUMNS = 10_000
+
 # Rows with too few or too many cells that are listed; a file with more is no table of that header.
 MOST_BROKEN = 100_000
 
@@ -86,9 +89,18 @@ def check_header(names: list[str], path: Path) -> None:
         raise MeasurementError(f"{path}: line 1 is empty; it should name the columns")
     if all(NUMBER.fullmatch(name) for name in names):
         raise MeasurementError(f"{path}: line 1 holds numbers; it should name the columns")
+    _check_columns(names, path)
+
+
+def _check_columns(names: list[str], path: Path) -> None:
+    """Refuse too many columns, two of one name, and names that no message can show."""
+    if len(names) > MOST_COLUMNS:
+        raise MeasurementError(
+            f"{path}: has {len(names):,} columns, at most {MOST_COLUMNS:,} are read; split the table"
+        )
     seen = set()
-    for number, name in enumerate(names):
-        check_name(name, f"{path}: column {number + 1}", MeasurementError)
+    for name in names:
+        check_name(name, f"{path}: a column", MeasurementError)
         if name in seen:
             raise MeasurementError(f"{path}: the column {name!r} is there twice; rename or delete one")
         seen.add(name)
@@ -137,7 +149,7 @@ def read_parquet(content: bytes, path: Path, limit: Limit) -> FileCells:
         said = shortened((str(problem) or type(problem).__name__).splitlines()[0], 200)
         raise MeasurementError(f"{path}: is not a readable Parquet file: {said}. Write it anew, or as csv") from None
     if not cells.num_rows:
-        raise MeasurementError(f"{path}: has columns but no rows")
+        raise MeasurementError(f"{path}: has columns but no rows; name the table that was measured")
     return whole(cells)
 
 
@@ -188,7 +200,8 @@ def read_csv(content: bytes, path: Path, limit: Limit) -> FileCells:
     header = _header(text, path)
     if not re.search(rb"\n\s*\S", text):
         check_header(header, path)
-        raise MeasurementError(f"{path}: has a header but no rows")
+        raise MeasurementError(f"{path}: has a header but no rows; name the table that was measured")
+    _check_columns([name for name in header if name], path)
     check_size(path, text.count(b"\n"), len(header), limit)
     cells, broken, blank = _parse(text, len(header), path)
     line = np.arange(FIRST_LINE, FIRST_LINE + cells.num_rows + len(broken) + len(blank))

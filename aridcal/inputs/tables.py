@@ -224,7 +224,7 @@ def _from_frame(frame: pd.DataFrame) -> FileCells:
     names = [str(name) for name in frame.columns]
     check_header(names, IN_MEMORY)
     if frame.empty:
-        raise MeasurementError(f"{IN_MEMORY}: has columns but no rows")
+        raise MeasurementError(f"{IN_MEMORY}: has columns but no rows; give the measured ones")
     columns = [_arrow(frame.iloc[:, k]) for k in range(len(names))]
     return whole(pa.table(columns, names=names))
 

@@ -61,7 +61,8 @@ class Loader(_SafeLoader):
             if abs(value) <= LARGEST_INTEGER:
                 return int(value)
         raise yaml.constructor.ConstructorError(
-            problem=f"the number {shortened(node.value)} is too large", problem_mark=node.start_mark
+            problem=f"the number {shortened(node.value)} is too large: write a smaller one",
+            problem_mark=node.start_mark,
         )
 
 
@@ -224,7 +225,9 @@ def parse_settings(text: str, path: Path, model: type[AnySettings]) -> AnySettin
         raise CampaignError(f"{path}: the key 'format' is missing; write `format: 1` on top")
     if type(keys["format"]) is not int or keys["format"] != 1:
         where = f"{path}, line {lines['format',]}"
-        raise CampaignError(f"{where}: format: this version reads format 1 only, not {_shown(keys['format'])}")
+        raise CampaignError(
+            f"{where}: format: this version reads format 1 only, not {_shown(keys['format'])}; write `format: 1`"
+        )
     settings = validated(keys, lines, path, model)
     settings._path, settings._text = path, text
     return settings
@@ -282,15 +285,17 @@ def parse_yaml(text: str, path: Path) -> tuple[dict[str, Any], dict[Location, in
         return loader.construct_document(node), lines
     except yaml.reader.ReaderError as problem:
         line = text.count("\n", 0, problem.position) + 1
-        raise CampaignError(f"{path}, line {line}: holds a character that YAML forbids") from None
+        raise CampaignError(f"{path}, line {line}: holds a character that YAML forbids; delete it") from None
     except yaml.MarkedYAMLError as problem:
         mark = problem.problem_mark or problem.context_mark
         number = mark.line if mark else 0
         shown = (text.splitlines() or [""])[number : number + 1]
         tab = " (YAML wants spaces, not tabs)" if shown and "\t" in shown[0] else ""
-        raise CampaignError(f"{path}, line {number + 1}: is not valid YAML: {problem.problem}{tab}") from None
+        raise CampaignError(
+            f"{path}, line {number + 1}: is not valid YAML: {problem.problem}{tab}. Mend that line"
+        ) from None
     except ValueError as problem:  # a date such as 2024-02-30
-        raise CampaignError(f"{path}: is not valid YAML: {problem}") from None
+        raise CampaignError(f"{path}: is not valid YAML: {problem}; put what is no date in quotes") from None
 
 
 def _refuse_tricks(text: str, path: Path) -> None:
@@ -328,13 +333,13 @@ def _lines(node: yaml.Node, location: Location, path: Path) -> Iterator[tuple[Lo
             line = key.start_mark.line + 1
             where = f"{path}, line {line}"
             if not isinstance(key, yaml.ScalarNode):
-                raise CampaignError(f"{where}: a key must be a plain word")
+                raise CampaignError(f"{where}: a key must be a plain word; write `key: value`")
             name = _dotted((*location, key.value))
             if key.tag != "tag:yaml.org,2002:str":
                 kind = key.tag.rpartition(":")[2]
                 raise CampaignError(f"{where}: {name}: YAML reads this key as a {kind}; put it in quotes")
             if key.value in seen:
-                raise CampaignError(f"{where}: {name}: this key is there twice")
+                raise CampaignError(f"{where}: {name}: this key is there twice; delete one")
             seen.add(key.value)
             yield (*location, key.value), line
             yield from _lines(value, (*location, key.value), path)
@@ -363,7 +368,7 @@ def _complaint(error: ErrorDetails, path: Path, lines: dict[Location, int]) -> s
         location = (*location, facts["key"])
         wrong = error["msg"]
     elif error["type"] == "missing":
-        wrong = "this item is missing" if isinstance(location[-1], int) else "this key is missing"
+        wrong = f"this {'item' if isinstance(location[-1], int) else 'key'} is missing; add it"
     elif value is None:
         wrong = "has no value; give one or delete the key"
     elif error["type"] == "value_error":

@@ -77,13 +77,13 @@ def read_file(path: Path, error: type[AridcalError], limit: Limit) -> bytes:
             _check_regular(status, shown, error, limit)  # it may be another one by now
             content = file.read(status.st_size + 1)
     except FileNotFoundError:
-        raise error(f"{shown}: there is no such file") from None
+        raise error(f"{shown}: there is no such file; check its name") from None
     except (OSError, ValueError) as problem:
-        raise error(f"{shown}: cannot be read: {why(problem)}") from None
+        raise error(f"{shown}: cannot be read: {why(problem)}; check the file and who may read it") from None
     if len(content) > status.st_size:
         raise error(f"{shown}: grew while it was read: wait until it is complete")
     if not content or content.isspace():
-        raise error(f"{shown}: is empty")
+        raise error(f"{shown}: is empty; write it anew, or name another file")
     return content
 
 
@@ -93,7 +93,7 @@ def _without_waiting(path: str, flags: int) -> int:
 
 def _check_regular(status: os.stat_result, shown: str, error: type[AridcalError], limit: Limit) -> None:
     if stat.S_ISDIR(status.st_mode):
-        raise error(f"{shown}: is a folder, not a file")
+        raise error(f"{shown}: is a folder, not a file; name a file in it")
     if not stat.S_ISREG(status.st_mode):
         kind = next((kind for is_kind, kind in KINDS if is_kind(status.st_mode)), "no regular file")
         raise error(f"{shown}: is {kind}; only regular files are read: save its content as a file")
@@ -101,4 +101,4 @@ def _check_regular(status: os.stat_result, shown: str, error: type[AridcalError]
         size = status.st_size / MEGA
         raise error(f"{shown}: has {size:,.1f} MB, at most {limit.megabytes:g} MB are read; {limit.remedy}")
     if not status.st_size:  # also what the kernel makes up while it is read, as under /proc
-        raise error(f"{shown}: is empty")
+        raise error(f"{shown}: is empty; write it anew, or name another file")

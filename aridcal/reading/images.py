@@ -1,10 +1,44 @@
-"""The size of an image as its header states it: a few bytes can ask for gigabytes of pixels."""
+"""Images that a table names: in its folder alone, and how large their headers say they are."""
 
 from __future__ import annotations
 
 import re
 import struct
 from collections.abc import Callable
+from pathlib import Path
+
+from aridcal.errors import AridcalError
+from aridcal.reading.files import Limit, read_file
+from aridcal.reading.names import check_path
+
+
+def read_image_file(name: str, folder: Path, limit: Limit) -> bytes:
+    """Read an image, undecoded.
+
+    Args:
+        name: As a table in the folder has it.
+        folder: Beyond which nothing is read.
+        limit: How large the file may be.
+
+    Raises:
+        AridcalError: there is no such image in the folder, or it cannot be read. The message does not repeat the name.
+    """
+    if not name:
+        raise AridcalError("no image is named: fill in the column")
+    path = folder / name
+    try:
+        check_path(path, AridcalError)
+        inside = path.resolve().is_relative_to(folder.resolve())
+        content = read_file(path, AridcalError, limit) if inside and path.exists() else b""
+    except RuntimeError:  # how Python 3.11 and 3.12 call a link to itself
+        raise AridcalError("the image is a link that leads round in a circle: put the file there") from None
+    except AridcalError as problem:
+        raise AridcalError(f"the image cannot be read: {str(problem).removeprefix(f'{path}: ')}") from None
+    if not inside:
+        raise AridcalError("the image lies outside the folder of the shots: move it there")
+    if not content:
+        raise AridcalError("there is no such image: check its name")
+    return content
 
 
 def image_size(content: bytes) -> tuple[int, int] | None:

@@ -47,7 +47,9 @@ def read_query(saved: SavedModel, table: AnyTable, poses: bool = False) -> Query
 
 def nothing_usable(refused: Sequence[Remark], poses: bool) -> MeasurementError:
     """What is said of a table without a usable row."""
-    return MeasurementError(f"no row can be {'commanded' if poses else 'predicted'}. First: {refused[0]}")
+    return MeasurementError(
+        f"no row can be {'commanded' if poses else 'predicted'}. First: {refused[0]}; mend the table"
+    )
 
 
 def read_queries(saved: SavedModel, table: AnyTable, poses: bool = False) -> Iterator[tuple[Query, Stretch]]:

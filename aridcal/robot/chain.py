@@ -193,7 +193,8 @@ def chain(tree: UrdfTree, tip: str, base: str | None = None) -> Robot:
         else:
             raise RobotError(
                 f"{path}: joint {joint!r} on the chain is {shortened(kind)!r}: only serial chains of "
-                "revolute, continuous, prismatic and fixed joints can be calibrated"
+                "revolute, continuous, prismatic and fixed joints can be calibrated. Make it one of these, or choose another "
+                "`robot.tip`"
             )
     if not joints:
         raise RobotError(f"{path}: no joint moves between {base or link!r} and {tip!r}: nothing to calibrate")
@@ -201,7 +202,10 @@ def chain(tree: UrdfTree, tip: str, base: str | None = None) -> Robot:
 
 
 def _pinocchio(urdf: bytes, path: Path) -> pin.Model:
-    text = etree.tostring(parse_xml(urdf, path), encoding="unicode")
+    root = parse_xml(urdf, path)
+    for part in (*root.findall("link/visual"), *root.findall("link/collision"), *root.findall("material")):
+        part.getparent().remove(part)  # type: ignore[union-attr]  # looks: Pinocchio would only complain of wrong ones
+    text = etree.tostring(root, encoding="unicode")
     try:
         return pin.buildModelFromXML(text)
     except (ValueError, RuntimeError, IndexError) as error:

@@ -75,7 +75,9 @@ def read_tree(urdf: bytes, path: Path) -> UrdfTree:
         for element in inertial.iter("mass", "inertia"):
             for key in element.keys():  # noqa: SIM118
                 numbers(element, str(key), "", 1, path)
-    for origin in root.iter("origin"):
+        for origin in inertial.iter("origin"):
+            _placement(origin, path)
+    for origin in (*root.iterfind("joint/origin"), *root.iterfind("link/inertial/origin")):
         if origin.get("quat_xyzw") is not None:  # Pinocchio and yourdfpy pass over it, and see no rotation at all
             raise RobotError(
                 f"{path}: line {origin.sourceline}: <origin> has quat_xyzw, which few parsers read: write the rotation as rpy"
@@ -97,7 +99,7 @@ def parse_xml(urdf: bytes, path: Path) -> etree._Element:
     try:
         root = etree.fromstring(urdf, parser)
     except (etree.XMLSyntaxError, ValueError) as error:
-        said = getattr(error, "msg", None) or error
+        said = " ".join(str(getattr(error, "msg", None) or error).split())
         raise RobotError(f"{path}: not well-formed XML: {said}. Mend the URDF, or name another one.") from None
     if root.getroottree().docinfo.doctype:  # type: ignore[union-attr]
         raise RobotError(f"{path}: has a DOCTYPE: DTDs and entities are refused. Remove it from the URDF.")
@@ -232,8 +234,10 @@ def _link(element: etree._Element, role: str, links: Mapping[str, None], path: P
 
 def _origin(element: etree._Element, path: Path) -> pin.SE3:
     origin = element.find("origin")
-    if origin is None:
-        return pin.SE3.Identity()
+    return pin.SE3.Identity() if origin is None else _placement(origin, path)
+
+
+def _placement(origin: etree._Element, path: Path) -> pin.SE3:
     rpy = numbers(origin, "rpy", "0 0 0", 3, path)
     return pin.SE3(pin.rpy.rpyToMatrix(rpy), numbers(origin, "xyz", "0 0 0", 3, path))
 

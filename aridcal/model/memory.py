@@ -7,11 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from aridcal.errors import CampaignError
-from aridcal.fit.constants import constants, frame_coefficients
-from aridcal.inputs.campaign import Campaign
-from aridcal.inputs.dataset import Dataset
-from aridcal.robot.chain import Robot
-from aridcal.search.diagnose import SEARCHED
 
 NUMBER = 8
 """Bytes of a float64."""
@@ -39,76 +34,63 @@ LIMITS = (("memory.max", "memory.current"), ("memory.limit_in_bytes", "memory.us
 
 
 @dataclass(frozen=True)
-class Need:
-    """Bytes that a calibration takes, by what asks for them.
+class Size:
+    """How large a calibration is.
 
     Attributes:
-        coefficients: Frames and constants.
-        rows: Measurements.
-        search: Candidates.
+        coefficients: Frames' and constants'.
+        stations: With a frame each; 0 where there is one for all.
+        rows: Measured.
+        searched: Of them, where effects are sought; 0 where none are.
+        numbers: Measured in each row.
+        joints: Of the chain.
     """
 
     coefficients: int
+    stations: int
     rows: int
-    search: int
+    searched: int
+    numbers: int
+    joints: int
 
     @property
-    def total(self) -> int:
-        """All of it."""
-        return ITSELF + self.coefficients + self.rows + self.search
+    def needs(self) -> dict[str, int]:
+        """Bytes that it takes, to a third, by what asks for them."""
+        K = self.coefficients
+        return {
+            "coefficients": NUMBER * (SQUARES * K**2 + COLUMNS * self.searched * self.numbers * K),
+            "rows": ROW * self.rows,
+            "search": PAIR * self.joints**2 if self.searched else 0,
+        }
 
 
-def needed(campaign: Campaign, robot: Robot, rows: Dataset, labels: tuple[str, ...]) -> Need:
-    """Estimate what a calibration takes, to a third.
-
-    Args:
-        campaign: Which coefficients, and whether effects are sought.
-        robot: The nominal chain.
-        rows: All rows.
-        labels: All stations, where a frame is per station.
-    """
-    K = len(frame_coefficients(campaign, labels)) + len(constants(robot, campaign.parameters.set))
-    m = sum(channel.size for channel in rows.channels)
-    searched = min(len(rows), SEARCHED)
-    sought = campaign.diagnosis.enabled and bool(campaign.diagnosis.candidates)
-    return Need(
-        coefficients=NUMBER * (SQUARES * K**2 + COLUMNS * searched * m * K),
-        rows=ROW * len(rows),
-        search=PAIR * len(robot.joints) ** 2 if sought else 0,
-    )
-
-
-def check_memory(
-    campaign: Campaign, robot: Robot, rows: Dataset, labels: tuple[str, ...], available: int | None = None
-) -> None:
+def check_memory(size: Size, place: str, available: int | None) -> None:
     """Refuse a calibration for which there is not enough memory.
 
     Args:
-        campaign: See :func:`needed`.
-        robot: See there.
-        rows: See there.
-        labels: See there.
-        available: Bytes; default: as the system says, and no check where it says nothing.
+        size: Of the calibration.
+        place: The campaign, for the message.
+        available: Bytes, see :func:`available_memory`; None: not known, and nothing is refused.
 
     Raises:
         CampaignError: with what it would need, what there is, and what to leave out.
     """
-    need = needed(campaign, robot, rows, labels)
-    there = available_memory() if available is None else available
-    if there is None or need.total <= there:
+    needs = size.needs
+    whole = ITSELF + sum(needs.values())
+    if available is None or whole <= available:
         return
-    K = len(frame_coefficients(campaign, labels)) + len(constants(robot, campaign.parameters.set))
-    stations = f" ({len(labels):,} stations)" if labels else ""
     remedies = {
-        need.coefficients: f"most of it for {K:,} frames' and constants' coefficients{stations}: "
-        + ("split the table by stations" if labels else "take a smaller `parameters.set`, or a chain of fewer joints"),
-        need.rows: f"most of it for {len(rows):,} rows: give fewer rows",
-        need.search: f"most of it for the effects that {len(robot.joints)} joints may have: fewer candidates with "
-        "`diagnosis: {candidates: [joint_compliance, …]}`, or none with `diagnosis: {enabled: false}`",
+        "coefficients": f"{size.coefficients:,} coefficients of frames and constants: "
+        + ("split the table by stations" if size.stations else "take a smaller `parameters: {set: …}`"),
+        "rows": f"{size.rows:,} rows: give fewer",
+        "search": f"effects that {size.joints} joints may have: fewer candidates with `diagnosis: {{candidates: "
+        "[joint_compliance]}`, or none with `diagnosis: {enabled: false}`",
     }
+    most = max(needs, key=lambda what: needs[what])
+    stations = f" ({size.stations:,} stations)" if size.stations else ""
     raise CampaignError(
-        f"{campaign.path}: would need about {_gigabytes(need.total)} of memory, and {_gigabytes(there)} are available; "
-        f"{remedies[max(remedies)]}"
+        f"{place}: would need about {_gigabytes(whole)} of memory, and {_gigabytes(available)} are available. Most of it is for "
+        f"{remedies[most]}{stations}"
     )
 
 
