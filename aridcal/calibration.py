@@ -103,9 +103,12 @@ class Calibration:
         Raises:
             AridcalError: a column is missing, two orientations disagree, or no row can be predicted.
         """
-        query = read_query(self.model, queries)
+        with working() as progress:
+            progress("predicting")
+            query = read_query(self.model, queries)
+            table = predict(self.model, query)
         _warn(query)
-        return _with_numbers(predict(self.model, query))
+        return _with_numbers(table)
 
     def compensate(self, poses: AnyTable, seed: AnyTable | None = None) -> pd.DataFrame:
         """Find the joints that bring the real target to each of the wanted poses.
@@ -121,9 +124,13 @@ class Calibration:
         Raises:
             AridcalError: a column is missing, two orientations disagree, or no row can be commanded.
         """
-        query = read_query(self.model, poses if seed is None else self._seeded(poses, seed), poses=True)
+        with working() as progress:
+            progress("finding the commands")
+            query = read_query(self.model, poses if seed is None else self._seeded(poses, seed), poses=True)
+            count = len(query.line)
+            table = compensate(self.model, query, told=lambda rows: progress.part(rows, count, "rows"))
         _warn(query)
-        return _with_numbers(compensate(self.model, query))
+        return _with_numbers(table)
 
     def verify(self, measurements: AnyTable) -> Verified:
         """Score another day's measurements with the models as they are, and with both frames fitted anew.
@@ -160,8 +167,7 @@ class Calibration:
         """
         outcome = self._with_data("save")
         with working() as progress:
-            progress("writing the results")
-            written = write_folder(outcome, Path(folder))
+            written = write_folder(outcome, Path(folder), progress)
         _warn_of(written.notices)
 
     def __repr__(self) -> str:

@@ -160,8 +160,7 @@ def _identify(arguments: argparse.Namespace, out: Path) -> None:
     console = Console()
     with told_on(Console(stderr=True)) as progress:
         outcome = identify(arguments.campaign, arguments.seed, arguments.verify, progress, out / CACHE, refuse_misread)
-        progress("writing the results")
-        written = write_folder(outcome, out)
+        written = write_folder(outcome, out, progress)
     summary(outcome, console)
     handover = written.handover
     console.print(

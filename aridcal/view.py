@@ -33,6 +33,7 @@ from tornado.netutil import bind_sockets
 
 from aridcal.command_line import CommandParser, command_parser, run
 from aridcal.errors import OutputError
+from aridcal.reading.files import RESULT, read_file
 from aridcal.reading.names import path_argument
 
 # Meshcat's server runs inside this process: its own way, a child in a session of its own, outlives a parent that is
@@ -96,8 +97,8 @@ class Viewer(ZMQWebSocketBridge):
             seen = (status.st_dev, status.st_ino, status.st_mtime_ns, status.st_size)
             if seen == self._seen:
                 return
-            self._page = self._file.read_text("utf-8", "replace")
-        except OSError:
+            self._page = read_file(self._file, OutputError, RESULT).decode("utf-8", "replace")
+        except (OSError, OutputError):
             return
         self._seen = seen
         stamp = hashlib.sha256(self._page.encode()).hexdigest()[:16]
@@ -221,7 +222,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 async def _main(scene: Path) -> None:
     viewer = Viewer(scene)
     try:
-        Console().print(f"{viewer.url}  (follows the folder; Ctrl-C ends it)", soft_wrap=True, highlight=False)
+        Console().print(
+            f"{viewer.url}  (follows the folder; Ctrl-C ends it)", soft_wrap=True, highlight=False, markup=False
+        )
         if _has_screen():
             webbrowser.open(viewer.url)
         await viewer.follow()

@@ -19,6 +19,10 @@ from aridcal.showing import SILENT, Progress
 BLOCK = 512
 """Rows differentiated at a time: they stay in the cache, and memory stays flat."""
 
+MANY = 300
+"""Coefficients from which those are sought that move none of a block's rows: an ordinary arm has no such ones, and fewer cost
+less than the search for them."""
+
 FLOOR = 1e-12
 """[m] or [rad]: below this everything is rounding."""
 
@@ -231,10 +235,17 @@ def linearise(question: Problem, theta: np.ndarray, weight: np.ndarray | None, s
         r, J = question.linearised(theta, block)
         w = cauchy(r, sigma, channels) if weight is None else weight[block]
         root = np.sqrt(w * question.data.share)[:, None]
+        # Frames of other stations move none of these rows.
+        some = np.flatnonzero(J.any(axis=(0, 1))) if count > MANY else np.arange(count)
+        few = len(some) < count
+        J = J[:, :, some] if few else J
         for k, part in enumerate(columns(channels)):
-            A = (J[:, part] * root[:, :, None]).reshape(r[:, part].size, count)
-            AA[k] += A.T @ A
-            Ar[k] += A.T @ (r[:, part] * root).ravel()
+            A = (J[:, part] * root[:, :, None]).reshape(r[:, part].size, len(some))
+            if few:
+                AA[k][np.ix_(some, some)] += A.T @ A
+            else:
+                AA[k] += A.T @ A
+            Ar[k][some] += A.T @ (r[:, part] * root).ravel()
         parts.append(r)
         used.append(w)
     residual, weight = np.concatenate(parts), np.concatenate(used)

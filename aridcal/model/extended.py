@@ -28,9 +28,12 @@ ORDER = ("x", "y", "z", "yaw", "pitch", "roll")
 # Doty's link parameters as motions of frame components.
 LINK_AXES = {"d": "z", "theta": "yaw", "beta": "pitch", "a": "x", "alpha": "roll"}
 
-SEGMENT = 128
-"""Joints of one Pinocchio model. Its workspace grows with their cube: 0.1 GB for these, 3 GB for the 430 of an arm of sixty
-axes. An arm of seven has a hundred, with everything that a search tries, and is one model."""
+WHOLE = 128
+"""Joints up to which an extended model is one Pinocchio model: an arm of seven has a hundred, with all that a search tries. Its
+workspace grows with their cube: 0.1 GB for these, 3 GB for the 430 of an arm of sixty axes."""
+
+SEGMENT = 48
+"""Joints of each part of a longer one, whose workspaces take 5 MB."""
 
 Group = Literal["constant", "effect", "link", "own"]
 
@@ -231,9 +234,9 @@ class ExtendedModel:
         """The chain in parts; an ordinary arm is one part."""
         joints, _ = self._joints(pin.SE3.Identity(), pin.SE3.Identity())
         parts = []
-        for first in range(0, len(joints), SEGMENT):
+        for first in range(0, len(joints), self._size):
             model = pin.Model()
-            for placement, slot, move in joints[first : first + SEGMENT]:
+            for placement, slot, move in joints[first : first + self._size]:
                 model.addJoint(model.njoints - 1, joint_model(move), placement, slot.name)
             parts.append(Segment(first, model, model.createData()))
         return tuple(parts)
@@ -341,25 +344,37 @@ class ExtendedModel:
 
         Frames differ in two placements alone: thousands of stations need no model each.
         """
-        inner = [k for k, step in enumerate(self.chain) if step.slot is not None]
+        before, after, held = self._beyond
         first, end = self.world_base[world], pin.SE3.Identity()
-        if not frame_slots("world_base", self._needed):
-            for step in self.chain[: inner[0] + 1]:
-                first = first * step.placement
-        for step in self.chain[inner[-1] + 1 :]:
-            end = end * step.placement
+        for placement in before:
+            first = first * placement
+        for placement in after:
+            end = end * placement
         end = end * self.tip_target[tip]
         self._set_placement(0, first)
-        held = frame_slots("tip_target", self._needed)
         if held:
-            self._set_placement(len(self.index) - len(held), end)
+            self._set_placement(len(self.index) - held, end)
             return pin.SE3.Identity()
         return end
 
+    @cached_property
+    def _beyond(self) -> tuple[list[pin.SE3], list[pin.SE3], int]:
+        """Placements between the base's frame and the first joint, those after the last one, and how many joints hold the tip."""
+        inner = [k for k, step in enumerate(self.chain) if step.slot is not None]
+        moved = bool(frame_slots("world_base", self._needed))
+        before = [] if moved else [step.placement for step in self.chain[: inner[0] + 1]]
+        after = [step.placement for step in self.chain[inner[-1] + 1 :]]
+        return before, after, len(frame_slots("tip_target", self._needed))
+
     def _set_placement(self, k: int, placement: pin.SE3) -> None:
         """Place the joint of coordinate k on the one before."""
-        number, place = divmod(k, SEGMENT)
+        number, place = divmod(k, self._size)
         self.segments[number].model.jointPlacements[place + 1] = placement
+
+    @property
+    def _size(self) -> int:
+        """Joints of a segment."""
+        return WHOLE if len(self.index) <= WHOLE else SEGMENT
 
     @cached_property
     def _needed(self) -> tuple[Slot, ...]:

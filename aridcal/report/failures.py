@@ -8,6 +8,8 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import TypeVar
 
+from aridcal.errors import printable, shortened
+
 T = TypeVar("T")
 
 LONGEST = 300
@@ -59,12 +61,10 @@ def note(notice: str) -> None:
 def reason(error: Exception) -> str:
     """Say what went wrong and where in the code: a picture's error is seen by nobody who could look at a traceback."""
     frame = traceback.extract_tb(error.__traceback__)[-1]
-    place = f"{frame.filename.rpartition('/')[2]}:{frame.lineno}"
-    return one_line(f"{type(error).__name__}: {error} ({place})" if str(error) else f"{type(error).__name__} ({place})")
+    said = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+    return f"{one_line(said)} ({frame.filename.rpartition('/')[2]}:{frame.lineno})"
 
 
 def one_line(text: str) -> str:
-    """Text without line breaks and other control characters, its middle left out if it is long."""
-    line = "".join(letter if letter.isprintable() else " " for letter in text)
-    half = LONGEST // 2
-    return line if len(line) <= LONGEST else f"{line[:half]} … {line[-half:]}"
+    """Text without control characters, its beginning if it is long."""
+    return shortened(printable(text), LONGEST)

@@ -18,35 +18,42 @@ from aridcal.report.identified_section import identifiable, identified
 from aridcal.report.limits_section import limits, use
 from aridcal.result.controllers import Handover
 from aridcal.result.outcome import Outcome
+from aridcal.showing import SILENT, Progress
 
 # Anchor, title and content.
 Chapter = tuple[str, str, Iterable[Content]]
 
 
-def write_report(outcome: Outcome, handover: Handover, path: Path) -> tuple[str, ...]:
+def write_report(outcome: Outcome, handover: Handover, path: Path, progress: Progress = SILENT) -> tuple[str, ...]:
     """Write the report of a calibration; what cannot be drawn of it is missing, and the rest stands.
 
     Args:
         outcome: What was found.
         handover: What controllers can be given of it.
         path: The HTML file.
+        progress: Told how many pictures are drawn.
 
     Returns:
         Notices: what could not be drawn, and why.
     """
     with noting() as notices:
         text = attempt(
-            "report.html", lambda: page(outcome, handover), lambda notice: empty_page("Calibration report", notice)
+            "report.html",
+            lambda: page(outcome, handover, progress),
+            lambda notice: empty_page("Calibration report", notice),
         )
     path.write_bytes(text.encode("utf-8", "replace"))  # names of files may hold what UTF-8 has not
     return tuple(notices)
 
 
-def page(outcome: Outcome, handover: Handover) -> Html:
+def page(outcome: Outcome, handover: Handover, progress: Progress = SILENT) -> Html:
     """The report as one self-contained HTML page; each of its sections fails alone."""
-    chapters = _chapters(outcome, handover)
+    chapters = _chapters(outcome, handover, progress)
     links = [tag("a", title, href=f"#{key}") for key, title, _ in chapters]
-    sections = [tag("section", tag("h2", title), _drawn(title, content), id=key) for key, title, content in chapters]
+    sections = [
+        tag("section", tag("h2", title), _drawn(title, content), id=key)
+        for key, title, content in progress.over(chapters, "sections")
+    ]
     m = outcome.measurements
     body = [
         tag("header", _drawn("Summary", summary(outcome)), tag("nav", links, aria_label="Sections")),
@@ -76,14 +83,14 @@ def _drawn(title: str, content: Iterable[Content]) -> list[Content]:
     return parts
 
 
-def _chapters(outcome: Outcome, handover: Handover) -> list[Chapter]:
+def _chapters(outcome: Outcome, handover: Handover, progress: Progress) -> list[Chapter]:
     """The six questions, then what was identified and which file is for what."""
     chapters: list[Chapter] = [
         ("data", "1. Is the data sound?", data(outcome)),
         ("separable", "2. Which parameters are identifiable?", identifiable(outcome)),
         ("enough", "3. Is there enough data, in the right places?", enough(outcome)),
         ("fits", "4. Does the model fit?", fits(outcome)),
-        ("depends", "5. What drives the remaining error?", drives(outcome)),
+        ("depends", "5. What drives the remaining error?", drives(outcome, progress)),
         ("remains", "6. Where does the calibration hold?", limits(outcome)),
     ]
     if outcome.verification is not None:

@@ -18,6 +18,8 @@ import numpy as np
 import pinocchio as pin
 from lxml import etree
 
+from aridcal.errors import shortened
+from aridcal.reading.names import why
 from aridcal.report.failures import one_line, reason
 from aridcal.robot.chain import Robot
 from aridcal.robot.meshes import TRIANGLES, NotDrawable, Part, read_meshes, weld
@@ -33,9 +35,6 @@ MOST_TRIANGLES = 4_000_000
 
 # [m] from a joint: beyond it single precision, which browsers draw with, leaves no digit of a robot.
 FARTHEST = 1e6
-
-# Letters of a name in a notice.
-NAME_SHOWN = 60
 
 # Notices of one robot.
 MOST_NOTICES = 12
@@ -112,7 +111,7 @@ def robot_shapes(robot: Robot) -> tuple[tuple[Shape, ...], tuple[str, ...]]:
             paint = _material_colour(visual.find("material"), colours)
         except NotDrawable as error:
             paint = None
-            notices.append(f"link {shown(name)} is drawn in grey: {error}")
+            notices.append(f"link {shortened(name)!r} is drawn in grey: {error}")
         try:
             made = [_sound(shape) for shape in _visual_shapes(visual, name, robot, paint, meshes)]
             more = sum(len(shape.faces) for shape in made)
@@ -121,8 +120,8 @@ def robot_shapes(robot: Robot) -> tuple[tuple[Shape, ...], tuple[str, ...]]:
             shapes += made
             triangles += more
         except Exception as error:  # a bug of ours as well: a picture is not worth losing the results for
-            why = str(error) if isinstance(error, NotDrawable) else reason(error)
-            notices.append(f"link {shown(name)} is not drawn: {one_line(why)}")
+            said = str(error) if isinstance(error, NotDrawable) else reason(error)
+            notices.append(f"link {shortened(name)!r} is not drawn: {one_line(said)}")
     if not shapes:
         notices.append("no link has a shape that can be drawn: the robot is drawn as a stick figure")
     return _thinned(shapes) or _skeleton(robot), _few(notices)
@@ -133,12 +132,6 @@ def _few(notices: list[str]) -> tuple[str, ...]:
     different = list(dict.fromkeys(notices))
     rest = len(different) - MOST_NOTICES
     return tuple(different if rest <= 1 else [*different[:MOST_NOTICES], f"and {rest} more notices of this kind"])
-
-
-def shown(name: str) -> str:
-    """A name in quotes, its middle left out if it is long."""
-    half = NAME_SHOWN // 2
-    return repr(name if len(name) <= NAME_SHOWN else f"{name[:half]}…{name[-half:]}")
 
 
 def _sound(shape: Shape) -> Shape:
@@ -212,7 +205,9 @@ def _material_colour(
         return None
     rgba = _floats(colour, "rgba", "1 1 1 1")
     if len(rgba) not in (3, 4) or not all(0 <= share <= 1 for share in rgba):
-        raise NotDrawable(f"`rgba` of <color> should be 4 numbers from 0 to 1, not {shown(colour.get('rgba', ''))}")
+        raise NotDrawable(
+            f"`rgba` of <color> should be 4 numbers from 0 to 1, not {shortened(colour.get('rgba', ''))!r}"
+        )
     return rgba[:3]
 
 
@@ -267,14 +262,14 @@ def find_mesh(uri: str, folder: Path) -> Path:
     elif scheme in ("", "file"):
         candidates = [folder / rest]
     else:
-        raise NotDrawable(f"{shown(uri)} is not a local file")
+        raise NotDrawable(f"{shortened(uri)!r} is not a local file")
     try:
         for path in candidates:
             if path.is_file():
                 return path
     except (OSError, ValueError) as error:  # a name that no file can have
-        raise NotDrawable(f"no mesh {shown(uri)}: {getattr(error, 'strerror', None) or error}") from None
-    raise NotDrawable(f"no mesh {shown(uri)}")
+        raise NotDrawable(f"no mesh {shortened(uri)!r}: {why(error)}") from None
+    raise NotDrawable(f"no mesh {shortened(uri)!r}")
 
 
 def _in_packages(name: str, folder: Path) -> list[Path]:
@@ -345,7 +340,7 @@ def _floats(element: etree._Element, key: str, default: str) -> tuple[float, ...
     except ValueError:
         numbers = (np.nan,)
     if not np.isfinite(numbers).all():
-        raise NotDrawable(f"`{key}` of <{element.tag}> should be numbers, not {shown(text)}")
+        raise NotDrawable(f"`{key}` of <{element.tag}> should be numbers, not {shortened(text)!r}")
     return numbers
 
 
@@ -354,7 +349,7 @@ def _lengths(element: etree._Element, key: str, count: int) -> tuple[float, ...]
     numbers = _floats(element, key, "")
     if len(numbers) != count or min(numbers) <= 0:
         wanted = "a positive number" if count == 1 else f"{count} positive numbers"
-        raise NotDrawable(f"`{key}` of <{element.tag}> should be {wanted}, not {shown(element.get(key, ''))}")
+        raise NotDrawable(f"`{key}` of <{element.tag}> should be {wanted}, not {shortened(element.get(key, ''))!r}")
     return numbers
 
 

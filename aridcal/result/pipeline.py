@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from aridcal.errors import CampaignError, MeasurementError, NotOfThisRobot
-from aridcal.fit.constants import station_labels, unused_links
+from aridcal.fit.constants import constants, frame_coefficients, station_labels, unused_links
 from aridcal.fit.least_squares import Fit, fit
 from aridcal.fit.noise import Repeats, declared_notices, repeats
 from aridcal.fit.residual import distance, problem, robust_sigma, scaled, unscaled
@@ -21,6 +21,7 @@ from aridcal.inputs.campaign import Campaign, load_campaign
 from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.read import load_measurements
 from aridcal.inputs.tables import AnyTable
+from aridcal.model.memory import Size, available_memory, check_memory
 from aridcal.result.outcome import Outcome, Stage, Verification
 from aridcal.result.uncertainty import FAR, halves, outliers, precision, realigned, with_noise_seen
 from aridcal.result.verdict import Verdict, decide, row_clues
@@ -28,7 +29,7 @@ from aridcal.result.with_head import with_head
 from aridcal.robot.chain import Robot, load_robot
 from aridcal.search.arm import CalibratedArm, calibrated_arm, fit_constants
 from aridcal.search.arm_and_head import fit_arm_and_head
-from aridcal.search.diagnose import Diagnosed
+from aridcal.search.diagnose import SEARCHED, Diagnosed
 from aridcal.search.gains import explain
 from aridcal.search.noise_causes import structured_notices
 from aridcal.search.noise_tests import Clue, clues
@@ -100,6 +101,7 @@ def identify(
         rows = with_directions(load_measurements(campaign, robot.readings, robot.limits, robot.kinds, seed))
         still = _check_motion(campaign, rows)
         labels = station_labels(campaign, rows)
+        check_memory(_size(campaign, robot, rows, labels), str(campaign.path), available_memory())
         progress(f"fitting frames and constants to {rows.train.sum()} rows")
         try:
             geometry = fit_constants(campaign, robot, rows, labels, progress)
@@ -196,6 +198,19 @@ def _derived_notices(rows: Dataset, diagnosed: Diagnosed) -> tuple[str, ...]:
 def _freedom(fit: Fit) -> float:
     """Share of the numbers measured that is left after fitting."""
     return float(1.0 - fit.spent / max(fit.numbers, 1.0))
+
+
+def _size(campaign: Campaign, robot: Robot, rows: Dataset, labels: tuple[str, ...]) -> Size:
+    """How large the calibration will be."""
+    sought = campaign.diagnosis.enabled and bool(campaign.diagnosis.candidates)
+    return Size(
+        coefficients=len(frame_coefficients(campaign, labels)) + len(constants(robot, campaign.parameters.set)),
+        stations=len(labels),
+        rows=len(rows),
+        searched=min(int(rows.train.sum()), SEARCHED) if sought else 0,
+        numbers=sum(channel.size for channel in rows.channels),
+        joints=len(robot.joints),
+    )
 
 
 def _check_motion(campaign: Campaign, rows: Dataset) -> tuple[str, ...]:
