@@ -762,7 +762,7 @@ PARQUETS: dict[str, tuple[Spoil, str]] = {
     "other bytes further up": (flipped(120), "is not a readable Parquet file|no column"),
     "no rows": (as_parquet(zeros(0)), "has columns but no rows"),
     "no columns": (as_parquet(pa.table({})), "line 1 is empty; it should name"),
-    "lists for joints": (as_parquet(pa.table({"joint_1": [[1.0, 2.0]] * 5})), "no column 'joint_2'"),
+    "lists for joints": (as_parquet(pa.table({"joint_1": [[1.0, 2.0]] * 5})), "column 'joint_1' holds lists"),
     "a column with a line break in its name": (as_parquet(pa.table({"a\nb": [1.0]})), r"'a\\nb' holds a control"),
     "a column of 5,000 letters": (as_parquet(pa.table({LONG: [1.0]})), "'a+…' has 5,000 characters"),
     "a column twice": (as_parquet(pa.Table.from_arrays([pa.array([1.0])] * 2, names=["a", "a"])), "'a' is there twice"),

@@ -152,9 +152,7 @@ def read_parquet(content: bytes, path: Path, limit: Limit) -> FileCells:
             rows += batch.num_rows
             check_size(path, rows, len(names), limit)  # the footer may lie
             batches.append(batch)
-        if not rows:
-            raise MeasurementError(f"{path}: has columns but no rows")
-        cells = pa.Table.from_batches(batches)
+        cells = pa.Table.from_batches(batches) if batches else schema.empty_table().select(names)
         _check_words(cells, path, limit)
         cells = cells.cast(pa.schema([schema.field(name) for name in names]))
         cells.validate(full=True)  # words that are not UTF-8, above all
