@@ -940,6 +940,10 @@ CALIBRATIONS: dict[str, tuple[Spoil, str]] = {
     "another URDF": (edit("calibration.yaml", "<robot ", '<robot x="1" '), "its hash differs"),
     "another tip": (key("calibration.yaml", "robot.tip", "nowhere"), "the robot in it.*no link 'nowhere'"),
     "a URDF of another encoding": (key("calibration.yaml", "robot.urdf_encoding", "utf-16"), "urdf_encoding"),
+    "a range of nobody": (
+        key("calibration.yaml", "ranges.joint_9", [0.0, 1.0]),
+        "nothing depends on 'joint_9'.*did you mean",
+    ),
     "an infinite range": (key("calibration.yaml", "ranges.joint_2", [-np.inf, 1.0]), "finite number"),
     "a range of three numbers": (key("calibration.yaml", "ranges.joint_2", [0.0, 1.0, 2.0]), r"ranges\.joint_2"),
     "a campaign that is none": (key("calibration.yaml", "campaign", "format: 5\n"), "the campaign in calibration.yaml"),
@@ -1034,6 +1038,11 @@ QUERIES: dict[str, tuple[tuple[str, ...], Spoil, str]] = {
         ("compensate", "calibration.yaml", "--grid", "100000", "-o", "out.csv"),
         nothing,
         "grid.*points.*(fewer|less)",
+    ),
+    "a grid over a range that is not known": (
+        ("compensate", "calibration.yaml", "--grid", "3", "-o", "out.csv"),
+        without("calibration.yaml", "ranges.joint_2"),
+        "in which range joint_2 was measured: run",
     ),
     "a seed in words": ((*IDENTIFY, "--seed", "x"), nothing, "--seed: should be a whole number from 0 on"),
     "a seed below zero": ((*IDENTIFY, "--seed", "-1"), nothing, "--seed"),
