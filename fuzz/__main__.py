@@ -38,6 +38,10 @@ def fuzz(reader: str, runs: int, seconds: float) -> dict[str, float]:
     command = [sys.executable, "-m", "fuzz.worker", reader, str(folder), str(runs), str(seconds)]
     with (folder / "log.txt").open("wb") as log:
         status = subprocess.run(command, stdout=log, stderr=log, check=False).returncode
+    if not (folder / "tally.json").exists():
+        sys.exit(
+            f"{reader}: the fuzzer does not start, see {folder}/log.txt; Atheris comes with `pip install -e '.[fuzz]'`"
+        )
     tally: dict[str, float] = json.loads((folder / "tally.json").read_text())
     return tally | {"findings": tally["findings"] + (status != 0)}  # a status: the process itself was killed
 
@@ -71,7 +75,7 @@ def main(argv: list[str] | None = None) -> int:
                 f"{1e3 * tally['slowest']:6.0f} ms {tally['memory']:5.0f} MB {tally['seconds']:5.0f} s", flush=True,
             )  # fmt: skip
     if findings:
-        print(f"{findings} findings: see {FOUND}/*/finding-* and crash-*")
+        print(f"{findings} findings: see finding-*, crash-*, oom-* and timeout-* in {FOUND}/*/")
     return int(findings > 0)
 
 

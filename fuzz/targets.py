@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-from aridcal.errors import RobotError
+from aridcal.errors import AridcalError, RobotError
 from aridcal.head.matching import NotMeasured
 from aridcal.head.shots import board, read_image, read_ranges, shots_of
 from aridcal.inputs.campaign import Campaign, load_campaign
@@ -90,8 +90,10 @@ def _shots(path: Path) -> None:
 
 
 def _image(path: Path) -> None:
-    with suppress(NotMeasured):
+    try:
         read_image(path.name, _head_of(path.parent))
+    except NotMeasured as refusal:  # which a measurement notes of its row
+        raise AridcalError(str(refusal)) from None
 
 
 @cache

@@ -13,6 +13,7 @@ import time
 import traceback
 import warnings
 from pathlib import Path
+from random import Random
 
 import atheris
 
@@ -20,7 +21,7 @@ with atheris.instrument_imports(include=["aridcal"], enable_loader_override=Fals
     from aridcal.errors import AridcalError
     from fuzz.targets import CORPUS, TARGETS
 
-from fuzz.mutate import mutate
+from fuzz.mutate import AFRESH, mutate
 
 # [s] and [MB]: more for one small file is a finding.
 SLOW, LARGE = 5.0, 1000
@@ -103,9 +104,11 @@ class Worker:
 
     def mutant(self, content: bytes, longest: int, seed: int) -> bytes:
         """A mutant as Atheris asks for it."""
-        if self.target.kind == "binary" or seed % BYTEWISE == 0:
-            return bytes(atheris.Mutate(content, longest))
-        return mutate(content, seed, self.seeds, longest)
+        if self.target.kind == "text" and seed % BYTEWISE:
+            return mutate(content, seed, self.seeds, longest)
+        rng = Random(seed)
+        afresh = self.target.kind == "binary" and rng.random() < AFRESH
+        return bytes(atheris.Mutate(rng.choice(self.seeds) if afresh else content, longest))
 
 
 def main() -> None:

@@ -342,12 +342,11 @@ def _lines(node: yaml.Node, location: Location, path: Path) -> Iterator[tuple[Lo
             where = f"{path}, line {line}"
             if not isinstance(key, yaml.ScalarNode):
                 raise CampaignError(f"{where}: a key must be a plain word; write `key: value`")
-            name = _dotted((*location, key.value))
             if key.tag != "tag:yaml.org,2002:str":
-                kind = key.tag.rpartition(":")[2]
+                kind, name = key.tag.rpartition(":")[2], _dotted((*location, key.value))
                 raise CampaignError(f"{where}: {name}: YAML reads this key as a {kind}; put it in quotes")
             if key.value in seen:
-                raise CampaignError(f"{where}: {name}: this key is there twice; delete one")
+                raise CampaignError(f"{where}: {_dotted((*location, key.value))}: this key is there twice; delete one")
             seen.add(key.value)
             yield (*location, key.value), line
             yield from _lines(value, (*location, key.value), path)
