@@ -328,37 +328,40 @@ def writers(master: Path, home: Path, rounds: int) -> int:
 
 
 def readers(master: Path, home: Path, looks: int) -> int:
-    """Look at a result folder while it is written over and over; returns the number of faults.
+    """Look at a folder that two runs write in turn, over and over; returns the number of faults.
 
-    A look opens the folder once, lists it and reads the beginning of every file, as one and the same folder; and asks for
-    a file by its path.
+    A look opens the folder by its path, lists it, and reads every file of what it has opened.
     """
-    job = JOBS[0]
+    job = JOBS[2]
     fresh(home, master)
     folder = home / job.output
-    names = set(state(folder))
+    whole = []
+    for arguments in (job.arguments, job.earlier):
+        assert started(job.main, arguments, home) == 0
+        whole.append(state(folder))
     writer = os.fork()
     if not writer:
         while True:
-            ended(in_child(job.main, ("campaign.yaml", "--seed", str(random.randrange(9))), home), home)
-    mixed = missing = again = 0
-    seen: set[str] = set()
+            for arguments in (job.arguments, job.earlier):
+                ended(in_child(job.main, arguments, home), home)
+    missing = mixed = again = 0
+    seen = set()
     for _ in range(looks):
-        missing += not (folder / "result.json").exists()
-        handle = os.open(folder, os.O_RDONLY)
         try:
-            found = {entry.name for entry in os.scandir(handle)}
-            inodes = {os.stat(name, dir_fd=handle).st_ctime_ns // 10**9 for name in found - {MINE}}
-            seen.add(str(os.fstat(handle).st_ino))
-            mixed += found != names or max(inodes) - min(inodes) > 2
-        except FileNotFoundError:  # this very folder was replaced, and is being removed
+            handle = os.open(folder, os.O_RDONLY)
+        except FileNotFoundError:
+            missing += 1
+            continue
+        try:
+            seen.add(os.fstat(handle).st_ino)
+            mixed += state(Path(f"/proc/self/fd/{handle}/")) not in whole
+        except FileNotFoundError:  # this very folder was replaced more than the grace ago
             again += 1
         finally:
             os.close(handle)
-        time.sleep(0.001)
     os.kill(writer, signal.SIGKILL)
     os.waitpid(writer, 0)
-    print(f"{looks} looks at {len(seen)} results: {missing} missing, {mixed} mixed, {again} of a folder just replaced")
+    print(f"{looks} looks at {len(seen)} folders: {missing} missing, {mixed} mixed, {again} began before a replacement")
     return missing + mixed
 
 
