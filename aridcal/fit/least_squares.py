@@ -327,11 +327,11 @@ def _narrowed(problem: Problem, kept: Sequence[int]) -> Problem:
     model = problem.model
     if len(kept) == len(model.coefficients):
         return problem
-    varies = [not c.basis.constant or c.station is not None for c in model.coefficients]
+    varies = [not c.basis.constant for c in model.coefficients]
     varying = [int(k) for k in np.flatnonzero(varies)]
     columns = [varying.index(k) for k in kept if k in varying]
     rows = replace(problem.rows, phi=problem.rows.phi[:, columns])
-    return Problem(model.with_coefficients([model.coefficients[k] for k in kept]), problem.data, rows)
+    return replace(problem, model=model.with_coefficients([model.coefficients[k] for k in kept]), rows=rows)
 
 
 def _condition(H: np.ndarray) -> float:
