@@ -12,12 +12,12 @@ import argparse
 import importlib
 import sys
 from collections.abc import Sequence
-from pathlib import Path
 
 import shtab
 
 from aridcal.__main__ import COMMANDS
 from aridcal.command_line import CommandParser, command_parser, run
+from aridcal.reading.names import path_argument
 
 
 def whole_parser() -> argparse.ArgumentParser:
@@ -27,7 +27,7 @@ def whole_parser() -> argparse.ArgumentParser:
     for command, job in COMMANDS.items():
         own = importlib.import_module(f"aridcal.{command}").parser()
         for action in own._actions:
-            if action.type is Path:
+            if action.type is path_argument:
                 action.complete = shtab.FILE
         commands.add_parser(command, parents=[own], add_help=False, help=job)
     return whole

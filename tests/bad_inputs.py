@@ -145,20 +145,10 @@ def links_side_by_side(count: int, kind: str = "fixed") -> str:
     return links + "".join(joint.format(k, kind) for k in range(1, count + 1))
 
 
-JOINT_3 = r'(?<=<joint name="joint_3")'
-
-
-def of_joint(old: str, new: str) -> Spoil:
-    """Change something of the third joint."""
-    return edit("robot.urdf", rf'(<joint name="joint_3".*?){old}', f'<joint name="joint_3" type="revolute">{new}')
-
-
 def renamed(name: str) -> Spoil:
     """Another name for the third joint, in the URDF and in the table."""
     return edit("robot.urdf", 'name="joint_3"', f'name="{name}"')
 
-
-ORIGIN = '<origin xyz="{}" rpy="{}"/>'
 
 URDFS: dict[str, tuple[Spoil, str]] = {
     "4,000 links in a row": (urdf(links_in_a_row(4000)), "'l4000' is 4,000 joints from the root, at most 200"),
