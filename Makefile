@@ -7,7 +7,7 @@ READY := .venv/.ready
 export OMP_NUM_THREADS ?= 1
 export MPLBACKEND ?= Agg
 
-.PHONY: demo test lint bench pictures docs lock matrix sbom clean
+.PHONY: demo test fuzz lint bench pictures docs lock matrix sbom clean
 .DEFAULT_GOAL := demo
 
 DEMO := identification/arid-undeclared
@@ -20,6 +20,11 @@ demo: $(READY)
 
 test: lint
 	$(BIN)/pytest
+
+# Ten minutes of inputs that nobody would write; what breaks a reader is kept below build/fuzz.
+fuzz: $(READY)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[fuzz]'
+	$(BIN)/python -m fuzz
 
 lint: $(READY)
 	$(BIN)/ruff check

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import tempfile
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -13,14 +13,16 @@ from typing import Any
 
 import pandas as pd
 
-from aridcal.errors import AridcalError, MeasurementError
+from aridcal.errors import AridcalError, MeasurementError, shortened
 from aridcal.files import atomic_file
 from aridcal.identify import VERDICTS
 from aridcal.inputs.query import Query
 from aridcal.inputs.tables import AnyTable, read_tables
+from aridcal.inputs.yaml_file import decode
+from aridcal.reading.files import RESULT, read_file
 from aridcal.report.html import tag
 from aridcal.report.page import write_report
-from aridcal.report.scene import scene, write_scene
+from aridcal.report.scene import write_scene
 from aridcal.result.as_tables import effect_table, error_table, parameter_table, verification_table
 from aridcal.result.compensate import compensate
 from aridcal.result.controllers import hand_over
@@ -67,26 +69,26 @@ class Calibration:
         """
         if self.outcome is not None:
             return result_document(self.outcome)
-        text = self._beside("result.json", "the figures are").read_text("utf-8")
+        path = self._beside("result.json", "the figures are")
         try:
-            return dict(json.loads(text))
-        except ValueError as error:
-            raise AridcalError(f"{self.folder}: result.json cannot be read: {error}. Run identify again") from None
+            return dict(json.loads(_text(path)))
+        except (ValueError, TypeError, RecursionError) as error:
+            raise AridcalError(f"{path}: cannot be read: {error}. Run identify again") from None
 
     @property
     def errors(self) -> pd.DataFrame:
         """Error of the target, [mm] and [mrad]: a row for each model and part of the rows (train, test, test_all)."""
-        return error_table(self.result)
+        return self._figures(error_table)
 
     @property
     def effects(self) -> pd.DataFrame:
         """What the model holds beyond geometry, the largest gain first; before and after are on held-out rows."""
-        return effect_table(self.result)
+        return self._figures(effect_table)
 
     @property
     def parameters(self) -> pd.DataFrame:
         """Frames and corrections of the nominal constants by name, lengths in [mm] and angles in [mrad]."""
-        return parameter_table(self.result)
+        return self._figures(parameter_table)
 
     def predict(self, queries: AnyTable) -> pd.DataFrame:
         """Tell where the real target is for each row of joint readings.
@@ -101,9 +103,12 @@ class Calibration:
         Raises:
             AridcalError: a column is missing, two orientations disagree, or no row can be predicted.
         """
-        query = read_query(self.model, queries)
+        with working() as progress:
+            progress("predicting")
+            query = read_query(self.model, queries)
+            table = predict(self.model, query)
         _warn(query)
-        return _with_numbers(predict(self.model, query))
+        return _with_numbers(table)
 
     def compensate(self, poses: AnyTable, seed: AnyTable | None = None) -> pd.DataFrame:
         """Find the joints that bring the real target to each of the wanted poses.
@@ -119,9 +124,13 @@ class Calibration:
         Raises:
             AridcalError: a column is missing, two orientations disagree, or no row can be commanded.
         """
-        query = read_query(self.model, poses if seed is None else self._seeded(poses, seed), poses=True)
+        with working() as progress:
+            progress("finding the commands")
+            query = read_query(self.model, poses if seed is None else self._seeded(poses, seed), poses=True)
+            count = len(query.line)
+            table = compensate(self.model, query, told=lambda rows: progress.part(rows, count, "rows"))
         _warn(query)
-        return _with_numbers(compensate(self.model, query))
+        return _with_numbers(table)
 
     def verify(self, measurements: AnyTable) -> Verified:
         """Score another day's measurements with the models as they are, and with both frames fitted anew.
@@ -146,18 +155,20 @@ class Calibration:
 
     def scene(self, path: str | Path | None = None) -> Page:
         """The robot and its errors in 3D. A notebook shows it; with a path it is saved as well."""
-        return self._page("scene.html", lambda outcome, target: write_scene(scene(outcome), target), path)
+        return self._page("scene.html", write_scene, path)
 
     def save(self, folder: str | Path) -> None:
         """Write the result folder that ``aridcal identify`` writes: all its files, or none.
+
+        A picture that cannot be drawn costs a warning and no file.
 
         Raises:
             AridcalError: the folder cannot be written, or this calibration was loaded.
         """
         outcome = self._with_data("save")
         with working() as progress:
-            progress("writing the results")
-            write_folder(outcome, Path(folder))
+            written = write_folder(outcome, Path(folder), progress)
+        _warn_of(written.notices)
 
     def __repr__(self) -> str:
         if not self._has_figures:
@@ -177,7 +188,7 @@ class Calibration:
         robot = self.model.final.model.robot.tree.name
         if not self._has_figures:
             return f"Calibration of {robot}: the model alone, without its figures"
-        n = self.result["n"]
+        n = self._figures(lambda result: {key: int(result["n"][key]) for key in ("train", "test")})
         scored = f"{n['test']} held-out rows" if n["test"] else f"the {n['train']} rows that were fitted"
         return f"Calibration of {robot}: error on {scored}"
 
@@ -188,16 +199,23 @@ class Calibration:
     @property
     def _headline(self) -> pd.DataFrame:
         """Each model's error on the rows that count: those held out, if there are any."""
-        part = "test" if self.result["n"]["test"] else "train"
+        part = "test" if self._figures(lambda result: result["n"]["test"]) else "train"
         return _headline(self.errors[self.errors.index.get_level_values("rows") == part].droplevel("rows"))
 
     @property
     def _remarks(self) -> list[str]:
         """What the table of errors does not say."""
-        verdict = self.result["verdict"]
-        effects = ", ".join(f"{effect['kind']} at {effect['where']}" for effect in self.result["effects"])
-        notices = [f"note: {notice}" for notice in self.result["notices"][:SHOWN_REMARKS]]
-        return [f"effects: {effects or 'none'}", f"verdict: {verdict}: {VERDICTS[verdict]}", *notices]
+        return list(self._figures(_remarks))
+
+    def _figures(self, make: Callable[[dict[str, Any]], Any]) -> Any:
+        """Make something of the figures; those of a loaded calibration may be damaged."""
+        try:
+            return make(self.result)
+        except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
+            if self.outcome is not None:
+                raise
+            said = shortened(f"{type(error).__name__}: {error}")
+            raise AridcalError(f"{self.folder}: result.json is damaged ({said}). Run identify again") from None
 
     def _seeded(self, poses: AnyTable, seed: AnyTable) -> pd.DataFrame:
         """Poses with the joints of other rows, as many as there are poses."""
@@ -212,15 +230,16 @@ class Calibration:
             )
         return wanted.assign(**{joint: rows[joint].to_numpy() for joint in joints})
 
-    def _page(self, name: str, write: Callable[[Outcome, Path], Any], path: str | Path | None) -> Page:
-        """A page made anew, or of a loaded calibration the folder's own."""
+    def _page(self, name: str, write: Callable[[Outcome, Path], tuple[str, ...]], path: str | Path | None) -> Page:
+        """A page made anew, or of a loaded calibration the folder's own; warns of what could not be drawn."""
         if self.outcome is None:
-            source = self._beside(name, f"{name} is").read_text("utf-8")
+            source = _text(self._beside(name, f"{name} is"))
         else:
             with working() as progress, tempfile.TemporaryDirectory() as folder:
                 progress(f"drawing {name}")
-                write(self.outcome, Path(folder) / name)
+                notices = write(self.outcome, Path(folder) / name)
                 source = (Path(folder) / name).read_text("utf-8")
+            _warn_of(notices, stacklevel=4)
         if path is not None:
             with atomic_file(Path(path)) as stage:
                 stage.write_text(source, encoding="utf-8", newline="\n")
@@ -274,6 +293,18 @@ class Verified:
         return f"{self.file}: {self.rows} rows of another day{left_out}"
 
 
+def _remarks(result: dict[str, Any]) -> list[str]:
+    verdict = result["verdict"]
+    effects = ", ".join(f"{effect['kind']} at {effect['where']}" for effect in result["effects"])
+    notices = [f"note: {notice}" for notice in result["notices"][:SHOWN_REMARKS]]
+    return [f"effects: {effects or 'none'}", f"verdict: {verdict}: {VERDICTS[verdict]}", *notices]
+
+
+def _text(path: Path) -> str:
+    """A file of a result folder."""
+    return decode(read_file(path, AridcalError, RESULT), path, AridcalError)
+
+
 def _headline(table: pd.DataFrame) -> pd.DataFrame:
     """The columns of a table of errors that fit on a screen."""
     names = [name for name in HEADLINE if name in table]
@@ -292,6 +323,12 @@ def _with_numbers(table: pd.DataFrame) -> pd.DataFrame:
         except (ValueError, TypeError):
             continue
     return table
+
+
+def _warn_of(notices: Sequence[str], stacklevel: int = 3) -> None:
+    """Say what could not be drawn."""
+    if notices:
+        warnings.warn("\n".join(notices), stacklevel=stacklevel)
 
 
 def _warn(query: Query) -> None:

@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.text import Text
 from threadpoolctl import threadpool_limits
 
-from aridcal.errors import AridcalError
+from aridcal.errors import AridcalError, printable
 from aridcal.interrupt import MESSAGE, SIGNALLED, leave
 from aridcal.signals import Handler, Terminated, handling, terminate
 
@@ -38,7 +38,8 @@ def run(body: Callable[[], None]) -> int:
             body()
     except AridcalError as error:
         # As plain text: a station's name in brackets is no markup, and a path must not be broken into lines.
-        console.print(Text("error: ", style="bold red") + Text(str(error), style="not bold"), soft_wrap=True)
+        said = "\n".join(map(printable, str(error).split("\n")))
+        console.print(Text("error: ", style="bold red") + Text(said, style="not bold"), soft_wrap=True)
         return BAD_INPUT
     except KeyboardInterrupt as stop:
         console.print(MESSAGE, soft_wrap=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import unicodedata
 from collections.abc import Iterable, Sequence
 
 
@@ -43,10 +44,48 @@ class NotIdentifiable(AridcalError):
         super().__init__(f"confounded: {mixed}. Fix one of each, or measure poses that separate them.")
 
 
+BREAKING = frozenset({"Cc", "Zl", "Zp", "Cs"})
+"""Unicode's categories of control characters, line and paragraph separators, and halves of characters."""
+
+SHOWN = 60
+"""Characters of a user's text that a message shows."""
+
+SHOWN_NAMES = 30
+"""Known names that a message lists."""
+
+COMPARED_NAMES = 1000
+"""Known names among which a misspelt one is looked for: comparing two takes some 20 µs."""
+
+
+def has_controls(text: str) -> bool:
+    """True of text that moves the cursor or breaks a line."""
+    return not text.isprintable() and any(unicodedata.category(c) in BREAKING for c in text)
+
+
+def printable(text: str) -> str:
+    """The text with control characters spelt out, as Python writes them."""
+    if text.isprintable():
+        return text
+    spelt = (repr(c)[1:-1] if unicodedata.category(c) in BREAKING else c for c in text)
+    return "".join(spelt)
+
+
+def shortened(text: str, most: int = SHOWN) -> str:
+    """The text, or its beginning with three dots."""
+    return text if len(text) <= most else f"{text[: most - 1]}…"
+
+
+def listed(names: Sequence[str]) -> str:
+    """Names for a message: the first of them, and how many more there are."""
+    more = f" and {len(names) - SHOWN_NAMES:,} more" if len(names) > SHOWN_NAMES else ""
+    return ", ".join(shortened(name) for name in names[:SHOWN_NAMES]) + more
+
+
 def nearest(name: str, known: Iterable[str]) -> str:
     """Return a hint for a misspelt name: ``" (did you mean 'x'?)"``, or the known names, or nothing."""
     names = [str(k) for k in known]
-    close = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
+    short = [k for k in names[:COMPARED_NAMES] if len(k) <= SHOWN]
+    close = difflib.get_close_matches(name, short, n=1, cutoff=0.5) if len(name) <= SHOWN else []
     if close:
         return f" (did you mean {close[0]!r}?)"
-    return f" (known: {', '.join(names)})" if names else ""
+    return f" (known: {listed(names)})" if names else ""

@@ -10,7 +10,6 @@ from __future__ import annotations
 import argparse
 import math
 import sys
-import time
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -19,9 +18,11 @@ from rich.console import Console
 from rich.table import Table
 
 from aridcal.command_line import CommandParser, command_parser, run
+from aridcal.errors import shortened
 from aridcal.files import claimed
 from aridcal.head.detections import CACHE
 from aridcal.prepare.other_readings import refuse_misread
+from aridcal.reading.names import path_argument
 from aridcal.report.words import causes_in_words, sigmas_in_words
 from aridcal.result.folder import what_moved
 from aridcal.result.key_figures import another_day, every_held_out_row, or_as_well, over_time, rms_position, scored
@@ -29,6 +30,7 @@ from aridcal.result.outcome import Outcome, Verification, errors
 from aridcal.result.pipeline import identify
 from aridcal.result_folder import RESULT_FILES, write_folder
 from aridcal.search.gains import NamedEffect
+from aridcal.showing import told_on
 
 VERDICTS = {
     "noise_floor": "the remaining error is consistent with the noise",
@@ -36,6 +38,8 @@ VERDICTS = {
     "not_enough_data": "too few data for this model",
 }
 MOST_NOTICES = 8
+
+SEED_DIGITS = 18
 
 SHOWN = ("rms", "p95", "max")
 """Statistics of an error on the screen; of all channels but the first only two, so that the table keeps its width."""
@@ -114,17 +118,26 @@ def _verification_lines(v: Verification) -> list[str]:
     return lines
 
 
+def _seed(text: str) -> int:
+    """A seed of the command line: whole, and not below zero."""
+    if not text.isdecimal() or len(text) > SEED_DIGITS:
+        raise argparse.ArgumentTypeError(f"should be a whole number from 0 on, not {shortened(text)!r}")
+    return int(text)
+
+
 def parser() -> CommandParser:
     """The command's arguments."""
     arguments = command_parser("identify", __doc__)
-    arguments.add_argument("campaign", type=Path, help="campaign.yaml")
-    arguments.add_argument("-o", "--out", type=Path, help="result folder (default: results/ beside the campaign)")
+    arguments.add_argument("campaign", type=path_argument, help="campaign.yaml")
     arguments.add_argument(
-        "--verify", type=Path, metavar="CSV", help="measurements of another day, to check the result on"
+        "-o", "--out", type=path_argument, help="result folder (default: results/ beside the campaign)"
+    )
+    arguments.add_argument(
+        "--verify", type=path_argument, metavar="CSV", help="measurements of another day, to check the result on"
     )
     arguments.add_argument(
         "--seed",
-        type=int,
+        type=_seed,
         default=0,
         help="seed of the random split into fitted and held-out rows, where the table has no column `split`",
     )
@@ -145,20 +158,20 @@ def _main(arguments: argparse.Namespace) -> None:
 
 def _identify(arguments: argparse.Namespace, out: Path) -> None:
     console = Console()
-    steps = Console(stderr=True)
-    started = time.perf_counter()
-
-    def progress(step: str) -> None:
-        steps.print(f"[dim]{time.perf_counter() - started:5.1f} s  {step}[/dim]")
-
-    outcome = identify(arguments.campaign, arguments.seed, arguments.verify, progress, out / CACHE, refuse_misread)
-    progress("writing the results")
-    written = write_folder(outcome, out)
+    with told_on(Console(stderr=True)) as progress:
+        outcome = identify(arguments.campaign, arguments.seed, arguments.verify, progress, out / CACHE, refuse_misread)
+        written = write_folder(outcome, out, progress)
     summary(outcome, console)
     handover = written.handover
-    console.print(f"exports for controllers, position RMS on {handover.rows}:\n  {handover.summary()}", soft_wrap=True)
-    for notice in written.notices:
-        console.print(f"note: {notice}", markup=False)
+    console.print(
+        f"exports for controllers, position RMS on {handover.rows}:\n  {handover.summary()}",
+        soft_wrap=True,
+        markup=False,
+    )
+    for notice in written.notices[:MOST_NOTICES]:
+        console.print(f"note: {notice}", markup=False, soft_wrap=True)
+    if len(written.notices) > MOST_NOTICES:
+        console.print(f"note: and {len(written.notices) - MOST_NOTICES} more, in the pages themselves")
     console.print(f"report: {out / 'report.html'}", soft_wrap=True, markup=False, highlight=False)
 
 

@@ -22,6 +22,7 @@ from aridcal.errors import OutputError
 from aridcal.files import atomic_file, claimed
 from aridcal.prepare.campaign_text import Draft, draft, scalar
 from aridcal.prepare.guesses import nobody
+from aridcal.reading.names import path_argument
 
 SHOWN_REMARKS = 5
 
@@ -53,12 +54,21 @@ def tell(proposed: Draft, title: str, console: Console) -> None:
 def parser() -> CommandParser:
     """The command's arguments."""
     arguments = command_parser("init", __doc__)
-    arguments.add_argument("--urdf", type=Path, required=True, help="the nominal robot")
+    arguments.add_argument("--urdf", type=path_argument, required=True, help="the nominal robot")
     arguments.add_argument(
-        "--measurements", type=Path, required=True, nargs="+", metavar="CSV", help="measured poses, .csv or .parquet"
+        "--measurements",
+        type=path_argument,
+        required=True,
+        nargs="+",
+        metavar="CSV",
+        help="measured poses, .csv or .parquet",
     )
     arguments.add_argument(
-        "-o", "--out", type=Path, default=Path("campaign.yaml"), help="where to write (default: campaign.yaml, here)"
+        "-o",
+        "--out",
+        type=path_argument,
+        default=Path("campaign.yaml"),
+        help="where to write (default: campaign.yaml, here)",
     )
     return arguments
 
@@ -78,7 +88,7 @@ def _main(urdf: Path, files: Sequence[Path], out: Path) -> None:
             path.write_text(proposed.campaign.text, encoding="utf-8")
     console = Console()
     tell(proposed, str(out), console)
-    console.print(f"next: aridcal identify {out}", soft_wrap=True, highlight=False)
+    console.print(f"next: aridcal identify {out}", soft_wrap=True, highlight=False, markup=False)
 
 
 if __name__ == "__main__":

@@ -19,13 +19,14 @@ from rich.progress import track
 from scipy.spatial.transform import Rotation
 
 from aridcal.command_line import CommandParser, command_parser, run
-from aridcal.errors import AridcalError, OutputError
+from aridcal.errors import AridcalError, OutputError, printable, shortened
 from aridcal.files import atomic_table, check_writable, claimed
 from aridcal.head.shots import THUMBNAIL, Measured, load, measure_shots
 from aridcal.head.sonar import contradictions
 from aridcal.inputs.head_settings import POSE_COLUMNS, HeadSettings, range_columns
 from aridcal.inputs.quantities import STD
 from aridcal.inputs.tables import Table
+from aridcal.reading.names import path_argument
 from aridcal.report.html import Html, tag
 
 BESIDE = REFUSED, SHEET = "refused.csv", "shots.html"
@@ -118,8 +119,10 @@ def sonar_remarks(results: Sequence[Measured], std: float) -> list[str]:
 def parser() -> CommandParser:
     """The command's arguments."""
     arguments = command_parser("measure", __doc__)
-    arguments.add_argument("head", type=Path, help="head.yaml: camera, sonars, squares and shots")
-    arguments.add_argument("-o", "--out", type=Path, required=True, help="table of measured poses to write, .csv")
+    arguments.add_argument("head", type=path_argument, help="head.yaml: camera, sonars, squares and shots")
+    arguments.add_argument(
+        "-o", "--out", type=path_argument, required=True, help="table of measured poses to write, .csv"
+    )
     return arguments
 
 
@@ -147,7 +150,9 @@ def _measure(settings: Path, out: Path) -> None:
     results = list(track(work, "measuring", total=len(shots), console=console, transient=True))
     refused = refused_table(table, results)
     rows = len(results) + len(table.refused)
-    lines = [f"line {line}, {image}: {why}" for line, image, why in refused.itertuples(index=False)]
+    lines = [
+        f"line {line}, {shortened(printable(image))}: {why}" for line, image, why in refused.itertuples(index=False)
+    ]
     if len(refused) == rows:
         first = lines[0] if lines else "it has no rows"
         raise AridcalError(f"{head.shots}: nothing could be measured. First: {first}")

@@ -20,13 +20,16 @@ from aridcal.files import atomic_folder, claimed
 from aridcal.inputs.yaml_file import load_settings
 from aridcal.prepare.scenario import Scenario
 from aridcal.prepare.simulation import simulate, write_campaign
+from aridcal.reading.names import path_argument
 
 
 def parser() -> CommandParser:
     """The command's arguments."""
     arguments = command_parser("simulate", __doc__)
-    arguments.add_argument("scenario", type=Path, help="scenario.yaml: the keys of a campaign, and `truth`")
-    arguments.add_argument("-o", "--out", type=Path, required=True, metavar="DIR", help="folder of the campaign")
+    arguments.add_argument("scenario", type=path_argument, help="scenario.yaml: the keys of a campaign, and `truth`")
+    arguments.add_argument(
+        "-o", "--out", type=path_argument, required=True, metavar="DIR", help="folder of the campaign"
+    )
     return arguments
 
 
@@ -37,16 +40,19 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _main(path: Path, out: Path) -> None:
+    scenario = load_settings(path, Scenario)
     if (out / "campaign.yaml").resolve() == path.resolve():
         raise OutputError(f"{path}: the campaign would overwrite its scenario; rename it or choose another folder")
     with claimed(out, "folder"):
-        simulation = simulate(load_settings(path, Scenario))
+        simulation = simulate(scenario)
         with atomic_folder(out) as folder:
             write_campaign(simulation, folder, out)
     rows, wrong = len(simulation.outliers), int(simulation.outliers.sum())
     console = Console()
-    console.print(f"{out}: {rows} rows, {wrong} of them outliers; the truth is in truth.json", soft_wrap=True)
-    console.print(f"next: aridcal identify {out / 'campaign.yaml'}", soft_wrap=True)
+    console.print(
+        f"{out}: {rows} rows, {wrong} of them outliers; the truth is in truth.json", soft_wrap=True, markup=False
+    )
+    console.print(f"next: aridcal identify {out / 'campaign.yaml'}", soft_wrap=True, markup=False)
 
 
 if __name__ == "__main__":

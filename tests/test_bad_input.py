@@ -153,8 +153,8 @@ FILES: dict[str, tuple[Callable[[Path], object], str]] = {
         edit("measurements.csv", lambda c: c.replace(b"joint_2", b"joint_1", 1)), "'joint_1' is there twice; rename",
     ),
     "no header": (edit("measurements.csv", lambda c: c.split(b"\n", 1)[1]), "line 1 holds numbers"),
-    "no URDF": (gone("robot.urdf"), r"robot\.urdf: cannot read the URDF.*Check `robot\.urdf`"),
-    "an empty URDF": (put("robot.urdf", b""), r"robot\.urdf: not well-formed XML.*Mend"),
+    "no URDF": (gone("robot.urdf"), r"robot\.urdf: there is no such file; check its name\. Check `robot\.urdf`"),
+    "an empty URDF": (put("robot.urdf", b""), r"robot\.urdf: is empty; .* Check `robot\.urdf`"),
     "half a URDF": (edit("robot.urdf", lambda c: c[: len(c) // 2]), r"robot\.urdf: not well-formed XML: .*line \d+"),
     "noise for a URDF": (put("robot.urdf", bytes(range(256))), r"robot\.urdf: not well-formed"),
     "a web page for a URDF": (put("robot.urdf", b"<html><body/></html>"), r"<html>, not <robot>"),
@@ -211,7 +211,7 @@ SETTINGS: dict[str, tuple[dict[str, object], str]] = {
     "a tip that is no link": ({"robot": ROBOT | {"tip": "flnge"}}, "no link 'flnge'.*'flange'.*`robot.tip`"),
     "a base that is no link": ({"robot": ROBOT | {"base": "bas"}}, "no link 'bas'.*'base_link'.*`robot.base`"),
     "a base beyond the tip": ({"robot": ROBOT | {"base": "camera_head"}}, "does not descend from 'camera_head'"),
-    "a folder for a URDF": ({"robot": ROBOT | {"urdf": "."}}, "cannot read the URDF: Is a directory"),
+    "a folder for a URDF": ({"robot": ROBOT | {"urdf": "."}}, "is a folder, not a file; name a file in it. Check `robot.urdf`"),
     "metres called millimetres": (measured(units={"length": "mm"}), "are they in metres"),
     "radians called degrees": (measured(units={"angle": "deg"}), "Read as angles in radians.*`units: {angle: rad}`"),
     "an unknown unit": (measured(units={"angle": "degrees"}), "'degrees' is unknown.*'deg'"),
@@ -342,7 +342,7 @@ def test_an_interruption_leaves_the_earlier_result(
     status, said = attempt(
         tmp_path, truth, capsys, lambda _: when_opened(monkeypatch, file, lambda: os.kill(os.getpid(), stop))
     )
-    assert status == 130
+    assert status == 128 + stop
     assert "interrupted" in said
 
 

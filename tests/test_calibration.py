@@ -123,7 +123,7 @@ def test_a_missing_file_is_named(tmp_path: Path) -> None:
         (lambda text: text.replace("kind: pose", "kind: !!python/name:os.system x"), "tag"),
         (lambda text: text.replace("kind: pose", "kind: " + "[" * 200 + "]" * 200), "nested"),
         (lambda text: text.replace("kind: pose", "kind: poem"), "poem"),
-        (lambda text: text.replace("value: ", "value: .nan #", 1), "not finite"),
+        (lambda text: text.replace("value: ", "value: .nan #", 1), "value: should be a finite number"),
         (lambda text: text.encode("utf-16"), "UTF-8"),
         (lambda text: text[: len(text) // 2], "calibration.yaml"),
     ],

@@ -99,7 +99,7 @@ def test_shots_that_cannot_be_used_are_named_and_the_others_are_used(folder):
     faults = [
         ({"image": "images/none.jpg"}, "no such image"),
         ({"image": "../outside.jpg"}, "outside the folder"),
-        ({"image": "shots.csv"}, "empty or no image"),
+        ({"image": "shots.csv"}, "no image of a known kind"),
         ({"h2": ""}, "h2: the range is missing"),
         ({"h2": "-0.3"}, "h2: a range of -0.3"),
         ({"h3": "312"}, "h3: a range of 312"),

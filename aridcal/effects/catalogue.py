@@ -106,7 +106,7 @@ def declared(rows: Observed, declaration: Declaration, place: str) -> Effect:
     if not found:
         raise CampaignError(
             f"{place}: effects: {d.kind} at {d.where} cannot be fitted: this robot or these columns have nothing that "
-            "it could depend on"
+            "it could depend on; check its keys"
         )
     effect = merged(found)
     return effect if d.at is None else _at_moment(rows, effect, d, place)

@@ -38,15 +38,20 @@ class Board:
         """Return OpenCV's own board.
 
         Raises:
-            CampaignError: The dictionary is unknown, or the sizes make no board.
+            CampaignError: The dictionary is unknown or too small, or the sizes make no board.
         """
         known = [name for name in dir(cv2.aruco) if name.startswith("DICT_")]
         if self.dictionary not in known:
             raise CampaignError(f"`dictionary`: unknown {self.dictionary!r}{nearest(self.dictionary, known)}")
         words = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, self.dictionary))
+        if self.squares_x * self.squares_y // 2 > len(words.bytesList):
+            raise CampaignError(
+                f"`squares_x` and `squares_y`: {self.dictionary} has {len(words.bytesList)} markers, too few for "
+                f"{self.squares_x} x {self.squares_y} squares; check both numbers"
+            )
         try:
             return cv2.aruco.CharucoBoard((self.squares_x, self.squares_y), self.square, self.marker, words)
-        except cv2.error:
+        except (cv2.error, SystemError):  # SystemError: how OpenCV's constructors fail where they are strict
             raise CampaignError("`marker` must be smaller than `square`, and the board larger than 1 x 1") from None
 
 

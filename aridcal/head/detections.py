@@ -7,7 +7,8 @@ that they depend on, so that a second run needs no image and an image that chang
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Mapping, Sequence
+import os
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -19,7 +20,7 @@ from aridcal.head.charuco import corner_places
 from aridcal.head.fiducials import Fiducials
 from aridcal.head.matching import NotMeasured, spans_plane
 from aridcal.head.reduction import Head, Reduced, Seen, reduce_shots, start_anywhere
-from aridcal.head.shots import Shot, board, load, measure_shots, read_ranges
+from aridcal.head.shots import Shot, board, image_content, load, measure_shots, read_ranges
 from aridcal.head.square import CENTRES
 from aridcal.inputs.campaign import Campaign, FrameSettings
 from aridcal.inputs.dataset import Dataset, RowNoise, weighed
@@ -27,6 +28,7 @@ from aridcal.inputs.head_settings import HeadSettings, range_columns
 from aridcal.inputs.read import load_measurements
 from aridcal.inputs.tables import Remark, Table, read_tables
 from aridcal.robot.chain import Robot
+from aridcal.showing import Progress
 
 CACHE = "fiducials.csv"
 INDEX_COLUMNS = ("shot", "square", "fiducial")
@@ -38,6 +40,9 @@ DECIMALS = 5
 
 # Hexadecimal digits: 64 bits, so that a change goes unnoticed once in 10^19 times.
 DIGEST_LENGTH = 16
+
+# In place of the digest of an image that is there and cannot be read: no fiducials were ever found in it.
+UNREADABLE = "unreadable"
 
 
 @dataclass(frozen=True)
@@ -61,9 +66,7 @@ class Shots:
     mount: np.ndarray
 
 
-def read_shots(
-    campaign: Campaign, robot: Robot, cache: Path | None, seed: int, progress: Callable[[str], None]
-) -> Shots:
+def read_shots(campaign: Campaign, robot: Robot, cache: Path | None, seed: int, progress: Progress) -> Shots:
     """Read the shots of a campaign; images only where the cache does not know them.
 
     Args:
@@ -140,7 +143,7 @@ def _fiducials(
     settings: HeadSettings,
     squares: Mapping[int, np.ndarray],
     cache: Path | None,
-    progress: Callable[[str], None],
+    progress: Progress,
 ) -> tuple[dict[int, pd.DataFrame], dict[int, str]]:
     """Give the fiducials of each shot, and why the others have none.
 
@@ -160,7 +163,7 @@ def _fiducials(
     refused: dict[int, str] = {}
     if todo:
         progress(f"reading {len(todo)} images")
-    for measured in measure_shots(todo, settings, squares):
+    for measured in progress.through(measure_shots(todo, settings, squares), len(todo), "images"):
         line = measured.shot.line
         if measured.fiducials is None:
             refused[line] = measured.why
@@ -192,12 +195,12 @@ def _digests(shots: Sequence[Shot], settings: HeadSettings, squares: Mapping[int
 
 def _digest(shot: Shot, settings: HeadSettings, about: str) -> str:
     """Say in short what the fiducials of a shot depend on; empty if its image is not there to ask."""
-    path = settings.shots.parent / shot.image
-    if not path.is_file():
-        return ""
+    try:
+        content = image_content(shot.image, settings)
+    except NotMeasured:
+        return "" if not os.path.lexists(settings.shots.parent / shot.image) else UNREADABLE
     place = f"{shot.square} {shot.T_world_camera} {about}"
-    content = path.read_bytes() + shot.ranges.tobytes() + place.encode()
-    return hashlib.sha256(content).hexdigest()[:DIGEST_LENGTH]
+    return hashlib.sha256(content + shot.ranges.tobytes() + place.encode()).hexdigest()[:DIGEST_LENGTH]
 
 
 def _cached(cache: Path | None) -> dict[int, pd.DataFrame]:

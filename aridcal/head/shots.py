@@ -18,7 +18,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from aridcal.errors import MeasurementError
+from aridcal.errors import AridcalError, MeasurementError
 from aridcal.head.charuco import Board, find_charuco
 from aridcal.head.fiducials import Fiducials, find_fiducials
 from aridcal.head.matching import NotMeasured
@@ -28,8 +28,9 @@ from aridcal.head.sonar import fit_plane
 from aridcal.head.square import layout
 from aridcal.inputs.head_settings import HeadSettings, load_shots, load_squares, range_columns
 from aridcal.inputs.tables import Table
-from aridcal.inputs.yaml_file import load_settings
+from aridcal.inputs.yaml_file import LARGEST, load_settings
 from aridcal.model.model import Model
+from aridcal.reading.images import image_size, read_image_file
 from aridcal.robot.chain import Robot, load_robot
 
 # [m] of a range that can be right: an ultrasonic sensor's, with room to spare; others are in another unit.
@@ -38,8 +39,7 @@ NEAREST, FARTHEST = 0.02, 5.0
 # Cosine of the tilt, 45 degrees, at which the sonars must be wrong: from so steep a plane the echo goes elsewhere.
 STEEPEST = 0.7
 
-# Share of the next square's distance within which the nearest must be, seen from the nominal arm, to be taken for
-# it.
+# Share of the next square's distance within which the nearest must be, seen from the nominal arm, to be taken for it.
 CLEARLY = 0.5
 
 # [m] A turn of the camera counts as a shift of this times as much: about its distance from the square.
@@ -48,11 +48,8 @@ LEVER = 0.25
 # Shots: fewer are measured sooner than processes are started.
 PARALLEL_FROM = 200
 
-# [px] Width of a shot's picture on the contact sheet.
-THUMBNAIL = 256
-
-# Of its JPEG.
-THUMBNAIL_QUALITY = 80
+# [px] Width of a shot's picture on the contact sheet, and the quality of its JPEG.
+THUMBNAIL, THUMBNAIL_QUALITY = 256, 80
 
 # Green and blue, in OpenCV's order: fiducials of the square itself, and of its neighbours.
 OWN_COLOUR, OTHER_COLOUR = (60, 160, 0), (200, 90, 0)
@@ -125,8 +122,13 @@ def load(path: Path) -> tuple[HeadSettings, dict[int, np.ndarray], Table, list[S
         AridcalError: A file, key, column or row of ``squares.csv`` is wrong; rows of ``shots.csv`` are not looked at.
     """
     head = load_settings(path, HeadSettings)
-    squares = load_squares(head.squares)
+    squares = load_squares(head.squares, head.limits.table)
     table = load_shots(head.shots, head)
+    return head, squares, table, shots_of(table, head, path)
+
+
+def shots_of(table: Table, head: HeadSettings, path: Path) -> list[Shot]:
+    """The rows of a table of shots, ready to be measured; ``path`` names the head's file in messages."""
     n = len(table)
     ranges = [table.numbers(name)[0] for name in range_columns(head)]
     h = np.column_stack(ranges) if ranges else np.zeros((n, 0))
@@ -137,19 +139,18 @@ def load(path: Path) -> tuple[HeadSettings, dict[int, np.ndarray], Table, list[S
     else:
         if head.robot is None:
             raise MeasurementError(f"{head.shots}: no column 'square'; add it, or name the `robot` in {path}")
-        robot = load_robot(head.robot.urdf, head.robot.tip, head.robot.base)
+        robot = load_robot(head.robot.urdf, head.robot.tip, head.robot.base, head.limits.urdf)
         cameras = list(_nominal_cameras(robot, table, head))
     images = table.texts("image")
     columns = zip(table.line, images, h, given, cameras, strict=True)
-    shots = [Shot(int(line), str(image), own, square, T) for line, image, own, square, T in columns]
-    return head, squares, table, shots
+    return [Shot(int(line), str(image), own, square, T) for line, image, own, square, T in columns]
 
 
 def _given_squares(table: Table) -> list[int | str | None]:
     """Read the column ``square``: whole numbers as such, anything else as its text."""
     numbers, _ = table.numbers("square")
     texts = table.texts("square")
-    return [int(n) if n == np.rint(n) else str(t) for n, t in zip(numbers, texts, strict=True)]
+    return [int(n) if abs(n) < LARGEST and n == np.rint(n) else str(t) for n, t in zip(numbers, texts, strict=True)]
 
 
 def _nominal_cameras(robot: Robot, table: Table, head: HeadSettings) -> Iterator[np.ndarray]:
@@ -164,34 +165,50 @@ def _nominal_cameras(robot: Robot, table: Table, head: HeadSettings) -> Iterator
         yield head.world_base.homogeneous @ T_base_tip @ head.tip_camera.homogeneous
 
 
-def read_image(name: str, folder: Path, settings: HeadSettings) -> np.ndarray:
-    """Read a shot's image as grey levels, uint8.
+def image_content(name: str, settings: HeadSettings) -> bytes:
+    """Read the file of a shot's image.
 
     Raises:
-        NotMeasured: No such image in the folder, not readable, not an image, or not of the camera's size.
+        NotMeasured: No such image in the folder of the shots, or one that cannot be read.
     """
-    if not name:
-        raise NotMeasured("no image is named")
-    path = folder / name
     try:
-        if not path.resolve().is_relative_to(folder.resolve()):
-            raise NotMeasured("the image lies outside the folder of the shots")
-        if not path.is_file():
-            raise NotMeasured("there is no such image")
-        content = np.fromfile(path, np.uint8)
-    except (OSError, ValueError) as error:  # a name that no file can have, or no permission
-        raise NotMeasured(f"the image cannot be read: {getattr(error, 'strerror', None) or error}") from None
+        return read_image_file(name, settings.shots.parent, settings.limits.image)
+    except AridcalError as problem:
+        raise NotMeasured(str(problem)) from None
+
+
+def read_image(name: str, settings: HeadSettings) -> np.ndarray:
+    """Read a shot's image as grey levels, uint8; its header decides whether it is decoded at all.
+
+    Raises:
+        NotMeasured: No such image in the folder of the shots, not readable, not an image, or not of the camera's size.
+    """
+    content = image_content(name, settings)
+    camera = settings.camera
+    size = image_size(content)
+    if size is None:
+        raise NotMeasured(
+            "the file is no image of a known kind, or damaged: save it as PNG, JPEG, TIFF, BMP, PGM or WebP"
+        )
+    if sorted(size) != sorted((camera.width, camera.height)):  # turned round by what a JPEG says of its camera, perhaps
+        raise _other_size(*size, settings)
     try:
-        image = cv2.imdecode(content, cv2.IMREAD_GRAYSCALE) if len(content) else None
-    except cv2.error:  # says to be larger than OpenCV reads
+        image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_GRAYSCALE)
+    except cv2.error:
         image = None
     if image is None:
-        raise NotMeasured("the file is empty or no image")
-    camera = settings.camera
+        raise NotMeasured("the image cannot be decoded: is the file complete? Save it anew")
     height, width = image.shape
     if (height, width) != (camera.height, camera.width):
-        raise NotMeasured(f"the image is {width} x {height} pixels, the camera {camera.width} x {camera.height}")
+        raise _other_size(width, height, settings)
     return image
+
+
+def _other_size(width: int, height: int, settings: HeadSettings) -> NotMeasured:
+    camera = settings.camera
+    return NotMeasured(
+        f"the image is {width} x {height} pixels, the camera {camera.width} x {camera.height}: check `camera`"
+    )
 
 
 def read_ranges(h: np.ndarray, settings: HeadSettings) -> Sonars:
@@ -207,7 +224,7 @@ def read_ranges(h: np.ndarray, settings: HeadSettings) -> Sonars:
         if not np.isfinite(value):
             raise NotMeasured(f"{name}: the range is missing or no number")
         if not NEAREST <= value <= FARTHEST:
-            raise NotMeasured(f"{name}: a range of {value:g} m cannot be right; ranges are in metres")
+            raise NotMeasured(f"{name}: a range of {value:g} m cannot be right; give metres")
     try:
         plane = fit_plane(h, sonars.positions, sonars.measures)
     except ValueError as error:
@@ -271,7 +288,7 @@ def measure_shot(shot: Shot, head: HeadSettings, squares: Mapping[int, np.ndarra
     """Measure one shot, or say why it cannot be."""
     image = None
     try:
-        image = read_image(shot.image, head.shots.parent, head)
+        image = read_image(shot.image, head)
         sonars = read_ranges(shot.ranges, head)
         square, sighting = _identified(shot, image, sonars, head, squares)
     except NotMeasured as refusal:
@@ -315,7 +332,7 @@ def _square(shot: Shot, squares: Mapping[int, np.ndarray]) -> int:
         if not isinstance(shot.square, int):
             raise NotMeasured(f"square: {shot.square!r} should be the index of a square")
         if shot.square not in squares:
-            raise NotMeasured(f"square: there is no square {shot.square} in the table of squares")
+            raise NotMeasured(f"square: there is no square {shot.square} in the table of squares: check both")
         return shot.square
     T_camera_world = np.linalg.inv(shot.T_world_camera)
     middles = {index: (T_camera_world @ T)[:3, 3] for index, T in squares.items()}

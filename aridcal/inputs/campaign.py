@@ -14,7 +14,8 @@ from pydantic import AfterValidator, BeforeValidator, Field, PrivateAttr, field_
 
 from aridcal.effects.catalogue import KINDS, is_of_head
 from aridcal.errors import CampaignError, nearest
-from aridcal.inputs.yaml_file import RelativePath, Section, Settings, Vector3, load_settings
+from aridcal.inputs.yaml_file import LARGEST, RelativePath, Section, Settings, Vector3, load_settings
+from aridcal.reading.names import check_path
 
 # Metres in one of each unit of length.
 LENGTHS = MappingProxyType({"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254, "ft": 0.3048})
@@ -61,7 +62,7 @@ class RobotSettings(Section):
     @classmethod
     def _vector_or_world(cls, gravity: Any) -> Any:
         listed = isinstance(gravity, list | tuple) and len(gravity) == 3
-        if gravity != "world" and not (listed and all(type(g) in (int, float) and math.isfinite(g) for g in gravity)):
+        if gravity != "world" and not (listed and all(type(g) in (int, float) and abs(g) <= LARGEST for g in gravity)):
             raise ValueError("should be `world` or [x, y, z] in m/s²")
         return gravity
 
@@ -215,7 +216,7 @@ class EffectDeclaration(Section):
     """The other joint of a `joint_coupling`."""
     by: Literal["direction", "load"] | None = None
     """What a `joint_backlash` switches with."""
-    order: Annotated[tuple[Annotated[float, Field(gt=0)], ...], BeforeValidator(_listed)] | None = None
+    order: Annotated[tuple[Annotated[float, Field(gt=0, le=1e6)], ...], BeforeValidator(_listed)] | None = None
     """Periods in one turn of the joint."""
     motion: Names | None = None
     covariates: Names | None = None
@@ -226,11 +227,11 @@ class EffectDeclaration(Section):
     def _fits_the_kind(self) -> EffectDeclaration:
         key = KINDS[self.kind].key
         if (self.with_ is not None) != (key == "with"):
-            raise ValueError(f"`with: JOINT` belongs to a {_kinds_with('with')}, which needs it")
+            raise ValueError(f"`with: JOINT` belongs to a {_kinds_with('with')}, which needs it; write it there alone")
         if self.by is not None and key != "by":
-            raise ValueError(f"`by` belongs to a {_kinds_with('by')} only")
+            raise ValueError(f"`by` belongs to a {_kinds_with('by')} only; delete it")
         if self.at is not None and key != "at":
-            raise ValueError(f"`at` belongs to a {_kinds_with('at')} only")
+            raise ValueError(f"`at` belongs to a {_kinds_with('at')} only; delete it")
         return self
 
 
@@ -260,7 +261,7 @@ class Job(Settings):
                 raise ValueError("frames.tip_target: `kind: camera_sonar` has its target at the tip; delete this key")
         else:
             if self.measurements.head is not None:
-                raise ValueError("measurements.head: belongs to `kind: camera_sonar`")
+                raise ValueError("measurements.head: belongs to `kind: camera_sonar`; delete it, or write that kind")
             for number, effect in enumerate(self.effects):
                 if is_of_head(effect.kind):
                     raise ValueError(f"effects[{number}].kind: {effect.kind} needs `kind: camera_sonar`")
@@ -288,7 +289,9 @@ class Campaign(Job):
         files, head = self.measurements.files, self.measurements.head
         if self.measurements.kind == "camera_sonar":
             if head is None or files:
-                raise ValueError("measurements: `kind: camera_sonar` has `head: head.yaml` and no `file`")
+                raise ValueError(
+                    "measurements: `kind: camera_sonar` has `head: head.yaml` and no `file`; delete `file`, or name the head"
+                )
         elif not files:
             raise ValueError("measurements.file: name the table of measurements, or a list of them")
         return self
@@ -301,7 +304,8 @@ def load_campaign(path: str | Path) -> Campaign:
         CampaignError: naming the file, the line, the key and the nearest known one.
     """
     path = Path(path)
-    if not path.is_file() or path.suffix.lower() in (".csv", ".parquet", ".urdf"):
+    check_path(path, CampaignError)
+    if path.is_dir() or not path.exists() or path.suffix.lower() in (".csv", ".parquet", ".urdf"):
         what = "is a folder" if path.is_dir() else "is no campaign" if path.exists() else "there is no such file"
         raise CampaignError(
             f"{path}: {what}. `aridcal init --urdf ROBOT.urdf --measurements TABLE.csv` writes a campaign"

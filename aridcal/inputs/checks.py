@@ -39,8 +39,10 @@ def nothing_usable(source: Source) -> MeasurementError:
     reasons = "; ".join(f"{count} x {why}" for why, count in counts.most_common(3))
     of_sigma = {source.column(name) for name in STD}
     sigmas = any(remark.column in of_sigma for remark in refused)
-    hint = ". To do without the std_* columns, write `noise: {rows: ignore}`" if sigmas else ""
-    return MeasurementError(f"{source.table.title}: no usable row: {reasons}. First: {refused[0]}{hint}")
+    hint = "; to do without the std_* columns, write `noise: {rows: ignore}`" if sigmas else ""
+    return MeasurementError(
+        f"{source.table.title}: no usable row: {reasons}. First: {refused[0]}. Mend these cells{hint}"
+    )
 
 
 def refuse_copies(

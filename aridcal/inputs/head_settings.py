@@ -7,13 +7,14 @@ from typing import Annotated, Literal
 
 import numpy as np
 import pinocchio as pin
-from pydantic import Field, PositiveFloat, PositiveInt, model_validator
+from pydantic import Field, PositiveInt, model_validator
 from scipy.spatial.transform import Rotation
 
 from aridcal.errors import MeasurementError
 from aridcal.inputs.quantities import POSITION, QUATERNION, QUATERNION_SLACK
 from aridcal.inputs.tables import Table, read_tables
-from aridcal.inputs.yaml_file import RelativePath, Section, Settings, Vector3
+from aridcal.inputs.yaml_file import LARGEST, Number, Positive, RelativePath, Section, Settings, Vector3
+from aridcal.reading.files import MEGA, TABLE, Limit
 
 CHARUCO_KEYS = ("squares_x", "squares_y", "square", "marker", "dictionary")
 POSE_COLUMNS = (*POSITION, *QUATERNION)
@@ -28,16 +29,16 @@ LEAST_SPREAD = 1e-3
 class CameraSettings(Section):
     """A camera after OpenCV's model (:mod:`aridcal.head.camera`): z forward, y down; lengths in pixels."""
 
-    fx: PositiveFloat
-    fy: PositiveFloat
+    fx: Positive
+    fy: Positive
     """Focal lengths, [px]."""
-    cx: float
-    cy: float
+    cx: Number
+    cy: Number
     """Principal point, [px]; the middle of the first pixel is 0."""
     width: PositiveInt
     height: PositiveInt
     """Of the images, [px]."""
-    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    distortion: tuple[Number, Number, Number, Number, Number] = (0.0, 0.0, 0.0, 0.0, 0.0)
     """k1, k2, p1, p2, k3."""
 
     @property
@@ -52,7 +53,7 @@ class SonarSettings(Section):
     positions: Annotated[tuple[Vector3, ...], Field(min_length=3)]
     """In Doty's camera frame, [m], in the order h1, h2, ..."""
     measures: Measures = "perpendicular"
-    std: PositiveFloat
+    std: Positive
     """Of a reading, [m]."""
 
     @model_validator(mode="after")
@@ -60,7 +61,7 @@ class SonarSettings(Section):
         across = np.array(self.positions)[:, :2]
         extents = np.linalg.svd(across - across.mean(axis=0), compute_uv=False)
         if extents[1] < LEAST_SPREAD:
-            raise ValueError("the sonars sit on one line: they cannot see a plane's tilt about it")
+            raise ValueError("the sonars sit on one line: they cannot see a plane's tilt about it; check `positions`")
         return self
 
 
@@ -95,9 +96,9 @@ class HeadSettings(Settings):
     target: Annotated[str, Field(pattern="^(arid_square|charuco)$")] = "arid_square"
     squares_x: PositiveInt | None = None
     squares_y: PositiveInt | None = None
-    square: PositiveFloat | None = None
+    square: Positive | None = None
     """Side of a chessboard square, [m]."""
-    marker: PositiveFloat | None = None
+    marker: Positive | None = None
     """Side of a marker, [m]."""
     dictionary: str | None = None
     """OpenCV's name for it: DICT_4X4_50, ..."""
@@ -110,26 +111,36 @@ class HeadSettings(Settings):
     """T_world_base of that arm."""
 
     @model_validator(mode="after")
+    def _not_too_many_pixels(self) -> HeadSettings:
+        pixels, most = self.camera.width * self.camera.height / MEGA, self.limits.image_megapixels
+        if pixels > most:
+            raise ValueError(
+                f"camera: {self.camera.width} x {self.camera.height} are {pixels:,.0f} megapixels, at most {most:g} are "
+                "decoded; raise `limits: {image_megapixels: …}` if they are meant to be"
+            )
+        return self
+
+    @model_validator(mode="after")
     def _what_the_target_needs(self) -> HeadSettings:
         given = [key for key in CHARUCO_KEYS if getattr(self, key) is not None]
         if self.target == "arid_square":
             if given:
                 raise ValueError(f"`{given[0]}` belongs to `target: charuco`")
             if self.sonars is None:
-                raise ValueError("`sonars` is missing: they tell how large the square's fiducials are in the image")
+                raise ValueError("add `sonars`: they tell how large the square's fiducials are in the image")
         elif len(given) < len(CHARUCO_KEYS):
             missing = ", ".join(key for key in CHARUCO_KEYS if key not in given)
             raise ValueError(f"`target: charuco` also needs: {missing}")
         return self
 
 
-def load_squares(path: Path) -> dict[int, np.ndarray]:
+def load_squares(path: Path, limit: Limit = TABLE) -> dict[int, np.ndarray]:
     """Read ``squares.csv``: T_world_square, (4, 4), of each square by its index.
 
     Raises:
         MeasurementError: A cell is missing or no number, a quaternion is not of unit length, an index appears twice.
     """
-    table = read_tables([path])
+    table = read_tables([path], limit=limit)
     names = ("index", *POSE_COLUMNS)
     table.require(names)
     if table.refused:
@@ -139,7 +150,7 @@ def load_squares(path: Path) -> dict[int, np.ndarray]:
     for row, (number, *pose) in enumerate(numbers):
         _check_square(table, row, names, numbers[row])
         if int(number) in squares:
-            raise MeasurementError(str(table.remark(row, "index", "appears twice")))
+            raise MeasurementError(str(table.remark(row, "index", "appears twice: number the squares anew")))
         position, quaternion = pose[:3], pose[3:]
         T = np.eye(4)
         T[:3, :3] = Rotation.from_quat(quaternion).as_matrix()
@@ -151,13 +162,15 @@ def load_squares(path: Path) -> dict[int, np.ndarray]:
 def _check_square(table: Table, row: int, names: tuple[str, ...], numbers: np.ndarray) -> None:
     """Refuse a row of ``squares.csv`` that is no pose of a square."""
     for name, value in zip(names, numbers, strict=True):
-        if not np.isfinite(value):
-            raise MeasurementError(str(table.remark(row, name, "should be a number")))
+        if not np.abs(value) <= LARGEST:
+            raise MeasurementError(str(table.remark(row, name, f"should be a number, not beyond {LARGEST:g}")))
     index, length = numbers[0], np.linalg.norm(numbers[4:])
     if index != round(index) or index < 0:
         raise MeasurementError(str(table.remark(row, "index", "should be a whole number, 0 or more")))
     if abs(length - 1) > QUATERNION_SLACK:
-        raise MeasurementError(str(table.remark(row, "qw", "the quaternion is not of unit length", "")))
+        raise MeasurementError(
+            str(table.remark(row, "qw", "the quaternion is not of unit length: write x y z w of norm 1", ""))
+        )
 
 
 def load_shots(path: Path, settings: HeadSettings) -> Table:
@@ -166,7 +179,7 @@ def load_shots(path: Path, settings: HeadSettings) -> Table:
     Raises:
         MeasurementError: The table cannot be read, or a column is missing.
     """
-    table = read_tables([path])
+    table = read_tables([path], limit=settings.limits.table)
     table.require(["image", *range_columns(settings)])
     return table
 

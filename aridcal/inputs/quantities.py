@@ -10,9 +10,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from aridcal.effects.effect import ROW_ORDER
-from aridcal.errors import CampaignError, MeasurementError, nearest
+from aridcal.errors import CampaignError, MeasurementError, has_controls, nearest
 from aridcal.inputs.campaign import MeasurementSettings
 from aridcal.inputs.tables import DECIMAL_COMMA, Remark, Table
+from aridcal.reading.names import LONGEST_NAME
 from aridcal.robot.chain import JointKind
 
 POSITION = ("x", "y", "z")
@@ -271,6 +272,8 @@ class Source:
             return None
         self._take([name])
         words = self.table.texts(name)
+        unsafe = np.array([has_controls(word) or len(word) > LONGEST_NAME for word in words.tolist()], dtype=bool)
+        self.refuse(unsafe, name, "a label with control characters, or too long")
         if needed:
             self.refuse(words == "", name, "empty")
         return words
@@ -356,7 +359,8 @@ class Source:
         scales = np.broadcast_to(scale, len(columns))
         values = np.empty((len(self.table), len(columns)))
         for k, name in enumerate(columns):
-            values[:, k] = self._finite(name) * scales[k]
+            with np.errstate(over="ignore", invalid="ignore"):  # of cells that are refused
+                values[:, k] = self._finite(name) * scales[k]
             too_large = np.abs(values[:, k]) > ABSURD
             self.refuse(too_large, name, "implausibly large")
         return values

@@ -50,7 +50,7 @@ def load_measurements(
             disagree, or has no usable row; or a station that needs a frame of its own has held-out rows only.
     """
     settings = campaign.measurements
-    table = read_tables(_existing(campaign, files), settings.ignore)
+    table = read_tables(_existing(campaign, files), settings.ignore, campaign.limits.table)
     source = Source(table, settings, tuple(readings), str(campaign.path))
     q = source.joints(kinds)
     position, quaternion, std = np.full((len(table), 3), np.nan), None, None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import math
 import re
 from collections.abc import Hashable, Iterator
 from pathlib import Path
@@ -13,6 +14,7 @@ from pydantic import (
     BaseModel,
     BeforeValidator,
     ConfigDict,
+    Field,
     PrivateAttr,
     ValidationError,
     ValidationInfo,
@@ -20,11 +22,28 @@ from pydantic import (
 )
 from pydantic_core import ErrorDetails, PydanticCustomError
 
-from aridcal.errors import AridcalError, CampaignError, nearest
+from aridcal.errors import AridcalError, CampaignError, nearest, printable, shortened
+from aridcal.reading.files import IMAGE, SETTINGS, TABLE, URDF, Limit, read_file
+from aridcal.reading.names import check_path
 
-MAX_BYTES = 50_000_000
 MAX_DEPTH = 50
+
+MAX_NODES = 200_000
+"""Keys and values: more than a calibration of three thousand coefficients has; they are read within a second."""
+
 MAX_COMPLAINTS = 8
+
+LARGEST_INTEGER = 2**63
+"""Whole numbers beyond are no row, no seed and no length; Python does not even print one of 5,000 digits."""
+
+MOST_DIGITS = 70
+"""Of a whole number: 64 binary ones, their mark and a sign."""
+
+LARGEST_NUMBER = 1e15
+"""Of any other number, a time in microseconds for instance: its square and its products are numbers, too."""
+
+LARGEST = 1e9
+"""[m], [rad], [px]: no place, angle or image is larger."""
 
 Location = tuple[str | int, ...]
 
@@ -32,25 +51,47 @@ Location = tuple[str | int, ...]
 _SafeLoader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
-class _Loader(_SafeLoader):
+class Loader(_SafeLoader):
     """Safe loader that also takes ``1e-4`` for a number: YAML 1.1 would make it text for want of a point."""
 
+    def construct_yaml_int(self, node: yaml.ScalarNode) -> int:
+        """A whole number that is none of thousands of digits."""
+        if len(node.value) <= MOST_DIGITS:
+            value = super().construct_yaml_int(node)
+            if abs(value) <= LARGEST_INTEGER:
+                return int(value)
+        raise yaml.constructor.ConstructorError(
+            problem=f"the number {shortened(node.value)} is too large: write a smaller one",
+            problem_mark=node.start_mark,
+        )
 
-_Loader.add_implicit_resolver(
+
+Loader.add_constructor("tag:yaml.org,2002:int", Loader.construct_yaml_int)
+Loader.add_implicit_resolver(
     "tag:yaml.org,2002:float", re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+\Z"), list("-+.0123456789")
 )
 
 
 def _path(name: Any, info: ValidationInfo) -> Any:
     if not isinstance(name, str | Path) or not str(name).strip():
-        raise ValueError(f"should be a file name, not {name!r}")
-    return info.context["folder"] / name if info.context else Path(name)
+        raise ValueError(f"should be a file name, not {_shown(name)}")
+    path: Path = info.context["folder"] / name if info.context else Path(name)
+    try:
+        check_path(path, CampaignError)
+    except CampaignError as problem:
+        raise ValueError(str(problem)) from None
+    return path
 
 
 # A path that is relative to the settings file that names it; already resolved on the loaded model.
 RelativePath = Annotated[Path, BeforeValidator(_path)]
 
-Vector3 = tuple[float, float, float]
+Number = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
+
+Positive = Annotated[float, Field(ge=1e-12, le=LARGEST)]
+"""A length, a focal length or a sigma: smaller ones cannot be divided by."""
+
+Vector3 = tuple[Number, Number, Number]
 
 
 class Section(BaseModel):
@@ -70,10 +111,37 @@ class Section(BaseModel):
         return keys
 
 
+class Limits(Section):
+    """How much is read; raised for files that are large on purpose."""
+
+    urdf_mb: float = Field(default=URDF.megabytes, gt=0, le=1e6)
+    table_mb: float = Field(default=TABLE.megabytes, gt=0, le=1e6)
+    """Of a table as a file, and of its cells in memory, eight bytes each."""
+    image_mb: float = Field(default=IMAGE.megabytes, gt=0, le=1e6)
+    image_megapixels: float = Field(default=100.0, gt=0, le=1e6)
+    """No camera that measures has more: 100."""
+
+    @property
+    def urdf(self) -> Limit:
+        """Of a URDF."""
+        return Limit(self.urdf_mb, URDF.key)
+
+    @property
+    def table(self) -> Limit:
+        """Of a table."""
+        return Limit(self.table_mb, TABLE.key)
+
+    @property
+    def image(self) -> Limit:
+        """Of an image as a file."""
+        return Limit(self.image_mb, IMAGE.key)
+
+
 class Settings(Section):
     """A whole settings file. Keeps its text and where it came from."""
 
     format: Literal[1]
+    limits: Limits = Limits()
     _path: Path = PrivateAttr(default=Path())
     _text: str = PrivateAttr(default="")
 
@@ -94,30 +162,9 @@ class Settings(Section):
         return f"<{type(self).__name__} {self._path}>"
 
 
+AnySection = TypeVar("AnySection", bound=Section)
+
 AnySettings = TypeVar("AnySettings", bound=Settings)
-
-
-def read_bytes(path: Path, error: type[AridcalError]) -> bytes:
-    """Read a whole file that the user named.
-
-    Args:
-        path: The file.
-        error: The kind of error to raise.
-
-    Raises:
-        AridcalError: of the given kind, if the file is missing, a folder, unreadable or empty.
-    """
-    try:
-        content = path.read_bytes()
-    except FileNotFoundError:
-        raise error(f"{path}: there is no such file") from None
-    except IsADirectoryError:
-        raise error(f"{path}: is a folder, not a file") from None
-    except (OSError, ValueError) as problem:
-        raise error(f"{path}: cannot be read: {getattr(problem, 'strerror', None) or problem}") from None
-    if not content or content.isspace():
-        raise error(f"{path}: is empty")
-    return content
 
 
 def decode(content: bytes, path: Path, error: type[AridcalError]) -> str:
@@ -134,16 +181,22 @@ def decode(content: bytes, path: Path, error: type[AridcalError]) -> str:
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as problem:
-        line = content.count(b"\n", 0, problem.start) + 1
-        raise error(f"{path}, line {line}: is not UTF-8 text; save the file as UTF-8") from None
+        raise not_utf8(content, problem.start, path, error) from None
 
 
-def load_settings(path: str | Path, model: type[AnySettings]) -> AnySettings:
+def not_utf8(content: bytes, place: int, path: Path, error: type[AridcalError]) -> AridcalError:
+    """The error for text in another encoding, with the line of its first byte that shows it."""
+    line = content.count(b"\n", 0, place) + 1
+    return error(f"{path}, line {line}: is not UTF-8 text; save the file as UTF-8")
+
+
+def load_settings(path: str | Path, model: type[AnySettings], limit: Limit = SETTINGS) -> AnySettings:
     """Read a settings file.
 
     Args:
         path: A YAML file in UTF-8.
         model: What it must look like.
+        limit: How large the file may be.
 
     Returns:
         The settings, paths made relative to the file's folder.
@@ -152,9 +205,7 @@ def load_settings(path: str | Path, model: type[AnySettings]) -> AnySettings:
         CampaignError: naming the file, the line, the key and the remedy.
     """
     path = Path(path)
-    content = read_bytes(path, CampaignError)
-    if len(content) > MAX_BYTES:
-        raise CampaignError(f"{path}: {len(content) / 1e6:.0f} MB is too large for a settings file")
+    content = read_file(path, CampaignError, limit)
     return parse_settings(decode(content, path, CampaignError), path, model)
 
 
@@ -169,12 +220,31 @@ def parse_settings(text: str, path: Path, model: type[AnySettings]) -> AnySettin
     Raises:
         CampaignError: naming the file, the line, the key and the remedy.
     """
-    keys, lines = _parse_yaml(text, path)
+    keys, lines = parse_yaml(text, path)
     if "format" not in keys:
         raise CampaignError(f"{path}: the key 'format' is missing; write `format: 1` on top")
     if type(keys["format"]) is not int or keys["format"] != 1:
         where = f"{path}, line {lines['format',]}"
-        raise CampaignError(f"{where}: format: this version reads format 1 only, not {keys['format']!r}")
+        raise CampaignError(
+            f"{where}: format: this version reads format 1 only, not {_shown(keys['format'])}; write `format: 1`"
+        )
+    settings = validated(keys, lines, path, model)
+    settings._path, settings._text = path, text
+    return settings
+
+
+def validated(keys: dict[str, Any], lines: dict[Location, int], path: Path, model: type[AnySection]) -> AnySection:
+    """Check keys that were read.
+
+    Args:
+        keys: As :func:`parse_yaml` gives them.
+        lines: Line of each.
+        path: Whence they came.
+        model: What they must look like.
+
+    Raises:
+        CampaignError: naming the file, the line, the key and the remedy.
+    """
     try:
         settings = model.model_validate(_frozen(keys), strict=True, context={"folder": path.parent})
     except ValidationError as problem:
@@ -182,15 +252,32 @@ def parse_settings(text: str, path: Path, model: type[AnySettings]) -> AnySettin
         if len(complaints) > MAX_COMPLAINTS:
             complaints[MAX_COMPLAINTS:] = [f"and {len(complaints) - MAX_COMPLAINTS} more"]
         raise CampaignError("\n".join(complaints)) from None
-    settings._path, settings._text = path, text
+    _check_numbers(keys, (), path, lines)
     return settings
 
 
-def _parse_yaml(text: str, path: Path) -> tuple[dict[str, Any], dict[Location, int]]:
-    """Return a YAML mapping and the line of each of its keys, or complain about what is no plain YAML."""
+def _check_numbers(value: Any, location: Location, path: Path, lines: dict[Location, int]) -> None:
+    """Refuse a number so large that no computation with it would end in a number."""
+    if isinstance(value, dict | list):
+        for key, item in value.items() if isinstance(value, dict) else enumerate(value):
+            _check_numbers(item, (*location, key), path, lines)
+    elif isinstance(value, float) and LARGEST_NUMBER < abs(value) < math.inf:
+        where = f"{path}, line {lines[location]}: {_dotted(location)}"
+        raise CampaignError(f"{where}: should not be beyond {LARGEST_NUMBER:g}, not {value:g}")
+
+
+def parse_yaml(text: str, path: Path) -> tuple[dict[str, Any], dict[Location, int]]:
+    """Read a YAML mapping safely.
+
+    Returns:
+        The mapping, and the line of each of its keys and list items.
+
+    Raises:
+        CampaignError: it is no plain YAML; naming the file and the line.
+    """
     try:
-        refuse_tricks(text, path)
-        loader = _Loader(text)
+        _refuse_tricks(text, path)
+        loader = Loader(text)
         node = loader.get_single_node()
         if not isinstance(node, yaml.MappingNode):
             raise CampaignError(f"{path}: holds no `key: value` pairs")
@@ -198,18 +285,24 @@ def _parse_yaml(text: str, path: Path) -> tuple[dict[str, Any], dict[Location, i
         return loader.construct_document(node), lines
     except yaml.reader.ReaderError as problem:
         line = text.count("\n", 0, problem.position) + 1
-        raise CampaignError(f"{path}, line {line}: holds a character that YAML forbids") from None
+        raise CampaignError(f"{path}, line {line}: holds a character that YAML forbids; delete it") from None
     except yaml.MarkedYAMLError as problem:
         mark = problem.problem_mark or problem.context_mark
         number = mark.line if mark else 0
         shown = (text.splitlines() or [""])[number : number + 1]
         tab = " (YAML wants spaces, not tabs)" if shown and "\t" in shown[0] else ""
-        raise CampaignError(f"{path}, line {number + 1}: is not valid YAML: {problem.problem}{tab}") from None
+        raise CampaignError(
+            f"{path}, line {number + 1}: is not valid YAML: {problem.problem}{tab}. Mend that line"
+        ) from None
     except ValueError as problem:  # a date such as 2024-02-30
-        raise CampaignError(f"{path}: is not valid YAML: {problem}") from None
+        raise CampaignError(f"{path}: is not valid YAML: {problem}; put what is no date in quotes") from None
 
 
-def refuse_tricks(text: str, path: Path) -> None:
+# What an event adds to the depth.
+DEEPER = {yaml.MappingStartEvent: 1, yaml.SequenceStartEvent: 1, yaml.MappingEndEvent: -1, yaml.SequenceEndEvent: -1}
+
+
+def _refuse_tricks(text: str, path: Path) -> None:
     """Refuse what a settings file has no need of and an attacker has.
 
     Aliases can blow up a few lines to gigabytes, deep nesting exhausts the stack, and tags make objects.
@@ -218,16 +311,22 @@ def refuse_tricks(text: str, path: Path) -> None:
         CampaignError: naming the line.
     """
     depth = 0
-    for event in yaml.parse(text, Loader=_Loader):
+    for number, event in enumerate(yaml.parse(text, Loader=Loader)):
+        kind = type(event)
+        depth += DEEPER.get(kind, 0)
+        if kind is yaml.AliasEvent:
+            anchor = str(getattr(event, "anchor", ""))
+            trick = f"the alias *{shortened(anchor)} is refused; write the value out"
+        elif tag := getattr(event, "tag", None):
+            trick = f"the tag {shortened(tag)} is refused; write plain values"
+        elif depth > MAX_DEPTH:
+            trick = f"is nested more than {MAX_DEPTH} deep; write plain keys and values"
+        elif number > MAX_NODES:
+            trick = f"has more than {MAX_NODES:,} keys and values; name another file"
+        else:
+            continue
         mark = event.start_mark
-        where = f"{path}, line {mark.line + 1 if mark else 1}"
-        if isinstance(event, yaml.AliasEvent):
-            raise CampaignError(f"{where}: the alias *{event.anchor} is refused; write the value out")
-        if isinstance(event, yaml.ScalarEvent | yaml.CollectionStartEvent) and event.tag:
-            raise CampaignError(f"{where}: the tag {event.tag} is refused; write plain values")
-        depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
-        if depth > MAX_DEPTH:
-            raise CampaignError(f"{where}: is nested more than {MAX_DEPTH} deep")
+        raise CampaignError(f"{path}, line {mark.line + 1 if mark else 1}: {trick}")
 
 
 def _lines(node: yaml.Node, location: Location, path: Path) -> Iterator[tuple[Location, int]]:
@@ -242,13 +341,12 @@ def _lines(node: yaml.Node, location: Location, path: Path) -> Iterator[tuple[Lo
             line = key.start_mark.line + 1
             where = f"{path}, line {line}"
             if not isinstance(key, yaml.ScalarNode):
-                raise CampaignError(f"{where}: a key must be a plain word")
-            name = _dotted((*location, key.value))
+                raise CampaignError(f"{where}: a key must be a plain word; write `key: value`")
             if key.tag != "tag:yaml.org,2002:str":
-                kind = key.tag.rpartition(":")[2]
+                kind, name = key.tag.rpartition(":")[2], _dotted((*location, key.value))
                 raise CampaignError(f"{where}: {name}: YAML reads this key as a {kind}; put it in quotes")
             if key.value in seen:
-                raise CampaignError(f"{where}: {name}: this key is there twice")
+                raise CampaignError(f"{where}: {_dotted((*location, key.value))}: this key is there twice; delete one")
             seen.add(key.value)
             yield (*location, key.value), line
             yield from _lines(value, (*location, key.value), path)
@@ -264,7 +362,8 @@ def _frozen(value: Any) -> Any:
 
 
 def _dotted(location: Location) -> str:
-    return "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in location).removeprefix(".")
+    parts = (f"[{part}]" if isinstance(part, int) else f".{shortened(printable(part))}" for part in location)
+    return "".join(parts).removeprefix(".")
 
 
 def _complaint(error: ErrorDetails, path: Path, lines: dict[Location, int]) -> str:
@@ -276,7 +375,7 @@ def _complaint(error: ErrorDetails, path: Path, lines: dict[Location, int]) -> s
         location = (*location, facts["key"])
         wrong = error["msg"]
     elif error["type"] == "missing":
-        wrong = "this item is missing" if isinstance(location[-1], int) else "this key is missing"
+        wrong = f"this {'item' if isinstance(location[-1], int) else 'key'} is missing; add it"
     elif value is None:
         wrong = "has no value; give one or delete the key"
     elif error["type"] == "value_error":
@@ -295,5 +394,4 @@ def _complaint(error: ErrorDetails, path: Path, lines: dict[Location, int]) -> s
 
 
 def _shown(value: object) -> str:
-    text = repr(list(value) if isinstance(value, tuple) else value)
-    return text if len(text) <= 60 else text[:57] + "..."
+    return shortened(repr(list(value) if isinstance(value, tuple) else value))

@@ -18,9 +18,10 @@ from aridcal.inputs.campaign import Campaign
 from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.read import load_measurements
 from aridcal.inputs.tables import AnyTable, read_tables
-from aridcal.inputs.yaml_file import parse_settings, read_bytes
+from aridcal.inputs.yaml_file import parse_settings
 from aridcal.prepare.guesses import Choose, Guess, Proposal
 from aridcal.prepare.propose import propose
+from aridcal.reading.files import URDF, read_file
 
 # Of a line with a comment.
 WIDTH = 116
@@ -61,7 +62,7 @@ def draft(urdf: Path, tables: Sequence[AnyTable], out: Path, choose: Choose) -> 
     """
     table = read_tables(tables, None)
     try:
-        proposal = propose(read_bytes(urdf, RobotError), urdf, table, choose)
+        proposal = propose(read_file(urdf, RobotError, URDF), urdf, table, choose)
     except MeasurementError:
         read_tables(tables)  # what lacks may be in some of the files: then that is the fault
         raise

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection
 
 import numpy as np
 
@@ -41,8 +41,10 @@ def say_covariates(table: Table, used: set[str], made: Proposal) -> None:
         if column and np.isfinite(table.numbers(column)[0]).any():
             free.remove(column)
             made.say_columns({quantity: column}, f"by its name, taken for {si_unit}")
-    reasons = {name: _no_covariate(table, name, free) for name in free}
-    reasons |= {name: f"not in {path.name}" for name, path in table.partial.items()}
+    families = (*positions(free), *angle_triples(free), *quaternions(free), *numbered(free))
+    in_families = {name for family in families for name in family.columns}
+    reasons = {name: _no_covariate(table, name, in_families) for name in free}
+    reasons |= {name: f"not in {path.name} as a plain column" for name, path in table.partial.items()}
     ignored = [name for name in reasons if reasons[name]]
     if ignored:
         why = ", ".join(f"{name} ({reasons[name]})" for name in ignored)
@@ -52,8 +54,14 @@ def say_covariates(table: Table, used: set[str], made: Proposal) -> None:
         made.say("covariates", None, f"effects may depend on {kept}; name under `ignore` what is none", sure=False)
 
 
-def _no_covariate(table: Table, name: str, free: Sequence[str]) -> str:
-    """Why no effect can sensibly depend on a column; empty if one can."""
+def _no_covariate(table: Table, name: str, in_families: Collection[str]) -> str:
+    """Why no effect can sensibly depend on a column; empty if one can.
+
+    Args:
+        table: The measurements.
+        name: The column.
+        in_families: Columns that belong together with others.
+    """
     if name.endswith("_direction"):
         return ""
     if set(words(name)) & SCATTER:
@@ -66,9 +74,7 @@ def _no_covariate(table: Table, name: str, free: Sequence[str]) -> str:
         return "counts the rows"
     if np.ptp(values) == 0:
         return "never changes"
-    families = (*positions(free), *angle_triples(free), *quaternions(free), *numbered(free))
-    in_family = any(name in family.columns for family in families)
-    return "of another pose or chain" if in_family else ""
+    return "of another pose or chain" if name in in_families else ""
 
 
 def say_repeats(q: np.ndarray, reading: Reading, made: Proposal) -> None:

@@ -149,7 +149,7 @@ def _far_less(other: tuple[Left, Left], own: tuple[Left, Left | None]) -> bool:
 
 def _sample(campaign: Campaign, train: Dataset) -> pd.DataFrame:
     """Some training rows as they stand in the tables."""
-    table = read_tables(campaign.tables, campaign.measurements.ignore)
+    table = read_tables(campaign.tables, campaign.measurements.ignore, campaign.limits.table)
     number = {place: k for k, place in enumerate(zip(table.file.tolist(), table.line.tolist(), strict=True))}
     rows = np.array([number[place] for place in zip(train.file.tolist(), train.line.tolist(), strict=True)])
     drawn = np.random.default_rng(0).permutation(rows)[:SAMPLE]

@@ -7,14 +7,15 @@ from pathlib import Path
 
 import numpy as np
 
-from aridcal.errors import MeasurementError, RobotError
-from aridcal.inputs.quantities import POSITION, SAME_ORIENTATION
+from aridcal.errors import MeasurementError, RobotError, listed
+from aridcal.inputs.quantities import ABSURD, POSITION, QUATERNION, SAME_ORIENTATION
 from aridcal.inputs.tables import Table
 from aridcal.prepare.column_names import Family, angle_triples, match_joints, positions, quaternions, unit
 from aridcal.prepare.covariates import say_covariates, say_repeats
 from aridcal.prepare.guesses import Choose, Proposal, ask
 from aridcal.prepare.units_and_angles import Reading, Sample, Writing, angle_writings, quaternion_writings, readings
-from aridcal.robot.chain import Robot, links, parse_robot
+from aridcal.robot.chain import Robot, chain
+from aridcal.robot.tree import read_tree
 
 # Rows that judge; more make no clearer verdict.
 SAMPLE = 150
@@ -28,6 +29,8 @@ STRANGE_SHARE = 0.05
 STRANGE_ANGLE = 0.2
 # How far from 1 the norms of a quaternion's columns may be.
 UNIT_SLACK = 0.05
+# Some programs write four zeros where they know no orientation.
+NO_ROTATION = 0.5
 # The base's z is the instrument's if they are as close as that, [deg]: floors and tripods are less exact than
 # noise.
 UPRIGHT = 5.0
@@ -69,7 +72,7 @@ def propose(urdf: bytes, path: Path, table: Table, choose: Choose) -> Proposal:
     used |= _orientation(table, used, rows, reading, choose, made)
     _gravity(reading, made)
     say_covariates(table, used, made)
-    say_repeats(table.matrix(joint_columns), reading, made)
+    say_repeats(_sensible(table, joint_columns), reading, made)
     return made
 
 
@@ -81,9 +84,10 @@ def _chains(urdf: bytes, path: Path) -> dict[tuple[str, ...], list[Robot]]:
     """
     chains: dict[tuple[str, ...], list[Robot]] = {}
     why: RobotError | None = None
-    for link in links(urdf, path):
+    tree = read_tree(urdf, path)
+    for link in tree.links:
         try:
-            robot = parse_robot(urdf, link, None, path)
+            robot = chain(tree, link)
         except RobotError as error:
             why = error
         else:
@@ -108,7 +112,7 @@ def _joints(chains: Iterable[tuple[str, ...]], table: Table) -> tuple[tuple[str,
     if not found:
         lacking = [joint for joint in max(matches, key=len) if joint not in names]
         raise MeasurementError(
-            f"{table.title}: no columns for the joints {', '.join(lacking)}. Its columns are {', '.join(names)}. Name "
+            f"{table.title}: no columns for the joints {', '.join(lacking)}. Its columns are {listed(names)}. Name "
             "the joints' columns as in the URDF, or number them q1, q2, … along the chain"
         )
     best = max(found, key=lambda joints: (found[joints][1] != "order", len(joints)))
@@ -117,7 +121,8 @@ def _joints(chains: Iterable[tuple[str, ...]], table: Table) -> tuple[tuple[str,
         if set(joints) > set(best) and beyond & set(names):
             lacking = [joint for joint in joints if joint in beyond and joint not in names]
             raise MeasurementError(
-                f"{table.title}: no columns for the joints {', '.join(lacking)}, though for joints beyond"
+                f"{table.title}: no columns for the joints {', '.join(lacking)}, though for joints beyond. Name them as in "
+                "the URDF"
             )
     columns, how = found[best]
     return best, columns, how
@@ -151,7 +156,7 @@ def _position(table: Table, used: set[str], choose: Choose, made: Proposal) -> F
         MeasurementError: there are none.
     """
     free = [name for name in table.names if name and name not in used]
-    families = [family for family in positions(free) if np.isfinite(table.matrix(family.columns)).any()]
+    families = [family for family in positions(free) if np.isfinite(_sensible(table, family.columns)).any()]
     if not families:
         raise MeasurementError(f"{table.title}: no columns for the target's position: call them x, y and z")
     options = [" ".join(family.columns) for family in families]
@@ -187,12 +192,15 @@ def _sample(table: Table, robot: Robot, joints: Sequence[str], place: Family) ->
     Raises:
         MeasurementError: too few rows have all of these.
     """
-    q, position = table.matrix(joints), table.matrix(place.columns)
+    q, position = _sensible(table, joints), _sensible(table, place.columns)
     finite = np.isfinite(q).all(axis=1) & np.isfinite(position).all(axis=1)
     whole = np.flatnonzero(finite)
     if len(whole) < FEWEST:
+        counts = np.isfinite(np.hstack([q, position])).sum(axis=0)
+        emptiest = [*joints, *place.columns][int(np.argmin(counts))]
         raise MeasurementError(
-            f"{table.title}: {len(whole)} rows have all joints and positions; {FEWEST} are the least"
+            f"{table.title}: {len(whole)} rows have all joints and positions; {FEWEST} are the least. The column "
+            f"{emptiest!r} has numbers in {counts.min()} of {len(table)} rows: mend it, or measure more"
         )
     drawn = np.random.default_rng(0).permutation(whole)[:SAMPLE]
     rows = np.sort(drawn)
@@ -345,14 +353,26 @@ def _writings(table: Table, used: set[str], rows: np.ndarray, reading: Reading) 
     free = [name for name in table.names if name and name not in used]
     found = []
     for family in (*quaternions(free), *angle_triples(free)):
-        values = table.matrix(family.columns)[rows]
-        if not np.isfinite(values).all(axis=1).any():
-            continue
-        if len(family.columns) == 3:
-            found.append((family, angle_writings(family, values, reading)))
-        elif abs(float(np.nanmedian(np.linalg.norm(values, axis=1))) - 1) <= UNIT_SLACK:
+        values = _sensible(table, family.columns)[rows]
+        named = set(family.columns) == set(QUATERNION) and np.isfinite(table.matrix(family.columns)).any()
+        norm = np.linalg.norm(values, axis=1)
+        if len(family.columns) == 4 and np.isfinite(norm).any() and abs(float(np.nanmedian(norm)) - 1) <= UNIT_SLACK:
+            values[norm < NO_ROTATION] = np.nan
             found.append((family, quaternion_writings(family, values, reading)))
+        elif len(family.columns) == 3 and np.isfinite(norm).any():
+            found.append((family, angle_writings(family, values, reading)))
+        elif named:
+            raise MeasurementError(
+                f"{table.title}: {' '.join(family.columns)} hold no quaternions of norm 1: mend them, or delete these columns if "
+                "no orientation was measured"
+            )
     return found
+
+
+def _sensible(table: Table, columns: Sequence[str]) -> np.ndarray:
+    """Columns as numbers, shape (N, columns); NaN where there is none, or one so large that it stands for a hole."""
+    values = table.matrix(columns)
+    return np.where(np.abs(values) <= ABSURD, values, np.nan)
 
 
 def _gravity(reading: Reading, made: Proposal) -> None:

@@ -32,9 +32,9 @@ class TrueFrames(Section):
 class TrueNoise(Section):
     """1-sigma of the measurements per axis, whatever the campaign declares."""
 
-    position: float = Field(default=0.0, ge=0)
+    position: float = Field(default=0.0, ge=0, le=1e3)
     """[m]"""
-    rotation: float = Field(default=0.0, ge=0)
+    rotation: float = Field(default=0.0, ge=0, le=1e3)
     """[rad]"""
 
 
@@ -42,7 +42,7 @@ class Outliers(Section):
     """Rows that are grossly wrong."""
 
     share: float = Field(ge=0, le=1)
-    size: float = Field(gt=0)
+    size: float = Field(gt=0, le=1e9)
     """How far off, in sigmas of the noise, in a random direction; position and rotation alike."""
 
 

@@ -19,17 +19,18 @@ from scipy.spatial.transform import Rotation
 from aridcal.effects.catalogue import KINDS, is_of_head
 from aridcal.effects.effect import FRAME_COMPONENTS, Coefficient
 from aridcal.effects.loads import Surroundings
-from aridcal.errors import CampaignError, nearest
+from aridcal.errors import CampaignError, MeasurementError, nearest
 from aridcal.head.reduction import Head
 from aridcal.head.render import Optics
 from aridcal.inputs.head_settings import HeadSettings, load_squares, range_columns
 from aridcal.inputs.quantities import POSITION, QUATERNION, column_of
-from aridcal.inputs.tables import FIRST_LINE
+from aridcal.inputs.table_files import FIRST_LINE
 from aridcal.inputs.yaml_file import load_settings
 from aridcal.model.model import Model
 from aridcal.prepare.scenario import Scenario, Truth, check_scenario
 from aridcal.prepare.true_effects import Cause, columns_needed, draw_columns, make_causes, values
 from aridcal.prepare.viewpoints import draw_views, photographs
+from aridcal.reading.files import read_file
 from aridcal.robot.chain import Robot, load_robot
 from aridcal.robot.doty import doty_links
 from aridcal.search.head_effects import directions, stated
@@ -71,12 +72,14 @@ def simulate(scenario: Scenario) -> Simulation:
     """
     check_scenario(scenario)
     truth = scenario.truth
-    robot = load_robot(scenario.robot.urdf, scenario.robot.tip, scenario.robot.base)
+    robot = load_robot(scenario.robot.urdf, scenario.robot.tip, scenario.robot.base, scenario.limits.urdf)
     constants, configurations, noise, outliers, chance = _streams(truth.seed)
     coefficients = named_constants(robot, truth.parameters, scenario.path)
     theta = np.array([p.value + p.std * constants.standard_normal() for p in truth.parameters.values()])
     head = load_settings(scenario.measurements.head, HeadSettings) if scenario.measurements.head else None
-    optics = Optics(head.camera.width, head.camera.height, load_squares(head.squares)) if head else None
+    optics = (
+        Optics(head.camera.width, head.camera.height, load_squares(head.squares, head.limits.table)) if head else None
+    )
     frames = true_frames(scenario, head)
     world, tip = ((None, frames["world_base"]),), ((None, frames["tip_target"]),)
 
@@ -291,7 +294,7 @@ def _write_shots(simulation: Simulation, path: Path, folder: Path, home: Path) -
         keys = settings.model_dump(mode="json", exclude_unset=True, exclude={"robot", "world_base"})
         keys |= {"squares": "squares.csv", "shots": "shots.csv"}
         (folder / path.name).write_text(yaml.safe_dump(keys, sort_keys=False, default_flow_style=None, width=120))
-        (folder / "squares.csv").write_bytes(settings.squares.read_bytes())
+        (folder / "squares.csv").write_bytes(read_file(settings.squares, MeasurementError, settings.limits.table))
         simulation.measurements.to_csv(folder / "shots.csv", index=False)
     else:
         simulation.measurements.to_csv(folder / settings.shots.name, index=False)

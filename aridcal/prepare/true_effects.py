@@ -19,8 +19,8 @@ from aridcal.effects.loads import LOADS, Surroundings, covariate_table, is_load
 from aridcal.effects.smooth import Kernel, kernel_root
 from aridcal.errors import CampaignError, nearest
 from aridcal.inputs.campaign import EffectDeclaration
-from aridcal.inputs.tables import FIRST_LINE
-from aridcal.inputs.yaml_file import Section
+from aridcal.inputs.table_files import FIRST_LINE
+from aridcal.inputs.yaml_file import LARGEST, Number, Section
 from aridcal.robot.chain import Robot
 
 # From one row to the next, [s].
@@ -61,8 +61,8 @@ FUNCTIONS: dict[str, tuple[int, Callable[..., np.ndarray]]] = {
 class Parameter(Section):
     """A true value: given, or drawn from a normal distribution."""
 
-    value: float = 0.0
-    std: float = Field(default=0.0, ge=0)
+    value: Number = 0.0
+    std: float = Field(default=0.0, ge=0, le=LARGEST)
 
 
 def given(value: Any) -> Any:

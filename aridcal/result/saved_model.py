@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import base64
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -18,17 +17,26 @@ from aridcal import __version__
 from aridcal.effects.basis import Basis
 from aridcal.effects.effect import Coefficient
 from aridcal.effects.loads import Surroundings
-from aridcal.errors import AridcalError, CampaignError, RobotError
+from aridcal.errors import AridcalError, CampaignError, nearest, shortened
 from aridcal.inputs.campaign import Campaign, MeasurementSettings
-from aridcal.inputs.yaml_file import MAX_BYTES, decode, parse_settings, read_bytes, refuse_tricks
+from aridcal.inputs.yaml_file import Limits, parse_settings
 from aridcal.model.inverse import Command, InverseKinematics
 from aridcal.model.model import Frames, Model
 from aridcal.model.one_row import OneRowModel
+from aridcal.reading.names import check_path
+from aridcal.result.calibration_file import (
+    NOT_OURS,
+    CalibrationDocument,
+    FramePart,
+    SolvedPart,
+    packed,
+    read_calibration,
+    unpacked,
+)
 from aridcal.result.seen import Ranges
 from aridcal.robot.chain import parse_robot
 
-# libyaml where PyYAML was built with it: a covariance of a hundred coefficients is ten thousand numbers.
-Loader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+# libyaml where PyYAML was built with it.
 Dumper: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 
 # Rows whose Jacobians are held in memory together: of three hundred coefficients they take 7 MB.
@@ -138,9 +146,18 @@ class SavedModel:
     @property
     def measurements(self) -> MeasurementSettings:
         """Columns and units of the campaign's tables; those of FORMATS, in SI, if the record has no campaign."""
-        text = self.record.get("campaign")
-        settings = parse_settings(text, Path("campaign.yaml"), Campaign).measurements if text else MeasurementSettings()
+        settings = self._campaign.measurements if self._campaign else MeasurementSettings()
         return settings.model_copy(update={"kind": self.kind})
+
+    @property
+    def limits(self) -> Limits:
+        """How large tables may be, as the campaign says."""
+        return self._campaign.limits if self._campaign else Limits()
+
+    @cached_property
+    def _campaign(self) -> Campaign | None:
+        text = self.record.get("campaign")
+        return parse_settings(text, Path("the campaign in calibration.yaml"), Campaign) if text else None
 
     @classmethod
     def load(cls, path: str | Path) -> SavedModel:
@@ -150,25 +167,18 @@ class SavedModel:
             AridcalError: it is not there, is hostile, or is not a calibration of this format.
         """
         path = Path(path)
+        check_path(path, CampaignError)
         path = path / "calibration.yaml" if path.is_dir() else path
         if not path.exists():
             raise CampaignError(f"{path}: there is no such file; `aridcal identify campaign.yaml` writes one")
-        content = read_bytes(path, CampaignError)
-        if len(content) > MAX_BYTES:
-            raise CampaignError(f"{path}: {len(content) / 1e6:.0f} MB is too large for a calibration")
+        document, record = read_calibration(path)
         try:
-            text = decode(content, path, CampaignError)
-            refuse_tricks(text, path)
-            return _parse(yaml.load(text, Loader=Loader))
-        except RobotError as error:
+            return _restored(document, record)
+        except AridcalError as error:
             raise CampaignError(f"{path}: the robot in it: {error}") from None
-        except AridcalError:
-            raise
-        except (yaml.YAMLError, KeyError, TypeError, ValueError) as error:
-            raise CampaignError(
-                f"{path}: not a calibration that this version wrote ({type(error).__name__}: {error}). "
-                "Run `aridcal identify` again."
-            ) from None
+        except (KeyError, IndexError, ValueError, ArithmeticError) as error:
+            said = f"{type(error).__name__}: {error}"
+            raise CampaignError(f"{path}: its model cannot be computed ({shortened(said, 200)}). {NOT_OURS}") from None
 
     def command(
         self,
@@ -271,73 +281,67 @@ def _solved_document(solved: SolvedModel) -> dict[str, Any]:
             }
             for k, c in enumerate(model.coefficients)
         ],
-        "covariance": {"layout": LAYOUT, "data": _packed(solved.covariance)},
+        "covariance": {"layout": LAYOUT, "data": packed(solved.covariance)},
     }
 
 
-def _parse(document: Any) -> SavedModel:
-    if not isinstance(document, Mapping) or document.get("format") != 1:
-        raise ValueError("`format: 1` expected on top")
-    about = document["robot"]
-    robot = parse_robot(
-        about["urdf"].encode(about["urdf_encoding"]), about["tip"], about["base"], Path(about["urdf_name"])
-    )
-    known = ("format", "aridcal", "kind", "robot", "noise", "ranges", "holes", "largest_std", "geometric", "final")
+def _restored(document: CalibrationDocument, record: dict[str, Any]) -> SavedModel:
+    """The models of a file that was checked, each tried once: what does not fit together shows here, and not rows later.
 
-    def solved(part: Mapping[str, Any]) -> SolvedModel:
-        entries = part["coefficients"]
+    Raises:
+        AridcalError: the URDF has no such chain.
+        KeyError, IndexError, ValueError, ArithmeticError: a coefficient is of no place in it, or its motion no number.
+    """
+    about = document.robot
+    robot = parse_robot(about.content, about.tip, about.base, Path(about.urdf_name))
+    middle = {name: (low + high) / 2 for name, (low, high) in document.ranges.items()}
+
+    def solved(part: SolvedPart) -> SolvedModel:
+        entries = part.coefficients
         coefficients = tuple(
-            Coefficient(
-                e["where"],
-                e["component"],
-                Basis(e["basis"]["form"], tuple(e["basis"]["of"]), tuple(e["basis"]["numbers"])),
-                e["station"],
-            )
+            Coefficient(e.where, e.component, Basis(e.basis.form, e.basis.of, e.basis.numbers), e.station)
             for e in entries
         )
-        loads = part["loads"]
-        gravity, lever = (np.array(loads[key], dtype=float) for key in ("gravity", "payload_at"))
-        around = Surroundings(gravity, lever, bool(loads.get("payload", False)))  # older files: never counted
-        model = Model(robot, coefficients, _frames(part["world_base"]), _frames(part["tip_target"]), around)
-        count = len(entries)
-        covariance = _unpacked(part["covariance"]["data"], count)
-        theta = np.array([e["value"] for e in entries], dtype=float)
-        if not np.isfinite(theta).all():
-            raise ValueError("a coefficient is not finite")
-        return SolvedModel(model, theta, covariance)
+        around = Surroundings(np.array(part.loads.gravity), np.array(part.loads.payload_at), part.loads.payload)
+        model = Model(robot, coefficients, _frames(part.world_base), _frames(part.tip_target), around)
+        theta = np.array([e.value for e in entries], dtype=float)
+        found = SolvedModel(model, theta, unpacked(part.covariance.data, len(entries)))
+        _try(found, middle)
+        return found
 
-    gravity = about["gravity"]
-    largest = document.get("largest_std", {"position": np.inf, "rotation": np.inf})
-    if document["kind"] not in ("pose", "position"):
-        raise ValueError(f"kind: {document['kind']!r} is neither pose nor position")
+    geometric, final = solved(document.geometric), solved(document.final)
+    known = (*robot.readings, *final.model.needs)
+    for name in (*document.ranges, *document.holes):
+        if name not in known:
+            raise ValueError(f"ranges and holes: nothing depends on {shortened(name)!r}{nearest(name, known)}")
     return SavedModel(
-        solved(document["geometric"]),
-        solved(document["final"]),
-        document["kind"],
-        gravity if isinstance(gravity, str) else tuple(gravity),
-        (document["noise"]["position"], document["noise"]["rotation"]),
-        {name: (pair[0], pair[1]) for name, pair in document["ranges"].items()},
-        {key: value for key, value in document.items() if key not in known},
-        {name: tuple((low, high) for low, high in pairs) for name, pairs in document.get("holes", {}).items()},
-        (largest["position"], largest["rotation"]),
+        geometric,
+        final,
+        document.kind,
+        about.gravity,
+        (document.noise.position, document.noise.rotation),
+        document.ranges,
+        record,
+        document.holes,
+        (document.largest_std.position, document.largest_std.rotation),
     )
 
 
-def _frames(entries: list[dict[str, Any]]) -> Frames:
+def _try(solved: SolvedModel, middle: Mapping[str, float]) -> None:
+    """Predict one row in the middle of what was seen."""
+    model = solved.model
+    readings = np.array([[middle.get(name, 0.0) for name in model.robot.readings]])
+    covariates = {name: np.array([middle.get(name, 0.0)]) for name in model.needs}
+    labels = [label for label, _ in (*model.world_base, *model.tip_target) if label is not None]
+    R, p = solved.poses(readings, covariates, np.array(labels[:1]) if labels else None)
+    if not (np.isfinite(R).all() and np.isfinite(p).all()):
+        raise ValueError("a predicted pose is not finite")
+
+
+def _frames(entries: Sequence[FramePart]) -> Frames:
     return tuple(
-        (e["station"], pin.SE3(pin.Quaternion(np.array(e["quaternion"])).matrix(), np.array(e["xyz"]))) for e in entries
+        (e.station, pin.SE3(pin.Quaternion(np.array(e.quaternion)).matrix(), np.array(e.xyz))) for e in entries
     )
-
-
-def _packed(covariance: np.ndarray) -> str:
-    lower = covariance[np.tril_indices(len(covariance))]
-    return base64.b64encode(lower.astype("<f8").tobytes()).decode("ascii")
-
-
-def _unpacked(data: str, count: int) -> np.ndarray:
-    covariance = np.zeros((count, count))
-    covariance[np.tril_indices(count)] = np.frombuffer(base64.b64decode(data), dtype="<f8")
-    return covariance + np.tril(covariance, -1).T
 
 
 def _encoding(urdf: bytes) -> str:

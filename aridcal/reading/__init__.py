@@ -1,0 +1,1 @@
+"""What a user names: files, read safely, under names that can be shown."""

@@ -1,0 +1,243 @@
+"""What `calibration.yaml` must look like: every key, type and length, so that a damaged file is refused by its line."""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import hashlib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Field, field_validator, model_validator
+
+from aridcal.effects.basis import FORMS
+from aridcal.errors import CampaignError, has_controls
+from aridcal.inputs.yaml_file import LARGEST, Number, Section, Settings, Vector3, decode, parse_yaml, validated
+from aridcal.reading.files import CALIBRATION, read_file
+
+UNIT = 1e-6
+"""How far from 1 the norm of a quaternion may be that was written with all its digits."""
+
+NOT_OURS = "Run `aridcal identify` again: this file was not written by this version, or was changed since"
+
+
+class RobotPart(Section):
+    """The nominal robot, its URDF as text."""
+
+    base: str
+    tip: str
+    gravity: Literal["world"] | Vector3
+    urdf_name: str
+    urdf_sha256: str
+    urdf_encoding: Literal["utf-8", "latin-1"]
+    urdf: str
+
+    @property
+    def content(self) -> bytes:
+        """The URDF's own bytes."""
+        return self.urdf.encode(self.urdf_encoding)
+
+    @field_validator("urdf_name")
+    @classmethod
+    def _shown(cls, name: str) -> str:
+        if has_controls(name):
+            raise ValueError("holds a control character")
+        return name
+
+    @model_validator(mode="after")
+    def _as_it_was(self) -> RobotPart:
+        try:
+            same = hashlib.sha256(self.content).hexdigest() == self.urdf_sha256
+        except UnicodeEncodeError:
+            same = False
+        if not same:
+            raise ValueError("the URDF in it is not the one that was calibrated: its hash differs")
+        return self
+
+
+class FramePart(Section):
+    """One placement, of a station or of all rows."""
+
+    station: str | None
+    xyz: Vector3
+    quaternion: tuple[Number, Number, Number, Number]
+
+    @field_validator("quaternion")
+    @classmethod
+    def _unit(cls, quaternion: tuple[float, ...]) -> tuple[float, ...]:
+        if not abs(np.linalg.norm(quaternion) - 1) <= UNIT:
+            raise ValueError("should be a quaternion of norm 1")
+        return quaternion
+
+    @field_validator("station")
+    @classmethod
+    def _shown(cls, station: str | None) -> str | None:
+        if station is not None and has_controls(station):
+            raise ValueError("holds a control character")
+        return station
+
+
+class LoadsPart(Section):
+    """What the loads on the joints need."""
+
+    gravity: Vector3 | tuple[Vector3, ...]
+    payload_at: Vector3
+    payload: bool = False
+    """Older files have none: there it never counted."""
+
+
+class BasisPart(Section):
+    """A function of covariates."""
+
+    form: str
+    of: tuple[str, ...]
+    numbers: tuple[float, ...]
+
+    @model_validator(mode="after")
+    def _can_be_evaluated(self) -> BasisPart:
+        if self.form != "1" and not _works(self.form, self.of, self.numbers):
+            raise ValueError(
+                f"no function {self.form!r} of {len(self.of)} covariates and these {len(self.numbers)} numbers"
+            )
+        return self
+
+
+def _works(form: str, of: Sequence[str], numbers: Sequence[float]) -> bool:
+    """True of a basis that has finite values where it is centred, and beside that."""
+    if form not in FORMS:
+        return False
+    places = np.array([*numbers[:1], 0.5])
+    try:
+        with np.errstate(all="ignore"):
+            values = FORMS[form].value([places] * len(of), numbers)
+        FORMS[form].name.format(of=of, n=numbers)
+    except (IndexError, ArithmeticError):
+        return False
+    return bool(np.isfinite(values).all())
+
+
+class CoefficientPart(Section):
+    """One coefficient; its name and its standard deviation are for readers."""
+
+    name: str
+    where: str
+    component: str
+    basis: BasisPart
+    station: str | None
+    value: Number
+    std: Annotated[float, Field(ge=0, allow_inf_nan=True)]
+
+
+class CovariancePart(Section):
+    """The lower triangle of a covariance, row by row."""
+
+    layout: str
+    data: str
+
+
+class SolvedPart(Section):
+    """A model with its coefficients."""
+
+    world_base: Annotated[tuple[FramePart, ...], Field(min_length=1)]
+    tip_target: Annotated[tuple[FramePart, ...], Field(min_length=1)]
+    loads: LoadsPart
+    coefficients: tuple[CoefficientPart, ...]
+    covariance: CovariancePart
+
+    @model_validator(mode="after")
+    def _matches(self) -> SolvedPart:
+        unpacked(self.covariance.data, len(self.coefficients))
+        worlds = len(self.loads.gravity) if isinstance(self.loads.gravity[0], tuple) else 1
+        if worlds not in (1, len(self.world_base)):
+            raise ValueError(f"loads.gravity: {worlds} vectors for {len(self.world_base)} stations")
+        return self
+
+
+class NoisePart(Section):
+    """Per axis."""
+
+    position: Annotated[float, Field(ge=0, le=LARGEST)]
+    rotation: Annotated[float, Field(ge=0, le=LARGEST)]
+
+
+class LargestPart(Section):
+    """Of predictions at the fitted rows; infinite where it is not known."""
+
+    position: Annotated[float, Field(ge=0, allow_inf_nan=True)] = np.inf
+    rotation: Annotated[float, Field(ge=0, allow_inf_nan=True)] = np.inf
+
+
+Pair = tuple[float, float]
+
+
+class CalibrationDocument(Settings):
+    """The keys of `calibration.yaml` that a model is made of."""
+
+    aridcal: str
+    kind: Literal["pose", "position"]
+    robot: RobotPart
+    noise: NoisePart
+    ranges: dict[str, Pair]
+    holes: dict[str, tuple[Pair, ...]] = Field(default_factory=dict)
+    largest_std: LargestPart = LargestPart()
+    geometric: SolvedPart
+    final: SolvedPart
+
+
+class Record(Section):
+    """What is kept beside the model and read by some command."""
+
+    campaign: str = ""
+    derived_columns: tuple[str, ...] = ()
+
+
+def read_calibration(path: Path) -> tuple[CalibrationDocument, dict[str, Any]]:
+    """Read and check `calibration.yaml`.
+
+    Returns:
+        What a model is made of, and what the file says besides.
+
+    Raises:
+        CampaignError: naming the file, the line and the key.
+    """
+    text = decode(read_file(path, CampaignError, CALIBRATION), path, CampaignError)
+    try:
+        keys, lines = parse_yaml(text, path)
+        if keys.get("format") != 1:
+            raise CampaignError(f"{path}: `format: 1` expected on top")
+        known = CalibrationDocument.model_fields.keys() - {"limits"}
+        record = {key: value for key, value in keys.items() if key not in known}
+        read = {key: value for key, value in record.items() if key in Record.model_fields}
+        validated(read, lines, path, Record)
+        own = {key: value for key, value in keys.items() if key in known}
+        return validated(own, lines, path, CalibrationDocument), record
+    except CampaignError as problem:
+        raise CampaignError(f"{problem}. {NOT_OURS}") from None
+
+
+def packed(covariance: np.ndarray) -> str:
+    """A covariance (K, K) as text."""
+    lower = covariance[np.tril_indices(len(covariance))]
+    return base64.b64encode(lower.astype("<f8").tobytes()).decode("ascii")
+
+
+def unpacked(data: str, count: int) -> np.ndarray:
+    """The covariance (count, count) of :func:`packed`.
+
+    Raises:
+        ValueError: it is of another size, or not finite.
+    """
+    size = count * (count + 1) // 2
+    try:
+        content = base64.b64decode(data, validate=True)
+    except (binascii.Error, ValueError):
+        raise ValueError("covariance.data: is no base64") from None
+    if len(content) != 8 * size:
+        raise ValueError(f"covariance.data: has {len(content)} bytes, {count} coefficients need {8 * size}")
+    covariance = np.zeros((count, count))
+    covariance[np.tril_indices(count)] = np.frombuffer(content, dtype="<f8")
+    if not np.isfinite(covariance).all():
+        raise ValueError("covariance.data: holds what is no finite number")
+    return covariance + np.tril(covariance, -1).T
