@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import importlib.metadata
 import re
 import sys
 import tomllib
@@ -20,8 +21,8 @@ NEEDED = [Requirement(line) for line in PROJECT["dependencies"]]
 BY_OTHERS = {"collada": "trimesh"}
 """Imported by another dependency, which does not ask for it itself."""
 
-PART_OF = {"pydantic_core": "pydantic"}
-"""Modules that come with a dependency and only with it."""
+PART_OF = {"pydantic_core": "pydantic", "tornado": "meshcat", "umsgpack": "meshcat"}
+"""Modules of packages that a dependency requires and in whose terms it speaks: its errors, its server, its messages."""
 
 NOT_OURS = {"IPython"}
 """Imported only inside a notebook, which has it."""
@@ -56,6 +57,13 @@ def test_what_others_import_for_us_is_what_they_import() -> None:
     for module, other in BY_OTHERS.items():
         folder = Path(__import__(other).__file__).parent
         assert any(module in used(path.read_text("utf-8")) for path in (folder / "exchange").glob("*.py"))
+
+
+def test_what_counts_as_part_of_a_dependency_is_required_by_it() -> None:
+    distributions = importlib.metadata.packages_distributions()
+    for module, whole in PART_OF.items():
+        required = {canonicalize_name(Requirement(r).name) for r in importlib.metadata.requires(whole) or ()}
+        assert {canonicalize_name(name) for name in distributions[module]} & required, module
 
 
 def test_every_dependency_has_its_reason_in_contributing() -> None:
