@@ -317,7 +317,7 @@ def _frame(table: AnyTable) -> pd.DataFrame:
 
 def _with_numbers(table: pd.DataFrame) -> pd.DataFrame:
     """A table that was read from csv, its columns of numbers made numbers."""
-    for name in table.select_dtypes(["object", "str"]):
+    for name in table.columns[[pd.api.types.is_string_dtype(dtype) for dtype in table.dtypes]]:
         try:
             table[name] = pd.to_numeric(table[name])
         except (ValueError, TypeError):

@@ -150,7 +150,7 @@ BAD: dict[str, tuple[str, str]] = {
     "loop": (mesh("loop.dae"), "'loop.dae'"),
     "nobody": (mesh("nobody.dae"), "'nobody.dae'"),
     "outside": (mesh("outside.obj"), "'outside.obj'"),
-    "not_numbers": (mesh("nan.obj"), "'nan.obj'"),
+    "not_numbers": (mesh("nan.obj"), "mesh"),
     "lost_buffer": (mesh("lost.gltf"), "'lost.gltf'"),
     "many_vertices": (mesh("many.ply"), "'many.ply'"),
     "archive": (mesh("model.zip"), "none of the formats"),

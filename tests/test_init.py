@@ -129,8 +129,8 @@ def test_a_column_that_the_next_table_lacks_is_ignored_and_said_to_be(tmp_path):
     out = tmp_path / "campaign.yaml"
     made = draft(UR10, [tmp_path / "a.csv", tmp_path / "b.csv"], out, never)
     out.write_text(made.campaign.text)
-    assert "temperature (not in b.csv)" in " ".join(made.campaign.text.replace("#", "").split())
-    assert "shot (not in a.csv)" in " ".join(made.campaign.text.replace("#", "").split())
+    assert "temperature (not in b.csv as a plain column)" in " ".join(made.campaign.text.replace("#", "").split())
+    assert "shot (not in a.csv as a plain column)" in " ".join(made.campaign.text.replace("#", "").split())
     rows = read_back(out, robot)
     assert len(rows) == len(whole) and not rows.refused and rows.covariates == {}
     assert not [note for note in rows.notices if "ignore" in note.why]

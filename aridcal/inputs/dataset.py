@@ -210,7 +210,9 @@ def weighed(data: Dataset, noise: RowNoise) -> Dataset:
 
 
 def _typical(std: np.ndarray, channels: Channels) -> np.ndarray:
-    """RMS of the rows' sigmas in each channel, shape (C,), from sigmas of shape (N, m)."""
+    """RMS of the rows' sigmas in each channel, shape (C,), from sigmas of shape (N, m); ones where there is no row."""
+    if not len(std):
+        return np.ones(len(channels))
     return np.array([np.sqrt(np.mean(std[:, part] ** 2)) for part in columns(channels)])
 
 

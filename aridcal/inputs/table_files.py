@@ -5,7 +5,8 @@ from __future__ import annotations
 import codecs
 import csv
 import re
-from dataclasses import dataclass
+from collections.abc import Collection
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -67,11 +68,13 @@ class FileCells:
         cells: Its columns, n rows.
         line: Line of each row, shape (n,).
         broken: Rows that do not have as many cells as the header; they are not among the n.
+        left_out: Columns that are there and were not read.
     """
 
     cells: pa.Table
     line: np.ndarray
     broken: tuple[Broken, ...] = ()
+    left_out: tuple[str, ...] = ()
 
 
 def whole(cells: pa.Table) -> FileCells:
@@ -120,37 +123,51 @@ def check_size(path: Path, rows: int, columns: int, limit: Limit) -> None:
         )
 
 
-def read_parquet(content: bytes, path: Path, limit: Limit) -> FileCells:
+def read_parquet(content: bytes, path: Path, limit: Limit, spare: Collection[str] | None) -> FileCells:
     """Read a parquet file: what its footer says decides whether the rest is read at all.
 
     Args:
         content: Its bytes.
         path: Whence they came, for messages.
         limit: Memory that it may take.
+        spare: Columns that may be left out; None: any.
 
     Raises:
-        MeasurementError: it is none, is too large, or has no rows.
+        MeasurementError: it is none, is too large, has no rows, or has lists or structures that may not be left out.
     """
     try:
         footer = pa.parquet.read_metadata(pa.BufferReader(content))
         schema = footer.schema.to_arrow_schema()
         names = [name for name in schema.names if not PANDAS_INDEX.fullmatch(name)]
         check_header(names, path)
-        groups = [footer.row_group(k) for k in range(footer.num_row_groups)]
-        values = sum(group.column(k).num_values for group in groups for k in range(group.num_columns))
-        check_size(path, max(values // max(len(names), 1), footer.num_rows), len(names), limit)
-        leaves = [footer.schema.column(k) for k in range(len(footer.schema))]
-        texts = [leaf.path for leaf in leaves if leaf.physical_type == "BYTE_ARRAY"]
+        # How much these take nothing tells before they are read; and they are no numbers.
+        nested = [name for name in names if pa.types.is_nested(schema.field(name).type)]
+        for name in nested:
+            if spare is not None and name not in spare:
+                raise MeasurementError(
+                    f"{path}: the column {name!r} holds lists or structures, which are no numbers; delete it, or leave it out: "
+                    f"`ignore: [{name}]` under measurements"
+                )
+        names = [name for name in names if name not in nested]
+        check_size(path, footer.num_rows, len(names), limit)
+        texts = [name for name in names if _is_text(schema.field(name).type)]
         # Words as they are stored, each once: a word of a megabyte in a million rows takes a few bytes there.
-        cells = pa.parquet.ParquetFile(pa.BufferReader(content), read_dictionary=texts).read(columns=names)
+        file = pa.parquet.ParquetFile(pa.BufferReader(content), read_dictionary=texts)
+        batches, rows = [], 0
+        for batch in file.iter_batches(columns=names):
+            rows += batch.num_rows
+            check_size(path, rows, len(names), limit)  # the footer may lie
+            batches.append(batch)
+        cells = pa.Table.from_batches(batches) if batches else schema.empty_table().select(names)
         _check_words(cells, path, limit)
         cells = cells.cast(pa.schema([schema.field(name) for name in names]))
+        cells.validate(full=True)  # words that are not UTF-8, above all
     except (pa.ArrowException, OSError, ValueError, OverflowError, MemoryError) as problem:
         said = shortened((str(problem) or type(problem).__name__).splitlines()[0], 200)
         raise MeasurementError(f"{path}: is not a readable Parquet file: {said}. Write it anew, or as csv") from None
     if not cells.num_rows:
         raise MeasurementError(f"{path}: has columns but no rows; name the table that was measured")
-    return whole(cells)
+    return replace(whole(cells), left_out=tuple(nested))
 
 
 def _check_words(cells: pa.Table, path: Path, limit: Limit) -> None:
@@ -165,19 +182,11 @@ def _check_words(cells: pa.Table, path: Path, limit: Limit) -> None:
 
 
 def _written_out(cells: pa.Array) -> int:
-    """Bytes of the words that an array stores once, in each of its rows."""
-    if pa.types.is_dictionary(cells.type):
-        kind = cells.type.value_type
-        if pa.types.is_nested(kind) or not len(cells.dictionary):
-            return 0
-        lengths = pc.binary_length(cells.dictionary) if _is_text(kind) else None
-        return 0 if lengths is None else int(pc.sum(pc.take(lengths, cells.indices)).as_py() or 0)
-    if pa.types.is_struct(cells.type):
-        return sum(_written_out(cells.field(k)) for k in range(cells.type.num_fields))
-    if pa.types.is_list(cells.type) or pa.types.is_large_list(cells.type) or pa.types.is_map(cells.type):
-        parts = (cells.keys, cells.items) if pa.types.is_map(cells.type) else (cells.values,)
-        return sum(_written_out(part) for part in parts)
-    return 0
+    """Bytes of words that are stored once, in each of their rows."""
+    if not pa.types.is_dictionary(cells.type) or not _is_text(cells.type.value_type):
+        return 0
+    lengths = pc.binary_length(cells.dictionary)
+    return int(pc.sum(pc.take(lengths, cells.indices)).as_py() or 0)
 
 
 def _is_text(kind: pa.DataType) -> bool:

@@ -28,8 +28,7 @@ IN_MEMORY = Path("DataFrame")
 DECIMAL_COMMA = re.compile(r"\s*[-+]?\d+,\d+([eE][-+]?\d+)?\s*")
 
 
-# How each sort of file is read, by its ending.
-READERS = {".csv": read_csv, ".parquet": read_parquet}
+ENDINGS = (".csv", ".parquet")
 
 # Columns that are not there which a message names.
 SHOWN_MISSING = 12
@@ -65,7 +64,7 @@ class Table:
         line: Line of the file, shape (N,); the header is line 1.
         refused: Rows that do not have as many cells as the header. They are not among the N.
         sha256: Hash of the bytes of all files.
-        partial: Columns that were left out because a file lacks them, each with the first such file.
+        partial: Columns that were left out because a file lacks them or holds lists in them, each with the first such file.
     """
 
     files: tuple[Path, ...]
@@ -156,12 +155,14 @@ class _Part:
         cells: Its columns, n rows.
         line: Line of each row, shape (n,).
         refused: Rows that do not have as many cells as the header; they are not among the n.
+        left_out: Columns that are there and were not read.
     """
 
     path: Path
     cells: pa.Table
     line: np.ndarray
     refused: tuple[Remark, ...]
+    left_out: tuple[str, ...]
 
 
 def read_tables(tables: Sequence[AnyTable], spare: Collection[str] | None = (), limit: Limit = TABLE) -> Table:
@@ -169,7 +170,7 @@ def read_tables(tables: Sequence[AnyTable], spare: Collection[str] | None = (), 
 
     Args:
         tables: In the order of their rows.
-        spare: Columns that are left out if some files lack them; None: any.
+        spare: Columns that are left out if some files lack them, or hold lists in them; None: any.
         limit: Size of each file, and of its cells in memory.
 
     Raises:
@@ -177,11 +178,11 @@ def read_tables(tables: Sequence[AnyTable], spare: Collection[str] | None = (), 
             the files do not have the same columns.
     """
     sha256 = hashlib.sha256()
-    parts = [_read(table, limit, sha256.update) for table in tables]
+    parts = [_read(table, spare, limit, sha256.update) for table in tables]
     having = {name: part.path for part in reversed(parts) for name in part.cells.column_names}
     lacking: dict[str, Path] = {}
     for part in reversed(parts):
-        lacking |= dict.fromkeys(having.keys() - set(part.cells.column_names), part.path)
+        lacking |= dict.fromkeys((having.keys() | set(part.left_out)) - set(part.cells.column_names), part.path)
     for name in sorted(lacking if spare is not None else ()):
         if name not in (spare or ()):
             raise MeasurementError(
@@ -202,7 +203,7 @@ def read_tables(tables: Sequence[AnyTable], spare: Collection[str] | None = (), 
     )
 
 
-def _read(table: AnyTable, limit: Limit, update: Callable[[bytes], None]) -> _Part:
+def _read(table: AnyTable, spare: Collection[str] | None, limit: Limit, update: Callable[[bytes], None]) -> _Part:
     """Read one table; its bytes are handed to ``update`` and not kept."""
     if isinstance(table, pd.DataFrame):
         read, path = _from_frame(table), IN_MEMORY
@@ -210,13 +211,14 @@ def _read(table: AnyTable, limit: Limit, update: Callable[[bytes], None]) -> _Pa
     else:
         path = Path(table)
         check_path(path, MeasurementError)
-        if path.is_file() and path.suffix.lower() not in READERS:
+        ending = path.suffix.lower()
+        if path.is_file() and ending not in ENDINGS:
             raise MeasurementError(f"{path}: should be a .csv or .parquet file")
         content = read_file(path, MeasurementError, limit)
         update(content)
-        read = READERS[path.suffix.lower()](content, path, limit)
+        read = read_csv(content, path, limit) if ending == ".csv" else read_parquet(content, path, limit, spare)
     refused = [Remark(path.name, row.line, "", row.text, row.why) for row in read.broken]
-    return _Part(path, read.cells, read.line, tuple(refused))
+    return _Part(path, read.cells, read.line, tuple(refused), read.left_out)
 
 
 def _from_frame(frame: pd.DataFrame) -> FileCells:

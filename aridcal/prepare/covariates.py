@@ -44,7 +44,7 @@ def say_covariates(table: Table, used: set[str], made: Proposal) -> None:
     families = (*positions(free), *angle_triples(free), *quaternions(free), *numbered(free))
     in_families = {name for family in families for name in family.columns}
     reasons = {name: _no_covariate(table, name, in_families) for name in free}
-    reasons |= {name: f"not in {path.name}" for name, path in table.partial.items()}
+    reasons |= {name: f"not in {path.name} as a plain column" for name, path in table.partial.items()}
     ignored = [name for name in reasons if reasons[name]]
     if ignored:
         why = ", ".join(f"{name} ({reasons[name]})" for name in ignored)

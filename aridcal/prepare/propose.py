@@ -72,7 +72,7 @@ def propose(urdf: bytes, path: Path, table: Table, choose: Choose) -> Proposal:
     used |= _orientation(table, used, rows, reading, choose, made)
     _gravity(reading, made)
     say_covariates(table, used, made)
-    say_repeats(table.matrix(joint_columns), reading, made)
+    say_repeats(_sensible(table, joint_columns), reading, made)
     return made
 
 

@@ -255,6 +255,12 @@ def correction_table(saved: SavedModel, points: int, progress: Progress = SILENT
     model = saved.final.model
     if per_station(model):
         raise AridcalError("a correction table holds for one place: this calibration has frames per station")
+    known = {*saved.ranges, *directions(saved)}
+    unseen = [name for name in (*model.robot.readings, *model.needs) if name not in known]
+    if unseen:
+        raise AridcalError(
+            f"the calibration does not say in which range {unseen[0]} was measured: run `aridcal identify` again"
+        )
     seen = np.array([saved.ranges[name] for name in model.robot.readings])
     axes = tuple(np.linspace(low, high, points if high > low else 1) for low, high in seen)
     sizes = [len(axis) for axis in axes]

@@ -70,7 +70,7 @@ def result_document(outcome: Outcome) -> dict[str, Any]:
             "outlier_rows": [
                 {"file": m.files[m.file[k]].name, "row": int(m.line[k]), "why": why}
                 for k in m.as_read[outcome.outlier[m.as_read]]
-                for why in ["stale measurement" if m.stale[k] else "gross outlier"]
+                for why in ["stale measurement" if m.doubtful[k] else "gross outlier"]
             ],
         },
         "error": {

@@ -17,7 +17,7 @@ from aridcal import __version__
 from aridcal.effects.basis import Basis
 from aridcal.effects.effect import Coefficient
 from aridcal.effects.loads import Surroundings
-from aridcal.errors import AridcalError, CampaignError, shortened
+from aridcal.errors import AridcalError, CampaignError, nearest, shortened
 from aridcal.inputs.campaign import Campaign, MeasurementSettings
 from aridcal.inputs.yaml_file import Limits, parse_settings
 from aridcal.model.inverse import Command, InverseKinematics
@@ -309,9 +309,14 @@ def _restored(document: CalibrationDocument, record: dict[str, Any]) -> SavedMod
         _try(found, middle)
         return found
 
+    geometric, final = solved(document.geometric), solved(document.final)
+    known = (*robot.readings, *final.model.needs)
+    for name in (*document.ranges, *document.holes):
+        if name not in known:
+            raise ValueError(f"ranges and holes: nothing depends on {shortened(name)!r}{nearest(name, known)}")
     return SavedModel(
-        solved(document.geometric),
-        solved(document.final),
+        geometric,
+        final,
         document.kind,
         about.gravity,
         (document.noise.position, document.noise.rotation),
