@@ -249,7 +249,8 @@ def test_every_long_part_of_a_calibration_is_told(tmp_path: Path) -> None:
     said: list[str] = []
     clock = ticking(3.0)
     progress = Progress(said.append, clock=lambda: next(clock))
-    path = robots.write_campaign(tmp_path, robots.simulate(robots.ur10(), 120, np.random.default_rng(0), noise=1e-4))
+    truth = robots.simulate(robots.ur10(), 120, np.random.default_rng(0), noise=1e-4)
+    path = robots.write_campaign(tmp_path, truth, diagnosis={"candidates": ["joint_gain", "unknown"]})
     outcome = pipeline.identify(path, progress=progress)
     write_results(outcome, tmp_path, progress)
     told = {found[1] for line in said if (found := re.search(r": [\d,]+ of [\d,]+ (.+)$", line))}
