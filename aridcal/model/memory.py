@@ -80,17 +80,20 @@ def check_memory(size: Size, place: str, available: int | None) -> None:
     if available is None or whole <= available:
         return
     remedies = {
-        "coefficients": f"{size.coefficients:,} coefficients of frames and constants: "
-        + ("split the table by stations" if size.stations else "take a smaller `parameters: {set: …}`"),
+        "coefficients": f"{size.coefficients:,} coefficients of frames and constants"
+        + (
+            f" at {size.stations:,} stations: split the table by stations"
+            if size.stations
+            else ": take a smaller `parameters: {set: …}`"
+        ),
         "rows": f"{size.rows:,} rows: give fewer",
         "search": f"effects that {size.joints} joints may have: fewer candidates with `diagnosis: {{candidates: "
         "[joint_compliance]}`, or none with `diagnosis: {enabled: false}`",
     }
     most = max(needs, key=lambda what: needs[what])
-    stations = f" ({size.stations:,} stations)" if size.stations else ""
     raise CampaignError(
         f"{place}: would need about {_gigabytes(whole)} of memory, and {_gigabytes(available)} are available. Most of it is for "
-        f"{remedies[most]}{stations}"
+        f"{remedies[most]}"
     )
 
 

@@ -129,6 +129,7 @@ def _diagnosed(
     """
     every = Start(geometric, train, limits(train, kept), progress)
     start = _thinned(every)
+    progress("listing the effects that these rows can show")
     observed, barred = look(start)
     kinds = campaign.diagnosis.candidates if campaign.diagnosis.enabled else ()
     stated = [declared(observed, d, str(campaign.path)) for d in campaign.effects]
@@ -136,6 +137,7 @@ def _diagnosed(
     named = [e for e in candidates(observed, tuple(k for k in kinds if KINDS[k].named)) if e.identity not in taken]
     unnamed = candidates(observed, tuple(k for k in kinds if not KINDS[k].named))
     library = [*named, *unnamed, *stated]
+    progress("linearising the model")
     place = Place(start.geometric, linear_model(start, start.geometric, (), library, observed))
     named = [e for e in named if place.linear.moves(e)]
     if named:
