@@ -7,7 +7,7 @@ READY := .venv/.ready
 export OMP_NUM_THREADS ?= 1
 export MPLBACKEND ?= Agg
 
-.PHONY: demo test lint bench pictures docs clean
+.PHONY: demo test fuzz lint bench pictures docs lock matrix sbom clean
 .DEFAULT_GOAL := demo
 
 DEMO := identification/arid-undeclared
@@ -20,6 +20,11 @@ demo: $(READY)
 
 test: lint
 	$(BIN)/pytest
+
+# Ten minutes of inputs that nobody would write; what breaks a reader is kept below build/fuzz.
+fuzz: $(READY)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[fuzz]'
+	$(BIN)/python -m fuzz
 
 lint: $(READY)
 	$(BIN)/ruff check
@@ -44,13 +49,34 @@ docs: $(READY)
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 	@echo "open $(CURDIR)/build/site/index.html"
 
+# The newest versions of all that developers need, for every Python and system, with hashes.
+LOCK := requirements-dev.lock
+lock: $(READY)
+	$(BIN)/uv pip compile --quiet --upgrade --universal --generate-hashes --no-annotate \
+		--custom-compile-command "make lock" --extra dev --output-file $(LOCK) pyproject.toml
+
+# The quick tests on Python 3.11 to 3.13, with the lowest and the newest versions; CELLS="3.11-lowest" for one of them.
+matrix: $(READY)
+	$(BIN)/python scripts/matrix.py $(CELLS)
+
+# What an installation consists of, as CycloneDX JSON: aridcal and what it needs, without the developers' tools.
+sbom: $(READY)
+	rm -rf build/sbom && mkdir -p build
+	$(BIN)/uv venv --quiet --python $(BIN)/python build/sbom
+	$(BIN)/uv pip install --quiet --python build/sbom/bin/python .
+	$(BIN)/uvx --quiet --from cyclonedx-bom cyclonedx-py environment --pyproject pyproject.toml \
+		--output-format JSON --output-file build/aridcal.cdx.json build/sbom/bin/python
+	rm -rf build/sbom
+	@echo "$(CURDIR)/build/aridcal.cdx.json"
+
 clean:
 	rm -rf .venv build *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -prune -exec rm -rf {} +
 
-$(READY): pyproject.toml
+$(READY): pyproject.toml requirements-dev.lock
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 		{ echo "aridcal needs Python 3.11 or newer: make PYTHON=/path/to/python3.11 ..." >&2; exit 2; }
 	@$(PYTHON) -m venv .venv || { echo "Python's venv module is missing: on Debian, install python3-venv" >&2; exit 2; }
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes --requirement requirements-dev.lock
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --editable .
 	@touch $@

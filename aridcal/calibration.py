@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import tempfile
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -22,7 +22,7 @@ from aridcal.inputs.yaml_file import decode
 from aridcal.reading.files import RESULT, read_file
 from aridcal.report.html import tag
 from aridcal.report.page import write_report
-from aridcal.report.scene import scene, write_scene
+from aridcal.report.scene import write_scene
 from aridcal.result.as_tables import effect_table, error_table, parameter_table, verification_table
 from aridcal.result.compensate import compensate
 from aridcal.result.controllers import hand_over
@@ -103,9 +103,12 @@ class Calibration:
         Raises:
             AridcalError: a column is missing, two orientations disagree, or no row can be predicted.
         """
-        query = read_query(self.model, queries)
+        with working() as progress:
+            progress("predicting")
+            query = read_query(self.model, queries)
+            table = predict(self.model, query)
         _warn(query)
-        return _with_numbers(predict(self.model, query))
+        return _with_numbers(table)
 
     def compensate(self, poses: AnyTable, seed: AnyTable | None = None) -> pd.DataFrame:
         """Find the joints that bring the real target to each of the wanted poses.
@@ -121,9 +124,13 @@ class Calibration:
         Raises:
             AridcalError: a column is missing, two orientations disagree, or no row can be commanded.
         """
-        query = read_query(self.model, poses if seed is None else self._seeded(poses, seed), poses=True)
+        with working() as progress:
+            progress("finding the commands")
+            query = read_query(self.model, poses if seed is None else self._seeded(poses, seed), poses=True)
+            count = len(query.line)
+            table = compensate(self.model, query, told=lambda rows: progress.part(rows, count, "rows"))
         _warn(query)
-        return _with_numbers(compensate(self.model, query))
+        return _with_numbers(table)
 
     def verify(self, measurements: AnyTable) -> Verified:
         """Score another day's measurements with the models as they are, and with both frames fitted anew.
@@ -148,18 +155,20 @@ class Calibration:
 
     def scene(self, path: str | Path | None = None) -> Page:
         """The robot and its errors in 3D. A notebook shows it; with a path it is saved as well."""
-        return self._page("scene.html", lambda outcome, target: write_scene(scene(outcome), target), path)
+        return self._page("scene.html", write_scene, path)
 
     def save(self, folder: str | Path) -> None:
         """Write the result folder that ``aridcal identify`` writes: all its files, or none.
+
+        A picture that cannot be drawn costs a warning and no file.
 
         Raises:
             AridcalError: the folder cannot be written, or this calibration was loaded.
         """
         outcome = self._with_data("save")
         with working() as progress:
-            progress("writing the results")
-            write_folder(outcome, Path(folder))
+            written = write_folder(outcome, Path(folder), progress)
+        _warn_of(written.notices)
 
     def __repr__(self) -> str:
         if not self._has_figures:
@@ -221,15 +230,16 @@ class Calibration:
             )
         return wanted.assign(**{joint: rows[joint].to_numpy() for joint in joints})
 
-    def _page(self, name: str, write: Callable[[Outcome, Path], Any], path: str | Path | None) -> Page:
-        """A page made anew, or of a loaded calibration the folder's own."""
+    def _page(self, name: str, write: Callable[[Outcome, Path], tuple[str, ...]], path: str | Path | None) -> Page:
+        """A page made anew, or of a loaded calibration the folder's own; warns of what could not be drawn."""
         if self.outcome is None:
             source = _text(self._beside(name, f"{name} is"))
         else:
             with working() as progress, tempfile.TemporaryDirectory() as folder:
                 progress(f"drawing {name}")
-                write(self.outcome, Path(folder) / name)
+                notices = write(self.outcome, Path(folder) / name)
                 source = (Path(folder) / name).read_text("utf-8")
+            _warn_of(notices, stacklevel=4)
         if path is not None:
             with atomic_file(Path(path)) as stage:
                 stage.write_text(source, encoding="utf-8", newline="\n")
@@ -307,12 +317,18 @@ def _frame(table: AnyTable) -> pd.DataFrame:
 
 def _with_numbers(table: pd.DataFrame) -> pd.DataFrame:
     """A table that was read from csv, its columns of numbers made numbers."""
-    for name in table.select_dtypes(["object", "str"]):
+    for name in table.columns[[pd.api.types.is_string_dtype(dtype) for dtype in table.dtypes]]:
         try:
             table[name] = pd.to_numeric(table[name])
         except (ValueError, TypeError):
             continue
     return table
+
+
+def _warn_of(notices: Sequence[str], stacklevel: int = 3) -> None:
+    """Say what could not be drawn."""
+    if notices:
+        warnings.warn("\n".join(notices), stacklevel=stacklevel)
 
 
 def _warn(query: Query) -> None:

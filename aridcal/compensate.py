@@ -28,6 +28,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from itertools import product
 from pathlib import Path
 
@@ -38,11 +39,13 @@ from rich.console import Console
 from aridcal.command_line import CommandParser, command_parser, run
 from aridcal.errors import OutputError
 from aridcal.files import atomic_file, check_home, check_writable
-from aridcal.inputs.query import Query
+from aridcal.inputs.query import Query, Remarks
 from aridcal.reading.names import path_argument
-from aridcal.result.compensate import compensate, correction_table
-from aridcal.result.predict import ENDINGS, read_query, write_table
+from aridcal.result.compensate import Trajectory, compensate, correction_table
+from aridcal.result.predict import ENDINGS, read_queries, table_file, write_table
 from aridcal.result.saved_model import SavedModel
+from aridcal.result.stretches import Stretch
+from aridcal.showing import told_on
 
 SHOWN_REMARKS = 5
 
@@ -83,16 +86,66 @@ def _main(arguments: argparse.Namespace) -> None:
     if arguments.grid is not None:
         _tabulate(calibration, arguments.grid, arguments.out)
         return
-    query = read_query(calibration, arguments.poses, poses=True)
-    table = compensate(calibration, query)
-    with atomic_file(arguments.out) as path:
-        write_table(table, path)
-    _report(table, calibration, query, arguments.out)
+    answered, trajectory = Answered(calibration), Trajectory(calibration)
+    with atomic_file(arguments.out) as path, table_file(path) as write, told_on(Console(stderr=True)) as progress:
+        progress.at("finding the commands")
+        for query, stretch in read_queries(calibration, arguments.poses, poses=True):
+
+            def told(rows: int, stretch: Stretch = stretch) -> None:
+                progress.share(stretch.share(rows))
+
+            table = compensate(calibration, query, trajectory, told)
+            write(table)
+            answered.add(query, table)
+    _report(answered, calibration, arguments.out)
+
+
+@dataclass
+class Answered:
+    """What is said of a table once all its stretches have their commands.
+
+    Attributes:
+        calibration: The model.
+        rows: How many.
+        reached: How many of their poses are reached.
+        missed: How many are out of reach.
+        bare: How many have no command.
+        unlike: How many are unlike what was measured.
+        far: Sentences on the first of those out of reach.
+        remarks: What is odd.
+    """
+
+    calibration: SavedModel
+    rows: int = 0
+    reached: int = 0
+    missed: int = 0
+    bare: int = 0
+    unlike: int = 0
+    far: list[str] = field(default_factory=list)
+    remarks: Remarks = field(default_factory=lambda: Remarks(SHOWN_REMARKS))
+
+    def add(self, query: Query, table: pd.DataFrame) -> None:
+        """Count one more stretch."""
+        commanded = table["position_error"].notna().to_numpy()
+        missed = np.flatnonzero(commanded & ~table["reached"].to_numpy(bool))
+        for k in missed[: SHOWN_REMARKS - len(self.far)]:
+            off = 1e3 * float(table["position_error"].iloc[k]) * self.calibration.measurements.units.metres
+            self.far.append(
+                f"line {query.line[k]}: cannot be reached within the joint limits: {off:.3f} mm off at best"
+            )
+        self.rows += len(table)
+        self.reached += int(table["reached"].sum())
+        self.missed += len(missed)
+        self.bare += int((~commanded).sum())
+        self.unlike += int(table["extrapolates"].sum())
+        self.remarks.add(query)
 
 
 def _tabulate(calibration: SavedModel, points: int, out: Path) -> None:
     robot, settings = calibration.final.model.robot, calibration.measurements
-    found = correction_table(calibration, points)
+    with told_on(Console(stderr=True)) as progress:
+        progress.at("making the table")
+        found = correction_table(calibration, points, progress)
     units = [settings.units.metres if k == "prismatic" else settings.units.radians for k in robot.kinds]
     names = [settings.columns.get(name, name) for name in robot.readings]
     values = np.hstack([np.array(list(product(*found.axes))), found.delta.reshape(-1, len(names))])
@@ -106,32 +159,20 @@ def _tabulate(calibration: SavedModel, points: int, out: Path) -> None:
     )  # fmt: skip
 
 
-def _report(table: pd.DataFrame, calibration: SavedModel, query: Query, out: Path) -> None:
+def _report(found: Answered, calibration: SavedModel, out: Path) -> None:
     """Print remarks, poses out of reach and totals."""
     console = Console(stderr=True)
-
-    def say(text: str) -> None:
-        console.print(text, markup=False, highlight=False, soft_wrap=True)
-
-    for remark in (*query.refused, *query.notices)[:SHOWN_REMARKS]:
-        say(str(remark))
-    more = len(query.refused) + len(query.notices) - SHOWN_REMARKS
-    if more > 0:
-        say(f"and {more} more remarks")
-    commanded = table["position_error"].notna().to_numpy()
-    missed = np.flatnonzero(commanded & ~table["reached"].to_numpy(bool))
-    for k in missed[:SHOWN_REMARKS]:
-        off = 1e3 * float(table["position_error"].iloc[k]) * calibration.measurements.units.metres
-        say(f"line {query.line[k]}: cannot be reached within the joint limits: {off:.3f} mm off at best")
+    lines = [*found.remarks.lines(), *found.far]
     if calibration.measurements.joint_reading == "reported":
-        say(
+        lines.append(
             "these are joints to be reported by the controller, as in the calibration: to get the commands, add to each "
             "the difference between commanded and reported joint"
         )
-    said = f"{out}: {len(table)} rows, {int(table['reached'].sum())} reached"
-    said += f", {len(missed)} out of reach" if len(missed) else ""
-    said += f", {int((~commanded).sum())} without a command because a number is missing" if not commanded.all() else ""
-    say(f"{said}; {int(table['extrapolates'].sum())} of them unlike what was measured")
+    said = f"{out}: {found.rows} rows, {found.reached} reached"
+    said += f", {found.missed} out of reach" if found.missed else ""
+    said += f", {found.bare} without a command because a number is missing" if found.bare else ""
+    for line in (*lines, f"{said}; {found.unlike} of them unlike what was measured"):
+        console.print(line, markup=False, highlight=False, soft_wrap=True)
 
 
 if __name__ == "__main__":

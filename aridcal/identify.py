@@ -10,7 +10,6 @@ from __future__ import annotations
 import argparse
 import math
 import sys
-import time
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -31,6 +30,7 @@ from aridcal.result.outcome import Outcome, Verification, errors
 from aridcal.result.pipeline import identify
 from aridcal.result_folder import RESULT_FILES, write_folder
 from aridcal.search.gains import NamedEffect
+from aridcal.showing import told_on
 
 VERDICTS = {
     "noise_floor": "the remaining error is consistent with the noise",
@@ -158,15 +158,9 @@ def _main(arguments: argparse.Namespace) -> None:
 
 def _identify(arguments: argparse.Namespace, out: Path) -> None:
     console = Console()
-    steps = Console(stderr=True)
-    started = time.perf_counter()
-
-    def progress(step: str) -> None:
-        steps.print(f"{time.perf_counter() - started:5.1f} s  {step}", style="dim", markup=False)
-
-    outcome = identify(arguments.campaign, arguments.seed, arguments.verify, progress, out / CACHE, refuse_misread)
-    progress("writing the results")
-    written = write_folder(outcome, out)
+    with told_on(Console(stderr=True)) as progress:
+        outcome = identify(arguments.campaign, arguments.seed, arguments.verify, progress, out / CACHE, refuse_misread)
+        written = write_folder(outcome, out, progress)
     summary(outcome, console)
     handover = written.handover
     console.print(
@@ -174,8 +168,10 @@ def _identify(arguments: argparse.Namespace, out: Path) -> None:
         soft_wrap=True,
         markup=False,
     )
-    for notice in written.notices:
-        console.print(f"note: {notice}", markup=False)
+    for notice in written.notices[:MOST_NOTICES]:
+        console.print(f"note: {notice}", markup=False, soft_wrap=True)
+    if len(written.notices) > MOST_NOTICES:
+        console.print(f"note: and {len(written.notices) - MOST_NOTICES} more, in the pages themselves")
     console.print(f"report: {out / 'report.html'}", soft_wrap=True, markup=False, highlight=False)
 
 

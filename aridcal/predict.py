@@ -19,6 +19,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import pandas as pd
@@ -27,10 +28,11 @@ from rich.console import Console
 from aridcal.command_line import CommandParser, command_parser, run
 from aridcal.errors import OutputError
 from aridcal.files import atomic_file, check_home, check_writable
-from aridcal.inputs.query import Query
+from aridcal.inputs.query import Query, Remarks
 from aridcal.reading.names import path_argument
-from aridcal.result.predict import ENDINGS, predict, read_query, write_table
+from aridcal.result.predict import ENDINGS, predict, read_queries, table_file
 from aridcal.result.saved_model import SavedModel
+from aridcal.showing import told_on
 
 SHOWN_REMARKS = 5
 
@@ -58,24 +60,50 @@ def _main(arguments: argparse.Namespace) -> None:
     check_home(arguments.out)
     check_writable(arguments.out, "file")
     calibration = SavedModel.load(arguments.calibration)
-    query = read_query(calibration, arguments.query)
-    table = predict(calibration, query)
-    with atomic_file(arguments.out) as path:
-        write_table(table, path)
-    _report(table, calibration.measurements.columns.get("x", "x"), query, arguments.out)
+    answered = Answered(calibration.measurements.columns.get("x", "x"))
+    with atomic_file(arguments.out) as path, table_file(path) as write, told_on(Console(stderr=True)) as progress:
+        progress.at("predicting")
+        for query, stretch in read_queries(calibration, arguments.query):
+            table = predict(calibration, query)
+            write(table)
+            answered.add(query, table)
+            progress.share(stretch.share(len(table)))
+    _report(answered, arguments.out)
 
 
-def _report(table: pd.DataFrame, x: str, query: Query, out: Path) -> None:
+@dataclass
+class Answered:
+    """What is said of a table once all its stretches are predicted.
+
+    Attributes:
+        x: Name of the column that is empty where a row has no pose.
+        rows: How many.
+        unlike: How many of them are unlike what was measured.
+        bare: How many have no pose.
+        remarks: What is odd.
+    """
+
+    x: str
+    rows: int = 0
+    unlike: int = 0
+    bare: int = 0
+    remarks: Remarks = field(default_factory=lambda: Remarks(SHOWN_REMARKS))
+
+    def add(self, query: Query, table: pd.DataFrame) -> None:
+        """Count one more stretch."""
+        self.rows += len(table)
+        self.unlike += int(table["extrapolates"].sum())
+        self.bare += int(table[self.x].isna().sum())
+        self.remarks.add(query)
+
+
+def _report(answered: Answered, out: Path) -> None:
     """Print remarks and totals."""
     console = Console(stderr=True)
-    for remark in (*query.refused, *query.notices)[:SHOWN_REMARKS]:
-        console.print(str(remark), markup=False, highlight=False, soft_wrap=True)
-    more = len(query.refused) + len(query.notices) - SHOWN_REMARKS
-    if more > 0:
-        console.print(f"and {more} more remarks", highlight=False, markup=False)
-    bare = int(table[x].isna().sum())
-    said = f"{out}: {len(table)} rows, {int(table['extrapolates'].sum())} of them unlike what was measured"
-    said += f", {bare} without a pose because a number is missing" if bare else ""
+    for remark in answered.remarks.lines():
+        console.print(remark, markup=False, highlight=False, soft_wrap=True)
+    said = f"{out}: {answered.rows} rows, {answered.unlike} of them unlike what was measured"
+    said += f", {answered.bare} without a pose because a number is missing" if answered.bare else ""
     console.print(said, markup=False, highlight=False, soft_wrap=True)
 
 

@@ -7,10 +7,11 @@ from pathlib import Path
 
 from aridcal.files import atomic_folder
 from aridcal.report.page import write_report
-from aridcal.report.scene import scene, write_scene
+from aridcal.report.scene import write_scene
 from aridcal.result.controllers import Handover, hand_over, write_controllers
 from aridcal.result.folder import write_results
 from aridcal.result.outcome import Outcome
+from aridcal.showing import SILENT, Progress
 
 RESULT_FILES = frozenset(
     {
@@ -35,16 +36,27 @@ class Written:
     notices: tuple[str, ...]
 
 
-def write_folder(outcome: Outcome, folder: Path) -> Written:
+def write_folder(outcome: Outcome, folder: Path, progress: Progress = SILENT) -> Written:
     """Write every file of a result folder: all appear together or none does.
+
+    Figures come first. A picture that cannot be drawn costs a notice and no other file.
+
+    Args:
+        outcome: What was found.
+        folder: Where to write it.
+        progress: Told what is being written.
 
     Raises:
         OutputError: the folder cannot be written.
     """
     with atomic_folder(folder, RESULT_FILES) as stage:
-        write_results(outcome, stage)
+        progress("writing figures and tables")
+        write_results(outcome, stage, progress)
+        progress("working out what controllers can be given")
         handover = hand_over(outcome)
         write_controllers(outcome, handover, stage)
-        write_report(outcome, handover, stage / "report.html")
-        notices = write_scene(scene(outcome), stage / "scene.html")
+        progress("drawing the report")
+        notices = write_report(outcome, handover, stage / "report.html", progress)
+        progress("drawing the scene")
+        notices += write_scene(outcome, stage / "scene.html")
     return Written(handover, notices)

@@ -1,15 +1,18 @@
-"""What Python users see while they wait and of pages: in a terminal, in a notebook, and nothing elsewhere."""
+"""What users see while they wait, in a command, a terminal or a notebook; and pages."""
 
 from __future__ import annotations
 
 import html
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from typing import TypeVar
 
 from rich.console import Console
+from rich.control import Control
 from rich.live import Live
+from rich.segment import ControlType
 from rich.spinner import Spinner
 from rich.text import Text
 from threadpoolctl import threadpool_limits
@@ -17,13 +20,107 @@ from threadpoolctl import threadpool_limits
 HEIGHT = 720
 """Of a page inside a notebook, [px]: less than a screen, so that one can scroll past it."""
 
+T = TypeVar("T")
+
+EVERY = 2.0
+"""[s] between two lines inside one step, at the least: one sees that it goes on, and a log stays short."""
+
+Show = Callable[[str], None]
+
+
+class Progress:
+    """Passed down through long work, which calls it with each step and tells it how far the step is.
+
+    Args:
+        show: Called with each step.
+        passing: Called with what soon holds no more, how far a step is; default: as ``show``.
+        clock: In seconds.
+    """
+
+    def __init__(self, show: Show, passing: Show | None = None, clock: Callable[[], float] = time.monotonic) -> None:
+        self._show, self._passing, self._clock = show, passing or show, clock
+        self._step, self._told = "", clock()
+
+    def __call__(self, step: str) -> None:
+        """Begin a step."""
+        self.at(step)
+        self._show(step)
+
+    def at(self, step: str) -> None:
+        """Begin a step that is told of only if it takes long."""
+        self._step, self._told = step, self._clock()
+
+    def part(self, done: int, total: int, of: str) -> None:
+        """Tell how much of the step is done, unless something was told within the last :data:`EVERY` seconds.
+
+        Args:
+            done: How many.
+            total: Of how many.
+            of: What they are, ``rows`` for instance.
+        """
+        self._tell(f"{done:,} of {total:,} {of}")
+
+    def share(self, done: float) -> None:
+        """The same of what is not counted, ``done`` from 0 to 1."""
+        self._tell(f"{int(100 * done)} %")
+
+    def _tell(self, how_far: str) -> None:
+        now = self._clock()
+        if now - self._told >= EVERY:
+            self._told = now
+            self._passing(f"{self._step}: {how_far}")
+
+    def over(self, items: Sequence[T], of: str) -> Iterator[T]:
+        """Go through items, and tell how many are done."""
+        return self.through(items, len(items), of)
+
+    def through(self, items: Iterable[T], total: int, of: str, each: int = 1) -> Iterator[T]:
+        """The same where their number must be said, or where each stands for several."""
+        for done, item in enumerate(items):
+            self.part(done * each, total, of)
+            yield item
+
+
+SILENT = Progress(lambda _: None)
+"""Of work that nobody watches."""
+
 
 @contextmanager
-def working() -> Iterator[Callable[[str], None]]:
+def told_on(console: Console) -> Iterator[Progress]:
+    """Progress of a command: a line for each step, and inside it one line that is overwritten; in a pipe lines alone.
+
+    Args:
+        console: Of stderr.
+    """
+    started = time.perf_counter()
+
+    def line(step: str) -> str:
+        return f"{time.perf_counter() - started:5.1f} s  {step}"
+
+    def show(step: str) -> None:
+        clear()
+        console.print(line(step), style="dim", markup=False, highlight=False, soft_wrap=True)
+
+    def passing(step: str) -> None:
+        clear()
+        console.print(line(step), style="dim", markup=False, highlight=False, no_wrap=True, overflow="ellipsis", end="")
+
+    def clear() -> None:
+        if console.is_terminal:
+            console.control(Control(ControlType.CARRIAGE_RETURN, (ControlType.ERASE_IN_LINE, 2)))
+
+    try:
+        yield Progress(show, passing if console.is_terminal else show)
+    finally:
+        clear()
+
+
+@contextmanager
+def working() -> Iterator[Progress]:
     """Show on one line what is being done, and let linear algebra use one thread, as the commands do.
 
     Yields:
-        To be called with each step. Outside terminals and notebooks it shows nothing.
+        To be told of each step. Outside terminals and notebooks it shows nothing.
     """
     console = Console(stderr=True)
     started = time.perf_counter()
@@ -37,10 +134,10 @@ def working() -> Iterator[Callable[[str], None]]:
         elif console.is_terminal:
             yield from _in_terminal(console, line)
         else:
-            yield lambda step: None
+            yield SILENT
 
 
-def _in_terminal(console: Console, line: Callable[[str], str]) -> Iterator[Callable[[str], None]]:
+def _in_terminal(console: Console, line: Callable[[str], str]) -> Iterator[Progress]:
     """One line with a spinner. Each step is drawn at once: the next tick may come after the step has ended."""
     spinner = Spinner("dots")
     with Live(spinner, console=console, transient=True) as live:
@@ -49,10 +146,10 @@ def _in_terminal(console: Console, line: Callable[[str], str]) -> Iterator[Calla
             spinner.update(text=Text(line(step)))
             live.refresh()
 
-        yield show
+        yield Progress(show)
 
 
-def _in_notebook(line: Callable[[str], str]) -> Iterator[Callable[[str], None]]:
+def _in_notebook(line: Callable[[str], str]) -> Iterator[Progress]:
     """One output that each step overwrites. Rich's own needs ipywidgets, which few have."""
     from IPython.display import display
 
@@ -61,7 +158,7 @@ def _in_notebook(line: Callable[[str], str]) -> Iterator[Callable[[str], None]]:
     def show(step: str) -> None:
         shown.update({"text/plain": line(step)}, raw=True)
 
-    yield show
+    yield Progress(show)
     show("done")
 
 

@@ -1,7 +1,8 @@
-"""Show the 3D scene of a result folder in the browser.
+"""Show the 3D scene of a result folder in the browser, live.
 
-The page is DIR/scene.html, served to this computer only, until Ctrl-C; reload it after another run of identify. Over ssh,
-forward the port that is printed, or copy scene.html and open it: it needs neither server nor network.
+The page is DIR/scene.html, served to this computer only, until Ctrl-C. When identify writes the folder anew, the browser
+shows the new scene at once. Over ssh, forward the port that is printed, or copy scene.html and open it: it needs neither
+server nor network.
 
 Example:
     aridcal view results
@@ -9,51 +10,185 @@ Example:
 
 from __future__ import annotations
 
+import asyncio
+import hashlib
 import os
+import re
 import sys
 import webbrowser
 from collections.abc import Sequence
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from importlib.resources import files
 from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
 
+# Here and not where they are used: until a command runs, Ctrl-C ends it without a traceback, inside of imports as well.
+import tornado.web
+import umsgpack  # type: ignore[import-untyped]
+from meshcat.servers.tree import find_node
+from meshcat.servers.zmqserver import WebSocketHandler, ZMQWebSocketBridge
 from rich.console import Console
+from tornado.httpserver import HTTPServer
+from tornado.netutil import bind_sockets
 
 from aridcal.command_line import CommandParser, command_parser, run
 from aridcal.errors import OutputError
+from aridcal.reading.files import RESULT, read_file
 from aridcal.reading.names import path_argument
 
-# Meshcat's own server is left out on purpose: it is a second process in a session of its own, which outlives a killed
-# parent, and its page knows nothing of the panel. Here the command itself is the server, so nothing can be left behind.
+# Meshcat's server runs inside this process: its own way, a child in a session of its own, outlives a parent that is
+# killed. Two things of it are closed: it would listen to the whole network, and take drawing commands from any program on
+# this computer. The page is ours, with the panel that scene.html has; the scene travels to it as one meshcat object.
+
+LOCAL = frozenset({"127.0.0.1", "localhost", "::1"})
+"""Names by which a browser may ask for us, on any port (ssh forwards them). Under another name it is a foreign page's
+address that was pointed at this computer (DNS rebinding)."""
+
+ADDRESS = "127.0.0.1"
+
+PATH = "calibration"
+"""Of the scene in meshcat's tree."""
+
+LOOK_EVERY = 0.5
+"""[s] between two looks at the folder."""
+
+MOST_ASKED = 10_000
+"""Bytes of a request or a message: browsers have nothing to tell us."""
+
+SCENE = re.compile(r'<script type="application/json" id="scene">(.*?)</script>', re.DOTALL)
 
 
-def serve(scene: Path, port: int = 0) -> ThreadingHTTPServer:
-    """Serve one page, and nothing else, to this computer only.
+class Viewer(ZMQWebSocketBridge):
+    """Meshcat's server, which shows one scene and follows its file. It needs a running asyncio loop."""
 
-    Args:
-        scene: The file; read anew at each request.
-        port: 0: any that is free.
+    def __init__(self, scene: Path, port: int = 0) -> None:
+        """Listen, to this computer only.
 
-    Returns:
-        The server, listening but not yet answering: call ``serve_forever``.
-    """
+        Args:
+            scene: The page's file.
+            port: 0: any that is free.
+        """
+        self._file = scene
+        self._seen: tuple[int, ...] = ()
+        self._page, self._stamp = "", ""
+        super().__init__(zmq_url=f"inproc://{id(self)}", port=port)  # a socket that no other process can reach
+        self.fileserver_port = self.app.port
+        self.look()
 
-    class Page(BaseHTTPRequestHandler):
-        def do_GET(self) -> None:
-            try:
-                body = scene.read_bytes() if self.path.partition("?")[0] in ("/", "/scene.html") else None
-            except OSError:
-                body = None
-            self.send_response(200 if body is not None else 404)
-            self.send_header("Content-Type", "text/html; charset=utf-8")
-            self.send_header("Content-Length", str(len(body or b"")))
-            self.send_header("Cache-Control", "no-store")
-            self.end_headers()
-            self.wfile.write(body or b"")
+    @property
+    def url(self) -> str:
+        """Where the page is."""
+        return f"http://{ADDRESS}:{self.fileserver_port}/"
 
-        def log_message(self, format: str, *args: object) -> None:
-            """Say nothing: the terminal is the user's."""
+    def make_app(self) -> _Application:
+        """Meshcat's hook: what is served."""
+        this = {"viewer": self}
+        return _Application(
+            [(r"/(?:scene\.html)?", _Page, this), ("/live", _Connection, {"bridge": self})],
+            default_handler_class=_Nothing,
+            log_function=lambda handler: None,  # the terminal is the user's
+            websocket_max_message_size=MOST_ASKED,
+        )
 
-    return ThreadingHTTPServer(("127.0.0.1", port), Page)
+    def look(self) -> None:
+        """Send the scene to every browser if its file is another one; a file that is gone for a moment changes nothing."""
+        try:
+            status = self._file.stat()
+            seen = (status.st_dev, status.st_ino, status.st_mtime_ns, status.st_size)
+            if seen == self._seen:
+                return
+            self._page = read_file(self._file, OutputError, RESULT).decode("utf-8", "replace")
+        except (OSError, OutputError):
+            return
+        self._seen = seen
+        stamp = hashlib.sha256(self._page.encode()).hexdigest()[:16]
+        if stamp != self._stamp:
+            self._stamp = stamp
+            found = SCENE.search(self._page)
+            command = {"type": "set_object", "path": f"/{PATH}", "object": found[1] if found else "null"}
+            node = find_node(self.tree, [PATH])
+            node.object = umsgpack.packb(command)
+            self.forward_to_websockets([b"set_object", PATH.encode(), node.object])
+
+    def page(self) -> str:
+        """The file's page, with the script that keeps it up to date."""
+        script = files("aridcal.report").joinpath("assets/live.js").read_text("utf-8")
+        live = f'<script data-stamp="{self._stamp}">{script}</script>'
+        no_icon = '<link rel="icon" href="data:,">'  # browsers would ask for one
+        before, end, after = self._page.replace("</head>", f"{no_icon}</head>", 1).rpartition("</body>")
+        return f"{before}{live}{end}{after}" if end else f"{after}{live}"
+
+    def send_scene(self, websocket: _Connection) -> None:
+        """Meshcat's hook: tell a browser that has just come what it has not."""
+        if websocket.get_query_argument("stamp", "") != self._stamp:
+            super().send_scene(websocket)
+
+    async def follow(self) -> None:
+        """Show what the file becomes, for ever."""
+        while True:
+            await asyncio.sleep(LOOK_EVERY)
+            self.look()
+
+    def close(self) -> None:
+        """Leave nothing open."""
+        self.app.server.stop()
+        for browser in list(self.websocket_pool):
+            browser.close()
+        self.zmq_stream.close(linger=0)
+
+
+class _Application(tornado.web.Application):
+    """A web application that listens to this computer only."""
+
+    def listen(self, port: int, address: str | None = None, **settings: Any) -> HTTPServer:
+        sockets = bind_sockets(port, ADDRESS)
+        self.port = sockets[0].getsockname()[1]
+        self.server = HTTPServer(self, max_body_size=MOST_ASKED, max_header_size=MOST_ASKED)
+        self.server.add_sockets(sockets)
+        return self.server
+
+
+class _Nothing(tornado.web.RequestHandler):
+    """What answers browsers: pages of other sites get nothing."""
+
+    def prepare(self) -> None:
+        try:
+            name = urlsplit(f"//{self.request.host}").hostname
+        except ValueError:
+            name = None
+        if name not in LOCAL:
+            raise tornado.web.HTTPError(403)
+        if type(self) is _Nothing:
+            raise tornado.web.HTTPError(404)
+
+    def set_default_headers(self) -> None:
+        self.set_header("Cache-Control", "no-store")
+        self.set_header("Cross-Origin-Resource-Policy", "same-origin")
+
+
+class _Page(_Nothing):
+    """The scene's page."""
+
+    def initialize(self, viewer: Viewer) -> None:
+        self.viewer = viewer
+
+    def get(self) -> None:
+        self.viewer.look()
+        self.finish(self.viewer.page())
+
+
+class _Connection(WebSocketHandler, _Nothing):
+    """Meshcat's connection to a browser, which listens only: ``check_origin`` of tornado refuses pages of other sites."""
+
+    def open(self) -> None:
+        self.bridge.websocket_pool.add(self)
+        self.bridge.send_scene(self)
+
+    def on_message(self, message: str | bytes) -> None:
+        """Nothing that a browser says matters."""
+
+    def on_close(self) -> None:
+        self.bridge.websocket_pool.discard(self)
 
 
 def scene_file(folder: Path) -> Path:
@@ -81,16 +216,20 @@ def parser() -> CommandParser:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; returns its exit status."""
     arguments = parser().parse_args(argv)
-    return run(lambda: _main(arguments.folder))
+    return run(lambda: asyncio.run(_main(scene_file(arguments.folder))))
 
 
-def _main(folder: Path) -> None:
-    with serve(scene_file(folder)) as server:
-        url = f"http://127.0.0.1:{server.server_port}/"
-        Console().print(f"{url}  (Ctrl-C ends it)", soft_wrap=True, highlight=False, markup=False)
+async def _main(scene: Path) -> None:
+    viewer = Viewer(scene)
+    try:
+        Console().print(
+            f"{viewer.url}  (follows the folder; Ctrl-C ends it)", soft_wrap=True, highlight=False, markup=False
+        )
         if _has_screen():
-            webbrowser.open(url)
-        server.serve_forever()
+            webbrowser.open(viewer.url)
+        await viewer.follow()
+    finally:
+        viewer.close()
 
 
 def _has_screen() -> bool:

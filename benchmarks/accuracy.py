@@ -49,6 +49,7 @@ from aridcal.result.saved_model import SolvedModel
 from aridcal.result.uncertainty import with_noise_seen
 from aridcal.robot.chain import Robot, load_robot
 from aridcal.search.arm import calibrated_arm, fit_constants
+from aridcal.showing import SILENT
 
 TOP = Path(__file__).resolve().parents[1]
 SHARED_ROBOTS = Path(pin.__file__).resolve().parents[4] / "share" / "example-robot-data" / "robots"
@@ -203,7 +204,7 @@ def predictions(console: Console, count: int = 150) -> None:
         case = draw_case(PREDICTED_SEED + k, what)
         robot, rows = case.truth.robot, case.rows
         geometry = fit_constants(case.campaign, robot, rows, ())
-        arm = calibrated_arm(case.campaign, robot, rows, (), geometry, lambda _: None)
+        arm = calibrated_arm(case.campaign, robot, rows, (), geometry, SILENT)
         final, q = arm.diagnosed.fit, case.query.readings
         seen = case.train.readings
         unseen = case.query.select(((q >= seen.min(axis=0)) & (q <= seen.max(axis=0))).all(axis=1))

@@ -37,6 +37,7 @@ from aridcal.fit.residual import problem, triangle
 from aridcal.inputs.channels import spread
 from aridcal.result.pipeline import judged
 from aridcal.search.arm import CalibratedArm, calibrated_arm, fit_constants
+from aridcal.showing import SILENT
 
 TELLABLE = 12.0
 COVERED = 0.5  # share of the error of an effect without a name that must be gone
@@ -113,7 +114,7 @@ def analyse(case: Case) -> tuple[CalibratedArm, str]:
     """Do with a case what ``aridcal identify`` does: constants, search, verdict."""
     rows = case.rows
     robot, geometry = case.truth.robot, fit_constants(case.campaign, case.truth.robot, rows, ())
-    arm = calibrated_arm(case.campaign, robot, rows, (), geometry, lambda _: None)
+    arm = calibrated_arm(case.campaign, robot, rows, (), geometry, SILENT)
     return arm, judged(arm).verdict.word
 
 

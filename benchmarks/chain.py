@@ -48,6 +48,7 @@ from aridcal.prepare.viewpoints import draw_views
 from aridcal.robot.chain import load_robot
 from aridcal.search.arm_and_head import fit_arm_and_head
 from aridcal.search.head_effects import directions, stated
+from aridcal.showing import SILENT
 
 STRIP = Path(__file__).parents[1] / "identification" / "arid-strip"
 N, QUERIES = 120, 400
@@ -138,7 +139,7 @@ def trial(job: tuple[str, int, bool]) -> Trial:
     rows = dataset(robot.readings, robot.kinds, q[kept], *nowhere)
     began = time.perf_counter()
     shots = Shots(asked, start, rows, found, pd.DataFrame(), settings.tip_camera.homogeneous)
-    both = fit_arm_and_head(shots, robot, (), lambda _: None)
+    both = fit_arm_and_head(shots, robot, (), SILENT)
     seconds = time.perf_counter() - began
     low, high = q.min(axis=0), q.max(axis=0)
     anywhere = rng.uniform(low, high, (QUERIES, len(low)))

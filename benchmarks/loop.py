@@ -44,6 +44,7 @@ from aridcal.result.outcome import errors
 from aridcal.result.pipeline import identify
 from aridcal.robot.chain import Robot, parse_robot
 from aridcal.search.arm import calibrated_arm, fit_constants
+from aridcal.showing import SILENT
 
 TOP = Path(__file__).resolve().parent.parent
 UR10 = TOP / "identification" / "ur10-laser-tracker" / "campaign-b.yaml"
@@ -100,7 +101,7 @@ def column(console: Console) -> None:
     for seed in range(4):
         robot, campaign, rows, truth, theta = _column(seed)
         geometry = fit_constants(campaign, robot, rows, ())
-        arm = calibrated_arm(campaign, robot, rows, (), geometry, lambda _: None)
+        arm = calibrated_arm(campaign, robot, rows, (), geometry, SILENT)
         found, diagnosed = arm.geometry.geometric, arm.diagnosed
         own = [c for c in truth.coefficients if not c.basis.constant]
         model = found.model.with_coefficients((*found.model.coefficients, *own))

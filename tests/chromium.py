@@ -1,4 +1,4 @@
-"""Headless Chromium for tests, without network: pages are opened, worked, measured and looked at.
+"""Headless Chromium for tests, without network but this computer's own: pages are opened, worked, measured and looked at.
 
 It is driven over the DevTools protocol on two pipes (``--remote-debugging-pipe``), as Puppeteer does: messages are JSON,
 each ended by a zero byte. Nothing needs to be installed for it but Chromium.
@@ -29,7 +29,8 @@ PATIENCE = 60.0  # seconds for one answer
 FLAGS = [
     "--headless", "--no-sandbox", "--disable-gpu-sandbox", "--use-gl=angle", "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader", "--disable-gpu-rasterization", "--disable-background-networking",
-    "--disable-component-update", "--no-first-run", "--hide-scrollbars", "--host-resolver-rules=MAP * ~NOTFOUND",
+    "--disable-component-update", "--no-first-run", "--hide-scrollbars",
+    "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1",
     "--proxy-server=127.0.0.1:9", "--remote-debugging-pipe",
 ]  # fmt: skip
 
@@ -137,18 +138,19 @@ class Browser:
         return dict(json.loads(message))
 
     @contextlib.contextmanager
-    def open(self, file: Path, width: int = 1280, height: int = 800) -> Iterator[Page]:
-        """Open a file in a window of that size, and wait until it is loaded."""
+    def open(self, page: Path | str, width: int = 1280, height: int = 800) -> Iterator[Page]:
+        """Open a file, or an address of this computer, in a window of that size, and wait until it is loaded."""
+        url = page if isinstance(page, str) else page.as_uri()
         target = self.call("Target.createTarget", url="about:blank")["targetId"]
         session = self.call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
-        page = self._pages[session] = Page(self, session)
+        opened = self._pages[session] = Page(self, session)
         for domain in ("Runtime", "Log", "Page", "Network"):
-            page.call(f"{domain}.enable")
-        page.resize(width, height)
-        page.call("Page.navigate", url=file.as_uri())
-        page.wait("document.readyState === 'complete' && location.href !== 'about:blank'")
-        page.requests.remove(file.as_uri())
-        yield page
+            opened.call(f"{domain}.enable")
+        opened.resize(width, height)
+        opened.call("Page.navigate", url=url)
+        opened.wait("document.readyState === 'complete' && location.href !== 'about:blank'")
+        opened.requests.remove(url)
+        yield opened
         del self._pages[session]
         self.call("Target.closeTarget", targetId=target)
 

@@ -12,10 +12,11 @@ from aridcal.head.reduction import Head
 from aridcal.head.sonar import predict_ranges
 from aridcal.inputs.campaign import Noise as NoiseSettings
 from aridcal.search.arm_and_head import ArmAndHead, fit_arm_and_head
+from aridcal.showing import SILENT
 
 
 def calibrated(given: Shots) -> ArmAndHead:
-    return fit_arm_and_head(given, ARID, (), lambda _: None)
+    return fit_arm_and_head(given, ARID, (), SILENT)
 
 
 def misfit(T: np.ndarray, given: Shots, head: Head) -> np.ndarray:

@@ -48,7 +48,12 @@ def campaign(file: Path | list[Path], frames: dict[str, Any] | None = None, **se
 
 
 def load(file: Path | list[Path], seed: int = 0, **settings: Any) -> Dataset:
-    return load_measurements(campaign(file, **settings), JOINTS, LIMITS, KINDS, seed)
+    """The rows as they stand in the files."""
+    return as_read(load_measurements(campaign(file, **settings), JOINTS, LIMITS, KINDS, seed))
+
+
+def as_read(m: Dataset) -> Dataset:
+    return m.select(m.as_read)
 
 
 @pytest.fixture
@@ -167,7 +172,7 @@ def test_a_joint_named_like_a_quantity_needs_columns(write: Callable[..., Path])
     arguments: tuple[Any, ...] = (("x", "shoulder", "wrist"), LIMITS, KINDS)
     with pytest.raises(CampaignError, match=r"joint 'x'.*`columns: \{x: COLUMN\}`"):
         load_measurements(campaign(write(table)), *arguments)
-    m = load_measurements(campaign(write(table), columns={"x": "rail_x"}), *arguments)
+    m = as_read(load_measurements(campaign(write(table), columns={"x": "rail_x"}), *arguments))
     np.testing.assert_array_equal(m.readings[:, 0], table["rail_x"])
     np.testing.assert_array_equal(m.position[:, 0], table["x"])
 
@@ -441,7 +446,7 @@ def test_one_row_and_rows_all_alike_can_be_held(write: Callable[..., Path]) -> N
 
 def test_rows_that_measure_something_else_need_no_pose(write: Callable[..., Path]) -> None:
     table = rows().drop(columns=POSE).assign(h1=0.25, image=[f"{k}.png" for k in range(20)])
-    m = load_measurements(campaign(write(table)), JOINTS, LIMITS, KINDS, require_pose=False)
+    m = as_read(load_measurements(campaign(write(table)), JOINTS, LIMITS, KINDS, require_pose=False))
     assert np.isnan(m.position).all() and m.rotation is None and m.relative is None and not m.stale.any()
     np.testing.assert_array_equal(m.readings, table[list(JOINTS)])
     assert list(m.covariates) == ["h1"] and [n.column for n in m.notices] == ["image"]
@@ -674,7 +679,7 @@ def test_the_public_ur10_series_are_read_and_their_stale_rows_named(shared_data:
     kinds: list[Any] = ["revolute"] * 6
     for series, count in (("b", 1495), ("d", 632)):
         path = shared_data / "ur10-laser-tracker" / f"series_{series}.csv"
-        m = load_measurements(campaign(path, ignore=["sequence"]), joints, limits, kinds)
+        m = as_read(load_measurements(campaign(path, ignore=["sequence"]), joints, limits, kinds))
         assert len(m) == count and not m.refused and set(m.covariates) == {"temperature"}
         stale = [n.row for n in m.notices]
         sequence = pd.read_csv(path)["sequence"].to_numpy()

@@ -14,6 +14,7 @@ from aridcal.errors import CampaignError
 from aridcal.head.detections import Shots
 from aridcal.search.arm_and_head import ArmAndHead, fit_arm_and_head
 from aridcal.search.head_effects import candidates, directions, stated
+from aridcal.showing import SILENT
 
 QUIET = "diagnosis: {candidates: [lens_distortion, focal_length, principal_point, sonar_bias, sonar_scale]}"
 SONARS = tuple(f"sonar_{k}" for k in (1, 2, 3, 4))
@@ -26,7 +27,7 @@ def calibrated(n: int, more: str = QUIET, seed: int = 0, **faults: float) -> tup
 
 
 def fitted(given: Shots, q: np.ndarray) -> tuple[ArmAndHead, np.ndarray]:
-    return fit_arm_and_head(given, ARID, (), lambda _: None), q
+    return fit_arm_and_head(given, ARID, (), SILENT), q
 
 
 @pytest.mark.parametrize(

@@ -167,7 +167,7 @@ def test_three_places_off_one_line_are_enough_and_three_image_points_are_not():
         n, turns, shifts = cv2.solveP3P(three, pixels, K, None, cv2.SOLVEPNP_P3P)
         assert 2 <= n <= 4  # all of which show the same image
         for turn, shift in zip(turns, shifts, strict=True):
-            assert np.allclose(cv2.projectPoints(three, turn, shift, K, None)[0][:, 0], pixels, atol=1e-3)
+            assert np.allclose(cv2.projectPoints(three, turn, shift, K, None)[0][:, 0], pixels, atol=1e-2)
 
 
 def test_tilt_of_the_reports_procedure_is_that_of_the_sonars_alone():

@@ -36,6 +36,8 @@ KEPT_TO = {
     "cv2": ("aridcal.head.",),
     "meshcat": ("aridcal.view", "aridcal.report.scene"),
     "scipy.optimize": ("aridcal.fit.",),
+    "tornado": ("aridcal.view",),
+    "trimesh": ("aridcal.robot.meshes",),
 }
 """Libraries that only some modules may import."""
 

@@ -21,6 +21,7 @@ from aridcal.result.pipeline import identify
 from aridcal.robot.chain import Robot
 from aridcal.search.arm import CalibratedArm, calibrated_arm, fit_arm, fit_constants
 from aridcal.search.noise_causes import NoiseCause, NoiseCauses, structured_notices
+from aridcal.showing import SILENT
 
 UR10 = robots.ur10()
 ROWS = 250
@@ -46,7 +47,7 @@ def misread(data: Dataset, joint: int, size: float, seed: int = 0) -> Dataset:
 def calibrated(data: Dataset, robot: Robot = UR10, **sections: object) -> CalibratedArm:
     settings = robots.campaign("pose" if data.rotation is not None else "position", **(sections or FRAMES_ALONE))
     geometry = fit_constants(settings, robot, data, ())
-    return calibrated_arm(settings, robot, data, (), geometry, lambda _: None)
+    return calibrated_arm(settings, robot, data, (), geometry, SILENT)
 
 
 def causes(data: Dataset, robot: Robot = UR10) -> NoiseCauses:
@@ -153,7 +154,7 @@ def test_rows_that_scatter_less_count_more() -> None:
     for seed in range(3):
         truth = rows(seed, 2e-5, size=5e-4)
         data = misread(truth.measured, 0, 5e-4, seed)
-        plain = fit_arm(settings, fit_constants(settings, UR10, data, ()), data, lambda _: None)
+        plain = fit_arm(settings, fit_constants(settings, UR10, data, ()), data, SILENT)
         arm = calibrated(data, **GEOMETRY_ALONE)
         unseen = robots.readings(UR10, 300, np.random.default_rng(99))
         p = truth.model.poses(truth.theta, truth.model.rows(unseen))[1]

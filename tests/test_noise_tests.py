@@ -49,10 +49,10 @@ def test_chances_of_noise_are_uniform_and_hardly_ever_tell() -> None:
         asked = clues(rows(r, q, time, (1.0, 1.0)), r, None, 1.0)
         told += sum(c.tells for c in asked)
         chances.append([c.p_value for c in asked])
-    assert np.shape(chances) == (60, 6)
+    assert np.shape(chances) == (60, 5)
     for values in np.array(chances).T:
         assert kstest(values, "uniform").pvalue > 1e-3
-    assert told <= 2  # of 360
+    assert told <= 2  # of 300
 
 
 def test_chances_that_the_declared_noise_makes_the_residual_are_uniform() -> None:

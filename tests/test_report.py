@@ -225,7 +225,7 @@ def test_repeats_are_reported_as_iso_9283_does(outcome: Outcome, report: str) ->
 
 
 def test_pose_accuracy_averages_repeats_first(outcome: Outcome) -> None:
-    m = outcome.measurements.select(np.arange(116, 124))
+    m = outcome.measurements.select(outcome.measurements.as_read[116:124])
     assert np.ptp(m.readings[:4] - m.readings[4:]) == 0
     apart = np.tile([[3e-3, 4e-3, 0.0]], (8, 1))
     apart[4:, 0] = -3e-3  # repeats 6 mm apart along x: their centre is 4 mm off

@@ -185,7 +185,7 @@ def test_rows_that_moved_alike_are_no_outliers_and_a_wild_one_stays_one(tmp_path
     ((kind, where, row),) = happened(outcome)
     assert (kind, where) == ("shift", "world_base")
     assert abs(row - 14) <= 1
-    assert list(np.flatnonzero(outcome.outlier)) == [100]
+    assert list(outcome.measurements.line[outcome.outlier]) == [100 + 2]
     assert machine.miss(calibration(outcome)) < 0.6 * SIGMA
 
 

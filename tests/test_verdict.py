@@ -153,9 +153,10 @@ def test_flagged_rows_of_one_place_are_said_with_that_place(tmp_path: Path) -> N
     m = outcome.measurements
     last = outcome.stage("final")
     flags = np.zeros(len(m), dtype=bool)
-    flags[60:70] = True
+    bad = m.as_read[60:70]
+    flags[bad] = True
     residual = last.residual.copy()
-    residual[60:70] += 0.02
+    residual[bad] += 0.02
     clues = row_clues(m, last.fit, residual, flags)
     (together,) = [c for c in clues if "lie together" in c.what]
     assert together.tells

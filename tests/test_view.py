@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import base64
+import http.client
 import json
 import os
 import re
+import shutil
 import signal
+import socket
 import subprocess
 import sys
+import time
 import urllib.error
 import urllib.request
 from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,11 +27,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import aridcal
-from aridcal.errors import OutputError
-from aridcal.report.scene import LADDER, ROWS, VIRIDIS, Scene, body_poses, scene_content, write_scene
-from aridcal.report.shapes import TRIANGLES, find_mesh, robot_shapes, weld
+from aridcal.report.scene import LADDER, ROWS, VIRIDIS, Scene, body_poses, scene_content, scene_page
+from aridcal.report.shapes import find_mesh, robot_shapes
 from aridcal.robot.chain import Robot, load_robot, parse_robot
-from aridcal.view import main, serve
+from aridcal.robot.meshes import TRIANGLES, weld
+from aridcal.view import main
 
 ROOT = Path(aridcal.__file__).parents[1]
 PUBLIC = Path(sys.prefix) / "lib" / f"python3.{sys.version_info.minor}" / "site-packages" / "cmeel.prefix" / "share"
@@ -211,9 +216,9 @@ def test_a_mesh_that_cannot_be_drawn_is_named_and_the_rest_is_drawn(tmp_path: Pa
 @pytest.mark.parametrize(
     ("spoilt", "why"),
     [
-        ("<sphere/>", "`radius` of <sphere> should be a number"),
-        ('<box size="1 2"/>', "`size` of <box> should be 3 numbers"),
-        ('<box size="1 2 x"/>', "could not convert"),
+        ("<sphere/>", "`radius` of <sphere> should be a positive number"),
+        ('<box size="1 2"/>', "`size` of <box> should be 3 positive numbers"),
+        ('<box size="1 2 x"/>', "should be numbers, not '1 2 x'"),
         ('<capsule radius="1"/>', "<capsule> is no shape of URDF"),
     ],
 )
@@ -314,10 +319,9 @@ def test_the_magnification_makes_errors_of_any_size_visible_and_does_not_overdo_
         assert after > 0.002
 
 
-def test_ten_thousand_rows_make_a_page_of_few_megabytes(tmp_path: Path) -> None:
+def test_ten_thousand_rows_make_a_page_of_few_megabytes() -> None:
     scene = example(12_000)
-    assert write_scene(scene, tmp_path / "scene.html") == ()
-    text = (tmp_path / "scene.html").read_text("utf-8")
+    text = scene_page(scene)
     content = embedded(text)
     assert len(text) < 3e6
     assert len(content["rows"]) == ROWS == len(set(content["rows"]))
@@ -344,47 +348,131 @@ def test_colours_are_viridis() -> None:
     assert list(VIRIDIS) == [colors.to_hex(colormaps["viridis"](t)) for t in np.linspace(0.2, 1, len(VIRIDIS))]
 
 
-def test_hostile_names_stay_text_and_the_page_fetches_nothing(tmp_path: Path) -> None:
+def test_hostile_names_stay_text_and_the_page_fetches_nothing() -> None:
     scene = example(name="&lt;/script&gt;&lt;script&gt;alert(1)&lt;/script&gt;")
-    write_scene(scene, tmp_path / "scene.html")
-    text = (tmp_path / "scene.html").read_text("utf-8")
+    text = scene_page(scene)
     assert embedded(text)["title"] == "</script><script>alert(1)</script>"
     assert "<script>alert(1)" not in text
     assert not re.search(r"<(script|link|img|iframe)[^>]*\s(src|href)=", text)
 
 
-def test_a_scene_that_cannot_be_written_is_an_error(tmp_path: Path) -> None:
-    with pytest.raises(OutputError, match="nowhere"):
-        write_scene(example(), tmp_path / "nowhere" / "scene.html")
-
-
 # ---- the command -----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_the_command_serves_the_scene_alone_and_ends_with_ctrl_c(number: signal.Signals, tmp_path: Path) -> None:
-    (tmp_path / "scene.html").write_text("<p>the scene</p>")
-    (tmp_path / "calibration.yaml").write_text("secret")
+STARTED = """
+import signal, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell may start us with Ctrl-C ignored, which children inherit
+from aridcal.view import main
+sys.exit(main())
+"""
+
+
+@contextmanager
+def viewed(folder: Path) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """`aridcal view` of a folder, in a process of its own, and its address."""
     quiet = {k: v for k, v in os.environ.items() if k not in ("BROWSER", "DISPLAY", "WAYLAND_DISPLAY")}
-    # A shell may start us with Ctrl-C ignored, which children inherit.
-    code = "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
-    code += "from aridcal.view import main; sys.exit(main())"
-    with subprocess.Popen([sys.executable, "-c", code, str(tmp_path)], stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+    with subprocess.Popen([sys.executable, "-c", STARTED, str(folder)], stdout=subprocess.PIPE, stderr=subprocess.PIPE,
                           text=True, env=quiet) as process:  # fmt: skip
-        assert process.stdout is not None
-        url = process.stdout.readline().split()[0]
+        try:
+            assert process.stdout is not None
+            yield process, process.stdout.readline().split()[0]
+        finally:
+            process.kill()
+
+
+def asked(url: str, **headers: str) -> tuple[int, str]:
+    """Status and body of a page, asked for with headers of our own."""
+    request = urllib.request.Request(url, headers=headers)
+    try:
+        with urllib.request.urlopen(request, timeout=10) as answer:
+            return answer.status, answer.read().decode()
+    except urllib.error.HTTPError as error:
+        return error.code, error.read().decode()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_the_command_serves_the_scene_alone_and_ends_with_a_signal(number: signal.Signals, tmp_path: Path) -> None:
+    (tmp_path / "scene.html").write_text("<body><p>the scene</p></body>")
+    (tmp_path / "calibration.yaml").write_text("secret")
+    with viewed(tmp_path) as (process, url):
         assert url.startswith("http://127.0.0.1:")
-        assert urllib.request.urlopen(url, timeout=10).read() == b"<p>the scene</p>"
+        assert "<p>the scene</p>" in asked(url)[1]
         (tmp_path / "scene.html").write_text("another")
-        assert urllib.request.urlopen(url + "scene.html", timeout=10).read() == b"another"
-        for path in ("calibration.yaml", "../calibration.yaml", "%2e%2e/"):
-            with pytest.raises(urllib.error.HTTPError, match="404"):
-                urllib.request.urlopen(url + path, timeout=10)
+        assert asked(url + "scene.html")[1].startswith("another")
+        (tmp_path / "scene.html").unlink()  # as while the folder is exchanged
+        assert asked(url)[1].startswith("another")
+        for path in ("calibration.yaml", "../calibration.yaml", "%2e%2e/", "static/index.html", "scenexhtml"):
+            status, said = asked(url + path)
+            assert status == 404 and "secret" not in said
         process.send_signal(number)
-        assert process.wait(timeout=20) == 130
+        assert process.wait(timeout=20) == 128 + number
         assert "Traceback" not in process.stderr.read()  # type: ignore[union-attr]
     with pytest.raises(urllib.error.URLError):
         urllib.request.urlopen(url, timeout=10)
+
+
+def test_only_pages_of_this_computer_are_answered(tmp_path: Path) -> None:
+    """An attacker's name may point to 127.0.0.1 (DNS rebinding); his page may open a websocket to it from anywhere."""
+    (tmp_path / "scene.html").write_text("the scene")
+    with viewed(tmp_path) as (_, url):
+        home = url.removeprefix("http://").rstrip("/")
+        port = home.rpartition(":")[2]
+        good = ("127.0.0.1", "localhost", home, f"localhost:{port}", f"[::1]:{port}", "localhost:8080")
+        for host in good:
+            assert asked(url, Host=host)[0] == 200, host
+        bad = ("evil.example", f"evil.example:{port}", "127.0.0.1.evil.example", "localhost.evil.example", "127.0.0.1@evil",
+               "10.0.0.1", "0.0.0.0", "[::1", "evil.example#127.0.0.1")  # fmt: skip
+        for host in bad:
+            for path in ("", "live", "elsewhere"):
+                status, said = asked(url + path, Host=host)
+                assert status in (400, 403) and "scene" not in said, host
+
+        handshake = {"Connection": "Upgrade", "Upgrade": "websocket", "Sec-WebSocket-Version": "13",
+                     "Sec-WebSocket-Key": "AAAAAAAAAAAAAAAAAAAAAA=="}  # fmt: skip
+
+        def opened(**headers: str) -> int:
+            connection = http.client.HTTPConnection(home, timeout=10)
+            connection.request("GET", "/live", headers=handshake | headers)
+            status = connection.getresponse().status
+            connection.close()
+            return status
+
+        assert opened(Origin=f"http://{home}") == opened() == 101
+        for origin in ("http://evil.example", "null", "http://127.0.0.1:1", f"http://{home}.evil.example"):
+            assert opened(Origin=origin) == 403, origin
+        assert opened(Host="evil.example", Origin="http://evil.example") == 403
+
+
+def test_only_this_computer_can_connect(tmp_path: Path) -> None:
+    """Neither the page nor meshcat's own socket for drawing commands can be reached from elsewhere."""
+    (tmp_path / "scene.html").write_text("the scene")
+    with viewed(tmp_path) as (process, url):
+        ours = Path(f"/proc/{process.pid}")
+        inodes = {re.sub(r"\D", "", link) for fd in (ours / "fd").iterdir() if "socket" in (link := str(fd.readlink()))}
+        lines = [
+            line.split() for name in ("tcp", "tcp6") for line in (ours / "net" / name).read_text().splitlines()[1:]
+        ]
+        listening = [line[1] for line in lines if line[3] == "0A" and line[9] in inodes]
+        port = int(url.rstrip("/").rpartition(":")[2])
+        assert listening == [f"0100007F:{port:04X}"]  # 127.0.0.1, as the kernel writes it
+        assert (ours / "task" / str(process.pid) / "children").read_text() == ""
+
+
+def test_ctrl_c_ends_the_command_at_any_time(tmp_path: Path) -> None:
+    """From its first line on, and with a browser connected and waiting."""
+    (tmp_path / "scene.html").write_text("the scene")
+    rng = np.random.default_rng(0)
+    for wait in [0.0, *rng.uniform(0, 0.8, 3)]:
+        with viewed(tmp_path) as (process, url):
+            host, port = url.removeprefix("http://").rstrip("/").split(":")
+            with socket.create_connection((host, int(port))) as browser:
+                browser.sendall(b"GET /live HTTP/1.1\r\nHost: localhost\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n"
+                                b"Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n")  # fmt: skip
+                time.sleep(wait)
+                process.send_signal(signal.SIGINT)
+                assert process.wait(timeout=20) == 130
+            said = process.stderr.read()  # type: ignore[union-attr]
+            assert "interrupted" in said and "Traceback" not in said and "rror" not in said, said
 
 
 def test_a_folder_without_a_result_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -393,12 +481,6 @@ def test_a_folder_without_a_result_is_named(tmp_path: Path, capsys: pytest.Captu
         message = capsys.readouterr().err
         assert str(folder) in message
         assert "aridcal identify" in message
-
-
-def test_only_this_computer_is_served(tmp_path: Path) -> None:
-    (tmp_path / "scene.html").write_text("")
-    with serve(tmp_path / "scene.html") as server:
-        assert server.server_address[0] == "127.0.0.1"
 
 
 # ---- in a browser ----------------------------------------------------------------------------------------------------
@@ -441,7 +523,7 @@ def scene() -> Scene:
 
 @pytest.fixture
 def page(scene: Scene, browser: chromium.Browser, tmp_path: Path) -> Iterator[chromium.Page]:
-    write_scene(scene, tmp_path / "scene.html")
+    (tmp_path / "scene.html").write_text(scene_page(scene))
     with browser.open(tmp_path / "scene.html", 1000, 800) as opened:
         opened.wait("document.documentElement.dataset.ready")
         yield opened
@@ -552,7 +634,7 @@ def test_the_room_is_coloured_by_errors_and_by_uncertainty(page: chromium.Page) 
 
 
 def test_on_a_phone_the_panel_opens_below_the_robot(browser: chromium.Browser, scene: Scene, tmp_path: Path) -> None:
-    write_scene(scene, tmp_path / "scene.html")
+    (tmp_path / "scene.html").write_text(scene_page(scene))
     with browser.open(tmp_path / "scene.html", 390, 800) as page:
         page.wait("document.documentElement.dataset.ready")
         assert page.evaluate("document.documentElement.scrollWidth") == 390
@@ -567,3 +649,89 @@ def test_on_a_phone_the_panel_opens_below_the_robot(browser: chromium.Browser, s
         r, g, b = np.moveaxis(page.pixels()[:400], -1, 0)
         assert ((r > 60) & (g < 0.35 * r) & (b < 0.35 * r)).sum() > 500  # the robot is still in sight
         assert page.console == []
+
+
+# ---- live ------------------------------------------------------------------------------------------------------------
+
+
+def exchanged(folder: Path, page: str) -> None:
+    """Another result in the place of this one, as identify leaves it: another folder, which was not there for a moment."""
+    new, old = folder.with_name("new"), folder.with_name("old")
+    new.mkdir()
+    (new / "scene.html").write_text(page)
+    folder.rename(old)
+    new.rename(folder)
+    shutil.rmtree(old)
+
+
+def test_the_browser_follows_the_folder_without_a_reload(
+    browser: chromium.Browser, scene: Scene, tmp_path: Path
+) -> None:
+    folder = tmp_path / "results"
+    folder.mkdir()
+    (folder / "scene.html").write_text(scene_page(scene))
+    drawn = example(seed=1)
+    other = replace(
+        with_effect(drawn), predicted={name: place + [0, 0, 0.002] for name, place in drawn.predicted.items()}
+    )
+    with viewed(folder) as (process, url), browser.open(url, 1000, 800) as page:
+        page.wait("document.documentElement.dataset.ready && document.getElementById('live').textContent === 'live'")
+        page.evaluate("window.same = true")
+        assert red(page.pixels()) > 2000
+        choose(page, "row", 7)
+        choose(page, "factor", 9)
+        click(page, "input[name=vectors]")
+        before, said, camera = page.pixels(), read(page, "stages"), page.evaluate(CAMERA)
+
+        exchanged(folder, scene_page(other))
+        page.wait("document.getElementById('live').textContent.includes('redrawn')")
+        assert read(page, "stages") != said  # the errors are those of the new scene
+        assert f"{content_of(other)['stages'][1]['rms']:.3g}" in read(page, "stages")
+        assert read(page, "times") == f"×{LADDER[9]}"
+        assert read(page, "line") == "9"  # what was chosen stays: the row, what is shown, where one stands
+        assert not page.evaluate("document.querySelector('input[name=vectors]').checked")
+        assert page.evaluate(CAMERA) == camera
+        assert changed(before, page.pixels()) > 100
+        assert page.evaluate("document.querySelectorAll('#panel').length") == 1
+        page.evaluate("window.dispatchEvent(new KeyboardEvent('keydown', {key: 'ArrowRight'}))")
+        assert read(page, "line") == "10"  # and not two rows on: the earlier scene listens no more
+
+        exchanged(folder, scene_page(scene))
+        page.wait(f"document.getElementById('stages').innerText === {json.dumps(said)}")
+        assert page.evaluate("window.same")  # the page was never loaded anew
+        process.send_signal(signal.SIGINT)
+        page.wait("document.getElementById('live').textContent.includes('ended')")
+        assert page.console == []
+        assert page.requests == []
+
+
+def becomes(page: chromium.Page, condition: str) -> None:
+    """Wait for something that a page says after it was loaded anew: meanwhile it answers nothing."""
+    end = time.monotonic() + chromium.PATIENCE
+    while time.monotonic() < end:
+        with suppress(AssertionError):
+            return page.wait(condition)
+    raise AssertionError(f"never became true: {condition}")
+
+
+def test_a_page_of_another_version_is_loaded_anew(browser: chromium.Browser, scene: Scene, tmp_path: Path) -> None:
+    (tmp_path / "scene.html").write_text("<body><p id='told'>no picture</p></body>")
+    with viewed(tmp_path) as (_, url), browser.open(url, 1000, 800) as page:
+        (tmp_path / "scene.html").write_text(scene_page(scene))
+        becomes(page, "document.documentElement.dataset.ready")
+        (tmp_path / "scene.html").write_text(re.sub('"script":"[0-9a-f]+"', '"script":"older"', scene_page(scene)))
+        becomes(page, "window.calibrationScene?.script === 'older'")
+        (tmp_path / "scene.html").write_text("<body><p id='told'>no picture</p></body>")
+        becomes(page, "document.getElementById('told')")
+
+
+CAMERA = "window.calibrationScene.viewer.camera.position.toArray().join()"
+
+
+def content_of(scene: Scene) -> dict:
+    return scene_content(scene, robot_shapes(scene.nominal)[0])
+
+
+def test_opened_as_a_file_the_page_asks_nobody(page: chromium.Page) -> None:
+    assert page.evaluate("window.calibrationScene.viewer.connection === undefined")
+    assert read(page, "live") == ""

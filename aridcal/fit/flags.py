@@ -15,7 +15,7 @@ OUTLIER = 6.0
 """Sigmas per axis, in any channel, beyond which a row is flagged: 1 clean pose in 7 million."""
 
 SUSPECT = 3.0
-"""The same for a row that repeats another's measurement although the joints moved: that alone makes it doubtful."""
+"""The same for rows that share a measurement although the joints moved between them: that alone makes them doubtful."""
 
 ENDS = 150
 """Flagged rows at which a window may begin or end: 11,000 windows of each coordinate are enough to see a cluster."""
@@ -47,7 +47,7 @@ def limits(data: Dataset, kept: np.ndarray | None = None) -> np.ndarray:
         data: N rows.
         kept: Rows that are not to be flagged whatever they leave, shape (N,) bool.
     """
-    usual = np.where(data.stale, SUSPECT, OUTLIER)
+    usual = np.where(data.doubtful, SUSPECT, OUTLIER)
     return usual if kept is None else np.where(kept, np.inf, usual)
 
 
@@ -86,7 +86,7 @@ def cluster(flags: np.ndarray, data: Dataset) -> Cluster | None:
 
 def coordinates(data: Dataset) -> dict[str, np.ndarray]:
     """Everything in which rows may lie together, shape (N,) each."""
-    found = {"row": np.arange(len(data), dtype=float)}
+    found = {"row": np.argsort(data.sequence).astype(float)}  # the place of each in the order of measurement
     found |= dict(zip(data.names, data.readings.T, strict=True))
     found |= dict(zip("xyz", data.position.T, strict=True))
     found |= {name: values for name, values in data.covariates.items() if not np.isnan(values).any()}

@@ -24,6 +24,10 @@ from aridcal.fit.residual import (
 from aridcal.inputs.channels import Channels
 from aridcal.model.model import Model, Rows
 
+ABREAST = 0.1
+"""Of the coarsest channel's noise: until a fit has settled none that is estimated counts as finer. Turns may fit long before
+places do, those of exact data to the last digit; weighed by that alone they would hold the rest back."""
+
 STEPS = 60
 """Gauss-Newton steps at the most; five are usual."""
 
@@ -179,14 +183,15 @@ def minimise(problem: Problem, theta: np.ndarray, weight: np.ndarray | None, pri
         prior: Beliefs that are not measured here.
     """
     channels, declared = problem.channels, problem.data.declared
-    robust, settled = weight is None, SETTLED
+    robust, settled, abreast = weight is None, SETTLED, True
     scale = np.ones(len(channels))
     if robust:
         settled = ROUGH
         scale = robust_sigma(problem.scaled_residual(theta), channels)
 
     def noise_at(place: Linearisation, sigma: np.ndarray) -> np.ndarray:
-        return declared(scale if robust else _estimate(place.equations, sigma, prior))
+        estimate = scale if robust else _estimate(place.equations, sigma, prior)
+        return declared(np.maximum(estimate, ABREAST * estimate.max(initial=0.0)) if abreast else estimate)
 
     here = linearise(problem, theta, weight, scale)
     sigma = noise_at(here, declared(robust_sigma(here.residual, channels)))
@@ -206,6 +211,10 @@ def minimise(problem: Problem, theta: np.ndarray, weight: np.ndarray | None, pri
             sigma = noise_at(here, sigma)
         else:
             damping = max(10 * damping, FIRST_DAMPING)
+        if last and abreast and not robust:
+            abreast, held = False, sigma
+            sigma = noise_at(here, sigma)
+            last = bool(np.all(sigma == held))
         if last:
             break
     H, g = _with_prior(here.equations, sigma, theta, prior)
@@ -318,11 +327,11 @@ def _narrowed(problem: Problem, kept: Sequence[int]) -> Problem:
     model = problem.model
     if len(kept) == len(model.coefficients):
         return problem
-    varies = [not c.basis.constant or c.station is not None for c in model.coefficients]
+    varies = [not c.basis.constant for c in model.coefficients]
     varying = [int(k) for k in np.flatnonzero(varies)]
     columns = [varying.index(k) for k in kept if k in varying]
     rows = replace(problem.rows, phi=problem.rows.phi[:, columns])
-    return Problem(model.with_coefficients([model.coefficients[k] for k in kept]), problem.data, rows)
+    return replace(problem, model=model.with_coefficients([model.coefficients[k] for k in kept]), rows=rows)
 
 
 def _condition(H: np.ndarray) -> float:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -13,9 +14,14 @@ from aridcal.fit.normal_equations import NormalEquations
 from aridcal.inputs.channels import Channels, columns, norms, spread
 from aridcal.inputs.dataset import Dataset
 from aridcal.model.model import Model, Rows
+from aridcal.showing import SILENT, Progress
 
 BLOCK = 512
 """Rows differentiated at a time: they stay in the cache, and memory stays flat."""
+
+MANY = 300
+"""Coefficients from which those are sought that move none of a block's rows: an ordinary arm has no such ones, and fewer cost
+less than the search for them."""
 
 FLOOR = 1e-12
 """[m] or [rad]: below this everything is rounding."""
@@ -36,11 +42,13 @@ class Problem:
         model: K coefficients.
         data: N rows, m numbers each.
         rows: The same rows as the model sees them.
+        progress: Told how far each pass over the rows is.
     """
 
     model: Model
     data: Dataset
     rows: Rows
+    progress: Progress = SILENT
 
     def __len__(self) -> int:
         return len(self.data)
@@ -50,9 +58,15 @@ class Problem:
         """What each row measures."""
         return self.data.channels
 
+    def blocks(self) -> Iterator[slice]:
+        """Stretches of rows that are differentiated at a time; their passing is told."""
+        starts = range(0, len(self), BLOCK)
+        for start in self.progress.through(starts, len(self), "rows", BLOCK):
+            yield slice(start, start + BLOCK)
+
     def select(self, some: np.ndarray) -> Problem:
         """The same question about some of the rows."""
-        return Problem(self.model, self.data.select(some), self.rows[some])
+        return replace(self, data=self.data.select(some), rows=self.rows[some])
 
     def residual(self, theta: np.ndarray) -> np.ndarray:
         """Measured minus predicted in world axes, shape (N, m), [m] and [rad]."""
@@ -76,14 +90,33 @@ class Problem:
         return scaled(r, data.relative[part]), scaled(J, data.relative[part])
 
 
-def problem(model: Model, data: Dataset) -> Problem:
+def problem(model: Model, data: Dataset, progress: Progress = SILENT) -> Problem:
     """Ask a model about a data set.
 
     Raises:
         CovariateNotFound: an effect depends on a column that was not measured.
         MeasurementError: a row's station is none of those that the model knows.
     """
-    return Problem(model, data, model.rows(data.readings, data.conditions, data.station))
+    return Problem(model, data, model.rows(data.readings, data.conditions, data.station), progress)
+
+
+def motions(question: Problem, theta: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Target poses, and the target's twists per unit of the last coefficients alone.
+
+    Args:
+        question: N rows.
+        theta: Values of all coefficients.
+        count: How many of them are asked for.
+
+    Returns:
+        Rotations (N, 3, 3), positions (N, 3) [m], and twists (N, 6, count).
+    """
+    n = len(question)
+    R, p, J = np.empty((n, 3, 3)), np.empty((n, 3)), np.empty((n, 6, count))
+    for block in question.blocks():
+        R[block], p[block], every = question.model.jacobian(theta, question.rows[block])
+        J[block] = every[:, :, every.shape[2] - count :]
+    return R, p, J
 
 
 def residuals(
@@ -198,15 +231,21 @@ def linearise(question: Problem, theta: np.ndarray, weight: np.ndarray | None, s
     channels, count = question.channels, len(theta)
     AA, Ar = np.zeros((len(channels), count, count)), np.zeros((len(channels), count))
     parts, used = [], []
-    for start in range(0, len(question), BLOCK):
-        block = slice(start, start + BLOCK)
+    for block in question.blocks():
         r, J = question.linearised(theta, block)
         w = cauchy(r, sigma, channels) if weight is None else weight[block]
         root = np.sqrt(w * question.data.share)[:, None]
+        # Frames of other stations move none of these rows.
+        some = np.flatnonzero(J.any(axis=(0, 1))) if count > MANY else np.arange(count)
+        few = len(some) < count
+        J = J[:, :, some] if few else J
         for k, part in enumerate(columns(channels)):
-            A = (J[:, part] * root[:, :, None]).reshape(r[:, part].size, count)
-            AA[k] += A.T @ A
-            Ar[k] += A.T @ (r[:, part] * root).ravel()
+            A = (J[:, part] * root[:, :, None]).reshape(r[:, part].size, len(some))
+            if few:
+                AA[k][np.ix_(some, some)] += A.T @ A
+            else:
+                AA[k] += A.T @ A
+            Ar[k][some] += A.T @ (r[:, part] * root).ravel()
         parts.append(r)
         used.append(w)
     residual, weight = np.concatenate(parts), np.concatenate(used)
@@ -225,8 +264,7 @@ def triangle(question: Problem, theta: np.ndarray, weight: np.ndarray, sigma: np
     """Upper triangle R of the whitened Jacobian's QR, shape (<= K, K): all that rank and covariance need."""
     per_number = spread(1.0 / sigma, question.channels)
     R = np.empty((0, len(theta)))
-    for start in range(0, len(question), BLOCK):
-        block = slice(start, start + BLOCK)
+    for block in question.blocks():
         r, J = question.linearised(theta, block)
         whitened = J * (np.sqrt(weight[block])[:, None] * per_number)[:, :, None]
         R = np.asarray(np.linalg.qr(np.vstack([R, whitened.reshape(r.size, len(theta))]), mode="r"))

@@ -11,6 +11,7 @@ from aridcal.fit.least_squares import Fit, minimise, thin
 from aridcal.fit.residual import problem
 from aridcal.inputs.channels import spread
 from aridcal.inputs.dataset import Dataset
+from aridcal.showing import SILENT, Progress
 
 ROWS = 150
 """Rows of a restart, or four times the coefficients if that is more: where a minimum lies shows in these."""
@@ -28,10 +29,10 @@ LENGTHS = frozenset({"x", "y", "z", "a", "d"})
 """Components in [m]."""
 
 
-def with_restarts(found: Fit, train: Dataset) -> Fit:
+def with_restarts(found: Fit, train: Dataset, progress: Progress = SILENT) -> Fit:
     """Solve again on some of the rows from other places, and note how many lead to the same minimum."""
     some = thin(found.model.rows(train.readings, None, train.station), max(ROWS, 4 * len(found.theta)))
-    part = problem(found.model, train.select(some))
+    part = problem(found.model, train.select(some), progress)
     weight = found.weight[some]
     reference = minimise(part, found.theta, weight)
     is_length = np.array([c.component in LENGTHS for c in found.model.coefficients])
@@ -41,7 +42,7 @@ def with_restarts(found: Fit, train: Dataset) -> Fit:
     others += closed_form_starts(found, part.data)
     tolerance = SAME * spread(reference.sigma, train.channels)
     agreed = 0
-    for theta in others:
+    for theta in progress.over(others, "other starts"):
         other = minimise(part, theta, weight)
         off = np.abs(other.at.residual - reference.at.residual)[weight > 0.5]
         agreed += bool(np.all(off <= tolerance))

@@ -17,6 +17,7 @@ from aridcal.inputs.campaign import Campaign, FrameSettings
 from aridcal.inputs.dataset import Dataset
 from aridcal.model.model import Frames, Model
 from aridcal.robot.chain import Robot
+from aridcal.showing import SILENT, Progress
 
 START_ROWS = 1000
 """Rows that a start is found from: more sharpen it by nothing."""
@@ -46,7 +47,9 @@ class Geometry:
     free: float = 1.0
 
 
-def fit_geometry(campaign: Campaign, robot: Robot, train: Dataset, labels: tuple[str, ...]) -> Geometry:
+def fit_geometry(
+    campaign: Campaign, robot: Robot, train: Dataset, labels: tuple[str, ...], progress: Progress = SILENT
+) -> Geometry:
     """Fit the frames alone, then the frames and the identifiable constants.
 
     Args:
@@ -54,6 +57,7 @@ def fit_geometry(campaign: Campaign, robot: Robot, train: Dataset, labels: tuple
         robot: The nominal chain.
         train: Rows to fit.
         labels: All stations, where a frame is per station.
+        progress: Told how far each pass over the rows is.
 
     Raises:
         NotIdentifiable: nothing can be identified from these rows.
@@ -61,7 +65,7 @@ def fit_geometry(campaign: Campaign, robot: Robot, train: Dataset, labels: tuple
     """
     frames = frame_coefficients(campaign, labels)
     best, _ = _starts(campaign, robot, train, labels)[0]
-    asked = problem(Model(robot, frames, *_placements(best, campaign, labels)), train)
+    asked = problem(Model(robot, frames, *_placements(best, campaign, labels)), train, progress)
     try:
         nominal = fit_identifiable(asked, range(len(frames))) if frames else fit(asked)
     except NotIdentifiable:
@@ -72,9 +76,11 @@ def fit_geometry(campaign: Campaign, robot: Robot, train: Dataset, labels: tuple
         _refuse_strangers(unscaled(nominal.residual, train.relative), train)
         return Geometry(nominal, nominal)
     centred, _ = nominal.model.recentred(nominal.theta)
-    geometric = fit_identifiable(problem(centred.with_coefficients(candidates), train), range(len(candidates)))
+    geometric = fit_identifiable(
+        problem(centred.with_coefficients(candidates), train, progress), range(len(candidates))
+    )
     _refuse_strangers(unscaled(geometric.residual, train.relative), train)
-    return Geometry(nominal, with_restarts(geometric, train))
+    return Geometry(nominal, with_restarts(geometric, train, progress))
 
 
 def nominal_sigma(campaign: Campaign, robot: Robot, rows: Dataset, labels: tuple[str, ...]) -> np.ndarray:

@@ -38,7 +38,7 @@ class Board:
         """Return OpenCV's own board.
 
         Raises:
-            CampaignError: The dictionary is unknown, or the sizes make no board.
+            CampaignError: The dictionary is unknown or too small, or the sizes make no board.
         """
         known = [name for name in dir(cv2.aruco) if name.startswith("DICT_")]
         if self.dictionary not in known:
@@ -51,7 +51,7 @@ class Board:
             )
         try:
             return cv2.aruco.CharucoBoard((self.squares_x, self.squares_y), self.square, self.marker, words)
-        except cv2.error:
+        except (cv2.error, SystemError):  # SystemError: how OpenCV's constructors fail where they are strict
             raise CampaignError("`marker` must be smaller than `square`, and the board larger than 1 x 1") from None
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -28,6 +28,7 @@ from aridcal.inputs.head_settings import HeadSettings, range_columns
 from aridcal.inputs.read import load_measurements
 from aridcal.inputs.tables import Remark, Table, read_tables
 from aridcal.robot.chain import Robot
+from aridcal.showing import Progress
 
 CACHE = "fiducials.csv"
 INDEX_COLUMNS = ("shot", "square", "fiducial")
@@ -65,9 +66,7 @@ class Shots:
     mount: np.ndarray
 
 
-def read_shots(
-    campaign: Campaign, robot: Robot, cache: Path | None, seed: int, progress: Callable[[str], None]
-) -> Shots:
+def read_shots(campaign: Campaign, robot: Robot, cache: Path | None, seed: int, progress: Progress) -> Shots:
     """Read the shots of a campaign; images only where the cache does not know them.
 
     Args:
@@ -144,7 +143,7 @@ def _fiducials(
     settings: HeadSettings,
     squares: Mapping[int, np.ndarray],
     cache: Path | None,
-    progress: Callable[[str], None],
+    progress: Progress,
 ) -> tuple[dict[int, pd.DataFrame], dict[int, str]]:
     """Give the fiducials of each shot, and why the others have none.
 
@@ -164,7 +163,7 @@ def _fiducials(
     refused: dict[int, str] = {}
     if todo:
         progress(f"reading {len(todo)} images")
-    for measured in measure_shots(todo, settings, squares):
+    for measured in progress.through(measure_shots(todo, settings, squares), len(todo), "images"):
         line = measured.shot.line
         if measured.fiducials is None:
             refused[line] = measured.why

@@ -39,8 +39,7 @@ NEAREST, FARTHEST = 0.02, 5.0
 # Cosine of the tilt, 45 degrees, at which the sonars must be wrong: from so steep a plane the echo goes elsewhere.
 STEEPEST = 0.7
 
-# Share of the next square's distance within which the nearest must be, seen from the nominal arm, to be taken for
-# it.
+# Share of the next square's distance within which the nearest must be, seen from the nominal arm, to be taken for it.
 CLEARLY = 0.5
 
 # [m] A turn of the camera counts as a shift of this times as much: about its distance from the square.
@@ -49,11 +48,8 @@ LEVER = 0.25
 # Shots: fewer are measured sooner than processes are started.
 PARALLEL_FROM = 200
 
-# [px] Width of a shot's picture on the contact sheet.
-THUMBNAIL = 256
-
-# Of its JPEG.
-THUMBNAIL_QUALITY = 80
+# [px] Width of a shot's picture on the contact sheet, and the quality of its JPEG.
+THUMBNAIL, THUMBNAIL_QUALITY = 256, 80
 
 # Green and blue, in OpenCV's order: fiducials of the square itself, and of its neighbours.
 OWN_COLOUR, OTHER_COLOUR = (60, 160, 0), (200, 90, 0)
@@ -128,6 +124,11 @@ def load(path: Path) -> tuple[HeadSettings, dict[int, np.ndarray], Table, list[S
     head = load_settings(path, HeadSettings)
     squares = load_squares(head.squares, head.limits.table)
     table = load_shots(head.shots, head)
+    return head, squares, table, shots_of(table, head, path)
+
+
+def shots_of(table: Table, head: HeadSettings, path: Path) -> list[Shot]:
+    """The rows of a table of shots, ready to be measured; ``path`` names the head's file in messages."""
     n = len(table)
     ranges = [table.numbers(name)[0] for name in range_columns(head)]
     h = np.column_stack(ranges) if ranges else np.zeros((n, 0))
@@ -142,8 +143,7 @@ def load(path: Path) -> tuple[HeadSettings, dict[int, np.ndarray], Table, list[S
         cameras = list(_nominal_cameras(robot, table, head))
     images = table.texts("image")
     columns = zip(table.line, images, h, given, cameras, strict=True)
-    shots = [Shot(int(line), str(image), own, square, T) for line, image, own, square, T in columns]
-    return head, squares, table, shots
+    return [Shot(int(line), str(image), own, square, T) for line, image, own, square, T in columns]
 
 
 def _given_squares(table: Table) -> list[int | str | None]:

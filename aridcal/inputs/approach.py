@@ -11,14 +11,16 @@ from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.repeats import SAME_ANGLE, SAME_LENGTH
 
 
-def approach(reading: np.ndarray, still: float) -> np.ndarray:
+def approach(reading: np.ndarray, still: float, side: float = 0.0, last: float = math.nan) -> np.ndarray:
     """The side from which a joint comes to each reading of a trajectory: -1 or 1; 0 until it first moves.
 
     Args:
         reading: Shape (N,), [rad] or [m]; rows of NaN are passed over.
         still: A joint that moves by less keeps its side, [rad] or [m].
+        side: From which it came to the row before the first; 0 where that is not known.
+        last: Its reading there; NaN where there is none.
     """
-    sides, side, last = np.zeros(len(reading)), 0.0, math.nan
+    sides = np.zeros(len(reading))
     for k, value in enumerate(reading.tolist()):
         if abs(value - last) > still:
             side = math.copysign(1.0, value - last)
@@ -43,7 +45,7 @@ def with_directions(rows: Dataset) -> Dataset:
         found[column] = np.zeros(len(rows))
         for file in np.unique(rows.file):
             own = np.flatnonzero(rows.file == file)
-            if time is not None and np.isfinite(time[own]).all():
-                own = own[np.argsort(time[own], kind="stable")]
+            timed = time is not None and np.isfinite(time[own]).all()
+            own = own[np.argsort(time[own] if time is not None and timed else rows.line[own], kind="stable")]
             found[column][own] = approach(reading[own], SAME_LENGTH if kind == "prismatic" else SAME_ANGLE)
     return replace(rows, covariates=rows.covariates | found, derived=tuple(found))

@@ -45,9 +45,18 @@ def nothing_usable(source: Source) -> MeasurementError:
     )
 
 
-def refuse_copies(source: Source, columns: Sequence[np.ndarray | None], station: np.ndarray | None) -> None:
-    """Of rows that are the same in every column that is compared keep the first: no instrument measures the same bits twice."""
-    rows = np.flatnonzero(source.usable)
+def refuse_copies(
+    source: Source, columns: Sequence[np.ndarray | None], station: np.ndarray | None, sequence: np.ndarray
+) -> None:
+    """Of rows that are the same in every column that is compared keep the first: no instrument measures the same bits twice.
+
+    Args:
+        source: The table; only its usable rows are looked at.
+        columns: Shape (N,) or (N, numbers) each.
+        station: Labels, which are compared, too, shape (N,).
+        sequence: Numbers of the rows as they were measured, shape (N,).
+    """
+    rows = sequence[source.usable[sequence]]
     there = [column[rows] for column in columns if column is not None]
     cells = pd.DataFrame(np.column_stack(there))
     if station is not None:
@@ -66,21 +75,30 @@ def _line(source: Source, there: int, here: int) -> str:
     return f"line {table.line[there]}{file}"
 
 
-def stale_rows(source: Source, q: np.ndarray, kinds: Sequence[JointKind], measured: np.ndarray) -> np.ndarray:
-    """For each row the earlier row whose measurement it repeats bit for bit although the joints moved, -1 if none.
+def stale_rows(
+    source: Source, q: np.ndarray, kinds: Sequence[JointKind], measured: np.ndarray, sequence: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Rows that share a measurement bit for bit although the joints moved between them: one of them was not measured.
 
     Args:
         source: The table; only its usable rows are looked at.
         q: Readings, shape (N, columns), [rad] or [m].
         kinds: Of each.
         measured: What was measured, shape (N, numbers).
+        sequence: Numbers of the rows as they were measured, shape (N,).
+
+    Returns:
+        For each row the earlier one that it repeats so, -1 if none, and whether it is one of such rows, the earliest
+        included; shape (N,) each.
     """
-    rows = np.flatnonzero(source.usable)
+    rows = sequence[source.usable[sequence]]
     first = rows[first_alike(pd.DataFrame(measured[rows]))]
     moved = (np.abs(q[rows] - q[first]) > tolerances(kinds)).any(axis=1)
     earlier = np.full(len(q), -1)
     earlier[rows[moved]] = first[moved]
-    return earlier
+    shared = np.zeros(len(q), dtype=bool)
+    shared[rows] = np.isin(first, first[moved])
+    return earlier, shared
 
 
 def note_stale(source: Source, earlier: np.ndarray) -> None:

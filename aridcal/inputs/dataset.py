@@ -18,7 +18,10 @@ from aridcal.robot.chain import JointKind
 
 @dataclass(frozen=True)
 class Dataset:
-    """Usable rows in SI, N of them, in the order of the files. Made once; a part of it is made by :meth:`select`.
+    """Usable rows in SI, N of them. Made once; a part of it is made by :meth:`select`.
+
+    Rows that were read from files are in an order that depends on what they hold, not on where they stand (see
+    :func:`aridcal.inputs.repeats.by_content`): sums, and draws of random rows, are then the same whatever the order of a table.
 
     Attributes:
         names: The reading columns, by the names of their joints.
@@ -42,6 +45,7 @@ class Dataset:
         station: Label of the rows that share a frame, shape (N,); None if there is no such column.
         configuration: Number of the row's configuration: rows that repeat one share it, shape (N,).
         stale: Rows whose measurement repeats an earlier one bit for bit although the joints moved, shape (N,) bool.
+        doubtful: The same rows and those that they repeat: that the later one is stale, the order of rows says alone.
         test: Held-out rows, shape (N,) bool: they never fit and never choose.
         split_given: True if the files say which rows those are.
         share: Of a measurement that each row counts for: 1, or less where several rows are one measurement of one body.
@@ -67,6 +71,7 @@ class Dataset:
     station: np.ndarray | None
     configuration: np.ndarray
     stale: np.ndarray
+    doubtful: np.ndarray
     test: np.ndarray
     split_given: bool = False
     derived: tuple[str, ...] = ()
@@ -84,6 +89,19 @@ class Dataset:
     def conditions(self) -> dict[str, np.ndarray]:
         """Everything beside the joints that effects depend on: the covariates and the order of the rows."""
         return self.covariates | {ROW_ORDER: self.order}
+
+    @property
+    def sequence(self) -> np.ndarray:
+        """Numbers of the rows as they were measured: by `time`, or as they stand where not every row has one, shape (N,)."""
+        time = self.covariates.get("time")
+        if time is None or not np.isfinite(time).all():
+            return self.as_read
+        return np.argsort(time, kind="stable")
+
+    @property
+    def as_read(self) -> np.ndarray:
+        """Numbers of the rows as they stand in the files, shape (N,)."""
+        return np.lexsort((self.line, self.file))
 
     @property
     def title(self) -> str:
@@ -169,6 +187,7 @@ def dataset(
         station=station,
         configuration=blocks(readings, kinds),
         stale=nothing if stale is None else stale,
+        doubtful=nothing if stale is None else stale,
         test=nothing if test is None else test,
         split_given=test is not None,
     )
@@ -191,7 +210,9 @@ def weighed(data: Dataset, noise: RowNoise) -> Dataset:
 
 
 def _typical(std: np.ndarray, channels: Channels) -> np.ndarray:
-    """RMS of the rows' sigmas in each channel, shape (C,), from sigmas of shape (N, m)."""
+    """RMS of the rows' sigmas in each channel, shape (C,), from sigmas of shape (N, m); ones where there is no row."""
+    if not len(std):
+        return np.ones(len(channels))
     return np.array([np.sqrt(np.mean(std[:, part] ** 2)) for part in columns(channels)])
 
 

@@ -359,7 +359,8 @@ class Source:
         scales = np.broadcast_to(scale, len(columns))
         values = np.empty((len(self.table), len(columns)))
         for k, name in enumerate(columns):
-            values[:, k] = self._finite(name) * scales[k]
+            with np.errstate(over="ignore", invalid="ignore"):  # of cells that are refused
+                values[:, k] = self._finite(name) * scales[k]
             too_large = np.abs(values[:, k]) > ABSURD
             self.refuse(too_large, name, "implausibly large")
         return values

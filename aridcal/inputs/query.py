@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import pandas as pd
@@ -12,7 +12,7 @@ from aridcal.errors import MeasurementError
 from aridcal.inputs.campaign import MeasurementSettings
 from aridcal.inputs.checks import check_units, note_limits
 from aridcal.inputs.quantities import POSITION, Source
-from aridcal.inputs.tables import AnyTable, Remark, read_tables
+from aridcal.inputs.tables import AnyTable, Remark, Table, read_tables
 from aridcal.reading.files import TABLE, Limit
 from aridcal.robot.chain import JointKind
 
@@ -46,8 +46,38 @@ class Query:
     notices: tuple[Remark, ...]
 
 
+@dataclass
+class Remarks:
+    """What is odd in the stretches of a table: all is counted, little is kept.
+
+    Attributes:
+        most: Remarks that are shown.
+        refused: The first few on rows that cannot be used.
+        notices: The first few on what is odd but used.
+        count: How many there are.
+    """
+
+    most: int
+    refused: list[str] = field(default_factory=list)
+    notices: list[str] = field(default_factory=list)
+    count: int = 0
+
+    def add(self, query: Query) -> None:
+        """Take in one more stretch; what concerns a whole column is said once."""
+        new = [str(n) for n in query.notices if n.row is not None or str(n) not in self.notices]
+        self.count += len(query.refused) + len(new)
+        self.refused += [str(r) for r in query.refused[: self.most - len(self.refused)]]
+        self.notices += new[: self.most - len(self.notices)]
+
+    def lines(self) -> list[str]:
+        """Those that are shown, on rows that cannot be used first, and how many more there are."""
+        shown = [*self.refused, *self.notices][: self.most]
+        more = self.count - len(shown)
+        return [*shown, f"and {more} more remarks"] if more else shown
+
+
 def load_query(
-    query: AnyTable,
+    query: AnyTable | Table,
     readings: Sequence[str],
     limits: np.ndarray,
     kinds: Sequence[JointKind],
@@ -61,7 +91,7 @@ def load_query(
     """Read a table of joint readings, or of wanted poses, keeping every row and column.
 
     Args:
-        query: A csv or parquet file, or a DataFrame.
+        query: A csv or parquet file, a DataFrame, or a stretch of one of these.
         readings: Joints of the robot; all needed, unless `poses`: then those present are seeds.
         limits: As for :func:`load_measurements`.
         kinds: As for :func:`load_measurements`.
@@ -77,7 +107,7 @@ def load_query(
             they are not asked for.
     """
     settings = settings or MeasurementSettings()
-    table = read_tables([query], limit=limit)
+    table = query if isinstance(query, Table) else read_tables([query], limit=limit)
     if table.refused:
         raise MeasurementError(f"{table.title}: {table.refused[0]}; mend the file")
     source = Source(table, settings, tuple(readings), table.title)

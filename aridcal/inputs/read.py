@@ -15,7 +15,7 @@ from aridcal.inputs.channels import TARGET_POSITION, TARGET_ROTATION
 from aridcal.inputs.checks import check_units, note_limits, note_stale, nothing_usable, refuse_copies, stale_rows
 from aridcal.inputs.dataset import Dataset, RowNoise, weighed
 from aridcal.inputs.quantities import Source
-from aridcal.inputs.repeats import blocks
+from aridcal.inputs.repeats import blocks, by_content
 from aridcal.inputs.split import draw_split, with_training_rows
 from aridcal.inputs.tables import AnyTable, Table, read_tables
 from aridcal.robot.chain import JointKind
@@ -65,18 +65,25 @@ def load_measurements(
     covariates = source.covariates()
     if files is None:  # other tables, another day's for instance, need not have what is ignored anyway
         source.note_unknown_ignored()
-    compared = [values for name, values in covariates.items() if name != "time"]  # the same pose later is a copy, too
-    refuse_copies(source, [q, position, quaternion, std, *compared], station)
+    time, others = covariates.get("time"), [covariates[name] for name in sorted(covariates) if name != "time"]
+    held = [q, position, quaternion, std, *others]
+    words = [None if labels is None else np.unique(labels, return_inverse=True)[1] for labels in (station, split)]
+    canonical = by_content([time, *held, *words])
+    timed = time is not None and bool(np.isfinite(time[source.usable]).all())
+    sequence = canonical if timed else np.arange(len(table))
+    refuse_copies(source, held, station, sequence)  # without the time: the same pose later is a copy, too
     if not source.usable.any():
         raise nothing_usable(source)
     check_units(source, q, limits, kinds, position if require_pose else None)
     note_limits(source, q, limits, kinds)
-    stale = np.full(len(table), -1)
+    stale, doubtful = np.full(len(table), -1), np.zeros(len(table), dtype=bool)
     if require_pose:
-        stale = stale_rows(source, q, kinds, position if quaternion is None else np.hstack([position, quaternion]))
+        measured = position if quaternion is None else np.hstack([position, quaternion])
+        stale, doubtful = stale_rows(source, q, kinds, measured, sequence)
     if quaternion is not None:
         note_stale(source, stale)
     channels = (TARGET_POSITION,) if settings.kind == "position" else (TARGET_POSITION, TARGET_ROTATION)
+    chosen = canonical[source.usable[canonical]]
     rows = Dataset(
         names=tuple(readings),
         kinds=tuple(kinds),
@@ -97,16 +104,17 @@ def load_measurements(
         station=station,
         configuration=np.zeros(len(table), dtype=int),
         stale=stale >= 0,
+        doubtful=doubtful,
         test=np.zeros(len(table), dtype=bool) if split is None else split,
         split_given=split is not None,
-    ).select(source.usable)
+    ).select(chosen)
     rows = replace(rows, configuration=blocks(rows.readings, kinds))
     if split is None:
         rows = replace(rows, test=draw_split(rows.configuration, seed))
     if fitted:
         rows = with_training_rows(rows, per_station(campaign))
     numbers = sum(channel.size for channel in channels)
-    noise = RowNoise(None if std is None else std[source.usable, :numbers], absolute=settings.noise.rows == "absolute")
+    noise = RowNoise(None if std is None else std[chosen, :numbers], absolute=settings.noise.rows == "absolute")
     return weighed(rows, noise)
 
 

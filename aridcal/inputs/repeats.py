@@ -1,4 +1,4 @@
-"""Rows that repeat a configuration, or another row."""
+"""Rows that repeat a configuration, or another row; and an order of rows that is not that of their file."""
 
 from __future__ import annotations
 
@@ -48,6 +48,16 @@ def first_alike(rows: pd.DataFrame) -> np.ndarray:
         group = rows.iloc[alike].groupby(list(rows.columns), sort=False, dropna=False).ngroup().to_numpy()
         first[alike] = alike[np.unique(group, return_index=True)[1]][group]
     return first
+
+
+def by_content(columns: Sequence[np.ndarray | None]) -> np.ndarray:
+    """Numbers of the rows in the order of their values, shape (N,): the same rows, however they were permuted before.
+
+    Args:
+        columns: What the rows hold, shape (N,) or (N, k) each; the first decides first, missing values come last.
+    """
+    keys = np.column_stack([column for column in columns if column is not None])
+    return np.lexsort(keys.T[::-1])
 
 
 def tolerances(kinds: Sequence[JointKind]) -> np.ndarray:

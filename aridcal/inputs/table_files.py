@@ -152,9 +152,16 @@ def read_parquet(content: bytes, path: Path, limit: Limit, spare: Collection[str
         check_size(path, footer.num_rows, len(names), limit)
         texts = [name for name in names if _is_text(schema.field(name).type)]
         # Words as they are stored, each once: a word of a megabyte in a million rows takes a few bytes there.
-        cells = pa.parquet.ParquetFile(pa.BufferReader(content), read_dictionary=texts).read(columns=names)
+        file = pa.parquet.ParquetFile(pa.BufferReader(content), read_dictionary=texts)
+        batches, rows = [], 0
+        for batch in file.iter_batches(columns=names):
+            rows += batch.num_rows
+            check_size(path, rows, len(names), limit)  # the footer may lie
+            batches.append(batch)
+        cells = pa.Table.from_batches(batches) if batches else schema.empty_table().select(names)
         _check_words(cells, path, limit)
         cells = cells.cast(pa.schema([schema.field(name) for name in names]))
+        cells.validate(full=True)  # words that are not UTF-8, above all
     except (pa.ArrowException, OSError, ValueError, OverflowError, MemoryError) as problem:
         said = shortened((str(problem) or type(problem).__name__).splitlines()[0], 200)
         raise MeasurementError(f"{path}: is not a readable Parquet file: {said}. Write it anew, or as csv") from None

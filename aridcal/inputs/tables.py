@@ -243,7 +243,7 @@ def _arrow(column: pd.Series) -> pa.ChunkedArray:
 
 def _numbers(column: pa.ChunkedArray) -> tuple[np.ndarray, np.ndarray]:
     """Values of a column, NaN where there is no number, and which cells hold text instead; shape (n,) each."""
-    if _is_numeric(column.type):
+    if is_number(column.type):
         values = pc.cast(column, pa.float64(), safe=False).to_numpy()
         return values.astype(float), np.zeros(len(column), dtype=bool)
     text = _trimmed(column)
@@ -269,7 +269,8 @@ def _trimmed(column: pa.ChunkedArray) -> pa.ChunkedArray:
     return pc.if_else(nothing, pa.scalar(None, pa.string()), text)
 
 
-def _is_numeric(kind: pa.DataType) -> bool:
+def is_number(kind: pa.DataType) -> bool:
+    """True of columns that need no reading as text."""
     number = pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_decimal(kind)
     return number or pa.types.is_boolean(kind) or pa.types.is_null(kind)
 

@@ -298,6 +298,10 @@ def parse_yaml(text: str, path: Path) -> tuple[dict[str, Any], dict[Location, in
         raise CampaignError(f"{path}: is not valid YAML: {problem}; put what is no date in quotes") from None
 
 
+# What an event adds to the depth.
+DEEPER = {yaml.MappingStartEvent: 1, yaml.SequenceStartEvent: 1, yaml.MappingEndEvent: -1, yaml.SequenceEndEvent: -1}
+
+
 def _refuse_tricks(text: str, path: Path) -> None:
     """Refuse what a settings file has no need of and an attacker has.
 
@@ -308,17 +312,21 @@ def _refuse_tricks(text: str, path: Path) -> None:
     """
     depth = 0
     for number, event in enumerate(yaml.parse(text, Loader=Loader)):
+        kind = type(event)
+        depth += DEEPER.get(kind, 0)
+        if kind is yaml.AliasEvent:
+            anchor = str(getattr(event, "anchor", ""))
+            trick = f"the alias *{shortened(anchor)} is refused; write the value out"
+        elif tag := getattr(event, "tag", None):
+            trick = f"the tag {shortened(tag)} is refused; write plain values"
+        elif depth > MAX_DEPTH:
+            trick = f"is nested more than {MAX_DEPTH} deep; write plain keys and values"
+        elif number > MAX_NODES:
+            trick = f"has more than {MAX_NODES:,} keys and values; name another file"
+        else:
+            continue
         mark = event.start_mark
-        where = f"{path}, line {mark.line + 1 if mark else 1}"
-        if isinstance(event, yaml.AliasEvent):
-            raise CampaignError(f"{where}: the alias *{shortened(str(event.anchor))} is refused; write the value out")
-        if isinstance(event, yaml.ScalarEvent | yaml.CollectionStartEvent) and event.tag:
-            raise CampaignError(f"{where}: the tag {shortened(event.tag)} is refused; write plain values")
-        depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
-        if depth > MAX_DEPTH:
-            raise CampaignError(f"{where}: is nested more than {MAX_DEPTH} deep; write plain keys and values")
-        if number > MAX_NODES:
-            raise CampaignError(f"{where}: has more than {MAX_NODES:,} keys and values; name another file")
+        raise CampaignError(f"{path}, line {mark.line + 1 if mark else 1}: {trick}")
 
 
 def _lines(node: yaml.Node, location: Location, path: Path) -> Iterator[tuple[Location, int]]:
@@ -334,12 +342,11 @@ def _lines(node: yaml.Node, location: Location, path: Path) -> Iterator[tuple[Lo
             where = f"{path}, line {line}"
             if not isinstance(key, yaml.ScalarNode):
                 raise CampaignError(f"{where}: a key must be a plain word; write `key: value`")
-            name = _dotted((*location, key.value))
             if key.tag != "tag:yaml.org,2002:str":
-                kind = key.tag.rpartition(":")[2]
+                kind, name = key.tag.rpartition(":")[2], _dotted((*location, key.value))
                 raise CampaignError(f"{where}: {name}: YAML reads this key as a {kind}; put it in quotes")
             if key.value in seen:
-                raise CampaignError(f"{where}: {name}: this key is there twice; delete one")
+                raise CampaignError(f"{where}: {_dotted((*location, key.value))}: this key is there twice; delete one")
             seen.add(key.value)
             yield (*location, key.value), line
             yield from _lines(value, (*location, key.value), path)

@@ -18,7 +18,7 @@ import numpy as np
 import pinocchio as pin
 
 from aridcal.effects.effect import LINK_COMPONENTS, Coefficient
-from aridcal.model.motions import Motion, joint_model, motion, rank
+from aridcal.model.motions import Motion, joint_model, motion, rank, transform
 from aridcal.robot.chain import Joint, Robot
 from aridcal.robot.doty import Link, doty_links, segments
 
@@ -27,6 +27,13 @@ ORDER = ("x", "y", "z", "yaw", "pitch", "roll")
 
 # Doty's link parameters as motions of frame components.
 LINK_AXES = {"d": "z", "theta": "yaw", "beta": "pitch", "a": "x", "alpha": "roll"}
+
+WHOLE = 128
+"""Joints up to which an extended model is one Pinocchio model: an arm of seven has a hundred, with all that a search tries. Its
+workspace grows with their cube: 0.1 GB for these, 3 GB for the 430 of an arm of sixty axes."""
+
+SEGMENT = 48
+"""Joints of each part of a longer one, whose workspaces take 5 MB."""
 
 Group = Literal["constant", "effect", "link", "own"]
 
@@ -48,6 +55,14 @@ class Slot(NamedTuple):
     def name(self) -> str:
         """Of the Pinocchio joint; the robot's own joints keep theirs."""
         return self.where if self.group == "own" else ".".join(self)
+
+
+class Jointed(NamedTuple):
+    """A joint of the extended model: where it stands on the one before, which it is, how it moves."""
+
+    placement: pin.SE3
+    slot: Slot
+    motion: Motion
 
 
 class Step(NamedTuple):
@@ -147,6 +162,26 @@ def carried_bodies(robot: Robot) -> dict[str, pin.Inertia]:
 
 
 @dataclass(frozen=True)
+class Segment:
+    """A stretch of an extended model's joints, as a Pinocchio model of its own.
+
+    Attributes:
+        first: Coordinate of its first joint.
+        model: Its joints, the first one placed where the stretch before ends.
+        data: Pinocchio's workspace.
+    """
+
+    first: int
+    model: pin.Model
+    data: pin.Data
+
+    @property
+    def columns(self) -> slice:
+        """Its coordinates among those of the whole."""
+        return slice(self.first, self.first + self.model.nv)
+
+
+@dataclass(frozen=True)
 class ExtendedModel:
     """Robot, frames and one more joint for each component that some coefficients move.
 
@@ -195,21 +230,62 @@ class ExtendedModel:
         return [self.index[own_slot(name)] for name in self.robot.names]
 
     @cached_property
-    def data(self) -> pin.Data:
-        """Pinocchio's workspace; frames differ in their placement alone, so one serves all of them.
+    def segments(self) -> tuple[Segment, ...]:
+        """The chain in parts; an ordinary arm is one part."""
+        joints, _ = self._joints(pin.SE3.Identity(), pin.SE3.Identity())
+        parts = []
+        for first in range(0, len(joints), self._size):
+            model = pin.Model()
+            for placement, slot, move in joints[first : first + self._size]:
+                model.addJoint(model.njoints - 1, joint_model(move), placement, slot.name)
+            parts.append(Segment(first, model, model.createData()))
+        return tuple(parts)
 
-        It grows with the cube of the joints: made anew for each block of rows, it would cost more than the rows.
+    def poses(self, q: np.ndarray, world: int, tip: int) -> tuple[np.ndarray, np.ndarray]:
+        """Target poses for one pair of frames: rotations (n, 3, 3) and positions (n, 3), [m].
+
+        Args:
+            q: Coordinates of all joints, shape (n, nv).
+            world: Index of the frame to use.
+            tip: Likewise.
         """
-        return self.build(0, 0)[0].createData()
+        end = self._place(world, tip)
+        R, p = np.empty((len(q), 3, 3)), np.empty((len(q), 3))
+        for segment in self.segments:
+            own, model, data = q[:, segment.columns], segment.model, segment.data
+            last = data.oMi[model.njoints - 1]
+            rotation, translation = last.rotation, last.translation
+            turn, shift = (R, p) if segment.first == 0 else (np.empty_like(R), np.empty_like(p))
+            for i in range(len(q)):
+                pin.forwardKinematics(model, data, own[i])
+                turn[i], shift[i] = rotation, translation
+            if segment.first:
+                R, p = R @ turn, p + _turned(R, shift)
+        return _at(R, p, end)
 
-    def build(self, world: int, tip: int) -> tuple[pin.Model, pin.SE3]:
-        """Pinocchio's model for one pair of frames, and the target's placement on its last joint; made once for each."""
-        if (world, tip) not in self._built:
-            self._built[world, tip] = self._build(self.world_base[world], self.tip_target[tip])
-        return self._built[world, tip]
+    def jacobian(self, q: np.ndarray, world: int, tip: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The same, and the twist of the point at the world's origin that each joint causes, shape (n, 6, nv)."""
+        end = self._place(world, tip)
+        R, p = np.empty((len(q), 3, 3)), np.empty((len(q), 3))
+        wide = np.empty((len(q), 6, q.shape[1]))
+        for segment in self.segments:
+            own, model, data = q[:, segment.columns], segment.model, segment.data
+            last = data.oMi[model.njoints - 1]
+            rotation, translation, columns = last.rotation, last.translation, data.J
+            turn, shift = (R, p) if segment.first == 0 else (np.empty_like(R), np.empty_like(p))
+            J = wide[:, :, segment.columns]
+            for i in range(len(q)):
+                pin.computeJointJacobians(model, data, own[i])
+                J[i], turn[i], shift[i] = columns, rotation, translation
+            if segment.first:
+                # From the end of the segments before to the world: v = R v + p x R w, w = R w.
+                J[:, :3], J[:, 3:] = R @ J[:, :3], R @ J[:, 3:]
+                J[:, :3] += np.cross(p[:, :, None], J[:, 3:], axis=1)
+                R, p = R @ turn, p + _turned(R, shift)
+        return *_at(R, p, end), wide
 
-    def locked(self, value: Mapping[Slot, float], moving: set[Slot], world: int, tip: int) -> pin.Model:
-        """The model with few joints left.
+    def locked(self, value: Mapping[Slot, float], moving: set[Slot], world: int, tip: int) -> tuple[pin.Model, pin.SE3]:
+        """The model with few joints left, bodies included, and the target's placement on its last joint.
 
         Args:
             value: Where joints are locked; those that are not named, at zero.
@@ -217,49 +293,99 @@ class ExtendedModel:
             world: Index of the frame to use.
             tip: Likewise.
         """
-        extended, _ = self.build(world, tip)
-        q = pin.neutral(extended)
-        for slot, k in self.index.items():
-            q[k] = value.get(slot, 0.0)
-        names = {slot.name for slot in moving}
-        lock = [k for k in range(1, extended.njoints) if extended.names[k] not in names]
-        return pin.buildReducedModel(extended, lock, q)
+        joints, end = self._joints(self.world_base[world], self.tip_target[tip])
+        bodies = self._carried()
+        model, parent, pending = pin.Model(), 0, pin.SE3.Identity()
+        for placement, slot, move in joints:
+            pending = pending * placement
+            if slot in moving:
+                parent, pending = model.addJoint(parent, joint_model(move), pending, slot.name), pin.SE3.Identity()
+            else:
+                pending = pending * transform(move, value.get(slot, 0.0))
+            if slot in bodies:
+                model.appendBodyToJoint(parent, bodies[slot], pending)
+        return model, pending * end
 
-    def _build(self, world_base: pin.SE3, tip_target: pin.SE3) -> tuple[pin.Model, pin.SE3]:
-        model, parent = pin.Model(), 0
+    def _carried(self) -> dict[Slot, pin.Inertia]:
+        """The body that hangs on each joint: a carriage's own effects carry its body, too."""
+        bodies, carrier, own = carried_bodies(self.robot), {}, ""
+        for step in self.chain:
+            if step.slot is None:
+                continue
+            if step.slot.group == "own":
+                own = step.slot.where
+            if own and (step.slot.group == "own" or (step.slot.where, step.slot.group) == (own, "effect")):
+                carrier[own] = step.slot
+        return {slot: bodies[name] for name, slot in carrier.items()}
+
+    def _joints(self, world_base: pin.SE3, tip_target: pin.SE3) -> tuple[list[Jointed], pin.SE3]:
+        """Every joint with its placement on the one before, in the order of ``index``, and the target's on the last."""
+        found: list[Jointed] = []
         pending = world_base
 
         def add(slot: Slot, move: Motion) -> None:
-            nonlocal parent, pending
-            parent = model.addJoint(parent, joint_model(move), pending, slot.name)
-            model.addJointFrame(parent)  # without it buildReducedModel refuses
+            nonlocal pending
+            found.append(Jointed(pending, slot, move))
             pending = pin.SE3.Identity()
 
         for slot in frame_slots("world_base", self._needed):
             add(slot, motion(slot.component))
-        body = ""  # that waits for the joint that carries it
         for step in self.chain:
-            carriage = step.slot is not None and (step.slot.where, step.slot.group) == (body, "effect")
-            if body and not carriage:  # a carriage's own effects carry its body
-                model.appendBodyToJoint(parent, self._bodies[body], pin.SE3.Identity())
-                body = ""
             pending = pending * step.placement
             if step.slot is not None and step.motion is not None:
                 add(step.slot, step.motion)
-                body = step.slot.where if step.slot.group == "own" else body
         pending = pending * tip_target
         for slot in frame_slots("tip_target", self._needed):
             add(slot, motion(slot.component))
-        return model, pending
+        return found, pending
+
+    def _place(self, world: int, tip: int) -> pin.SE3:
+        """Bring one pair of frames into the segments; returns the target's placement on the last joint.
+
+        Frames differ in two placements alone: thousands of stations need no model each.
+        """
+        before, after, held = self._beyond
+        first, end = self.world_base[world], pin.SE3.Identity()
+        for placement in before:
+            first = first * placement
+        for placement in after:
+            end = end * placement
+        end = end * self.tip_target[tip]
+        self._set_placement(0, first)
+        if held:
+            self._set_placement(len(self.index) - held, end)
+            return pin.SE3.Identity()
+        return end
+
+    @cached_property
+    def _beyond(self) -> tuple[list[pin.SE3], list[pin.SE3], int]:
+        """Placements between the base's frame and the first joint, those after the last one, and how many joints hold the tip."""
+        inner = [k for k, step in enumerate(self.chain) if step.slot is not None]
+        moved = bool(frame_slots("world_base", self._needed))
+        before = [] if moved else [step.placement for step in self.chain[: inner[0] + 1]]
+        after = [step.placement for step in self.chain[inner[-1] + 1 :]]
+        return before, after, len(frame_slots("tip_target", self._needed))
+
+    def _set_placement(self, k: int, placement: pin.SE3) -> None:
+        """Place the joint of coordinate k on the one before."""
+        number, place = divmod(k, self._size)
+        self.segments[number].model.jointPlacements[place + 1] = placement
+
+    @property
+    def _size(self) -> int:
+        """Joints of a segment."""
+        return WHOLE if len(self.index) <= WHOLE else SEGMENT
 
     @cached_property
     def _needed(self) -> tuple[Slot, ...]:
         return tuple(dict.fromkeys(self.slots))
 
-    @cached_property
-    def _bodies(self) -> dict[str, pin.Inertia]:
-        return carried_bodies(self.robot)
 
-    @cached_property
-    def _built(self) -> dict[tuple[int, int], tuple[pin.Model, pin.SE3]]:
-        return {}
+def _turned(R: np.ndarray, p: np.ndarray) -> np.ndarray:
+    """Vectors (n, 3) turned by rotations (n, 3, 3)."""
+    return np.asarray((R @ p[:, :, None])[:, :, 0])
+
+
+def _at(R: np.ndarray, p: np.ndarray, end: pin.SE3) -> tuple[np.ndarray, np.ndarray]:
+    """Poses of what stands at ``end`` on the last joint."""
+    return R @ end.rotation, p + R @ end.translation

@@ -28,7 +28,7 @@ class Rows:
 
     Attributes:
         positions: Joint positions, shape (N, joints), [rad] or [m].
-        phi: Bases of the coefficients that vary, shape (N, varying).
+        phi: Bases of the coefficients that are no constants, shape (N, varying).
         world: Index of each row's ``world_base`` frame, shape (N,).
         tip: Index of each row's ``tip_target`` frame, shape (N,).
     """
@@ -61,6 +61,21 @@ class Locked:
     target: pin.SE3
     own: np.ndarray
     carrier: np.ndarray
+
+
+@dataclass(frozen=True)
+class _OfFrames:
+    """Constants that hold for one station each.
+
+    Attributes:
+        coefficients: Their indices, shape (S,).
+        frames: Index of the frame of each, shape (S,).
+        frame_of: The same by index.
+    """
+
+    coefficients: np.ndarray
+    frames: np.ndarray
+    frame_of: dict[int, int]
 
 
 @dataclass(frozen=True)
@@ -114,14 +129,14 @@ class Model:
         """
         n = len(readings)
         world, tip = (_frame_index(f, station, n) for f in (self.world_base, self.tip_target))
-        varying = [self.coefficients[k] for k in self._varying]
+        varying = [self.coefficients[k] for k in self._based]
         wanted = {name for c in varying for name in c.basis.of}
         if "payload" in self.needs and "payload" not in (covariates or {}):
             raise CovariateNotFound("the model depends on 'payload', which was not measured: add that column")
         table = covariate_table(self.robot, readings, covariates or {}, self.around, world, wanted) if wanted else {}
         phi = np.empty((n, len(varying)))
         for k, c in enumerate(varying):
-            phi[:, k] = 1.0 if c.basis.constant else evaluate(c.basis, table)
+            phi[:, k] = evaluate(c.basis, table)
             if c.station is not None:
                 phi[:, k] *= _labels(station, n) == c.station
         return Rows(self.robot.positions(readings), phi, world, tip)
@@ -130,15 +145,8 @@ class Model:
         """Target poses T_world_target: rotations (N, 3, 3) and positions (N, 3) in [m]."""
         R, p = np.empty((len(rows), 3, 3)), np.empty((len(rows), 3))
         q = self._configurations(theta, rows)
-        data = self._extended.data
-        for index, model, end in self._variants(rows):
-            last = data.oMi[model.njoints - 1]
-            rotation, translation = last.rotation, last.translation
-            for i in index:
-                pin.forwardKinematics(model, data, q[i])
-                R[i], p[i] = rotation, translation
-            p[index] += R[index] @ end.translation
-            R[index] = R[index] @ end.rotation
+        for index, world, tip in self._variants(rows):
+            R[index], p[index] = self._extended.poses(q[index], world, tip)
         return R, p
 
     def jacobian(self, theta: np.ndarray, rows: Rows) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -158,19 +166,14 @@ class Model:
         R, p = np.empty((n, 3, 3)), np.empty((n, 3))
         wide = np.empty((n, 6, len(self._extended.index)))
         q = self._configurations(theta, rows)
-        data = self._extended.data
-        for index, model, end in self._variants(rows):
-            last = data.oMi[model.njoints - 1]
-            rotation, translation, columns = last.rotation, last.translation, data.J
-            for i in index:
-                pin.computeJointJacobians(model, data, q[i])
-                wide[i], R[i], p[i] = columns, rotation, translation
-            p[index] += R[index] @ end.translation
-            R[index] = R[index] @ end.rotation
+        for index, world, tip in self._variants(rows):
+            R[index], p[index], wide[index] = self._extended.jacobian(q[index], world, tip)
         J = wide[:, :, self._extended.carrier]
         _move_to(p, J)
-        if len(self._varying):
-            J[:, :, self._varying] *= rows.phi[:, None, :]
+        if len(self._based):
+            J[:, :, self._based] *= rows.phi[:, None, :]
+        for own, frame in self._of_frames(rows):
+            J[:, :, own.coefficients] *= own.frames == frame[:, None, None]
         return R, p, J
 
     def origins(self, theta: np.ndarray) -> dict[str, pin.SE3]:
@@ -231,14 +234,12 @@ class Model:
         slots = self._extended.slots
         own = [own_slot(name) for name in self.robot.names]
         moving = {*own, *(slots[k] for k in self._varying)}
-        model = self._extended.locked(self._constant_values(theta), moving, world, tip)
-        extended, end = self._extended.build(world, tip)
-        last = model.frames[model.getFrameId(extended.names[-1])]
+        model, target = self._extended.locked(self._constant_values(theta), moving, world, tip)
         index = {name: k for k, name in enumerate(list(model.names)[1:])}
         carrier = [index[slot.name] if slot in moving else -1 for slot in slots]
         return Locked(
             model=model,
-            target=last.placement * end,
+            target=target,
             own=np.array([index[slot.name] for slot in own]),
             carrier=np.array(carrier, dtype=int),
         )
@@ -254,15 +255,20 @@ class Model:
         alike = [c.basis.constant and c.station is None for c in self.coefficients]
         return np.flatnonzero(~np.array(alike, dtype=bool))
 
-    def _variants(self, rows: Rows) -> list[tuple[np.ndarray, pin.Model, pin.SE3]]:
-        """Rows that share their frames: (row numbers, extended model, target on its last joint)."""
+    @cached_property
+    def _based(self) -> np.ndarray:
+        """Coefficients that are no constants."""
+        return np.flatnonzero([not c.basis.constant for c in self.coefficients])
+
+    def _variants(self, rows: Rows) -> list[tuple[slice | np.ndarray, int, int]]:
+        """Rows that share their frames: (row numbers, world, tip)."""
         tips = len(self.tip_target)
+        if len(self.world_base) == tips == 1:
+            return [(slice(None), 0, 0)]
         pair = rows.world * tips + rows.tip
-        found = []
-        for k in np.unique(pair):
-            world, tip = divmod(int(k), tips)
-            found.append((np.flatnonzero(pair == k), *self._extended.build(world, tip)))
-        return found
+        order = np.argsort(pair, kind="stable")
+        ends = np.flatnonzero(np.diff(pair[order])) + 1
+        return [(index, *divmod(int(pair[index[0]]), tips)) for index in np.split(order, ends) if len(index)]
 
     def _configurations(self, theta: np.ndarray, rows: Rows) -> np.ndarray:
         """Positions of all joints of the extended model, shape (N, nv): theta_k phi_k(z), summed where joints are shared."""
@@ -273,9 +279,32 @@ class Model:
         varying[self._varying] = True
         for k in np.flatnonzero(~varying):
             q[:, carrier[k]] += theta[k]
-        for column, k in enumerate(self._varying):
+        for column, k in enumerate(self._based):
             q[:, carrier[k]] += theta[k] * rows.phi[:, column]
+        for own, frame in self._of_frames(rows):
+            for k in own.coefficients[np.isin(own.frames, frame)]:
+                q[:, carrier[k]] += theta[k] * (frame == own.frame_of[k])
         return q
+
+    def _of_frames(self, rows: Rows) -> list[tuple[_OfFrames, np.ndarray]]:
+        """Constants of one station each, and the frames of the rows, shape (n,), for either end of the chain."""
+        every = zip(self._stationed, (rows.world, rows.tip), strict=True)
+        return [(own, frame) for own, frame in every if len(own.coefficients)]
+
+    @cached_property
+    def _stationed(self) -> tuple[_OfFrames, _OfFrames]:
+        """Constants of one station each, at the base and at the target."""
+        found = []
+        for where, frames in (("world_base", self.world_base), ("tip_target", self.tip_target)):
+            number = {label: k for k, (label, _) in enumerate(frames)}
+            own = [
+                k
+                for k, c in enumerate(self.coefficients)
+                if c.where == where and c.basis.constant and c.station is not None
+            ]
+            at = {k: number[self.coefficients[k].station] for k in own}
+            found.append(_OfFrames(np.array(own, dtype=int), np.array(list(at.values()), dtype=int), at))
+        return found[0], found[1]
 
     def _constant_values(self, theta: np.ndarray) -> dict[Slot, float]:
         pairs = zip(self._extended.slots, self.coefficients, strict=True)

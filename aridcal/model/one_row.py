@@ -200,6 +200,7 @@ class OneRowModel:
         """
         q = effects + self._drive @ readings
         J = pin.computeFrameJacobian(self._model, self._data, q, self._target, pin.LOCAL_WORLD_ALIGNED)
+        J = J.reshape(6, -1)  # of one joint it comes as a vector
         target = pin.updateFramePlacement(self._model, self._data, self._target)
         return target.rotation.copy(), target.translation.copy(), J @ self._drive
 

@@ -61,8 +61,17 @@ def image_size(content: bytes) -> tuple[int, int] | None:
 
 
 def _png(content: bytes) -> tuple[int, int]:
-    width, height = struct.unpack_from(">II", content, 16)
-    return width, height
+    """Of the first chunk. None may claim more bytes than the file has: OpenCV makes room for 4 GB before it looks."""
+    place = 8
+    for _ in range(MOST_SEGMENTS):
+        length, kind = struct.unpack_from(">I4s", content, place)
+        place += 12 + length
+        if place > len(content):
+            raise ValueError("a chunk is cut off")
+        if kind == b"IEND":
+            width, height = struct.unpack_from(">II", content, 16)
+            return width, height
+    raise ValueError("chunks without end")
 
 
 def _jpeg(content: bytes) -> tuple[int, int]:
@@ -120,8 +129,9 @@ def _webp(content: bytes) -> tuple[int, int]:
     return width & 0x3FFF, height & 0x3FFF
 
 
-MOST_SEGMENTS = 10_000
-"""Before the frame header of a JPEG; there are some ten, and some hundreds with a large colour profile."""
+MOST_SEGMENTS = 100_000
+"""Before the frame header of a JPEG, where there are some hundreds with a large colour profile, and of a PNG, which may have one
+for every 8 kB."""
 
 JPEG_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 """Markers of frame headers; the other three are tables."""

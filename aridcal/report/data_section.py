@@ -79,8 +79,9 @@ def _repeats(outcome: Outcome) -> Html:
 
 def _outliers(outcome: Outcome) -> list[Content]:
     """The flagged rows by file and line."""
-    rows = np.flatnonzero(outcome.outlier)
-    why = ["stale" if outcome.measurements.stale[k] else "gross outlier" for k in rows]
+    as_read = outcome.measurements.as_read
+    rows = as_read[outcome.outlier[as_read]]
+    why = ["stale" if outcome.measurements.doubtful[k] else "gross outlier" for k in rows]
     shown = row_table(outcome, rows[:MOST], "why", why[:MOST], "Outliers and their error after calibration")
     rest = len(rows) - MOST
     return [shown, tag("p", tag("em", f"and {rest:,} more; residuals.csv flags them all")) if rest > 0 else ""]

@@ -12,6 +12,7 @@ from aridcal.result.outcome import Outcome
 from aridcal.search.gains import Diagnosis
 from aridcal.search.noise_tests import SURE
 from aridcal.search.residual_trends import Order, Trace
+from aridcal.showing import SILENT, Progress
 
 MOST_TRACES = 12
 
@@ -22,14 +23,14 @@ BAND = 0.05
 WITHOUT, WITH = "without effects", "final model"
 
 
-def drives(outcome: Outcome) -> Iterator[Content]:
+def drives(outcome: Outcome, progress: Progress = SILENT) -> Iterator[Content]:
     """Question 5: what drives the remaining error?"""
     if outcome.diagnosis is not None:
         yield from effects_in_the_model(outcome)
         yield from _noise_tests(outcome.diagnosis)
     yield from _in_order(outcome.traces.order)
-    yield from _joints(outcome)
-    yield from _strongest(outcome)
+    yield from _joints(outcome, progress)
+    yield from _strongest(outcome, progress)
     if outcome.diagnosis is not None:
         yield from other_candidates(outcome.diagnosis)
 
@@ -71,7 +72,7 @@ def _in_order(order: Order) -> Iterator[Content]:
     yield figures([("Autocorrelation of the residuals, mean over all axes", picture)])
 
 
-def _joints(outcome: Outcome) -> Iterator[Content]:
+def _joints(outcome: Outcome, progress: Progress) -> Iterator[Content]:
     """The residual as an error of each joint, over that joint."""
     found = outcome.traces.joints
     if not found:
@@ -84,7 +85,7 @@ def _joints(outcome: Outcome) -> Iterator[Content]:
         "left out.",
     )
     drawn: list[tuple[Content, Html]] = []
-    for k, trace in enumerate(found):
+    for k, trace in enumerate(progress.over(found, "pictures of joints")):
         caption = [tag("code", trace.motion), f": {_in_words(outcome, trace, len(found))}"]
         drawn.append((caption, _picture(outcome, f"joint-{k}", trace)))
     yield figures(drawn)
@@ -131,7 +132,7 @@ def _picture(outcome: Outcome, key: str, trace: Trace) -> Html:
     return panels(key, alt, scale * trace.seen, values, labels, trends)
 
 
-def _strongest(outcome: Outcome) -> Iterator[Content]:
+def _strongest(outcome: Outcome, progress: Progress) -> Iterator[Content]:
     """On which joint, load or column anything depends."""
     found, asked = clear_traces(outcome), outcome.traces.asked
     if not found:
@@ -158,7 +159,7 @@ def _strongest(outcome: Outcome) -> Iterator[Content]:
         if (trace.motion, trace.covariate) not in own and (significant(trace, asked) or trace.covariate in columns)
     ]
     drawn: list[tuple[Content, Html]] = []
-    for k, trace in enumerate(worth[:MOST_TRACES]):
+    for k, trace in enumerate(progress.over(worth[:MOST_TRACES], "pictures of dependences")):
         names = [tag("code", trace.motion), " over ", tag("code", trace.covariate)]
         drawn.append(([*names, f": {_in_words(outcome, trace, asked)}"], _picture(outcome, f"trace-{k}", trace)))
     yield figures(drawn)

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any, ParamSpec
 
 import numpy as np
 
-from aridcal.report.html import Html, number
+from aridcal.report.failures import attempt
+from aridcal.report.html import Html, missing, number
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -60,16 +61,22 @@ STYLE: dict[Any, Any] = {
 
 
 def _figure(draw: Callable[P, Figure]) -> Callable[P, Html]:
-    """Turn a function that draws into one that returns SVG; its first two arguments are ``key`` and ``alt``."""
+    """Turn a function that draws into one that returns SVG, or a line in its place if it fails.
+
+    Its first two arguments are ``key`` and ``alt``.
+    """
 
     @functools.wraps(draw)
     def drawn(*args: P.args, **kwargs: P.kwargs) -> Html:
-        from matplotlib import rc_context
+        def svg() -> Html:
+            from matplotlib import rc_context
 
-        with rc_context(STYLE):
-            figure, text = draw(*args, **kwargs), io.StringIO()
-            figure.savefig(text, format="svg")
-        return _inline(text.getvalue(), str(args[0]), str(args[1]))
+            with rc_context(STYLE):
+                figure, text = draw(*args, **kwargs), io.StringIO()
+                figure.savefig(text, format="svg")
+            return _inline(text.getvalue(), str(args[0]), str(args[1]))
+
+        return attempt(f"report.html: the figure {str(args[0])!r}", svg, missing)
 
     return drawn
 

@@ -52,6 +52,23 @@ def join(content: Content) -> Html:
     return Html("".join(join(part) for part in content))
 
 
+def missing(notice: str) -> Html:
+    """The line that stands where something could not be drawn."""
+    return tag("p", notice, class_="missing")
+
+
+def empty_page(title: str, notice: str) -> Html:
+    """A page that says why it shows nothing, so that none of an earlier result is taken for it."""
+    head = tag("head", tag("meta", charset="utf-8"), tag("title", title))
+    body = tag(
+        "body",
+        tag("h1", title),
+        missing(notice),
+        tag("p", "The figures and the other files of this result are not affected."),
+    )
+    return join([Html("<!DOCTYPE html>\n"), tag("html", head, body, lang="en")])
+
+
 def table(head: Sequence[Content], rows: Iterable[Sequence[Content]], caption: Content, numbers: int = 1) -> Html:
     """A table that scrolls by itself where the page is narrow.
 

@@ -9,38 +9,54 @@ from pathlib import Path
 from aridcal import __version__
 from aridcal.report.data_section import data, enough
 from aridcal.report.dependence import drives
+from aridcal.report.failures import attempt, noting
 from aridcal.report.first_screen import summary
 from aridcal.report.fit_section import fits, verification
 from aridcal.report.head_section import measuring_head
-from aridcal.report.html import Content, Html, counted, join, tag
+from aridcal.report.html import Content, Html, counted, empty_page, join, missing, tag
 from aridcal.report.identified_section import identifiable, identified
 from aridcal.report.limits_section import limits, use
 from aridcal.result.controllers import Handover
 from aridcal.result.outcome import Outcome
+from aridcal.showing import SILENT, Progress
 
 # Anchor, title and content.
 Chapter = tuple[str, str, Iterable[Content]]
 
 
-def write_report(outcome: Outcome, handover: Handover, path: Path) -> None:
-    """Write the report of a calibration.
+def write_report(outcome: Outcome, handover: Handover, path: Path, progress: Progress = SILENT) -> tuple[str, ...]:
+    """Write the report of a calibration; what cannot be drawn of it is missing, and the rest stands.
 
     Args:
         outcome: What was found.
         handover: What controllers can be given of it.
         path: The HTML file.
+        progress: Told how many pictures are drawn.
+
+    Returns:
+        Notices: what could not be drawn, and why.
     """
-    path.write_text(page(outcome, handover), encoding="utf-8", newline="\n")
+    with noting() as notices:
+        text = attempt(
+            "report.html",
+            lambda: page(outcome, handover, progress),
+            lambda notice: empty_page("Calibration report", notice),
+        )
+    path.write_bytes(text.encode("utf-8", "replace"))  # names of files may hold what UTF-8 has not
+    return tuple(notices)
 
 
-def page(outcome: Outcome, handover: Handover) -> Html:
-    """The report as one self-contained HTML page."""
-    chapters = _chapters(outcome, handover)
+def page(outcome: Outcome, handover: Handover, progress: Progress = SILENT) -> Html:
+    """The report as one self-contained HTML page; each of its sections fails alone."""
+    chapters = _chapters(outcome, handover, progress)
     links = [tag("a", title, href=f"#{key}") for key, title, _ in chapters]
-    sections = [tag("section", tag("h2", title), list(content), id=key) for key, title, content in chapters]
+    sections = [
+        tag("section", tag("h2", title), _drawn(title, content), id=key)
+        for key, title, content in progress.over(chapters, "sections")
+    ]
     m = outcome.measurements
     body = [
-        tag("header", list(summary(outcome)), tag("nav", links, aria_label="Sections")),
+        tag("header", _drawn("Summary", summary(outcome)), tag("nav", links, aria_label="Sections")),
         tag("main", sections),
         tag("footer", f"aridcal {__version__}, {counted(len(m), 'row')} with sha256 {m.sha256[:16]}"),
     ]
@@ -55,14 +71,26 @@ def page(outcome: Outcome, handover: Handover) -> Html:
     return join([Html("<!DOCTYPE html>\n"), whole])
 
 
-def _chapters(outcome: Outcome, handover: Handover) -> list[Chapter]:
+def _drawn(title: str, content: Iterable[Content]) -> list[Content]:
+    """A section's content up to where it fails, and then a line that says so."""
+    parts: list[Content] = []
+
+    def draw() -> None:
+        for part in content:
+            parts.append(join(part))
+
+    attempt(f"report.html: the rest of section {title!r}", draw, lambda notice: parts.append(missing(notice)))
+    return parts
+
+
+def _chapters(outcome: Outcome, handover: Handover, progress: Progress) -> list[Chapter]:
     """The six questions, then what was identified and which file is for what."""
     chapters: list[Chapter] = [
         ("data", "1. Is the data sound?", data(outcome)),
         ("separable", "2. Which parameters are identifiable?", identifiable(outcome)),
         ("enough", "3. Is there enough data, in the right places?", enough(outcome)),
         ("fits", "4. Does the model fit?", fits(outcome)),
-        ("depends", "5. What drives the remaining error?", drives(outcome)),
+        ("depends", "5. What drives the remaining error?", drives(outcome, progress)),
         ("remains", "6. Where does the calibration hold?", limits(outcome)),
     ]
     if outcome.verification is not None:

@@ -1,8 +1,8 @@
 """``scene.html``: nominal and calibrated robot, measured targets and magnified error vectors, in one offline page.
 
 The page is meshcat's own viewer, its script inlined, and a short script (``scene.js``) that puts the objects into the
-viewer's tree and works the panel. Meshcat's server is not needed to make it: a server process would only hold the same
-objects until it is asked to write them down. Each shape is stored once and drawn twice, as the robot and as its ghost.
+viewer's tree and works the panel. Meshcat's server is not needed to make it; ``aridcal view`` runs it to keep the page up to
+date. Each shape is stored once and drawn twice, as the robot and as its ghost.
 
 Everything is drawn in the frame of the robot's base, so that the robot stands still although the measured frame may
 differ from station to station; the view is turned upright against gravity.
@@ -11,6 +11,7 @@ differ from station to station; the view is turned upright against gravity.
 from __future__ import annotations
 
 import base64
+import hashlib
 import html
 import importlib.util
 import json
@@ -20,15 +21,17 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from lxml import etree
 from scipy.spatial.transform import Rotation
 
-from aridcal.errors import OutputError
 from aridcal.fit.calibrated import stage_urdf
+from aridcal.report.failures import attempt, note, noting
+from aridcal.report.html import empty_page
 from aridcal.report.shapes import Shape, robot_shapes, turn
 from aridcal.result.outcome import Outcome
 from aridcal.robot.chain import Robot, parse_robot
 from aridcal.robot.kinematics import tree_frames
+
+ASSETS = Path(__file__).parent / "assets"
 
 # At most so many rows can be stepped through; all are drawn as targets and vectors.
 ROWS = 200
@@ -101,26 +104,36 @@ class Scene:
     sigma: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
 
-def write_scene(scene: Scene, path: Path) -> tuple[str, ...]:
-    """Write the page.
+def write_scene(outcome: Outcome, path: Path) -> tuple[str, ...]:
+    """Write the page of a calibration; what cannot be drawn of it is missing, and the rest stands.
 
     Args:
-        scene: At least one row and one stage.
+        outcome: What was found.
         path: The HTML file.
 
     Returns:
         Notices: what could not be drawn, and why.
+    """
+    with noting() as notices:
+        text = attempt(
+            "scene.html", lambda: scene_page(scene(outcome)), lambda notice: empty_page("Calibration scene", notice)
+        )
+    path.write_bytes(text.encode("utf-8", "replace"))
+    return tuple(notices)
 
-    Raises:
-        OutputError: the file cannot be written.
+
+def scene_page(scene: Scene) -> str:
+    """The page of a scene; visuals of the robot that cannot be drawn are noted (:func:`aridcal.report.failures.noting`).
+
+    Args:
+        scene: At least one row and one stage.
     """
     shapes, notices = robot_shapes(scene.nominal)
-    content = scene_content(scene, shapes)
-    try:
-        path.write_text(_page(content), encoding="utf-8")
-    except OSError as error:
-        raise OutputError(f"{path}: cannot write the scene: {error.strerror}") from None
-    return notices
+    for notice in notices:
+        note(f"scene.html: {notice}")
+    script = (ASSETS / "scene.js").read_text("utf-8")
+    which = hashlib.sha256(script.encode()).hexdigest()[:12]  # the script that understands this content
+    return _page(scene_content(scene, shapes) | {"notices": notices, "script": which}, script)
 
 
 def scene_content(scene: Scene, shapes: tuple[Shape, ...]) -> dict[str, Any]:
@@ -148,7 +161,7 @@ def scene_content(scene: Scene, shapes: tuple[Shape, ...]) -> dict[str, Any]:
     extent = float(np.linalg.norm(np.ptp(seen, axis=0)))
     factor = _magnification(usual[0], usual[-1], extent)
     return {
-        "title": etree.fromstring(scene.nominal.urdf).get("name", "robot"),
+        "title": scene.nominal.tree.name,
         "geometries": geometries,
         "visuals": visuals,
         "bodies": len(joints),
@@ -333,9 +346,8 @@ def _pack(values: np.ndarray, dtype: type = np.float32) -> str:
     return base64.b64encode(content).decode()
 
 
-def _page(content: dict[str, Any]) -> str:
+def _page(content: dict[str, Any], script: str) -> str:
     """The whole page: everything inlined, nothing fetched."""
-    here = Path(__file__).parent / "assets"
     found = importlib.util.find_spec("meshcat")
     assert found is not None
     assert found.origin is not None
@@ -347,12 +359,12 @@ def _page(content: dict[str, Any]) -> str:
         '<html lang="en"><head><meta charset="utf-8">',
         '<meta name="viewport" content="width=device-width, initial-scale=1">',
         f"<title>{html.escape(content['title'])}: calibration scene</title>",
-        f"<style>{(here / 'scene.css').read_text('utf-8')}</style></head><body>",
+        f"<style>{(ASSETS / 'scene.css').read_text('utf-8')}</style></head><body>",
         '<div id="meshcat-pane"></div>',
         f'<script type="application/json" id="scene">{data}</script>',
         f"<script>{(bundle / 'main.min.js.LICENSE.txt').read_text('utf-8')}</script>",
         f"<script>{(bundle / 'main.min.js').read_text('utf-8')}</script>",
-        f"<script>{(here / 'scene.js').read_text('utf-8')}</script>",
+        f"<script>{script}</script>",
         "</body></html>",
     ])  # fmt: skip
 
@@ -360,21 +372,22 @@ def _page(content: dict[str, Any]) -> str:
 def scene(outcome: Outcome) -> Scene:
     """Collect what the picture shows: nominal and calibrated robot, measured targets, and every stage's prediction."""
     fit, m, robot = outcome.stage("final").fit, outcome.measurements, outcome.robot
-    rows = fit.model.rows(m.readings, m.conditions, m.station)
+    rows = m.as_read  # they are stepped through as they stand in the files
+    world = fit.model.rows(m.readings, m.conditions, m.station).world
     bases = np.array([frame.homogeneous for _, frame in fit.model.world_base])
     calibrated = stage_urdf(outcome.stage("geometric").fit)
     return Scene(
         nominal=robot,
         calibrated=parse_robot(calibrated, robot.tip, robot.base, robot.path),
-        readings=m.readings,
-        T_world_base=bases[rows.world],
-        measured=m.position,
-        predicted={stage.name: m.position - stage.residual[:, :3] for stage in outcome.stages},
-        test=m.test,
-        outlier=outcome.outlier,
-        line=m.line,
+        readings=m.readings[rows],
+        T_world_base=bases[world[rows]],
+        measured=m.position[rows],
+        predicted={stage.name: (m.position - stage.residual[:, :3])[rows] for stage in outcome.stages},
+        test=m.test[rows],
+        outlier=outcome.outlier[rows],
+        line=m.line[rows],
         gravity=np.atleast_2d(fit.model.around.gravity)[0],
-        moved={e.effect.label: e.adds for e in outcome.effects if e.adds is not None},
+        moved={e.effect.label: e.adds[rows] for e in outcome.effects if e.adds is not None},
         places=outcome.precision.places,
         sigma=outcome.precision.reach,
     )

@@ -1,5 +1,7 @@
 """What a robot looks like: the shapes of its URDF, meshes thinned, or a stick figure where there are none.
 
+Each visual fails alone: it costs a notice, and neither another visual nor the scene.
+
 The visuals are read here and not by yourdfpy, which gives up the whole robot for one visual that is wrong, knows no
 ROS_PACKAGE_PATH, and needs trimesh also where there is no mesh to load.
 """
@@ -7,25 +9,35 @@ ROS_PACKAGE_PATH, and needs trimesh also where there is no mesh to load.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
 from lxml import etree
 
+from aridcal.errors import shortened
+from aridcal.reading.names import why
+from aridcal.report.failures import one_line, reason
 from aridcal.robot.chain import Robot
+from aridcal.robot.meshes import TRIANGLES, NotDrawable, Part, read_meshes, weld
 
-# Meshes are thinned to about so many triangles in all: the page stays within a few megabytes.
-TRIANGLES = 120_000
-
-# That a mesh may keep however many there are.
+# That a mesh may keep however many there are; all meshes together are thinned to TRIANGLES.
 FEWEST_TRIANGLES = 100
 
-# Cells of a thinned mesh's grid along its long side: at first, by which factor fewer each round, and at least.
-FINEST, COARSER, COARSEST = 1000.0, 0.7, 16
+# Visuals that are drawn, of which each is drawn twice: a humanoid with every screw has a few hundred.
+MOST_SHAPES = 2000
+
+# Triangles that are held at a time before they are thinned: 50 bytes each, and a large mesh may be there many times.
+MOST_TRIANGLES = 4_000_000
+
+# [m] from a joint: beyond it single precision, which browsers draw with, leaves no digit of a robot.
+FARTHEST = 1e6
+
+# Notices of one robot.
+MOST_NOTICES = 12
 
 # Radius of a stick figure's rods as a share of the arm's length; of its balls, in those; [m] of a rod at least.
 THICKNESS, BALL, THINNEST = 0.015, 1.6, 1e-3
@@ -84,24 +96,60 @@ def robot_shapes(robot: Robot) -> tuple[tuple[Shape, ...], tuple[str, ...]]:
     Returns:
         The shapes; then what is not drawn, and why. One visual that is wrong or missing costs no other.
     """
-    root = etree.fromstring(robot.urdf, etree.XMLParser(resolve_entities=False, no_network=True))
+    root = etree.fromstring(robot.urdf, etree.XMLParser(resolve_entities=False, no_network=True, remove_comments=True))
     colours = {material.get("name"): material.find("color") for material in root.findall("material")}
+    visuals = [(link.get("name", ""), visual) for link in root.findall("link") for visual in link.findall("visual")]
+    notices = []
+    if len(visuals) > MOST_SHAPES:
+        notices.append(f"of {len(visuals):,} visuals only the first {MOST_SHAPES:,} are drawn")
+        visuals = visuals[:MOST_SHAPES]
+    meshes = read_meshes(_mesh_files([visual for _, visual in visuals], robot.path.parent))
     shapes: list[Shape] = []
-    notices: list[str] = []
-    for link in root.findall("link"):
-        name = link.get("name", "")
-        for visual in link.findall("visual"):
-            try:
-                shapes += _visual_shapes(visual, name, robot, colours)
-            except (_NotDrawable, ValueError) as error:
-                notices.append(f"link {name!r} is not drawn: {error}")
+    triangles = 0
+    for name, visual in visuals:
+        try:
+            paint = _material_colour(visual.find("material"), colours)
+        except NotDrawable as error:
+            paint = None
+            notices.append(f"link {shortened(name)!r} is drawn in grey: {error}")
+        try:
+            made = [_sound(shape) for shape in _visual_shapes(visual, name, robot, paint, meshes)]
+            more = sum(len(shape.faces) for shape in made)
+            if len(shapes) + len(made) > MOST_SHAPES or triangles + more > MOST_TRIANGLES:
+                raise NotDrawable(f"the robot has more than {MOST_SHAPES:,} shapes or {MOST_TRIANGLES:,} triangles")
+            shapes += made
+            triangles += more
+        except Exception as error:  # a bug of ours as well: a picture is not worth losing the results for
+            said = str(error) if isinstance(error, NotDrawable) else reason(error)
+            notices.append(f"link {shortened(name)!r} is not drawn: {one_line(said)}")
     if not shapes:
         notices.append("no link has a shape that can be drawn: the robot is drawn as a stick figure")
-    return _thinned(shapes) or _skeleton(robot), tuple(dict.fromkeys(notices))
+    return _thinned(shapes) or _skeleton(robot), _few(notices)
 
 
-class _NotDrawable(Exception):
-    """A visual has to be left out; the message says why."""
+def _few(notices: list[str]) -> tuple[str, ...]:
+    """Each notice once, and of many the first ones."""
+    different = list(dict.fromkeys(notices))
+    rest = len(different) - MOST_NOTICES
+    return tuple(different if rest <= 1 else [*different[:MOST_NOTICES], f"and {rest} more notices of this kind"])
+
+
+def _sound(shape: Shape) -> Shape:
+    """Give a shape as it can be drawn: it is near the robot, and its mesh's faces are wide enough to be seen.
+
+    Raises:
+        NotDrawable: it cannot be drawn.
+    """
+    if shape.kind == "mesh" and not (np.abs(shape.vertices) <= FARTHEST).all():
+        raise NotDrawable(f"its mesh reaches beyond {FARTHEST:g} m")
+    if not (np.abs(shape.corners()) <= FARTHEST).all():
+        raise NotDrawable(f"it reaches beyond {FARTHEST:g} m")
+    if shape.kind == "mesh":
+        vertices, faces = weld(shape.vertices, shape.faces, TRIANGLES)
+        if not len(faces):
+            raise NotDrawable("its mesh is so thin that nothing of it can be seen")
+        shape = replace(shape, vertices=vertices, faces=faces)
+    return shape
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,8 +163,11 @@ class _Form:
     faces: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
 
 
+Meshes = Mapping[Path, "list[Part] | NotDrawable"]
+
+
 def _visual_shapes(
-    visual: etree._Element, link: str, robot: Robot, colours: dict[str | None, etree._Element | None]
+    visual: etree._Element, link: str, robot: Robot, paint: tuple[float, ...] | None, meshes: Meshes
 ) -> Iterator[Shape]:
     """Give the shapes of a visual: in a mesh file's own colour, else in its material's, else grey.
 
@@ -124,17 +175,19 @@ def _visual_shapes(
         visual: The ``<visual>``.
         link: Name of its link.
         robot: Tells where the link is.
-        colours: Of the robot's materials, by name.
+        paint: Its material's red, green and blue.
+        meshes: What is in the robot's mesh files.
 
     Raises:
-        _NotDrawable: A part is no shape of URDF, or its mesh is missing or broken.
-        ValueError: A number is none.
+        NotDrawable: A part is no shape of URDF, a number is none, or its mesh is missing or broken.
     """
     frame = robot.tree.frames[robot.tree.getFrameId(link, pin.FrameType.BODY)]
     placement = frame.placement.homogeneous @ _origin(visual.find("origin"))
-    material = _material_colour(visual.find("material"), colours)
-    for form in _forms(visual, robot.path.parent):
-        red, green, blue = form.colour or material or GREY
+    forms = list(_forms(visual, robot.path.parent, meshes))
+    if not forms:
+        raise NotDrawable("<visual> has no shape in its <geometry>")
+    for form in forms:
+        red, green, blue = form.colour or paint or GREY
         colour = (red, green, blue)
         yield Shape(frame.parentJoint, placement, form.kind, form.size, colour, form.vertices, form.faces)
 
@@ -148,15 +201,23 @@ def _material_colour(
     colour = material.find("color")
     if colour is None:
         colour = colours.get(material.get("name"))
-    return None if colour is None else _floats(colour, "rgba", "1 1 1 1")[:3]
+    if colour is None:
+        return None
+    rgba = _floats(colour, "rgba", "1 1 1 1")
+    if len(rgba) not in (3, 4) or not all(0 <= share <= 1 for share in rgba):
+        raise NotDrawable(
+            f"`rgba` of <color> should be 4 numbers from 0 to 1, not {shortened(colour.get('rgba', ''))!r}"
+        )
+    return rgba[:3]
 
 
-def _forms(visual: etree._Element, folder: Path) -> Iterator[_Form]:
+def _forms(visual: etree._Element, folder: Path, meshes: Meshes) -> Iterator[_Form]:
     """Give the parts of a visual; a mesh file has one for each of its colours.
 
     Args:
         visual: The ``<visual>``.
         folder: Of the URDF: names of meshes may be relative to it.
+        meshes: What is in the robot's mesh files.
     """
     for element in visual.iterfind("geometry/*"):
         if element.tag == "box":
@@ -168,11 +229,25 @@ def _forms(visual: etree._Element, folder: Path) -> Iterator[_Form]:
             yield _Form("sphere", _lengths(element, "radius", 1))
         elif element.tag == "mesh":
             scale = np.array(_floats(element, "scale", "1 1 1"))
-            path = find_mesh(element.get("filename", ""), folder)
-            for colour, vertices, faces in load_mesh(path):
+            if len(scale) not in (1, 3):
+                raise NotDrawable("`scale` of <mesh> should be 3 numbers")
+            found = meshes[find_mesh(element.get("filename", ""), folder)]
+            if isinstance(found, NotDrawable):
+                raise found
+            for colour, vertices, faces in found:
                 yield _Form("mesh", (), colour, vertices * scale, faces)
         elif isinstance(element.tag, str):
-            raise _NotDrawable(f"<{element.tag}> is no shape of URDF")
+            raise NotDrawable(f"<{element.tag}> is no shape of URDF")
+
+
+def _mesh_files(visuals: Sequence[etree._Element], folder: Path) -> list[Path]:
+    """List the mesh files of visuals that are there."""
+    found = []
+    for visual in visuals:
+        for element in visual.iterfind("geometry/mesh"):
+            with suppress(NotDrawable):  # said where it is drawn
+                found.append(find_mesh(element.get("filename", ""), folder))
+    return found
 
 
 def find_mesh(uri: str, folder: Path) -> Path:
@@ -187,11 +262,14 @@ def find_mesh(uri: str, folder: Path) -> Path:
     elif scheme in ("", "file"):
         candidates = [folder / rest]
     else:
-        raise _NotDrawable(f"{uri!r} is not a local file")
-    for path in candidates:
-        if path.is_file():
-            return path
-    raise _NotDrawable(f"no mesh {uri!r}")
+        raise NotDrawable(f"{shortened(uri)!r} is not a local file")
+    try:
+        for path in candidates:
+            if path.is_file():
+                return path
+    except (OSError, ValueError) as error:  # a name that no file can have
+        raise NotDrawable(f"no mesh {shortened(uri)!r}: {why(error)}") from None
+    raise NotDrawable(f"no mesh {shortened(uri)!r}")
 
 
 def _in_packages(name: str, folder: Path) -> list[Path]:
@@ -205,50 +283,12 @@ def _in_packages(name: str, folder: Path) -> list[Path]:
     return [root / inside for root in named + within]
 
 
-def load_mesh(path: Path) -> list[tuple[tuple[float, ...] | None, np.ndarray, np.ndarray]]:
-    """Read a mesh file with trimesh.
-
-    Returns:
-        Per colour (``None``: the file has none) vertices (V, 3) and faces (F, 3).
-
-    Raises:
-        _NotDrawable: It cannot be read, or has no faces.
-    """
-    import trimesh
-
-    try:
-        meshes = trimesh.load_scene(path).dump()
-    except Exception as error:  # whatever its many readers raise, a picture is not worth losing the results for
-        raise _NotDrawable(f"mesh {path.name!r} cannot be read: {error}") from None
-    groups: dict[tuple[float, ...] | None, list[Any]] = {}
-    for mesh in meshes:
-        if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces) and np.isfinite(mesh.vertices).all():
-            groups.setdefault(_mesh_colour(mesh, path), []).append(mesh)
-    if not groups:
-        raise _NotDrawable(f"mesh {path.name!r} has no faces")
-    joined = {colour: trimesh.util.concatenate(same) for colour, same in groups.items()}
-    return [(colour, whole.vertices, whole.faces) for colour, whole in joined.items()]
-
-
-def _mesh_colour(mesh: Any, path: Path) -> tuple[float, ...] | None:
-    """Return a mesh's main colour, red, green and blue from 0 to 1; None for STL, whose colours nobody agrees on."""
-    if path.suffix.lower() == ".stl":
-        return None
-    rgba = getattr(getattr(mesh.visual, "material", None), "main_color", None)
-    if rgba is None:
-        rgba = getattr(mesh.visual, "main_color", None)
-    if rgba is None:
-        return None
-    rgb = np.asarray(rgba[:3], float) / 255
-    return tuple(rgb.tolist())
-
-
-def _thinned(shapes: list[Shape]) -> tuple[Shape, ...]:
-    """Meshes within the page's allowance: the small ones whole, the large ones down to one common number of faces."""
+def _thinned(shapes: Sequence[Shape]) -> tuple[Shape, ...]:
+    """Meshes within the page's allowance: the small ones as they are, the large ones down to one common number of faces."""
     most = _allowance([len(shape.faces) for shape in shapes if shape.kind == "mesh"])
     thinned = []
     for shape in shapes:
-        if shape.kind == "mesh":
+        if len(shape.faces) > most:
             vertices, faces = weld(shape.vertices, shape.faces, most)
             shape = replace(shape, vertices=vertices, faces=faces)
         thinned.append(shape)
@@ -264,35 +304,6 @@ def _allowance(faces: list[int]) -> int:
             break
         left -= count
     return most
-
-
-def weld(vertices: np.ndarray, faces: np.ndarray, most: int) -> tuple[np.ndarray, np.ndarray]:
-    """Snap vertices to a grid, join those that meet and drop faces that vanish.
-
-    The grid starts at a thousandth of the mesh's size and is made coarser until at most ``most`` faces are left, or it is down
-    to 16 cells (Rossignac and Borrel, "Multi-resolution 3D approximations", 1993).
-
-    Args:
-        vertices: Shape (V, 3), [m].
-        faces: Indices of vertices, shape (F, 3).
-        most: Wanted number of faces.
-
-    Returns:
-        Vertices and faces that are left, each joined one standing where its first one stood.
-    """
-    low, cells = vertices.min(axis=0), FINEST
-    size = max(float(np.ptp(vertices, axis=0).max()), 1e-12)
-    while True:
-        x, y, z = ((vertices - low) * (cells / size)).round().astype(np.int64).T
-        cell = (x << 40) + (y << 20) + z
-        _, first, inverse = np.unique(cell, return_index=True, return_inverse=True)
-        welded = inverse.reshape(-1)[faces]
-        a, b, c = welded.T
-        welded = welded[(a != b) & (b != c) & (c != a)]
-        if len(welded) <= most or cells < COARSEST:
-            used, again = np.unique(welded, return_inverse=True)
-            return vertices[first[used]], again.reshape(-1, 3)
-        cells *= COARSER
 
 
 def _skeleton(robot: Robot) -> tuple[Shape, ...]:
@@ -318,16 +329,27 @@ def turn(start: np.ndarray, end: np.ndarray) -> np.ndarray:
 
 
 def _floats(element: etree._Element, key: str, default: str) -> tuple[float, ...]:
-    """Read the numbers of an attribute."""
-    return tuple(float(v) for v in element.get(key, default).split())
+    """Read the numbers of an attribute.
+
+    Raises:
+        NotDrawable: one is not a number, or not finite.
+    """
+    text = element.get(key, default)
+    try:
+        numbers = tuple(float(v) for v in text.split())
+    except ValueError:
+        numbers = (np.nan,)
+    if not np.isfinite(numbers).all():
+        raise NotDrawable(f"`{key}` of <{element.tag}> should be numbers, not {shortened(text)!r}")
+    return numbers
 
 
 def _lengths(element: etree._Element, key: str, count: int) -> tuple[float, ...]:
     """Read so many lengths, [m], of a box, a cylinder or a sphere."""
     numbers = _floats(element, key, "")
-    if len(numbers) != count:
-        wanted = "a number" if count == 1 else f"{count} numbers"
-        raise _NotDrawable(f"`{key}` of <{element.tag}> should be {wanted}")
+    if len(numbers) != count or min(numbers) <= 0:
+        wanted = "a positive number" if count == 1 else f"{count} positive numbers"
+        raise NotDrawable(f"`{key}` of <{element.tag}> should be {wanted}, not {shortened(element.get(key, ''))!r}")
     return numbers
 
 
@@ -335,6 +357,9 @@ def _origin(element: etree._Element | None) -> np.ndarray:
     """Return the placement that an ``<origin>`` says, shape (4, 4); none is no placement at all."""
     if element is None:
         return np.eye(4)
-    rpy = np.array(_floats(element, "rpy", "0 0 0"))
-    xyz = np.array(_floats(element, "xyz", "0 0 0"))
-    return pin.SE3(pin.rpy.rpyToMatrix(rpy), xyz).homogeneous
+    if element.get("quat_xyzw") is not None:
+        raise NotDrawable("<origin> has quat_xyzw, which few parsers read: write the rotation as rpy")
+    rpy, xyz = (_floats(element, key, "0 0 0") for key in ("rpy", "xyz"))
+    if len(rpy) != 3 or len(xyz) != 3:
+        raise NotDrawable("`xyz` and `rpy` of <origin> should be 3 numbers")
+    return pin.SE3(pin.rpy.rpyToMatrix(np.array(rpy)), np.array(xyz)).homogeneous

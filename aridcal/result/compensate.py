@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -19,6 +19,7 @@ from aridcal.model.inverse import Command, InverseKinematics
 from aridcal.model.model import Model
 from aridcal.result.predict import at_any_station, directions, extrapolates, per_station, std_of
 from aridcal.result.saved_model import SavedModel
+from aridcal.showing import SILENT, Progress
 
 STILL = 1e-6
 """A joint that moves by less keeps its side of the backlash, [rad] or [m]."""
@@ -36,12 +37,24 @@ CHECKED = 300
 """Configurations between its points at which a table is checked."""
 
 
-def compensate(saved: SavedModel, query: Query) -> pd.DataFrame:
+Told = Callable[[int], None]
+"""Called with the number of rows that are done."""
+
+
+def unheard(rows: int) -> None:
+    """Where nobody watches."""
+
+
+def compensate(
+    saved: SavedModel, query: Query, trajectory: Trajectory | None = None, told: Told = unheard
+) -> pd.DataFrame:
     """Fill in the joint commands for each row of wanted poses.
 
     Args:
         saved: The model.
         query: N rows, read with the calibration's own `measurements` settings and ``poses=True``.
+        trajectory: What the rows before them have come to, where these are a stretch of a longer table.
+        told: Of the rows that are done.
 
     Returns:
         The query's table with the joints, ``reached``, ``position_error``, ``rotation_error`` and ``extrapolates``, N
@@ -53,7 +66,7 @@ def compensate(saved: SavedModel, query: Query) -> pd.DataFrame:
     """
     settings, robot = saved.measurements, saved.final.model.robot
     units = settings.units
-    found, covariates = follow(saved, query)
+    found, covariates = (trajectory or Trajectory(saved)).follow(query, told)
     readings = np.array([command.readings for command in found])
     table = query.table.copy()
     for k, (name, kind) in enumerate(zip(robot.readings, robot.kinds, strict=True)):
@@ -71,62 +84,96 @@ def compensate(saved: SavedModel, query: Query) -> pd.DataFrame:
 
 
 def follow(saved: SavedModel, query: Query) -> tuple[list[Command], dict[str, np.ndarray]]:
-    """Command the rows one after the other.
+    """Command the rows of a whole table one after the other; see :meth:`Trajectory.follow`."""
+    return Trajectory(saved).follow(query)
 
-    Returns:
-        N commands, NaN where a row lacks a number, and the covariates, missing approach directions filled in: the side
-        from which each joint comes to its place without backlash; 0 as long as it has not moved.
+
+class Trajectory:
+    """Rows commanded one after the other, stretch after stretch: each starts where the one before has come to.
+
+    Args:
+        saved: The model.
     """
-    model, unknown = saved.final.model, np.full(len(query.line), np.nan)
-    sides = {name: query.covariates.get(name, unknown) for name in directions(saved)}
-    guessed = {name: np.where(np.isnan(side), 0.0, side) for name, side in sides.items()}
-    covariates = query.covariates | guessed
-    commands = _walk(saved, query, covariates)
-    if not any(np.isnan(side).any() for side in sides.values()):
-        return commands, covariates
-    readings = np.array([command.readings for command in commands])
-    for name, side in sides.items():
-        joint = model.robot.joint(name.removesuffix("_direction"))
-        own = readings[:, model.robot.readings.index(joint.reading)]
-        covariates[name] = np.where(np.isnan(side), approach(own, STILL), side)
-    again = _walk(saved, replace(query, readings=readings), covariates)
-    return again, covariates
+
+    def __init__(self, saved: SavedModel) -> None:
+        self._saved = saved
+        self._walks = _Walk(saved), _Walk(saved)
+        self._sides = {name: (0.0, math.nan) for name in directions(saved)}
+
+    def follow(self, query: Query, told: Told = unheard) -> tuple[list[Command], dict[str, np.ndarray]]:
+        """Command the rows of one more stretch.
+
+        Returns:
+            N commands, NaN where a row lacks a number, and the covariates, missing approach directions filled in: the side
+            from which each joint comes to its place without backlash; 0 as long as it has not moved.
+        """
+        unknown = np.full(len(query.line), np.nan)
+        sides = {name: query.covariates.get(name, unknown) for name in self._sides}
+        guessed = {name: np.where(np.isnan(side), 0.0, side) for name, side in sides.items()}
+        covariates = query.covariates | guessed
+        first, second = self._walks
+        commands = first.commands(query, covariates, told)
+        readings = np.array([command.readings for command in commands])
+        derived = {name: self._approach(name, readings) for name in sides}
+        if not any(np.isnan(side).any() for side in sides.values()):
+            return commands, covariates
+        covariates |= {name: np.where(np.isnan(side), derived[name], side) for name, side in sides.items()}
+        return second.commands(replace(query, readings=readings), covariates, told), covariates
+
+    def _approach(self, name: str, readings: np.ndarray) -> np.ndarray:
+        """The side from which a joint comes to its place, shape (N,)."""
+        robot = self._saved.final.model.robot
+        own = readings[:, robot.readings.index(robot.joint(name.removesuffix("_direction")).reading)]
+        side, last = self._sides[name]
+        found = approach(own, STILL, side, last)
+        known = own[~np.isnan(own)]
+        self._sides[name] = float(found[-1]), float(known[-1]) if len(known) else last
+        return found
 
 
-def _walk(saved: SavedModel, query: Query, covariates: Mapping[str, np.ndarray]) -> list[Command]:
+class _Walk:
     """One command for each row, each starting from its seed or where the row before ended.
 
     Rows without a seed may change to another branch to stay inside the ranges seen.
     """
-    model = saved.final.model
-    seen = np.array([saved.ranges.get(name, (0.0, 0.0)) for name in model.robot.readings])
-    needs = at_any_station(saved).model.needs
-    missing = [name for name in needs if name not in covariates]
-    if missing:
-        raise CovariateNotFound(f"the model depends on {missing[0]!r}, which the poses do not have: add that column")
-    usable = query.usable & ~np.isnan([covariates[name] for name in needs]).any(axis=0)
-    assert query.position is not None
-    R = np.zeros((len(usable), 3, 3))
-    if query.quaternion is not None and usable.any():
-        R[usable] = Rotation.from_quat(query.quaternion[usable]).as_matrix()
-    stations = query.station if per_station(model) else None
-    nothing = Command(np.full(len(seen), np.nan), math.nan, math.nan, False)
-    found, last = [], seen.mean(axis=1)
-    rng = np.random.default_rng(0)
-    for k in range(len(usable)):
-        if not usable[k]:
-            found.append(nothing)
-            continue
-        inverse = saved.inverse_kinematics(None if stations is None else str(stations[k]))
-        given = {name: float(covariates[name][k]) for name in needs}
-        own = query.readings[k]
-        seed = np.where(np.isnan(own), last, own)
-        best = inverse.command(R[k], query.position[k], seed, given)
-        if np.isnan(own).any():
-            best = _searched(inverse, R[k], query.position[k], given, seen, rng, best)
-        last = best.readings
-        found.append(best)
-    return found
+
+    def __init__(self, saved: SavedModel) -> None:
+        model = saved.final.model
+        self._saved, self._stations = saved, per_station(model)
+        self._needs = at_any_station(saved).model.needs
+        self._seen = np.array([saved.ranges.get(name, (0.0, 0.0)) for name in model.robot.readings])
+        self._last, self._rng = self._seen.mean(axis=1), np.random.default_rng(0)
+
+    def commands(self, query: Query, covariates: Mapping[str, np.ndarray], told: Told) -> list[Command]:
+        """Of one more stretch of rows."""
+        missing = [name for name in self._needs if name not in covariates]
+        if missing:
+            raise CovariateNotFound(
+                f"the model depends on {missing[0]!r}, which the poses do not have: add that column"
+            )
+        usable = query.usable & ~np.isnan([covariates[name] for name in self._needs]).any(axis=0)
+        assert query.position is not None
+        R = np.zeros((len(usable), 3, 3))
+        if query.quaternion is not None and usable.any():
+            R[usable] = Rotation.from_quat(query.quaternion[usable]).as_matrix()
+        stations = query.station if self._stations else None
+        nothing = Command(np.full(len(self._seen), np.nan), math.nan, math.nan, False)
+        found = []
+        for k in range(len(usable)):
+            told(k)
+            if not usable[k]:
+                found.append(nothing)
+                continue
+            inverse = self._saved.inverse_kinematics(None if stations is None else str(stations[k]))
+            given = {name: float(covariates[name][k]) for name in self._needs}
+            own = query.readings[k]
+            seed = np.where(np.isnan(own), self._last, own)
+            best = inverse.command(R[k], query.position[k], seed, given)
+            if np.isnan(own).any():
+                best = _searched(inverse, R[k], query.position[k], given, self._seen, self._rng, best)
+            self._last = best.readings
+            found.append(best)
+        return found
 
 
 def _searched(
@@ -190,7 +237,7 @@ class CorrectionTable:
     after: float
 
 
-def correction_table(saved: SavedModel, points: int) -> CorrectionTable:
+def correction_table(saved: SavedModel, points: int, progress: Progress = SILENT) -> CorrectionTable:
     """Tabulate the corrections of a controller that knows the nominal robot alone.
 
     They bring the real target to where the nominal robot, with the base and the target where the calibration found
@@ -200,6 +247,7 @@ def correction_table(saved: SavedModel, points: int) -> CorrectionTable:
     Args:
         saved: The model.
         points: Of the grid, along each joint, over the range that the calibration has seen.
+        progress: Told how many points are done.
 
     Raises:
         AridcalError: the grid would have more than a million points, or frames are per station.
@@ -226,7 +274,8 @@ def correction_table(saved: SavedModel, points: int) -> CorrectionTable:
 
     grid = np.array(list(product(*axes)))
     R, p = nominal.poses(np.zeros(0), nominal.rows(grid))
-    corrections = [_gentle(inverse, *wanted, middle) for wanted in zip(R, p, grid, strict=True)]
+    every = progress.through(zip(R, p, grid, strict=True), len(grid), "points")
+    corrections = [_gentle(inverse, *wanted, middle) for wanted in every]
     delta = np.array(corrections).reshape(*sizes, -1)
 
     between = np.random.default_rng(0).uniform(seen[:, 0], seen[:, 1], (CHECKED, len(seen)))

@@ -28,18 +28,26 @@ from aridcal.result.seen import holes, largest
 from aridcal.search.arm_and_head import MeasuringHead
 from aridcal.search.gains import NamedEffect
 from aridcal.search.noise_causes import NoiseCauses
+from aridcal.showing import SILENT, Progress
+
+AT_ONCE = 20_000
+"""Rows that are written between two words of progress: half a second."""
 
 WHERE = ("world_base", "tip_target")
 
 
-def write_results(outcome: Outcome, folder: Path) -> None:
+def write_results(outcome: Outcome, folder: Path, progress: Progress = SILENT) -> None:
     """Write every file of the result folder that needs no drawing."""
     (folder / "result.json").write_text(json.dumps(result_document(outcome), indent=2, allow_nan=False) + "\n")
     (folder / "calibrated.urdf").write_bytes(stage_urdf(outcome.stage("geometric").fit))
     if outcome.effects:
         (folder / "model.urdf").write_bytes(stage_urdf(outcome.stage("final").fit))
     (folder / "calibration.yaml").write_text(calibration(outcome).dump(), encoding="utf-8")
-    residual_table(outcome).to_csv(folder / "residuals.csv", index=False, float_format="%.9g")
+    table = residual_table(outcome)
+    with (folder / "residuals.csv").open("w", encoding="utf-8", newline="") as file:
+        for first in progress.through(range(0, len(table), AT_ONCE), len(table), "rows of residuals.csv", AT_ONCE):
+            some = table.iloc[first : first + AT_ONCE]
+            some.to_csv(file, index=False, header=first == 0, float_format="%.9g")
     if outcome.head is not None:
         pd.DataFrame(outcome.head.fiducials).to_csv(folder / "fiducials.csv", index=False)
 
@@ -61,8 +69,8 @@ def result_document(outcome: Outcome) -> dict[str, Any]:
             ],
             "outlier_rows": [
                 {"file": m.files[m.file[k]].name, "row": int(m.line[k]), "why": why}
-                for k in np.flatnonzero(outcome.outlier)
-                for why in ["stale measurement" if m.stale[k] else "gross outlier"]
+                for k in m.as_read[outcome.outlier[m.as_read]]
+                for why in ["stale measurement" if m.doubtful[k] else "gross outlier"]
             ],
         },
         "error": {
@@ -274,7 +282,7 @@ def residual_table(outcome: Outcome) -> pd.DataFrame:
     for stage in outcome.stages:
         label = stage.name.replace(" ", "_")
         table |= {f"{label}_{axis}": column for axis, column in zip(axes, stage.residual.T, strict=True)}
-    return pd.DataFrame(table)
+    return pd.DataFrame(table).iloc[m.as_read]
 
 
 def calibration(outcome: Outcome) -> SavedModel:

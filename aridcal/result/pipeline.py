@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from aridcal.errors import CampaignError, MeasurementError, NotOfThisRobot
-from aridcal.fit.constants import station_labels, unused_links
+from aridcal.fit.constants import constants, frame_coefficients, station_labels, unused_links
 from aridcal.fit.least_squares import Fit, fit
 from aridcal.fit.noise import Repeats, declared_notices, repeats
 from aridcal.fit.residual import distance, problem, robust_sigma, scaled, unscaled
@@ -21,6 +21,7 @@ from aridcal.inputs.campaign import Campaign, load_campaign
 from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.read import load_measurements
 from aridcal.inputs.tables import AnyTable
+from aridcal.model.memory import Size, available_memory, check_memory
 from aridcal.result.outcome import Outcome, Stage, Verification
 from aridcal.result.uncertainty import FAR, halves, outliers, precision, realigned, with_noise_seen
 from aridcal.result.verdict import Verdict, decide, row_clues
@@ -28,13 +29,12 @@ from aridcal.result.with_head import with_head
 from aridcal.robot.chain import Robot, load_robot
 from aridcal.search.arm import CalibratedArm, calibrated_arm, fit_constants
 from aridcal.search.arm_and_head import fit_arm_and_head
-from aridcal.search.diagnose import Diagnosed
+from aridcal.search.diagnose import SEARCHED, Diagnosed
 from aridcal.search.gains import explain
 from aridcal.search.noise_causes import structured_notices
 from aridcal.search.noise_tests import Clue, clues
 from aridcal.search.residual_trends import trace
-
-Progress = Callable[[str], None]
+from aridcal.showing import SILENT, Progress
 
 Judge = Callable[[Campaign, Robot, Dataset, Geometry | None], None]
 """Told what frames and constants leave of the rows, None if nothing can be made of them; may refuse them and say why."""
@@ -74,7 +74,7 @@ def identify(
     job: Path | Campaign,
     seed: int = 0,
     verify: AnyTable | None = None,
-    progress: Progress = lambda _: None,
+    progress: Progress = SILENT,
     cache: Path | None = None,
     judge: Judge = lambda *_: None,
 ) -> Outcome:
@@ -101,9 +101,10 @@ def identify(
         rows = with_directions(load_measurements(campaign, robot.readings, robot.limits, robot.kinds, seed))
         still = _check_motion(campaign, rows)
         labels = station_labels(campaign, rows)
+        check_memory(_size(campaign, robot, rows, labels), str(campaign.path), available_memory())
         progress(f"fitting frames and constants to {rows.train.sum()} rows")
         try:
-            geometry = fit_constants(campaign, robot, rows, labels)
+            geometry = fit_constants(campaign, robot, rows, labels, progress)
         except NotOfThisRobot:
             judge(campaign, robot, rows, None)
             raise
@@ -111,6 +112,7 @@ def identify(
         arm = calibrated_arm(campaign, robot, rows, labels, geometry, progress)
         outcome = _outcome(campaign, robot, arm, still, progress)
     if verify is not None:
+        progress("scoring another day's measurements")
         outcome = replace(outcome, verification=score(outcome, verify))
     return replace(outcome, seconds=time.perf_counter() - started)
 
@@ -134,9 +136,10 @@ def _outcome(
     progress("scoring")
     rows, geometric, diagnosed = arm.rows, arm.geometry.geometric, arm.diagnosed
     train = rows.select(rows.train)
-    known = judged(arm)
+    known = judged(arm, progress)
     stages, outlier, final = known.stages, known.outlier, known.stages[-1].fit
     kept = rows.select(~outlier)
+    before, after = (stage.residual[~outlier] for stage in stages[1:])
     compared = final if len(final.theta) < HALVED else geometric
     return Outcome(
         campaign=campaign,
@@ -147,7 +150,7 @@ def _outcome(
         noise=final.sigma,
         noise_source="declared" if all(rows.sigma) else "estimated",
         repeats=known.repeats,
-        precision=precision(final, train, halves(compared, train)),
+        precision=precision(final, train, halves(compared, train, progress)),
         verdict=known.verdict,
         causes=arm.causes,
         notices=(
@@ -161,22 +164,22 @@ def _outcome(
             *(str(n) for n in rows.notices),
         ),
         seconds=0.0,
-        traces=trace(final, kept, *(stage.residual[~outlier] for stage in stages[1:])),
+        traces=trace(final, kept, before, after, progress),
         diagnosis=explain(diagnosed, rows, rows.test & ~outlier, known.clues),
     )
 
 
-def judged(arm: CalibratedArm) -> Judged:
+def judged(arm: CalibratedArm, progress: Progress = SILENT) -> Judged:
     """Fit every stage with the final model's flags, ask the residuals all questions, and decide what may be said."""
     rows = arm.rows
-    stages, outlier = _stages(rows, arm.geometry, arm.diagnosed.fit)
+    stages, outlier = _stages(rows, arm.geometry, arm.diagnosed.fit, progress)
     final, last = stages[-1].fit, stages[-1].residual
     kept, left = rows.select(~outlier), scaled(last, rows.relative)
     white = left[~outlier]
     # Repeats are set beside the residual that they are part of: both divided by what the rows' noise is known to be.
     # Of several targets of one body one is asked: the others err like it, whatever the model.
     first = np.unique(kept.configuration, return_index=True)[1] if rows.share < 1.0 else np.arange(len(kept))
-    asked = clues(kept.select(first), white[first], repeats(kept, white), _freedom(final), final)
+    asked = clues(kept.select(first), white[first], repeats(kept, white), _freedom(final), final, progress)
     asked += row_clues(rows, final, left, outlier)
     effects = [active.effect for active in arm.diagnosed.found.state.active]
     said = decide(asked, effects, min(_freedom(final), arm.geometry.free))
@@ -195,6 +198,19 @@ def _derived_notices(rows: Dataset, diagnosed: Diagnosed) -> tuple[str, ...]:
 def _freedom(fit: Fit) -> float:
     """Share of the numbers measured that is left after fitting."""
     return float(1.0 - fit.spent / max(fit.numbers, 1.0))
+
+
+def _size(campaign: Campaign, robot: Robot, rows: Dataset, labels: tuple[str, ...]) -> Size:
+    """How large the calibration will be."""
+    sought = campaign.diagnosis.enabled and bool(campaign.diagnosis.candidates)
+    return Size(
+        coefficients=len(frame_coefficients(campaign, labels)) + len(constants(robot, campaign.parameters.set)),
+        stations=len(labels),
+        rows=len(rows),
+        searched=min(int(rows.train.sum()), SEARCHED) if sought else 0,
+        numbers=sum(channel.size for channel in rows.channels),
+        joints=len(robot.joints),
+    )
 
 
 def _check_motion(campaign: Campaign, rows: Dataset) -> tuple[str, ...]:
@@ -217,17 +233,17 @@ def _check_motion(campaign: Campaign, rows: Dataset) -> tuple[str, ...]:
     return tuple(f"{name} never moves: its parameters are confounded with its neighbours'" for name in still)
 
 
-def _stages(rows: Dataset, geometry: Geometry, final: Fit) -> tuple[tuple[Stage, ...], np.ndarray]:
+def _stages(rows: Dataset, geometry: Geometry, final: Fit, progress: Progress) -> tuple[tuple[Stage, ...], np.ndarray]:
     """Every stage fitted with the final model's flags, and the flags of all rows."""
     train = rows.select(rows.train)
     stages = []
     for name, found in (("nominal", geometry.nominal), ("geometric", geometry.geometric), ("final", final)):
         if not np.array_equal(found.outliers, final.outliers):
-            again = fit(problem(found.model, train), found.theta, final.weight)
+            again = fit(problem(found.model, train, progress), found.theta, final.weight)
             tried = {"restarts": found.convergence.restarts, "agreed": found.convergence.agreed}
             convergence = replace(again.convergence, **tried)
             found = replace(again, candidates=found.candidates, redundant=found.redundant, convergence=convergence)
-        found = recentred(with_noise_seen(found, train) if name == "final" else found)
+        found = recentred(with_noise_seen(found, train, progress) if name == "final" else found)
         stages.append(Stage(name, found, problem(found.model, rows).residual(found.theta)))
     left = [scaled(stage.residual, rows.relative) for stage in stages]
     return tuple(stages), outliers(rows.train, final.outliers, left, rows.channels)

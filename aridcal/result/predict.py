@@ -3,22 +3,27 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet
 from scipy.spatial.transform import Rotation
 
 from aridcal.errors import MeasurementError
 from aridcal.inputs.campaign import MeasurementSettings
 from aridcal.inputs.quantities import POSITION, QUATERNION, STD, angle_columns, column_of
 from aridcal.inputs.query import Query, load_query
-from aridcal.inputs.tables import IN_MEMORY, AnyTable, Remark
+from aridcal.inputs.tables import IN_MEMORY, AnyTable, Remark, Table
 from aridcal.model.inverse import InverseKinematics
 from aridcal.model.model import Model
 from aridcal.result.saved_model import SavedModel
 from aridcal.result.seen import CHANNELS, SPREAD, inside
+from aridcal.result.stretches import Stretch, stretches
 
 ENDINGS = (".csv", ".parquet")
 
@@ -34,6 +39,47 @@ def read_query(saved: SavedModel, table: AnyTable, poses: bool = False) -> Query
     Raises:
         MeasurementError: the table cannot be read, lacks columns, or has no usable row.
     """
+    query = _query(saved, table, poses)
+    if not query.usable.any():
+        raise nothing_usable(query.refused, poses)
+    return query
+
+
+def nothing_usable(refused: Sequence[Remark], poses: bool) -> MeasurementError:
+    """What is said of a table without a usable row."""
+    return MeasurementError(
+        f"no row can be {'commanded' if poses else 'predicted'}. First: {refused[0]}; mend the table"
+    )
+
+
+def read_queries(saved: SavedModel, table: AnyTable, poses: bool = False) -> Iterator[tuple[Query, Stretch]]:
+    """The same a stretch at a time, so that a table of any length takes little memory: a long one is checked by stretches.
+
+    Args:
+        saved: The model.
+        table: The rows.
+        poses: As for :func:`read_query`.
+
+    Yields:
+        The rows of a stretch, and where it lies.
+
+    Raises:
+        MeasurementError: as :func:`read_query`.
+    """
+    first: list[Remark] = []
+    usable = False
+    for stretch in stretches(table, saved.limits.table):
+        query = _query(saved, stretch.table, poses)
+        usable |= bool(query.usable.any())
+        first = first or list(query.refused[:1])
+        if stretch.last and not usable:
+            raise nothing_usable(first, poses)
+        yield query, stretch
+    if not usable:  # nothing but blank lines after the last row
+        raise nothing_usable(first, poses)
+
+
+def _query(saved: SavedModel, table: AnyTable | Table, poses: bool) -> Query:
     robot = saved.final.model.robot
     query = load_query(
         table,
@@ -46,20 +92,19 @@ def read_query(saved: SavedModel, table: AnyTable, poses: bool = False) -> Query
         needs=set(at_any_station(saved).model.needs) - set(directions(saved) if poses else ()),
         limit=saved.limits.table,
     )
-    if not query.usable.any():
-        raise MeasurementError(
-            f"no row can be {'commanded' if poses else 'predicted'}. First: {query.refused[0]}; mend the table"
-        )
-    return query if poses else _sides_unknown(saved, query, table)
+    if poses:
+        return query
+    if isinstance(table, Table):
+        return _sides_unknown(saved, query, table.files[0].name)
+    return _sides_unknown(saved, query, IN_MEMORY.name if isinstance(table, pd.DataFrame) else Path(table).name)
 
 
-def _sides_unknown(saved: SavedModel, query: Query, table: AnyTable) -> Query:
+def _sides_unknown(saved: SavedModel, query: Query, file: str) -> Query:
     """A query with 0, the middle, for each side of approach that the calibration had from the order of its rows.
 
     Rows that ask for poses need not be in the order in which a robot takes them, so that theirs says nothing.
     """
     absent = [name for name in saved.record.get("derived_columns", ()) if name not in query.covariates]
-    file = IN_MEMORY.name if isinstance(table, pd.DataFrame) else Path(table).name
     why = "is not given: the middle between the two sides of approach is predicted"
     notices = tuple(Remark(file, None, name, "", why) for name in absent)
     zeros = dict.fromkeys(absent, np.zeros(len(query.line)))
@@ -245,8 +290,41 @@ def extrapolates(saved: SavedModel, query: Query, std: np.ndarray) -> np.ndarray
 
 def write_table(table: pd.DataFrame, path: Path) -> None:
     """Write csv or parquet, by the name's ending; every float with the digits that give it back exactly."""
+    with table_file(path) as write:
+        write(table)
+
+
+@contextmanager
+def table_file(path: Path) -> Iterator[Callable[[pd.DataFrame], None]]:
+    """Write csv or parquet, by the name's ending, a stretch at a time; every float with the digits that give it back exactly.
+
+    Yields:
+        To be called with the rows of each stretch; all have the columns of the first.
+    """
     if path.suffix.lower() == ".parquet":
-        table.to_parquet(path, index=False)
+        with _Parquet(path) as parquet:
+            yield parquet.write
         return
-    words = {str(name): table[name].map({True: "true", False: "false"}) for name in table.select_dtypes(bool)}
-    table.assign(**words).to_csv(path, index=False, float_format="%.17g")
+    with path.open("w", encoding="utf-8", newline="") as file:
+
+        def write(table: pd.DataFrame) -> None:
+            words = {str(name): table[name].map({True: "true", False: "false"}) for name in table.select_dtypes(bool)}
+            table.assign(**words).to_csv(file, index=False, header=not file.tell(), float_format="%.17g")
+
+        yield write
+
+
+class _Parquet(ExitStack):
+    """A parquet file that grows; the first stretch decides the types of its columns."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__()
+        self._path = path
+        self._file: pa.parquet.ParquetWriter | None = None
+
+    def write(self, table: pd.DataFrame) -> None:
+        """Append rows."""
+        if self._file is None:
+            schema = pa.Schema.from_pandas(table, preserve_index=False)
+            self._file = self.enter_context(pa.parquet.ParquetWriter(self._path, schema, compression="snappy"))
+        self._file.write_table(pa.Table.from_pandas(table, self._file.schema, preserve_index=False, safe=False))

@@ -8,10 +8,11 @@ import numpy as np
 
 from aridcal.fit.least_squares import Fit, minimise
 from aridcal.fit.noise import contradicted
-from aridcal.fit.residual import Problem, distance, linearise, problem, robust_sigma
+from aridcal.fit.residual import BLOCK, Problem, distance, linearise, problem, robust_sigma
 from aridcal.inputs.channels import Channels
 from aridcal.inputs.dataset import Dataset
 from aridcal.model.model import Rows
+from aridcal.showing import SILENT, Progress
 
 REACH_SAMPLES = 300
 """Configurations drawn from the whole joint range: their 95th percentile is then known to a few per cent."""
@@ -81,7 +82,7 @@ def precision(fit: Fit, train: Dataset, halves: tuple[float, float]) -> Precisio
     return Precision(position, rotation, reach, places, *halves)
 
 
-def with_noise_seen(fit: Fit, train: Dataset) -> Fit:
+def with_noise_seen(fit: Fit, train: Dataset, progress: Progress = SILENT) -> Fit:
     r"""The same fit, its covariance that of the noise which the residuals show where they contradict a smaller declared one.
 
     .. math:: \Sigma + \Sigma \Big( \sum_c (s_c^2 - 1) A_c^T A_c / \sigma_c^2 \Big) \Sigma
@@ -92,11 +93,12 @@ def with_noise_seen(fit: Fit, train: Dataset) -> Fit:
     Args:
         fit: A stage.
         train: The rows that it was fitted to.
+        progress: Told how far the pass over them is.
     """
     excess = np.maximum(contradicted(train, fit.estimated, fit.freedom), 1.0)
     if np.all(excess == 1.0):
         return fit
-    equations = linearise(problem(fit.model, train), fit.theta, fit.weight, fit.sigma).equations
+    equations = linearise(problem(fit.model, train, progress), fit.theta, fit.weight, fit.sigma).equations
     more = equations.information(fit.sigma / excess) - equations.information(fit.sigma)
     return replace(fit, covariance=fit.covariance + fit.covariance @ more @ fit.covariance)
 
@@ -107,17 +109,19 @@ def target_sigma(fit: Fit, rows: Rows) -> tuple[np.ndarray, np.ndarray]:
     The square root of the largest eigenvalue of :math:`J \Sigma J^T`, J the target's Jacobian and Sigma the covariance of
     the coefficients.
     """
-    _, _, J = fit.model.jacobian(fit.theta, rows)
-    worst = []
-    for part in (J[:, :3], J[:, 3:]):
-        spread = part @ fit.covariance @ part.transpose(0, 2, 1)
-        worst.append(np.sqrt(np.maximum(np.linalg.eigvalsh(spread)[:, -1], 0.0)))
+    worst = np.empty((2, len(rows)))
+    for start in range(0, len(rows), BLOCK):
+        block = slice(start, start + BLOCK)
+        _, _, J = fit.model.jacobian(fit.theta, rows[block])
+        for k, part in enumerate((J[:, :3], J[:, 3:])):
+            spread = part @ fit.covariance @ part.transpose(0, 2, 1)
+            worst[k, block] = np.sqrt(np.maximum(np.linalg.eigvalsh(spread)[:, -1], 0.0))
     return worst[0], worst[1]
 
 
-def halves(fit: Fit, train: Dataset) -> tuple[float, float]:
+def halves(fit: Fit, train: Dataset, progress: Progress = SILENT) -> tuple[float, float]:
     """RMS difference of two calibrations from one half of the rows each, and what noise alone would make, [m]."""
-    asked = problem(fit.model, train)
+    asked = problem(fit.model, train, progress)
     number = np.random.default_rng(0).permutation(int(train.configuration.max()) + 1)
     side = number[train.configuration] % 2 == 0
     count, numbers = len(fit.theta), fit.residual.shape[1]
@@ -126,9 +130,12 @@ def halves(fit: Fit, train: Dataset) -> tuple[float, float]:
     predicted, variance = [], 0.0
     for half in (side, ~side):
         found = minimise(asked.select(half), fit.theta, fit.weight[half])
-        _, p, J = fit.model.jacobian(found.theta, asked.rows)
         covariance = np.linalg.pinv(found.at.equations.information(found.sigma), hermitian=True)
-        variance += float(np.mean(np.einsum("nik,kl,nil->n", J[:, :3], covariance, J[:, :3])))
+        p, own = np.empty((len(train), 3)), np.empty(len(train))
+        for block in asked.blocks():
+            _, p[block], J = fit.model.jacobian(found.theta, asked.rows[block])
+            own[block] = np.einsum("nik,kl,nil->n", J[:, :3], covariance, J[:, :3])
+        variance += float(np.mean(own))
         predicted.append(p)
     between = np.linalg.norm(predicted[0] - predicted[1], axis=1)
     return float(np.sqrt(np.mean(between**2))), float(np.sqrt(variance))

@@ -202,7 +202,10 @@ def chain(tree: UrdfTree, tip: str, base: str | None = None) -> Robot:
 
 
 def _pinocchio(urdf: bytes, path: Path) -> pin.Model:
-    text = etree.tostring(parse_xml(urdf, path), encoding="unicode")
+    root = parse_xml(urdf, path)
+    for part in (*root.findall("link/visual"), *root.findall("link/collision"), *root.findall("material")):
+        part.getparent().remove(part)  # type: ignore[union-attr]  # looks: Pinocchio would only complain of wrong ones
+    text = etree.tostring(root, encoding="unicode")
     try:
         return pin.buildModelFromXML(text)
     except (ValueError, RuntimeError, IndexError) as error:

@@ -77,7 +77,7 @@ def read_tree(urdf: bytes, path: Path) -> UrdfTree:
                 numbers(element, str(key), "", 1, path)
         for origin in inertial.iter("origin"):
             _placement(origin, path)
-    for origin in root.iter("origin"):
+    for origin in (*root.iterfind("joint/origin"), *root.iterfind("link/inertial/origin")):
         if origin.get("quat_xyzw") is not None:  # Pinocchio and yourdfpy pass over it, and see no rotation at all
             raise RobotError(
                 f"{path}: line {origin.sourceline}: <origin> has quat_xyzw, which few parsers read: write the rotation as rpy"

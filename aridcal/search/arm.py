@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,6 +18,7 @@ from aridcal.robot.chain import Robot
 from aridcal.search.diagnose import Diagnosed, diagnose
 from aridcal.search.linear_model import Active
 from aridcal.search.noise_causes import NoiseCauses, noise_causes
+from aridcal.showing import SILENT, Progress
 
 EARTH = np.array([0.0, 0.0, -9.81])
 """Gravity in a levelled world, [m/s^2]."""
@@ -56,7 +57,7 @@ def calibrated_arm(
     rows: Dataset,
     labels: tuple[str, ...],
     geometry: Geometry,
-    progress: Callable[[str], None],
+    progress: Progress,
 ) -> CalibratedArm:
     """Fit and search; ask what makes the rows scatter; if that is more than the instrument, do it again with it as weights.
 
@@ -65,12 +66,12 @@ def calibrated_arm(
     bodies = targets_of_one_body(rows, float(geometry.geometric.estimated[0]))
     if bodies > 1:
         rows = replace(rows, share=1.0 / bodies)
-        geometry = fit_constants(campaign, robot, rows, labels)
+        geometry = fit_constants(campaign, robot, rows, labels, progress)
 
     def fitted(data: Dataset, geometry: Geometry, begin: Sequence[Active] = ()) -> CalibratedArm:
         arm = fit_arm(campaign, geometry, data, progress, begin)
         progress("asking what the scatter is made of")
-        return replace(arm, causes=noise_causes(arm.diagnosed.fit, arm.diagnosed.found.state.active, rows))
+        return replace(arm, causes=noise_causes(arm.diagnosed.fit, arm.diagnosed.found.state.active, rows, progress))
 
     arm = fitted(rows, geometry)
     hung = _hung_again(arm)
@@ -82,7 +83,7 @@ def calibrated_arm(
         progress("weighing the rows by what makes them scatter, and fitting again")
         weighed = replace(rows, relative=arm.causes.relative)
         around = geometry.geometric.model.around
-        again = _around(fit_constants(campaign, robot, weighed, labels), around)
+        again = _around(fit_constants(campaign, robot, weighed, labels, progress), around)
         arm = fitted(weighed, again, arm.diagnosed.found.state.active)
     if is_better(arm.diagnosed.fit, arm.geometry.nominal, arm.rows.select(arm.rows.train)):
         return arm
@@ -105,7 +106,7 @@ def _around(geometry: Geometry, around: Surroundings) -> Geometry:
     return replace(geometry, geometric=replace(geometric, model=replace(geometric.model, around=around)))
 
 
-def _nominal(campaign: Campaign, arm: CalibratedArm, progress: Callable[[str], None]) -> CalibratedArm:
+def _nominal(campaign: Campaign, arm: CalibratedArm, progress: Progress) -> CalibratedArm:
     """The nominal robot with its frames alone, and effects that the campaign states, in place of a calibrated arm."""
     rows, geometry, fit = arm.rows, arm.geometry, arm.diagnosed.fit
     progress("the nominal robot predicts held-back rows as well: keeping it")
@@ -115,12 +116,14 @@ def _nominal(campaign: Campaign, arm: CalibratedArm, progress: Callable[[str], N
     quiet = campaign.model_copy(update={"diagnosis": campaign.diagnosis.model_copy(update={"enabled": False})})
     free = 1.0 - fit.spent / fit.numbers
     arm = fit_arm(quiet, Geometry(geometry.nominal, frames, kept, free), rows, progress)
-    return replace(arm, causes=noise_causes(arm.diagnosed.fit, arm.diagnosed.found.state.active, rows))
+    return replace(arm, causes=noise_causes(arm.diagnosed.fit, arm.diagnosed.found.state.active, rows, progress))
 
 
-def fit_constants(campaign: Campaign, robot: Robot, rows: Dataset, labels: tuple[str, ...]) -> Geometry:
+def fit_constants(
+    campaign: Campaign, robot: Robot, rows: Dataset, labels: tuple[str, ...], progress: Progress = SILENT
+) -> Geometry:
     """Frames and constants from the training rows, the frames at their identified place."""
-    found = fit_geometry(campaign, robot, rows.select(rows.train), labels)
+    found = fit_geometry(campaign, robot, rows.select(rows.train), labels, progress)
     geometric = recentred(found.geometric)
     around = surroundings(campaign, geometric.model, "payload" in rows.covariates)
     return replace(found, geometric=replace(geometric, model=replace(geometric.model, around=around)))
@@ -130,7 +133,7 @@ def fit_arm(
     campaign: Campaign,
     geometry: Geometry,
     rows: Dataset,
-    progress: Callable[[str], None],
+    progress: Progress,
     begin: Sequence[Active] = (),
 ) -> CalibratedArm:
     """Look for what the constants do not explain, on the training rows, and fit all together.

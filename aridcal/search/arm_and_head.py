@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,6 +18,7 @@ from aridcal.inputs.dataset import Dataset
 from aridcal.robot.chain import Robot
 from aridcal.search.arm import CalibratedArm, fit_arm, fit_constants
 from aridcal.search.head_effects import Choice, System, candidates, choose, stated, system
+from aridcal.showing import Progress
 
 STEPS = 6
 """Times that the head is moved and the arm's constants follow, before effects of the arm are sought."""
@@ -105,9 +105,7 @@ class MeasuringHead:
     closed_form: ClosedForm | None = None
 
 
-def fit_arm_and_head(
-    shots: Shots, robot: Robot, labels: tuple[str, ...], progress: Callable[[str], None]
-) -> ArmAndHead:
+def fit_arm_and_head(shots: Shots, robot: Robot, labels: tuple[str, ...], progress: Progress) -> ArmAndHead:
     """Calibrate the arm and the head.
 
     Args:
@@ -128,7 +126,7 @@ def fit_arm_and_head(
     first_rows = rows = posed(shots.rows, before, noise)
     train = rows.train
     progress(f"fitting frames and constants to {train.sum()} shots")
-    first = geometry = fit_constants(campaign, robot, rows, labels)
+    first = geometry = fit_constants(campaign, robot, rows, labels, progress)
 
     def look(arm: Fit) -> tuple[System, Choice, float]:
         """Ask arm and shots about the head; how far it must move, in sigmas of what it is free to do."""
@@ -154,7 +152,7 @@ def fit_arm_and_head(
         if arm is not None and step < SETTLED:
             break
         if not np.array_equal(head.phi, start.phi):
-            geometry = fit_constants(campaign, robot, rows, labels)
+            geometry = fit_constants(campaign, robot, rows, labels, progress)
         arm = fit_arm(campaign, geometry, rows, progress)
         current = arm.diagnosed.fit
     assert arm is not None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,6 +24,7 @@ from aridcal.search.hints import pairs
 from aridcal.search.linear_model import Active, LinearModel, State, activate, solve_state
 from aridcal.search.scoring import admitted
 from aridcal.search.stepwise import Found, confirmed, is_small, missed, rank, search, twins
+from aridcal.showing import SILENT, Progress
 
 ROUNDS = 3
 """Times that the model is linearised anew and searched, where that is cheap; two are usual."""
@@ -85,7 +86,7 @@ def diagnose(
     campaign: Campaign,
     geometric: Fit,
     train: Dataset,
-    progress: Callable[[str], None] = lambda _: None,
+    progress: Progress = SILENT,
     begin: Sequence[Active] = (),
 ) -> Diagnosed:
     """Find the effects that the geometric model lacks, and fit all together.
@@ -113,7 +114,7 @@ def _diagnosed(
     geometric: Fit,
     train: Dataset,
     kept: np.ndarray | None,
-    progress: Callable[[str], None],
+    progress: Progress,
     begin: Sequence[Active],
 ) -> Diagnosed:
     """One search; see :func:`diagnose`.
@@ -126,7 +127,7 @@ def _diagnosed(
         progress: See there.
         begin: See there.
     """
-    every = Start(geometric, train, limits(train, kept))
+    every = Start(geometric, train, limits(train, kept), progress)
     start = _thinned(every)
     observed, barred = look(start)
     kinds = campaign.diagnosis.candidates if campaign.diagnosis.enabled else ()
@@ -149,14 +150,14 @@ def _diagnosed(
     if not fresh:
         every_one = (*state.active, *(a for a in begin if not a.stated))
         state = solve_state(place.linear, every_one, state.solution.sigma, state.used)
-        state = confirmed(place.linear, state, len(named) + len(unnamed))
+        state = confirmed(place.linear, state, len(named) + len(unnamed), progress)
     place, current, found, fitted = _searched(start, place, named, library, state, observed, progress, fresh)
     state = found.state
     if unnamed:
         progress(f"testing {len(unnamed)} functions of unknown cause, then pairs")
-        more = _unnamed(place.linear, unnamed, found, observed, fresh)
+        more = _unnamed(place.linear, unnamed, found, observed, fresh, progress)
         if fresh and len(more.state.active) > len(state.active):  # what only imitated it is not missed any more
-            again = search(place.linear, named, more.state, 0)
+            again = search(place.linear, named, more.state, 0, progress=progress)
             more = replace(again, rejected=more.rejected, tested=more.tested)
         found, state = more, more.state
     if _shapes(state) != fitted:
@@ -168,7 +169,7 @@ def _diagnosed(
     if len(train) > len(start.train):
         progress(f"fitting all {len(train)} rows")
         current = _widened(replace(every, limit=limits(train)), found.state, current)
-    confounded = twins(place.linear, named, found.state)
+    confounded = twins(place.linear, named, found.state, progress)
     return Diagnosed(current, place.at, place.linear, observed, found, confounded, tuple(stated), tuple(barred))
 
 
@@ -178,7 +179,7 @@ def _only_missed(
     found: Found,
     library: Sequence[Effect],
     observed: Observed,
-    progress: Callable[[str], None],
+    progress: Progress,
 ) -> tuple[Place, Fit, Found]:
     """The model about its own optimum, without the effects that are not missed on blocks held back."""
     place = Place(current, linear_model(start, current, found.state.active, library, observed))
@@ -223,7 +224,7 @@ def _searched(
     library: Sequence[Effect],
     state: State,
     observed: Observed,
-    progress: Callable[[str], None],
+    progress: Progress,
     fresh: bool,
 ) -> tuple[Place, Fit, Found, list[tuple[Effect, float, Kernel]]]:
     """Search, refit on the exact model and search again about that, until the same effects are found.
@@ -236,7 +237,7 @@ def _searched(
     fitted = _shapes(replace(state, active=()))
     for _ in range(ROUNDS if small else 1):
         before = state
-        found = search(place.linear, named, state, exchange=fresh)
+        found = search(place.linear, named, state, exchange=fresh, progress=progress)
         same = [a.effect for a in found.state.active] == [a.effect for a in before.active]
         state = found.state
         settled = same and place.at is current and current is not start.geometric
@@ -269,28 +270,35 @@ def _thinned(every: Start) -> Start:
     if len(some) == len(train):
         return every
     fewer = replace(geometric, weight=geometric.weight[some], residual=geometric.residual[some])
-    return Start(fewer, train.select(some), every.limit[some])
+    return Start(fewer, train.select(some), every.limit[some], every.progress)
 
 
 def _widened(every: Start, state: State, current: Fit) -> Fit:
     """What was found on some of the rows, fitted to all of them."""
     if not state.active:
         return every.geometric
-    asked = problem(current.model, every.train)
+    asked = problem(current.model, every.train, every.progress)
     used = ~flagged(asked.scaled_residual(current.theta), every.train.channels, every.limit)
     constants = tuple(c for c in current.model.coefficients if c.basis.constant)
     return refit_constants(every, constants, replace(state, used=used), current)
 
 
-def _unnamed(model: LinearModel, unnamed: Sequence[Effect], named: Found, observed: Observed, fresh: bool) -> Found:
+def _unnamed(
+    model: LinearModel,
+    unnamed: Sequence[Effect],
+    named: Found,
+    observed: Observed,
+    fresh: bool,
+    progress: Progress,
+) -> Found:
     """Smooth functions of one covariate, and then of two, for what no kind of effect explains."""
-    more = search(model, unnamed, named.state, UNNAMED, exchange=fresh)
+    more = search(model, unnamed, named.state, UNNAMED, exchange=fresh, progress=progress)
     rejected, tested = named.rejected + more.rejected[:1], named.tested + more.tested
     for k in range(PAIRED):
         before = more.state
-        places, looked = pairs(model, before, observed.varying())
+        places, looked = pairs(model, before, observed.varying(), progress)
         library = [pair(observed, *place) for place in places]
-        more = search(model.prepare(library), library, before, 1, looked, fresh)
+        more = search(model.prepare(library), library, before, 1, looked, fresh, progress)
         tested += looked if k == 0 else 0
         if len(more.state.active) == len(before.active):
             break
@@ -319,7 +327,7 @@ def _large_first(
 def _best_rival(start: Start, place: Place, named: Sequence[Effect], state: State) -> tuple[Fit, State] | None:
     """The large effect that explains most on the exact model, refitted with it; None if there is no large effect."""
     linear = place.linear
-    ranked = rank(linear, named, state)
+    ranked = rank(linear, named, state, progress=start.progress)
     top = ranked[0][1].gain if ranked else 0.0
     large = [(e, s) for e, s in ranked[:RIVALS] if s.gain > max(LARGE, RIVAL_SHARE * top)]
     rivals = {(e.kind, e.where, e.motion): (e, s) for e, s in reversed(large)}

@@ -17,6 +17,7 @@ from aridcal.fit.least_squares import Fit, Prior, fit
 from aridcal.fit.residual import problem, triangle
 from aridcal.inputs.dataset import Dataset
 from aridcal.search.linear_model import Active, LinearModel, State
+from aridcal.showing import SILENT, Progress
 
 FOLDS = 5
 """Parts that are held back in turn: as usual, and four fifths of the rows are enough to tell an effect."""
@@ -36,11 +37,13 @@ class Start:
         geometric: The geometric stage.
         train: The rows that it was fitted to.
         limit: Sigmas beyond which each of them is flagged, shape (N,).
+        progress: Told how far each pass over the rows is.
     """
 
     geometric: Fit
     train: Dataset
     limit: np.ndarray
+    progress: Progress = SILENT
 
 
 def refit(start: Start, state: State, current: Fit) -> Fit:
@@ -61,7 +64,7 @@ def refit_constants(start: Start, constants: tuple[Coefficient, ...], state: Sta
     model = geometric.model.with_coefficients(constants + effects)
     known = dict(zip(current.model.names, current.theta, strict=True))
     theta = np.array([known.get(name, 0.0) for name in model.names])
-    asked = problem(model, start.train)
+    asked = problem(model, start.train, start.progress)
     weight = np.where(state.used, 1.0, 0.0)
     found = fit(asked, theta, weight, _prior(geometric, constants, state))
     redundant = {name: why for name, why in geometric.redundant.items() if name not in model.names}
@@ -109,7 +112,7 @@ def _regained(start: Start, found: Fit) -> tuple[Coefficient, ...]:
         return ()
     model = found.model.with_coefficients(found.model.coefficients + dropped)
     theta = np.concatenate([found.theta, np.zeros(len(dropped))])
-    R = triangle(problem(model, start.train), theta, found.weight, found.sigma)
+    R = triangle(problem(model, start.train, start.progress), theta, found.weight, found.sigma)
     kept = identifiable(R, range(len(theta))).kept
     return tuple(c for k, c in enumerate(model.coefficients) if k >= len(found.theta) and k in kept)
 
@@ -163,9 +166,7 @@ def linear_model(
 def _folds(train: Dataset) -> tuple[np.ndarray, np.ndarray]:
     """Stretches of time, and folds that keep repeats together, one number each for every row, shape (N,)."""
     n = len(train)
-    time = train.covariates.get("time")
-    order = np.argsort(time, kind="stable") if time is not None and not np.isnan(time).any() else np.arange(n)
     run = np.empty(n, dtype=int)
-    run[order] = np.arange(n) * min(RUNS, n) // n
+    run[train.sequence] = np.arange(n) * min(RUNS, n) // n
     number = np.random.default_rng(0).permutation(int(train.configuration.max()) + 1)
     return run, number[train.configuration] % FOLDS

@@ -15,6 +15,7 @@ from aridcal.fit.flags import OUTLIER
 from aridcal.fit.normal_equations import TINY
 from aridcal.fit.residual import distance
 from aridcal.search.linear_model import LinearModel, State
+from aridcal.showing import SILENT, Progress
 
 SCANNED = 800
 """Orders of a joint's error that are looked through, a quarter period over its range apart: gears of up to 200 teeth over
@@ -167,7 +168,7 @@ def _loud_orders(q: np.ndarray, pull: np.ndarray, weight: float) -> list[float]:
 
 
 def pairs(
-    model: LinearModel, state: State, covariates: Sequence[str]
+    model: LinearModel, state: State, covariates: Sequence[str], progress: Progress = SILENT
 ) -> tuple[list[tuple[str, str, tuple[str, str]]], int]:
     """Where and of which two covariates a smooth function would explain most, and how many were looked at.
 
@@ -181,7 +182,7 @@ def pairs(
     pull[:, weight.sum(0) <= 0.0] = 0.0
     frames = [(s, slot) for s, slot in enumerate(model.slots) if slot[1] in FRAME_COMPONENTS]
     found = []
-    for a, b in combinations(covariates, 2):
+    for a, b in progress.over(list(combinations(covariates, 2)), "pairs"):
         waves = [np.polynomial.legendre.legvander(_centred(model.table[name][used]), DEGREE) for name in (a, b)]
         products = np.einsum("ni,nj->nij", *waves).reshape(len(pull), -1)
         along = np.linalg.qr(products)[0].T @ pull

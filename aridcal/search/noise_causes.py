@@ -9,7 +9,7 @@ what was found.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -19,7 +19,7 @@ from scipy.spatial import cKDTree
 from aridcal.effects.basis import Basis
 from aridcal.effects.effect import Coefficient
 from aridcal.fit.least_squares import Fit, thin
-from aridcal.fit.residual import BLOCK, FLOOR, Problem, problem, scaled
+from aridcal.fit.residual import BLOCK, FLOOR, Problem, motions, problem, scaled
 from aridcal.fit.variance_components import Components, Scatter, estimate, one_more
 from aridcal.inputs.channels import TARGET_POSITION, TARGET_ROTATION, columns, spread
 from aridcal.inputs.dataset import Dataset, factors
@@ -27,6 +27,7 @@ from aridcal.search.diagnose import SEARCHED
 from aridcal.search.exact import GAUGE
 from aridcal.search.linear_model import Active
 from aridcal.search.noise_tests import NEIGHBOURS
+from aridcal.showing import SILENT, Progress
 
 MATTERS = 0.05
 """Share of a channel's variance, at the row where it is largest, from which causes beyond the channels change the weights:
@@ -122,13 +123,14 @@ class _Asked:
     block: np.ndarray
 
 
-def noise_causes(fit: Fit, active: Sequence[Active], rows: Dataset) -> NoiseCauses | None:
+def noise_causes(fit: Fit, active: Sequence[Active], rows: Dataset, progress: Progress = SILENT) -> NoiseCauses | None:
     """Find what the scatter is made of; None if there are too few rows to ask.
 
     Args:
         fit: The final model, fitted to the training rows.
         active: Its effects.
         rows: All rows, scaled by what the campaign says of their noise. Held-out rows are not asked; they are weighed.
+        progress: Told how many causes are found.
     """
     asked = problem(fit.model, rows)
     some = _sound(asked, fit)
@@ -142,6 +144,7 @@ def noise_causes(fit: Fit, active: Sequence[Active], rows: Dataset) -> NoiseCaus
     found = estimate(scatter, np.maximum(fit.estimated, FLOOR) ** 2, channels)
     while (more := one_more(scatter, found, channels)) is not None:
         k, found = more
+        progress.part(int(found.free.sum()), len(possible), "causes")
         # What comes back stays in the model here, so that no other cause has to take it over, but it is not noise.
         structured[k] = _comes_back(found, k, possible[k].root[some], orders)
     return _told(possible, found, structured, rows, some)
@@ -179,7 +182,8 @@ def _possible(asked: Problem, theta: np.ndarray) -> list[_Asked]:
     m = sum(channel.size for channel in rows.channels)
     ones = Basis("ones", (model.robot.names[0],))
     slots = tuple(Coefficient(j.name, "axis", ones) for j in model.robot.joints)
-    p, J = _motions(replace(asked, model=model.with_coefficients((*model.coefficients, *slots))), theta, len(slots))
+    more = problem(model.with_coefficients((*model.coefficients, *slots)), rows)
+    _, p, J = motions(more, np.concatenate([theta, np.zeros(len(slots))]), len(slots))
     found = []
     for channel, part in zip(rows.channels, columns(rows.channels), strict=True):
         found.append(_asked("channel", channel.name, channel.unit, np.eye(m)[None, :, part], len(rows)))
@@ -205,18 +209,6 @@ def _from_the_instrument(rows: Dataset, p: np.ndarray, m: int) -> Iterator[tuple
             yield "sight", channel.name, "rad", root
 
 
-def _motions(asked: Problem, theta: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Target positions, shape (N, 3), and its twists per unit of the last ``count`` coefficients, shape (N, 6, count)."""
-    theta = np.concatenate([theta, np.zeros(count)])
-    rows = asked.model.rows(asked.data.readings, asked.data.conditions, asked.data.station)
-    p, J = [], []
-    for start in range(0, len(rows), BLOCK):
-        _, there, every = asked.model.jacobian(theta, rows[start : start + BLOCK])
-        p.append(there)
-        J.append(every[:, :, -count:].copy())
-    return np.concatenate(p), np.concatenate(J)
-
-
 def _asked(kind: Kind, name: str, unit: str, root: np.ndarray, n: int) -> _Asked:
     """A cause from its root."""
     block = root @ root.transpose(0, 2, 1)
@@ -229,21 +221,18 @@ def _orders(rows: Dataset) -> list[np.ndarray]:
     In time (as they stand, where there is no time), along every reading, and in all readings at once, where repeats are
     nearest.
     """
-    time = rows.covariates.get("time")
-    timed = time is not None and bool(np.isfinite(time).all())
-    found = [_successors(time if timed and time is not None else np.arange(len(rows)))]
+    found = [_successors(rows.sequence)]
     deviation = rows.readings.std(axis=0)
     moves = deviation > FLOOR
-    found += [_successors(q) for q in rows.readings.T[moves]]
+    found += [_successors(np.argsort(q, kind="stable")) for q in rows.readings.T[moves]]
     points = rows.readings[:, moves] / deviation[moves]
     near = np.asarray(cKDTree(points).query(points, k=NEIGHBOURS + 1)[1])[:, 1:]
     pairs = np.column_stack([np.repeat(np.arange(len(rows)), NEIGHBOURS), near.ravel()])
     return [*found, np.unique(np.sort(pairs, axis=1), axis=0)]
 
 
-def _successors(values: np.ndarray) -> np.ndarray:
-    """Pairs of rows that are at most :data:`REACH` apart when ordered by values of shape (N,)."""
-    order = np.argsort(values, kind="stable")
+def _successors(order: np.ndarray) -> np.ndarray:
+    """Pairs of rows that are at most :data:`REACH` apart in an order of shape (N,)."""
     return np.concatenate([np.column_stack([order[:-k], order[k:]]) for k in range(1, REACH + 1)])
 
 

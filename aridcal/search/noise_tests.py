@@ -7,7 +7,7 @@ them, corrected for their number.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -20,10 +20,11 @@ from aridcal.effects.effect import Coefficient
 from aridcal.fit.least_squares import Fit
 from aridcal.fit.noise import Repeats
 from aridcal.fit.normal_equations import TINY
-from aridcal.fit.residual import problem, scaled
+from aridcal.fit.residual import motions, problem, scaled
 from aridcal.inputs.channels import columns, spread
 from aridcal.inputs.dataset import Dataset
 from aridcal.search.change_points import SIDE
+from aridcal.showing import SILENT, Progress
 
 SURE = 7e-4
 """Chance of a false alarm of each question. There are seven at the most: one of 200 clean campaigns is called structured."""
@@ -36,6 +37,9 @@ NEIGHBOURS = 4
 
 FEWEST = 16
 """Rows at the least that neighbours are sought among: with fewer, each neighbourhood is a quarter of the table."""
+
+PAIRS = 262_144
+"""Pairs of rows that are multiplied together: 40 MB for a seven-axis arm, however many rows there are."""
 
 SHUFFLES = 400
 """Orders drawn at random that tell how much chance varies: its spread is then known to 4 %."""
@@ -82,7 +86,12 @@ class Clue:
 
 
 def clues(
-    rows: Dataset, residual: np.ndarray, repeats: Repeats | None, freedom: float, fit: Fit | None = None
+    rows: Dataset,
+    residual: np.ndarray,
+    repeats: Repeats | None,
+    freedom: float,
+    fit: Fit | None = None,
+    progress: Progress = SILENT,
 ) -> list[Clue]:
     """Ask whether residuals are white.
 
@@ -92,6 +101,7 @@ def clues(
         repeats: Scatter of repeated configurations, if there are any.
         freedom: Share of the numbers that is left after fitting, 0 to 1.
         fit: The model, for the target's axes and the joints' motions; without it, world axes are all that is asked.
+        progress: Told how often the rows are shuffled.
     """
     sigma = np.array([np.sqrt(np.mean(residual[:, part] ** 2)) for part in columns(rows.channels)])
     white = residual / spread(sigma, rows.channels)
@@ -100,9 +110,9 @@ def clues(
         found.append(_repeated(repeats, sigma, residual.shape[1]))
     if len(white) > FEWEST:
         views = [View("in world axes", white), *(_other_views(rows, residual, sigma, fit) if fit else ())]
-        found.append(_neighbours(views, rows.readings))
-        found.append(_order(views, rows.covariates.get("time")))
-        found += _changes(views, rows)
+        found.append(_neighbours(views, rows.readings, progress))
+        found.append(_order(views, rows, progress))
+        found += _changes(views, rows, progress)
     return found + _stated(rows, sigma, len(residual) * freedom)
 
 
@@ -112,16 +122,16 @@ def _other_views(rows: Dataset, residual: np.ndarray, sigma: np.ndarray, fit: Fi
     With J a joint's column and r the residual of a row, both in sigmas, J'r / |J| is the part of r along that motion: white
     and of variance 1 if r is.
     """
-    robot, K = fit.model.robot, len(fit.theta)
+    robot = fit.model.robot
     ones = Basis("ones", (robot.names[0],))
     moved = [Coefficient(name, "axis", ones) for name in robot.names]
     asked = problem(fit.model.with_coefficients((*fit.model.coefficients, *moved)), rows)
-    R, _, twists = asked.model.jacobian(np.concatenate([fit.theta, np.zeros(len(moved))]), asked.rows)
+    R, _, twists = motions(asked, np.concatenate([fit.theta, np.zeros(len(moved))]), len(moved))
     parts = columns(rows.channels)
     turned = np.concatenate([np.einsum("nji,nj->ni", R, residual[:, part]) for part in parts], axis=1)
     scale = spread(sigma, rows.channels)
     views = [View("in the target's axes", turned / scale)]
-    J = scaled(twists[:, : len(scale), K:], rows.relative) / scale[:, None]
+    J = scaled(twists[:, : len(scale)], rows.relative) / scale[:, None]
     lever = np.linalg.norm(J, axis=1)
     along = np.einsum("nms,nm->ns", J, residual / scale) / np.maximum(lever, TINY)
     for k, name in enumerate(robot.names):
@@ -139,28 +149,27 @@ def _repeated(repeats: Repeats, sigma: np.ndarray, m: int) -> Clue:
     return Clue("repeats", "repeats scatter less than the residual", share, p_value)
 
 
-def _neighbours(views: Sequence[View], readings: np.ndarray) -> Clue:
+def _neighbours(views: Sequence[View], readings: np.ndarray, progress: Progress) -> Clue:
     """Do rows at near configurations err alike? Distances in standard deviations of each joint's readings."""
     deviation = readings.std(axis=0)
     moves = deviation > 1e-9
     points = readings[:, moves] / deviation[moves]
     near = np.asarray(cKDTree(points).query(points, k=NEIGHBOURS + 1)[1])
     rows, others = np.repeat(np.arange(len(points)), NEIGHBOURS), near[:, 1:].ravel()
-    return _alike("neighbours", "neighbouring configurations have similar residuals", views, rows, others)
+    return _alike("neighbours", "neighbouring configurations have similar residuals", views, rows, others, progress)
 
 
-def _order(views: Sequence[View], time: np.ndarray | None) -> Clue:
+def _order(views: Sequence[View], rows: Dataset, progress: Progress) -> Clue:
     """Do rows that follow one another err alike?"""
-    order = np.argsort(time, kind="stable") if time is not None else np.arange(len(views[0].white))
-    what = (
-        "consecutive measurements have similar residuals"
-        if time is not None
-        else "consecutive rows have similar residuals"
-    )
-    return _alike("order", what, views, order[:-1], order[1:])
+    order = rows.sequence
+    each = "measurements" if "time" in rows.covariates else "rows"
+    what = f"consecutive {each} have similar residuals"
+    return _alike("order", what, views, order[:-1], order[1:], progress)
 
 
-def _alike(question: Question, what: str, views: Sequence[View], first: np.ndarray, second: np.ndarray) -> Clue:
+def _alike(
+    question: Question, what: str, views: Sequence[View], first: np.ndarray, second: np.ndarray, progress: Progress
+) -> Clue:
     """Correlation of pairs of rows; how much chance varies comes from shuffled rows.
 
     Args:
@@ -169,20 +178,43 @@ def _alike(question: Question, what: str, views: Sequence[View], first: np.ndarr
         views: Residuals in sigmas.
         first: One row of each pair, shape (pairs,).
         second: The other.
+        progress: Told how often they are shuffled.
     """
     rng = np.random.default_rng(0)
     white, starts = _side_by_side(views)
 
+    ends = range(0, len(first), PAIRS)
+    one, other = np.empty((2, min(PAIRS, len(first)), white.shape[1]))
+    mixed = np.empty_like(white)
+
     def correlations(r: np.ndarray) -> np.ndarray:
-        return np.asarray(np.add.reduceat(np.einsum("nm,nm->m", r[first], r[second]), starts))
+        total = np.zeros(r.shape[1])
+        for pairs in (slice(start, start + PAIRS) for start in ends):
+            n = len(first[pairs])
+            _picked(r, first[pairs], one[:n])
+            _picked(r, second[pairs], other[:n])
+            total += np.einsum("nm,nm->m", one[:n], other[:n])
+        return np.asarray(np.add.reduceat(total, starts))
 
     numbers = len(first) * np.array([view.white.shape[1] for view in views])
     seen = correlations(white) / numbers
-    shuffled = np.array([correlations(white[rng.permutation(len(white))]) for _ in range(SHUFFLES)]) / numbers
+    shuffled = (
+        np.array([correlations(_picked(white, rng.permutation(len(white)), mixed)) for _ in _shuffles(progress)])
+        / numbers
+    )
     z = (seen - shuffled.mean(axis=0)) / np.maximum(shuffled.std(axis=0), 1e-12)
     best = int(np.argmax(z))
     p_value = min(1.0, len(views) * float(norm.sf(z[best])))
     return Clue(question, f"{what} {views[best].words}", float(np.clip(seen[best], 0.0, 1.0)), p_value)
+
+
+def _picked(values: np.ndarray, rows: np.ndarray, into: np.ndarray) -> np.ndarray:
+    """Some rows of an array, written into another one: to make it anew each time takes three times as long as to fill it."""
+    return np.take(values, rows, axis=0, out=into, mode="clip")
+
+
+def _shuffles(progress: Progress) -> Iterator[int]:
+    return progress.over(range(SHUFFLES), "shuffles of the rows")
 
 
 def _side_by_side(views: Sequence[View]) -> tuple[np.ndarray, np.ndarray]:
@@ -191,19 +223,19 @@ def _side_by_side(views: Sequence[View]) -> tuple[np.ndarray, np.ndarray]:
     return np.hstack([view.white for view in views]), np.cumsum([0, *sizes[:-1]])
 
 
-def _changes(views: Sequence[View], rows: Dataset) -> list[Clue]:
-    """Did the residual jump between two rows? In the order of the files, and of time if that is another one."""
-    order = np.argsort(rows.order, kind="stable")
-    found = [_change(views, rows, order, "")]
-    time = rows.covariates.get("time")
-    if time is not None and not np.isnan(time).any():
-        timed = np.argsort(time, kind="stable")
-        if not np.array_equal(order, timed):
-            found.append(_change(views, rows, timed, " in the order of time"))
+def _changes(views: Sequence[View], rows: Dataset, progress: Progress) -> list[Clue]:
+    """Did the residual jump between two rows? File by file, and in the order of time if that is another one."""
+    sequence = rows.sequence
+    by_file = sequence[np.argsort(rows.file[sequence], kind="stable")]
+    orders = [by_file] if np.array_equal(by_file, sequence) else [by_file, sequence]
+    found = []
+    for order in orders:
+        words = "" if np.array_equal(order, rows.as_read) else " in the order of time"
+        found.append(_change(views, rows, order, words, progress))
     return found
 
 
-def _change(views: Sequence[View], rows: Dataset, order: np.ndarray, words: str) -> Clue:
+def _change(views: Sequence[View], rows: Dataset, order: np.ndarray, words: str, progress: Progress) -> Clue:
     r"""The largest step of the mean of any view, over all rows where it might be.
 
     .. math:: x = \max_k \frac{|S_k|^2}{k (1 - k / N)}, \qquad S_k = \sum_{n \le k} (r_n - \bar r)
@@ -218,13 +250,19 @@ def _change(views: Sequence[View], rows: Dataset, order: np.ndarray, words: str)
     before = np.arange(min(SIDE, n // 2), n - min(SIDE, n // 2) + 1)
     weight = before * (1.0 - before / n)
 
+    mixed, sums = np.empty_like(white), np.empty_like(white)
+
     def statistics(r: np.ndarray) -> np.ndarray:
-        squares = np.cumsum(r, axis=0)[before - 1] ** 2 / weight[:, None]
+        squares = np.cumsum(r, axis=0, out=sums)[before[0] - 1 : before[-1]]
+        squares **= 2
+        squares /= weight[:, None]
         return np.asarray(np.add.reduceat(squares, starts, axis=1))
 
     steps = statistics(white[order])
     seen = steps.max(axis=0)
-    shuffled = np.array([statistics(white[rng.permutation(n)]).max(axis=0) for _ in range(SHUFFLES)])
+    shuffled = np.array(
+        [statistics(_picked(white, rng.permutation(n), mixed)).max(axis=0) for _ in _shuffles(progress)]
+    )
     scale = np.maximum(shuffled.std(axis=0), 1e-12) * np.sqrt(6.0) / np.pi
     place = shuffled.mean(axis=0) - np.euler_gamma * scale
     chances = gumbel_r.sf(seen, place, scale)

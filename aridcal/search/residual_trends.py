@@ -13,9 +13,10 @@ from aridcal.effects.effect import Coefficient
 from aridcal.effects.loads import covariate_table
 from aridcal.fit.least_squares import Fit
 from aridcal.fit.normal_equations import TINY
-from aridcal.fit.residual import FLOOR, problem, scaled
+from aridcal.fit.residual import FLOOR, motions, problem, scaled
 from aridcal.inputs.channels import columns, spread
 from aridcal.inputs.dataset import Dataset
+from aridcal.showing import SILENT, Progress
 
 SLICE, MOST_SLICES = 20, 48
 """Rows of a slice at the least, for its mean to be known to a fifth of the scatter; slices at the most, to be drawn."""
@@ -140,7 +141,7 @@ class _Pulled:
     weight: np.ndarray
 
 
-def trace(fit: Fit, rows: Dataset, before: np.ndarray, after: np.ndarray) -> Traces:
+def trace(fit: Fit, rows: Dataset, before: np.ndarray, after: np.ndarray, progress: Progress = SILENT) -> Traces:
     """Trace residuals to joints, columns and time.
 
     Args:
@@ -148,6 +149,7 @@ def trace(fit: Fit, rows: Dataset, before: np.ndarray, after: np.ndarray) -> Tra
         rows: The N rows in use.
         before: Residuals of the model without effects, shape (N, m), [m] and [rad].
         after: Residuals of the final model.
+        progress: Told how many covariates are asked about.
     """
     robot = fit.model.robot
     pulled = _pull(fit, rows, before, after)
@@ -159,9 +161,9 @@ def trace(fit: Fit, rows: Dataset, before: np.ndarray, after: np.ndarray) -> Tra
     asked = {name: v for name, v in table.items() if _varies(v) and ".gravity_moment" not in name}
     return Traces(
         joints=tuple(_trace(own[name], name, asked[name]) for name in robot.names if name in own and name in asked),
-        strongest=tuple(_strongest(pulled, name, values) for name, values in asked.items()),
+        strongest=tuple(_strongest(pulled, name, asked[name]) for name in progress.over(list(asked), "covariates")),
         asked=len(pulled) * len(asked),
-        order=_order(after, rows.covariates.get("time")),
+        order=_order(after, rows),
     )
 
 
@@ -175,7 +177,7 @@ def _pull(fit: Fit, rows: Dataset, before: np.ndarray, after: np.ndarray) -> lis
     Weighted least squares in one unknown: with J the joint's column and r the residual, both in sigmas, a row asks for
     :math:`J^T r / J^T J`, known with variance :math:`1 / J^T J`.
     """
-    robot, K = fit.model.robot, len(fit.theta)
+    robot = fit.model.robot
     ones = Basis("ones", (robot.names[0],))
     turned = [Coefficient(name, "axis", ones) for name in robot.names]
     asked = problem(fit.model.with_coefficients((*fit.model.coefficients, *turned)), rows)
@@ -184,7 +186,7 @@ def _pull(fit: Fit, rows: Dataset, before: np.ndarray, after: np.ndarray) -> lis
     # The noise that the residual shows, not the declared one: a pattern is sought, whatever the size.
     seen = [max(float(np.sqrt(np.mean(left[:, part] ** 2))), FLOOR) for part in columns(rows.channels)]
     sigma = spread(np.array(seen), rows.channels)
-    twists = asked.model.jacobian(theta, asked.rows)[2][:, : len(sigma), K:]
+    twists = motions(asked, theta, len(turned))[2][:, : len(sigma)]
     J = scaled(twists, rows.relative) / sigma[:, None]
     found = []
     for k, joint in enumerate(robot.joints):
@@ -290,10 +292,9 @@ def _smooth(m: _Means, at: np.ndarray) -> np.ndarray:
     return curve
 
 
-def _order(residual: np.ndarray, time: np.ndarray | None) -> Order:
+def _order(residual: np.ndarray, rows: Dataset) -> Order:
     """Changes of sign, and correlation over so many rows, in the order of time (of the table, where there is none)."""
-    timed = time is not None and bool(np.isfinite(time).all())
-    order = np.argsort(time, kind="stable") if timed and time is not None else np.arange(len(residual))
+    order = rows.sequence
     r = residual[order]
     n, m = r.shape
     square = np.sum(r**2, axis=0)
@@ -302,7 +303,7 @@ def _order(residual: np.ndarray, time: np.ndarray | None) -> Order:
     changes = int(np.sum(np.diff(np.sign(r), axis=0) != 0))
     expected, deviation = m * (n - 1) / 2, float(np.sqrt(m * (n - 1)) / 2)
     return Order(
-        timed=timed,
+        timed=bool(np.isfinite(rows.covariates.get("time", np.nan)).all()),
         order=order,
         lags=lags,
         correlation=correlation,

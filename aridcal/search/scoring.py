@@ -19,6 +19,7 @@ from aridcal.fit.normal_equations import accumulate
 from aridcal.search.change_points import walk_instead
 from aridcal.search.evidence import SMOOTH_PRICE, Score, coefficients, price, score, shaped, smooth_tail, solve, tail
 from aridcal.search.linear_model import Active, LinearModel, State, activate, flat, with_candidate
+from aridcal.showing import SILENT, Progress
 
 ALPHA = 3e-4
 """Chance that a clean campaign shows any effect at all, by these tests alone: one in three thousand."""
@@ -65,7 +66,7 @@ class Judgement:
     why: str
 
 
-def score_all(model: LinearModel, effects: Sequence[Effect], state: State) -> list[Score]:
+def score_all(model: LinearModel, effects: Sequence[Effect], state: State, progress: Progress = SILENT) -> list[Score]:
     """Score candidates against a solved state, each alone: what they add, their columns projected off the model's."""
     A = state.whitened(state.design)
     r = state.whitened(state.flat(state.residual))
@@ -73,6 +74,7 @@ def score_all(model: LinearModel, effects: Sequence[Effect], state: State) -> li
     G, phi = _slots_whitened(model, state), model.phi[state.used]
     found: list[Score] = []
     for group in _chunks(effects):
+        progress.part(len(found), len(effects), "candidates")
         C = _candidate_columns(model, state, group, G, phi)
         CA, Cr, CC = C.T @ A, C.T @ r, C.T @ C
         projected = CC - CA @ state.solution.inverse @ CA.T

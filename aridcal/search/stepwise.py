@@ -14,6 +14,7 @@ from aridcal.search.evidence import Score
 from aridcal.search.hints import hinted
 from aridcal.search.linear_model import LinearModel, State, activate, solve_state
 from aridcal.search.scoring import ALPHA, Judgement, held_back_squares, judge, refine, score_all
+from aridcal.showing import SILENT, Progress
 
 CLOSE = 3.0
 """[nat] by which another candidate may be worse and still be confounded with the one named: odds of 20 to 1."""
@@ -74,6 +75,7 @@ def search(
     most: int = MOST,
     tested: int = 0,
     exchange: bool = True,
+    progress: Progress = SILENT,
 ) -> Found:
     """Add effects one at a time, test again what was taken and what was not, until nothing more is worth it.
 
@@ -84,16 +86,17 @@ def search(
         most: Effects to add at the most.
         tested: Candidates of which the library holds the most promising ones, if it does.
         exchange: Whether effects may be exchanged for others; else they are only added.
+        progress: Told how many candidates are scored.
     """
     tested = max(tested, len(library))
     state, most = start, most + len(start.active)
     rejected: tuple[Judgement, ...] = ()
     small = is_small(model, library)
     for _ in range(PASSES if small else 1):
-        state, rejected = _forward(model, library, state, most, small, tested)
+        state, rejected = _forward(model, library, state, most, small, tested, progress)
         if not exchange:
             break
-        tidied = _tidy(model, library, state, 2 if small else 1, tested)
+        tidied = _tidy(model, library, state, 2 if small else 1, tested, progress)
         same = [a.effect for a in tidied.active] == [a.effect for a in state.active]
         state = tidied
         if same:
@@ -101,15 +104,16 @@ def search(
     return Found(state, rejected, tested)
 
 
-def confirmed(model: LinearModel, state: State, tested: int) -> State:
+def confirmed(model: LinearModel, state: State, tested: int, progress: Progress = SILENT) -> State:
     """The model without those of its effects that would not pass the gates now, tried one after the other.
 
     Args:
         model: The linearised model.
         state: Solved with effects that were found on other rows or with other weights.
         tested: Candidates among which they stood out.
+        progress: Told how many are tried.
     """
-    for effect in [a.effect for a in state.active if not a.stated]:
+    for effect in progress.over([a.effect for a in state.active if not a.stated], "effects"):
         rest = [a for a in state.active if a.effect != effect]
         without = solve_state(model, rest, state.solution.sigma, state.used, fixed=True)
         found = refine(model, without, effect, score_all(model, [effect], without)[0])
@@ -124,11 +128,14 @@ def is_small(model: LinearModel, library: Sequence[Effect]) -> bool:
     return model.r.size * len(library) < SMALL and all(KINDS[e.kind].named for e in library)
 
 
-def twins(model: LinearModel, library: Sequence[Effect], state: State) -> tuple[tuple[Effect, ...], ...]:
+def twins(
+    model: LinearModel, library: Sequence[Effect], state: State, progress: Progress = SILENT
+) -> tuple[tuple[Effect, ...], ...]:
     """For each effect, the candidates that would do about as well in its place."""
     small = is_small(model, library)
     return tuple(
-        _twins(model, library, state, k) if small or not a.effect.smooth else () for k, a in enumerate(state.active)
+        _twins(model, library, state, k, progress) if small or not a.effect.smooth else ()
+        for k, a in enumerate(state.active)
     )
 
 
@@ -138,6 +145,7 @@ def rank(
     state: State,
     hints: Collection[str] = (),
     also: Sequence[Effect] = (),
+    progress: Progress = SILENT,
 ) -> list[tuple[Effect, Score]]:
     """Score every candidate that is not in the model; the best first, the first few with their noise apart.
 
@@ -147,6 +155,7 @@ def rank(
         state: The model as it is.
         hints: Kinds of which those that the residual hints at are candidates too.
         also: Further candidates, as they are.
+        progress: Told how many are scored.
     """
     jumps = [e for e in library if e.at is not None]
     library = [*(e for e in library if e.at is None), *best_steps(model, state, jumps), *also]
@@ -154,7 +163,7 @@ def rank(
     held = {(kind, e.where) for e in taken if not e.hinted for kind in KINDS[e.kind].holds}
     every = dict.fromkeys([*library, *hinted(model, state, hints)])
     free = [e for e in every if e not in taken and not _is_held(e, held)]
-    found = score_all(model, free, state)
+    found = score_all(model, free, state, progress)
     order = sorted(range(len(free)), key=lambda k: -found[k].gain)
     enough = PROMISING * found[order[0]].gain if order else 0.0
     head = [free[k] for k in order if found[k].gain > max(enough, 0.0)][:REFINED]
@@ -169,14 +178,20 @@ def _is_held(effect: Effect, held: set[tuple[str, str]]) -> bool:
 
 
 def _forward(
-    model: LinearModel, library: Sequence[Effect], state: State, most: int, small: bool, tested: int
+    model: LinearModel,
+    library: Sequence[Effect],
+    state: State,
+    most: int,
+    small: bool,
+    tested: int,
+    progress: Progress,
 ) -> tuple[State, tuple[Judgement, ...]]:
     rejected: tuple[Judgement, ...] = ()
     seen = {frozenset(a.effect for a in state.active)}
     kinds = {e.kind for e in library}
     while len(state.active) < most:
         before, state = state, _with_rows_of_hints(model, state, kinds)
-        ranked = rank(model, library, state, kinds)
+        ranked = rank(model, library, state, kinds, progress=progress)
         judgements = []
         chosen = None
         for effect, found in ranked[:JUDGED]:
@@ -193,7 +208,7 @@ def _forward(
             break
         state = solve_state(model, (*state.active, chosen), state.solution.sigma, state.used)
         if small and len(state.active) > 1:
-            state = _tidy(model, library, state, 1, tested)
+            state = _tidy(model, library, state, 1, tested, progress)
         if frozenset(a.effect for a in state.active) in seen:
             break  # what is added is taken out again: this goes round in circles
         seen.add(frozenset(a.effect for a in state.active))
@@ -213,7 +228,9 @@ def _with_rows_of_hints(model: LinearModel, state: State, kinds: Collection[str]
     )
 
 
-def _tidy(model: LinearModel, library: Sequence[Effect], state: State, rounds: int, tested: int) -> State:
+def _tidy(
+    model: LinearModel, library: Sequence[Effect], state: State, rounds: int, tested: int, progress: Progress
+) -> State:
     """Take each effect out in turn: drop it if it is not missed, exchange it if another does better in its place."""
     kinds = {e.kind for e in library}
     # Harmonics of an order of their own, and steps, are no part of the library, but are tried again like all else.
@@ -226,7 +243,7 @@ def _tidy(model: LinearModel, library: Sequence[Effect], state: State, rounds: i
             if len(active) == len(state.active) or effect not in known:
                 continue
             without = solve_state(model, active, state.solution.sigma, state.used, fixed=True)
-            ranked = rank(model, library, without, {effect.kind}, also)
+            ranked = rank(model, library, without, {effect.kind}, also, progress)
             mine = next((s for e, s in ranked if e == effect), None)
             if mine is None:  # a map of the same joint, taken since, holds it
                 state = without
@@ -242,12 +259,14 @@ def _tidy(model: LinearModel, library: Sequence[Effect], state: State, rounds: i
     return state
 
 
-def _twins(model: LinearModel, library: Sequence[Effect], state: State, k: int) -> tuple[Effect, ...]:
+def _twins(
+    model: LinearModel, library: Sequence[Effect], state: State, k: int, progress: Progress
+) -> tuple[Effect, ...]:
     """Candidates that would do about as well in the place of one of the effects."""
     mine = state.active[k]
     active = [a for a in state.active if a is not mine]
     without = solve_state(model, active, state.solution.sigma, state.used, fixed=True)
-    ranked = rank(model, library, without, also=[mine.effect])
+    ranked = rank(model, library, without, also=[mine.effect], progress=progress)
     own = next((s for e, s in ranked if e == mine.effect), None)
     if own is None:
         return ()

@@ -1,0 +1,1 @@
+"""Fuzzing of every reader: inputs that nobody would write, by the million."""

@@ -1,0 +1,146 @@
+"""The readers under attack, one row each: a file of any bytes goes in, and only an `AridcalError` may come out."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from aridcal.errors import AridcalError, RobotError
+from aridcal.head.matching import NotMeasured
+from aridcal.head.shots import board, read_image, read_ranges, shots_of
+from aridcal.inputs.campaign import Campaign, load_campaign
+from aridcal.inputs.head_settings import ArmSettings, HeadSettings, load_shots, load_squares
+from aridcal.inputs.query import load_query
+from aridcal.inputs.read import load_measurements
+from aridcal.inputs.yaml_file import load_settings, parse_settings
+from aridcal.prepare.scenario import Scenario, check_scenario
+from aridcal.reading.files import URDF, read_file
+from aridcal.result.saved_model import SavedModel
+from aridcal.robot.chain import Robot, chain, load_robot
+from aridcal.robot.doty import doty_links
+from aridcal.robot.splice import splice_origins
+from aridcal.robot.tree import read_tree
+
+CORPUS = Path(__file__).parent / "corpus"
+"""A folder of small files for each reader."""
+
+
+@dataclass(frozen=True)
+class Target:
+    """A reader.
+
+    Attributes:
+        read: Takes the path of a file, and does with it all that a command would before the mathematics begins.
+        suffix: Of that file.
+        longest: Bytes that a mutant may have: what is wrong with a long file is wrong with a short one, and sooner found.
+        kind: Text is mutated by lines and words too, binary files by bytes alone.
+    """
+
+    read: Callable[[Path], object]
+    suffix: str
+    longest: int = 3000
+    kind: Literal["text", "binary"] = "text"
+
+
+def _urdf(path: Path) -> None:
+    tree = read_tree(read_file(path, RobotError, URDF), path)
+    robot = chain(tree, ("tip", *tree.links)[-1])
+    _ = robot.limits, robot.kinds
+    doty_links(robot)
+    if np.isfinite(robot.mass_beyond).all():
+        splice_origins(robot.urdf, {name: (np.ones(3), np.zeros(3)) for name in robot.names})
+
+
+def _scenario(path: Path) -> None:
+    check_scenario(load_settings(path, Scenario))
+
+
+def _head(path: Path) -> None:
+    head = load_settings(path, HeadSettings)
+    _ = head.tip_camera.homogeneous, head.world_base.homogeneous, head.camera.intrinsics
+    if head.target == "charuco":
+        board(head).opencv()
+    if head.sonars is not None:
+        with suppress(NotMeasured):
+            read_ranges(np.full(len(head.sonars.positions), 0.3), head)
+
+
+def _calibration(path: Path) -> None:
+    saved = SavedModel.load(path)
+    _ = saved.measurements
+    q = np.zeros((1, len(saved.final.model.robot.readings)))
+    for solved in (saved.geometric, saved.final):
+        conditions = {name: np.ones(1) for name in solved.model.needs}
+        label = next((label for label, _ in solved.model.world_base + solved.model.tip_target if label), None)
+        solved.std(q, conditions, None if label is None else np.array([label]))
+
+
+def _shots(path: Path) -> None:
+    head = _head_of(path.parent)
+    for shot in shots_of(load_shots(path, head), head, path):
+        with suppress(NotMeasured):
+            read_ranges(shot.ranges, head)
+
+
+def _image(path: Path) -> None:
+    try:
+        read_image(path.name, _head_of(path.parent))
+    except NotMeasured as refusal:  # which a measurement notes of its row
+        raise AridcalError(str(refusal)) from None
+
+
+@cache
+def _head_of(folder: Path) -> HeadSettings:
+    """A head whose shots and images are in a folder."""
+    head = load_settings(CORPUS / "head" / "square.yaml", HeadSettings)
+    arm = ArmSettings(urdf=CORPUS / "urdf" / "small.urdf", tip="tip")
+    return head.model_copy(update={"shots": folder / "shots.csv", "robot": arm})
+
+
+@cache
+def _arm() -> Robot:
+    return load_robot(CORPUS / "urdf" / "small.urdf", "tip")
+
+
+@cache
+def _campaign(measurements: str, frames: str = "") -> Campaign:
+    text = f"format: 1\nrobot: {{urdf: r.urdf, tip: tip}}\nmeasurements: {{file: m.csv, {measurements}}}\n{frames}"
+    return parse_settings(text, Path("campaign.yaml"), Campaign)
+
+
+def _table(path: Path) -> None:
+    """Rows as measurements, in the campaign's dialect that the columns hint at; without positions as a query."""
+    content, robot = path.read_bytes(), _arm()
+    about = robot.readings, robot.limits, robot.kinds
+    if not re.search(rb"\bx\b", content):
+        load_query(path, *about)
+    elif re.search(rb"\bseed\b", content):
+        load_query(path, *about, poses=True)
+    elif re.search(rb"\brx\b", content):
+        load_measurements(_campaign("orientation: {euler: XYZ, columns: [rx, ry, rz]}"), *about, files=[path])
+    elif re.search(rb"\bstation\b", content):
+        campaign = _campaign("kind: position, units: {length: mm, angle: deg}", "frames: {world_base: {per: station}}")
+        load_measurements(campaign, *about, files=[path])
+    else:
+        load_measurements(_campaign("kind: pose, ignore: [note]"), *about, files=[path])
+
+
+TARGETS = {
+    "urdf": Target(_urdf, ".urdf"),
+    "campaign": Target(load_campaign, ".yaml"),
+    "scenario": Target(_scenario, ".yaml"),
+    "head": Target(_head, ".yaml"),
+    "calibration": Target(_calibration, ".yaml", 6000),
+    "table": Target(_table, ".csv"),
+    "squares": Target(load_squares, ".csv"),
+    "shots": Target(_shots, ".csv"),
+    "parquet": Target(_table, ".parquet", kind="binary"),
+    "image": Target(_image, ".png", 5000, "binary"),
+}

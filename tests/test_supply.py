@@ -1,0 +1,90 @@
+"""What aridcal depends on: each package used, each for a stated reason, and locked for developers."""
+
+from __future__ import annotations
+
+import ast
+import re
+import sys
+import tomllib
+from pathlib import Path
+
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+from aridcal.doctor import IMPORTED_AS
+
+HOME = Path(__file__).resolve().parents[1]
+PROJECT = tomllib.loads((HOME / "pyproject.toml").read_text("utf-8"))["project"]
+NEEDED = [Requirement(line) for line in PROJECT["dependencies"]]
+
+BY_OTHERS = {"collada": "trimesh"}
+"""Imported by another dependency, which does not ask for it itself."""
+
+PART_OF = {"pydantic_core": "pydantic"}
+"""Modules that come with a dependency and only with it."""
+
+NOT_OURS = {"IPython"}
+"""Imported only inside a notebook, which has it."""
+
+
+def used(source: str) -> set[str]:
+    """Packages that a module imports, or looks for by name."""
+    found: set[str] = set()
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
+            found.add(node.module)
+        elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith(("find_spec", "import_module")):
+            found |= {a.value for a in node.args if isinstance(a, ast.Constant) and isinstance(a.value, str)}
+    return {name.split(".")[0] for name in found} - set(sys.stdlib_module_names) - {"aridcal"}
+
+
+def test_imports_are_found_wherever_they_are() -> None:
+    source = "import a.b\nfrom c.d import e\nfrom . import f\nimport os\ndef g():\n    import h\nfind_spec('i')"
+    assert used(source) == {"a", "c", "h", "i"}
+
+
+def test_every_dependency_is_used_and_everything_used_is_a_dependency() -> None:
+    imported = set().union(*(used(path.read_text("utf-8")) for path in (HOME / "aridcal").rglob("*.py")))
+    imported = {PART_OF.get(name, name) for name in imported} - NOT_OURS
+    assert not imported & set(BY_OTHERS)
+    assert imported | set(BY_OTHERS) == {IMPORTED_AS.get(r.name, r.name) for r in NEEDED}
+
+
+def test_what_others_import_for_us_is_what_they_import() -> None:
+    for module, other in BY_OTHERS.items():
+        folder = Path(__import__(other).__file__).parent
+        assert any(module in used(path.read_text("utf-8")) for path in (folder / "exchange").glob("*.py"))
+
+
+def test_every_dependency_has_its_reason_in_contributing() -> None:
+    section = (HOME / "CONTRIBUTING.md").read_text("utf-8").split("## Dependencies")[1].split("\n## ")[0]
+    rows = re.findall(r"^\| `([a-z-]+)` \| (.+) \|$", section, re.MULTILINE)
+    assert [name for name, _ in rows] == sorted(r.name for r in NEEDED)
+    assert all(len(reason) > 10 for _, reason in rows)
+
+
+def test_the_lock_holds_all_that_is_required_with_hashes() -> None:
+    """If not, `make lock` was forgotten."""
+    text = (HOME / "requirements-dev.lock").read_text("utf-8")
+    entries = re.findall(r"^([\w.-]+)==(\S+)(.*(?:\n    .*)+)", text, re.MULTILINE)
+    assert len(entries) == len(re.findall(r"^\S+==", text, re.MULTILINE))
+    assert all("--hash=sha256:" in rest for *_, rest in entries)
+    locked: dict[str, list[str]] = {}
+    for name, version, _ in entries:
+        locked.setdefault(canonicalize_name(name), []).append(version)
+    for required in (*NEEDED, *map(Requirement, PROJECT["optional-dependencies"]["dev"])):
+        versions = locked[canonicalize_name(required.name)]
+        assert all(required.specifier.contains(version) for version in versions), required
+
+
+def test_the_matrix_runs_tests_that_exist_on_every_python_that_is_promised() -> None:
+    script = (HOME / "scripts" / "matrix.py").read_text("utf-8")
+    constants = {
+        node.targets[0].id: ast.literal_eval(node.value)
+        for node in ast.parse(script).body
+        if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name) and isinstance(node.value, ast.Tuple)
+    }
+    assert all((HOME / "tests" / f"{name}.py").is_file() for name in constants["QUICK"])
+    assert PROJECT["requires-python"] == f">={constants['PYTHONS'][0]}"
