@@ -35,11 +35,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = list(sys.argv[1:] if argv is None else argv)
     command = arguments[0] if arguments else None
     if command in ("-h", "--help"):
-        print(USAGE)
-        return 0
+        return run(lambda: print(USAGE))
     if command == "--version":
-        print(f"aridcal {__version__}")
-        return 0
+        return run(lambda: print(f"aridcal {__version__}"))
     if command not in COMMANDS:
         return run(lambda: _refuse(command))
     # Imported only now: what one command needs, Pinocchio for instance, would make all of them slow to start.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import errno
 import os
 import signal
 import sys
@@ -19,6 +20,7 @@ from aridcal.interrupt import MESSAGE, SIGNALLED, leave
 from aridcal.signals import Handler, Terminated, handling, terminate
 
 DONE, BUG, BAD_INPUT = 0, 1, 2
+NO_ROOM = frozenset({errno.ENOSPC, errno.EDQUOT})
 INTERRUPTED, TERMINATED = SIGNALLED + signal.SIGINT, SIGNALLED + signal.SIGTERM
 
 
@@ -36,6 +38,7 @@ def run(body: Callable[[], None]) -> int:
         # Matrices of some hundred columns: threads that wait for each other cost ten times what they gain.
         with _stopped_politely(), threadpool_limits(1, user_api="blas"):
             body()
+            sys.stdout.flush()  # what cannot be printed is to be known here
     except AridcalError as error:
         # As plain text: a station's name in brackets is no markup, and a path must not be broken into lines.
         said = "\n".join(map(printable, str(error).split("\n")))
@@ -45,14 +48,24 @@ def run(body: Callable[[], None]) -> int:
         console.print(MESSAGE, soft_wrap=True)
         return TERMINATED if isinstance(stop, Terminated) else INTERRUPTED
     except BrokenPipeError:  # whoever read the output, `head` for instance, has seen enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _say_no_more()
         return DONE
-    except Exception:
+    except Exception as error:
+        if isinstance(error, OSError) and error.errno in NO_ROOM:
+            _say_no_more()
+            said = f"error: what was to be printed could not be written: {error.strerror}. Make room"
+            console.print(said, soft_wrap=True, markup=False)
+            return BAD_INPUT
         console.print_exception()
         console.print("this is a bug in aridcal: please report it with the lines above", style="bold red")
         console.print("`aridcal doctor` tells whether the installation is at fault")
         return BUG
     return DONE
+
+
+def _say_no_more() -> None:
+    """Python would try once more to print what is left, at its very end, and complain."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 class CommandParser(argparse.ArgumentParser):
