@@ -171,7 +171,7 @@ def _identify(arguments: argparse.Namespace, out: Path) -> None:
     for notice in written.notices[:MOST_NOTICES]:
         console.print(f"note: {notice}", markup=False, soft_wrap=True)
     if len(written.notices) > MOST_NOTICES:
-        console.print(f"note: and {len(written.notices) - MOST_NOTICES} more, in the pages themselves")
+        console.print(f"note: and {len(written.notices) - MOST_NOTICES} more, in the pages themselves", markup=False)
     console.print(f"report: {out / 'report.html'}", soft_wrap=True, markup=False, highlight=False)
 
 

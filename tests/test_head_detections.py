@@ -24,6 +24,7 @@ from aridcal.model.model import Model
 from aridcal.prepare.simulation import named_constants
 from aridcal.prepare.viewpoints import draw_views
 from aridcal.result.saved_model import SavedModel
+from aridcal.showing import Progress
 
 EVERY = 6  # of the shipped shots
 CAMERA = np.array([[700, 0, 255.5], [0, 700, 255.5], [0, 0, 1]])
@@ -53,7 +54,7 @@ def run(folder: Path) -> dict:
 def read(folder: Path, cache: Path | None = None) -> tuple[Shots, str]:
     """The shots, and what was said while they were read."""
     said: list[str] = []
-    shots = read_shots(load_campaign(folder / "campaign.yaml"), ARID, cache, 0, said.append)
+    shots = read_shots(load_campaign(folder / "campaign.yaml"), ARID, cache, 0, Progress(said.append))
     return shots, " ".join(said)
 
 

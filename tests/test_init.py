@@ -89,7 +89,8 @@ DIALECTS = list(spelt(*ur10_rows(2)))
 
 
 def read_back(out: Path, robot: Robot):
-    return load_measurements(load_campaign(out), robot.readings, robot.limits, robot.kinds)
+    read = load_measurements(load_campaign(out), robot.readings, robot.limits, robot.kinds)
+    return read.select(read.as_read)
 
 
 @pytest.mark.parametrize("dialect", DIALECTS)
@@ -152,7 +153,7 @@ def test_units_of_a_rail_are_found_too(tmp_path):
     table |= named("x y z", 1e3 * p) | named("rx ry rz", R.as_rotvec(degrees=True))
     pd.DataFrame(table).to_csv(tmp_path / "m.csv", index=False)
     made = draft(URDF / "arid.urdf", [tmp_path / "m.csv"], tmp_path / "c.yaml", never)
-    np.testing.assert_allclose(made.rows.readings, q, atol=1e-12)
+    np.testing.assert_allclose(made.rows.readings[made.rows.as_read], q, atol=1e-12)
     assert {g.key: g.value for g in made.proposal.guesses}["measurements.units"] == {"length": "mm", "angle": "deg"}
 
 
@@ -197,7 +198,7 @@ def test_a_split_of_the_users_is_kept_and_a_row_counter_ignored(tmp_path):
     made = draft(UR10, [tmp_path / "m.csv"], tmp_path / "c.yaml", never)
     text, rows = made.campaign.text, made.rows
     assert rows.split_given
-    np.testing.assert_array_equal(rows.test, own == "test")
+    np.testing.assert_array_equal(rows.test[rows.as_read], own == "test")
     assert "ignore: ['no', remark, laser std x]" in text
     assert list(rows.covariates) == ["humidity", "temperature"]
 

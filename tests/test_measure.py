@@ -149,12 +149,12 @@ def spoil_size(c: Campaign) -> None:
 
 
 def spoil_huge(c: Campaign) -> None:
-    """A picture of 40 bytes that says to be of 60,000 x 60,000 pixels."""
+    """A picture of 45 bytes that says to be of 60,000 x 60,000 pixels."""
     path = c.folder / "images/0.png"
     content = bytearray(path.read_bytes()[:33])
     content[16:24] = struct.pack(">II", 60_000, 60_000)
     content[29:33] = struct.pack(">I", zlib.crc32(content[12:29]))
-    path.write_bytes(content)
+    path.write_bytes(content + struct.pack(">I4sI", 0, b"IEND", zlib.crc32(b"IEND")))
 
 
 def spoil_link(c: Campaign) -> None:
@@ -184,7 +184,7 @@ def put(column, value):
     [
         (spoil_empty, "cannot be read: is empty"),
         (spoil_text, "no image of a known kind"),
-        (spoil_cut, "is the file complete"),
+        (spoil_cut, "or damaged"),
         (spoil_huge, "is 60000 x 60000 pixels, the camera 512 x 512"),
         (spoil_link, "outside the folder"),
         (spoil_size, "640 x 480 pixels, the camera 512 x 512"),
