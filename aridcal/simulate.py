@@ -21,6 +21,7 @@ from aridcal.inputs.yaml_file import load_settings
 from aridcal.prepare.scenario import Scenario
 from aridcal.prepare.simulation import simulate, write_campaign
 from aridcal.reading.names import path_argument
+from aridcal.showing import told_on
 
 
 def parser() -> CommandParser:
@@ -43,10 +44,10 @@ def _main(path: Path, out: Path) -> None:
     scenario = load_settings(path, Scenario)
     if (out / "campaign.yaml").resolve() == path.resolve():
         raise OutputError(f"{path}: the campaign would overwrite its scenario; rename it or choose another folder")
-    with claimed(out, "folder"):
-        simulation = simulate(scenario)
+    with claimed(out, "folder"), told_on(Console(stderr=True)) as progress:
+        simulation = simulate(scenario, progress)
         with atomic_folder(out) as folder:
-            write_campaign(simulation, folder, out)
+            write_campaign(simulation, folder, out, progress)
     rows, wrong = len(simulation.outliers), int(simulation.outliers.sum())
     console = Console()
     console.print(

@@ -34,6 +34,10 @@ from aridcal.reading.files import read_file
 from aridcal.robot.chain import Robot, load_robot
 from aridcal.robot.doty import doty_links
 from aridcal.search.head_effects import directions, stated
+from aridcal.showing import SILENT, Progress
+
+AT_ONCE = 20_000
+"""Rows that are simulated, and written, at once: a second's work between two words of progress."""
 
 
 @dataclass(frozen=True)
@@ -61,11 +65,15 @@ class Simulation:
     images: Mapping[str, bytes] = field(default_factory=dict)
 
 
-def simulate(scenario: Scenario) -> Simulation:
+def simulate(scenario: Scenario, progress: Progress = SILENT) -> Simulation:
     """Measure the machine that a scenario describes.
 
     The seed fixes everything; constants, configurations, noise, outliers, effects and each column are drawn apart, so
     that more rows, another noise or another effect leave the rest as it is.
+
+    Args:
+        scenario: The machine, and how it is measured.
+        progress: Told how far the work is.
 
     Raises:
         AridcalError: the scenario asks for what cannot be simulated.
@@ -99,7 +107,8 @@ def simulate(scenario: Scenario) -> Simulation:
     of_effects = tuple(c for cause in causes for c in cause.effect.coefficients)
     model = Model(robot, coefficients + of_effects, world, tip, around)
     true = np.concatenate([theta, *(cause.values for cause in causes)])
-    R, p = model.poses(true, model.rows(readings, depends))
+    progress.at("moving the robot")
+    R, p = _moved(model, true, readings, depends, progress)
 
     images: dict[str, bytes] = {}
     if head is None or optics is None:
@@ -109,7 +118,8 @@ def simulate(scenario: Scenario) -> Simulation:
         real, of_head = true_head(scenario, head, chance)
         causes = [*causes, *of_head]
         wrong = np.zeros(truth.n, dtype=bool)
-        shots, images = _photographed(head, optics, real, R, p, noise)
+        progress.at("taking the shots")
+        shots, images = _photographed(head, optics, real, R, p, noise, progress)
         joints = dict(zip(robot.readings, readings.T, strict=True))
         table = pd.DataFrame(joints | columns).assign(**shots)
     return Simulation(
@@ -122,6 +132,17 @@ def simulate(scenario: Scenario) -> Simulation:
         outliers=wrong,
         images=images,
     )
+
+
+def _moved(
+    model: Model, theta: np.ndarray, readings: np.ndarray, depends: Mapping[str, np.ndarray], progress: Progress
+) -> tuple[np.ndarray, np.ndarray]:
+    """True rotations, shape (n, 3, 3), and positions, shape (n, 3), [m], a stretch of rows at a time."""
+    R, p = np.empty((len(readings), 3, 3)), np.empty((len(readings), 3))
+    for first in progress.through(range(0, len(readings), AT_ONCE), len(readings), "rows", AT_ONCE):
+        part = slice(first, first + AT_ONCE)
+        R[part], p[part] = model.poses(theta, model.rows(readings[part], {k: v[part] for k, v in depends.items()}))
+    return R, p
 
 
 def _streams(seed: int) -> list[np.random.Generator]:
@@ -158,7 +179,13 @@ def _measured(
 
 
 def _photographed(
-    settings: HeadSettings, optics: Optics, real: Head, R: np.ndarray, p: np.ndarray, noise: np.random.Generator
+    settings: HeadSettings,
+    optics: Optics,
+    real: Head,
+    R: np.ndarray,
+    p: np.ndarray,
+    noise: np.random.Generator,
+    progress: Progress,
 ) -> tuple[dict[str, Any], dict[str, bytes]]:
     """Shots of the measuring head: columns of ``shots.csv`` beside joints and covariates, and the images by name.
 
@@ -169,12 +196,13 @@ def _photographed(
         R: True rotations of the camera, shape (n, 3, 3).
         p: True positions, shape (n, 3), [m].
         noise: Draws the noise of images and sonars.
+        progress: Told how many shots are taken.
     """
     T = np.broadcast_to(np.eye(4), (len(R), 4, 4)).copy()
     T[:, :3, :3], T[:, :3, 3] = R, p
     # The arm is not quite where it was sent: another square may be nearest the optical axis.
     square = np.array([optics.nearest(pose) for pose in T])
-    taken, ranges = photographs(T, square, optics, real, noise)
+    taken, ranges = photographs(T, square, optics, real, noise, progress)
     images = {f"images/{k + 1:03d}.jpg": image for k, image in enumerate(taken)}
     columns = dict(zip(range_columns(settings), ranges.T, strict=True))
     return {"image": list(images), "square": square, **columns}, images
@@ -257,14 +285,16 @@ def draw_readings(robot: Robot, n: int, rng: np.random.Generator) -> np.ndarray:
     return np.asarray(rng.uniform(low, high, (n, len(low))))
 
 
-def write_campaign(simulation: Simulation, folder: Path, home: Path) -> None:
+def write_campaign(simulation: Simulation, folder: Path, home: Path, progress: Progress = SILENT) -> None:
     """Write the campaign, its measurements, its robot and its truth.
 
     Args:
         simulation: What to write.
         folder: Where to write it now.
         home: Where it will be; paths in the campaign are relative to that.
+        progress: Told how far the work is.
     """
+    progress.at("writing the measurements")
     scenario, robot = simulation.scenario, simulation.robot
     keys = scenario.model_dump(mode="json", by_alias=True, exclude_unset=True, exclude={"truth"})
     if scenario.path.parent.resolve() == home.resolve():  # the scenario's own path to the robot holds here as well
@@ -275,7 +305,10 @@ def write_campaign(simulation: Simulation, folder: Path, home: Path) -> None:
     keys.setdefault("measurements", {}).pop("file", None)
     if scenario.measurements.head is None:
         keys["measurements"] = {"file": "measurements.csv"} | keys["measurements"]
-        simulation.measurements.to_csv(folder / "measurements.csv", index=False)
+        table = simulation.measurements
+        with (folder / "measurements.csv").open("w", encoding="utf-8", newline="") as file:
+            for first in progress.through(range(0, len(table), AT_ONCE), len(table), "rows", AT_ONCE):
+                table.iloc[first : first + AT_ONCE].to_csv(file, index=False, header=first == 0)
     else:
         keys["measurements"]["head"] = _write_shots(simulation, scenario.measurements.head, folder, home)
     if keys.get("diagnosis", {}).get("candidates") == list(KINDS):

@@ -14,6 +14,7 @@ from aridcal.head.reduction import Head
 from aridcal.head.render import Optics, photograph
 from aridcal.head.square import INCH
 from aridcal.model.model import Model
+from aridcal.showing import Progress
 
 # Wanted of a view: distance of the lens, [m]; lean of the optical axis, [rad]; where the axis meets the square, [m]
 # off its middle along x and y. The square then fills a good part of a head's image, and its fiducials stay in it.
@@ -207,9 +208,15 @@ def _approach(
 
 
 def photographs(
-    T_world_camera: np.ndarray, square: np.ndarray, optics: Optics, head: Head, rng: np.random.Generator
+    T_world_camera: np.ndarray,
+    square: np.ndarray,
+    optics: Optics,
+    head: Head,
+    rng: np.random.Generator,
+    progress: Progress,
 ) -> tuple[list[bytes], np.ndarray]:
     """Take one shot from each place of the camera, shape (N, 4, 4): images as JPEG, and ranges (N, S), [m]."""
-    shots = [photograph(T, int(k), optics, head, rng) for T, k in zip(T_world_camera, square, strict=True)]
+    places = progress.through(zip(T_world_camera, square, strict=True), len(square), "shots")
+    shots = [photograph(T, int(k), optics, head, rng) for T, k in places]
     images, ranges = zip(*shots, strict=True)
     return list(images), np.array(ranges)
