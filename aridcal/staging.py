@@ -213,22 +213,28 @@ def _settle_swap(plan: _Plan, stage: Path, target: Path) -> None:
 
 
 def _read_plan(stage: Path) -> _Plan | None:
-    """The plan of a stage; None if it has none yet: then nothing has been put in place."""
+    """The plan of a stage; None if it has none yet: then nothing has been put in place. No plan reaches elsewhere."""
     try:
-        return _Plan(**json.loads((stage / PLAN).read_text(encoding="utf-8")))
+        plan = _Plan(**json.loads((stage / PLAN).read_text(encoding="utf-8")))
+        names = [plan.target, plan.version, plan.before, *plan.arriving, *plan.stale]
+        return plan if all(name != ".." and os.sep not in name for name in names) else None
     except (OSError, ValueError, TypeError):
         return None
 
 
 def clear_up(folder: Path, taken: Path) -> None:
-    """Settle what killed runs have left in a folder; of runs that live nothing is touched.
+    """Settle what the user's killed runs have left in a folder; of runs that live, and of others' runs, nothing is touched.
 
     Args:
         folder: Where to look; it need not exist.
         taken: The lock that was taken just now.
     """
-    found = [entry.name for entry in os.scandir(folder)] if folder.is_dir() else []
-    for stem in sorted({name.partition(OURS)[0] for name in found if name.startswith(".") and OURS in name}):
+    found = []
+    for entry in os.scandir(folder) if folder.is_dir() else ():
+        with suppress(OSError):  # gone by now
+            if OURS in entry.name and entry.stat(follow_symlinks=False).st_uid == os.geteuid():
+                found.append(entry.name)
+    for stem in sorted({name.partition(OURS)[0] for name in found if name.startswith(".")}):
         lock = folder / f"{stem}{OURS}{LOCK}"
         if lock != taken and is_mine(lock):
             continue

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import json
 import os
 import signal
 import subprocess
@@ -337,6 +338,37 @@ def test_what_is_no_file_is_never_replaced_by_one(tmp_path, write, kind):
     with pytest.raises(OutputError, match=r"b\.txt: is (a link|not a file)"):
         write(target)
     assert sorted(str(p) for p in target.rglob("*")) == before
+
+
+@pytest.mark.parametrize("swap", [True, False])
+@pytest.mark.parametrize("where", ["target", "version", "stale"])
+def test_a_plan_that_somebody_has_planted_reaches_nothing_elsewhere(tmp_path, swap, where):
+    fill(tmp_path, {"mine/thesis.txt": "mine", "shared/.x.aridcal-00000000/new/a.txt": "planted"})
+    plan = {
+        "target": "x",
+        "arriving": ["a.txt"],
+        "stale": [],
+        "swap": swap,
+        "first": "",
+        "version": "x-1",
+        "before": "",
+    }
+    plan |= {"target": "../mine"} if where == "target" else {}
+    plan |= {"version": "../mine"} if where == "version" else {}
+    plan |= {"stale": ["../../mine/thesis.txt"]} if where == "stale" else {}
+    (tmp_path / "shared" / "x").mkdir()
+    (tmp_path / "shared" / ".x.aridcal-00000000" / staging.PLAN).write_text(json.dumps(plan))
+    with claimed(tmp_path / "shared" / "other.csv", "file"):
+        pass
+    assert contents(tmp_path) == {"mine/thesis.txt": "mine"}
+
+
+def test_what_another_user_has_left_is_not_touched(tmp_path, monkeypatch):
+    fill(tmp_path, {".x.aridcal-00000000/new/a.txt": "theirs"})
+    monkeypatch.setattr(os, "geteuid", lambda: os.getuid() + 1)
+    with claimed(tmp_path / "other.csv", "file"):
+        pass
+    assert contents(tmp_path) == {".x.aridcal-00000000/new/a.txt": "theirs"}
 
 
 def test_a_device_is_never_replaced_by_a_file():
