@@ -38,7 +38,7 @@ from rich.console import Console
 
 from aridcal.command_line import CommandParser, command_parser, run
 from aridcal.errors import OutputError
-from aridcal.files import atomic_file, check_home, check_writable
+from aridcal.files import atomic_file, check_home, claimed
 from aridcal.inputs.query import Query, Remarks
 from aridcal.reading.names import path_argument
 from aridcal.result.compensate import Trajectory, compensate, correction_table
@@ -81,7 +81,11 @@ def _main(arguments: argparse.Namespace) -> None:
     if arguments.out.suffix.lower() not in ENDINGS:
         raise OutputError(f"{arguments.out}: should be a .csv or .parquet file")
     check_home(arguments.out)
-    check_writable(arguments.out, "file")
+    with claimed(arguments.out, "file"):
+        _compensate(arguments)
+
+
+def _compensate(arguments: argparse.Namespace) -> None:
     calibration = SavedModel.load(arguments.calibration)
     if arguments.grid is not None:
         _tabulate(calibration, arguments.grid, arguments.out)

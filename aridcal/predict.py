@@ -27,7 +27,7 @@ from rich.console import Console
 
 from aridcal.command_line import CommandParser, command_parser, run
 from aridcal.errors import OutputError
-from aridcal.files import atomic_file, check_home, check_writable
+from aridcal.files import atomic_file, check_home, claimed
 from aridcal.inputs.query import Query, Remarks
 from aridcal.reading.names import path_argument
 from aridcal.result.predict import ENDINGS, predict, read_queries, table_file
@@ -58,7 +58,11 @@ def _main(arguments: argparse.Namespace) -> None:
     if arguments.out.suffix.lower() not in ENDINGS:
         raise OutputError(f"{arguments.out}: should be a .csv or .parquet file")
     check_home(arguments.out)
-    check_writable(arguments.out, "file")
+    with claimed(arguments.out, "file"):
+        _predict(arguments)
+
+
+def _predict(arguments: argparse.Namespace) -> None:
     calibration = SavedModel.load(arguments.calibration)
     answered = Answered(calibration.measurements.columns.get("x", "x"))
     with atomic_file(arguments.out) as path, table_file(path) as write, told_on(Console(stderr=True)) as progress:
