@@ -134,15 +134,7 @@ def numbers(
 
 
 def _joint_elements(root: etree._Element, path: Path) -> dict[str, etree._Element]:
-    elements: dict[str, etree._Element] = {}
-    for element in root.findall("joint"):
-        name, where = element.get("name"), f"{path}: line {element.sourceline}"
-        if not name:
-            raise RobotError(f"{where}: a joint has no name: give it one")
-        check_name(name, f"{where}: a joint", RobotError)
-        if name in elements:
-            raise RobotError(f"{where}: joint {name!r} is there twice: rename or delete one")
-        elements[name] = element
+    elements = _by_name(root, "joint", path)
     moving = sum(element.get("type") in MOVING for element in elements.values())
     if moving > MAX_MOVING:
         raise RobotError(
@@ -152,21 +144,27 @@ def _joint_elements(root: etree._Element, path: Path) -> dict[str, etree._Elemen
 
 
 def _link_names(root: etree._Element, path: Path) -> dict[str, None]:
-    """Names of all links, each there once, as the keys of a dict."""
-    names: dict[str, None] = {}
-    for element in root.findall("link"):
-        name, where = element.get("name", ""), f"{path}: line {element.sourceline}"
-        if not name:
-            raise RobotError(f"{where}: a link has no name: give it one")
-        check_name(name, f"{where}: a link", RobotError)
-        if name in names:
-            raise RobotError(f"{where}: link {name!r} is there twice: rename or delete one")
-        names[name] = None
+    """Names of all links, as the keys of a dict."""
+    names = dict.fromkeys(_by_name(root, "link", path))
     if len(names) > MAX_LINKS:
         raise RobotError(
             f"{path}: has {len(names):,} links, at most {MAX_LINKS:,} can be computed. Delete those off the chain"
         )
     return names
+
+
+def _by_name(root: etree._Element, tag: str, path: Path) -> dict[str, etree._Element]:
+    """Elements of a kind by their names, in the order of the file, each there once."""
+    elements: dict[str, etree._Element] = {}
+    for element in root.findall(tag):
+        name, where = element.get("name", ""), f"{path}: line {element.sourceline}"
+        if not name:
+            raise RobotError(f"{where}: a {tag} has no name: give it one")
+        check_name(name, f"{where}: a {tag}", RobotError)
+        if name in elements:
+            raise RobotError(f"{where}: {tag} {name!r} is there twice: rename or delete one")
+        elements[name] = element
+    return elements
 
 
 def _parents(
