@@ -1100,6 +1100,14 @@ IMAGES: dict[str, tuple[bytes, str]] = {
     "a text": (b"no image", "no image of a known kind"),
 }
 
+
+def charuco(**wrong: object) -> Spoil:
+    """A head that looks at a ChArUco board, with something wrong about it."""
+    board = {"squares_x": 5, "squares_y": 7, "square": 0.04, "marker": 0.03, "dictionary": "DICT_4X4_50"} | wrong
+    keys = [key("head.yaml", k, v) for k, v in {"target": "charuco", **board}.items()]
+    return together(without("head.yaml", "sonars"), *keys, put("shots.csv", "image,square\n0.png,0\n"))
+
+
 HEADS: dict[str, tuple[Spoil, str]] = {
     "squares at infinity": (
         cell("squares.csv", "x", "inf"),
@@ -1144,63 +1152,13 @@ HEADS: dict[str, tuple[Spoil, str]] = {
     "a camera of no width": (key("head.yaml", "camera.width", 0), r"camera\.width: should be greater than 0"),
     "four coefficients of distortion": (key("head.yaml", "camera.distortion", [0, 0, 0, 0]), r"camera\.distortion"),
     "a target that is none": (key("head.yaml", "target", "chess"), "target: "),
-    "an unknown dictionary": (
-        together(
-            without("head.yaml", "sonars"),
-            *(
-                key("head.yaml", k, v)
-                for k, v in {
-                    "target": "charuco",
-                    "squares_x": 5,
-                    "squares_y": 7,
-                    "square": 0.04,
-                    "marker": 0.03,
-                    "dictionary": "[bold]",
-                }.items()
-            ),
-            put("shots.csv", "image,square\n0.png,0\n"),
-        ),
-        r"dictionary|\[bold\]",
-    ),
+    "an unknown dictionary": (charuco(dictionary="[bold]"), r"dictionary|\[bold\]"),
     "a board without its square": (
         together(*(key("head.yaml", k, v) for k, v in {"target": "charuco", "squares_x": 5}.items())),
         "also needs: squares_y",
     ),
-    "a board of a million squares": (
-        together(
-            without("head.yaml", "sonars"),
-            *(
-                key("head.yaml", k, v)
-                for k, v in {
-                    "target": "charuco",
-                    "squares_x": 1_000_000,
-                    "squares_y": 1_000_000,
-                    "square": 0.04,
-                    "marker": 0.03,
-                    "dictionary": "DICT_4X4_50",
-                }.items()
-            ),
-            put("shots.csv", "image,square\n0.png,0\n"),
-        ),
-        "board|squares",
-    ),
-    "a board square at infinity": (
-        together(
-            without("head.yaml", "sonars"),
-            *(
-                key("head.yaml", k, v)
-                for k, v in {
-                    "target": "charuco",
-                    "squares_x": 5,
-                    "squares_y": 7,
-                    "square": np.inf,
-                    "marker": 0.03,
-                    "dictionary": "DICT_4X4_50",
-                }.items()
-            ),
-        ),
-        r"square: should be a finite number",
-    ),
+    "a board of a million squares": (charuco(squares_x=1_000_000, squares_y=1_000_000), "board|squares"),
+    "a board square at infinity": (charuco(square=np.inf), r"square: should be a finite number"),
     "a quarter of the image limit": (
         key("head.yaml", "limits.image_megapixels", 1e-4),
         "raise `limits: {image_megapixels",
