@@ -30,6 +30,8 @@ QUATERNION_SLACK = 1e-3
 SAME_ORIENTATION = 1e-3
 # No reading and no place is that large, [rad] or [m].
 ABSURD = 1e9
+# No sigma of a measurement is smaller, [m] or [rad]: the noise of a campaign may not be, either.
+FINEST = 1e-12
 # A covariate that large is a hole: some programs write 1e308 where they know nothing.
 UNUSABLE = 1e30
 # More than an angle of a pose, or a joint with limits, turns, [rad].
@@ -250,6 +252,7 @@ class Source:
                 std[:, half] = self._needed(columns, scale)
                 for sigma, name in zip(std[:, half].T, columns, strict=True):
                     self.refuse(sigma <= 0, name, "a sigma must be positive")
+                    self.refuse(sigma < FINEST, name, "a sigma that small is none")
                 given += 1
         if noise.rows == "absolute" and given < len(wanted):
             raise MeasurementError(f"{self.table.title}: `noise: {{rows: absolute}}` needs the std_* columns")
