@@ -14,7 +14,6 @@ from typing import Any
 import pandas as pd
 
 from aridcal.errors import AridcalError, MeasurementError, shortened
-from aridcal.files import atomic_file
 from aridcal.identify import VERDICTS
 from aridcal.inputs.query import Query
 from aridcal.inputs.tables import AnyTable, read_tables
@@ -33,6 +32,7 @@ from aridcal.result.predict import predict, read_query
 from aridcal.result.saved_model import SavedModel
 from aridcal.result_folder import write_folder
 from aridcal.showing import Page, working
+from aridcal.writing.files import atomic_file
 
 SHOWN_REMARKS = 5
 """Remarks that are shown: notices of a calibration, rows that a warning names."""

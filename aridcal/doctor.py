@@ -25,7 +25,7 @@ from rich.console import Console
 from aridcal import __version__
 from aridcal.command_line import CommandParser, command_parser, run
 from aridcal.errors import AridcalError
-from aridcal.files import check_writable
+from aridcal.writing.files import check_writable
 
 IMPORTED_AS = {"opencv-python-headless": "cv2", "pin": "pinocchio", "pycollada": "collada", "pyyaml": "yaml"}
 """Distributions whose modules have another name."""

@@ -19,7 +19,6 @@ from rich.table import Table
 
 from aridcal.command_line import CommandParser, command_parser, run
 from aridcal.errors import shortened
-from aridcal.files import claimed
 from aridcal.head.detections import CACHE
 from aridcal.prepare.other_readings import refuse_misread
 from aridcal.reading.names import path_argument
@@ -31,6 +30,7 @@ from aridcal.result.pipeline import identify
 from aridcal.result_folder import RESULT_FILES, write_folder
 from aridcal.search.gains import NamedEffect
 from aridcal.showing import told_on
+from aridcal.writing.files import claimed
 
 VERDICTS = {
     "noise_floor": "the remaining error is consistent with the noise",

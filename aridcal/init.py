@@ -19,10 +19,10 @@ from rich.prompt import IntPrompt
 
 from aridcal.command_line import CommandParser, command_parser, run
 from aridcal.errors import OutputError
-from aridcal.files import atomic_file, claimed
 from aridcal.prepare.campaign_text import Draft, draft, scalar
 from aridcal.prepare.guesses import nobody
 from aridcal.reading.names import path_argument
+from aridcal.writing.files import atomic_file, claimed
 
 SHOWN_REMARKS = 5
 

@@ -20,7 +20,6 @@ from scipy.spatial.transform import Rotation
 
 from aridcal.command_line import CommandParser, command_parser, run
 from aridcal.errors import AridcalError, OutputError, printable, shortened
-from aridcal.files import atomic_table, check_writable, claimed
 from aridcal.head.shots import THUMBNAIL, Measured, load, measure_shots
 from aridcal.head.sonar import contradictions
 from aridcal.inputs.head_settings import POSE_COLUMNS, HeadSettings, range_columns
@@ -28,6 +27,7 @@ from aridcal.inputs.quantities import STD
 from aridcal.inputs.tables import Table
 from aridcal.reading.names import path_argument
 from aridcal.report.html import Html, tag
+from aridcal.writing.files import atomic_table, check_writable, claimed
 
 BESIDE = REFUSED, SHEET = "refused.csv", "shots.html"
 """Written beside the table: the shots that were not measured, and a page with all images."""

@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from aridcal.files import atomic_folder
 from aridcal.report.page import write_report
 from aridcal.report.scene import write_scene
 from aridcal.result.controllers import Handover, hand_over, write_controllers
 from aridcal.result.folder import write_results
 from aridcal.result.outcome import Outcome
 from aridcal.showing import SILENT, Progress
+from aridcal.writing.files import atomic_folder
 
 RESULT_FILES = frozenset(
     {

@@ -34,7 +34,7 @@ from aridcal.effects.effect import Effect
 from aridcal.fit.identifiable import identifiable
 from aridcal.fit.least_squares import Fit, Prior, fit
 from aridcal.fit.residual import problem, triangle
-from aridcal.inputs.channels import spread
+from aridcal.instruments.channels import spread
 from aridcal.result.pipeline import judged
 from aridcal.search.arm import CalibratedArm, calibrated_arm, fit_constants
 from aridcal.showing import SILENT

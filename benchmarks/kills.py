@@ -37,8 +37,9 @@ from typing import Any
 import pandas as pd
 import yaml
 
-from aridcal import compensate, disk, identify, init, measure, predict, simulate, staging
-from aridcal.files import claimed
+from aridcal import compensate, identify, init, measure, predict, simulate
+from aridcal.writing import disk, staging
+from aridcal.writing.files import claimed
 
 ROOT = Path(__file__).resolve().parents[1]
 ARID = ROOT / "identification" / "arid"

@@ -18,8 +18,8 @@ from aridcal.errors import CampaignError
 from aridcal.fit.constants import constants
 from aridcal.fit.residual import problem
 from aridcal.inputs.campaign import Campaign
-from aridcal.inputs.channels import spread
 from aridcal.inputs.dataset import Dataset, dataset
+from aridcal.instruments.channels import spread
 from aridcal.model.model import Model
 from aridcal.prepare.simulation import draw_readings
 from aridcal.prepare.true_effects import Cause, TrueEffect, draw_columns, make_causes

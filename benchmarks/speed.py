@@ -36,10 +36,10 @@ from aridcal.fit import stages
 from aridcal.fit.constants import constants
 from aridcal.fit.residual import problem
 from aridcal.inputs.campaign import Campaign, load_campaign
-from aridcal.inputs.channels import spread
 from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.read import load_measurements
 from aridcal.inputs.yaml_file import load_settings
+from aridcal.instruments.channels import spread
 from aridcal.prepare.scenario import Scenario
 from aridcal.prepare.simulation import simulate, write_campaign
 from aridcal.robot.chain import Robot, load_robot

@@ -17,10 +17,10 @@ from aridcal.head.reduction import Head, Seen, start_anywhere
 from aridcal.head.render import Optics, read_sonars
 from aridcal.head.square import layout
 from aridcal.inputs.campaign import Campaign, FrameSettings
-from aridcal.inputs.channels import TARGET_POSITION, TARGET_ROTATION
 from aridcal.inputs.dataset import dataset
 from aridcal.inputs.head_settings import HeadSettings, load_squares
 from aridcal.inputs.yaml_file import load_settings, parse_settings
+from aridcal.instruments.channels import TARGET_POSITION, TARGET_ROTATION
 from aridcal.model.model import Model
 from aridcal.prepare.viewpoints import draw_views
 from aridcal.robot.chain import load_robot

@@ -11,7 +11,7 @@ from scipy.stats import multivariate_normal
 from aridcal.effects.basis import Basis, evaluate
 from aridcal.effects.effect import ROW_ORDER, Coefficient, Effect
 from aridcal.fit.flags import OUTLIER
-from aridcal.inputs.channels import TARGET_POSITION, TARGET_ROTATION
+from aridcal.instruments.channels import TARGET_POSITION, TARGET_ROTATION
 from aridcal.search.change_points import (
     COARSE,
     LENGTHS,

@@ -11,7 +11,7 @@ from aridcal.effects.effect import Coefficient, Effect
 from aridcal.fit.flags import OUTLIER, flagged
 from aridcal.fit.normal_equations import accumulate
 from aridcal.fit.residual import QUANTILES, distance, robust_sigma, usual_norms
-from aridcal.inputs.channels import TARGET_POSITION, TARGET_ROTATION, Channel, Channels, columns, norms, spread
+from aridcal.instruments.channels import TARGET_POSITION, TARGET_ROTATION, Channel, Channels, columns, norms, spread
 from aridcal.search.evidence import solve
 from aridcal.search.linear_model import LinearModel, activate, flat, solve_state
 from aridcal.search.scoring import refine, score_all

@@ -14,11 +14,11 @@ from scipy.spatial.transform import Rotation
 
 from aridcal.errors import CampaignError, MeasurementError
 from aridcal.inputs.campaign import Campaign
-from aridcal.inputs.channels import TARGET_POSITION, TARGET_ROTATION
 from aridcal.inputs.dataset import Dataset, dataset
 from aridcal.inputs.query import load_query
 from aridcal.inputs.read import load_measurements
 from aridcal.inputs.repeats import blocks
+from aridcal.instruments.channels import TARGET_POSITION, TARGET_ROTATION
 
 JOINTS = ("rail", "shoulder", "wrist")
 KINDS = ("prismatic", "revolute", "continuous")

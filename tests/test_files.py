@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from aridcal import disk
 from aridcal.command_line import run
 from aridcal.errors import AridcalError, OutputError
-from aridcal.files import atomic_file, atomic_folder, check_home, check_writable
+from aridcal.writing import disk
+from aridcal.writing.files import atomic_file, atomic_folder, check_home, check_writable
 
 not_root = pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
 
@@ -130,7 +130,7 @@ SLOW_WRITER = """
 import sys, time
 from pathlib import Path
 from aridcal.command_line import run
-from aridcal.files import atomic_folder
+from aridcal.writing.files import atomic_folder
 
 def body():
     with atomic_folder(Path(sys.argv[1])) as folder:

@@ -12,7 +12,7 @@ from aridcal.effects.basis import Basis
 from aridcal.effects.effect import Coefficient, Effect
 from aridcal.effects.kinds import turns
 from aridcal.fit.flags import OUTLIER
-from aridcal.inputs.channels import TARGET_POSITION, TARGET_ROTATION
+from aridcal.instruments.channels import TARGET_POSITION, TARGET_ROTATION
 from aridcal.search.evidence import Score
 from aridcal.search.hints import harmonics, pairs
 from aridcal.search.linear_model import LinearModel, activate, solve_state

@@ -17,9 +17,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from aridcal import disk, files, staging
 from aridcal.errors import OutputError
-from aridcal.files import atomic_file, atomic_folder, atomic_table, claimed
+from aridcal.writing import disk, files, staging
+from aridcal.writing.files import atomic_file, atomic_folder, atomic_table, claimed
 
 OLD = {"a.txt": "old a", "b.txt": "old b", "stale.txt": "old"}
 NEW = {"a.txt": "new a", "b.txt": "new b", "c.txt": "new c"}
@@ -255,7 +255,7 @@ def test_a_reader_of_a_swapped_folder_never_sees_a_mixture(tmp_path, monkeypatch
 HOLDER = """
 import sys
 from pathlib import Path
-from aridcal.files import claimed
+from aridcal.writing.files import claimed
 
 with claimed(Path(sys.argv[1]), sys.argv[2]):
     print("held", flush=True)

@@ -17,8 +17,8 @@ from aridcal.fit.constants import constants
 from aridcal.fit.flags import OUTLIER, SUSPECT, flagged
 from aridcal.fit.least_squares import Prior, fit, fit_identifiable, minimise, thin
 from aridcal.fit.residual import FLOOR, Problem, linearise, problem, residuals, robust_sigma, triangle
-from aridcal.inputs.channels import TARGET_POSITION, TARGET_ROTATION
 from aridcal.inputs.dataset import Dataset
+from aridcal.instruments.channels import TARGET_POSITION, TARGET_ROTATION
 from aridcal.model.model import Model, Rows
 
 POSE = (TARGET_POSITION, TARGET_ROTATION)

@@ -16,8 +16,8 @@ from aridcal.fit.constants import constants
 from aridcal.fit.least_squares import Fit, fit, fit_identifiable
 from aridcal.fit.noise import repeats
 from aridcal.fit.residual import problem
-from aridcal.inputs.channels import TARGET_POSITION, TARGET_ROTATION
 from aridcal.inputs.dataset import Dataset
+from aridcal.instruments.channels import TARGET_POSITION, TARGET_ROTATION
 from aridcal.model.model import Model, Rows
 from aridcal.result.uncertainty import accuracy, halves, outliers, precision, target_sigma, with_noise_seen
 from aridcal.robot.chain import parse_robot

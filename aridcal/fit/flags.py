@@ -8,8 +8,8 @@ import numpy as np
 from scipy.stats import binom
 
 from aridcal.fit.residual import distance, robust_sigma
-from aridcal.inputs.channels import Channels
 from aridcal.inputs.dataset import Dataset
+from aridcal.instruments.channels import Channels
 
 OUTLIER = 6.0
 """Sigmas per axis, in any channel, beyond which a row is flagged: 1 clean pose in 7 million."""

@@ -7,8 +7,8 @@ import numpy as np
 from aridcal.fit.least_squares import Fit
 from aridcal.fit.normal_equations import RIDGE, accumulate, solve
 from aridcal.fit.residual import BLOCK, problem
-from aridcal.inputs.channels import columns
 from aridcal.inputs.dataset import Dataset
+from aridcal.instruments.channels import columns
 
 BLOCKS = 10
 """Blocks of configurations that are held back in turn. Convention: nine tenths of the rows stay to fit with."""

@@ -21,7 +21,7 @@ from aridcal.fit.residual import (
     triangle,
     weighted_squares,
 )
-from aridcal.inputs.channels import Channels
+from aridcal.instruments.channels import Channels
 from aridcal.model.model import Model, Rows
 
 ABREAST = 0.1

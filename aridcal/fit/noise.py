@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from aridcal.inputs.channels import Channel, columns
 from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.repeats import first_alike
+from aridcal.instruments.channels import Channel, columns
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 from scipy.special import gammaincinv
 
 from aridcal.fit.normal_equations import NormalEquations
-from aridcal.inputs.channels import Channels, columns, norms, spread
 from aridcal.inputs.dataset import Dataset
+from aridcal.instruments.channels import Channels, columns, norms, spread
 from aridcal.model.model import Model, Rows
 from aridcal.showing import SILENT, Progress
 

@@ -9,8 +9,8 @@ import numpy as np
 from aridcal.fit.closed_form import closed_form_starts
 from aridcal.fit.least_squares import Fit, minimise, thin
 from aridcal.fit.residual import problem
-from aridcal.inputs.channels import spread
 from aridcal.inputs.dataset import Dataset
+from aridcal.instruments.channels import spread
 from aridcal.showing import SILENT, Progress
 
 ROWS = 150

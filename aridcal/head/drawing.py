@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from aridcal.command_line import run
-from aridcal.files import atomic_folder
 from aridcal.head.square import SIDE, STRIP_SQUARES, fiducial_corners, index_corners, paper_corners, strip_placements
+from aridcal.writing.files import atomic_folder
 
 # In a metre.
 MM = 1e3

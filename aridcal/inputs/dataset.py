@@ -10,9 +10,9 @@ import numpy as np
 import pandas as pd
 
 from aridcal.effects.effect import ROW_ORDER
-from aridcal.inputs.channels import TARGET_POSITION, TARGET_ROTATION, Channels, columns, spread
 from aridcal.inputs.repeats import blocks
 from aridcal.inputs.tables import Remark
+from aridcal.instruments.channels import TARGET_POSITION, TARGET_ROTATION, Channels, columns, spread
 from aridcal.robot.chain import JointKind
 
 

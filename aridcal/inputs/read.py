@@ -11,13 +11,13 @@ from scipy.spatial.transform import Rotation
 
 from aridcal.errors import MeasurementError
 from aridcal.inputs.campaign import Campaign
-from aridcal.inputs.channels import TARGET_POSITION, TARGET_ROTATION
 from aridcal.inputs.checks import check_units, note_limits, note_stale, nothing_usable, refuse_copies, stale_rows
 from aridcal.inputs.dataset import Dataset, RowNoise, weighed
 from aridcal.inputs.quantities import Source
 from aridcal.inputs.repeats import blocks, by_content
 from aridcal.inputs.split import draw_split, with_training_rows
 from aridcal.inputs.tables import AnyTable, Table, read_tables
+from aridcal.instruments.channels import TARGET_POSITION, TARGET_ROTATION
 from aridcal.robot.chain import JointKind
 
 

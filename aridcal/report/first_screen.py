@@ -10,7 +10,7 @@ import numpy as np
 
 from aridcal.effects.catalogue import KINDS
 from aridcal.fit.noise import WORTH_SAYING
-from aridcal.inputs.channels import Channel
+from aridcal.instruments.channels import Channel
 from aridcal.report.html import Content, Html, counted, number, plus_minus, tag
 from aridcal.report.words import causes_in_words, sigmas_in_words
 from aridcal.result.key_figures import (

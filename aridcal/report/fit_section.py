@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from aridcal.inputs.channels import Channels, spread
+from aridcal.instruments.channels import Channels, spread
 from aridcal.report.data_section import row_table
 from aridcal.report.figures import field, histogram, panels
 from aridcal.report.html import Content, Html, counted, figures, number, table, tag

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from aridcal.effects.effect import ROW_ORDER, Effect
-from aridcal.inputs.channels import Channels
+from aridcal.instruments.channels import Channels
 from aridcal.report.html import fixed, number, plus_minus
 from aridcal.result.outcome import Outcome
 from aridcal.robot.chain import Robot

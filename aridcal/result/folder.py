@@ -19,8 +19,8 @@ from aridcal.effects.catalogue import KINDS
 from aridcal.effects.effect import ANGULAR, FRAME_COMPONENTS, ROW_ORDER, Effect
 from aridcal.fit.calibrated import stage_urdf
 from aridcal.fit.least_squares import Fit
-from aridcal.inputs.channels import columns
 from aridcal.inputs.dataset import Dataset
+from aridcal.instruments.channels import columns
 from aridcal.model.model import ONE_FRAME
 from aridcal.result.outcome import Outcome, Stage, Verification, errors
 from aridcal.result.saved_model import SavedModel, SolvedModel

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from aridcal.inputs.channels import Channels, norms, spread
+from aridcal.instruments.channels import Channels, norms, spread
 from aridcal.result.folder import parameters
 from aridcal.result.outcome import Outcome, Stage, statistics
 from aridcal.result.uncertainty import accuracy

@@ -9,8 +9,8 @@ import numpy as np
 from aridcal.fit.least_squares import Fit
 from aridcal.fit.noise import Repeats
 from aridcal.inputs.campaign import Campaign
-from aridcal.inputs.channels import Channels, norms
 from aridcal.inputs.dataset import Dataset
+from aridcal.instruments.channels import Channels, norms
 from aridcal.result.uncertainty import Precision
 from aridcal.result.verdict import Verdict
 from aridcal.robot.chain import Robot

@@ -9,8 +9,8 @@ import numpy as np
 from aridcal.fit.least_squares import Fit, minimise
 from aridcal.fit.noise import contradicted
 from aridcal.fit.residual import BLOCK, Problem, distance, linearise, problem, robust_sigma
-from aridcal.inputs.channels import Channels
 from aridcal.inputs.dataset import Dataset
+from aridcal.instruments.channels import Channels
 from aridcal.model.model import Rows
 from aridcal.showing import SILENT, Progress
 

@@ -13,8 +13,8 @@ from aridcal.effects.effect import Effect
 from aridcal.fit.flags import Cluster, cluster
 from aridcal.fit.least_squares import Fit
 from aridcal.fit.residual import BLOCK, FLOOR, problem
-from aridcal.inputs.channels import spread
 from aridcal.inputs.dataset import Dataset
+from aridcal.instruments.channels import spread
 from aridcal.search.noise_tests import Clue
 
 MANY_FLAGGED = 0.03

@@ -21,8 +21,8 @@ from aridcal.fit.normal_equations import RANK, NormalEquations, balanced
 from aridcal.fit.residual import problem, scaled
 from aridcal.head.reduction import Head, Reduced
 from aridcal.inputs.campaign import EffectDeclaration
-from aridcal.inputs.channels import spread
 from aridcal.inputs.dataset import Dataset
+from aridcal.instruments.channels import spread
 from aridcal.search.evidence import Score, score
 from aridcal.search.scoring import ALPHA
 from aridcal.search.stepwise import CLOSE

@@ -14,7 +14,7 @@ from aridcal.effects.effect import Effect
 from aridcal.effects.smooth import kernel_root, smooth_precision
 from aridcal.fit.flags import flagged
 from aridcal.fit.normal_equations import NormalEquations, accumulate
-from aridcal.inputs.channels import Channels, columns, spread
+from aridcal.instruments.channels import Channels, columns, spread
 from aridcal.search.evidence import Score, Solution, solve
 
 FAINT = 0.02

@@ -21,8 +21,8 @@ from aridcal.effects.effect import Coefficient
 from aridcal.fit.least_squares import Fit, thin
 from aridcal.fit.residual import BLOCK, FLOOR, Problem, motions, problem, scaled
 from aridcal.fit.variance_components import Components, Scatter, estimate, one_more
-from aridcal.inputs.channels import TARGET_POSITION, TARGET_ROTATION, columns, spread
 from aridcal.inputs.dataset import Dataset, factors
+from aridcal.instruments.channels import TARGET_POSITION, TARGET_ROTATION, columns, spread
 from aridcal.search.diagnose import SEARCHED
 from aridcal.search.exact import GAUGE
 from aridcal.search.linear_model import Active

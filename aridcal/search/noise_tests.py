@@ -21,8 +21,8 @@ from aridcal.fit.least_squares import Fit
 from aridcal.fit.noise import Repeats
 from aridcal.fit.normal_equations import TINY
 from aridcal.fit.residual import motions, problem, scaled
-from aridcal.inputs.channels import columns, spread
 from aridcal.inputs.dataset import Dataset
+from aridcal.instruments.channels import columns, spread
 from aridcal.search.change_points import SIDE
 from aridcal.showing import SILENT, Progress
 

@@ -14,8 +14,8 @@ from aridcal.effects.loads import covariate_table
 from aridcal.fit.least_squares import Fit
 from aridcal.fit.normal_equations import TINY
 from aridcal.fit.residual import FLOOR, motions, problem, scaled
-from aridcal.inputs.channels import columns, spread
 from aridcal.inputs.dataset import Dataset
+from aridcal.instruments.channels import columns, spread
 from aridcal.showing import SILENT, Progress
 
 SLICE, MOST_SLICES = 20, 48

@@ -11,11 +11,11 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Literal
 
-from aridcal import disk
 from aridcal.errors import OutputError
-from aridcal.lock import held, is_mine
 from aridcal.signals import undisturbed
-from aridcal.staging import (
+from aridcal.writing import disk
+from aridcal.writing.lock import held, is_mine
+from aridcal.writing.staging import (
     LOCK,
     NAME_SHOWN,
     NEW,

@@ -1,0 +1,1 @@
+"""What was measured of the target: kinds of measurements, the mirror image of corrections."""
