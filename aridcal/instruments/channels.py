@@ -56,6 +56,15 @@ TARGET_POSITION = Channel("position", "m", ("x", "y", "z"), "mm", 1e3, "position
 # Of the target, as a rotation vector in world axes.
 TARGET_ROTATION = Channel("rotation", "rad", ("rx", "ry", "rz"), "mrad", 1e3, "rotation error")
 
+# Of a length that an instrument reads: a wire, a ballbar, a gauge.
+LENGTH = Channel("distance", "m", ("l",), "mm", 1e3, "distance error")
+
+# Of a mark in an image.
+PIXEL = Channel("pixel", "px", ("u", "v"), "px", 1.0, "pixel error")
+
+# Of the direction of gravity in a sensor's frame, across it.
+INCLINATION = Channel("inclination", "rad", ("g1", "g2"), "mrad", 1e3, "inclination error")
+
 Channels = tuple[Channel, ...]
 
 

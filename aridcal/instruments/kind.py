@@ -1,0 +1,110 @@
+r"""What a kind of measurement is: instrument x channel x unknowns, the mirror image of where x component x basis.
+
+A row measures the target, whose pose the arm's model predicts, with the help of things that stand around it or sit on it: a
+socket, an anchor, a plane, a camera, a marker. A kind says which things its rows refer to (:class:`Role`), what it predicts
+from the target's pose and the states of those things, and how that changes with each (:class:`Seen`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from aridcal.instruments.channels import Channels
+
+States = Sequence[np.ndarray]
+"""State of each thing that the rows refer to, one array of shape (n, P) for each role of a kind."""
+
+
+@dataclass(frozen=True)
+class Role:
+    """What rows refer to by a label, and what may be unknown of it.
+
+    A state is whatever numbers describe a thing: coordinates, a rotation matrix. A change has one number for each component.
+
+    Attributes:
+        name: ``anchor`` for instance.
+        components: Names of what may be unknown of it, u of them.
+        units: Of each.
+        size: Numbers P of its state.
+        moved: The state after a change: (n, P) and (n, u) to (n, P).
+        slope: How the local change at the state moved by a change follows the components: (n, P) and (n, u) to (n, u, u);
+            None where that is the identity. Derivatives of :class:`Seen` are by the local change.
+        identified: Components that are unknown unless the campaign says otherwise.
+        many: True where there may be thousands of them: they are solved for one by one, beside the rest of the model.
+    """
+
+    name: str
+    components: tuple[str, ...]
+    units: tuple[str, ...]
+    size: int
+    moved: Callable[[np.ndarray, np.ndarray], np.ndarray]
+    slope: Callable[[np.ndarray, np.ndarray], np.ndarray] | None
+    identified: tuple[str, ...]
+    many: bool
+
+
+@dataclass(frozen=True)
+class Seen:
+    """A kind asked about n rows of m numbers.
+
+    Attributes:
+        residual: Measured minus predicted, shape (n, m).
+        by_twist: How the prediction changes with a twist of the target at its own origin in world axes (linear, then
+            angular), shape (n, m, 6).
+        by_state: How it changes with a local change of each thing, shape (n, m, u) for each role.
+    """
+
+    residual: np.ndarray
+    by_twist: np.ndarray
+    by_state: tuple[np.ndarray, ...]
+
+
+Residual = Callable[[np.ndarray, np.ndarray, np.ndarray, States], np.ndarray]
+"""Rotations (n, 3, 3) and positions (n, 3) of the target in the world frame, what was read (n, W), states: to (n, m)."""
+
+Derivatives = Callable[[np.ndarray, np.ndarray, np.ndarray, States], Seen]
+"""The same, to a :class:`Seen`."""
+
+Located = Callable[[np.ndarray, np.ndarray, np.ndarray, States], np.ndarray]
+"""The same for the rows of one thing of the last role, whose own state is not looked at: to its state, shape (P,). Closed
+form or linear; NaN where these rows cannot tell."""
+
+
+@dataclass(frozen=True)
+class Kind:
+    """One row of the table of kinds.
+
+    Attributes:
+        name: As in campaigns.
+        words: What is measured, in words.
+        channels: What a row reads.
+        read: Names of the numbers of which it is predicted what they are, columns of the table, W of them.
+        roles: What its rows refer to.
+        residual: Measured minus predicted.
+        derivatives: The same with its derivatives.
+        located: Where a thing of the last role is, from the target's poses; None for a kind without roles.
+        turns: False if the target's own rotation does not matter: it is a point.
+    """
+
+    name: str
+    words: str
+    channels: Channels
+    read: tuple[str, ...]
+    roles: tuple[Role, ...]
+    residual: Residual
+    derivatives: Derivatives
+    located: Located | None
+    turns: bool = False
+
+
+def points_twist(by_point: np.ndarray) -> np.ndarray:
+    """Derivatives by a twist of the target of what depends on its position alone, (n, m, 3) to (n, m, 6)."""
+    return np.concatenate([by_point, np.zeros_like(by_point)], axis=2)
+
+
+def added(state: np.ndarray, change: np.ndarray) -> np.ndarray:
+    """The state of what is described by coordinates: those plus the change."""
+    return state + change

@@ -1,0 +1,93 @@
+"""The things around an arm that its measurements refer to: what is known of them beforehand, and of their relations."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+
+from aridcal.instruments.channels import Channels
+from aridcal.instruments.kind import Role
+
+
+@dataclass(frozen=True)
+class Things:
+    """Everything of one role, L things.
+
+    Attributes:
+        role: What they are.
+        names: Their labels.
+        start: State of each beforehand, shape (L, P); NaN where nothing is known.
+        free: Which components are identified, shape (L, u) bool.
+        std: 1-sigma of what is known beforehand of each component, shape (L, u): infinite where nothing is, and where a
+            component that is not free is exact.
+    """
+
+    role: Role
+    names: tuple[str, ...]
+    start: np.ndarray
+    free: np.ndarray
+    std: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+
+@dataclass(frozen=True)
+class Tie:
+    """A known relation of two things of one role.
+
+    Attributes:
+        role: Name of the role.
+        first: Label of the one.
+        second: Label of the other.
+        form: ``distance`` of two points, [m]; ``cosine`` of the angle between two planes' normals.
+        value: Of it.
+        std: 1-sigma.
+    """
+
+    role: str
+    first: str
+    second: str
+    form: Literal["distance", "cosine"]
+    value: float
+    std: float
+
+
+@dataclass(frozen=True)
+class Instruments:
+    """All things that the measurements of a campaign refer to.
+
+    Attributes:
+        things: By the name of their role.
+        ties: What is known of their relations.
+        world: True where something of them is known in the world frame; else that is the robot's base frame.
+    """
+
+    things: dict[str, Things] = field(default_factory=dict)
+    ties: tuple[Tie, ...] = ()
+    world: bool = False
+
+    def at(self, states: dict[str, np.ndarray]) -> Instruments:
+        """The same with other states to start from, (L, P) by role."""
+        moved = {name: replace(t, start=states.get(name, t.start)) for name, t in self.things.items()}
+        return replace(self, things=moved)
+
+
+@dataclass(frozen=True)
+class Block:
+    """Rows of one kind, as a campaign declares them.
+
+    Attributes:
+        name: Of the block.
+        kind: Name of the kind.
+        channels: What its rows measure: those of the kind; where another block measures one of the same name, its name
+            begins with the block's.
+        sigma: Declared noise of each, None where it is to be estimated.
+    """
+
+    name: str
+    kind: str
+    channels: Channels
+    sigma: tuple[float | None, ...]
