@@ -32,7 +32,8 @@ from machines import ADDED, NAMED, Case, basis_of, contribution, draw_case
 
 from aridcal.effects.effect import Effect
 from aridcal.fit.identifiable import identifiable
-from aridcal.fit.least_squares import Fit, Prior, fit
+from aridcal.fit.least_squares import Fit, fit
+from aridcal.fit.normal_equations import Prior
 from aridcal.fit.residual import problem, triangle
 from aridcal.instruments.channels import spread
 from aridcal.result.pipeline import judged

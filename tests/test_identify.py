@@ -17,7 +17,7 @@ import robots
 from scipy.spatial.transform import Rotation
 
 from aridcal import identify, predict
-from aridcal.fit.calibrated import stage_urdf
+from aridcal.fit.constants import stage_urdf
 from aridcal.result.outcome import Outcome
 from aridcal.result.saved_model import SavedModel
 from aridcal.result_folder import RESULT_FILES

@@ -15,7 +15,8 @@ from aridcal.effects.effect import Coefficient
 from aridcal.errors import NotIdentifiable
 from aridcal.fit.constants import constants
 from aridcal.fit.flags import OUTLIER, SUSPECT, flagged
-from aridcal.fit.least_squares import Prior, fit, fit_identifiable, minimise, thin
+from aridcal.fit.least_squares import fit, fit_identifiable, minimise, thin
+from aridcal.fit.normal_equations import Prior
 from aridcal.fit.residual import FLOOR, Problem, linearise, problem, residuals, robust_sigma, triangle
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.channels import TARGET_POSITION, TARGET_ROTATION

@@ -15,8 +15,7 @@ from aridcal.effects.basis import Basis
 from aridcal.effects.effect import FRAME_COMPONENTS, LINK_COMPONENTS, Coefficient
 from aridcal.effects.loads import Surroundings
 from aridcal.errors import CovariateNotFound, MeasurementError
-from aridcal.fit.calibrated import stage_urdf
-from aridcal.fit.constants import constants
+from aridcal.fit.constants import constants, stage_urdf
 from aridcal.model.model import Model
 from aridcal.robot.chain import Robot, parse_robot
 from aridcal.robot.doty import doty_links, link_transform

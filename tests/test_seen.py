@@ -16,7 +16,8 @@ from aridcal.effects.effect import Coefficient
 from aridcal.effects.kinds import bumps
 from aridcal.effects.loads import Surroundings
 from aridcal.effects.smooth import Kernel, smooth_precision
-from aridcal.fit.least_squares import Prior, fit
+from aridcal.fit.least_squares import fit
+from aridcal.fit.normal_equations import Prior
 from aridcal.fit.residual import problem
 from aridcal.model.model import Model
 from aridcal.result.folder import calibration

@@ -1,23 +1,56 @@
-"""Which constants of a robot and its frames are asked for."""
+"""Which constants of a robot and its frames are asked for, and what was found of them as a URDF."""
 
 from __future__ import annotations
 
+import numpy as np
+
 from aridcal.effects.effect import FRAME_COMPONENTS, Coefficient
-from aridcal.inputs.campaign import Campaign
+from aridcal.fit.least_squares import Fit
+from aridcal.fit.thing_starts import TIP
+from aridcal.inputs.campaign import Campaign, FrameSettings
 from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.read import per_station
 from aridcal.robot.chain import Robot
 from aridcal.robot.doty import doty_links
+from aridcal.robot.splice import splice_origins, written_origins
 
 
-def frame_coefficients(campaign: Campaign, labels: tuple[str, ...]) -> tuple[Coefficient, ...]:
-    """Unknowns of the frames that are to be identified: world_base first."""
+def frame_coefficients(campaign: Campaign, labels: tuple[str, ...], data: Dataset) -> tuple[Coefficient, ...]:
+    """Unknowns of the frames that are to be identified: world_base first, then what cameras and boards are unknown in."""
     found = []
     for where, settings in (("world_base", campaign.frames.world_base), ("tip_target", campaign.frames.tip_target)):
-        if settings.identify:
-            stations: tuple[str | None, ...] = labels if settings.per == "station" else (None,)
-            found += [Coefficient(where, c, station=s) for s in stations for c in FRAME_COMPONENTS]
+        if settings.identify and (where == "tip_target" or has_world(data)):
+            own = frame_labels(where, settings, labels, data)
+            found += [Coefficient(where, c, station=s) for s in own if s != TIP for c in FRAME_COMPONENTS]
+    if not measures_target(data):
+        found = [c for c in found if c.where != "tip_target"]
+    for things in data.instruments.things.values():
+        if not things.role.many:
+            pairs = np.argwhere(things.free).tolist()
+            found += [Coefficient(things.names[k], things.role.components[c]) for k, c in pairs]
     return tuple(found)
+
+
+def frame_labels(
+    where: str, settings: FrameSettings, labels: tuple[str, ...], data: Dataset
+) -> tuple[str | None, ...]:
+    """Labels of the frames at one end of the chain: stations, targets, or none where one frame serves all rows."""
+    if settings.per == "station":
+        return labels
+    if where == "tip_target" and data.target is not None:
+        return tuple(sorted({str(t) for t in data.target}))
+    return (None,)
+
+
+def has_world(data: Dataset) -> bool:
+    """True if something is known or measured in the world frame; otherwise that is the robot's base frame."""
+    posed = any(block.kind in ("pose", "position") for block in data.blocks)
+    return not data.blocks or posed or data.instruments.world
+
+
+def measures_target(data: Dataset) -> bool:
+    """True if a target on the tip is measured; cameras see the tip itself."""
+    return not data.blocks or any(block.kind != "pixels" for block in data.blocks)
 
 
 def constants(robot: Robot, which: str) -> tuple[Coefficient, ...]:
@@ -68,3 +101,9 @@ def station_labels(campaign: Campaign, data: Dataset) -> tuple[str, ...]:
     if data.station is None or not per_station(campaign):
         return ()
     return tuple(sorted({str(s) for s in data.station}))
+
+
+def stage_urdf(fit: Fit) -> bytes:
+    """The user's URDF with a fit's constants folded into the joints' own origins."""
+    urdf = fit.model.robot.urdf
+    return splice_origins(urdf, written_origins(urdf, fit.model.origins(fit.theta)))

@@ -9,9 +9,10 @@ import numpy as np
 
 from aridcal.effects.effect import Coefficient
 from aridcal.errors import NotIdentifiable
+from aridcal.fit.elimination import Groups
 from aridcal.fit.flags import flagged, limits
-from aridcal.fit.identifiable import identifiable
-from aridcal.fit.normal_equations import TINY, NormalEquations, solve
+from aridcal.fit.identifiable import agreeing, identifiable
+from aridcal.fit.normal_equations import TINY, NormalEquations, Prior, solve_with, with_prior
 from aridcal.fit.residual import (
     FLOOR,
     Linearisation,
@@ -43,11 +44,17 @@ ROUNDING = 1e-13
 ROUGH_ROWS = 300
 """Rows of a robust fit, or four times the coefficients if that is more: flags need no more."""
 
+NUMBERS = 3
+"""That a row measures, as these counts of rows take it: a position. Where it is one length, three times the rows are taken."""
+
 FEWEST = 10
 """Rows of each frame in any choice of rows: enough to find the frame."""
 
 FLAGGING = 8
 """Times that flags and fit are found in turn; three are usual."""
+
+THINGS = 4
+"""Steps that find things anew where the coefficients stay; their rows are nearly linear in them."""
 
 RESELECTIONS = 4
 """Times that the identifiable set and the fit are found in turn; two are usual."""
@@ -63,22 +70,6 @@ VANISHED = 1e-2
 
 UNKNOWN_NOISE = 1e-4
 """[m] and [rad]: noise of a good instrument, where nothing is known of it yet."""
-
-
-@dataclass(frozen=True)
-class Prior:
-    """What is believed of the coefficients beforehand.
-
-    Attributes:
-        mean: Shape (K,).
-        precision: Shape (K, K).
-        basis: Combinations of coefficients, in columns, that are alike in how sure one is of them, shape (K, K): the
-            samples of a smooth function are far too alike themselves to be solved for one by one. None: each its own.
-    """
-
-    mean: np.ndarray
-    precision: np.ndarray
-    basis: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -163,6 +154,7 @@ class Minimum:
         sigma: Noise of each channel, shape (C,).
         steps: Steps taken.
         gradient: As in :class:`Convergence`.
+        question: The problem, its things where they were found.
     """
 
     theta: np.ndarray
@@ -170,6 +162,7 @@ class Minimum:
     sigma: np.ndarray
     steps: int
     gradient: float
+    question: Problem
 
 
 def minimise(problem: Problem, theta: np.ndarray, weight: np.ndarray | None, prior: Prior | None = None) -> Minimum:
@@ -193,20 +186,23 @@ def minimise(problem: Problem, theta: np.ndarray, weight: np.ndarray | None, pri
         estimate = scale if robust else _estimate(place.equations, sigma, prior)
         return declared(np.maximum(estimate, ABREAST * estimate.max(initial=0.0)) if abreast else estimate)
 
-    here = linearise(problem, theta, weight, scale)
-    sigma = noise_at(here, declared(robust_sigma(here.residual, channels)))
+    sigma = declared(robust_sigma(problem.scaled_residual(theta), channels))
+    here = linearise(problem, theta, weight, _weighing(robust, scale, sigma))
+    sigma = noise_at(here, sigma)
     damping, taken = 0.0, 0
     while taken < STEPS and damping < MOST_DAMPING:
-        H, g = _with_prior(here.equations, sigma, theta, prior)
-        step = _solve(H, g, prior, damping)
+        H, g = with_prior(here.equations, sigma, theta, prior)
+        step = solve_with(H, g, prior, damping)
+        follow = here.step_of_groups(step)
         last = float(np.sqrt(max(step @ g, 0.0))) < settled and damping == 0.0
         last |= bool(np.all(np.abs(step) < ROUNDING * (1.0 + np.abs(theta))))
-        trial = linearise(problem, theta + step, weight, scale)
-        before = _cost(here.residual, here.weight, channels, sigma, theta, prior)
-        after = _cost(trial.residual, here.weight, channels, sigma, theta + step, prior)
+        there = problem.stepped(follow)
+        trial = linearise(there, theta + step, weight, _weighing(robust, scale, sigma))
+        before = _cost(here, here.weight, channels, sigma, theta, prior)
+        after = _cost(trial, here.weight, channels, sigma, theta + step, prior)
         taken += 1
         if after <= before or last:
-            theta, here, damping = theta + step, trial, 0.0 if damping < FIRST_DAMPING else damping / 10
+            problem, theta, here, damping = there, theta + step, trial, 0.0 if damping < FIRST_DAMPING else damping / 10
             scale = robust_sigma(here.residual, channels) if robust else scale
             sigma = noise_at(here, sigma)
         else:
@@ -217,9 +213,14 @@ def minimise(problem: Problem, theta: np.ndarray, weight: np.ndarray | None, pri
             last = bool(np.all(sigma == held))
         if last:
             break
-    H, g = _with_prior(here.equations, sigma, theta, prior)
-    rest = _solve(H, g, prior)
-    return Minimum(theta, here, sigma, taken, float(np.sqrt(max(rest @ g, 0.0))))
+    H, g = with_prior(here.equations, sigma, theta, prior)
+    rest = solve_with(H, g, prior)
+    return Minimum(theta, here, sigma, taken, float(np.sqrt(max(rest @ g, 0.0))), problem)
+
+
+def _weighing(robust: bool, scale: np.ndarray, sigma: np.ndarray) -> np.ndarray:
+    """What channels are weighed with beside one another: their robust scale as long as rows are, their noise then."""
+    return scale if robust else sigma
 
 
 def fit(
@@ -238,22 +239,23 @@ def fit(
     steps, limit = 0, limits(data)
     searching = weight is None
     if weight is None:
-        some = thin(problem.rows, max(ROUGH_ROWS, 4 * len(theta)))
+        some = _enough(problem)
         rough = minimise(problem.select(some), theta, None, prior)
         theta, steps = rough.theta, rough.steps
+        problem = _things_again(replace(problem, states=rough.question.states), theta)
         weight = _weights(flagged(problem.scaled_residual(theta), problem.channels, limit))
     for _ in range(FLAGGING):
         found = minimise(problem, theta, weight, prior)
-        theta, steps = found.theta, steps + found.steps
+        problem, theta, steps = found.question, found.theta, steps + found.steps
         again = _weights(flagged(found.at.residual, problem.channels, limit)) if searching else weight
         if np.array_equal(again, weight):
             break
         weight = again
     equations, sigma = found.at.equations, found.sigma
-    H, _ = _with_prior(equations, sigma, theta, prior)
-    covariance = _solve(H, np.eye(len(H)), prior)
+    H, _ = with_prior(equations, sigma, theta, prior)
+    covariance = solve_with(H, np.eye(len(H)), prior)
     return Fit(
-        model=model,
+        model=replace(model, instruments=problem.instruments, states=problem.states) if problem.states else model,
         theta=theta,
         covariance=covariance,
         sigma=sigma,
@@ -282,17 +284,19 @@ def fit_identifiable(problem: Problem, order: Sequence[int], theta: np.ndarray |
     model = problem.model
     theta = np.zeros(len(model.coefficients)) if theta is None else theta
     sigma = problem.data.declared(np.full(len(problem.channels), UNKNOWN_NOISE))
-    some = thin(problem.rows, max(ROUGH_ROWS, 4 * len(theta)))
+    some = _enough(problem)
     share = np.full(len(some), len(problem) / len(some))
-    subset = identifiable(triangle(problem.select(some), theta, share, sigma), order)
+    sizes = model.sizes
+    subset = identifiable(triangle(agreeing(problem.select(some), theta), theta, share, sigma) * sizes, order)
     for _ in range(RESELECTIONS):
         kept = sorted(subset.kept)
         if not kept:
             raise NotIdentifiable([model.names])
         result = fit(_narrowed(problem, kept), theta[kept])
+        problem = replace(problem, states=result.model.states)
         theta = np.zeros(len(model.coefficients))
         theta[kept] = result.theta
-        R = triangle(problem, theta, result.weight, result.sigma)
+        R = triangle(agreeing(problem, theta), theta, result.weight, result.sigma) * sizes
         # What was kept stays ahead: near the solution a symmetry of the nominal robot is broken a little, and what
         # that makes barely separable must not push out what is well known.
         subset = identifiable(R, order, kept)
@@ -303,11 +307,24 @@ def fit_identifiable(problem: Problem, order: Sequence[int], theta: np.ndarray |
     return replace(result, candidates=model.coefficients, redundant=redundant, convergence=convergence)
 
 
-def thin(rows: Rows, most: int) -> np.ndarray:
-    """Row numbers: all, or a reproducible random choice of about ``most`` of them in order, of every frame its share."""
+def _enough(problem: Problem) -> np.ndarray:
+    """Row numbers of a choice that is large enough for all coefficients, whatever a row measures."""
+    numbers = sum(channel.size for channel in problem.channels) / len(problem.channels)
+    most = max(ROUGH_ROWS, 4 * len(problem.model.coefficients))
+    return thin(problem.rows, round(most * max(1.0, NUMBERS / numbers)), problem.groups)
+
+
+def thin(rows: Rows, most: int, groups: Groups | None = None) -> np.ndarray:
+    """Row numbers: all, or a reproducible random choice of about ``most`` of them in order, of every frame its share.
+
+    Rows of things that have few are taken together or not at all: one row of a thing tells of nothing else.
+    """
     if len(rows) <= most:
         return np.arange(len(rows))
     rng = np.random.default_rng(0)
+    if groups is not None and (groups.row >= 0).all() and len(rows) < FEWEST * len(np.unique(groups.row)):
+        order = rng.permutation(len(groups.unknown))[groups.row]
+        return np.flatnonzero(order <= np.partition(order, most)[most])
     pair = rows.world * (rows.tip.max() + 1) + rows.tip
     chosen = []
     for k in np.unique(pair):
@@ -315,6 +332,16 @@ def thin(rows: Rows, most: int) -> np.ndarray:
         share = max(most * len(own) // len(rows), min(len(own), FEWEST))
         chosen.append(rng.choice(own, share, replace=False))
     return np.sort(np.concatenate(chosen))
+
+
+def _things_again(problem: Problem, theta: np.ndarray) -> Problem:
+    """The same with the things found anew from all rows, robustly: some of the rows say nothing of some of them."""
+    if problem.groups is None:
+        return problem
+    for _ in range(THINGS):
+        scale = robust_sigma(problem.scaled_residual(theta), problem.channels)
+        problem = problem.stepped(linearise(problem, theta, None, scale).step_of_groups(np.zeros(len(theta))))
+    return problem
 
 
 def _weights(outliers: np.ndarray) -> np.ndarray:
@@ -342,33 +369,20 @@ def _condition(H: np.ndarray) -> float:
     return float(np.sqrt(np.linalg.cond(H / length / length[:, None])))
 
 
-def _with_prior(
-    equations: NormalEquations, sigma: np.ndarray, theta: np.ndarray, prior: Prior | None
-) -> tuple[np.ndarray, np.ndarray]:
-    """H and g of a step from theta, the prior's pull included."""
-    H, g = equations.information(sigma), equations.pull(sigma)
-    if prior is not None:
-        H, g = H + prior.precision, g + prior.precision @ (prior.mean - theta)
-    return H, g
-
-
 def _cost(
-    r: np.ndarray, weight: np.ndarray, channels: Channels, sigma: np.ndarray, theta: np.ndarray, prior: Prior | None
+    at: Linearisation,
+    weight: np.ndarray,
+    channels: Channels,
+    sigma: np.ndarray,
+    theta: np.ndarray,
+    prior: Prior | None,
 ) -> float:
-    """Sum of squares in sigmas, and what the prior adds."""
-    value = float(np.sum(weighted_squares(r, weight, channels) / sigma**2))
+    """Sum of squares in sigmas, and what is known of things and coefficients beforehand."""
+    value = float(np.sum(weighted_squares(at.residual, weight, channels) / sigma**2)) + at.squares_known
     if prior is not None:
         off = theta - prior.mean
         value += float(off @ prior.precision @ off)
     return value
-
-
-def _solve(H: np.ndarray, b: np.ndarray, prior: Prior | None, damping: float = 0.0) -> np.ndarray:
-    """H^-1 b, shape of b, in the combinations that the prior holds independent."""
-    if prior is None or prior.basis is None:
-        return solve(H, b, damping)
-    B = prior.basis
-    return np.asarray(B @ solve(B.T @ H @ B, B.T @ b, damping))
 
 
 def _estimate(equations: NormalEquations, sigma: np.ndarray, prior: Prior | None) -> np.ndarray:
@@ -376,7 +390,7 @@ def _estimate(equations: NormalEquations, sigma: np.ndarray, prior: Prior | None
     H = equations.information(sigma)
     if prior is not None:
         H = H + prior.precision
-    spent = equations.spent(_solve(H, np.eye(len(H)), prior), sigma)
+    spent = equations.spent(solve_with(H, np.eye(len(H)), prior), sigma)
     freedom = equations.count - spent
     left = np.sqrt(equations.rr / np.where(freedom > LEAST_FREEDOM, freedom, 1.0))
     return np.where(freedom > LEAST_FREEDOM, np.maximum(left, FLOOR), sigma)

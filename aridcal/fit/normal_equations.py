@@ -183,3 +183,37 @@ def without(H: np.ndarray, theta: np.ndarray, gone: np.ndarray, free: np.ndarray
     moved = np.where(gone, 0.0, theta)
     moved[free] += np.linalg.solve(H[np.ix_(free, free)], H[np.ix_(free, gone)] @ theta[gone])
     return moved
+
+
+@dataclass(frozen=True)
+class Prior:
+    """What is believed of the coefficients beforehand.
+
+    Attributes:
+        mean: Shape (K,).
+        precision: Shape (K, K).
+        basis: Combinations of coefficients, in columns, that are alike in how sure one is of them, shape (K, K): the
+            samples of a smooth function are far too alike themselves to be solved for one by one. None: each its own.
+    """
+
+    mean: np.ndarray
+    precision: np.ndarray
+    basis: np.ndarray | None = None
+
+
+def with_prior(
+    equations: NormalEquations, sigma: np.ndarray, theta: np.ndarray, prior: Prior | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """H and g of a step from theta, the prior's pull included."""
+    H, g = equations.information(sigma), equations.pull(sigma)
+    if prior is not None:
+        H, g = H + prior.precision, g + prior.precision @ (prior.mean - theta)
+    return H, g
+
+
+def solve_with(H: np.ndarray, b: np.ndarray, prior: Prior | None, damping: float = 0.0) -> np.ndarray:
+    """H^-1 b, shape of b, in the combinations that the prior holds independent."""
+    if prior is None or prior.basis is None:
+        return solve(H, b, damping)
+    B = prior.basis
+    return np.asarray(B @ solve(B.T @ H @ B, B.T @ b, damping))

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 from scipy.special import gammaincinv
 
+from aridcal.fit.elimination import Eliminated, Groups, Known, Sums, groups, known, moved, reduced, solved, tied_columns
 from aridcal.fit.normal_equations import NormalEquations
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.channels import Channels, columns, norms, spread
+from aridcal.instruments.pose import residuals
+from aridcal.instruments.setup import Instruments
+from aridcal.model.measured import Measured, States, located, measured
 from aridcal.model.model import Model, Rows
 from aridcal.showing import SILENT, Progress
 
@@ -43,12 +46,18 @@ class Problem:
         data: N rows, m numbers each.
         rows: The same rows as the model sees them.
         progress: Told how far each pass over the rows is.
+        measured: What they read and of which things; None where all that they measure is the target's own pose.
+        groups: Unknowns of things that are solved for beside the coefficients; None where there are none.
+        states: Where the things are.
     """
 
     model: Model
     data: Dataset
     rows: Rows
     progress: Progress = SILENT
+    measured: Measured | None = None
+    groups: Groups | None = None
+    states: States = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.data)
@@ -66,11 +75,25 @@ class Problem:
 
     def select(self, some: np.ndarray) -> Problem:
         """The same question about some of the rows."""
-        return replace(self, data=self.data.select(some), rows=self.rows[some])
+        return replace(
+            self,
+            data=self.data.select(some),
+            rows=self.rows[some],
+            measured=None if self.measured is None else self.measured[some],
+            groups=None if self.groups is None else self.groups.select(some),
+        )
 
     def residual(self, theta: np.ndarray) -> np.ndarray:
-        """Measured minus predicted in world axes, shape (N, m), [m] and [rad]."""
-        return residuals(*self.model.poses(theta, self.rows), self.data.position, self.data.rotation)
+        """Measured minus predicted, shape (N, m); NaN in channels that a row does not measure.
+
+        Things that the model does not know are solved for from these rows alone, and the freedom that this takes is given back.
+        """
+        R, p = self.model.poses(theta, self.rows)
+        if self.measured is None:
+            return residuals(R, p, self.data.position, self.data.rotation)
+        states, stretch = located(self.measured, R, p, theta, self.rows, self.states)
+        r = self.measured.residual(R, p, theta, self.rows, states)
+        return r * stretch[:, None]
 
     def scaled_residual(self, theta: np.ndarray) -> np.ndarray:
         """The same, divided by the rows' relative sigmas."""
@@ -78,16 +101,56 @@ class Problem:
 
     def linearised(self, theta: np.ndarray, part: slice = slice(None)) -> tuple[np.ndarray, np.ndarray]:
         """Scaled residuals (n, m) of a stretch of rows, and what each coefficient takes off them, shape (n, m, K)."""
+        r, J, _ = self.pieces(theta, part)
+        return r, J
+
+    def pieces(self, theta: np.ndarray, part: slice = slice(None)) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Scaled residuals (n, m) of a stretch of rows, and what takes them off.
+
+        Returns:
+            The residuals, 0 where a row does not measure a channel; columns of the coefficients, shape (n, m, K), things held;
+            columns of the unknowns of the rows' groups, shape (n, m, U), U = 0 where there are none.
+        """
         data = self.data
         R, p, J = self.model.jacobian(theta, self.rows[part])
-        r = residuals(R, p, data.position[part], None if data.rotation is None else data.rotation[part])
-        J = J[:, : r.shape[1]]
-        if data.relative is None:
-            return r, J
-        if data.rotation is not None:
-            # log(exp(r) exp(-w)) = r - (w + r x w / 2 + ...): matters only where a row's axes weigh unequally.
-            J[:, 3:] += 0.5 * np.cross(r[:, 3:, None], J[:, 3:], axis=1)
-        return scaled(r, data.relative[part]), scaled(J, data.relative[part])
+        relative = None if data.relative is None else data.relative[part]
+        if self.measured is None:
+            r = residuals(R, p, data.position[part], None if data.rotation is None else data.rotation[part])
+            J = J[:, : r.shape[1]]
+            if data.relative is not None and data.rotation is not None:
+                # log(exp(r) exp(-w)) = r - (w + r x w / 2 + ...): matters only where a row's axes weigh unequally.
+                J[:, 3:] += 0.5 * np.cross(r[:, 3:, None], J[:, 3:], axis=1)
+            return scaled(r, relative), scaled(J, relative), np.zeros((*r.shape, 0))
+        here = self.measured[part]
+        states, _ = located(here, R, p, theta, self.rows[part], self.states)
+        slopes = here.slopes(R, p, theta, self.rows[part], states)
+        J = slopes.by_twist @ J
+        for c, column in zip(here.moved, slopes.by_moved, strict=True):
+            J[:, :, c.index] = column
+        r = np.nan_to_num(slopes.residual)
+        B = self.groups.columns(slopes.by_thing, part) if self.groups is not None else np.zeros((*r.shape, 0))
+        return scaled(r, relative), scaled(J, relative), scaled(B, relative)
+
+    @property
+    def instruments(self) -> Instruments:
+        """All things that model or rows know of."""
+        return self.model.instruments if self.measured is None else self.measured.instruments
+
+    def group_of(self, part: slice) -> np.ndarray:
+        """Group of each of a stretch of rows, -1 for none."""
+        return self.groups.row[part] if self.groups is not None else np.full(len(self.rows[part]), -1)
+
+    def beforehand(self) -> Known | None:
+        """What is known of the groups beforehand, about where their things are."""
+        if self.groups is None or self.measured is None:
+            return None
+        return known(self.groups, self.measured.instruments, self.states)
+
+    def stepped(self, step: np.ndarray) -> Problem:
+        """The same with the groups' unknowns moved, shape (G, U)."""
+        if self.groups is None or self.measured is None:
+            return self
+        return replace(self, states=moved(self.states, self.groups, self.measured.instruments, step))
 
 
 def problem(model: Model, data: Dataset, progress: Progress = SILENT) -> Problem:
@@ -97,7 +160,14 @@ def problem(model: Model, data: Dataset, progress: Progress = SILENT) -> Problem
         CovariateNotFound: an effect depends on a column that was not measured.
         MeasurementError: a row's station is none of those that the model knows.
     """
-    return Problem(model, data, model.rows(data.readings, data.conditions, data.station), progress)
+    rows = model.rows(data.readings, data.conditions, data.station, data.target)
+    seen = measured(model, data)
+    if seen is None:
+        return Problem(model, data, rows, progress)
+    states = {name: t.start for name, t in seen.instruments.things.items()}
+    for name, state in model.states.items():
+        states[name] = np.vstack([state, states[name][len(state) :]])
+    return Problem(model, data, rows, progress, seen, groups(seen), states)
 
 
 def motions(question: Problem, theta: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -119,47 +189,16 @@ def motions(question: Problem, theta: np.ndarray, count: int) -> tuple[np.ndarra
     return R, p, J
 
 
-def residuals(
-    rotation: np.ndarray, position: np.ndarray, measured_position: np.ndarray, measured_rotation: np.ndarray | None
-) -> np.ndarray:
-    """Measured minus predicted in world axes.
-
-    Args:
-        rotation: Predicted, shape (N, 3, 3).
-        position: Predicted, shape (N, 3), [m].
-        measured_position: Shape (N, 3), [m].
-        measured_rotation: Shape (N, 3, 3), or None.
-
-    Returns:
-        Position [m], then rotation vector [rad], shape (N, 6); positions alone, shape (N, 3), where no rotation was
-        measured.
-    """
-    r = measured_position - position
-    if measured_rotation is None:
-        return r
-    return np.hstack([r, rotation_vector(measured_rotation @ rotation.transpose(0, 2, 1))])
-
-
-def rotation_vector(R: np.ndarray) -> np.ndarray:
-    """Axis times angle of rotations, shape (N, 3, 3) to (N, 3); fast where they turn by less than 90 degrees."""
-    vector = 0.5 * np.stack([R[:, 2, 1] - R[:, 1, 2], R[:, 0, 2] - R[:, 2, 0], R[:, 1, 0] - R[:, 0, 1]], axis=1)
-    sine = np.sqrt(np.einsum("ni,ni->n", vector, vector))
-    cosine = 0.5 * (R[:, 0, 0] + R[:, 1, 1] + R[:, 2, 2] - 1.0)
-    angle = np.arctan2(sine, cosine)
-    per_sine = angle / np.where(sine > 0.0, sine, 1.0) + (sine == 0.0)
-    vector *= per_sine[:, None]
-    wide = cosine < 0.0
-    if wide.any():
-        vector[wide] = Rotation.from_matrix(R[wide], assume_valid=True).as_rotvec()
-    return vector
-
-
 def scaled(values: np.ndarray, relative: np.ndarray | None) -> np.ndarray:
     """Residuals or columns, shape (N, m) or (N, m, K), divided by the rows' relative sigmas (see :class:`Dataset`)."""
-    if relative is None:
+    if relative is None or not values.size:
         return values
     wide = values.reshape(*values.shape[:2], -1)
-    divided = np.linalg.solve(relative, wide) if relative.ndim == 3 else wide / relative[:, :, None]
+    if relative.ndim == 3:
+        divided = np.linalg.solve(relative, np.nan_to_num(wide))
+        divided[np.isnan(wide)] = np.nan  # channels that a row does not measure
+    else:
+        divided = wide / relative[:, :, None]
     return np.asarray(divided.reshape(values.shape))
 
 
@@ -167,7 +206,10 @@ def unscaled(r: np.ndarray, relative: np.ndarray | None) -> np.ndarray:
     """Scaled residuals, shape (N, m), back in [m] and [rad]."""
     if relative is None:
         return r
-    return np.asarray(np.einsum("nij,nj->ni", relative, r) if relative.ndim == 3 else r * relative)
+    if relative.ndim < 3:
+        return np.asarray(r * relative)
+    stretched = np.einsum("nij,nj->ni", relative, np.nan_to_num(r))
+    return np.where(np.isnan(r), np.nan, stretched)
 
 
 def robust_sigma(r: np.ndarray, channels: Channels) -> np.ndarray:
@@ -182,6 +224,10 @@ def robust_sigma(r: np.ndarray, channels: Channels) -> np.ndarray:
     """
     found = []
     for channel, length in zip(channels, norms(r, channels), strict=True):
+        length = length[~np.isnan(length)]
+        if not len(length):
+            found.append(FLOOR)
+            continue
         seen = np.quantile(length, QUANTILES)
         ratios = [float(q) / usual for q, usual in zip(seen, usual_norms(channel.size), strict=True)]
         found.append(max(*ratios, FLOOR))
@@ -196,7 +242,7 @@ def usual_norms(size: int) -> tuple[float, ...]:
 
 def distance(r: np.ndarray, sigma: np.ndarray, channels: Channels) -> np.ndarray:
     """How many sigmas per axis a row is off in its worst channel, shape (N,), from scaled residuals (N, m)."""
-    return np.asarray((norms(r, channels) / sigma[:, None]).max(axis=0))
+    return np.asarray(np.fmax.reduce(norms(r, channels) / sigma[:, None], axis=0))
 
 
 def cauchy(r: np.ndarray, sigma: np.ndarray, channels: Channels) -> np.ndarray:
@@ -209,14 +255,25 @@ class Linearisation:
     """A problem at one place: residuals, weights and normal equations.
 
     Attributes:
-        residual: Scaled, shape (N, m).
+        residual: Scaled, shape (N, m); NaN where a row does not measure a channel.
         weight: Of each row, shape (N,).
-        equations: Their sums, weights included.
+        equations: Their sums, weights included; the unknowns of groups are solved for.
+        groups: Those, solved; None where there are none.
     """
 
     residual: np.ndarray
     weight: np.ndarray
     equations: NormalEquations
+    groups: Eliminated | None = None
+
+    @property
+    def squares_known(self) -> float:
+        """What stated facts on the things leave, in sigmas."""
+        return 0.0 if self.groups is None else self.groups.squares
+
+    def step_of_groups(self, step: np.ndarray) -> np.ndarray:
+        """How the groups' unknowns follow a step of the coefficients (K,), shape (G, U)."""
+        return np.zeros((0, 0)) if self.groups is None else self.groups.y - self.groups.X @ step
 
 
 def linearise(question: Problem, theta: np.ndarray, weight: np.ndarray | None, sigma: np.ndarray) -> Linearisation:
@@ -226,15 +283,20 @@ def linearise(question: Problem, theta: np.ndarray, weight: np.ndarray | None, s
         question: K coefficients, N rows.
         theta: Values of the coefficients, shape (K,).
         weight: Of each row, shape (N,); None: Cauchy's, at scale ``sigma``.
-        sigma: See ``weight``, shape (C,).
+        sigma: See ``weight``, shape (C,); the channels weigh so in what groups of several are solved for.
     """
     channels, count = question.channels, len(theta)
     AA, Ar = np.zeros((len(channels), count, count)), np.zeros((len(channels), count))
+    sums = _sums(question, count)
     parts, used = [], []
     for block in question.blocks():
-        r, J = question.linearised(theta, block)
-        w = cauchy(r, sigma, channels) if weight is None else weight[block]
+        r, J, B = question.pieces(theta, block)
+        seen = _with_holes(question, block, r)
+        w = cauchy(seen, sigma, channels) if weight is None else weight[block]
         root = np.sqrt(w * question.data.share)[:, None]
+        if sums is not None:
+            own, wide = root[:, :, None], question.group_of(block)
+            sums.add(wide, B * own, J * own, r * root, channels)
         # Frames of other stations move none of these rows.
         some = np.flatnonzero(J.any(axis=(0, 1))) if count > MANY else np.arange(count)
         few = len(some) < count
@@ -246,26 +308,73 @@ def linearise(question: Problem, theta: np.ndarray, weight: np.ndarray | None, s
             else:
                 AA[k] += A.T @ A
             Ar[k][some] += A.T @ (r[:, part] * root).ravel()
-        parts.append(r)
+        parts.append(seen)
         used.append(w)
     residual, weight = np.concatenate(parts), np.concatenate(used)
     counted = weight * question.data.share
     rr = weighted_squares(residual, counted, channels)
-    numbers = np.array([channel.size * float(counted.sum()) for channel in channels])
-    return Linearisation(residual, weight, NormalEquations(AA, Ar, rr, numbers))
+    equations = NormalEquations(AA, Ar, rr, _numbers(residual, counted, channels))
+    beforehand = question.beforehand()
+    if sums is None or question.groups is None or beforehand is None:
+        return Linearisation(residual, weight, equations)
+    found = solved(sums, question.groups, beforehand, sigma)
+    return Linearisation(residual, weight, reduced(equations, sums, found, beforehand, sigma), found)
+
+
+def _sums(question: Problem, count: int) -> Sums | None:
+    """Sums of groups to begin with; None where there are no groups."""
+    if question.groups is None:
+        return None
+    channels, (many, width) = len(question.channels), question.groups.unknown.shape
+    return Sums(
+        np.zeros((channels, many, width, width)),
+        np.zeros((channels, many, width, count)),
+        np.zeros((channels, many, width)),
+    )
+
+
+def _with_holes(question: Problem, part: slice, r: np.ndarray) -> np.ndarray:
+    """Residuals (n, m) with NaN in channels that a row does not measure."""
+    return r if question.measured is None else np.where(question.measured[part].absent, np.nan, r)
+
+
+def _numbers(residual: np.ndarray, weight: np.ndarray, channels: Channels) -> np.ndarray:
+    """Numbers measured in each channel, shape (C,), rows counted by weight."""
+    there = np.array([~np.isnan(residual[:, part.start]) for part in columns(channels)])
+    return np.array([channel.size * float(weight @ own) for channel, own in zip(channels, there, strict=True)])
 
 
 def weighted_squares(residual: np.ndarray, weight: np.ndarray, channels: Channels) -> np.ndarray:
     """Sum of squares of each channel, shape (C,), rows counted by weight."""
-    return np.array([float(weight @ np.sum(residual[:, part] ** 2, axis=1)) for part in columns(channels)])
+    return np.array([float(weight @ np.nansum(residual[:, part] ** 2, axis=1)) for part in columns(channels)])
+
+
+def eliminated(
+    question: Problem, theta: np.ndarray, weight: np.ndarray, sigma: np.ndarray
+) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
+    """Stretches of rows with their scaled residuals (n, m) and columns (n, m, K), less what the things take up.
+
+    Args:
+        question: K coefficients.
+        theta: Their values.
+        weight: Of each row, shape (N,): what things take up is found with these.
+        sigma: Noise of each channel, shape (C,).
+    """
+    found = linearise(question, theta, weight, sigma).groups if question.groups is not None else None
+    for block in question.blocks():
+        r, J, B = question.pieces(theta, block)
+        yield (block, r, J) if found is None else (block, *found.rows(question.group_of(block), B, J, r))
 
 
 def triangle(question: Problem, theta: np.ndarray, weight: np.ndarray, sigma: np.ndarray) -> np.ndarray:
     """Upper triangle R of the whitened Jacobian's QR, shape (<= K, K): all that rank and covariance need."""
     per_number = spread(1.0 / sigma, question.channels)
     R = np.empty((0, len(theta)))
-    for block in question.blocks():
-        r, J = question.linearised(theta, block)
+    beforehand = question.beforehand()
+    if beforehand is not None:
+        found = linearise(question, theta, weight, sigma).groups
+        R = R if found is None else tied_columns(found, beforehand)
+    for block, r, J in eliminated(question, theta, weight, sigma):
         whitened = J * (np.sqrt(weight[block])[:, None] * per_number)[:, :, None]
         R = np.asarray(np.linalg.qr(np.vstack([R, whitened.reshape(r.size, len(theta))]), mode="r"))
     return R

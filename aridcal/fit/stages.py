@@ -8,13 +8,18 @@ import numpy as np
 import pinocchio as pin
 
 from aridcal.errors import MeasurementError, NotIdentifiable, NotOfThisRobot
-from aridcal.fit.constants import constants, frame_coefficients
+from aridcal.effects.effect import Coefficient
+from aridcal.fit.constants import constants, frame_coefficients, frame_labels, has_world, measures_target
 from aridcal.fit.frame_starts import FrameStart, start_frames
-from aridcal.fit.least_squares import Fit, fit, fit_identifiable, thin
-from aridcal.fit.residual import Problem, problem, residuals, robust_sigma, unscaled
-from aridcal.fit.restarts import with_restarts
+from aridcal.fit.closed_form import closed_form_starts
+from aridcal.fit.least_squares import Fit, fit, fit_identifiable, minimise, thin
+from aridcal.fit.residual import Problem, problem, robust_sigma, unscaled
+from aridcal.fit.thing_starts import TIP, beginning
 from aridcal.inputs.campaign import Campaign, FrameSettings
 from aridcal.inputs.dataset import Dataset
+from aridcal.instruments.channels import spread
+from aridcal.instruments.pose import residuals
+from aridcal.model.measured import measured
 from aridcal.model.model import Frames, Model
 from aridcal.robot.chain import Robot
 from aridcal.showing import SILENT, Progress
@@ -26,8 +31,27 @@ STRANGE_SHARE, STRANGE_LENGTH, STRANGE_ANGLE = 0.05, 5e-3, 0.2
 """What no robot leaves after calibration, so that the measurements must be of something else: a twentieth of the targets'
 spread and 5 mm per axis, or 200 mrad per axis."""
 
+STRANGE_PIXELS = 40.0
+"""The same of pixels: at a usual focal length 40 px are 3 degrees."""
+
 TURN_COUNTS = 0.1
 """[m/rad]: how much a start's misfit in rotation counts beside that in position."""
+
+
+RESTART_ROWS = 150
+"""Rows of a restart, or four times the coefficients if that is more: where a minimum lies shows in these."""
+
+AROUND = 2
+"""Starts that are drawn around the answer."""
+
+REACH_ANGLE, REACH_LENGTH = 0.05, 0.02
+"""How far from the answer those are, [rad] and [m]: ten times what robots are usually wrong by."""
+
+SAME = 0.01
+"""Share of sigma by which residuals of one minimum may differ."""
+
+LENGTHS = frozenset({"x", "y", "z", "a", "d"})
+"""Components in [m]."""
 
 
 @dataclass(frozen=True)
@@ -63,24 +87,55 @@ def fit_geometry(
         NotIdentifiable: nothing can be identified from these rows.
         NotOfThisRobot: the rows cannot be of this robot.
     """
-    frames = frame_coefficients(campaign, labels)
-    best, _ = _starts(campaign, robot, train, labels)[0]
-    asked = problem(Model(robot, frames, *_placements(best, campaign, labels)), train, progress)
+    frames = frame_coefficients(campaign, labels, train)
+    asked = problem(_start(campaign, robot, train, labels, frames), train, progress)
     try:
         nominal = fit_identifiable(asked, range(len(frames))) if frames else fit(asked)
     except NotIdentifiable:
-        _refuse_strangers(asked.residual(np.zeros(len(frames))), train)
+        _refuse_strangers(asked.residual(np.zeros(len(frames))), train, _targets(asked, np.zeros(len(frames))))
         raise
     candidates = frames + constants(robot, campaign.parameters.set)
     if not candidates:
-        _refuse_strangers(unscaled(nominal.residual, train.relative), train)
+        _refuse_strangers(unscaled(nominal.residual, train.relative), train, _targets(asked, nominal.theta, nominal))
         return Geometry(nominal, nominal)
     centred, _ = nominal.model.recentred(nominal.theta)
     geometric = fit_identifiable(
         problem(centred.with_coefficients(candidates), train, progress), range(len(candidates))
     )
-    _refuse_strangers(unscaled(geometric.residual, train.relative), train)
+    left = unscaled(geometric.residual, train.relative)
+    _refuse_strangers(left, train, _targets(asked, geometric.theta, geometric))
     return Geometry(nominal, with_restarts(geometric, train, progress))
+
+
+def _start(
+    campaign: Campaign, robot: Robot, train: Dataset, labels: tuple[str, ...], frames: tuple[Coefficient, ...]
+) -> Model:
+    """The nominal robot with its frames, and the things that its measurements refer to, where they begin."""
+    if not train.blocks:
+        best, _ = _starts(campaign, robot, train, labels)[0]
+        return Model(robot, frames, *_placements(best, campaign, labels))
+    bare = Model(robot, (), instruments=train.instruments)
+    seen = measured(bare, train)
+    assert seen is not None
+    R, p = bare.poses(np.zeros(0), bare.rows(train.readings))
+    world, tip = campaign.frames.world_base, campaign.frames.tip_target
+    names = frame_labels("tip_target", tip, labels, train)
+    number = np.zeros(len(train), dtype=int)
+    if train.target is not None:
+        number = np.searchsorted(np.array(names), train.target.astype(str))
+    hints = {k: pin.SE3.Identity() if name == TIP else _placement(tip) for k, name in enumerate(names)}
+    fixed = not tip.identify or not measures_target(train)
+    held = {k: hint for k, hint in hints.items() if fixed or names[k] == TIP}
+    known = None if world.identify and has_world(train) else _placement(world)
+    found = beginning(train, seen, R, p, number, hints, held, known)
+    return Model(
+        robot,
+        frames,
+        ((None, found.world_base),),
+        tuple((name, found.tip_target[k]) for k, name in enumerate(names)),
+        instruments=train.instruments,
+        states=found.states,
+    )
 
 
 def nominal_sigma(campaign: Campaign, robot: Robot, rows: Dataset, labels: tuple[str, ...]) -> np.ndarray:
@@ -99,25 +154,38 @@ def recentred(fit: Fit) -> Fit:
     return replace(fit, model=model, theta=theta)
 
 
-def _refuse_strangers(residual: np.ndarray, train: Dataset) -> None:
+def _targets(asked: Problem, theta: np.ndarray, fit: Fit | None = None) -> np.ndarray:
+    """Where a model has the targets, shape (N, 3), [m]."""
+    return (asked.model if fit is None else fit.model).poses(theta, asked.rows)[1]
+
+
+def _refuse_strangers(residual: np.ndarray, train: Dataset, targets: np.ndarray) -> None:
     """Refuse measurements that cannot be of this robot: a result would look like one and be none.
 
     Args:
         residual: What the geometry leaves, shape (N, m), [m] and [rad].
         train: The rows.
+        targets: Where the model has the target, shape (N, 3), [m].
 
     Raises:
         NotOfThisRobot: naming what to check.
     """
-    position, *rotation = robust_sigma(residual, train.channels)
-    centre = train.position - train.position.mean(axis=0)
-    spread = float(np.sqrt(np.mean(np.sum(centre**2, axis=1))))
-    if position > max(STRANGE_SHARE * spread, STRANGE_LENGTH):
-        left = f"{1e3 * position:.0f} mm per axis of the {1e3 * spread:.0f} mm by which the targets spread"
-        advice = "every joint's column, unit, sign and order of rows, and the unit of the positions"
-    elif rotation and rotation[0] > STRANGE_ANGLE:
-        left = f"{1e3 * rotation[0]:.0f} mrad per axis"
-        advice = "the order qx qy qz qw, `orientation` and its unit"
+    places = train.position if not train.blocks else targets
+    centre = places - np.nanmean(places, axis=0)
+    spread = float(np.sqrt(np.nanmean(np.nansum(centre**2, axis=1))))
+    for channel, sigma in zip(train.channels, robust_sigma(residual, train.channels).tolist(), strict=True):
+        if channel.unit == "m" and sigma > max(STRANGE_SHARE * spread, STRANGE_LENGTH):
+            left = f"{1e3 * sigma:.0f} mm per axis of the {1e3 * spread:.0f} mm by which the targets spread"
+            advice = "every joint's column, unit, sign and order of rows, and the unit of the positions"
+            break
+        if channel.unit == "rad" and sigma > STRANGE_ANGLE:
+            left = f"{1e3 * sigma:.0f} mrad per axis"
+            advice = "the order qx qy qz qw, `orientation` and its unit"
+            break
+        if channel.unit == "px" and sigma > STRANGE_PIXELS:
+            left = f"{sigma:.0f} px per axis"
+            advice = "every joint's column, unit, sign and order of rows, which marker is which, and that no image is mirrored"
+            break
     else:
         return
     raise NotOfThisRobot(
@@ -177,3 +245,24 @@ def _labelled(settings: FrameSettings, placements: tuple[pin.SE3, ...], labels: 
 
 def _placement(settings: FrameSettings) -> pin.SE3:
     return pin.SE3(pin.rpy.rpyToMatrix(np.array(settings.rpy)), np.array(settings.xyz))
+
+
+def with_restarts(found: Fit, train: Dataset, progress: Progress = SILENT) -> Fit:
+    """Solve again on some of the rows from other places, and note how many lead to the same minimum."""
+    some = thin(found.model.rows(train.readings, None, train.station), max(RESTART_ROWS, 4 * len(found.theta)))
+    part = problem(found.model, train.select(some), progress)
+    weight = found.weight[some]
+    reference = minimise(part, found.theta, weight)
+    is_length = np.array([c.component in LENGTHS for c in found.model.coefficients])
+    reach = np.where(is_length, REACH_LENGTH, REACH_ANGLE)
+    reach[found.model.sizes != 1.0] = 0.0  # a lens is not started from elsewhere
+    rng = np.random.default_rng(0)
+    others = [found.theta + reach * rng.uniform(-1, 1, len(reach)) for _ in range(AROUND)]
+    others += closed_form_starts(found, part.data)
+    tolerance = SAME * spread(reference.sigma, train.channels)
+    agreed = 0
+    for theta in progress.over(others, "other starts"):
+        other = minimise(part, theta, weight)
+        off = np.abs(other.at.residual - reference.at.residual)[weight > 0.5]
+        agreed += bool(np.all(off <= tolerance))
+    return replace(found, convergence=replace(found.convergence, restarts=len(others), agreed=agreed))

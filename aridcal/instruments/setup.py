@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -69,10 +70,15 @@ class Instruments:
     ties: tuple[Tie, ...] = ()
     world: bool = False
 
-    def at(self, states: dict[str, np.ndarray]) -> Instruments:
-        """The same with other states to start from, (L, P) by role."""
-        moved = {name: replace(t, start=states.get(name, t.start)) for name, t in self.things.items()}
-        return replace(self, things=moved)
+    @cached_property
+    def names(self) -> frozenset[str]:
+        """Labels of all things."""
+        return frozenset(name for things in self.things.values() for name in things.names)
+
+    def unit(self, name: str, component: str) -> str:
+        """Unit of a component of a thing."""
+        role = next(t.role for t in self.things.values() if name in t.names and component in t.role.components)
+        return role.units[role.components.index(component)]
 
 
 @dataclass(frozen=True)

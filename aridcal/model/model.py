@@ -13,9 +13,13 @@ from aridcal.effects.basis import evaluate
 from aridcal.effects.effect import FRAME_COMPONENTS, LINK_COMPONENTS, Coefficient
 from aridcal.effects.loads import Surroundings, covariate_table, needs
 from aridcal.errors import CovariateNotFound, MeasurementError
+from aridcal.instruments.setup import Instruments
 from aridcal.model.extended import ORDER, ExtendedModel, Slot, own_slot
 from aridcal.model.motions import motion, transform
 from aridcal.robot.chain import Robot
+
+SIZES = {"m": 1.0, "rad": 1.0, "px": 500.0, "1": 10.0}
+"""What counts as much as a metre or a radian: half a usual focal length in pixels; lens terms of higher orders reach 10."""
 
 ONE_FRAME = ((None, pin.SE3.Identity()),)
 
@@ -88,6 +92,8 @@ class Model:
         world_base: Start of T_world_base, for all rows (label None) or for each station.
         tip_target: Start of T_tip_target, likewise.
         around: Gravity and the payload's place, for the loads that effects depend on.
+        instruments: The things that measurements refer to. Coefficients at one of them move it, and not the target.
+        states: Where those things are, (L, P) by role; those of ``instruments`` where a role is missing.
     """
 
     robot: Robot
@@ -95,6 +101,8 @@ class Model:
     world_base: Frames = ONE_FRAME
     tip_target: Frames = ONE_FRAME
     around: Surroundings = field(default_factory=Surroundings)
+    instruments: Instruments = field(default_factory=Instruments)
+    states: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -115,6 +123,7 @@ class Model:
         readings: np.ndarray,
         covariates: Mapping[str, np.ndarray] | None = None,
         station: np.ndarray | None = None,
+        target: np.ndarray | None = None,
     ) -> Rows:
         """Prepare measured configurations.
 
@@ -122,13 +131,16 @@ class Model:
             readings: Shape (N, columns) in the order of ``robot.readings``, [rad] or [m].
             covariates: Columns that the bases depend on, each of shape (N,).
             station: Label of each row; needed where a frame is per station.
+            target: Label of each row's target, where there are several.
 
         Raises:
             CovariateNotFound: an effect depends on a column that was not measured.
-            MeasurementError: a row's station is none of those that the model knows.
+            MeasurementError: a row's station or target is none of those that the model knows.
         """
         n = len(readings)
-        world, tip = (_frame_index(f, station, n) for f in (self.world_base, self.tip_target))
+        at_tip = station if target is None else target
+        world = _frame_index(self.world_base, station, n)
+        tip = _frame_index(self.tip_target, at_tip, n, "station" if target is None else "target")
         varying = [self.coefficients[k] for k in self._based]
         wanted = {name for c in varying for name in c.basis.of}
         if "payload" in self.needs and "payload" not in (covariates or {}):
@@ -138,11 +150,13 @@ class Model:
         for k, c in enumerate(varying):
             phi[:, k] = evaluate(c.basis, table)
             if c.station is not None:
-                phi[:, k] *= _labels(station, n) == c.station
+                phi[:, k] *= _labels(at_tip if c.where == "tip_target" else station, n) == c.station
         return Rows(self.robot.positions(readings), phi, world, tip)
 
     def poses(self, theta: np.ndarray, rows: Rows) -> tuple[np.ndarray, np.ndarray]:
         """Target poses T_world_target: rotations (N, 3, 3) and positions (N, 3) in [m]."""
+        if self.at_things.any():
+            return self._arm.poses(theta[~self.at_things], self._of_arm(rows))
         R, p = np.empty((len(rows), 3, 3)), np.empty((len(rows), 3))
         q = self._configurations(theta, rows)
         for index, world, tip in self._variants(rows):
@@ -163,6 +177,10 @@ class Model:
             linear [m], then angular [rad], per unit of each coefficient.
         """
         n = len(rows)
+        if self.at_things.any():
+            J = np.zeros((n, 6, len(theta)))
+            R, p, J[:, :, ~self.at_things] = self._arm.jacobian(theta[~self.at_things], self._of_arm(rows))
+            return R, p, J
         R, p = np.empty((n, 3, 3)), np.empty((n, 3))
         wide = np.empty((n, 6, len(self._extended.index)))
         q = self._configurations(theta, rows)
@@ -178,6 +196,8 @@ class Model:
 
     def origins(self, theta: np.ndarray) -> dict[str, pin.SE3]:
         """Own ``<origin>`` of every joint that the constants move: nominal placement times corrections."""
+        if self.at_things.any():
+            return self._arm.origins(theta[~self.at_things])
         value = self._constant_values(theta)
         before = {j.name: j.before for j in self.robot.joints} | {str(self.robot.tip_joint): self.robot.tip_before}
         found: dict[str, pin.SE3] = {}
@@ -229,6 +249,11 @@ class Model:
         Raises:
             MeasurementError: the station is none of those that the model knows.
         """
+        if self.at_things.any():
+            locked = self._arm.locked(theta[~self.at_things], station)
+            carrier = np.full(len(theta), -1)
+            carrier[~self.at_things] = locked.carrier
+            return replace(locked, carrier=carrier)
         label = None if station is None else np.array([station])
         world, tip = (int(_frame_index(f, label, 1)[0]) for f in (self.world_base, self.tip_target))
         slots = self._extended.slots
@@ -236,13 +261,38 @@ class Model:
         moving = {*own, *(slots[k] for k in self._varying)}
         model, target = self._extended.locked(self._constant_values(theta), moving, world, tip)
         index = {name: k for k, name in enumerate(list(model.names)[1:])}
-        carrier = [index[slot.name] if slot in moving else -1 for slot in slots]
+        carrier_of = [index[slot.name] if slot in moving else -1 for slot in slots]
         return Locked(
             model=model,
             target=target,
             own=np.array([index[slot.name] for slot in own]),
-            carrier=np.array(carrier, dtype=int),
+            carrier=np.array(carrier_of, dtype=int),
         )
+
+    @cached_property
+    def at_things(self) -> np.ndarray:
+        """Coefficients that move an instrument's things, shape (K,) bool."""
+        names = self.instruments.names
+        return np.array([c.where in names for c in self.coefficients], dtype=bool)
+
+    @cached_property
+    def sizes(self) -> np.ndarray:
+        """What in each coefficient's unit counts as much as a metre or a radian elsewhere, shape (K,)."""
+        size = np.ones(len(self.coefficients))
+        for k in np.flatnonzero(self.at_things):
+            c = self.coefficients[k]
+            size[k] = SIZES[self.instruments.unit(c.where, c.component)]
+        return size
+
+    @cached_property
+    def _arm(self) -> Model:
+        """The model without those: they do not move the target."""
+        arm = [c for c, apart in zip(self.coefficients, self.at_things, strict=True) if not apart]
+        return replace(self, coefficients=tuple(arm), instruments=Instruments(), states={})
+
+    def _of_arm(self, rows: Rows) -> Rows:
+        """The rows as the model without them sees them."""
+        return replace(rows, phi=rows.phi[:, ~self.at_things[self._based]])
 
     @cached_property
     def _extended(self) -> ExtendedModel:
@@ -329,16 +379,16 @@ def _labels(station: np.ndarray | None, n: int) -> np.ndarray:
     return np.full(n, "") if station is None else station
 
 
-def _frame_index(frames: Frames, station: np.ndarray | None, n: int) -> np.ndarray:
-    labels = [label for label, _ in frames]
+def _frame_index(frames: Frames, label: np.ndarray | None, n: int, per: str = "station") -> np.ndarray:
+    labels = [known for known, _ in frames]
     if labels == [None]:
         return np.zeros(n, dtype=int)
-    if station is None:
-        raise MeasurementError("a frame is per station: the table needs a `station` column")
-    number = {label: k for k, label in enumerate(labels)}
-    unknown = sorted({str(s) for s in station} - set(map(str, labels)))
+    if label is None:
+        raise MeasurementError(f"a frame is per {per}: the table needs a `{per}` column")
+    number = {known: k for k, known in enumerate(labels)}
+    unknown = sorted({str(s) for s in label} - set(map(str, labels)))
     if unknown:
         raise MeasurementError(
-            f"station {unknown[0]!r} was not in the calibration (known: {', '.join(map(str, labels))})"
+            f"{per} {unknown[0]!r} was not in the calibration (known: {', '.join(map(str, labels))})"
         )
-    return np.array([number[s] for s in station], dtype=int)
+    return np.array([number[s] for s in label], dtype=int)

@@ -23,7 +23,7 @@ import numpy as np
 import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
-from aridcal.fit.calibrated import stage_urdf
+from aridcal.fit.constants import stage_urdf
 from aridcal.report.failures import attempt, note, noting
 from aridcal.report.html import empty_page
 from aridcal.report.shapes import Shape, robot_shapes, turn

@@ -11,8 +11,9 @@ import yaml
 
 from aridcal.effects.basis import evaluate
 from aridcal.effects.effect import Coefficient
-from aridcal.fit.calibrated import stage_urdf
-from aridcal.fit.least_squares import Fit, Prior, fit, fit_identifiable, thin
+from aridcal.fit.constants import stage_urdf
+from aridcal.fit.least_squares import Fit, fit, fit_identifiable, thin
+from aridcal.fit.normal_equations import Prior
 from aridcal.fit.residual import Problem, problem
 from aridcal.fit.stages import recentred
 from aridcal.model.model import Model

@@ -17,7 +17,7 @@ from aridcal import __version__
 from aridcal.effects.basis import Basis
 from aridcal.effects.catalogue import KINDS
 from aridcal.effects.effect import ANGULAR, FRAME_COMPONENTS, ROW_ORDER, Effect
-from aridcal.fit.calibrated import stage_urdf
+from aridcal.fit.constants import stage_urdf
 from aridcal.fit.least_squares import Fit
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.channels import columns

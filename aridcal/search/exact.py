@@ -13,7 +13,8 @@ from aridcal.effects.effect import Coefficient, Effect
 from aridcal.effects.kinds import Observed
 from aridcal.fit.flags import flagged
 from aridcal.fit.identifiable import identifiable
-from aridcal.fit.least_squares import Fit, Prior, fit
+from aridcal.fit.least_squares import Fit, fit
+from aridcal.fit.normal_equations import Prior
 from aridcal.fit.residual import problem, triangle
 from aridcal.inputs.dataset import Dataset
 from aridcal.search.linear_model import Active, LinearModel, State
@@ -98,11 +99,16 @@ def _prior(geometric: Fit, constants: tuple[Coefficient, ...], state: State) -> 
     """Constants loosely at the geometric stage, smooth effects after their kernels, the rest free."""
     before = dict(zip(geometric.model.names, geometric.theta, strict=True))
     count = len(constants)
-    parts = [np.eye(count) / GAUGE**2, *(a.coefficient_precision for a in state.active)]
+    parts = [_gauge(geometric, constants), *(a.coefficient_precision for a in state.active)]
     precision = block_diag(*parts)
     mean = np.zeros(len(precision))
     mean[:count] = [before.get(c.name, 0.0) for c in constants]
     return Prior(mean, precision, block_diag(np.eye(count), *(a.root for a in state.active)))
+
+
+def _gauge(geometric: Fit, constants: tuple[Coefficient, ...]) -> np.ndarray:
+    """Precision with which constants are held at the geometric stage, shape (count, count)."""
+    return np.diag((GAUGE * geometric.model.with_coefficients(constants).sizes) ** -2.0)
 
 
 def _regained(start: Start, found: Fit) -> tuple[Coefficient, ...]:
@@ -147,7 +153,7 @@ def linear_model(
     return LinearModel(
         channels=start.train.channels,
         A=np.ascontiguousarray(J[:, :, constant]),
-        gauge=np.eye(len(constant)) / GAUGE**2,
+        gauge=_gauge(start.geometric, tuple(own[k] for k in constant)),
         G=np.ascontiguousarray(J[:, :, len(own) :]),
         slots=slots,
         phi=np.column_stack([evaluate(b, observed.table) for b in bases]) if bases else np.zeros((len(r), 0)),

@@ -1,0 +1,212 @@
+"""Where frames and things begin, for rows of any kind: block after block, each knowing what those before it have found."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pinocchio as pin
+
+from aridcal.errors import NotIdentifiable
+from aridcal.fit.frame_starts import start_frames
+from aridcal.inputs.dataset import Dataset
+from aridcal.instruments.catalogue import KINDS
+from aridcal.instruments.kind import Kind
+from aridcal.instruments.setup import Things
+from aridcal.instruments.starts import Start, aligned, starts
+from aridcal.model.measured import Measured
+
+TIP = "tip"
+"""Label of the frame of rows whose target is the tip itself: those of cameras."""
+
+MOST_ROWS = 1000
+"""Rows of a block that a start is found from: more sharpen it by nothing."""
+
+FEWEST_ROWS = 12
+"""Rows of each thing in this choice."""
+
+
+@dataclass(frozen=True)
+class Beginning:
+    """Where everything starts.
+
+    Attributes:
+        world_base: One frame for all rows.
+        tip_target: T_tip_target of each target, by its number.
+        states: Of all things, (L, P) by role; NaN where nothing is known.
+    """
+
+    world_base: pin.SE3
+    tip_target: dict[int, pin.SE3]
+    states: dict[str, np.ndarray]
+
+
+def beginning(
+    data: Dataset,
+    seen: Measured,
+    R: np.ndarray,
+    p: np.ndarray,
+    tip: np.ndarray,
+    hints: Mapping[int, pin.SE3],
+    held: Mapping[int, pin.SE3],
+    world: pin.SE3 | None,
+) -> Beginning:
+    """Find a start.
+
+    Args:
+        data: N rows.
+        seen: What they read.
+        R: Nominal T_base_tip, shape (N, 3, 3).
+        p: Its translation, shape (N, 3), [m].
+        tip: Number of each row's target, shape (N,).
+        hints: T_tip_target of each target where nothing tells it.
+        held: Those that are known.
+        world: T_world_base where it is known.
+
+    Raises:
+        NotIdentifiable: the rows of a block cannot tell where its things are.
+    """
+    found = Beginning(world or pin.SE3.Identity(), dict(held), {n: t.start for n, t in seen.instruments.things.items()})
+    placed = world is not None or not (seen.instruments.world or _of_target(seen))
+    posed = np.isin(seen.block, [b for b, block in enumerate(seen.blocks) if block.kind in ("pose", "position")])
+    if posed.any():
+        found = _from_poses(data, R, p, tip, np.flatnonzero(posed), hints, found, world)
+        placed = True
+    for b, block in enumerate(seen.blocks):
+        if block.kind in ("pose", "position"):
+            continue
+        kind, own = seen.of_kind(b)
+        targets = sorted(np.unique(tip[own]).tolist(), key=lambda k: -int((tip[own] == k).sum()))
+        for k in targets:
+            rows = _some(own[tip[own] == k], seen, kind)
+            if not placed:
+                loose = {name: _unknown(t) for name, t in _things(kind, seen, found.states).items()}
+                first = _started(kind, rows, loose, seen, found, R, p, hints[k], False)
+                base = _placed(kind, first, seen)
+                if base is not None:
+                    found = replace(found, world_base=base, tip_target=found.tip_target | {k: _se3(first.target)})
+                    placed = True
+            known = k in found.tip_target
+            target = found.tip_target.get(k, hints[k])
+            own_things = _things(kind, seen, found.states)
+            start = _started(kind, rows, own_things, seen, found, R, p, target, known)
+            states = dict(found.states)
+            for name, state in start.states.items():
+                states[name] = np.where(np.isnan(states[name]), state, states[name])
+            found = replace(found, tip_target=found.tip_target | {k: _se3(start.target)}, states=states)
+    return replace(found, tip_target={k: found.tip_target.get(k, hints[k]) for k in hints})
+
+
+def _of_target(seen: Measured) -> bool:
+    """True if rows measure the target itself in the world frame."""
+    return any(block.kind in ("pose", "position") for block in seen.blocks)
+
+
+def _from_poses(
+    data: Dataset,
+    R: np.ndarray,
+    p: np.ndarray,
+    tip: np.ndarray,
+    rows: np.ndarray,
+    hints: Mapping[int, pin.SE3],
+    found: Beginning,
+    world: pin.SE3 | None,
+) -> Beginning:
+    """Base and targets from rows that measure these themselves."""
+    numbers, own = np.unique(tip[rows], return_inverse=True)
+    M = None if data.rotation is None else data.rotation[rows]
+    if M is not None and np.isnan(M).any():
+        M = None
+    candidates = start_frames(
+        R[rows],
+        p[rows],
+        data.position[rows],
+        M,
+        np.zeros(len(rows), dtype=int),
+        own,
+        None if world is None else (world,),
+        None,
+        tuple(hints[int(k)] for k in numbers),
+    )
+
+    def left(candidate: tuple[tuple[pin.SE3, ...], tuple[pin.SE3, ...]]) -> float:
+        base, targets = candidate[0][0], np.array([t.translation for t in candidate[1]])[own]
+        reached = p[rows] + np.einsum("nij,nj->ni", R[rows], targets)
+        off = data.position[rows] - (reached @ base.rotation.T + base.translation)
+        return float(np.median(np.linalg.norm(off, axis=1)))
+
+    best = min(((c.world_base, c.tip_target) for c in candidates), key=left)
+    return replace(found, world_base=best[0][0], tip_target={int(k): t for k, t in zip(numbers, best[1], strict=True)})
+
+
+def _things(kind: Kind, seen: Measured, states: Mapping[str, np.ndarray]) -> dict[str, Things]:
+    """Things of a kind's roles where they are; those found before count as known."""
+    made = {}
+    for role in kind.roles:
+        things = seen.instruments.things[role.name]
+        here = np.isfinite(states[role.name]).all(axis=1) & np.isnan(things.start).any(axis=1)
+        made[role.name] = replace(things, start=states[role.name], free=things.free & ~here[:, None])
+    return made
+
+
+def _unknown(things: Things) -> Things:
+    """The same things with nothing known of where they are, for rows in another frame than the world's."""
+    if not things.role.many:
+        return things
+    free = np.tile([name in things.role.identified for name in things.role.components], (len(things), 1))
+    return replace(things, start=np.full(things.start.shape, np.nan), free=free)
+
+
+def _started(
+    kind: Kind,
+    rows: np.ndarray,
+    things: Mapping[str, Things],
+    seen: Measured,
+    found: Beginning,
+    R: np.ndarray,
+    p: np.ndarray,
+    target: pin.SE3,
+    known: bool,
+) -> Start:
+    """The best start from some rows of one block."""
+    base = found.world_base
+    turned = base.rotation @ R[rows]
+    places = p[rows] @ base.rotation.T + base.translation
+    observed = seen.observed[rows, : len(kind.read)]
+    refers = seen.refers[rows, : len(kind.roles)]
+    made = starts(kind, turned, places, observed, refers, things, target.homogeneous, known)
+    if not made:
+        block = seen.blocks[int(seen.block[rows[0]])]
+        raise NotIdentifiable([[block.name]])
+    return made[0]
+
+
+def _placed(kind: Kind, start: Start, seen: Measured) -> pin.SE3 | None:
+    """T_world_base from things that were found in the base frame and are known in the world's; None where these are too few."""
+    for role in kind.roles:
+        things = seen.instruments.things[role.name]
+        exact = ~things.free.any(axis=1) | np.isfinite(things.std).any(axis=1)
+        given = np.where(exact[:, None], things.start, np.nan)
+        T = aligned(role, start.states[role.name], given)
+        if T is not None:
+            return _se3(T)
+    return None
+
+
+def _some(rows: np.ndarray, seen: Measured, kind: Kind) -> np.ndarray:
+    """Enough rows of a block, of each thing its share."""
+    if len(rows) <= MOST_ROWS or not kind.roles:
+        return rows[:: max(1, len(rows) // MOST_ROWS)]
+    label = seen.refers[rows, len(kind.roles) - 1]
+    rng = np.random.default_rng(0)
+    share = max(FEWEST_ROWS, MOST_ROWS // len(np.unique(label)))
+    order = rng.permutation(len(rows))
+    ranked = np.argsort(label[order], kind="stable")
+    sizes = np.bincount(label)[np.unique(label)]
+    within = np.concatenate([np.arange(size) for size in sizes])
+    return np.sort(rows[order[ranked[within < share]]])
+
+
+def _se3(T: np.ndarray) -> pin.SE3:
+    return pin.SE3(T[:3, :3], T[:3, 3])
