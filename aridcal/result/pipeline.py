@@ -204,7 +204,7 @@ def _size(campaign: Campaign, robot: Robot, rows: Dataset, labels: tuple[str, ..
     """How large the calibration will be."""
     sought = campaign.diagnosis.enabled and bool(campaign.diagnosis.candidates)
     return Size(
-        coefficients=len(frame_coefficients(campaign, labels)) + len(constants(robot, campaign.parameters.set)),
+        coefficients=len(frame_coefficients(campaign, labels, rows)) + len(constants(robot, campaign.parameters.set)),
         stations=len(labels),
         rows=len(rows),
         searched=min(int(rows.train.sum()), SEARCHED) if sought else 0,
