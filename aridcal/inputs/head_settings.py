@@ -27,7 +27,7 @@ LEAST_SPREAD = 1e-3
 
 
 class CameraSettings(Section):
-    """A camera after OpenCV's model (:mod:`aridcal.head.camera`): z forward, y down; lengths in pixels."""
+    """A camera after OpenCV's model (:mod:`aridcal.instruments.camera`): z forward, y down; lengths in pixels."""
 
     fx: Positive
     fy: Positive
