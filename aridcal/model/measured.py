@@ -188,11 +188,12 @@ def measured(model: Model, data: Dataset) -> Measured | None:
     if not data.blocks:
         return None
     instruments, number = joined(model.instruments, data.instruments)
-    refers = data.refers.copy()
+    refers = np.full(data.refers.shape, -1)
     for b, block in enumerate(data.blocks):
-        own = data.block == b
+        own = np.flatnonzero(data.block == b)
         for k, role in enumerate(KINDS[block.kind].roles):
-            refers[own, k] = number[role.name][data.refers[own, k]]
+            labels, which = np.unique(data.refers[own, k], return_inverse=True)
+            refers[own, k] = np.array([number[role.name][str(label)] for label in labels], dtype=int)[which]
     ends = np.cumsum([0, *(sum(c.size for c in block.channels) for block in data.blocks)]).tolist()
     return Measured(
         blocks=data.blocks,
@@ -206,19 +207,17 @@ def measured(model: Model, data: Dataset) -> Measured | None:
     )
 
 
-def joined(known: Instruments, more: Instruments) -> tuple[Instruments, dict[str, np.ndarray]]:
-    """The things of both, those known first, and where those of the second are among them, by role."""
-    things, number = dict(known.things), {}
+def joined(known: Instruments, more: Instruments) -> tuple[Instruments, dict[str, dict[str, int]]]:
+    """The things of both, those known first, and the number of each by role and name."""
+    things = dict(known.things)
     for role, new in more.things.items():
         old = known.things.get(role)
         if old is None:
-            things[role], number[role] = new, np.arange(len(new))
-            continue
-        index = {name: k for k, name in enumerate(old.names)}
-        added = [k for k, name in enumerate(new.names) if name not in index]
-        index |= {new.names[k]: len(old) + j for j, k in enumerate(added)}
-        number[role] = np.array([index[name] for name in new.names], dtype=int)
-        things[role] = _with(old, new, added)
+            things[role] = new
+        else:
+            there = frozenset(old.names)
+            things[role] = _with(old, new, [k for k, name in enumerate(new.names) if name not in there])
+    number = {role: {name: k for k, name in enumerate(t.names)} for role, t in things.items()}
     return replace(known, things=things, ties=known.ties or more.ties), number
 
 
