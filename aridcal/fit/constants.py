@@ -31,9 +31,7 @@ def frame_coefficients(campaign: Campaign, labels: tuple[str, ...], data: Datase
     return tuple(found)
 
 
-def frame_labels(
-    where: str, settings: FrameSettings, labels: tuple[str, ...], data: Dataset
-) -> tuple[str | None, ...]:
+def frame_labels(where: str, settings: FrameSettings, labels: tuple[str, ...], data: Dataset) -> tuple[str | None, ...]:
     """Labels of the frames at one end of the chain: stations, targets, or none where one frame serves all rows."""
     if settings.per == "station":
         return labels

@@ -136,6 +136,19 @@ class Problem:
         """All things that model or rows know of."""
         return self.model.instruments if self.measured is None else self.measured.instruments
 
+    def taken(self, weight: np.ndarray) -> np.ndarray:
+        """Numbers of each channel that unknown things take up, shape (C,), in rows of some weight, shape (N,)."""
+        count = np.zeros(len(self.channels))
+        if self.groups is None:
+            return count
+        used = (weight > 0.0) & (self.groups.row >= 0)
+        channel = self.data.measures[used].argmax(axis=1)
+        sizes = self.groups.unknown.sum(axis=1)
+        for g in np.unique(self.groups.row[used]):
+            own = self.groups.row[used] == g
+            count += sizes[g] * np.bincount(channel[own], minlength=len(count)) / own.sum()
+        return count
+
     def group_of(self, part: slice) -> np.ndarray:
         """Group of each of a stretch of rows, -1 for none."""
         return self.groups.row[part] if self.groups is not None else np.full(len(self.rows[part]), -1)

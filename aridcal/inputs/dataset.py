@@ -12,12 +12,16 @@ import pandas as pd
 from aridcal.effects.effect import ROW_ORDER
 from aridcal.inputs.repeats import blocks
 from aridcal.inputs.tables import Remark
+from aridcal.instruments.catalogue import KINDS
 from aridcal.instruments.channels import TARGET_POSITION, TARGET_ROTATION, Channels, columns, spread
 from aridcal.instruments.setup import Block, Instruments
 from aridcal.robot.chain import JointKind
 
 ROLES = 3
 """Things that a row may refer to: a camera, a board and a marker."""
+
+FEW_ROWS = 12
+"""Rows of a thing below which one of them is not held out without the others: of twelve, one knows the others to 4 %."""
 
 OF_BLOCKS = ("block", "observed", "refers")
 """Columns of the data that are empty where there are no blocks."""
@@ -105,6 +109,34 @@ class Dataset:
     def train(self) -> np.ndarray:
         """Rows that may be fitted, shape (N,) bool."""
         return ~self.test
+
+    @property
+    def measures(self) -> np.ndarray:
+        """Which channels each row measures, shape (N, C) bool."""
+        if not self.blocks:
+            return np.ones((len(self), len(self.channels)), dtype=bool)
+        of_block = np.repeat(np.arange(len(self.blocks)), [len(block.channels) for block in self.blocks])
+        return np.asarray(self.block[:, None] == of_block)
+
+    @property
+    def held_together(self) -> np.ndarray:
+        """Numbers of what is held out as one, shape (N,): configurations; of things with few rows, all rows of one.
+
+        What a row says of a thing that has few rows, the others know: held out alone it would not be new.
+        """
+        if not self.blocks:
+            return self.configuration
+        labels = np.column_stack([self.block.astype(str), self.refers])
+        thing = np.unique(labels, axis=0, return_inverse=True)[1].reshape(-1)
+        few = np.bincount(thing)[thing] < FEW_ROWS
+        return pd.factorize(np.where(few, thing + self.configuration.max() + 1, self.configuration))[0]
+
+    @property
+    def sees_turns(self) -> bool:
+        """False where the target is a point: turns of its own change nothing that is measured."""
+        if not self.blocks:
+            return self.rotation is not None
+        return any(KINDS[block.kind].turns for block in self.blocks)
 
     @property
     def conditions(self) -> dict[str, np.ndarray]:

@@ -20,7 +20,7 @@ from scipy.special import gammaincc
 
 from aridcal.effects.effect import Effect
 from aridcal.search.evidence import DEPENDENT, solve
-from aridcal.search.linear_model import Active, LinearModel, State, with_candidate
+from aridcal.search.linear_model import Active, LinearModel, State, by_row, with_candidate
 
 SIDE = 6
 """Rows at the least on either side of a step: fewer are outliers, not a new state."""
@@ -91,7 +91,7 @@ class _Scan:
         order = np.argsort(values, kind="stable")
         G = (model.G[state.used] / state.sigma[:, None])[order][:, :, list(slots)]
         r = (state.residual[state.used] / state.sigma)[order]
-        return cls(slots, G, by_row(state, state.design)[order], r, state.solution.inverse)
+        return cls(slots, G, _design(state)[order], r, state.solution.inverse)
 
     def best(self, of: Sequence[int], before: np.ndarray) -> int:
         """Index of the step that explains most, among those with so many rows before them, shape (k,)."""
@@ -118,11 +118,9 @@ def _sums(rows: np.ndarray) -> np.ndarray:
     return np.concatenate([np.zeros_like(rows[:1]), np.cumsum(rows, axis=0)])
 
 
-def by_row(state: State, parts: Sequence[np.ndarray]) -> np.ndarray:
-    """Columns of the design's shape in sigmas, row by row again, shape (n, m, P)."""
-    whitened = [part / sigma for part, sigma in zip(parts, state.solution.sigma, strict=True)]
-    n = len(state.fold)
-    return np.concatenate([w.reshape(n, -1, w.shape[1]) for w in whitened], axis=1)
+def _design(state: State) -> np.ndarray:
+    """The design's columns in sigmas, row by row again, shape (n, m, P)."""
+    return by_row(state.design, state.channels, state.present) / state.sigma[:, None]
 
 
 def walk_instead(model: LinearModel, state: State, candidate: Active) -> float:
@@ -150,8 +148,8 @@ def walk_instead(model: LinearModel, state: State, candidate: Active) -> float:
     solution = solve(total, precision, state.solution.sigma)
     d = len(effect.coefficients)
     sigma = np.concatenate([np.repeat(s, c.size) for s, c in zip(solution.sigma, model.channels, strict=True)])
-    design = by_row(state, state.design) * (state.sigma / sigma)[:, None]
-    right = np.concatenate([b.reshape(len(order), -1) for b in state.right], axis=1) / sigma
+    design = by_row(state.design, state.channels, state.present) / sigma[:, None]
+    right = by_row(state.right, state.channels, state.present) / sigma
     slots = [model.slot_index[c.where, c.component] for c in effect.coefficients]
     motion = model.G[state.used][:, :, slots] / sigma[:, None] @ solution.beta[-d:]
     weight = np.sum(motion**2, axis=1)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,10 +12,10 @@ from aridcal.effects.basis import Basis, evaluate
 from aridcal.effects.effect import Coefficient, Effect
 from aridcal.effects.kinds import Observed
 from aridcal.fit.flags import flagged
-from aridcal.fit.identifiable import identifiable
+from aridcal.fit.identifiable import agreeing, identifiable
 from aridcal.fit.least_squares import Fit, fit
 from aridcal.fit.normal_equations import Prior
-from aridcal.fit.residual import problem, triangle
+from aridcal.fit.residual import Problem, eliminated, problem, triangle
 from aridcal.inputs.dataset import Dataset
 from aridcal.search.linear_model import Active, LinearModel, State
 from aridcal.showing import SILENT, Progress
@@ -118,7 +118,8 @@ def _regained(start: Start, found: Fit) -> tuple[Coefficient, ...]:
         return ()
     model = found.model.with_coefficients(found.model.coefficients + dropped)
     theta = np.concatenate([found.theta, np.zeros(len(dropped))])
-    R = triangle(problem(model, start.train, start.progress), theta, found.weight, found.sigma)
+    asked = problem(model, start.train, start.progress)
+    R = triangle(agreeing(asked, theta), theta, found.weight, found.sigma) * model.sizes
     kept = identifiable(R, range(len(theta))).kept
     return tuple(c for k, c in enumerate(model.coefficients) if k >= len(found.theta) and k in kept)
 
@@ -142,7 +143,8 @@ def linear_model(
     own = current.model.coefficients
     model = current.model.with_coefficients((*own, *(Coefficient(*slot, ones) for slot in slots)))
     theta = np.concatenate([current.theta, np.zeros(len(slots))])
-    r, J = problem(model, start.train).linearised(theta)
+    asked = problem(model, start.train)
+    r, J = (np.concatenate(each) for each in zip(*_rows(asked, theta, current), strict=True))
     # The residual as it was at the geometric stage, to first order: what is solved for are distances from there.
     known = dict(zip(start.geometric.model.names, start.geometric.theta, strict=True))
     geometric = np.array([known.get(name, 0.0) for name in current.model.names])
@@ -162,11 +164,19 @@ def linear_model(
         limit=start.limit,
         run=run,
         fold=fold,
-        configuration=start.train.configuration,
+        configuration=start.train.held_together,
+        present=start.train.measures,
+        taken=asked.taken(current.weight),
         share=start.train.share,
         own=observed.robot.names,
         table=observed.table,
     )
+
+
+def _rows(asked: Problem, theta: np.ndarray, current: Fit) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Residuals and columns, less what unknown things take up, stretch by stretch."""
+    for _, r, J in eliminated(asked, theta, current.weight, current.sigma):
+        yield r, J
 
 
 def _folds(train: Dataset) -> tuple[np.ndarray, np.ndarray]:
@@ -174,5 +184,6 @@ def _folds(train: Dataset) -> tuple[np.ndarray, np.ndarray]:
     n = len(train)
     run = np.empty(n, dtype=int)
     run[train.sequence] = np.arange(n) * min(RUNS, n) // n
-    number = np.random.default_rng(0).permutation(int(train.configuration.max()) + 1)
-    return run, number[train.configuration] % FOLDS
+    together = train.held_together
+    number = np.random.default_rng(0).permutation(int(together.max()) + 1)
+    return run, number[together] % FOLDS

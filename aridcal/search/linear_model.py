@@ -44,6 +44,8 @@ class LinearModel:
         run: Number of the row's stretch of time, shape (N,).
         fold: Number of the row's fold for cross-validation, shape (N,).
         configuration: Number of the row's configuration, shape (N,).
+        present: Which channels each row measures, shape (N, C) bool; residual and columns are 0 in the others.
+        taken: Numbers of each channel that unknown things take up, shape (C,): residual and columns are what those leave.
         share: Of a measurement that each row counts for; its residual and columns are scaled by the square root of that.
         own: Names of the joints: covariates that are under the user's control.
         table: Covariates of the rows, shape (N,) each.
@@ -61,6 +63,8 @@ class LinearModel:
     run: np.ndarray
     fold: np.ndarray
     configuration: np.ndarray
+    present: np.ndarray
+    taken: np.ndarray
     share: float
     own: tuple[str, ...]
     table: Mapping[str, np.ndarray]
@@ -74,6 +78,13 @@ class LinearModel:
     def basis_index(self) -> dict[Basis, int]:
         """Number of each basis."""
         return {basis: k for k, basis in enumerate(self.bases)}
+
+    def holed(self, residual: np.ndarray) -> np.ndarray:
+        """Residuals, shape (N, m), NaN in channels that a row does not measure."""
+        if self.present.all():
+            return residual
+        sizes = [channel.size for channel in self.channels]
+        return np.where(np.repeat(self.present, sizes, axis=1), residual, np.nan)
 
     def slot_columns(self, where: str, component: str) -> np.ndarray:
         """Columns of one slot, shape (N, m)."""
@@ -166,6 +177,7 @@ class State:
         residual: What is left of every row, shape (N, m).
         used: Rows in use: those that are no outliers, shape (N,) bool.
         fold: Fold of each row in use, shape (n,).
+        present: Which channels each row in use measures, shape (n, C) bool.
     """
 
     channels: Channels
@@ -178,6 +190,7 @@ class State:
     residual: np.ndarray
     used: np.ndarray
     fold: np.ndarray
+    present: np.ndarray
 
     @property
     def sigma(self) -> np.ndarray:
@@ -186,7 +199,7 @@ class State:
 
     def flat(self, values: np.ndarray) -> tuple[np.ndarray, ...]:
         """Columns (N, m, d) or residuals (N, m) brought to the design's shape: rows in use, channel by channel."""
-        return flat(values[self.used], self.channels)
+        return flat(values[self.used], self.channels, self.present)
 
     def whitened(self, values: Sequence[np.ndarray]) -> np.ndarray:
         """Arrays of the design's shape in sigmas, all channels under one another."""
@@ -194,11 +207,29 @@ class State:
         return np.concatenate(scaled)
 
 
-def flat(values: np.ndarray, channels: Channels) -> tuple[np.ndarray, ...]:
-    """Columns (n, m, d) or residuals (n, m) by channel, one number under the other: (n size, d) or (n size,) each."""
-    rows, _, *tail = values.shape
-    parts = zip(channels, columns(channels), strict=True)
-    return tuple(values[:, part].reshape(rows * channel.size, *tail) for channel, part in parts)
+def flat(values: np.ndarray, channels: Channels, present: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Columns (n, m, d) or residuals (n, m) by channel, one number under the other: (n size, d) or (n size,) each.
+
+    Args:
+        values: Of n rows.
+        channels: C of them.
+        present: Which rows have numbers of each, shape (n, C) bool: the others are left out.
+    """
+    _, _, *tail = values.shape
+    made = []
+    for channel, part, own in zip(channels, columns(channels), present.T, strict=True):
+        rows = values[:, part] if own.all() else values[own][:, part]
+        made.append(rows.reshape(len(rows) * channel.size, *tail))
+    return tuple(made)
+
+
+def by_row(parts: Sequence[np.ndarray], channels: Channels, present: np.ndarray) -> np.ndarray:
+    """What :func:`flat` made, row by row again, shape (n, m, d) or (n, m); 0 where a row has no number."""
+    _, *tail = parts[0].shape
+    rows = np.zeros((len(present), sum(channel.size for channel in channels), *tail))
+    for values, channel, part, own in zip(parts, channels, columns(channels), present.T, strict=True):
+        rows[own, part] = values.reshape(-1, channel.size, *tail)
+    return rows
 
 
 def solve_state(
@@ -218,13 +249,14 @@ def solve_state(
     sound = used
     for _ in range(FLAGGING):
         used = sound
-        A, b = flat(design[used], model.channels), flat(model.r[used], model.channels)
+        present = model.present[used]
+        A, b = flat(design[used], model.channels, present), flat(model.r[used], model.channels, present)
         equations = accumulate(A, b)
-        equations = replace(equations, count=model.share * equations.count)
+        equations = replace(equations, count=np.maximum(model.share * equations.count - model.taken, 1.0))
         solution = solve(equations, precision, sigma)
         residual = model.r - design @ solution.beta
         sigma = solution.sigma
-        sound = ~flagged(residual, model.channels, model.limit)
+        sound = ~flagged(model.holed(residual), model.channels, model.limit)
         if fixed or np.array_equal(sound, used):
             break
     return State(
@@ -238,6 +270,7 @@ def solve_state(
         residual=residual,
         used=used,
         fold=model.fold[used],
+        present=present,
     )
 
 

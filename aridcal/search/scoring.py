@@ -16,9 +16,10 @@ from scipy.stats import wilcoxon
 
 from aridcal.effects.effect import Effect
 from aridcal.fit.normal_equations import accumulate
+from aridcal.instruments.channels import columns
 from aridcal.search.change_points import walk_instead
 from aridcal.search.evidence import SMOOTH_PRICE, Score, coefficients, price, score, shaped, smooth_tail, solve, tail
-from aridcal.search.linear_model import Active, LinearModel, State, activate, flat, with_candidate
+from aridcal.search.linear_model import Active, LinearModel, State, activate, with_candidate
 from aridcal.showing import SILENT, Progress
 
 ALPHA = 3e-4
@@ -89,9 +90,8 @@ def score_all(model: LinearModel, effects: Sequence[Effect], state: State, progr
 def _slots_whitened(model: LinearModel, state: State) -> list[np.ndarray]:
     """Columns of all slots in the rows in use, in sigmas, one array (n, size, S) for each channel."""
     used = model.G[state.used]
-    sizes = [channel.size for channel in model.channels]
-    parts = np.split(used, np.cumsum(sizes)[:-1], axis=1)
-    return [part / sigma for part, sigma in zip(parts, state.solution.sigma, strict=True)]
+    parts = zip(columns(model.channels), state.present.T, state.solution.sigma, strict=True)
+    return [(used[:, part] if own.all() else used[own][:, part]) / sigma for part, own, sigma in parts]
 
 
 def _candidate_columns(
@@ -102,7 +102,11 @@ def _candidate_columns(
         pairs = [model.indices(e) for e in group]
         slots, bases = [k for pair in pairs for k in pair[0]], [k for pair in pairs for k in pair[1]]
         values = phi[:, None, bases]
-        return np.vstack([(part[:, :, slots] * values).reshape(-1, len(slots)) for part in G])
+        pieces = [
+            part[:, :, slots] * (values if own.all() else values[own])
+            for part, own in zip(G, state.present.T, strict=True)
+        ]
+        return np.vstack([piece.reshape(-1, len(slots)) for piece in pieces])
     every = np.concatenate([model.columns(e) for e in group], axis=2)
     return state.whitened(state.flat(every))
 
@@ -270,7 +274,7 @@ def held_back_squares(state: State, part: np.ndarray, kept: Sequence[np.ndarray]
     squares = np.zeros((len(kept), len(sizes), len(part)))
     for k in np.unique(part):
         held = part == k
-        own = [np.flatnonzero(np.repeat(held, size)) for size in sizes]
+        own = [np.flatnonzero(np.repeat(held[there], size)) for there, size in zip(state.present.T, sizes, strict=True)]
         A = [a[rows] for a, rows in zip(state.design, own, strict=True)]
         b = [values[rows] for values, rows in zip(state.right, own, strict=True)]
         rest = state.equations.minus(accumulate(A, b))
@@ -278,7 +282,7 @@ def held_back_squares(state: State, part: np.ndarray, kept: Sequence[np.ndarray]
             beta = coefficients(rest.part(keep), state.precision[np.ix_(keep, keep)], sigma)
             for c, (a, values, size) in enumerate(zip(A, b, sizes, strict=True)):
                 left = (values - a[:, keep] @ beta) / sigma[c]
-                squares[i, c, held] = np.sum(left.reshape(-1, size) ** 2, axis=1)
+                squares[i, c, held & state.present[:, c]] = np.sum(left.reshape(-1, size) ** 2, axis=1)
     return squares
 
 
@@ -302,12 +306,13 @@ def _robust(model: LinearModel, state: State, moved: np.ndarray, cluster: np.nda
     C = state.whitened(state.flat(moved))
     C = C - A @ (state.solution.inverse @ (A.T @ C))
     C = C[:, np.linalg.norm(C, axis=0) > 1e-9]
-    r = state.whitened(flat(state.residual[state.used], model.channels))
+    r = state.whitened(state.flat(state.residual))
     after = r - C @ np.linalg.lstsq(C, r, rcond=None)[0]
     clusters, d = int(cluster.max()) + 1, C.shape[1]
     if clusters <= d + 2:
         return 1.0
-    of_number = np.concatenate([np.repeat(cluster, channel.size) for channel in model.channels])
+    there = zip(model.channels, state.present.T, strict=True)
+    of_number = np.concatenate([np.repeat(cluster[own], channel.size) for channel, own in there])
     pulls = np.zeros((clusters, d))
     np.add.at(pulls, of_number, C * after[:, None])
     s = C.T @ r
