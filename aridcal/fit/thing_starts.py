@@ -13,7 +13,7 @@ from aridcal.fit.frame_starts import start_frames
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.kind import Kind
 from aridcal.instruments.setup import Things
-from aridcal.instruments.starts import Start, aligned, starts
+from aridcal.instruments.starts import Start, starts
 from aridcal.model.measured import Measured
 
 TIP = "tip"
