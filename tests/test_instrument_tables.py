@@ -43,12 +43,10 @@ def table(kind: str, n: int = ROWS, seed: int = 0) -> pd.DataFrame:
     return pd.DataFrame(joints | own[kind])
 
 
-def write(
-    folder: Path,
-    blocks: dict[str, pd.DataFrame] | list[dict[str, Any]],
-    tables: dict[str, pd.DataFrame] | None = None,
-    **keys: Any,
-) -> Campaign:
+Blocks = dict[str, pd.DataFrame] | list[dict[str, Any]]
+
+
+def write(folder: Path, blocks: Blocks, tables: dict[str, pd.DataFrame] | None = None, **keys: Any) -> Campaign:
     """A campaign of one block for each kind, or of the blocks that are given, with its tables."""
     if isinstance(blocks, dict):
         tables, blocks = blocks, [{"kind": kind, "file": f"{kind}.csv"} for kind in blocks]
@@ -105,9 +103,9 @@ def test_poses_alone_are_the_data_that_they_were(tmp_path: Path, kind: str) -> N
 
 def test_a_list_of_one_block_is_that_block(tmp_path: Path) -> None:
     one = load(write(tmp_path, {"distance": table("distance")}))
-    text = (tmp_path / "campaign.yaml").read_text().replace("measurements:\n", "measurements:\n- ", 1)
-    (tmp_path / "campaign.yaml").write_text(text.replace("\n  file", "\n  file"))
-    two = load(load_campaign(tmp_path / "campaign.yaml"))
+    job = yaml.safe_load((tmp_path / "campaign.yaml").read_text())
+    (tmp_path / "list.yaml").write_text(yaml.safe_dump(job | {"measurements": [job["measurements"]]}))
+    two = load(load_campaign(tmp_path / "list.yaml"))
     np.testing.assert_array_equal(one.observed, two.observed)
     np.testing.assert_array_equal(one.test, two.test)
 
@@ -209,7 +207,7 @@ def test_weights_of_one_block_leave_those_of_others_alone(tmp_path: Path) -> Non
 def test_a_label_is_never_left_without_training_rows_by_the_draw(tmp_path: Path) -> None:
     rows = table("point", 40).assign(point=[f"p{k}" for k in range(40)])
     data = load(write(tmp_path, {"point": rows}))
-    assert not data.test.any() and "all rows of point p0" in notices(data).replace("p10", "p0")
+    assert not data.test.any() and re.search(r"all rows of point p\d+, .* are needed to find it", notices(data))
     rows = table("position", 40).assign(target=["a"] * 39 + ["b"])
     for seed in range(6):
         data = load(write(tmp_path, {"position": rows}), seed=seed)
@@ -361,7 +359,7 @@ def test_a_second_days_table_goes_to_the_block_whose_columns_it_has(tmp_path: Pa
 MARKERS = "marker,x,y,z\na,0,0,0\nb,0.1,0,0\nc,0.2,0,0\n"
 
 REFUSED: dict[str, tuple[str, dict[str, Any], str]] = {
-    "a length to nowhere": ("point", {"lengths": [{"between": ["a", "bb"], "length": 1}]}, "no usable row refers to 'bb'.*did you mean"),
+    "a length to nowhere": ("point", {"lengths": [{"between": ["a", "bb"], "length": 1}]}, "refers to 'bb'.*did you mean"),
     "a right angle to nowhere": ("plane", {"perpendicular": [["a", "q"]]}, r"perpendicular\[0\]: no usable row refers to 'q'"),
     "two lengths for one": (
         "point",
@@ -381,10 +379,10 @@ REFUSED: dict[str, tuple[str, dict[str, Any], str]] = {
     ),
     "an anchor of no place": ("distance", {"anchors": {"a": {"identify": False}}}, r"anchors\.a: .*needs `xyz`"),
     "a plane of no normal": ("plane", {"planes": {"a": {"normal": [0, 0, 0]}}}, r"planes\.a\.normal: a normal of length 0"),
-    "a known plane of no offset": ("plane", {"planes": {"a": {"normal": [0, 0, 1], "identify": False}}}, "needs `normal` and `offset`"),
+    "a known plane of no offset": ("plane", {"planes": {"a": {"normal": [0, 0, 1], "identify": False}}}, "`normal` and `offset`"),
     "a camera without a focal length": ("pixels", {"cameras": {"eye": {"width": 64, "height": 48}}}, r"cameras\.eye: add `fx`"),
     "no camera": ("pixels", {"cameras": {}}, r"instruments\.cameras: .*needs a camera; add it"),
-    "two cameras": ("pixels", {"cameras": {"eye": EYE, "ear": EYE}}, "several cameras .eye, ear.; say which"),
+    "two cameras": ("pixels", {"cameras": {"eye": EYE, "ear": {**EYE, "on": "tip"}}}, "several cameras .eye, ear.; say which"),
     "a board on the camera's side": ("pixels", {"markers": {"on": "tip"}}, "markers.on: the cameras are on the tip, too"),
     "a place without a board": ("pixels", {"markers": {"xyz": [0, 0, 1]}}, "a place belongs to a board: add its `file`"),
     "a camera called as a joint": ("pixels", {"cameras": {"elbow": EYE}}, "the camera 'elbow' has the name of a joint: rename"),
@@ -403,18 +401,18 @@ def test_what_cannot_be_known_is_refused_by_key(tmp_path: Path, name: str) -> No
 
 
 BLOCKS: dict[str, tuple[list[dict[str, Any]], dict[str, Any], str]] = {
-    "two blocks of one name": ([{"kind": "point"}, {"kind": "point"}], {}, r"measurements\[1\]\.name: two blocks are called 'point'"),
-    "noise of another kind": ([{"kind": "distance", "noise": {"position": 1e-4}}], {}, "noise.position: .*write noise of distance"),
+    "two blocks of one name": ([{"kind": "point"}, {"kind": "point"}], {}, r"s\[1\]\.name: two blocks are called 'point'"),
+    "noise of another kind": ([{"kind": "distance", "noise": {"position": 1e-4}}], {}, "noise.position: .*noise of distance"),
     "noise of another kind in a list": (
         [{"kind": "point"}, {"kind": "pixels", "noise": {"distance": 1e-4}}], {}, r"measurements\[1\]: noise.distance: .*of pixel"
     ),
-    "a kind that is none": ([{"kind": "point"}, {"kind": "pixel"}], {}, r"line \d+: measurements\[1\]\.kind: 'pixel' is .*'pixels'"),
+    "a kind that is none": ([{"kind": "point"}, {"kind": "pixel"}], {}, r"line \d+: measurements\[1\]\.kind: .*'pixels'"),
     "a camera of a wire": ([{"kind": "distance", "camera": "eye"}], {}, "camera: belongs to `kind: pixels`; delete it"),
     "a camera that is none": ([{"kind": "pixels", "camera": "eyes"}], {}, r"measurements\.camera: .*'eyes'.*did you mean 'eye'"),
-    "a head among others": ([{"kind": "point"}, {"kind": "camera_sonar", "head": "h.yaml"}], {}, r"\[1\]\.kind: camera_sonar is not"),
-    "a target of pixels": ([{"kind": "pixels"}], {"frames": {"tip_target": {"xyz": [0, 0, 1]}}}, r"frames\.tip_target: .*delete this key"),
+    "a head among others": ([{"kind": "point"}, {"kind": "camera_sonar", "head": "h.yaml"}], {}, r"\[1\]\.kind: camera_sonar"),
+    "a target of pixels": ([{"kind": "pixels"}], {"frames": {"tip_target": {"xyz": [0, 0, 1]}}}, r"tip_target: .*delete"),
     "stations of several targets": (
-        [{"kind": "point"}, {"kind": "inclination"}], {"frames": {"world_base": {"per": "station"}}}, "`per: station` is not for several"
+        [{"kind": "point"}, {"kind": "inclination"}], {"frames": {"world_base": {"per": "station"}}}, "is not for several"
     ),
     "an empty name": ([{"kind": "point", "name": " "}], {}, r"measurements\.name: is empty; give"),
 }  # fmt: skip
@@ -431,7 +429,7 @@ def test_blocks_that_make_no_sense_are_refused_by_key(tmp_path: Path, name: str)
 
 def test_no_blocks_are_no_measurements(tmp_path: Path) -> None:
     (tmp_path / "c.yaml").write_text("format: 1\nrobot: {urdf: a, tip: b}\nmeasurements: []\n")
-    with pytest.raises(CampaignError, match="line 3: measurements: .*at least 1 item"):
+    with pytest.raises(CampaignError, match=r"line 3: measurements: .*at least 1 item"):
         load_campaign(tmp_path / "c.yaml")
 
 
