@@ -26,6 +26,9 @@ FOLDS = 5
 RUNS = 24
 """Stretches of time into which the rows are cut: enough for a test that takes each of them as one."""
 
+FEWEST_PLACES = 3
+"""Things, or groups that ties join, from which whole ones are held back: of two, one alone hardly tells the constants."""
+
 GAUGE = 0.05
 """[m] and [rad]: constants are held at the geometric stage this loosely, where nothing else decides."""
 
@@ -165,6 +168,7 @@ def linear_model(
         run=run,
         fold=fold,
         configuration=start.train.held_together,
+        thing=_places(asked),
         present=start.train.measures,
         taken=asked.taken(current.weight),
         share=start.train.share,
@@ -177,6 +181,17 @@ def _rows(asked: Problem, theta: np.ndarray, current: Fit) -> Iterator[tuple[np.
     """Residuals and columns, less what unknown things take up, stretch by stretch."""
     for _, r, J in eliminated(asked, theta, current.weight, current.sigma):
         yield r, J
+
+
+def _places(asked: Problem) -> np.ndarray | None:
+    """Number of the group of things that each row measures, or of the thing where there are few groups, shape (N,)."""
+    if asked.groups is None or (asked.groups.row < 0).any():
+        return None
+    for label in (asked.groups.row, asked.groups.role * (asked.groups.thing.max() + 1) + asked.groups.thing):
+        different, number = np.unique(label, return_inverse=True)
+        if len(different) >= FEWEST_PLACES:
+            return np.asarray(number)
+    return None
 
 
 def _folds(train: Dataset) -> tuple[np.ndarray, np.ndarray]:

@@ -44,6 +44,8 @@ class LinearModel:
         run: Number of the row's stretch of time, shape (N,).
         fold: Number of the row's fold for cross-validation, shape (N,).
         configuration: Number of the row's configuration, shape (N,).
+        thing: Number of what each row measures, shape (N,): of a place that was measured again and again; None where rows
+            measure the target itself, or too few things to leave any out.
         present: Which channels each row measures, shape (N, C) bool; residual and columns are 0 in the others.
         taken: Numbers of each channel that unknown things take up, shape (C,): residual and columns are what those leave.
         share: Of a measurement that each row counts for; its residual and columns are scaled by the square root of that.
@@ -63,6 +65,7 @@ class LinearModel:
     run: np.ndarray
     fold: np.ndarray
     configuration: np.ndarray
+    thing: np.ndarray | None
     present: np.ndarray
     taken: np.ndarray
     share: float
