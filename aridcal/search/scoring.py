@@ -98,7 +98,7 @@ def _candidate_columns(
     model: LinearModel, state: State, group: Sequence[Effect], G: Sequence[np.ndarray], phi: np.ndarray
 ) -> np.ndarray:
     """Columns of some candidates side by side, in sigmas, all channels under one another."""
-    if all(model.prepared(e) for e in group):
+    if model.off is None and all(model.prepared(e) for e in group):
         pairs = [model.indices(e) for e in group]
         slots, bases = [k for pair in pairs for k in pair[0]], [k for pair in pairs for k in pair[1]]
         values = phi[:, None, bases]
@@ -107,7 +107,12 @@ def _candidate_columns(
             for part, own in zip(G, state.present.T, strict=True)
         ]
         return np.vstack([piece.reshape(-1, len(slots)) for piece in pieces])
-    every = np.concatenate([model.columns(e) for e in group], axis=2)
+    pairs = [model.indices(e) for e in group if model.prepared(e)]
+    if len(pairs) < len(group):
+        every = np.concatenate([model.columns(e) for e in group], axis=2)
+    else:
+        slots, bases = [k for pair in pairs for k in pair[0]], [k for pair in pairs for k in pair[1]]
+        every = model.seen(model.G[:, :, slots] * model.phi[:, None, bases])
     return state.whitened(state.flat(every))
 
 
