@@ -36,8 +36,8 @@ FINALISTS = 10
 ONE = 2.98
 """Trace of the turn from one rotation to another, eight degrees, up to which the two are one."""
 
-FEW = 20
-"""Steps of it."""
+FEW, MORE, LEFT = 20, 60, 4
+"""Steps of it; those that follow for the best, and how many those are: some valleys are long."""
 
 ENOUGH_KNOWN = 12
 """Rows with known markers from which a camera is placed by those alone."""
@@ -152,6 +152,7 @@ def _pair(view: View, place: Place, solved: _Solved, pair: tuple[int, int], rows
         ]
         kept = replace(own, free=_only(own.free, pair, solved))
         there = [descend(kept, one, FEW) for one in there]
+        there = [descend(kept, one, MORE) for one in sorted(there, key=lambda one: one.cost)[:LEFT]]
         found = sorted(there, key=lambda one: one.cost)[:2]
     own = view.select(rows)
     told = []
