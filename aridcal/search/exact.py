@@ -17,6 +17,7 @@ from aridcal.fit.least_squares import Fit, fit
 from aridcal.fit.normal_equations import Prior
 from aridcal.fit.residual import Problem, problem, taking_off, triangle
 from aridcal.inputs.dataset import Dataset
+from aridcal.model.model import Model
 from aridcal.search.linear_model import Active, LinearModel, State
 from aridcal.showing import SILENT, Progress
 
@@ -180,6 +181,12 @@ def linear_model(
         own=observed.robot.names,
         table=observed.table,
     )
+
+
+def few_places(model: Model, train: Dataset) -> bool:
+    """True where rows measure places that are unknown, too few of them to hold any back."""
+    asked = problem(model, train)
+    return asked.groups is not None and bool((asked.groups.row >= 0).all()) and _places(asked) is None
 
 
 def _places(asked: Problem) -> np.ndarray | None:
