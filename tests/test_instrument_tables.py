@@ -288,6 +288,15 @@ def test_cameras_and_boards_stand_on_opposite_sides(tmp_path: Path, on: str) -> 
     assert marker.free.all() and np.isnan(marker.start).all() and not data.instruments.world
 
 
+def test_what_a_camera_is_on_needs_no_quotes(tmp_path: Path) -> None:
+    """YAML 1.1 reads a plain `on` as a truth."""
+    write(tmp_path, {"pixels": table("pixels")})
+    job = (tmp_path / "campaign.yaml").read_text()
+    assert "height: 480" in job
+    (tmp_path / "campaign.yaml").write_text(job.replace("height: 480", "height: 480\n      on: world"))
+    assert load_campaign(tmp_path / "campaign.yaml").instruments.cameras["eye"].on == "world"
+
+
 def test_a_board_has_known_markers_and_a_place_that_is_sought(tmp_path: Path) -> None:
     (tmp_path / "markers.csv").write_text("marker,x,y,z\na,0,0,0\nb,0.1,0,0\n")
     keys: dict[str, Any] = {"markers": {"file": "markers.csv", "on": "world"}}
