@@ -539,6 +539,10 @@ SCENARIOS: dict[str, tuple[Spoil, str]] = {
         key("scenario.yaml", "measurements.units", {"angle": "deg"}),
         "units: the table is written in SI; delete",
     ),
+    "sockets": (
+        key("scenario.yaml", "measurements", {"kind": "point"}),
+        "measurements: one block of pose.* is simulated",
+    ),
     "stations": (key("scenario.yaml", "frames.world_base.per", "station"), "stations are not simulated; delete"),
     "two columns of one name": (key("scenario.yaml", "measurements.columns", {"x": "y"}), "would be called 'y'"),
 }

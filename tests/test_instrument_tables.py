@@ -15,7 +15,9 @@ from scipy.spatial.transform import Rotation
 from aridcal.errors import AridcalError, CampaignError
 from aridcal.inputs.campaign import Campaign, load_campaign
 from aridcal.inputs.dataset import Dataset
+from aridcal.inputs.measurement_settings import MeasurementSettings
 from aridcal.inputs.read import load_measurements
+from aridcal.inputs.yaml_file import parse_settings
 from aridcal.instruments.catalogue import KINDS
 
 JOINTS = ("rail", "elbow")
@@ -481,3 +483,21 @@ def test_a_marker_cannot_be_on_both_sides(tmp_path: Path) -> None:
     rows["marker"] += rows.camera
     data = load(write(tmp_path, {"pixels": rows}, instruments={"cameras": cameras}))
     assert data.instruments.things["board"].names == ("board_on_tip", "board_on_world")
+
+
+def test_the_examples_of_the_formats_are_campaigns() -> None:
+    text = (Path(__file__).parent.parent / "docs" / "formats.md").read_text("utf-8").split("## 7. ")[1]
+    examples = re.findall(r"```yaml\n(.*?)```", text, re.DOTALL)
+    assert len(examples) == 2
+    small, full = (parse_settings(example, Path("campaign.yaml"), Campaign) for example in examples)
+    assert [block.kind for block in small.blocks] == ["point", "pixels"] and small.blocks[1].camera == "eye"
+    assert full.instruments.model_fields_set == set(type(full.instruments).model_fields)
+
+
+def test_every_kind_and_its_columns_stand_in_the_formats() -> None:
+    text = (Path(__file__).parent.parent / "docs" / "formats.md").read_text("utf-8").split("## 7. ")[1]
+    for kind in KINDS:
+        (line,) = re.findall(rf"^\|.*`{kind}`.*\|$", text.split("A campaign of")[0], re.MULTILINE)
+        own = MeasurementSettings.model_validate({"kind": kind}).own_columns
+        named = " ".join(re.findall("`([^`]*)`", line)).split()
+        assert set(own) - {"target"} <= set(named), kind
