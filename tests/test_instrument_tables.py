@@ -497,7 +497,7 @@ def test_the_examples_of_the_formats_are_campaigns() -> None:
 def test_every_kind_and_its_columns_stand_in_the_formats() -> None:
     text = (Path(__file__).parent.parent / "docs" / "formats.md").read_text("utf-8").split("## 7. ")[1]
     for kind in KINDS:
-        (line,) = re.findall(rf"^\|.*`{kind}`.*\|$", text.split("A campaign of")[0], re.MULTILINE)
+        (line,) = re.findall(rf"^\| [^|]*`{kind}`.*\|$", text.split("A campaign of")[0], re.MULTILINE)
         own = MeasurementSettings.model_validate({"kind": kind}).own_columns
         named = " ".join(re.findall("`([^`]*)`", line)).split()
         assert set(own) - {"target"} <= set(named), kind
