@@ -353,7 +353,9 @@ def test_copies_are_refused_but_not_of_another_label(tmp_path: Path) -> None:
 def test_labels_that_tell_nothing_of_the_arm_are_told(tmp_path: Path) -> None:
     rows = table("point")
     rows.loc[0, "point"] = "lone"
-    assert "point lone: with so few rows they tell where it is" in notices(load(write(tmp_path, {"point": rows})))
+    campaign = write(tmp_path, {"point": rows})
+    assert "point lone: with so few rows they tell where it is" in notices(load(campaign))
+    assert not load(campaign, files=[rows], fitted=False).notices, "of rows that are scored only nothing is asked"
     tied = {"lengths": [{"between": ["lone", "a"], "length": 0.1}]}
     assert "lone: with" not in notices(load(write(tmp_path, {"point": rows}, instruments=tied)))
 

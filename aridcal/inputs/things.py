@@ -203,7 +203,7 @@ def instruments_of(
         start = np.array([state for state, _, _ in found], dtype=float).reshape(len(found), role.size)
         things[name] = Things(role, seen[name], start, free, std)
     ties = (*_lengths(known, seen, complete), *_right_angles(known, seen, complete))
-    remarks = [*_too_few(blocks, things, counts, ties), *(_never_seen(known, seen) if complete else ())]
+    remarks = [*_too_few(blocks, things, counts, ties), *_never_seen(known, seen)] if complete else []
     return Instruments(things, ties, _in_world(known, blocks, things)), remarks
 
 
