@@ -400,7 +400,6 @@ REFUSED: dict[str, tuple[str, dict[str, Any], str]] = {
     "a place without a board": ("pixels", {"markers": {"xyz": [0, 0, 1]}}, "a place belongs to a board: add its `file`"),
     "a camera called as a joint": ("pixels", {"cameras": {"elbow": EYE}}, "the camera 'elbow' has the name of a joint: rename"),
     "a camera called camera": ("pixels", {"cameras": {"camera": EYE}}, "the camera 'camera' has the name of a place of corr"),
-    "points without a block": ("distance", {"points": "points.csv"}, r"instruments\.points: no block measures such things"),
     "an unknown key": ("distance", {"anchor": {}}, r"instruments\.anchor: unknown key \(did you mean 'anchors'"),
 }  # fmt: skip
 
@@ -485,6 +484,15 @@ def test_a_marker_cannot_be_on_both_sides(tmp_path: Path) -> None:
     rows["marker"] += rows.camera
     data = load(write(tmp_path, {"pixels": rows}, instruments={"cameras": cameras}))
     assert data.instruments.things["board"].names == ("board_on_tip", "board_on_world")
+
+
+def test_things_of_no_block_are_told_and_of_poses_refused(tmp_path: Path) -> None:
+    """The example of the contract has anchors and planes beside blocks of points and pixels."""
+    keys = {"anchors": {"pulley": {}}, "planes": {"table": {}}, "markers": {"file": "markers.csv"}}
+    (tmp_path / "markers.csv").write_text(MARKERS)
+    told = notices(load(write(tmp_path, {"point": table("point")}, instruments=keys)))
+    assert all(f"{thing}: no row refers to it" in told for thing in ("anchor pulley", "plane table", "marker a, b, c"))
+    assert "instruments: no block's rows refer" in said(tmp_path, {"pose": table("pose")}, instruments={"anchors": {}})
 
 
 def test_the_examples_of_the_formats_are_campaigns() -> None:
