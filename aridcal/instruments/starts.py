@@ -30,7 +30,7 @@ STEPS = 60
 """Of least squares from each: an ordinary start takes ten."""
 
 REACH, FAR = 0.2, 0.5
-"""[m]: how far from the hint targets are sought, to the corners of a cube and along the axes. From outside the true one is found
+"""[m]: how far from the hint targets are sought, along each axis at once: to corners of cubes. From outside the true one is found
 more often than from inside."""
 
 FREE = 1e-3
@@ -141,9 +141,9 @@ def _by_target(view: View, target: np.ndarray, known: dict[str, np.ndarray]) -> 
 
 
 def _steps() -> np.ndarray:
-    """Steps to targets that are tried, shape (14, 3), [m]: corners of a cube for ordinary tools, and the axes for long ones."""
-    corners = np.array(np.meshgrid(*3 * [[-REACH, REACH]])).reshape(3, -1).T
-    return np.vstack([corners, FAR * np.eye(3), -FAR * np.eye(3)])
+    """Steps to targets that are tried, shape (16, 3), [m]: corners of a cube for ordinary tools, and of one for long ones."""
+    corners = np.array(np.meshgrid(*3 * [[-1.0, 1.0]])).reshape(3, -1).T
+    return np.vstack([REACH * corners, FAR * corners])
 
 
 def _few(view: View) -> View:
