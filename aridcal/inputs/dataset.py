@@ -131,7 +131,8 @@ class Dataset:
         labels = np.column_stack([self.block.astype(str), self.refers])
         thing = np.unique(labels, axis=0, return_inverse=True)[1].reshape(-1)
         few = np.bincount(thing)[thing] < FEW_ROWS
-        return pd.factorize(np.where(few, thing + self.configuration.max() + 1, self.configuration))[0]
+        of_arm = blocks(self.readings, self.kinds)
+        return pd.factorize(np.where(few, thing + of_arm.max() + 1, of_arm))[0]
 
     @property
     def sees_turns(self) -> bool:
