@@ -248,6 +248,21 @@ def test_one_row_of_each_point_is_not_an_error() -> None:
         assert np.isnan(scene(name, 0, n=2).begun()[0].states[KINDS[name].roles[0].name][:, :3]).all()
 
 
+def cut(made: Scene, n: int) -> Scene:
+    return replace(made, R=made.R[:n], p=made.p[:n], observed=made.observed[:n], refers=made.refers[:n])
+
+
+def test_too_few_rows_begin_somewhere_and_never_fail() -> None:
+    for n in (0, 1, 2, 3, 5, 7):
+        for name in ("point", "distance", "plane", "inclination"):
+            assert cut(scene(name, 1), n).begun()
+        for on_tip in (True, False):
+            for board in (True, False):
+                made = cut(pictures(1, on_tip, board, shots=2), n)
+                assert made.begun()
+                assert replace(made, observed=np.full_like(made.observed, 1e5)).begun()
+
+
 def carried(role: str, T: np.ndarray, states: np.ndarray) -> np.ndarray:
     """States in the base frame, seen from the world."""
     made, R, p = states.copy(), T[:3, :3], T[:3, 3]
