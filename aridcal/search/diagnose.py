@@ -53,7 +53,9 @@ LARGE = 100.0
 RIVAL_SHARE = 0.5
 """Share of the best evidence on the linear model that a rival must have: less cannot win on the exact one."""
 
-FEW_PLACES = f"rows at fewer than {FEWEST_PLACES} places cannot show that a function without a cause holds elsewhere; measure at more"
+FEW_PLACES = (
+    f"at fewer than {FEWEST_PLACES} places nothing shows that a function without a cause holds elsewhere; measure at more"
+)
 """Why no such function is sought there."""
 
 PAIRED = 3
