@@ -112,7 +112,7 @@ def test_the_information_left_is_the_schur_complement(ties: bool) -> None:
 
 def test_unknowns_cost_the_freedom_that_they_take() -> None:
     """3 points and 2 anchors of 4 unknowns each: numbers measured, less those."""
-    model, data, rng = mixed(False)
+    model, data, _ = mixed(False)
     here = linearise(problem(model, data), np.zeros(9), np.ones(len(data)), SIGMA)
     points, wires = (data.block == 0).sum(), (data.block == 1).sum()
     np.testing.assert_allclose(here.equations.count, [3 * points - 9, wires - 8])
