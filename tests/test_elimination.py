@@ -141,7 +141,7 @@ def test_columns_are_taken_off_after_their_bases() -> None:
 
 
 def test_rows_less_their_things_are_orthogonal_to_them() -> None:
-    model, data, rng = mixed(False)
+    model, data, _ = mixed(False)
     asked, theta, weight = problem(model, data), np.zeros(9), np.ones(len(data))
     A, _, K = dense(asked, theta, weight)
     scale = np.array([SIGMA[0]] * 3 + [SIGMA[1]])
