@@ -88,7 +88,11 @@ def coordinates(data: Dataset) -> dict[str, np.ndarray]:
     """Everything in which rows may lie together, shape (N,) each."""
     found = {"row": np.argsort(data.sequence).astype(float)}  # the place of each in the order of measurement
     found |= dict(zip(data.names, data.readings.T, strict=True))
-    found |= dict(zip("xyz", data.position.T, strict=True))
+    if not np.isnan(data.position).any():
+        found |= dict(zip("xyz", data.position.T, strict=True))
+    if data.blocks:
+        things = np.unique(np.column_stack([data.block.astype(str), data.refers]), axis=0, return_inverse=True)[1]
+        found["what is measured"] = things.reshape(-1).astype(float)
     found |= {name: values for name, values in data.covariates.items() if not np.isnan(values).any()}
     if data.station is not None:
         found["station"] = np.unique(data.station, return_inverse=True)[1].astype(float)

@@ -6,7 +6,7 @@ import numpy as np
 
 from aridcal.fit.least_squares import Fit
 from aridcal.fit.normal_equations import RIDGE, accumulate, solve
-from aridcal.fit.residual import BLOCK, problem
+from aridcal.fit.residual import eliminated, problem
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.channels import columns
 
@@ -48,10 +48,11 @@ def _squares(fit: Fit, data: Dataset) -> np.ndarray:
     solution without it differs by :math:`-(\Lambda - H_b)^{-1} g_b`: at the optimum all pulls together are zero.
     """
     asked = problem(fit.model, data)
-    pieces = [asked.linearised(fit.theta, slice(k, k + BLOCK)) for k in range(0, len(data), BLOCK)]
+    pieces = [(r, J) for _, r, J in eliminated(asked, fit.theta, np.ones(len(data)), fit.sigma)]
     r, J = (np.concatenate(stacked) for stacked in zip(*pieces, strict=True))
-    number = np.random.default_rng(2).permutation(int(data.configuration.max()) + 1)
-    block = number[data.configuration] % BLOCKS
+    together = data.held_together
+    number = np.random.default_rng(2).permutation(int(together.max()) + 1)
+    block = number[together] % BLOCKS
     parts, K = columns(data.channels), J.shape[2]
     scale = fit.std
     whole = np.linalg.inv(fit.covariance / np.outer(scale, scale)) / np.outer(scale, scale)

@@ -242,7 +242,7 @@ def fit(
         some = _enough(problem)
         rough = minimise(problem.select(some), theta, None, prior)
         theta, steps = rough.theta, rough.steps
-        problem = _things_again(replace(problem, states=rough.question.states), theta)
+        problem = things_again(replace(problem, states=rough.question.states), theta)
         weight = _weights(flagged(problem.scaled_residual(theta), problem.channels, limit))
     for _ in range(FLAGGING):
         found = minimise(problem, theta, weight, prior)
@@ -334,13 +334,19 @@ def thin(rows: Rows, most: int, groups: Groups | None = None) -> np.ndarray:
     return np.sort(np.concatenate(chosen))
 
 
-def _things_again(problem: Problem, theta: np.ndarray) -> Problem:
-    """The same with the things found anew from all rows, robustly: some of the rows say nothing of some of them."""
+def things_again(problem: Problem, theta: np.ndarray, weight: np.ndarray | None = None) -> Problem:
+    """The same with the things found anew where the coefficients are theta.
+
+    Args:
+        problem: N rows.
+        theta: Shape (K,).
+        weight: Of each row, shape (N,); None: robustly, from all.
+    """
     if problem.groups is None:
         return problem
     for _ in range(THINGS):
         scale = robust_sigma(problem.scaled_residual(theta), problem.channels)
-        problem = problem.stepped(linearise(problem, theta, None, scale).step_of_groups(np.zeros(len(theta))))
+        problem = problem.stepped(linearise(problem, theta, weight, scale).step_of_groups(np.zeros(len(theta))))
     return problem
 
 

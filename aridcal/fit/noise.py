@@ -40,6 +40,8 @@ def repeats(rows: Dataset, residual: np.ndarray) -> Repeats | None:
         residual: Of each, in world axes, shape (N, m), [m] and [rad].
     """
     # Poses that are the same bit for bit are copies, whatever else their rows say, and tell nothing of the noise.
+    if rows.blocks:  # of things that are measured again and again the place is sought: their scatter is what is fitted
+        return None
     poses = [
         rows.configuration,
         rows.position,

@@ -159,6 +159,13 @@ class Problem:
             return None
         return known(self.groups, self.measured.instruments, self.states)
 
+    def settled(self, theta: np.ndarray) -> Problem:
+        """The same with the things that the model does not know found from these rows alone."""
+        if self.measured is None:
+            return self
+        R, p = self.model.poses(theta, self.rows)
+        return replace(self, states=located(self.measured, R, p, theta, self.rows, self.states)[0])
+
     def stepped(self, step: np.ndarray) -> Problem:
         """The same with the groups' unknowns moved, shape (G, U)."""
         if self.groups is None or self.measured is None:
@@ -183,23 +190,14 @@ def problem(model: Model, data: Dataset, progress: Progress = SILENT) -> Problem
     return Problem(model, data, rows, progress, seen, groups(seen), states)
 
 
-def motions(question: Problem, theta: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Target poses, and the target's twists per unit of the last coefficients alone.
-
-    Args:
-        question: N rows.
-        theta: Values of all coefficients.
-        count: How many of them are asked for.
-
-    Returns:
-        Rotations (N, 3, 3), positions (N, 3) [m], and twists (N, 6, count).
-    """
-    n = len(question)
-    R, p, J = np.empty((n, 3, 3)), np.empty((n, 3)), np.empty((n, 6, count))
+def moved_by(question: Problem, theta: np.ndarray, count: int) -> np.ndarray:
+    """What the last coefficients alone take off the scaled residuals, things held, shape (N, m, count)."""
+    size = sum(channel.size for channel in question.channels)
+    J = np.empty((len(question), size, count))
     for block in question.blocks():
-        R[block], p[block], every = question.model.jacobian(theta, question.rows[block])
+        every = question.pieces(theta, block)[1]
         J[block] = every[:, :, every.shape[2] - count :]
-    return R, p, J
+    return J
 
 
 def scaled(values: np.ndarray, relative: np.ndarray | None) -> np.ndarray:

@@ -249,7 +249,9 @@ def _placement(settings: FrameSettings) -> pin.SE3:
 
 def with_restarts(found: Fit, train: Dataset, progress: Progress = SILENT) -> Fit:
     """Solve again on some of the rows from other places, and note how many lead to the same minimum."""
-    some = thin(found.model.rows(train.readings, None, train.station), max(RESTART_ROWS, 4 * len(found.theta)))
+    some = thin(
+        found.model.rows(train.readings, None, train.station, train.target), max(RESTART_ROWS, 4 * len(found.theta))
+    )
     part = problem(found.model, train.select(some), progress)
     weight = found.weight[some]
     reference = minimise(part, found.theta, weight)

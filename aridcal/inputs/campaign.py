@@ -240,6 +240,11 @@ class Job(Settings):
                 "frames.tip_target: `kind: pixels` has no target beside its cameras and markers; delete this key, and "
                 "say under `instruments` where they are"
             )
+        if "pixels" in kinds and not self.instruments.cameras:
+            raise ValueError(
+                "instruments.cameras: `kind: pixels` needs a camera; add it: "
+                "{eye: {width: 640, height: 480, fx: …, fy: …, cx: …, cy: …}}"
+            )
         for number, block in enumerate(self.blocks):
             if block.camera is not None and block.camera not in self.instruments.cameras:
                 raise ValueError(

@@ -20,8 +20,11 @@ from aridcal.instruments.sighting import sighted
 BEST = 3
 """Starts that are handed on: a fit of each tells which is right."""
 
-TRIED = 6
-"""Targets from which the steps are taken."""
+LOOKED_AT = (20, 400)
+"""Things, and rows of them, on which targets are compared."""
+
+FEW = 20
+"""Steps of the comparison."""
 
 STEPS = 60
 """Of least squares from each: an ordinary start takes ten."""
@@ -85,10 +88,7 @@ def starts(
     view = View(kind, R, p, observed, refers, free, moves=not target_known and kind.name != "pixels")
     some = view.select(spread(len(p), MOST))
     known = {role.name: things[role.name].start for role in kind.roles}
-    if kind.name == "pixels":
-        found = sighted(some, target, known, STEPS)
-    else:
-        found = [descend(some, place, STEPS) for place in _by_target(some, target, known)]
+    found = sighted(some, target, known, STEPS) if kind.name == "pixels" else _by_target(some, target, known)
     return [Start(place.target, _filled(view, place, known)) for place in _ranked(found)]
 
 
@@ -119,38 +119,63 @@ def _filled(view: View, place: Place, known: dict[str, np.ndarray]) -> dict[str,
 
 
 def _by_target(view: View, target: np.ndarray, known: dict[str, np.ndarray]) -> list[Place]:
-    """Places to start from: target translations, of which the things follow by their own rows."""
-    role = view.kind.roles[-1]
-    labels = np.unique(view.refers[:, -1])
-    unknown = labels[~np.isfinite(known[role.name][labels]).all(axis=1) | view.free[role.name][labels].any(axis=1)]
-    hinted = labels[np.isfinite(known[role.name][labels]).all(axis=1)]
+    """Places for target translations, of which the things follow by their own rows; hints first.
+
+    All are compared after a few steps on some of the rows, the best taken further on all.
+    """
     levers = [target[:3, 3]]
     if view.moves:
-        levers += LINEAR[view.kind.name](view, target[:3, 3], known[role.name])
-        steps = REACH * np.array([-1.0, 0.0, 1.0])
-        levers += [target[:3, 3] + step for step in np.array(np.meshgrid(steps, steps, steps)).reshape(3, -1).T]
-    places = []
-    for lever in levers:
-        moved = target.copy()
-        moved[:3, 3] = lever
-        places.append(placed(view, moved, located(view, moved, known, unknown, known[role.name])))
-    hint = [placed(view, target, known)] if len(hinted) == len(labels) else []
-    first, rest = [*hint, places[0]], sorted(places[1:], key=lambda place: place.cost)
-    return first + rest[:TRIED]
+        levers += LINEAR[view.kind.name](view, target[:3, 3], known[view.kind.roles[-1].name])
+        levers += [] if view.kind.name == "point" else [target[:3, 3] + step for step in _steps()]
+    few = _few(view)
+    tried = [_from_lever(few, target, lever, known) for lever in levers]
+    if view.complete(known).all():
+        tried.insert(0, placed(few, target, known))
+    compared = _ranked([descend(few, place, FEW) for place in tried])
+    found = []
+    for place in compared:
+        whole = place if len(few) == len(view) else _from_lever(view, target, place.target[:3, 3], known)
+        found.append(descend(view, whole, STEPS))
+    return found
+
+
+def _steps() -> np.ndarray:
+    """Corners, edges and faces of a cube of targets, shape (27, 3), [m]."""
+    steps = REACH * np.array([-1.0, 0.0, 1.0])
+    return np.array(np.meshgrid(steps, steps, steps)).reshape(3, -1).T
+
+
+def _few(view: View) -> View:
+    """Some of the rows, of the things that have the most."""
+    things, rows = LOOKED_AT
+    own = view.refers[:, -1]
+    most = np.argsort(-np.bincount(own), kind="stable")[:things]
+    some = np.flatnonzero(np.isin(own, most))
+    return view.select(some[spread(len(some), rows)])
+
+
+def _from_lever(view: View, target: np.ndarray, lever: np.ndarray, known: dict[str, np.ndarray]) -> Place:
+    """The place that a target translation gives, shape (3,)."""
+    name = view.kind.roles[-1].name
+    labels = np.unique(view.refers[:, -1])
+    unknown = labels[~np.isfinite(known[name][labels]).all(axis=1) | view.free[name][labels].any(axis=1)]
+    moved = target.copy()
+    moved[:3, 3] = lever
+    return placed(view, moved, located(view, moved, known, unknown, known[name]))
 
 
 def _touched_levers(view: View, hint: np.ndarray, known: np.ndarray) -> list[np.ndarray]:
     """Translations t for which p + R t falls on one place for each point: linear; on the point itself where it is known."""
     own = view.refers[:, -1]
     A, b = view.R.copy(), -(view.p + view.R @ hint)
-    held = np.isfinite(known).all(axis=1) & ~view.free[view.kind.roles[-1].name].any(axis=1)
-    for label in np.unique(own):
-        rows = own == label
-        if held[label]:
-            b[rows] += known[label]
-        else:
-            A[rows] -= A[rows].mean(axis=0)
-            b[rows] -= b[rows].mean(axis=0)
+    held = (np.isfinite(known).all(axis=1) & ~view.free[view.kind.roles[-1].name].any(axis=1))[own]
+    b[held] += known[own[held]]
+    both = np.concatenate([A.reshape(-1, 9), b], axis=1)
+    total = np.zeros((len(known), 12))
+    np.add.at(total, own, both)
+    mean = total[own] / np.bincount(own)[own, None]
+    A[~held] -= mean[~held, :9].reshape(-1, 3, 3)
+    b[~held] -= mean[~held, 9:]
     U, moves, Vt = np.linalg.svd(A.reshape(-1, 3), full_matrices=False)
     along = U.T @ b.ravel()
     clear = moves > FREE * np.sqrt(len(view))

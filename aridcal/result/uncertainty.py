@@ -66,7 +66,7 @@ def accuracy(rows: Dataset, residual: np.ndarray) -> np.ndarray:
 def precision(fit: Fit, train: Dataset, halves: tuple[float, float]) -> Precision:
     """Propagate the noise to the target, and set it beside what two halves fitted apart show (see :func:`halves`)."""
     model, robot = fit.model, fit.model.robot
-    position, rotation = target_sigma(fit, model.rows(train.readings, train.conditions, train.station))
+    position, rotation = target_sigma(fit, model.rows(train.readings, train.conditions, train.station, train.target))
     limits = robot.limits
     seen = np.stack([train.readings.min(axis=0), train.readings.max(axis=0)], axis=1)
     low, high = np.where(np.isfinite(limits), limits, seen).T
@@ -74,7 +74,8 @@ def precision(fit: Fit, train: Dataset, halves: tuple[float, float]) -> Precisio
     anywhere = rng.uniform(low, high, (REACH_SAMPLES, len(low)))
     some = rng.integers(0, len(train), REACH_SAMPLES)
     covariates = {name: values[some] for name, values in train.covariates.items()}
-    rows = model.rows(anywhere, covariates, None if train.station is None else train.station[some])
+    station, target = (None if labels is None else labels[some] for labels in (train.station, train.target))
+    rows = model.rows(anywhere, covariates, station, target)
     reach, _ = target_sigma(fit, rows)
     bases = model.frames(fit.theta)[0]
     targets = model.poses(fit.theta, rows)[1]
@@ -150,12 +151,16 @@ def realigned(fit: Fit, other: Problem) -> np.ndarray:
     own = [c.where in ("world_base", "tip_target") and c.basis.constant for c in fit.model.coefficients]
     frames = np.flatnonzero(own)
     r = fit.residual
+    other = other.settled(theta)
     for _ in range(REALIGN_STEPS):
         here = linearise(other, theta, None, fit.sigma)
         r = here.residual
         H = here.equations.information(fit.sigma)[np.ix_(frames, frames)]
         step = np.linalg.lstsq(H, here.equations.pull(fit.sigma)[frames], rcond=1e-12)[0]
         theta[frames] += step
+        moved = np.zeros(len(theta))
+        moved[frames] = step
+        other = other.stepped(here.step_of_groups(moved))
         if np.all(np.abs(step) < SETTLED):
             break
     return r

@@ -12,7 +12,7 @@ from aridcal.effects.catalogue import KINDS
 from aridcal.effects.effect import Effect
 from aridcal.fit.flags import Cluster, cluster
 from aridcal.fit.least_squares import Fit
-from aridcal.fit.residual import BLOCK, FLOOR, problem
+from aridcal.fit.residual import FLOOR, problem
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.channels import spread
 from aridcal.search.noise_tests import Clue
@@ -117,11 +117,11 @@ def _held_out(rows: Dataset, test: np.ndarray, fit: Fit, residual: np.ndarray, o
     configurations = len(np.unique(rows.configuration[test]))
     if configurations < FEWEST or fit.freedom <= 0:
         return None
-    m = residual.shape[1]
+    m = float(np.mean(np.sum(~np.isnan(residual[train]), axis=1)))
     variance = spread(fit.estimated**2, rows.channels)
     expected = variance + _model_variance(rows.select(test), fit)
-    ratio = float(np.mean(np.mean(residual[test] ** 2 / expected, axis=1)))
-    fitted = np.mean(residual[train] ** 2 / variance, axis=1)
+    ratio = float(np.nanmean(np.nanmean(residual[test] ** 2 / expected, axis=1)))
+    fitted = np.nanmean(residual[train] ** 2 / variance, axis=1)
     kappa = max(1.0, float(np.var(fitted) / np.mean(fitted) ** 2) * m / 2.0)
     p_value = float(f_distribution.sf(ratio, configurations * m / kappa, fit.freedom / kappa))
     what = f"held-out rows err {np.sqrt(ratio):.2g} times as much as the noise of the fitted rows explains"
@@ -131,7 +131,7 @@ def _held_out(rows: Dataset, test: np.ndarray, fit: Fit, residual: np.ndarray, o
 def _offset(residual: np.ndarray) -> Clue | None:
     """Is the mean of the residuals zero? With frames and constants held it need not be (Hotelling's T squared)."""
     n, m = residual.shape
-    if n <= m + 1:
+    if n <= m + 1 or np.isnan(residual).any():
         return None
     mean = residual.mean(axis=0)
     spread_of_mean = np.cov(residual.T) / n
@@ -145,10 +145,10 @@ def _offset(residual: np.ndarray) -> Clue | None:
 
 def _model_variance(rows: Dataset, fit: Fit) -> np.ndarray:
     """Variance of the prediction by the coefficients' covariance, scaled as the residuals, shape (N, m)."""
-    asked = problem(fit.model, rows)
+    asked = problem(fit.model, rows).settled(fit.theta)
     parts = []
-    for start in range(0, len(rows), BLOCK):
-        J = asked.linearised(fit.theta, slice(start, start + BLOCK))[1]
+    for block in asked.blocks():
+        J = asked.pieces(fit.theta, block)[1]
         parts.append(np.einsum("nmk,nmk->nm", J @ fit.covariance, J))
     return np.concatenate(parts)
 
@@ -182,8 +182,8 @@ def _together(rows: Dataset, residual: np.ndarray, outlier: np.ndarray) -> Clue 
 
 def _squares(residual: np.ndarray, outlier: np.ndarray) -> np.ndarray:
     """Square of each row's residual (N, m) in units of what the rows that are not flagged leave, shape (N,)."""
-    usual = np.mean(residual[~outlier] ** 2, axis=0)
-    return np.asarray(np.sum(residual**2 / np.maximum(usual, FLOOR**2), axis=1))
+    usual = np.nanmean(residual[~outlier] ** 2, axis=0)
+    return np.asarray(np.nansum(residual**2 / np.maximum(usual, FLOOR**2), axis=1))
 
 
 def where(found: Cluster) -> str:

@@ -267,7 +267,7 @@ def _exchanged(before: State, after: State) -> bool:
 def _thinned(every: Start) -> Start:
     """Enough rows to search with."""
     geometric, train = every.geometric, every.train
-    rows = geometric.model.rows(train.readings, train.conditions, train.station)
+    rows = geometric.model.rows(train.readings, train.conditions, train.station, train.target)
     some = thin(rows, SEARCHED)
     if len(some) == len(train):
         return every
@@ -349,7 +349,7 @@ def look(start: Start) -> tuple[Observed, list[Barred]]:
     model, rows = start.geometric.model, start.train
     derived = {name: rows.covariates[name] for name in rows.derived}
     usable, barred = usable_columns({name: v for name, v in rows.covariates.items() if name not in derived})
-    world = model.rows(rows.readings, None, rows.station).world
+    world = model.rows(rows.readings, None, rows.station, rows.target).world
     measured = {name: rows.conditions[name] for name in (*usable, ROW_ORDER)}
     payload = rows.covariates.get("payload")
     if payload is not None and not np.isnan(payload).any():

@@ -11,10 +11,11 @@ import numpy as np
 from aridcal.effects.basis import evaluate
 from aridcal.effects.catalogue import Barred, merged
 from aridcal.effects.effect import ANGULAR, ROW_ORDER, Coefficient, Effect
-from aridcal.fit.least_squares import Fit
+from aridcal.fit.least_squares import Fit, things_again
 from aridcal.fit.normal_equations import TINY, without
 from aridcal.fit.residual import Problem, problem
 from aridcal.inputs.dataset import Dataset
+from aridcal.instruments.channels import Channels, columns
 from aridcal.search.diagnose import Diagnosed
 from aridcal.search.linear_model import solve_state
 from aridcal.search.noise_tests import Clue
@@ -134,7 +135,6 @@ def explain(diagnosed: Diagnosed, every: Dataset, scored: np.ndarray, clues: Seq
         groups.setdefault(a.effect.identity, []).append(k)
     stated = {e.identity for e in diagnosed.declared}
     asked = problem(fit.model, every)
-    held_out = asked.select(scored)
     final = asked.residual(fit.theta)
     effects = []
     for who, members in groups.items():
@@ -147,15 +147,15 @@ def explain(diagnosed: Diagnosed, every: Dataset, scored: np.ndarray, clues: Seq
             effect=effect,
             declared=who in stated,
             p_value=max(min(1.0, p_value), FLOOR_P),
-            before=_with_effects(held_out, fit, others),
+            before=_with_effects(asked, fit, others)[scored],
             after=final[scored],
             reached=final,
             confounded_with=tuple(twins.values()),
             curves=tuple(_curves(effect, diagnosed)),
-            adds=_added(asked, fit, effect, final),
+            adds=_added(asked, fit, effect),
         )
         effects.append(named)
-    effects.sort(key=lambda e: -_rms(e.before))
+    effects.sort(key=lambda e: -_rms(e.before, every.channels))
     for k in range(len(effects) - 1):
         first = [e.effect for e in effects[: k + 1]]
         effects[k] = replace(effects[k], reached=_with_effects(asked, fit, first))
@@ -210,20 +210,27 @@ def _with_effects(asked: Problem, fit: Fit, effects: Sequence[Effect]) -> np.nda
     """What the model leaves with some of its effects, all else refitted, shape (n, m)."""
     names = {c.name for e in effects for c in e.coefficients}
     keep = np.array([c.basis.constant or c.name in names for c in fit.model.coefficients], dtype=bool)
-    return asked.residual(refitted(fit, ~keep, keep))
+    theta = refitted(fit, ~keep, keep)
+    train = asked.data.train
+    weight = np.zeros(len(train))
+    weight[train] = fit.weight
+    return things_again(asked, theta, weight).residual(theta)
 
 
-def _added(asked: Problem, fit: Fit, effect: Effect, final: np.ndarray) -> np.ndarray:
+def _added(asked: Problem, fit: Fit, effect: Effect) -> np.ndarray:
     """What an effect adds to the predicted positions beyond what frames and constants take up, shape (N, 3), [m]."""
     names = {c.name for c in effect.coefficients}
     gone = np.array([name in names for name in fit.model.names], dtype=bool)
     constant = np.array([c.basis.constant for c in fit.model.coefficients], dtype=bool)
-    return asked.residual(refitted(fit, gone, constant))[:, :3] - final[:, :3]
+    without_it = refitted(fit, gone, constant)
+    return fit.model.poses(fit.theta, asked.rows)[1] - fit.model.poses(without_it, asked.rows)[1]
 
 
-def _rms(r: np.ndarray) -> float:
-    """RMS position error, [m]; 0 of no rows."""
-    return float(np.sqrt(np.mean(np.sum(r[:, :3] ** 2, axis=1)))) if len(r) else 0.0
+def _rms(r: np.ndarray, channels: Channels) -> float:
+    """RMS error in the first channel that the rows measure; 0 of no rows."""
+    part = columns(channels)[0]
+    there = r[~np.isnan(r[:, part.start])][:, part]
+    return float(np.sqrt(np.mean(np.sum(there**2, axis=1)))) if len(there) else 0.0
 
 
 def _curves(effect: Effect, diagnosed: Diagnosed) -> list[Curve]:

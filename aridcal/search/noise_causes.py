@@ -19,7 +19,7 @@ from scipy.spatial import cKDTree
 from aridcal.effects.basis import Basis
 from aridcal.effects.effect import Coefficient
 from aridcal.fit.least_squares import Fit, thin
-from aridcal.fit.residual import BLOCK, FLOOR, Problem, motions, problem, scaled
+from aridcal.fit.residual import FLOOR, Problem, eliminated, moved_by, problem, scaled
 from aridcal.fit.variance_components import Components, Scatter, estimate, one_more
 from aridcal.inputs.dataset import Dataset, factors
 from aridcal.instruments.channels import TARGET_POSITION, TARGET_ROTATION, columns, spread
@@ -134,7 +134,7 @@ def noise_causes(fit: Fit, active: Sequence[Active], rows: Dataset, progress: Pr
     """
     asked = problem(fit.model, rows)
     some = _sound(asked, fit)
-    if len(some) < FEWEST:
+    if len(some) < FEWEST or not rows.measures.all():  # of rows of several kinds each has channels of its own
         return None
     possible = _possible(asked, fit.theta)
     scatter = _scatter(asked, fit, active, some, [p.block[some] for p in possible])
@@ -161,7 +161,7 @@ def _scatter(
 ) -> Scatter:
     """The final model linearised where it is, at some rows: smooth effects by the modes that the data can tell."""
     part = asked.select(some)
-    pieces = [part.linearised(fit.theta, slice(k, k + BLOCK)) for k in range(0, len(some), BLOCK)]
+    pieces = [(r, J) for _, r, J in eliminated(part, fit.theta, np.ones(len(some)), fit.sigma)]
     r, J = (np.concatenate(stacked) for stacked in zip(*pieces, strict=True))
     index = {name: k for k, name in enumerate(fit.model.names)}
     constant = [k for k, c in enumerate(fit.model.coefficients) if c.basis.constant]
@@ -183,13 +183,15 @@ def _possible(asked: Problem, theta: np.ndarray) -> list[_Asked]:
     ones = Basis("ones", (model.robot.names[0],))
     slots = tuple(Coefficient(j.name, "axis", ones) for j in model.robot.joints)
     more = problem(model.with_coefficients((*model.coefficients, *slots)), rows)
-    _, p, J = motions(more, np.concatenate([theta, np.zeros(len(slots))]), len(slots))
+    at = np.concatenate([theta, np.zeros(len(slots))])
+    _, p = more.model.poses(at, more.rows)
+    J = moved_by(more, at, len(slots))
     found = []
     for channel, part in zip(rows.channels, columns(rows.channels), strict=True):
         found.append(_asked("channel", channel.name, channel.unit, np.eye(m)[None, :, part], len(rows)))
     joints, readings = model.robot.joints, model.robot.readings
     driven = np.array([[j.multiplier * (j.reading == reading) for reading in readings] for j in joints])
-    moved = scaled(J[:, :m] @ driven, rows.relative)
+    moved = J @ driven
     for k, (reading, kind) in enumerate(zip(readings, model.robot.kinds, strict=True)):
         found.append(_asked("joint", reading, "m" if kind == "prismatic" else "rad", moved[:, :, k, None], len(rows)))
     for what, name, unit, root in _from_the_instrument(rows, p, m):
@@ -199,6 +201,8 @@ def _possible(asked: Problem, theta: np.ndarray) -> list[_Asked]:
 
 def _from_the_instrument(rows: Dataset, p: np.ndarray, m: int) -> Iterator[tuple[Kind, str, str, np.ndarray]]:
     """What an instrument at the world's origin would add: kind, channel, unit, and root of the covariance, (N, m, d)."""
+    if rows.blocks:
+        return  # what measures does not stand at the origin
     away = np.linalg.norm(p, axis=1)
     for channel, part in zip(rows.channels, columns(rows.channels), strict=True):
         if channel == TARGET_POSITION:

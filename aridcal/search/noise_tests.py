@@ -20,7 +20,7 @@ from aridcal.effects.effect import Coefficient
 from aridcal.fit.least_squares import Fit
 from aridcal.fit.noise import Repeats
 from aridcal.fit.normal_equations import TINY
-from aridcal.fit.residual import motions, problem, scaled
+from aridcal.fit.residual import FLOOR, moved_by, problem
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.channels import columns, spread
 from aridcal.search.change_points import SIDE
@@ -103,7 +103,8 @@ def clues(
         fit: The model, for the target's axes and the joints' motions; without it, world axes are all that is asked.
         progress: Told how often the rows are shuffled.
     """
-    sigma = np.array([np.sqrt(np.mean(residual[:, part] ** 2)) for part in columns(rows.channels)])
+    sigma = rms_of_channels(residual, rows)
+    residual = np.nan_to_num(residual)
     white = residual / spread(sigma, rows.channels)
     found = []
     if repeats is not None:
@@ -113,7 +114,13 @@ def clues(
         found.append(_neighbours(views, rows.readings, progress))
         found.append(_order(views, rows, progress))
         found += _changes(views, rows, progress)
-    return found + _stated(rows, sigma, len(residual) * freedom)
+    return found + _stated(rows, sigma, freedom)
+
+
+def rms_of_channels(residual: np.ndarray, rows: Dataset) -> np.ndarray:
+    """RMS of each channel over the rows that measure it, shape (C,), from residuals of shape (N, m); FLOOR where none does."""
+    parts = zip(columns(rows.channels), rows.measures.T, strict=True)
+    return np.array([np.sqrt(np.mean(residual[own][:, part] ** 2)) if own.any() else FLOOR for part, own in parts])
 
 
 def _other_views(rows: Dataset, residual: np.ndarray, sigma: np.ndarray, fit: Fit) -> list[View]:
@@ -126,12 +133,15 @@ def _other_views(rows: Dataset, residual: np.ndarray, sigma: np.ndarray, fit: Fi
     ones = Basis("ones", (robot.names[0],))
     moved = [Coefficient(name, "axis", ones) for name in robot.names]
     asked = problem(fit.model.with_coefficients((*fit.model.coefficients, *moved)), rows)
-    R, _, twists = motions(asked, np.concatenate([fit.theta, np.zeros(len(moved))]), len(moved))
-    parts = columns(rows.channels)
-    turned = np.concatenate([np.einsum("nji,nj->ni", R, residual[:, part]) for part in parts], axis=1)
+    theta = np.concatenate([fit.theta, np.zeros(len(moved))])
     scale = spread(sigma, rows.channels)
-    views = [View("in the target's axes", turned / scale)]
-    J = scaled(twists[:, : len(scale)], rows.relative) / scale[:, None]
+    views = []
+    if all(channel.axes == ("x", "y", "z") or channel.axes == ("rx", "ry", "rz") for channel in rows.channels):
+        R, _ = asked.model.poses(theta, asked.rows)
+        parts = columns(rows.channels)
+        turned = np.concatenate([np.einsum("nji,nj->ni", R, residual[:, part]) for part in parts], axis=1)
+        views.append(View("in the target's axes", turned / scale))
+    J = moved_by(asked, theta, len(moved)) / scale[:, None]
     lever = np.linalg.norm(J, axis=1)
     along = np.einsum("nms,nm->ns", J, residual / scale) / np.maximum(lever, TINY)
     for k, name in enumerate(robot.names):
@@ -275,12 +285,12 @@ def _change(views: Sequence[View], rows: Dataset, order: np.ndarray, words: str,
     return Clue("change", what, share, min(1.0, len(views) * float(chances[best])))
 
 
-def _stated(rows: Dataset, sigma: np.ndarray, used: float) -> list[Clue]:
-    """Is the residual larger than the declared noise? ``used`` rows' worth of freedom are left."""
+def _stated(rows: Dataset, sigma: np.ndarray, freedom: float) -> list[Clue]:
+    """Is the residual larger than the declared noise? A share ``freedom`` of the numbers is left after fitting."""
     found = []
-    for channel, stated, seen in zip(rows.channels, rows.sigma, sigma, strict=True):
+    for channel, stated, seen, own in zip(rows.channels, rows.sigma, sigma, rows.measures.T, strict=True):
         if stated:
-            numbers, ratio = channel.size * used, seen / stated
+            numbers, ratio = channel.size * float(own.sum()) * freedom, seen / stated
             share = float(np.clip(1.0 - ratio**-2, 0.0, 1.0))
             p_value = float(chi2.sf(numbers * ratio**2, numbers))
             found.append(Clue("declared", f"the residual exceeds the declared {channel.name} noise", share, p_value))

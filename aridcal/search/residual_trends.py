@@ -13,9 +13,10 @@ from aridcal.effects.effect import Coefficient
 from aridcal.effects.loads import covariate_table
 from aridcal.fit.least_squares import Fit
 from aridcal.fit.normal_equations import TINY
-from aridcal.fit.residual import FLOOR, motions, problem, scaled
+from aridcal.fit.residual import FLOOR, moved_by, problem, scaled
 from aridcal.inputs.dataset import Dataset
-from aridcal.instruments.channels import columns, spread
+from aridcal.instruments.channels import spread
+from aridcal.search.noise_tests import rms_of_channels
 from aridcal.showing import SILENT, Progress
 
 SLICE, MOST_SLICES = 20, 48
@@ -156,7 +157,7 @@ def trace(fit: Fit, rows: Dataset, before: np.ndarray, after: np.ndarray, progre
     own = {p.motion: p for p in pulled}
     measured = {name: values for name, values in rows.covariates.items() if name not in rows.derived}
     complete = {name: values for name, values in measured.items() if np.isfinite(values).all()}
-    world = fit.model.rows(rows.readings, rows.conditions, rows.station).world
+    world = fit.model.rows(rows.readings, rows.conditions, rows.station, rows.target).world
     table = covariate_table(robot, rows.readings, complete, fit.model.around, world, {".gravity_"})
     asked = {name: v for name, v in table.items() if _varies(v) and ".gravity_moment" not in name}
     return Traces(
@@ -182,12 +183,10 @@ def _pull(fit: Fit, rows: Dataset, before: np.ndarray, after: np.ndarray) -> lis
     turned = [Coefficient(name, "axis", ones) for name in robot.names]
     asked = problem(fit.model.with_coefficients((*fit.model.coefficients, *turned)), rows)
     theta = np.concatenate([fit.theta, np.zeros(len(turned))])
-    was, left = (scaled(r, rows.relative) for r in (before, after))
+    was, left = (np.nan_to_num(scaled(r, rows.relative)) for r in (before, after))
     # The noise that the residual shows, not the declared one: a pattern is sought, whatever the size.
-    seen = [max(float(np.sqrt(np.mean(left[:, part] ** 2))), FLOOR) for part in columns(rows.channels)]
-    sigma = spread(np.array(seen), rows.channels)
-    twists = motions(asked, theta, len(turned))[2][:, : len(sigma)]
-    J = scaled(twists, rows.relative) / sigma[:, None]
+    sigma = spread(np.maximum(rms_of_channels(left, rows), FLOOR), rows.channels)
+    J = moved_by(asked, theta, len(turned)) / sigma[:, None]
     found = []
     for k, joint in enumerate(robot.joints):
         lever = np.sum(J[:, :, k] ** 2, axis=1)
@@ -201,8 +200,10 @@ def _pull(fit: Fit, rows: Dataset, before: np.ndarray, after: np.ndarray) -> lis
             )
     axes = [(axis, channel.unit) for channel in rows.channels for axis in channel.axes]
     for k, (axis, unit) in enumerate(axes):
-        weight = np.full(len(after), 1.0 / max(float(np.mean(after[:, k] ** 2)), FLOOR**2))
-        found.append(_Pulled(axis, unit, before[:, k], after[:, k], weight))
+        own = ~np.isnan(after[:, k])
+        weight = np.where(own, 1.0 / max(float(np.nanmean(after[:, k] ** 2)) if own.any() else 0.0, FLOOR**2), 0.0)
+        was_k, left_k = (np.nan_to_num(r[:, k]) for r in (before, after))
+        found.append(_Pulled(axis, unit, was_k, left_k, weight))
     return found
 
 
@@ -295,7 +296,7 @@ def _smooth(m: _Means, at: np.ndarray) -> np.ndarray:
 def _order(residual: np.ndarray, rows: Dataset) -> Order:
     """Changes of sign, and correlation over so many rows, in the order of time (of the table, where there is none)."""
     order = rows.sequence
-    r = residual[order]
+    r = np.nan_to_num(residual[order])
     n, m = r.shape
     square = np.sum(r**2, axis=0)
     lags = np.arange(1, min(LAGS, n // 4) + 1)
