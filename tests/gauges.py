@@ -98,7 +98,9 @@ def points(of: Arm, pairs: int = 3, rows: int = 20, tied: bool = True) -> Measur
 
 def distances(of: Arm, anchors: int = 3, rows: int = 60) -> Measured:
     """Draw-wires from several anchors."""
-    states = {f"w{k}": np.array([*of.rng.uniform(-2.0, 2.0, 2), of.rng.uniform(0.0, 1.0), 0.013, 1.0]) for k in range(anchors)}
+    states = {
+        f"w{k}": np.array([*of.rng.uniform(-2.0, 2.0, 2), of.rng.uniform(0.0, 1.0), 0.013, 1.0]) for k in range(anchors)
+    }
     q = robots.readings(of.robot, anchors * rows, of.rng, 0.5)
     labels = np.repeat(list(states), rows)
     return _read(of, "distance", q, 1, _labels(labels), {"anchor": states})
@@ -106,7 +108,10 @@ def distances(of: Arm, anchors: int = 3, rows: int = 60) -> Measured:
 
 def heights(of: Arm, rows: int = 60) -> Measured:
     """A gauge over three planes."""
-    states = {name: np.array([*axis, 0.1 * k]) for k, (name, axis) in enumerate(zip(("floor", "wall", "side"), np.eye(3)[::-1], strict=True))}
+    states = {
+        name: np.array([*axis, 0.1 * k])
+        for k, (name, axis) in enumerate(zip(("floor", "wall", "side"), np.eye(3)[::-1], strict=True))
+    }
     q = robots.readings(of.robot, 3 * rows, of.rng, 0.5)
     return _read(of, "plane", q, 1, _labels(np.repeat(list(states), rows)), {"plane": states})
 

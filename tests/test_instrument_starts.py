@@ -122,7 +122,11 @@ def pictures(seed: int, on_tip: bool, board: bool, shots: int = 15, cameras: int
             view = Rotation.from_rotvec(rng.uniform(-0.5, 0.5, 3) * [1, 1, 4]) * Rotation.from_euler("x", np.pi)
             T_board_camera = transform(facing @ view.as_matrix(), middle)
             T_board_camera[:3, 3] -= T_board_camera[:3, 2] * rng.uniform(0.4, 0.7)
-            T = T_board_camera @ np.linalg.inv(T_carrier_camera) if on_tip else T_carrier_camera @ np.linalg.inv(T_board_camera)
+            T = (
+                T_board_camera @ np.linalg.inv(T_carrier_camera)
+                if on_tip
+                else T_carrier_camera @ np.linalg.inv(T_board_camera)
+            )
             k = len(marker)
             lists["R"].append(np.tile(T[:3, :3], (k, 1, 1)))
             lists["p"].append(np.tile(T[:3, 3], (k, 1)))

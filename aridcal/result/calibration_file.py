@@ -171,6 +171,8 @@ class LargestPart(Section):
 
 Pair = tuple[float, float]
 
+Ranges = tuple[Pair, ...]
+
 
 class CalibrationDocument(Settings):
     """The keys of `calibration.yaml` that a model is made of."""

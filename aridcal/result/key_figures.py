@@ -121,7 +121,9 @@ def over_time(outcome: Outcome) -> str:
     """The error with whole stretches of time held back, in words; empty where no effect depends on time."""
     found = None if outcome.diagnosis is None else outcome.diagnosis.over_time
     first = outcome.channels[0]
-    return "" if found is None else f"with whole stretches of time held back: {first.scale * found:.3f} {first.shown} RMS"
+    return (
+        "" if found is None else f"with whole stretches of time held back: {first.scale * found:.3f} {first.shown} RMS"
+    )
 
 
 def row_errors(residual: np.ndarray, channels: Channels) -> np.ndarray:
@@ -181,7 +183,9 @@ def another_day(outcome: Outcome) -> tuple[bool, str] | None:
     told, before = said(found.residuals[last.name], sound, others), said(last.residual, mask, rows)
     if len(leading(rows)) == 1:
         before = before.partition(" ")[0]
-    sentence = f"Another day's rows ({found.file}, {sound.sum():,} of {len(sound):,}): {told} RMS, {before} on the {words}"
+    sentence = (
+        f"Another day's rows ({found.file}, {sound.sum():,} of {len(sound):,}): {told} RMS, {before} on the {words}"
+    )
     if now < OVERFITTED * own:
         return True, f"{sentence}."
     if found.realigned is None:
@@ -283,9 +287,7 @@ def generalisation(outcome: Outcome) -> float | None:
     parts, last = outcome.parts(), outcome.stages[-1].residual
     if parts["test"].sum() < FEW:
         return None
-    fitted, held_out = (
-        overall(last, parts[part], outcome.measurements, outcome.noise) for part in ("train", "test")
-    )
+    fitted, held_out = (overall(last, parts[part], outcome.measurements, outcome.noise) for part in ("train", "test"))
     return held_out / fitted if fitted > 0 else None
 
 

@@ -12,8 +12,7 @@ from aridcal.fit.noise import Repeats
 from aridcal.inputs.campaign import Campaign
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.channels import Channels, norms
-from aridcal.result.at_target import AtTarget, at_target
-from aridcal.result.instruments import ThingValue, thing_values
+from aridcal.result.instruments import AtTarget, ThingValue, at_target, thing_values
 from aridcal.result.uncertainty import Precision
 from aridcal.result.verdict import Verdict
 from aridcal.robot.chain import Robot

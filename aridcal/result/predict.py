@@ -22,7 +22,7 @@ from aridcal.inputs.tables import IN_MEMORY, AnyTable, Remark, Table
 from aridcal.model.inverse import InverseKinematics
 from aridcal.model.model import Model
 from aridcal.result.saved_model import SavedModel
-from aridcal.result.seen import CHANNELS, SPREAD, inside
+from aridcal.result.saving import CHANNELS, SPREAD, inside
 from aridcal.result.stretches import Stretch, stretches
 
 ENDINGS = (".csv", ".parquet")

@@ -29,12 +29,12 @@ from aridcal.result.calibration_file import (
     NOT_OURS,
     CalibrationDocument,
     FramePart,
+    Ranges,
     SolvedPart,
     packed,
     read_calibration,
     unpacked,
 )
-from aridcal.result.seen import Ranges
 from aridcal.robot.chain import parse_robot
 
 # libyaml where PyYAML was built with it.
