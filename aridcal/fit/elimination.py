@@ -153,6 +153,49 @@ class Eliminated:
         return r, J
 
 
+@dataclass(frozen=True)
+class Projector:
+    """Takes off columns what the unknowns of groups take up: (1 - B H^-1 B'W) of N rows.
+
+    Attributes:
+        B: Columns of the rows' own group, shape (N, m, U).
+        group: Of each row, shape (N,); -1 for none.
+        pull: H^-1 B'W of each row, shape (N, U, m), for unit noise.
+    """
+
+    B: np.ndarray
+    group: np.ndarray
+    pull: np.ndarray
+
+    def __call__(self, values: np.ndarray) -> np.ndarray:
+        """Columns, shape (N, m, d), less what groups take up."""
+        own = np.flatnonzero(self.group >= 0)
+        number = self.group[own]
+        gather = coo_array((np.ones(len(own)), (number, np.arange(len(own)))), shape=(number.max() + 1, len(own)))
+        each = self.pull[own] @ values[own]
+        taken = (gather.tocsr() @ each.reshape(len(own), -1)).reshape(-1, *each.shape[1:])
+        left = values.copy()
+        left[own] -= self.B[own] @ taken[number]
+        return left
+
+
+def projector(B: np.ndarray, group: np.ndarray, found: Eliminated, weight: np.ndarray, sigma: np.ndarray) -> Projector:
+    """What takes groups off columns.
+
+    Args:
+        B: Of all rows, scaled, shape (N, m, U).
+        group: Of each row, shape (N,).
+        found: The groups solved.
+        weight: Of each row, shape (N,).
+        sigma: Noise of each number of a row, shape (m,).
+    """
+    pull = np.zeros((len(B), B.shape[2], B.shape[1]))
+    own = group >= 0
+    weighed = B[own] * (weight[own, None] / sigma**2)[:, :, None]
+    pull[own] = found.inverse[group[own]] @ weighed.transpose(0, 2, 1)
+    return Projector(B, group, pull)
+
+
 def groups(measured: Measured) -> Groups | None:
     """The groups of all things of which there may be many; None where nothing is unknown of any."""
     things = {name: t for name, t in measured.instruments.things.items() if t.role.many}

@@ -9,7 +9,20 @@ from functools import cache
 import numpy as np
 from scipy.special import gammaincinv
 
-from aridcal.fit.elimination import Eliminated, Groups, Known, Sums, groups, known, moved, reduced, solved, tied_columns
+from aridcal.fit.elimination import (
+    Eliminated,
+    Groups,
+    Known,
+    Projector,
+    Sums,
+    groups,
+    known,
+    moved,
+    projector,
+    reduced,
+    solved,
+    tied_columns,
+)
 from aridcal.fit.normal_equations import NormalEquations
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.channels import Channels, columns, norms, spread
@@ -375,6 +388,16 @@ def eliminated(
     for block in question.blocks():
         r, J, B = question.pieces(theta, block)
         yield (block, r, J) if found is None else (block, *found.rows(question.group_of(block), B, J, r))
+
+
+def taking_off(question: Problem, theta: np.ndarray, weight: np.ndarray, sigma: np.ndarray) -> Projector | None:
+    """What takes the unknowns of things off columns of all rows; None where there are none. See :func:`eliminated`."""
+    if question.groups is None:
+        return None
+    found = linearise(question, theta, weight, sigma).groups
+    assert found is not None
+    B = np.concatenate([question.pieces(theta, block)[2] for block in question.blocks()])
+    return projector(B, question.groups.row, found, weight, spread(sigma, question.channels))
 
 
 def triangle(question: Problem, theta: np.ndarray, weight: np.ndarray, sigma: np.ndarray) -> np.ndarray:

@@ -11,6 +11,7 @@ import pinocchio as pin
 from aridcal.errors import NotIdentifiable
 from aridcal.fit.frame_starts import start_frames
 from aridcal.inputs.dataset import Dataset
+from aridcal.instruments.alignment import aligned
 from aridcal.instruments.kind import Kind
 from aridcal.instruments.setup import Things
 from aridcal.instruments.starts import Start, starts

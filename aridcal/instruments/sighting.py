@@ -24,17 +24,20 @@ SWEEPS = 3
 BETTER = 48
 """Of the rotations that are improved further."""
 
-ROWS = 80
+ROWS = 120
 """Rows of a pair of camera and board on which rotations are compared."""
 
-MARKERS = 6
+MARKERS = 10
 """Unknown markers that are looked at meanwhile."""
 
-FINALISTS = 5
+FINALISTS = 10
 """Rotations from which least squares are tried."""
 
-FEW = 20
-"""Steps of it."""
+ONE = 2.98
+"""Trace of the turn from one rotation to another, eight degrees, up to which the two are one."""
+
+FEW, MORE, LEFT = 20, 60, 4
+"""Steps of it; those that follow for the best, and how many those are: some valleys are long."""
 
 ENOUGH_KNOWN = 12
 """Rows with known markers from which a camera is placed by those alone."""
@@ -149,6 +152,7 @@ def _pair(view: View, place: Place, solved: _Solved, pair: tuple[int, int], rows
         ]
         kept = replace(own, free=_only(own.free, pair, solved))
         there = [descend(kept, one, FEW) for one in there]
+        there = [descend(kept, one, MORE) for one in sorted(there, key=lambda one: one.cost)[:LEFT]]
         found = sorted(there, key=lambda one: one.cost)[:2]
     own = view.select(rows)
     told = []
@@ -244,8 +248,11 @@ def _compared(sight: _Sight, turns: np.ndarray) -> list[tuple[np.ndarray, np.nda
     turns, x, cost = _swept(sight, turns)
     better = np.unique(np.r_[0, np.argsort(cost, kind="stable")[:BETTER]])
     turns, x, cost = _swept(sight, turns[better])
-    order = np.argsort(cost, kind="stable")
-    return [(turns[k], x[k]) for k in dict.fromkeys([0, *order[:FINALISTS].tolist()])]
+    kept: list[int] = []
+    for k in [0, *np.argsort(cost, kind="stable").tolist()]:
+        if not any(np.trace(turns[k].T @ turns[other]) > ONE for other in kept):
+            kept.append(k)
+    return [(turns[k], x[k]) for k in kept[:FINALISTS]]
 
 
 def _swept(sight: _Sight, turns: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -29,8 +29,9 @@ FEW = 20
 STEPS = 60
 """Of least squares from each: an ordinary start takes ten."""
 
-REACH = 0.2
-"""[m]: how far from the hint targets are sought along each axis, twice the length of an ordinary tool."""
+REACH, FAR = 0.2, 0.5
+"""[m]: how far from the hint targets are sought, along each axis at once: to corners of cubes. From outside the true one is found
+more often than from inside."""
 
 FREE = 1e-3
 """[m/m]: a target translation that moves the rows by a smaller share is left at its hint."""
@@ -140,9 +141,9 @@ def _by_target(view: View, target: np.ndarray, known: dict[str, np.ndarray]) -> 
 
 
 def _steps() -> np.ndarray:
-    """Corners, edges and faces of a cube of targets, shape (27, 3), [m]."""
-    steps = REACH * np.array([-1.0, 0.0, 1.0])
-    return np.array(np.meshgrid(steps, steps, steps)).reshape(3, -1).T
+    """Steps to targets that are tried, shape (16, 3), [m]: corners of a cube for ordinary tools, and of one for long ones."""
+    corners = np.array(np.meshgrid(*3 * [[-1.0, 1.0]])).reshape(3, -1).T
+    return np.vstack([REACH * corners, FAR * corners])
 
 
 def _few(view: View) -> View:

@@ -13,7 +13,8 @@ largest of such statistics; Worsley 1986, doi:10.1093/biomet/73.1.91, for its co
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import gammaincc
@@ -58,12 +59,47 @@ def best_steps(model: LinearModel, state: State, templates: Sequence[Effect]) ->
         before, points = step_points(values)
         if not len(before):
             continue
-        scan = _Scan.of(model, state, values, [e for e in templates if e.covariates[0] == of])
+        own = [e for e in templates if e.covariates[0] == of]
+        scan = _Scan.of(model, state, values, own) if model.off is None else _Trial(model, state, values)
         for k, effect in enumerate(templates):
             if effect.covariates[0] == of:
                 best = scan.best([model.slot_index[c.where, c.component] for c in effect.coefficients], before)
                 found[k] = effect.placed(float(points[best]))
     return [found[k] for k in sorted(found)]
+
+
+@dataclass(frozen=True)
+class _Trial:
+    """Steps tried one by one, where unknown things take a part of each off.
+
+    Attributes:
+        model: The linearised model.
+        state: Without a step.
+        values: Of the covariate in the rows in use, shape (n,).
+    """
+
+    model: LinearModel
+    state: State
+    values: np.ndarray
+
+    def best(self, of: Sequence[int], before: np.ndarray) -> int:
+        """Index of the step that explains most, among those with so many rows before them, shape (k,)."""
+        return _coarse_to_fine(lambda rows: self._explained(of, rows), before)
+
+    def _explained(self, of: Sequence[int], before: np.ndarray) -> np.ndarray:
+        """Squares that steps explain, shape (k,)."""
+        model, state = self.model, self.state
+        A, r = state.whitened(state.design), state.whitened(state.flat(state.residual))
+        order = np.argsort(np.argsort(self.values, kind="stable"))
+        found = []
+        for count in before.tolist():
+            after = np.zeros(len(model.r))
+            after[state.used] = order >= count
+            C = state.whitened(state.flat(model.seen(model.G[:, :, list(of)] * after[:, None, None])))
+            CA, Cr = C.T @ A, C.T @ r
+            M = C.T @ C - CA @ state.solution.inverse @ CA.T
+            found.append(_squares_explained(M[None], Cr[None], np.sum(C**2, axis=0)[None])[0])
+        return np.array(found)
 
 
 class _Scan:
@@ -96,21 +132,35 @@ class _Scan:
     def best(self, of: Sequence[int], before: np.ndarray) -> int:
         """Index of the step that explains most, among those with so many rows before them, shape (k,)."""
         own = [self.slots[slot] for slot in of]
-        rough = np.unique(np.linspace(0, len(before) - 1, min(COARSE, len(before))).round().astype(int))
-        top = int(np.argmax(self._explained(own, before[rough])))
-        low, high = rough[max(top - 1, 0)], rough[min(top + 1, len(rough) - 1)]
-        return int(low + np.argmax(self._explained(own, before[low : high + 1])))
+        return _coarse_to_fine(lambda rows: self._explained(own, rows), before)
 
     def _explained(self, own: Sequence[int], before: np.ndarray) -> np.ndarray:
         """Squares that steps explain, shape (k,)."""
         CC = self.squares[before][:, own][:, :, own]
         CA, s = self.shared[before][:, own], self.pulls[before][:, own]
-        raw = np.einsum("kss->ks", CC)
-        scale = 1.0 / np.sqrt(np.maximum(raw, np.finfo(float).tiny))
-        M = (CC - CA @ self.inverse @ np.swapaxes(CA, 1, 2)) * scale[:, :, None] * scale[:, None, :]
-        values, vectors = np.linalg.eigh(M)
-        along = np.einsum("kst,ks->kt", vectors, s * scale) ** 2
-        return np.asarray(np.sum(np.where(values > DEPENDENT, along / np.maximum(values, DEPENDENT), 0.0), axis=1))
+        return _squares_explained(CC - CA @ self.inverse @ np.swapaxes(CA, 1, 2), s, np.einsum("kss->ks", CC))
+
+
+def _coarse_to_fine(explained: Callable[[np.ndarray], np.ndarray], before: np.ndarray) -> int:
+    """Index of the place that explains most: looked for from far apart first, then around the best."""
+    rough = np.unique(np.linspace(0, len(before) - 1, min(COARSE, len(before))).round().astype(int))
+    top = int(np.argmax(explained(before[rough])))
+    low, high = rough[max(top - 1, 0)], rough[min(top + 1, len(rough) - 1)]
+    return int(low + np.argmax(explained(before[low : high + 1])))
+
+
+def _squares_explained(M: np.ndarray, s: np.ndarray, raw: np.ndarray) -> np.ndarray:
+    """Squares that columns off the model's explain, shape (k,).
+
+    Args:
+        M: Their products, shape (k, d, d).
+        s: Their pulls, shape (k, d).
+        raw: Their squared lengths before they were taken off, shape (k, d).
+    """
+    scale = 1.0 / np.sqrt(np.maximum(raw, np.finfo(float).tiny))
+    values, vectors = np.linalg.eigh(M * scale[:, :, None] * scale[:, None, :])
+    along = np.einsum("kst,ks->kt", vectors, s * scale) ** 2
+    return np.asarray(np.sum(np.where(values > DEPENDENT, along / np.maximum(values, DEPENDENT), 0.0), axis=1))
 
 
 def _sums(rows: np.ndarray) -> np.ndarray:

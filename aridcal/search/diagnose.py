@@ -19,7 +19,16 @@ from aridcal.fit.residual import problem
 from aridcal.inputs.campaign import Campaign
 from aridcal.inputs.dataset import Dataset
 from aridcal.search.change_points import best_steps
-from aridcal.search.exact import Start, flagged_again, linear_model, refit, refit_constants, worth
+from aridcal.search.exact import (
+    FEWEST_PLACES,
+    Start,
+    few_places,
+    flagged_again,
+    linear_model,
+    refit,
+    refit_constants,
+    worth,
+)
 from aridcal.search.hints import pairs
 from aridcal.search.linear_model import Active, LinearModel, State, activate, solve_state
 from aridcal.search.scoring import admitted
@@ -43,6 +52,9 @@ LARGE = 100.0
 
 RIVAL_SHARE = 0.5
 """Share of the best evidence on the linear model that a rival must have: less cannot win on the exact one."""
+
+FEW_PLACES = f"rows at fewer than {FEWEST_PLACES} places cannot show that a function without a cause holds elsewhere; measure at more"
+"""Why no such function is sought there."""
 
 PAIRED = 3
 """Functions of two covariates that are added at the most: each costs as much as all functions of one."""
@@ -136,6 +148,9 @@ def _diagnosed(
     taken = {e.identity for e in stated}
     named = [e for e in candidates(observed, tuple(k for k in kinds if KINDS[k].named)) if e.identity not in taken]
     unnamed = candidates(observed, tuple(k for k in kinds if not KINDS[k].named))
+    if unnamed and few_places(start.geometric.model, start.train):
+        barred.append(Barred("unknown", FEW_PLACES))
+        unnamed = []
     library = [*named, *unnamed, *stated]
     progress("linearising the model")
     place = Place(start.geometric, linear_model(start, start.geometric, (), library, observed))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,8 +15,9 @@ from aridcal.fit.flags import flagged
 from aridcal.fit.identifiable import agreeing, identifiable
 from aridcal.fit.least_squares import Fit, fit
 from aridcal.fit.normal_equations import Prior
-from aridcal.fit.residual import Problem, eliminated, problem, triangle
+from aridcal.fit.residual import Problem, problem, taking_off, triangle
 from aridcal.inputs.dataset import Dataset
+from aridcal.model.model import Model
 from aridcal.search.linear_model import Active, LinearModel, State
 from aridcal.showing import SILENT, Progress
 
@@ -25,6 +26,9 @@ FOLDS = 5
 
 RUNS = 24
 """Stretches of time into which the rows are cut: enough for a test that takes each of them as one."""
+
+FEWEST_PLACES = 3
+"""Things, or groups that ties join, from which whole ones are held back: of two, one alone does not tell the constants."""
 
 GAUGE = 0.05
 """[m] and [rad]: constants are held at the geometric stage this loosely, where nothing else decides."""
@@ -144,17 +148,21 @@ def linear_model(
     model = current.model.with_coefficients((*own, *(Coefficient(*slot, ones) for slot in slots)))
     theta = np.concatenate([current.theta, np.zeros(len(slots))])
     asked = problem(model, start.train)
-    r, J = (np.concatenate(each) for each in zip(*_rows(asked, theta, current), strict=True))
+    r, J = asked.linearised(theta)
+    off = taking_off(asked, theta, current.weight, current.sigma)
+    constant = np.flatnonzero([c.basis.constant for c in own])
+    A = J[:, :, : len(own)]
+    if off is not None:
+        r, A = off(r[:, :, None])[:, :, 0], off(A)
     # The residual as it was at the geometric stage, to first order: what is solved for are distances from there.
     known = dict(zip(start.geometric.model.names, start.geometric.theta, strict=True))
     geometric = np.array([known.get(name, 0.0) for name in current.model.names])
-    r = r + J[:, :, : len(own)] @ (current.theta - geometric)
-    constant = np.flatnonzero([c.basis.constant for c in own])
-    r, J = (np.sqrt(start.train.share) * values for values in (r, J))
+    r = r + A @ (current.theta - geometric)
+    r, A, J = (np.sqrt(start.train.share) * values for values in (r, A, J))
     run, fold = _folds(start.train)
     return LinearModel(
         channels=start.train.channels,
-        A=np.ascontiguousarray(J[:, :, constant]),
+        A=np.ascontiguousarray(A[:, :, constant]),
         gauge=_gauge(start.geometric, tuple(own[k] for k in constant)),
         G=np.ascontiguousarray(J[:, :, len(own) :]),
         slots=slots,
@@ -165,6 +173,8 @@ def linear_model(
         run=run,
         fold=fold,
         configuration=start.train.held_together,
+        thing=_places(asked),
+        off=off,
         present=start.train.measures,
         taken=asked.taken(current.weight),
         share=start.train.share,
@@ -173,10 +183,18 @@ def linear_model(
     )
 
 
-def _rows(asked: Problem, theta: np.ndarray, current: Fit) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Residuals and columns, less what unknown things take up, stretch by stretch."""
-    for _, r, J in eliminated(asked, theta, current.weight, current.sigma):
-        yield r, J
+def few_places(model: Model, train: Dataset) -> bool:
+    """True where rows measure places that are unknown, too few of them to hold any back."""
+    asked = problem(model, train)
+    return asked.groups is not None and bool((asked.groups.row >= 0).all()) and _places(asked) is None
+
+
+def _places(asked: Problem) -> np.ndarray | None:
+    """Number of the group of things that each row measures, shape (N,); None where there are too few groups."""
+    if asked.groups is None or (asked.groups.row < 0).any():
+        return None
+    different, number = np.unique(asked.groups.row, return_inverse=True)
+    return np.asarray(number) if len(different) >= FEWEST_PLACES else None
 
 
 def _folds(train: Dataset) -> tuple[np.ndarray, np.ndarray]:

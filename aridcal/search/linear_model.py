@@ -12,6 +12,7 @@ from scipy.linalg import block_diag
 from aridcal.effects.basis import Basis, evaluate
 from aridcal.effects.effect import Effect
 from aridcal.effects.smooth import kernel_root, smooth_precision
+from aridcal.fit.elimination import Projector
 from aridcal.fit.flags import flagged
 from aridcal.fit.normal_equations import NormalEquations, accumulate
 from aridcal.instruments.channels import Channels, columns, spread
@@ -44,6 +45,10 @@ class LinearModel:
         run: Number of the row's stretch of time, shape (N,).
         fold: Number of the row's fold for cross-validation, shape (N,).
         configuration: Number of the row's configuration, shape (N,).
+        thing: Number of what each row measures, shape (N,): of a place that was measured again and again; None where rows
+            measure the target itself, or too few things to leave any out.
+        off: Takes off columns what unknown things take up; None where there are none. It is done with r and A; columns of
+            G are multiplied with their bases first.
         present: Which channels each row measures, shape (N, C) bool; residual and columns are 0 in the others.
         taken: Numbers of each channel that unknown things take up, shape (C,): residual and columns are what those leave.
         share: Of a measurement that each row counts for; its residual and columns are scaled by the square root of that.
@@ -63,6 +68,8 @@ class LinearModel:
     run: np.ndarray
     fold: np.ndarray
     configuration: np.ndarray
+    thing: np.ndarray | None
+    off: Projector | None
     present: np.ndarray
     taken: np.ndarray
     share: float
@@ -118,7 +125,11 @@ class LinearModel:
             phi = self.phi[:, self.indices(effect)[1]]
         else:
             phi = np.column_stack([evaluate(c.basis, self.table) for c in effect.coefficients])
-        return np.asarray(self.G[:, :, self._slots_of(effect)] * phi[:, None, :])
+        return self.seen(self.G[:, :, self._slots_of(effect)] * phi[:, None, :])
+
+    def seen(self, values: np.ndarray) -> np.ndarray:
+        """Columns (N, m, d) less what unknown things take up."""
+        return values if self.off is None else self.off(values)
 
 
 @dataclass(frozen=True)

@@ -98,7 +98,7 @@ def _candidate_columns(
     model: LinearModel, state: State, group: Sequence[Effect], G: Sequence[np.ndarray], phi: np.ndarray
 ) -> np.ndarray:
     """Columns of some candidates side by side, in sigmas, all channels under one another."""
-    if all(model.prepared(e) for e in group):
+    if model.off is None and all(model.prepared(e) for e in group):
         pairs = [model.indices(e) for e in group]
         slots, bases = [k for pair in pairs for k in pair[0]], [k for pair in pairs for k in pair[1]]
         values = phi[:, None, bases]
@@ -107,7 +107,12 @@ def _candidate_columns(
             for part, own in zip(G, state.present.T, strict=True)
         ]
         return np.vstack([piece.reshape(-1, len(slots)) for piece in pieces])
-    every = np.concatenate([model.columns(e) for e in group], axis=2)
+    pairs = [model.indices(e) for e in group if model.prepared(e)]
+    if len(pairs) < len(group):
+        every = np.concatenate([model.columns(e) for e in group], axis=2)
+    else:
+        slots, bases = [k for pair in pairs for k in pair[0]], [k for pair in pairs for k in pair[1]]
+        every = model.seen(model.G[:, :, slots] * model.phi[:, None, bases])
     return state.whitened(state.flat(every))
 
 
@@ -188,6 +193,10 @@ def judge(model: LinearModel, state: State, effect: Effect, found: Score, tested
     if share < (0.0 if known else LEAST):
         percent = 100 * max(share, 0.0)
         return judgement(share, f"reduces the cross-validated squared error by only {percent:.2g} %")
+    if model.thing is not None:
+        whole = held_back(model, state, candidate, model.thing[state.used]).sum(axis=(1, 2))
+        if whole[1] > whole[0]:
+            return judgement(share, "does not hold at places that were held back whole")
     configuration = np.unique(model.configuration[state.used], return_inverse=True)[1]
     if effect.smooth and not effect.hinted:
         robust, least = _ranked(np.array([np.bincount(configuration, each) for each in loss])), DOUBT
@@ -309,7 +318,7 @@ def _robust(model: LinearModel, state: State, moved: np.ndarray, cluster: np.nda
     r = state.whitened(state.flat(state.residual))
     after = r - C @ np.linalg.lstsq(C, r, rcond=None)[0]
     clusters, d = int(cluster.max()) + 1, C.shape[1]
-    if clusters <= d + 2:
+    if d == 0 or clusters <= d + 2:
         return 1.0
     there = zip(model.channels, state.present.T, strict=True)
     of_number = np.concatenate([np.repeat(cluster[own], channel.size) for channel, own in there])
