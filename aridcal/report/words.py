@@ -56,6 +56,25 @@ def noise_in_words(outcome: Outcome, sigma: np.ndarray) -> str:
     return f"{sigmas_in_words(sigma, outcome.channels)} {per_number(outcome)}"
 
 
+def at_target_in_words(outcome: Outcome, k: int, mask: np.ndarray) -> str:
+    """What the final error of a channel is at the target, as a sentence; empty where it is a length there already.
+
+    Args:
+        outcome: What was found.
+        k: Number of the channel.
+        mask: Rows that are asked about, shape (N,).
+    """
+    channel = outcome.channels[k]
+    if channel.unit in ("m", "rad"):
+        return ""
+    size = np.linalg.norm(outcome.at_target.shift(outcome.stages[-1].residual)[mask], axis=1)
+    size = size[~np.isnan(size)]
+    if not len(size):
+        return ""
+    rms = number(1e3 * float(np.sqrt(np.mean(size**2))))
+    return f" At the target that is {rms} mm RMS: each error times the distance over the focal length."
+
+
 def per_number(outcome: Outcome) -> str:
     """What a sigma is of."""
     return "per axis" if all(channel.size == 3 for channel in outcome.channels) else "in each number read"
