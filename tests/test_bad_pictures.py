@@ -21,7 +21,7 @@ from lxml import etree
 from aridcal import identify
 from aridcal.calibration import Calibration
 from aridcal.report import page, scene, shapes
-from aridcal.report.failures import LONGEST, attempt, note, noting
+from aridcal.report.html import LONGEST, attempt, note, noting
 from aridcal.result.controllers import Handover, hand_over
 from aridcal.result.outcome import Outcome
 from aridcal.result.saving import calibration

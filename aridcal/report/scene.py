@@ -24,8 +24,7 @@ import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
 from aridcal.fit.constants import stage_urdf
-from aridcal.report.failures import attempt, note, noting
-from aridcal.report.html import empty_page
+from aridcal.report.html import attempt, empty_page, note, noting
 from aridcal.report.shapes import Shape, robot_shapes, turn
 from aridcal.result.outcome import Outcome
 from aridcal.robot.chain import Robot, parse_robot
@@ -123,7 +122,7 @@ def write_scene(outcome: Outcome, path: Path) -> tuple[str, ...]:
 
 
 def scene_page(scene: Scene) -> str:
-    """The page of a scene; visuals of the robot that cannot be drawn are noted (:func:`aridcal.report.failures.noting`).
+    """The page of a scene; visuals of the robot that cannot be drawn are noted (:func:`aridcal.report.html.noting`).
 
     Args:
         scene: At least one row and one stage.
