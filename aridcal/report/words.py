@@ -11,7 +11,7 @@ from aridcal.effects.effect import ROW_ORDER, Effect
 from aridcal.instruments.channels import Channels
 from aridcal.report.html import fixed, number, plus_minus
 from aridcal.result.instruments import known_scale, scale_std
-from aridcal.result.outcome import Outcome
+from aridcal.result.outcome import Outcome, enumerated
 from aridcal.robot.chain import Robot
 from aridcal.search.noise_causes import NoiseCause
 
@@ -46,7 +46,7 @@ LOADS = {
 def sigmas_in_words(sigma: np.ndarray, channels: Channels, times: float = 1.0) -> str:
     """A multiple of one value for each channel, shape (C,), in words: ``0.1 mm and 0.2 mrad``."""
     shown = [f"{number(times * c.scale * float(s))} {c.shown}" for c, s in zip(channels, sigma, strict=True)]
-    return " and ".join(shown)
+    return enumerated(shown)
 
 
 def noise_in_words(outcome: Outcome, sigma: np.ndarray) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -173,7 +174,13 @@ def said(residual: np.ndarray, mask: np.ndarray, rows: Dataset) -> str:
     found = errors(residual, mask, rows.channels)
     channels = [rows.channels[k] for k in leading(rows)]
     seen = [c for c in channels if not np.isnan(found[c.key]["rms"])] or channels[:1]
-    return " and ".join(f"{found[c.key]['rms']:.3f} {c.shown}" for c in seen)
+    return enumerated([f"{found[c.key]['rms']:.3f} {c.shown}" for c in seen])
+
+
+def enumerated(words: Sequence[str]) -> str:
+    """Words one after the other: ``a, b and c``."""
+    *first, last = words
+    return f"{', '.join(first)} and {last}" if first else last
 
 
 def statistics(values: np.ndarray) -> dict[str, float]:
