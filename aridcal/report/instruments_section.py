@@ -82,7 +82,6 @@ def _things(outcome: Outcome, role: str, values: list[ThingValue]) -> Iterator[C
         for v in found[0]
         if any(each.status != "fixed" for own in found for each in own if each.component == v.component)
     ]
-    shown = shown or [v for v in found[0] if v.component in ("x", "y", "z", "nx", "ny", "nz", "offset")]
     components = [v.component for v in shown]
     heads = [f"{v.component} [{shown_in(v.unit)[0]}]" if v.unit else v.component for v in shown]
     errors, unit = _own_errors(outcome, role)
@@ -92,7 +91,8 @@ def _things(outcome: Outcome, role: str, values: list[ThingValue]) -> Iterator[C
         by_name = {v.component: v for v in own}
         cells = [_value(by_name[component]) for component in components]
         lines.append([tag("code", own[0].name), *cells, f"{rows:,}", f"{flagged:,}", number(rms)])
-    caption = f"{role.capitalize()}s as identified, the worst first; ± is 1σ"
+    known = "as identified, ± 1σ" if shown else "at places that the campaign states"
+    caption = f"{role.capitalize()}s {known}; the worst first"
     yield table([role, *heads, "rows", "outliers", f"own residual RMS [{unit}]"], lines, caption)
     if len(found) > MOST_THINGS:
         yield tag("p", tag("em", f"and {len(found) - MOST_THINGS:,} more; result.json lists them all"))

@@ -89,6 +89,7 @@ def _query(saved: SavedModel, table: AnyTable | Table, poses: bool) -> Query:
         saved.measurements,
         poses=poses,
         per_station=per_station(saved.final.model),
+        label=saved.frames_by,
         needs=set(at_any_station(saved).model.needs) - set(directions(saved) if poses else ()),
         limit=saved.limits.table,
     )

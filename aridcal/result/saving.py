@@ -59,6 +59,8 @@ def calibration(outcome: Outcome) -> SavedModel:
         "versions": {"aridcal": __version__, "pinocchio": pin.__version__, "numpy": np.__version__},
     }
     target = _saved_target(m, outcome.head is not None)
+    if len(target.labels) > 1:
+        record["frames_by"] = "target"
     solved = _solved(final, target)
     fitted = m.select(used)
     if target.labels and m.target is not None:
