@@ -30,12 +30,25 @@ SPACING = 0.05
 SWAY = np.array([0.3, 0.3, 0.4, 0.6, 0.6, 1.0])
 LENS = np.array([900.0, 900.0, 320.0, 240.0, 0.0, 0.0, 0.0, 0.0, 0.0])
 TIP_TARGET = pin.SE3(np.eye(3), np.array([0.02, -0.01, 0.15]))
+REFLECTORS = {
+    name: TIP_TARGET * pin.SE3(np.eye(3), np.array([0.0, y, 0.0])) for name, y in (("near", 0.0), ("far", 0.12))
+}
 TIP_CAMERA = pin.SE3(Rotation.from_euler("xyz", [0.1, -0.2, 0.4]).as_matrix(), np.array([0.05, 0.02, 0.06]))
 
 
 @dataclass(frozen=True)
 class Measured:
-    """Rows of one block: readings (n, columns), what was read (n, W), labels (n, roles), and the true things by role."""
+    """Rows of one block.
+
+    Attributes:
+        kind: Of measurement.
+        q: Readings, shape (n, columns).
+        observed: What was read, shape (n, W).
+        refers: Labels of the things that a row refers to, shape (n, roles).
+        states: The true things by role and label.
+        ties: Their known relations.
+        target: Labels of targets where there are several.
+    """
 
     kind: str
     q: np.ndarray
@@ -43,6 +56,7 @@ class Measured:
     refers: np.ndarray
     states: dict[str, dict[str, np.ndarray]]
     ties: tuple[Tie, ...] = ()
+    target: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -133,6 +147,17 @@ def pixels(of: Arm, shots: int = 40) -> Measured:
     return replace(made, q=made.q[seen], observed=made.observed[seen], refers=made.refers[seen])
 
 
+def positions(of: Arm, rows: int = 60) -> Measured:
+    """A tracker that sees two reflectors on one tool, ``near`` and ``far``."""
+    q = robots.readings(of.robot, 2 * rows, of.rng, 0.6)
+    labels = np.repeat(["near", "far"], rows)
+    p = np.vstack(
+        [of.poses(own, REFLECTORS[name])[1] for name, own in zip(("near", "far"), np.split(q, 2), strict=True)]
+    )
+    noisy = p + NOISE["position"] * of.rng.normal(size=p.shape)
+    return Measured("position", q, noisy, _labels([""] * len(q)), {}, target=labels)
+
+
 def levels(of: Arm, rows: int = 120) -> Measured:
     """An inclinometer on the target."""
     q = robots.readings(of.robot, rows, of.rng, 0.6)
@@ -156,10 +181,6 @@ def _read(
 
 def _labels(first: Sequence[str] | np.ndarray) -> np.ndarray:
     return np.asarray(first, dtype=str)[:, None]
-
-
-KNOWN = {"camera": False, "board": False, "marker": True}
-"""Things whose place the campaign states; of a camera it states the lens."""
 
 
 def _things(role: Role, states: dict[str, np.ndarray]) -> Things:
@@ -200,12 +221,16 @@ def rows(of: Arm, *blocks: Measured, declared: bool = False) -> Dataset:
         channels += mine
         sigma += stated
         things |= {role.name: _things(role, b.states[role.name]) for role in KINDS[b.kind].roles}
-    data = dataset(of.robot.readings, of.robot.kinds, q, np.full((n, 3), np.nan))
     test = np.random.default_rng(0).random(n) < 0.2
     target = None
-    if len(blocks) > 1:
-        labels = np.array(["tip" if b.kind == "pixels" else "target" for b in blocks])
-        target = labels[block]
+    if len(blocks) > 1 or blocks[0].target is not None:
+        usual = [np.full(len(b.q), "tip" if b.kind == "pixels" else "target") for b in blocks]
+        target = np.concatenate([own if b.target is None else b.target for own, b in zip(usual, blocks, strict=True)])
+    position = np.full((n, 3), np.nan)
+    for k, b in enumerate(blocks):
+        if b.kind == "position":
+            position[block == k] = b.observed
+    data = dataset(of.robot.readings, of.robot.kinds, q, position)
     return replace(
         data,
         files=(Path("rows.csv"),),
