@@ -356,7 +356,9 @@ def _narrowed(problem: Problem, kept: Sequence[int]) -> Problem:
     varying = [int(k) for k in np.flatnonzero(varies)]
     columns = [varying.index(k) for k in kept if k in varying]
     rows = replace(problem.rows, phi=problem.rows.phi[:, columns])
-    return replace(problem, model=model.with_coefficients([model.coefficients[k] for k in kept]), rows=rows)
+    model = model.with_coefficients([model.coefficients[k] for k in kept])
+    seen = None if problem.measured is None else problem.measured.of_model(model)
+    return replace(problem, model=model, rows=rows, measured=seen)
 
 
 def _condition(H: np.ndarray) -> float:

@@ -267,5 +267,5 @@ def with_restarts(found: Fit, train: Dataset, progress: Progress = SILENT) -> Fi
     for theta in progress.over(others, "other starts"):
         other = minimise(part, theta, weight)
         off = np.abs(other.at.residual - reference.at.residual)[weight > 0.5]
-        agreed += bool(np.all(off <= tolerance))
+        agreed += not np.any(off > tolerance)  # NaN in what a row does not measure
     return replace(found, convergence=replace(found.convergence, restarts=len(others), agreed=agreed))
