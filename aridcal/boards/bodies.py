@@ -7,9 +7,11 @@ built ring by ring around each bore, so that they are closed without any Boolean
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 import trimesh
+from numpy.typing import ArrayLike
 
 from aridcal.boards.sheet import MM
 from aridcal.errors import CampaignError
@@ -158,7 +160,7 @@ def _at(points: np.ndarray, z: float) -> np.ndarray:
     return np.column_stack([points, np.full(len(points), z)])
 
 
-def _line(start: Sequence[float], end: Sequence[float]) -> np.ndarray:
+def _line(start: ArrayLike, end: ArrayLike) -> np.ndarray:
     """Points from a start to before an end, shape (PIECES, 2)."""
     share = np.arange(PIECES)[:, None] / PIECES
     return np.asarray(start) * (1 - share) + np.asarray(end) * share
@@ -191,7 +193,7 @@ def _bored(outline: np.ndarray, middle: np.ndarray, bore: Sequence[tuple[float, 
     rays = out / np.linalg.norm(out, axis=1, keepdims=True)
     circles = [_at(middle + radius * rays, z) for radius, z in bore]
     loops = [_at(outline, height), *circles, _at(outline, 0.0)]
-    return np.concatenate([_between(a, b) for a, b in zip(loops, loops[1:], strict=False)])
+    return np.concatenate([_between(a, b) for a, b in pairwise(loops)])
 
 
 def _between(first: np.ndarray, second: np.ndarray) -> Triangles:
