@@ -29,7 +29,6 @@ from aridcal.effects.effect import FRAME_COMPONENTS, Coefficient
 from aridcal.effects.loads import Surroundings
 from aridcal.fit.constants import constants
 from aridcal.fit.identifiable import identifiable
-from aridcal.head.camera import predict_pixels
 from aridcal.head.detections import Shots
 from aridcal.head.matching import NotMeasured
 from aridcal.head.pose import Sonars
@@ -42,6 +41,7 @@ from aridcal.inputs.campaign import Campaign, FrameSettings
 from aridcal.inputs.dataset import dataset
 from aridcal.inputs.head_settings import HeadSettings, load_squares
 from aridcal.inputs.yaml_file import load_settings, parse_settings
+from aridcal.instruments.camera import predict_pixels
 from aridcal.model.model import Model
 from aridcal.prepare.scenario import Scenario
 from aridcal.prepare.viewpoints import draw_views

@@ -10,7 +10,6 @@ import pandas as pd
 import pinocchio as pin
 
 from aridcal.effects.effect import Coefficient
-from aridcal.head.camera import predict_pixels
 from aridcal.head.detections import Shots
 from aridcal.head.pose import Sonars
 from aridcal.head.reduction import Head, Seen, start_anywhere
@@ -20,6 +19,7 @@ from aridcal.inputs.campaign import Campaign, FrameSettings
 from aridcal.inputs.dataset import dataset
 from aridcal.inputs.head_settings import HeadSettings, load_squares
 from aridcal.inputs.yaml_file import load_settings, parse_settings
+from aridcal.instruments.camera import predict_pixels
 from aridcal.instruments.channels import TARGET_POSITION, TARGET_ROTATION
 from aridcal.model.model import Model
 from aridcal.prepare.viewpoints import draw_views

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from lxml import etree
 
-from aridcal.head.camera import project
+from aridcal.instruments.camera import project
 from aridcal.head.render import coverage
 
 INTRINSICS = np.array([900.0, 905.0, 485.0, 352.0, -0.12, 0.04, 0.001, -0.0007, 0.0])

@@ -6,11 +6,11 @@ import numpy as np
 import pinocchio as pin
 from heads import ARID, MODEL, START, T_TIP_CAMERA, THETA, moved, poses, shots
 
-from aridcal.head.camera import predict_pixels
 from aridcal.head.detections import Shots
 from aridcal.head.reduction import Head
 from aridcal.head.sonar import predict_ranges
-from aridcal.inputs.campaign import Noise as NoiseSettings
+from aridcal.inputs.measurement_settings import Noise as NoiseSettings
+from aridcal.instruments.camera import predict_pixels
 from aridcal.search.arm_and_head import ArmAndHead, fit_arm_and_head
 from aridcal.showing import SILENT
 

@@ -6,7 +6,8 @@ import pytest
 
 from aridcal.effects.catalogue import KINDS
 from aridcal.errors import CampaignError
-from aridcal.inputs.campaign import LENGTHS, Campaign, Job, load_campaign
+from aridcal.inputs.campaign import Campaign, Job, load_campaign
+from aridcal.inputs.measurement_settings import LENGTHS
 from aridcal.inputs.yaml_file import Section, load_settings, parse_settings
 
 SMALLEST = "format: 1\nrobot: {urdf: robot.urdf, tip: flange}\nmeasurements: {file: m.csv}\n"

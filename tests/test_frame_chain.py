@@ -7,11 +7,11 @@ import pytest
 from heads import ARID, OPTICS, START
 
 from aridcal.fit.doty1992 import ORBITER_TO_BASE, pose
-from aridcal.head.camera import DOTY_OPENCV, on_plane
 from aridcal.head.pose import doty_axes
 from aridcal.head.reduction import Seen, reduce_shots
 from aridcal.head.sonar import fit_plane, ranges
 from aridcal.head.square import CENTRES
+from aridcal.instruments.camera import DOTY_OPENCV, on_plane
 from aridcal.model.model import Model
 
 K = np.array([[700.0, 0, 255.5], [0, 700.0, 255.5], [0, 0, 1]])

@@ -5,7 +5,6 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from aridcal.head.camera import DOTY_OPENCV, on_plane, predict_pixels, project, project_jacobian, rays
 from aridcal.head.pose import (
     NO_SONARS,
     Sonars,
@@ -18,6 +17,7 @@ from aridcal.head.pose import (
 )
 from aridcal.head.sonar import doty_plane, fit_plane, predict_ranges
 from aridcal.head.square import CENTRES, INCH, SIZES
+from aridcal.instruments.camera import DOTY_OPENCV, on_plane, predict_pixels, project, project_jacobian, rays
 
 cv2.setNumThreads(1)
 STRAIGHT = np.array([700.0, 700.0, 255.5, 255.5, 0, 0, 0, 0, 0])

@@ -4,8 +4,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from aridcal.head.camera import DOTY_OPENCV
 from aridcal.head.sonar import doty_plane, fit_plane, predict_ranges, ranges
+from aridcal.instruments.camera import DOTY_OPENCV
 
 INCH = 0.0254
 GAMMA = 2 * INCH

@@ -16,9 +16,10 @@ from aridcal.errors import NotIdentifiable
 from aridcal.fit.constants import constants
 from aridcal.fit.flags import OUTLIER, SUSPECT, flagged
 from aridcal.fit.least_squares import Prior, fit, fit_identifiable, minimise, thin
-from aridcal.fit.residual import FLOOR, Problem, linearise, problem, residuals, robust_sigma, triangle
+from aridcal.fit.residual import FLOOR, Problem, linearise, problem, robust_sigma, triangle
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.channels import TARGET_POSITION, TARGET_ROTATION
+from aridcal.instruments.pose import residuals
 from aridcal.model.model import Model, Rows
 
 POSE = (TARGET_POSITION, TARGET_ROTATION)

@@ -11,11 +11,11 @@ import pinocchio as pin
 import pytest
 from scipy.spatial.transform import Rotation
 
-from aridcal.head.camera import DOTY_OPENCV
 from aridcal.head.charuco import Board
 from aridcal.head.render import Scene, render
 from aridcal.head.sonar import predict_ranges
 from aridcal.head.square import INCH, strip_placements
+from aridcal.instruments.camera import DOTY_OPENCV
 from aridcal.measure import main
 from aridcal.model.model import Model
 from aridcal.robot.chain import load_robot

@@ -16,7 +16,7 @@ from aridcal import predict
 from aridcal.effects.basis import Basis
 from aridcal.effects.effect import Coefficient
 from aridcal.effects.loads import Surroundings
-from aridcal.inputs.campaign import MeasurementSettings
+from aridcal.inputs.measurement_settings import MeasurementSettings
 from aridcal.model.model import Model
 from aridcal.result.predict import orientations
 from aridcal.result.saved_model import SavedModel, SolvedModel

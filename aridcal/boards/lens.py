@@ -10,7 +10,7 @@ import numpy as np
 
 from aridcal.boards.finders import Found
 from aridcal.errors import AridcalError
-from aridcal.head.camera import INTRINSICS
+from aridcal.instruments.camera import INTRINSICS
 
 # Images that are used, evenly spread: more take long and tell little more.
 MOST_IMAGES = 60

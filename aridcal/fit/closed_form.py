@@ -11,8 +11,8 @@ from aridcal.errors import NotIdentifiable
 from aridcal.fit.calibrated import stage_urdf
 from aridcal.fit.doty1992 import pose, start
 from aridcal.fit.least_squares import Fit
-from aridcal.fit.residual import residuals
 from aridcal.inputs.dataset import Dataset
+from aridcal.instruments.pose import residuals
 from aridcal.model.model import Model
 from aridcal.robot.chain import Robot, parse_robot
 from aridcal.robot.doty import doty_links

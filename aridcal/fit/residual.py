@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 from scipy.special import gammaincinv
 
 from aridcal.fit.normal_equations import NormalEquations
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.channels import Channels, columns, norms, spread
+from aridcal.instruments.pose import residuals
 from aridcal.model.model import Model, Rows
 from aridcal.showing import SILENT, Progress
 
@@ -117,41 +117,6 @@ def motions(question: Problem, theta: np.ndarray, count: int) -> tuple[np.ndarra
         R[block], p[block], every = question.model.jacobian(theta, question.rows[block])
         J[block] = every[:, :, every.shape[2] - count :]
     return R, p, J
-
-
-def residuals(
-    rotation: np.ndarray, position: np.ndarray, measured_position: np.ndarray, measured_rotation: np.ndarray | None
-) -> np.ndarray:
-    """Measured minus predicted in world axes.
-
-    Args:
-        rotation: Predicted, shape (N, 3, 3).
-        position: Predicted, shape (N, 3), [m].
-        measured_position: Shape (N, 3), [m].
-        measured_rotation: Shape (N, 3, 3), or None.
-
-    Returns:
-        Position [m], then rotation vector [rad], shape (N, 6); positions alone, shape (N, 3), where no rotation was
-        measured.
-    """
-    r = measured_position - position
-    if measured_rotation is None:
-        return r
-    return np.hstack([r, rotation_vector(measured_rotation @ rotation.transpose(0, 2, 1))])
-
-
-def rotation_vector(R: np.ndarray) -> np.ndarray:
-    """Axis times angle of rotations, shape (N, 3, 3) to (N, 3); fast where they turn by less than 90 degrees."""
-    vector = 0.5 * np.stack([R[:, 2, 1] - R[:, 1, 2], R[:, 0, 2] - R[:, 2, 0], R[:, 1, 0] - R[:, 0, 1]], axis=1)
-    sine = np.sqrt(np.einsum("ni,ni->n", vector, vector))
-    cosine = 0.5 * (R[:, 0, 0] + R[:, 1, 1] + R[:, 2, 2] - 1.0)
-    angle = np.arctan2(sine, cosine)
-    per_sine = angle / np.where(sine > 0.0, sine, 1.0) + (sine == 0.0)
-    vector *= per_sine[:, None]
-    wide = cosine < 0.0
-    if wide.any():
-        vector[wide] = Rotation.from_matrix(R[wide], assume_valid=True).as_rotvec()
-    return vector
 
 
 def scaled(values: np.ndarray, relative: np.ndarray | None) -> np.ndarray:

@@ -11,10 +11,11 @@ from aridcal.errors import MeasurementError, NotIdentifiable, NotOfThisRobot
 from aridcal.fit.constants import constants, frame_coefficients
 from aridcal.fit.frame_starts import FrameStart, start_frames
 from aridcal.fit.least_squares import Fit, fit, fit_identifiable, thin
-from aridcal.fit.residual import Problem, problem, residuals, robust_sigma, unscaled
+from aridcal.fit.residual import Problem, problem, robust_sigma, unscaled
 from aridcal.fit.restarts import with_restarts
 from aridcal.inputs.campaign import Campaign, FrameSettings
 from aridcal.inputs.dataset import Dataset
+from aridcal.instruments.pose import residuals
 from aridcal.model.model import Frames, Model
 from aridcal.robot.chain import Robot
 from aridcal.showing import SILENT, Progress

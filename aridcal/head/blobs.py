@@ -12,9 +12,9 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from aridcal.head.camera import DOTY_OPENCV, on_plane, project
 from aridcal.head.sonar import Plane
 from aridcal.head.square import CENTRE_FIDUCIAL, INCH, SIZES
+from aridcal.instruments.camera import DOTY_OPENCV, on_plane, project
 
 # Of a perimeter fiducial and of a centre one, [m²].
 SMALL_AREA, CENTRE_AREA = INCH**2 / 16, INCH**2 / 8

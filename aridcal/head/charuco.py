@@ -11,11 +11,11 @@ import cv2
 import numpy as np
 
 from aridcal.errors import CampaignError, nearest
-from aridcal.head.camera import rays
 from aridcal.head.fiducials import Fiducials
 from aridcal.head.matching import NotMeasured, spans_plane
 from aridcal.head.pose import NO_SONARS, fit_pose
 from aridcal.head.square import Layout
+from aridcal.instruments.camera import rays
 
 # Corners to measure a pose from: six numbers, and as many again that tell how well they fit.
 MIN_CORNERS = 6

@@ -11,8 +11,8 @@ from functools import cached_property
 
 import numpy as np
 
-from aridcal.head.camera import predict_pixels
 from aridcal.head.square import CENTRES, SIDE, Layout
+from aridcal.instruments.camera import predict_pixels
 
 # Shapes are predicted from places up to so many half sizes from a fiducial's centre: its outline lies well inside.
 GRID_REACH = 1.2

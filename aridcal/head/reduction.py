@@ -14,11 +14,11 @@ from dataclasses import dataclass, fields
 import cv2
 import numpy as np
 
-from aridcal.head.camera import INTRINSICS, predict_pixels, rays
 from aridcal.head.matching import NotMeasured
 from aridcal.head.pose import NO_SONARS, Pose, Sonars, fit_pose, start_on_plane
 from aridcal.head.sonar import fit_plane, predict_ranges
 from aridcal.inputs.head_settings import HeadSettings, Measures
+from aridcal.instruments.camera import INTRINSICS, predict_pixels, rays
 
 # Times the usual misfit beyond which a shot is trusted less: noise alone does not do that.
 WILD = 4.0

@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from aridcal.head.camera import DOTY_OPENCV
 from aridcal.inputs.head_settings import Measures
+from aridcal.instruments.camera import DOTY_OPENCV
 
 # [m] Singular value of the sensors' layout below which they sit on one line: a micrometre.
 ON_ONE_LINE = 1e-6

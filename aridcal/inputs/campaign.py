@@ -2,50 +2,50 @@
 
 from __future__ import annotations
 
-import itertools
-import math
 from collections.abc import Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import Annotated, Any, Literal
 
 import pandas as pd
-from pydantic import AfterValidator, BeforeValidator, Field, PrivateAttr, field_validator, model_validator
+from pydantic import (
+    BeforeValidator,
+    Field,
+    PrivateAttr,
+    ValidationInfo,
+    ValidatorFunctionWrapHandler,
+    WrapValidator,
+    field_validator,
+    model_validator,
+)
 
 from aridcal.effects.catalogue import KINDS, is_of_head
 from aridcal.errors import CampaignError, nearest
+from aridcal.inputs.instrument_settings import InstrumentSettings
+from aridcal.inputs.measurement_settings import MeasurementSettings, Names, listed, one_of
 from aridcal.inputs.yaml_file import LARGEST, RelativePath, Section, Settings, Vector3, load_settings
 from aridcal.reading.names import check_path
 
-# Metres in one of each unit of length.
-LENGTHS = MappingProxyType({"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254, "ft": 0.3048})
-
-# Radians in one of each unit of angle.
-ANGLES = MappingProxyType({"rad": 1.0, "deg": math.pi / 180})
-
-
-def _one_of(names: Any) -> AfterValidator:
-    def check(name: str) -> str:
-        if name not in names:
-            raise ValueError(f"{name!r} is unknown{nearest(name, names)}")
-        return name
-
-    return AfterValidator(check)
-
-
-def _listed(value: Any) -> Any:
-    """Let one value stand for a list of one."""
-    return value if value is None or isinstance(value, list | tuple) else (value,)
+# Kinds of measurements that tell something of each key of `instruments`.
+TOLD_BY = MappingProxyType(
+    {
+        "points": ("point",),
+        "lengths": ("point", "distance", "pixels"),
+        "anchors": ("distance",),
+        "planes": ("plane",),
+        "perpendicular": ("plane",),
+        "cameras": ("pixels",),
+        "markers": ("pixels",),
+    }
+)
 
 
 def _all_kinds(candidates: Any) -> Any:
-    return tuple(KINDS) if candidates == "all" else _listed(candidates)
+    return tuple(KINDS) if candidates == "all" else listed(candidates)
 
 
 # Name of a row of the table of kinds.
-EffectKind = Annotated[str, _one_of(KINDS)]
-
-Names = Annotated[tuple[str, ...], BeforeValidator(_listed)]
+EffectKind = Annotated[str, one_of(KINDS)]
 
 
 class RobotSettings(Section):
@@ -67,90 +67,16 @@ class RobotSettings(Section):
         return gravity
 
 
-class Noise(Section):
-    """1-sigma of the measurement per axis; what is absent is estimated."""
-
-    position: float | None = Field(default=None, ge=1e-12, le=1e3)
-    """[m]"""
-    rotation: float | None = Field(default=None, ge=1e-12, le=1e3)
-    """[rad]"""
-    rows: Literal["relative", "absolute", "ignore"] = "relative"
-    """What the `std_*` columns are taken for."""
+def _if_listed(value: Any, validate: ValidatorFunctionWrapHandler) -> Any:
+    """The blocks of a list; none where there is one block alone."""
+    return validate(value) if isinstance(value, list | tuple) else ()
 
 
-class Units(Section):
-    """Units of the measurement files."""
-
-    length: Annotated[str, _one_of(LENGTHS)] = "m"
-    angle: Annotated[str, _one_of(ANGLES)] = "rad"
-
-    @property
-    def metres(self) -> float:
-        """Metres in the file's unit of length."""
-        return LENGTHS[self.length]
-
-    @property
-    def radians(self) -> float:
-        """Radians in the file's unit of angle."""
-        return ANGLES[self.angle]
-
-
-class Orientation(Section):
-    """How the files hold orientations. Neither `euler` nor `rotvec`: as the quaternion `qx qy qz qw`."""
-
-    euler: str | None = None
-    """Axes in scipy's letters: capitals turn with the body."""
-    columns: tuple[str, str, str] | None = None
-    """Columns of the three Euler angles."""
-    rotvec: tuple[str, str, str] | None = None
-    """Columns of the rotation vector."""
-
-    @field_validator("euler")
-    @classmethod
-    def _scipy_letters(cls, euler: str | None) -> str | None:
-        if euler is not None:
-            one_case = euler in (euler.upper(), euler.lower())
-            repeated = any(a == b for a, b in itertools.pairwise(euler))
-            if len(euler) != 3 or not one_case or repeated or not set(euler.lower()) <= set("xyz"):
-                raise ValueError(
-                    f"{euler!r} is no sequence of axes; write XYZ (turning with the body) or xyz (fixed axes)"
-                )
-        return euler
-
-    @model_validator(mode="after")
-    def _complete(self) -> Orientation:
-        if self.euler is None and self.rotvec is None and self.columns is None:
-            return self
-        if (self.euler is None) == (self.rotvec is None) or (self.euler is None) != (self.columns is None):
-            raise ValueError("write quaternion, {euler: XYZ, columns: [rx, ry, rz]} or {rotvec: [rx, ry, rz]}")
-        return self
-
-
-class MeasurementSettings(Section):
-    """Where the measured rows are and how to read them."""
-
-    files: Annotated[tuple[RelativePath, ...], BeforeValidator(_listed)] = Field(default=(), alias="file")
-    head: RelativePath | None = None
-    """Settings of the measuring head; for `kind: camera_sonar`."""
-    kind: Literal["pose", "position", "camera_sonar"] = "pose"
-    joint_reading: Literal["reported", "commanded"] | None = None
-    """Whether the joints' columns are what the controller reports or what it was told; `None`: not said."""
-    noise: Noise = Noise()
-    columns: dict[str, str] = Field(default_factory=dict)
-    """Column of a joint or a quantity where the two names differ."""
-    units: Units = Units()
-    orientation: Orientation = Orientation()
-    ignore: Names = ()
-    """Columns that are no covariates."""
-
-    @field_validator("orientation", mode="before")
-    @classmethod
-    def _quaternion_by_name(cls, orientation: Any) -> Any:
-        if isinstance(orientation, str):
-            if orientation != "quaternion":
-                raise ValueError("write quaternion, {euler: XYZ, columns: [rx, ry, rz]} or {rotvec: [rx, ry, rz]}")
-            return {}
-        return orientation
+def _first_listed(value: Any, validate: ValidatorFunctionWrapHandler, about: ValidationInfo) -> Any:
+    """The one block, or the first of those that were listed; one that is wrong is complained of as one of the list."""
+    if isinstance(value, list | tuple):
+        return (*about.data.get("listed", ()), MeasurementSettings())[0]
+    return validate(value)
 
 
 class FrameSettings(Section):
@@ -216,7 +142,7 @@ class EffectDeclaration(Section):
     """The other joint of a `joint_coupling`."""
     by: Literal["direction", "load"] | None = None
     """What a `joint_backlash` switches with."""
-    order: Annotated[tuple[Annotated[float, Field(gt=0, le=1e6)], ...], BeforeValidator(_listed)] | None = None
+    order: Annotated[tuple[Annotated[float, Field(gt=0, le=1e6)], ...], BeforeValidator(listed)] | None = None
     """Periods in one turn of the joint."""
     motion: Names | None = None
     covariates: Names | None = None
@@ -248,23 +174,78 @@ class Job(Settings):
     """What a campaign and a scenario have in common."""
 
     robot: RobotSettings
-    measurements: MeasurementSettings = MeasurementSettings()
+    listed: Annotated[Annotated[tuple[MeasurementSettings, ...], Field(min_length=1)], WrapValidator(_if_listed)] = (
+        Field(default=(), alias="measurements")
+    )
+    """All blocks where the campaign has a list of them."""
+    measurements: Annotated[MeasurementSettings, WrapValidator(_first_listed)] = MeasurementSettings()
+    """The only block, or the first."""
+    instruments: InstrumentSettings = InstrumentSettings()
     frames: Frames = Frames()
     parameters: ParameterSettings = ParameterSettings()
     effects: tuple[EffectDeclaration, ...] = ()
     diagnosis: DiagnosisSettings = DiagnosisSettings()
 
+    @property
+    def blocks(self) -> tuple[MeasurementSettings, ...]:
+        """All blocks of measurements; one is the rule."""
+        return (self.measurements, *self.listed[1:])
+
+    def place(self, number: int) -> str:
+        """What a block is called in messages."""
+        return f"measurements[{number}]" if self.listed else "measurements"
+
     @model_validator(mode="after")
     def _head_only_with_camera_sonar(self) -> Job:
-        if self.measurements.kind == "camera_sonar":
+        if self.measurements.kind == "camera_sonar" and len(self.blocks) == 1:
             if "tip_target" in self.frames.model_fields_set:
                 raise ValueError("frames.tip_target: `kind: camera_sonar` has its target at the tip; delete this key")
-        else:
-            if self.measurements.head is not None:
-                raise ValueError("measurements.head: belongs to `kind: camera_sonar`; delete it, or write that kind")
-            for number, effect in enumerate(self.effects):
-                if is_of_head(effect.kind):
-                    raise ValueError(f"effects[{number}].kind: {effect.kind} needs `kind: camera_sonar`")
+            return self
+        for number, block in enumerate(self.blocks):
+            if block.kind == "camera_sonar":
+                raise ValueError(
+                    f"{self.place(number)}.kind: camera_sonar is not read beside other blocks; `aridcal measure` makes "
+                    "a table of poses from its images: name that here, with `kind: pose`"
+                )
+            if block.head is not None:
+                raise ValueError(
+                    f"{self.place(number)}.head: belongs to `kind: camera_sonar`; delete it, or write that kind"
+                )
+        for number, effect in enumerate(self.effects):
+            if is_of_head(effect.kind):
+                raise ValueError(f"effects[{number}].kind: {effect.kind} needs `kind: camera_sonar`")
+        return self
+
+    @model_validator(mode="after")
+    def _blocks_can_be_told_apart(self) -> Job:
+        titles = [block.title for block in self.blocks]
+        for number, title in enumerate(titles):
+            if title in titles[:number]:
+                raise ValueError(
+                    f"{self.place(number)}.name: two blocks are called {title!r}; give each a `name` of its own"
+                )
+        return self
+
+    @model_validator(mode="after")
+    def _instruments_are_used(self) -> Job:
+        kinds = {block.kind for block in self.blocks}
+        for key in InstrumentSettings.model_fields:
+            if key in self.instruments.model_fields_set and kinds.isdisjoint(TOLD_BY[key]):
+                raise ValueError(
+                    f"instruments.{key}: no block measures such things; delete it, or add a block of "
+                    f"`kind: {' or '.join(TOLD_BY[key])}`"
+                )
+        if kinds == {"pixels"} and "tip_target" in self.frames.model_fields_set:
+            raise ValueError(
+                "frames.tip_target: `kind: pixels` has no target beside its cameras and markers; delete this key, and "
+                "say under `instruments` where they are"
+            )
+        for number, block in enumerate(self.blocks):
+            if block.camera is not None and block.camera not in self.instruments.cameras:
+                raise ValueError(
+                    f"{self.place(number)}.camera: there is no camera {block.camera!r} under instruments.cameras"
+                    f"{nearest(block.camera, self.instruments.cameras)}; add it there"
+                )
         return self
 
 
@@ -275,8 +256,13 @@ class Campaign(Job):
 
     @property
     def tables(self) -> tuple[str | Path | pd.DataFrame, ...]:
-        """The tables of measurements: those given by :meth:`with_tables`, else the files of the settings."""
-        return self._tables or self.measurements.files
+        """The tables of measurements: those given by :meth:`with_tables`, else the files of all blocks."""
+        return self._tables or tuple(file for block in self.blocks for file in block.files)
+
+    @property
+    def has_other_tables(self) -> bool:
+        """True where the tables are not the campaign's own files."""
+        return bool(self._tables)
 
     def with_tables(self, tables: Sequence[str | Path | pd.DataFrame]) -> Campaign:
         """The same campaign with other measurements, of the same columns and units."""
@@ -286,14 +272,15 @@ class Campaign(Job):
 
     @model_validator(mode="after")
     def _measurements_are_named(self) -> Campaign:
-        files, head = self.measurements.files, self.measurements.head
-        if self.measurements.kind == "camera_sonar":
-            if head is None or files:
-                raise ValueError(
-                    "measurements: `kind: camera_sonar` has `head: head.yaml` and no `file`; delete `file`, or name the head"
-                )
-        elif not files:
-            raise ValueError("measurements.file: name the table of measurements, or a list of them")
+        for number, block in enumerate(self.blocks):
+            if block.kind == "camera_sonar":
+                if block.head is None or block.files:
+                    raise ValueError(
+                        f"{self.place(number)}: `kind: camera_sonar` has `head: head.yaml` and no `file`; delete `file`, "
+                        "or name the head"
+                    )
+            elif not block.files:
+                raise ValueError(f"{self.place(number)}.file: name the table of measurements, or a list of them")
         return self
 
 

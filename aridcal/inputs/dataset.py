@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +13,14 @@ from aridcal.effects.effect import ROW_ORDER
 from aridcal.inputs.repeats import blocks
 from aridcal.inputs.tables import Remark
 from aridcal.instruments.channels import TARGET_POSITION, TARGET_ROTATION, Channels, columns, spread
+from aridcal.instruments.setup import Block, Instruments
 from aridcal.robot.chain import JointKind
+
+ROLES = 3
+"""Things that a row may refer to: a camera, a board and a marker."""
+
+OF_BLOCKS = ("block", "observed", "refers")
+"""Columns of the data that are empty where there are no blocks."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +56,14 @@ class Dataset:
         test: Held-out rows, shape (N,) bool: they never fit and never choose.
         split_given: True if the files say which rows those are.
         share: Of a measurement that each row counts for: 1, or less where several rows are one measurement of one body.
+        blocks: Of rows of one kind each; none where all rows measure the pose or the position of one target, and then
+            nothing of what follows is there.
+        block: Index into ``blocks``, shape (N,).
+        observed: What was read, as the kind of the row's block has it, shape (N, W); NaN beyond what it has.
+        refers: Labels of the things that the row refers to, in the order of its kind's roles, shape (N, 3); empty where
+            it has fewer roles.
+        target: Label of the row's frame on the tip, shape (N,); None where there is one for all.
+        instruments: What is known beforehand of those things.
         derived: Covariates that no file holds: the side of approach, from the order of rows.
     """
 
@@ -76,6 +91,12 @@ class Dataset:
     split_given: bool = False
     derived: tuple[str, ...] = ()
     share: float = 1.0
+    blocks: tuple[Block, ...] = ()
+    block: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=int))
+    observed: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
+    refers: np.ndarray = field(default_factory=lambda: np.zeros((0, ROLES), dtype=str))
+    target: np.ndarray | None = None
+    instruments: Instruments = field(default_factory=Instruments)
 
     def __len__(self) -> int:
         return len(self.line)
@@ -111,6 +132,8 @@ class Dataset:
     def select(self, rows: np.ndarray) -> Dataset:
         """The data of some rows, chosen by a mask or by indices; remarks on the files stay."""
         per_row = {f.name: getattr(self, f.name) for f in fields(self)}
+        if not self.blocks:
+            per_row = {name: value for name, value in per_row.items() if name not in OF_BLOCKS}
         chosen = {name: value[rows] for name, value in per_row.items() if isinstance(value, np.ndarray)}
         chosen["configuration"] = pd.factorize(chosen["configuration"])[0]
         return replace(self, **chosen, covariates={name: value[rows] for name, value in self.covariates.items()})

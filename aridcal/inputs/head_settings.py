@@ -6,11 +6,11 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-import pinocchio as pin
 from pydantic import Field, PositiveInt, model_validator
 from scipy.spatial.transform import Rotation
 
 from aridcal.errors import MeasurementError
+from aridcal.inputs.instrument_settings import Placement
 from aridcal.inputs.quantities import POSITION, QUATERNION, QUATERNION_SLACK
 from aridcal.inputs.tables import Table, read_tables
 from aridcal.inputs.yaml_file import LARGEST, Number, Positive, RelativePath, Section, Settings, Vector3
@@ -27,7 +27,7 @@ LEAST_SPREAD = 1e-3
 
 
 class CameraSettings(Section):
-    """A camera after OpenCV's model (:mod:`aridcal.head.camera`): z forward, y down; lengths in pixels."""
+    """A camera after OpenCV's model (:mod:`aridcal.instruments.camera`): z forward, y down; lengths in pixels."""
 
     fx: Positive
     fy: Positive
@@ -63,19 +63,6 @@ class SonarSettings(Section):
         if extents[1] < LEAST_SPREAD:
             raise ValueError("the sonars sit on one line: they cannot see a plane's tilt about it; check `positions`")
         return self
-
-
-class Placement(Section):
-    """A frame, as in URDF: ``xyz`` in [m], ``rpy`` in [rad]."""
-
-    xyz: Vector3 = (0.0, 0.0, 0.0)
-    rpy: Vector3 = (0.0, 0.0, 0.0)
-
-    @property
-    def homogeneous(self) -> np.ndarray:
-        """The same as a matrix, shape (4, 4)."""
-        R = pin.rpy.rpyToMatrix(np.array(self.rpy))
-        return np.asarray(pin.SE3(R, np.array(self.xyz)).homogeneous)
 
 
 class ArmSettings(Section):

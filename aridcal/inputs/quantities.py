@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from aridcal.effects.effect import ROW_ORDER
 from aridcal.errors import CampaignError, MeasurementError, has_controls, nearest
-from aridcal.inputs.campaign import MeasurementSettings
+from aridcal.inputs.measurement_settings import MeasurementSettings
 from aridcal.inputs.tables import DECIMAL_COMMA, Remark, Table
 from aridcal.reading.names import LONGEST_NAME
 from aridcal.robot.chain import JointKind

@@ -9,8 +9,8 @@ import numpy as np
 import pandas as pd
 
 from aridcal.errors import MeasurementError
-from aridcal.inputs.campaign import MeasurementSettings
 from aridcal.inputs.checks import check_units, note_limits
+from aridcal.inputs.measurement_settings import MeasurementSettings
 from aridcal.inputs.quantities import POSITION, Source
 from aridcal.inputs.tables import AnyTable, Remark, Table, read_tables
 from aridcal.reading.files import TABLE, Limit

@@ -14,9 +14,9 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from aridcal.errors import SHOWN, MeasurementError, listed, nearest, printable
-from aridcal.inputs.table_files import FileCells, check_header, read_csv, read_parquet, whole
 from aridcal.reading.files import TABLE, Limit, read_file
 from aridcal.reading.names import check_path
+from aridcal.reading.table_files import FileCells, check_header, read_csv, read_parquet, whole
 
 # What a user may give as a table: the path of a csv or parquet file, or the rows themselves.
 AnyTable = str | Path | pd.DataFrame

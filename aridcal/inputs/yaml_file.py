@@ -23,7 +23,7 @@ from pydantic import (
 from pydantic_core import ErrorDetails, PydanticCustomError
 
 from aridcal.errors import AridcalError, CampaignError, nearest, printable, shortened
-from aridcal.reading.files import IMAGE, SETTINGS, TABLE, URDF, Limit, read_file
+from aridcal.reading.files import IMAGE, SETTINGS, TABLE, URDF, Limit, not_utf8, read_file
 from aridcal.reading.names import check_path
 
 MAX_DEPTH = 50
@@ -182,12 +182,6 @@ def decode(content: bytes, path: Path, error: type[AridcalError]) -> str:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as problem:
         raise not_utf8(content, problem.start, path, error) from None
-
-
-def not_utf8(content: bytes, place: int, path: Path, error: type[AridcalError]) -> AridcalError:
-    """The error for text in another encoding, with the line of its first byte that shows it."""
-    line = content.count(b"\n", 0, place) + 1
-    return error(f"{path}, line {line}: is not UTF-8 text; save the file as UTF-8")
 
 
 def load_settings(path: str | Path, model: type[AnySettings], limit: Limit = SETTINGS) -> AnySettings:

@@ -6,7 +6,7 @@ from collections.abc import Collection
 
 import numpy as np
 
-from aridcal.inputs.campaign import ANGLES, LENGTHS
+from aridcal.inputs.measurement_settings import ANGLES, LENGTHS
 from aridcal.inputs.quantities import STD
 from aridcal.inputs.repeats import blocks
 from aridcal.inputs.tables import Table

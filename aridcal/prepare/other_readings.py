@@ -21,8 +21,9 @@ from aridcal.errors import AridcalError, NotOfThisRobot
 from aridcal.fit.constants import station_labels
 from aridcal.fit.residual import robust_sigma, unscaled
 from aridcal.fit.stages import Geometry, fit_geometry, nominal_sigma
-from aridcal.inputs.campaign import ANGLES, Campaign, MeasurementSettings
+from aridcal.inputs.campaign import Campaign
 from aridcal.inputs.dataset import Dataset
+from aridcal.inputs.measurement_settings import ANGLES, MeasurementSettings
 from aridcal.inputs.quantities import POSITION, QUATERNION, angle_columns, column_of
 from aridcal.inputs.read import load_measurements
 from aridcal.inputs.tables import read_tables

@@ -24,13 +24,13 @@ from aridcal.head.reduction import Head
 from aridcal.head.render import Optics
 from aridcal.inputs.head_settings import HeadSettings, load_squares, range_columns
 from aridcal.inputs.quantities import POSITION, QUATERNION, column_of
-from aridcal.inputs.table_files import FIRST_LINE
 from aridcal.inputs.yaml_file import load_settings
 from aridcal.model.model import Model
 from aridcal.prepare.scenario import Scenario, Truth, check_scenario
 from aridcal.prepare.true_effects import Cause, columns_needed, draw_columns, make_causes, values
 from aridcal.prepare.viewpoints import draw_views, photographs
 from aridcal.reading.files import read_file
+from aridcal.reading.table_files import FIRST_LINE
 from aridcal.robot.chain import Robot, load_robot
 from aridcal.robot.doty import doty_links
 from aridcal.search.head_effects import directions, stated

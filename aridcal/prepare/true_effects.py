@@ -19,8 +19,8 @@ from aridcal.effects.loads import LOADS, Surroundings, covariate_table, is_load
 from aridcal.effects.smooth import Kernel, kernel_root
 from aridcal.errors import CampaignError, nearest
 from aridcal.inputs.campaign import EffectDeclaration
-from aridcal.inputs.table_files import FIRST_LINE
 from aridcal.inputs.yaml_file import LARGEST, Number, Section
+from aridcal.reading.table_files import FIRST_LINE
 from aridcal.robot.chain import Robot
 
 # From one row to the next, [s].

@@ -20,7 +20,7 @@ import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
 from aridcal.fit.frame_starts import start_frames
-from aridcal.inputs.campaign import ANGLES, LENGTHS
+from aridcal.inputs.measurement_settings import ANGLES, LENGTHS
 from aridcal.inputs.quantities import QUATERNION, TURNS
 from aridcal.prepare.column_names import Family
 from aridcal.robot.chain import Robot

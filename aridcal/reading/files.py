@@ -102,3 +102,9 @@ def _check_regular(status: os.stat_result, shown: str, error: type[AridcalError]
         raise error(f"{shown}: has {size:,.1f} MB, at most {limit.megabytes:g} MB are read; {limit.remedy}")
     if not status.st_size:  # also what the kernel makes up while it is read, as under /proc
         raise error(f"{shown}: is empty; write it anew, or name another file")
+
+
+def not_utf8(content: bytes, place: int, path: Path, error: type[AridcalError]) -> AridcalError:
+    """The error for text in another encoding, with the line of its first byte that shows it."""
+    line = content.count(b"\n", 0, place) + 1
+    return error(f"{path}, line {line}: is not UTF-8 text; save the file as UTF-8")

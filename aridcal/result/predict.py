@@ -15,7 +15,7 @@ import pyarrow.parquet
 from scipy.spatial.transform import Rotation
 
 from aridcal.errors import MeasurementError
-from aridcal.inputs.campaign import MeasurementSettings
+from aridcal.inputs.measurement_settings import MeasurementSettings
 from aridcal.inputs.quantities import POSITION, QUATERNION, STD, angle_columns, column_of
 from aridcal.inputs.query import Query, load_query
 from aridcal.inputs.tables import IN_MEMORY, AnyTable, Remark, Table

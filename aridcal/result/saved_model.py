@@ -18,7 +18,8 @@ from aridcal.effects.basis import Basis
 from aridcal.effects.effect import Coefficient
 from aridcal.effects.loads import Surroundings
 from aridcal.errors import AridcalError, CampaignError, nearest, shortened
-from aridcal.inputs.campaign import Campaign, MeasurementSettings
+from aridcal.inputs.campaign import Campaign
+from aridcal.inputs.measurement_settings import MeasurementSettings
 from aridcal.inputs.yaml_file import Limits, parse_settings
 from aridcal.model.inverse import Command, InverseKinematics
 from aridcal.model.model import Frames, Model

@@ -12,9 +12,9 @@ import pyarrow as pa
 import pyarrow.parquet
 
 from aridcal.errors import MeasurementError
-from aridcal.inputs.table_files import FIRST_LINE, PANDAS_INDEX, check_header, check_size, read_csv
 from aridcal.inputs.tables import AnyTable, Remark, Table, is_number, read_tables
 from aridcal.reading.files import MEGA, TABLE, Limit
+from aridcal.reading.table_files import FIRST_LINE, PANDAS_INDEX, check_header, check_size, read_csv
 
 STRETCH = 2_000_000
 """Bytes of csv that are read together: some 18,000 rows of six joints, which take fifty times as much while they are

@@ -15,21 +15,26 @@ ON_AN_AXIS = 1e-9
 
 
 def transverse(axis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Two unit vectors across an axis (FORMATS section 4).
+    """Two unit vectors across an axis (FORMATS section 4), or across each of several.
 
     The frame's own axes in x y z order if the axis is one of them; else e1 = the frame axis least aligned with it,
     made orthogonal, and e2 = axis x e1.
+
+    Args:
+        axis: Unit vectors, shape (..., 3).
+
+    Returns:
+        e1 and e2, shape (..., 3) each.
     """
-    largest = int(np.argmax(np.abs(axis)))
-    others = np.delete(axis, largest)
-    if np.abs(others).max() < ON_AN_AXIS:
-        e1, e2 = np.delete(np.eye(3), largest, axis=0)
-        return e1, e2
-    least = int(np.argmin(np.abs(axis)))
-    e1 = np.eye(3)[least]
-    e1 = e1 - (e1 @ axis) * axis
-    e1 /= np.linalg.norm(e1)
-    return e1, np.cross(axis, e1)
+    lengths, own = np.abs(axis), np.eye(3)
+    least = own[lengths.argmin(axis=-1)]
+    e1 = least - (least * axis).sum(axis=-1, keepdims=True) * axis
+    e1 = e1 / np.sqrt((e1 * e1).sum(axis=-1, keepdims=True))
+    e2 = np.cross(axis, e1)
+    largest = lengths.argmax(axis=-1)
+    aligned = np.sort(lengths, axis=-1)[..., 1, None] < ON_AN_AXIS
+    before, after = own[np.array([1, 0, 0])[largest]], own[np.array([2, 2, 1])[largest]]
+    return np.where(aligned, before, e1), np.where(aligned, after, e2)
 
 
 def rotations(axis: np.ndarray, angle: np.ndarray) -> np.ndarray:

@@ -16,8 +16,7 @@ import pyarrow.csv
 import pyarrow.parquet
 
 from aridcal.errors import MeasurementError, shortened
-from aridcal.inputs.yaml_file import not_utf8
-from aridcal.reading.files import MEGA, Limit
+from aridcal.reading.files import MEGA, Limit, not_utf8
 from aridcal.reading.names import check_name
 
 # Line of a table's first row: the header is line 1.

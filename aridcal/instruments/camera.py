@@ -34,12 +34,12 @@ def distort(xy: np.ndarray, intrinsics: np.ndarray) -> tuple[np.ndarray, np.ndar
 
     Args:
         xy: Points x, y, shape (..., 2).
-        intrinsics: In the order of ``INTRINSICS``, shape (9,).
+        intrinsics: In the order of ``INTRINSICS``, shape (9,), or of each point (..., 9).
 
     Returns:
         Distorted points (..., 2), their derivatives by xy (..., 2, 2) and by k1, k2, p1, p2, k3 (..., 2, 5).
     """
-    k1, k2, p1, p2, k3 = intrinsics[4:]
+    k1, k2, p1, p2, k3 = np.moveaxis(intrinsics[..., 4:], -1, 0)
     x = xy[..., 0]
     y = xy[..., 1]
     r2 = x * x + y * y
@@ -63,7 +63,7 @@ def _distortion_by_point(x: np.ndarray, y: np.ndarray, radial: np.ndarray, intri
         dx''/dx = R + 2 x² R' + 2 p1 y + 6 p2 x        dx''/dy = dy''/dx = 2 x y R' + 2 p1 x + 2 p2 y
         dy''/dy = R + 2 y² R' + 6 p1 y + 2 p2 x
     """
-    k1, k2, p1, p2, k3 = intrinsics[4:]
+    k1, k2, p1, p2, k3 = np.moveaxis(intrinsics[..., 4:], -1, 0)
     xx = x * x
     yy = y * y
     r2 = xx + yy
@@ -96,7 +96,7 @@ def project(points: np.ndarray, intrinsics: np.ndarray) -> np.ndarray:
     """Project points of OpenCV's camera frame, shape (..., 3), [m], to pixels, shape (..., 2)."""
     xy = points[..., :2] / points[..., 2:]
     bent, _, _ = distort(xy, intrinsics)
-    focal, middle = intrinsics[:2], intrinsics[2:4]
+    focal, middle = intrinsics[..., :2], intrinsics[..., 2:4]
     return middle + focal * bent
 
 
@@ -108,35 +108,35 @@ def project_jacobian(points: np.ndarray, intrinsics: np.ndarray) -> tuple[np.nda
 
     Args:
         points: In OpenCV's camera frame, shape (..., 3), [m].
-        intrinsics: In the order of ``INTRINSICS``, shape (9,).
+        intrinsics: In the order of ``INTRINSICS``, shape (9,), or of each point (..., 9).
 
     Returns:
         Pixels (..., 2), their derivatives by the point (..., 2, 3) [px/m] and by the intrinsics (..., 2, 9).
     """
-    focal, middle = intrinsics[:2], intrinsics[2:4]
+    focal, middle = intrinsics[..., :2], intrinsics[..., 2:4]
     z = points[..., 2]
     xy = points[..., :2] / z[..., None]
     bent, by_xy, by_k = distort(xy, intrinsics)
     pixels = middle + focal * bent
 
-    across = focal[:, None] * by_xy / z[..., None, None]
+    across = focal[..., None] * by_xy / z[..., None, None]
     along = -np.einsum("...ij,...j->...i", across, xy)
     by_point = np.concatenate([across, along[..., None]], axis=-1)
 
     own = np.eye(2)  # fx and cx move u alone, fy and cy move v alone
     by_focal = own * bent[..., None]
     by_middle = np.broadcast_to(own, by_focal.shape)
-    by_lens = focal[:, None] * by_k
+    by_lens = focal[..., None] * by_k
     by_intrinsics = np.concatenate([by_focal, by_middle, by_lens], axis=-1)
     return pixels, by_point, by_intrinsics
 
 
 def rays(pixels: np.ndarray, intrinsics: np.ndarray) -> np.ndarray:
     """Return the undistorted x, y of pixels, shape (..., 2), by Newton's method on the distortion."""
-    focal, middle = intrinsics[:2], intrinsics[2:4]
+    focal, middle = intrinsics[..., :2], intrinsics[..., 2:4]
     bent = (pixels - middle) / focal
     xy = bent.copy()
-    if not np.any(intrinsics[4:]):
+    if not np.any(intrinsics[..., 4:]):
         return xy
     for _ in range(NEWTON_STEPS):
         value, slope, _ = distort(xy, intrinsics)

@@ -1,0 +1,196 @@
+"""``measurements`` of a campaign: what a table holds, in which columns and units."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from types import MappingProxyType
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, BeforeValidator, Field, field_validator, model_validator
+
+from aridcal.errors import CampaignError, nearest
+from aridcal.inputs.yaml_file import RelativePath, Section
+from aridcal.reading.names import check_name
+
+# Metres in one of each unit of length.
+LENGTHS = MappingProxyType({"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254, "ft": 0.3048})
+
+# Columns of each kind of measurement beside joints, poses and covariates.
+OWN_COLUMNS = MappingProxyType(
+    {
+        "pose": ("target",),
+        "position": ("target",),
+        "point": ("point", "target"),
+        "distance": ("distance", "anchor", "target"),
+        "plane": ("plane", "reading", "target"),
+        "pixels": ("u", "v", "marker", "camera", "shot"),
+        "inclination": ("gx", "gy", "gz", "target"),
+        "camera_sonar": (),
+    }
+)
+
+# Channels whose noise a block of a kind may declare. The first two and the last always took both.
+OF_POSES = ("position", "rotation")
+NOISE_CHANNELS = MappingProxyType(
+    {
+        "pose": OF_POSES,
+        "position": OF_POSES,
+        "point": ("position",),
+        "distance": ("distance",),
+        "plane": ("distance",),
+        "pixels": ("pixel",),
+        "inclination": ("inclination",),
+        "camera_sonar": OF_POSES,
+    }
+)
+
+# Radians in one of each unit of angle.
+ANGLES = MappingProxyType({"rad": 1.0, "deg": math.pi / 180})
+
+
+def one_of(names: Any) -> AfterValidator:
+    """A check that a word is one of some names."""
+
+    def check(name: str) -> str:
+        if name not in names:
+            raise ValueError(f"{name!r} is unknown{nearest(name, names)}")
+        return name
+
+    return AfterValidator(check)
+
+
+def listed(value: Any) -> Any:
+    """Let one value stand for a list of one."""
+    return value if value is None or isinstance(value, list | tuple) else (value,)
+
+
+Names = Annotated[tuple[str, ...], BeforeValidator(listed)]
+
+
+class Noise(Section):
+    """1-sigma of the measurement per axis; what is absent is estimated."""
+
+    position: float | None = Field(default=None, ge=1e-12, le=1e3)
+    """[m]"""
+    rotation: float | None = Field(default=None, ge=1e-12, le=1e3)
+    """[rad]"""
+    distance: float | None = Field(default=None, ge=1e-12, le=1e3)
+    """[m]"""
+    pixel: float | None = Field(default=None, ge=1e-12, le=1e3)
+    """[px]"""
+    inclination: float | None = Field(default=None, ge=1e-12, le=1e3)
+    """[rad]"""
+    rows: Literal["relative", "absolute", "ignore"] = "relative"
+    """What the `std_*` columns are taken for."""
+
+
+class Units(Section):
+    """Units of the measurement files."""
+
+    length: Annotated[str, one_of(LENGTHS)] = "m"
+    angle: Annotated[str, one_of(ANGLES)] = "rad"
+
+    @property
+    def metres(self) -> float:
+        """Metres in the file's unit of length."""
+        return LENGTHS[self.length]
+
+    @property
+    def radians(self) -> float:
+        """Radians in the file's unit of angle."""
+        return ANGLES[self.angle]
+
+
+class Orientation(Section):
+    """How the files hold orientations. Neither `euler` nor `rotvec`: as the quaternion `qx qy qz qw`."""
+
+    euler: str | None = None
+    """Axes in scipy's letters: capitals turn with the body."""
+    columns: tuple[str, str, str] | None = None
+    """Columns of the three Euler angles."""
+    rotvec: tuple[str, str, str] | None = None
+    """Columns of the rotation vector."""
+
+    @field_validator("euler")
+    @classmethod
+    def _scipy_letters(cls, euler: str | None) -> str | None:
+        if euler is not None:
+            one_case = euler in (euler.upper(), euler.lower())
+            repeated = any(a == b for a, b in itertools.pairwise(euler))
+            if len(euler) != 3 or not one_case or repeated or not set(euler.lower()) <= set("xyz"):
+                raise ValueError(
+                    f"{euler!r} is no sequence of axes; write XYZ (turning with the body) or xyz (fixed axes)"
+                )
+        return euler
+
+    @model_validator(mode="after")
+    def _complete(self) -> Orientation:
+        if self.euler is None and self.rotvec is None and self.columns is None:
+            return self
+        if (self.euler is None) == (self.rotvec is None) or (self.euler is None) != (self.columns is None):
+            raise ValueError("write quaternion, {euler: XYZ, columns: [rx, ry, rz]} or {rotvec: [rx, ry, rz]}")
+        return self
+
+
+class MeasurementSettings(Section):
+    """Where the measured rows are and how to read them."""
+
+    files: Annotated[tuple[RelativePath, ...], BeforeValidator(listed)] = Field(default=(), alias="file")
+    head: RelativePath | None = None
+    """Settings of the measuring head; for `kind: camera_sonar`."""
+    kind: Literal["pose", "position", "point", "distance", "plane", "pixels", "inclination", "camera_sonar"] = "pose"
+    name: str | None = None
+    """Of the block; `None`: its kind."""
+    camera: str | None = None
+    """Which took the images, where the table of `pixels` has no column `camera`."""
+    joint_reading: Literal["reported", "commanded"] | None = None
+    """Whether the joints' columns are what the controller reports or what it was told; `None`: not said."""
+    noise: Noise = Noise()
+    columns: dict[str, str] = Field(default_factory=dict)
+    """Column of a joint or a quantity where the two names differ."""
+    units: Units = Units()
+    orientation: Orientation = Orientation()
+    ignore: Names = ()
+    """Columns that are no covariates."""
+
+    @field_validator("orientation", mode="before")
+    @classmethod
+    def _quaternion_by_name(cls, orientation: Any) -> Any:
+        if isinstance(orientation, str):
+            if orientation != "quaternion":
+                raise ValueError("write quaternion, {euler: XYZ, columns: [rx, ry, rz]} or {rotvec: [rx, ry, rz]}")
+            return {}
+        return orientation
+
+    @field_validator("name")
+    @classmethod
+    def _can_be_shown(cls, name: str | None) -> str | None:
+        if name is not None:
+            if not name.strip():
+                raise ValueError("is empty; give the block a name, or delete the key")
+            check_name(name, "measurements", CampaignError)
+        return name
+
+    @model_validator(mode="after")
+    def _what_the_kind_has(self) -> MeasurementSettings:
+        known = NOISE_CHANNELS[self.kind]
+        for channel in sorted(self.noise.model_fields_set - {"rows"} - set(known)):
+            raise ValueError(
+                f"noise.{channel}: `kind: {self.kind}` has no such channel; write noise of {' and '.join(known)}"
+            )
+        if self.noise.rows != "relative" and known != OF_POSES:
+            raise ValueError(f"noise.rows: `kind: {self.kind}` has no std_* columns; delete this key")
+        if self.camera is not None and self.kind != "pixels":
+            raise ValueError("camera: belongs to `kind: pixels`; delete it")
+        return self
+
+    @property
+    def title(self) -> str:
+        """Name of the block."""
+        return self.name or self.kind
+
+    @property
+    def own_columns(self) -> tuple[str, ...]:
+        """Quantities of its kind beside joints, poses and covariates."""
+        return OWN_COLUMNS[self.kind]

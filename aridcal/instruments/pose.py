@@ -1,0 +1,123 @@
+"""The target's pose or position in the world, as a tracker, a measuring arm or a camera system gives it."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from aridcal.instruments.channels import TARGET_POSITION, TARGET_ROTATION
+from aridcal.instruments.kind import Kind, Seen, States, points_twist
+
+SMALL = 1e-2
+"""[rad]: below this a quotient that tends to 0/0 is taken from its series, whose next term is 2e-13."""
+
+
+def residuals(
+    rotation: np.ndarray, position: np.ndarray, measured_position: np.ndarray, measured_rotation: np.ndarray | None
+) -> np.ndarray:
+    """Measured minus predicted in world axes.
+
+    Args:
+        rotation: Predicted, shape (N, 3, 3).
+        position: Predicted, shape (N, 3), [m].
+        measured_position: Shape (N, 3), [m].
+        measured_rotation: Shape (N, 3, 3), or None.
+
+    Returns:
+        Position [m], then rotation vector [rad], shape (N, 6); positions alone, shape (N, 3), where no rotation was
+        measured.
+    """
+    r = measured_position - position
+    if measured_rotation is None:
+        return r
+    return np.hstack([r, rotation_vector(measured_rotation @ rotation.transpose(0, 2, 1))])
+
+
+def rotation_vector(R: np.ndarray) -> np.ndarray:
+    """Axis times angle of rotations, shape (N, 3, 3) to (N, 3); fast where they turn by less than 90 degrees."""
+    vector = 0.5 * np.stack([R[:, 2, 1] - R[:, 1, 2], R[:, 0, 2] - R[:, 2, 0], R[:, 1, 0] - R[:, 0, 1]], axis=1)
+    sine = np.sqrt(np.einsum("ni,ni->n", vector, vector))
+    cosine = 0.5 * (R[:, 0, 0] + R[:, 1, 1] + R[:, 2, 2] - 1.0)
+    angle = np.arctan2(sine, cosine)
+    per_sine = angle / np.where(sine > 0.0, sine, 1.0) + (sine == 0.0)
+    vector *= per_sine[:, None]
+    wide = cosine < 0.0
+    if wide.any():
+        vector[wide] = Rotation.from_matrix(R[wide], assume_valid=True).as_rotvec()
+    return vector
+
+
+def turned_back(vector: np.ndarray) -> np.ndarray:
+    r"""How the vector of a rotation changes as another turns in front of it: log(exp(r) exp(w)) = r + J w, to first order.
+
+    .. math:: J = 1 + \tfrac12 [r] + \left( \frac{1}{\theta^2} - \frac{1 + \cos\theta}{2 \theta \sin\theta} \right) [r]^2
+
+    (the inverse of SO(3)'s right Jacobian; Chirikjian 2011, Stochastic Models, Information Theory, and Lie Groups, 10.86).
+
+    Args:
+        vector: r, shape (n, 3), [rad], shorter than pi.
+
+    Returns:
+        Shape (n, 3, 3).
+    """
+    angle = np.linalg.norm(vector, axis=1)
+    square = angle**2
+    safe = np.where(angle < SMALL, 1.0, angle)
+    # (1 + cos) / sin is 1 / tan(angle / 2), also where both vanish
+    exact = (1.0 - 0.5 * safe / np.tan(0.5 * safe)) / safe**2
+    factor = np.where(angle < SMALL, 1.0 / 12.0 + square / 720.0, exact)
+    x = skew(vector)
+    return np.eye(3) + 0.5 * x + factor[:, None, None] * (x @ x)
+
+
+def skew(vectors: np.ndarray) -> np.ndarray:
+    """Matrices that multiply like cross products, shape (n, 3) to (n, 3, 3)."""
+    made = np.zeros((len(vectors), 3, 3))
+    for k in range(3):
+        i, j = (k + 1) % 3, (k + 2) % 3
+        made[:, j, i] = vectors[:, k]
+        made[:, i, j] = -vectors[:, k]
+    return made
+
+
+def _position(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) -> np.ndarray:
+    """Measured minus predicted position, [m]."""
+    return residuals(R, p, observed, None)
+
+
+def _position_seen(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) -> Seen:
+    """The same with its derivatives."""
+    by_point = np.broadcast_to(np.eye(3), (len(p), 3, 3))
+    return Seen(residuals(R, p, observed, None), points_twist(by_point), ())
+
+
+def _pose(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) -> np.ndarray:
+    """Measured minus predicted position [m] and rotation vector [rad]."""
+    return residuals(R, p, observed[:, :3], observed[:, 3:].reshape(-1, 3, 3))
+
+
+def _pose_seen(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) -> Seen:
+    """The same with its derivatives."""
+    residual = _pose(R, p, observed, states)
+    by_twist = np.zeros((len(p), 6, 6))
+    by_twist[:, :3, :3] = np.eye(3)
+    by_twist[:, 3:, 3:] = turned_back(residual[:, 3:])
+    return Seen(residual, by_twist, ())
+
+
+XYZ = ("x", "y", "z")
+"""Columns of a position; those of a rotation matrix follow row by row."""
+
+POSITION = Kind("position", "the target's position", (TARGET_POSITION,), XYZ, (), _position, _position_seen, None)
+
+POSE = Kind(
+    name="pose",
+    words="the target's position and orientation",
+    channels=(TARGET_POSITION, TARGET_ROTATION),
+    read=(*XYZ, "r11", "r12", "r13", "r21", "r22", "r23", "r31", "r32", "r33"),
+    roles=(),
+    residual=_pose,
+    derivatives=_pose_seen,
+    located=None,
+    turns=True,
+)
