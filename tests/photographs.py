@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 from lxml import etree
 
-from aridcal.instruments.camera import project
 from aridcal.head.render import coverage
+from aridcal.instruments.camera import project
 
 INTRINSICS = np.array([900.0, 905.0, 485.0, 352.0, -0.12, 0.04, 0.001, -0.0007, 0.0])
 SIZE = (960, 720)
@@ -23,7 +23,10 @@ def printed(svg: str) -> tuple[list[list[np.ndarray]], np.ndarray, tuple[float, 
     middle = np.array([width, height]) / 2
     paths = [path.get("d") for path in root.findall(".//{*}path[@fill='black']")]
     loops = [
-        [(np.array([pair.split(",") for pair in loop.split()], float) - middle) * [1, -1] for loop in re.findall(r"M ([^Z]+) Z", d)]
+        [
+            (np.array([pair.split(",") for pair in loop.split()], float) - middle) * [1, -1]
+            for loop in re.findall(r"M ([^Z]+) Z", d)
+        ]
         for d in paths
     ]
     circles = root.findall(".//{*}circle[@fill='black']")
@@ -34,7 +37,11 @@ def printed(svg: str) -> tuple[list[list[np.ndarray]], np.ndarray, tuple[float, 
 def looking(x: float, y: float, z: float, tilt: float = 0.0, pan: float = 0.0, roll: float = 0.0) -> np.ndarray:
     """T_camera_board of a board whose middle is at x y z, turned about the camera's x, y and z axes; upright at zero."""
     T = np.eye(4)
-    turn = cv2.Rodrigues(np.array([0, 0, roll]))[0] @ cv2.Rodrigues(np.array([tilt, 0, 0]))[0] @ cv2.Rodrigues(np.array([0, pan, 0]))[0]
+    turn = (
+        cv2.Rodrigues(np.array([0, 0, roll]))[0]
+        @ cv2.Rodrigues(np.array([tilt, 0, 0]))[0]
+        @ cv2.Rodrigues(np.array([0, pan, 0]))[0]
+    )
     T[:3, :3] = turn @ np.diag([1.0, -1, -1])
     T[:3, 3] = x, y, z
     return T

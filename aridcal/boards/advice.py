@@ -79,7 +79,9 @@ def charuco_size(numbers: np.ndarray, quads: np.ndarray, dictionary: str) -> tup
 
 def _chessboard(image: np.ndarray) -> str:
     """OpenCV grows a board from 3 x 3 corners as far as it goes."""
-    seen, _, meta = cv2.findChessboardCornersSBWithMeta(image, (3, 3), cv2.CALIB_CB_LARGER | cv2.CALIB_CB_NORMALIZE_IMAGE)
+    seen, _, meta = cv2.findChessboardCornersSBWithMeta(
+        image, (3, 3), cv2.CALIB_CB_LARGER | cv2.CALIB_CB_NORMALIZE_IMAGE
+    )
     if not seen:
         return ""
     rows, columns = meta.shape[:2]

@@ -11,7 +11,17 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from aridcal.boards.patterns import CIRCLE, AnyBoard, Chessboard, Circles, Tags, dictionary_of, flat_places, modules, tag_names
+from aridcal.boards.patterns import (
+    CIRCLE,
+    AnyBoard,
+    Chessboard,
+    Circles,
+    Tags,
+    dictionary_of,
+    flat_places,
+    modules,
+    tag_names,
+)
 from aridcal.boards.profiles import blurs, profiles, refined_quad, side_lines
 from aridcal.head.charuco import MIN_CORNERS, Board
 from aridcal.head.matching import NotMeasured, spans_plane
@@ -130,7 +140,9 @@ def _find_tags(image: np.ndarray, board: Tags) -> Found:
     if not pixels:
         raise NotMeasured(why)
     flat = np.array([[-0.5, 0.5, 0], [0.5, 0.5, 0], [0.5, -0.5, 0], [-0.5, -0.5, 0]])
-    return Found(tuple(names), np.concatenate(pixels), np.tile(flat, (len(pixels), 1)), np.repeat(np.arange(len(pixels)), 4))
+    return Found(
+        tuple(names), np.concatenate(pixels), np.tile(flat, (len(pixels), 1)), np.repeat(np.arange(len(pixels)), 4)
+    )
 
 
 def _find_charuco(image: np.ndarray, board: Board) -> Found:
@@ -138,7 +150,9 @@ def _find_charuco(image: np.ndarray, board: Board) -> Found:
     drawn = board.opencv()
     count = len(drawn.getIds())
     if np.all(numbers >= count):
-        raise NotMeasured(f"the markers {numbers.min()} to {numbers.max()} are none of this board's, which has 0 to {count - 1}")
+        raise NotMeasured(
+            f"the markers {numbers.min()} to {numbers.max()} are none of this board's, which has 0 to {count - 1}"
+        )
     side = np.median(np.linalg.norm(np.roll(quads, -1, axis=1) - quads, axis=2))
     if np.sum(numbers < count) < FEWEST_MARKERS:
         raise NotMeasured(f"only {np.sum(numbers < count)} markers of the board are seen: {FEWEST_MARKERS} are needed")
@@ -165,7 +179,7 @@ def _find_charuco(image: np.ndarray, board: Board) -> Found:
 
 
 def misplaced(numbers: np.ndarray, quads: np.ndarray, board: Board) -> float:
-    """How far markers lie from where the others and the board put them, RMS in sides of a square; infinite if too few are its own.
+    """How far markers lie from where the others and the board put them, RMS in sides of a square; infinite of too few.
 
     Args:
         numbers: Of the markers, shape (M,).
@@ -178,7 +192,11 @@ def misplaced(numbers: np.ndarray, quads: np.ndarray, board: Board) -> float:
         return np.inf
     corners = np.asarray(drawn.getObjPoints(), dtype=float)[numbers[own], :, :2]  # y down, as pixels
     H, off = _homography(corners.reshape(-1, 2) / board.square, quads[own].reshape(-1, 2))
-    return np.inf if H is None else off / float(np.sqrt(abs(np.linalg.det(_local(H, corners.mean(axis=(0, 1)) / board.square)))))
+    return (
+        np.inf
+        if H is None
+        else off / float(np.sqrt(abs(np.linalg.det(_local(H, corners.mean(axis=(0, 1)) / board.square)))))
+    )
 
 
 def _find_grid(image: np.ndarray, board: Chessboard | Circles) -> Found:
@@ -218,10 +236,10 @@ def _refined(image: np.ndarray, pixels: np.ndarray, window: float) -> np.ndarray
 
 def find_circles(image: np.ndarray, size: tuple[int, int]) -> tuple[bool, np.ndarray | None]:
     """OpenCV's asymmetric grid of dark circles; by clusters if the plain way does not find it."""
-    parameters = cv2.SimpleBlobDetector_Params()
+    parameters = cv2.SimpleBlobDetector.Params()
     parameters.minArea, parameters.maxArea = SMALLEST_BLOB, LARGEST_BLOB * image.size
     parameters.minDistBetweenBlobs = 2
-    detector = cv2.SimpleBlobDetector_create(parameters)
+    detector = cv2.SimpleBlobDetector.create(parameters)
     for flags in (cv2.CALIB_CB_ASYMMETRIC_GRID, cv2.CALIB_CB_ASYMMETRIC_GRID | cv2.CALIB_CB_CLUSTERING):
         seen, pixels = cv2.findCirclesGrid(image, size, flags=flags, blobDetector=detector)
         if seen:
@@ -279,7 +297,12 @@ def _circle_centres(image: np.ndarray, pixels: np.ndarray, H: np.ndarray, board:
         size = np.sqrt(abs(np.linalg.det(_local(H, place)))) * radius
         reach = int(np.ceil(3 * AROUND * size))
         u, v = np.round(pixel).astype(int)
-        left, right, upper, lower = max(u - reach, 0), min(u + reach + 1, width), max(v - reach, 0), min(v + reach + 1, height)
+        left, right, upper, lower = (
+            max(u - reach, 0),
+            min(u + reach + 1, width),
+            max(v - reach, 0),
+            min(v + reach + 1, height),
+        )
         uv = np.stack(np.meshgrid(np.arange(left, right), np.arange(upper, lower)), axis=-1).astype(float)
         away = np.linalg.norm(_mapped(inverse, uv.reshape(-1, 2)) - place, axis=1).reshape(uv.shape[:2]) / radius
         near, rim = away < AROUND, (away > 0.9 * AROUND) & (away < 1.15 * AROUND)

@@ -77,7 +77,7 @@ def estimate(images: Sequence[Found], size: tuple[int, int]) -> Lens:
     if min(map(len, places)) < MANY_MARKS:
         flags |= cv2.CALIB_FIX_K1 | cv2.CALIB_FIX_K2 | cv2.CALIB_ZERO_TANGENT_DIST
     try:
-        solved = cv2.calibrateCameraExtended(places, pixels, size, None, None, flags=flags)  # type: ignore[call-overload]
+        solved = cv2.calibrateCameraExtended(places, pixels, size, None, None, flags=flags)
     except cv2.error:
         raise LensUnknown("the views contradict each other, or are all alike: tilt the board every way") from None
     _, K, lens, _, _, spread, _, by_view = solved
@@ -111,9 +111,13 @@ def fit(images: Sequence[Found], intrinsics: np.ndarray) -> np.ndarray:
         squares = []
         for g in np.unique(found.group):
             rows = np.flatnonzero(found.group == g)
-            done, turn, shift = cv2.solvePnP(found.places[rows], found.pixels[rows], K, intrinsics[4:], flags=cv2.SOLVEPNP_IPPE)
+            done, turn, shift = cv2.solvePnP(
+                found.places[rows], found.pixels[rows], K, intrinsics[4:], flags=cv2.SOLVEPNP_IPPE
+            )
             if done:
-                turn, shift = cv2.solvePnPRefineLM(found.places[rows], found.pixels[rows], K, intrinsics[4:], turn, shift)
+                turn, shift = cv2.solvePnPRefineLM(
+                    found.places[rows], found.pixels[rows], K, intrinsics[4:], turn, shift
+                )
                 seen, _ = cv2.projectPoints(found.places[rows], turn, shift, K, intrinsics[4:])
                 squares.append(np.sum((seen.reshape(-1, 2) - found.pixels[rows]) ** 2, axis=1))
         misfit[k] = np.sqrt(np.mean(np.concatenate(squares))) if squares else np.nan
