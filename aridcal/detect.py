@@ -12,8 +12,11 @@ Example:
 from __future__ import annotations
 
 import argparse
+import re
 import sys
+from collections import Counter
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -23,8 +26,8 @@ from pydantic import Field
 from rich.console import Console
 from rich.progress import track
 
-from aridcal.boards.advice import LOOKED_AT, advice
-from aridcal.boards.finders import Found, find
+from aridcal.boards.advice import ENOUGH_IMAGES, advice
+from aridcal.boards.finders import MIRRORED, Found, find
 from aridcal.boards.lens import FEWEST_VIEWS, Lens, LensUnknown, estimate, fit
 from aridcal.boards.options import BOARDS, TAGS, Defaults, add_board_options, as_written, board_of, chosen
 from aridcal.boards.patterns import AnyBoard, Cube
@@ -89,7 +92,6 @@ def look(images: dict[str, Path], board: AnyBoard, console: Console) -> Seen:
     """
     good: dict[str, Found] = {}
     refused: dict[str, str] = {}
-    empty: list[np.ndarray] = []
     size = (0, 0)
     for name, path in track(images.items(), "looking", total=len(images), console=console, transient=True):
         try:
@@ -99,20 +101,28 @@ def look(images: dict[str, Path], board: AnyBoard, console: Console) -> Seen:
                 raise NotMeasured(
                     f"the image has {own[0]} x {own[1]} pixels, the others {size[0]} x {size[1]}: one camera at a time"
                 )
-            if not good and len(empty) < LOOKED_AT:
-                empty.append(image)
             good[name] = find(image, board)
             size = own
         except NotMeasured as refusal:
             refused[name] = str(refusal)
     if not good:
-        first = next(iter(refused))
-        hint = advice(empty)
-        raise AridcalError(
-            f"nothing is found in {len(images)} images. {shortened(printable(first))}: {refused[first]}"
-            + (f". {hint[0].upper()}{hint[1:]}" if hint else "")
-        )
+        raise AridcalError(_nothing(images, refused))
     return Seen(good, refused, size, {name: k + 1 for k, name in enumerate(images)})
+
+
+def _nothing(images: dict[str, Path], refused: dict[str, str]) -> str:
+    """Say why most images show nothing, and what some of them show instead."""
+    reasons = {name: re.sub(r"[\d.]+", "", why) for name, why in refused.items()}  # "by 2.3 px", "by 2.5 px" are one
+    reason, times = Counter(reasons.values()).most_common(1)[0]
+    alike = [name for name, own in reasons.items() if own == reason]
+    readable = []
+    for k in np.unique(np.linspace(0, times - 1, min(times, ENOUGH_IMAGES)).astype(int)):
+        with suppress(NotMeasured):
+            readable.append(grey_image(images[alike[k]]))
+    hint = advice(readable) if refused[alike[0]] != MIRRORED else ""
+    others = f" (and {times - 1} more like it)" if times > 1 else ""
+    said = f"nothing is found in {len(images)} images. {shortened(printable(alike[0]))}{others}: {refused[alike[0]]}"
+    return f"{said}. {hint[0].upper()}{hint[1:]}" if hint else said
 
 
 def pixels_table(seen: Seen, camera: str) -> pd.DataFrame:
@@ -161,11 +171,11 @@ def camera_text(name: str, lens: Lens, size: tuple[int, int], images: int) -> st
     focal, middle = max(lens.std[:2]), max(lens.std[2:4])
     return (
         f"# From {images} images, misfit {lens.rms:.3f} px; 1-sigma of fx fy {focal:.2g} px, of cx cy {middle:.2g} px.\n"
-        "# Under `instruments:` of a campaign. `on: tip` moves with the arm, `on: world` looks at it.\n"
+        "# Under `instruments:` of a campaign. A camera on the tip moves with the arm, one on: world looks at it.\n"
         "format: 1\n"
         "cameras:\n"
         f"  {name}: {{fx: {fx}, fy: {fy}, cx: {cx}, cy: {cy}, width: {size[0]}, height: {size[1]}, "
-        f"distortion: [{distortion}], on: tip, identify: [place]}}\n"
+        f'distortion: [{distortion}], "on": tip, identify: [place]}}\n'
     )
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -11,8 +13,14 @@ from aridcal.boards.finders import MISPLACED, detected, find_circles, misplaced
 from aridcal.boards.patterns import dictionaries, dictionary_of
 from aridcal.head.charuco import Board
 
-# Images that are looked at, and markers of a dictionary that are no chance.
-LOOKED_AT, NO_CHANCE = 3, 2
+# Images that are enough to look at, and markers of a dictionary that are no chance.
+ENOUGH_IMAGES, NO_CHANCE = 5, 2
+
+# Share of the images that must show the same: in some a board is cut off, or too far away.
+AGREED = 0.4
+
+# [px] along an image: more only takes longer.
+WIDE = 1200
 
 # Squares of a ChArUco board that are tried, and columns and rows of grids of circles.
 SQUARES, COLUMNS, ROWS = range(3, 17), range(3, 7), range(5, 15, 2)
@@ -21,20 +29,52 @@ SQUARES, COLUMNS, ROWS = range(3, 17), range(3, 7), range(5, 15, 2)
 ENOUGH_MARKERS = 4
 
 
+@dataclass(frozen=True)
+class Recognised:
+    """A board in an image.
+
+    Attributes:
+        what: It is, in words.
+        options: With which the command finds it.
+        marks: How many of its marks are seen.
+    """
+
+    what: str
+    options: str
+    marks: int
+
+
 def advice(images: Sequence[np.ndarray]) -> str:
-    """Say which board is in the images, as options of the command; nothing if none is recognised.
+    """Say which board is in the images, as options of the command; nothing if too few of them agree.
 
     Args:
         images: Grey levels, some of those in which the declared board was not found.
     """
-    for image in images[:LOOKED_AT]:
-        found = _markers(image) or _chessboard(image) or _circles(image)
-        if found:
-            return found
-    return ""
+    factors = [min(1.0, WIDE / max(image.shape)) for image in images]
+    images = [
+        cv2.resize(image, None, fx=f, fy=f, interpolation=cv2.INTER_AREA)
+        for image, f in zip(images, factors, strict=True)
+    ]
+    agreed = _agreed([_markers(image) for image in images])
+    if (
+        agreed is None
+    ):  # the squares of a chessboard look like some circles, and circles like some squares: more marks win
+        both = [_agreed([look(image) for image in images]) for look in (_chessboard, _circles)]
+        agreed = max((board for board in both if board is not None), key=lambda board: board.marks, default=None)
+    return f"{agreed.what}: try `{agreed.options}`" if agreed else ""
 
 
-def _markers(image: np.ndarray) -> str:
+def _agreed(found: Sequence[Recognised | None]) -> Recognised | None:
+    """What most of the images show; None if they are too few."""
+    boards = [board for board in found if board is not None]
+    votes = Counter(board.options for board in boards)
+    for options, count in votes.most_common(1):
+        if count >= AGREED * len(found):
+            return max((board for board in boards if board.options == options), key=lambda board: board.marks)
+    return None
+
+
+def _markers(image: np.ndarray) -> Recognised | None:
     """The smallest dictionary that has most of the markers, and whether they are those of a ChArUco board."""
     best: tuple[int, int, str] | None = None
     for name in dictionaries():
@@ -43,15 +83,16 @@ def _markers(image: np.ndarray) -> str:
         if rank[0] >= NO_CHANCE and (best is None or rank[:2] > best[:2]):
             best = rank
     if best is None:
-        return ""
+        return None
     name = best[2]
     numbers, quads = detected(image, name)
     tags = f"{best[0]} markers of {name} are there"
     size = charuco_size(numbers, quads, name)
     if size is not None:
-        return f"{tags}, as on a ChArUco board: try `--board charuco --size {size[0]}x{size[1]} --dictionary {name}`"
+        options = f"--board charuco --size {size[0]}x{size[1]} --dictionary {name}"
+        return Recognised(f"{tags}, as on a ChArUco board", options, best[0])
     kind = "apriltag" if "APRILTAG" in name else "aruco"
-    return f"{tags}: try `--board {kind} --dictionary {name}`, or `--board charuco` with the size of your board"
+    return Recognised(tags, f"--board {kind} --dictionary {name}", best[0])
 
 
 def charuco_size(numbers: np.ndarray, quads: np.ndarray, dictionary: str) -> tuple[int, int] | None:
@@ -77,20 +118,20 @@ def charuco_size(numbers: np.ndarray, quads: np.ndarray, dictionary: str) -> tup
     return size if off < MISPLACED else None
 
 
-def _chessboard(image: np.ndarray) -> str:
+def _chessboard(image: np.ndarray) -> Recognised | None:
     """OpenCV grows a board from 3 x 3 corners as far as it goes."""
-    seen, _, meta = cv2.findChessboardCornersSBWithMeta(
-        image, (3, 3), cv2.CALIB_CB_LARGER | cv2.CALIB_CB_NORMALIZE_IMAGE
-    )
+    flags = cv2.CALIB_CB_LARGER | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_NORMALIZE_IMAGE
+    seen, _, meta = cv2.findChessboardCornersSBWithMeta(image, (3, 3), flags)
     if not seen:
-        return ""
-    rows, columns = meta.shape[:2]
-    return f"a chessboard is there: try `--board chessboard --size {columns + 1}x{rows + 1}`"
+        return None
+    low, high = sorted(meta.shape[:2])
+    return Recognised("a chessboard is there", f"--board chessboard --size {high + 1}x{low + 1}", low * high)
 
 
-def _circles(image: np.ndarray) -> str:
+def _circles(image: np.ndarray) -> Recognised | None:
     sizes = sorted(((c, r) for c in COLUMNS for r in ROWS), key=lambda size: -size[0] * size[1])
     for size in sizes:
         if find_circles(image, size)[0]:
-            return f"a grid of circles is there: try `--board circles --size {size[0]}x{size[1]}`"
-    return ""
+            options = f"--board circles --size {size[0]}x{size[1]}"
+            return Recognised("a grid of circles is there", options, size[0] * size[1])
+    return None

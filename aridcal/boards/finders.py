@@ -39,7 +39,9 @@ SMALLEST_MODULE = 3.0
 FEWEST_MARKERS = 2
 
 # Markers that are found in the mirrored image only: fewer may be chance.
-MIRRORED = 3
+FEWEST_MIRRORED = 3
+
+MIRRORED = "the markers are mirrored: switch off the mirror image of the camera's program, or print the board anew"
 
 # Radius around a circle's centre within which its light is weighed, in its radii, and share of its contrast that is noise.
 AROUND, DARK_ENOUGH = 1.6, 0.05
@@ -104,12 +106,10 @@ def _seen(image: np.ndarray, dictionary: str) -> tuple[np.ndarray, np.ndarray]:
         NotMeasured: there are none, or more in the mirrored image.
     """
     numbers, quads = detected(image, dictionary)
-    if len(numbers) < MIRRORED:
+    if len(numbers) < FEWEST_MIRRORED:
         mirrored, _ = detected(np.ascontiguousarray(image[:, ::-1]), dictionary)
-        if len(mirrored) >= max(MIRRORED, 2 * len(numbers)) or (len(mirrored) and not len(numbers)):
-            raise NotMeasured(
-                "the markers are mirrored: switch off the mirror image of the camera's program, or print the board anew"
-            )
+        if len(mirrored) >= max(FEWEST_MIRRORED, 2 * len(numbers)) or (len(mirrored) and not len(numbers)):
+            raise NotMeasured(MIRRORED)
     if not len(numbers):
         raise NotMeasured(f"no marker of {dictionary} is seen")
     return numbers, quads

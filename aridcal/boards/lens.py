@@ -75,7 +75,7 @@ def estimate(images: Sequence[Found], size: tuple[int, int]) -> Lens:
     pixels = [images[k].pixels[rows].astype(np.float32) for k, rows in views]
     flags = cv2.CALIB_FIX_K3
     if min(map(len, places)) < MANY_MARKS:
-        flags |= cv2.CALIB_FIX_K1 | cv2.CALIB_FIX_K2 | cv2.CALIB_ZERO_TANGENT_DIST
+        flags |= cv2.CALIB_FIX_K2 | cv2.CALIB_ZERO_TANGENT_DIST
     try:
         solved = cv2.calibrateCameraExtended(places, pixels, size, None, None, flags=flags)
     except cv2.error:
