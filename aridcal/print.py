@@ -23,7 +23,7 @@ import pandas as pd
 from rich.console import Console
 
 from aridcal.boards.bodies import cup, holder, seat_rise, stl
-from aridcal.boards.options import BOARDS, CUBE, Defaults, add_board_options, as_written, board_of, chosen, length
+from aridcal.boards.options import ALL_BOARDS, Defaults, add_board_options, as_written, board_of, chosen, length
 from aridcal.boards.patterns import Marks, Tags, drawing, marks, square_strip
 from aridcal.boards.sheet import MM, Sheet, on_paper, pdf, svg
 from aridcal.command_line import CommandParser, command_parser, run
@@ -42,7 +42,7 @@ BODIES: Defaults = {
     "cup": {"ball": 0.02, "bolts": 4, "circle": 0.05, "bolt": 0.0066},
 }
 
-ALL: Defaults = {**BOARDS, **CUBE, **SQUARES, **BODIES}
+ALL: Defaults = {**ALL_BOARDS, **SQUARES, **BODIES}
 
 # Index of a square: its bars have room for three digits.
 MOST_SQUARES = 1000

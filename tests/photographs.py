@@ -54,20 +54,29 @@ def pixels_of(places: np.ndarray, T: np.ndarray, intrinsics: np.ndarray = INTRIN
     return cv2.projectPoints(places, rvec, T[:3, 3], K, intrinsics[4:])[0].reshape(-1, 2)
 
 
+def outlines(loops: list[list[np.ndarray]], discs: np.ndarray) -> list[np.ndarray]:
+    """All loops, discs as polygons of 96 corners."""
+    around = np.linspace(0, 2 * np.pi, 97)[:-1]
+    circles = [np.column_stack([x + r * np.cos(around), y + r * np.sin(around)]) for x, y, r in discs]
+    return [*(loop for group in loops for loop in group), *circles]
+
+
+def covered(polygons: list[np.ndarray], size: tuple[int, int]) -> np.ndarray:
+    """Share of each pixel inside polygons of any number of corners; holes turn the other way round."""
+    most = max(map(len, polygons))
+    same = [np.concatenate([p, np.repeat(p[-1:], most - len(p), axis=0)]) for p in polygons]
+    return np.minimum(coverage(np.array(same), *size), 1)
+
+
 def photograph(svg: str, T: np.ndarray, intrinsics=INTRINSICS, size=SIZE, blur=0.7, noise=1.5, seed=0) -> np.ndarray:
     """A grey image of a printed sheet: exact shares of each pixel, blurred and noisy."""
     loops, discs, (width, height) = printed(svg)
-    around = np.linspace(0, 2 * np.pi, 97)[:-1]
-    flat = [loop for group in loops for loop in group]
-    flat += [np.column_stack([x + r * np.cos(around), y + r * np.sin(around)]) for x, y, r in discs]
+    flat = outlines(loops, discs)
     corner = np.array([width, height]) / 2
     paper = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * corner
 
     def share(polygons: list[np.ndarray]) -> np.ndarray:
-        seen = [_seen(polygon, T, intrinsics) for polygon in polygons]
-        most = max(map(len, seen))
-        same = np.array([np.concatenate([s, np.repeat(s[-1:], most - len(s), axis=0)]) for s in seen])
-        return coverage(same, *size)
+        return covered([_seen(polygon, T, intrinsics) for polygon in polygons], size)
 
     light = 140 + 90 * share([paper]) - 195 * share(flat)
     light = cv2.GaussianBlur(light, (0, 0), blur) if blur else light

@@ -23,6 +23,9 @@ BOARDS: Defaults = {
 
 CUBE: Defaults = {"cube": {"square": 0.05, "marker": 0.04, "dictionary": "DICT_APRILTAG_36h11", "first": 0}}
 
+ALL_BOARDS: Defaults = {**BOARDS, **CUBE}
+"""Whose marks are known places: what a campaign can take as `markers`."""
+
 TAGS: Defaults = {"apriltag": {"dictionary": "DICT_APRILTAG_36h11"}, "aruco": {"dictionary": "DICT_5X5_100"}}
 
 UNITS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 0.0254}
