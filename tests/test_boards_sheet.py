@@ -13,7 +13,7 @@ from shapely.ops import unary_union
 from aridcal.boards.options import ALL_BOARDS, board_of
 from aridcal.boards.patterns import FACES, Chessboard, Cube, drawing, flat_places, marks, square_strip
 from aridcal.boards.sheet import MM, MM_PER_POINT, on_paper, pdf, svg
-from aridcal.head.charuco import Board
+from aridcal.head.charuco import Board, corner_places
 from aridcal.head.square import fiducial_corners, index_corners
 
 BOARDS = {what: board_of(what, options) for what, options in ALL_BOARDS.items()}
@@ -83,6 +83,11 @@ def test_opencv_finds_the_charuco_board_on_the_painted_page_where_the_markers_ta
     places = marks(board).places[labels.ravel()] * MM
     expected = (places[:, :2] * [1, -1] + np.array(size) / 2) * 4 - 0.5
     assert np.abs(corners.reshape(-1, 2) - expected).max() < 0.2  # 0.05 mm: a pixel is 0.25 mm
+
+
+def test_places_of_a_charuco_boards_corners_are_those_of_the_measuring_head():
+    board = BOARDS["charuco"]
+    assert np.allclose(flat_places(board), corner_places(board), atol=1e-7)  # OpenCV has single precision
 
 
 def test_opencv_finds_the_chessboard_on_the_painted_page():
@@ -157,7 +162,9 @@ def test_square_is_printed_from_the_polygons_that_the_simulator_renders():
     loops, _, _ = printed(svg(square_strip([7])))
     expected = np.concatenate([fiducial_corners(), index_corners(7)]) * MM
     drawn = [Polygon(group[0]) for group in loops]
-    assert np.isclose(unary_union(drawn).symmetric_difference(unary_union([Polygon(c) for c in expected])).area, 0, atol=1e-2)
+    assert np.isclose(
+        unary_union(drawn).symmetric_difference(unary_union([Polygon(c) for c in expected])).area, 0, atol=1e-2
+    )
 
 
 def test_strip_is_2844_8_mm_long_and_its_first_square_is_the_lowest():

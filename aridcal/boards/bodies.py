@@ -19,6 +19,9 @@ from aridcal.errors import CampaignError
 # Radii of a seat's mouth and of the bore below it, in radii of the ball; it touches at 0.71.
 MOUTH, BORE = 0.85, 0.5
 
+# Depth of the cup's bore, in radii of the ball: from 0.09 on the ball does not touch its floor; the rest is for glue.
+GLUE = 0.25
+
 # [m] of material around a mouth or a bolt, and below a seat.
 WALL = 0.003
 
@@ -31,8 +34,8 @@ PLATE, STEM, RIM = 0.006, 0.034, 0.0065
 # Radius of a bolt's head, in its diameters.
 HEAD = 0.95
 
-# Pieces of a side of a cell, and of the circle around the cup's axis for each bolt.
-PIECES, SECTOR_PIECES = 24, 48
+# Pieces of a side of a cell, so many that a seat is round to some 0.01 mm, and of the circle around the cup's axis for each bolt.
+PIECES, SECTOR_PIECES = 72, 48
 
 # [m] Corners that are nearer are one.
 MERGED = 1e-8
@@ -132,7 +135,9 @@ def cup(ball: float, bolts: int, circle: float, bolt: float) -> trimesh.Trimesh:
         _at(mouth * _ray(around), top),
         _at(BORE * ball / 2 * _ray(around), low),
     ]
-    tip = np.broadcast_to([0.0, 0.0, low], loops[-1].shape)
+    floor = low - GLUE * ball / 2
+    loops.append(_at(BORE * ball / 2 * _ray(around), floor))
+    tip = np.broadcast_to([0.0, 0.0, floor], loops[-1].shape)
     foot = _at(inner, 0.0)[::-1]
     parts += [_between(a, b) for a, b in zip(loops, [*loops[1:], tip], strict=True)]
     parts.append(_between(foot, np.zeros_like(foot)))

@@ -17,7 +17,7 @@ import numpy as np
 
 from aridcal.boards.sheet import MM, Sheet
 from aridcal.errors import CampaignError, nearest
-from aridcal.head.charuco import Board, corner_places
+from aridcal.head.charuco import Board
 from aridcal.head.square import SIDE, UNIT, fiducial_corners, index_corners, paper_corners, strip_placements
 
 # Corners of a marker in OpenCV's order: clockwise from the upper left, as those of UNIT.
@@ -197,9 +197,7 @@ def marks(board: Board | Chessboard | Circles | Cube) -> Marks:
 
 def flat_places(board: Board | Chessboard | Circles) -> np.ndarray:
     """Places of the marks of a flat board, row by row from the upper left, shape (M, 3), [m]."""
-    if isinstance(board, Board):
-        return corner_places(board)
-    if isinstance(board, Chessboard):
+    if isinstance(board, Board | Chessboard):
         i, j = np.meshgrid(np.arange(1, board.squares_x), np.arange(1, board.squares_y))
         x, y = i * board.square, -j * board.square
     else:
