@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,12 +10,12 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from aridcal.boards.finders import MISPLACED, detected, find_circles, misplaced
+from aridcal.boards.finders import MISPLACED, WAYS, detected, find_circles, misplaced
 from aridcal.boards.patterns import dictionaries, dictionary_of
 from aridcal.head.charuco import Board
 
 # Images that are enough to look at, and markers of a dictionary that are no chance.
-ENOUGH_IMAGES, NO_CHANCE = 5, 2
+ENOUGH_IMAGES, NO_CHANCE = 3, 2
 
 # Share of the images that must show the same: in some a board is cut off, or too far away.
 AGREED = 0.4
@@ -76,23 +77,32 @@ def _agreed(found: Sequence[Recognised | None]) -> Recognised | None:
 
 def _markers(image: np.ndarray) -> Recognised | None:
     """The smallest dictionary that has most of the markers, and whether they are those of a ChArUco board."""
-    best: tuple[int, int, str] | None = None
-    for name in dictionaries():
-        numbers, _ = detected(image, name)
-        rank = len(np.unique(numbers)), -len(dictionary_of(name).bytesList), name
-        if rank[0] >= NO_CHANCE and (best is None or rank[:2] > best[:2]):
-            best = rank
-    if best is None:
+    largest = {_family(name): name for name in sorted(dictionaries(), key=_words)}  # the smaller are its beginning
+    found = {family: detected(image, name) for family, name in largest.items()}
+    counts = {family: len(np.unique(numbers)) for family, (numbers, _) in found.items()}
+    family = max(counts, key=lambda family: counts[family])
+    if counts[family] < NO_CHANCE:
         return None
-    name = best[2]
-    numbers, quads = detected(image, name)
-    tags = f"{best[0]} markers of {name} are there"
+    numbers, quads = found[family]
+    enough = [name for name in dictionaries() if _family(name) == family and _words(name) > numbers.max()]
+    name = min(enough, key=_words)
+    tags = f"{counts[family]} markers of {name} are there"
     size = charuco_size(numbers, quads, name)
     if size is not None:
         options = f"--board charuco --size {size[0]}x{size[1]} --dictionary {name}"
-        return Recognised(f"{tags}, as on a ChArUco board", options, best[0])
+        return Recognised(f"{tags}, as on a ChArUco board", options, counts[family])
     kind = "apriltag" if "APRILTAG" in name else "aruco"
-    return Recognised(tags, f"--board {kind} --dictionary {name}", best[0])
+    return Recognised(tags, f"--board {kind} --dictionary {name}", counts[family])
+
+
+def _words(name: str) -> int:
+    """How many markers a dictionary has."""
+    return len(dictionary_of(name).bytesList)
+
+
+def _family(name: str) -> str:
+    """``DICT_5X5`` of ``DICT_5X5_100``."""
+    return re.sub(r"_\d+$", "", name)
 
 
 def charuco_size(numbers: np.ndarray, quads: np.ndarray, dictionary: str) -> tuple[int, int] | None:
@@ -131,7 +141,7 @@ def _chessboard(image: np.ndarray) -> Recognised | None:
 def _circles(image: np.ndarray) -> Recognised | None:
     sizes = sorted(((c, r) for c in COLUMNS for r in ROWS), key=lambda size: -size[0] * size[1])
     for size in sizes:
-        if find_circles(image, size)[0]:
+        if find_circles(image, size, WAYS[:1])[0]:
             options = f"--board circles --size {size[0]}x{size[1]}"
             return Recognised("a grid of circles is there", options, size[0] * size[1])
     return None

@@ -6,6 +6,7 @@ blurred. Otherwise the image is refused, with the reason.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -51,6 +52,9 @@ WINDOW, WINDOW_BESIDE_MARKERS = 0.3, 0.85
 
 # Squares of white around a mark that are looked at for its blur, as a share of their distance.
 BESIDE = 0.3
+
+# How OpenCV looks for a grid of circles: by neighbours, then by clusters.
+WAYS = cv2.CALIB_CB_ASYMMETRIC_GRID, cv2.CALIB_CB_ASYMMETRIC_GRID | cv2.CALIB_CB_CLUSTERING
 
 # Area of a blob, [px], and as a share of the image.
 SMALLEST_BLOB, LARGEST_BLOB = 20, 0.05
@@ -234,14 +238,16 @@ def _refined(image: np.ndarray, pixels: np.ndarray, window: float) -> np.ndarray
     return np.asarray(refined, dtype=float).reshape(-1, 2)
 
 
-def find_circles(image: np.ndarray, size: tuple[int, int]) -> tuple[bool, np.ndarray | None]:
-    """OpenCV's asymmetric grid of dark circles; by clusters if the plain way does not find it."""
+def find_circles(
+    image: np.ndarray, size: tuple[int, int], ways: Sequence[int] = WAYS
+) -> tuple[bool, np.ndarray | None]:
+    """OpenCV's asymmetric grid of dark circles, found in one of some ways."""
     parameters = cv2.SimpleBlobDetector.Params()
     parameters.minArea, parameters.maxArea = SMALLEST_BLOB, LARGEST_BLOB * image.size
     parameters.minDistBetweenBlobs = 2
     detector = cv2.SimpleBlobDetector.create(parameters)
-    for flags in (cv2.CALIB_CB_ASYMMETRIC_GRID, cv2.CALIB_CB_ASYMMETRIC_GRID | cv2.CALIB_CB_CLUSTERING):
-        seen, pixels = cv2.findCirclesGrid(image, size, flags=flags, blobDetector=detector)
+    for way in ways:
+        seen, pixels = cv2.findCirclesGrid(image, size, flags=way, blobDetector=detector)
         if seen:
             return True, pixels
     return False, None
