@@ -22,26 +22,25 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from pydantic import Field
 from rich.console import Console
 from rich.progress import track
 
 from aridcal.boards.advice import ENOUGH_IMAGES, advice
+from aridcal.boards.camera_file import CAMERA_FILE, camera_text, known_camera
 from aridcal.boards.finders import MIRRORED, Found, find
 from aridcal.boards.lens import FEWEST_VIEWS, Lens, LensUnknown, estimate, fit
 from aridcal.boards.options import BOARDS, TAGS, Defaults, add_board_options, as_written, board_of, chosen
 from aridcal.boards.patterns import AnyBoard, Cube
 from aridcal.boards.pictures import grey_image, listed_images
 from aridcal.command_line import CommandParser, command_parser, run
-from aridcal.errors import AridcalError, MeasurementError, OutputError, listed, nearest, printable, shortened
+from aridcal.errors import AridcalError, MeasurementError, OutputError, listed, printable, shortened
 from aridcal.head.matching import NotMeasured
 from aridcal.inputs.instrument_settings import ArmCameraSettings
 from aridcal.inputs.tables import Table, read_tables
-from aridcal.inputs.yaml_file import Settings, load_settings
 from aridcal.reading.names import check_name, path_argument
 from aridcal.writing.files import atomic_table, check_writable, claimed
 
-BESIDE = CAMERA, REFUSED = "camera.yaml", "refused.csv"
+BESIDE = CAMERA, REFUSED = CAMERA_FILE, "refused.csv"
 """Written beside the table."""
 
 KINDS: Defaults = {**BOARDS, **TAGS}
@@ -49,12 +48,6 @@ KINDS: Defaults = {**BOARDS, **TAGS}
 COLUMNS = ("image", "camera", "marker", "u", "v", "shot")
 SHOWN = 5
 """Refused images that the terminal names; ``refused.csv`` has them all."""
-
-
-class CameraFile(Settings):
-    """``camera.yaml``: cameras as a campaign's ``instruments`` has them."""
-
-    cameras: dict[str, ArmCameraSettings] = Field(min_length=1)
 
 
 @dataclass(frozen=True)
@@ -164,28 +157,6 @@ def joint_rows(path: Path) -> tuple[Table, dict[str, int]]:
     return table, rows
 
 
-def camera_text(name: str, lens: Lens, size: tuple[int, int], images: int) -> str:
-    """The file ``camera.yaml``: an entry to paste into a campaign, and how well its numbers are known."""
-    fx, fy, cx, cy = (f"{value:.3f}" for value in lens.intrinsics[:4])
-    distortion = ", ".join(f"{value:.6g}" for value in lens.intrinsics[4:])
-    focal, middle = max(lens.std[:2]), max(lens.std[2:4])
-    return (
-        f"# From {images} images, misfit {lens.rms:.3f} px; 1-sigma of fx fy {focal:.2g} px, of cx cy {middle:.2g} px.\n"
-        "# Under `instruments:` of a campaign. A camera on the tip moves with the arm, one on: world looks at it.\n"
-        "format: 1\n"
-        "cameras:\n"
-        f"  {name}: {{fx: {fx}, fy: {fy}, cx: {cx}, cy: {cy}, width: {size[0]}, height: {size[1]}, "
-        f'distortion: [{distortion}], "on": tip, identify: [place]}}\n'
-    )
-
-
-def _known_camera(path: Path, name: str) -> ArmCameraSettings:
-    cameras = load_settings(path, CameraFile).cameras
-    if name not in cameras:
-        raise AridcalError(f"{path}: no camera {name!r}{nearest(name, cameras)}; `--camera` names one of its cameras")
-    return cameras[name]
-
-
 def parser() -> CommandParser:
     """The command's arguments."""
     arguments = command_parser("detect", __doc__)
@@ -219,7 +190,7 @@ def _main(arguments: argparse.Namespace) -> None:
     assert not isinstance(board, Cube)
     check_writable(out, "file")
     with claimed(out.parent, "folder", [out.name, *BESIDE]):
-        known = _known_camera(arguments.intrinsics, arguments.camera) if arguments.intrinsics else None
+        known = known_camera(arguments.intrinsics, arguments.camera) if arguments.intrinsics else None
         joints = joint_rows(arguments.joints) if arguments.joints else None
         images = listed_images(arguments.images)
         if joints is not None and not set(images) & set(joints[1]):

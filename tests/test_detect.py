@@ -7,9 +7,9 @@ import cv2
 import numpy as np
 import pandas as pd
 import pytest
-import yaml
 from photographs import INTRINSICS, SIZE, looking, photograph, pixels_of
 
+from aridcal.boards.camera_file import known_camera
 from aridcal.boards.finders import find
 from aridcal.boards.options import ALL_BOARDS, board_of
 from aridcal.boards.patterns import FACES, Cube, Tags, drawing, marks
@@ -17,7 +17,6 @@ from aridcal.boards.sheet import on_paper, svg
 from aridcal.detect import main
 from aridcal.head.matching import NotMeasured
 from aridcal.head.square import UNIT
-from aridcal.inputs.instrument_settings import ArmCameraSettings
 
 cv2.setNumThreads(1)
 BOARDS = {what: board_of(what, options) for what, options in ALL_BOARDS.items()}
@@ -191,8 +190,7 @@ def test_images_and_joints_make_a_complete_table_of_pixels_with_its_camera(image
 def test_the_camera_is_told_by_the_images_themselves_within_four_sigma(images, tmp_path):
     assert main([str(images), "-o", str(tmp_path / "c.csv")]) == 0
     text = (tmp_path / "camera.yaml").read_text()
-    entry = yaml.safe_load(text)["cameras"]["eye"]
-    camera = ArmCameraSettings.model_validate(entry)
+    camera = known_camera(tmp_path / "camera.yaml", "eye")
     assert (camera.width, camera.height, camera.on) == (*SIZE, "tip")
     focal, middle = (
         float(part.split()[0]) for part in text.replace("fx fy ", "|").replace("cx cy ", "|").split("|")[1:3]
@@ -206,8 +204,8 @@ def test_the_camera_is_told_by_the_images_themselves_within_four_sigma(images, t
 def test_tags_alone_tell_the_camera_too(tmp_path):
     shots(tmp_path / "cube", "cube", 10)
     assert main([str(tmp_path / "cube"), "--board", "apriltag", "-o", str(tmp_path / "c.csv")]) == 0
-    entry = yaml.safe_load((tmp_path / "camera.yaml").read_text())["cameras"]["eye"]
-    assert abs(entry["fx"] / INTRINSICS[0] - 1) < 0.01 and abs(entry["fy"] / INTRINSICS[1] - 1) < 0.01
+    camera = known_camera(tmp_path / "camera.yaml", "eye")
+    assert np.allclose(camera.intrinsics[:2] / INTRINSICS[:2], 1, atol=0.01)
 
 
 def test_an_image_of_another_board_is_refused_when_the_camera_is_known(images, tmp_path, capsys):

@@ -63,9 +63,9 @@ def test_every_link_leads_somewhere(page):
 
 def test_the_code_that_conventions_show_for_an_equation_is_there():
     text = (DOCS / "conventions.md").read_text("utf-8")
-    named = set(re.findall(r"`head\.(\w+)\.(\w+)`", text))
+    named = set(re.findall(r"`(head|instruments)\.(\w+)\.(\w+)`", text))
     assert len(named) > 4
-    assert [(module, name) for module, name in sorted(named) if not hasattr(module_of(f"head/{module}"), name)] == []
+    assert [part for part in sorted(named) if not hasattr(module_of(f"{part[0]}/{part[1]}"), part[2])] == []
     tests = set(re.findall(r"test_\w+\.py", text))
     assert [name for name in sorted(tests) if not (TOP / "tests" / name).is_file()] == []
 

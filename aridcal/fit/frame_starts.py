@@ -9,6 +9,8 @@ import numpy as np
 import pinocchio as pin
 from scipy.optimize import minimize
 
+from aridcal.instruments.pose import nearest_rotation
+
 FREE = 1e-3
 """[m/m]: a target translation that moves the points by a smaller share, the base following, is left at its hint."""
 
@@ -201,7 +203,7 @@ def _kabsch(data: _Data, t: np.ndarray, turned: np.ndarray | None) -> tuple[pin.
         if turned is not None and data.M is not None:
             size = np.trace((c[own] - middle_c).T @ (c[own] - middle_c)) / own.sum()
             H += max(size, 1e-6) * np.einsum("nik,njk->ij", data.M[own], turned[own])
-        R = _nearest_rotation(H)
+        R = nearest_rotation(H)
         frames.append(pin.SE3(R, middle_m - R @ middle_c))
     return tuple(frames)
 
@@ -217,7 +219,7 @@ def _kronecker(data: _Data, hint: np.ndarray) -> list[tuple[tuple[pin.SE3, ...],
             own = data.world == w
             K = np.einsum("nij,nkl->ikjl", data.M[own], data.R[own]).reshape(9, 9)
             U, _, _ = np.linalg.svd(K)
-            rotations.append(_nearest_rotation(sign * U[:, 0].reshape(3, 3)))
+            rotations.append(nearest_rotation(sign * U[:, 0].reshape(3, 3)))
         found.append(_translations(data, np.array(rotations), hint))
     return found
 
@@ -260,12 +262,6 @@ def _with_target(data: _Data, world_base: tuple[pin.SE3, ...], t: np.ndarray, hi
         own, rotation = data.tip == k, frame.rotation
         if data.M is not None:
             turned = RX[own] @ data.R[own]
-            rotation = _nearest_rotation(np.einsum("nji,njk->ik", turned, data.M[own]))
+            rotation = nearest_rotation(np.einsum("nji,njk->ik", turned, data.M[own]))
         tips.append(pin.SE3(rotation, t[k]))
     return FrameStart(world_base, tuple(tips))
-
-
-def _nearest_rotation(H: np.ndarray) -> np.ndarray:
-    """Rotation R that maximises tr(R' H) (Kabsch 1976; Umeyama 1991)."""
-    U, _, Vt = np.linalg.svd(H)
-    return np.asarray((U * [1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt)

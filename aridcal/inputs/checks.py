@@ -3,21 +3,27 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pandas as pd
 
 from aridcal.errors import MeasurementError
-from aridcal.inputs.quantities import POSITION, STD, TURNS, Source
+from aridcal.inputs.instrument_settings import ArmCameraSettings
+from aridcal.inputs.measurement_settings import FAR
+from aridcal.inputs.quantities import FINEST, POSITION, STD, TURNS, Source
 from aridcal.inputs.repeats import first_alike, tolerances
+from aridcal.instruments.catalogue import KINDS as MEASURED
 from aridcal.robot.chain import JointKind
 
 # A limit may be printed with few digits, [rad] or [m].
 LIMIT_SLACK = 1e-5
 
-# Farther than any arm reaches, [m].
-FAR = 100.0
+# A wire, ballbar or gauge of an arm is shorter than this, [m].
+LONG = 50.0
+
+# From the middle of the first pixel, which is 0, to the edge of the image, [px].
+HALF_PIXEL = 0.5
 
 # A target that stays within this while joints turn is in the wrong unit, [m].
 STUCK = 0.02
@@ -46,21 +52,22 @@ def nothing_usable(source: Source) -> MeasurementError:
 
 
 def refuse_copies(
-    source: Source, columns: Sequence[np.ndarray | None], station: np.ndarray | None, sequence: np.ndarray
+    source: Source, columns: Sequence[np.ndarray | None], labels: Sequence[np.ndarray | None], sequence: np.ndarray
 ) -> None:
     """Of rows that are the same in every column that is compared keep the first: no instrument measures the same bits twice.
 
     Args:
         source: The table; only its usable rows are looked at.
         columns: Shape (N,) or (N, numbers) each.
-        station: Labels, which are compared, too, shape (N,).
+        labels: Words that are compared, too, shape (N,) each.
         sequence: Numbers of the rows as they were measured, shape (N,).
     """
     rows = sequence[source.usable[sequence]]
     there = [column[rows] for column in columns if column is not None]
     cells = pd.DataFrame(np.column_stack(there))
-    if station is not None:
-        cells["station"] = station[rows]
+    for number, words in enumerate(labels):
+        if words is not None:
+            cells[f"label {number}"] = words[rows]
     first = rows[first_alike(cells)]
     copies = rows != first
     for row, kept in zip(rows[copies].tolist(), first[copies].tolist(), strict=True):
@@ -190,3 +197,46 @@ def _check_positions(source: Source, position: np.ndarray, travel: np.ndarray) -
             f"{source.table.title}: with `units: {{length: {units.length}}}` all positions lie within "
             f"{1000 * span:.3g} mm though the joints turn; are they in metres (`units: {{length: m}}`)?"
         )
+
+
+def refuse_impossible_readings(
+    source: Source, observed: np.ndarray, cameras: Mapping[str, ArmCameraSettings], camera: np.ndarray | None
+) -> None:
+    """Refuse rows whose instrument cannot have read that.
+
+    Args:
+        source: The table.
+        observed: What was read, shape (N, W), as the kind of the table has it.
+        cameras: Those of the campaign.
+        camera: Label of each row's, shape (N,); None for other kinds than pixels.
+    """
+    kind = source.settings.kind
+    if kind == "distance":
+        source.refuse(observed[:, 0] <= 0, source.column("distance"), "a distance must be positive")
+    elif kind == "inclination":
+        nothing = np.abs(observed).max(axis=1) < FINEST
+        source.refuse(nothing, " ".join(map(source.column, ("gx", "gy", "gz"))), "gravity of length 0 has no direction")
+    elif kind == "pixels" and camera is not None:
+        for name, settings in cameras.items():
+            size = np.array([settings.width, settings.height])
+            outside = (observed < -HALF_PIXEL) | (observed > size - HALF_PIXEL)
+            for k, axis in enumerate(("u", "v")):
+                why = f"outside the image of {settings.width} x {settings.height} pixels of the camera {name}"
+                source.refuse(outside[:, k] & (camera == name), source.column(axis), why)
+
+
+def check_distances(source: Source, observed: np.ndarray) -> None:
+    """Refuse distances that cannot be in the stated unit.
+
+    Args:
+        source: The table; only its usable rows are looked at.
+        observed: What was read, shape (N, W).
+
+    Raises:
+        MeasurementError: no wire, ballbar or gauge of an arm is that long.
+    """
+    settings = source.settings
+    if settings.kind in ("distance", "plane") and observed.shape[1]:
+        read = np.abs(observed[source.usable, 0])
+        if np.median(read) > LONG:
+            raise source.wrong_unit([source.column(MEASURED[settings.kind].read[0])], "length", float(read.max()))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
@@ -34,7 +36,7 @@ class Dataset:
         names: The reading columns, by the names of their joints.
         kinds: Kind of each reading column.
         files: The files that were read.
-        sha256: Hash of their bytes.
+        sha256: Hash of their bytes; of several blocks, of the blocks' hashes.
         refused: Rows that cannot be used, each named once; they are not among the N.
         notices: What is odd but used: rows outside limits, columns that are ignored.
         file: Index into `files`, shape (N,).
@@ -143,6 +145,99 @@ class Dataset:
         return np.array([stated or seen for stated, seen in zip(self.sigma, estimate, strict=True)])
 
 
+def together(parts: Sequence[Dataset]) -> Dataset:
+    """Several blocks of rows of the same joints as one data set, one after the other; weights are left to be made.
+
+    Rows repeat a configuration only if they also are of one block, and refer to the same things and the same target.
+
+    Args:
+        parts: Data of one block each.
+    """
+    parts = _named_apart(parts)
+    counts, n = [len(part) for part in parts], sum(map(len, parts))
+    ends = np.cumsum([0, *counts])
+    blocks, widths = tuple(part.blocks[0] for part in parts), [part.observed.shape[1] for part in parts]
+    rotation = np.full((n, 3, 3), np.nan) if any(part.rotation is not None for part in parts) else None
+    observed = np.full((n, max(widths)), np.nan)
+    names = sorted({name for part in parts for name in part.covariates})
+    covariates = {name: np.full(n, np.nan) for name in names}
+    order, files, last = [], 0, 0.0
+    file = []
+    for part, low, high in zip(parts, ends[:-1], ends[1:], strict=True):
+        observed[low:high, : part.observed.shape[1]] = part.observed
+        if rotation is not None and part.rotation is not None:
+            rotation[low:high] = part.rotation
+        for name, values in part.covariates.items():
+            covariates[name][low:high] = values
+        order.append(part.order + last)
+        last += float(part.order[np.isfinite(part.order)].max(initial=0.0))
+        file.append(part.file + files)
+        files += len(part.files)
+    block, refers = np.repeat(np.arange(len(parts)), counts), np.concatenate([part.refers for part in parts])
+    target, station = (
+        _labels_of([part.target for part in parts], counts),
+        _labels_of([part.station for part in parts], counts),
+    )
+    alike = pd.DataFrame({"block": block, "place": np.concatenate([part.configuration for part in parts])})
+    for k in range(ROLES):
+        alike[f"role {k}"] = refers[:, k]
+    if target is not None:
+        alike["target"] = target
+    sha256 = "".join(part.sha256 for part in parts)
+    return Dataset(
+        names=parts[0].names,
+        kinds=parts[0].kinds,
+        files=tuple(path for part in parts for path in part.files),
+        sha256=sha256 if len(parts) == 1 else hashlib.sha256(sha256.encode()).hexdigest(),
+        refused=tuple(remark for part in parts for remark in part.refused),
+        notices=tuple(remark for part in parts for remark in part.notices),
+        file=np.concatenate(file),
+        line=np.concatenate([part.line for part in parts]),
+        order=np.concatenate(order),
+        readings=np.concatenate([part.readings for part in parts]),
+        channels=tuple(channel for b in blocks for channel in b.channels),
+        position=np.concatenate([part.position for part in parts]),
+        rotation=rotation,
+        sigma=tuple(sigma for b in blocks for sigma in b.sigma),
+        relative=None,
+        covariates=covariates,
+        station=station,
+        configuration=alike.groupby(list(alike.columns), sort=False).ngroup().to_numpy(),
+        stale=np.concatenate([part.stale for part in parts]),
+        doubtful=np.concatenate([part.doubtful for part in parts]),
+        test=np.concatenate([part.test for part in parts]),
+        split_given=all(part.split_given for part in parts),
+        blocks=blocks,
+        block=block,
+        observed=observed,
+        refers=refers,
+        target=target,
+    )
+
+
+def _named_apart(parts: Sequence[Dataset]) -> list[Dataset]:
+    """The same with channels whose names are not those of another part's: they begin with the block's."""
+    names = Counter(channel.name for part in parts for channel in part.channels)
+    apart = []
+    for part in parts:
+        (block,) = part.blocks
+        channels = tuple(
+            replace(c, name=f"{block.name}_{c.name}", noun=f"{c.noun} of {block.name}") if names[c.name] > 1 else c
+            for c in part.channels
+        )
+        apart.append(replace(part, channels=channels, blocks=(replace(block, channels=channels),)))
+    return apart
+
+
+def _labels_of(labels: Sequence[np.ndarray | None], counts: Sequence[int]) -> np.ndarray | None:
+    """Labels of all rows, shape (N,), empty where a part has none; None where no part has any."""
+    if all(words is None for words in labels):
+        return None
+    return np.concatenate(
+        [np.full(n, "", dtype=str) if words is None else words for words, n in zip(labels, counts, strict=True)]
+    )
+
+
 @dataclass(frozen=True)
 class RowNoise:
     """What is known of the rows' noise beyond the channels' sigmas.
@@ -230,6 +325,21 @@ def weighed(data: Dataset, noise: RowNoise) -> Dataset:
     else:
         return replace(data, relative=None)
     return replace(data, relative=relative, sigma=tuple(typical.tolist()) if noise.absolute else data.sigma)
+
+
+def weighed_apart(data: Dataset, noises: Sequence[RowNoise]) -> Dataset:
+    """The same rows with what is known of the noise of each block's; the split must be final."""
+    if all(noise.std is None for noise in noises):
+        return data
+    relative = np.ones((len(data), sum(channel.size for channel in data.channels)))
+    sigma, ends = [], np.cumsum([0, *(spread(np.ones(len(b.channels)), b.channels).size for b in data.blocks)])
+    for number, (block, noise) in enumerate(zip(data.blocks, noises, strict=True)):
+        own = data.block == number
+        made = weighed(replace(data.select(own), channels=block.channels, sigma=block.sigma), noise)
+        sigma += list(made.sigma)
+        if made.relative is not None:
+            relative[own, ends[number] : ends[number + 1]] = made.relative
+    return replace(data, relative=relative, sigma=tuple(sigma))
 
 
 def _typical(std: np.ndarray, channels: Channels) -> np.ndarray:

@@ -6,15 +6,21 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 import pinocchio as pin
-from pydantic import BeforeValidator, Field, PositiveInt, field_validator, model_validator
+from pydantic import BeforeValidator, Field, field_validator, model_validator
 
 from aridcal.inputs.yaml_file import Number, Positive, RelativePath, Section, Vector3
 
 EXACT = 1e-5
 """[m], [rad] Sigma of a length or a right angle where none is stated: finer than workshops measure them."""
 
+BEYOND = 3.0
+"""Sigmas by which known lengths may contradict each other."""
+
 LEAST_NORMAL = 1e-9
 """Length of a normal below which it points nowhere."""
+
+Side = Annotated[int, Field(ge=1, le=100_000)]
+"""Of an image, [px]: the largest sensors have some 15,000."""
 
 Carrier = Literal["tip", "world"]
 """What a camera or a board is fixed to."""
@@ -44,6 +50,11 @@ class Placement(Section):
     def given(self) -> bool:
         """True where the campaign says anything of it."""
         return not self.model_fields_set.isdisjoint(("xyz", "rpy"))
+
+    def place(self, known: bool) -> list[float]:
+        """The translation and then the rotation matrix row by row; NaN where nothing is known."""
+        T = self.homogeneous
+        return [*T[:3, 3].tolist(), *T[:3, :3].reshape(-1).tolist()] if known else 12 * [np.nan]
 
 
 class LengthSettings(Section):
@@ -95,6 +106,17 @@ class AnchorSettings(Section):
             raise ValueError("an anchor whose place is not identified needs `xyz`; add it")
         return self
 
+    @property
+    def state(self) -> list[float]:
+        """Place, offset and scale, NaN where nothing is known."""
+        offset = np.nan if "offset" in self.identify else 0.0
+        return [*(self.xyz or 3 * [np.nan]), offset if self.offset is None else self.offset, self.scale]
+
+    @property
+    def free(self) -> list[bool]:
+        """Which of these are identified."""
+        return [*3 * ["place" in self.identify], "offset" in self.identify, "scale" in self.identify]
+
 
 class PlaneSettings(Section):
     """A plane: all x with normal . x = offset."""
@@ -118,6 +140,17 @@ class PlaneSettings(Section):
             raise ValueError("a plane that is not identified needs `normal` and `offset`; add them")
         return self
 
+    @property
+    def state(self) -> list[float]:
+        """Unit normal and offset, NaN where nothing is known."""
+        normal = np.full(3, np.nan) if self.normal is None else np.array(self.normal) / np.linalg.norm(self.normal)
+        return [*normal.tolist(), np.nan if self.offset is None else self.offset]
+
+    @property
+    def free(self) -> list[bool]:
+        """Which of two tilts and the offset are identified."""
+        return 3 * [self.identify]
+
 
 class ArmCameraSettings(Placement):
     """A camera on the tip or beside the arm, after OpenCV's model; ``xyz`` and ``rpy`` are T_tip_camera or T_world_camera."""
@@ -128,8 +161,8 @@ class ArmCameraSettings(Placement):
     cx: Number | None = None
     cy: Number | None = None
     """Principal point, [px]; the middle of the first pixel is 0."""
-    width: PositiveInt
-    height: PositiveInt
+    width: Side
+    height: Side
     """Of the images, [px]."""
     distortion: tuple[Number, Number, Number, Number, Number] = (0.0, 0.0, 0.0, 0.0, 0.0)
     """k1, k2, p1, p2, k3."""
@@ -154,6 +187,18 @@ class ArmCameraSettings(Placement):
         cx = (self.width - 1) / 2 if self.cx is None else self.cx
         cy = (self.height - 1) / 2 if self.cy is None else self.cy
         return np.array([fx, self.fy or fx, cx, cy, *self.distortion])
+
+    @property
+    def state(self) -> list[float]:
+        """Place, intrinsics, and 1 for a camera on the tip."""
+        known = self.given or "place" not in self.identify
+        return [*self.place(known), *self.intrinsics.tolist(), float(self.on == "tip")]
+
+    @property
+    def free(self) -> list[bool]:
+        """Which components of the place and which intrinsics are identified."""
+        parts = (("place", 6), ("f", 2), ("c", 2), ("distortion", 5))
+        return [part in self.identify for part, count in parts for _ in range(count)]
 
 
 class MarkerSettings(Placement):
@@ -183,3 +228,63 @@ class InstrumentSettings(Section):
     perpendicular: tuple[Annotated[RightAngleSettings, BeforeValidator(_pair)], ...] = ()
     cameras: dict[str, ArmCameraSettings] = Field(default_factory=dict)
     markers: MarkerSettings = MarkerSettings()
+
+    @property
+    def declared(self) -> dict[str, tuple[str, ...]]:
+        """Names of anchors, planes and cameras, by their role."""
+        return {"anchor": tuple(self.anchors), "plane": tuple(self.planes), "camera": tuple(self.cameras)}
+
+    @property
+    def sides(self) -> dict[str, Carrier]:
+        """What carries the board that each camera looks at: not what carries the camera."""
+        return {name: "world" if camera.on == "tip" else "tip" for name, camera in self.cameras.items()}
+
+    @model_validator(mode="after")
+    def _board_moves_in_the_images(self) -> InstrumentSettings:
+        on, sides = self.markers.on, set(self.sides.values())
+        if on is not None and sides and on not in sides:
+            raise ValueError(
+                f"markers.on: the cameras are on the {on}, too: no marker moves in their images; write the other"
+            )
+        if on is None and self.markers.file is not None and len(sides) > 1:
+            raise ValueError("markers.on: there are cameras on the tip and in the world; say where this board is")
+        return self
+
+    @model_validator(mode="after")
+    def _relations_are_possible(self) -> InstrumentSettings:
+        between = {
+            "lengths": [p.between for p in self.lengths],
+            "perpendicular": [p.between for p in self.perpendicular],
+        }
+        for key, pairs in between.items():
+            for number, (a, b) in enumerate(pairs):
+                if a == b:
+                    raise ValueError(f"{key}[{number}].between: {a!r} twice; name two")
+        lengths: dict[frozenset[str], LengthSettings] = {}
+        for number, one in enumerate(self.lengths):
+            other = lengths.setdefault(frozenset(one.between), one)
+            if abs(one.length - other.length) > BEYOND * np.hypot(one.std, other.std):
+                raise ValueError(
+                    f"lengths[{number}]: {' and '.join(one.between)} are {one.length:g} m apart here and {other.length:g} m "
+                    "elsewhere; delete one, or state the `std` of both"
+                )
+        _refuse_impossible_triangles(lengths)
+        return self
+
+
+def _refuse_impossible_triangles(lengths: dict[frozenset[str], LengthSettings]) -> None:
+    """Refuse three lengths of which one is longer than the other two together, by more than their sigmas."""
+    joined: dict[str, dict[str, LengthSettings]] = {}
+    for pair, one in lengths.items():
+        a, b = pair
+        joined.setdefault(a, {})[b] = joined.setdefault(b, {})[a] = one
+    for pair, one in lengths.items():
+        a, b = pair
+        for c in joined[a].keys() & joined[b].keys():
+            first, second = joined[a][c], joined[b][c]
+            slack = BEYOND * float(np.sqrt(one.std**2 + first.std**2 + second.std**2))
+            if one.length > first.length + second.length + slack:
+                raise ValueError(
+                    f"lengths: {' and '.join(sorted(pair))} cannot be {one.length:g} m apart: by way of {c} it is "
+                    f"{first.length:g} + {second.length:g} m; check these three"
+                )

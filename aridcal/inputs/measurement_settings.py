@@ -11,39 +11,23 @@ from pydantic import AfterValidator, BeforeValidator, Field, field_validator, mo
 
 from aridcal.errors import CampaignError, nearest
 from aridcal.inputs.yaml_file import RelativePath, Section
+from aridcal.instruments.catalogue import KINDS
 from aridcal.reading.names import check_name
 
 # Metres in one of each unit of length.
 LENGTHS = MappingProxyType({"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254, "ft": 0.3048})
 
-# Columns of each kind of measurement beside joints, poses and covariates.
-OWN_COLUMNS = MappingProxyType(
-    {
-        "pose": ("target",),
-        "position": ("target",),
-        "point": ("point", "target"),
-        "distance": ("distance", "anchor", "target"),
-        "plane": ("plane", "reading", "target"),
-        "pixels": ("u", "v", "marker", "camera", "shot"),
-        "inclination": ("gx", "gy", "gz", "target"),
-        "camera_sonar": (),
-    }
-)
+# Kinds whose rows measure the target in the world frame.
+OF_TARGETS = ("pose", "position")
 
-# Channels whose noise a block of a kind may declare. The first two and the last always took both.
+# Channels whose noise these, and the measuring head, may declare.
 OF_POSES = ("position", "rotation")
-NOISE_CHANNELS = MappingProxyType(
-    {
-        "pose": OF_POSES,
-        "position": OF_POSES,
-        "point": ("position",),
-        "distance": ("distance",),
-        "plane": ("distance",),
-        "pixels": ("pixel",),
-        "inclination": ("inclination",),
-        "camera_sonar": OF_POSES,
-    }
-)
+
+# Farther than any arm reaches, [m].
+FAR = 100.0
+
+# Quantities of a table beside those of its kind: which of several targets was measured, which image was looked at.
+TARGET, SHOT = "target", "shot"
 
 # Radians in one of each unit of angle.
 ANGLES = MappingProxyType({"rad": 1.0, "deg": math.pi / 180})
@@ -139,7 +123,7 @@ class MeasurementSettings(Section):
     files: Annotated[tuple[RelativePath, ...], BeforeValidator(listed)] = Field(default=(), alias="file")
     head: RelativePath | None = None
     """Settings of the measuring head; for `kind: camera_sonar`."""
-    kind: Literal["pose", "position", "point", "distance", "plane", "pixels", "inclination", "camera_sonar"] = "pose"
+    kind: Annotated[str, one_of((*KINDS, "camera_sonar"))] = "pose"
     name: str | None = None
     """Of the block; `None`: its kind."""
     camera: str | None = None
@@ -174,12 +158,13 @@ class MeasurementSettings(Section):
 
     @model_validator(mode="after")
     def _what_the_kind_has(self) -> MeasurementSettings:
-        known = NOISE_CHANNELS[self.kind]
+        of_poses = self.kind in (*OF_TARGETS, "camera_sonar")
+        known = OF_POSES if of_poses else tuple(channel.name for channel in KINDS[self.kind].channels)
         for channel in sorted(self.noise.model_fields_set - {"rows"} - set(known)):
             raise ValueError(
                 f"noise.{channel}: `kind: {self.kind}` has no such channel; write noise of {' and '.join(known)}"
             )
-        if self.noise.rows != "relative" and known != OF_POSES:
+        if self.noise.rows != "relative" and not of_poses:
             raise ValueError(f"noise.rows: `kind: {self.kind}` has no std_* columns; delete this key")
         if self.camera is not None and self.kind != "pixels":
             raise ValueError("camera: belongs to `kind: pixels`; delete it")
@@ -193,4 +178,10 @@ class MeasurementSettings(Section):
     @property
     def own_columns(self) -> tuple[str, ...]:
         """Quantities of its kind beside joints, poses and covariates."""
-        return OWN_COLUMNS[self.kind]
+        if self.kind == "camera_sonar":
+            return ()
+        if self.kind in OF_TARGETS:
+            return (TARGET,)
+        kind = KINDS[self.kind]
+        labels = [role.name for role in kind.roles if role.name != "board"]  # which board it is, the camera says
+        return (*kind.read, *labels, SHOT if self.kind == "pixels" else TARGET)

@@ -76,7 +76,7 @@ class Source:
         self.usable = np.ones(len(self.table), dtype=bool)
         self.refused = list(self.table.refused)
         directions = [f"{joint}_direction" for joint in self.joint_names]
-        quantities = (*QUANTITIES, *directions)
+        quantities = (*QUANTITIES, *self.settings.own_columns, *directions)
         known = (*self.joint_names, *quantities)
         for name in self.settings.columns:
             if name not in known and not name.startswith("temperature_"):
@@ -135,7 +135,7 @@ class Source:
         """
         advice = "Name them as in the URDF, or map them under measurements.columns; `aridcal init` finds which is which"
         self.table.require(self.joint_columns, advice)
-        return self._needed(self.joint_columns, self._scales(kinds))
+        return self.needed(self.joint_columns, self._scales(kinds))
 
     def seeds(self, kinds: Sequence[JointKind]) -> np.ndarray:
         """Readings where there are some, NaN elsewhere; nothing is refused."""
@@ -157,7 +157,7 @@ class Source:
         """
         columns = [self.column(name) for name in POSITION]
         self.table.require(columns, "Name them x y z, or map them under measurements.columns")
-        return self._needed(columns, self.settings.units.metres)
+        return self.needed(columns, self.settings.units.metres)
 
     @property
     def orientation_columns(self) -> list[str]:
@@ -178,7 +178,7 @@ class Source:
 
     def _from_quaternions(self, columns: list[str]) -> np.ndarray:
         """Columns of quaternions, made to have norm 1, shape (N, 4)."""
-        cells = self._needed(columns, 1.0)
+        cells = self.needed(columns, 1.0)
         norm = np.linalg.norm(self._or_identity(cells), axis=1)
         for row in np.flatnonzero(np.abs(norm - 1) > QUATERNION_SLACK).tolist():
             why = "the norm of the quaternion is not 1"
@@ -193,7 +193,7 @@ class Source:
 
     def _from_angles(self, columns: list[str]) -> np.ndarray:
         """Columns of Euler angles or of a rotation vector as unit quaternions, shape (N, 4)."""
-        angles = self._needed(columns, self.settings.units.radians)
+        angles = self.needed(columns, self.settings.units.radians)
         angles = np.where(self.usable[:, None], angles, 0)
         largest = np.abs(angles[self.usable]).max(axis=1, initial=0)
         if len(largest) and np.mean(largest > TURNS) > 0.5:
@@ -207,7 +207,7 @@ class Source:
             MeasurementError: the two differ by more than rounding in some row.
         """
         own, second = self.orientation_columns, [self.column(name) for name in QUATERNION]
-        if own == second or not all(self._has(name) for name in (*own, *second)):
+        if own == second or not all(self.has(name) for name in (*own, *second)):
             return
         angles, also = self.table.matrix(own) * self.settings.units.radians, self.table.matrix(second)
         whole = np.isfinite(angles).all(axis=1) & (np.linalg.norm(also, axis=1) > 0.5)  # neither holes nor zeros
@@ -247,9 +247,9 @@ class Source:
         given = 0
         for half, scale in wanted:
             columns = [self.column(name) for name in STD[half]]
-            if any(self._has(name) for name in columns):
+            if any(self.has(name) for name in columns):
                 self.table.require(columns, "Give all three, or write `noise: {rows: ignore}`")
-                std[:, half] = self._needed(columns, scale)
+                std[:, half] = self.needed(columns, scale)
                 for sigma, name in zip(std[:, half].T, columns, strict=True):
                     self.refuse(sigma <= 0, name, "a sigma must be positive")
                     self.refuse(sigma < FINEST, name, "a sigma that small is none")
@@ -258,20 +258,20 @@ class Source:
             raise MeasurementError(f"{self.table.title}: `noise: {{rows: absolute}}` needs the std_* columns")
         return std if given else None
 
-    def labels(self, quantity: str, needed: bool = False) -> np.ndarray | None:
+    def labels(self, quantity: str, needed: str = "") -> np.ndarray | None:
         """A column of words, shape (N,); `None` if there is none.
 
         Args:
-            quantity: ``station`` or ``split``.
-            needed: Rows without a word are refused.
+            quantity: ``station``, ``split``, ``target``, or what rows of the kind refer to.
+            needed: What needs it, ``station`` or a kind; then rows without a word are refused.
 
         Raises:
             MeasurementError: it is needed, but not there.
         """
         name = self.column(quantity)
         if needed:
-            self.table.require([name], f"`per: {quantity}` needs it")
-        elif not self._has(name):
+            self.table.require([name], f"`{'per' if quantity == 'station' else 'kind'}: {needed}` needs it")
+        elif not self.has(name):
             return None
         self._take([name])
         words = self.table.texts(name)
@@ -305,7 +305,7 @@ class Source:
                 self.note(name, "is not used: that is what the order of the rows is called; rename the column")
             elif name not in quantities and name in self.settings.columns:
                 self.note(name, f"is not used: {name} is in the column {self.settings.columns[name]!r}")
-            elif quantity not in POSE_OR_LABEL:
+            elif quantity not in (*POSE_OR_LABEL, *self.settings.own_columns):
                 values = self._covariate(name, quantity)
                 if values is not None:
                     found[quantity] = values
@@ -337,8 +337,7 @@ class Source:
         if not len(odd):
             return
         more = f", like {len(odd) - 1} more in this column" if len(odd) > 1 else ""
-        remark = self.table.remark(int(odd[0]), name, f"is read as missing{more}")
-        self.notices.append(remark)
+        self.notices.append(self.table.remark(int(odd[0]), name, f"is read as missing{more}"))
 
     def wrong_unit(self, columns: Sequence[str], unit: Literal["angle", "length"], largest: float) -> MeasurementError:
         """The error for columns that cannot be in the stated unit; `largest` in [rad] or [m]."""
@@ -351,7 +350,7 @@ class Source:
             f"If they are {remedy} under measurements"
         )
 
-    def _needed(self, columns: Sequence[str], scale: Sequence[float] | float) -> np.ndarray:
+    def needed(self, columns: Sequence[str], scale: Sequence[float] | float) -> np.ndarray:
         """Columns in SI, shape (N, columns); rows with a cell that is no sensible number are refused.
 
         Args:
@@ -392,7 +391,8 @@ class Source:
                 )
             self.used.add(name)
 
-    def _has(self, name: str) -> bool:
+    def has(self, name: str) -> bool:
+        """True of a column that is there and not ignored."""
         return name in self.table.cells and name not in self.settings.ignore
 
     def _scales(self, kinds: Sequence[JointKind]) -> list[float]:

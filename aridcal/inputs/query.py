@@ -116,7 +116,7 @@ def load_query(
     quaternion = source.quaternion() if poses and settings.kind != "position" else None
     if settings.kind != "position":
         source.refuse_second_orientation()
-    station = source.labels("station", needed=per_station)
+    station = source.labels("station", needed="station" if per_station else "")
     covariates = source.covariates()
     _refuse_text(source, poses)
     _refuse_holes(source, covariates, needs)

@@ -3,22 +3,64 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from aridcal.errors import MeasurementError
+from aridcal.errors import CampaignError, MeasurementError, listed, nearest
 from aridcal.inputs.campaign import Campaign
-from aridcal.inputs.checks import check_units, note_limits, note_stale, nothing_usable, refuse_copies, stale_rows
-from aridcal.inputs.dataset import Dataset, RowNoise, weighed
-from aridcal.inputs.quantities import Source
+from aridcal.inputs.checks import (
+    check_distances,
+    check_units,
+    note_limits,
+    note_stale,
+    nothing_usable,
+    refuse_copies,
+    refuse_impossible_readings,
+    stale_rows,
+)
+from aridcal.inputs.dataset import ROLES, Dataset, RowNoise, together, weighed, weighed_apart
+from aridcal.inputs.measurement_settings import OF_TARGETS, SHOT, TARGET, MeasurementSettings
+from aridcal.inputs.quantities import POSITION, Source
 from aridcal.inputs.repeats import blocks, by_content
-from aridcal.inputs.split import draw_split, with_training_rows
-from aridcal.inputs.tables import AnyTable, Table, read_tables
-from aridcal.instruments.channels import TARGET_POSITION, TARGET_ROTATION
+from aridcal.inputs.split import draw_split, with_training_labels, with_training_rows
+from aridcal.inputs.tables import AnyTable, Remark, Table, read_tables
+from aridcal.inputs.things import Known, Rows, instruments_of, known_of
+from aridcal.instruments.catalogue import KINDS
+from aridcal.instruments.channels import TARGET_POSITION, TARGET_ROTATION, Channels
+from aridcal.instruments.setup import Block
 from aridcal.robot.chain import JointKind
+
+TIP = "tip"
+"""Label of the target of pixels beside other blocks: the tip's own frame, to which cameras or markers are fixed."""
+
+ONE_TARGET = "target"
+"""Label of the target of rows that name none, where others do."""
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """What is wanted of every table: see :func:`load_measurements`."""
+
+    campaign: Campaign
+    readings: tuple[str, ...]
+    limits: np.ndarray
+    kinds: tuple[JointKind, ...]
+    seed: int
+    require_pose: bool
+    fitted: bool
+    own_files: bool
+    known: Known
+
+
+@dataclass(frozen=True)
+class _Part:
+    """One block, read: its rows, and what is known of their noise."""
+
+    rows: Dataset
+    noise: RowNoise
 
 
 def load_measurements(
@@ -40,65 +82,105 @@ def load_measurements(
         limits: Lower and upper limit of each, shape (columns, 2), [rad] or [m], infinite where there is none.
         kinds: Of each joint; limits of a `continuous` one count whole turns.
         seed: For the split into train and test, where the files have no `split`.
-        files: Tables in place of the campaign's own, in the same format.
+        files: Tables in place of the campaign's own, in the same format; of several blocks each table is of the one whose
+            columns it has.
         require_pose: False for rows that measure something else than the target; then `position` is NaN.
-        fitted: False for rows that are scored only: their stations need no training rows.
+        fitted: False for rows that are scored only: their stations and labels need no training rows.
 
     Raises:
-        CampaignError: `columns` names an unknown quantity.
+        CampaignError: `columns` names an unknown quantity, or what is known of the instruments cannot be used.
         MeasurementError: a file cannot be read, lacks columns, is not in the stated units, has two orientations that
             disagree, or has no usable row; or a station that needs a frame of its own has held-out rows only.
     """
-    settings = campaign.measurements
-    table = read_tables(_existing(campaign, files), settings.ignore, campaign.limits.table)
-    source = Source(table, settings, tuple(readings), str(campaign.path))
+    own = files is None
+    asked = _Asked(campaign, tuple(readings), limits, tuple(kinds), seed, require_pose, fitted, own, known_of(campaign))
+    of_blocks = _tables_of_blocks(campaign, files)
+    parts = [_block(asked, number, tables, alone=len(campaign.blocks) == 1) for number, tables in of_blocks]
+    if not parts[0].rows.blocks:
+        rows = with_training_rows(parts[0].rows, per_station(campaign)) if fitted else parts[0].rows
+        return weighed(rows, parts[0].noise)
+    rows = _targets_told(campaign, together([part.rows for part in parts]))
+    if fitted:
+        rows = with_training_rows(rows, per_station(campaign))
+        drawn = np.repeat([not part.rows.split_given for part in parts], [len(part.rows) for part in parts])
+        rows = with_training_labels(rows, drawn)
+    rows = weighed_apart(rows, [part.noise for part in parts])
+    return _with_instruments(rows, asked)
+
+
+def _block(asked: _Asked, number: int, tables: Sequence[AnyTable], alone: bool) -> _Part:
+    """Read one block of measurements.
+
+    Args:
+        asked: What is wanted of its tables.
+        number: Of the block in the campaign.
+        tables: Its tables.
+        alone: True if it is the campaign's only block.
+    """
+    campaign, kinds = asked.campaign, asked.kinds
+    settings = campaign.blocks[number]
+    table = read_tables(_existing(campaign, tables, asked.own_files), settings.ignore, campaign.limits.table)
+    source = Source(table, settings, asked.readings, str(campaign.path))
     q = source.joints(kinds)
+    of_target = asked.require_pose and settings.kind in OF_TARGETS
     position, quaternion, std = np.full((len(table), 3), np.nan), None, None
-    if require_pose:
+    if of_target:
         position = source.position()
         quaternion = source.quaternion() if settings.kind == "pose" else None
         if quaternion is not None:
             source.refuse_second_orientation()
         std = source.std()
-    station = source.labels("station", needed=per_station(campaign))
+    target = _words(source, TARGET) if TARGET in settings.own_columns else None
+    plain = not asked.require_pose or (alone and of_target and target is None)
+    observed = position if of_target or plain else _observed(source)
+    refers = np.zeros((len(table), ROLES), dtype=str) if of_target or plain else _refers(source, asked, alone)
+    if not (of_target or plain):
+        camera = refers[:, 0] if settings.kind == "pixels" else None
+        refuse_impossible_readings(source, observed, campaign.instruments.cameras, camera)
+    station = source.labels("station", needed="station" if per_station(campaign) else "")
     split = source.split()
     covariates = source.covariates()
-    if files is None:  # other tables, another day's for instance, need not have what is ignored anyway
+    if asked.own_files:  # other tables, another day's for instance, need not have what is ignored anyway
         source.note_unknown_ignored()
     time, others = covariates.get("time"), [covariates[name] for name in sorted(covariates) if name != "time"]
-    held = [q, position, quaternion, std, *others]
-    words = [None if labels is None else np.unique(labels, return_inverse=True)[1] for labels in (station, split)]
+    held = [q, observed, quaternion, std, *others]
+    labels = [station, target, *(() if plain else refers.T)]
+    words = [None if label is None else np.unique(label, return_inverse=True)[1] for label in (*labels, split)]
     canonical = by_content([time, *held, *words])
     timed = time is not None and bool(np.isfinite(time[source.usable]).all())
     sequence = canonical if timed else np.arange(len(table))
-    refuse_copies(source, held, station, sequence)  # without the time: the same pose later is a copy, too
+    refuse_copies(source, held, labels, sequence)  # without the time: the same pose later is a copy, too
     if not source.usable.any():
         raise nothing_usable(source)
-    check_units(source, q, limits, kinds, position if require_pose else None)
-    note_limits(source, q, limits, kinds)
+    check_units(source, q, asked.limits, kinds, position if of_target else None)
+    check_distances(source, observed)
+    note_limits(source, q, asked.limits, kinds)
     stale, doubtful = np.full(len(table), -1), np.zeros(len(table), dtype=bool)
-    if require_pose:
+    if of_target:
         measured = position if quaternion is None else np.hstack([position, quaternion])
         stale, doubtful = stale_rows(source, q, kinds, measured, sequence)
     if quaternion is not None:
         note_stale(source, stale)
-    channels = (TARGET_POSITION,) if settings.kind == "position" else (TARGET_POSITION, TARGET_ROTATION)
+    rotation = None if quaternion is None else Rotation.from_quat(quaternion).as_matrix()
+    if rotation is not None and not plain:
+        observed = np.hstack([position, rotation.reshape(-1, 9)])
+    channels, sigma = _channels(settings)
     chosen = canonical[source.usable[canonical]]
     rows = Dataset(
-        names=tuple(readings),
-        kinds=tuple(kinds),
+        names=asked.readings,
+        kinds=kinds,
         files=table.files,
         sha256=table.sha256,
         refused=source.refusals(),
         notices=tuple(source.notices),
         file=table.file,
         line=table.line,
-        order=_counted_on(table) if fitted else np.full(len(table), np.inf),
+        order=_counted_on(table) if asked.fitted else np.full(len(table), np.inf),
         readings=q,
         channels=channels,
         position=position,
-        rotation=None if quaternion is None else Rotation.from_quat(quaternion).as_matrix(),
-        sigma=(settings.noise.position, settings.noise.rotation)[: len(channels)],
+        rotation=rotation,
+        sigma=sigma,
         relative=None,
         covariates=covariates,
         station=station,
@@ -107,15 +189,135 @@ def load_measurements(
         doubtful=doubtful,
         test=np.zeros(len(table), dtype=bool) if split is None else split,
         split_given=split is not None,
-    ).select(chosen)
+    )
+    if not plain:
+        made = Block(settings.title, settings.kind, channels, sigma)
+        nothing = np.zeros(len(table), dtype=int)
+        rows = replace(rows, blocks=(made,), block=nothing, observed=observed, refers=refers, target=target)
+    rows = rows.select(chosen)
     rows = replace(rows, configuration=blocks(rows.readings, kinds))
     if split is None:
-        rows = replace(rows, test=draw_split(rows.configuration, seed))
-    if fitted:
-        rows = with_training_rows(rows, per_station(campaign))
+        rows = replace(rows, test=draw_split(rows.configuration, asked.seed))
     numbers = sum(channel.size for channel in channels)
     noise = RowNoise(None if std is None else std[chosen, :numbers], absolute=settings.noise.rows == "absolute")
-    return weighed(rows, noise)
+    return _Part(rows, noise)
+
+
+def _channels(settings: MeasurementSettings) -> tuple[Channels, tuple[float | None, ...]]:
+    """Channels of a block and their declared sigmas."""
+    kind = KINDS.get(settings.kind)
+    channels = (TARGET_POSITION, TARGET_ROTATION) if kind is None else kind.channels
+    return channels, tuple(getattr(settings.noise, channel.name) for channel in channels)
+
+
+def _words(source: Source, quantity: str) -> np.ndarray | None:
+    """Labels of the rows where there is a column of them, shape (N,); rows with an empty one are refused."""
+    words = source.labels(quantity)
+    if words is not None:
+        source.refuse(words == "", source.column(quantity), "empty")
+    return words
+
+
+def _observed(source: Source) -> np.ndarray:
+    """What a row of the kind reads, shape (N, W), in SI; a plane that is touched reads nothing."""
+    settings, names = source.settings, KINDS[source.settings.kind].read
+    scale = settings.units.metres if settings.kind in ("distance", "plane") else 1.0
+    cells = [source.column(name) for name in names]
+    if settings.kind == "plane" and not source.has(cells[0]):
+        return np.zeros((len(source.table), 1))
+    source.table.require(cells, f"`kind: {settings.kind}` needs {' '.join(names)}; map them under measurements.columns")
+    if SHOT in settings.own_columns:
+        source.labels(SHOT)
+    return source.needed(cells, scale)
+
+
+def _refers(source: Source, asked: _Asked, alone: bool) -> np.ndarray:
+    """Labels of what each row refers to, shape (N, 3), in the order of the kind's roles."""
+    settings, known = source.settings, asked.known
+    n = len(source.table)
+    labels: dict[str, np.ndarray] = {}
+    for role in KINDS[settings.kind].roles:
+        if role.name in ("point", "marker"):
+            words = source.labels(role.name, needed=settings.kind)
+        elif role.name == "board":
+            boards = {name: known.board_of(name) for name in np.unique(labels["camera"]).tolist()}
+            words = np.array([boards[name] for name in labels["camera"].tolist()])
+        else:
+            words = _words(source, role.name)
+        if words is None:
+            words = np.full(n, _default(asked.campaign, settings, role.name))
+        if role.name == "camera":
+            words = _declared_cameras(source, words, known)
+        labels[role.name] = words
+    if known.markers and "marker" in labels:
+        missing = (labels["board"] == known.board) & ~np.isin(labels["marker"], sorted(known.markers))
+        file = known.settings.markers.file
+        source.refuse(missing, source.column("marker"), f"no such marker in {file.name if file else 'the board'}")
+    made = [*labels.values(), *[np.full(n, "")] * (ROLES - len(labels))]
+    return np.column_stack(made)
+
+
+def _default(campaign: Campaign, settings: MeasurementSettings, role: str) -> str:
+    """Label of all rows of a block whose table has no such column: the only thing that the campaign names, or the block's own."""
+    declared = campaign.instruments.declared[role]
+    if role == "camera" and settings.camera is not None:
+        return settings.camera
+    alike = [block for block in campaign.blocks if block.kind == settings.kind]
+    if len(declared) == 1 and (len(alike) == 1 or role == "camera"):
+        return declared[0]
+    if role == "camera":
+        raise CampaignError(
+            f"{campaign.path}: measurements.camera: there are several cameras ({listed(declared)}); say which took the "
+            f"images of {settings.title}: `camera: NAME`, or a column `camera`"
+        )
+    return settings.title
+
+
+def _declared_cameras(source: Source, words: np.ndarray, known: Known) -> np.ndarray:
+    """The cameras of the rows, shape (N,), those of unusable rows put right.
+
+    Raises:
+        MeasurementError: of one of them nothing is known.
+    """
+    cameras = list(known.settings.cameras)
+    unknown = ~np.isin(words, cameras)
+    rows = np.flatnonzero(unknown & source.usable)
+    if len(rows):
+        remark = source.table.remark(int(rows[0]), source.column("camera"), "there is no such camera")
+        hint = nearest(str(words[rows[0]]), cameras)
+        raise MeasurementError(f"{remark}{hint}; add it under instruments.cameras of {known.origin}")
+    return np.where(unknown, cameras[0], words)
+
+
+def _targets_told(campaign: Campaign, rows: Dataset) -> Dataset:
+    """The rows with a label of their target, where there is more than one.
+
+    Raises:
+        CampaignError: these labels cannot be used with the campaign's frames.
+        MeasurementError: a table calls a target of its own what the tip is called.
+    """
+    label = rows.target if rows.target is not None else np.full(len(rows), "", dtype=str)
+    names = {"pixels": lambda block: TIP, "inclination": lambda block: block.title}
+    own = {block.title: names.get(block.kind, lambda block: ONE_TARGET)(block) for block in campaign.blocks}
+    if rows.target is None and len(set(own.values())) == 1:
+        return rows
+    if TIP in label and TIP in own.values():
+        raise MeasurementError(f"a target is called {TIP!r}, as the tip itself is beside `kind: pixels`; rename it")
+    told = np.where(label == "", np.array([own[block.name] for block in rows.blocks])[rows.block], label)
+    if per_station(campaign):
+        raise CampaignError(
+            f"{campaign.path}: frames: `per: station` is not for several targets ({listed(np.unique(told).tolist())}); "
+            "delete it, or measure the stations in campaigns of their own"
+        )
+    return replace(rows, target=told)
+
+
+def _with_instruments(rows: Dataset, asked: _Asked) -> Dataset:
+    """The rows with what is known of the things that they refer to."""
+    of_blocks = [Rows(KINDS[b.kind], rows.refers[rows.block == number]) for number, b in enumerate(rows.blocks)]
+    made, remarks = instruments_of(asked.known, of_blocks, asked.readings, asked.fitted and asked.own_files)
+    notices = [Remark(asked.campaign.path.name, None, "", "", remark) for remark in remarks]
+    return replace(rows, instruments=made, notices=(*rows.notices, *notices))
 
 
 def _counted_on(table: Table) -> np.ndarray:
@@ -129,11 +331,49 @@ def per_station(campaign: Campaign) -> bool:
     return "station" in (campaign.frames.world_base.per, campaign.frames.tip_target.per)
 
 
-def _existing(campaign: Campaign, files: Sequence[AnyTable] | None) -> Sequence[AnyTable]:
+def _existing(campaign: Campaign, tables: Sequence[AnyTable], own: bool) -> Sequence[AnyTable]:
     """The tables to read; a README beside the campaign may say where to get a file that is not there."""
-    tables = campaign.tables if files is None else files
     readme = campaign.path.parent / "README.md"
     missing = next((path for path in tables if isinstance(path, Path) and not path.exists()), None)
-    if missing is not None and files is None and readme.is_file():
+    if missing is not None and own and readme.is_file():
         raise MeasurementError(f"{missing}: there is no such file. {readme} may say where to get it")
     return tables
+
+
+def _tables_of_blocks(campaign: Campaign, files: Sequence[AnyTable] | None) -> list[tuple[int, Sequence[AnyTable]]]:
+    """Tables of each block, by its number.
+
+    Raises:
+        MeasurementError: a table that is given in place of the campaign's own may be of any block or of none.
+    """
+    if len(campaign.blocks) == 1:
+        return [(0, campaign.tables if files is None else files)]
+    if files is None and not campaign.has_other_tables:
+        return [(number, block.files) for number, block in enumerate(campaign.blocks)]
+    found: dict[int, list[AnyTable]] = {}
+    for table in campaign.tables if files is None else files:
+        names = read_tables([table], None, campaign.limits.table).names
+        having = [k for k, block in enumerate(campaign.blocks) if _needs(block) <= set(names)]
+        most = [
+            k for k in having if len(_needs(campaign.blocks[k])) == max(len(_needs(campaign.blocks[j])) for j in having)
+        ]
+        if len(most) != 1:
+            titles = listed([campaign.blocks[k].title for k in most] or [block.title for block in campaign.blocks])
+            raise MeasurementError(
+                f"{'DataFrame' if not isinstance(table, str | Path) else table}: its columns fit "
+                f"{'several' if most else 'none'} of the blocks {titles}; give it the columns of one"
+            )
+        found.setdefault(most[0], []).append(table)
+    return sorted(found.items())
+
+
+def _needs(settings: MeasurementSettings) -> set[str]:
+    """Columns without which a table is not of a block, beside the joints."""
+    if settings.kind in OF_TARGETS:
+        angles = settings.orientation.columns or settings.orientation.rotvec or ("qx", "qy", "qz", "qw")
+        names = (*POSITION, *(angles if settings.kind == "pose" else ()))
+    else:
+        kind = KINDS[settings.kind]
+        labels = [role.name for role in kind.roles if role.name in ("point", "marker", "plane")]
+        names = (*(() if settings.kind == "plane" else kind.read), *labels)
+    return {settings.columns.get(name, name) for name in names}

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 
-from aridcal.errors import MeasurementError
+from aridcal.errors import MeasurementError, listed
 from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.tables import Remark
+from aridcal.instruments.catalogue import KINDS
 
 TEST_SHARE = 0.2
 """Share of the rows that is held out: a fifth, as is usual; errors of 60 rows are known to 6 %."""
@@ -56,3 +58,36 @@ def with_training_rows(data: Dataset, per_station: bool) -> Dataset:
     note = Remark(data.files[0].name, None, "station", "", why)
     test = data.test & ~np.isin(data.station.astype(str), lone)
     return replace(data, test=test, notices=(note, *data.notices))
+
+
+def with_training_labels(data: Dataset, drawn: np.ndarray) -> Dataset:
+    """The same rows with training rows of everything that they refer to, and of every target.
+
+    Args:
+        data: N rows with their split.
+        drawn: Rows for which it was drawn; where a table says `test`, that stays, shape (N,) bool.
+
+    Returns:
+        The rows; a label that the draw left without training rows has none held out, which is noted.
+    """
+    test, notes = data.test.copy(), []
+    for name, labels in _labels(data):
+        lone = sorted(set(labels[test & drawn].tolist()) - set(labels[~test].tolist()) - {""})
+        if lone:
+            test &= ~(drawn & np.isin(labels, lone))
+            why = f"all rows of {name} {listed(lone)} are needed to find it: none of them is held out"
+            notes.append(Remark(data.files[0].name, None, name, "", why))
+    return replace(data, test=test, notices=(*notes, *data.notices))
+
+
+def _labels(data: Dataset) -> Iterator[tuple[str, np.ndarray]]:
+    """Labels of the rows in each role, and of their targets; shape (N,) each, empty where a row has none."""
+    found: dict[str, np.ndarray] = {}
+    for number, block in enumerate(data.blocks):
+        own = data.block == number
+        for k, role in enumerate(KINDS[block.kind].roles):
+            labels = found.setdefault(role.name, np.zeros(len(data), dtype=data.refers.dtype))
+            labels[own] = data.refers[own, k]
+    if data.target is not None:
+        found["target"] = data.target
+    yield from found.items()

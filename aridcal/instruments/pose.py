@@ -70,6 +70,14 @@ def turned_back(vector: np.ndarray) -> np.ndarray:
     return np.eye(3) + 0.5 * x + factor[:, None, None] * (x @ x)
 
 
+def nearest_rotation(H: np.ndarray) -> np.ndarray:
+    """Rotations R that maximise tr(R' H), shape (..., 3, 3) (Kabsch 1976; Umeyama 1991)."""
+    U, _, Vt = np.linalg.svd(H)
+    sign = np.ones((*H.shape[:-2], 1, 3))
+    sign[..., 0, 2] = np.linalg.det(U @ Vt)
+    return np.asarray((U * sign) @ Vt)
+
+
 def skew(vectors: np.ndarray) -> np.ndarray:
     """Matrices that multiply like cross products, shape (n, 3) to (n, 3, 3)."""
     made = np.zeros((len(vectors), 3, 3))

@@ -12,8 +12,8 @@ from aridcal.fit.held_back import is_better
 from aridcal.fit.stages import Geometry, fit_geometry, recentred
 from aridcal.inputs.campaign import Campaign
 from aridcal.inputs.dataset import Dataset
-from aridcal.inputs.rigid_bodies import targets_of_one_body
 from aridcal.model.model import Model
+from aridcal.model.rigid_bodies import targets_of_one_body
 from aridcal.robot.chain import Robot
 from aridcal.search.diagnose import Diagnosed, diagnose
 from aridcal.search.linear_model import Active

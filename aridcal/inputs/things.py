@@ -1,0 +1,351 @@
+"""What is known beforehand of the things that rows refer to: points, anchors, planes, cameras, boards and markers."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from aridcal.errors import CampaignError, MeasurementError, listed, nearest
+from aridcal.inputs.campaign import Campaign
+from aridcal.inputs.instrument_settings import (
+    BEYOND,
+    AnchorSettings,
+    InstrumentSettings,
+    LengthSettings,
+    Placement,
+    PlaneSettings,
+)
+from aridcal.inputs.measurement_settings import FAR, OF_TARGETS
+from aridcal.inputs.tables import read_tables
+from aridcal.inputs.yaml_file import LARGEST
+from aridcal.instruments.kind import Kind, Role
+from aridcal.instruments.setup import Instruments, Things, Tie
+from aridcal.reading.files import TABLE, Limit
+from aridcal.reading.names import check_name
+
+BOARD = "board_on_"
+"""A board is called after what carries it."""
+
+LEAST_STD = 1e-12
+"""[m] Smallest sigma of a known point: smaller ones cannot be divided by."""
+
+RESERVED = re.compile("world_base|tip_target|tip_camera|camera|sonars|sonar_\\d+")
+"""Places of corrections beside the joints: a thing of such a name could not be told from them."""
+
+HAVE_LENGTHS = ("point", "anchor", "marker")
+"""Things between which a length may be known."""
+
+
+@dataclass(frozen=True)
+class KnownPlace:
+    """A point of a table.
+
+    Attributes:
+        xyz: Shape (3,), [m].
+        std: 1-sigma of each coordinate, [m]; infinite where they are exact.
+    """
+
+    xyz: np.ndarray
+    std: float = np.inf
+
+
+def load_places(path: Path, key: str, limit: Limit = TABLE) -> dict[str, KnownPlace]:
+    """Read ``points.csv`` or ``markers.csv``: columns ``point`` or ``marker``, x y z, and perhaps std; [m].
+
+    Args:
+        path: The table.
+        key: Name of the column of labels.
+        limit: How large it may be.
+
+    Raises:
+        MeasurementError: a cell is missing or no number, a label appears twice, or these cannot be metres.
+    """
+    table = read_tables([path], None, limit)
+    numbers = ("x", "y", "z", *(("std",) if "std" in table.names else ()))
+    table.require((key, *numbers[:3]))
+    if table.refused:
+        raise MeasurementError(f"{table.title}: {table.refused[0]}; mend the file")
+    labels, values = table.texts(key), table.matrix(numbers)
+    places: dict[str, KnownPlace] = {}
+    for row, (label, cells) in enumerate(zip(labels.tolist(), values, strict=True)):
+        check_name(label, str(table.remark(row, key, "a label", "")), MeasurementError)
+        if not label or label in places:
+            why = "appears twice; delete one" if label else "empty; give the row a label"
+            raise MeasurementError(str(table.remark(row, key, why)))
+        for name, value in zip(numbers, cells.tolist(), strict=True):
+            exact = name == "std" and table.cell(row, name).strip() == ""
+            if not exact and not (abs(value) <= LARGEST and (name != "std" or value >= LEAST_STD)):
+                what = "a positive number, or empty where the place is exact" if name == "std" else "a number"
+                raise MeasurementError(str(table.remark(row, name, f"should be {what}, not beyond {LARGEST:g}")))
+        std = float(cells[3]) if len(cells) > 3 and np.isfinite(cells[3]) else np.inf
+        places[label] = KnownPlace(cells[:3], std)
+    if np.median(np.linalg.norm(values[:, :3], axis=1)) > FAR:
+        raise MeasurementError(
+            f"{table.title}: x y z cannot be in m: most are more than {FAR:g} m away; give them in metres"
+        )
+    return places
+
+
+@dataclass(frozen=True)
+class Known:
+    """All that a campaign says of its instruments, its tables included.
+
+    Attributes:
+        settings: ``instruments`` of the campaign.
+        points: Known points by their labels.
+        markers: Markers of the board by their labels; none where there is no board.
+        origin: The campaign, for messages.
+    """
+
+    settings: InstrumentSettings
+    points: dict[str, KnownPlace]
+    markers: dict[str, KnownPlace]
+    origin: str
+
+    def board_of(self, camera: str) -> str:
+        """Name of the board that a camera looks at."""
+        return BOARD + self.settings.sides[camera]
+
+    @property
+    def board(self) -> str:
+        """Name of the board whose markers are known."""
+        return BOARD + (self.settings.markers.on or next(iter(self.settings.sides.values()), "world"))
+
+    def beforehand(self, role: Role, label: str, on_board: bool) -> tuple[Sequence[float], Sequence[bool], float]:
+        """State of one thing, which components of it are identified, and the sigma of those of which something is known.
+
+        Args:
+            role: What it is.
+            label: Its name.
+            on_board: True of markers of the board.
+        """
+        settings = self.settings
+        if role.name == "anchor":
+            anchor = settings.anchors.get(label, AnchorSettings())
+            return anchor.state, anchor.free, np.inf
+        if role.name == "plane":
+            plane = settings.planes.get(label, PlaneSettings())
+            return plane.state, plane.free, np.inf
+        if role.name == "camera":
+            return settings.cameras[label].state, settings.cameras[label].free, np.inf
+        if role.name == "board":
+            if not (self.markers and label == self.board):  # each marker is a point of what carries it
+                return Placement().place(known=True), 6 * [False], np.inf
+            markers = settings.markers
+            return markers.place(markers.given or not markers.identify), 6 * [markers.identify], np.inf
+        places = self.points if role.name == "point" else self.markers if on_board else {}
+        if label not in places:
+            return 3 * [np.nan], 3 * [True], np.inf
+        return places[label].xyz.tolist(), 3 * [bool(np.isfinite(places[label].std))], places[label].std
+
+
+def known_of(campaign: Campaign) -> Known:
+    """Read the tables of what is known.
+
+    Raises:
+        MeasurementError: one of them cannot be read.
+    """
+    settings, limit = campaign.instruments, campaign.limits.table
+    points = load_places(settings.points, "point", limit) if settings.points else {}
+    markers = load_places(settings.markers.file, "marker", limit) if settings.markers.file else {}
+    return Known(settings, points, markers, str(campaign.path))
+
+
+@dataclass(frozen=True)
+class Rows:
+    """What the usable rows of a block refer to.
+
+    Attributes:
+        kind: Of the block.
+        refers: Labels by role, shape (n, 3).
+    """
+
+    kind: Kind
+    refers: np.ndarray
+
+    def labels(self, role: str) -> np.ndarray:
+        """Labels of one role, shape (n,), or none."""
+        names = [own.name for own in self.kind.roles]
+        return self.refers[:, names.index(role)] if role in names else self.refers[:0, 0]
+
+
+def instruments_of(
+    known: Known, blocks: Sequence[Rows], joints: Collection[str], complete: bool
+) -> tuple[Instruments, list[str]]:
+    """All things that rows refer to, and remarks on those of which the rows tell nothing.
+
+    Args:
+        known: What the campaign says of them.
+        blocks: Rows of each.
+        joints: Names that no thing may have.
+        complete: False for rows that are scored only: they need not refer to all that the campaign names.
+
+    Raises:
+        CampaignError: a known length or right angle is of things that no row refers to, or contradicts known points.
+        MeasurementError: a thing has the name of a joint, of a place of corrections or of a camera, or a marker is both on the
+            tip and in the world.
+    """
+    roles = {role.name: role for rows in blocks for role in rows.kind.roles}
+    counts = {name: sum((Counter(rows.labels(name).tolist()) for rows in blocks), Counter[str]()) for name in roles}
+    seen = {name: tuple(sorted(count)) for name, count in counts.items()}
+    board = _boards_of_markers(blocks)
+    _check_names(seen, joints)
+    things = {}
+    for name, role in roles.items():
+        found = [known.beforehand(role, label, board.get(label) == known.board) for label in seen[name]]
+        free = np.array([free for _, free, _ in found], dtype=bool).reshape(len(found), len(role.components))
+        std = np.where(free, np.array([std for *_, std in found]).reshape(-1, 1), np.inf)
+        start = np.array([state for state, _, _ in found], dtype=float).reshape(len(found), role.size)
+        things[name] = Things(role, seen[name], start, free, std)
+    ties = (*_lengths(known, seen, complete), *_right_angles(known, seen, complete))
+    remarks = [*_too_few(blocks, things, counts, ties), *_never_seen(known, seen)] if complete else []
+    return Instruments(things, ties, _in_world(known, blocks, things)), remarks
+
+
+def _boards_of_markers(blocks: Sequence[Rows]) -> dict[str, str]:
+    """Board of each marker."""
+    found: dict[str, str] = {}
+    for rows in blocks:
+        pairs = np.unique(np.column_stack([rows.labels("marker"), rows.labels("board")]), axis=0)
+        for marker, board in pairs.tolist():
+            if found.setdefault(marker, board) != board:
+                raise MeasurementError(
+                    f"the marker {marker!r} is seen by cameras on the tip and in the world: it is fixed to one of them only; "
+                    "rename it in one of the tables"
+                )
+    return found
+
+
+def _check_names(seen: dict[str, tuple[str, ...]], joints: Collection[str]) -> None:
+    """Refuse names that mean something else already."""
+    for role, labels in seen.items():
+        others = (
+            {name for other, names in seen.items() if other != role for name in names} if role == "camera" else set()
+        )
+        for label in labels:
+            if label in joints or RESERVED.fullmatch(label) or label in others:
+                what = (
+                    "a joint"
+                    if label in joints
+                    else "a place of corrections"
+                    if label not in others
+                    else "another thing"
+                )
+                raise MeasurementError(
+                    f"the {role} {label!r} has the name of {what}: rename it, in the tables and the campaign"
+                )
+
+
+def _role_of(
+    known: Known, seen: dict[str, tuple[str, ...]], key: str, pair: tuple[str, str], roles: Sequence[str]
+) -> str:
+    """Role of two things that are named together; empty if a known point is not among the rows, which then tell nothing."""
+    having = [role for role in roles if set(pair) <= set(seen.get(role, ()))]
+    if len(having) > 1:
+        raise CampaignError(
+            f"{known.origin}: instruments.{key}: {' and '.join(pair)} may be {' or '.join(having)}; rename the labels of one"
+        )
+    if having:
+        return having[0]
+    there = sorted({label for role in roles for label in seen.get(role, ())})
+    for label in pair:
+        if label not in there and label not in known.points and label not in known.markers:
+            raise CampaignError(
+                f"{known.origin}: instruments.{key}: no usable row refers to {label!r}{nearest(label, there)}; name what rows do"
+            )
+    if set(pair) <= set(there):
+        raise CampaignError(
+            f"{known.origin}: instruments.{key}: {' and '.join(pair)} are not of one sort; name two that are"
+        )
+    return ""
+
+
+def _lengths(known: Known, seen: dict[str, tuple[str, ...]], complete: bool) -> Iterator[Tie]:
+    """Known lengths of what rows refer to."""
+    for number, length in enumerate(known.settings.lengths):
+        key, (a, b) = f"lengths[{number}].between", length.between
+        if complete or any({a, b} <= set(seen.get(role, ())) for role in HAVE_LENGTHS):
+            role = _role_of(known, seen, key, (a, b), HAVE_LENGTHS)
+            if role:
+                _check_against_places(known, role, number, length)
+                yield Tie(role, a, b, "distance", length.length, length.std)
+
+
+def _check_against_places(known: Known, role: str, number: int, length: LengthSettings) -> None:
+    """Refuse a length that the known places of its ends contradict."""
+    places = {"point": known.points, "marker": known.markers}.get(role, {})
+    ends = [places[label] for label in length.between if label in places]
+    if len(ends) == 2:
+        apart = float(np.linalg.norm(ends[0].xyz - ends[1].xyz))
+        stds = [end.std for end in ends if np.isfinite(end.std)]
+        if abs(apart - length.length) > BEYOND * np.linalg.norm([length.std, *stds]):
+            raise CampaignError(
+                f"{known.origin}: instruments.lengths[{number}]: {' and '.join(length.between)} are {apart:.6g} m apart by "
+                f"their coordinates, not {length.length:g} m; delete one of the two"
+            )
+
+
+def _right_angles(known: Known, seen: dict[str, tuple[str, ...]], complete: bool) -> Iterator[Tie]:
+    """Planes that are known to be perpendicular."""
+    for number, angle in enumerate(known.settings.perpendicular):
+        a, b = angle.between
+        if complete or {a, b} <= set(seen.get("plane", ())):
+            _role_of(known, seen, f"perpendicular[{number}]", (a, b), ("plane",))
+            yield Tie("plane", a, b, "cosine", 0.0, angle.std)
+
+
+def _too_few(
+    blocks: Sequence[Rows], things: dict[str, Things], counts: dict[str, Counter[str]], ties: Sequence[Tie]
+) -> Iterator[str]:
+    """Things whose rows only just tell where they are themselves."""
+    numbers = {role.name: sum(c.size for c in rows.kind.channels) for rows in blocks for role in rows.kind.roles}
+    for name, of_role in things.items():
+        tied = {label for tie in ties if tie.role == name for label in (tie.first, tie.second)}
+        unknown = (of_role.free & ~np.isfinite(of_role.std)).sum(axis=1)
+        few = [
+            label
+            for label, free in zip(of_role.names, unknown.tolist(), strict=True)
+            if of_role.role.many and label not in tied and free and counts[name][label] * numbers[name] <= free
+        ]
+        if few:
+            yield (
+                f"{name} {listed(few)}: with so few rows they tell where it is, and nothing of the arm; measure more of them"
+            )
+
+
+def _never_seen(known: Known, seen: dict[str, tuple[str, ...]]) -> Iterator[str]:
+    """Things of which the campaign knows something and the rows nothing; of a board not all markers need be seen."""
+    of_role = {"point": tuple(known.points), **known.settings.declared}
+    if "marker" not in seen:
+        of_role["marker"] = tuple(known.markers)
+    for role, labels in of_role.items():
+        absent = sorted(set(labels) - set(seen.get(role, ())))
+        if absent:
+            yield f"{role} {listed(absent)}: no row refers to it; it is not used"
+
+
+def _in_world(known: Known, blocks: Sequence[Rows], things: dict[str, Things]) -> bool:
+    """True where anything is known in the world frame, or was measured in it."""
+    if any(rows.kind.name in OF_TARGETS for rows in blocks):
+        return True
+    place = {
+        "point": slice(0, 3),
+        "anchor": slice(0, 3),
+        "plane": slice(0, 3),
+        "camera": slice(0, 6),
+        "board": slice(0, 6),
+    }
+    for name, of_role in things.items():
+        for label, free, std in zip(of_role.names, of_role.free, of_role.std, strict=True):
+            on_tip = name == "camera" and known.settings.cameras[label].on == "tip"
+            of_board = name == "board" and not (known.markers and label == BOARD + "world" == known.board)
+            if name in place and not on_tip and not of_board:
+                part = place[name]
+                if not (free[part] & ~np.isfinite(std[part])).any():
+                    return True
+    return False
