@@ -66,6 +66,7 @@ def draft(urdf: Path, tables: Sequence[AnyTable], out: Path, choose: Choose) -> 
     except MeasurementError:
         read_tables(tables)  # what lacks may be in some of the files: then that is the fault
         raise
+    proposal.guesses = [replace(guess, value=_placed(guess.value, out.parent)) for guess in proposal.guesses]
     text = campaign_text(proposal, urdf, tables, out.parent)
     campaign = parse_settings(text, out, Campaign)
     if any(isinstance(table, pd.DataFrame) for table in tables):
@@ -103,8 +104,7 @@ def campaign_text(proposal: Proposal, urdf: Path, tables: Sequence[AnyTable], ho
     if "frames" in parts:
         lines += ["frames:", *_mapping(parts["frames"], "  ")]
     if "instruments" in parts:
-        placed = [replace(guess, value=_placed(guess.value, home)) for guess in parts["instruments"]]
-        lines += ["instruments:", *_mapping(placed, "  ")]
+        lines += ["instruments:", *_mapping(parts["instruments"], "  ")]
     return "\n".join(lines) + "\n"
 
 

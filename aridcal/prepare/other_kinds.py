@@ -12,7 +12,7 @@ from aridcal.boards.camera_file import CAMERA_FILE, CameraFile
 from aridcal.errors import MeasurementError, listed
 from aridcal.inputs.tables import ENDINGS, Table
 from aridcal.inputs.yaml_file import load_settings
-from aridcal.prepare.column_names import named, positions, unit
+from aridcal.prepare.column_names import positions, unit, words
 from aridcal.prepare.guesses import Proposal
 
 MARKERS_FILE = "markers.csv"
@@ -23,6 +23,9 @@ FARTHEST = 4 * np.pi
 
 # [m] Distances whose median is larger, and readings of a gauge that are, count millimetres.
 LONGEST, LONGEST_READING = 50.0, 0.5
+
+# Names of a direction of gravity, which look like those of a place.
+GRAVITY = (("gx",), ("gy",), ("gz",))
 
 # [px] to which an image's size is rounded up where only the marks in it tell it.
 ROUND = 16
@@ -71,12 +74,18 @@ def other_kind(table: Table, used: set[str]) -> tuple[OtherKind, dict[str, str]]
         The kind and the column of each of its quantities; None where the table is one of poses or positions.
     """
     free = [name for name in table.names if name and name not in used]
-    if any(np.isfinite(table.matrix(family.columns)).any() for family in positions(free) if not family.commanded):
+    places = positions(name for name in free if words(name) not in GRAVITY)
+    if any(np.isfinite(table.matrix(family.columns)).any() for family in places if not family.commanded):
         return None
     for kind in OTHER_KINDS:
-        columns = {quantity: named(free, *names) for quantity, names in kind.needed.items()}
-        found = {quantity: column for quantity, column in columns.items() if column is not None}
-        if len(found) == len(columns):
+        known = {words(name): name for name in reversed(free)}
+        found = {
+            quantity: known[(spelling,)]
+            for quantity, spellings in kind.needed.items()
+            for spelling in spellings[::-1]
+            if (spelling,) in known
+        }
+        if len(found) == len(kind.needed):
             return kind, found
     return None
 
@@ -113,8 +122,10 @@ def _say_units(
     """Units by the header, else by how large the numbers are: no nominal robot decides before the instrument is known."""
     turns = [name for name, turn in zip(joints, turning, strict=True) if turn]
     slides = [name for name, turn in zip(joints, turning, strict=True) if not turn]
-    value, reasons, sure = {}, [], True
-    said = {unit(name) for name in turns} & {"deg", "rad"}
+    value: dict[str, str] = {}
+    reasons: list[str] = []
+    sure = True
+    said = {unit(name) or "" for name in turns} & {"deg", "rad"}
     largest = float(np.nanmax(np.abs(table.matrix(turns)), initial=0.0)) if turns else 0.0
     degrees = said == {"deg"} or (not said and largest > FARTHEST)
     if degrees:
@@ -125,7 +136,7 @@ def _say_units(
     quantity, most = kind.length or ("", np.inf)
     column = columns.get(quantity) or (quantity if quantity in table.cells else None)
     lengths = [*slides, *([column] if column else [])]
-    said = {unit(name) for name in lengths} & {"m", "mm", "cm", "in"}
+    said = {unit(name) or "" for name in lengths} & {"m", "mm", "cm", "in"}
     if len(said) > 1:
         raise MeasurementError(
             f"{table.title}: the columns {listed(lengths)} are in different units, but `units` speaks of all lengths of a file: "
@@ -144,7 +155,7 @@ def _say_units(
 
 def _say_cameras(table: Table, made: Proposal) -> None:
     """Cameras as ``camera.yaml`` beside the table has them, and the board whose ``markers.csv`` is there."""
-    labels = sorted(set(table.texts("camera")) - {""}) if "camera" in table.cells else ["camera_1"]
+    labels = sorted(set(table.texts("camera").tolist()) - {""}) if "camera" in table.cells else ["camera_1"]
     home = _folder(table)
     known = load_settings(home / CAMERA_FILE, CameraFile).cameras if home and (home / CAMERA_FILE).is_file() else {}
     cameras = {}
@@ -182,7 +193,7 @@ def _say_cameras(table: Table, made: Proposal) -> None:
 
 
 def _say_lengths(table: Table, made: Proposal) -> None:
-    why = "none is known here, so that the arm's scale is not. Add `instruments: {lengths: [{between: [A, B], length: …, std: …}]}`"
+    why = "none is known, so that the arm's scale is not. Add `instruments: {lengths: [{between: [A, B], length: …, std: …}]}`"
     made.say("lengths", None, why, sure=False)
 
 
