@@ -1,15 +1,20 @@
 """`aridcal init` on tables that measure something else than poses: kind, units, instruments, and a campaign that can be read."""
 
+import re
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pandas as pd
 import pytest
+from photographs import looking, photograph
 
+from aridcal.detect import main as detect_main
 from aridcal.init import main
 from aridcal.inputs.campaign import Campaign, load_campaign
 from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.read import load_measurements
+from aridcal.print import main as print_main
 from aridcal.robot.chain import load_robot
 
 UR10 = Path(__file__).parent.parent / "urdf" / "ur10.urdf"
@@ -102,6 +107,51 @@ def test_without_those_files_the_camera_is_guessed_and_said_to_be(folder, camera
     assert (campaign.instruments.cameras[label].width, campaign.instruments.cameras[label].height) == (640, 480)
     assert "GUESSED: no camera.yaml" in text and "GUESSED: markers: no markers.csv" in text
     assert len(rows) == N
+
+
+def test_from_print_over_photographs_and_detect_to_a_campaign_that_reads_them(folder):
+    """As a user goes: each row's labels have their camera and their places, and the joints are the image's own."""
+    images = folder / "images"
+    images.mkdir()
+    assert print_main(["charuco", "-o", str(folder / "board.svg")]) == 0
+    rng = np.random.default_rng(3)
+    rows = []
+    for k in range(5):
+        T = looking(
+            *rng.uniform(-0.02, 0.02, 2), rng.uniform(0.45, 0.55), *rng.uniform(-0.6, 0.6, 2), rng.uniform(-3, 3)
+        )
+        cv2.imwrite(str(images / f"s{k}.png"), photograph((folder / "board.svg").read_text(), T, seed=k))
+        rows.append(
+            {"image": f"s{k}.png"} | dict(zip(ARM.readings, rng.uniform(-3, 3, len(ARM.readings)), strict=True))
+        )
+    pd.DataFrame(rows).to_csv(folder / "joints.csv", index=False)
+    assert detect_main([str(images), "--joints", str(folder / "joints.csv"), "-o", str(folder / "corners.csv")]) == 0
+    out = folder / "campaign.yaml"
+    assert main(["--urdf", str(UR10), "--measurements", str(folder / "corners.csv"), "-o", str(out)]) == 0
+    campaign = load_campaign(out)
+    data = load_measurements(campaign, ARM.readings, ARM.limits, ARM.kinds)
+    assert len(data) == 5 * 24 and data.instruments.things["camera"].names == ("eye",)
+    assert np.isfinite(data.instruments.things["marker"].start).all()
+    assert {tuple(q) for q in np.round(data.readings, 12)} == {
+        tuple(np.round(list(row.values())[1:], 12)) for row in rows
+    }
+
+
+@pytest.mark.parametrize("page", ["ball", "webcam", "dial-gauge"])
+def test_the_campaigns_of_the_pages_can_be_read(page, tmp_path):
+    text = (Path(__file__).parent.parent / "docs" / f"calibrate-with-a-{page}.md").read_text("utf-8")
+    (block,) = re.findall(r"```yaml\n(.*?)```", text, re.DOTALL)
+    (tmp_path / "campaign.yaml").write_text(block)
+    campaign = load_campaign(tmp_path / "campaign.yaml")
+    assert campaign.measurements.kind == {"ball": "point", "webcam": "pixels", "dial-gauge": "plane"}[page]
+
+
+@pytest.mark.parametrize("page", ["ball", "webcam", "dial-gauge"])
+def test_the_print_commands_of_the_pages_work(page, tmp_path, monkeypatch):
+    text = (Path(__file__).parent.parent / "docs" / f"calibrate-with-a-{page}.md").read_text("utf-8")
+    monkeypatch.chdir(tmp_path)
+    for command in re.findall(r"aridcal print ([^`]*-o [^`]*)`", text):
+        assert print_main(command.split()) == 0, command
 
 
 def test_a_table_of_positions_stays_one_whatever_else_it_has(tmp_path):
