@@ -144,7 +144,8 @@ def _round_trip() -> Check:
     """Simulate a small wrong robot, calibrate it, write all results, and see whether it came out right."""
     from aridcal.inputs.yaml_file import load_settings
     from aridcal.prepare.scenario import Scenario
-    from aridcal.prepare.simulation import simulate, write_campaign
+    from aridcal.prepare.simulation import simulate
+    from aridcal.prepare.written import write_campaign
     from aridcal.result.key_figures import rms_position
     from aridcal.result.pipeline import identify
     from aridcal.result.saved_model import SavedModel

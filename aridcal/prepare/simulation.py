@@ -1,10 +1,7 @@
-"""A campaign with a known truth, measured and written."""
+"""A campaign with a known truth, measured."""
 
 from __future__ import annotations
 
-import json
-import math
-import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -13,31 +10,31 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pinocchio as pin
-import yaml
 from scipy.spatial.transform import Rotation
 
-from aridcal.effects.catalogue import KINDS, is_of_head
+from aridcal.effects.catalogue import is_of_head
 from aridcal.effects.effect import FRAME_COMPONENTS, Coefficient
 from aridcal.effects.loads import Surroundings
-from aridcal.errors import CampaignError, MeasurementError, nearest
+from aridcal.errors import CampaignError, nearest
 from aridcal.head.reduction import Head
 from aridcal.head.render import Optics
 from aridcal.inputs.head_settings import HeadSettings, load_squares, range_columns
 from aridcal.inputs.quantities import POSITION, QUATERNION, column_of
 from aridcal.inputs.yaml_file import load_settings
 from aridcal.model.model import Model
+from aridcal.prepare.measuring import Machine, measured, targets
+from aridcal.prepare.postures import draw_readings
 from aridcal.prepare.scenario import Scenario, Truth, check_scenario
 from aridcal.prepare.true_effects import Cause, columns_needed, draw_columns, make_causes, values
+from aridcal.prepare.true_things import Real
 from aridcal.prepare.viewpoints import draw_views, photographs
-from aridcal.reading.files import read_file
-from aridcal.reading.table_files import FIRST_LINE
 from aridcal.robot.chain import Robot, load_robot
 from aridcal.robot.doty import doty_links
 from aridcal.search.head_effects import directions, stated
 from aridcal.showing import SILENT, Progress
 
 AT_ONCE = 20_000
-"""Rows that are simulated, and written, at once: a second's work between two words of progress."""
+"""Rows that are simulated at once: a second's work between two words of progress."""
 
 
 @dataclass(frozen=True)
@@ -47,22 +44,29 @@ class Simulation:
     Attributes:
         scenario: What was asked for.
         robot: The nominal chain.
-        measurements: The table, as it is written.
+        tables: Of each block, as they are written.
         parameters: True value of each constant that the scenario names, drawn or given; [m] or [rad].
-        frames: True T_world_base and T_tip_target.
+        frames: True T_world_base and T_tip_target, or that of each of several targets.
         causes: True effects, drawn or given.
-        outliers: Which rows are grossly wrong, shape (N,) bool.
+        outliers: Which rows are grossly wrong, shape (N,) bool, those of one block after those of another.
         images: For `kind: camera_sonar`: JPEG files by their names.
+        real: What the rows refer to, by role.
     """
 
     scenario: Scenario
     robot: Robot
-    measurements: pd.DataFrame
+    tables: tuple[pd.DataFrame, ...]
     parameters: dict[str, float]
     frames: dict[str, pin.SE3]
     causes: tuple[Cause, ...]
     outliers: np.ndarray
     images: Mapping[str, bytes] = field(default_factory=dict)
+    real: Mapping[str, Real] = field(default_factory=dict)
+
+    @property
+    def measurements(self) -> pd.DataFrame:
+        """The only table, or the first."""
+        return self.tables[0]
 
 
 def simulate(scenario: Scenario, progress: Progress = SILENT) -> Simulation:
@@ -81,9 +85,13 @@ def simulate(scenario: Scenario, progress: Progress = SILENT) -> Simulation:
     check_scenario(scenario)
     truth = scenario.truth
     robot = load_robot(scenario.robot.urdf, scenario.robot.tip, scenario.robot.base, scenario.limits.urdf)
-    constants, configurations, noise, outliers, chance = _streams(truth.seed)
+    constants, configurations, noise, outliers, chance, of_things = _streams(truth.seed)
     coefficients = named_constants(robot, truth.parameters, scenario.path)
     theta = np.array([p.value + p.std * constants.standard_normal() for p in truth.parameters.values()])
+    if scenario.refers:
+        return _among_things(
+            scenario, robot, coefficients, theta, (configurations, noise, outliers, chance, of_things), progress
+        )
     head = load_settings(scenario.measurements.head, HeadSettings) if scenario.measurements.head else None
     optics = (
         Optics(head.camera.width, head.camera.height, load_squares(head.squares, head.limits.table)) if head else None
@@ -125,12 +133,40 @@ def simulate(scenario: Scenario, progress: Progress = SILENT) -> Simulation:
     return Simulation(
         scenario=scenario,
         robot=robot,
-        measurements=table,
+        tables=(table,),
         parameters=dict(zip(truth.parameters, theta.tolist(), strict=True)),
         frames=frames,
         causes=tuple(causes),
         outliers=wrong,
         images=images,
+    )
+
+
+def _among_things(
+    scenario: Scenario,
+    robot: Robot,
+    constants: tuple[Coefficient, ...],
+    theta: np.ndarray,
+    streams: tuple[np.random.Generator, ...],
+    progress: Progress,
+) -> Simulation:
+    """The machine measured with what stands around it; see :func:`simulate`."""
+    truth = scenario.truth
+    frames = true_frames(scenario)
+    machine = Machine(robot, constants, theta, frames["world_base"], targets(scenario, frames["tip_target"]))
+    names = (*truth.covariates, *columns_needed(truth.effects, robot))
+    progress.at("moving the robot")
+    found = measured(scenario, machine, surroundings(scenario, frames, "payload" in names), streams)
+    tips = {"tip_target": frames["tip_target"]} if len(machine.tips) == 1 else dict(machine.tips)
+    return Simulation(
+        scenario=scenario,
+        robot=robot,
+        tables=found.tables,
+        parameters=dict(zip(truth.parameters, theta.tolist(), strict=True)),
+        frames={"world_base": frames["world_base"], **tips},
+        causes=found.causes,
+        outliers=np.concatenate(found.outliers),
+        real=found.real,
     )
 
 
@@ -146,8 +182,8 @@ def _moved(
 
 
 def _streams(seed: int) -> list[np.random.Generator]:
-    """Generators for constants, configurations, noise, outliers and effects: more of one leaves the others alone."""
-    return [np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(5)]
+    """Generators for constants, configurations, noise, outliers, effects and things: more of one leaves the others alone."""
+    return [np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(6)]
 
 
 def _measured(
@@ -274,89 +310,6 @@ def surroundings(scenario: Scenario, frames: Mapping[str, pin.SE3], loaded: bool
     R_world_base = frames["world_base"].rotation
     vector = R_world_base.T @ [0.0, 0.0, -9.81] if gravity == "world" else np.array(gravity)
     return Surroundings(vector, frames["tip_target"].translation, loaded)
-
-
-def draw_readings(robot: Robot, n: int, rng: np.random.Generator) -> np.ndarray:
-    """Draw readings, uniform inside their limits, shape (n, columns), [rad] or [m]; +-pi where there is no limit."""
-    limits = {joint.reading: (joint.lower, joint.upper) for joint in robot.joints}
-    low, high = np.array([limits[reading] for reading in robot.readings]).T
-    low = np.where(np.isfinite(low), low, -math.pi)
-    high = np.where(np.isfinite(high), high, math.pi)
-    return np.asarray(rng.uniform(low, high, (n, len(low))))
-
-
-def write_campaign(simulation: Simulation, folder: Path, home: Path, progress: Progress = SILENT) -> None:
-    """Write the campaign, its measurements, its robot and its truth.
-
-    Args:
-        simulation: What to write.
-        folder: Where to write it now.
-        home: Where it will be; paths in the campaign are relative to that.
-        progress: Told how far the work is.
-    """
-    progress.at("writing the measurements")
-    scenario, robot = simulation.scenario, simulation.robot
-    keys = scenario.model_dump(mode="json", by_alias=True, exclude_unset=True, exclude={"truth"})
-    if scenario.path.parent.resolve() == home.resolve():  # the scenario's own path to the robot holds here as well
-        keys["robot"]["urdf"] = Path(os.path.relpath(robot.path, home)).as_posix()
-    else:
-        keys["robot"]["urdf"] = robot.path.name
-        (folder / robot.path.name).write_bytes(robot.urdf)
-    keys.setdefault("measurements", {}).pop("file", None)
-    if scenario.measurements.head is None:
-        keys["measurements"] = {"file": "measurements.csv"} | keys["measurements"]
-        table = simulation.measurements
-        with (folder / "measurements.csv").open("w", encoding="utf-8", newline="") as file:
-            for first in progress.through(range(0, len(table), AT_ONCE), len(table), "rows", AT_ONCE):
-                table.iloc[first : first + AT_ONCE].to_csv(file, index=False, header=first == 0)
-    else:
-        keys["measurements"]["head"] = _write_shots(simulation, scenario.measurements.head, folder, home)
-    if keys.get("diagnosis", {}).get("candidates") == list(KINDS):
-        keys["diagnosis"]["candidates"] = "all"
-    text = yaml.safe_dump(keys, sort_keys=False, allow_unicode=True, default_flow_style=None, width=120)
-    made = f"# Made by `aridcal simulate {scenario.path.name}`; the truth is in truth.json.\n"
-    (folder / "campaign.yaml").write_text(made + text, encoding="utf-8")
-    truth = json.dumps(truth_document(simulation), indent=2, allow_nan=False)
-    (folder / "truth.json").write_text(truth + "\n", encoding="utf-8")
-
-
-def _write_shots(simulation: Simulation, path: Path, folder: Path, home: Path) -> str:
-    """Write shots and images, and the head's own files unless they are there; returns the name of ``head.yaml``."""
-    settings = load_settings(path, HeadSettings)
-    if path.parent.resolve() != home.resolve():
-        keys = settings.model_dump(mode="json", exclude_unset=True, exclude={"robot", "world_base"})
-        keys |= {"squares": "squares.csv", "shots": "shots.csv"}
-        (folder / path.name).write_text(yaml.safe_dump(keys, sort_keys=False, default_flow_style=None, width=120))
-        (folder / "squares.csv").write_bytes(read_file(settings.squares, MeasurementError, settings.limits.table))
-        simulation.measurements.to_csv(folder / "shots.csv", index=False)
-    else:
-        simulation.measurements.to_csv(folder / settings.shots.name, index=False)
-    (folder / "images").mkdir()
-    for name, image in simulation.images.items():
-        (folder / name).write_bytes(image)
-    return path.name
-
-
-def truth_document(simulation: Simulation) -> dict[str, Any]:
-    """`truth.json` as plain data: SI, rows as lines of ``measurements.csv``."""
-    truth = simulation.scenario.truth
-    frames = {}
-    for where, frame in simulation.frames.items():
-        name = "tip_camera" if simulation.images and where == "tip_target" else where
-        rpy = pin.rpy.matrixToRpy(frame.rotation)
-        frames[name] = {"xyz": frame.translation.tolist(), "rpy": rpy.tolist()}
-    stated = truth.outliers.model_dump() if truth.outliers else {"share": 0.0}
-    wrong = np.flatnonzero(simulation.outliers) + FIRST_LINE
-    return {
-        "format": 1,
-        "n": truth.n,
-        "seed": truth.seed,
-        "parameters": simulation.parameters,
-        "frames": frames,
-        "effects": [cause.document() for cause in simulation.causes],
-        "noise": truth.noise.model_dump(),
-        "outliers": {**stated, "rows": wrong.tolist()},
-    }
 
 
 def _table(
