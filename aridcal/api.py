@@ -23,9 +23,9 @@ from aridcal.inputs.tables import AnyTable
 from aridcal.prepare.campaign_text import draft
 from aridcal.prepare.guesses import nobody
 from aridcal.prepare.other_readings import refuse_misread
-from aridcal.result.folder import calibration
 from aridcal.result.pipeline import identify
 from aridcal.result.saved_model import SavedModel
+from aridcal.result.saving import calibration
 from aridcal.showing import working
 
 __all__ = ["AridcalError", "Calibration", "Campaign", "calibrate", "load", "propose"]

@@ -13,6 +13,7 @@ from typing import Any
 
 import pandas as pd
 
+from aridcal.as_tables import effect_table, error_table, parameter_table, verification_table
 from aridcal.errors import AridcalError, MeasurementError, shortened
 from aridcal.identify import VERDICTS
 from aridcal.inputs.query import Query
@@ -22,7 +23,6 @@ from aridcal.reading.files import RESULT, read_file
 from aridcal.report.html import tag
 from aridcal.report.page import write_report
 from aridcal.report.scene import write_scene
-from aridcal.result.as_tables import effect_table, error_table, parameter_table, verification_table
 from aridcal.result.compensate import compensate
 from aridcal.result.controllers import hand_over
 from aridcal.result.folder import result_document
@@ -37,8 +37,8 @@ from aridcal.writing.files import atomic_file
 SHOWN_REMARKS = 5
 """Remarks that are shown: notices of a calibration, rows that a warning names."""
 
-HEADLINE = ("position_rms_mm", "position_p95_mm", "position_max_mm", "rotation_rms_mrad")
-"""Errors that a calibration shows of itself."""
+HEADLINE = ("rms", "p95", "max")
+"""Statistics of an error that a calibration shows of itself; of all quantities but the first only one."""
 
 DECIMALS = "{:.3f}".format
 """How errors are shown, to 1 µm and 1 µrad."""
@@ -77,7 +77,7 @@ class Calibration:
 
     @property
     def errors(self) -> pd.DataFrame:
-        """Error of the target, [mm] and [mrad]: a row for each model and part of the rows (train, test, test_all)."""
+        """Error of what was measured, [mm], [mrad] or [px]: a row for each model and part of the rows (train, test, test_all)."""
         return self._figures(error_table)
 
     @property
@@ -307,8 +307,9 @@ def _text(path: Path) -> str:
 
 def _headline(table: pd.DataFrame) -> pd.DataFrame:
     """The columns of a table of errors that fit on a screen."""
-    names = [name for name in HEADLINE if name in table]
-    return table[names].rename_axis(None)
+    names = [str(name) for name in table if "_rms_" in str(name)]
+    first, *others = names
+    return table[[*(first.replace("_rms_", f"_{each}_") for each in HEADLINE), *others]].rename_axis(None)
 
 
 def _frame(table: AnyTable) -> pd.DataFrame:

@@ -144,9 +144,8 @@ def _round_trip() -> Check:
     """Simulate a small wrong robot, calibrate it, write all results, and see whether it came out right."""
     from aridcal.inputs.yaml_file import load_settings
     from aridcal.prepare.scenario import Scenario
-    from aridcal.prepare.simulation import simulate
-    from aridcal.prepare.written import write_campaign
-    from aridcal.result.key_figures import rms_position
+    from aridcal.prepare.simulation import simulate, write_campaign
+    from aridcal.result.key_figures import overall
     from aridcal.result.pipeline import identify
     from aridcal.result.saved_model import SavedModel
     from aridcal.result_folder import write_folder
@@ -162,7 +161,9 @@ def _round_trip() -> Check:
         written = write_folder(outcome, home / "results")
         SavedModel.load(home / "results")
     test = outcome.parts()["test"]
-    before, after = (rms_position(s.residual, test) for s in (outcome.stages[0], outcome.stages[-1]))
+    before, after = (
+        overall(s.residual, test, outcome.measurements, outcome.noise) for s in (outcome.stages[0], outcome.stages[-1])
+    )
     said = f"{before:.2f} mm before, {after:.2f} mm calibrated (noise 0.17), {time.perf_counter() - started:.1f} s"
     wrong = after > GOOD_ENOUGH * 0.1 * 3**0.5
     if written.notices:  # nothing of this robot is hard to draw

@@ -8,7 +8,6 @@ Example:
 from __future__ import annotations
 
 import argparse
-import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -22,10 +21,10 @@ from aridcal.errors import shortened
 from aridcal.head.detections import CACHE
 from aridcal.prepare.other_readings import refuse_misread
 from aridcal.reading.names import path_argument
-from aridcal.report.words import causes_in_words, sigmas_in_words
+from aridcal.report.words import causes_in_words, noise_in_words, scale_in_words
 from aridcal.result.folder import what_moved
-from aridcal.result.key_figures import another_day, every_held_out_row, or_as_well, over_time, rms_position, scored
-from aridcal.result.outcome import Outcome, Verification, errors
+from aridcal.result.key_figures import another_day, every_held_out_row, or_as_well, over_time, scored
+from aridcal.result.outcome import Outcome, Verification, errors, said
 from aridcal.result.pipeline import identify
 from aridcal.result_folder import RESULT_FILES, write_folder
 from aridcal.search.gains import NamedEffect
@@ -56,7 +55,7 @@ def summary(outcome: Outcome, console: Console) -> None:
         console.print(over_time(outcome), markup=False)
     for effect in outcome.effects:
         moved = what_moved(effect.effect, outcome.measurements)
-        console.print(_effect_line(effect) + (f": {moved}" if moved else ""), markup=False)
+        console.print(_effect_line(outcome, effect) + (f": {moved}" if moved else ""), markup=False)
     if outcome.diagnosis is not None and outcome.diagnosis.tested:
         console.print(f"{outcome.diagnosis.tested:,} candidates tested", markup=False)
     if outcome.verification is not None:
@@ -66,9 +65,11 @@ def summary(outcome: Outcome, console: Console) -> None:
     if verified is not None:
         console.print(verified[1], markup=False)
     console.print(_noise_line(outcome), markup=False)
-    said = outcome.verdict
-    console.print(f"verdict: {said.word}: {VERDICTS[said.word]}", markup=False)
-    for reason in said.reasons:
+    for line in scale_in_words(outcome):
+        console.print(line, markup=False)
+    verdict = outcome.verdict
+    console.print(f"verdict: {verdict.word}: {VERDICTS[verdict.word]}", markup=False)
+    for reason in verdict.reasons:
         console.print(f"  {reason}", markup=False)
     for notice in outcome.notices[:MOST_NOTICES]:
         console.print(f"note: {notice}", markup=False)
@@ -81,40 +82,41 @@ def _error_table(outcome: Outcome) -> Table:
     table.add_column("model", no_wrap=True)
     first, *others = outcome.channels
     shown = [(first, key) for key in SHOWN] + [(channel, key) for channel in others for key in SHOWN[:2]]
+    several = len(outcome.measurements.blocks) > 1
     for channel, key in shown:
-        table.add_column(f"{SHOWN_AS[key]}, {channel.shown}", justify="right")
+        whose = f"{channel.name} " if several else ""
+        table.add_column(f"{whose}{SHOWN_AS[key]}, {channel.shown}", justify="right")
     for stage in outcome.stages:
         found = errors(stage.residual, mask, outcome.channels)
         table.add_row(stage.name, *(f"{found[channel.key][key]:.3f}" for channel, key in shown))
     return table
 
 
-def _effect_line(named: NamedEffect) -> str:
+def _effect_line(outcome: Outcome, named: NamedEffect) -> str:
     """An effect, those that would do as well in its place, and its gain on the held-out rows, if there are any."""
     source = "declared" if named.declared else "found"
     gain = ""
     if len(named.before):
         every = np.ones(len(named.before), dtype=bool)
-        without, with_it = (rms_position(r, every) for r in (named.before, named.after))
-        gain = f": {without:.3f} mm without it, {with_it:.3f} mm with it"
+        without, with_it = (said(r, every, outcome.measurements) for r in (named.before, named.after))
+        gain = f": {without} without it, {with_it} with it"
     return f"{source}: {named.effect.label} [{', '.join(named.effect.motion)}]{or_as_well(named)}{gain}"
 
 
 def _noise_line(outcome: Outcome) -> str:
     """The noise that is left, and what it is made of beyond the instrument."""
     causes = causes_in_words(outcome)
-    over = sigmas_in_words(outcome.scatter, outcome.channels, math.sqrt(3))
-    return f"noise: {over} over three axes{'. ' if causes else ''}{causes}"
+    return f"noise: {noise_in_words(outcome, outcome.scatter)}{'. ' if causes else ''}{causes}"
 
 
 def _verification_lines(v: Verification) -> list[str]:
     """Errors on another day's data."""
     sound = ~v.outlier
-    figures = ", ".join(f"{name} {rms_position(r, sound):.3f} mm" for name, r in v.residuals.items())
+    figures = ", ".join(f"{name} {said(r, sound, v.measurements)}" for name, r in v.residuals.items())
     gross = f" ({v.outlier.sum()} gross outliers excluded)" if v.outlier.any() else ""
     lines = [f"verification on {v.file}, {sound.sum()} rows{gross}: {figures}"]
     if v.realigned is not None:
-        lines.append(f"  with both frames refitted: {rms_position(v.realigned, sound):.3f} mm")
+        lines.append(f"  with both frames refitted: {said(v.realigned, sound, v.measurements)}")
     return lines
 
 

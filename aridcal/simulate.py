@@ -18,8 +18,7 @@ from aridcal.command_line import CommandParser, command_parser, run
 from aridcal.errors import OutputError
 from aridcal.inputs.yaml_file import load_settings
 from aridcal.prepare.scenario import Scenario
-from aridcal.prepare.simulation import simulate
-from aridcal.prepare.written import write_campaign
+from aridcal.prepare.simulation import simulate, write_campaign
 from aridcal.reading.names import path_argument
 from aridcal.showing import told_on
 from aridcal.writing.files import atomic_folder, claimed

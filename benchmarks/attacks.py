@@ -45,8 +45,8 @@ from scipy.spatial.transform import Rotation
 
 from aridcal.calibration import Calibration
 from aridcal.inputs.campaign import Campaign
-from aridcal.result.folder import calibration
 from aridcal.result.pipeline import identify
+from aridcal.result.saving import calibration
 
 OFF = 0.7  # miss in sigma at which nobody may say that only noise is left
 WHOLE = 1.3  # times the oracle's miss within which a fault is found whole

@@ -46,12 +46,12 @@ from aridcal.prepare.simulation import (
     named_constants,
     simulate,
     surroundings,
+    write_campaign,
 )
-from aridcal.prepare.written import write_campaign
 from aridcal.result.compensate import follow
-from aridcal.result.folder import calibration
 from aridcal.result.pipeline import identify
 from aridcal.result.saved_model import SavedModel, SolvedModel
+from aridcal.result.saving import calibration
 from aridcal.robot.chain import Robot, load_robot
 
 TOP = Path(__file__).resolve().parents[1]

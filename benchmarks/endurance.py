@@ -79,8 +79,7 @@ def simulated(folder: Path, n: int, urdf: Path = UR10, tip: str = "tool0") -> No
     from aridcal.fit.constants import constants  # the parent stays small: a child's peak begins with its parent's
     from aridcal.inputs.yaml_file import load_settings
     from aridcal.prepare.scenario import Scenario
-    from aridcal.prepare.simulation import simulate
-    from aridcal.prepare.written import write_campaign
+    from aridcal.prepare.simulation import simulate, write_campaign
     from aridcal.robot.chain import load_robot
 
     wrong = {c.name: {"std": 1e-3} for c in constants(load_robot(urdf, tip), "full")}

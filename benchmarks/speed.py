@@ -41,8 +41,7 @@ from aridcal.inputs.read import load_measurements
 from aridcal.inputs.yaml_file import load_settings
 from aridcal.instruments.channels import spread
 from aridcal.prepare.scenario import Scenario
-from aridcal.prepare.simulation import simulate
-from aridcal.prepare.written import write_campaign
+from aridcal.prepare.simulation import simulate, write_campaign
 from aridcal.robot.chain import Robot, load_robot
 
 ONE_THREAD = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")}

@@ -28,8 +28,7 @@ from PIL import Image
 
 from aridcal.inputs.yaml_file import load_settings
 from aridcal.prepare.scenario import Scenario
-from aridcal.prepare.simulation import simulate
-from aridcal.prepare.written import write_campaign
+from aridcal.prepare.simulation import simulate, write_campaign
 from aridcal.result.outcome import Outcome
 from aridcal.result.pipeline import identify
 from aridcal.robot.kinematics import gravity_loads, joint_frames, transverse

@@ -12,6 +12,8 @@ from typing import Literal
 
 import numpy as np
 
+from aridcal.boards.camera_file import CameraFile
+from aridcal.boards.pictures import grey_image
 from aridcal.errors import AridcalError, RobotError
 from aridcal.head.matching import NotMeasured
 from aridcal.head.shots import board, read_image, read_ranges, shots_of
@@ -167,5 +169,7 @@ TARGETS = {
     "squares": Target(load_squares, ".csv"),
     "shots": Target(_shots, ".csv"),
     "parquet": Target(_table, ".parquet", kind="binary"),
+    "camera": Target(lambda path: load_settings(path, CameraFile), ".yaml"),
+    "picture": Target(grey_image, ".png", 5000, "binary"),
     "image": Target(_image, ".png", 5000, "binary"),
 }

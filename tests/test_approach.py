@@ -16,11 +16,11 @@ from aridcal.inputs.approach import approach, with_directions
 from aridcal.inputs.campaign import load_campaign
 from aridcal.inputs.dataset import dataset
 from aridcal.inputs.read import load_measurements
-from aridcal.result.folder import calibration
 from aridcal.result.outcome import Outcome
 from aridcal.result.pipeline import identify
 from aridcal.result.predict import predict, read_query
 from aridcal.result.saved_model import SavedModel
+from aridcal.result.saving import calibration
 from aridcal.search.arm import fit_constants
 from aridcal.search.diagnose import Start, look
 

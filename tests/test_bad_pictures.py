@@ -21,10 +21,10 @@ from lxml import etree
 from aridcal import identify
 from aridcal.calibration import Calibration
 from aridcal.report import page, scene, shapes
-from aridcal.report.failures import LONGEST, attempt, note, noting
+from aridcal.report.html import LONGEST, attempt, note, noting
 from aridcal.result.controllers import Handover, hand_over
-from aridcal.result.folder import calibration
 from aridcal.result.outcome import Outcome
+from aridcal.result.saving import calibration
 from aridcal.robot import meshes
 from aridcal.robot.chain import Robot, parse_robot
 from aridcal.robot.meshes import NotDrawable, read_meshes

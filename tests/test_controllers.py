@@ -16,8 +16,7 @@ import yaml
 from aridcal.inputs.yaml_file import load_settings
 from aridcal.model.model import Model
 from aridcal.prepare.scenario import Scenario
-from aridcal.prepare.simulation import simulate
-from aridcal.prepare.written import write_campaign
+from aridcal.prepare.simulation import simulate, write_campaign
 from aridcal.report.limits_section import use
 from aridcal.result.controllers import Handover, hand_over, write_controllers
 from aridcal.result.outcome import Outcome

@@ -18,8 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from aridcal.inputs.yaml_file import load_settings
 from aridcal.prepare.scenario import Scenario
-from aridcal.prepare.simulation import simulate
-from aridcal.prepare.written import write_campaign
+from aridcal.prepare.simulation import simulate, write_campaign
 from aridcal.result.outcome import Outcome, errors
 from aridcal.result.pipeline import identify
 from aridcal.search.diagnose import SEARCHED

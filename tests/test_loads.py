@@ -20,10 +20,10 @@ from aridcal.errors import CovariateNotFound, MeasurementError
 from aridcal.model.model import Model
 from aridcal.model.one_row import OneRowModel
 from aridcal.result.compensate import compensate
-from aridcal.result.folder import calibration
 from aridcal.result.pipeline import identify
 from aridcal.result.predict import predict, read_query
 from aridcal.result.saved_model import SavedModel, SolvedModel
+from aridcal.result.saving import calibration
 from aridcal.robot.chain import Robot, parse_robot
 
 SAG = Coefficient("shoulder_lift_joint", "axis", Basis("linear", ("shoulder_lift_joint.gravity_torque",), (0.0,)))

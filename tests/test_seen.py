@@ -20,11 +20,10 @@ from aridcal.fit.least_squares import fit
 from aridcal.fit.normal_equations import Prior
 from aridcal.fit.residual import problem
 from aridcal.model.model import Model
-from aridcal.result.folder import calibration
 from aridcal.result.pipeline import identify
 from aridcal.result.predict import predict, read_query
 from aridcal.result.saved_model import AT_ONCE, SavedModel, SolvedModel
-from aridcal.result.seen import WIDE, holes, inside, largest
+from aridcal.result.saving import WIDE, calibration, holes, inside, largest
 
 LIMIT = 1.5
 

@@ -23,10 +23,11 @@ from aridcal.inputs.campaign import load_campaign
 from aridcal.inputs.read import load_measurements
 from aridcal.model.model import Model
 from aridcal.model.one_row import OneRowModel
-from aridcal.result.folder import calibration, result_document
+from aridcal.result.folder import result_document
 from aridcal.result.outcome import Outcome
 from aridcal.result.pipeline import identify
 from aridcal.result.saved_model import SavedModel
+from aridcal.result.saving import calibration
 from aridcal.simulate import main as simulate
 
 SIGMA = 1e-4

@@ -19,8 +19,7 @@ from aridcal.errors import CampaignError
 from aridcal.inputs.campaign import load_campaign
 from aridcal.inputs.yaml_file import load_settings
 from aridcal.prepare.scenario import Scenario
-from aridcal.prepare.simulation import simulate
-from aridcal.prepare.written import truth_document
+from aridcal.prepare.simulation import simulate, truth_document
 from aridcal.result.pipeline import identify
 from aridcal.robot.chain import load_robot
 from aridcal.simulate import main

@@ -11,9 +11,10 @@ from aridcal.effects.effect import Coefficient
 from aridcal.errors import MeasurementError, NotIdentifiable, NotOfThisRobot
 from aridcal.fit.closed_form import closed_form_starts
 from aridcal.fit.constants import constants, frame_coefficients, frame_labels, has_world, measures_target
+from aridcal.fit.flags import robust_sigma
 from aridcal.fit.frame_starts import FrameStart, start_frames
 from aridcal.fit.least_squares import Fit, fit, fit_identifiable, minimise, thin
-from aridcal.fit.residual import Problem, problem, robust_sigma, unscaled
+from aridcal.fit.residual import Problem, problem, unscaled
 from aridcal.fit.thing_starts import TIP, beginning
 from aridcal.inputs.campaign import Campaign, FrameSettings
 from aridcal.inputs.dataset import Dataset
@@ -266,5 +267,5 @@ def with_restarts(found: Fit, train: Dataset, progress: Progress = SILENT) -> Fi
     for theta in progress.over(others, "other starts"):
         other = minimise(part, theta, weight)
         off = np.abs(other.at.residual - reference.at.residual)[weight > 0.5]
-        agreed += bool(np.all(off <= tolerance))
+        agreed += not np.any(off > tolerance)  # NaN in what a row does not measure
     return replace(found, convergence=replace(found.convergence, restarts=len(others), agreed=agreed))

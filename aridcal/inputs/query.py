@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 import pandas as pd
@@ -85,6 +86,7 @@ def load_query(
     *,
     poses: bool = False,
     per_station: bool = False,
+    label: Literal["station", "target"] = "station",
     needs: Collection[str] = (),
     limit: Limit = TABLE,
 ) -> Query:
@@ -97,7 +99,8 @@ def load_query(
         kinds: As for :func:`load_measurements`.
         settings: Columns, units and orientations; default: those of FORMATS, in SI.
         poses: The pose of the target is needed, its position only if `settings.kind` is `position`.
-        per_station: The `station` column is needed.
+        per_station: The column that says which frames a row has is needed.
+        label: Which column that is.
         needs: Covariates that every row needs, where they have a column.
         limit: How large the table may be.
 
@@ -116,7 +119,9 @@ def load_query(
     quaternion = source.quaternion() if poses and settings.kind != "position" else None
     if settings.kind != "position":
         source.refuse_second_orientation()
-    station = source.labels("station", needed="station" if per_station else "")
+    if per_station and label == "target":
+        table.require([source.column(label)], "this calibration has several targets: name one in each row")
+    station = source.labels(label, needed=label if per_station else "")
     covariates = source.covariates()
     _refuse_text(source, poses)
     _refuse_holes(source, covariates, needs)

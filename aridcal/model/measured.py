@@ -94,6 +94,10 @@ class Measured:
             every[b, part] = False
         return every[self.block]
 
+    def of_model(self, model: Model) -> Measured:
+        """The same for a model of other coefficients."""
+        return replace(self, moved=_moved(model))
+
     def of_kind(self, number: int) -> tuple[Kind, np.ndarray]:
         """The kind of a block, and the numbers of its rows."""
         return KINDS[self.blocks[number].kind], np.flatnonzero(self.block == number)
@@ -269,7 +273,7 @@ def located(
     role, thing = seen.many()
     found = dict(states)
     for number, name in enumerate(seen.roles):
-        lost: np.ndarray = np.isnan(states[name]).any(axis=1)
+        lost = np.atleast_1d(np.isnan(states[name]).any(axis=1))
         here = np.flatnonzero(role == number)
         asked = np.unique(thing[here])
         asked = asked[lost[asked]]

@@ -1,40 +1,43 @@
-"""A campaign with a known truth, measured."""
+"""A campaign with a known truth, measured and written."""
 
 from __future__ import annotations
 
+import json
+import os
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 import pinocchio as pin
+import yaml
 from scipy.spatial.transform import Rotation
 
-from aridcal.effects.catalogue import is_of_head
+from aridcal.effects.catalogue import KINDS, is_of_head
 from aridcal.effects.effect import FRAME_COMPONENTS, Coefficient
 from aridcal.effects.loads import Surroundings
-from aridcal.errors import CampaignError, nearest
-from aridcal.head.reduction import Head
+from aridcal.errors import CampaignError, MeasurementError, nearest
 from aridcal.head.render import Optics
-from aridcal.inputs.head_settings import HeadSettings, load_squares, range_columns
+from aridcal.inputs.head_settings import HeadSettings, load_squares
 from aridcal.inputs.quantities import POSITION, QUATERNION, column_of
 from aridcal.inputs.yaml_file import load_settings
 from aridcal.model.model import Model
 from aridcal.prepare.measuring import Machine, measured, targets
 from aridcal.prepare.postures import draw_readings
 from aridcal.prepare.scenario import Scenario, Truth, check_scenario
-from aridcal.prepare.true_effects import Cause, columns_needed, draw_columns, make_causes, values
-from aridcal.prepare.true_things import Real
-from aridcal.prepare.viewpoints import draw_views, photographs
+from aridcal.prepare.true_effects import Cause, columns_needed, draw_columns, make_causes
+from aridcal.prepare.true_things import Real, documents
+from aridcal.prepare.viewpoints import draw_views, photographed, true_head
+from aridcal.reading.files import read_file
+from aridcal.reading.table_files import FIRST_LINE
 from aridcal.robot.chain import Robot, load_robot
 from aridcal.robot.doty import doty_links
-from aridcal.search.head_effects import directions, stated
 from aridcal.showing import SILENT, Progress
 
 AT_ONCE = 20_000
-"""Rows that are simulated at once: a second's work between two words of progress."""
+"""Rows that are simulated, and written, at once: a second's work between two words of progress."""
 
 
 @dataclass(frozen=True)
@@ -127,7 +130,7 @@ def simulate(scenario: Scenario, progress: Progress = SILENT) -> Simulation:
         causes = [*causes, *of_head]
         wrong = np.zeros(truth.n, dtype=bool)
         progress.at("taking the shots")
-        shots, images = _photographed(head, optics, real, R, p, noise, progress)
+        shots, images = photographed(head, optics, real, R, p, noise, progress)
         joints = dict(zip(robot.readings, readings.T, strict=True))
         table = pd.DataFrame(joints | columns).assign(**shots)
     return Simulation(
@@ -214,36 +217,6 @@ def _measured(
     return position, turn * Rotation.from_matrix(R, assume_valid=True), wrong
 
 
-def _photographed(
-    settings: HeadSettings,
-    optics: Optics,
-    real: Head,
-    R: np.ndarray,
-    p: np.ndarray,
-    noise: np.random.Generator,
-    progress: Progress,
-) -> tuple[dict[str, Any], dict[str, bytes]]:
-    """Shots of the measuring head: columns of ``shots.csv`` beside joints and covariates, and the images by name.
-
-    Args:
-        settings: The head as its makers state it.
-        optics: The camera and the squares that it looks at.
-        real: The head as it is.
-        R: True rotations of the camera, shape (n, 3, 3).
-        p: True positions, shape (n, 3), [m].
-        noise: Draws the noise of images and sonars.
-        progress: Told how many shots are taken.
-    """
-    T = np.broadcast_to(np.eye(4), (len(R), 4, 4)).copy()
-    T[:, :3, :3], T[:, :3, 3] = R, p
-    # The arm is not quite where it was sent: another square may be nearest the optical axis.
-    square = np.array([optics.nearest(pose) for pose in T])
-    taken, ranges = photographs(T, square, optics, real, noise, progress)
-    images = {f"images/{k + 1:03d}.jpg": image for k, image in enumerate(taken)}
-    columns = dict(zip(range_columns(settings), ranges.T, strict=True))
-    return {"image": list(images), "square": square, **columns}, images
-
-
 def named_constants(robot: Robot, names: Iterable[str], path: Path) -> tuple[Coefficient, ...]:
     """Constants by their names, ``joint_2.pitch`` or ``joint_1.beta`` for instance.
 
@@ -283,33 +256,102 @@ def true_frames(scenario: Scenario, head: HeadSettings | None = None) -> dict[st
     return frames
 
 
-def true_head(scenario: Scenario, settings: HeadSettings, rng: np.random.Generator) -> tuple[Head, list[Cause]]:
-    """The measuring head as it really is, and its effects.
-
-    Its numbers are phi = phi_stated + sum over the effects of D theta, with the effect's coefficients theta and their
-    directions D in the space of the head's numbers.
-
-    Args:
-        scenario: Says which effects.
-        settings: The head as its makers state it.
-        rng: Draws the coefficients that are not given.
-    """
-    head, place = Head.of(settings), f"{scenario.path}: truth"
-    phi, causes = head.phi, []
-    wanted = [e for e in scenario.truth.effects if is_of_head(e.kind)]
-    for e, effect in zip(wanted, stated(head, wanted, place), strict=True):
-        theta = values(e, effect, rng, place)
-        causes.append(Cause(effect, theta, {}))
-        phi = phi + directions(head, effect.coefficients) @ theta
-    return replace(head, phi=phi), causes
-
-
 def surroundings(scenario: Scenario, frames: Mapping[str, pin.SE3], loaded: bool) -> Surroundings:
     """Gravity in the base's frame, and the payload's place; ``loaded`` where there is one."""
     gravity = scenario.robot.gravity
     R_world_base = frames["world_base"].rotation
     vector = R_world_base.T @ [0.0, 0.0, -9.81] if gravity == "world" else np.array(gravity)
     return Surroundings(vector, frames["tip_target"].translation, loaded)
+
+
+def write_campaign(simulation: Simulation, folder: Path, home: Path, progress: Progress = SILENT) -> None:
+    """Write the campaign, its measurements, its robot and its truth.
+
+    Args:
+        simulation: What to write.
+        folder: Where to write it now.
+        home: Where it will be; paths in the campaign are relative to that.
+        progress: Told how far the work is.
+    """
+    progress.at("writing the measurements")
+    scenario, robot = simulation.scenario, simulation.robot
+    keys = scenario.model_dump(mode="json", by_alias=True, exclude_unset=True, exclude={"truth"})
+    beside = scenario.path.parent.resolve() == home.resolve()  # the scenario's own paths hold here as well
+    if beside:
+        keys["robot"]["urdf"] = Path(os.path.relpath(robot.path, home)).as_posix()
+    else:
+        keys["robot"]["urdf"] = robot.path.name
+        (folder / robot.path.name).write_bytes(robot.urdf)
+    known, named = scenario.instruments, keys.get("instruments", {})
+    for path, part, key in ((known.points, named, "points"), (known.markers.file, named.get("markers", {}), "file")):
+        if path is not None:
+            part[key] = Path(os.path.relpath(path, home)).as_posix() if beside else path.name
+            if not beside:
+                (folder / path.name).write_bytes(read_file(path, MeasurementError, scenario.limits.table))
+    blocks = [block.model_dump(mode="json", by_alias=True, exclude_unset=True) for block in scenario.blocks]
+    for number, (block, table) in enumerate(zip(blocks, simulation.tables, strict=True), start=1):
+        block.pop("file", None)
+        if scenario.measurements.head is None:
+            name = f"measurements_{number}.csv" if scenario.listed else "measurements.csv"
+            blocks[number - 1] = {"file": name} | block
+            with (folder / name).open("w", encoding="utf-8", newline="") as file:
+                for first in progress.through(range(0, len(table), AT_ONCE), len(table), "rows", AT_ONCE):
+                    table.iloc[first : first + AT_ONCE].to_csv(file, index=False, header=first == 0)
+        else:
+            block["head"] = _write_shots(simulation, scenario.measurements.head, folder, home)
+    keys["measurements"] = blocks if scenario.listed else blocks[0]
+    if keys.get("diagnosis", {}).get("candidates") == list(KINDS):
+        keys["diagnosis"]["candidates"] = "all"
+    text = yaml.safe_dump(keys, sort_keys=False, allow_unicode=True, default_flow_style=None, width=120)
+    first_line = f"# Made by `aridcal simulate {scenario.path.name}`; the truth is in truth.json.\n"
+    (folder / "campaign.yaml").write_text(first_line + text, encoding="utf-8")
+    truth = json.dumps(truth_document(simulation), indent=2, allow_nan=False)
+    (folder / "truth.json").write_text(truth + "\n", encoding="utf-8")
+
+
+def _write_shots(simulation: Simulation, path: Path, folder: Path, home: Path) -> str:
+    """Write shots and images, and the head's own files unless they are there; returns the name of ``head.yaml``."""
+    settings = load_settings(path, HeadSettings)
+    if path.parent.resolve() != home.resolve():
+        keys = settings.model_dump(mode="json", exclude_unset=True, exclude={"robot", "world_base"})
+        keys |= {"squares": "squares.csv", "shots": "shots.csv"}
+        (folder / path.name).write_text(yaml.safe_dump(keys, sort_keys=False, default_flow_style=None, width=120))
+        (folder / "squares.csv").write_bytes(read_file(settings.squares, MeasurementError, settings.limits.table))
+        simulation.measurements.to_csv(folder / "shots.csv", index=False)
+    else:
+        simulation.measurements.to_csv(folder / settings.shots.name, index=False)
+    (folder / "images").mkdir()
+    for name, image in simulation.images.items():
+        (folder / name).write_bytes(image)
+    return path.name
+
+
+def truth_document(simulation: Simulation) -> dict[str, Any]:
+    """`truth.json` as plain data: SI, rows as lines of ``measurements.csv``."""
+    truth = simulation.scenario.truth
+    frames = {}
+    for where, frame in simulation.frames.items():
+        name = "tip_camera" if simulation.images and where == "tip_target" else where
+        rpy = pin.rpy.matrixToRpy(frame.rotation)
+        frames[name] = {"xyz": frame.translation.tolist(), "rpy": rpy.tolist()}
+    stated = truth.outliers.model_dump() if truth.outliers else {"share": 0.0}
+    ends = np.cumsum([len(table) for table in simulation.tables])[:-1]
+    wrong = [(np.flatnonzero(part) + FIRST_LINE).tolist() for part in np.split(simulation.outliers, ends)]
+    listed = wrong if simulation.scenario.listed else wrong[0]
+    things = {"instruments": documents(simulation.real)} if simulation.real else {}
+    return {
+        "format": 1,
+        "n": truth.n,
+        "seed": truth.seed,
+        "parameters": simulation.parameters,
+        "frames": frames,
+        "effects": [cause.document() for cause in simulation.causes],
+        **things,
+        "noise": truth.noise.model_dump(
+            exclude=set() if simulation.scenario.refers else {"distance", "pixel", "inclination"}
+        ),
+        "outliers": {**stated, "rows": listed},
+    }
 
 
 def _table(

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
+import pinocchio as pin
 from pydantic import Field
 
 from aridcal.inputs.instrument_settings import Label, LengthSettings, Placement
 from aridcal.inputs.things import Known
 from aridcal.inputs.yaml_file import Number, Positive, Section, Vector3
+from aridcal.instruments.camera import INTRINSICS
 
 Count = Annotated[int, Field(ge=1, le=100_000)]
 
@@ -201,3 +203,27 @@ def camera_state(known: Known, name: str, true: TrueCamera) -> tuple[list[float]
         lens[4:] = true.distortion
     place = (true if true.given else stated).place(known=True)
     return [*place, *lens.tolist(), float(stated.on == "tip")], given
+
+
+def documents(real: Mapping[str, Real]) -> dict[str, Any]:
+    """What rows refer to, by role and name."""
+    found: dict[str, Any] = {}
+    for role, things in real.items():
+        found[role] = {
+            name: _thing(role, state.tolist()) for name, state in zip(things.names, things.states, strict=True)
+        }
+    return found
+
+
+def _thing(role: str, state: list[float]) -> dict[str, Any]:
+    """One of them, in the words of a campaign."""
+    if role == "plane":
+        return {"normal": state[:3], "offset": state[3]}
+    place: dict[str, Any] = {"xyz": state[:3]}
+    if role == "anchor":
+        return place | {"offset": state[3], "scale": state[4]}
+    if role in ("camera", "board"):
+        place["rpy"] = pin.rpy.matrixToRpy(np.array(state[3:12]).reshape(3, 3)).tolist()
+    if role == "camera":
+        place |= dict(zip(INTRINSICS[:4], state[12:16], strict=True)) | {"distortion": state[16:21]}
+    return place

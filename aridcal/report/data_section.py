@@ -6,9 +6,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from aridcal.inputs.dataset import Dataset
+from aridcal.instruments.catalogue import KINDS
 from aridcal.report.figures import coverage, histogram
 from aridcal.report.html import Content, Html, bullets, counted, figures, number, table, tag
-from aridcal.report.words import range_in_words, sigmas_in_words
+from aridcal.report.words import per_number, range_in_words, sigmas_in_words
 from aridcal.result.key_figures import QUESTIONABLE, JointRange, joint_ranges, row_errors
 from aridcal.result.outcome import Outcome, statistics
 
@@ -21,6 +23,8 @@ def data(outcome: Outcome) -> Iterator[Content]:
     m = outcome.measurements
     flagged = int(outcome.outlier.sum())
     yield _row_counts(outcome)
+    if len(m.blocks) > 1:
+        yield _blocks(outcome)
     if flagged > QUESTIONABLE * len(m):
         share = 100 * flagged / len(m)
         yield tag(
@@ -58,6 +62,22 @@ def _row_counts(outcome: Outcome) -> Html:
     return table(["rows", "number"], lines, f"Rows of {files}")
 
 
+def _blocks(outcome: Outcome) -> Html:
+    """The rows of each instrument, and the noise that it has."""
+    m, parts = outcome.measurements, outcome.parts()
+    lines = []
+    first = 0
+    for b, block in enumerate(m.blocks):
+        own = m.block == b
+        last = first + len(block.channels)
+        counts = [own, own & parts["train"], own & parts["test"], own & outcome.outlier]
+        noise = sigmas_in_words(outcome.noise[first:last], block.channels)
+        lines.append([block.name, KINDS[block.kind].words, *(f"{mask.sum():,}" for mask in counts), noise])
+        first = last
+    head = ["block", "measures", "rows", "fitted", "held out", "outliers", "noise of each number"]
+    return table(head, lines, "Rows of each block", numbers=2)
+
+
 def _repeats(outcome: Outcome) -> Html:
     """Scatter of configurations that were measured more than once."""
     found = outcome.repeats
@@ -68,12 +88,15 @@ def _repeats(outcome: Outcome) -> Html:
             "error of the model. Repeat a few poses next time.",
         )
     scatter = sigmas_in_words(found.sigma, outcome.channels)
-    repeatability = number(1e3 * found.repeatability)
+    repeatability = (
+        f" Repeatability RP of ISO 9283, the mean distance to the centre plus three standard deviations: "
+        f"{number(1e3 * found.repeatability)} mm."
+    )
     return tag(
         "p",
         f"{counted(found.groups, 'configuration')} measured more than once ({counted(found.rows, 'row')}). "
-        f"Repeats scatter by {scatter} (1σ per axis). Repeatability RP of ISO 9283, the mean distance to the centre plus "
-        f"three standard deviations: {repeatability} mm. No calibration can reliably get below the scatter of the repeats.",
+        f"Repeats scatter by {scatter} (1σ {per_number(outcome)}).{'' if outcome.measurements.blocks else repeatability} "
+        "No calibration can reliably get below the scatter of the repeats.",
     )
 
 
@@ -101,11 +124,17 @@ def row_table(outcome: Outcome, rows: np.ndarray, head: str, words: list[str], c
     left = row_errors(outcome.stages[-1].residual[rows], outcome.channels)
     lines = []
     for i, (k, word) in enumerate(zip(rows, words, strict=True)):
-        place = f"{m.files[m.file[k]].name}, line {m.line[k]}"
+        place = f"{m.files[m.file[k]].name}, line {m.line[k]}{_of_things(m, int(k))}"
         part = "held out" if m.test[k] else "fitted"
         lines.append([place, part, word, *(number(error[i]) for error in left)])
     titles = [channel.title for channel in outcome.channels]
     return table(["row", "part", head, *titles], lines, caption, numbers=3)
+
+
+def _of_things(m: Dataset, k: int) -> str:
+    """What a row refers to, in brackets."""
+    labels = [str(label) for label in m.refers[k] if label] if m.blocks else []
+    return f" ({', '.join(labels)})" if labels else ""
 
 
 def enough(outcome: Outcome) -> Iterator[Content]:
@@ -115,7 +144,7 @@ def enough(outcome: Outcome) -> Iterator[Content]:
     yield _pictures(joints, sigma)
     yield _joint_table(joints)
     named = {f"{name} [mm]": values for name, values in sigma.items()}
-    if outcome.measurements.rotation is not None:
+    if outcome.measurements.sees_turns:
         named["rotation, at the fitted rows [mrad]"] = 1e3 * precision.rotation
     lines = []
     for name, values in named.items():

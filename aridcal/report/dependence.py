@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from aridcal.report.effects_section import axis_unit, effects_in_the_model, other_candidates, p_in_words
 from aridcal.report.figures import Trend, correlogram, panels
 from aridcal.report.html import Content, Html, figures, number, table, tag
+from aridcal.report.words import shown_in
 from aridcal.result.key_figures import clear_traces, corrected, significant, slowly_changing, strays
 from aridcal.result.outcome import Outcome
 from aridcal.search.gains import Diagnosis
@@ -108,12 +109,12 @@ def _size_in_words(trace: Trace, size: float, p: float) -> str:
 
 
 def _unit(trace: Trace) -> str:
-    return "mrad" if trace.unit == "rad" else "mm"
+    return shown_in(trace.unit)[0]
 
 
 def _size(trace: Trace, size: float) -> str:
-    """A size of a trace, [m] or [rad], in words."""
-    return f"{number(1e3 * size, 2)} {_unit(trace)}" if size > 0 else "0"
+    """A size of a trace, in its own unit, in words."""
+    return f"{number(shown_in(trace.unit)[1] * size, 2)} {_unit(trace)}" if size > 0 else "0"
 
 
 def _picture(outcome: Outcome, key: str, trace: Trace) -> Html:
@@ -123,9 +124,11 @@ def _picture(outcome: Outcome, key: str, trace: Trace) -> Html:
     models = {WITH: (trace.after, trace.mean_after, trace.smooth_after)}
     if outcome.effects:
         models = {WITHOUT: (trace.before, trace.mean_before, trace.smooth_before), **models}
-    values = {name: 1e3 * rows for name, (rows, _, _) in models.items()}
+    size = shown_in(trace.unit)[1]
+    values = {name: size * rows for name, (rows, _, _) in models.items()}
     trends = {
-        name: Trend(centre, 1e3 * mean, 1e3 * trace.std, at, 1e3 * smooth) for name, (_, mean, smooth) in models.items()
+        name: Trend(centre, size * mean, size * trace.std, at, size * smooth)
+        for name, (_, mean, smooth) in models.items()
     }
     alt = f"Remaining error as a motion of {trace.motion}, over {trace.covariate}"
     labels = (f"{trace.covariate}{unit}", f"{trace.motion} [{_unit(trace)}]")

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Any, ParamSpec
 
 import numpy as np
 
-from aridcal.report.failures import attempt
-from aridcal.report.html import Html, missing, number
+from aridcal.report.html import Html, attempt, missing, number
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -10,9 +10,16 @@ import numpy as np
 
 from aridcal.effects.catalogue import KINDS
 from aridcal.fit.noise import WORTH_SAYING
-from aridcal.instruments.channels import Channel
 from aridcal.report.html import Content, Html, counted, number, plus_minus, tag
-from aridcal.report.words import causes_in_words, sigmas_in_words
+from aridcal.report.words import (
+    at_target_in_words,
+    causes_in_words,
+    noise_in_words,
+    per_number,
+    scale_in_words,
+    sigmas_in_words,
+)
+from aridcal.result.instruments import known_scale
 from aridcal.result.key_figures import (
     FEW,
     OVERFITTED,
@@ -29,6 +36,7 @@ from aridcal.result.key_figures import (
     over_time,
     removed_shares,
     scored,
+    squared,
     steps,
 )
 from aridcal.result.outcome import Outcome, errors
@@ -63,7 +71,7 @@ def summary(outcome: Outcome) -> Iterator[Content]:
     rows = f"{counted(len(m), 'row')}, {m.test.sum():,} of them held out"
     yield tag("h1", f"Calibration of {robot.tree.name}")
     yield tag("p", f"{files} · {rows} · {robot.path.name}, {robot.base} to {robot.tip}", class_="about")
-    yield tag("div", [_card(outcome, channel) for channel in outcome.channels], class_="cards")
+    yield tag("div", [_card(outcome, k) for k in range(len(outcome.channels))], class_="cards")
     checked = [_check(good, words) for good, words in checks(outcome)]
     yield tag(
         "div",
@@ -74,9 +82,11 @@ def summary(outcome: Outcome) -> Iterator[Content]:
     )
 
 
-def _card(outcome: Outcome, channel: Channel) -> Html:
-    """Before and after in large figures, then one bar for each model."""
+def _card(outcome: Outcome, k: int) -> Html:
+    """Before and after of one channel in large figures, then one bar for each model."""
     mask, rows = scored(outcome)
+    mask = mask & outcome.measurements.measures[:, k]
+    channel = outcome.channels[k]
     what, unit = channel.noun, channel.shown
     found = [(step, errors(step.residual, mask, outcome.channels)[channel.key]) for step in steps(outcome)]
     before, after = found[0][1], found[-1][1]
@@ -89,7 +99,7 @@ def _card(outcome: Outcome, channel: Channel) -> Html:
     )
     said = (
         f"before → after calibration, on {mask.sum():,} {rows}. After it 95 % are below {number(after['p95'])} {unit}; "
-        f"the largest is {number(after['max'])} {unit}."
+        f"the largest is {number(after['max'])} {unit}.{at_target_in_words(outcome, k, mask)}"
     )
     bars = _bars([(step, e["rms"]) for step, e in found], unit)
     return tag("div", tag("h2", f"{what.capitalize()}, RMS"), figures, tag("p", said), bars, class_="card")
@@ -143,7 +153,7 @@ def _shares_in_words(outcome: Outcome, shares: list[tuple[Step, float]], correct
     """
     meanings = {e.effect.label: f"{KINDS[e.effect.kind].words}{or_as_well(e)}" for e in outcome.effects}
     if shares[0][1] <= 0.0:
-        return "No correction lowers the position error of these rows. "
+        return f"No correction lowers the {squared(outcome).removeprefix('squared ')} of these rows. "
     parts: list[str] = []
     for step, share in shares[:MOST_CAUSES]:
         geometric = "geometric" in step.names
@@ -152,7 +162,7 @@ def _shares_in_words(outcome: Outcome, shares: list[tuple[Step, float]], correct
         if what and not any(what in part for part in parts):
             who = f"{who} ({what})"
         verb = "account" if geometric and corrections != 1 else "accounts"
-        first = f" {verb} for {_percent(share)} of the squared position error"
+        first = f" {verb} for {_percent(share)} of the {squared(outcome)}"
         parts.append(who + (f" for {_percent(share)}" if parts else first))
     rest = [share for _, share in shares[MOST_CAUSES:]]
     if rest:
@@ -187,20 +197,21 @@ def _remaining(outcome: Outcome) -> Iterator[Content]:
         yield f" Signs of it: {'; '.join(said.reasons)}."
     if said.share > 0:
         yield f" {100 * said.share:.0f} % of the remaining variance is repeatable."
-    in_space = sigmas_in_words(outcome.scatter, outcome.channels, math.sqrt(3))
-    per_axis = sigmas_in_words(outcome.noise, outcome.channels)
+    per_axis = f"{sigmas_in_words(outcome.noise, outcome.channels)} {per_number(outcome)}"
     causes = causes_in_words(outcome)
     whose, all_of_it = (" of the instrument", "with all that scatters ") if causes else ("", "")
+    in_all = (
+        f", {all_of_it}{noise_in_words(outcome, outcome.scatter)}" if causes or not outcome.measurements.blocks else ""
+    )
     if outcome.noise_source == "declared":
-        yield f" Declared noise{whose}: {per_axis} per axis, {all_of_it}{in_space} over three axes."
+        yield f" Declared noise{whose}: {per_axis}{in_all}."
         yield NO_BETTER if _is_floor(outcome, outcome.noise) else BELOW.format("the declared noise")
     else:
-        yield f" Noise{whose} estimated from the residuals: {per_axis} per axis, {all_of_it}{in_space} over three axes."
+        yield f" Noise{whose} estimated from the residuals: {per_axis}{in_all}."
     if causes:
         yield f" {causes}"
     if outcome.noise_source != "declared" and outcome.repeats is not None:
-        floor = sigmas_in_words(outcome.repeats.sigma, outcome.channels, math.sqrt(3))
-        yield f" Repeats scatter by {floor} over three axes."
+        yield f" Repeats scatter by {noise_in_words(outcome, outcome.repeats.sigma)}."
         yield NO_BETTER if _is_floor(outcome, outcome.repeats.sigma) else BELOW.format("the scatter of the repeats")
 
 
@@ -214,6 +225,8 @@ def checks(outcome: Outcome) -> Iterator[tuple[bool, str]]:
     """What speaks for the result (True) and what should be looked at first (False)."""
     yield from _row_checks(outcome)
     yield from _fit_checks(outcome)
+    for sentence in scale_in_words(outcome):
+        yield known_scale(outcome.measurements) not in (None, math.inf), f"{sentence[0].upper()}{sentence[1:]}."
     verified = another_day(outcome)
     if verified is not None:
         yield verified

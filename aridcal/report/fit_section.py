@@ -7,6 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from aridcal.instruments.catalogue import KINDS
 from aridcal.instruments.channels import Channels, spread
 from aridcal.report.data_section import row_table
 from aridcal.report.figures import field, histogram, panels
@@ -18,6 +19,17 @@ from aridcal.result.outcome import STATISTICS, Outcome, errors, statistics
 PARTS = {"test": "held out", "train": "fitted", "test_all": "held out, with outliers"}
 STATISTIC_NAMES = dict(zip(STATISTICS, ("RMS", "mean", "median", "95 % below", "max"), strict=True))
 MOST_WORST = 5
+
+OF_KINDS = {
+    "pose": "A position error is the length of the residual, a rotation error the angle of the residual rotation.",
+    "position": "A position error is the length of the residual.",
+    "point": "The error at a point is how far the target is from where the point was found.",
+    "distance": "A distance error is the reading minus what the model has it, along the wire.",
+    "plane": "An error at a plane is the reading minus the target's height over the plane as it was found.",
+    "pixels": "A pixel error is how far a marker is in the image from where the model has it.",
+    "inclination": "An inclination error is the angle between gravity as measured and as the model has it.",
+}
+"""What the error of each kind of measurement is."""
 
 
 def fits(outcome: Outcome) -> Iterator[Content]:
@@ -57,15 +69,20 @@ def _error_tables(outcome: Outcome) -> Iterator[Content]:
             found = [errors(step.residual, parts[part], outcome.channels)[channel.key] for part in shown]
             lines.append([step.title, *(number(f[s]) for f in found for s in STATISTICS)])
         yield table(head, lines, channel.title.capitalize())
-    yield _error_words(bool(outcome.effects))
+    yield _error_words(outcome)
 
 
-def _error_words(effects: bool) -> Html:
+def _error_words(outcome: Outcome) -> Html:
     """What the lines of the error tables are."""
+    effects, kinds = bool(outcome.effects), [KINDS[block.kind] for block in outcome.measurements.blocks]
+    what = (
+        "".join(f"{OF_KINDS[kind.name]} " for kind in dict.fromkeys(kinds))
+        or "A position error is the length of the residual, a rotation error the angle of the residual rotation. "
+    )
     added = " Each line with a + adds one effect to the model above it, and all coefficients are fitted again."
     return tag(
         "p",
-        "A position error is the length of the residual, a rotation error the angle of the residual rotation. ",
+        what,
         tag("code", "nominal"), " is the unchanged URDF, with only the unknown frames fitted. ",
         tag("code", "geometric"), " adds the geometric corrections; ", tag("code", "calibrated.urdf"), " contains it.",
         added if effects else "",
@@ -77,18 +94,28 @@ def _histograms(compared: dict[str, np.ndarray], channels: Channels) -> Html:
     """Distribution of the errors before and after, from residuals (n, m)."""
     drawn: list[tuple[Content, Html]] = []
     for k, channel in enumerate(channels):
-        values = {name: row_errors(residual, channels)[k] for name, residual in compared.items()}
+        values = {name: _told(row_errors(residual, channels)[k]) for name, residual in compared.items()}
+        if not all(len(v) for v in values.values()):
+            continue
         alt = f"Histogram of the {channel.title} before and after calibration"
         drawn.append((channel.title.capitalize(), histogram(channel.key, alt, values, channel.title)))
     return figures(drawn)
 
 
-def _iso_9283(outcome: Outcome) -> Html:
-    """Pose accuracy of every step."""
+def _told(values: np.ndarray) -> np.ndarray:
+    """Those that are there: rows of other instruments have none."""
+    return values[~np.isnan(values)]
+
+
+def _iso_9283(outcome: Outcome) -> Content:
+    """Pose accuracy of every step; nothing where no position was measured."""
     _, words = scored(outcome)
     lines = []
     for step in steps(outcome):
-        found = statistics(pose_accuracy(outcome, step.residual))
+        accuracy = pose_accuracy(outcome, step.residual)
+        if not len(accuracy):
+            return ""
+        found = statistics(accuracy)
         lines.append([step.title, *(number(found[key]) for key in ("mean", "p95", "max"))])
     caption = f"Pose accuracy AP of ISO 9283 [mm], {words}"
     return table(["model", "mean", "95 % below", "worst pose"], lines, caption)
@@ -114,7 +141,13 @@ def _halves(outcome: Outcome) -> Html:
 
 def _axes(channels: Channels) -> list[str]:
     """Titles of the numbers of a residual."""
-    return [f"{axis} [{channel.shown}]" for channel in channels for axis in channel.axes]
+    names = [axis for channel in channels for axis in channel.axes]
+    twice = len(names) > len(set(names))
+    return [
+        f"{f'{channel.name} ' if twice or len(channel.axes) == 1 else ''}{axis} [{channel.shown}]"
+        for channel in channels
+        for axis in channel.axes
+    ]
 
 
 def _axis_table(outcome: Outcome) -> Html:
@@ -123,35 +156,48 @@ def _axis_table(outcome: Outcome) -> Html:
     path = steps(outcome)
     lines = [[step.title, *(number(v) for v in axis_rms(step.residual[mask], outcome.channels))] for step in path]
     axes = _axes(outcome.channels)
-    return table(["model", *axes], lines, f"RMS of the residual in world axes, {words}")
+    own = "each number read" if outcome.measurements.blocks else "the residual in world axes"
+    return table(["model", *axes], lines, f"RMS of {own}, {words}")
 
 
 def _axis_pictures(compared: dict[str, np.ndarray], channels: Channels, words: str) -> Html:
     """Residuals (n, m) row by row, before and after."""
     drawn: list[tuple[Content, Html]] = []
     before, _ = compared.values()
+    there = ~np.isnan(np.stack(list(compared.values()))).any(axis=0)
     order = np.arange(1.0, len(before) + 1)
     scale = spread(np.array([c.scale for c in channels]), channels)
     for k, axis in enumerate(_axes(channels)):
-        values = {name: scale[k] * residual[:, k] for name, residual in compared.items()}
+        own = there[:, k]
+        if not own.any():
+            continue
+        values = {name: scale[k] * residual[own, k] for name, residual in compared.items()}
         alt = f"Residual {axis} row by row, before and after calibration"
         labels = (f"number of the row among the {words}", axis)
-        drawn.append((f"Measured minus predicted: {axis}", panels(f"axis-{k}", alt, order, values, labels)))
+        drawn.append((f"Measured minus predicted: {axis}", panels(f"axis-{k}", alt, order[own], values, labels)))
     return figures(drawn)
 
 
 def _workspace(outcome: Outcome) -> Html:
-    """Position errors over the three planes of the world."""
+    """Errors at the target over the three planes of the world."""
     sound = ~outcome.outlier
-    error = row_errors(outcome.stages[-1].residual[sound], outcome.channels)[0]
-    points = outcome.measurements.position[sound]
+    if outcome.measurements.blocks:
+        shift = outcome.at_target.shift(outcome.stages[-1].residual)
+        sound &= ~np.isnan(shift).any(axis=1)
+        error, points = 1e3 * np.linalg.norm(shift[sound], axis=1), outcome.at_target.places[sound]
+    else:
+        error = row_errors(outcome.stages[-1].residual[sound], outcome.channels)[0]
+        points = outcome.measurements.position[sound]
+    if not len(error):
+        return tag("p", "None of these rows tells where the target is.")
+    what = "Error at the target" if outcome.measurements.blocks else "Position error"
     drawn: list[tuple[Content, Html]] = []
     for a, b in ((0, 1), (0, 2), (1, 2)):
         first, second = "xyz"[a], "xyz"[b]
         labels = (f"world {first} [m]", f"world {second} [m]")
-        alt = f"Position error after calibration over {labels[0]} and {labels[1]}"
+        alt = f"{what} after calibration over {labels[0]} and {labels[1]}"
         plot = field(f"field-{first}{second}", alt, points[:, [a, b]], error, labels, "mm")
-        drawn.append((f"Position error after calibration, {first}–{second} plane", plot))
+        drawn.append((f"{what} after calibration, {first}–{second} plane", plot))
     return figures(drawn)
 
 

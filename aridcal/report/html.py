@@ -1,10 +1,19 @@
-"""HTML that is safe by construction (text is escaped unless it is markup already), and numbers as text."""
+"""HTML that is safe by construction (text is escaped unless it is markup already), and numbers as text.
+
+What only serves looks fails by itself: a notice in its place (:func:`attempt`), and everything else goes on.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+import traceback
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from html import escape
+from typing import TypeVar
+
+from aridcal.errors import printable, shortened
 
 
 class Html(str):
@@ -19,6 +28,13 @@ VOID = frozenset({"meta", "br"})
 
 # Numbers between the first two are written without an exponent, with no more decimals than the third.
 SMALL, LARGE, MOST_DECIMALS = 1e-4, 1e6, 9
+
+T = TypeVar("T")
+
+LONGEST = 300
+"""Letters of a notice's reason: readers of files quote what they choke on, and names have no limit."""
+
+_missing: ContextVar[list[str] | None] = ContextVar("missing", default=None)
 
 
 def tag(name: str, /, *content: Content, **attributes: str | None) -> Html:
@@ -153,3 +169,55 @@ def fixed(value: float, decimals: int) -> str:
 def counted(count: int, what: str) -> str:
     """A number of things: `1 row`, `1,495 rows`."""
     return f"{count:,} {what}{'' if count == 1 else 's'}"
+
+
+@contextmanager
+def noting() -> Iterator[list[str]]:
+    """Collect the notices of :func:`attempt` while a page is drawn.
+
+    Yields:
+        The notices so far, each once.
+    """
+    notices: list[str] = []
+    token = _missing.set(notices)
+    try:
+        yield notices
+    finally:
+        _missing.reset(token)
+
+
+def attempt(what: str, draw: Callable[[], T], instead: Callable[[str], T]) -> T:
+    """Draw something, or note why that cannot be done.
+
+    Memory that is not there and recursion without end count as any error; Ctrl-C does not.
+
+    Args:
+        what: What is drawn, as the notice calls it: ``report.html: section 'Limits'``.
+        draw: Draws it.
+        instead: Gives what stands in its place, from the notice.
+    """
+    try:
+        return draw()
+    except Exception as error:
+        notice = f"{what} is not drawn: {reason(error)}"
+    note(notice)
+    return instead(notice)
+
+
+def note(notice: str) -> None:
+    """Add a notice to those that :func:`noting` collects."""
+    notices = _missing.get()
+    if notices is not None and notice not in notices:
+        notices.append(notice)
+
+
+def reason(error: Exception) -> str:
+    """Say what went wrong and where in the code: a picture's error is seen by nobody who could look at a traceback."""
+    frame = traceback.extract_tb(error.__traceback__)[-1]
+    said = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+    return f"{one_line(said)} ({frame.filename.rpartition('/')[2]}:{frame.lineno})"
+
+
+def one_line(text: str) -> str:
+    """Text without control characters, its beginning if it is long."""
+    return shortened(printable(text), LONGEST)

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from aridcal.effects.effect import FRAME_COMPONENTS, LINK_COMPONENTS
+from aridcal.fit.constants import has_world
 from aridcal.report.html import Content, Html, counted, fixed, number, plus_minus, table, tag
 from aridcal.result.folder import frames, parameters
 from aridcal.result.key_figures import constants, solved_stages
@@ -87,6 +88,9 @@ def identified(outcome: Outcome) -> Iterator[Content]:
         tag("code", "world_base"), " is the pose of the robot's base in the measured world, ",
         tag("code", "tip_target"), " the pose of the measured target on the tip. Their ± is a twist in the frame's own "
         "axes. Neither is in the URDF.",
+        " No instrument knows a frame of the world here, so that it is the base's own."
+        if outcome.measurements.blocks and not has_world(outcome.measurements)
+        else "",
     )  # fmt: skip
     yield from _frames(outcome)
 

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 from aridcal.report.html import Content, Html, bullets, number, table, tag
 from aridcal.report.identified_section import codes
-from aridcal.report.words import range_in_words, sigmas_in_words
-from aridcal.result.controllers import Handover
+from aridcal.report.words import per_number, range_in_words, sigmas_in_words
+from aridcal.result.controllers import Export, Handover
 from aridcal.result.key_figures import narrow_joints
 from aridcal.result.outcome import Outcome
 
@@ -20,11 +20,18 @@ JOINT_VALUES = (
 )
 
 
+THING_MOVED: list[Content] = [
+    "a socket, anchor, plane, camera or board",
+    "nothing: it is an instrument, and where it stood is in result.json only",
+    "every constant in the URDF, and the target",
+]
+
+
 def limits(outcome: Outcome) -> Iterator[Content]:
     """Question 6: where does the calibration hold?"""
     yield bullets([_outside(outcome), _uncertainty(outcome), JOINT_VALUES])
     yield tag("h3", "What to measure again after a change")
-    yield _after_a_change()
+    yield _after_a_change(bool(outcome.things))
     hidden = _inside_the_target(outcome)
     if hidden:
         yield tag(
@@ -48,20 +55,20 @@ def _outside(outcome: Outcome) -> str:
 
 def _uncertainty(outcome: Outcome) -> str:
     """On what each standard deviation covers."""
-    noise = sigmas_in_words(outcome.scatter, outcome.channels)
+    noise = f"{sigmas_in_words(outcome.scatter, outcome.channels)} {per_number(outcome)}"
     source = (
         "as declared in the campaign"
         if outcome.noise_source == "declared"
         else "estimated from the residuals, so that errors which the model lacks widen every ±"
     )
     return (
-        f"Each ± is one standard deviation caused by the measurement noise of {noise} per axis, {source}. It does not "
+        f"Each ± is one standard deviation caused by the measurement noise of {noise}, {source}. It does not "
         "include systematic errors of the instrument (scale, levelling), later changes of the robot, or loads and "
         "temperatures other than those measured."
     )
 
 
-def _after_a_change() -> Html:
+def _after_a_change(things: bool) -> Html:
     """What to repeat, by what was changed."""
     lines: list[list[Content]] = [
         [
@@ -74,6 +81,7 @@ def _after_a_change() -> Html:
             ["a few poses spread over the workspace, to refit ", tag("code", "world_base")],
             "every constant in the URDF",
         ],
+        *([THING_MOVED] if things else []),
         ["motor, gear, encoder or zero position; a collision", "the whole campaign", "nothing"],
     ]
     caption: Content = [
@@ -101,15 +109,21 @@ def use(outcome: Outcome, handover: Handover) -> Iterator[Content]:
     yield _files(handover, bool(outcome.effects))
     lines: list[list[Content]] = []
     for export in handover.exports:
-        error, distance = (f"{number(1e3 * v)} mm" for v in (export.error, export.apart))
-        lines.append([export.name, ", ".join(export.files), error, distance])
-    head = ["export", "files", "position RMS", "distance from the full model"]
+        distance = f"{number(1e3 * export.apart)} mm"
+        lines.append([export.name, ", ".join(export.files), _error(handover, export), distance])
+    head = ["export", "files", f"{handover.channel.name} RMS", "distance from the full model"]
     yield table(head, lines, f"Exports for controllers, on {handover.rows}", numbers=2)
+
+
+def _error(handover: Handover, export: Export) -> str:
+    """What an export leaves, with its unit."""
+    channel = handover.channel
+    return f"{number(channel.scale * export.error)} {channel.shown}"
 
 
 def _files(handover: Handover, effects: bool) -> Html:
     """The files of the result folder."""
-    error = {file: f"{number(1e3 * export.error)} mm" for export in handover.exports for file in export.files}
+    error = {file: _error(handover, export) for export in handover.exports for file in export.files}
     predict = tag("code", "python -m aridcal.predict calibration.yaml query.csv -o predicted.csv")
     lines: list[list[Content]] = [
         [
@@ -125,4 +139,4 @@ def _files(handover: Handover, effects: bool) -> Html:
     if effects:
         lines.insert(1, ["model.urdf", "valid only together with the effects in calibration.yaml, never alone", ""])
     named = [[tag("code", str(name)), *rest] for name, *rest in lines]
-    return table(["file", "purpose", "position RMS"], named, "Files in the result folder", numbers=2)
+    return table(["file", "purpose", f"{handover.channel.name} RMS"], named, "Files in the result folder", numbers=2)

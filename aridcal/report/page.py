@@ -9,12 +9,12 @@ from pathlib import Path
 from aridcal import __version__
 from aridcal.report.data_section import data, enough
 from aridcal.report.dependence import drives
-from aridcal.report.failures import attempt, noting
 from aridcal.report.first_screen import summary
 from aridcal.report.fit_section import fits, verification
 from aridcal.report.head_section import measuring_head
-from aridcal.report.html import Content, Html, counted, empty_page, join, missing, tag
+from aridcal.report.html import Content, Html, attempt, counted, empty_page, join, missing, noting, tag
 from aridcal.report.identified_section import identifiable, identified
+from aridcal.report.instruments_section import instruments
 from aridcal.report.limits_section import limits, use
 from aridcal.result.controllers import Handover
 from aridcal.result.outcome import Outcome
@@ -95,6 +95,8 @@ def _chapters(outcome: Outcome, handover: Handover, progress: Progress) -> list[
     ]
     if outcome.verification is not None:
         chapters.append(("verification", "Verification on another day's data", verification(outcome)))
+    if outcome.measurements.blocks:
+        chapters.append(("instruments", "Instruments", instruments(outcome)))
     chapters.append(("parameters", "What was identified", identified(outcome)))
     if outcome.head is not None:
         chapters.append(("head", "The measuring head", measuring_head(outcome)))

@@ -24,8 +24,7 @@ import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
 from aridcal.fit.constants import stage_urdf
-from aridcal.report.failures import attempt, note, noting
-from aridcal.report.html import empty_page
+from aridcal.report.html import attempt, empty_page, note, noting
 from aridcal.report.shapes import Shape, robot_shapes, turn
 from aridcal.result.outcome import Outcome
 from aridcal.robot.chain import Robot, parse_robot
@@ -123,7 +122,7 @@ def write_scene(outcome: Outcome, path: Path) -> tuple[str, ...]:
 
 
 def scene_page(scene: Scene) -> str:
-    """The page of a scene; visuals of the robot that cannot be drawn are noted (:func:`aridcal.report.failures.noting`).
+    """The page of a scene; visuals of the robot that cannot be drawn are noted (:func:`aridcal.report.html.noting`).
 
     Args:
         scene: At least one row and one stage.
@@ -373,16 +372,22 @@ def scene(outcome: Outcome) -> Scene:
     """Collect what the picture shows: nominal and calibrated robot, measured targets, and every stage's prediction."""
     fit, m, robot = outcome.stage("final").fit, outcome.measurements, outcome.robot
     rows = m.as_read  # they are stepped through as they stand in the files
-    world = fit.model.rows(m.readings, m.conditions, m.station).world
+    world = fit.model.rows(m.readings, m.conditions, m.station, m.target).world
     bases = np.array([frame.homogeneous for _, frame in fit.model.world_base])
     calibrated = stage_urdf(outcome.stage("geometric").fit)
+    measured = m.position
+    shifts = {stage.name: stage.residual[:, :3] for stage in outcome.stages}
+    if m.blocks:
+        # What other instruments say of the target's place: the shortest way from the final model's to what fits the reading.
+        shifts = {stage.name: np.nan_to_num(outcome.at_target.shift(stage.residual)) for stage in outcome.stages}
+        measured = outcome.at_target.places + shifts["final"]
     return Scene(
         nominal=robot,
         calibrated=parse_robot(calibrated, robot.tip, robot.base, robot.path),
         readings=m.readings[rows],
         T_world_base=bases[world[rows]],
-        measured=m.position[rows],
-        predicted={stage.name: (m.position - stage.residual[:, :3])[rows] for stage in outcome.stages},
+        measured=measured[rows],
+        predicted={name: (measured - shift)[rows] for name, shift in shifts.items()},
         test=m.test[rows],
         outlier=outcome.outlier[rows],
         line=m.line[rows],

@@ -20,7 +20,7 @@ from lxml import etree
 
 from aridcal.errors import shortened
 from aridcal.reading.names import why
-from aridcal.report.failures import one_line, reason
+from aridcal.report.html import one_line, reason
 from aridcal.robot.chain import Robot
 from aridcal.robot.meshes import TRIANGLES, NotDrawable, Part, read_meshes, weld
 

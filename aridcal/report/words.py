@@ -10,7 +10,8 @@ import numpy as np
 from aridcal.effects.effect import ROW_ORDER, Effect
 from aridcal.instruments.channels import Channels
 from aridcal.report.html import fixed, number, plus_minus
-from aridcal.result.outcome import Outcome
+from aridcal.result.instruments import known_scale, scale_std
+from aridcal.result.outcome import Outcome, enumerated
 from aridcal.robot.chain import Robot
 from aridcal.search.noise_causes import NoiseCause
 
@@ -45,7 +46,60 @@ LOADS = {
 def sigmas_in_words(sigma: np.ndarray, channels: Channels, times: float = 1.0) -> str:
     """A multiple of one value for each channel, shape (C,), in words: ``0.1 mm and 0.2 mrad``."""
     shown = [f"{number(times * c.scale * float(s))} {c.shown}" for c, s in zip(channels, sigma, strict=True)]
-    return " and ".join(shown)
+    return enumerated(shown)
+
+
+def noise_in_words(outcome: Outcome, sigma: np.ndarray) -> str:
+    """Noise of each channel, shape (C,), in words: ``0.17 mm over three axes``, of several instruments that of each number."""
+    if not outcome.measurements.blocks:
+        return f"{sigmas_in_words(sigma, outcome.channels, math.sqrt(3))} over three axes"
+    return f"{sigmas_in_words(sigma, outcome.channels)} {per_number(outcome)}"
+
+
+def at_target_in_words(outcome: Outcome, k: int, mask: np.ndarray) -> str:
+    """What the final error of a channel is at the target, as a sentence; empty where it is a length there already.
+
+    Args:
+        outcome: What was found.
+        k: Number of the channel.
+        mask: Rows that are asked about, shape (N,).
+    """
+    channel = outcome.channels[k]
+    if channel.unit in ("m", "rad"):
+        return ""
+    size = np.linalg.norm(outcome.at_target.shift(outcome.stages[-1].residual)[mask], axis=1)
+    size = size[~np.isnan(size)]
+    if not len(size):
+        return ""
+    rms = number(1e3 * float(np.sqrt(np.mean(size**2))))
+    return f" At the target that is {rms} mm RMS: each error times the distance over the focal length."
+
+
+def per_number(outcome: Outcome) -> str:
+    """What a sigma is of."""
+    return "per axis" if all(channel.size == 3 for channel in outcome.channels) else "in each number read"
+
+
+def scale_in_words(outcome: Outcome) -> tuple[str, ...]:
+    """How well the scale is known, where no instrument measures lengths itself; empty where one does."""
+    m = outcome.measurements
+    known = known_scale(m)
+    if known is None:
+        return ("scale: none of these rows measures a length or a place; the arm's lengths stay nominal",)
+    if np.isinf(known):
+        return (
+            "scale: unknown, for no length is: this is consistency, not accuracy. A known distance between two points gives it",
+        )
+    if known == 0.0:
+        return ()
+    found = scale_std(outcome.stages[-1].fit, m.select(m.train))
+    rows = "" if found is None else f" ± {number(1e3 * found, 2)} mm per m of reach;"
+    return (f"scale: known to{rows} the known lengths alone allow ± {number(1e3 * known, 2)} mm per m",)
+
+
+def shown_in(unit: str) -> tuple[str, float]:
+    """Unit in which a quantity in SI is shown, and what it is multiplied with."""
+    return (SHOWN_UNIT[unit], 1e3) if unit in SHOWN_UNIT else (unit, 1.0)
 
 
 def causes_in_words(outcome: Outcome) -> str:

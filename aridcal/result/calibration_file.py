@@ -171,6 +171,8 @@ class LargestPart(Section):
 
 Pair = tuple[float, float]
 
+Ranges = tuple[Pair, ...]
+
 
 class CalibrationDocument(Settings):
     """The keys of `calibration.yaml` that a model is made of."""
@@ -191,6 +193,8 @@ class Record(Section):
 
     campaign: str = ""
     derived_columns: tuple[str, ...] = ()
+    frames_by: Literal["station", "target"] = "station"
+    """Column that says which frames a row has, where there are several."""
 
 
 def read_calibration(path: Path) -> tuple[CalibrationDocument, dict[str, Any]]:

@@ -16,9 +16,11 @@ from aridcal.fit.least_squares import Fit, fit, fit_identifiable, thin
 from aridcal.fit.normal_equations import Prior
 from aridcal.fit.residual import Problem, problem
 from aridcal.fit.stages import recentred
+from aridcal.inputs.dataset import Dataset
+from aridcal.instruments.channels import Channel, columns
 from aridcal.model.model import Model
 from aridcal.result.key_figures import scored
-from aridcal.result.outcome import Outcome
+from aridcal.result.outcome import Outcome, leading
 from aridcal.robot.chain import Robot, parse_robot
 from aridcal.robot.dh import doty_yaml, kinematics_yaml, modified_dh, standard_dh, xyz_rpy
 
@@ -35,7 +37,8 @@ class Export:
     Attributes:
         name: ``URDF alone``, ``full model`` and so on.
         files: Where it is, in the result folder.
-        error: RMS position error on the held-out rows, or on the fitted ones if none were held out, [m].
+        error: RMS error on the held-out rows, or on the fitted ones if none were held out, in the channel that judges: [m] of
+            positions.
         apart: RMS distance of its predictions from the full model's on the same rows, [m].
         model: Holds the two frames that go with it, fitted to what it can express.
     """
@@ -54,6 +57,7 @@ class Handover:
     Attributes:
         exports: The least complete first, the full model last.
         rows: On which they are scored, ``60 held-out rows`` for instance.
+        channel: In which.
         offsets: Joint-zero offsets alone: readings' corrections by name, [rad] or [m]; those that the frames take up
             are absent.
         maps: For joints with an error curve of their own: readings and what to add to them, shape (points,) each.
@@ -63,6 +67,7 @@ class Handover:
 
     exports: tuple[Export, ...]
     rows: str
+    channel: Channel
     offsets: dict[str, float]
     maps: dict[str, tuple[np.ndarray, np.ndarray]]
     with_maps: Fit | None
@@ -70,8 +75,8 @@ class Handover:
 
     def summary(self) -> str:
         """One line: ``nominal 1.73 mm, URDF alone 0.65, full model 0.16``."""
-        figures = [f"{e.name} {1e3 * e.error:.3f}" for e in self.exports]
-        return f"{figures[0]} mm, {', '.join(figures[1:])}"
+        figures = [f"{e.name} {self.channel.scale * e.error:.3f}" for e in self.exports]
+        return f"{figures[0]} {self.channel.shown}, {', '.join(figures[1:])}"
 
 
 def hand_over(outcome: Outcome) -> Handover:
@@ -82,11 +87,14 @@ def hand_over(outcome: Outcome) -> Handover:
     """
     m, final = outcome.measurements, outcome.stage("final")
     judged, kind = scored(outcome)
+    first = leading(m)[0]
+    part = columns(m.channels)[first]
 
     def export(name: str, files: tuple[str, ...], found: Fit) -> Export:
         found = recentred(found)
         left = problem(found.model, m).residual(found.theta)
-        return Export(name, files, _rms(left[judged]), _rms((left - final.residual)[judged]), found.model)
+        apart = (left - final.residual)[:, :3] if not m.blocks else _predicted(found, m) - outcome.at_target.places
+        return Export(name, files, _rms(left[judged][:, part]), _rms(apart[judged]), found.model)
 
     offsets = _offsets(outcome)
     with_maps = _with_maps(outcome)
@@ -105,6 +113,7 @@ def hand_over(outcome: Outcome) -> Handover:
     return Handover(
         exports=tuple(exports),
         rows=f"{int(judged.sum())} {kind}",
+        channel=m.channels[first],
         offsets={name: float(found[f"{name}.axis"]) for name in robot.readings if f"{name}.axis" in found},
         maps=_curves(outcome, with_maps) if with_maps is not None else {},
         with_maps=with_maps,
@@ -146,8 +155,9 @@ def write_controllers(outcome: Outcome, handover: Handover, folder: Path) -> Non
 def _statement(handover: Handover, name: str) -> list[str]:
     """An export's own error in words."""
     own = next(e for e in handover.exports if e.name == name)
+    channel = handover.channel
     return [
-        f"{name}: {1e3 * own.error:.3f} mm RMS position error on {handover.rows}, "
+        f"{name}: {channel.scale * own.error:.3f} {channel.shown} RMS {channel.noun} on {handover.rows}, "
         f"{1e3 * own.apart:.3f} mm from the full model there.",
         f"All exports: {handover.summary()}.",
     ]
@@ -161,8 +171,14 @@ def _frames(model: Model) -> dict[str, dict[str, list[float]]]:
     }
 
 
-def _rms(residual: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(np.sum(residual[:, :3] ** 2, axis=1))))
+def _rms(vectors: np.ndarray) -> float:
+    squares = np.sum(vectors**2, axis=1)
+    return float(np.sqrt(np.mean(squares[~np.isnan(squares)])))
+
+
+def _predicted(found: Fit, rows: Dataset) -> np.ndarray:
+    """Where a model has the targets, shape (N, 3), [m]."""
+    return found.model.poses(found.theta, problem(found.model, rows).rows)[1]
 
 
 def _asked(outcome: Outcome, model: Model) -> Problem:
@@ -177,7 +193,8 @@ def _offsets(outcome: Outcome) -> Fit:
     """Both frames and the joints' zeros, nothing else."""
     nominal = outcome.stage("nominal").fit.model
     candidates = outcome.stage("geometric").fit.candidates
-    frames = tuple(c for c in candidates if c.basis.constant and c.where in ("world_base", "tip_target"))
+    beside = {"world_base", "tip_target", *nominal.instruments.names}
+    frames = tuple(c for c in candidates if c.basis.constant and c.where in beside)
     robot = outcome.robot
     model = nominal.with_coefficients(
         (*frames, *(Coefficient(name, "axis") for name in robot.readings if name in robot.names))

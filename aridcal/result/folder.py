@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -20,11 +20,10 @@ from aridcal.effects.effect import ANGULAR, FRAME_COMPONENTS, ROW_ORDER, Effect
 from aridcal.fit.constants import stage_urdf
 from aridcal.fit.least_squares import Fit
 from aridcal.inputs.dataset import Dataset
+from aridcal.instruments.catalogue import KINDS as INSTRUMENTS
 from aridcal.instruments.channels import columns
-from aridcal.model.model import ONE_FRAME
 from aridcal.result.outcome import Outcome, Stage, Verification, errors
-from aridcal.result.saved_model import SavedModel, SolvedModel
-from aridcal.result.seen import holes, largest
+from aridcal.result.saving import calibration
 from aridcal.search.arm_and_head import MeasuringHead
 from aridcal.search.gains import NamedEffect
 from aridcal.search.noise_causes import NoiseCauses
@@ -85,6 +84,7 @@ def result_document(outcome: Outcome) -> dict[str, Any]:
         "frames": frames(outcome.stage("final")),
         "parameters": parameters(outcome.stage("geometric").fit),
         "effects": [_effect(e, outcome) for e in outcome.effects],
+        **({"instruments": instruments(outcome)} if outcome.things else {}),
         **({"head": _head(outcome.head, frames(outcome.stage("final")))} if outcome.head is not None else {}),
         **_over_time(outcome),
         "verdict": outcome.verdict.word,
@@ -112,7 +112,19 @@ def noise_document(causes: NoiseCauses) -> dict[str, Any]:
 def _over_time(outcome: Outcome) -> dict[str, Any]:
     """The error with whole stretches of time held back, where an effect depends on time."""
     found = None if outcome.diagnosis is None else outcome.diagnosis.over_time
-    return {} if found is None else {"over_time": {"position_mm": {"rms": 1e3 * found}}}
+    first = outcome.channels[0]
+    return {} if found is None else {"over_time": {first.key: {"rms": first.scale * found}}}
+
+
+def instruments(outcome: Outcome) -> dict[str, Any]:
+    """Every number of every thing that the rows refer to, by the plural of its role, its label and its component."""
+    found: dict[str, Any] = {}
+    for v in outcome.things:
+        numbers = found.setdefault(f"{v.role}s", {}).setdefault(v.name, {})
+        numbers[v.component] = {"value": v.value, "std": v.std, "unit": v.unit, "status": v.status}
+        if v.redundant_with:
+            numbers[v.component]["redundant_with"] = list(v.redundant_with)
+    return found
 
 
 def _verification(found: Verification) -> dict[str, Any]:
@@ -147,7 +159,7 @@ def frames(stage: Stage) -> dict[str, Any]:
 
 
 def parameters(fit: Fit) -> list[dict[str, Any]]:
-    """Every candidate constant: its value, or those that it is confounded with.
+    """Every candidate constant of the arm and its frames: its value, or those that it is confounded with.
 
     A frame's constants are given as the frame's own xyz and rpy; all others as the correction of the nominal value.
     """
@@ -159,7 +171,8 @@ def parameters(fit: Fit) -> list[dict[str, Any]]:
             numbers = [*placement.translation, *pin.rpy.matrixToRpy(placement.rotation)]
             name = where if label is None else f"{where}[{label}]"
             own |= {f"{name}.{c}": float(v) for c, v in zip(FRAME_COMPONENTS, numbers, strict=True)}
-    candidates = {c.name: c.component for c in fit.candidates if c.basis.constant}
+    things = fit.model.instruments.names
+    candidates = {c.name: c.component for c in fit.candidates if c.basis.constant and c.where not in things}
     fixed = {name: name.rsplit(".", 1)[1] for name in own if name not in candidates}
     found = []
     for name, component in (candidates | fixed).items():
@@ -255,11 +268,13 @@ def rows_around(step: Basis, rows: Dataset) -> tuple[int, int]:
 
 
 def _before_after(named: NamedEffect, part: slice, scale: float) -> dict[str, float]:
-    """RMS of a channel on the held-out rows without an effect and with it."""
-    return {
-        name: scale * float(np.sqrt(np.mean(np.sum(r[:, part] ** 2, axis=1)))) if len(r) else math.nan
-        for name, r in (("before", named.before), ("after", named.after))
-    }
+    """RMS of a channel on the held-out rows that measure it, without an effect and with it."""
+    found = {}
+    for name, r in (("before", named.before), ("after", named.after)):
+        squares = np.sum(r[:, part] ** 2, axis=1)
+        squares = squares[~np.isnan(squares)]
+        found[name] = scale * float(np.sqrt(np.mean(squares))) if len(squares) else math.nan
+    return found
 
 
 def _short(effect: Effect) -> dict[str, Any]:
@@ -268,9 +283,12 @@ def _short(effect: Effect) -> dict[str, Any]:
 
 
 def residual_table(outcome: Outcome) -> pd.DataFrame:
-    """One line per usable row: where it stands, its part and flags, and what each stage leaves, [m] and [rad]."""
+    """One line per usable row: where it stands, its part and flags, and what each stage leaves, in SI and [px].
+
+    Of rows of several kinds also its block, the things that it refers to and its target, as the campaign names them.
+    """
     m = outcome.measurements
-    axes = [axis for channel in outcome.channels for axis in channel.axes]
+    axes = residual_columns(m)
     table: dict[str, Any] = {
         "file": [m.files[k].name for k in m.file],
         "row": m.line,
@@ -278,6 +296,7 @@ def residual_table(outcome: Outcome) -> pd.DataFrame:
         "weight": np.where(outcome.outlier, 0.0, 1.0),
         "outlier": outcome.outlier.astype(int),
         "stale": m.stale.astype(int),
+        **_labels(m),
     }
     for stage in outcome.stages:
         label = stage.name.replace(" ", "_")
@@ -285,47 +304,24 @@ def residual_table(outcome: Outcome) -> pd.DataFrame:
     return pd.DataFrame(table).iloc[m.as_read]
 
 
-def calibration(outcome: Outcome) -> SavedModel:
-    """The whole model, self-contained."""
-    campaign, m = outcome.campaign, outcome.measurements
-    used = ~m.test & ~outcome.outlier
-    seen = dict(zip(outcome.robot.readings, m.readings.T, strict=True))
-    final = outcome.stage("final").fit
-    for name in final.model.needs:
-        seen[name] = m.covariates[name]
-    record = {
-        "campaign": campaign.text,
-        "data": {"files": [f.name for f in m.files], "sha256": m.sha256, "rows": len(m), "train": int(used.sum())},
-        "derived_columns": [name for name in m.derived if name in seen],
-        "versions": {"aridcal": __version__, "pinocchio": pin.__version__, "numpy": np.__version__},
-    }
-    solved = _solved(final, outcome.head is None)
-    fitted = m.select(used)
-    std = solved.std(fitted.readings, fitted.covariates, fitted.station)
-    if m.rotation is None:  # that of a target whose rotation was never measured says nothing
-        std[:, 3:] = np.inf
-    return SavedModel(
-        _solved(outcome.stage("geometric").fit, outcome.head is None),
-        solved,
-        "position" if m.rotation is None else "pose",
-        campaign.robot.gravity,
-        (float(outcome.noise[0]), float(outcome.noise[1]) if m.rotation is not None else 1.0),
-        {name: (float(np.nanmin(v[used])), float(np.nanmax(v[used]))) for name, v in seen.items()},
-        record,
-        {name: found for name, v in seen.items() if (found := holes(v[used]))},
-        largest(std),
-    )
+def residual_columns(m: Dataset) -> list[str]:
+    """Names of a residual's numbers: the axes of its channels, after the name of the block where there are several."""
+    if len(m.blocks) < 2:
+        return [axis for channel in m.channels for axis in channel.axes]
+    return [f"{block.name}_{axis}" for block in m.blocks for channel in block.channels for axis in channel.axes]
 
 
-def _solved(fit: Fit, targeted: bool) -> SolvedModel:
-    """A stage's model; of one that was measured by a head on the tip, without the head's mounting: its target is the tip."""
-    model = fit.model
-    if targeted:
-        return SolvedModel(model, fit.theta, fit.covariance)
-    keep = np.array([c.where != "tip_target" for c in model.coefficients], dtype=bool)
-    others = tuple(c for c in model.coefficients if c.where != "tip_target")
-    arm = replace(model, coefficients=others, tip_target=ONE_FRAME)
-    return SolvedModel(arm, fit.theta[keep], fit.covariance[np.ix_(keep, keep)])
+def _labels(m: Dataset) -> dict[str, Any]:
+    """What a row of several kinds says beside its numbers, as columns."""
+    if not m.blocks:
+        return {}
+    names = np.array([block.name for block in m.blocks])
+    table: dict[str, Any] = {"block": names[m.block]}
+    for b, block in enumerate(m.blocks):
+        for k, role in enumerate(INSTRUMENTS[block.kind].roles):
+            column = table.setdefault(role.name, np.full(len(m), "", dtype=object))
+            column[m.block == b] = m.refers[m.block == b, k]
+    return table if m.target is None else table | {"target": m.target}
 
 
 def _convergence(fit: Fit) -> dict[str, Any]:

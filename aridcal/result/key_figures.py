@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from aridcal.instruments.channels import Channels, norms, spread
+from aridcal.inputs.dataset import Dataset
+from aridcal.instruments.channels import TARGET_POSITION, Channels, norms, spread
 from aridcal.result.folder import parameters
-from aridcal.result.outcome import Outcome, Stage, statistics
+from aridcal.result.outcome import Outcome, Stage, leading, said, statistics
 from aridcal.result.uncertainty import accuracy
 from aridcal.search.gains import NamedEffect
 from aridcal.search.noise_tests import SURE
@@ -58,7 +59,7 @@ class Step:
         names: What it is called: a stage, ``nominal``, ``geometric`` or ``final``, or ``+ EFFECT``; several if models
             leave the same.
         effect: The effect that it adds to the step before; empty if it adds none.
-        residual: Measured minus predicted of all rows, shape (N, m), [m] and [rad].
+        residual: Measured minus predicted of all rows, shape (N, m).
     """
 
     names: tuple[str, ...]
@@ -112,14 +113,17 @@ def every_held_out_row(outcome: Outcome) -> str:
     """The error of the final model on all held-out rows, flagged ones too, in words."""
     every = outcome.parts()["test_all"]
     flagged = int((every & outcome.outlier).sum())
-    error = rms_position(outcome.stages[-1].residual, every)
-    return f"{flagged} of {every.sum():,} held-out rows flagged as outliers; {error:.3f} mm RMS with all of them"
+    error = said(outcome.stages[-1].residual, every, outcome.measurements)
+    return f"{flagged} of {every.sum():,} held-out rows flagged as outliers; {error} RMS with all of them"
 
 
 def over_time(outcome: Outcome) -> str:
     """The error with whole stretches of time held back, in words; empty where no effect depends on time."""
     found = None if outcome.diagnosis is None else outcome.diagnosis.over_time
-    return "" if found is None else f"with whole stretches of time held back: {1e3 * found:.3f} mm RMS"
+    first = outcome.channels[0]
+    return (
+        "" if found is None else f"with whole stretches of time held back: {first.scale * found:.3f} {first.shown} RMS"
+    )
 
 
 def row_errors(residual: np.ndarray, channels: Channels) -> np.ndarray:
@@ -128,9 +132,33 @@ def row_errors(residual: np.ndarray, channels: Channels) -> np.ndarray:
     return norms(residual, channels) * scale[:, None]
 
 
-def rms_position(residual: np.ndarray, mask: np.ndarray) -> float:
-    """RMS position error of the rows of a mask, [mm]; nan if there are none."""
-    return statistics(1e3 * np.linalg.norm(residual[mask, :3], axis=1))["rms"]
+def overall(residual: np.ndarray, mask: np.ndarray, rows: Dataset, sigma: np.ndarray) -> float:
+    """One number for the error of some rows: the RMS of the channel that judges, as it is shown; of several, all in sigmas.
+
+    Args:
+        residual: Shape (N, m).
+        mask: Rows that count, shape (N,).
+        rows: All N of them.
+        sigma: Noise of each channel, shape (C,).
+    """
+    sizes = judging_errors(residual[mask], rows, sigma)
+    return statistics(sizes[~np.isnan(sizes)])["rms"]
+
+
+def judging_errors(residual: np.ndarray, rows: Dataset, sigma: np.ndarray) -> np.ndarray:
+    """Error of each row in the channel that judges it, shape (N,): as it is shown; in sigmas where there are several."""
+    sizes = row_errors(residual, rows.channels)
+    own = list(leading(rows))
+    if len(own) == 1:
+        return np.asarray(sizes[own[0]])
+    unit = [channel.scale * float(s) for channel, s in zip(rows.channels, sigma, strict=True)]
+    return np.asarray(np.fmax.reduce(sizes[own] / np.array(unit)[own, None], axis=0))
+
+
+def squared(outcome: Outcome) -> str:
+    """What :func:`overall` is squared, in words: ``squared position error``."""
+    own = leading(outcome.measurements)
+    return f"squared {outcome.channels[own[0]].noun}" if len(own) == 1 else "squared error of all instruments"
 
 
 def or_as_well(effect: NamedEffect) -> str:
@@ -148,18 +176,23 @@ def another_day(outcome: Outcome) -> tuple[bool, str] | None:
     if found is None:
         return None
     mask, words = scored(outcome)
-    own = rms_position(outcome.stages[-1].residual, mask)
     sound = ~found.outlier
-    now = rms_position(found.residuals[outcome.stages[-1].name], sound)
-    said = f"Another day's rows ({found.file}, {sound.sum():,} of {len(sound):,}): {now:.3f} mm RMS, {own:.3f} on the {words}"
+    last, rows, others = outcome.stages[-1], outcome.measurements, found.measurements
+    own = overall(last.residual, mask, rows, outcome.noise)
+    now = overall(found.residuals[last.name], sound, others, outcome.noise)
+    told, before = said(found.residuals[last.name], sound, others), said(last.residual, mask, rows)
+    if len(leading(rows)) == 1:
+        before = before.partition(" ")[0]
+    sentence = (
+        f"Another day's rows ({found.file}, {sound.sum():,} of {len(sound):,}): {told} RMS, {before} on the {words}"
+    )
     if now < OVERFITTED * own:
-        return True, f"{said}."
+        return True, f"{sentence}."
     if found.realigned is None:
-        return False, f"{said}: the robot, the target or the instrument has changed since."
-    again = rms_position(found.realigned, sound)
-    moved = again < OVERFITTED * own
+        return False, f"{sentence}: the robot, the target or the instrument has changed since."
+    moved = overall(found.realigned, sound, others, outcome.noise) < OVERFITTED * own
     why = "the target or the instrument was remounted" if moved else "the robot has changed since"
-    return False, f"{said}; {again:.3f} mm with both frames fitted anew: {why}."
+    return False, f"{sentence}; {said(found.realigned, sound, others)} with both frames fitted anew: {why}."
 
 
 def solved_stages(outcome: Outcome) -> dict[str, Stage]:
@@ -191,7 +224,7 @@ def steps(outcome: Outcome) -> list[Step]:
 
 
 def removed_shares(outcome: Outcome) -> list[tuple[Step, float]]:
-    r"""Which share of the squared position error each step removes, the largest first.
+    r"""Which share of the squared error (see :func:`squared`) each step removes, the largest first.
 
     .. math:: s_k = (e_{k-1}^2 - e_k^2) / e_0^2
 
@@ -200,7 +233,7 @@ def removed_shares(outcome: Outcome) -> list[tuple[Step, float]]:
     """
     mask, _ = scored(outcome)
     path = steps(outcome)
-    square = [rms_position(step.residual, mask) ** 2 for step in path]
+    square = [overall(step.residual, mask, outcome.measurements, outcome.noise) ** 2 for step in path]
     gains = [(step, square[k] - square[k + 1]) for k, step in enumerate(path[1:]) if square[k] != square[k + 1]]
     gains.sort(key=lambda pair: pair[1], reverse=True)
     return [(step, gain / square[0]) for step, gain in gains]
@@ -250,31 +283,46 @@ def halves_agree(outcome: Outcome) -> bool:
 
 
 def generalisation(outcome: Outcome) -> float | None:
-    """RMS position error on held-out rows over that on fitted rows; None with few held-out rows or an exact fit."""
+    """RMS error on held-out rows over that on fitted rows; None with few held-out rows or an exact fit."""
     parts, last = outcome.parts(), outcome.stages[-1].residual
     if parts["test"].sum() < FEW:
         return None
-    fitted, held_out = (rms_position(last, parts[part]) for part in ("train", "test"))
+    fitted, held_out = (overall(last, parts[part], outcome.measurements, outcome.noise) for part in ("train", "test"))
     return held_out / fitted if fitted > 0 else None
 
 
 def pose_accuracy(outcome: Outcome, residual: np.ndarray) -> np.ndarray:
-    """AP of ISO 9283 for each configuration among the rows of :func:`scored`, [mm]."""
-    mask, _ = scored(outcome)
+    """AP of ISO 9283 for each configuration among the rows of :func:`scored` that measure the target's position, [mm]."""
+    position = of_positions(outcome.measurements, residual)
+    mask = scored(outcome)[0] & np.isfinite(position).all(axis=1)
     rows = outcome.measurements.select(mask)
-    return 1e3 * accuracy(rows, residual[mask])
+    return 1e3 * accuracy(rows, position[mask])
+
+
+def of_positions(rows: Dataset, residual: np.ndarray) -> np.ndarray:
+    """Residuals of the target's measured position in world axes, shape (N, 3), [m]; NaN where a row measures none."""
+    if not rows.blocks:
+        return np.asarray(residual[:, : TARGET_POSITION.size])
+    found = np.full((len(rows), TARGET_POSITION.size), np.nan)
+    first = 0
+    for b, block in enumerate(rows.blocks):
+        if block.kind in ("pose", "position"):
+            own = rows.block == b
+            found[own] = residual[own, first : first + TARGET_POSITION.size]
+        first += sum(channel.size for channel in block.channels)
+    return found
 
 
 def axis_rms(residual: np.ndarray, channels: Channels) -> np.ndarray:
     """RMS of each axis of residuals (N, m) in the unit that is shown, shape (m,)."""
     scale = spread(np.array([channel.scale for channel in channels]), channels)
-    return np.asarray(scale * np.sqrt(np.mean(residual**2, axis=0)))
+    return np.asarray(scale * np.sqrt(np.nanmean(residual**2, axis=0)))
 
 
 def worst_rows(outcome: Outcome, count: int) -> np.ndarray:
-    """Row numbers of the largest position errors of the final model among the rows of :func:`scored`."""
+    """Row numbers of the largest errors of the final model among the rows of :func:`scored`."""
     rows = np.flatnonzero(scored(outcome)[0])
-    error = row_errors(outcome.stages[-1].residual[rows], outcome.channels)[0]
+    error = judging_errors(outcome.stages[-1].residual[rows], outcome.measurements, outcome.noise)
     return rows[np.argsort(-error, kind="stable")[:count]]
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -11,6 +13,7 @@ from aridcal.fit.noise import Repeats
 from aridcal.inputs.campaign import Campaign
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.channels import Channels, norms
+from aridcal.result.instruments import AtTarget, ThingValue, at_target, thing_values
 from aridcal.result.uncertainty import Precision
 from aridcal.result.verdict import Verdict
 from aridcal.robot.chain import Robot
@@ -29,7 +32,8 @@ class Stage:
     Attributes:
         name: ``nominal``, ``geometric`` or ``final``.
         fit: The solved model.
-        residual: Measured minus predicted for every row, world axes, shape (N, m), [m] and [rad].
+        residual: Measured minus predicted for every row, shape (N, m), in the channels' units; NaN in those that a row does
+            not measure.
     """
 
     name: str
@@ -114,6 +118,17 @@ class Outcome:
         """Accepted and declared effects."""
         return () if self.diagnosis is None else self.diagnosis.effects
 
+    @cached_property
+    def at_target(self) -> AtTarget:
+        """What the rows mean at the target where the final model has it."""
+        return at_target(self.stages[-1].fit, self.measurements)
+
+    @cached_property
+    def things(self) -> tuple[ThingValue, ...]:
+        """What was found of the things that the rows refer to."""
+        m = self.measurements
+        return thing_values(self.stages[-1].fit, m.select(m.train))
+
     def stage(self, name: str) -> Stage:
         """The first or last stage of that name."""
         return next(s for s in self.stages if s.name == name)
@@ -133,11 +148,39 @@ def errors(residual: np.ndarray, mask: np.ndarray, channels: Channels) -> dict[s
         channels: Of the residual.
 
     Returns:
-        For each channel's key, ``position_mm`` for instance, rms, mean, median, p95 and max of the norm of its residual;
-        nan where no row counts.
+        For each channel's key, ``position_mm`` for instance, rms, mean, median, p95 and max of the norm of its residual over
+        the rows that measure it; nan where no row counts.
     """
     lengths = norms(residual[mask], channels)
-    return {c.key: statistics(c.scale * length) for c, length in zip(channels, lengths, strict=True)}
+    return {c.key: statistics(c.scale * length[~np.isnan(length)]) for c, length in zip(channels, lengths, strict=True)}
+
+
+def leading(rows: Dataset) -> tuple[int, ...]:
+    """Channels whose errors judge a calibration: the first of each block; of poses the position."""
+    if not rows.blocks:
+        return (0,)
+    first = np.cumsum([0, *(len(block.channels) for block in rows.blocks)])
+    return tuple(first[:-1].tolist())
+
+
+def said(residual: np.ndarray, mask: np.ndarray, rows: Dataset) -> str:
+    """RMS errors of some rows in words: ``0.123 mm``, of several instruments ``0.123 mm and 0.301 px``.
+
+    Args:
+        residual: Of the rows that ``mask`` chooses from, shape (N, m).
+        mask: Shape (N,).
+        rows: Whose channels these are.
+    """
+    found = errors(residual, mask, rows.channels)
+    channels = [rows.channels[k] for k in leading(rows)]
+    seen = [c for c in channels if not np.isnan(found[c.key]["rms"])] or channels[:1]
+    return enumerated([f"{found[c.key]['rms']:.3f} {c.shown}" for c in seen])
+
+
+def enumerated(words: Sequence[str]) -> str:
+    """Words one after the other: ``a, b and c``."""
+    *first, last = words
+    return f"{', '.join(first)} and {last}" if first else last
 
 
 def statistics(values: np.ndarray) -> dict[str, float]:

@@ -22,7 +22,7 @@ from aridcal.inputs.tables import IN_MEMORY, AnyTable, Remark, Table
 from aridcal.model.inverse import InverseKinematics
 from aridcal.model.model import Model
 from aridcal.result.saved_model import SavedModel
-from aridcal.result.seen import CHANNELS, SPREAD, inside
+from aridcal.result.saving import CHANNELS, SPREAD, inside
 from aridcal.result.stretches import Stretch, stretches
 
 ENDINGS = (".csv", ".parquet")
@@ -89,6 +89,7 @@ def _query(saved: SavedModel, table: AnyTable | Table, poses: bool) -> Query:
         saved.measurements,
         poses=poses,
         per_station=per_station(saved.final.model),
+        label=saved.frames_by,
         needs=set(at_any_station(saved).model.needs) - set(directions(saved) if poses else ()),
         limit=saved.limits.table,
     )

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pinocchio as pin
@@ -29,12 +29,12 @@ from aridcal.result.calibration_file import (
     NOT_OURS,
     CalibrationDocument,
     FramePart,
+    Ranges,
     SolvedPart,
     packed,
     read_calibration,
     unpacked,
 )
-from aridcal.result.seen import Ranges
 from aridcal.robot.chain import parse_robot
 
 # libyaml where PyYAML was built with it.
@@ -149,6 +149,11 @@ class SavedModel:
         """Columns and units of the campaign's tables; those of FORMATS, in SI, if the record has no campaign."""
         settings = self._campaign.measurements if self._campaign else MeasurementSettings()
         return settings.model_copy(update={"kind": self.kind})
+
+    @property
+    def frames_by(self) -> Literal["station", "target"]:
+        """Column that says which frames a row has, where there are several."""
+        return "target" if self.record.get("frames_by") == "target" else "station"
 
     @property
     def limits(self) -> Limits:

@@ -10,9 +10,9 @@ from scipy.stats import f as f_distribution
 
 from aridcal.effects.catalogue import KINDS
 from aridcal.effects.effect import Effect
-from aridcal.fit.flags import Cluster, cluster
+from aridcal.fit.flags import FLOOR, Cluster, cluster
 from aridcal.fit.least_squares import Fit
-from aridcal.fit.residual import FLOOR, problem
+from aridcal.fit.residual import problem
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.channels import spread
 from aridcal.search.noise_tests import Clue
@@ -134,7 +134,7 @@ def _offset(residual: np.ndarray) -> Clue | None:
     if n <= m + 1 or np.isnan(residual).any():
         return None
     mean = residual.mean(axis=0)
-    spread_of_mean = np.cov(residual.T) / n
+    spread_of_mean = np.atleast_2d(np.cov(residual.T)) / n
     statistic = float(mean @ np.linalg.pinv(spread_of_mean, hermitian=True) @ mean)
     p_value = float(f_distribution.sf(statistic * (n - m) / (m * (n - 1)), m, n - m))
     share = float(np.mean(mean**2 / np.maximum(np.mean(residual**2, axis=0), FLOOR**2)))

@@ -11,24 +11,14 @@ from aridcal.result.outcome import STATISTICS, Verification, errors
 
 Document = Mapping[str, Any]
 
-EFFECT_COLUMNS = (
-    "kind",
-    "where",
-    "motion",
-    "covariates",
-    "declared",
-    "p_value",
-    "position_rms_before_mm",
-    "position_rms_after_mm",
-    "rotation_rms_before_mrad",
-    "rotation_rms_after_mrad",
-)
+EFFECT_COLUMNS = ("kind", "where", "motion", "covariates", "declared", "p_value")
+"""Behind them stand those of each channel's error, before and after."""
 
 PARAMETER_COLUMNS = ("value_mm", "std_mm", "value_mrad", "std_mrad", "status", "redundant_with")
 
 
 def error_table(result: Document) -> pd.DataFrame:
-    """Errors of the target, [mm] and [mrad].
+    """Errors of what was measured: of the target [mm] and [mrad], of a camera [px].
 
     Args:
         result: ``result.json``.
@@ -54,17 +44,17 @@ def verification_table(found: Verification) -> pd.DataFrame:
 def effect_table(result: Document) -> pd.DataFrame:
     """Effects of a ``result.json``, one a row, the largest gain first; before and after are on held-out rows."""
     rows = []
+    channels = [key.rpartition("_") for key in next(iter(result["error"]["final"].values()))]
     for effect in result["effects"]:
         row = dict(effect)
         row["motion"] = ", ".join(effect["motion"])
         row["covariates"] = ", ".join(effect["covariates"])
-        for quantity, unit in (("position", "mm"), ("rotation", "mrad")):
+        for quantity, _, unit in channels:
             for when, value in effect.get(f"{quantity}_rms_{unit}", {}).items():
                 row[f"{quantity}_rms_{when}_{unit}"] = value
         rows.append(row)
-    positions_only = not any("rotation_mrad" in found for found in result["error"]["final"].values())
-    columns = [name for name in EFFECT_COLUMNS if not (positions_only and name.startswith("rotation"))]
-    return pd.DataFrame(rows, columns=columns)
+    gains = [f"{quantity}_rms_{when}_{unit}" for quantity, _, unit in channels for when in ("before", "after")]
+    return pd.DataFrame(rows, columns=[*EFFECT_COLUMNS, *gains])
 
 
 def parameter_table(result: Document) -> pd.DataFrame:
@@ -88,7 +78,7 @@ def _statistics(found: Iterable[Mapping[str, Mapping[str, float]]], index: pd.In
     for quantities in found:
         row = {}
         for name, values in quantities.items():
-            quantity, _, unit = name.partition("_")
+            quantity, _, unit = name.rpartition("_")
             for statistic in STATISTICS:
                 row[f"{quantity}_{statistic}_{unit}"] = values[statistic]
         rows.append(row)
