@@ -7,7 +7,7 @@ READY := .venv/.ready
 export OMP_NUM_THREADS ?= 1
 export MPLBACKEND ?= Agg
 
-.PHONY: demo test fuzz lint bench pictures docs lock matrix sbom clean
+.PHONY: demo test print fuzz lint bench pictures docs lock matrix sbom clean
 .DEFAULT_GOAL := demo
 
 DEMO := identification/arid-undeclared
@@ -20,6 +20,13 @@ demo: $(READY)
 
 test: lint
 	$(BIN)/pytest
+
+# Boards, a cube of tags and sockets for a ball, at true scale: print at 100 % and measure the rulers.
+SHEETS := charuco chessboard circles cube square
+print: $(READY)
+	for what in $(SHEETS); do for ending in svg pdf; do \
+		$(BIN)/python -m aridcal.print $$what -o build/print/$$what/$$what.$$ending || exit; done; done
+	for what in holder cup; do $(BIN)/python -m aridcal.print $$what -o build/print/$$what.stl || exit; done
 
 # Ten minutes of inputs that nobody would write; what breaks a reader is kept below build/fuzz.
 fuzz: $(READY)

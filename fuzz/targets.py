@@ -12,6 +12,8 @@ from typing import Literal
 
 import numpy as np
 
+from aridcal.boards.camera_file import CameraFile
+from aridcal.boards.pictures import grey_image
 from aridcal.errors import AridcalError, RobotError
 from aridcal.head.matching import NotMeasured
 from aridcal.head.shots import board, read_image, read_ranges, shots_of
@@ -19,6 +21,7 @@ from aridcal.inputs.campaign import Campaign, load_campaign
 from aridcal.inputs.head_settings import ArmSettings, HeadSettings, load_shots, load_squares
 from aridcal.inputs.query import load_query
 from aridcal.inputs.read import load_measurements
+from aridcal.inputs.things import load_places
 from aridcal.inputs.yaml_file import load_settings, parse_settings
 from aridcal.prepare.scenario import Scenario, check_scenario
 from aridcal.reading.files import URDF, read_file
@@ -132,6 +135,28 @@ def _table(path: Path) -> None:
         load_measurements(_campaign("kind: pose, ignore: [note]"), *about, files=[path])
 
 
+EYE = "{fx: 600, fy: 600, cx: 320, cy: 240, width: 640, height: 480}"
+
+# A column that tells the kind of a table, and what such a campaign has besides.
+KINDS = {
+    rb"\bgx\b": ("inclination", ""),
+    rb"\bmarker\b": ("pixels", f"instruments: {{cameras: {{eye: {EYE}}}}}"),
+    rb"\bdistance\b": (
+        "distance, units: {length: mm}",
+        "instruments: {anchors: {wall: {identify: [scale], xyz: [0, 0, 1]}}}",
+    ),
+    rb"\bpoint\b": ("point", f"instruments: {{points: {CORPUS / 'places' / 'points.csv'}}}"),
+    rb"": ("plane", "instruments: {perpendicular: [[a, b]]}"),
+}
+
+
+def _readings(path: Path) -> None:
+    """Rows of a table of another kind than poses, which its columns tell."""
+    content, robot = path.read_bytes(), _arm()
+    kind, rest = next(of for column, of in KINDS.items() if re.search(column, content))
+    load_measurements(_campaign(f"kind: {kind}", rest), robot.readings, robot.limits, robot.kinds, files=[path])
+
+
 TARGETS = {
     "urdf": Target(_urdf, ".urdf"),
     "campaign": Target(load_campaign, ".yaml"),
@@ -139,8 +164,12 @@ TARGETS = {
     "head": Target(_head, ".yaml"),
     "calibration": Target(_calibration, ".yaml", 6000),
     "table": Target(_table, ".csv"),
+    "readings": Target(_readings, ".csv"),
+    "places": Target(lambda path: load_places(path, "point"), ".csv"),
     "squares": Target(load_squares, ".csv"),
     "shots": Target(_shots, ".csv"),
     "parquet": Target(_table, ".parquet", kind="binary"),
+    "camera": Target(lambda path: load_settings(path, CameraFile), ".yaml"),
+    "picture": Target(grey_image, ".png", 5000, "binary"),
     "image": Target(_image, ".png", 5000, "binary"),
 }

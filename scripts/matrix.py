@@ -37,7 +37,7 @@ QUICK = (
     "test_files",
     "test_head_pose",
     "test_head_square",
-    "test_head_drawing",
+    "test_boards_sheet",
     "test_least_squares",
     "test_model",
     "test_predict",

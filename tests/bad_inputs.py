@@ -539,6 +539,10 @@ SCENARIOS: dict[str, tuple[Spoil, str]] = {
         key("scenario.yaml", "measurements.units", {"angle": "deg"}),
         "units: the table is written in SI; delete",
     ),
+    "sockets": (
+        key("scenario.yaml", "measurements", {"kind": "point"}),
+        "measurements: one block of pose.* is simulated",
+    ),
     "stations": (key("scenario.yaml", "frames.world_base.per", "station"), "stations are not simulated; delete"),
     "two columns of one name": (key("scenario.yaml", "measurements.columns", {"x": "y"}), "would be called 'y'"),
 }
@@ -1181,6 +1185,146 @@ def heads() -> Iterator[tuple[str, Case]]:
     yield "a head and a table", Case(SHOOT, key("shooting.yaml", "measurements.file", "measurements.csv"), text)
 
 
+# ---------------------------------------------------------------- measurements of other kinds
+
+
+EYE = {"fx": 700.0, "fy": 700.0, "cx": 320.0, "cy": 240.0, "width": 640, "height": 480}
+
+OWN_COLUMNS: dict[str, dict[str, object]] = {
+    "point": {"point": "a"},
+    "distance": {"distance": 1.0, "anchor": "a"},
+    "plane": {"plane": "a", "reading": 0.0},
+    "pixels": {"u": 1.0, "v": 1.0, "marker": "a"},
+    "inclination": {"gx": 0.0, "gy": 0.0, "gz": 1.0},
+}
+
+
+def measuring(kind: str, instruments: dict[str, object] | None = None, **columns: object) -> Spoil:
+    """The campaign with a table of another kind; columns of None are not there."""
+    own = OWN_COLUMNS[kind] | columns
+    cells = [cell("measurements.csv", name, value) for name, value in own.items() if value is not None]
+    known = ({"cameras": {"eye": EYE}} if kind == "pixels" else {}) | (instruments or {})
+    settings = {"kind": kind, "file": "measurements.csv"}
+    set_keys = [key("campaign.yaml", "measurements", settings), key("campaign.yaml", "instruments", known)]
+    return together(*cells, without("campaign.yaml", "measurements"), *set_keys)
+
+
+def lengths(*triples: tuple[str, str, float]) -> dict[str, object]:
+    return {"lengths": [{"between": [a, b], "length": length} for a, b, length in triples]}
+
+
+def known_points(text: str) -> Spoil:
+    return together(measuring("point", {"points": "points.csv"}), put("points.csv", text))
+
+
+def two_blocks(first: dict[str, object], second: dict[str, object]) -> Spoil:
+    return key(
+        "campaign.yaml", "measurements", [{"file": "measurements.csv"} | first, {"file": "measurements.csv"} | second]
+    )
+
+
+INSTRUMENTS: dict[str, tuple[Spoil, str]] = {
+    "a length to a point that nobody touched": (
+        measuring("point", lengths(("a", "b", 0.1))),
+        r"lengths\[0\].*no usable row refers to 'b'",
+    ),
+    "a length with markup": (measuring("point", lengths(("a", BRACKETS, 0.1))), r"no usable row refers to 'a\[/\]b'"),
+    "lengths that contradict": (
+        measuring("point", lengths(("a", "b", 1), ("b", "a", 2))),
+        r"lengths\[1\]: b and a are 2 m apart here",
+    ),
+    "a triangle that does not close": (
+        measuring("point", lengths(("a", "b", 1), ("b", "c", 1), ("c", "a", 3))),
+        "a and c cannot be 3 m apart.*check these",
+    ),
+    "a length of 1e308": (measuring("point", lengths(("a", "b", 1e308))), r"lengths\[0\]\.length: should be less"),
+    "points without a label": (measuring("point", point=""), "no usable row: 30 x empty.*Mend"),
+    "points without a column": (
+        measuring("point", point=None),
+        r"no column 'point'.*`kind: point` needs it|no column 'point'",
+    ),
+    "a known point twice": (
+        known_points("point,x,y,z\na,0,0,0\na,0,0,1\n"),
+        r"points\.csv, line 3.*appears twice; delete",
+    ),
+    "a known point with an escape": (
+        known_points('point,x,y,z\n"a\x1bb",0,0,0\n'),
+        r"points\.csv, line 2.*control character",
+    ),
+    "a known point of 1e308": (
+        known_points("point,x,y,z\na,1e308,0,0\n"),
+        r"points\.csv, line 2: column 'x', 1e308: should be a number",
+    ),
+    "known points in mm": (known_points("point,x,y,z\na,1000,0,0\n"), r"points\.csv: x y z cannot be in m.*give"),
+    "known points that are a device": (
+        together(known_points(""), instead("points.csv", lambda path: path.symlink_to("/dev/zero"))),
+        r"points\.csv: is a device",
+    ),
+    "known points that are not there": (measuring("point", {"points": "no.csv"}), r"no\.csv: there is no such file"),
+    "distances in mm": (
+        measuring("distance", distance=1234.5),
+        "'distance' cannot be in m.*write `units: {length: mm}`",
+    ),
+    "wires of no length": (measuring("distance", distance=0.0), "no usable row: 30 x a distance must be positive"),
+    "an anchor of scale 0": (
+        measuring("distance", {"anchors": {"a": {"scale": 0}}}),
+        r"anchors\.a\.scale: should be greater",
+    ),
+    "an anchor that is a joint": (
+        measuring("distance", anchor="joint_2"),
+        "the anchor 'joint_2' has the name of a joint: rename",
+    ),
+    "planes of no name": (measuring("plane", plane=" "), "no usable row: 30 x empty"),
+    "a right angle to a plane that nobody touched": (
+        measuring("plane", {"perpendicular": [["a", "b"]]}),
+        "no usable row refers to 'b'",
+    ),
+    "a normal of length 0": (
+        measuring("plane", {"planes": {"a": {"normal": [0, 0, 0]}}}),
+        r"planes\.a\.normal: .*write \[0, 0, 1\]",
+    ),
+    "a camera of nobody": (
+        measuring("pixels", camera="ear"),
+        "line 2: column 'camera', ear: there is no such camera.*add it",
+    ),
+    "a camera of no name": (measuring("pixels", camera=" "), "no usable row: 30 x empty"),
+    "marks outside the image": (measuring("pixels", u=640), "no usable row: 30 x outside the image of 640 x 480"),
+    "a marker that is not on the board": (
+        together(
+            measuring("pixels", {"markers": {"file": "markers.csv"}}), put("markers.csv", "marker,x,y,z\nb,0,0,0\n")
+        ),
+        "no usable row: 30 x no such marker in markers.csv",
+    ),
+    "a camera of 10^9 pixels": (
+        measuring("pixels", {"cameras": {"eye": {**EYE, "width": 10**18}}}),
+        r"cameras\.eye\.width: should be less",
+    ),
+    "a camera in bold that is no key": (
+        measuring("pixels", {"cameras": {"[bold]": {"fx": 5}}}),
+        r"cameras\.\[bold\]\.width",
+    ),
+    "gravity of no length": (measuring("inclination", gz=0.0), "no usable row: 30 x gravity of length 0"),
+    "two blocks of one name": (
+        two_blocks({"kind": "pose"}, {"kind": "pose"}),
+        r"measurements\[1\]\.name: two blocks are called 'pose'",
+    ),
+    "a head among blocks": (
+        two_blocks({"kind": "pose"}, {"kind": "camera_sonar"}),
+        r"measurements\[1\]\.kind: .*`aridcal measure`",
+    ),
+    "a block that is a word": (key("campaign.yaml", "measurements", ["pose"]), r"measurements\[0\]: should be a"),
+    "noise of another channel": (
+        two_blocks({"kind": "pose"}, {"kind": "point", "noise": {"pixel": 1}}),
+        r"\[1\]: noise\.pixel: .*write",
+    ),
+}
+
+
+def instruments() -> Iterator[tuple[str, Case]]:
+    for what, (spoil, says) in INSTRUMENTS.items():
+        yield f"instruments: {what}", Case(IDENTIFY, spoil, says)
+
+
 CASES: dict[str, Case] = {}
 for group in (
     no_files,
@@ -1196,6 +1340,7 @@ for group in (
     calibrations,
     queries,
     heads,
+    instruments,
 ):
     for name, case in group():
         assert name not in CASES, name

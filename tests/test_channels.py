@@ -8,9 +8,8 @@ from scipy.stats import chi
 
 from aridcal.effects.basis import Basis
 from aridcal.effects.effect import Coefficient, Effect
-from aridcal.fit.flags import OUTLIER, flagged
+from aridcal.fit.flags import OUTLIER, QUANTILES, distance, flagged, robust_sigma, usual_norms
 from aridcal.fit.normal_equations import accumulate
-from aridcal.fit.residual import QUANTILES, distance, robust_sigma, usual_norms
 from aridcal.instruments.channels import TARGET_POSITION, TARGET_ROTATION, Channel, Channels, columns, norms, spread
 from aridcal.search.evidence import solve
 from aridcal.search.linear_model import LinearModel, activate, flat, solve_state
@@ -95,7 +94,10 @@ def test_noise_and_coefficients_are_those_of_each_channel(channels: Channels) ->
     width, n = sum(c.size for c in channels), 1500
     J = rng.standard_normal((n, width, 3)) * spread(sigmas(channels), channels)[:, None]
     r = J @ theta + noise(channels, n, 3)
-    found = solve(accumulate(flat(J, channels), flat(r, channels)), np.zeros((3, 3)), np.ones(len(channels)))
+    every_row = np.ones((n, len(channels)), dtype=bool)
+    found = solve(
+        accumulate(flat(J, channels, every_row), flat(r, channels, every_row)), np.zeros((3, 3)), np.ones(len(channels))
+    )
     np.testing.assert_allclose(found.sigma, sigmas(channels), rtol=0.06)
     weight = 1.0 / spread(found.sigma, channels)
     A, b = (J * weight[:, None]).reshape(-1, 3), (r * weight).ravel()
@@ -123,6 +125,10 @@ def test_an_effect_is_scored_by_all_that_it_moves(channels: Channels) -> None:
         r=noise(channels, n, 5) + 0.6 * G[:, :, 0] * warmth[:, None],
         limit=np.full(n, OUTLIER),
         configuration=np.arange(n),
+        thing=None,
+        off=None,
+        present=np.ones((n, len(channels)), dtype=bool),
+        taken=np.zeros(len(channels)),
         share=1.0,
         run=np.arange(n) * 24 // n,
         fold=rng.integers(0, 5, n),

@@ -160,7 +160,9 @@ def test_o_and_out_mean_the_same(command):
     parser = importlib.import_module(f"aridcal.{command}").parser()
     named = [action.option_strings for action in parser._actions if {"-o", "--out"} & set(action.option_strings)]
     assert all(options == ["-o", "--out"] for options in named)
-    assert len(named) == (command in {"identify", "init", "measure", "simulate", "predict", "compensate"})
+    assert len(named) == (
+        command in {"identify", "init", "measure", "simulate", "predict", "compensate", "print", "detect"}
+    )
 
 
 def test_a_slip_in_the_arguments_is_answered_with_where_to_look(capsys):

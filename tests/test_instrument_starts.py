@@ -163,7 +163,7 @@ def test_exact_rows_begin_at_the_truth_from_any_attitude(name: str) -> None:
 @pytest.mark.parametrize("on_tip", [True, False])
 @pytest.mark.parametrize("board", [True, False])
 def test_exact_images_begin_at_the_truth_from_any_mounting(on_tip: bool, board: bool) -> None:
-    off = [wrong(made, made.begun()[0]) for made in (pictures(seed, on_tip, board, shots=8) for seed in range(8))]
+    off = [wrong(made, made.begun()[0]) for made in (pictures(seed, on_tip, board, shots=8) for seed in range(5))]
     assert np.max(off) < 1e-6, np.flatnonzero(np.array(off) >= 1e-6)
 
 
@@ -187,14 +187,14 @@ def least(made: Scene) -> float:
 
 @pytest.mark.parametrize("name", ["point", "distance", "plane"])
 def test_noisy_rows_begin_where_the_truth_would_end(name: str) -> None:
-    for seed in range(25):
+    for seed in range(10):
         made = noisy(scene(name, seed, n=24), seed)
         assert made.misfit(made.begun()[0]) < 1.01 * least(made), seed
 
 
 @pytest.mark.parametrize(("on_tip", "board"), [(True, False), (False, True)])
 def test_noisy_images_begin_where_the_truth_would_end(on_tip: bool, board: bool) -> None:
-    for seed in range(6):
+    for seed in range(3):
         made = noisy(pictures(seed, on_tip, board, shots=8), seed)
         assert made.misfit(made.begun()[0]) < 1.01 * least(made), seed
 
@@ -246,6 +246,21 @@ def test_one_row_of_each_point_is_not_an_error() -> None:
     assert np.isfinite(made.begun()[0].states["point"]).all()
     for name in ("distance", "plane"):
         assert np.isnan(scene(name, 0, n=2).begun()[0].states[KINDS[name].roles[0].name][:, :3]).all()
+
+
+def cut(made: Scene, n: int) -> Scene:
+    return replace(made, R=made.R[:n], p=made.p[:n], observed=made.observed[:n], refers=made.refers[:n])
+
+
+def test_too_few_rows_begin_somewhere_and_never_fail() -> None:
+    for n in (0, 1, 2, 3, 5, 7):
+        for name in ("point", "distance", "plane", "inclination"):
+            assert cut(scene(name, 1), n).begun()
+        for on_tip in (True, False):
+            for board in (True, False):
+                made = cut(pictures(1, on_tip, board, shots=2), n)
+                assert made.begun()
+                assert replace(made, observed=np.full_like(made.observed, 1e5)).begun()
 
 
 def carried(role: str, T: np.ndarray, states: np.ndarray) -> np.ndarray:

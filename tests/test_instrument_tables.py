@@ -15,7 +15,9 @@ from scipy.spatial.transform import Rotation
 from aridcal.errors import AridcalError, CampaignError
 from aridcal.inputs.campaign import Campaign, load_campaign
 from aridcal.inputs.dataset import Dataset
+from aridcal.inputs.measurement_settings import MeasurementSettings
 from aridcal.inputs.read import load_measurements
+from aridcal.inputs.yaml_file import parse_settings
 from aridcal.instruments.catalogue import KINDS
 
 JOINTS = ("rail", "elbow")
@@ -288,6 +290,15 @@ def test_cameras_and_boards_stand_on_opposite_sides(tmp_path: Path, on: str) -> 
     assert marker.free.all() and np.isnan(marker.start).all() and not data.instruments.world
 
 
+def test_what_a_camera_is_on_needs_no_quotes(tmp_path: Path) -> None:
+    """YAML 1.1 reads a plain `on` as a truth."""
+    write(tmp_path, {"pixels": table("pixels")})
+    job = (tmp_path / "campaign.yaml").read_text()
+    assert "height: 480" in job
+    (tmp_path / "campaign.yaml").write_text(job.replace("height: 480", "height: 480\n      on: world"))
+    assert load_campaign(tmp_path / "campaign.yaml").instruments.cameras["eye"].on == "world"
+
+
 def test_a_board_has_known_markers_and_a_place_that_is_sought(tmp_path: Path) -> None:
     (tmp_path / "markers.csv").write_text("marker,x,y,z\na,0,0,0\nb,0.1,0,0\n")
     keys: dict[str, Any] = {"markers": {"file": "markers.csv", "on": "world"}}
@@ -342,7 +353,9 @@ def test_copies_are_refused_but_not_of_another_label(tmp_path: Path) -> None:
 def test_labels_that_tell_nothing_of_the_arm_are_told(tmp_path: Path) -> None:
     rows = table("point")
     rows.loc[0, "point"] = "lone"
-    assert "point lone: with so few rows they tell where it is" in notices(load(write(tmp_path, {"point": rows})))
+    campaign = write(tmp_path, {"point": rows})
+    assert "point lone: with so few rows they tell where it is" in notices(load(campaign))
+    assert not load(campaign, files=[rows], fitted=False).notices, "of rows that are scored only nothing is asked"
     tied = {"lengths": [{"between": ["lone", "a"], "length": 0.1}]}
     assert "lone: with" not in notices(load(write(tmp_path, {"point": rows}, instruments=tied)))
 
@@ -387,7 +400,6 @@ REFUSED: dict[str, tuple[str, dict[str, Any], str]] = {
     "a place without a board": ("pixels", {"markers": {"xyz": [0, 0, 1]}}, "a place belongs to a board: add its `file`"),
     "a camera called as a joint": ("pixels", {"cameras": {"elbow": EYE}}, "the camera 'elbow' has the name of a joint: rename"),
     "a camera called camera": ("pixels", {"cameras": {"camera": EYE}}, "the camera 'camera' has the name of a place of corr"),
-    "points without a block": ("distance", {"points": "points.csv"}, r"instruments\.points: no block measures such things"),
     "an unknown key": ("distance", {"anchor": {}}, r"instruments\.anchor: unknown key \(did you mean 'anchors'"),
 }  # fmt: skip
 
@@ -472,3 +484,30 @@ def test_a_marker_cannot_be_on_both_sides(tmp_path: Path) -> None:
     rows["marker"] += rows.camera
     data = load(write(tmp_path, {"pixels": rows}, instruments={"cameras": cameras}))
     assert data.instruments.things["board"].names == ("board_on_tip", "board_on_world")
+
+
+def test_things_of_no_block_are_told_and_of_poses_refused(tmp_path: Path) -> None:
+    """The example of the contract has anchors and planes beside blocks of points and pixels."""
+    keys = {"anchors": {"pulley": {}}, "planes": {"table": {}}, "markers": {"file": "markers.csv"}}
+    (tmp_path / "markers.csv").write_text(MARKERS)
+    told = notices(load(write(tmp_path, {"point": table("point")}, instruments=keys)))
+    assert all(f"{thing}: no row refers to it" in told for thing in ("anchor pulley", "plane table", "marker a, b, c"))
+    assert "instruments: no block's rows refer" in said(tmp_path, {"pose": table("pose")}, instruments={"anchors": {}})
+
+
+def test_the_examples_of_the_formats_are_campaigns() -> None:
+    text = (Path(__file__).parent.parent / "docs" / "formats.md").read_text("utf-8").split("## 7. ")[1]
+    examples = re.findall(r"```yaml\n(.*?)```", text, re.DOTALL)
+    assert len(examples) == 2
+    small, full = (parse_settings(example, Path("campaign.yaml"), Campaign) for example in examples)
+    assert [block.kind for block in small.blocks] == ["point", "pixels"] and small.blocks[1].camera == "eye"
+    assert full.instruments.model_fields_set == set(type(full.instruments).model_fields)
+
+
+def test_every_kind_and_its_columns_stand_in_the_formats() -> None:
+    text = (Path(__file__).parent.parent / "docs" / "formats.md").read_text("utf-8").split("## 7. ")[1]
+    for kind in KINDS:
+        (line,) = re.findall(rf"^\| [^|]*`{kind}`.*\|$", text.split("A campaign of")[0], re.MULTILINE)
+        own = MeasurementSettings.model_validate({"kind": kind}).own_columns
+        named = " ".join(re.findall("`([^`]*)`", line)).split()
+        assert set(own) - {"target"} <= set(named), kind

@@ -33,11 +33,11 @@ STRANGERS = [{"fit", "head"}, {"report", "prepare"}]
 """Rooms that never meet."""
 
 KEPT_TO = {
-    "cv2": ("aridcal.head.",),
+    "cv2": ("aridcal.boards.", "aridcal.head."),
     "meshcat": ("aridcal.view", "aridcal.report.scene"),
     "scipy.optimize": ("aridcal.fit.",),
     "tornado": ("aridcal.view",),
-    "trimesh": ("aridcal.robot.meshes",),
+    "trimesh": ("aridcal.boards.bodies", "aridcal.robot.meshes"),
 }
 """Libraries that only some modules may import."""
 

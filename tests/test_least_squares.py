@@ -14,10 +14,10 @@ from scipy.spatial.transform import Rotation
 from aridcal.effects.effect import Coefficient
 from aridcal.errors import NotIdentifiable
 from aridcal.fit.constants import constants
-from aridcal.fit.flags import OUTLIER, SUSPECT, flagged
+from aridcal.fit.flags import FLOOR, OUTLIER, SUSPECT, flagged, robust_sigma
 from aridcal.fit.least_squares import fit, fit_identifiable, minimise, thin
 from aridcal.fit.normal_equations import Prior
-from aridcal.fit.residual import FLOOR, Problem, linearise, problem, robust_sigma, triangle
+from aridcal.fit.residual import Problem, linearise, problem, triangle
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.channels import TARGET_POSITION, TARGET_ROTATION
 from aridcal.instruments.pose import residuals

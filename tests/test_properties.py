@@ -6,6 +6,7 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -288,6 +289,50 @@ def test_csv_parquet_and_a_dataframe_give_the_same_data_to_the_bit(
         assert set(one.covariates) == set(other.covariates) == {"time", "temperature"}
         for name, values in one.covariates.items():
             np.testing.assert_array_equal(values, other.covariates[name])
+
+
+KIND_TABLES = st.lists(
+    st.sampled_from(["position", "point", "distance", "plane", "pixels", "inclination"]),
+    min_size=1,
+    max_size=3,
+    unique=True,
+)
+
+
+@examples(25)
+@given(KIND_TABLES, SEEDS)
+def test_permuted_rows_of_any_kinds_are_the_same_data(tmp_path: Path, kinds: list[str], seed: int) -> None:
+    """In every number, label, split and thing; lines alone follow the file."""
+    robot, rng = robots.random_robot(2, "RP"), np.random.default_rng(seed)
+    eye = {"width": 640, "height": 480, "fx": 600.0, "fy": 600.0, "cx": 320.0, "cy": 240.0}
+    blocks = [{"kind": kind, "file": str(tmp_path / f"{kind}.csv")} for kind in kinds]
+    instruments = {"cameras": {"eye": eye}} if "pixels" in kinds else {}
+    campaign = robots.campaign(measurements=blocks, instruments=instruments)
+    tables = {kind: rows_of(kind, robot, rng) for kind in kinds}
+    read = []
+    for _ in range(2):
+        for kind, table in tables.items():
+            table.sample(frac=1, random_state=int(rng.integers(1000))).to_csv(tmp_path / f"{kind}.csv", index=False)
+        read.append(load_measurements(campaign, robot.readings, robot.limits, robot.kinds, 1))
+    one, two = read
+    for name in ("readings", "observed", "refers", "block", "position", "configuration", "test", "target"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(two, name), err_msg=name)
+    for name, things in one.instruments.things.items():
+        assert things.names == two.instruments.things[name].names
+
+
+def rows_of(kind: str, robot: Robot, rng: np.random.Generator, n: int = 12) -> pd.DataFrame:
+    """A sound table of a kind."""
+    labels = rng.choice(["a", "b"], n)
+    own: dict[str, Any] = {
+        "position": dict(zip("xyz", rng.uniform(-1, 1, (3, n)), strict=True)),
+        "point": {"point": labels},
+        "distance": {"distance": rng.uniform(0.5, 2, n), "anchor": labels},
+        "plane": {"plane": labels, "reading": rng.uniform(0, 1e-3, n)},
+        "pixels": {"u": rng.uniform(0, 600, n), "v": rng.uniform(0, 400, n), "marker": labels},
+        "inclination": dict(zip(("gx", "gy", "gz"), rng.normal(size=(3, n)), strict=True)),
+    }[kind]
+    return pd.DataFrame(dict(zip(robot.readings, rng.uniform(-1, 1, (len(robot.readings), n)), strict=True)) | own)
 
 
 @examples(15)

@@ -107,9 +107,9 @@ def test_nobody_else_reads_a_users_file() -> None:
         "report/scene.py",
         "calibration.py",
         "view.py",
-        "lock.py",
-        "staging.py",
-        "disk.py",
+        "writing/lock.py",
+        "writing/staging.py",
+        "writing/disk.py",
         "robot/meshes.py",  # in a process of its own, within limits of its own
         "model/memory.py",  # what the system says of its memory
     }

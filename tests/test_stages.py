@@ -14,7 +14,7 @@ from aridcal.errors import AridcalError, MeasurementError
 from aridcal.fit.constants import constants, frame_coefficients, unused_links
 from aridcal.fit.residual import problem
 from aridcal.fit.stages import Geometry, fit_geometry, recentred
-from aridcal.inputs.dataset import RowNoise, weighed
+from aridcal.inputs.dataset import RowNoise, dataset, weighed
 
 ALL = ("x", "y", "z", "roll", "pitch", "yaw")
 
@@ -207,10 +207,13 @@ def test_sigmas_of_the_rows_are_relative_with_rms_1_and_absolute_ones_declare_th
 
 
 def test_frames_to_identify_come_world_first_and_per_station() -> None:
-    names = [c.name for c in frame_coefficients(robots.campaign(), ())]
+    some = dataset(robots.ur10().readings, robots.ur10().kinds, np.zeros((1, 6)), np.zeros((1, 3)))
+    names = [c.name for c in frame_coefficients(robots.campaign(), (), some)]
     assert names == [f"{w}.{c}" for w in ("world_base", "tip_target") for c in ALL]
     per = robots.campaign(frames={"world_base": {"per": "station"}, "tip_target": {"identify": False}})
-    assert [c.name for c in frame_coefficients(per, ("a", "b"))] == [f"world_base[{s}].{c}" for s in "ab" for c in ALL]
+    assert [c.name for c in frame_coefficients(per, ("a", "b"), some)] == [
+        f"world_base[{s}].{c}" for s in "ab" for c in ALL
+    ]
 
 
 @pytest.mark.parametrize("spoil", ["joints", "rows", "positions", "quaternions"])

@@ -1,15 +1,27 @@
-"""Which rows are outliers, and whether those lie together: what is wrong in one place only is structure."""
+"""Robust measures of size, which rows are outliers, and whether those lie together: what is wrong in one place is structure."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
+from scipy.special import gammaincinv
 from scipy.stats import binom
 
-from aridcal.fit.residual import distance, robust_sigma
 from aridcal.inputs.dataset import Dataset
-from aridcal.instruments.channels import Channels
+from aridcal.instruments.channels import Channels, norms
+
+FLOOR = 1e-12
+"""[m] or [rad]: below this everything is rounding."""
+
+QUANTILES = (0.5, 0.9)
+"""Of the rows' norms that tell a sigma. A tenth of the rows may be wild; more than that is a part of the robot's life that
+the model lacks (one of two sides of a backlash, say) and must not be flagged away."""
+
+CAUCHY = 4.0
+"""Sigmas at which a row's weight has fallen to a half: one clean row of three numbers in a thousand is as far."""
+
 
 OUTLIER = 6.0
 """Sigmas per axis, in any channel, beyond which a row is flagged: 1 clean pose in 7 million."""
@@ -38,6 +50,44 @@ class Cluster:
     high: float
     rows: np.ndarray
     p_value: float
+
+
+def robust_sigma(r: np.ndarray, channels: Channels) -> np.ndarray:
+    """Sigma of each channel from the norms of scaled residuals, by two :data:`QUANTILES`: the larger counts.
+
+    Args:
+        r: Shape (N, m).
+        channels: C of them.
+
+    Returns:
+        Shape (C,).
+    """
+    found = []
+    for channel, length in zip(channels, norms(r, channels), strict=True):
+        length = length[~np.isnan(length)]
+        if not len(length):
+            found.append(FLOOR)
+            continue
+        seen = np.quantile(length, QUANTILES)
+        ratios = [float(q) / usual for q, usual in zip(seen, usual_norms(channel.size), strict=True)]
+        found.append(max(*ratios, FLOOR))
+    return np.array(found)
+
+
+@cache
+def usual_norms(size: int) -> tuple[float, ...]:
+    """Quantiles of the norm of so many standard normal numbers, at :data:`QUANTILES` (chi distribution)."""
+    return tuple(float(np.sqrt(2.0 * gammaincinv(0.5 * size, q))) for q in QUANTILES)
+
+
+def distance(r: np.ndarray, sigma: np.ndarray, channels: Channels) -> np.ndarray:
+    """How many sigmas per axis a row is off in its worst channel, shape (N,), from scaled residuals (N, m)."""
+    return np.asarray(np.fmax.reduce(norms(r, channels) / sigma[:, None], axis=0))
+
+
+def cauchy(r: np.ndarray, sigma: np.ndarray, channels: Channels) -> np.ndarray:
+    """Weights that let go of far rows gradually (Cauchy's loss on the row's distance), shape (N,)."""
+    return 1.0 / (1.0 + (distance(r, sigma, channels) / CAUCHY) ** 2)
 
 
 def limits(data: Dataset, kept: np.ndarray | None = None) -> np.ndarray:

@@ -8,6 +8,7 @@ from aridcal.fit.least_squares import Fit
 from aridcal.fit.normal_equations import RIDGE, accumulate, solve
 from aridcal.fit.residual import eliminated, problem
 from aridcal.inputs.dataset import Dataset
+from aridcal.inputs.split import held_together
 from aridcal.instruments.channels import columns
 
 BLOCKS = 10
@@ -50,7 +51,7 @@ def _squares(fit: Fit, data: Dataset) -> np.ndarray:
     asked = problem(fit.model, data)
     pieces = [(r, J) for _, r, J in eliminated(asked, fit.theta, np.ones(len(data)), fit.sigma)]
     r, J = (np.concatenate(stacked) for stacked in zip(*pieces, strict=True))
-    together = data.held_together
+    together = held_together(data)
     number = np.random.default_rng(2).permutation(int(together.max()) + 1)
     block = number[together] % BLOCKS
     parts, K = columns(data.channels), J.shape[2]

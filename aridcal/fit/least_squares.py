@@ -10,18 +10,10 @@ import numpy as np
 from aridcal.effects.effect import Coefficient
 from aridcal.errors import NotIdentifiable
 from aridcal.fit.elimination import Groups
-from aridcal.fit.flags import flagged, limits
+from aridcal.fit.flags import FLOOR, flagged, limits, robust_sigma
 from aridcal.fit.identifiable import agreeing, identifiable
 from aridcal.fit.normal_equations import TINY, NormalEquations, Prior, solve_with, with_prior
-from aridcal.fit.residual import (
-    FLOOR,
-    Linearisation,
-    Problem,
-    linearise,
-    robust_sigma,
-    triangle,
-    weighted_squares,
-)
+from aridcal.fit.residual import Linearisation, Problem, linearise, triangle, weighted_squares
 from aridcal.instruments.channels import Channels
 from aridcal.model.model import Model, Rows
 

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from functools import cache
 
 import numpy as np
-from scipy.special import gammaincinv
 
 from aridcal.fit.elimination import (
     Eliminated,
@@ -23,9 +21,10 @@ from aridcal.fit.elimination import (
     solved,
     tied_columns,
 )
+from aridcal.fit.flags import cauchy
 from aridcal.fit.normal_equations import NormalEquations
 from aridcal.inputs.dataset import Dataset
-from aridcal.instruments.channels import Channels, columns, norms, spread
+from aridcal.instruments.channels import Channels, columns, spread
 from aridcal.instruments.pose import residuals
 from aridcal.instruments.setup import Instruments
 from aridcal.model.measured import Measured, States, located, measured
@@ -38,16 +37,6 @@ BLOCK = 512
 MANY = 300
 """Coefficients from which those are sought that move none of a block's rows: an ordinary arm has no such ones, and fewer cost
 less than the search for them."""
-
-FLOOR = 1e-12
-"""[m] or [rad]: below this everything is rounding."""
-
-QUANTILES = (0.5, 0.9)
-"""Of the rows' norms that tell a sigma. A tenth of the rows may be wild; more than that is a part of the robot's life that
-the model lacks (one of two sides of a backlash, say) and must not be flagged away."""
-
-CAUCHY = 4.0
-"""Sigmas at which a row's weight has fallen to a half: one clean row of three numbers in a thousand is as far."""
 
 
 @dataclass(frozen=True)
@@ -208,7 +197,12 @@ def moved_by(question: Problem, theta: np.ndarray, count: int) -> np.ndarray:
     size = sum(channel.size for channel in question.channels)
     J = np.empty((len(question), size, count))
     for block in question.blocks():
-        every = question.pieces(theta, block)[1]
+        if question.measured is None:
+            _, _, twists = question.model.jacobian(theta, question.rows[block])
+            relative = None if question.data.relative is None else question.data.relative[block]
+            every = scaled(twists[:, :size], relative)
+        else:
+            every = question.pieces(theta, block)[1]
         J[block] = every[:, :, every.shape[2] - count :]
     return J
 
@@ -234,44 +228,6 @@ def unscaled(r: np.ndarray, relative: np.ndarray | None) -> np.ndarray:
         return np.asarray(r * relative)
     stretched = np.einsum("nij,nj->ni", relative, np.nan_to_num(r))
     return np.where(np.isnan(r), np.nan, stretched)
-
-
-def robust_sigma(r: np.ndarray, channels: Channels) -> np.ndarray:
-    """Sigma of each channel from the norms of scaled residuals, by two :data:`QUANTILES`: the larger counts.
-
-    Args:
-        r: Shape (N, m).
-        channels: C of them.
-
-    Returns:
-        Shape (C,).
-    """
-    found = []
-    for channel, length in zip(channels, norms(r, channels), strict=True):
-        length = length[~np.isnan(length)]
-        if not len(length):
-            found.append(FLOOR)
-            continue
-        seen = np.quantile(length, QUANTILES)
-        ratios = [float(q) / usual for q, usual in zip(seen, usual_norms(channel.size), strict=True)]
-        found.append(max(*ratios, FLOOR))
-    return np.array(found)
-
-
-@cache
-def usual_norms(size: int) -> tuple[float, ...]:
-    """Quantiles of the norm of so many standard normal numbers, at :data:`QUANTILES` (chi distribution)."""
-    return tuple(float(np.sqrt(2.0 * gammaincinv(0.5 * size, q))) for q in QUANTILES)
-
-
-def distance(r: np.ndarray, sigma: np.ndarray, channels: Channels) -> np.ndarray:
-    """How many sigmas per axis a row is off in its worst channel, shape (N,), from scaled residuals (N, m)."""
-    return np.asarray(np.fmax.reduce(norms(r, channels) / sigma[:, None], axis=0))
-
-
-def cauchy(r: np.ndarray, sigma: np.ndarray, channels: Channels) -> np.ndarray:
-    """Weights that let go of far rows gradually (Cauchy's loss on the row's distance), shape (N,)."""
-    return 1.0 / (1.0 + (distance(r, sigma, channels) / CAUCHY) ** 2)
 
 
 @dataclass(frozen=True)

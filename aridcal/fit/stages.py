@@ -11,9 +11,10 @@ from aridcal.effects.effect import Coefficient
 from aridcal.errors import MeasurementError, NotIdentifiable, NotOfThisRobot
 from aridcal.fit.closed_form import closed_form_starts
 from aridcal.fit.constants import constants, frame_coefficients, frame_labels, has_world, measures_target
+from aridcal.fit.flags import robust_sigma
 from aridcal.fit.frame_starts import FrameStart, start_frames
 from aridcal.fit.least_squares import Fit, fit, fit_identifiable, minimise, thin
-from aridcal.fit.residual import Problem, problem, robust_sigma, unscaled
+from aridcal.fit.residual import Problem, problem, unscaled
 from aridcal.fit.thing_starts import TIP, beginning
 from aridcal.inputs.campaign import Campaign, FrameSettings
 from aridcal.inputs.dataset import Dataset

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from types import MappingProxyType
 from typing import Annotated, Any, Literal
 
 import pandas as pd
@@ -24,20 +23,11 @@ from aridcal.errors import CampaignError, nearest
 from aridcal.inputs.instrument_settings import InstrumentSettings
 from aridcal.inputs.measurement_settings import MeasurementSettings, Names, listed, one_of
 from aridcal.inputs.yaml_file import LARGEST, RelativePath, Section, Settings, Vector3, load_settings
+from aridcal.instruments.catalogue import KINDS as MEASURED
 from aridcal.reading.names import check_path
 
-# Kinds of measurements that tell something of each key of `instruments`.
-TOLD_BY = MappingProxyType(
-    {
-        "points": ("point",),
-        "lengths": ("point", "distance", "pixels"),
-        "anchors": ("distance",),
-        "planes": ("plane",),
-        "perpendicular": ("plane",),
-        "cameras": ("pixels",),
-        "markers": ("pixels",),
-    }
-)
+# Kinds of measurements whose rows refer to things under `instruments`.
+REFERRING = tuple(kind.name for kind in MEASURED.values() if kind.roles)
 
 
 def _all_kinds(candidates: Any) -> Any:
@@ -229,12 +219,11 @@ class Job(Settings):
     @model_validator(mode="after")
     def _instruments_are_used(self) -> Job:
         kinds = {block.kind for block in self.blocks}
-        for key in InstrumentSettings.model_fields:
-            if key in self.instruments.model_fields_set and kinds.isdisjoint(TOLD_BY[key]):
-                raise ValueError(
-                    f"instruments.{key}: no block measures such things; delete it, or add a block of "
-                    f"`kind: {' or '.join(TOLD_BY[key])}`"
-                )
+        if self.instruments.model_fields_set and kinds.isdisjoint(REFERRING):
+            raise ValueError(
+                "instruments: no block's rows refer to such things; delete this key, or add a block of "
+                f"`kind: {' or '.join(REFERRING)}`"
+            )
         if kinds == {"pixels"} and "tip_target" in self.frames.model_fields_set:
             raise ValueError(
                 "frames.tip_target: `kind: pixels` has no target beside its cameras and markers; delete this key, and "

@@ -22,9 +22,6 @@ from aridcal.robot.chain import JointKind
 ROLES = 3
 """Things that a row may refer to: a camera, a board and a marker."""
 
-FEW_ROWS = 12
-"""Rows of a thing below which one of them is not held out without the others: of twelve, one knows the others to 4 %."""
-
 OF_BLOCKS = ("block", "observed", "refers")
 """Columns of the data that are empty where there are no blocks."""
 
@@ -119,19 +116,6 @@ class Dataset:
             return np.ones((len(self), len(self.channels)), dtype=bool)
         of_block = np.repeat(np.arange(len(self.blocks)), [len(block.channels) for block in self.blocks])
         return np.asarray(self.block[:, None] == of_block)
-
-    @property
-    def held_together(self) -> np.ndarray:
-        """Numbers of what is held out as one, shape (N,): configurations; of things with few rows, all rows of one.
-
-        What a row says of a thing that has few rows, the others know: held out alone it would not be new.
-        """
-        if not self.blocks:
-            return self.configuration
-        labels = np.column_stack([self.block.astype(str), self.refers])
-        thing = np.unique(labels, axis=0, return_inverse=True)[1].reshape(-1)
-        few = np.bincount(thing)[thing] < FEW_ROWS
-        return pd.factorize(np.where(few, thing + self.configuration.max() + 1, self.configuration))[0]
 
     @property
     def sees_turns(self) -> bool:

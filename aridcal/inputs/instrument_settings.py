@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 import pinocchio as pin
-from pydantic import BeforeValidator, Field, PositiveInt, field_validator, model_validator
+from pydantic import BeforeValidator, Field, field_validator, model_validator
 
 from aridcal.inputs.yaml_file import Number, Positive, RelativePath, Section, Vector3
 
@@ -18,6 +18,9 @@ BEYOND = 3.0
 
 LEAST_NORMAL = 1e-9
 """Length of a normal below which it points nowhere."""
+
+Side = Annotated[int, Field(ge=1, le=100_000)]
+"""Of an image, [px]: the largest sensors have some 15,000."""
 
 Carrier = Literal["tip", "world"]
 """What a camera or a board is fixed to."""
@@ -158,8 +161,8 @@ class ArmCameraSettings(Placement):
     cx: Number | None = None
     cy: Number | None = None
     """Principal point, [px]; the middle of the first pixel is 0."""
-    width: PositiveInt
-    height: PositiveInt
+    width: Side
+    height: Side
     """Of the images, [px]."""
     distortion: tuple[Number, Number, Number, Number, Number] = (0.0, 0.0, 0.0, 0.0, 0.0)
     """k1, k2, p1, p2, k3."""

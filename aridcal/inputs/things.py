@@ -203,7 +203,7 @@ def instruments_of(
         start = np.array([state for state, _, _ in found], dtype=float).reshape(len(found), role.size)
         things[name] = Things(role, seen[name], start, free, std)
     ties = (*_lengths(known, seen, complete), *_right_angles(known, seen, complete))
-    remarks = [*_too_few(blocks, things, counts, ties), *(_never_seen(known, seen) if complete else ())]
+    remarks = [*_too_few(blocks, things, counts, ties), *_never_seen(known, seen)] if complete else []
     return Instruments(things, ties, _in_world(known, blocks, things)), remarks
 
 
@@ -320,7 +320,10 @@ def _too_few(
 
 def _never_seen(known: Known, seen: dict[str, tuple[str, ...]]) -> Iterator[str]:
     """Things of which the campaign knows something and the rows nothing; of a board not all markers need be seen."""
-    for role, labels in {"point": tuple(known.points), **known.settings.declared}.items():
+    of_role = {"point": tuple(known.points), **known.settings.declared}
+    if "marker" not in seen:
+        of_role["marker"] = tuple(known.markers)
+    for role, labels in of_role.items():
         absent = sorted(set(labels) - set(seen.get(role, ())))
         if absent:
             yield f"{role} {listed(absent)}: no row refers to it; it is not used"

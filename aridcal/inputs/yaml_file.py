@@ -45,6 +45,8 @@ LARGEST_NUMBER = 1e15
 LARGEST = 1e9
 """[m], [rad], [px]: no place, angle or image is larger."""
 
+TEXT = "tag:yaml.org,2002:str"
+
 Location = tuple[str | int, ...]
 
 # The parser in C where there is one: a covariance of a hundred parameters is ten thousand numbers.
@@ -324,7 +326,7 @@ def _refuse_tricks(text: str, path: Path) -> None:
 
 
 def _lines(node: yaml.Node, location: Location, path: Path) -> Iterator[tuple[Location, int]]:
-    """Yield the line of every key and list item below a node; refuse a key twice and keys that are not text."""
+    """Yield the line of every key and list item below a node; refuse a key twice and keys that are not text; `on` is."""
     if isinstance(node, yaml.SequenceNode):
         for number, item in enumerate(node.value):
             yield (*location, number), item.start_mark.line + 1
@@ -336,7 +338,9 @@ def _lines(node: yaml.Node, location: Location, path: Path) -> Iterator[tuple[Lo
             where = f"{path}, line {line}"
             if not isinstance(key, yaml.ScalarNode):
                 raise CampaignError(f"{where}: a key must be a plain word; write `key: value`")
-            if key.tag != "tag:yaml.org,2002:str":
+            if key.value == "on":  # a key of cameras and markers, which YAML 1.1 takes for a truth
+                key.tag = TEXT
+            if key.tag != TEXT:
                 kind, name = key.tag.rpartition(":")[2], _dotted((*location, key.value))
                 raise CampaignError(f"{where}: {name}: YAML reads this key as a {kind}; put it in quotes")
             if key.value in seen:

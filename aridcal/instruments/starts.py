@@ -81,6 +81,9 @@ def starts(
         target: T_tip_target, or a hint of it, shape (4, 4).
         target_known: True if it stays as it is.
     """
+    known = {role.name: things[role.name].start for role in kind.roles}
+    if not len(p):
+        return [Start(target, known)]
     if kind.name == "inclination" and not target_known:
         return _levelled(kind, R, p, observed, target)
     if not kind.roles:
@@ -88,7 +91,6 @@ def starts(
     free = {role.name: things[role.name].free for role in kind.roles}
     view = View(kind, R, p, observed, refers, free, moves=not target_known and kind.name != "pixels")
     some = view.select(spread(len(p), MOST))
-    known = {role.name: things[role.name].start for role in kind.roles}
     found = sighted(some, target, known, STEPS) if kind.name == "pixels" else _by_target(some, target, known)
     return [Start(place.target, _filled(view, place, known)) for place in _ranked(found)]
 

@@ -273,7 +273,7 @@ def located(
     role, thing = seen.many()
     found = dict(states)
     for number, name in enumerate(seen.roles):
-        lost = np.isnan(states[name]).any(axis=1)
+        lost = np.atleast_1d(np.isnan(states[name]).any(axis=1))
         here = np.flatnonzero(role == number)
         asked = np.unique(thing[here])
         asked = asked[lost[asked]]

@@ -6,7 +6,7 @@ import itertools
 import os
 import textwrap
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -66,6 +66,7 @@ def draft(urdf: Path, tables: Sequence[AnyTable], out: Path, choose: Choose) -> 
     except MeasurementError:
         read_tables(tables)  # what lacks may be in some of the files: then that is the fault
         raise
+    proposal.guesses = [replace(guess, value=_placed(guess.value, out.parent)) for guess in proposal.guesses]
     text = campaign_text(proposal, urdf, tables, out.parent)
     campaign = parse_settings(text, out, Campaign)
     if any(isinstance(table, pd.DataFrame) for table in tables):
@@ -102,6 +103,8 @@ def campaign_text(proposal: Proposal, urdf: Path, tables: Sequence[AnyTable], ho
     ]
     if "frames" in parts:
         lines += ["frames:", *_mapping(parts["frames"], "  ")]
+    if "instruments" in parts:
+        lines += ["instruments:", *_mapping(parts["instruments"], "  ")]
     return "\n".join(lines) + "\n"
 
 
@@ -135,6 +138,13 @@ def scalar(value: Any) -> str:
     """A value on one line of YAML, quoted where it must be."""
     text = yaml.safe_dump(value, default_flow_style=True, width=ONE_LINE, allow_unicode=True)
     return text.removesuffix("...\n").strip()
+
+
+def _placed(value: Any, home: Path) -> Any:
+    """A value whose files are named as seen from the campaign."""
+    if isinstance(value, dict):
+        return {key: _placed(entry, home) for key, entry in value.items()}
+    return _relative(value, home) if isinstance(value, Path) else value
 
 
 def _relative(path: Path, home: Path) -> str:

@@ -21,17 +21,21 @@ COVARIATES = (
     ("payload", "kg", ("payload", "load")),
 )
 
+POSE_NOISE = "{position: …, rotation: …}, 1 sigma per axis, m and rad"
+"""How the noise of poses and positions is stated."""
 
-def say_covariates(table: Table, used: set[str], made: Proposal) -> None:
+
+def say_covariates(table: Table, used: set[str], made: Proposal, noise: str = POSE_NOISE) -> None:
     """Say what the columns are that are left: sigmas of the rows, covariates, and what is neither.
 
     Args:
         table: The measurements.
         used: Columns that are spoken for.
         made: Told what was found.
+        noise: How it is stated.
     """
     std = [name for name in STD if name in table.cells]
-    why = "not known: it is estimated. If you know it, write {position: …, rotation: …}, 1 sigma per axis, m and rad"
+    why = f"not known: it is estimated. If you know it, write {noise}"
     if std:
         why = f"{' '.join(std)} weigh the rows; if they flatter the instrument, write {{rows: ignore}}"
     made.say("measurements.noise", None, why)

@@ -13,6 +13,7 @@ from aridcal.inputs.tables import Table
 from aridcal.prepare.column_names import Family, angle_triples, match_joints, positions, quaternions, unit
 from aridcal.prepare.covariates import say_covariates, say_repeats
 from aridcal.prepare.guesses import Choose, Proposal, ask
+from aridcal.prepare.other_kinds import other_kind, say_other_kind
 from aridcal.prepare.units_and_angles import Reading, Sample, Writing, angle_writings, quaternion_writings, readings
 from aridcal.robot.chain import Robot, chain
 from aridcal.robot.tree import read_tree
@@ -65,6 +66,12 @@ def propose(urdf: bytes, path: Path, table: Table, choose: Choose) -> Proposal:
     made.say_columns(columns, HOW.get(how, "named as in the URDF"), sure=how != "order")
     joint_columns = [columns[name] for name in robot.readings]
     used = set(columns.values())
+    if (other := other_kind(table, used)) is not None:
+        kind, own = other
+        turning = np.array([joint != "prismatic" for joint in robot.kinds])
+        used |= {*say_other_kind(kind, own, table, joint_columns, turning, made), *_split(table, used, made)}
+        say_covariates(table, used, made, kind.noise)
+        return made
     place = _position(table, used, choose, made)
     used |= {*place.columns, *_split(table, used, made)}
     sample, rows = _sample(table, robot, joint_columns, place)

@@ -9,6 +9,7 @@ from pydantic import BeforeValidator, Field
 from aridcal.effects.catalogue import KINDS, is_of_head
 from aridcal.errors import CampaignError
 from aridcal.inputs.campaign import Job
+from aridcal.inputs.measurement_settings import OF_TARGETS
 from aridcal.inputs.yaml_file import Section, Vector3
 from aridcal.prepare.true_effects import Parameter, TrueEffect, given
 
@@ -70,6 +71,10 @@ def check_scenario(scenario: Scenario) -> None:
     """Refuse what a campaign may ask for but a simulation cannot give."""
     measurements, truth = scenario.measurements, scenario.truth
     refused = {
+        "measurements": (
+            len(scenario.blocks) > 1 or measurements.kind not in (*OF_TARGETS, "camera_sonar"),
+            f"one block of {', '.join(OF_TARGETS)} or camera_sonar is simulated; write one of these",
+        ),
         "measurements.head": (
             measurements.kind == "camera_sonar" and measurements.head is None,
             "`kind: camera_sonar` needs it: `head: head.yaml`",

@@ -6,9 +6,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from aridcal.fit.flags import distance, robust_sigma
 from aridcal.fit.least_squares import Fit, minimise
 from aridcal.fit.noise import contradicted
-from aridcal.fit.residual import BLOCK, Problem, distance, linearise, problem, robust_sigma
+from aridcal.fit.residual import BLOCK, Problem, linearise, problem
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.channels import Channels
 from aridcal.model.model import Rows

@@ -10,9 +10,9 @@ from scipy.stats import f as f_distribution
 
 from aridcal.effects.catalogue import KINDS
 from aridcal.effects.effect import Effect
-from aridcal.fit.flags import Cluster, cluster
+from aridcal.fit.flags import FLOOR, Cluster, cluster
 from aridcal.fit.least_squares import Fit
-from aridcal.fit.residual import FLOOR, problem
+from aridcal.fit.residual import problem
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.channels import spread
 from aridcal.search.noise_tests import Clue

@@ -53,7 +53,9 @@ LARGE = 100.0
 RIVAL_SHARE = 0.5
 """Share of the best evidence on the linear model that a rival must have: less cannot win on the exact one."""
 
-FEW_PLACES = f"rows at fewer than {FEWEST_PLACES} places cannot show that a function without a cause holds elsewhere; measure at more"
+FEW_PLACES = (
+    f"at fewer than {FEWEST_PLACES} places nothing shows that a curve of free form holds elsewhere; measure at more"
+)
 """Why no such function is sought there."""
 
 PAIRED = 3
@@ -148,9 +150,10 @@ def _diagnosed(
     taken = {e.identity for e in stated}
     named = [e for e in candidates(observed, tuple(k for k in kinds if KINDS[k].named)) if e.identity not in taken]
     unnamed = candidates(observed, tuple(k for k in kinds if not KINDS[k].named))
-    if unnamed and few_places(start.geometric.model, start.train):
-        barred.append(Barred("unknown", FEW_PLACES))
-        unnamed = []
+    if few_places(start.geometric.model, start.train):
+        curves = dict.fromkeys(e.kind for e in (*named, *unnamed) if e.smooth)
+        barred += [Barred(kind, FEW_PLACES) for kind in curves]
+        named, unnamed = [e for e in named if not e.smooth], []
     library = [*named, *unnamed, *stated]
     progress("linearising the model")
     place = Place(start.geometric, linear_model(start, start.geometric, (), library, observed))

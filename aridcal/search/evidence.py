@@ -20,9 +20,9 @@ import numpy as np
 from scipy.special import gammaincc
 
 from aridcal.effects.smooth import Kernel, kernel_root
+from aridcal.fit.flags import FLOOR
 from aridcal.fit.normal_equations import RIDGE, TINY, NormalEquations, inverse, projected
 from aridcal.fit.normal_equations import solve as solve_equations
-from aridcal.fit.residual import FLOOR
 
 DEPENDENT = 1e-6
 """Share of a column's square that must be left when the model's own columns are taken off: below it is rounding."""

@@ -17,6 +17,7 @@ from aridcal.fit.least_squares import Fit, fit
 from aridcal.fit.normal_equations import Prior
 from aridcal.fit.residual import Problem, problem, taking_off, triangle
 from aridcal.inputs.dataset import Dataset
+from aridcal.inputs.split import held_together
 from aridcal.model.model import Model
 from aridcal.search.linear_model import Active, LinearModel, State
 from aridcal.showing import SILENT, Progress
@@ -172,7 +173,7 @@ def linear_model(
         limit=start.limit,
         run=run,
         fold=fold,
-        configuration=start.train.held_together,
+        configuration=held_together(start.train),
         thing=_places(asked),
         off=off,
         present=start.train.measures,
@@ -202,6 +203,6 @@ def _folds(train: Dataset) -> tuple[np.ndarray, np.ndarray]:
     n = len(train)
     run = np.empty(n, dtype=int)
     run[train.sequence] = np.arange(n) * min(RUNS, n) // n
-    together = train.held_together
+    together = held_together(train)
     number = np.random.default_rng(0).permutation(int(together.max()) + 1)
     return run, number[together] % FOLDS

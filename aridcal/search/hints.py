@@ -11,9 +11,8 @@ from aridcal.effects.basis import Basis
 from aridcal.effects.effect import FRAME_COMPONENTS, Coefficient, Effect
 from aridcal.effects.joint_kinds import ORDERS
 from aridcal.effects.kinds import turns
-from aridcal.fit.flags import OUTLIER
+from aridcal.fit.flags import OUTLIER, distance
 from aridcal.fit.normal_equations import TINY
-from aridcal.fit.residual import distance
 from aridcal.search.linear_model import LinearModel, State
 from aridcal.showing import SILENT, Progress
 

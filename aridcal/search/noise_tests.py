@@ -17,10 +17,11 @@ from scipy.stats import chi2, gumbel_r, norm
 
 from aridcal.effects.basis import Basis
 from aridcal.effects.effect import Coefficient
+from aridcal.fit.flags import FLOOR
 from aridcal.fit.least_squares import Fit
 from aridcal.fit.noise import Repeats
 from aridcal.fit.normal_equations import TINY
-from aridcal.fit.residual import FLOOR, moved_by, problem
+from aridcal.fit.residual import moved_by, problem
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.channels import columns, spread
 from aridcal.search.change_points import SIDE

@@ -193,7 +193,7 @@ def judge(model: LinearModel, state: State, effect: Effect, found: Score, tested
     if share < (0.0 if known else LEAST):
         percent = 100 * max(share, 0.0)
         return judgement(share, f"reduces the cross-validated squared error by only {percent:.2g} %")
-    if model.thing is not None:
+    if model.thing is not None and effect.at is None:  # what happened while one place was measured is seen there alone
         whole = held_back(model, state, candidate, model.thing[state.used]).sum(axis=(1, 2))
         if whole[1] > whole[0]:
             return judgement(share, "does not hold at places that were held back whole")

@@ -1,0 +1,1 @@
+"""Boards, tags and sockets to print, and what a camera sees of them."""

@@ -1,0 +1,281 @@
+"""Corners of printed boards and tags in images, as a table of pixels for a campaign of `kind: pixels`.
+
+Beside the table, camera.yaml has the camera's own numbers as the images tell them, unless --intrinsics states them, and
+refused.csv names the images that show nothing that can be measured. Joints come from --joints: a table with a row for each
+image, whose column `image` has its name. Without options the board is the one that `aridcal print charuco` draws.
+
+Example:
+    aridcal detect images/ --joints joints.csv -o corners.csv
+    aridcal detect images/ --board apriltag --dictionary DICT_APRILTAG_36h11 --joints joints.csv -o corners.csv
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import sys
+from collections import Counter
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from rich.console import Console
+from rich.progress import track
+
+from aridcal.boards.advice import ENOUGH_IMAGES, advice
+from aridcal.boards.camera_file import CAMERA_FILE, camera_text, known_camera
+from aridcal.boards.finders import MIRRORED, Found, find
+from aridcal.boards.lens import FEWEST_VIEWS, Lens, LensUnknown, estimate, fit
+from aridcal.boards.options import BOARDS, TAGS, Defaults, add_board_options, as_written, board_of, chosen
+from aridcal.boards.patterns import AnyBoard, Cube
+from aridcal.boards.pictures import grey_image, listed_images
+from aridcal.command_line import CommandParser, command_parser, run
+from aridcal.errors import AridcalError, MeasurementError, OutputError, listed, printable, shortened
+from aridcal.head.matching import NotMeasured
+from aridcal.inputs.instrument_settings import ArmCameraSettings
+from aridcal.inputs.tables import Table, read_tables
+from aridcal.reading.names import check_name, path_argument
+from aridcal.writing.files import atomic_table, check_writable, claimed
+
+BESIDE = CAMERA, REFUSED = CAMERA_FILE, "refused.csv"
+"""Written beside the table."""
+
+KINDS: Defaults = {**BOARDS, **TAGS}
+
+COLUMNS = ("image", "camera", "marker", "u", "v", "shot")
+SHOWN = 5
+"""Refused images that the terminal names; ``refused.csv`` has them all."""
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What became of the images.
+
+    Attributes:
+        good: What was found in each that shows the board, by name.
+        refused: Why each other one was not measured, by name.
+        size: Width and height of all good ones, [px].
+        shot: Number of each image, by name.
+    """
+
+    good: dict[str, Found]
+    refused: dict[str, str]
+    size: tuple[int, int]
+    shot: dict[str, int]
+
+    def without(self, why: dict[str, str]) -> Seen:
+        """The same with more images refused."""
+        good = {name: found for name, found in self.good.items() if name not in why}
+        return Seen(good, self.refused | why, self.size, self.shot)
+
+
+def look(images: dict[str, Path], board: AnyBoard, console: Console) -> Seen:
+    """Find a board in images; those of another size than the first good one are refused: they are of another camera.
+
+    Args:
+        images: By name.
+        board: What to look for.
+        console: For the progress.
+
+    Raises:
+        AridcalError: it is in none of them. The message says why, and what is there instead.
+    """
+    good: dict[str, Found] = {}
+    refused: dict[str, str] = {}
+    size = (0, 0)
+    for name, path in track(images.items(), "looking", total=len(images), console=console, transient=True):
+        try:
+            image = grey_image(path)
+            own = (image.shape[1], image.shape[0])
+            if good and own != size:
+                raise NotMeasured(
+                    f"the image has {own[0]} x {own[1]} pixels, the others {size[0]} x {size[1]}: one camera at a time"
+                )
+            good[name] = find(image, board)
+            size = own
+        except NotMeasured as refusal:
+            refused[name] = str(refusal)
+    if not good:
+        raise AridcalError(_nothing(images, refused))
+    return Seen(good, refused, size, {name: k + 1 for k, name in enumerate(images)})
+
+
+def _nothing(images: dict[str, Path], refused: dict[str, str]) -> str:
+    """Say why most images show nothing, and what some of them show instead."""
+    reasons = {name: re.sub(r"[\d.]+", "", why) for name, why in refused.items()}  # "by 2.3 px", "by 2.5 px" are one
+    reason, times = Counter(reasons.values()).most_common(1)[0]
+    alike = [name for name, own in reasons.items() if own == reason]
+    readable = []
+    for k in np.unique(np.linspace(0, times - 1, min(times, ENOUGH_IMAGES)).astype(int)):
+        with suppress(NotMeasured):
+            readable.append(grey_image(images[alike[k]]))
+    hint = advice(readable) if refused[alike[0]] != MIRRORED else ""
+    others = f" (and {times - 1} more like it)" if times > 1 else ""
+    said = f"nothing is found in {len(images)} images. {shortened(printable(alike[0]))}{others}: {refused[alike[0]]}"
+    return f"{said}. {hint[0].upper()}{hint[1:]}" if hint else said
+
+
+def pixels_table(seen: Seen, camera: str) -> pd.DataFrame:
+    """All marks as rows: image, camera, marker, u, v, shot."""
+    parts = [
+        pd.DataFrame(
+            {"image": name, "camera": camera, "marker": found.names, "u": found.pixels[:, 0], "v": found.pixels[:, 1]}
+        )
+        for name, found in seen.good.items()
+    ]
+    table = pd.concat(parts, ignore_index=True)
+    table["shot"] = table["image"].map(seen.shot)
+    return table
+
+
+def joint_rows(path: Path) -> tuple[Table, dict[str, int]]:
+    """Read the table of joints.
+
+    Returns:
+        The table, and the row of each image.
+
+    Raises:
+        MeasurementError: it has no column `image`, one of this command's columns, or an image twice.
+    """
+    table = read_tables([path])
+    table.require(["image"], "It has the name of the image that belongs to each row.")
+    own = [name for name in COLUMNS[1:] if name in table.names]
+    if own:
+        raise MeasurementError(f"{path}: the columns {listed(own)} are written by this command: rename or delete them")
+    rows: dict[str, int] = {}
+    for row, name in enumerate(table.texts("image")):
+        key = Path(str(name)).name
+        if key in rows:
+            earlier = table.line[rows[key]]
+            raise MeasurementError(
+                f"{path}, line {table.line[row]}: image {key!r} stands in line {earlier} too; delete one"
+            )
+        rows[key] = row
+    return table, rows
+
+
+def parser() -> CommandParser:
+    """The command's arguments."""
+    arguments = command_parser("detect", __doc__)
+    arguments.add_argument("images", type=path_argument, nargs="+", help="folders of images, or images")
+    arguments.add_argument("-o", "--out", type=path_argument, required=True, help="table of corners to write, .csv")
+    arguments.add_argument(
+        "--board", choices=list(KINDS), default="charuco", help="what to look for (default: charuco)"
+    )
+    arguments.add_argument("--joints", type=path_argument, metavar="CSV", help="joints of each image, .csv or .parquet")
+    arguments.add_argument("--camera", default="eye", help="the camera's name in the table (default: eye)")
+    arguments.add_argument("--intrinsics", type=path_argument, metavar="YAML", help="a camera.yaml whose numbers hold")
+    add_board_options(arguments)
+    return arguments
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command; returns its exit status."""
+    arguments = parser().parse_args(argv)
+    return run(lambda: _main(arguments))
+
+
+def _main(arguments: argparse.Namespace) -> None:
+    out: Path = arguments.out
+    if out.suffix.lower() != ".csv" or out.name == REFUSED:
+        raise OutputError(
+            f"{out}: should be a .csv file, and not {REFUSED}, which names the images that were not measured"
+        )
+    check_name(arguments.camera, "--camera", AridcalError)
+    options = chosen(arguments, arguments.board, KINDS)
+    board = board_of(arguments.board, options)
+    assert not isinstance(board, Cube)
+    check_writable(out, "file")
+    with claimed(out.parent, "folder", [out.name, *BESIDE]):
+        known = known_camera(arguments.intrinsics, arguments.camera) if arguments.intrinsics else None
+        joints = joint_rows(arguments.joints) if arguments.joints else None
+        images = listed_images(arguments.images)
+        if joints is not None and not set(images) & set(joints[1]):
+            first = next(iter(images))
+            raise MeasurementError(
+                f"{arguments.joints}: has no row for any of the images: its column `image` needs names as {first!r}"
+            )
+        console = Console(stderr=True)
+        console.print(
+            f"looking for {arguments.board} {as_written(options)}", markup=False, highlight=False, soft_wrap=True
+        )
+        seen = look(images, board, console)
+        said = _write(seen, out, arguments.camera, known, joints)
+    for line in said:
+        console.print(line, markup=False, highlight=False, soft_wrap=True)
+
+
+def _write(
+    seen: Seen, out: Path, camera: str, known: ArmCameraSettings | None, joints: tuple[Table, dict[str, int]] | None
+) -> list[str]:
+    """Check what was found against the camera, and write it; returns what there is to say."""
+    said: list[str] = []
+    lens = None
+    if known is None:
+        seen, lens, remark = _with_own_lens(seen)
+        said += [remark] if remark else []
+    else:
+        seen = _with_known_lens(seen, known)
+    if joints is None:
+        said.append("joints are missing: give --joints, a table with the columns image and one for each joint")
+    else:
+        lacking = [name for name in seen.good if name not in joints[1]]
+        seen = seen.without(dict.fromkeys(lacking, "the table of joints has no row for this image"))
+        unseen = sorted(set(joints[1]) - set(seen.shot))
+        said += [f"{len(unseen)} rows of the table of joints name no image: {listed(unseen)}"] if unseen else []
+    if not seen.good:
+        name, why = next(iter(seen.refused.items()))
+        raise AridcalError(f"no image is left. {shortened(printable(name))}: {why}")
+    table = pixels_table(seen, camera)
+    if joints is not None:
+        cells = joints[0].frame().drop(columns="image")
+        rows = table["image"].map(joints[1]).to_numpy()
+        table = pd.concat([table, cells.iloc[rows].reset_index(drop=True)], axis=1)
+    refused = [(seen.shot[name], name, why) for name, why in seen.refused.items()]
+    text = camera_text(camera, lens, seen.size, len(seen.good)) if lens else ""
+    with atomic_table(out, BESIDE) as folder:
+        table.to_csv(folder / out.name, index=False, float_format="%.17g")
+        pd.DataFrame(refused, columns=["shot", "image", "why"]).to_csv(folder / REFUSED, index=False)
+        if text:
+            (folder / CAMERA).write_text(text, encoding="utf-8")
+    lines = [f"refused: {shortened(printable(name))}: {why}" for _, name, why in refused[:SHOWN]]
+    found = f"{out}: {len(table)} marks in {len(seen.good)} images, {len(refused)} images refused"
+    return [*lines, *said, *([f"{out.parent / CAMERA}:", text.rstrip()] if text else []), found]
+
+
+def _with_own_lens(seen: Seen) -> tuple[Seen, Lens | None, str]:
+    """Estimate the camera's numbers; images that contradict the others are refused, once, and the rest estimated anew."""
+    try:
+        lens = estimate(list(seen.good.values()), seen.size)
+        names = np.array(list(seen.good))
+        if lens.strange.any() and len(names) - lens.strange.sum() >= FEWEST_VIEWS:
+            off = zip(names[lens.strange].tolist(), lens.misfit[lens.strange], strict=True)
+            seen = seen.without({name: _strange(misfit) for name, misfit in off})
+            lens = estimate(list(seen.good.values()), seen.size)
+    except LensUnknown as problem:
+        return seen, None, f"the camera's numbers are not estimated: {problem}"
+    return seen, lens, ""
+
+
+def _with_known_lens(seen: Seen, camera: ArmCameraSettings) -> Seen:
+    """Refuse images that do not show the board as this camera would."""
+    if (camera.width, camera.height) != seen.size:
+        raise AridcalError(
+            f"--intrinsics: the camera has {camera.width} x {camera.height} pixels, the images {seen.size[0]} x {seen.size[1]}"
+        )
+    names, misfit = list(seen.good), fit(list(seen.good.values()), camera.intrinsics)
+    lens = Lens(camera.intrinsics, np.zeros(len(camera.intrinsics)), misfit)
+    return seen.without({name: _strange(misfit[k]) for k, name in enumerate(names) if lens.strange[k]})
+
+
+def _strange(misfit: float) -> str:
+    return (
+        f"the marks are {misfit:.2g} px off a plane board as the other images show it: is it bent, or partly covered?"
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main())

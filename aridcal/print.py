@@ -1,0 +1,136 @@
+"""Boards and bodies to print at true scale: SVG or PDF for a printer of paper, STL for one of bodies.
+
+charuco, chessboard, circles: flat boards. cube: six tags to cut out, fold and glue. square, strip: the calibration squares of
+the measuring head. holder: two sockets for a ball. cup: carries the ball on the flange. Beside a board or cube, markers.csv
+has the places of its marks, as a campaign's `instruments: markers` takes it. Print at 100 % and measure both rulers.
+
+Example:
+    aridcal print charuco -o print/board.pdf
+    aridcal print charuco --size 11x8 --square 30mm --marker 22mm --dictionary DICT_4X4_100 -o print/board.svg
+    aridcal print cube -o print/cube.pdf
+    aridcal print holder --ball 20mm --apart 50mm -o print/holder.stl
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+from rich.console import Console
+
+from aridcal.boards.bodies import cup, holder, seat_rise, stl
+from aridcal.boards.options import ALL_BOARDS, Defaults, add_board_options, as_written, board_of, chosen, length
+from aridcal.boards.patterns import Marks, Tags, drawing, marks, square_strip
+from aridcal.boards.sheet import MM, Sheet, on_paper, pdf, svg
+from aridcal.command_line import CommandParser, command_parser, run
+from aridcal.errors import CampaignError, OutputError
+from aridcal.head.square import STRIP_SQUARES
+from aridcal.reading.names import path_argument
+from aridcal.writing.files import atomic_file, atomic_table
+
+MARKERS = "markers.csv"
+"""Written beside a board: the places of its marks."""
+
+SQUARES: Defaults = {"square": {"first": 0}, "strip": {}}
+
+BODIES: Defaults = {
+    "holder": {"ball": 0.02, "apart": 0.05, "bolt": 0.0055},
+    "cup": {"ball": 0.02, "bolts": 4, "circle": 0.05, "bolt": 0.0066},
+}
+
+ALL: Defaults = {**ALL_BOARDS, **SQUARES, **BODIES}
+
+# Index of a square: its bars have room for three digits.
+MOST_SQUARES = 1000
+
+
+def markers_table(found: Marks) -> pd.DataFrame:
+    """Marks as rows of ``markers.csv``: marker, x, y, z in the board's frame, [m]."""
+    table = pd.DataFrame(found.places.round(9) + 0.0, columns=["x", "y", "z"])
+    table.insert(0, "marker", found.names)
+    return table
+
+
+def sheet_of(what: str, options: dict[str, Any]) -> tuple[Sheet, Marks | None]:
+    """What is drawn, without a margin, and its marks where a campaign can use them."""
+    if what in SQUARES:
+        first = options.get("first", 0)
+        if not 0 <= first < MOST_SQUARES:
+            raise CampaignError(f"--first: {first}; squares have the numbers 0 to {MOST_SQUARES - 1}")
+        return square_strip(range(first, first + 1) if what == "square" else range(STRIP_SQUARES)), None
+    board = board_of(what, options)
+    assert not isinstance(board, Tags)
+    return drawing(board), marks(board)
+
+
+def parser() -> CommandParser:
+    """The command's arguments."""
+    arguments = command_parser("print", __doc__)
+    arguments.add_argument("what", choices=list(ALL), help="what to print")
+    arguments.add_argument(
+        "-o", "--out", type=path_argument, required=True, help="file to write: .svg or .pdf, .stl of a holder or cup"
+    )
+    add_board_options(arguments)
+    arguments.add_argument("--first", type=int, help="number of the cube's first tag, or of the square (default: 0)")
+    bodies = arguments.add_argument_group("the ball")
+    bodies.add_argument("--ball", type=length, help="its diameter (default: 20mm)")
+    bodies.add_argument("--apart", type=length, help="distance of the holder's sockets (default: 50mm)")
+    bodies.add_argument("--bolt", type=length, help="diameter of the bores for bolts (default: 5.5mm, of a cup 6.6mm)")
+    bodies.add_argument("--bolts", type=int, help="bolts of the flange (default: 4)")
+    bodies.add_argument("--circle", type=length, help="diameter of the flange's bolt circle (default: 50mm)")
+    return arguments
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command; returns its exit status."""
+    arguments = parser().parse_args(argv)
+    return run(lambda: _main(arguments))
+
+
+def _main(arguments: argparse.Namespace) -> None:
+    what, out = arguments.what, arguments.out
+    options = chosen(arguments, what, ALL)
+    endings = [".stl"] if what in BODIES else [".svg", ".pdf"]
+    if out.suffix.lower() not in endings:
+        raise OutputError(f"{out}: {what} is written as {' or '.join(endings)}: end the name in that")
+    said = _print_body(what, options, out) if what in BODIES else _print_sheet(what, options, out)
+    Console().print("\n".join(said), markup=False, highlight=False, soft_wrap=True)
+
+
+def _print_body(what: str, options: dict[str, Any], out: Path) -> list[str]:
+    content = stl(holder(**options) if what == "holder" else cup(**options))
+    with atomic_file(out) as path:
+        path.write_bytes(content)
+    rise = MM * seat_rise(options["ball"])
+    said = [
+        f"{out}: {what} for a ball of {MM * options['ball']:g} mm, whose centre is {rise:.2f} mm above the seat's mouth"
+    ]
+    if what == "holder":
+        said.append(
+            f"in the campaign: instruments: {{lengths: [{{between: [a0, a1], length: {options['apart']:g}, std: 1.0e-4}}]}}"
+        )
+    return said
+
+
+def _print_sheet(what: str, options: dict[str, Any], out: Path) -> list[str]:
+    plain, found = sheet_of(what, options)
+    sheet = on_paper(plain, f"aridcal print {what} {as_written(options)}".strip())
+    content = svg(sheet).encode() if out.suffix.lower() == ".svg" else pdf(sheet)
+    width, height = sheet.size
+    said = [f"{out}: {width:g} x {height:g} mm; print it at 100 %, then measure both rulers"]
+    if found is None:
+        with atomic_file(out) as path:
+            path.write_bytes(content)
+        return said
+    with atomic_table(out, [MARKERS]) as folder:
+        (folder / out.name).write_bytes(content)
+        markers_table(found).to_csv(folder / MARKERS, index=False)
+    return [*said, f"{out.parent / MARKERS}: places of its {len(found)} marks"]
+
+
+if __name__ == "__main__":
+    sys.exit(main())
