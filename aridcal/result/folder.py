@@ -219,7 +219,7 @@ def _effect(named: NamedEffect, outcome: Outcome) -> dict[str, Any]:
     for c in effect.coefficients:
         if c.name in index:
             k = index[c.name]
-            known[c.name] = _unit(c, fit, turning[c.component]), float(fit.theta[k]), float(fit.std[k])
+            known[c.name] = _unit(fit, c, turning[c.component]), float(fit.theta[k]), float(fit.std[k])
     found |= {
         "covariates": [name for name in KINDS[effect.kind].shown or effect.covariates if name != ROW_ORDER],
         "coefficients": [
@@ -235,11 +235,10 @@ def _effect(named: NamedEffect, outcome: Outcome) -> dict[str, Any]:
     return found
 
 
-def _unit(c: Coefficient, fit: Fit, turns: bool) -> str:
-    """Unit of what a coefficient moves."""
-    if c.where in fit.model.instruments.names:
-        return fit.model.instruments.unit(c.where, c.component)
-    return "rad" if turns else "m"
+def _unit(fit: Fit, c: Coefficient, turns: bool) -> str:
+    """Unit of what a coefficient moves: of the arm a length or an angle, of a camera perhaps pixels."""
+    things = fit.model.instruments
+    return things.unit(c.where, c.component) if c.where in things.names else "rad" if turns else "m"
 
 
 def moment(step: Basis, rows: Dataset) -> dict[str, Any]:
