@@ -10,7 +10,8 @@ from robots import ur10
 
 from aridcal.effects.effect import Coefficient
 from aridcal.fit.elimination import known
-from aridcal.fit.residual import Problem, agreeing, eliminated, linearise, problem, taking_off
+from aridcal.fit.problem import Problem, agreeing, problem
+from aridcal.fit.residual import eliminated, linearise, taking_off
 from aridcal.inputs.dataset import Dataset, dataset
 from aridcal.instruments.catalogue import KINDS
 from aridcal.instruments.channels import LENGTH, TARGET_POSITION

@@ -22,7 +22,7 @@ from rich.console import Console
 import aridcal
 from aridcal.calibration import Calibration
 from aridcal.errors import AridcalError
-from aridcal.fit.residual import Problem, problem
+from aridcal.fit.problem import Problem, problem
 from aridcal.identify import summary
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.catalogue import KINDS
