@@ -34,6 +34,9 @@ from aridcal.robot.chain import Robot
 REACHED = 200
 """Postures drawn to see where the arm reaches."""
 
+WELL = (0.25, 0.75)
+"""Quantiles of their distance from the base between which places are reached in many ways, and by every target."""
+
 PASSES, NEWTON = 5, 4
 """How often effects and the readings that they change are found in turn, and Newton's steps of each."""
 
@@ -165,6 +168,8 @@ def measured(
 
     any_target = next((name for name in machine.tips if name != TIP), TIP)
     _, reached = tips(draw_readings(robot, REACHED, own[-1]), any_target)
+    off = np.linalg.norm(reached - machine.world.translation, axis=1)
+    reached = reached[(off >= np.quantile(off, WELL[0])) & (off <= np.quantile(off, WELL[1]))]
     known, things = known_of(scenario), truth.instruments
     of_role = dict(zip(("point", "anchor", "plane", "pixels"), of_things.spawn(4), strict=True))
     drawn = {
