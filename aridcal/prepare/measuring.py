@@ -100,12 +100,11 @@ class Rows:
         """
         if self.kind.name == "point":
             (place,) = self.states(real)
-            return lambda R, p: p + noise - place
+            return lambda R, p, rows: p + noise[rows] - place[rows]
         if self.kind.name == "plane":
             (plane,) = self.states(real)
-            return lambda R, p: (
-                np.sum(plane[:, :3] * p, axis=1, keepdims=True) - plane[:, 3:] + noise - self.stroke[:, None]
-            )
+            height = plane[:, 3:] - noise + self.stroke[:, None]
+            return lambda R, p, rows: np.sum(plane[rows, :3] * p, axis=1, keepdims=True) - height[rows]
         return None
 
 
@@ -211,7 +210,7 @@ def _begun(
     bare, theta = machine.model()
 
     def pose(label: np.ndarray) -> Pose:
-        return lambda q: bare.poses(theta, bare.rows(q, target=label))
+        return lambda q, some: bare.poses(theta, bare.rows(q, target=label[some]))
 
     if seen is not None and kind.name == "pixels":
         names = seen.real["camera"].names
@@ -219,7 +218,7 @@ def _begun(
         camera = np.array(own)[np.arange(n) % len(own)]
 
         def tips(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            return pose(np.full(len(q), TIP))(q)
+            return bare.poses(theta, bare.rows(q, target=np.full(len(q), TIP)))
 
         readings, shown = draw_images(seen, camera, tips, lambda m: draw_readings(machine.robot, m, rng), place)
         shot, marker = np.nonzero(shown)
@@ -310,10 +309,11 @@ def _settled(
     if miss is None:
         return rows
 
-    def pose(readings: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return model.poses(true, model.rows(readings, columns, target=rows.target))
+    def pose(readings: np.ndarray, some: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        now = {name: values[some] for name, values in columns.items()}
+        return model.poses(true, model.rows(readings, now, target=rows.target[some]))
 
-    readings = settled(pose, miss, rows.readings, np.ones(len(rows.shot), dtype=bool), NEWTON)
+    readings = settled(pose, miss, rows.readings, NEWTON)
     return replace(rows, readings=readings)
 
 
