@@ -133,7 +133,7 @@ THEORY = {
     "plane": (0, 2, "the base's place, the target's rotation, scale"),
     "eye in hand": (0, 5, "the base's place, scale"),
     "eye in hand, board": (0, 6, "the base's place (the board's is its own)"),
-    "eye to hand": (0, 5, "the base's place, scale"),
+    "eye to hand": (0, -1, "the base's place, the mounting (each marker has its own), scale"),
     "eye to hand, board": (0, 6, "the base's place (the camera's is its own)"),
     "inclination": (None, 3, "all lengths, turns about the vertical"),
 }
@@ -170,9 +170,9 @@ def ranks(seed: int) -> None:
                         b for b in boards if b.endswith("world")
                     }
                     told.append(f"{sum(c.where not in far for c in model.coefficients):5}")
-                except AridcalError as fault:
+                except (AridcalError, np.linalg.LinAlgError) as fault:
                     told.append("    -")
-                    print(f"  {way} {family} {n}: {str(fault)[:150]}")
+                    print(f"  {way} {family} {n}: {type(fault).__name__}: {str(fault)[:150]}")
             expected = "" if family == "arid" else theory(way, {"six": 6, "seven": 7}[family])
             print(f"{way:20} {family:6} {' '.join(told)} {expected:>7}  {THEORY[way][2]}", flush=True)
 
@@ -190,8 +190,8 @@ def starts(kind: str | None, runs: int, seed: int) -> None:
                 started = time.process_time()
                 found = geometric(one)
                 took += time.process_time() - started
-            except AridcalError as fault:
-                said.append(f"  {way} {number}: {str(fault)[:160]}")
+            except (AridcalError, np.linalg.LinAlgError) as fault:
+                said.append(f"  {way} {number}: {type(fault).__name__}: {str(fault)[:160]}")
                 continue
             there = bool((found.estimated < 1.3 * one.sigma).all())
             good += there
@@ -258,8 +258,8 @@ def blind(kind: str | None, cases: int, seed: int) -> None:
                     print(f"  {way} {number} clean -> {', '.join(sorted({_said(a.effect) for a in said}))}")
                 one, effect = _with_effect(way, number, n, rng)
                 arm = _searched(one)
-            except AridcalError as fault:
-                print(f"  {way} {number}: {str(fault)[:160]}")
+            except (AridcalError, np.linalg.LinAlgError) as fault:
+                print(f"  {way} {number}: {type(fault).__name__}: {str(fault)[:160]}")
                 continue
             done += 1
             found = {a.effect for a in arm.diagnosed.found.state.active}
