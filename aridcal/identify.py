@@ -166,7 +166,7 @@ def _identify(arguments: argparse.Namespace, out: Path) -> None:
     summary(outcome, console)
     handover = written.handover
     console.print(
-        f"exports for controllers, position RMS on {handover.rows}:\n  {handover.summary()}",
+        f"exports for controllers, {handover.channel.name} RMS on {handover.rows}:\n  {handover.summary()}",
         soft_wrap=True,
         markup=False,
     )

@@ -10,8 +10,7 @@ from robots import ur10
 
 from aridcal.effects.effect import Coefficient
 from aridcal.fit.elimination import known
-from aridcal.fit.identifiable import agreeing
-from aridcal.fit.residual import Problem, eliminated, linearise, problem, taking_off
+from aridcal.fit.residual import Problem, agreeing, eliminated, linearise, problem, taking_off
 from aridcal.inputs.dataset import Dataset, dataset
 from aridcal.instruments.catalogue import KINDS
 from aridcal.instruments.channels import LENGTH, TARGET_POSITION
@@ -62,7 +61,8 @@ def mixed(ties: bool, seed: int = 0) -> tuple[Model, Dataset, np.random.Generato
 def dense(asked: Problem, theta: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
     """Whitened columns of coefficients and of all unknowns of things, and the residual, rows of ties among them."""
     assert asked.groups is not None and asked.measured is not None
-    r, J, B = asked.pieces(theta)
+    pieces = asked.pieces(theta)
+    r, J, B = pieces.r, pieces.J, pieces.B
     groups, width = asked.groups.unknown.shape
     wide = np.zeros((*r.shape, groups, width))
     wide[np.arange(len(r)), :, asked.groups.row] = B
@@ -79,7 +79,8 @@ def dense(asked: Problem, theta: np.ndarray, weight: np.ndarray) -> tuple[np.nda
 @pytest.mark.parametrize("ties", [False, True])
 def test_a_step_is_that_of_all_unknowns_together(ties: bool) -> None:
     model, data, rng = mixed(ties)
-    asked, theta = problem(model, data), 1e-2 * rng.normal(size=9)
+    theta = 1e-2 * rng.normal(size=9)
+    asked = agreeing(problem(model, data), theta)
     weight = rng.choice([0.0, 1.0], len(data), p=[0.1, 0.9])
     A, b, K = dense(asked, theta, weight)
     whole = np.linalg.lstsq(A, b, rcond=None)[0]
@@ -96,7 +97,8 @@ def test_a_step_is_that_of_all_unknowns_together(ties: bool) -> None:
 @pytest.mark.parametrize("ties", [False, True])
 def test_the_information_left_is_the_schur_complement(ties: bool) -> None:
     model, data, rng = mixed(ties)
-    asked, theta, weight = problem(model, data), 1e-2 * rng.normal(size=9), np.ones(len(data))
+    theta, weight = 1e-2 * rng.normal(size=9), np.ones(len(data))
+    asked = agreeing(problem(model, data), theta)
     A, b, K = dense(asked, theta, weight)
     H = A.T @ A
     own, other = H[:K, :K], H[K:, K:]
@@ -122,10 +124,11 @@ def test_unknowns_cost_the_freedom_that_they_take() -> None:
 def test_columns_are_taken_off_after_their_bases() -> None:
     """A motion that grows with a covariate: taken off before the product, it would be another column."""
     model, data, rng = mixed(False)
-    asked, theta, weight = problem(model, data), np.zeros(9), np.ones(len(data))
+    theta, weight = np.zeros(9), np.ones(len(data))
+    asked = agreeing(problem(model, data), theta)
     off = taking_off(asked, theta, weight, SIGMA)
     assert off is not None
-    _, J, _ = asked.pieces(theta)
+    J = asked.pieces(theta).J
     phi = rng.normal(size=len(data))
     column = J[:, :, 3] * phi[:, None]
     A, _, K = dense(asked, theta, weight)
@@ -142,7 +145,8 @@ def test_columns_are_taken_off_after_their_bases() -> None:
 
 def test_rows_less_their_things_are_orthogonal_to_them() -> None:
     model, data, _ = mixed(False)
-    asked, theta, weight = problem(model, data), np.zeros(9), np.ones(len(data))
+    theta, weight = np.zeros(9), np.ones(len(data))
+    asked = agreeing(problem(model, data), theta)
     A, _, K = dense(asked, theta, weight)
     scale = np.array([SIGMA[0]] * 3 + [SIGMA[1]])
     for block, r, J in eliminated(asked, theta, weight, SIGMA):
@@ -180,7 +184,9 @@ def test_what_no_point_tells_is_redundant_only_where_rows_agree() -> None:
         (_, _, J) = next(eliminated(question, np.zeros(1), one, np.array([1e-4])))
         return float(np.linalg.norm(J))
 
-    assert seen(asked) > 0.1
-    moved = agreeing(asked, np.zeros(1))
+    assert seen(replace(asked, agreed=asked.rows.positions)) > 0.1
+    there = agreeing(asked, np.zeros(1))
+    assert there.agreed is not None
+    moved = replace(there, rows=replace(there.rows, positions=there.agreed))
     assert np.abs(moved.residual(np.zeros(1))).max() < 1e-9
-    assert seen(moved) < 1e-8
+    assert seen(there) < 1e-8

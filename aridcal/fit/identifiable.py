@@ -3,13 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
-
-from aridcal.effects.basis import Basis
-from aridcal.effects.effect import Coefficient
-from aridcal.fit.residual import Problem, problem
 
 TOLERANCE = 1e-7
 """Share of a column's length that is left off the others when it is called their sum: redundant columns of real robots keep
@@ -27,15 +23,6 @@ that the order of preference holds."""
 
 WORST = 0.02
 """[m] and [rad]: a direction that the noise moves further than 20 mm or 20 mrad is redundant."""
-
-AGREEING = 6
-"""Steps in which readings are moved until the measurements agree; each squares what is left."""
-
-LARGEST = 0.1
-"""[rad] and [m] of one of these steps: from the nominal robot, farther is no small correction."""
-
-ALONG = 1e-2
-"""Share of a row's largest lever below which no reading is moved along a direction: near a singularity it would go far."""
 
 
 @dataclass(frozen=True)
@@ -125,30 +112,3 @@ def _partners(R: np.ndarray, dropped: list[int], kept: list[int], length: np.nda
             largest_first = np.argsort(-np.abs(share))
             found[k] = tuple(kept[i] for i in largest_first if abs(share[i]) > SHARE)
     return found
-
-
-def agreeing(question: Problem, theta: np.ndarray) -> Problem:
-    """The same question with each row's readings moved, as little as possible, to where its measurement agrees with the model.
-
-    What no measurement of a kind can tell (turns of the base where points are unknown, the scale where no length is known) is
-    exactly redundant only where the residual is zero: elsewhere it turns or shrinks the residual, and looks identifiable.
-    Readings that are moved by milliradians change nothing else that matters.
-    """
-    if question.measured is None:
-        return question
-    names = question.model.robot.names
-    ones = Basis("ones", (names[0],))
-    own = question.model.coefficients
-    wide = problem(
-        question.model.with_coefficients((*own, *(Coefficient(n, "axis", ones) for n in names))), question.data
-    )
-    wide = replace(wide, states=question.states)
-    at = np.concatenate([theta, np.zeros(len(names))])
-    positions = question.rows.positions.copy()
-    for _ in range(AGREEING):
-        wide = replace(wide, rows=replace(wide.rows, positions=positions))
-        for block in wide.blocks():
-            r, J, _ = wide.pieces(at, block)
-            step = np.linalg.pinv(J[:, :, len(own) :], rcond=ALONG) @ r[:, :, None]
-            positions[block] += np.clip(step[:, :, 0], -LARGEST, LARGEST)
-    return replace(question, rows=replace(question.rows, positions=positions))

@@ -11,7 +11,7 @@ from aridcal.effects.effect import Coefficient
 from aridcal.errors import NotIdentifiable
 from aridcal.fit.elimination import Groups
 from aridcal.fit.flags import FLOOR, flagged, limits, robust_sigma
-from aridcal.fit.identifiable import agreeing, identifiable
+from aridcal.fit.identifiable import identifiable
 from aridcal.fit.normal_equations import TINY, NormalEquations, Prior, solve_with, with_prior
 from aridcal.fit.residual import Linearisation, Problem, linearise, triangle, weighted_squares
 from aridcal.instruments.channels import Channels
@@ -56,6 +56,10 @@ LEAST_FREEDOM = 0.5
 
 FIRST_DAMPING, MOST_DAMPING = 1e-4, 1e8
 """Levenberg's damping of balanced equations: the first that changes anything, and the last that lets anything move."""
+
+SLACK = 0.5
+"""Squares, in sigmas, by which the sum may grow where readings are what was observed: it is not what is minimised there, but
+nearly (see :func:`aridcal.fit.residual.agreeing`)."""
 
 VANISHED = 1e-2
 """Sigmas of a coefficient: a gradient that asks for less has vanished."""
@@ -188,12 +192,12 @@ def minimise(problem: Problem, theta: np.ndarray, weight: np.ndarray | None, pri
         follow = here.step_of_groups(step)
         last = float(np.sqrt(max(step @ g, 0.0))) < settled and damping == 0.0
         last |= bool(np.all(np.abs(step) < ROUNDING * (1.0 + np.abs(theta))))
-        there = problem.stepped(follow)
+        there = replace(problem.stepped(follow), agreed=here.agreed)
         trial = linearise(there, theta + step, weight, _weighing(robust, scale, sigma))
         before = _cost(here, here.weight, channels, sigma, theta, prior)
         after = _cost(trial, here.weight, channels, sigma, theta + step, prior)
         taken += 1
-        if after <= before or last:
+        if after <= before + (0.0 if problem.measured is None else SLACK) or last:
             problem, theta, here, damping = there, theta + step, trial, 0.0 if damping < FIRST_DAMPING else damping / 10
             scale = robust_sigma(here.residual, channels) if robust else scale
             sigma = noise_at(here, sigma)
@@ -279,7 +283,7 @@ def fit_identifiable(problem: Problem, order: Sequence[int], theta: np.ndarray |
     some = _enough(problem)
     share = np.full(len(some), len(problem) / len(some))
     sizes = model.sizes
-    subset = identifiable(triangle(agreeing(problem.select(some), theta), theta, share, sigma) * sizes, order)
+    subset = identifiable(triangle(problem.select(some), theta, share, sigma) * sizes, order)
     for _ in range(RESELECTIONS):
         kept = sorted(subset.kept)
         if not kept:
@@ -288,7 +292,7 @@ def fit_identifiable(problem: Problem, order: Sequence[int], theta: np.ndarray |
         problem = replace(problem, states=result.model.states)
         theta = np.zeros(len(model.coefficients))
         theta[kept] = result.theta
-        R = triangle(agreeing(problem, theta), theta, result.weight, result.sigma) * sizes
+        R = triangle(problem, theta, result.weight, result.sigma) * sizes
         # What was kept stays ahead: near the solution a symmetry of the nominal robot is broken a little, and what
         # that makes barely separable must not push out what is well known.
         subset = identifiable(R, order, kept)

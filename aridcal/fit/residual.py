@@ -7,6 +7,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from aridcal.effects.basis import Basis
+from aridcal.effects.effect import Coefficient
 from aridcal.fit.elimination import (
     Eliminated,
     Groups,
@@ -38,6 +40,32 @@ MANY = 300
 """Coefficients from which those are sought that move none of a block's rows: an ordinary arm has no such ones, and fewer cost
 less than the search for them."""
 
+AGREEING = 6
+"""Steps in which readings are moved until the measurements agree; each squares what is left."""
+
+LARGEST = 0.1
+"""[rad] and [m] of one of these steps: from the nominal robot, farther is no small correction."""
+
+ALONG = 1e-2
+"""Share of a row's largest lever below which no reading is moved along a direction: near a singularity it would go far."""
+
+
+@dataclass(frozen=True)
+class Pieces:
+    """A stretch of n rows of m numbers.
+
+    Attributes:
+        r: Scaled residuals, shape (n, m); 0 where a row does not measure a channel.
+        J: Columns of the coefficients, things held, shape (n, m, K).
+        B: Columns of the unknowns of the rows' groups, shape (n, m, U); U = 0 where there are none.
+        agreed: Joint positions nearer to where the measurements agree with the model, shape (n, joints).
+    """
+
+    r: np.ndarray
+    J: np.ndarray
+    B: np.ndarray
+    agreed: np.ndarray
+
 
 @dataclass(frozen=True)
 class Problem:
@@ -51,6 +79,10 @@ class Problem:
         measured: What they read and of which things; None where all that they measure is the target's own pose.
         groups: Unknowns of things that are solved for beside the coefficients; None where there are none.
         states: Where the things are.
+        wide: The model with each joint's own motion behind its coefficients, and the rows as that sees them; None where
+            ``measured`` is.
+        agreed: Joint positions at which the measurements agree with the model, shape (N, joints): there the rows are
+            differentiated. None: at the readings themselves.
     """
 
     model: Model
@@ -60,6 +92,8 @@ class Problem:
     measured: Measured | None = None
     groups: Groups | None = None
     states: States = field(default_factory=dict)
+    wide: tuple[Model, Rows] | None = None
+    agreed: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.data)
@@ -83,6 +117,8 @@ class Problem:
             rows=self.rows[some],
             measured=None if self.measured is None else self.measured[some],
             groups=None if self.groups is None else self.groups.select(some),
+            wide=None if self.wide is None else (self.wide[0], self.wide[1][some]),
+            agreed=None if self.agreed is None else self.agreed[some],
         )
 
     def residual(self, theta: np.ndarray) -> np.ndarray:
@@ -103,35 +139,37 @@ class Problem:
 
     def linearised(self, theta: np.ndarray, part: slice = slice(None)) -> tuple[np.ndarray, np.ndarray]:
         """Scaled residuals (n, m) of a stretch of rows, and what each coefficient takes off them, shape (n, m, K)."""
-        r, J, _ = self.pieces(theta, part)
-        return r, J
+        pieces = self.pieces(theta, part)
+        return pieces.r, pieces.J
 
-    def pieces(self, theta: np.ndarray, part: slice = slice(None)) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Scaled residuals (n, m) of a stretch of rows, and what takes them off.
-
-        Returns:
-            The residuals, 0 where a row does not measure a channel; columns of the coefficients, shape (n, m, K), things held;
-            columns of the unknowns of the rows' groups, shape (n, m, U), U = 0 where there are none.
-        """
-        data = self.data
-        R, p, J = self.model.jacobian(theta, self.rows[part])
+    def pieces(self, theta: np.ndarray, part: slice = slice(None)) -> Pieces:
+        """Scaled residuals of a stretch of rows, and what takes them off."""
+        data, rows = self.data, self.rows[part]
         relative = None if data.relative is None else data.relative[part]
-        if self.measured is None:
+        if self.measured is None or self.wide is None:
+            R, p, J = self.model.jacobian(theta, rows)
             r = residuals(R, p, data.position[part], None if data.rotation is None else data.rotation[part])
             J = J[:, : r.shape[1]]
             if data.relative is not None and data.rotation is not None:
                 # log(exp(r) exp(-w)) = r - (w + r x w / 2 + ...): matters only where a row's axes weigh unequally.
                 J[:, 3:] += 0.5 * np.cross(r[:, 3:, None], J[:, 3:], axis=1)
-            return scaled(r, relative), scaled(J, relative), np.zeros((*r.shape, 0))
-        here = self.measured[part]
-        states, _ = located(here, R, p, theta, self.rows[part], self.states)
-        slopes = here.slopes(R, p, theta, self.rows[part], states)
+            return Pieces(scaled(r, relative), scaled(J, relative), np.zeros((*r.shape, 0)), rows.positions)
+        here, (model, wide) = self.measured[part], self.wide
+        R, p = self.model.poses(theta, rows)
+        states, _ = located(here, R, p, theta, rows, self.states)
+        r = np.nan_to_num(here.residual(R, p, theta, rows, states))
+        at = rows.positions if self.agreed is None else self.agreed[part]
+        count = len(theta)
+        beyond = np.zeros(len(model.coefficients) - count)
+        R, p, J = model.jacobian(np.concatenate([theta, beyond]), replace(wide[part], positions=at))
+        slopes = here.slopes(R, p, theta, rows, states)
         J = slopes.by_twist @ J
         for c, column in zip(here.moved, slopes.by_moved, strict=True):
             J[:, :, c.index] = column
-        r = np.nan_to_num(slopes.residual)
         B = self.groups.columns(slopes.by_thing, part) if self.groups is not None else np.zeros((*r.shape, 0))
-        return scaled(r, relative), scaled(J, relative), scaled(B, relative)
+        off = np.linalg.pinv(J[:, :, count:], rcond=ALONG) @ np.nan_to_num(slopes.residual)[:, :, None]
+        at = at + np.clip(off[:, :, 0], -LARGEST, LARGEST)
+        return Pieces(scaled(r, relative), scaled(J[:, :, :count], relative), scaled(B, relative), at)
 
     @property
     def instruments(self) -> Instruments:
@@ -189,7 +227,32 @@ def problem(model: Model, data: Dataset, progress: Progress = SILENT) -> Problem
     states = {name: t.start for name, t in seen.instruments.things.items()}
     for name, state in model.states.items():
         states[name] = np.vstack([state, states[name][len(state) :]])
-    return Problem(model, data, rows, progress, seen, groups(seen), states)
+    names = model.robot.names
+    ones = Basis("ones", (names[0],))
+    wide = model.with_coefficients((*model.coefficients, *(Coefficient(name, "axis", ones) for name in names)))
+    at = wide.rows(data.readings, data.conditions, data.station, data.target)
+    return Problem(model, data, rows, progress, seen, groups(seen), states, (wide, at))
+
+
+def agreed(question: Problem, theta: np.ndarray) -> Problem:
+    """The same question, differentiated where measurements and model agree; see :func:`agreeing`."""
+    return question if question.agreed is not None else agreeing(question, theta)
+
+
+def agreeing(question: Problem, theta: np.ndarray) -> Problem:
+    """The same question with its rows differentiated where measurements and model agree: readings moved as little as possible.
+
+    What no measurement of a kind can tell (turns of the base where points are unknown, the scale where no length is known) turns
+    or shrinks the residual, and would look as if it explained it; where the residual is zero its columns are zero. These are
+    the derivatives of the Gauss-Helmert model (Helmert 1872): readings were observed, and a measurement is a condition on them.
+    """
+    if question.measured is None:
+        return question
+    question = replace(question, agreed=question.rows.positions)
+    for _ in range(AGREEING):
+        at = [question.pieces(theta, block).agreed for block in question.blocks()]
+        question = replace(question, agreed=np.concatenate(at))
+    return question
 
 
 def moved_by(question: Problem, theta: np.ndarray, count: int) -> np.ndarray:
@@ -202,7 +265,7 @@ def moved_by(question: Problem, theta: np.ndarray, count: int) -> np.ndarray:
             relative = None if question.data.relative is None else question.data.relative[block]
             every = scaled(twists[:, :size], relative)
         else:
-            every = question.pieces(theta, block)[1]
+            every = question.pieces(theta, block).J
         J[block] = every[:, :, every.shape[2] - count :]
     return J
 
@@ -238,12 +301,14 @@ class Linearisation:
         residual: Scaled, shape (N, m); NaN where a row does not measure a channel.
         weight: Of each row, shape (N,).
         equations: Their sums, weights included; the unknowns of groups are solved for.
+        agreed: Joint positions at which the measurements agree with the model, shape (N, joints), one step nearer.
         groups: Those, solved; None where there are none.
     """
 
     residual: np.ndarray
     weight: np.ndarray
     equations: NormalEquations
+    agreed: np.ndarray
     groups: Eliminated | None = None
 
     @property
@@ -265,12 +330,15 @@ def linearise(question: Problem, theta: np.ndarray, weight: np.ndarray | None, s
         weight: Of each row, shape (N,); None: Cauchy's, at scale ``sigma``.
         sigma: See ``weight``, shape (C,); the channels weigh so in what groups of several are solved for.
     """
+    question = agreed(question, theta)
     channels, count = question.channels, len(theta)
     AA, Ar = np.zeros((len(channels), count, count)), np.zeros((len(channels), count))
     sums = _sums(question, count)
-    parts, used = [], []
+    parts, used, nearer = [], [], []
     for block in question.blocks():
-        r, J, B = question.pieces(theta, block)
+        pieces = question.pieces(theta, block)
+        r, J, B = pieces.r, pieces.J, pieces.B
+        nearer.append(pieces.agreed)
         seen = _with_holes(question, block, r)
         w = cauchy(seen, sigma, channels) if weight is None else weight[block]
         root = np.sqrt(w * question.data.share)[:, None]
@@ -296,9 +364,10 @@ def linearise(question: Problem, theta: np.ndarray, weight: np.ndarray | None, s
     equations = NormalEquations(AA, Ar, rr, _numbers(residual, counted, channels))
     beforehand = question.beforehand()
     if sums is None or question.groups is None or beforehand is None:
-        return Linearisation(residual, weight, equations)
+        return Linearisation(residual, weight, equations, np.concatenate(nearer))
     found = solved(sums, question.groups, beforehand, sigma)
-    return Linearisation(residual, weight, reduced(equations, sums, found, beforehand, sigma), found)
+    equations = reduced(equations, sums, found, beforehand, sigma)
+    return Linearisation(residual, weight, equations, np.concatenate(nearer), found)
 
 
 def _sums(question: Problem, count: int) -> Sums | None:
@@ -340,20 +409,25 @@ def eliminated(
         weight: Of each row, shape (N,): what things take up is found with these.
         sigma: Noise of each channel, shape (C,).
     """
+    question = agreed(question, theta)
     found = linearise(question, theta, weight, sigma).groups if question.groups is not None else None
     for block in question.blocks():
-        r, J, B = question.pieces(theta, block)
-        yield (block, r, J) if found is None else (block, *found.rows(question.group_of(block), B, J, r))
+        part = question.pieces(theta, block)
+        if found is None:
+            yield block, part.r, part.J
+        else:
+            yield block, *found.rows(question.group_of(block), part.B, part.J, part.r)
 
 
 def taking_off(question: Problem, theta: np.ndarray, weight: np.ndarray, sigma: np.ndarray) -> Projector | None:
     """What takes the unknowns of things off columns of all rows; None where there are none. See :func:`eliminated`."""
     if question.groups is None:
         return None
+    question = agreed(question, theta)
     found = linearise(question, theta, weight, sigma).groups
     assert found is not None
-    B = np.concatenate([question.pieces(theta, block)[2] for block in question.blocks()])
-    return projector(B, question.groups.row, found, weight, spread(sigma, question.channels))
+    B = np.concatenate([question.pieces(theta, block).B for block in question.blocks()])
+    return projector(B, question.group_of(slice(None)), found, weight, spread(sigma, question.channels))
 
 
 def triangle(question: Problem, theta: np.ndarray, weight: np.ndarray, sigma: np.ndarray) -> np.ndarray:

@@ -11,6 +11,7 @@ from aridcal.instruments.catalogue import KINDS
 from aridcal.report.figures import coverage, histogram
 from aridcal.report.html import Content, Html, bullets, counted, figures, number, table, tag
 from aridcal.report.words import per_number, range_in_words, sigmas_in_words
+from aridcal.result.instruments import known_scale
 from aridcal.result.key_figures import QUESTIONABLE, JointRange, joint_ranges, row_errors
 from aridcal.result.outcome import Outcome, statistics
 
@@ -140,10 +141,11 @@ def _of_things(m: Dataset, k: int) -> str:
 def enough(outcome: Outcome) -> Iterator[Content]:
     """Question 3: is there enough data, in the right places?"""
     precision, joints = outcome.precision, joint_ranges(outcome)
+    placed = known_scale(outcome.measurements) is not None
     sigma = {"at the fitted rows": 1e3 * precision.position, "over the whole joint range": 1e3 * precision.reach}
-    yield _pictures(joints, sigma)
+    yield _pictures(joints, sigma if placed else {})
     yield _joint_table(joints)
-    named = {f"{name} [mm]": values for name, values in sigma.items()}
+    named = {f"{name} [mm]": values for name, values in sigma.items() if placed}
     if outcome.measurements.sees_turns:
         named["rotation, at the fitted rows [mrad]"] = 1e3 * precision.rotation
     lines = []
@@ -160,16 +162,16 @@ def enough(outcome: Outcome) -> Iterator[Content]:
 
 
 def _pictures(joints: list[JointRange], sigma: dict[str, np.ndarray]) -> Html:
-    """Readings between their limits, and the uncertainty of the target [mm]."""
+    """Readings between their limits, and the uncertainty of the target [mm] where anything measured its place."""
     limits = [range_in_words(j.limits, j.kind) for j in joints]
     names, shares = [j.name for j in joints], [j.share for j in joints]
     where = coverage("coverage", "Histogram of each joint's readings between its limits", names, shares, limits)
-    label = "1σ of the target, worst direction [mm]"
-    known = histogram("precision", f"Histogram of the {label}", sigma, label)
-    return figures([
-        ("Readings of each joint between its limits", where),
-        ("Uncertainty of the calibrated target, propagated from the measurement noise", known),
-    ])  # fmt: skip
+    drawn: list[tuple[Content, Html]] = [("Readings of each joint between its limits", where)]
+    if sigma:
+        label = "1σ of the target, worst direction [mm]"
+        known = histogram("precision", f"Histogram of the {label}", sigma, label)
+        drawn.append(("Uncertainty of the calibrated target, propagated from the measurement noise", known))
+    return figures(drawn)
 
 
 def _joint_table(joints: list[JointRange]) -> Html:

@@ -11,7 +11,7 @@ from aridcal.effects.basis import Basis
 from aridcal.effects.catalogue import KINDS
 from aridcal.report.figures import curve
 from aridcal.report.html import Content, Html, bullets, counted, figures, number, plus_minus, table, tag
-from aridcal.report.words import how_to_separate
+from aridcal.report.words import how_to_separate, shown_in
 from aridcal.result.folder import what_moved
 from aridcal.result.outcome import Outcome, errors
 from aridcal.search.gains import Curve, Diagnosis, NamedEffect
@@ -78,13 +78,13 @@ def p_in_words(p: float) -> str:
 def _curve(outcome: Outcome, key: str, effect: NamedEffect, found: Curve) -> tuple[Content, Html]:
     """Caption and picture of one motion of an effect over one covariate."""
     unit, scale = axis_unit(outcome, found.covariate)
-    moved = "mm" if found.unit == "m" else "mrad"
+    moved, size = shown_in(found.unit)
     label = effect.effect.label
     alt = f"{label}: {found.component} over {found.covariate}"
-    rows = (scale * found.seen, 1e3 * found.pulled)
+    rows = (scale * found.seen, size * found.pulled)
     labels = (f"{found.covariate}{unit}", f"{found.component} [{moved}]")
     periods = max(effect.effect.order, default=0.0) * float(np.ptp(found.at)) / (2 * math.pi)
-    at, value, std = scale * found.at, 1e3 * found.value, 1e3 * found.std
+    at, value, std = scale * found.at, size * found.value, size * found.std
     picture = curve(key, alt, at, value, std, rows, labels, wide=periods > WINDING)
     span, known = number(float(np.ptp(value))), number(float(np.median(std)), 2)
     seen = f"{span} {moved} peak to peak, known to {known} {moved} (median 1σ)"
@@ -124,12 +124,13 @@ def _coefficients(outcome: Outcome) -> Content:
     for e in outcome.effects:
         if e.effect.smooth:
             continue
-        units = {c.component: "mm" if c.unit == "m" else "mrad" for c in e.curves}
+        units = {c.component: c.unit for c in e.curves}
         for c in e.effect.coefficients:
             if c.name in index:
                 k = index[c.name]
-                value = plus_minus(1e3 * float(fit.theta[k]), 1e3 * float(fit.std[k]))
-                unit = units.get(c.component, "") + _per(outcome, c.basis)
+                shown, size = shown_in(units.get(c.component, "m"))
+                value = plus_minus(size * float(fit.theta[k]), size * float(fit.std[k]))
+                unit = (shown if c.component in units else "") + _per(outcome, c.basis)
                 lines.append([tag("code", c.name), value, unit])
     return table(["coefficient", "value ± 1σ", "unit"], lines, "Coefficients of the effects") if lines else ""
 

@@ -13,6 +13,7 @@ from aridcal.report.data_section import row_table
 from aridcal.report.figures import field, histogram, panels
 from aridcal.report.html import Content, Html, counted, figures, number, table, tag
 from aridcal.report.words import reading_in_words
+from aridcal.result.instruments import known_scale
 from aridcal.result.key_figures import axis_rms, halves_agree, pose_accuracy, row_errors, scored, steps, worst_rows
 from aridcal.result.outcome import STATISTICS, Outcome, errors, statistics
 
@@ -121,9 +122,11 @@ def _iso_9283(outcome: Outcome) -> Content:
     return table(["model", "mean", "95 % below", "worst pose"], lines, caption)
 
 
-def _halves(outcome: Outcome) -> Html:
+def _halves(outcome: Outcome) -> Content:
     """Whether models fitted to two halves of the rows agree."""
     precision = outcome.precision
+    if known_scale(outcome.measurements) is None:
+        return ""  # the target's place is nobody's
     if not math.isfinite(precision.halves_measured):
         return tag("p", "There are too few rows to fit two halves of them separately and compare the models.")
     measured, expected = (number(1e3 * v) for v in (precision.halves_measured, precision.halves_expected))

@@ -16,7 +16,7 @@ import pinocchio as pin
 from aridcal import __version__
 from aridcal.effects.basis import Basis
 from aridcal.effects.catalogue import KINDS
-from aridcal.effects.effect import ANGULAR, FRAME_COMPONENTS, ROW_ORDER, Effect
+from aridcal.effects.effect import ANGULAR, FRAME_COMPONENTS, ROW_ORDER, Coefficient, Effect
 from aridcal.fit.constants import stage_urdf
 from aridcal.fit.least_squares import Fit
 from aridcal.inputs.dataset import Dataset
@@ -219,7 +219,7 @@ def _effect(named: NamedEffect, outcome: Outcome) -> dict[str, Any]:
     for c in effect.coefficients:
         if c.name in index:
             k = index[c.name]
-            known[c.name] = "rad" if turning[c.component] else "m", float(fit.theta[k]), float(fit.std[k])
+            known[c.name] = _unit(fit, c, turning[c.component]), float(fit.theta[k]), float(fit.std[k])
     found |= {
         "covariates": [name for name in KINDS[effect.kind].shown or effect.covariates if name != ROW_ORDER],
         "coefficients": [
@@ -233,6 +233,12 @@ def _effect(named: NamedEffect, outcome: Outcome) -> dict[str, Any]:
     found["confounded_with"] = [_short(e) for e in named.confounded_with]
     found["declared"] = named.declared
     return found
+
+
+def _unit(fit: Fit, c: Coefficient, turns: bool) -> str:
+    """Unit of what a coefficient moves: of the arm a length or an angle, of a camera perhaps pixels."""
+    things = fit.model.instruments
+    return things.unit(c.where, c.component) if c.where in things.names else "rad" if turns else "m"
 
 
 def moment(step: Basis, rows: Dataset) -> dict[str, Any]:

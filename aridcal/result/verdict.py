@@ -148,7 +148,7 @@ def _model_variance(rows: Dataset, fit: Fit) -> np.ndarray:
     asked = problem(fit.model, rows).settled(fit.theta)
     parts = []
     for block in asked.blocks():
-        J = asked.pieces(fit.theta, block)[1]
+        J = asked.pieces(fit.theta, block).J
         parts.append(np.einsum("nmk,nmk->nm", J @ fit.covariance, J))
     return np.concatenate(parts)
 

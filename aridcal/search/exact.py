@@ -12,10 +12,10 @@ from aridcal.effects.basis import Basis, evaluate
 from aridcal.effects.effect import Coefficient, Effect
 from aridcal.effects.kinds import Observed
 from aridcal.fit.flags import flagged
-from aridcal.fit.identifiable import agreeing, identifiable
+from aridcal.fit.identifiable import identifiable
 from aridcal.fit.least_squares import Fit, fit
 from aridcal.fit.normal_equations import Prior
-from aridcal.fit.residual import Problem, problem, taking_off, triangle
+from aridcal.fit.residual import Problem, agreeing, problem, taking_off, triangle
 from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.split import held_together
 from aridcal.model.model import Model
@@ -124,7 +124,7 @@ def _regained(start: Start, found: Fit) -> tuple[Coefficient, ...]:
     model = found.model.with_coefficients(found.model.coefficients + dropped)
     theta = np.concatenate([found.theta, np.zeros(len(dropped))])
     asked = problem(model, start.train, start.progress)
-    R = triangle(agreeing(asked, theta), theta, found.weight, found.sigma) * model.sizes
+    R = triangle(asked, theta, found.weight, found.sigma) * model.sizes
     kept = identifiable(R, range(len(theta))).kept
     return tuple(c for k, c in enumerate(model.coefficients) if k >= len(found.theta) and k in kept)
 
@@ -149,7 +149,7 @@ def linear_model(
     model = current.model.with_coefficients((*own, *(Coefficient(*slot, ones) for slot in slots)))
     theta = np.concatenate([current.theta, np.zeros(len(slots))])
     asked = problem(model, start.train)
-    r, J = asked.linearised(theta)
+    r, J = agreeing(asked, theta).linearised(theta)
     off = taking_off(asked, theta, current.weight, current.sigma)
     constant = np.flatnonzero([c.basis.constant for c in own])
     A = J[:, :, : len(own)]
