@@ -34,6 +34,9 @@ from aridcal.robot.chain import Robot
 REACHED = 200
 """Postures drawn to see where the arm reaches."""
 
+WELL = (0.25, 0.75)
+"""Quantiles of their distance from the base between which places are reached in many ways, and by every target."""
+
 PASSES, NEWTON = 5, 4
 """How often effects and the readings that they change are found in turn, and Newton's steps of each."""
 
@@ -97,12 +100,11 @@ class Rows:
         """
         if self.kind.name == "point":
             (place,) = self.states(real)
-            return lambda R, p: p + noise - place
+            return lambda R, p, rows: p + noise[rows] - place[rows]
         if self.kind.name == "plane":
             (plane,) = self.states(real)
-            return lambda R, p: (
-                np.sum(plane[:, :3] * p, axis=1, keepdims=True) - plane[:, 3:] + noise - self.stroke[:, None]
-            )
+            height = plane[:, 3:] - noise + self.stroke[:, None]
+            return lambda R, p, rows: np.sum(plane[rows, :3] * p, axis=1, keepdims=True) - height[rows]
         return None
 
 
@@ -165,6 +167,8 @@ def measured(
 
     any_target = next((name for name in machine.tips if name != TIP), TIP)
     _, reached = tips(draw_readings(robot, REACHED, own[-1]), any_target)
+    off = np.linalg.norm(reached - machine.world.translation, axis=1)
+    reached = reached[(off >= np.quantile(off, WELL[0])) & (off <= np.quantile(off, WELL[1]))]
     known, things = known_of(scenario), truth.instruments
     of_role = dict(zip(("point", "anchor", "plane", "pixels"), of_things.spawn(4), strict=True))
     drawn = {
@@ -206,7 +210,7 @@ def _begun(
     bare, theta = machine.model()
 
     def pose(label: np.ndarray) -> Pose:
-        return lambda q: bare.poses(theta, bare.rows(q, target=label))
+        return lambda q, some: bare.poses(theta, bare.rows(q, target=label[some]))
 
     if seen is not None and kind.name == "pixels":
         names = seen.real["camera"].names
@@ -214,7 +218,7 @@ def _begun(
         camera = np.array(own)[np.arange(n) % len(own)]
 
         def tips(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            return pose(np.full(len(q), TIP))(q)
+            return bare.poses(theta, bare.rows(q, target=np.full(len(q), TIP)))
 
         readings, shown = draw_images(seen, camera, tips, lambda m: draw_readings(machine.robot, m, rng), place)
         shot, marker = np.nonzero(shown)
@@ -305,10 +309,11 @@ def _settled(
     if miss is None:
         return rows
 
-    def pose(readings: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return model.poses(true, model.rows(readings, columns, target=rows.target))
+    def pose(readings: np.ndarray, some: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        now = {name: values[some] for name, values in columns.items()}
+        return model.poses(true, model.rows(readings, now, target=rows.target[some]))
 
-    readings = settled(pose, miss, rows.readings, np.ones(len(rows.shot), dtype=bool), NEWTON)
+    readings = settled(pose, miss, rows.readings, NEWTON)
     return replace(rows, readings=readings)
 
 

@@ -26,17 +26,20 @@ from aridcal.prepare.true_things import (
 )
 from aridcal.robot.chain import Robot
 
-Pose = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
-"""Readings of all rows, shape (n, columns), to rotations (n, 3, 3) and positions (n, 3) of their targets, [m]."""
+Pose = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
+"""Readings of some rows, shape (n, columns), and their numbers to rotations (n, 3, 3) and positions (n, 3) of their targets."""
 
-Miss = Callable[[np.ndarray, np.ndarray], np.ndarray]
-"""Rotations and positions of the targets of all rows to how far each is from where it must be, shape (n, k), [m]."""
+Miss = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
+"""Rotations and positions of the targets of some rows, and their numbers, to how far each is from where it must be, (n, k)."""
 
 INSIDE = 0.02
 """Share of each joint's range that is left free at either end: effects move the readings a little further."""
 
-STEPS, ROUNDS = 40, 40
+STEPS, ROUNDS = 30, 60
 """Newton steps towards a place, and how often rows that have not come there start anew from other readings."""
+
+TRIED_AT_ONCE = 8
+"""Random postures of which the nearest to its place is a row's start."""
 
 TURN = 0.4
 """The most that a joint moves in one step, [rad] or [m], as far as the linear model holds."""
@@ -110,45 +113,55 @@ def brought(robot: Robot, pose: Pose, miss: Miss, n: int, rng: np.random.Generat
     low, high = limits_of(robot)
     margin = INSIDE * (high - low)
     low, high = low + margin, high - margin
-    readings = draw_readings(robot, n, rng)
-    left = np.ones(n, dtype=bool)
+    found = np.empty((n, len(low)))
+    left = np.arange(n)
     for _ in range(ROUNDS):
-        readings[left] = draw_readings(robot, int(left.sum()), rng)
+        readings = _nearest(robot, pose, miss, left, rng)
         for _ in range(STEPS):
-            step, off = _step(pose, miss, readings)
-            left = (off > THERE) | ((readings < low) | (readings > high)).any(axis=1)
-            if not left.any():
-                return readings
-            step[~left] = 0.0
-            readings = np.clip(readings + step, low, high)
+            step, off = _step(pose, miss, readings, left)
+            there = (off < THERE) & ((readings >= low) & (readings <= high)).all(axis=1)
+            found[left[there]] = readings[there]
+            left, readings = left[~there], np.clip((readings + step)[~there], low, high)
+            if not len(left):
+                return found
     raise CampaignError(
-        f"{place}: {int(left.sum())} of {n} rows cannot be measured: the arm does not reach the places that they refer to; "
-        "move those under `truth.instruments`"
+        f"{place}: {len(left)} of {n} rows cannot be measured: the arm does not reach the places that they refer to; move "
+        "those under `truth.instruments`"
     )
 
 
-def settled(pose: Pose, miss: Miss, readings: np.ndarray, moved: np.ndarray, steps: int) -> np.ndarray:
-    """Readings near others with which some rows' targets are where they must be, to rounding.
+def _nearest(robot: Robot, pose: Pose, miss: Miss, rows: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """For each row that one of some random postures which misses least, shape (rows, columns)."""
+    tried = [draw_readings(robot, len(rows), rng) for _ in range(TRIED_AT_ONCE)]
+    off = [np.linalg.norm(miss(*pose(readings, rows), rows), axis=1) for readings in tried]
+    return np.asarray(np.array(tried)[np.argmin(off, axis=0), np.arange(len(rows))])
+
+
+def settled(pose: Pose, miss: Miss, readings: np.ndarray, steps: int) -> np.ndarray:
+    """Readings near others with which all rows' targets are where they must be, to rounding.
 
     Args:
         pose: Of the targets.
         miss: How far they are from where they must be.
         readings: Shape (n, columns).
-        moved: Rows that may move, shape (n,) bool.
         steps: Of Newton's method.
     """
+    rows = np.arange(len(readings))
     for _ in range(steps):
-        step, _ = _step(pose, miss, readings)
-        readings = readings + np.where(moved[:, None], step, 0.0)
+        readings = readings + _step(pose, miss, readings, rows)[0]
     return readings
 
 
-def _step(pose: Pose, miss: Miss, readings: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Newton's shortest step of every row, shape (n, columns), and how far each still is, shape (n,)."""
-    e = miss(*pose(readings))
+def _step(pose: Pose, miss: Miss, readings: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Newton's shortest step of some rows, shape (n, columns), and how far each still is, shape (n,)."""
+
+    def off(readings: np.ndarray) -> np.ndarray:
+        return miss(*pose(readings, rows), rows)
+
+    e = off(readings)
     J = np.empty((*e.shape, readings.shape[1]))
     for k, shift in enumerate(SMALL * np.eye(readings.shape[1])):
-        J[:, :, k] = (miss(*pose(readings + shift)) - miss(*pose(readings - shift))) / (2 * SMALL)
+        J[:, :, k] = (off(readings + shift) - off(readings - shift)) / (2 * SMALL)
     H = J @ J.transpose(0, 2, 1) + DAMPING * np.eye(e.shape[1])
     step = -np.einsum("nkj,nk->nj", J, np.linalg.solve(H, e[:, :, None])[:, :, 0])
     longest = np.abs(step).max(axis=1, keepdims=True)

@@ -29,6 +29,9 @@ AROUND = np.array([0.4, 0.3, 0.1])
 AWAY = (1.2, 1.8)
 """How far from the middle of the workspace anchors are drawn, in its RMS radius."""
 
+DIRECTIONS = 50
+"""In which a point is sought at a known distance from another: the one that leads nearest to where the arm reaches is taken."""
+
 OFFSETS = (0.0, 0.1)
 """[m] of a wire that does not begin at its anchor, as drawn."""
 
@@ -117,7 +120,7 @@ def true_points(things: TrueThings, known: Known, reached: np.ndarray, rng: np.r
             std = known.points[name].std
             found[name] = known.points[name].xyz + (std * rng.standard_normal(3) if np.isfinite(std) else 0.0)
         else:
-            found[name] = _apart(name, lengths, found, reached[int(rng.integers(len(reached)))], rng)
+            found[name] = _apart(name, lengths, found, reached, rng)
     return Real(tuple(found), np.array([*found.values()]).reshape(-1, 3))
 
 
@@ -125,17 +128,18 @@ def _apart(
     name: str,
     lengths: Sequence[LengthSettings],
     found: Mapping[str, np.ndarray],
-    drawn: np.ndarray,
+    reached: np.ndarray,
     rng: np.random.Generator,
 ) -> np.ndarray:
-    """A drawn place, so far from one that is there already as a known length says."""
+    """A place that the arm reaches, so far from one that is there already as a known length says."""
     for each in lengths:
         other = next((end for end in each.between if end != name and end in found), None)
         if name in each.between and other is not None:
-            direction = rng.standard_normal(3)
-            length = each.length + each.std * rng.standard_normal()
-            return np.asarray(found[other] + length * direction / np.linalg.norm(direction))
-    return drawn
+            way = rng.standard_normal((DIRECTIONS, 3))
+            way *= (each.length + each.std * rng.standard_normal()) / np.linalg.norm(way, axis=1, keepdims=True)
+            off = np.linalg.norm(found[other] + way[:, None] - reached, axis=2).min(axis=1)
+            return np.asarray(found[other] + way[np.argmin(off)])
+    return np.asarray(reached[int(rng.integers(len(reached)))])
 
 
 def true_anchors(things: TrueThings, known: Known, reached: np.ndarray, rng: np.random.Generator) -> Real:
