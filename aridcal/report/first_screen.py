@@ -19,7 +19,6 @@ from aridcal.report.words import (
     scale_in_words,
     sigmas_in_words,
 )
-from aridcal.result.instruments import known_scale
 from aridcal.result.key_figures import (
     FEW,
     OVERFITTED,
@@ -27,6 +26,7 @@ from aridcal.result.key_figures import (
     QUESTIONABLE,
     Step,
     another_day,
+    blurred_by_scale,
     constants,
     every_held_out_row,
     generalisation,
@@ -226,7 +226,12 @@ def checks(outcome: Outcome) -> Iterator[tuple[bool, str]]:
     yield from _row_checks(outcome)
     yield from _fit_checks(outcome)
     for sentence in scale_in_words(outcome):
-        yield known_scale(outcome.measurements) not in (None, math.inf), f"{sentence[0].upper()}{sentence[1:]}."
+        told = f"{sentence[0].upper()}{sentence[1:]}."
+        blurred = blurred_by_scale(outcome)
+        more = (
+            " That is more than the error that remains: consistency, not accuracy." if 0.0 < blurred < math.inf else ""
+        )
+        yield blurred == 0.0, f"{told}{more}"
     verified = another_day(outcome)
     if verified is not None:
         yield verified

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.channels import TARGET_POSITION, Channels, norms, spread
 from aridcal.result.folder import parameters
+from aridcal.result.instruments import scale_std
 from aridcal.result.outcome import Outcome, Stage, leading, said, statistics
 from aridcal.result.uncertainty import accuracy
 from aridcal.search.gains import NamedEffect
@@ -289,6 +291,22 @@ def generalisation(outcome: Outcome) -> float | None:
         return None
     fitted, held_out = (overall(last, parts[part], outcome.measurements, outcome.noise) for part in ("train", "test"))
     return held_out / fitted if fitted > 0 else None
+
+
+def blurred_by_scale(outcome: Outcome) -> float:
+    """How far off the targets may be because the scale is not known better, RMS [m]; 0 where that is less than the error.
+
+    Infinite where nothing tells the scale.
+    """
+    m = outcome.measurements
+    found = scale_std(outcome.stages[-1].fit, m.select(m.train))
+    if found is None:
+        return math.inf
+    places = outcome.at_target.places
+    reach = float(np.sqrt(np.mean(np.sum((places - places.mean(axis=0)) ** 2, axis=1))))
+    size = np.linalg.norm(outcome.at_target.shift(outcome.stages[-1].residual)[scored(outcome)[0]], axis=1)
+    off = found * reach
+    return off if off > statistics(size[~np.isnan(size)])["rms"] else 0.0
 
 
 def pose_accuracy(outcome: Outcome, residual: np.ndarray) -> np.ndarray:
