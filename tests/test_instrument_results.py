@@ -285,6 +285,17 @@ def test_known_lengths_tell_the_scale_by_their_sigma_over_their_length() -> None
     assert known_scale(found("inclination").measurements) is None
 
 
+def test_a_target_that_is_known_worse_than_the_rows_agree_is_said_to_be_consistent_not_accurate() -> None:
+    weak, strong = (
+        text(drawn(name), "//header") for name in ("pixels", "distance")
+    )  # one small board; wires all around
+    assert re.search(r"! *The target is known to ± 1\.\d mm .* that is consistency, not accuracy", weak)
+    assert re.search(r"✓ *The target is known to ± 0\.0\d+ mm \(1σ in its worst direction\)\.", strong)
+    assert "not accuracy" not in strong
+    deviation = np.median(found("pixels").precision.position)
+    assert f"± {1e3 * deviation:.1f} mm" in weak
+
+
 # ---- what is saved ---------------------------------------------------------------------------------------------------
 
 

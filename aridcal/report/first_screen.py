@@ -19,6 +19,7 @@ from aridcal.report.words import (
     scale_in_words,
     sigmas_in_words,
 )
+from aridcal.result.instruments import known_scale
 from aridcal.result.key_figures import (
     FEW,
     OVERFITTED,
@@ -26,7 +27,6 @@ from aridcal.result.key_figures import (
     QUESTIONABLE,
     Step,
     another_day,
-    blurred_by_scale,
     constants,
     every_held_out_row,
     generalisation,
@@ -36,6 +36,7 @@ from aridcal.result.key_figures import (
     over_time,
     removed_shares,
     scored,
+    sigma_and_error,
     squared,
     steps,
 )
@@ -226,12 +227,16 @@ def checks(outcome: Outcome) -> Iterator[tuple[bool, str]]:
     yield from _row_checks(outcome)
     yield from _fit_checks(outcome)
     for sentence in scale_in_words(outcome):
-        told = f"{sentence[0].upper()}{sentence[1:]}."
-        blurred = blurred_by_scale(outcome)
+        yield known_scale(outcome.measurements) not in (None, math.inf), f"{sentence[0].upper()}{sentence[1:]}."
+    known = sigma_and_error(outcome) if outcome.measurements.blocks else None
+    if known is not None:
+        sigma, error = known
         more = (
-            " That is more than the error that remains: consistency, not accuracy." if 0.0 < blurred < math.inf else ""
+            ""
+            if sigma < error
+            else f" The rows agree to {number(error, 2)} mm there: that is consistency, not accuracy."
         )
-        yield blurred == 0.0, f"{told}{more}"
+        yield sigma < error, f"The target is known to ± {number(sigma, 2)} mm (1σ in its worst direction).{more}"
     verified = another_day(outcome)
     if verified is not None:
         yield verified

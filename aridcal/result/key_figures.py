@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,7 +10,6 @@ import numpy as np
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.channels import TARGET_POSITION, Channels, norms, spread
 from aridcal.result.folder import parameters
-from aridcal.result.instruments import scale_std
 from aridcal.result.outcome import Outcome, Stage, leading, said, statistics
 from aridcal.result.uncertainty import accuracy
 from aridcal.search.gains import NamedEffect
@@ -293,20 +291,17 @@ def generalisation(outcome: Outcome) -> float | None:
     return held_out / fitted if fitted > 0 else None
 
 
-def blurred_by_scale(outcome: Outcome) -> float:
-    """How far off the targets may be because the scale is not known better, RMS [m]; 0 where that is less than the error.
+def sigma_and_error(outcome: Outcome) -> tuple[float, float] | None:
+    """How well the target is known, and how far the rows are off, both at the target, [mm]; None where no row sees its place.
 
-    Infinite where nothing tells the scale.
+    Returns:
+        The median 1-sigma of the target in its worst direction, and the RMS of the smallest shifts that explain the rows.
     """
-    m = outcome.measurements
-    found = scale_std(outcome.stages[-1].fit, m.select(m.train))
-    if found is None:
-        return math.inf
-    places = outcome.at_target.places
-    reach = float(np.sqrt(np.mean(np.sum((places - places.mean(axis=0)) ** 2, axis=1))))
     size = np.linalg.norm(outcome.at_target.shift(outcome.stages[-1].residual)[scored(outcome)[0]], axis=1)
-    off = found * reach
-    return off if off > statistics(size[~np.isnan(size)])["rms"] else 0.0
+    size = size[~np.isnan(size)]
+    if not len(size):
+        return None
+    return 1e3 * float(np.median(outcome.precision.position)), 1e3 * statistics(size)["rms"]
 
 
 def pose_accuracy(outcome: Outcome, residual: np.ndarray) -> np.ndarray:
