@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -56,11 +57,14 @@ CONTRACT: dict[str, tuple[set[str], tuple[str, ...]]] = {
     "lens_distortion": ({"k1", "k2", "k3", "p1", "p2"}, ()),
     "focal_length": ({"f", "fx", "fy"}, ()),
     "principal_point": ({"cx", "cy"}, ()),
+    "distance_scale": ({"scale"}, ()),
     "sonar_bias": ({"bias"}, ()),
     "sonar_scale": ({"scale"}, ()),
     "unknown": (FRAME, ()),
 }
-OF_ARM = [kind for kind in KINDS if not is_of_head(kind)]
+OF_THINGS = ("distance_scale",)
+OF_ARM = [kind for kind in KINDS if not is_of_head(kind) and kind not in OF_THINGS]
+HELD = {("anchor", "rail"): ("scale",), ("camera", "eye"): ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")}
 N = 40
 MEASURED = ("time", "temperature", "temperature_hall", "payload", "joint_1_direction")
 CAMERA = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
@@ -82,7 +86,8 @@ def observed() -> tuple[Observed, Model, np.ndarray, dict[str, np.ndarray]]:
 
 
 def effects(kind: str) -> list[Effect]:
-    found = head_candidates(HEAD, (kind,)) if is_of_head(kind) else candidates(observed()[0], (kind,))
+    rows = replace(observed()[0], held=HELD) if kind in OF_THINGS else observed()[0]
+    found = head_candidates(HEAD, (kind,)) if is_of_head(kind) else candidates(rows, (kind,))
     assert found
     return found
 
@@ -90,6 +95,17 @@ def effects(kind: str) -> list[Effect]:
 def test_every_kind_of_the_table_has_a_contract() -> None:
     assert list(KINDS) == list(CONTRACT)
     assert all(kind.name == name for name, kind in KINDS.items())
+
+
+def test_what_is_held_at_a_thing_may_be_wrong_and_what_is_identified_may_not() -> None:
+    rows = observed()[0]
+    kinds = ("lens_distortion", "focal_length", "principal_point", "distance_scale")
+    assert not candidates(rows, kinds)
+    found = {(e.kind, e.where, e.motion) for e in candidates(replace(rows, held=HELD), kinds)}
+    assert {("focal_length", "eye", ("fx", "fy")), ("distance_scale", "rail", ("scale",))} < found
+    held = {("camera", "eye"): ("k1", "k2")}
+    assert {e.motion for e in candidates(replace(rows, held=held), kinds)} == {("k1",), ("k1", "k2")}
+    assert all(not e.covariates for e in candidates(replace(rows, held=HELD), kinds))
 
 
 @pytest.mark.parametrize("kind", KINDS)

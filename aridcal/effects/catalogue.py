@@ -92,7 +92,7 @@ def declared(rows: Observed, declaration: Declaration, place: str) -> Effect:
         CampaignError: there is no such effect on this robot or with these columns.
     """
     d = declaration
-    known = (*rows.robot.names, "world_base", "tip_target")
+    known = (*rows.robot.names, "world_base", "tip_target", *(name for _, name in rows.held))
     if d.where not in known:
         raise CampaignError(f"{place}: effects: no place {d.where!r}{nearest(d.where, known)}")
     kind = KINDS[d.kind]

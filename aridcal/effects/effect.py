@@ -85,8 +85,8 @@ class Effect:
 
     @property
     def covariates(self) -> tuple[str, ...]:
-        """Columns it depends on, each once."""
-        return tuple(dict.fromkeys(name for c in self.coefficients for name in c.basis.of))
+        """Columns it depends on, each once; none of what is the same in all rows."""
+        return tuple(dict.fromkeys(name for c in self.coefficients if c.basis.form != "ones" for name in c.basis.of))
 
     @property
     def at(self) -> Basis | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal, Protocol
 
 import numpy as np
@@ -55,12 +55,14 @@ class Observed:
         table: Covariates of those rows (see :func:`aridcal.effects.loads.covariate_table`), shape (N,) each.
         measured: Names of the columns beside the joints that are complete and not constant.
         orientations: False where only positions were measured: the target's own turns are not seen then.
+        held: Components that are taken as stated of each thing that measurements refer to, by the name of its role and its own.
     """
 
     robot: Robot
     table: Mapping[str, np.ndarray]
     measured: tuple[str, ...]
     orientations: bool = True
+    held: Mapping[tuple[str, str], tuple[str, ...]] = field(default_factory=dict)
 
     def moves(self, joint: Joint) -> bool:
         """True if the joint's reading covers enough to say anything about it."""

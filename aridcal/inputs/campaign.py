@@ -201,9 +201,12 @@ class Job(Settings):
                 raise ValueError(
                     f"{self.place(number)}.head: belongs to `kind: camera_sonar`; delete it, or write that kind"
                 )
+        pixels = any(block.kind == "pixels" for block in self.blocks)
         for number, effect in enumerate(self.effects):
-            if is_of_head(effect.kind):
-                raise ValueError(f"effects[{number}].kind: {effect.kind} needs `kind: camera_sonar`")
+            seen = pixels and KINDS[effect.kind].testable is not None
+            if is_of_head(effect.kind) and not seen:
+                of = "`kind: camera_sonar`" + (" or `kind: pixels`" if KINDS[effect.kind].testable else "")
+                raise ValueError(f"effects[{number}].kind: {effect.kind} needs {of}")
         return self
 
     @model_validator(mode="after")

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from aridcal.errors import CampaignError, MeasurementError, listed, nearest
-from aridcal.inputs.campaign import Campaign
+from aridcal.inputs.campaign import Job
 from aridcal.inputs.instrument_settings import (
     BEYOND,
     AnchorSettings,
@@ -144,7 +144,7 @@ class Known:
         return places[label].xyz.tolist(), 3 * [bool(np.isfinite(places[label].std))], places[label].std
 
 
-def known_of(campaign: Campaign) -> Known:
+def known_of(campaign: Job) -> Known:
     """Read the tables of what is known.
 
     Raises:

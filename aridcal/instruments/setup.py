@@ -75,6 +75,15 @@ class Instruments:
         """Labels of all things."""
         return frozenset(name for things in self.things.values() for name in things.names)
 
+    @property
+    def held(self) -> dict[tuple[str, str], tuple[str, ...]]:
+        """Components that are taken as stated of each thing, by the name of its role and its own."""
+        return {
+            (role, name): tuple(c for c, free in zip(things.role.components, own, strict=True) if not free)
+            for role, things in self.things.items()
+            for name, own in zip(things.names, things.free, strict=True)
+        }
+
     def unit(self, name: str, component: str) -> str:
         """Unit of a component of a thing."""
         role = next(t.role for t in self.things.values() if name in t.names and component in t.role.components)

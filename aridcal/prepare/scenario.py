@@ -12,6 +12,7 @@ from aridcal.inputs.campaign import Job
 from aridcal.inputs.measurement_settings import OF_TARGETS
 from aridcal.inputs.yaml_file import Section, Vector3
 from aridcal.prepare.true_effects import Parameter, TrueEffect, given
+from aridcal.prepare.true_things import TrueThings
 
 
 class TrueFrame(Section):
@@ -28,6 +29,8 @@ class TrueFrames(Section):
     tip_target: TrueFrame | None = None
     tip_camera: TrueFrame | None = None
     """In place of ``tip_target`` for `kind: camera_sonar`; what is absent is as head.yaml has it."""
+    targets: dict[str, TrueFrame] = Field(default_factory=dict)
+    """T_tip_target of each of several targets, which rows measure in turn; by the name of its block, that of an inclinometer."""
 
 
 class TrueNoise(Section):
@@ -37,6 +40,12 @@ class TrueNoise(Section):
     """[m]"""
     rotation: float = Field(default=0.0, ge=0, le=1e3)
     """[rad]"""
+    distance: float = Field(default=0.0, ge=0, le=1e3)
+    """[m]"""
+    pixel: float = Field(default=0.0, ge=0, le=1e3)
+    """[px]"""
+    inclination: float = Field(default=0.0, ge=0, le=1e3)
+    """[rad]"""
 
 
 class Outliers(Section):
@@ -44,7 +53,7 @@ class Outliers(Section):
 
     share: float = Field(ge=0, le=1)
     size: float = Field(gt=0, le=1e9)
-    """How far off, in sigmas of the noise, in a random direction; position and rotation alike."""
+    """How far off, in sigmas of the noise, in a random direction; all channels alike."""
 
 
 class Truth(Section):
@@ -57,7 +66,9 @@ class Truth(Section):
     """Columns to write beside those that the effects depend on."""
     noise: TrueNoise = TrueNoise()
     outliers: Outliers | None = None
+    instruments: TrueThings = TrueThings()
     n: int = Field(ge=1, le=10_000_000)
+    """Rows of each block, or images."""
     seed: int = Field(default=0, ge=0)
 
 
@@ -66,14 +77,33 @@ class Scenario(Job):
 
     truth: Truth
 
+    @property
+    def refers(self) -> bool:
+        """True where rows refer to things, or to one of several targets: not where they are poses of the only one."""
+        plain = len(self.blocks) == 1 and self.measurements.kind in (*OF_TARGETS, "camera_sonar")
+        return not plain or bool(self.truth.frames.targets)
+
+
+def _any_has(scenario: Scenario, key: str) -> bool:
+    """True if any block of measurements sets a key."""
+    return any(key in block.model_fields_set for block in scenario.blocks)
+
 
 def check_scenario(scenario: Scenario) -> None:
     """Refuse what a campaign may ask for but a simulation cannot give."""
     measurements, truth = scenario.measurements, scenario.truth
     refused = {
-        "measurements": (
-            len(scenario.blocks) > 1 or measurements.kind not in (*OF_TARGETS, "camera_sonar"),
-            f"one block of {', '.join(OF_TARGETS)} or camera_sonar is simulated; write one of these",
+        "truth.frames.targets": (
+            measurements.kind == "camera_sonar" and bool(truth.frames.targets),
+            "`kind: camera_sonar` has its target at the tip; delete this key",
+        ),
+        "truth.instruments": (
+            truth.instruments != TrueThings() and not scenario.refers,
+            "no row refers to such things; delete this key",
+        ),
+        "truth.instruments.cameras": (
+            not set(truth.instruments.cameras) <= set(scenario.instruments.cameras),
+            "these are cameras under `instruments`; name the same",
         ),
         "measurements.head": (
             measurements.kind == "camera_sonar" and measurements.head is None,
@@ -87,9 +117,9 @@ def check_scenario(scenario: Scenario) -> None:
             measurements.head is None and any(is_of_head(e.kind) for e in truth.effects),
             f"{', '.join(filter(is_of_head, KINDS))} need `kind: camera_sonar`",
         ),
-        "measurements.units": ("units" in measurements.model_fields_set, "the table is written in SI; delete this key"),
+        "measurements.units": (_any_has(scenario, "units"), "the table is written in SI; delete this key"),
         "measurements.orientation": (
-            "orientation" in measurements.model_fields_set,
+            _any_has(scenario, "orientation"),
             "the table is written with quaternions; delete this key",
         ),
         "frames": (

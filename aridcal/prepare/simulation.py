@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import json
-import math
 import os
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -20,20 +19,21 @@ from aridcal.effects.catalogue import KINDS, is_of_head
 from aridcal.effects.effect import FRAME_COMPONENTS, Coefficient
 from aridcal.effects.loads import Surroundings
 from aridcal.errors import CampaignError, MeasurementError, nearest
-from aridcal.head.reduction import Head
 from aridcal.head.render import Optics
-from aridcal.inputs.head_settings import HeadSettings, load_squares, range_columns
+from aridcal.inputs.head_settings import HeadSettings, load_squares
 from aridcal.inputs.quantities import POSITION, QUATERNION, column_of
 from aridcal.inputs.yaml_file import load_settings
 from aridcal.model.model import Model
+from aridcal.prepare.measuring import Machine, measured, targets
+from aridcal.prepare.postures import draw_readings
 from aridcal.prepare.scenario import Scenario, Truth, check_scenario
-from aridcal.prepare.true_effects import Cause, columns_needed, draw_columns, make_causes, values
-from aridcal.prepare.viewpoints import draw_views, photographs
+from aridcal.prepare.true_effects import Cause, columns_needed, draw_columns, make_causes
+from aridcal.prepare.true_things import Real, documents
+from aridcal.prepare.viewpoints import draw_views, photographed, true_head
 from aridcal.reading.files import read_file
 from aridcal.reading.table_files import FIRST_LINE
 from aridcal.robot.chain import Robot, load_robot
 from aridcal.robot.doty import doty_links
-from aridcal.search.head_effects import directions, stated
 from aridcal.showing import SILENT, Progress
 
 AT_ONCE = 20_000
@@ -47,22 +47,29 @@ class Simulation:
     Attributes:
         scenario: What was asked for.
         robot: The nominal chain.
-        measurements: The table, as it is written.
+        tables: Of each block, as they are written.
         parameters: True value of each constant that the scenario names, drawn or given; [m] or [rad].
-        frames: True T_world_base and T_tip_target.
+        frames: True T_world_base and T_tip_target, or that of each of several targets.
         causes: True effects, drawn or given.
-        outliers: Which rows are grossly wrong, shape (N,) bool.
+        outliers: Which rows are grossly wrong, shape (N,) bool, those of one block after those of another.
         images: For `kind: camera_sonar`: JPEG files by their names.
+        real: What the rows refer to, by role.
     """
 
     scenario: Scenario
     robot: Robot
-    measurements: pd.DataFrame
+    tables: tuple[pd.DataFrame, ...]
     parameters: dict[str, float]
     frames: dict[str, pin.SE3]
     causes: tuple[Cause, ...]
     outliers: np.ndarray
     images: Mapping[str, bytes] = field(default_factory=dict)
+    real: Mapping[str, Real] = field(default_factory=dict)
+
+    @property
+    def measurements(self) -> pd.DataFrame:
+        """The only table, or the first."""
+        return self.tables[0]
 
 
 def simulate(scenario: Scenario, progress: Progress = SILENT) -> Simulation:
@@ -81,9 +88,13 @@ def simulate(scenario: Scenario, progress: Progress = SILENT) -> Simulation:
     check_scenario(scenario)
     truth = scenario.truth
     robot = load_robot(scenario.robot.urdf, scenario.robot.tip, scenario.robot.base, scenario.limits.urdf)
-    constants, configurations, noise, outliers, chance = _streams(truth.seed)
+    constants, configurations, noise, outliers, chance, of_things = _streams(truth.seed)
     coefficients = named_constants(robot, truth.parameters, scenario.path)
     theta = np.array([p.value + p.std * constants.standard_normal() for p in truth.parameters.values()])
+    if scenario.refers:
+        return _among_things(
+            scenario, robot, coefficients, theta, (configurations, noise, outliers, chance, of_things), progress
+        )
     head = load_settings(scenario.measurements.head, HeadSettings) if scenario.measurements.head else None
     optics = (
         Optics(head.camera.width, head.camera.height, load_squares(head.squares, head.limits.table)) if head else None
@@ -119,18 +130,46 @@ def simulate(scenario: Scenario, progress: Progress = SILENT) -> Simulation:
         causes = [*causes, *of_head]
         wrong = np.zeros(truth.n, dtype=bool)
         progress.at("taking the shots")
-        shots, images = _photographed(head, optics, real, R, p, noise, progress)
+        shots, images = photographed(head, optics, real, R, p, noise, progress)
         joints = dict(zip(robot.readings, readings.T, strict=True))
         table = pd.DataFrame(joints | columns).assign(**shots)
     return Simulation(
         scenario=scenario,
         robot=robot,
-        measurements=table,
+        tables=(table,),
         parameters=dict(zip(truth.parameters, theta.tolist(), strict=True)),
         frames=frames,
         causes=tuple(causes),
         outliers=wrong,
         images=images,
+    )
+
+
+def _among_things(
+    scenario: Scenario,
+    robot: Robot,
+    constants: tuple[Coefficient, ...],
+    theta: np.ndarray,
+    streams: tuple[np.random.Generator, ...],
+    progress: Progress,
+) -> Simulation:
+    """The machine measured with what stands around it; see :func:`simulate`."""
+    truth = scenario.truth
+    frames = true_frames(scenario)
+    machine = Machine(robot, constants, theta, frames["world_base"], targets(scenario, frames["tip_target"]))
+    names = (*truth.covariates, *columns_needed(truth.effects, robot))
+    progress.at("moving the robot")
+    found = measured(scenario, machine, surroundings(scenario, frames, "payload" in names), streams)
+    tips = {"tip_target": frames["tip_target"]} if len(machine.tips) == 1 else dict(machine.tips)
+    return Simulation(
+        scenario=scenario,
+        robot=robot,
+        tables=found.tables,
+        parameters=dict(zip(truth.parameters, theta.tolist(), strict=True)),
+        frames={"world_base": frames["world_base"], **tips},
+        causes=found.causes,
+        outliers=np.concatenate(found.outliers),
+        real=found.real,
     )
 
 
@@ -146,8 +185,8 @@ def _moved(
 
 
 def _streams(seed: int) -> list[np.random.Generator]:
-    """Generators for constants, configurations, noise, outliers and effects: more of one leaves the others alone."""
-    return [np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(5)]
+    """Generators for constants, configurations, noise, outliers, effects and things: more of one leaves the others alone."""
+    return [np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(6)]
 
 
 def _measured(
@@ -176,36 +215,6 @@ def _measured(
     position = p + truth.noise.position * in_sigmas[:, :3]
     turn = Rotation.from_rotvec(truth.noise.rotation * in_sigmas[:, 3:])
     return position, turn * Rotation.from_matrix(R, assume_valid=True), wrong
-
-
-def _photographed(
-    settings: HeadSettings,
-    optics: Optics,
-    real: Head,
-    R: np.ndarray,
-    p: np.ndarray,
-    noise: np.random.Generator,
-    progress: Progress,
-) -> tuple[dict[str, Any], dict[str, bytes]]:
-    """Shots of the measuring head: columns of ``shots.csv`` beside joints and covariates, and the images by name.
-
-    Args:
-        settings: The head as its makers state it.
-        optics: The camera and the squares that it looks at.
-        real: The head as it is.
-        R: True rotations of the camera, shape (n, 3, 3).
-        p: True positions, shape (n, 3), [m].
-        noise: Draws the noise of images and sonars.
-        progress: Told how many shots are taken.
-    """
-    T = np.broadcast_to(np.eye(4), (len(R), 4, 4)).copy()
-    T[:, :3, :3], T[:, :3, 3] = R, p
-    # The arm is not quite where it was sent: another square may be nearest the optical axis.
-    square = np.array([optics.nearest(pose) for pose in T])
-    taken, ranges = photographs(T, square, optics, real, noise, progress)
-    images = {f"images/{k + 1:03d}.jpg": image for k, image in enumerate(taken)}
-    columns = dict(zip(range_columns(settings), ranges.T, strict=True))
-    return {"image": list(images), "square": square, **columns}, images
 
 
 def named_constants(robot: Robot, names: Iterable[str], path: Path) -> tuple[Coefficient, ...]:
@@ -247,42 +256,12 @@ def true_frames(scenario: Scenario, head: HeadSettings | None = None) -> dict[st
     return frames
 
 
-def true_head(scenario: Scenario, settings: HeadSettings, rng: np.random.Generator) -> tuple[Head, list[Cause]]:
-    """The measuring head as it really is, and its effects.
-
-    Its numbers are phi = phi_stated + sum over the effects of D theta, with the effect's coefficients theta and their
-    directions D in the space of the head's numbers.
-
-    Args:
-        scenario: Says which effects.
-        settings: The head as its makers state it.
-        rng: Draws the coefficients that are not given.
-    """
-    head, place = Head.of(settings), f"{scenario.path}: truth"
-    phi, causes = head.phi, []
-    wanted = [e for e in scenario.truth.effects if is_of_head(e.kind)]
-    for e, effect in zip(wanted, stated(head, wanted, place), strict=True):
-        theta = values(e, effect, rng, place)
-        causes.append(Cause(effect, theta, {}))
-        phi = phi + directions(head, effect.coefficients) @ theta
-    return replace(head, phi=phi), causes
-
-
 def surroundings(scenario: Scenario, frames: Mapping[str, pin.SE3], loaded: bool) -> Surroundings:
     """Gravity in the base's frame, and the payload's place; ``loaded`` where there is one."""
     gravity = scenario.robot.gravity
     R_world_base = frames["world_base"].rotation
     vector = R_world_base.T @ [0.0, 0.0, -9.81] if gravity == "world" else np.array(gravity)
     return Surroundings(vector, frames["tip_target"].translation, loaded)
-
-
-def draw_readings(robot: Robot, n: int, rng: np.random.Generator) -> np.ndarray:
-    """Draw readings, uniform inside their limits, shape (n, columns), [rad] or [m]; +-pi where there is no limit."""
-    limits = {joint.reading: (joint.lower, joint.upper) for joint in robot.joints}
-    low, high = np.array([limits[reading] for reading in robot.readings]).T
-    low = np.where(np.isfinite(low), low, -math.pi)
-    high = np.where(np.isfinite(high), high, math.pi)
-    return np.asarray(rng.uniform(low, high, (n, len(low))))
 
 
 def write_campaign(simulation: Simulation, folder: Path, home: Path, progress: Progress = SILENT) -> None:
@@ -297,25 +276,35 @@ def write_campaign(simulation: Simulation, folder: Path, home: Path, progress: P
     progress.at("writing the measurements")
     scenario, robot = simulation.scenario, simulation.robot
     keys = scenario.model_dump(mode="json", by_alias=True, exclude_unset=True, exclude={"truth"})
-    if scenario.path.parent.resolve() == home.resolve():  # the scenario's own path to the robot holds here as well
+    beside = scenario.path.parent.resolve() == home.resolve()  # the scenario's own paths hold here as well
+    if beside:
         keys["robot"]["urdf"] = Path(os.path.relpath(robot.path, home)).as_posix()
     else:
         keys["robot"]["urdf"] = robot.path.name
         (folder / robot.path.name).write_bytes(robot.urdf)
-    keys.setdefault("measurements", {}).pop("file", None)
-    if scenario.measurements.head is None:
-        keys["measurements"] = {"file": "measurements.csv"} | keys["measurements"]
-        table = simulation.measurements
-        with (folder / "measurements.csv").open("w", encoding="utf-8", newline="") as file:
-            for first in progress.through(range(0, len(table), AT_ONCE), len(table), "rows", AT_ONCE):
-                table.iloc[first : first + AT_ONCE].to_csv(file, index=False, header=first == 0)
-    else:
-        keys["measurements"]["head"] = _write_shots(simulation, scenario.measurements.head, folder, home)
+    known, named = scenario.instruments, keys.get("instruments", {})
+    for path, part, key in ((known.points, named, "points"), (known.markers.file, named.get("markers", {}), "file")):
+        if path is not None:
+            part[key] = Path(os.path.relpath(path, home)).as_posix() if beside else path.name
+            if not beside:
+                (folder / path.name).write_bytes(read_file(path, MeasurementError, scenario.limits.table))
+    blocks = [block.model_dump(mode="json", by_alias=True, exclude_unset=True) for block in scenario.blocks]
+    for number, (block, table) in enumerate(zip(blocks, simulation.tables, strict=True), start=1):
+        block.pop("file", None)
+        if scenario.measurements.head is None:
+            name = f"measurements_{number}.csv" if scenario.listed else "measurements.csv"
+            blocks[number - 1] = {"file": name} | block
+            with (folder / name).open("w", encoding="utf-8", newline="") as file:
+                for first in progress.through(range(0, len(table), AT_ONCE), len(table), "rows", AT_ONCE):
+                    table.iloc[first : first + AT_ONCE].to_csv(file, index=False, header=first == 0)
+        else:
+            block["head"] = _write_shots(simulation, scenario.measurements.head, folder, home)
+    keys["measurements"] = blocks if scenario.listed else blocks[0]
     if keys.get("diagnosis", {}).get("candidates") == list(KINDS):
         keys["diagnosis"]["candidates"] = "all"
     text = yaml.safe_dump(keys, sort_keys=False, allow_unicode=True, default_flow_style=None, width=120)
-    made = f"# Made by `aridcal simulate {scenario.path.name}`; the truth is in truth.json.\n"
-    (folder / "campaign.yaml").write_text(made + text, encoding="utf-8")
+    first_line = f"# Made by `aridcal simulate {scenario.path.name}`; the truth is in truth.json.\n"
+    (folder / "campaign.yaml").write_text(first_line + text, encoding="utf-8")
     truth = json.dumps(truth_document(simulation), indent=2, allow_nan=False)
     (folder / "truth.json").write_text(truth + "\n", encoding="utf-8")
 
@@ -346,7 +335,10 @@ def truth_document(simulation: Simulation) -> dict[str, Any]:
         rpy = pin.rpy.matrixToRpy(frame.rotation)
         frames[name] = {"xyz": frame.translation.tolist(), "rpy": rpy.tolist()}
     stated = truth.outliers.model_dump() if truth.outliers else {"share": 0.0}
-    wrong = np.flatnonzero(simulation.outliers) + FIRST_LINE
+    ends = np.cumsum([len(table) for table in simulation.tables])[:-1]
+    wrong = [(np.flatnonzero(part) + FIRST_LINE).tolist() for part in np.split(simulation.outliers, ends)]
+    listed = wrong if simulation.scenario.listed else wrong[0]
+    things = {"instruments": documents(simulation.real)} if simulation.real else {}
     return {
         "format": 1,
         "n": truth.n,
@@ -354,8 +346,11 @@ def truth_document(simulation: Simulation) -> dict[str, Any]:
         "parameters": simulation.parameters,
         "frames": frames,
         "effects": [cause.document() for cause in simulation.causes],
-        "noise": truth.noise.model_dump(),
-        "outliers": {**stated, "rows": wrong.tolist()},
+        **things,
+        "noise": truth.noise.model_dump(
+            exclude=set() if simulation.scenario.refers else {"distance", "pixel", "inclination"}
+        ),
+        "outliers": {**stated, "rows": listed},
     }
 
 

@@ -182,6 +182,7 @@ def make_causes(
     around: Surroundings,
     rng: np.random.Generator,
     place: str,
+    lines: np.ndarray | None = None,
 ) -> tuple[list[Cause], dict[str, np.ndarray]]:
     """Turn effects into coefficients of the model.
 
@@ -193,6 +194,7 @@ def make_causes(
         around: Gravity and the payload's place.
         rng: For coefficients that are drawn.
         place: What to name if an effect is impossible.
+        lines: Of each row in its file, counted on through the files, shape (N,); None: rows of one file.
 
     Returns:
         The causes, and all columns that they depend on: those given, the order of the rows, and the named functions' values.
@@ -201,7 +203,8 @@ def make_causes(
         CampaignError: there is no such effect on this robot, or it has other coefficients.
     """
     world = np.zeros(len(readings), dtype=int)
-    known = {**columns, ROW_ORDER: np.arange(len(readings)) + float(FIRST_LINE)}
+    order = np.arange(len(readings)) + float(FIRST_LINE) if lines is None else lines
+    known = {**columns, ROW_ORDER: order}
     table = covariate_table(robot, readings, known, around, world, set(LOADS))
     rows = Observed(robot, table, tuple(columns))
     causes = []

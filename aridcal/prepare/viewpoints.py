@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
 from aridcal.effects.basis import Basis
+from aridcal.effects.catalogue import is_of_head
 from aridcal.effects.effect import Coefficient
 from aridcal.errors import CampaignError
 from aridcal.head.reduction import Head
 from aridcal.head.render import Optics, photograph
 from aridcal.head.square import INCH
+from aridcal.inputs.head_settings import HeadSettings, range_columns
 from aridcal.model.model import Model
+from aridcal.prepare.scenario import Scenario
+from aridcal.prepare.true_effects import Cause, values
+from aridcal.search.head_effects import directions, stated
 from aridcal.showing import Progress
 
 # Wanted of a view: distance of the lens, [m]; lean of the optical axis, [rad]; where the axis meets the square, [m]
@@ -220,3 +226,54 @@ def photographs(
     shots = [photograph(T, int(k), optics, head, rng) for T, k in places]
     images, ranges = zip(*shots, strict=True)
     return list(images), np.array(ranges)
+
+
+def photographed(
+    settings: HeadSettings,
+    optics: Optics,
+    real: Head,
+    R: np.ndarray,
+    p: np.ndarray,
+    noise: np.random.Generator,
+    progress: Progress,
+) -> tuple[dict[str, Any], dict[str, bytes]]:
+    """Shots of the measuring head: columns of ``shots.csv`` beside joints and covariates, and the images by name.
+
+    Args:
+        settings: The head as its makers state it.
+        optics: The camera and the squares that it looks at.
+        real: The head as it is.
+        R: True rotations of the camera, shape (n, 3, 3).
+        p: True positions, shape (n, 3), [m].
+        noise: Draws the noise of images and sonars.
+        progress: Told how many shots are taken.
+    """
+    T = np.broadcast_to(np.eye(4), (len(R), 4, 4)).copy()
+    T[:, :3, :3], T[:, :3, 3] = R, p
+    # The arm is not quite where it was sent: another square may be nearest the optical axis.
+    square = np.array([optics.nearest(pose) for pose in T])
+    taken, ranges = photographs(T, square, optics, real, noise, progress)
+    images = {f"images/{k + 1:03d}.jpg": image for k, image in enumerate(taken)}
+    columns = dict(zip(range_columns(settings), ranges.T, strict=True))
+    return {"image": list(images), "square": square, **columns}, images
+
+
+def true_head(scenario: Scenario, settings: HeadSettings, rng: np.random.Generator) -> tuple[Head, list[Cause]]:
+    """The measuring head as it really is, and its effects.
+
+    Its numbers are phi = phi_stated + sum over the effects of D theta, with the effect's coefficients theta and their
+    directions D in the space of the head's numbers.
+
+    Args:
+        scenario: Says which effects.
+        settings: The head as its makers state it.
+        rng: Draws the coefficients that are not given.
+    """
+    head, place = Head.of(settings), f"{scenario.path}: truth"
+    phi, causes = head.phi, []
+    wanted = [e for e in scenario.truth.effects if is_of_head(e.kind)]
+    for e, effect in zip(wanted, stated(head, wanted, place), strict=True):
+        theta = values(e, effect, rng, place)
+        causes.append(Cause(effect, theta, {}))
+        phi = phi + directions(head, effect.coefficients) @ theta
+    return replace(head, phi=phi), causes

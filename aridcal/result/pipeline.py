@@ -52,6 +52,10 @@ HALVED = 120
 """A model of more coefficients is not fitted twice more, to halves of the rows: its constants speak for it."""
 
 
+ENOUGH = 6.0
+"""Numbers measured for each coefficient from which halves of the rows are fitted with the whole model: three each, then."""
+
+
 @dataclass(frozen=True)
 class Judged:
     """A calibrated arm with what may be said of it.
@@ -141,7 +145,8 @@ def _outcome(
     stages, outlier, final = known.stages, known.outlier, known.stages[-1].fit
     kept = rows.select(~outlier)
     before, after = (stage.residual[~outlier] for stage in stages[1:])
-    compared = final if len(final.theta) < HALVED else geometric
+    few = len(final.theta) < HALVED and final.numbers > ENOUGH * len(final.theta)
+    compared = final if few else geometric
     return Outcome(
         campaign=campaign,
         robot=robot,

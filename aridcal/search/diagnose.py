@@ -375,5 +375,5 @@ def look(start: Start) -> tuple[Observed, list[Barred]]:
     table = covariate_table(model.robot, rows.readings, measured, model.around, world, {".gravity_", ".payload_"})
     # A derived side of approach is for backlash alone: nothing else is asked whether it depends on it.
     table |= {name: derived[name] for name in usable_columns(derived)[0]}
-    observed = Observed(model.robot, table, tuple(usable), orientations=rows.sees_turns)
+    observed = Observed(model.robot, table, tuple(usable), orientations=rows.sees_turns, held=model.instruments.held)
     return observed, barred + barred_joints(observed)

@@ -238,7 +238,8 @@ def _curves(effect: Effect, diagnosed: Diagnosed) -> list[Curve]:
     identified = set(diagnosed.fit.model.names)
     made = []
     for component in effect.motion:
-        own = [c for c in effect.coefficients if c.component == component and c.name in identified]
+        of_covariates = [c for c in effect.coefficients if c.basis.form != "ones"]
+        own = [c for c in of_covariates if c.component == component and c.name in identified]
         for name in dict.fromkeys(c.basis.of[0] for c in own):
             part = [c for c in own if c.basis.of[0] == name]
             made.append(_curve(effect.where, component, name, part, diagnosed))

@@ -1,0 +1,367 @@
+"""Campaigns of other kinds than poses: a simulated arm among the things that it is measured with."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from copy import deepcopy
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+import pandas as pd
+import pinocchio as pin
+from scipy.spatial.transform import Rotation
+
+from aridcal.effects.effect import Coefficient
+from aridcal.effects.loads import Surroundings
+from aridcal.errors import CampaignError
+from aridcal.inputs.measurement_settings import OF_TARGETS, SHOT, TARGET, MeasurementSettings
+from aridcal.inputs.quantities import POSITION, QUATERNION
+from aridcal.inputs.read import ONE_TARGET, TIP
+from aridcal.inputs.things import known_of
+from aridcal.instruments.catalogue import KINDS
+from aridcal.instruments.channels import columns as parts_of
+from aridcal.instruments.inclination import DOWN
+from aridcal.instruments.kind import Kind
+from aridcal.model.model import Model
+from aridcal.prepare.postures import Miss, Pose, Sight, brought, draw_images, draw_readings, settled, sight
+from aridcal.prepare.scenario import Scenario
+from aridcal.prepare.true_effects import Cause, columns_needed, draw_columns, make_causes
+from aridcal.prepare.true_things import Real, true_anchors, true_planes, true_points
+from aridcal.reading.table_files import FIRST_LINE
+from aridcal.robot.chain import Robot
+
+REACHED = 200
+"""Postures drawn to see where the arm reaches."""
+
+PASSES, NEWTON = 5, 4
+"""How often effects and the readings that they change are found in turn, and Newton's steps of each."""
+
+
+@dataclass(frozen=True)
+class Machine:
+    """A simulated machine without its effects.
+
+    Attributes:
+        robot: The nominal chain.
+        constants: Those that the scenario names.
+        theta: Their true values.
+        world: True T_world_base.
+        tips: True T_tip_target by the targets' labels.
+    """
+
+    robot: Robot
+    constants: tuple[Coefficient, ...]
+    theta: np.ndarray
+    world: pin.SE3
+    tips: Mapping[str, pin.SE3]
+
+    def model(self, causes: Sequence[Cause] = (), around: Surroundings | None = None) -> tuple[Model, np.ndarray]:
+        """The machine as a model, and its true coefficients."""
+        of_effects = tuple(c for cause in causes for c in cause.effect.coefficients)
+        frames = ((None, self.world),), tuple(self.tips.items())
+        made = Model(self.robot, self.constants + of_effects, *frames, around or Surroundings())
+        return made, np.concatenate([self.theta, *(cause.values for cause in causes)])
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Rows of one block, n of them.
+
+    Attributes:
+        kind: Of them.
+        readings: Shape (n, columns), [rad] or [m].
+        shot: Number of each row's configuration among those of the block, shape (n,): an image has many rows.
+        refers: Numbers of the things that rows refer to, by the kind's roles, shape (n, roles).
+        target: Label of each row's target, shape (n,).
+        stroke: What a gauge is to read, shape (n,), [m]; 0 where the target touches.
+    """
+
+    kind: Kind
+    readings: np.ndarray
+    shot: np.ndarray
+    refers: np.ndarray
+    target: np.ndarray
+    stroke: np.ndarray
+
+    def states(self, real: Mapping[str, Real]) -> list[np.ndarray]:
+        """States of the things that the rows refer to, (n, P) by role."""
+        return [real[role.name].states[self.refers[:, k]] for k, role in enumerate(self.kind.roles)]
+
+    def miss(self, real: Mapping[str, Real], noise: np.ndarray) -> Miss | None:
+        """How far the targets are from where they must be; None where they may be anywhere.
+
+        Args:
+            real: The things as they are.
+            noise: Of the rows' residuals, shape (n, m), [m].
+        """
+        if self.kind.name == "point":
+            (place,) = self.states(real)
+            return lambda R, p: p + noise - place
+        if self.kind.name == "plane":
+            (plane,) = self.states(real)
+            return lambda R, p: (
+                np.sum(plane[:, :3] * p, axis=1, keepdims=True) - plane[:, 3:] + noise - self.stroke[:, None]
+            )
+        return None
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A machine measured.
+
+    Attributes:
+        tables: Of each block, as they are written.
+        causes: True effects.
+        outliers: Rows that are grossly wrong, of each block.
+        real: The things as they are, by role.
+    """
+
+    tables: tuple[pd.DataFrame, ...]
+    causes: tuple[Cause, ...]
+    outliers: tuple[np.ndarray, ...]
+    real: dict[str, Real]
+
+
+def targets(scenario: Scenario, tip: pin.SE3) -> dict[str, pin.SE3]:
+    """True T_tip_target by label, as the reader of the campaign calls them."""
+    stated = scenario.truth.frames.targets
+    placed = {name: pin.SE3(pin.rpy.rpyToMatrix(*each.rpy), np.array(each.xyz)) for name, each in stated.items()}
+    names = [label for block in scenario.blocks for label in _own(scenario, block)]
+    return {name: placed.get(name, pin.SE3.Identity() if name == TIP else tip) for name in dict.fromkeys(names)}
+
+
+def _own(scenario: Scenario, block: MeasurementSettings) -> list[str]:
+    """Labels of the targets that a block's rows measure."""
+    sensors = [other.title for other in scenario.blocks if other.kind == "inclination"]
+    if block.kind == "pixels":
+        return [TIP]
+    if block.kind == "inclination":
+        return [block.title]
+    return [name for name in scenario.truth.frames.targets if name not in sensors] or [ONE_TARGET]
+
+
+def measured(
+    scenario: Scenario, machine: Machine, around: Surroundings, streams: Sequence[np.random.Generator]
+) -> Measured:
+    """Measure a machine with all blocks of a scenario.
+
+    Args:
+        scenario: What is measured.
+        machine: The machine without its effects.
+        around: Gravity and the payload's place.
+        streams: Generators of configurations, noise, outliers, effects and things.
+
+    Raises:
+        CampaignError: the arm does not reach what it is to be measured with.
+    """
+    configurations, noise, outliers, chance, of_things = streams
+    truth, robot = scenario.truth, machine.robot
+    bare, theta = machine.model()
+    own = configurations.spawn(len(scenario.blocks) + 1)
+
+    def tips(readings: np.ndarray, label: str) -> tuple[np.ndarray, np.ndarray]:
+        return bare.poses(theta, bare.rows(readings, target=np.full(len(readings), label)))
+
+    any_target = next((name for name in machine.tips if name != TIP), TIP)
+    _, reached = tips(draw_readings(robot, REACHED, own[-1]), any_target)
+    known, things = known_of(scenario), truth.instruments
+    of_role = dict(zip(("point", "anchor", "plane", "pixels"), of_things.spawn(4), strict=True))
+    drawn = {
+        "point": lambda: {"point": true_points(things, known, reached, of_role["point"])},
+        "distance": lambda: {"anchor": true_anchors(things, known, reached, of_role["anchor"])},
+        "plane": lambda: {"plane": true_planes(things, known, reached, of_role["plane"])},
+    }
+    real: dict[str, Real] = {}
+    for kind in dict.fromkeys(block.kind for block in scenario.blocks):
+        real |= drawn[kind]() if kind in drawn else {}
+    seen: Sight | None = None
+    if any(block.kind == "pixels" for block in scenario.blocks):
+        rng = of_role["pixels"]
+        seen = sight(things, known, lambda q: tips(q, TIP), lambda n: draw_readings(robot, n, rng), rng)
+        real |= seen.real
+    rows = [_begun(scenario, number, machine, real, seen, own[number]) for number in range(len(scenario.blocks))]
+    errors, wrong = zip(*[_errors(scenario, each, noise, outliers) for each in rows], strict=True)
+    rows, causes, model, true, columns = _with_effects(scenario, machine, rows, real, errors, around, chance)
+    tables = []
+    for number, (block, each) in enumerate(zip(scenario.blocks, rows, strict=True)):
+        R, p = model.poses(true, model.rows(each.readings, columns[number], target=each.target))
+        read = _read(each, R, p, real, errors[number])
+        tables.append(_table(scenario, number, block, robot, each, real, read, columns[number]))
+    return Measured(tuple(tables), tuple(causes), tuple(wrong), real)
+
+
+def _begun(
+    scenario: Scenario,
+    number: int,
+    machine: Machine,
+    real: Mapping[str, Real],
+    seen: Sight | None,
+    rng: np.random.Generator,
+) -> Rows:
+    """Rows of a block, the machine without its effects."""
+    block, truth = scenario.blocks[number], scenario.truth
+    place = f"{scenario.path}: {scenario.place(number)}"
+    kind, n = KINDS[block.kind], truth.n
+    bare, theta = machine.model()
+
+    def pose(label: np.ndarray) -> Pose:
+        return lambda q: bare.poses(theta, bare.rows(q, target=label))
+
+    if seen is not None and kind.name == "pixels":
+        names = seen.real["camera"].names
+        own = [names.index(block.camera)] if block.camera is not None else list(range(len(names)))
+        camera = np.array(own)[np.arange(n) % len(own)]
+
+        def tips(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            return pose(np.full(len(q), TIP))(q)
+
+        readings, shown = draw_images(seen, camera, tips, lambda m: draw_readings(machine.robot, m, rng), place)
+        shot, marker = np.nonzero(shown)
+        refers = np.column_stack([camera[shot], seen.board[camera[shot]], marker])
+        return Rows(kind, readings[shot], shot, refers, np.full(len(shot), TIP), np.zeros(len(shot)))
+    labels = _own(scenario, block)
+    shot = np.arange(n)
+    count = len(real[kind.roles[0].name].names) if kind.roles else 1
+    refers = (shot % count)[:, None][:, : len(kind.roles)]
+    target = np.array(labels)[shot // count % len(labels)]
+    gauge = truth.instruments.gauge if kind.name == "plane" else 0.0
+    rows = Rows(kind, np.zeros((n, 0)), shot, refers, target, rng.uniform(-gauge, gauge, n))
+    miss = rows.miss(real, np.zeros((n, 1)))
+    robot = machine.robot
+    readings = draw_readings(robot, n, rng) if miss is None else brought(robot, pose(target), miss, n, rng, place)
+    return replace(rows, readings=readings)
+
+
+def _errors(
+    scenario: Scenario, rows: Rows, noise: np.random.Generator, outliers: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
+    """Errors of the numbers that a block reads, shape (n, m), and which rows are grossly wrong, shape (n,) bool."""
+    truth, channels = scenario.truth, rows.kind.channels
+    n = len(rows.shot)
+    wrong = np.zeros(n, dtype=bool)
+    in_sigmas = noise.standard_normal((n, sum(channel.size for channel in channels)))
+    if truth.outliers is not None:
+        wrong[outliers.permutation(n)[: round(truth.outliers.share * n)]] = True
+        direction = outliers.standard_normal(in_sigmas.shape)
+        for part in parts_of(channels):
+            unit = direction[:, part] / np.linalg.norm(direction[:, part], axis=1, keepdims=True)
+            in_sigmas[wrong, part] += truth.outliers.size * unit[wrong]
+    sigma = np.repeat([getattr(truth.noise, c.name) for c in channels], [c.size for c in channels])
+    return in_sigmas * sigma, wrong
+
+
+def _with_effects(
+    scenario: Scenario,
+    machine: Machine,
+    rows: list[Rows],
+    real: Mapping[str, Real],
+    errors: Sequence[np.ndarray],
+    around: Surroundings,
+    chance: np.random.Generator,
+) -> tuple[list[Rows], list[Cause], Model, np.ndarray, list[dict[str, np.ndarray]]]:
+    """Effects, and readings with which the targets are where they must be although these act.
+
+    Effects depend on the readings, and these on the effects: both are found in turn, which is quick, as effects are small.
+
+    Returns:
+        The rows, the effects, the machine with them, its coefficients, and all columns of each block.
+    """
+    truth, robot = scenario.truth, machine.robot
+    names = dict.fromkeys((*truth.covariates, *columns_needed(truth.effects, robot)))
+    ends = np.cumsum([0, *(len(each.shot) for each in rows)])
+    shots = np.cumsum([0, *(int(each.shot.max()) + 1 for each in rows)])
+    shot = np.concatenate([each.shot + first for each, first in zip(rows, shots, strict=False)])
+    first_of_shot = np.unique(shot, return_index=True)[1]
+    lines, last = [], 0
+    for each in rows:  # as the reader counts them on through the files
+        lines.append(last + FIRST_LINE + np.arange(len(each.shot)))
+        last += FIRST_LINE + len(each.shot) - 1
+    touching = any(each.miss(real, e) is not None for each, e in zip(rows, errors, strict=True))
+    for _ in range(PASSES if touching and truth.effects else 1):
+        readings = np.concatenate([each.readings for each in rows])
+        of_shots = draw_columns(tuple(names), robot, readings[first_of_shot], truth.seed)
+        columns = {name: values[shot] for name, values in of_shots.items()}
+        causes, depends = make_causes(
+            truth.effects, robot, readings, columns, around, deepcopy(chance), f"{scenario.path}: truth",
+            np.concatenate(lines).astype(float),
+        )  # fmt: skip
+        model, true = machine.model(causes, around)
+        parts = [{name: values[low:high] for name, values in depends.items()} for low, high in pairwise(ends)]
+        rows = [_settled(each, model, true, part, real, e) for each, part, e in zip(rows, parts, errors, strict=True)]
+    return rows, causes, model, true, parts
+
+
+def _settled(
+    rows: Rows,
+    model: Model,
+    true: np.ndarray,
+    columns: Mapping[str, np.ndarray],
+    real: Mapping[str, Real],
+    errors: np.ndarray,
+) -> Rows:
+    """The rows with readings that bring their targets to where they must be, but for the errors."""
+    miss = rows.miss(real, errors * (rows.stroke == 0.0)[:, None])
+    if miss is None:
+        return rows
+
+    def pose(readings: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return model.poses(true, model.rows(readings, columns, target=rows.target))
+
+    readings = settled(pose, miss, rows.readings, np.ones(len(rows.shot), dtype=bool), NEWTON)
+    return replace(rows, readings=readings)
+
+
+def _read(
+    rows: Rows, R: np.ndarray, p: np.ndarray, real: Mapping[str, Real], errors: np.ndarray
+) -> dict[str, np.ndarray]:
+    """What the instrument reads, by the names of the columns."""
+    kind = rows.kind
+    if kind.name in OF_TARGETS:
+        found = dict(zip(POSITION, (p + errors[:, :3]).T, strict=True))
+        if kind.name == "pose":
+            turned = Rotation.from_rotvec(errors[:, 3:]) * Rotation.from_matrix(R, assume_valid=True)
+            found |= dict(zip(QUATERNION, turned.as_quat(canonical=True).T, strict=True))
+        return found
+    if kind.name == "inclination":
+        down = np.einsum("nji,j->ni", R, DOWN)
+        side = np.cross(down, np.eye(3)[np.argmin(np.abs(down), axis=1)])
+        side /= np.linalg.norm(side, axis=1, keepdims=True)
+        off = errors[:, :1] * side + errors[:, 1:] * np.cross(down, side)
+        return dict(zip(kind.read, (down + off).T, strict=True))
+    if kind.name == "plane" and not rows.stroke.any():
+        return {}
+    nothing = np.zeros((len(p), len(kind.read)))
+    predicted = nothing if kind.name == "point" else -kind.residual(R, p, nothing, rows.states(real))
+    return dict(zip(kind.read, (predicted + errors[:, : len(kind.read)]).T, strict=True))
+
+
+def _table(
+    scenario: Scenario,
+    number: int,
+    block: MeasurementSettings,
+    robot: Robot,
+    rows: Rows,
+    real: Mapping[str, Real],
+    read: Mapping[str, np.ndarray],
+    columns: Mapping[str, np.ndarray],
+) -> pd.DataFrame:
+    """The table of a block, columns named as the campaign names them."""
+    values: dict[str, np.ndarray] = dict(zip(robot.readings, rows.readings.T, strict=True))
+    for k, role in enumerate(rows.kind.roles):
+        told = role.name != "board" and not (role.name == "camera" and block.camera is not None)
+        if told:
+            values[role.name] = np.array(real[role.name].names)[rows.refers[:, k]]
+    if rows.kind.name == "pixels":
+        values[SHOT] = rows.shot + 1
+    elif len(_own(scenario, block)) > 1:
+        values[TARGET] = rows.target
+    wanted = dict.fromkeys((*scenario.truth.covariates, *columns_needed(scenario.truth.effects, robot)))
+    values |= dict(read) | {name: columns[name] for name in wanted}
+    names = [block.columns.get(name, name) for name in values]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise CampaignError(
+            f"{scenario.path}: {scenario.place(number)}: two columns would be called {twice[0]!r}: add `columns` to it"
+        )
+    return pd.DataFrame(dict(zip(names, values.values(), strict=True)))
