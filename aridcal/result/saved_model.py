@@ -150,9 +150,13 @@ class SavedModel:
         """Columns and units of the campaign's tables; those of FORMATS, in SI, if the record has no campaign."""
         settings = self._campaign.measurements if self._campaign else MeasurementSettings()
         changes: dict[str, Any] = {"kind": self.kind}
-        if settings.kind in KINDS and KINDS[settings.kind].roles:
-            # A table that was measured may be asked about as it is: its labels are none of a target's.
-            labels = {settings.columns.get(role.name, role.name) for role in KINDS[settings.kind].roles}
+        labels = {
+            block.columns.get(role.name, role.name)
+            for block in (self._campaign.blocks if self._campaign else ())
+            if block.kind in KINDS
+            for role in KINDS[block.kind].roles
+        }
+        if labels:  # a table that was measured may be asked about as it is: its labels are none of a target's
             changes["ignore"] = (*settings.ignore, *sorted(labels))
         return settings.model_copy(update=changes)
 
