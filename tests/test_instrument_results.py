@@ -447,6 +447,9 @@ def test_outliers_are_counted_by_block_and_by_thing() -> None:
 
 def test_every_kind_of_instrument_says_what_it_cannot_tell_and_what_would() -> None:
     assert set(BLIND) == set(MORE) == set(KINDS) - {"pose", "position"}
+    assert "a known distance from another" in section("loose")
+    assert "a longer known length" in section("point")
+    assert "directions of gravity tell no place" in section("inclination")
 
 
 def test_the_page_shows_in_a_browser_without_a_word_of_complaint(browser: chromium.Browser, tmp_path: Path) -> None:

@@ -37,6 +37,12 @@ MORE = {
 }
 """What one more measurement would tell, by kind."""
 
+MORE_WITH_SCALE = {
+    "point": "a longer known length, whose σ over its length is the scale's; points with known coordinates, for the world",
+    "pixels": "views of the board turned about all axes and at several distances; a board with known place, for the world",
+}
+"""The same where the scale is known already."""
+
 BLIND = {
     "point": "rotation of the target about itself; where base and points stand in the world",
     "distance": "rotation of the target about itself; a turn of the base and all anchors together",
@@ -55,7 +61,9 @@ def instruments(outcome: Outcome) -> Iterator[Content]:
         yield from _things(outcome, role, list(found))
     yield tag("h3", "What these instruments cannot tell")
     kinds = dict.fromkeys(block.kind for block in m.blocks)
-    lines = [[KINDS[kind].words, BLIND[kind], MORE[kind]] for kind in kinds if kind in BLIND]
+    scaled = known_scale(m) not in (None, np.inf)
+    more = MORE | (MORE_WITH_SCALE if scaled else {})
+    lines = [[KINDS[kind].words, BLIND[kind], more[kind]] for kind in kinds if kind in BLIND]
     if lines:
         yield table(["instrument", "cannot tell", "what would"], lines, "By kind of measurement", numbers=3)
     yield from _untold(outcome)
