@@ -445,6 +445,15 @@ def test_outliers_are_counted_by_block_and_by_thing() -> None:
     assert [row[5].text_content() for row in points if row[0].text_content() == label] == ["1"]
 
 
+def test_repeats_are_not_denied_where_they_are_not_asked_about() -> None:
+    outcome = found("distance")
+    m = outcome.measurements
+    twice = replace(outcome, measurements=replace(m, configuration=np.arange(len(m)) // 2))
+    denied = "No configuration was measured twice"
+    assert denied in join(list(data(outcome)))
+    assert denied not in join(list(data(twice)))
+
+
 def test_every_kind_of_instrument_says_what_it_cannot_tell_and_what_would() -> None:
     assert set(BLIND) == set(MORE) == set(KINDS) - {"pose", "position"}
     assert "a known distance from another" in section("loose")
