@@ -253,6 +253,21 @@ def test_what_no_row_tells_of_a_thing_is_redundant_with_the_rest_of_it() -> None
     assert values["w1", "scale"].status == "fixed"
 
 
+def test_a_thing_that_only_held_out_rows_refer_to_is_scored_and_has_no_place(tmp_path: Path) -> None:
+    arm = gauges.arm()
+    data = gauges.rows(arm, gauges.distances(arm, anchors=4))
+    outcome = gauges.outcome(tmp_path, arm, replace(data, test=data.test | (data.refers[:, 0] == "w3")))
+    numbers = result_document(outcome)["instruments"]["anchors"]["w3"]
+    assert [numbers[c]["value"] for c in ("x", "y", "z", "offset")] == [None] * 4
+    own = outcome.stages[-1].residual[data.refers[:, 0] == "w3"]
+    assert 0.5 * gauges.NOISE["distance"] < np.sqrt(np.mean(own**2)) < 2.0 * gauges.NOISE["distance"]
+    lines = html.fromstring(join(list(instruments(outcome)))).xpath(
+        '//table[starts-with(caption, "Anchors ")]/tbody/tr'
+    )
+    (line,) = ([cell.text_content() for cell in row] for row in lines if row[0].text_content() == "w3")
+    assert line[1:6] == ["not told"] * 4 + ["60"]
+
+
 # ---- at the target ---------------------------------------------------------------------------------------------------
 
 
