@@ -61,7 +61,7 @@ FIRST_DAMPING, MOST_DAMPING = 1e-4, 1e8
 
 SLACK = 0.5
 """Squares, in sigmas, by which the sum may grow where readings are what was observed: it is not what is minimised there, but
-nearly (see :func:`aridcal.fit.residual.agreeing`)."""
+nearly (see :func:`aridcal.fit.problem.agreeing`)."""
 
 VANISHED = 1e-2
 """Sigmas of a coefficient: a gradient that asks for less has vanished."""
