@@ -102,6 +102,8 @@ def refuse_misread(campaign: Campaign, robot: Robot, rows: Dataset, geometry: Ge
     Raises:
         NotOfThisRobot: naming the reading that fits, and the remedy.
     """
+    if rows.blocks:  # of these kinds no other readings are known
+        return
     train = rows.select(rows.train)
     labels = station_labels(campaign, rows)
     if geometry is not None:
