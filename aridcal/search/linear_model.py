@@ -21,6 +21,9 @@ from aridcal.search.evidence import Score, Solution, solve
 FAINT = 0.02
 """A mode that the data could move by less than this share of its prior is left out: nothing would be learnt of it."""
 
+PLAUSIBLE = 5e-3
+"""[m] and [rad] per unit of a basis: what joints, links and frames are wrong by in a way that changes is less."""
+
 FLAGGING = 6
 """Times that flags and coefficients are found in turn; two are usual."""
 
@@ -93,6 +96,11 @@ class LinearModel:
         sizes = [channel.size for channel in self.channels]
         return np.where(np.repeat(self.present, sizes, axis=1), residual, np.nan)
 
+    def prior_of(self, effect: Effect) -> float:
+        """Precision beforehand of an effect's coefficients: where unknown things take up much, huge ones may cancel out."""
+        of_arm = effect.where in (*self.own, "world_base", "tip_target")
+        return PLAUSIBLE**-2.0 if self.off is not None and of_arm else 0.0
+
     def slot_columns(self, where: str, component: str) -> np.ndarray:
         """Columns of one slot, shape (N, m)."""
         return self.G[:, :, self.slot_index[where, component]]
@@ -141,24 +149,25 @@ class Active:
         score: Its evidence, and its shape if it is smooth.
         modes: Coefficients of each mode, shape (d, modes); the coefficients themselves if it is not smooth.
         stated: True if the campaign declares it: it stays, whatever the evidence.
+        prior: Precision of each coefficient beforehand, if it is not smooth.
     """
 
     effect: Effect
     score: Score
     modes: np.ndarray
     stated: bool = False
+    prior: float = 0.0
 
     @property
     def precision(self) -> np.ndarray:
         """Prior precision of what is solved for."""
-        return (1.0 if self.effect.smooth else 0.0) * np.eye(self.modes.shape[1])
+        return (1.0 if self.effect.smooth else self.prior) * np.eye(self.modes.shape[1])
 
     @property
     def coefficient_precision(self) -> np.ndarray:
         """Prior precision of its coefficients, shape (d, d)."""
         if not self.effect.smooth:
-            d = len(self.effect.coefficients)
-            return np.zeros((d, d))
+            return self.prior * np.eye(len(self.effect.coefficients))
         return smooth_precision(self.effect.shape, self.score.tau, self.score.kernel)
 
     @property
@@ -288,7 +297,7 @@ def solve_state(
 def activate(model: LinearModel, state: State, effect: Effect, found: Score) -> Active:
     """Make a candidate ready to be solved for: of a smooth one, the modes of which the data say something."""
     if not effect.smooth:
-        return Active(effect, found, np.eye(len(effect.coefficients)))
+        return Active(effect, found, np.eye(len(effect.coefficients)), prior=model.prior_of(effect))
     root = kernel_root(effect.shape, found.kernel)
     noise = found.sigma if found.sigma is not None else state.solution.sigma
     whitened = model.columns(effect) / spread(noise, model.channels)[:, None]
