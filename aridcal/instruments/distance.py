@@ -14,7 +14,7 @@ workspace says more than they do."""
 ANCHOR = Role(
     name="anchor",
     components=("x", "y", "z", "offset", "scale"),
-    units=("m", "m", "m", "m", ""),
+    units=("m", "m", "m", "m", "1"),
     size=5,
     moved=added,
     slope=None,

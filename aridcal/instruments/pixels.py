@@ -79,7 +79,7 @@ def _camera_slope(state: np.ndarray, change: np.ndarray) -> np.ndarray:
 CAMERA = Role(
     name="camera",
     components=(*PLACE, *INTRINSICS),
-    units=(*PLACE_UNITS, "px", "px", "px", "px", "", "", "", "", ""),
+    units=(*PLACE_UNITS, "px", "px", "px", "px", "1", "1", "1", "1", "1"),
     size=22,
     moved=_camera_moved,
     slope=_camera_slope,

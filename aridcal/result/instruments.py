@@ -203,7 +203,7 @@ def _written(things: Things, name: str, state: np.ndarray, known: _Known, rows: 
         e1, e2 = transverse(now[None, :3])
         turned = np.stack([np.cross(e1, now[:3])[0], np.cross(e2, now[:3])[0]], axis=1)
         spread = np.sqrt(np.maximum(np.einsum("iu,uv,iv->i", turned, known.covariance[:2, :2], turned), 0.0))
-        components, units, std = (*NORMAL, "offset"), ("", "", "", "m"), np.append(spread, std[2])
+        components, units, std = (*NORMAL, "offset"), ("1", "1", "1", "m"), np.append(spread, std[2])
         tilts: Status = next((s for s in ("redundant", "identified") if s in status[:2]), "fixed")
         status = (tilts, tilts, tilts, status[2])
         partners = (partners[0], partners[0], partners[0], partners[2])
