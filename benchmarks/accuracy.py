@@ -37,7 +37,8 @@ from aridcal.effects.effect import FRAME_COMPONENTS, Coefficient
 from aridcal.fit.constants import constants
 from aridcal.fit.identifiable import identifiable
 from aridcal.fit.least_squares import Fit, fit
-from aridcal.fit.residual import problem, triangle
+from aridcal.fit.problem import problem
+from aridcal.fit.residual import triangle
 from aridcal.fit.stages import fit_geometry, recentred
 from aridcal.inputs.campaign import Campaign
 from aridcal.inputs.dataset import Dataset, dataset

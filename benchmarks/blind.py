@@ -34,7 +34,8 @@ from aridcal.effects.effect import Effect
 from aridcal.fit.identifiable import identifiable
 from aridcal.fit.least_squares import Fit, fit
 from aridcal.fit.normal_equations import Prior
-from aridcal.fit.residual import problem, triangle
+from aridcal.fit.problem import problem
+from aridcal.fit.residual import triangle
 from aridcal.instruments.channels import spread
 from aridcal.result.pipeline import judged
 from aridcal.search.arm import CalibratedArm, calibrated_arm, fit_constants

@@ -34,7 +34,7 @@ from instrument_cases import ARMS, WAYS, Made, elsewhere, made, noisy, scenario
 from aridcal.effects.effect import Effect
 from aridcal.errors import AridcalError
 from aridcal.fit.least_squares import Fit, fit
-from aridcal.fit.residual import problem
+from aridcal.fit.problem import problem
 from aridcal.fit.stages import fit_geometry
 from aridcal.instruments.channels import spread
 from aridcal.model.model import Model

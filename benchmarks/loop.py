@@ -36,7 +36,7 @@ from aridcal.effects.effect import Coefficient
 from aridcal.effects.loads import Surroundings
 from aridcal.fit.constants import constants
 from aridcal.fit.least_squares import Fit, fit
-from aridcal.fit.residual import problem
+from aridcal.fit.problem import problem
 from aridcal.inputs.campaign import Campaign
 from aridcal.inputs.dataset import Dataset, dataset
 from aridcal.model.model import Model

@@ -16,7 +16,7 @@ from aridcal.effects.effect import FRAME_COMPONENTS, Coefficient, Effect
 from aridcal.effects.loads import Surroundings, covariate_table
 from aridcal.errors import CampaignError
 from aridcal.fit.constants import constants
-from aridcal.fit.residual import problem
+from aridcal.fit.problem import problem
 from aridcal.inputs.campaign import Campaign
 from aridcal.inputs.dataset import Dataset, dataset
 from aridcal.instruments.channels import spread

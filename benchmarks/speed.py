@@ -34,7 +34,7 @@ from scipy.optimize import least_squares
 
 from aridcal.fit import stages
 from aridcal.fit.constants import constants
-from aridcal.fit.residual import problem
+from aridcal.fit.problem import problem
 from aridcal.inputs.campaign import Campaign, load_campaign
 from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.read import load_measurements

@@ -254,9 +254,14 @@ def outcome(folder: Path, of: Arm, data: Dataset, **changes: object) -> Outcome:
     keys: dict[str, object] = {
         "format": 1,
         "robot": {"urdf": "robot.urdf", "base": of.robot.base, "tip": of.robot.tip},
-        "measurements": {"file": "rows.csv", "kind": "position"},
+        "measurements": [
+            {"file": f"{block.name}.csv", "kind": block.kind, "name": block.name} for block in data.blocks
+        ],
         "diagnosis": {"enabled": False},
     }
+    if "camera" in data.instruments.things:
+        lens = dict(zip(("fx", "fy", "cx", "cy"), LENS.tolist(), strict=False))
+        keys["instruments"] = {"cameras": {"eye": lens | {"width": 640, "height": 480}}}
     path = folder / "campaign.yaml"
     path.write_text(yaml.safe_dump(keys | changes, sort_keys=False))
     with pytest.MonkeyPatch.context() as patched:

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from aridcal.effects.effect import FRAME_COMPONENTS, Coefficient
 from aridcal.fit.constants import constants
-from aridcal.fit.residual import Problem, problem
+from aridcal.fit.problem import Problem, problem
 from aridcal.inputs.campaign import Campaign
 from aridcal.inputs.dataset import Dataset, dataset
 from aridcal.inputs.yaml_file import parse_settings

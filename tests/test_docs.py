@@ -31,7 +31,7 @@ SEARCH_PAGE = DOCS / "how-the-search-works.md"
 THRESHOLD = re.compile(r"^\| `([A-Z_0-9]+)` \| ([^|]+) \| `([\w/]+)` \| [^|]{3,} \|$", re.MULTILINE)
 DECIDING_ROOMS = ("effects", "fit", "search")
 OTHER_DECIDERS = ("result/pipeline", "result/saving", "result/uncertainty", "inputs/split", "inputs/repeats")
-GEOMETRY = ("fit/doty1992",)
+GEOMETRY = ("robot/doty1992",)
 
 
 def text_of(page: Path) -> str:

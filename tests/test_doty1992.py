@@ -14,7 +14,10 @@ import pytest
 
 from aridcal.effects.effect import Coefficient
 from aridcal.errors import NotIdentifiable
-from aridcal.fit.doty1992 import (
+from aridcal.model.model import Model
+from aridcal.robot.chain import load_robot
+from aridcal.robot.doty import COMPONENTS, link_transform
+from aridcal.robot.doty1992 import (
     FRAME,
     JOINTS,
     ORBITER_TO_BASE,
@@ -31,9 +34,6 @@ from aridcal.fit.doty1992 import (
     solve_psi,
     start,
 )
-from aridcal.model.model import Model
-from aridcal.robot.chain import load_robot
-from aridcal.robot.doty import COMPONENTS, link_transform
 
 URDF = Path(__file__).parents[1] / "urdf"
 

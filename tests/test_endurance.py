@@ -22,7 +22,8 @@ from aridcal.effects.basis import Basis
 from aridcal.effects.effect import FRAME_COMPONENTS, Coefficient
 from aridcal.errors import CampaignError, MeasurementError
 from aridcal.fit.constants import constants
-from aridcal.fit.residual import linearise, problem
+from aridcal.fit.problem import problem
+from aridcal.fit.residual import linearise
 from aridcal.model import extended
 from aridcal.model.memory import Size, available_memory, check_memory
 from aridcal.model.model import Model

@@ -6,13 +6,13 @@ import pinocchio as pin
 import pytest
 from heads import ARID, OPTICS, START
 
-from aridcal.fit.doty1992 import ORBITER_TO_BASE, pose
 from aridcal.head.pose import doty_axes
 from aridcal.head.reduction import Seen, reduce_shots
 from aridcal.head.sonar import fit_plane, ranges
 from aridcal.head.square import CENTRES
 from aridcal.instruments.camera import DOTY_OPENCV, on_plane
 from aridcal.model.model import Model
+from aridcal.robot.doty1992 import ORBITER_TO_BASE, pose
 
 K = np.array([[700.0, 0, 255.5], [0, 700.0, 255.5], [0, 0, 1]])
 POINTS = np.column_stack([CENTRES, np.zeros(6)])

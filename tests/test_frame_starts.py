@@ -12,7 +12,7 @@ import robots
 
 from aridcal.fit.frame_starts import FrameStart, start_frames
 from aridcal.fit.least_squares import fit_identifiable
-from aridcal.fit.residual import problem
+from aridcal.fit.problem import problem
 from aridcal.fit.stages import fit_geometry
 from aridcal.inputs.campaign import load_campaign
 from aridcal.inputs.read import load_measurements

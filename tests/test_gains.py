@@ -9,7 +9,7 @@ import robots
 from aridcal.effects.basis import Basis
 from aridcal.effects.effect import Coefficient
 from aridcal.fit.least_squares import fit
-from aridcal.fit.residual import problem
+from aridcal.fit.problem import problem
 from aridcal.search.gains import refitted
 
 

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from aridcal.fit import held_back
 from aridcal.fit.least_squares import Fit, minimise
-from aridcal.fit.residual import problem
+from aridcal.fit.problem import problem
 from aridcal.model.rigid_bodies import targets_of_one_body
 from aridcal.result.pipeline import identify
 from aridcal.search.arm import fit_constants

@@ -10,7 +10,8 @@ from scipy.optimize import least_squares
 from aridcal.effects.effect import Coefficient
 from aridcal.fit.constants import constants
 from aridcal.fit.identifiable import Subset, identifiable
-from aridcal.fit.residual import problem, triangle
+from aridcal.fit.problem import problem
+from aridcal.fit.residual import triangle
 from aridcal.model.model import Model
 from aridcal.robot.chain import Robot, load_robot
 

@@ -17,7 +17,8 @@ from aridcal.fit.constants import constants
 from aridcal.fit.flags import FLOOR, OUTLIER, SUSPECT, flagged, robust_sigma
 from aridcal.fit.least_squares import fit, fit_identifiable, minimise, thin
 from aridcal.fit.normal_equations import Prior
-from aridcal.fit.residual import Problem, linearise, problem, triangle
+from aridcal.fit.problem import Problem, problem
+from aridcal.fit.residual import linearise, triangle
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.channels import TARGET_POSITION, TARGET_ROTATION
 from aridcal.instruments.pose import residuals

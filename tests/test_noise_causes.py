@@ -11,7 +11,7 @@ import robots
 from rich.console import Console
 from scipy.spatial.transform import Rotation
 
-from aridcal.fit.residual import problem
+from aridcal.fit.problem import problem
 from aridcal.identify import summary
 from aridcal.inputs.dataset import Dataset, RowNoise, weighed
 from aridcal.report.words import causes_in_words

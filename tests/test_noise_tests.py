@@ -11,7 +11,7 @@ from aridcal.effects.basis import Basis
 from aridcal.effects.effect import Coefficient
 from aridcal.fit.least_squares import Fit, fit
 from aridcal.fit.noise import Repeats, declared_notices
-from aridcal.fit.residual import problem
+from aridcal.fit.problem import problem
 from aridcal.inputs.dataset import Dataset, dataset
 from aridcal.search.noise_tests import Clue, clues
 

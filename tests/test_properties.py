@@ -23,7 +23,7 @@ from aridcal.effects.basis import Basis
 from aridcal.effects.effect import Coefficient
 from aridcal.effects.loads import Surroundings
 from aridcal.fit.constants import constants
-from aridcal.fit.residual import problem
+from aridcal.fit.problem import problem
 from aridcal.fit.stages import Geometry, fit_geometry
 from aridcal.head.sonar import predict_ranges
 from aridcal.inputs.campaign import Campaign, load_campaign

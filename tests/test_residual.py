@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from aridcal.effects.effect import FRAME_COMPONENTS, Coefficient
 from aridcal.fit.least_squares import fit
-from aridcal.fit.residual import problem, scaled, unscaled
+from aridcal.fit.problem import problem, scaled, unscaled
 from aridcal.head.detections import posed
 from aridcal.head.reduction import reduce_shots
 from aridcal.inputs.dataset import RowNoise, weighed

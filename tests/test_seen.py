@@ -18,7 +18,7 @@ from aridcal.effects.loads import Surroundings
 from aridcal.effects.smooth import Kernel, smooth_precision
 from aridcal.fit.least_squares import fit
 from aridcal.fit.normal_equations import Prior
-from aridcal.fit.residual import problem
+from aridcal.fit.problem import problem
 from aridcal.model.model import Model
 from aridcal.result.pipeline import identify
 from aridcal.result.predict import predict, read_query

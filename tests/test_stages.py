@@ -12,7 +12,7 @@ import robots
 from aridcal.effects.effect import LINK_COMPONENTS
 from aridcal.errors import AridcalError, MeasurementError
 from aridcal.fit.constants import constants, frame_coefficients, unused_links
-from aridcal.fit.residual import problem
+from aridcal.fit.problem import problem
 from aridcal.fit.stages import Geometry, fit_geometry, recentred
 from aridcal.inputs.dataset import RowNoise, dataset, weighed
 

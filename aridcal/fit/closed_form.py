@@ -9,13 +9,13 @@ import numpy as np
 from aridcal.effects.effect import LINK_COMPONENTS
 from aridcal.errors import NotIdentifiable
 from aridcal.fit.constants import stage_urdf
-from aridcal.fit.doty1992 import pose, start
 from aridcal.fit.least_squares import Fit
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.pose import residuals
 from aridcal.model.model import Model
 from aridcal.robot.chain import Robot, parse_robot
 from aridcal.robot.doty import doty_links
+from aridcal.robot.doty1992 import pose, start
 
 KINDS = ("prismatic", "revolute", "revolute", "revolute")
 """Of the joints of the ARID."""

@@ -6,7 +6,8 @@ import numpy as np
 
 from aridcal.fit.least_squares import Fit
 from aridcal.fit.normal_equations import RIDGE, accumulate, solve
-from aridcal.fit.residual import eliminated, problem
+from aridcal.fit.problem import problem
+from aridcal.fit.residual import eliminated
 from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.split import held_together
 from aridcal.instruments.channels import columns

@@ -13,7 +13,9 @@ from aridcal.fit.elimination import Groups
 from aridcal.fit.flags import FLOOR, flagged, limits, robust_sigma
 from aridcal.fit.identifiable import identifiable
 from aridcal.fit.normal_equations import TINY, NormalEquations, Prior, solve_with, with_prior
-from aridcal.fit.residual import Linearisation, Problem, linearise, triangle, weighted_squares
+from aridcal.fit.problem import Problem
+from aridcal.fit.problem import problem as ask
+from aridcal.fit.residual import Linearisation, linearise, triangle, weighted_squares
 from aridcal.instruments.channels import Channels
 from aridcal.model.model import Model, Rows
 
@@ -59,7 +61,7 @@ FIRST_DAMPING, MOST_DAMPING = 1e-4, 1e8
 
 SLACK = 0.5
 """Squares, in sigmas, by which the sum may grow where readings are what was observed: it is not what is minimised there, but
-nearly (see :func:`aridcal.fit.residual.agreeing`)."""
+nearly (see :func:`aridcal.fit.problem.agreeing`)."""
 
 VANISHED = 1e-2
 """Sigmas of a coefficient: a gradient that asks for less has vanished."""
@@ -239,11 +241,11 @@ def fit(
         rough = minimise(problem.select(some), theta, None, prior)
         theta, steps = rough.theta, rough.steps
         problem = things_again(replace(problem, states=rough.question.states), theta)
-        weight = _weights(flagged(problem.scaled_residual(theta), problem.channels, limit))
+        weight = np.where(flagged(problem.scaled_residual(theta), problem.channels, limit), 0.0, 1.0)
     for _ in range(FLAGGING):
         found = minimise(problem, theta, weight, prior)
         problem, theta, steps = found.question, found.theta, steps + found.steps
-        again = _weights(flagged(found.at.residual, problem.channels, limit)) if searching else weight
+        again = np.where(flagged(found.at.residual, problem.channels, limit), 0.0, 1.0) if searching else weight
         if np.array_equal(again, weight):
             break
         weight = again
@@ -346,16 +348,14 @@ def things_again(problem: Problem, theta: np.ndarray, weight: np.ndarray | None 
     return problem
 
 
-def _weights(outliers: np.ndarray) -> np.ndarray:
-    """Weights of rows, shape (N,): none for outliers, one for all others."""
-    return np.where(outliers, 0.0, 1.0)
-
-
 def _narrowed(problem: Problem, kept: Sequence[int]) -> Problem:
     """The same rows for fewer coefficients: their bases follow."""
     model = problem.model
     if len(kept) == len(model.coefficients):
         return problem
+    if problem.measured is not None:
+        narrow = ask(model.with_coefficients([model.coefficients[k] for k in kept]), problem.data, problem.progress)
+        return replace(narrow, states=problem.states)
     varies = [not c.basis.constant for c in model.coefficients]
     varying = [int(k) for k in np.flatnonzero(varies)]
     columns = [varying.index(k) for k in kept if k in varying]

@@ -14,7 +14,7 @@ from aridcal.fit.constants import constants, frame_coefficients, frame_labels, h
 from aridcal.fit.flags import robust_sigma
 from aridcal.fit.frame_starts import FrameStart, start_frames
 from aridcal.fit.least_squares import Fit, fit, fit_identifiable, minimise, thin
-from aridcal.fit.residual import Problem, problem, unscaled
+from aridcal.fit.problem import Problem, problem, unscaled
 from aridcal.fit.thing_starts import TIP, beginning
 from aridcal.inputs.campaign import Campaign, FrameSettings
 from aridcal.inputs.dataset import Dataset

@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 from aridcal.errors import AridcalError, NotOfThisRobot
 from aridcal.fit.constants import station_labels
 from aridcal.fit.flags import robust_sigma
-from aridcal.fit.residual import unscaled
+from aridcal.fit.problem import unscaled
 from aridcal.fit.stages import Geometry, fit_geometry, nominal_sigma
 from aridcal.inputs.campaign import Campaign
 from aridcal.inputs.dataset import Dataset

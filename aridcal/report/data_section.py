@@ -79,9 +79,11 @@ def _blocks(outcome: Outcome) -> Html:
     return table(head, lines, "Rows of each block", numbers=2)
 
 
-def _repeats(outcome: Outcome) -> Html:
-    """Scatter of configurations that were measured more than once."""
-    found = outcome.repeats
+def _repeats(outcome: Outcome) -> Content:
+    """Scatter of configurations that were measured more than once; nothing where that was not asked of such rows."""
+    found, m = outcome.repeats, outcome.measurements
+    if found is None and m.blocks and len(np.unique(m.configuration)) < len(m):
+        return ""
     if found is None:
         return tag(
             "p",

@@ -36,6 +36,7 @@ from aridcal.result.key_figures import (
     over_time,
     removed_shares,
     scored,
+    sigma_and_error,
     squared,
     steps,
 )
@@ -227,6 +228,15 @@ def checks(outcome: Outcome) -> Iterator[tuple[bool, str]]:
     yield from _fit_checks(outcome)
     for sentence in scale_in_words(outcome):
         yield known_scale(outcome.measurements) not in (None, math.inf), f"{sentence[0].upper()}{sentence[1:]}."
+    known = sigma_and_error(outcome) if outcome.measurements.blocks else None
+    if known is not None:
+        sigma, error = known
+        more = (
+            ""
+            if sigma < error
+            else f" The rows agree to {number(error, 2)} mm there: that is consistency, not accuracy."
+        )
+        yield sigma < error, f"The target is known to ± {number(sigma, 2)} mm (1σ in its worst direction).{more}"
     verified = another_day(outcome)
     if verified is not None:
         yield verified

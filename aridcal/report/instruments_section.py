@@ -9,7 +9,8 @@ import numpy as np
 
 from aridcal.fit.constants import has_world
 from aridcal.instruments.catalogue import KINDS
-from aridcal.report.html import Content, counted, number, plus_minus, table, tag
+from aridcal.instruments.pixels import ON_TIP
+from aridcal.report.html import Content, Html, counted, number, plus_minus, table, tag
 from aridcal.report.identified_section import codes
 from aridcal.report.words import scale_in_words, shown_in
 from aridcal.result.instruments import ThingValue, known_scale
@@ -36,6 +37,12 @@ MORE = {
 }
 """What one more measurement would tell, by kind."""
 
+MORE_WITH_SCALE = {
+    "point": "a longer known length, whose σ over its length is the scale's; points with known coordinates, for the world",
+    "pixels": "views of the board turned about all axes and at several distances; a board with known place, for the world",
+}
+"""The same where the scale is known already."""
+
 BLIND = {
     "point": "rotation of the target about itself; where base and points stand in the world",
     "distance": "rotation of the target about itself; a turn of the base and all anchors together",
@@ -54,7 +61,9 @@ def instruments(outcome: Outcome) -> Iterator[Content]:
         yield from _things(outcome, role, list(found))
     yield tag("h3", "What these instruments cannot tell")
     kinds = dict.fromkeys(block.kind for block in m.blocks)
-    lines = [[KINDS[kind].words, BLIND[kind], MORE[kind]] for kind in kinds if kind in BLIND]
+    scaled = known_scale(m) not in (None, np.inf)
+    more = MORE | (MORE_WITH_SCALE if scaled else {})
+    lines = [[KINDS[kind].words, BLIND[kind], more[kind]] for kind in kinds if kind in BLIND]
     if lines:
         yield table(["instrument", "cannot tell", "what would"], lines, "By kind of measurement", numbers=3)
     yield from _untold(outcome)
@@ -94,6 +103,8 @@ def _things(outcome: Outcome, role: str, values: list[ThingValue]) -> Iterator[C
     known = "as identified, ± 1σ" if shown else "at places that the campaign states"
     caption = f"{role.capitalize()}s {known}; the worst first"
     yield table([role, *heads, "rows", "outliers", f"own residual RMS [{unit}]"], lines, caption)
+    if role == "camera":
+        yield _carriers(outcome)
     if len(found) > MOST_THINGS:
         yield tag("p", tag("em", f"and {len(found) - MOST_THINGS:,} more; result.json lists them all"))
     lost = [f"{v.name}.{v.component}" for v in values if v.status == "redundant"]
@@ -104,6 +115,22 @@ def _things(outcome: Outcome, role: str, values: list[ThingValue]) -> Iterator[C
             f"No row tells {counted(len(lost), 'number')} of them apart from the rest: ", codes(lost[:MOST_NAMES]),
             f" and {rest:,} more" if rest > 0 else "", ". They stay where they began.", class_="look",
         )  # fmt: skip
+
+
+def _carriers(outcome: Outcome) -> Html:
+    """What cameras are fixed to: in its frame their places are."""
+    cameras = outcome.measurements.instruments.things["camera"]
+    on_tip = cameras.start[:, ON_TIP] > 0.5
+    said = []
+    for where, own, other in (
+        ("on the tip", on_tip, "stand in the world"),
+        ("in the world", ~on_tip, "are on the tip"),
+    ):
+        names = [name for name, here in zip(cameras.names, own, strict=True) if here]
+        if names:
+            verb = "stands" if len(names) == 1 else "stand"
+            said.append([codes(names), f" {verb} {where}, in whose frame the place is; boards and markers {other}. "])
+    return tag("p", said)
 
 
 def _value(v: ThingValue) -> str:
@@ -127,13 +154,14 @@ def _own_errors(outcome: Outcome, role: str) -> tuple[dict[str, tuple[float, int
         if role not in names:
             continue
         unit = outcome.channels[channel].shown
-        own = m.block == b
-        labels = m.refers[own, names.index(role)]
-        for name in np.unique(labels):
-            mine = np.flatnonzero(own)[labels == name]
-            sound = mine[~outcome.outlier[mine] & ~np.isnan(error[channel][mine])]
-            rms = float(np.sqrt(np.mean(error[channel][sound] ** 2))) if len(sound) else np.nan
-            found[str(name)] = rms, len(mine), len(mine) - int((~outcome.outlier[mine]).sum())
+        own = np.flatnonzero(m.block == b)
+        labels, thing = np.unique(m.refers[own, names.index(role)], return_inverse=True)
+        square, flagged = error[channel][own] ** 2, outcome.outlier[own]
+        sound = ~flagged & ~np.isnan(square)
+        every, wild, used = (np.bincount(thing[some], minlength=len(labels)) for some in (slice(None), flagged, sound))
+        total = np.bincount(thing[sound], square[sound], minlength=len(labels))
+        rms = np.sqrt(np.where(used > 0, total / np.maximum(used, 1), np.nan))
+        found |= dict(zip(labels.tolist(), zip(rms.tolist(), every.tolist(), wild.tolist(), strict=True), strict=True))
     return found, unit
 
 

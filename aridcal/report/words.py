@@ -87,9 +87,8 @@ def scale_in_words(outcome: Outcome) -> tuple[str, ...]:
     if known is None:
         return ("scale: none of these rows measures a length or a place; the arm's lengths stay nominal",)
     if np.isinf(known):
-        return (
-            "scale: unknown, for no length is: this is consistency, not accuracy. A known distance between two points gives it",
-        )
+        consistent = "scale: unknown, for no length is: this is consistency, not accuracy"
+        return (f"{consistent}. A known distance between two points or markers gives it",)
     if known == 0.0:
         return ()
     found = scale_std(outcome.stages[-1].fit, m.select(m.train))

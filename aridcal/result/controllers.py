@@ -14,7 +14,7 @@ from aridcal.effects.effect import Coefficient
 from aridcal.fit.constants import stage_urdf
 from aridcal.fit.least_squares import Fit, fit, fit_identifiable, thin
 from aridcal.fit.normal_equations import Prior
-from aridcal.fit.residual import Problem, problem
+from aridcal.fit.problem import Problem, problem
 from aridcal.fit.stages import recentred
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.channels import Channel, columns

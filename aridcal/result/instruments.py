@@ -16,7 +16,8 @@ import pinocchio as pin
 
 from aridcal.fit.elimination import Eliminated, Groups
 from aridcal.fit.least_squares import Fit
-from aridcal.fit.residual import Problem, linearise, problem
+from aridcal.fit.problem import Problem, problem
+from aridcal.fit.residual import linearise
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.catalogue import KINDS
 from aridcal.instruments.channels import columns

@@ -291,6 +291,19 @@ def generalisation(outcome: Outcome) -> float | None:
     return held_out / fitted if fitted > 0 else None
 
 
+def sigma_and_error(outcome: Outcome) -> tuple[float, float] | None:
+    """How well the target is known, and how far the rows are off, both at the target, [mm]; None where no row sees its place.
+
+    Returns:
+        The median 1-sigma of the target in its worst direction, and the RMS of the smallest shifts that explain the rows.
+    """
+    size = np.linalg.norm(outcome.at_target.shift(outcome.stages[-1].residual)[scored(outcome)[0]], axis=1)
+    size = size[~np.isnan(size)]
+    if not len(size):
+        return None
+    return 1e3 * float(np.median(outcome.precision.position)), 1e3 * statistics(size)["rms"]
+
+
 def pose_accuracy(outcome: Outcome, residual: np.ndarray) -> np.ndarray:
     """AP of ISO 9283 for each configuration among the rows of :func:`scored` that measure the target's position, [mm]."""
     position = of_positions(outcome.measurements, residual)

@@ -14,7 +14,7 @@ from aridcal.fit.constants import constants, frame_coefficients, station_labels,
 from aridcal.fit.flags import distance, robust_sigma
 from aridcal.fit.least_squares import Fit, fit
 from aridcal.fit.noise import Repeats, declared_notices, repeats
-from aridcal.fit.residual import problem, scaled, unscaled
+from aridcal.fit.problem import problem, scaled, unscaled
 from aridcal.fit.stages import Geometry, recentred
 from aridcal.head.detections import read_shots
 from aridcal.inputs.approach import with_directions

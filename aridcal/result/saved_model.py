@@ -21,6 +21,7 @@ from aridcal.errors import AridcalError, CampaignError, nearest, shortened
 from aridcal.inputs.campaign import Campaign
 from aridcal.inputs.measurement_settings import MeasurementSettings
 from aridcal.inputs.yaml_file import Limits, parse_settings
+from aridcal.instruments.catalogue import KINDS
 from aridcal.model.inverse import Command, InverseKinematics
 from aridcal.model.model import Frames, Model
 from aridcal.model.one_row import OneRowModel
@@ -148,7 +149,16 @@ class SavedModel:
     def measurements(self) -> MeasurementSettings:
         """Columns and units of the campaign's tables; those of FORMATS, in SI, if the record has no campaign."""
         settings = self._campaign.measurements if self._campaign else MeasurementSettings()
-        return settings.model_copy(update={"kind": self.kind})
+        changes: dict[str, Any] = {"kind": self.kind}
+        labels = {
+            block.columns.get(role.name, role.name)
+            for block in (self._campaign.blocks if self._campaign else ())
+            if block.kind in KINDS
+            for role in KINDS[block.kind].roles
+        }
+        if labels:  # a table that was measured may be asked about as it is: its labels are none of a target's
+            changes["ignore"] = (*settings.ignore, *sorted(labels))
+        return settings.model_copy(update=changes)
 
     @property
     def frames_by(self) -> Literal["station", "target"]:

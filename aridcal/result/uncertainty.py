@@ -9,7 +9,8 @@ import numpy as np
 from aridcal.fit.flags import distance, robust_sigma
 from aridcal.fit.least_squares import Fit, minimise
 from aridcal.fit.noise import contradicted
-from aridcal.fit.residual import BLOCK, Problem, linearise, problem
+from aridcal.fit.problem import BLOCK, Problem, problem
+from aridcal.fit.residual import linearise
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.channels import Channels
 from aridcal.model.model import Rows

@@ -12,7 +12,7 @@ from aridcal.effects.catalogue import KINDS
 from aridcal.effects.effect import Effect
 from aridcal.fit.flags import FLOOR, Cluster, cluster
 from aridcal.fit.least_squares import Fit
-from aridcal.fit.residual import problem
+from aridcal.fit.problem import problem
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.channels import spread
 from aridcal.search.noise_tests import Clue

@@ -12,7 +12,7 @@ from aridcal.effects.head_kinds import unit
 from aridcal.fit.closed_form import closed_form
 from aridcal.fit.least_squares import Fit
 from aridcal.fit.normal_equations import without
-from aridcal.fit.residual import problem
+from aridcal.fit.problem import problem
 from aridcal.head.detections import Shots
 from aridcal.inputs.dataset import Dataset
 from aridcal.result.outcome import Outcome

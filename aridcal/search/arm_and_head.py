@@ -9,7 +9,7 @@ import numpy as np
 from aridcal.effects.catalogue import is_of_head
 from aridcal.fit.closed_form import ClosedForm
 from aridcal.fit.least_squares import Fit, fit
-from aridcal.fit.residual import problem
+from aridcal.fit.problem import problem
 from aridcal.fit.stages import Geometry
 from aridcal.head.detections import Shots, posed
 from aridcal.head.reduction import Head, Reduced, reduce_shots

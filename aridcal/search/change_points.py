@@ -51,12 +51,31 @@ def step_points(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return before, 0.5 * (ordered[before - 1] + ordered[before])
 
 
+def _within_a_place(values: np.ndarray, group: np.ndarray, before: np.ndarray) -> np.ndarray:
+    """Which steps some group of things has enough rows on both sides of, shape (k,) bool.
+
+    A step between the rows of two places cannot be told from what else differs between these: each has an unknown of its own.
+
+    Args:
+        values: Of the covariate in the rows in use, shape (n,).
+        group: Of the same rows, shape (n,).
+        before: How many rows come before each step, shape (k,).
+    """
+    ordered = group[np.argsort(values, kind="stable")]
+    passed = np.cumsum(ordered[:, None] == np.unique(ordered), axis=0)
+    there = passed[before - 1]
+    return np.asarray(((there >= SIDE) & (passed[-1] - there >= SIDE)).any(axis=1))
+
+
 def best_steps(model: LinearModel, state: State, templates: Sequence[Effect]) -> list[Effect]:
     """The same effects, each with its step where the residual asks for it most; those that fit nowhere are left out."""
     found: dict[int, Effect] = {}
     for of in dict.fromkeys(e.covariates[0] for e in templates):
         values = model.table[of][state.used]
         before, points = step_points(values)
+        if model.off is not None:
+            inside = _within_a_place(values, model.off.group[state.used], before)
+            before, points = before[inside], points[inside]
         if not len(before):
             continue
         own = [e for e in templates if e.covariates[0] == of]

@@ -15,7 +15,7 @@ from aridcal.effects.smooth import Kernel
 from aridcal.effects.unknown_kind import pair
 from aridcal.fit.flags import cluster, flagged, limits
 from aridcal.fit.least_squares import Fit, thin
-from aridcal.fit.residual import problem
+from aridcal.fit.problem import problem
 from aridcal.inputs.campaign import Campaign
 from aridcal.inputs.dataset import Dataset
 from aridcal.search.change_points import best_steps

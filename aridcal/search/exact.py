@@ -15,7 +15,8 @@ from aridcal.fit.flags import flagged
 from aridcal.fit.identifiable import identifiable
 from aridcal.fit.least_squares import Fit, fit
 from aridcal.fit.normal_equations import Prior
-from aridcal.fit.residual import Problem, agreeing, problem, taking_off, triangle
+from aridcal.fit.problem import Problem, agreeing, problem
+from aridcal.fit.residual import taking_off, triangle
 from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.split import held_together
 from aridcal.model.model import Model

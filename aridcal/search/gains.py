@@ -13,7 +13,7 @@ from aridcal.effects.catalogue import Barred, merged
 from aridcal.effects.effect import ANGULAR, ROW_ORDER, Coefficient, Effect
 from aridcal.fit.least_squares import Fit, things_again
 from aridcal.fit.normal_equations import TINY, without
-from aridcal.fit.residual import Problem, problem
+from aridcal.fit.problem import Problem, problem
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.channels import Channels, columns
 from aridcal.search.diagnose import Diagnosed

@@ -18,7 +18,7 @@ from aridcal.effects.head_kinds import head_effect, moves
 from aridcal.errors import CampaignError, nearest
 from aridcal.fit.least_squares import Fit
 from aridcal.fit.normal_equations import RANK, NormalEquations, balanced
-from aridcal.fit.residual import problem, scaled
+from aridcal.fit.problem import problem, scaled
 from aridcal.head.reduction import Head, Reduced
 from aridcal.inputs.campaign import EffectDeclaration
 from aridcal.inputs.dataset import Dataset

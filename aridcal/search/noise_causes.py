@@ -20,7 +20,8 @@ from aridcal.effects.basis import Basis
 from aridcal.effects.effect import Coefficient
 from aridcal.fit.flags import FLOOR
 from aridcal.fit.least_squares import Fit, thin
-from aridcal.fit.residual import Problem, eliminated, moved_by, problem, scaled
+from aridcal.fit.problem import Problem, problem, scaled
+from aridcal.fit.residual import eliminated, moved_by
 from aridcal.fit.variance_components import Components, Scatter, estimate, one_more
 from aridcal.inputs.dataset import Dataset, factors
 from aridcal.instruments.channels import TARGET_POSITION, TARGET_ROTATION, columns, spread

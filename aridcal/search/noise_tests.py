@@ -21,7 +21,8 @@ from aridcal.fit.flags import FLOOR
 from aridcal.fit.least_squares import Fit
 from aridcal.fit.noise import Repeats
 from aridcal.fit.normal_equations import TINY
-from aridcal.fit.residual import moved_by, problem
+from aridcal.fit.problem import problem
+from aridcal.fit.residual import moved_by
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.channels import columns, spread
 from aridcal.search.change_points import SIDE

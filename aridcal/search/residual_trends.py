@@ -14,7 +14,8 @@ from aridcal.effects.loads import covariate_table
 from aridcal.fit.flags import FLOOR
 from aridcal.fit.least_squares import Fit
 from aridcal.fit.normal_equations import TINY
-from aridcal.fit.residual import moved_by, problem, scaled
+from aridcal.fit.problem import problem, scaled
+from aridcal.fit.residual import moved_by
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.channels import spread
 from aridcal.search.noise_tests import rms_of_channels
