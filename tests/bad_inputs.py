@@ -540,8 +540,8 @@ SCENARIOS: dict[str, tuple[Spoil, str]] = {
         "units: the table is written in SI; delete",
     ),
     "sockets": (
-        key("scenario.yaml", "measurements", {"kind": "point"}),
-        "measurements: one block of pose.* is simulated",
+        key("scenario.yaml", "truth.instruments", {"points": 3}),
+        "truth.instruments: no row refers to such things",
     ),
     "stations": (key("scenario.yaml", "frames.world_base.per", "station"), "stations are not simulated; delete"),
     "two columns of one name": (key("scenario.yaml", "measurements.columns", {"x": "y"}), "would be called 'y'"),

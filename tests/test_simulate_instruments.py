@@ -302,6 +302,8 @@ def test_the_command_writes_a_campaign_that_holds_no_truth(tmp_path: Path) -> No
         ({"kind": "point"}, {}, {"instruments": {"points": {"far": [9, 9, 9]}}}, "the arm does not reach"),
         ({"kind": "pose"}, {}, {"instruments": {"points": 3}}, "truth.instruments: no row refers"),
         ({"kind": "pixels"}, {"cameras": {"eye": EYE}}, {"instruments": {"cameras": {"ear": {}}}}, "name the same"),
+        ({"kind": "distance"}, {"anchors": {"rail": {}}},
+         {"effects": [{"kind": "distance_scale", "where": "rail", "coefficients": 1e-3}]}, "under `truth.instruments`"),
         ([{"kind": "point"}, {"kind": "distance", "units": {"length": "mm"}}], {}, {}, "the table is written in SI"),
         ({"kind": "pixels"}, {"cameras": {"eye": EYE}, "markers": {"file": "markers.csv"}},
          {"instruments": {"board": {"xyz": [50, 0, 0]}}}, "hardly any posture"),

@@ -31,7 +31,7 @@ from aridcal.prepare.true_things import Real, true_anchors, true_planes, true_po
 from aridcal.reading.table_files import FIRST_LINE
 from aridcal.robot.chain import Robot
 
-REACHED = 200
+REACHED = 1000
 """Postures drawn to see where the arm reaches."""
 
 WELL = (0.25, 0.75)

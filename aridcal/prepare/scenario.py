@@ -97,6 +97,10 @@ def check_scenario(scenario: Scenario) -> None:
             measurements.kind == "camera_sonar" and bool(truth.frames.targets),
             "`kind: camera_sonar` has its target at the tip; delete this key",
         ),
+        "truth.effects.where": (
+            any(e.where in names for e in truth.effects for names in scenario.instruments.declared.values()),
+            "what an instrument is like is said under `truth.instruments`; delete this effect",
+        ),
         "truth.instruments": (
             truth.instruments != TrueThings() and not scenario.refers,
             "no row refers to such things; delete this key",

@@ -29,7 +29,7 @@ AROUND = np.array([0.4, 0.3, 0.1])
 AWAY = (1.2, 1.8)
 """How far from the middle of the workspace anchors are drawn, in its RMS radius."""
 
-DIRECTIONS = 50
+DIRECTIONS = 500
 """In which a point is sought at a known distance from another: the one that leads nearest to where the arm reaches is taken."""
 
 OFFSETS = (0.0, 0.1)
