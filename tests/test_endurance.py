@@ -184,7 +184,7 @@ def test_columns_that_move_no_row_of_a_block_change_no_sum(monkeypatch: pytest.M
     theta, sigma = np.zeros(len(every)), np.ones(2)
     dense = linearise(asked, theta, None, sigma).equations
     monkeypatch.setattr("aridcal.fit.residual.MANY", 0)
-    monkeypatch.setattr("aridcal.fit.residual.BLOCK", 7)
+    monkeypatch.setattr("aridcal.fit.problem.BLOCK", 7)
     sparse = linearise(asked, theta, None, sigma).equations
     np.testing.assert_allclose(sparse.AA, dense.AA, rtol=1e-12, atol=1e-12)
     np.testing.assert_allclose(sparse.Ar, dense.Ar, rtol=1e-12, atol=1e-12)
