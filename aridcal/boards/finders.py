@@ -194,13 +194,10 @@ def misplaced(numbers: np.ndarray, quads: np.ndarray, board: Board) -> float:
     own = numbers < len(drawn.getIds())
     if own.sum() < FEWEST_MARKERS:
         return np.inf
-    corners = np.asarray(drawn.getObjPoints(), dtype=float)[numbers[own], :, :2]  # y down, as pixels
-    H, off = _homography(corners.reshape(-1, 2) / board.square, quads[own].reshape(-1, 2))
-    return (
-        np.inf
-        if H is None
-        else off / float(np.sqrt(abs(np.linalg.det(_local(H, corners.mean(axis=(0, 1)) / board.square)))))
-    )
+    corners = np.asarray(drawn.getObjPoints(), dtype=float)[numbers[own], :, :2] / board.square
+    # From pixels to squares, so that a fit that maps all to one place is a bad one.
+    _, off = _homography(quads[own].reshape(-1, 2), corners.reshape(-1, 2))
+    return off
 
 
 def _find_grid(image: np.ndarray, board: Chessboard | Circles) -> Found:
@@ -364,7 +361,7 @@ def _refuse_blur(image: np.ndarray, starts: np.ndarray, ends: np.ndarray, most: 
 
 
 def _homography(places: np.ndarray, pixels: np.ndarray) -> tuple[np.ndarray | None, float]:
-    """Least squares homography from places to pixels, each of shape (M, 2), and its RMS misfit [px]."""
+    """Least squares homography from places to pixels, each of shape (M, 2), and its RMS misfit in units of the latter."""
     H, _ = cv2.findHomography(places, pixels, 0)
     if H is None or not np.isfinite(H).all():
         return None, np.inf
