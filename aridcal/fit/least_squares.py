@@ -15,7 +15,7 @@ from aridcal.fit.identifiable import identifiable
 from aridcal.fit.normal_equations import TINY, NormalEquations, Prior, solve_with, with_prior
 from aridcal.fit.problem import Problem
 from aridcal.fit.problem import problem as ask
-from aridcal.fit.residual import Linearisation, linearise, triangle, weighted_squares
+from aridcal.fit.residual import Linearisation, linearise, things_again, triangle, weighted_squares
 from aridcal.instruments.channels import Channels
 from aridcal.model.model import Model, Rows
 
@@ -46,9 +46,6 @@ FEWEST = 10
 
 FLAGGING = 8
 """Times that flags and fit are found in turn; three are usual."""
-
-THINGS = 4
-"""Steps that find things anew where the coefficients stay; their rows are nearly linear in them."""
 
 RESELECTIONS = 4
 """Times that the identifiable set and the fit are found in turn; two are usual."""
@@ -330,22 +327,6 @@ def thin(rows: Rows, most: int, groups: Groups | None = None) -> np.ndarray:
         share = max(most * len(own) // len(rows), min(len(own), FEWEST))
         chosen.append(rng.choice(own, share, replace=False))
     return np.sort(np.concatenate(chosen))
-
-
-def things_again(problem: Problem, theta: np.ndarray, weight: np.ndarray | None = None) -> Problem:
-    """The same with the things found anew where the coefficients are theta.
-
-    Args:
-        problem: N rows.
-        theta: Shape (K,).
-        weight: Of each row, shape (N,); None: robustly, from all.
-    """
-    if problem.groups is None:
-        return problem
-    for _ in range(THINGS):
-        scale = robust_sigma(problem.scaled_residual(theta), problem.channels)
-        problem = problem.stepped(linearise(problem, theta, weight, scale).step_of_groups(np.zeros(len(theta))))
-    return problem
 
 
 def _narrowed(problem: Problem, kept: Sequence[int]) -> Problem:

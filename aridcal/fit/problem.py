@@ -16,11 +16,12 @@ from aridcal.fit.elimination import (
     known,
     moved,
 )
+from aridcal.fit.normal_equations import TINY
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.channels import Channels
 from aridcal.instruments.pose import residuals
 from aridcal.instruments.setup import Instruments
-from aridcal.model.measured import Measured, States, located, measured
+from aridcal.model.measured import Measured, Slopes, States, located, measured
 from aridcal.model.model import Model, Rows
 from aridcal.showing import SILENT, Progress
 
@@ -33,7 +34,10 @@ AGREEING = 6
 LARGEST = 0.1
 """[rad] and [m] from a reading to where its measurement agrees: farther is no small correction."""
 
-ALONG = 1e-2
+ENOUGH = 1e-4
+"""[rad] and [m] of a step after which rows agree to its square: no column is then off by more than rounding shows."""
+
+ALONG = 1e-4
 """Share of a row's largest lever below which no reading is moved along a direction: near a singularity it would go far."""
 
 
@@ -141,25 +145,42 @@ class Problem:
                 # log(exp(r) exp(-w)) = r - (w + r x w / 2 + ...): matters only where a row's axes weigh unequally.
                 J[:, 3:] += 0.5 * np.cross(r[:, 3:, None], J[:, 3:], axis=1)
             return Pieces(scaled(r, relative), scaled(J, relative), np.zeros((*r.shape, 0)), rows.positions)
-        here, (model, wide) = self.measured[part], self.wide
+        here = self.measured[part]
         R, p = self.model.poses(theta, rows)
         states, _ = located(here, R, p, theta, rows, self.states)
         r = np.nan_to_num(here.residual(R, p, theta, rows, states))
-        at = rows.positions if self.agreed is None else self.agreed[part]
-        count = len(theta)
-        beyond = np.zeros(len(model.coefficients) - count)
-        R, p, J = model.jacobian(np.concatenate([theta, beyond]), replace(wide[part], positions=at))
-        slopes = here.slopes(R, p, theta, rows, states)
-        J = slopes.by_twist @ J
+        slopes, J, at = self._where_they_agree(theta, part, states)
         for c, column in zip(here.moved, slopes.by_moved, strict=True):
             J[:, :, c.index] = column
         B = self.groups.columns(slopes.by_thing, part) if self.groups is not None else np.zeros((*r.shape, 0))
+        return Pieces(scaled(r, relative), scaled(J, relative), scaled(B, relative), at)
+
+    def nearer(self, theta: np.ndarray) -> Problem:
+        """The same, differentiated nearer to where measurements and model agree."""
+        states = self.settled(theta).states
+        at = [self._where_they_agree(theta, block, states)[2] for block in self.blocks()]
+        return replace(self, agreed=np.concatenate(at))
+
+    def _where_they_agree(
+        self, theta: np.ndarray, part: slice, states: States
+    ) -> tuple[Slopes, np.ndarray, np.ndarray]:
+        """How a stretch of rows changes there, columns of the coefficients (n, m, K), and positions nearer to it (n, joints)."""
+        assert self.measured is not None and self.wide is not None
+        (model, wide), rows, count = self.wide, self.rows[part], len(theta)
+        at = rows.positions if self.agreed is None else self.agreed[part]
+        beyond = np.zeros(len(model.coefficients) - count)
+        R, p, J = model.jacobian(np.concatenate([theta, beyond]), replace(wide[part], positions=at))
+        slopes = self.measured[part].slopes(R, p, theta, rows, states)
+        J = slopes.by_twist @ J
         own, seen = J[:, :, count:], np.nan_to_num(slopes.residual)
         # The shortest way from the readings: what is left here, and what has been gone already.
         asked = seen + np.einsum("nmj,nj->nm", own, at - rows.positions)
-        off = np.einsum("njm,nm->nj", np.linalg.pinv(own, rcond=ALONG), asked)
-        at = rows.positions + np.clip(off, -LARGEST, LARGEST)
-        return Pieces(scaled(r, relative), scaled(J[:, :, :count], relative), scaled(B, relative), at)
+        back = own.transpose(0, 2, 1)
+        square = own @ back
+        # Damped along weak levers: near a singularity, or where a kind asks for more than the joints can give.
+        weak = ALONG**2 * np.einsum("nmm->n", square)[:, None, None] * np.eye(square.shape[1])
+        off = (back @ np.linalg.solve(square + weak + TINY * np.eye(square.shape[1]), asked[:, :, None]))[:, :, 0]
+        return slopes, J[:, :, :count], rows.positions + np.clip(off, -LARGEST, LARGEST)
 
     @property
     def instruments(self) -> Instruments:
@@ -191,7 +212,7 @@ class Problem:
 
     def settled(self, theta: np.ndarray) -> Problem:
         """The same with the things that the model does not know found from these rows alone."""
-        if self.measured is None:
+        if self.measured is None or not any(np.isnan(state).any() for state in self.states.values()):
             return self
         R, p = self.model.poses(theta, self.rows)
         return replace(self, states=located(self.measured, R, p, theta, self.rows, self.states)[0])
@@ -238,10 +259,13 @@ def agreeing(question: Problem, theta: np.ndarray) -> Problem:
     """
     if question.measured is None:
         return question
-    question = replace(question, agreed=question.rows.positions)
+    before = question.rows.positions if question.agreed is None else question.agreed
     for _ in range(AGREEING):
-        at = [question.pieces(theta, block).agreed for block in question.blocks()]
-        question = replace(question, agreed=np.concatenate(at))
+        question = question.nearer(theta)
+        assert question.agreed is not None
+        moved, before = np.abs(question.agreed - before).max(initial=0.0), question.agreed
+        if moved < ENOUGH:
+            break
     return question
 
 

@@ -16,10 +16,13 @@ from aridcal.fit.elimination import (
     solved,
     tied_columns,
 )
-from aridcal.fit.flags import cauchy
+from aridcal.fit.flags import cauchy, robust_sigma
 from aridcal.fit.normal_equations import NormalEquations
 from aridcal.fit.problem import Problem, agreed, scaled
 from aridcal.instruments.channels import Channels, columns, spread
+
+THINGS = 4
+"""Steps that find things anew where the coefficients stay; their rows are nearly linear in them."""
 
 MANY = 300
 """Coefficients from which those are sought that move none of a block's rows: an ordinary arm has no such ones, and fewer cost
@@ -180,13 +183,46 @@ def taking_off(question: Problem, theta: np.ndarray, weight: np.ndarray, sigma: 
 
 def triangle(question: Problem, theta: np.ndarray, weight: np.ndarray, sigma: np.ndarray) -> np.ndarray:
     """Upper triangle R of the whitened Jacobian's QR, shape (<= K, K): all that rank and covariance need."""
+    question = agreed(question, theta)
     per_number = spread(1.0 / sigma, question.channels)
-    R = np.empty((0, len(theta)))
+    R, found = np.empty((0, len(theta))), None
     beforehand = question.beforehand()
     if beforehand is not None:
         found = linearise(question, theta, weight, sigma).groups
         R = R if found is None else tied_columns(found, beforehand)
-    for block, r, J in eliminated(question, theta, weight, sigma):
+    for block in question.blocks():
+        part = question.pieces(theta, block)
+        r, J = part.r, part.J
+        if found is not None:
+            r, J = found.rows(question.group_of(block), part.B, J, r)
         whitened = J * (np.sqrt(weight[block])[:, None] * per_number)[:, :, None]
         R = np.asarray(np.linalg.qr(np.vstack([R, whitened.reshape(r.size, len(theta))]), mode="r"))
     return R
+
+
+def things_again(question: Problem, theta: np.ndarray, weight: np.ndarray | None = None) -> Problem:
+    """The same with the things found anew where the coefficients are theta.
+
+    Args:
+        question: N rows.
+        theta: Shape (K,).
+        weight: Of each row, shape (N,); None: robustly, from all.
+    """
+    seen, groups = question.measured, question.groups
+    if seen is None or groups is None:
+        return question
+    R, p = question.model.poses(theta, question.rows)
+    question = question.settled(theta)
+    channels, everything = question.channels, slice(None)
+    for _ in range(THINGS):
+        slopes = seen.slopes(R, p, theta, question.rows, question.states)
+        r = scaled(slopes.residual, question.data.relative)
+        B = scaled(groups.columns(slopes.by_thing, everything), question.data.relative)
+        scale = robust_sigma(r, channels)
+        root = np.sqrt(cauchy(r, scale, channels) if weight is None else weight)[:, None]
+        sums, beforehand = _sums(question, 0), question.beforehand()
+        assert sums is not None and beforehand is not None
+        empty = np.zeros((*r.shape, 0))
+        sums.add(groups.row, B * root[:, :, None], empty, np.nan_to_num(r) * root, channels)
+        question = question.stepped(solved(sums, groups, beforehand, scale).y)
+    return question

@@ -11,9 +11,10 @@ import numpy as np
 from aridcal.effects.basis import evaluate
 from aridcal.effects.catalogue import Barred, merged
 from aridcal.effects.effect import ANGULAR, ROW_ORDER, Coefficient, Effect
-from aridcal.fit.least_squares import Fit, things_again
+from aridcal.fit.least_squares import Fit
 from aridcal.fit.normal_equations import TINY, without
 from aridcal.fit.problem import Problem, problem
+from aridcal.fit.residual import things_again
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.channels import Channels, columns
 from aridcal.search.diagnose import Diagnosed
