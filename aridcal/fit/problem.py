@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -145,11 +145,17 @@ class Problem:
                 # log(exp(r) exp(-w)) = r - (w + r x w / 2 + ...): matters only where a row's axes weigh unequally.
                 J[:, 3:] += 0.5 * np.cross(r[:, 3:, None], J[:, 3:], axis=1)
             return Pieces(scaled(r, relative), scaled(J, relative), np.zeros((*r.shape, 0)), rows.positions)
-        here = self.measured[part]
-        R, p = self.model.poses(theta, rows)
-        states, _ = located(here, R, p, theta, rows, self.states)
-        r = np.nan_to_num(here.residual(R, p, theta, rows, states))
-        slopes, J, at = self._where_they_agree(theta, part, states)
+        here, at = self.measured[part], rows.positions
+        if here.conditions.any():
+            R, p = self.model.poses(theta, rows)
+            states, _ = located(here, R, p, theta, rows, self.states)
+            r = np.nan_to_num(here.residual(R, p, theta, rows, states))
+            slopes, J, at = self._where_they_agree(theta, part, states)
+        else:
+            R, p, J = _each_once(lambda some: self.model.jacobian(theta, some), rows)
+            states, _ = located(here, R, p, theta, rows, self.states)
+            slopes = here.slopes(R, p, theta, rows, states)
+            r, J = np.nan_to_num(slopes.residual), slopes.by_twist @ J
         for c, column in zip(here.moved, slopes.by_moved, strict=True):
             J[:, :, c.index] = column
         B = self.groups.columns(slopes.by_thing, part) if self.groups is not None else np.zeros((*r.shape, 0))
@@ -180,6 +186,7 @@ class Problem:
         # Damped along weak levers: near a singularity, or where a kind asks for more than the joints can give.
         weak = ALONG**2 * np.einsum("nmm->n", square)[:, None, None] * np.eye(square.shape[1])
         off = (back @ np.linalg.solve(square + weak + TINY * np.eye(square.shape[1]), asked[:, :, None]))[:, :, 0]
+        off[~self.measured[part].conditions] = 0.0
         return slopes, J[:, :, :count], rows.positions + np.clip(off, -LARGEST, LARGEST)
 
     @property
@@ -245,6 +252,17 @@ def problem(model: Model, data: Dataset, progress: Progress = SILENT) -> Problem
     return Problem(model, data, rows, progress, seen, groups(seen), states, (wide, at))
 
 
+def _each_once(ask: Callable[[Rows], tuple[np.ndarray, np.ndarray, np.ndarray]], rows: Rows) -> tuple[np.ndarray, ...]:
+    """What a model says of rows, one of several that follow one another alike asked for all: the marks in one image."""
+    told = np.column_stack([rows.positions, rows.phi, rows.world, rows.tip])
+    new = np.ones(len(rows), dtype=bool)
+    new[1:] = np.any(told[1:] != told[:-1], axis=1)
+    if new.all():
+        return ask(rows)
+    number = np.cumsum(new) - 1
+    return tuple(said[number] for said in ask(rows[np.flatnonzero(new)]))
+
+
 def agreed(question: Problem, theta: np.ndarray) -> Problem:
     """The same question, differentiated where measurements and model agree; see :func:`agreeing`."""
     return question if question.agreed is not None else agreeing(question, theta)
@@ -257,8 +275,8 @@ def agreeing(question: Problem, theta: np.ndarray) -> Problem:
     or shrinks the residual, and would look as if it explained it; where the residual is zero its columns are zero. These are
     the derivatives of the Gauss-Helmert model (Helmert 1872): readings were observed, and a measurement is a condition on them.
     """
-    if question.measured is None:
-        return question
+    if question.measured is None or not question.measured.conditions.any():
+        return replace(question, agreed=question.rows.positions)
     before = question.rows.positions if question.agreed is None else question.agreed
     for _ in range(AGREEING):
         question = question.nearer(theta)

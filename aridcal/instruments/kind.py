@@ -87,6 +87,8 @@ class Kind:
         derivatives: The same with its derivatives.
         located: Where a thing of the last role is, from the target's poses; None for a kind without roles.
         turns: False if the target's own rotation does not matter: it is a point.
+        condition: True where a row says that a condition holds (the target is in the socket, on the plate): what was observed
+            are then the readings of the joints.
     """
 
     name: str
@@ -98,6 +100,7 @@ class Kind:
     derivatives: Derivatives
     located: Located | None
     turns: bool = False
+    condition: bool = False
 
 
 def points_twist(by_point: np.ndarray) -> np.ndarray:

@@ -113,5 +113,13 @@ def _located(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States)
 
 
 PLANAR = Kind(
-    "plane", "the target's height over a plane", (LENGTH,), ("reading",), (PLANE,), _residual, _seen, _located
+    "plane",
+    "the target's height over a plane",
+    (LENGTH,),
+    ("reading",),
+    (PLANE,),
+    _residual,
+    _seen,
+    _located,
+    condition=True,
 )

@@ -26,4 +26,14 @@ def _located(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States)
     return np.asarray(p.mean(axis=0)) if len(p) else np.full(3, np.nan)
 
 
-TOUCHED = Kind("point", "the target in a fixed point", (TARGET_POSITION,), (), (POINT,), _residual, _seen, _located)
+TOUCHED = Kind(
+    "point",
+    "the target in a fixed point",
+    (TARGET_POSITION,),
+    (),
+    (POINT,),
+    _residual,
+    _seen,
+    _located,
+    condition=True,
+)

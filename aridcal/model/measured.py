@@ -98,6 +98,12 @@ class Measured:
         """The same for a model of other coefficients."""
         return replace(self, moved=_moved(model))
 
+    @property
+    def conditions(self) -> np.ndarray:
+        """Rows that say that a condition holds, shape (N,) bool."""
+        of_block = np.array([KINDS[block.kind].condition for block in self.blocks], dtype=bool)
+        return np.asarray(of_block[self.block])
+
     def of_kind(self, number: int) -> tuple[Kind, np.ndarray]:
         """The kind of a block, and the numbers of its rows."""
         return KINDS[self.blocks[number].kind], np.flatnonzero(self.block == number)
