@@ -41,8 +41,8 @@ def frame_labels(where: str, settings: FrameSettings, labels: tuple[str, ...], d
 
 
 def has_world(data: Dataset) -> bool:
-    """True if something is known or measured in the world frame; otherwise that is the robot's base frame."""
-    posed = any(block.kind in ("pose", "position") for block in data.blocks)
+    """True if something is known or measured in the world frame, its vertical at least; otherwise that is the base frame."""
+    posed = any(block.kind in ("pose", "position", "inclination") for block in data.blocks)
     return not data.blocks or posed or data.instruments.world
 
 

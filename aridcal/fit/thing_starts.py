@@ -7,11 +7,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
+from scipy.spatial.transform import Rotation
 
-from aridcal.errors import NotIdentifiable
+from aridcal.errors import MeasurementError, NotIdentifiable
 from aridcal.fit.frame_starts import start_frames
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.alignment import aligned
+from aridcal.instruments.catalogue import KINDS
+from aridcal.instruments.inclination import DOWN
 from aridcal.instruments.kind import Kind
 from aridcal.instruments.setup import Things
 from aridcal.instruments.starts import Start, starts
@@ -73,10 +76,14 @@ def beginning(
     if posed.any():
         found = _from_poses(data, R, p, tip, np.flatnonzero(posed), hints, found, world)
         placed = True
-    for b, block in enumerate(seen.blocks):
+    order = sorted(range(len(seen.blocks)), key=lambda b: seen.blocks[b].kind != "inclination")  # it knows the vertical
+    for b in order:
+        block = seen.blocks[b]
         if block.kind in ("pose", "position"):
             continue
         kind, own = seen.of_kind(b)
+        if block.kind == "inclination" and world is None and not posed.any():
+            found = replace(found, world_base=_levelled(seen, own, R, p, hints, tip, held))
         targets = sorted(np.unique(tip[own]).tolist(), key=lambda k: -int((tip[own] == k).sum()))
         for k in targets:
             rows = _some(own[tip[own] == k], seen, kind)
@@ -95,7 +102,63 @@ def beginning(
             for name, state in start.states.items():
                 states[name] = np.where(np.isnan(states[name]), state, states[name])
             found = replace(found, tip_target=found.tip_target | {k: _se3(start.target)}, states=states)
-    return replace(found, tip_target={k: found.tip_target.get(k, hints[k]) for k in hints})
+    return replace(
+        found,
+        tip_target={k: found.tip_target.get(k, hints[k]) for k in hints},
+        states=_with_lost(data, seen, found.states),
+    )
+
+
+def _with_lost(data: Dataset, seen: Measured, states: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """States with things that their few rows cannot tell put among the others: what they cannot tell, they cannot spoil.
+
+    Raises:
+        MeasurementError: most things of a role are such; naming the first.
+    """
+    found = dict(states)
+    for b, block in enumerate(seen.blocks):
+        kind, own = seen.of_kind(b)
+        for k, role in enumerate(kind.roles):
+            state = found[role.name].copy()
+            numbers, rows = np.unique(seen.refers[own, k], return_counts=True)
+            lost = ~np.isfinite(state[numbers]).all(axis=1)
+            if 2 * lost.sum() > len(numbers):
+                name, count = seen.instruments.things[role.name].names[int(numbers[lost][0])], int(rows[lost][0])
+                raise MeasurementError(
+                    f"{data.title}: {role.name} {name!r} of {block.name}: its fitted rows, {count}, cannot tell where it is. "
+                    "Measure more of it, in other postures, or state its place under `instruments`"
+                )
+            state[numbers[lost]] = np.median(state[numbers[~lost]], axis=0)
+            found[role.name] = state
+    return found
+
+
+def _levelled(
+    seen: Measured,
+    own: np.ndarray,
+    R: np.ndarray,
+    p: np.ndarray,
+    hints: Mapping[int, pin.SE3],
+    tip: np.ndarray,
+    held: Mapping[int, pin.SE3],
+) -> pin.SE3:
+    """The base turned the shortest way so that the rows of a sensor see gravity downwards."""
+    kind = KINDS["inclination"]
+    read = seen.observed[own, :3]
+    read = read / np.linalg.norm(read, axis=1, keepdims=True)
+    number = int(tip[own[0]])
+    target, known = held.get(number, hints[number]).homogeneous, number in held
+    refers = np.zeros((len(own), 0), dtype=int)
+    made = starts(kind, R[own], p[own], read, refers, {}, target, known)
+    best, least = DOWN, np.inf
+    for start in made:
+        felt = np.einsum("nij,jk,nk->ni", R[own], start.target[:3, :3], read)
+        down = felt.mean(axis=0) / np.linalg.norm(felt.mean(axis=0))
+        spread = float(np.median(np.linalg.norm(felt - down, axis=1)))
+        if spread < least:
+            best, least = down, spread
+    turn = Rotation.align_vectors(DOWN[None], best[None])[0].as_matrix()
+    return pin.SE3(turn, np.zeros(3))
 
 
 def _of_target(seen: Measured) -> bool:

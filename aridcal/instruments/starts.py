@@ -46,6 +46,11 @@ MOST = 5000
 """Rows that a start looks at, spread evenly over all: what more of them say is left to the fit."""
 
 
+DIRECTIONS = np.array([v for v in np.ndindex(3, 3, 3) if v != (1, 1, 1)]) - 1.0
+DIRECTIONS = DIRECTIONS / np.linalg.norm(DIRECTIONS, axis=1, keepdims=True)
+"""Of gravity, 35 to 55 degrees apart, from which it is sought where the base may stand anyhow."""
+
+
 @dataclass(frozen=True)
 class Start:
     """Where a fit may begin.
@@ -212,10 +217,10 @@ def _planar_levers(view: View, hint: np.ndarray, known: np.ndarray) -> list[np.n
         A = np.column_stack([A, -view.observed[rows]]) if view.observed[rows].any() else A
         if len(A) < A.shape[1]:
             continue
-        size = np.linalg.norm(A, axis=0)
+        size = np.maximum(np.linalg.norm(A, axis=0), 1e-300)
         null = np.linalg.svd(A / size)[2][-1] / size
         length = np.linalg.norm(null[:3])
-        if length > 0.0:
+        if length > FREE * np.linalg.norm(null):
             found.append(null[3:12].reshape(3, 3).T @ null[:3] / length**2)
     return found
 
@@ -240,14 +245,21 @@ def _levelled(kind: Kind, R: np.ndarray, p: np.ndarray, observed: np.ndarray, ta
     What nothing turns (a tip that gravity always meets from one side) stays as the hint has it.
     """
     read = observed / np.linalg.norm(observed, axis=1, keepdims=True)
-    found = []
-    for known in (True, False):
-        turned, gravity = target.copy(), DOWN
-        for _ in range(1 if known else STEPS):
-            in_tip = np.einsum("nji,j->ni", R, gravity)
-            turned[:3, :3] = nearest_rotation(in_tip.T @ read + 1e-6 * target[:3, :3])
-            if not known:
-                seen = np.einsum("nij,nj->i", R @ turned[:3, :3], read)
-                gravity = seen / np.linalg.norm(seen)
-        found.append(Start(turned, {}))
-    return found
+
+    def turned(gravity: np.ndarray) -> np.ndarray:
+        """The target's frame where gravity is known in the base frame."""
+        made = target.copy()
+        in_tip = np.einsum("nji,j->ni", R, gravity)
+        made[:3, :3] = nearest_rotation(in_tip.T @ read + 1e-6 * target[:3, :3])
+        return made
+
+    best, least = turned(DOWN), np.inf
+    for gravity in DIRECTIONS:
+        for _ in range(STEPS):
+            made = turned(gravity)
+            felt = np.einsum("nij,nj->ni", R @ made[:3, :3], read)
+            gravity = felt.mean(axis=0) / np.linalg.norm(felt.mean(axis=0))
+        spread = float(np.mean(np.sum((felt - gravity) ** 2, axis=1)))
+        if spread < least:
+            best, least = made, spread
+    return [Start(turned(DOWN), {}), Start(best, {})]
