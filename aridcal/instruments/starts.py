@@ -217,7 +217,8 @@ def _planar_levers(view: View, hint: np.ndarray, known: np.ndarray) -> list[np.n
         A = np.column_stack([A, -view.observed[rows]]) if view.observed[rows].any() else A
         if len(A) < A.shape[1]:
             continue
-        size = np.maximum(np.linalg.norm(A, axis=0), 1e-300)
+        size = np.linalg.norm(A, axis=0)
+        size = np.where(size > 0.0, size, 1.0)
         null = np.linalg.svd(A / size)[2][-1] / size
         length = np.linalg.norm(null[:3])
         if length > FREE * np.linalg.norm(null):
