@@ -68,7 +68,7 @@ def _convergence(outcome: Outcome) -> Html:
 def _partners(names: tuple[str, ...]) -> Content:
     """What a redundant coefficient is confounded with."""
     if not names:
-        return "nothing: it hardly moves the target"
+        return "nothing: it hardly moves what is measured, or the places that are measured follow it"
     shown = codes(names[:MOST_PARTNERS])
     rest = len(names) - MOST_PARTNERS
     return [shown, f" and {rest} more" if rest > 0 else ""]
