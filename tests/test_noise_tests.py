@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import robots
@@ -13,7 +15,9 @@ from aridcal.fit.least_squares import Fit, fit
 from aridcal.fit.noise import Repeats, declared_notices
 from aridcal.fit.problem import problem
 from aridcal.inputs.dataset import Dataset, dataset
-from aridcal.search.noise_tests import Clue, clues
+from aridcal.instruments.channels import PIXEL
+from aridcal.instruments.setup import Block
+from aridcal.search.noise_tests import Clue, _of_one_thing, clues
 
 UNKNOWN = (None, None)
 
@@ -194,3 +198,22 @@ def test_asking_in_more_axes_makes_no_more_false_alarms() -> None:
         found, data, r, _ = solved(200 + seed, "pose" if seed % 2 else "position", 60)
         told += bool(asked(found, data, r))
     assert told <= 1  # one of 200 is allowed
+
+
+def of_markers(n: int) -> Dataset:
+    """Rows of nine markers in turn."""
+    rows = dataset(("a",), ("revolute",), np.linspace(0, 1, n)[:, None], np.full((n, 3), np.nan))
+    refers = np.array([("eye", "board", str(k % 9)) for k in range(n)])
+    block = Block("pixels", "pixels", (PIXEL,), (None,))
+    return replace(rows, blocks=(block,), block=np.zeros(n, dtype=int), refers=refers, channels=(PIXEL,), sigma=(None,))
+
+
+def test_a_marker_at_a_wrong_place_is_named_and_noise_names_none() -> None:
+    """Long tails are no marker; by chance one of 1,400 campaigns would name one."""
+    rows = of_markers(180)
+    tails = [_of_one_thing(rows, np.random.default_rng(seed).standard_t(4, (180, 2)))[0] for seed in range(500)]
+    assert sum(clue.tells for clue in tails) <= 3
+    r = np.random.default_rng(0).standard_normal((180, 2))
+    r[4::9] *= 2.5
+    (found,) = _of_one_thing(rows, r)
+    assert found.tells and "marker 4" in found.what

@@ -33,6 +33,10 @@ ENDS = 150
 """Flagged rows at which a window may begin or end: 11,000 windows of each coordinate are enough to see a cluster."""
 
 
+MEASURED = "what is measured"
+"""Name of the coordinate in which rows of the same things lie together."""
+
+
 @dataclass(frozen=True)
 class Cluster:
     """Flagged rows that lie together in one coordinate, more than chance would have it.
@@ -142,7 +146,7 @@ def coordinates(data: Dataset) -> dict[str, np.ndarray]:
         found |= dict(zip("xyz", data.position.T, strict=True))
     if data.blocks:
         things = np.unique(np.column_stack([data.block.astype(str), data.refers]), axis=0, return_inverse=True)[1]
-        found["what is measured"] = things.reshape(-1).astype(float)
+        found[MEASURED] = things.reshape(-1).astype(float)
     found |= {name: values for name, values in data.covariates.items() if not np.isnan(values).any()}
     if data.station is not None:
         found["station"] = np.unique(data.station, return_inverse=True)[1].astype(float)

@@ -10,7 +10,7 @@ from scipy.stats import f as f_distribution
 
 from aridcal.effects.catalogue import KINDS
 from aridcal.effects.effect import Effect
-from aridcal.fit.flags import FLOOR, Cluster, cluster
+from aridcal.fit.flags import FLOOR, MEASURED, Cluster, cluster
 from aridcal.fit.least_squares import Fit
 from aridcal.fit.problem import problem
 from aridcal.inputs.dataset import Dataset
@@ -188,6 +188,8 @@ def _squares(residual: np.ndarray, outlier: np.ndarray) -> np.ndarray:
 
 def where(found: Cluster) -> str:
     """The place of a cluster in words: ``joint_2 between 0.31 and 0.52``."""
+    if found.coordinate == MEASURED:
+        return "where the same is measured"
     if found.coordinate == "row":
         return f"rows {found.low + 1:.0f} to {found.high + 1:.0f} of those used"
     return f"{found.coordinate} between {found.low:.4g} and {found.high:.4g}"

@@ -8,12 +8,12 @@ them, corrected for their number.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 from scipy.spatial import cKDTree
-from scipy.stats import chi2, gumbel_r, norm
+from scipy.stats import chi2, gumbel_r, mannwhitneyu, norm
 
 from aridcal.effects.basis import Basis
 from aridcal.effects.effect import Coefficient
@@ -24,6 +24,7 @@ from aridcal.fit.normal_equations import TINY
 from aridcal.fit.problem import problem
 from aridcal.fit.residual import moved_by
 from aridcal.inputs.dataset import Dataset
+from aridcal.instruments.catalogue import KINDS
 from aridcal.instruments.channels import columns, spread
 from aridcal.search.change_points import SIDE
 from aridcal.showing import SILENT, Progress
@@ -40,6 +41,9 @@ NEIGHBOURS = 4
 FEWEST = 16
 """Rows at the least that neighbours are sought among: with fewer, each neighbourhood is a quarter of the table."""
 
+FEWEST_OF_A_THING = 5
+"""Rows of a thing from which it is compared with the others: a sigma is then known to a third."""
+
 PAIRS = 262_144
 """Pairs of rows that are multiplied together: 40 MB for a seven-axis arm, however many rows there are."""
 
@@ -49,7 +53,7 @@ SHUFFLES = 400
 FELT = 1e-9
 """Share of its largest lever below which a joint moves the target in none of a row's numbers."""
 
-Question = Literal["repeats", "neighbours", "order", "change", "declared", "held_out", "offset", "flags"]
+Question = Literal["repeats", "neighbours", "order", "change", "declared", "held_out", "offset", "flags", "thing"]
 
 
 @dataclass(frozen=True)
@@ -116,7 +120,35 @@ def clues(
         found.append(_neighbours(views, rows.readings, progress))
         found.append(_order(views, rows, progress))
         found += _changes(views, rows, progress)
+    if rows.blocks:
+        found += _of_one_thing(rows, white)
     return found + _stated(rows, sigma, freedom)
+
+
+def _of_one_thing(rows: Dataset, white: np.ndarray) -> list[Clue]:
+    """Does a thing leave more than the others: a marker that is not where its table says, a socket that came loose?
+
+    Squares of its rows against those of all others by their ranks (Mann and Whitney 1947), which long tails do not upset.
+    """
+    roles = [KINDS[block.kind].roles for block in rows.blocks]
+    names = np.where(rows.refers[:, 2] != "", rows.refers[:, 2], rows.refers[:, 0])
+    title = np.array([own[-1].name if own else block.name for own, block in zip(roles, rows.blocks, strict=True)])
+    labels, thing = np.unique(np.char.add(np.char.add(title[rows.block], " "), names), return_inverse=True)
+    numbers = np.sum(white != 0.0, axis=1)
+    square = np.sum(white**2, axis=1) / np.maximum(numbers, 1)
+    count, own = np.bincount(thing), np.bincount(thing, square)
+    found = []
+    for k in np.flatnonzero((count >= FEWEST_OF_A_THING) & (len(thing) - count >= FEWEST)).tolist():
+        here = thing == k
+        chance = float(mannwhitneyu(square[here], square[~here], alternative="greater").pvalue)
+        rest = float(np.mean(square[~here]))
+        share = float(np.clip((own[k] - count[k] * rest) / max(float(square.sum()), TINY), 0.0, 1.0))
+        ratio = np.sqrt(own[k] / count[k] / max(rest, TINY))
+        what = f"rows of {labels[k]} leave {ratio:.2g} times as much as the others: is it where it is said to be?"
+        found.append(Clue("thing", what, share, chance))
+    asked = len(found)
+    found = [replace(clue, p_value=min(1.0, asked * clue.p_value)) for clue in found]
+    return [min(found, key=lambda clue: clue.p_value)] if found else []
 
 
 def rms_of_channels(residual: np.ndarray, rows: Dataset) -> np.ndarray:
