@@ -14,7 +14,7 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 from aridcal.fit.constants import constants
-from aridcal.inputs.campaign import load_campaign
+from aridcal.inputs.campaign import Campaign, load_campaign
 from aridcal.inputs.dataset import ROLES, Dataset, dataset
 from aridcal.instruments.catalogue import KINDS
 from aridcal.instruments.kind import Role
@@ -248,8 +248,8 @@ def rows(of: Arm, *blocks: Measured, declared: bool = False) -> Dataset:
     )
 
 
-def outcome(folder: Path, of: Arm, data: Dataset, **changes: object) -> Outcome:
-    """The rows through the whole pipeline, as if they had been read from a file."""
+def campaign(folder: Path, of: Arm, data: Dataset, **changes: object) -> Campaign:
+    """The job that these rows belong to."""
     (folder / "robot.urdf").write_bytes(of.robot.urdf)
     keys: dict[str, object] = {
         "format": 1,
@@ -264,6 +264,12 @@ def outcome(folder: Path, of: Arm, data: Dataset, **changes: object) -> Outcome:
         keys["instruments"] = {"cameras": {"eye": lens | {"width": 640, "height": 480}}}
     path = folder / "campaign.yaml"
     path.write_text(yaml.safe_dump(keys | changes, sort_keys=False))
+    return load_campaign(path)
+
+
+def outcome(folder: Path, of: Arm, data: Dataset, **changes: object) -> Outcome:
+    """The rows through the whole pipeline, as if they had been read from a file."""
+    job = campaign(folder, of, data, **changes)
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(pipeline, "load_measurements", lambda *_, **__: data)
-        return pipeline.identify(load_campaign(path))
+        return pipeline.identify(job)

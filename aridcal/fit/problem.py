@@ -200,12 +200,10 @@ class Problem:
         if self.groups is None:
             return count
         used = (weight > 0.0) & (self.groups.row >= 0)
-        channel = self.data.measures[used].argmax(axis=1)
         sizes = self.groups.unknown.sum(axis=1)
-        for g in np.unique(self.groups.row[used]):
-            own = self.groups.row[used] == g
-            count += sizes[g] * np.bincount(channel[own], minlength=len(count)) / own.sum()
-        return count
+        pair = self.groups.row[used] * len(count) + self.data.measures[used].argmax(axis=1)
+        rows = np.bincount(pair, minlength=len(sizes) * len(count)).reshape(len(sizes), len(count))
+        return np.asarray(sizes @ (rows / np.maximum(rows.sum(axis=1, keepdims=True), 1)))
 
     def group_of(self, part: slice) -> np.ndarray:
         """Group of each of a stretch of rows, -1 for none."""
