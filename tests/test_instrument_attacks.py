@@ -66,7 +66,7 @@ def test_a_step_is_sought_only_where_one_place_has_rows_on_both_sides() -> None:
 def test_rows_that_cannot_tell_where_their_things_are_are_refused_by_name(tmp_path: Path) -> None:
     of = gauges.arm(2)
     data = gauges.rows(of, gauges.distances(of, 3, 3))
-    with pytest.raises(MeasurementError, match="anchor .* cannot tell where it is"):
+    with pytest.raises(MeasurementError, match=r"anchor .* cannot tell where it is"):
         fit_geometry(gauges.campaign(tmp_path, of, data), of.robot, data, ())
 
 

@@ -11,7 +11,7 @@ from scipy.stats import kstest
 
 from aridcal.fit.least_squares import Fit, fit
 from aridcal.inputs.dataset import Dataset
-from aridcal.search.residual_trends import Traces, trace
+from aridcal.search.residual_trends import Traces, _order, trace
 
 SIGMA = 1e-4
 
@@ -133,3 +133,14 @@ def test_positions_alone_are_traced_as_well(machine: tuple[Fit, Dataset]) -> Non
     assert {t.motion for t in traces.strongest} <= {"x", "y", "z", *found.model.robot.names}
     own = next(t for t in traces.joints if t.motion == found.model.robot.names[1])
     np.testing.assert_allclose(own.before - own.after, 5e-4 * np.cos(own.seen), rtol=1e-4)
+
+
+def test_what_a_row_does_not_measure_does_not_change_its_sign(machine: tuple[Fit, Dataset]) -> None:
+    """Noise in two instruments by turns: in each it changes its sign every other time."""
+    _, rows = machine
+    chances = []
+    for seed in range(60):
+        r = np.random.default_rng(seed).normal(size=(len(rows), 6))
+        r[::2, :3], r[1::2, 3:] = np.nan, np.nan
+        chances.append(_order(r, rows).p_value)
+    assert kstest(chances, "uniform").pvalue > 1e-3

@@ -345,7 +345,6 @@ def reduced(
     rr[first] += sigma[first] ** 2 * float(left @ left)
     share = np.einsum("cguu->cg", sums.BB) / (sigma**2)[:, None]
     share = share / np.maximum(share.sum(axis=0), 1e-300)
-    count += 0.0
     count[first] += len(beforehand.left)
     return NormalEquations(AA, Ar, np.maximum(rr, 0.0), np.maximum(count - share @ found.rank, 0.0))
 

@@ -298,19 +298,20 @@ def _smooth(m: _Means, at: np.ndarray) -> np.ndarray:
 def _order(residual: np.ndarray, rows: Dataset) -> Order:
     """Changes of sign, and correlation over so many rows, in the order of time (of the table, where there is none)."""
     order = rows.sequence
-    r = np.nan_to_num(residual[order])
-    n, m = r.shape
-    square = np.sum(r**2, axis=0)
-    lags = np.arange(1, min(LAGS, n // 4) + 1)
-    correlation = np.array([np.mean(np.sum(r[k:] * r[:-k], axis=0) / np.maximum(square, 1e-300)) for k in lags])
-    changes = int(np.sum(np.diff(np.sign(r), axis=0) != 0))
-    expected, deviation = m * (n - 1) / 2, float(np.sqrt(m * (n - 1)) / 2)
+    # Each number of the rows that have it, one after the other: what a row does not measure does not change its sign.
+    series = [r[~np.isnan(r)] for r in residual[order].T]
+    series = [r for r in series if len(r) > 1]
+    lags = np.arange(1, min((len(r) // 4 for r in series), default=0) + 1)[:LAGS]
+    correlation = np.array([np.mean([r[k:] @ r[:-k] / max(float(r @ r), 1e-300) for r in series]) for k in lags])
+    changes = sum(int(np.sum(np.diff(np.sign(r)) != 0)) for r in series)
+    pairs, numbers = sum(len(r) - 1 for r in series), sum(len(r) for r in series)
+    expected, deviation = pairs / 2, float(np.sqrt(pairs) / 2)
     return Order(
         timed=bool(np.isfinite(rows.covariates.get("time", np.nan)).all()),
         order=order,
         lags=lags,
         correlation=correlation,
-        bound=BAND / np.sqrt(m * n),
+        bound=BAND / np.sqrt(max(numbers, 1)),
         changes=changes,
         expected=expected,
         spread=deviation,
