@@ -15,39 +15,40 @@ from __future__ import annotations
 import argparse
 import multiprocessing
 import time
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
 import numpy as np
-import pandas as pd
 import pinocchio as pin
 
 from aridcal.effects.basis import Basis
+from aridcal.effects.catalogue import declared
 from aridcal.effects.effect import FRAME_COMPONENTS, Coefficient
+from aridcal.effects.kinds import Observed
 from aridcal.effects.loads import Surroundings
 from aridcal.fit.constants import constants
 from aridcal.fit.identifiable import identifiable
-from aridcal.head.detections import Shots
+from aridcal.head.detections import head_things, shot_rows
 from aridcal.head.matching import NotMeasured
 from aridcal.head.pose import Sonars
-from aridcal.head.reduction import Head, Seen, carried, start_anywhere
 from aridcal.head.render import Optics, photograph, read_sonars
+from aridcal.head.seen import Seen, head_of, start_anywhere
 from aridcal.head.shots import sight
-from aridcal.head.sonar import predict_ranges
 from aridcal.head.square import layout
 from aridcal.inputs.campaign import Campaign, FrameSettings
 from aridcal.inputs.dataset import dataset
 from aridcal.inputs.head_settings import HeadSettings, load_squares
 from aridcal.inputs.yaml_file import load_settings, parse_settings
 from aridcal.instruments.camera import predict_pixels
+from aridcal.instruments.camera_sonar import Head, carried, predict_ranges
 from aridcal.model.model import Model
 from aridcal.prepare.scenario import Scenario
 from aridcal.prepare.viewpoints import draw_views
 from aridcal.robot.chain import load_robot
-from aridcal.search.arm_and_head import fit_arm_and_head
-from aridcal.search.head_effects import directions, stated
+from aridcal.search.arm import calibrated_arm, fit_constants
 from aridcal.showing import SILENT
 
 STRIP = Path(__file__).parents[1] / "identification" / "arid-strip"
@@ -100,8 +101,9 @@ def trial(job: tuple[str, int, bool]) -> Trial:
     scenario = load_settings(STRIP / "scenario.yaml", Scenario)
     robot = load_robot(STRIP.parents[1] / "urdf" / "arid.urdf", "flange")
     optics = Optics(settings.camera.width, settings.camera.height, load_squares(settings.squares))
-    start = Head.of(settings)
-    wrong = stated(start, campaign(CASES[case]).effects, case)
+    start = head_of(settings)
+    seen_by = Observed(robot, {}, (), held=head_things(start).held)
+    wrong = [declared(seen_by, e, case) for e in campaign(CASES[case]).effects]
     phi = start.phi
     for e in wrong:
         phi = phi + directions(start, e.coefficients) @ [SIZES[c.component] for c in e.coefficients]
@@ -138,16 +140,17 @@ def trial(job: tuple[str, int, bool]) -> Trial:
     nowhere = np.full((kept.sum(), 3), np.nan), np.full((kept.sum(), 3, 3), np.nan)
     rows = dataset(robot.readings, robot.kinds, q[kept], *nowhere)
     began = time.perf_counter()
-    shots = Shots(asked, start, rows, found, pd.DataFrame(), settings.tip_camera.homogeneous)
-    both = fit_arm_and_head(shots, robot, (), SILENT)
+    rows = shot_rows(rows, found, start, asked)
+    geometry = fit_constants(asked, robot, rows, ())
+    arm = calibrated_arm(asked, robot, rows, (), geometry, SILENT)
     seconds = time.perf_counter() - began
     low, high = q.min(axis=0), q.max(axis=0)
     anywhere = rng.uniform(low, high, (QUERIES, len(low)))
     true = _poses(model, theta, anywhere)
-    final, plain = both.arm.diagnosed.fit, both.declared.geometric
+    final, plain = arm.diagnosed.fit, geometry.geometric
     oracle = _oracle(model, found, q[kept], start, directions(start, [c for e in wrong for c in e.coefficients]))
     truth = {(e.kind, e.where) for e in wrong} | ({("joint_compliance", "joint_3")} if "elbow" in case else set())
-    said = (*both.choice.effects, *(a.effect for a in both.arm.diagnosed.found.state.active))
+    said = [a.effect for a in arm.diagnosed.found.state.active]
     return Trial(
         tuple(e.label for e in said),
         {(e.kind, e.where) for e in said} == truth,
@@ -156,6 +159,14 @@ def trial(job: tuple[str, int, bool]) -> Trial:
         _error(_poses(*oracle, anywhere), true),
         seconds,
     )
+
+
+def directions(head: Head, coefficients: Sequence[Coefficient]) -> np.ndarray:
+    """Which of the head's numbers each coefficient moves, shape (H, d)."""
+    H = np.zeros((len(head.phi), len(coefficients)))
+    for k, c in enumerate(coefficients):
+        H[list(head.role.moved_by(c.where, c.component)), k] = 1.0
+    return H
 
 
 def _unit(rng: np.random.Generator) -> np.ndarray:
@@ -240,7 +251,7 @@ def _whitened(
         T_world_camera[:3, :3], T_world_camera[:3, 3] = R[k], p[k]
         T = np.linalg.inv(T_world_camera) @ s.T_world_square
         T_square_camera = np.linalg.inv(T)
-        by_theta = np.linalg.solve(carried(s.T_world_square[:3, :3], T_square_camera[:3, 3]), J[k])
+        by_theta = np.linalg.solve(carried(s.T_world_square[None, :3, :3], T_square_camera[None, :3, 3])[0], J[k])
         pixels, by_twist, by_phi = predict_pixels(T, s.points, head.intrinsics)
         h, h_by_twist = predict_ranges(T, head.positions, head.measures)
         stretch = 1.0 + head.scale

@@ -2,33 +2,36 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pinocchio as pin
 
 from aridcal.effects.effect import Coefficient
-from aridcal.head.detections import Shots
+from aridcal.fit.stages import Geometry
+from aridcal.head.detections import shot_rows
 from aridcal.head.pose import Sonars
-from aridcal.head.reduction import Head, Seen, start_anywhere
 from aridcal.head.render import Optics, read_sonars
+from aridcal.head.seen import Seen, head_of, start_anywhere
 from aridcal.head.square import layout
 from aridcal.inputs.campaign import Campaign, FrameSettings
-from aridcal.inputs.dataset import dataset
+from aridcal.inputs.dataset import Dataset, dataset
 from aridcal.inputs.head_settings import HeadSettings, load_squares
 from aridcal.inputs.yaml_file import load_settings, parse_settings
 from aridcal.instruments.camera import predict_pixels
+from aridcal.instruments.camera_sonar import Head
 from aridcal.instruments.channels import TARGET_POSITION, TARGET_ROTATION
 from aridcal.model.model import Model
 from aridcal.prepare.viewpoints import draw_views
 from aridcal.robot.chain import load_robot
+from aridcal.search.arm import CalibratedArm, calibrated_arm, fit_constants
+from aridcal.showing import SILENT
 
 ROOT = Path(__file__).resolve().parents[1]
 STRIP = ROOT / "identification" / "arid-strip"
 SETTINGS = load_settings(STRIP / "head.yaml", HeadSettings)
-START = Head.of(SETTINGS)
+START = head_of(SETTINGS)
 OPTICS = Optics(512, 512, load_squares(SETTINGS.squares))
 ARID = load_robot(ROOT / "urdf" / "arid.urdf", "flange")
 T_WORLD_BASE = pin.SE3(pin.rpy.rpyToMatrix(-1.569, 0.001, -1.572), np.array([0.004, -0.003, 0.002]))
@@ -89,6 +92,15 @@ measurements: {{kind: camera_sonar, head: head.yaml}}
     return job.model_copy(update={"frames": job.frames.model_copy(update={"tip_target": mount})})
 
 
+@dataclass(frozen=True)
+class Shots:
+    """A campaign of shots."""
+
+    campaign: Campaign
+    rows: Dataset
+    seen: tuple[Seen, ...]
+
+
 def shots(
     n: int, head: Head, seed: int = 0, more: str = "", model: Model = MODEL, theta: np.ndarray = THETA
 ) -> tuple[Shots, np.ndarray]:
@@ -104,4 +116,11 @@ def shots(
         sigma=(None, None),
         split_given=True,
     )
-    return Shots(campaign(more), START, rows, seen, pd.DataFrame(), SETTINGS.tip_camera.homogeneous), q
+    job = campaign(more)
+    return Shots(job, shot_rows(rows, seen, START, job), seen), q
+
+
+def calibrated(given: Shots) -> tuple[CalibratedArm, Geometry]:
+    """The arm and the head, and the geometry with the head as declared."""
+    geometry = fit_constants(given.campaign, ARID, given.rows, ())
+    return calibrated_arm(given.campaign, ARID, given.rows, (), geometry, SILENT), geometry

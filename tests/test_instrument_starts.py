@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from aridcal.instruments.alignment import aligned
 from aridcal.instruments.catalogue import KINDS
 from aridcal.instruments.descent import View, descend, placed
 from aridcal.instruments.setup import Things
-from aridcal.instruments.starts import Start, starts
+from aridcal.instruments.starts import Start, aligned, starts
 
 LENS = np.array([702.0, 697.0, 330.0, 235.0, -0.1, 0.02, 0.001, -0.002, 0.0])
 

@@ -33,7 +33,7 @@ class Barred:
 
 def is_of_head(kind: str) -> bool:
     """True for a kind of the measuring head."""
-    return KINDS[kind].of_head is not None
+    return KINDS[kind].of_head != ""
 
 
 def usable_columns(measured: Mapping[str, np.ndarray]) -> tuple[tuple[str, ...], list[Barred]]:
@@ -63,21 +63,8 @@ def barred_joints(rows: Observed) -> list[Barred]:
 
 
 def candidates(rows: Observed, kinds: Iterable[str]) -> list[Effect]:
-    """All effects of some kinds that these rows can test; those of the measuring head are not among them."""
-    generators = [KINDS[kind].testable for kind in kinds]
-    return [effect for testable in generators if testable for effect in testable(rows)]
-
-
-def head_candidates(numbers: Sequence[str], kinds: Iterable[str]) -> list[Effect]:
-    """All effects of some kinds that a measuring head may have, in the table's order.
-
-    Args:
-        numbers: Names of the head's numbers, ``camera.fx`` or ``sonar_1.bias`` for instance.
-        kinds: Of any sort; those that are not of the head have no such effects.
-    """
-    wanted = set(kinds)
-    generators = [kind.of_head for kind in KINDS.values() if kind.name in wanted]
-    return [effect for generator in generators if generator for effect in generator(numbers)]
+    """All effects of some kinds that these rows can test."""
+    return [effect for kind in kinds for effect in KINDS[kind].testable(rows)]
 
 
 def declared(rows: Observed, declaration: Declaration, place: str) -> Effect:
@@ -96,6 +83,8 @@ def declared(rows: Observed, declaration: Declaration, place: str) -> Effect:
     if d.where not in known:
         raise CampaignError(f"{place}: effects: no place {d.where!r}{nearest(d.where, known)}")
     kind = KINDS[d.kind]
+    if d.where in {name for _, name in rows.held}:
+        return _at_thing(rows, d, place)
     if kind.of_order and d.order:
         found = [effect for order in d.order for effect in kind.of_order(d, order)]
     else:
@@ -110,6 +99,28 @@ def declared(rows: Observed, declaration: Declaration, place: str) -> Effect:
         )
     effect = merged(found)
     return effect if d.at is None else _at_moment(rows, effect, d, place)
+
+
+def _at_thing(rows: Observed, d: Declaration, place: str) -> Effect:
+    """The effect that a campaign states of an instrument: with the components that it names, or else the first that may be.
+
+    Raises:
+        CampaignError: it has no such effect, or no such component.
+    """
+    every = candidates(rows, (d.kind,))
+    own = [effect for effect in every if effect.where == d.where]
+    if not own:
+        there = sorted({effect.where for effect in every})
+        raise CampaignError(f"{place}: effects: {d.kind} has no place {d.where!r}{nearest(d.where, there)}")
+    if d.motion is None:
+        return own[0]
+    known = {c.component: c for effect in own for c in effect.coefficients}
+    for component in d.motion:
+        if component not in known:
+            raise CampaignError(
+                f"{place}: effects: {d.kind} at {d.where} has no {component!r}{nearest(component, known)}"
+            )
+    return replace(own[0], coefficients=tuple(known[component] for component in d.motion))
 
 
 def _at_moment(rows: Observed, effect: Effect, d: Declaration, place: str) -> Effect:

@@ -38,7 +38,11 @@ class Coefficient:
     def name(self) -> str:
         """The same string in tables, files and messages, ``joint_2.pitch`` for instance."""
         label = "" if self.station is None else f"[{self.station}]"
-        tail = "" if self.basis.constant else f":{basis_name(self.basis).replace(f'{self.where}.', '')}"
+        tail = (
+            ""
+            if self.basis.constant or self.basis.form == "ones"
+            else f":{basis_name(self.basis).replace(f'{self.where}.', '')}"
+        )
         return f"{self.where}{label}.{self.component}{tail}"
 
 

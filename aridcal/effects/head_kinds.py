@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator
 
 from aridcal.effects.basis import Basis
 from aridcal.effects.effect import Coefficient, Effect
@@ -11,57 +11,23 @@ from aridcal.effects.kinds import Kind, Observed
 LENS = (("k1",), ("k1", "k2"), ("k1", "k2", "k3"), ("p1", "p2"))
 """Terms of OpenCV's lens model that make sense together: radial ones of rising order; those of a lens askew."""
 
-ALL_SONARS = "sonars"
-"""Where an effect acts that all sonars have alike."""
+HEAD = "head"
+"""Role of the measuring head, whose camera and sonars are places of their own."""
 
 
-def head_effect(kind: str, where: str, *components: str) -> Effect:
-    """An effect of some numbers of the head."""
-    return Effect(kind, where, tuple(Coefficient(where, c) for c in components))
-
-
-def _camera(kind: str, *alternatives: tuple[str, ...]) -> Callable[[Sequence[str]], Iterator[Effect]]:
-    """Every head has a camera, with all of its numbers."""
-    return lambda numbers: (head_effect(kind, "camera", *components) for components in alternatives)
-
-
-def _sonar(kind: str, component: str) -> Callable[[Sequence[str]], Iterator[Effect]]:
-    """All sonars alike, then each by itself; none where the head has none."""
-
-    def of_sonars(numbers: Sequence[str]) -> Iterator[Effect]:
-        places = [where for where, _, what in (name.partition(".") for name in numbers) if what == component]
-        for where in (ALL_SONARS, *places) if places else ():
-            yield head_effect(kind, where, component)
-
-    return of_sonars
-
-
-def _of_things(kind: str, role: str, *alternatives: tuple[str, ...]) -> Callable[[Observed], Iterator[Effect]]:
-    """What is otherwise than stated at the things of a role, where it is not identified anyway."""
+def _of_things(
+    kind: str, roles: Collection[str], *alternatives: tuple[str, ...]
+) -> Callable[[Observed], Iterator[Effect]]:
+    """What is otherwise than stated at the things of some roles, where it is not identified anyway."""
 
     def testable(rows: Observed) -> Iterator[Effect]:
         always = Basis("ones", (rows.robot.names[0],))
         for (of, where), held in rows.held.items():
             for components in alternatives:
-                if of == role and set(components) <= set(held):
+                if of in roles and set(components) <= set(held):
                     yield Effect(kind, where, tuple(Coefficient(where, c, always) for c in components))
 
     return testable
-
-
-def moves(coefficient: Coefficient, number: str) -> bool:
-    """True if a coefficient moves a number of the head, ``camera.fx`` or ``sonar_1.bias`` for instance."""
-    where, _, component = number.partition(".")
-    here = where == coefficient.where or (coefficient.where == ALL_SONARS and where.startswith("sonar_"))
-    both_axes = coefficient.component == "f" and component in ("fx", "fy")
-    return here and (component == coefficient.component or both_axes)
-
-
-def unit(coefficient: Coefficient) -> str:
-    """Unit of a coefficient of the head."""
-    if coefficient.where == "camera":
-        return "px" if coefficient.component[0] in "fc" else "1"
-    return "m" if coefficient.component == "bias" else "1"
 
 
 HEAD_KINDS = (
@@ -69,33 +35,33 @@ HEAD_KINDS = (
         "lens_distortion",
         where="`camera`",
         words="the lens bends the picture otherwise than declared",
-        bases=("1",),
+        bases=("ones",),
         example="{kind: lens_distortion, where: camera, motion: [k1, k2]}",
         doc="of-instruments",
-        testable=_of_things("lens_distortion", "camera", *LENS),
-        of_head=_camera("lens_distortion", *LENS),
+        testable=_of_things("lens_distortion", ("camera", HEAD), *LENS),
+        of_head="camera",
         shown=("image_radius",),
     ),
     Kind(
         "focal_length",
         where="`camera`",
         words="the camera's scale is not the one declared",
-        bases=("1",),
+        bases=("ones",),
         example="{kind: focal_length, where: camera}",
         doc="of-instruments",
-        testable=_of_things("focal_length", "camera", ("fx", "fy")),
-        of_head=_camera("focal_length", ("f",), ("fx", "fy")),
+        testable=_of_things("focal_length", ("camera", HEAD), ("f",), ("fx", "fy")),
+        of_head="camera",
         shown=("image_radius",),
     ),
     Kind(
         "principal_point",
         where="`camera`",
         words="the camera's centre is not where it was declared",
-        bases=("1",),
+        bases=("ones",),
         example="{kind: principal_point, where: camera}",
         doc="of-instruments",
-        testable=_of_things("principal_point", "camera", ("cx", "cy")),
-        of_head=_camera("principal_point", ("cx", "cy")),
+        testable=_of_things("principal_point", ("camera", HEAD), ("cx", "cy")),
+        of_head="camera",
     ),
     Kind(
         "distance_scale",
@@ -104,25 +70,27 @@ HEAD_KINDS = (
         bases=("ones",),
         example="{kind: distance_scale, where: rail}",
         doc="of-instruments",
-        testable=_of_things("distance_scale", "anchor", ("scale",)),
+        testable=_of_things("distance_scale", ("anchor",), ("scale",)),
     ),
     Kind(
         "sonar_bias",
         where="`sonar_1` ..., or all `sonars` alike",
         words="the sonar reads too long or too short",
-        bases=("1",),
+        bases=("ones",),
         example="{kind: sonar_bias, where: sonar_2}",
         doc="of-instruments",
-        of_head=_sonar("sonar_bias", "bias"),
+        testable=_of_things("sonar_bias", (HEAD,), ("bias",)),
+        of_head="sonar",
     ),
     Kind(
         "sonar_scale",
         where="`sonar_1` ..., or all `sonars` alike",
         words="the sonar's reading grows too fast or too slowly",
-        bases=("1",),
+        bases=("ones",),
         example="{kind: sonar_scale, where: sonars}",
         doc="of-instruments",
-        of_head=_sonar("sonar_scale", "scale"),
+        testable=_of_things("sonar_scale", (HEAD,), ("scale",)),
+        of_head="sonar",
         shown=("range",),
     ),
 )

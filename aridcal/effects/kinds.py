@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, Protocol
 
@@ -101,10 +101,8 @@ class Kind:
         bases: Forms of its bases, keys of :data:`aridcal.effects.basis.FORMS`; ``1`` for constants.
         example: An entry of a campaign's ``effects`` that declares it, YAML.
         doc: Anchor of its section in ``docs/effects.md``.
-        testable: Yields every effect of this kind that some rows can test; what they cannot show is not yielded. None
-            for a kind of the measuring head.
-        of_head: The same for a kind of the measuring head, from the names of the head's numbers, ``camera.fx`` for
-            instance. None for all others.
+        testable: Yields every effect of this kind that some rows can test; what they cannot show is not yielded.
+        of_head: Part of a measuring head that it is of; empty for all else.
         key: Key of a declaration that belongs to this kind alone: ``with``, which it then needs, ``by`` or ``at``.
         of_order: Effects that a declaration with ``order`` means, where any order may be declared: the generator can
             yield only some.
@@ -123,8 +121,8 @@ class Kind:
     bases: tuple[str, ...]
     example: str
     doc: str
-    testable: Callable[[Observed], Iterator[Effect]] | None = None
-    of_head: Callable[[Sequence[str]], Iterator[Effect]] | None = None
+    testable: Callable[[Observed], Iterator[Effect]]
+    of_head: Literal["", "camera", "sonar"] = ""
     key: Literal["with", "by", "at"] | None = None
     of_order: Callable[[Declaration, float], Iterator[Effect]] | None = None
     exclusive: bool = False

@@ -10,6 +10,7 @@ from aridcal.fit.thing_starts import TIP
 from aridcal.inputs.campaign import Campaign, FrameSettings
 from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.read import per_station
+from aridcal.instruments.catalogue import KINDS
 from aridcal.robot.chain import Robot
 from aridcal.robot.doty import doty_links
 from aridcal.robot.splice import splice_origins, written_origins
@@ -42,8 +43,8 @@ def frame_labels(where: str, settings: FrameSettings, labels: tuple[str, ...], d
 
 def has_world(data: Dataset) -> bool:
     """True if something is known or measured in the world frame, its vertical at least; otherwise that is the base frame."""
-    posed = any(block.kind in ("pose", "position", "inclination") for block in data.blocks)
-    return not data.blocks or posed or data.instruments.world
+    known = any(KINDS[block.kind].places or block.kind == "inclination" for block in data.blocks)
+    return not data.blocks or known or data.instruments.world
 
 
 def measures_target(data: Dataset) -> bool:

@@ -17,11 +17,14 @@ from aridcal.fit.problem import Problem
 from aridcal.fit.problem import problem as ask
 from aridcal.fit.residual import Linearisation, linearise, things_again, triangle, weighted_squares
 from aridcal.instruments.channels import Channels
-from aridcal.model.model import Model, Rows
+from aridcal.model.model import SIZES, Model, Rows
 
 ABREAST = 0.1
 """Of the coarsest channel's noise: until a fit has settled none that is estimated counts as finer. Turns may fit long before
 places do, those of exact data to the last digit; weighed by that alone they would hold the rest back."""
+
+OF_SPACE = ("m", "rad", "px")
+"""Units whose noise can be set beside each other."""
 
 STEPS = 60
 """Gauss-Newton steps at the most; five are usual."""
@@ -179,7 +182,7 @@ def minimise(problem: Problem, theta: np.ndarray, weight: np.ndarray | None, pri
 
     def noise_at(place: Linearisation, sigma: np.ndarray) -> np.ndarray:
         estimate = scale if robust else _estimate(place.equations, sigma, prior)
-        return declared(np.maximum(estimate, ABREAST * estimate.max(initial=0.0)) if abreast else estimate)
+        return declared(np.maximum(estimate, ABREAST * coarsest(estimate, channels)) if abreast else estimate)
 
     sigma = declared(robust_sigma(problem.scaled_residual(theta), channels))
     here = linearise(problem, theta, weight, _weighing(robust, scale, sigma))
@@ -211,6 +214,13 @@ def minimise(problem: Problem, theta: np.ndarray, weight: np.ndarray | None, pri
     H, g = with_prior(here.equations, sigma, theta, prior)
     rest = solve_with(H, g, prior)
     return Minimum(theta, here, sigma, taken, float(np.sqrt(max(rest @ g, 0.0))), problem)
+
+
+def coarsest(sigma: np.ndarray, channels: Channels) -> np.ndarray:
+    """What the noise of the coarsest channel is in the unit of each, shape (C,); channels in sigmas are beside that, and have 0."""
+    size = np.array([SIZES[channel.unit] if channel.unit in OF_SPACE else 0.0 for channel in channels])
+    there = size > 0.0
+    return size * float(np.max(sigma[there] / size[there], initial=0.0))
 
 
 def _weighing(robust: bool, scale: np.ndarray, sigma: np.ndarray) -> np.ndarray:

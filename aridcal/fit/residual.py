@@ -140,8 +140,7 @@ def _with_holes(question: Problem, part: slice, r: np.ndarray) -> np.ndarray:
 
 def _numbers(residual: np.ndarray, weight: np.ndarray, channels: Channels) -> np.ndarray:
     """Numbers measured in each channel, shape (C,), rows counted by weight."""
-    there = np.array([~np.isnan(residual[:, part.start]) for part in columns(channels)])
-    return np.array([channel.size * float(weight @ own) for channel, own in zip(channels, there, strict=True)])
+    return np.array([float(weight @ (~np.isnan(residual[:, part])).sum(axis=1)) for part in columns(channels)])
 
 
 def weighted_squares(residual: np.ndarray, weight: np.ndarray, channels: Channels) -> np.ndarray:

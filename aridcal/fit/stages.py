@@ -112,9 +112,9 @@ def _start(
     campaign: Campaign, robot: Robot, train: Dataset, labels: tuple[str, ...], frames: tuple[Coefficient, ...]
 ) -> Model:
     """The nominal robot with its frames, and the things that its measurements refer to, where they begin."""
-    if not train.blocks:
+    if np.isfinite(train.position).all():  # every row has measured its target's place
         best, _ = _starts(campaign, robot, train, labels)[0]
-        return Model(robot, frames, *_placements(best, campaign, labels))
+        return Model(robot, frames, *_placements(best, campaign, labels), instruments=train.instruments)
     bare = Model(robot, (), instruments=train.instruments)
     seen = measured(bare, train)
     assert seen is not None
@@ -147,6 +147,25 @@ def nominal_sigma(campaign: Campaign, robot: Robot, rows: Dataset, labels: tuple
     """
     _, sigma = _starts(campaign, robot, rows, labels)[0]
     return sigma
+
+
+def with_things_moved(geometric: Fit, final: Fit) -> Model | None:
+    """The geometric model with the instruments' things where effects of the final one have them; None if it has no such effects."""
+    model, instruments = geometric.model, final.model.instruments
+    moving = [
+        k for k in np.flatnonzero(final.model.at_things).tolist() if not final.model.coefficients[k].basis.constant
+    ]
+    if not moving:
+        return None
+    states = {name: model.states.get(name, things.start).copy() for name, things in instruments.things.items()}
+    for role, things in instruments.things.items():
+        change = np.zeros((len(things), len(things.role.components)))
+        for k in moving:
+            c = final.model.coefficients[k]
+            if c.where in things.places:
+                change[things.places[c.where], things.role.moved_by(c.where, c.component)] += final.theta[k]
+        states[role] = things.role.moved(states[role], change)
+    return replace(model, states=states)
 
 
 def recentred(fit: Fit) -> Fit:

@@ -12,12 +12,11 @@ from scipy.spatial.transform import Rotation
 from aridcal.errors import MeasurementError, NotIdentifiable
 from aridcal.fit.frame_starts import start_frames
 from aridcal.inputs.dataset import Dataset
-from aridcal.instruments.alignment import aligned
 from aridcal.instruments.catalogue import KINDS
 from aridcal.instruments.inclination import DOWN
 from aridcal.instruments.kind import Kind
 from aridcal.instruments.setup import Things
-from aridcal.instruments.starts import Start, starts
+from aridcal.instruments.starts import Start, aligned, starts
 from aridcal.model.measured import Measured
 
 TIP = "tip"
@@ -236,7 +235,7 @@ def _started(
     base = found.world_base
     turned = base.rotation @ R[rows]
     places = p[rows] @ base.rotation.T + base.translation
-    observed = seen.observed[rows, : len(kind.read)]
+    observed = kind.numbers(seen.observed[rows])
     refers = seen.refers[rows, : len(kind.roles)]
     made = starts(kind, turned, places, observed, refers, things, target.homogeneous, known)
     if not made:

@@ -19,14 +19,16 @@ from aridcal.errors import AridcalError, MeasurementError
 from aridcal.head.charuco import corner_places
 from aridcal.head.fiducials import Fiducials
 from aridcal.head.matching import NotMeasured, spans_plane
-from aridcal.head.reduction import Head, Reduced, Seen, reduce_shots, start_anywhere
+from aridcal.head.seen import Seen, check_pose, head_of, observed, start_anywhere
 from aridcal.head.shots import Shot, board, image_content, load, measure_shots, read_ranges
 from aridcal.head.square import CENTRES
 from aridcal.inputs.campaign import Campaign, FrameSettings
-from aridcal.inputs.dataset import Dataset, RowNoise, weighed
+from aridcal.inputs.dataset import ROLES, Dataset, RowNoise, weighed
 from aridcal.inputs.head_settings import HeadSettings, range_columns
 from aridcal.inputs.read import load_measurements
 from aridcal.inputs.tables import Remark, Table, read_tables
+from aridcal.instruments.camera_sonar import HEAD, Head, channels, reduced, unpacked
+from aridcal.instruments.setup import Block, Instruments, Things
 from aridcal.robot.chain import Robot
 from aridcal.showing import Progress
 
@@ -46,27 +48,41 @@ UNREADABLE = "unreadable"
 
 
 @dataclass(frozen=True)
-class Shots:
-    """What the head saw, shot by shot, N of them.
+class Detections:
+    """What was found in the images of a campaign.
 
     Attributes:
-        campaign: The job, its target at the camera: ``tip_target`` is T_tip_camera, and what head.yaml says of it is a hint.
-        head: As head.yaml declares it.
-        rows: Joints, covariates and split of each shot; no pose yet.
-        seen: What was found in each.
         fiducials: The cache: a line for each fiducial.
         mount: T_tip_camera as head.yaml has it, shape (4, 4).
     """
 
-    campaign: Campaign
-    head: Head
-    rows: Dataset
-    seen: tuple[Seen, ...]
     fiducials: pd.DataFrame
     mount: np.ndarray
 
 
-def read_shots(campaign: Campaign, robot: Robot, cache: Path | None, seed: int, progress: Progress) -> Shots:
+@dataclass(frozen=True)
+class Read:
+    """The rows of a campaign, of whatever kind.
+
+    Attributes:
+        campaign: The job; of a measuring head its target is at the camera.
+        rows: Its rows.
+        detections: What was found in images; None where there are none.
+    """
+
+    campaign: Campaign
+    rows: Dataset
+    detections: Detections | None = None
+
+
+def read_rows(campaign: Campaign, robot: Robot, cache: Path | None, seed: int, progress: Progress) -> Read:
+    """Read the measurements of a campaign, from its tables or from the images of its head; see :func:`read_shots`."""
+    if campaign.measurements.head is not None:
+        return read_shots(campaign, robot, cache, seed, progress)
+    return Read(campaign, load_measurements(campaign, robot.readings, robot.limits, robot.kinds, seed))
+
+
+def read_shots(campaign: Campaign, robot: Robot, cache: Path | None, seed: int, progress: Progress) -> Read:
     """Read the shots of a campaign; images only where the cache does not know them.
 
     Args:
@@ -102,40 +118,65 @@ def read_shots(campaign: Campaign, robot: Robot, cache: Path | None, seed: int, 
     remarks = [Remark(settings.shots.name, line, "image", by_line[line].image, why) for line, why in refused.items()]
     every = sorted((*rows.refused, *remarks), key=lambda remark: remark.row or 0)
     kept = rows.select(np.isin(rows.line, list(seen)))
-    return Shots(
-        campaign=campaign,
-        head=Head.of(settings),
-        rows=replace(kept, refused=tuple(every)),
-        seen=tuple(seen.values()),
-        fiducials=pd.concat([found[line] for line in seen], ignore_index=True),
-        mount=settings.tip_camera.homogeneous,
+    rows = shot_rows(replace(kept, refused=tuple(every)), list(seen.values()), head_of(settings), campaign)
+    fiducials = pd.concat([found[line] for line in seen], ignore_index=True)
+    return Read(campaign, rows, Detections(fiducials, settings.tip_camera.homogeneous))
+
+
+def shot_rows(rows: Dataset, seen: Sequence[Seen], head: Head, campaign: Campaign) -> Dataset:
+    """Shots as rows of measurements.
+
+    Args:
+        rows: Joints, covariates and split of N shots.
+        seen: What was found in each.
+        head: As head.yaml declares it.
+        campaign: Says what is known of the noise.
+    """
+    n, (settings,) = len(rows), campaign.blocks
+    numbers = observed(seen, head)
+    found = reduced(unpacked(numbers, len(head.positions)), head)
+    of_pose = replace(rows, channels=channels(head)[:2], position=found.position, rotation=found.rotation)
+    if settings.noise.rows != "ignore":
+        noise = RowNoise(covariance=found.covariance, absolute=settings.noise.rows == "absolute")
+        of_pose = weighed(of_pose, noise)
+    relative = of_pose.relative
+    if relative is not None:
+        pose = relative.shape[1]
+        relative = np.tile(np.eye(sum(channel.size for channel in channels(head))), (n, 1, 1))
+        relative[:, :pose, :pose] = of_pose.relative
+    stated = 1.0 if settings.noise.rows == "absolute" else None
+    block = Block(settings.title, settings.kind, channels(head), (*of_pose.sigma[:2], stated))
+    return replace(
+        of_pose,
+        channels=block.channels,
+        sigma=block.sigma,
+        relative=relative,
+        blocks=(block,),
+        block=np.zeros(n, dtype=int),
+        observed=numbers,
+        refers=np.tile([HEAD, *(ROLES - 1) * [""]], (n, 1)),
+        instruments=head_things(head),
     )
 
 
+def head_things(head: Head) -> Instruments:
+    """A head as a thing that rows refer to: taken as declared, but for what effects of it say."""
+    held = np.zeros((1, len(head.phi)), dtype=bool)
+    things = Things(head.role, (HEAD,), head.state[None], held, np.full(held.shape, np.inf))
+    return Instruments({HEAD: things}, world=True)
+
+
 def _with_head(campaign: Campaign, settings: HeadSettings, table: Table) -> Campaign:
-    """Put the target at the camera, and leave the columns that describe shots out of the covariates."""
+    """Put the target at the camera: ``tip_target`` is T_tip_camera, and what head.yaml says of it is a hint.
+
+    Columns that describe shots are no covariates.
+    """
     own = [name for name in ("image", "square", "shot", *range_columns(settings)) if name in table.names]
     ignore = dict.fromkeys((*campaign.measurements.ignore, *own))
     measurements = campaign.measurements.model_copy(update={"ignore": tuple(ignore)})
     mount = FrameSettings(xyz=settings.tip_camera.xyz, rpy=settings.tip_camera.rpy)
     frames = campaign.frames.model_copy(update={"tip_target": mount})
     return campaign.model_copy(update={"measurements": measurements, "frames": frames})
-
-
-def posed(rows: Dataset, reduced: Reduced, noise: str) -> Dataset:
-    """The shots as measured poses of the camera; those that do not fit together within themselves own up to it.
-
-    Args:
-        rows: N shots.
-        reduced: What they say.
-        noise: What the rows' own covariances are taken for: ``relative``, ``absolute`` or ``ignore``.
-    """
-    doubt = 1.0 / reduced.trust
-    T = reduced.T_world_camera
-    seen = replace(rows, position=T[:, :3, 3], rotation=T[:, :3, :3])
-    if noise == "ignore":
-        return weighed(seen, RowNoise())
-    return weighed(seen, RowNoise(covariance=reduced.covariance * doubt[:, None, None], absolute=noise == "absolute"))
 
 
 def _fiducials(
@@ -238,7 +279,7 @@ def _seen(shot: Shot, lines: pd.DataFrame, settings: HeadSettings, squares: Mapp
     start = start_anywhere(points, pixels, sonars, settings.camera.intrinsics)
     covariances = sigma[:, :, None] ** 2 * np.eye(2)
     seen = Seen(points, pixels, covariances, shot.ranges, squares[own], start)
-    reduce_shots([seen], Head.of(settings))
+    check_pose(seen, head_of(settings))
     return seen
 
 

@@ -13,9 +13,9 @@ import numpy as np
 import pinocchio as pin
 from scipy.stats import chi2
 
-from aridcal.head.sonar import Plane, predict_ranges
-from aridcal.inputs.head_settings import Measures
+from aridcal.head.sonar import Plane
 from aridcal.instruments.camera import DOTY_OPENCV, on_plane, predict_pixels
+from aridcal.instruments.camera_sonar import Measures, predict_ranges
 
 # Sigma beyond which an image point is a gross error: noise does that once in 300,000 points.
 STANDS_OUT = 5.0

@@ -17,10 +17,9 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from aridcal.head.reduction import Head
-from aridcal.head.sonar import predict_ranges
 from aridcal.head.square import SIDE, fiducial_corners, index_corners, paper_corners
 from aridcal.instruments.camera import project
+from aridcal.instruments.camera_sonar import Head, predict_ranges
 
 # Of the JPEG files: its errors stay below the camera's noise.
 QUALITY = 90

@@ -23,12 +23,12 @@ from aridcal.head.charuco import Board, find_charuco
 from aridcal.head.fiducials import Fiducials, find_fiducials
 from aridcal.head.matching import NotMeasured
 from aridcal.head.pose import NO_SONARS, Pose, Sonars, measure_pose
-from aridcal.head.reduction import carried
 from aridcal.head.sonar import fit_plane
 from aridcal.head.square import layout
 from aridcal.inputs.head_settings import HeadSettings, load_shots, load_squares, range_columns
 from aridcal.inputs.tables import Table
 from aridcal.inputs.yaml_file import LARGEST, load_settings
+from aridcal.instruments.camera_sonar import carried
 from aridcal.model.model import Model
 from aridcal.reading.images import image_size, read_image_file
 from aridcal.robot.chain import Robot, load_robot
@@ -280,7 +280,7 @@ def tip_pose(sighting: Sighting, T_world_square: np.ndarray, T_tip_camera: np.nd
         T_world_tip, shape (4, 4), and its covariance, position and rotation vector in world axes, shape (6, 6).
     """
     T_square_tip = np.linalg.inv(T_tip_camera @ sighting.pose.T_camera_square)
-    J = carried(T_world_square[:3, :3], T_square_tip[:3, 3])
+    J = carried(T_world_square[None, :3, :3], T_square_tip[None, :3, 3])[0]
     return T_world_square @ T_square_tip, J @ sighting.pose.covariance @ J.T
 
 

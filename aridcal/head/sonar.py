@@ -12,8 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from aridcal.inputs.head_settings import Measures
-from aridcal.instruments.camera import DOTY_OPENCV
+from aridcal.instruments.camera_sonar import Measures
 
 # [m] Singular value of the sensors' layout below which they sit on one line: a micrometre.
 ON_ONE_LINE = 1e-6
@@ -104,42 +103,6 @@ def _fit_perpendicular(x_y_1: np.ndarray, z: np.ndarray, h: np.ndarray) -> tuple
         if abs(n_z - last) < TILT_TOLERANCE:
             break
     return np.array([n_x, n_y, n_z]), float(distance)
-
-
-def predict_ranges(
-    T_camera_square: np.ndarray, positions: np.ndarray, measures: Measures
-) -> tuple[np.ndarray, np.ndarray]:
-    """Predict the readings from poses of the square in OpenCV's camera frame, with derivatives.
-
-    With the square's axes x, y, n and origin t in the camera, h = n.(s - t). A twist (v, w) of the square in its own frame,
-    T exp(twist), changes it by dh = -v_z - w_x y.(s - t) + w_y x.(s - t). Along the axis, h is divided by n_z > 0, which
-    changes with w as n does.
-
-    Args:
-        T_camera_square: Shape (..., 4, 4).
-        positions: Sensors in Doty's camera frame, shape (S, 3), [m].
-        measures: What a reading is.
-
-    Returns:
-        Readings (..., S), [m], and their derivatives (..., S, 6) by a twist (linear, angular) of the square in its own
-        frame.
-    """
-    R = T_camera_square[..., :3, :3]
-    t = T_camera_square[..., :3, 3]
-    x, y, n = R[..., 0], R[..., 1], R[..., 2]
-    arm = positions @ DOTY_OPENCV - t[..., None, :]  # from the square's origin to each sensor, s - t
-    h = np.einsum("...si,...i->...s", arm, n)
-    J = np.zeros((*h.shape, 6))
-    J[..., 2] = -1.0
-    J[..., 3] = -np.einsum("...si,...i->...s", arm, y)
-    J[..., 4] = np.einsum("...si,...i->...s", arm, x)
-    if measures == "along_axis":
-        n_z = -n[..., 2, None]  # towards the camera's back: Doty's z
-        share = h / n_z
-        J[..., 3] += share * -y[..., 2, None]
-        J[..., 4] += share * x[..., 2, None]
-        return share, J / n_z[..., None]
-    return h, J
 
 
 def contradictions(residuals: np.ndarray, std: float) -> dict[int, float]:

@@ -203,9 +203,9 @@ class Job(Settings):
                 )
         pixels = any(block.kind == "pixels" for block in self.blocks)
         for number, effect in enumerate(self.effects):
-            seen = pixels and KINDS[effect.kind].testable is not None
-            if is_of_head(effect.kind) and not seen:
-                of = "`kind: camera_sonar`" + (" or `kind: pixels`" if KINDS[effect.kind].testable else "")
+            of_camera = KINDS[effect.kind].of_head == "camera"
+            if is_of_head(effect.kind) and not (pixels and of_camera):
+                of = "`kind: camera_sonar`" + (" or `kind: pixels`" if of_camera else "")
                 raise ValueError(f"effects[{number}].kind: {effect.kind} needs {of}")
         return self
 

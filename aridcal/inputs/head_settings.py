@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import numpy as np
 from pydantic import Field, PositiveInt, model_validator
@@ -14,13 +14,13 @@ from aridcal.inputs.instrument_settings import Placement
 from aridcal.inputs.quantities import POSITION, QUATERNION, QUATERNION_SLACK
 from aridcal.inputs.tables import Table, read_tables
 from aridcal.inputs.yaml_file import LARGEST, Number, Positive, RelativePath, Section, Settings, Vector3
+from aridcal.instruments.camera_sonar import Measures
 from aridcal.reading.files import MEGA, TABLE, Limit
 
 CHARUCO_KEYS = ("squares_x", "squares_y", "square", "marker", "dictionary")
 POSE_COLUMNS = (*POSITION, *QUATERNION)
 
 # What a sonar reads: the distance to the plane, or that along the camera's axis.
-Measures = Literal["perpendicular", "along_axis"]
 
 # [m] Second singular value of the sonars' layout below which they sit on one line: a millimetre shows no tilt.
 LEAST_SPREAD = 1e-3

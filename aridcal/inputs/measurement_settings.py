@@ -123,7 +123,7 @@ class MeasurementSettings(Section):
     files: Annotated[tuple[RelativePath, ...], BeforeValidator(listed)] = Field(default=(), alias="file")
     head: RelativePath | None = None
     """Settings of the measuring head; for `kind: camera_sonar`."""
-    kind: Annotated[str, one_of((*KINDS, "camera_sonar"))] = "pose"
+    kind: Annotated[str, one_of(tuple(KINDS))] = "pose"
     name: str | None = None
     """Of the block; `None`: its kind."""
     camera: str | None = None

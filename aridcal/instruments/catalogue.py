@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from aridcal.instruments.camera_sonar import CAMERA_SONAR
 from aridcal.instruments.distance import DISTANCE
 from aridcal.instruments.inclination import INCLINED
 from aridcal.instruments.kind import Kind
@@ -12,4 +13,6 @@ from aridcal.instruments.plane import PLANAR
 from aridcal.instruments.point import TOUCHED
 from aridcal.instruments.pose import POSE, POSITION
 
-KINDS: Mapping[str, Kind] = {kind.name: kind for kind in (POSE, POSITION, TOUCHED, DISTANCE, PLANAR, PIXELS, INCLINED)}
+KINDS: Mapping[str, Kind] = {
+    kind.name: kind for kind in (POSE, POSITION, TOUCHED, DISTANCE, PLANAR, PIXELS, INCLINED, CAMERA_SONAR)
+}

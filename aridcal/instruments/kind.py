@@ -7,8 +7,8 @@ from the target's pose and the states of those things, and how that changes with
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -34,6 +34,8 @@ class Role:
             None where that is the identity. Derivatives of :class:`Seen` are by the local change.
         identified: Components that are unknown unless the campaign says otherwise.
         many: True where there may be thousands of them: they are solved for one by one, beside the rest of the model.
+        places: For things whose components have places of corrections of their own, ``where.component`` of a coefficient and
+            the components that it moves together. Empty where the place is the thing itself.
     """
 
     name: str
@@ -44,6 +46,12 @@ class Role:
     slope: Callable[[np.ndarray, np.ndarray], np.ndarray] | None
     identified: tuple[str, ...]
     many: bool
+    places: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+
+    def moved_by(self, where: str, component: str) -> tuple[int, ...]:
+        """Numbers of the components that a coefficient at one of these things moves."""
+        own = self.places.get(f"{where}.{component}", (component,))
+        return tuple(self.components.index(name) for name in own)
 
 
 @dataclass(frozen=True)
@@ -89,6 +97,9 @@ class Kind:
         turns: False if the target's own rotation does not matter: it is a point.
         condition: True where a row says that a condition holds (the target is in the socket, on the plate): what was observed
             are then the readings of the joints.
+        places: True where a row measures the target's own place in the world.
+        missing: Of rows that come from no table, and read as many numbers as they need: which of m numbers a row does not
+            measure, (n, W) and m to (n, m) bool.
     """
 
     name: str
@@ -101,6 +112,12 @@ class Kind:
     located: Located | None
     turns: bool = False
     condition: bool = False
+    places: bool = False
+    missing: Callable[[np.ndarray, int], np.ndarray] | None = None
+
+    def numbers(self, observed: np.ndarray) -> np.ndarray:
+        """What its rows read, shape (n, W), of numbers that are as many as the widest kind reads."""
+        return observed[:, : len(self.read)] if self.missing is None else observed
 
 
 def points_twist(by_point: np.ndarray) -> np.ndarray:

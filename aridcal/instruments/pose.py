@@ -116,7 +116,9 @@ def _pose_seen(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: State
 XYZ = ("x", "y", "z")
 """Columns of a position; those of a rotation matrix follow row by row."""
 
-POSITION = Kind("position", "the target's position", (TARGET_POSITION,), XYZ, (), _position, _position_seen, None)
+POSITION = Kind(
+    "position", "the target's position", (TARGET_POSITION,), XYZ, (), _position, _position_seen, None, places=True
+)
 
 POSE = Kind(
     name="pose",
@@ -128,4 +130,5 @@ POSE = Kind(
     derivatives=_pose_seen,
     located=None,
     turns=True,
+    places=True,
 )

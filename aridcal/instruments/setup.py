@@ -34,6 +34,28 @@ class Things:
     def __len__(self) -> int:
         return len(self.names)
 
+    @cached_property
+    def places(self) -> dict[str, int]:
+        """Number of the thing at each place of corrections."""
+        if self.role.places:
+            return {place.rpartition(".")[0]: 0 for place in self.role.places}
+        return {name: k for k, name in enumerate(self.names)}
+
+    @property
+    def held(self) -> dict[str, tuple[str, ...]]:
+        """What is taken as stated of each thing, by its place of corrections."""
+        if not self.role.places:
+            names = self.role.components
+            return {
+                name: tuple(c for c, free in zip(names, own, strict=True) if not free)
+                for name, own in zip(self.names, self.free, strict=True)
+            }
+        found: dict[str, tuple[str, ...]] = {}
+        for place in self.role.places:
+            where, _, component = place.rpartition(".")
+            found[where] = (*found.get(where, ()), component)
+        return found
+
 
 @dataclass(frozen=True)
 class Tie:
@@ -72,22 +94,20 @@ class Instruments:
 
     @cached_property
     def names(self) -> frozenset[str]:
-        """Labels of all things."""
-        return frozenset(name for things in self.things.values() for name in things.names)
+        """Places of corrections at all things: their labels, but for heads."""
+        return frozenset(name for things in self.things.values() for name in things.places)
 
     @property
     def held(self) -> dict[tuple[str, str], tuple[str, ...]]:
-        """Components that are taken as stated of each thing, by the name of its role and its own."""
-        return {
-            (role, name): tuple(c for c, free in zip(things.role.components, own, strict=True) if not free)
-            for role, things in self.things.items()
-            for name, own in zip(things.names, things.free, strict=True)
-        }
+        """What is taken as stated of each thing, by the name of its role and its place of corrections."""
+        return {(role, name): held for role, things in self.things.items() for name, held in things.held.items()}
 
     def unit(self, name: str, component: str) -> str:
-        """Unit of a component of a thing."""
-        role = next(t.role for t in self.things.values() if name in t.names and component in t.role.components)
-        return role.units[role.components.index(component)]
+        """Unit of what a coefficient at a thing moves."""
+        for role in (things.role for things in self.things.values() if name in things.places):
+            if component in role.components or f"{name}.{component}" in role.places:
+                return role.units[role.moved_by(name, component)[0]]
+        raise KeyError(f"{name}.{component}")
 
 
 @dataclass(frozen=True)

@@ -28,14 +28,14 @@ class Moved:
         varying: Of its basis among those that are no constants; None for a constant.
         role: Of the thing.
         thing: Its number.
-        component: Number of the component.
+        components: Numbers of the components that it moves alike.
     """
 
     index: int
     varying: int | None
     role: str
     thing: int
-    component: int
+    components: tuple[int, ...]
 
 
 @dataclass(frozen=True)
@@ -89,10 +89,12 @@ class Measured:
     @property
     def absent(self) -> np.ndarray:
         """Numbers that a row does not measure, shape (N, m) bool."""
-        every = np.ones((len(self.parts), self.width), dtype=bool)
+        found = np.ones((len(self), self.width), dtype=bool)
         for b, part in enumerate(self.parts):
-            every[b, part] = False
-        return every[self.block]
+            kind, own = self.of_kind(b)
+            missing = kind.missing(self.observed[own], part.stop - part.start) if kind.missing else False
+            found[own, part] = missing
+        return found
 
     def of_model(self, model: Model) -> Measured:
         """The same for a model of other coefficients."""
@@ -137,7 +139,7 @@ class Measured:
         for b, part in enumerate(self.parts):
             kind, own = self.of_kind(b)
             if len(own):
-                observed = self.observed[own, : len(kind.read)]
+                observed = kind.numbers(self.observed[own])
                 r[own, part] = kind.residual(R[own], p[own], observed, self._states(kind, own, theta, rows, states)[0])
         return r
 
@@ -153,7 +155,7 @@ class Measured:
             if not len(own):
                 continue
             now, changes = self._states(kind, own, theta, rows, states)
-            seen = kind.derivatives(R[own], p[own], self.observed[own, : len(kind.read)], now)
+            seen = kind.derivatives(R[own], p[own], kind.numbers(self.observed[own]), now)
             r[own, part], twist[own, part] = seen.residual, seen.by_twist
             for k, (role, change) in enumerate(zip(kind.roles, changes, strict=True)):
                 by_state = seen.by_state[k]
@@ -165,7 +167,7 @@ class Measured:
                 for number, c in enumerate(self.moved):
                     if c.role == role.name:
                         hit = thing == c.thing
-                        value = by_state[hit][:, :, c.component]
+                        value = by_state[hit][:, :, c.components].sum(axis=2)
                         if c.varying is not None:
                             value = value * rows.phi[own[hit], c.varying][:, None]
                         by_moved[number][own[hit], part] = value
@@ -179,12 +181,13 @@ class Measured:
         for k, role in enumerate(kind.roles):
             thing = self.refers[own, k]
             start = states[role.name][thing]
+            role = self.instruments.things[role.name].role  # a head has components of its own
             change = np.zeros((len(own), len(role.components)))
             moved = [c for c in self.moved if c.role == role.name]
             for c in moved:
                 hit = thing == c.thing
                 step = theta[c.index] if c.varying is None else theta[c.index] * rows.phi[own[hit], c.varying]
-                change[hit, c.component] += step
+                change[np.ix_(hit, c.components)] += np.reshape(step, (-1, 1))
             now.append(role.moved(start, change) if moved else start)
             changes.append(change)
         return now, changes
@@ -246,16 +249,14 @@ def _with(old: Things, new: Things, added: Sequence[int]) -> Things:
 
 def _moved(model: Model) -> tuple[Moved, ...]:
     """The model's coefficients that move things."""
-    place = {
-        name: (role, k) for role, things in model.instruments.things.items() for k, name in enumerate(things.names)
-    }
+    place = {name: (role, k) for role, things in model.instruments.things.items() for name, k in things.places.items()}
     varying = np.cumsum([not c.basis.constant for c in model.coefficients]) - 1
     found = []
     for k in np.flatnonzero(model.at_things).tolist():
         c = model.coefficients[k]
         role, thing = place[c.where]
-        component = model.instruments.things[role].role.components.index(c.component)
-        found.append(Moved(k, None if c.basis.constant else int(varying[k]), role, thing, component))
+        components = model.instruments.things[role].role.moved_by(c.where, c.component)
+        found.append(Moved(k, None if c.basis.constant else int(varying[k]), role, thing, components))
     return tuple(found)
 
 
@@ -309,7 +310,7 @@ def _one(
     """State (P,) of one thing from its rows alone, and how many of its components these tell."""
     kind, first = part.of_kind(int(part.block[0]))
     now = [states[role.name][part.refers[first, j]] for j, role in enumerate(kind.roles)]
-    start = kind.located(R[first], p[first], part.observed[first, : len(kind.read)], now) if kind.located else None
+    start = kind.located(R[first], p[first], kind.numbers(part.observed[first]), now) if kind.located else None
     if start is None or not np.isfinite(start).all():
         return states[name][k], int(free.sum())
     role = part.instruments.things[name].role

@@ -126,7 +126,7 @@ def simulate(scenario: Scenario, progress: Progress = SILENT) -> Simulation:
         position, rotation, wrong = _measured(truth, R, p, noise, outliers)
         table = _table(scenario, robot, readings, columns, position, rotation)
     else:
-        real, of_head = true_head(scenario, head, chance)
+        real, of_head = true_head(scenario, robot, head, chance)
         causes = [*causes, *of_head]
         wrong = np.zeros(truth.n, dtype=bool)
         progress.at("taking the shots")

@@ -9,17 +9,20 @@ import numpy as np
 import pinocchio as pin
 
 from aridcal.effects.basis import Basis
-from aridcal.effects.catalogue import is_of_head
+from aridcal.effects.catalogue import declared, is_of_head
 from aridcal.effects.effect import Coefficient
+from aridcal.effects.kinds import Observed
 from aridcal.errors import CampaignError
-from aridcal.head.reduction import Head
+from aridcal.head.detections import head_things
 from aridcal.head.render import Optics, photograph
+from aridcal.head.seen import head_of
 from aridcal.head.square import INCH
 from aridcal.inputs.head_settings import HeadSettings, range_columns
+from aridcal.instruments.camera_sonar import Head
 from aridcal.model.model import Model
 from aridcal.prepare.scenario import Scenario
 from aridcal.prepare.true_effects import Cause, values
-from aridcal.search.head_effects import directions, stated
+from aridcal.robot.chain import Robot
 from aridcal.showing import Progress
 
 # Wanted of a view: distance of the lens, [m]; lean of the optical axis, [rad]; where the axis meets the square, [m]
@@ -258,22 +261,25 @@ def photographed(
     return {"image": list(images), "square": square, **columns}, images
 
 
-def true_head(scenario: Scenario, settings: HeadSettings, rng: np.random.Generator) -> tuple[Head, list[Cause]]:
+def true_head(
+    scenario: Scenario, robot: Robot, settings: HeadSettings, rng: np.random.Generator
+) -> tuple[Head, list[Cause]]:
     """The measuring head as it really is, and its effects.
-
-    Its numbers are phi = phi_stated + sum over the effects of D theta, with the effect's coefficients theta and their
-    directions D in the space of the head's numbers.
 
     Args:
         scenario: Says which effects.
+        robot: Of whose joints none may be called like a part of the head.
         settings: The head as its makers state it.
         rng: Draws the coefficients that are not given.
     """
-    head, place = Head.of(settings), f"{scenario.path}: truth"
-    phi, causes = head.phi, []
-    wanted = [e for e in scenario.truth.effects if is_of_head(e.kind)]
-    for e, effect in zip(wanted, stated(head, wanted, place), strict=True):
-        theta = values(e, effect, rng, place)
-        causes.append(Cause(effect, theta, {}))
-        phi = phi + directions(head, effect.coefficients) @ theta
+    head, place = head_of(settings), f"{scenario.path}: truth"
+    phi, causes = head.phi.copy(), []
+    seen = Observed(robot, {}, (), held=head_things(head).held)
+    for e in scenario.truth.effects:
+        if is_of_head(e.kind):
+            effect = declared(seen, e, place)
+            theta = values(e, effect, rng, place)
+            causes.append(Cause(effect, theta, {}))
+            for c, value in zip(effect.coefficients, theta.tolist(), strict=True):
+                phi[list(head.role.moved_by(c.where, c.component))] += value
     return replace(head, phi=phi), causes

@@ -10,8 +10,8 @@ from aridcal.fit.closed_form import ClosedForm
 from aridcal.report.html import Content, Html, counted, fixed, number, plus_minus, table, tag
 from aridcal.report.identified_section import length_or_angle
 from aridcal.result.key_figures import scored
+from aridcal.result.measuring_head import HeadNumber, MeasuringHead
 from aridcal.result.outcome import Outcome, errors
-from aridcal.search.arm_and_head import HeadNumber, MeasuringHead
 
 # Link parameters of the closed form: symbol, column of a row (d, θ, β, a, α), and whether it is an angle.
 LINKS = (("θ", 1, True), ("β", 2, True), ("a", 3, False), ("α", 4, True))

@@ -22,9 +22,9 @@ from aridcal.fit.least_squares import Fit
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.catalogue import KINDS as INSTRUMENTS
 from aridcal.instruments.channels import columns
+from aridcal.result.measuring_head import MeasuringHead
 from aridcal.result.outcome import Outcome, Stage, Verification, errors
 from aridcal.result.saving import calibration
-from aridcal.search.arm_and_head import MeasuringHead
 from aridcal.search.gains import NamedEffect
 from aridcal.search.noise_causes import NoiseCauses
 from aridcal.showing import SILENT, Progress
@@ -215,7 +215,7 @@ def _effect(named: NamedEffect, outcome: Outcome) -> dict[str, Any]:
     if effect.at is not None:
         found["at"] = moment(effect.at, outcome.measurements)
     turning = {c: c in ANGULAR or (c == "axis" and joints.get(effect.where) == "revolute") for c in effect.motion}
-    known = {c.name: (c.unit, c.value, c.std) for c in outcome.head.coefficients} if outcome.head else {}
+    known = {}
     for c in effect.coefficients:
         if c.name in index:
             k = index[c.name]

@@ -15,21 +15,20 @@ from aridcal.fit.flags import distance, robust_sigma
 from aridcal.fit.least_squares import Fit, fit
 from aridcal.fit.noise import Repeats, declared_notices, repeats
 from aridcal.fit.problem import problem, scaled, unscaled
-from aridcal.fit.stages import Geometry, recentred
-from aridcal.head.detections import read_shots
+from aridcal.fit.stages import Geometry, recentred, with_things_moved
+from aridcal.head.detections import Detections, read_rows
 from aridcal.inputs.approach import with_directions
 from aridcal.inputs.campaign import Campaign, load_campaign
 from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.read import load_measurements
 from aridcal.inputs.tables import AnyTable
 from aridcal.model.memory import Size, available_memory, check_memory
+from aridcal.result.measuring_head import measuring_head
 from aridcal.result.outcome import Outcome, Stage, Verification
 from aridcal.result.uncertainty import FAR, halves, outliers, precision, realigned, with_noise_seen
 from aridcal.result.verdict import Verdict, decide, row_clues
-from aridcal.result.with_head import with_head
 from aridcal.robot.chain import Robot, load_robot
 from aridcal.search.arm import CalibratedArm, calibrated_arm, fit_constants
-from aridcal.search.arm_and_head import fit_arm_and_head
 from aridcal.search.diagnose import SEARCHED, Diagnosed
 from aridcal.search.gains import explain
 from aridcal.search.noise_causes import structured_notices
@@ -100,42 +99,35 @@ def identify(
     campaign = job if isinstance(job, Campaign) else load_campaign(job)
     robot = load_robot(campaign.robot.urdf, campaign.robot.tip, campaign.robot.base, campaign.limits.urdf)
     progress("reading the measurements")
-    if campaign.measurements.kind == "camera_sonar":
-        outcome = _from_shots(campaign, robot, seed, verify, progress, cache)
-    else:
-        rows = with_directions(load_measurements(campaign, robot.readings, robot.limits, robot.kinds, seed))
-        still = _check_motion(campaign, rows)
-        labels = station_labels(campaign, rows)
-        check_memory(_size(campaign, robot, rows, labels), str(campaign.path), available_memory())
-        progress(f"fitting frames and constants to {rows.train.sum()} rows")
-        try:
-            geometry = fit_constants(campaign, robot, rows, labels, progress)
-        except NotOfThisRobot:
-            judge(campaign, robot, rows, None)
-            raise
-        judge(campaign, robot, rows, geometry)
-        arm = calibrated_arm(campaign, robot, rows, labels, geometry, progress)
-        outcome = _outcome(campaign, robot, arm, still, progress)
+    if verify is not None and campaign.measurements.head is not None:
+        raise CampaignError(f"{campaign.path}: --verify needs a table of poses; `kind: camera_sonar` has shots")
+    read = read_rows(campaign, robot, cache, seed, progress)
+    campaign, rows = read.campaign, with_directions(read.rows)
+    still = _check_motion(campaign, rows)
+    labels = station_labels(campaign, rows)
+    check_memory(_size(campaign, robot, rows, labels), str(campaign.path), available_memory())
+    progress(f"fitting frames and constants to {rows.train.sum()} rows")
+    try:
+        geometry = fit_constants(campaign, robot, rows, labels, progress)
+    except NotOfThisRobot:
+        judge(campaign, robot, rows, None)
+        raise
+    judge(campaign, robot, rows, geometry)
+    arm = calibrated_arm(campaign, robot, rows, labels, geometry, progress)
+    outcome = _outcome(campaign, robot, arm, still, read.detections, progress)
     if verify is not None:
         progress("scoring another day's measurements")
         outcome = replace(outcome, verification=score(outcome, verify))
     return replace(outcome, seconds=time.perf_counter() - started)
 
 
-def _from_shots(
-    campaign: Campaign, robot: Robot, seed: int, verify: AnyTable | None, progress: Progress, cache: Path | None
-) -> Outcome:
-    """The outcome of a campaign whose rows are shots of the measuring head."""
-    if verify is not None:
-        raise CampaignError(f"{campaign.path}: --verify needs a table of poses; `kind: camera_sonar` has shots")
-    shots = read_shots(campaign, robot, cache, seed, progress)
-    still = _check_motion(shots.campaign, shots.rows)
-    both = fit_arm_and_head(shots, robot, station_labels(shots.campaign, shots.rows), progress)
-    return with_head(_outcome(both.campaign, robot, both.arm, still, progress), both, shots)
-
-
 def _outcome(
-    campaign: Campaign, robot: Robot, arm: CalibratedArm, still: tuple[str, ...], progress: Progress
+    campaign: Campaign,
+    robot: Robot,
+    arm: CalibratedArm,
+    still: tuple[str, ...],
+    detections: Detections | None,
+    progress: Progress,
 ) -> Outcome:
     """Score every stage of a calibrated arm, and ask what remains."""
     progress("scoring")
@@ -147,6 +139,8 @@ def _outcome(
     before, after = (stage.residual[~outlier] for stage in stages[1:])
     few = len(final.theta) < HALVED and final.numbers > ENOUGH * len(final.theta)
     compared = final if few else geometric
+    stages = with_instruments_found(stages, train)
+    head = None if detections is None else measuring_head(final, stages[1].fit, rows, rows.train & ~outlier, detections)
     return Outcome(
         campaign=campaign,
         robot=robot,
@@ -160,6 +154,7 @@ def _outcome(
         verdict=known.verdict,
         causes=arm.causes,
         notices=(
+            *(head.notices if head is not None else ()),
             *still,
             *([arm.geometry.kept] if arm.geometry.kept else []),
             *([ONE_BODY.format(round(1 / rows.share))] if rows.share < 1 else []),
@@ -172,7 +167,22 @@ def _outcome(
         seconds=0.0,
         traces=trace(final, kept, before, after, progress),
         diagnosis=explain(diagnosed, rows, rows.test & ~outlier, known.clues),
+        head=head,
     )
+
+
+def with_instruments_found(stages: tuple[Stage, ...], train: Dataset) -> tuple[Stage, ...]:
+    """Stages of which the constants are those of instruments as the last has them: they go into the URDF.
+
+    What the geometric stage leaves of the rows stays what it leaves with the instruments as declared.
+    """
+    nominal, geometric, final = stages
+    found = with_things_moved(geometric.fit, final.fit)
+    if found is None:
+        return stages
+    again = recentred(fit(problem(found, train), geometric.fit.theta))
+    kept = replace(again, candidates=geometric.fit.candidates, redundant=geometric.fit.redundant)
+    return nominal, replace(geometric, fit=kept), final
 
 
 def judged(arm: CalibratedArm, progress: Progress = SILENT) -> Judged:

@@ -1,0 +1,86 @@
+"""What was found in one shot, as a row of measurements: see :mod:`aridcal.instruments.camera_sonar`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from aridcal.head.matching import NotMeasured
+from aridcal.head.pose import NO_SONARS, Sonars, fit_pose, start_on_plane
+from aridcal.head.sonar import fit_plane
+from aridcal.inputs.head_settings import HeadSettings
+from aridcal.instruments.camera import rays
+from aridcal.instruments.camera_sonar import Head, packed
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What was found in one shot.
+
+    Attributes:
+        points: Fiducials in the frame of the square, shape (M, 3), [m].
+        pixels: Their images, shape (M, 2).
+        covariances: Of those, shape (M, 2, 2), [px²].
+        ranges: As the sonars read them, shape (S,), [m].
+        T_world_square: Shape (4, 4).
+        T_camera_square: Where a fit of the pose may start, shape (4, 4).
+    """
+
+    points: np.ndarray
+    pixels: np.ndarray
+    covariances: np.ndarray
+    ranges: np.ndarray
+    T_world_square: np.ndarray
+    T_camera_square: np.ndarray
+
+
+def head_of(settings: HeadSettings) -> Head:
+    """The head as its settings have it: no sonar adds or stretches anything."""
+    intrinsics, sonars = settings.camera.intrinsics, settings.sonars
+    if sonars is None:
+        return Head(intrinsics, NO_SONARS.positions, NO_SONARS.measures, NO_SONARS.std)
+    positions = np.array(sonars.positions)
+    right = np.zeros(2 * len(positions))
+    return Head(np.concatenate([intrinsics, right]), positions, sonars.measures, sonars.std)
+
+
+def observed(shots: Sequence[Seen], head: Head) -> np.ndarray:
+    """N shots of a head, as declared, as rows of numbers, shape (N, W)."""
+    return packed(
+        head,
+        np.array([shot.T_world_square for shot in shots]),
+        np.array([shot.T_camera_square for shot in shots]),
+        np.array([shot.ranges for shot in shots]),
+        [shot.points for shot in shots],
+        [shot.pixels for shot in shots],
+        [shot.covariances for shot in shots],
+    )
+
+
+def check_pose(shot: Seen, head: Head) -> None:
+    """Try that a shot fits a pose.
+
+    Raises:
+        NotMeasured: It does not.
+    """
+    sonars = Sonars(shot.ranges, head.positions, head.measures, head.std)
+    try:
+        fit_pose(shot.points, shot.pixels, shot.covariances, sonars, head.intrinsics, shot.T_camera_square)
+    except ValueError as error:
+        raise NotMeasured(str(error)) from None
+
+
+def start_anywhere(points: np.ndarray, pixels: np.ndarray, sonars: Sonars, intrinsics: np.ndarray) -> np.ndarray:
+    """Find T_camera_square, (4, 4), from image points (M, 2) alone or, better with few of them, with the sonars' plane."""
+    if len(sonars.readings):
+        plane = fit_plane(sonars.readings, sonars.positions, sonars.measures)
+        return start_on_plane(points, pixels, plane, intrinsics)
+    normalised = rays(pixels, intrinsics)
+    _, turn, shift = cv2.solvePnP(points, normalised, np.eye(3), None, flags=cv2.SOLVEPNP_SQPNP)
+    T = np.eye(4)
+    T[:3, :3], _ = cv2.Rodrigues(turn)
+    T[:3, 3] = shift.ravel()
+    return T
