@@ -29,9 +29,10 @@ from aridcal.head.fiducials import Fiducials, find_fiducials
 from aridcal.head.matching import NotMeasured, spans_plane
 from aridcal.head.pose import Pose, Sonars, measure_pose
 from aridcal.head.render import Glare, Patch, Scene, coverage, light_map, render
-from aridcal.head.sonar import doty_plane, fit_plane, predict_ranges, ranges
+from aridcal.head.sonar import doty_plane, fit_plane, ranges
 from aridcal.head.square import INCH, Layout, layout, strip_placements
 from aridcal.instruments.camera import DOTY_OPENCV, predict_pixels
+from aridcal.instruments.camera_sonar import predict_ranges
 
 WIDTH = HEIGHT = 512
 INTRINSICS = np.array([700.0, 700.0, 255.5, 255.5, 0, 0, 0, 0, 0])

@@ -81,11 +81,11 @@ def look(T_world_camera: np.ndarray, own: int, head: Head, rng: np.random.Genera
     return Seen(marks.centres, pixels, sigma[:, :, None] ** 2 * np.eye(2), h, OPTICS.squares[own], start)
 
 
-def campaign(more: str = "") -> Campaign:
+def campaign(more: str = "", rows: str = "relative") -> Campaign:
     """The job of arid-strip, its target at the camera."""
     text = f"""format: 1
 robot: {{urdf: {ROOT / "urdf" / "arid.urdf"}, base: base_link, tip: flange, gravity: [0, 9.81, 0]}}
-measurements: {{kind: camera_sonar, head: head.yaml}}
+measurements: {{kind: camera_sonar, head: head.yaml, noise: {{rows: {rows}}}}}
 {more}"""
     job = parse_settings(text, STRIP / "campaign.yaml", Campaign)
     mount = FrameSettings(xyz=SETTINGS.tip_camera.xyz, rpy=SETTINGS.tip_camera.rpy)
@@ -102,7 +102,13 @@ class Shots:
 
 
 def shots(
-    n: int, head: Head, seed: int = 0, more: str = "", model: Model = MODEL, theta: np.ndarray = THETA
+    n: int,
+    head: Head,
+    seed: int = 0,
+    more: str = "",
+    model: Model = MODEL,
+    theta: np.ndarray = THETA,
+    noise: str = "relative",
 ) -> tuple[Shots, np.ndarray]:
     """A campaign of n shots, and its readings."""
     q, square = views(n, seed)
@@ -116,7 +122,7 @@ def shots(
         sigma=(None, None),
         split_given=True,
     )
-    job = campaign(more)
+    job = campaign(more, noise)
     return Shots(job, shot_rows(rows, seen, START, job), seen), q
 
 

@@ -19,7 +19,6 @@ from aridcal.effects.catalogue import (
     KINDS,
     candidates,
     declared,
-    head_candidates,
     is_of_head,
     kinds_table,
     usable_columns,
@@ -27,9 +26,11 @@ from aridcal.effects.catalogue import (
 from aridcal.effects.effect import Coefficient, Effect
 from aridcal.effects.kinds import Kind, Observed
 from aridcal.effects.loads import Surroundings, covariate_table
+from aridcal.head.detections import head_things
 from aridcal.identify import main as identify
 from aridcal.inputs.campaign import EffectDeclaration, Job
 from aridcal.inputs.yaml_file import parse_settings
+from aridcal.instruments.camera_sonar import Head
 from aridcal.model.model import Model
 from aridcal.simulate import main as simulate
 
@@ -65,10 +66,9 @@ CONTRACT: dict[str, tuple[set[str], tuple[str, ...]]] = {
 OF_THINGS = ("distance_scale",)
 OF_ARM = [kind for kind in KINDS if not is_of_head(kind) and kind not in OF_THINGS]
 HELD = {("anchor", "rail"): ("scale",), ("camera", "eye"): ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")}
+HEAD_HELD = head_things(Head(np.zeros(13), np.zeros((2, 3)), "perpendicular", 1.0)).held
 N = 40
 MEASURED = ("time", "temperature", "temperature_hall", "payload", "joint_1_direction")
-CAMERA = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
-HEAD = (*(f"camera.{c}" for c in CAMERA), *(f"sonar_{k}.{what}" for what in ("bias", "scale") for k in (1, 2)))
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 
 
@@ -86,8 +86,8 @@ def observed() -> tuple[Observed, Model, np.ndarray, dict[str, np.ndarray]]:
 
 
 def effects(kind: str) -> list[Effect]:
-    rows = replace(observed()[0], held=HELD) if kind in OF_THINGS else observed()[0]
-    found = head_candidates(HEAD, (kind,)) if is_of_head(kind) else candidates(rows, (kind,))
+    held = HELD if kind in OF_THINGS else HEAD_HELD if is_of_head(kind) else {}
+    found = candidates(replace(observed()[0], held=held), (kind,))
     assert found
     return found
 

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from aridcal.__main__ import main as aridcal
 from aridcal.effects.effect import Coefficient
 from aridcal.head.charuco import Board
-from aridcal.head.detections import Shots, read_shots
+from aridcal.head.detections import Read, read_shots
 from aridcal.head.render import Optics
 from aridcal.identify import main
 from aridcal.inputs.campaign import load_campaign
@@ -51,7 +51,7 @@ def run(folder: Path) -> dict:
     return json.loads((folder / "results" / "result.json").read_text())
 
 
-def read(folder: Path, cache: Path | None = None) -> tuple[Shots, str]:
+def read(folder: Path, cache: Path | None = None) -> tuple[Read, str]:
     """The shots, and what was said while they were read."""
     said: list[str] = []
     shots = read_shots(load_campaign(folder / "campaign.yaml"), ARID, cache, 0, Progress(said.append))
@@ -61,7 +61,7 @@ def read(folder: Path, cache: Path | None = None) -> tuple[Shots, str]:
 def cached(folder: Path) -> Path:
     """What a run would leave behind."""
     path = folder / "fiducials.csv"
-    read(folder)[0].fiducials.to_csv(path, index=False)
+    read(folder)[0].detections.fiducials.to_csv(path, index=False)
     return path
 
 
@@ -84,8 +84,8 @@ def test_an_image_that_changed_is_read_anew(folder):
     image.write_bytes(image.read_bytes() + b"\0")  # the same picture, other bytes
     again, said = read(folder, cache)
     assert "reading 1 images" in said
-    assert before["shot"][again.fiducials["digest"] != before["digest"]].nunique() == 1
-    pd.testing.assert_frame_equal(again.fiducials.drop(columns="digest"), before.drop(columns="digest"))
+    assert before["shot"][again.detections.fiducials["digest"] != before["digest"]].nunique() == 1
+    pd.testing.assert_frame_equal(again.detections.fiducials.drop(columns="digest"), before.drop(columns="digest"))
 
 
 @pytest.mark.parametrize(
@@ -114,7 +114,7 @@ def test_shots_that_cannot_be_used_are_named_and_the_others_are_used(folder):
             table.loc[row, name] = value
     table.to_csv(folder / "shots.csv", index=False)
     shots, _ = read(folder)
-    assert len(shots.rows) == len(shots.seen) == 14 - len(faults)
+    assert len(shots.rows) == shots.rows.observed.shape[0] == 14 - len(faults)
     assert [r.row for r in shots.rows.refused] == [2 + k for k in range(len(faults))]
     for refused, (_, why) in zip(shots.rows.refused, faults, strict=True):
         assert refused.file == "shots.csv" and why in refused.why

@@ -11,9 +11,9 @@ from aridcal.head.fiducials import Fiducials, find_fiducials
 from aridcal.head.matching import NotMeasured
 from aridcal.head.pose import Sonars, measure_pose
 from aridcal.head.render import Glare, Patch, Scene, render
-from aridcal.head.sonar import predict_ranges
 from aridcal.head.square import INCH, layout, strip_placements
 from aridcal.instruments.camera import DOTY_OPENCV, predict_pixels
+from aridcal.instruments.camera_sonar import predict_ranges
 
 cv2.setNumThreads(1)
 INTRINSICS = np.array([700.0, 700.0, 255.5, 255.5, 0, 0, 0, 0, 0])

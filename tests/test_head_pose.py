@@ -15,9 +15,10 @@ from aridcal.head.pose import (
     robust_pose,
     start_on_plane,
 )
-from aridcal.head.sonar import doty_plane, fit_plane, predict_ranges
+from aridcal.head.sonar import doty_plane, fit_plane
 from aridcal.head.square import CENTRES, INCH, SIZES
 from aridcal.instruments.camera import DOTY_OPENCV, on_plane, predict_pixels, project, project_jacobian, rays
+from aridcal.instruments.camera_sonar import predict_ranges
 
 cv2.setNumThreads(1)
 STRAIGHT = np.array([700.0, 700.0, 255.5, 255.5, 0, 0, 0, 0, 0])

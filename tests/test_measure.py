@@ -13,9 +13,9 @@ from scipy.spatial.transform import Rotation
 
 from aridcal.head.charuco import Board
 from aridcal.head.render import Scene, render
-from aridcal.head.sonar import predict_ranges
 from aridcal.head.square import INCH, strip_placements
 from aridcal.instruments.camera import DOTY_OPENCV
+from aridcal.instruments.camera_sonar import predict_ranges
 from aridcal.measure import main
 from aridcal.model.model import Model
 from aridcal.robot.chain import load_robot

@@ -25,12 +25,12 @@ from aridcal.effects.loads import Surroundings
 from aridcal.fit.constants import constants
 from aridcal.fit.problem import problem
 from aridcal.fit.stages import Geometry, fit_geometry
-from aridcal.head.sonar import predict_ranges
 from aridcal.inputs.campaign import Campaign, load_campaign
 from aridcal.inputs.dataset import Dataset, RowNoise, weighed
 from aridcal.inputs.measurement_settings import ANGLES, LENGTHS
 from aridcal.inputs.read import load_measurements
 from aridcal.instruments.camera import predict_pixels, rays
+from aridcal.instruments.camera_sonar import predict_ranges
 from aridcal.model.model import Model
 from aridcal.result.saved_model import SavedModel, SolvedModel
 from aridcal.robot.chain import Robot, parse_robot

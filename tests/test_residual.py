@@ -10,17 +10,18 @@ from scipy.spatial.transform import Rotation
 from aridcal.effects.effect import FRAME_COMPONENTS, Coefficient
 from aridcal.fit.least_squares import fit
 from aridcal.fit.problem import problem, scaled, unscaled
-from aridcal.head.detections import posed
-from aridcal.head.reduction import reduce_shots
 from aridcal.inputs.dataset import RowNoise, weighed
+from aridcal.instruments.camera_sonar import reduced, unpacked
 
 
 @pytest.fixture(scope="module")
 def given():
     shot, q = shots(20, START)
-    reduced = reduce_shots(shot.seen, START)
-    rows = {way: posed(shot.rows, reduced, way) for way in ("relative", "absolute", "ignore")}
-    return rows, reduced.covariance / reduced.trust[:, None, None], q
+    found = reduced(unpacked(shot.rows.observed, 4), START)
+    bare = replace(shot.rows, blocks=(), channels=shot.rows.channels[:2], sigma=(None, None), relative=None)
+    ways = {way: RowNoise(covariance=found.covariance, absolute=way == "absolute") for way in ("relative", "absolute")}
+    rows = {way: weighed(bare, noise) for way, noise in (ways | {"ignore": RowNoise()}).items()}
+    return rows, found.covariance, q
 
 
 def test_factors_times_the_common_sigmas_are_the_rows_covariances(given):

@@ -217,7 +217,7 @@ def minimise(problem: Problem, theta: np.ndarray, weight: np.ndarray | None, pri
 
 
 def coarsest(sigma: np.ndarray, channels: Channels) -> np.ndarray:
-    """What the noise of the coarsest channel is in the unit of each, shape (C,); channels in sigmas are beside that, and have 0."""
+    """What the noise of the coarsest channel is in the unit of each, shape (C,); 0 for channels in sigmas."""
     size = np.array([SIZES[channel.unit] if channel.unit in OF_SPACE else 0.0 for channel in channels])
     there = size > 0.0
     return size * float(np.max(sigma[there] / size[there], initial=0.0))

@@ -71,14 +71,14 @@ def beginning(
     """
     found = Beginning(world or pin.SE3.Identity(), dict(held), {n: t.start for n, t in seen.instruments.things.items()})
     placed = world is not None or not (seen.instruments.world or _of_target(seen))
-    posed = np.isin(seen.block, [b for b, block in enumerate(seen.blocks) if block.kind in ("pose", "position")])
+    posed = np.isin(seen.block, [b for b, block in enumerate(seen.blocks) if KINDS[block.kind].places])
     if posed.any():
         found = _from_poses(data, R, p, tip, np.flatnonzero(posed), hints, found, world)
         placed = True
     order = sorted(range(len(seen.blocks)), key=lambda b: seen.blocks[b].kind != "inclination")  # it knows the vertical
     for b in order:
         block = seen.blocks[b]
-        if block.kind in ("pose", "position"):
+        if KINDS[block.kind].places:
             continue
         kind, own = seen.of_kind(b)
         if block.kind == "inclination" and world is None and not posed.any():
@@ -162,7 +162,7 @@ def _levelled(
 
 def _of_target(seen: Measured) -> bool:
     """True if rows measure the target itself in the world frame."""
-    return any(block.kind in ("pose", "position") for block in seen.blocks)
+    return any(KINDS[block.kind].places for block in seen.blocks)
 
 
 def _from_poses(

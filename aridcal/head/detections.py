@@ -23,12 +23,13 @@ from aridcal.head.seen import Seen, check_pose, head_of, observed, start_anywher
 from aridcal.head.shots import Shot, board, image_content, load, measure_shots, read_ranges
 from aridcal.head.square import CENTRES
 from aridcal.inputs.campaign import Campaign, FrameSettings
-from aridcal.inputs.dataset import ROLES, Dataset, RowNoise, weighed
+from aridcal.inputs.dataset import ROLES, Dataset
 from aridcal.inputs.head_settings import HeadSettings, range_columns
 from aridcal.inputs.read import load_measurements
 from aridcal.inputs.tables import Remark, Table, read_tables
 from aridcal.instruments.camera_sonar import HEAD, Head, channels, reduced, unpacked
 from aridcal.instruments.setup import Block, Instruments, Things
+from aridcal.model.stated_noise import with_stated_noise
 from aridcal.robot.chain import Robot
 from aridcal.showing import Progress
 
@@ -135,28 +136,21 @@ def shot_rows(rows: Dataset, seen: Sequence[Seen], head: Head, campaign: Campaig
     n, (settings,) = len(rows), campaign.blocks
     numbers = observed(seen, head)
     found = reduced(unpacked(numbers, len(head.positions)), head)
-    of_pose = replace(rows, channels=channels(head)[:2], position=found.position, rotation=found.rotation)
-    if settings.noise.rows != "ignore":
-        noise = RowNoise(covariance=found.covariance, absolute=settings.noise.rows == "absolute")
-        of_pose = weighed(of_pose, noise)
-    relative = of_pose.relative
-    if relative is not None:
-        pose = relative.shape[1]
-        relative = np.tile(np.eye(sum(channel.size for channel in channels(head))), (n, 1, 1))
-        relative[:, :pose, :pose] = of_pose.relative
     stated = 1.0 if settings.noise.rows == "absolute" else None
-    block = Block(settings.title, settings.kind, channels(head), (*of_pose.sigma[:2], stated))
-    return replace(
-        of_pose,
+    block = Block(settings.title, settings.kind, channels(head), (*rows.sigma[:2], stated), settings.noise.rows)
+    made = replace(
+        rows,
         channels=block.channels,
+        position=found.position,
+        rotation=found.rotation,
         sigma=block.sigma,
-        relative=relative,
         blocks=(block,),
         block=np.zeros(n, dtype=int),
         observed=numbers,
         refers=np.tile([HEAD, *(ROLES - 1) * [""]], (n, 1)),
         instruments=head_things(head),
     )
+    return with_stated_noise(made, {HEAD: head.state[None]})
 
 
 def head_things(head: Head) -> Instruments:

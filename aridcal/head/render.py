@@ -18,8 +18,8 @@ import cv2
 import numpy as np
 
 from aridcal.head.square import SIDE, fiducial_corners, index_corners, paper_corners
-from aridcal.instruments.camera import project
-from aridcal.instruments.camera_sonar import Head, predict_ranges
+from aridcal.instruments.camera import predict_ranges, project
+from aridcal.instruments.camera_sonar import Head
 
 # Of the JPEG files: its errors stay below the camera's noise.
 QUALITY = 90

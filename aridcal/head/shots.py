@@ -28,7 +28,7 @@ from aridcal.head.square import layout
 from aridcal.inputs.head_settings import HeadSettings, load_shots, load_squares, range_columns
 from aridcal.inputs.tables import Table
 from aridcal.inputs.yaml_file import LARGEST, load_settings
-from aridcal.instruments.camera_sonar import carried
+from aridcal.instruments.camera import carried
 from aridcal.model.model import Model
 from aridcal.reading.images import image_size, read_image_file
 from aridcal.robot.chain import Robot, load_robot

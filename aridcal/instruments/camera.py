@@ -1,4 +1,4 @@
-"""The camera: OpenCV's projection model with its Jacobians, and Doty's camera frame.
+"""The camera: OpenCV's projection model with its Jacobians, Doty's camera frame, and the sonars that sit around the lens.
 
 OpenCV's camera frame has x right, y down and z forward; Doty's has x right, y up and z towards the camera's back. In
 Doty's frame the image plane stands behind the lens, at z = +f (7-25).
@@ -9,7 +9,12 @@ A point (X, Y, Z) of OpenCV's frame has the normalised image point (x, y) = (X, 
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
+
+Measures = Literal["perpendicular", "along_axis"]
+"""What a sonar reads: the distance of its sensor from the plane, or along the camera's axis."""
 
 # OpenCV's numbers of a camera, in this order everywhere: the first four in [px], the others without unit.
 INTRINSICS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
@@ -203,3 +208,58 @@ def predict_pixels(
         along_i = P_j * linear[..., i]
         by_twist[..., 3 + k] = along_j - along_i
     return pixels, by_twist, by_intrinsics
+
+
+def predict_ranges(
+    T_camera_square: np.ndarray, positions: np.ndarray, measures: Measures
+) -> tuple[np.ndarray, np.ndarray]:
+    """Predict the readings from poses of the square in OpenCV's camera frame, with derivatives.
+
+    With the square's axes x, y, n and origin t in the camera, h = n.(s - t). A twist (v, w) of the square in its own frame,
+    T exp(twist), changes it by dh = -v_z - w_x y.(s - t) + w_y x.(s - t). Along the axis, h is divided by n_z > 0, which
+    changes with w as n does.
+
+    Args:
+        T_camera_square: Shape (..., 4, 4), or their upper three rows.
+        positions: Sensors in Doty's camera frame, shape (S, 3), [m].
+        measures: What a reading is.
+
+    Returns:
+        Readings (..., S), [m], and their derivatives (..., S, 6) by a twist (linear, angular) of the square in its own
+        frame.
+    """
+    R = T_camera_square[..., :3, :3]
+    t = T_camera_square[..., :3, 3]
+    x, y, n = R[..., 0], R[..., 1], R[..., 2]
+    arm = positions @ DOTY_OPENCV - t[..., None, :]  # from the square's origin to each sensor, s - t
+    h = np.einsum("...si,...i->...s", arm, n)
+    J = np.zeros((*h.shape, 6))
+    J[..., 2] = -1.0
+    J[..., 3] = -np.einsum("...si,...i->...s", arm, y)
+    J[..., 4] = np.einsum("...si,...i->...s", arm, x)
+    if measures == "along_axis":
+        n_z = -n[..., 2, None]  # towards the camera's back: Doty's z
+        share = h / n_z
+        J[..., 3] += share * -y[..., 2, None]
+        J[..., 4] += share * x[..., 2, None]
+        return share, J / n_z[..., None]
+    return h, J
+
+
+def carried(R_world_square: np.ndarray, p: np.ndarray) -> np.ndarray:
+    """Motion in world axes of what sits at p in the square's frame, shape (n, 6, 6), when the square is seen to move.
+
+    T_camera_square exp(v, w) moves all that is fixed to the camera by exp(-v, -w), seen from the square: its place p by
+    -v - w x p = -v + [p]x w, its attitude by -w.
+
+    Args:
+        R_world_square: Shape (n, 3, 3).
+        p: Place of the camera, or of what it is mounted on, in the square's frame, shape (n, 3), [m].
+    """
+    x, y, z = p.T
+    J = np.zeros((len(p), 6, 6))
+    J[:, :3, :3] = J[:, 3:, 3:] = -R_world_square
+    nothing = np.zeros_like(x)
+    cross = np.array([[nothing, -z, y], [z, nothing, -x], [-y, x, nothing]]).transpose(2, 0, 1)
+    J[:, :3, 3:] = R_world_square @ cross
+    return J

@@ -19,18 +19,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from aridcal.instruments.camera import DOTY_OPENCV, INTRINSICS, predict_pixels
+from aridcal.instruments.camera import INTRINSICS, Measures, carried, predict_pixels, predict_ranges
 from aridcal.instruments.channels import TARGET_POSITION, TARGET_ROTATION, Channel
 from aridcal.instruments.kind import Kind, Role, Seen, States
-from aridcal.instruments.pose import residuals, skew, turned_back
-
-Measures = Literal["perpendicular", "along_axis"]
-"""What a sonar reads: the distance of its sensor from the plane, or along the camera's axis."""
+from aridcal.instruments.pose import residuals, turned_back
 
 CAMERA, SONAR, ALL_SONARS = "camera", "sonar", "sonars"
 """Places of corrections of a head: its camera, and what all its sonars have alike; single ones are ``sonar_1`` and so on."""
@@ -132,58 +128,6 @@ def _moved(state: np.ndarray, change: np.ndarray) -> np.ndarray:
 
 HEAD = "head"
 """Name of the role, and of the only thing of it."""
-
-
-def predict_ranges(
-    T_camera_square: np.ndarray, positions: np.ndarray, measures: Measures
-) -> tuple[np.ndarray, np.ndarray]:
-    """Predict the readings from poses of the square in OpenCV's camera frame, with derivatives.
-
-    With the square's axes x, y, n and origin t in the camera, h = n.(s - t). A twist (v, w) of the square in its own frame,
-    T exp(twist), changes it by dh = -v_z - w_x y.(s - t) + w_y x.(s - t). Along the axis, h is divided by n_z > 0, which
-    changes with w as n does.
-
-    Args:
-        T_camera_square: Shape (..., 4, 4), or their upper three rows.
-        positions: Sensors in Doty's camera frame, shape (S, 3), [m].
-        measures: What a reading is.
-
-    Returns:
-        Readings (..., S), [m], and their derivatives (..., S, 6) by a twist (linear, angular) of the square in its own
-        frame.
-    """
-    R = T_camera_square[..., :3, :3]
-    t = T_camera_square[..., :3, 3]
-    x, y, n = R[..., 0], R[..., 1], R[..., 2]
-    arm = positions @ DOTY_OPENCV - t[..., None, :]  # from the square's origin to each sensor, s - t
-    h = np.einsum("...si,...i->...s", arm, n)
-    J = np.zeros((*h.shape, 6))
-    J[..., 2] = -1.0
-    J[..., 3] = -np.einsum("...si,...i->...s", arm, y)
-    J[..., 4] = np.einsum("...si,...i->...s", arm, x)
-    if measures == "along_axis":
-        n_z = -n[..., 2, None]  # towards the camera's back: Doty's z
-        share = h / n_z
-        J[..., 3] += share * -y[..., 2, None]
-        J[..., 4] += share * x[..., 2, None]
-        return share, J / n_z[..., None]
-    return h, J
-
-
-def carried(R_world_square: np.ndarray, p: np.ndarray) -> np.ndarray:
-    """Motion in world axes of what sits at p in the square's frame, shape (n, 6, 6), when the square is seen to move.
-
-    T_camera_square exp(v, w) moves all that is fixed to the camera by exp(-v, -w), seen from the square: its place p by
-    -v - w x p = -v + [p]x w, its attitude by -w.
-
-    Args:
-        R_world_square: Shape (n, 3, 3).
-        p: Place of the camera, or of what it is mounted on, in the square's frame, shape (n, 3), [m].
-    """
-    J = np.zeros((len(p), POSE, POSE))
-    J[:, :3, :3] = J[:, 3:, 3:] = -R_world_square
-    J[:, :3, 3:] = R_world_square @ skew(p)
-    return J
 
 
 @dataclass(frozen=True)
@@ -416,6 +360,11 @@ def _seen(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) ->
     return Seen(np.hstack([r, found.trace]), by_twist, (by_head,))
 
 
+def _noise(observed: np.ndarray, states: States) -> np.ndarray:
+    """Covariance of the pose, [m, rad]; it shares nothing with the trace."""
+    return _of_rows(observed, states).covariance
+
+
 def _of_rows(observed: np.ndarray, states: States) -> Reduced:
     """Rows of one head, reduced."""
     head = Head.of_state(states[0][0])
@@ -440,5 +389,6 @@ CAMERA_SONAR = Kind(
     turns=True,
     places=True,
     missing=_missing,
+    noise=_noise,
 )
 """A head's numbers and channels depend on its sonars: see :attr:`Head.role` and :func:`channels`."""

@@ -46,7 +46,7 @@ class Role:
     slope: Callable[[np.ndarray, np.ndarray], np.ndarray] | None
     identified: tuple[str, ...]
     many: bool
-    places: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    places: Mapping[str, tuple[str, ...]] = field(default_factory=dict, hash=False)
 
     def moved_by(self, where: str, component: str) -> tuple[int, ...]:
         """Numbers of the components that a coefficient at one of these things moves."""
@@ -100,6 +100,8 @@ class Kind:
         places: True where a row measures the target's own place in the world.
         missing: Of rows that come from no table, and read as many numbers as they need: which of m numbers a row does not
             measure, (n, W) and m to (n, m) bool.
+        noise: Covariances of a row's first numbers, from what it read and the states of its things: (n, W) to (n, k, k); None
+            where rows do not state them.
     """
 
     name: str
@@ -114,6 +116,7 @@ class Kind:
     condition: bool = False
     places: bool = False
     missing: Callable[[np.ndarray, int], np.ndarray] | None = None
+    noise: Callable[[np.ndarray, States], np.ndarray] | None = None
 
     def numbers(self, observed: np.ndarray) -> np.ndarray:
         """What its rows read, shape (n, W), of numbers that are as many as the widest kind reads."""

@@ -120,9 +120,11 @@ class Block:
         channels: What its rows measure: those of the kind; where another block measures one of the same name, its name
             begins with the block's.
         sigma: Declared noise of each, None where it is to be estimated.
+        rows: What the noise that its rows state themselves is taken for.
     """
 
     name: str
     kind: str
     channels: Channels
     sigma: tuple[float | None, ...]
+    rows: Literal["relative", "absolute", "ignore"] = "relative"

@@ -76,6 +76,8 @@ def thing_values(fit: Fit, train: Dataset) -> tuple[ThingValue, ...]:
     solved = _solved(asked, fit)
     values: list[ThingValue] = []
     for role, things in seen.instruments.things.items():
+        if things.role.places:  # a head's numbers have a chapter of their own
+            continue
         rows, thing = references(seen, role)
         count = np.bincount(thing[fit.weight[rows] > 0.0], minlength=len(things))
         states = asked.states[role]
@@ -234,7 +236,7 @@ def known_scale(rows: Dataset) -> float | None:
         known lengths over these; infinite where no length is known; None where nothing measured has a length.
     """
     kinds = {block.kind for block in rows.blocks}
-    if not rows.blocks or kinds & {"pose", "position", "distance"} or _gauged(rows):
+    if not rows.blocks or "distance" in kinds or any(KINDS[kind].places for kind in kinds) or _gauged(rows):
         return 0.0
     if kinds == {"inclination"}:
         return None

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from aridcal.inputs.dataset import Dataset
+from aridcal.instruments.catalogue import KINDS
 from aridcal.instruments.channels import TARGET_POSITION, Channels, norms, spread
 from aridcal.result.folder import parameters
 from aridcal.result.outcome import Outcome, Stage, leading, said, statistics
@@ -319,7 +320,7 @@ def of_positions(rows: Dataset, residual: np.ndarray) -> np.ndarray:
     found = np.full((len(rows), TARGET_POSITION.size), np.nan)
     first = 0
     for b, block in enumerate(rows.blocks):
-        if block.kind in ("pose", "position"):
+        if KINDS[block.kind].places:
             own = rows.block == b
             found[own] = residual[own, first : first + TARGET_POSITION.size]
         first += sum(channel.size for channel in block.channels)

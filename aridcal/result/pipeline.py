@@ -29,7 +29,7 @@ from aridcal.result.uncertainty import FAR, halves, outliers, precision, realign
 from aridcal.result.verdict import Verdict, decide, row_clues
 from aridcal.robot.chain import Robot, load_robot
 from aridcal.search.arm import CalibratedArm, calibrated_arm, fit_constants
-from aridcal.search.diagnose import SEARCHED, Diagnosed
+from aridcal.search.diagnose import CONFOUNDED, SEARCHED, Diagnosed
 from aridcal.search.gains import explain
 from aridcal.search.noise_causes import structured_notices
 from aridcal.search.noise_tests import Clue, clues
@@ -160,6 +160,7 @@ def _outcome(
             *([ONE_BODY.format(round(1 / rows.share))] if rows.share < 1 else []),
             *structured_notices(arm.causes),
             *_derived_notices(rows, diagnosed),
+            *(f"{b.what} is left out: {b.why}" for b in diagnosed.barred if b.why == CONFOUNDED),
             *declared_notices(rows, final.estimated, final.freedom),
             *unused_links(robot, campaign.parameters.set),
             *(str(n) for n in rows.notices),

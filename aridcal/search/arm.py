@@ -9,11 +9,13 @@ import numpy as np
 
 from aridcal.effects.loads import Surroundings, is_load
 from aridcal.fit.held_back import is_better
-from aridcal.fit.stages import Geometry, fit_geometry, recentred
+from aridcal.fit.stages import Geometry, fit_geometry, recentred, with_things_moved
 from aridcal.inputs.campaign import Campaign
 from aridcal.inputs.dataset import Dataset
+from aridcal.instruments.catalogue import KINDS
 from aridcal.model.model import Model
 from aridcal.model.rigid_bodies import targets_of_one_body
+from aridcal.model.stated_noise import with_stated_noise
 from aridcal.robot.chain import Robot
 from aridcal.search.diagnose import Diagnosed, diagnose
 from aridcal.search.linear_model import Active
@@ -78,6 +80,12 @@ def calibrated_arm(
     if hung is not None:
         progress("the target is elsewhere than the geometry had it: the payload hangs there, fitting again")
         geometry = hung
+        arm = fitted(rows, geometry, arm.diagnosed.found.state.active)
+    moved = with_things_moved(arm.geometry.geometric, arm.diagnosed.fit)
+    if moved is not None and any(KINDS[block.kind].noise for block in rows.blocks):
+        progress("weighing the rows by what the instruments, as found, leave open, and fitting again")
+        rows = with_stated_noise(rows, moved.states)
+        geometry = _around(fit_constants(campaign, robot, rows, labels, progress), geometry.geometric.model.around)
         arm = fitted(rows, geometry, arm.diagnosed.found.state.active)
     if arm.causes is not None and arm.causes.relative is not None:
         progress("weighing the rows by what makes them scatter, and fitting again")
