@@ -80,7 +80,7 @@ def _error_table(outcome: Outcome) -> Table:
     mask, rows = scored(outcome)
     table = Table(title=f"error on {mask.sum()} {rows}", title_justify="left")
     table.add_column("model", no_wrap=True)
-    first, *others = outcome.channels
+    first, *others = (channel for channel in outcome.channels if not channel.inner)
     shown = [(first, key) for key in SHOWN] + [(channel, key) for channel in others for key in SHOWN[:2]]
     several = len(outcome.measurements.blocks) > 1
     for channel, key in shown:

@@ -334,11 +334,11 @@ def _inverse(information: np.ndarray) -> np.ndarray:
     """Inverses of informations of poses, metres and radians brought to one scale, shape (n, 6, 6)."""
     scale = 1.0 / np.sqrt(np.maximum(np.diagonal(information, axis1=1, axis2=2), TINY))
     outer = scale[:, :, None] * scale[:, None, :]
-    return np.asarray(outer * np.linalg.pinv(information * outer, rcond=TINY, hermitian=True))
+    return np.asarray(outer * np.linalg.inv(information * outer + TINY * np.eye(POSE)))
 
 
 TINY = 1e-14
-"""What is nothing beside the ones on a scaled diagonal."""
+"""What is nothing beside the ones on a scaled diagonal: a pose that a shot does not tell is left where it is."""
 
 
 def _residual(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) -> np.ndarray:
@@ -374,7 +374,11 @@ def _of_rows(observed: np.ndarray, states: States) -> Reduced:
 def channels(head: Head) -> tuple[Channel, ...]:
     """What a row of a head measures: the camera's pose, and beyond it its trace."""
     axes = tuple(f"z{k + 1}" for k in range(len(INTRINSICS) + len(head.positions)))
-    return TARGET_POSITION, TARGET_ROTATION, Channel("within_shot", "1", axes, "sigma", 1.0, "misfit within shots")
+    return (
+        TARGET_POSITION,
+        TARGET_ROTATION,
+        Channel("within_shot", "1", axes, "sigma", 1.0, "misfit within shots", inner=True),
+    )
 
 
 CAMERA_SONAR = Kind(

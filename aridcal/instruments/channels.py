@@ -25,6 +25,7 @@ class Channel:
         shown: Unit in which people read it.
         scale: Of those in one of ``unit``.
         noun: What a residual of it is called, ``position error`` for instance.
+        inner: True of what rows say by themselves, whatever the arm does: it judges the instrument, not the arm.
     """
 
     name: str
@@ -33,6 +34,7 @@ class Channel:
     shown: str
     scale: float
     noun: str
+    inner: bool = False
 
     @property
     def size(self) -> int:

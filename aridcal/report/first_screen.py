@@ -72,7 +72,9 @@ def summary(outcome: Outcome) -> Iterator[Content]:
     rows = f"{counted(len(m), 'row')}, {m.test.sum():,} of them held out"
     yield tag("h1", f"Calibration of {robot.tree.name}")
     yield tag("p", f"{files} · {rows} · {robot.path.name}, {robot.base} to {robot.tip}", class_="about")
-    yield tag("div", [_card(outcome, k) for k in range(len(outcome.channels))], class_="cards")
+    yield tag(
+        "div", [_card(outcome, k) for k, channel in enumerate(outcome.channels) if not channel.inner], class_="cards"
+    )
     checked = [_check(good, words) for good, words in checks(outcome)]
     yield tag(
         "div",

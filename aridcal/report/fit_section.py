@@ -145,7 +145,8 @@ def _halves(outcome: Outcome) -> Content:
 
 
 def _axes(channels: Channels) -> list[str]:
-    """Titles of the numbers of a residual."""
+    """Titles of the numbers of a residual, without those that tell nothing of the arm."""
+    channels = [channel for channel in channels if not channel.inner]
     names = [axis for channel in channels for axis in channel.axes]
     twice = len(names) > len(set(names))
     return [
@@ -159,8 +160,9 @@ def _axis_table(outcome: Outcome) -> Html:
     """RMS of every step in each axis of the world."""
     mask, words = scored(outcome)
     path = steps(outcome)
-    lines = [[step.title, *(number(v) for v in axis_rms(step.residual[mask], outcome.channels))] for step in path]
-    axes = _axes(outcome.channels)
+    axes, told = _axes(outcome.channels), spread(np.array([not c.inner for c in outcome.channels]), outcome.channels)
+    found = [(step.title, axis_rms(step.residual[mask], outcome.channels)[told]) for step in path]
+    lines = [[title, *(number(v) for v in values)] for title, values in found]
     own = "each number read" if outcome.measurements.blocks else "the residual in world axes"
     return table(["model", *axes], lines, f"RMS of {own}, {words}")
 
@@ -172,7 +174,8 @@ def _axis_pictures(compared: dict[str, np.ndarray], channels: Channels, words: s
     there = ~np.isnan(np.stack(list(compared.values()))).any(axis=0)
     order = np.arange(1.0, len(before) + 1)
     scale = spread(np.array([c.scale for c in channels]), channels)
-    for k, axis in enumerate(_axes(channels)):
+    told = np.flatnonzero(spread(np.array([not c.inner for c in channels]), channels))
+    for k, axis in zip(told.tolist(), _axes(channels), strict=True):
         own = there[:, k]
         if not own.any():
             continue

@@ -95,7 +95,7 @@ def _chapters(outcome: Outcome, handover: Handover, progress: Progress) -> list[
     ]
     if outcome.verification is not None:
         chapters.append(("verification", "Verification on another day's data", verification(outcome)))
-    if outcome.measurements.blocks:
+    if outcome.measurements.blocks and (outcome.head is None or outcome.things):  # a head has a chapter of its own
         chapters.append(("instruments", "Instruments", instruments(outcome)))
     chapters.append(("parameters", "What was identified", identified(outcome)))
     if outcome.head is not None:

@@ -45,7 +45,8 @@ LOADS = {
 
 def sigmas_in_words(sigma: np.ndarray, channels: Channels, times: float = 1.0) -> str:
     """A multiple of one value for each channel, shape (C,), in words: ``0.1 mm and 0.2 mrad``."""
-    shown = [f"{number(times * c.scale * float(s))} {c.shown}" for c, s in zip(channels, sigma, strict=True)]
+    told = [(c, float(s)) for c, s in zip(channels, sigma, strict=True) if not c.inner]
+    shown = [f"{number(times * c.scale * s)} {c.shown}" for c, s in told]
     return enumerated(shown)
 
 
@@ -65,7 +66,7 @@ def at_target_in_words(outcome: Outcome, k: int, mask: np.ndarray) -> str:
         mask: Rows that are asked about, shape (N,).
     """
     channel = outcome.channels[k]
-    if channel.unit in ("m", "rad"):
+    if channel.unit in ("m", "rad") or channel.inner:
         return ""
     size = np.linalg.norm(outcome.at_target.shift(outcome.stages[-1].residual)[mask], axis=1)
     size = size[~np.isnan(size)]
@@ -77,7 +78,11 @@ def at_target_in_words(outcome: Outcome, k: int, mask: np.ndarray) -> str:
 
 def per_number(outcome: Outcome) -> str:
     """What a sigma is of."""
-    return "per axis" if all(channel.size == 3 for channel in outcome.channels) else "in each number read"
+    return (
+        "per axis"
+        if all(channel.size == 3 for channel in outcome.channels if not channel.inner)
+        else "in each number read"
+    )
 
 
 def scale_in_words(outcome: Outcome) -> tuple[str, ...]:
