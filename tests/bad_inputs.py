@@ -615,6 +615,7 @@ TABLES: dict[str, tuple[Spoil, str]] = {
         put("measurements.csv", f"{HEADER}\n{ROW}\n".encode("utf-16-le")),
         r"holds a control|not UTF-8",
     ),
+    "rows of commas": (put("measurements.csv", f"{HEADER}\n{',' * HEADER.count(',')}\n"), "has a header but no rows"),
     "an open quote": (put("measurements.csv", f'{HEADER}\n"{ROW}\n' + f"{ROW}\n" * 50), "quote is left open"),
     "an open quote in its header": (put("measurements.csv", f'"{HEADER}\n{ROW}\n'), r"measurements\.csv"),
     "a cell of two lines": (

@@ -193,6 +193,10 @@ def _is_text(kind: pa.DataType) -> bool:
     return text or pa.types.is_binary(kind) or pa.types.is_large_binary(kind)
 
 
+NO_ROWS = "has a header but no rows; name the table that was measured"
+"""What is said of a table without a cell."""
+
+
 def read_csv(content: bytes, path: Path, limit: Limit) -> FileCells:
     """Read csv as text cells; rows with too few or too many cells are broken, blank lines are no rows.
 
@@ -208,7 +212,7 @@ def read_csv(content: bytes, path: Path, limit: Limit) -> FileCells:
     header = _header(text, path)
     if not re.search(rb"\n\s*\S", text):
         check_header(header, path)
-        raise MeasurementError(f"{path}: has a header but no rows; name the table that was measured")
+        raise MeasurementError(f"{path}: {NO_ROWS}")
     _check_columns([name for name in header if name], path)
     check_size(path, text.count(b"\n"), len(header), limit)
     cells, broken, blank = _parse(text, len(header), path)
@@ -223,6 +227,8 @@ def read_csv(content: bytes, path: Path, limit: Limit) -> FileCells:
     if cells.num_rows and cells[0].null_count:
         nothing = np.logical_and.reduce([column.is_null().to_numpy() for column in cells.columns])
         cells, line = cells.filter(~nothing), line[~nothing]
+    if not (cells.num_rows or broken):
+        raise MeasurementError(f"{path}: {NO_ROWS}")
     if broken and not cells.num_rows:
         row = broken[0]
         raise MeasurementError(

@@ -146,7 +146,7 @@ def _halves(outcome: Outcome) -> Content:
 
 def _axes(channels: Channels) -> list[str]:
     """Titles of the numbers of a residual, without those that tell nothing of the arm."""
-    channels = [channel for channel in channels if not channel.inner]
+    channels = tuple(channel for channel in channels if not channel.inner)
     names = [axis for channel in channels for axis in channel.axes]
     twice = len(names) > len(set(names))
     return [
