@@ -116,7 +116,7 @@ class Components:
     Attributes:
         free: Those in the model, shape (C,) bool.
         variance: Of each component, shape (C,), not negative; 0 for those that are not in the model.
-        covariance: Of those estimates, shape (C, C); 0 where a variance is at its bound.
+        covariance: Of those estimates, shape (C, C); 0 for those that are not in the model, or vanished.
         log_likelihood: Restricted, but for a constant.
         pull: P y of each row, shape (N, m).
         kernel: P_ii of each row, shape (N, m, m).
@@ -136,9 +136,22 @@ class Components:
 
     @property
     def sigma_std(self) -> np.ndarray:
-        """1-sigma of :attr:`sigma`, shape (C,): that of the variance over twice the standard deviation."""
-        std = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
-        return np.where(self.variance > 0.0, std / np.maximum(2.0 * self.sigma, TINY), 0.0)
+        """1-sigma of :attr:`sigma`, shape (C,); see :func:`std_of_sigma`."""
+        return std_of_sigma(self.variance, self.covariance)
+
+
+def std_of_sigma(variance: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """1-sigma of standard deviations, shape (C,): that of the variance over twice the standard deviation.
+
+    Where the variance is not known to differ from zero, it is the standard deviation that it may have.
+
+    Args:
+        variance: Shape (C,).
+        covariance: Of the variances, shape (C, C).
+    """
+    std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    small = np.minimum(std / np.maximum(2.0 * np.sqrt(variance), TINY), np.sqrt(std))
+    return np.asarray(np.where(variance > 0.0, small, 0.0))
 
 
 @dataclass(frozen=True)
@@ -199,6 +212,22 @@ def one_more(scatter: Scatter, found: Components, held: np.ndarray) -> tuple[int
     return (k, more) if chance < CHANCE else None
 
 
+def instead(scatter: Scatter, found: Components, several: np.ndarray, k: int, held: np.ndarray) -> Components | None:
+    """The maximum with one component in place of several; None if it explains the residuals less well than these.
+
+    Args:
+        scatter: Residuals and components.
+        found: The maximum with the several.
+        several: Which may go, shape (C,) bool.
+        k: What may come.
+        held: Channels, shape (C,) bool.
+    """
+    start, free = np.where(several, 0.0, found.variance), found.free & ~several
+    start[k], free[k] = found.variance[several & found.free].mean(), True
+    fewer = _maximum(scatter, start, free, held)
+    return fewer if fewer.log_likelihood >= found.log_likelihood else None
+
+
 def _maximum(scatter: Scatter, theta: np.ndarray, free: np.ndarray, held: np.ndarray) -> Components:
     """Maximise the restricted likelihood over the variances of the components in the model.
 
@@ -227,7 +256,7 @@ def _maximum(scatter: Scatter, theta: np.ndarray, free: np.ndarray, held: np.nda
             break
         theta, here = wanted, there
     score, information = _derivatives(scatter, here)
-    inside = free & (theta > low)
+    inside = free & (theta > 0.0)
     covariance = np.zeros((len(theta),) * 2)
     covariance[np.ix_(inside, inside)] = _solve(information[np.ix_(inside, inside)], np.eye(int(inside.sum())))
     return Components(free, theta, covariance, here.log_likelihood, here.pull, here.kernel)

@@ -23,7 +23,7 @@ from aridcal.fit.least_squares import Fit
 from aridcal.fit.problem import Problem, agreed, problem, scaled
 from aridcal.fit.residual import moved_by
 from aridcal.fit.standstills import Stack, representative, stack, standstills, with_things
-from aridcal.fit.variance_components import Components, Scatter, estimate, one_more
+from aridcal.fit.variance_components import Components, Scatter, estimate, instead, one_more, std_of_sigma
 from aridcal.inputs.dataset import Dataset, factors
 from aridcal.inputs.measurement_settings import OF_TARGETS
 from aridcal.instruments.channels import TARGET_POSITION, TARGET_ROTATION, columns, spread
@@ -50,7 +50,10 @@ ALIKE = 3.0
 REACH = 3
 """Rows after each that count as its neighbours, in each order: a bump of few rows makes few pairs."""
 
-Kind = Literal["channel", "joint", "range", "sight", "length", "repeatability"]
+ALL_ALIKE = "all revolute joints"
+"""Name of the cause that readings of all of them scatter alike: rounded to the same digit, or of the same encoder."""
+
+Kind = Literal["channel", "joint", "joints", "range", "sight", "length", "repeatability"]
 
 
 @dataclass(frozen=True)
@@ -58,7 +61,8 @@ class NoiseCause:
     """One cause of scatter.
 
     Attributes:
-        kind: An instrument's ``channel``; the reading of a ``joint``; ``range``: position noise per metre from the origin of
+        kind: An instrument's ``channel``; the reading of a ``joint`` (or of all ``joints`` alike, which is told as that of each);
+            ``range``: position noise per metre from the origin of
             the world frame; ``sight``: rotation noise about the line from there to the target; ``length``: noise of a
             distance per metre read; ``repeatability``: what is the same in every row, where rows state their noise.
         name: Of the channel or of the joint's reading; else the channel that it acts on.
@@ -129,7 +133,7 @@ class _Asked:
     @property
     def common(self) -> bool:
         """True if all rows of a standstill share it."""
-        return self.kind == "joint"
+        return self.kind in ("joint", "joints")
 
     @property
     def blocks(self) -> np.ndarray:
@@ -166,12 +170,18 @@ def noise_causes(fit: Fit, active: Sequence[Active], rows: Dataset, progress: Pr
     first = np.unique(still.number, return_index=True)[1]
     orders = {False: _orders(part.data), True: _orders(part.data.select(first))}
     structured = np.zeros(len(possible), dtype=bool)
+    single, alike = (np.array([p.kind == kind for p in possible]) for kind in ("joint", "joints"))
     found = estimate(scatter, np.maximum(fit.estimated, FLOOR) ** 2, channels)
     while (more := one_more(scatter, found, channels)) is not None:
         k, found = more
         progress.part(int(found.free.sum()), len(possible), "causes")
+        if (found.free & single).sum() > 1 and (alike & ~found.free).any():
+            # One number in place of several, if it says as much.
+            fewer = instead(scatter, found, single, int(np.argmax(alike)), channels)
+            k, found = (k, found) if fewer is None else (int(np.argmax(alike)), fewer)
         # What comes back stays in the model here, so that no other cause has to take it over, but it is not noise.
         structured[k] = _comes_back(found, k, possible[k], still, orders[possible[k].common])
+        structured &= found.free
     return _told(possible, found, structured, part, asked, fit.theta)
 
 
@@ -216,6 +226,9 @@ def _possible(question: Problem, theta: np.ndarray) -> list[_Asked]:
     moved = J @ driven
     for k, (reading, kind) in enumerate(zip(readings, model.robot.kinds, strict=True)):
         found.append(_Asked("joint", reading, "m" if kind == "prismatic" else "rad", moved[:, :, k, None]))
+    turning = np.array([kind != "prismatic" for kind in model.robot.kinds])
+    if turning.sum() > 1:
+        found.append(_Asked("joints", ALL_ALIKE, "rad", moved[:, :, turning]))
     for what, name, unit, root in _of_instruments(rows, more.model.poses(at, more.rows)[1], own):
         found.append(_Asked(what, name, unit, scaled(root, rows.relative)))
     return found
@@ -308,12 +321,16 @@ def _told(
     relative = _weights(found.variance, noise, channel, asked, theta) if (noise & ~channel).any() else None
     if relative is None:
         noise &= channel
-    chosen = [k for k in range(len(possible)) if noise[k]]
-    made = np.array([_spreads(found.variance[k] * possible[k].blocks, part.data) for k in chosen])
+    each = _of_each_joint(possible)
+    variance = each @ np.where(noise, found.variance, 0.0)
+    std = std_of_sigma(variance, each @ np.where(np.outer(noise, noise), found.covariance, 0.0) @ each.T)
+    chosen = np.flatnonzero(variance > 0.0).tolist()
+    made = np.array([_spreads(variance[k] * possible[k].blocks, part.data) for k in chosen])
     total = made.sum(axis=0)
-    sigma, std = found.sigma, found.sigma_std
     causes = tuple(
-        NoiseCause(p.kind, p.name, p.unit, float(sigma[k]), float(std[k]), own / np.maximum(total, FLOOR**2))
+        NoiseCause(
+            p.kind, p.name, p.unit, float(np.sqrt(variance[k])), float(std[k]), own / np.maximum(total, FLOOR**2)
+        )
         for k, own in zip(chosen, made, strict=True)
         for p in [possible[k]]
     )
@@ -325,11 +342,24 @@ def _told(
     )
 
 
+def _of_each_joint(possible: Sequence[_Asked]) -> np.ndarray:
+    """Which components each cause is told with, shape (C, C): what all joints have alike each of them has, beside its own."""
+    kinds, units = np.array([p.kind for p in possible]), np.array([p.unit for p in possible])
+    each = np.eye(len(possible))
+    each[kinds == "joints"] = 0.0
+    each += np.outer((kinds == "joint") & (units == "rad"), kinds == "joints")
+    return each
+
+
 def structured_notices(causes: NoiseCauses | None) -> list[str]:
     """Sentences on what seems to scatter and does not."""
+    misread = (
+        "the residual looks as if {} were misread at random, but its errors come back at neighbouring rows: an error "
+        "curve or play that the model lacks, and no noise"
+    )
     looks = {
-        "joint": "the residual looks as if {} were misread at random, but its errors come back at neighbouring rows: an error "
-        "curve or play that the model lacks, and no noise",
+        "joint": misread,
+        "joints": misread,
         "range": "the {} error grows with the distance from the origin of the world frame, but comes back at neighbouring "
         "rows: it is no noise",
         "sight": "the {} error is about the line of sight, but comes back at neighbouring rows: it is no noise",

@@ -114,7 +114,7 @@ def clues(
     white = residual / spread(sigma, rows.channels)
     found = []
     if repeats is not None:
-        found.append(_repeated(repeats, sigma, residual.shape[1]))
+        found.append(_repeated(repeats, sigma))
     if len(white) > FEWEST:
         views = [View("in world axes", white), *(_other_views(rows, residual, sigma, fit) if fit else ())]
         found.append(_neighbours(views, rows.readings, progress))
@@ -185,10 +185,10 @@ def _other_views(rows: Dataset, residual: np.ndarray, sigma: np.ndarray, fit: Fi
     return views
 
 
-def _repeated(repeats: Repeats, sigma: np.ndarray, m: int) -> Clue:
+def _repeated(repeats: Repeats, sigma: np.ndarray) -> Clue:
     """Repeats know the noise and nothing of the model: what the residual has beyond their scatter repeats."""
-    numbers = (repeats.rows - repeats.groups) * m
-    share = float(np.clip(1.0 - np.mean(repeats.sigma**2 / sigma**2), 0.0, 1.0))
+    numbers = float(repeats.freedom.sum())
+    share = float(np.clip(1.0 - np.nansum(repeats.freedom * repeats.sigma**2 / sigma**2) / numbers, 0.0, 1.0))
     p_value = float(chi2.cdf(numbers * (1.0 - share), numbers))
     return Clue("repeats", "repeats scatter less than the residual", share, p_value)
 
