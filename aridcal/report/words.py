@@ -108,20 +108,18 @@ def causes_in_words(outcome: Outcome) -> str:
     joints = [c for c in further if c.kind == "joint"]
     said = [_joints_that_scatter(joints, outcome.channels)] if joints else []
     for c in further:
-        unit, times = shown_in(c.unit)
+        unit, times = ("mm per m", 1e3) if c.unit == "m/m" else shown_in(c.unit)
         value = plus_minus(times * c.value, times * c.std)
         if c.kind == "range":
-            said.append(
-                f"The {c.name} noise grows by {plus_minus(1e3 * c.value, 1e3 * c.std)} mm per m from the origin of the world frame."
-            )
+            said.append(f"The {c.name} noise grows by {value} {unit} from the origin of the world frame.")
         if c.kind == "length":
-            said.append(f"The {c.name} noise grows by {plus_minus(1e3 * c.value, 1e3 * c.std)} mm per m that is read.")
+            said.append(f"The {c.name} noise grows by {value} {unit} that is read.")
         if c.kind == "sight":
             said.append(f"About the line of sight from there the measured {c.name} scatters by {value} {unit} more.")
         if c.kind == "repeatability":
             said.append(
                 f"Beside the noise that the rows state, the {c.name} scatters by {value} {unit} per axis in all of them alike: "
-                "what the arm itself repeats by."
+                "what the arm itself repeats by, or what the rows leave unsaid of their instrument."
             )
     return " ".join(said)
 
