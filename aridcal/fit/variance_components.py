@@ -242,6 +242,8 @@ def _maximum(scatter: Scatter, theta: np.ndarray, free: np.ndarray, held: np.nda
     for _ in range(STEPS if np.isfinite(here.log_likelihood) else 0):
         score, information = _derivatives(scatter, here)
         moving = free & ~((theta <= low) & (score <= 0.0))
+        if not moving.any():  # nothing is left to scatter: exact data
+            break
         step = np.zeros(len(theta))
         step[moving] = _solve(information[np.ix_(moving, moving)], score[moving])
         if float(score @ step) < SETTLED:
