@@ -9,12 +9,11 @@ test. Rows are then weighed with what was found: each with its own covariance, f
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 from scipy.linalg import block_diag
-from scipy.spatial import cKDTree
 
 from aridcal.effects.basis import Basis
 from aridcal.effects.effect import Coefficient
@@ -31,7 +30,7 @@ from aridcal.instruments.distance import DISTANCE
 from aridcal.search.diagnose import SEARCHED
 from aridcal.search.exact import GAUGE
 from aridcal.search.linear_model import Active
-from aridcal.search.noise_tests import NEIGHBOURS
+from aridcal.search.noise_tests import neighbours
 from aridcal.showing import SILENT, Progress
 
 MATTERS = 0.05
@@ -46,9 +45,6 @@ REPEATABLE = 0.5
 
 ALIKE = 3.0
 """Standard deviations of chance that it takes to say so. With a dozen orders asked about, 1 of 60 true noises is refused."""
-
-REACH = 3
-"""Rows after each that count as its neighbours, in each order: a bump of few rows makes few pairs."""
 
 ALL_ALIKE = "all revolute joints"
 """Name of the cause that readings of all of them scatter alike: rounded to the same digit, or of the same encoder."""
@@ -140,6 +136,13 @@ class _Asked:
         """Covariance of each row per unit of its variance, shape (N, m, m)."""
         return np.asarray(self.root @ self.root.transpose(0, 2, 1))
 
+    @property
+    def parts(self) -> tuple[_Asked, ...]:
+        """What of it may come back by itself: each joint."""
+        if self.kind != "joints":
+            return (self,)
+        return tuple(replace(self, root=self.root[:, :, k : k + 1]) for k in range(self.root.shape[2]))
+
     def stacked(self, still: Stack) -> np.ndarray:
         """The same of standstills, shape (S, M, M)."""
         if not self.common:
@@ -168,7 +171,7 @@ def noise_causes(fit: Fit, active: Sequence[Active], rows: Dataset, progress: Pr
     scatter = _scatter(part, fit, active, possible, still)
     channels = np.array([p.kind == "channel" for p in possible])
     first = np.unique(still.number, return_index=True)[1]
-    orders = {False: _orders(part.data), True: _orders(part.data.select(first))}
+    orders = {False: neighbours(part.data), True: neighbours(part.data.select(first))}
     structured = np.zeros(len(possible), dtype=bool)
     single, alike = (np.array([p.kind == kind for p in possible]) for kind in ("joint", "joints"))
     found = estimate(scatter, np.maximum(fit.estimated, FLOOR) ** 2, channels)
@@ -180,7 +183,7 @@ def noise_causes(fit: Fit, active: Sequence[Active], rows: Dataset, progress: Pr
             fewer = instead(scatter, found, single, int(np.argmax(alike)), channels)
             k, found = (k, found) if fewer is None else (int(np.argmax(alike)), fewer)
         # What comes back stays in the model here, so that no other cause has to take it over, but it is not noise.
-        structured[k] = _comes_back(found, k, possible[k], still, orders[possible[k].common])
+        structured[k] = any(_comes_back(found, k, p, still, orders[p.common]) for p in possible[k].parts)
         structured &= found.free
     return _told(possible, found, structured, part, asked, fit.theta)
 
@@ -255,27 +258,6 @@ def _of_instruments(rows: Dataset, p: np.ndarray, own: np.ndarray) -> Iterator[t
             yield "length", channel.name, "m/m", np.abs(np.nan_to_num(rows.observed[:, :1, None])) * own[:, :, part]
         if rows.relative is not None and not np.allclose(scaled(own[:, :, part], rows.relative), own[:, :, part]):
             yield "repeatability", channel.name, channel.unit, own[:, :, part]
-
-
-def _orders(rows: Dataset) -> list[np.ndarray]:
-    """Pairs of neighbouring rows, shape (pairs, 2) each, in several orders.
-
-    In time (as they stand, where there is no time), along every reading, and in all readings at once, where repeats are
-    nearest.
-    """
-    found = [_successors(rows.sequence)]
-    deviation = rows.readings.std(axis=0)
-    moves = deviation > FLOOR
-    found += [_successors(np.argsort(q, kind="stable")) for q in rows.readings.T[moves]]
-    points = rows.readings[:, moves] / deviation[moves]
-    near = np.asarray(cKDTree(points).query(points, k=NEIGHBOURS + 1)[1])[:, 1:]
-    pairs = np.column_stack([np.repeat(np.arange(len(rows)), NEIGHBOURS), near.ravel()])
-    return [*found, np.unique(np.sort(pairs, axis=1), axis=0)]
-
-
-def _successors(order: np.ndarray) -> np.ndarray:
-    """Pairs of rows that are at most :data:`REACH` apart in an order of shape (N,)."""
-    return np.concatenate([np.column_stack([order[:-k], order[k:]]) for k in range(1, REACH + 1)])
 
 
 def _comes_back(found: Components, k: int, cause: _Asked, still: Stack, orders: Sequence[np.ndarray]) -> bool:
