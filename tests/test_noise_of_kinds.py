@@ -25,7 +25,7 @@ from aridcal.result.folder import result_document
 from aridcal.result.key_figures import another_day
 from aridcal.result.outcome import Outcome, Verification, errors
 from aridcal.search.arm import CalibratedArm, calibrated_arm, fit_arm, fit_constants
-from aridcal.search.noise_causes import NoiseCauses, noise_causes
+from aridcal.search.noise_causes import NoiseCauses, noise_causes, structured_notices
 from aridcal.showing import SILENT
 
 ROUNDED = np.radians(0.1)
@@ -129,8 +129,11 @@ def test_a_reading_that_all_marks_of_an_image_share_is_not_averaged_away(tmp_pat
     _, image = np.unique(data.readings, axis=0, return_inverse=True)
     drawn = 6e-4 * np.random.default_rng(5).normal(size=60)
     data = replace(data, readings=data.readings + drawn[image.reshape(-1), None] * (np.arange(6) == 0))
-    (only,) = causes(tmp_path, arm, data).further
+    found = causes(tmp_path, arm, data)
+    (only,) = found.further
     assert (only.name, only.value) == (arm.robot.readings[0], pytest.approx(6e-4, rel=0.2))
+    (notice,) = structured_notices(found)
+    assert "share its error" in notice and "standard deviations are too small" in notice
     # 60 numbers, of which the constants take some: a sigma is known to 1 / sqrt(2 * 60) at the best.
     assert only.std > 0.8 * only.value / np.sqrt(2.0 * 60)
 

@@ -49,6 +49,16 @@ ALIKE = 3.0
 ALL_ALIKE = "all revolute joints"
 """Name of the cause that readings of all of them scatter alike: rounded to the same digit, or of the same encoder."""
 
+SEVERAL = 2.0
+"""Rows that share the error of a reading from which it is said that weights do not know: below it standard deviations are out by
+less than a third, and only so far as readings are what scatters."""
+
+WITNESSES = (
+    "{:.0f} rows on the average were measured at one reading and share its error; each is weighed by itself, so that standard "
+    "deviations are too small where readings are most of what scatters. More postures tell more than more marks"
+)
+"""What is said then."""
+
 Kind = Literal["channel", "joint", "joints", "range", "sight", "length", "repeatability"]
 
 
@@ -87,12 +97,14 @@ class NoiseCauses:
             back at neighbouring rows: no noise.
         relative: Factors of all N rows' noise (see :class:`Dataset`), shape (N, m, m); None where the rows' own will do, as
             nothing beyond the channels matters.
+        shared: Rows that share the error of a reading, on the average; 1 where no reading scatters.
     """
 
     causes: tuple[NoiseCause, ...]
     total: np.ndarray
     structured: tuple[tuple[Kind, str], ...]
     relative: np.ndarray | None
+    shared: float
 
     @property
     def channels(self) -> tuple[NoiseCause, ...]:
@@ -185,7 +197,7 @@ def noise_causes(fit: Fit, active: Sequence[Active], rows: Dataset, progress: Pr
         # What comes back stays in the model here, so that no other cause has to take it over, but it is not noise.
         structured[k] = any(_comes_back(found, k, p, still, orders[p.common]) for p in possible[k].parts)
         structured &= found.free
-    return _told(possible, found, structured, part, asked, fit.theta)
+    return _told(possible, found, structured, part, asked, fit.theta, len(part) / still.count)
 
 
 def _there(rows: Dataset) -> np.ndarray:
@@ -296,6 +308,7 @@ def _told(
     part: Problem,
     asked: Problem,
     theta: np.ndarray,
+    together: float,
 ) -> NoiseCauses:
     """The causes in words and figures, and the factors that they give to all rows."""
     channel = np.array([p.kind == "channel" for p in possible])
@@ -321,6 +334,7 @@ def _told(
         total=np.sqrt(total),
         structured=tuple((p.kind, p.name) for p, back in zip(possible, structured, strict=True) if back),
         relative=relative,
+        shared=together if any(c.kind == "joint" for c in causes) else 1.0,
     )
 
 
@@ -334,7 +348,7 @@ def _of_each_joint(possible: Sequence[_Asked]) -> np.ndarray:
 
 
 def structured_notices(causes: NoiseCauses | None) -> list[str]:
-    """Sentences on what seems to scatter and does not."""
+    """Sentences on what seems to scatter and does not, and on what weights do not know."""
     misread = (
         "the residual looks as if {} were misread at random, but its errors come back at neighbouring rows: an error "
         "curve or play that the model lacks, and no noise"
@@ -349,7 +363,10 @@ def structured_notices(causes: NoiseCauses | None) -> list[str]:
         "repeatability": "the {} error is larger than the rows state and the same in all of them, but comes back at "
         "neighbouring rows: it is no noise",
     }
-    return [looks[kind].format(name) for kind, name in (causes.structured if causes is not None else ())]
+    if causes is None:
+        return []
+    said = [looks[kind].format(name) for kind, name in causes.structured]
+    return [*said, WITNESSES.format(causes.shared)] if causes.shared > SEVERAL else said
 
 
 def stretched(relative: np.ndarray, values: np.ndarray) -> np.ndarray:
