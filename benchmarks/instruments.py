@@ -6,6 +6,7 @@ Example:
     python benchmarks/instruments.py ranks
     python benchmarks/instruments.py starts --kind "eye in hand" --runs 100
     python benchmarks/instruments.py blind --kind distance --cases 50 --seed 1
+    python benchmarks/instruments.py causes --kind distance --runs 50
     python benchmarks/instruments.py together
     python benchmarks/instruments.py speed
 
@@ -18,6 +19,7 @@ Every campaign is simulated by ``aridcal simulate``'s own code, written to a fol
 - ``exact``: rows never fitted, without noise, and where the target goes but for what the kind cannot know (a motion, a scale).
 - ``ranks``: how many numbers of the arm, its frames and its mounting each kind tells.
 - ``starts``: the noise that is left says whether a fit ended where it should.
+- ``causes``: what is named of noise in clean rows, and in the same with joints rounded to 0.1 degree. No search.
 - ``blind``: one undeclared effect a case, or none. The oracle is told the effect's kind and place.
 """
 
@@ -27,6 +29,7 @@ import argparse
 import resource
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -42,6 +45,7 @@ from aridcal.model.model import Model
 from aridcal.prepare.postures import draw_readings
 from aridcal.prepare.simulation import named_constants
 from aridcal.search.arm import calibrated_arm, fit_constants
+from aridcal.search.noise_causes import noise_causes
 from aridcal.showing import SILENT
 
 ROWS = 120
@@ -226,6 +230,31 @@ SMALL = 1e-4
 """[rad] or [m]: of an effect whose size is measured."""
 
 
+def causes(kind: str | None, runs: int, rows: int, seed: int) -> None:
+    """Whether clean rows name no cause, and rounded joints theirs with its size."""
+    step = np.radians(0.1)
+    print(
+        f"{'kind':20} {'runs':>4} {'clean: named':>12} {'rounded: named':>14} {'all joints':>10} {'size over true':>20}"
+    )
+    for way in [kind] if kind else WAYS:
+        clean, named, every, sizes = 0, 0, 0, [np.nan]
+        for k in range(runs):
+            keys, robot = scenario(way, "six", seed * 1000 + k, rows or 2 * rows_of(way))
+            one = made(noisy(keys), robot)
+            coarse = replace(one.rows, readings=np.round(one.rows.readings / step) * step)
+            for data in (one.rows, coarse):
+                geometry = fit_constants(one.campaign, robot, data, ())
+                found = noise_causes(geometry.geometric, (), data)
+                further = () if found is None else found.further
+                if data is one.rows:
+                    clean += bool(further)
+                else:
+                    named, every = named + bool(further), every + (len(further) == len(robot.readings))
+                    sizes += [c.value * np.sqrt(12.0) / step for c in further if c.kind == "joint"][:1]
+        ends = f"{np.nanmin(sizes):.2f} to {np.nanmax(sizes):.2f}"
+        print(f"{way:20} {runs:4} {clean:12} {named:14} {every:10} {ends:>20}", flush=True)
+
+
 def draw_effect(joints: Sequence[str], load: dict[str, float], rng: np.random.Generator) -> dict[str, Any]:
     """An effect as a scenario has it, its coefficients of natural proportions and not yet of its size."""
     name, where = str(rng.choice(KINDS)), str(rng.choice(list(joints)))
@@ -389,7 +418,9 @@ def speed(rows: int, images: int, seed: int) -> None:
 
 def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("name", choices=("coverage", "exact", "ranks", "starts", "blind", "together", "speed"))
+    parser.add_argument(
+        "name", choices=("coverage", "exact", "ranks", "starts", "causes", "blind", "together", "speed")
+    )
     parser.add_argument("--kind", choices=tuple(WAYS))
     parser.add_argument("--runs", type=int, default=20)
     parser.add_argument("--cases", type=int, default=20)
@@ -402,6 +433,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         "exact": lambda: exact(asked.seed),
         "ranks": lambda: ranks(asked.seed),
         "starts": lambda: starts(asked.kind, asked.runs, asked.seed),
+        "causes": lambda: causes(asked.kind, asked.runs, asked.rows, asked.seed),
         "blind": lambda: blind(asked.kind, asked.cases, asked.seed),
         "together": lambda: together(asked.runs, asked.rows or 1000, asked.seed),
         "speed": lambda: speed(asked.rows or 10_000, asked.images, asked.seed),

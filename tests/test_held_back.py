@@ -11,11 +11,11 @@ import pytest
 import robots
 from scipy.spatial.transform import Rotation
 
-from aridcal.fit import held_back
 from aridcal.fit.least_squares import Fit, minimise
 from aridcal.fit.problem import problem
 from aridcal.model.rigid_bodies import targets_of_one_body
 from aridcal.result.pipeline import identify
+from aridcal.search import arm
 from aridcal.search.arm import fit_constants
 
 ARMS = np.array([[0.0, 0.0, 0.0], [0.08, 0.0, 0.02], [-0.02, 0.07, 0.0]])
@@ -33,9 +33,9 @@ def test_squares_of_held_back_rows_are_those_of_fits_without_them() -> None:
     """By the second road: each block really left out, and the rest fitted again."""
     _, geometric, truth = fits(40, 1e-3)
     data = truth.measured
-    squares = held_back._squares(geometric, data)
+    squares = arm._squares(geometric, data)
     number = np.random.default_rng(2).permutation(int(data.configuration.max()) + 1)
-    block = number[data.configuration] % held_back.BLOCKS
+    block = number[data.configuration] % arm.BLOCKS
     asked = problem(geometric.model, data)
     for k in (0, 3):
         rest = asked.select(block != k)
@@ -49,7 +49,7 @@ def test_squares_of_held_back_rows_are_those_of_fits_without_them() -> None:
 @pytest.mark.parametrize(("size", "better"), [(0.0, False), (2e-3, True)])
 def test_constants_that_say_nothing_do_not_beat_the_nominal_robot(size: float, better: bool) -> None:
     nominal, geometric, truth = fits(30, size)
-    assert held_back.is_better(geometric, nominal, truth.measured) == better
+    assert arm.is_better(geometric, nominal, truth.measured) == better
 
 
 def markers(folder: Path, apart: bool) -> Path:
@@ -61,9 +61,9 @@ def markers(folder: Path, apart: bool) -> Path:
     noise = 1e-3 * rng.standard_normal((26, 6))
     turned = (Rotation.from_rotvec(2.0 * noise[:, 3:]) * Rotation.from_matrix(poses.rotation)).as_matrix()
     tables = []
-    for label, arm in zip("ABC", ARMS, strict=True):
+    for label, lever in zip("ABC", ARMS, strict=True):
         error = 1e-3 * rng.standard_normal((26, 3)) if apart else noise[:, :3]
-        place = poses.position + error + (poses.rotation if apart else turned) @ arm
+        place = poses.position + error + (poses.rotation if apart else turned) @ lever
         table = robots.table(truth).drop(columns=["qx", "qy", "qz", "qw"])
         tables.append(table.assign(x=place[:, 0], y=place[:, 1], z=place[:, 2], station=label))
     path = robots.write_campaign(

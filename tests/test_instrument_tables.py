@@ -363,12 +363,41 @@ def test_labels_that_tell_nothing_of_the_arm_are_told(tmp_path: Path) -> None:
 
 
 def test_a_second_days_table_goes_to_the_block_whose_columns_it_has(tmp_path: Path) -> None:
-    campaign = write(tmp_path, {kind: table(kind) for kind in ("distance", "point", "pose")})
-    for kind in ("distance", "point", "pose"):
+    """The other blocks are there without rows, so that every channel is where the model has it."""
+    kinds = ("distance", "point", "pose", "plane")
+    campaign = write(tmp_path, {kind: table(kind) for kind in kinds})
+    every = load(campaign)
+    for number, kind in enumerate(kinds):
         data = load(campaign, files=[table(kind, seed=1)], fitted=False)
-        assert [b.kind for b in data.blocks] == [kind] and len(data) == ROWS
+        assert data.blocks == every.blocks and data.channels == every.channels
+        assert (data.block == number).all() and len(data) == ROWS
+        np.testing.assert_array_equal(data.readings, table(kind, seed=1)[list(JOINTS)])
     with pytest.raises(AridcalError, match="fit none of the blocks distance, point, pose"):
-        load(campaign, files=[table("plane")], fitted=False)
+        load(campaign, files=[table("pixels")], fitted=False)
+
+
+def test_tables_of_a_second_day_serve_each_its_own_block(tmp_path: Path) -> None:
+    campaign = write(tmp_path, {kind: table(kind) for kind in ("distance", "point", "pose")})
+    table("pose", seed=1).to_csv(tmp_path / "later.csv", index=False)
+    data = load(campaign, files=[tmp_path / "later.csv", table("distance", seed=1)], fitted=False)
+    assert np.bincount(data.block).tolist() == [ROWS, 0, ROWS]
+    np.testing.assert_array_equal(data.observed[data.block == 0, 0], table("distance", seed=1)["distance"])
+    np.testing.assert_array_equal(data.position[data.block == 2], table("pose", seed=1)[["x", "y", "z"]])
+
+
+def test_a_second_days_table_that_fits_two_blocks_is_refused_until_their_columns_differ(tmp_path: Path) -> None:
+    wires = [{"kind": "distance", "name": name, "file": f"{name}.csv"} for name in ("left", "right")]
+    tables = {"left": table("distance"), "right": table("distance", seed=2)}
+    later = tmp_path / "later.csv"
+    table("distance", seed=3).to_csv(later, index=False)
+    with pytest.raises(AridcalError, match=r"later.csv: its columns fit several of the blocks left, right.*`columns`"):
+        load(write(tmp_path, wires, tables), files=[later], fitted=False)
+    wires[1]["columns"] = {"distance": "wire"}
+    tables["right"] = tables["right"].rename(columns={"distance": "wire"})
+    campaign = write(tmp_path, wires, tables)
+    assert set(load(campaign, files=[later], fitted=False).block) == {0}
+    table("distance", seed=3).rename(columns={"distance": "wire"}).to_csv(later, index=False)
+    assert set(load(campaign, files=[later], fitted=False).block) == {1}
 
 
 MARKERS = "marker,x,y,z\na,0,0,0\nb,0.1,0,0\nc,0.2,0,0\n"

@@ -118,9 +118,9 @@ def test_repeats_that_scatter_less_than_the_residual_are_the_measure_of_what_is_
     noise = rng.standard_normal((600, 3))
     r = noise + 2.0 * rng.standard_normal((200, 3))[group]
     q = rng.uniform(-1, 1, (600, 3))  # neighbours are strangers, so that only the repeats can tell
-    (found,) = telling(r, q, repeats=Repeats(200, 600, np.ones(1), 0.0))
+    (found,) = telling(r, q, repeats=Repeats(200, 600, np.ones(1), np.array([400.0]), 0.0))
     assert found.share == pytest.approx(0.8, abs=0.05)
-    assert telling(noise, q, repeats=Repeats(200, 600, np.ones(1), 0.0)) == []
+    assert telling(noise, q, repeats=Repeats(200, 600, np.ones(1), np.array([400.0]), 0.0)) == []
 
 
 def test_noise_stated_wrongly_is_said_both_ways_and_noise_stated_well_is_not() -> None:

@@ -13,6 +13,7 @@ import yaml
 
 from aridcal.effects.effect import Coefficient
 from aridcal.errors import CampaignError
+from aridcal.identify import main as identify
 from aridcal.inputs.campaign import load_campaign
 from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.read import load_measurements
@@ -314,3 +315,24 @@ def test_what_cannot_be_simulated_is_refused(
 ) -> None:
     with pytest.raises(CampaignError, match=says):
         simulate(scenario(tmp_path, measurements, instruments, **truth))
+
+
+def test_a_second_days_table_of_one_instrument_of_two_is_scored(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """From the command line: the wire's table alone, the sockets' alone; each beside its own rows of this day."""
+    blocks = [{"kind": "distance"}, {"kind": "point"}]
+    noise = {"noise": {"distance": 5e-5, "position": 1e-4}, "n": 90}
+    made = scenario(tmp_path, blocks, {}, **noise)
+    made.path.write_text(made.path.read_text() + "diagnosis: {enabled: false}\n")
+    assert main([str(made.path), "-o", str(tmp_path / "made")]) == 0
+    for number, key, limit in ((1, "distance_mm", 0.08), (2, "position_mm", 0.25)):
+        day = tmp_path / "made" / f"measurements_{number}.csv"
+        out = tmp_path / f"out{number}"
+        arguments = [str(tmp_path / "made" / "campaign.yaml"), "--out", str(out), "--verify", str(day)]
+        assert identify(arguments) == 0, capsys.readouterr().err
+        found = json.loads((out / "result.json").read_text())["verification"]
+        assert found["rows"] == 90 and 0.0 < found["error"]["final"][key]["rms"] < limit
+        absent = {1: "position_mm", 2: "distance_mm"}[number]
+        assert set(found["error"]["final"][absent].values()) == {None}
+        assert day.name in (out / "report.html").read_text("utf-8")

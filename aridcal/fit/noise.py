@@ -9,8 +9,9 @@ import numpy as np
 import pandas as pd
 
 from aridcal.inputs.dataset import Dataset
+from aridcal.inputs.measurement_settings import OF_TARGETS
 from aridcal.inputs.repeats import first_alike
-from aridcal.instruments.channels import Channel, columns
+from aridcal.instruments.channels import TARGET_POSITION, columns
 
 
 @dataclass(frozen=True)
@@ -20,32 +21,36 @@ class Repeats:
     Attributes:
         groups: Number of configurations that were measured more than once.
         rows: Rows in them.
-        sigma: Scatter within them in each channel, per axis, shape (C,).
-        repeatability: RP: mean distance to the group's centre plus three standard deviations, over all groups, [m].
+        sigma: Scatter within them in each channel, per axis, shape (C,); NaN where a channel has no repeats.
+        freedom: Numbers behind each of these, less one for each centre, shape (C,).
+        repeatability: RP: mean distance to the group's centre plus three standard deviations, over all groups whose positions
+            were measured, [m]; NaN where there are none.
     """
 
     groups: int
     rows: int
     sigma: np.ndarray
+    freedom: np.ndarray
     repeatability: float
 
 
 def repeats(rows: Dataset, residual: np.ndarray) -> Repeats | None:
     """Scatter of rows that repeat a configuration; None where none does.
 
-    Residuals, not raw poses, are compared: readings of repeats differ a little, and the model knows how much.
+    Residuals, not raw poses, are compared: readings of repeats differ a little, and the model knows how much. Of other kinds
+    those rows repeat one that also are of one block and refer to the same things: several marks in one image do not.
 
     Args:
         rows: N rows.
-        residual: Of each, in world axes, shape (N, m), [m] and [rad].
+        residual: Of each, shape (N, m), in the channels' units; NaN in channels that a row does not measure.
     """
-    # Poses that are the same bit for bit are copies, whatever else their rows say, and tell nothing of the noise.
-    if rows.blocks:  # of things that are measured again and again the place is sought: their scatter is what is fitted
-        return None
+    # Poses that are the same bit for bit are copies, whatever else their rows say, and tell nothing of the noise. A length
+    # that is read twice alike was rounded.
     poses = [
         rows.configuration,
         rows.position,
         *([] if rows.rotation is None else [rows.rotation.reshape(len(rows), 9)]),
+        np.where(np.isnan(rows.position[:, 0]), np.arange(len(rows)), -1),
     ]
     first = first_alike(pd.DataFrame(np.column_stack(poses))) == np.arange(len(rows))
     rows, residual = rows.select(first), residual[first]
@@ -60,18 +65,24 @@ def repeats(rows: Dataset, residual: np.ndarray) -> Repeats | None:
     np.add.at(total, label, residual)
     centre = total[label] / size[label, None]
     off = (residual - centre)[own]
-    parts = zip(rows.channels, columns(rows.channels), strict=True)
-    sigma = np.array([_scatter(off[:, part], channel, groups) for channel, part in parts])
     # The centre is estimated from the same rows: distances come out too short by this factor.
     n = size[label[own]]
-    distance = np.linalg.norm(off[:, :3], axis=1) * np.sqrt(n / (n - 1.0))
-    return Repeats(groups, int(own.sum()), sigma, float(distance.mean() + 3.0 * distance.std(ddof=1)))
-
-
-def _scatter(off: np.ndarray, channel: Channel, groups: int) -> float:
-    """Sigma per axis of deviations from their groups' centres, shape (n, size)."""
-    freedom = float(channel.size) * (len(off) - groups)
-    return float(np.sqrt(np.sum(off**2) / freedom))
+    sigma, freedom, distances = [], [], [np.empty(0)]
+    of_targets = (
+        [True] * len(rows.channels)
+        if not rows.blocks
+        else [b.kind in OF_TARGETS for b in rows.blocks for _ in b.channels]
+    )
+    parts = zip(rows.channels, columns(rows.channels), rows.measures[own].T, of_targets, strict=True)
+    for channel, part, there, of_target in parts:
+        few = there.sum() - len(np.unique(label[own][there]))
+        freedom.append(float(channel.size * few))
+        sigma.append(float(np.sqrt(np.sum(off[there][:, part] ** 2) / freedom[-1])) if few else np.nan)
+        if of_target and channel.axes == TARGET_POSITION.axes:
+            distances.append(np.linalg.norm(off[there][:, part], axis=1) * np.sqrt(n[there] / (n[there] - 1.0)))
+    distance = np.concatenate(distances)
+    spread = float(distance.mean() + 3.0 * distance.std(ddof=1)) if len(distance) else np.nan
+    return Repeats(groups, int(own.sum()), np.array(sigma), np.array(freedom), spread)
 
 
 def declared_notices(rows: Dataset, estimated: np.ndarray, numbers: float) -> Sequence[str]:

@@ -1,7 +1,7 @@
 r"""Variance components by restricted maximum likelihood: of what causes the scatter of residuals is made, and how large each is.
 
 The residuals y of N rows of m numbers have columns A whose coefficients have a normal prior (precision :math:`\Lambda`,
-often zero), and rows that err independently of one another,
+often zero), and rows that err independently of one another. (Where rows of a table err together they are one row here.)
 
 .. math:: y = A \beta + e, \qquad V_i = cov(e_i) = \sum_k \theta_k B_{ik}, \qquad \theta_k \ge 0
 
@@ -14,13 +14,19 @@ its derivatives are (Patterson and Thompson 1971; Harville 1977, section 4)
 It is maximised with the average information :math:`\tfrac12 y^T P B_k P B_l P y` (Gilmour, Thompson and Cullis 1995), the
 mean of the observed and of Fisher's, which needs P times vectors only. Rows being independent, :math:`tr(P B_k)` needs
 only the diagonal blocks :math:`P_{ii}`, and is exact.
+
+Unknown things, of which there may be thousands, have columns as well, without a prior. Those of one clump of rows are not
+zero in these rows alone, and are solved for clump by clump: with M the projection that takes them off the whitened rows,
+:math:`\log |H|` is the sum of the clumps' own and of that of :math:`A^T M A + \Lambda`. That, too, is exact.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
+from scipy.sparse import coo_array, csr_array
 from scipy.stats import norm
 
 from aridcal.fit.normal_equations import TINY, balanced
@@ -55,13 +61,52 @@ class Scatter:
         y: Residuals, shape (N, m).
         A: Columns that are fitted, shape (N, m, K).
         precision: Of their coefficients' prior, shape (K, K).
-        blocks: Covariance of each row per unit of each component's variance, shape (C, N, m, m).
+        blocks: Covariance of each row per unit of each component's variance, shape (C, N, m, m). A number that no
+            component scatters has the variance 1: it is not measured (and has zeros elsewhere), or states what is known
+            beforehand, in sigmas.
+        things: Columns of what is unknown of the row's clump, shape (N, m, U), of full rank in the clump or 0; None where
+            nothing is.
+        clump: Of each row, shape (N,), -1 for none.
     """
 
     y: np.ndarray
     A: np.ndarray
     precision: np.ndarray
     blocks: np.ndarray
+    things: np.ndarray | None = None
+    clump: np.ndarray | None = None
+
+    @cached_property
+    def stated(self) -> np.ndarray:
+        """Covariance of what no component scatters, shape (N, m, m)."""
+        apart = np.einsum("cnii->ni", self.blocks) == 0.0
+        return np.asarray(apart[:, :, None] * np.eye(apart.shape[1]))
+
+    @cached_property
+    def gather(self) -> csr_array:
+        """Sums over the rows of each clump, shape (clumps, N)."""
+        assert self.clump is not None
+        own = np.flatnonzero(self.clump >= 0)
+        shape = (int(self.clump.max(initial=-1)) + 1, len(self.clump))
+        return coo_array((np.ones(len(own)), (self.clump[own], own)), shape=shape).tocsr()
+
+    def summed(self, values: np.ndarray) -> np.ndarray:
+        """Sums of values, shape (N, ...), over the rows of each clump, shape (clumps, ...)."""
+        return np.asarray(self.gather @ values.reshape(len(values), -1)).reshape(-1, *values.shape[1:])
+
+
+def full_rank(scatter: Scatter) -> Scatter:
+    """The same with columns of things that span what they spanned in each clump, and are orthonormal there or 0."""
+    B = scatter.things
+    if B is None or scatter.clump is None:
+        return scatter
+    H = scatter.summed(B.transpose(0, 2, 1) @ B)
+    size = np.sqrt(np.einsum("guu->gu", H))
+    scale = np.where(size > 0.0, 1.0 / np.where(size > 0.0, size, 1.0), 0.0)
+    values, vectors = np.linalg.eigh(H * scale[:, :, None] * scale[:, None, :])
+    told = values > RANK * np.maximum(values[:, -1:], TINY)
+    turned = scale[:, :, None] * vectors * np.where(told, 1.0 / np.sqrt(np.where(told, values, 1.0)), 0.0)[:, None, :]
+    return replace(scatter, things=B @ turned[scatter.clump])
 
 
 @dataclass(frozen=True)
@@ -71,7 +116,7 @@ class Components:
     Attributes:
         free: Those in the model, shape (C,) bool.
         variance: Of each component, shape (C,), not negative; 0 for those that are not in the model.
-        covariance: Of those estimates, shape (C, C); 0 where a variance is at its bound.
+        covariance: Of those estimates, shape (C, C); 0 for those that are not in the model, or vanished.
         log_likelihood: Restricted, but for a constant.
         pull: P y of each row, shape (N, m).
         kernel: P_ii of each row, shape (N, m, m).
@@ -91,9 +136,22 @@ class Components:
 
     @property
     def sigma_std(self) -> np.ndarray:
-        """1-sigma of :attr:`sigma`, shape (C,): that of the variance over twice the standard deviation."""
-        std = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
-        return np.where(self.variance > 0.0, std / np.maximum(2.0 * self.sigma, TINY), 0.0)
+        """1-sigma of :attr:`sigma`, shape (C,); see :func:`std_of_sigma`."""
+        return std_of_sigma(self.variance, self.covariance)
+
+
+def std_of_sigma(variance: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """1-sigma of standard deviations, shape (C,): that of the variance over twice the standard deviation.
+
+    Where the variance is not known to differ from zero, it is the standard deviation that it may have.
+
+    Args:
+        variance: Shape (C,).
+        covariance: Of the variances, shape (C, C).
+    """
+    std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    small = np.minimum(std / np.maximum(2.0 * np.sqrt(variance), TINY), np.sqrt(std))
+    return np.asarray(np.where(variance > 0.0, small, 0.0))
 
 
 @dataclass(frozen=True)
@@ -105,7 +163,8 @@ class _Place:
         pull: P y, shape (N, m).
         kernel: P_ii, shape (N, m, m).
         root: Inverse Cholesky factors of the rows' covariances, shape (N, m, m).
-        T: Whitened columns, orthonormal but for the prior, shape (N m, K).
+        T: Whitened columns, less what the things take off them, orthonormal but for the prior, shape (N m, K).
+        Q: Whitened columns of the things, orthonormal in each clump, shape (N, m, U); None where there are none.
     """
 
     log_likelihood: float
@@ -113,6 +172,7 @@ class _Place:
     kernel: np.ndarray
     root: np.ndarray
     T: np.ndarray
+    Q: np.ndarray | None
 
 
 def restricted_likelihood(scatter: Scatter, variance: np.ndarray) -> float:
@@ -152,6 +212,22 @@ def one_more(scatter: Scatter, found: Components, held: np.ndarray) -> tuple[int
     return (k, more) if chance < CHANCE else None
 
 
+def instead(scatter: Scatter, found: Components, several: np.ndarray, k: int, held: np.ndarray) -> Components | None:
+    """The maximum with one component in place of several; None if it explains the residuals less well than these.
+
+    Args:
+        scatter: Residuals and components.
+        found: The maximum with the several.
+        several: Which may go, shape (C,) bool.
+        k: What may come.
+        held: Channels, shape (C,) bool.
+    """
+    start, free = np.where(several, 0.0, found.variance), found.free & ~several
+    start[k], free[k] = found.variance[several & found.free].mean(), True
+    fewer = _maximum(scatter, start, free, held)
+    return fewer if fewer.log_likelihood >= found.log_likelihood else None
+
+
 def _maximum(scatter: Scatter, theta: np.ndarray, free: np.ndarray, held: np.ndarray) -> Components:
     """Maximise the restricted likelihood over the variances of the components in the model.
 
@@ -166,6 +242,8 @@ def _maximum(scatter: Scatter, theta: np.ndarray, free: np.ndarray, held: np.nda
     for _ in range(STEPS if np.isfinite(here.log_likelihood) else 0):
         score, information = _derivatives(scatter, here)
         moving = free & ~((theta <= low) & (score <= 0.0))
+        if not moving.any():  # nothing is left to scatter: exact data
+            break
         step = np.zeros(len(theta))
         step[moving] = _solve(information[np.ix_(moving, moving)], score[moving])
         if float(score @ step) < SETTLED:
@@ -180,7 +258,7 @@ def _maximum(scatter: Scatter, theta: np.ndarray, free: np.ndarray, held: np.nda
             break
         theta, here = wanted, there
     score, information = _derivatives(scatter, here)
-    inside = free & (theta > low)
+    inside = free & (theta > 0.0)
     covariance = np.zeros((len(theta),) * 2)
     covariance[np.ix_(inside, inside)] = _solve(information[np.ix_(inside, inside)], np.eye(int(inside.sum())))
     return Components(free, theta, covariance, here.log_likelihood, here.pull, here.kernel)
@@ -245,30 +323,54 @@ def _place(scatter: Scatter, theta: np.ndarray) -> _Place:
     """The likelihood at some variances, shape (C,); none at all where a channel is exact beside what else scatters."""
     n, m, count = scatter.A.shape
     used = theta > 0.0
-    V = np.tensordot(theta[used], scatter.blocks[used], axes=1)
+    V = np.tensordot(theta[used], scatter.blocks[used], axes=1) + scatter.stated
     try:
         L = np.linalg.cholesky(V)
     except np.linalg.LinAlgError:
         nothing = np.zeros((n, m, m))
-        return _Place(-np.inf, np.zeros((n, m)), nothing, nothing, np.zeros((n * m, count)))
+        return _Place(-np.inf, np.zeros((n, m)), nothing, nothing, np.zeros((n * m, count)), None)
     root = np.linalg.solve(L, np.broadcast_to(np.eye(m), V.shape))
-    U = (root @ scatter.A).reshape(n * m, count)
-    z = np.einsum("nij,nj->ni", root, scatter.y).ravel()
+    U, z = root @ scatter.A, root @ scatter.y[:, :, None]
+    left, logdet, Q = np.eye(m), 2.0 * float(np.sum(np.log(np.diagonal(L, axis1=1, axis2=2)))), None
+    if scatter.things is not None:
+        Q, more = _orthonormal(scatter, root @ scatter.things)
+        both = np.concatenate([U, z], axis=2)
+        both = both - Q @ _of_clumps(scatter, Q, both)[scatter.clump]
+        U, z, logdet, left = both[:, :, :-1], both[:, :, -1:], logdet + more, left - Q @ Q.transpose(0, 2, 1)
+    U, z = U.reshape(n * m, count), z.ravel()
     H, scale = balanced(U.T @ U + scatter.precision)
     factor = np.linalg.cholesky(H + RIDGE * np.eye(count))
     T = U @ (scale[:, None] * np.linalg.inv(factor).T)
     e = z - T @ (T.T @ z)
-    logdet = 2.0 * float(np.sum(np.log(np.diag(factor)))) - 2.0 * float(np.sum(np.log(scale[scale > 0.0])))
-    logdet += 2.0 * float(np.sum(np.log(np.diagonal(L, axis1=1, axis2=2))))
+    logdet += 2.0 * float(np.sum(np.log(np.diag(factor)))) - 2.0 * float(np.sum(np.log(scale[scale > 0.0])))
     rows = T.reshape(n, m, count)
-    left = np.eye(m) - rows @ rows.transpose(0, 2, 1)
+    left = left - rows @ rows.transpose(0, 2, 1)
     back = root.transpose(0, 2, 1)
     pull = np.einsum("nij,nj->ni", back, e.reshape(n, m))
-    return _Place(-0.5 * (logdet + float(z @ e)), pull, back @ left @ root, root, T)
+    return _Place(-0.5 * (logdet + float(z @ e)), pull, back @ left @ root, root, T, Q)
+
+
+def _orthonormal(scatter: Scatter, W: np.ndarray) -> tuple[np.ndarray, float]:
+    """Whitened columns of things, shape (N, m, U), made orthonormal in each clump, and the logarithm of their determinants."""
+    H = scatter.summed(W.transpose(0, 2, 1) @ W)
+    size = np.einsum("guu->gu", H)
+    H = H + np.where(size > 0.0, 0.0, 1.0)[:, :, None] * np.eye(H.shape[1])
+    factor = np.linalg.cholesky(H)
+    # Rows of no clump have zeros there, whatever they are multiplied with.
+    Q = W @ np.linalg.inv(factor).transpose(0, 2, 1)[scatter.clump]
+    return Q, 2.0 * float(np.sum(np.log(np.diagonal(factor, axis1=1, axis2=2))))
+
+
+def _of_clumps(scatter: Scatter, Q: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Q' of columns of all rows, shape (N, m, d), clump by clump, shape (clumps, U, d)."""
+    return scatter.summed(Q.transpose(0, 2, 1) @ values)
 
 
 RIDGE = 1e-12
 """Added to the unit diagonal of the columns' balanced equations: some thousand roundings."""
+
+RANK = 1e-10
+"""Share of a clump's largest eigenvalue, columns scaled to 1, below which a combination of its things is rounding."""
 
 
 def _derivatives(scatter: Scatter, here: _Place) -> tuple[np.ndarray, np.ndarray]:
@@ -276,9 +378,14 @@ def _derivatives(scatter: Scatter, here: _Place) -> tuple[np.ndarray, np.ndarray
     moved = np.einsum("cnij,nj->cni", scatter.blocks, here.pull, optimize=True)
     pulled = np.einsum("cni,ni->c", moved, here.pull)
     score = 0.5 * (pulled - np.einsum("nij,cnij->c", here.kernel, scatter.blocks, optimize=True))
-    white = np.einsum("nij,cnj->cni", here.root, moved, optimize=True).reshape(len(moved), -1)
+    white = np.einsum("nij,cnj->cni", here.root, moved, optimize=True)
+    information = np.zeros((len(moved),) * 2)
+    if here.Q is not None:
+        own = _of_clumps(scatter, here.Q, white.transpose(1, 2, 0)).reshape(-1, len(moved))
+        information -= own.T @ own
+    white = white.reshape(len(moved), -1)
     along = white @ here.T
-    return score, np.asarray(0.5 * (white @ white.T - along @ along.T))
+    return score, np.asarray(0.5 * (information + white @ white.T - along @ along.T))
 
 
 def _solve(H: np.ndarray, b: np.ndarray) -> np.ndarray:

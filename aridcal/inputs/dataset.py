@@ -333,7 +333,7 @@ def weighed(data: Dataset, noise: RowNoise) -> Dataset:
     if noise.covariance is not None:
         std = np.sqrt(np.diagonal(noise.covariance, axis1=1, axis2=2))
         typical = _typical(std[data.train], data.channels)
-        relative = factors(noise.covariance, typical)
+        relative = factors(noise.covariance, typical, data.channels)
     elif noise.std is not None:
         std = noise.std
         typical = _typical(std[data.train], data.channels)
@@ -365,26 +365,26 @@ def _typical(std: np.ndarray, channels: Channels) -> np.ndarray:
     return np.array([np.sqrt(np.mean(std[:, part] ** 2)) for part in columns(channels)])
 
 
-def factors(covariance: np.ndarray, typical: np.ndarray) -> np.ndarray:
+def factors(covariance: np.ndarray, typical: np.ndarray, channels: Channels) -> np.ndarray:
     r"""Factors of the rows' covariances: each row's noise is L times independent noise of the typical sigmas.
 
     .. math:: L = \begin{pmatrix} chol(C_{pp} - G C_{rp}) & G\, chol(C_{rr}) \\ 0 & chol(C_{rr}) \end{pmatrix}
               diag(s_p, s_r)^{-1}, \qquad G = C_{pr} C_{rr}^{-1}
 
-    The first three of the independent noises are those of the position that the rotation does not explain, so that
-    sigmas of positions and rotations can still be estimated apart.
+    for two channels p and r, and so on from the last channel to the first where there are more. The independent noises of a
+    channel are those that the channels after it do not explain, so that sigmas can still be estimated apart.
 
     Args:
-        covariance: Of position p and rotation vector r, shape (N, 6, 6); of positions alone, shape (N, 3, 3).
-        typical: Their typical sigmas, shape (2,) or (1,).
+        covariance: Of the numbers of the rows, shape (N, m, m), positive definite.
+        typical: Typical sigma of each channel, shape (C,).
+        channels: C channels of m numbers in all.
     """
-    if len(typical) == 1:
-        return np.asarray(np.linalg.cholesky(covariance) / typical[0])
-    turn = np.linalg.cholesky(covariance[:, 3:, 3:])
-    lever = np.linalg.solve(covariance[:, 3:, 3:], covariance[:, 3:, :3]).transpose(0, 2, 1)
-    alone = covariance[:, :3, :3] - lever @ covariance[:, 3:, :3]
-    L = np.zeros_like(covariance)
-    L[:, :3, :3] = np.linalg.cholesky(alone) / typical[0]
-    L[:, :3, 3:] = lever @ turn / typical[1]
-    L[:, 3:, 3:] = turn / typical[1]
+    left, L = np.array(covariance, dtype=float), np.zeros_like(covariance, dtype=float)
+    for part, sigma in reversed(list(zip(columns(channels), typical.tolist(), strict=True))):
+        root = np.linalg.cholesky(left[:, part, part])
+        L[:, part, part] = root / sigma
+        before = slice(0, part.start)
+        lever = np.linalg.solve(root, left[:, part, before]).transpose(0, 2, 1)
+        L[:, before, part] = lever / sigma
+        left[:, before, before] -= lever @ lever.transpose(0, 2, 1)
     return L

@@ -99,6 +99,9 @@ def load_measurements(
     if not parts[0].rows.blocks:
         rows = with_training_rows(parts[0].rows, per_station(campaign)) if fitted else parts[0].rows
         return weighed(rows, parts[0].noise)
+    if not fitted:
+        there = {number: part for (number, _), part in zip(of_blocks, parts, strict=True)}
+        parts = [there.get(k) or _without_rows(parts[0], block) for k, block in enumerate(campaign.blocks)]
     rows = _targets_told(campaign, together([part.rows for part in parts]))
     if fitted:
         rows = with_training_rows(rows, per_station(campaign))
@@ -201,6 +204,24 @@ def _block(asked: _Asked, number: int, tables: Sequence[AnyTable], alone: bool) 
     numbers = sum(channel.size for channel in channels)
     noise = RowNoise(None if std is None else std[chosen, :numbers], absolute=settings.noise.rows == "absolute")
     return _Part(rows, noise)
+
+
+def _without_rows(like: _Part, settings: MeasurementSettings) -> _Part:
+    """A block that rows which are scored only are none of: its channels keep their places among those of the model."""
+    channels, sigma = _channels(settings)
+    rows = replace(
+        like.rows.select(np.zeros(0, dtype=int)),
+        files=(),
+        sha256="",
+        refused=(),
+        notices=(),
+        channels=channels,
+        sigma=sigma,
+        rotation=None,
+        split_given=True,
+        blocks=(Block(settings.title, settings.kind, channels, sigma),),
+    )
+    return _Part(rows, RowNoise())
 
 
 def _channels(settings: MeasurementSettings) -> tuple[Channels, tuple[float | None, ...]]:
@@ -354,14 +375,14 @@ def _tables_of_blocks(campaign: Campaign, files: Sequence[AnyTable] | None) -> l
     for table in campaign.tables if files is None else files:
         names = read_tables([table], None, campaign.limits.table).names
         having = [k for k, block in enumerate(campaign.blocks) if _needs(block) <= set(names)]
-        most = [
-            k for k in having if len(_needs(campaign.blocks[k])) == max(len(_needs(campaign.blocks[j])) for j in having)
-        ]
+        needed = {k: len(_needs(campaign.blocks[k])) for k in having}
+        most = [k for k in having if needed[k] == max(needed.values())]
         if len(most) != 1:
             titles = listed([campaign.blocks[k].title for k in most] or [block.title for block in campaign.blocks])
+            name = table if isinstance(table, str | Path) else "DataFrame"
             raise MeasurementError(
-                f"{'DataFrame' if not isinstance(table, str | Path) else table}: its columns fit "
-                f"{'several' if most else 'none'} of the blocks {titles}; give it the columns of one"
+                f"{name}: its columns fit {'several' if most else 'none'} of the blocks {titles}; give it the columns of "
+                "one, and that one columns that no other has (`columns`)"
             )
         found.setdefault(most[0], []).append(table)
     return sorted(found.items())

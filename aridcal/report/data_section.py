@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 import numpy as np
 
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.catalogue import KINDS
+from aridcal.instruments.pixels import PIXELS
 from aridcal.report.figures import coverage, histogram
 from aridcal.report.html import Content, Html, bullets, counted, figures, number, table, tag
 from aridcal.report.words import per_number, range_in_words, sigmas_in_words
@@ -80,25 +82,35 @@ def _blocks(outcome: Outcome) -> Html:
 
 
 def _repeats(outcome: Outcome) -> Content:
-    """Scatter of configurations that were measured more than once; nothing where that was not asked of such rows."""
-    found, m = outcome.repeats, outcome.measurements
-    if found is None and m.blocks and len(np.unique(m.configuration)) < len(m):
-        return ""
+    """Scatter of configurations that were measured more than once."""
+    found, several = outcome.repeats, bool(outcome.measurements.blocks)
     if found is None:
+        nothing = (
+            "Nothing was measured twice at one configuration" if several else "No configuration was measured twice"
+        )
+        images = any(block.kind == PIXELS.name for block in outcome.measurements.blocks)
+        marks = " (several marks in one image repeat nothing: a second image there would)" if images else ""
         return tag(
             "p",
-            "No configuration was measured twice, so the noise of robot and instrument cannot be separated from the "
+            f"{nothing}{marks}, so the noise of robot and instrument cannot be separated from the "
             "error of the model. Repeat a few poses next time.",
         )
-    scatter = sigmas_in_words(found.sigma, outcome.channels)
     repeatability = (
-        f" Repeatability RP of ISO 9283, the mean distance to the centre plus three standard deviations: "
+        ""
+        if math.isnan(found.repeatability)
+        else f" Repeatability RP of ISO 9283, the mean distance to the centre plus three standard deviations: "
         f"{number(1e3 * found.repeatability)} mm."
+    )
+    what = "measurement was repeated" if found.groups == 1 else "measurements were repeated"
+    repeated = (
+        f"{found.groups:,} {what} at the same configuration, of the same thing"
+        if several
+        else (f"{counted(found.groups, 'configuration')} measured more than once")
     )
     return tag(
         "p",
-        f"{counted(found.groups, 'configuration')} measured more than once ({counted(found.rows, 'row')}). "
-        f"Repeats scatter by {scatter} (1σ {per_number(outcome)}).{'' if outcome.measurements.blocks else repeatability} "
+        f"{repeated} ({counted(found.rows, 'row')}). "
+        f"Repeats scatter by {sigmas_in_words(found.sigma, outcome.channels)} (1σ {per_number(outcome)}).{repeatability} "
         "No calibration can reliably get below the scatter of the repeats.",
     )
 

@@ -219,9 +219,9 @@ def _remaining(outcome: Outcome) -> Iterator[Content]:
 
 
 def _is_floor(outcome: Outcome, sigma: np.ndarray) -> bool:
-    """True if the final residual is nowhere below a noise, shape (C,), by more than people misstate one by."""
+    """True if the final residual is nowhere below a noise, shape (C,), by more than people misstate one by; NaN is none."""
     seen = outcome.stage("final").fit.estimated
-    return bool(np.all(seen > sigma * math.exp(-WORTH_SAYING)))
+    return not np.any(seen <= sigma * math.exp(-WORTH_SAYING))
 
 
 def checks(outcome: Outcome) -> Iterator[tuple[bool, str]]:

@@ -225,7 +225,7 @@ def verification(outcome: Outcome) -> Iterator[Content]:
         models["final, frames refitted"] = found.realigned
     sound = ~found.outlier
     channels = found.measurements.channels
-    for channel in channels:
+    for channel in [channels[k] for k in np.flatnonzero(found.measurements.measures.sum(axis=0))]:
         scores = {name: errors(residual, sound, channels)[channel.key] for name, residual in models.items()}
         lines = [[name, *(number(s[k]) for k in STATISTICS)] for name, s in scores.items()]
         yield table(["model", *STATISTIC_NAMES.values()], lines, channel.title.capitalize())

@@ -44,8 +44,8 @@ LOADS = {
 
 
 def sigmas_in_words(sigma: np.ndarray, channels: Channels, times: float = 1.0) -> str:
-    """A multiple of one value for each channel, shape (C,), in words: ``0.1 mm and 0.2 mrad``."""
-    told = [(c, float(s)) for c, s in zip(channels, sigma, strict=True) if not c.inner]
+    """A multiple of one value for each channel, shape (C,), in words: ``0.1 mm and 0.2 mrad``; nothing of those with NaN."""
+    told = [(c, float(s)) for c, s in zip(channels, sigma, strict=True) if not (c.inner or math.isnan(s))]
     shown = [f"{number(times * c.scale * s)} {c.shown}" for c, s in told]
     return enumerated(shown)
 
@@ -110,28 +110,44 @@ def causes_in_words(outcome: Outcome) -> str:
     """What scatters beyond the instrument's channels, as sentences; nothing where nothing was found."""
     further = () if outcome.causes is None else outcome.causes.further
     joints = [c for c in further if c.kind == "joint"]
-    said = [_joints_that_scatter(joints)] if joints else []
+    said = [_joints_that_scatter(joints, outcome.channels)] if joints else []
     for c in further:
-        value = plus_minus(1e3 * c.value, 1e3 * c.std)
+        unit, times = ("mm per m", 1e3) if c.unit == "m/m" else shown_in(c.unit)
+        value = plus_minus(times * c.value, times * c.std)
         if c.kind == "range":
-            said.append(f"The position noise grows by {value} mm per m from the origin of the world frame.")
+            said.append(f"The {c.name} noise grows by {value} {unit} from the origin of the world frame.")
+        if c.kind == "length":
+            said.append(f"The {c.name} noise grows by {value} {unit} that is read.")
         if c.kind == "sight":
-            said.append(f"About the line of sight from there the measured rotation scatters by {value} mrad more.")
+            said.append(f"About the line of sight from there the measured {c.name} scatters by {value} {unit} more.")
+        if c.kind == "repeatability":
+            said.append(
+                f"Beside the noise that the rows state, the {c.name} scatters by {value} {unit} per axis in all of them alike: "
+                "what the arm itself repeats by, or what the rows leave unsaid of their instrument."
+            )
     return " ".join(said)
 
 
-def _joints_that_scatter(joints: Sequence[NoiseCause]) -> str:
-    """A sentence on the readings of joints, those first that scatter the target's position most."""
-    readings = [f"{c.name} ({plus_minus(1e3 * c.value, 1e3 * c.std)} {SHOWN_UNIT[c.unit]})" for c in joints]
-    first, *others = joints
-    if first.share[0] > MOST:
-        rest = f" {'; '.join(readings[1:])} scatter less." if others else ""
+def _joints_that_scatter(joints: Sequence[NoiseCause], channels: Channels) -> str:
+    """A sentence on the readings of joints, those first that scatter the first channel most."""
+    alike: dict[tuple[float, float, str], list[NoiseCause]] = {}
+    for c in joints:
+        alike.setdefault((c.value, c.std, c.unit), []).append(c)
+    readings = [
+        f"{enumerated([c.name for c in own])} ({plus_minus(1e3 * value, 1e3 * std)} {SHOWN_UNIT[unit]}{' each' * (len(own) > 1)})"
+        for (value, std, unit), own in alike.items()
+    ]
+    share = np.sum([c.share for c in joints], axis=0)
+    most = int(np.argmax(share > MOST)) if (share > MOST).any() else int(np.argmax(share))
+    if len(alike) == len(joints) and joints[0].share[most] > MOST:
+        rest = f" {'; '.join(readings[1:])} scatter less." if len(joints) > 1 else ""
         return f"Most of what scatters is the reading of {readings[0]}: were the joints read before standstill?{rest}"
-    share = float(sum(c.share[0] for c in joints))
-    if share > MOST:
+    if share[most] > MOST:
         named = ", ".join(readings)
-        return f"Most of what scatters are the readings of the joints, {named}: were they read before standstill?"
-    return f"Part of what scatters is the reading of {', '.join(readings)}: {100 * share:.0f} % of the position's variance."
+        advice = "were they read before standstill, or rounded in the table?"
+        return f"Most of what scatters are the readings of the joints, {named}: {advice}"
+    of = f"{100 * share[most]:.0f} % of the variance of the {channels[most].noun}"
+    return f"Part of what scatters is the reading of {', '.join(readings)}: {of}."
 
 
 def range_in_words(ends: tuple[float, float] | None, kind: str) -> str:

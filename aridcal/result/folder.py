@@ -98,7 +98,14 @@ def result_document(outcome: Outcome) -> dict[str, Any]:
     })  # fmt: skip
 
 
-CAUSES = {"channel": "channels", "joint": "joint_readings", "range": "per_range", "sight": "about_line_of_sight"}
+CAUSES = {
+    "channel": "channels",
+    "joint": "joint_readings",
+    "range": "per_range",
+    "length": "per_length",
+    "sight": "about_line_of_sight",
+    "repeatability": "repeatability",
+}
 
 
 def noise_document(causes: NoiseCauses) -> dict[str, Any]:

@@ -179,10 +179,12 @@ def another_day(outcome: Outcome) -> tuple[bool, str] | None:
     mask, words = scored(outcome)
     sound = ~found.outlier
     last, rows, others = outcome.stages[-1], outcome.measurements, found.measurements
+    if rows.blocks:  # what that day measured is set beside the same instruments' rows
+        mask = mask & np.isin(rows.block, others.block)
     own = overall(last.residual, mask, rows, outcome.noise)
     now = overall(found.residuals[last.name], sound, others, outcome.noise)
     told, before = said(found.residuals[last.name], sound, others), said(last.residual, mask, rows)
-    if len(leading(rows)) == 1:
+    if rows.measures[mask][:, leading(rows)].any(axis=0).sum() < 2:
         before = before.partition(" ")[0]
     sentence = (
         f"Another day's rows ({found.file}, {sound.sum():,} of {len(sound):,}): {told} RMS, {before} on the {words}"

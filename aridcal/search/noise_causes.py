@@ -1,34 +1,36 @@
-"""What the residual's scatter is made of: each instrument's channel, the readings of each joint, range and line of sight.
+"""What the residual's scatter is made of: each instrument's channel, joints' readings, range, the arm's own repeatability.
 
 A joint whose reading scatters moves the predicted target by its column: such noise grows with the lever, ties a row's
-numbers together, and looks like no instrument. Each cause is one variance of the rows' covariance
-(:mod:`aridcal.fit.variance_components`), chosen one after the other by a likelihood-ratio test. Rows are then weighed with
-what was found.
+numbers together, and looks like no instrument. All rows that were measured while the arm stood still share it. Each cause is
+one variance of their covariance (:mod:`aridcal.fit.variance_components`), chosen one after the other by a likelihood-ratio
+test. Rows are then weighed with what was found: each with its own covariance, for weights know nothing of other rows.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 from scipy.linalg import block_diag
-from scipy.spatial import cKDTree
 
 from aridcal.effects.basis import Basis
 from aridcal.effects.effect import Coefficient
 from aridcal.fit.flags import FLOOR
-from aridcal.fit.least_squares import Fit, thin
-from aridcal.fit.problem import Problem, problem, scaled
-from aridcal.fit.residual import eliminated, moved_by
-from aridcal.fit.variance_components import Components, Scatter, estimate, one_more
+from aridcal.fit.least_squares import Fit
+from aridcal.fit.problem import Problem, agreed, problem, scaled
+from aridcal.fit.residual import moved_by
+from aridcal.fit.standstills import Stack, representative, stack, standstills, with_things
+from aridcal.fit.variance_components import Components, Scatter, estimate, instead, one_more, std_of_sigma
 from aridcal.inputs.dataset import Dataset, factors
+from aridcal.inputs.measurement_settings import OF_TARGETS
 from aridcal.instruments.channels import TARGET_POSITION, TARGET_ROTATION, columns, spread
+from aridcal.instruments.distance import DISTANCE
 from aridcal.search.diagnose import SEARCHED
 from aridcal.search.exact import GAUGE
 from aridcal.search.linear_model import Active
-from aridcal.search.noise_tests import NEIGHBOURS
+from aridcal.search.noise_tests import neighbours
 from aridcal.showing import SILENT, Progress
 
 MATTERS = 0.05
@@ -44,10 +46,20 @@ REPEATABLE = 0.5
 ALIKE = 3.0
 """Standard deviations of chance that it takes to say so. With a dozen orders asked about, 1 of 60 true noises is refused."""
 
-REACH = 3
-"""Rows after each that count as its neighbours, in each order: a bump of few rows makes few pairs."""
+ALL_ALIKE = "all revolute joints"
+"""Name of the cause that readings of all of them scatter alike: rounded to the same digit, or of the same encoder."""
 
-Kind = Literal["channel", "joint", "range", "sight"]
+SEVERAL = 2.0
+"""Rows that share the error of a reading from which it is said that weights do not know: below it standard deviations are out by
+less than a third, and only so far as readings are what scatters."""
+
+WITNESSES = (
+    "{:.0f} rows on the average were measured at one reading and share its error; each is weighed by itself, so that standard "
+    "deviations are too small where readings are most of what scatters. More postures tell more than more marks"
+)
+"""What is said then."""
+
+Kind = Literal["channel", "joint", "joints", "range", "sight", "length", "repeatability"]
 
 
 @dataclass(frozen=True)
@@ -55,8 +67,10 @@ class NoiseCause:
     """One cause of scatter.
 
     Attributes:
-        kind: An instrument's ``channel``; the reading of a ``joint``; ``range``: position noise per metre from the origin of
-            the world frame; ``sight``: rotation noise about the line from there to the target.
+        kind: An instrument's ``channel``; the reading of a ``joint`` (or of all ``joints`` alike, which is told as that of each);
+            ``range``: position noise per metre from the origin of
+            the world frame; ``sight``: rotation noise about the line from there to the target; ``length``: noise of a
+            distance per metre read; ``repeatability``: what is the same in every row, where rows state their noise.
         name: Of the channel or of the joint's reading; else the channel that it acts on.
         unit: Of value and std.
         value: 1-sigma (per axis).
@@ -83,12 +97,14 @@ class NoiseCauses:
             back at neighbouring rows: no noise.
         relative: Factors of all N rows' noise (see :class:`Dataset`), shape (N, m, m); None where the rows' own will do, as
             nothing beyond the channels matters.
+        shared: Rows that share the error of a reading, on the average; 1 where no reading scatters.
     """
 
     causes: tuple[NoiseCause, ...]
     total: np.ndarray
     structured: tuple[tuple[Kind, str], ...]
     relative: np.ndarray | None
+    shared: float
 
     @property
     def channels(self) -> tuple[NoiseCause, ...]:
@@ -97,8 +113,8 @@ class NoiseCauses:
 
     @property
     def further(self) -> tuple[NoiseCause, ...]:
-        """Those beyond the instrument's channels, the largest share of the first channel's variance first."""
-        return tuple(sorted((c for c in self.causes if c.kind != "channel"), key=lambda c: -float(c.share[0])))
+        """Those beyond the instrument's channels, the largest share of the first channel's variance first, then of the next."""
+        return tuple(sorted((c for c in self.causes if c.kind != "channel"), key=lambda c: tuple(-c.share)))
 
     @property
     def beyond(self) -> np.ndarray:
@@ -114,15 +130,37 @@ class _Asked:
         kind: As of a :class:`NoiseCause`.
         name: Likewise.
         unit: Likewise.
-        root: What it adds to a row's scaled residual per unit of itself, shape (N, m, d) or (1, m, d): d independent numbers.
-        block: Covariance of each row per unit of its variance, shape (N, m, m).
+        root: What it adds to a row's scaled residual per unit of itself, shape (N, m, d): d independent numbers.
     """
 
     kind: Kind
     name: str
     unit: str
     root: np.ndarray
-    block: np.ndarray
+
+    @property
+    def common(self) -> bool:
+        """True if all rows of a standstill share it."""
+        return self.kind in ("joint", "joints")
+
+    @property
+    def blocks(self) -> np.ndarray:
+        """Covariance of each row per unit of its variance, shape (N, m, m)."""
+        return np.asarray(self.root @ self.root.transpose(0, 2, 1))
+
+    @property
+    def parts(self) -> tuple[_Asked, ...]:
+        """What of it may come back by itself: each joint."""
+        if self.kind != "joints":
+            return (self,)
+        return tuple(replace(self, root=self.root[:, :, k : k + 1]) for k in range(self.root.shape[2]))
+
+    def stacked(self, still: Stack) -> np.ndarray:
+        """The same of standstills, shape (S, M, M)."""
+        if not self.common:
+            return still.matrices(self.blocks)
+        root = still.vectors(self.root)
+        return np.asarray(root @ root.transpose(0, 2, 1))
 
 
 def noise_causes(fit: Fit, active: Sequence[Active], rows: Dataset, progress: Progress = SILENT) -> NoiseCauses | None:
@@ -135,39 +173,46 @@ def noise_causes(fit: Fit, active: Sequence[Active], rows: Dataset, progress: Pr
         progress: Told how many causes are found.
     """
     asked = problem(fit.model, rows)
-    some = _sound(asked, fit)
-    if len(some) < FEWEST or not rows.measures.all():  # of rows of several kinds each has channels of its own
+    train = np.flatnonzero(rows.train)[~fit.outliers]
+    some = train[representative(asked.select(train), SEARCHED)]
+    if len(some) < FEWEST:
         return None
-    possible = _possible(asked, fit.theta)
-    scatter = _scatter(asked, fit, active, some, [p.block[some] for p in possible])
+    part = asked.select(some)
+    possible = _possible(part, fit.theta)
+    still = stack(standstills(part.data), _there(part.data))
+    scatter = _scatter(part, fit, active, possible, still)
     channels = np.array([p.kind == "channel" for p in possible])
-    orders = _orders(rows.select(some))
+    first = np.unique(still.number, return_index=True)[1]
+    orders = {False: neighbours(part.data), True: neighbours(part.data.select(first))}
     structured = np.zeros(len(possible), dtype=bool)
+    single, alike = (np.array([p.kind == kind for p in possible]) for kind in ("joint", "joints"))
     found = estimate(scatter, np.maximum(fit.estimated, FLOOR) ** 2, channels)
     while (more := one_more(scatter, found, channels)) is not None:
         k, found = more
         progress.part(int(found.free.sum()), len(possible), "causes")
+        if (found.free & single).sum() > 1 and (alike & ~found.free).any():
+            # One number in place of several, if it says as much.
+            fewer = instead(scatter, found, single, int(np.argmax(alike)), channels)
+            k, found = (k, found) if fewer is None else (int(np.argmax(alike)), fewer)
         # What comes back stays in the model here, so that no other cause has to take it over, but it is not noise.
-        structured[k] = _comes_back(found, k, possible[k].root[some], orders)
-    return _told(possible, found, structured, rows, some)
+        structured[k] = any(_comes_back(found, k, p, still, orders[p.common]) for p in possible[k].parts)
+        structured &= found.free
+    return _told(possible, found, structured, part, asked, fit.theta, len(part) / still.count)
 
 
-def _sound(asked: Problem, fit: Fit) -> np.ndarray:
-    """Numbers of the training rows that are not flagged; of thousands, a reproducible choice."""
-    train = np.flatnonzero(asked.data.train)[~fit.outliers]
-    return train[thin(asked.rows[train], SEARCHED)]
+def _there(rows: Dataset) -> np.ndarray:
+    """Which numbers each row measures, shape (N, m) bool."""
+    return np.repeat(rows.measures, [channel.size for channel in rows.channels], axis=1)
 
 
-def _scatter(
-    asked: Problem, fit: Fit, active: Sequence[Active], some: np.ndarray, blocks: Sequence[np.ndarray]
-) -> Scatter:
-    """The final model linearised where it is, at some rows: smooth effects by the modes that the data can tell."""
-    part = asked.select(some)
-    pieces = [(r, J) for _, r, J in eliminated(part, fit.theta, np.ones(len(some)), fit.sigma)]
-    r, J = (np.concatenate(stacked) for stacked in zip(*pieces, strict=True))
+def _scatter(part: Problem, fit: Fit, active: Sequence[Active], possible: Sequence[_Asked], still: Stack) -> Scatter:
+    """The final model linearised where it is, at some rows, by standstills: smooth effects by the modes that the data tell."""
+    here = agreed(part, fit.theta)
+    pieces = [here.pieces(fit.theta, block) for block in here.blocks()]
+    y, J, B = (np.concatenate([getattr(p, name) for p in pieces]) for name in ("r", "J", "B"))
     index = {name: k for k, name in enumerate(fit.model.names)}
     constant = [k for k, c in enumerate(fit.model.coefficients) if c.basis.constant]
-    A, precision, y = [J[:, :, constant]], [np.eye(len(constant)) / GAUGE**2], r
+    A, precision = [J[:, :, constant]], [np.diag((GAUGE * fit.model.sizes[constant]) ** -2.0)]
     for a in active:
         own = [index[c.name] for c in a.effect.coefficients]
         column = J[:, :, own] @ a.modes
@@ -175,75 +220,60 @@ def _scatter(
         y = y + column @ np.linalg.lstsq(a.modes, fit.theta[own], rcond=None)[0]
         A.append(column)
         precision.append(a.precision)
-    return Scatter(y, np.concatenate(A, axis=2), block_diag(*precision), np.array(blocks))
+    blocks = [p.stacked(still) for p in possible]
+    made = Scatter(still.vectors(y), still.vectors(np.concatenate(A, axis=2)), block_diag(*precision), np.array(blocks))
+    return with_things(made, part, B, still)
 
 
-def _possible(asked: Problem, theta: np.ndarray) -> list[_Asked]:
+def _possible(question: Problem, theta: np.ndarray) -> list[_Asked]:
     """Every cause that can be asked about, from the model alone: no row's residual is looked at."""
-    rows, model = asked.data, asked.model
-    m = sum(channel.size for channel in rows.channels)
+    rows, model = question.data, question.model
     ones = Basis("ones", (model.robot.names[0],))
     slots = tuple(Coefficient(j.name, "axis", ones) for j in model.robot.joints)
-    more = problem(model.with_coefficients((*model.coefficients, *slots)), rows)
     at = np.concatenate([theta, np.zeros(len(slots))])
-    _, p = more.model.poses(at, more.rows)
+    more = problem(model.with_coefficients((*model.coefficients, *slots)), rows).settled(at)
     J = moved_by(more, at, len(slots))
-    found = []
-    for channel, part in zip(rows.channels, columns(rows.channels), strict=True):
-        found.append(_asked("channel", channel.name, channel.unit, np.eye(m)[None, :, part], len(rows)))
+    own = _there(rows)[:, :, None] * np.eye(J.shape[1])
+    parts = list(zip(rows.channels, columns(rows.channels), strict=True))
+    found = [_Asked("channel", channel.name, channel.unit, own[:, :, part]) for channel, part in parts]
     joints, readings = model.robot.joints, model.robot.readings
     driven = np.array([[j.multiplier * (j.reading == reading) for reading in readings] for j in joints])
     moved = J @ driven
     for k, (reading, kind) in enumerate(zip(readings, model.robot.kinds, strict=True)):
-        found.append(_asked("joint", reading, "m" if kind == "prismatic" else "rad", moved[:, :, k, None], len(rows)))
-    for what, name, unit, root in _from_the_instrument(rows, p, m):
-        found.append(_asked(what, name, unit, scaled(root, rows.relative), len(rows)))
+        found.append(_Asked("joint", reading, "m" if kind == "prismatic" else "rad", moved[:, :, k, None]))
+    turning = np.array([kind != "prismatic" for kind in model.robot.kinds])
+    if turning.sum() > 1:
+        found.append(_Asked("joints", ALL_ALIKE, "rad", moved[:, :, turning]))
+    for what, name, unit, root in _of_instruments(rows, more.model.poses(at, more.rows)[1], own):
+        found.append(_Asked(what, name, unit, scaled(root, rows.relative)))
     return found
 
 
-def _from_the_instrument(rows: Dataset, p: np.ndarray, m: int) -> Iterator[tuple[Kind, str, str, np.ndarray]]:
-    """What an instrument at the world's origin would add: kind, channel, unit, and root of the covariance, (N, m, d)."""
-    if rows.blocks:
-        return  # what measures does not stand at the origin
-    away = np.linalg.norm(p, axis=1)
-    for channel, part in zip(rows.channels, columns(rows.channels), strict=True):
-        if channel == TARGET_POSITION:
-            yield "range", channel.name, "m/m", away[:, None, None] * np.eye(m)[None, :, part]
-        if channel == TARGET_ROTATION:
-            root = np.zeros((len(p), m, 1))
-            root[:, part, 0] = p / np.maximum(away, FLOOR)[:, None]
-            yield "sight", channel.name, "rad", root
+def _of_instruments(rows: Dataset, p: np.ndarray, own: np.ndarray) -> Iterator[tuple[Kind, str, str, np.ndarray]]:
+    """What instruments would add: kind, channel, unit, and root of the covariance, shape (N, m, d).
 
-
-def _asked(kind: Kind, name: str, unit: str, root: np.ndarray, n: int) -> _Asked:
-    """A cause from its root."""
-    block = root @ root.transpose(0, 2, 1)
-    return _Asked(kind, name, unit, root, np.broadcast_to(block, (n, *block.shape[1:])))
-
-
-def _orders(rows: Dataset) -> list[np.ndarray]:
-    """Pairs of neighbouring rows, shape (pairs, 2) each, in several orders.
-
-    In time (as they stand, where there is no time), along every reading, and in all readings at once, where repeats are
-    nearest.
+    Args:
+        rows: N rows.
+        p: Where the model has the target, shape (N, 3), [m].
+        own: Unit vectors of the numbers that each row measures, shape (N, m, m).
     """
-    found = [_successors(rows.sequence)]
-    deviation = rows.readings.std(axis=0)
-    moves = deviation > FLOOR
-    found += [_successors(np.argsort(q, kind="stable")) for q in rows.readings.T[moves]]
-    points = rows.readings[:, moves] / deviation[moves]
-    near = np.asarray(cKDTree(points).query(points, k=NEIGHBOURS + 1)[1])[:, 1:]
-    pairs = np.column_stack([np.repeat(np.arange(len(rows)), NEIGHBOURS), near.ravel()])
-    return [*found, np.unique(np.sort(pairs, axis=1), axis=0)]
+    away = np.linalg.norm(p, axis=1)
+    kinds = [None] * len(rows.channels) if not rows.blocks else [b.kind for b in rows.blocks for _ in b.channels]
+    for kind, channel, part in zip(kinds, rows.channels, columns(rows.channels), strict=True):
+        # Poses and positions are measured from the origin of the world frame, if from anywhere; other kinds are not.
+        if kind in (None, *OF_TARGETS) and channel.axes == TARGET_POSITION.axes:
+            yield "range", channel.name, "m/m", away[:, None, None] * own[:, :, part]
+        if kind in (None, *OF_TARGETS) and channel.axes == TARGET_ROTATION.axes:
+            sight = p / np.maximum(away, FLOOR)[:, None]
+            yield "sight", channel.name, "rad", own[:, :, part] @ sight[:, :, None]
+        if kind == DISTANCE.name:
+            yield "length", channel.name, "m/m", np.abs(np.nan_to_num(rows.observed[:, :1, None])) * own[:, :, part]
+        if rows.relative is not None and not np.allclose(scaled(own[:, :, part], rows.relative), own[:, :, part]):
+            yield "repeatability", channel.name, channel.unit, own[:, :, part]
 
 
-def _successors(order: np.ndarray) -> np.ndarray:
-    """Pairs of rows that are at most :data:`REACH` apart in an order of shape (N,)."""
-    return np.concatenate([np.column_stack([order[:-k], order[k:]]) for k in range(1, REACH + 1)])
-
-
-def _comes_back(found: Components, k: int, root: np.ndarray, orders: Sequence[np.ndarray]) -> bool:
-    """True if what a cause was off by comes back at neighbouring rows.
+def _comes_back(found: Components, k: int, cause: _Asked, still: Stack, orders: Sequence[np.ndarray]) -> bool:
+    """True if what a cause was off by comes back at neighbouring rows, or at neighbouring standstills if these share it.
 
     What a row's residual says of it, with its sign, is u = J' P y; J' P J times the cause is in it. Of noise, products of
     two rows have the mean 0; of what comes back, they have theta times the product of both rows' J' P J.
@@ -251,11 +281,17 @@ def _comes_back(found: Components, k: int, root: np.ndarray, orders: Sequence[np
     Args:
         found: The maximum with this component.
         k: Which.
-        root: Its J, shape (n, m, d).
-        orders: Pairs of rows, shape (pairs, 2) each.
+        cause: The same, its J of the rows.
+        still: How the rows are stacked.
+        orders: Pairs of rows or of standstills, shape (pairs, 2) each.
     """
-    said = np.einsum("nmd,nm->nd", root, found.pull)
-    known = root.transpose(0, 2, 1) @ found.kernel @ root
+    root, pull, kernel = cause.root, found.pull[: still.count], found.kernel[: still.count]
+    if cause.common:
+        root = still.vectors(root)
+    else:
+        pull, kernel = still.of_rows(pull), still.blocks_of_rows(kernel)
+    said = np.einsum("nmd,nm->nd", root, pull)
+    known = root.transpose(0, 2, 1) @ kernel @ root
     for a, b in (pairs.T for pairs in orders):
         product = np.einsum("nd,nd->n", said[a], said[b])
         whole = float(found.variance[k] * np.sum(known[a] * known[b]))
@@ -266,20 +302,30 @@ def _comes_back(found: Components, k: int, root: np.ndarray, orders: Sequence[np
 
 
 def _told(
-    possible: Sequence[_Asked], found: Components, structured: np.ndarray, rows: Dataset, some: np.ndarray
+    possible: Sequence[_Asked],
+    found: Components,
+    structured: np.ndarray,
+    part: Problem,
+    asked: Problem,
+    theta: np.ndarray,
+    together: float,
 ) -> NoiseCauses:
     """The causes in words and figures, and the factors that they give to all rows."""
     channel = np.array([p.kind == "channel" for p in possible])
     noise = (found.variance > 0.0) & ~structured
-    relative = _weights(possible, found.variance, noise, rows)
+    relative = _weights(found.variance, noise, channel, asked, theta) if (noise & ~channel).any() else None
     if relative is None:
         noise &= channel
-    chosen = [k for k in range(len(possible)) if noise[k]]
-    made = np.array([_spreads(found.variance[k] * possible[k].block[some], rows, some) for k in chosen])
+    each = _of_each_joint(possible)
+    variance = each @ np.where(noise, found.variance, 0.0)
+    std = std_of_sigma(variance, each @ np.where(np.outer(noise, noise), found.covariance, 0.0) @ each.T)
+    chosen = np.flatnonzero(variance > 0.0).tolist()
+    made = np.array([_spreads(variance[k] * possible[k].blocks, part.data) for k in chosen])
     total = made.sum(axis=0)
-    sigma, std = found.sigma, found.sigma_std
     causes = tuple(
-        NoiseCause(p.kind, p.name, p.unit, float(sigma[k]), float(std[k]), own / total)
+        NoiseCause(
+            p.kind, p.name, p.unit, float(np.sqrt(variance[k])), float(std[k]), own / np.maximum(total, FLOOR**2)
+        )
         for k, own in zip(chosen, made, strict=True)
         for p in [possible[k]]
     )
@@ -288,19 +334,39 @@ def _told(
         total=np.sqrt(total),
         structured=tuple((p.kind, p.name) for p, back in zip(possible, structured, strict=True) if back),
         relative=relative,
+        shared=together if any(c.kind == "joint" for c in causes) else 1.0,
     )
 
 
+def _of_each_joint(possible: Sequence[_Asked]) -> np.ndarray:
+    """Which components each cause is told with, shape (C, C): what all joints have alike each of them has, beside its own."""
+    kinds, units = np.array([p.kind for p in possible]), np.array([p.unit for p in possible])
+    each = np.eye(len(possible))
+    each[kinds == "joints"] = 0.0
+    each += np.outer((kinds == "joint") & (units == "rad"), kinds == "joints")
+    return each
+
+
 def structured_notices(causes: NoiseCauses | None) -> list[str]:
-    """Sentences on what seems to scatter and does not."""
+    """Sentences on what seems to scatter and does not, and on what weights do not know."""
+    misread = (
+        "the residual looks as if {} were misread at random, but its errors come back at neighbouring rows: an error "
+        "curve or play that the model lacks, and no noise"
+    )
     looks = {
-        "joint": "the residual looks as if {} were misread at random, but its errors come back at neighbouring rows: an error "
-        "curve or play that the model lacks, and no noise",
+        "joint": misread,
+        "joints": misread,
         "range": "the {} error grows with the distance from the origin of the world frame, but comes back at neighbouring "
         "rows: it is no noise",
         "sight": "the {} error is about the line of sight, but comes back at neighbouring rows: it is no noise",
+        "length": "the {} error grows with the length that is read, but comes back at neighbouring rows: it is no noise",
+        "repeatability": "the {} error is larger than the rows state and the same in all of them, but comes back at "
+        "neighbouring rows: it is no noise",
     }
-    return [looks[kind].format(name) for kind, name in (causes.structured if causes is not None else ())]
+    if causes is None:
+        return []
+    said = [looks[kind].format(name) for kind, name in causes.structured]
+    return [*said, WITNESSES.format(causes.shared)] if causes.shared > SEVERAL else said
 
 
 def stretched(relative: np.ndarray, values: np.ndarray) -> np.ndarray:
@@ -308,24 +374,26 @@ def stretched(relative: np.ndarray, values: np.ndarray) -> np.ndarray:
     return np.asarray(relative @ values if relative.ndim == 3 else relative[:, :, None] * values)
 
 
-def _spreads(covariance: np.ndarray, rows: Dataset, some: np.ndarray) -> np.ndarray:
-    """Mean variance of each channel per axis, unscaled, shape (C,), from scaled covariances of some rows, (n, m, m)."""
-    own = None if rows.relative is None else rows.relative[some]
-    if own is not None:
-        covariance = stretched(own, stretched(own, covariance).transpose(0, 2, 1))
-    variance = np.diagonal(covariance, axis1=1, axis2=2).mean(axis=0)
-    return np.array([variance[part].mean() for part in columns(rows.channels)])
+def _spreads(covariance: np.ndarray, rows: Dataset) -> np.ndarray:
+    """Mean variance of each channel per axis, unscaled, shape (C,), from scaled covariances of rows, (n, m, m)."""
+    if rows.relative is not None:
+        covariance = stretched(rows.relative, stretched(rows.relative, covariance).transpose(0, 2, 1))
+    variance = np.diagonal(covariance, axis1=1, axis2=2)
+    parts = zip(columns(rows.channels), rows.measures.T, strict=True)
+    return np.array([variance[own][:, part].mean() if own.any() else 0.0 for part, own in parts])
 
 
-def _weights(possible: Sequence[_Asked], variance: np.ndarray, noise: np.ndarray, rows: Dataset) -> np.ndarray | None:
+def _weights(
+    variance: np.ndarray, noise: np.ndarray, channel: np.ndarray, asked: Problem, theta: np.ndarray
+) -> np.ndarray | None:
     """Factors of all rows, shape (N, m, m); None if the causes beyond the channels change too little."""
-    channel = np.array([p.kind == "channel" for p in possible])
-    if not (noise & ~channel).any():
-        return None
-    V = np.sum([variance[k] * p.block for k, p in enumerate(possible) if noise[k]], axis=0)
+    rows, possible = asked.data, _possible(asked, theta)
+    V = np.sum([variance[k] * p.blocks for k, p in enumerate(possible) if noise[k]], axis=0)
     sigma = np.sqrt(variance[channel])
-    own = spread(sigma**2, rows.channels) / np.diagonal(V, axis1=1, axis2=2)
-    if float(1.0 - own.min()) < MATTERS:
+    there, usual = _there(rows), spread(sigma**2, rows.channels)
+    V += np.where(there, 0.0, usual)[:, :, None] * np.eye(V.shape[1])  # what is not measured stays as it is
+    own = usual / np.diagonal(V, axis1=1, axis2=2)
+    if float(1.0 - own[there].min()) < MATTERS:
         return None
-    inner = factors(V, sigma)
+    inner = factors(V, sigma, rows.channels)
     return inner if rows.relative is None else stretched(rows.relative, inner)

@@ -47,6 +47,9 @@ FEWEST_OF_A_THING = 5
 PAIRS = 262_144
 """Pairs of rows that are multiplied together: 40 MB for a seven-axis arm, however many rows there are."""
 
+REACH = 3
+"""Rows after each that count as its neighbours, in each order: a bump of few rows makes few pairs."""
+
 SHUFFLES = 400
 """Orders drawn at random that tell how much chance varies: its spread is then known to 4 %."""
 
@@ -114,7 +117,7 @@ def clues(
     white = residual / spread(sigma, rows.channels)
     found = []
     if repeats is not None:
-        found.append(_repeated(repeats, sigma, residual.shape[1]))
+        found.append(_repeated(repeats, sigma))
     if len(white) > FEWEST:
         views = [View("in world axes", white), *(_other_views(rows, residual, sigma, fit) if fit else ())]
         found.append(_neighbours(views, rows.readings, progress))
@@ -185,10 +188,10 @@ def _other_views(rows: Dataset, residual: np.ndarray, sigma: np.ndarray, fit: Fi
     return views
 
 
-def _repeated(repeats: Repeats, sigma: np.ndarray, m: int) -> Clue:
+def _repeated(repeats: Repeats, sigma: np.ndarray) -> Clue:
     """Repeats know the noise and nothing of the model: what the residual has beyond their scatter repeats."""
-    numbers = (repeats.rows - repeats.groups) * m
-    share = float(np.clip(1.0 - np.mean(repeats.sigma**2 / sigma**2), 0.0, 1.0))
+    numbers = float(repeats.freedom.sum())
+    share = float(np.clip(1.0 - np.nansum(repeats.freedom * repeats.sigma**2 / sigma**2) / numbers, 0.0, 1.0))
     p_value = float(chi2.cdf(numbers * (1.0 - share), numbers))
     return Clue("repeats", "repeats scatter less than the residual", share, p_value)
 
@@ -201,6 +204,27 @@ def _neighbours(views: Sequence[View], readings: np.ndarray, progress: Progress)
     near = np.asarray(cKDTree(points).query(points, k=NEIGHBOURS + 1)[1])
     rows, others = np.repeat(np.arange(len(points)), NEIGHBOURS), near[:, 1:].ravel()
     return _alike("neighbours", "neighbouring configurations have similar residuals", views, rows, others, progress)
+
+
+def neighbours(rows: Dataset) -> list[np.ndarray]:
+    """Pairs of neighbouring rows, shape (pairs, 2) each, in several orders.
+
+    In time (as they stand, where there is no time), along every reading, and in all readings at once, where repeats are
+    nearest.
+    """
+    found = [_successors(rows.sequence)]
+    deviation = rows.readings.std(axis=0)
+    moves = deviation > FLOOR
+    found += [_successors(np.argsort(q, kind="stable")) for q in rows.readings.T[moves]]
+    points = rows.readings[:, moves] / deviation[moves]
+    near = np.asarray(cKDTree(points).query(points, k=NEIGHBOURS + 1)[1])[:, 1:]
+    pairs = np.column_stack([np.repeat(np.arange(len(rows)), NEIGHBOURS), near.ravel()])
+    return [*found, np.unique(np.sort(pairs, axis=1), axis=0)]
+
+
+def _successors(order: np.ndarray) -> np.ndarray:
+    """Pairs of rows that are at most :data:`REACH` apart in an order of shape (N,)."""
+    return np.concatenate([np.column_stack([order[:-k], order[k:]]) for k in range(1, REACH + 1)])
 
 
 def _order(views: Sequence[View], rows: Dataset, progress: Progress) -> Clue:
