@@ -11,12 +11,15 @@ from aridcal.effects.basis import Basis
 from aridcal.effects.condition_kinds import CONDITION_KINDS
 from aridcal.effects.effect import ROW_ORDER, Effect
 from aridcal.effects.head_kinds import HEAD_KINDS
+from aridcal.effects.instrument_kinds import INSTRUMENT_KINDS
 from aridcal.effects.joint_kinds import JOINT_KINDS
 from aridcal.effects.kinds import Declaration, Kind, Observed
 from aridcal.effects.unknown_kind import UNKNOWN
 from aridcal.errors import CampaignError, nearest
 
-KINDS: dict[str, Kind] = {kind.name: kind for kind in (*JOINT_KINDS, *CONDITION_KINDS, *HEAD_KINDS, UNKNOWN)}
+_ROWS = (*JOINT_KINDS, *CONDITION_KINDS, *INSTRUMENT_KINDS, *HEAD_KINDS, UNKNOWN)
+
+KINDS: dict[str, Kind] = {kind.name: kind for kind in _ROWS}
 """Every kind of effect, in the order in which they are tried: the only list of them."""
 
 CONSTANT_COLUMN = 1e-9

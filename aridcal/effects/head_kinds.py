@@ -1,12 +1,12 @@
-"""Kinds of effects of instruments: what a lens, a sonar or a wire does otherwise than declared."""
+"""Kinds of effects of cameras and of the measuring head: what a lens or a sonar does otherwise than declared."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 
-from aridcal.effects.basis import Basis
 from aridcal.effects.effect import Coefficient, Effect
-from aridcal.effects.kinds import Kind, Observed
+from aridcal.effects.instrument_kinds import of_things
+from aridcal.effects.kinds import Kind
 
 LENS = (("k1",), ("k1", "k2"), ("k1", "k2", "k3"), ("p1", "p2"))
 """Terms of OpenCV's lens model that make sense together: radial ones of rising order; those of a lens askew."""
@@ -36,19 +36,6 @@ def _sonar(kind: str, component: str) -> Callable[[Sequence[str]], Iterator[Effe
     return of_sonars
 
 
-def _of_things(kind: str, role: str, *alternatives: tuple[str, ...]) -> Callable[[Observed], Iterator[Effect]]:
-    """What is otherwise than stated at the things of a role, where it is not identified anyway."""
-
-    def testable(rows: Observed) -> Iterator[Effect]:
-        always = Basis("ones", (rows.robot.names[0],))
-        for (of, where), held in rows.held.items():
-            for components in alternatives:
-                if of == role and set(components) <= set(held):
-                    yield Effect(kind, where, tuple(Coefficient(where, c, always) for c in components))
-
-    return testable
-
-
 def moves(coefficient: Coefficient, number: str) -> bool:
     """True if a coefficient moves a number of the head, ``camera.fx`` or ``sonar_1.bias`` for instance."""
     where, _, component = number.partition(".")
@@ -72,7 +59,7 @@ HEAD_KINDS = (
         bases=("1",),
         example="{kind: lens_distortion, where: camera, motion: [k1, k2]}",
         doc="of-instruments",
-        testable=_of_things("lens_distortion", "camera", *LENS),
+        testable=of_things("lens_distortion", "camera", *LENS),
         of_head=_camera("lens_distortion", *LENS),
         shown=("image_radius",),
     ),
@@ -83,7 +70,7 @@ HEAD_KINDS = (
         bases=("1",),
         example="{kind: focal_length, where: camera}",
         doc="of-instruments",
-        testable=_of_things("focal_length", "camera", ("fx", "fy")),
+        testable=of_things("focal_length", "camera", ("fx", "fy")),
         of_head=_camera("focal_length", ("f",), ("fx", "fy")),
         shown=("image_radius",),
     ),
@@ -94,17 +81,8 @@ HEAD_KINDS = (
         bases=("1",),
         example="{kind: principal_point, where: camera}",
         doc="of-instruments",
-        testable=_of_things("principal_point", "camera", ("cx", "cy")),
+        testable=of_things("principal_point", "camera", ("cx", "cy")),
         of_head=_camera("principal_point", ("cx", "cy")),
-    ),
-    Kind(
-        "distance_scale",
-        where="an anchor",
-        words="the instrument's reading grows too fast or too slowly with the distance",
-        bases=("ones",),
-        example="{kind: distance_scale, where: rail}",
-        doc="of-instruments",
-        testable=_of_things("distance_scale", "anchor", ("scale",)),
     ),
     Kind(
         "sonar_bias",

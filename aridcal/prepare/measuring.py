@@ -12,8 +12,8 @@ import pandas as pd
 import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
-from aridcal.effects.effect import Coefficient
 from aridcal.effects.loads import Surroundings
+from aridcal.effects.sights import sights_from
 from aridcal.errors import CampaignError
 from aridcal.inputs.measurement_settings import OF_TARGETS, SHOT, TARGET, MeasurementSettings
 from aridcal.inputs.quantities import POSITION, QUATERNION
@@ -26,7 +26,7 @@ from aridcal.instruments.kind import Kind
 from aridcal.model.model import Model
 from aridcal.prepare.postures import Miss, Pose, Sight, brought, draw_images, draw_readings, settled, sight
 from aridcal.prepare.scenario import Scenario
-from aridcal.prepare.true_effects import Cause, columns_needed, draw_columns, make_causes
+from aridcal.prepare.true_effects import Cause, Machine, columns_needed, draw_columns, make_causes
 from aridcal.prepare.true_things import Real, true_anchors, true_planes, true_points
 from aridcal.reading.table_files import FIRST_LINE
 from aridcal.robot.chain import Robot
@@ -42,32 +42,6 @@ PASSES, NEWTON = 5, 4
 
 
 @dataclass(frozen=True)
-class Machine:
-    """A simulated machine without its effects.
-
-    Attributes:
-        robot: The nominal chain.
-        constants: Those that the scenario names.
-        theta: Their true values.
-        world: True T_world_base.
-        tips: True T_tip_target by the targets' labels.
-    """
-
-    robot: Robot
-    constants: tuple[Coefficient, ...]
-    theta: np.ndarray
-    world: pin.SE3
-    tips: Mapping[str, pin.SE3]
-
-    def model(self, causes: Sequence[Cause] = (), around: Surroundings | None = None) -> tuple[Model, np.ndarray]:
-        """The machine as a model, and its true coefficients."""
-        of_effects = tuple(c for cause in causes for c in cause.effect.coefficients)
-        frames = ((None, self.world),), tuple(self.tips.items())
-        made = Model(self.robot, self.constants + of_effects, *frames, around or Surroundings())
-        return made, np.concatenate([self.theta, *(cause.values for cause in causes)])
-
-
-@dataclass(frozen=True)
 class Rows:
     """Rows of one block, n of them.
 
@@ -78,6 +52,7 @@ class Rows:
         refers: Numbers of the things that rows refer to, by the kind's roles, shape (n, roles).
         target: Label of each row's target, shape (n,).
         stroke: What a gauge is to read, shape (n,), [m]; 0 where the target touches.
+        changes: How the things that the rows refer to are otherwise than their states, (n, u) by role; None: in nothing.
     """
 
     kind: Kind
@@ -86,10 +61,41 @@ class Rows:
     refers: np.ndarray
     target: np.ndarray
     stroke: np.ndarray
+    changes: tuple[np.ndarray, ...] | None = None
 
     def states(self, real: Mapping[str, Real]) -> list[np.ndarray]:
-        """States of the things that the rows refer to, (n, P) by role."""
-        return [real[role.name].states[self.refers[:, k]] for k, role in enumerate(self.kind.roles)]
+        """States of the things that the rows refer to, with their faults, (n, P) by role."""
+        roles = self.kind.roles
+        states = [real[role.name].states[self.refers[:, k]] for k, role in enumerate(roles)]
+        if self.changes is None:
+            return states
+        return [role.moved(*each) for role, *each in zip(roles, states, self.changes, strict=True)]
+
+    def labels(self, role: str, real: Mapping[str, Real]) -> np.ndarray:
+        """Names of the things of a role that the rows refer to, empty where they have no such role, shape (n,)."""
+        roles = [each.name for each in self.kind.roles]
+        if role not in roles:
+            return np.full(len(self.shot), "")
+        return np.array(real[role].names)[self.refers[:, roles.index(role)]]
+
+    def faulty(self, real: Mapping[str, Real], faults: Model, values: np.ndarray, phi: np.ndarray) -> Rows:
+        """The same rows measured with things that have faults.
+
+        Args:
+            real: The things as they are.
+            faults: Whose coefficients move things.
+            values: Of those, shape (K,).
+            phi: Their bases, shape (n, K).
+        """
+        changes = []
+        for role in self.kind.roles:
+            label = self.labels(role.name, real)
+            change = np.zeros((len(label), len(role.components)))
+            for c, value, basis in zip(faults.coefficients, values, phi.T, strict=True):
+                if c.component in role.components:
+                    change[:, role.components.index(c.component)] += value * basis * (label == c.where)
+            changes.append(change)
+        return replace(self, changes=tuple(changes))
 
     def miss(self, real: Mapping[str, Real], noise: np.ndarray) -> Miss | None:
         """How far the targets are from where they must be; None where they may be anywhere.
@@ -281,17 +287,33 @@ def _with_effects(
     for each in rows:  # as the reader counts them on through the files
         lines.append(last + FIRST_LINE + np.arange(len(each.shot)))
         last += FIRST_LINE + len(each.shot) - 1
+    labels = [*machine.tips]
+    tip = np.concatenate([[labels.index(label) for label in each.target] for each in rows]).astype(int)
+    targets = np.array([placement.translation for placement in machine.tips.values()])
+    states = {role: dict(zip(own.names, own.states, strict=True)) for role, own in real.items()}
+    held = {
+        (role.name, name): role.components for each in rows for role in each.kind.roles for name in states[role.name]
+    }
+    names_of_things = {name for _, name in held}
+    plane = np.concatenate([each.labels("plane", real) for each in rows])
     touching = any(each.miss(real, e) is not None for each, e in zip(rows, errors, strict=True))
     for _ in range(PASSES if touching and truth.effects else 1):
         readings = np.concatenate([each.readings for each in rows])
+        sights = sights_from(robot, machine.world, targets, states, readings, tip, plane)
+        around = replace(around, sights=sights)
         of_shots = draw_columns(tuple(names), robot, readings[first_of_shot], truth.seed)
         columns = {name: values[shot] for name, values in of_shots.items()}
         causes, depends = make_causes(
             truth.effects, robot, readings, columns, around, deepcopy(chance), f"{scenario.path}: truth",
-            np.concatenate(lines).astype(float),
+            np.concatenate(lines).astype(float), tip, held,
         )  # fmt: skip
-        model, true = machine.model(causes, around)
-        parts = [{name: values[low:high] for name, values in depends.items()} for low, high in pairwise(ends)]
+        model, true = machine.model([cause for cause in causes if cause.effect.where not in names_of_things], around)
+        faults, values = machine.faults([cause for cause in causes if cause.effect.where in names_of_things], around)
+        parts = [{name: column[low:high] for name, column in depends.items()} for low, high in pairwise(ends)]
+        phis = [
+            faults.rows(each.readings, part, target=each.target).phi for each, part in zip(rows, parts, strict=True)
+        ]
+        rows = [each.faulty(real, faults, values, phi) for each, phi in zip(rows, phis, strict=True)]
         rows = [_settled(each, model, true, part, real, e) for each, part, e in zip(rows, parts, errors, strict=True)]
     return rows, causes, model, true, parts
 
@@ -353,10 +375,10 @@ def _table(
 ) -> pd.DataFrame:
     """The table of a block, columns named as the campaign names them."""
     values: dict[str, np.ndarray] = dict(zip(robot.readings, rows.readings.T, strict=True))
-    for k, role in enumerate(rows.kind.roles):
+    for role in rows.kind.roles:
         told = role.name != "board" and not (role.name == "camera" and block.camera is not None)
         if told:
-            values[role.name] = np.array(real[role.name].names)[rows.refers[:, k]]
+            values[role.name] = rows.labels(role.name, real)
     if rows.kind.name == "pixels":
         values[SHOT] = rows.shot + 1
     elif len(_own(scenario, block)) > 1:

@@ -14,6 +14,7 @@ from aridcal.inputs.campaign import Campaign
 from aridcal.inputs.dataset import Dataset
 from aridcal.model.model import Model
 from aridcal.model.rigid_bodies import targets_of_one_body
+from aridcal.model.standing import sights_of
 from aridcal.robot.chain import Robot
 from aridcal.search.diagnose import Diagnosed, diagnose
 from aridcal.search.linear_model import Active
@@ -126,6 +127,7 @@ def fit_constants(
     found = fit_geometry(campaign, robot, rows.select(rows.train), labels, progress)
     geometric = recentred(found.geometric)
     around = surroundings(campaign, geometric.model, "payload" in rows.covariates)
+    around = replace(around, sights=sights_of(geometric.model, rows.select(rows.train)))
     return replace(found, geometric=replace(geometric, model=replace(geometric.model, around=around)))
 
 
