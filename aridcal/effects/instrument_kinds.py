@@ -38,7 +38,8 @@ def _of_role(rows: Observed, role: str) -> Iterator[str]:
 
 
 def _range_error(rows: Observed) -> Iterator[Effect]:
-    """The reading of a wire, off by a power of its length."""
+    """What a tracker shows, off along the line of sight by its range squared; a wire, by a power of its length."""
+    yield from of_things("range_error", "tracker", ("square",))(rows)
     for where in _of_role(rows, "anchor"):
         for power in POWERS:
             basis = Basis("power", (where + LENGTH,), (0.0, 1.0, power))
@@ -74,6 +75,15 @@ def _product(of: str, other: str, exponent: float) -> Basis:
 
 INSTRUMENT_KINDS = (
     Kind(
+        "tracker_scale",
+        where="a block of poses or positions",
+        words="the instrument's lengths are all too long or too short",
+        bases=("ones",),
+        example="{kind: tracker_scale, where: pose}",
+        doc="of-instruments",
+        testable=of_things("tracker_scale", "tracker", ("scale",)),
+    ),
+    Kind(
         "distance_scale",
         where="an anchor",
         words="the instrument's reading grows too fast or too slowly with the distance",
@@ -84,9 +94,9 @@ INSTRUMENT_KINDS = (
     ),
     Kind(
         "range_error",
-        where="an anchor",
+        where="an anchor, or a block of poses or positions",
         words="the reading is off by the square or the cube of the distance",
-        bases=("power",),
+        bases=("ones", "power"),
         example="{kind: range_error, where: rail}",
         doc="of-instruments",
         testable=_range_error,

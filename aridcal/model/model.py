@@ -19,7 +19,7 @@ from aridcal.model.extended import ORDER, ExtendedModel, Slot, own_slot
 from aridcal.model.motions import motion, transform
 from aridcal.robot.chain import Robot
 
-SIZES = {"m": 1.0, "rad": 1.0, "px": 500.0, "1": 10.0}
+SIZES = {"m": 1.0, "rad": 1.0, "px": 500.0, "1": 10.0, "1/m": 1.0}
 """What counts as much as a metre or a radian: half a usual focal length in pixels; lens terms of higher orders reach 10."""
 
 ONE_FRAME = ((None, pin.SE3.Identity()),)

@@ -19,10 +19,11 @@ from aridcal.inputs.measurement_settings import OF_TARGETS, SHOT, TARGET, Measur
 from aridcal.inputs.quantities import POSITION, QUATERNION
 from aridcal.inputs.read import ONE_TARGET, TIP
 from aridcal.inputs.things import known_of
-from aridcal.instruments.catalogue import KINDS
+from aridcal.instruments.catalogue import KINDS, labelled
 from aridcal.instruments.channels import columns as parts_of
 from aridcal.instruments.inclination import DOWN
 from aridcal.instruments.kind import Kind
+from aridcal.instruments.pose import TRACKER, shown
 from aridcal.model.model import Model
 from aridcal.prepare.postures import Miss, Pose, Sight, brought, draw_images, draw_readings, settled, sight
 from aridcal.prepare.scenario import Scenario
@@ -182,6 +183,8 @@ def measured(
         "distance": lambda: {"anchor": true_anchors(things, known, reached, of_role["anchor"])},
         "plane": lambda: {"plane": true_planes(things, known, reached, of_role["plane"])},
     }
+    trackers = tuple(block.title for block in scenario.blocks if block.kind in OF_TARGETS)
+    faultless = {TRACKER.name: Real(trackers, np.zeros((len(trackers), TRACKER.size)))}
     real: dict[str, Real] = {}
     for kind in dict.fromkeys(block.kind for block in scenario.blocks):
         real |= drawn[kind]() if kind in drawn else {}
@@ -190,14 +193,15 @@ def measured(
         rng = of_role["pixels"]
         seen = sight(things, known, lambda q: tips(q, TIP), lambda n: draw_readings(robot, n, rng), rng)
         real |= seen.real
-    rows = [_begun(scenario, number, machine, real, seen, own[number]) for number in range(len(scenario.blocks))]
+    every = real | faultless
+    rows = [_begun(scenario, number, machine, every, seen, own[number]) for number in range(len(scenario.blocks))]
     errors, wrong = zip(*[_errors(scenario, each, noise, outliers) for each in rows], strict=True)
-    rows, causes, model, true, columns = _with_effects(scenario, machine, rows, real, errors, around, chance)
+    rows, causes, model, true, columns = _with_effects(scenario, machine, rows, every, errors, around, chance)
     tables = []
     for number, (block, each) in enumerate(zip(scenario.blocks, rows, strict=True)):
         R, p = model.poses(true, model.rows(each.readings, columns[number], target=each.target))
-        read = _read(each, R, p, real, errors[number])
-        tables.append(_table(scenario, number, block, robot, each, real, read, columns[number]))
+        read = _read(each, R, p, every, errors[number])
+        tables.append(_table(scenario, number, block, robot, each, every, read, columns[number]))
     return Measured(tuple(tables), tuple(causes), tuple(wrong), real)
 
 
@@ -232,8 +236,10 @@ def _begun(
         return Rows(kind, readings[shot], shot, refers, np.full(len(shot), TIP), np.zeros(len(shot)))
     labels = _own(scenario, block)
     shot = np.arange(n)
-    count = len(real[kind.roles[0].name].names) if kind.roles else 1
+    count = len(real[kind.roles[0].name].names) if labelled(kind.name) else 1
     refers = (shot % count)[:, None][:, : len(kind.roles)]
+    if kind.name in OF_TARGETS:
+        refers = np.full((n, 1), real[TRACKER.name].names.index(block.title))
     target = np.array(labels)[shot // count % len(labels)]
     gauge = truth.instruments.gauge if kind.name == "plane" else 0.0
     rows = Rows(kind, np.zeros((n, 0)), shot, refers, target, rng.uniform(-gauge, gauge, n))
@@ -345,7 +351,7 @@ def _read(
     """What the instrument reads, by the names of the columns."""
     kind = rows.kind
     if kind.name in OF_TARGETS:
-        found = dict(zip(POSITION, (p + errors[:, :3]).T, strict=True))
+        found = dict(zip(POSITION, (shown(p, rows.states(real)[0]) + errors[:, :3]).T, strict=True))
         if kind.name == "pose":
             turned = Rotation.from_rotvec(errors[:, 3:]) * Rotation.from_matrix(R, assume_valid=True)
             found |= dict(zip(QUATERNION, turned.as_quat(canonical=True).T, strict=True))
@@ -375,7 +381,7 @@ def _table(
 ) -> pd.DataFrame:
     """The table of a block, columns named as the campaign names them."""
     values: dict[str, np.ndarray] = dict(zip(robot.readings, rows.readings.T, strict=True))
-    for role in rows.kind.roles:
+    for role in labelled(rows.kind.name):
         told = role.name != "board" and not (role.name == "camera" and block.camera is not None)
         if told:
             values[role.name] = rows.labels(role.name, real)

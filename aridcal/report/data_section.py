@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from aridcal.inputs.dataset import Dataset
-from aridcal.instruments.catalogue import KINDS
+from aridcal.instruments.catalogue import KINDS, labelled
 from aridcal.report.figures import coverage, histogram
 from aridcal.report.html import Content, Html, bullets, counted, figures, number, table, tag
 from aridcal.report.words import per_number, range_in_words, sigmas_in_words
@@ -136,7 +136,8 @@ def row_table(outcome: Outcome, rows: np.ndarray, head: str, words: list[str], c
 
 def _of_things(m: Dataset, k: int) -> str:
     """What a row refers to, in brackets."""
-    labels = [str(label) for label in m.refers[k] if label] if m.blocks else []
+    told = len(labelled(m.blocks[m.block[k]].kind)) if m.blocks else 0
+    labels = [str(label) for label in m.refers[k, :told] if label]
     return f" ({', '.join(labels)})" if labels else ""
 
 

@@ -22,6 +22,7 @@ from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.catalogue import KINDS
 from aridcal.instruments.channels import columns
 from aridcal.instruments.pixels import LENS, R9, T
+from aridcal.instruments.pose import TRACKER
 from aridcal.instruments.setup import Things
 from aridcal.model.measured import Measured, located
 from aridcal.robot.kinematics import transverse
@@ -76,6 +77,8 @@ def thing_values(fit: Fit, train: Dataset) -> tuple[ThingValue, ...]:
     solved = _solved(asked, fit)
     values: list[ThingValue] = []
     for role, things in seen.instruments.things.items():
+        if things.role == TRACKER:
+            continue  # nothing of it is unknown; a fault that was found is an effect
         rows, thing = references(seen, role)
         count = np.bincount(thing[fit.weight[rows] > 0.0], minlength=len(things))
         states = asked.states[role]
