@@ -54,7 +54,8 @@ def _wire_sag(rows: Observed) -> Iterator[Effect]:
 
 def _flatness(rows: Observed) -> Iterator[Effect]:
     """A plate's height over its plane: the polynomial of second order of the place on it, then that of third order."""
-    for where, places in rows.touched.items():
+    for where in _of_role(rows, "plane"):
+        places = rows.referred.get(("plane", where), 0)
         u, v = (where + ending for ending in PLACE)
         second = (_power(u, 2.0), _product(u, v, 1.0), _power(v, 2.0))
         third = (_power(u, 3.0), _product(v, u, 2.0), _product(u, v, 2.0), _power(v, 3.0))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from aridcal.effects.sights import Sights, sights_from
@@ -23,12 +25,26 @@ def sights_of(model: Model, train: Dataset) -> Sights:
         states = model.states.get(role, every.start)
         things[role] = {n: state for n, state in zip(every.names, states, strict=True) if np.isfinite(state).all()}
     tip = model.rows(train.readings, train.conditions, train.station, train.target).tip
-    return sights_from(model.robot, model.world_base[0][1], targets, things, train.readings, tip, planes_of(train))
+    return sights_from(
+        model.robot, model.world_base[0][1], targets, things, train.readings, tip, labels_of(train, "plane")
+    )
 
 
-def planes_of(rows: Dataset) -> np.ndarray:
-    """Name of the plane over which each row measures, empty for none, shape (N,)."""
-    if not rows.blocks:
-        return np.full(len(rows), "")
-    of_planes = np.array([any(role.name == "plane" for role in KINDS[block.kind].roles) for block in rows.blocks])
-    return np.where(of_planes[rows.block], rows.refers[:, 0], "")
+def references(rows: Dataset) -> Iterator[tuple[str, str, np.ndarray]]:
+    """Role and name of each thing, and the rows that refer to it, shape (N,) bool."""
+    roles = dict.fromkeys(role.name for block in rows.blocks for role in KINDS[block.kind].roles)
+    for role in roles:
+        label = labels_of(rows, role)
+        for name in np.unique(label[label != ""]).tolist():
+            yield role, name, label == name
+
+
+def labels_of(rows: Dataset, role: str) -> np.ndarray:
+    """Name of the thing of a role to which each row refers, empty for none, shape (N,)."""
+    found = np.full(len(rows), "", dtype=rows.refers.dtype)
+    for number, block in enumerate(rows.blocks):
+        for k, each in enumerate(KINDS[block.kind].roles):
+            if each.name == role:
+                own = rows.block == number
+                found[own] = rows.refers[own, k]
+    return found

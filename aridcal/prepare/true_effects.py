@@ -247,8 +247,7 @@ def make_causes(
     table = covariate_table(robot, readings, known, around, world, set(LOADS))
     at_tip = world if tip is None else tip
     table |= sight_table(robot, readings, around.sights, np.atleast_2d(around.gravity)[0], at_tip)
-    touched = dict.fromkeys(around.sights.plates, len(readings))
-    rows = Observed(robot, table, tuple(columns), held=held or {}, touched=touched)
+    rows = Observed(robot, table, tuple(columns), held=held or {}, referred=dict.fromkeys(held or {}, len(readings)))
     causes = []
     for e in effects:
         ranges: dict[str, tuple[float, float]] = {}

@@ -19,7 +19,7 @@ from aridcal.fit.least_squares import Fit, thin
 from aridcal.fit.problem import problem
 from aridcal.inputs.campaign import Campaign
 from aridcal.inputs.dataset import Dataset
-from aridcal.model.standing import planes_of
+from aridcal.model.standing import references
 from aridcal.search.change_points import best_steps
 from aridcal.search.exact import (
     FEWEST_PLACES,
@@ -377,7 +377,7 @@ def look(start: Start) -> tuple[Observed, list[Barred]]:
     table = covariate_table(
         model.robot, rows.readings, measured, model.around, frames.world, {".gravity_", ".payload_"}
     )
-    sights, plane = model.around.sights, planes_of(rows)
+    sights = model.around.sights
     table |= sight_table(model.robot, rows.readings, sights, np.atleast_2d(model.around.gravity)[0], frames.tip)
     # A derived side of approach is for backlash alone: nothing else is asked whether it depends on it.
     table |= {name: derived[name] for name in usable_columns(derived)[0]}
@@ -387,6 +387,6 @@ def look(start: Start) -> tuple[Observed, list[Barred]]:
         measured=tuple(usable),
         orientations=rows.sees_turns,
         held=model.instruments.held,
-        touched={name: len(np.unique(rows.configuration[plane == name])) for name in sights.plates},
+        referred={(role, name): len(np.unique(rows.configuration[own])) for role, name, own in references(rows)},
     )
     return observed, barred + barred_joints(observed)

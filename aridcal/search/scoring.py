@@ -177,8 +177,9 @@ def judge(model: LinearModel, state: State, effect: Effect, found: Score, tested
         tested: Number of candidates among which it stood out.
     """
     tested += effect.looked if effect.hinted else 0
-    if effect.at is not None:  # the best of all rows at all places: both frames and each joint
-        tested += len(state.fold) * (len(model.own) + 2)
+    if effect.at is not None:  # the best of all rows at all places: both frames, each joint and each thing
+        places = {*model.own, "world_base", "tip_target", *(where for where, _ in model.slots)}
+        tested += len(state.fold) * len(places)
     p_value = min(1.0, found.p_value * tested)
 
     def judgement(gain: float, why: str) -> Judgement:
