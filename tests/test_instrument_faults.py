@@ -5,6 +5,7 @@ Campaigns are simulated with the fault, read from their files and searched blind
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from scipy.integrate import quad
 
 from aridcal.effects.basis import evaluate
 from aridcal.effects.effect import Coefficient
-from aridcal.effects.sights import LENGTH, PLACE, SAG, Sights, along_plane, sight_table, target_places
+from aridcal.effects.sights import LENGTH, PLACE, SAG, Sights, sight_table, target_places
 from aridcal.fit.problem import problem
 from aridcal.inputs.campaign import load_campaign
 from aridcal.inputs.yaml_file import load_settings
@@ -24,10 +25,11 @@ from aridcal.prepare.scenario import Scenario
 from aridcal.prepare.simulation import simulate, truth_document, write_campaign
 from aridcal.result.outcome import Outcome
 from aridcal.result.pipeline import identify
+from aridcal.robot.kinematics import along_plane
 
 ROOT = Path(__file__).parent.parent
 UR10 = {"urdf": str(ROOT / "urdf" / "ur10.urdf"), "tip": "tool0"}
-NOISE = {"position": 5e-5, "rotation": 5e-5, "distance": 5e-5, "pixel": 0.1}
+NOISE = {"position": 5e-5, "rotation": 5e-5, "distance": 5e-5, "pixel": 0.1, "inclination": 1e-4}
 TRUTH = {
     "seed": 1,
     "frames": {"tip_target": {"xyz": [0.04, -0.03, 0.12], "rpy": [0.3, 0.2, 0.1]}},
@@ -98,7 +100,8 @@ def scenario(folder: Path, case: Case, faulty: bool = True, **more: object) -> S
     truth = TRUTH | {"n": case.n, "effects": [case.effect] if faulty else []} | real
     keys = {"format": 1, "robot": UR10, "measurements": case.measurements, "truth": truth} | more
     keys |= {"instruments": case.instruments} if case.instruments else {}
-    (folder / "scenario.yaml").write_text(yaml.safe_dump(keys))
+    plain = json.loads(json.dumps(keys))  # YAML would write what stands twice as an alias
+    (folder / "scenario.yaml").write_text(yaml.safe_dump(plain))
     return load_settings(folder / "scenario.yaml", Scenario)
 
 
@@ -131,7 +134,7 @@ def test_a_fault_is_found_by_its_name_with_its_size(name: str, tmp_path: Path) -
     covariance = fit.covariance[np.ix_(own, own)]
     assert len(own) == len(true)
     assert off @ np.linalg.solve(covariance, off) < 9.0 + 3.0 * len(true)  # 3 sigmas of one, about as rare for more
-    assert held_out(outcome, "final") < min(1.25, 0.9 * held_out(outcome, "geometric"))
+    assert held_out(outcome, "final") < min(1.4, 0.9 * held_out(outcome, "geometric"))
     assert outcome.verdict.word == "noise_floor"
 
 
@@ -170,9 +173,9 @@ def test_a_fault_that_rows_cannot_tell_invents_nothing(name: str, tmp_path: Path
 def test_held_lengths_tell_the_scale_of_a_tracker(tmp_path: Path) -> None:
     """The same poses and inclinations, the links as long as the URDF says."""
     case = UNTOLD["a tracker beside an inclinometer"]
-    exact = {"parameters": {}, "noise": NOISE | {"inclination": 1e-4}}
+    exact = {"parameters": {}, "n": 90, "effects": [SCALE]}
     made = scenario(tmp_path, case, parameters={"set": "none"})
-    made = made.model_copy(update={"truth": made.truth.model_validate(TRUTH | exact | {"n": 90, "effects": [SCALE]})})
+    made = made.model_copy(update={"truth": made.truth.model_validate(TRUTH | exact)})
     (tmp_path / "out").mkdir()
     write_campaign(simulate(made), tmp_path / "out", tmp_path / "out")
     outcome = identify(load_campaign(tmp_path / "out" / "campaign.yaml"))
@@ -250,12 +253,12 @@ def test_without_gravity_no_wire_hangs() -> None:
 def test_directions_along_a_plane_stay_where_they_are_as_it_tilts(normal: list[float]) -> None:
     """No noise of the normal exchanges them: a bend keeps its name."""
     n = np.array(normal) / np.linalg.norm(normal)
-    directions = along_plane(n)
+    directions = np.array(along_plane(n))
     np.testing.assert_allclose(directions @ directions.T, np.eye(2), atol=1e-15)
     np.testing.assert_allclose(directions @ n, 0.0, atol=1e-15)
     for change in 1e-3 * np.vstack([np.eye(3), -np.eye(3)]):
         tilted = (n + change) / np.linalg.norm(n + change)
-        assert np.abs(along_plane(tilted) - directions).max() < 5e-3
+        assert np.abs(np.array(along_plane(tilted)) - directions).max() < 5e-3
 
 
 def test_a_plate_keeps_its_middle_and_its_shape_on_other_rows(tmp_path: Path) -> None:

@@ -13,13 +13,10 @@ import numpy as np
 import pinocchio as pin
 
 from aridcal.robot.chain import Robot
-from aridcal.robot.kinematics import tip_frames
+from aridcal.robot.kinematics import along_plane, tip_frames
 
 LENGTH, SAG = ".wire_length", ".wire_sag"
 PLACE = (".plate_1", ".plate_2")
-
-STEEP = 0.8
-"""Cosine from a plane's normal to the world's x axis beyond which that axis is too steep to give a direction along it."""
 
 
 @dataclass(frozen=True)
@@ -40,18 +37,6 @@ class Sights:
 def is_sight(name: str) -> bool:
     """True for a covariate that is computed from where instruments are, ``rail.wire_length`` for instance."""
     return name.endswith((LENGTH, SAG, *PLACE))
-
-
-def along_plane(normal: np.ndarray) -> np.ndarray:
-    """Two directions along a plane, shape (2, 3): the world's x axis, or y where x is too steep, laid into it; and n x that.
-
-    Args:
-        normal: Of length 1, shape (3,).
-    """
-    axis = np.eye(3)[1 if abs(normal[0]) > STEEP else 0]
-    first = axis - (axis @ normal) * normal
-    first /= np.linalg.norm(first)
-    return np.array([first, np.cross(normal, first)])
 
 
 def sights_from(
@@ -77,7 +62,7 @@ def sights_from(
     anchors = {name: base.actInv(state[:3]) for name, state in things.get("anchor", {}).items()}
     place = target_places(robot, readings, targets[tip])
     plates = {
-        name: np.vstack([place[plane == name].mean(axis=0), along_plane(state[:3]) @ base.rotation])
+        name: np.vstack([place[plane == name].mean(axis=0), np.array(along_plane(state[:3])) @ base.rotation])
         for name, state in things.get("plane", {}).items()
         if np.any(plane == name)
     }
