@@ -22,7 +22,7 @@ STANDING = {
 """What moves of a thing that was knocked. A marker that is off is named by its residual; a tracker that moves moves the base."""
 
 STEPPED = 24
-"""Configurations of a thing from which a step of it is sought: twice the six on either side that tell a step from outliers."""
+"""Configurations of a thing from which a step of it is sought: twice the twelve that tell a step in its midst from outliers."""
 
 MOST_STEPPED = 24
 """Things beyond which none is sought: each costs as much as a joint, and among many a step needs as many times the evidence."""
