@@ -60,10 +60,13 @@ def sights_from(
         plane: Name of the plane over which each row measures, empty for none, shape (N,).
     """
     anchors = {name: base.actInv(state[:3]) for name, state in things.get("anchor", {}).items()}
+    planes = things.get("plane", {})
+    if not planes:
+        return Sights(targets, anchors)
     place = target_places(robot, readings, targets[tip])
     plates = {
         name: np.vstack([place[plane == name].mean(axis=0), np.array(along_plane(state[:3])) @ base.rotation])
-        for name, state in things.get("plane", {}).items()
+        for name, state in planes.items()
         if np.any(plane == name)
     }
     return Sights(targets, anchors, plates)
