@@ -6,7 +6,7 @@ Campaigns are simulated with the fault, read from their files and searched blind
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,15 +16,17 @@ import yaml
 from scipy.integrate import quad
 
 from aridcal.effects.basis import evaluate
-from aridcal.effects.effect import Coefficient
+from aridcal.effects.effect import Coefficient, Effect
 from aridcal.effects.sights import LENGTH, PLACE, SAG, Sights, sight_table, target_places
 from aridcal.fit.problem import problem
 from aridcal.inputs.campaign import load_campaign
 from aridcal.inputs.yaml_file import load_settings
 from aridcal.prepare.scenario import Scenario
 from aridcal.prepare.simulation import simulate, truth_document, write_campaign
+from aridcal.result.folder import what_moved
 from aridcal.result.outcome import Outcome
 from aridcal.result.pipeline import identify
+from aridcal.result.saving import calibration
 from aridcal.robot.kinematics import along_plane
 
 ROOT = Path(__file__).parent.parent
@@ -278,3 +280,42 @@ def test_a_plate_keeps_its_middle_and_its_shape_on_other_rows(tmp_path: Path) ->
     table = sight_table(fit.model.robot, rows.readings, fit.model.around.sights, np.zeros(3), whole.rows.tip)
     np.testing.assert_allclose(evaluate(u, table), whole.rows.phi[:, own], atol=1e-15)
     assert abs(table["table" + PLACE[0]][fitted].mean()) < 1e-12
+
+
+def test_what_was_knocked_is_told_in_words_and_a_joint_has_a_zero(tmp_path: Path) -> None:
+    outcome, _ = found(tmp_path, CASES["a plate that was knocked"])
+    (effect,) = (e.effect for e in outcome.effects)
+    assert what_moved(effect, outcome.measurements).startswith("wall moved between rows ")
+    of_joint = Effect("shift", "elbow_joint", (replace(effect.coefficients[0], where="elbow_joint", component="axis"),))
+    assert what_moved(of_joint, outcome.measurements).startswith("the zero of elbow_joint moved between rows ")
+
+
+def test_predictions_are_where_the_target_is_not_where_a_tracker_shows_it(tmp_path: Path) -> None:
+    """Its fault is no part of the arm: left in the calibration, every command would miss by it."""
+    case = CASES["a tracker's scale, beside wires"]
+    case = replace(case, effect=case.effect | {"coefficients": 3e-3})
+    outcome, _ = found(tmp_path, case)
+    saved = calibration(outcome)
+    rows = outcome.measurements.select(outcome.measurements.block == 0)
+    _, p = saved.final.poses(rows.readings, rows.conditions)
+    shown = rows.observed[:, :3]
+    # least squares of the one number that carries places to what the tracker shows
+    stretch = float(np.sum(p * shown) / np.sum(p * p)) - 1.0
+    assert stretch == pytest.approx(3e-3, abs=3e-4)
+    assert not any(c.where == "laser" for c in saved.final.model.coefficients)
+
+
+def test_a_tracker_has_another_name_where_its_block_s_is_taken(tmp_path: Path) -> None:
+    """A campaign whose socket is called as a block is remains one."""
+    case = Case(
+        [{"kind": "position", "name": "ball"}, {"kind": "point"}],
+        {},
+        40,
+        SCALE,
+        {"points": {"ball": [0.6, 0.3, 0.5], "b": [0.5, -0.4, 0.6]}},
+    )
+    outcome, _ = found(tmp_path, case, faulty=False, diagnosis={"enabled": False})
+    things = outcome.measurements.instruments.things
+    assert things["tracker"].names == ("block ball",)
+    assert things["point"].names == ("b", "ball")
+    assert not any(value.role == "tracker" for value in outcome.things)

@@ -255,7 +255,7 @@ def what_moved(effect: Effect, rows: Dataset) -> str:
     if effect.at is None:
         return ""
     last, first = rows_around(effect.at, rows)
-    who = effect.where if effect.where in WHERE else f"the zero of {effect.where}"
+    who = f"the zero of {effect.where}" if effect.motion == ("axis",) else effect.where
     if rows.file[last] == rows.file[first]:
         between = f"rows {rows.line[last]} and {rows.line[first]}"
     else:
