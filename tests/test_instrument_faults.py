@@ -84,7 +84,7 @@ CASES = {
     ),
     "a wire's anchor that was knocked": Case(
         {"kind": "distance"}, WIRES, 240,
-        {"kind": "shift", "where": "w2", "coefficients": [2e-3, -1e-3, 1e-3], "at": {"row": 121}}, {},
+        {"kind": "shift", "where": "w2", "coefficients": [2e-3, -1e-3, 1e-3, 5e-4], "at": {"row": 121}}, {},
     ),
     "a plate that was knocked": Case(
         {"kind": "plane"}, PLATES, 240,

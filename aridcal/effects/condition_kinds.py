@@ -13,7 +13,7 @@ from aridcal.effects.kinds import Kind, Observed, middle, slope
 FRAMES = ("world_base", "tip_target")
 
 STANDING = {
-    "anchor": ("x", "y", "z"),
+    "anchor": ("x", "y", "z", "offset"),
     "plane": ("tilt_1", "tilt_2", "offset"),
     "point": ("x", "y", "z"),
     "camera": FRAME_COMPONENTS,
