@@ -18,6 +18,7 @@ from scipy.integrate import quad
 from aridcal.effects.basis import evaluate
 from aridcal.effects.effect import Coefficient, Effect
 from aridcal.effects.sights import LENGTH, PLACE, SAG, Sights, sight_table, target_places
+from aridcal.errors import CampaignError
 from aridcal.fit.problem import problem
 from aridcal.inputs.campaign import load_campaign
 from aridcal.inputs.yaml_file import load_settings
@@ -319,3 +320,17 @@ def test_a_tracker_has_another_name_where_its_block_s_is_taken(tmp_path: Path) -
     assert things["tracker"].names == ("block ball",)
     assert things["point"].names == ("b", "ball")
     assert not any(value.role == "tracker" for value in outcome.things)
+
+
+def test_a_tracker_alone_is_told_that_it_has_nothing_to_compare_with(tmp_path: Path) -> None:
+    case = Case({"kind": "pose"}, {}, 30, SCALE, {})
+    with pytest.raises(
+        CampaignError, match="no place 'laser'.*; tracker_scale acts at a block of poses or positions beside others"
+    ):
+        found(tmp_path, case)
+
+
+def test_a_plate_of_few_places_cannot_be_declared_bent(tmp_path: Path) -> None:
+    stated = {"kind": "flatness", "where": "table"}
+    with pytest.raises(CampaignError, match="flatness at table cannot be fitted"):
+        found(tmp_path, UNTOLD["few places on a bent plate"], effects=[stated])

@@ -94,11 +94,12 @@ def declared(rows: Observed, declaration: Declaration, place: str) -> Effect:
     Raises:
         CampaignError: there is no such effect on this robot or with these columns.
     """
-    d = declaration
+    d, kind = declaration, KINDS[declaration.kind]
     known = (*rows.robot.names, "world_base", "tip_target", *(name for _, name in rows.held))
     if d.where not in known:
-        raise CampaignError(f"{place}: effects: no place {d.where!r}{nearest(d.where, known)}")
-    kind = KINDS[d.kind]
+        raise CampaignError(
+            f"{place}: effects: no place {d.where!r}{nearest(d.where, known)}; {d.kind} acts at {kind.where}"
+        )
     if kind.of_order and d.order:
         found = [effect for order in d.order for effect in kind.of_order(d, order)]
     else:

@@ -77,7 +77,7 @@ def _product(of: str, other: str, exponent: float) -> Basis:
 INSTRUMENT_KINDS = (
     Kind(
         "tracker_scale",
-        where="a block of poses or positions",
+        where="a block of poses or positions beside others",
         words="the instrument's lengths are all too long or too short",
         bases=("ones",),
         example="{kind: tracker_scale, where: pose}",
@@ -95,7 +95,7 @@ INSTRUMENT_KINDS = (
     ),
     Kind(
         "range_error",
-        where="an anchor, or a block of poses or positions",
+        where="an anchor, or a block of poses or positions beside others",
         words="the reading is off by the square or the cube of the distance",
         bases=("ones", "power"),
         example="{kind: range_error, where: rail}",
