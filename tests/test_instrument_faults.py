@@ -325,7 +325,7 @@ def test_a_tracker_has_another_name_where_its_block_s_is_taken(tmp_path: Path) -
 def test_a_tracker_alone_is_told_that_it_has_nothing_to_compare_with(tmp_path: Path) -> None:
     case = Case({"kind": "pose"}, {}, 30, SCALE, {})
     with pytest.raises(
-        CampaignError, match="no place 'laser'.*; tracker_scale acts at a block of poses or positions beside others"
+        CampaignError, match=r"no place 'laser'.*; tracker_scale acts at a block of poses or positions beside others"
     ):
         found(tmp_path, case)
 

@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from aridcal.instruments.alignment import aligned
-from aridcal.instruments.catalogue import KINDS
+from aridcal.instruments.catalogue import KINDS, labelled
 from aridcal.instruments.descent import View, descend, placed
 from aridcal.instruments.setup import Things
 from aridcal.instruments.starts import Start, starts
@@ -276,7 +276,7 @@ def carried(role: str, T: np.ndarray, states: np.ndarray) -> np.ndarray:
     return made
 
 
-ROLES = {role.name: role for kind in KINDS.values() for role in kind.roles}
+ROLES = {role.name: role for kind in KINDS for role in labelled(kind)}
 
 
 @pytest.mark.parametrize("name", sorted(ROLES))

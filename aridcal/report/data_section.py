@@ -136,8 +136,10 @@ def row_table(outcome: Outcome, rows: np.ndarray, head: str, words: list[str], c
 
 def _of_things(m: Dataset, k: int) -> str:
     """What a row refers to, in brackets."""
-    told = len(labelled(m.blocks[m.block[k]].kind)) if m.blocks else 0
-    labels = [str(label) for label in m.refers[k, :told] if label]
+    if not m.blocks:
+        return ""
+    roles = labelled(m.blocks[m.block[k]].kind)
+    labels = [str(label) for label in m.refers[k, : len(roles)] if label]
     return f" ({', '.join(labels)})" if labels else ""
 
 
