@@ -16,8 +16,9 @@ from scipy.spatial.transform import Rotation
 from aridcal.fit.constants import constants
 from aridcal.inputs.campaign import Campaign, load_campaign
 from aridcal.inputs.dataset import ROLES, Dataset, dataset
-from aridcal.instruments.catalogue import KINDS
+from aridcal.instruments.catalogue import KINDS, labelled
 from aridcal.instruments.kind import Role
+from aridcal.instruments.pose import TRACKER
 from aridcal.instruments.setup import Block, Instruments, Things, Tie
 from aridcal.model.model import Model
 from aridcal.result import pipeline
@@ -198,6 +199,12 @@ def _things(role: Role, states: dict[str, np.ndarray]) -> Things:
     return Things(role, tuple(states), start, free, np.full(free.shape, np.inf))
 
 
+def _trackers(names: tuple[str, ...]) -> Things:
+    """Trackers without faults, one for each block of positions."""
+    none = np.zeros((len(names), TRACKER.size))
+    return Things(TRACKER, names, none, none.astype(bool), np.full(none.shape, np.inf))
+
+
 def rows(of: Arm, *blocks: Measured, declared: bool = False) -> Dataset:
     """One data set of all blocks; a fifth of the rows is held out."""
     q = np.vstack([b.q for b in blocks])
@@ -220,7 +227,11 @@ def rows(of: Arm, *blocks: Measured, declared: bool = False) -> Dataset:
         made.append(Block(name, b.kind, mine, stated))
         channels += mine
         sigma += stated
-        things |= {role.name: _things(role, b.states[role.name]) for role in KINDS[b.kind].roles}
+        things |= {role.name: _things(role, b.states[role.name]) for role in labelled(b.kind)}
+        if KINDS[b.kind].roles == (TRACKER,):
+            refers[own, 0] = name
+            others = things[TRACKER.name].names if TRACKER.name in things else ()
+            things[TRACKER.name] = _trackers((*others, name))
     test = np.random.default_rng(0).random(n) < 0.2
     target = None
     if len(blocks) > 1 or blocks[0].target is not None:

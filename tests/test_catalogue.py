@@ -55,17 +55,26 @@ CONTRACT: dict[str, tuple[set[str], tuple[str, ...]]] = {
     "drift": (FRAME, ("time",)),
     "shift": (FRAME | AXIS, ("time",)),
     "payload_compliance": (AXIS | ACROSS, ("payload", ".payload_torque")),
+    "tracker_scale": ({"scale"}, ()),
+    "distance_scale": ({"scale"}, ()),
+    "range_error": ({"square", "offset"}, (".wire_length",)),
+    "wire_sag": ({"offset"}, (".wire_sag",)),
+    "flatness": ({"offset"}, (".plate_1", ".plate_2")),
     "lens_distortion": ({"k1", "k2", "k3", "p1", "p2"}, ()),
     "focal_length": ({"f", "fx", "fy"}, ()),
     "principal_point": ({"cx", "cy"}, ()),
-    "distance_scale": ({"scale"}, ()),
     "sonar_bias": ({"bias"}, ()),
     "sonar_scale": ({"scale"}, ()),
     "unknown": (FRAME, ()),
 }
-OF_THINGS = ("distance_scale",)
+OF_THINGS = ("tracker_scale", "distance_scale", "range_error", "wire_sag", "flatness")
 OF_ARM = [kind for kind in KINDS if not is_of_head(kind) and kind not in OF_THINGS]
-HELD = {("anchor", "rail"): ("scale",), ("camera", "eye"): ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")}
+HELD = {
+    ("tracker", "laser"): ("scale", "square"),
+    ("anchor", "rail"): ("scale",),
+    ("plane", "table"): (),
+    ("camera", "eye"): ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3"),
+}
 HEAD_HELD = head_things(Head(np.zeros(13), np.zeros((2, 3)), "perpendicular", 1.0)).held
 N = 40
 MEASURED = ("time", "temperature", "temperature_hall", "payload", "joint_1_direction")
@@ -87,7 +96,7 @@ def observed() -> tuple[Observed, Model, np.ndarray, dict[str, np.ndarray]]:
 
 def effects(kind: str) -> list[Effect]:
     held = HELD if kind in OF_THINGS else HEAD_HELD if is_of_head(kind) else {}
-    found = candidates(replace(observed()[0], held=held), (kind,))
+    found = candidates(replace(observed()[0], held=held, referred=dict.fromkeys(held, N)), (kind,))
     assert found
     return found
 

@@ -9,6 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from aridcal.instruments.catalogue import KINDS as EVERY
+from aridcal.instruments.catalogue import labelled
 from aridcal.instruments.descent import View, descend, placed
 from aridcal.instruments.setup import Things
 from aridcal.instruments.starts import Start, aligned, starts
@@ -277,7 +278,7 @@ def carried(role: str, T: np.ndarray, states: np.ndarray) -> np.ndarray:
     return made
 
 
-ROLES = {role.name: role for kind in KINDS.values() for role in kind.roles}
+ROLES = {role.name: role for kind in KINDS for role in labelled(kind)}
 
 
 @pytest.mark.parametrize("name", sorted(ROLES))

@@ -10,6 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from aridcal.instruments.catalogue import KINDS as EVERY
+from aridcal.instruments.catalogue import labelled
 from aridcal.instruments.kind import Kind, Role
 from aridcal.instruments.pixels import UNSEEN
 from aridcal.instruments.pose import turned_back
@@ -45,6 +46,8 @@ def states_of(kind: Kind, rng: np.random.Generator, n: int, on_tip: bool) -> lis
             made.append(
                 np.hstack([rng.normal(size=(n, 3)), rotations(rng, n).reshape(n, 9), np.tile(LENS, (n, 1)), flag])
             )
+        elif role.name == "tracker":
+            made.append(0.1 * rng.normal(size=(n, 2)))
         elif role.name == "board":
             made.append(np.hstack([rng.normal(size=(n, 3)), rotations(rng, n).reshape(n, 9)]))
         else:
@@ -353,5 +356,5 @@ def test_the_table_has_its_columns_channels_and_names() -> None:
         R, p, observed, states = rows(name)
         assert observed.shape[1] == len(kind.read)
         assert kind.residual(R, p, observed, states).shape[1] == sum(channel.size for channel in kind.channels)
-        assert (kind.located is None) == (not kind.roles)
-        assert all(role.many == (role.name not in ("camera", "board")) for role in kind.roles)
+        assert (kind.located is None) == (not labelled(name))
+        assert all(role.many == (role.name not in ("camera", "board", "tracker")) for role in kind.roles)

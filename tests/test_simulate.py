@@ -14,7 +14,7 @@ from lxml import etree
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
-from aridcal.effects.catalogue import KINDS, is_of_head
+from aridcal.effects.catalogue import KINDS
 from aridcal.errors import CampaignError
 from aridcal.inputs.campaign import load_campaign
 from aridcal.inputs.yaml_file import load_settings
@@ -241,7 +241,7 @@ def test_payload_pulls_the_elbow_by_its_weight_times_its_lever(tmp_path):
     assert set(table.payload) == {0.0, 1.0, 2.5, 5.0}
 
 
-@pytest.mark.parametrize("kind", sorted(kind for kind in KINDS if not is_of_head(kind) and kind != "distance_scale"))
+@pytest.mark.parametrize("kind", sorted(kind for kind in KINDS if KINDS[kind].doc != "of-instruments"))
 def test_every_kind_can_be_simulated_and_its_truth_is_told(tmp_path, kind):
     more = {
         "joint_coupling": {"with": "joint_2"},

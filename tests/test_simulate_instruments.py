@@ -19,7 +19,7 @@ from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.read import load_measurements
 from aridcal.inputs.yaml_file import load_settings
 from aridcal.instruments.camera import INTRINSICS
-from aridcal.instruments.catalogue import KINDS
+from aridcal.instruments.catalogue import KINDS, labelled
 from aridcal.model.model import Model
 from aridcal.prepare.scenario import Scenario
 from aridcal.prepare.simulation import simulate, write_campaign
@@ -125,8 +125,8 @@ def misfits(rows: Dataset, truth: dict, on_tip: bool = True) -> dict[str, np.nda
             R[here], p[here] = model.poses(np.array([*truth["parameters"].values()]), model.rows(own.readings[here]))
         states = [
             np.array([state(role.name, truth["instruments"][role.name][label], on_tip) for label in own.refers[:, k]])
-            for k, role in enumerate(kind.roles)
-        ]
+            for k, role in enumerate(labelled(block.kind))
+        ] or [np.zeros((len(own), role.size)) for role in kind.roles]
         found[block.name] = kind.residual(R, p, own.observed[:, : len(kind.read)], states)
     return found
 
@@ -304,7 +304,9 @@ def test_the_command_writes_a_campaign_that_holds_no_truth(tmp_path: Path) -> No
         ({"kind": "pose"}, {}, {"instruments": {"points": 3}}, "truth.instruments: no row refers"),
         ({"kind": "pixels"}, {"cameras": {"eye": EYE}}, {"instruments": {"cameras": {"ear": {}}}}, "name the same"),
         ({"kind": "distance"}, {"anchors": {"rail": {}}},
-         {"effects": [{"kind": "distance_scale", "where": "rail", "coefficients": 1e-3}]}, "under `truth.instruments`"),
+         {"effects": [{"kind": "distance_scale", "where": "rial", "coefficients": 1e-3}]}, "no place 'rial'.*rail"),
+        ({"kind": "distance"}, {"anchors": {"rail": {}}},
+         {"effects": [{"kind": "lens_distortion", "where": "rail", "coefficients": 1e-3}]}, "or a camera under"),
         ([{"kind": "point"}, {"kind": "distance", "units": {"length": "mm"}}], {}, {}, "the table is written in SI"),
         ({"kind": "pixels"}, {"cameras": {"eye": EYE}, "markers": {"file": "markers.csv"}},
          {"instruments": {"board": {"xyz": [50, 0, 0]}}}, "hardly any posture"),

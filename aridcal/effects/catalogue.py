@@ -11,12 +11,15 @@ from aridcal.effects.basis import Basis
 from aridcal.effects.condition_kinds import CONDITION_KINDS
 from aridcal.effects.effect import ROW_ORDER, Effect
 from aridcal.effects.head_kinds import HEAD_KINDS
+from aridcal.effects.instrument_kinds import INSTRUMENT_KINDS
 from aridcal.effects.joint_kinds import JOINT_KINDS
 from aridcal.effects.kinds import Declaration, Kind, Observed
 from aridcal.effects.unknown_kind import UNKNOWN
 from aridcal.errors import CampaignError, nearest
 
-KINDS: dict[str, Kind] = {kind.name: kind for kind in (*JOINT_KINDS, *CONDITION_KINDS, *HEAD_KINDS, UNKNOWN)}
+_ROWS = (*JOINT_KINDS, *CONDITION_KINDS, *INSTRUMENT_KINDS, *HEAD_KINDS, UNKNOWN)
+
+KINDS: dict[str, Kind] = {kind.name: kind for kind in _ROWS}
 """Every kind of effect, in the order in which they are tried: the only list of them."""
 
 CONSTANT_COLUMN = 1e-9
@@ -78,12 +81,13 @@ def declared(rows: Observed, declaration: Declaration, place: str) -> Effect:
     Raises:
         CampaignError: there is no such effect on this robot or with these columns.
     """
-    d = declaration
+    d, kind = declaration, KINDS[declaration.kind]
     known = (*rows.robot.names, "world_base", "tip_target", *(name for _, name in rows.held))
     if d.where not in known:
-        raise CampaignError(f"{place}: effects: no place {d.where!r}{nearest(d.where, known)}")
-    kind = KINDS[d.kind]
-    if d.where in {name for _, name in rows.held}:
+        raise CampaignError(
+            f"{place}: effects: no place {d.where!r}{nearest(d.where, known)}; {d.kind} acts at {kind.where}"
+        )
+    if kind.of_head and d.where in {name for _, name in rows.held}:
         return _at_thing(rows, d, place)
     if kind.of_order and d.order:
         found = [effect for order in d.order for effect in kind.of_order(d, order)]

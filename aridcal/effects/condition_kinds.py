@@ -12,6 +12,21 @@ from aridcal.effects.kinds import Kind, Observed, middle, slope
 
 FRAMES = ("world_base", "tip_target")
 
+STANDING = {
+    "anchor": ("x", "y", "z", "offset"),
+    "plane": ("tilt_1", "tilt_2", "offset"),
+    "point": ("x", "y", "z"),
+    "camera": FRAME_COMPONENTS,
+    "board": FRAME_COMPONENTS,
+}
+"""What moves of a thing that was knocked. A marker that is off is named by its residual; a tracker that moves moves the base."""
+
+STEPPED = 24
+"""Configurations of a thing from which a step of it is sought: twice the twelve that tell a step in its midst from outliers."""
+
+MOST_STEPPED = 24
+"""Things beyond which none is sought: each costs as much as a joint, and among many a step needs as many times the evidence."""
+
 
 def _thermal(rows: Observed) -> Iterator[Effect]:
     """Difference T - mean(T) for each motion of each place; of a rail also times its travel: it grows."""
@@ -43,9 +58,9 @@ def _drift(rows: Observed) -> Iterator[Effect]:
 
 
 def _shift(rows: Observed) -> Iterator[Effect]:
-    """Each frame and each joint's zero, half way through the rows: where it jumped is for the data to say.
+    """Each frame, each joint's zero and each thing that stands around, half way through the rows: where is for the data to say.
 
-    All motions of a frame that the rows can show: a target that slips turns, too.
+    All motions of a frame that the rows can show: a target that slips turns, too. Of things only while there are few.
     """
     of = "time" if "time" in rows.measured else ROW_ORDER
     values = np.unique(rows.table[of]) if of in rows.table else np.zeros(0)
@@ -54,7 +69,11 @@ def _shift(rows: Observed) -> Iterator[Effect]:
     half = len(values) // 2
     step = Basis("step", (of,), (float(values[half - 1 : half + 1].mean()),))
     seen = {"world_base": FRAME_COMPONENTS, "tip_target": FRAME_COMPONENTS if rows.orientations else ("x", "y", "z")}
-    for where, motion in (*seen.items(), *((j.name, ("axis",)) for j in rows.moving())):
+    things = [
+        (where, STANDING[role]) for (role, where), n in rows.referred.items() if role in STANDING and n >= STEPPED
+    ]
+    things = things if len(things) <= MOST_STEPPED else []
+    for where, motion in (*seen.items(), *((j.name, ("axis",)) for j in rows.moving()), *things):
         yield Effect("shift", where, tuple(Coefficient(where, component, step) for component in motion))
 
 
@@ -93,7 +112,7 @@ CONDITION_KINDS = (
     ),
     Kind(
         "shift",
-        where="`world_base`, `tip_target` or a joint",
+        where="`world_base`, `tip_target`, a joint, or a thing that rows refer to",
         words="it moved once, between two rows",
         bases=("step",),
         example="{kind: shift, where: world_base, at: {row: 118}}",

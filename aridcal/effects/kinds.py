@@ -56,6 +56,7 @@ class Observed:
         measured: Names of the columns beside the joints that are complete and not constant.
         orientations: False where only positions were measured: the target's own turns are not seen then.
         held: Components that are taken as stated of each thing that measurements refer to, by the name of its role and its own.
+        referred: Different configurations of the rows that refer to each of those things.
     """
 
     robot: Robot
@@ -63,6 +64,7 @@ class Observed:
     measured: tuple[str, ...]
     orientations: bool = True
     held: Mapping[tuple[str, str], tuple[str, ...]] = field(default_factory=dict)
+    referred: Mapping[tuple[str, str], int] = field(default_factory=dict)
 
     def moves(self, joint: Joint) -> bool:
         """True if the joint's reading covers enough to say anything about it."""

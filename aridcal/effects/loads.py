@@ -9,6 +9,7 @@ import numpy as np
 
 from aridcal.effects.basis import FORMS, Basis
 from aridcal.effects.effect import direction
+from aridcal.effects.sights import Sights, is_sight
 from aridcal.robot.chain import Joint, Robot
 from aridcal.robot.kinematics import gravity_loads, joint_frames, tip_frames
 
@@ -30,16 +31,19 @@ class Surroundings:
         lever: The payload's place, T_tip_target as the calibration has it, shape (3,), [m].
         loaded: True where the rows have a ``payload``: it hangs there and counts in every gravity load. False of rows
             without one, whose loads are those of the links alone.
+        sights: Where the instruments' things and the targets are.
     """
 
     gravity: np.ndarray = field(default_factory=lambda: np.array([0.0, 0.0, -9.81]))
     lever: np.ndarray = field(default_factory=lambda: np.zeros(3))
     loaded: bool = False
+    sights: Sights = field(default_factory=Sights)
 
 
 def needs(robot: Robot, bases: Iterable[Basis], around: Surroundings) -> tuple[str, ...]:
     """Columns beside the joints that some bases cannot do without, sorted; ``payload`` where one of their loads holds it."""
     names = {name for basis in bases for name in basis.of if FORMS[basis.form].absent is None} - set(robot.names)
+    names = {name for name in names if not is_sight(name)}
     loads = {name for name in names if is_load(name)}
     held = any(around.loaded or ".payload_" in name for name in loads)
     return tuple(sorted((names - loads) | ({"payload"} if held else set())))

@@ -24,10 +24,11 @@ from aridcal.inputs.instrument_settings import InstrumentSettings
 from aridcal.inputs.measurement_settings import MeasurementSettings, Names, listed, one_of
 from aridcal.inputs.yaml_file import LARGEST, RelativePath, Section, Settings, Vector3, load_settings
 from aridcal.instruments.catalogue import KINDS as MEASURED
+from aridcal.instruments.catalogue import labelled
 from aridcal.reading.names import check_path
 
 # Kinds of measurements whose rows refer to things under `instruments`.
-REFERRING = tuple(kind.name for kind in MEASURED.values() if kind.roles)
+REFERRING = tuple(kind for kind in MEASURED if labelled(kind))
 
 
 def _all_kinds(candidates: Any) -> Any:

@@ -24,6 +24,7 @@ from aridcal.inputs.measurement_settings import FAR, OF_TARGETS
 from aridcal.inputs.tables import read_tables
 from aridcal.inputs.yaml_file import LARGEST
 from aridcal.instruments.kind import Kind, Role
+from aridcal.instruments.pose import TRACKER
 from aridcal.instruments.setup import Instruments, Things, Tie
 from aridcal.reading.files import TABLE, Limit
 from aridcal.reading.names import check_name
@@ -125,6 +126,8 @@ class Known:
             on_board: True of markers of the board.
         """
         settings = self.settings
+        if role == TRACKER:
+            return [0.0] * role.size, [False] * len(role.components), np.inf
         if role.name == "anchor":
             anchor = settings.anchors.get(label, AnchorSettings())
             return anchor.state, anchor.free, np.inf

@@ -7,19 +7,19 @@ import numpy as np
 from aridcal.instruments.channels import LENGTH
 from aridcal.instruments.distance import PLAIN
 from aridcal.instruments.kind import Kind, Role, Seen, States, points_twist
-from aridcal.robot.kinematics import transverse
+from aridcal.robot.kinematics import along_plane
 
 HALVINGS = 100
 """Of the interval in which a plane's multiplier lies: more than doubles resolve."""
 
 
 def _moved(state: np.ndarray, change: np.ndarray) -> np.ndarray:
-    r"""Turn the normal by the tilts t about its transverse axes, and shift the plane.
+    r"""Turn the normal by the tilts t about two axes along the plane, and shift the plane.
 
     .. math:: n' = \cos|t| \, n + \frac{\sin|t|}{|t|} (t_1 e_1 + t_2 e_2) \times n
     """
     normal = state[:, :3]
-    e1, e2 = transverse(normal)
+    e1, e2 = along_plane(normal)
     axis = change[:, :1] * e1 + change[:, 1:2] * e2
     angle = np.linalg.norm(axis, axis=1, keepdims=True)
     turned = np.cos(angle) * normal + np.sinc(angle / np.pi) * np.cross(axis, normal)
@@ -28,14 +28,14 @@ def _moved(state: np.ndarray, change: np.ndarray) -> np.ndarray:
 
 
 def _slope(state: np.ndarray, change: np.ndarray) -> np.ndarray:
-    r"""Derivative of n' by the tilts, in the transverse axes at n'.
+    r"""Derivative of n' by the tilts, in those axes at n'.
 
     .. math:: dn' = -\sin|t| \frac{t \cdot dt}{|t|} n + \frac{\sin|t|}{|t|} dt \times n
         + \left( \cos|t| - \frac{\sin|t|}{|t|} \right) \frac{t \cdot dt}{|t|^2} t \times n
     """
     normal = state[:, :3]
     there = _moved(state, change)[:, :3]
-    e1, e2 = transverse(normal)
+    e1, e2 = along_plane(normal)
     axis = change[:, :1] * e1 + change[:, 1:2] * e2
     angle = np.linalg.norm(axis, axis=1, keepdims=True)
     sinc = np.sinc(angle / np.pi)
@@ -46,7 +46,7 @@ def _slope(state: np.ndarray, change: np.ndarray) -> np.ndarray:
     for k, own in enumerate((e1, e2)):
         part = change[:, k : k + 1] / safe  # t . dt / |t| for a unit step of this tilt
         by_tilt = -np.sin(angle) * part * normal + sinc * np.cross(own, normal) + (np.cos(angle) - sinc) * part * along
-        for row, e in enumerate(transverse(there)):
+        for row, e in enumerate(along_plane(there)):
             made[:, row, k] = np.sum(np.cross(e, there) * by_tilt, axis=1)
     return made
 
@@ -73,7 +73,7 @@ def _residual(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States
 def _seen(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) -> Seen:
     """The same with its derivatives: a tilt about e turns n by e x n."""
     normal = states[0][:, :3]
-    turned = [np.sum(np.cross(e, normal) * p, axis=1) for e in transverse(normal)]
+    turned = [np.sum(np.cross(e, normal) * p, axis=1) for e in along_plane(normal)]
     by_plane = np.stack([*turned, np.full(len(p), -1.0)], axis=1)
     return Seen(_residual(R, p, observed, states), points_twist(normal[:, None]), (by_plane[:, None],))
 

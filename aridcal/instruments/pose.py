@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from aridcal.instruments.channels import TARGET_POSITION, TARGET_ROTATION
-from aridcal.instruments.kind import Kind, Seen, States, points_twist
+from aridcal.instruments.kind import Kind, Role, Seen, States, added, points_twist
 
 SMALL = 1e-2
 """[rad]: below this a quotient that tends to 0/0 is taken from its series, whose next term is 2e-13."""
@@ -88,36 +88,75 @@ def skew(vectors: np.ndarray) -> np.ndarray:
     return made
 
 
+TRACKER = Role(
+    name="tracker",
+    components=("scale", "square"),
+    units=("1", "1/m"),
+    size=2,
+    moved=added,
+    slope=None,
+    identified=(),
+    many=False,
+)
+"""What measures positions from the world's origin: one for each block, named after it, and faultless as far as is known."""
+
+
+def shown(p: np.ndarray, tracker: np.ndarray) -> np.ndarray:
+    """What a tracker shows for places p: p (1 + s + k |p|), its scale off by s and its ranges by k |p|^2; (n, 3)."""
+    away = np.linalg.norm(p, axis=1)
+    return np.asarray(p * (1.0 + tracker[:, 0] + tracker[:, 1] * away)[:, None])
+
+
+def _shown_seen(p: np.ndarray, tracker: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """How that changes with the place, shape (n, 3, 3), and with the tracker, (n, 3, 2)."""
+    away = np.linalg.norm(p, axis=1)
+    stretch = 1.0 + tracker[:, 0] + tracker[:, 1] * away
+    along = p[:, :, None] * p[:, None, :] / np.where(away > 0.0, away, 1.0)[:, None, None]
+    by_place = stretch[:, None, None] * np.eye(3) + tracker[:, 1, None, None] * along
+    return by_place, np.stack([p, away[:, None] * p], axis=2)
+
+
 def _position(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) -> np.ndarray:
     """Measured minus predicted position, [m]."""
-    return residuals(R, p, observed, None)
+    (tracker,) = states
+    return residuals(R, shown(p, tracker), observed, None)
 
 
 def _position_seen(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) -> Seen:
     """The same with its derivatives."""
-    by_point = np.broadcast_to(np.eye(3), (len(p), 3, 3))
-    return Seen(residuals(R, p, observed, None), points_twist(by_point), ())
+    by_place, by_tracker = _shown_seen(p, states[0])
+    return Seen(_position(R, p, observed, states), points_twist(by_place), (by_tracker,))
 
 
 def _pose(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) -> np.ndarray:
     """Measured minus predicted position [m] and rotation vector [rad]."""
-    return residuals(R, p, observed[:, :3], observed[:, 3:].reshape(-1, 3, 3))
+    (tracker,) = states
+    return residuals(R, shown(p, tracker), observed[:, :3], observed[:, 3:].reshape(-1, 3, 3))
 
 
 def _pose_seen(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) -> Seen:
     """The same with its derivatives."""
     residual = _pose(R, p, observed, states)
+    by_place, by_tracker = _shown_seen(p, states[0])
     by_twist = np.zeros((len(p), 6, 6))
-    by_twist[:, :3, :3] = np.eye(3)
+    by_twist[:, :3, :3] = by_place
     by_twist[:, 3:, 3:] = turned_back(residual[:, 3:])
-    return Seen(residual, by_twist, ())
+    return Seen(residual, by_twist, (np.concatenate([by_tracker, np.zeros_like(by_tracker)], axis=1),))
 
 
 XYZ = ("x", "y", "z")
 """Columns of a position; those of a rotation matrix follow row by row."""
 
 POSITION = Kind(
-    "position", "the target's position", (TARGET_POSITION,), XYZ, (), _position, _position_seen, None, places=True
+    "position",
+    "the target's position",
+    (TARGET_POSITION,),
+    XYZ,
+    (TRACKER,),
+    _position,
+    _position_seen,
+    None,
+    places=True,
 )
 
 POSE = Kind(
@@ -125,7 +164,7 @@ POSE = Kind(
     words="the target's position and orientation",
     channels=(TARGET_POSITION, TARGET_ROTATION),
     read=(*XYZ, "r11", "r12", "r13", "r21", "r22", "r23", "r31", "r32", "r33"),
-    roles=(),
+    roles=(TRACKER,),
     residual=_pose,
     derivatives=_pose_seen,
     located=None,

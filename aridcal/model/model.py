@@ -12,13 +12,14 @@ import pinocchio as pin
 from aridcal.effects.basis import evaluate
 from aridcal.effects.effect import FRAME_COMPONENTS, LINK_COMPONENTS, Coefficient
 from aridcal.effects.loads import Surroundings, covariate_table, needs
+from aridcal.effects.sights import is_sight, sight_table
 from aridcal.errors import CovariateNotFound, MeasurementError
 from aridcal.instruments.setup import Instruments
 from aridcal.model.extended import ORDER, ExtendedModel, Slot, own_slot
 from aridcal.model.motions import motion, transform
 from aridcal.robot.chain import Robot
 
-SIZES = {"m": 1.0, "rad": 1.0, "px": 500.0, "1": 10.0}
+SIZES = {"m": 1.0, "rad": 1.0, "px": 500.0, "1": 10.0, "1/m": 1.0}
 """What counts as much as a metre or a radian: half a usual focal length in pixels; lens terms of higher orders reach 10."""
 
 ONE_FRAME = ((None, pin.SE3.Identity()),)
@@ -91,7 +92,7 @@ class Model:
         coefficients: The unknowns, K of them; theta is their value.
         world_base: Start of T_world_base, for all rows (label None) or for each station.
         tip_target: Start of T_tip_target, likewise.
-        around: Gravity and the payload's place, for the loads that effects depend on.
+        around: Gravity, the payload's place and that of instruments, for what effects depend on.
         instruments: The things that measurements refer to. Coefficients at one of them move it, and not the target.
         states: Where those things are, (L, P) by role; those of ``instruments`` where a role is missing.
     """
@@ -146,6 +147,9 @@ class Model:
         if "payload" in self.needs and "payload" not in (covariates or {}):
             raise CovariateNotFound("the model depends on 'payload', which was not measured: add that column")
         table = covariate_table(self.robot, readings, covariates or {}, self.around, world, wanted) if wanted else {}
+        if any(map(is_sight, wanted)):
+            gravity = np.atleast_2d(self.around.gravity)[0]  # instruments measure one base
+            table |= sight_table(self.robot, readings, self.around.sights, gravity, tip)
         phi = np.empty((n, len(varying)))
         for k, c in enumerate(varying):
             phi[:, k] = evaluate(c.basis, table)

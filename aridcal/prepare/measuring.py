@@ -12,21 +12,22 @@ import pandas as pd
 import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
-from aridcal.effects.effect import Coefficient
 from aridcal.effects.loads import Surroundings
+from aridcal.effects.sights import sights_from
 from aridcal.errors import CampaignError
 from aridcal.inputs.measurement_settings import OF_TARGETS, SHOT, TARGET, MeasurementSettings
 from aridcal.inputs.quantities import POSITION, QUATERNION
 from aridcal.inputs.read import ONE_TARGET, TIP
 from aridcal.inputs.things import known_of
-from aridcal.instruments.catalogue import KINDS
+from aridcal.instruments.catalogue import KINDS, labelled
 from aridcal.instruments.channels import columns as parts_of
 from aridcal.instruments.inclination import DOWN
 from aridcal.instruments.kind import Kind
+from aridcal.instruments.pose import TRACKER, shown
 from aridcal.model.model import Model
 from aridcal.prepare.postures import Miss, Pose, Sight, brought, draw_images, draw_readings, settled, sight
 from aridcal.prepare.scenario import Scenario
-from aridcal.prepare.true_effects import Cause, columns_needed, draw_columns, make_causes
+from aridcal.prepare.true_effects import Cause, Machine, columns_needed, draw_columns, make_causes
 from aridcal.prepare.true_things import Real, true_anchors, true_planes, true_points
 from aridcal.reading.table_files import FIRST_LINE
 from aridcal.robot.chain import Robot
@@ -42,32 +43,6 @@ PASSES, NEWTON = 5, 4
 
 
 @dataclass(frozen=True)
-class Machine:
-    """A simulated machine without its effects.
-
-    Attributes:
-        robot: The nominal chain.
-        constants: Those that the scenario names.
-        theta: Their true values.
-        world: True T_world_base.
-        tips: True T_tip_target by the targets' labels.
-    """
-
-    robot: Robot
-    constants: tuple[Coefficient, ...]
-    theta: np.ndarray
-    world: pin.SE3
-    tips: Mapping[str, pin.SE3]
-
-    def model(self, causes: Sequence[Cause] = (), around: Surroundings | None = None) -> tuple[Model, np.ndarray]:
-        """The machine as a model, and its true coefficients."""
-        of_effects = tuple(c for cause in causes for c in cause.effect.coefficients)
-        frames = ((None, self.world),), tuple(self.tips.items())
-        made = Model(self.robot, self.constants + of_effects, *frames, around or Surroundings())
-        return made, np.concatenate([self.theta, *(cause.values for cause in causes)])
-
-
-@dataclass(frozen=True)
 class Rows:
     """Rows of one block, n of them.
 
@@ -78,6 +53,7 @@ class Rows:
         refers: Numbers of the things that rows refer to, by the kind's roles, shape (n, roles).
         target: Label of each row's target, shape (n,).
         stroke: What a gauge is to read, shape (n,), [m]; 0 where the target touches.
+        changes: How the things that the rows refer to are otherwise than their states, (n, u) by role; None: in nothing.
     """
 
     kind: Kind
@@ -86,10 +62,41 @@ class Rows:
     refers: np.ndarray
     target: np.ndarray
     stroke: np.ndarray
+    changes: tuple[np.ndarray, ...] | None = None
 
     def states(self, real: Mapping[str, Real]) -> list[np.ndarray]:
-        """States of the things that the rows refer to, (n, P) by role."""
-        return [real[role.name].states[self.refers[:, k]] for k, role in enumerate(self.kind.roles)]
+        """States of the things that the rows refer to, with their faults, (n, P) by role."""
+        roles = self.kind.roles
+        states = [real[role.name].states[self.refers[:, k]] for k, role in enumerate(roles)]
+        if self.changes is None:
+            return states
+        return [role.moved(*each) for role, *each in zip(roles, states, self.changes, strict=True)]
+
+    def labels(self, role: str, real: Mapping[str, Real]) -> np.ndarray:
+        """Names of the things of a role that the rows refer to, empty where they have no such role, shape (n,)."""
+        roles = [each.name for each in self.kind.roles]
+        if role not in roles:
+            return np.full(len(self.shot), "")
+        return np.array(real[role].names)[self.refers[:, roles.index(role)]]
+
+    def faulty(self, real: Mapping[str, Real], faults: Model, values: np.ndarray, phi: np.ndarray) -> Rows:
+        """The same rows measured with things that have faults.
+
+        Args:
+            real: The things as they are.
+            faults: Whose coefficients move things.
+            values: Of those, shape (K,).
+            phi: Their bases, shape (n, K).
+        """
+        changes = []
+        for role in self.kind.roles:
+            label = self.labels(role.name, real)
+            change = np.zeros((len(label), len(role.components)))
+            for c, value, basis in zip(faults.coefficients, values, phi.T, strict=True):
+                if c.component in role.components:
+                    change[:, role.components.index(c.component)] += value * basis * (label == c.where)
+            changes.append(change)
+        return replace(self, changes=tuple(changes))
 
     def miss(self, real: Mapping[str, Real], noise: np.ndarray) -> Miss | None:
         """How far the targets are from where they must be; None where they may be anywhere.
@@ -176,6 +183,8 @@ def measured(
         "distance": lambda: {"anchor": true_anchors(things, known, reached, of_role["anchor"])},
         "plane": lambda: {"plane": true_planes(things, known, reached, of_role["plane"])},
     }
+    trackers = tuple(block.title for block in scenario.blocks if block.kind in OF_TARGETS)
+    faultless = {TRACKER.name: Real(trackers, np.zeros((len(trackers), TRACKER.size)))}
     real: dict[str, Real] = {}
     for kind in dict.fromkeys(block.kind for block in scenario.blocks):
         real |= drawn[kind]() if kind in drawn else {}
@@ -184,14 +193,15 @@ def measured(
         rng = of_role["pixels"]
         seen = sight(things, known, lambda q: tips(q, TIP), lambda n: draw_readings(robot, n, rng), rng)
         real |= seen.real
-    rows = [_begun(scenario, number, machine, real, seen, own[number]) for number in range(len(scenario.blocks))]
+    every = real | faultless
+    rows = [_begun(scenario, number, machine, every, seen, own[number]) for number in range(len(scenario.blocks))]
     errors, wrong = zip(*[_errors(scenario, each, noise, outliers) for each in rows], strict=True)
-    rows, causes, model, true, columns = _with_effects(scenario, machine, rows, real, errors, around, chance)
+    rows, causes, model, true, columns = _with_effects(scenario, machine, rows, every, errors, around, chance)
     tables = []
     for number, (block, each) in enumerate(zip(scenario.blocks, rows, strict=True)):
         R, p = model.poses(true, model.rows(each.readings, columns[number], target=each.target))
-        read = _read(each, R, p, real, errors[number])
-        tables.append(_table(scenario, number, block, robot, each, real, read, columns[number]))
+        read = _read(each, R, p, every, errors[number])
+        tables.append(_table(scenario, number, block, robot, each, every, read, columns[number]))
     return Measured(tuple(tables), tuple(causes), tuple(wrong), real)
 
 
@@ -226,8 +236,10 @@ def _begun(
         return Rows(kind, readings[shot], shot, refers, np.full(len(shot), TIP), np.zeros(len(shot)))
     labels = _own(scenario, block)
     shot = np.arange(n)
-    count = len(real[kind.roles[0].name].names) if kind.roles else 1
+    count = len(real[kind.roles[0].name].names) if labelled(kind.name) else 1
     refers = (shot % count)[:, None][:, : len(kind.roles)]
+    if kind.name in OF_TARGETS:
+        refers = np.full((n, 1), real[TRACKER.name].names.index(block.title))
     target = np.array(labels)[shot // count % len(labels)]
     gauge = truth.instruments.gauge if kind.name == "plane" else 0.0
     rows = Rows(kind, np.zeros((n, 0)), shot, refers, target, rng.uniform(-gauge, gauge, n))
@@ -281,17 +293,33 @@ def _with_effects(
     for each in rows:  # as the reader counts them on through the files
         lines.append(last + FIRST_LINE + np.arange(len(each.shot)))
         last += FIRST_LINE + len(each.shot) - 1
+    labels = [*machine.tips]
+    tip = np.concatenate([[labels.index(label) for label in each.target] for each in rows]).astype(int)
+    targets = np.array([placement.translation for placement in machine.tips.values()])
+    states = {role: dict(zip(own.names, own.states, strict=True)) for role, own in real.items()}
+    held = {
+        (role.name, name): role.components for each in rows for role in each.kind.roles for name in states[role.name]
+    }
+    names_of_things = {name for _, name in held}
+    plane = np.concatenate([each.labels("plane", real) for each in rows])
     touching = any(each.miss(real, e) is not None for each, e in zip(rows, errors, strict=True))
     for _ in range(PASSES if touching and truth.effects else 1):
         readings = np.concatenate([each.readings for each in rows])
+        sights = sights_from(robot, machine.world, targets, states, readings, tip, plane)
+        around = replace(around, sights=sights)
         of_shots = draw_columns(tuple(names), robot, readings[first_of_shot], truth.seed)
         columns = {name: values[shot] for name, values in of_shots.items()}
         causes, depends = make_causes(
             truth.effects, robot, readings, columns, around, deepcopy(chance), f"{scenario.path}: truth",
-            np.concatenate(lines).astype(float),
+            np.concatenate(lines).astype(float), tip, held,
         )  # fmt: skip
-        model, true = machine.model(causes, around)
-        parts = [{name: values[low:high] for name, values in depends.items()} for low, high in pairwise(ends)]
+        model, true = machine.model([cause for cause in causes if cause.effect.where not in names_of_things], around)
+        faults, values = machine.faults([cause for cause in causes if cause.effect.where in names_of_things], around)
+        parts = [{name: column[low:high] for name, column in depends.items()} for low, high in pairwise(ends)]
+        phis = [
+            faults.rows(each.readings, part, target=each.target).phi for each, part in zip(rows, parts, strict=True)
+        ]
+        rows = [each.faulty(real, faults, values, phi) for each, phi in zip(rows, phis, strict=True)]
         rows = [_settled(each, model, true, part, real, e) for each, part, e in zip(rows, parts, errors, strict=True)]
     return rows, causes, model, true, parts
 
@@ -323,7 +351,7 @@ def _read(
     """What the instrument reads, by the names of the columns."""
     kind = rows.kind
     if kind.name in OF_TARGETS:
-        found = dict(zip(POSITION, (p + errors[:, :3]).T, strict=True))
+        found = dict(zip(POSITION, (shown(p, rows.states(real)[0]) + errors[:, :3]).T, strict=True))
         if kind.name == "pose":
             turned = Rotation.from_rotvec(errors[:, 3:]) * Rotation.from_matrix(R, assume_valid=True)
             found |= dict(zip(QUATERNION, turned.as_quat(canonical=True).T, strict=True))
@@ -353,10 +381,10 @@ def _table(
 ) -> pd.DataFrame:
     """The table of a block, columns named as the campaign names them."""
     values: dict[str, np.ndarray] = dict(zip(robot.readings, rows.readings.T, strict=True))
-    for k, role in enumerate(rows.kind.roles):
+    for role in labelled(rows.kind.name):
         told = role.name != "board" and not (role.name == "camera" and block.camera is not None)
         if told:
-            values[role.name] = np.array(real[role.name].names)[rows.refers[:, k]]
+            values[role.name] = rows.labels(role.name, real)
     if rows.kind.name == "pixels":
         values[SHOT] = rows.shot + 1
     elif len(_own(scenario, block)) > 1:

@@ -97,10 +97,6 @@ def check_scenario(scenario: Scenario) -> None:
             measurements.kind == "camera_sonar" and bool(truth.frames.targets),
             "`kind: camera_sonar` has its target at the tip; delete this key",
         ),
-        "truth.effects.where": (
-            any(e.where in names for e in truth.effects for names in scenario.instruments.declared.values()),
-            "what an instrument is like is said under `truth.instruments`; delete this effect",
-        ),
         "truth.instruments": (
             truth.instruments != TrueThings() and not scenario.refers,
             "no row refers to such things; delete this key",
@@ -118,8 +114,9 @@ def check_scenario(scenario: Scenario) -> None:
             "with `kind: camera_sonar` the noise is that of images and sonars; delete this key and `outliers`",
         ),
         "truth.effects": (
-            measurements.head is None and any(is_of_head(e.kind) for e in truth.effects),
-            f"{', '.join(filter(is_of_head, KINDS))} need `kind: camera_sonar`",
+            measurements.head is None
+            and any(is_of_head(e.kind) and e.where not in scenario.instruments.cameras for e in truth.effects),
+            f"{', '.join(filter(is_of_head, KINDS))} need `kind: camera_sonar`, or a camera under `instruments`",
         ),
         "measurements.units": (_any_has(scenario, "units"), "the table is written in SI; delete this key"),
         "measurements.orientation": (

@@ -24,10 +24,10 @@ from aridcal.inputs.head_settings import HeadSettings, load_squares
 from aridcal.inputs.quantities import POSITION, QUATERNION, column_of
 from aridcal.inputs.yaml_file import load_settings
 from aridcal.model.model import Model
-from aridcal.prepare.measuring import Machine, measured, targets
+from aridcal.prepare.measuring import measured, targets
 from aridcal.prepare.postures import draw_readings
 from aridcal.prepare.scenario import Scenario, Truth, check_scenario
-from aridcal.prepare.true_effects import Cause, columns_needed, draw_columns, make_causes
+from aridcal.prepare.true_effects import Cause, Machine, columns_needed, draw_columns, make_causes
 from aridcal.prepare.true_things import Real, documents
 from aridcal.prepare.viewpoints import draw_views, photographed, true_head
 from aridcal.reading.files import read_file

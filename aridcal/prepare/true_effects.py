@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Annotated, Any
 
 import numpy as np
+import pinocchio as pin
 from pydantic import BeforeValidator, Field, model_validator
 
 from aridcal.effects.basis import Basis
@@ -16,10 +17,12 @@ from aridcal.effects.catalogue import KINDS, declared
 from aridcal.effects.effect import FRAME_COMPONENTS, ROW_ORDER, Coefficient, Effect
 from aridcal.effects.kinds import Observed
 from aridcal.effects.loads import LOADS, Surroundings, covariate_table, is_load
+from aridcal.effects.sights import sight_table
 from aridcal.effects.smooth import Kernel, kernel_root
 from aridcal.errors import CampaignError, nearest
 from aridcal.inputs.campaign import EffectDeclaration
 from aridcal.inputs.yaml_file import LARGEST, Number, Section
+from aridcal.model.model import Model
 from aridcal.reading.table_files import FIRST_LINE
 from aridcal.robot.chain import Robot
 
@@ -132,6 +135,38 @@ class Cause:
         return told
 
 
+@dataclass(frozen=True)
+class Machine:
+    """A simulated machine without its effects.
+
+    Attributes:
+        robot: The nominal chain.
+        constants: Those that the scenario names.
+        theta: Their true values.
+        world: True T_world_base.
+        tips: True T_tip_target by the targets' labels.
+    """
+
+    robot: Robot
+    constants: tuple[Coefficient, ...]
+    theta: np.ndarray
+    world: pin.SE3
+    tips: Mapping[str, pin.SE3]
+
+    def model(self, causes: Sequence[Cause] = (), around: Surroundings | None = None) -> tuple[Model, np.ndarray]:
+        """The machine as a model, and its true coefficients."""
+        faults, values = self.faults(causes, around or Surroundings())
+        made = faults.with_coefficients((*self.constants, *faults.coefficients))
+        return made, np.concatenate([self.theta, values])
+
+    def faults(self, causes: Sequence[Cause], around: Surroundings) -> tuple[Model, np.ndarray]:
+        """What moves things or the machine beside its constants, and how much."""
+        of_effects = tuple(c for cause in causes for c in cause.effect.coefficients)
+        frames = ((None, self.world),), tuple(self.tips.items())
+        values = np.concatenate([np.zeros(0), *(cause.values for cause in causes)])
+        return Model(self.robot, of_effects, *frames, around), values
+
+
 def columns_needed(effects: Sequence[TrueEffect], robot: Robot) -> tuple[str, ...]:
     """Columns beside the joints that some effects depend on, each once."""
     names = dict.fromkeys(name for e in effects for name in KINDS[e.kind].columns(e))
@@ -183,6 +218,8 @@ def make_causes(
     rng: np.random.Generator,
     place: str,
     lines: np.ndarray | None = None,
+    tip: np.ndarray | None = None,
+    held: Mapping[tuple[str, str], tuple[str, ...]] | None = None,
 ) -> tuple[list[Cause], dict[str, np.ndarray]]:
     """Turn effects into coefficients of the model.
 
@@ -191,10 +228,12 @@ def make_causes(
         robot: The nominal chain.
         readings: Shape (N, columns), [rad] or [m].
         columns: Covariates beside the readings.
-        around: Gravity and the payload's place.
+        around: Gravity, the payload's place, and that of what measures.
         rng: For coefficients that are drawn.
         place: What to name if an effect is impossible.
         lines: Of each row in its file, counted on through the files, shape (N,); None: rows of one file.
+        tip: Number of each row's frame on the tip, shape (N,); None: there is one.
+        held: Components of the things that rows refer to, by role and name.
 
     Returns:
         The causes, and all columns that they depend on: those given, the order of the rows, and the named functions' values.
@@ -206,7 +245,9 @@ def make_causes(
     order = np.arange(len(readings)) + float(FIRST_LINE) if lines is None else lines
     known = {**columns, ROW_ORDER: order}
     table = covariate_table(robot, readings, known, around, world, set(LOADS))
-    rows = Observed(robot, table, tuple(columns))
+    at_tip = world if tip is None else tip
+    table |= sight_table(robot, readings, around.sights, np.atleast_2d(around.gravity)[0], at_tip)
+    rows = Observed(robot, table, tuple(columns), held=held or {}, referred=dict.fromkeys(held or {}, len(readings)))
     causes = []
     for e in effects:
         ranges: dict[str, tuple[float, float]] = {}

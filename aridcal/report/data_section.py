@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from aridcal.inputs.dataset import Dataset
-from aridcal.instruments.catalogue import KINDS
+from aridcal.instruments.catalogue import KINDS, labelled
 from aridcal.instruments.pixels import PIXELS
 from aridcal.report.figures import coverage, histogram
 from aridcal.report.html import Content, Html, bullets, counted, figures, number, table, tag
@@ -148,7 +148,10 @@ def row_table(outcome: Outcome, rows: np.ndarray, head: str, words: list[str], c
 
 def _of_things(m: Dataset, k: int) -> str:
     """What a row refers to, in brackets."""
-    labels = [str(label) for label in m.refers[k] if label] if m.blocks else []
+    if not m.blocks:
+        return ""
+    roles = labelled(m.blocks[m.block[k]].kind)
+    labels = [str(label) for label in m.refers[k, : len(roles)] if label]
     return f" ({', '.join(labels)})" if labels else ""
 
 

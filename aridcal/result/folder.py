@@ -20,7 +20,7 @@ from aridcal.effects.effect import ANGULAR, FRAME_COMPONENTS, ROW_ORDER, Coeffic
 from aridcal.fit.constants import stage_urdf
 from aridcal.fit.least_squares import Fit
 from aridcal.inputs.dataset import Dataset
-from aridcal.instruments.catalogue import KINDS as INSTRUMENTS
+from aridcal.instruments.catalogue import labelled
 from aridcal.instruments.channels import columns
 from aridcal.result.measuring_head import MeasuringHead
 from aridcal.result.outcome import Outcome, Stage, Verification, errors
@@ -262,7 +262,7 @@ def what_moved(effect: Effect, rows: Dataset) -> str:
     if effect.at is None:
         return ""
     last, first = rows_around(effect.at, rows)
-    who = effect.where if effect.where in WHERE else f"the zero of {effect.where}"
+    who = f"the zero of {effect.where}" if effect.motion == ("axis",) else effect.where
     if rows.file[last] == rows.file[first]:
         between = f"rows {rows.line[last]} and {rows.line[first]}"
     else:
@@ -331,7 +331,7 @@ def _labels(m: Dataset) -> dict[str, Any]:
     names = np.array([block.name for block in m.blocks])
     table: dict[str, Any] = {"block": names[m.block]}
     for b, block in enumerate(m.blocks):
-        for k, role in enumerate(INSTRUMENTS[block.kind].roles):
+        for k, role in enumerate(labelled(block.kind)):
             column = table.setdefault(role.name, np.full(len(m), "", dtype=object))
             column[m.block == b] = m.refers[m.block == b, k]
     return table if m.target is None else table | {"target": m.target}

@@ -22,9 +22,10 @@ from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.catalogue import KINDS
 from aridcal.instruments.channels import columns
 from aridcal.instruments.pixels import LENS, R9, T
+from aridcal.instruments.pose import TRACKER
 from aridcal.instruments.setup import Things
 from aridcal.model.measured import Measured, located
-from aridcal.robot.kinematics import transverse
+from aridcal.robot.kinematics import along_plane
 
 Status = Literal["identified", "fixed", "redundant"]
 
@@ -76,8 +77,8 @@ def thing_values(fit: Fit, train: Dataset) -> tuple[ThingValue, ...]:
     solved = _solved(asked, fit)
     values: list[ThingValue] = []
     for role, things in seen.instruments.things.items():
-        if things.role.places:  # a head's numbers have a chapter of their own
-            continue
+        if things.role == TRACKER or things.role.places:
+            continue  # nothing of a tracker is unknown, a fault is an effect; a head has a chapter of its own
         rows, thing = references(seen, role)
         count = np.bincount(thing[fit.weight[rows] > 0.0], minlength=len(things))
         states = asked.states[role]
@@ -202,7 +203,7 @@ def _written(things: Things, name: str, state: np.ndarray, known: _Known, rows: 
     components, units, values = role.components, role.units, now
     status, partners = known.status, known.partners
     if role.name == "plane":
-        e1, e2 = transverse(now[None, :3])
+        e1, e2 = along_plane(now[None, :3])
         turned = np.stack([np.cross(e1, now[:3])[0], np.cross(e2, now[:3])[0]], axis=1)
         spread = np.sqrt(np.maximum(np.einsum("iu,uv,iv->i", turned, known.covariance[:2, :2], turned), 0.0))
         components, units, std = (*NORMAL, "offset"), ("1", "1", "1", "m"), np.append(spread, std[2])

@@ -21,7 +21,7 @@ from aridcal.errors import AridcalError, CampaignError, nearest, shortened
 from aridcal.inputs.campaign import Campaign
 from aridcal.inputs.measurement_settings import MeasurementSettings
 from aridcal.inputs.yaml_file import Limits, parse_settings
-from aridcal.instruments.catalogue import KINDS
+from aridcal.instruments.catalogue import KINDS, labelled
 from aridcal.model.inverse import Command, InverseKinematics
 from aridcal.model.model import Frames, Model
 from aridcal.model.one_row import OneRowModel
@@ -154,7 +154,7 @@ class SavedModel:
             block.columns.get(role.name, role.name)
             for block in (self._campaign.blocks if self._campaign else ())
             if block.kind in KINDS
-            for role in KINDS[block.kind].roles
+            for role in labelled(block.kind)
         }
         if labels:  # a table that was measured may be asked about as it is: its labels are none of a target's
             changes["ignore"] = (*settings.ignore, *sorted(labels))

@@ -14,6 +14,10 @@ from aridcal.robot.chain import Robot
 ON_AN_AXIS = 1e-9
 
 
+STEEP = 0.8
+"""Cosine of the angle to a plane's normal beyond which an axis is too steep to give a direction along it: few planes are near."""
+
+
 def transverse(axis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Two unit vectors across an axis (FORMATS section 4), or across each of several.
 
@@ -35,6 +39,24 @@ def transverse(axis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     aligned = np.sort(lengths, axis=-1)[..., 1, None] < ON_AN_AXIS
     before, after = own[np.array([1, 0, 0])[largest]], own[np.array([2, 2, 1])[largest]]
     return np.where(aligned, before, e1), np.where(aligned, after, e2)
+
+
+def along_plane(normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Two unit vectors along a plane with normal n, or along each of several: x laid into it (y, where x is steep), and n x that.
+
+    Unlike those of :func:`transverse` they do not jump where a normal tilts that is an axis of the frame, as those of tables and
+    walls are.
+
+    Args:
+        normal: Unit vectors, shape (..., 3).
+
+    Returns:
+        e1 and e2, shape (..., 3) each.
+    """
+    near = np.eye(3)[np.where(np.abs(normal[..., 0]) > STEEP, 1, 0)]
+    e1 = near - (near * normal).sum(axis=-1, keepdims=True) * normal
+    e1 = e1 / np.sqrt((e1 * e1).sum(axis=-1, keepdims=True))
+    return e1, np.cross(normal, e1)
 
 
 def rotations(axis: np.ndarray, angle: np.ndarray) -> np.ndarray:

@@ -20,6 +20,7 @@ from aridcal.instruments.catalogue import KINDS
 from aridcal.instruments.channels import columns
 from aridcal.model.model import Model
 from aridcal.model.rigid_bodies import targets_of_one_body
+from aridcal.model.standing import sights_of
 from aridcal.model.stated_noise import with_stated_noise
 from aridcal.robot.chain import Robot
 from aridcal.search.diagnose import Diagnosed, diagnose
@@ -149,6 +150,7 @@ def fit_constants(
     found = fit_geometry(campaign, robot, rows.select(rows.train), labels, progress)
     geometric = recentred(found.geometric)
     around = surroundings(campaign, geometric.model, "payload" in rows.covariates)
+    around = replace(around, sights=sights_of(geometric.model, rows.select(rows.train)))
     return replace(found, geometric=replace(geometric, model=replace(geometric.model, around=around)))
 
 

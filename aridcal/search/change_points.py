@@ -67,6 +67,24 @@ def _within_a_place(values: np.ndarray, group: np.ndarray, before: np.ndarray) -
     return np.asarray(((there >= SIDE) & (passed[-1] - there >= SIDE)).any(axis=1))
 
 
+def _between_its_rows(
+    model: LinearModel, state: State, values: np.ndarray, slots: Sequence[int], before: np.ndarray
+) -> np.ndarray:
+    """Which steps have enough rows on both sides that see what moves, shape (k,) bool: the last of those between two such rows.
+
+    Args:
+        model: The linearised model.
+        state: Its rows in use, n of them.
+        values: Of the covariate in these, shape (n,).
+        slots: Motions of what moves.
+        before: How many rows come before each step, shape (k,).
+    """
+    sees = np.any(model.G[state.used][:, :, list(slots)], axis=(1, 2))[np.argsort(values, kind="stable")]
+    passed = np.cumsum(sees)
+    there = passed[before - 1]
+    return np.asarray(sees[before] & (there >= SIDE) & (passed[-1] - there >= SIDE))
+
+
 def best_steps(model: LinearModel, state: State, templates: Sequence[Effect]) -> list[Effect]:
     """The same effects, each with its step where the residual asks for it most; those that fit nowhere are left out."""
     found: dict[int, Effect] = {}
@@ -82,8 +100,11 @@ def best_steps(model: LinearModel, state: State, templates: Sequence[Effect]) ->
         scan = _Scan.of(model, state, values, own) if model.off is None else _Trial(model, state, values)
         for k, effect in enumerate(templates):
             if effect.covariates[0] == of:
-                best = scan.best([model.slot_index[c.where, c.component] for c in effect.coefficients], before)
-                found[k] = effect.placed(float(points[best]))
+                slots = [model.slot_index[c.where, c.component] for c in effect.coefficients]
+                mine = _between_its_rows(model, state, values, slots, before)
+                if mine.any():
+                    best = scan.best(slots, before[mine])
+                    found[k] = effect.placed(float(points[mine][best]))
     return [found[k] for k in sorted(found)]
 
 

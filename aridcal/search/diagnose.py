@@ -11,6 +11,7 @@ from aridcal.effects.catalogue import KINDS, Barred, barred_joints, candidates, 
 from aridcal.effects.effect import ROW_ORDER, Effect
 from aridcal.effects.kinds import Observed
 from aridcal.effects.loads import covariate_table
+from aridcal.effects.sights import sight_table
 from aridcal.effects.smooth import Kernel
 from aridcal.effects.unknown_kind import pair
 from aridcal.fit.flags import cluster, flagged, limits
@@ -18,6 +19,7 @@ from aridcal.fit.least_squares import Fit, thin
 from aridcal.fit.problem import problem
 from aridcal.inputs.campaign import Campaign
 from aridcal.inputs.dataset import Dataset
+from aridcal.model.standing import references
 from aridcal.search.change_points import best_steps
 from aridcal.search.exact import (
     FEWEST_PLACES,
@@ -380,13 +382,24 @@ def look(start: Start) -> tuple[Observed, list[Barred]]:
     model, rows = start.geometric.model, start.train
     derived = {name: rows.covariates[name] for name in rows.derived}
     usable, barred = usable_columns({name: v for name, v in rows.covariates.items() if name not in derived})
-    world = model.rows(rows.readings, None, rows.station, rows.target).world
+    frames = model.rows(rows.readings, None, rows.station, rows.target)
     measured = {name: rows.conditions[name] for name in (*usable, ROW_ORDER)}
     payload = rows.covariates.get("payload")
     if payload is not None and not np.isnan(payload).any():
         measured["payload"] = payload  # it counts in the loads even where it is always the same
-    table = covariate_table(model.robot, rows.readings, measured, model.around, world, {".gravity_", ".payload_"})
+    table = covariate_table(
+        model.robot, rows.readings, measured, model.around, frames.world, {".gravity_", ".payload_"}
+    )
+    sights = model.around.sights
+    table |= sight_table(model.robot, rows.readings, sights, np.atleast_2d(model.around.gravity)[0], frames.tip)
     # A derived side of approach is for backlash alone: nothing else is asked whether it depends on it.
     table |= {name: derived[name] for name in usable_columns(derived)[0]}
-    observed = Observed(model.robot, table, tuple(usable), orientations=rows.sees_turns, held=model.instruments.held)
+    observed = Observed(
+        robot=model.robot,
+        table=table,
+        measured=tuple(usable),
+        orientations=rows.sees_turns,
+        held=model.instruments.held,
+        referred={(role, name): len(np.unique(rows.configuration[own])) for role, name, own in references(rows)},
+    )
     return observed, barred + barred_joints(observed)

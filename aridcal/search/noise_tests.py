@@ -24,7 +24,7 @@ from aridcal.fit.normal_equations import TINY
 from aridcal.fit.problem import problem
 from aridcal.fit.residual import moved_by
 from aridcal.inputs.dataset import Dataset
-from aridcal.instruments.catalogue import KINDS
+from aridcal.instruments.catalogue import labelled
 from aridcal.instruments.channels import columns, spread
 from aridcal.search.change_points import SIDE
 from aridcal.showing import SILENT, Progress
@@ -133,8 +133,9 @@ def _of_one_thing(rows: Dataset, white: np.ndarray) -> list[Clue]:
 
     Squares of its rows against those of all others by their ranks (Mann and Whitney 1947), which long tails do not upset.
     """
-    roles = [KINDS[block.kind].roles for block in rows.blocks]
-    names = np.where(rows.refers[:, 2] != "", rows.refers[:, 2], rows.refers[:, 0])
+    roles = [labelled(block.kind) for block in rows.blocks]
+    told = np.array([bool(own) for own in roles])[rows.block]
+    names = np.where(rows.refers[:, 2] != "", rows.refers[:, 2], np.where(told, rows.refers[:, 0], ""))
     title = np.array([own[-1].name if own else block.name for own, block in zip(roles, rows.blocks, strict=True)])
     labels, thing = np.unique(np.char.add(np.char.add(title[rows.block], " "), names), return_inverse=True)
     numbers = np.sum(white != 0.0, axis=1)

@@ -15,6 +15,7 @@ from scipy.stats import f as f_distribution
 from scipy.stats import wilcoxon
 
 from aridcal.effects.effect import Effect
+from aridcal.effects.sights import is_sight
 from aridcal.fit.normal_equations import accumulate
 from aridcal.instruments.channels import columns
 from aridcal.search.change_points import walk_instead
@@ -176,8 +177,9 @@ def judge(model: LinearModel, state: State, effect: Effect, found: Score, tested
         tested: Number of candidates among which it stood out.
     """
     tested += effect.looked if effect.hinted else 0
-    if effect.at is not None:  # the best of all rows at all places: both frames and each joint
-        tested += len(state.fold) * (len(model.own) + 2)
+    if effect.at is not None:  # the best of all rows at all places: both frames, each joint and each thing
+        places = {*model.own, "world_base", "tip_target", *(where for where, _ in model.slots)}
+        tested += len(state.fold) * len(places)
     p_value = min(1.0, found.p_value * tested)
 
     def judgement(gain: float, why: str) -> Judgement:
@@ -193,7 +195,7 @@ def judge(model: LinearModel, state: State, effect: Effect, found: Score, tested
     if share < (0.0 if known else LEAST):
         percent = 100 * max(share, 0.0)
         return judgement(share, f"reduces the cross-validated squared error by only {percent:.2g} %")
-    if model.thing is not None and effect.at is None:  # what happened while one place was measured is seen there alone
+    if model.thing is not None and _at_several(model, effect):
         whole = held_back(model, state, candidate, model.thing[state.used]).sum(axis=(1, 2))
         if whole[1] > whole[0]:
             return judgement(share, "does not hold at places that were held back whole")
@@ -216,6 +218,13 @@ def judge(model: LinearModel, state: State, effect: Effect, found: Score, tested
     return judgement(share, "")
 
 
+def _at_several(model: LinearModel, effect: Effect) -> bool:
+    """False for what is seen at one place alone: what happened while that was measured, and what is wrong with it."""
+    assert model.thing is not None
+    there = np.any(model.columns(effect), axis=(1, 2))
+    return effect.at is None and len(np.unique(model.thing[there])) > 1
+
+
 def _fitted(model: LinearModel, state: State, candidate: Active) -> np.ndarray:
     """A smooth candidate as the one column that fits best, shape (N, m, 1): of a narrow map few rows know anything."""
     total, precision = with_candidate(model, state, candidate)
@@ -224,8 +233,9 @@ def _fitted(model: LinearModel, state: State, candidate: Active) -> np.ndarray:
 
 
 def _sources(effect: Effect) -> list[str]:
-    """What an effect depends on, loads counted as the joints that make them."""
-    return [name.split(".")[0] if ".gravity_" in name else name for name in effect.covariates]
+    """What an effect depends on, loads counted as the joints that make them; places of the target, too, are the user's."""
+    named = (name for name in effect.covariates if not is_sight(name))
+    return [name.split(".")[0] if ".gravity_" in name else name for name in named]
 
 
 def _over_time(model: LinearModel, state: State, candidate: Active) -> float:
