@@ -268,6 +268,34 @@ def test_a_thing_that_only_held_out_rows_refer_to_is_scored_and_has_no_place(tmp
     assert line[1:6] == ["not told"] * 4 + ["60"]
 
 
+def test_an_effect_is_worth_at_a_place_held_out_what_a_fit_without_it_leaves_there(tmp_path: Path) -> None:
+    """The points of that place follow each model: they are no part of either, and held by those of the other they would err."""
+    arm = gauges.arm()
+    data = gauges.rows(arm, gauges.points(arm, pairs=4))
+    held = np.char.startswith(data.refers[:, 0], "a3/")
+    elbow = arm.robot.names.index("elbow_joint")
+    readings = data.readings.copy()
+    readings[:, elbow] += 5e-4 * np.sin(readings[:, elbow])
+    data = replace(data, readings=readings, test=held)
+    stated: dict[str, dict[str, object]] = {
+        "elbow_joint": {"kind": "joint_harmonic", "where": "elbow_joint", "order": 1},
+        "shoulder_lift_joint": {"kind": "joint_gain", "where": "shoulder_lift_joint"},
+    }
+
+    def fitted(*where: str) -> Outcome:
+        folder = tmp_path / "-".join(where)
+        folder.mkdir()
+        return gauges.outcome(folder, arm, data, effects=[stated[name] for name in where])
+
+    def error(residual: np.ndarray) -> float:
+        return float(np.sqrt(np.mean(np.sum(residual**2, axis=1))))
+
+    for effect in fitted(*stated).effects:
+        (other,) = set(stated) - {effect.effect.where}
+        # One Gauss-Newton step beside a fit to its end.
+        assert error(effect.before) == pytest.approx(error(fitted(other).stages[-1].residual[held]), rel=0.02)
+
+
 # ---- at the target ---------------------------------------------------------------------------------------------------
 
 
