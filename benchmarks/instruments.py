@@ -234,25 +234,28 @@ def causes(kind: str | None, runs: int, rows: int, seed: int) -> None:
     """Whether clean rows name no cause, and rounded joints theirs with its size."""
     step = np.radians(0.1)
     print(
-        f"{'kind':20} {'runs':>4} {'clean: named':>12} {'rounded: named':>14} {'all joints':>10} {'size over true':>20}"
+        f"{'kind':20} {'runs':>4} {'clean: named':>12} {'rounded: named':>14} {'all joints':>10} {'their size / true':>18}"
     )
     for way in [kind] if kind else WAYS:
-        clean, named, every, sizes = 0, 0, 0, [np.nan]
+        done, clean, named, sizes = 0, 0, 0, []
         for k in range(runs):
             keys, robot = scenario(way, "six", seed * 1000 + k, rows or 2 * rows_of(way))
-            one = made(noisy(keys), robot)
+            try:
+                one = made(noisy(keys), robot)
+            except AridcalError as fault:
+                print(f"  {way} {k}: {fault}")
+                continue
+            done += 1
             coarse = replace(one.rows, readings=np.round(one.rows.readings / step) * step)
             for data in (one.rows, coarse):
                 geometry = fit_constants(one.campaign, robot, data, ())
                 found = noise_causes(geometry.geometric, (), data)
                 further = () if found is None else found.further
-                if data is one.rows:
-                    clean += bool(further)
-                else:
-                    named, every = named + bool(further), every + (len(further) == len(robot.readings))
-                    sizes += [c.value * np.sqrt(12.0) / step for c in further if c.kind == "joint"][:1]
-        ends = f"{np.nanmin(sizes):.2f} to {np.nanmax(sizes):.2f}"
-        print(f"{way:20} {runs:4} {clean:12} {named:14} {every:10} {ends:>20}", flush=True)
+                clean, named = clean + bool(further and data is one.rows), named + bool(further and data is coarse)
+                if data is coarse and len(further) == len(robot.readings):
+                    sizes.append(min(c.value for c in further) * np.sqrt(12.0) / step)
+        ends = f"{min(sizes, default=np.nan):.2f} to {max(sizes, default=np.nan):.2f}"
+        print(f"{way:20} {done:4} {clean:12} {named:14} {len(sizes):10} {ends:>18}", flush=True)
 
 
 def draw_effect(joints: Sequence[str], load: dict[str, float], rng: np.random.Generator) -> dict[str, Any]:
