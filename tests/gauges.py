@@ -14,6 +14,7 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 from aridcal.fit.constants import constants
+from aridcal.head.detections import Read
 from aridcal.inputs.campaign import Campaign, load_campaign
 from aridcal.inputs.dataset import ROLES, Dataset, dataset
 from aridcal.instruments.catalogue import KINDS, labelled
@@ -282,5 +283,5 @@ def outcome(folder: Path, of: Arm, data: Dataset, **changes: object) -> Outcome:
     """The rows through the whole pipeline, as if they had been read from a file."""
     job = campaign(folder, of, data, **changes)
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(pipeline, "load_measurements", lambda *_, **__: data)
+        patched.setattr(pipeline, "read_rows", lambda job, *_: Read(job, data))
         return pipeline.identify(job)

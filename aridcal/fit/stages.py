@@ -112,7 +112,8 @@ def _start(
     campaign: Campaign, robot: Robot, train: Dataset, labels: tuple[str, ...], frames: tuple[Coefficient, ...]
 ) -> Model:
     """The nominal robot with its frames, and the things that its measurements refer to, where they begin."""
-    if np.isfinite(train.position).all():  # every row has measured its target's place
+    alone = len(train.blocks) < 2 and train.target is None
+    if alone and np.isfinite(train.position).all():  # every row has measured the place of one target
         best, _ = _starts(campaign, robot, train, labels)[0]
         return Model(robot, frames, *_placements(best, campaign, labels), instruments=train.instruments)
     bare = Model(robot, (), instruments=train.instruments)

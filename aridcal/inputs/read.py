@@ -27,7 +27,7 @@ from aridcal.inputs.quantities import POSITION, Source
 from aridcal.inputs.repeats import blocks, by_content
 from aridcal.inputs.split import draw_split, with_training_labels, with_training_rows
 from aridcal.inputs.tables import AnyTable, Remark, Table, read_tables
-from aridcal.inputs.things import RESERVED, Known, Rows, instruments_of, known_of
+from aridcal.inputs.things import Known, Rows, instruments_of, known_of, with_trackers
 from aridcal.instruments.catalogue import KINDS
 from aridcal.instruments.channels import TARGET_POSITION, TARGET_ROTATION, Channels
 from aridcal.instruments.setup import Block
@@ -335,23 +335,11 @@ def _targets_told(campaign: Campaign, rows: Dataset) -> Dataset:
 
 def _with_instruments(rows: Dataset, asked: _Asked) -> Dataset:
     """The rows with what is known of the things that they refer to."""
-    rows = _with_trackers(rows, asked.readings)
+    rows = replace(rows, refers=with_trackers(rows.refers, rows.blocks, rows.block, asked.readings))
     of_blocks = [Rows(KINDS[b.kind], rows.refers[rows.block == number]) for number, b in enumerate(rows.blocks)]
     made, remarks = instruments_of(asked.known, of_blocks, asked.readings, asked.fitted and asked.own_files)
     notices = [Remark(asked.campaign.path.name, None, "", "", remark) for remark in remarks]
     return replace(rows, instruments=made, notices=(*rows.notices, *notices))
-
-
-def _with_trackers(rows: Dataset, joints: Sequence[str]) -> Dataset:
-    """The rows with labels of the trackers of poses and positions: the name of the block, unless something has it already."""
-    taken = {*joints, *np.unique(rows.refers).tolist()}
-    titles = [
-        f"block {block.name}" if block.name in taken or RESERVED.fullmatch(block.name) else block.name
-        for block in rows.blocks
-    ]
-    label = np.array([title if b.kind in OF_TARGETS else "" for title, b in zip(titles, rows.blocks, strict=True)])
-    first = np.where(label[rows.block] != "", label[rows.block], rows.refers[:, 0])
-    return replace(rows, refers=np.column_stack([first, rows.refers[:, 1:]]))
 
 
 def _counted_on(table: Table) -> np.ndarray:
@@ -392,9 +380,8 @@ def _tables_of_blocks(campaign: Campaign, files: Sequence[AnyTable] | None) -> l
         most = [k for k in having if needed[k] == max(needed.values())]
         if len(most) != 1:
             titles = listed([campaign.blocks[k].title for k in most] or [block.title for block in campaign.blocks])
-            name = table if isinstance(table, str | Path) else "DataFrame"
             raise MeasurementError(
-                f"{name}: its columns fit {'several' if most else 'none'} of the blocks {titles}; give it the columns of "
+                f"{table if isinstance(table, str | Path) else 'DataFrame'}: its columns fit {'several' if most else 'none'} of the blocks {titles}; give it the columns of "
                 "one, and that one columns that no other has (`columns`)"
             )
         found.setdefault(most[0], []).append(table)

@@ -25,7 +25,7 @@ from aridcal.inputs.tables import read_tables
 from aridcal.inputs.yaml_file import LARGEST
 from aridcal.instruments.kind import Kind, Role
 from aridcal.instruments.pose import TRACKER
-from aridcal.instruments.setup import Instruments, Things, Tie
+from aridcal.instruments.setup import Block, Instruments, Things, Tie
 from aridcal.reading.files import TABLE, Limit
 from aridcal.reading.names import check_name
 
@@ -175,6 +175,23 @@ class Rows:
         """Labels of one role, shape (n,), or none."""
         names = [own.name for own in self.kind.roles]
         return self.refers[:, names.index(role)] if role in names else self.refers[:0, 0]
+
+
+def with_trackers(
+    refers: np.ndarray, blocks: Sequence[Block], block: np.ndarray, joints: Collection[str]
+) -> np.ndarray:
+    """What rows refer to, shape (N, 3), poses and positions to a tracker: their block's name, unless something has it already.
+
+    Args:
+        refers: Labels of everything else, shape (N, 3).
+        blocks: Of the rows.
+        block: Number of each row's, shape (N,).
+        joints: Names that no thing may have.
+    """
+    taken = {*joints, *np.unique(refers).tolist()}
+    own = [f"block {b.name}" if b.name in taken or RESERVED.fullmatch(b.name) else b.name for b in blocks]
+    label = np.array([name if b.kind in OF_TARGETS else "" for name, b in zip(own, blocks, strict=True)])[block]
+    return np.column_stack([np.where(label != "", label, refers[:, 0]), refers[:, 1:]])
 
 
 def instruments_of(

@@ -29,11 +29,12 @@ from aridcal.result.uncertainty import FAR, halves, outliers, precision, realign
 from aridcal.result.verdict import Verdict, decide, row_clues
 from aridcal.robot.chain import Robot, load_robot
 from aridcal.search.arm import CalibratedArm, calibrated_arm, fit_constants
-from aridcal.search.diagnose import CONFOUNDED, SEARCHED, Diagnosed
+from aridcal.search.diagnose import SEARCHED, Diagnosed
 from aridcal.search.gains import explain
 from aridcal.search.noise_causes import structured_notices
 from aridcal.search.noise_tests import Clue, clues
 from aridcal.search.residual_trends import trace
+from aridcal.search.scoring import CONFOUNDED
 from aridcal.showing import SILENT, Progress
 
 Judge = Callable[[Campaign, Robot, Dataset, Geometry | None], None]

@@ -20,7 +20,6 @@ from aridcal.fit.problem import problem
 from aridcal.inputs.campaign import Campaign
 from aridcal.inputs.dataset import Dataset
 from aridcal.model.standing import references
-from aridcal.search.change_points import best_steps
 from aridcal.search.exact import (
     FEWEST_PLACES,
     Start,
@@ -33,7 +32,7 @@ from aridcal.search.exact import (
 )
 from aridcal.search.hints import pairs
 from aridcal.search.linear_model import Active, LinearModel, State, activate, solve_state
-from aridcal.search.scoring import admitted, score_all
+from aridcal.search.scoring import with_declared
 from aridcal.search.stepwise import Found, confirmed, is_small, missed, rank, search, twins
 from aridcal.showing import SILENT, Progress
 
@@ -54,9 +53,6 @@ LARGE = 100.0
 
 RIVAL_SHARE = 0.5
 """Share of the best evidence on the linear model that a rival must have: less cannot win on the exact one."""
-
-CONFOUNDED = "it is confounded with what is fitted without it: no row tells them apart"
-"""Why a declared effect was left out."""
 
 FEW_PLACES = (
     f"at fewer than {FEWEST_PLACES} places nothing shows that a curve of free form holds elsewhere; measure at more"
@@ -166,7 +162,7 @@ def _diagnosed(
     if named:
         progress(f"testing {len(named)} known effects")
     sought = [d.at is None for d in campaign.effects]
-    state, lost = _with_declared(place, stated, sought, start.geometric)
+    state, lost = with_declared(place.linear, stated, sought, start.geometric)
     barred += lost
     stated = [a.effect for a in state.active]
     small = is_small(place.linear, named)
@@ -229,27 +225,6 @@ def _fitting(state: State) -> str:
     """Words for a refit."""
     count = len(state.active)
     return f"fitting {count} effect{'' if count == 1 else 's'}: {', '.join(a.effect.label for a in state.active[:4])}"
-
-
-def _with_declared(
-    place: Place, stated: Sequence[Effect], sought: Sequence[bool], geometric: Fit
-) -> tuple[State, list[Barred]]:
-    """The model with the declared effects, which need no evidence; a step for which no row was said is sought.
-
-    Those of which the rows tell nothing beside the constants, and the effects declared before, are left out and named.
-    """
-    lost = []
-    linear = place.linear
-    state = solve_state(linear, (), geometric.sigma, ~geometric.outliers)
-    for effect, anywhere in zip(stated, sought, strict=True):
-        if anywhere and effect.at is not None:
-            effect = next(iter(best_steps(linear, state, [effect])), effect)
-        if score_all(linear, [effect], state)[0].freedom == 0:
-            lost.append(Barred(f"{effect.label}, which is declared,", CONFOUNDED))
-            continue
-        active = (*state.active, admitted(linear, state, effect))
-        state = solve_state(linear, active, state.solution.sigma, state.used)
-    return state, lost
 
 
 def _searched(

@@ -14,13 +14,15 @@ from scipy.linalg import block_diag
 from scipy.stats import f as f_distribution
 from scipy.stats import wilcoxon
 
+from aridcal.effects.catalogue import Barred
 from aridcal.effects.effect import Effect
 from aridcal.effects.sights import is_sight
+from aridcal.fit.least_squares import Fit
 from aridcal.fit.normal_equations import accumulate
 from aridcal.instruments.channels import columns
-from aridcal.search.change_points import walk_instead
+from aridcal.search.change_points import best_steps, walk_instead
 from aridcal.search.evidence import SMOOTH_PRICE, Score, coefficients, price, score, shaped, smooth_tail, solve, tail
-from aridcal.search.linear_model import Active, LinearModel, State, activate, with_candidate
+from aridcal.search.linear_model import Active, LinearModel, State, activate, solve_state, with_candidate
 from aridcal.showing import SILENT, Progress
 
 ALPHA = 3e-4
@@ -44,6 +46,9 @@ PARTS = 5
 
 SHAPINGS = 4
 """Times that shape and noise of a smooth function are found in turn, at the most."""
+
+CONFOUNDED = "it is confounded with what is fitted without it: no row tells them apart"
+"""Why a declared effect was left out."""
 
 SHAPED = 0.02
 """Change of the logarithm of the noise that ends this."""
@@ -164,6 +169,26 @@ def admitted(model: LinearModel, state: State, effect: Effect) -> Active:
     """An effect that the campaign states, taken without trial, with the shape that suits the data if it is smooth."""
     rough = score_all(model, [effect], state)[0]
     return replace(activate(model, state, effect, refine(model, state, effect, rough)), stated=True)
+
+
+def with_declared(
+    linear: LinearModel, stated: Sequence[Effect], sought: Sequence[bool], geometric: Fit
+) -> tuple[State, list[Barred]]:
+    """The model with the declared effects, which need no evidence; a step for which no row was said is sought.
+
+    Those of which the rows tell nothing beside the constants, and the effects declared before, are left out and named.
+    """
+    lost = []
+    state = solve_state(linear, (), geometric.sigma, ~geometric.outliers)
+    for effect, anywhere in zip(stated, sought, strict=True):
+        if anywhere and effect.at is not None:
+            effect = next(iter(best_steps(linear, state, [effect])), effect)
+        if score_all(linear, [effect], state)[0].freedom == 0:
+            lost.append(Barred(f"{effect.label}, which is declared,", CONFOUNDED))
+            continue
+        active = (*state.active, admitted(linear, state, effect))
+        state = solve_state(linear, active, state.solution.sigma, state.used)
+    return state, lost
 
 
 def judge(model: LinearModel, state: State, effect: Effect, found: Score, tested: int) -> Judgement:
