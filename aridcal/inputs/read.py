@@ -92,8 +92,8 @@ def load_measurements(
         MeasurementError: a file cannot be read, lacks columns, is not in the stated units, has two orientations that
             disagree, or has no usable row; or a station that needs a frame of its own has held-out rows only.
     """
-    own = files is None
-    asked = _Asked(campaign, tuple(readings), limits, tuple(kinds), seed, require_pose, fitted, own, known_of(campaign))
+    known, own = known_of(campaign), files is None
+    asked = _Asked(campaign, tuple(readings), limits, tuple(kinds), seed, require_pose, fitted, own, known)
     of_blocks = _tables_of_blocks(campaign, files)
     parts = [_block(asked, number, tables, alone=len(campaign.blocks) == 1) for number, tables in of_blocks]
     if not parts[0].rows.blocks:
@@ -209,19 +209,9 @@ def _block(asked: _Asked, number: int, tables: Sequence[AnyTable], alone: bool) 
 def _without_rows(like: _Part, settings: MeasurementSettings) -> _Part:
     """A block that rows which are scored only are none of: its channels keep their places among those of the model."""
     channels, sigma = _channels(settings)
-    rows = replace(
-        like.rows.select(np.zeros(0, dtype=int)),
-        files=(),
-        sha256="",
-        refused=(),
-        notices=(),
-        channels=channels,
-        sigma=sigma,
-        rotation=None,
-        split_given=True,
-        blocks=(Block(settings.title, settings.kind, channels, sigma),),
-    )
-    return _Part(rows, RowNoise())
+    made = Block(settings.title, settings.kind, channels, sigma)
+    rows = replace(like.rows.select(np.zeros(0, dtype=int)), files=(), sha256="", refused=(), notices=(), rotation=None)
+    return _Part(replace(rows, channels=channels, sigma=sigma, split_given=True, blocks=(made,)), RowNoise())
 
 
 def _channels(settings: MeasurementSettings) -> tuple[Channels, tuple[float | None, ...]]:
@@ -380,8 +370,9 @@ def _tables_of_blocks(campaign: Campaign, files: Sequence[AnyTable] | None) -> l
         most = [k for k in having if needed[k] == max(needed.values())]
         if len(most) != 1:
             titles = listed([campaign.blocks[k].title for k in most] or [block.title for block in campaign.blocks])
+            what = f"{'several' if most else 'none'} of the blocks {titles}"
             raise MeasurementError(
-                f"{table if isinstance(table, str | Path) else 'DataFrame'}: its columns fit {'several' if most else 'none'} of the blocks {titles}; give it the columns of "
+                f"{table if isinstance(table, str | Path) else 'DataFrame'}: its columns fit {what}; give it the columns of "
                 "one, and that one columns that no other has (`columns`)"
             )
         found.setdefault(most[0], []).append(table)
