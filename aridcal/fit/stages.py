@@ -151,11 +151,10 @@ def nominal_sigma(campaign: Campaign, robot: Robot, rows: Dataset, labels: tuple
 
 
 def with_things_moved(geometric: Fit, final: Fit) -> Model | None:
-    """The geometric model with the things where effects of the final one have them; None if it has no such effects."""
+    """The geometric model with the things where effects of the final one have them always; None if it has no such effects."""
     model, instruments = geometric.model, final.model.instruments
-    moving = [
-        k for k in np.flatnonzero(final.model.at_things).tolist() if not final.model.coefficients[k].basis.constant
-    ]
+    at_things = np.flatnonzero(final.model.at_things).tolist()
+    moving = [k for k in at_things if final.model.coefficients[k].basis.form == "ones"]
     if not moving:
         return None
     states = {name: model.states.get(name, things.start).copy() for name, things in instruments.things.items()}
