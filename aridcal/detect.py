@@ -33,12 +33,12 @@ from aridcal.boards.options import BOARDS, TAGS, Defaults, add_board_options, as
 from aridcal.boards.patterns import AnyBoard, Cube
 from aridcal.boards.pictures import grey_image, listed_images
 from aridcal.command_line import CommandParser, command_parser, run
-from aridcal.errors import AridcalError, MeasurementError, OutputError, listed, printable, shortened
+from aridcal.errors import AridcalError, MeasurementError, listed, printable, shortened
 from aridcal.head.matching import NotMeasured
 from aridcal.inputs.instrument_settings import ArmCameraSettings
 from aridcal.inputs.tables import Table, read_tables
 from aridcal.reading.names import check_name, path_argument
-from aridcal.writing.files import atomic_table, check_writable, claimed
+from aridcal.writing.files import atomic_table, claimed_table
 
 BESIDE = CAMERA, REFUSED = CAMERA_FILE, "refused.csv"
 """Written beside the table."""
@@ -180,16 +180,11 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _main(arguments: argparse.Namespace) -> None:
     out: Path = arguments.out
-    if out.suffix.lower() != ".csv" or out.name == REFUSED:
-        raise OutputError(
-            f"{out}: should be a .csv file, and not {REFUSED}, which names the images that were not measured"
-        )
     check_name(arguments.camera, "--camera", AridcalError)
     options = chosen(arguments, arguments.board, KINDS)
     board = board_of(arguments.board, options)
     assert not isinstance(board, Cube)
-    check_writable(out, "file")
-    with claimed(out.parent, "folder", [out.name, *BESIDE]):
+    with claimed_table(out, BESIDE):
         known = known_camera(arguments.intrinsics, arguments.camera) if arguments.intrinsics else None
         joints = joint_rows(arguments.joints) if arguments.joints else None
         images = listed_images(arguments.images)

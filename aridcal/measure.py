@@ -19,7 +19,7 @@ from rich.progress import track
 from scipy.spatial.transform import Rotation
 
 from aridcal.command_line import CommandParser, command_parser, run
-from aridcal.errors import AridcalError, OutputError, printable, shortened
+from aridcal.errors import AridcalError, printable, shortened
 from aridcal.head.shots import THUMBNAIL, Measured, load, measure_shots
 from aridcal.head.sonar import contradictions
 from aridcal.inputs.head_settings import POSE_COLUMNS, HeadSettings, range_columns
@@ -27,7 +27,7 @@ from aridcal.inputs.quantities import STD
 from aridcal.inputs.tables import Table
 from aridcal.reading.names import path_argument
 from aridcal.report.html import Html, tag
-from aridcal.writing.files import atomic_table, check_writable, claimed
+from aridcal.writing.files import atomic_table, claimed_table
 
 BESIDE = REFUSED, SHEET = "refused.csv", "shots.html"
 """Written beside the table: the shots that were not measured, and a page with all images."""
@@ -134,12 +134,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _main(arguments: argparse.Namespace) -> None:
     out: Path = arguments.out
-    if out.suffix.lower() != ".csv" or out.name == REFUSED:
-        raise OutputError(
-            f"{out}: should be a .csv file, and not {REFUSED}, which names the shots that were not measured"
-        )
-    check_writable(out, "file")
-    with claimed(out.parent, "folder", [out.name, *BESIDE]):
+    with claimed_table(out, BESIDE):
         _measure(arguments.head, out)
 
 

@@ -4,6 +4,7 @@ Example:
     python benchmarks/instruments.py coverage --kind point --runs 200
     python benchmarks/instruments.py exact
     python benchmarks/instruments.py ranks
+    python benchmarks/instruments.py counts --runs 5
     python benchmarks/instruments.py starts --kind "eye in hand" --runs 100
     python benchmarks/instruments.py blind --kind distance --cases 50 --seed 1
     python benchmarks/instruments.py causes --kind distance --runs 50
@@ -18,6 +19,7 @@ Every campaign is simulated by ``aridcal simulate``'s own code, written to a fol
   that weak ones do not speak for all. No search.
 - ``exact``: rows never fitted, without noise, and where the target goes but for what the kind cannot know (a motion, a scale).
 - ``ranks``: how many numbers of the arm, its frames and its mounting each kind tells.
+- ``counts``: how far the prediction of rows never measured is off, against the number of rows, in sigmas of the instrument.
 - ``starts``: the noise that is left says whether a fit ended where it should.
 - ``causes``: what is named of noise in clean rows, and in the same with joints rounded to 0.1 degree. No search.
 - ``blind``: one undeclared effect a case, or none. The oracle is told the effect's kind and place.
@@ -185,6 +187,30 @@ def ranks(seed: int) -> None:
                     print(f"  {way} {family} {n}: {type(fault).__name__}: {str(fault)[:150]}")
             expected = "" if family == "arid" else theory(way, {"six": 6, "seven": 7}[family])
             print(f"{way:20} {family:6} {' '.join(told)} {expected:>7}  {THEORY[way][2]}", flush=True)
+
+
+COUNTS = (20, 40, 80, 160)
+
+
+def counts(kind: str | None, runs: int, seed: int) -> None:
+    """How many rows (images) make the calibration as good as the instrument: error of its prediction elsewhere."""
+    print(
+        f"{'kind':20} " + " ".join(f"{n:>6}" for n in COUNTS) + "  median error elsewhere over the instrument's noise"
+    )
+    for way in [kind] if kind else WAYS:
+        line, said = [], []
+        for n in COUNTS:
+            errors = []
+            for k in range(runs):
+                keys, robot = scenario(way, "six", seed * 1000 + k, n)
+                try:
+                    one = made(noisy(keys), robot)
+                    errors.append(_error(geometric(one), elsewhere(one, QUERIES)))
+                except (AridcalError, np.linalg.LinAlgError) as fault:
+                    said.append(f"  {way} {n} {k}: {type(fault).__name__}: {str(fault)[:160]}")
+            line.append(f"{np.median(errors):6.2f}" if errors else "     -")
+        print(f"{way:20} {' '.join(line)}", flush=True)
+        print("\n".join(said[:5]), end="\n" if said else "")
 
 
 def starts(kind: str | None, runs: int, seed: int) -> None:
@@ -422,7 +448,7 @@ def speed(rows: int, images: int, seed: int) -> None:
 def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument(
-        "name", choices=("coverage", "exact", "ranks", "starts", "causes", "blind", "together", "speed")
+        "name", choices=("coverage", "exact", "ranks", "counts", "starts", "causes", "blind", "together", "speed")
     )
     parser.add_argument("--kind", choices=tuple(WAYS))
     parser.add_argument("--runs", type=int, default=20)
@@ -435,6 +461,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         "coverage": lambda: coverage(asked.kind, asked.runs, asked.seed),
         "exact": lambda: exact(asked.seed),
         "ranks": lambda: ranks(asked.seed),
+        "counts": lambda: counts(asked.kind, asked.runs, asked.seed),
         "starts": lambda: starts(asked.kind, asked.runs, asked.seed),
         "causes": lambda: causes(asked.kind, asked.runs, asked.rows, asked.seed),
         "blind": lambda: blind(asked.kind, asked.cases, asked.seed),

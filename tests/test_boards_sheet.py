@@ -72,6 +72,12 @@ def test_all_fits_a_sheet_of_a4_inside_of_what_printers_reach(what):
     assert sorted(size) == [210, 297]
     points = np.concatenate([loop for group in loops for loop in group] + [discs[:, :2]])
     assert np.all(np.abs(points) < np.array(size) / 2 - 5)
+    for x, y, text in SHEETS[
+        what
+    ].texts:  # Helvetica's letters are up to 0.21 of their height below the line, 0.6 wide on average
+        assert x > 4.2 and y - 0.21 * 3 > 4.2 and x + 0.6 * 3 * len(text) < size[0] - 4.2 and y + 3 < size[1] - 4.2, (
+            text
+        )
 
 
 def test_opencv_finds_the_charuco_board_on_the_painted_page_where_the_markers_table_says():
@@ -151,6 +157,7 @@ def test_the_net_has_seven_tabs_five_folds_between_faces_and_seven_free_edges():
     assert sorted(len(cut) for cut in sheet.cuts) == [2] * 7 + [4] * 7
     middles = {tuple(np.round(fold.mean(axis=0), 6)) for fold in sheet.folds}
     assert len(middles) == 12  # the cube's edges: five in the net, seven glued
+    assert len(sheet.folds) == 12  # dashes over dashes are no dashes
 
 
 def test_a_markers_ink_is_opencvs_bitmap():

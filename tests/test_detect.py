@@ -1,6 +1,7 @@
 """Printed boards in photographs with known truth: where their marks are, what is refused, and what the command writes."""
 
 import shutil
+from contextlib import suppress
 from pathlib import Path
 
 import cv2
@@ -10,7 +11,8 @@ import pytest
 from photographs import INTRINSICS, SIZE, looking, photograph, pixels_of
 
 from aridcal.boards.camera_file import known_camera
-from aridcal.boards.finders import find
+from aridcal.boards.finders import Found, find
+from aridcal.boards.lens import estimate
 from aridcal.boards.options import ALL_BOARDS, board_of
 from aridcal.boards.patterns import FACES, Cube, Tags, drawing, marks
 from aridcal.boards.sheet import on_paper, svg
@@ -60,6 +62,48 @@ def test_marks_are_found_under_their_names_to_a_tenth_of_a_pixel(what, view):
     )
     assert np.sqrt(np.mean(off**2)) < 0.1
     assert off.max() < (0.25 if what == "cube" else 0.1)
+
+
+def drawn_camera(rng: np.random.Generator) -> tuple[np.ndarray, tuple[int, int]]:
+    """Some webcam of 640 x 480 pixels, its lens a barrel or a cushion."""
+    f = rng.uniform(560, 900)
+    middle = np.array([319.5, 239.5]) + rng.uniform(-15, 15, 2)
+    bend = rng.uniform(-0.3, 0.1), rng.uniform(-0.05, 0.1), *rng.uniform(-1e-3, 1e-3, 2), 0.0
+    return np.array([f, f * rng.uniform(0.99, 1.01), *middle, *bend]), (640, 480)
+
+
+def circles_seen(seed: int, views: int, **light: float) -> tuple[list[Found], list[np.ndarray], np.ndarray]:
+    """Grids of circles as a drawn camera sees them, how far each circle is from where OpenCV projects it, and the camera."""
+    rng = np.random.default_rng([7, seed])
+    camera, size = drawn_camera(rng)
+    seen, off = [], []
+    for k in range(views):
+        away = camera[0] / 640 * rng.uniform(0.4, 0.5)
+        T = looking(*rng.uniform(-0.02, 0.02, 2), away, *rng.uniform(-0.7, 0.7, 2), rng.uniform(-3, 3))
+        with suppress(NotMeasured):  # a board that reaches out of the image
+            seen.append(
+                find(photograph(PRINTED["circles"], T, camera, size, seed=100 * seed + k, **light), BOARDS["circles"])
+            )
+            off.append(seen[-1].pixels - pixels_of(seen[-1].places, T, camera))
+    return seen, off, camera
+
+
+def test_a_bent_lens_moves_no_circle():
+    """Without the lens's share of the shift the worst circle is 0.03 px off, and all together look like a longer focal length."""
+    off = np.concatenate([circle for k in range(6) for circle in circles_seen(k, 3, blur=0.5, noise=0)[1]])
+    assert len(off) > 12 * 44
+    assert np.abs(off).max() < 0.01 and np.sqrt(np.mean(off**2)) < 0.003
+
+
+def test_the_focal_length_from_circles_is_within_three_of_its_sigmas_for_every_camera():
+    scores = []
+    for k in range(20):
+        seen, _, camera = circles_seen(k, 6)
+        lens = estimate(seen, (640, 480))
+        scores.append((lens.intrinsics[:2] - camera[:2]) / lens.std[:2])
+    assert np.abs(scores).max() < 3
+    # Neither too small nor too large: 20 independent draws, as fx and fy go together, scatter by a sixth of it.
+    assert 0.6 < np.sqrt(np.mean(np.square(scores))) < 1.4
 
 
 @pytest.mark.parametrize("what", BOARDS)

@@ -13,7 +13,7 @@ import pytest
 from aridcal.command_line import run
 from aridcal.errors import AridcalError, OutputError
 from aridcal.writing import disk
-from aridcal.writing.files import atomic_file, atomic_folder, check_home, check_writable
+from aridcal.writing.files import atomic_file, atomic_folder, check_home, check_writable, claimed_table
 
 not_root = pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
 
@@ -172,3 +172,15 @@ def test_an_interruption_during_the_last_moves_waits_until_they_are_done(tmp_pat
     assert run(body) == 128 + number
     monkeypatch.undo()
     assert contents(tmp_path) in ({"results/a.txt": "new"}, {"results/a.txt": "old"})
+
+
+@pytest.mark.parametrize("name", ["corners.txt", "corners", "refused.csv"])
+def test_a_table_is_a_csv_file_and_none_of_those_beside_it(name, tmp_path):
+    with (
+        pytest.raises(OutputError, match=f"{name}: .*refused.csv"),
+        claimed_table(tmp_path / "new" / name, ["refused.csv"]),
+    ):
+        pytest.fail("the work has begun")
+    assert list(tmp_path.iterdir()) == []
+    with claimed_table(tmp_path / "new" / "corners.csv", ["refused.csv"]):
+        pass

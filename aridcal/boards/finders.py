@@ -23,7 +23,8 @@ from aridcal.boards.patterns import (
     modules,
     tag_names,
 )
-from aridcal.boards.profiles import blurs, profiles, refined_quad, side_lines
+from aridcal.boards.planes import BentPlane, bent_plane, centre_of_area, homography, local, mapped
+from aridcal.boards.profiles import CONTRAST, blurs, profiles, refined_quad, side_lines
 from aridcal.head.charuco import MIN_CORNERS, Board
 from aridcal.head.matching import NotMeasured, spans_plane
 
@@ -46,6 +47,9 @@ MIRRORED = "the markers are mirrored: switch off the mirror image of the camera'
 
 # Radius around a circle's centre within which its light is weighed, in its radii, and share of its contrast that is noise.
 AROUND, DARK_ENOUGH = 1.6, 0.05
+
+# Corners of a circle's outline, [rad]: so many that the centre of its area is exact to 1e-4 px.
+ROUND = np.linspace(0, 2 * np.pi, 64, endpoint=False)
 
 # Half the window in which a corner of a chessboard is sought, in sides of a square: a ChArUco board's markers begin near it.
 WINDOW, WINDOW_BESIDE_MARKERS = 0.3, 0.85
@@ -196,7 +200,7 @@ def misplaced(numbers: np.ndarray, quads: np.ndarray, board: Board) -> float:
         return np.inf
     corners = np.asarray(drawn.getObjPoints(), dtype=float)[numbers[own], :, :2] / board.square
     # From pixels to squares, so that a fit that maps all to one place is a bad one.
-    _, off = _homography(quads[own].reshape(-1, 2), corners.reshape(-1, 2))
+    _, off = homography(quads[own].reshape(-1, 2), corners.reshape(-1, 2))
     return off
 
 
@@ -215,9 +219,9 @@ def _find_grid(image: np.ndarray, board: Chessboard | Circles) -> Found:
     if not seen or pixels is None or len(pixels) != len(places):
         raise NotMeasured(f"{what} is seen whole")
     grid = np.asarray(pixels, dtype=float).reshape(rows, columns, 2)
-    pixels, H = _turned(image, grid, board)
+    pixels = _turned(image, grid, board)
     if isinstance(board, Circles):
-        pixels = _circle_centres(image, pixels, H, board)
+        pixels = _circle_centres(image, pixels, board)
     else:
         seen_grid = pixels.reshape(rows, columns, 2)
         _refuse_blurred_board(image, seen_grid)
@@ -250,7 +254,7 @@ def find_circles(
     return False, None
 
 
-def _turned(image: np.ndarray, grid: np.ndarray, board: Chessboard | Circles) -> tuple[np.ndarray, np.ndarray]:
+def _turned(image: np.ndarray, grid: np.ndarray, board: Chessboard | Circles) -> np.ndarray:
     """Name the marks as they are printed: OpenCV may begin at any corner.
 
     Four ways to begin keep rows and columns. Two of them are mirrored. Of the other two one fits: a grid's rows alternate, and a
@@ -262,72 +266,87 @@ def _turned(image: np.ndarray, grid: np.ndarray, board: Chessboard | Circles) ->
         board: That they are of.
 
     Returns:
-        The marks in the order of the board's, shape (M, 2), and the homography from the board, y up, to pixels.
+        The marks in the order of the board's, shape (M, 2).
     """
     places = flat_places(board)[:, :2]
     ways = []
     for turned in (grid, grid[::-1, ::-1], grid[::-1], grid[:, ::-1]):
         pixels = turned.reshape(-1, 2)
-        H, off = _homography(places, pixels)
-        if H is None or np.linalg.det(_local(H, np.zeros(2))) > 0:  # y up to v down turns the sense round
+        H, off = homography(places, pixels)
+        if H is None or np.linalg.det(local(H, np.zeros(2))) > 0:  # y up to v down turns the sense round
             continue
         wrong = 0.0
         if isinstance(board, Chessboard):
             steps = board.square * np.array([[-0.5, 0.5], [0.5, 0.5]])
-            black, white = _mapped(H, places[0] + steps)
+            black, white = mapped(H, places[0] + steps)
             wrong = _grey(image, black) - _grey(image, white)
-        ways.append((wrong if isinstance(board, Chessboard) else off, pixels, H))
+        ways.append((wrong if isinstance(board, Chessboard) else off, pixels))
     if not ways:
         raise NotMeasured("the marks do not lie as on the board")
-    _, pixels, H = min(ways, key=lambda way: way[0])
-    return pixels, H
+    return min(ways, key=lambda way: way[0])[1]
 
 
-def _circle_centres(image: np.ndarray, pixels: np.ndarray, H: np.ndarray, board: Circles) -> np.ndarray:
-    """Images of the circles' centres: the centre of light of each, less what perspective shifts it by.
+def _circle_centres(image: np.ndarray, pixels: np.ndarray, board: Circles) -> np.ndarray:
+    """Images of the circles' centres: the centre of light of each, less what perspective and lens shift it by.
 
-    A circle on the board is a conic C, its image the conic inv(H)' C inv(H), whose centre is not the image of the circle's.
+    The centre of the image's area is not the image of the circle's centre: perspective makes the part larger that is nearer,
+    and a lens that bends lines changes sizes across the circle, too.
 
     Raises:
         NotMeasured: circles are blurred.
     """
     places = flat_places(board)[:, :2]
     radius = CIRCLE * np.sqrt(2) * board.half / 2
-    inverse = np.linalg.inv(H)
     height, width = image.shape
-    centres = []
-    for place, pixel in zip(places, pixels, strict=True):
-        size = np.sqrt(abs(np.linalg.det(_local(H, place)))) * radius
-        reach = int(np.ceil(3 * AROUND * size))
-        u, v = np.round(pixel).astype(int)
-        left, right, upper, lower = (
-            max(u - reach, 0),
-            min(u + reach + 1, width),
-            max(v - reach, 0),
-            min(v + reach + 1, height),
-        )
-        uv = np.stack(np.meshgrid(np.arange(left, right), np.arange(upper, lower)), axis=-1).astype(float)
-        away = np.linalg.norm(_mapped(inverse, uv.reshape(-1, 2)) - place, axis=1).reshape(uv.shape[:2]) / radius
-        near, rim = away < AROUND, (away > 0.9 * AROUND) & (away < 1.15 * AROUND)
-        grey = image[upper:lower, left:right].astype(float)
-        dark = grey[away < 0.5]
-        if rim.sum() < 8 or not len(dark):
-            raise NotMeasured("the circles are too small")
-        paper, ink = np.median(grey[rim]), np.median(dark)
-        share = np.clip((paper - grey) / (paper - ink), 0, 1)
-        weight = np.where(near & (share > DARK_ENOUGH), share, 0.0)
-        light = (weight[..., None] * uv).sum(axis=(0, 1)) / weight.sum()
-        x, y = place
-        conic = np.array([[1, 0, -x], [0, 1, -y], [-x, -y, x * x + y * y - radius**2]])
-        image_conic = inverse.T @ conic @ inverse
-        of_ellipse = -np.linalg.solve(image_conic[:2, :2], image_conic[:2, 2])
-        centres.append(light - of_ellipse + _mapped(H, place[None])[0])
+    plane = bent_plane(places, pixels, (width, height))
+    around = radius * np.column_stack([np.cos(ROUND), np.sin(ROUND)])
+    rims = np.array([plane.pixels(place + around) for place in places])
+    shifts = centre_of_area(rims) - plane.pixels(places)
+    sizes = np.linalg.norm(rims - pixels[:, None], axis=2).mean(axis=1)
+    light = [
+        _centre_of_light(image, plane, place, pixel, radius, int(np.ceil(3 * AROUND * size)))
+        for place, pixel, size in zip(places, pixels, sizes, strict=True)
+    ]
     directions = 2 * radius * np.array([[1.0, 0], [0, 1], [-1, 0], [0, -1]])
-    ends = np.concatenate([_mapped(H, places + direction) for direction in directions])
-    starts = np.tile(_mapped(H, places), (len(directions), 1))
+    ends = np.concatenate([plane.pixels(places + direction) for direction in directions])
+    starts = np.tile(plane.pixels(places), (len(directions), 1))
     size = float(np.median(np.linalg.norm(ends - starts, axis=1))) / 2
     _refuse_blur(image, starts, ends, BLURRED_CIRCLE * size)
-    return np.array(centres)
+    return np.array(light) - shifts
+
+
+def _centre_of_light(
+    image: np.ndarray, plane: BentPlane, place: np.ndarray, pixel: np.ndarray, radius: float, reach: int
+) -> np.ndarray:
+    """Centre of what is dark of a disc on a plane, [px].
+
+    Args:
+        image: Grey levels.
+        plane: As it is seen.
+        place: Of the disc's centre on it.
+        pixel: Near which it is seen.
+        radius: Of the disc.
+        reach: Half the side of the window that holds all around it, [px].
+
+    Raises:
+        NotMeasured: the disc is too small, or ink and paper look alike.
+    """
+    height, width = image.shape
+    u, v = np.round(pixel).astype(int)
+    left, right = max(u - reach, 0), min(u + reach + 1, width)
+    upper, lower = max(v - reach, 0), min(v + reach + 1, height)
+    uv = np.stack(np.meshgrid(np.arange(left, right), np.arange(upper, lower)), axis=-1).reshape(-1, 2).astype(float)
+    away = np.linalg.norm(plane.places(uv) - place, axis=1) / radius
+    near, rim, inside = away < AROUND, (away > 0.9 * AROUND) & (away < 1.15 * AROUND), away < 0.5
+    grey = image[upper:lower, left:right].ravel().astype(float)
+    if rim.sum() < 8 or not inside.any():
+        raise NotMeasured("the circles are too small")
+    paper, ink = np.median(grey[rim]), np.median(grey[inside])
+    if paper - ink < CONTRAST:
+        raise NotMeasured("the circles are too faint: light the board better")
+    share = np.clip((paper - grey) / (paper - ink), 0, 1)
+    weight = np.where(near & (share > DARK_ENOUGH), share, 0.0)
+    return np.asarray(weight @ uv / weight.sum())
 
 
 def _refuse_blurred_board(image: np.ndarray, grid: np.ndarray) -> None:
@@ -358,26 +377,6 @@ def _refuse_blur(image: np.ndarray, starts: np.ndarray, ends: np.ndarray, most: 
     worst = float(np.percentile(blur, 90)) if len(blur) else np.inf
     if worst > most:
         raise NotMeasured(f"the image is blurred, by {worst:.1f} px: hold the arm still, focus, or light it better")
-
-
-def _homography(places: np.ndarray, pixels: np.ndarray) -> tuple[np.ndarray | None, float]:
-    """Least squares homography from places to pixels, each of shape (M, 2), and its RMS misfit in units of the latter."""
-    H, _ = cv2.findHomography(places, pixels, 0)
-    if H is None or not np.isfinite(H).all():
-        return None, np.inf
-    return H, float(np.sqrt(np.mean(np.sum((_mapped(H, places) - pixels) ** 2, axis=1))))
-
-
-def _mapped(H: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """Places, shape (M, 2), under a homography."""
-    images = np.column_stack([places, np.ones(len(places))]) @ H.T
-    return images[:, :2] / images[:, 2:]
-
-
-def _local(H: np.ndarray, place: np.ndarray) -> np.ndarray:
-    """Derivative of a homography at a place, shape (2, 2)."""
-    u, v, w = H @ np.array([place[0], place[1], 1.0])
-    return (H[:2, :2] - np.outer([u / w, v / w], H[2, :2])) / w
 
 
 def _grey(image: np.ndarray, place: np.ndarray) -> float:

@@ -289,7 +289,7 @@ def _net(cube: Cube) -> Sheet:
                 cuts.append(np.array([ends[0], outer[0], outer[1], ends[1]]))
             elif not opposite:
                 cuts.append(ends)
-            if opposite or (face, direction) in _TABS:
+            if (opposite and sum(direction) > 0) or (face, direction) in _TABS:  # once, though two faces have it
                 folds.append(ends)
     return Sheet((4 * side + tab, 3 * side + 2 * tab), ink, cuts=cuts, folds=np.array(folds))
 

@@ -26,10 +26,10 @@ PAPERS = {"A4": (210.0, 297.0), "A3": (297.0, 420.0), "A2": (420.0, 594.0), "A1"
 MARGIN = 17.0
 
 # [mm] from the paper's edge to a ruler; its length, or a tenth of it where the sheet is short; its marks.
-RULER_AT, RULER, RULER_STEP, RULER_MARK = 8.0, 100.0, 10.0, 3.0
+RULER_AT, RULER, RULER_STEP, RULER_MARK = 8.5, 100.0, 10.0, 3.0
 
-# Height of letters, [mm].
-LETTERS = 3.0
+# Height of letters, and what of it is below their line, [mm]; [mm] at the paper's edge that printers leave white.
+LETTERS, BELOW, UNREACHED = 3.0, 0.7, 4.5
 
 # A quarter of a circle as a Bézier curve: its control points lie so many radii along the tangents.
 QUARTER = 4 / 3 * (np.sqrt(2) - 1)
@@ -99,7 +99,7 @@ def _rulers(size: tuple[float, float]) -> tuple[list[np.ndarray], list[tuple[flo
             corners = np.array([[x, y], [x + width, y], [x + width, y + high], [x, y + high]])
             marks.append(corners[::-1, ::-1] if axis else corners)
         said = f"{length:g} mm" if axis else f"{length:g} mm from end to end, if printed at 100 %: measure both rulers"
-        place = (2 * RULER_AT, RULER_AT - LETTERS - 1) if axis == 0 else (RULER_AT / 4, 2 * RULER_AT + length + 2)
+        place = (2 * RULER_AT, UNREACHED + BELOW) if axis == 0 else (UNREACHED, 2 * RULER_AT + length + 2)
         texts.append((*place, said))
     return marks, texts
 

@@ -106,6 +106,24 @@ def claimed(path: Path, kind: Kind, names: Collection[str] = ()) -> Iterator[Non
 
 
 @contextmanager
+def claimed_table(path: Path, beside: Sequence[str]) -> Iterator[None]:
+    """Take a table and the files that belong to it for this process until the block ends, before any work is done for them.
+
+    Args:
+        path: The table.
+        beside: Names of the other files, in the same folder.
+
+    Raises:
+        OutputError: the table is no .csv file or would replace one of the others, or cannot be written.
+    """
+    if path.suffix.lower() != ".csv" or path.name in beside:
+        raise OutputError(f"{path}: should be a .csv file, and not {' or '.join(beside)}, written beside it")
+    check_writable(path, "file")
+    with claimed(path.parent, "folder", [path.name, *beside]):
+        yield
+
+
+@contextmanager
 def atomic_file(path: Path) -> Iterator[Path]:
     """Write a file that appears whole or not at all. A link stays a link, and permissions stay.
 
