@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import solve_triangular
 from scipy.special import logsumexp
 from scipy.stats import ncx2
 
@@ -13,7 +14,7 @@ from aridcal.fit.problem import problem
 from aridcal.inputs.dataset import Dataset
 from aridcal.model.model import Rows
 from aridcal.result.saved_model import SavedModel, SolvedModel
-from aridcal.service.evidence import TIMES, Alarm, Likely, Question, alarm, evidence, likely
+from aridcal.service.evidence import TIMES, Alarm, Question, alarm, covariance_of, evidence, likely
 from aridcal.service.new_rows import Noise, known_noise
 from aridcal.service.suspects import Suspect, suspects, widened
 
@@ -134,6 +135,7 @@ def asked(wide: SolvedModel, rows: Dataset, noise: Noise) -> Question:
         freedom=noise.freedom_of(rows.channels),
         times=1.0,
         dropped=np.zeros(len(rows), dtype=bool),
+        begin=wide.theta,
     )
 
 
@@ -152,14 +154,14 @@ def check(saved: SavedModel, rows: Dataset, tolerance: float | None = None) -> C
     wide, noise = widened(saved.final), known_noise(saved, rows)
     every = suspects(wide, rows)
     start = question = asked(wide, rows, noise)
-    first = rest = alarm(question, [s.directions for s in every])
+    first = rest = alarm(question, every)
     causes: list[Cause] = []
     left = list(every)
     while rest.p_value < FALSE_ALARMS and len(causes) < MOST_CAUSES:
         cause, question = _next(saved, question, left, rows)
         causes.append(cause)
         left = [s for s in left if s is not cause.suspect]
-        rest = alarm(question, [s.directions for s in left])
+        rest = alarm(question, left)
     residual = start.problem.residual(wide.theta)
     error = bounds(residual[:, :3], float(noise.sigma[0]))
     return Checked(rows, wide, noise, residual, first, tuple(causes), rest, question, error, tolerance)
@@ -169,17 +171,17 @@ def _next(saved: SavedModel, question: Question, left: Sequence[Suspect], rows: 
     """The most probable of all that could explain the rows, and the rows with it allowed for."""
     found = []
     for suspect in left:
-        free = question.with_moved(suspect.directions, suspect.sizes[-1])
+        free = question.with_moved(suspect, suspect.sizes[-1])
         place = likely(free)
-        seen = evidence(question, place.r, place.J, place.J @ suspect.directions, suspect.sizes)
-        size = FREE * suspect.sizes[seen.best[0]]
+        B = place.J @ suspect.directions
+        before = replace(place, known=place.J @ question.covariance @ place.J.T)
+        seen = evidence(before, question.times, B, suspect.sizes)
+        size = min(FREE * suspect.sizes[seen.best[0]], suspect.sizes[-1])
         times = question.times * TIMES[seen.best[1]]
-        freed = replace(question.with_moved(suspect.directions, size), times=times)
+        freed = replace(question.with_moved(suspect, size), times=times)
         found.append((seen.total, Cause(suspect.kind, suspect.where, suspect.words, 0.0, suspect, size), freed))
     here = likely(question)
-    r, J = here.r, here.J
-    none = np.zeros((len(r), 0))
-    still = evidence(question, r, J, none, (1.0,))
+    still = evidence(here, question.times, np.zeros((len(here.r), 0)), (1.0,))
     worse = int(np.argmax(still.density[0, 1:])) + 1
     times = TIMES[worse] * question.times
     words = f"the scatter of the rows, {times:g} times what was expected (instrument, target or reading, no part of the arm)"
@@ -187,9 +189,9 @@ def _next(saved: SavedModel, question: Question, left: Sequence[Suspect], rows: 
     found.append((scattered, Cause("noise", "rows", words, 0.0), replace(question, times=times)))
     numbers, count = len(question.sigma), int((~question.dropped).sum())
     for place_, row in enumerate(np.flatnonzero(~question.dropped).tolist()):
-        own = np.zeros((len(r), numbers))
+        own = np.zeros((len(here.r), numbers))
         own[place_ * numbers : (place_ + 1) * numbers] = np.eye(numbers)
-        seen = evidence(question, r, J, own, GROSS)
+        seen = evidence(here, question.times, own, GROSS)
         dropped = question.dropped.copy()
         dropped[row] = True
         line = str(rows.line[row])
@@ -202,7 +204,7 @@ def _next(saved: SavedModel, question: Question, left: Sequence[Suspect], rows: 
     if cause.suspect is None:
         return cause, freed
     alike = _alike(freed, cause.suspect, question, left)
-    telling = _telling(saved, likely(freed), likely(alike[0][1]), freed) if alike else None
+    telling = _telling(saved, freed, alike[0][1]) if alike else None
     return replace(cause, alike=tuple(s.words for s, _ in alike), telling=telling), freed
 
 
@@ -214,7 +216,7 @@ def _alike(
     found = []
     for suspect in left:
         if suspect is not named:
-            other = replace(question.with_moved(suspect.directions, suspect.sizes[-1]), times=freed.times)
+            other = replace(question.with_moved(suspect, suspect.sizes[-1]), times=freed.times)
             squares = _squares(other)
             if squares < reference + ALIKE:
                 found.append((squares, suspect, other))
@@ -224,11 +226,11 @@ def _alike(
 def _squares(question: Question) -> float:
     """Squares that the most likely coefficients leave, those of what was known beforehand included."""
     place = likely(question)
-    S = question.times**2 * np.eye(len(place.r)) + place.J @ question.covariance @ place.J.T
-    return float(place.r @ np.linalg.solve(S, place.r))
+    z = solve_triangular(place.root(question.times), place.r, lower=True)
+    return float(z @ z)
 
 
-def _telling(saved: SavedModel, one: Likely, other: Likely, question: Question) -> np.ndarray | None:
+def _telling(saved: SavedModel, question: Question, other: Question) -> np.ndarray | None:
     """Readings (columns,) at which two explanations differ most, of some within what was calibrated; None if too little."""
     model = question.problem.model
     robot = model.robot
@@ -244,8 +246,10 @@ def _telling(saved: SavedModel, one: Likely, other: Likely, question: Question) 
     )
     _, _, J = model.jacobian(question.theta, rows)
     J = J[:, : len(question.sigma)] / (question.times * question.sigma)[:, None]
-    apart = J @ (one.theta - other.theta)
-    sure = np.eye(J.shape[1]) + J @ (0.5 * (one.covariance + other.covariance)) @ J.transpose(0, 2, 1)
+    places = likely(question), likely(other)
+    apart = J @ (places[0].theta - places[1].theta)
+    covariance = 0.5 * (covariance_of(question, places[0]) + covariance_of(other, places[1]))
+    sure = np.eye(J.shape[1]) + J @ covariance @ J.transpose(0, 2, 1)
     distance = np.einsum("ni,ni->n", apart, np.linalg.solve(sure, apart[:, :, None])[:, :, 0])
     best = int(np.argmax(distance))
     return readings[best] if distance[best] > TELLS**2 else None

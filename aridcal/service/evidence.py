@@ -12,6 +12,7 @@ where the suspect, free to move, has its most likely value, and r becomes :math:
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,6 +21,8 @@ from scipy.special import logsumexp
 from scipy.stats import f as f_distribution
 
 from aridcal.fit.problem import Problem
+from aridcal.service.realign import frame_start
+from aridcal.service.suspects import Suspect
 
 TIMES = (1.0, 1.3, 1.7, 2.2, 3.0, 4.0, 6.0, 10.0)
 """Times the known noise that new rows may scatter by: another day, another operator, ten times a broken instrument."""
@@ -32,8 +35,8 @@ LOG_WEIGHTS = np.log(np.r_[AS_KNOWN, np.full(len(TIMES) - 1, (1.0 - AS_KNOWN) / 
 STEPS = 30
 """Gauss-Newton steps at the most; a zero that is off by a radian takes seven."""
 
-SETTLED = 1e-10
-"""[m] and [rad] of a step that is rounding."""
+SETTLED = 1e-3
+"""Sigmas of any number measured by which the last step moves its prediction."""
 
 RANK = 1e-6
 """Share of the largest singular value of a suspect's columns below which the rows do not see a direction."""
@@ -51,6 +54,7 @@ class Question:
         freedom: Degrees of freedom behind these.
         times: The noise that is accepted, in units of the known.
         dropped: Rows that count no more, shape (N,) bool.
+        begin: Where to look for the most likely coefficients, shape (K,).
     """
 
     problem: Problem
@@ -60,6 +64,7 @@ class Question:
     freedom: float
     times: float
     dropped: np.ndarray
+    begin: np.ndarray
 
     def at(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Residuals (n,) and columns (n, K) of the rows that count, in sigmas."""
@@ -69,9 +74,11 @@ class Question:
         J = pieces.J[kept] / self.sigma[:, None]
         return r.ravel(), J.reshape(-1, J.shape[2])
 
-    def with_moved(self, directions: np.ndarray, size: float) -> Question:
-        """The same with a change along directions (K, d) of some size as likely as none."""
-        return replace(self, covariance=self.covariance + size**2 * directions @ directions.T)
+    def with_moved(self, suspect: Suspect, size: float) -> Question:
+        """The same with a change of a suspect, of some size, as likely as none."""
+        D = suspect.directions
+        begin = frame_start(self.problem, self.begin, suspect)
+        return replace(self, covariance=self.covariance + size**2 * D @ D.T, begin=begin)
 
 
 @dataclass(frozen=True)
@@ -80,37 +87,53 @@ class Likely:
 
     Attributes:
         theta: Shape (K,).
-        covariance: Shape (K, K).
         r: Residuals of the rows about the calibration, to first order about ``theta``, in sigmas, shape (n,).
         J: Columns there, shape (n, K).
+        known: Covariance of r that is not noise, J Sigma J', shape (n, n).
     """
 
     theta: np.ndarray
-    covariance: np.ndarray
     r: np.ndarray
     J: np.ndarray
+    known: np.ndarray
+
+    def root(self, times: float) -> np.ndarray:
+        """Lower Cholesky factor of what r scatters by with so many times the known noise, shape (n, n)."""
+        return np.linalg.cholesky(times**2 * np.eye(len(self.r)) + self.known)
 
 
-def likely(question: Question) -> Likely:
+def likely(question: Question, theta: np.ndarray | None = None) -> Likely:
     r"""Find the most likely coefficients by Gauss-Newton steps in the space of the rows.
 
     .. math:: \theta = \theta_0 + \Sigma J^T (k^2 I + J \Sigma J^T)^{-1} (r + J (\theta - \theta_0))
 
     Known coefficients, whose covariance is zero, stay exactly as they are (Bell and Cathey 1993: the iterated Kalman update).
+
+    Args:
+        question: The rows.
+        theta: Where to begin, shape (K,); default: at the calibration, or at what was accepted as moved.
     """
     start, P = question.theta, question.covariance
-    theta = start
+    theta = question.begin if theta is None else theta
     for _ in range(STEPS):
         r, J = question.at(theta)
         r = r + J @ (theta - start)
-        gain = np.linalg.solve(question.times**2 * np.eye(len(r)) + J @ P @ J.T, J @ P).T
-        step = start + gain @ r - theta
+        PJ = P @ J.T
+        known = J @ PJ
+        step = start + PJ @ np.linalg.solve(question.times**2 * np.eye(len(r)) + known, r) - theta
         theta = theta + step
-        if np.abs(step).max(initial=0.0) < SETTLED:
+        if np.abs(J @ step).max(initial=0.0) < SETTLED:
             break
-    left = np.eye(len(P)) - gain @ J
-    covariance = left @ P @ left.T + question.times**2 * gain @ gain.T
-    return Likely(theta, covariance, r, J)
+    return Likely(theta, r, J, 0.5 * (known + known.T))
+
+
+def covariance_of(question: Question, place: Likely) -> np.ndarray:
+    """Covariance of the most likely coefficients, shape (K, K); Joseph's form, which rounding cannot make negative."""
+    P = question.covariance
+    S = question.times**2 * np.eye(len(place.r)) + place.known
+    gain = np.linalg.solve(S, place.J @ P).T
+    left = np.eye(len(P)) - gain @ place.J
+    return np.asarray(left @ P @ left.T + question.times**2 * gain @ gain.T)
 
 
 @dataclass(frozen=True)
@@ -133,7 +156,7 @@ class Alarm:
         return self.squares / self.numbers
 
 
-def alarm(question: Question, directions: list[np.ndarray]) -> Alarm:
+def alarm(question: Question, suspects: Sequence[Suspect]) -> Alarm:
     r"""Test the residual as a whole, and along what each suspect would do to it.
 
     The whole: :math:`r^T S_0^{-1} r \sim \chi^2_n`. Along a suspect: the squares that its d directions take up,
@@ -142,18 +165,17 @@ def alarm(question: Question, directions: list[np.ndarray]) -> Alarm:
 
     Args:
         question: The rows.
-        directions: Of each suspect, shape (K, d).
+        suspects: What the rows may show beside the residual as a whole.
     """
     place = likely(question)
-    J = place.J
-    root = _root(question, J, question.times)
+    root = place.root(question.times)
     z = solve_triangular(root, place.r, lower=True)
     squares = float(z @ z)
     smallest = tail(squares, len(z), question.freedom)
-    for D in directions:
-        taken, count = _taken(solve_triangular(root, J @ D, lower=True), z)
+    for suspect in suspects:
+        taken, count = _taken(solve_triangular(root, place.J @ suspect.directions, lower=True), z)
         if count:
-            smallest = min(smallest, len(directions) * tail(taken, count, question.freedom))
+            smallest = min(smallest, len(suspects) * tail(taken, count, question.freedom))
     return Alarm(min(1.0, 2.0 * smallest), squares, len(z))
 
 
@@ -167,11 +189,6 @@ def _taken(B: np.ndarray, z: np.ndarray) -> tuple[float, int]:
     U, w, _ = np.linalg.svd(B, full_matrices=False)
     seen = w > RANK * max(float(w.max(initial=0.0)), 1e-300)
     return float(np.sum((U[:, seen].T @ z) ** 2)), int(seen.sum())
-
-
-def _root(question: Question, J: np.ndarray, times: float) -> np.ndarray:
-    """Lower Cholesky factor of what the residual scatters by, shape (n, n)."""
-    return np.linalg.cholesky(times**2 * np.eye(len(J)) + J @ question.covariance @ J.T)
 
 
 @dataclass(frozen=True)
@@ -196,20 +213,19 @@ class Evidence:
         return int(size), int(times)
 
 
-def evidence(question: Question, r: np.ndarray, J: np.ndarray, B: np.ndarray, sizes: tuple[float, ...]) -> Evidence:
+def evidence(place: Likely, times: float, B: np.ndarray, sizes: tuple[float, ...]) -> Evidence:
     """Density of the rows after a change along columns B, for each of its sizes and each noise.
 
     Args:
-        question: The rows.
-        r: Residuals in sigmas, shape (n,).
-        J: Columns of the coefficients, shape (n, K).
+        place: The rows without that change, about where it is most likely.
+        times: The noise that is accepted, in units of the known.
         B: Columns of the change, shape (n, d); none: nothing changed.
         sizes: Of the change; one, whatever it is, where there are no columns.
     """
     found = np.empty((len(sizes), len(TIMES)))
-    for number, times in enumerate(TIMES):
-        root = _root(question, J, times * question.times)
-        z = solve_triangular(root, r, lower=True)
+    for number, more in enumerate(TIMES):
+        root = place.root(more * times)
+        z = solve_triangular(root, place.r, lower=True)
         U, w, _ = np.linalg.svd(solve_triangular(root, B, lower=True), full_matrices=False)
         along = (U.T @ z) ** 2
         constant = -0.5 * len(z) * np.log(2.0 * np.pi) - float(np.sum(np.log(np.diag(root))))

@@ -19,7 +19,7 @@ from aridcal.result.outcome import errors
 from aridcal.result.saved_model import SavedModel, SolvedModel
 from aridcal.robot.splice import splice_origins, written_origins
 from aridcal.service.checking import Cause, Checked
-from aridcal.service.evidence import likely
+from aridcal.service.evidence import covariance_of, likely
 from aridcal.service.suspects import Suspect, widened
 
 
@@ -61,7 +61,7 @@ def changes(checked: Checked) -> tuple[Change, ...]:
     """By how much each of what moved did so."""
     found = likely(checked.question)
     moved = found.theta - checked.wide.theta
-    std = np.sqrt(np.maximum(np.diag(found.covariance), 0.0))
+    std = np.sqrt(np.maximum(np.diag(covariance_of(checked.question, found)), 0.0))
     model = checked.wide.model
     said = []
     for cause in checked.moved:
@@ -110,7 +110,7 @@ def repaired(saved: SavedModel, checked: Checked) -> Repaired:
             "`aridcal identify`"
         )
     found = likely(checked.question)
-    final = _settled(SolvedModel(checked.wide.model, found.theta, found.covariance))
+    final = _settled(SolvedModel(checked.wide.model, found.theta, covariance_of(checked.question, found)))
     moved = [cause.suspect for cause in checked.moved if cause.suspect is not None]
     geometric = _geometric(saved.geometric, checked, found.theta, moved)
     residual = problem(final.model, checked.rows).residual(final.theta)

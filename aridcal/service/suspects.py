@@ -18,9 +18,9 @@ from aridcal.model.model import Frames, Model
 from aridcal.result.saved_model import SolvedModel
 from aridcal.robot.chain import Joint
 
-SIZES = tuple((10.0 ** np.arange(-5.0, 0.01, 0.5)).tolist())
-"""[m] and [rad] by which a zero or a frame may have moved, each as likely: from what no instrument sees to a motor that was
-put in anywhere; steps of three lose 0.1 of the logarithm of the evidence."""
+SIZES = tuple((10.0 ** np.arange(-5.0, 1.01, 0.5)).tolist())
+"""[m] and [rad] by which a zero or a frame may have moved, each as likely: from what no instrument sees to a motor or a tracker
+that was set up anew anywhere; steps of three lose 0.1 of the logarithm of the evidence."""
 
 RATIOS = tuple((10.0 ** np.arange(-1.5, 1.51, 0.5)).tolist())
 """Times its own size by which an effect may have changed: from a thirtieth to thirty times."""
