@@ -81,8 +81,7 @@ def test_evidence_is_the_mean_of_normal_densities():
     known = place.J @ asking.covariance @ place.J.T
     eye = np.eye(len(place.r))
     logs = [
-        [multivariate_normal(None, k**2 * eye + known + s**2 * B @ B.T).logpdf(place.r) for k in TIMES]
-        for s in sizes
+        [multivariate_normal(None, k**2 * eye + known + s**2 * B @ B.T).logpdf(place.r) for k in TIMES] for s in sizes
     ]
     np.testing.assert_allclose(found.density, logs, atol=1e-4)
     assert found.total == pytest.approx(logsumexp(np.array(logs) + LOG_WEIGHTS) - np.log(len(logs)), abs=1e-6)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.special import logsumexp
-from scipy.stats import ncx2
+from scipy.stats import ncx2, norm
 
 from aridcal.fit.problem import problem
 from aridcal.inputs.dataset import Dataset
@@ -177,8 +177,8 @@ def _next(saved: SavedModel, question: Question, left: Sequence[Suspect], rows: 
         before = replace(place, known=place.J @ question.covariance @ place.J.T)
         seen = evidence(before, question.times, B, suspect.sizes)
         size = min(FREE * suspect.sizes[seen.best[0]], suspect.sizes[-1])
-        times = question.times * TIMES[seen.best[1]]
-        freed = replace(question.with_moved(suspect, size), times=times)
+        # Noise that looks larger may be what else has moved: it stays as known until it is itself the best explanation.
+        freed = question.with_moved(suspect, size)
         found.append((seen.total, Cause(suspect.kind, suspect.where, suspect.words, 0.0, suspect, size), freed))
     here = likely(question)
     still = evidence(here, question.times, np.zeros((len(here.r), 0)), (1.0,))
@@ -274,8 +274,15 @@ def bounds(residual: np.ndarray, sigma: float) -> Bounds:
     squares, count = float(np.sum(residual**2)) / sigma**2, residual.size
     scale = sigma / np.sqrt(len(residual))
     estimate = scale * np.sqrt(max(squares - count, 0.0))
+    if squares > PLAIN * count:
+        far = scale * float(norm.isf(FALSE_ALARMS))
+        return Bounds(float(estimate), float(estimate - far), float(estimate + far))
     low, high = (_noncentrality(squares, count, share) for share in (1.0 - FALSE_ALARMS, FALSE_ALARMS))
     return Bounds(float(estimate), float(scale * np.sqrt(low)), float(scale * np.sqrt(high)))
+
+
+PLAIN = 1e4
+"""Times the noise's own squares beyond which the root of the sum is normal, of sigma 1, to a ten-thousandth of that."""
 
 
 def _noncentrality(squares: float, count: int, share: float) -> float:

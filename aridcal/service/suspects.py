@@ -28,6 +28,9 @@ RATIOS = tuple((10.0 ** np.arange(-1.5, 1.51, 0.5)).tolist())
 NEVER = ("ones", "step")
 """Forms that are no effect of the robot as it is now: constants, and what happened once."""
 
+SMOOTH = ("bump", "bump2")
+"""Forms whose coefficients are samples of a smooth function."""
+
 
 @dataclass(frozen=True)
 class Suspect:
@@ -102,16 +105,20 @@ def suspects(wide: SolvedModel, rows: Dataset) -> tuple[Suspect, ...]:
 
 
 def _effects(wide: SolvedModel) -> Iterator[Suspect]:
-    """Each effect of the model: coefficients at one place that depend on the same covariates."""
-    groups: dict[tuple[str, tuple[str, ...]], list[int]] = {}
+    """Each effect of the model: coefficients at one place that depend on the same covariates.
+
+    Each of its coefficients may change, but a map only as a whole: samples that change one by one take up what is none of it.
+    """
+    groups: dict[tuple[str, tuple[str, ...], bool], list[int]] = {}
     for k, c in enumerate(wide.model.coefficients):
         if not c.basis.constant and c.basis.form not in NEVER:
-            groups.setdefault((c.where, c.basis.of), []).append(k)
-    for (where, of), own in groups.items():
-        size = float(np.sqrt(np.mean(wide.theta[own] ** 2)))
+            groups.setdefault((c.where, c.basis.of, c.basis.form in SMOOTH), []).append(k)
+    for (where, of, smooth), own in groups.items():
+        values = wide.theta[own]
+        size = float(np.sqrt(np.mean(values**2)))
         if size > 0.0:
-            directions = np.zeros((len(wide.theta), len(own)))
-            directions[own, np.arange(len(own))] = size
+            directions = np.zeros((len(wide.theta), 1 if smooth else len(own)))
+            directions[own] = values[:, None] if smooth else size * np.eye(len(own))
             words = f"the effect at {where} that depends on {' and '.join(of)}"
             yield Suspect("effect", where, words, directions, RATIOS)
 
