@@ -176,7 +176,7 @@ def _next(saved: SavedModel, question: Question, left: Sequence[Suspect], rows: 
         B = place.J @ suspect.directions
         before = replace(place, known=place.J @ question.covariance @ place.J.T)
         seen = evidence(before, question.times, B, suspect.sizes)
-        size = min(FREE * suspect.sizes[seen.best[0]], suspect.sizes[-1])
+        size = min(FREE * suspect.sizes[seen.best], suspect.sizes[-1])
         # Noise that looks larger may be what else has moved: it stays as known until it is itself the best explanation.
         freed = question.with_moved(suspect, size)
         found.append((seen.total, Cause(suspect.kind, suspect.where, suspect.words, 0.0, suspect, size), freed))

@@ -207,10 +207,9 @@ class Evidence:
         return float(logsumexp(self.density + LOG_WEIGHTS) - np.log(len(self.density)))
 
     @property
-    def best(self) -> tuple[int, int]:
-        """Numbers of the size and the noise that are most likely."""
-        size, times = np.unravel_index(np.argmax(self.density + LOG_WEIGHTS), self.density.shape)
-        return int(size), int(times)
+    def best(self) -> int:
+        """Number of the size that is most likely."""
+        return int(np.argmax(logsumexp(self.density + LOG_WEIGHTS, axis=1)))
 
 
 def evidence(place: Likely, times: float, B: np.ndarray, sizes: tuple[float, ...]) -> Evidence:
