@@ -223,6 +223,45 @@ def test_rows_too_alike_to_tell_ask_for_one_that_does():
     assert all(np.all((low <= q) & (q <= high)) for q in asked_for)
 
 
+def test_tables_in_millimetres_and_degrees_with_stations_are_read_as_the_campaign_s(tmp_path, capsys):
+    """The rail jumps by 0.8 mm; then one station's base does."""
+    truth = robots.simulate(robots.arid(), 130, np.random.default_rng(3), 1e-3, 1e-4)
+    rows = robots.table(truth)
+    rows["station"] = np.where(np.arange(130) % 2, "b", "a")
+    rows.loc[rows["station"] == "b", "x"] += 0.3
+    rows[["A", "B", "C"]] = Rotation.from_quat(rows[["qx", "qy", "qz", "qw"]]).as_euler("XYZ", degrees=True)
+    rows = rows.drop(columns=["qx", "qy", "qz", "qw"])
+    for joint in truth.model.robot.joints:
+        rows[joint.name] *= 1e3 if joint.kind == "prismatic" else 180.0 / np.pi
+    rows[["x", "y", "z"]] *= 1e3
+    settings = {
+        "file": "measurements.csv",
+        "units": {"length": "mm", "angle": "deg"},
+        "orientation": {"euler": "XYZ", "columns": ["A", "B", "C"]},
+    }
+    path = robots.write_campaign(
+        tmp_path, truth, rows[:120], measurements=settings, frames={"world_base": {"per": "station"}}
+    )
+    outcome = identify(path)
+    (tmp_path / "results").mkdir()
+    write_results(outcome, tmp_path / "results")
+    rail, base = rows[120:].copy(), rows[120:].copy()
+    rail["joint_1"] += 0.8
+    base.loc[base["station"] == "b", "y"] += 2.0
+    for name, table, status, words in (
+        ("clean", rows[120:], 0, "still good"),
+        ("rail", rail, 3, "the zero of joint_1, by -0.8"),
+        ("base", base, 3, "the base (or the instrument) at station b, by 2.0"),
+    ):
+        table.to_parquet(tmp_path / f"{name}.parquet")
+        assert main(["check", str(tmp_path / "results"), str(tmp_path / f"{name}.parquet")]) == status
+        assert words in capsys.readouterr().out
+    strange = rows[120:].assign(station="elsewhere")
+    strange.to_csv(tmp_path / "strange.csv", index=False)
+    assert main(["check", str(tmp_path / "results"), str(tmp_path / "strange.csv")]) == 2
+    assert "'elsewhere' was not in the calibration" in capsys.readouterr().err
+
+
 # -- tolerances
 
 

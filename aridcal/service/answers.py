@@ -66,11 +66,13 @@ def _cause_lines(checked: Checked, cause: Cause, change: Change | None, units: U
         lines.append(f"  these rows would also allow: {', '.join(cause.alike)}")
         robot = checked.wide.model.robot
         if cause.telling is None:
-            lines.append("  no configuration tells them apart: a repair of either serves")
+            lines.append("  no configuration of those tried tells them apart: either repair serves")
         else:
             scale = [units.metres if kind == "prismatic" else units.radians for kind in robot.kinds]
             pairs = zip(robot.readings, (cause.telling / scale).tolist(), strict=True)
-            lines.append(f"  measure this to tell: {', '.join(f'{name} {value:.4g}' for name, value in pairs)}")
+            lines.append(
+                f"  measure this to tell it from {cause.told_from}: {', '.join(f'{name} {value:.4g}' for name, value in pairs)}"
+            )
     return lines
 
 

@@ -51,9 +51,9 @@ class Cause:
         probability: Of this cause, given that there is one more.
         suspect: What moved; None for rows and noise.
         size: Of its prior once it was accepted.
-        alike: Others that these rows do not refute, in words.
-        telling: Readings of a configuration that would tell it from the first of these, shape (columns,); None where none
-            of those tried would, or where nothing is alike.
+        alike: Others that these rows do not refute, in words, the best first.
+        told_from: The first of these that a configuration was found for, which would tell; empty where there is none.
+        telling: Readings of that configuration, shape (columns,).
     """
 
     kind: str
@@ -63,6 +63,7 @@ class Cause:
     suspect: Suspect | None = None
     size: float = 0.0
     alike: tuple[str, ...] = ()
+    told_from: str = ""
     telling: np.ndarray | None = None
 
 
@@ -204,8 +205,12 @@ def _next(saved: SavedModel, question: Question, left: Sequence[Suspect], rows: 
     if cause.suspect is None:
         return cause, freed
     alike = _alike(freed, cause.suspect, question, left)
-    telling = _telling(saved, freed, alike[0][1]) if alike else None
-    return replace(cause, alike=tuple(s.words for s, _ in alike), telling=telling), freed
+    cause = replace(cause, alike=tuple(s.words for s, _ in alike))
+    for suspect, other in alike:
+        telling = _telling(saved, freed, other)
+        if telling is not None:
+            return replace(cause, told_from=suspect.words, telling=telling), freed
+    return cause, freed
 
 
 def _alike(
