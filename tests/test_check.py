@@ -8,6 +8,7 @@ from pathlib import Path
 
 import calibrated
 import numpy as np
+import pandas as pd
 import pytest
 import robots
 import yaml
@@ -16,14 +17,17 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 from scipy.special import logsumexp
 from scipy.stats import chi2, multivariate_normal
+from test_simulate_instruments import scenario
 
 from aridcal.__main__ import main
 from aridcal.effects.basis import Basis
 from aridcal.effects.effect import Coefficient
 from aridcal.inputs.dataset import Dataset
+from aridcal.prepare.simulation import simulate, write_campaign
 from aridcal.result.folder import write_results
 from aridcal.result.pipeline import identify
 from aridcal.result.saved_model import SavedModel
+from aridcal.result.saving import calibration
 from aridcal.service.checking import FALSE_ALARMS, asked, bounds, check
 from aridcal.service.evidence import LOG_WEIGHTS, TIMES, Question, alarm, covariance_of, evidence, likely
 from aridcal.service.new_rows import Noise, known_noise
@@ -262,6 +266,17 @@ def test_tables_in_millimetres_and_degrees_with_stations_are_read_as_the_campaig
     assert "'elsewhere' was not in the calibration" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("noise", [0.0, 1e-12])
+def test_a_calibration_from_exact_rows_can_be_checked(noise):
+    """Noise of nothing beside a base that moved by metres: nothing overflows, and names are right."""
+    m = ur10()
+    exact = replace(m, saved=replace(m.saved, noise=(noise, noise)))
+    q = m.configurations(8)
+    assert [c.where for c in check(exact.saved, exact.measured(q, jump(2, 0.5), 0.0)).causes[:1]] == [NAMES[2]]
+    rows = calibrated.with_frame(exact.measured(q, 0.0, 0.0), np.eye(3), np.array([5.0, -7.0, 2.0]))
+    assert [c.where for c in check(exact.saved, rows).causes[:1]] == ["world_base"]
+
+
 # -- tolerances
 
 
@@ -305,6 +320,27 @@ def test_the_exit_status_is_0_or_3_and_the_joint_is_named(results, tmp_path, cap
     assert "good enough" in capsys.readouterr().out
     assert main(["check", str(results), str(bad), "--tolerance", "0.1 mm"]) == 3
     assert "above 0.1 mm" in capsys.readouterr().out
+
+
+def test_what_a_wire_calibrated_is_checked_with_positions(tmp_path, capsys):
+    """A calibration from distances holds no anchors: new rows are of the target itself, and others are refused."""
+    made = simulate(scenario(tmp_path, {"kind": "distance"}, {}, n=120, noise={"distance": 1e-4}))
+    write_campaign(made, tmp_path, tmp_path)
+    path = tmp_path / "campaign.yaml"
+    path.write_text(path.read_text() + "\ndiagnosis: {enabled: false}\n")
+    saved = calibration(identify(path))
+    (tmp_path / "calibration.yaml").write_text(saved.dump())
+    rng = np.random.default_rng(0)
+    low, high = np.array([saved.ranges[name] for name in NAMES]).T
+    q = rng.uniform(low, high, (10, 6))
+    for offset, status, words in ((0.0, 0, "still good"), (0.01, 3, "the zero of elbow_joint, by +")):
+        _, p = saved.final.poses(q + jump(2, offset))
+        p = p + saved.noise[0] * rng.normal(size=p.shape)
+        pd.DataFrame(np.hstack([q, p]), columns=[*NAMES, *"xyz"]).to_csv(tmp_path / "new.csv", index=False)
+        assert main(["check", str(tmp_path), str(tmp_path / "new.csv")]) == status
+        assert words in capsys.readouterr().out
+    assert main(["check", str(tmp_path), str(tmp_path / "measurements.csv")]) == 2
+    assert "no column 'x', 'y', 'z'" in capsys.readouterr().err
 
 
 def test_the_scatter_that_rows_are_set_beside_is_that_of_the_fitted_rows(results):

@@ -22,6 +22,10 @@ FEWEST = 3
 MOST = 200
 """Rows beyond which `aridcal identify` is the better answer; the matrices here grow with the square of the rows."""
 
+LEAST = 1e-6
+"""[m] and [rad] of noise that no row has less of: no arm repeats to a micrometre, and exact rows, of a simulation for instance,
+would make matrices that no computer solves beside changes of metres."""
+
 
 @dataclass(frozen=True)
 class Noise:
@@ -88,6 +92,6 @@ def known_noise(saved: SavedModel, rows: Dataset) -> Noise:
     """Noise of new rows: what they state of it themselves, else what the calibration's own rows scattered by."""
     count = len(rows.channels)
     if saved.measurements.noise.rows == "absolute" and rows.relative is not None:
-        return Noise(rows.declared(np.ones(count)), np.full(count, np.inf))
+        return Noise(np.maximum(rows.declared(np.ones(count)), LEAST), np.full(count, np.inf))
     sigma, freedom = saved.scatter
-    return Noise(np.array(sigma[:count]), np.array(freedom[:count]))
+    return Noise(np.maximum(sigma[:count], LEAST), np.array(freedom[:count]))
