@@ -15,6 +15,8 @@ COMMANDS = {
     "identify": "calibrate: from a campaign to a calibrated URDF, a report and a 3D scene",
     "predict": "poses of the real target for rows of joint readings",
     "compensate": "joint commands that bring the real target to wanted poses",
+    "check": "is a calibration still good, from a few new rows, and if not, what moved",
+    "recalibrate": "mend a calibration with a few rows after something moved",
     "print": "boards, cubes of tags and sockets for a ball, to print at true scale",
     "detect": "corners of printed boards and tags in images, as a table",
     "measure": "measured poses from camera images and sonar ranges",

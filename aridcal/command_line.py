@@ -17,27 +17,27 @@ from threadpoolctl import threadpool_limits
 
 from aridcal.errors import AridcalError, printable
 from aridcal.interrupt import MESSAGE, SIGNALLED, leave
-from aridcal.signals import Handler, Terminated, handling, terminate
+from aridcal.writing.signals import Handler, Terminated, handling, terminate
 
-DONE, BUG, BAD_INPUT = 0, 1, 2
+DONE, BUG, BAD_INPUT, NOT_GOOD = 0, 1, 2, 3
 NO_ROOM = frozenset({errno.ENOSPC, errno.EDQUOT})
 INTERRUPTED, TERMINATED = SIGNALLED + signal.SIGINT, SIGNALLED + signal.SIGTERM
 
 
-def run(body: Callable[[], None]) -> int:
+def run(body: Callable[[], int | None]) -> int:
     """Do a command's work and turn what goes wrong into a message and an exit status.
 
     Args:
-        body: The work; what it raises decides.
+        body: The work; what it raises decides, or the status that it returns.
 
     Returns:
-        0 done, 1 a bug, 2 bad input or use, 130 after Ctrl-C, 143 after SIGTERM.
+        0 done, 1 a bug, 2 bad input or use, 3 what was checked is not good, 130 after Ctrl-C, 143 after SIGTERM.
     """
     console = Console(stderr=True)
     try:
         # Matrices of some hundred columns: threads that wait for each other cost ten times what they gain.
         with _stopped_politely(), threadpool_limits(1, user_api="blas"):
-            body()
+            status = body()
             sys.stdout.flush()  # what cannot be printed is to be known here
     except AridcalError as error:
         # As plain text: a station's name in brackets is no markup, and a path must not be broken into lines.
@@ -60,7 +60,7 @@ def run(body: Callable[[], None]) -> int:
         console.print("this is a bug in aridcal: please report it with the lines above", style="bold red")
         console.print("`aridcal doctor` tells whether the installation is at fault")
         return BUG
-    return DONE
+    return status or DONE
 
 
 def _say_no_more() -> None:

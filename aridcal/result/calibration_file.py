@@ -188,6 +188,13 @@ class CalibrationDocument(Settings):
     final: SolvedPart
 
 
+class ScatterPart(Section):
+    """Of the fitted rows about the model: sigma per axis, and the degrees of freedom behind it."""
+
+    sigma: Annotated[float, Field(gt=0, le=LARGEST)]
+    freedom: Annotated[float, Field(gt=0, allow_inf_nan=True)]
+
+
 class Record(Section):
     """What is kept beside the model and read by some command."""
 
@@ -195,6 +202,8 @@ class Record(Section):
     derived_columns: tuple[str, ...] = ()
     frames_by: Literal["station", "target"] = "station"
     """Column that says which frames a row has, where there are several."""
+    scatter: dict[Literal["position", "rotation"], ScatterPart] = Field(default_factory=dict)
+    """What new rows are set beside; older files, and those of several instruments, have none."""
 
 
 def read_calibration(path: Path) -> tuple[CalibrationDocument, dict[str, Any]]:

@@ -148,11 +148,11 @@ class SavedModel:
     @property
     def measurements(self) -> MeasurementSettings:
         """Columns and units of the campaign's tables; those of FORMATS, in SI, if the record has no campaign."""
-        settings = self._campaign.measurements if self._campaign else MeasurementSettings()
+        settings = self.campaign.measurements if self.campaign else MeasurementSettings()
         changes: dict[str, Any] = {"kind": self.kind}
         labels = {
             block.columns.get(role.name, role.name)
-            for block in (self._campaign.blocks if self._campaign else ())
+            for block in (self.campaign.blocks if self.campaign else ())
             if block.kind in KINDS
             for role in labelled(block.kind)
         }
@@ -166,12 +166,26 @@ class SavedModel:
         return "target" if self.record.get("frames_by") == "target" else "station"
 
     @property
+    def scatter(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Sigma per axis of rows about the model, [m] and [rad], and the degrees of freedom behind each.
+
+        Where the file does not say it, the noise, as if it had been declared.
+        """
+        seen = self.record.get("scatter", {})
+        pairs = [
+            (float(part["sigma"]), float(part["freedom"])) if (part := seen.get(name)) else (noise, np.inf)
+            for name, noise in zip(("position", "rotation"), self.noise, strict=True)
+        ]
+        return (pairs[0][0], pairs[1][0]), (pairs[0][1], pairs[1][1])
+
+    @property
     def limits(self) -> Limits:
         """How large tables may be, as the campaign says."""
-        return self._campaign.limits if self._campaign else Limits()
+        return self.campaign.limits if self.campaign else Limits()
 
     @cached_property
-    def _campaign(self) -> Campaign | None:
+    def campaign(self) -> Campaign | None:
+        """What was asked; None where the record has no campaign."""
         text = self.record.get("campaign")
         return parse_settings(text, Path("the campaign in calibration.yaml"), Campaign) if text else None
 

@@ -8,11 +8,12 @@ import numpy as np
 import pinocchio as pin
 
 from aridcal import __version__
-from aridcal.fit.least_squares import Fit
+from aridcal.fit.least_squares import LEAST_FREEDOM, Fit
+from aridcal.fit.noise import contradicted
 from aridcal.fit.thing_starts import TIP
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.catalogue import KINDS as INSTRUMENTS
-from aridcal.instruments.channels import spread
+from aridcal.instruments.channels import columns, spread
 from aridcal.instruments.setup import Instruments
 from aridcal.model.model import ONE_FRAME
 from aridcal.result.calibration_file import Ranges
@@ -58,6 +59,8 @@ def calibration(outcome: Outcome) -> SavedModel:
         "derived_columns": [name for name in m.derived if name in seen],
         "versions": {"aridcal": __version__, "pinocchio": pin.__version__, "numpy": np.__version__},
     }
+    if not m.blocks:
+        record["scatter"] = _scatter(outcome, used)
     target = _saved_target(m, outcome.head is not None)
     if len(target.labels) > 1:
         record["frames_by"] = "target"
@@ -85,6 +88,29 @@ def calibration(outcome: Outcome) -> SavedModel:
         {name: found for name, v in seen.items() if (found := holes(v[used]))},
         largest(std),
     )
+
+
+def _scatter(outcome: Outcome, used: np.ndarray) -> dict[str, dict[str, float]]:
+    """What the fitted rows scatter by about the final model, by channel: the declared noise as long as they agree with it.
+
+    Args:
+        outcome: Of rows of one target.
+        used: Fitted rows, shape (N,) bool.
+    """
+    fit, rows = outcome.stage("final").fit, outcome.measurements
+    train = rows.select(rows.train)
+    surprise = contradicted(train, fit.estimated, fit.freedom)
+    left = fit.freedom / fit.numbers
+    found = {}
+    for k, (channel, part) in enumerate(zip(outcome.channels, columns(outcome.channels), strict=True)):
+        stated = rows.sigma[k]
+        residual = outcome.stage("final").residual[used][:, part]
+        freedom = left * residual.size
+        if stated is not None and surprise[k] == 1.0:
+            found[channel.name] = {"sigma": float(stated), "freedom": np.inf}
+        elif freedom > LEAST_FREEDOM and np.any(residual != 0.0):
+            found[channel.name] = {"sigma": float(np.sqrt(np.mean(residual**2) / left)), "freedom": float(freedom)}
+    return found
 
 
 @dataclass(frozen=True)

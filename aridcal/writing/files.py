@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Literal
 
 from aridcal.errors import OutputError
-from aridcal.signals import undisturbed
 from aridcal.writing import disk
 from aridcal.writing.lock import held, is_mine
+from aridcal.writing.signals import undisturbed
 from aridcal.writing.staging import (
     LOCK,
     NAME_SHOWN,

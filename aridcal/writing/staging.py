@@ -15,9 +15,9 @@ from itertools import chain
 from pathlib import Path
 
 from aridcal.errors import OutputError
-from aridcal.signals import undisturbed
 from aridcal.writing import disk
 from aridcal.writing.lock import held, is_mine
+from aridcal.writing.signals import undisturbed
 
 OURS, LOCK = ".aridcal-", "lock"
 """In the names of what is beside an output only while it is written: ``.results.aridcal-lock``, ``.results.aridcal-1f0c9a2b``."""

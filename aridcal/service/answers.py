@@ -1,0 +1,106 @@
+"""What a check and a repair found, in words for the screen."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from aridcal.inputs.measurement_settings import Units
+from aridcal.result.outcome import said
+from aridcal.service.checking import FALSE_ALARMS, Cause, Checked
+from aridcal.service.repair import Change
+
+MILLI = 1e3
+"""[mm] in a metre, [mrad] in a radian."""
+
+
+def check_lines(checked: Checked, changes: Sequence[Change], units: Units) -> list[str]:
+    """The answer of `aridcal check`, the verdict first.
+
+    Args:
+        checked: What the rows say.
+        changes: By how much each of what moved did so.
+        units: Of the campaign's tables, for a configuration to measure.
+    """
+    rows, error = checked.rows, checked.error
+    every = np.ones(len(rows), dtype=bool)
+    expected = " and ".join(
+        f"{c.scale * s:.3g} {c.shown}" for c, s in zip(rows.channels, checked.noise.sigma, strict=True)
+    )
+    lines = [
+        _verdict(checked),
+        f"{len(rows)} rows: {said(checked.residual, every, rows)} RMS where the noise is {expected} per axis; the model's own "
+        f"error there is {MILLI * error.estimate:.3f} mm RMS, between {MILLI * error.low:.3f} and {MILLI * error.high:.3f} mm",
+    ]
+    by_cause = {id(change.cause): change for change in changes}
+    for cause in checked.causes:
+        lines += _cause_lines(checked, cause, by_cause.get(id(cause)), units)
+    if checked.causes:
+        left = "goes with the calibration" if checked.rest.p_value >= FALSE_ALARMS else "is explained by nothing known"
+        lines.append(f"what remains {left} (p = {checked.rest.p_value:.2g})")
+    return lines
+
+
+def _verdict(checked: Checked) -> str:
+    """Yes or no, and how often that is wrong."""
+    odd = f"p = {checked.first.p_value:.2g}; a calibration that is still right fails {100 * FALSE_ALARMS:g} % of checks"
+    if checked.tolerance is None:
+        return f"no longer good: {odd}" if checked.contradicted else f"still good: {odd}"
+    limit = f"{MILLI * checked.tolerance:g} mm"
+    if not checked.good:
+        return f"no longer good: the error is above {limit} ({odd})"
+    if checked.contradicted:
+        return f"good enough: the error may be within {limit}, though something moved ({odd})"
+    sure = "is" if checked.error.high <= (checked.tolerance or 0.0) else "may be"
+    return f"still good: the error {sure} within {limit} ({odd})"
+
+
+def _cause_lines(checked: Checked, cause: Cause, change: Change | None, units: Units) -> list[str]:
+    """One cause: what, by how much, how sure, and what would tell it from another."""
+    how = f" (probability {_percent(cause.probability)})"
+    if change is None:
+        return [f"odd: {cause.words}{how}"]
+    lines = [f"moved: {cause.words}, by {amount(change, checked)}{how}"]
+    if cause.alike:
+        lines.append(f"  these rows would also allow: {', '.join(cause.alike)}")
+        robot = checked.wide.model.robot
+        if cause.telling is None:
+            lines.append("  no configuration of those tried tells them apart: either repair serves")
+        else:
+            scale = [units.metres if kind == "prismatic" else units.radians for kind in robot.kinds]
+            pairs = zip(robot.readings, (cause.telling / scale).tolist(), strict=True)
+            lines.append(
+                f"  measure this to tell it from {cause.told_from}: {', '.join(f'{name} {value:.4g}' for name, value in pairs)}"
+            )
+    return lines
+
+
+def amount(change: Change, checked: Checked) -> str:
+    """By how much something moved."""
+    value, std = change.value, change.std
+    if change.cause.kind == "zero":
+        unit = "mm" if change.units[0] == "m" else "mrad"
+        return f"{MILLI * value[0]:+.3f} ± {MILLI * std[0]:.3f} {unit}"
+    if change.cause.kind == "frame":
+        parts = []
+        for unit, shown in (("m", "mm"), ("rad", "mrad")):
+            own = [u == unit for u in change.units]
+            if any(own):
+                parts.append(f"{MILLI * float(np.linalg.norm(value[own])):.3f} {shown}")
+        return " and ".join(parts)
+    suspect = change.cause.suspect
+    assert suspect is not None
+    before = checked.wide.theta[suspect.touched]
+    return f"{_percent(float(np.linalg.norm(value) / np.linalg.norm(before)))} of its size"
+
+
+def _percent(share: float) -> str:
+    """A share with as many digits as tell it from 1."""
+    return (
+        f"{100 * share:.3g} %"
+        if share < 0.995
+        else f"{min(100 * share, 99.9):.1f} %"
+        if share <= 1
+        else f"{100 * share:.0f} %"
+    )

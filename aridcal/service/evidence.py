@@ -1,0 +1,235 @@
+r"""How well new rows go with a calibration, and with each thing that may have moved since.
+
+With r the residuals in sigmas, J their columns and :math:`\Sigma` the calibration's own covariance, the calibration as it is
+predicts :math:`r \sim N(0, S_0)`, :math:`S_0 = I + J \Sigma J^T`; after a change of a suspect (:mod:`aridcal.service.suspects`)
+
+.. math:: r \sim N(0, k^2 I + J \Sigma J^T + s^2 B B^T), \qquad B = J D_h
+
+with k times the noise that was known. Evidence of a suspect is the mean of this density over its sizes s and over k: a
+suspect of six directions pays for all six (MacKay 2003, Information Theory, chapter 28). Changes may be large: J is taken
+where the suspect, free to move, has its most likely value, and r becomes :math:`r + J (\theta - \theta_0)` (Laplace's method).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import solve_triangular
+from scipy.special import logsumexp
+from scipy.stats import f as f_distribution
+
+from aridcal.fit.problem import Problem
+from aridcal.service.realign import frame_start
+from aridcal.service.suspects import Suspect
+
+TIMES = (1.0, 1.3, 1.7, 2.2, 3.0, 4.0, 6.0, 10.0)
+"""Times the known noise that new rows may scatter by: another day, another operator, ten times a broken instrument."""
+
+AS_KNOWN = 0.9
+"""Probability beforehand that the noise is as known; the rest is shared alike."""
+
+LOG_WEIGHTS = np.log(np.r_[AS_KNOWN, np.full(len(TIMES) - 1, (1.0 - AS_KNOWN) / (len(TIMES) - 1))])
+
+STEPS = 30
+"""Gauss-Newton steps at the most; a zero that is off by a radian takes seven."""
+
+SETTLED = 1e-3
+"""Sigmas of any number measured by which the last step moves its prediction."""
+
+RANK = 1e-6
+"""Share of the largest singular value of a suspect's columns below which the rows do not see a direction."""
+
+
+@dataclass(frozen=True)
+class Question:
+    """New rows asked about a calibration.
+
+    Attributes:
+        problem: The rows and the wide model, K coefficients; n numbers in all.
+        theta: Coefficients of the calibration, shape (K,).
+        covariance: Theirs, and of what was accepted as moved, shape (K, K).
+        sigma: Of each number of a row, shape (m,).
+        freedom: Degrees of freedom behind these.
+        times: The noise that is accepted, in units of the known.
+        dropped: Rows that count no more, shape (N,) bool.
+        begin: Where to look for the most likely coefficients, shape (K,).
+    """
+
+    problem: Problem
+    theta: np.ndarray
+    covariance: np.ndarray
+    sigma: np.ndarray
+    freedom: float
+    times: float
+    dropped: np.ndarray
+    begin: np.ndarray
+
+    def at(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Residuals (n,) and columns (n, K) of the rows that count, in sigmas."""
+        pieces = self.problem.pieces(theta)
+        kept = ~self.dropped
+        r = pieces.r[kept] / self.sigma
+        J = pieces.J[kept] / self.sigma[:, None]
+        return r.ravel(), J.reshape(-1, J.shape[2])
+
+    def with_moved(self, suspect: Suspect, size: float) -> Question:
+        """The same with a change of a suspect, of some size, as likely as none."""
+        D = suspect.directions
+        begin = frame_start(self.problem, self.begin, suspect)
+        return replace(self, covariance=self.covariance + size**2 * D @ D.T, begin=begin)
+
+
+@dataclass(frozen=True)
+class Likely:
+    """The most likely coefficients.
+
+    Attributes:
+        theta: Shape (K,).
+        r: Residuals of the rows about the calibration, to first order about ``theta``, in sigmas, shape (n,).
+        J: Columns there, shape (n, K).
+        known: Covariance of r that is not noise, J Sigma J', shape (n, n).
+    """
+
+    theta: np.ndarray
+    r: np.ndarray
+    J: np.ndarray
+    known: np.ndarray
+
+    def root(self, times: float) -> np.ndarray:
+        """Lower Cholesky factor of what r scatters by with so many times the known noise, shape (n, n)."""
+        return np.linalg.cholesky(times**2 * np.eye(len(self.r)) + self.known)
+
+
+def likely(question: Question, theta: np.ndarray | None = None) -> Likely:
+    r"""Find the most likely coefficients by Gauss-Newton steps in the space of the rows.
+
+    .. math:: \theta = \theta_0 + \Sigma J^T (k^2 I + J \Sigma J^T)^{-1} (r + J (\theta - \theta_0))
+
+    Known coefficients, whose covariance is zero, stay exactly as they are (Bell and Cathey 1993: the iterated Kalman update).
+
+    Args:
+        question: The rows.
+        theta: Where to begin, shape (K,); default: at the calibration, or at what was accepted as moved.
+    """
+    start, P = question.theta, question.covariance
+    theta = question.begin if theta is None else theta
+    for _ in range(STEPS):
+        r, J = question.at(theta)
+        r = r + J @ (theta - start)
+        PJ = P @ J.T
+        known = J @ PJ
+        step = start + PJ @ np.linalg.solve(question.times**2 * np.eye(len(r)) + known, r) - theta
+        theta = theta + step
+        if np.abs(J @ step).max(initial=0.0) < SETTLED:
+            break
+    return Likely(theta, r, J, 0.5 * (known + known.T))
+
+
+def covariance_of(question: Question, place: Likely) -> np.ndarray:
+    """Covariance of the most likely coefficients, shape (K, K); Joseph's form, which rounding cannot make negative."""
+    P = question.covariance
+    S = question.times**2 * np.eye(len(place.r)) + place.known
+    gain = np.linalg.solve(S, place.J @ P).T
+    left = np.eye(len(P)) - gain @ place.J
+    return np.asarray(left @ P @ left.T + question.times**2 * gain @ gain.T)
+
+
+@dataclass(frozen=True)
+class Alarm:
+    """Whether new rows contradict a calibration.
+
+    Attributes:
+        p_value: Probability of rows as odd as these from a calibration that is still right.
+        squares: Of the residual in its expected scatter: a mean square of 1 is as expected.
+        numbers: How many they are of.
+    """
+
+    p_value: float
+    squares: float
+    numbers: int
+
+    @property
+    def ratio(self) -> float:
+        """Mean square in units of what was expected."""
+        return self.squares / self.numbers
+
+
+def alarm(question: Question, suspects: Sequence[Suspect]) -> Alarm:
+    r"""Test the residual as a whole, and along what each suspect would do to it.
+
+    The whole: :math:`r^T S_0^{-1} r \sim \chi^2_n`. Along a suspect: the squares that its d directions take up,
+    :math:`\chi^2_d`; F where the noise was estimated. The smallest probability counts, times the number of questions asked
+    (Bonferroni): half of it for the whole, half for all m suspects together.
+
+    Args:
+        question: The rows.
+        suspects: What the rows may show beside the residual as a whole.
+    """
+    place = likely(question)
+    root = place.root(question.times)
+    z = solve_triangular(root, place.r, lower=True)
+    squares = float(z @ z)
+    smallest = tail(squares, len(z), question.freedom)
+    for suspect in suspects:
+        taken, count = _taken(solve_triangular(root, place.J @ suspect.directions, lower=True), z)
+        if count:
+            smallest = min(smallest, len(suspects) * tail(taken, count, question.freedom))
+    return Alarm(min(1.0, 2.0 * smallest), squares, len(z))
+
+
+def tail(squares: float, count: int, freedom: float) -> float:
+    """Probability of a larger sum of ``count`` squares, whose scale was estimated with some degrees of freedom."""
+    return float(f_distribution.sf(squares / count, count, freedom))
+
+
+def _taken(B: np.ndarray, z: np.ndarray) -> tuple[float, int]:
+    """Squares of z (n,) that columns B (n, d) take up, and how many independent ones there are."""
+    U, w, _ = np.linalg.svd(B, full_matrices=False)
+    seen = w > RANK * max(float(w.max(initial=0.0)), 1e-300)
+    return float(np.sum((U[:, seen].T @ z) ** 2)), int(seen.sum())
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Logarithms of the density of the rows for each size s and each noise k.
+
+    Attributes:
+        density: Shape (sizes, k).
+    """
+
+    density: np.ndarray
+
+    @property
+    def total(self) -> float:
+        """Over all sizes and noises, each with its weight."""
+        return float(logsumexp(self.density + LOG_WEIGHTS) - np.log(len(self.density)))
+
+    @property
+    def best(self) -> int:
+        """Number of the size that is most likely."""
+        return int(np.argmax(logsumexp(self.density + LOG_WEIGHTS, axis=1)))
+
+
+def evidence(place: Likely, times: float, B: np.ndarray, sizes: tuple[float, ...]) -> Evidence:
+    """Density of the rows after a change along columns B, for each of its sizes and each noise.
+
+    Args:
+        place: The rows without that change, about where it is most likely.
+        times: The noise that is accepted, in units of the known.
+        B: Columns of the change, shape (n, d); none: nothing changed.
+        sizes: Of the change; one, whatever it is, where there are no columns.
+    """
+    found = np.empty((len(sizes), len(TIMES)))
+    for number, more in enumerate(TIMES):
+        root = place.root(more * times)
+        z = solve_triangular(root, place.r, lower=True)
+        U, w, _ = np.linalg.svd(solve_triangular(root, B, lower=True), full_matrices=False)
+        along = (U.T @ z) ** 2
+        constant = -0.5 * len(z) * np.log(2.0 * np.pi) - float(np.sum(np.log(np.diag(root))))
+        for k, size in enumerate(sizes):
+            grown = (size * w) ** 2
+            squares = float(z @ z) - float(np.sum(along * grown / (1.0 + grown)))
+            found[k, number] = constant - 0.5 * squares - 0.5 * float(np.sum(np.log1p(grown)))
+    return Evidence(found)

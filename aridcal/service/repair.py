@@ -1,0 +1,220 @@
+"""A calibration mended with a few rows: what moved is fitted, all else is kept as well as it was known."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from aridcal import __version__
+from aridcal.errors import MeasurementError
+from aridcal.fit.problem import problem
+from aridcal.model.model import Model
+from aridcal.result.outcome import errors
+from aridcal.result.saved_model import SavedModel, SolvedModel
+from aridcal.robot.splice import splice_origins, written_origins
+from aridcal.service.checking import Cause, Checked
+from aridcal.service.evidence import covariance_of, likely
+from aridcal.service.suspects import Suspect, widened
+
+
+@dataclass(frozen=True)
+class Change:
+    """By how much something moved.
+
+    Attributes:
+        cause: What.
+        names: Of its coefficients, d of them.
+        units: Of each: m or rad; of an effect's that of the motion, per unit of its basis.
+        value: New minus old, shape (d,).
+        std: Its standard deviation, shape (d,).
+    """
+
+    cause: Cause
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    value: np.ndarray
+    std: np.ndarray
+
+
+@dataclass(frozen=True)
+class Repaired:
+    """A calibration after a repair.
+
+    Attributes:
+        saved: The calibration as it is now.
+        changes: What moved.
+        residual: Of the new rows with it, shape (N, m), [m] and [rad].
+    """
+
+    saved: SavedModel
+    changes: tuple[Change, ...]
+    residual: np.ndarray
+
+
+def changes(checked: Checked) -> tuple[Change, ...]:
+    """By how much each of what moved did so."""
+    found = likely(checked.question)
+    moved = found.theta - checked.wide.theta
+    std = np.sqrt(np.maximum(np.diag(covariance_of(checked.question, found)), 0.0))
+    model = checked.wide.model
+    said = []
+    for cause in checked.moved:
+        assert cause.suspect is not None
+        own = cause.suspect.touched
+        names = tuple(model.names[k] for k in own)
+        units = tuple(_unit(model, int(k)) for k in own)
+        said.append(Change(cause, names, units, moved[own], std[own]))
+    return tuple(said)
+
+
+def _unit(model: Model, k: int) -> str:
+    """Unit of the motion that a coefficient makes: along, or about."""
+    c = model.coefficients[k]
+    if c.component == "axis":
+        return "m" if model.robot.joint(c.where).kind == "prismatic" else "rad"
+    return "m" if c.component in ("x", "y", "z", "t1", "t2", "a", "d") else "rad"
+
+
+def repaired(saved: SavedModel, checked: Checked) -> Repaired:
+    """Fit what moved.
+
+    Args:
+        saved: The calibration.
+        checked: What new rows say of it.
+
+    Raises:
+        MeasurementError: nothing moved, or what moved cannot be told from these rows.
+    """
+    where = checked.rows.title
+    if not checked.contradicted:
+        raise MeasurementError(
+            f"{where}: nothing moved: these rows go with the calibration as it is (p = {checked.first.p_value:.2g}); "
+            "go on using it"
+        )
+    if not checked.moved:
+        words = "; ".join(cause.words for cause in checked.causes)
+        raise MeasurementError(
+            f"{where}: no part of the robot moved, so that there is nothing to repair. What is odd is {words}; look at the "
+            "instrument and measure these rows again"
+        )
+    if checked.rest.p_value < REMAINING:
+        raise MeasurementError(
+            f"{where}: these rows differ from the calibration by more than a few moved parts explain (p = "
+            f"{checked.rest.p_value:.2g} with {len(checked.causes)} allowed for); measure a whole campaign and run "
+            "`aridcal identify`"
+        )
+    found = likely(checked.question)
+    final = _settled(SolvedModel(checked.wide.model, found.theta, covariance_of(checked.question, found)))
+    moved = [cause.suspect for cause in checked.moved if cause.suspect is not None]
+    geometric = _geometric(saved.geometric, checked, found.theta, moved)
+    residual = problem(final.model, checked.rows).residual(final.theta)
+    return Repaired(replace(saved, geometric=geometric, final=final), changes(checked), residual)
+
+
+REMAINING = 1e-3
+"""Probability of what is left below which a repair is refused: ten times rarer than what raises an alarm, for it was looked for
+in the same rows."""
+
+
+def _settled(solved: SolvedModel) -> SolvedModel:
+    """The same without the coefficients that are 0 and known, and with its frames where they are now."""
+    keep = np.flatnonzero((solved.theta != 0.0) | (np.diag(solved.covariance) > 0.0))
+    model = solved.model.with_coefficients([solved.model.coefficients[k] for k in keep])
+    model, theta = model.recentred(solved.theta[keep])
+    return SolvedModel(model, theta, solved.covariance[np.ix_(keep, keep)])
+
+
+def _geometric(before: SolvedModel, checked: Checked, theta: np.ndarray, moved: Sequence[Suspect]) -> SolvedModel:
+    """The geometric stage with the same zeros and frames moved; an effect that changed is none of it.
+
+    Args:
+        before: The stage as it was.
+        checked: Holds the final stage as it was.
+        theta: The final stage's coefficients as they are, shape (K,).
+        moved: What moved.
+    """
+    wide = widened(before)
+    number = {c: k for k, c in enumerate(wide.model.coefficients)}
+    now = wide.theta.copy()
+    for suspect in moved:
+        if suspect.kind != "effect":
+            for k in suspect.touched:
+                now[number[checked.wide.model.coefficients[k]]] += theta[k] - checked.wide.theta[k]
+    return _settled(SolvedModel(wide.model, now, wide.covariance))
+
+
+def urdf_of(solved: SolvedModel) -> bytes:
+    """The user's URDF with a model's constants folded into the joints' own origins, zeros of joints included."""
+    robot, model = solved.model.robot, solved.model
+    origins = dict(model.origins(solved.theta))
+    for k, c in enumerate(model.coefficients):
+        if c.basis.form == "ones":
+            joint = robot.joint(c.where)
+            turn = pin.AngleAxis(float(solved.theta[k]), joint.axis).matrix()
+            slide = pin.SE3(np.eye(3), float(solved.theta[k]) * joint.axis)
+            own = slide if joint.kind == "prismatic" else pin.SE3(turn, np.zeros(3))
+            origins[joint.name] = origins.get(joint.name, joint.origin) * own
+    return splice_origins(robot.urdf, written_origins(robot.urdf, origins))
+
+
+def lineage(saved: SavedModel, calibration: Path, content: bytes, checked: Checked) -> dict[str, Any]:
+    """Where a repaired calibration comes from: the one before, and the rows that changed it.
+
+    Args:
+        saved: The calibration before.
+        calibration: Its file.
+        content: That file's bytes.
+        checked: What the rows said.
+    """
+    rows = checked.rows
+    used = ~checked.question.dropped
+    return {
+        "from": str(calibration),
+        "sha256": hashlib.sha256(content).hexdigest(),
+        "rows": {
+            "files": [file.name for file in rows.files],
+            "sha256": rows.sha256,
+            "used": sorted(int(line) for line in rows.line[used]),
+            "left_out": sorted(int(line) for line in rows.line[~used]),
+        },
+        "moved": [cause.where for cause in checked.moved],
+        "aridcal": __version__,
+        "before": saved.record.get("lineage"),
+    }
+
+
+def document(checked: Checked, mended: Repaired, parents: dict[str, Any]) -> dict[str, Any]:
+    """`result.json` of a repair: the new rows' errors before and after, what moved, and the lineage."""
+    rows = checked.rows
+    used = ~checked.question.dropped
+    return {
+        "format": 1,
+        "n": {"rows": len(rows) + len(rows.refused), "used": int(used.sum()), "refused": len(rows.refused)},
+        "error": {
+            "before": {"new_rows": errors(checked.residual, used, rows.channels)},
+            "after": {"new_rows": errors(mended.residual, used, rows.channels)},
+        },
+        "noise": {c.key: c.scale * float(s) for c, s in zip(rows.channels, checked.noise.sigma, strict=True)},
+        "moved": [
+            {
+                "kind": change.cause.kind,
+                "where": change.cause.where,
+                "probability": change.cause.probability,
+                "not_refuted": list(change.cause.alike),
+                "changes": [
+                    {"name": name, "unit": unit, "value": float(value), "std": float(std)}
+                    for name, unit, value, std in zip(change.names, change.units, change.value, change.std, strict=True)
+                ],
+            }
+            for change in mended.changes
+        ],
+        "p_value": {"before": checked.first.p_value, "after": checked.rest.p_value},
+        "lineage": parents,
+        "version": __version__,
+    }

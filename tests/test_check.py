@@ -1,0 +1,387 @@
+"""`aridcal check`: false alarms as stated, and what moved named; the rules of evidence against other libraries."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import calibrated
+import numpy as np
+import pandas as pd
+import pytest
+import robots
+import yaml
+from calibrated import NOISE, Machine, jump, machine
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+from scipy.special import logsumexp
+from scipy.stats import chi2, multivariate_normal
+from test_simulate_instruments import scenario
+
+from aridcal.__main__ import main
+from aridcal.effects.basis import Basis
+from aridcal.effects.effect import Coefficient
+from aridcal.inputs.dataset import Dataset
+from aridcal.prepare.simulation import simulate, write_campaign
+from aridcal.result.folder import write_results
+from aridcal.result.pipeline import identify
+from aridcal.result.saved_model import SavedModel
+from aridcal.result.saving import calibration
+from aridcal.service.checking import FALSE_ALARMS, asked, bounds, check
+from aridcal.service.evidence import LOG_WEIGHTS, TIMES, Question, alarm, covariance_of, evidence, likely
+from aridcal.service.new_rows import Noise, known_noise
+from aridcal.service.suspects import suspects, widened
+
+NAMES = robots.ur10().readings
+
+
+@cache
+def ur10(seed: int = 1, kind: str = "pose") -> Machine:
+    return machine(seed, kind)
+
+
+def question(m: Machine, rows: Dataset) -> Question:
+    return asked(widened(m.saved.final), rows, known_noise(m.saved, rows))
+
+
+# -- the rules of evidence, by a second road
+
+
+def test_the_most_likely_coefficients_are_those_of_weighted_least_squares():
+    m = ur10()
+    q = m.configurations(8)
+    rows = m.measured(q, jump(2, 2e-3))
+    asking = question(m, rows)
+    zero = next(s for s in suspects(widened(m.saved.final), rows) if s.where == NAMES[2])
+    asking = asking.with_moved(zero, 1e-2)
+    free = np.flatnonzero(np.diag(asking.covariance) > 0.0)
+    root = np.linalg.inv(np.linalg.cholesky(asking.covariance[np.ix_(free, free)]))
+
+    def left(change: np.ndarray) -> np.ndarray:
+        theta = asking.theta.copy()
+        theta[free] += change / np.linalg.norm(root, axis=0)
+        r = asking.problem.residual(theta) / asking.sigma
+        return np.concatenate([r.ravel(), root @ (theta - asking.theta)[free]])
+
+    other = least_squares(left, np.zeros(len(free)), xtol=1e-15, ftol=1e-15, gtol=1e-15)
+    found = likely(asking)
+    sigma = np.sqrt(np.diag(covariance_of(asking, found))[free])
+    assert (
+        np.abs((found.theta - asking.theta)[free] - other.x / np.linalg.norm(root, axis=0)).max() < 0.02 * sigma.max()
+    )
+    assert found.theta[zero.touched[0]] == pytest.approx(2e-3, abs=4 * sigma.max())
+
+
+def test_evidence_is_the_mean_of_normal_densities():
+    m = ur10()
+    rows = m.measured(m.configurations(4), jump(1, 1e-4))
+    asking = question(m, rows)
+    place = likely(asking)
+    base = next(s for s in suspects(widened(m.saved.final), rows) if s.where == "world_base")
+    B = place.J @ base.directions
+    sizes = base.sizes[:7]  # farther than 1 cm the other library takes these matrices for singular
+    found = evidence(place, 1.0, B, sizes)
+    known = place.J @ asking.covariance @ place.J.T
+    eye = np.eye(len(place.r))
+    logs = [
+        [multivariate_normal(None, k**2 * eye + known + s**2 * B @ B.T).logpdf(place.r) for k in TIMES] for s in sizes
+    ]
+    np.testing.assert_allclose(found.density, logs, atol=1e-4)
+    assert found.total == pytest.approx(logsumexp(np.array(logs) + LOG_WEIGHTS) - np.log(len(logs)), abs=1e-6)
+    assert np.exp(LOG_WEIGHTS).sum() == pytest.approx(1.0)
+
+
+def test_the_residual_as_a_whole_is_tested_with_chi_squares():
+    m = ur10()
+    rows = m.measured(m.configurations(8), noise=3 * NOISE)
+    asking = question(m, rows)
+    r, J = asking.at(asking.theta)
+    squares = r @ np.linalg.solve(np.eye(len(r)) + J @ asking.covariance @ J.T, r)
+    found = alarm(asking, [])
+    assert found.squares == pytest.approx(squares, rel=1e-6)
+    assert found.p_value == pytest.approx(2.0 * chi2.sf(squares, 48), rel=1e-6)
+
+
+def test_noise_that_was_estimated_from_few_rows_raises_fewer_alarms():
+    m = ur10()
+    rows = m.measured(m.configurations(8), noise=1.4 * NOISE)
+    sure = question(m, rows)
+    unsure = replace(sure, freedom=Noise(np.ones(2), np.array([30.0, 30.0])).freedom_of(rows.channels))
+    assert unsure.freedom == pytest.approx(60.0)
+    assert alarm(sure, []).p_value < 0.2 * alarm(unsure, []).p_value
+
+
+def test_the_bounds_of_the_error_hold_it_as_often_as_they_say():
+    rng = np.random.default_rng(3)
+    sigma, error, below, above = 1e-4, 2e-4, 0, 0
+    for _ in range(2000):
+        off = rng.normal(size=(8, 3))
+        off *= error / np.sqrt(np.mean(np.sum(off**2, axis=1)))
+        found = bounds(off + sigma * rng.normal(size=(8, 3)), sigma)
+        below += found.low > error
+        above += found.high < error
+    for wrong in (below, above):  # 20 expected of each: four standard deviations
+        assert 2000 * FALSE_ALARMS - 18 < wrong < 2000 * FALSE_ALARMS + 18
+
+
+# -- false alarms, and what moved
+
+
+@pytest.mark.parametrize("kind", ["pose", "position"])
+def test_one_clean_check_in_a_hundred_is_a_false_alarm(kind):
+    alarms = 0
+    for seed in range(10):
+        m = machine(100 + seed, kind)
+        q = m.configurations(8)
+        wide = widened(m.saved.final)
+        for _ in range(100):
+            rows = m.measured(q)
+            alarms += alarm(asked(wide, rows, known_noise(m.saved, rows)), suspects(wide, rows)).p_value < FALSE_ALARMS
+    assert 5 <= alarms <= 15
+
+
+@pytest.mark.parametrize("joint", range(6))
+def test_a_zero_that_jumped_by_half_a_milliradian_is_named(joint):
+    for seed in range(3):
+        m = ur10(seed + 1)
+        found = check(m.saved, m.measured(m.configurations(8), jump(joint, 5e-4)))
+        assert not found.good
+        assert [(c.kind, c.where) for c in found.causes] == [("zero", NAMES[joint])]
+        assert found.causes[0].probability > 0.9
+        assert found.rest.p_value > FALSE_ALARMS
+
+
+def test_a_turn_of_the_base_about_the_first_joint_looks_like_its_zero_and_nothing_tells():
+    m = ur10()
+    (cause,) = check(m.saved, m.measured(m.configurations(8), jump(0, 5e-4))).causes
+    assert any("base" in words for words in cause.alike)
+    assert cause.telling is None
+
+
+@pytest.mark.parametrize("size", [2e-4, 0.01, 3.0])
+def test_a_base_that_moved_is_named_however_far(size):
+    m = ur10()
+    for _ in range(3):
+        turn = Rotation.from_rotvec(min(size, 3.0) * m.rng.normal(size=3)).as_matrix()
+        rows = calibrated.with_frame(m.measured(m.configurations(8)), turn, size * m.rng.normal(size=3))
+        found = check(m.saved, rows)
+        assert [c.where for c in found.causes] == ["world_base"]
+        assert found.rest.p_value > FALSE_ALARMS
+
+
+@pytest.mark.parametrize("kind", ["pose", "position"])
+@pytest.mark.parametrize("size", [2e-3, 0.3])
+def test_a_tool_that_moved_is_named(kind, size):
+    m = ur10(2, kind)
+    rows = m.measured(m.configurations(10))
+    R, _ = m.model.poses(m.theta, m.model.rows(rows.readings))
+    rows = replace(rows, position=rows.position + R @ (size * np.array([0.6, -0.3, 0.7])))
+    found = check(m.saved, rows)
+    assert [c.where for c in found.causes] == ["tip_target"]
+
+
+def test_an_effect_that_changed_is_named():
+    """The elbow's gear error doubles."""
+    wave = [Coefficient("elbow_joint", "axis", Basis(form, ("elbow_joint",), (2.0,))) for form in ("sin", "cos")]
+    m = machine(5, effects=((wave[0], 8e-4), (wave[1], 3e-4)))
+    worse = replace(m, theta=np.concatenate([m.theta[:-2], 2 * m.theta[-2:]]))
+    assert check(m.saved, m.measured(m.configurations(15))).good
+    found = check(m.saved, worse.measured(m.configurations(15)))
+    assert [(c.kind, c.where) for c in found.causes] == [("effect", "elbow_joint")]
+
+
+def test_a_row_that_is_off_by_itself_is_named_and_not_the_robot():
+    m = ur10()
+    rows = m.measured(m.configurations(8))
+    rows.position[3] += [2e-3, 0.0, -1e-3]
+    found = check(m.saved, rows)
+    assert [(c.kind, c.where) for c in found.causes] == [("row", str(rows.line[3]))]
+    assert found.moved == ()
+
+
+def test_an_instrument_that_scatters_more_is_named_and_not_the_robot():
+    m = ur10()
+    found = check(m.saved, m.measured(m.configurations(12), noise=4 * NOISE))
+    assert [c.kind for c in found.causes] == ["noise"]
+
+
+def test_a_base_and_a_zero_that_moved_together_are_both_named():
+    m = ur10()
+    rows = m.measured(m.configurations(15), jump(2, 2e-3))
+    rows = calibrated.with_frame(rows, Rotation.from_rotvec([0.1, 0.4, -0.2]).as_matrix(), np.array([1.0, -0.5, 0.2]))
+    assert {c.where for c in check(m.saved, rows).causes} == {"world_base", "elbow_joint"}
+
+
+def test_rows_too_alike_to_tell_ask_for_one_that_does():
+    """The elbow and the wrist turn about parallel axes: in poses that differ little their zeros look alike."""
+    m = ur10()
+    asked_for = []
+    for _ in range(10):
+        q = m.configurations(1) + 0.02 * m.rng.normal(size=(6, 6))
+        rows = robots.positions_alone(m.measured(q, jump(2, 6e-4)))
+        found = check(m.saved, rows)
+        asked_for += [c.telling for c in found.causes if c.telling is not None]
+    assert asked_for
+    low, high = np.array([m.saved.ranges[name] for name in NAMES]).T
+    assert all(np.all((low <= q) & (q <= high)) for q in asked_for)
+
+
+def test_tables_in_millimetres_and_degrees_with_stations_are_read_as_the_campaign_s(tmp_path, capsys):
+    """The rail jumps by 0.8 mm; then one station's base does."""
+    truth = robots.simulate(robots.arid(), 130, np.random.default_rng(3), 1e-3, 1e-4)
+    rows = robots.table(truth)
+    rows["station"] = np.where(np.arange(130) % 2, "b", "a")
+    rows.loc[rows["station"] == "b", "x"] += 0.3
+    rows[["A", "B", "C"]] = Rotation.from_quat(rows[["qx", "qy", "qz", "qw"]]).as_euler("XYZ", degrees=True)
+    rows = rows.drop(columns=["qx", "qy", "qz", "qw"])
+    for joint in truth.model.robot.joints:
+        rows[joint.name] *= 1e3 if joint.kind == "prismatic" else 180.0 / np.pi
+    rows[["x", "y", "z"]] *= 1e3
+    settings = {
+        "file": "measurements.csv",
+        "units": {"length": "mm", "angle": "deg"},
+        "orientation": {"euler": "XYZ", "columns": ["A", "B", "C"]},
+    }
+    path = robots.write_campaign(
+        tmp_path, truth, rows[:120], measurements=settings, frames={"world_base": {"per": "station"}}
+    )
+    outcome = identify(path)
+    (tmp_path / "results").mkdir()
+    write_results(outcome, tmp_path / "results")
+    rail, base = rows[120:].copy(), rows[120:].copy()
+    rail["joint_1"] += 0.8
+    base.loc[base["station"] == "b", "y"] += 2.0
+    for name, table, status, words in (
+        ("clean", rows[120:], 0, "still good"),
+        ("rail", rail, 3, "the zero of joint_1, by -0.8"),
+        ("base", base, 3, "the base (or the instrument) at station b, by 2.0"),
+    ):
+        table.to_parquet(tmp_path / f"{name}.parquet")
+        assert main(["check", str(tmp_path / "results"), str(tmp_path / f"{name}.parquet")]) == status
+        assert words in capsys.readouterr().out
+    strange = rows[120:].assign(station="elsewhere")
+    strange.to_csv(tmp_path / "strange.csv", index=False)
+    assert main(["check", str(tmp_path / "results"), str(tmp_path / "strange.csv")]) == 2
+    assert "'elsewhere' was not in the calibration" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-12])
+def test_a_calibration_from_exact_rows_can_be_checked(noise):
+    """Noise of nothing beside a base that moved by metres: nothing overflows, and names are right."""
+    m = ur10()
+    exact = replace(m, saved=replace(m.saved, noise=(noise, noise)))
+    q = m.configurations(8)
+    assert [c.where for c in check(exact.saved, exact.measured(q, jump(2, 0.5), 0.0)).causes[:1]] == [NAMES[2]]
+    rows = calibrated.with_frame(exact.measured(q, 0.0, 0.0), np.eye(3), np.array([5.0, -7.0, 2.0]))
+    assert [c.where for c in check(exact.saved, rows).causes[:1]] == ["world_base"]
+
+
+# -- tolerances
+
+
+def test_with_a_tolerance_only_a_larger_error_counts():
+    m = ur10()
+    q = m.configurations(10)
+    assert check(m.saved, m.measured(q, jump(2, 2e-4)), tolerance=1e-3).good
+    assert not check(m.saved, m.measured(q, jump(2, 5e-3)), tolerance=1e-3).good
+    found = check(m.saved, m.measured(q, jump(2, 2e-4)), tolerance=1e-3)
+    assert found.contradicted and found.moved
+
+
+# -- the command
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory) -> Path:
+    """A result folder of the machine, from its table, as `identify` writes it but for the report."""
+    folder = tmp_path_factory.mktemp("results")
+    m = ur10(7)
+    truth = robots.Truth(m.model, m.theta, m.measured(m.configurations(80)))
+    outcome = identify(robots.write_campaign(folder, truth))
+    (folder / "results").mkdir()
+    write_results(outcome, folder / "results")
+    return folder / "results"
+
+
+def test_the_exit_status_is_0_or_3_and_the_joint_is_named(results, tmp_path, capsys):
+    m = ur10(7)
+    q = m.configurations(10)
+    good = calibrated.table(m.measured(q), tmp_path / "good.csv")
+    bad = calibrated.table(m.measured(q, jump(3, 1e-3)), tmp_path / "bad.csv")
+    assert main(["check", str(results), str(good)]) == 0
+    assert capsys.readouterr().out.startswith("still good: ")
+    assert main(["check", str(results / "calibration.yaml"), str(bad)]) == 3
+    out = capsys.readouterr().out
+    assert out.startswith("no longer good: ")
+    assert "moved: the zero of wrist_1_joint, by +1.0" in out
+    assert "fails 1 % of checks" in out
+    assert main(["check", str(results), str(bad), "--tolerance", "5mm"]) == 0
+    assert "good enough" in capsys.readouterr().out
+    assert main(["check", str(results), str(bad), "--tolerance", "0.1 mm"]) == 3
+    assert "above 0.1 mm" in capsys.readouterr().out
+
+
+def test_what_a_wire_calibrated_is_checked_with_positions(tmp_path, capsys):
+    """A calibration from distances holds no anchors: new rows are of the target itself, and others are refused."""
+    made = simulate(scenario(tmp_path, {"kind": "distance"}, {}, n=120, noise={"distance": 1e-4}))
+    write_campaign(made, tmp_path, tmp_path)
+    path = tmp_path / "campaign.yaml"
+    path.write_text(path.read_text() + "\ndiagnosis: {enabled: false}\n")
+    saved = calibration(identify(path))
+    (tmp_path / "calibration.yaml").write_text(saved.dump())
+    rng = np.random.default_rng(0)
+    low, high = np.array([saved.ranges[name] for name in NAMES]).T
+    q = rng.uniform(low, high, (10, 6))
+    for offset, status, words in ((0.0, 0, "still good"), (0.01, 3, "the zero of elbow_joint, by +")):
+        _, p = saved.final.poses(q + jump(2, offset))
+        p = p + saved.noise[0] * rng.normal(size=p.shape)
+        pd.DataFrame(np.hstack([q, p]), columns=[*NAMES, *"xyz"]).to_csv(tmp_path / "new.csv", index=False)
+        assert main(["check", str(tmp_path), str(tmp_path / "new.csv")]) == status
+        assert words in capsys.readouterr().out
+    assert main(["check", str(tmp_path), str(tmp_path / "measurements.csv")]) == 2
+    assert "no column 'x', 'y', 'z'" in capsys.readouterr().err
+
+
+def test_the_scatter_that_rows_are_set_beside_is_that_of_the_fitted_rows(results):
+    saved = SavedModel.load(results)
+    (position, rotation), (of_position, of_rotation) = saved.scatter
+    for sigma, freedom in ((position, of_position), (rotation, of_rotation)):
+        assert sigma == pytest.approx(NOISE, rel=4 / np.sqrt(2 * freedom))
+        assert 100 < freedom < 3 * 64
+    older = replace(saved, record={k: v for k, v in saved.record.items() if k != "scatter"})
+    assert older.scatter == (saved.noise, (np.inf, np.inf))
+
+
+@pytest.mark.parametrize(
+    ("tolerance", "said"),
+    [("0.2", "with its unit"), ("0.2furlong", "with its unit"), ("-1mm", "with its unit"), ("0mm", "with its unit")],
+)
+def test_a_tolerance_needs_a_unit(tolerance, said, results, capsys):
+    with pytest.raises(SystemExit) as stop:
+        main(["check", str(results), "new.csv", f"--tolerance={tolerance}"])
+    assert stop.value.code == 2
+    assert said in capsys.readouterr().err
+
+
+def test_tables_that_cannot_be_checked_are_refused_with_the_remedy(results, tmp_path, capsys):
+    m = ur10(7)
+    few = calibrated.table(m.measured(m.configurations(2)), tmp_path / "few.csv")
+    many = calibrated.table(m.measured(m.configurations(201)), tmp_path / "many.csv")
+    missing = tmp_path / "missing.csv"
+    robots.read_csv(few).drop(columns="elbow_joint").to_csv(missing, index=False)
+    for path, words in (
+        (few, "2 usable rows: 5 to 20"),
+        (many, "aridcal identify"),
+        (missing, "elbow_joint"),
+        (tmp_path / "nowhere.csv", "nowhere.csv"),
+    ):
+        assert main(["check", str(results), str(path)]) == 2
+        assert words in capsys.readouterr().err
+    bare = tmp_path / "calibration.yaml"
+    keys = yaml.safe_load((results / "calibration.yaml").read_text())
+    del keys["campaign"]
+    bare.write_text(yaml.safe_dump(keys))
+    assert main(["check", str(bare), str(few)]) == 2
+    assert "holds no campaign" in capsys.readouterr().err
+    assert main(["check", str(tmp_path / "none"), str(few)]) == 2

@@ -1,0 +1,195 @@
+"""`aridcal recalibrate`: what moved is fitted, the rest is kept, and the folder says where it comes from."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+
+import calibrated
+import numpy as np
+import pandas as pd
+import pinocchio as pin
+import pytest
+import robots
+import yaml
+from calibrated import NOISE, Machine, jump, machine
+
+from aridcal.__main__ import main
+from aridcal.errors import MeasurementError
+from aridcal.result.folder import write_results
+from aridcal.result.pipeline import identify
+from aridcal.result.saved_model import SavedModel
+from aridcal.robot.chain import parse_robot
+from aridcal.service.checking import check
+from aridcal.service.repair import repaired, urdf_of
+
+NAMES = robots.ur10().readings
+
+
+def error(m: Machine, saved: SavedModel, offset: np.ndarray | float = 0.0) -> float:
+    """RMS position error of a calibration where nothing was measured, [m]."""
+    q = robots.readings(m.model.robot, 200, np.random.default_rng(0), 0.6)
+    _, real = m.model.poses(m.theta, m.model.rows(q + offset))
+    _, told = saved.final.poses(q)
+    return float(np.sqrt(np.mean(np.sum((told - real) ** 2, axis=1))))
+
+
+@pytest.mark.parametrize("kind", ["pose", "position"])
+def test_ten_rows_after_a_jump_make_a_calibration_as_good_as_before(kind):
+    ratios = []
+    for seed in range(5):
+        m = machine(300 + seed, kind)
+        for joint in range(1, 5):
+            rows = m.measured(m.configurations(10), jump(joint, 5e-4))
+            mended = repaired(m.saved, check(m.saved, rows))
+            assert [c.cause.where for c in mended.changes] == [NAMES[joint]]
+            ratios.append(error(m, mended.saved, jump(joint, 5e-4)) / error(m, m.saved))
+            assert error(m, m.saved, jump(joint, 5e-4)) > 2 * error(m, m.saved)
+    assert np.sqrt(np.mean(np.square(ratios))) < 1.15
+
+
+def test_the_jump_is_recovered_with_the_uncertainty_that_is_stated():
+    pulls = []
+    for seed in range(8):
+        m = machine(400 + seed)
+        for joint in (1, 2, 3, 4):
+            rows = m.measured(m.configurations(10), jump(joint, 1e-3))
+            change = repaired(m.saved, check(m.saved, rows)).changes[0]  # in one of a hundred a second one is chance
+            pulls.append((change.value[0] - 1e-3) / change.std[0])
+    assert 0.6 < np.sqrt(np.mean(np.square(pulls))) < 1.4
+
+
+def test_a_motor_put_in_anywhere_is_recovered():
+    m = machine(1)
+    mended = repaired(m.saved, check(m.saved, m.measured(m.configurations(10), jump(4, 1.0))))
+    assert mended.changes[0].value[0] == pytest.approx(1.0, abs=1e-4)
+    assert error(m, mended.saved, jump(4, 1.0)) < 1.5 * error(m, m.saved)
+
+
+def test_what_did_not_move_is_kept():
+    """Every other coefficient stays within what was known of it, and none is less well known than before."""
+    m = machine(2)
+    before = m.saved.final
+    after = repaired(m.saved, check(m.saved, m.measured(m.configurations(10), jump(2, 2e-3)))).saved.final
+    index = {name: k for k, name in enumerate(after.model.names)}
+    kept = [index[name] for name in before.model.names]
+    assert len(after.theta) == len(before.theta) + 1  # the zero of the elbow
+    std = np.sqrt(np.diag(before.covariance))
+    others = [not c.where.startswith(("world_base", "tip_target")) for c in before.model.coefficients]
+    assert np.all((np.abs(after.theta[kept] - before.theta) < 3 * std)[others])
+    assert np.all(np.sqrt(np.diag(after.covariance))[kept] < 1.001 * std)
+    assert np.linalg.eigvalsh(after.covariance).min() > -1e-18
+
+
+@pytest.mark.parametrize("joint", [1, 4])
+def test_the_urdf_has_the_zero_in_it(joint):
+    """Pinocchio on the URDF alone, and the model, are one robot."""
+    m = machine(3)
+    mended = repaired(m.saved, check(m.saved, m.measured(m.configurations(10), jump(joint, 0.3)))).saved
+    urdf = urdf_of(mended.geometric)
+    tree = pin.buildModelFromXML(urdf.decode())
+    data = tree.createData()
+    tip = tree.getFrameId("tool0")
+    base, tool = (frames[0][1] for frames in mended.geometric.model.frames(mended.geometric.theta))
+    q = m.configurations(20)
+    _, told = mended.geometric.poses(q)
+    for row, place in zip(q, told, strict=True):
+        pin.framesForwardKinematics(tree, data, row)
+        np.testing.assert_allclose((base * data.oMf[tip] * tool).translation, place, atol=1e-9)
+    assert parse_robot(urdf, "tool0").readings == NAMES
+
+
+@pytest.mark.parametrize(
+    ("what", "said"), [("clean", "nothing moved"), ("row", "nothing to repair"), ("another robot", "identify")]
+)
+def test_what_cannot_be_repaired_is_refused_with_the_remedy(what, said):
+    m = machine(4)
+    rows = m.measured(m.configurations(12))
+    if what == "row":
+        rows.position[5] += 3e-3
+    if what == "another robot":
+        other = machine(4)
+        rng = np.random.default_rng(0)
+        theta = other.theta + 3e-3 * rng.normal(size=len(other.theta))
+        q = m.configurations(12)
+        rows = calibrated.measured(m.model, theta, q, q, NOISE, rng, "pose")
+    with pytest.raises(MeasurementError, match=said):
+        repaired(m.saved, check(m.saved, rows))
+
+
+# -- the command
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory) -> Path:
+    """A result folder of machine 7 with a declared effect, as `identify` writes it but for the report."""
+    folder = tmp_path_factory.mktemp("results")
+    m = machine(7)
+    truth = robots.Truth(m.model, m.theta, m.measured(m.configurations(80)))
+    effects = [{"kind": "joint_harmonic", "where": "elbow_joint", "order": 2}]
+    outcome = identify(robots.write_campaign(folder, truth, effects=effects))
+    (folder / "results").mkdir()
+    write_results(outcome, folder / "results")
+    return folder / "results"
+
+
+def new_rows(path: Path, offset: np.ndarray | float, seed: int = 7) -> Path:
+    m = machine(seed)
+    return calibrated.table(m.measured(m.configurations(10), offset), path)
+
+
+def test_the_folder_says_where_it_comes_from_and_can_be_used_at_once(results, tmp_path, capsys):
+    old = (results / "calibration.yaml").read_bytes()
+    csv = new_rows(tmp_path / "new.csv", jump(2, 1e-3))
+    out = tmp_path / "repaired"
+    assert main(["recalibrate", str(results), str(csv), "-o", str(out)]) == 0
+    assert "moved: the zero of elbow_joint, by +1.0" in capsys.readouterr().out
+    assert {p.name for p in out.iterdir()} == {"calibration.yaml", "calibrated.urdf", "model.urdf", "result.json"}
+    assert (results / "calibration.yaml").read_bytes() == old
+
+    found = json.loads((out / "result.json").read_text())
+    lineage = found["lineage"]
+    assert lineage == yaml.safe_load((out / "calibration.yaml").read_text())["lineage"]
+    assert lineage["from"] == str(results / "calibration.yaml")
+    assert lineage["sha256"] == hashlib.sha256(old).hexdigest()
+    assert lineage["rows"]["used"] == list(range(2, 12)) and lineage["rows"]["left_out"] == []
+    assert lineage["moved"] == ["elbow_joint"] and lineage["before"] is None
+    (moved,) = found["moved"]
+    (change,) = moved["changes"]
+    assert change["value"] == pytest.approx(1e-3, abs=5 * change["std"]) and change["unit"] == "rad"
+    rms = [found["error"][stage]["new_rows"]["position_mm"]["rms"] for stage in ("before", "after")]
+    assert rms[1] < 0.15 < rms[0]
+
+    assert main(["check", str(out), str(csv)]) == 0
+    assert main(["check", str(results), str(csv)]) == 3
+    told, back = tmp_path / "told.csv", tmp_path / "back.csv"
+    assert main(["predict", str(out / "calibration.yaml"), str(csv), "-o", str(told)]) == 0
+    asked, answer = pd.read_csv(csv), pd.read_csv(told)
+    assert np.abs(answer[["x", "y", "z"]] - asked[["x", "y", "z"]]).to_numpy().max() < 5 * NOISE
+    assert main(["compensate", str(out / "calibration.yaml"), str(told), "-o", str(back)]) == 0
+    np.testing.assert_allclose(pd.read_csv(back)[list(NAMES)], asked[list(NAMES)], atol=1e-6)
+
+
+def test_a_second_repair_keeps_the_lineage_of_the_first(results, tmp_path):
+    once, twice = tmp_path / "once", tmp_path / "twice"
+    first = new_rows(tmp_path / "first.csv", jump(2, 1e-3))
+    second = new_rows(tmp_path / "second.csv", jump(2, 1e-3) + jump(4, -2e-3))
+    assert main(["recalibrate", str(results), str(first), "-o", str(once)]) == 0
+    assert main(["recalibrate", str(once / "calibration.yaml"), str(second), "-o", str(twice)]) == 0
+    lineage = json.loads((twice / "result.json").read_text())["lineage"]
+    assert lineage["moved"] == ["wrist_2_joint"]
+    assert lineage["before"]["moved"] == ["elbow_joint"]
+    assert main(["check", str(twice), str(second)]) == 0
+
+
+def test_nothing_is_written_where_nothing_moved_or_over_what_is_repaired(results, tmp_path, capsys):
+    clean = new_rows(tmp_path / "clean.csv", 0.0)
+    bad = new_rows(tmp_path / "bad.csv", jump(3, 1e-3))
+    assert main(["recalibrate", str(results), str(clean), "-o", str(tmp_path / "out")]) == 2
+    assert "nothing moved" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+    before = {p.name: p.read_bytes() for p in results.iterdir()}
+    assert main(["recalibrate", str(results), str(bad), "-o", str(results)]) == 2
+    assert "name another" in capsys.readouterr().err
+    assert {p.name: p.read_bytes() for p in results.iterdir()} == before
