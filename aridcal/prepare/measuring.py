@@ -25,7 +25,8 @@ from aridcal.instruments.inclination import DOWN
 from aridcal.instruments.kind import Kind
 from aridcal.instruments.pose import TRACKER, shown
 from aridcal.model.model import Model
-from aridcal.prepare.postures import Miss, Pose, Sight, brought, draw_images, draw_readings, settled, sight
+from aridcal.model.reaching import Miss, Pose, brought, draw_readings, settled
+from aridcal.prepare.postures import Sight, draw_images, sight
 from aridcal.prepare.scenario import Scenario
 from aridcal.prepare.true_effects import Cause, Machine, columns_needed, draw_columns, make_causes
 from aridcal.prepare.true_things import Real, true_anchors, true_planes, true_points
@@ -37,6 +38,9 @@ REACHED = 1000
 
 WELL = (0.25, 0.75)
 """Quantiles of their distance from the base between which places are reached in many ways, and by every target."""
+
+ADVICE = "move those under `truth.instruments`"
+"""Where the arm does not reach them."""
 
 PASSES, NEWTON = 5, 4
 """How often effects and the readings that they change are found in turn, and Newton's steps of each."""
@@ -245,8 +249,9 @@ def _begun(
     rows = Rows(kind, np.zeros((n, 0)), shot, refers, target, rng.uniform(-gauge, gauge, n))
     miss = rows.miss(real, np.zeros((n, 1)))
     robot = machine.robot
-    readings = draw_readings(robot, n, rng) if miss is None else brought(robot, pose(target), miss, n, rng, place)
-    return replace(rows, readings=readings)
+    if miss is None:
+        return replace(rows, readings=draw_readings(robot, n, rng))
+    return replace(rows, readings=brought(robot, pose(target), miss, n, rng, place, ADVICE))
 
 
 def _errors(
