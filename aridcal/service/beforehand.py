@@ -180,8 +180,8 @@ def _from_nothing(campaign: Campaign, robot: Robot) -> Beforehand:
             instruments=made,
         )
     coefficients = frame_coefficients(campaign, (), rows) + constants(robot, campaign.parameters.set)
-    ends = [((None, placement(frame)),) for frame in (campaign.frames.world_base, campaign.frames.tip_target)]
-    model = Model(robot, coefficients, *ends, instruments=rows.instruments)
+    world, tip = (((None, placement(frame)),) for frame in (campaign.frames.world_base, campaign.frames.tip_target))
+    model = Model(robot, coefficients, world, tip, instruments=rows.instruments)
     model = replace(model, around=surroundings(campaign, model, loaded=False))
     assumed = [
         f"noise.{c.name} is not said: planned with {s * c.scale:g} {c.shown}"

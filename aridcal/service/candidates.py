@@ -20,7 +20,10 @@ from aridcal.service.beforehand import Beforehand
 from aridcal.service.clearance import clear
 
 ROUNDS = 40
-"""Times that as many configurations as are wanted are drawn: fewer than one in forty inside what is allowed is no workspace."""
+"""Times that configurations are drawn: fewer than one in forty inside what is allowed is hardly a workspace."""
+
+AT_ONCE = 3000
+"""Configurations that are drawn at a time, where only some of them can be measured."""
 
 FEWEST = 4
 """Markers that an image must show, or all if there are fewer: a pose needs three, and one more to check."""
@@ -115,15 +118,21 @@ def allowed(known: Beforehand, readings: np.ndarray, pattern: np.ndarray) -> np.
     return clear(known.robot, known.campaign.design.keep_out, readings, own)
 
 
-def draw_candidates(known: Beforehand, count: int, rng: np.random.Generator) -> Candidates:
+def draw_candidates(known: Beforehand, count: int, least: int, rng: np.random.Generator) -> Candidates:
     """Configurations drawn from the joints' ranges that can be measured, of each offer as many.
+
+    Args:
+        known: What can be measured.
+        count: How many, if there are so many.
+        least: How many at least.
+        rng: Draws them.
 
     Raises:
         CampaignError: hardly any can.
     """
     choices = offers(known)
-    each = -(-count // len(choices.patterns))
-    parts = [_of_offer(known, own, each, rng) for own in choices.patterns]
+    each, fewest = (-(-number // len(choices.patterns)) for number in (count, least))
+    parts = [_of_offer(known, own, each, fewest, rng) for own in choices.patterns]
     readings = np.concatenate([part.readings for part in parts])
     starts = np.cumsum([0, *(len(part.readings) for part in parts)])[:-1]
     return Candidates(
@@ -134,13 +143,13 @@ def draw_candidates(known: Beforehand, count: int, rng: np.random.Generator) -> 
     )
 
 
-def _of_offer(known: Beforehand, own: np.ndarray, count: int, rng: np.random.Generator) -> Candidates:
+def _of_offer(known: Beforehand, own: np.ndarray, count: int, least: int, rng: np.random.Generator) -> Candidates:
     """Configurations for one choice of what is measured."""
     found: list[np.ndarray] = []
     shown: list[np.ndarray] = []
-    many = 0
+    many, drawn = 0, max(count, AT_ONCE) if len(own) > 1 else count
     for _ in range(ROUNDS):
-        readings = _drawn(known, int(own[0]), count, rng)
+        readings = _drawn(known, int(own[0]), drawn, rng)
         readings = readings[allowed(known, readings, np.full(len(readings), own[0]))]
         seen = _seen(known, readings, own)
         good = seen.sum(axis=1) >= min(FEWEST, len(own))
@@ -149,11 +158,12 @@ def _of_offer(known: Beforehand, own: np.ndarray, count: int, rng: np.random.Gen
         many += int(good.sum())
         if many >= count:
             break
-    else:
+    if many < least:
         raise CampaignError(
-            f"{known.campaign.path}: of {ROUNDS * count:,} configurations only {many} can be measured inside the joints' limits: "
+            f"{known.campaign.path}: of {ROUNDS * drawn:,} configurations only {many} can be measured inside the joints' limits: "
             "check `design.keep_out`, and what `instruments` says of cameras and markers"
         )
+    count = min(count, many)
     of, column = np.nonzero(np.concatenate(shown)[:count])
     return Candidates(np.concatenate(found)[:count], np.zeros(count, dtype=int), own[column], of)
 
@@ -166,7 +176,7 @@ def _drawn(known: Beforehand, pattern: int, count: int, rng: np.random.Generator
         return draw_readings(known.robot, count, rng)
     things = known.model.instruments.things[kind]
     number = things.names.index(str(rows.refers[pattern, 0]))
-    state = known.model.states.get(kind, things.start)[number]
+    state: np.ndarray = known.model.states.get(kind, things.start)[number]
 
     def miss(R: np.ndarray, p: np.ndarray, rows: np.ndarray) -> np.ndarray:
         return p - state if kind == "point" else p @ state[:3, None] - state[3]
@@ -301,7 +311,7 @@ def _together(rows: np.ndarray, candidates: Candidates) -> np.ndarray:
     stacked = np.zeros((len(count), int(count.max()), m, D))
     stacked[candidates.of, place] = rows
     flat = stacked.reshape(len(count), -1, D)
-    return flat if flat.shape[1] <= D else np.linalg.qr(flat, mode="r")
+    return flat if flat.shape[1] <= D else np.asarray(np.linalg.qr(flat, mode="r"))
 
 
 def target_columns(

@@ -33,12 +33,16 @@ from aridcal.service.candidates import (
     target_columns,
     told,
 )
-from aridcal.service.exchange import Choice, Criterion, best_choice, nested, rms_sigma, worst_sigma
+from aridcal.service.exchange import FEW, Choice, Criterion, best_choice, nested, rms_sigma, worst_sigma
 from aridcal.service.travel import short_order
 from aridcal.showing import SILENT, Progress
 
-POOL = 1500
-"""Configurations to choose from: twice as many make the choice better by less than a per cent."""
+POOL, SMALL_POOL = 3000, 1000
+"""Configurations to choose from, and the same where many are wanted, or each must be sought: twice as many make the choice better
+by a per cent."""
+
+EASY = ("pose", "position", "distance")
+"""Kinds that can be measured in any configuration."""
 
 PLACES = 300
 """Of the region: their mean is then known to a few per cent, and every choice is compared on the same ones."""
@@ -128,7 +132,8 @@ def design(known: Beforehand, asked: Asked, progress: Progress = SILENT) -> Plan
     """
     drawing, choosing, chance = (np.random.default_rng(s) for s in np.random.SeedSequence(asked.seed).spawn(3))
     progress("drawing configurations")
-    candidates = draw_candidates(known, max(POOL, 4 * asked.n), drawing)
+    pool = POOL if asked.n <= FEW and known.campaign.measurements.kind in EASY else SMALL_POOL
+    candidates = draw_candidates(known, max(pool, 4 * asked.n), 2 * asked.n, drawing)
     choice, of = question(known, asked, candidates, drawing)
     progress(f"choosing {asked.n} of {len(candidates.readings):,} configurations")
     chosen = best_choice(choice, asked.n, choosing)

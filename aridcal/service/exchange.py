@@ -25,11 +25,13 @@ import numpy as np
 
 Criterion = Literal["A", "D", "G"]
 
-PASSES = 20
-"""Times at the most that every chosen configuration is asked whether another is better; four or five are usual."""
+ASKED, FEWEST_PASSES = 600, 2
+"""Times that a member of a choice is asked whether another is better, and passes through all of them at the least: four or five
+passes are usual for thirty; of hundreds, each matters less."""
 
-STARTS = 3
-"""Choices that exchanges begin with: the greedy one and random ones; more end within a per cent of the best of these."""
+STARTS, FEW = 3, 60
+"""Choices that exchanges begin with where few are wanted: the greedy one and random ones, which end within a per cent of each
+other; and up to how many that is. More begin with the greedy one alone."""
 
 BETTER = 1e-6
 """Share by which an exchange must be better: rounding must not exchange for ever."""
@@ -65,7 +67,7 @@ class Choice:
         flat = J.reshape(-1, J.shape[2])
         return np.asarray(flat.T @ flat)
 
-    def information(self, chosen: Sequence[int]) -> np.ndarray:
+    def information(self, chosen: Sequence[int] | np.ndarray) -> np.ndarray:
         """M with some candidates measured, shape (D, D)."""
         F = self.rows[list(chosen)].reshape(-1, self.rows.shape[2])
         return np.asarray(self.known + F.T @ F)
@@ -98,15 +100,16 @@ def worst_sigma(choice: Choice, information: np.ndarray) -> float:
     return float(np.sqrt(np.linalg.eigvalsh(choice.variances(information))[:, -1].max()))
 
 
-def best_choice(choice: Choice, n: int, rng: np.random.Generator, starts: int = STARTS) -> list[int]:
+def best_choice(choice: Choice, n: int, rng: np.random.Generator, starts: int | None = None) -> list[int]:
     """The best n candidates that exchanges find, each at most once.
 
     Args:
         choice: C candidates.
         n: How many, at most C.
         rng: Draws the starts after the first, which is greedy.
-        starts: How many.
+        starts: How many; default: :data:`STARTS`, or one where many are wanted.
     """
+    starts = starts or (STARTS if n <= FEW else 1)
     if choice.criterion == "G":
         return _for_the_worst(choice, n, rng, starts)
     begun = [greedy(choice, n), *(rng.permutation(len(choice.rows))[:n].tolist() for _ in range(starts - 1))]
@@ -127,7 +130,7 @@ def greedy(choice: Choice, n: int, begin: Sequence[int] = ()) -> list[int]:
 def exchanged(choice: Choice, chosen: Sequence[int]) -> list[int]:
     """A choice with members exchanged as long as that makes it better."""
     chosen = list(chosen)
-    for _ in range(PASSES):
+    for _ in range(max(FEWEST_PASSES, ASKED // max(len(chosen), 1))):
         covariance, solved = np.linalg.inv(choice.information(chosen)), _of_solved(choice, chosen)
         settled = True
         for place, old in enumerate(chosen):
