@@ -32,6 +32,10 @@ LOOSE = 0.1
 """[m] and [rad]: how well everything is known before it is measured. No robot is wrong by more, and what is measured is known a
 thousand times better; without it a few rows could not be compared at all."""
 
+ROUNDING = 1e-10
+"""Share of the largest singular value below which what several rows of one configuration tell together is nothing: thirty markers
+move as one body, by six numbers."""
+
 
 @dataclass(frozen=True)
 class Offers:
@@ -201,11 +205,11 @@ def _seen(known: Beforehand, readings: np.ndarray, own: np.ndarray) -> np.ndarra
     n, m = len(readings), len(own)
     if known.campaign.measurements.kind != "pixels" or n == 0:
         return np.ones((n, m), dtype=bool)
-    asked = problem(known.model, rows_like(known, np.repeat(readings, m, axis=0), np.tile(own, n)))
+    asked = problem(known.model, rows_like(known, np.repeat(readings[:1], m, axis=0), own))
     assert asked.measured is not None
     refers = asked.measured.refers
-    states = [asked.states[role.name][refers[:, k]] for k, role in enumerate(PIXELS.roles)]
-    R, p = asked.model.poses(known.theta, asked.rows)
+    states = [np.tile(asked.states[role.name][refers[:, k]], (n, 1)) for k, role in enumerate(PIXELS.roles)]
+    R, p = (np.repeat(each, m, axis=0) for each in targets_of(known, readings, np.full(n, own[0])))
     camera = known.campaign.instruments.cameras[str(known.patterns.refers[own[0], 0])]
     size = np.array([camera.width, camera.height], dtype=float)
     seen = in_image(R, p, states, size)
@@ -304,14 +308,18 @@ def _stated(question: Problem, width: int) -> np.ndarray:
 
 
 def _together(rows: np.ndarray, candidates: Candidates) -> np.ndarray:
-    """Rows (N, m, D) of each candidate one under another, shape (C, p, D); of many numbers their triangle."""
+    """Rows (N, m, D) of each candidate one under another, shape (C, p, D); of an image what its markers tell together."""
     _, m, D = rows.shape
     count = np.bincount(candidates.of, minlength=len(candidates.readings))
     place = np.arange(len(candidates.of)) - np.repeat(np.cumsum(count) - count, count)
     stacked = np.zeros((len(count), int(count.max()), m, D))
     stacked[candidates.of, place] = rows
     flat = stacked.reshape(len(count), -1, D)
-    return flat if flat.shape[1] <= D else np.asarray(np.linalg.qr(flat, mode="r"))
+    if stacked.shape[1] == 1:
+        return flat
+    _, s, Vt = np.linalg.svd(flat, full_matrices=False)
+    rank = int((s > ROUNDING * s.max()).sum(axis=1).max())
+    return np.asarray(s[:, :rank, None] * Vt[:, :rank])
 
 
 def target_columns(
