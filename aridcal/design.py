@@ -1,9 +1,9 @@
 """Choose configurations to measure: those that make the target best known where it is to work.
 
 With tables already measured, the new rows add to what these tell. A campaign whose tables are not there yet is planned from
-nothing: the kind of measurement, its noise, and frames and instruments as hints. Joints stay inside their limits, and the arm, as
-lines from joint to joint and to the target, out of the boxes of the campaign's
-`design: {keep_out: [{min: [x, y, z], max: [x, y, z]}]}` (base frame, m). The ways between configurations are not looked at.
+nothing: the kind of measurement, its noise, and frames and instruments as hints. Joints stay inside their limits. The arm, as
+lines from joint to joint and to the target and with the URDF's collision shapes, keeps out of itself and of the boxes of the
+campaign's `design: {keep_out: [{min: [x, y, z], max: [x, y, z]}]}` (base frame, m). The ways between are not looked at.
 The table has the joints in the campaign's columns and units, in an order that shortens the way, and what each row measures:
 which point, anchor, plane, camera or target.
 

@@ -21,7 +21,9 @@ from aridcal.instruments.catalogue import KINDS
 from aridcal.instruments.channels import TARGET_POSITION, TARGET_ROTATION
 from aridcal.instruments.setup import Block, Instruments
 from aridcal.model.model import SIZES, Model
+from aridcal.model.reaching import draw_readings
 from aridcal.robot.chain import Robot
+from aridcal.robot.collisions import Bodies, bodies_of
 from aridcal.search.arm import fit_arm, fit_constants, surroundings
 from aridcal.showing import SILENT, Progress
 
@@ -35,6 +37,9 @@ WHERE = {
     "pixels": "cameras: {NAME: {xyz: [x, y, z], rpy: [r, p, y], …}}, markers: {file: markers.csv, xyz: …, rpy: …}",
 }
 """What says where the things are that rows of a kind refer to."""
+
+USUAL = 200
+"""Postures of which two shapes that touch in every one overlap by themselves: they say nothing of collisions."""
 
 OFFSET = 3
 """Component of an anchor that may be anything: zero as long as nobody says more."""
@@ -53,6 +58,7 @@ class Beforehand:
         rows: Those fitted; none where nothing was measured yet.
         weight: Of each, shape (N,).
         patterns: Rows of which each new one is a copy with other readings: of every thing that it may refer to, one.
+        bodies: What of the arm can touch what.
         notices: What had to be assumed.
     """
 
@@ -64,6 +70,7 @@ class Beforehand:
     rows: Dataset
     weight: np.ndarray
     patterns: Dataset
+    bodies: Bodies
     notices: tuple[str, ...]
 
     def with_coefficients(self, more: tuple[Coefficient, ...]) -> Beforehand:
@@ -87,7 +94,7 @@ def beforehand(campaign: Campaign, robot: Robot, progress: Progress = SILENT) ->
     files = [path for block in campaign.blocks for path in block.files]
     missing = [path for path in files if not path.exists()]
     if not missing:
-        return _measured(campaign, robot, progress)
+        return _measured(campaign, robot, _bodies(campaign, robot), progress)
     if len(missing) < len(files):
         raise MeasurementError(
             f"{missing[0]}: there is no such file, though others of {campaign.path} are there: take it out of the campaign, and "
@@ -98,10 +105,16 @@ def beforehand(campaign: Campaign, robot: Robot, progress: Progress = SILENT) ->
             f"{campaign.path}: measurements: nothing was measured yet, and there are several blocks: plan each in a campaign of "
             "its own"
         )
-    return _from_nothing(campaign, robot)
+    return _from_nothing(campaign, robot, _bodies(campaign, robot))
 
 
-def _measured(campaign: Campaign, robot: Robot, progress: Progress) -> Beforehand:
+def _bodies(campaign: Campaign, robot: Robot) -> Bodies:
+    """What of the arm can touch what, the boxes of the campaign among it."""
+    boxes = [(np.array(box.min), np.array(box.max)) for box in campaign.design.keep_out]
+    return bodies_of(robot, boxes, draw_readings(robot, USUAL, np.random.default_rng(0)))
+
+
+def _measured(campaign: Campaign, robot: Robot, bodies: Bodies, progress: Progress) -> Beforehand:
     """Frames, constants and declared effects from the rows that are there."""
     progress("reading the measurements")
     rows = with_directions(load_measurements(campaign, robot.readings, robot.limits, robot.kinds))
@@ -129,7 +142,8 @@ def _measured(campaign: Campaign, robot: Robot, progress: Progress) -> Beforehan
         rows=rows.select(rows.train),
         weight=fit.weight,
         patterns=_patterns(rows),
-        notices=tuple(notices),
+        bodies=bodies,
+        notices=(*notices, *bodies.unread),
     )
 
 
@@ -149,7 +163,7 @@ def _patterns(rows: Dataset) -> Dataset:
     return replace(some, covariates=typical, relative=None, share=1.0)
 
 
-def _from_nothing(campaign: Campaign, robot: Robot) -> Beforehand:
+def _from_nothing(campaign: Campaign, robot: Robot, bodies: Bodies) -> Beforehand:
     """The nominal robot with the campaign's hints, and things where these say that they are."""
     settings = campaign.measurements
     if "station" in (campaign.frames.world_base.per, campaign.frames.tip_target.per):
@@ -197,7 +211,8 @@ def _from_nothing(campaign: Campaign, robot: Robot) -> Beforehand:
         rows=rows.select(np.zeros(0, dtype=int)),
         weight=np.zeros(0),
         patterns=rows,
-        notices=tuple(assumed),
+        bodies=bodies,
+        notices=(*assumed, *bodies.unread),
     )
 
 

@@ -119,7 +119,7 @@ def allowed(known: Beforehand, readings: np.ndarray, pattern: np.ndarray) -> np.
     _, p = known.model.poses(known.theta, rows)
     bases = [frame for _, frame in known.model.frames(known.theta)[0]]
     own = np.array([bases[k].actInv(at) for k, at in zip(rows.world.tolist(), p, strict=True)]).reshape(-1, 3)
-    return clear(known.robot, known.campaign.design.keep_out, readings, own)
+    return clear(known.robot, known.campaign.design.keep_out, known.bodies, readings, own)
 
 
 def draw_candidates(known: Beforehand, count: int, least: int, rng: np.random.Generator) -> Candidates:
@@ -154,9 +154,9 @@ def _of_offer(known: Beforehand, own: np.ndarray, count: int, least: int, rng: n
     many, drawn = 0, max(count, AT_ONCE) if len(own) > 1 else count
     for _ in range(ROUNDS):
         readings = _drawn(known, int(own[0]), drawn, rng)
-        readings = readings[allowed(known, readings, np.full(len(readings), own[0]))]
         seen = _seen(known, readings, own)
         good = seen.sum(axis=1) >= min(FEWEST, len(own))
+        good[good] = allowed(known, readings[good], np.full(int(good.sum()), own[0]))
         found.append(readings[good])
         shown.append(seen[good])
         many += int(good.sum())

@@ -1,4 +1,4 @@
-"""Configurations in which the arm keeps out of boxes."""
+"""Configurations in which the arm keeps out of boxes and of itself."""
 
 from __future__ import annotations
 
@@ -8,15 +8,20 @@ import numpy as np
 
 from aridcal.inputs.campaign import Box
 from aridcal.robot.chain import Robot
+from aridcal.robot.collisions import Bodies, touches
 from aridcal.robot.kinematics import joint_frames
 
 
-def clear(robot: Robot, boxes: Sequence[Box], readings: np.ndarray, targets: np.ndarray) -> np.ndarray:
-    """True of configurations in which the arm, as lines from joint to joint and on to its target, keeps out of boxes.
+def clear(robot: Robot, boxes: Sequence[Box], bodies: Bodies, readings: np.ndarray, targets: np.ndarray) -> np.ndarray:
+    """True of configurations in which nothing of the arm touches what it must not, shape (n,).
+
+    The arm is at least a line from joint to joint and on to its target, and keeps out of boxes; where the URDF has collision
+    shapes, so do these, and out of each other.
 
     Args:
         robot: The chain.
         boxes: In the base's frame.
+        bodies: What the URDF says of its shapes, with the boxes.
         readings: Shape (n, columns), [rad] or [m].
         targets: Where the target is in the base's frame, shape (n, 3), [m].
     """
@@ -24,6 +29,8 @@ def clear(robot: Robot, boxes: Sequence[Box], readings: np.ndarray, targets: np.
     good = np.ones(len(readings), dtype=bool)
     for box in boxes:
         good &= ~crosses(points[:, :-1], points[:, 1:], box).any(axis=1)
+    if bodies.any:
+        good[good] = ~touches(robot, bodies.geometry, readings[good]).any(axis=1)
     return good
 
 
