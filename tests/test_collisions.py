@@ -32,9 +32,8 @@ def balls(shape: str = f'<sphere radius="{RADIUS}"/>') -> Robot:
     for k, step in enumerate((0.0, *LENGTHS[:2])):
         own = f'<collision><origin xyz="{LENGTHS[k]} 0 0"/><geometry>{shape}</geometry></collision>'
         parts.append(f'<link name="l{k}">{own}</link><joint name="j{k}" type="revolute"><parent link="{parent}"/>')
-        parts.append(
-            f'<child link="l{k}"/><origin xyz="{step} 0 0"/><axis xyz="0 0 1"/><limit lower="-3" upper="3" effort="1" velocity="1"/></joint>'
-        )
+        parts.append(f'<child link="l{k}"/><origin xyz="{step} 0 0"/><axis xyz="0 0 1"/>')
+        parts.append('<limit lower="-3" upper="3" effort="1" velocity="1"/></joint>')
         parent = f"l{k}"
     return parse_robot(("".join(parts) + "</robot>").encode(), "l2", "base")
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import coal
@@ -63,13 +63,12 @@ def bodies_of(robot: Robot, boxes: Sequence[tuple[np.ndarray, np.ndarray]], usua
     ]
     for a, b in pairs:
         geometry.addCollisionPair(pin.CollisionPair(a, b))
-    touching = touches(robot, geometry, usual)
-    for (a, b), always in zip(pairs, touching.all(axis=0).tolist(), strict=True):
-        if always:
-            geometry.removeCollisionPair(pin.CollisionPair(a, b))
-    root = next(iter(_placements(robot, usual[:1])))[0]
+    always = np.flatnonzero(touches(robot, geometry, usual).all(axis=0))
+    for k in always.tolist():
+        geometry.removeCollisionPair(pin.CollisionPair(*pairs[k]))
+    base = _base(robot)
     for number, (low, high) in enumerate(boxes):
-        in_root = root.actInv(pin.SE3(np.eye(3), (low + high) / 2))
+        in_root = base * pin.SE3(np.eye(3), (low + high) / 2)
         box = geometry.addGeometryObject(
             pin.GeometryObject(f"box {number}", 0, in_root, coal.Box(*(high - low).tolist()))
         )
@@ -90,7 +89,7 @@ def touches(robot: Robot, geometry: pin.GeometryModel, readings: np.ndarray) -> 
     model, data, seen = robot.tree, robot.tree.createData(), geometry.createData()
     found = np.zeros((len(readings), len(geometry.collisionPairs)), dtype=bool)
     for row, placements in enumerate(_placements(robot, readings)):
-        for joint, placement in enumerate(placements):
+        for joint, placement in enumerate(placements, start=1):
             data.oMi[joint] = placement
         pin.updateGeometryPlacements(model, data, geometry, seen)
         pin.computeCollisions(geometry, seen, False)
@@ -98,12 +97,16 @@ def touches(robot: Robot, geometry: pin.GeometryModel, readings: np.ndarray) -> 
     return found
 
 
-def _placements(robot: Robot, readings: np.ndarray) -> list[list[pin.SE3]]:
-    """Where every joint of the tree is in the base's frame in each configuration, the root first."""
-    base = robot.tree.frames[robot.tree.getFrameId(robot.base, pin.FrameType.BODY)]
-    walked = list(tree_frames(robot, readings))
-    root = locked_placement(robot.tree, base).inverse()
-    return [[root, *(pin.SE3(w.axes[k], w.origin[k]) for w in walked)] for k in range(len(readings))]
+def _base(robot: Robot) -> pin.SE3:
+    """Where the base is in the tree's root: shapes on no joint are given there."""
+    return locked_placement(robot.tree, robot.tree.frames[robot.tree.getFrameId(robot.base, pin.FrameType.BODY)])
+
+
+def _placements(robot: Robot, readings: np.ndarray) -> Iterator[list[pin.SE3]]:
+    """Where every joint of the tree is in its root in each configuration."""
+    base, walked = _base(robot), list(tree_frames(robot, readings))
+    for k in range(len(readings)):
+        yield [base * pin.SE3(w.axes[k], w.origin[k]) for w in walked]
 
 
 def _shapes(robot: Robot) -> tuple[list[Shape], tuple[str, ...]]:

@@ -257,7 +257,7 @@ def told(known: Beforehand, candidates: Candidates, n: int) -> Told:
     stated = _stated(question, width)
     every = np.concatenate([flat, stated, rows.reshape(-1, width) * np.sqrt(n / len(candidates.readings))])
     count = width - len(known.theta)
-    R = np.linalg.qr(every, mode="r")
+    R = np.asarray(np.linalg.qr(every, mode="r"))
     sizes = np.concatenate([np.ones(count), known.model.sizes])
     kept = identifiable(R[count:, count:] * sizes[count:], range(len(known.theta))).kept
     some = np.concatenate([np.arange(count), count + np.array(kept, dtype=int)])
