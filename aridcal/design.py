@@ -98,6 +98,11 @@ def _main(arguments: argparse.Namespace) -> None:
 
 def _design(arguments: argparse.Namespace) -> None:
     campaign = load_campaign(arguments.campaign)
+    tables = [path.resolve() for block in campaign.blocks for path in block.files]
+    if arguments.out.resolve() in tables:
+        raise OutputError(
+            f"{arguments.out}: is a table of measurements of {arguments.campaign}; write the plan to another file"
+        )
     robot = load_robot(campaign.robot.urdf, campaign.robot.tip, campaign.robot.base, campaign.limits.urdf)
     with atomic_file(arguments.out) as path, told_on(Console(stderr=True)) as progress:
         known = beforehand(campaign, robot, progress)
@@ -118,7 +123,7 @@ def _report(plan: Plan, apart: Sequence[str], out: Path) -> None:
         table.add_row(str(sigma.n), _mm(sigma.rms), _mm(sigma.worst))
     console.print(table)
     lines = [
-        f"{plan.measured} rows so far; {plan.unknowns} constants and frames can be identified with the planned ones",
+        f"{plan.measured} rows so far; {plan.unknowns} unknowns of arm and frames can be identified with the planned ones",
         f"as many random configurations: {_mm(plan.random)} mm RMS",
         "observability " + ", ".join(f"O{k} {value:.3g}" for k, value in enumerate(plan.indices, start=1)),
         *(f"note: {notice}" for notice in plan.notices),

@@ -113,8 +113,7 @@ def series_b() -> None:
 
 def final_rms(real: Campaign, table: pd.DataFrame, some: list[int]) -> str:
     """RMS error at all rows that were not chosen, of the geometric and of the final model, calibrated from those chosen, [mm]."""
-    split = np.full(len(table), "test")
-    split[some] = "train"
+    split = np.where(np.isin(np.arange(len(table)), some), "train", "test")
     outcome = identify(real.with_tables([table.assign(split=split)]))
     test = outcome.measurements.test
     figures = [errors(stage.residual, test, outcome.channels)["position_mm"]["rms"] for stage in outcome.stages[1:]]

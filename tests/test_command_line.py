@@ -161,7 +161,7 @@ def test_o_and_out_mean_the_same(command):
     named = [action.option_strings for action in parser._actions if {"-o", "--out"} & set(action.option_strings)]
     assert all(options == ["-o", "--out"] for options in named)
     assert len(named) == (
-        command in {"identify", "init", "measure", "simulate", "predict", "compensate", "print", "detect"}
+        command in {"identify", "init", "measure", "simulate", "predict", "compensate", "design", "print", "detect"}
     )
 
 
