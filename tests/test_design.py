@@ -327,6 +327,33 @@ def test_new_rows_add_to_those_measured(begun: Campaign) -> None:
     assert plan.at_n.rms < plan.random < plan.sigma[0].rms
 
 
+def test_one_station_and_one_block_are_planned_of_several(begun: Campaign, tmp_path: Path) -> None:
+    """At the station of the last row; of the first block, what the other one tells counted in."""
+    table = pd.read_csv(tmp_path / "measurements.csv")
+    table["station"] = np.where(np.arange(40) < 25, "left", "right")
+    table.to_csv(tmp_path / "stations.csv", index=False)
+    text = begun.path.read_text().replace("measurements.csv", "stations.csv")
+    (tmp_path / "stations.yaml").write_text(text + "frames: {world_base: {per: station}}\n")
+    made = load_campaign(tmp_path / "stations.yaml")
+    robot = load_robot(made.robot.urdf, made.robot.tip)
+    plan = design(beforehand(made, robot), Asked(4))
+    assert set(plan.labels["station"]) == {"right"} and "right" in plan.notices[0]
+    assert "station" in as_table(plan, robot, made.measurements)
+
+    table = pd.read_csv(tmp_path / "measurements.csv")
+    anchor = np.array([1.5, 0.4, 0.2])
+    wire = np.linalg.norm(table[["x", "y", "z"]].to_numpy() - anchor, axis=1)
+    table[list(robot.readings)].assign(distance=wire + 1e-4 * np.random.default_rng(0).standard_normal(40)).to_csv(
+        tmp_path / "wire.csv", index=False
+    )
+    keys = f"format: 1\nrobot: {{urdf: {made.robot.urdf}, tip: {made.robot.tip}}}\nmeasurements:\n"
+    blocks = "- {kind: distance, file: wire.csv}\n- {kind: pose, file: measurements.csv}\n"
+    (tmp_path / "blocks.yaml").write_text(keys + blocks)
+    both = design(beforehand(load_campaign(tmp_path / "blocks.yaml"), robot), Asked(4))
+    assert "anchor" in both.labels and "first block, distance" in both.notices[0]
+    assert both.measured > 50 and both.at_n.rms < both.sigma[0].rms
+
+
 # -- two effects told apart
 
 

@@ -228,6 +228,7 @@ class Told:
         measured: The same without :data:`LOOSE`.
         things: How many of the unknowns are the things'.
         kept: Coefficients among the model's, in the order of the other unknowns.
+        sizes: What of each unknown counts as much as a metre or a radian, shape (D,).
     """
 
     candidates: np.ndarray
@@ -235,6 +236,7 @@ class Told:
     measured: np.ndarray
     things: int
     kept: tuple[int, ...]
+    sizes: np.ndarray
 
 
 def told(known: Beforehand, candidates: Candidates, n: int) -> Told:
@@ -264,7 +266,7 @@ def told(known: Beforehand, candidates: Candidates, n: int) -> Told:
     flat = np.concatenate([flat, stated])[:, some]
     measured = flat.T @ flat
     loose = np.diag(1.0 / (LOOSE * sizes[some]) ** 2)
-    return Told(_together(rows[:, :, some], candidates), measured + loose, measured, count, kept)
+    return Told(_together(rows[:, :, some], candidates), measured + loose, measured, count, kept, sizes[some])
 
 
 def _whitened(question: Problem, known: Beforehand) -> np.ndarray:

@@ -182,12 +182,13 @@ def _plan(
     way = np.array(chosen)[short_order(candidates.readings[list(chosen)])]
     titles = [offers(known).titles[k] for k in candidates.offer[way]]
     F = of.candidates[way].reshape(-1, of.candidates.shape[2])
+    information = (of.measured + F.T @ F) * of.sizes * of.sizes[:, None]
     return Plan(
         readings=candidates.readings[way],
         labels={name: np.array([title[name] for title in titles]) for name in titles[0]},
         sigma=tuple(_sigma(choice, order[:count]) for count in sorted(counts)),
         random=float(np.median(drawn)),
-        indices=observability(of.measured + F.T @ F, of.things, len(known.rows) + asked.n),
+        indices=observability(information, of.things, len(known.rows) + asked.n),
         unknowns=len(of.kept),
         measured=len(known.rows),
         notices=known.notices,
