@@ -374,6 +374,16 @@ def test_configurations_tell_two_effects_apart(tmp_path: Path) -> None:
     assert len(choice.target) % 2 == 0 and not (choice.target[0] * choice.target[-1]).any()
 
 
+def test_effects_that_a_campaign_declares_are_planned_for(tmp_path: Path) -> None:
+    more = "effects: [{kind: joint_gain, where: joint_3}, {kind: thermal, where: joint_2}]\n"
+    plain = planned(campaign(tmp_path, urdf="arid.urdf", tip="flange"), 10)
+    plan = planned(campaign(tmp_path, more=TOOL + more, urdf="arid.urdf", tip="flange"), 10)
+    assert plan.unknowns == plain.unknowns + 1 and plan.at_n.rms > plain.at_n.rms
+    assert len(plan.notices) == 1 and "not planned for" in plan.notices[0] and "thermal" in plan.notices[0]
+    pair = ("joint_3.joint_gain", "joint_3.joint_harmonic")
+    assert planned(campaign(tmp_path, more=TOOL + more, urdf="arid.urdf", tip="flange"), 10, apart=pair).at_n.rms > 0
+
+
 @pytest.mark.parametrize(
     ("pair", "said"),
     [

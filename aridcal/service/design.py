@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -134,6 +134,7 @@ def design(known: Beforehand, asked: Asked, progress: Progress = SILENT) -> Plan
     progress("drawing configurations")
     pool = POOL if asked.n <= FEW and known.campaign.measurements.kind in EASY else SMALL_POOL
     candidates = draw_candidates(known, max(pool, 4 * asked.n), 2 * asked.n, drawing)
+    known = with_stated_effects(known, candidates)
     choice, of = question(known, asked, candidates, drawing)
     progress(f"choosing {asked.n} of {len(candidates.readings):,} configurations")
     chosen = best_choice(choice, asked.n, choosing)
@@ -141,14 +142,29 @@ def design(known: Beforehand, asked: Asked, progress: Progress = SILENT) -> Plan
     return _plan(known, asked, candidates, choice, of, chosen, chance)
 
 
+def with_stated_effects(known: Beforehand, candidates: Candidates) -> Beforehand:
+    """The same with the effects that the campaign declares among what is identified; measured rows have them already.
+
+    What depends on more than the joints (time, temperature) is not there to be planned with, and is named.
+    """
+    notices = []
+    for declaration in () if len(known.rows) else known.campaign.effects:
+        try:
+            effect = _declared(known, declaration, str(known.campaign.path), candidates)
+        except CampaignError as error:
+            notices.append(f"not planned for: {error}")
+            continue
+        known = known.with_coefficients(tuple(c for c in effect if c not in known.model.coefficients))
+    return replace(known, notices=(*known.notices, *notices))
+
+
 def question(known: Beforehand, asked: Asked, candidates: Candidates, rng: np.random.Generator) -> tuple[Choice, Told]:
     """What is to be chosen from candidates, for what is asked, and what they tell."""
     effects = [_effect(known, name, candidates) for name in asked.apart]
-    parts: list[range] = []
+    parts: list[list[int]] = []
     for effect in effects:
-        count = len(known.theta)
         known = known.with_coefficients(tuple(c for c in effect if c not in known.model.coefficients))
-        parts.append(range(count, len(known.theta)))
+        parts.append([known.model.coefficients.index(c) for c in effect])
     of = told(known, candidates, asked.n)
     for name, part in zip(asked.apart, parts, strict=True):
         if not set(part) & set(of.kept):
@@ -243,9 +259,15 @@ def _effect(known: Beforehand, name: str, candidates: Candidates) -> tuple[Coeff
     except ValidationError as error:
         why = error.errors()[0]["msg"].removeprefix("Value error, ")
         raise CampaignError(f"--apart {name}: {why}; declare it under `effects` of {known.campaign.path}") from None
-    rows = candidates.rows(known)
-    observed, _ = look(known.model, rows)
-    return declared(observed, declaration, f"--apart {name}").coefficients
+    return _declared(known, declaration, f"--apart {name}", candidates)
+
+
+def _declared(
+    known: Beforehand, declaration: EffectDeclaration, place: str, candidates: Candidates
+) -> tuple[Coefficient, ...]:
+    """Coefficients of an effect, as candidates could show them."""
+    observed, _ = look(known.model, candidates.rows(known))
+    return declared(observed, declaration, place).coefficients
 
 
 def _places(known: Beforehand, asked: Asked, rng: np.random.Generator) -> np.ndarray:
