@@ -26,7 +26,7 @@ from aridcal.result.pipeline import identify
 from aridcal.robot.chain import load_robot
 from aridcal.service.beforehand import beforehand
 from aridcal.service.candidates import Candidates, draw_candidates
-from aridcal.service.design import EASY, POOL, RANDOM, SMALL_POOL, Asked, question
+from aridcal.service.design import EASY, POOL, RANDOM, SMALL_POOL, Asked, question, with_stated_effects
 from aridcal.service.exchange import best_choice, exchanged, rms_sigma
 
 TOP = Path(__file__).resolve().parents[1]
@@ -38,6 +38,10 @@ TOOL = "frames: {tip_target: {xyz: [0.05, 0.03, 0.15]}}\n"
 POINTS = "point,x,y,z,std\na,0.5,0.2,0.3,0.05\nb,0.4,-0.3,0.4,0.05\n"
 SOCKETS = "instruments: {points: points.csv, lengths: [{between: [a, b], length: 0.519615}]}\n"
 WIRES = "instruments: {anchors: {rail: {xyz: [1.2, 0.3, 0.1]}, wall: {xyz: [-1.0, 0.9, 0.3]}}}\n"
+JOINTS = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
+CURVES = ", ".join(f"{{kind: joint_harmonic, where: {joint}_joint, order: [1, 2]}}" for joint in JOINTS)
+BENDS = ", ".join(f"{{kind: joint_compliance, where: {joint}_joint}}" for joint in JOINTS[1:3])
+SUSPECTS = f"effects: [{CURVES}, {BENDS}]\n"
 ARMS = {
     "UR10": (TOP / "urdf" / "ur10.urdf", "tool0"),
     "ARID": (TOP / "urdf" / "arid.urdf", "flange"),
@@ -95,20 +99,21 @@ def series_b() -> None:
     robot = load_robot(real.robot.urdf, real.robot.tip, real.robot.base)
     rows = load_measurements(real, robot.readings, robot.limits, robot.kinds)
     table = pd.read_csv(SERIES_B).iloc[rows.line - 2].reset_index(drop=True)
-    with tempfile.TemporaryDirectory() as folder:
-        tool = "frames: {tip_target: {xyz: [0, 0, 0.093]}}\n"
-        bare = campaign(Path(folder), "UR10", "pose", "{position: 1.0e-4, rotation: 1.0e-4}", tool)
-        known = beforehand(bare, robot)
-        n, rng = len(rows), np.random.default_rng(0)
-        nothing = np.zeros(n, dtype=int)
-        own = Candidates(rows.readings, nothing, nothing, np.arange(n))
-        path = Path(folder) / "region.csv"
-        pd.DataFrame(dict(zip(robot.readings, rows.readings.T, strict=True))).to_csv(path, index=False)
-        choice, _ = question(known, Asked(100, region=path), own, rng)
-        best = best_choice(choice, 100, rng)
-        print(f"chosen  {final_rms(real, table, best)} mm", flush=True)
-        for _ in range(DRAWS):
-            print(f"random  {final_rms(real, table, rng.permutation(n)[:100].tolist())} mm", flush=True)
+    rng, every = np.random.default_rng(0), len(rows)
+    for title, effects in (("constants", ""), ("constants and suspects", SUSPECTS)):
+        with tempfile.TemporaryDirectory() as folder:
+            tool = "frames: {tip_target: {xyz: [0, 0, 0.093]}}\n"
+            bare = campaign(Path(folder), "UR10", "pose", "{position: 1.0e-4, rotation: 1.0e-4}", tool + effects)
+            nothing = np.zeros(every, dtype=int)
+            own = Candidates(rows.readings, nothing, nothing, np.arange(every))
+            known = with_stated_effects(beforehand(bare, robot), own)
+            path = Path(folder) / "region.csv"
+            pd.DataFrame(dict(zip(robot.readings, rows.readings.T, strict=True))).to_csv(path, index=False)
+            choice, _ = question(known, Asked(100, region=path), own, rng)
+            chosen = best_choice(choice, 100, rng)
+        print(f"chosen for {title}: {final_rms(real, table, chosen)} mm", flush=True)
+    for _ in range(DRAWS):
+        print(f"random: {final_rms(real, table, rng.permutation(every)[:100].tolist())} mm", flush=True)
 
 
 def final_rms(real: Campaign, table: pd.DataFrame, some: list[int]) -> str:
