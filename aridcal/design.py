@@ -124,7 +124,7 @@ def _report(plan: Plan, apart: Sequence[str], out: Path) -> None:
     console.print(table)
     lines = [
         f"{plan.measured} rows so far; {plan.unknowns} unknowns of arm and frames can be identified with the planned ones",
-        f"as many random configurations: {_mm(plan.random)} mm RMS",
+        f"RMS of as many random configurations, mm: {_mm(plan.random)}",
         "observability " + ", ".join(f"O{k} {value:.3g}" for k, value in enumerate(plan.indices, start=1)),
         *(f"note: {notice}" for notice in plan.notices),
         f"{out}: {len(plan.readings)} configurations",

@@ -173,6 +173,14 @@ def test_chosen_configurations_beat_random_ones(tmp_path: Path) -> None:
     assert np.isnan(positions.sigma[0].rms)  # nine numbers tell nothing of twenty-seven unknowns
 
 
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_a_configuration_or_two_tell_nothing_and_that_is_said(tmp_path: Path) -> None:
+    for n in (1, 2):
+        plan = planned(campaign(tmp_path), n, criterion="G")
+        assert len(plan.readings) == n and np.isnan([plan.at_n.rms, plan.at_n.worst, plan.random]).all()
+        assert max(plan.indices[1:]) < 1.0  # some thousand where all is known
+
+
 def test_predicted_sigma_is_the_scatter_of_calibrations(tmp_path: Path) -> None:
     """The whole fit, with frames and the choice of constants, on simulated poses of the nominal arm."""
     made = campaign(tmp_path, urdf="arid.urdf", tip="flange")
@@ -436,7 +444,7 @@ def test_the_command_writes_joints_in_the_campaigns_columns_and_units(
     expected = planned(made, 6).readings / [1e-3 if kind == "prismatic" else np.pi / 180 for kind in robot.kinds]
     np.testing.assert_allclose(table.to_numpy(), expected, rtol=1e-14)
     said = capsys.readouterr().out
-    assert "as many random configurations" in said and "O5" in said and "6 configurations" in said
+    assert "as many random configurations, mm" in said and "O5" in said and "6 configurations" in said
     again = tmp_path / "again.csv"
     assert command.main([str(made.path), "-n", "6", "-o", str(again)]) == 0
     assert again.read_bytes() == out.read_bytes()

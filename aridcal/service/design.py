@@ -97,7 +97,7 @@ class Plan:
         labels: What each measures, by column.
         sigma: Against the number of configurations, the best ones first; with two effects to be told apart what these do to the
             target, each as far as the other leaves it open.
-        random: RMS sigma of as many random configurations, the median of :data:`RANDOM` choices, [m].
+        random: RMS sigma of as many random configurations, the median of :data:`RANDOM` choices, [m]; NaN as for :class:`Sigma`.
         indices: Observability indices O1 to O5 of the rows so far and the planned ones together.
         unknowns: How many coefficients can be identified, with the planned rows.
         measured: Rows so far.
@@ -203,7 +203,7 @@ def _plan(
         readings=candidates.readings[way],
         labels={name: np.array([title[name] for title in titles]) for name in titles[0]},
         sigma=tuple(_sigma(choice, order[:count]) for count in sorted(counts)),
-        random=float(np.median(drawn)),
+        random=_told(float(np.median(drawn))),
         indices=observability(information, of.things, len(known.rows) + asked.n),
         unknowns=len(of.kept),
         measured=len(known.rows),
@@ -214,8 +214,13 @@ def _plan(
 def _sigma(choice: Choice, chosen: Sequence[int]) -> Sigma:
     """What a choice makes of the region."""
     M = choice.information(chosen)
-    rms, worst = rms_sigma(choice, M), worst_sigma(choice, M)
-    return Sigma(len(chosen), rms, worst) if rms < KNOWN * LOOSE else Sigma(len(chosen), np.nan, np.nan)
+    rms = _told(rms_sigma(choice, M))
+    return Sigma(len(chosen), rms, worst_sigma(choice, M) if np.isfinite(rms) else np.nan)
+
+
+def _told(sigma: float) -> float:
+    """A sigma; NaN where it is that of what is assumed."""
+    return sigma if sigma < KNOWN * LOOSE else float("nan")
 
 
 def observability(information: np.ndarray, solved_for: int, n: int) -> tuple[float, ...]:
