@@ -15,6 +15,7 @@ COMMANDS = {
     "identify": "calibrate: from a campaign to a calibrated URDF, a report and a 3D scene",
     "predict": "poses of the real target for rows of joint readings",
     "compensate": "joint commands that bring the real target to wanted poses",
+    "design": "configurations to measure next, and how well the target is known then",
     "check": "is a calibration still good, from a few new rows, and if not, what moved",
     "recalibrate": "mend a calibration with a few rows after something moved",
     "print": "boards, cubes of tags and sockets for a ball, to print at true scale",

@@ -13,13 +13,13 @@ from typing import Any
 
 import pandas as pd
 
-from aridcal.as_tables import effect_table, error_table, parameter_table, verification_table
 from aridcal.errors import AridcalError, MeasurementError, shortened
 from aridcal.identify import VERDICTS
 from aridcal.inputs.query import Query
 from aridcal.inputs.tables import AnyTable, read_tables
 from aridcal.inputs.yaml_file import decode
 from aridcal.reading.files import RESULT, read_file
+from aridcal.report.as_tables import effect_table, error_table, parameter_table, verification_table
 from aridcal.report.html import tag
 from aridcal.report.page import write_report
 from aridcal.report.scene import write_scene

@@ -43,7 +43,7 @@ from aridcal.fit.stages import fit_geometry, recentred
 from aridcal.inputs.campaign import Campaign
 from aridcal.inputs.dataset import Dataset, dataset
 from aridcal.model.model import Model
-from aridcal.prepare.postures import draw_readings
+from aridcal.model.reaching import draw_readings
 from aridcal.result.outcome import errors
 from aridcal.result.pipeline import identify
 from aridcal.result.saved_model import SolvedModel

@@ -39,7 +39,7 @@ from aridcal.inputs.query import Query
 from aridcal.inputs.yaml_file import load_settings
 from aridcal.model.inverse import Command
 from aridcal.model.model import Model
-from aridcal.prepare.postures import draw_readings
+from aridcal.model.reaching import draw_readings
 from aridcal.prepare.scenario import Scenario
 from aridcal.prepare.simulation import (
     Simulation,

@@ -44,7 +44,7 @@ from aridcal.fit.problem import problem
 from aridcal.fit.stages import fit_geometry
 from aridcal.instruments.channels import spread
 from aridcal.model.model import Model
-from aridcal.prepare.postures import draw_readings
+from aridcal.model.reaching import draw_readings
 from aridcal.prepare.simulation import named_constants
 from aridcal.search.arm import calibrated_arm, fit_constants
 from aridcal.search.noise_causes import noise_causes

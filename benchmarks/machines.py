@@ -21,7 +21,7 @@ from aridcal.inputs.campaign import Campaign
 from aridcal.inputs.dataset import Dataset, dataset
 from aridcal.instruments.channels import spread
 from aridcal.model.model import Model
-from aridcal.prepare.postures import draw_readings
+from aridcal.model.reaching import draw_readings
 from aridcal.prepare.true_effects import Cause, TrueEffect, draw_columns, make_causes
 from aridcal.robot.chain import Robot
 

@@ -11,7 +11,6 @@ import pytest
 import robots
 
 from aridcal.effects.catalogue import KINDS, candidates
-from aridcal.fit.flags import limits
 from aridcal.inputs.approach import approach, with_directions
 from aridcal.inputs.campaign import load_campaign
 from aridcal.inputs.dataset import dataset
@@ -22,7 +21,7 @@ from aridcal.result.predict import predict, read_query
 from aridcal.result.saved_model import SavedModel
 from aridcal.result.saving import calibration
 from aridcal.search.arm import fit_constants
-from aridcal.search.diagnose import Start, look
+from aridcal.search.diagnose import look
 
 PLAY = 3e-4
 JOINT = 1
@@ -86,9 +85,7 @@ def test_nothing_but_backlash_may_depend_on_a_derived_side(tmp_path: Path) -> No
     rows = with_directions(load_measurements(found, robot.readings, robot.limits, robot.kinds))
     geometric = fit_constants(found, robot, rows, ()).geometric
     train = rows.select(rows.train)
-    asked = [
-        look(Start(geometric, part, limits(part)))[0] for part in (train, replace(train, covariates={}, derived=()))
-    ]
+    asked = [look(geometric.model, part)[0] for part in (train, replace(train, covariates={}, derived=()))]
     with_it, without = (candidates(part, [k for k in KINDS if KINDS[k].testable]) for part in asked)
     more = set(with_it) - set(without)
     assert {(e.kind, e.by) for e in more} == {("joint_backlash", "direction")}

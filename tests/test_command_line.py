@@ -162,7 +162,18 @@ def test_o_and_out_mean_the_same(command):
     assert all(options == ["-o", "--out"] for options in named)
     assert len(named) == (
         command
-        in {"identify", "init", "measure", "simulate", "predict", "compensate", "recalibrate", "print", "detect"}
+        in {
+            "identify",
+            "init",
+            "measure",
+            "simulate",
+            "predict",
+            "compensate",
+            "design",
+            "recalibrate",
+            "print",
+            "detect",
+        }
     )
 
 

@@ -28,9 +28,10 @@ from scipy.spatial.transform import Rotation
 
 import aridcal
 from aridcal.report.scene import LADDER, ROWS, VIRIDIS, Scene, body_poses, scene_content, scene_page
-from aridcal.report.shapes import find_mesh, robot_shapes
+from aridcal.report.shapes import robot_shapes
 from aridcal.robot.chain import Robot, load_robot, parse_robot
 from aridcal.robot.meshes import TRIANGLES, weld
+from aridcal.robot.shapes import find_mesh
 from aridcal.view import main
 
 ROOT = Path(aridcal.__file__).parents[1]

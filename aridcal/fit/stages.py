@@ -125,10 +125,10 @@ def _start(
     number = np.zeros(len(train), dtype=int)
     if train.target is not None:
         number = np.searchsorted(np.array(names), train.target.astype(str))
-    hints = {k: pin.SE3.Identity() if name == TIP else _placement(tip) for k, name in enumerate(names)}
+    hints = {k: pin.SE3.Identity() if name == TIP else placement(tip) for k, name in enumerate(names)}
     fixed = not tip.identify or not measures_target(train)
     held = {k: hint for k, hint in hints.items() if fixed or names[k] == TIP}
-    known = None if world.identify and has_world(train) else _placement(world)
+    known = None if world.identify and has_world(train) else placement(world)
     found = beginning(train, seen, R, p, number, hints, held, known)
     return Model(
         robot,
@@ -222,7 +222,7 @@ def _starts(
     settings = (campaign.frames.world_base, campaign.frames.tip_target)
     indices = [_frame_of_each_row(frame, train, labels) for frame in settings]
     counts = [len(labels) if frame.per == "station" else 1 for frame in settings]
-    hints = [(_placement(frame),) * n for frame, n in zip(settings, counts, strict=True)]
+    hints = [(placement(frame),) * n for frame, n in zip(settings, counts, strict=True)]
     known = [None if frame.identify else hint for frame, hint in zip(settings, hints, strict=True)]
     some = thin(replace(bare.rows, world=indices[0], tip=indices[1]), START_ROWS)
     R, p = bare.model.poses(np.zeros(0), bare.rows[some])
@@ -263,7 +263,8 @@ def _labelled(settings: FrameSettings, placements: tuple[pin.SE3, ...], labels: 
     return tuple(zip(names, placements, strict=True))
 
 
-def _placement(settings: FrameSettings) -> pin.SE3:
+def placement(settings: FrameSettings) -> pin.SE3:
+    """A frame as a campaign states it."""
     return pin.SE3(pin.rpy.rpyToMatrix(np.array(settings.rpy)), np.array(settings.xyz))
 
 

@@ -161,6 +161,26 @@ class DiagnosisSettings(Section):
     )
 
 
+class Box(Section):
+    """A box in the robot's base frame, [m]."""
+
+    min: Vector3
+    max: Vector3
+
+    @model_validator(mode="after")
+    def _has_an_inside(self) -> Box:
+        if not all(low < high for low, high in zip(self.min, self.max, strict=True)):
+            raise ValueError("each number of `min` should be below that of `max`")
+        return self
+
+
+class DesignSettings(Section):
+    """What planned configurations must respect beside the joints' limits."""
+
+    keep_out: tuple[Box, ...] = ()
+    """Boxes that neither the arm nor its target may enter."""
+
+
 class Job(Settings):
     """What a campaign and a scenario have in common."""
 
@@ -249,6 +269,9 @@ class Job(Settings):
 
 class Campaign(Job):
     """A calibration job: a robot, its measurements, and what may be identified from them."""
+
+    design: DesignSettings = DesignSettings()
+    """For `aridcal design` alone."""
 
     _tables: tuple[str | Path | pd.DataFrame, ...] = PrivateAttr(default=())
 

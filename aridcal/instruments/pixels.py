@@ -21,6 +21,15 @@ UNSEEN = 1e4
 """[px]: residual of what the model puts behind the camera, and which cannot be seen there: further off than any image is wide,
 wherever it moves, so that no step of a fit crosses the lens."""
 
+NEAREST, FARTHEST = 0.1, 3.0
+"""[m] from the camera: markers nearer or farther are not sharp."""
+
+LEAN = 0.35
+"""Cosine of the angle between a board's normal and the ray to the camera below which its print is not read: 70 degrees."""
+
+BORDER = 5.0
+"""[px] along the edges in which no marker is read: noise must not push it out."""
+
 PARALLAX = 1e-3
 """[rad]: rays from which a marker's place is told meet at larger angles than this, some pixels."""
 
@@ -163,6 +172,42 @@ def _by_twist(
     linear = np.where(own, -by_Y, in_world)
     lever = np.where(own[:, :, 0], Y - p, _times(R, Y))
     return np.concatenate([linear, np.cross(lever[:, None], linear)], axis=2)
+
+
+def in_image(R: np.ndarray, p: np.ndarray, states: States, size: np.ndarray) -> np.ndarray:
+    """Which markers would be read from poses of the tip: sharp, and inside the image, shape (n,) bool.
+
+    Args:
+        R: Shape (n, 3, 3).
+        p: Shape (n, 3), [m].
+        states: Of cameras, boards and markers, (n, P) each.
+        size: Width and height of the images, shape (2,), [px].
+    """
+    X, _, _, _ = in_camera(R, p, states)
+    front = (X[:, 2] > NEAREST) & (X[:, 2] < FARTHEST)
+    X = np.where(front[:, None], X, [0.0, 0.0, 1.0])
+    lens, plain = states[0][:, LENS], states[0][:, LENS].copy()
+    plain[:, 4:] = 0.0
+    pixel, unbent = project(X, lens), project(X, plain)
+    inside = ((pixel > BORDER) & (pixel < size - 1 - BORDER)).all(axis=1)
+    # beyond its border a lens model may fold the world back into the image
+    inside &= (np.abs(unbent - size / 2) < 0.75 * size).all(axis=1)
+    return np.asarray(front & inside)
+
+
+def faces(R: np.ndarray, p: np.ndarray, camera: np.ndarray, board: np.ndarray) -> np.ndarray:
+    """True of poses of the tip in which the camera is before the board's printed side, shape (n,).
+
+    Args:
+        R: Shape (n, 3, 3).
+        p: Shape (n, 3), [m].
+        camera: States, shape (n, P).
+        board: States, shape (n, P).
+    """
+    on_axis = np.array([[0.0, 0.0, 1.0]])
+    ends = [in_camera(R, p, (camera, board, np.repeat(at, len(p), axis=0)))[0] for at in (0 * on_axis, on_axis)]
+    normal = ends[1] - ends[0]
+    return np.asarray(-np.sum(normal * ends[0], axis=1) > LEAN * np.linalg.norm(ends[0], axis=1))
 
 
 def normalised(pixels: np.ndarray, intrinsics: np.ndarray) -> np.ndarray:

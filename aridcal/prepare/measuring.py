@@ -25,18 +25,17 @@ from aridcal.instruments.inclination import DOWN
 from aridcal.instruments.kind import Kind
 from aridcal.instruments.pose import TRACKER, shown
 from aridcal.model.model import Model
-from aridcal.prepare.postures import Miss, Pose, Sight, brought, draw_images, draw_readings, settled, sight
+from aridcal.model.reaching import Miss, Pose, brought, draw_readings, settled
+from aridcal.prepare.postures import Sight, draw_images, sight
 from aridcal.prepare.scenario import Scenario
 from aridcal.prepare.true_effects import Cause, Machine, columns_needed, draw_columns, make_causes
 from aridcal.prepare.true_things import Real, true_anchors, true_planes, true_points
 from aridcal.reading.table_files import FIRST_LINE
 from aridcal.robot.chain import Robot
 
-REACHED = 1000
-"""Postures drawn to see where the arm reaches."""
-
-WELL = (0.25, 0.75)
-"""Quantiles of their distance from the base between which places are reached in many ways, and by every target."""
+REACHED, WELL = 1000, (0.25, 0.75)
+"""Postures drawn to see where the arm reaches, and quantiles of their distance from the base between which places are reached in
+many ways, and by every target."""
 
 PASSES, NEWTON = 5, 4
 """How often effects and the readings that they change are found in turn, and Newton's steps of each."""
@@ -244,9 +243,10 @@ def _begun(
     gauge = truth.instruments.gauge if kind.name == "plane" else 0.0
     rows = Rows(kind, np.zeros((n, 0)), shot, refers, target, rng.uniform(-gauge, gauge, n))
     miss = rows.miss(real, np.zeros((n, 1)))
-    robot = machine.robot
-    readings = draw_readings(robot, n, rng) if miss is None else brought(robot, pose(target), miss, n, rng, place)
-    return replace(rows, readings=readings)
+    if miss is None:
+        return replace(rows, readings=draw_readings(machine.robot, n, rng))
+    advice = "move those under `truth.instruments`"
+    return replace(rows, readings=brought(machine.robot, pose(target), miss, n, rng, place, advice))
 
 
 def _errors(

@@ -24,8 +24,8 @@ from aridcal.inputs.head_settings import HeadSettings, load_squares
 from aridcal.inputs.quantities import POSITION, QUATERNION, column_of
 from aridcal.inputs.yaml_file import load_settings
 from aridcal.model.model import Model
+from aridcal.model.reaching import draw_readings
 from aridcal.prepare.measuring import measured, targets
-from aridcal.prepare.postures import draw_readings
 from aridcal.prepare.scenario import Scenario, Truth, check_scenario
 from aridcal.prepare.true_effects import Cause, Machine, columns_needed, draw_columns, make_causes
 from aridcal.prepare.true_things import Real, documents

@@ -25,10 +25,11 @@ from scipy.spatial.transform import Rotation
 
 from aridcal.fit.constants import stage_urdf
 from aridcal.report.html import attempt, empty_page, note, noting
-from aridcal.report.shapes import Shape, robot_shapes, turn
+from aridcal.report.shapes import robot_shapes, turn
 from aridcal.result.outcome import Outcome
 from aridcal.robot.chain import Robot, parse_robot
 from aridcal.robot.kinematics import tree_frames
+from aridcal.robot.shapes import Shape
 
 ASSETS = Path(__file__).parent / "assets"
 

@@ -105,7 +105,7 @@ def tree_frames(robot: Robot, readings: np.ndarray) -> Iterator[Walked]:
     column = {name: k for k, name in enumerate(robot.readings)}
     base = model.frames[model.getFrameId(robot.base, pin.FrameType.BODY)]
     upstream = _joints_upstream(model, base)  # what moves the base itself moves nothing in the base's frame
-    start = _locked_placement(model, base).inverse()
+    start = locked_placement(model, base).inverse()
     R = {0: np.broadcast_to(start.rotation, (n, 3, 3))}
     p = {0: np.broadcast_to(start.translation, (n, 3))}
     for k in range(1, model.njoints):
@@ -191,7 +191,7 @@ def _joints_upstream(model: pin.Model, frame: pin.Frame) -> set[int]:
     return found
 
 
-def _locked_placement(model: pin.Model, frame: pin.Frame) -> pin.SE3:
+def locked_placement(model: pin.Model, frame: pin.Frame) -> pin.SE3:
     """Placement of a frame in the tree's root when no joint upstream moves."""
     placement, k = frame.placement, frame.parentJoint
     while k > 0:

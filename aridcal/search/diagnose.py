@@ -19,6 +19,7 @@ from aridcal.fit.least_squares import Fit, thin
 from aridcal.fit.problem import problem
 from aridcal.inputs.campaign import Campaign
 from aridcal.inputs.dataset import Dataset
+from aridcal.model.model import Model
 from aridcal.model.standing import references
 from aridcal.search.exact import (
     FEWEST_PLACES,
@@ -145,7 +146,7 @@ def _diagnosed(
     every = Start(geometric, train, limits(train, kept), progress)
     start = _thinned(every)
     progress("listing the effects that these rows can show")
-    observed, barred = look(start)
+    observed, barred = look(start.geometric.model, start.train)
     kinds = campaign.diagnosis.candidates if campaign.diagnosis.enabled else ()
     stated = [declared(observed, d, str(campaign.path)) for d in campaign.effects]
     taken = {e.identity for e in stated}
@@ -352,9 +353,8 @@ def _best_rival(start: Start, place: Place, named: Sequence[Effect], state: Stat
     return None if best is None else best[1:]
 
 
-def look(start: Start) -> tuple[Observed, list[Barred]]:
-    """What candidates can be made from, and what cannot be tested."""
-    model, rows = start.geometric.model, start.train
+def look(model: Model, rows: Dataset) -> tuple[Observed, list[Barred]]:
+    """What candidates can be made from, and what cannot be tested, by rows of a model that knows its surroundings."""
     derived = {name: rows.covariates[name] for name in rows.derived}
     usable, barred = usable_columns({name: v for name, v in rows.covariates.items() if name not in derived})
     frames = model.rows(rows.readings, None, rows.station, rows.target)

@@ -1,0 +1,259 @@
+"""What is known before new rows are measured: a model of all that may be identified, and what the rows so far say of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from aridcal.effects.effect import Coefficient
+from aridcal.errors import CampaignError, MeasurementError, listed
+from aridcal.fit.constants import constants, frame_coefficients, station_labels
+from aridcal.fit.least_squares import UNKNOWN_NOISE
+from aridcal.fit.stages import placement
+from aridcal.inputs.approach import with_directions
+from aridcal.inputs.campaign import Campaign
+from aridcal.inputs.dataset import ROLES, Dataset, dataset
+from aridcal.inputs.measurement_settings import OF_TARGETS
+from aridcal.inputs.read import load_measurements
+from aridcal.inputs.things import Known, Rows, instruments_of, known_of
+from aridcal.instruments.catalogue import KINDS
+from aridcal.instruments.channels import TARGET_POSITION, TARGET_ROTATION
+from aridcal.instruments.setup import Block, Instruments
+from aridcal.model.model import SIZES, Model
+from aridcal.model.reaching import draw_readings
+from aridcal.robot.chain import Robot
+from aridcal.robot.collisions import Bodies, bodies_of
+from aridcal.search.arm import fit_arm, fit_constants, surroundings
+from aridcal.showing import SILENT, Progress
+
+PLANNED = ("pose", "position", "point", "distance", "plane", "pixels")
+"""Kinds of measurements that can be planned: of the others the sensor's own state would have to be known."""
+
+WHERE = {
+    "point": "points: points.csv",
+    "distance": "anchors: {NAME: {xyz: [x, y, z]}}",
+    "plane": "planes: {NAME: {normal: [x, y, z], offset: o}}",
+    "pixels": "cameras: {NAME: {xyz: [x, y, z], rpy: [r, p, y], …}}, markers: {file: markers.csv, xyz: …, rpy: …}",
+}
+"""What says where the things are that rows of a kind refer to."""
+
+USUAL = 200
+"""Postures of which two shapes that touch in every one overlap by themselves: they say nothing of collisions."""
+
+OFFSET = 3
+"""Component of an anchor that may be anything: zero as long as nobody says more."""
+
+
+@dataclass(frozen=True)
+class Beforehand:
+    """What is known.
+
+    Attributes:
+        campaign: What is to be measured, how, and what may be identified.
+        robot: The nominal chain.
+        model: Everything that may be identified, K coefficients; things where they are known to be.
+        theta: Their values, shape (K,).
+        sigma: Noise of each channel, shape (C,).
+        rows: Those fitted; none where nothing was measured yet.
+        weight: Of each, shape (N,).
+        patterns: Rows of which each new one is a copy with other readings: of every thing that it may refer to, one.
+        bodies: What of the arm can touch what.
+        notices: What had to be assumed.
+    """
+
+    campaign: Campaign
+    robot: Robot
+    model: Model
+    theta: np.ndarray
+    sigma: np.ndarray
+    rows: Dataset
+    weight: np.ndarray
+    patterns: Dataset
+    bodies: Bodies
+    notices: tuple[str, ...]
+
+    def with_coefficients(self, more: tuple[Coefficient, ...]) -> Beforehand:
+        """The same with more that may be identified."""
+        model = self.model.with_coefficients((*self.model.coefficients, *more))
+        return replace(self, model=model, theta=np.concatenate([self.theta, np.zeros(len(more))]))
+
+
+def beforehand(campaign: Campaign, robot: Robot, progress: Progress = SILENT) -> Beforehand:
+    """What a campaign's tables tell, or, where they are not there yet, what it says itself.
+
+    Raises:
+        AridcalError: new rows of its kind cannot be planned, or something of it needs mending.
+    """
+    kind = campaign.measurements.kind
+    if kind not in PLANNED:
+        raise CampaignError(
+            f"{campaign.path}: measurements.kind: configurations for `kind: {kind}` cannot be planned; plan them for one of "
+            f"{listed(PLANNED)}"
+        )
+    files = [path for block in campaign.blocks for path in block.files]
+    missing = [path for path in files if not path.exists()]
+    if not missing:
+        return _measured(campaign, robot, _bodies(campaign, robot), progress)
+    if len(missing) < len(files):
+        raise MeasurementError(
+            f"{missing[0]}: there is no such file, though others of {campaign.path} are there: take it out of the campaign, and "
+            "what is there is added to"
+        )
+    if len(campaign.blocks) > 1:
+        raise CampaignError(
+            f"{campaign.path}: measurements: nothing was measured yet, and there are several blocks: plan each in a campaign of "
+            "its own"
+        )
+    return _from_nothing(campaign, robot, _bodies(campaign, robot))
+
+
+def _bodies(campaign: Campaign, robot: Robot) -> Bodies:
+    """What of the arm can touch what, the boxes of the campaign among it."""
+    boxes = [(np.array(box.min), np.array(box.max)) for box in campaign.design.keep_out]
+    return bodies_of(robot, boxes, draw_readings(robot, USUAL, np.random.default_rng(0)))
+
+
+def _measured(campaign: Campaign, robot: Robot, bodies: Bodies, progress: Progress) -> Beforehand:
+    """Frames, constants and declared effects from the rows that are there."""
+    progress("reading the measurements")
+    rows = with_directions(load_measurements(campaign, robot.readings, robot.limits, robot.kinds))
+    labels = station_labels(campaign, rows)
+    progress(f"fitting frames and constants to {rows.train.sum()} rows")
+    geometry = fit_constants(campaign, robot, rows, labels, progress)
+    fit = geometry.geometric
+    if campaign.effects:
+        quiet = campaign.model_copy(update={"diagnosis": campaign.diagnosis.model_copy(update={"enabled": False})})
+        fit = fit_arm(quiet, geometry, rows, progress).diagnosed.fit
+    there = set(fit.model.names)
+    others = tuple(c for c in geometry.geometric.candidates if c.name not in there)
+    model = fit.model.with_coefficients((*fit.model.coefficients, *others))
+    notices = []
+    if len(campaign.blocks) > 1:
+        notices.append(f"planned are rows of the first block, {campaign.measurements.title}")
+    if rows.station is not None and labels:
+        notices.append(f"planned are rows at the station of the last row, {rows.station[rows.as_read[-1]]}")
+    return Beforehand(
+        campaign=campaign,
+        robot=robot,
+        model=model,
+        theta=np.concatenate([fit.theta, np.zeros(len(others))]),
+        sigma=fit.sigma,
+        rows=rows.select(rows.train),
+        weight=fit.weight,
+        patterns=_patterns(rows),
+        bodies=bodies,
+        notices=(*notices, *bodies.unread),
+    )
+
+
+def _patterns(rows: Dataset) -> Dataset:
+    """One row for everything that rows of the first block refer to, at the station of the last row."""
+    own = rows.block == 0 if rows.blocks else np.ones(len(rows), dtype=bool)
+    if rows.station is not None:
+        own &= rows.station == rows.station[rows.as_read[-1]]
+    told = np.full((len(rows), 1), "") if rows.target is None else rows.target[:, None].astype(str)
+    told = np.hstack([rows.refers.astype(str), told]) if rows.blocks else told
+    number = np.flatnonzero(own)
+    _, first = np.unique(told[own], axis=0, return_index=True)
+    some = rows.select(number[np.sort(first)])
+    typical = {
+        name: np.full(len(some), np.nanmean(v[own])) for name, v in rows.covariates.items() if np.isfinite(v[own]).any()
+    }
+    return replace(some, covariates=typical, relative=None, share=1.0)
+
+
+def _from_nothing(campaign: Campaign, robot: Robot, bodies: Bodies) -> Beforehand:
+    """The nominal robot with the campaign's hints, and things where these say that they are."""
+    settings = campaign.measurements
+    if "station" in (campaign.frames.world_base.per, campaign.frames.tip_target.per):
+        raise CampaignError(
+            f"{campaign.path}: frames: `per: station`: nothing was measured yet, so that no station is known; plan for one, "
+            "without this key"
+        )
+    known = known_of(campaign)
+    refers = _referred(campaign, known)
+    middle = np.clip(np.zeros(len(robot.readings)), *robot.limits.T)
+    poses = settings.kind == "pose"
+    rotation = np.tile(np.eye(3), (len(refers), 1, 1)) if poses else None
+    rows = dataset(robot.readings, robot.kinds, np.tile(middle, (len(refers), 1)), np.zeros((len(refers), 3)), rotation)
+    kind = KINDS[settings.kind]
+    channels = (TARGET_POSITION, TARGET_ROTATION) if poses else kind.channels
+    stated = tuple(getattr(settings.noise, channel.name) for channel in channels)
+    sigma = np.array([s or UNKNOWN_NOISE * SIZES[c.unit] for s, c in zip(stated, channels, strict=True)])
+    rows = replace(rows, channels=channels, sigma=tuple(sigma.tolist()))
+    if settings.kind not in OF_TARGETS:
+        made = _stated(instruments_of(known, [Rows(kind, refers)], robot.readings, False)[0], campaign)
+        rows = replace(
+            rows,
+            position=np.full((len(refers), 3), np.nan),
+            blocks=(Block(settings.title, settings.kind, channels, rows.sigma),),
+            block=np.zeros(len(refers), dtype=int),
+            observed=np.zeros((len(refers), max(1, len(kind.read)))),
+            refers=refers,
+            instruments=made,
+        )
+    coefficients = frame_coefficients(campaign, (), rows) + constants(robot, campaign.parameters.set)
+    world, tip = (((None, placement(frame)),) for frame in (campaign.frames.world_base, campaign.frames.tip_target))
+    model = Model(robot, coefficients, world, tip, instruments=rows.instruments)
+    model = replace(model, around=surroundings(campaign, model, loaded=False))
+    assumed = [
+        f"noise.{c.name} is not said: planned with {s * c.scale:g} {c.shown}"
+        for c, own, s in zip(channels, stated, sigma.tolist(), strict=True)
+        if own is None
+    ]
+    return Beforehand(
+        campaign=campaign,
+        robot=robot,
+        model=model,
+        theta=np.zeros(len(coefficients)),
+        sigma=sigma,
+        rows=rows.select(np.zeros(0, dtype=int)),
+        weight=np.zeros(0),
+        patterns=rows,
+        bodies=bodies,
+        notices=(*assumed, *bodies.unread),
+    )
+
+
+def _referred(campaign: Campaign, known: Known) -> np.ndarray:
+    """Labels of all that rows may refer to, one row for each choice, shape (n, 3)."""
+    settings, declared = campaign.measurements, campaign.instruments.declared
+    kind = settings.kind
+    if kind in OF_TARGETS:
+        found = [("", "", "")]
+    elif kind == "pixels":
+        cameras = [settings.camera] if settings.camera else list(declared["camera"])
+        found = [(camera, known.board_of(camera), marker) for camera in cameras for marker in known.markers]
+    else:
+        role = KINDS[kind].roles[0].name
+        found = [(label, "", "") for label in (known.points if role == "point" else declared[role])]
+    if not found:
+        raise _nothing_said(campaign)
+    return np.array(found, dtype=str).reshape(-1, ROLES)
+
+
+def _stated(made: Instruments, campaign: Campaign) -> Instruments:
+    """The things, offsets of which nothing is said at zero.
+
+    Raises:
+        CampaignError: of one of them nobody says where it is.
+    """
+    things = {}
+    for role, own in made.things.items():
+        start = own.start.copy()
+        if role == "anchor":
+            start[:, OFFSET] = np.nan_to_num(start[:, OFFSET])
+        if np.isnan(start).any():
+            raise _nothing_said(campaign)
+        things[role] = replace(own, start=start)
+    return replace(made, things=things)
+
+
+def _nothing_said(campaign: Campaign) -> CampaignError:
+    """What is said where rows would refer to what is nowhere."""
+    kind = campaign.measurements.kind
+    return CampaignError(
+        f"{campaign.path}: instruments: nothing was measured yet, and it is not said where all is that `kind: {kind}` refers "
+        f"to; say nearly where: `{WHERE[kind]}`"
+    )

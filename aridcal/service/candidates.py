@@ -1,0 +1,349 @@
+"""Configurations that could be measured, and what each would tell: its rows of the Jacobian in units of the noise."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from aridcal.errors import CampaignError
+from aridcal.fit.elimination import Groups
+from aridcal.fit.identifiable import identifiable
+from aridcal.fit.problem import Problem, agreed, problem
+from aridcal.inputs.dataset import Dataset
+from aridcal.inputs.measurement_settings import OF_TARGETS
+from aridcal.instruments.channels import spread
+from aridcal.instruments.pixels import PIXELS, faces, in_image
+from aridcal.model.reaching import Miss, brought, draw_readings
+from aridcal.service.beforehand import Beforehand
+from aridcal.service.clearance import clear
+
+ROUNDS = 40
+"""Times that configurations are drawn: fewer than one in forty inside what is allowed is hardly a workspace."""
+
+AT_ONCE = 3000
+"""Configurations that are drawn at a time, where only some of them can be measured."""
+
+FEWEST = 4
+"""Markers that an image must show, or all if there are fewer: a pose needs three, and one more to check."""
+
+LOOSE = 0.1
+"""[m] and [rad]: how well everything is known before it is measured. No robot is wrong by more, and what is measured is known a
+thousand times better; without it a few rows could not be compared at all."""
+
+ROUNDING = 1e-10
+"""Share of the largest singular value below which what several rows of one configuration tell together is nothing: thirty markers
+move as one body, by six numbers."""
+
+
+@dataclass(frozen=True)
+class Offers:
+    """What may be measured in a configuration: one choice of pattern rows, measured together, for each.
+
+    Attributes:
+        patterns: Numbers of the pattern rows of each.
+        titles: Labels of each that its row has, by the name of their column.
+    """
+
+    patterns: tuple[np.ndarray, ...]
+    titles: tuple[dict[str, str], ...]
+
+
+@dataclass(frozen=True)
+class Candidates:
+    """Configurations that could be measured, C of them.
+
+    Attributes:
+        readings: Shape (C, columns), [rad] or [m].
+        offer: Number of what is measured in each, shape (C,).
+        pattern: Pattern of each of their rows, N rows in all, shape (N,).
+        of: Candidate that each row belongs to, shape (N,).
+    """
+
+    readings: np.ndarray
+    offer: np.ndarray
+    pattern: np.ndarray
+    of: np.ndarray
+
+    def rows(self, known: Beforehand) -> Dataset:
+        """Their rows as a data set; what they would read is of no account."""
+        return rows_like(known, self.readings[self.of], self.pattern)
+
+
+def offers(known: Beforehand) -> Offers:
+    """What one configuration may measure: a target, a touch of a point, all markers in one image."""
+    rows = known.patterns
+    n, kind = len(rows), known.campaign.measurements.kind
+    if kind == "pixels":
+        cameras = rows.refers[:, 0]
+        names = np.unique(cameras)
+        return Offers(
+            tuple(np.flatnonzero(cameras == name) for name in names), tuple({"camera": str(name)} for name in names)
+        )
+    titles: list[dict[str, str]] = []
+    for k in range(n):
+        own = {} if rows.target is None or kind not in OF_TARGETS else {"target": str(rows.target[k])}
+        if rows.blocks and kind not in OF_TARGETS:
+            own = {{"point": "point", "distance": "anchor", "plane": "plane"}[kind]: str(rows.refers[k, 0])}
+        own |= {} if rows.station is None else {"station": str(rows.station[k])}
+        titles.append(own)
+    return Offers(tuple(np.array([k]) for k in range(n)), tuple(titles))
+
+
+def rows_like(known: Beforehand, readings: np.ndarray, pattern: np.ndarray) -> Dataset:
+    """Rows of other readings.
+
+    Args:
+        known: Has the patterns.
+        readings: Shape (N, columns), [rad] or [m].
+        pattern: Number of each row's pattern, shape (N,).
+    """
+    made = replace(known.patterns.select(pattern), readings=readings)
+    if made.blocks and known.campaign.measurements.kind in OF_TARGETS:  # turns are compared with what was seen
+        R, p = known.model.poses(known.theta, known.model.rows(readings, made.conditions, made.station, made.target))
+        made = replace(made, observed=np.hstack([p, R.reshape(-1, 9)])[:, : made.observed.shape[1]])
+    return made
+
+
+def targets_of(known: Beforehand, readings: np.ndarray, pattern: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Poses of the targets in the world, (n, 3, 3) and (n, 3), [m]; see :func:`rows_like`."""
+    made = known.patterns.select(pattern)
+    return known.model.poses(known.theta, known.model.rows(readings, made.conditions, made.station, made.target))
+
+
+def allowed(known: Beforehand, readings: np.ndarray, pattern: np.ndarray) -> np.ndarray:
+    """True of configurations in which the arm keeps clear, shape (n,); see :func:`rows_like`."""
+    made = known.patterns.select(pattern)
+    rows = known.model.rows(readings, made.conditions, made.station, made.target)
+    _, p = known.model.poses(known.theta, rows)
+    bases = [frame for _, frame in known.model.frames(known.theta)[0]]
+    own = np.array([bases[k].actInv(at) for k, at in zip(rows.world.tolist(), p, strict=True)]).reshape(-1, 3)
+    return clear(known.robot, known.campaign.design.keep_out, known.bodies, readings, own)
+
+
+def draw_candidates(known: Beforehand, count: int, least: int, rng: np.random.Generator) -> Candidates:
+    """Configurations drawn from the joints' ranges that can be measured, of each offer as many.
+
+    Args:
+        known: What can be measured.
+        count: How many, if there are so many.
+        least: How many at least.
+        rng: Draws them.
+
+    Raises:
+        CampaignError: hardly any can.
+    """
+    choices = offers(known)
+    each, fewest = (-(-number // len(choices.patterns)) for number in (count, least))
+    parts = [_of_offer(known, own, each, fewest, rng) for own in choices.patterns]
+    readings = np.concatenate([part.readings for part in parts])
+    starts = np.cumsum([0, *(len(part.readings) for part in parts)])[:-1]
+    return Candidates(
+        readings=readings,
+        offer=np.repeat(np.arange(len(parts)), [len(part.readings) for part in parts]),
+        pattern=np.concatenate([part.pattern for part in parts]),
+        of=np.concatenate([part.of + start for part, start in zip(parts, starts.tolist(), strict=True)]),
+    )
+
+
+def _of_offer(known: Beforehand, own: np.ndarray, count: int, least: int, rng: np.random.Generator) -> Candidates:
+    """Configurations for one choice of what is measured."""
+    found: list[np.ndarray] = []
+    shown: list[np.ndarray] = []
+    many, drawn = 0, max(count, AT_ONCE) if len(own) > 1 else count
+    for _ in range(ROUNDS):
+        readings = _drawn(known, int(own[0]), drawn, rng)
+        seen = _seen(known, readings, own)
+        good = seen.sum(axis=1) >= min(FEWEST, len(own))
+        good[good] = allowed(known, readings[good], np.full(int(good.sum()), own[0]))
+        found.append(readings[good])
+        shown.append(seen[good])
+        many += int(good.sum())
+        if many >= count:
+            break
+    if many < least:
+        raise CampaignError(
+            f"{known.campaign.path}: of {ROUNDS * drawn:,} configurations only {many} can be measured inside the joints' limits: "
+            "check `design.keep_out`, and what `instruments` says of cameras and markers"
+        )
+    count = min(count, many)
+    of, column = np.nonzero(np.concatenate(shown)[:count])
+    return Candidates(np.concatenate(found)[:count], np.zeros(count, dtype=int), own[column], of)
+
+
+def _drawn(known: Beforehand, pattern: int, count: int, rng: np.random.Generator) -> np.ndarray:
+    """Readings with which the target is where a measurement of one pattern needs it, shape (count, columns)."""
+    rows = known.patterns
+    kind = known.campaign.measurements.kind
+    if kind not in ("point", "plane"):
+        return draw_readings(known.robot, count, rng)
+    things = known.model.instruments.things[kind]
+    number = things.names.index(str(rows.refers[pattern, 0]))
+    state: np.ndarray = known.model.states.get(kind, things.start)[number]
+
+    def miss(R: np.ndarray, p: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        return p - state if kind == "point" else p @ state[:3, None] - state[3]
+
+    advice = f"move {kind} {rows.refers[pattern, 0]} nearer to the arm, or say better where it is"
+    return reaching(known, pattern, miss, count, rng, advice)
+
+
+def reaching(
+    known: Beforehand, pattern: int, miss: Miss, count: int, rng: np.random.Generator, advice: str
+) -> np.ndarray:
+    """Readings that bring the target of a pattern where it is missed by nothing, shape (count, columns)."""
+
+    def pose(readings: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return targets_of(known, readings, np.full(len(readings), pattern))
+
+    return brought(known.robot, pose, miss, count, rng, str(known.campaign.path), advice)
+
+
+def _seen(known: Beforehand, readings: np.ndarray, own: np.ndarray) -> np.ndarray:
+    """Which of an offer's patterns each configuration measures, shape (n, patterns) bool."""
+    n, m = len(readings), len(own)
+    if known.campaign.measurements.kind != "pixels" or n == 0:
+        return np.ones((n, m), dtype=bool)
+    asked = problem(known.model, rows_like(known, np.repeat(readings[:1], m, axis=0), own))
+    assert asked.measured is not None
+    refers = asked.measured.refers
+    states = [np.tile(asked.states[role.name][refers[:, k]], (n, 1)) for k, role in enumerate(PIXELS.roles)]
+    R, p = (np.repeat(each, m, axis=0) for each in targets_of(known, readings, np.full(n, own[0])))
+    camera = known.campaign.instruments.cameras[str(known.patterns.refers[own[0], 0])]
+    size = np.array([camera.width, camera.height], dtype=float)
+    seen = in_image(R, p, states, size)
+    if known.campaign.instruments.markers.file is not None:
+        seen &= faces(R, p, states[0], states[1])
+    return seen.reshape(n, m)
+
+
+@dataclass(frozen=True)
+class Told:
+    """What candidates would tell, in D unknowns: those of the things first, then the coefficients that can be identified.
+
+    Attributes:
+        candidates: In sigmas, shape (C, p, D).
+        known: Information of what is known without them, shape (D, D).
+        measured: The same without :data:`LOOSE`.
+        things: How many of the unknowns are the things'.
+        kept: Coefficients among the model's, in the order of the other unknowns.
+        sizes: What of each unknown counts as much as a metre or a radian, shape (D,).
+    """
+
+    candidates: np.ndarray
+    known: np.ndarray
+    measured: np.ndarray
+    things: int
+    kept: tuple[int, ...]
+    sizes: np.ndarray
+
+
+def told(known: Beforehand, candidates: Candidates, n: int) -> Told:
+    """What candidates would tell beside what is known.
+
+    Args:
+        known: K coefficients.
+        candidates: C of them.
+        n: How many are to be chosen: what they tell as a whole decides which coefficients can be identified.
+    """
+    question = problem(known.model, candidates.rows(known))
+    rows = _whitened(question, known)
+    before = [_whitened(question, known)[:0]]
+    if len(known.rows):
+        fitted = problem(known.model, known.rows)
+        weight = np.sqrt(known.weight * known.rows.share)[:, None, None]
+        before.append(_whitened(agreed(fitted, known.theta), known) * weight)
+    width = rows.shape[2]
+    flat = np.concatenate([part.reshape(-1, width) for part in before])
+    stated = _stated(question, width)
+    every = np.concatenate([flat, stated, rows.reshape(-1, width) * np.sqrt(n / len(candidates.readings))])
+    count = width - len(known.theta)
+    R = np.asarray(np.linalg.qr(every, mode="r"))
+    sizes = np.concatenate([np.ones(count), known.model.sizes])
+    kept = identifiable(R[count:, count:] * sizes[count:], range(len(known.theta))).kept
+    some = np.concatenate([np.arange(count), count + np.array(kept, dtype=int)])
+    flat = np.concatenate([flat, stated])[:, some]
+    measured = flat.T @ flat
+    loose = np.diag(1.0 / (LOOSE * sizes[some]) ** 2)
+    return Told(_together(rows[:, :, some], candidates), measured + loose, measured, count, kept, sizes[some])
+
+
+def _whitened(question: Problem, known: Beforehand) -> np.ndarray:
+    """Columns of all rows in sigmas, those of the things before those of the coefficients, shape (N, m, D)."""
+    per_number = (1.0 / spread(known.sigma, question.channels))[:, None]
+    parts = []
+    for block in question.blocks():
+        pieces = question.pieces(known.theta, block)
+        group = question.group_of(block)
+        things = _spread_out(pieces.B, group, question.groups)
+        parts.append(np.concatenate([things, pieces.J], axis=2) * per_number)
+    return np.concatenate(parts)
+
+
+def _spread_out(B: np.ndarray, group: np.ndarray, groups: Groups | None) -> np.ndarray:
+    """Columns (n, m, U) of the rows' own groups as those of all groups, shape (n, m, unknowns of all)."""
+    if groups is None:
+        return np.zeros((*B.shape[:2], 0))
+    place = _places(groups)
+    wide = np.zeros((*B.shape[:2], int(groups.unknown.sum())))
+    for g in np.unique(group[group >= 0]).tolist():
+        own = np.flatnonzero(group == g)
+        wide[np.ix_(own, np.arange(B.shape[1]), place[g, groups.unknown[g]])] = B[own][:, :, groups.unknown[g]]
+    return wide
+
+
+def _places(groups: Groups) -> np.ndarray:
+    """Which of all unknowns each unknown of each group is, shape (G, U)."""
+    return np.asarray(np.cumsum(groups.unknown).reshape(groups.unknown.shape) - 1)
+
+
+def _stated(question: Problem, width: int) -> np.ndarray:
+    """What is stated of things beforehand, in sigmas, shape (T, D)."""
+    beforehand, groups = question.beforehand(), question.groups
+    if beforehand is None or groups is None:
+        return np.zeros((0, width))
+    rows, place = np.zeros((len(beforehand.group), width)), _places(groups)
+    for t, (g, by) in enumerate(zip(beforehand.group.tolist(), beforehand.by, strict=True)):
+        rows[t, place[g, groups.unknown[g]]] = by[groups.unknown[g]]
+    return rows
+
+
+def _together(rows: np.ndarray, candidates: Candidates) -> np.ndarray:
+    """Rows (N, m, D) of each candidate one under another, shape (C, p, D); of an image what its markers tell together."""
+    _, m, D = rows.shape
+    count = np.bincount(candidates.of, minlength=len(candidates.readings))
+    place = np.arange(len(candidates.of)) - np.repeat(np.cumsum(count) - count, count)
+    stacked = np.zeros((len(count), int(count.max()), m, D))
+    stacked[candidates.of, place] = rows
+    flat = stacked.reshape(len(count), -1, D)
+    if stacked.shape[1] == 1:
+        return flat
+    _, s, Vt = np.linalg.svd(flat, full_matrices=False)
+    rank = int((s > ROUNDING * s.max()).sum(axis=1).max())
+    return np.asarray(s[:, :rank, None] * Vt[:, :rank])
+
+
+def target_columns(
+    known: Beforehand, of: Told, readings: np.ndarray, pattern: int, parts: Sequence[Sequence[int]] = ()
+) -> np.ndarray:
+    """How the target moves in some configurations with the unknowns, shape (R, 3, D), [m].
+
+    Args:
+        known: The model.
+        of: Which unknowns.
+        readings: Shape (R, columns).
+        pattern: Of the rows.
+        parts: Coefficients of the model; the target moved by each of these sets alone, one after the other. None: by all.
+    """
+    made = known.patterns.select(np.full(len(readings), pattern))
+    rows = known.model.rows(readings, made.conditions, made.station, made.target)
+    _, _, J = known.model.jacobian(known.theta, rows)
+    found = []
+    for part in parts or [of.kept]:
+        columns = np.zeros((len(readings), 3, of.things + len(of.kept)))
+        for place, k in enumerate(of.kept):
+            if k in part:
+                columns[:, :, of.things + place] = J[:, :3, k]
+        found.append(columns)
+    return np.concatenate(found)

@@ -1,0 +1,216 @@
+r"""The best n of many configurations, by Fedorov's exchange on the information of what they would measure.
+
+A configuration c, measured, adds :math:`F_c^T F_c` to the information M of D unknowns, with F_c its Jacobian in sigmas, shape
+(p, D). Its inverse follows each exchange by Woodbury's identity,
+
+.. math:: (M \pm F^T F)^{-1} = \Sigma \mp \Sigma F^T (1 \pm F \Sigma F^T)^{-1} F \Sigma
+
+so that the worth of every candidate costs some small matrices and no decomposition (Fedorov 1972, Theory of Optimal Experiments,
+chapter 3; one exchange at a time as in Cook and Nachtsheim 1980, doi:10.1080/00401706.1980.10486162). Criteria:
+
+- A: the mean variance of the target's position over a region, :math:`tr(\Sigma W)` (I- or V-optimal in some books).
+- G: the largest variance there in any direction, by A with the weights of the places raised where it is large.
+- D: the volume of the uncertainty of the constants and frames, unknown places of instruments solved for:
+  :math:`\ln\det M - \ln\det M_{BB}`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+
+Criterion = Literal["A", "D", "G"]
+
+ASKED, FEWEST_PASSES = 600, 2
+"""Times that a member of a choice is asked whether another is better, and passes through all of them at the least: four or five
+passes are usual for thirty; of hundreds, each matters less."""
+
+STARTS, FEW = 3, 60
+"""Choices that exchanges begin with where few are wanted: the greedy one and random ones, which end within a per cent of each
+other; and up to how many that is. More begin with the greedy one alone."""
+
+BETTER = 1e-6
+"""Share by which an exchange must be better: rounding must not exchange for ever."""
+
+WORST_ROUNDS = 6
+"""Times that the weights of the places are raised where the target is worst known."""
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What is to be chosen from, and for what.
+
+    Attributes:
+        rows: Of each candidate, in sigmas, shape (C, p, D); rows of nothing are zero.
+        known: Information of what is known without them, shape (D, D), positive definite.
+        target: How the target moves at the places of the region, shape (R, 3, D), [m].
+        weight: Of each place, shape (R,), with mean 1.
+        solved_for: Unknowns, the first ones, of which nothing is asked: places of instruments.
+        criterion: See above.
+    """
+
+    rows: np.ndarray
+    known: np.ndarray
+    target: np.ndarray
+    weight: np.ndarray
+    solved_for: int
+    criterion: Criterion
+
+    @cached_property
+    def averaged(self) -> np.ndarray:
+        """W, shape (D, D): the mean of the target's J'J."""
+        J = self.target * np.sqrt(self.weight / len(self.target))[:, None, None]
+        flat = J.reshape(-1, J.shape[2])
+        return np.asarray(flat.T @ flat)
+
+    def information(self, chosen: Sequence[int] | np.ndarray) -> np.ndarray:
+        """M with some candidates measured, shape (D, D)."""
+        F = self.rows[list(chosen)].reshape(-1, self.rows.shape[2])
+        return np.asarray(self.known + F.T @ F)
+
+    def variances(self, information: np.ndarray) -> np.ndarray:
+        """Covariance of the target at each place, shape (R, 3, 3), [m²]."""
+        root = np.linalg.cholesky(information)
+        half = np.linalg.solve(root, self.target.reshape(-1, len(root)).T).T.reshape(self.target.shape)
+        return np.asarray(half @ half.transpose(0, 2, 1))
+
+    def cost(self, chosen: Sequence[int]) -> float:
+        """What the criterion makes as small as it can."""
+        M = self.information(chosen)
+        if self.criterion == "D":
+            own = slice(0, self.solved_for)
+            return float(np.linalg.slogdet(M[own, own])[1] - np.linalg.slogdet(M)[1])
+        spread = self.variances(M)
+        if self.criterion == "G":
+            return float(np.linalg.eigvalsh(spread)[:, -1].max())
+        return float(np.mean(self.weight * np.einsum("rii->r", spread)))
+
+
+def rms_sigma(choice: Choice, information: np.ndarray) -> float:
+    """RMS over the region of the target's sigma, all three directions together, [m]."""
+    return float(np.sqrt(np.mean(np.einsum("rii->r", choice.variances(information)))))
+
+
+def worst_sigma(choice: Choice, information: np.ndarray) -> float:
+    """The target's sigma at the worst place in the worst direction, [m]."""
+    return float(np.sqrt(np.linalg.eigvalsh(choice.variances(information))[:, -1].max()))
+
+
+def best_choice(choice: Choice, n: int, rng: np.random.Generator, starts: int | None = None) -> list[int]:
+    """The best n candidates that exchanges find, each at most once.
+
+    Args:
+        choice: C candidates.
+        n: How many, at most C.
+        rng: Draws the starts after the first, which is greedy.
+        starts: How many; default: :data:`STARTS`, or one where many are wanted.
+    """
+    starts = starts or (STARTS if n <= FEW else 1)
+    if choice.criterion == "G":
+        return _for_the_worst(choice, n, rng, starts)
+    begun = [greedy(choice, n), *(rng.permutation(len(choice.rows))[:n].tolist() for _ in range(starts - 1))]
+    ended = [exchanged(choice, chosen) for chosen in begun]
+    return min(ended, key=choice.cost)
+
+
+def greedy(choice: Choice, n: int, begin: Sequence[int] = ()) -> list[int]:
+    """Candidates added one by one, each the best there is."""
+    chosen = list(begin)
+    while len(chosen) < n:
+        gain = _worth(choice, np.linalg.inv(choice.information(chosen)), _of_solved(choice, chosen))
+        gain[chosen] = -np.inf
+        chosen.append(int(np.argmax(gain)))
+    return chosen
+
+
+def exchanged(choice: Choice, chosen: Sequence[int]) -> list[int]:
+    """A choice with members exchanged as long as that makes it better."""
+    chosen = list(chosen)
+    for _ in range(max(FEWEST_PASSES, ASKED // max(len(chosen), 1))):
+        covariance, solved = np.linalg.inv(choice.information(chosen)), _of_solved(choice, chosen)
+        settled = True
+        for place, old in enumerate(chosen):
+            F, own = choice.rows[old], choice.rows[old, :, : choice.solved_for]
+            without, solved_without = _updated(covariance, F, -1.0), _updated(solved, own, -1.0)
+            gain = _worth(choice, without, solved_without)
+            stays = gain[old]
+            gain[[c for c in chosen if c != old]] = -np.inf
+            new = int(np.argmax(gain))
+            if new == old or gain[new] - stays <= BETTER * abs(stays):
+                continue
+            chosen[place], settled = new, False
+            covariance = _updated(without, choice.rows[new], 1.0)
+            solved = _updated(solved_without, choice.rows[new, :, : choice.solved_for], 1.0)
+        if settled:
+            break
+    return chosen
+
+
+def nested(choice: Choice, chosen: Sequence[int], most: int) -> list[int]:
+    """Candidates in an order of which every beginning is a good choice of its length: least worth last, then more of them.
+
+    Args:
+        choice: C candidates.
+        chosen: A choice.
+        most: How long the order is to be, at least as long as the choice.
+    """
+    left, last = list(chosen), []
+    while left:
+        covariance, solved = np.linalg.inv(choice.information(left)), _of_solved(choice, left)
+        loss = [-_worth_of(choice, F, covariance, solved, -1.0)[0] for F in choice.rows[left][:, None]]
+        last.append(left.pop(int(np.argmin(loss))))
+    return greedy(choice, most, last[::-1])
+
+
+def _for_the_worst(choice: Choice, n: int, rng: np.random.Generator, starts: int) -> list[int]:
+    """The choice whose worst place is best known: see the module."""
+    mean = replace(choice, criterion="A")
+    best = chosen = best_choice(mean, n, rng, starts)
+    for _ in range(WORST_ROUNDS):
+        largest = np.linalg.eigvalsh(choice.variances(choice.information(chosen)))[:, -1]
+        weight = mean.weight * largest / largest.mean()
+        mean = replace(mean, weight=weight / weight.mean())
+        chosen = exchanged(mean, chosen)
+        best = min(best, chosen, key=choice.cost)
+    return best
+
+
+def _worth(choice: Choice, covariance: np.ndarray, solved: np.ndarray) -> np.ndarray:
+    """By how much each candidate, added, makes the cost smaller, shape (C,)."""
+    return _worth_of(choice, choice.rows, covariance, solved, 1.0)
+
+
+def _worth_of(choice: Choice, rows: np.ndarray, covariance: np.ndarray, solved: np.ndarray, sign: float) -> np.ndarray:
+    """By how much each of some rows, added or taken away (sign -1), makes the cost smaller, shape (n,)."""
+    if choice.criterion == "D":
+        own = rows[:, :, : choice.solved_for]
+        return _log_volume(rows, covariance, sign) - _log_volume(own, solved, sign)
+    n, p, D = rows.shape
+    moved = (rows.reshape(n * p, D) @ covariance).reshape(n, p, D)
+    seen = moved @ rows.transpose(0, 2, 1)
+    asked = (moved.reshape(n * p, D) @ choice.averaged).reshape(n, p, D) @ moved.transpose(0, 2, 1)
+    return np.asarray(sign * np.einsum("nii->n", np.linalg.solve(np.eye(p) + sign * seen, asked)))
+
+
+def _log_volume(rows: np.ndarray, covariance: np.ndarray, sign: float) -> np.ndarray:
+    """Logarithm of det (1 + sign F Sigma F'), shape (n,)."""
+    n, p, D = rows.shape
+    seen = (rows.reshape(n * p, D) @ covariance).reshape(n, p, D) @ rows.transpose(0, 2, 1)
+    return np.asarray(np.linalg.slogdet(np.eye(p) + sign * seen)[1])
+
+
+def _of_solved(choice: Choice, chosen: Sequence[int]) -> np.ndarray:
+    """Inverse of the information of those unknowns alone of which nothing is asked."""
+    own = slice(0, choice.solved_for)
+    return np.linalg.inv(choice.information(chosen)[own, own])
+
+
+def _updated(covariance: np.ndarray, F: np.ndarray, sign: float) -> np.ndarray:
+    """The covariance with rows (p, D) added, or taken away (sign -1)."""
+    moved = F @ covariance
+    inner = np.eye(len(F)) + sign * (moved @ F.T)
+    return np.asarray(covariance - sign * (moved.T @ np.linalg.solve(inner, moved)))

@@ -1,0 +1,129 @@
+"""How much better chosen configurations are than random ones, and how near to the best that exchanges find.
+
+    python benchmarks/design.py            # UR10, ARID, a Panda; poses, positions, points, distances: some minutes
+    python benchmarks/design.py series-b   # the real UR10: 100 of its own rows, chosen and at random; needs ../shared/data
+
+The first prints, for each arm and kind, the RMS sigma of the target over the joints' whole range with the chosen configurations,
+as a share of the median of 100 random choices, and, among a third of the candidates, as a share of the best of 20 exchanges from
+random beginnings. The second calibrates (`aridcal identify`, effects and all) from 100 rows of series B and prints the RMS error
+at all others.
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from aridcal.inputs.campaign import Campaign, load_campaign
+from aridcal.inputs.read import load_measurements
+from aridcal.result.outcome import errors
+from aridcal.result.pipeline import identify
+from aridcal.robot.chain import load_robot
+from aridcal.service.beforehand import beforehand
+from aridcal.service.candidates import Candidates, draw_candidates
+from aridcal.service.design import EASY, POOL, RANDOM, SMALL_POOL, Asked, question, with_stated_effects
+from aridcal.service.exchange import best_choice, exchanged, rms_sigma
+
+TOP = Path(__file__).resolve().parents[1]
+DATA = TOP / ".." / "shared" / "data"
+SERIES_B = DATA / "ur10-laser-tracker" / "series_b.csv"
+EXCHANGES, DRAWS = 20, 5
+
+TOOL = "frames: {tip_target: {xyz: [0.05, 0.03, 0.15]}}\n"
+POINTS = "point,x,y,z,std\na,0.5,0.2,0.3,0.05\nb,0.4,-0.3,0.4,0.05\n"
+SOCKETS = "instruments: {points: points.csv, lengths: [{between: [a, b], length: 0.519615}]}\n"
+WIRES = "instruments: {anchors: {rail: {xyz: [1.2, 0.3, 0.1]}, wall: {xyz: [-1.0, 0.9, 0.3]}}}\n"
+JOINTS = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
+CURVES = ", ".join(f"{{kind: joint_harmonic, where: {joint}_joint, order: [1, 2]}}" for joint in JOINTS)
+BENDS = ", ".join(f"{{kind: joint_compliance, where: {joint}_joint}}" for joint in JOINTS[1:3])
+SUSPECTS = f"effects: [{CURVES}, {BENDS}]\n"
+ARMS = {
+    "UR10": (TOP / "urdf" / "ur10.urdf", "tool0"),
+    "ARID": (TOP / "urdf" / "arid.urdf", "flange"),
+    "Panda": (DATA / "panda-sockets" / "panda.urdf", "panda_link8"),
+}
+CASES = [
+    ("UR10", "pose", 30, "{position: 1.0e-4, rotation: 1.0e-4}", TOOL),
+    ("UR10", "pose", 30, "{position: 1.0e-4, rotation: 1.0e-3}", TOOL),
+    ("UR10", "position", 15, "{position: 1.0e-4}", TOOL),
+    ("ARID", "pose", 30, "{position: 1.0e-4, rotation: 1.0e-4}", TOOL),
+    ("Panda", "pose", 30, "{position: 1.0e-4, rotation: 1.0e-4}", TOOL),
+    ("UR10", "point", 30, "{position: 1.0e-4}", TOOL + SOCKETS),
+    ("UR10", "distance", 60, "{distance: 1.0e-4}", TOOL + WIRES),
+]  # fmt: skip
+
+
+def campaign(folder: Path, arm: str, kind: str, noise: str, more: str) -> Campaign:
+    """A campaign of which nothing was measured yet."""
+    urdf, tip = ARMS[arm]
+    (folder / "points.csv").write_text(POINTS)
+    path = folder / "campaign.yaml"
+    path.write_text(
+        f"format: 1\nrobot: {{urdf: {urdf}, tip: {tip}}}\nmeasurements: {{file: none.csv, kind: {kind}, noise: {noise}}}\n{more}"
+    )
+    return load_campaign(path)
+
+
+def planned() -> None:
+    """Plans from nothing."""
+    print("arm    kind      n   chosen, mm  of random  of the best of exchanges  CPU s    noise")
+    for arm, kind, n, noise, more in CASES:
+        with tempfile.TemporaryDirectory() as folder:
+            made = campaign(Path(folder), arm, kind, noise, more)
+            robot = load_robot(made.robot.urdf, made.robot.tip)
+            started = time.process_time()
+            known, rng = beforehand(made, robot), np.random.default_rng(0)
+            candidates = draw_candidates(known, POOL if kind in EASY else SMALL_POOL, n, rng)
+            choice, _ = question(known, Asked(n), candidates, rng)
+            chosen = best_choice(choice, n, rng)
+            seconds = time.process_time() - started
+            count = len(candidates.readings)
+            random = [rms_sigma(choice, choice.information(rng.permutation(count)[:n])) for _ in range(RANDOM)]
+            sigma = rms_sigma(choice, choice.information(chosen))
+            few, _ = question(known, Asked(n), draw_candidates(known, SMALL_POOL, n, rng), rng)
+            begun = [rng.permutation(len(few.rows))[:n].tolist() for _ in range(EXCHANGES)]
+            best = min(few.cost(exchanged(few, some)) for some in begun)
+            near = np.sqrt(few.cost(best_choice(few, n, rng)) / best)
+        shares = f"{sigma / np.median(random):9.3f}  {near:24.3f}"
+        print(f"{arm:6s} {kind:8s} {n:3d}   {1e3 * sigma:10.4f}  {shares}  {seconds:7.1f}  {noise}", flush=True)
+
+
+def series_b() -> None:
+    """100 rows of a real arm."""
+    real = load_campaign(TOP / "identification" / "ur10-laser-tracker" / "campaign-b.yaml")
+    robot = load_robot(real.robot.urdf, real.robot.tip, real.robot.base)
+    rows = load_measurements(real, robot.readings, robot.limits, robot.kinds)
+    table = pd.read_csv(SERIES_B).iloc[rows.line - 2].reset_index(drop=True)
+    rng, every = np.random.default_rng(0), len(rows)
+    for title, effects in (("constants", ""), ("constants and suspects", SUSPECTS)):
+        with tempfile.TemporaryDirectory() as folder:
+            tool = "frames: {tip_target: {xyz: [0, 0, 0.093]}}\n"
+            bare = campaign(Path(folder), "UR10", "pose", "{position: 1.0e-4, rotation: 1.0e-4}", tool + effects)
+            nothing = np.zeros(every, dtype=int)
+            own = Candidates(rows.readings, nothing, nothing, np.arange(every))
+            known = with_stated_effects(beforehand(bare, robot), own)
+            path = Path(folder) / "region.csv"
+            pd.DataFrame(dict(zip(robot.readings, rows.readings.T, strict=True))).to_csv(path, index=False)
+            choice, _ = question(known, Asked(100, region=path), own, rng)
+            chosen = best_choice(choice, 100, rng)
+        print(f"chosen for {title}: {final_rms(real, table, chosen)} mm", flush=True)
+    for _ in range(DRAWS):
+        print(f"random: {final_rms(real, table, rng.permutation(every)[:100].tolist())} mm", flush=True)
+
+
+def final_rms(real: Campaign, table: pd.DataFrame, some: list[int]) -> str:
+    """RMS error at all rows that were not chosen, of the geometric and of the final model, calibrated from those chosen, [mm]."""
+    split = np.where(np.isin(np.arange(len(table)), some), "train", "test")
+    outcome = identify(real.with_tables([table.assign(split=split)]))
+    test = outcome.measurements.test
+    figures = [errors(stage.residual, test, outcome.channels)["position_mm"]["rms"] for stage in outcome.stages[1:]]
+    return ", ".join(f"{name} {rms:.4f}" for name, rms in zip(("geometric", "final"), figures, strict=True))
+
+
+if __name__ == "__main__":
+    series_b() if sys.argv[1:] == ["series-b"] else planned()
