@@ -117,7 +117,7 @@ def _report(plan: Plan, apart: Sequence[str], out: Path) -> None:
     console = Console()
     of = f"what {' and '.join(apart)} do to the target" if apart else "the target over the region"
     table = Table(title=f"sigma of {of}, predicted", title_justify="left")
-    for column in ("new configurations", "RMS, mm", "worst, mm"):
+    for column in ("new configurations", "three axes, mm", "worst direction, mm"):
         table.add_column(column, justify="right")
     for sigma in plan.sigma:
         table.add_row(str(sigma.n), _mm(sigma.rms), _mm(sigma.worst))
