@@ -27,6 +27,7 @@ from typing import get_args
 
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from aridcal.command_line import CommandParser, command_parser, run
 from aridcal.errors import OutputError
@@ -115,13 +116,7 @@ def _design(arguments: argparse.Namespace) -> None:
 def _report(plan: Plan, apart: Sequence[str], out: Path) -> None:
     """Print what the plan will tell."""
     console = Console()
-    of = f"what {' and '.join(apart)} do to the target" if apart else "the target over the region"
-    table = Table(title=f"sigma of {of}, predicted", title_justify="left")
-    for column in ("new configurations", "three axes, mm", "worst direction, mm"):
-        table.add_column(column, justify="right")
-    for sigma in plan.sigma:
-        table.add_row(str(sigma.n), _mm(sigma.rms), _mm(sigma.worst))
-    console.print(table)
+    console.print(_sigma_table(plan, apart))
     lines = [
         f"{plan.measured} rows so far; {plan.unknowns} unknowns of arm and frames can be identified with the planned ones",
         f"RMS of as many random configurations, mm: {_mm(plan.random)}",
@@ -131,6 +126,17 @@ def _report(plan: Plan, apart: Sequence[str], out: Path) -> None:
     ]
     for line in lines:
         console.print(line, markup=False, highlight=False, soft_wrap=True)
+
+
+def _sigma_table(plan: Plan, apart: Sequence[str]) -> Table:
+    """How well the target is known with more and more of the configurations."""
+    of = f"what {' and '.join(apart)} do to the target" if apart else "the target over the region"
+    table = Table(title=Text(f"sigma of {of}, predicted"), title_justify="left")
+    for column in ("new configurations", "three axes, mm", "worst direction, mm"):
+        table.add_column(column, justify="right")
+    for sigma in plan.sigma:
+        table.add_row(str(sigma.n), _mm(sigma.rms), _mm(sigma.worst))
+    return table
 
 
 def _mm(metres: float) -> str:
