@@ -7,8 +7,12 @@ import pinocchio as pin
 import pytest
 from heads import MODEL, SETTINGS, START, T_TIP_CAMERA, THETA, Shots, calibrated, moved, poses, shots
 
-from aridcal.instruments.camera import predict_pixels
-from aridcal.instruments.camera_sonar import Head, predict_ranges
+from aridcal.effects.basis import Basis
+from aridcal.effects.effect import Coefficient
+from aridcal.effects.loads import Surroundings
+from aridcal.instruments.camera import predict_pixels, predict_ranges
+from aridcal.instruments.camera_sonar import COUNT, Head
+from aridcal.result.pipeline import judged
 
 
 def misfit(T: np.ndarray, given: Shots, head: Head) -> np.ndarray:
@@ -96,3 +100,17 @@ def test_an_arm_that_does_not_repeat_weighs_on_the_poses_and_not_on_what_shots_s
     assert within[0].value == pytest.approx(1.0, abs=0.1) and within[1].value == pytest.approx(
         within[0].value, rel=2e-2
     )
+
+
+def test_what_an_arm_lacks_and_nobody_seeks_is_structure_in_shots_as_it_is_in_poses():
+    """Some shots have fewer image points than a trace has numbers; the questions to the residual must not fall silent for it."""
+    bends = Coefficient("joint_3", "axis", Basis("linear", ("joint_3.gravity_torque",), (0.0,)))
+    around = Surroundings(np.array([0.0, 9.81, 0.0]), T_TIP_CAMERA.translation)
+    model = replace(MODEL.with_coefficients((*MODEL.coefficients, bends)), around=around)
+    off = "diagnosis: {enabled: false}"
+    for size, words in ((0.0, {"noise_floor"}), (2e-6, {"structure_remains"})):
+        given, _ = shots(60, START, more=off, model=model, theta=np.append(THETA, size))
+        said = judged(calibrated(given)[0])
+        assert given.rows.observed[:, COUNT].min() < 6 + 13 <= given.rows.observed[:, COUNT].max()
+        assert said.verdict.word in words
+        assert all(np.isfinite(clue.share) for clue in said.clues)

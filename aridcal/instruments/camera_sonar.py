@@ -223,7 +223,7 @@ class Reduced:
         position: Shape (n, 3), [m].
         covariance: Of position [m] and rotation vector [rad] in world axes, shape (n, 6, 6).
         sensitivity: Twist (linear, angular) of the camera in world axes per unit of each of the head's numbers, (n, 6, H).
-        trace: z, shape (n, 9 + S); NaN beyond what a shot has.
+        trace: z, shape (n, 9 + S); 0 beyond what a shot has, as :func:`beyond` says, so that sums over a row have no holes.
         slope: What a change of the head's numbers takes off it, shape (n, 9 + S, H).
         misfit: Chi-square of what a shot has beyond its pose, shape (n,).
         freedom: Its degrees of freedom, shape (n,).
@@ -249,7 +249,7 @@ def reduced(shots: Shots, head: Head) -> Reduced:
     twist_by_phi = -C @ (back @ D)
     trace = np.einsum("nij,ni->nj", shots.basis, y)
     left = shots.count - POSE
-    trace[beyond(left, trace.shape[1])] = np.nan
+    trace[beyond(left, trace.shape[1])] = 0.0
     Rc = T[:, :, :3].transpose(0, 2, 1)
     p = -np.einsum("nij,nj->ni", Rc, T[:, :, 3])
     world = shots.T_world_square

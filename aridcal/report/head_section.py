@@ -47,7 +47,7 @@ def _misfit(head: MeasuringHead) -> Html:
 
 
 def _parameters(head: MeasuringHead) -> Html:
-    """Parameters of the head that differ from the declared ones, or could not be identified."""
+    """Parameters of the head that differ from the declared ones."""
     moved = [n for n in head.numbers if n.status != "fixed"]
     if not moved:
         return tag(
@@ -61,8 +61,7 @@ def _line(n: HeadNumber) -> list[Content]:
     """One parameter of the head, declared and identified."""
     scale, unit = {"m": (1e3, " mm"), "px": (1.0, " px")}.get(n.unit, (1.0, ""))
     declared = f"{number(scale * n.declared)}{unit}"
-    if n.std is None:
-        return [tag("code", n.name), declared, f"confounded with {', '.join(n.redundant_with)}"]
+    assert n.std is not None
     return [tag("code", n.name), declared, f"{plus_minus(scale * n.value, scale * n.std)}{unit}"]
 
 

@@ -199,7 +199,7 @@ def _head(head: MeasuringHead, found: Mapping[str, Any]) -> dict[str, Any]:
     """The measuring head: mounting, numbers, and how far image points and ranges of single shots fit together."""
     return {
         "tip_camera": found["tip_target"],
-        "numbers": [asdict(n) | {"redundant_with": list(n.redundant_with)} for n in head.numbers],
+        "numbers": [asdict(n) | {"redundant_with": []} for n in head.numbers],
         "misfit_within_shots": {"declared": head.misfit[0], "identified": head.misfit[1]},
         "range_rms_mm": {
             name: {f"sonar_{k + 1}": 1e3 * float(v) for k, v in enumerate(row)}

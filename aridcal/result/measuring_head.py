@@ -35,8 +35,7 @@ class HeadNumber:
         declared: As head.yaml has it.
         value: As identified.
         std: 1-sigma; None if it was not identified.
-        status: ``identified``, ``fixed`` or ``redundant``.
-        redundant_with: Names of those that it is confounded with.
+        status: ``identified`` or ``fixed``.
     """
 
     name: str
@@ -45,7 +44,6 @@ class HeadNumber:
     value: float
     std: float | None
     status: str
-    redundant_with: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -96,7 +94,7 @@ def measuring_head(final: Fit, geometric: Fit, rows: Dataset, fitted: np.ndarray
         fiducials={str(name): found.fiducials[name].to_numpy() for name in found.fiducials},
         mount=np.array([found.mount, final.model.frames(final.theta)[1][0][1].homogeneous]),
         closed_form=closed_form(geometric, seen, fitted),
-        notices=_notices(identified, misfit[1], ranges[1], len(rows), numbers),
+        notices=_notices(identified, misfit[1], ranges[1], len(rows)),
     )
 
 
@@ -113,8 +111,7 @@ def _numbers(final: Fit, declared: Head) -> tuple[HeadNumber, ...]:
     return tuple(
         HeadNumber(
             name, unit, float(declared.phi[k]), float(value[k]), float(std[k]) if root[k].any() else None,
-            "identified" if root[k].any() else "redundant" if name in final.redundant else "fixed",
-            tuple(final.redundant.get(name, ())),
+            "identified" if root[k].any() else "fixed",
         )
         for k, (name, unit) in enumerate(zip(declared.names, declared.units, strict=True))
     )  # fmt: skip
@@ -128,10 +125,8 @@ def _scatter(found: Reduced) -> float:
     return float(np.sqrt(trust @ found.misfit / max(float(trust @ found.freedom), 1.0)))
 
 
-def _notices(
-    head: Head, misfit: float, ranges: np.ndarray, shots: int, numbers: tuple[HeadNumber, ...]
-) -> tuple[str, ...]:
-    """What of the head's noise is not as stated, and what of its declared faults cannot be told."""
+def _notices(head: Head, misfit: float, ranges: np.ndarray, shots: int) -> tuple[str, ...]:
+    """What of the head's noise is not as stated."""
     said = [MOUNTING]
     if misfit > DOUBTFUL:
         said.append(
