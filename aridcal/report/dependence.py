@@ -109,7 +109,7 @@ def _size_in_words(trace: Trace, size: float, p: float) -> str:
 
 
 def _unit(trace: Trace) -> str:
-    return shown_in(trace.unit)[0]
+    return "sigma" if trace.unit == "1" else shown_in(trace.unit)[0]
 
 
 def _size(trace: Trace, size: float) -> str:
