@@ -20,6 +20,7 @@ from aridcal.effects.effect import Coefficient, Effect
 from aridcal.effects.sights import LENGTH, PLACE, SAG, Sights, sight_table, target_places
 from aridcal.errors import CampaignError
 from aridcal.fit.problem import problem
+from aridcal.fit.stages import with_things_moved
 from aridcal.inputs.campaign import load_campaign
 from aridcal.inputs.yaml_file import load_settings
 from aridcal.prepare.scenario import Scenario
@@ -334,3 +335,16 @@ def test_a_plate_of_few_places_cannot_be_declared_bent(tmp_path: Path) -> None:
     stated = {"kind": "flatness", "where": "table"}
     with pytest.raises(CampaignError, match="flatness at table cannot be fitted"):
         found(tmp_path, UNTOLD["few places on a bent plate"], effects=[stated])
+
+
+def test_constants_of_the_urdf_are_those_of_a_lens_as_found_and_a_sag_of_each_row_is_no_state(tmp_path: Path) -> None:
+    """What a thing always does goes into its state; what depends on the row cannot."""
+    for folder in ("lens", "wire"):
+        (tmp_path / folder).mkdir()
+    outcome, _ = found(tmp_path / "lens", CASES["a lens"])
+    test, (_, geometric, final) = outcome.measurements.test, outcome.stages
+    left = problem(geometric.fit.model, outcome.measurements).residual(geometric.fit.theta)[test]
+    rms = [float(np.sqrt(np.nanmean(r**2))) for r in (geometric.residual[test], left, final.residual[test])]
+    assert rms[1] < 1.05 * rms[2] < rms[0]
+    outcome, _ = found(tmp_path / "wire", CASES["a wire's sag"])
+    assert outcome.effects and with_things_moved(outcome.stages[1].fit, outcome.stages[2].fit) is None
