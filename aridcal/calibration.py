@@ -13,15 +13,16 @@ from typing import Any
 
 import pandas as pd
 
+from aridcal.drawing.as_tables import effect_table, error_table, parameter_table, verification_table
+from aridcal.drawing.html import tag
+from aridcal.drawing.scene import write_scene
 from aridcal.errors import AridcalError, MeasurementError, shortened
 from aridcal.identify import VERDICTS
 from aridcal.inputs.query import Query
 from aridcal.inputs.tables import AnyTable, read_tables
 from aridcal.inputs.yaml_file import decode
 from aridcal.reading.files import RESULT, read_file
-from aridcal.report.html import tag
 from aridcal.report.page import write_report
-from aridcal.report.scene import write_scene
 from aridcal.result.compensate import compensate
 from aridcal.result.controllers import hand_over
 from aridcal.result.folder import result_document
@@ -30,7 +31,6 @@ from aridcal.result.pipeline import score
 from aridcal.result.predict import predict, read_query
 from aridcal.result.saved_model import SavedModel
 from aridcal.result_folder import write_folder
-from aridcal.service.as_tables import effect_table, error_table, parameter_table, verification_table
 from aridcal.showing import Page, working
 from aridcal.writing.files import atomic_file
 

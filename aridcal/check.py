@@ -29,10 +29,10 @@ from aridcal.errors import shortened
 from aridcal.inputs.measurement_settings import LENGTHS
 from aridcal.reading.names import path_argument
 from aridcal.result.saved_model import SavedModel
-from aridcal.service.answers import check_lines
-from aridcal.service.checking import check
-from aridcal.service.new_rows import read_new_rows
-from aridcal.service.repair import changes
+from aridcal.upkeep.answers import check_lines
+from aridcal.upkeep.checking import check
+from aridcal.upkeep.new_rows import read_new_rows
+from aridcal.upkeep.repair import changes
 
 
 def _length(text: str) -> float:

@@ -32,12 +32,12 @@ from rich.text import Text
 from aridcal.command_line import CommandParser, command_parser, run
 from aridcal.errors import OutputError
 from aridcal.inputs.campaign import load_campaign
+from aridcal.planning.beforehand import beforehand
+from aridcal.planning.design import Asked, Plan, as_table, design
+from aridcal.planning.exchange import Criterion
 from aridcal.reading.names import path_argument
 from aridcal.result.predict import ENDINGS, write_table
 from aridcal.robot.chain import load_robot
-from aridcal.service.beforehand import beforehand
-from aridcal.service.design import Asked, Plan, as_table, design
-from aridcal.service.exchange import Criterion
 from aridcal.showing import told_on
 from aridcal.writing.files import atomic_file, check_home, claimed
 

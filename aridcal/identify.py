@@ -17,11 +17,11 @@ from rich.console import Console
 from rich.table import Table
 
 from aridcal.command_line import CommandParser, command_parser, run
+from aridcal.drawing.words import causes_in_words, noise_in_words, scale_in_words
 from aridcal.errors import shortened
 from aridcal.head.detections import CACHE
 from aridcal.prepare.other_readings import refuse_misread
 from aridcal.reading.names import path_argument
-from aridcal.report.words import causes_in_words, noise_in_words, scale_in_words
 from aridcal.result.folder import what_moved
 from aridcal.result.key_figures import another_day, every_held_out_row, or_as_well, over_time, scored
 from aridcal.result.outcome import Outcome, Verification, errors, said

@@ -19,6 +19,7 @@ from rich.progress import track
 from scipy.spatial.transform import Rotation
 
 from aridcal.command_line import CommandParser, command_parser, run
+from aridcal.drawing.html import Html, tag
 from aridcal.errors import AridcalError, printable, shortened
 from aridcal.head.shots import THUMBNAIL, Measured, load, measure_shots
 from aridcal.head.sonar import contradictions
@@ -26,7 +27,6 @@ from aridcal.inputs.head_settings import POSE_COLUMNS, HeadSettings, range_colum
 from aridcal.inputs.quantities import STD
 from aridcal.inputs.tables import Table
 from aridcal.reading.names import path_argument
-from aridcal.report.html import Html, tag
 from aridcal.writing.files import atomic_table, claimed_table
 
 BESIDE = REFUSED, SHEET = "refused.csv", "shots.html"

@@ -28,10 +28,10 @@ from aridcal.reading.files import CALIBRATION, read_file
 from aridcal.reading.names import path_argument
 from aridcal.result.saved_model import SavedModel
 from aridcal.result_folder import RESULT_FILES
-from aridcal.service.answers import check_lines
-from aridcal.service.checking import Checked, check
-from aridcal.service.new_rows import read_new_rows
-from aridcal.service.repair import Repaired, document, lineage, repaired, urdf_of
+from aridcal.upkeep.answers import check_lines
+from aridcal.upkeep.checking import Checked, check
+from aridcal.upkeep.new_rows import read_new_rows
+from aridcal.upkeep.repair import Repaired, document, lineage, repaired, urdf_of
 from aridcal.writing.files import atomic_folder, claimed
 
 

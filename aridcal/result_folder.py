@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from aridcal.drawing.scene import write_scene
 from aridcal.report.page import write_report
-from aridcal.report.scene import write_scene
 from aridcal.result.controllers import Handover, hand_over, write_controllers
 from aridcal.result.folder import write_results
 from aridcal.result.outcome import Outcome

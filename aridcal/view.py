@@ -112,7 +112,7 @@ class Viewer(ZMQWebSocketBridge):
 
     def page(self) -> str:
         """The file's page, with the script that keeps it up to date."""
-        script = files("aridcal.report").joinpath("assets/live.js").read_text("utf-8")
+        script = files("aridcal.drawing").joinpath("assets/live.js").read_text("utf-8")
         live = f'<script data-stamp="{self._stamp}">{script}</script>'
         no_icon = '<link rel="icon" href="data:,">'  # browsers would ask for one
         before, end, after = self._page.replace("</head>", f"{no_icon}</head>", 1).rpartition("</body>")

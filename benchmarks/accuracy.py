@@ -47,10 +47,10 @@ from aridcal.model.reaching import draw_readings
 from aridcal.result.outcome import errors
 from aridcal.result.pipeline import identify
 from aridcal.result.saved_model import SolvedModel
-from aridcal.result.uncertainty import with_noise_seen
 from aridcal.robot.chain import Robot, load_robot
 from aridcal.search.arm import calibrated_arm, fit_constants
 from aridcal.showing import SILENT
+from aridcal.trust.uncertainty import with_noise_seen
 
 TOP = Path(__file__).resolve().parents[1]
 SHARED_ROBOTS = Path(pin.__file__).resolve().parents[4] / "share" / "example-robot-data" / "robots"

@@ -23,11 +23,11 @@ from calibrated import NOISE, Machine, jump, machine
 
 from aridcal.errors import MeasurementError
 from aridcal.result.saved_model import SavedModel
-from aridcal.service.checking import FALSE_ALARMS, asked, check
-from aridcal.service.evidence import alarm, covariance_of, likely
-from aridcal.service.new_rows import known_noise, read_new_rows
-from aridcal.service.repair import changes, repaired
-from aridcal.service.suspects import suspects, widened
+from aridcal.upkeep.checking import FALSE_ALARMS, asked, check
+from aridcal.upkeep.evidence import alarm, covariance_of, likely
+from aridcal.upkeep.new_rows import known_noise, read_new_rows
+from aridcal.upkeep.repair import changes, repaired
+from aridcal.upkeep.suspects import suspects, widened
 
 OFF = 2e-3
 """[rad] by which the readings of a real robot's joint are changed."""

@@ -21,13 +21,13 @@ import pandas as pd
 
 from aridcal.inputs.campaign import Campaign, load_campaign
 from aridcal.inputs.read import load_measurements
+from aridcal.planning.beforehand import beforehand
+from aridcal.planning.candidates import Candidates, draw_candidates
+from aridcal.planning.design import EASY, POOL, RANDOM, SMALL_POOL, Asked, question, with_stated_effects
+from aridcal.planning.exchange import best_choice, exchanged, rms_sigma
 from aridcal.result.outcome import errors
 from aridcal.result.pipeline import identify
 from aridcal.robot.chain import load_robot
-from aridcal.service.beforehand import beforehand
-from aridcal.service.candidates import Candidates, draw_candidates
-from aridcal.service.design import EASY, POOL, RANDOM, SMALL_POOL, Asked, question, with_stated_effects
-from aridcal.service.exchange import best_choice, exchanged, rms_sigma
 
 TOP = Path(__file__).resolve().parents[1]
 DATA = TOP / ".." / "shared" / "data"

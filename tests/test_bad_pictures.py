@@ -20,8 +20,9 @@ from lxml import etree
 
 from aridcal import identify
 from aridcal.calibration import Calibration
-from aridcal.report import page, scene, shapes
-from aridcal.report.html import LONGEST, attempt, note, noting
+from aridcal.drawing import scene, shapes
+from aridcal.drawing.html import LONGEST, attempt, note, noting
+from aridcal.report import page
 from aridcal.result.controllers import Handover, hand_over
 from aridcal.result.outcome import Outcome
 from aridcal.result.saving import calibration
@@ -465,7 +466,7 @@ def test_a_section_that_fails_is_a_line_and_the_rest_of_the_report_stands(
 def test_a_figure_that_fails_is_a_line_in_its_place(
     outcome: Outcome, handover: Handover, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("aridcal.report.figures._with_legend", fails(ValueError("no legend")))
+    monkeypatch.setattr("aridcal.drawing.figures._with_legend", fails(ValueError("no legend")))
     notices = page.write_report(outcome, handover, tmp_path / "report.html")
     body = etree.HTML((tmp_path / "report.html").read_text("utf-8"))
     assert len(notices) >= 3
@@ -506,7 +507,7 @@ def test_python_users_lose_no_file_and_are_warned_of_what_is_missing(
     outcome: Outcome, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     found = Calibration(calibration(outcome), outcome)
-    monkeypatch.setattr("aridcal.report.scene.scene_content", fails(ZeroDivisionError("oops")))
+    monkeypatch.setattr("aridcal.drawing.scene.scene_content", fails(ZeroDivisionError("oops")))
     monkeypatch.setattr("aridcal.report.page._chapters", fails(ZeroDivisionError("no report")))
     with pytest.warns(UserWarning, match=r"scene\.html is not drawn: ZeroDivisionError: oops"):
         shown = found.scene(tmp_path / "there.html")

@@ -28,10 +28,10 @@ from aridcal.result.folder import write_results
 from aridcal.result.pipeline import identify
 from aridcal.result.saved_model import SavedModel
 from aridcal.result.saving import calibration
-from aridcal.service.checking import FALSE_ALARMS, asked, bounds, check
-from aridcal.service.evidence import LOG_WEIGHTS, TIMES, Question, alarm, covariance_of, evidence, likely
-from aridcal.service.new_rows import Noise, known_noise
-from aridcal.service.suspects import suspects, widened
+from aridcal.upkeep.checking import FALSE_ALARMS, asked, bounds, check
+from aridcal.upkeep.evidence import LOG_WEIGHTS, TIMES, Question, alarm, covariance_of, evidence, likely
+from aridcal.upkeep.new_rows import Noise, known_noise
+from aridcal.upkeep.suspects import suspects, widened
 
 NAMES = robots.ur10().readings
 

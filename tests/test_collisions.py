@@ -11,11 +11,11 @@ import robots
 
 from aridcal.inputs.campaign import load_campaign
 from aridcal.model.reaching import draw_readings
+from aridcal.planning import design as planning
+from aridcal.planning.beforehand import beforehand
+from aridcal.planning.design import Asked, design
 from aridcal.robot.chain import Robot, load_robot, parse_robot
 from aridcal.robot.collisions import bodies_of, touches
-from aridcal.service import design as planning
-from aridcal.service.beforehand import beforehand
-from aridcal.service.design import Asked, design
 
 LENGTHS, RADIUS = (0.5, 0.4, 0.4), 0.1
 

@@ -15,17 +15,17 @@ from aridcal.errors import AridcalError, CampaignError, MeasurementError
 from aridcal.fit.stages import fit_geometry
 from aridcal.inputs.campaign import Box, Campaign, load_campaign
 from aridcal.inputs.read import load_measurements
-from aridcal.result.uncertainty import target_sigma
+from aridcal.planning import design as planning
+from aridcal.planning.beforehand import Beforehand, beforehand
+from aridcal.planning.candidates import draw_candidates, targets_of
+from aridcal.planning.clearance import crosses
+from aridcal.planning.design import Asked, Plan, as_table, design, observability, question
+from aridcal.planning.exchange import Choice, best_choice, exchanged, greedy, nested, rms_sigma, worst_sigma
+from aridcal.planning.travel import length, short_order, times
 from aridcal.robot.chain import load_robot
 from aridcal.robot.kinematics import joint_frames
 from aridcal.search.arm import fit_constants
-from aridcal.service import design as planning
-from aridcal.service.beforehand import Beforehand, beforehand
-from aridcal.service.candidates import draw_candidates, targets_of
-from aridcal.service.clearance import crosses
-from aridcal.service.design import Asked, Plan, as_table, design, observability, question
-from aridcal.service.exchange import Choice, best_choice, exchanged, greedy, nested, rms_sigma, worst_sigma
-from aridcal.service.travel import length, short_order, times
+from aridcal.trust.uncertainty import target_sigma
 
 POSE = "kind: pose, noise: {position: 1.0e-4, rotation: 1.0e-4}"
 TOOL = "frames: {tip_target: {xyz: [0.05, 0.03, 0.15]}}\n"

@@ -29,8 +29,8 @@ PAGES = [*sorted(DOCS.glob("*.md")), TOP / "README.md", TOP / "CONTRIBUTING.md",
 
 SEARCH_PAGE = DOCS / "how-the-search-works.md"
 THRESHOLD = re.compile(r"^\| `([A-Z_0-9]+)` \| ([^|]+) \| `([\w/]+)` \| [^|]{3,} \|$", re.MULTILINE)
-DECIDING_ROOMS = ("effects", "fit", "search")
-OTHER_DECIDERS = ("result/pipeline", "result/saving", "result/uncertainty", "inputs/split", "inputs/repeats")
+DECIDING_ROOMS = ("effects", "fit", "search", "trust")
+OTHER_DECIDERS = ("result/pipeline", "result/saving", "inputs/split", "inputs/repeats")
 GEOMETRY = ("robot/doty1992",)
 
 

@@ -22,6 +22,7 @@ from rich.console import Console
 
 import aridcal
 from aridcal.calibration import Calibration
+from aridcal.drawing.html import join, tag
 from aridcal.errors import AridcalError
 from aridcal.fit.problem import Problem, problem
 from aridcal.identify import summary
@@ -30,7 +31,6 @@ from aridcal.instruments.catalogue import KINDS
 from aridcal.instruments.channels import columns, spread
 from aridcal.report.data_section import data
 from aridcal.report.first_screen import summary as first_screen
-from aridcal.report.html import join, tag
 from aridcal.report.instruments_section import BLIND, MORE, instruments
 from aridcal.result.folder import residual_table, result_document
 from aridcal.result.instruments import known_scale, scale_std, thing_values

@@ -11,10 +11,10 @@ import robots
 from rich.console import Console
 from scipy.spatial.transform import Rotation
 
+from aridcal.drawing.words import causes_in_words
 from aridcal.fit.problem import problem
 from aridcal.identify import summary
 from aridcal.inputs.dataset import Dataset, RowNoise, weighed
-from aridcal.report.words import causes_in_words
 from aridcal.result.folder import result_document
 from aridcal.result.outcome import Outcome
 from aridcal.result.pipeline import identify

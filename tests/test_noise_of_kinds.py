@@ -13,14 +13,14 @@ import robots
 from rich.console import Console
 from scipy.spatial.transform import Rotation
 
+from aridcal.drawing.html import join
+from aridcal.drawing.words import causes_in_words
 from aridcal.fit.noise import repeats
 from aridcal.fit.problem import problem
 from aridcal.identify import summary
 from aridcal.inputs.dataset import Dataset, RowNoise, factors, weighed
 from aridcal.instruments.channels import LENGTH, TARGET_POSITION, TARGET_ROTATION
 from aridcal.report.data_section import data as data_section
-from aridcal.report.html import join
-from aridcal.report.words import causes_in_words
 from aridcal.result.folder import result_document
 from aridcal.result.key_figures import another_day
 from aridcal.result.outcome import Outcome, Verification, errors

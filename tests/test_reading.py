@@ -104,7 +104,7 @@ def test_nobody_else_reads_a_users_file() -> None:
                 found.add(path.relative_to(PACKAGE).as_posix())
     assert found <= {
         "report/page.py",
-        "report/scene.py",
+        "drawing/scene.py",
         "calibration.py",
         "view.py",
         "writing/lock.py",

@@ -21,8 +21,8 @@ from aridcal.result.folder import write_results
 from aridcal.result.pipeline import identify
 from aridcal.result.saved_model import SavedModel
 from aridcal.robot.chain import parse_robot
-from aridcal.service.checking import check
-from aridcal.service.repair import repaired, urdf_of
+from aridcal.upkeep.checking import check
+from aridcal.upkeep.repair import repaired, urdf_of
 
 NAMES = robots.ur10().readings
 

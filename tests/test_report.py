@@ -16,6 +16,7 @@ import robots
 from lxml import html
 from rich.console import Console
 
+from aridcal.drawing.html import Html, join, number
 from aridcal.effects.basis import Basis
 from aridcal.effects.catalogue import KINDS, Barred
 from aridcal.effects.effect import Coefficient, Effect
@@ -23,19 +24,18 @@ from aridcal.identify import summary as print_summary
 from aridcal.report.data_section import data
 from aridcal.report.first_screen import checks, summary
 from aridcal.report.fit_section import fits
-from aridcal.report.html import Html, join, number
 from aridcal.report.page import page, write_report
 from aridcal.result.controllers import Handover, hand_over
 from aridcal.result.folder import parameters, result_document
 from aridcal.result.key_figures import or_as_well
 from aridcal.result.outcome import STATISTICS, Outcome, Verification, errors
 from aridcal.result.pipeline import identify
-from aridcal.result.uncertainty import accuracy
 from aridcal.result.verdict import Verdict
 from aridcal.robot.chain import parse_robot
 from aridcal.robot.doty import doty_links
 from aridcal.search.gains import Curve, Diagnosis, NamedEffect, Rejected
 from aridcal.search.noise_tests import Clue
+from aridcal.trust.uncertainty import accuracy
 
 ANSWERS = ["data", "separable", "enough", "fits", "depends", "remains", "parameters", "use"]
 HOSTILE = """<img src=x onerror="alert('1')">$\\frac{1}{0}$ &amp;"""

@@ -19,9 +19,9 @@ from aridcal.fit.problem import problem
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.channels import TARGET_POSITION, TARGET_ROTATION
 from aridcal.model.model import Model, Rows
-from aridcal.result.uncertainty import accuracy, halves, outliers, precision, target_sigma, with_noise_seen
 from aridcal.robot.chain import parse_robot
 from aridcal.robot.kinematics import tip_frames
+from aridcal.trust.uncertainty import accuracy, halves, outliers, precision, target_sigma, with_noise_seen
 
 
 def example(n: int = 200, noise: float = 1e-4, seed: int = 0) -> tuple[robots.Truth, Fit, Dataset]:

@@ -27,8 +27,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import aridcal
-from aridcal.report.scene import LADDER, ROWS, VIRIDIS, Scene, body_poses, scene_content, scene_page
-from aridcal.report.shapes import robot_shapes
+from aridcal.drawing.scene import LADDER, ROWS, VIRIDIS, Scene, body_poses, scene_content, scene_page
+from aridcal.drawing.shapes import robot_shapes
 from aridcal.robot.chain import Robot, load_robot, parse_robot
 from aridcal.robot.meshes import TRIANGLES, weld
 from aridcal.robot.shapes import find_mesh

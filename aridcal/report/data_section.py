@@ -7,12 +7,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from aridcal.drawing.figures import coverage, histogram
+from aridcal.drawing.html import Content, Html, bullets, counted, figures, number, table, tag
+from aridcal.drawing.words import per_number, range_in_words, sigmas_in_words
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.catalogue import KINDS, labelled
 from aridcal.instruments.pixels import PIXELS
-from aridcal.report.figures import coverage, histogram
-from aridcal.report.html import Content, Html, bullets, counted, figures, number, table, tag
-from aridcal.report.words import per_number, range_in_words, sigmas_in_words
 from aridcal.result.instruments import known_scale
 from aridcal.result.key_figures import QUESTIONABLE, JointRange, joint_ranges, row_errors
 from aridcal.result.outcome import Outcome, statistics

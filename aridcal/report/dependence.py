@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from aridcal.drawing.figures import Trend, correlogram, panels
+from aridcal.drawing.html import Content, Html, figures, number, table, tag
+from aridcal.drawing.words import shown_in
 from aridcal.report.effects_section import axis_unit, effects_in_the_model, other_candidates, p_in_words
-from aridcal.report.figures import Trend, correlogram, panels
-from aridcal.report.html import Content, Html, figures, number, table, tag
-from aridcal.report.words import shown_in
 from aridcal.result.key_figures import clear_traces, corrected, significant, slowly_changing, strays
 from aridcal.result.outcome import Outcome
 from aridcal.search.gains import Diagnosis

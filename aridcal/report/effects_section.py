@@ -7,11 +7,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from aridcal.drawing.figures import curve
+from aridcal.drawing.html import Content, Html, bullets, counted, figures, number, plus_minus, table, tag
+from aridcal.drawing.words import how_to_separate, shown_in
 from aridcal.effects.basis import Basis
 from aridcal.effects.catalogue import KINDS
-from aridcal.report.figures import curve
-from aridcal.report.html import Content, Html, bullets, counted, figures, number, plus_minus, table, tag
-from aridcal.report.words import how_to_separate, shown_in
 from aridcal.result.folder import what_moved
 from aridcal.result.outcome import Outcome, errors
 from aridcal.search.gains import Curve, Diagnosis, NamedEffect

@@ -8,10 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from aridcal.effects.catalogue import KINDS
-from aridcal.fit.noise import WORTH_SAYING
-from aridcal.report.html import Content, Html, counted, number, plus_minus, tag
-from aridcal.report.words import (
+from aridcal.drawing.html import Content, Html, counted, number, plus_minus, tag
+from aridcal.drawing.words import (
     at_target_in_words,
     causes_in_words,
     noise_in_words,
@@ -19,6 +17,8 @@ from aridcal.report.words import (
     scale_in_words,
     sigmas_in_words,
 )
+from aridcal.effects.catalogue import KINDS
+from aridcal.fit.noise import WORTH_SAYING
 from aridcal.result.instruments import known_scale
 from aridcal.result.key_figures import (
     FEW,

@@ -7,12 +7,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from aridcal.drawing.figures import field, histogram, panels
+from aridcal.drawing.html import Content, Html, counted, figures, number, table, tag
+from aridcal.drawing.words import reading_in_words
 from aridcal.instruments.catalogue import KINDS
 from aridcal.instruments.channels import Channels, spread
 from aridcal.report.data_section import row_table
-from aridcal.report.figures import field, histogram, panels
-from aridcal.report.html import Content, Html, counted, figures, number, table, tag
-from aridcal.report.words import reading_in_words
 from aridcal.result.instruments import known_scale
 from aridcal.result.key_figures import axis_rms, halves_agree, pose_accuracy, row_errors, scored, steps, worst_rows
 from aridcal.result.outcome import STATISTICS, Outcome, errors, statistics

@@ -6,9 +6,9 @@ import math
 from collections.abc import Iterator
 from typing import Any
 
+from aridcal.drawing.html import Content, Html, counted, fixed, number, plus_minus, table, tag
 from aridcal.effects.effect import FRAME_COMPONENTS, LINK_COMPONENTS
 from aridcal.fit.constants import has_world
-from aridcal.report.html import Content, Html, counted, fixed, number, plus_minus, table, tag
 from aridcal.result.folder import frames, parameters
 from aridcal.result.key_figures import constants, solved_stages
 from aridcal.result.outcome import Outcome

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from aridcal.report.html import Content, Html, bullets, number, table, tag
+from aridcal.drawing.html import Content, Html, bullets, number, table, tag
+from aridcal.drawing.words import per_number, range_in_words, sigmas_in_words
 from aridcal.report.identified_section import codes
-from aridcal.report.words import per_number, range_in_words, sigmas_in_words
 from aridcal.result.controllers import Export, Handover
 from aridcal.result.key_figures import narrow_joints
 from aridcal.result.outcome import Outcome

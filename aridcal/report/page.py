@@ -7,12 +7,12 @@ from importlib.resources import files
 from pathlib import Path
 
 from aridcal import __version__
+from aridcal.drawing.html import Content, Html, attempt, counted, empty_page, join, missing, noting, tag
 from aridcal.report.data_section import data, enough
 from aridcal.report.dependence import drives
 from aridcal.report.first_screen import summary
 from aridcal.report.fit_section import fits, verification
 from aridcal.report.head_section import measuring_head
-from aridcal.report.html import Content, Html, attempt, counted, empty_page, join, missing, noting, tag
 from aridcal.report.identified_section import identifiable, identified
 from aridcal.report.instruments_section import instruments
 from aridcal.report.limits_section import limits, use
@@ -60,7 +60,7 @@ def page(outcome: Outcome, handover: Handover, progress: Progress = SILENT) -> H
         tag("main", sections),
         tag("footer", f"aridcal {__version__}, {counted(len(m), 'row')} with sha256 {m.sha256[:16]}"),
     ]
-    style = files("aridcal.report").joinpath("assets/report.css").read_text("utf-8")
+    style = files("aridcal.drawing").joinpath("assets/report.css").read_text("utf-8")
     head = [
         tag("meta", charset="utf-8"),
         tag("meta", name="viewport", content="width=device-width, initial-scale=1"),

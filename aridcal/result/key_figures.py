@@ -12,10 +12,10 @@ from aridcal.instruments.catalogue import KINDS
 from aridcal.instruments.channels import TARGET_POSITION, Channels, norms, spread
 from aridcal.result.folder import parameters
 from aridcal.result.outcome import Outcome, Stage, leading, said, statistics
-from aridcal.result.uncertainty import accuracy
 from aridcal.search.gains import NamedEffect
 from aridcal.search.noise_tests import SURE
 from aridcal.search.residual_trends import Order, Trace
+from aridcal.trust.uncertainty import accuracy
 
 QUESTIONABLE = 0.03
 """Share of outliers above which the measurement is at fault. A sound setup loses a reflector now and then: some rows in a

@@ -15,12 +15,12 @@ from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.channels import Channels, norms
 from aridcal.result.instruments import AtTarget, ThingValue, at_target, thing_values
 from aridcal.result.measuring_head import MeasuringHead
-from aridcal.result.uncertainty import Precision
 from aridcal.result.verdict import Verdict
 from aridcal.robot.chain import Robot
 from aridcal.search.gains import Diagnosis, NamedEffect
 from aridcal.search.noise_causes import NoiseCauses
 from aridcal.search.residual_trends import Traces
+from aridcal.trust.uncertainty import Precision
 
 STATISTICS = ("rms", "mean", "median", "p95", "max")
 

@@ -25,7 +25,6 @@ from aridcal.inputs.tables import AnyTable
 from aridcal.model.memory import Size, available_memory, check_memory
 from aridcal.result.measuring_head import measuring_head
 from aridcal.result.outcome import Outcome, Stage, Verification
-from aridcal.result.uncertainty import FAR, halves, outliers, precision, realigned, with_noise_seen
 from aridcal.result.verdict import Verdict, decide, row_clues
 from aridcal.robot.chain import Robot, load_robot
 from aridcal.search.arm import CalibratedArm, calibrated_arm, fit_constants
@@ -36,6 +35,7 @@ from aridcal.search.noise_tests import Clue, clues
 from aridcal.search.residual_trends import trace
 from aridcal.search.scoring import CONFOUNDED
 from aridcal.showing import SILENT, Progress
+from aridcal.trust.uncertainty import FAR, halves, outliers, precision, realigned, with_noise_seen
 
 Judge = Callable[[Campaign, Robot, Dataset, Geometry | None], None]
 """Told what frames and constants leave of the rows, None if nothing can be made of them; may refuse them and say why."""

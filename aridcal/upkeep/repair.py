@@ -18,9 +18,9 @@ from aridcal.model.model import Model
 from aridcal.result.outcome import errors
 from aridcal.result.saved_model import SavedModel, SolvedModel
 from aridcal.robot.splice import splice_origins, written_origins
-from aridcal.service.checking import Cause, Checked
-from aridcal.service.evidence import covariance_of, likely
-from aridcal.service.suspects import Suspect, widened
+from aridcal.upkeep.checking import Cause, Checked
+from aridcal.upkeep.evidence import covariance_of, likely
+from aridcal.upkeep.suspects import Suspect, widened
 
 
 @dataclass(frozen=True)

@@ -14,9 +14,9 @@ from aridcal.fit.problem import problem
 from aridcal.inputs.dataset import Dataset
 from aridcal.model.model import Rows
 from aridcal.result.saved_model import SavedModel, SolvedModel
-from aridcal.service.evidence import TIMES, Alarm, Question, alarm, covariance_of, evidence, likely
-from aridcal.service.new_rows import Noise, known_noise
-from aridcal.service.suspects import Suspect, suspects, widened
+from aridcal.upkeep.evidence import TIMES, Alarm, Question, alarm, covariance_of, evidence, likely
+from aridcal.upkeep.new_rows import Noise, known_noise
+from aridcal.upkeep.suspects import Suspect, suspects, widened
 
 FALSE_ALARMS = 0.01
 """Share of checks that may call a good calibration bad."""
@@ -145,7 +145,7 @@ def check(saved: SavedModel, rows: Dataset, tolerance: float | None = None) -> C
 
     Args:
         saved: The calibration.
-        rows: See :func:`aridcal.service.new_rows.read_new_rows`.
+        rows: See :func:`aridcal.upkeep.new_rows.read_new_rows`.
         tolerance: Largest RMS position error that is still good, [m].
 
     Raises:

@@ -16,8 +16,8 @@ from aridcal.inputs.measurement_settings import OF_TARGETS
 from aridcal.instruments.channels import spread
 from aridcal.instruments.pixels import PIXELS, faces, in_image
 from aridcal.model.reaching import Miss, brought, draw_readings
-from aridcal.service.beforehand import Beforehand
-from aridcal.service.clearance import clear
+from aridcal.planning.beforehand import Beforehand
+from aridcal.planning.clearance import clear
 
 ROUNDS = 40
 """Times that configurations are drawn: fewer than one in forty inside what is allowed is hardly a workspace."""

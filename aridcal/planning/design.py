@@ -19,10 +19,8 @@ from aridcal.inputs.quantities import POSITION, column_of
 from aridcal.inputs.query import load_query
 from aridcal.inputs.tables import read_tables
 from aridcal.model.reaching import draw_readings
-from aridcal.robot.chain import Robot
-from aridcal.search.diagnose import look
-from aridcal.service.beforehand import Beforehand
-from aridcal.service.candidates import (
+from aridcal.planning.beforehand import Beforehand
+from aridcal.planning.candidates import (
     LOOSE,
     Candidates,
     Told,
@@ -33,8 +31,10 @@ from aridcal.service.candidates import (
     target_columns,
     told,
 )
-from aridcal.service.exchange import FEW, Choice, Criterion, best_choice, nested, rms_sigma, worst_sigma
-from aridcal.service.travel import short_order
+from aridcal.planning.exchange import FEW, Choice, Criterion, best_choice, nested, rms_sigma, worst_sigma
+from aridcal.planning.travel import short_order
+from aridcal.robot.chain import Robot
+from aridcal.search.diagnose import look
 from aridcal.showing import SILENT, Progress
 
 POOL, SMALL_POOL = 3000, 1000
@@ -51,7 +51,7 @@ RANDOM = 100
 """Random choices that the best one is set beside."""
 
 KNOWN = 0.1
-"""Share of :data:`aridcal.service.candidates.LOOSE` beyond which a sigma is that of what is assumed, not of what was measured."""
+"""Share of :data:`aridcal.planning.candidates.LOOSE` beyond which a sigma is that of what is assumed, not measured."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class Asked:
 
     Attributes:
         n: Configurations.
-        criterion: See :mod:`aridcal.service.exchange`.
+        criterion: See :mod:`aridcal.planning.exchange`.
         region: Table of joints, or of places of the target, where it is to be known; None: anywhere in the joints' ranges.
         apart: Two effects that are to be told apart, ``WHERE.KIND`` each; none otherwise.
         seed: Of all that is drawn.

@@ -15,8 +15,8 @@ import numpy as np
 import pinocchio as pin
 from lxml import etree
 
+from aridcal.drawing.html import one_line, reason
 from aridcal.errors import shortened
-from aridcal.report.html import one_line, reason
 from aridcal.robot.chain import Robot
 from aridcal.robot.meshes import TRIANGLES, NotDrawable, read_meshes, weld
 from aridcal.robot.shapes import GREY, Shape, floats, mesh_files, shapes_of

@@ -8,8 +8,8 @@ import numpy as np
 
 from aridcal.inputs.measurement_settings import Units
 from aridcal.result.outcome import said
-from aridcal.service.checking import FALSE_ALARMS, Cause, Checked
-from aridcal.service.repair import Change
+from aridcal.upkeep.checking import FALSE_ALARMS, Cause, Checked
+from aridcal.upkeep.repair import Change
 
 MILLI = 1e3
 """[mm] in a metre, [mrad] in a radian."""

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, ParamSpec
 
 import numpy as np
 
-from aridcal.report.html import Html, attempt, missing, number
+from aridcal.drawing.html import Html, attempt, missing, number
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

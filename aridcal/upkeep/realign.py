@@ -7,7 +7,7 @@ import pinocchio as pin
 
 from aridcal.effects.effect import FRAME_COMPONENTS
 from aridcal.fit.problem import Problem
-from aridcal.service.suspects import Suspect
+from aridcal.upkeep.suspects import Suspect
 
 
 def frame_start(problem: Problem, theta: np.ndarray, suspect: Suspect) -> np.ndarray:

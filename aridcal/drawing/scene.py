@@ -23,9 +23,9 @@ import numpy as np
 import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
+from aridcal.drawing.html import attempt, empty_page, note, noting
+from aridcal.drawing.shapes import robot_shapes, turn
 from aridcal.fit.constants import stage_urdf
-from aridcal.report.html import attempt, empty_page, note, noting
-from aridcal.report.shapes import robot_shapes, turn
 from aridcal.result.outcome import Outcome
 from aridcal.robot.chain import Robot, parse_robot
 from aridcal.robot.kinematics import tree_frames
@@ -123,7 +123,7 @@ def write_scene(outcome: Outcome, path: Path) -> tuple[str, ...]:
 
 
 def scene_page(scene: Scene) -> str:
-    """The page of a scene; visuals of the robot that cannot be drawn are noted (:func:`aridcal.report.html.noting`).
+    """The page of a scene; visuals of the robot that cannot be drawn are noted (:func:`aridcal.drawing.html.noting`).
 
     Args:
         scene: At least one row and one stage.

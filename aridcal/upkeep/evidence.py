@@ -1,7 +1,7 @@
 r"""How well new rows go with a calibration, and with each thing that may have moved since.
 
 With r the residuals in sigmas, J their columns and :math:`\Sigma` the calibration's own covariance, the calibration as it is
-predicts :math:`r \sim N(0, S_0)`, :math:`S_0 = I + J \Sigma J^T`; after a change of a suspect (:mod:`aridcal.service.suspects`)
+predicts :math:`r \sim N(0, S_0)`, :math:`S_0 = I + J \Sigma J^T`; after a change of a suspect (:mod:`aridcal.upkeep.suspects`)
 
 .. math:: r \sim N(0, k^2 I + J \Sigma J^T + s^2 B B^T), \qquad B = J D_h
 
@@ -21,8 +21,8 @@ from scipy.special import logsumexp
 from scipy.stats import f as f_distribution
 
 from aridcal.fit.problem import Problem
-from aridcal.service.realign import frame_start
-from aridcal.service.suspects import Suspect
+from aridcal.upkeep.realign import frame_start
+from aridcal.upkeep.suspects import Suspect
 
 TIMES = (1.0, 1.3, 1.7, 2.2, 3.0, 4.0, 6.0, 10.0)
 """Times the known noise that new rows may scatter by: another day, another operator, ten times a broken instrument."""

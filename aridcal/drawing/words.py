@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from aridcal.drawing.html import fixed, number, plus_minus
 from aridcal.effects.effect import ROW_ORDER, Effect
 from aridcal.instruments.channels import Channels
-from aridcal.report.html import fixed, number, plus_minus
 from aridcal.result.instruments import known_scale, scale_std
 from aridcal.result.outcome import Outcome, enumerated
 from aridcal.robot.chain import Robot

@@ -1,1 +1,0 @@
-"""What a calibration needs before and after: poses to measure next, checks, repairs."""

@@ -1,0 +1,1 @@
+"""What a calibration needs later: checks with few rows, and repairs."""
