@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import LinAlgError, cho_factor, cho_solve
+from scipy.linalg import LinAlgError, cho_factor, cho_solve, solve_triangular
 from scipy.linalg.lapack import dpotrf, dpotri
 
 TINY = 1e-300
@@ -45,7 +45,7 @@ class NormalEquations:
 
     def information(self, sigma: np.ndarray) -> np.ndarray:
         """H, shape (K, K), for noise of shape (C,)."""
-        return np.asarray((self.AA / (sigma**2)[:, None, None]).sum(axis=0))
+        return np.asarray(np.tensordot(sigma**-2.0, self.AA, 1))
 
     def pull(self, sigma: np.ndarray) -> np.ndarray:
         """g, shape (K,)."""
@@ -73,8 +73,17 @@ class NormalEquations:
         cross = np.array([a.T @ c for a, c in zip(A, C, strict=True)])
         own = np.array([c.T @ c for c in C])
         pull = np.array([c.T @ b for c, b in zip(C, r, strict=True)])
-        AA = _bordered(self.AA, cross, own)
-        return NormalEquations(AA, np.hstack([self.Ar, pull]), self.rr, self.count)
+        return self.bordered(cross, own, pull)
+
+    def bordered(self, cross: np.ndarray, own: np.ndarray, pull: np.ndarray) -> NormalEquations:
+        """Those with d columns added, of which all products are known.
+
+        Args:
+            cross: With the columns that are there, shape (C, K, d).
+            own: With one another, shape (C, d, d).
+            pull: With the right-hand side, shape (C, d).
+        """
+        return NormalEquations(_bordered(self.AA, cross, own), np.hstack([self.Ar, pull]), self.rr, self.count)
 
     def combined(self, T: np.ndarray) -> NormalEquations:
         """Those with the last d unknowns replaced by combinations of them, T of shape (d, new)."""
@@ -96,6 +105,11 @@ def accumulate(A: Sequence[np.ndarray], r: Sequence[np.ndarray]) -> NormalEquati
     return NormalEquations(information, pull, squares, count)
 
 
+def total(parts: Sequence[NormalEquations]) -> NormalEquations:
+    """Sums over the rows of several parts."""
+    return NormalEquations(*(np.sum([getattr(p, name) for p in parts], axis=0) for name in ("AA", "Ar", "rr", "count")))
+
+
 def _bordered(first: np.ndarray, cross: np.ndarray, last: np.ndarray) -> np.ndarray:
     """Symmetric matrices from their blocks: (C, K, K), (C, K, d) and (C, d, d) to (C, K + d, K + d)."""
     upper = np.concatenate([first, cross], axis=2)
@@ -111,7 +125,10 @@ def balanced(H: np.ndarray, ridge: float = 0.0) -> tuple[np.ndarray, np.ndarray]
     diagonal = np.diag(H)
     moves = diagonal > TINY
     scale = np.where(moves, 1.0 / np.sqrt(np.where(moves, diagonal, 1.0)), 0.0)
-    return H * scale * scale[:, None] + np.diag(np.where(moves, ridge, 1.0)), scale
+    S = H * scale
+    S *= scale[:, None]
+    S.flat[:: len(H) + 1] += np.where(moves, ridge, 1.0)
+    return S, scale
 
 
 def inverse(H: np.ndarray) -> np.ndarray:
@@ -119,13 +136,16 @@ def inverse(H: np.ndarray) -> np.ndarray:
     if not len(H):
         return H
     S, scale = balanced(H, RIDGE)
-    factor, failed = dpotrf(S, lower=1)
+    factor, failed = dpotrf(S.T, lower=1)  # symmetric; transposed, LAPACK need not turn it first
     if failed:
         found = np.asarray(np.linalg.pinv(S, hermitian=True, rcond=RANK))
     else:
-        lower = np.tril(dpotri(factor, lower=1)[0])
-        found = lower + np.tril(lower, -1).T
-    return found * scale * scale[:, None]
+        lower = dpotri(factor, lower=1, overwrite_c=1)[0]
+        found = np.asarray(lower + lower.T)  # nothing stands above the diagonal
+        found.flat[:: len(H) + 1] *= 0.5
+    found *= scale
+    found *= scale[:, None]
+    return found
 
 
 def solve(H: np.ndarray, g: np.ndarray, damping: float = 0.0, ridge: float = 0.0) -> np.ndarray:
@@ -145,6 +165,28 @@ def solve(H: np.ndarray, g: np.ndarray, damping: float = 0.0, ridge: float = 0.0
     except LinAlgError:
         found = np.linalg.pinv(S, hermitian=True, rcond=RANK) @ pull
     return np.asarray((found.T * scale).T)
+
+
+def nested_solutions(H: np.ndarray, g: np.ndarray, first: int) -> np.ndarray:
+    """Solutions with the first unknowns alone, the others zero, and with all, shape (K, 2), by one factorisation.
+
+    Args:
+        H: Shape (K, K).
+        g: Shape (K,).
+        first: How many come first.
+    """
+    S, scale = balanced(H, RIDGE)
+    factor, failed = dpotrf(S.T, lower=1)
+    if failed:
+        alone = np.pad(solve(H[:first, :first], g[:first], ridge=RIDGE), (0, len(g) - first))
+        return np.stack([alone, solve(H, g, ridge=RIDGE)], axis=1)
+    forward = solve_triangular(factor, g * scale, lower=True, check_finite=False)
+    found = np.zeros((len(g), 2))
+    # The factor of a leading block is the leading block of the factor.
+    for k, count in enumerate((first, len(g))):
+        leading = factor[:count, :count]
+        found[:count, k] = solve_triangular(leading, forward[:count], trans=1, lower=True, check_finite=False)
+    return found * scale[:, None]
 
 
 def projected(

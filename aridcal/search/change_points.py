@@ -13,8 +13,9 @@ largest of such statistics; Worsley 1986, doi:10.1093/biomet/73.1.91, for its co
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy.special import gammaincc
@@ -96,15 +97,22 @@ def best_steps(model: LinearModel, state: State, templates: Sequence[Effect]) ->
             before, points = before[inside], points[inside]
         if not len(before):
             continue
-        own = [e for e in templates if e.covariates[0] == of]
-        scan = _Scan.of(model, state, values, own) if model.off is None else _Trial(model, state, values)
+        asked = {}
         for k, effect in enumerate(templates):
             if effect.covariates[0] == of:
                 slots = [model.slot_index[c.where, c.component] for c in effect.coefficients]
                 mine = _between_its_rows(model, state, values, slots, before)
                 if mine.any():
-                    best = scan.best(slots, before[mine])
-                    found[k] = effect.placed(float(points[mine][best]))
+                    asked[k] = slots, mine
+        if not asked:
+            continue
+        groups = [slots for slots, _ in asked.values()], [before[mine] for _, mine in asked.values()]
+        if model.off is None:
+            best = _Scan.of(state, values, [templates[k] for k in asked]).best(*groups)
+        else:
+            best = _Trial(model, state, values).best(*groups)
+        for (k, (_, mine)), place in zip(asked.items(), best, strict=True):
+            found[k] = templates[k].placed(float(points[mine][place]))
     return [found[k] for k in sorted(found)]
 
 
@@ -122,9 +130,14 @@ class _Trial:
     state: State
     values: np.ndarray
 
-    def best(self, of: Sequence[int], before: np.ndarray) -> int:
-        """Index of the step that explains most, among those with so many rows before them, shape (k,)."""
-        return _coarse_to_fine(lambda rows: self._explained(of, rows), before)
+    def best(self, of: Sequence[Sequence[int]], before: Sequence[np.ndarray]) -> list[int]:
+        """Index of the step that explains most, for each of some groups of slots among those with so many rows before them."""
+        return [self._best(slots, rows) for slots, rows in zip(of, before, strict=True)]
+
+    def _best(self, of: Sequence[int], before: np.ndarray) -> int:
+        rough = _far_apart(before)
+        low, high = _around(before, rough, self._explained(of, rough))
+        return low + int(np.argmax(self._explained(of, before[low : high + 1])))
 
     def _explained(self, of: Sequence[int], before: np.ndarray) -> np.ndarray:
         """Squares that steps explain, shape (k,)."""
@@ -142,51 +155,100 @@ class _Trial:
         return np.array(found)
 
 
+@dataclass(frozen=True)
 class _Scan:
-    """Cumulative sums over the rows in the order of a covariate.
+    """Steps scored from sums over the rows before them, rows in the order of a covariate.
 
     Attributes:
-        slots: Position of each slot in the sums.
-        squares: (C'C)_k, shape (n + 1, S, S).
-        shared: (C'A)_k, shape (n + 1, S, P).
-        pulls: s_k, shape (n + 1, S).
+        slots: Position of each slot in the columns.
+        G: Columns of the slots in sigmas, shape (n, m, S).
+        A: Of the design, shape (n, m, P).
+        r: The residual, shape (n, m).
         inverse: Of the model's own information, shape (P, P).
     """
 
-    def __init__(self, slots: dict[int, int], G: np.ndarray, A: np.ndarray, r: np.ndarray, inverse: np.ndarray) -> None:
-        self.slots, self.inverse = slots, inverse
-        self.squares = _sums(np.swapaxes(G, 1, 2) @ G)
-        self.shared = _sums(np.swapaxes(G, 1, 2) @ A)
-        self.pulls = _sums(np.einsum("nms,nm->ns", G, r))
+    slots: dict[int, int]
+    G: np.ndarray
+    A: np.ndarray
+    r: np.ndarray
+    inverse: np.ndarray
 
     @classmethod
-    def of(cls, model: LinearModel, state: State, values: np.ndarray, templates: Sequence[Effect]) -> _Scan:
+    def of(cls, state: State, values: np.ndarray, templates: Sequence[Effect]) -> _Scan:
         """The sums for the places of some effects, rows in the order of values (n,)."""
+        model = state.model
         own = dict.fromkeys(model.slot_index[c.where, c.component] for e in templates for c in e.coefficients)
         slots = {slot: k for k, slot in enumerate(own)}
         order = np.argsort(values, kind="stable")
-        G = (model.G[state.used] / state.sigma[:, None])[order][:, :, list(slots)]
+        G = (model.G[state.used][:, :, list(slots)] / state.sigma[:, None])[order]
         r = (state.residual[state.used] / state.sigma)[order]
         return cls(slots, G, _design(state)[order], r, state.solution.inverse)
 
-    def best(self, of: Sequence[int], before: np.ndarray) -> int:
-        """Index of the step that explains most, among those with so many rows before them, shape (k,)."""
-        own = [self.slots[slot] for slot in of]
-        return _coarse_to_fine(lambda rows: self._explained(own, rows), before)
+    def best(self, of: Sequence[Sequence[int]], before: Sequence[np.ndarray]) -> list[int]:
+        """Index of the step that explains most, for each of some groups of slots among those with so many rows before them."""
+        own = [[self.slots[slot] for slot in slots] for slots in of]
+        sums = self._sums(np.unique(np.concatenate([_far_apart(rows) for rows in before])))
+        found = []
+        for slots, rows in zip(own, before, strict=True):
+            rough = _far_apart(rows)
+            low, high = _around(rows, rough, sums.explained(slots, rough))
+            close = rows[low : high + 1]
+            found.append(low + int(np.argmax(self._sums(close, slots).explained(slots, close))))
+        return found
 
-    def _explained(self, own: Sequence[int], before: np.ndarray) -> np.ndarray:
-        """Squares that steps explain, shape (k,)."""
-        CC = self.squares[before][:, own][:, :, own]
-        CA, s = self.shared[before][:, own], self.pulls[before][:, own]
-        return _squares_explained(CC - CA @ self.inverse @ np.swapaxes(CA, 1, 2), s, np.einsum("kss->ks", CC))
+    def _sums(self, before: np.ndarray, slots: Sequence[int] | None = None) -> _Sums:
+        """Sums over the rows before each of some steps, ascending: those between two of them are added up first."""
+        G = self.G if slots is None else self.G[:, :, slots]
+        S = G.shape[2]
+        CC, CA, s = [], [], []
+        for low, high in pairwise([0, *before.tolist()]):
+            g, a = G[low:high].reshape(-1, S), self.A[low:high].reshape(-1, self.A.shape[2])
+            CC.append(g.T @ g)
+            CA.append(g.T @ a)
+            s.append(g.T @ self.r[low:high].ravel())
+        squares, shared, pulls = (np.cumsum(values, axis=0) for values in (CC, CA, s))
+        taken = (shared.reshape(-1, len(self.inverse)) @ self.inverse).reshape(shared.shape)
+        M = squares - taken @ np.swapaxes(shared, 1, 2)
+        place = {slot: k for k, slot in enumerate(range(S) if slots is None else slots)}
+        return _Sums(before, place, M, pulls, np.einsum("kss->ks", squares))
 
 
-def _coarse_to_fine(explained: Callable[[np.ndarray], np.ndarray], before: np.ndarray) -> int:
-    """Index of the place that explains most: looked for from far apart first, then around the best."""
-    rough = np.unique(np.linspace(0, len(before) - 1, min(COARSE, len(before))).round().astype(int))
-    top = int(np.argmax(explained(before[rough])))
-    low, high = rough[max(top - 1, 0)], rough[min(top + 1, len(rough) - 1)]
-    return int(low + np.argmax(explained(before[low : high + 1])))
+@dataclass(frozen=True)
+class _Sums:
+    """What steps at k rows would explain.
+
+    Attributes:
+        before: Rows before each, ascending, shape (k,).
+        place: Where each slot is in what follows.
+        M: Products of their columns off the model's, shape (k, S, S).
+        pulls: Their products with the residual, shape (k, S).
+        raw: Their squared lengths, shape (k, S).
+    """
+
+    before: np.ndarray
+    place: dict[int, int]
+    M: np.ndarray
+    pulls: np.ndarray
+    raw: np.ndarray
+
+    def explained(self, slots: Sequence[int], before: np.ndarray) -> np.ndarray:
+        """Squares that steps of some slots explain at some of the rows, shape of ``before``."""
+        own = [self.place[slot] for slot in slots]
+        at = np.searchsorted(self.before, before)
+        return _squares_explained(self.M[at][:, own][:, :, own], self.pulls[at][:, own], self.raw[at][:, own])
+
+
+def _far_apart(before: np.ndarray) -> np.ndarray:
+    """At the most :data:`COARSE` of the places, evenly."""
+    return before[np.unique(np.linspace(0, len(before) - 1, min(COARSE, len(before))).round().astype(int))]
+
+
+def _around(before: np.ndarray, rough: np.ndarray, explained: np.ndarray) -> tuple[int, int]:
+    """First and last index of the places around the best of those that were looked at."""
+    top = int(np.argmax(explained))
+    ends = rough[max(top - 1, 0)], rough[min(top + 1, len(rough) - 1)]
+    low, high = np.searchsorted(before, ends).tolist()
+    return low, high
 
 
 def _squares_explained(M: np.ndarray, s: np.ndarray, raw: np.ndarray) -> np.ndarray:
@@ -201,11 +263,6 @@ def _squares_explained(M: np.ndarray, s: np.ndarray, raw: np.ndarray) -> np.ndar
     values, vectors = np.linalg.eigh(M * scale[:, :, None] * scale[:, None, :])
     along = np.einsum("kst,ks->kt", vectors, s * scale) ** 2
     return np.asarray(np.sum(np.where(values > DEPENDENT, along / np.maximum(values, DEPENDENT), 0.0), axis=1))
-
-
-def _sums(rows: np.ndarray) -> np.ndarray:
-    """Sums over the rows before each, from none to all."""
-    return np.concatenate([np.zeros_like(rows[:1]), np.cumsum(rows, axis=0)])
 
 
 def _design(state: State) -> np.ndarray:
@@ -234,7 +291,7 @@ def walk_instead(model: LinearModel, state: State, candidate: Active) -> float:
     effect = candidate.effect
     values = model.table[effect.covariates[0]][state.used]
     order = np.argsort(values, kind="stable")
-    total, precision = with_candidate(model, state, candidate)
+    total, precision = with_candidate(state, candidate)
     solution = solve(total, precision, state.solution.sigma)
     d = len(effect.coefficients)
     sigma = np.concatenate([np.repeat(s, c.size) for s, c in zip(solution.sigma, model.channels, strict=True)])

@@ -6,7 +6,7 @@ the number of candidates, squared error on rows held back, and a test that stand
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,11 +18,11 @@ from aridcal.effects.catalogue import Barred
 from aridcal.effects.effect import Effect
 from aridcal.effects.sights import is_sight
 from aridcal.fit.least_squares import Fit
-from aridcal.fit.normal_equations import accumulate
-from aridcal.instruments.channels import columns
+from aridcal.fit.normal_equations import NormalEquations, accumulate, nested_solutions
 from aridcal.search.change_points import best_steps, walk_instead
 from aridcal.search.evidence import SMOOTH_PRICE, Score, coefficients, price, score, shaped, smooth_tail, solve, tail
-from aridcal.search.linear_model import Active, LinearModel, State, activate, solve_state, with_candidate
+from aridcal.search.linear_model import Active, LinearModel, State, activate, solve_state, with_candidate, with_columns
+from aridcal.search.products import Flat, grouped, placed
 from aridcal.showing import SILENT, Progress
 
 ALPHA = 3e-4
@@ -37,9 +37,6 @@ ROBUST = 1e-3
 DOUBT = 0.05
 """The same for a smooth function on rows held back, and for a step beside a slow change, beside their evidence: a second
 opinion, so the usual 5 %."""
-
-CHUNK = 128
-"""Columns that are scored at once: their Gram matrix stays in the cache."""
 
 PARTS = 5
 """Parts into which stretches of time are put to hold them back, as many as folds."""
@@ -75,64 +72,43 @@ class Judgement:
 
 def score_all(model: LinearModel, effects: Sequence[Effect], state: State, progress: Progress = SILENT) -> list[Score]:
     """Score candidates against a solved state, each alone: what they add, their columns projected off the model's."""
-    A = state.whitened(state.design)
-    r = state.whitened(state.flat(state.residual))
-    left, count = float(r @ r), float(state.equations.count.sum())
-    G, phi = _slots_whitened(model, state), model.phi[state.used]
-    found: list[Score] = []
-    for group in _chunks(effects):
+    equations, beta, sigma = state.equations, state.solution.beta, state.solution.sigma
+    left, count = float(np.sum(equations.squares_left(beta) / sigma**2)), float(equations.count.sum())
+    asked = set(effects)
+    found: dict[Effect, Score] = {}
+    for group, X, cross, own, pull in _products(model, effects, state):
         progress.part(len(found), len(effects), "candidates")
-        C = _candidate_columns(model, state, group, G, phi)
-        CA, Cr, CC = C.T @ A, C.T @ r, C.T @ C
-        projected = CC - CA @ state.solution.inverse @ CA.T
-        ends = np.cumsum([0, *(len(e.coefficients) for e in group)])
-        for effect, low, high in zip(group, ends[:-1], ends[1:], strict=True):
-            own = slice(low, high)
-            shape = effect.shape if effect.smooth else None
-            found.append(score(projected[own, own], Cr[own], np.diag(CC)[own], left, count, shape))
-    return found
+        AC, CC, Cr = state.less_unused(X, cross, own, pull)
+        Cr = np.tensordot(sigma**-2.0, Cr - np.swapaxes(AC, 1, 2) @ beta, 1)
+        CA, CC = (np.tensordot(sigma**-2.0, sums, 1) for sums in (np.swapaxes(AC, 1, 2), CC))
+        taken = CA @ state.solution.inverse
+        raw = np.diag(CC)
+        for effect, where in placed(group):
+            if effect in asked:
+                M = CC[where, where] - taken[where] @ CA[where].T
+                found[effect] = score(M, Cr[where], raw[where], left, count, effect.shape if effect.smooth else None)
+    return [found[e] for e in effects]
 
 
-def _slots_whitened(model: LinearModel, state: State) -> list[np.ndarray]:
-    """Columns of all slots in the rows in use, in sigmas, one array (n, size, S) for each channel."""
-    used = model.G[state.used]
-    parts = zip(columns(model.channels), state.present.T, state.solution.sigma, strict=True)
-    return [(used[:, part] if own.all() else used[own][:, part]) / sigma for part, own, sigma in parts]
+def _products(
+    model: LinearModel, effects: Sequence[Effect], state: State
+) -> Iterator[tuple[Sequence[Effect], Flat, np.ndarray, np.ndarray, np.ndarray]]:
+    """Candidates, chunk by chunk: columns, and their products with the design, with one another and with the residual.
 
-
-def _candidate_columns(
-    model: LinearModel, state: State, group: Sequence[Effect], G: Sequence[np.ndarray], phi: np.ndarray
-) -> np.ndarray:
-    """Columns of some candidates side by side, in sigmas, all channels under one another."""
-    if model.off is None and all(model.prepared(e) for e in group):
-        pairs = [model.indices(e) for e in group]
-        slots, bases = [k for pair in pairs for k in pair[0]], [k for pair in pairs for k in pair[1]]
-        values = phi[:, None, bases]
-        pieces = [
-            part[:, :, slots] * (values if own.all() else values[own])
-            for part, own in zip(G, state.present.T, strict=True)
-        ]
-        return np.vstack([piece.reshape(-1, len(slots)) for piece in pieces])
-    pairs = [model.indices(e) for e in group if model.prepared(e)]
-    if len(pairs) < len(group):
-        every = np.concatenate([model.columns(e) for e in group], axis=2)
-    else:
-        slots, bases = [k for pair in pairs for k in pair[0]], [k for pair in pairs for k in pair[1]]
-        every = model.seen(model.G[:, :, slots] * model.phi[:, None, bases])
-    return state.whitened(state.flat(every))
-
-
-def _chunks(effects: Sequence[Effect]) -> list[list[Effect]]:
-    """Candidates in groups of about :data:`CHUNK` columns."""
-    groups: list[list[Effect]] = []
-    size = CHUNK
-    for effect in effects:
-        if size + len(effect.coefficients) > CHUNK:
-            groups.append([])
-            size = 0
-        groups[-1].append(effect)
-        size += len(effect.coefficients)
-    return groups
+    Those whose bases the model has are asked about again and again: their products are kept. The others are made here.
+    """
+    made = model.products
+    for chunk in made.chunks([e for e in effects if model.prepared(e)]):
+        cross = state.in_modes(made.across(chunk, state.members))
+        X = chunk.kept if len(state.unused) == 0 or chunk.kept is not None else made.flat(chunk.effects)
+        yield chunk.effects, X if X is not None else (), cross, chunk.own, chunk.pull
+    for group in grouped([e for e in effects if not model.prepared(e)]):
+        X = made.flat(group)
+        cross = state.in_modes([
+            np.array([x.T @ y for x, y in zip(X, made.columns(member), strict=True)]) for member in state.members
+        ])  # fmt: skip
+        own = np.array([x.T @ x for x in X])
+        yield group, X, cross, own, np.array([x.T @ r for x, r in zip(X, made.r, strict=True)])
 
 
 def refine(model: LinearModel, state: State, effect: Effect, rough: Score) -> Score:
@@ -141,7 +117,7 @@ def refine(model: LinearModel, state: State, effect: Effect, rough: Score) -> Sc
         return _reshaped(model, state, effect, rough)
     if rough.freedom == 0:  # declared, though the model can do all that it does
         return rough
-    equations, precision = with_candidate(model, state, activate(model, state, effect, rough))
+    equations, precision = with_candidate(state, activate(model, state, effect, rough))
     after = solve(equations, precision, state.solution.sigma)
     twice = 2.0 * (after.likelihood - state.solution.likelihood)
     return replace(rough, gain=price(twice, rough.freedom), p_value=tail(twice, rough.freedom))
@@ -149,8 +125,7 @@ def refine(model: LinearModel, state: State, effect: Effect, rough: Score) -> Sc
 
 def _reshaped(model: LinearModel, state: State, effect: Effect, rough: Score) -> Score:
     """Shape and noise of a smooth function in turn, until they agree: what it hides makes the noise look large."""
-    added = state.flat(model.columns(effect))
-    total = state.equations.extended(state.design, added, state.right)
+    total = with_columns(state, effect)
     found = rough
     for _ in range(SHAPINGS):
         candidate = activate(model, state, effect, found)
@@ -213,7 +188,7 @@ def judge(model: LinearModel, state: State, effect: Effect, found: Score, tested
     if found.gain <= 0.0 or p_value > ALPHA:
         return judgement(0.0, f"not significant (p = {p_value:.2g}, corrected for {tested} candidates)")
     candidate = activate(model, state, effect, found)
-    loss = held_back(model, state, candidate, state.fold).sum(axis=1)
+    loss = held_back_folds(state, candidate).sum(axis=1)
     share = float(1.0 - loss[1].sum() / loss[0].sum())
     who = (effect.kind, effect.where, effect.at)
     known = any((a.effect.kind, a.effect.where, a.effect.at) == who for a in state.active)
@@ -252,7 +227,7 @@ def _at_several(model: LinearModel, effect: Effect) -> bool:
 
 def _fitted(model: LinearModel, state: State, candidate: Active) -> np.ndarray:
     """A smooth candidate as the one column that fits best, shape (N, m, 1): of a narrow map few rows know anything."""
-    total, precision = with_candidate(model, state, candidate)
+    total, precision = with_candidate(state, candidate)
     beta = solve(total, precision, state.solution.sigma).beta[len(state.precision) :]
     return candidate.columns(model) @ beta[:, None]
 
@@ -290,40 +265,78 @@ def held_back(model: LinearModel, state: State, candidate: Active, part: np.ndar
     Returns:
         Shape (2, C, n), channel by channel.
     """
-    total, precision = with_candidate(model, state, candidate)
+    total, precision = with_candidate(state, candidate)
+    sigma = solve(total, precision, state.solution.sigma).sigma
     added = state.flat(candidate.columns(model))
-    both = replace(
-        state,
-        design=tuple(np.hstack([a, c]) for a, c in zip(state.design, added, strict=True)),
-        equations=total,
-        precision=precision,
-        solution=solve(total, precision, state.solution.sigma),
-    )
+    design = [np.hstack([a, c]) for a, c in zip(state.design, added, strict=True)]
     everything = np.ones(len(precision), dtype=bool)
-    return held_back_squares(both, part, [np.arange(len(precision)) < len(state.precision), everything])
+    kept = [np.arange(len(precision)) < len(state.precision), everything]
+    return held_back_squares(state, design, total, precision, sigma, part, kept)
 
 
-def held_back_squares(state: State, part: np.ndarray, kept: Sequence[np.ndarray]) -> np.ndarray:
+def held_back_folds(state: State, candidate: Active) -> np.ndarray:
+    r"""The same with the folds as parts, from sums that are there already, shape (2, C, n).
+
+    One factorisation serves both: with the candidate's columns last, its leading block is that of the model without them.
+    """
+    made, layout = state.model.products, state.model.products.layout
+    P, sizes = len(state.precision), [channel.size for channel in state.channels]
+    X = tuple(x @ candidate.modes for x in made.of_candidate(candidate.effect))
+    unused = layout.numbers(state.unused)
+    for x, rows in zip(X, unused, strict=True):
+        x[rows] = 0.0
+    cross = np.swapaxes(state.in_modes([made.by_fold(X, member) for member in state.members]), 2, 3)
+    own, pull = made.own_by_fold(X)
+    folds = [sums.bordered(*more) for sums, *more in zip(state.folds, cross, own, pull, strict=True)]
+    whole = state.equations.bordered(cross.sum(axis=0), own.sum(axis=0), pull.sum(axis=0))
+    precision = block_diag(state.precision, candidate.precision)
+    sigma = solve(whole, precision, state.solution.sigma).sigma
+    squares = np.zeros((2, len(sizes), len(layout.order)))
+    for fold, low, high in zip(folds, layout.starts[:-1], layout.starts[1:], strict=True):
+        rest = whole.minus(fold)
+        beta = nested_solutions(rest.information(sigma) + precision, rest.pull(sigma), P)
+        for c, (fitted, x) in enumerate(zip(state.fitted_by_place(beta[:P], low, high), X, strict=True)):
+            numbers = slice(low * sizes[c], high * sizes[c])
+            left = (made.r[c][numbers, None] - fitted - x[numbers] @ beta[P:]) / sigma[c]
+            squares[:, c, low:high] = np.sum(left.reshape(high - low, sizes[c], 2) ** 2, axis=1).T
+    found = np.empty_like(squares)
+    found[:, :, layout.order] = squares
+    return np.where(state.present.T, found[:, :, state.used], 0.0)
+
+
+def held_back_squares(
+    state: State,
+    design: Sequence[np.ndarray],
+    equations: NormalEquations,
+    precision: np.ndarray,
+    sigma: np.ndarray,
+    part: np.ndarray,
+    kept: Sequence[np.ndarray],
+) -> np.ndarray:
     """Squared error in sigmas of each row in use when the rows of its part are held back, with some of the columns each time.
 
     Args:
-        state: Solved with all P columns.
+        state: Says which rows are in use, n of them.
+        design: P columns of these, one array for each channel, shape (n size, P).
+        equations: Of the same.
+        precision: Of the prior of all, shape (P, P).
+        sigma: Noise of each channel, shape (C,).
         part: Number of the part of each row in use, shape (n,).
         kept: Masks of the columns, shape (P,); L of them.
 
     Returns:
         Shape (L, C, n), channel by channel.
     """
-    sigma, sizes = state.solution.sigma, [channel.size for channel in state.channels]
+    sizes = [channel.size for channel in state.channels]
     squares = np.zeros((len(kept), len(sizes), len(part)))
     for k in np.unique(part):
         held = part == k
         own = [np.flatnonzero(np.repeat(held[there], size)) for there, size in zip(state.present.T, sizes, strict=True)]
-        A = [a[rows] for a, rows in zip(state.design, own, strict=True)]
+        A = [a[rows] for a, rows in zip(design, own, strict=True)]
         b = [values[rows] for values, rows in zip(state.right, own, strict=True)]
-        rest = state.equations.minus(accumulate(A, b))
+        rest = equations.minus(accumulate(A, b))
         for i, keep in enumerate(kept):
-            beta = coefficients(rest.part(keep), state.precision[np.ix_(keep, keep)], sigma)
+            beta = coefficients(rest.part(keep), precision[np.ix_(keep, keep)], sigma)
             for c, (a, values, size) in enumerate(zip(A, b, sizes, strict=True)):
                 left = (values - a[:, keep] @ beta) / sigma[c]
                 squares[i, c, held & state.present[:, c]] = np.sum(left.reshape(-1, size) ** 2, axis=1)

@@ -314,7 +314,9 @@ def _held_back_gains(model: LinearModel, state: State, asked: Collection[Effect]
         if a.effect in asked:
             without[a.effect] = everything.copy()
             without[a.effect][low:high] = False
-    whole, *squares = held_back_squares(state, block, [everything, *without.values()])
+    kept = [everything, *without.values()]
+    solved = state.equations, state.precision, state.solution.sigma
+    whole, *squares = held_back_squares(state, state.design, *solved, block, kept)
     gains = {}
     for effect, left in zip(without, squares, strict=True):
         gain = left - whole
