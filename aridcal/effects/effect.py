@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -34,7 +35,7 @@ class Coefficient:
     basis: Basis = CONSTANT
     station: str | None = None
 
-    @property
+    @cached_property
     def name(self) -> str:
         """The same string in tables, files and messages, ``joint_2.pitch`` for instance."""
         label = "" if self.station is None else f"[{self.station}]"
@@ -71,6 +72,19 @@ class Effect:
     smooth: bool = False
     grid: tuple[int, ...] = ()
     looked: int = 1
+
+    def __hash__(self) -> int:
+        """Of the contents, found once: searches look effects up millions of times."""
+        return self._hash
+
+    @cached_property
+    def _hash(self) -> int:
+        shape = self.order, self.with_, self.by, self.smooth, self.grid, self.looked
+        return hash((self.kind, self.where, self.coefficients, shape))
+
+    def __getstate__(self) -> dict[str, object]:
+        """Without what was found of it: another process hashes strings otherwise."""
+        return {name: value for name, value in self.__dict__.items() if name != "_hash"}
 
     @property
     def hinted(self) -> bool:

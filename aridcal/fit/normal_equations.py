@@ -14,8 +14,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import LinAlgError, cho_factor, cho_solve, solve_triangular
-from scipy.linalg.lapack import dpotrf, dpotri
+from scipy.linalg import solve_triangular
+from scipy.linalg.lapack import dpotrf, dpotri, dpotrs
 
 TINY = 1e-300
 """Stands for nothing where a logarithm or a division needs something."""
@@ -53,8 +53,7 @@ class NormalEquations:
 
     def squares_left(self, theta: np.ndarray) -> np.ndarray:
         """Sum of squares that a solution leaves in each channel, shape (C,)."""
-        left = self.rr - 2 * self.Ar @ theta + np.einsum("i,cij,j->c", theta, self.AA, theta)
-        return np.maximum(left, 0.0)
+        return np.maximum(self.rr - 2 * self.Ar @ theta + self.AA @ theta @ theta, 0.0)
 
     def spent(self, inverse: np.ndarray, sigma: np.ndarray) -> np.ndarray:
         """Degrees of freedom that each channel gives up: tr(H^-1 A_c'A_c) / sigma_c^2, shape (C,)."""
@@ -157,13 +156,13 @@ def solve(H: np.ndarray, g: np.ndarray, damping: float = 0.0, ridge: float = 0.0
         damping: Levenberg's, for steps that overshoot.
         ridge: See :data:`RIDGE`.
     """
+    if not len(H):
+        return g
     S, scale = balanced(H, ridge)
-    S = S + damping * np.eye(len(H))
+    S.flat[:: len(H) + 1] += damping
     pull = (g.T * scale).T
-    try:
-        found = cho_solve(cho_factor(S), pull)
-    except LinAlgError:
-        found = np.linalg.pinv(S, hermitian=True, rcond=RANK) @ pull
+    factor, failed = dpotrf(S.T, lower=1, clean=0)
+    found = np.linalg.pinv(S, hermitian=True, rcond=RANK) @ pull if failed else dpotrs(factor, pull, lower=1)[0]
     return np.asarray((found.T * scale).T)
 
 
@@ -187,6 +186,40 @@ def nested_solutions(H: np.ndarray, g: np.ndarray, first: int) -> np.ndarray:
         leading = factor[:count, :count]
         found[:count, k] = solve_triangular(leading, forward[:count], trans=1, lower=True, check_finite=False)
     return found * scale[:, None]
+
+
+def last_log_determinant(H: np.ndarray, first: int) -> float:
+    """Logarithm of the determinant of what is left of the unknowns after the first ones, when these are solved for."""
+    S, scale = balanced(H, RIDGE)
+    factor, failed = dpotrf(S.T, lower=1)
+    if failed:
+        return -float(np.linalg.slogdet(inverse(H)[first:, first:])[1])
+    return 2.0 * float(np.sum(np.log(np.diag(factor)[first:] / np.maximum(scale[first:], TINY))))
+
+
+def spent_with(
+    equations: NormalEquations, precision: np.ndarray, known: np.ndarray, spent: np.ndarray, sigma: np.ndarray
+) -> np.ndarray:
+    r"""Degrees of freedom that each channel gives up when d unknowns are added, from what it gives up without them.
+
+    .. math:: \operatorname{tr} H^{-1} A_c = \operatorname{tr} H_{aa}^{-1} A_{c,aa}
+              + \operatorname{tr} S^{-1} (W^T A_{c,aa} W - W^T A_{c,ab} - A_{c,ba} W + A_{c,bb}), \quad
+              W = H_{aa}^{-1} H_{ab}, \quad S = H_{bb} - H_{ba} W
+
+    Args:
+        equations: Of K unknowns a and, after them, d unknowns b.
+        precision: Of the prior of all, block by block, shape (K + d, K + d).
+        known: H_aa^-1 with its prior, shape (K, K).
+        spent: Without the unknowns b, shape (C,).
+        sigma: The noise that both are for, shape (C,).
+    """
+    K = len(known)
+    H = equations.information(sigma) + precision
+    W = known @ H[:K, K:]
+    S = H[K:, K:] - H[K:, :K] @ W
+    cross = np.swapaxes(W.T @ equations.AA[:, :K, K:], 1, 2)
+    added = W.T @ equations.AA[:, :K, :K] @ W - cross - np.swapaxes(cross, 1, 2) + equations.AA[:, K:, K:]
+    return np.asarray(spent + np.einsum("ij,cji->c", inverse(S), added) / sigma**2)
 
 
 def projected(

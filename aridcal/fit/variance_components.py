@@ -26,6 +26,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.linalg.blas import dtrsm
 from scipy.sparse import coo_array, csr_array
 from scipy.stats import norm
 
@@ -340,7 +341,7 @@ def _place(scatter: Scatter, theta: np.ndarray) -> _Place:
     U, z = U.reshape(n * m, count), z.ravel()
     H, scale = balanced(U.T @ U + scatter.precision)
     factor = np.linalg.cholesky(H + RIDGE * np.eye(count))
-    T = U @ (scale[:, None] * np.linalg.inv(factor).T)
+    T = dtrsm(1.0, factor.T, (U * scale).T, trans_a=1).T
     e = z - T @ (T.T @ z)
     logdet += 2.0 * float(np.sum(np.log(np.diag(factor)))) - 2.0 * float(np.sum(np.log(scale[scale > 0.0])))
     rows = T.reshape(n, m, count)

@@ -108,7 +108,7 @@ def best_steps(model: LinearModel, state: State, templates: Sequence[Effect]) ->
             continue
         groups = [slots for slots, _ in asked.values()], [before[mine] for _, mine in asked.values()]
         if model.off is None:
-            best = _Scan.of(state, values, [templates[k] for k in asked]).best(*groups)
+            best = _Scan.of(state, of, [templates[k] for k in asked]).best(*groups)
         else:
             best = _Trial(model, state, values).best(*groups)
         for (k, (_, mine)), place in zip(asked.items(), best, strict=True):
@@ -160,57 +160,73 @@ class _Scan:
     """Steps scored from sums over the rows before them, rows in the order of a covariate.
 
     Attributes:
+        state: The model without a step.
         slots: Position of each slot in the columns.
-        G: Columns of the slots in sigmas, shape (n, m, S).
-        A: Of the design, shape (n, m, P).
-        r: The residual, shape (n, m).
-        inverse: Of the model's own information, shape (P, P).
+        G: Columns of the slots over the variance, zero in rows that are not in use, shape (N, m, S).
+        g: The same in sigmas.
+        r: The residual, shape (N, m).
+        members: Columns of what is in the design, shape (N, m, d) each.
+        row: Place of each row in use, shape (n,).
     """
 
+    state: State
     slots: dict[int, int]
     G: np.ndarray
-    A: np.ndarray
+    g: np.ndarray
     r: np.ndarray
-    inverse: np.ndarray
+    members: tuple[np.ndarray, ...]
+    row: np.ndarray
 
     @classmethod
-    def of(cls, state: State, values: np.ndarray, templates: Sequence[Effect]) -> _Scan:
-        """The sums for the places of some effects, rows in the order of values (n,)."""
+    def of(cls, state: State, of: str, templates: Sequence[Effect]) -> _Scan:
+        """The sums for the places of some effects, rows in the order of a covariate."""
         model = state.model
         own = dict.fromkeys(model.slot_index[c.where, c.component] for e in templates for c in e.coefficients)
+        order = np.argsort(model.table[of], kind="stable")
+        used = state.used[order]
+        g = model.G[:, :, list(own)][order] * (used[:, None] / state.sigma)[:, :, None]
+        members = tuple(model.in_order(of, order, member) for member in state.members)
         slots = {slot: k for k, slot in enumerate(own)}
-        order = np.argsort(values, kind="stable")
-        G = (model.G[state.used][:, :, list(slots)] / state.sigma[:, None])[order]
-        r = (state.residual[state.used] / state.sigma)[order]
-        return cls(slots, G, _design(state)[order], r, state.solution.inverse)
+        return cls(state, slots, g / state.sigma[:, None], g, state.residual[order], members, np.flatnonzero(used))
 
     def best(self, of: Sequence[Sequence[int]], before: Sequence[np.ndarray]) -> list[int]:
         """Index of the step that explains most, for each of some groups of slots among those with so many rows before them."""
-        own = [[self.slots[slot] for slot in slots] for slots in of]
         sums = self._sums(np.unique(np.concatenate([_far_apart(rows) for rows in before])))
         found = []
-        for slots, rows in zip(own, before, strict=True):
+        for slots, rows in zip(of, before, strict=True):
+            own = [self.slots[slot] for slot in slots]
             rough = _far_apart(rows)
-            low, high = _around(rows, rough, sums.explained(slots, rough))
+            low, high = _around(rows, rough, sums.explained(own, rough))
             close = rows[low : high + 1]
-            found.append(low + int(np.argmax(self._sums(close, slots).explained(slots, close))))
+            found.append(low + int(np.argmax(self._sums(close, sums).explained(own, close))))
         return found
 
-    def _sums(self, before: np.ndarray, slots: Sequence[int] | None = None) -> _Sums:
-        """Sums over the rows before each of some steps, ascending: those between two of them are added up first."""
-        G = self.G if slots is None else self.G[:, :, slots]
-        S = G.shape[2]
+    def _sums(self, before: np.ndarray, known: _Sums | None = None) -> _Sums:
+        """Sums over the rows before each of some steps, ascending: those between two of them are added up first.
+
+        Args:
+            before: Rows in use before each step, shape (k,).
+            known: Sums up to the first of them, among others.
+        """
+        S = self.G.shape[2]
+        first = 0 if known is None else int(self.row[before[0]])
+        stops = self.row[before].tolist()
+        start = [0.0, 0.0, 0.0] if known is None else known.up_to(int(before[0]))
         CC, CA, s = [], [], []
-        for low, high in pairwise([0, *before.tolist()]):
-            g, a = G[low:high].reshape(-1, S), self.A[low:high].reshape(-1, self.A.shape[2])
+        for low, high in pairwise([first, *stops]):
+            G, g = self.G[low:high].reshape(-1, S).T, self.g[low:high].reshape(-1, S)
             CC.append(g.T @ g)
-            CA.append(g.T @ a)
-            s.append(g.T @ self.r[low:high].ravel())
-        squares, shared, pulls = (np.cumsum(values, axis=0) for values in (CC, CA, s))
-        taken = (shared.reshape(-1, len(self.inverse)) @ self.inverse).reshape(shared.shape)
+            CA.append(np.hstack([G @ member[low:high].reshape(-1, member.shape[2]) for member in self.members]))
+            s.append(G @ self.r[low:high].ravel())
+        squares, raw_shared, pulls = (
+            np.cumsum(values, axis=0) + begin for values, begin in zip((CC, CA, s), start, strict=True)
+        )
+        ends = np.cumsum([member.shape[2] for member in self.members])[:-1]
+        shared = self.state.in_modes(np.split(raw_shared, ends, axis=2))
+        inverse = self.state.solution.inverse
+        taken = (shared.reshape(-1, len(inverse)) @ inverse).reshape(shared.shape)
         M = squares - taken @ np.swapaxes(shared, 1, 2)
-        place = {slot: k for k, slot in enumerate(range(S) if slots is None else slots)}
-        return _Sums(before, place, M, pulls, np.einsum("kss->ks", squares))
+        return _Sums(before, M, (squares, raw_shared, pulls))
 
 
 @dataclass(frozen=True)
@@ -219,23 +235,25 @@ class _Sums:
 
     Attributes:
         before: Rows before each, ascending, shape (k,).
-        place: Where each slot is in what follows.
         M: Products of their columns off the model's, shape (k, S, S).
-        pulls: Their products with the residual, shape (k, S).
-        raw: Their squared lengths, shape (k, S).
+        cumulative: (C'C)_k of shape (k, S, S), (C'A)_k, s_k of shape (k, S).
     """
 
     before: np.ndarray
-    place: dict[int, int]
     M: np.ndarray
-    pulls: np.ndarray
-    raw: np.ndarray
+    cumulative: tuple[np.ndarray, np.ndarray, np.ndarray]
 
-    def explained(self, slots: Sequence[int], before: np.ndarray) -> np.ndarray:
-        """Squares that steps of some slots explain at some of the rows, shape of ``before``."""
-        own = [self.place[slot] for slot in slots]
+    def up_to(self, before: int) -> list[np.ndarray]:
+        """The sums over so many rows."""
+        k = int(np.searchsorted(self.before, before))
+        return [values[k] for values in self.cumulative]
+
+    def explained(self, own: Sequence[int], before: np.ndarray) -> np.ndarray:
+        """Squares that steps of some columns explain at some of the rows, shape of ``before``."""
         at = np.searchsorted(self.before, before)
-        return _squares_explained(self.M[at][:, own][:, :, own], self.pulls[at][:, own], self.raw[at][:, own])
+        squares, _, pulls = self.cumulative
+        raw = np.einsum("kss->ks", squares[at])[:, own]
+        return _squares_explained(self.M[at][:, own][:, :, own], pulls[at][:, own], raw)
 
 
 def _far_apart(before: np.ndarray) -> np.ndarray:
@@ -263,11 +281,6 @@ def _squares_explained(M: np.ndarray, s: np.ndarray, raw: np.ndarray) -> np.ndar
     values, vectors = np.linalg.eigh(M * scale[:, :, None] * scale[:, None, :])
     along = np.einsum("kst,ks->kt", vectors, s * scale) ** 2
     return np.asarray(np.sum(np.where(values > DEPENDENT, along / np.maximum(values, DEPENDENT), 0.0), axis=1))
-
-
-def _design(state: State) -> np.ndarray:
-    """The design's columns in sigmas, row by row again, shape (n, m, P)."""
-    return by_row(state.design, state.channels, state.present) / state.sigma[:, None]
 
 
 def walk_instead(model: LinearModel, state: State, candidate: Active) -> float:

@@ -61,12 +61,14 @@ class Solution:
         sigma: Noise of each channel per axis, shape (C,).
         likelihood: Logarithm, up to a constant.
         inverse: (A'WA + prior)^-1, shape (K, K).
+        spent: Degrees of freedom that the coefficients spend of each channel, shape (C,).
     """
 
     beta: np.ndarray
     sigma: np.ndarray
     likelihood: float
     inverse: np.ndarray
+    spent: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -79,7 +81,7 @@ class Score:
         freedom: Columns that say something new.
         tau: For smooth functions: prior standard deviation [m] or [rad]; else 0.
         kernel: For smooth functions: what they are like.
-        sigma: For smooth functions: the noise that is left with them in the model, shape (C,); unknown at first.
+        sigma: The noise that is left with it in the model, shape (C,); unknown at first.
     """
 
     gain: float
@@ -107,25 +109,32 @@ def solve(equations: NormalEquations, precision: np.ndarray, sigma: np.ndarray) 
         precision: Of their priors, which are centred at zero, shape (K, K).
         sigma: Noise to begin with, shape (C,).
     """
-    count = equations.count
-    beta, covariance, squares = _solved(equations, precision, sigma)
+    covariance = inverse(equations.information(sigma) + precision)
+    spent = equations.spent(covariance, sigma)
     for _ in range(NOISE_ROUNDS):
-        freedom = np.maximum(count - equations.spent(covariance, sigma), LEAST_FREEDOM * count + 1e-9)
-        before, sigma = sigma, np.maximum(np.sqrt(squares / freedom), FLOOR)
-        beta, covariance, squares = _solved(equations, precision, sigma)
+        before = equations.count - spent
+        sigma, likelihood = with_noise(equations, precision, sigma, spent)
+        covariance = inverse(equations.information(sigma) + precision)
+        spent = equations.spent(covariance, sigma)
+        if np.all(np.abs(equations.count - spent - before) < NOISE_SETTLED * np.abs(before)):
+            break
+    return Solution(covariance @ equations.pull(sigma), sigma, likelihood, covariance, spent)
+
+
+def with_noise(
+    equations: NormalEquations, precision: np.ndarray, sigma: np.ndarray, spent: np.ndarray
+) -> tuple[np.ndarray, float]:
+    """Noise, shape (C,), and log-likelihood, where the degrees of freedom that the coefficients spend are known, shape (C,)."""
+    count = equations.count
+    freedom = np.maximum(count - spent, LEAST_FREEDOM * count + 1e-9)
+    beta = coefficients(equations, precision, sigma)
+    for _ in range(NOISE_ROUNDS):
+        before, sigma = sigma, np.maximum(np.sqrt(equations.squares_left(beta) / freedom), FLOOR)
+        beta = coefficients(equations, precision, sigma)
         if float(np.sum(np.abs(np.log(before / sigma)))) < NOISE_SETTLED:
             break
-    misfit = float(count @ np.log(sigma**2) + np.sum(squares / sigma**2))
-    return Solution(beta, sigma, -0.5 * (misfit + float(beta @ precision @ beta)), covariance)
-
-
-def _solved(
-    equations: NormalEquations, precision: np.ndarray, sigma: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Coefficients, inverse and sums of squares left for a given noise: always of one piece."""
-    covariance = inverse(equations.information(sigma) + precision)
-    beta = covariance @ equations.pull(sigma)
-    return beta, covariance, equations.squares_left(beta)
+    misfit = float(count @ np.log(sigma**2) + np.sum(equations.squares_left(beta) / sigma**2))
+    return sigma, -0.5 * (misfit + float(beta @ precision @ beta))
 
 
 def score(

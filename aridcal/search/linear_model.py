@@ -112,12 +112,22 @@ class LinearModel:
         """Columns of one slot, shape (N, m)."""
         return self.G[:, :, self.slot_index[where, component]]
 
-    def _slots_of(self, effect: Effect) -> list[int]:
-        return [self.slot_index[c.where, c.component] for c in effect.coefficients]
+    @cached_property
+    def _indices(self) -> dict[Effect, tuple[list[int], list[int] | None]]:
+        """Slots and bases of the effects that were asked about; no bases where some are not among ``bases``."""
+        return {}
+
+    def _index(self, effect: Effect) -> tuple[list[int], list[int] | None]:
+        if effect not in self._indices:
+            slots = [self.slot_index[c.where, c.component] for c in effect.coefficients]
+            known = all(c.basis in self.basis_index for c in effect.coefficients)
+            bases = [self.basis_index[c.basis] for c in effect.coefficients] if known else None
+            self._indices[effect] = slots, bases
+        return self._indices[effect]
 
     def prepared(self, effect: Effect) -> bool:
         """True if all its bases are among ``bases``."""
-        return all(c.basis in self.basis_index for c in effect.coefficients)
+        return self._index(effect)[1] is not None
 
     def prepare(self, effects: Sequence[Effect]) -> LinearModel:
         """The same with the bases of further effects evaluated beforehand."""
@@ -136,12 +146,22 @@ class LinearModel:
 
     def side_by_side(self, effects: Sequence[Effect]) -> np.ndarray:
         """Columns of effects, shape (N, m, d) for the d coefficients of all of them."""
-        slots = [k for e in effects for k in self._slots_of(e)]
+        slots = [k for e in effects for k in self._index(e)[0]]
         return self.seen(self.G[:, :, slots] * self._bases_of(effects)[:, None, :])
+
+    def in_order(self, of: str, order: np.ndarray, member: Effect | None) -> np.ndarray:
+        """Columns of what is, or was, in the model (None: the constants), rows in the order of a covariate, shape (N, m, d)."""
+        if (of, member) not in self._ordered:
+            self._ordered[of, member] = (self.A if member is None else self.columns(member))[order]
+        return self._ordered[of, member]
+
+    @cached_property
+    def _ordered(self) -> dict[tuple[str, Effect | None], np.ndarray]:
+        return {}
 
     def made_of(self, effect: Effect, beta: np.ndarray) -> np.ndarray:
         """What an effect does with coefficients of shape (d,), shape (N, m), before unknown things take up a part."""
-        slots, phi = self._slots_of(effect), self._bases_of([effect])
+        slots, phi = self._index(effect)[0], self._bases_of([effect])
         values = np.zeros(self.r.shape)
         for slot in dict.fromkeys(slots):
             own = [k for k, other in enumerate(slots) if other == slot]
@@ -150,8 +170,9 @@ class LinearModel:
 
     def _bases_of(self, effects: Sequence[Effect]) -> np.ndarray:
         """Bases of each coefficient of some effects, shape (N, d)."""
-        if all(self.prepared(e) for e in effects):
-            return self.phi[:, [self.basis_index[c.basis] for e in effects for c in e.coefficients]]
+        known = [self._index(e)[1] for e in effects]
+        if all(bases is not None for bases in known):
+            return self.phi[:, [k for bases in known for k in bases or ()]]
         return np.column_stack([evaluate(c.basis, self.table) for e in effects for c in e.coefficients])
 
     def seen(self, values: np.ndarray) -> np.ndarray:
@@ -387,7 +408,7 @@ def _of_all_rows(model: LinearModel, active: Sequence[Active]) -> list[NormalEqu
     for i, (a, left) in enumerate(zip(members, modes, strict=True)):
         Ar[:, :, own[i]] = made.pull(a) @ left
         for j, b in enumerate(members[: i + 1]):
-            block = left.T @ made.between(a, b) @ modes[j]
+            block = np.ascontiguousarray(left.T) @ made.between(a, b) @ modes[j]
             AA[:, :, own[i], own[j]] = block
             AA[:, :, own[j], own[i]] = block.transpose(0, 1, 3, 2)
     there = [model.present[layout.order[low:high]] for low, high in pairwise(layout.starts)]

@@ -18,9 +18,20 @@ from aridcal.effects.catalogue import Barred
 from aridcal.effects.effect import Effect
 from aridcal.effects.sights import is_sight
 from aridcal.fit.least_squares import Fit
-from aridcal.fit.normal_equations import NormalEquations, accumulate, nested_solutions
+from aridcal.fit.normal_equations import NormalEquations, accumulate, last_log_determinant, nested_solutions, spent_with
 from aridcal.search.change_points import best_steps, walk_instead
-from aridcal.search.evidence import SMOOTH_PRICE, Score, coefficients, price, score, shaped, smooth_tail, solve, tail
+from aridcal.search.evidence import (
+    SMOOTH_PRICE,
+    Score,
+    coefficients,
+    price,
+    score,
+    shaped,
+    smooth_tail,
+    solve,
+    tail,
+    with_noise,
+)
 from aridcal.search.linear_model import Active, LinearModel, State, activate, solve_state, with_candidate, with_columns
 from aridcal.search.products import Flat, grouped, placed
 from aridcal.showing import SILENT, Progress
@@ -48,7 +59,7 @@ CONFOUNDED = "it is confounded with what is fitted without it: no row tells them
 """Why a declared effect was left out."""
 
 SHAPED = 0.02
-"""Change of the logarithm of the noise that ends this."""
+"""Change of the logarithm of the noise that ends this, and below which what it leaves free of a prior is not found anew."""
 
 
 @dataclass(frozen=True)
@@ -117,26 +128,37 @@ def refine(model: LinearModel, state: State, effect: Effect, rough: Score) -> Sc
         return _reshaped(model, state, effect, rough)
     if rough.freedom == 0:  # declared, though the model can do all that it does
         return rough
-    equations, precision = with_candidate(state, activate(model, state, effect, rough))
-    after = solve(equations, precision, state.solution.sigma)
-    twice = 2.0 * (after.likelihood - state.solution.likelihood)
-    return replace(rough, gain=price(twice, rough.freedom), p_value=tail(twice, rough.freedom))
+    candidate = activate(model, state, effect, rough)
+    equations, precision = with_candidate(state, candidate)
+    sigma, likelihood = _noise_with(state, equations, precision)
+    twice = 2.0 * (likelihood - state.solution.likelihood)
+    return replace(rough, gain=price(twice, rough.freedom), p_value=tail(twice, rough.freedom), sigma=sigma)
+
+
+def _noise_with(state: State, equations: NormalEquations, precision: np.ndarray) -> tuple[np.ndarray, float]:
+    """Noise of each channel with a candidate's columns in the model, shape (C,), and the log-likelihood."""
+    before = state.solution
+    spent = spent_with(equations, precision, before.inverse, before.spent, before.sigma)
+    sigma, likelihood = with_noise(equations, precision, before.sigma, spent)
+    if np.all(np.abs(np.log(sigma / before.sigma)) < SHAPED):
+        return sigma, likelihood
+    after = solve(equations, precision, sigma)  # what priors leave free depends on the noise
+    return after.sigma, after.likelihood
 
 
 def _reshaped(model: LinearModel, state: State, effect: Effect, rough: Score) -> Score:
     """Shape and noise of a smooth function in turn, until they agree: what it hides makes the noise look large."""
-    total = with_columns(state, effect)
-    found = rough
+    total, found = with_columns(state, effect), rough
     for _ in range(SHAPINGS):
         candidate = activate(model, state, effect, found)
-        precision = block_diag(state.precision, candidate.precision)
-        solution = solve(total.combined(candidate.modes), precision, state.solution.sigma)
-        if found.sigma is not None and abs(np.log(found.sigma[0] / solution.sigma[0])) < SHAPED:
+        equations, precision = total.combined(candidate.modes), block_diag(state.precision, candidate.precision)
+        sigma, likelihood = _noise_with(state, equations, precision)
+        if found.sigma is not None and abs(np.log(found.sigma[0] / sigma[0])) < SHAPED:
             break
-        found = shaped(total, state.precision, effect.shape, solution.sigma)
+        found = shaped(total, state.precision, effect.shape, sigma)
     # The volume of what its modes may still be counts against it: the marginal likelihood's determinant.
-    own = solution.inverse[len(state.precision) :, len(state.precision) :]
-    twice = 2.0 * (solution.likelihood - state.solution.likelihood) + float(np.linalg.slogdet(own)[1])
+    volume = -last_log_determinant(equations.information(sigma) + precision, len(state.precision))
+    twice = 2.0 * (likelihood - state.solution.likelihood) + volume
     return replace(found, gain=0.5 * twice - SMOOTH_PRICE, p_value=smooth_tail(twice))
 
 
@@ -266,7 +288,7 @@ def held_back(model: LinearModel, state: State, candidate: Active, part: np.ndar
         Shape (2, C, n), channel by channel.
     """
     total, precision = with_candidate(state, candidate)
-    sigma = solve(total, precision, state.solution.sigma).sigma
+    sigma = _noise_with(state, total, precision)[0]
     added = state.flat(candidate.columns(model))
     design = [np.hstack([a, c]) for a, c in zip(state.design, added, strict=True)]
     everything = np.ones(len(precision), dtype=bool)
@@ -290,7 +312,7 @@ def held_back_folds(state: State, candidate: Active) -> np.ndarray:
     folds = [sums.bordered(*more) for sums, *more in zip(state.folds, cross, own, pull, strict=True)]
     whole = state.equations.bordered(cross.sum(axis=0), own.sum(axis=0), pull.sum(axis=0))
     precision = block_diag(state.precision, candidate.precision)
-    sigma = solve(whole, precision, state.solution.sigma).sigma
+    sigma = _noise_with(state, whole, precision)[0]
     squares = np.zeros((2, len(sizes), len(layout.order)))
     for fold, low, high in zip(folds, layout.starts[:-1], layout.starts[1:], strict=True):
         rest = whole.minus(fold)
