@@ -71,6 +71,9 @@ MEANINGS = {
 OF_PAIRS = ("AD", "RD")
 """Figures of pairs of poses, not of poses."""
 
+OF_FIT = ("AP", "AD", "dAP")
+"""Figures that a fit makes smaller on its own rows: held-out poses judge them, all poses the others."""
+
 Figures = Mapping[str, np.ndarray]
 """By symbol: of P poses or of D pairs, [m], those with index a b c in [rad]; NaN where the rows cannot tell."""
 
@@ -105,19 +108,21 @@ class Iso9283:
         return np.array([len(rows) for rows in self.cycles])
 
     @property
-    def judging(self) -> np.ndarray:
-        """Poses that judge the calibration: those held out, or all if none is, shape (P,) bool."""
-        return self.held_out if self.held_out.any() else ~self.held_out
-
-    @property
     def enough(self) -> bool:
         """True if as many cycles of as many poses were made as the standard asks for."""
         return int((self.counts >= ASKED_CYCLES).sum()) >= ASKED_POSES
 
+    def judged(self, symbol: str) -> np.ndarray:
+        """Poses, or pairs, that judge by a figure: of those that a fit makes smaller the held-out ones if there are any; bool."""
+        every = np.ones(len(self.pairs) if symbol in OF_PAIRS else len(self.cycles), dtype=bool)
+        if symbol.partition("_")[0] not in OF_FIT:
+            return every
+        new = self.held_out[self.pairs].all(axis=1) if symbol in OF_PAIRS else self.held_out
+        return new if new.any() else every
+
     def worst(self, figures: Figures, symbol: str) -> float:
-        """Largest size of a figure over the poses that judge, or over their pairs; NaN where there is none."""
-        mask = self.judging[self.pairs].all(axis=1) if symbol in OF_PAIRS else self.judging
-        sizes = np.abs(figures[symbol][mask])
+        """Largest size of a figure over the poses that judge by it, or over their pairs; NaN where there is none."""
+        sizes = np.abs(figures[symbol][self.judged(symbol)])
         sizes = sizes[~np.isnan(sizes)]
         return float(sizes.max()) if len(sizes) else float("nan")
 
