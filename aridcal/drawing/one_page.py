@@ -220,10 +220,9 @@ def fonts_for(text: str) -> tuple[tuple[str, ...], str]:
     there = {entry.name for entry in fontManager.ttflist}
     chosen, lacking = [FONT], set(text) - _characters(FONT, False)
     for name in OTHER_FONTS:
-        if lacking and name in there:
-            if found := lacking & _characters(name, False):
-                chosen.append(name)
-                lacking -= found
+        if name in there and (found := lacking & _characters(name, False)):
+            chosen.append(name)
+            lacking -= found
     return tuple(chosen), "".join(sorted(lacking))
 
 
@@ -294,7 +293,6 @@ def _fitted(page: OnePage) -> tuple[_Column, str]:
 
 def as_pdf(page: OnePage) -> tuple[bytes, str]:
     """The page as PDF, and the characters in it that no font of this computer has."""
-    from matplotlib import rc_context
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
 
@@ -310,8 +308,8 @@ def as_pdf(page: OnePage) -> tuple[bytes, str]:
         at = 1.0 - (edge + y) / high
         figure.add_artist(Line2D([edge / wide, 1.0 - edge / wide], [at, at], color=SOFT, linewidth=0.5))
     content = io.BytesIO()
-    with rc_context({"pdf.fonttype": 42}), warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # of characters without a glyph: the page says so itself
         figure.savefig(content, format="pdf", metadata={"Title": page.title, "CreationDate": None})
     return content.getvalue(), lacking
 
