@@ -16,6 +16,7 @@ import robots
 import yaml
 from lxml import html
 
+from aridcal.calibration import Calibration
 from aridcal.drawing.html import join, number
 from aridcal.drawing.one_page import OnePage, as_html
 from aridcal.errors import CampaignError
@@ -26,6 +27,7 @@ from aridcal.report.certificate import FILES, certificate, write_certificate
 from aridcal.report.iso_section import iso
 from aridcal.result.outcome import Outcome
 from aridcal.result.pipeline import identify
+from aridcal.result.saving import calibration
 from aridcal.result.verdict import Verdict
 from aridcal.result_folder import RESULT_FILES
 
@@ -203,6 +205,17 @@ def test_the_report_and_the_document_have_the_same_iso_figures(outcome: Outcome)
         for figures in (found.nominal, found.final):
             assert number(1e3 * float(figures["AP"][k])) in section
     assert "5 poses, 4 cycles of each." in section
+
+
+def test_in_python_the_iso_figures_are_a_table(outcome: Outcome) -> None:
+    table = Calibration(calibration(outcome), outcome).iso_9283
+    found = outcome.iso
+    assert found is not None and len(table) == 5
+    assert table["final_AP_mm"].tolist() == pytest.approx((1e3 * found.final["AP"]).tolist())
+    assert table["nominal_RP_b_mrad"].tolist() == pytest.approx((1e3 * found.nominal["RP_b"]).tolist())
+    assert table["cycles"].tolist() == [4] * 5 and sorted(table["split"]) == ["test"] * 2 + ["train"] * 3
+    once = replace(outcome, outlier=outcome.measurements.covariates["time"] >= 20.0 * 60)
+    assert Calibration(calibration(outcome), once).iso_9283.empty
 
 
 def test_the_report_says_why_there_are_no_iso_figures(outcome: Outcome) -> None:
