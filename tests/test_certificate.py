@@ -9,6 +9,7 @@ import os
 from dataclasses import replace
 from pathlib import Path
 
+import gauges
 import numpy as np
 import pandas as pd
 import pytest
@@ -117,6 +118,7 @@ def test_its_uncertainty_is_twice_the_standard_deviation_and_says_so(outcome: Ou
     sigma = 1e3 * outcome.precision.position
     assert f"k = 2 (about 95 % for normal noise): median {number(2 * float(np.median(sigma)))} mm" in said
     assert f"at most {number(2 * float(sigma.max()))} mm at the fitted rows" in said
+    assert dict(page_of(outcome, folder).headline)["Uncertainty, k = 2"].startswith("of position: median 0.0")
 
 
 @pytest.mark.parametrize(
@@ -140,7 +142,7 @@ def test_it_claims_no_more_than_the_verdict(outcome: Outcome, folder: Path, word
 
 def test_it_is_the_makers_own_record_and_no_accreditation(outcome: Outcome, folder: Path) -> None:
     page = page_of(outcome, folder)
-    assert page.under.startswith("The maker's own record of a robot calibration")
+    assert page.title == "Calibration certificate: the maker's own record"
     assert "not issued by an accredited laboratory" in page.under
     said = words_of(page).lower()
     assert said.count("accredit") == 1 and "17025" not in said and "certified" not in said
@@ -169,7 +171,27 @@ def test_uncertainty_that_no_row_tells_is_not_stated(outcome: Outcome, folder: P
     unknown = replace(outcome.precision, position=np.full_like(outcome.precision.position, np.nan))
     said = words_of(page_of(replace(outcome, precision=unknown), folder))
     assert "so no uncertainty of its place can be stated" in said
-    assert "nan" not in said and "k = 2" not in said
+    assert "Uncertainty, k = 2 not known" in said
+    assert "nan" not in said and "normal noise" not in said
+
+
+@pytest.mark.parametrize("tied", [True, False])
+def test_rows_that_agree_are_no_proof_of_accuracy(tmp_path: Path, tied: bool) -> None:
+    """A ball in sockets: rows agree far better than the target is known; of sockets at unknown distances nothing is known."""
+    of = gauges.arm(2)
+    found = gauges.outcome(tmp_path, of, gauges.rows(of, gauges.points(of, rows=14, tied=tied)))
+    for name in module.HASHED:
+        (tmp_path / name).write_text(name)
+    page = certificate(found, About(), tmp_path, ISSUED)
+    short, said = dict(page.headline)["Uncertainty, k = 2"], words_of(page)
+    if tied:
+        assert number(2e3 * float(np.median(found.precision.position))) in short
+        assert "that is consistency, not accuracy." in said
+    else:
+        assert short == "not known"
+        assert "this is consistency, not accuracy" in said
+    assert "ISO 9283" not in said
+    assert "does not apply to these measurements" in join(list(iso(found)))
 
 
 def test_it_is_valid_where_rows_were_fitted(outcome: Outcome, folder: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime
 import hashlib
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,7 +22,7 @@ from aridcal.instruments.catalogue import KINDS
 from aridcal.report.first_screen import VERDICTS
 from aridcal.report.iso_section import lines, what_was_made
 from aridcal.result.instruments import known_scale
-from aridcal.result.key_figures import another_day, constants, every_held_out_row, scored
+from aridcal.result.key_figures import another_day, constants, every_held_out_row, scored, sigma_and_error
 from aridcal.result.outcome import Outcome, errors
 from aridcal.result.saving import ends, holes, seen_in
 from aridcal.trust.iso9283 import STANDARD
@@ -31,8 +32,8 @@ FILES = ("certificate.html", "certificate.pdf")
 NOT_STATED = "not stated"
 
 OWN = (
-    "The maker's own record of a robot calibration: computed by aridcal {} from the maker's measurements. It is not issued by an "
-    "accredited laboratory, and is no proof of traceability."
+    "Computed by aridcal {} from measurements of those who are named below. It is not issued by an accredited laboratory, and is "
+    "no proof of traceability."
 )
 
 COVERAGE = 2.0
@@ -107,22 +108,23 @@ def certificate(outcome: Outcome, about: About, folder: Path, issued: datetime.d
         issued: Date of issue.
     """
     verdict = VERDICTS[outcome.verdict.word].partition(".")[0]
-    judged = _judged(outcome)
+    judged, known = _judged(outcome), _known(outcome)
     reference = f"No. {about.certificate_number}. " if about.certificate_number else ""
     return OnePage(
-        title="Calibration certificate",
+        title="Calibration certificate: the maker's own record",
         under=OWN.format(__version__),
         headline=[
             *(
                 (f"{j.noun}, RMS", f"before {number(j.before['rms'])}, after {number(j.after['rms'])} {j.unit}")
                 for j in judged
             ),
+            (f"Uncertainty, k = {COVERAGE:g}", _in_short(known)),
             ("Verdict", f"{verdict}."),
         ],
         parts=[
             Part("Robot and measurement", facts=list(_facts(outcome, about))),
             _errors(outcome, judged),
-            Part("Uncertainty of the calibrated target", words=[_uncertainty(outcome)]),
+            Part("Uncertainty of the calibrated target", words=[_uncertainty(outcome, known)]),
             Part("Where it is valid", facts=list(_validity(outcome)), words=[LIMITS]),
             *_iso(outcome),
             Part("Files", table=[("file", "sha256"), *_hashes(outcome, folder)]),
@@ -245,20 +247,55 @@ def _reasons(outcome: Outcome) -> Iterator[str]:
     yield f"Verdict {verdict.word}: {reasons}{more}.{share} Where nothing was measured, errors may be larger than these."
 
 
-def _uncertainty(outcome: Outcome) -> str:
-    """Expanded uncertainty of the target, and what it leaves out."""
+@dataclass(frozen=True)
+class _Known:
+    """Expanded uncertainty of the target's position in its worst direction, [mm].
+
+    Attributes:
+        median: Over the fitted rows.
+        most: The largest of them.
+        anywhere: Below it are 95 % of configurations from the joints' whole range.
+    """
+
+    median: float
+    most: float
+    anywhere: float
+
+
+def _known(outcome: Outcome) -> _Known | None:
+    """How well the target is known; None where nothing measures its place, or no length gives its scale."""
     precision = outcome.precision
-    scale = "".join(f" {sentence[0].upper()}{sentence[1:]}." for sentence in scale_in_words(outcome))
-    if known_scale(outcome.measurements) is None or not np.isfinite(precision.position).all():
-        return f"These rows do not tell where the target is, so no uncertainty of its place can be stated.{scale}"
+    if known_scale(outcome.measurements) in (None, math.inf) or not np.isfinite(precision.position).all():
+        return None
     median, most = (1e3 * COVERAGE * float(f(precision.position)) for f in (np.median, np.max))
-    anywhere = 1e3 * COVERAGE * float(np.percentile(precision.reach, 95))
+    return _Known(median, most, 1e3 * COVERAGE * float(np.percentile(precision.reach, 95)))
+
+
+def _in_short(known: _Known | None) -> str:
+    """The uncertainty among the figures."""
+    return (
+        "not known" if known is None else f"of position: median {number(known.median)}, at most {number(known.most)} mm"
+    )
+
+
+def _uncertainty(outcome: Outcome, known: _Known | None) -> str:
+    """Expanded uncertainty of the target, and what it leaves out."""
+    scale = "".join(f" {sentence[0].upper()}{sentence[1:]}." for sentence in scale_in_words(outcome))
+    if known is None:
+        return f"These rows do not tell where the target is, so no uncertainty of its place can be stated.{scale}"
+    agreed = sigma_and_error(outcome) if outcome.measurements.blocks else None
+    consistent = (
+        f" The rows agree to {number(agreed[1])} mm RMS at the target: that is consistency, not accuracy."
+        if agreed is not None and known.median > agreed[1]
+        else ""
+    )
     beyond = "" if outcome.verdict.word == "noise_floor" else " By the verdict, real errors may well exceed it."
     return (
         f"Expanded uncertainty of its position in the worst direction, k = {COVERAGE:g} (about 95 % for normal noise): median "
-        f"{number(median)} mm, at most {number(most)} mm at the fitted rows; in 95 % of the joints' whole range at most "
-        f"{number(anywhere)} mm. It is what the measurement noise makes of the calibration, and leaves out systematic errors of "
-        f"the instrument, the robot's own repeatability and errors that the model lacks.{beyond}{scale}"
+        f"{number(known.median)} mm, at most {number(known.most)} mm at the fitted rows; in 95 % of the joints' whole range at "
+        f"most {number(known.anywhere)} mm. It is what the measurement noise makes of the calibration, and leaves out systematic "
+        "errors of the instrument, the robot's own repeatability and errors that the model lacks."
+        f"{consistent}{beyond}{scale}"
     )
 
 
