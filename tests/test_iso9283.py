@@ -220,6 +220,7 @@ def test_distances_are_those_of_one_station() -> None:
     at = [str(station[group[0]]) for group in found.cycles]
     assert len(found.pairs) == 1 + 6  # of two poses, and of four
     assert all(at[a] == at[b] for a, b in found.pairs)
+    assert found.nominal["AP"] == pytest.approx(bench.found.nominal["AP"], **EXACT)
 
 
 def test_rows_that_repeat_nothing_and_other_kinds_have_no_figures() -> None:

@@ -51,8 +51,11 @@ MOST_LACKING = 24
 MOST_REASONS = 3
 """Of the verdict; the report has all."""
 
-LONGEST_NAME, LONGEST_REASON = 40, 200
-"""Characters of a name from a file that are shown, and of a reason."""
+LONGEST_NAME, LONGEST_REASON, LONGEST_SENTENCE = 40, 200, 400
+"""Characters of a name from a file that are shown, of a reason, and of a sentence with a file's name in it."""
+
+MOST_CHANNELS = 8
+"""Quantities whose errors are stated; a campaign of several instruments has two or three."""
 
 MODELS = "Before: the nominal URDF with only the unknown frames fitted. After: the calibrated model."
 
@@ -154,7 +157,7 @@ class _Judged:
 
 
 def _judged(outcome: Outcome) -> list[_Judged]:
-    """Every channel that judges the arm."""
+    """Every channel that judges the arm, of many the first."""
     mask, _ = scored(outcome)
     found = []
     for k, channel in enumerate(outcome.channels):
@@ -164,8 +167,9 @@ def _judged(outcome: Outcome) -> list[_Judged]:
                 errors(outcome.stage(name).residual, own, outcome.channels)[channel.key]
                 for name in ("nominal", "final")
             )
-            found.append(_Judged(channel.noun.capitalize(), channel.shown, int(own.sum()), first, last))
-    return found
+            noun = named(f"{channel.noun[0].upper()}{channel.noun[1:]}")
+            found.append(_Judged(noun, channel.shown, int(own.sum()), first, last))
+    return found[:MOST_CHANNELS]
 
 
 def _facts(outcome: Outcome, about: About) -> Iterator[tuple[str, str]]:
@@ -177,7 +181,8 @@ def _facts(outcome: Outcome, about: About) -> Iterator[tuple[str, str]]:
     yield "Instrument", f"{about.instrument or NOT_STATED}{serial}"
     yield "Measured by", ", ".join(filter(None, (about.who, about.organisation))) or NOT_STATED
     yield "Measured on", about.date or _date_of_files(m)
-    yield "Environment", "; ".join(filter(None, (about.environment, *_temperatures(m)))) or NOT_STATED
+    temperatures = _some(list(_temperatures(m)), MOST_COVARIATES)
+    yield "Environment", "; ".join(filter(None, (about.environment, temperatures))) or NOT_STATED
     used = f"{counted(len(m), 'row')} of {', '.join(kinds_in_words(m))}, {m.test.sum():,} of them held out"
     sought = "" if outcome.diagnosis is None else f" and {counted(len(outcome.effects), 'effect')}"
     corrections = sum(p["status"] == "identified" for p in constants(outcome))
@@ -225,13 +230,16 @@ def _errors(outcome: Outcome, judged: Sequence[_Judged]) -> Part:
         numbers = [number(e[key]) for e in (j.before, j.after) for key in ("rms", "p95", "max")]
         table.append((f"{j.noun} [{j.unit}]", f"{j.rows:,}", *numbers))
     said = [MODELS]
+    channels = sum(not channel.inner for channel in outcome.channels)
+    if channels > len(judged):
+        said.append(f"{channels - len(judged)} more quantities are in report.html.")
     if outcome.parts()["test_all"].any():
         said.append(f"{every_held_out_row(outcome)}.")
     else:
         said.append("No rows were held out: these are errors of the fit itself, and too optimistic.")
     verified = another_day(outcome)
     if verified is not None:
-        said.append(verified[1])
+        said.append(shortened(printable(verified[1]), LONGEST_SENTENCE))
     return Part(f"Errors before and after, on {rows}", table=table, words=[" ".join(said), *_reasons(outcome)])
 
 
@@ -320,7 +328,7 @@ def _validity(outcome: Outcome) -> Iterator[tuple[str, str]]:
 def _some(items: Sequence[str], most: int) -> str:
     """Items in a line; of many the first, and how many more there are."""
     rest = len(items) - most
-    return "; ".join([*items[:most], *([f"and {rest:,} more in calibration.yaml"] if rest > 0 else [])])
+    return "; ".join([*items[:most], *([f"and {rest:,} more"] if rest > 0 else [])])
 
 
 def _iso(outcome: Outcome) -> Iterator[Part]:

@@ -43,8 +43,8 @@ def _why_not(outcome: Outcome) -> str:
     """Why there are no figures."""
     if not applies(outcome.measurements):
         return (
-            f"{STANDARD} does not apply to these measurements: its figures are of attained poses or positions of one target, "
-            "and rows of other kinds, or of several targets, attain none."
+            f"{STANDARD} does not apply to these measurements: its figures are of attained poses or positions of one target, and "
+            "here rows are of another kind, or of several targets."
         )
     return (
         f"No pose was attained twice, so there is no figure of {STANDARD} beside the pose accuracies of section 4. The "

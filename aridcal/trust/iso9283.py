@@ -19,6 +19,9 @@ the commanded one (components of its rotation vector; to first order the differe
 
     dAP = |AP_{t=0} - AP_{t=T}|, \quad dRP = |RP_{t=0} - RP_{t=T}| \qquad (7.6)
 
+Cycles whose readings differ a little, though they repeat one configuration, deviate each from its own command; distances are of
+their mean command.
+
 The standard asks for more than repeats: five poses in a stated plane of a stated cube, 30 cycles, rated load and speed. Rows
 tell the first two numbers alone, so that these are figures by its definitions.
 """
