@@ -293,6 +293,7 @@ def _fitted(page: OnePage) -> tuple[_Column, str]:
 
 def as_pdf(page: OnePage) -> tuple[bytes, str]:
     """The page as PDF, and the characters in it that no font of this computer has."""
+    from matplotlib import rc_context
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
 
@@ -308,7 +309,8 @@ def as_pdf(page: OnePage) -> tuple[bytes, str]:
         at = 1.0 - (edge + y) / high
         figure.add_artist(Line2D([edge / wide, 1.0 - edge / wide], [at, at], color=SOFT, linewidth=0.5))
     content = io.BytesIO()
-    with warnings.catch_warnings():
+    # TrueType letters: of Type 3 some versions of matplotlib leave others than Latin ones out when text is copied.
+    with rc_context({"pdf.fonttype": 42}), warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # of characters without a glyph: the page says so itself
         figure.savefig(content, format="pdf", metadata={"Title": page.title, "CreationDate": None})
     return content.getvalue(), lacking
