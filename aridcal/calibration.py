@@ -13,7 +13,7 @@ from typing import Any
 
 import pandas as pd
 
-from aridcal.drawing.as_tables import effect_table, error_table, parameter_table, verification_table
+from aridcal.drawing.as_tables import effect_table, error_table, iso_table, parameter_table, verification_table
 from aridcal.drawing.html import tag
 from aridcal.drawing.scene import write_scene
 from aridcal.errors import AridcalError, MeasurementError, shortened
@@ -89,6 +89,11 @@ class Calibration:
     def parameters(self) -> pd.DataFrame:
         """Frames and corrections of the nominal constants by name, lengths in [mm] and angles in [mrad]."""
         return self._figures(parameter_table)
+
+    @property
+    def iso_9283(self) -> pd.DataFrame:
+        """Poses that were measured more than once, by the definitions of ISO 9283: accuracies, repeatabilities, drifts."""
+        return self._figures(iso_table)
 
     def predict(self, queries: AnyTable) -> pd.DataFrame:
         """Tell where the real target is for each row of joint readings.

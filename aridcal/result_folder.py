@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import datetime
 from dataclasses import dataclass
 from pathlib import Path
 
 from aridcal.drawing.scene import write_scene
+from aridcal.report.certificate import FILES, write_certificate
 from aridcal.report.page import write_report
 from aridcal.result.controllers import Handover, hand_over, write_controllers
 from aridcal.result.folder import write_results
@@ -18,6 +20,7 @@ RESULT_FILES = frozenset(
         *("result.json", "calibration.yaml", "calibrated.urdf", "model.urdf", "residuals.csv", "fiducials.csv"),
         *("kinematics.yaml", "dh.yaml", "dh_modified.yaml", "doty.yaml", "joint_offsets.yaml", "frames.yaml"),
         *("joint_maps.urdf", "joint_maps.csv", "report.html", "scene.html"),
+        *FILES,
     }
 )
 """All that a result may have: what an earlier one had and this has not must not outlive it."""
@@ -59,4 +62,5 @@ def write_folder(outcome: Outcome, folder: Path, progress: Progress = SILENT) ->
         notices = write_report(outcome, handover, stage / "report.html", progress)
         progress("drawing the scene")
         notices += write_scene(outcome, stage / "scene.html")
+        notices += write_certificate(outcome, stage, datetime.date.today())
     return Written(handover, notices)

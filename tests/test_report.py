@@ -37,7 +37,7 @@ from aridcal.search.gains import Curve, Diagnosis, NamedEffect, Rejected
 from aridcal.search.noise_tests import Clue
 from aridcal.trust.uncertainty import accuracy
 
-ANSWERS = ["data", "separable", "enough", "fits", "depends", "remains", "parameters", "use"]
+ANSWERS = ["data", "separable", "enough", "fits", "depends", "remains", "iso", "parameters", "use"]
 HOSTILE = """<img src=x onerror="alert('1')">$\\frac{1}{0}$ &amp;"""
 
 
@@ -220,8 +220,8 @@ def test_repeats_are_reported_as_iso_9283_does(outcome: Outcome, report: str) ->
     assert outcome.repeats.groups == 4
     shown = text(report, "//section[@id='data']")
     assert "4 configurations measured more than once (8 rows)" in shown
-    assert "RP of ISO 9283, the mean distance to the centre plus three standard deviations: " in shown
-    assert f"{number(1e3 * outcome.repeats.repeatability)} mm" in shown
+    repeatability = f"{number(1e3 * outcome.repeats.repeatability)} mm"
+    assert f"the mean distance to the centre plus three standard deviations is {repeatability}" in shown
 
 
 def test_pose_accuracy_averages_repeats_first(outcome: Outcome) -> None:

@@ -16,6 +16,9 @@ EFFECT_COLUMNS = ("kind", "where", "motion", "covariates", "declared", "p_value"
 
 PARAMETER_COLUMNS = ("value_mm", "std_mm", "value_mrad", "std_mrad", "status", "redundant_with")
 
+ISO_COLUMNS = ("file", "row", "cycles", "split", "hours")
+"""Behind them stand the figures of each model."""
+
 
 def error_table(result: Document) -> pd.DataFrame:
     """Errors of what was measured: of the target [mm] and [mrad], of a camera [px].
@@ -70,6 +73,19 @@ def parameter_table(result: Document) -> pd.DataFrame:
     table = pd.DataFrame.from_dict(rows, orient="index", columns=list(PARAMETER_COLUMNS))
     numbers = dict.fromkeys(PARAMETER_COLUMNS[:4], float)
     return table.astype(numbers).rename_axis("name")
+
+
+def iso_table(result: Document) -> pd.DataFrame:
+    """Poses of a ``result.json`` that were measured more than once, by the figures of ISO 9283 [mm] and [mrad]; empty without."""
+    poses = result.get("iso_9283", {"poses": []})["poses"]
+    models = ("nominal", "final")
+    rows = [
+        {key: value for key, value in pose.items() if key not in models}
+        | {f"{model}_{symbol}": value for model in models for symbol, value in pose[model].items()}
+        for pose in poses
+    ]
+    table = pd.DataFrame(rows, columns=list(rows[0]) if rows else list(ISO_COLUMNS))
+    return table.astype({name: float for name in table if str(name).startswith(models) or name == "hours"})
 
 
 def _statistics(found: Iterable[Mapping[str, Mapping[str, float]]], index: pd.Index) -> pd.DataFrame:

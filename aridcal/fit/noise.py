@@ -44,18 +44,9 @@ def repeats(rows: Dataset, residual: np.ndarray) -> Repeats | None:
         rows: N rows.
         residual: Of each, shape (N, m), in the channels' units; NaN in channels that a row does not measure.
     """
-    # Poses that are the same bit for bit are copies, whatever else their rows say, and tell nothing of the noise. A length
-    # that is read twice alike was rounded.
-    poses = [
-        rows.configuration,
-        rows.position,
-        *([] if rows.rotation is None else [rows.rotation.reshape(len(rows), 9)]),
-        np.where(np.isnan(rows.position[:, 0]), np.arange(len(rows)), -1),
-    ]
-    first = first_alike(pd.DataFrame(np.column_stack(poses))) == np.arange(len(rows))
+    first = ~copies(rows)
     rows, residual = rows.select(first), residual[first]
-    station = np.zeros(len(rows)) if rows.station is None else np.unique(rows.station, return_inverse=True)[1]
-    label = np.unique(np.column_stack([rows.configuration, station]), axis=0, return_inverse=True)[1].reshape(-1)
+    label = places(rows)
     size = np.bincount(label)
     own = size[label] > 1
     groups = int((size > 1).sum())
@@ -83,6 +74,26 @@ def repeats(rows: Dataset, residual: np.ndarray) -> Repeats | None:
     distance = np.concatenate(distances)
     spread = float(distance.mean() + 3.0 * distance.std(ddof=1)) if len(distance) else np.nan
     return Repeats(groups, int(own.sum()), np.array(sigma), np.array(freedom), spread)
+
+
+def copies(rows: Dataset) -> np.ndarray:
+    """True of rows whose pose is that of an earlier row at the same configuration, bit for bit, shape (N,).
+
+    They are copies, whatever else the rows say, and tell nothing of the noise. A length that is read twice alike was rounded.
+    """
+    poses = [
+        rows.configuration,
+        rows.position,
+        *([] if rows.rotation is None else [rows.rotation.reshape(len(rows), 9)]),
+        np.where(np.isnan(rows.position[:, 0]), np.arange(len(rows)), -1),
+    ]
+    return np.asarray(first_alike(pd.DataFrame(np.column_stack(poses))) != np.arange(len(rows)))
+
+
+def places(rows: Dataset) -> np.ndarray:
+    """Number of each row's configuration at its station: rows with the same one are repeats, shape (N,)."""
+    station = np.zeros(len(rows)) if rows.station is None else np.unique(rows.station, return_inverse=True)[1]
+    return np.unique(np.column_stack([rows.configuration, station]), axis=0, return_inverse=True)[1].reshape(-1)
 
 
 def declared_notices(rows: Dataset, estimated: np.ndarray, numbers: float) -> Sequence[str]:

@@ -19,7 +19,7 @@ from pydantic import (
 )
 
 from aridcal.effects.catalogue import KINDS, is_of_head
-from aridcal.errors import CampaignError, nearest
+from aridcal.errors import CampaignError, has_controls, nearest
 from aridcal.inputs.instrument_settings import InstrumentSettings
 from aridcal.inputs.measurement_settings import MeasurementSettings, Names, listed, one_of
 from aridcal.inputs.yaml_file import LARGEST, RelativePath, Section, Settings, Vector3, load_settings
@@ -181,6 +181,55 @@ class DesignSettings(Section):
     """Boxes that neither the arm nor its target may enter."""
 
 
+TURNING = frozenset("\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069\u200e\u200f\u061c")
+"""Characters that change the direction of writing: a serial number would be read backwards."""
+
+
+def _worded(most: int) -> BeforeValidator:
+    """Text on one line: blanks are one blank; no characters that steer, and no more than so many."""
+
+    def check(value: Any) -> str:
+        if not isinstance(value, str):
+            raise ValueError(
+                "should be text: put it in quotes, since YAML reads it otherwise (00123 as 83, no as false)"
+            )
+        text = " ".join(value.split())
+        if not text:
+            raise ValueError("is empty; write what it says or delete the key")
+        if has_controls(text) or not TURNING.isdisjoint(text):
+            raise ValueError("holds a control character; delete it")
+        if len(text) > most:
+            raise ValueError(f"has {len(text):,} characters, and the certificate has room for {most}: shorten it")
+        return text
+
+    return BeforeValidator(check)
+
+
+Line = Annotated[str, _worded(120)]
+
+Paragraph = Annotated[str, _worded(500)]
+
+
+class About(Section):
+    """What the certificate says of a calibration beside its figures; all as the user states it."""
+
+    robot: Line | None = None
+    """Maker and type; default: the URDF's name."""
+    serial_number: Line | None = None
+    instrument: Line | None = None
+    instrument_serial: Line | None = None
+    who: Line | None = None
+    """Who measured."""
+    organisation: Line | None = None
+    date: Line | None = None
+    """Of the measurement; default: that of the files."""
+    environment: Paragraph | None = None
+    """Temperature, humidity, time of warming up."""
+    method: Paragraph | None = None
+    notes: Paragraph | None = None
+    certificate_number: Line | None = None
+
+
 class Job(Settings):
     """What a campaign and a scenario have in common."""
 
@@ -272,6 +321,8 @@ class Campaign(Job):
 
     design: DesignSettings = DesignSettings()
     """For `aridcal design` alone."""
+    about: About | None = None
+    """For the certificate, which is written where this is there."""
 
     _tables: tuple[str | Path | pd.DataFrame, ...] = PrivateAttr(default=())
 

@@ -98,8 +98,8 @@ def _repeats(outcome: Outcome) -> Content:
     repeatability = (
         ""
         if math.isnan(found.repeatability)
-        else f" Repeatability RP of ISO 9283, the mean distance to the centre plus three standard deviations: "
-        f"{number(1e3 * found.repeatability)} mm."
+        else f" Over all of them, the mean distance to the centre plus three standard deviations is "
+        f"{number(1e3 * found.repeatability)} mm{'' if several else ' (RP of each pose: section ISO 9283)'}."
     )
     what = "measurement was repeated" if found.groups == 1 else "measurements were repeated"
     repeated = (

@@ -15,6 +15,7 @@ from aridcal.report.fit_section import fits, verification
 from aridcal.report.head_section import measuring_head
 from aridcal.report.identified_section import identifiable, identified
 from aridcal.report.instruments_section import instruments
+from aridcal.report.iso_section import iso
 from aridcal.report.limits_section import limits, use
 from aridcal.result.controllers import Handover
 from aridcal.result.outcome import Outcome
@@ -93,6 +94,7 @@ def _chapters(outcome: Outcome, handover: Handover, progress: Progress) -> list[
         ("depends", "5. What drives the remaining error?", drives(outcome, progress)),
         ("remains", "6. Where does the calibration hold?", limits(outcome)),
     ]
+    chapters.append(("iso", "ISO 9283", iso(outcome)))
     if outcome.verification is not None:
         chapters.append(("verification", "Verification on another day's data", verification(outcome)))
     if outcome.measurements.blocks and (outcome.head is None or outcome.things):  # a head has a chapter of its own

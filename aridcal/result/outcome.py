@@ -20,6 +20,7 @@ from aridcal.robot.chain import Robot
 from aridcal.search.gains import Diagnosis, NamedEffect
 from aridcal.search.noise_causes import NoiseCauses
 from aridcal.search.residual_trends import Traces
+from aridcal.trust.iso9283 import Iso9283, iso_9283
 from aridcal.trust.uncertainty import Precision
 
 STATISTICS = ("rms", "mean", "median", "p95", "max")
@@ -128,6 +129,14 @@ class Outcome:
         """What was found of the things that the rows refer to."""
         m = self.measurements
         return thing_values(self.stages[-1].fit, m.select(m.train))
+
+    @cached_property
+    def iso(self) -> Iso9283 | None:
+        """Figures by the definitions of ISO 9283; None where no pose of one target was attained twice."""
+        first, last = (
+            (stage.fit.model.frames(stage.fit.theta)[0], stage.residual) for stage in (self.stages[0], self.stages[-1])
+        )
+        return iso_9283(self.measurements, self.outlier, first, last)
 
     def stage(self, name: str) -> Stage:
         """The first or last stage of that name."""

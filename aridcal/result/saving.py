@@ -49,10 +49,7 @@ def calibration(outcome: Outcome) -> SavedModel:
     """The whole model, self-contained."""
     campaign, m = outcome.campaign, outcome.measurements
     used = ~m.test & ~outcome.outlier
-    seen = dict(zip(outcome.robot.readings, m.readings.T, strict=True))
-    final = outcome.stage("final").fit
-    for name in final.model.needs:
-        seen[name] = m.covariates[name]
+    seen, final = seen_in(outcome), outcome.stage("final").fit
     record = {
         "campaign": campaign.text,
         "data": {"files": [f.name for f in m.files], "sha256": m.sha256, "rows": len(m), "train": int(used.sum())},
@@ -83,11 +80,24 @@ def calibration(outcome: Outcome) -> SavedModel:
         "pose" if target.turns else "position",
         campaign.robot.gravity,
         (position, rotation if target.turns else 1.0),
-        {name: (float(np.nanmin(v[used])), float(np.nanmax(v[used]))) for name, v in seen.items()},
+        {name: ends(v) for name, v in seen.items()},
         record,
-        {name: found for name, v in seen.items() if (found := holes(v[used]))},
+        {name: found for name, v in seen.items() if (found := holes(v))},
         largest(std),
     )
+
+
+def seen_in(outcome: Outcome) -> dict[str, np.ndarray]:
+    """What predictions depend on, as the fitted rows have it: readings and covariates by name, shape (n,) each."""
+    m = outcome.measurements
+    used = ~m.test & ~outcome.outlier
+    seen = dict(zip(outcome.robot.readings, m.readings[used].T, strict=True))
+    return seen | {name: m.covariates[name][used] for name in outcome.stage("final").fit.model.needs}
+
+
+def ends(values: np.ndarray) -> tuple[float, float]:
+    """Lowest and highest of some values, shape (N,)."""
+    return float(np.nanmin(values)), float(np.nanmax(values))
 
 
 def _scatter(outcome: Outcome, used: np.ndarray) -> dict[str, dict[str, float]]:
