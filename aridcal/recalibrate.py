@@ -61,7 +61,8 @@ def _main(arguments: argparse.Namespace) -> None:
 def _recalibrate(arguments: argparse.Namespace, before: Path) -> None:
     saved = SavedModel.load(arguments.results)
     content = read_file(before, CampaignError, CALIBRATION)
-    checked = check(saved, read_new_rows(saved, arguments.rows))
+    new = read_new_rows(saved, arguments.rows)
+    checked = check(saved, new.rows, frames=new.frames)
     mended = repaired(saved, checked)
     _write(arguments.out, mended, checked, lineage(saved, before, content, checked))
     console = Console()

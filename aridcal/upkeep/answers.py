@@ -7,8 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from aridcal.inputs.measurement_settings import Units
-from aridcal.result.outcome import said
-from aridcal.upkeep.checking import FALSE_ALARMS, Cause, Checked
+from aridcal.result.outcome import enumerated, said
+from aridcal.upkeep.bounds import FALSE_ALARMS, Bounds
+from aridcal.upkeep.checking import Cause, Checked
 from aridcal.upkeep.repair import Change
 
 MILLI = 1e3
@@ -26,13 +27,14 @@ def check_lines(checked: Checked, changes: Sequence[Change], units: Units) -> li
     rows, error = checked.rows, checked.error
     every = np.ones(len(rows), dtype=bool)
     expected = " and ".join(
-        f"{c.scale * s:.3g} {c.shown}" for c, s in zip(rows.channels, checked.noise.sigma, strict=True)
+        f"{c.scale * s:.3g} {c.shown}"
+        for c, s, seen in zip(rows.channels, checked.noise.sigma, np.atleast_1d(rows.measures.any(axis=0)), strict=True)
+        if seen
     )
-    lines = [
-        _verdict(checked),
-        f"{len(rows)} rows: {said(checked.residual, every, rows)} RMS where the noise is {expected} per axis; the model's own "
-        f"error there is {MILLI * error.estimate:.3f} mm RMS, between {MILLI * error.low:.3f} and {MILLI * error.high:.3f} mm",
-    ]
+    left = f"{len(rows)} rows: {said(checked.residual, every, rows)} RMS where the noise is {expected} per axis"
+    lines = [_verdict(checked), left if error is None else f"{left}; {_error(error)}"]
+    if checked.unseen:
+        lines.append(f"not seen by these rows, whatever moved: {enumerated([s.words for s in checked.unseen])}")
     by_cause = {id(change.cause): change for change in changes}
     for cause in checked.causes:
         lines += _cause_lines(checked, cause, by_cause.get(id(cause)), units)
@@ -40,6 +42,15 @@ def check_lines(checked: Checked, changes: Sequence[Change], units: Units) -> li
         left = "goes with the calibration" if checked.rest.p_value >= FALSE_ALARMS else "is explained by nothing known"
         lines.append(f"what remains {left} (p = {checked.rest.p_value:.2g})")
     return lines
+
+
+def _error(error: Bounds) -> str:
+    """The model's own error, noise taken off."""
+    what = "RMS" if error.axes > 1 else "RMS along what was measured"
+    return (
+        f"the model's own error there is {MILLI * error.estimate:.3f} mm {what}, between {MILLI * error.low:.3f} and "
+        f"{MILLI * error.high:.3f} mm"
+    )
 
 
 def _verdict(checked: Checked) -> str:
@@ -52,7 +63,7 @@ def _verdict(checked: Checked) -> str:
         return f"no longer good: the error is above {limit} ({odd})"
     if checked.contradicted:
         return f"good enough: the error may be within {limit}, though something moved ({odd})"
-    sure = "is" if checked.error.high <= (checked.tolerance or 0.0) else "may be"
+    sure = "is" if checked.error is not None and checked.error.high <= checked.tolerance else "may be"
     return f"still good: the error {sure} within {limit} ({odd})"
 
 

@@ -14,9 +14,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
-from scipy.linalg import solve_triangular
 from scipy.special import logsumexp
 from scipy.stats import f as f_distribution
 
@@ -55,6 +55,7 @@ class Question:
         times: The noise that is accepted, in units of the known.
         dropped: Rows that count no more, shape (N,) bool.
         begin: Where to look for the most likely coefficients, shape (K,).
+        unknown: Coefficients of which only these rows tell, shape (K,) bool.
     """
 
     problem: Problem
@@ -65,19 +66,33 @@ class Question:
     times: float
     dropped: np.ndarray
     begin: np.ndarray
+    unknown: np.ndarray
+
+    @property
+    def counted(self) -> np.ndarray:
+        """Numbers that count: measured, and of rows that were not dropped, shape (N, m) bool."""
+        data = self.problem.data
+        sizes = [channel.size for channel in data.channels]
+        return np.repeat(data.measures, sizes, axis=1) & ~self.dropped[:, None]
+
+    @property
+    def rows(self) -> np.ndarray:
+        """Row of each number that counts, shape (n,)."""
+        return np.nonzero(self.counted)[0]
 
     def at(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Residuals (n,) and columns (n, K) of the rows that count, in sigmas."""
-        pieces = self.problem.pieces(theta)
-        kept = ~self.dropped
-        r = pieces.r[kept] / self.sigma
-        J = pieces.J[kept] / self.sigma[:, None]
-        return r.ravel(), J.reshape(-1, J.shape[2])
+        pieces, counted = self.problem.pieces(theta), self.counted
+        r = pieces.r / self.sigma
+        J = pieces.J / self.sigma[:, None]
+        return r[counted], J[counted]
 
     def with_moved(self, suspect: Suspect, size: float) -> Question:
         """The same with a change of a suspect, of some size, as likely as none."""
-        D = suspect.directions
-        begin = frame_start(self.problem, self.begin, suspect)
+        D, begin = suspect.directions, self.begin
+        if suspect.kind == "frame":
+            first = self.problem.model.coefficients[suspect.touched[0]]
+            begin = frame_start(self.problem, begin, first.where, first.station)
         return replace(self, covariance=self.covariance + size**2 * D @ D.T, begin=begin)
 
 
@@ -97,9 +112,21 @@ class Likely:
     J: np.ndarray
     known: np.ndarray
 
-    def root(self, times: float) -> np.ndarray:
-        """Lower Cholesky factor of what r scatters by with so many times the known noise, shape (n, n)."""
-        return np.linalg.cholesky(times**2 * np.eye(len(self.r)) + self.known)
+    @cached_property
+    def spectrum(self) -> tuple[np.ndarray, np.ndarray]:
+        """Variances (n,) of what is known of r, and its axes in columns (n, n): one for all that the noise may be."""
+        variances, axes = np.linalg.eigh(self.known)
+        return np.maximum(variances, 0.0), axes
+
+    def whitened(self, values: np.ndarray, times: float) -> np.ndarray:
+        """Values (n,) or (n, d) in units of what r scatters by with so many times the known noise, along its own axes."""
+        variances, axes = self.spectrum
+        sigma = np.sqrt(times**2 + variances)
+        return np.asarray(((axes.T @ values).T / sigma).T)
+
+    def squares(self, times: float) -> float:
+        """Of the whole of r, in these units."""
+        return float(np.sum(self.whitened(self.r, times) ** 2))
 
 
 def likely(question: Question, theta: np.ndarray | None = None) -> Likely:
@@ -168,15 +195,21 @@ def alarm(question: Question, suspects: Sequence[Suspect]) -> Alarm:
         suspects: What the rows may show beside the residual as a whole.
     """
     place = likely(question)
-    root = place.root(question.times)
-    z = solve_triangular(root, place.r, lower=True)
-    squares = float(z @ z)
-    smallest = tail(squares, len(z), question.freedom)
+    z = place.whitened(place.r, question.times)
+    squares, numbers = float(z @ z), max(len(z) - taken_up(place.J[:, question.unknown]), 1)
+    smallest = tail(squares, numbers, question.freedom)
     for suspect in suspects:
-        taken, count = _taken(solve_triangular(root, place.J @ suspect.directions, lower=True), z)
+        taken, count = _taken(place.whitened(place.J @ suspect.directions, question.times), z)
         if count:
             smallest = min(smallest, len(suspects) * tail(taken, count, question.freedom))
-    return Alarm(min(1.0, 2.0 * smallest), squares, len(z))
+    return Alarm(min(1.0, 2.0 * smallest), squares, numbers)
+
+
+def taken_up(columns: np.ndarray) -> int:
+    """Numbers that unknowns with some columns, shape (n, u), take up: they fit these whatever they are."""
+    sizes = np.linalg.norm(columns, axis=0)
+    shaped = columns[:, sizes > 0.0] / sizes[sizes > 0.0]
+    return int(np.linalg.matrix_rank(shaped, tol=RANK * max(1.0, np.sqrt(shaped.shape[1])))) if shaped.size else 0
 
 
 def tail(squares: float, count: int, freedom: float) -> float:
@@ -222,12 +255,12 @@ def evidence(place: Likely, times: float, B: np.ndarray, sizes: tuple[float, ...
         sizes: Of the change; one, whatever it is, where there are no columns.
     """
     found = np.empty((len(sizes), len(TIMES)))
+    variances, _ = place.spectrum
     for number, more in enumerate(TIMES):
-        root = place.root(more * times)
-        z = solve_triangular(root, place.r, lower=True)
-        U, w, _ = np.linalg.svd(solve_triangular(root, B, lower=True), full_matrices=False)
+        z = place.whitened(place.r, more * times)
+        U, w, _ = np.linalg.svd(place.whitened(B, more * times), full_matrices=False)
         along = (U.T @ z) ** 2
-        constant = -0.5 * len(z) * np.log(2.0 * np.pi) - float(np.sum(np.log(np.diag(root))))
+        constant = -0.5 * float(np.sum(np.log(2.0 * np.pi * ((more * times) ** 2 + variances))))
         for k, size in enumerate(sizes):
             grown = (size * w) ** 2
             squares = float(z @ z) - float(np.sum(along * grown / (1.0 + grown)))

@@ -13,7 +13,7 @@ import pinocchio as pin
 
 from aridcal import __version__
 from aridcal.errors import MeasurementError
-from aridcal.fit.problem import problem
+from aridcal.inputs.read import ONE_TARGET
 from aridcal.model.model import Model
 from aridcal.result.outcome import errors
 from aridcal.result.saved_model import SavedModel, SolvedModel
@@ -21,6 +21,7 @@ from aridcal.robot.splice import splice_origins, written_origins
 from aridcal.upkeep.checking import Cause, Checked
 from aridcal.upkeep.evidence import covariance_of, likely
 from aridcal.upkeep.suspects import Suspect, widened
+from aridcal.upkeep.unknowns import Wide
 
 
 @dataclass(frozen=True)
@@ -110,10 +111,10 @@ def repaired(saved: SavedModel, checked: Checked) -> Repaired:
             "`aridcal identify`"
         )
     found = likely(checked.question)
-    final = _settled(SolvedModel(checked.wide.model, found.theta, covariance_of(checked.question, found)))
+    final = _settled(checked.unknowns, saved.final, found.theta, covariance_of(checked.question, found))
     moved = [cause.suspect for cause in checked.moved if cause.suspect is not None]
     geometric = _geometric(saved.geometric, checked, found.theta, moved)
-    residual = problem(final.model, checked.rows).residual(final.theta)
+    residual = checked.question.problem.residual(found.theta)
     return Repaired(replace(saved, geometric=geometric, final=final), changes(checked), residual)
 
 
@@ -122,12 +123,30 @@ REMAINING = 1e-3
 in the same rows."""
 
 
-def _settled(solved: SolvedModel) -> SolvedModel:
-    """The same without the coefficients that are 0 and known, and with its frames where they are now."""
-    keep = np.flatnonzero((solved.theta != 0.0) | (np.diag(solved.covariance) > 0.0))
-    model = solved.model.with_coefficients([solved.model.coefficients[k] for k in keep])
-    model, theta = model.recentred(solved.theta[keep])
-    return SolvedModel(model, theta, solved.covariance[np.ix_(keep, keep)])
+def _settled(unknowns: Wide, before: SolvedModel, theta: np.ndarray, covariance: np.ndarray) -> SolvedModel:
+    """The wide model as a calibration again: without what is 0 and known, without instruments, its frames where they are now.
+
+    Args:
+        unknowns: The wide model, K coefficients.
+        before: The calibration's own.
+        theta: Their values now, shape (K,).
+        covariance: Theirs, shape (K, K).
+    """
+    wide = unknowns.solved.model
+    labels = {label for label, _ in before.model.tip_target}
+    own = [unknowns.of_calibration(c) for c in wide.coefficients]
+    strange = wide.at_things | np.array([c.where == "tip_target" and c.station not in {*labels, None} for c in own])
+    keep = np.flatnonzero(((theta != 0.0) | (np.diag(covariance) > 0.0)) & ~strange)
+    world, tip = wide.frames(theta)
+    named = [(None if unknowns.renamed and label == ONE_TARGET else label, frame) for label, frame in tip]
+    model = replace(
+        before.model,
+        coefficients=tuple(own[k] for k in keep),
+        world_base=world,
+        tip_target=tuple((label, frame) for label, frame in named if label in labels),
+    )
+    at_frames = [own[k].basis.constant and own[k].where in ("world_base", "tip_target") for k in keep]
+    return SolvedModel(model, np.where(at_frames, 0.0, theta[keep]), covariance[np.ix_(keep, keep)])
 
 
 def _geometric(before: SolvedModel, checked: Checked, theta: np.ndarray, moved: Sequence[Suspect]) -> SolvedModel:
@@ -145,8 +164,9 @@ def _geometric(before: SolvedModel, checked: Checked, theta: np.ndarray, moved: 
     for suspect in moved:
         if suspect.kind != "effect":
             for k in suspect.touched:
-                now[number[checked.wide.model.coefficients[k]]] += theta[k] - checked.wide.theta[k]
-    return _settled(SolvedModel(wide.model, now, wide.covariance))
+                c = checked.unknowns.of_calibration(checked.wide.model.coefficients[k])
+                now[number[c]] += theta[k] - checked.wide.theta[k]
+    return _settled(Wide(wide, np.zeros(len(now), dtype=bool)), before, now, wide.covariance)
 
 
 def urdf_of(solved: SolvedModel) -> bytes:
