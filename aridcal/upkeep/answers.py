@@ -12,6 +12,10 @@ from aridcal.upkeep.bounds import FALSE_ALARMS, Bounds
 from aridcal.upkeep.checking import Cause, Checked
 from aridcal.upkeep.repair import Change
 
+FAR_OFF = 0.03
+"""[rad] or [m] of a joint's zero beyond which what depends on its reading is no longer what was calibrated: gravity's lever is
+then off by up to a thirtieth."""
+
 MILLI = 1e3
 """[mm] in a metre, [mrad] in a radian."""
 
@@ -73,17 +77,24 @@ def _cause_lines(checked: Checked, cause: Cause, change: Change | None, units: U
     if change is None:
         return [f"odd: {cause.words}{how}"]
     lines = [f"moved: {cause.words}, by {amount(change, checked)}{how}"]
+    depending = any(not c.basis.constant and c.basis.form != "ones" for c in checked.wide.model.coefficients)
+    if cause.kind == "zero" and abs(float(change.value[0])) > FAR_OFF and depending:
+        lines.append(
+            "  effects and gravity loads are those of its readings as they are: set the controller's zero by as much instead, and "
+            "the calibration holds as it is"
+        )
     if cause.alike:
         lines.append(f"  these rows would also allow: {', '.join(cause.alike)}")
         robot = checked.wide.model.robot
-        if cause.telling is None:
+        if not cause.telling:
             lines.append("  no configuration of those tried tells them apart: either repair serves")
-        else:
+        for told in cause.telling[:1]:
             scale = [units.metres if kind == "prismatic" else units.radians for kind in robot.kinds]
-            pairs = zip(robot.readings, (cause.telling / scale).tolist(), strict=True)
-            lines.append(
-                f"  measure this to tell it from {cause.told_from}: {', '.join(f'{name} {value:.4g}' for name, value in pairs)}"
-            )
+            pairs = zip(robot.readings, (told.readings / scale).tolist(), strict=True)
+            at = ", ".join(f"{name} {value:.4g}" for name, value in pairs)
+            lines.append(f"  measure this to tell it from {told.suspect}: {at}")
+            if told.joints:
+                lines.append(f"  (it has {enumerated(told.joints)} where these rows do not reach)")
     return lines
 
 

@@ -18,7 +18,7 @@ from aridcal.upkeep.bounds import FALSE_ALARMS, Bounds, error_of
 from aridcal.upkeep.evidence import TIMES, Alarm, Question, alarm, evidence, likely, taken_up
 from aridcal.upkeep.new_rows import Noise, freedom_of, known_noise
 from aridcal.upkeep.suspects import Suspect, suspects, widened
-from aridcal.upkeep.telling import alike, telling
+from aridcal.upkeep.telling import Telling, alike, telling
 from aridcal.upkeep.unknowns import Wide, wide_of
 
 MOST_CAUSES = 4
@@ -43,8 +43,7 @@ class Cause:
         suspect: What moved; None for rows and noise.
         size: Of its prior once it was accepted.
         alike: Others that these rows do not refute, in words, the best first.
-        told_from: The first of these that a configuration was found for, which would tell; empty where there is none.
-        telling: Readings of that configuration, shape (columns,).
+        telling: Configurations that would tell it from some of these.
     """
 
     kind: str
@@ -54,8 +53,7 @@ class Cause:
     suspect: Suspect | None = None
     size: float = 0.0
     alike: tuple[str, ...] = ()
-    told_from: str = ""
-    telling: np.ndarray | None = None
+    telling: tuple[Telling, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -157,7 +155,7 @@ def check(saved: SavedModel, rows: Dataset, tolerance: float | None = None, fram
     causes: list[Cause] = []
     left = list(every)
     while rest.p_value < FALSE_ALARMS and len(causes) < MOST_CAUSES:
-        cause, question = _next(saved, question, left, rows)
+        cause, question = _next(saved, unknowns, question, left, rows)
         causes.append(cause)
         left = [s for s in left if s is not cause.suspect]
         rest = alarm(question, left)
@@ -196,7 +194,9 @@ def seen_by(question: Question, every: Sequence[Suspect]) -> tuple[tuple[Suspect
     )
 
 
-def _next(saved: SavedModel, question: Question, left: Sequence[Suspect], rows: Dataset) -> tuple[Cause, Question]:
+def _next(
+    saved: SavedModel, unknowns: Wide, question: Question, left: Sequence[Suspect], rows: Dataset
+) -> tuple[Cause, Question]:
     """The most probable of all that could explain the rows, and the rows with it allowed for."""
     found = []
     for suspect in left:
@@ -231,9 +231,5 @@ def _next(saved: SavedModel, question: Question, left: Sequence[Suspect], rows: 
     if cause.suspect is None:
         return cause, freed
     others = alike(freed, cause.suspect, question, left)
-    cause = replace(cause, alike=tuple(s.words for s, _ in others))
-    for suspect, other in others:
-        readings = telling(saved, freed, other)
-        if readings is not None:
-            return replace(cause, told_from=suspect.words, telling=readings), freed
-    return cause, freed
+    found_apart = telling(saved, unknowns, freed, others)
+    return replace(cause, alike=tuple(s.words for s, _ in others), telling=found_apart), freed

@@ -43,6 +43,7 @@ class Suspect:
         words: What it is called.
         directions: Shape (K, d), in coefficients of the wide model; of a change of size 1.
         sizes: That it may have.
+        turns: True of the zero of a joint that turns: it may be anywhere around.
     """
 
     kind: str
@@ -50,6 +51,7 @@ class Suspect:
     words: str
     directions: np.ndarray
     sizes: tuple[float, ...]
+    turns: bool = False
 
     @property
     def touched(self) -> np.ndarray:
@@ -86,7 +88,9 @@ def suspects(wide: SolvedModel, rows: Dataset, new: Collection[tuple[str, str | 
         return directions
 
     found = [
-        Suspect("zero", joint.name, f"the zero of {joint.name}", along([_zero(joint)]), SIZES)
+        Suspect(
+            "zero", joint.name, f"the zero of {joint.name}", along([_zero(joint)]), SIZES, joint.kind != "prismatic"
+        )
         for joint in model.robot.joints
     ]
     stations = set() if rows.station is None else set(rows.station.tolist())

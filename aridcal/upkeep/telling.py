@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from aridcal.inputs.read import ONE_TARGET
 from aridcal.model.model import Rows
+from aridcal.planning.beforehand import bodies
+from aridcal.planning.clearance import clear
 from aridcal.result.saved_model import SavedModel
+from aridcal.robot.kinematics import joint_frames
 from aridcal.upkeep.evidence import Question, covariance_of, likely
+from aridcal.upkeep.new_rows import LEAST
 from aridcal.upkeep.suspects import Suspect
+from aridcal.upkeep.unknowns import Wide
 
 ALIKE = 4.0
 """Squares by which another cause may fit worse and still not be refuted: two sigma."""
@@ -42,32 +48,84 @@ def _squares(question: Question) -> float:
     return likely(question).squares(question.times)
 
 
-def telling(saved: SavedModel, question: Question, other: Question) -> np.ndarray | None:
-    """Readings (columns,) at which two explanations differ most, of some within what was calibrated; None if too little."""
-    model = question.problem.model
-    robot = model.robot
-    rng = np.random.default_rng(0)
+@dataclass(frozen=True)
+class Telling:
+    """A configuration to measure.
+
+    Attributes:
+        suspect: What it would tell apart from what was named, in words.
+        readings: Shape (columns,), [rad] or [m].
+        joints: Those that stand farther from the rows than these reach.
+    """
+
+    suspect: str
+    readings: np.ndarray
+    joints: tuple[str, ...]
+
+
+def telling(
+    saved: SavedModel, unknowns: Wide, question: Question, others: Sequence[tuple[Suspect, Question]]
+) -> tuple[Telling, ...]:
+    """For each explanation that the rows do not refute, the configuration at which it differs most from the one named.
+
+    Looked through are some in which the robot was calibrated, clear of itself and of what the campaign keeps it out of. What is
+    compared is the pose of the target, measured as well as the calibration's own rows; where no configuration tells, none is
+    given.
+
+    Args:
+        saved: The calibration.
+        unknowns: The wide model.
+        question: The rows with what was named free to move.
+        others: Each with another suspect free to move in its place.
+    """
+    if not others:
+        return ()
+    model, theta = question.problem.model, question.theta
+    readings = _clear(saved)
+    rows = _of_target(saved, unknowns, question, readings)
+    _, _, J = model.jacobian(theta, rows)
+    sigma = np.repeat(saved.scatter[0], 3)[: 6 if saved.kind == "pose" else 3]
+    J = J[:, : len(sigma)] / (question.times * np.maximum(sigma, LEAST))[:, None]
+    named = likely(question)
+    known = covariance_of(question, named)
+    found = []
+    for suspect, other in others:
+        place = likely(other)
+        apart = J @ (named.theta - place.theta)
+        sure = np.eye(J.shape[1]) + J @ (0.5 * (known + covariance_of(other, place))) @ J.transpose(0, 2, 1)
+        distance = np.einsum("ni,ni->n", apart, np.linalg.solve(sure, apart[:, :, None])[:, :, 0])
+        best = int(np.argmax(distance))
+        if distance[best] > TELLS**2:
+            found.append(Telling(suspect.words, readings[best], _elsewhere(question, readings[best])))
+    return tuple(found)
+
+
+def _clear(saved: SavedModel) -> np.ndarray:
+    """Readings where the robot was calibrated, in which it touches nothing, shape (n, columns)."""
+    robot = saved.final.model.robot
     low, high = np.array([saved.ranges[name] for name in robot.readings]).T
-    readings = rng.uniform(low, high, (TRIED, len(low)))
-    middle = {name: np.full(TRIED, np.mean(saved.ranges[name])) for name in model.needs if name in saved.ranges}
-    given: Rows = question.problem.rows
-    rows = replace(
-        model.rows(readings, middle, *_labels(question)),
-        world=np.full(TRIED, given.world[0]),
-        tip=np.full(TRIED, given.tip[0]),
-    )
-    _, _, J = model.jacobian(question.theta, rows)
-    J = J[:, : len(question.sigma)] / (question.times * question.sigma)[:, None]
-    places = likely(question), likely(other)
-    apart = J @ (places[0].theta - places[1].theta)
-    covariance = 0.5 * (covariance_of(question, places[0]) + covariance_of(other, places[1]))
-    sure = np.eye(J.shape[1]) + J @ covariance @ J.transpose(0, 2, 1)
-    distance = np.einsum("ni,ni->n", apart, np.linalg.solve(sure, apart[:, :, None])[:, :, 0])
-    best = int(np.argmax(distance))
-    return readings[best] if distance[best] > TELLS**2 else None
+    readings = np.random.default_rng(0).uniform(low, high, (TRIED, len(low)))
+    boxes = saved.campaign.design.keep_out if saved.campaign is not None else ()
+    _, places = joint_frames(robot, readings)
+    good = clear(robot, boxes, bodies(boxes, robot), readings, places[:, -1])
+    return readings[good] if good.any() else readings
 
 
-def _labels(question: Question) -> tuple[np.ndarray | None]:
-    """Station of each configuration tried: that of the first row."""
-    station = question.problem.data.station
-    return (None if station is None else np.repeat(station[:1], TRIED),)
+def _of_target(saved: SavedModel, unknowns: Wide, question: Question, readings: np.ndarray) -> Rows:
+    """The calibration's own target in some configurations, as the wide model sees them."""
+    model, data = question.problem.model, question.problem.data
+    n = len(readings)
+    middle = {name: np.full(n, np.mean(saved.ranges[name])) for name in model.needs if name in saved.ranges}
+    known = [label for label, _ in saved.final.model.tip_target]
+    label = ONE_TARGET if unknowns.renamed else known[0]
+    target = None if label is None or data.target is None else np.full(n, label)
+    station = None if data.station is None else np.repeat(data.station[:1], n)
+    return model.rows(readings, middle, station, target)
+
+
+def _elsewhere(question: Question, readings: np.ndarray) -> tuple[str, ...]:
+    """Joints of a configuration that stand farther from the middle of the rows than these do from each other."""
+    data = question.problem.data
+    middle, width = data.readings.mean(axis=0), np.ptp(data.readings, axis=0)
+    far = np.abs(readings - middle) > width
+    return tuple(name for name, apart in zip(data.names, far.tolist(), strict=True) if apart)

@@ -25,7 +25,7 @@ from aridcal.result.saved_model import SolvedModel
 from aridcal.upkeep.realign import frame_start
 
 WIDE = 1.0
-"""Times what counts as a metre or a radian: the sigma of what is unknown. No start is off by that, so that it pulls at nothing."""
+"""Times what counts as a metre or a radian: the sigma of what is unknown. No start is off by that, so that it holds nothing."""
 
 Place = tuple[str, str | None]
 """``world_base`` or ``tip_target``, and the label of the frame there."""
