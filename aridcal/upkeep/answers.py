@@ -39,6 +39,9 @@ def check_lines(checked: Checked, changes: Sequence[Change], units: Units) -> li
     lines = [_verdict(checked), left if error is None else f"{left}; {_error(error)}"]
     if checked.unseen:
         lines.append(f"not seen by these rows, whatever moved: {enumerated([s.words for s in checked.unseen])}")
+    for change in changes:
+        if change.cause.kind == "new":
+            lines.append(f"fitted anew: {change.cause.words}, {amount(change, checked)} from where it was")
     by_cause = {id(change.cause): change for change in changes}
     for cause in checked.causes:
         lines += _cause_lines(checked, cause, by_cause.get(id(cause)), units)
@@ -80,8 +83,8 @@ def _cause_lines(checked: Checked, cause: Cause, change: Change | None, units: U
     depending = any(not c.basis.constant and c.basis.form != "ones" for c in checked.wide.model.coefficients)
     if cause.kind == "zero" and abs(float(change.value[0])) > FAR_OFF and depending:
         lines.append(
-            "  effects and gravity loads are those of its readings as they are: set the controller's zero by as much instead, and "
-            "the calibration holds as it is"
+            "  effects and gravity loads are those of its readings as they are: set the controller's zero by as much instead, "
+            "and the calibration holds as it is"
         )
     if cause.alike:
         lines.append(f"  these rows would also allow: {', '.join(cause.alike)}")
@@ -104,12 +107,13 @@ def amount(change: Change, checked: Checked) -> str:
     if change.cause.kind == "zero":
         unit = "mm" if change.units[0] == "m" else "mrad"
         return f"{MILLI * value[0]:+.3f} ± {MILLI * std[0]:.3f} {unit}"
-    if change.cause.kind == "frame":
+    if change.cause.kind in ("frame", "new"):
         parts = []
         for unit, shown in (("m", "mm"), ("rad", "mrad")):
             own = [u == unit for u in change.units]
             if any(own):
-                parts.append(f"{MILLI * float(np.linalg.norm(value[own])):.3f} {shown}")
+                size, sure = (MILLI * float(np.linalg.norm(each[own])) for each in (value, std))
+                parts.append(f"{size:.3f} ± {sure:.3f} {shown}")
         return " and ".join(parts)
     suspect = change.cause.suspect
     assert suspect is not None

@@ -172,9 +172,9 @@ def _with_targets(saved: SavedModel, rows: Dataset, other: bool) -> Dataset:
         names = [OWN_TARGETS.get(b.kind, lambda title: ONE_TARGET)(b.name) for b in rows.blocks]
         rows = replace(rows, target=np.array(names)[rows.block])
     if rows.target is None and saved.frames_by == "target":
-        names = listed([str(label) for label in known])
+        several = listed([str(label) for label in known])
         raise MeasurementError(
-            f"{rows.title}: the calibration has several targets ({names}); add a column `target` that says which each row is of"
+            f"{rows.title}: the calibration has several targets ({several}); add a column `target` that says which each row is of"
         )
     if known != [None] or rows.target is None:
         return _plain(rows)

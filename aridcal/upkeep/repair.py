@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,7 @@ import numpy as np
 import pinocchio as pin
 
 from aridcal import __version__
+from aridcal.effects.effect import ANGULAR, FRAME_COMPONENTS, Coefficient
 from aridcal.errors import MeasurementError
 from aridcal.inputs.read import ONE_TARGET
 from aridcal.model.model import Model
@@ -21,7 +22,7 @@ from aridcal.robot.splice import splice_origins, written_origins
 from aridcal.upkeep.checking import Cause, Checked
 from aridcal.upkeep.evidence import covariance_of, likely
 from aridcal.upkeep.suspects import Suspect, widened
-from aridcal.upkeep.unknowns import Wide
+from aridcal.upkeep.unknowns import Place, Wide
 
 
 @dataclass(frozen=True)
@@ -71,7 +72,41 @@ def changes(checked: Checked) -> tuple[Change, ...]:
         names = tuple(model.names[k] for k in own)
         units = tuple(_unit(model, int(k)) for k in own)
         said.append(Change(cause, names, units, moved[own], std[own]))
-    return tuple(said)
+    return (*_anew(checked, found.theta, std), *said)
+
+
+def _anew(checked: Checked, theta: np.ndarray, std: np.ndarray) -> Iterator[Change]:
+    """Frames that the rows' own campaign calls new: from where they were, along and about their own axes."""
+    unknowns = checked.unknowns
+    model = unknowns.solved.model
+    own = [unknowns.of_calibration(c) for c in model.coefficients]
+    now = _frames_now(unknowns, theta)
+    before = _frames_now(replace(unknowns, solved=unknowns.before, renamed=False), unknowns.before.theta)
+    for where, label in unknowns.anew:
+        step = before[where, label].inverse() * now[where, label]
+        value = np.concatenate([step.translation, pin.log3(step.rotation)])
+        place = [
+            next(k for k, c in enumerate(own) if c == Coefficient(where, component, station=label))
+            for component in FRAME_COMPONENTS
+        ]
+        words = "the base (or the instrument)" if where == "world_base" else "the tool (or the target on it)"
+        name = where if label is None else f"{where}[{label}]"
+        kept = [i for i, k in enumerate(place) if unknowns.unknown[k]]
+        yield Change(
+            Cause("new", name, words, 1.0),
+            tuple(model.names[place[i]] for i in kept),
+            tuple("rad" if FRAME_COMPONENTS[i] in ANGULAR else "m" for i in kept),
+            value[kept],
+            std[[place[i] for i in kept]],
+        )
+
+
+def _frames_now(unknowns: Wide, theta: np.ndarray) -> dict[Place, pin.SE3]:
+    """All frames of the wide model, as the calibration labels them."""
+    world, tip = unknowns.solved.model.frames(theta)
+    renamed = [(None if unknowns.renamed and label == ONE_TARGET else label, frame) for label, frame in tip]
+    named = (("world_base", world), ("tip_target", renamed))
+    return {(where, label): frame for where, frames in named for label, frame in frames}
 
 
 def _unit(model: Model, k: int) -> str:
@@ -93,12 +128,12 @@ def repaired(saved: SavedModel, checked: Checked) -> Repaired:
         MeasurementError: nothing moved, or what moved cannot be told from these rows.
     """
     where = checked.rows.title
-    if not checked.contradicted:
+    if not checked.contradicted and not checked.unknowns.anew:
         raise MeasurementError(
             f"{where}: nothing moved: these rows go with the calibration as it is (p = {checked.first.p_value:.2g}); "
             "go on using it"
         )
-    if not checked.moved:
+    if checked.contradicted and not checked.moved:
         words = "; ".join(cause.words for cause in checked.causes)
         raise MeasurementError(
             f"{where}: no part of the robot moved, so that there is nothing to repair. What is odd is {words}; look at the "
@@ -113,7 +148,7 @@ def repaired(saved: SavedModel, checked: Checked) -> Repaired:
     found = likely(checked.question)
     final = _settled(checked.unknowns, saved.final, found.theta, covariance_of(checked.question, found))
     moved = [cause.suspect for cause in checked.moved if cause.suspect is not None]
-    geometric = _geometric(saved.geometric, checked, found.theta, moved)
+    geometric = _with_new_frames(_geometric(saved.geometric, checked, found.theta, moved), checked.unknowns, final)
     residual = checked.question.problem.residual(found.theta)
     return Repaired(replace(saved, geometric=geometric, final=final), changes(checked), residual)
 
@@ -166,7 +201,20 @@ def _geometric(before: SolvedModel, checked: Checked, theta: np.ndarray, moved: 
             for k in suspect.touched:
                 c = checked.unknowns.of_calibration(checked.wide.model.coefficients[k])
                 now[number[c]] += theta[k] - checked.wide.theta[k]
-    return _settled(Wide(wide, np.zeros(len(now), dtype=bool)), before, now, wide.covariance)
+    return _settled(Wide(wide, wide, np.zeros(len(now), dtype=bool)), before, now, wide.covariance)
+
+
+def _with_new_frames(geometric: SolvedModel, unknowns: Wide, final: SolvedModel) -> SolvedModel:
+    """The geometric stage with frames that were fitted anew moved as the final stage's were."""
+    model = geometric.model
+    placed = {"world_base": dict(model.world_base), "tip_target": dict(model.tip_target)}
+    before = _frames_now(replace(unknowns, solved=unknowns.before, renamed=False), unknowns.before.theta)
+    after = {"world_base": dict(final.model.world_base), "tip_target": dict(final.model.tip_target)}
+    for where, label in unknowns.anew:
+        old, new, own = before[where, label], after[where][label], placed[where][label]
+        placed[where][label] = new * old.inverse() * own if where == "world_base" else own * old.inverse() * new
+    world, tip = (tuple(placed[where].items()) for where in ("world_base", "tip_target"))
+    return replace(geometric, model=replace(model, world_base=world, tip_target=tip))
 
 
 def urdf_of(solved: SolvedModel) -> bytes:
@@ -204,6 +252,7 @@ def lineage(saved: SavedModel, calibration: Path, content: bytes, checked: Check
             "left_out": sorted(int(line) for line in rows.line[~used]),
         },
         "moved": [cause.where for cause in checked.moved],
+        "fitted_anew": [where if label is None else f"{where}[{label}]" for where, label in checked.unknowns.anew],
         "aridcal": __version__,
         "before": saved.record.get("lineage"),
     }

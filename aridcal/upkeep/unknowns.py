@@ -36,16 +36,26 @@ class Wide:
     """A calibrated model beside new rows.
 
     Attributes:
+        before: As calibrated.
         solved: With a coefficient for everything that may have moved and for everything unknown, K of them.
         unknown: Coefficients of which only these rows tell, shape (K,) bool.
         new: Frames of which only these rows tell.
         renamed: True where the only target of the calibration is called ``ONE_TARGET`` here, for there are others.
     """
 
+    before: SolvedModel
     solved: SolvedModel
     unknown: np.ndarray
     new: frozenset[Place] = frozenset()
     renamed: bool = False
+
+    @property
+    def anew(self) -> tuple[Place, ...]:
+        """Frames of the calibration that are fitted anew, as the calibration labels them."""
+        own = [(where, None if self.renamed and label == ONE_TARGET else label) for where, label in self.new]
+        frames = {"world_base": self.before.model.world_base, "tip_target": self.before.model.tip_target}
+        known = {(where, label) for where in frames for label, _ in frames[where]}
+        return tuple(sorted(known & set(own), key=str))
 
     def of_calibration(self, c: Coefficient) -> Coefficient:
         """A coefficient as the calibration knows it."""
@@ -90,9 +100,10 @@ def wide_of(solved: SolvedModel, rows: Dataset, frames: FrameChoice | None = Non
         for where, label in sorted(new, key=str):
             theta = frame_start(asked, theta, where, label)
         model, theta = model.recentred(theta)
-        return Wide(SolvedModel(model, theta, covariance), seen, frozenset(new))
+        return Wide(solved, SolvedModel(model, theta, covariance), seen, frozenset(new))
     model, theta, covariance, of_things = _with_things(_placed(model, theta, rows, new), theta, covariance, rows)
-    return Wide(SolvedModel(model, theta, covariance), np.concatenate([seen, of_things]), frozenset(new), renamed)
+    unknown = np.concatenate([seen, of_things])
+    return Wide(solved, SolvedModel(model, theta, covariance), unknown, frozenset(new), renamed)
 
 
 def _with_targets(model: Model, rows: Dataset) -> Model:
