@@ -19,6 +19,7 @@ from aridcal.__main__ import main
 from aridcal.effects.basis import Basis
 from aridcal.effects.effect import Coefficient
 from aridcal.errors import MeasurementError
+from aridcal.fit.constants import urdf_of
 from aridcal.inputs.measurement_settings import Units
 from aridcal.result.folder import write_results
 from aridcal.result.pipeline import identify
@@ -26,7 +27,7 @@ from aridcal.result.saved_model import SavedModel
 from aridcal.robot.chain import parse_robot
 from aridcal.upkeep.answers import check_lines
 from aridcal.upkeep.checking import check
-from aridcal.upkeep.repair import changes, repaired, urdf_of
+from aridcal.upkeep.repair import changes, repaired
 
 NAMES = robots.ur10().readings
 
@@ -111,7 +112,7 @@ def test_the_urdf_has_the_zero_in_it(joint):
     """Pinocchio on the URDF alone, and the model, are one robot."""
     m = machine(3)
     mended = repaired(m.saved, check(m.saved, m.measured(m.configurations(10), jump(joint, 0.3)))).saved
-    urdf = urdf_of(mended.geometric)
+    urdf = urdf_of(mended.geometric.model, mended.geometric.theta)
     tree = pin.buildModelFromXML(urdf.decode())
     data = tree.createData()
     tip = tree.getFrameId("tool0")

@@ -10,6 +10,7 @@ from aridcal.inputs.measurement_settings import Units
 from aridcal.result.outcome import enumerated, said
 from aridcal.upkeep.bounds import FALSE_ALARMS, Bounds
 from aridcal.upkeep.checking import Cause, Checked
+from aridcal.upkeep.outcomes import RepairOutcomes
 from aridcal.upkeep.repair import Change
 
 FAR_OFF = 0.03
@@ -49,6 +50,16 @@ def check_lines(checked: Checked, changes: Sequence[Change], units: Units) -> li
         left = "goes with the calibration" if checked.rest.p_value >= FALSE_ALARMS else "is explained by nothing known"
         lines.append(f"what remains {left} (p = {checked.rest.p_value:.2g})")
     return lines
+
+
+def left_out_line(made: RepairOutcomes) -> str:
+    """The errors of the new rows before, after, and with what moved fitted to the others alone."""
+    m = made.rows.measurements
+    every = ~made.rows.outlier & ~m.test
+    after = made.rows.stage("final").residual
+    before, now, left = (said(residual, every, m) for residual in (made.before, after, made.left_out))
+    held = f"; {said(after, m.test, m)} on {int(m.test.sum())} held-out rows" if m.test.any() else ""
+    return f"error of the new rows: {before} before, {now} after, {left} where each is left out{held}"
 
 
 def _error(error: Bounds) -> str:

@@ -159,7 +159,7 @@ def check(saved: SavedModel, rows: Dataset, tolerance: float | None = None, fram
         causes.append(cause)
         left = [s for s in left if s is not cause.suspect]
         rest = alarm(question, left)
-    residual = start.problem.residual(_with_unknowns(start))
+    residual = start.problem.residual(with_unknowns(start))
     taken = taken_up(start.at(wide.theta)[1][:, unknowns.unknown])
     error = error_of(rows, residual, noise.sigma, ~start.dropped, taken)
     if tolerance is not None and error is None:
@@ -172,7 +172,7 @@ def check(saved: SavedModel, rows: Dataset, tolerance: float | None = None, fram
     )
 
 
-def _with_unknowns(question: Question) -> np.ndarray:
+def with_unknowns(question: Question) -> np.ndarray:
     """Coefficients (K,) of the calibration as it is, with what only the new rows tell fitted to them."""
     if not question.unknown.any():
         return question.theta

@@ -2,23 +2,17 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
-from aridcal import __version__
 from aridcal.effects.effect import ANGULAR, FRAME_COMPONENTS, Coefficient
 from aridcal.errors import MeasurementError
 from aridcal.inputs.read import ONE_TARGET
 from aridcal.model.model import Model
-from aridcal.result.outcome import errors
 from aridcal.result.saved_model import SavedModel, SolvedModel
-from aridcal.robot.splice import splice_origins, written_origins
 from aridcal.upkeep.checking import Cause, Checked
 from aridcal.upkeep.evidence import covariance_of, likely
 from aridcal.upkeep.suspects import Suspect, widened
@@ -215,75 +209,3 @@ def _with_new_frames(geometric: SolvedModel, unknowns: Wide, final: SolvedModel)
         placed[where][label] = new * old.inverse() * own if where == "world_base" else own * old.inverse() * new
     world, tip = (tuple(placed[where].items()) for where in ("world_base", "tip_target"))
     return replace(geometric, model=replace(model, world_base=world, tip_target=tip))
-
-
-def urdf_of(solved: SolvedModel) -> bytes:
-    """The user's URDF with a model's constants folded into the joints' own origins, zeros of joints included."""
-    robot, model = solved.model.robot, solved.model
-    origins = dict(model.origins(solved.theta))
-    for k, c in enumerate(model.coefficients):
-        if c.basis.form == "ones":
-            joint = robot.joint(c.where)
-            turn = pin.AngleAxis(float(solved.theta[k]), joint.axis).matrix()
-            slide = pin.SE3(np.eye(3), float(solved.theta[k]) * joint.axis)
-            own = slide if joint.kind == "prismatic" else pin.SE3(turn, np.zeros(3))
-            origins[joint.name] = origins.get(joint.name, joint.origin) * own
-    return splice_origins(robot.urdf, written_origins(robot.urdf, origins))
-
-
-def lineage(saved: SavedModel, calibration: Path, content: bytes, checked: Checked) -> dict[str, Any]:
-    """Where a repaired calibration comes from: the one before, and the rows that changed it.
-
-    Args:
-        saved: The calibration before.
-        calibration: Its file.
-        content: That file's bytes.
-        checked: What the rows said.
-    """
-    rows = checked.rows
-    used = ~checked.question.dropped
-    return {
-        "from": str(calibration),
-        "sha256": hashlib.sha256(content).hexdigest(),
-        "rows": {
-            "files": [file.name for file in rows.files],
-            "sha256": rows.sha256,
-            "used": sorted(int(line) for line in rows.line[used]),
-            "left_out": sorted(int(line) for line in rows.line[~used]),
-        },
-        "moved": [cause.where for cause in checked.moved],
-        "fitted_anew": [where if label is None else f"{where}[{label}]" for where, label in checked.unknowns.anew],
-        "aridcal": __version__,
-        "before": saved.record.get("lineage"),
-    }
-
-
-def document(checked: Checked, mended: Repaired, parents: dict[str, Any]) -> dict[str, Any]:
-    """`result.json` of a repair: the new rows' errors before and after, what moved, and the lineage."""
-    rows = checked.rows
-    used = ~checked.question.dropped
-    return {
-        "format": 1,
-        "n": {"rows": len(rows) + len(rows.refused), "used": int(used.sum()), "refused": len(rows.refused)},
-        "error": {
-            "before": {"new_rows": errors(checked.residual, used, rows.channels)},
-            "after": {"new_rows": errors(mended.residual, used, rows.channels)},
-        },
-        "noise": {c.key: c.scale * float(s) for c, s in zip(rows.channels, checked.noise.sigma, strict=True)},
-        "moved": [
-            {
-                "kind": change.cause.kind,
-                "where": change.cause.where,
-                "probability": change.cause.probability,
-                "not_refuted": list(change.cause.alike),
-                "changes": [
-                    {"name": name, "unit": unit, "value": float(value), "std": float(std)}
-                    for name, unit, value, std in zip(change.names, change.units, change.value, change.std, strict=True)
-                ],
-            }
-            for change in mended.changes
-        ],
-        "p_value": {"before": checked.first.p_value, "after": checked.rest.p_value},
-        "lineage": parents,
-        "version": __version__,
-    }
