@@ -64,12 +64,12 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _main(arguments: argparse.Namespace) -> int:
     saved = SavedModel.load(arguments.results)
-    rows = read_new_rows(saved, arguments.rows)
-    checked = check(saved, rows, arguments.tolerance)
+    new = read_new_rows(saved, arguments.rows)
+    checked = check(saved, new.rows, arguments.tolerance, new.frames)
     console = Console()
     for line in check_lines(checked, changes(checked), saved.measurements.units):
         console.print(line, markup=False, highlight=False, soft_wrap=True)
-    for remark in (*rows.refused, *rows.notices):
+    for remark in (*new.rows.refused, *new.rows.notices):
         console.print(f"note: {remark}", markup=False, highlight=False, soft_wrap=True)
     return DONE if checked.good else NOT_GOOD
 

@@ -1,8 +1,8 @@
 """Mend a calibration with 5 to 20 new rows after something changed: a motor, the tool, the place of the base.
 
 What moved is found as `aridcal check` does. Only that is fitted; everything else, effects included, is kept as well as it was
-known. Written are calibration.yaml, calibrated.urdf, model.urdf where there are effects, and result.json with what moved and
-with the lineage: the file of the calibration before, its hash, and the rows that were used.
+known. The folder has all files of a calibration, result.json with what moved, its errors before, after and with each row left
+out, and the lineage: the file of the calibration before, its hash, and the rows that were used.
 
 Nothing is written where nothing moved, where the rows alone are odd, or where a few moved parts do not explain them: then exit
 status 2, and what to do.
@@ -19,19 +19,28 @@ import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 
 from aridcal.command_line import CommandParser, command_parser, run
+from aridcal.drawing.scene import write_scene
 from aridcal.errors import CampaignError, OutputError
+from aridcal.fit.constants import urdf_of
 from aridcal.reading.files import CALIBRATION, read_file
 from aridcal.reading.names import path_argument
+from aridcal.report.repair_page import write_repair_report
+from aridcal.result.controllers import hand_over, write_controllers
+from aridcal.result.folder import residual_table
 from aridcal.result.saved_model import SavedModel
 from aridcal.result_folder import RESULT_FILES
-from aridcal.upkeep.answers import check_lines
+from aridcal.showing import Progress, told_on
+from aridcal.upkeep.answers import check_lines, left_out_line
 from aridcal.upkeep.checking import Checked, check
+from aridcal.upkeep.documents import document, figures_before, lineage
 from aridcal.upkeep.new_rows import read_new_rows
-from aridcal.upkeep.repair import Repaired, document, lineage, repaired, urdf_of
+from aridcal.upkeep.outcomes import RepairOutcomes, repair_outcomes
+from aridcal.upkeep.repair import Repaired, repaired
 from aridcal.writing.files import atomic_folder, claimed
 
 
@@ -61,25 +70,48 @@ def _main(arguments: argparse.Namespace) -> None:
 def _recalibrate(arguments: argparse.Namespace, before: Path) -> None:
     saved = SavedModel.load(arguments.results)
     content = read_file(before, CampaignError, CALIBRATION)
-    checked = check(saved, read_new_rows(saved, arguments.rows))
-    mended = repaired(saved, checked)
-    _write(arguments.out, mended, checked, lineage(saved, before, content, checked))
+    with told_on(Console(stderr=True)) as progress:
+        progress("asking what moved")
+        new = read_new_rows(saved, arguments.rows)
+        checked = check(saved, new.rows, frames=new.frames)
+        mended = repaired(saved, checked)
+        lines = check_lines(checked, mended.changes, saved.measurements.units)
+        progress("setting the repair beside the rows")
+        made = repair_outcomes(saved, checked, mended)
+        parents = lineage(saved, before, content, checked)
+        notices = _write(arguments.out, made, checked, mended, parents, lines, figures_before(before), progress)
     console = Console()
-    for line in check_lines(checked, mended.changes, saved.measurements.units):
+    for line in (*lines, left_out_line(made), *(f"note: {notice}" for notice in notices)):
         console.print(line, markup=False, highlight=False, soft_wrap=True)
-    console.print(f"repaired: {arguments.out}", soft_wrap=True, markup=False, highlight=False)
+    console.print(f"repaired: {arguments.out / 'report.html'}", soft_wrap=True, markup=False, highlight=False)
 
 
-def _write(out: Path, mended: Repaired, checked: Checked, parents: dict[str, object]) -> None:
-    """Write the folder's files."""
+def _write(
+    out: Path,
+    made: RepairOutcomes,
+    checked: Checked,
+    mended: Repaired,
+    parents: dict[str, Any],
+    lines: list[str],
+    figures: dict[str, Any],
+    progress: Progress,
+) -> tuple[str, ...]:
+    """Write the folder's files; returns what could not be drawn."""
     saved = replace(mended.saved, record=mended.saved.record | {"lineage": parents})
     with atomic_folder(out, RESULT_FILES) as stage:
         (stage / "calibration.yaml").write_text(saved.dump(), encoding="utf-8")
-        (stage / "calibrated.urdf").write_bytes(urdf_of(saved.geometric))
+        (stage / "calibrated.urdf").write_bytes(urdf_of(saved.geometric.model, saved.geometric.theta))
         if any(c.basis.form not in ("1", "ones") for c in saved.final.model.coefficients):
-            (stage / "model.urdf").write_bytes(urdf_of(saved.final))
-        found = document(checked, mended, parents)
+            (stage / "model.urdf").write_bytes(urdf_of(saved.final.model, saved.final.theta))
+        found = document(made, checked, mended, parents, figures)
         (stage / "result.json").write_text(json.dumps(found, indent=2, allow_nan=False) + "\n")
+        residual_table(made.rows).to_csv(stage / "residuals.csv", index=False, float_format="%.9g")
+        progress("working out what controllers can be given")
+        handover = hand_over(made.model)
+        write_controllers(made.model, handover, stage)
+        progress("drawing the report and the scene")
+        notices = write_repair_report(made, checked, mended, parents, lines, handover, stage / "report.html")
+        return (*notices, *write_scene(made.rows, stage / "scene.html"))
 
 
 if __name__ == "__main__":

@@ -108,7 +108,7 @@ def real(results: Path, table: Path, draws: int) -> None:
         some = every.iloc[np.sort(np.random.default_rng(draw).choice(len(every), 15, replace=False))]
         for joint in saved.final.model.robot.readings[1:-1]:
             rows = some.assign(**{joint: some[joint] + OFF})
-            found = check(saved, read_new_rows(saved, rows))
+            found = check(saved, read_new_rows(saved, rows).rows)
             own = [c for c in changes(found) if (c.cause.kind, c.cause.where) == ("zero", joint)]
             said = [f"{1e3 * c.value[0]:+.3f} ± {1e3 * c.std[0]:.3f} mrad" for c in own] or ["not named"]
             causes = ", ".join(f"{c.where} {c.probability:.2f}" for c in found.causes)

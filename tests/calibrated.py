@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 import robots
+import yaml
 from scipy.spatial.transform import Rotation
 
 from aridcal.effects.effect import Coefficient
@@ -14,7 +17,11 @@ from aridcal.fit.constants import constants
 from aridcal.fit.least_squares import fit_identifiable
 from aridcal.fit.stages import recentred
 from aridcal.inputs.dataset import Dataset
+from aridcal.inputs.yaml_file import load_settings
+from aridcal.instruments.catalogue import KINDS
 from aridcal.model.model import Model
+from aridcal.prepare.scenario import Scenario
+from aridcal.prepare.simulation import simulate, write_campaign
 from aridcal.result.saved_model import SavedModel, SolvedModel
 
 NOISE = 5e-5
@@ -108,3 +115,56 @@ def table(rows: Dataset, path: Path) -> Path:
     frame = robots.table(robots.Truth(Model(robots.ur10(), ()), np.zeros(0), rows))
     frame.to_csv(path, index=False, float_format="%.17g")
     return path
+
+
+SEEN = {"position": NOISE, "rotation": NOISE, "distance": NOISE, "pixel": 0.1, "inclination": 2e-5}
+"""Noise of instruments: of lengths and turns that of the tracker, 0.1 px of a camera, 0.02 mrad of a level."""
+
+
+def by_instruments(
+    m: Machine,
+    folder: Path,
+    kinds: Sequence[str],
+    offset: np.ndarray | float = 0.0,
+    instruments: object = None,
+    **truth: object,
+) -> Path:
+    """A small campaign of what other instruments measured of a machine whose joints stand beside their readings.
+
+    Args:
+        m: The machine.
+        folder: Where its files are written.
+        kinds: Of its blocks.
+        offset: Of the joints, shape (columns,).
+        instruments: As in a campaign.
+        truth: More of the scenario's: ``n`` for instance.
+    """
+    own = {
+        c.name: float(value)
+        for c, value in zip(m.model.coefficients, m.theta, strict=True)
+        if c.where not in ("world_base", "tip_target")
+    }
+    frames = {where: _stated(getattr(m.model, where)[0][1]) for where in ("world_base", "tip_target")}
+    keys = {
+        "format": 1,
+        "robot": {"urdf": str(Path(__file__).parent.parent / "urdf" / "ur10.urdf"), "tip": "tool0"},
+        "measurements": [{"kind": kind} for kind in kinds],
+        "truth": {"parameters": own, "frames": frames, "noise": SEEN, "n": 20, "seed": 4} | truth,
+        **({"instruments": instruments} if instruments else {}),
+    }
+    (folder / "scenario.yaml").write_text(yaml.safe_dump(keys))
+    write_campaign(simulate(load_settings(folder / "scenario.yaml", Scenario)), folder, folder)
+    made = yaml.safe_load((folder / "campaign.yaml").read_text())
+    del made["robot"]
+    blocks = made["measurements"] if isinstance(made["measurements"], list) else [made["measurements"]]
+    for block in blocks:
+        block["noise"] = {channel.name: SEEN[channel.name] for channel in KINDS[block["kind"]].channels}
+        rows = robots.read_csv(folder / block["file"])
+        rows[list(m.model.robot.readings)] -= offset
+        rows.to_csv(folder / block["file"], index=False, float_format="%.17g")
+    (folder / "campaign.yaml").write_text(yaml.safe_dump(made))
+    return folder / "campaign.yaml"
+
+
+def _stated(frame: pin.SE3) -> dict[str, list[float]]:
+    return {"xyz": frame.translation.tolist(), "rpy": pin.rpy.matrixToRpy(frame.rotation).tolist()}

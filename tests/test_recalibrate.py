@@ -16,13 +16,18 @@ import yaml
 from calibrated import NOISE, Machine, jump, machine
 
 from aridcal.__main__ import main
+from aridcal.effects.basis import Basis
+from aridcal.effects.effect import Coefficient
 from aridcal.errors import MeasurementError
+from aridcal.fit.constants import urdf_of
+from aridcal.inputs.measurement_settings import Units
 from aridcal.result.folder import write_results
 from aridcal.result.pipeline import identify
 from aridcal.result.saved_model import SavedModel
 from aridcal.robot.chain import parse_robot
+from aridcal.upkeep.answers import check_lines
 from aridcal.upkeep.checking import check
-from aridcal.upkeep.repair import repaired, urdf_of
+from aridcal.upkeep.repair import changes, repaired
 
 NAMES = robots.ur10().readings
 
@@ -60,11 +65,31 @@ def test_the_jump_is_recovered_with_the_uncertainty_that_is_stated():
     assert 0.6 < np.sqrt(np.mean(np.square(pulls))) < 1.4
 
 
-def test_a_motor_put_in_anywhere_is_recovered():
+@pytest.mark.parametrize(("joint", "size"), [(4, 1.0), (1, -2.9), (2, 3.1), (5, 2 * np.pi / 100), (3, 2 * np.pi + 1.7)])
+@pytest.mark.parametrize("kind", ["pose", "position"])
+def test_a_motor_put_in_anywhere_is_recovered(kind, joint, size):
+    """Also beyond what small steps lead back from, by a turn of the motor behind a gear of 100, and by more than a whole turn."""
+    m = machine(1, kind)
+    mended = repaired(m.saved, check(m.saved, m.measured(m.configurations(10), jump(joint, size))))
+    assert mended.changes[0].cause.where == NAMES[joint]
+    assert np.angle(np.exp(1j * (mended.changes[0].value[0] - size))) == pytest.approx(0.0, abs=3e-4)
+    assert error(m, mended.saved, jump(joint, size)) < 1.5 * error(m, m.saved)
+
+
+def test_an_encoder_that_jumped_by_a_whole_turn_moves_nothing():
     m = machine(1)
-    mended = repaired(m.saved, check(m.saved, m.measured(m.configurations(10), jump(4, 1.0))))
-    assert mended.changes[0].value[0] == pytest.approx(1.0, abs=1e-4)
-    assert error(m, mended.saved, jump(4, 1.0)) < 1.5 * error(m, m.saved)
+    assert check(m.saved, m.measured(m.configurations(8), jump(3, 2 * np.pi))).good
+
+
+def test_a_motor_put_in_anywhere_takes_its_gear_error_with_it():
+    """The wave is of the axis, and its phase is another on the new readings: both are named, and both are mended."""
+    wave = [Coefficient("elbow_joint", "axis", Basis(form, ("elbow_joint",), (2.0,))) for form in ("sin", "cos")]
+    m = machine(5, effects=((wave[0], 8e-4), (wave[1], 3e-4)))
+    found = check(m.saved, m.measured(m.configurations(20), jump(2, 1.2)))
+    assert [(c.kind, c.where) for c in found.causes] == [("zero", "elbow_joint"), ("effect", "elbow_joint")]
+    mended = repaired(m.saved, found).saved
+    assert error(m, mended, jump(2, 1.2)) < 1.5 * error(m, m.saved)
+    assert any("set the controller's zero" in line for line in check_lines(found, changes(found), Units()))
 
 
 def test_what_did_not_move_is_kept():
@@ -87,7 +112,7 @@ def test_the_urdf_has_the_zero_in_it(joint):
     """Pinocchio on the URDF alone, and the model, are one robot."""
     m = machine(3)
     mended = repaired(m.saved, check(m.saved, m.measured(m.configurations(10), jump(joint, 0.3)))).saved
-    urdf = urdf_of(mended.geometric)
+    urdf = urdf_of(mended.geometric.model, mended.geometric.theta)
     tree = pin.buildModelFromXML(urdf.decode())
     data = tree.createData()
     tip = tree.getFrameId("tool0")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pinocchio as pin
 
 from aridcal.effects.effect import FRAME_COMPONENTS, Coefficient
 from aridcal.fit.least_squares import Fit
@@ -11,6 +12,7 @@ from aridcal.inputs.campaign import Campaign, FrameSettings
 from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.read import per_station
 from aridcal.instruments.catalogue import KINDS
+from aridcal.model.model import Model
 from aridcal.robot.chain import Robot
 from aridcal.robot.doty import doty_links
 from aridcal.robot.splice import splice_origins, written_origins
@@ -104,5 +106,23 @@ def station_labels(campaign: Campaign, data: Dataset) -> tuple[str, ...]:
 
 def stage_urdf(fit: Fit) -> bytes:
     """The user's URDF with a fit's constants folded into the joints' own origins."""
-    urdf = fit.model.robot.urdf
-    return splice_origins(urdf, written_origins(urdf, fit.model.origins(fit.theta)))
+    return urdf_of(fit.model, fit.theta)
+
+
+def urdf_of(model: Model, theta: np.ndarray) -> bytes:
+    """The user's URDF with a model's constants folded into the joints' own origins, zeros of joints included."""
+    robot = model.robot
+    origins = dict(model.origins(theta))
+    for k, c in enumerate(model.coefficients):
+        if is_zero(c, robot):
+            joint = robot.joint(c.where)
+            slides = joint.kind == "prismatic"
+            turn = np.eye(3) if slides else pin.AngleAxis(float(theta[k]), joint.axis).matrix()
+            shift = float(theta[k]) * joint.axis if slides else np.zeros(3)
+            origins[joint.name] = origins.get(joint.name, joint.origin) * pin.SE3(turn, shift)
+    return splice_origins(robot.urdf, written_origins(robot.urdf, origins))
+
+
+def is_zero(c: Coefficient, robot: Robot) -> bool:
+    """True of the zero of a joint: a motion of its own that is the same in all rows."""
+    return c.component == "axis" and c.basis.form == "ones" and c.where in robot.names

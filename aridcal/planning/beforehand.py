@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,7 +13,7 @@ from aridcal.fit.constants import constants, frame_coefficients, station_labels
 from aridcal.fit.least_squares import UNKNOWN_NOISE
 from aridcal.fit.stages import placement
 from aridcal.inputs.approach import with_directions
-from aridcal.inputs.campaign import Campaign
+from aridcal.inputs.campaign import Box, Campaign
 from aridcal.inputs.dataset import ROLES, Dataset, dataset
 from aridcal.inputs.measurement_settings import OF_TARGETS
 from aridcal.inputs.read import load_measurements
@@ -94,7 +95,7 @@ def beforehand(campaign: Campaign, robot: Robot, progress: Progress = SILENT) ->
     files = [path for block in campaign.blocks for path in block.files]
     missing = [path for path in files if not path.exists()]
     if not missing:
-        return _measured(campaign, robot, _bodies(campaign, robot), progress)
+        return _measured(campaign, robot, bodies(campaign.design.keep_out, robot), progress)
     if len(missing) < len(files):
         raise MeasurementError(
             f"{missing[0]}: there is no such file, though others of {campaign.path} are there: take it out of the campaign, and "
@@ -105,12 +106,12 @@ def beforehand(campaign: Campaign, robot: Robot, progress: Progress = SILENT) ->
             f"{campaign.path}: measurements: nothing was measured yet, and there are several blocks: plan each in a campaign of "
             "its own"
         )
-    return _from_nothing(campaign, robot, _bodies(campaign, robot))
+    return _from_nothing(campaign, robot, bodies(campaign.design.keep_out, robot))
 
 
-def _bodies(campaign: Campaign, robot: Robot) -> Bodies:
-    """What of the arm can touch what, the boxes of the campaign among it."""
-    boxes = [(np.array(box.min), np.array(box.max)) for box in campaign.design.keep_out]
+def bodies(keep_out: Sequence[Box], robot: Robot) -> Bodies:
+    """What of the arm can touch what, the boxes of a campaign among it."""
+    boxes = [(np.array(box.min), np.array(box.max)) for box in keep_out]
     return bodies_of(robot, boxes, draw_readings(robot, USUAL, np.random.default_rng(0)))
 
 

@@ -52,12 +52,12 @@ def page(outcome: Outcome, handover: Handover, progress: Progress = SILENT) -> H
     chapters = _chapters(outcome, handover, progress)
     links = [tag("a", title, href=f"#{key}") for key, title, _ in chapters]
     sections = [
-        tag("section", tag("h2", title), _drawn(title, content), id=key)
+        tag("section", tag("h2", title), drawn(title, content), id=key)
         for key, title, content in progress.over(chapters, "sections")
     ]
     m = outcome.measurements
     body = [
-        tag("header", _drawn("Summary", summary(outcome)), tag("nav", links, aria_label="Sections")),
+        tag("header", drawn("Summary", summary(outcome)), tag("nav", links, aria_label="Sections")),
         tag("main", sections),
         tag("footer", f"aridcal {__version__}, {counted(len(m), 'row')} with sha256 {m.sha256[:16]}"),
     ]
@@ -72,7 +72,7 @@ def page(outcome: Outcome, handover: Handover, progress: Progress = SILENT) -> H
     return join([Html("<!DOCTYPE html>\n"), whole])
 
 
-def _drawn(title: str, content: Iterable[Content]) -> list[Content]:
+def drawn(title: str, content: Iterable[Content]) -> list[Content]:
     """A section's content up to where it fails, and then a line that says so."""
     parts: list[Content] = []
 

@@ -203,7 +203,9 @@ class Record(Section):
     frames_by: Literal["station", "target"] = "station"
     """Column that says which frames a row has, where there are several."""
     scatter: dict[Literal["position", "rotation"], ScatterPart] = Field(default_factory=dict)
-    """What new rows are set beside; older files, and those of several instruments, have none."""
+    """What new rows are set beside; older files have none."""
+    scatter_of_kinds: dict[str, dict[str, ScatterPart]] = Field(default_factory=dict)
+    """The same of other kinds of measurements, by kind and channel."""
 
 
 def read_calibration(path: Path) -> tuple[CalibrationDocument, dict[str, Any]]:

@@ -11,7 +11,7 @@ import yaml
 
 from aridcal.effects.basis import evaluate
 from aridcal.effects.effect import Coefficient
-from aridcal.fit.constants import stage_urdf
+from aridcal.fit.constants import is_zero, stage_urdf
 from aridcal.fit.least_squares import Fit, fit, fit_identifiable, thin
 from aridcal.fit.normal_equations import Prior
 from aridcal.fit.problem import Problem, problem
@@ -206,7 +206,7 @@ def _offsets(outcome: Outcome) -> Fit:
 
 def _own(c: Coefficient) -> bool:
     """True for what moves a joint along its axis as a function of its own position."""
-    return c.component == "axis" and c.basis.of == (c.where,)
+    return c.component == "axis" and c.basis.of == (c.where,) and c.basis.form != "ones"
 
 
 def _with_maps(outcome: Outcome) -> Fit | None:
@@ -216,9 +216,9 @@ def _with_maps(outcome: Outcome) -> Fit | None:
     if not curves:
         return None
     coefficients = final.model.coefficients
-    if all(c.basis.constant or _own(c) for c in coefficients):
+    kept = [k for k, c in enumerate(coefficients) if c.basis.constant or is_zero(c, outcome.robot) or _own(c)]
+    if len(kept) == len(coefficients):
         return final
-    kept = [k for k, c in enumerate(coefficients) if c.basis.constant or _own(c)]
     model = final.model.with_coefficients([coefficients[k] for k in kept])
     theta = final.theta[kept]
     held = np.array([_own(c) for c in model.coefficients])

@@ -17,7 +17,7 @@ from aridcal import __version__
 from aridcal.effects.basis import Basis
 from aridcal.effects.catalogue import KINDS
 from aridcal.effects.effect import ANGULAR, FRAME_COMPONENTS, ROW_ORDER, Coefficient, Effect
-from aridcal.fit.constants import stage_urdf
+from aridcal.fit.constants import is_zero, stage_urdf
 from aridcal.fit.least_squares import Fit
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.catalogue import labelled
@@ -56,7 +56,7 @@ def result_document(outcome: Outcome) -> dict[str, Any]:
     """`result.json` as plain data."""
     m = outcome.measurements
     parts = outcome.parts()
-    return _finite({
+    return finite({
         "format": 1,
         "n": {
             "rows": len(m) + len(m.refused),
@@ -181,14 +181,17 @@ def parameters(fit: Fit) -> list[dict[str, Any]]:
             name = where if label is None else f"{where}[{label}]"
             own |= {f"{name}.{c}": float(v) for c, v in zip(FRAME_COMPONENTS, numbers, strict=True)}
     things = fit.model.instruments.names
-    candidates = {c.name: c.component for c in fit.candidates if c.basis.constant and c.where not in things}
+    robot = fit.model.robot
+    asked = [c for c in fit.candidates if (c.basis.constant or is_zero(c, robot)) and c.where not in things]
+    candidates = {c.name: c.component for c in asked}
+    turns = {c.name for c in asked if is_zero(c, robot) and robot.joint(c.where).kind != "prismatic"}
     fixed = {name: name.rsplit(".", 1)[1] for name in own if name not in candidates}
     found = []
     for name, component in (candidates | fixed).items():
         status = "identified" if name in value else "redundant" if name in candidates else "fixed"
         found.append({
             "name": name,
-            "unit": "rad" if component in ANGULAR else "m",
+            "unit": "rad" if name in turns or component in ANGULAR else "m",
             "value": own.get(name, float(value.get(name, 0.0))),
             "std": float(std[name]) if name in value else None,
             "status": status,
@@ -346,12 +349,12 @@ def _convergence(fit: Fit) -> dict[str, Any]:
     return {"converged": c.converged, "steps": c.steps, "gradient": c.gradient, "condition": c.condition} | tried
 
 
-def _finite(value: Any) -> Any:
+def finite(value: Any) -> Any:
     """JSON has no NaN: what could not be computed is null."""
     if isinstance(value, dict):
-        return {key: _finite(v) for key, v in value.items()}
+        return {key: finite(v) for key, v in value.items()}
     if isinstance(value, list):
-        return [_finite(v) for v in value]
+        return [finite(v) for v in value]
     if isinstance(value, float | np.floating):
         return float(value) if math.isfinite(value) else None
     return value

@@ -56,8 +56,11 @@ def calibration(outcome: Outcome) -> SavedModel:
         "derived_columns": [name for name in m.derived if name in seen],
         "versions": {"aridcal": __version__, "pinocchio": pin.__version__, "numpy": np.__version__},
     }
-    if not m.blocks:
-        record["scatter"] = _scatter(outcome, used)
+    scatter = _scatter(outcome, used)
+    if m.blocks:
+        record["scatter_of_kinds"] = _of_kinds(m, scatter)
+    else:
+        record["scatter"] = scatter
     target = _saved_target(m, outcome.head is not None)
     if len(target.labels) > 1:
         record["frames_by"] = "target"
@@ -104,7 +107,7 @@ def _scatter(outcome: Outcome, used: np.ndarray) -> dict[str, dict[str, float]]:
     """What the fitted rows scatter by about the final model, by channel: the declared noise as long as they agree with it.
 
     Args:
-        outcome: Of rows of one target.
+        outcome: What was found.
         used: Fitted rows, shape (N,) bool.
     """
     fit, rows = outcome.stage("final").fit, outcome.measurements
@@ -115,12 +118,25 @@ def _scatter(outcome: Outcome, used: np.ndarray) -> dict[str, dict[str, float]]:
     for k, (channel, part) in enumerate(zip(outcome.channels, columns(outcome.channels), strict=True)):
         stated = rows.sigma[k]
         residual = outcome.stage("final").residual[used][:, part]
+        residual = residual[~np.isnan(residual)]
         freedom = left * residual.size
         if stated is not None and surprise[k] == 1.0:
             found[channel.name] = {"sigma": float(stated), "freedom": np.inf}
         elif freedom > LEAST_FREEDOM and np.any(residual != 0.0):
             found[channel.name] = {"sigma": float(np.sqrt(np.mean(residual**2) / left)), "freedom": float(freedom)}
     return found
+
+
+def _of_kinds(m: Dataset, scatter: dict[str, dict[str, float]]) -> dict[str, dict[str, dict[str, float]]]:
+    """The same by the kinds of blocks, with the names that their channels have in every campaign; of two blocks the coarser."""
+    found: dict[str, dict[str, dict[str, float]]] = {}
+    for block in m.blocks:
+        of_kind = found.setdefault(block.kind, {})
+        for channel, own in zip(INSTRUMENTS[block.kind].channels, block.channels, strict=False):
+            if own.name in scatter:
+                both = [scatter[own.name], *([of_kind[channel.name]] if channel.name in of_kind else [])]
+                of_kind[channel.name] = max(both, key=lambda part: part["sigma"])
+    return {kind: channels for kind, channels in found.items() if channels}
 
 
 @dataclass(frozen=True)

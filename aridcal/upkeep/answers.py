@@ -7,9 +7,15 @@ from collections.abc import Sequence
 import numpy as np
 
 from aridcal.inputs.measurement_settings import Units
-from aridcal.result.outcome import said
-from aridcal.upkeep.checking import FALSE_ALARMS, Cause, Checked
+from aridcal.result.outcome import enumerated, said
+from aridcal.upkeep.bounds import FALSE_ALARMS, Bounds
+from aridcal.upkeep.checking import Cause, Checked
+from aridcal.upkeep.outcomes import RepairOutcomes
 from aridcal.upkeep.repair import Change
+
+FAR_OFF = 0.03
+"""[rad] or [m] of a joint's zero beyond which what depends on its reading is no longer what was calibrated: gravity's lever is
+then off by up to a thirtieth."""
 
 MILLI = 1e3
 """[mm] in a metre, [mrad] in a radian."""
@@ -26,13 +32,17 @@ def check_lines(checked: Checked, changes: Sequence[Change], units: Units) -> li
     rows, error = checked.rows, checked.error
     every = np.ones(len(rows), dtype=bool)
     expected = " and ".join(
-        f"{c.scale * s:.3g} {c.shown}" for c, s in zip(rows.channels, checked.noise.sigma, strict=True)
+        f"{c.scale * s:.3g} {c.shown}"
+        for c, s, seen in zip(rows.channels, checked.noise.sigma, np.atleast_1d(rows.measures.any(axis=0)), strict=True)
+        if seen
     )
-    lines = [
-        _verdict(checked),
-        f"{len(rows)} rows: {said(checked.residual, every, rows)} RMS where the noise is {expected} per axis; the model's own "
-        f"error there is {MILLI * error.estimate:.3f} mm RMS, between {MILLI * error.low:.3f} and {MILLI * error.high:.3f} mm",
-    ]
+    left = f"{len(rows)} rows: {said(checked.residual, every, rows)} RMS where the noise is {expected} per axis"
+    lines = [_verdict(checked), left if error is None else f"{left}; {_error(error)}"]
+    if checked.unseen:
+        lines.append(f"not seen by these rows, whatever moved: {enumerated([s.words for s in checked.unseen])}")
+    for change in changes:
+        if change.cause.kind == "new":
+            lines.append(f"fitted anew: {change.cause.words}, {amount(change, checked)} from where it was")
     by_cause = {id(change.cause): change for change in changes}
     for cause in checked.causes:
         lines += _cause_lines(checked, cause, by_cause.get(id(cause)), units)
@@ -40,6 +50,25 @@ def check_lines(checked: Checked, changes: Sequence[Change], units: Units) -> li
         left = "goes with the calibration" if checked.rest.p_value >= FALSE_ALARMS else "is explained by nothing known"
         lines.append(f"what remains {left} (p = {checked.rest.p_value:.2g})")
     return lines
+
+
+def left_out_line(made: RepairOutcomes) -> str:
+    """The errors of the new rows before, after, and with what moved fitted to the others alone."""
+    m = made.rows.measurements
+    every = ~made.rows.outlier & ~m.test
+    after = made.rows.stage("final").residual
+    before, now, left = (said(residual, every, m) for residual in (made.before, after, made.left_out))
+    held = f"; {said(after, m.test, m)} on {int(m.test.sum())} held-out rows" if m.test.any() else ""
+    return f"error of the new rows: {before} before, {now} after, {left} where each is left out{held}"
+
+
+def _error(error: Bounds) -> str:
+    """The model's own error, noise taken off."""
+    what = "RMS" if error.axes > 1 else "RMS along what was measured"
+    return (
+        f"the model's own error there is {MILLI * error.estimate:.3f} mm {what}, between {MILLI * error.low:.3f} and "
+        f"{MILLI * error.high:.3f} mm"
+    )
 
 
 def _verdict(checked: Checked) -> str:
@@ -52,7 +81,7 @@ def _verdict(checked: Checked) -> str:
         return f"no longer good: the error is above {limit} ({odd})"
     if checked.contradicted:
         return f"good enough: the error may be within {limit}, though something moved ({odd})"
-    sure = "is" if checked.error.high <= (checked.tolerance or 0.0) else "may be"
+    sure = "is" if checked.error is not None and checked.error.high <= checked.tolerance else "may be"
     return f"still good: the error {sure} within {limit} ({odd})"
 
 
@@ -62,17 +91,24 @@ def _cause_lines(checked: Checked, cause: Cause, change: Change | None, units: U
     if change is None:
         return [f"odd: {cause.words}{how}"]
     lines = [f"moved: {cause.words}, by {amount(change, checked)}{how}"]
+    depending = any(not c.basis.constant and c.basis.form != "ones" for c in checked.wide.model.coefficients)
+    if cause.kind == "zero" and abs(float(change.value[0])) > FAR_OFF and depending:
+        lines.append(
+            "  effects and gravity loads are those of its readings as they are: set the controller's zero by as much instead, "
+            "and the calibration holds as it is"
+        )
     if cause.alike:
         lines.append(f"  these rows would also allow: {', '.join(cause.alike)}")
         robot = checked.wide.model.robot
-        if cause.telling is None:
+        if not cause.telling:
             lines.append("  no configuration of those tried tells them apart: either repair serves")
-        else:
+        for told in cause.telling[:1]:
             scale = [units.metres if kind == "prismatic" else units.radians for kind in robot.kinds]
-            pairs = zip(robot.readings, (cause.telling / scale).tolist(), strict=True)
-            lines.append(
-                f"  measure this to tell it from {cause.told_from}: {', '.join(f'{name} {value:.4g}' for name, value in pairs)}"
-            )
+            pairs = zip(robot.readings, (told.readings / scale).tolist(), strict=True)
+            at = ", ".join(f"{name} {value:.4g}" for name, value in pairs)
+            lines.append(f"  measure this to tell it from {told.suspect}: {at}")
+            if told.joints:
+                lines.append(f"  (it has {enumerated(told.joints)} where these rows do not reach)")
     return lines
 
 
@@ -82,12 +118,13 @@ def amount(change: Change, checked: Checked) -> str:
     if change.cause.kind == "zero":
         unit = "mm" if change.units[0] == "m" else "mrad"
         return f"{MILLI * value[0]:+.3f} ± {MILLI * std[0]:.3f} {unit}"
-    if change.cause.kind == "frame":
+    if change.cause.kind in ("frame", "new"):
         parts = []
         for unit, shown in (("m", "mm"), ("rad", "mrad")):
             own = [u == unit for u in change.units]
             if any(own):
-                parts.append(f"{MILLI * float(np.linalg.norm(value[own])):.3f} {shown}")
+                size, sure = (MILLI * float(np.linalg.norm(each[own])) for each in (value, std))
+                parts.append(f"{size:.3f} ± {sure:.3f} {shown}")
         return " and ".join(parts)
     suspect = change.cause.suspect
     assert suspect is not None

@@ -14,13 +14,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
-from scipy.linalg import solve_triangular
 from scipy.special import logsumexp
 from scipy.stats import f as f_distribution
 
-from aridcal.fit.problem import Problem
+from aridcal.fit.problem import Problem, agreeing
 from aridcal.upkeep.realign import frame_start
 from aridcal.upkeep.suspects import Suspect
 
@@ -34,6 +34,13 @@ LOG_WEIGHTS = np.log(np.r_[AS_KNOWN, np.full(len(TIMES) - 1, (1.0 - AS_KNOWN) / 
 
 STEPS = 30
 """Gauss-Newton steps at the most; a zero that is off by a radian takes seven."""
+
+GROSS_RATIO = 1e4
+"""Mean square, in sigmas, of rows so far off that a joint's zero is sought all around: a tracker's then are 5 mm off, which a
+turn of 5 mrad does. Steps lead from there to where it is from half a radian, so that nothing is sought too late."""
+
+ANGLES = tuple((np.pi / 12.0 * np.arange(-11, 13)).tolist())
+"""[rad] all around, in steps from which Gauss and Newton's lead on: the farthest place between two is 0.13 rad off."""
 
 SETTLED = 1e-3
 """Sigmas of any number measured by which the last step moves its prediction."""
@@ -55,6 +62,7 @@ class Question:
         times: The noise that is accepted, in units of the known.
         dropped: Rows that count no more, shape (N,) bool.
         begin: Where to look for the most likely coefficients, shape (K,).
+        unknown: Coefficients of which only these rows tell, shape (K,) bool.
     """
 
     problem: Problem
@@ -65,20 +73,61 @@ class Question:
     times: float
     dropped: np.ndarray
     begin: np.ndarray
+    unknown: np.ndarray
+
+    @property
+    def counted(self) -> np.ndarray:
+        """Numbers that count: measured, and of rows that were not dropped, shape (N, m) bool."""
+        data = self.problem.data
+        sizes = [channel.size for channel in data.channels]
+        return np.repeat(data.measures, sizes, axis=1) & ~self.dropped[:, None]
+
+    @property
+    def rows(self) -> np.ndarray:
+        """Row of each number that counts, shape (n,)."""
+        return np.nonzero(self.counted)[0]
 
     def at(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Residuals (n,) and columns (n, K) of the rows that count, in sigmas."""
-        pieces = self.problem.pieces(theta)
-        kept = ~self.dropped
-        r = pieces.r[kept] / self.sigma
-        J = pieces.J[kept] / self.sigma[:, None]
-        return r.ravel(), J.reshape(-1, J.shape[2])
+        seen, counted = self.problem.measured, self.counted
+        # A base around unknown points seems to explain what it only turns: columns are taken where rows and model agree.
+        of_conditions = seen is not None and bool(seen.conditions.any())
+        pieces = (agreeing(self.problem, theta) if of_conditions else self.problem).pieces(theta)
+        r = pieces.r / self.sigma
+        J = pieces.J / self.sigma[:, None]
+        return r[counted], J[counted]
 
     def with_moved(self, suspect: Suspect, size: float) -> Question:
         """The same with a change of a suspect, of some size, as likely as none."""
-        D = suspect.directions
-        begin = frame_start(self.problem, self.begin, suspect)
-        return replace(self, covariance=self.covariance + size**2 * D @ D.T, begin=begin)
+        D, begin = suspect.directions, self.begin
+        covariance = self.covariance + size**2 * D @ D.T
+        if suspect.kind == "frame":
+            first = self.problem.model.coefficients[suspect.touched[0]]
+            begin = frame_start(self.problem, begin, first.where, first.station)
+        if suspect.kind == "zero" and suspect.turns and self.gross:
+            begin = self._turned(int(suspect.touched[0]))
+        return replace(self, covariance=covariance, begin=begin)
+
+    @cached_property
+    def gross(self) -> bool:
+        """True where the rows are so far off that a step along a straight line may lead nowhere."""
+        r, _ = self.at(self.begin)
+        return float(np.mean(r**2)) > GROSS_RATIO
+
+    def _turned(self, k: int) -> np.ndarray:
+        """Coefficients (K,) with a joint's zero at that of some angles all around which leaves the least, all else following."""
+        least, best = np.inf, self.begin
+        for angle in ANGLES:
+            theta = self.begin.copy()
+            theta[k] += angle
+            r, J = self.at(theta)
+            r = r + J @ (theta - self.theta)
+            r = r - J[:, k] * (theta - self.theta)[k]
+            known = J @ self.covariance @ J.T
+            squares = float(r @ np.linalg.solve(self.times**2 * np.eye(len(r)) + known, r))
+            if squares < least:
+                least, best = squares, theta
+        return best
 
 
 @dataclass(frozen=True)
@@ -97,9 +146,25 @@ class Likely:
     J: np.ndarray
     known: np.ndarray
 
-    def root(self, times: float) -> np.ndarray:
-        """Lower Cholesky factor of what r scatters by with so many times the known noise, shape (n, n)."""
-        return np.linalg.cholesky(times**2 * np.eye(len(self.r)) + self.known)
+    @cached_property
+    def spectrum(self) -> tuple[np.ndarray, np.ndarray]:
+        """Variances (n,) of what is known of r, and its axes in columns (n, n): one for all that the noise may be."""
+        variances, axes = np.linalg.eigh(self.known)
+        return np.maximum(variances, 0.0), axes
+
+    def whitened(self, values: np.ndarray, times: float) -> np.ndarray:
+        """Values (n,) or (n, d) in units of what r scatters by with so many times the known noise, along its own axes."""
+        variances, axes = self.spectrum
+        return scaled_to(axes.T @ values, np.sqrt(times**2 + variances))
+
+    def squares(self, times: float) -> float:
+        """Of the whole of r, in these units."""
+        return float(np.sum(self.whitened(self.r, times) ** 2))
+
+
+def scaled_to(values: np.ndarray, sigma: np.ndarray) -> np.ndarray:
+    """Values (n,) or (n, d) divided by sigmas (n,)."""
+    return np.asarray((values.T / sigma).T)
 
 
 def likely(question: Question, theta: np.ndarray | None = None) -> Likely:
@@ -168,15 +233,21 @@ def alarm(question: Question, suspects: Sequence[Suspect]) -> Alarm:
         suspects: What the rows may show beside the residual as a whole.
     """
     place = likely(question)
-    root = place.root(question.times)
-    z = solve_triangular(root, place.r, lower=True)
-    squares = float(z @ z)
-    smallest = tail(squares, len(z), question.freedom)
+    z = place.whitened(place.r, question.times)
+    squares, numbers = float(z @ z), max(len(z) - taken_up(place.J[:, question.unknown]), 1)
+    smallest = tail(squares, numbers, question.freedom)
     for suspect in suspects:
-        taken, count = _taken(solve_triangular(root, place.J @ suspect.directions, lower=True), z)
+        taken, count = _taken(place.whitened(place.J @ suspect.directions, question.times), z)
         if count:
             smallest = min(smallest, len(suspects) * tail(taken, count, question.freedom))
-    return Alarm(min(1.0, 2.0 * smallest), squares, len(z))
+    return Alarm(min(1.0, 2.0 * smallest), squares, numbers)
+
+
+def taken_up(columns: np.ndarray) -> int:
+    """Numbers that unknowns with some columns, shape (n, u), take up: they fit these whatever they are."""
+    sizes = np.linalg.norm(columns, axis=0)
+    shaped = columns[:, sizes > 0.0] / sizes[sizes > 0.0]
+    return int(np.linalg.matrix_rank(shaped, tol=RANK * max(1.0, np.sqrt(shaped.shape[1])))) if shaped.size else 0
 
 
 def tail(squares: float, count: int, freedom: float) -> float:
@@ -222,12 +293,14 @@ def evidence(place: Likely, times: float, B: np.ndarray, sizes: tuple[float, ...
         sizes: Of the change; one, whatever it is, where there are no columns.
     """
     found = np.empty((len(sizes), len(TIMES)))
+    variances, axes = place.spectrum
+    r, B = axes.T @ place.r, axes.T @ B
     for number, more in enumerate(TIMES):
-        root = place.root(more * times)
-        z = solve_triangular(root, place.r, lower=True)
-        U, w, _ = np.linalg.svd(solve_triangular(root, B, lower=True), full_matrices=False)
+        sigma = np.sqrt((more * times) ** 2 + variances)
+        z = scaled_to(r, sigma)
+        U, w, _ = np.linalg.svd(scaled_to(B, sigma), full_matrices=False)
         along = (U.T @ z) ** 2
-        constant = -0.5 * len(z) * np.log(2.0 * np.pi) - float(np.sum(np.log(np.diag(root))))
+        constant = -0.5 * len(z) * np.log(2.0 * np.pi) - float(np.sum(np.log(sigma)))
         for k, size in enumerate(sizes):
             grown = (size * w) ** 2
             squares = float(z @ z) - float(np.sum(along * grown / (1.0 + grown)))

@@ -1,30 +1,67 @@
-"""New rows for a calibration that is there already: read as its own campaign's tables are, with the noise that it knows."""
+"""New rows for a calibration that is there already: of its own instrument, or of another with a campaign of its own."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from aridcal.errors import CampaignError, MeasurementError
+from aridcal.errors import CampaignError, MeasurementError, listed
 from aridcal.inputs.approach import with_directions
-from aridcal.inputs.campaign import Campaign
+from aridcal.inputs.campaign import REFERRING, Campaign, Frames, RobotSettings
 from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.instrument_settings import InstrumentSettings
-from aridcal.inputs.read import load_measurements
-from aridcal.inputs.tables import AnyTable
-from aridcal.instruments.channels import Channels, spread
+from aridcal.inputs.measurement_settings import OF_TARGETS
+from aridcal.inputs.quantities import POSITION, column_of
+from aridcal.inputs.read import ONE_TARGET, TIP, load_measurements
+from aridcal.inputs.tables import AnyTable, read_tables
+from aridcal.inputs.yaml_file import load_settings
+from aridcal.instruments.catalogue import KINDS
+from aridcal.instruments.channels import Channels
+from aridcal.reading.names import check_path
 from aridcal.result.saved_model import SavedModel
 
 FEWEST = 3
 """Rows below which nothing is said: two poses cannot tell a turn of the base from one of a joint."""
 
-MOST = 200
-"""Rows beyond which `aridcal identify` is the better answer; the matrices here grow with the square of the rows."""
+MOST = 1200
+"""Numbers measured, 200 poses, beyond which `aridcal identify` is the better answer; the matrices here grow with their square."""
 
 LEAST = 1e-6
 """[m] and [rad] of noise that no row has less of: no arm repeats to a micrometre, and exact rows, of a simulation for instance,
 would make matrices that no computer solves beside changes of metres."""
+
+CAMPAIGNS = (".yaml", ".yml")
+"""Endings of a campaign of new rows, beside tables."""
+
+OWN_TARGETS = {"pixels": lambda title: TIP, "inclination": lambda title: title}
+"""Kinds whose target is none that a pose measures: cameras see the tip itself, a level has a frame of its own."""
+
+
+class NewMeasurements(Campaign):
+    """What another instrument measured of a robot that was calibrated already: `measurements`, `instruments`, `frames`.
+
+    Of `frames` only what is written counts: with ``identify: true``, the default, it is unknown and fitted with these rows; with
+    ``false`` it is where it says. What is not written is as calibrated.
+    """
+
+    robot: RobotSettings = RobotSettings.model_construct(urdf=Path(), tip="")
+    """That of the calibration; a campaign that names another tip is refused."""
+
+
+@dataclass(frozen=True)
+class NewRows:
+    """New rows, and which frames of the calibration do not hold for them.
+
+    Attributes:
+        rows: N of them.
+        frames: Of the new rows' own campaign, where those that are not set are as calibrated; None of rows of the calibration's.
+    """
+
+    rows: Dataset
+    frames: Frames | None = None
 
 
 @dataclass(frozen=True)
@@ -32,66 +69,170 @@ class Noise:
     """What the rows' noise is known to be.
 
     Attributes:
-        sigma: Of each channel per axis, shape (C,), [m] and [rad].
+        sigma: Of each channel per axis, shape (C,), in its unit.
         freedom: Numbers that each was estimated from, shape (C,); infinite where it was declared.
     """
 
     sigma: np.ndarray
     freedom: np.ndarray
 
-    def of_numbers(self, channels: Channels) -> np.ndarray:
-        """Sigma of each number of a row, shape (m,)."""
-        return spread(self.sigma, channels)
 
-    def freedom_of(self, channels: Channels) -> float:
-        r"""Degrees of freedom of a mean square over all channels: :math:`n^2 / \sum_c n_c^2 / \nu_c` (Satterthwaite 1946)."""
-        size = np.array([channel.size for channel in channels], dtype=float)
-        return float(size.sum() ** 2 / max(float(np.sum(size**2 / self.freedom)), 1e-12))
+def freedom_of(noise: Noise, counts: np.ndarray) -> float:
+    r"""Degrees of freedom of a mean square over all channels: :math:`n^2 / \sum_c n_c^2 / \nu_c` (Satterthwaite 1946).
+
+    Args:
+        noise: Of C channels.
+        counts: Numbers n_c measured in each, shape (C,).
+    """
+    return float(counts.sum() ** 2 / max(float(np.sum(counts**2 / noise.freedom)), 1e-12))
 
 
-def read_new_rows(saved: SavedModel, table: AnyTable) -> Dataset:
-    """Read new rows of a calibrated robot in the columns and units of its own campaign.
+def read_new_rows(saved: SavedModel, table: AnyTable) -> NewRows:
+    """Read new rows of a calibrated robot.
 
     Args:
         saved: The calibration.
-        table: Rows with a pose, or a position where the calibration is from positions.
+        table: Rows in the columns and units of the calibration's own campaign, of one of its instruments or of the target; or
+            the path of a campaign of another instrument (:class:`NewMeasurements`).
 
     Raises:
-        CampaignError: the calibration does not say how its tables are written, or has several targets.
+        CampaignError: the calibration does not say how its tables are written, or the campaign needs mending.
         MeasurementError: the table cannot be read, lacks columns, or has too few or too many rows.
     """
+    new = isinstance(table, str | Path) and Path(table).suffix.lower() in CAMPAIGNS
+    campaign = _other(saved, Path(str(table))) if new else _own(saved, table)
     robot = saved.final.model.robot
-    if saved.frames_by == "target":
-        raise CampaignError(
-            "this calibration has several targets, which few rows cannot check; run `aridcal identify` with all rows"
-        )
     rows = load_measurements(
-        _campaign(saved), robot.readings, robot.limits, robot.kinds, files=[table], require_pose=True, fitted=False
+        campaign, robot.readings, robot.limits, robot.kinds, files=None if new else [table], fitted=False
     )
-    rows = with_directions(replace(rows, blocks=(), target=None))
-    why = "" if len(rows) <= MOST else f"; more than {MOST} are a campaign of their own: `aridcal identify`"
+    rows = _with_targets(saved, with_directions(rows), new)
+    numbers = sum(int(rows.measures[:, c].sum()) * channel.size for c, channel in enumerate(rows.channels))
+    why = "" if numbers <= MOST else f"; more than {MOST} numbers are a campaign of their own: `aridcal identify`"
     if len(rows) < FEWEST or why:
         raise MeasurementError(
             f"{rows.title}: {len(rows)} usable rows: 5 to 20 in attitudes that differ are asked for{why}"
         )
-    return rows
+    return NewRows(rows, campaign.frames if new else None)
 
 
-def _campaign(saved: SavedModel) -> Campaign:
-    """The calibration's campaign for rows of its target; what other instruments measured is left out."""
-    if saved.campaign is None:
+def _other(saved: SavedModel, path: Path) -> Campaign:
+    """The campaign of another instrument's rows."""
+    check_path(path, CampaignError)
+    asked = load_settings(path, NewMeasurements)
+    tip = saved.final.model.robot.tip
+    if "robot" in asked.model_fields_set and asked.robot.tip != tip:
+        raise CampaignError(
+            f"{path}: robot.tip: {asked.robot.tip!r} is not the tip that was calibrated, {tip!r}; delete the key `robot`"
+        )
+    if any(block.kind == "camera_sonar" for block in asked.blocks):
+        raise CampaignError(
+            f"{path}: measurements.kind: camera_sonar is not read here; `aridcal measure` makes a table of poses from its "
+            "images: name that, with `kind: pose`"
+        )
+    per = [name for name in ("world_base", "tip_target") if getattr(asked.frames, name).per is not None]
+    if per:
+        raise CampaignError(f"{path}: frames.{per[0]}.per: new rows have one frame each; delete this key")
+    return asked
+
+
+def _own(saved: SavedModel, table: AnyTable) -> Campaign:
+    """The calibration's own campaign, for rows of its target or of the instruments that its table has columns of."""
+    campaign = saved.campaign
+    if campaign is None:
         raise CampaignError(
             "calibration.yaml holds no campaign, so that nobody knows its tables' columns and units; run "
             "`aridcal identify` again"
         )
-    changes = {"listed": (), "measurements": saved.measurements, "instruments": InstrumentSettings()}
-    return saved.campaign.model_copy(update=changes)
+    robot, settings = saved.final.model.robot, saved.measurements
+    places = {column_of(name, settings, robot.readings) for name in POSITION}
+    names = set(read_tables([table], None, saved.limits.table).names)
+    several = saved.frames_by == "target"
+    referring = any(block.kind in REFERRING or block.kind == "inclination" for block in campaign.blocks)
+    if not several and (places <= names or not referring):
+        changes: dict[str, Any] = {"listed": (), "measurements": settings, "instruments": InstrumentSettings()}
+        return campaign.model_copy(update=changes)
+    tables = [path for path in (campaign.instruments.points, campaign.instruments.markers.file) if path is not None]
+    lost = [path for path in tables if not path.exists()]
+    if lost:
+        raise CampaignError(
+            f"{lost[0]}: there is no such file, and the calibration's campaign names it for its instruments; write a campaign "
+            "with `measurements` and `instruments` beside the new table, and name that in place of the table"
+        )
+    return campaign
 
 
-def known_noise(saved: SavedModel, rows: Dataset) -> Noise:
-    """Noise of new rows: what they state of it themselves, else what the calibration's own rows scattered by."""
-    count = len(rows.channels)
-    if saved.measurements.noise.rows == "absolute" and rows.relative is not None:
-        return Noise(np.maximum(rows.declared(np.ones(count)), LEAST), np.full(count, np.inf))
+def _with_targets(saved: SavedModel, rows: Dataset, other: bool) -> Dataset:
+    """The rows with a label of their target, but where all are of the only one that was calibrated.
+
+    Raises:
+        MeasurementError: the calibration has several targets, and a row does not say which it is of.
+    """
+    known = [label for label, _ in saved.final.model.tip_target]
+    if rows.target is None and rows.blocks and other:
+        names = [OWN_TARGETS.get(b.kind, lambda title: ONE_TARGET)(b.name) for b in rows.blocks]
+        rows = replace(rows, target=np.array(names)[rows.block])
+    if rows.target is None and saved.frames_by == "target":
+        several = listed([str(label) for label in known])
+        raise MeasurementError(
+            f"{rows.title}: the calibration has several targets ({several}); add a column `target` that says which each row is of"
+        )
+    if known != [None] or rows.target is None:
+        return _plain(rows)
+    apart = {TIP, *(b.name for b in rows.blocks if b.kind == "inclination")}
+    placed = sorted(set(rows.target.tolist()) - apart)
+    if not other and len(placed) == 1:  # the calibration does not keep the name of its only target
+        rows = replace(rows, target=np.where(rows.target == placed[0], ONE_TARGET, rows.target))
+    same = set(np.asarray(rows.target).tolist()) == {ONE_TARGET}
+    return _plain(replace(rows, target=None)) if same else rows
+
+
+def _plain(rows: Dataset) -> Dataset:
+    """Rows of one block that measure the pose or position of one target, as arrays of these."""
+    if len(rows.blocks) == 1 and rows.blocks[0].kind in OF_TARGETS and rows.target is None:
+        return replace(rows, blocks=())
+    return rows
+
+
+def known_noise(saved: SavedModel, rows: Dataset, other: bool = False) -> Noise:
+    """Noise of new rows: what they or their own campaign state, else what the calibration's rows of that kind scattered by.
+
+    Args:
+        saved: The calibration.
+        rows: C channels.
+        other: True of rows with a campaign of their own.
+
+    Raises:
+        CampaignError: of a channel neither is known.
+    """
+    kinds = [block.kind for block in rows.blocks for _ in block.channels] or [saved.kind] * len(rows.channels)
+    names = [channel.name for block in rows.blocks for channel in _channels_of(block.kind)]
+    absolute = saved.measurements.noise.rows == "absolute" and rows.relative is not None and not rows.blocks
+    seen = _scatter(saved)
+    found = []
+    for c, (channel, kind) in enumerate(zip(rows.channels, kinds, strict=True)):
+        name = names[c] if names else channel.name
+        stated = (float(rows.sigma[c] or 0.0), np.inf) if rows.sigma[c] else None
+        pair = stated if (other or absolute) and stated else seen.get((kind, name), stated)
+        if pair is None and rows.measures[:, c].any():
+            raise CampaignError(
+                f"{rows.title}: nothing is known of the noise of {channel.name}; write it in a campaign of these rows, under "
+                f"measurements: `noise: {{{name}: SIGMA}}`, in {channel.unit}"
+            )
+        found.append(pair or (1.0, np.inf))
+    return Noise(np.maximum([sigma for sigma, _ in found], LEAST), np.array([freedom for _, freedom in found]))
+
+
+def _channels_of(kind: str) -> Channels:
+    """Channels of a kind by the names that these have in every campaign."""
+    return KINDS[kind].channels
+
+
+def _scatter(saved: SavedModel) -> dict[tuple[str, str], tuple[float, float]]:
+    """What the calibration's own rows scattered by, and the freedom behind it, by kind and channel."""
     sigma, freedom = saved.scatter
-    return Noise(np.maximum(sigma[:count], LEAST), np.array(freedom[:count]))
+    of_target = zip(("position", "rotation"), sigma, freedom, strict=True)
+    found = {(kind, name): (s, f) for name, s, f in of_target for kind in OF_TARGETS}
+    for kind, channels in saved.record.get("scatter_of_kinds", {}).items():
+        for name, part in channels.items():
+            found[kind, name] = float(part["sigma"]), float(part["freedom"])
+    return found

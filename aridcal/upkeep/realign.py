@@ -7,40 +7,45 @@ import pinocchio as pin
 
 from aridcal.effects.effect import FRAME_COMPONENTS
 from aridcal.fit.problem import Problem
-from aridcal.upkeep.suspects import Suspect
+
+FEWEST = 3
+"""Positions that tell where a frame is; one pose does."""
 
 
-def frame_start(problem: Problem, theta: np.ndarray, suspect: Suspect) -> np.ndarray:
+def frame_start(problem: Problem, theta: np.ndarray, where: str, label: str | None) -> np.ndarray:
     """Coefficients (K,) with a frame put where rows have it: the mean of where each pose does, or the best for all positions.
+
+    Where too few of its rows measure the target's own place, it stays.
 
     Args:
         problem: The rows.
         theta: Coefficients to start from, shape (K,).
-        suspect: A frame; anything else starts as it is.
+        where: ``world_base`` or ``tip_target``.
+        label: Of the frame there.
     """
-    if suspect.kind != "frame":
-        return theta
     model, rows, data = problem.model, problem.rows, problem.data
-    first = model.coefficients[suspect.touched[0]]
-    at_base = first.where == "world_base"
+    at_base = where == "world_base"
     frames, index = (model.world_base, rows.world) if at_base else (model.tip_target, rows.tip)
-    own = index == [label for label, _ in frames].index(first.station)
+    own = (index == [name for name, _ in frames].index(label)) & np.isfinite(data.position).all(axis=1)
+    turned = None if data.rotation is None or np.isnan(data.rotation[own]).any() else data.rotation[own]
+    if own.sum() < (FEWEST if turned is None else 1):
+        return theta
     R, p = (values[own] for values in model.poses(theta, rows))
     seen = data.position[own]
     place = {
         c.component: k
         for k, c in enumerate(model.coefficients)
-        if c.basis.constant and (c.where, c.station) == (first.where, first.station)
+        if c.basis.constant and (c.where, c.station) == (where, label)
     }
     value = np.array([theta[place[c]] for c in FRAME_COMPONENTS])
     moved = pin.SE3(pin.rpy.rpyToMatrix(value[3:]), value[:3])
     start = frames[int(index[own][0])][1] * moved
     if at_base:
-        turn = _nearest(seen, p) if data.rotation is None else _mean(data.rotation[own] @ R.transpose(0, 2, 1))
+        turn = _nearest(seen, p) if turned is None else _mean(turned @ R.transpose(0, 2, 1))
         step = pin.SE3(turn, (seen - p @ turn.T).mean(axis=0))
         moved = moved * start.inverse() * step * start
     else:
-        turn = np.eye(3) if data.rotation is None else _mean(R.transpose(0, 2, 1) @ data.rotation[own])
+        turn = np.eye(3) if turned is None else _mean(R.transpose(0, 2, 1) @ turned)
         step = pin.SE3(turn, np.einsum("nji,nj->ni", R, seen - p).mean(axis=0))
         moved = moved * step
     found = theta.copy()

@@ -2,25 +2,21 @@
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
-from aridcal import __version__
+from aridcal.effects.effect import ANGULAR, FRAME_COMPONENTS, Coefficient
 from aridcal.errors import MeasurementError
-from aridcal.fit.problem import problem
+from aridcal.inputs.read import ONE_TARGET
 from aridcal.model.model import Model
-from aridcal.result.outcome import errors
 from aridcal.result.saved_model import SavedModel, SolvedModel
-from aridcal.robot.splice import splice_origins, written_origins
 from aridcal.upkeep.checking import Cause, Checked
 from aridcal.upkeep.evidence import covariance_of, likely
 from aridcal.upkeep.suspects import Suspect, widened
+from aridcal.upkeep.unknowns import Place, Wide
 
 
 @dataclass(frozen=True)
@@ -70,7 +66,41 @@ def changes(checked: Checked) -> tuple[Change, ...]:
         names = tuple(model.names[k] for k in own)
         units = tuple(_unit(model, int(k)) for k in own)
         said.append(Change(cause, names, units, moved[own], std[own]))
-    return tuple(said)
+    return (*_anew(checked, found.theta, std), *said)
+
+
+def _anew(checked: Checked, theta: np.ndarray, std: np.ndarray) -> Iterator[Change]:
+    """Frames that the rows' own campaign calls new: from where they were, along and about their own axes."""
+    unknowns = checked.unknowns
+    model = unknowns.solved.model
+    own = [unknowns.of_calibration(c) for c in model.coefficients]
+    now = _frames_now(unknowns, theta)
+    before = _frames_now(replace(unknowns, solved=unknowns.before, renamed=False), unknowns.before.theta)
+    for where, label in unknowns.anew:
+        step = before[where, label].inverse() * now[where, label]
+        value = np.concatenate([step.translation, pin.log3(step.rotation)])
+        place = [
+            next(k for k, c in enumerate(own) if c == Coefficient(where, component, station=label))
+            for component in FRAME_COMPONENTS
+        ]
+        words = "the base (or the instrument)" if where == "world_base" else "the tool (or the target on it)"
+        name = where if label is None else f"{where}[{label}]"
+        kept = [i for i, k in enumerate(place) if unknowns.unknown[k]]
+        yield Change(
+            Cause("new", name, words, 1.0),
+            tuple(model.names[place[i]] for i in kept),
+            tuple("rad" if FRAME_COMPONENTS[i] in ANGULAR else "m" for i in kept),
+            value[kept],
+            std[[place[i] for i in kept]],
+        )
+
+
+def _frames_now(unknowns: Wide, theta: np.ndarray) -> dict[Place, pin.SE3]:
+    """All frames of the wide model, as the calibration labels them."""
+    world, tip = unknowns.solved.model.frames(theta)
+    renamed = [(None if unknowns.renamed and label == ONE_TARGET else label, frame) for label, frame in tip]
+    named = (("world_base", world), ("tip_target", renamed))
+    return {(where, label): frame for where, frames in named for label, frame in frames}
 
 
 def _unit(model: Model, k: int) -> str:
@@ -92,12 +122,12 @@ def repaired(saved: SavedModel, checked: Checked) -> Repaired:
         MeasurementError: nothing moved, or what moved cannot be told from these rows.
     """
     where = checked.rows.title
-    if not checked.contradicted:
+    if not checked.contradicted and not checked.unknowns.anew:
         raise MeasurementError(
             f"{where}: nothing moved: these rows go with the calibration as it is (p = {checked.first.p_value:.2g}); "
             "go on using it"
         )
-    if not checked.moved:
+    if checked.contradicted and not checked.moved:
         words = "; ".join(cause.words for cause in checked.causes)
         raise MeasurementError(
             f"{where}: no part of the robot moved, so that there is nothing to repair. What is odd is {words}; look at the "
@@ -110,10 +140,10 @@ def repaired(saved: SavedModel, checked: Checked) -> Repaired:
             "`aridcal identify`"
         )
     found = likely(checked.question)
-    final = _settled(SolvedModel(checked.wide.model, found.theta, covariance_of(checked.question, found)))
+    final = _settled(checked.unknowns, saved.final, found.theta, covariance_of(checked.question, found))
     moved = [cause.suspect for cause in checked.moved if cause.suspect is not None]
-    geometric = _geometric(saved.geometric, checked, found.theta, moved)
-    residual = problem(final.model, checked.rows).residual(final.theta)
+    geometric = _with_new_frames(_geometric(saved.geometric, checked, found.theta, moved), checked.unknowns, final)
+    residual = checked.question.problem.residual(found.theta)
     return Repaired(replace(saved, geometric=geometric, final=final), changes(checked), residual)
 
 
@@ -122,12 +152,30 @@ REMAINING = 1e-3
 in the same rows."""
 
 
-def _settled(solved: SolvedModel) -> SolvedModel:
-    """The same without the coefficients that are 0 and known, and with its frames where they are now."""
-    keep = np.flatnonzero((solved.theta != 0.0) | (np.diag(solved.covariance) > 0.0))
-    model = solved.model.with_coefficients([solved.model.coefficients[k] for k in keep])
-    model, theta = model.recentred(solved.theta[keep])
-    return SolvedModel(model, theta, solved.covariance[np.ix_(keep, keep)])
+def _settled(unknowns: Wide, before: SolvedModel, theta: np.ndarray, covariance: np.ndarray) -> SolvedModel:
+    """The wide model as a calibration again: without what is 0 and known, without instruments, its frames where they are now.
+
+    Args:
+        unknowns: The wide model, K coefficients.
+        before: The calibration's own.
+        theta: Their values now, shape (K,).
+        covariance: Theirs, shape (K, K).
+    """
+    wide = unknowns.solved.model
+    labels = {label for label, _ in before.model.tip_target}
+    own = [unknowns.of_calibration(c) for c in wide.coefficients]
+    strange = wide.at_things | np.array([c.where == "tip_target" and c.station not in {*labels, None} for c in own])
+    keep = np.flatnonzero(((theta != 0.0) | (np.diag(covariance) > 0.0)) & ~strange)
+    world, tip = wide.frames(theta)
+    named = [(None if unknowns.renamed and label == ONE_TARGET else label, frame) for label, frame in tip]
+    model = replace(
+        before.model,
+        coefficients=tuple(own[k] for k in keep),
+        world_base=world,
+        tip_target=tuple((label, frame) for label, frame in named if label in labels),
+    )
+    at_frames = [own[k].basis.constant and own[k].where in ("world_base", "tip_target") for k in keep]
+    return SolvedModel(model, np.where(at_frames, 0.0, theta[keep]), covariance[np.ix_(keep, keep)])
 
 
 def _geometric(before: SolvedModel, checked: Checked, theta: np.ndarray, moved: Sequence[Suspect]) -> SolvedModel:
@@ -145,76 +193,19 @@ def _geometric(before: SolvedModel, checked: Checked, theta: np.ndarray, moved: 
     for suspect in moved:
         if suspect.kind != "effect":
             for k in suspect.touched:
-                now[number[checked.wide.model.coefficients[k]]] += theta[k] - checked.wide.theta[k]
-    return _settled(SolvedModel(wide.model, now, wide.covariance))
+                c = checked.unknowns.of_calibration(checked.wide.model.coefficients[k])
+                now[number[c]] += theta[k] - checked.wide.theta[k]
+    return _settled(Wide(wide, wide, np.zeros(len(now), dtype=bool)), before, now, wide.covariance)
 
 
-def urdf_of(solved: SolvedModel) -> bytes:
-    """The user's URDF with a model's constants folded into the joints' own origins, zeros of joints included."""
-    robot, model = solved.model.robot, solved.model
-    origins = dict(model.origins(solved.theta))
-    for k, c in enumerate(model.coefficients):
-        if c.basis.form == "ones":
-            joint = robot.joint(c.where)
-            turn = pin.AngleAxis(float(solved.theta[k]), joint.axis).matrix()
-            slide = pin.SE3(np.eye(3), float(solved.theta[k]) * joint.axis)
-            own = slide if joint.kind == "prismatic" else pin.SE3(turn, np.zeros(3))
-            origins[joint.name] = origins.get(joint.name, joint.origin) * own
-    return splice_origins(robot.urdf, written_origins(robot.urdf, origins))
-
-
-def lineage(saved: SavedModel, calibration: Path, content: bytes, checked: Checked) -> dict[str, Any]:
-    """Where a repaired calibration comes from: the one before, and the rows that changed it.
-
-    Args:
-        saved: The calibration before.
-        calibration: Its file.
-        content: That file's bytes.
-        checked: What the rows said.
-    """
-    rows = checked.rows
-    used = ~checked.question.dropped
-    return {
-        "from": str(calibration),
-        "sha256": hashlib.sha256(content).hexdigest(),
-        "rows": {
-            "files": [file.name for file in rows.files],
-            "sha256": rows.sha256,
-            "used": sorted(int(line) for line in rows.line[used]),
-            "left_out": sorted(int(line) for line in rows.line[~used]),
-        },
-        "moved": [cause.where for cause in checked.moved],
-        "aridcal": __version__,
-        "before": saved.record.get("lineage"),
-    }
-
-
-def document(checked: Checked, mended: Repaired, parents: dict[str, Any]) -> dict[str, Any]:
-    """`result.json` of a repair: the new rows' errors before and after, what moved, and the lineage."""
-    rows = checked.rows
-    used = ~checked.question.dropped
-    return {
-        "format": 1,
-        "n": {"rows": len(rows) + len(rows.refused), "used": int(used.sum()), "refused": len(rows.refused)},
-        "error": {
-            "before": {"new_rows": errors(checked.residual, used, rows.channels)},
-            "after": {"new_rows": errors(mended.residual, used, rows.channels)},
-        },
-        "noise": {c.key: c.scale * float(s) for c, s in zip(rows.channels, checked.noise.sigma, strict=True)},
-        "moved": [
-            {
-                "kind": change.cause.kind,
-                "where": change.cause.where,
-                "probability": change.cause.probability,
-                "not_refuted": list(change.cause.alike),
-                "changes": [
-                    {"name": name, "unit": unit, "value": float(value), "std": float(std)}
-                    for name, unit, value, std in zip(change.names, change.units, change.value, change.std, strict=True)
-                ],
-            }
-            for change in mended.changes
-        ],
-        "p_value": {"before": checked.first.p_value, "after": checked.rest.p_value},
-        "lineage": parents,
-        "version": __version__,
-    }
+def _with_new_frames(geometric: SolvedModel, unknowns: Wide, final: SolvedModel) -> SolvedModel:
+    """The geometric stage with frames that were fitted anew moved as the final stage's were."""
+    model = geometric.model
+    placed = {"world_base": dict(model.world_base), "tip_target": dict(model.tip_target)}
+    before = _frames_now(replace(unknowns, solved=unknowns.before, renamed=False), unknowns.before.theta)
+    after = {"world_base": dict(final.model.world_base), "tip_target": dict(final.model.tip_target)}
+    for where, label in unknowns.anew:
+        old, new, own = before[where, label], after[where][label], placed[where][label]
+        placed[where][label] = new * old.inverse() * own if where == "world_base" else own * old.inverse() * new
+    world, tip = (tuple(placed[where].items()) for where in ("world_base", "tip_target"))
+    return replace(geometric, model=replace(model, world_base=world, tip_target=tip))

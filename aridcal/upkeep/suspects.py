@@ -6,7 +6,7 @@ A suspect h is a set of directions :math:`D_h` (K, d) in the space of the coeffi
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +14,7 @@ import numpy as np
 from aridcal.effects.basis import Basis
 from aridcal.effects.effect import ANGULAR, FRAME_COMPONENTS, Coefficient
 from aridcal.inputs.dataset import Dataset
+from aridcal.inputs.read import TIP
 from aridcal.model.model import Frames, Model
 from aridcal.result.saved_model import SolvedModel
 from aridcal.robot.chain import Joint
@@ -42,6 +43,7 @@ class Suspect:
         words: What it is called.
         directions: Shape (K, d), in coefficients of the wide model; of a change of size 1.
         sizes: That it may have.
+        turns: True of the zero of a joint that turns: it may be anywhere around.
     """
 
     kind: str
@@ -49,6 +51,7 @@ class Suspect:
     words: str
     directions: np.ndarray
     sizes: tuple[float, ...]
+    turns: bool = False
 
     @property
     def touched(self) -> np.ndarray:
@@ -68,12 +71,13 @@ def widened(solved: SolvedModel) -> SolvedModel:
     return SolvedModel(model.with_coefficients((*model.coefficients, *missing)), theta, covariance)
 
 
-def suspects(wide: SolvedModel, rows: Dataset) -> tuple[Suspect, ...]:
+def suspects(wide: SolvedModel, rows: Dataset, new: Collection[tuple[str, str | None]] = ()) -> tuple[Suspect, ...]:
     """All that may have moved, as the rows would show it.
 
     Args:
         wide: See :func:`widened`.
-        rows: N rows; of frames that are per station only those of their stations are suspects.
+        rows: N rows; of frames that are per station or target only those of these rows are suspects.
+        new: Frames, by where they are and their label, that are not those of the calibration.
     """
     model = wide.model
     number = {c: k for k, c in enumerate(model.coefficients)}
@@ -84,22 +88,30 @@ def suspects(wide: SolvedModel, rows: Dataset) -> tuple[Suspect, ...]:
         return directions
 
     found = [
-        Suspect("zero", joint.name, f"the zero of {joint.name}", along([_zero(joint)]), SIZES)
+        Suspect(
+            "zero", joint.name, f"the zero of {joint.name}", along([_zero(joint)]), SIZES, joint.kind != "prismatic"
+        )
         for joint in model.robot.joints
     ]
-    here = set() if rows.station is None else set(rows.station.tolist())
+    stations = set() if rows.station is None else set(rows.station.tolist())
+    targets = stations if rows.target is None else set(rows.target.tolist()) - {TIP}
     for where, frames, noun in (
         ("world_base", model.world_base, "the base (or the instrument)"),
         ("tip_target", model.tip_target, "the tool (or the target on it)"),
     ):
-        for label in [label for label, _ in frames if label is None or label in here]:
+        here = stations if where == "world_base" else targets
+        found_here = [label for label, _ in frames if label is None or label in here]
+        for label in [label for label in found_here if (where, label) not in new]:
             own = [
                 Coefficient(where, c, station=label)
                 for c in FRAME_COMPONENTS
-                if rows.rotation is not None or where == "world_base" or c not in ANGULAR
+                if rows.sees_turns or where == "world_base" or c not in ANGULAR
             ]
             name = where if label is None else f"{where}[{label}]"
-            words = noun if label is None else f"{noun} at station {label}"
+            at = "station" if rows.target is None or where == "world_base" else "target"
+            words = (
+                noun if label is None else f"{noun} at station {label}" if at == "station" else f"the target {label}"
+            )
             found.append(Suspect("frame", name, words, along(own), SIZES))
     return (*found, *_effects(wide))
 

@@ -1,0 +1,211 @@
+"""``report.html`` of a repair: what moved, the new rows before and after, what is handed on, and where it comes from."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from aridcal import __version__
+from aridcal.drawing.html import (
+    Content,
+    Html,
+    attempt,
+    bullets,
+    counted,
+    empty_page,
+    join,
+    noting,
+    number,
+    plus_minus,
+    table,
+    tag,
+)
+from aridcal.instruments.channels import Channel, norms
+from aridcal.report.identified_section import identified
+from aridcal.report.limits_section import use
+from aridcal.report.page import drawn
+from aridcal.result.controllers import Handover
+from aridcal.result.outcome import errors
+from aridcal.upkeep.checking import Checked
+from aridcal.upkeep.outcomes import RepairOutcomes
+from aridcal.upkeep.repair import Change, Repaired
+
+MOST_ROWS = 40
+"""New rows that the page lists; of more the worst."""
+
+SHOWN = {"m": ("mm", 1e3), "rad": ("mrad", 1e3)}
+"""How lengths and angles are shown; all else in its own unit."""
+
+
+def write_repair_report(
+    made: RepairOutcomes,
+    checked: Checked,
+    mended: Repaired,
+    lineage: dict[str, Any],
+    lines: list[str],
+    handover: Handover,
+    path: Path,
+) -> tuple[str, ...]:
+    """Write the page of a repair.
+
+    Args:
+        made: The repaired calibration as outcomes.
+        checked: What the new rows said.
+        mended: What was done.
+        lineage: Where the calibration comes from.
+        lines: What was found, in words.
+        handover: What controllers are given.
+        path: The HTML file.
+
+    Returns:
+        Notices: what could not be drawn, and why.
+    """
+    with noting() as notices:
+        text = attempt(
+            "report.html",
+            lambda: _page(made, checked, mended, lineage, lines, handover),
+            lambda notice: empty_page("Repair report", notice),
+        )
+    path.write_bytes(text.encode("utf-8", "replace"))
+    return tuple(notices)
+
+
+def _page(
+    made: RepairOutcomes,
+    checked: Checked,
+    mended: Repaired,
+    lineage: dict[str, Any],
+    lines: list[str],
+    handover: Handover,
+) -> Html:
+    """The whole page; each of its sections fails alone."""
+    chapters = [
+        ("moved", "1. What moved?", _moved(mended, lines)),
+        ("rows", "2. Do the new rows fit now?", _rows(made)),
+        ("parameters", "3. What is the calibration now?", identified(made.rows)),
+        ("use", "4. How to use the result", use(made.model, handover)),
+        ("lineage", "5. Where does it come from?", _lineage(lineage)),
+    ]
+    m = made.rows.measurements
+    links = [tag("a", title, href=f"#{key}") for key, title, _ in chapters]
+    sections = [tag("section", tag("h2", title), drawn(title, content), id=key) for key, title, content in chapters]
+    body = [
+        tag("header", drawn("Summary", _summary(made, checked, mended)), tag("nav", links, aria_label="Sections")),
+        tag("main", sections),
+        tag("footer", f"aridcal {__version__}, {counted(len(m), 'row')} with sha256 {m.sha256[:16]}"),
+    ]
+    head = [
+        tag("meta", charset="utf-8"),
+        tag("meta", name="viewport", content="width=device-width, initial-scale=1"),
+        tag("title", f"Repair of {made.rows.robot.tree.name}"),
+        tag("style", Html(files("aridcal.drawing").joinpath("assets/report.css").read_text("utf-8"))),
+    ]
+    whole = tag("html", tag("head", head), tag("body", body), lang="en")
+    return join([Html("<!DOCTYPE html>\n"), whole])
+
+
+def _summary(made: RepairOutcomes, checked: Checked, mended: Repaired) -> Iterator[Content]:
+    """The first screen: how far off before, how far now, and what moved."""
+    m, robot = made.rows.measurements, made.rows.robot
+    names = ", ".join(path.name for path in m.files)
+    yield tag("h1", f"Repair of {robot.tree.name}")
+    yield tag(
+        "p", f"{names} · {counted(len(m), 'new row')} · {robot.path.name}, {robot.base} to {robot.tip}", class_="about"
+    )
+    seen = [k for k, channel in enumerate(m.channels) if m.measures[:, k].any() and not channel.inner]
+    yield tag("div", [_card(made, k) for k in seen], class_="cards")
+    moved = [change.cause.words for change in mended.changes]
+    fitted = [f"{words}: fitted to the new rows; all else is kept as well as it was known." for words in moved]
+    left = "agrees with the noise" if made.rows.verdict.word == "noise_floor" else "is more than the noise"
+    trust = [
+        f"What remains {left} (p = {checked.rest.p_value:.2g}).",
+        "“Left out” is the error of rows that what moved was not fitted to: the figure to expect of the next row.",
+        "What moved was named with all of the rows: a few more, in other attitudes, are a test that is free of that.",
+    ]
+    yield tag(
+        "div",
+        tag("div", tag("h2", "What changed"), bullets(fitted)),
+        tag("div", tag("h2", "Can I trust it?"), bullets(trust)),
+        class_="answers",
+    )
+
+
+def _card(made: RepairOutcomes, k: int) -> Html:
+    """Before, after and left out of one channel in large figures."""
+    m = made.rows.measurements
+    channel, noise = m.channels[k], float(made.rows.noise[k])
+    every = ~made.rows.outlier
+    before, after, left = (
+        errors(residual, every, m.channels)[channel.key]["rms"]
+        for residual in (made.before, made.rows.stage("final").residual, made.left_out)
+    )
+    unit = channel.shown
+    figures = tag(
+        "p",
+        tag("span", f"{number(before)} ", tag("small", unit), class_="before", title="before the repair"),
+        tag("span", " → ", class_="arrow"),
+        tag("span", f"{number(after)} ", tag("small", unit), class_="now", title="after the repair"),
+        class_="change",
+    )
+    per_axis = f" per number; {channel.size} numbers a row" if channel.size > 1 else ""
+    out = "cannot be said" if np.isnan(left) else f"{number(left)} {unit}"
+    of_noise = f"The noise is {number(channel.scale * noise)} {unit}{per_axis}."
+    said = f"before → after the repair, on the new rows. Left out: {out}. {of_noise}"
+    return tag("div", tag("h2", f"{channel.noun.capitalize()}, RMS"), figures, tag("p", said), class_="card")
+
+
+def _moved(mended: Repaired, lines: list[str]) -> Iterator[Content]:
+    """What moved, by how much, and what the rows cannot tell it from."""
+    yield bullets([line.strip() for line in lines])
+    yield table(
+        ["coefficient", "change", "probability of the cause"],
+        [line for change in mended.changes for line in _changes(change)],
+        "Fitted to the new rows",
+        numbers=1,
+    )
+
+
+def _changes(change: Change) -> Iterator[list[Content]]:
+    """A line for each coefficient of what moved."""
+    for name, unit, value, std in zip(change.names, change.units, change.value, change.std, strict=True):
+        shown, scale = SHOWN.get(unit, (unit, 1.0))
+        sure = "stated" if change.cause.kind == "new" else f"{100 * min(change.cause.probability, 0.999):.1f} %"
+        yield [tag("code", name), f"{plus_minus(scale * value, scale * std)} {shown}", sure]
+
+
+def _rows(made: RepairOutcomes) -> Iterator[Content]:
+    """Errors of each new row: before, after, and left out."""
+    m, last = made.rows.measurements, made.rows.stage("final").residual
+    columns = [norms(residual, m.channels) for residual in (made.before, last, made.left_out)]
+    seen = [k for k in range(len(m.channels)) if m.measures[:, k].any()]
+    order = m.as_read if len(m) <= MOST_ROWS else np.argsort(-np.nan_to_num(columns[1][seen[0]]))[:MOST_ROWS]
+    lines: list[list[Content]] = []
+    for row in order.tolist():
+        own = [k for k in seen if m.measures[row, k]]
+        part = "odd, not used" if made.rows.outlier[row] else "held out" if m.test[row] else "used"
+        cells = [", ".join(_shown(c[k][row], m.channels[k]) for k in own) for c in columns]
+        lines.append([f"{m.files[m.file[row]].name}, row {m.line[row]}", part, *cells])
+    which = "" if len(m) <= MOST_ROWS else f"; the {MOST_ROWS} worst of {len(m)}"
+    yield table(["new row", "part", "before", "after", "left out"], lines, f"Error of each new row{which}", numbers=2)
+
+
+def _shown(value: float, channel: Channel) -> str:
+    return "–" if np.isnan(value) else f"{number(channel.scale * float(value))} {channel.shown}"
+
+
+def _lineage(lineage: dict[str, Any]) -> Iterator[Content]:
+    """The calibrations before this one, the last first."""
+    lines: list[list[Content]] = []
+    at: dict[str, Any] | None = lineage
+    while at is not None:
+        rows, moved = at["rows"], [*at.get("moved", ()), *at.get("fitted_anew", ())]
+        what = f"{len(rows['used'])} rows of {', '.join(rows['files'])}"
+        lines.append([tag("code", at["from"]), at["sha256"][:16], what, ", ".join(moved)])
+        at = at.get("before")
+    yield table(
+        ["calibration before", "sha256", "repaired with", "fitted"], lines, "Lineage, the last repair first", numbers=4
+    )

@@ -1,0 +1,199 @@
+"""A repaired calibration as outcomes, of which the files of a result folder are made.
+
+There are two: the new rows set beside the models, for figures, report and scene; and the repaired model's own predictions where
+it was calibrated, to which exports for controllers are fitted. Ten rows tell what moved, but not what a controller makes of it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from aridcal.effects.effect import FRAME_COMPONENTS, Coefficient
+from aridcal.errors import CampaignError
+from aridcal.fit.least_squares import Convergence, Fit, fit_identifiable
+from aridcal.fit.problem import Problem, problem
+from aridcal.fit.stages import recentred
+from aridcal.inputs.campaign import Campaign
+from aridcal.inputs.dataset import Dataset, dataset
+from aridcal.model.model import Model
+from aridcal.result.outcome import Outcome, Stage
+from aridcal.result.saved_model import SavedModel, SolvedModel
+from aridcal.result.verdict import Verdict
+from aridcal.search.residual_trends import Order, Traces
+from aridcal.trust.uncertainty import precision
+from aridcal.upkeep.bounds import FALSE_ALARMS
+from aridcal.upkeep.checking import Checked, asked, with_unknowns
+from aridcal.upkeep.evidence import covariance_of, likely
+from aridcal.upkeep.left_out import left_out
+from aridcal.upkeep.repair import Repaired
+from aridcal.upkeep.suspects import widened
+from aridcal.upkeep.unknowns import wide_of
+
+PREDICTED = 400
+"""Configurations in which the repaired model predicts itself: sixty numbers for each constant that an export may have."""
+
+
+@dataclass(frozen=True)
+class RepairOutcomes:
+    """What the files of a repaired calibration are made of.
+
+    Attributes:
+        rows: The new rows beside the nominal robot, the repaired geometry and the whole repaired model.
+        model: The same beside what the repaired model predicts where it was calibrated.
+        before: Residuals of the calibration before, shape (N, m).
+        left_out: Residuals with what moved fitted to the other rows, shape (N, m); see :func:`left_out`.
+    """
+
+    rows: Outcome
+    model: Outcome
+    before: np.ndarray
+    left_out: np.ndarray
+
+
+def repair_outcomes(saved: SavedModel, checked: Checked, mended: Repaired) -> RepairOutcomes:
+    """Set a repaired calibration beside the new rows, and beside its own predictions.
+
+    Args:
+        saved: The calibration before.
+        checked: What the rows said of it.
+        mended: The repair.
+
+    Raises:
+        CampaignError: the calibration does not hold its campaign.
+    """
+    if saved.campaign is None:
+        raise CampaignError("calibration.yaml holds no campaign; run `aridcal identify` again")
+    found = likely(checked.question)
+    predicted = _predicted(mended.saved)
+    nominal = _nominal(mended.saved, predicted)
+    sigma = np.array(mended.saved.noise[: len(predicted.channels)])
+    arm = SolvedModel(nominal.model, nominal.theta, nominal.covariance)
+    of_model = tuple(
+        Stage(name, *_fit(problem(solved.model, predicted), solved, sigma))
+        for name, solved in (("nominal", arm), ("geometric", mended.saved.geometric), ("final", mended.saved.final))
+    )
+    noise = checked.question.times * checked.noise.sigma
+    final = SolvedModel(checked.wide.model, found.theta, covariance_of(checked.question, found))
+    of_rows = (
+        *(_beside(name, solved, checked) for name, solved in (("nominal", arm), ("geometric", mended.saved.geometric))),
+        Stage("final", *_fit(checked.question.problem, _without_zeros(final), noise)),
+    )
+    odd = checked.rest.p_value < FALSE_ALARMS
+    share = max(0.0, 1.0 - 1.0 / checked.rest.ratio) if odd else 0.0
+    why = (f"what remains of the new rows is more than their noise (p = {checked.rest.p_value:.2g})",) if odd else ()
+    verdict = Verdict("structure_remains" if odd else "noise_floor", share, why)
+    used = ~checked.question.dropped
+    held_out = checked.rows.test if checked.rows.split_given else np.zeros(len(used), dtype=bool)
+    rows = replace(checked.rows, test=held_out)
+    return RepairOutcomes(
+        rows=_outcome(saved.campaign, rows, of_rows, ~used & ~held_out, noise, verdict),
+        model=_outcome(saved.campaign, predicted, of_model, np.zeros(PREDICTED, dtype=bool), sigma, verdict),
+        before=checked.residual,
+        left_out=left_out(checked, found.theta),
+    )
+
+
+def _outcome(
+    campaign: Campaign,
+    rows: Dataset,
+    stages: tuple[Stage, ...],
+    outlier: np.ndarray,
+    noise: np.ndarray,
+    verdict: Verdict,
+) -> Outcome:
+    """Stages that are there already as an outcome; nothing is asked of their residuals."""
+    return Outcome(
+        campaign=campaign,
+        robot=stages[0].fit.model.robot,
+        measurements=rows,
+        stages=stages,
+        outlier=outlier,
+        noise=noise,
+        noise_source="declared",
+        repeats=None,
+        precision=precision(stages[-1].fit, rows, (float("nan"), float("nan"))),
+        verdict=verdict,
+        notices=tuple(str(notice) for notice in rows.notices),
+        seconds=0.0,
+        traces=Traces((), (), 0, Order(False, rows.as_read, np.zeros(0), np.zeros(0), 0.0, 0, 0.0, 0.0, 1.0)),
+    )
+
+
+def _predicted(saved: SavedModel) -> Dataset:
+    """What a model predicts where it was calibrated, as rows that measured it exactly."""
+    model, rng = saved.final.model, np.random.default_rng(0)
+    robot = model.robot
+    drawn = {
+        name: rng.choice(saved.ranges[name], PREDICTED)
+        if name.endswith("_direction")
+        else rng.uniform(*saved.ranges[name], PREDICTED)
+        for name in (*robot.readings, *model.needs)
+    }
+    labels = [label for label, _ in (*model.world_base, *model.tip_target) if label is not None]
+    station = rng.choice(sorted(set(labels)), PREDICTED) if labels else None
+    readings = np.column_stack([drawn[name] for name in robot.readings])
+    covariates = {name: drawn[name] for name in model.needs}
+    R, p = saved.final.poses(readings, covariates, station)
+    turns = R if saved.kind == "pose" else None
+    return dataset(
+        robot.readings, robot.kinds, readings, p, turns, sigma=saved.noise, covariates=covariates, station=station
+    )
+
+
+def _nominal(saved: SavedModel, predicted: Dataset) -> Fit:
+    """The nominal robot with its frames where these suit the repaired model best."""
+    model = saved.final.model
+    frames = (("world_base", model.world_base), ("tip_target", model.tip_target))
+    own = [
+        Coefficient(where, component, station=label)
+        for where, placements in frames
+        for label, _ in placements
+        for component in FRAME_COMPONENTS
+    ]
+    bare = Model(model.robot, tuple(own), model.world_base, model.tip_target, model.around)
+    return recentred(fit_identifiable(problem(bare, predicted), range(len(own))))
+
+
+def _beside(name: str, solved: SolvedModel, checked: Checked) -> Stage:
+    """A stage set beside the new rows: what only these tell is fitted to them."""
+    wide = wide_of(widened(solved), checked.rows)
+    question = asked(wide.solved, checked.rows, checked.noise, wide.unknown)
+    theta = with_unknowns(question)
+    arm = _without_zeros(SolvedModel(wide.solved.model, theta, wide.solved.covariance))
+    return Stage(name, *_fit(question.problem, arm, checked.noise.sigma))
+
+
+def _without_zeros(solved: SolvedModel) -> SolvedModel:
+    """The same without coefficients that are 0 and known."""
+    keep = np.flatnonzero((solved.theta != 0.0) | (np.diag(solved.covariance) > 0.0))
+    coefficients = [solved.model.coefficients[k] for k in keep]
+    return SolvedModel(
+        solved.model.with_coefficients(coefficients), solved.theta[keep], solved.covariance[np.ix_(keep, keep)]
+    )
+
+
+def _fit(question: Problem, solved: SolvedModel, sigma: np.ndarray) -> tuple[Fit, np.ndarray]:
+    """A solved model as a fit of some rows, and its residuals there, shape (N, m)."""
+    rows = question.data
+    residual = problem(solved.model, rows).residual(solved.theta)
+    where = {c.where for c in solved.model.coefficients if c.basis.constant}
+    frames = [
+        Coefficient(place, c) for place in ("world_base", "tip_target") if place not in where for c in FRAME_COMPONENTS
+    ]
+    made = Fit(
+        model=solved.model,
+        theta=solved.theta,
+        covariance=solved.covariance,
+        sigma=sigma,
+        estimated=sigma,
+        weight=np.ones(len(rows)),
+        residual=residual,
+        candidates=(*solved.model.coefficients, *frames),
+        redundant={},
+        convergence=Convergence(steps=0, gradient=0.0, condition=float("nan")),
+        spent=float(len(solved.theta)),
+        numbers=float((rows.measures * [channel.size for channel in rows.channels]).sum()),
+    )
+    return recentred(made), residual
