@@ -23,6 +23,10 @@ from aridcal.instruments.channels import Channels, spread
 from aridcal.showing import SILENT, Progress
 
 
+NUMBERS = 10_000_000
+"""Numbers of the largest array that is held, 80 MB: of a model of very many coefficients fewer rows are looked at."""
+
+
 @dataclass(frozen=True)
 class Columns:
     """N rows of m numbers about the solution of a fit, divided by their noise; rows without weight are left out.
@@ -113,7 +117,8 @@ def columns_of(fit: Fit, data: Dataset, sigma: np.ndarray, most: int, progress: 
         progress: Told how far the pass over them is.
     """
     asked = problem(fit.model, data, progress)
-    chosen = thin(asked.rows, most, asked.groups)
+    wide = sum(channel.size for channel in data.channels) * max(len(fit.theta), 1)
+    chosen = thin(asked.rows, min(most, NUMBERS // wide), asked.groups)
     chosen = chosen[fit.weight[chosen] > 0.0]
     asked = agreed(asked.select(chosen), fit.theta)
     per = 1.0 / spread(sigma, asked.channels)

@@ -18,13 +18,14 @@ the same rows are given noise instead of residuals, :data:`DRAWS` times, and all
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.stats import f as fisher
 
 from aridcal.effects.effect import Coefficient
+from aridcal.effects.loads import covariate_table
 from aridcal.fit.flags import FLOOR
 from aridcal.fit.least_squares import Fit
 from aridcal.fit.normal_equations import balanced
@@ -35,8 +36,8 @@ from aridcal.trust.columns import Columns, columns_of
 ROWS = 1000
 """Rows at the most that are compared: 300 show an error as large as the noise, and every draw costs as many as there are."""
 
-DRAWS = 499
-"""Sets of noise that say what chance does: a p-value near 0.05 is then known to 0.01. Smaller ones are bounded by Bonferroni's."""
+DRAWS = 199
+"""Sets of noise that say what chance does: a p-value near 0.05 is then known to 0.015. Smaller ones are bounded by Bonferroni's."""
 
 DISAGREE = 1e-3
 """Chance of a false alarm: of a thousand clean calibrations one is said to disagree with itself."""
@@ -52,12 +53,17 @@ EXACT = 10.0
 """Times what counts as rounding: below it there is no noise that the halves could be compared with."""
 
 PATTERNS = {
-    "low and high": (0, 0, 1, 1),
-    "the middle and the ends": (0, 1, 1, 0),
-    "alternate quarters": (0, 1, 0, 1),
+    "low and high": (0, 0, 0, 0, 1, 1, 1, 1),
+    "the middle and the ends": (0, 0, 1, 1, 1, 1, 0, 0),
+    "alternate quarters": (0, 0, 1, 1, 0, 0, 1, 1),
+    "alternate quarters from an eighth on": (0, 1, 1, 0, 0, 1, 1, 0),
+    "alternate eighths": (0, 1, 0, 1, 0, 1, 0, 1),
 }
-"""Which quarters of a column's values make a half: the first three Walsh functions, so that a period of one turn or two, of any
-phase, differs between the halves of at least one of them."""
+"""Which eighths of a column's values make a half: Walsh functions, so that one period over the range, or two, of any phase,
+differ between the halves of at least one of them."""
+
+GRAVITY = ".gravity_"
+"""In the names of gravity's loads."""
 
 SAMPLES = ("bump", "bump2")
 """Forms of bases that are samples of a smooth function."""
@@ -123,7 +129,8 @@ def halves(fit: Fit, train: Dataset, progress: Progress = SILENT) -> Halves | No
         return None
     of_rows = columns_of(fit, train, np.maximum(fit.estimated, FLOOR), ROWS, progress)
     own = np.array([_of_half(c) for c in fit.model.coefficients])
-    found = list(_compared(of_rows, divisions(train.select(of_rows.rows)), own, train.configuration[of_rows.rows]))
+    rows = train.select(of_rows.rows)
+    found = list(_compared(of_rows, divisions(rows, _loads(fit, rows)), own, rows.configuration))
     if not found:
         return None
     p_values = np.array([each.p_values for each in found])
@@ -146,22 +153,34 @@ def halves(fit: Fit, train: Dataset, progress: Progress = SILENT) -> Halves | No
     )
 
 
+def _loads(fit: Fit, rows: Dataset) -> dict[str, np.ndarray]:
+    """Gravity on every joint of the nominal arm, shape (N,) each: what bends it goes with sums of readings, with no single one."""
+    model = fit.model
+    world = model.rows(rows.readings, rows.conditions, rows.station, rows.target).world
+    table = covariate_table(model.robot, rows.readings, rows.covariates, model.around, world, {GRAVITY})
+    return {name: values for name, values in table.items() if GRAVITY in name}
+
+
 def _of_half(c: Coefficient) -> bool:
     """True for what each half has of its own: all but samples of smooth functions and frames of single stations."""
     return c.basis.form not in SAMPLES and c.station is None
 
 
-def divisions(rows: Dataset) -> list[Division]:
-    """Every way in which rows are divided into halves by blocks."""
+def divisions(rows: Dataset, loads: Mapping[str, np.ndarray]) -> list[Division]:
+    """Every way in which rows are divided into halves by blocks; readings of turning joints within one turn, and as they are.
+
+    Args:
+        rows: N rows.
+        loads: What else the arm feels, shape (N,) each: gravity on its joints.
+    """
     found = []
-    order = np.argsort(rows.sequence).astype(float)
-    columns = dict(zip(rows.names, rows.readings.T, strict=True)) | {"row": order}
-    for of, values in columns.items():
-        rank = np.argsort(np.argsort(values, kind="stable"), kind="stable")
-        quarter = np.minimum(4 * np.searchsorted(np.sort(values), values) // len(values), 3)
-        quarter = 4 * rank // len(rank) if of == "row" else quarter
-        found += [Division(of, how, np.array(pattern)[quarter] == 1) for how, pattern in PATTERNS.items()]
-    for of, values in rows.covariates.items():
+    joints = zip(rows.names, rows.kinds, rows.readings.T, strict=True)
+    columns = [(of, np.angle(np.exp(1j * q)) if kind != "prismatic" else q) for of, kind, q in joints]
+    for of, values in [*columns, ("row", np.argsort(rows.sequence).astype(float))]:
+        eighth = np.minimum(8 * np.searchsorted(np.sort(values), values) // len(values), 7)
+        found += [Division(of, how, np.array(pattern)[eighth] == 1) for how, pattern in PATTERNS.items()]
+    readings = dict(zip(rows.names, rows.readings.T, strict=True))
+    for of, values in (readings | rows.covariates | dict(loads)).items():
         if np.isfinite(values).all():
             middle = np.median(values)
             above, least = values > middle, values >= middle
