@@ -175,7 +175,9 @@ OF_ARMS = (
 
 def power(runs: int) -> None:
     """Which missing effects are betrayed."""
-    print(f"| missing, 300 rows | poses: p < {DISAGREE:g} | in the rows before the fit [sigma] | positions | before the fit |")
+    print(
+        f"| missing, 300 rows | poses: p < {DISAGREE:g} | in the rows before the fit [sigma] | positions | before the fit |"
+    )
     total = dict.fromkeys(("pose", "position"), 0)
     tried = 0
     for effect_kind in OF_ARMS:

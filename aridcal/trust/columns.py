@@ -1,7 +1,8 @@
 r"""A fit's rows as one linear problem: what they leave and what takes it off, in sigmas, things solved for on demand.
 
 For whitened residuals r, columns J of the K coefficients and columns B of the unknowns of the rows' things (see
-:mod:`aridcal.fit.elimination`), with what is known of those beforehand as further rows T of unit noise, the sums over some rows are
+:mod:`aridcal.fit.elimination`), with what is known of those beforehand as further rows T of unit noise, the sums over
+some rows are
 
 .. math:: H = J^T J - C^T H_B^{-1} C, \qquad g = J^T r - C^T H_B^{-1} b, \qquad
           H_B = B^T B + T^T T, \quad C = B^T J, \quad b = B^T r + T^T t
@@ -21,7 +22,6 @@ from aridcal.fit.problem import agreed, problem
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.channels import Channels, spread
 from aridcal.showing import SILENT, Progress
-
 
 NUMBERS = 10_000_000
 """Numbers of the largest array that is held, 80 MB: of a model of very many coefficients fewer rows are looked at."""

@@ -8,8 +8,9 @@ side of approach, a load), every coefficient that both halves tell is fitted to 
           F = \frac{T^2 / d}{(S_A + S_B) / (n - k - d)}
 
 with the squares S that fits to both, and to each half, leave, and d the rank of the difference (Chow 1960, doi:10.2307/1910133).
-What no row tells has no part in it: the difference is taken in the identifiable subspace. Things that instruments refer to (points,
-anchors, boards) and samples of smooth functions are common to both halves: they are no halves' own. F needs no noise to be known.
+What no row tells has no part in it: the difference is taken in the identifiable subspace. Things that instruments refer to
+(points, anchors, boards) and samples of smooth functions are common to both halves: they are no halves' own. F needs no
+noise to be known.
 
 Many divisions are looked at, and the one that shows most is named. What chance makes of the best of so many is not a guess:
 the same rows are given noise instead of residuals, :data:`DRAWS` times, and all is done again (Monte Carlo test; Dwass
@@ -37,7 +38,8 @@ ROWS = 1000
 """Rows at the most that are compared: 300 show an error as large as the noise, and every draw costs as many as there are."""
 
 DRAWS = 199
-"""Sets of noise that say what chance does: a p-value near 0.05 is then known to 0.015. Smaller ones are bounded by Bonferroni's."""
+"""Sets of noise that say what chance does: a p-value near 0.05 is then known to 0.015. Smaller ones are bounded by
+Bonferroni's."""
 
 DISAGREE = 1e-3
 """Chance of a false alarm: of a thousand clean calibrations one is said to disagree with itself."""
@@ -154,7 +156,7 @@ def halves(fit: Fit, train: Dataset, progress: Progress = SILENT) -> Halves | No
 
 
 def _loads(fit: Fit, rows: Dataset) -> dict[str, np.ndarray]:
-    """Gravity on every joint of the nominal arm, shape (N,) each: what bends it goes with sums of readings, with no single one."""
+    """Gravity on every joint of the nominal arm, shape (N,) each: what bends it goes with sums of readings."""
     model = fit.model
     world = model.rows(rows.readings, rows.conditions, rows.station, rows.target).world
     table = covariate_table(model.robot, rows.readings, rows.covariates, model.around, world, {GRAVITY})
@@ -220,9 +222,7 @@ class _Compared:
     covariance: np.ndarray
 
 
-def _compared(
-    rows: Columns, ways: list[Division], own: np.ndarray, configuration: np.ndarray
-) -> Iterator[_Compared]:
+def _compared(rows: Columns, ways: list[Division], own: np.ndarray, configuration: np.ndarray) -> Iterator[_Compared]:
     """Compare the halves of every division that leaves enough numbers.
 
     Args:
@@ -246,7 +246,7 @@ def _compared(
     known = known - tied @ steps
     squares = np.sum(flat**2, axis=0) + np.sum(known**2, axis=0)
     numbers = rows.share * rows.there.sum() + len(rows.known.left) - np.sum(things.rank)
-    left = int(round(float(numbers))) - spent
+    left = round(float(numbers)) - spent
     for way in ways:
         A = np.where(way.side[:, None, None], rows.J[:, :, own], 0.0)
         AP, _ = rows.less(A, none[:, :k], things)

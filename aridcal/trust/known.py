@@ -143,7 +143,9 @@ def _combinations(names: list[str], units: list[str], covariance: np.ndarray) ->
         parts = [k for k in largest_first.tolist() if abs(vector[k]) >= CARRIES * vector[largest_first[0]]][:MOST_PARTS]
         shared = {units[k] for k in parts}
         unit = shared.pop() if len(shared) == 1 else ""
-        found.append(Combination(tuple((names[k], float(vector[k])) for k in parts), unit, float(np.sqrt(max(value, 0.0)))))
+        found.append(
+            Combination(tuple((names[k], float(vector[k])) for k in parts), unit, float(np.sqrt(max(value, 0.0))))
+        )
     return tuple(found)
 
 

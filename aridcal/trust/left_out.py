@@ -7,8 +7,8 @@ share of the whole is
 .. math:: L_i = \tilde J_i \Lambda^{-1} \tilde J_i^T + B_i H_B^{-1} B_i^T, \qquad
           \delta_i = -\Lambda^{-1} \tilde J_i^T (1 - L_i)^{-1} r_i, \qquad D_i = \delta_i^T \Lambda \delta_i / K
 
-with :math:`\tilde J` less what the row's things take up: leverage, and Cook's distance (Cook 1977, doi:10.2307/1268249) of rows of
-several numbers. What matters to users is how far the predicted target moves (DFFITS; Belsley, Kuh, Welsch 1980).
+with :math:`\tilde J` less what the row's things take up: leverage, and Cook's distance (Cook 1977, doi:10.2307/1268249) of rows
+of several numbers. What matters to users is how far the predicted target moves (DFFITS; Belsley, Kuh, Welsch 1980).
 """
 
 from __future__ import annotations

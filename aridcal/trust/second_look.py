@@ -1,4 +1,4 @@
-"""A second look at a calibration, from its own rows: halves of them, parts of them, single ones, and what they tell of constants."""
+"""A second look at a calibration, from its own rows: halves, parts, single ones, and what they tell of constants."""
 
 from __future__ import annotations
 
