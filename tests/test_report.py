@@ -35,6 +35,7 @@ from aridcal.robot.chain import parse_robot
 from aridcal.robot.doty import doty_links
 from aridcal.search.gains import Curve, Diagnosis, NamedEffect, Rejected
 from aridcal.search.noise_tests import Clue
+from aridcal.trust.halves import Halves
 from aridcal.trust.uncertainty import accuracy
 
 ANSWERS = ["data", "separable", "enough", "fits", "depends", "remains", "iso", "parameters", "use"]
@@ -338,13 +339,21 @@ def test_the_verdict_is_said_in_words(outcome: Outcome, verdict: str, words: str
 
 
 def test_halves_that_disagree_are_held_against_the_result(outcome: Outcome) -> None:
-    good = replace(outcome, precision=replace(outcome.precision, halves_measured=1e-4, halves_expected=1e-4))
-    bad = replace(outcome, precision=replace(outcome.precision, halves_measured=3e-4, halves_expected=1e-4))
-    assert (True, "Models fitted to two halves of the rows agree.") in checks(good)
-    assert (False, "Models fitted to two halves of the rows differ by more than noise explains.") in checks(bad)
-    unknown = replace(outcome, precision=replace(outcome.precision, halves_measured=float("nan")))
-    assert not any("halves" in words for _, words in checks(unknown))
-    assert "too few rows to fit two halves" in join(list(fits(unknown)))
+    looked = outcome.second_look
+    assert looked is not None
+    found = looked.halves["final"]
+    assert found is not None
+
+    def said(halves: Halves | None) -> Outcome:
+        return replace(outcome, second_look=replace(looked, halves={"final": halves}))
+
+    good, bad = replace(found, p_value=0.43), replace(found, p_value=3e-12, of="joint_2", how="low and high")
+    assert (True, "Halves of the rows, fitted apart, agree (p = 0.43).") in checks(said(good))
+    words = "Halves of the rows, fitted apart, differ by more than noise explains (p = 3.0e−12): low and high joint_2."
+    assert (False, words) in checks(said(bad))
+    assert "the model lacks something that low and high joint_2 feel unequally" in join(list(fits(said(bad))))
+    assert not any("alves" in words for _, words in checks(said(None)))
+    assert "too few rows to fit halves" in join(list(fits(said(None))))
 
 
 def test_another_days_data_get_a_section_of_their_own(outcome: Outcome, handover: Handover) -> None:

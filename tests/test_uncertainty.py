@@ -10,8 +10,6 @@ import robots
 from scipy.spatial.transform import Rotation
 from scipy.stats import kstest
 
-from aridcal.effects.basis import Basis
-from aridcal.effects.effect import Coefficient
 from aridcal.fit.constants import constants
 from aridcal.fit.least_squares import Fit, fit, fit_identifiable
 from aridcal.fit.noise import repeats
@@ -21,7 +19,7 @@ from aridcal.instruments.channels import TARGET_POSITION, TARGET_ROTATION
 from aridcal.model.model import Model, Rows
 from aridcal.robot.chain import parse_robot
 from aridcal.robot.kinematics import tip_frames
-from aridcal.trust.uncertainty import accuracy, halves, outliers, precision, target_sigma, with_noise_seen
+from aridcal.trust.uncertainty import accuracy, outliers, precision, target_sigma, with_noise_seen
 
 
 def example(n: int = 200, noise: float = 1e-4, seed: int = 0) -> tuple[robots.Truth, Fit, Dataset]:
@@ -150,7 +148,7 @@ def test_precision_is_that_of_the_rows_and_of_places_all_over_the_joint_range() 
     rng = np.random.default_rng(7)
     truth, found, data = example(100)
     robot, model = truth.model.robot, found.model
-    result = precision(found, data, (1.0, 2.0))
+    result = precision(found, data)
     draws = rng.multivariate_normal(found.theta, found.covariance, 300)
 
     def drawn(rows: Rows) -> np.ndarray:
@@ -164,47 +162,6 @@ def test_precision_is_that_of_the_rows_and_of_places_all_over_the_joint_range() 
     _, tips = tip_frames(robot, q)
     for places, expected in zip(result.places.T, tips.T, strict=True):  # in the base's frame, wherever the world's is
         assert kstest(places, expected).pvalue > 1e-3
-
-
-def test_two_halves_differ_as_two_campaigns_of_half_the_rows_do() -> None:
-    """Second road: the first half's rows and the others' measured and fitted apart, many times."""
-    rng = np.random.default_rng(8)
-    truth, found, _ = example(80)
-    model, rows = found.model, truth.model.rows(truth.readings)
-    pairs = []
-    for _ in range(40):
-        mixed = again(truth, rng, rng.permutation(truth.readings))
-        one, other = (fitted(mixed, model, half) for half in np.split(np.arange(80), 2))
-        pairs.append(model.poses(one.theta, rows)[1] - model.poses(other.theta, rows)[1])
-    usual = np.sqrt(np.mean(np.sum(np.square(pairs), axis=2)))
-    seen = []
-    for _ in range(20):
-        anew = again(truth, rng)
-        measured, expected = halves(fitted(anew, model), robots.declared(anew.measured, 1e-4, 1e-4))
-        seen.append(measured)
-    assert expected == pytest.approx(usual, rel=0.2)
-    assert np.sqrt(np.mean(np.square(seen))) == pytest.approx(usual, rel=0.2)
-
-
-def test_two_halves_betray_a_model_that_does_not_fit() -> None:
-    """A harmonic of 3 mrad that no constant can hold, and too few rows to average it out."""
-    rng = np.random.default_rng(3)
-    truth, _, _ = example(60)
-    bent = truth.model.with_coefficients(
-        (*truth.model.coefficients, Coefficient("joint_2", "axis", Basis("sin", ("joint_2",), (7.0,))))
-    )
-    R, p = bent.poses(np.append(truth.theta, 3e-3), bent.rows(truth.readings))
-    measured = robots.measured(bent.robot, truth.readings, p + 1e-4 * rng.normal(size=p.shape), R)
-    truth = replace(truth, measured=measured)
-    model = truth.model.with_coefficients((*robots.FRAMES, *constants(truth.model.robot, "full")))
-    found = fit_identifiable(truth.data(model, 1e-4, 1e-4), range(len(model.coefficients)))
-    seen, expected = halves(found, robots.declared(measured, 1e-4, 1e-4))
-    assert seen > 5 * expected
-
-
-def test_halves_that_are_too_small_say_nothing() -> None:
-    _, found, data = example(8)
-    assert np.isnan(halves(found, data)).all()
 
 
 def test_a_test_row_is_flagged_only_if_it_is_far_off_at_every_stage() -> None:

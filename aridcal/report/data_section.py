@@ -139,11 +139,15 @@ def row_table(outcome: Outcome, rows: np.ndarray, head: str, words: list[str], c
     left = row_errors(outcome.stages[-1].residual[rows], outcome.channels)
     lines = []
     for i, (k, word) in enumerate(zip(rows, words, strict=True)):
-        place = f"{m.files[m.file[k]].name}, line {m.line[k]}{_of_things(m, int(k))}"
         part = "held out" if m.test[k] else "fitted"
-        lines.append([place, part, word, *(number(error[i]) for error in left)])
+        lines.append([row_place(m, int(k)), part, word, *(number(error[i]) for error in left)])
     titles = [channel.title for channel in outcome.channels]
     return table(["row", "part", head, *titles], lines, caption, numbers=3)
+
+
+def row_place(m: Dataset, k: int) -> str:
+    """Where a row stands, and what it refers to."""
+    return f"{m.files[m.file[k]].name}, line {m.line[k]}{_of_things(m, k)}"
 
 
 def _of_things(m: Dataset, k: int) -> str:

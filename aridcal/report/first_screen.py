@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from aridcal.drawing.html import Content, Html, counted, number, plus_minus, tag
+from aridcal.drawing.parts import division_in_words, p_of_halves
 from aridcal.drawing.words import (
     at_target_in_words,
     causes_in_words,
@@ -29,8 +30,8 @@ from aridcal.result.key_figures import (
     another_day,
     constants,
     every_held_out_row,
+    final_halves,
     generalisation,
-    halves_agree,
     narrow_joints,
     or_as_well,
     over_time,
@@ -284,10 +285,12 @@ def _fit_checks(outcome: Outcome) -> Iterator[tuple[bool, str]]:
             ratio < OVERFITTED and not differs,
             f"The held-out error is {ratio:.2f} times the error of the fitted rows.",
         )
-    if math.isfinite(outcome.precision.halves_measured):
-        agree = halves_agree(outcome)
-        differ = "agree" if agree else "differ by more than noise explains"
-        yield agree, f"Models fitted to two halves of the rows {differ}."
+    halves = final_halves(outcome)
+    if halves is not None:
+        p = p_of_halves(halves)
+        which = division_in_words(halves.of, halves.how)
+        disagree = f"Halves of the rows, fitted apart, differ by more than noise explains ({p}): {which}."
+        yield halves.agree, f"Halves of the rows, fitted apart, agree ({p})." if halves.agree else disagree
 
 
 def _clues(outcome: Outcome) -> tuple[Clue, ...]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 
 import numpy as np
@@ -13,8 +12,8 @@ from aridcal.drawing.words import reading_in_words
 from aridcal.instruments.catalogue import KINDS
 from aridcal.instruments.channels import Channels, spread
 from aridcal.report.data_section import row_table
-from aridcal.result.instruments import known_scale
-from aridcal.result.key_figures import axis_rms, halves_agree, pose_accuracy, row_errors, scored, steps, worst_rows
+from aridcal.report.second_look_section import halves, left_out
+from aridcal.result.key_figures import axis_rms, pose_accuracy, row_errors, scored, steps, worst_rows
 from aridcal.result.outcome import STATISTICS, Outcome, errors, statistics
 
 PARTS = {"test": "held out", "train": "fitted", "test_all": "held out, with outliers"}
@@ -44,7 +43,8 @@ def fits(outcome: Outcome) -> Iterator[Content]:
     yield tag("h3", f"Before and after, on {words}")
     yield _histograms(compared, outcome.channels)
     yield _iso_9283(outcome)
-    yield _halves(outcome)
+    yield from halves(outcome)
+    yield from left_out(outcome)
     yield tag("h3", "Axis by axis")
     yield _axis_table(outcome)
     yield _axis_pictures(compared, outcome.channels, words)
@@ -122,26 +122,6 @@ def _iso_9283(outcome: Outcome) -> Content:
         lines.append([step.title, *(number(found[key]) for key in ("mean", "p95", "max"))])
     caption = f"Pose accuracy AP of ISO 9283 [mm], {words}"
     return table(["model", "mean", "95 % below", "worst pose"], lines, caption)
-
-
-def _halves(outcome: Outcome) -> Content:
-    """Whether models fitted to two halves of the rows agree."""
-    precision = outcome.precision
-    if known_scale(outcome.measurements) is None:
-        return ""  # the target's place is nobody's
-    if not math.isfinite(precision.halves_measured):
-        return tag("p", "There are too few rows to fit two halves of them separately and compare the models.")
-    measured, expected = (number(1e3 * v) for v in (precision.halves_measured, precision.halves_expected))
-    meaning = (
-        "Noise explains this difference."
-        if halves_agree(outcome)
-        else "Noise does not explain this difference: the model does not fit everywhere."
-    )
-    return tag(
-        "p",
-        f"Two models, each fitted to one half of the rows, differ by {measured} mm RMS at the target; noise alone would "
-        f"cause {expected} mm. {meaning}",
-    )
 
 
 def _axes(channels: Channels) -> list[str]:

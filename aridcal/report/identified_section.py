@@ -9,6 +9,7 @@ from typing import Any
 from aridcal.drawing.html import Content, Html, counted, fixed, number, plus_minus, table, tag
 from aridcal.effects.effect import FRAME_COMPONENTS, LINK_COMPONENTS
 from aridcal.fit.constants import has_world
+from aridcal.report.second_look_section import known
 from aridcal.result.folder import frames, parameters
 from aridcal.result.key_figures import constants, solved_stages
 from aridcal.result.outcome import Outcome
@@ -28,7 +29,13 @@ def identifiable(outcome: Outcome) -> Iterator[Content]:
     redundant = outcome.stage("geometric").fit.redundant
     if not redundant:
         yield tag("p", "All requested parameters are identifiable.")
-        return
+    else:
+        yield from _redundant(redundant)
+    yield from known(outcome)
+
+
+def _redundant(redundant: dict[str, tuple[str, ...]]) -> Iterator[Content]:
+    """What keeps its nominal value, and why."""
     yield tag(
         "p",
         f"{counted(len(redundant), 'redundant coefficient')}: these measurements confound each with those named beside it. "

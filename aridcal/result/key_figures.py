@@ -15,6 +15,7 @@ from aridcal.result.outcome import Outcome, Stage, leading, said, statistics
 from aridcal.search.gains import NamedEffect
 from aridcal.search.noise_tests import SURE
 from aridcal.search.residual_trends import Order, Trace
+from aridcal.trust.halves import Halves
 from aridcal.trust.uncertainty import accuracy
 
 QUESTIONABLE = 0.03
@@ -30,10 +31,6 @@ out, stays below 1 + 3 / sqrt(6 n) = 1.27."""
 
 MOST_TWINS = 3
 """Effects confounded with one that are named beside it; a screen holds no more, and the report lists all."""
-
-DISAGREEING = 1.5
-"""Times the difference of two halves that noise explains: beyond it the model does not fit everywhere. The expected value
-is itself a propagated noise, known to some ten per cent."""
 
 STRAYING = 0.2
 """Share of autocorrelations off their 95 % band from which consecutive rows count as alike: of 30 lags noise leaves it with
@@ -279,10 +276,9 @@ def narrow_joints(outcome: Outcome) -> list[JointRange]:
     return [j for j in joint_ranges(outcome) if j.measured < NARROW]
 
 
-def halves_agree(outcome: Outcome) -> bool:
-    """Whether models fitted to two halves of the rows differ by no more than noise explains."""
-    precision = outcome.precision
-    return precision.halves_measured <= DISAGREEING * precision.halves_expected
+def final_halves(outcome: Outcome) -> Halves | None:
+    """What halves of the rows say of the final model; None where that was not asked or could not be."""
+    return None if outcome.second_look is None else outcome.second_look.halves["final"]
 
 
 def generalisation(outcome: Outcome) -> float | None:

@@ -21,6 +21,7 @@ from aridcal.search.gains import Diagnosis, NamedEffect
 from aridcal.search.noise_causes import NoiseCauses
 from aridcal.search.residual_trends import Traces
 from aridcal.trust.iso9283 import Iso9283, iso_9283
+from aridcal.trust.second_look import SecondLook
 from aridcal.trust.uncertainty import Precision
 
 STATISTICS = ("rms", "mean", "median", "p95", "max")
@@ -83,6 +84,7 @@ class Outcome:
         traces: On what the residual depends.
         head: The measuring head, for ``kind: camera_sonar``.
         causes: What the scatter of the rows is made of; None where that was not asked.
+        second_look: What its rows say of the calibration when they are asked part by part; None where that was not asked.
     """
 
     campaign: Campaign
@@ -102,6 +104,7 @@ class Outcome:
     diagnosis: Diagnosis | None = None
     head: MeasuringHead | None = None
     causes: NoiseCauses | None = None
+    second_look: SecondLook | None = None
 
     @property
     def scatter(self) -> np.ndarray:

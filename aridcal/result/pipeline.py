@@ -35,7 +35,8 @@ from aridcal.search.noise_tests import Clue, clues
 from aridcal.search.residual_trends import trace
 from aridcal.search.scoring import CONFOUNDED
 from aridcal.showing import SILENT, Progress
-from aridcal.trust.uncertainty import FAR, halves, outliers, precision, realigned, with_noise_seen
+from aridcal.trust.second_look import second_look
+from aridcal.trust.uncertainty import FAR, outliers, precision, realigned, with_noise_seen
 
 Judge = Callable[[Campaign, Robot, Dataset, Geometry | None], None]
 """Told what frames and constants leave of the rows, None if nothing can be made of them; may refuse them and say why."""
@@ -47,13 +48,6 @@ ONE_BODY = (
     "{} targets keep their distances exactly: they were made from one pose of one body, and count as one measurement"
 )
 """What is said of them: their errors are the same, so that three of them know no more than one."""
-
-HALVED = 120
-"""A model of more coefficients is not fitted twice more, to halves of the rows: its constants speak for it."""
-
-
-ENOUGH = 6.0
-"""Numbers measured for each coefficient from which halves of the rows are fitted with the whole model: three each, then."""
 
 
 @dataclass(frozen=True)
@@ -132,14 +126,13 @@ def _outcome(
 ) -> Outcome:
     """Score every stage of a calibrated arm, and ask what remains."""
     progress("scoring")
-    rows, geometric, diagnosed = arm.rows, arm.geometry.geometric, arm.diagnosed
+    rows, diagnosed = arm.rows, arm.diagnosed
     train = rows.select(rows.train)
     known = judged(arm, progress)
     stages, outlier, final = known.stages, known.outlier, known.stages[-1].fit
     kept = rows.select(~outlier)
     before, after = (stage.residual[~outlier] for stage in stages[1:])
-    few = len(final.theta) < HALVED and final.numbers > ENOUGH * len(final.theta)
-    compared = final if few else geometric
+    again = second_look(stages[1].fit, diagnosed.fit, train, progress)
     stages = with_instruments_found(stages, train)
     head = None if detections is None else measuring_head(final, stages[1].fit, rows, rows.train & ~outlier, detections)
     return Outcome(
@@ -151,7 +144,8 @@ def _outcome(
         noise=final.sigma,
         noise_source="declared" if all(rows.sigma) else "estimated",
         repeats=known.repeats,
-        precision=precision(final, train, halves(compared, train, progress)),
+        precision=precision(final, train),
+        second_look=again,
         verdict=known.verdict,
         causes=arm.causes,
         notices=(

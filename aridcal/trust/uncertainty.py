@@ -1,4 +1,4 @@
-"""How far a calibration can be trusted: uncertainty of the target, two halves fitted apart, gross outliers."""
+"""How far a calibration can be trusted: uncertainty of the target, gross outliers."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from aridcal.fit.flags import distance, robust_sigma
-from aridcal.fit.least_squares import Fit, minimise
+from aridcal.fit.least_squares import Fit
 from aridcal.fit.noise import contradicted
 from aridcal.fit.problem import BLOCK, Problem, problem
 from aridcal.fit.residual import linearise
@@ -31,24 +31,19 @@ FAR = 10.0
 
 @dataclass(frozen=True)
 class Precision:
-    """How well the calibrated target is known, by propagating the noise, and by fitting two halves apart.
+    """How well the calibrated target is known, by propagating the noise.
 
     Attributes:
         position: 1-sigma of the target in its worst direction at each row, shape (N,), [m].
         rotation: Likewise for its orientation, [rad].
         reach: The same at configurations drawn from the whole joint range, shape (M,), [m].
         places: Targets of those configurations in the base frame, shape (M, 3), [m].
-        halves_measured: RMS difference of two calibrations from one half of the training rows each, [m]; nan if the
-            halves are too small.
-        halves_expected: RMS difference that noise alone would make, [m].
     """
 
     position: np.ndarray
     rotation: np.ndarray
     reach: np.ndarray
     places: np.ndarray
-    halves_measured: float
-    halves_expected: float
 
 
 def accuracy(rows: Dataset, residual: np.ndarray) -> np.ndarray:
@@ -65,8 +60,8 @@ def accuracy(rows: Dataset, residual: np.ndarray) -> np.ndarray:
     return np.asarray(np.linalg.norm(total / np.bincount(label)[:, None], axis=1))
 
 
-def precision(fit: Fit, train: Dataset, halves: tuple[float, float]) -> Precision:
-    """Propagate the noise to the target, and set it beside what two halves fitted apart show (see :func:`halves`)."""
+def precision(fit: Fit, train: Dataset) -> Precision:
+    """Propagate the noise to the target."""
     model, robot = fit.model, fit.model.robot
     position, rotation = target_sigma(fit, model.rows(train.readings, train.conditions, train.station, train.target))
     limits = robot.limits
@@ -82,7 +77,7 @@ def precision(fit: Fit, train: Dataset, halves: tuple[float, float]) -> Precisio
     bases = model.frames(fit.theta)[0]
     targets = model.poses(fit.theta, rows)[1]
     places = np.array([bases[k][1].actInv(p) for k, p in zip(rows.world, targets, strict=True)])
-    return Precision(position, rotation, reach, places, *halves)
+    return Precision(position, rotation, reach, places)
 
 
 def with_noise_seen(fit: Fit, train: Dataset, progress: Progress = SILENT) -> Fit:
@@ -120,28 +115,6 @@ def target_sigma(fit: Fit, rows: Rows) -> tuple[np.ndarray, np.ndarray]:
             spread = part @ fit.covariance @ part.transpose(0, 2, 1)
             worst[k, block] = np.sqrt(np.maximum(np.linalg.eigvalsh(spread)[:, -1], 0.0))
     return worst[0], worst[1]
-
-
-def halves(fit: Fit, train: Dataset, progress: Progress = SILENT) -> tuple[float, float]:
-    """RMS difference of two calibrations from one half of the rows each, and what noise alone would make, [m]."""
-    asked = problem(fit.model, train, progress)
-    number = np.random.default_rng(0).permutation(int(train.configuration.max()) + 1)
-    side = number[train.configuration] % 2 == 0
-    count, numbers = len(fit.theta), fit.residual.shape[1]
-    if count == 0 or min(side.sum(), (~side).sum()) * numbers < 2 * count:
-        return float("nan"), float("nan")
-    predicted, variance = [], 0.0
-    for half in (side, ~side):
-        found = minimise(asked.select(half), fit.theta, fit.weight[half])
-        covariance = np.linalg.pinv(found.at.equations.information(found.sigma), hermitian=True)
-        p, own = np.empty((len(train), 3)), np.empty(len(train))
-        for block in asked.blocks():
-            _, p[block], J = fit.model.jacobian(found.theta, asked.rows[block])
-            own[block] = np.einsum("nik,kl,nil->n", J[:, :3], covariance, J[:, :3])
-        variance += float(np.mean(own))
-        predicted.append(p)
-    between = np.linalg.norm(predicted[0] - predicted[1], axis=1)
-    return float(np.sqrt(np.mean(between**2))), float(np.sqrt(variance))
 
 
 def realigned(fit: Fit, other: Problem) -> np.ndarray:

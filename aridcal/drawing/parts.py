@@ -1,0 +1,80 @@
+"""A second look in words: halves of the rows, rows left out, combinations of constants."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from aridcal.drawing.html import number
+from aridcal.effects.effect import FRAME_COMPONENTS
+from aridcal.robot.chain import Joint, Robot
+from aridcal.trust.halves import Halves
+from aridcal.trust.known import Combination, Pair
+
+ALIKE = 0.7
+"""Ratio of two shares from which they are a sum or a difference in words: sin 45 degrees over 1."""
+
+ON_AXIS = 0.99
+"""Component of a joint's unit axis along an axis of its frame from which the two are one."""
+
+OF_TIME = {
+    "low and high": "early and late rows",
+    "the middle and the ends": "rows in the middle of the measurement and at its ends",
+    "alternate quarters": "alternate quarters of the measurement",
+    "alternate quarters from an eighth on": "alternate quarters of the measurement, from an eighth on",
+    "alternate eighths": "alternate eighths of the measurement",
+}
+"""Divisions in the order of the rows."""
+
+
+def division_in_words(of: str, how: str) -> str:
+    """Which halves were compared: ``low and high joint_3``, ``early and late rows``."""
+    if of == "row":
+        return OF_TIME[how]
+    return f"{how} {of}" if how == "low and high" else f"{how} of {of}"
+
+
+def p_of_halves(found: Halves) -> str:
+    """Their p-value: ``p = 0.43``, ``p = 3.2e-12``."""
+    return f"p = {number(found.p_value, 2)}"
+
+
+def constant_in_words(name: str, robot: Robot) -> str:
+    """A constant as engineers call it: ``joint_2's zero``, where it is along or about the joint's own axis; else its name."""
+    where, component = name.rsplit(".", 1)
+    joint = next((j for j in robot.joints if j.name == where), None)
+    return f"{where}'s zero" if joint is not None and _is_zero(joint, component) else name
+
+
+def _is_zero(joint: Joint, component: str) -> bool:
+    """True if a component moves the joint's own reading."""
+    if component not in FRAME_COMPONENTS:
+        return component == ("theta" if joint.kind == "revolute" else "d")
+    k = FRAME_COMPONENTS.index(component)
+    return (k >= 3) == (joint.kind == "revolute") and abs(float(joint.axis[k % 3])) > ON_AXIS
+
+
+def combination_in_words(of: Combination, robot: Robot) -> str:
+    """``the sum of joint_2's zero and joint_3's zero``, ``joint_3.y alone``, ``joint_2.y + 0.6 joint_3.y − 0.4 joint_4.x``."""
+    names = [constant_in_words(name, robot) for name, _ in of.parts]
+    shares = np.array([share for _, share in of.parts]) / of.parts[0][1]
+    if len(names) == 1:
+        return f"{names[0]} alone"
+    if len(names) == 2 and abs(shares[1]) > ALIKE:
+        return f"the {'sum' if shares[1] > 0 else 'difference'} of {names[0]} and {names[1]}"
+    rest = [
+        f"{'+' if s > 0 else '−'} {number(abs(float(s)), 2)} {n}" for n, s in zip(names[1:], shares[1:], strict=True)
+    ]
+    return " ".join([names[0], *rest])
+
+
+def pair_in_words(of: Pair, robot: Robot) -> str:
+    """A sentence on a sum and a difference that are known unequally well."""
+    first, second = constant_in_words(of.first, robot), constant_in_words(of.second, robot)
+    unit = "mrad" if of.unit == "rad" else "mm"
+    better = of.of_sum < of.of_difference
+    known, other = sorted((1e3 * of.of_sum, 1e3 * of.of_difference))
+    which, rest = ("sum", "difference") if better else ("difference", "sum")
+    return (
+        f"The {which} of {first} and {second} is known {number(of.ratio, 2)} times better than their {rest}: "
+        f"± {number(known, 2)} {unit} against ± {number(other, 2)} {unit}."
+    )

@@ -1,0 +1,316 @@
+r"""Model error apart from noise: halves of the rows that differ in a block, fitted apart and compared.
+
+Noise is independent from row to row; what a model lacks is not: it depends on a joint, on time, on a load. Rows are therefore
+divided by blocks (low and high readings of a joint, its middle and its ends, its alternate quarters; the same in time; the
+side of approach, a load), every coefficient that both halves tell is fitted to each half apart, and the two are compared:
+
+.. math:: T^2 = (\theta_A - \theta_B)^T (\Sigma_A + \Sigma_B)^+ (\theta_A - \theta_B) = S_{AB} - S_A - S_B, \qquad
+          F = \frac{T^2 / d}{(S_A + S_B) / (n - k - d)}
+
+with the squares S that fits to both, and to each half, leave, and d the rank of the difference (Chow 1960, doi:10.2307/1910133).
+What no row tells has no part in it: the difference is taken in the identifiable subspace. Things that instruments refer to
+(points, anchors, boards) and samples of smooth functions are common to both halves: they are no halves' own. F needs no
+noise to be known.
+
+Many divisions are looked at, and the one that shows most is named. What chance makes of the best of so many is not a guess:
+the same rows are given noise instead of residuals, :data:`DRAWS` times, and all is done again (Monte Carlo test; Dwass
+1957, doi:10.1214/aoms/1177707045). So the p-value is uniform where nothing is missing, however the divisions hang together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import f as fisher
+
+from aridcal.effects.effect import Coefficient
+from aridcal.effects.loads import covariate_table
+from aridcal.fit.flags import FLOOR
+from aridcal.fit.least_squares import Fit
+from aridcal.fit.normal_equations import balanced
+from aridcal.inputs.dataset import Dataset
+from aridcal.showing import SILENT, Progress
+from aridcal.trust.columns import Columns, columns_of
+
+ROWS = 1000
+"""Rows at the most that are compared: 300 show an error as large as the noise, and every draw costs as many as there are."""
+
+DRAWS = 199
+"""Sets of noise that say what chance does: a p-value near 0.05 is then known to 0.015. Smaller ones are bounded by
+Bonferroni's."""
+
+DISAGREE = 1e-3
+"""Chance of a false alarm: of a thousand clean calibrations one is said to disagree with itself."""
+
+RANK = 1e-8
+"""Share of the largest eigenvalue, coefficients scaled alike, below which a half tells nothing of a difference: rounding of
+the sums leaves 1e-12, and a direction known 10,000 times worse than another would only dilute it."""
+
+SMALLEST = 0.2
+"""Share of the rows below which a side is no half: a few rows of it would decide."""
+
+EXACT = 10.0
+"""Times what counts as rounding: below it there is no noise that the halves could be compared with."""
+
+PATTERNS = {
+    "low and high": (0, 0, 0, 0, 1, 1, 1, 1),
+    "the middle and the ends": (0, 0, 1, 1, 1, 1, 0, 0),
+    "alternate quarters": (0, 0, 1, 1, 0, 0, 1, 1),
+    "alternate quarters from an eighth on": (0, 1, 1, 0, 0, 1, 1, 0),
+    "alternate eighths": (0, 1, 0, 1, 0, 1, 0, 1),
+}
+"""Which eighths of a column's values make a half: Walsh functions, so that one period over the range, or two, of any phase,
+differ between the halves of at least one of them."""
+
+GRAVITY = ".gravity_"
+"""In the names of gravity's loads."""
+
+SAMPLES = ("bump", "bump2")
+"""Forms of bases that are samples of a smooth function."""
+
+
+@dataclass(frozen=True)
+class Division:
+    """Rows divided into two halves.
+
+    Attributes:
+        of: The column that divides them: a joint, a covariate, or ``row`` for the order of measurement.
+        how: One of :data:`PATTERNS`.
+        side: Rows of the second half, shape (N,) bool.
+    """
+
+    of: str
+    how: str
+    side: np.ndarray
+
+
+@dataclass(frozen=True)
+class Halves:
+    """Halves of the rows fitted apart.
+
+    Attributes:
+        p_value: Chance that noise alone makes the halves of any division differ as much.
+        of: The column of the division that differs most.
+        how: How it divides the rows.
+        squares: T^2 of that division over its freedom and over the noise seen: 1 is expected.
+        freedom: Numbers that are compared, and that are left for the noise.
+        divisions: How many were looked at.
+        rows: How many rows were compared.
+        measured: RMS difference of the two predicted targets over these rows, both frames of the one moved so that the two
+            agree best, [m].
+        expected: What noise alone makes of that, [m].
+    """
+
+    p_value: float
+    of: str
+    how: str
+    squares: float
+    freedom: tuple[int, int]
+    divisions: int
+    rows: int
+    measured: float
+    expected: float
+
+    @property
+    def agree(self) -> bool:
+        """Whether noise explains what differs."""
+        return self.p_value >= DISAGREE
+
+
+def halves(fit: Fit, train: Dataset, progress: Progress = SILENT) -> Halves | None:
+    """Fit halves of the rows apart and compare them; None where there are too few rows, or no noise, to do so.
+
+    Args:
+        fit: K coefficients.
+        train: The rows that it was fitted to.
+        progress: Told how far the pass over them is.
+    """
+    if len(fit.theta) == 0 or np.all(fit.estimated <= EXACT * FLOOR):
+        return None
+    of_rows = columns_of(fit, train, np.maximum(fit.estimated, FLOOR), ROWS, progress)
+    own = np.array([_of_half(c) for c in fit.model.coefficients])
+    rows = train.select(of_rows.rows)
+    found = list(_compared(of_rows, divisions(rows, _loads(fit, rows)), own, rows.configuration))
+    if not found:
+        return None
+    p_values = np.array([each.p_values for each in found])
+    best = int(np.argmin(p_values[:, 0]))
+    least = p_values.min(axis=0)
+    by_draws = float(np.sum(least <= least[0])) / len(least)
+    worst = found[best]
+    frames = np.array([c.where in ("world_base", "tip_target") and c.basis.constant for c in fit.model.coefficients])
+    measured, expected = _at_target(of_rows.target, own, frames, worst)
+    return Halves(
+        p_value=min(by_draws, len(found) * float(least[0])),
+        of=worst.division.of,
+        how=worst.division.how,
+        squares=worst.squares,
+        freedom=worst.freedom,
+        divisions=len(found),
+        rows=len(of_rows),
+        measured=measured,
+        expected=expected,
+    )
+
+
+def _loads(fit: Fit, rows: Dataset) -> dict[str, np.ndarray]:
+    """Gravity on every joint of the nominal arm, shape (N,) each: what bends it goes with sums of readings."""
+    model = fit.model
+    world = model.rows(rows.readings, rows.conditions, rows.station, rows.target).world
+    table = covariate_table(model.robot, rows.readings, rows.covariates, model.around, world, {GRAVITY})
+    return {name: values for name, values in table.items() if GRAVITY in name}
+
+
+def _of_half(c: Coefficient) -> bool:
+    """True for what each half has of its own: all but samples of smooth functions and frames of single stations."""
+    return c.basis.form not in SAMPLES and c.station is None
+
+
+def divisions(rows: Dataset, loads: Mapping[str, np.ndarray]) -> list[Division]:
+    """Every way in which rows are divided into halves by blocks; readings of turning joints within one turn, and as they are.
+
+    Args:
+        rows: N rows.
+        loads: What else the arm feels, shape (N,) each: gravity on its joints.
+    """
+    found = []
+    joints = zip(rows.names, rows.kinds, rows.readings.T, strict=True)
+    columns = [(of, np.angle(np.exp(1j * q)) if kind != "prismatic" else q) for of, kind, q in joints]
+    for of, values in [*columns, ("row", np.argsort(rows.sequence).astype(float))]:
+        eighth = np.minimum(8 * np.searchsorted(np.sort(values), values) // len(values), 7)
+        found += [Division(of, how, np.array(pattern)[eighth] == 1) for how, pattern in PATTERNS.items()]
+    readings = dict(zip(rows.names, rows.readings.T, strict=True))
+    for of, values in (readings | rows.covariates | dict(loads)).items():
+        if np.isfinite(values).all():
+            middle = np.median(values)
+            above, least = values > middle, values >= middle
+            side = min((above, least), key=lambda half: abs(half.mean() - 0.5))
+            found.append(Division(of, next(iter(PATTERNS)), side))
+    kept: list[Division] = []
+    for each in found:
+        balance = min(each.side.mean(), 1.0 - each.side.mean())
+        if balance >= SMALLEST and not any(_same(each.side, other.side) for other in kept):
+            kept.append(each)
+    return kept
+
+
+def _same(one: np.ndarray, other: np.ndarray) -> bool:
+    """True if two divisions part the same rows."""
+    return bool(np.array_equal(one, other) or np.array_equal(one, ~other))
+
+
+@dataclass(frozen=True)
+class _Compared:
+    """One division: what its halves say, and what they say in draws.
+
+    Attributes:
+        division: Which rows are on which side.
+        p_values: Of the rows, then of each draw, shape (1 + DRAWS,).
+        squares: See :class:`Halves`.
+        freedom: Likewise.
+        difference: theta_A - theta_B of each half's own coefficients, shape (k,).
+        covariance: Of that, where nothing is missing, shape (k, k).
+    """
+
+    division: Division
+    p_values: np.ndarray
+    squares: float
+    freedom: tuple[int, int]
+    difference: np.ndarray
+    covariance: np.ndarray
+
+
+def _compared(rows: Columns, ways: list[Division], own: np.ndarray, configuration: np.ndarray) -> Iterator[_Compared]:
+    """Compare the halves of every division that leaves enough numbers.
+
+    Args:
+        rows: N rows of m numbers.
+        ways: The divisions.
+        own: Coefficients that each half has of its own, shape (K,) bool.
+        configuration: Of each row, shape (N,): several targets of one body share their noise.
+    """
+    N, m, K = rows.J.shape
+    things = rows.solved()
+    J, k = rows.J.reshape(N * m, K), int(own.sum())
+    none = np.zeros((len(rows.known.left), K))
+    JP, tied = rows.less(rows.J, none, things)
+    inverse, spent = _pseudo_inverse(J.T @ JP.reshape(N * m, K))
+    told, known = _draws(rows, configuration)
+    told, known = rows.less(told, known, things)
+    flat = told.reshape(N * m, -1)
+    # What all coefficients together take off the residuals, and off every draw.
+    steps = inverse @ (J.T @ flat)
+    flat = flat - JP.reshape(N * m, K) @ steps
+    known = known - tied @ steps
+    squares = np.sum(flat**2, axis=0) + np.sum(known**2, axis=0)
+    numbers = rows.share * rows.there.sum() + len(rows.known.left) - np.sum(things.rank)
+    left = round(float(numbers)) - spent
+    for way in ways:
+        A = np.where(way.side[:, None, None], rows.J[:, :, own], 0.0)
+        AP, _ = rows.less(A, none[:, :k], things)
+        A = A.reshape(N * m, k)
+        cross = J.T @ AP.reshape(N * m, k)
+        M = A.T @ AP.reshape(N * m, k) - cross.T @ inverse @ cross
+        values, vectors, scale = _told(M)
+        d = len(values)
+        if d == 0 or left - d < d:
+            continue
+        root = (vectors / np.sqrt(values)).T * scale
+        w = root @ (A.T @ flat)
+        T2 = np.sum(w**2, axis=0)
+        noise = (squares - T2) / (left - d)
+        F = T2 / d / np.maximum(noise, np.finfo(float).tiny)
+        covariance = float(noise[0]) * root.T @ root
+        yield _Compared(way, fisher.sf(F, d, left - d), float(F[0]), (d, left - d), root.T @ w[:, 0], covariance)
+
+
+def _draws(rows: Columns, configuration: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The residuals and sets of noise in their place, shape (N, m, 1 + DRAWS), and of what is known beforehand likewise."""
+    rng = np.random.default_rng(0)
+    N, m = rows.r.shape
+    if rows.share < 1.0:  # rows of one configuration are one measurement
+        every = rng.standard_normal((int(configuration.max()) + 1, m, DRAWS))[configuration] * np.sqrt(rows.share)
+    else:
+        every = rng.standard_normal((N, m, DRAWS))
+    noise = np.where(rows.there[:, :, None], every, 0.0)
+    known = rng.standard_normal((len(rows.known.left), DRAWS))
+    return np.concatenate([rows.r[:, :, None], noise], axis=2), np.column_stack([rows.known.left, known])
+
+
+def _told(M: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Eigenvalues (d,) and vectors (k, d) of the directions that information tells, and the scale (k,) of the coefficients."""
+    S, scale = balanced(M)
+    S[:, scale == 0.0] = 0.0
+    values, vectors = np.linalg.eigh(S)
+    told = values > RANK * max(float(values[-1]), np.finfo(float).tiny)
+    return values[told], vectors[:, told], scale
+
+
+def _pseudo_inverse(H: np.ndarray) -> tuple[np.ndarray, int]:
+    """H^+ and the rank of H."""
+    values, vectors, scale = _told(H)
+    root = (vectors / np.sqrt(values)).T * scale
+    return root.T @ root, len(values)
+
+
+def _at_target(target: np.ndarray, own: np.ndarray, frames: np.ndarray, found: _Compared) -> tuple[float, float]:
+    """RMS difference of two halves at the target and what noise makes of it, [m], their common unobservable motion taken off.
+
+    Base and target are mounted anew by whoever uses a calibration: what differs by a motion of either is no difference of arms.
+
+    Args:
+        target: How it moves with the coefficients, shape (N, 3, K).
+        own: Coefficients that the halves have of their own, shape (K,) bool.
+        frames: Those of the two frames, shape (K,) bool.
+        found: The division.
+    """
+    J = target.reshape(-1, target.shape[2])
+    rigid = J[:, frames]
+    J = J[:, own]
+    if rigid.shape[1]:
+        J = J - rigid @ np.linalg.lstsq(rigid, J, rcond=None)[0]
+    measured = np.sum((J @ found.difference) ** 2) / len(target)
+    expected = np.sum((J @ found.covariance) * J) / len(target)
+    return float(np.sqrt(measured)), float(np.sqrt(max(expected, 0.0)))
