@@ -22,8 +22,8 @@ from aridcal.inputs.tables import IN_MEMORY, AnyTable, Remark, Table
 from aridcal.model.inverse import InverseKinematics
 from aridcal.model.model import Model
 from aridcal.result.saved_model import SavedModel
-from aridcal.result.saving import CHANNELS, SPREAD, inside
 from aridcal.result.stretches import Stretch, stretches
+from aridcal.trust.seen import Seen
 
 ENDINGS = (".csv", ".parquet")
 
@@ -270,8 +270,7 @@ def std_of(saved: SavedModel, query: Query) -> np.ndarray:
 def extrapolates(saved: SavedModel, query: Query, std: np.ndarray) -> np.ndarray:
     """Rows that are not like those that the calibration has seen, shape (N,).
 
-    Outside the range of a joint or of a covariate that an effect depends on, in a hole of what was measured of it, or where
-    the prediction is several times as uncertain as it was at any fitted row.
+    See :meth:`aridcal.trust.seen.Seen.beyond`.
 
     Args:
         saved: The model.
@@ -279,14 +278,8 @@ def extrapolates(saved: SavedModel, query: Query, std: np.ndarray) -> np.ndarray
         std: See :func:`std_of`.
     """
     readings = dict(zip(saved.final.model.robot.readings, query.readings.T, strict=True))
-    columns = query.covariates | readings
-    beyond = np.zeros(len(query.line), dtype=bool)
-    for name, (low, high) in saved.ranges.items():
-        values = columns[name]
-        beyond |= (values < low) | (values > high) | inside(values, saved.holes.get(name, ()))
-    for axes, largest in zip(CHANNELS, saved.largest_std, strict=True):
-        beyond |= np.linalg.norm(std[:, axes], axis=1) > SPREAD * largest
-    return beyond
+    seen = Seen(saved.ranges, saved.holes, saved.largest_std)
+    return seen.beyond(query.covariates | readings, std)
 
 
 def write_table(table: pd.DataFrame, path: Path) -> None:
