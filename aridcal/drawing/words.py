@@ -14,6 +14,8 @@ from aridcal.result.instruments import known_scale, scale_std
 from aridcal.result.outcome import Outcome, enumerated
 from aridcal.robot.chain import Robot
 from aridcal.search.noise_causes import NoiseCause
+from aridcal.trust.certainty import Certainty
+from aridcal.trust.tolerance import Kept
 
 """Each kind of effect in a few words; its section in docs/effects.md says more."""
 
@@ -104,6 +106,36 @@ def scale_in_words(outcome: Outcome) -> tuple[str, ...]:
 def shown_in(unit: str) -> tuple[str, float]:
     """Unit in which a quantity in SI is shown, and what it is multiplied with."""
     return (SHOWN_UNIT[unit], 1e3) if unit in SHOWN_UNIT else (unit, 1.0)
+
+
+def kept_in_words(outcome: Outcome) -> list[tuple[bool, str]]:
+    """What the region keeps within, of the position and of the rotation: whether that is good, and the sentence."""
+    return [_kept(part, outcome.certainty) for part in outcome.certainty.kept]
+
+
+def _not_measured(part: Kept) -> str:
+    """Why a bound is infinite."""
+    return f"{100 * (1.0 - part.measured):.0f} % of it were not measured, or no reading tells the target there"
+
+
+def _kept(part: Kept, known: Certainty) -> tuple[bool, str]:
+    """The same of one of them."""
+    unit = "mrad" if part.of == "rotation" else "mm"
+    whose = f"the {part.of} in 95 % of {known.title}"
+    bound = f"{whose} is within {number(1e3 * part.bound)} {unit}, with 95 % confidence"
+    if part.tolerance is None:
+        if math.isinf(part.bound):
+            return False, f"How far off {whose} is cannot be said: {_not_measured(part)}."
+        return True, f"{bound[0].upper()}{bound[1:]}."
+    asked = f"{number(1e3 * part.tolerance)} {unit}"
+    rows = f"{part.rows_within:,} of {part.rows:,} {part.judges} measure within it, the instrument's noise included"
+    if part.within:
+        return (
+            True,
+            f"Within tolerance: {whose} is within {asked} (even within {number(1e3 * part.bound)} {unit}); {rows}.",
+        )
+    why = "; ".join(part.reasons)
+    return False, f"Not within tolerance: that {whose} is within {asked} cannot be said: {why}; {rows}."
 
 
 def causes_in_words(outcome: Outcome) -> str:

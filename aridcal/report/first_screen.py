@@ -12,6 +12,7 @@ from aridcal.drawing.html import Content, Html, counted, number, plus_minus, tag
 from aridcal.drawing.words import (
     at_target_in_words,
     causes_in_words,
+    kept_in_words,
     noise_in_words,
     per_number,
     scale_in_words,
@@ -75,6 +76,9 @@ def summary(outcome: Outcome) -> Iterator[Content]:
     yield tag(
         "div", [_card(outcome, k) for k, channel in enumerate(outcome.channels) if not channel.inner], class_="cards"
     )
+    if outcome.campaign.tolerance is not None:
+        for good, words in kept_in_words(outcome):
+            yield tag("p", tag("strong", words), class_="good" if good else "look")
     checked = [_check(good, words) for good, words in checks(outcome)]
     yield tag(
         "div",
@@ -228,6 +232,8 @@ def checks(outcome: Outcome) -> Iterator[tuple[bool, str]]:
     """What speaks for the result (True) and what should be looked at first (False)."""
     yield from _row_checks(outcome)
     yield from _fit_checks(outcome)
+    if outcome.campaign.tolerance is None:
+        yield from kept_in_words(outcome)
     for sentence in scale_in_words(outcome):
         yield known_scale(outcome.measurements) not in (None, math.inf), f"{sentence[0].upper()}{sentence[1:]}."
     known = sigma_and_error(outcome) if outcome.measurements.blocks else None

@@ -28,6 +28,7 @@ from aridcal.result.saving import calibration
 from aridcal.search.gains import NamedEffect
 from aridcal.search.noise_causes import NoiseCauses
 from aridcal.showing import SILENT, Progress
+from aridcal.trust.certainty import as_document
 
 AT_ONCE = 20_000
 """Rows that are written between two words of progress: half a second."""
@@ -87,6 +88,7 @@ def result_document(outcome: Outcome) -> dict[str, Any]:
         **({"instruments": instruments(outcome)} if outcome.things else {}),
         **({"head": _head(outcome.head, frames(outcome.stage("final")))} if outcome.head is not None else {}),
         **_over_time(outcome),
+        "workspace": as_document(outcome.certainty),
         "verdict": outcome.verdict.word,
         "unexplained_fraction": outcome.verdict.share,
         "reasons": list(outcome.verdict.reasons),

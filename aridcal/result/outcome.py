@@ -13,13 +13,15 @@ from aridcal.fit.noise import Repeats
 from aridcal.inputs.campaign import Campaign
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.channels import Channels, norms
-from aridcal.result.instruments import AtTarget, ThingValue, at_target, thing_values
+from aridcal.result.instruments import ThingValue, thing_values
 from aridcal.result.measuring_head import MeasuringHead
 from aridcal.result.verdict import Verdict
 from aridcal.robot.chain import Robot
 from aridcal.search.gains import Diagnosis, NamedEffect
 from aridcal.search.noise_causes import NoiseCauses
 from aridcal.search.residual_trends import Traces
+from aridcal.trust.at_target import AtTarget, at_target
+from aridcal.trust.certainty import Certainty
 from aridcal.trust.uncertainty import Precision
 
 STATISTICS = ("rms", "mean", "median", "p95", "max")
@@ -74,6 +76,7 @@ class Outcome:
         noise_source: ``declared`` or ``estimated``.
         repeats: Rows that repeat a configuration; None where there are none.
         precision: Uncertainty of the target.
+        certainty: The same over the workspace, and what a region keeps within.
         verdict: What may be said of what remains.
         notices: Sentences that the user should read.
         seconds: Wall time.
@@ -93,6 +96,7 @@ class Outcome:
     noise_source: str
     repeats: Repeats | None
     precision: Precision
+    certainty: Certainty
     verdict: Verdict
     notices: tuple[str, ...]
     seconds: float

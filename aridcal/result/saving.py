@@ -20,6 +20,7 @@ from aridcal.result.outcome import Outcome
 from aridcal.result.saved_model import SavedModel, SolvedModel
 from aridcal.trust.seen import holes, largest
 
+
 def calibration(outcome: Outcome) -> SavedModel:
     """The whole model, self-contained."""
     campaign, m = outcome.campaign, outcome.measurements
