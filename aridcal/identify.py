@@ -76,7 +76,7 @@ def summary(outcome: Outcome, console: Console) -> None:
     console.print(_noise_line(outcome), markup=False)
     for line in scale_in_words(outcome):
         console.print(line, markup=False)
-    for _, sentence in kept_in_words(outcome):
+    for _, sentence in (*kept_in_words(outcome, asked=True), *kept_in_words(outcome, asked=False)):
         console.print(sentence, markup=False)
     verdict = outcome.verdict
     console.print(f"verdict: {verdict.word}: {VERDICTS[verdict.word]}", markup=False)

@@ -15,7 +15,7 @@ from aridcal.result.outcome import Outcome, enumerated
 from aridcal.robot.chain import Robot
 from aridcal.search.noise_causes import NoiseCause
 from aridcal.trust.certainty import Certainty
-from aridcal.trust.tolerance import Kept
+from aridcal.trust.tolerance import CONFIDENCE, SHARE, Kept
 
 """Each kind of effect in a few words; its section in docs/effects.md says more."""
 
@@ -108,34 +108,30 @@ def shown_in(unit: str) -> tuple[str, float]:
     return (SHOWN_UNIT[unit], 1e3) if unit in SHOWN_UNIT else (unit, 1.0)
 
 
-def kept_in_words(outcome: Outcome) -> list[tuple[bool, str]]:
-    """What the region keeps within, of the position and of the rotation: whether that is good, and the sentence."""
-    return [_kept(part, outcome.certainty) for part in outcome.certainty.kept]
+def kept_in_words(outcome: Outcome, asked: bool) -> list[tuple[bool, str]]:
+    """What the region keeps within, of the position and of the rotation: whether that is good, and the sentence.
 
-
-def _not_measured(part: Kept) -> str:
-    """Why a bound is infinite."""
-    return f"{100 * (1.0 - part.measured):.0f} % of it were not measured, or no reading tells the target there"
+    Args:
+        outcome: What was found.
+        asked: Of what a tolerance was given for; else of the rest.
+    """
+    known = outcome.certainty
+    return [_kept(part, known) for part in known.kept if asked == (part.tolerance is not None)]
 
 
 def _kept(part: Kept, known: Certainty) -> tuple[bool, str]:
     """The same of one of them."""
-    unit = "mrad" if part.of == "rotation" else "mm"
-    whose = f"the {part.of} in 95 % of {known.title}"
-    bound = f"{whose} is within {number(1e3 * part.bound)} {unit}, with 95 % confidence"
+    unit, share, sure = "mrad" if part.of == "rotation" else "mm", f"{100 * SHARE:.0f} %", f"{100 * CONFIDENCE:.0f} %"
+    where, bound = f"in {share} of {known.title}", f"{number(1e3 * part.bound)} {unit}"
     if part.tolerance is None:
         if math.isinf(part.bound):
-            return False, f"How far off {whose} is cannot be said: {_not_measured(part)}."
-        return True, f"{bound[0].upper()}{bound[1:]}."
-    asked = f"{number(1e3 * part.tolerance)} {unit}"
-    rows = f"{part.rows_within:,} of {part.rows:,} {part.judges} measure within it, the instrument's noise included"
+            return False, f"How far off the target's {part.of} is {where} cannot be said: {part.gap}."
+        return True, f"In{where[2:]} the target's {part.of} is off by less than {bound}, with {sure} confidence."
+    asked = f"within the tolerance of {number(1e3 * part.tolerance)} {unit} {where}"
+    rows = f"{part.rows_within:,} of {part.rows:,} {part.judges} read less, the instrument's noise included"
     if part.within:
-        return (
-            True,
-            f"Within tolerance: {whose} is within {asked} (even within {number(1e3 * part.bound)} {unit}); {rows}.",
-        )
-    why = "; ".join(part.reasons)
-    return False, f"Not within tolerance: that {whose} is within {asked} cannot be said: {why}; {rows}."
+        return True, f"{part.of.capitalize()} {asked}, with {sure} confidence (it could be {bound}). {rows}."
+    return False, f"{part.of.capitalize()} not {asked}: {'; '.join(part.reasons)}. {rows}."
 
 
 def causes_in_words(outcome: Outcome) -> str:

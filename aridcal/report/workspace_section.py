@@ -37,7 +37,7 @@ def workspace(outcome: Outcome) -> Iterator[Content]:
         "measured: outside the ranges seen, or where the prediction is three times as uncertain as at any fitted row. What the "
         "model lacks there, nobody knows. The sigmas are those of the calibration; errors beyond it are in what follows.",
     )
-    yield bullets([sentence for _, sentence in kept_in_words(outcome)])
+    yield bullets([sentence for asked in (True, False) for _, sentence in kept_in_words(outcome, asked)])
     for part in known.kept:
         unit = "mrad" if part.of == "rotation" else "mm"
         sure, rest = (f"{number(1e3 * size)} {unit}" for size in (part.calibration, part.beyond))

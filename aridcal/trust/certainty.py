@@ -30,8 +30,8 @@ PLANES = ((0, 2), (0, 1))
 
 
 LEAST = 128
-"""Configurations, of :data:`aridcal.trust.workspace.SAMPLES`, that must be like measured ones to stand for a range: their share that
-is within a tolerance is then known to 2 %."""
+"""Configurations, of :data:`aridcal.trust.workspace.SAMPLES`, that must be like measured ones to stand for a range: their share
+that is within a tolerance is then known to 2 %."""
 
 
 @dataclass(frozen=True)

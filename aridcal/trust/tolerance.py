@@ -36,7 +36,7 @@ CONFIDENCE = 0.95
 """How sure that must be: of calibrations that are said to be within, at most one in twenty is not. Convention."""
 
 DRAWS = 400
-"""Of the calibration's error: the 95th percentile of what they give is then that of 94 to 96 % of all."""
+"""Of the calibration's error: the 95th percentile of what they give is then that of 93 to 97 % of all."""
 
 AXES = 3
 """Of a place, or of a turn."""
@@ -124,6 +124,11 @@ class Kept:
     def judges(self) -> str:
         """What the rows that judge are called."""
         return "held-out rows" if self.held_out else "fitted rows"
+
+    @property
+    def gap(self) -> str:
+        """Why nothing can be said of a part of the region, in words."""
+        return f"{100 * (1.0 - self.measured):.0f} % of it were not measured, or no reading tells the target there"
 
     @property
     def within(self) -> bool | None:
@@ -262,7 +267,7 @@ def kept(
     confidence = float(np.mean(reached <= tolerance))
     reasons = [] if bound <= tolerance else [_why(found)]
     if count - within > binom.ppf(1.0 - DOUBT, count, max(1.0 - SHARE, usual)):
-        reasons.append(f"{count - within} of {count} {found.judges} are off by more, instrument and all")
+        reasons.append(f"{count - within} of {count} {found.judges} are off by more, which is more than this explains")
     return replace(
         found,
         share=float(np.mean(length <= tolerance)),
@@ -283,6 +288,6 @@ def _drawn(columns: np.ndarray, covariance: np.ndarray, rng: np.random.Generator
 def _why(found: Kept) -> str:
     """Why a region is not within its tolerance, as far as the calibration's own figures say it."""
     if found.measured < SHARE:
-        return f"{100 * (1.0 - found.measured):.0f} % of it were not measured, or no reading tells the target there"
-    times, unit = (1e3, "mrad") if found.of == "rotation" else (1e3, "mm")
-    return f"95 % of it are within {times * found.bound:.3g} {unit} only, with {100 * CONFIDENCE:.0f} % confidence"
+        return found.gap
+    unit = "mrad" if found.of == "rotation" else "mm"
+    return f"only {1e3 * found.bound:.3g} {unit} can be said with {100 * CONFIDENCE:.0f} % confidence"

@@ -78,11 +78,7 @@ class Workspace:
 
     @cached_property
     def _worst(self) -> tuple[np.ndarray, np.ndarray]:
-        values, vectors = np.linalg.eigh(self.covariance)
-        way = np.einsum("nji,nj->ni", self.axes, vectors[:, :, -1])
-        largest = np.abs(way).argmax(axis=1)
-        sign = np.sign(way[np.arange(len(way)), largest])
-        return np.sqrt(np.maximum(values[:, -1], 0.0)), way * sign[:, None]
+        return worst_direction(_turned(self.axes) @ self.covariance @ self.axes)
 
     @property
     def sigma(self) -> np.ndarray:
@@ -97,7 +93,7 @@ class Workspace:
     @property
     def turn(self) -> np.ndarray:
         """1-sigma of the rotation about its worst axis, shape (M,), [rad]."""
-        return np.sqrt(np.maximum(np.linalg.eigvalsh(self.turns)[:, -1], 0.0))
+        return worst_direction(self.turns)[0]
 
     def select(self, some: np.ndarray) -> Workspace:
         """Some of the configurations."""
@@ -137,7 +133,7 @@ class Knowledge:
         count, extra = len(self.fit.theta), len(self.open)
         R, p, J = self.wide.jacobian(np.append(self.fit.theta, np.zeros(extra)), rows)
         arm = R @ tool
-        J[:, :3] += np.cross(J[:, 3:], arm[:, :, None], axis=1)
+        J = shifted(J, arm)
         own, more = J[:, :, :count], J[:, :, count:]
         return p + arm, own, more - own @ self.follows
 
@@ -190,6 +186,46 @@ class Knowledge:
         axes = np.array([frame.rotation for _, frame in bases])
         origin = np.array([frame.translation for _, frame in bases])
         return axes[rows.world], origin[rows.world]
+
+
+def worst_direction(covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """1-sigma of vectors in their worst direction, shape (N,), and that direction, its largest number positive, shape (N, 3).
+
+    Args:
+        covariance: Shape (N, 3, 3).
+    """
+    values, vectors = np.linalg.eigh(covariance)
+    way = vectors[:, :, -1]
+    largest = np.abs(way).argmax(axis=1, keepdims=True)
+    return np.sqrt(np.maximum(values[:, -1], 0.0)), way * np.sign(np.take_along_axis(way, largest, axis=1))
+
+
+def target_covariance(
+    model: Model, theta: np.ndarray, covariance: np.ndarray, rows: Rows, tool: np.ndarray | None = None
+) -> np.ndarray:
+    r"""Covariance :math:`J \Sigma J^T` of the target's position [m] and rotation vector [rad], world axes, shape (N, 6, 6).
+
+    Args:
+        model: K coefficients.
+        theta: Their values, shape (K,).
+        covariance: Of them, shape (K, K).
+        rows: N configurations.
+        tool: A point that moves with the target, in its axes, shape (3,), [m], in place of its origin.
+    """
+    found = np.empty((len(rows), 6, 6))
+    for start in range(0, len(rows), BLOCK):
+        some = slice(start, start + BLOCK)
+        R, _, J = model.jacobian(theta, rows[some])
+        J = J if tool is None else shifted(J, R @ tool)
+        found[some] = J @ covariance @ _turned(J)
+    return found
+
+
+def shifted(J: np.ndarray, arm: np.ndarray) -> np.ndarray:
+    """Twists of the target, shape (N, 6, K), as those of points that are an arm (N, 3), [m], from its origin."""
+    moved = J.copy()
+    moved[:, :3] += np.cross(J[:, 3:], arm[:, :, None], axis=1)
+    return moved
 
 
 def _turned(matrices: np.ndarray) -> np.ndarray:
@@ -256,10 +292,8 @@ def _seen(fit: Fit, train: Dataset) -> Seen:
     columns = dict(zip(model.robot.readings, used.readings.T, strict=True))
     columns |= {name: used.conditions[name] for name in model.needs}
     rows = model.rows(used.readings, used.conditions, used.station, used.target)
-    std = np.empty((len(rows), 6))
-    for start in range(0, len(rows), BLOCK):
-        _, _, J = model.jacobian(fit.theta, rows[start : start + BLOCK])
-        std[start : start + BLOCK] = np.sqrt(np.maximum(np.einsum("nik,nik->ni", J @ fit.covariance, J), 0.0))
+    variance = np.einsum("nii->ni", target_covariance(model, fit.theta, fit.covariance, rows))
+    std = np.sqrt(np.maximum(variance, 0.0))
     if not used.sees_turns:  # that of a target whose rotation was never measured says nothing
         std[:, 3:] = np.inf
     ranges = {name: (float(np.nanmin(v)), float(np.nanmax(v))) for name, v in columns.items()}
