@@ -28,7 +28,7 @@ from aridcal.result.controllers import hand_over
 from aridcal.result.folder import result_document
 from aridcal.result.outcome import Outcome
 from aridcal.result.pipeline import score
-from aridcal.result.predict import predict, read_query
+from aridcal.result.predict import evenly, predict, read_query, uncertainty
 from aridcal.result.saved_model import SavedModel
 from aridcal.result_folder import write_folder
 from aridcal.showing import Page, working
@@ -114,6 +114,26 @@ class Calibration:
             table = predict(self.model, query)
         _warn(query)
         return _with_numbers(table)
+
+    def uncertainty(
+        self, queries: AnyTable | None = None, tool: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    ) -> pd.DataFrame:
+        """Tell how well the target is known: 1-sigma, by the noise of the measurements.
+
+        Args:
+            queries: As for :meth:`predict`; None: 512 configurations evenly over the joint ranges that were seen.
+            tool: A point that moves with the target, in its axes, [m].
+
+        Returns:
+            The rows with ``sigma_mm`` in the worst direction, that direction ``worst_x`` to ``worst_z`` in world axes, ``rms_mm``
+            of all axes together, ``rotation_mrad`` (of poses), and ``extrapolates``.
+
+        Raises:
+            AridcalError: as :meth:`predict`; or a point beside a target whose rotation was never measured.
+        """
+        query = read_query(self.model, evenly(self.model) if queries is None else queries)
+        _warn(query)
+        return _with_numbers(uncertainty(self.model, query, tool))
 
     def compensate(self, poses: AnyTable, seed: AnyTable | None = None) -> pd.DataFrame:
         """Find the joints that bring the real target to each of the wanted poses.

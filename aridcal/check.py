@@ -18,15 +18,13 @@ Example:
 from __future__ import annotations
 
 import argparse
-import re
 import sys
 from collections.abc import Sequence
 
 from rich.console import Console
 
 from aridcal.command_line import DONE, NOT_GOOD, CommandParser, command_parser, run
-from aridcal.errors import shortened
-from aridcal.inputs.measurement_settings import LENGTHS
+from aridcal.inputs.measurement_settings import length_argument
 from aridcal.reading.names import path_argument
 from aridcal.result.saved_model import SavedModel
 from aridcal.upkeep.answers import check_lines
@@ -35,23 +33,16 @@ from aridcal.upkeep.new_rows import read_new_rows
 from aridcal.upkeep.repair import changes
 
 
-def _length(text: str) -> float:
-    """A length of the command line with its unit, in metres."""
-    found = re.fullmatch(r"([0-9]*\.?[0-9]+(?:[eE][-+]?[0-9]+)?)\s*([a-z]+)", text.strip())
-    if found is None or found[2] not in LENGTHS or not 0.0 < float(found[1]) < 1e9:
-        raise argparse.ArgumentTypeError(
-            f"should be a length with its unit ({', '.join(LENGTHS)}), 0.2mm for instance, not {shortened(text)!r}"
-        )
-    return float(found[1]) * LENGTHS[found[2]]
-
-
 def parser() -> CommandParser:
     """The command's arguments."""
     arguments = command_parser("check", __doc__)
     arguments.add_argument("results", type=path_argument, help="result folder, or its calibration.yaml")
     arguments.add_argument("rows", type=path_argument, help="new measurements, .csv or .parquet")
     arguments.add_argument(
-        "--tolerance", type=_length, metavar="LENGTH", help="RMS position error that is still good, 0.2mm for instance"
+        "--tolerance",
+        type=length_argument,
+        metavar="LENGTH",
+        help="RMS position error that is still good, 0.2mm for instance",
     )
     return arguments
 

@@ -1,8 +1,15 @@
 """Calibrate a robot: from a campaign to the calibrated URDF, the whole model, a report and a 3D scene.
 
+With --tolerance, or `tolerance:` in the campaign, it is said whether the target is within it in 95 % of the campaign's `region:`
+(of the range that was measured, where it names none), with 95 % confidence: by the calibration's own uncertainty, and by what
+held-out rows leave beyond it and beyond the instrument's declared noise. All files are written in either case.
+
+Exit status: 0 done, 3 not within the tolerance.
+
 Example:
     aridcal identify identification/arid/campaign.yaml
     aridcal identify campaign.yaml --verify another_day.csv
+    aridcal identify campaign.yaml --tolerance 0.2mm
 """
 
 from __future__ import annotations
@@ -16,10 +23,12 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from aridcal.command_line import CommandParser, command_parser, run
-from aridcal.drawing.words import causes_in_words, noise_in_words, scale_in_words
+from aridcal.command_line import DONE, NOT_GOOD, CommandParser, command_parser, run
+from aridcal.drawing.words import causes_in_words, kept_in_words, noise_in_words, scale_in_words
 from aridcal.errors import shortened
 from aridcal.head.detections import CACHE
+from aridcal.inputs.campaign import load_campaign
+from aridcal.inputs.measurement_settings import length_argument
 from aridcal.prepare.other_readings import refuse_misread
 from aridcal.reading.names import path_argument
 from aridcal.result.folder import what_moved
@@ -67,6 +76,8 @@ def summary(outcome: Outcome, console: Console) -> None:
     console.print(_noise_line(outcome), markup=False)
     for line in scale_in_words(outcome):
         console.print(line, markup=False)
+    for _, sentence in (*kept_in_words(outcome, asked=True), *kept_in_words(outcome, asked=False)):
+        console.print(sentence, markup=False)
     verdict = outcome.verdict
     console.print(f"verdict: {verdict.word}: {VERDICTS[verdict.word]}", markup=False)
     for reason in verdict.reasons:
@@ -138,6 +149,13 @@ def parser() -> CommandParser:
         "--verify", type=path_argument, metavar="CSV", help="measurements of another day, to check the result on"
     )
     arguments.add_argument(
+        "--tolerance",
+        type=length_argument,
+        metavar="LENGTH",
+        help="how far the target may be off in 95 %% of the campaign's region, 0.2mm for instance; exit status 3 if it cannot "
+        "be said, with 95 %% confidence, that it is not",
+    )
+    arguments.add_argument(
         "--seed",
         type=_seed,
         default=0,
@@ -152,16 +170,19 @@ def main(argv: Sequence[str] | None = None) -> int:
     return run(lambda: _main(arguments))
 
 
-def _main(arguments: argparse.Namespace) -> None:
+def _main(arguments: argparse.Namespace) -> int:
     out = arguments.out or arguments.campaign.parent / "results"
     with claimed(out, "folder", RESULT_FILES):
-        _identify(arguments, out)
+        return _identify(arguments, out)
 
 
-def _identify(arguments: argparse.Namespace, out: Path) -> None:
+def _identify(arguments: argparse.Namespace, out: Path) -> int:
     console = Console()
     with told_on(Console(stderr=True)) as progress:
-        outcome = identify(arguments.campaign, arguments.seed, arguments.verify, progress, out / CACHE, refuse_misread)
+        campaign = load_campaign(arguments.campaign)
+        if arguments.tolerance is not None:
+            campaign = campaign.with_tolerance(arguments.tolerance)
+        outcome = identify(campaign, arguments.seed, arguments.verify, progress, out / CACHE, refuse_misread)
         written = write_folder(outcome, out, progress)
     summary(outcome, console)
     handover = written.handover
@@ -175,6 +196,7 @@ def _identify(arguments: argparse.Namespace, out: Path) -> None:
     if len(written.notices) > MOST_NOTICES:
         console.print(f"note: and {len(written.notices) - MOST_NOTICES} more, in the pages themselves", markup=False)
     console.print(f"report: {out / 'report.html'}", soft_wrap=True, markup=False, highlight=False)
+    return NOT_GOOD if outcome.certainty is not None and not outcome.certainty.within else DONE
 
 
 if __name__ == "__main__":

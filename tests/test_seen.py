@@ -23,7 +23,8 @@ from aridcal.model.model import Model
 from aridcal.result.pipeline import identify
 from aridcal.result.predict import predict, read_query
 from aridcal.result.saved_model import AT_ONCE, SavedModel, SolvedModel
-from aridcal.result.saving import WIDE, calibration, holes, inside, largest
+from aridcal.result.saving import calibration
+from aridcal.trust.seen import WIDE, holes, inside, largest
 
 LIMIT = 1.5
 

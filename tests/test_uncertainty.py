@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 import robots
 from scipy.spatial.transform import Rotation
-from scipy.stats import kstest
 
 from aridcal.fit.constants import constants
 from aridcal.fit.least_squares import Fit, fit, fit_identifiable
@@ -18,7 +17,6 @@ from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.channels import TARGET_POSITION, TARGET_ROTATION
 from aridcal.model.model import Model, Rows
 from aridcal.robot.chain import parse_robot
-from aridcal.robot.kinematics import tip_frames
 from aridcal.trust.uncertainty import accuracy, outliers, precision, target_sigma, with_noise_seen
 
 
@@ -143,11 +141,11 @@ def test_sigma_of_the_target_is_its_scatter_though_the_noise_of_positions_was_st
     assert ratio > 1.0 if stated > 1e-4 else ratio == pytest.approx(1.0, rel=0.12)
 
 
-def test_precision_is_that_of_the_rows_and_of_places_all_over_the_joint_range() -> None:
-    """Second road: coefficients drawn from their covariance, at configurations drawn here."""
+def test_precision_is_that_of_the_rows() -> None:
+    """Second road: coefficients drawn from their covariance."""
     rng = np.random.default_rng(7)
-    truth, found, data = example(100)
-    robot, model = truth.model.robot, found.model
+    _, found, data = example(100)
+    model = found.model
     result = precision(found, data)
     draws = rng.multivariate_normal(found.theta, found.covariance, 300)
 
@@ -155,13 +153,6 @@ def test_precision_is_that_of_the_rows_and_of_places_all_over_the_joint_range() 
         return worst(np.array([model.poses(theta, rows)[1] for theta in draws]))
 
     assert np.median(result.position / drawn(model.rows(data.readings))) == pytest.approx(1.0, abs=0.05)
-    q = rng.uniform([j.lower for j in robot.joints], [j.upper for j in robot.joints], (300, 4))  # far beyond the rows
-    anywhere = drawn(model.rows(q))
-    for share in (0.1, 0.5, 0.9):
-        assert np.quantile(result.reach, share) == pytest.approx(np.quantile(anywhere, share), rel=0.2)
-    _, tips = tip_frames(robot, q)
-    for places, expected in zip(result.places.T, tips.T, strict=True):  # in the base's frame, wherever the world's is
-        assert kstest(places, expected).pvalue > 1e-3
 
 
 def test_a_test_row_is_flagged_only_if_it_is_far_off_at_every_stage() -> None:

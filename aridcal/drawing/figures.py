@@ -220,7 +220,15 @@ def correlogram(key: str, alt: str, lags: np.ndarray, correlation: np.ndarray, b
 
 
 @_figure
-def field(key: str, alt: str, points: np.ndarray, values: np.ndarray, labels: tuple[str, str], unit: str) -> Figure:
+def field(
+    key: str,
+    alt: str,
+    points: np.ndarray,
+    values: np.ndarray,
+    labels: tuple[str, str],
+    unit: str,
+    hollow: np.ndarray | None = None,
+) -> Figure:
     """RMS of a value over a plane: one dot for the rows of each small square, in five steps of equally many dots.
 
     Args:
@@ -230,6 +238,7 @@ def field(key: str, alt: str, points: np.ndarray, values: np.ndarray, labels: tu
         values: Shape (N,), not negative.
         labels: Of the two axes, with their units.
         unit: Of the values.
+        hollow: Of the rows, shape (N,) bool; a dot for which most of them are gets a hole.
     """
     figure, axes = _axes(HEIGHT + 1.6, HEIGHT + 1.6, left=0.14, top=0.42)
     side = max(float(np.ptp(points, axis=0).max()) / SQUARES, 1e-9)
@@ -243,6 +252,9 @@ def field(key: str, alt: str, points: np.ndarray, values: np.ndarray, labels: tu
     for k, color in enumerate(LEVELS):
         name = f"{number(steps[k], 2)}–{number(steps[k + 1], 2)} {unit}"
         _dots(axes, x[level == k], y[level == k], color, label=name, size=5.0, alpha=1.0)
+    if hollow is not None:
+        open_ = np.bincount(square, hollow) > 0.5 * count
+        _dots(axes, x[open_], y[open_], "white", size=2.2, alpha=1.0)
     axes.set(xlabel=labels[0], ylabel=labels[1])
     axes.set_aspect("equal", adjustable="datalim")
     return _with_legend(figure, axes, columns=3)

@@ -382,6 +382,8 @@ def scene(outcome: Outcome) -> Scene:
         # What other instruments say of the target's place: the shortest way from the final model's to what fits the reading.
         shifts = {stage.name: np.nan_to_num(outcome.at_target.shift(stage.residual)) for stage in outcome.stages}
         measured = outcome.at_target.places + shifts["final"]
+    known = None if outcome.certainty is None else outcome.certainty.anywhere
+    told = None if known is None else known.select(known.told)
     return Scene(
         nominal=robot,
         calibrated=parse_robot(calibrated, robot.tip, robot.base, robot.path),
@@ -394,6 +396,6 @@ def scene(outcome: Outcome) -> Scene:
         line=m.line[rows],
         gravity=np.atleast_2d(fit.model.around.gravity)[0],
         moved={e.effect.label: e.adds[rows] for e in outcome.effects if e.adds is not None},
-        places=outcome.precision.places,
-        sigma=outcome.precision.reach,
+        places=np.zeros((0, 3)) if told is None else told.places,
+        sigma=np.zeros(0) if told is None else told.sigma,
     )

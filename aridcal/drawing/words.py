@@ -14,6 +14,8 @@ from aridcal.result.instruments import known_scale, scale_std
 from aridcal.result.outcome import Outcome, enumerated
 from aridcal.robot.chain import Robot
 from aridcal.search.noise_causes import NoiseCause
+from aridcal.trust.certainty import Certainty
+from aridcal.trust.tolerance import CONFIDENCE, SHARE, Kept
 
 """Each kind of effect in a few words; its section in docs/effects.md says more."""
 
@@ -104,6 +106,33 @@ def scale_in_words(outcome: Outcome) -> tuple[str, ...]:
 def shown_in(unit: str) -> tuple[str, float]:
     """Unit in which a quantity in SI is shown, and what it is multiplied with."""
     return (SHOWN_UNIT[unit], 1e3) if unit in SHOWN_UNIT else (unit, 1.0)
+
+
+def kept_in_words(outcome: Outcome, asked: bool) -> list[tuple[bool, str]]:
+    """What the region keeps within, of the position and of the rotation: whether that is good, and the sentence.
+
+    Args:
+        outcome: What was found.
+        asked: Of what a tolerance was given for; else of the rest.
+    """
+    known = outcome.certainty
+    parts = () if known is None else known.kept
+    return [_kept(part, known) for part in parts if known and asked == (part.tolerance is not None)]
+
+
+def _kept(part: Kept, known: Certainty) -> tuple[bool, str]:
+    """The same of one of them."""
+    unit, share, sure = "mrad" if part.of == "rotation" else "mm", f"{100 * SHARE:.0f} %", f"{100 * CONFIDENCE:.0f} %"
+    where, bound = f"in {share} of {known.title}", f"{number(1e3 * part.bound)} {unit}"
+    if part.tolerance is None:
+        if math.isinf(part.bound):
+            return False, f"How far off the target's {part.of} is {where} cannot be said: {part.gap}."
+        return True, f"In{where[2:]} the target's {part.of} is off by less than {bound}, with {sure} confidence."
+    asked = f"within the tolerance of {number(1e3 * part.tolerance)} {unit} {where}"
+    rows = f"{part.rows_within:,} of {part.rows:,} {part.judges} read less, the instrument's noise included"
+    if part.within:
+        return True, f"{part.of.capitalize()} {asked}, with {sure} confidence (it could be {bound}). {rows}."
+    return False, f"{part.of.capitalize()} not {asked}: {'; '.join(part.reasons)}. {rows}."
 
 
 def causes_in_words(outcome: Outcome) -> str:

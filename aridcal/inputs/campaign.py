@@ -21,8 +21,16 @@ from pydantic import (
 from aridcal.effects.catalogue import KINDS, is_of_head
 from aridcal.errors import CampaignError, has_controls, nearest
 from aridcal.inputs.instrument_settings import InstrumentSettings
-from aridcal.inputs.measurement_settings import MeasurementSettings, Names, listed, one_of
-from aridcal.inputs.yaml_file import LARGEST, RelativePath, Section, Settings, Vector3, load_settings
+from aridcal.inputs.measurement_settings import (
+    LENGTHS,
+    SMALL_ANGLES,
+    MeasurementSettings,
+    Names,
+    listed,
+    one_of,
+    with_unit,
+)
+from aridcal.inputs.yaml_file import LARGEST, Number, RelativePath, Section, Settings, Vector3, load_settings
 from aridcal.instruments.catalogue import KINDS as MEASURED
 from aridcal.instruments.catalogue import labelled
 from aridcal.reading.names import check_path
@@ -230,6 +238,40 @@ class About(Section):
     certificate_number: Line | None = None
 
 
+class Region(Section):
+    """Where the target is to be known: configurations, or places of the target; and of which point on it."""
+
+    file: RelativePath | None = None
+    """Rows of joints, or of x y z, as `aridcal design --region` reads them."""
+    joints: dict[str, tuple[Number, Number]] = Field(default_factory=dict)
+    """Lowest and highest reading, in the units of the measurements; of joints that are not named what was seen."""
+    tool: Vector3 = (0.0, 0.0, 0.0)
+    """A point that moves with the target, in its axes, [m]."""
+
+    @model_validator(mode="after")
+    def _is_one(self) -> Region:
+        if self.file is not None and self.joints:
+            raise ValueError("`file` and `joints` both say where; delete one of them")
+        for name, (low, high) in self.joints.items():
+            if not low < high:
+                raise ValueError(f"joints.{name}: the first number should be below the second")
+        return self
+
+
+def _position_alone(value: Any) -> Any:
+    """Let a length stand for the tolerance of the position."""
+    return value if isinstance(value, dict) else {"position": value}
+
+
+class ToleranceSettings(Section):
+    """How far the target may be off in 95 % of the region."""
+
+    position: Annotated[float, BeforeValidator(lambda text: with_unit(text, LENGTHS, "0.2mm"))]
+    """[m]"""
+    rotation: Annotated[float, BeforeValidator(lambda text: with_unit(text, SMALL_ANGLES, "0.5mrad"))] | None = None
+    """[rad]"""
+
+
 class Job(Settings):
     """What a campaign and a scenario have in common."""
 
@@ -323,6 +365,8 @@ class Campaign(Job):
     """For `aridcal design` alone."""
     about: About | None = None
     """For the certificate, which is written where this is there."""
+    region: Region = Region()
+    tolerance: Annotated[ToleranceSettings, BeforeValidator(_position_alone)] | None = None
 
     _tables: tuple[str | Path | pd.DataFrame, ...] = PrivateAttr(default=())
 
@@ -335,6 +379,14 @@ class Campaign(Job):
     def has_other_tables(self) -> bool:
         """True where the tables are not the campaign's own files."""
         return bool(self._tables)
+
+    def with_tolerance(self, position: float) -> Campaign:
+        """The same campaign with another tolerance of the position, [m]."""
+        before = self.tolerance
+        rotation = None if before is None else before.rotation
+        return self.model_copy(
+            update={"tolerance": ToleranceSettings.model_construct(position=position, rotation=rotation)}
+        )
 
     def with_tables(self, tables: Sequence[str | Path | pd.DataFrame]) -> Campaign:
         """The same campaign with other measurements, of the same columns and units."""

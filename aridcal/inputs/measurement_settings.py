@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import argparse
 import itertools
 import math
+import re
+from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, field_validator, model_validator
 
-from aridcal.errors import CampaignError, nearest
+from aridcal.errors import CampaignError, nearest, shortened
 from aridcal.inputs.yaml_file import RelativePath, Section
 from aridcal.instruments.catalogue import KINDS
 from aridcal.reading.names import check_name
@@ -31,6 +34,39 @@ TARGET, SHOT = "target", "shot"
 
 # Radians in one of each unit of angle.
 ANGLES = MappingProxyType({"rad": 1.0, "deg": math.pi / 180})
+
+# The same of tolerances.
+SMALL_ANGLES = MappingProxyType({**ANGLES, "mrad": 1e-3})
+
+# Of a tolerance in any unit: more is none.
+LARGEST_TOLERANCE = 1e9
+
+
+def with_unit(text: object, units: Mapping[str, float], example: str) -> float:
+    """A positive number with its unit, in SI.
+
+    Args:
+        text: ``0.2mm`` for instance.
+        units: SI units in one of each.
+        example: For the message.
+
+    Raises:
+        ValueError: it is none, or has no unit.
+    """
+    found = re.fullmatch(r"([0-9]*\.?[0-9]+(?:[eE][-+]?[0-9]+)?)\s*([a-z]+)", str(text).strip())
+    if found is None or found[2] not in units or not 0.0 < float(found[1]) < LARGEST_TOLERANCE:
+        raise ValueError(
+            f"should be a number with its unit ({', '.join(units)}), {example} for instance, not {shortened(str(text))!r}"
+        )
+    return float(found[1]) * units[found[2]]
+
+
+def length_argument(text: str) -> float:
+    """A length of the command line with its unit, in metres: the ``type`` of an argument of argparse."""
+    try:
+        return with_unit(text, LENGTHS, "0.2mm")
+    except ValueError as problem:
+        raise argparse.ArgumentTypeError(str(problem)) from None
 
 
 def one_of(names: Any) -> AfterValidator:

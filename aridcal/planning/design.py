@@ -12,12 +12,10 @@ from pydantic import ValidationError
 
 from aridcal.effects.catalogue import KINDS, declared
 from aridcal.effects.effect import Coefficient
-from aridcal.errors import CampaignError, MeasurementError, nearest
+from aridcal.errors import CampaignError, nearest
 from aridcal.inputs.campaign import EffectDeclaration
 from aridcal.inputs.measurement_settings import MeasurementSettings
-from aridcal.inputs.quantities import POSITION, column_of
-from aridcal.inputs.query import load_query
-from aridcal.inputs.tables import read_tables
+from aridcal.inputs.quantities import column_of
 from aridcal.model.reaching import draw_readings
 from aridcal.planning.beforehand import Beforehand
 from aridcal.planning.candidates import (
@@ -36,6 +34,7 @@ from aridcal.planning.travel import short_order
 from aridcal.robot.chain import Robot
 from aridcal.search.diagnose import look
 from aridcal.showing import SILENT, Progress
+from aridcal.trust.region import region_of_table
 
 POOL, SMALL_POOL = 3000, 1000
 """Configurations to choose from, and the same where many are wanted, or each must be sought: twice as many make the choice better
@@ -290,29 +289,14 @@ def region(known: Beforehand, path: Path, rng: np.random.Generator) -> np.ndarra
     Raises:
         MeasurementError: the table has neither, or a row of it cannot be used.
     """
-    robot, settings = known.robot, known.campaign.measurements
-    limit = known.campaign.limits.table
-    names = set(read_tables([path], limit=limit).names)
-    joints = [settings.columns.get(name, name) for name in robot.readings]
-    places = [column_of(name, settings, robot.readings) for name in POSITION]
-    if not (set(joints) <= names or set(places) <= names):
-        raise MeasurementError(
-            f"{path}: should have the columns of all joints ({', '.join(joints)}) or of the target's places ({', '.join(places)})"
-        )
-    by_joints = set(joints) <= names
-    plain = settings.model_copy(update={"kind": "position"})
-    query = load_query(path, robot.readings, robot.limits, robot.kinds, plain, poses=not by_joints, limit=limit)
-    if query.refused:
-        raise MeasurementError(f"{query.refused[0]}; mend the row, or delete it")
-    if by_joints:
-        return query.readings
-    position = query.position
-    assert position is not None
 
-    def miss(R: np.ndarray, p: np.ndarray, rows: np.ndarray) -> np.ndarray:
-        return p - position[rows]
+    def reach(places: np.ndarray) -> np.ndarray:
+        def miss(R: np.ndarray, p: np.ndarray, rows: np.ndarray) -> np.ndarray:
+            return p - places[rows]
 
-    return reaching(known, 0, miss, len(position), rng, f"take places out of {path} that it cannot reach")
+        return reaching(known, 0, miss, len(places), rng, f"take places out of {path} that it cannot reach")
+
+    return region_of_table(known.campaign, known.robot, path, reach)
 
 
 def as_table(plan: Plan, robot: Robot, settings: MeasurementSettings) -> pd.DataFrame:

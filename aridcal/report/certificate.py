@@ -273,10 +273,11 @@ class _Known:
 def _known(outcome: Outcome) -> _Known | None:
     """How well the target is known; None where nothing measures its place, or no length gives its scale."""
     precision = outcome.precision
-    if known_scale(outcome.measurements) in (None, math.inf) or not np.isfinite(precision.position).all():
+    known = outcome.certainty
+    if known_scale(outcome.measurements) in (None, math.inf) or not np.isfinite(precision.position).all() or not known:
         return None
     median, most = (1e3 * COVERAGE * float(f(precision.position)) for f in (np.median, np.max))
-    return _Known(median, most, 1e3 * COVERAGE * float(np.percentile(precision.reach, 95)))
+    return _Known(median, most, 1e3 * COVERAGE * float(np.percentile(known.anywhere.sigma, 95)))
 
 
 def _in_short(known: _Known | None) -> str:

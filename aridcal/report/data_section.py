@@ -163,7 +163,9 @@ def enough(outcome: Outcome) -> Iterator[Content]:
     """Question 3: is there enough data, in the right places?"""
     precision, joints = outcome.precision, joint_ranges(outcome)
     placed = known_scale(outcome.measurements) is not None
-    sigma = {"at the fitted rows": 1e3 * precision.position, "over the whole joint range": 1e3 * precision.reach}
+    sigma = {"at the fitted rows": 1e3 * precision.position}
+    if outcome.certainty is not None:
+        sigma["over the whole joint range"] = 1e3 * outcome.certainty.anywhere.sigma
     yield _pictures(joints, sigma if placed else {})
     yield _joint_table(joints)
     named = {f"{name} [mm]": values for name, values in sigma.items() if placed}

@@ -13,6 +13,7 @@ from aridcal.drawing.parts import division_in_words, p_of_halves
 from aridcal.drawing.words import (
     at_target_in_words,
     causes_in_words,
+    kept_in_words,
     noise_in_words,
     per_number,
     scale_in_words,
@@ -76,6 +77,8 @@ def summary(outcome: Outcome) -> Iterator[Content]:
     yield tag(
         "div", [_card(outcome, k) for k, channel in enumerate(outcome.channels) if not channel.inner], class_="cards"
     )
+    for good, words in kept_in_words(outcome, asked=True):
+        yield tag("p", tag("strong", words), class_="good" if good else "look")
     checked = [_check(good, words) for good, words in checks(outcome)]
     yield tag(
         "div",
@@ -229,6 +232,7 @@ def checks(outcome: Outcome) -> Iterator[tuple[bool, str]]:
     """What speaks for the result (True) and what should be looked at first (False)."""
     yield from _row_checks(outcome)
     yield from _fit_checks(outcome)
+    yield from kept_in_words(outcome, asked=False)
     for sentence in scale_in_words(outcome):
         yield known_scale(outcome.measurements) not in (None, math.inf), f"{sentence[0].upper()}{sentence[1:]}."
     known = sigma_and_error(outcome) if outcome.measurements.blocks else None

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from aridcal.drawing.html import Content, Html, bullets, number, table, tag
 from aridcal.drawing.words import per_number, range_in_words, sigmas_in_words
 from aridcal.report.identified_section import codes
+from aridcal.report.workspace_section import workspace
 from aridcal.result.controllers import Export, Handover
 from aridcal.result.key_figures import narrow_joints
 from aridcal.result.outcome import Outcome
@@ -30,6 +31,7 @@ THING_MOVED: list[Content] = [
 def limits(outcome: Outcome) -> Iterator[Content]:
     """Question 6: where does the calibration hold?"""
     yield bullets([_outside(outcome), _uncertainty(outcome), JOINT_VALUES])
+    yield from workspace(outcome)
     yield tag("h3", "What to measure again after a change")
     yield _after_a_change(bool(outcome.things))
     hidden = _inside_the_target(outcome)

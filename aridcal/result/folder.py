@@ -29,6 +29,7 @@ from aridcal.search.gains import NamedEffect
 from aridcal.search.noise_causes import NoiseCauses
 from aridcal.showing import SILENT, Progress
 from aridcal.trust.as_document import document
+from aridcal.trust.certainty import as_document
 from aridcal.trust.iso9283 import document as iso_document
 
 AT_ONCE = 20_000
@@ -91,6 +92,7 @@ def result_document(outcome: Outcome) -> dict[str, Any]:
         **_over_time(outcome),
         **({} if outcome.iso is None else {"iso_9283": iso_document(outcome.iso, m)}),
         **({} if outcome.second_look is None else document(outcome.second_look, m.select(m.train))),
+        **({} if outcome.certainty is None else {"workspace": as_document(outcome.certainty)}),
         "verdict": outcome.verdict.word,
         "unexplained_fraction": outcome.verdict.share,
         "reasons": list(outcome.verdict.reasons),

@@ -1,4 +1,4 @@
-r"""What was found of the things that measurements refer to, how well the scale is known, and what residuals mean at the target.
+r"""What was found of the things that measurements refer to, and how well the scale is known.
 
 Things that are coefficients of the model have its uncertainty. Those that are solved for beside it (see
 :mod:`aridcal.fit.elimination`) follow the coefficients, :math:`\lambda = y - X \theta`, so that their covariance is
@@ -20,11 +20,10 @@ from aridcal.fit.problem import Problem, problem
 from aridcal.fit.residual import linearise
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.catalogue import KINDS
-from aridcal.instruments.channels import columns
 from aridcal.instruments.pixels import LENS, R9, T
 from aridcal.instruments.pose import TRACKER
 from aridcal.instruments.setup import Things
-from aridcal.model.measured import Measured, located
+from aridcal.model.measured import Measured
 from aridcal.robot.kinematics import along_plane
 
 Status = Literal["identified", "fixed", "redundant"]
@@ -296,91 +295,3 @@ def _of_places(things: Things) -> float:
         return 0.0
     exact = not np.all(variance > 0.0)
     return np.inf if exact else float(np.sum(centred**2 / variance))
-
-
-@dataclass(frozen=True)
-class Lever:
-    """How what rows of one block measure follows the target.
-
-    Attributes:
-        rows: Their numbers, shape (n,).
-        part: Columns of what they measure, m of them.
-        shift: The smallest shift of the target that changes these numbers by so much, shape (n, 3, m), [m] per unit; zero
-            where none does.
-        turn: The smallest turn, likewise, [rad] per unit.
-    """
-
-    rows: np.ndarray
-    part: slice
-    shift: np.ndarray
-    turn: np.ndarray
-
-
-@dataclass(frozen=True)
-class AtTarget:
-    """Rows of any kind as they are seen from the target.
-
-    Attributes:
-        places: Where the model has the target, shape (N, 3), [m].
-        levers: Of each block.
-    """
-
-    places: np.ndarray
-    levers: tuple[Lever, ...]
-
-    def shift(self, residual: np.ndarray) -> np.ndarray:
-        r"""The smallest shift of the target that explains each row's residual, (N, m) to (N, 3), [m]; NaN where none does.
-
-        .. math:: d = G^+ r
-
-        with G, how the prediction follows the target's position. Of a position that is the error itself; of a distance, as
-        much along the wire; of a pixel, its size times distance over focal length, across the line of sight.
-        """
-        found = np.full(self.places.shape, np.nan)
-        for lever in self.levers:
-            if np.any(lever.shift):
-                found[lever.rows] = np.einsum("nij,nj->ni", lever.shift, residual[lever.rows, lever.part])
-        return found
-
-    def noise(self, sigma: np.ndarray) -> tuple[float, float]:
-        """What noise of the numbers, shape (m,), is at the target, [m] and [rad] along each axis that the row tells of.
-
-        Returns:
-            Medians over the rows, of the block that knows it best; 1 where none does.
-        """
-        found = []
-        for of in ("shift", "turn"):
-            sizes = []
-            for lever in self.levers:
-                own: np.ndarray = getattr(lever, of)
-                told = np.linalg.matrix_rank(own)
-                if told.any():
-                    spread = np.sum((own * sigma[lever.part]) ** 2, axis=(1, 2))[told > 0] / told[told > 0]
-                    sizes.append(float(np.sqrt(np.median(spread))))
-            found.append(min(sizes, default=1.0))
-        return found[0], found[1]
-
-
-def at_target(fit: Fit, rows: Dataset) -> AtTarget:
-    """Look at N rows of any kind from the target.
-
-    Args:
-        fit: Where it is.
-        rows: What was measured.
-    """
-    asked = problem(fit.model, rows)
-    R, p = fit.model.poses(fit.theta, asked.rows)
-    seen = asked.measured
-    if seen is None:
-        numbers = slice(0, columns(rows.channels)[-1].stop)
-        own = np.broadcast_to(np.eye(6)[numbers], (len(rows), numbers.stop, 6))
-        return AtTarget(p, (_lever(np.arange(len(rows)), numbers, own),))
-    states, _ = located(seen, R, p, fit.theta, asked.rows, asked.states)
-    by_twist = seen.slopes(R, p, fit.theta, asked.rows, states).by_twist
-    blocks = [(np.flatnonzero(seen.block == b), part) for b, part in enumerate(seen.parts)]
-    return AtTarget(p, tuple(_lever(own, part, by_twist[own, part]) for own, part in blocks))
-
-
-def _lever(own: np.ndarray, part: slice, by_twist: np.ndarray) -> Lever:
-    """That of some rows, from how their numbers follow a twist of the target, shape (n, m, 6)."""
-    return Lever(own, part, np.linalg.pinv(by_twist[:, :, :3]), np.linalg.pinv(by_twist[:, :, 3:]))

@@ -13,13 +13,15 @@ from aridcal.fit.noise import Repeats
 from aridcal.inputs.campaign import Campaign
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.channels import Channels, norms
-from aridcal.result.instruments import AtTarget, ThingValue, at_target, thing_values
+from aridcal.result.instruments import ThingValue, thing_values
 from aridcal.result.measuring_head import MeasuringHead
 from aridcal.result.verdict import Verdict
 from aridcal.robot.chain import Robot
 from aridcal.search.gains import Diagnosis, NamedEffect
 from aridcal.search.noise_causes import NoiseCauses
 from aridcal.search.residual_trends import Traces
+from aridcal.trust.at_target import AtTarget, at_target
+from aridcal.trust.certainty import Certainty
 from aridcal.trust.iso9283 import Iso9283, iso_9283
 from aridcal.trust.second_look import SecondLook
 from aridcal.trust.uncertainty import Precision
@@ -83,6 +85,7 @@ class Outcome:
         diagnosis: The search for undeclared effects.
         traces: On what the residual depends.
         head: The measuring head, for ``kind: camera_sonar``.
+        certainty: How well the target is known over the workspace, and what a region keeps within; None for a repair.
         causes: What the scatter of the rows is made of; None where that was not asked.
         second_look: What its rows say of the calibration when they are asked part by part; None where that was not asked.
     """
@@ -103,6 +106,7 @@ class Outcome:
     verification: Verification | None = None
     diagnosis: Diagnosis | None = None
     head: MeasuringHead | None = None
+    certainty: Certainty | None = None
     causes: NoiseCauses | None = None
     second_look: SecondLook | None = None
 

@@ -35,6 +35,8 @@ from aridcal.search.noise_tests import Clue, clues
 from aridcal.search.residual_trends import trace
 from aridcal.search.scoring import CONFOUNDED
 from aridcal.showing import SILENT, Progress
+from aridcal.trust.certainty import certainty
+from aridcal.trust.region import region
 from aridcal.trust.second_look import second_look
 from aridcal.trust.uncertainty import FAR, outliers, precision, realigned, with_noise_seen
 
@@ -108,8 +110,9 @@ def identify(
         judge(campaign, robot, rows, None)
         raise
     judge(campaign, robot, rows, geometry)
+    where = region(campaign, geometry.geometric, rows.select(rows.train))
     arm = calibrated_arm(campaign, robot, rows, labels, geometry, progress)
-    outcome = _outcome(campaign, robot, arm, still, read.detections, progress)
+    outcome = _outcome(campaign, robot, arm, where, still, read.detections, progress)
     if verify is not None:
         progress("scoring another day's measurements")
         outcome = replace(outcome, verification=score(outcome, verify))
@@ -120,6 +123,7 @@ def _outcome(
     campaign: Campaign,
     robot: Robot,
     arm: CalibratedArm,
+    where: np.ndarray | None,
     still: tuple[str, ...],
     detections: Detections | None,
     progress: Progress,
@@ -133,6 +137,11 @@ def _outcome(
     kept = rows.select(~outlier)
     before, after = (stage.residual[~outlier] for stage in stages[1:])
     again = second_look(stages[1].fit, diagnosed.fit, train, progress)
+    judging = rows.test & ~outlier if (rows.test & ~outlier).any() else rows.train & ~outlier
+    asked = frame_coefficients(campaign, station_labels(campaign, rows), rows) + constants(
+        robot, campaign.parameters.set
+    )
+    certain = certainty(campaign, final, rows, asked, where, judging, stages[-1].residual, known.repeats)
     stages = with_instruments_found(stages, train)
     head = None if detections is None else measuring_head(final, stages[1].fit, rows, rows.train & ~outlier, detections)
     return Outcome(
@@ -146,6 +155,7 @@ def _outcome(
         repeats=known.repeats,
         precision=precision(final, train),
         second_look=again,
+        certainty=certain,
         verdict=known.verdict,
         causes=arm.causes,
         notices=(

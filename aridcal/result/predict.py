@@ -22,8 +22,9 @@ from aridcal.inputs.tables import IN_MEMORY, AnyTable, Remark, Table
 from aridcal.model.inverse import InverseKinematics
 from aridcal.model.model import Model
 from aridcal.result.saved_model import SavedModel
-from aridcal.result.saving import CHANNELS, SPREAD, inside
 from aridcal.result.stretches import Stretch, stretches
+from aridcal.trust.seen import Seen
+from aridcal.trust.workspace import spread_out, target_covariance, worst_direction
 
 ENDINGS = (".csv", ".parquet")
 
@@ -270,8 +271,7 @@ def std_of(saved: SavedModel, query: Query) -> np.ndarray:
 def extrapolates(saved: SavedModel, query: Query, std: np.ndarray) -> np.ndarray:
     """Rows that are not like those that the calibration has seen, shape (N,).
 
-    Outside the range of a joint or of a covariate that an effect depends on, in a hole of what was measured of it, or where
-    the prediction is several times as uncertain as it was at any fitted row.
+    See :meth:`aridcal.trust.seen.Seen.beyond`.
 
     Args:
         saved: The model.
@@ -279,14 +279,70 @@ def extrapolates(saved: SavedModel, query: Query, std: np.ndarray) -> np.ndarray
         std: See :func:`std_of`.
     """
     readings = dict(zip(saved.final.model.robot.readings, query.readings.T, strict=True))
-    columns = query.covariates | readings
-    beyond = np.zeros(len(query.line), dtype=bool)
-    for name, (low, high) in saved.ranges.items():
-        values = columns[name]
-        beyond |= (values < low) | (values > high) | inside(values, saved.holes.get(name, ()))
-    for axes, largest in zip(CHANNELS, saved.largest_std, strict=True):
-        beyond |= np.linalg.norm(std[:, axes], axis=1) > SPREAD * largest
-    return beyond
+    seen = Seen(saved.ranges, saved.holes, saved.largest_std)
+    return seen.beyond(query.covariates | readings, std)
+
+
+def evenly(saved: SavedModel) -> pd.DataFrame:
+    """Configurations evenly over the ranges of the joints that were seen, as a table of the campaign's own columns and units.
+
+    What else the model depends on is in the middle of what was seen, the station the first one.
+    """
+    model, settings = saved.final.model, saved.measurements
+    robot = model.robot
+    low, high = np.array([saved.ranges[name] for name in robot.readings]).T
+    scale = [settings.units.metres if kind == "prismatic" else settings.units.radians for kind in robot.kinds]
+    names = [settings.columns.get(name, name) for name in robot.readings]
+    table = pd.DataFrame(dict(zip(names, (spread_out(low, high) / scale).T, strict=True)))
+    for name in model.needs:
+        table[settings.columns.get(name, name)] = float(np.mean(saved.ranges[name]))
+    if per_station(model):
+        label = next(label for label, _ in (*model.world_base, *model.tip_target) if label is not None)
+        table[column_of(saved.frames_by, settings, robot.readings)] = label
+    return table
+
+
+def uncertainty(saved: SavedModel, query: Query, tool: Sequence[float]) -> pd.DataFrame:
+    """How well a point on the target is known in each row of a query.
+
+    Args:
+        saved: The model.
+        query: N rows.
+        tool: The point, in the target's axes, [m].
+
+    Returns:
+        The query's table with ``sigma_mm``, 1-sigma of the place in its worst direction, that direction in world axes
+        ``worst_x`` to ``worst_z``, ``rms_mm`` of all three axes together, ``rotation_mrad`` about the worst axis (of poses), and
+        ``extrapolates``; NaN where a row cannot be predicted.
+
+    Raises:
+        AridcalError: a column is missing, or the point turns with a target whose rotation was never measured.
+    """
+    if any(tool) and saved.kind == "position":
+        raise MeasurementError(
+            "`tool`: only the target's position was measured, and nothing is known of a point beside it: measure poses, or put "
+            "the target where the tool works"
+        )
+    known = query.usable
+    covariates = {name: values[known] for name, values in query.covariates.items()}
+    station = None if query.station is None else query.station[known]
+    final = saved.final
+    rows = final.model.rows(query.readings[known], covariates, station)
+    covariance = target_covariance(final.model, final.theta, final.covariance, rows, np.asarray(tool, dtype=float))
+    sigma, way = worst_direction(covariance[:, :3, :3])
+    columns = {
+        "sigma_mm": 1e3 * sigma,
+        **dict(zip(("worst_x", "worst_y", "worst_z"), way.T, strict=True)),
+        "rms_mm": 1e3 * np.sqrt(np.maximum(np.einsum("nii->n", covariance[:, :3, :3]), 0.0)),
+    }
+    if saved.kind == "pose":
+        columns["rotation_mrad"] = 1e3 * worst_direction(covariance[:, 3:, 3:])[0]
+    table = query.table.copy()
+    for name, values in columns.items():
+        table[name] = np.full(len(table), np.nan)
+        table.loc[known, name] = values
+    table["extrapolates"] = extrapolates(saved, query, std_of(saved, query))
+    return table
 
 
 def write_table(table: pd.DataFrame, path: Path) -> None:

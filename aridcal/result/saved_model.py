@@ -37,12 +37,10 @@ from aridcal.result.calibration_file import (
     unpacked,
 )
 from aridcal.robot.chain import parse_robot
+from aridcal.trust.workspace import target_covariance
 
 # libyaml where PyYAML was built with it.
 Dumper: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
-
-# Rows whose Jacobians are held in memory together: of three hundred coefficients they take 7 MB.
-AT_ONCE = 500
 
 LAYOUT = "lower triangle row by row, float64, little endian, base64"
 
@@ -110,12 +108,8 @@ class SolvedModel:
             MeasurementError: a row's station is none of those that were calibrated.
         """
         rows = self.model.rows(readings, covariates, station)
-        variance = np.empty((len(rows), 6))
-        for start in range(0, len(rows), AT_ONCE):
-            some = slice(start, start + AT_ONCE)
-            _, _, J = self.model.jacobian(self.theta, rows[some])
-            variance[some] = np.einsum("nik,nik->ni", J @ self.covariance, J)
-        return np.sqrt(np.maximum(variance, 0.0))
+        found = target_covariance(self.model, self.theta, self.covariance, rows)
+        return np.sqrt(np.maximum(np.einsum("nii->ni", found), 0.0))
 
 
 @dataclass(frozen=True)

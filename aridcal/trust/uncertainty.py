@@ -16,9 +16,6 @@ from aridcal.instruments.channels import Channels
 from aridcal.model.model import Rows
 from aridcal.showing import SILENT, Progress
 
-REACH_SAMPLES = 300
-"""Configurations drawn from the whole joint range: their 95th percentile is then known to a few per cent."""
-
 REALIGN_STEPS = 12
 """Gauss-Newton steps at the most to fit two frames anew; five are usual."""
 
@@ -36,14 +33,10 @@ class Precision:
     Attributes:
         position: 1-sigma of the target in its worst direction at each row, shape (N,), [m].
         rotation: Likewise for its orientation, [rad].
-        reach: The same at configurations drawn from the whole joint range, shape (M,), [m].
-        places: Targets of those configurations in the base frame, shape (M, 3), [m].
     """
 
     position: np.ndarray
     rotation: np.ndarray
-    reach: np.ndarray
-    places: np.ndarray
 
 
 def accuracy(rows: Dataset, residual: np.ndarray) -> np.ndarray:
@@ -62,22 +55,10 @@ def accuracy(rows: Dataset, residual: np.ndarray) -> np.ndarray:
 
 def precision(fit: Fit, train: Dataset) -> Precision:
     """Propagate the noise to the target."""
-    model, robot = fit.model, fit.model.robot
-    position, rotation = target_sigma(fit, model.rows(train.readings, train.conditions, train.station, train.target))
-    limits = robot.limits
-    seen = np.stack([train.readings.min(axis=0), train.readings.max(axis=0)], axis=1)
-    low, high = np.where(np.isfinite(limits), limits, seen).T
-    rng = np.random.default_rng(0)
-    anywhere = rng.uniform(low, high, (REACH_SAMPLES, len(low)))
-    some = rng.integers(0, len(train), REACH_SAMPLES)
-    covariates = {name: values[some] for name, values in train.covariates.items()}
-    station, target = (None if labels is None else labels[some] for labels in (train.station, train.target))
-    rows = model.rows(anywhere, covariates, station, target)
-    reach, _ = target_sigma(fit, rows)
-    bases = model.frames(fit.theta)[0]
-    targets = model.poses(fit.theta, rows)[1]
-    places = np.array([bases[k][1].actInv(p) for k, p in zip(rows.world, targets, strict=True)])
-    return Precision(position, rotation, reach, places)
+    position, rotation = target_sigma(
+        fit, fit.model.rows(train.readings, train.conditions, train.station, train.target)
+    )
+    return Precision(position, rotation)
 
 
 def with_noise_seen(fit: Fit, train: Dataset, progress: Progress = SILENT) -> Fit:

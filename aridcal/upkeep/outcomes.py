@@ -113,7 +113,7 @@ def _outcome(
         noise=noise,
         noise_source="declared",
         repeats=None,
-        precision=precision(stages[-1].fit, rows, (float("nan"), float("nan"))),
+        precision=precision(stages[-1].fit, rows),
         verdict=verdict,
         notices=tuple(str(notice) for notice in rows.notices),
         seconds=0.0,

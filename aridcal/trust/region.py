@@ -1,0 +1,113 @@
+"""Where the target is to be known: the configurations of a region, as a campaign or a table names it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from aridcal.errors import CampaignError, MeasurementError, nearest
+from aridcal.fit.least_squares import Fit
+from aridcal.inputs.campaign import Campaign, Region
+from aridcal.inputs.dataset import Dataset
+from aridcal.inputs.quantities import POSITION, column_of
+from aridcal.inputs.query import load_query
+from aridcal.inputs.tables import read_tables
+from aridcal.model.reaching import brought
+from aridcal.robot.chain import Robot
+from aridcal.trust.workspace import SAMPLES, spread_out
+
+Reach = Callable[[np.ndarray], np.ndarray]
+"""Places of the target in the world, shape (R, 3), [m], to readings that bring it there, shape (R, columns)."""
+
+
+def region_of_table(campaign: Campaign, robot: Robot, path: Path, reach: Reach) -> np.ndarray:
+    """Readings of a table of joints, or of readings that bring the target to a table's places, shape (R, columns).
+
+    Args:
+        campaign: Its columns and units are the table's.
+        robot: The chain.
+        path: The table.
+        reach: Finds readings for places.
+
+    Raises:
+        MeasurementError: the table has neither, or a row of it cannot be used.
+        CampaignError: the arm does not reach a place.
+    """
+    settings, limit = campaign.measurements, campaign.limits.table
+    names = set(read_tables([path], limit=limit).names)
+    joints = [settings.columns.get(name, name) for name in robot.readings]
+    places = [column_of(name, settings, robot.readings) for name in POSITION]
+    if not (set(joints) <= names or set(places) <= names):
+        raise MeasurementError(
+            f"{path}: should have the columns of all joints ({', '.join(joints)}) or of the target's places ({', '.join(places)})"
+        )
+    by_joints = set(joints) <= names
+    plain = settings.model_copy(update={"kind": "position"})
+    query = load_query(path, robot.readings, robot.limits, robot.kinds, plain, poses=not by_joints, limit=limit)
+    if query.refused:
+        raise MeasurementError(f"{query.refused[0]}; mend the row, or delete it")
+    if by_joints:
+        return query.readings
+    assert query.position is not None
+    return reach(query.position)
+
+
+def region(campaign: Campaign, fit: Fit, train: Dataset) -> np.ndarray | None:
+    """Configurations of the region that a campaign names, shape (R, columns); None where it names none.
+
+    Args:
+        campaign: Names it.
+        fit: Frames and constants, at least.
+        train: The rows that were fitted.
+
+    Raises:
+        AridcalError: what the campaign names needs mending.
+    """
+    asked, robot = campaign.region, fit.model.robot
+    if asked.file is None and not asked.joints:
+        return None
+    if asked.file is None:
+        return spread_out(*_corners(campaign, asked, robot, train))
+    path = asked.file
+
+    def reach(places: np.ndarray) -> np.ndarray:
+        def pose(readings: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            like = np.full(len(readings), train.as_read[-1])
+            covariates = {name: values[like] for name, values in train.conditions.items()}
+            station, target = (None if v is None else v[like] for v in (train.station, train.target))
+            R, p = fit.model.poses(fit.theta, fit.model.rows(readings, covariates, station, target))
+            return R, p + R @ np.array(asked.tool)
+
+        def miss(R: np.ndarray, p: np.ndarray, rows: np.ndarray) -> np.ndarray:
+            return p - places[rows]
+
+        advice = f"take places out of {path} that it cannot reach"
+        return brought(robot, pose, miss, len(places), np.random.default_rng(0), str(campaign.path), advice)
+
+    readings = region_of_table(campaign, robot, path, reach)
+    if len(readings) <= SAMPLES:
+        return readings
+    return readings[np.linspace(0, len(readings) - 1, SAMPLES).round().astype(int)]
+
+
+def _corners(campaign: Campaign, asked: Region, robot: Robot, train: Dataset) -> tuple[np.ndarray, np.ndarray]:
+    """Lowest and highest readings, shape (columns,) each."""
+    low, high = train.readings.min(axis=0), train.readings.max(axis=0)
+    columns = {campaign.measurements.columns.get(name, name): k for k, name in enumerate(robot.readings)}
+    columns |= {name: k for k, name in enumerate(robot.readings)}
+    units = campaign.measurements.units
+    for name, ends in asked.joints.items():
+        place = f"{campaign.path}: region.joints.{name}"
+        if name not in columns:
+            raise CampaignError(f"{place}: there is no such joint{nearest(name, columns)}")
+        k = columns[name]
+        scale = units.metres if robot.kinds[k] == "prismatic" else units.radians
+        first, last = robot.limits[k]
+        low[k], high[k] = (scale * end for end in ends)
+        if low[k] < first or high[k] > last:
+            raise CampaignError(
+                f"{place}: lies outside the joint's limits, {first / scale:g} to {last / scale:g}: give a range inside them"
+            )
+    return low, high

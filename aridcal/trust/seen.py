@@ -1,0 +1,105 @@
+"""What the fitted rows were like, and whether others are like them: ranges, holes in these, and how sure predictions were."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+Range = tuple[float, float]
+"""Lowest and highest value."""
+
+SAME = 2e-3
+"""Share of its range by which values of a quantity may differ and still be one: noise of a reading that is set to levels."""
+
+NEIGHBOURS = 10
+"""Steps on either side with which a step from one value to the next is compared: enough for their mean to within a quarter,
+and few enough that rows may thin out towards the ends of a range."""
+
+FEWEST = 8
+"""Steps on both sides together without which nothing is called a hole: a few levels of a payload have none."""
+
+WIDE = 8.0
+"""Mean neighbouring steps that make a hole: of 50 rows drawn evenly one held-out row in 400 falls into such a step, so that six
+joints together flag 2 % of them without a reason."""
+
+EDGE = 0.5
+"""Mean neighbouring steps beside the last value before a hole that still count as seen."""
+
+SPREAD = 3.0
+"""Times the largest standard deviation of a prediction at the fitted rows, beyond which a prediction extrapolates. Between rows
+that surround it no function that they fix is that uncertain."""
+
+CHANNELS = (slice(0, 3), slice(3, 6))
+"""Position and rotation in the six numbers of a pose."""
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What a calibration has seen.
+
+    Attributes:
+        ranges: Lowest and highest value seen of every joint column and covariate that the model depends on.
+        holes: Where nothing was seen inside those ranges.
+        largest: Largest standard deviation of the predicted position [m], and of the rotation [rad], at the fitted rows, all
+            three axes together.
+    """
+
+    ranges: Mapping[str, Range]
+    holes: Mapping[str, Sequence[Range]]
+    largest: tuple[float, float]
+
+    def beyond(self, columns: Mapping[str, np.ndarray], std: np.ndarray) -> np.ndarray:
+        """Rows that are not like those seen, shape (N,).
+
+        Outside the range of a joint or of a covariate, in a hole of what was measured of it, or where the prediction is several
+        times as uncertain as it was at any fitted row.
+
+        Args:
+            columns: Values of every quantity of ``ranges``, shape (N,) each.
+            std: Of the predicted position [m] and of the rotation [rad], shape (N, 6).
+        """
+        found = np.zeros(len(std), dtype=bool)
+        for name, (low, high) in self.ranges.items():
+            values = columns[name]
+            found |= (values < low) | (values > high) | inside(values, self.holes.get(name, ()))
+        for axes, largest in zip(CHANNELS, self.largest, strict=True):
+            found |= np.linalg.norm(std[:, axes], axis=1) > SPREAD * largest
+        return found
+
+
+def holes(values: np.ndarray) -> tuple[Range, ...]:
+    """Where nothing was seen inside a range: steps between neighbouring values far wider than those around them.
+
+    The steps around are the measure, not a width in radians: it then fits any quantity, dense or sparse rows, and rows that
+    thin out towards the ends.
+
+    Args:
+        values: Of one quantity, shape (N,).
+
+    Returns:
+        Lowest and highest value of each hole, its edges left out, in rising order.
+    """
+    values = np.sort(values)
+    apart = np.flatnonzero(np.diff(values) > SAME * (values[-1] - values[0]))
+    low, high = values[apart], values[apart + 1]
+    steps = high - low
+    found = []
+    for k, step in enumerate(steps):
+        around = np.concatenate([steps[max(k - NEIGHBOURS, 0) : k], steps[k + 1 : k + 1 + NEIGHBOURS]])
+        if len(around) >= FEWEST and step > WIDE * (usual := float(around.mean())):
+            found.append((float(low[k] + EDGE * usual), float(high[k] - EDGE * usual)))
+    return tuple(found)
+
+
+def largest(std: np.ndarray) -> tuple[float, float]:
+    """Largest standard deviation of position and rotation, all three axes together, of poses known to (N, 6)."""
+    position, rotation = (float(np.linalg.norm(std[:, axes], axis=1).max()) for axes in CHANNELS)
+    return position, rotation
+
+
+def inside(values: np.ndarray, ranges: Sequence[Range]) -> np.ndarray:
+    """True where a value, shape (N,), lies strictly inside one of some ranges."""
+    within = [(values > low) & (values < high) for low, high in ranges]
+    return np.any(within, axis=0) if within else np.zeros(len(values), dtype=bool)

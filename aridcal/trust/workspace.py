@@ -1,0 +1,324 @@
+r"""How well the target is known over the workspace: what the rows tell, and what no reading tells.
+
+The target's own twist by the coefficients is :math:`J`, shape (6, K); a point at d from its origin, in the target's axes, moves
+by :math:`J_v - [R d]_\times J_\omega`. Its covariance is that by the coefficients, and that by the constants which were not
+identified, and stay nominal:
+
+.. math:: V = J_1 \Sigma J_1^T + J_u C J_u^T, \qquad J_u = J_2 - J_1 H_{11}^{-1} H_{12}, \qquad
+          C = (H_{22} - H_{21} H_{11}^{-1} H_{12} + I / \ell^2)^{-1}
+
+with the information H of the rows on the constants, those identified first, and :math:`\ell` what one of them may be off by
+before anything was measured. A combination that moves no target has :math:`J_u = 0` and costs nothing; one that no reading tells,
+and that moves the point, makes it unknown.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.stats import qmc
+
+from aridcal.effects.effect import FRAME_COMPONENTS, Coefficient
+from aridcal.fit.constants import has_world
+from aridcal.fit.least_squares import Fit
+from aridcal.fit.problem import BLOCK, problem
+from aridcal.fit.residual import linearise
+from aridcal.inputs.dataset import Dataset
+from aridcal.model.model import Model, Rows
+from aridcal.trust.seen import Seen, holes, largest
+
+SAMPLES = 512
+"""Configurations over the workspace, a power of two for Sobol's sequence (Sobol 1967; Owen 1998 scrambles it): a share of 5 % is
+then known to 1 %, and the worst of them is that of all but some thousandths."""
+
+LOOSE = 0.1
+"""[m] and [rad]: what a constant may be off by that no row tells. No robot is wrong by more; what is told is known a thousand
+times better, so that its size decides nothing else."""
+
+TOLD = 0.01
+"""[m] and [rad]: a target that what no row tells may move by more is not known. A tenth of :data:`LOOSE`."""
+
+
+ASKED = 100
+"""Rows by which it is told whether something moves the whole arm as one body: six would do."""
+
+FELT = 1e-7
+"""[m]: what a motion is off by from that of one body, RMS, to be none; rounding is a thousand times smaller."""
+
+
+@dataclass(frozen=True)
+class Workspace:
+    """Configurations, and how well the target is known there.
+
+    Attributes:
+        rows: As the model sees them, M of them.
+        readings: Shape (M, columns), [rad] or [m].
+        places: Of the target, or of the tool's point, in the base frame, shape (M, 3), [m].
+        covariance: Of that place, world axes, shape (M, 3, 3), [m²].
+        turns: Of the rotation vector, world axes, shape (M, 3, 3), [rad²].
+        axes: Base axes in the world, shape (M, 3, 3).
+        measured: False where nothing like it was measured: the model extrapolates there, shape (M,).
+        told: False where the target is not known, because no reading tells a part of what moves it, shape (M,).
+    """
+
+    rows: Rows
+    readings: np.ndarray
+    places: np.ndarray
+    covariance: np.ndarray
+    turns: np.ndarray
+    axes: np.ndarray
+    measured: np.ndarray
+    told: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.readings)
+
+    @cached_property
+    def _worst(self) -> tuple[np.ndarray, np.ndarray]:
+        return worst_direction(_turned(self.axes) @ self.covariance @ self.axes)
+
+    @property
+    def sigma(self) -> np.ndarray:
+        """1-sigma in the worst direction, shape (M,), [m]."""
+        return self._worst[0]
+
+    @property
+    def way(self) -> np.ndarray:
+        """That direction, in base axes, its largest number positive, shape (M, 3)."""
+        return self._worst[1]
+
+    @property
+    def turn(self) -> np.ndarray:
+        """1-sigma of the rotation about its worst axis, shape (M,), [rad]."""
+        return worst_direction(self.turns)[0]
+
+    def select(self, some: np.ndarray) -> Workspace:
+        """Some of the configurations."""
+        parts = (self.readings, self.places, self.covariance, self.turns, self.axes, self.measured, self.told)
+        return Workspace(self.rows[some], *(part[some] for part in parts))
+
+
+@dataclass(frozen=True)
+class Knowledge:
+    """A calibrated model, and what its rows told of it.
+
+    Attributes:
+        fit: The stage.
+        wide: Its model with the constants that were not identified behind its own.
+        follows: What the coefficients take up of each of those, shape (K, D).
+        open: Covariance of what is left of these, shape (D, D).
+        seen: What the fitted rows were like.
+    """
+
+    fit: Fit
+    wide: Model
+    follows: np.ndarray
+    open: np.ndarray
+    seen: Seen
+
+    def columns(self, rows: Rows, tool: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """How a point on the target moves, and the target turns, with the coefficients and with what is open.
+
+        Args:
+            rows: Of the fit's own model, N of them.
+            tool: The point, in the target's axes, shape (3,), [m].
+
+        Returns:
+            The point, world frame, shape (N, 3), [m]; columns of its shift and of the turn, shape (N, 6, K), and the same with
+            what is open, shape (N, 6, D).
+        """
+        count, extra = len(self.fit.theta), len(self.open)
+        R, p, J = self.wide.jacobian(np.append(self.fit.theta, np.zeros(extra)), rows)
+        arm = R @ tool
+        J = shifted(J, arm)
+        own, more = J[:, :, :count], J[:, :, count:]
+        return p + arm, own, more - own @ self.follows
+
+    def over(
+        self, data: Dataset, readings: np.ndarray, like: np.ndarray, tool: Sequence[float] = (0.0, 0.0, 0.0)
+    ) -> Workspace:
+        """How well a point on the target is known in some configurations.
+
+        Args:
+            data: The rows that were fitted.
+            readings: Shape (M, columns), [rad] or [m].
+            like: Number of the row that each is like in all but its joints: station, target, temperature; shape (M,).
+            tool: The point, in the target's axes, [m].
+        """
+        model = self.fit.model
+        rows = self._rows(data, readings, like)
+        axes, origin = self._bases(rows)
+        places, covariance, turns = np.empty((len(rows), 3)), *np.empty((2, len(rows), 3, 3))
+        std, unknown = np.empty((len(rows), 6)), np.empty(len(rows))
+        for start in range(0, len(rows), BLOCK):
+            some = slice(start, start + BLOCK)
+            p, own, more = self.columns(rows[some], np.asarray(tool, dtype=float))
+            known, left = own @ self.fit.covariance @ _turned(own), more @ self.open @ _turned(more)
+            every = known + left
+            places[some] = np.einsum("nji,nj->ni", axes[some], p - origin[some])
+            covariance[some], turns[some] = every[:, :3, :3], every[:, 3:, 3:]
+            std[some] = np.sqrt(np.maximum(np.einsum("nii->ni", known), 0.0))
+            unknown[some] = np.sqrt(np.maximum(np.linalg.eigvalsh(left[:, :3, :3])[:, -1], 0.0))
+        columns = {name: values[like] for name, values in data.conditions.items()}
+        columns |= dict(zip(model.robot.readings, readings.T, strict=True))
+        return Workspace(
+            rows, readings, places, covariance, turns, axes, ~self.seen.beyond(columns, std), unknown < TOLD
+        )
+
+    def places(self, data: Dataset, readings: np.ndarray, like: np.ndarray) -> np.ndarray:
+        """Where the target is in some configurations, in the base frame, shape (M, 3), [m]; see :meth:`over`."""
+        rows = self._rows(data, readings, like)
+        axes, origin = self._bases(rows)
+        return np.asarray(np.einsum("nji,nj->ni", axes, self.fit.model.poses(self.fit.theta, rows)[1] - origin))
+
+    def _rows(self, data: Dataset, readings: np.ndarray, like: np.ndarray) -> Rows:
+        """Other readings as the model sees them."""
+        covariates = {name: values[like] for name, values in data.conditions.items()}
+        station, target = (None if v is None else v[like] for v in (data.station, data.target))
+        return self.fit.model.rows(readings, covariates, station, target)
+
+    def _bases(self, rows: Rows) -> tuple[np.ndarray, np.ndarray]:
+        """Axes of each row's base in the world, shape (M, 3, 3), and its origin, shape (M, 3), [m]."""
+        bases = self.fit.model.frames(self.fit.theta)[0]
+        axes = np.array([frame.rotation for _, frame in bases])
+        origin = np.array([frame.translation for _, frame in bases])
+        return axes[rows.world], origin[rows.world]
+
+
+def worst_direction(covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """1-sigma of vectors in their worst direction, shape (N,), and that direction, its largest number positive, shape (N, 3).
+
+    Args:
+        covariance: Shape (N, 3, 3).
+    """
+    values, vectors = np.linalg.eigh(covariance)
+    way = vectors[:, :, -1]
+    largest = np.abs(way).argmax(axis=1, keepdims=True)
+    return np.sqrt(np.maximum(values[:, -1], 0.0)), way * np.sign(np.take_along_axis(way, largest, axis=1))
+
+
+def target_covariance(
+    model: Model, theta: np.ndarray, covariance: np.ndarray, rows: Rows, tool: np.ndarray | None = None
+) -> np.ndarray:
+    r"""Covariance :math:`J \Sigma J^T` of the target's position [m] and rotation vector [rad], world axes, shape (N, 6, 6).
+
+    Args:
+        model: K coefficients.
+        theta: Their values, shape (K,).
+        covariance: Of them, shape (K, K).
+        rows: N configurations.
+        tool: A point that moves with the target, in its axes, shape (3,), [m], in place of its origin.
+    """
+    found = np.empty((len(rows), 6, 6))
+    for start in range(0, len(rows), BLOCK):
+        some = slice(start, start + BLOCK)
+        R, _, J = model.jacobian(theta, rows[some])
+        J = J if tool is None else shifted(J, R @ tool)
+        found[some] = J @ covariance @ _turned(J)
+    return found
+
+
+def shifted(J: np.ndarray, arm: np.ndarray) -> np.ndarray:
+    """Twists of the target, shape (N, 6, K), as those of points that are an arm (N, 3), [m], from its origin."""
+    moved = J.copy()
+    moved[:, :3] += np.cross(J[:, 3:], arm[:, :, None], axis=1)
+    return moved
+
+
+def _turned(matrices: np.ndarray) -> np.ndarray:
+    return matrices.transpose(0, 2, 1)
+
+
+def knowledge(fit: Fit, train: Dataset, candidates: Sequence[Coefficient]) -> Knowledge:
+    """What the rows told of a calibrated model.
+
+    Args:
+        fit: The stage.
+        train: The rows that it was fitted to.
+        candidates: All constants that were asked for; of those that the fit has not, some combinations may be open.
+    """
+    model, count = fit.model, len(fit.theta)
+    names = set(model.names)
+    others = tuple(c for c in candidates if c.name not in names and c.basis.constant)
+    wide = model.with_coefficients((*model.coefficients, *others))
+    extra = len(others)
+    follows, left = np.zeros((count, extra)), np.zeros((extra, extra))
+    if extra:
+        asked = problem(wide, train)
+        H = linearise(asked, np.append(fit.theta, np.zeros(extra)), fit.weight, fit.sigma).equations.information(
+            fit.sigma
+        )
+        own = np.flatnonzero([c.basis.constant for c in model.coefficients])
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(H)[own], np.finfo(float).tiny))
+        balanced = H[np.ix_(own, own)] * scale * scale[:, None]
+        cross = H[own][:, count:]
+        follows[own] = scale[:, None] * np.linalg.lstsq(balanced, scale[:, None] * cross, rcond=1e-13)[0]
+        rest = H[count:, count:] - cross.T @ follows[own]
+        values, vectors = np.linalg.eigh(0.5 * (rest + rest.T))
+        size = wide.sizes[count:]
+        left = np.linalg.inv(vectors * np.maximum(values, 0.0) @ vectors.T + np.diag(1.0 / (LOOSE * size) ** 2))
+    found = Knowledge(fit, wide, follows, left, _seen(fit, train))
+    return found if has_world(train) else _of_the_base(found, train)
+
+
+def _of_the_base(known: Knowledge, train: Dataset) -> Knowledge:
+    """The same without what is as if the base stood elsewhere: where no instrument knows the world, it is a convention."""
+    model, count = known.fit.model, len(known.fit.theta)
+    some = np.unique(np.linspace(0, len(train) - 1, ASKED).round().astype(int))
+    part = train.select(some)
+    rows = model.rows(part.readings, part.conditions, part.station, part.target)
+    base = [Coefficient("world_base", component) for component in FRAME_COMPONENTS]
+    _, _, J = model.with_coefficients((*model.coefficients, *base)).jacobian(
+        np.append(known.fit.theta, np.zeros(6)), rows
+    )
+    _, _, more = known.columns(rows, np.zeros(3))
+    moves = J[:, :, count:].reshape(-1, 6)
+    size = known.wide.sizes[count:]
+    flat = more.reshape(len(moves), -1) * (LOOSE * size)
+    _, values, V = np.linalg.svd(flat - moves @ np.linalg.lstsq(moves, flat, rcond=None)[0])
+    matters = np.zeros(len(V), dtype=bool)
+    matters[: len(values)] = values > FELT * np.sqrt(len(moves))
+    kept = size[:, None] * (V[matters].T @ V[matters]) / size
+    return replace(known, open=kept @ known.open @ kept.T)
+
+
+def _seen(fit: Fit, train: Dataset) -> Seen:
+    """What the rows in use were like."""
+    used = train.select(~fit.outliers)
+    model = fit.model
+    columns = dict(zip(model.robot.readings, used.readings.T, strict=True))
+    columns |= {name: used.conditions[name] for name in model.needs}
+    rows = model.rows(used.readings, used.conditions, used.station, used.target)
+    variance = np.einsum("nii->ni", target_covariance(model, fit.theta, fit.covariance, rows))
+    std = np.sqrt(np.maximum(variance, 0.0))
+    if not used.sees_turns:  # that of a target whose rotation was never measured says nothing
+        std[:, 3:] = np.inf
+    ranges = {name: (float(np.nanmin(v)), float(np.nanmax(v))) for name, v in columns.items()}
+    gaps = {name: found for name, v in columns.items() if (found := holes(v))}
+    return Seen(ranges, gaps, largest(std))
+
+
+def spread_out(low: np.ndarray, high: np.ndarray, count: int = SAMPLES) -> np.ndarray:
+    """Configurations evenly between two corners, by Sobol's sequence, scrambled with a fixed seed, shape (count, columns)."""
+    sequence = qmc.Sobol(len(low), seed=0)
+    return np.asarray(low + (high - low) * sequence.random(count))
+
+
+def ends(data: Dataset, limits: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Lowest and highest readings of the joints' whole range, shape (columns,) each; what was seen where there is no limit.
+
+    Of a joint that turns further than once, the turn around what was seen: beyond it the geometry repeats.
+
+    Args:
+        data: Rows.
+        limits: Of the columns, shape (columns, 2), infinite where there are none.
+    """
+    seen = np.stack([data.readings.min(axis=0), data.readings.max(axis=0)], axis=1)
+    low, high = np.where(np.isfinite(limits), limits, seen).T
+    turning = np.array([kind != "prismatic" for kind in data.kinds])
+    half = np.where(turning, np.maximum(np.pi, np.ptp(seen, axis=1) / 2), np.inf)
+    middle = seen.mean(axis=1)
+    return np.maximum(low, middle - half), np.minimum(high, middle + half)

@@ -1,0 +1,314 @@
+"""Is the target as uncertain as a calibration says: predicted sigma against the scatter of many simulated calibrations.
+
+Example:
+    PYTHONPATH=.:tests python benchmarks/uncertainty.py sigma declared
+    PYTHONPATH=.:tests python benchmarks/uncertainty.py sigma found --runs 60
+
+A UR10 with constants 1 mm and 1 mrad off, drawn anew in each run like its frames, its effects and the noise of 0.1 mm and
+0.1 mrad, is calibrated from rows of six tenths of its joints' ranges. At 100 configurations inside these ranges, and at 100
+outside, the RMS over the runs of the sigma that was predicted is divided by that of the true error. Outside it is told how many
+errors are within two sigma, or marked as extrapolated. ``kinds`` does the same for every kind of measurement.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import robots
+from instrument_cases import WAYS, made, noisy, scenario
+from instruments import rows_of
+from scipy.spatial.transform import Rotation
+
+from aridcal.effects.basis import Basis
+from aridcal.effects.effect import Coefficient
+from aridcal.errors import AridcalError
+from aridcal.fit.constants import constants, station_labels
+from aridcal.fit.least_squares import fit
+from aridcal.fit.problem import problem
+from aridcal.fit.stages import recentred
+from aridcal.inputs.dataset import Dataset
+from aridcal.model.model import Model
+from aridcal.model.reaching import draw_readings
+from aridcal.search.arm import calibrated_arm, fit_constants
+from aridcal.showing import SILENT
+from aridcal.trust.certainty import certainty
+from aridcal.trust.uncertainty import with_noise_seen
+from aridcal.trust.workspace import knowledge
+
+NOISE = 1e-4
+"""[m] and [rad]."""
+
+INSIDE = 0.6
+"""Share of each joint's range that is measured."""
+
+QUERIES = 100
+
+WITHIN = 8.02
+"""Of chi square with three degrees of freedom: as rare as two sigma of one number, 4.6 %."""
+
+Effects = tuple[tuple[Coefficient, float], ...]
+
+
+@dataclass(frozen=True)
+class Case:
+    """How machines are made and calibrated.
+
+    Attributes:
+        kind: ``pose`` or ``position``.
+        rows: How many.
+        effects: Draws the true ones.
+        sections: Of the campaign.
+        stations: At which rows are measured.
+    """
+
+    kind: str = "pose"
+    rows: int = 100
+    effects: Callable[[np.random.Generator], Effects] = lambda rng: ()
+    sections: tuple[tuple[str, object], ...] = (("diagnosis", {"enabled": False}),)
+    stations: int = 1
+
+
+def harmonics(rng: np.random.Generator) -> Effects:
+    """Of two joints."""
+    return tuple(
+        (Coefficient(where, "axis", Basis(form, (where,), (1.0,))), float(rng.normal(0.0, 5e-4)))
+        for where in ("shoulder_lift_joint", "elbow_joint")
+        for form in ("sin", "cos")
+    )
+
+
+def curve(rng: np.random.Generator) -> Effects:
+    """An error curve of one joint: waves of up to eight periods, their sizes falling with the square of their number."""
+    where = "elbow_joint"
+    return tuple(
+        (Coefficient(where, "axis", Basis(form, (where,), (float(k),))), float(rng.normal(0.0, 1e-3 / k**2)))
+        for k in range(1, 9)
+        for form in ("sin", "cos")
+    )
+
+
+DECLARED = (
+    "effects",
+    [{"kind": "joint_harmonic", "where": w, "order": 1} for w in ("shoulder_lift_joint", "elbow_joint")],
+)
+MAP = ("effects", [{"kind": "joint_map", "where": "elbow_joint"}])
+QUIET = ("diagnosis", {"enabled": False})
+FRAMES = ("frames", {"world_base": {"per": "station"}})
+CASES = {
+    "constants": Case(),
+    "positions": Case("position"),
+    "few positions": Case("position", 40),
+    "declared": Case(effects=harmonics, sections=(QUIET, DECLARED)),
+    "found": Case(effects=harmonics, sections=()),
+    "map declared": Case(rows=200, effects=curve, sections=(QUIET, MAP)),
+    "map found": Case(rows=200, effects=curve, sections=()),
+    "stations": Case(stations=3, sections=(QUIET, FRAMES)),
+}
+
+
+@dataclass(frozen=True)
+class Machine:
+    """A robot as it is."""
+
+    model: Model
+    theta: np.ndarray
+
+
+def machine(case: Case, rng: np.random.Generator) -> Machine:
+    """Draw one."""
+    robot = robots.ur10()
+    own, effects = constants(robot, "full"), case.effects(rng)
+    labels = [None] if case.stations == 1 else [f"s{k}" for k in range(case.stations)]
+    world = tuple((label, robots.random_placement(rng)) for label in labels)
+    model = Model(robot, (*own, *(c for c, _ in effects)), world, ((None, robots.random_placement(rng, 0.2)),))
+    return Machine(model, np.concatenate([rng.normal(0.0, 1e-3, len(own)), [value for _, value in effects]]))
+
+
+def measure(case: Case, made: Machine, rng: np.random.Generator, jitter: float = 0.0) -> Dataset:
+    """Rows with noise, which is declared; the joints stand beside their readings by a jitter, [rad]."""
+    q = robots.readings(made.model.robot, case.rows, rng, INSIDE)
+    station = None
+    if case.stations > 1:
+        station = np.array([f"s{k % case.stations}" for k in range(case.rows)])
+    real = q + jitter * rng.normal(size=q.shape)
+    R, p = made.model.poses(made.theta, made.model.rows(real, None, station))
+    p = p + NOISE * rng.normal(size=p.shape)
+    R = Rotation.from_rotvec(NOISE * rng.normal(size=p.shape)).as_matrix() @ R
+    rows = robots.measured(made.model.robot, q, p, R if case.kind == "pose" else None)
+    return replace(robots.declared(rows, NOISE, NOISE), station=station)
+
+
+def queries() -> tuple[np.ndarray, np.ndarray]:
+    """Configurations, those inside first, and which of them are inside."""
+    rng, robot = np.random.default_rng(99), robots.ur10()
+    inside = robots.readings(robot, QUERIES, rng, INSIDE)
+    every = robots.readings(robot, 4 * QUERIES, rng)
+    low, high = inside.min(axis=0), inside.max(axis=0)
+    outside = every[((every < low) | (every > high)).any(axis=1)][:QUERIES]
+    return np.vstack([inside, outside]), np.arange(2 * QUERIES) < QUERIES
+
+
+def sigma(name: str, runs: int, seed: int) -> None:
+    """Predicted sigma against scatter."""
+    case, (q, inside) = CASES[name], queries()
+    campaign = robots.campaign(case.kind, **dict(case.sections))
+    squares, variance, covered, alone, beyond, untold = np.zeros((6, len(q)))
+    started = time.process_time()
+    effects: dict[int, int] = {}
+    for run in range(runs):
+        rng = np.random.default_rng([seed, run])
+        made = machine(case, rng)
+        rows = measure(case, made, rng)
+        labels = station_labels(campaign, rows)
+        geometry = fit_constants(campaign, made.model.robot, rows, labels)
+        arm = calibrated_arm(campaign, made.model.robot, rows, labels, geometry, SILENT)
+        fit = recentred(with_noise_seen(arm.diagnosed.fit, rows))
+        like = np.arange(len(q)) % len(rows)
+        known = knowledge(fit, rows, arm.geometry.geometric.candidates).over(rows, q, like)
+        station = None if rows.station is None else rows.station[like]
+        true = made.model.poses(made.theta, made.model.rows(q, None, station))[1]
+        off = fit.model.poses(fit.theta, known.rows)[1] - true
+        squares += np.sum(off**2, axis=1)
+        variance += np.einsum("nii->n", known.covariance)
+        z = np.einsum("ni,ni->n", off, np.linalg.solve(known.covariance, off[:, :, None])[:, :, 0])
+        beyond += ~known.measured
+        untold += ~known.told
+        within = z < WITHIN
+        covered += within | ~known.measured
+        alone += within
+        count = len(arm.diagnosed.found.state.active)
+        effects[count] = effects.get(count, 0) + 1
+    ratio, out = np.sqrt(variance / squares), ~inside
+    covered, alone, beyond, untold = (100 * each / runs for each in (covered, alone, beyond, untold))
+    print(
+        f"{name:14s} {runs:4d}  inside: {spread_of(ratio[inside])}, marked {beyond[inside].mean():.1f} %, "
+        f"not told {untold[inside].mean():.1f} %; outside: covered {alone[out].mean():.1f} %, covered or marked "
+        f"{covered[out].mean():.1f} %, ratio {np.median(ratio[out]):.3f}; "
+        f"RMS {1e3 * np.sqrt(squares[inside].mean() / runs):.4f} mm; effects {effects}; {time.process_time() - started:.0f} s",
+        flush=True,
+    )
+
+
+def spread_of(ratio: np.ndarray) -> str:
+    """Ratios of some places in words."""
+    if not len(ratio):
+        return "no places"
+    good = 100 * np.mean(np.abs(ratio - 1.0) <= 0.1)
+    low, middle, high = np.percentile(ratio, [5, 50, 95])
+    return f"median {middle:.3f}, 5 to 95 % {low:.3f} to {high:.3f}, {good:.0f} % of places within 0.9 to 1.1"
+
+
+def kinds(way: str, runs: int, seed: int) -> None:
+    """The same for a kind of measurement, against the same rows without noise: what no reading tells is then alike in both."""
+    squares, variance, beyond, untold = np.zeros((4, QUERIES))
+    keys, robot = scenario(way, "six", seed, rows_of(way))
+    rng = np.random.default_rng(99)
+    own = made(keys, robot).rows.readings[: QUERIES // 2]  # where such rows can be measured, and anywhere
+    q, started, done = np.vstack([own, draw_readings(robot, QUERIES - len(own), rng)]), time.process_time(), 0
+    for run in range(runs):
+        keys["truth"]["seed"] = 1000 * seed + run
+        try:
+            one, exact = made(noisy(keys), robot), made(keys, robot)
+            geometry = fit_constants(one.campaign, robot, one.rows, ())
+        except AridcalError as fault:
+            print(f"  {way} {run}: {fault}")
+            continue
+        found = geometry.geometric
+        true = fit(problem(found.model, exact.train), found.theta)
+        known = knowledge(found, one.train, found.candidates).over(one.train, q, np.zeros(QUERIES, dtype=int))
+        off = found.model.poses(found.theta, known.rows)[1] - true.model.poses(true.theta, known.rows)[1]
+        squares += np.sum(off**2, axis=1)
+        variance += np.einsum("nii->n", known.covariance)
+        beyond += ~known.measured
+        untold += ~known.told
+        done += 1
+    inside = beyond < 0.5 * done
+    ratio = np.sqrt(variance / squares)
+    print(
+        f"{way:20s} {done:4d}  {inside.sum():3d} places measured: {spread_of(ratio[inside])}; not told "
+        f"{100 * untold.mean() / done:.1f} %; RMS {1e3 * np.sqrt(squares.mean() / done):.4f} mm; "
+        f"{time.process_time() - started:.0f} s",
+        flush=True,
+    )
+
+
+@dataclass(frozen=True)
+class Promise:
+    """How machines are made that a tolerance is promised of.
+
+    Attributes:
+        rows: How many, a fifth of them held out.
+        declared: Whether the noise is.
+        jitter: 1-sigma of what the joints do not repeat, [rad].
+        effects: That nobody declares nor seeks.
+    """
+
+    rows: int = 120
+    declared: bool = True
+    jitter: float = 0.0
+    effects: Callable[[np.random.Generator], Effects] = lambda rng: ()
+
+
+PROMISES = {
+    "clean": Promise(),
+    "clean, few": Promise(50),
+    "noise not declared": Promise(declared=False),
+    "joints do not repeat": Promise(jitter=1e-4),
+    "effects are missing": Promise(effects=harmonics),
+}
+
+
+def tolerance(name: str, runs: int, seed: int) -> None:
+    """How often 95 % of the region are not within what is said, where the truth is known."""
+    asked = PROMISES[name]
+    case = Case(rows=asked.rows, effects=asked.effects)
+    campaign, false, ratios = robots.campaign("pose", **dict(case.sections)), 0, []
+    started = time.process_time()
+    for run in range(runs):
+        rng = np.random.default_rng([seed, run])
+        made = machine(case, rng)
+        robot = made.model.robot
+        rows = measure(case, made, rng, asked.jitter)
+        rows = replace(rows, test=np.arange(len(rows)) % 5 == 0, sigma=rows.sigma if asked.declared else (None, None))
+        geometry = fit_constants(campaign, robot, rows, ())
+        fit = recentred(with_noise_seen(geometry.geometric, rows.select(rows.train)))
+        residual = problem(fit.model, rows).residual(fit.theta)
+        known = certainty(campaign, fit, rows, fit.candidates, None, rows.test, residual, None)
+        said, q = known.kept[0].bound, known.region.readings
+        own = rng.normal(0.0, asked.jitter, q.shape) if asked.jitter else 0.0
+        true = made.model.poses(made.theta, made.model.rows(q + own))[1]
+        reached = float(
+            np.quantile(np.linalg.norm(fit.model.poses(fit.theta, fit.model.rows(q))[1] - true, axis=1), 0.95)
+        )
+        false += said < reached
+        ratios.append(said / reached)
+    print(
+        f"{name:20s} {runs:4d}  said falsely {100 * false / runs:.1f} %; said over true: median {np.median(ratios):.2f}, "
+        f"5 to 95 % {np.percentile(ratios, 5):.2f} to {np.percentile(ratios, 95):.2f}; {time.process_time() - started:.0f} s",
+        flush=True,
+    )
+
+
+def main() -> None:
+    """Run what the command line names."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("question", choices=["sigma", "kinds", "tolerance"])
+    parser.add_argument("case", nargs="*", default=[])
+    parser.add_argument("--runs", type=int, default=200)
+    parser.add_argument("--seed", type=int, default=1)
+    arguments = parser.parse_args()
+    question, cases = {
+        "sigma": (sigma, list(CASES)),
+        "kinds": (kinds, list(WAYS)),
+        "tolerance": (tolerance, list(PROMISES)),
+    }[arguments.question]
+    for case in arguments.case or cases:
+        question(case, arguments.runs, arguments.seed)
+
+
+if __name__ == "__main__":
+    main()
