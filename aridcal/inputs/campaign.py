@@ -32,7 +32,13 @@ REFERRING = tuple(kind for kind in MEASURED if labelled(kind))
 
 
 def _all_kinds(candidates: Any) -> Any:
-    return tuple(KINDS) if candidates == "all" else listed(candidates)
+    """Names of kinds; `all` for those that need not be asked for."""
+    every = [name for name, kind in KINDS.items() if not kind.asked]
+    named = listed(candidates)
+    if named is None:
+        return None
+    found = [name for word in named for name in (every if word == "all" else [word])]
+    return tuple(name for k, name in enumerate(found) if name not in found[:k])
 
 
 # Name of a row of the table of kinds.
@@ -131,8 +137,8 @@ class EffectDeclaration(Section):
     where: str
     with_: str | None = Field(default=None, alias="with")
     """The other joint of a `joint_coupling`."""
-    by: Literal["direction", "load"] | None = None
-    """What a `joint_backlash` switches with."""
+    by: str | None = None
+    """What a `joint_backlash` switches with; over what a `regional` effect varies: a joint, a column or `place`."""
     order: Annotated[tuple[Annotated[float, Field(gt=0, le=1e6)], ...], BeforeValidator(listed)] | None = None
     """Periods in one turn of the joint."""
     motion: Names | None = None
@@ -142,11 +148,15 @@ class EffectDeclaration(Section):
 
     @model_validator(mode="after")
     def _fits_the_kind(self) -> EffectDeclaration:
-        key = KINDS[self.kind].key
+        key, words = KINDS[self.kind].key, KINDS[self.kind].bys
         if (self.with_ is not None) != (key == "with"):
             raise ValueError(f"`with: JOINT` belongs to a {_kinds_with('with')}, which needs it; write it there alone")
         if self.by is not None and key != "by":
             raise ValueError(f"`by` belongs to a {_kinds_with('by')} only; delete it")
+        if self.by is not None and words and self.by not in words:
+            raise ValueError(f"by: {self.by!r} should be {' or '.join(words)}")
+        if key == "by" and not words and self.by is None:
+            raise ValueError(f"a {self.kind} effect needs `by`: a joint, a column, or `place` for the target's own")
         if self.at is not None and key != "at":
             raise ValueError(f"`at` belongs to a {_kinds_with('at')} only; delete it")
         return self
@@ -157,7 +167,7 @@ class DiagnosisSettings(Section):
 
     enabled: bool = True
     candidates: Annotated[tuple[EffectKind, ...], BeforeValidator(_all_kinds)] = Field(
-        default_factory=lambda: tuple(KINDS)
+        default_factory=lambda: _all_kinds("all")
     )
 
 

@@ -11,7 +11,7 @@ from scipy.linalg import block_diag
 
 from aridcal.effects.basis import Basis, evaluate
 from aridcal.effects.effect import Effect
-from aridcal.effects.smooth import kernel_root, smooth_precision
+from aridcal.effects.smooth import samples_root, smooth_precision
 from aridcal.fit.elimination import Projector
 from aridcal.fit.flags import flagged
 from aridcal.fit.normal_equations import NormalEquations, accumulate
@@ -175,7 +175,7 @@ class Active:
         """Combinations of its coefficients that are independent beforehand, shape (d, d)."""
         if not self.effect.smooth:
             return np.eye(len(self.effect.coefficients))
-        return self.score.tau * kernel_root(self.effect.shape, self.score.kernel)
+        return self.score.tau * samples_root(self.effect.shape, self.score.kernel)
 
     def columns(self, model: LinearModel) -> np.ndarray:
         """Its columns, shape (N, m, d or modes)."""
@@ -298,7 +298,7 @@ def activate(model: LinearModel, state: State, effect: Effect, found: Score) -> 
     """Make a candidate ready to be solved for: of a smooth one, the modes of which the data say something."""
     if not effect.smooth:
         return Active(effect, found, np.eye(len(effect.coefficients)), prior=model.prior_of(effect))
-    root = kernel_root(effect.shape, found.kernel)
+    root = samples_root(effect.shape, found.kernel)
     noise = found.sigma if found.sigma is not None else state.solution.sigma
     whitened = model.columns(effect) / spread(noise, model.channels)[:, None]
     mean_square = float(np.einsum("nmd,nmd->", whitened, whitened)) / whitened.shape[2]

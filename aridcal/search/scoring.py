@@ -16,6 +16,7 @@ from scipy.stats import wilcoxon
 
 from aridcal.effects.catalogue import Barred
 from aridcal.effects.effect import Effect
+from aridcal.effects.regional_kind import is_field, widths
 from aridcal.effects.sights import is_sight
 from aridcal.fit.least_squares import Fit
 from aridcal.fit.normal_equations import accumulate
@@ -186,7 +187,8 @@ def with_declared(
         if score_all(linear, [effect], state)[0].freedom == 0:
             lost.append(Barred(f"{effect.label}, which is declared,", CONFOUNDED))
             continue
-        active = (*state.active, admitted(linear, state, effect))
+        tried = [admitted(linear, state, each) for each in widths(effect)]
+        active = (*state.active, max(tried, key=lambda a: a.score.gain))
         state = solve_state(linear, active, state.solution.sigma, state.used)
     return state, lost
 
@@ -225,7 +227,7 @@ def judge(model: LinearModel, state: State, effect: Effect, found: Score, tested
         if whole[1] > whole[0]:
             return judgement(share, "does not hold at places that were held back whole")
     configuration = np.unique(model.configuration[state.used], return_inverse=True)[1]
-    if effect.smooth and not effect.hinted:
+    if effect.smooth and not effect.hinted and not is_field(effect):
         robust, least = _ranked(np.array([np.bincount(configuration, each) for each in loss])), DOUBT
     else:
         moved = _fitted(model, state, candidate) if effect.smooth else model.columns(effect)
