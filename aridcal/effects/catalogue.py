@@ -14,11 +14,11 @@ from aridcal.effects.head_kinds import HEAD_KINDS
 from aridcal.effects.instrument_kinds import INSTRUMENT_KINDS
 from aridcal.effects.joint_kinds import JOINT_KINDS
 from aridcal.effects.kinds import Declaration, Kind, Observed
-from aridcal.effects.regional_kind import REGIONAL
+from aridcal.effects.regional_kind import REGIONAL, RESIDUAL_FIELD
 from aridcal.effects.unknown_kind import UNKNOWN
 from aridcal.errors import CampaignError, nearest
 
-_ROWS = (*JOINT_KINDS, *CONDITION_KINDS, *INSTRUMENT_KINDS, *HEAD_KINDS, REGIONAL, UNKNOWN)
+_ROWS = (*JOINT_KINDS, *CONDITION_KINDS, *INSTRUMENT_KINDS, *HEAD_KINDS, REGIONAL, RESIDUAL_FIELD, UNKNOWN)
 
 KINDS: dict[str, Kind] = {kind.name: kind for kind in _ROWS}
 """Every kind of effect, in the order in which they are tried: the only list of them."""

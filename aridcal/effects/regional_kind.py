@@ -1,4 +1,4 @@
-"""The kind for constants that are not the same all over the workspace: along a rail, over a column, or in space.
+"""Kinds for what is not the same all over the workspace: constants along a rail, over a column or in space; a field of shifts.
 
 Doty (1992), sections 1 and 8, calibrates the arm at each square of a strip and interpolates between them. Here the deviation
 from the one model of the whole workspace is a smooth function of the place, whose size and length the data choose: no size at
@@ -33,14 +33,20 @@ no place between the nodes is left out, sixteen is beyond the whole field."""
 
 FRAMES = ("world_base", "tip_target")
 
+SHIFT = ("x", "y", "z")
+
 
 def _regional(rows: Observed) -> Iterator[Effect]:
-    """Tilts of each link along each rail, and the target's own shift over its place."""
+    """Tilts of each link along each rail."""
     for rail in rows.moving("prismatic"):
         for where, motion in _links(rows):
-            yield _varying(rows, where, motion, rail.name)
+            yield _varying(rows, "regional", where, motion, rail.name)
+
+
+def _residual_field(rows: Observed) -> Iterator[Effect]:
+    """The target's own shift over its place, alike over distances of an octave each."""
     if TARGET[0] in rows.table:
-        field = _varying(rows, "world_base", ("x", "y", "z"), IN_SPACE)
+        field = _varying(rows, "residual_field", "world_base", SHIFT, IN_SPACE)
         yield from widths(field) if field.coefficients else ()
 
 
@@ -55,9 +61,10 @@ def _links(rows: Observed) -> Iterator[tuple[str, tuple[str, ...]]]:
 
 def _stated(rows: Observed, d: Declaration) -> Iterator[Effect]:
     """What a declaration says: a joint's or a frame's motions over a reading, a column or in space; by default its tilts."""
-    motion = d.motion or dict(_links(rows)).get(d.where) or FRAME_COMPONENTS[: 3 if d.where in FRAMES else None]
-    if set(motion) <= set(_motions(rows, d.where)) and d.by in (IN_SPACE, *rows.varying()):
-        effect = _varying(rows, d.where, motion, str(d.by))
+    motion = d.motion or dict(_links(rows)).get(d.where) or (SHIFT if d.where in FRAMES else FRAME_COMPONENTS)
+    by = d.by or IN_SPACE
+    if set(motion) <= set(_motions(rows, d.where)) and by in (IN_SPACE, *rows.varying()):
+        effect = _varying(rows, d.kind, d.where, motion, by)
         if effect.coefficients:
             yield effect
 
@@ -70,7 +77,7 @@ def _motions(rows: Observed, where: str) -> tuple[str, ...]:
     return ("axis", *FRAME_COMPONENTS, *own)
 
 
-def _varying(rows: Observed, where: str, motion: tuple[str, ...], by: str) -> Effect:
+def _varying(rows: Observed, kind: str, where: str, motion: tuple[str, ...], by: str) -> Effect:
     """Motions of one place as smooth functions of a covariate, or of the target's place; empty where there are too few."""
     if by == IN_SPACE:
         bases = _field(np.column_stack([rows.table[name] for name in TARGET]))
@@ -78,7 +85,7 @@ def _varying(rows: Observed, where: str, motion: tuple[str, ...], by: str) -> Ef
     else:
         curves = (bumps(where, component, by, rows.table[by], REGION_KNOTS) for component in motion)
         every = tuple(coefficient for curve in curves for coefficient in curve)
-    return Effect("regional", where, every, by=by, smooth=True)
+    return Effect(kind, where, every, by=by, smooth=True)
 
 
 def _field(places: np.ndarray) -> list[Basis]:
@@ -146,4 +153,17 @@ REGIONAL = Kind(
     asked=True,
     columns=lambda d: () if d.by == IN_SPACE else (str(d.by),),
     curve=("axis", *FRAME_COMPONENTS, *LINK_COMPONENTS),
+)
+
+RESIDUAL_FIELD = Kind(
+    "residual_field",
+    where="`world_base` or `tip_target`",
+    words="a shift of the target that depends on where it is, of no known cause",
+    bases=("ball",),
+    example="{kind: residual_field, where: world_base}",
+    doc="residual_field",
+    testable=_residual_field,
+    of_declaration=_stated,
+    asked=True,
+    named=False,
 )

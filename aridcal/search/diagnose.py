@@ -33,7 +33,7 @@ from aridcal.search.exact import (
 )
 from aridcal.search.hints import pairs
 from aridcal.search.linear_model import Active, LinearModel, State, activate, solve_state
-from aridcal.search.scoring import with_declared
+from aridcal.search.stated import with_declared
 from aridcal.search.stepwise import Found, confirmed, is_small, missed, rank, search, twins
 from aridcal.showing import SILENT, Progress
 
