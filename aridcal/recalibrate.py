@@ -27,7 +27,7 @@ from aridcal.errors import CampaignError, OutputError
 from aridcal.reading.files import CALIBRATION, read_file
 from aridcal.reading.names import path_argument
 from aridcal.result.saved_model import SavedModel
-from aridcal.result_folder import RESULT_FILES
+from aridcal.result_folder import RESULT_FILES, RESULT_FOLDERS
 from aridcal.upkeep.answers import check_lines
 from aridcal.upkeep.checking import Checked, check
 from aridcal.upkeep.new_rows import read_new_rows
@@ -54,7 +54,7 @@ def _main(arguments: argparse.Namespace) -> None:
     before = arguments.results / "calibration.yaml" if arguments.results.is_dir() else arguments.results
     if arguments.out.resolve() == before.resolve().parent:
         raise OutputError(f"{arguments.out}: holds the calibration that is to be repaired, which is kept; name another")
-    with claimed(arguments.out, "folder", RESULT_FILES):
+    with claimed(arguments.out, "folder", RESULT_FILES, RESULT_FOLDERS):
         _recalibrate(arguments, before)
 
 
@@ -73,7 +73,7 @@ def _recalibrate(arguments: argparse.Namespace, before: Path) -> None:
 def _write(out: Path, mended: Repaired, checked: Checked, parents: dict[str, object]) -> None:
     """Write the folder's files."""
     saved = replace(mended.saved, record=mended.saved.record | {"lineage": parents})
-    with atomic_folder(out, RESULT_FILES) as stage:
+    with atomic_folder(out, RESULT_FILES | RESULT_FOLDERS) as stage:
         (stage / "calibration.yaml").write_text(saved.dump(), encoding="utf-8")
         (stage / "calibrated.urdf").write_bytes(urdf_of(saved.geometric))
         if any(c.basis.form not in ("1", "ones") for c in saved.final.model.coefficients):
