@@ -26,14 +26,14 @@ def with_declared(
     """The model with the declared effects, which need no evidence; a step for which no row was said is sought.
 
     Those of which the rows tell nothing beside the constants, and the effects declared before, are left out and named; so are
-    deviations by region with which rows held back are predicted no better.
+    constants by region with which rows held back are predicted no better. Fields without a cause wait for :func:`with_fields`.
     """
     lost: list[Barred] = []
     state = solve_state(linear, (), geometric.sigma, ~geometric.outliers)
     waiting: list[Effect] = []
     for effect, anywhere in zip(stated, sought, strict=True):
         if KINDS[effect.kind].asked:
-            waiting.append(effect)
+            waiting += [effect] if KINDS[effect.kind].named else []
             continue
         if anywhere and effect.at is not None:
             effect = next(iter(best_steps(linear, state, [effect])), effect)
@@ -42,12 +42,16 @@ def with_declared(
             continue
         active = (*state.active, _admitted(linear, state, effect))
         state = solve_state(linear, active, state.solution.sigma, state.used)
-    return _with_regions(linear, waiting, state, lost)
+    state, left_out = _with_regions(linear, waiting, state)
+    return state, [*lost, *left_out]
 
 
-def _with_regions(
-    linear: LinearModel, waiting: Sequence[Effect], state: State, lost: list[Barred]
-) -> tuple[State, list[Barred]]:
+def with_fields(linear: LinearModel, stated: Sequence[Effect], state: State) -> tuple[State, list[Barred]]:
+    """The model with the declared fields of shifts that are worth it in what all else leaves: they could hide any cause."""
+    return _with_regions(linear, [e for e in stated if not KINDS[e.kind].named and KINDS[e.kind].asked], state)
+
+
+def _with_regions(linear: LinearModel, waiting: Sequence[Effect], state: State) -> tuple[State, list[Barred]]:
     """Deviations by region that are worth it, the best first: what one of them hides is seen once that is in the model."""
     left = list(waiting)
     while left:
@@ -58,7 +62,7 @@ def _with_regions(
         effect, best = max(worth, key=lambda pair: pair[1].score.gain)
         left.remove(effect)
         state = solve_state(linear, (*state.active, best), state.solution.sigma, state.used)
-    return state, [*lost, *(_left_out(effect, NO_BETTER) for effect in left)]
+    return state, [_left_out(effect, NO_BETTER) for effect in left]
 
 
 def _predicts_better(linear: LinearModel, state: State, candidate: Active) -> bool:
