@@ -35,9 +35,9 @@ from aridcal.result.folder import what_moved
 from aridcal.result.key_figures import another_day, every_held_out_row, or_as_well, over_time, scored
 from aridcal.result.outcome import Outcome, Verification, errors, said
 from aridcal.result.pipeline import identify
-from aridcal.result_folder import RESULT_FILES, write_folder
-from aridcal.search.gains import NamedEffect
+from aridcal.result_folder import RESULT_FILES, RESULT_FOLDERS, write_folder
 from aridcal.showing import told_on
+from aridcal.trust.gains import NamedEffect
 from aridcal.writing.files import claimed
 
 VERDICTS = {
@@ -172,7 +172,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _main(arguments: argparse.Namespace) -> int:
     out = arguments.out or arguments.campaign.parent / "results"
-    with claimed(out, "folder", RESULT_FILES):
+    with claimed(out, "folder", RESULT_FILES, RESULT_FOLDERS):
         return _identify(arguments, out)
 
 

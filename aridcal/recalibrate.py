@@ -33,7 +33,7 @@ from aridcal.report.repair_page import write_repair_report
 from aridcal.result.controllers import hand_over, write_controllers
 from aridcal.result.folder import residual_table
 from aridcal.result.saved_model import SavedModel
-from aridcal.result_folder import RESULT_FILES
+from aridcal.result_folder import RESULT_FILES, RESULT_FOLDERS
 from aridcal.showing import Progress, told_on
 from aridcal.upkeep.answers import check_lines, left_out_line
 from aridcal.upkeep.checking import Checked, check
@@ -63,7 +63,7 @@ def _main(arguments: argparse.Namespace) -> None:
     before = arguments.results / "calibration.yaml" if arguments.results.is_dir() else arguments.results
     if arguments.out.resolve() == before.resolve().parent:
         raise OutputError(f"{arguments.out}: holds the calibration that is to be repaired, which is kept; name another")
-    with claimed(arguments.out, "folder", RESULT_FILES):
+    with claimed(arguments.out, "folder", RESULT_FILES, RESULT_FOLDERS):
         _recalibrate(arguments, before)
 
 
@@ -98,7 +98,7 @@ def _write(
 ) -> tuple[str, ...]:
     """Write the folder's files; returns what could not be drawn."""
     saved = replace(mended.saved, record=mended.saved.record | {"lineage": parents})
-    with atomic_folder(out, RESULT_FILES) as stage:
+    with atomic_folder(out, RESULT_FILES | RESULT_FOLDERS) as stage:
         (stage / "calibration.yaml").write_text(saved.dump(), encoding="utf-8")
         (stage / "calibrated.urdf").write_bytes(urdf_of(saved.geometric.model, saved.geometric.theta))
         if any(c.basis.form not in ("1", "ones") for c in saved.final.model.coefficients):

@@ -25,6 +25,9 @@ RESULT_FILES = frozenset(
 )
 """All that a result may have: what an earlier one had and this has not must not outlive it."""
 
+RESULT_FOLDERS = frozenset({"regions"})
+"""The folders among that."""
+
 
 @dataclass(frozen=True)
 class Written:
@@ -52,7 +55,7 @@ def write_folder(outcome: Outcome, folder: Path, progress: Progress = SILENT) ->
     Raises:
         OutputError: the folder cannot be written.
     """
-    with atomic_folder(folder, RESULT_FILES) as stage:
+    with atomic_folder(folder, RESULT_FILES | RESULT_FOLDERS) as stage:
         progress("writing figures and tables")
         write_results(outcome, stage, progress)
         progress("working out what controllers can be given")

@@ -53,6 +53,16 @@ def covariate(name: str) -> Callable[[Outcome], np.ndarray]:
     return lambda o: o.measurements.covariates[name]
 
 
+def place(coordinate: int) -> Callable[[Outcome], np.ndarray]:
+    """A coordinate of the target's place in the base frame."""
+
+    def of(o: Outcome) -> np.ndarray:
+        frame = o.stage("final").fit.model.world_base[0][1]
+        return np.asarray((o.measurements.position - frame.translation) @ frame.rotation[:, coordinate])
+
+    return of
+
+
 def row(o: Outcome) -> np.ndarray:
     """The line of the file."""
     return o.measurements.line
@@ -139,6 +149,14 @@ PICTURES = {
     ),
     "payload_compliance": Picture(
         {"where": LIFT, "motion": "axis", "covariates": "payload", "coefficients": 2e-4}, covariate("payload"), "payload, kg",
+    ),
+    "regional": Picture(
+        {"where": "joint_3", "motion": "roll", "by": RAIL, "form": "ripple", "coefficients": 4e-4}, reading(RAIL),
+        "travel of the rail, m", motion="r1", robot="arid.urdf",
+    ),
+    "residual_field": Picture(
+        {"where": "world_base", "motion": "y", "coefficients": {"std": 1e-3}}, place(2), "place along the rail, m",
+        motion="y", robot="arid.urdf",
     ),
     "unknown": Picture(
         {"where": ELBOW, "motion": "pitch", "covariates": ["time"], "form": "step", "coefficients": 4e-4},

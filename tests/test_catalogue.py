@@ -26,6 +26,7 @@ from aridcal.effects.catalogue import (
 from aridcal.effects.effect import Coefficient, Effect
 from aridcal.effects.kinds import Kind, Observed
 from aridcal.effects.loads import Surroundings, covariate_table
+from aridcal.effects.sights import TARGET, Sights, sight_table
 from aridcal.head.detections import head_things
 from aridcal.identify import main as identify
 from aridcal.inputs.campaign import EffectDeclaration, Job
@@ -65,8 +66,11 @@ CONTRACT: dict[str, tuple[set[str], tuple[str, ...]]] = {
     "principal_point": ({"cx", "cy"}, ()),
     "sonar_bias": ({"bias"}, ()),
     "sonar_scale": ({"scale"}, ()),
+    "regional": ({"beta", "alpha", "pitch", "roll"}, ()),
+    "residual_field": ({"x", "y", "z"}, TARGET),
     "unknown": (FRAME, ()),
 }
+BY = {"regional": "joint_1", "residual_field": "place"}
 OF_THINGS = ("tracker_scale", "distance_scale", "range_error", "wire_sag", "flatness")
 OF_ARM = [kind for kind in KINDS if not is_of_head(kind) and kind not in OF_THINGS]
 HELD = {
@@ -88,8 +92,10 @@ def observed() -> tuple[Observed, Model, np.ndarray, dict[str, np.ndarray]]:
     q = robots.readings(robot, N, rng)
     columns = {name: rng.normal(0.0, 1.0, N) for name in MEASURED}
     columns["joint_1_direction"] = rng.choice([-1.0, 1.0], N)
-    around = Surroundings(np.array([1.0, 9.0, -3.0]), np.array([0.1, 0.2, 0.3]))
+    lever = np.array([0.1, 0.2, 0.3])
+    around = Surroundings(np.array([1.0, 9.0, -3.0]), lever, sights=Sights(lever[None]))
     table = covariate_table(robot, q, columns, around, np.zeros(N, dtype=int), {".gravity_", ".payload_"})
+    table |= sight_table(robot, q, around.sights, around.gravity, np.zeros(N, dtype=int))
     frames = ((None, robots.random_placement(rng)),)
     return Observed(robot, table, MEASURED), Model(robot, (), frames, frames, around), q, columns
 
@@ -129,6 +135,7 @@ def test_a_kind_moves_and_depends_on_what_the_formats_say(kind: str) -> None:
                 assert name == effect.where or any(e and name in (e, effect.where + e) for e in endings)
             else:
                 assert name in (*names, *MEASURED)
+    assert {e.by for e in effects(kind)} <= {"direction", "load", BY.get(kind), None}
     if kind == "joint_coupling":
         assert all(e.covariates == (e.with_,) != (e.where,) for e in effects(kind))
 
@@ -167,7 +174,7 @@ def test_a_kind_has_names_that_are_unique_and_no_two_effects_that_are_one(kind: 
 def test_a_kind_can_be_declared_where_the_search_would_look_for_it(kind: str) -> None:
     where = observed()[0]
     for place, with_ in {(e.where, e.with_) for e in effects(kind)}:
-        extra = {"with": with_} if with_ else {}
+        extra = {"with": with_} if with_ else {"by": BY[kind]} if kind == "regional" else {}
         found = declared(where, EffectDeclaration(kind=kind, where=place, **extra), "campaign.yaml")  # type: ignore[arg-type]
         assert (found.kind, found.where, found.with_) == (kind, place, with_)
 
@@ -176,7 +183,8 @@ def test_a_kind_can_be_declared_where_the_search_would_look_for_it(kind: str) ->
 def test_a_kind_has_the_bases_and_the_example_that_its_row_says(kind: str) -> None:
     row = KINDS[kind]
     used = {c.basis.form for e in effects(kind) for c in e.coefficients}
-    assert used == set(row.bases) - {"bump2"}  # pairs are made from what the residual hints at
+    # pairs are made from what the residual hints at; a constant in space must be declared
+    assert used == set(row.bases) - ({"ball"} if kind == "regional" else {"bump2"})
     assert used <= {"1", *FORMS}
     head = "measurements: {kind: camera_sonar, head: head.yaml}\n" if is_of_head(kind) else ""
     text = f"format: 1\nrobot: {{urdf: a.urdf, tip: b}}\n{head}effects:\n  - {row.example}\n"

@@ -22,7 +22,7 @@ from aridcal.drawing.html import join, number
 from aridcal.drawing.one_page import OnePage, as_html
 from aridcal.errors import CampaignError
 from aridcal.identify import main as identify_main
-from aridcal.inputs.campaign import About
+from aridcal.inputs.purposes import About
 from aridcal.report import certificate as module
 from aridcal.report.certificate import FILES, certificate, write_certificate
 from aridcal.report.iso_section import iso

@@ -23,8 +23,9 @@ from aridcal.search.change_points import (
     walk_instead,
 )
 from aridcal.search.evidence import NOTHING
-from aridcal.search.linear_model import LinearModel, State, activate, solve_state
+from aridcal.search.linear_model import LinearModel
 from aridcal.search.scoring import DOUBT, judge, refine, score_all
+from aridcal.search.state import State, activate, solve_state
 
 SLOTS = (("world_base", "x"), ("world_base", "y"), ("world_base", "roll"), ("j1", "axis"), ("tip_target", "z"))
 

@@ -73,7 +73,7 @@ def test_a_kernels_root_and_precision_are_those_of_its_covariance(kernel):
     weight = spectrum.pdf(frequency) * (frequency[1] - frequency[0])
     along = np.array([weight @ np.cos(k / kernel.length * frequency) for k in range(9)])
     np.testing.assert_allclose(root @ root.T, toeplitz(along), atol=1e-7)
-    np.testing.assert_allclose(smooth_precision((9,), 0.5, kernel) @ (0.25 * root @ root.T), np.eye(9), atol=1e-4)
+    np.testing.assert_allclose(smooth_precision(((9,),), 0.5, kernel) @ (0.25 * root @ root.T), np.eye(9), atol=1e-4)
 
 
 def test_two_covariates_have_the_product_of_their_kernels():
@@ -89,7 +89,7 @@ def test_smooth_evidence_is_that_of_a_gaussian_process_integrated_in_full():
     truth = kernel_root((8,), Kernel(3.0)) @ rng.standard_normal(8)
     r = C @ truth + rng.standard_normal(60)
     gram = accumulate([A], [r]).extended([A], [C], [r])
-    found = shaped(gram, np.zeros((5, 5)), (8,), UNIT)
+    found = shaped(gram, np.zeros((5, 5)), ((8,),), UNIT)
     basis = np.linalg.svd(A)[0][:, 5:]  # what the model cannot take up
     seen, columns = basis.T @ r, basis.T @ C
 

@@ -10,7 +10,7 @@ from aridcal.effects.basis import Basis
 from aridcal.effects.effect import Coefficient
 from aridcal.fit.least_squares import fit
 from aridcal.fit.problem import problem
-from aridcal.search.gains import refitted
+from aridcal.trust.gains import refitted
 
 
 def test_taking_coefficients_out_agrees_with_fitting_without_them() -> None:

@@ -16,8 +16,8 @@ from aridcal.fit.problem import problem
 from aridcal.fit.stages import Geometry
 from aridcal.head.detections import head_things
 from aridcal.search.arm import CalibratedArm
-from aridcal.search.gains import explain
-from aridcal.search.scoring import CONFOUNDED
+from aridcal.search.stated import CONFOUNDED
+from aridcal.trust.gains import explain
 
 KINDS_OF_HEAD = ("lens_distortion", "focal_length", "principal_point", "sonar_bias", "sonar_scale")
 QUIET = f"diagnosis: {{candidates: [{', '.join(KINDS_OF_HEAD)}]}}"

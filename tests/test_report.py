@@ -33,8 +33,8 @@ from aridcal.result.pipeline import identify
 from aridcal.result.verdict import Verdict
 from aridcal.robot.chain import parse_robot
 from aridcal.robot.doty import doty_links
-from aridcal.search.gains import Curve, Diagnosis, NamedEffect, Rejected
 from aridcal.search.noise_tests import Clue
+from aridcal.trust.gains import Curve, Diagnosis, NamedEffect, Rejected
 from aridcal.trust.halves import Halves
 from aridcal.trust.uncertainty import accuracy
 

@@ -136,7 +136,7 @@ def with_hole() -> SavedModel:
     theta = 1e-3 * np.sin(np.arange(len(curve)))
     R, p = model.poses(theta, model.rows(q))
     rows = robots.declared(robots.measured(robot, q, p + 1e-4 * rng.normal(size=p.shape), R), 1e-4, 1e-4)
-    precision = smooth_precision((len(curve),), 1e-3, Kernel(2.0))
+    precision = smooth_precision(((len(curve),),), 1e-3, Kernel(2.0))
     found = fit(problem(model, rows), prior=Prior(np.zeros(len(curve)), precision))
     one = SolvedModel(model, found.theta, found.covariance)
     ranges = {

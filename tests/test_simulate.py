@@ -252,6 +252,8 @@ def test_every_kind_can_be_simulated_and_its_truth_is_told(tmp_path, kind):
         "rail_angular": {"motion": "yaw"},
         "unknown": {"motion": "yaw", "covariates": "voltage"},
         "drift": {"where": "world_base"},
+        "regional": {"by": "place"},
+        "residual_field": {"where": "world_base"},
     }
     rail = {"where": "joint_1" if kind.startswith("rail") else "joint_3"}
     given = {"kind": kind, "coefficients": {"std": 1e-4}} | rail | more.get(kind, {})

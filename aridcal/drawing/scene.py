@@ -382,8 +382,7 @@ def scene(outcome: Outcome) -> Scene:
         # What other instruments say of the target's place: the shortest way from the final model's to what fits the reading.
         shifts = {stage.name: np.nan_to_num(outcome.at_target.shift(stage.residual)) for stage in outcome.stages}
         measured = outcome.at_target.places + shifts["final"]
-    known = None if outcome.certainty is None else outcome.certainty.anywhere
-    told = None if known is None else known.select(known.told)
+    told = None if outcome.certainty is None else outcome.certainty.anywhere.select(outcome.certainty.anywhere.told)
     return Scene(
         nominal=robot,
         calibrated=parse_robot(calibrated, robot.tip, robot.base, robot.path),

@@ -107,6 +107,23 @@ def _bump_of_two(z: Columns, n: Numbers) -> np.ndarray:
     return _bump(z[:1], n[:2]) * _bump(z[1:], n[2:])
 
 
+def _ball(z: Columns, n: Numbers) -> np.ndarray:
+    r"""Wendland's function of three covariates about the centre n0, n1, n2, zero beyond the radius n3.
+
+    .. math:: B(u) = (1 - u)^4 (4 u + 1) \ (u < 1), \quad u = |z - (n_0, n_1, n_2)| / n_3
+
+    Twice differentiable, and positive definite in space (H. Wendland, Scattered Data Approximation, Cambridge 2005, table 9.1).
+    """
+    square = (z[0] - n[0]) ** 2 + (z[1] - n[1]) ** 2 + (z[2] - n[2]) ** 2
+    return wendland(np.sqrt(square) / n[3])
+
+
+def wendland(u: np.ndarray) -> np.ndarray:
+    """(1 - u)^4 (4 u + 1) of distances in radii; 0 beyond one."""
+    inside = np.maximum(1.0 - u, 0.0)
+    return np.asarray(inside**4 * (4.0 * u + 1.0))
+
+
 def _times_power(z: Columns, n: Numbers) -> np.ndarray:
     """(z0 - n0) (z1 / n1)^n2: what grows with a power of a second covariate, a load with travel for instance."""
     return np.asarray((z[0] - n[0]) * (z[1] / n[1]) ** n[2])
@@ -126,6 +143,7 @@ FORMS: dict[str, Form] = {
     "sign": Form(_sign, "sign({of[0]})"),
     "bump": Form(_bump, "map({of[0]}@{n[0]:.6g})"),
     "bump2": Form(_bump_of_two, "map({of[0]}@{n[0]:.6g},{of[1]}@{n[2]:.6g})"),
+    "ball": Form(_ball, "region({n[0]:.6g},{n[1]:.6g},{n[2]:.6g};{n[3]:.6g})"),
     "times_power": Form(_times_power, "{of[0]}*{of[1]}^{n[2]:g}"),
     "step": Form(_step, "step({of[0]}@{n[0]:.12g})", absent=np.inf),
 }

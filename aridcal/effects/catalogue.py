@@ -14,10 +14,11 @@ from aridcal.effects.head_kinds import HEAD_KINDS
 from aridcal.effects.instrument_kinds import INSTRUMENT_KINDS
 from aridcal.effects.joint_kinds import JOINT_KINDS
 from aridcal.effects.kinds import Declaration, Kind, Observed
+from aridcal.effects.regional_kind import REGIONAL, RESIDUAL_FIELD
 from aridcal.effects.unknown_kind import UNKNOWN
 from aridcal.errors import CampaignError, nearest
 
-_ROWS = (*JOINT_KINDS, *CONDITION_KINDS, *INSTRUMENT_KINDS, *HEAD_KINDS, UNKNOWN)
+_ROWS = (*JOINT_KINDS, *CONDITION_KINDS, *INSTRUMENT_KINDS, *HEAD_KINDS, REGIONAL, RESIDUAL_FIELD, UNKNOWN)
 
 KINDS: dict[str, Kind] = {kind.name: kind for kind in _ROWS}
 """Every kind of effect, in the order in which they are tried: the only list of them."""
@@ -91,6 +92,8 @@ def declared(rows: Observed, declaration: Declaration, place: str) -> Effect:
         return _at_thing(rows, d, place)
     if kind.of_order and d.order:
         found = [effect for order in d.order for effect in kind.of_order(d, order)]
+    elif kind.of_declaration:
+        found = list(kind.of_declaration(rows, d))
     else:
         fitting = [effect for effect in _parts(candidates(rows, (d.kind,)), d) if _meant(effect, d)]
         curves = [effect for effect in fitting if effect.smooth]  # they hold what the others can

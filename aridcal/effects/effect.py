@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import groupby
 
 import numpy as np
 
 from aridcal.effects.basis import CONSTANT, Basis, basis_name
+from aridcal.effects.smooth import Nodes, Part, Shape
 from aridcal.robot.kinematics import transverse
 
 FRAME_COMPONENTS = ("x", "y", "z", "roll", "pitch", "yaw")
@@ -57,7 +60,7 @@ class Effect:
         coefficients: One for each motion and basis.
         order: Periods per turn, for harmonics and wobble.
         with_: The other joint of a coupling.
-        by: What a backlash switches with.
+        by: What a backlash switches with; over what a constant varies.
         smooth: True where the coefficients are samples of a smooth function and shrink to zero where unseen.
         grid: For a smooth function of two covariates: samples along each; else empty.
         looked: Members of its kind that were looked through before this one, the loudest, became a candidate.
@@ -92,9 +95,16 @@ class Effect:
         return self.looked > 1
 
     @property
-    def shape(self) -> tuple[int, ...]:
-        """Samples of a smooth function along each of its covariates."""
-        return self.grid or (len(self.coefficients),)
+    def shape(self) -> Shape:
+        """Samples of its smooth functions: one for each motion and covariate."""
+        functions = groupby(self.coefficients, lambda c: (c.component, c.basis.of))
+        return tuple(self._samples([c.basis for c in own]) for _, own in functions)
+
+    def _samples(self, bases: Sequence[Basis]) -> Part:
+        if bases[0].form == "ball":
+            x, y, z, radii = np.array([basis.numbers for basis in bases]).T
+            return Nodes(tuple(zip(*(np.round(of / radii, 9).tolist() for of in (x, y, z)), strict=True)))
+        return self.grid or (len(bases),)
 
     @property
     def motion(self) -> tuple[str, ...]:

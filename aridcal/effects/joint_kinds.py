@@ -202,6 +202,7 @@ JOINT_KINDS = (
         doc="joint_backlash",
         testable=_joint_backlash,
         key="by",
+        bys=("direction", "load"),
         exclusive=True,
         columns=lambda d: (f"{d.where}_direction",) if d.by == "direction" else (),
     ),

@@ -29,7 +29,7 @@ class Declaration(Protocol):
         kind: Of the table of kinds.
         where: A joint of the chain, ``world_base`` or ``tip_target``; ``camera`` or a sonar of a measuring head.
         with_: The other joint of a coupling.
-        by: What a backlash switches with.
+        by: What a backlash switches with, or over what a constant varies.
         order: Periods in one turn of the joint.
         motion: Components that move.
         covariates: Columns that it depends on.
@@ -39,7 +39,7 @@ class Declaration(Protocol):
     kind: str
     where: str
     with_: str | None
-    by: Any  # of a campaign one of two words
+    by: str | None
     order: tuple[float, ...] | None
     motion: tuple[str, ...] | None
     covariates: tuple[str, ...] | None
@@ -106,8 +106,11 @@ class Kind:
         testable: Yields every effect of this kind that some rows can test; what they cannot show is not yielded.
         of_head: Part of a measuring head that it is of; empty for all else.
         key: Key of a declaration that belongs to this kind alone: ``with``, which it then needs, ``by`` or ``at``.
+        bys: Words that ``by`` may be; empty where it names something else, which it then needs.
         of_order: Effects that a declaration with ``order`` means, where any order may be declared: the generator can
             yield only some.
+        of_declaration: The effect that any declaration means, where the generator yields only some.
+        asked: True for what is sought only where a campaign names it.
         exclusive: True if the effects of this kind at one place are alternatives, the most likely first. A declaration
             means the first that fits; of any other kind it means all of them together.
         columns: Columns beside the joints that a declared effect depends on, for the simulator to draw.
@@ -126,7 +129,10 @@ class Kind:
     testable: Callable[[Observed], Iterator[Effect]]
     of_head: Literal["", "camera", "sonar"] = ""
     key: Literal["with", "by", "at"] | None = None
+    bys: tuple[str, ...] = ()
     of_order: Callable[[Declaration, float], Iterator[Effect]] | None = None
+    of_declaration: Callable[[Observed, Declaration], Iterator[Effect]] | None = None
+    asked: bool = False
     exclusive: bool = False
     columns: Callable[[Declaration], tuple[str, ...]] = lambda _: ()
     curve: tuple[str, ...] = ()

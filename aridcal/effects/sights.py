@@ -1,4 +1,4 @@
-r"""Covariates of instruments: how long a wire is and how it hangs, where on a plate the target touches.
+r"""Covariates of places: where the target is, how long a wire is and how it hangs, where on a plate the target touches.
 
 As loads are (:mod:`aridcal.effects.loads`), they are computed once, from the nominal arm and from where targets and things are
 at the geometric stage, never from the coefficients: a millimetre in a metre changes an error of a millimetre by a micrometre.
@@ -17,6 +17,8 @@ from aridcal.robot.kinematics import along_plane, tip_frames
 
 LENGTH, SAG = ".wire_length", ".wire_sag"
 PLACE = (".plate_1", ".plate_2")
+TARGET = ("target.place_x", "target.place_y", "target.place_z")
+"""The target's own place in the base frame, the arm nominal, [m]."""
 
 
 @dataclass(frozen=True)
@@ -35,8 +37,8 @@ class Sights:
 
 
 def is_sight(name: str) -> bool:
-    """True for a covariate that is computed from where instruments are, ``rail.wire_length`` for instance."""
-    return name.endswith((LENGTH, SAG, *PLACE))
+    """True for a covariate that is computed from where something is, ``rail.wire_length`` for instance."""
+    return name in TARGET or name.endswith((LENGTH, SAG, *PLACE))
 
 
 def sights_from(
@@ -81,7 +83,7 @@ def target_places(robot: Robot, readings: np.ndarray, on_tip: np.ndarray) -> np.
 def sight_table(
     robot: Robot, readings: np.ndarray, sights: Sights, gravity: np.ndarray, tip: np.ndarray
 ) -> dict[str, np.ndarray]:
-    r"""Covariates of all wires and plates.
+    r"""Covariates of the target's place, and of all wires and plates.
 
     A wire of weight w per length under the tension T is longer than the straight line of length L and elevation
     :math:`\epsilon` by
@@ -99,13 +101,11 @@ def sight_table(
         tip: Number of each row's frame on the tip, shape (N,).
 
     Returns:
-        ``ANCHOR.wire_length`` L [m] and ``ANCHOR.wire_sag``, :math:`L^3 \cos^2\epsilon` [m^3]; ``PLANE.plate_1`` and ``_2``,
-        the target's place along the plane from its middle [m]; shape (N,) each.
+        ``target.place_x`` to ``_z`` [m], ``ANCHOR.wire_length`` L [m] and ``ANCHOR.wire_sag``, :math:`L^3 \cos^2\epsilon`
+        [m^3]; ``PLANE.plate_1`` and ``_2``, the target's place along the plane from its middle [m]; shape (N,) each.
     """
-    if not (sights.anchors or sights.plates):
-        return {}
     place = target_places(robot, readings, sights.targets[tip])
-    table = {}
+    table = dict(zip(TARGET, place.T, strict=True))
     for name, anchor in sights.anchors.items():
         wire = place - anchor
         square = np.sum(wire**2, axis=1)

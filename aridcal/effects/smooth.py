@@ -6,6 +6,10 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
+from scipy.linalg import block_diag
+from scipy.spatial.distance import cdist
+
+from aridcal.effects.basis import wendland
 
 SPREAD = 1e-11  # smallest variance of a smooth function's modes, as a share of the largest
 
@@ -21,6 +25,40 @@ class Kernel:
 
     length: float
     kinks: bool = True
+
+
+@dataclass(frozen=True)
+class Nodes:
+    """A smooth function in space as a sum of functions about nodes, whose radius says how far it is alike.
+
+    Attributes:
+        places: Of the nodes, (x, y, z) each, in radii.
+    """
+
+    places: tuple[tuple[float, float, float], ...]
+
+
+Part = tuple[int, ...] | Nodes
+"""Samples of one function: knots along each of its covariates, or nodes in space."""
+
+Shape = tuple[Part, ...]
+"""Those of several functions, one after the other, independent beforehand but alike in size and length."""
+
+
+def samples_root(shape: Shape, kernel: Kernel) -> np.ndarray:
+    """Square root B of the prior covariance B B' of samples, shape (samples, samples).
+
+    Args:
+        shape: What they are samples of.
+        kernel: What is believed of functions on knots; nodes hold it in their radius.
+    """
+    roots = [_nodes_root(part) if isinstance(part, Nodes) else kernel_root(part, kernel) for part in shape]
+    return roots[0] if len(roots) == 1 else np.asarray(block_diag(*roots))
+
+
+def kernels_that_matter(shape: Shape, kernels: tuple[Kernel, ...]) -> tuple[Kernel, ...]:
+    """Of some kernels those that make a difference to samples: one where all of them are at nodes."""
+    return kernels[:1] if all(isinstance(part, Nodes) for part in shape) else kernels
 
 
 @cache
@@ -53,9 +91,9 @@ def kernel_root(shape: tuple[int, ...], kernel: Kernel) -> np.ndarray:
 
 
 @cache
-def kernel_modes(shape: tuple[int, ...], kernel: Kernel) -> tuple[np.ndarray, np.ndarray]:
+def kernel_modes(shape: Shape, kernel: Kernel) -> tuple[np.ndarray, np.ndarray]:
     """Independent shapes of a smooth function's samples beforehand, in columns (knots, knots), and the deviation of each."""
-    modes, sizes, _ = np.linalg.svd(kernel_root(shape, kernel), full_matrices=False)
+    modes, sizes, _ = np.linalg.svd(samples_root(shape, kernel), full_matrices=False)
     return modes, sizes
 
 
@@ -65,13 +103,26 @@ def _matern(distance: np.ndarray) -> np.ndarray:
     return np.asarray((1.0 + a + 0.4 * a**2 + a**3 / 15.0) * np.exp(-a))
 
 
-def smooth_precision(shape: tuple[int, ...], tau: float, kernel: Kernel) -> np.ndarray:
-    """Inverse of the prior covariance of a smooth function's coefficients, (B B')^-1 / tau^2.
+@cache
+def _nodes_root(nodes: Nodes) -> np.ndarray:
+    r"""Square root of the prior covariance of the weights w of functions about nodes.
+
+    With the kernel k between two places, :math:`f(p) = \sum_j k(p, u_j) w_j` is the Gaussian process of that kernel, given its
+    values at the nodes, if :math:`w \sim N(0, K^{-1})`, K the kernel between the nodes (J. Quinonero-Candela, C. E. Rasmussen,
+    JMLR 6, 2005, section 3: subset of regressors).
+    """
+    places = np.array(nodes.places)
+    variances, modes = np.linalg.eigh(wendland(cdist(places, places)))
+    return np.asarray(modes / np.sqrt(np.maximum(variances, SPREAD * variances[-1])))
+
+
+def smooth_precision(shape: Shape, tau: float, kernel: Kernel) -> np.ndarray:
+    """Inverse of the prior covariance of smooth functions' coefficients, (B B')^-1 / tau^2.
 
     Args:
-        shape: Knots along each covariate.
-        tau: Prior deviation of a coefficient, [m] or [rad].
+        shape: What they are samples of.
+        tau: Prior deviation of a coefficient, of a function at nodes that of the function, [m] or [rad].
         kernel: What is believed beside that.
     """
-    root = np.linalg.inv(kernel_root(shape, kernel))
+    root = np.linalg.inv(samples_root(shape, kernel))
     return np.asarray(root.T @ root) / tau**2

@@ -19,18 +19,16 @@ from pydantic import (
 )
 
 from aridcal.effects.catalogue import KINDS, is_of_head
-from aridcal.errors import CampaignError, has_controls, nearest
+from aridcal.errors import CampaignError, nearest
 from aridcal.inputs.instrument_settings import InstrumentSettings
 from aridcal.inputs.measurement_settings import (
-    LENGTHS,
-    SMALL_ANGLES,
     MeasurementSettings,
     Names,
     listed,
     one_of,
-    with_unit,
 )
-from aridcal.inputs.yaml_file import LARGEST, Number, RelativePath, Section, Settings, Vector3, load_settings
+from aridcal.inputs.purposes import About, DesignSettings, Region, ToleranceSettings, position_alone
+from aridcal.inputs.yaml_file import LARGEST, RelativePath, Section, Settings, Vector3, load_settings
 from aridcal.instruments.catalogue import KINDS as MEASURED
 from aridcal.instruments.catalogue import labelled
 from aridcal.reading.names import check_path
@@ -40,7 +38,13 @@ REFERRING = tuple(kind for kind in MEASURED if labelled(kind))
 
 
 def _all_kinds(candidates: Any) -> Any:
-    return tuple(KINDS) if candidates == "all" else listed(candidates)
+    """Names of kinds; `all` for those that need not be asked for."""
+    every = [name for name, kind in KINDS.items() if not kind.asked]
+    named = listed(candidates)
+    if named is None:
+        return None
+    found = [name for word in named for name in (every if word == "all" else [word])]
+    return tuple(name for k, name in enumerate(found) if name not in found[:k])
 
 
 # Name of a row of the table of kinds.
@@ -139,8 +143,8 @@ class EffectDeclaration(Section):
     where: str
     with_: str | None = Field(default=None, alias="with")
     """The other joint of a `joint_coupling`."""
-    by: Literal["direction", "load"] | None = None
-    """What a `joint_backlash` switches with."""
+    by: str | None = None
+    """What a `joint_backlash` switches with; over what a `regional` effect varies: a joint, a column or `place`."""
     order: Annotated[tuple[Annotated[float, Field(gt=0, le=1e6)], ...], BeforeValidator(listed)] | None = None
     """Periods in one turn of the joint."""
     motion: Names | None = None
@@ -150,11 +154,15 @@ class EffectDeclaration(Section):
 
     @model_validator(mode="after")
     def _fits_the_kind(self) -> EffectDeclaration:
-        key = KINDS[self.kind].key
+        key, words = KINDS[self.kind].key, KINDS[self.kind].bys
         if (self.with_ is not None) != (key == "with"):
             raise ValueError(f"`with: JOINT` belongs to a {_kinds_with('with')}, which needs it; write it there alone")
         if self.by is not None and key != "by":
             raise ValueError(f"`by` belongs to a {_kinds_with('by')} only; delete it")
+        if self.by is not None and words and self.by not in words:
+            raise ValueError(f"by: {self.by!r} should be {' or '.join(words)}")
+        if key == "by" and not words and self.by is None:
+            raise ValueError(f"a {self.kind} effect needs `by`: a joint, a column, or `place` for the target's own")
         if self.at is not None and key != "at":
             raise ValueError(f"`at` belongs to a {_kinds_with('at')} only; delete it")
         return self
@@ -165,111 +173,8 @@ class DiagnosisSettings(Section):
 
     enabled: bool = True
     candidates: Annotated[tuple[EffectKind, ...], BeforeValidator(_all_kinds)] = Field(
-        default_factory=lambda: tuple(KINDS)
+        default_factory=lambda: _all_kinds("all")
     )
-
-
-class Box(Section):
-    """A box in the robot's base frame, [m]."""
-
-    min: Vector3
-    max: Vector3
-
-    @model_validator(mode="after")
-    def _has_an_inside(self) -> Box:
-        if not all(low < high for low, high in zip(self.min, self.max, strict=True)):
-            raise ValueError("each number of `min` should be below that of `max`")
-        return self
-
-
-class DesignSettings(Section):
-    """What planned configurations must respect beside the joints' limits."""
-
-    keep_out: tuple[Box, ...] = ()
-    """Boxes that neither the arm nor its target may enter."""
-
-
-TURNING = frozenset("\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069\u200e\u200f\u061c")
-"""Characters that change the direction of writing: a serial number would be read backwards."""
-
-
-def _worded(most: int) -> BeforeValidator:
-    """Text on one line: blanks are one blank; no characters that steer, and no more than so many."""
-
-    def check(value: Any) -> str:
-        if not isinstance(value, str):
-            raise ValueError(
-                "should be text: put it in quotes, since YAML reads it otherwise (00123 as 83, no as false)"
-            )
-        text = " ".join(value.split())
-        if not text:
-            raise ValueError("is empty; write what it says or delete the key")
-        if has_controls(text) or not TURNING.isdisjoint(text):
-            raise ValueError("holds a control character; delete it")
-        if len(text) > most:
-            raise ValueError(f"has {len(text):,} characters, and the certificate has room for {most}: shorten it")
-        return text
-
-    return BeforeValidator(check)
-
-
-Line = Annotated[str, _worded(120)]
-
-Paragraph = Annotated[str, _worded(500)]
-
-
-class About(Section):
-    """What the certificate says of a calibration beside its figures; all as the user states it."""
-
-    robot: Line | None = None
-    """Maker and type; default: the URDF's name."""
-    serial_number: Line | None = None
-    instrument: Line | None = None
-    instrument_serial: Line | None = None
-    who: Line | None = None
-    """Who measured."""
-    organisation: Line | None = None
-    date: Line | None = None
-    """Of the measurement; default: that of the files."""
-    environment: Paragraph | None = None
-    """Temperature, humidity, time of warming up."""
-    method: Paragraph | None = None
-    notes: Paragraph | None = None
-    certificate_number: Line | None = None
-
-
-class Region(Section):
-    """Where the target is to be known: configurations, or places of the target; and of which point on it."""
-
-    file: RelativePath | None = None
-    """Rows of joints, or of x y z, as `aridcal design --region` reads them."""
-    joints: dict[str, tuple[Number, Number]] = Field(default_factory=dict)
-    """Lowest and highest reading, in the units of the measurements; of joints that are not named what was seen."""
-    tool: Vector3 = (0.0, 0.0, 0.0)
-    """A point that moves with the target, in its axes, [m]."""
-
-    @model_validator(mode="after")
-    def _is_one(self) -> Region:
-        if self.file is not None and self.joints:
-            raise ValueError("`file` and `joints` both say where; delete one of them")
-        for name, (low, high) in self.joints.items():
-            if not low < high:
-                raise ValueError(f"joints.{name}: the first number should be below the second")
-        return self
-
-
-def _position_alone(value: Any) -> Any:
-    """Let a length stand for the tolerance of the position."""
-    return value if isinstance(value, dict) else {"position": value}
-
-
-class ToleranceSettings(Section):
-    """How far the target may be off in 95 % of the region."""
-
-    position: Annotated[float, BeforeValidator(lambda text: with_unit(text, LENGTHS, "0.2mm"))]
-    """[m]"""
-    rotation: Annotated[float, BeforeValidator(lambda text: with_unit(text, SMALL_ANGLES, "0.5mrad"))] | None = None
-    """[rad]"""
 
 
 class Job(Settings):
@@ -366,7 +271,7 @@ class Campaign(Job):
     about: About | None = None
     """For the certificate, which is written where this is there."""
     region: Region = Region()
-    tolerance: Annotated[ToleranceSettings, BeforeValidator(_position_alone)] | None = None
+    tolerance: Annotated[ToleranceSettings, BeforeValidator(position_alone)] | None = None
 
     _tables: tuple[str | Path | pd.DataFrame, ...] = PrivateAttr(default=())
 

@@ -12,6 +12,7 @@ import pinocchio as pin
 from aridcal.effects.basis import FORMS, Basis, Columns, Numbers
 from aridcal.effects.effect import direction
 from aridcal.effects.loads import Surroundings, bearing_components, is_load, needs
+from aridcal.effects.sights import TARGET
 from aridcal.errors import CovariateNotFound, nearest
 from aridcal.model.model import Model
 from aridcal.robot.chain import Robot
@@ -112,11 +113,14 @@ class OneRowModel:
         self._terms = self._all_terms(bases, theta, place)
 
         loads = [n for n in names if n not in robot.names and is_load(n)]
-        measured = [n for n in names if n not in robot.names and n not in loads]
+        places = [n for n in names if n in TARGET]
+        measured = [n for n in names if n not in robot.names and n not in (*loads, *places)]
         self._joints = [(place[n], robot.names.index(n)) for n in names if n in robot.names]
         self._measured = [(place[n], n) for n in measured]
         around = _surroundings_at(model, station)
         self._loads = _Loads(robot, around, [(place[n], n) for n in loads]) if loads else None
+        where = [(place[n], TARGET.index(n)) for n in places]
+        self._place = _Place(robot, _target_at(model, station), where) if places else None
         self._covariates = len(names)
         self.needs = needs(robot, (model.coefficients[k].basis for k in free), around)
 
@@ -178,6 +182,8 @@ class OneRowModel:
             raise CovariateNotFound(
                 f"the model depends on {name!r}, which was not given{nearest(name, covariates)}: add it"
             ) from None
+        if self._place:
+            self._place.fill(z, readings)
         moved = self.still.copy()
         for curve in self._curves:
             moved[curve.joint] += curve.value(float(z[curve.of]))
@@ -235,6 +241,12 @@ def _surroundings_at(model: Model, station: str | None) -> Surroundings:
     gravity = np.atleast_2d(model.around.gravity)
     labels = [label for label, _ in model.world_base]
     return replace(model.around, gravity=gravity[labels.index(station) if len(gravity) > 1 else 0])
+
+
+def _target_at(model: Model, station: str | None) -> np.ndarray:
+    """Place on the tip, shape (3,), from which it is told where the target is."""
+    labels = [label for label, _ in model.tip_target]
+    return np.asarray(model.around.sights.targets[labels.index(station) if len(labels) > 1 else 0])
 
 
 class _Driven(NamedTuple):
@@ -303,12 +315,7 @@ class _Loads:
     def fill(self, z: np.ndarray, readings: np.ndarray, covariates: Mapping[str, float]) -> None:
         """Write the loads into the covariates z."""
         q = self._q
-        for k, as_unit_vector, column, multiplier, offset in self._driven:
-            angle = multiplier * readings[column] + offset
-            if as_unit_vector:
-                q[k], q[k + 1] = np.cos(angle), np.sin(angle)
-            else:
-                q[k] = angle
+        _put(q, self._driven, readings)
         data = self._data
         if self._along or self._across:
             if self._bare is not None:
@@ -327,6 +334,47 @@ class _Loads:
             turn = np.cross(last.act(self._lever), push)
             for place, k in self._payload:
                 z[place] = data.J[:3, k] @ push + data.J[3:, k] @ turn
+
+
+class _Place:
+    """Where the target is, the arm nominal: :func:`aridcal.effects.sights.target_places` for one row, as of loads.
+
+    Args:
+        robot: The nominal chain.
+        target: Place on the tip, shape (3,), [m].
+        wanted: For each coordinate that is asked for: where it goes among the covariates, and its number.
+    """
+
+    def __init__(self, robot: Robot, target: np.ndarray, wanted: list[tuple[int, int]]) -> None:
+        self._wanted = wanted
+        self._tree = tree = robot.tree.copy()
+        self._data = tree.createData()
+        self._q = pin.neutral(tree)
+        base = tree.getFrameId(robot.base, pin.FrameType.BODY)
+        pin.framesForwardKinematics(tree, self._data, self._q)
+        self._base_root = self._data.oMf[base].inverse()
+        upstream = set(tree.supports[tree.frames[base].parentJoint])
+        self._driven = list(_driven(robot, upstream))
+        self._last = tree.getJointId(robot.joints[-1].name)
+        self._target = (robot.tip_before * robot.tip_origin).act(target)
+
+    def fill(self, z: np.ndarray, readings: np.ndarray) -> None:
+        """Write the coordinates into the covariates z."""
+        _put(self._q, self._driven, readings)
+        pin.forwardKinematics(self._tree, self._data, self._q)
+        place = self._base_root.act(self._data.oMi[self._last].act(self._target))
+        for k, number in self._wanted:
+            z[k] = place[number]
+
+
+def _put(q: np.ndarray, driven: Iterable[_Driven], readings: np.ndarray) -> None:
+    """Set the tree's joints that readings drive."""
+    for k, as_unit_vector, column, multiplier, offset in driven:
+        angle = multiplier * readings[column] + offset
+        if as_unit_vector:
+            q[k], q[k + 1] = np.cos(angle), np.sin(angle)
+        else:
+            q[k] = angle
 
 
 def _driven(robot: Robot, upstream: set[int]) -> Iterator[_Driven]:

@@ -13,7 +13,8 @@ from aridcal.fit.constants import constants, frame_coefficients, station_labels
 from aridcal.fit.least_squares import UNKNOWN_NOISE
 from aridcal.fit.stages import placement
 from aridcal.inputs.approach import with_directions
-from aridcal.inputs.campaign import Box, Campaign
+from aridcal.inputs.campaign import Campaign
+from aridcal.inputs.purposes import Box
 from aridcal.inputs.dataset import ROLES, Dataset, dataset
 from aridcal.inputs.measurement_settings import OF_TARGETS
 from aridcal.inputs.read import load_measurements

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from aridcal.inputs.campaign import Box
+from aridcal.inputs.purposes import Box
 from aridcal.robot.chain import Robot
 from aridcal.robot.collisions import Bodies, touches
 from aridcal.robot.kinematics import joint_frames

@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation
 from aridcal.effects.catalogue import KINDS, is_of_head
 from aridcal.effects.effect import FRAME_COMPONENTS, Coefficient
 from aridcal.effects.loads import Surroundings
+from aridcal.effects.sights import Sights
 from aridcal.errors import CampaignError, MeasurementError, nearest
 from aridcal.head.render import Optics
 from aridcal.inputs.head_settings import HeadSettings, load_squares
@@ -261,7 +262,8 @@ def surroundings(scenario: Scenario, frames: Mapping[str, pin.SE3], loaded: bool
     gravity = scenario.robot.gravity
     R_world_base = frames["world_base"].rotation
     vector = R_world_base.T @ [0.0, 0.0, -9.81] if gravity == "world" else np.array(gravity)
-    return Surroundings(vector, frames["tip_target"].translation, loaded)
+    target = frames["tip_target"].translation
+    return Surroundings(vector, target, loaded, Sights(target[None]))
 
 
 def write_campaign(simulation: Simulation, folder: Path, home: Path, progress: Progress = SILENT) -> None:

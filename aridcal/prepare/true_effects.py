@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import zlib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
 import numpy as np
@@ -18,7 +18,7 @@ from aridcal.effects.effect import FRAME_COMPONENTS, ROW_ORDER, Coefficient, Eff
 from aridcal.effects.kinds import Observed
 from aridcal.effects.loads import LOADS, Surroundings, covariate_table, is_load
 from aridcal.effects.sights import sight_table
-from aridcal.effects.smooth import Kernel, kernel_root
+from aridcal.effects.smooth import Kernel, samples_root
 from aridcal.errors import CampaignError, nearest
 from aridcal.inputs.campaign import EffectDeclaration
 from aridcal.inputs.yaml_file import LARGEST, Number, Section
@@ -254,7 +254,7 @@ def make_causes(
         if e.form is None:
             effect = declared(rows, e, place)
         else:
-            names = e.covariates or (e.where,)
+            names = e.covariates or (e.by or e.where,)
             column = f"{e.form}({','.join(names)})"
             known[column], ranges = _function(e, names, table, place)
             effect = _functional(e, column, robot, place)
@@ -304,8 +304,8 @@ def values(e: TrueEffect, effect: Effect, rng: np.random.Generator, place: str) 
         drawn = rng.standard_normal(count)
         for component in effect.motion if effect.smooth else ():
             own = np.array([c.component == component for c in effect.coefficients])
-            knots = effect.grid or (int(own.sum()),)
-            drawn[own] = kernel_root(knots, DRAWN) @ drawn[own]
+            function = replace(effect, coefficients=tuple(np.array(effect.coefficients, dtype=object)[own]))
+            drawn[own] = samples_root(function.shape, DRAWN) @ drawn[own]
         return wanted[0].value + wanted[0].std * drawn
     if len(wanted) != count:
         names = ", ".join(c.name for c in effect.coefficients[:8]) + (", ..." if count > 8 else "")

@@ -10,10 +10,10 @@ from aridcal.drawing.words import shown_in
 from aridcal.report.effects_section import axis_unit, effects_in_the_model, other_candidates, p_in_words
 from aridcal.result.key_figures import clear_traces, corrected, significant, slowly_changing, strays
 from aridcal.result.outcome import Outcome
-from aridcal.search.gains import Diagnosis
 from aridcal.search.noise_tests import SURE
 from aridcal.search.residual_trends import Order, Trace
 from aridcal.showing import SILENT, Progress
+from aridcal.trust.gains import Diagnosis
 
 MOST_TRACES = 12
 

@@ -14,7 +14,7 @@ from aridcal.effects.basis import Basis
 from aridcal.effects.catalogue import KINDS
 from aridcal.result.folder import what_moved
 from aridcal.result.outcome import Outcome, errors
-from aridcal.search.gains import Curve, Diagnosis, NamedEffect
+from aridcal.trust.gains import Curve, Diagnosis, NamedEffect
 
 MOST_REJECTED = 15
 MOST_BARRED = 25

@@ -86,6 +86,8 @@ class LoadsPart(Section):
     payload_at: Vector3
     payload: bool = False
     """Older files have none: there it never counted."""
+    targets: tuple[Vector3, ...] = ()
+    """Places on the tip from which it is told where the targets are; none where nothing depends on that."""
 
 
 class BasisPart(Section):
@@ -152,6 +154,8 @@ class SolvedPart(Section):
         worlds = len(self.loads.gravity) if isinstance(self.loads.gravity[0], tuple) else 1
         if worlds not in (1, len(self.world_base)):
             raise ValueError(f"loads.gravity: {worlds} vectors for {len(self.world_base)} stations")
+        if len(self.loads.targets) not in (0, len(self.tip_target)):
+            raise ValueError(f"loads.targets: {len(self.loads.targets)} places for {len(self.tip_target)} frames")
         return self
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -23,10 +24,16 @@ from aridcal.result.key_figures import scored
 from aridcal.result.outcome import Outcome, leading
 from aridcal.robot.chain import Robot, parse_robot
 from aridcal.robot.dh import doty_yaml, kinematics_yaml, modified_dh, standard_dh, xyz_rpy
+from aridcal.trust.regions import Region, Regions, regions
 
 ROWS = 2000  # that an export is fitted to
 MAP_POINTS = 401  # of a joint's error curve, at least
 PER_WAVE = 24  # points in each wave of a harmonic: linear interpolation is then off by 1 % of it at most
+BY_REGION, INDEX = "URDF by region", "regions/index.yaml"
+WHERE_HOLDS = (
+    "A region's URDF holds where its `middle` is the nearest, each coordinate divided by its `scale` [m, rad]. All go with",
+    "the two frames of `URDF by region` in frames.yaml.",
+)
 FIRM = 1e12  # precision of a coefficient that is held, in units of the noise's own
 
 
@@ -63,6 +70,7 @@ class Handover:
         maps: For joints with an error curve of their own: readings and what to add to them, shape (points,) each.
         with_maps: The fit whose constants go with the maps; None where no joint has a curve.
         calibrated: The chain of ``calibrated.urdf``.
+        regions: Constants of each region, where some deviate from the one model; else None.
     """
 
     exports: tuple[Export, ...]
@@ -72,6 +80,7 @@ class Handover:
     maps: dict[str, tuple[np.ndarray, np.ndarray]]
     with_maps: Fit | None
     calibrated: Robot
+    regions: Regions | None = None
 
     def summary(self) -> str:
         """One line: ``nominal 1.73 mm, URDF alone 0.65, full model 0.16``."""
@@ -90,9 +99,9 @@ def hand_over(outcome: Outcome) -> Handover:
     first = leading(m)[0]
     part = columns(m.channels)[first]
 
-    def export(name: str, files: tuple[str, ...], found: Fit) -> Export:
+    def export(name: str, files: tuple[str, ...], found: Fit, own: Regions | None = None) -> Export:
         found = recentred(found)
-        left = problem(found.model, m).residual(found.theta)
+        left = problem(found.model, m).residual(found.theta) if own is None else own.residual(m)
         apart = (left - final.residual)[:, :3] if not m.blocks else _predicted(found, m) - outcome.at_target.places
         return Export(name, files, _rms(left[judged][:, part]), _rms(apart[judged]), found.model)
 
@@ -107,6 +116,10 @@ def hand_over(outcome: Outcome) -> Handover:
     if with_maps is not None:
         files = ("joint_maps.urdf", "joint_maps.csv")
         exports.append(export("+ joint maps", files, with_maps))
+    geometric, effects = outcome.stage("geometric").fit, [e.effect for e in outcome.effects]
+    own = regions(geometric, final.fit, m, ~m.test & ~outcome.outlier, effects)
+    if own is not None:
+        exports.append(export(BY_REGION, (INDEX,), geometric, own))
     exports.append(export("full model", ("calibration.yaml",), final.fit))
     found = dict(zip(offsets.model.names, offsets.theta, strict=True))
     robot = outcome.robot
@@ -118,6 +131,7 @@ def hand_over(outcome: Outcome) -> Handover:
         maps=_curves(outcome, with_maps) if with_maps is not None else {},
         with_maps=with_maps,
         calibrated=parse_robot(stage_urdf(outcome.stage("geometric").fit), robot.tip, robot.base, robot.path),
+        regions=own,
     )
 
 
@@ -143,6 +157,13 @@ def write_controllers(outcome: Outcome, handover: Handover, folder: Path) -> Non
     frames = {e.name: _frames(e.model) for e in handover.exports}
     note = "# Where the base stands in the world and the target on the tip, for each export [m, rad].\n"
     (folder / "frames.yaml").write_text(note + yaml.safe_dump(frames, sort_keys=False, width=200), encoding="utf-8")
+    if handover.regions is not None:
+        (folder / INDEX).parent.mkdir()
+        for region in handover.regions.every:
+            (folder / INDEX).with_name(f"{region.name}.urdf").write_bytes(stage_urdf(region.fit))
+        text = yaml.safe_dump(_index(outcome, handover.regions), sort_keys=False, width=200)
+        unit = f"`error`: RMS {handover.channel.noun} [{handover.channel.unit}] on a region's held-out rows, or on all."
+        write(INDEX, text, BY_REGION, *WHERE_HOLDS, unit)
     if handover.with_maps is not None:
         (folder / "joint_maps.urdf").write_bytes(stage_urdf(handover.with_maps))
         rows = [
@@ -150,6 +171,32 @@ def write_controllers(outcome: Outcome, handover: Handover, folder: Path) -> Non
             for name, (at, value) in handover.maps.items()
         ]
         pd.concat(rows).to_csv(folder / "joint_maps.csv", index=False, float_format="%.12g")
+
+
+def _index(outcome: Outcome, own: Regions) -> dict[str, Any]:
+    """Where each region's URDF holds, and what it leaves beside the one URDF and the full model."""
+    part = columns(outcome.channels)[leading(outcome.measurements)[0]]
+    left = {
+        "urdf_alone": outcome.stage("geometric").residual, "this_urdf": own.residual(outcome.measurements),
+        "full_model": outcome.stage("final").residual,
+    }  # fmt: skip
+    test = outcome.measurements.test & ~outcome.outlier
+
+    def entry(region: Region) -> dict[str, Any]:
+        held_out = region.rows & test
+        judged = held_out if held_out.any() else region.rows & ~outcome.outlier
+        errors = {name: _rms(residual[judged][:, part]) for name, residual in left.items() if judged.any()}
+        return {
+            "urdf": f"{region.name}.urdf",
+            "middle": dict(zip(own.by, region.middle.tolist(), strict=True)),
+            "low": dict(zip(own.by, region.low.tolist(), strict=True)),
+            "high": dict(zip(own.by, region.high.tolist(), strict=True)),
+            "rows": {"all": int(region.rows.sum()), "held_out": int(held_out.sum())},
+            "error": errors,
+        }
+
+    scale = dict(zip(own.by, own.scale.tolist(), strict=True))
+    return {"format": 1, "scale": scale, "regions": {region.name: entry(region) for region in own.every}}
 
 
 def _statement(handover: Handover, name: str) -> list[str]:

@@ -25,11 +25,11 @@ from aridcal.instruments.channels import columns
 from aridcal.result.measuring_head import MeasuringHead
 from aridcal.result.outcome import Outcome, Stage, Verification, errors
 from aridcal.result.saving import calibration
-from aridcal.search.gains import NamedEffect
 from aridcal.search.noise_causes import NoiseCauses
 from aridcal.showing import SILENT, Progress
 from aridcal.trust.as_document import document
 from aridcal.trust.certainty import as_document
+from aridcal.trust.gains import NamedEffect
 from aridcal.trust.iso9283 import document as iso_document
 
 AT_ONCE = 20_000

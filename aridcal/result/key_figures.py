@@ -12,9 +12,9 @@ from aridcal.instruments.catalogue import KINDS
 from aridcal.instruments.channels import TARGET_POSITION, Channels, norms, spread
 from aridcal.result.folder import parameters
 from aridcal.result.outcome import Outcome, Stage, leading, said, statistics
-from aridcal.search.gains import NamedEffect
 from aridcal.search.noise_tests import SURE
 from aridcal.search.residual_trends import Order, Trace
+from aridcal.trust.gains import NamedEffect
 from aridcal.trust.halves import Halves
 from aridcal.trust.uncertainty import accuracy
 

@@ -17,11 +17,11 @@ from aridcal.result.instruments import ThingValue, thing_values
 from aridcal.result.measuring_head import MeasuringHead
 from aridcal.result.verdict import Verdict
 from aridcal.robot.chain import Robot
-from aridcal.search.gains import Diagnosis, NamedEffect
 from aridcal.search.noise_causes import NoiseCauses
 from aridcal.search.residual_trends import Traces
 from aridcal.trust.at_target import AtTarget, at_target
 from aridcal.trust.certainty import Certainty
+from aridcal.trust.gains import Diagnosis, NamedEffect
 from aridcal.trust.iso9283 import Iso9283, iso_9283
 from aridcal.trust.second_look import SecondLook
 from aridcal.trust.uncertainty import Precision

@@ -29,13 +29,13 @@ from aridcal.result.verdict import Verdict, decide, row_clues
 from aridcal.robot.chain import Robot, load_robot
 from aridcal.search.arm import CalibratedArm, calibrated_arm, fit_constants
 from aridcal.search.diagnose import SEARCHED, Diagnosed
-from aridcal.search.gains import explain
 from aridcal.search.noise_causes import structured_notices
 from aridcal.search.noise_tests import Clue, clues
 from aridcal.search.residual_trends import trace
-from aridcal.search.scoring import CONFOUNDED
+from aridcal.search.stated import CONFOUNDED, NO_BETTER
 from aridcal.showing import SILENT, Progress
 from aridcal.trust.certainty import certainty
+from aridcal.trust.gains import explain
 from aridcal.trust.region import region
 from aridcal.trust.second_look import second_look
 from aridcal.trust.uncertainty import FAR, outliers, precision, realigned, with_noise_seen
@@ -165,7 +165,7 @@ def _outcome(
             *([ONE_BODY.format(round(1 / rows.share))] if rows.share < 1 else []),
             *structured_notices(arm.causes),
             *_derived_notices(rows, diagnosed),
-            *(f"{b.what} is left out: {b.why}" for b in diagnosed.barred if b.why == CONFOUNDED),
+            *(f"{b.what} is left out: {b.why}" for b in diagnosed.barred if b.why in (CONFOUNDED, NO_BETTER)),
             *declared_notices(rows, final.estimated, final.freedom),
             *unused_links(robot, campaign.parameters.set),
             *(str(n) for n in rows.notices),

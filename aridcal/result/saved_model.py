@@ -17,6 +17,7 @@ from aridcal import __version__
 from aridcal.effects.basis import Basis
 from aridcal.effects.effect import Coefficient
 from aridcal.effects.loads import Surroundings
+from aridcal.effects.sights import TARGET, Sights
 from aridcal.errors import AridcalError, CampaignError, nearest, shortened
 from aridcal.inputs.campaign import Campaign
 from aridcal.inputs.measurement_settings import MeasurementSettings
@@ -292,6 +293,7 @@ def _solved_document(solved: SolvedModel) -> dict[str, Any]:
             "gravity": model.around.gravity.tolist(),
             "payload_at": model.around.lever.tolist(),
             "payload": model.around.loaded,
+            **({"targets": model.around.sights.targets.tolist()} if _by_place(model) else {}),
         },
         "coefficients": [
             {
@@ -307,6 +309,11 @@ def _solved_document(solved: SolvedModel) -> dict[str, Any]:
         ],
         "covariance": {"layout": LAYOUT, "data": packed(solved.covariance)},
     }
+
+
+def _by_place(model: Model) -> bool:
+    """True if a coefficient depends on where the target is."""
+    return any(name in TARGET for c in model.coefficients for name in c.basis.of)
 
 
 def _restored(document: CalibrationDocument, record: dict[str, Any]) -> SavedModel:
@@ -326,7 +333,9 @@ def _restored(document: CalibrationDocument, record: dict[str, Any]) -> SavedMod
             Coefficient(e.where, e.component, Basis(e.basis.form, e.basis.of, e.basis.numbers), e.station)
             for e in entries
         )
-        around = Surroundings(np.array(part.loads.gravity), np.array(part.loads.payload_at), part.loads.payload)
+        loads = part.loads
+        sights = Sights(np.array(loads.targets)) if loads.targets else Sights()
+        around = Surroundings(np.array(loads.gravity), np.array(loads.payload_at), loads.payload, sights)
         model = Model(robot, coefficients, _frames(part.world_base), _frames(part.tip_target), around)
         theta = np.array([e.value for e in entries], dtype=float)
         found = SolvedModel(model, theta, unpacked(part.covariance.data, len(entries)))

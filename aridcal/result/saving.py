@@ -8,6 +8,7 @@ import numpy as np
 import pinocchio as pin
 
 from aridcal import __version__
+from aridcal.effects.sights import Sights
 from aridcal.fit.least_squares import LEAST_FREEDOM, Fit
 from aridcal.fit.noise import contradicted
 from aridcal.fit.thing_starts import TIP
@@ -176,5 +177,10 @@ def _solved(fit: Fit, target: _Target) -> SolvedModel:
     if len(target.labels) == 1:
         frames = ((None, frames[0][1]),)
         others = [replace(c, station=None) if c.where == "tip_target" else c for c in others]
-    arm = replace(model, coefficients=tuple(others), tip_target=frames, instruments=Instruments(), states={})
+    labels = [label for label, _ in model.tip_target]
+    kept = [0] if target.tip else [labels.index(label) for label in target.labels or labels]
+    around = replace(model.around, sights=Sights(model.around.sights.targets[kept]))
+    arm = replace(
+        model, coefficients=tuple(others), tip_target=frames, instruments=Instruments(), states={}, around=around
+    )
     return SolvedModel(arm, fit.theta[keep], fit.covariance[np.ix_(keep, keep)])

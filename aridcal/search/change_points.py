@@ -22,7 +22,8 @@ from scipy.special import gammaincc
 
 from aridcal.effects.effect import Effect
 from aridcal.search.evidence import DEPENDENT, solve
-from aridcal.search.linear_model import Active, LinearModel, State, by_row, with_candidate
+from aridcal.search.linear_model import Active, LinearModel
+from aridcal.search.state import State, by_row, with_candidate
 
 SIDE = 6
 """Rows at the least on either side of a step: fewer are outliers, not a new state."""

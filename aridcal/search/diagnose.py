@@ -32,8 +32,9 @@ from aridcal.search.exact import (
     worth,
 )
 from aridcal.search.hints import pairs
-from aridcal.search.linear_model import Active, LinearModel, State, activate, solve_state
-from aridcal.search.scoring import with_declared
+from aridcal.search.linear_model import Active, LinearModel
+from aridcal.search.state import State, activate, solve_state
+from aridcal.search.stated import with_declared, with_fields
 from aridcal.search.stepwise import Found, confirmed, is_small, missed, rank, search, twins
 from aridcal.showing import SILENT, Progress
 
@@ -165,7 +166,6 @@ def _diagnosed(
     sought = [d.at is None for d in campaign.effects]
     state, lost = with_declared(place.linear, stated, sought, start.geometric)
     barred += lost
-    stated = [a.effect for a in state.active]
     small = is_small(place.linear, named)
     if small:
         place, state = _large_first(start, place, named, library, state, observed)
@@ -175,7 +175,8 @@ def _diagnosed(
         state = solve_state(place.linear, every_one, state.solution.sigma, state.used)
         state = confirmed(place.linear, state, len(named) + len(unnamed), progress)
     place, current, found, fitted = _searched(start, place, named, library, state, observed, progress, fresh)
-    state = found.state
+    state, lost = with_fields(place.linear, stated, found.state)
+    found, barred = replace(found, state=state), barred + lost
     if unnamed:
         progress(f"testing {len(unnamed)} functions of unknown cause, then pairs")
         more = _unnamed(place.linear, unnamed, found, observed, fresh, progress)
@@ -193,6 +194,7 @@ def _diagnosed(
         progress(f"fitting all {len(train)} rows")
         current = _widened(replace(every, limit=limits(train)), found.state, current)
     confounded = twins(place.linear, named, found.state, progress)
+    stated = [a.effect for a in found.state.active if a.stated]
     return Diagnosed(current, place.at, place.linear, observed, found, confounded, tuple(stated), tuple(barred))
 
 

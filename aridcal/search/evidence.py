@@ -13,13 +13,12 @@ Williams 2006, section 5.4), less a price for those two. See docs/how-the-search
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import gammaincc
 
-from aridcal.effects.smooth import Kernel, kernel_root
+from aridcal.effects.smooth import Kernel, Shape, kernels_that_matter, samples_root
 from aridcal.fit.flags import FLOOR
 from aridcal.fit.normal_equations import RIDGE, TINY, NormalEquations, inverse, projected
 from aridcal.fit.normal_equations import solve as solve_equations
@@ -138,7 +137,7 @@ def with_noise(
 
 
 def score(
-    M: np.ndarray, s: np.ndarray, raw: np.ndarray, left: float, count: float, shape: tuple[int, ...] | None = None
+    M: np.ndarray, s: np.ndarray, raw: np.ndarray, left: float, count: float, shape: Shape | None = None
 ) -> Score:
     """Evidence for d columns.
 
@@ -148,18 +147,18 @@ def score(
         raw: Their squared lengths before projection, shape (d,).
         left: The residual's sum of squares, in units of sigma.
         count: Numbers measured.
-        shape: Of the grid, for samples of a smooth function; else None.
+        shape: For samples of smooth functions: of what; else None.
     """
     return _smooth(M, s, raw, shape, ROUGH, left, count) if shape else _plain(M, s, raw, left, count)
 
 
-def shaped(total: NormalEquations, precision: np.ndarray, shape: tuple[int, ...], sigma: np.ndarray) -> Score:
+def shaped(total: NormalEquations, precision: np.ndarray, shape: Shape, sigma: np.ndarray) -> Score:
     """The shape that suits a smooth function best, for a given noise.
 
     Args:
         total: Equations of the model's coefficients and, after them, of the samples of the function.
         precision: Prior of the model's own coefficients.
-        shape: Of the function's grid.
+        shape: What those are samples of.
         sigma: Noise of each channel, shape (C,).
     """
     K = len(precision)
@@ -198,8 +197,8 @@ def _smooth(
     M: np.ndarray,
     s: np.ndarray,
     raw: np.ndarray,
-    shape: tuple[int, ...],
-    kernels: Sequence[Kernel],
+    shape: Shape,
+    kernels: tuple[Kernel, ...],
     left: float = np.inf,
     count: float = 0.0,
 ) -> Score:
@@ -212,8 +211,8 @@ def _smooth(
     with the first sum, what is explained, profiled as for plain columns where the noise is not known.
     """
     best = Score(-np.inf, 1.0, 0)
-    for kernel in kernels:
-        root = kernel_root(shape, kernel)
+    for kernel in kernels_that_matter(shape, kernels):
+        root = samples_root(shape, kernel)
         spectrum, vectors = np.linalg.eigh(root.T @ M @ root)
         values = np.maximum(spectrum, 0.0)
         if values[-1] <= 0.0:

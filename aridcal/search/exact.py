@@ -20,7 +20,8 @@ from aridcal.fit.residual import taking_off, triangle
 from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.split import held_together
 from aridcal.model.model import Model
-from aridcal.search.linear_model import Active, LinearModel, State
+from aridcal.search.linear_model import Active, LinearModel
+from aridcal.search.state import State
 from aridcal.showing import SILENT, Progress
 
 FOLDS = 5

@@ -13,7 +13,8 @@ from aridcal.effects.joint_kinds import ORDERS
 from aridcal.effects.kinds import turns
 from aridcal.fit.flags import OUTLIER, distance
 from aridcal.fit.normal_equations import TINY
-from aridcal.search.linear_model import LinearModel, State
+from aridcal.search.linear_model import LinearModel
+from aridcal.search.state import State
 from aridcal.showing import SILENT, Progress
 
 SCANNED = 800

@@ -14,12 +14,12 @@ from scipy.linalg import block_diag
 from scipy.stats import f as f_distribution
 from scipy.stats import wilcoxon
 
-from aridcal.effects.catalogue import Barred
+from aridcal.effects.catalogue import KINDS
 from aridcal.effects.effect import Effect
+from aridcal.effects.regional_kind import is_field, spread_out
 from aridcal.effects.sights import is_sight
-from aridcal.fit.least_squares import Fit
 from aridcal.fit.normal_equations import NormalEquations, accumulate, last_log_determinant, nested_solutions, spent_with
-from aridcal.search.change_points import best_steps, walk_instead
+from aridcal.search.change_points import walk_instead
 from aridcal.search.evidence import (
     SMOOTH_PRICE,
     Score,
@@ -32,8 +32,9 @@ from aridcal.search.evidence import (
     tail,
     with_noise,
 )
-from aridcal.search.linear_model import Active, LinearModel, State, activate, solve_state, with_candidate, with_columns
+from aridcal.search.linear_model import Active, LinearModel
 from aridcal.search.products import Flat, grouped, placed
+from aridcal.search.state import State, activate, with_candidate, with_columns
 from aridcal.showing import SILENT, Progress
 
 ALPHA = 3e-4
@@ -52,11 +53,11 @@ opinion, so the usual 5 %."""
 PARTS = 5
 """Parts into which stretches of time are put to hold them back, as many as folds."""
 
+REGIONS = 10
+"""Regions that are held back whole, one after the other: nine tenths of the rows stay to fit with."""
+
 SHAPINGS = 4
 """Times that shape and noise of a smooth function are found in turn, at the most."""
-
-CONFOUNDED = "it is confounded with what is fitted without it: no row tells them apart"
-"""Why a declared effect was left out."""
 
 SHAPED = 0.02
 """Change of the logarithm of the noise that ends this, and below which what it leaves free of a prior is not found anew."""
@@ -162,32 +163,6 @@ def _reshaped(model: LinearModel, state: State, effect: Effect, rough: Score) ->
     return replace(found, gain=0.5 * twice - SMOOTH_PRICE, p_value=smooth_tail(twice))
 
 
-def admitted(model: LinearModel, state: State, effect: Effect) -> Active:
-    """An effect that the campaign states, taken without trial, with the shape that suits the data if it is smooth."""
-    rough = score_all(model, [effect], state)[0]
-    return replace(activate(model, state, effect, refine(model, state, effect, rough)), stated=True)
-
-
-def with_declared(
-    linear: LinearModel, stated: Sequence[Effect], sought: Sequence[bool], geometric: Fit
-) -> tuple[State, list[Barred]]:
-    """The model with the declared effects, which need no evidence; a step for which no row was said is sought.
-
-    Those of which the rows tell nothing beside the constants, and the effects declared before, are left out and named.
-    """
-    lost = []
-    state = solve_state(linear, (), geometric.sigma, ~geometric.outliers)
-    for effect, anywhere in zip(stated, sought, strict=True):
-        if anywhere and effect.at is not None:
-            effect = next(iter(best_steps(linear, state, [effect])), effect)
-        if score_all(linear, [effect], state)[0].freedom == 0:
-            lost.append(Barred(f"{effect.label}, which is declared,", CONFOUNDED))
-            continue
-        active = (*state.active, admitted(linear, state, effect))
-        state = solve_state(linear, active, state.solution.sigma, state.used)
-    return state, lost
-
-
 def judge(model: LinearModel, state: State, effect: Effect, found: Score, tested: int) -> Judgement:
     """Accept a candidate, or say why not.
 
@@ -221,8 +196,10 @@ def judge(model: LinearModel, state: State, effect: Effect, found: Score, tested
         whole = held_back(model, state, candidate, model.thing[state.used]).sum(axis=(1, 2))
         if whole[1] > whole[0]:
             return judgement(share, "does not hold at places that were held back whole")
+    if held_out_whole(model, state, candidate) <= 0.0:
+        return judgement(share, "does not hold in regions that were held back whole")
     configuration = np.unique(model.configuration[state.used], return_inverse=True)[1]
-    if effect.smooth and not effect.hinted:
+    if effect.smooth and not effect.hinted and not is_field(effect):
         robust, least = _ranked(np.array([np.bincount(configuration, each) for each in loss])), DOUBT
     else:
         moved = _fitted(model, state, candidate) if effect.smooth else model.columns(effect)
@@ -238,6 +215,22 @@ def judge(model: LinearModel, state: State, effect: Effect, found: Score, tested
         if robust > DOUBT:
             return judgement(share, f"looks like a slow change, not like a step (p = {robust:.2g})")
     return judgement(share, "")
+
+
+def held_out_whole(model: LinearModel, state: State, candidate: Active) -> float:
+    """Share of the squared error that a constant by region takes off regions held back whole; 1 of all else.
+
+    A constant along a rail is said to hold between the rows that were measured, and must show that; a field in space says
+    nothing but where its rows are.
+    """
+    effect = candidate.effect
+    if not KINDS[effect.kind].asked or is_field(effect):
+        return 1.0
+    places = np.column_stack([model.table[name][state.used] for name in effect.covariates])
+    middles, _ = spread_out(places, REGIONS)
+    part = np.argmin(np.linalg.norm(places[:, None] - middles, axis=2), axis=1)
+    without, with_it = held_back(model, state, candidate, part).sum(axis=(1, 2))
+    return float(1.0 - with_it / without)
 
 
 def _at_several(model: LinearModel, effect: Effect) -> bool:

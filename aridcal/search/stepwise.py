@@ -12,8 +12,9 @@ from aridcal.effects.effect import Effect
 from aridcal.search.change_points import best_steps
 from aridcal.search.evidence import Score
 from aridcal.search.hints import hinted
-from aridcal.search.linear_model import LinearModel, State, activate, solve_state
+from aridcal.search.linear_model import LinearModel
 from aridcal.search.scoring import ALPHA, Judgement, held_back_squares, judge, refine, score_all
+from aridcal.search.state import State, activate, solve_state
 from aridcal.showing import SILENT, Progress
 
 CLOSE = 3.0

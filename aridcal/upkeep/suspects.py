@@ -29,7 +29,7 @@ RATIOS = tuple((10.0 ** np.arange(-1.5, 1.51, 0.5)).tolist())
 NEVER = ("ones", "step")
 """Forms that are no effect of the robot as it is now: constants, and what happened once."""
 
-SMOOTH = ("bump", "bump2")
+SMOOTH = ("bump", "bump2", "ball")
 """Forms whose coefficients are samples of a smooth function."""
 
 

@@ -73,7 +73,7 @@ def check_home(path: Path) -> None:
 
 
 @contextmanager
-def claimed(path: Path, kind: Kind, names: Collection[str] = ()) -> Iterator[None]:
+def claimed(path: Path, kind: Kind, names: Collection[str] = (), folders: Collection[str] = ()) -> Iterator[None]:
     """Take an output for this process until the block ends, before any work is done for it.
 
     What killed runs have left beside it is settled and cleared away.
@@ -82,6 +82,7 @@ def claimed(path: Path, kind: Kind, names: Collection[str] = ()) -> Iterator[Non
         path: What is to be written; its parents are made, and go again if they stay empty.
         kind: What it is to be.
         names: Files that will be written into a folder.
+        folders: Folders that will be.
 
     Raises:
         OutputError: it cannot be written, or another process is writing it, whose number is named.
@@ -101,7 +102,7 @@ def claimed(path: Path, kind: Kind, names: Collection[str] = ()) -> Iterator[Non
                     clear_up(home_of(target), lock)
                     clear_up(target, lock)
             if kind == "folder":
-                check_names(target, names)
+                check_names(target, names, folders)
         yield
 
 

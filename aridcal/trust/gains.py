@@ -11,6 +11,7 @@ import numpy as np
 from aridcal.effects.basis import evaluate
 from aridcal.effects.catalogue import Barred, merged
 from aridcal.effects.effect import ANGULAR, ROW_ORDER, Coefficient, Effect
+from aridcal.effects.regional_kind import is_field
 from aridcal.fit.least_squares import Fit
 from aridcal.fit.normal_equations import TINY, without
 from aridcal.fit.problem import Problem, problem
@@ -18,9 +19,9 @@ from aridcal.fit.residual import things_again
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.channels import Channels, columns
 from aridcal.search.diagnose import Diagnosed
-from aridcal.search.linear_model import solve_state
 from aridcal.search.noise_tests import Clue
 from aridcal.search.scoring import PARTS, held_back
+from aridcal.search.state import solve_state
 
 GRID = 160
 """Points of a curve, at least: it is drawn without corners."""
@@ -240,7 +241,9 @@ def _rms(r: np.ndarray, channels: Channels) -> float:
 def _curves(effect: Effect, diagnosed: Diagnosed) -> list[Curve]:
     """The effect's motions, each over the covariate it depends on first."""
     identified = set(diagnosed.fit.model.names)
-    made = []
+    made: list[Curve] = []
+    if is_field(effect):  # no line through it says what it is
+        return made
     for component in effect.motion:
         of_covariates = [c for c in effect.coefficients if c.basis.form != "ones"]
         own = [c for c in of_covariates if c.component == component and c.name in identified]

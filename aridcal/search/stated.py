@@ -1,0 +1,84 @@
+"""Effects that the campaign states: taken without trial, but for those that say themselves how large they are, if at all."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from aridcal.effects.catalogue import KINDS, Barred
+from aridcal.effects.effect import Effect
+from aridcal.effects.regional_kind import widths
+from aridcal.fit.least_squares import Fit
+from aridcal.search.change_points import best_steps
+from aridcal.search.linear_model import Active, LinearModel
+from aridcal.search.scoring import held_back, held_out_whole, refine, score_all
+from aridcal.search.state import State, activate, solve_state
+
+CONFOUNDED = "it is confounded with what is fitted without it: no row tells them apart"
+"""Why a declared effect was left out."""
+
+NO_BETTER = "rows held back are predicted no better with it: the one model of the whole workspace stays"
+"""Why a declared deviation from that model was left out."""
+
+
+def with_declared(
+    linear: LinearModel, stated: Sequence[Effect], sought: Sequence[bool], geometric: Fit
+) -> tuple[State, list[Barred]]:
+    """The model with the declared effects, which need no evidence; a step for which no row was said is sought.
+
+    Those of which the rows tell nothing beside the constants, and the effects declared before, are left out and named; so are
+    constants by region with which rows held back are predicted no better. Fields without a cause wait for :func:`with_fields`.
+    """
+    lost: list[Barred] = []
+    state = solve_state(linear, (), geometric.sigma, ~geometric.outliers)
+    waiting: list[Effect] = []
+    for effect, anywhere in zip(stated, sought, strict=True):
+        if KINDS[effect.kind].asked:
+            waiting += [effect] if KINDS[effect.kind].named else []
+            continue
+        if anywhere and effect.at is not None:
+            effect = next(iter(best_steps(linear, state, [effect])), effect)
+        if score_all(linear, [effect], state)[0].freedom == 0:
+            lost.append(_left_out(effect, CONFOUNDED))
+            continue
+        active = (*state.active, _admitted(linear, state, effect))
+        state = solve_state(linear, active, state.solution.sigma, state.used)
+    state, left_out = _with_regions(linear, waiting, state)
+    return state, [*lost, *left_out]
+
+
+def with_fields(linear: LinearModel, stated: Sequence[Effect], state: State) -> tuple[State, list[Barred]]:
+    """The model with the declared fields of shifts that are worth it in what all else leaves: they could hide any cause."""
+    return _with_regions(linear, [e for e in stated if not KINDS[e.kind].named and KINDS[e.kind].asked], state)
+
+
+def _with_regions(linear: LinearModel, waiting: Sequence[Effect], state: State) -> tuple[State, list[Barred]]:
+    """Deviations by region that are worth it, the best first: what one of them hides is seen once that is in the model."""
+    left = list(waiting)
+    while left:
+        tried = [(effect, _admitted(linear, state, each)) for effect in left for each in widths(effect)]
+        worth = [(effect, a) for effect, a in tried if _predicts_better(linear, state, a)]
+        if not worth:
+            break
+        effect, best = max(worth, key=lambda pair: pair[1].score.gain)
+        left.remove(effect)
+        state = solve_state(linear, (*state.active, best), state.solution.sigma, state.used)
+    return state, [_left_out(effect, NO_BETTER) for effect in left]
+
+
+def _predicts_better(linear: LinearModel, state: State, candidate: Active) -> bool:
+    """True if there is evidence, and rows held back are predicted better, in regions held back whole where it speaks of them."""
+    if candidate.score.gain <= 0.0 or candidate.score.freedom == 0:
+        return False
+    without, with_it = held_back(linear, state, candidate, state.fold).sum(axis=(1, 2))
+    return bool(with_it < without) and held_out_whole(linear, state, candidate) > 0.0
+
+
+def _admitted(model: LinearModel, state: State, effect: Effect) -> Active:
+    """An effect that the campaign states, with the shape that suits the data if it is smooth."""
+    rough = score_all(model, [effect], state)[0]
+    return replace(activate(model, state, effect, refine(model, state, effect, rough)), stated=True)
+
+
+def _left_out(effect: Effect, why: str) -> Barred:
+    return Barred(f"{effect.label}, which is declared,", why)

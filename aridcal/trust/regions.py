@@ -1,0 +1,183 @@
+"""Regions of the workspace, each with the constants that serve it best: what a controller that takes a URDF can be given there.
+
+Doty (1992), section 8: the arm is calibrated at each square, and what holds at one need not hold at the next. Constants of a
+region are fitted to the whole model's own predictions there, so that they carry no noise of their own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from aridcal.effects.catalogue import KINDS
+from aridcal.effects.effect import FRAME_COMPONENTS, Coefficient, Effect
+from aridcal.effects.regional_kind import IN_SPACE, spread_out
+from aridcal.effects.sights import TARGET, target_places
+from aridcal.fit.least_squares import Fit, fit, thin
+from aridcal.fit.normal_equations import Prior
+from aridcal.fit.problem import problem
+from aridcal.fit.stages import recentred
+from aridcal.inputs.dataset import Dataset, dataset
+from aridcal.instruments.channels import TARGET_POSITION, TARGET_ROTATION
+
+MOST_REGIONS = 28
+"""One for each square of the report's strip."""
+
+ROWS_OF_A_REGION = 6
+"""Fitted rows for each region: fewer regions than squares where there are few rows at each."""
+
+ROWS_AROUND = 40
+"""Postures to which a region's constants are fitted: three numbers each, at the least, for the twenty or thirty of an arm."""
+
+DEVIATION = 5e-3
+"""[m] and [rad]: what a constant of one region differs by from the one model is less. It decides only what these rows do not."""
+
+
+USUAL = 1e-4
+"""[m] and [rad]: what a place and a turn are weighed by where the instruments measure something else, pixels, say."""
+
+
+@dataclass(frozen=True)
+class Region:
+    """A part of the workspace and its constants.
+
+    Attributes:
+        name: ``region_01`` and so on.
+        middle: Value of each covariate that tells regions apart, shape (d,).
+        low: Their lowest values at the fitted rows of the region, shape (d,).
+        high: Their highest.
+        rows: Rows of it, fitted and held out, shape (N,) bool.
+        fit: Its constants, with the frames of the one URDF.
+    """
+
+    name: str
+    middle: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    rows: np.ndarray
+    fit: Fit = field(repr=False)
+
+
+@dataclass(frozen=True)
+class Regions:
+    """All regions of a calibration.
+
+    Attributes:
+        by: Covariates that tell them apart: the region is the one whose middle is nearest, each in units of ``scale``.
+        scale: Of each covariate, shape (d,).
+        every: The regions.
+    """
+
+    by: tuple[str, ...]
+    scale: np.ndarray
+    every: tuple[Region, ...]
+
+    def residual(self, rows: Dataset) -> np.ndarray:
+        """What each row's own region leaves of it, shape (N, m); the rows are those that the regions were made of."""
+        left = np.zeros((len(rows), sum(channel.size for channel in rows.channels)))
+        for region in self.every:
+            if region.rows.any():
+                asked = problem(region.fit.model, rows.select(region.rows))
+                left[region.rows] = asked.residual(region.fit.theta)
+        return left
+
+
+def regions(geometric: Fit, final: Fit, rows: Dataset, fitted: np.ndarray, effects: Sequence[Effect]) -> Regions | None:
+    """Regions of what deviates from the one model; None if nothing does.
+
+    Args:
+        geometric: Frames and constants: the best URDF for all rows.
+        final: The whole model.
+        rows: All N rows.
+        fitted: Those that the models were fitted to, shape (N,) bool.
+        effects: In the final model.
+    """
+    varying = [e for e in effects if KINDS[e.kind].asked]
+    if not varying:
+        return None
+    by, places = _told_apart(final, rows, varying)
+    scale = np.maximum(np.ptp(places[fitted], axis=0), 1e-9) if by != TARGET else np.ones(3)
+    different = np.unique(np.round(places[fitted] / scale, 6), axis=0)
+    count = int(np.clip(len(different) // ROWS_OF_A_REGION, 1, MOST_REGIONS))
+    middles = _middles(different, count)
+    nearest = np.argmin(np.linalg.norm(places[:, None] / scale - middles, axis=2), axis=1)
+    start = recentred(geometric)
+    every = []
+    for number, middle in enumerate(middles):
+        own = nearest == number
+        inside = places[own & fitted] if np.any(own & fitted) else scale * middle[None]
+        low, high = inside.min(axis=0), inside.max(axis=0)
+        if by == TARGET:
+            far = np.where(fitted, np.linalg.norm(places / scale - middle, axis=1), np.inf)
+            wanted = max(ROWS_AROUND, int((own & fitted).sum()))
+            around = rows.select(np.sort(np.argsort(far, kind="stable")[: min(wanted, int(fitted.sum()))]))
+        else:
+            around = _moved(final, rows.select(fitted), by, low, high)
+        found = _constants(start, final, around)
+        every.append(Region(f"region_{number + 1:02d}", scale * middle, low, high, own, found))
+    return Regions(by, scale, tuple(every))
+
+
+def _told_apart(final: Fit, rows: Dataset, effects: Sequence[Effect]) -> tuple[tuple[str, ...], np.ndarray]:
+    """Covariates by which regions are told apart, and their values, shape (N, d): the place, if anything depends on that."""
+    model = final.model
+    if any(e.by == IN_SPACE for e in effects):
+        at = model.rows(rows.readings, rows.conditions, rows.station, rows.target)
+        return TARGET, target_places(model.robot, rows.readings, model.around.sights.targets[at.tip])
+    by = tuple(dict.fromkeys(str(e.by) for e in effects))
+    known = dict(zip(model.robot.names, model.robot.positions(rows.readings).T, strict=True)) | rows.conditions
+    return by, np.column_stack([known[name] for name in by])
+
+
+def _middles(different: np.ndarray, count: int) -> np.ndarray:
+    """Middles of so many regions of different places, shape (count, d), in the order of the coordinate that they spread along."""
+    seeds, _ = spread_out(different, count)
+    part = np.argmin(np.linalg.norm(different[:, None] - seeds, axis=2), axis=1)
+    middles = np.array([different[part == k].mean(axis=0) for k in range(len(seeds))])
+    along = int(np.argmax(np.ptp(middles, axis=0)))
+    return np.asarray(middles[np.argsort(middles[:, along], kind="stable")])
+
+
+def _moved(final: Fit, rows: Dataset, by: tuple[str, ...], low: np.ndarray, high: np.ndarray) -> Dataset:
+    """Postures of all regions as the arm would take them in one: readings and columns that tell them apart between two values."""
+    some = rows.select(
+        thin(final.model.rows(rows.readings, rows.conditions, rows.station, rows.target), 2 * ROWS_AROUND)
+    )
+    share = np.random.default_rng(0).uniform(size=(len(some), len(by)))
+    readings, covariates = some.readings.copy(), dict(some.covariates)
+    for name, values in zip(by, (low + share * (high - low)).T, strict=True):
+        joint = next((j for j in final.model.robot.joints if j.name == name), None)
+        if joint is None:
+            covariates[name] = values
+        else:
+            readings[:, rows.names.index(joint.reading)] = (values - joint.offset) / joint.multiplier
+    return replace(some, readings=readings, covariates=covariates)
+
+
+def _constants(start: Fit, final: Fit, around: Dataset) -> Fit:
+    """Constants of the chain that come nearest to the whole model at some rows, with the frames of the one URDF.
+
+    Where the base seems to stand elsewhere in a region, the first joint's origin takes that up: frames are the user's own.
+    """
+    at = final.model.rows(around.readings, around.conditions, around.station, around.target)
+    R, p = final.model.poses(final.theta, at)
+    robot = start.model.robot
+    seen = {channel.name: float(sigma) for channel, sigma in zip(around.channels, final.sigma, strict=True)}
+    sigma = [seen.get(channel.name, USUAL) for channel in (TARGET_POSITION, TARGET_ROTATION)]
+    turns = R if around.sees_turns else None
+    wanted = dataset(
+        robot.readings, robot.kinds, around.readings, p, turns, sigma=sigma[: 1 if turns is None else 2],
+        station=around.station, covariates=around.covariates,
+    )  # fmt: skip
+    wanted = replace(wanted, target=around.target)
+    known = dict(zip(start.model.coefficients, start.theta.tolist(), strict=True))
+    frames = ("world_base", "tip_target")
+    first = [Coefficient(robot.joints[0].name, component) for component in FRAME_COMPONENTS]
+    own = [c for c in known if c.basis.constant and c.where not in frames]
+    coefficients = tuple(dict.fromkeys([*own, *first]))
+    theta = np.array([known.get(c, 0.0) for c in coefficients])
+    prior = Prior(theta, np.eye(len(theta)) / DEVIATION**2)
+    asked = problem(start.model.with_coefficients(coefficients), wanted)
+    return fit(asked, theta, np.ones(len(wanted)), prior)
