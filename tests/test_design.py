@@ -21,6 +21,7 @@ from aridcal.planning.candidates import draw_candidates, targets_of
 from aridcal.planning.clearance import crosses
 from aridcal.planning.design import Asked, Plan, as_table, design, observability, question
 from aridcal.planning.exchange import Choice, best_choice, exchanged, greedy, nested, rms_sigma, worst_sigma
+from aridcal.planning.region import region, region_readings
 from aridcal.planning.travel import length, short_order, times
 from aridcal.robot.chain import load_robot
 from aridcal.robot.kinematics import joint_frames
@@ -187,7 +188,7 @@ def test_predicted_sigma_is_the_scatter_of_calibrations(tmp_path: Path) -> None:
     known, robot = known_of(made), load_robot(made.robot.urdf, made.robot.tip)
     plan = design(known, Asked(30))
     rng = np.random.default_rng(5)
-    places = planning._places(known, Asked(30), np.random.default_rng(8))[:80]
+    places = region_readings(known, None, np.random.default_rng(8))[:80]
     _, exact = targets_of(known, places, np.zeros(80, dtype=int))
     R, p = targets_of(known, plan.readings, np.zeros(30, dtype=int))
     off = []
@@ -279,8 +280,8 @@ def test_the_region_decides_where_the_target_is_known(tmp_path: Path) -> None:
     pd.DataFrame(cell, columns=list(robot.readings)).to_csv(joints, index=False)
     _, p = targets_of(known, cell, np.zeros(40, dtype=int))
     pd.DataFrame(p, columns=["x", "y", "z"]).to_csv(places, index=False)
-    np.testing.assert_allclose(planning.region(known, joints, rng), cell)
-    again = planning.region(known, places, rng)
+    np.testing.assert_allclose(region(known, joints, rng), cell)
+    again = region(known, places, rng)
     np.testing.assert_allclose(targets_of(known, again, np.zeros(40, dtype=int))[1], p, atol=1e-6)
     of_cell = design(known, Asked(10, region=joints))
     candidates = draw_candidates(known, 300, 10, np.random.default_rng(0))
@@ -326,7 +327,7 @@ def test_new_rows_add_to_those_measured(begun: Campaign) -> None:
     fit = fit_constants(begun, robot, rows, ()).geometric
     drawing = np.random.default_rng(np.random.SeedSequence(0).spawn(3)[0])
     draw_candidates(known, 300, 16, drawing)
-    places = planning._places(known, Asked(8), drawing)
+    places = region_readings(known, None, drawing)
     _, _, J = fit.model.jacobian(fit.theta, fit.model.rows(places))
     own = np.einsum("nik,kl,nil->n", J[:, :3], fit.covariance, J[:, :3])
     assert plan.sigma[0].rms == pytest.approx(np.sqrt(own.mean()), rel=1e-3)

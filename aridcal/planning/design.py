@@ -12,26 +12,15 @@ from pydantic import ValidationError
 
 from aridcal.effects.catalogue import KINDS, declared
 from aridcal.effects.effect import Coefficient
-from aridcal.errors import CampaignError, MeasurementError, nearest
+from aridcal.errors import CampaignError, nearest
 from aridcal.inputs.campaign import EffectDeclaration
 from aridcal.inputs.measurement_settings import MeasurementSettings
-from aridcal.inputs.quantities import POSITION, column_of
-from aridcal.inputs.query import load_query
-from aridcal.inputs.tables import read_tables
-from aridcal.model.reaching import draw_readings
+from aridcal.inputs.quantities import column_of
 from aridcal.planning.beforehand import Beforehand
-from aridcal.planning.candidates import (
-    LOOSE,
-    Candidates,
-    Told,
-    allowed,
-    draw_candidates,
-    offers,
-    reaching,
-    target_columns,
-    told,
-)
+from aridcal.planning.candidates import Candidates, draw_candidates, offers
 from aridcal.planning.exchange import FEW, Choice, Criterion, best_choice, nested, rms_sigma, worst_sigma
+from aridcal.planning.region import region_readings
+from aridcal.planning.telling import LOOSE, Told, target_columns, told
 from aridcal.planning.travel import short_order
 from aridcal.robot.chain import Robot
 from aridcal.search.diagnose import look
@@ -44,14 +33,11 @@ by a per cent."""
 EASY = ("pose", "position", "distance")
 """Kinds that can be measured in any configuration."""
 
-PLACES = 300
-"""Of the region: their mean is then known to a few per cent, and every choice is compared on the same ones."""
-
 RANDOM = 100
 """Random choices that the best one is set beside."""
 
 KNOWN = 0.1
-"""Share of :data:`aridcal.planning.candidates.LOOSE` beyond which a sigma is that of what is assumed, not measured."""
+"""Share of :data:`aridcal.planning.telling.LOOSE` beyond which a sigma is that of what is assumed, not measured."""
 
 
 @dataclass(frozen=True)
@@ -172,7 +158,7 @@ def question(known: Beforehand, asked: Asked, candidates: Candidates, rng: np.ra
                 f"--apart {','.join(asked.apart)}: no configuration tells {name} from the other one and from the constants: the "
                 "data of this kind cannot"
             )
-    target = target_columns(known, of, _places(known, asked, rng), 0, parts)
+    target = target_columns(known, of, region_readings(known, asked.region, rng), 0, parts)
     choice = Choice(of.candidates, of.known, target, np.ones(len(target)), of.things, asked.criterion)
     return choice, of
 
@@ -273,46 +259,6 @@ def _declared(
     """Coefficients of an effect, as candidates could show them."""
     observed, _ = look(known.model, candidates.rows(known))
     return declared(observed, declaration, place).coefficients
-
-
-def _places(known: Beforehand, asked: Asked, rng: np.random.Generator) -> np.ndarray:
-    """Readings of the region, shape (R, columns)."""
-    if asked.region is not None:
-        return region(known, asked.region, rng)
-    readings = draw_readings(known.robot, PLACES, rng)
-    inside = readings[allowed(known, readings, np.zeros(len(readings), dtype=int))]
-    return inside if len(inside) else readings
-
-
-def region(known: Beforehand, path: Path, rng: np.random.Generator) -> np.ndarray:
-    """Readings of a table of joints, or of readings that bring the target to a table's places, shape (R, columns).
-
-    Raises:
-        MeasurementError: the table has neither, or a row of it cannot be used.
-    """
-    robot, settings = known.robot, known.campaign.measurements
-    limit = known.campaign.limits.table
-    names = set(read_tables([path], limit=limit).names)
-    joints = [settings.columns.get(name, name) for name in robot.readings]
-    places = [column_of(name, settings, robot.readings) for name in POSITION]
-    if not (set(joints) <= names or set(places) <= names):
-        raise MeasurementError(
-            f"{path}: should have the columns of all joints ({', '.join(joints)}) or of the target's places ({', '.join(places)})"
-        )
-    by_joints = set(joints) <= names
-    plain = settings.model_copy(update={"kind": "position"})
-    query = load_query(path, robot.readings, robot.limits, robot.kinds, plain, poses=not by_joints, limit=limit)
-    if query.refused:
-        raise MeasurementError(f"{query.refused[0]}; mend the row, or delete it")
-    if by_joints:
-        return query.readings
-    position = query.position
-    assert position is not None
-
-    def miss(R: np.ndarray, p: np.ndarray, rows: np.ndarray) -> np.ndarray:
-        return p - position[rows]
-
-    return reaching(known, 0, miss, len(position), rng, f"take places out of {path} that it cannot reach")
 
 
 def as_table(plan: Plan, robot: Robot, settings: MeasurementSettings) -> pd.DataFrame:
