@@ -19,7 +19,8 @@ from aridcal.planning import design as planning
 from aridcal.planning.beforehand import Beforehand, beforehand
 from aridcal.planning.candidates import draw_candidates, targets_of
 from aridcal.planning.clearance import crosses
-from aridcal.planning.design import Asked, Plan, as_table, design, observability, question
+from aridcal.planning.coverage import observability
+from aridcal.planning.design import Asked, Plan, as_table, design, question
 from aridcal.planning.exchange import Choice, best_choice, exchanged, greedy, nested, rms_sigma, worst_sigma
 from aridcal.planning.region import region, region_readings
 from aridcal.planning.travel import length, short_order, times
@@ -221,7 +222,7 @@ def test_a_plan_is_within_five_per_cent_of_the_best_of_many_exchanges(
     (tmp_path / "points.csv").write_text("point,x,y,z,std\na,0.7,0.2,0.3,0.05\nb,0.5,-0.5,0.5,0.05\n")
     known, rng = known_of(campaign(tmp_path, block, more)), np.random.default_rng(0)
     candidates = draw_candidates(known, 200, n, rng)
-    choice, _ = question(known, Asked(n), candidates, rng)
+    choice, _ = question(known, Asked(n), candidates, region_readings(known, None, rng))
     found = choice.cost(best_choice(choice, n, rng))
     others = [choice.cost(exchanged(choice, rng.permutation(len(candidates.readings))[:n].tolist())) for _ in range(15)]
     assert np.sqrt(found) <= 1.05 * np.sqrt(min(others))
@@ -285,8 +286,8 @@ def test_the_region_decides_where_the_target_is_known(tmp_path: Path) -> None:
     np.testing.assert_allclose(targets_of(known, again, np.zeros(40, dtype=int))[1], p, atol=1e-6)
     of_cell = design(known, Asked(10, region=joints))
     candidates = draw_candidates(known, 300, 10, np.random.default_rng(0))
-    choice, _ = question(known, Asked(10, region=joints), candidates, rng)
-    anywhere, _ = question(known, Asked(10), candidates, rng)
+    choice, _ = question(known, Asked(10), candidates, cell)
+    anywhere, _ = question(known, Asked(10), candidates, region_readings(known, None, rng))
     chosen = best_choice(anywhere, 10, rng)
     assert of_cell.at_n.rms < rms_sigma(choice, choice.information(chosen))
 
@@ -371,8 +372,8 @@ def test_configurations_tell_two_effects_apart(tmp_path: Path) -> None:
     pair = ("joint_3.joint_gain", "joint_3.joint_harmonic")
     known, rng = known_of(made), np.random.default_rng(0)
     candidates = draw_candidates(known, 300, 12, rng)
-    choice, _ = question(known, Asked(12, apart=pair), candidates, rng)
-    plain, _ = question(known, Asked(12), candidates, rng)
+    choice, _ = question(known, Asked(12, apart=pair), candidates, region_readings(known, None, rng))
+    plain, _ = question(known, Asked(12), candidates, region_readings(known, None, rng))
     apart, well = best_choice(choice, 12, rng), best_choice(plain, 12, rng)
     sigma = [rms_sigma(choice, choice.information(some)) for some in (apart, well)]
     assert sigma[0] < 0.9 * sigma[1]

@@ -54,6 +54,8 @@ class Beforehand:
         robot: The nominal chain.
         model: Everything that may be identified, K coefficients; things where they are known to be.
         theta: Their values, shape (K,).
+        prior: How large each is expected to be by itself, [rad] or [m] or what its basis makes of these, shape (K,); infinite
+            where nothing is expected.
         sigma: Noise of each channel, shape (C,).
         rows: Those fitted; none where nothing was measured yet.
         weight: Of each, shape (N,).
@@ -66,6 +68,7 @@ class Beforehand:
     robot: Robot
     model: Model
     theta: np.ndarray
+    prior: np.ndarray
     sigma: np.ndarray
     rows: Dataset
     weight: np.ndarray
@@ -73,10 +76,12 @@ class Beforehand:
     bodies: Bodies
     notices: tuple[str, ...]
 
-    def with_coefficients(self, more: tuple[Coefficient, ...]) -> Beforehand:
-        """The same with more that may be identified."""
+    def with_coefficients(self, more: tuple[Coefficient, ...], prior: np.ndarray | None = None) -> Beforehand:
+        """The same with more that may be identified, perhaps each with how large it is expected to be."""
         model = self.model.with_coefficients((*self.model.coefficients, *more))
-        return replace(self, model=model, theta=np.concatenate([self.theta, np.zeros(len(more))]))
+        expected = np.full(len(more), np.inf) if prior is None else prior
+        theta = np.concatenate([self.theta, np.zeros(len(more))])
+        return replace(self, model=model, theta=theta, prior=np.concatenate([self.prior, expected]))
 
 
 def beforehand(campaign: Campaign, robot: Robot, progress: Progress = SILENT) -> Beforehand:
@@ -138,6 +143,7 @@ def _measured(campaign: Campaign, robot: Robot, bodies: Bodies, progress: Progre
         robot=robot,
         model=model,
         theta=np.concatenate([fit.theta, np.zeros(len(others))]),
+        prior=np.full(len(fit.theta) + len(others), np.inf),
         sigma=fit.sigma,
         rows=rows.select(rows.train),
         weight=fit.weight,
@@ -181,7 +187,9 @@ def _from_nothing(campaign: Campaign, robot: Robot, bodies: Bodies) -> Beforehan
     channels = (TARGET_POSITION, TARGET_ROTATION) if poses else kind.channels
     stated = tuple(getattr(settings.noise, channel.name) for channel in channels)
     sigma = np.array([s or UNKNOWN_NOISE * SIZES[c.unit] for s, c in zip(stated, channels, strict=True)])
-    rows = replace(rows, channels=channels, sigma=tuple(sigma.tolist()))
+    directions = tuple(f"{name}_direction" for name in robot.readings)
+    middle_of_play = dict.fromkeys(directions, np.zeros(len(refers)))
+    rows = replace(rows, channels=channels, sigma=tuple(sigma.tolist()), covariates=middle_of_play, derived=directions)
     if settings.kind not in OF_TARGETS:
         made = _stated(instruments_of(known, [Rows(kind, refers)], robot.readings, False)[0], campaign)
         rows = replace(
@@ -207,6 +215,7 @@ def _from_nothing(campaign: Campaign, robot: Robot, bodies: Bodies) -> Beforehan
         robot=robot,
         model=model,
         theta=np.zeros(len(coefficients)),
+        prior=np.full(len(coefficients), np.inf),
         sigma=sigma,
         rows=rows.select(np.zeros(0, dtype=int)),
         weight=np.zeros(0),

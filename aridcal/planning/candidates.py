@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -44,19 +45,37 @@ class Candidates:
 
     Attributes:
         readings: Shape (C, columns), [rad] or [m].
+        sides: From which each joint comes to its reading, -1 or 1, shape (C, columns).
         offer: Number of what is measured in each, shape (C,).
         pattern: Pattern of each of their rows, N rows in all, shape (N,).
-        of: Candidate that each row belongs to, shape (N,).
+        of: Candidate that each row belongs to, in ascending order, shape (N,).
     """
 
     readings: np.ndarray
+    sides: np.ndarray
     offer: np.ndarray
     pattern: np.ndarray
     of: np.ndarray
 
+    def some(self, numbers: Sequence[int] | np.ndarray) -> Candidates:
+        """Some of them, one after the other; any of them more than once."""
+        n = np.asarray(numbers, dtype=int)
+        first, end = (np.searchsorted(self.of, n, side) for side in ("left", "right"))
+        rows = np.concatenate([np.arange(a, b) for a, b in zip(first.tolist(), end.tolist(), strict=True)])
+        of = np.repeat(np.arange(len(n)), end - first)
+        return Candidates(self.readings[n], self.sides[n], self.offer[n], self.pattern[rows], of)
+
+    @property
+    def first(self) -> np.ndarray:
+        """Pattern of each one's first row, shape (C,)."""
+        return np.asarray(self.pattern[np.searchsorted(self.of, np.arange(len(self.readings)))])
+
     def rows(self, known: Beforehand) -> Dataset:
         """Their rows as a data set; what they would read is of no account."""
-        return rows_like(known, self.readings[self.of], self.pattern)
+        made = rows_like(known, self.readings[self.of], self.pattern)
+        names = tuple(f"{name}_direction" for name in made.names)
+        covariates = made.covariates | dict(zip(names, self.sides[self.of].T, strict=True))
+        return replace(made, covariates=covariates, derived=names)
 
 
 def offers(known: Beforehand) -> Offers:
@@ -129,6 +148,7 @@ def draw_candidates(known: Beforehand, count: int, least: int, rng: np.random.Ge
     starts = np.cumsum([0, *(len(part.readings) for part in parts)])[:-1]
     return Candidates(
         readings=readings,
+        sides=rng.choice([-1.0, 1.0], readings.shape),
         offer=np.repeat(np.arange(len(parts)), [len(part.readings) for part in parts]),
         pattern=np.concatenate([part.pattern for part in parts]),
         of=np.concatenate([part.of + start for part, start in zip(parts, starts.tolist(), strict=True)]),
@@ -157,7 +177,8 @@ def _of_offer(known: Beforehand, own: np.ndarray, count: int, least: int, rng: n
         )
     count = min(count, many)
     of, column = np.nonzero(np.concatenate(shown)[:count])
-    return Candidates(np.concatenate(found)[:count], np.zeros(count, dtype=int), own[column], of)
+    readings = np.concatenate(found)[:count]
+    return Candidates(readings, np.ones_like(readings), np.zeros(count, dtype=int), own[column], of)
 
 
 def _drawn(known: Beforehand, pattern: int, count: int, rng: np.random.Generator) -> np.ndarray:

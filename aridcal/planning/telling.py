@@ -18,6 +18,9 @@ LOOSE = 0.1
 """[m] and [rad]: how well everything is known before it is measured. No robot is wrong by more, and what is measured is known a
 thousand times better; without it a few rows could not be compared at all."""
 
+KNOWN = 0.1
+"""Share of :data:`LOOSE` beyond which a sigma is that of what is assumed, not measured."""
+
 ROUNDING = 1e-10
 """Share of the largest singular value below which what several rows of one configuration tell together is nothing: thirty markers
 move as one body, by six numbers."""
@@ -61,17 +64,28 @@ def told(known: Beforehand, candidates: Candidates, n: int) -> Told:
         before.append(_whitened(agreed(fitted, known.theta), known) * weight)
     width = rows.shape[2]
     flat = np.concatenate([part.reshape(-1, width) for part in before])
-    stated = _stated(question, width)
+    stated = np.concatenate([_stated(question, width), _expected(known, width)])
     every = np.concatenate([flat, stated, rows.reshape(-1, width) * np.sqrt(n / len(candidates.readings))])
     count = width - len(known.theta)
     R = np.asarray(np.linalg.qr(every, mode="r"))
     sizes = np.concatenate([np.ones(count), known.model.sizes])
     kept = identifiable(R[count:, count:] * sizes[count:], range(len(known.theta))).kept
-    some = np.concatenate([np.arange(count), count + np.array(kept, dtype=int)])
+    some = _columns(count, kept)
     flat = np.concatenate([flat, stated])[:, some]
     measured = flat.T @ flat
     loose = np.diag(1.0 / (LOOSE * sizes[some]) ** 2)
     return Told(_together(rows[:, :, some], candidates), measured + loose, measured, count, kept, sizes[some])
+
+
+def rows_of(known: Beforehand, of: Told, candidates: Candidates) -> np.ndarray:
+    """What other candidates would tell of the same unknowns, in sigmas, shape (C, p, D)."""
+    rows = _whitened(problem(known.model, candidates.rows(known)), known)
+    return _together(rows[:, :, _columns(of.things, of.kept)], candidates)
+
+
+def _columns(things: int, kept: Sequence[int]) -> np.ndarray:
+    """Those of all unknowns that are asked about: the things' and the coefficients kept."""
+    return np.concatenate([np.arange(things), things + np.array(kept, dtype=int)])
 
 
 def _whitened(question: Problem, known: Beforehand) -> np.ndarray:
@@ -111,6 +125,14 @@ def _stated(question: Problem, width: int) -> np.ndarray:
     rows, place = np.zeros((len(beforehand.group), width)), _places(groups)
     for t, (g, by) in enumerate(zip(beforehand.group.tolist(), beforehand.by, strict=True)):
         rows[t, place[g, groups.unknown[g]]] = by[groups.unknown[g]]
+    return rows
+
+
+def _expected(known: Beforehand, width: int) -> np.ndarray:
+    """What is expected of coefficients by themselves, in sigmas, shape (E, D)."""
+    some = np.flatnonzero(np.isfinite(known.prior))
+    rows = np.zeros((len(some), width))
+    rows[np.arange(len(some)), width - len(known.prior) + some] = 1.0 / known.prior[some]
     return rows
 
 
