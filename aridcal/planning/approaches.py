@@ -8,7 +8,7 @@ import numpy as np
 
 from aridcal.inputs.repeats import SAME_ANGLE, SAME_LENGTH
 
-BACK = {"revolute": 0.05, "prismatic": 0.02}
+BACK_ANGLE, BACK_LENGTH = 0.05, 0.02
 """[rad] and [m] that a joint stays off before it comes to its reading: some tens of times the play of a worn gear or screw."""
 
 
@@ -68,7 +68,7 @@ def from_both_sides(
         rng: Decides where nothing else does.
     """
     natural = as_they_come(readings, kinds)
-    back = np.array([BACK[kind] for kind in kinds])
+    back = np.array([BACK_LENGTH if kind == "prismatic" else BACK_ANGLE for kind in kinds])
     sides = natural.copy()
     for j in np.flatnonzero(both).tolist():
         room = np.abs(readings[:, j, None] - limits[j]) > back[j]  # to go there from below, from above

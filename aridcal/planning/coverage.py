@@ -160,5 +160,5 @@ def observability(information: np.ndarray, solved_for: int, n: int) -> tuple[flo
 
 def _title(c: Coefficient) -> str:
     """What a suspect is called: where, and on what it depends."""
-    depends = " and ".join(name.removeprefix(f"{c.where}.").replace("_", " ") for name in c.basis.of if name != c.where)
-    return f"{c.where}: {depends or 'its own reading'}"
+    depends = (name.removeprefix(c.where).strip("._").replace("_", " ") for name in c.basis.of if name != c.where)
+    return f"{c.where}: {' and '.join(depends) or 'its own reading'}"

@@ -86,6 +86,14 @@ class Plan:
     coverage: Coverage
 
     @property
+    def titles(self) -> tuple[str, ...]:
+        """What each configuration measures, in words; empty where there is only one thing."""
+        parts = [
+            [f"{name} {label}" for label in values] for name, values in self.labels.items() if len(set(values)) > 1
+        ]
+        return tuple(", ".join(own) for own in zip(*parts, strict=True)) if parts else len(self.readings) * ("",)
+
+    @property
     def at_n(self) -> Sigma:
         """Of the plan itself."""
         return next(s for s in self.sigma if s.n == len(self.readings))

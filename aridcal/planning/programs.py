@@ -16,7 +16,7 @@ import numpy as np
 import yaml
 
 from aridcal import __version__
-from aridcal.errors import OutputError, listed, printable, shortened
+from aridcal.errors import OutputError, printable, shortened
 
 AXES = 6
 """Axes of an arm in KRL and RAPID, and as many external ones; joints of a UR."""
@@ -107,30 +107,43 @@ def moves(
     return Moves(title, names, kinds, tuple(stops), settle)
 
 
-def program(made: Moves, ending: str, stem: str) -> str:
-    """The text of a file.
+def check_program(ending: str, stem: str, kinds: tuple[str, ...]) -> None:
+    """Make sure that a program can be written, before any work is done for it.
 
     Args:
-        made: What it does.
         ending: Of the file's name, a key of :data:`LANGUAGES`.
         stem: Of the file's name.
+        kinds: Of the joints.
 
     Raises:
         OutputError: the language has no such arm, or no program of such a name.
     """
-    language, _, write = LANGUAGES[ending]
-    if ending != ".yaml" and not re.fullmatch(rf"[A-Za-z][A-Za-z0-9_]{{0,{LONGEST - 1}}}", stem):
+    language, most_outside, _ = LANGUAGES[ending]
+    if most_outside is None:
+        return
+    if not re.fullmatch(rf"[A-Za-z][A-Za-z0-9_]{{0,{LONGEST - 1}}}", stem):
         raise OutputError(
             f"{shortened(stem)}{ending}: a program in {language} has the name of its file, so that should be a letter, and then "
             f"letters, digits and _, {LONGEST} in all at the most; give it such a name"
         )
-    return "".join(f"{line}\n" for line in write(made, stem))
+    sliding = kinds.count("prismatic")
+    turning = len(kinds) - sliding
+    if turning != AXES or sliding > most_outside:
+        beside = f" and at most {most_outside} external ones that slide" if most_outside else ""
+        raise OutputError(
+            f"{stem}{ending}: {language} is for arms of {AXES} revolute joints{beside}; this one has "
+            f"{turning} revolute and {sliding} prismatic: write .csv or .yaml, and make moves of these in your "
+            "controller's own way"
+        )
+
+
+def program(made: Moves, ending: str, stem: str) -> str:
+    """The text of a file; see :func:`check_program`."""
+    return "".join(f"{line}\n" for line in LANGUAGES[ending][2](made, stem))
 
 
 def _urscript(made: Moves, stem: str) -> Iterator[str]:
     """Universal Robots: `movej` with a blend radius of 0 stops exactly."""
-    if made.kinds != AXES * ("revolute",):
-        raise _no_such_arm("URScript", f"{AXES} revolute joints", made)
     yield f"def {stem}():"
     yield from (f"  # {note}" for note in made.notes)
     for stop in made.stops:
@@ -145,7 +158,7 @@ def _urscript(made: Moves, stem: str) -> Iterator[str]:
 
 def _krl(made: Moves, stem: str) -> Iterator[str]:
     """KUKA: `PTP` to an axis position without approximation stops exactly, and no instruction is carried out ahead of `WAIT`."""
-    axes = _axes("KRL", made)
+    axes = _axes(made)
     yield f"DEF {stem}( )"
     yield from (f"  ; {note}" for note in made.notes)
     yield "  BAS(#INITMOV, 0)"
@@ -161,7 +174,7 @@ def _krl(made: Moves, stem: str) -> Iterator[str]:
 
 def _rapid(made: Moves, stem: str) -> Iterator[str]:
     """ABB: `MoveAbsJ` to a zone of `fine` stops exactly."""
-    axes = _axes("RAPID", made)
+    axes = _axes(made)
     yield f"MODULE {stem}"
     yield from (f"  ! {note}" for note in made.notes)
     yield f"  PROC {stem}_run()"
@@ -195,34 +208,20 @@ def _moveit(made: Moves, stem: str) -> Iterator[str]:
     yield yaml.safe_dump(document, sort_keys=False, default_flow_style=None, width=10_000, allow_unicode=True).rstrip()
 
 
-LANGUAGES: dict[str, tuple[str, str, Callable[[Moves, str], Iterator[str]]]] = {
-    ".script": ("URScript", "Universal Robots", _urscript),
-    ".src": ("KRL", "KUKA", _krl),
-    ".mod": ("RAPID", "ABB", _rapid),
-    ".yaml": ("YAML", "MoveIt", _moveit),
+LANGUAGES: dict[str, tuple[str, int | None, Callable[[Moves, str], Iterator[str]]]] = {
+    ".script": ("URScript", 0, _urscript),
+    ".src": ("KRL", AXES, _krl),
+    ".mod": ("RAPID", AXES, _rapid),
+    ".yaml": ("YAML", None, _moveit),
 }
-"""By the ending of a file's name: the language, who reads it, and what writes it."""
+"""By the ending of a file's name: the language, how many external axes it has beside an arm's six (None: any arm), and what
+writes it."""
 
 
-def _axes(language: str, made: Moves) -> list[str]:
-    """Axes of a controller for each joint: revolute ones are the arm's, prismatic ones are external.
-
-    Raises:
-        OutputError: it has not so many.
-    """
-    turning = made.kinds.count("revolute")
-    sliding = len(made.kinds) - turning
-    if turning != AXES or sliding > AXES:
-        raise _no_such_arm(language, f"{AXES} revolute joints and up to {AXES} prismatic external axes", made)
-    arm, outside = (iter(f"{letter}{k}" for k in range(1, AXES + 1)) for letter in ("A", "E"))
-    return [next(arm) if kind == "revolute" else next(outside) for kind in made.kinds]
-
-
-def _no_such_arm(language: str, has: str, made: Moves) -> OutputError:
-    return OutputError(
-        f"{language} is for arms of {has}; this one has {listed(made.kinds)} joints: write .csv or .yaml instead, and "
-        "make moves of these in your controller's own way"
-    )
+def _axes(made: Moves) -> list[str]:
+    """Axes of a controller for each joint: revolute ones are the arm's, prismatic ones are external."""
+    arm, outside = (iter([f"{letter}{k}" for k in range(1, AXES + 1)]) for letter in ("A", "E"))
+    return [next(outside) if kind == "prismatic" else next(arm) for kind in made.kinds]
 
 
 def _shown(made: Moves, stop: Stop) -> list[float]:

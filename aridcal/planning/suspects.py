@@ -8,14 +8,14 @@ from dataclasses import replace
 import numpy as np
 from pydantic import ValidationError
 
-from aridcal.effects.catalogue import KINDS, declared
+from aridcal.effects.catalogue import KINDS, candidates, declared
 from aridcal.effects.effect import Coefficient
 from aridcal.effects.kinds import Observed
 from aridcal.errors import CampaignError, nearest
 from aridcal.inputs.campaign import EffectDeclaration
+from aridcal.inputs.dataset import Dataset
 from aridcal.planning.beforehand import Beforehand
 from aridcal.planning.candidates import Candidates
-from aridcal.robot.chain import Joint
 from aridcal.search.diagnose import look
 
 USUAL = {
@@ -28,11 +28,14 @@ USUAL = {
 """RMS motion, [rad] or [m], that is expected of each kind before anything was measured: what gears, bearings and rails of
 industrial robots have after their maker's own calibration, to a factor of three."""
 
+RAIL = {"rail_straightness", "rail_angular"}
+"""Those of a joint that slides; the others are of a joint that turns."""
+
 ORDERS = (1.0, 2.0)
 """Periods in a turn of the harmonics that eccentric gears and encoders make."""
 
 
-def with_stated_effects(known: Beforehand, candidates: Candidates) -> Beforehand:
+def with_stated_effects(known: Beforehand, offered: Candidates) -> Beforehand:
     """The same with the effects that the campaign declares among what is identified; measured rows have them already.
 
     What depends on more than the joints (time, temperature) is not there to be planned with, and is named.
@@ -40,7 +43,7 @@ def with_stated_effects(known: Beforehand, candidates: Candidates) -> Beforehand
     notices = []
     for declaration in () if len(known.rows) else known.campaign.effects:
         try:
-            effect = _declared(known, declaration, str(known.campaign.path), candidates)
+            effect = _declared(known, declaration, str(known.campaign.path), offered)
         except CampaignError as error:
             notices.append(f"not planned for: {error}")
             continue
@@ -49,12 +52,12 @@ def with_stated_effects(known: Beforehand, candidates: Candidates) -> Beforehand
 
 
 def with_pair(
-    known: Beforehand, names: Sequence[str], candidates: Candidates
+    known: Beforehand, names: Sequence[str], offered: Candidates
 ) -> tuple[Beforehand, tuple[tuple[int, ...], ...]]:
     """The same with effects that are to be told apart among what is identified, and the numbers of each one's coefficients."""
     parts = []
     for name in names:
-        effect = _effect(known, name, candidates)
+        effect = _effect(known, name, offered)
         known = known.with_coefficients(tuple(c for c in effect if c not in known.model.coefficients))
         parts.append(tuple(known.model.coefficients.index(c) for c in effect))
     return known, tuple(parts)
@@ -66,20 +69,20 @@ def both_sides(known: Beforehand) -> np.ndarray:
     return np.array([f"{name}_direction" in asked for name in known.robot.readings])
 
 
-def with_usual_effects(known: Beforehand, candidates: Candidates) -> Beforehand:
+def with_usual_effects(known: Beforehand, offered: Candidates) -> Beforehand:
     """The same with the effects usual for its kind of robot as suspects, each with a prior of its usual size.
 
     Suspects are of the kinds that the campaign would look for (`diagnosis`).
 
     Args:
         known: Without any.
-        candidates: What could be measured: an effect that these cannot show is no suspect.
+        offered: What could be measured: an effect that these cannot show is no suspect.
     """
     diagnosis = known.campaign.diagnosis
     if not diagnosis.enabled:
         return known
-    rows = candidates.rows(known)
-    observed, _ = look(known.model, rows)
+    rows = offered.rows(known)
+    observed = _observed(known, rows)
     for kind, coefficients in _usual(observed, set(diagnosis.candidates), str(known.campaign.path)):
         new = tuple(c for c in coefficients if c not in known.model.coefficients)
         wide = known.model.with_coefficients(new)
@@ -92,28 +95,32 @@ def with_usual_effects(known: Beforehand, candidates: Candidates) -> Beforehand:
 def _usual(observed: Observed, kinds: set[str], place: str) -> Iterator[tuple[str, tuple[Coefficient, ...]]]:
     """Kind and coefficients of each suspect."""
     for joint in observed.robot.joints:
-        for declaration in _of_joint(joint):
+        if joint.kind == "prismatic":
+            for kind in sorted(RAIL & kinds):
+                yield kind, _bends(observed, joint.name, kind)
+            continue
+        for declaration in _of_gear(joint.name):
             if declaration.kind in kinds:
                 try:
                     yield declaration.kind, declared(observed, declaration, place).coefficients
-                except (
-                    CampaignError
-                ):  # these rows, or this joint, cannot have it: a load that never changes, for instance
+                except CampaignError:  # these rows cannot show it: a load that never changes, for instance
                     continue
 
 
-def _of_joint(joint: Joint) -> Iterator[EffectDeclaration]:
-    """What a joint of its kind may have: a gear, or a rail."""
-    if joint.kind == "prismatic":
-        yield EffectDeclaration(kind="rail_straightness", where=joint.name)
-        yield EffectDeclaration(kind="rail_angular", where=joint.name)
-        return
-    yield EffectDeclaration(kind="joint_harmonic", where=joint.name, order=ORDERS)
-    yield EffectDeclaration(kind="joint_compliance", where=joint.name)
-    yield EffectDeclaration(kind="joint_backlash", where=joint.name, by="direction")
+def _of_gear(name: str) -> Iterator[EffectDeclaration]:
+    """What a joint with a gear may have."""
+    yield EffectDeclaration(kind="joint_harmonic", where=name, order=ORDERS)
+    yield EffectDeclaration(kind="joint_compliance", where=name)
+    yield EffectDeclaration(kind="joint_backlash", where=name, by="direction")
 
 
-def _effect(known: Beforehand, name: str, candidates: Candidates) -> tuple[Coefficient, ...]:
+def _bends(observed: Observed, name: str, kind: str) -> tuple[Coefficient, ...]:
+    """The polynomials of a rail in all their motions: few coefficients, where its whole curve would have a hundred."""
+    own = (c for effect in candidates(observed, (kind,)) if effect.where == name for c in effect.coefficients)
+    return tuple(dict.fromkeys(c for c in own if c.basis.form == "power"))
+
+
+def _effect(known: Beforehand, name: str, offered: Candidates) -> tuple[Coefficient, ...]:
     """Coefficients of an effect called ``WHERE.KIND``: as the campaign declares it, or as the kind has it.
 
     Raises:
@@ -130,12 +137,16 @@ def _effect(known: Beforehand, name: str, candidates: Candidates) -> tuple[Coeff
     except ValidationError as error:
         why = error.errors()[0]["msg"].removeprefix("Value error, ")
         raise CampaignError(f"--apart {name}: {why}; declare it under `effects` of {known.campaign.path}") from None
-    return _declared(known, declaration, f"--apart {name}", candidates)
+    return _declared(known, declaration, f"--apart {name}", offered)
 
 
 def _declared(
-    known: Beforehand, declaration: EffectDeclaration, place: str, candidates: Candidates
+    known: Beforehand, declaration: EffectDeclaration, place: str, offered: Candidates
 ) -> tuple[Coefficient, ...]:
     """Coefficients of an effect, as candidates could show them."""
-    observed, _ = look(known.model, candidates.rows(known))
-    return declared(observed, declaration, place).coefficients
+    return declared(_observed(known, offered.rows(known)), declaration, place).coefficients
+
+
+def _observed(known: Beforehand, rows: Dataset) -> Observed:
+    """What effects can be made from, by some rows."""
+    return look(known.model.with_coefficients(()), rows)[0]
