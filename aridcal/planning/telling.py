@@ -55,23 +55,16 @@ def told(known: Beforehand, candidates: Candidates, n: int) -> Told:
         candidates: C of them.
         n: How many are to be chosen: what they tell as a whole decides which coefficients can be identified.
     """
-    question = problem(known.model, candidates.rows(known))
-    rows = _whitened(question, known)
-    before = [_whitened(question, known)[:0]]
-    if len(known.rows):
-        fitted = problem(known.model, known.rows)
-        weight = np.sqrt(known.weight * known.rows.share)[:, None, None]
-        before.append(_whitened(agreed(fitted, known.theta), known) * weight)
+    rows = whitened(known, candidates)
     width = rows.shape[2]
-    flat = np.concatenate([part.reshape(-1, width) for part in before])
-    stated = np.concatenate([_stated(question, width), _expected(known, width)])
-    every = np.concatenate([flat, stated, rows.reshape(-1, width) * np.sqrt(n / len(candidates.readings))])
+    flat, _ = so_far(known, candidates)
+    every = np.concatenate([flat, rows.reshape(-1, width) * np.sqrt(n / len(candidates.readings))])
     count = width - len(known.theta)
     R = np.asarray(np.linalg.qr(every, mode="r"))
     sizes = np.concatenate([np.ones(count), known.model.sizes])
     kept = identifiable(R[count:, count:] * sizes[count:], range(len(known.theta))).kept
     some = _columns(count, kept)
-    flat = np.concatenate([flat, stated])[:, some]
+    flat = flat[:, some]
     measured = flat.T @ flat
     loose = np.diag(1.0 / (LOOSE * sizes[some]) ** 2)
     return Told(_together(rows[:, :, some], candidates), measured + loose, measured, count, kept, sizes[some])
@@ -79,8 +72,24 @@ def told(known: Beforehand, candidates: Candidates, n: int) -> Told:
 
 def rows_of(known: Beforehand, of: Told, candidates: Candidates) -> np.ndarray:
     """What other candidates would tell of the same unknowns, in sigmas, shape (C, p, D)."""
-    rows = _whitened(problem(known.model, candidates.rows(known)), known)
-    return _together(rows[:, :, _columns(of.things, of.kept)], candidates)
+    return _together(whitened(known, candidates)[:, :, _columns(of.things, of.kept)], candidates)
+
+
+def whitened(known: Beforehand, candidates: Candidates) -> np.ndarray:
+    """All columns of candidates' rows in sigmas, those of the things before those of the coefficients, shape (N, m, D)."""
+    return _whitened(problem(known.model, candidates.rows(known)), known)[0]
+
+
+def so_far(known: Beforehand, candidates: Candidates) -> tuple[np.ndarray, np.ndarray]:
+    """What the rows so far tell, and what is stated and expected: columns (n, D), and residuals (n,), all in sigmas."""
+    stated = _stated(problem(known.model, candidates.some([0]).rows(known)), known)
+    if not len(known.rows):
+        return stated, np.zeros(len(stated))
+    weight = np.sqrt(known.weight * known.rows.share)
+    columns, residual = _whitened(agreed(problem(known.model, known.rows), known.theta), known)
+    flat = (columns * weight[:, None, None]).reshape(-1, columns.shape[2])
+    left = (residual * weight[:, None]).ravel()
+    return np.concatenate([flat, stated]), np.concatenate([left, np.zeros(len(stated))])
 
 
 def _columns(things: int, kept: Sequence[int]) -> np.ndarray:
@@ -88,16 +97,16 @@ def _columns(things: int, kept: Sequence[int]) -> np.ndarray:
     return np.concatenate([np.arange(things), things + np.array(kept, dtype=int)])
 
 
-def _whitened(question: Problem, known: Beforehand) -> np.ndarray:
-    """Columns of all rows in sigmas, those of the things before those of the coefficients, shape (N, m, D)."""
-    per_number = (1.0 / spread(known.sigma, question.channels))[:, None]
-    parts = []
+def _whitened(question: Problem, known: Beforehand) -> tuple[np.ndarray, np.ndarray]:
+    """Columns of all rows in sigmas, those of the things before those of the coefficients, (N, m, D); and residuals, (N, m)."""
+    per_number = 1.0 / spread(known.sigma, question.channels)
+    parts, left = [], []
     for block in question.blocks():
         pieces = question.pieces(known.theta, block)
-        group = question.group_of(block)
-        things = _spread_out(pieces.B, group, question.groups)
-        parts.append(np.concatenate([things, pieces.J], axis=2) * per_number)
-    return np.concatenate(parts)
+        things = _spread_out(pieces.B, question.group_of(block), question.groups)
+        parts.append(np.concatenate([things, pieces.J], axis=2) * per_number[:, None])
+        left.append(pieces.r * per_number)
+    return np.concatenate(parts), np.concatenate(left)
 
 
 def _spread_out(B: np.ndarray, group: np.ndarray, groups: Groups | None) -> np.ndarray:
@@ -117,22 +126,18 @@ def _places(groups: Groups) -> np.ndarray:
     return np.asarray(np.cumsum(groups.unknown).reshape(groups.unknown.shape) - 1)
 
 
-def _stated(question: Problem, width: int) -> np.ndarray:
-    """What is stated of things beforehand, in sigmas, shape (T, D)."""
+def _stated(question: Problem, known: Beforehand) -> np.ndarray:
+    """What is stated of things, and expected of coefficients, beforehand, in sigmas, shape (T, D)."""
+    expected = np.flatnonzero(np.isfinite(known.prior))
     beforehand, groups = question.beforehand(), question.groups
-    if beforehand is None or groups is None:
-        return np.zeros((0, width))
-    rows, place = np.zeros((len(beforehand.group), width)), _places(groups)
-    for t, (g, by) in enumerate(zip(beforehand.group.tolist(), beforehand.by, strict=True)):
-        rows[t, place[g, groups.unknown[g]]] = by[groups.unknown[g]]
-    return rows
-
-
-def _expected(known: Beforehand, width: int) -> np.ndarray:
-    """What is expected of coefficients by themselves, in sigmas, shape (E, D)."""
-    some = np.flatnonzero(np.isfinite(known.prior))
-    rows = np.zeros((len(some), width))
-    rows[np.arange(len(some)), width - len(known.prior) + some] = 1.0 / known.prior[some]
+    things = 0 if groups is None else int(groups.unknown.sum())
+    of_things = 0 if beforehand is None or groups is None else len(beforehand.group)
+    rows = np.zeros((of_things + len(expected), things + len(known.prior)))
+    rows[of_things + np.arange(len(expected)), things + expected] = 1.0 / known.prior[expected]
+    if beforehand is not None and groups is not None:
+        place = _places(groups)
+        for t, (g, by) in enumerate(zip(beforehand.group.tolist(), beforehand.by, strict=True)):
+            rows[t, place[g, groups.unknown[g]]] = by[groups.unknown[g]]
     return rows
 
 
