@@ -44,6 +44,7 @@ from aridcal.planning.beforehand import beforehand
 from aridcal.planning.design import Asked, Plan, as_table, design
 from aridcal.planning.exchange import Criterion
 from aridcal.planning.programs import LANGUAGES, check_program, moves, program
+from aridcal.planning.rivals import duel_lines
 from aridcal.reading.names import path_argument
 from aridcal.report.plan_page import plan_page
 from aridcal.result.predict import ENDINGS, write_table
@@ -84,7 +85,7 @@ def parser() -> CommandParser:
         "--apart", type=_pair, default=(), metavar="EFFECT,EFFECT", help="two effects to be told apart, WHERE.KIND each"
     )
     arguments.add_argument(
-        "--optimal", choices=get_args(Criterion), default="A", help="what is made small (default: A)"
+        "--optimal", choices=get_args(Criterion), help="what is made small (default: A); not with --apart"
     )
     return arguments
 
@@ -122,6 +123,10 @@ def _pair(text: str) -> tuple[str, ...]:
 
 def _main(arguments: argparse.Namespace) -> None:
     out: list[Path] = arguments.out
+    if arguments.apart and arguments.optimal:
+        raise OutputError(
+            "--apart has a criterion of its own, by which two effects are told apart; leave --optimal out"
+        )
     for path in out:
         if path.suffix.lower() not in WRITTEN:
             raise OutputError(f"{path}: should be a file that ends in one of {', '.join(WRITTEN)}")
@@ -148,7 +153,7 @@ def _design(arguments: argparse.Namespace, out: list[Path]) -> None:
     with told_on(Console(stderr=True)) as progress, ExitStack() as ends:
         built = [(path, ends.enter_context(atomic_file(path))) for path in out]
         known = beforehand(campaign, robot, progress)
-        asked = Asked(arguments.n, arguments.optimal, arguments.region, arguments.apart)
+        asked = Asked(arguments.n, arguments.optimal or "A", arguments.region, arguments.apart)
         plan = design(known, asked, progress)
         for path, file in built:
             _write(plan, campaign, robot, path, file, arguments.settle)
@@ -187,6 +192,7 @@ def _report(plan: Plan, apart: Sequence[str], out: Sequence[Path]) -> None:
         f"RMS of as many random configurations, mm: {_mm(plan.random)}",
         "observability " + ", ".join(f"O{k} {value:.3g}" for k, value in enumerate(plan.indices, start=1)),
         *(f"note: {notice}" for notice in plan.notices),
+        *duel_lines(plan.duels),
         *_of_sides(plan),
         f"{', '.join(str(path) for path in out)}: {len(plan.readings)} configurations",
     ]

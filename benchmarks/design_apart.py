@@ -3,9 +3,9 @@
     python benchmarks/design_apart.py           # some minutes
 
 An arm was measured in a cell: 50 poses within 0.35 rad of one posture, noise 0.1 mm and 0.1 mrad. It has one of two effects
-that these rows can hardly tell apart. Both are stated with --apart, and 10 configurations are chosen. An effect is named if it is among
-those that the search accepts, the other one is not, and it does not say that they are confounded. All rows are split as always: a
-fifth of them, also of the new ones, are held out.
+that these rows can hardly tell apart. Both are stated with --apart, and 10 configurations are chosen. An effect is named if it is
+among those that the search accepts, the other one is not, and it does not say that they are confounded. All rows are split as
+always: a fifth of them, also of the new ones, are held out.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from aridcal.robot.chain import Robot, load_robot
 TOP = Path(__file__).resolve().parents[1]
 NOISE = 1e-4
 OLD, NEW, WIDE = 50, 10, 0.35
-TIMES = 3.0
+TIMES = 6.0
 """RMS of what the effect does to the target in the rows at hand, over three axes, in units of the noise of one."""
 
 POSTURE = (0.3, -1.2, 1.4, -0.6, 1.1, 0.4)

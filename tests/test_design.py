@@ -47,7 +47,8 @@ def campaign(
     """A campaign whose table is not there."""
     path = folder / "campaign.yaml"
     path.write_text(
-        f"format: 1\nrobot: {{urdf: {robots.URDF / urdf}, tip: {tip}}}\nmeasurements: {{file: rows.csv, {block}}}\n{more}"
+        f"format: 1\nrobot: {{urdf: {robots.URDF / urdf}, tip: {tip}}}\nmeasurements: {{file: rows.csv, {block}}}\n"
+        f"diagnosis: {{enabled: false}}\n{more}"  # constants alone, and what is declared
     )
     return load_campaign(path)
 
@@ -391,7 +392,8 @@ def test_effects_that_a_campaign_declares_are_planned_for(tmp_path: Path) -> Non
     assert plan.unknowns == plain.unknowns + 1 and plan.at_n.rms > plain.at_n.rms
     assert len(plan.notices) == 1 and "not planned for" in plan.notices[0] and "thermal" in plan.notices[0]
     pair = ("joint_3.joint_gain", "joint_3.joint_harmonic")
-    assert planned(campaign(tmp_path, more=TOOL + more, urdf="arid.urdf", tip="flange"), 10, apart=pair).at_n.rms > 0
+    duels = planned(campaign(tmp_path, more=TOOL + more, urdf="arid.urdf", tip="flange"), 10, apart=pair).duels
+    assert {duel.true for duel in duels} == {"joint_gain at joint_3", "joint_harmonic at joint_3 (1)"}
 
 
 @pytest.mark.parametrize(

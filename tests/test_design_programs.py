@@ -218,7 +218,7 @@ def test_a_plan_says_from_which_side_and_goes_that_way(tmp_path: Path) -> None:
 
 
 def test_without_play_nothing_is_said_of_sides(tmp_path: Path) -> None:
-    made = load_campaign(written(tmp_path, ""))
+    made = load_campaign(written(tmp_path, "diagnosis: {enabled: false}\n"))
     robot = load_robot(made.robot.urdf, made.robot.tip)
     plain = design(beforehand(made, robot), Asked(10))
     assert not plain.directions and np.isnan(plain.via).all()

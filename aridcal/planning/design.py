@@ -18,7 +18,8 @@ from aridcal.planning.coverage import Coverage, Sigma, coverage, indices, sigma_
 from aridcal.planning.exchange import FEW, Choice, Criterion, best_choice, nested, rms_sigma
 from aridcal.planning.refine import Refined, refined
 from aridcal.planning.region import region_readings
-from aridcal.planning.suspects import both_sides, with_pair, with_stated_effects
+from aridcal.planning.rivals import Duel, telling_apart
+from aridcal.planning.suspects import both_sides, observed_by, with_pair, with_stated_effects, with_usual_effects
 from aridcal.planning.telling import Told, rows_of, target_columns, told
 from aridcal.planning.travel import short_order
 from aridcal.robot.chain import Robot
@@ -70,6 +71,7 @@ class Plan:
         unknowns: How many coefficients can be identified, with the planned rows.
         measured: Rows so far.
         notices: What was assumed.
+        duels: What is expected of two effects that are to be told apart, against each other and against what imitates them.
         coverage: For the page.
     """
 
@@ -83,6 +85,7 @@ class Plan:
     unknowns: int
     measured: int
     notices: tuple[str, ...]
+    duels: tuple[Duel, ...]
     coverage: Coverage
 
     @property
@@ -116,13 +119,25 @@ def design(known: Beforehand, asked: Asked, progress: Progress = SILENT) -> Plan
     easy = known.campaign.measurements.kind in EASY
     pool = POOL if asked.n <= FEW and easy else SMALL_POOL
     candidates = draw_candidates(known, max(pool, 4 * asked.n), 2 * asked.n, drawing)
-    known, _ = with_pair(with_stated_effects(known, candidates), asked.apart, candidates)
+    known = with_stated_effects(known, candidates)
+    if not (len(known.rows) or known.campaign.effects or asked.apart):
+        known = with_usual_effects(known, candidates)
+    known, parts = with_pair(known, asked.apart, candidates)
     region = region_readings(known, asked.region, drawing)
     choice, of = question(known, asked, candidates, region)
     progress(f"choosing {asked.n} of {len(candidates.readings):,} configurations")
-    chosen = best_choice(choice, asked.n, choosing)
+    duels: tuple[Duel, ...] = ()
+    if asked.apart:
+        pair = [
+            (name, tuple(known.model.coefficients[k] for k in part))
+            for name, part in zip(asked.apart, parts, strict=True)
+        ]
+        observed = observed_by(known, candidates.rows(known))
+        chosen, duels = telling_apart(known, of, pair, observed, candidates, asked.n)
+    else:
+        chosen = best_choice(choice, asked.n, choosing)
     best = Refined(candidates.some(chosen), choice.rows[chosen])
-    if easy:
+    if easy and not asked.apart:
         progress("moving them to better places nearby")
         best = refined(known, of, choice, best, moving)
     progress("saying what they will tell")
@@ -148,6 +163,7 @@ def design(known: Beforehand, asked: Asked, progress: Progress = SILENT) -> Plan
         unknowns=len(of.kept),
         measured=len(known.rows),
         notices=(*known.notices, *notices),
+        duels=duels,
         coverage=coverage(known, of, more, order, visited, rows, region),
     )
 

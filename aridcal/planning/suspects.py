@@ -82,14 +82,20 @@ def with_usual_effects(known: Beforehand, offered: Candidates) -> Beforehand:
     if not diagnosis.enabled:
         return known
     rows = offered.rows(known)
-    observed = _observed(known, rows)
+    observed = observed_by(known, rows)
+    taken: dict[str, None] = {}
     for kind, coefficients in _usual(observed, set(diagnosis.candidates), str(known.campaign.path)):
         new = tuple(c for c in coefficients if c not in known.model.coefficients)
         wide = known.model.with_coefficients(new)
         phi = wide.rows(rows.readings, rows.conditions, rows.station, rows.target).phi
         size = np.sqrt(np.mean(phi**2, axis=0))
         known = known.with_coefficients(new, USUAL[kind] / np.where(size > 0.0, size, 1.0))
-    return known
+        taken[kind] = None
+    notice = (
+        f"nothing was measured yet: planned for effects that such arms usually have beside constants ({', '.join(taken)}); "
+        "`effects` of the campaign says which yours may have, `diagnosis: {enabled: false}` that it has none"
+    )
+    return replace(known, notices=(*known.notices, notice)) if taken else known
 
 
 def _usual(observed: Observed, kinds: set[str], place: str) -> Iterator[tuple[str, tuple[Coefficient, ...]]]:
@@ -144,9 +150,9 @@ def _declared(
     known: Beforehand, declaration: EffectDeclaration, place: str, offered: Candidates
 ) -> tuple[Coefficient, ...]:
     """Coefficients of an effect, as candidates could show them."""
-    return declared(_observed(known, offered.rows(known)), declaration, place).coefficients
+    return declared(observed_by(known, offered.rows(known)), declaration, place).coefficients
 
 
-def _observed(known: Beforehand, rows: Dataset) -> Observed:
+def observed_by(known: Beforehand, rows: Dataset) -> Observed:
     """What effects can be made from, by some rows."""
     return look(known.model.with_coefficients(()), rows)[0]

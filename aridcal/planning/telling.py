@@ -67,12 +67,12 @@ def told(known: Beforehand, candidates: Candidates, n: int) -> Told:
     flat = flat[:, some]
     measured = flat.T @ flat
     loose = np.diag(1.0 / (LOOSE * sizes[some]) ** 2)
-    return Told(_together(rows[:, :, some], candidates), measured + loose, measured, count, kept, sizes[some])
+    return Told(together(rows[:, :, some], candidates), measured + loose, measured, count, kept, sizes[some])
 
 
 def rows_of(known: Beforehand, of: Told, candidates: Candidates) -> np.ndarray:
     """What other candidates would tell of the same unknowns, in sigmas, shape (C, p, D)."""
-    return _together(whitened(known, candidates)[:, :, _columns(of.things, of.kept)], candidates)
+    return together(whitened(known, candidates)[:, :, _columns(of.things, of.kept)], candidates)
 
 
 def whitened(known: Beforehand, candidates: Candidates) -> np.ndarray:
@@ -141,7 +141,7 @@ def _stated(question: Problem, known: Beforehand) -> np.ndarray:
     return rows
 
 
-def _together(rows: np.ndarray, candidates: Candidates) -> np.ndarray:
+def together(rows: np.ndarray, candidates: Candidates) -> np.ndarray:
     """Rows (N, m, D) of each candidate one under another, shape (C, p, D); of an image what its markers tell together."""
     _, m, D = rows.shape
     count = np.bincount(candidates.of, minlength=len(candidates.readings))

@@ -13,6 +13,7 @@ from aridcal.drawing.html import Content, Html, bullets, counted, figures, join,
 from aridcal.drawing.words import range_in_words, reading_in_words
 from aridcal.planning.coverage import Sigma
 from aridcal.planning.design import Plan
+from aridcal.planning.rivals import duel_lines
 from aridcal.result.key_figures import joint_range
 from aridcal.robot.chain import Robot
 
@@ -152,6 +153,9 @@ def _telling(plan: Plan) -> Iterator[Content]:
         "Observability indices of frames and constants, in σ per m and rad (Sun and Hollerbach 2008); larger is better"
     )
     yield table(["index", "what it is", "value"], rows, caption, numbers=2)
+    if plan.duels:
+        yield tag("h3", "Two effects told apart")
+        yield bullets(duel_lines(plan.duels))
     seen = plan.coverage
     if not seen.suspects:
         yield tag("p", "No effect beyond constants was planned for; those that `effects` of the campaign declares are.")
