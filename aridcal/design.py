@@ -4,8 +4,13 @@ With tables already measured, the new rows add to what these tell. A campaign wh
 nothing: the kind of measurement, its noise, and frames and instruments as hints. Joints stay inside their limits. The arm, as
 lines from joint to joint and to the target and with the URDF's collision shapes, keeps out of itself and of the boxes of the
 campaign's `design: {keep_out: [{min: [x, y, z], max: [x, y, z]}]}` (base frame, m). The ways between are not looked at.
-The table has the joints in the campaign's columns and units, in an order that shortens the way, and what each row measures:
-which point, anchor, plane, camera or target.
+Configurations come in an order that shortens the way. Where backlash is among the effects that may be there, each joint comes to
+them from both sides, by way of points that the programs have and that are not measured.
+
+What is written is said by the ending of -o, which may stand more than once: .csv or .parquet, the joints in the campaign's
+columns and units with what each row measures (which point, anchor, plane, camera or target) and, where it matters,
+JOINT_direction; .script (URScript), .src (KRL), .mod (RAPID), joint moves with a stop at each; .yaml, waypoints for MoveIt;
+.html, a page that shows what the plan covers.
 
 Optimal is `A`: the mean variance of the target's position over the region (default), `G`: the largest one in any direction,
 or `D`: the uncertainty of the constants. The region is the whole range of the joints, or a table of joints or of places
@@ -13,6 +18,7 @@ of the target.
 
 Example:
     aridcal design campaign.yaml -n 30 -o poses.csv
+    aridcal design campaign.yaml -n 30 -o poses.csv -o poses.script -o poses.html
     aridcal design campaign.yaml -n 30 -o poses.csv --region cell.csv --optimal G
     aridcal design campaign.yaml -n 8 -o poses.csv --apart joint_2.joint_compliance,joint_2.joint_gain
 """
@@ -22,24 +28,36 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import get_args
 
+import numpy as np
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
 from aridcal.command_line import CommandParser, command_parser, run
 from aridcal.errors import OutputError
-from aridcal.inputs.campaign import load_campaign
+from aridcal.inputs.campaign import Campaign, load_campaign
 from aridcal.planning.beforehand import beforehand
 from aridcal.planning.design import Asked, Plan, as_table, design
 from aridcal.planning.exchange import Criterion
+from aridcal.planning.programs import LANGUAGES, check_program, moves, program
+from aridcal.planning.rivals import duel_lines
 from aridcal.reading.names import path_argument
+from aridcal.report.plan_page import plan_page
 from aridcal.result.predict import ENDINGS, write_table
-from aridcal.robot.chain import load_robot
+from aridcal.robot.chain import Robot, load_robot
 from aridcal.showing import told_on
 from aridcal.writing.files import atomic_file, check_home, claimed
+
+PAGE = ".html"
+WRITTEN = (*ENDINGS, *LANGUAGES, PAGE)
+"""Endings of what can be written."""
+
+LONGEST_WAIT = 3600.0
+"""[s]: a program that waits longer hangs."""
 
 MOST = 500
 """Configurations of one plan: choosing more would take minutes, and chance does as well by then."""
@@ -51,7 +69,11 @@ def parser() -> CommandParser:
     arguments.add_argument("campaign", type=path_argument, help="campaign.yaml")
     arguments.add_argument("-n", type=_count, required=True, help=f"how many configurations, 1 to {MOST}")
     arguments.add_argument(
-        "-o", "--out", type=path_argument, required=True, help="where to write them, .csv or .parquet"
+        "-o", "--out", type=path_argument, required=True, action="append", metavar="FILE",
+        help=f"where to write them: {', '.join(WRITTEN)}; may be given more than once",
+    )  # fmt: skip
+    arguments.add_argument(
+        "--settle", type=_seconds, default=1.0, metavar="SECONDS", help="what programs wait at each one (default: 1)"
     )
     arguments.add_argument(
         "--region",
@@ -63,7 +85,7 @@ def parser() -> CommandParser:
         "--apart", type=_pair, default=(), metavar="EFFECT,EFFECT", help="two effects to be told apart, WHERE.KIND each"
     )
     arguments.add_argument(
-        "--optimal", choices=get_args(Criterion), default="A", help="what is made small (default: A)"
+        "--optimal", choices=get_args(Criterion), help="what is made small (default: A); not with --apart"
     )
     return arguments
 
@@ -80,6 +102,16 @@ def _count(text: str) -> int:
     return int(text)
 
 
+def _seconds(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
+    if not 0.0 <= value <= LONGEST_WAIT:
+        raise argparse.ArgumentTypeError(f"should be a number of seconds from 0 to {LONGEST_WAIT:g}")
+    return value
+
+
 def _pair(text: str) -> tuple[str, ...]:
     names = tuple(name.strip() for name in text.split(","))
     if len(names) != 2 or not all(names) or names[0] == names[1]:
@@ -90,30 +122,68 @@ def _pair(text: str) -> tuple[str, ...]:
 
 
 def _main(arguments: argparse.Namespace) -> None:
-    if arguments.out.suffix.lower() not in ENDINGS:
-        raise OutputError(f"{arguments.out}: should be a .csv or .parquet file")
-    check_home(arguments.out)
-    with claimed(arguments.out, "file"):
-        _design(arguments)
-
-
-def _design(arguments: argparse.Namespace) -> None:
-    campaign = load_campaign(arguments.campaign)
-    tables = [path.resolve() for block in campaign.blocks for path in block.files]
-    if arguments.out.resolve() in tables:
+    out: list[Path] = arguments.out
+    if arguments.apart and arguments.optimal:
         raise OutputError(
-            f"{arguments.out}: is a table of measurements of {arguments.campaign}; write the plan to another file"
+            "--apart has a criterion of its own, by which two effects are told apart; leave --optimal out"
         )
+    for path in out:
+        if path.suffix.lower() not in WRITTEN:
+            raise OutputError(f"{path}: should be a file that ends in one of {', '.join(WRITTEN)}")
+        check_home(path)
+    with ExitStack() as ends:
+        for path in out:
+            ends.enter_context(claimed(path, "file"))
+        _design(arguments, out)
+
+
+def _design(arguments: argparse.Namespace, out: list[Path]) -> None:
+    campaign = load_campaign(arguments.campaign)
+    own = [arguments.campaign, *(file for block in campaign.blocks for file in block.files)]
+    places = [path.resolve() for path in out]
+    for number, (path, place) in enumerate(zip(out, places, strict=True)):
+        if place in [file.resolve() for file in own]:
+            raise OutputError(f"{path}: is the campaign or a table of it; write the plan to another file")
+        if place in places[:number]:
+            raise OutputError(f"{path}: is named twice; delete one")
     robot = load_robot(campaign.robot.urdf, campaign.robot.tip, campaign.robot.base, campaign.limits.urdf)
-    with atomic_file(arguments.out) as path, told_on(Console(stderr=True)) as progress:
+    for path in out:
+        if path.suffix.lower() in LANGUAGES:
+            check_program(path.suffix.lower(), path.stem, robot.kinds)
+    with told_on(Console(stderr=True)) as progress, ExitStack() as ends:
+        built = [(path, ends.enter_context(atomic_file(path))) for path in out]
         known = beforehand(campaign, robot, progress)
-        asked = Asked(arguments.n, arguments.optimal, arguments.region, arguments.apart)
+        asked = Asked(arguments.n, arguments.optimal or "A", arguments.region, arguments.apart)
         plan = design(known, asked, progress)
-        write_table(as_table(plan, robot, campaign.measurements), path)
-    _report(plan, arguments.apart, arguments.out)
+        for path, file in built:
+            _write(plan, campaign, robot, path, file, arguments.settle)
+    _report(plan, arguments.apart, out)
 
 
-def _report(plan: Plan, apart: Sequence[str], out: Path) -> None:
+def _write(plan: Plan, campaign: Campaign, robot: Robot, path: Path, file: Path, settle: float) -> None:
+    """Write a plan in the form that a file's name asks for.
+
+    Args:
+        plan: What to write.
+        campaign: What it is for.
+        robot: The chain.
+        path: The file as it is called.
+        file: Where to write it.
+        settle: What programs wait at each configuration, [s].
+    """
+    ending = path.suffix.lower()
+    if ending in ENDINGS:
+        write_table(as_table(plan, robot, campaign.measurements), file)
+    elif ending == PAGE:
+        file.write_text(plan_page(plan, robot, campaign.path.name), encoding="utf-8", errors="replace")
+    else:
+        made = moves(
+            campaign.path.name, robot.readings, robot.kinds, plan.readings, plan.via, plan.titles, settle
+        )  # fmt: skip
+        file.write_text(program(made, ending, path.stem), encoding="utf-8", errors="replace")
+
+
+def _report(plan: Plan, apart: Sequence[str], out: Sequence[Path]) -> None:
     """Print what the plan will tell."""
     console = Console()
     console.print(_sigma_table(plan, apart))
@@ -122,10 +192,23 @@ def _report(plan: Plan, apart: Sequence[str], out: Path) -> None:
         f"RMS of as many random configurations, mm: {_mm(plan.random)}",
         "observability " + ", ".join(f"O{k} {value:.3g}" for k, value in enumerate(plan.indices, start=1)),
         *(f"note: {notice}" for notice in plan.notices),
-        f"{out}: {len(plan.readings)} configurations",
+        *duel_lines(plan.duels),
+        *_of_sides(plan),
+        f"{', '.join(str(path) for path in out)}: {len(plan.readings)} configurations",
     ]
     for line in lines:
         console.print(line, markup=False, highlight=False, soft_wrap=True)
+
+
+def _of_sides(plan: Plan) -> list[str]:
+    """From which sides joints come, in words."""
+    if not plan.directions:
+        return []
+    via = int(np.isfinite(plan.via).all(axis=1).sum())
+    return [
+        f"{', '.join(plan.directions)} come from both sides: {via} points on the way, in programs; a table says from "
+        "which side in JOINT_direction, which belongs into the table of what is measured"
+    ]
 
 
 def _sigma_table(plan: Plan, apart: Sequence[str]) -> Table:

@@ -14,6 +14,7 @@ from __future__ import annotations
 import sys
 import tempfile
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -23,8 +24,11 @@ from aridcal.inputs.campaign import Campaign, load_campaign
 from aridcal.inputs.read import load_measurements
 from aridcal.planning.beforehand import beforehand
 from aridcal.planning.candidates import Candidates, draw_candidates
-from aridcal.planning.design import EASY, POOL, RANDOM, SMALL_POOL, Asked, question, with_stated_effects
+from aridcal.planning.design import EASY, POOL, RANDOM, SMALL_POOL, Asked, question
 from aridcal.planning.exchange import best_choice, exchanged, rms_sigma
+from aridcal.planning.refine import Refined, refined
+from aridcal.planning.region import region_readings
+from aridcal.planning.suspects import with_stated_effects
 from aridcal.result.outcome import errors
 from aridcal.result.pipeline import identify
 from aridcal.robot.chain import load_robot
@@ -32,7 +36,7 @@ from aridcal.robot.chain import load_robot
 TOP = Path(__file__).resolve().parents[1]
 DATA = TOP / ".." / "shared" / "data"
 SERIES_B = DATA / "ur10-laser-tracker" / "series_b.csv"
-EXCHANGES, DRAWS = 20, 5
+EXCHANGES, DRAWS, REGION = 20, 10, 300
 
 TOOL = "frames: {tip_target: {xyz: [0.05, 0.03, 0.15]}}\n"
 POINTS = "point,x,y,z,std\na,0.5,0.2,0.3,0.05\nb,0.4,-0.3,0.4,0.05\n"
@@ -79,16 +83,20 @@ def planned() -> None:
             started = time.process_time()
             known, rng = beforehand(made, robot), np.random.default_rng(0)
             candidates = draw_candidates(known, POOL if kind in EASY else SMALL_POOL, n, rng)
-            choice, _ = question(known, Asked(n), candidates, rng)
+            region = region_readings(known, None, rng)
+            choice, of = question(known, Asked(n), candidates, region)
             chosen = best_choice(choice, n, rng)
+            best = Refined(candidates.some(chosen), choice.rows[chosen])
+            if kind in EASY:
+                best = refined(known, of, choice, best, rng)
             seconds = time.process_time() - started
             count = len(candidates.readings)
             random = [rms_sigma(choice, choice.information(rng.permutation(count)[:n])) for _ in range(RANDOM)]
-            sigma = rms_sigma(choice, choice.information(chosen))
-            few, _ = question(known, Asked(n), draw_candidates(known, SMALL_POOL, n, rng), rng)
+            sigma = rms_sigma(choice, replace(choice, rows=best.rows).information(range(n)))
+            few, _ = question(known, Asked(n), draw_candidates(known, SMALL_POOL, n, rng), region)
             begun = [rng.permutation(len(few.rows))[:n].tolist() for _ in range(EXCHANGES)]
-            best = min(few.cost(exchanged(few, some)) for some in begun)
-            near = np.sqrt(few.cost(best_choice(few, n, rng)) / best)
+            least = min(few.cost(exchanged(few, some)) for some in begun)
+            near = np.sqrt(few.cost(best_choice(few, n, rng)) / least)
         shares = f"{sigma / np.median(random):9.3f}  {near:24.3f}"
         print(f"{arm:6s} {kind:8s} {n:3d}   {1e3 * sigma:10.4f}  {shares}  {seconds:7.1f}  {noise}", flush=True)
 
@@ -105,11 +113,9 @@ def series_b() -> None:
             tool = "frames: {tip_target: {xyz: [0, 0, 0.093]}}\n"
             bare = campaign(Path(folder), "UR10", "pose", "{position: 1.0e-4, rotation: 1.0e-4}", tool + effects)
             nothing = np.zeros(every, dtype=int)
-            own = Candidates(rows.readings, nothing, nothing, np.arange(every))
+            own = Candidates(rows.readings, np.ones_like(rows.readings), nothing, nothing, np.arange(every))
             known = with_stated_effects(beforehand(bare, robot), own)
-            path = Path(folder) / "region.csv"
-            pd.DataFrame(dict(zip(robot.readings, rows.readings.T, strict=True))).to_csv(path, index=False)
-            choice, _ = question(known, Asked(100, region=path), own, rng)
+            choice, _ = question(known, Asked(100), own, rows.readings[rng.permutation(every)[:REGION]])
             chosen = best_choice(choice, 100, rng)
         print(f"chosen for {title}: {final_rms(real, table, chosen)} mm", flush=True)
     for _ in range(DRAWS):

@@ -228,6 +228,7 @@ def field(
     labels: tuple[str, str],
     unit: str,
     hollow: np.ndarray | None = None,
+    marks: Mapping[str, np.ndarray] | None = None,
 ) -> Figure:
     """RMS of a value over a plane: one dot for the rows of each small square, in five steps of equally many dots.
 
@@ -239,6 +240,7 @@ def field(
         labels: Of the two axes, with their units.
         unit: Of the values.
         hollow: Of the rows, shape (N,) bool; a dot for which most of them are gets a hole.
+        marks: Other points of the plane by their name, shape (M, 2), as rings above the dots.
     """
     figure, axes = _axes(HEIGHT + 1.6, HEIGHT + 1.6, left=0.14, top=0.42)
     side = max(float(np.ptp(points, axis=0).max()) / SQUARES, 1e-9)
@@ -255,8 +257,34 @@ def field(
     if hollow is not None:
         open_ = np.bincount(square, hollow) > 0.5 * count
         _dots(axes, x[open_], y[open_], "white", size=2.2, alpha=1.0)
+    for name, at in (marks or {}).items():
+        axes.plot(*at.T, color="#1d242b", marker="o", markerfacecolor="none", linestyle="", markersize=5, label=name)
     axes.set(xlabel=labels[0], ylabel=labels[1])
     axes.set_aspect("equal", adjustable="datalim")
+    return _with_legend(figure, axes, columns=3)
+
+
+@_figure
+def falling(key: str, alt: str, at: np.ndarray, values: Mapping[str, np.ndarray], labels: tuple[str, str]) -> Figure:
+    """Values that fall over some powers of ten, against how many of something there are.
+
+    Args:
+        key: Of the figure, unique in the page.
+        alt: What the figure shows, for those who cannot see it.
+        at: Shape (B,).
+        values: By name, shape (B,) each; NaN where there is none, and names with nothing else are left out.
+        labels: Of the two axes, with their units.
+    """
+    from matplotlib.ticker import LogLocator
+
+    figure, axes = _axes()
+    for (name, v), color in zip(values.items(), (AFTER, BEFORE, GREY), strict=False):
+        if np.isfinite(v).any():
+            axes.plot(at, v, color=color, linewidth=1.8, marker="o", markersize=3.5, label=name)
+    axes.set(xlabel=labels[0], ylabel=labels[1], yscale="log", xlim=(0, None))
+    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.yaxis.set_major_formatter(lambda value, _: number(value, 1))
+    axes.yaxis.set_minor_formatter(lambda value, _: "")
     return _with_legend(figure, axes, columns=3)
 
 

@@ -14,9 +14,9 @@ from aridcal.fit.least_squares import UNKNOWN_NOISE
 from aridcal.fit.stages import placement
 from aridcal.inputs.approach import with_directions
 from aridcal.inputs.campaign import Campaign
-from aridcal.inputs.purposes import Box
 from aridcal.inputs.dataset import ROLES, Dataset, dataset
 from aridcal.inputs.measurement_settings import OF_TARGETS
+from aridcal.inputs.purposes import Box
 from aridcal.inputs.read import load_measurements
 from aridcal.inputs.things import Known, Rows, instruments_of, known_of
 from aridcal.instruments.catalogue import KINDS
@@ -56,6 +56,8 @@ class Beforehand:
         robot: The nominal chain.
         model: Everything that may be identified, K coefficients; things where they are known to be.
         theta: Their values, shape (K,).
+        prior: How large each is expected to be by itself, [rad] or [m] or what its basis makes of these, shape (K,); infinite
+            where nothing is expected.
         sigma: Noise of each channel, shape (C,).
         rows: Those fitted; none where nothing was measured yet.
         weight: Of each, shape (N,).
@@ -68,6 +70,7 @@ class Beforehand:
     robot: Robot
     model: Model
     theta: np.ndarray
+    prior: np.ndarray
     sigma: np.ndarray
     rows: Dataset
     weight: np.ndarray
@@ -75,10 +78,12 @@ class Beforehand:
     bodies: Bodies
     notices: tuple[str, ...]
 
-    def with_coefficients(self, more: tuple[Coefficient, ...]) -> Beforehand:
-        """The same with more that may be identified."""
+    def with_coefficients(self, more: tuple[Coefficient, ...], prior: np.ndarray | None = None) -> Beforehand:
+        """The same with more that may be identified, perhaps each with how large it is expected to be."""
         model = self.model.with_coefficients((*self.model.coefficients, *more))
-        return replace(self, model=model, theta=np.concatenate([self.theta, np.zeros(len(more))]))
+        expected = np.full(len(more), np.inf) if prior is None else prior
+        theta = np.concatenate([self.theta, np.zeros(len(more))])
+        return replace(self, model=model, theta=theta, prior=np.concatenate([self.prior, expected]))
 
 
 def beforehand(campaign: Campaign, robot: Robot, progress: Progress = SILENT) -> Beforehand:
@@ -140,6 +145,7 @@ def _measured(campaign: Campaign, robot: Robot, bodies: Bodies, progress: Progre
         robot=robot,
         model=model,
         theta=np.concatenate([fit.theta, np.zeros(len(others))]),
+        prior=np.full(len(fit.theta) + len(others), np.inf),
         sigma=fit.sigma,
         rows=rows.select(rows.train),
         weight=fit.weight,
@@ -183,7 +189,9 @@ def _from_nothing(campaign: Campaign, robot: Robot, bodies: Bodies) -> Beforehan
     channels = (TARGET_POSITION, TARGET_ROTATION) if poses else kind.channels
     stated = tuple(getattr(settings.noise, channel.name) for channel in channels)
     sigma = np.array([s or UNKNOWN_NOISE * SIZES[c.unit] for s, c in zip(stated, channels, strict=True)])
-    rows = replace(rows, channels=channels, sigma=tuple(sigma.tolist()))
+    directions = tuple(f"{name}_direction" for name in robot.readings)
+    middle_of_play = dict.fromkeys(directions, np.zeros(len(refers)))
+    rows = replace(rows, channels=channels, sigma=tuple(sigma.tolist()), covariates=middle_of_play, derived=directions)
     if settings.kind not in OF_TARGETS:
         made = _stated(instruments_of(known, [Rows(kind, refers)], robot.readings, False)[0], campaign)
         rows = replace(
@@ -209,6 +217,7 @@ def _from_nothing(campaign: Campaign, robot: Robot, bodies: Bodies) -> Beforehan
         robot=robot,
         model=model,
         theta=np.zeros(len(coefficients)),
+        prior=np.full(len(coefficients), np.inf),
         sigma=sigma,
         rows=rows.select(np.zeros(0, dtype=int)),
         weight=np.zeros(0),

@@ -1,4 +1,4 @@
-"""Configurations that could be measured, and what each would tell: its rows of the Jacobian in units of the noise."""
+"""Configurations that could be measured."""
 
 from __future__ import annotations
 
@@ -8,12 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from aridcal.errors import CampaignError
-from aridcal.fit.elimination import Groups
-from aridcal.fit.identifiable import identifiable
-from aridcal.fit.problem import Problem, agreed, problem
+from aridcal.fit.problem import problem
 from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.measurement_settings import OF_TARGETS
-from aridcal.instruments.channels import spread
 from aridcal.instruments.pixels import PIXELS, faces, in_image
 from aridcal.model.reaching import Miss, brought, draw_readings
 from aridcal.planning.beforehand import Beforehand
@@ -27,14 +24,6 @@ AT_ONCE = 3000
 
 FEWEST = 4
 """Markers that an image must show, or all if there are fewer: a pose needs three, and one more to check."""
-
-LOOSE = 0.1
-"""[m] and [rad]: how well everything is known before it is measured. No robot is wrong by more, and what is measured is known a
-thousand times better; without it a few rows could not be compared at all."""
-
-ROUNDING = 1e-10
-"""Share of the largest singular value below which what several rows of one configuration tell together is nothing: thirty markers
-move as one body, by six numbers."""
 
 
 @dataclass(frozen=True)
@@ -56,19 +45,37 @@ class Candidates:
 
     Attributes:
         readings: Shape (C, columns), [rad] or [m].
+        sides: From which each joint comes to its reading, -1 or 1, shape (C, columns).
         offer: Number of what is measured in each, shape (C,).
         pattern: Pattern of each of their rows, N rows in all, shape (N,).
-        of: Candidate that each row belongs to, shape (N,).
+        of: Candidate that each row belongs to, in ascending order, shape (N,).
     """
 
     readings: np.ndarray
+    sides: np.ndarray
     offer: np.ndarray
     pattern: np.ndarray
     of: np.ndarray
 
+    def some(self, numbers: Sequence[int] | np.ndarray) -> Candidates:
+        """Some of them, one after the other; any of them more than once."""
+        n = np.asarray(numbers, dtype=int)
+        first, end = (np.searchsorted(self.of, n, side) for side in ("left", "right"))
+        rows = np.concatenate([np.arange(a, b) for a, b in zip(first.tolist(), end.tolist(), strict=True)])
+        of = np.repeat(np.arange(len(n)), end - first)
+        return Candidates(self.readings[n], self.sides[n], self.offer[n], self.pattern[rows], of)
+
+    @property
+    def first(self) -> np.ndarray:
+        """Pattern of each one's first row, shape (C,)."""
+        return np.asarray(self.pattern[np.searchsorted(self.of, np.arange(len(self.readings)))])
+
     def rows(self, known: Beforehand) -> Dataset:
         """Their rows as a data set; what they would read is of no account."""
-        return rows_like(known, self.readings[self.of], self.pattern)
+        made = rows_like(known, self.readings[self.of], self.pattern)
+        names = tuple(f"{name}_direction" for name in made.names)
+        covariates = made.covariates | dict(zip(names, self.sides[self.of].T, strict=True))
+        return replace(made, covariates=covariates, derived=names)
 
 
 def offers(known: Beforehand) -> Offers:
@@ -141,6 +148,7 @@ def draw_candidates(known: Beforehand, count: int, least: int, rng: np.random.Ge
     starts = np.cumsum([0, *(len(part.readings) for part in parts)])[:-1]
     return Candidates(
         readings=readings,
+        sides=rng.choice([-1.0, 1.0], readings.shape),
         offer=np.repeat(np.arange(len(parts)), [len(part.readings) for part in parts]),
         pattern=np.concatenate([part.pattern for part in parts]),
         of=np.concatenate([part.of + start for part, start in zip(parts, starts.tolist(), strict=True)]),
@@ -169,7 +177,8 @@ def _of_offer(known: Beforehand, own: np.ndarray, count: int, least: int, rng: n
         )
     count = min(count, many)
     of, column = np.nonzero(np.concatenate(shown)[:count])
-    return Candidates(np.concatenate(found)[:count], np.zeros(count, dtype=int), own[column], of)
+    readings = np.concatenate(found)[:count]
+    return Candidates(readings, np.ones_like(readings), np.zeros(count, dtype=int), own[column], of)
 
 
 def _drawn(known: Beforehand, pattern: int, count: int, rng: np.random.Generator) -> np.ndarray:
@@ -216,134 +225,3 @@ def _seen(known: Beforehand, readings: np.ndarray, own: np.ndarray) -> np.ndarra
     if known.campaign.instruments.markers.file is not None:
         seen &= faces(R, p, states[0], states[1])
     return seen.reshape(n, m)
-
-
-@dataclass(frozen=True)
-class Told:
-    """What candidates would tell, in D unknowns: those of the things first, then the coefficients that can be identified.
-
-    Attributes:
-        candidates: In sigmas, shape (C, p, D).
-        known: Information of what is known without them, shape (D, D).
-        measured: The same without :data:`LOOSE`.
-        things: How many of the unknowns are the things'.
-        kept: Coefficients among the model's, in the order of the other unknowns.
-        sizes: What of each unknown counts as much as a metre or a radian, shape (D,).
-    """
-
-    candidates: np.ndarray
-    known: np.ndarray
-    measured: np.ndarray
-    things: int
-    kept: tuple[int, ...]
-    sizes: np.ndarray
-
-
-def told(known: Beforehand, candidates: Candidates, n: int) -> Told:
-    """What candidates would tell beside what is known.
-
-    Args:
-        known: K coefficients.
-        candidates: C of them.
-        n: How many are to be chosen: what they tell as a whole decides which coefficients can be identified.
-    """
-    question = problem(known.model, candidates.rows(known))
-    rows = _whitened(question, known)
-    before = [_whitened(question, known)[:0]]
-    if len(known.rows):
-        fitted = problem(known.model, known.rows)
-        weight = np.sqrt(known.weight * known.rows.share)[:, None, None]
-        before.append(_whitened(agreed(fitted, known.theta), known) * weight)
-    width = rows.shape[2]
-    flat = np.concatenate([part.reshape(-1, width) for part in before])
-    stated = _stated(question, width)
-    every = np.concatenate([flat, stated, rows.reshape(-1, width) * np.sqrt(n / len(candidates.readings))])
-    count = width - len(known.theta)
-    R = np.asarray(np.linalg.qr(every, mode="r"))
-    sizes = np.concatenate([np.ones(count), known.model.sizes])
-    kept = identifiable(R[count:, count:] * sizes[count:], range(len(known.theta))).kept
-    some = np.concatenate([np.arange(count), count + np.array(kept, dtype=int)])
-    flat = np.concatenate([flat, stated])[:, some]
-    measured = flat.T @ flat
-    loose = np.diag(1.0 / (LOOSE * sizes[some]) ** 2)
-    return Told(_together(rows[:, :, some], candidates), measured + loose, measured, count, kept, sizes[some])
-
-
-def _whitened(question: Problem, known: Beforehand) -> np.ndarray:
-    """Columns of all rows in sigmas, those of the things before those of the coefficients, shape (N, m, D)."""
-    per_number = (1.0 / spread(known.sigma, question.channels))[:, None]
-    parts = []
-    for block in question.blocks():
-        pieces = question.pieces(known.theta, block)
-        group = question.group_of(block)
-        things = _spread_out(pieces.B, group, question.groups)
-        parts.append(np.concatenate([things, pieces.J], axis=2) * per_number)
-    return np.concatenate(parts)
-
-
-def _spread_out(B: np.ndarray, group: np.ndarray, groups: Groups | None) -> np.ndarray:
-    """Columns (n, m, U) of the rows' own groups as those of all groups, shape (n, m, unknowns of all)."""
-    if groups is None:
-        return np.zeros((*B.shape[:2], 0))
-    place = _places(groups)
-    wide = np.zeros((*B.shape[:2], int(groups.unknown.sum())))
-    for g in np.unique(group[group >= 0]).tolist():
-        own = np.flatnonzero(group == g)
-        wide[np.ix_(own, np.arange(B.shape[1]), place[g, groups.unknown[g]])] = B[own][:, :, groups.unknown[g]]
-    return wide
-
-
-def _places(groups: Groups) -> np.ndarray:
-    """Which of all unknowns each unknown of each group is, shape (G, U)."""
-    return np.asarray(np.cumsum(groups.unknown).reshape(groups.unknown.shape) - 1)
-
-
-def _stated(question: Problem, width: int) -> np.ndarray:
-    """What is stated of things beforehand, in sigmas, shape (T, D)."""
-    beforehand, groups = question.beforehand(), question.groups
-    if beforehand is None or groups is None:
-        return np.zeros((0, width))
-    rows, place = np.zeros((len(beforehand.group), width)), _places(groups)
-    for t, (g, by) in enumerate(zip(beforehand.group.tolist(), beforehand.by, strict=True)):
-        rows[t, place[g, groups.unknown[g]]] = by[groups.unknown[g]]
-    return rows
-
-
-def _together(rows: np.ndarray, candidates: Candidates) -> np.ndarray:
-    """Rows (N, m, D) of each candidate one under another, shape (C, p, D); of an image what its markers tell together."""
-    _, m, D = rows.shape
-    count = np.bincount(candidates.of, minlength=len(candidates.readings))
-    place = np.arange(len(candidates.of)) - np.repeat(np.cumsum(count) - count, count)
-    stacked = np.zeros((len(count), int(count.max()), m, D))
-    stacked[candidates.of, place] = rows
-    flat = stacked.reshape(len(count), -1, D)
-    if stacked.shape[1] == 1:
-        return flat
-    _, s, Vt = np.linalg.svd(flat, full_matrices=False)
-    rank = int((s > ROUNDING * s.max()).sum(axis=1).max())
-    return np.asarray(s[:, :rank, None] * Vt[:, :rank])
-
-
-def target_columns(
-    known: Beforehand, of: Told, readings: np.ndarray, pattern: int, parts: Sequence[Sequence[int]] = ()
-) -> np.ndarray:
-    """How the target moves in some configurations with the unknowns, shape (R, 3, D), [m].
-
-    Args:
-        known: The model.
-        of: Which unknowns.
-        readings: Shape (R, columns).
-        pattern: Of the rows.
-        parts: Coefficients of the model; the target moved by each of these sets alone, one after the other. None: by all.
-    """
-    made = known.patterns.select(np.full(len(readings), pattern))
-    rows = known.model.rows(readings, made.conditions, made.station, made.target)
-    _, _, J = known.model.jacobian(known.theta, rows)
-    found = []
-    for part in parts or [of.kept]:
-        columns = np.zeros((len(readings), 3, of.things + len(of.kept)))
-        for place, k in enumerate(of.kept):
-            if k in part:
-                columns[:, :, of.things + place] = J[:, :3, k]
-        found.append(columns)
-    return np.concatenate(found)

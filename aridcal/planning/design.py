@@ -2,39 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from pydantic import ValidationError
 
-from aridcal.effects.catalogue import KINDS, declared
-from aridcal.effects.effect import Coefficient
-from aridcal.errors import CampaignError, nearest
-from aridcal.inputs.campaign import EffectDeclaration
+from aridcal.errors import CampaignError
 from aridcal.inputs.measurement_settings import MeasurementSettings
 from aridcal.inputs.quantities import column_of
-from aridcal.model.reaching import draw_readings
+from aridcal.planning.approaches import Approaches, as_they_come, from_both_sides
 from aridcal.planning.beforehand import Beforehand
-from aridcal.planning.candidates import (
-    LOOSE,
-    Candidates,
-    Told,
-    allowed,
-    draw_candidates,
-    offers,
-    reaching,
-    target_columns,
-    told,
-)
-from aridcal.planning.exchange import FEW, Choice, Criterion, best_choice, nested, rms_sigma, worst_sigma
+from aridcal.planning.candidates import Candidates, allowed, draw_candidates, offers
+from aridcal.planning.coverage import Coverage, Sigma, coverage, indices, sigma_of, told_sigma
+from aridcal.planning.exchange import FEW, Choice, Criterion, best_choice, nested, rms_sigma
+from aridcal.planning.refine import Refined, refined
+from aridcal.planning.region import region_readings
+from aridcal.planning.rivals import Duel, telling_apart
+from aridcal.planning.suspects import both_sides, observed_by, with_pair, with_stated_effects, with_usual_effects
+from aridcal.planning.telling import Told, rows_of, target_columns, told
 from aridcal.planning.travel import short_order
 from aridcal.robot.chain import Robot
-from aridcal.search.diagnose import look
 from aridcal.showing import SILENT, Progress
-from aridcal.trust.region import region_of_table
 
 POOL, SMALL_POOL = 3000, 1000
 """Configurations to choose from, and the same where many are wanted, or each must be sought: twice as many make the choice better
@@ -43,14 +32,8 @@ by a per cent."""
 EASY = ("pose", "position", "distance")
 """Kinds that can be measured in any configuration."""
 
-PLACES = 300
-"""Of the region: their mean is then known to a few per cent, and every choice is compared on the same ones."""
-
 RANDOM = 100
 """Random choices that the best one is set beside."""
-
-KNOWN = 0.1
-"""Share of :data:`aridcal.planning.candidates.LOOSE` beyond which a sigma is that of what is assumed, not measured."""
 
 
 @dataclass(frozen=True)
@@ -73,44 +56,45 @@ class Asked:
 
 
 @dataclass(frozen=True)
-class Sigma:
-    """How well the target is known over the region with so many new configurations; NaN where it is not known at all.
-
-    Attributes:
-        n: So many.
-        rms: All three directions together, [m].
-        worst: At the worst place in the worst direction, [m].
-    """
-
-    n: int
-    rms: float
-    worst: float
-
-
-@dataclass(frozen=True)
 class Plan:
     """Configurations to measure next.
 
     Attributes:
         readings: In the order in which to visit them, shape (n, columns), [rad] or [m].
+        via: By way of which readings to come to each, so that joints come from the side that is meant; NaN where none is needed.
         labels: What each measures, by column.
+        directions: From which side joints come, -1 or 1, by the joint's name, for those of which it matters.
         sigma: Against the number of configurations, the best ones first; with two effects to be told apart what these do to the
             target, each as far as the other leaves it open.
         random: RMS sigma of as many random configurations, the median of :data:`RANDOM` choices, [m]; NaN as for :class:`Sigma`.
-        indices: Observability indices O1 to O5 of the rows so far and the planned ones together.
+        indices: Observability indices O1 to O5 of the rows so far and the planned ones together, of all but suspects.
         unknowns: How many coefficients can be identified, with the planned rows.
         measured: Rows so far.
         notices: What was assumed.
+        duels: What is expected of two effects that are to be told apart, against each other and against what imitates them.
+        coverage: For the page.
     """
 
     readings: np.ndarray
+    via: np.ndarray
     labels: dict[str, np.ndarray]
+    directions: dict[str, np.ndarray]
     sigma: tuple[Sigma, ...]
     random: float
     indices: tuple[float, ...]
     unknowns: int
     measured: int
     notices: tuple[str, ...]
+    duels: tuple[Duel, ...]
+    coverage: Coverage
+
+    @property
+    def titles(self) -> tuple[str, ...]:
+        """What each configuration measures, in words; empty where there is only one thing."""
+        parts = [
+            [f"{name} {label}" for label in values] for name, values in self.labels.items() if len(set(values)) > 1
+        ]
+        return tuple(", ".join(own) for own in zip(*parts, strict=True)) if parts else len(self.readings) * ("",)
 
     @property
     def at_n(self) -> Sigma:
@@ -129,41 +113,71 @@ def design(known: Beforehand, asked: Asked, progress: Progress = SILENT) -> Plan
     Raises:
         AridcalError: nothing can be planned, or something of what is asked needs mending.
     """
-    drawing, choosing, chance = (np.random.default_rng(s) for s in np.random.SeedSequence(asked.seed).spawn(3))
+    seeds = np.random.SeedSequence(asked.seed).spawn(5)
+    drawing, choosing, chance, moving, coming = (np.random.default_rng(s) for s in seeds)
     progress("drawing configurations")
-    pool = POOL if asked.n <= FEW and known.campaign.measurements.kind in EASY else SMALL_POOL
+    easy = known.campaign.measurements.kind in EASY
+    pool = POOL if asked.n <= FEW and easy else SMALL_POOL
     candidates = draw_candidates(known, max(pool, 4 * asked.n), 2 * asked.n, drawing)
     known = with_stated_effects(known, candidates)
-    choice, of = question(known, asked, candidates, drawing)
+    if not (len(known.rows) or known.campaign.effects or asked.apart):
+        known = with_usual_effects(known, candidates)
+    known, parts = with_pair(known, asked.apart, candidates)
+    region = region_readings(known, asked.region, drawing)
+    choice, of = question(known, asked, candidates, region)
     progress(f"choosing {asked.n} of {len(candidates.readings):,} configurations")
-    chosen = best_choice(choice, asked.n, choosing)
+    duels: tuple[Duel, ...] = ()
+    if asked.apart:
+        pair = [
+            (name, tuple(known.model.coefficients[k] for k in part))
+            for name, part in zip(asked.apart, parts, strict=True)
+        ]
+        observed = observed_by(known, candidates.rows(known))
+        chosen, duels = telling_apart(known, of, pair, observed, candidates, asked.n)
+    else:
+        chosen = best_choice(choice, asked.n, choosing)
+    best = Refined(candidates.some(chosen), choice.rows[chosen])
+    if easy and not asked.apart:
+        progress("moving them to better places nearby")
+        best = refined(known, of, choice, best, moving)
     progress("saying what they will tell")
-    return _plan(known, asked, candidates, choice, of, chosen, chance)
+    visited, approaches, notices = _visits(known, best.candidates, coming)
+    rows = rows_of(known, of, visited)
+    random = [
+        rms_sigma(choice, choice.information(chance.permutation(len(choice.rows))[: asked.n])) for _ in range(RANDOM)
+    ]
+    more = replace(choice, rows=np.concatenate([rows, choice.rows]))
+    order = nested(more, range(asked.n), min(2 * asked.n, len(more.rows)))
+    counts = {asked.n // 4, asked.n // 2, asked.n, len(order)} - {0}
+    counts |= {0} if len(known.rows) else set()
+    titles = [offers(known).titles[k] for k in visited.offer]
+    both = np.flatnonzero(both_sides(known)).tolist()
+    return Plan(
+        readings=visited.readings,
+        via=approaches.via,
+        labels={name: np.array([title[name] for title in titles]) for name in titles[0]},
+        directions={known.robot.readings[j]: approaches.sides[:, j] for j in both},
+        sigma=tuple(sigma_of(more, order[:count]) for count in sorted(counts)),
+        random=told_sigma(float(np.median(random))),
+        indices=indices(known, of, rows),
+        unknowns=len(of.kept),
+        measured=len(known.rows),
+        notices=(*known.notices, *notices),
+        duels=duels,
+        coverage=coverage(known, of, more, order, visited, rows, region),
+    )
 
 
-def with_stated_effects(known: Beforehand, candidates: Candidates) -> Beforehand:
-    """The same with the effects that the campaign declares among what is identified; measured rows have them already.
+def question(known: Beforehand, asked: Asked, candidates: Candidates, region: np.ndarray) -> tuple[Choice, Told]:
+    """What is to be chosen from candidates, for what is asked, and what they tell.
 
-    What depends on more than the joints (time, temperature) is not there to be planned with, and is named.
+    Args:
+        known: What is known before.
+        asked: What the choice is for.
+        candidates: C of them.
+        region: Readings where the target is to be known, shape (R, columns).
     """
-    notices = []
-    for declaration in () if len(known.rows) else known.campaign.effects:
-        try:
-            effect = _declared(known, declaration, str(known.campaign.path), candidates)
-        except CampaignError as error:
-            notices.append(f"not planned for: {error}")
-            continue
-        known = known.with_coefficients(tuple(c for c in effect if c not in known.model.coefficients))
-    return replace(known, notices=(*known.notices, *notices))
-
-
-def question(known: Beforehand, asked: Asked, candidates: Candidates, rng: np.random.Generator) -> tuple[Choice, Told]:
-    """What is to be chosen from candidates, for what is asked, and what they tell."""
-    effects = [_effect(known, name, candidates) for name in asked.apart]
-    parts: list[list[int]] = []
-    for effect in effects:
-        known = known.with_coefficients(tuple(c for c in effect if c not in known.model.coefficients))
-        parts.append([known.model.coefficients.index(c) for c in effect])
+    known, parts = with_pair(known, asked.apart, candidates)
     of = told(known, candidates, asked.n)
     for name, part in zip(asked.apart, parts, strict=True):
         if not set(part) & set(of.kept):
@@ -171,132 +185,31 @@ def question(known: Beforehand, asked: Asked, candidates: Candidates, rng: np.ra
                 f"--apart {','.join(asked.apart)}: no configuration tells {name} from the other one and from the constants: the "
                 "data of this kind cannot"
             )
-    target = target_columns(known, of, _places(known, asked, rng), 0, parts)
+    target = target_columns(known, of, region, 0, parts)
     choice = Choice(of.candidates, of.known, target, np.ones(len(target)), of.things, asked.criterion)
     return choice, of
 
 
-def _plan(
-    known: Beforehand,
-    asked: Asked,
-    candidates: Candidates,
-    choice: Choice,
-    of: Told,
-    chosen: Sequence[int],
-    rng: np.random.Generator,
-) -> Plan:
-    """What is said of a choice."""
-    most = min(2 * asked.n, len(candidates.readings))
-    order = nested(choice, chosen, most)
-    counts = {asked.n // 4, asked.n // 2, asked.n, most} - {0}
-    counts |= {0} if len(known.rows) else set()
-    drawn = [
-        rms_sigma(choice, choice.information(rng.permutation(len(candidates.readings))[: asked.n]))
-        for _ in range(RANDOM)
-    ]
-    way = np.array(chosen)[short_order(candidates.readings[list(chosen)])]
-    titles = [offers(known).titles[k] for k in candidates.offer[way]]
-    F = of.candidates[way].reshape(-1, of.candidates.shape[2])
-    information = (of.measured + F.T @ F) * of.sizes * of.sizes[:, None]
-    return Plan(
-        readings=candidates.readings[way],
-        labels={name: np.array([title[name] for title in titles]) for name in titles[0]},
-        sigma=tuple(_sigma(choice, order[:count]) for count in sorted(counts)),
-        random=_told(float(np.median(drawn))),
-        indices=observability(information, of.things, len(known.rows) + asked.n),
-        unknowns=len(of.kept),
-        measured=len(known.rows),
-        notices=known.notices,
+def _visits(
+    known: Beforehand, best: Candidates, rng: np.random.Generator
+) -> tuple[Candidates, Approaches, tuple[str, ...]]:
+    """Configurations in the order of their visits, how each is come to, and what could not be had."""
+    robot = known.robot
+    visited = best.some(short_order(best.readings))
+    natural = as_they_come(visited.readings, robot.kinds)
+    approaches = from_both_sides(visited.readings, robot.kinds, robot.limits, both_sides(known), rng)
+    number = np.flatnonzero(approaches.needed)
+    blocked = number[~allowed(known, approaches.via[number], visited.first[number])]
+    approaches.via[blocked] = np.nan
+    approaches.sides[blocked] = natural[blocked]
+    visited = replace(visited, sides=approaches.sides)
+    if not len(blocked):
+        return visited, approaches, ()
+    return (
+        visited,
+        approaches,
+        (f"{len(blocked)} configurations are come to from one side only: there is no room for the other",),
     )
-
-
-def _sigma(choice: Choice, chosen: Sequence[int]) -> Sigma:
-    """What a choice makes of the region."""
-    M = choice.information(chosen)
-    rms = _told(rms_sigma(choice, M))
-    return Sigma(len(chosen), rms, worst_sigma(choice, M) if np.isfinite(rms) else np.nan)
-
-
-def _told(sigma: float) -> float:
-    """A sigma; NaN where it is that of what is assumed."""
-    return sigma if sigma < KNOWN * LOOSE else float("nan")
-
-
-def observability(information: np.ndarray, solved_for: int, n: int) -> tuple[float, ...]:
-    r"""The five indices in use, of the Jacobian in sigmas per [m] and [rad] with singular values s, L of them, from n rows.
-
-    .. math:: O_1 = (s_1 \cdots s_L)^{1/L} / \sqrt n, \quad O_2 = s_L / s_1, \quad O_3 = s_L, \quad O_4 = s_L^2 / s_1, \quad
-              O_5 = 1 / (1/s_1 + \ldots + 1/s_L)
-
-    (Borm and Menq 1991; Driels and Pathre 1990; Nahvi, Hollerbach and Hayward 1994; Nahvi and Hollerbach 1996; Sun and
-    Hollerbach 2008, doi:10.1109/ROBOT.2008.4543390, which compares them.)
-
-    Args:
-        information: Shape (D, D).
-        solved_for: Unknowns, the first ones, that are solved for beside.
-        n: Rows.
-    """
-    cross = information[solved_for:, :solved_for]
-    inner = np.linalg.pinv(information[:solved_for, :solved_for], hermitian=True)
-    values = np.linalg.eigvalsh(information[solved_for:, solved_for:] - cross @ inner @ cross.T)
-    s = np.sqrt(np.maximum(values, 0.0))[::-1]
-    with np.errstate(divide="ignore"):
-        first = float(np.exp(np.mean(np.log(s))) / np.sqrt(n))
-        last = float(1.0 / np.sum(1.0 / s))
-    return first, float(s[-1] / s[0]), float(s[-1]), float(s[-1] ** 2 / s[0]), last
-
-
-def _effect(known: Beforehand, name: str, candidates: Candidates) -> tuple[Coefficient, ...]:
-    """Coefficients of an effect called ``WHERE.KIND``: as the campaign declares it, or as the kind has it.
-
-    Raises:
-        CampaignError: there is no such effect.
-    """
-    where, _, kind = name.rpartition(".")
-    if not where or kind not in KINDS:
-        raise CampaignError(
-            f"--apart {name}: should be WHERE.KIND, joint_2.joint_gain for instance{nearest(kind, KINDS)}"
-        )
-    stated = [d for d in known.campaign.effects if (d.where, d.kind) == (where, kind)]
-    try:
-        declaration = stated[0] if stated else EffectDeclaration(kind=kind, where=where)
-    except ValidationError as error:
-        why = error.errors()[0]["msg"].removeprefix("Value error, ")
-        raise CampaignError(f"--apart {name}: {why}; declare it under `effects` of {known.campaign.path}") from None
-    return _declared(known, declaration, f"--apart {name}", candidates)
-
-
-def _declared(
-    known: Beforehand, declaration: EffectDeclaration, place: str, candidates: Candidates
-) -> tuple[Coefficient, ...]:
-    """Coefficients of an effect, as candidates could show them."""
-    observed, _ = look(known.model, candidates.rows(known))
-    return declared(observed, declaration, place).coefficients
-
-
-def _places(known: Beforehand, asked: Asked, rng: np.random.Generator) -> np.ndarray:
-    """Readings of the region, shape (R, columns)."""
-    if asked.region is not None:
-        return region(known, asked.region, rng)
-    readings = draw_readings(known.robot, PLACES, rng)
-    inside = readings[allowed(known, readings, np.zeros(len(readings), dtype=int))]
-    return inside if len(inside) else readings
-
-
-def region(known: Beforehand, path: Path, rng: np.random.Generator) -> np.ndarray:
-    """Readings of a table of joints, or of readings that bring the target to a table's places, shape (R, columns).
-
-    Raises:
-        MeasurementError: the table has neither, or a row of it cannot be used.
-    """
-
-    def reach(places: np.ndarray) -> np.ndarray:
-        def miss(R: np.ndarray, p: np.ndarray, rows: np.ndarray) -> np.ndarray:
-            return p - places[rows]
-
-        return reaching(known, 0, miss, len(places), rng, f"take places out of {path} that it cannot reach")
-
-    return region_of_table(known.campaign, known.robot, path, reach)
 
 
 def as_table(plan: Plan, robot: Robot, settings: MeasurementSettings) -> pd.DataFrame:
@@ -307,4 +220,8 @@ def as_table(plan: Plan, robot: Robot, settings: MeasurementSettings) -> pd.Data
         for name, kind, values in zip(robot.readings, robot.kinds, plan.readings.T, strict=True)
     }
     labels = {column_of(name, settings, robot.readings): words for name, words in plan.labels.items()}
-    return pd.DataFrame(columns | labels)
+    sides = {
+        column_of(f"{name}_direction", settings, robot.readings): side.astype(int)
+        for name, side in plan.directions.items()
+    }
+    return pd.DataFrame(columns | sides | labels)

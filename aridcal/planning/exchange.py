@@ -135,7 +135,7 @@ def exchanged(choice: Choice, chosen: Sequence[int]) -> list[int]:
         settled = True
         for place, old in enumerate(chosen):
             F, own = choice.rows[old], choice.rows[old, :, : choice.solved_for]
-            without, solved_without = _updated(covariance, F, -1.0), _updated(solved, own, -1.0)
+            without, solved_without = updated(covariance, F, -1.0), updated(solved, own, -1.0)
             gain = _worth(choice, without, solved_without)
             stays = gain[old]
             gain[[c for c in chosen if c != old]] = -np.inf
@@ -143,8 +143,8 @@ def exchanged(choice: Choice, chosen: Sequence[int]) -> list[int]:
             if new == old or gain[new] - stays <= BETTER * abs(stays):
                 continue
             chosen[place], settled = new, False
-            covariance = _updated(without, choice.rows[new], 1.0)
-            solved = _updated(solved_without, choice.rows[new, :, : choice.solved_for], 1.0)
+            covariance = updated(without, choice.rows[new], 1.0)
+            solved = updated(solved_without, choice.rows[new, :, : choice.solved_for], 1.0)
         if settled:
             break
     return chosen
@@ -161,7 +161,7 @@ def nested(choice: Choice, chosen: Sequence[int], most: int) -> list[int]:
     left, last = list(chosen), []
     while left:
         covariance, solved = np.linalg.inv(choice.information(left)), _of_solved(choice, left)
-        loss = [-_worth_of(choice, F, covariance, solved, -1.0)[0] for F in choice.rows[left][:, None]]
+        loss = [-worth_of(choice, F, covariance, solved, -1.0)[0] for F in choice.rows[left][:, None]]
         last.append(left.pop(int(np.argmin(loss))))
     return greedy(choice, most, last[::-1])
 
@@ -171,9 +171,7 @@ def _for_the_worst(choice: Choice, n: int, rng: np.random.Generator, starts: int
     mean = replace(choice, criterion="A")
     best = chosen = best_choice(mean, n, rng, starts)
     for _ in range(WORST_ROUNDS):
-        largest = np.linalg.eigvalsh(choice.variances(choice.information(chosen)))[:, -1]
-        weight = mean.weight * largest / largest.mean()
-        mean = replace(mean, weight=weight / weight.mean())
+        mean = replace(mean, weight=weights_of_the_worst(mean, chosen))
         chosen = exchanged(mean, chosen)
         best = min(best, chosen, key=choice.cost)
     return best
@@ -181,10 +179,10 @@ def _for_the_worst(choice: Choice, n: int, rng: np.random.Generator, starts: int
 
 def _worth(choice: Choice, covariance: np.ndarray, solved: np.ndarray) -> np.ndarray:
     """By how much each candidate, added, makes the cost smaller, shape (C,)."""
-    return _worth_of(choice, choice.rows, covariance, solved, 1.0)
+    return worth_of(choice, choice.rows, covariance, solved, 1.0)
 
 
-def _worth_of(choice: Choice, rows: np.ndarray, covariance: np.ndarray, solved: np.ndarray, sign: float) -> np.ndarray:
+def worth_of(choice: Choice, rows: np.ndarray, covariance: np.ndarray, solved: np.ndarray, sign: float) -> np.ndarray:
     """By how much each of some rows, added or taken away (sign -1), makes the cost smaller, shape (n,)."""
     if choice.criterion == "D":
         own = rows[:, :, : choice.solved_for]
@@ -203,13 +201,20 @@ def _log_volume(rows: np.ndarray, covariance: np.ndarray, sign: float) -> np.nda
     return np.asarray(np.linalg.slogdet(np.eye(p) + sign * seen)[1])
 
 
+def weights_of_the_worst(choice: Choice, chosen: Sequence[int]) -> np.ndarray:
+    """Weights of the places that grow with how badly the target is known there, shape (R,), with mean 1."""
+    largest = np.linalg.eigvalsh(choice.variances(choice.information(chosen)))[:, -1]
+    weight = choice.weight * largest / largest.mean()
+    return np.asarray(weight / weight.mean())
+
+
 def _of_solved(choice: Choice, chosen: Sequence[int]) -> np.ndarray:
     """Inverse of the information of those unknowns alone of which nothing is asked."""
     own = slice(0, choice.solved_for)
     return np.linalg.inv(choice.information(chosen)[own, own])
 
 
-def _updated(covariance: np.ndarray, F: np.ndarray, sign: float) -> np.ndarray:
+def updated(covariance: np.ndarray, F: np.ndarray, sign: float) -> np.ndarray:
     """The covariance with rows (p, D) added, or taken away (sign -1)."""
     moved = F @ covariance
     inner = np.eye(len(F)) + sign * (moved @ F.T)

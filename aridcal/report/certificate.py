@@ -16,8 +16,8 @@ from aridcal.drawing.html import attempt, counted, note, noting, number
 from aridcal.drawing.one_page import OnePage, Part, as_html, as_pdf
 from aridcal.drawing.words import range_in_words, scale_in_words
 from aridcal.errors import printable, shortened
-from aridcal.inputs.purposes import About
 from aridcal.inputs.dataset import Dataset
+from aridcal.inputs.purposes import About
 from aridcal.instruments.catalogue import KINDS
 from aridcal.report.first_screen import VERDICTS
 from aridcal.report.iso_section import lines, what_was_made

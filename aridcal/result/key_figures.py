@@ -254,10 +254,10 @@ def joint_ranges(outcome: Outcome) -> list[JointRange]:
     m, robot = outcome.measurements, outcome.robot
     fitted = m.readings[outcome.parts()["train"]]
     joints = zip(robot.readings, robot.kinds, robot.limits, fitted.T, strict=True)
-    return [_joint_range(name, kind, limits, q) for name, kind, limits, q in joints]
+    return [joint_range(name, kind, limits, q) for name, kind, limits, q in joints]
 
 
-def _joint_range(name: str, kind: str, limits: np.ndarray, q: np.ndarray) -> JointRange:
+def joint_range(name: str, kind: str, limits: np.ndarray, q: np.ndarray) -> JointRange:
     """Range of one joint from its limits (2,) and readings (N,); a continuous joint counts within one turn."""
     if kind == "continuous":
         q, limits = np.angle(np.exp(1j * q)), np.array([-np.pi, np.pi])
