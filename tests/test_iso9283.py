@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.pose import residuals
-from aridcal.trust.iso9283 import ASKED_CYCLES, ASKED_POSES, Iso9283, document, iso_9283
+from aridcal.trust.iso9283 import ASKED_CYCLES, ASKED_POSES, Iso9283, document, iso_9283, repeatability_of
 
 POSES, CYCLES, PERIOD = 6, 30, 100.0
 SIDES = ("shoulder_pan_joint_direction", "elbow_joint_direction")
@@ -182,6 +182,22 @@ def test_fewer_cycles_or_poses_than_the_standard_asks_for_are_told(cycles: int, 
     used = np.isin(bench.rows.configuration, np.arange(poses))
     bench.commands = [(R[used], p[used]) for R, p in bench.commands]
     assert bench.evaluated(bench.rows.select(used)).enough is enough
+
+
+@pytest.mark.parametrize(("cycles", "share"), [(2, 0.31), (3, 0.72), (5, 0.85), (10, 0.93)])
+def test_a_repeatability_of_few_cycles_is_too_small_by_what_is_said(cycles: int, share: float) -> None:
+    rng = np.random.default_rng(0)
+    radius = np.linalg.norm(rng.normal(size=(200_000, 3)), axis=1)
+    found = [repeatability_of(rng.normal(size=(cycles, 3))) for _ in range(3000)]
+    assert np.mean(found) / (radius.mean() + 3 * radius.std()) == pytest.approx(share, abs=0.015)
+
+
+def test_two_cycles_tell_no_repeatability() -> None:
+    bench = Bench(cycles=2)
+    for symbol in ("RP", "RP_a", "RD", "dAP", "dRP", "vAP"):
+        assert np.isnan(bench.found.final[symbol]).all(), symbol
+    for symbol in ("AP", "AP_a", "AD"):
+        assert not np.isnan(bench.found.final[symbol]).any(), symbol
 
 
 def test_copies_and_flagged_rows_are_no_cycles() -> None:

@@ -282,7 +282,9 @@ def _known(outcome: Outcome) -> _Known | None:
 def _in_short(known: _Known | None) -> str:
     """The uncertainty among the figures."""
     return (
-        "not known" if known is None else f"of position: median {number(known.median)}, at most {number(known.most)} mm"
+        "not known"
+        if known is None
+        else f"by noise alone: median {number(known.median)}, at most {number(known.most)} mm"
     )
 
 
