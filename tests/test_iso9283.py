@@ -155,6 +155,31 @@ def test_poses_that_were_held_out_judge() -> None:
         assert found.worst(found.nominal, symbol) == max(found.nominal[symbol]), symbol
 
 
+def test_cycles_that_are_not_quite_repeated_deviate_each_from_its_own_command() -> None:
+    """Readings of encoders differ by less than what counts as one configuration; taken for one command they would be errors."""
+    rng = np.random.default_rng(1)
+    truth = robots.simulate(robots.ur10(), POSES, rng)
+    q = np.tile(truth.readings, (5, 1)) + 1e-4 * rng.uniform(-1, 1, (5 * POSES, 6))
+    R, p = truth.model.poses(truth.theta, truth.model.rows(q))
+    noise = 1e-6 * rng.normal(size=p.shape)
+    rows = robots.measured(truth.model.robot, q, p + noise, R)
+    left, frames = residuals(R, p, rows.position, rows.rotation), truth.model.frames(truth.theta)[0]
+    found = iso_9283(rows, np.zeros(len(rows), dtype=bool), (frames, left), (frames, left))
+    assert found is not None
+    for k in range(POSES):
+        own = [[float(v) for v in noise[row]] for row in range(k, 5 * POSES, POSES)]
+        assert found.final["AP"][k] == pytest.approx(off(own, [0.0, 0.0, 0.0]), abs=1e-9)
+        assert found.final["RP"][k] == pytest.approx(scatter(own), abs=1e-9)
+
+
+def test_a_pose_of_which_any_cycle_was_fitted_is_not_held_out() -> None:
+    bench = Bench()
+    test = bench.rows.test.copy()
+    test[bench.found.cycles[1][7]] = False
+    found = bench.evaluated(replace(bench.rows, test=test))
+    assert np.flatnonzero(found.held_out).tolist() == [4]
+
+
 def test_without_held_out_poses_all_judge() -> None:
     bench = Bench()
     found = bench.evaluated(replace(bench.rows, test=np.zeros(len(bench.rows), dtype=bool)))
