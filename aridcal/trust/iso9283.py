@@ -42,7 +42,7 @@ from aridcal.model.model import Frames
 STANDARD = "ISO 9283:1998"
 
 ASKED_CYCLES, ASKED_POSES = 30, 5
-"""What the standard asks for: cycles of each of the poses P1 to P5 (6.10 and 6.8)."""
+"""What the standard asks for: cycles of each of the poses P1 to P5 (clause 6)."""
 
 ASKED_HOURS = 8.0
 """Duration of the standard's test of drift (7.6)."""
