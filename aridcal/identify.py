@@ -196,6 +196,8 @@ def _identify(arguments: argparse.Namespace, out: Path) -> int:
     if len(written.notices) > MOST_NOTICES:
         console.print(f"note: and {len(written.notices) - MOST_NOTICES} more, in the pages themselves", markup=False)
     console.print(f"report: {out / 'report.html'}", soft_wrap=True, markup=False, highlight=False)
+    if (out / "certificate.pdf").is_file():
+        console.print(f"certificate: {out / 'certificate.pdf'}", soft_wrap=True, markup=False, highlight=False)
     return NOT_GOOD if outcome.certainty is not None and not outcome.certainty.within else DONE
 
 

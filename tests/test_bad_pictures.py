@@ -472,7 +472,7 @@ def test_a_figure_that_fails_is_a_line_in_its_place(
     assert len(notices) >= 3
     assert all("the figure '" in notice and "no legend" in notice for notice in notices)
     assert len(body.xpath("//p[@class='missing']")) == len(notices)
-    assert len(body.xpath("//section")) == 8
+    assert len(body.xpath("//section")) == 9
     assert body.xpath("//svg")
 
 
@@ -487,16 +487,16 @@ def test_each_picture_of_a_sound_result_is_drawn(outcome: Outcome, handover: Han
 @pytest.mark.parametrize(
     ("where", "error"),
     [
-        ("scene.scene", KeyError("a")),
-        ("scene.scene_content", MemoryError()),
-        ("scene.robot_shapes", OSError(36, "File name too long")),
-        ("page._chapters", RecursionError("deep")),
+        ("drawing.scene.scene", KeyError("a")),
+        ("drawing.scene.scene_content", MemoryError()),
+        ("drawing.scene.robot_shapes", OSError(36, "File name too long")),
+        ("report.page._chapters", RecursionError("deep")),
     ],
 )
 def test_a_whole_page_that_fails_is_a_page_that_says_so(
     where: str, error: Exception, outcome: Outcome, handover: Handover, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(f"aridcal.report.{where}", fails(error))
+    monkeypatch.setattr(f"aridcal.{where}", fails(error))
     path = tmp_path / "page.html"
     notices = scene.write_scene(outcome, path) if "scene" in where else page.write_report(outcome, handover, path)
     assert type(error).__name__ in notices[-1]

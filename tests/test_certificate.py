@@ -23,6 +23,8 @@ from aridcal.drawing.one_page import OnePage, as_html
 from aridcal.errors import CampaignError
 from aridcal.identify import main as identify_main
 from aridcal.inputs.purposes import About
+from aridcal.instruments.camera_sonar import CAMERA_SONAR
+from aridcal.instruments.setup import Block
 from aridcal.report import certificate as module
 from aridcal.report.certificate import FILES, certificate, write_certificate
 from aridcal.report.iso_section import iso
@@ -118,7 +120,7 @@ def test_its_uncertainty_is_twice_the_standard_deviation_and_says_so(outcome: Ou
     sigma = 1e3 * outcome.precision.position
     assert f"k = 2 (about 95 % for normal noise): median {number(2 * float(np.median(sigma)))} mm" in said
     assert f"at most {number(2 * float(sigma.max()))} mm at the fitted rows" in said
-    assert dict(page_of(outcome, folder).headline)["Uncertainty, k = 2"].startswith("of position: median 0.0")
+    assert dict(page_of(outcome, folder).headline)["Uncertainty, k = 2"].startswith("by noise alone: median 0.0")
 
 
 @pytest.mark.parametrize(
@@ -175,6 +177,14 @@ def test_uncertainty_that_no_row_tells_is_not_stated(outcome: Outcome, folder: P
     assert "nan" not in said and "normal noise" not in said
 
 
+def test_a_hash_that_leaves_images_out_says_so(outcome: Outcome) -> None:
+    m = outcome.measurements
+    head = Block("head", CAMERA_SONAR.name, (), ())
+    assert module._joined(replace(m, blocks=(head,))) == " (without its images)"
+    assert module._joined(m) == ""
+    assert module._joined(replace(m, files=m.files * 2)) == " (one after the other)"
+
+
 @pytest.mark.parametrize("tied", [True, False])
 def test_rows_that_agree_are_no_proof_of_accuracy(tmp_path: Path, tied: bool) -> None:
     """A ball in sockets: rows agree far better than the target is known; of sockets at unknown distances nothing is known."""
@@ -207,7 +217,8 @@ def test_iso_figures_of_few_cycles_are_no_test_to_the_standard(outcome: Outcome,
     part = next(p for p in page_of(outcome, folder).parts if "ISO 9283" in p.heading)
     assert part.heading == "Figures by the definitions of ISO 9283:1998"
     (words,) = part.words
-    assert words.endswith("asks for 30 cycles of 5 poses: these are figures by its definitions, not tests to it.")
+    assert "asks for 30 cycles of 5 poses: these are figures by its definitions, not tests to it." in words
+    assert "Of fewer than 10 cycles RP comes out too small on average" in words
     found = outcome.iso
     assert found is not None and found.held_out.sum() == 2
     shown = {row[0]: row for row in part.table}
@@ -248,10 +259,13 @@ def test_the_report_says_why_there_are_no_iso_figures(outcome: Outcome) -> None:
 # ---- files -----------------------------------------------------------------------------------------------------------
 
 
-def test_the_command_writes_both_files_and_their_hashes_are_those_of_the_files(tmp_path: Path) -> None:
+def test_the_command_writes_both_files_and_their_hashes_are_those_of_the_files(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     path, out = campaign_of(tmp_path, about=ABOUT), tmp_path / "out"
     path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes())  # a mark that is not part of the text
     assert identify_main([str(path), "--out", str(out)]) == 0
+    assert f"certificate: {out / 'certificate.pdf'}\n" in capsys.readouterr().out
     assert set(FILES) <= RESULT_FILES  # none outlives a result without `about`
     said = html.fromstring((out / "certificate.html").read_bytes()).text_content()
     named = [path, tmp_path / "robot.urdf", tmp_path / "measurements.csv", *(out / name for name in module.HASHED)]

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.pose import residuals
-from aridcal.trust.iso9283 import ASKED_CYCLES, ASKED_POSES, Iso9283, document, iso_9283
+from aridcal.trust.iso9283 import ASKED_CYCLES, ASKED_POSES, Iso9283, document, iso_9283, repeatability_of
 
 POSES, CYCLES, PERIOD = 6, 30, 100.0
 SIDES = ("shoulder_pan_joint_direction", "elbow_joint_direction")
@@ -155,6 +155,31 @@ def test_poses_that_were_held_out_judge() -> None:
         assert found.worst(found.nominal, symbol) == max(found.nominal[symbol]), symbol
 
 
+def test_cycles_that_are_not_quite_repeated_deviate_each_from_its_own_command() -> None:
+    """Readings of encoders differ by less than what counts as one configuration; taken for one command they would be errors."""
+    rng = np.random.default_rng(1)
+    truth = robots.simulate(robots.ur10(), POSES, rng)
+    q = np.tile(truth.readings, (5, 1)) + 1e-4 * rng.uniform(-1, 1, (5 * POSES, 6))
+    R, p = truth.model.poses(truth.theta, truth.model.rows(q))
+    noise = 1e-6 * rng.normal(size=p.shape)
+    rows = robots.measured(truth.model.robot, q, p + noise, R)
+    left, frames = residuals(R, p, rows.position, rows.rotation), truth.model.frames(truth.theta)[0]
+    found = iso_9283(rows, np.zeros(len(rows), dtype=bool), (frames, left), (frames, left))
+    assert found is not None
+    for k in range(POSES):
+        own = [[float(v) for v in noise[row]] for row in range(k, 5 * POSES, POSES)]
+        assert found.final["AP"][k] == pytest.approx(off(own, [0.0, 0.0, 0.0]), abs=1e-9)
+        assert found.final["RP"][k] == pytest.approx(scatter(own), abs=1e-9)
+
+
+def test_a_pose_of_which_any_cycle_was_fitted_is_not_held_out() -> None:
+    bench = Bench()
+    test = bench.rows.test.copy()
+    test[bench.found.cycles[1][7]] = False
+    found = bench.evaluated(replace(bench.rows, test=test))
+    assert np.flatnonzero(found.held_out).tolist() == [4]
+
+
 def test_without_held_out_poses_all_judge() -> None:
     bench = Bench()
     found = bench.evaluated(replace(bench.rows, test=np.zeros(len(bench.rows), dtype=bool)))
@@ -182,6 +207,22 @@ def test_fewer_cycles_or_poses_than_the_standard_asks_for_are_told(cycles: int, 
     used = np.isin(bench.rows.configuration, np.arange(poses))
     bench.commands = [(R[used], p[used]) for R, p in bench.commands]
     assert bench.evaluated(bench.rows.select(used)).enough is enough
+
+
+@pytest.mark.parametrize(("cycles", "share"), [(2, 0.31), (3, 0.72), (5, 0.85), (10, 0.93)])
+def test_a_repeatability_of_few_cycles_is_too_small_by_what_is_said(cycles: int, share: float) -> None:
+    rng = np.random.default_rng(0)
+    radius = np.linalg.norm(rng.normal(size=(200_000, 3)), axis=1)
+    found = [repeatability_of(rng.normal(size=(cycles, 3))) for _ in range(3000)]
+    assert np.mean(found) / (radius.mean() + 3 * radius.std()) == pytest.approx(share, abs=0.015)
+
+
+def test_two_cycles_tell_no_repeatability() -> None:
+    bench = Bench(cycles=2)
+    for symbol in ("RP", "RP_a", "RD", "dAP", "dRP", "vAP"):
+        assert np.isnan(bench.found.final[symbol]).all(), symbol
+    for symbol in ("AP", "AP_a", "AD"):
+        assert not np.isnan(bench.found.final[symbol]).any(), symbol
 
 
 def test_copies_and_flagged_rows_are_no_cycles() -> None:

@@ -90,6 +90,15 @@ def test_the_lock_holds_all_that_is_required_with_hashes() -> None:
         assert all(required.specifier.contains(version) for version in versions), required
 
 
+def test_every_asset_is_part_of_an_installation() -> None:
+    """A style sheet that only the repository has is missed by users alone."""
+    settings = tomllib.loads((HOME / "pyproject.toml").read_text("utf-8"))["tool"]["setuptools"]["package-data"]
+    assets = {path.parent.parent for path in (HOME / "aridcal").rglob("assets/*")}
+    assert assets
+    for package in assets:
+        assert settings[".".join(package.relative_to(HOME).parts)] == ["assets/*"]
+
+
 def test_the_matrix_runs_tests_that_exist_on_every_python_that_is_promised() -> None:
     script = (HOME / "scripts" / "matrix.py").read_text("utf-8")
     constants = {

@@ -18,6 +18,7 @@ from aridcal.drawing.words import range_in_words, scale_in_words
 from aridcal.errors import printable, shortened
 from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.purposes import About
+from aridcal.instruments.camera_sonar import CAMERA_SONAR
 from aridcal.instruments.catalogue import KINDS
 from aridcal.report.first_screen import VERDICTS
 from aridcal.report.iso_section import lines, what_was_made
@@ -283,7 +284,9 @@ def _known(outcome: Outcome) -> _Known | None:
 def _in_short(known: _Known | None) -> str:
     """The uncertainty among the figures."""
     return (
-        "not known" if known is None else f"of position: median {number(known.median)}, at most {number(known.most)} mm"
+        "not known"
+        if known is None
+        else f"by noise alone: median {number(known.median)}, at most {number(known.most)} mm"
     )
 
 
@@ -357,7 +360,9 @@ def _hashes(outcome: Outcome, folder: Path) -> Iterator[tuple[str, str]]:
 
 
 def _joined(m: Dataset) -> str:
-    """How the hash of several files is made."""
+    """How the hash of several files is made, and what it leaves out."""
+    if any(block.kind == CAMERA_SONAR.name for block in m.blocks):
+        return " (without its images)"
     if len(m.blocks) > 1:
         return " (of the blocks' hashes)"
     return " (one after the other)" if len(m.files) > 1 else ""

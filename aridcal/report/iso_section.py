@@ -15,6 +15,7 @@ from aridcal.trust.iso9283 import (
     MEANINGS,
     OF_FIT,
     OF_PAIRS,
+    SMALL_BELOW,
     STANDARD,
     TURNS,
     WINDOW,
@@ -60,7 +61,12 @@ def what_was_made(found: Iso9283) -> str:
     made = f"{counted(len(counts), 'pose')}, {cycles} of each."
     asked = f"{ASKED_CYCLES} cycles of {ASKED_POSES} poses"
     if not found.enough:
-        return f"{made} {STANDARD} asks for {asked}: these are figures by its definitions, not tests to it."
+        small = (
+            f" Of fewer than {SMALL_BELOW} cycles RP comes out too small on average, of 3 by a quarter; of two it is not told."
+            if few < SMALL_BELOW
+            else ""
+        )
+        return f"{made} {STANDARD} asks for {asked}: these are figures by its definitions, not tests to it.{small}"
     return (
         f"{made} That is as many as {STANDARD} asks for ({asked}). Whether its other conditions were kept (the cube and its "
         "plane, load, speed, warm-up) the rows do not tell: these are figures by its definitions."
@@ -76,7 +82,7 @@ def lines(found: Iso9283) -> list[tuple[str, str, str, str, str]]:
         if not np.isnan(after):
             made.append((symbol, f"{meaning} ({clause})", of, f"{number(before)} mm", f"{number(after)} mm"))
         turns = [_worst(found, f"{symbol}_{axis}") for axis in TURNS if f"{symbol}_{axis}" in found.final]
-        if turns:
+        if turns and not np.isnan(turns).any():
             first, last = (", ".join(number(turn[k]) for turn in turns) for k in (0, 1))
             about = f"{symbol} {', '.join(TURNS)}"
             made.append((about, f"orientation {meaning} ({clause})", of, f"{first} mrad", f"{last} mrad"))
@@ -85,12 +91,12 @@ def lines(found: Iso9283) -> list[tuple[str, str, str, str, str]]:
 
 def _which(found: Iso9283, symbol: str) -> str:
     """The poses or pairs that the worst figure is of: ``1 held-out pose``, ``15 pairs, fitted``."""
-    mask = found.judged(symbol)
+    mask = found.judged(symbol) & ~np.isnan(found.final[symbol])
     what = "pair" if symbol in OF_PAIRS else "pose"
     if symbol not in OF_FIT:
         return counted(int(mask.sum()), what)
     new = found.held_out[found.pairs].all(axis=1) if symbol in OF_PAIRS else found.held_out
-    return counted(int(mask.sum()), f"held-out {what}") if new.any() else f"{counted(len(mask), what)}, fitted"
+    return counted(int(mask.sum()), f"held-out {what}") if new.any() else f"{counted(int(mask.sum()), what)}, fitted"
 
 
 def _worst(found: Iso9283, symbol: str) -> tuple[float, float]:
