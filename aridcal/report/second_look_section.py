@@ -86,7 +86,8 @@ def left_out(outcome: Outcome) -> Iterator[Content]:
         yield table(
             ["RMS", "rows left out", "± from part to part", "the same rows, fitted"], lines, "Error of rows left out"
         )
-    if looked.influence is not None and len(looked.influence.rows):
+    placed = known_scale(outcome.measurements) is not None
+    if looked.influence is not None and len(looked.influence.rows) and placed:
         yield from _influence(outcome, looked.influence)
 
 
@@ -95,7 +96,7 @@ def _influence(outcome: Outcome, found: Influence) -> Iterator[Content]:
     yield tag("h3", "Rows that decide")
     count = len(found.deciding)
     largest = f"The one that moves it most does so by {number(1e3 * found.shift[0], 2)} mm"
-    own = f"its own uncertainty is {number(1e3 * found.sigma, 2)} mm (1σ, three axes)"
+    own = f"the target is known to {number(1e3 * found.sigma, 2)} mm (1σ, three axes)"
     what = "Each row is left out, all others are fitted: how far does the predicted target move, RMS over all rows? "
     if count:
         yield tag(
@@ -150,7 +151,7 @@ def _combinations(outcome: Outcome, found: Known) -> Html:
 
 def _sigma(of: Combination) -> str:
     """1-sigma of a combination with its unit."""
-    unit = {"rad": "mrad", "m": "mm", "": "mm and mrad"}[of.unit]
+    unit = {"rad": "mrad", "m": "mm", "": "mm or mrad"}[of.unit]
     return f"{number(1e3 * of.std, 2)} {unit}"
 
 
@@ -169,7 +170,12 @@ def _minimal(outcome: Outcome, found: Known) -> Iterator[Content]:
     spare = ", ".join(constant_in_words(name, robot) for name in found.spare)
     yield tag(
         "p",
-        f"{len(found.spare)} of them could stay nominal together, as far as these rows can tell: {spare}. The predicted target "
+        f"{_how_many(len(found.spare))}, as far as these rows can tell: {spare}. The predicted target "
         f"then moves by {number(1e3 * found.shift, 2)} mm RMS; it is known to "
         f"{number(1e3 * found.sigma, 2)} mm (1σ, three axes).",
     )
+
+
+def _how_many(count: int) -> str:
+    """How many constants could stay nominal, as a sentence begins."""
+    return "One of them could stay nominal" if count == 1 else f"{count} of them could stay nominal together"
