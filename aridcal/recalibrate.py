@@ -31,17 +31,19 @@ from aridcal.reading.files import CALIBRATION, read_file
 from aridcal.reading.names import path_argument
 from aridcal.report.repair_page import write_repair_report
 from aridcal.result.controllers import hand_over, write_controllers
-from aridcal.result.folder import residual_table
 from aridcal.result.saved_model import SavedModel
 from aridcal.result_folder import RESULT_FILES
 from aridcal.showing import Progress, told_on
 from aridcal.upkeep.answers import check_lines, left_out_line
 from aridcal.upkeep.checking import Checked, check
-from aridcal.upkeep.documents import document, figures_before, lineage
+from aridcal.upkeep.documents import document, figures_before, lineage, residuals
 from aridcal.upkeep.new_rows import read_new_rows
 from aridcal.upkeep.outcomes import RepairOutcomes, repair_outcomes
 from aridcal.upkeep.repair import Repaired, repaired
 from aridcal.writing.files import atomic_folder, claimed
+
+AGAINST = "where it was calibrated, against the repaired model"
+"""On what exports are scored: ten rows could not say it."""
 
 
 def parser() -> CommandParser:
@@ -105,9 +107,9 @@ def _write(
             (stage / "model.urdf").write_bytes(urdf_of(saved.final.model, saved.final.theta))
         found = document(made, checked, mended, parents, figures)
         (stage / "result.json").write_text(json.dumps(found, indent=2, allow_nan=False) + "\n")
-        residual_table(made.rows).to_csv(stage / "residuals.csv", index=False, float_format="%.9g")
+        residuals(made).to_csv(stage / "residuals.csv", index=False, float_format="%.9g")
         progress("working out what controllers can be given")
-        handover = hand_over(made.model)
+        handover = replace(hand_over(made.model), rows=f"{len(made.model.measurements)} configurations {AGAINST}")
         write_controllers(made.model, handover, stage)
         progress("drawing the report and the scene")
         notices = write_repair_report(made, checked, mended, parents, lines, handover, stage / "report.html")

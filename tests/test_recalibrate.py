@@ -15,6 +15,7 @@ import robots
 import yaml
 from calibrated import NOISE, Machine, jump, machine
 
+import aridcal
 from aridcal.__main__ import main
 from aridcal.effects.basis import Basis
 from aridcal.effects.effect import Coefficient
@@ -170,7 +171,14 @@ def test_the_folder_says_where_it_comes_from_and_can_be_used_at_once(results, tm
     out = tmp_path / "repaired"
     assert main(["recalibrate", str(results), str(csv), "-o", str(out)]) == 0
     assert "moved: the zero of elbow_joint, by +1.0" in capsys.readouterr().out
-    assert {p.name for p in out.iterdir()} == {"calibration.yaml", "calibrated.urdf", "model.urdf", "result.json"}
+    every = {p.name for p in results.iterdir()} | {
+        "report.html",
+        "scene.html",
+        "kinematics.yaml",
+        "dh.yaml",
+        "frames.yaml",
+    }
+    assert every <= {p.name for p in out.iterdir()}
     assert (results / "calibration.yaml").read_bytes() == old
 
     found = json.loads((out / "result.json").read_text())
@@ -183,8 +191,33 @@ def test_the_folder_says_where_it_comes_from_and_can_be_used_at_once(results, tm
     (moved,) = found["moved"]
     (change,) = moved["changes"]
     assert change["value"] == pytest.approx(1e-3, abs=5 * change["std"]) and change["unit"] == "rad"
-    rms = [found["error"][stage]["new_rows"]["position_mm"]["rms"] for stage in ("before", "after")]
-    assert rms[1] < 0.15 < rms[0]
+    before, after, left = (found["error"][s]["new_rows"]["position_mm"]["rms"] for s in ("before", "after", "left_out"))
+    assert after < left < 0.15 < before
+    assert found["error"]["final"]["train"]["position_mm"]["rms"] == after
+    assert found["error"]["before"]["test"]["position_mm"]["rms"] is None
+    rows = pd.read_csv(out / "residuals.csv")
+    for name, value in (("before", before), ("final", after), ("left_out", left)):
+        squares = rows[[f"{name}_{axis}" for axis in "xyz"]].pow(2).sum(axis=1)
+        assert 1e3 * np.sqrt(squares.mean()) == pytest.approx(value, rel=1e-6)
+
+    old_result = json.loads((results / "result.json").read_text())
+    (effect,), (was,) = found["effects"], old_result["effects"]
+    assert (effect["kind"], effect["where"]) == (was["kind"], was["where"])
+    own = {c["name"]: c for c in effect["coefficients"]}
+    model = SavedModel.load(out).final
+    for c in was["coefficients"]:
+        k = model.model.names.index(c["name"])
+        assert own[c["name"]]["value"] == model.theta[k] == pytest.approx(c["value"], abs=4 * c["std"])
+    status = {p["name"]: p for p in found["parameters"]}
+    assert status["elbow_joint.axis"]["value"] == pytest.approx(1e-3, abs=1e-4)
+    assert status["elbow_joint.axis"]["unit"] == "rad" and status["elbow_joint.axis"]["std"] < 1e-4
+    redundant = [p for p in old_result["parameters"] if p["status"] == "redundant"]
+    assert redundant and all(status[p["name"]] == p for p in redundant)
+    page = (out / "report.html").read_text()
+    assert "is not drawn" not in page and "the zero of elbow_joint" in page and lineage["sha256"][:16] in page
+    loaded = aridcal.load(out)
+    assert loaded.errors.loc[("final", "train"), "position_rms_mm"] == pytest.approx(after)
+    assert "noise_floor" in repr(loaded)
 
     assert main(["check", str(out), str(csv)]) == 0
     assert main(["check", str(results), str(csv)]) == 3

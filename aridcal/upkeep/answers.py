@@ -57,7 +57,9 @@ def left_out_line(made: RepairOutcomes) -> str:
     m = made.rows.measurements
     every = ~made.rows.outlier & ~m.test
     after = made.rows.stage("final").residual
-    before, now, left = (said(residual, every, m) for residual in (made.before, after, made.left_out))
+    before, now, left = (
+        said(residual, every, m) for residual in (made.rows.stage("before").residual, after, made.left_out)
+    )
     held = f"; {said(after, m.test, m)} on {int(m.test.sum())} held-out rows" if m.test.any() else ""
     return f"error of the new rows: {before} before, {now} after, {left} where each is left out{held}"
 

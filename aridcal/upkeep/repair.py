@@ -142,7 +142,8 @@ def repaired(saved: SavedModel, checked: Checked) -> Repaired:
     found = likely(checked.question)
     final = _settled(checked.unknowns, saved.final, found.theta, covariance_of(checked.question, found))
     moved = [cause.suspect for cause in checked.moved if cause.suspect is not None]
-    geometric = _with_new_frames(_geometric(saved.geometric, checked, found.theta, moved), checked.unknowns, final)
+    std = np.sqrt(np.maximum(np.diag(covariance_of(checked.question, found)), 0.0))
+    geometric = _with_new_frames(_geometric(saved.geometric, checked, found.theta, std, moved), checked.unknowns, final)
     residual = checked.question.problem.residual(found.theta)
     return Repaired(replace(saved, geometric=geometric, final=final), changes(checked), residual)
 
@@ -178,24 +179,28 @@ def _settled(unknowns: Wide, before: SolvedModel, theta: np.ndarray, covariance:
     return SolvedModel(model, np.where(at_frames, 0.0, theta[keep]), covariance[np.ix_(keep, keep)])
 
 
-def _geometric(before: SolvedModel, checked: Checked, theta: np.ndarray, moved: Sequence[Suspect]) -> SolvedModel:
+def _geometric(
+    before: SolvedModel, checked: Checked, theta: np.ndarray, std: np.ndarray, moved: Sequence[Suspect]
+) -> SolvedModel:
     """The geometric stage with the same zeros and frames moved; an effect that changed is none of it.
 
     Args:
         before: The stage as it was.
         checked: Holds the final stage as it was.
         theta: The final stage's coefficients as they are, shape (K,).
+        std: Theirs.
         moved: What moved.
     """
     wide = widened(before)
     number = {c: k for k, c in enumerate(wide.model.coefficients)}
-    now = wide.theta.copy()
+    now, covariance = wide.theta.copy(), wide.covariance.copy()
     for suspect in moved:
         if suspect.kind != "effect":
             for k in suspect.touched:
                 c = checked.unknowns.of_calibration(checked.wide.model.coefficients[k])
                 now[number[c]] += theta[k] - checked.wide.theta[k]
-    return _settled(Wide(wide, wide, np.zeros(len(now), dtype=bool)), before, now, wide.covariance)
+                covariance[number[c], number[c]] = std[k] ** 2
+    return _settled(Wide(wide, wide, np.zeros(len(now), dtype=bool)), before, now, covariance)
 
 
 def _with_new_frames(geometric: SolvedModel, unknowns: Wide, final: SolvedModel) -> SolvedModel:
