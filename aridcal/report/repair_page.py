@@ -122,7 +122,7 @@ def _summary(made: RepairOutcomes, checked: Checked, mended: Repaired) -> Iterat
     fitted = [f"{words}: fitted to the new rows; all else is kept as well as it was known." for words in moved]
     left = "agrees with the noise" if made.rows.verdict.word == "noise_floor" else "is more than the noise"
     trust = [
-        f"What remains {left} (p = {checked.rest.p_value:.2g}).",
+        f"What remains {left} ({checked.rest.words}).",
         "“Left out” is the error of rows that what moved was not fitted to: the figure to expect of the next row.",
         "What moved was named with all of the rows: a few more, in other attitudes, are a test that is free of that.",
     ]
