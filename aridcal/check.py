@@ -1,9 +1,12 @@
 """Tell whether a calibration is still good, from 5 to 20 new rows, and if it is not, what moved.
 
-The rows have the columns and units of the campaign's own tables, and poses or positions as those had. They should be measured
-in attitudes that differ. The residual is set beside the noise and the calibration's own uncertainty: of calibrations that are
+The rows have the columns and units of the campaign's own tables. Those of another instrument have a small campaign of their
+own, which is named in place of the table: `measurements` with their noise, `instruments`, and `frames`, if the base or the
+tool is another than that which was calibrated. What nobody knows of them is fitted with them. Rows should be measured in
+attitudes that differ. The residual is set beside the noise and the calibration's own uncertainty: of calibrations that are
 still right 1 % fail. If one fails, it is said what moved, with its probability: the zero of a joint, the tool, the base or the
-instrument, one effect, or that rows are odd by themselves; and a configuration to measure, where two causes look alike.
+instrument, one effect, or that rows are odd by themselves; and a configuration to measure, where two causes look alike (all
+of them with --poses).
 
 With --tolerance the question is another: a calibration fails only if its RMS position error is above the tolerance, which is
 wrong in 1 % of cases, too.
@@ -13,6 +16,7 @@ Exit status: 0 still good, 3 no longer good.
 Example:
     aridcal check results new.csv
     aridcal check results new.csv --tolerance 0.2mm
+    aridcal check results touched_points.yaml --poses next.csv
 """
 
 from __future__ import annotations
@@ -20,29 +24,45 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 
+import numpy as np
 from rich.console import Console
 
 from aridcal.command_line import DONE, NOT_GOOD, CommandParser, command_parser, run
+from aridcal.errors import OutputError
 from aridcal.inputs.measurement_settings import length_argument
+from aridcal.planning.design import joint_table
+from aridcal.planning.travel import short_order
 from aridcal.reading.names import path_argument
+from aridcal.result.outcome import enumerated
+from aridcal.result.predict import ENDINGS, write_table
 from aridcal.result.saved_model import SavedModel
 from aridcal.upkeep.answers import check_lines
-from aridcal.upkeep.checking import check
+from aridcal.upkeep.checking import Checked, check
 from aridcal.upkeep.new_rows import read_new_rows
 from aridcal.upkeep.repair import changes
+from aridcal.writing.files import atomic_file, check_home, claimed
 
 
 def parser() -> CommandParser:
     """The command's arguments."""
     arguments = command_parser("check", __doc__)
     arguments.add_argument("results", type=path_argument, help="result folder, or its calibration.yaml")
-    arguments.add_argument("rows", type=path_argument, help="new measurements, .csv or .parquet")
+    arguments.add_argument(
+        "rows", type=path_argument, help="new measurements, .csv or .parquet, or their campaign, .yaml"
+    )
     arguments.add_argument(
         "--tolerance",
         type=length_argument,
         metavar="LENGTH",
         help="RMS position error that is still good, 0.2mm for instance",
+    )
+    arguments.add_argument(
+        "--poses",
+        type=path_argument,
+        metavar="TABLE",
+        help="where to write what to measure, where the rows cannot tell",
     )
     return arguments
 
@@ -54,15 +74,44 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _main(arguments: argparse.Namespace) -> int:
+    if arguments.poses is None:
+        return _check(arguments)
+    if arguments.poses.suffix.lower() not in ENDINGS:
+        raise OutputError(f"{arguments.poses}: should be a .csv or .parquet file")
+    if arguments.poses.resolve() == arguments.rows.resolve():
+        raise OutputError(f"{arguments.poses}: is the table of new rows; write what to measure to another file")
+    check_home(arguments.poses)
+    with claimed(arguments.poses, "file"):
+        return _check(arguments)
+
+
+def _check(arguments: argparse.Namespace) -> int:
     saved = SavedModel.load(arguments.results)
     new = read_new_rows(saved, arguments.rows)
     checked = check(saved, new.rows, arguments.tolerance, new.frames)
     console = Console()
     for line in check_lines(checked, changes(checked), saved.measurements.units):
         console.print(line, markup=False, highlight=False, soft_wrap=True)
+    if arguments.poses is not None:
+        console.print(_poses(arguments.poses, saved, checked), markup=False, highlight=False, soft_wrap=True)
     for remark in (*new.rows.refused, *new.rows.notices):
         console.print(f"note: {remark}", markup=False, highlight=False, soft_wrap=True)
     return DONE if checked.good else NOT_GOOD
+
+
+def _poses(out: Path, saved: SavedModel, checked: Checked) -> str:
+    """Write configurations that would tell what the rows cannot; returns what was written, in words."""
+    found = [told for cause in checked.causes for told in cause.telling]
+    if not found:
+        return f"{out}: not written: there is nothing more to tell that another configuration would"
+    readings = np.unique([told.readings for told in found], axis=0)
+    readings = readings[short_order(readings)]
+    with atomic_file(out) as path:
+        write_table(joint_table(readings, saved.final.model.robot, saved.measurements), path)
+    of = enumerated(list(dict.fromkeys(told.suspect for told in found)))
+    return (
+        f"{out}: {len(readings)} {'configuration' if len(readings) == 1 else 'configurations'} that would tell of {of}"
+    )
 
 
 if __name__ == "__main__":

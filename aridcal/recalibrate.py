@@ -1,14 +1,16 @@
 """Mend a calibration with 5 to 20 new rows after something changed: a motor, the tool, the place of the base.
 
-What moved is found as `aridcal check` does. Only that is fitted; everything else, effects included, is kept as well as it was
+What moved is found as `aridcal check` does, with rows of any instrument. Only that is fitted, and frames that the campaign of
+the rows calls new (`frames: {tip_target: {identify: true}}`); everything else, effects included, is kept as well as it was
 known. The folder has all files of a calibration, result.json with what moved, its errors before, after and with each row left
 out, and the lineage: the file of the calibration before, its hash, and the rows that were used.
 
-Nothing is written where nothing moved, where the rows alone are odd, or where a few moved parts do not explain them: then exit
-status 2, and what to do.
+Nothing is written where nothing moved, where the rows alone are odd, cannot tell which part moved, or where a few moved parts
+do not explain them: then exit status 2, and what to do.
 
 Example:
     aridcal recalibrate results new.csv -o repaired
+    aridcal recalibrate results new_tool.yaml -o repaired
 """
 
 from __future__ import annotations
@@ -31,24 +33,28 @@ from aridcal.reading.files import CALIBRATION, read_file
 from aridcal.reading.names import path_argument
 from aridcal.report.repair_page import write_repair_report
 from aridcal.result.controllers import hand_over, write_controllers
-from aridcal.result.folder import residual_table
 from aridcal.result.saved_model import SavedModel
 from aridcal.result_folder import RESULT_FILES, RESULT_FOLDERS
 from aridcal.showing import Progress, told_on
 from aridcal.upkeep.answers import check_lines, left_out_line
 from aridcal.upkeep.checking import Checked, check
-from aridcal.upkeep.documents import document, figures_before, lineage
+from aridcal.upkeep.documents import document, figures_before, lineage, residuals
 from aridcal.upkeep.new_rows import read_new_rows
 from aridcal.upkeep.outcomes import RepairOutcomes, repair_outcomes
 from aridcal.upkeep.repair import Repaired, repaired
 from aridcal.writing.files import atomic_folder, claimed
+
+AGAINST = "where it was calibrated, against the repaired model"
+"""On what exports are scored: ten rows could not say it."""
 
 
 def parser() -> CommandParser:
     """The command's arguments."""
     arguments = command_parser("recalibrate", __doc__)
     arguments.add_argument("results", type=path_argument, help="result folder, or its calibration.yaml")
-    arguments.add_argument("rows", type=path_argument, help="measurements after the change, .csv or .parquet")
+    arguments.add_argument(
+        "rows", type=path_argument, help="measurements after the change, .csv or .parquet, or a campaign, .yaml"
+    )
     arguments.add_argument("-o", "--out", type=path_argument, required=True, help="folder for the repaired calibration")
     return arguments
 
@@ -105,9 +111,9 @@ def _write(
             (stage / "model.urdf").write_bytes(urdf_of(saved.final.model, saved.final.theta))
         found = document(made, checked, mended, parents, figures)
         (stage / "result.json").write_text(json.dumps(found, indent=2, allow_nan=False) + "\n")
-        residual_table(made.rows).to_csv(stage / "residuals.csv", index=False, float_format="%.9g")
+        residuals(made).to_csv(stage / "residuals.csv", index=False, float_format="%.9g")
         progress("working out what controllers can be given")
-        handover = hand_over(made.model)
+        handover = replace(hand_over(made.model), rows=f"{len(made.model.measurements)} configurations {AGAINST}")
         write_controllers(made.model, handover, stage)
         progress("drawing the report and the scene")
         notices = write_repair_report(made, checked, mended, parents, lines, handover, stage / "report.html")

@@ -13,13 +13,16 @@ import pinocchio as pin
 import pytest
 import robots
 import yaml
-from calibrated import NOISE, Machine, jump, machine
+from calibrated import NOISE, Machine, by_instruments, jump, machine
+from test_simulate_instruments import EYE
 
+import aridcal
 from aridcal.__main__ import main
 from aridcal.effects.basis import Basis
 from aridcal.effects.effect import Coefficient
 from aridcal.errors import MeasurementError
 from aridcal.fit.constants import urdf_of
+from aridcal.fit.problem import problem
 from aridcal.inputs.measurement_settings import Units
 from aridcal.result.folder import write_results
 from aridcal.result.pipeline import identify
@@ -27,6 +30,9 @@ from aridcal.result.saved_model import SavedModel
 from aridcal.robot.chain import parse_robot
 from aridcal.upkeep.answers import check_lines
 from aridcal.upkeep.checking import check
+from aridcal.upkeep.evidence import likely
+from aridcal.upkeep.left_out import left_out
+from aridcal.upkeep.new_rows import read_new_rows
 from aridcal.upkeep.repair import changes, repaired
 
 NAMES = robots.ur10().readings
@@ -143,7 +149,49 @@ def test_what_cannot_be_repaired_is_refused_with_the_remedy(what, said):
         repaired(m.saved, check(m.saved, rows))
 
 
+def test_rows_left_out_are_predicted_as_if_they_had_never_been_there():
+    """By a second road: the repair made again without each row, and that row predicted."""
+    m = machine(6)
+    rows = m.measured(m.configurations(8), jump(3, 2e-3))
+    found = check(m.saved, rows)
+    left = left_out(found, likely(found.question).theta)
+    assert [c.where for c in found.causes] == ["wrist_1_joint"]
+    for k in range(8):
+        some = check(m.saved, rows.select(np.arange(8) != k))
+        assert [c.where for c in some.causes] == ["wrist_1_joint"]
+        without = repaired(m.saved, some).saved.final
+        alone = problem(without.model, rows.select(np.arange(8) == k)).residual(without.theta)[0]
+        np.testing.assert_allclose(left[k], alone, atol=0.02 * NOISE)
+
+
+def test_a_repair_that_would_be_a_guess_is_refused_and_what_would_tell_is_said(tmp_path):
+    m = machine(7)
+    new = read_new_rows(m.saved, by_instruments(m, tmp_path, ["inclination"], jump(2, 2e-3), n=12))
+    found = check(m.saved, new.rows, frames=new.frames)
+    with pytest.raises(MeasurementError, match="measure what would tell"):
+        repaired(m.saved, found)
+
+
 # -- the command
+
+
+@pytest.mark.parametrize("kind", ["point", "distance", "pixels"])
+def test_rows_of_another_instrument_write_a_whole_folder(kind, results, tmp_path, capsys):
+    instruments = {"cameras": {"eye": EYE}} if kind == "pixels" else None
+    path = by_instruments(machine(7), tmp_path, [kind], jump(2, 2e-3), instruments, n=8 if kind == "pixels" else 20)
+    out = tmp_path / "repaired"
+    assert main(["recalibrate", str(results), str(path), "-o", str(out)]) == 0
+    assert "moved: the zero of elbow_joint" in capsys.readouterr().out
+    assert "is not drawn" not in (out / "report.html").read_text()
+    found = json.loads((out / "result.json").read_text())
+    assert set(found["instruments"]) == {
+        "cameras" if kind == "pixels" else "anchors" if kind == "distance" else "points"
+    } | ({"boards", "markers"} if kind == "pixels" else set())
+    (key,) = {"point": ["position_mm"], "distance": ["distance_mm"], "pixels": ["pixel_px"]}[kind]
+    before, after = (found["error"][stage]["new_rows"][key]["rms"] for stage in ("before", "after"))
+    assert after < 0.5 * before
+    assert main(["check", str(out), str(path)]) == 0
+    assert SavedModel.load(out).final.model.instruments.things == {}
 
 
 @pytest.fixture(scope="module")
@@ -170,7 +218,14 @@ def test_the_folder_says_where_it_comes_from_and_can_be_used_at_once(results, tm
     out = tmp_path / "repaired"
     assert main(["recalibrate", str(results), str(csv), "-o", str(out)]) == 0
     assert "moved: the zero of elbow_joint, by +1.0" in capsys.readouterr().out
-    assert {p.name for p in out.iterdir()} == {"calibration.yaml", "calibrated.urdf", "model.urdf", "result.json"}
+    every = {p.name for p in results.iterdir()} | {
+        "report.html",
+        "scene.html",
+        "kinematics.yaml",
+        "dh.yaml",
+        "frames.yaml",
+    }
+    assert every <= {p.name for p in out.iterdir()}
     assert (results / "calibration.yaml").read_bytes() == old
 
     found = json.loads((out / "result.json").read_text())
@@ -183,8 +238,33 @@ def test_the_folder_says_where_it_comes_from_and_can_be_used_at_once(results, tm
     (moved,) = found["moved"]
     (change,) = moved["changes"]
     assert change["value"] == pytest.approx(1e-3, abs=5 * change["std"]) and change["unit"] == "rad"
-    rms = [found["error"][stage]["new_rows"]["position_mm"]["rms"] for stage in ("before", "after")]
-    assert rms[1] < 0.15 < rms[0]
+    before, after, left = (found["error"][s]["new_rows"]["position_mm"]["rms"] for s in ("before", "after", "left_out"))
+    assert after < left < 0.15 < before
+    assert found["error"]["final"]["train"]["position_mm"]["rms"] == after
+    assert found["error"]["before"]["test"]["position_mm"]["rms"] is None
+    rows = pd.read_csv(out / "residuals.csv")
+    for name, value in (("before", before), ("final", after), ("left_out", left)):
+        squares = rows[[f"{name}_{axis}" for axis in "xyz"]].pow(2).sum(axis=1)
+        assert 1e3 * np.sqrt(squares.mean()) == pytest.approx(value, rel=1e-6)
+
+    old_result = json.loads((results / "result.json").read_text())
+    (effect,), (was,) = found["effects"], old_result["effects"]
+    assert (effect["kind"], effect["where"]) == (was["kind"], was["where"])
+    own = {c["name"]: c for c in effect["coefficients"]}
+    model = SavedModel.load(out).final
+    for c in was["coefficients"]:
+        k = model.model.names.index(c["name"])
+        assert own[c["name"]]["value"] == model.theta[k] == pytest.approx(c["value"], abs=4 * c["std"])
+    status = {p["name"]: p for p in found["parameters"]}
+    assert status["elbow_joint.axis"]["value"] == pytest.approx(1e-3, abs=1e-4)
+    assert status["elbow_joint.axis"]["unit"] == "rad" and status["elbow_joint.axis"]["std"] < 1e-4
+    redundant = [p for p in old_result["parameters"] if p["status"] == "redundant"]
+    assert redundant and all(status[p["name"]] == p for p in redundant)
+    page = (out / "report.html").read_text()
+    assert "is not drawn" not in page and "the zero of elbow_joint" in page and lineage["sha256"][:16] in page
+    loaded = aridcal.load(out)
+    assert loaded.errors.loc[("final", "train"), "position_rms_mm"] == pytest.approx(after)
+    assert "noise_floor" in repr(loaded)
 
     assert main(["check", str(out), str(csv)]) == 0
     assert main(["check", str(results), str(csv)]) == 3

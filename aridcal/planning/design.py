@@ -214,14 +214,19 @@ def _visits(
 
 def as_table(plan: Plan, robot: Robot, settings: MeasurementSettings) -> pd.DataFrame:
     """Joints in the columns and units of a campaign's own table, and what each row measures."""
-    units = {"prismatic": settings.units.metres}
-    columns = {
-        settings.columns.get(name, name): values / units.get(kind, settings.units.radians)
-        for name, kind, values in zip(robot.readings, robot.kinds, plan.readings.T, strict=True)
-    }
     labels = {column_of(name, settings, robot.readings): words for name, words in plan.labels.items()}
     sides = {
         column_of(f"{name}_direction", settings, robot.readings): side.astype(int)
         for name, side in plan.directions.items()
     }
-    return pd.DataFrame(columns | sides | labels)
+    return joint_table(plan.readings, robot, settings).assign(**sides, **labels)
+
+
+def joint_table(readings: np.ndarray, robot: Robot, settings: MeasurementSettings) -> pd.DataFrame:
+    """Readings, shape (n, columns), [rad] or [m], in the columns and units of a campaign's own table."""
+    units = {"prismatic": settings.units.metres}
+    columns = {
+        settings.columns.get(name, name): values / units.get(kind, settings.units.radians)
+        for name, kind, values in zip(robot.readings, robot.kinds, readings.T, strict=True)
+    }
+    return pd.DataFrame(columns)

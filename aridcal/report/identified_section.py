@@ -16,6 +16,8 @@ from aridcal.result.outcome import Outcome
 from aridcal.robot.doty import Link, doty_links
 
 SYMBOLS = {"d": "d", "theta": "θ", "beta": "β", "a": "a", "alpha": "α"}
+ZERO = "axis"
+"""Component of a joint's zero, which repairs have beside its origin."""
 MOST_FRAMES = 12
 MOST_PARTNERS = 6
 
@@ -123,7 +125,8 @@ def _constants(outcome: Outcome) -> Iterator[Content]:
         yield tag(
             "p",
             "Corrections of each joint's own origin, in its own axes, relative to the nominal URDF, with one standard "
-            "deviation. Those marked nominal are redundant (section 2).",
+            "deviation.",
+            " Those marked nominal are redundant (section 2)." if outcome.stage("geometric").fit.redundant else "",
         )
         yield tag("div", [_origin(where, group) for where, group in groups.items()], class_="links")
 
@@ -139,8 +142,12 @@ def _correction(p: Parameter) -> str:
 def _origin(where: str, group: list[Parameter]) -> Html:
     """Corrections of a joint's origin."""
     by_component = {p["component"]: p for p in group}
-    ordered = [by_component[c] for c in FRAME_COMPONENTS]
-    lines = [[p["component"], _correction(p)] for p in ordered if p["status"] == "identified"]
+    ordered = [by_component[c] for c in (*FRAME_COMPONENTS, ZERO) if c in by_component]
+    lines = [
+        ["zero" if p["component"] == ZERO else p["component"], _correction(p)]
+        for p in ordered
+        if p["status"] == "identified"
+    ]
     nominal = [p["component"] for p in ordered if p["status"] != "identified"]
     if nominal:
         lines.append([", ".join(nominal), "nominal"])

@@ -87,7 +87,7 @@ def _page(
         ("moved", "1. What moved?", _moved(mended, lines)),
         ("rows", "2. Do the new rows fit now?", _rows(made)),
         ("parameters", "3. What is the calibration now?", identified(made.rows)),
-        ("use", "4. How to use the result", use(made.model, handover)),
+        ("use", "4. How to use the result", _use(made, handover)),
         ("lineage", "5. Where does it come from?", _lineage(lineage)),
     ]
     m = made.rows.measurements
@@ -122,7 +122,7 @@ def _summary(made: RepairOutcomes, checked: Checked, mended: Repaired) -> Iterat
     fitted = [f"{words}: fitted to the new rows; all else is kept as well as it was known." for words in moved]
     left = "agrees with the noise" if made.rows.verdict.word == "noise_floor" else "is more than the noise"
     trust = [
-        f"What remains {left} (p = {checked.rest.p_value:.2g}).",
+        f"What remains {left} ({checked.rest.words}).",
         "“Left out” is the error of rows that what moved was not fitted to: the figure to expect of the next row.",
         "What moved was named with all of the rows: a few more, in other attitudes, are a test that is free of that.",
     ]
@@ -141,7 +141,7 @@ def _card(made: RepairOutcomes, k: int) -> Html:
     every = ~made.rows.outlier
     before, after, left = (
         errors(residual, every, m.channels)[channel.key]["rms"]
-        for residual in (made.before, made.rows.stage("final").residual, made.left_out)
+        for residual in (made.rows.stage("before").residual, made.rows.stage("final").residual, made.left_out)
     )
     unit = channel.shown
     figures = tag(
@@ -180,7 +180,7 @@ def _changes(change: Change) -> Iterator[list[Content]]:
 def _rows(made: RepairOutcomes) -> Iterator[Content]:
     """Errors of each new row: before, after, and left out."""
     m, last = made.rows.measurements, made.rows.stage("final").residual
-    columns = [norms(residual, m.channels) for residual in (made.before, last, made.left_out)]
+    columns = [norms(residual, m.channels) for residual in (made.rows.stage("before").residual, last, made.left_out)]
     seen = [k for k in range(len(m.channels)) if m.measures[:, k].any()]
     order = m.as_read if len(m) <= MOST_ROWS else np.argsort(-np.nan_to_num(columns[1][seen[0]]))[:MOST_ROWS]
     lines: list[list[Content]] = []
@@ -191,6 +191,18 @@ def _rows(made: RepairOutcomes) -> Iterator[Content]:
         lines.append([f"{m.files[m.file[row]].name}, row {m.line[row]}", part, *cells])
     which = "" if len(m) <= MOST_ROWS else f"; the {MOST_ROWS} worst of {len(m)}"
     yield table(["new row", "part", "before", "after", "left out"], lines, f"Error of each new row{which}", numbers=2)
+
+
+def _use(made: RepairOutcomes, handover: Handover) -> Iterator[Content]:
+    """Which file is for what, and what each export loses."""
+    yield tag(
+        "p",
+        "Errors here are distances from the repaired model, where it was calibrated: what each export loses of it. What the "
+        "model itself is off by stands in section 2. Where there is a ",
+        tag("code", "model.urdf"),
+        ", it is valid only together with the effects in calibration.yaml.",
+    )
+    yield from use(made.model, handover)
 
 
 def _shown(value: float, channel: Channel) -> str:

@@ -48,7 +48,7 @@ def check_lines(checked: Checked, changes: Sequence[Change], units: Units) -> li
         lines += _cause_lines(checked, cause, by_cause.get(id(cause)), units)
     if checked.causes:
         left = "goes with the calibration" if checked.rest.p_value >= FALSE_ALARMS else "is explained by nothing known"
-        lines.append(f"what remains {left} (p = {checked.rest.p_value:.2g})")
+        lines.append(f"what remains {left} ({checked.rest.words})")
     return lines
 
 
@@ -57,7 +57,9 @@ def left_out_line(made: RepairOutcomes) -> str:
     m = made.rows.measurements
     every = ~made.rows.outlier & ~m.test
     after = made.rows.stage("final").residual
-    before, now, left = (said(residual, every, m) for residual in (made.before, after, made.left_out))
+    before, now, left = (
+        said(residual, every, m) for residual in (made.rows.stage("before").residual, after, made.left_out)
+    )
     held = f"; {said(after, m.test, m)} on {int(m.test.sum())} held-out rows" if m.test.any() else ""
     return f"error of the new rows: {before} before, {now} after, {left} where each is left out{held}"
 
@@ -73,7 +75,7 @@ def _error(error: Bounds) -> str:
 
 def _verdict(checked: Checked) -> str:
     """Yes or no, and how often that is wrong."""
-    odd = f"p = {checked.first.p_value:.2g}; a calibration that is still right fails {100 * FALSE_ALARMS:g} % of checks"
+    odd = f"{checked.first.words}; a calibration that is still right fails {100 * FALSE_ALARMS:g} % of checks"
     if checked.tolerance is None:
         return f"no longer good: {odd}" if checked.contradicted else f"still good: {odd}"
     limit = f"{MILLI * checked.tolerance:g} mm"
@@ -106,7 +108,8 @@ def _cause_lines(checked: Checked, cause: Cause, change: Change | None, units: U
             scale = [units.metres if kind == "prismatic" else units.radians for kind in robot.kinds]
             pairs = zip(robot.readings, (told.readings / scale).tolist(), strict=True)
             at = ", ".join(f"{name} {value:.4g}" for name, value in pairs)
-            lines.append(f"  measure this to tell it from {told.suspect}: {at}")
+            what = "the target's place here" if checked.rows.blocks else "this"
+            lines.append(f"  measure {what} to tell it from {told.suspect}: {at}")
             if told.joints:
                 lines.append(f"  (it has {enumerated(told.joints)} where these rows do not reach)")
     return lines

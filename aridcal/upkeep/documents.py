@@ -9,12 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from aridcal import __version__
 from aridcal.errors import AridcalError
 from aridcal.inputs.yaml_file import decode
 from aridcal.reading.files import RESULT, read_file
-from aridcal.result.folder import finite, result_document
+from aridcal.result.folder import finite, residual_columns, residual_table, result_document
 from aridcal.result.outcome import errors
 from aridcal.result.saved_model import SavedModel, SolvedModel
 from aridcal.upkeep.checking import Checked
@@ -68,16 +69,20 @@ def document(
     held_out = made.rows.measurements.test
     parts = {"new_rows": ~made.rows.outlier & ~held_out, "test": held_out}
     found = result_document(made.rows)
-    stages = {"before": made.before, "after": made.rows.stage("final").residual, "left_out": made.left_out}
-    now = {parameter["name"] for parameter in found["parameters"]}
-    kept = [p for p in _listed(before, "parameters") if p.get("name") not in now and p.get("status") != "identified"]
+    stages = {
+        "before": made.rows.stage("before").residual,
+        "after": made.rows.stage("final").residual,
+        "left_out": made.left_out,
+    }
+    known = {p.get("name"): p for p in _listed(before, "parameters") if p.get("status") != "identified"}
+    now = [p if p["status"] == "identified" else known.get(p["name"], p) for p in found["parameters"]]
     repair = {
         "error": found["error"]
         | {
             name: {part: errors(residual, mask, rows.channels) for part, mask in parts.items()}
             for name, residual in stages.items()
         },
-        "parameters": [*found["parameters"], *kept],
+        "parameters": now,
         "effects": list(_effects(_listed(before, "effects"), mended.saved.final)),
         "moved": [
             {
@@ -96,6 +101,14 @@ def document(
         "lineage": parents,
     }
     return dict(finite(found | repair))
+
+
+def residuals(made: RepairOutcomes) -> pd.DataFrame:
+    """``residuals.csv``: of each new row what each model leaves, and the repaired one where the row is left out."""
+    m = made.rows.measurements
+    axes = residual_columns(m)
+    more = {f"left_out_{axis}": column for axis, column in zip(axes, made.left_out[m.as_read].T, strict=True)}
+    return residual_table(made.rows).assign(**more)
 
 
 def figures_before(calibration: Path) -> dict[str, Any]:

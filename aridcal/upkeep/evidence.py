@@ -201,6 +201,10 @@ def covariance_of(question: Question, place: Likely) -> np.ndarray:
     return np.asarray(left @ P @ left.T + question.times**2 * gain @ gain.T)
 
 
+SMALLEST = 1e-300
+"""Probability below which floats have none."""
+
+
 @dataclass(frozen=True)
 class Alarm:
     """Whether new rows contradict a calibration.
@@ -214,6 +218,11 @@ class Alarm:
     p_value: float
     squares: float
     numbers: int
+
+    @property
+    def words(self) -> str:
+        """The probability, as text."""
+        return f"p = {self.p_value:.2g}" if self.p_value > SMALLEST else f"p < {SMALLEST:g}"
 
     @property
     def ratio(self) -> float:

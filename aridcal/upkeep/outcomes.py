@@ -12,6 +12,7 @@ import numpy as np
 
 from aridcal.effects.effect import FRAME_COMPONENTS, Coefficient
 from aridcal.errors import CampaignError
+from aridcal.fit.constants import constants
 from aridcal.fit.least_squares import Convergence, Fit, fit_identifiable
 from aridcal.fit.problem import Problem, problem
 from aridcal.fit.stages import recentred
@@ -40,15 +41,13 @@ class RepairOutcomes:
     """What the files of a repaired calibration are made of.
 
     Attributes:
-        rows: The new rows beside the nominal robot, the repaired geometry and the whole repaired model.
+        rows: The new rows beside the nominal robot, the calibration ``before``, the repaired geometry and the repaired model.
         model: The same beside what the repaired model predicts where it was calibrated.
-        before: Residuals of the calibration before, shape (N, m).
         left_out: Residuals with what moved fitted to the other rows, shape (N, m); see :func:`left_out`.
     """
 
     rows: Outcome
     model: Outcome
-    before: np.ndarray
     left_out: np.ndarray
 
 
@@ -65,20 +64,27 @@ def repair_outcomes(saved: SavedModel, checked: Checked, mended: Repaired) -> Re
     """
     if saved.campaign is None:
         raise CampaignError("calibration.yaml holds no campaign; run `aridcal identify` again")
+    which = saved.campaign.parameters.set
     found = likely(checked.question)
     predicted = _predicted(mended.saved)
     nominal = _nominal(mended.saved, predicted)
     sigma = np.array(mended.saved.noise[: len(predicted.channels)])
     arm = SolvedModel(nominal.model, nominal.theta, nominal.covariance)
     of_model = tuple(
-        Stage(name, *_fit(problem(solved.model, predicted), solved, sigma))
+        Stage(name, *_fit(problem(solved.model, predicted), solved, sigma, which))
         for name, solved in (("nominal", arm), ("geometric", mended.saved.geometric), ("final", mended.saved.final))
     )
     noise = checked.question.times * checked.noise.sigma
     final = SolvedModel(checked.wide.model, found.theta, covariance_of(checked.question, found))
+    start = asked(checked.wide, checked.rows, checked.noise, checked.unknowns.unknown)
+    old = SolvedModel(checked.wide.model, with_unknowns(start), checked.wide.covariance)
     of_rows = (
-        *(_beside(name, solved, checked) for name, solved in (("nominal", arm), ("geometric", mended.saved.geometric))),
-        Stage("final", *_fit(checked.question.problem, _without_zeros(final), noise)),
+        *(
+            _beside(name, solved, checked, which)
+            for name, solved in (("nominal", arm), ("geometric", mended.saved.geometric))
+        ),
+        Stage("before", *_fit(start.problem, _without_zeros(old), noise, which)),
+        Stage("final", *_fit(checked.question.problem, _without_zeros(final), noise, which)),
     )
     odd = checked.rest.p_value < FALSE_ALARMS
     share = max(0.0, 1.0 - 1.0 / checked.rest.ratio) if odd else 0.0
@@ -90,7 +96,6 @@ def repair_outcomes(saved: SavedModel, checked: Checked, mended: Repaired) -> Re
     return RepairOutcomes(
         rows=_outcome(saved.campaign, rows, of_rows, ~used & ~held_out, noise, verdict),
         model=_outcome(saved.campaign, predicted, of_model, np.zeros(PREDICTED, dtype=bool), sigma, verdict),
-        before=checked.residual,
         left_out=left_out(checked, found.theta),
     )
 
@@ -145,24 +150,29 @@ def _predicted(saved: SavedModel) -> Dataset:
 def _nominal(saved: SavedModel, predicted: Dataset) -> Fit:
     """The nominal robot with its frames where these suit the repaired model best."""
     model = saved.final.model
+    own = _frame_coefficients(model)
+    bare = Model(model.robot, own, model.world_base, model.tip_target, model.around)
+    return recentred(fit_identifiable(problem(bare, predicted), range(len(own))))
+
+
+def _frame_coefficients(model: Model) -> tuple[Coefficient, ...]:
+    """Constants of all frames of a model."""
     frames = (("world_base", model.world_base), ("tip_target", model.tip_target))
-    own = [
+    return tuple(
         Coefficient(where, component, station=label)
         for where, placements in frames
         for label, _ in placements
         for component in FRAME_COMPONENTS
-    ]
-    bare = Model(model.robot, tuple(own), model.world_base, model.tip_target, model.around)
-    return recentred(fit_identifiable(problem(bare, predicted), range(len(own))))
+    )
 
 
-def _beside(name: str, solved: SolvedModel, checked: Checked) -> Stage:
+def _beside(name: str, solved: SolvedModel, checked: Checked, which: str) -> Stage:
     """A stage set beside the new rows: what only these tell is fitted to them."""
     wide = wide_of(widened(solved), checked.rows)
     question = asked(wide.solved, checked.rows, checked.noise, wide.unknown)
     theta = with_unknowns(question)
     arm = _without_zeros(SolvedModel(wide.solved.model, theta, wide.solved.covariance))
-    return Stage(name, *_fit(question.problem, arm, checked.noise.sigma))
+    return Stage(name, *_fit(question.problem, arm, checked.noise.sigma, which))
 
 
 def _without_zeros(solved: SolvedModel) -> SolvedModel:
@@ -174,14 +184,12 @@ def _without_zeros(solved: SolvedModel) -> SolvedModel:
     )
 
 
-def _fit(question: Problem, solved: SolvedModel, sigma: np.ndarray) -> tuple[Fit, np.ndarray]:
-    """A solved model as a fit of some rows, and its residuals there, shape (N, m)."""
+def _fit(question: Problem, solved: SolvedModel, sigma: np.ndarray, which: str) -> tuple[Fit, np.ndarray]:
+    """A solved model as a fit of some rows, with the set of constants that was asked for, and its residuals there, (N, m)."""
     rows = question.data
     residual = problem(solved.model, rows).residual(solved.theta)
-    where = {c.where for c in solved.model.coefficients if c.basis.constant}
-    frames = [
-        Coefficient(place, c) for place in ("world_base", "tip_target") if place not in where for c in FRAME_COMPONENTS
-    ]
+    model = solved.model
+    every = (*constants(model.robot, which), *_frame_coefficients(model), *model.coefficients)
     made = Fit(
         model=solved.model,
         theta=solved.theta,
@@ -190,7 +198,7 @@ def _fit(question: Problem, solved: SolvedModel, sigma: np.ndarray) -> tuple[Fit
         estimated=sigma,
         weight=np.ones(len(rows)),
         residual=residual,
-        candidates=(*solved.model.coefficients, *frames),
+        candidates=tuple(dict.fromkeys(every)),
         redundant={},
         convergence=Convergence(steps=0, gradient=0.0, condition=float("nan")),
         spent=float(len(solved.theta)),

@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 from aridcal.effects.effect import ANGULAR, FRAME_COMPONENTS, Coefficient
-from aridcal.errors import MeasurementError
+from aridcal.errors import MeasurementError, listed
 from aridcal.inputs.read import ONE_TARGET
 from aridcal.model.model import Model
 from aridcal.result.saved_model import SavedModel, SolvedModel
@@ -124,7 +124,7 @@ def repaired(saved: SavedModel, checked: Checked) -> Repaired:
     where = checked.rows.title
     if not checked.contradicted and not checked.unknowns.anew:
         raise MeasurementError(
-            f"{where}: nothing moved: these rows go with the calibration as it is (p = {checked.first.p_value:.2g}); "
+            f"{where}: nothing moved: these rows go with the calibration as it is ({checked.first.words}); "
             "go on using it"
         )
     if checked.contradicted and not checked.moved:
@@ -135,17 +135,29 @@ def repaired(saved: SavedModel, checked: Checked) -> Repaired:
         )
     if checked.rest.p_value < REMAINING:
         raise MeasurementError(
-            f"{where}: these rows differ from the calibration by more than a few moved parts explain (p = "
-            f"{checked.rest.p_value:.2g} with {len(checked.causes)} allowed for); measure a whole campaign and run "
+            f"{where}: these rows differ from the calibration by more than a few moved parts explain ("
+            f"{checked.rest.words} with {len(checked.causes)} allowed for); measure a whole campaign and run "
             "`aridcal identify`"
         )
+    for cause in checked.moved:
+        if cause.telling and cause.probability < SURE:
+            raise MeasurementError(
+                f"{where}: these rows cannot tell {cause.words} (probability {100 * cause.probability:.0f} %) from "
+                f"{listed(cause.alike)}, and the wrong repair would be wrong elsewhere; measure what would tell, too: "
+                "`aridcal check RESULTS ROWS --poses poses.csv` writes it"
+            )
     found = likely(checked.question)
     final = _settled(checked.unknowns, saved.final, found.theta, covariance_of(checked.question, found))
     moved = [cause.suspect for cause in checked.moved if cause.suspect is not None]
-    geometric = _with_new_frames(_geometric(saved.geometric, checked, found.theta, moved), checked.unknowns, final)
+    std = np.sqrt(np.maximum(np.diag(covariance_of(checked.question, found)), 0.0))
+    geometric = _with_new_frames(_geometric(saved.geometric, checked, found.theta, std, moved), checked.unknowns, final)
     residual = checked.question.problem.residual(found.theta)
     return Repaired(replace(saved, geometric=geometric, final=final), changes(checked), residual)
 
+
+SURE = 0.8
+"""Probability below which a part is not repaired that another one is mistaken for: one repair in five would be of the wrong part,
+though a row more would have told."""
 
 REMAINING = 1e-3
 """Probability of what is left below which a repair is refused: ten times rarer than what raises an alarm, for it was looked for
@@ -178,24 +190,28 @@ def _settled(unknowns: Wide, before: SolvedModel, theta: np.ndarray, covariance:
     return SolvedModel(model, np.where(at_frames, 0.0, theta[keep]), covariance[np.ix_(keep, keep)])
 
 
-def _geometric(before: SolvedModel, checked: Checked, theta: np.ndarray, moved: Sequence[Suspect]) -> SolvedModel:
+def _geometric(
+    before: SolvedModel, checked: Checked, theta: np.ndarray, std: np.ndarray, moved: Sequence[Suspect]
+) -> SolvedModel:
     """The geometric stage with the same zeros and frames moved; an effect that changed is none of it.
 
     Args:
         before: The stage as it was.
         checked: Holds the final stage as it was.
         theta: The final stage's coefficients as they are, shape (K,).
+        std: Theirs.
         moved: What moved.
     """
     wide = widened(before)
     number = {c: k for k, c in enumerate(wide.model.coefficients)}
-    now = wide.theta.copy()
+    now, covariance = wide.theta.copy(), wide.covariance.copy()
     for suspect in moved:
         if suspect.kind != "effect":
             for k in suspect.touched:
                 c = checked.unknowns.of_calibration(checked.wide.model.coefficients[k])
                 now[number[c]] += theta[k] - checked.wide.theta[k]
-    return _settled(Wide(wide, wide, np.zeros(len(now), dtype=bool)), before, now, wide.covariance)
+                covariance[number[c], number[c]] = std[k] ** 2
+    return _settled(Wide(wide, wide, np.zeros(len(now), dtype=bool)), before, now, covariance)
 
 
 def _with_new_frames(geometric: SolvedModel, unknowns: Wide, final: SolvedModel) -> SolvedModel:
