@@ -9,6 +9,7 @@ import numpy as np
 
 from aridcal.effects.catalogue import KINDS
 from aridcal.effects.effect import Effect
+from aridcal.effects.regional_kind import is_field
 from aridcal.search.change_points import best_steps
 from aridcal.search.evidence import Score
 from aridcal.search.hints import hinted
@@ -219,7 +220,7 @@ def _with_rows_of_hints(model: LinearModel, state: State, kinds: Collection[str]
     """The same effects solved with the flagged rows that a hint would explain: they are what it was seen by."""
     used = state.used.copy()
     for effect in hinted(model, state, kinds):
-        if effect.smooth:
+        if effect.smooth or is_field(effect):
             used |= np.any(model.columns(effect), axis=(1, 2))
     return (
         state
