@@ -199,12 +199,14 @@ def run(make: Callable[[int, bool], Case], declared: list[dict[str, object]], ca
 def main() -> int:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", nargs="*", choices=["rail", "square"], help="default: both")
+    parser.add_argument("what", nargs="*", metavar="NAME", help="rail, square; default: both")
     parser.add_argument("--cases", type=int, default=10)
     arguments = parser.parse_args()
-    for make, declared in ((rail, LINKS), (square, FIELD)):
-        if not arguments.what or make.__name__ in arguments.what:
-            run(make, declared, arguments.cases)
+    parts = {"rail": (rail, LINKS), "square": (square, FIELD)}
+    for name in arguments.what or parts:
+        if name not in parts:
+            parser.error(f"no part {name!r}: choose from {', '.join(parts)}")
+        run(*parts[name], arguments.cases)
     return 0
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from aridcal.effects.catalogue import KINDS
 from aridcal.effects.effect import Effect
 from aridcal.effects.regional_kind import is_field
+from aridcal.instruments.channels import columns
 from aridcal.search.change_points import best_steps
 from aridcal.search.evidence import Score
 from aridcal.search.hints import hinted
@@ -303,6 +304,15 @@ def missed(model: LinearModel, state: State) -> State:
     return state
 
 
+def _judging(model: LinearModel, effect: Effect) -> list[int]:
+    """Channels that judge an effect: all; of a field, which has few rows to speak for it, those that it moves."""
+    every = list(range(len(model.channels)))
+    if not is_field(effect):
+        return every
+    moved = np.any(model.columns(effect), axis=(0, 2))
+    return [k for k, part in enumerate(columns(model.channels)) if moved[part].any()]
+
+
 def _held_back_gains(model: LinearModel, state: State, asked: Collection[Effect]) -> dict[Effect, float]:
     """By how many standard errors effects lower the squared error of held-back rows; negative where one is not missed."""
     number = np.random.default_rng(1).permutation(int(model.configuration.max()) + 1)
@@ -322,6 +332,6 @@ def _held_back_gains(model: LinearModel, state: State, asked: Collection[Effect]
         each = np.bincount(configuration, gain.sum(axis=0))
         error = float(np.sqrt(np.sum(each**2)))
         total = float(each.sum()) / error if error > 0.0 else 0.0
-        worse = float(gain.sum(axis=1).min())
+        worse = float(gain.sum(axis=1)[_judging(model, effect)].min())
         gains[effect] = total if worse >= 0.0 or total > SURE_GAIN else min(total, worse)
     return gains
