@@ -80,7 +80,7 @@ def _motions(rows: Observed, where: str) -> tuple[str, ...]:
 def _varying(rows: Observed, kind: str, where: str, motion: tuple[str, ...], by: str) -> Effect:
     """Motions of one place as smooth functions of a covariate, or of the target's place; empty where there are too few."""
     if by == IN_SPACE:
-        bases = _field(np.column_stack([rows.table[name] for name in TARGET]))
+        bases = ball_field(np.column_stack([rows.table[name] for name in TARGET]))
         every = tuple(Coefficient(where, component, basis) for component in motion for basis in bases)
     else:
         curves = (bumps(where, component, by, rows.table[by], REGION_KNOTS) for component in motion)
@@ -88,7 +88,7 @@ def _varying(rows: Observed, kind: str, where: str, motion: tuple[str, ...], by:
     return Effect(kind, where, every, by=by, smooth=True)
 
 
-def _field(places: np.ndarray) -> list[Basis]:
+def ball_field(places: np.ndarray) -> list[Basis]:
     """Functions about nodes among some places, shape (N, 3), [m]: one for every two of them; the narrowest that are tried."""
     different = np.unique(np.round(places, 6), axis=0)
     count = min(len(different) // 2, MOST_NODES)

@@ -61,7 +61,7 @@ def decide(clues: Sequence[Clue], effects: Sequence[Effect], freedom: float) -> 
     unnamed = [e for e in effects if not KINDS[e.kind].named]
     if unnamed:
         # Between and beyond the rows a smooth curve without a cause is not known.
-        of = ", ".join(dict.fromkeys(f"{e.where} by {' and '.join(e.covariates)}" for e in unnamed))
+        of = ", ".join(dict.fromkeys(f"{e.where} by {e.by or ' and '.join(e.covariates)}" for e in unnamed))
         reasons.append(f"a repeatable error has no known cause ({of})")
     if freedom <= LEAST_FREEDOM:
         few = f"only {100 * max(freedom, 0.0):.0f} % of the measured numbers are left to judge the model by"

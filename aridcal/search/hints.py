@@ -1,4 +1,4 @@
-"""What the residual hints at, before anything is tested: harmonics of any order, narrow bumps, functions of two covariates."""
+"""What the residual hints at, before anything is tested: harmonics of any order, narrow bumps, dents in space, pairs."""
 
 from __future__ import annotations
 
@@ -6,11 +6,14 @@ from collections.abc import Collection, Sequence
 from itertools import combinations
 
 import numpy as np
+from scipy.spatial.distance import cdist
 
-from aridcal.effects.basis import Basis
+from aridcal.effects.basis import Basis, wendland
 from aridcal.effects.effect import FRAME_COMPONENTS, Coefficient, Effect
 from aridcal.effects.joint_kinds import ORDERS
 from aridcal.effects.kinds import turns
+from aridcal.effects.regional_kind import IN_SPACE, SHIFT, WIDTHS, ball_field
+from aridcal.effects.sights import TARGET
 from aridcal.fit.flags import OUTLIER, distance
 from aridcal.fit.normal_equations import TINY
 from aridcal.search.linear_model import LinearModel
@@ -56,6 +59,13 @@ KNOTS_IN_WINDOW = 4
 WINDOWS_AROUND = 1.5
 """Windows on either side of the centre over which a narrow map reaches: four sigmas of a Gaussian bump."""
 
+DENTS = (2.0, 2.8, 4.0, 5.6, 8.0)
+"""Radii of a ball in which targets are off, in distances between nodes, half an octave apart: what is wider is a field."""
+
+LOUD_DENT = 25.0
+"""Chi-square of three degrees at which a ball is worth a closer look: chance makes it once in 60,000, and five hundred are
+looked through."""
+
 STILL = 1e-3
 """[rad] or [m]: a joint that covers less hints at nothing."""
 
@@ -68,7 +78,7 @@ LOUDEST = 12
 
 def hinted(model: LinearModel, state: State, kinds: Collection[str]) -> list[Effect]:
     """Candidates of some kinds that are not always tried, but that the residual hints at."""
-    sources = {"joint_harmonic": harmonics, "joint_map": narrow_maps}
+    sources = {"joint_harmonic": harmonics, "joint_map": narrow_maps, "residual_field": dents}
     return [effect for kind, source in sources.items() if kind in kinds for effect in source(model, state)]
 
 
@@ -119,6 +129,46 @@ def narrow_maps(model: LinearModel, state: State) -> list[Effect]:
             curve = tuple(Coefficient(name, "axis", Basis("bump", (name,), (knot, step))) for knot in knots)
             found.append(Effect("joint_map", name, curve, smooth=True, looked=looked))
     return found
+
+
+def dents(model: LinearModel, state: State) -> list[Effect]:
+    r"""Places around which targets are off that the residual hints at: a ball moved through all places, one of several sizes.
+
+    With p and w as in :func:`harmonics`, here for a shift of the target, and :math:`\varphi` the function about a place,
+
+    .. math:: \chi^2_3 = \Big| \sum_n \varphi_n p_n \Big|^2 \Big/ \sum_n \varphi_n^2 w_n
+
+    One shift at one place has three coefficients; a field over all places would have to be as large everywhere.
+    """
+    slots = [("world_base", component) for component in SHIFT]
+    if not (set(TARGET) <= set(model.table) and set(slots) <= set(model.slots)):
+        return []
+    places = np.column_stack([model.table[name] for name in TARGET])
+    field = ball_field(places)
+    if not field:
+        return []
+    far = distance(state.residual, state.solution.sigma, model.channels)
+    clipped = state.residual * np.minimum(1.0, OUTLIER / np.maximum(far, TINY))[:, None]
+    G = np.stack([model.slot_columns(*slot) for slot in slots], axis=2) / state.sigma[:, None]
+    pull = np.einsum("nms,nm->ns", G, clipped / state.sigma)
+    weight = np.einsum("nms,nms->n", G, G) / len(slots)
+    pull = pull - weight[:, None] * pull.sum(axis=0) / max(weight.sum(), TINY)
+    centres = np.array([basis.numbers[:3] for basis in field])
+    apart = cdist(centres, places)
+    radii = [field[0].numbers[3] * width / WIDTHS[0] for width in DENTS]
+    best, basis = LOUD_DENT, None
+    for radius in radii:
+        shape = wendland(apart / radius)
+        chi_square = np.sum((shape @ pull) ** 2, axis=1) / np.maximum(shape**2 @ weight, TINY)
+        chi_square[np.sum(apart < 0.5 * radius, axis=1) < FEWEST_IN_WINDOW] = 0.0
+        k = int(np.argmax(chi_square))
+        if chi_square[k] > best:
+            best = float(chi_square[k])
+            basis = Basis("ball", TARGET, (*centres[k].tolist(), round(radius, 6)))
+    if basis is None:
+        return []
+    shift = tuple(Coefficient(*slot, basis) for slot in slots)
+    return [Effect("residual_field", "world_base", shift, by=IN_SPACE, looked=len(centres) * len(radii))]
 
 
 def _asked(

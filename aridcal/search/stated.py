@@ -10,8 +10,9 @@ from aridcal.effects.effect import Effect
 from aridcal.effects.regional_kind import widths
 from aridcal.fit.least_squares import Fit
 from aridcal.search.change_points import best_steps
+from aridcal.search.hints import hinted
 from aridcal.search.linear_model import Active, LinearModel
-from aridcal.search.scoring import held_back, held_out_whole, refine, score_all
+from aridcal.search.scoring import held_back, held_out_whole, judge, refine, score_all
 from aridcal.search.state import State, activate, solve_state
 
 CONFOUNDED = "it is confounded with what is fitted without it: no row tells them apart"
@@ -19,6 +20,10 @@ CONFOUNDED = "it is confounded with what is fitted without it: no row tells them
 
 NO_BETTER = "rows held back are predicted no better with it: the one model of the whole workspace stays"
 """Why a declared deviation from that model was left out."""
+
+
+MOST_DENTS = 6
+"""Places at which targets are off that are found one by one, as many as other effects without a name."""
 
 
 def with_declared(
@@ -49,7 +54,22 @@ def with_declared(
 
 def with_fields(linear: LinearModel, stated: Sequence[Effect], state: State) -> tuple[State, list[Barred]]:
     """The model with the declared fields of shifts that are worth it in what all else leaves: they could hide any cause."""
-    return _with_regions(linear, [e for e in stated if not KINDS[e.kind].named and KINDS[e.kind].asked], state)
+    fields = [e for e in stated if not KINDS[e.kind].named and KINDS[e.kind].asked]
+    if not fields:
+        return state, []
+    for _ in range(MOST_DENTS):
+        loud = [
+            (e, refine(linear, state, e, score_all(linear, [e], state)[0]))
+            for e in hinted(linear, state, {fields[0].kind})
+        ]
+        taken = [activate(linear, state, e, found) for e, found in loud if not judge(linear, state, e, found, 1).why]
+        if not taken:
+            break
+        active = (*state.active, *(replace(a, stated=True) for a in taken))
+        state = solve_state(linear, active, state.solution.sigma, state.used)
+    dented = any(a.stated and a.effect.kind == fields[0].kind for a in state.active)
+    state, lost = _with_regions(linear, fields, state)
+    return state, [] if dented else lost
 
 
 def _with_regions(linear: LinearModel, waiting: Sequence[Effect], state: State) -> tuple[State, list[Barred]]:

@@ -9,6 +9,8 @@ import numpy as np
 
 from aridcal.effects.catalogue import KINDS
 from aridcal.effects.effect import Effect
+from aridcal.effects.regional_kind import is_field
+from aridcal.instruments.channels import columns
 from aridcal.search.change_points import best_steps
 from aridcal.search.evidence import Score
 from aridcal.search.hints import hinted
@@ -220,7 +222,7 @@ def _with_rows_of_hints(model: LinearModel, state: State, kinds: Collection[str]
     """The same effects solved with the flagged rows that a hint would explain: they are what it was seen by."""
     used = state.used.copy()
     for effect in hinted(model, state, kinds):
-        if effect.smooth:
+        if effect.smooth or is_field(effect):
             used |= np.any(model.columns(effect), axis=(1, 2))
     return (
         state
@@ -303,6 +305,15 @@ def missed(model: LinearModel, state: State) -> State:
     return state
 
 
+def _judging(model: LinearModel, effect: Effect) -> list[int]:
+    """Channels that judge an effect: all; of a field, which has few rows to speak for it, those that it moves."""
+    every = list(range(len(model.channels)))
+    if not is_field(effect):
+        return every
+    moved = np.any(model.columns(effect), axis=(0, 2))
+    return [k for k, part in enumerate(columns(model.channels)) if moved[part].any()]
+
+
 def _held_back_gains(model: LinearModel, state: State, asked: Collection[Effect]) -> dict[Effect, float]:
     """By how many standard errors effects lower the squared error of held-back rows; negative where one is not missed."""
     number = np.random.default_rng(1).permutation(int(model.configuration.max()) + 1)
@@ -324,6 +335,6 @@ def _held_back_gains(model: LinearModel, state: State, asked: Collection[Effect]
         each = np.bincount(configuration, gain.sum(axis=0))
         error = float(np.sqrt(np.sum(each**2)))
         total = float(each.sum()) / error if error > 0.0 else 0.0
-        worse = float(gain.sum(axis=1).min())
+        worse = float(gain.sum(axis=1)[_judging(model, effect)].min())
         gains[effect] = total if worse >= 0.0 or total > SURE_GAIN else min(total, worse)
     return gains

@@ -25,6 +25,12 @@ from aridcal.instruments.channels import TARGET_POSITION, TARGET_ROTATION
 MOST_REGIONS = 28
 """One for each square of the report's strip."""
 
+COUNTS = (1, 2, 3, 4, 6, 8, 11, 15, 20, MOST_REGIONS)
+"""Numbers of regions that are tried, about 1.4 apart, until their URDFs are as near to the whole model as is worth anything."""
+
+NEAR = 0.3
+"""Of the noise in space: a URDF that is nearer than that to the whole model adds 4 % to what the noise leaves."""
+
 ROWS_OF_A_REGION = 6
 """Fitted rows for each region: fewer regions than squares where there are few rows at each."""
 
@@ -74,6 +80,13 @@ class Regions:
     scale: np.ndarray
     every: tuple[Region, ...]
 
+    def places(self, rows: Dataset) -> np.ndarray:
+        """Where each row's own region has its target, shape (N, 3), [m]."""
+        found = np.zeros((len(rows), 3))
+        for region in self.every:
+            found[region.rows] = _places(region.fit, rows.select(region.rows))
+        return found
+
     def residual(self, rows: Dataset) -> np.ndarray:
         """What each row's own region leaves of it, shape (N, m); the rows are those that the regions were made of."""
         left = np.zeros((len(rows), sum(channel.size for channel in rows.channels)))
@@ -100,10 +113,29 @@ def regions(geometric: Fit, final: Fit, rows: Dataset, fitted: np.ndarray, effec
     by, places = _told_apart(final, rows, varying)
     scale = np.maximum(np.ptp(places[fitted], axis=0), 1e-9) if by != TARGET else np.ones(3)
     different = np.unique(np.round(places[fitted] / scale, 6), axis=0)
-    count = int(np.clip(len(different) // ROWS_OF_A_REGION, 1, MOST_REGIONS))
-    middles = _middles(different, count)
+    most = max(len(different) // ROWS_OF_A_REGION, 1)
+    start, enough = recentred(geometric), NEAR * np.sqrt(3.0) * _noise(final, rows)[0]
+    whole = _places(final, rows.select(fitted))
+    for count in (count for count in COUNTS if count <= most):
+        found = _divided(start, final, rows, fitted, by, places, scale, _middles(different, count))
+        apart = found.places(rows)[fitted] - whole
+        if np.sqrt(np.mean(np.sum(apart**2, axis=1))) < enough:
+            break
+    return found
+
+
+def _divided(
+    start: Fit,
+    final: Fit,
+    rows: Dataset,
+    fitted: np.ndarray,
+    by: tuple[str, ...],
+    places: np.ndarray,
+    scale: np.ndarray,
+    middles: np.ndarray,
+) -> Regions:
+    """Regions about some middles, shape (R, d), of what lies at places (N, d)."""
     nearest = np.argmin(np.linalg.norm(places[:, None] / scale - middles, axis=2), axis=1)
-    start = recentred(geometric)
     every = []
     for number, middle in enumerate(middles):
         own = nearest == number
@@ -118,6 +150,17 @@ def regions(geometric: Fit, final: Fit, rows: Dataset, fitted: np.ndarray, effec
         found = _constants(start, final, around)
         every.append(Region(f"region_{number + 1:02d}", scale * middle, low, high, own, found))
     return Regions(by, scale, tuple(every))
+
+
+def _places(fit: Fit, rows: Dataset) -> np.ndarray:
+    """Where a model has the targets, shape (N, 3), [m]."""
+    return fit.model.poses(fit.theta, fit.model.rows(rows.readings, rows.conditions, rows.station, rows.target))[1]
+
+
+def _noise(final: Fit, rows: Dataset) -> list[float]:
+    """Of a place and of a turn, per axis, [m] and [rad]."""
+    seen = {channel.name: float(sigma) for channel, sigma in zip(rows.channels, final.sigma, strict=True)}
+    return [seen.get(channel.name, USUAL) for channel in (TARGET_POSITION, TARGET_ROTATION)]
 
 
 def _told_apart(final: Fit, rows: Dataset, effects: Sequence[Effect]) -> tuple[tuple[str, ...], np.ndarray]:
@@ -164,8 +207,7 @@ def _constants(start: Fit, final: Fit, around: Dataset) -> Fit:
     at = final.model.rows(around.readings, around.conditions, around.station, around.target)
     R, p = final.model.poses(final.theta, at)
     robot = start.model.robot
-    seen = {channel.name: float(sigma) for channel, sigma in zip(around.channels, final.sigma, strict=True)}
-    sigma = [seen.get(channel.name, USUAL) for channel in (TARGET_POSITION, TARGET_ROTATION)]
+    sigma = _noise(final, around)
     turns = R if around.sees_turns else None
     wanted = dataset(
         robot.readings, robot.kinds, around.readings, p, turns, sigma=sigma[: 1 if turns is None else 2],
