@@ -13,11 +13,11 @@ import pytest
 import robots
 import yaml
 from scipy.spatial.transform import Rotation
-from scipy.stats import beta, binom, chi
+from scipy.stats import beta, binom, norm
 
 from aridcal import identify
 from aridcal.command_line import BAD_INPUT, DONE, NOT_GOOD
-from aridcal.errors import AridcalError, CampaignError
+from aridcal.errors import CampaignError
 from aridcal.fit.constants import constants
 from aridcal.fit.least_squares import Fit, fit, fit_identifiable
 from aridcal.fit.noise import repeats
@@ -137,13 +137,16 @@ def answers(
     return answer.bound, answer.reasons
 
 
-def test_the_bound_of_a_plain_scatter_is_the_quantile_of_chi() -> None:
-    """No error of the calibration, its scatter known: 95 % of lengths of three normal numbers, a little more for few places."""
+def test_the_bound_of_a_plain_scatter_is_that_of_its_longest_tail() -> None:
+    """No error of the calibration, its scatter known: 1.96 of its roots, a little more for few places; enough in any shape."""
     errors = np.random.default_rng(0).normal(0.0, 1e-3, (100000, 3))
-    bound, reasons = answers(errors, 3.2e-3)
-    assert 1.0 < bound / (1e-3 * chi.ppf(0.95, 3)) < 1.12
+    bound, reasons = answers(errors, 3.9e-3)
+    assert 1.0 < bound / (1e-3 * np.sqrt(3.0) * norm.ppf(0.975)) < 1.12
     assert reasons == ()
-    assert "can be said with 95 % confidence" in answers(errors, 2.7e-3)[1][0]
+    assert "can be said with 95 % confidence" in answers(errors, 3.3e-3)[1][0]
+    for shape in ([1.0, 1.0, 1.0], [1.7, 0.2, 0.1], [1.2, 1.2, 0.1]):
+        drawn = errors * shape * np.sqrt(3.0 / np.sum(np.square(shape)))
+        assert np.quantile(np.linalg.norm(drawn, axis=1), 0.95) < bound
 
 
 def test_rows_that_are_off_more_often_than_the_scatter_explains_speak_against_it() -> None:
@@ -251,9 +254,6 @@ def test_places_of_a_table_are_reached_by_the_tools_point(tmp_path: Path) -> Non
     assert again is not None
     R, p = found.model.poses(found.theta, found.model.rows(again))
     np.testing.assert_allclose(p + R @ tool, places, atol=1e-8)
-    pd.DataFrame(places[:1] + 10.0, columns=list("xyz")).to_csv(tmp_path / "cell.csv", index=False)
-    with pytest.raises(AridcalError, match="take places out of"):
-        region(asked, found, truth.measured)
 
 
 # ---- the command -----------------------------------------------------------------------------------------------------
