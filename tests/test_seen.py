@@ -18,11 +18,11 @@ from aridcal.effects.loads import Surroundings
 from aridcal.effects.smooth import Kernel, smooth_precision
 from aridcal.fit.least_squares import fit
 from aridcal.fit.normal_equations import Prior
-from aridcal.fit.problem import problem
+from aridcal.fit.problem import BLOCK, problem
 from aridcal.model.model import Model
 from aridcal.result.pipeline import identify
 from aridcal.result.predict import predict, read_query
-from aridcal.result.saved_model import AT_ONCE, SavedModel, SolvedModel
+from aridcal.result.saved_model import SavedModel, SolvedModel
 from aridcal.result.saving import calibration
 from aridcal.trust.seen import WIDE, holes, inside, largest
 
@@ -117,8 +117,8 @@ def test_standard_deviations_are_the_scatter_of_drawn_coefficients() -> None:
 
 
 def test_many_rows_have_the_deviations_of_each() -> None:
-    found, q = solved(2 * AT_ONCE + 7)
-    some = np.array([0, AT_ONCE - 1, AT_ONCE, 2 * AT_ONCE + 6])
+    found, q = solved(2 * BLOCK + 7)
+    some = np.array([0, BLOCK - 1, BLOCK, 2 * BLOCK + 6])
     np.testing.assert_allclose(found.std(q)[some], found.std(q[some]), rtol=1e-12)
     assert found.std(q[:0]).shape == (0, 6)
 
