@@ -279,7 +279,7 @@ def tolerance(name: str, runs: int, seed: int) -> None:
         geometry = fit_constants(campaign, robot, rows, ())
         fit = recentred(with_noise_seen(geometry.geometric, rows.select(rows.train)))
         residual = problem(fit.model, rows).residual(fit.theta)
-        known = certainty(campaign, fit, rows, fit.candidates, None, rows.test, residual, None)
+        known = certainty(campaign, fit, rows, fit.candidates, None, np.zeros(len(rows), dtype=bool), residual, None)
         said, q = known.kept[0].bound, known.region.readings
         own = rng.normal(0.0, asked.jitter, q.shape) if asked.jitter else 0.0
         true = made.model.poses(made.theta, made.model.rows(q + own))[1]

@@ -140,7 +140,9 @@ def test_the_file_is_the_page_and_the_page_is_the_same_each_time(
 
 def test_every_figure_has_words_and_units(report: str) -> None:
     plots = html.fromstring(report).xpath('//*[name()="svg"]')
-    assert len(plots) == 2 + 2 + 6 + 3 + 1 + 6  # data, before and after, axes, planes, order of time, joints
+    assert (
+        len(plots) == 2 + 2 + 6 + 3 + 1 + 6 + 2
+    )  # data, before and after, axes, planes, order of time, joints, slices
     for plot in plots:
         assert plot.get("role") == "img"
         assert len(plot.get("aria-label")) > 20
@@ -279,7 +281,7 @@ def test_positions_alone_give_a_report_without_rotation_errors(tmp_path: Path) -
     assert_sound(report)
     assert "otation error [mrad]" not in report
     assert "nan" not in text(report).lower()
-    assert len(html.fromstring(report).xpath('//*[name()="svg"]')) == 2 + 1 + 3 + 3 + 1 + 6
+    assert len(html.fromstring(report).xpath('//*[name()="svg"]')) == 2 + 1 + 3 + 3 + 1 + 6 + 2
 
 
 def test_without_held_out_rows_the_report_says_so(truth: robots.Truth, tmp_path: Path) -> None:

@@ -17,6 +17,7 @@ from scipy.stats import beta, binom, norm
 
 from aridcal import identify
 from aridcal.command_line import BAD_INPUT, DONE, NOT_GOOD
+from aridcal.drawing.words import kept_in_words
 from aridcal.errors import CampaignError
 from aridcal.fit.constants import constants
 from aridcal.fit.least_squares import Fit, fit, fit_identifiable
@@ -27,6 +28,7 @@ from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.measurement_settings import LENGTHS, SMALL_ANGLES, with_unit
 from aridcal.inputs.yaml_file import parse_settings
 from aridcal.result.pipeline import identify as run
+from aridcal.trust.certainty import as_document
 from aridcal.trust.region import region
 from aridcal.trust.tolerance import Beyond, Kept, beyond, instrument_noise, kept
 from aridcal.trust.workspace import knowledge, spread_out
@@ -50,7 +52,9 @@ def certain(found: Fit, rows: Dataset, where: np.ndarray | None = None) -> tuple
     place = known.over(train, q, np.zeros(len(q), dtype=int), tool)
     place = place.select(place.measured)
     residual = problem(found.model, rows).residual(found.theta)
-    left = beyond(found, rows, rows.test, residual, instrument_noise(found, rows, None), False)
+    left = beyond(
+        found, rows, rows.test, np.zeros(len(rows), dtype=bool), residual, instrument_noise(found, rows, None), False
+    )
     answer = kept(known, place, tool, left, None, False)
     assert answer is not None
     return answer, place.readings
@@ -157,6 +161,25 @@ def test_rows_that_are_off_more_often_than_the_scatter_explains_speak_against_it
     assert reasons and "10 of 100 held-out rows are off by more" in reasons[0]
     errors[4:] = 0.0
     assert answers(errors, 1.4e-3)[1] == ()
+
+
+def test_flagged_rows_count_as_off() -> None:
+    """A robot that jumps now and then must not pass because its jumps look like outliers."""
+    truth, first = arm()
+    rng = np.random.default_rng(4)
+    rows = robots.declared(measured(truth, robots.readings(truth.model.robot, 100, rng), rng), NOISE, NOISE)
+    outlier = rows.test & (np.cumsum(rows.test) <= 4)  # of 20 held-out rows
+    residual = problem(first.model, rows).residual(first.theta)
+    left = [
+        beyond(first, rows, rows.test, o, residual, np.full(2, NOISE), False) for o in (outlier, np.zeros_like(outlier))
+    ]
+    assert left[0] is not None and left[1] is not None
+    known = knowledge(first, rows, ())
+    place = known.over(rows, rows.readings, np.arange(100))
+    place = replace(place, measured=np.ones(100, dtype=bool))
+    said = [kept(known, place, (0.0, 0.0, 0.0), part, 1e-2, False) for part in left]
+    assert [part is not None and part.within for part in said] == [False, True]
+    assert said[0] is not None and "4 of 20 held-out rows are off by more" in said[0].reasons[0]
 
 
 def test_what_was_not_measured_is_not_within() -> None:
@@ -296,3 +319,16 @@ def test_a_campaigns_own_tolerance_counts_and_rotations_are_judged_too(tmp_path:
         known = run(path).certainty
         assert [part.within for part in known.kept] == [True, good]
         assert known.within == good
+
+
+def test_what_no_row_tells_is_not_within(tmp_path: Path) -> None:
+    """A tolerance of rotations where only positions were measured must not pass because nothing speaks against it."""
+    truth = robots.simulate(robots.arid(), 60, np.random.default_rng(1), 1e-3, NOISE, kind="position")
+    made = {"file": "measurements.csv", "kind": "position", "noise": {"position": NOISE}}
+    path = robots.write_campaign(tmp_path, truth, measurements=made, tolerance={"position": "1mm", "rotation": "1rad"})
+    outcome = run(path)
+    assert [part.within for part in outcome.certainty.kept] == [True, False]
+    assert not outcome.certainty.within
+    good, words = kept_in_words(outcome, asked=True)[1]
+    assert not good and words.endswith("in 95 % of the range that was measured: no row tells the target's rotation.")
+    assert as_document(outcome.certainty)["region"]["rotation"]["within"] is False

@@ -129,10 +129,12 @@ def _kept(part: Kept, known: Certainty) -> tuple[bool, str]:
             return False, f"How far off the target's {part.of} is {where} cannot be said: {part.gap}."
         return True, f"In{where[2:]} the target's {part.of} is off by less than {bound}, with {sure} confidence."
     asked = f"within the tolerance of {number(1e3 * part.tolerance)} {unit} {where}"
-    rows = f"{part.rows_within:,} of {part.rows:,} {part.judges} read less, the instrument's noise included"
+    rows = f" {part.rows_within:,} of {part.rows:,} {part.judges} read less, the instrument's noise included." * (
+        part.rows > 0
+    )
     if part.within:
-        return True, f"{part.of.capitalize()} {asked}, with {sure} confidence (it could be {bound}). {rows}."
-    return False, f"{part.of.capitalize()} not {asked}: {'; '.join(part.reasons)}. {rows}."
+        return True, f"{part.of.capitalize()} {asked}, with {sure} confidence (it could be {bound}).{rows}"
+    return False, f"{part.of.capitalize()} not {asked}: {'; '.join(part.reasons)}.{rows}"
 
 
 def causes_in_words(outcome: Outcome) -> str:

@@ -42,6 +42,8 @@ def workspace(outcome: Outcome) -> Iterator[Content]:
     )
     yield bullets([sentence for asked in (True, False) for _, sentence in kept_in_words(outcome, asked)])
     for part in known.kept:
+        if not part.rows or np.isnan(part.calibration):
+            continue
         unit = "mrad" if part.of == "rotation" else "mm"
         sure, rest = (f"{number(1e3 * size)} {unit}" for size in (part.calibration, part.beyond))
         yield tag(

@@ -137,11 +137,10 @@ def _outcome(
     kept = rows.select(~outlier)
     before, after = (stage.residual[~outlier] for stage in stages[1:])
     again = second_look(stages[1].fit, diagnosed.fit, train, progress)
-    judging = rows.test & ~outlier if (rows.test & ~outlier).any() else rows.train & ~outlier
     asked = frame_coefficients(campaign, station_labels(campaign, rows), rows) + constants(
         robot, campaign.parameters.set
     )
-    certain = certainty(campaign, final, rows, asked, where, judging, stages[-1].residual, known.repeats)
+    certain = certainty(campaign, final, rows, asked, where, outlier, stages[-1].residual, known.repeats)
     stages = with_instruments_found(stages, train)
     head = None if detections is None else measuring_head(final, stages[1].fit, rows, rows.train & ~outlier, detections)
     return Outcome(

@@ -13,7 +13,7 @@ from aridcal.fit.least_squares import Fit
 from aridcal.fit.noise import Repeats
 from aridcal.inputs.campaign import Campaign
 from aridcal.inputs.dataset import Dataset
-from aridcal.trust.tolerance import Kept, beyond, instrument_noise, kept
+from aridcal.trust.tolerance import Kept, beyond, instrument_noise, kept, unjudged
 from aridcal.trust.workspace import Knowledge, Workspace, ends, knowledge, spread_out
 
 CLOUD = 8192
@@ -81,7 +81,7 @@ def certainty(
     rows: Dataset,
     candidates: Sequence[Coefficient],
     where: np.ndarray | None,
-    judging: np.ndarray,
+    outlier: np.ndarray,
     residual: np.ndarray,
     repeats: Repeats | None,
 ) -> Certainty:
@@ -93,7 +93,7 @@ def certainty(
         rows: All N rows.
         candidates: Constants that were asked for.
         where: Readings of the region, shape (R, columns), [rad] or [m]; None where the campaign names none.
-        judging: Rows that judge it, shape (N,) bool.
+        outlier: Flagged rows, shape (N,) bool.
         residual: What it leaves of all rows, shape (N, m).
         repeats: Scatter of rows that repeat a configuration, where there are any.
     """
@@ -102,16 +102,25 @@ def certainty(
     tool = campaign.region.tool
     everywhere = spread_out(*ends(train, fit.model.robot.limits))
     anywhere = known.over(train, everywhere, _like(train, everywhere))
-    region = _seen(known, train, tool) if where is None else known.over(train, where, _like(train, where), tool)
-    asked = campaign.tolerance
-    told = [] if asked is None else [asked.position, asked.rotation]
-    found, noise = [], instrument_noise(fit, rows, repeats)
-    for turn in (False, True) if rows.sees_turns else (False,):
-        left = beyond(fit, rows, judging, residual, noise, turn)
-        answer = kept(known, region, tool, left, told[turn] if told else None, turn)
-        found += [] if answer is None else [answer]
+    title = _title(campaign)
+    if where is None:
+        region, title = _seen(known, train, tool)
+    else:
+        region = known.over(train, where, _like(train, where), tool)
+    found, noise, asked = [], instrument_noise(fit, rows, repeats), campaign.tolerance
+    judging = rows.test if (rows.test & ~outlier).any() else rows.train & ~outlier
+    for turn, of in enumerate(("position", "rotation")):
+        tolerance = None if asked is None else getattr(asked, of)
+        left = beyond(fit, rows, judging, outlier, residual, noise, bool(turn)) if rows.sees_turns or not turn else None
+        answer = kept(known, region, tool, left, tolerance, bool(turn))
+        if answer is not None:
+            found.append(answer)
+        elif tolerance is not None:
+            found.append(unjudged(of, tolerance))
     slices = _slices(known, train)
-    return Certainty(anywhere, slices, region, _title(campaign), tool, tuple(found))
+    if any(tool):
+        title += f", of the point {', '.join(f'{1e3 * number:g}' for number in tool)} mm beside the target"
+    return Certainty(anywhere, slices, region, title, tool, tuple(found))
 
 
 def _like(train: Dataset, readings: np.ndarray) -> np.ndarray:
@@ -119,17 +128,17 @@ def _like(train: Dataset, readings: np.ndarray) -> np.ndarray:
     return np.random.default_rng(0).integers(0, len(train), len(readings))
 
 
-def _seen(known: Knowledge, train: Dataset, tool: Sequence[float]) -> Workspace:
-    """The region where none is named: what was measured of the box of all ranges seen.
+def _seen(known: Knowledge, train: Dataset, tool: Sequence[float]) -> tuple[Workspace, str]:
+    """The region where none is named, and its title: what was measured of the box of all ranges seen.
 
     Where that is next to nothing, as with a ball in three sockets, the configurations that were measured are all there is.
     """
     readings = spread_out(train.readings.min(axis=0), train.readings.max(axis=0))
     box = known.over(train, readings, _like(train, readings), tool)
     if box.measured.sum() >= LEAST:
-        return box.select(box.measured)
+        return box.select(box.measured), "the range that was measured"
     rows = np.unique(np.linspace(0, len(train) - 1, LEAST).round().astype(int))
-    return known.over(train, train.readings[rows], rows, tool)
+    return known.over(train, train.readings[rows], rows, tool), "the configurations that were measured"
 
 
 def _slices(known: Knowledge, train: Dataset) -> tuple[Slice, ...]:
@@ -149,15 +158,9 @@ def _slices(known: Knowledge, train: Dataset) -> tuple[Slice, ...]:
 
 
 def _title(campaign: Campaign) -> str:
-    """The region in words."""
+    """The region that a campaign names, in words."""
     asked = campaign.region
-    where = "the range that was measured"
-    if asked.file is not None:
-        where = f"the places of {asked.file.name}"
-    elif asked.joints:
-        where = "the joint ranges named"
-    at = ", ".join(f"{1e3 * number:g}" for number in asked.tool)
-    return f"{where}, for the point {at} mm from the target" if any(asked.tool) else where
+    return "the joint ranges named" if asked.file is None else f"the places of {asked.file.name}"
 
 
 def as_document(known: Certainty) -> dict[str, Any]:

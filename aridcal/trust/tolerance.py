@@ -60,7 +60,8 @@ class Beyond:
         noise: Mean variance of the instrument's declared noise.
         model: Mean variance of the prediction.
         freedom: Behind ``squares``.
-        size: Length of each row's residual, shape (n,), [m] or [rad].
+        size: Length of each row's residual, shape (n,), [m] or [rad]; infinite of rows that were flagged as outliers, for nobody
+            knows whether it was the instrument that failed.
         declared: False where nothing says what the instrument's noise is.
         held_out: False where no row was held out: these are the fitted ones.
     """
@@ -96,7 +97,8 @@ class Kept:
         confidence: That 95 % are; NaN without a tolerance.
         calibration: RMS length of the calibration's error over the part that was measured.
         beyond: RMS length of what goes beyond it.
-        measured: Share of the region where anything like it was measured, and which the readings tell.
+        measured: Share of the region where anything like it was measured.
+        told: Share where the readings tell it.
         rows: Rows that judge: those held out, if there are any.
         held_out: False where no row was held out.
         rows_within: How many of them are within the tolerance, the instrument's noise included.
@@ -113,6 +115,7 @@ class Kept:
     calibration: float
     beyond: float
     measured: float
+    told: float
     rows: int
     held_out: bool
     rows_within: int
@@ -128,7 +131,9 @@ class Kept:
     @property
     def gap(self) -> str:
         """Why nothing can be said of a part of the region, in words."""
-        return f"{100 * (1.0 - self.measured):.0f} % of it were not measured, or no reading tells the target there"
+        if self.told < SHARE:
+            return f"no reading tells a part of what moves the target{' in some of it' if self.told else ''}"
+        return f"{100 * (1.0 - self.measured):.0f} % of it were not measured"
 
     @property
     def within(self) -> bool | None:
@@ -154,18 +159,27 @@ def instrument_noise(fit: Fit, rows: Dataset, repeats: Repeats | None) -> np.nda
 
 
 def beyond(
-    fit: Fit, rows: Dataset, judging: np.ndarray, residual: np.ndarray, noise: np.ndarray, turn: bool
+    fit: Fit,
+    rows: Dataset,
+    judging: np.ndarray,
+    outlier: np.ndarray,
+    residual: np.ndarray,
+    noise: np.ndarray,
+    turn: bool,
 ) -> Beyond | None:
     """What rows that judge leave beyond the calibration; None where none tells.
 
     Args:
         fit: The final model.
         rows: All N rows.
-        judging: Those that judge, without outliers, shape (N,) bool.
+        judging: Those that judge, shape (N,) bool.
+        outlier: Flagged rows, shape (N,) bool.
         residual: Measured minus predicted of all, shape (N, m).
         noise: See :func:`instrument_noise`.
         turn: Of the rotation instead of the position.
     """
+    flagged = np.full(int((judging & outlier).sum()), np.inf)
+    judging = judging & ~outlier
     own = rows.select(judging)
     if not len(own):
         return None
@@ -209,7 +223,7 @@ def beyond(
         noise=float(scatter[there].sum() / count) if declared else 0.0,
         model=float(model[there].sum() / count) if held_out else 0.0,
         freedom=free * count * configurations / there.sum() / wild,
-        size=size[there],
+        size=np.concatenate([size[there], flagged]),
         declared=declared,
         held_out=held_out,
     )
@@ -235,7 +249,8 @@ def kept(
     _, own, more = known.columns(region.rows, np.asarray(tool, dtype=float))
     off = _drawn(own[:, part], known.fit.covariance, rng) + _drawn(more[:, part], known.open, rng)
     off += _beyond(left, off.shape, rng)
-    there = region.measured & region.told
+    told = region.turns_told if turn else region.told
+    there = region.measured & told
     length = np.where(there[:, None], np.linalg.norm(off, axis=1), np.inf)
     reached = np.quantile(length, SHARE, axis=0, method="higher")
     bound = float(np.quantile(reached, CONFIDENCE, method="higher"))
@@ -251,7 +266,8 @@ def kept(
         confidence=float("nan"),
         calibration=float(np.sqrt(variance.mean())) if there.any() else float("nan"),
         beyond=float(np.sqrt(AXES) * left.sigma),
-        measured=float(there.mean()),
+        measured=float(region.measured.mean()),
+        told=float(told.mean()),
         rows=len(left.size),
         held_out=left.held_out,
         rows_within=0,
@@ -278,6 +294,13 @@ def kept(
     )
 
 
+def unjudged(of: str, tolerance: float) -> Kept:
+    """The answer where a tolerance was given, and no row tells anything of it."""
+    nan = float("nan")
+    reasons = (f"no row tells the target's {of}",)
+    return Kept(of, tolerance, np.inf, 0.0, 0.0, nan, nan, 0.0, 0.0, 0, True, 0, nan, reasons, ())
+
+
 def _drawn(columns: np.ndarray, covariance: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Errors by coefficients drawn from their covariance, shape (R, 3, draws), from columns of shape (R, 3, K)."""
     values, vectors = np.linalg.eigh(covariance)
@@ -300,7 +323,7 @@ def _beyond(left: Beyond, shape: tuple[int, ...], rng: np.random.Generator) -> n
 
 def _why(found: Kept) -> str:
     """Why a region is not within its tolerance, as far as the calibration's own figures say it."""
-    if found.measured < SHARE:
+    if np.isinf(found.bound):
         return found.gap
     unit = "mrad" if found.of == "rotation" else "mm"
     return f"only {1e3 * found.bound:.3g} {unit} can be said with {100 * CONFIDENCE:.0f} % confidence"

@@ -15,7 +15,7 @@ and that moves the point, makes it unknown.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
 import numpy as np
@@ -28,7 +28,7 @@ from aridcal.fit.problem import BLOCK, problem
 from aridcal.fit.residual import linearise
 from aridcal.inputs.dataset import Dataset
 from aridcal.model.model import Model, Rows
-from aridcal.trust.seen import Seen, holes, largest
+from aridcal.trust.seen import CHANNELS, Seen, holes, largest
 
 SAMPLES = 512
 """Configurations over the workspace, a power of two for Sobol's sequence (Sobol 1967; Owen 1998 scrambles it): a share of 5 % is
@@ -61,7 +61,8 @@ class Workspace:
         turns: Of the rotation vector, world axes, shape (M, 3, 3), [rad²].
         axes: Base axes in the world, shape (M, 3, 3).
         measured: False where nothing like it was measured: the model extrapolates there, shape (M,).
-        told: False where the target is not known, because no reading tells a part of what moves it, shape (M,).
+        told: False where the place is not known, because no reading tells a part of what moves it, shape (M,).
+        turns_told: The same of the rotation.
     """
 
     rows: Rows
@@ -72,6 +73,7 @@ class Workspace:
     axes: np.ndarray
     measured: np.ndarray
     told: np.ndarray
+    turns_told: np.ndarray
 
     def __len__(self) -> int:
         return len(self.readings)
@@ -97,8 +99,8 @@ class Workspace:
 
     def select(self, some: np.ndarray) -> Workspace:
         """Some of the configurations."""
-        parts = (self.readings, self.places, self.covariance, self.turns, self.axes, self.measured, self.told)
-        return Workspace(self.rows[some], *(part[some] for part in parts))
+        parts = {f.name: getattr(self, f.name)[some] for f in fields(self)}
+        return Workspace(**parts)
 
 
 @dataclass(frozen=True)
@@ -152,7 +154,7 @@ class Knowledge:
         rows = self._rows(data, readings, like)
         axes, origin = self._bases(rows)
         places, covariance, turns = np.empty((len(rows), 3)), *np.empty((2, len(rows), 3, 3))
-        std, unknown = np.empty((len(rows), 6)), np.empty(len(rows))
+        std, unknown = np.empty((len(rows), 6)), np.empty((2, len(rows)))
         for start in range(0, len(rows), BLOCK):
             some = slice(start, start + BLOCK)
             p, own, more = self.columns(rows[some], np.asarray(tool, dtype=float))
@@ -161,12 +163,11 @@ class Knowledge:
             places[some] = np.einsum("nji,nj->ni", axes[some], p - origin[some])
             covariance[some], turns[some] = every[:, :3, :3], every[:, 3:, 3:]
             std[some] = np.sqrt(np.maximum(np.einsum("nii->ni", known), 0.0))
-            unknown[some] = np.sqrt(np.maximum(np.linalg.eigvalsh(left[:, :3, :3])[:, -1], 0.0))
+            unknown[:, some] = [worst_direction(left[:, part, part])[0] for part in CHANNELS]
         columns = {name: values[like] for name, values in data.conditions.items()}
         columns |= dict(zip(model.robot.readings, readings.T, strict=True))
-        return Workspace(
-            rows, readings, places, covariance, turns, axes, ~self.seen.beyond(columns, std), unknown < TOLD
-        )
+        measured, told = ~self.seen.beyond(columns, std), unknown < TOLD
+        return Workspace(rows, readings, places, covariance, turns, axes, measured, *told)
 
     def places(self, data: Dataset, readings: np.ndarray, like: np.ndarray) -> np.ndarray:
         """Where the target is in some configurations, in the base frame, shape (M, 3), [m]; see :meth:`over`."""
