@@ -103,7 +103,7 @@ class Halves:
         rows: How many rows were compared.
         measured: RMS difference of the two predicted targets over these rows, both frames of the one moved so that the two
             agree best, [m].
-        expected: What noise alone makes of that, of the division that differs most by chance, RMS, [m].
+        expected: What noise alone makes of that where this division is the one that differs most by chance, [m].
     """
 
     p_value: float
@@ -144,7 +144,7 @@ def halves(fit: Fit, train: Dataset, progress: Progress = SILENT) -> Halves | No
     best, least = p_values.argmin(axis=0), p_values.min(axis=0)
     by_draws = float(np.sum(least <= least[0])) / len(least)
     worst = found[best[0]]
-    moved = np.sqrt([found[k].moved[draw] for draw, k in enumerate(best)])
+    moved = [found[k].moved[draw] for draw, k in enumerate(best)]
     return Halves(
         p_value=min(by_draws, len(found) * float(least[0])),
         of=worst.division.of,
@@ -153,8 +153,8 @@ def halves(fit: Fit, train: Dataset, progress: Progress = SILENT) -> Halves | No
         freedom=worst.freedom,
         divisions=len(found),
         rows=len(of_rows),
-        measured=float(moved[0]),
-        expected=float(np.sqrt(np.mean(moved[1:] ** 2))),
+        measured=float(np.sqrt(worst.usual * moved[0])),
+        expected=float(np.sqrt(worst.usual * np.mean(moved[1:]))),
     )
 
 
@@ -213,13 +213,15 @@ class _Compared:
         p_values: Of the rows, then of each draw, shape (1 + DRAWS,).
         squares: See :class:`Halves`.
         freedom: Likewise.
-        moved: Mean square of what that is at the target, of the rows and of each draw, shape (1 + DRAWS,), [m^2].
+        usual: Mean square of the difference at the target that noise makes, [m^2].
+        moved: That of the rows and of each draw, in units of it, shape (1 + DRAWS,).
     """
 
     division: Division
     p_values: np.ndarray
     squares: float
     freedom: tuple[int, int]
+    usual: float
     moved: np.ndarray
 
 
@@ -267,8 +269,9 @@ def _compared(
         noise = (squares - T2) / (left - d)
         F = T2 / d / np.maximum(noise, np.finfo(float).tiny)
         difference = root.T @ w
-        moved = np.sum(difference * (at_target @ difference), axis=0)
-        yield _Compared(way, fisher.sf(F, d, left - d), float(F[0]), (d, left - d), np.maximum(moved, 0.0))
+        usual = max(float(np.sum(at_target * (root.T @ root))), np.finfo(float).tiny)
+        moved = np.maximum(np.sum(difference * (at_target @ difference), axis=0), 0.0) / usual
+        yield _Compared(way, fisher.sf(F, d, left - d), float(F[0]), (d, left - d), usual, moved)
 
 
 def _draws(rows: Columns, data: Dataset) -> tuple[np.ndarray, np.ndarray]:
