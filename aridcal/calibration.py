@@ -13,7 +13,15 @@ from typing import Any
 
 import pandas as pd
 
-from aridcal.drawing.as_tables import effect_table, error_table, iso_table, parameter_table, verification_table
+from aridcal.drawing.as_tables import (
+    combination_table,
+    effect_table,
+    error_table,
+    influence_table,
+    iso_table,
+    parameter_table,
+    verification_table,
+)
 from aridcal.drawing.html import tag
 from aridcal.drawing.scene import write_scene
 from aridcal.errors import AridcalError, MeasurementError, shortened
@@ -94,6 +102,16 @@ class Calibration:
     def iso_9283(self) -> pd.DataFrame:
         """Poses that were measured more than once, by the definitions of ISO 9283: accuracies, repeatabilities, drifts."""
         return self._figures(iso_table)
+
+    @property
+    def influence(self) -> pd.DataFrame:
+        """Rows without which the predicted target moves most, by file and row: by how much [mm], leverage and Cook's distance."""
+        return self._figures(influence_table)
+
+    @property
+    def combinations(self) -> pd.DataFrame:
+        """Combinations of constants that the rows tell independently, the best known first: shares by name, and ``std``."""
+        return self._figures(combination_table)
 
     def predict(self, queries: AnyTable) -> pd.DataFrame:
         """Tell where the real target is for each row of joint readings.

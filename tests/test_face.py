@@ -170,6 +170,23 @@ def test_parameters_name_what_was_identified(cal: aridcal.Calibration) -> None:
     assert len(lost) and lost["redundant_with"].str.len().min() > 0 and lost["std_mm"].isna().all()
 
 
+def test_a_second_look_is_a_table_as_well(cal: aridcal.Calibration) -> None:
+    assert cal.outcome is not None
+    looked = cal.outcome.second_look
+    assert looked is not None and looked.known is not None and looked.influence is not None
+    combinations = cal.combinations
+    assert list(combinations) == [*looked.known.names, "std"]
+    assert combinations["std"].is_monotonic_increasing
+    first = looked.known.combinations[0]
+    assert combinations.loc[0, first.parts[0][0]] == first.parts[0][1]
+    rows = cal.influence
+    assert rows["shift_mm"].is_monotonic_decreasing and len(rows) == 20
+    train = np.flatnonzero(cal.outcome.measurements.train)
+    k = train[looked.influence.rows[0]]
+    assert rows.index[0][1] == cal.outcome.measurements.line[k]
+    assert rows["deciding"].sum() == len(looked.influence.deciding)
+
+
 def test_a_stage_fitted_again_with_the_final_flags_keeps_the_count_of_its_restarts(found: aridcal.Calibration) -> None:
     assert found.outcome is not None
     constants = found.outcome.stage("geometric").fit.convergence

@@ -60,6 +60,24 @@ def effect_table(result: Document) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=[*EFFECT_COLUMNS, *gains])
 
 
+def influence_table(result: Document) -> pd.DataFrame:
+    """Rows of a ``result.json`` without which the predicted target moves most; ``deciding``: by more than 1 sigma."""
+    found = result.get("influence", {"deciding": 0, "rows": []})
+    table = pd.DataFrame(found["rows"], columns=["file", "row", "shift_mm", "leverage", "cook"])
+    table["deciding"] = [k < found["deciding"] for k in range(len(table))]
+    return table.set_index(["file", "row"])
+
+
+def combination_table(result: Document) -> pd.DataFrame:
+    """Combinations of constants of a ``result.json``, the best known first: share of each named constant, and ``std``.
+
+    A metre counts as a radian; shares too small to be named are 0.
+    """
+    known = result.get("known", {"combinations": [], "minimal_set": []})
+    table = pd.DataFrame([c["parts"] for c in known["combinations"]], columns=known["minimal_set"], dtype=float)
+    return table.fillna(0.0).assign(std=[c["std"] for c in known["combinations"]])
+
+
 def parameter_table(result: Document) -> pd.DataFrame:
     """Constants of a ``result.json`` by name, lengths in [mm] and angles in [mrad]; empty where they are the other."""
     rows = {}

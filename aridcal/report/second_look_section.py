@@ -41,7 +41,12 @@ def halves(outcome: Outcome) -> Iterator[Content]:
         f"{_judgement(last)}",
     )
     placed = known_scale(outcome.measurements) is not None
-    head = ["model", "halves that differ most", "difference, squared: 1 is noise", "chance that noise does it"]
+    head = [
+        "model",
+        "halves that differ most",
+        "squared difference (1: noise, in any one division)",
+        "chance that noise does it",
+    ]
     lines = []
     for name, each in found.items():
         line: list[Content] = [name, division_in_words(each.of, each.how), number(each.squares), p_of_halves(each)]

@@ -64,6 +64,9 @@ PATTERNS = {
 """Which eighths of a column's values make a half: Walsh functions, so that one period over the range, or two, of any phase,
 differ between the halves of at least one of them."""
 
+SEED = 16
+"""Digits of the files' hash that are the seed of the draws: 64 bits."""
+
 GRAVITY = ".gravity_"
 """In the names of gravity's loads."""
 
@@ -100,7 +103,7 @@ class Halves:
         rows: How many rows were compared.
         measured: RMS difference of the two predicted targets over these rows, both frames of the one moved so that the two
             agree best, [m].
-        expected: What noise alone makes of that, [m].
+        expected: What noise alone makes of that where this division is the one that differs most by chance, [m].
     """
 
     p_value: float
@@ -132,16 +135,16 @@ def halves(fit: Fit, train: Dataset, progress: Progress = SILENT) -> Halves | No
     of_rows = columns_of(fit, train, np.maximum(fit.estimated, FLOOR), ROWS, progress)
     own = np.array([_of_half(c) for c in fit.model.coefficients])
     rows = train.select(of_rows.rows)
-    found = list(_compared(of_rows, divisions(rows, _loads(fit, rows)), own, rows.configuration))
+    frames = np.array([c.where in ("world_base", "tip_target") and c.basis.constant for c in fit.model.coefficients])
+    at_target = _at_target(of_rows.target, own, frames)
+    found = list(_compared(of_rows, divisions(rows, _loads(fit, rows)), own, rows, at_target))
     if not found:
         return None
     p_values = np.array([each.p_values for each in found])
-    best = int(np.argmin(p_values[:, 0]))
-    least = p_values.min(axis=0)
+    best, least = p_values.argmin(axis=0), p_values.min(axis=0)
     by_draws = float(np.sum(least <= least[0])) / len(least)
-    worst = found[best]
-    frames = np.array([c.where in ("world_base", "tip_target") and c.basis.constant for c in fit.model.coefficients])
-    measured, expected = _at_target(of_rows.target, own, frames, worst)
+    worst = found[best[0]]
+    moved = [found[k].moved[draw] for draw, k in enumerate(best)]
     return Halves(
         p_value=min(by_draws, len(found) * float(least[0])),
         of=worst.division.of,
@@ -150,8 +153,8 @@ def halves(fit: Fit, train: Dataset, progress: Progress = SILENT) -> Halves | No
         freedom=worst.freedom,
         divisions=len(found),
         rows=len(of_rows),
-        measured=measured,
-        expected=expected,
+        measured=float(np.sqrt(worst.usual * moved[0])),
+        expected=float(np.sqrt(worst.usual * np.mean(moved[1:]))),
     )
 
 
@@ -210,26 +213,29 @@ class _Compared:
         p_values: Of the rows, then of each draw, shape (1 + DRAWS,).
         squares: See :class:`Halves`.
         freedom: Likewise.
-        difference: theta_A - theta_B of each half's own coefficients, shape (k,).
-        covariance: Of that, where nothing is missing, shape (k, k).
+        usual: Mean square of the difference at the target that noise makes, [m^2].
+        moved: That of the rows and of each draw, in units of it, shape (1 + DRAWS,).
     """
 
     division: Division
     p_values: np.ndarray
     squares: float
     freedom: tuple[int, int]
-    difference: np.ndarray
-    covariance: np.ndarray
+    usual: float
+    moved: np.ndarray
 
 
-def _compared(rows: Columns, ways: list[Division], own: np.ndarray, configuration: np.ndarray) -> Iterator[_Compared]:
+def _compared(
+    rows: Columns, ways: list[Division], own: np.ndarray, data: Dataset, at_target: np.ndarray
+) -> Iterator[_Compared]:
     """Compare the halves of every division that leaves enough numbers.
 
     Args:
         rows: N rows of m numbers.
         ways: The divisions.
         own: Coefficients that each half has of its own, shape (K,) bool.
-        configuration: Of each row, shape (N,): several targets of one body share their noise.
+        data: The same rows.
+        at_target: What a difference of those coefficients is there, squared, shape (k, k); see :func:`_at_target`.
     """
     N, m, K = rows.J.shape
     things = rows.solved()
@@ -237,7 +243,7 @@ def _compared(rows: Columns, ways: list[Division], own: np.ndarray, configuratio
     none = np.zeros((len(rows.known.left), K))
     JP, tied = rows.less(rows.J, none, things)
     inverse, spent = _pseudo_inverse(J.T @ JP.reshape(N * m, K))
-    told, known = _draws(rows, configuration)
+    told, known = _draws(rows, data)
     told, known = rows.less(told, known, things)
     flat = told.reshape(N * m, -1)
     # What all coefficients together take off the residuals, and off every draw.
@@ -262,16 +268,22 @@ def _compared(rows: Columns, ways: list[Division], own: np.ndarray, configuratio
         T2 = np.sum(w**2, axis=0)
         noise = (squares - T2) / (left - d)
         F = T2 / d / np.maximum(noise, np.finfo(float).tiny)
-        covariance = float(noise[0]) * root.T @ root
-        yield _Compared(way, fisher.sf(F, d, left - d), float(F[0]), (d, left - d), root.T @ w[:, 0], covariance)
+        difference = root.T @ w
+        usual = max(float(np.sum(at_target * (root.T @ root))), np.finfo(float).tiny)
+        moved = np.maximum(np.sum(difference * (at_target @ difference), axis=0), 0.0) / usual
+        yield _Compared(way, fisher.sf(F, d, left - d), float(F[0]), (d, left - d), usual, moved)
 
 
-def _draws(rows: Columns, configuration: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The residuals and sets of noise in their place, shape (N, m, 1 + DRAWS), and of what is known beforehand likewise."""
-    rng = np.random.default_rng(0)
+def _draws(rows: Columns, data: Dataset) -> tuple[np.ndarray, np.ndarray]:
+    """The residuals and sets of noise in their place, shape (N, m, 1 + DRAWS), and of what is known beforehand likewise.
+
+    The same files give the same noise, other files other noise: what chance made of one campaign is not that of the next.
+    """
+    rng = np.random.default_rng(int(data.sha256[:SEED] or "0", 16))
     N, m = rows.r.shape
     if rows.share < 1.0:  # rows of one configuration are one measurement
-        every = rng.standard_normal((int(configuration.max()) + 1, m, DRAWS))[configuration] * np.sqrt(rows.share)
+        each = rng.standard_normal((int(data.configuration.max()) + 1, m, DRAWS))
+        every = each[data.configuration] * np.sqrt(rows.share)
     else:
         every = rng.standard_normal((N, m, DRAWS))
     noise = np.where(rows.there[:, :, None], every, 0.0)
@@ -295,8 +307,8 @@ def _pseudo_inverse(H: np.ndarray) -> tuple[np.ndarray, int]:
     return root.T @ root, len(values)
 
 
-def _at_target(target: np.ndarray, own: np.ndarray, frames: np.ndarray, found: _Compared) -> tuple[float, float]:
-    """RMS difference of two halves at the target and what noise makes of it, [m], their common unobservable motion taken off.
+def _at_target(target: np.ndarray, own: np.ndarray, frames: np.ndarray) -> np.ndarray:
+    """Mean square at the target of a difference of coefficients, shape (k, k), their common unobservable motion taken off.
 
     Base and target are mounted anew by whoever uses a calibration: what differs by a motion of either is no difference of arms.
 
@@ -304,13 +316,9 @@ def _at_target(target: np.ndarray, own: np.ndarray, frames: np.ndarray, found: _
         target: How it moves with the coefficients, shape (N, 3, K).
         own: Coefficients that the halves have of their own, shape (K,) bool.
         frames: Those of the two frames, shape (K,) bool.
-        found: The division.
     """
     J = target.reshape(-1, target.shape[2])
-    rigid = J[:, frames]
-    J = J[:, own]
+    rigid, J = J[:, frames], J[:, own]
     if rigid.shape[1]:
         J = J - rigid @ np.linalg.lstsq(rigid, J, rcond=None)[0]
-    measured = np.sum((J @ found.difference) ** 2) / len(target)
-    expected = np.sum((J @ found.covariance) * J) / len(target)
-    return float(np.sqrt(measured)), float(np.sqrt(max(expected, 0.0)))
+    return np.asarray(J.T @ J) / len(target)
