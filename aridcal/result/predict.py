@@ -14,6 +14,8 @@ import pyarrow as pa
 import pyarrow.parquet
 from scipy.spatial.transform import Rotation
 
+from aridcal.effects.regional_kind import far_from_nodes
+from aridcal.effects.sights import target_places
 from aridcal.errors import MeasurementError
 from aridcal.inputs.measurement_settings import MeasurementSettings
 from aridcal.inputs.quantities import POSITION, QUATERNION, STD, angle_columns, column_of
@@ -270,8 +272,8 @@ def std_of(saved: SavedModel, query: Query) -> np.ndarray:
 def extrapolates(saved: SavedModel, query: Query, std: np.ndarray) -> np.ndarray:
     """Rows that are not like those that the calibration has seen, shape (N,).
 
-    Outside the range of a joint or of a covariate that an effect depends on, in a hole of what was measured of it, or where
-    the prediction is several times as uncertain as it was at any fitted row.
+    Outside the range of a joint or of a covariate that an effect depends on, in a hole of what was measured of it, where
+    the prediction is several times as uncertain as it was at any fitted row, or far from all places that a field is known at.
 
     Args:
         saved: The model.
@@ -284,9 +286,23 @@ def extrapolates(saved: SavedModel, query: Query, std: np.ndarray) -> np.ndarray
     for name, (low, high) in saved.ranges.items():
         values = columns[name]
         beyond |= (values < low) | (values > high) | inside(values, saved.holes.get(name, ()))
+    known = query.usable & np.isfinite(query.readings).all(axis=1)
+    beyond[known] |= _far(saved, query, known)
     for axes, largest in zip(CHANNELS, saved.largest_std, strict=True):
         beyond |= np.linalg.norm(std[:, axes], axis=1) > SPREAD * largest
     return beyond
+
+
+def _far(saved: SavedModel, query: Query, known: np.ndarray) -> np.ndarray:
+    """Rows, of those that are known, whose target is far from all places that a field in space is known at."""
+    model, readings = saved.final.model, query.readings[known]
+    bases = [c.basis for c in model.coefficients if c.basis.form == "ball"]
+    if not bases:
+        return np.zeros(len(readings), dtype=bool)
+    station = None if query.station is None else query.station[known]
+    covariates = {name: values[known] for name, values in query.covariates.items()}
+    tip = model.rows(readings, covariates, station).tip
+    return far_from_nodes(bases, target_places(model.robot, readings, model.around.sights.targets[tip]))
 
 
 def write_table(table: pd.DataFrame, path: Path) -> None:
