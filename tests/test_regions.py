@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,12 +14,12 @@ import robots
 import yaml
 from scipy.linalg import cholesky
 
-from aridcal.effects.basis import FORMS, wendland
+from aridcal.effects.basis import FORMS, Basis, wendland
 from aridcal.effects.catalogue import declared
 from aridcal.effects.effect import Coefficient
 from aridcal.effects.kinds import Observed
 from aridcal.effects.loads import Surroundings, covariate_table
-from aridcal.effects.regional_kind import IN_SPACE, ball_field, spread_out, widths
+from aridcal.effects.regional_kind import IN_SPACE, ball_field, far_from_nodes, spread_out, widths
 from aridcal.effects.sights import TARGET, Sights, sight_table
 from aridcal.effects.smooth import Kernel, samples_root, smooth_precision
 from aridcal.errors import CampaignError
@@ -31,7 +32,8 @@ from aridcal.prepare.simulation import simulate, write_campaign
 from aridcal.result.controllers import hand_over, write_controllers
 from aridcal.result.outcome import Outcome
 from aridcal.result.pipeline import identify
-from aridcal.result.saved_model import SavedModel
+from aridcal.result.predict import predict, read_query
+from aridcal.result.saved_model import SavedModel, SolvedModel
 from aridcal.result.saving import calibration
 from aridcal.robot.chain import parse_robot
 from aridcal.robot.kinematics import tip_frames
@@ -285,6 +287,35 @@ def test_any_place_may_vary_in_space_and_along_any_joint(where: str) -> None:
         for k in (0, 7, 30):
             np.testing.assert_allclose(one.pose(q[k], one.effects(q[k], {}))[1], p[k], atol=1e-12)
     assert widths(effect) == (effect,)
+
+
+def test_a_field_is_not_known_where_nothing_was_measured() -> None:
+    rng = np.random.default_rng(3)
+    places = rng.uniform(0.0, 1.0, (300, 3))
+    bases = ball_field(places)
+    assert not far_from_nodes(bases, places).any()
+    assert not far_from_nodes(bases, rng.uniform(0.0, 1.0, (300, 3))).any()  # between them
+    assert far_from_nodes(bases, places + [3.0, 0.0, 0.0]).all()
+    far = far_from_nodes(bases, np.array([[0.5, 0.5, 1.0 + gap] for gap in (0.05, 1.0)]))
+    assert far.tolist() == [False, True]
+    assert not far_from_nodes(bases[:1], places + 10.0).any()  # one dent says nothing of other places
+    assert not far_from_nodes([Basis("bump", ("joint_1",), (0.0, 1.0))], places).any()
+
+
+def test_predictions_far_from_all_places_of_a_field_are_marked(off: tuple[Outcome, Path]) -> None:
+    """The arm may go there, each joint by itself within its range: the targets were all at one end of its space."""
+    saved, q = SavedModel.load(off[1]), off[0].measurements.readings
+    model = saved.final.model
+    places = sight_table(model.robot, q, model.around.sights, np.zeros(3), np.zeros(len(q), dtype=int))
+    along = max((places[name] for name in TARGET), key=np.ptp)
+    near = np.column_stack([places[name][along < np.quantile(along, 0.2)] for name in TARGET])
+    field = [Coefficient("world_base", c, basis) for c in ("x", "y", "z") for basis in ball_field(near)]
+    K = len(field)
+    known = replace(saved, final=SolvedModel(model.with_coefficients(field), np.zeros(K), np.zeros((K, K))))
+    table = pd.DataFrame(q, columns=model.robot.readings)
+    marked = predict(known, read_query(known, table))["extrapolates"].to_numpy()
+    assert marked[along > np.quantile(along, 0.95)].all()
+    assert marked[along < np.quantile(along, 0.2)].mean() < 0.1
 
 
 def test_nodes_are_spread_over_the_places() -> None:

@@ -7,10 +7,11 @@ all where they do not ask for it.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
 import numpy as np
+from scipy.spatial.distance import cdist
 
 from aridcal.effects.basis import Basis
 from aridcal.effects.effect import FRAME_COMPONENTS, LINK_COMPONENTS, Coefficient, Effect
@@ -30,6 +31,10 @@ MOST_NODES = 96
 WIDTHS = (2.0, 4.0, 8.0, 16.0)
 """Radii of the functions about nodes that are tried, in distances between nodes, an octave apart: two is the least with which
 no place between the nodes is left out, sixteen is beyond the whole field."""
+
+ALONE = 2.0
+"""Distances between nodes from the nearest one, beyond which nothing was measured: places are half of one from it, and a field
+that is smooth over the nodes goes on a little."""
 
 FRAMES = ("world_base", "tip_target")
 
@@ -118,6 +123,22 @@ def spread_out(places: np.ndarray, count: int) -> tuple[np.ndarray, float]:
         chosen.append(int(np.argmax(distance)))
         distance = np.minimum(distance, np.linalg.norm(places - places[chosen[-1]], axis=1))
     return places[chosen], float(distance.max())
+
+
+def far_from_nodes(bases: Iterable[Basis], places: np.ndarray) -> np.ndarray:
+    """Places, shape (N, 3), at which a field in space says nothing since it was measured nowhere near, shape (N,) bool.
+
+    Further from its nodes than twice as far as any of these is from its neighbour; False where there are but single dents.
+    """
+    nodes: dict[float, list[tuple[float, ...]]] = {}
+    for basis in dict.fromkeys(bases):
+        if basis.form == "ball":
+            nodes.setdefault(basis.numbers[3], []).append(basis.numbers[:3])
+    far = np.zeros(len(places), dtype=bool)
+    for own in (np.array(own) for own in nodes.values() if len(own) >= LEAST_KNOTS):
+        apart = np.sort(cdist(own, own), axis=1)[:, 1].max()
+        far |= cdist(places, own).min(axis=1) > ALONE * apart
+    return far
 
 
 def widths(effect: Effect) -> tuple[Effect, ...]:

@@ -12,6 +12,8 @@ from aridcal.drawing.html import Content, Html, bullets, counted, figures, numbe
 from aridcal.drawing.words import how_to_separate, shown_in
 from aridcal.effects.basis import Basis
 from aridcal.effects.catalogue import KINDS
+from aridcal.effects.effect import ANGULAR
+from aridcal.effects.regional_kind import is_field
 from aridcal.result.folder import what_moved
 from aridcal.result.outcome import Outcome, errors
 from aridcal.trust.gains import Curve, Diagnosis, NamedEffect
@@ -125,6 +127,8 @@ def _coefficients(outcome: Outcome) -> Content:
         if e.effect.smooth:
             continue
         units = {c.component: c.unit for c in e.curves}
+        if is_field(e.effect):
+            units = {component: "rad" if component in ANGULAR else "m" for component in e.effect.motion}
         for c in e.effect.coefficients:
             if c.name in index:
                 k = index[c.name]

@@ -8,7 +8,7 @@ from aridcal.drawing.html import Content, Html, bullets, number, table, tag
 from aridcal.drawing.words import per_number, range_in_words, sigmas_in_words
 from aridcal.report.identified_section import codes
 from aridcal.report.workspace_section import workspace
-from aridcal.result.controllers import Export, Handover
+from aridcal.result.controllers import INDEX, Export, Handover
 from aridcal.result.key_figures import narrow_joints
 from aridcal.result.outcome import Outcome
 
@@ -138,6 +138,8 @@ def _files(handover: Handover, effects: bool) -> Html:
         ["residuals.csv", "residual of each model for every row, with the row's part and flags", ""],
         ["scene.html", "robot, targets and magnified errors in 3D", ""],
     ]
+    if handover.regions is not None:
+        lines.insert(1, [INDEX, "where the URDF of each region beside it holds, and what it leaves", error[INDEX]])
     if effects:
         lines.insert(1, ["model.urdf", "valid only together with the effects in calibration.yaml, never alone", ""])
     named = [[tag("code", str(name)), *rest] for name, *rest in lines]

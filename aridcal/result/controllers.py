@@ -116,10 +116,9 @@ def hand_over(outcome: Outcome) -> Handover:
     if with_maps is not None:
         files = ("joint_maps.urdf", "joint_maps.csv")
         exports.append(export("+ joint maps", files, with_maps))
-    geometric, effects = outcome.stage("geometric").fit, [e.effect for e in outcome.effects]
-    own = regions(geometric, final.fit, m, ~m.test & ~outcome.outlier, effects)
+    own = regions(final.fit, m, ~m.test & ~outcome.outlier, [e.effect for e in outcome.effects])
     if own is not None:
-        exports.append(export(BY_REGION, (INDEX,), geometric, own))
+        exports.append(export(BY_REGION, (INDEX,), final.fit, own))
     exports.append(export("full model", ("calibration.yaml",), final.fit))
     found = dict(zip(offsets.model.names, offsets.theta, strict=True))
     robot = outcome.robot

@@ -14,6 +14,8 @@ import pyarrow as pa
 import pyarrow.parquet
 from scipy.spatial.transform import Rotation
 
+from aridcal.effects.regional_kind import far_from_nodes
+from aridcal.effects.sights import target_places
 from aridcal.errors import MeasurementError
 from aridcal.inputs.measurement_settings import MeasurementSettings
 from aridcal.inputs.quantities import POSITION, QUATERNION, STD, angle_columns, column_of
@@ -271,7 +273,7 @@ def std_of(saved: SavedModel, query: Query) -> np.ndarray:
 def extrapolates(saved: SavedModel, query: Query, std: np.ndarray) -> np.ndarray:
     """Rows that are not like those that the calibration has seen, shape (N,).
 
-    See :meth:`aridcal.trust.seen.Seen.beyond`.
+    See :meth:`aridcal.trust.seen.Seen.beyond`; and far from all places that a field is known at.
 
     Args:
         saved: The model.
@@ -280,7 +282,10 @@ def extrapolates(saved: SavedModel, query: Query, std: np.ndarray) -> np.ndarray
     """
     readings = dict(zip(saved.final.model.robot.readings, query.readings.T, strict=True))
     seen = Seen(saved.ranges, saved.holes, saved.largest_std)
-    return seen.beyond(query.covariates | readings, std)
+    beyond = seen.beyond(query.covariates | readings, std)
+    known = query.usable & np.isfinite(query.readings).all(axis=1)
+    beyond[known] |= _far(saved, query, known)
+    return beyond
 
 
 def evenly(saved: SavedModel) -> pd.DataFrame:
@@ -343,6 +348,18 @@ def uncertainty(saved: SavedModel, query: Query, tool: Sequence[float]) -> pd.Da
         table.loc[known, name] = values
     table["extrapolates"] = extrapolates(saved, query, std_of(saved, query))
     return table
+
+
+def _far(saved: SavedModel, query: Query, known: np.ndarray) -> np.ndarray:
+    """Rows, of those that are known, whose target is far from all places that a field in space is known at."""
+    model, readings = saved.final.model, query.readings[known]
+    bases = [c.basis for c in model.coefficients if c.basis.form == "ball"]
+    if not bases:
+        return np.zeros(len(readings), dtype=bool)
+    station = None if query.station is None else query.station[known]
+    covariates = {name: values[known] for name, values in query.covariates.items()}
+    tip = model.rows(readings, covariates, station).tip
+    return far_from_nodes(bases, target_places(model.robot, readings, model.around.sights.targets[tip]))
 
 
 def write_table(table: pd.DataFrame, path: Path) -> None:

@@ -55,7 +55,7 @@ class Region:
         low: Their lowest values at the fitted rows of the region, shape (d,).
         high: Their highest.
         rows: Rows of it, fitted and held out, shape (N,) bool.
-        fit: Its constants, with the frames of the one URDF.
+        fit: Its constants, with the frames of the whole model.
     """
 
     name: str
@@ -97,11 +97,10 @@ class Regions:
         return left
 
 
-def regions(geometric: Fit, final: Fit, rows: Dataset, fitted: np.ndarray, effects: Sequence[Effect]) -> Regions | None:
+def regions(final: Fit, rows: Dataset, fitted: np.ndarray, effects: Sequence[Effect]) -> Regions | None:
     """Regions of what deviates from the one model; None if nothing does.
 
     Args:
-        geometric: Frames and constants: the best URDF for all rows.
         final: The whole model.
         rows: All N rows.
         fitted: Those that the models were fitted to, shape (N,) bool.
@@ -114,10 +113,10 @@ def regions(geometric: Fit, final: Fit, rows: Dataset, fitted: np.ndarray, effec
     scale = np.maximum(np.ptp(places[fitted], axis=0), 1e-9) if by != TARGET else np.ones(3)
     different = np.unique(np.round(places[fitted] / scale, 6), axis=0)
     most = max(len(different) // ROWS_OF_A_REGION, 1)
-    start, enough = recentred(geometric), NEAR * np.sqrt(3.0) * _noise(final, rows)[0]
+    start, enough = recentred(final), NEAR * np.sqrt(3.0) * _noise(final, rows)[0]
     whole = _places(final, rows.select(fitted))
     for count in (count for count in COUNTS if count <= most):
-        found = _divided(start, final, rows, fitted, by, places, scale, _middles(different, count))
+        found = _divided(start, rows, fitted, by, places, scale, _middles(different, count))
         apart = found.places(rows)[fitted] - whole
         if np.sqrt(np.mean(np.sum(apart**2, axis=1))) < enough:
             break
@@ -125,7 +124,6 @@ def regions(geometric: Fit, final: Fit, rows: Dataset, fitted: np.ndarray, effec
 
 
 def _divided(
-    start: Fit,
     final: Fit,
     rows: Dataset,
     fitted: np.ndarray,
@@ -147,7 +145,7 @@ def _divided(
             around = rows.select(np.sort(np.argsort(far, kind="stable")[: min(wanted, int(fitted.sum()))]))
         else:
             around = _moved(final, rows.select(fitted), by, low, high)
-        found = _constants(start, final, around)
+        found = _constants(final, around)
         every.append(Region(f"region_{number + 1:02d}", scale * middle, low, high, own, found))
     return Regions(by, scale, tuple(every))
 
@@ -199,14 +197,14 @@ def _moved(final: Fit, rows: Dataset, by: tuple[str, ...], low: np.ndarray, high
     return replace(some, readings=readings, covariates=covariates)
 
 
-def _constants(start: Fit, final: Fit, around: Dataset) -> Fit:
-    """Constants of the chain that come nearest to the whole model at some rows, with the frames of the one URDF.
+def _constants(final: Fit, around: Dataset) -> Fit:
+    """Constants of the chain that come nearest to the whole model at some rows, with its frames, and instruments as it has them.
 
-    Where the base seems to stand elsewhere in a region, the first joint's origin takes that up: frames are the user's own.
+    Where the base seems to stand elsewhere in a region, the first joint's origin takes that up: frames are the same for all.
     """
     at = final.model.rows(around.readings, around.conditions, around.station, around.target)
     R, p = final.model.poses(final.theta, at)
-    robot = start.model.robot
+    robot = final.model.robot
     sigma = _noise(final, around)
     turns = R if around.sees_turns else None
     wanted = dataset(
@@ -214,12 +212,13 @@ def _constants(start: Fit, final: Fit, around: Dataset) -> Fit:
         station=around.station, covariates=around.covariates,
     )  # fmt: skip
     wanted = replace(wanted, target=around.target)
-    known = dict(zip(start.model.coefficients, start.theta.tolist(), strict=True))
+    known = dict(zip(final.model.coefficients, final.theta.tolist(), strict=True))
+    of_things = dict(zip(final.model.coefficients, final.model.at_things.tolist(), strict=True))
     frames = ("world_base", "tip_target")
     first = [Coefficient(robot.joints[0].name, component) for component in FRAME_COMPONENTS]
-    own = [c for c in known if c.basis.constant and c.where not in frames]
+    own = [c for c in known if of_things[c] or (c.basis.constant and c.where not in frames)]
     coefficients = tuple(dict.fromkeys([*own, *first]))
     theta = np.array([known.get(c, 0.0) for c in coefficients])
     prior = Prior(theta, np.eye(len(theta)) / DEVIATION**2)
-    asked = problem(start.model.with_coefficients(coefficients), wanted)
+    asked = problem(final.model.with_coefficients(coefficients), wanted)
     return fit(asked, theta, np.ones(len(wanted)), prior)

@@ -22,6 +22,8 @@ import numpy as np
 from scipy.stats import qmc
 
 from aridcal.effects.effect import FRAME_COMPONENTS, Coefficient
+from aridcal.effects.regional_kind import far_from_nodes
+from aridcal.effects.sights import target_places
 from aridcal.fit.constants import has_world
 from aridcal.fit.least_squares import Fit
 from aridcal.fit.problem import BLOCK, problem
@@ -167,6 +169,10 @@ class Knowledge:
         columns = {name: values[like] for name, values in data.conditions.items()}
         columns |= dict(zip(model.robot.readings, readings.T, strict=True))
         measured, told = ~self.seen.beyond(columns, std), unknown < TOLD
+        fields = [c.basis for c in model.coefficients if c.basis.form == "ball"]
+        if fields:
+            nominal = target_places(model.robot, readings, model.around.sights.targets[rows.tip])
+            measured &= ~far_from_nodes(fields, nominal)
         return Workspace(rows, readings, places, covariance, turns, axes, measured, *told)
 
     def places(self, data: Dataset, readings: np.ndarray, like: np.ndarray) -> np.ndarray:
