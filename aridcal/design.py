@@ -3,7 +3,8 @@
 With tables already measured, the new rows add to what these tell. A campaign whose tables are not there yet is planned from
 nothing: the kind of measurement, its noise, and frames and instruments as hints. Joints stay inside their limits. The arm, as
 lines from joint to joint and to the target and with the URDF's collision shapes, keeps out of itself and of the boxes of the
-campaign's `design: {keep_out: [{min: [x, y, z], max: [x, y, z]}]}` (base frame, m). The ways between are not looked at.
+campaign's `design: {keep_out: [{min: [x, y, z], max: [x, y, z]}]}` (base frame, m); what `design: {sight: {at: [x, y, z]}}` has to
+see the target sees it past them. The ways between are not looked at.
 Configurations come in an order that shortens the way. Where backlash is among the effects that may be there, each joint comes to
 them from both sides, by way of points that the programs have and that are not measured.
 
@@ -188,7 +189,7 @@ def _report(plan: Plan, apart: Sequence[str], out: Sequence[Path]) -> None:
     console = Console()
     console.print(_sigma_table(plan, apart))
     lines = [
-        f"{plan.measured} rows so far; {plan.unknowns} unknowns of arm and frames can be identified with the planned ones",
+        f"{plan.measured} rows so far; {plan.unknowns} unknowns of arm, frames and effects can be identified with the planned ones",
         f"RMS of as many random configurations, mm: {_mm(plan.random)}",
         "observability " + ", ".join(f"O{k} {value:.3g}" for k, value in enumerate(plan.indices, start=1)),
         *(f"note: {notice}" for notice in plan.notices),
@@ -206,8 +207,8 @@ def _of_sides(plan: Plan) -> list[str]:
         return []
     via = int(np.isfinite(plan.via).all(axis=1).sum())
     return [
-        f"{', '.join(plan.directions)} come from both sides: {via} points on the way, in programs; a table says from "
-        "which side in JOINT_direction, which belongs into the table of what is measured"
+        f"{', '.join(plan.directions)} come from both sides: {via} points on the way, in programs; a table has the "
+        "side in JOINT_direction: copy these columns into the table of what is measured"
     ]
 
 
