@@ -3,8 +3,9 @@
 With tables already measured, the new rows add to what these tell. A campaign whose tables are not there yet is planned from
 nothing: the kind of measurement, its noise, and frames and instruments as hints. Joints stay inside their limits. The arm, as
 lines from joint to joint and to the target and with the URDF's collision shapes, keeps out of itself and of the boxes of the
-campaign's `design: {keep_out: [{min: [x, y, z], max: [x, y, z]}]}` (base frame, m); what `design: {sight: {at: [x, y, z]}}` has to
-see the target sees it past them. The ways between are not looked at.
+campaign's `design: {keep_out: [{min: [x, y, z], max: [x, y, z]}]}` (base frame, m). The tracker or camera of
+`design: {sight: {at: [x, y, z]}}` sees the target past them. The ways between are not looked at.
+
 Configurations come in an order that shortens the way. Where backlash is among the effects that may be there, each joint comes to
 them from both sides, by way of points that the programs have and that are not measured.
 
