@@ -190,7 +190,7 @@ def _report(plan: Plan, apart: Sequence[str], out: Sequence[Path]) -> None:
     console = Console()
     console.print(_sigma_table(plan, apart))
     lines = [
-        f"{plan.measured} rows so far; {plan.unknowns} unknowns of arm, frames and effects can be identified with the planned ones",
+        f"{plan.measured} rows so far; {plan.unknowns} unknowns of arm, frames, effects can be identified with the planned ones",
         f"RMS of as many random configurations, mm: {_mm(plan.random)}",
         "observability " + ", ".join(f"O{k} {value:.3g}" for k, value in enumerate(plan.indices, start=1)),
         *(f"note: {notice}" for notice in plan.notices),
