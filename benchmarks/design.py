@@ -110,9 +110,9 @@ def _near(known: Beforehand, n: int, region: np.ndarray, rng: np.random.Generato
 def bound() -> None:
     r"""How small a share of random choices' sigma any thirty poses of a UR10 can have, constants alone.
 
-    Of designs as measures w over places, the one with the smallest tr(W M^-1) is found by multiplication (Silvey, Titterington and
-    Torsney 1978), and the general equivalence theorem (Kiefer 1974) bounds all others: with g the largest gradient over places,
-    tr(W M^-1) of none is below tr(W M^-1)^2 / g.
+    Of designs as measures w over places, the one with the smallest tr(W M^-1) is found by multiplication (Silvey, Titterington
+    and Torsney 1978). It is convex in M, and so that of no other one is below tr(W M^-1)^2 / g, with g the largest gradient over
+    places (Kiefer's general equivalence theorem, 1974) and that of what is assumed beforehand.
     """
     arm, kind, n, noise, more = CASES[0]
     with tempfile.TemporaryDirectory() as folder:
@@ -130,7 +130,8 @@ def bound() -> None:
         gradient = np.einsum("cpi,ij,cpj->c", rows, S @ choice.averaged @ S, rows, optimize=True)
         w = w * np.sqrt(gradient) / np.sum(w * np.sqrt(gradient))
     trace = float(np.trace(choice.averaged @ S))
-    lowest = np.sqrt(trace**2 / gradient.max() / n) / random
+    assumed = float(np.trace(S @ choice.averaged @ S @ choice.known)) / n
+    lowest = np.sqrt(trace**2 / (gradient.max() + assumed) / n) / random
     print(f"{arm}, {n} of {kind}: no choice among {len(rows)} places is below {lowest:.3f} of random ones")
 
 
