@@ -3,6 +3,7 @@
 Example:
     import aridcal
 
+    poses = aridcal.plan("campaign.yaml", 30)  # which to measure next
     campaign = aridcal.propose("ur5.urdf", table)  # a path or a DataFrame; prints what was guessed
     cal = aridcal.calibrate(campaign)  # or the path of a campaign.yaml
     cal.errors, cal.effects, cal.parameters  # DataFrames
@@ -20,10 +21,20 @@ interrupt.watch()  # before all other imports: they take a second, in which Ctrl
 from typing import TYPE_CHECKING  # noqa: E402
 
 __version__ = "0.1.0"
-__all__ = ["AridcalError", "Calibration", "Campaign", "__version__", "calibrate", "load", "propose"]
+__all__ = [
+    "AridcalError",
+    "Calibration",
+    "Campaign",
+    "PlannedPoses",
+    "__version__",
+    "calibrate",
+    "load",
+    "plan",
+    "propose",
+]
 
 if TYPE_CHECKING:
-    from aridcal.api import calibrate, load, propose
+    from aridcal.api import PlannedPoses, calibrate, load, plan, propose
     from aridcal.calibration import Calibration
     from aridcal.errors import AridcalError
     from aridcal.inputs.campaign import Campaign

@@ -1,6 +1,8 @@
-"""The Python face: propose a campaign, calibrate, load.
+"""The Python face: plan poses, propose a campaign, calibrate, load.
 
 Example:
+    poses = aridcal.plan("campaign.yaml", 30)
+    poses.save("poses.csv", "poses.script", "poses.html")
     campaign = aridcal.propose("robot.urdf", table)
     cal = aridcal.calibrate(campaign)
     poses = cal.predict(queries)
@@ -10,25 +12,33 @@ Example:
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import get_args
 
+import numpy as np
 import pandas as pd
 from rich.console import Console
 
 from aridcal.calibration import Calibration
-from aridcal.errors import AridcalError
+from aridcal.design import MOST, check_endings, check_outputs, write_plan
+from aridcal.errors import AridcalError, shortened
 from aridcal.init import tell
-from aridcal.inputs.campaign import Campaign
+from aridcal.inputs.campaign import Campaign, load_campaign
 from aridcal.inputs.tables import AnyTable
+from aridcal.planning.beforehand import beforehand
+from aridcal.planning.design import Asked, Plan, as_table, design
+from aridcal.planning.exchange import Criterion
 from aridcal.prepare.campaign_text import draft
 from aridcal.prepare.guesses import nobody
 from aridcal.prepare.other_readings import refuse_misread
 from aridcal.result.pipeline import identify
 from aridcal.result.saved_model import SavedModel
 from aridcal.result.saving import calibration
+from aridcal.robot.chain import Robot, load_robot
 from aridcal.showing import working
 
-__all__ = ["AridcalError", "Calibration", "Campaign", "calibrate", "load", "propose"]
+__all__ = ["AridcalError", "Calibration", "Campaign", "PlannedPoses", "calibrate", "load", "plan", "propose"]
 
 
 def propose(urdf: str | Path, measurements: AnyTable | Sequence[AnyTable]) -> Campaign:
@@ -52,6 +62,85 @@ def propose(urdf: str | Path, measurements: AnyTable | Sequence[AnyTable]) -> Ca
     title = ", ".join(file.name for file in proposed.rows.files)
     tell(proposed, title, Console(force_jupyter=False))
     return proposed.campaign
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class PlannedPoses:
+    """Configurations to measure next.
+
+    Attributes:
+        design: The plan behind it, for arrays: readings in [rad] and [m], sigmas, notices.
+        campaign: What it is for.
+        robot: The chain.
+    """
+
+    design: Plan
+    campaign: Campaign
+    robot: Robot
+
+    @property
+    def table(self) -> pd.DataFrame:
+        """Joints in the campaign's columns and units, in the order of the visits, and what each row measures."""
+        return as_table(self.design, self.robot, self.campaign.measurements)
+
+    @property
+    def sigma(self) -> pd.DataFrame:
+        """How well the target will be known with the best so many configurations: over three axes, and at worst, [mm]."""
+        rows = [(s.n, 1e3 * s.rms, 1e3 * s.worst) for s in self.design.sigma]
+        return pd.DataFrame(rows, columns=["n", "rms_mm", "worst_mm"])
+
+    def save(self, *paths: str | Path, settle: float = 1.0) -> None:
+        """Write it, in the form that the ending of each name asks for (see `aridcal design --help`); all files appear, or none.
+
+        Args:
+            paths: Of the files.
+            settle: What programs wait at each configuration, [s].
+
+        Raises:
+            AridcalError: a file cannot hold a plan or be written, or its language has no such arm.
+        """
+        out = [Path(path) for path in paths]
+        check_endings(out)
+        check_outputs(self.campaign, self.robot, out)
+        write_plan(self.design, self.campaign, self.robot, out, settle)
+
+    def __repr__(self) -> str:
+        return f"{len(self.design.readings)} configurations to measure\n{self.sigma.to_string(index=False)}"
+
+
+def plan(
+    campaign: str | Path | Campaign,
+    n: int,
+    region: str | Path | None = None,
+    apart: Sequence[str] = (),
+    optimal: Criterion = "A",
+) -> PlannedPoses:
+    """Choose configurations to measure next, as `aridcal design` does. Nothing is written.
+
+    Args:
+        campaign: ``campaign.yaml``, or a campaign. If its tables are there, new rows add to them.
+        n: How many.
+        region: Table of joints, or of x y z of the target, where it is to be known; None: anywhere.
+        apart: Two effects to be told apart, ``WHERE.KIND`` each.
+        optimal: What is made small: ``A``, ``D`` or ``G``; two effects are told apart by the evidence expected instead.
+
+    Raises:
+        AridcalError: whatever in the input needs mending.
+    """
+    if not isinstance(n, int | np.integer) or not 1 <= n <= MOST:
+        raise AridcalError(f"n: should be a whole number from 1 to {MOST}, not {shortened(repr(n))}")
+    if optimal not in get_args(Criterion):
+        raise AridcalError(
+            f"optimal: should be one of {', '.join(get_args(Criterion))}, not {shortened(repr(optimal))}"
+        )
+    if apart and (isinstance(apart, str) or len(apart) != 2 or apart[0] == apart[1]):
+        raise AridcalError("apart: should be two effects, ('joint_2.joint_gain', 'joint_3.joint_gain') for instance")
+    job = campaign if isinstance(campaign, Campaign) else load_campaign(campaign)
+    robot = load_robot(job.robot.urdf, job.robot.tip, job.robot.base, job.limits.urdf)
+    with working() as progress:
+        asked = Asked(int(n), optimal, None if region is None else Path(region), tuple(apart))
+        made = design(beforehand(job, robot, progress), asked, progress)
+    return PlannedPoses(made, job, robot)
 
 
 def calibrate(campaign: str | Path | Campaign, seed: int = 0) -> Calibration:

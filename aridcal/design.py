@@ -3,7 +3,9 @@
 With tables already measured, the new rows add to what these tell. A campaign whose tables are not there yet is planned from
 nothing: the kind of measurement, its noise, and frames and instruments as hints. Joints stay inside their limits. The arm, as
 lines from joint to joint and to the target and with the URDF's collision shapes, keeps out of itself and of the boxes of the
-campaign's `design: {keep_out: [{min: [x, y, z], max: [x, y, z]}]}` (base frame, m). The ways between are not looked at.
+campaign's `design: {keep_out: [{min: [x, y, z], max: [x, y, z]}]}` (base frame, m). The tracker or camera of
+`design: {sight: {at: [x, y, z]}}` sees the target past them. The ways between are not looked at.
+
 Configurations come in an order that shortens the way. Where backlash is among the effects that may be there, each joint comes to
 them from both sides, by way of points that the programs have and that are not measured.
 
@@ -127,10 +129,7 @@ def _main(arguments: argparse.Namespace) -> None:
         raise OutputError(
             "--apart has a criterion of its own, by which two effects are told apart; leave --optimal out"
         )
-    for path in out:
-        if path.suffix.lower() not in WRITTEN:
-            raise OutputError(f"{path}: should be a file that ends in one of {', '.join(WRITTEN)}")
-        check_home(path)
+    check_endings(out)
     with ExitStack() as ends:
         for path in out:
             ends.enter_context(claimed(path, "file"))
@@ -139,38 +138,63 @@ def _main(arguments: argparse.Namespace) -> None:
 
 def _design(arguments: argparse.Namespace, out: list[Path]) -> None:
     campaign = load_campaign(arguments.campaign)
-    own = [arguments.campaign, *(file for block in campaign.blocks for file in block.files)]
+    robot = load_robot(campaign.robot.urdf, campaign.robot.tip, campaign.robot.base, campaign.limits.urdf)
+    check_outputs(campaign, robot, out)
+    with told_on(Console(stderr=True)) as progress:
+        known = beforehand(campaign, robot, progress)
+        asked = Asked(arguments.n, arguments.optimal or "A", arguments.region, arguments.apart)
+        plan = design(known, asked, progress)
+        write_plan(plan, campaign, robot, out, arguments.settle)
+    _report(plan, arguments.apart, out)
+
+
+def check_endings(out: Sequence[Path]) -> None:
+    """Make sure that files of these names can hold a plan, and that their folders are there.
+
+    Raises:
+        OutputError: naming the file.
+    """
+    for path in out:
+        if path.suffix.lower() not in WRITTEN:
+            raise OutputError(f"{path}: should be a file that ends in one of {', '.join(WRITTEN)}")
+        check_home(path)
+
+
+def check_outputs(campaign: Campaign, robot: Robot, out: Sequence[Path]) -> None:
+    """Make sure that a plan may be written to some files, and that programs in their languages can move the robot.
+
+    Raises:
+        OutputError: naming the file.
+    """
+    own = [campaign.path, *(file for block in campaign.blocks for file in block.files)]
     places = [path.resolve() for path in out]
     for number, (path, place) in enumerate(zip(out, places, strict=True)):
         if place in [file.resolve() for file in own]:
             raise OutputError(f"{path}: is the campaign or a table of it; write the plan to another file")
         if place in places[:number]:
             raise OutputError(f"{path}: is named twice; delete one")
-    robot = load_robot(campaign.robot.urdf, campaign.robot.tip, campaign.robot.base, campaign.limits.urdf)
-    for path in out:
         if path.suffix.lower() in LANGUAGES:
             check_program(path.suffix.lower(), path.stem, robot.kinds)
-    with told_on(Console(stderr=True)) as progress, ExitStack() as ends:
-        built = [(path, ends.enter_context(atomic_file(path))) for path in out]
-        known = beforehand(campaign, robot, progress)
-        asked = Asked(arguments.n, arguments.optimal or "A", arguments.region, arguments.apart)
-        plan = design(known, asked, progress)
-        for path, file in built:
-            _write(plan, campaign, robot, path, file, arguments.settle)
-    _report(plan, arguments.apart, out)
 
 
-def _write(plan: Plan, campaign: Campaign, robot: Robot, path: Path, file: Path, settle: float) -> None:
-    """Write a plan in the form that a file's name asks for.
+def write_plan(plan: Plan, campaign: Campaign, robot: Robot, out: Sequence[Path], settle: float) -> None:
+    """Write a plan in the forms that the names of files ask for; all of them appear, or none.
 
     Args:
         plan: What to write.
         campaign: What it is for.
         robot: The chain.
-        path: The file as it is called.
-        file: Where to write it.
+        out: The files.
         settle: What programs wait at each configuration, [s].
     """
+    with ExitStack() as ends:
+        built = [(path, ends.enter_context(atomic_file(path))) for path in out]
+        for path, file in built:
+            _write(plan, campaign, robot, path, file, settle)
+
+
+def _write(plan: Plan, campaign: Campaign, robot: Robot, path: Path, file: Path, settle: float) -> None:
+    """Write one file of a plan, called ``path``, to ``file``; see :func:`write_plan`."""
     ending = path.suffix.lower()
     if ending in ENDINGS:
         write_table(as_table(plan, robot, campaign.measurements), file)
@@ -188,7 +212,7 @@ def _report(plan: Plan, apart: Sequence[str], out: Sequence[Path]) -> None:
     console = Console()
     console.print(_sigma_table(plan, apart))
     lines = [
-        f"{plan.measured} rows so far; {plan.unknowns} unknowns of arm and frames can be identified with the planned ones",
+        f"{plan.measured} rows so far; {plan.unknowns} unknowns of arm, frames, effects can be identified with the planned ones",
         f"RMS of as many random configurations, mm: {_mm(plan.random)}",
         "observability " + ", ".join(f"O{k} {value:.3g}" for k, value in enumerate(plan.indices, start=1)),
         *(f"note: {notice}" for notice in plan.notices),
@@ -206,8 +230,8 @@ def _of_sides(plan: Plan) -> list[str]:
         return []
     via = int(np.isfinite(plan.via).all(axis=1).sum())
     return [
-        f"{', '.join(plan.directions)} come from both sides: {via} points on the way, in programs; a table says from "
-        "which side in JOINT_direction, which belongs into the table of what is measured"
+        f"{', '.join(plan.directions)} come from both sides: {via} points on the way, in programs; a table has the "
+        "side in JOINT_direction: copy these columns into the table of what is measured"
     ]
 
 

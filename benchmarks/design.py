@@ -1,12 +1,13 @@
 """How much better chosen configurations are than random ones, and how near to the best that exchanges find.
 
     python benchmarks/design.py            # UR10, ARID, a Panda; poses, positions, points, distances: some minutes
+    python benchmarks/design.py bound      # what no choice for the first of these can be better than
     python benchmarks/design.py series-b   # the real UR10: 100 of its own rows, chosen and at random; needs ../shared/data
 
 The first prints, for each arm and kind, the RMS sigma of the target over the joints' whole range with the chosen configurations,
-as a share of the median of 100 random choices, and, among a third of the candidates, as a share of the best of 20 exchanges from
-random beginnings. The second calibrates (`aridcal identify`, effects and all) from 100 rows of series B and prints the RMS error
-at all others.
+as a share of the median of 100 random choices; for constants alone and with the effects usual for such arms as suspects; and,
+among a third of the candidates, as a share of the best of 20 exchanges from random beginnings. The last calibrates (`aridcal
+identify`, effects and all) from 100 rows of series B and prints the RMS error at all others.
 """
 
 from __future__ import annotations
@@ -22,13 +23,13 @@ import pandas as pd
 
 from aridcal.inputs.campaign import Campaign, load_campaign
 from aridcal.inputs.read import load_measurements
-from aridcal.planning.beforehand import beforehand
+from aridcal.planning.beforehand import Beforehand, beforehand
 from aridcal.planning.candidates import Candidates, draw_candidates
 from aridcal.planning.design import EASY, POOL, RANDOM, SMALL_POOL, Asked, question
-from aridcal.planning.exchange import best_choice, exchanged, rms_sigma
+from aridcal.planning.exchange import best_choice, exchanged, rms_sigma, worst_sigma
 from aridcal.planning.refine import Refined, refined
 from aridcal.planning.region import region_readings
-from aridcal.planning.suspects import with_stated_effects
+from aridcal.planning.suspects import with_usual_effects
 from aridcal.result.outcome import errors
 from aridcal.result.pipeline import identify
 from aridcal.robot.chain import load_robot
@@ -36,16 +37,12 @@ from aridcal.robot.chain import load_robot
 TOP = Path(__file__).resolve().parents[1]
 DATA = TOP / ".." / "shared" / "data"
 SERIES_B = DATA / "ur10-laser-tracker" / "series_b.csv"
-EXCHANGES, DRAWS, REGION = 20, 10, 300
+EXCHANGES, DRAWS, REGION, ROUNDS = 20, 10, 300, 400
 
 TOOL = "frames: {tip_target: {xyz: [0.05, 0.03, 0.15]}}\n"
 POINTS = "point,x,y,z,std\na,0.5,0.2,0.3,0.05\nb,0.4,-0.3,0.4,0.05\n"
 SOCKETS = "instruments: {points: points.csv, lengths: [{between: [a, b], length: 0.519615}]}\n"
 WIRES = "instruments: {anchors: {rail: {xyz: [1.2, 0.3, 0.1]}, wall: {xyz: [-1.0, 0.9, 0.3]}}}\n"
-JOINTS = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
-CURVES = ", ".join(f"{{kind: joint_harmonic, where: {joint}_joint, order: [1, 2]}}" for joint in JOINTS)
-BENDS = ", ".join(f"{{kind: joint_compliance, where: {joint}_joint}}" for joint in JOINTS[1:3])
-SUSPECTS = f"effects: [{CURVES}, {BENDS}]\n"
 ARMS = {
     "UR10": (TOP / "urdf" / "ur10.urdf", "tool0"),
     "ARID": (TOP / "urdf" / "arid.urdf", "flange"),
@@ -74,31 +71,68 @@ def campaign(folder: Path, arm: str, kind: str, noise: str, more: str) -> Campai
 
 
 def planned() -> None:
-    """Plans from nothing."""
-    print("arm    kind      n   chosen, mm  of random  of the best of exchanges  CPU s    noise")
+    """Plans from nothing, for constants alone and with the effects that such arms usually have as suspects."""
+    print("arm    kind      n  suspects  chosen, mm  worst, mm  of random  of the best of exchanges  CPU s    noise")
     for arm, kind, n, noise, more in CASES:
-        with tempfile.TemporaryDirectory() as folder:
-            made = campaign(Path(folder), arm, kind, noise, more)
-            robot = load_robot(made.robot.urdf, made.robot.tip)
-            started = time.process_time()
-            known, rng = beforehand(made, robot), np.random.default_rng(0)
-            candidates = draw_candidates(known, POOL if kind in EASY else SMALL_POOL, n, rng)
-            region = region_readings(known, None, rng)
-            choice, of = question(known, Asked(n), candidates, region)
-            chosen = best_choice(choice, n, rng)
-            best = Refined(candidates.some(chosen), choice.rows[chosen])
-            if kind in EASY:
-                best = refined(known, of, choice, best, rng)
-            seconds = time.process_time() - started
-            count = len(candidates.readings)
-            random = [rms_sigma(choice, choice.information(rng.permutation(count)[:n])) for _ in range(RANDOM)]
-            sigma = rms_sigma(choice, replace(choice, rows=best.rows).information(range(n)))
-            few, _ = question(known, Asked(n), draw_candidates(known, SMALL_POOL, n, rng), region)
-            begun = [rng.permutation(len(few.rows))[:n].tolist() for _ in range(EXCHANGES)]
-            least = min(few.cost(exchanged(few, some)) for some in begun)
-            near = np.sqrt(few.cost(best_choice(few, n, rng)) / least)
-        shares = f"{sigma / np.median(random):9.3f}  {near:24.3f}"
-        print(f"{arm:6s} {kind:8s} {n:3d}   {1e3 * sigma:10.4f}  {shares}  {seconds:7.1f}  {noise}", flush=True)
+        for suspects in (False, True):
+            with tempfile.TemporaryDirectory() as folder:
+                made = campaign(Path(folder), arm, kind, noise, more)
+                robot = load_robot(made.robot.urdf, made.robot.tip)
+                started = time.process_time()
+                known, rng = beforehand(made, robot), np.random.default_rng(0)
+                candidates = draw_candidates(known, POOL if kind in EASY else SMALL_POOL, n, rng)
+                known = with_usual_effects(known, candidates) if suspects else known
+                region = region_readings(known, None, rng)
+                choice, of = question(known, Asked(n), candidates, region)
+                chosen = best_choice(choice, n, rng)
+                best = Refined(candidates.some(chosen), choice.rows[chosen])
+                if kind in EASY:
+                    best = refined(known, of, choice, best, rng)
+                seconds = time.process_time() - started
+                M = replace(choice, rows=best.rows).information(range(n))
+                count = len(candidates.readings)
+                random = [rms_sigma(choice, choice.information(rng.permutation(count)[:n])) for _ in range(RANDOM)]
+                near = "" if suspects else f"{_near(known, n, region, rng):.3f}"
+            sigma = rms_sigma(choice, M)
+            told = f"{1e3 * sigma:10.4f} {1e3 * worst_sigma(choice, M):10.4f} {sigma / np.median(random):10.3f}  {near:>24s}"
+            usual = "usual" if suspects else "none"
+            print(f"{arm:6s} {kind:8s} {n:3d}  {usual:8s}  {told}  {seconds:7.1f}  {noise}", flush=True)
+
+
+def _near(known: Beforehand, n: int, region: np.ndarray, rng: np.random.Generator) -> float:
+    """RMS sigma of a choice among some candidates, as a share of that of the best of many exchanges."""
+    few, _ = question(known, Asked(n), draw_candidates(known, SMALL_POOL, n, rng), region)
+    begun = [rng.permutation(len(few.rows))[:n].tolist() for _ in range(EXCHANGES)]
+    least = min(few.cost(exchanged(few, some)) for some in begun)
+    return float(np.sqrt(few.cost(best_choice(few, n, rng)) / least))
+
+
+def bound() -> None:
+    r"""How small a share of random choices' sigma any thirty poses of a UR10 can have, constants alone.
+
+    Of designs as measures w over places, the one with the smallest tr(W M^-1) is found by multiplication (Silvey, Titterington
+    and Torsney 1978). It is convex in M, and so that of no other one is below tr(W M^-1)^2 / g, with g the largest gradient over
+    places (Kiefer's general equivalence theorem, 1974) and that of what is assumed beforehand.
+    """
+    arm, kind, n, noise, more = CASES[0]
+    with tempfile.TemporaryDirectory() as folder:
+        made = campaign(Path(folder), arm, kind, noise, more)
+        known, rng = beforehand(made, load_robot(made.robot.urdf, made.robot.tip)), np.random.default_rng(0)
+        candidates = draw_candidates(known, POOL, n, rng)
+        choice, of = question(known, Asked(n), candidates, region_readings(known, None, rng))
+        chosen = best_choice(choice, n, rng)
+        best = refined(known, of, choice, Refined(candidates.some(chosen), choice.rows[chosen]), rng)
+    random = np.median([rms_sigma(choice, choice.information(rng.permutation(POOL)[:n])) for _ in range(RANDOM)])
+    rows = np.concatenate([choice.rows, best.rows])
+    w = np.full(len(rows), 1.0 / len(rows))
+    for _ in range(ROUNDS):
+        S = np.linalg.inv(choice.known / n + np.einsum("c,cpi,cpj->ij", w, rows, rows, optimize=True))
+        gradient = np.einsum("cpi,ij,cpj->c", rows, S @ choice.averaged @ S, rows, optimize=True)
+        w = w * np.sqrt(gradient) / np.sum(w * np.sqrt(gradient))
+    trace = float(np.trace(choice.averaged @ S))
+    assumed = float(np.trace(S @ choice.averaged @ S @ choice.known)) / n
+    lowest = np.sqrt(trace**2 / (gradient.max() + assumed) / n) / random
+    print(f"{arm}, {n} of {kind}: no choice among {len(rows)} places is below {lowest:.3f} of random ones")
 
 
 def series_b() -> None:
@@ -107,17 +141,21 @@ def series_b() -> None:
     robot = load_robot(real.robot.urdf, real.robot.tip, real.robot.base)
     rows = load_measurements(real, robot.readings, robot.limits, robot.kinds)
     table = pd.read_csv(SERIES_B).iloc[rows.line - 2].reset_index(drop=True)
-    rng, every = np.random.default_rng(0), len(rows)
-    for title, effects in (("constants", ""), ("constants and suspects", SUSPECTS)):
+    every = len(rows)
+    nothing = np.zeros(every, dtype=int)
+    own = Candidates(rows.readings, np.ones_like(rows.readings), nothing, nothing, np.arange(every))
+    for suspects in (False, True):
+        rng = np.random.default_rng(0)
         with tempfile.TemporaryDirectory() as folder:
             tool = "frames: {tip_target: {xyz: [0, 0, 0.093]}}\n"
-            bare = campaign(Path(folder), "UR10", "pose", "{position: 1.0e-4, rotation: 1.0e-4}", tool + effects)
-            nothing = np.zeros(every, dtype=int)
-            own = Candidates(rows.readings, np.ones_like(rows.readings), nothing, nothing, np.arange(every))
-            known = with_stated_effects(beforehand(bare, robot), own)
+            bare = campaign(Path(folder), "UR10", "pose", "{position: 1.0e-4, rotation: 1.0e-4}", tool)
+            known = beforehand(bare, robot)
+            known = with_usual_effects(known, own) if suspects else known
             choice, _ = question(known, Asked(100), own, rows.readings[rng.permutation(every)[:REGION]])
             chosen = best_choice(choice, 100, rng)
-        print(f"chosen for {title}: {final_rms(real, table, chosen)} mm", flush=True)
+        what = "constants and usual suspects" if suspects else "constants"
+        print(f"chosen for {what}: {final_rms(real, table, chosen)} mm", flush=True)
+    rng = np.random.default_rng(1)
     for _ in range(DRAWS):
         print(f"random: {final_rms(real, table, rng.permutation(every)[:100].tolist())} mm", flush=True)
 
@@ -132,4 +170,4 @@ def final_rms(real: Campaign, table: pd.DataFrame, some: list[int]) -> str:
 
 
 if __name__ == "__main__":
-    series_b() if sys.argv[1:] == ["series-b"] else planned()
+    {"": planned, "bound": bound, "series-b": series_b}["".join(sys.argv[1:])]()

@@ -415,7 +415,6 @@ def test_effects_that_do_not_exist_are_refused(tmp_path: Path, pair: tuple[str, 
 @pytest.mark.parametrize(
     ("block", "more", "said"),
     [
-        ("kind: inclination", "", "cannot be planned"),
         ("kind: point", TOOL, "say nearly where: `points: points.csv`"),
         ("kind: distance", TOOL + "instruments: {anchors: {rail: {}}}\n", "say nearly where: `anchors"),
         (POSE, "frames: {world_base: {per: station}}\n", "no station is known"),
@@ -467,7 +466,7 @@ def test_a_slip_in_the_arguments_is_bad_use(tmp_path: Path, arguments: list[str]
 def test_a_failed_plan_writes_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "poses.csv"
     out.write_text("kept\n")
-    assert command.main([str(campaign(tmp_path, "kind: inclination").path), "-n", "5", "-o", str(out)]) == 2
+    assert command.main([str(campaign(tmp_path, "kind: point").path), "-n", "5", "-o", str(out)]) == 2
     assert out.read_text() == "kept\n"
     assert command.main([str(campaign(tmp_path).path), "-n", "5", "-o", str(tmp_path / "poses.txt")]) == 2
     assert "ends in one of .csv" in capsys.readouterr().err

@@ -11,6 +11,7 @@ import pytest
 import robots
 import yaml
 
+import aridcal
 from aridcal import design as command
 from aridcal.errors import OutputError
 from aridcal.inputs.approach import approach
@@ -253,3 +254,28 @@ def test_a_wait_that_is_none_is_bad_use(tmp_path: Path, settle: str) -> None:
     with pytest.raises(SystemExit) as stop:
         command.main([str(written(tmp_path)), "-n", "4", "-o", str(tmp_path / "p.script"), "--settle", settle])
     assert stop.value.code == 2
+
+
+# -- the Python face
+
+
+def test_python_plans_and_saves_what_the_command_does(tmp_path: Path) -> None:
+    path = written(tmp_path)
+    poses = aridcal.plan(path, 5)
+    poses.save(tmp_path / "a.csv", str(tmp_path / "poses.script"), settle=2.0)
+    assert command.main([str(path), "-n", "5", "-o", str(tmp_path / "b.csv")]) == 0
+    assert (tmp_path / "a.csv").read_bytes() == (tmp_path / "b.csv").read_bytes()
+    assert "sleep(2.000)" in (tmp_path / "poses.script").read_text()
+    pd.testing.assert_frame_equal(pd.read_csv(tmp_path / "a.csv"), poses.table, check_dtype=False)
+    assert poses.sigma["n"].tolist() == [1, 2, 5, 10] and "5 configurations" in repr(poses)
+    for wrong, said in [
+        (lambda: aridcal.plan(path, 0), "n: should be"),
+        (lambda: aridcal.plan(path, 2.5), "n: should be"),  # type: ignore[arg-type]
+        (lambda: aridcal.plan(path, 5, optimal="E"), "optimal: should be one of A, D, G"),  # type: ignore[arg-type]
+        (lambda: aridcal.plan(path, 5, apart=("joint_1.joint_gain",)), "apart: should be two"),
+        (lambda: poses.save(tmp_path / "p.txt"), "ends in one of"),
+        (lambda: poses.save(tmp_path / "c.csv", path), "write the plan to another file"),
+    ]:
+        with pytest.raises(aridcal.AridcalError, match=said):
+            wrong()
+    assert not (tmp_path / "c.csv").exists()

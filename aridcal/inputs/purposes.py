@@ -32,11 +32,34 @@ class Box(Section):
         return self
 
 
+class SightSettings(Section):
+    """An instrument that must see the target: a tracker, a camera beside the arm."""
+
+    at: Vector3
+    """Where it stands, in the robot's base frame, [m]."""
+    axis: Vector3 | None = None
+    """In the target's frame: where the target opens to; None: it is seen from anywhere."""
+    within: Annotated[float, Field(gt=0.0, le=3.15)] | None = None
+    """Angle between that and the line to the instrument that the target still takes, [rad]."""
+
+    @model_validator(mode="after")
+    def _opens_somewhere(self) -> SightSettings:
+        if (self.axis is None) != (self.within is None):
+            raise ValueError(
+                "`axis` and `within` go together: where the target opens to, and how far from there it is seen"
+            )
+        if self.axis is not None and not any(self.axis):
+            raise ValueError("an `axis` of length 0 points nowhere; write [0, 0, 1] for the target's z")
+        return self
+
+
 class DesignSettings(Section):
     """What planned configurations must respect beside the joints' limits."""
 
     keep_out: tuple[Box, ...] = ()
     """Boxes that neither the arm nor its target may enter."""
+    sight: SightSettings | None = None
+    """What must see the target over the arm and the boxes."""
 
 
 TURNING = frozenset("\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069\u200e\u200f\u061c")

@@ -127,6 +127,20 @@ def in_camera(R: np.ndarray, p: np.ndarray, states: States) -> tuple[np.ndarray,
     return _times(back, Z - camera[:, T]), back @ carried, Y, on_tip
 
 
+def ends_of_sight(R: np.ndarray, p: np.ndarray, states: States) -> tuple[np.ndarray, np.ndarray]:
+    """Where cameras and markers are in the world, (n, 3) each, [m].
+
+    Args:
+        R: Of the tip, shape (n, 3, 3).
+        p: Likewise, shape (n, 3), [m].
+        states: Of cameras, boards and markers.
+    """
+    camera, board, marker = states
+    on_tip = (camera[:, ON_TIP] > 0.5)[:, None]
+    eye, Y = camera[:, T], board[:, T] + _times(_rotation(board), marker)
+    return np.where(on_tip, p + _times(R, eye), eye), np.where(on_tip, Y, p + _times(R, Y))
+
+
 def _in_front(X: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Which points lie in front of the camera, (n,); and the same points, others put on the axis instead."""
     front = X[:, 2] > NEAR

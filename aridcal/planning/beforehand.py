@@ -29,8 +29,14 @@ from aridcal.robot.collisions import Bodies, bodies_of
 from aridcal.search.arm import fit_arm, fit_constants, surroundings
 from aridcal.showing import SILENT, Progress
 
-PLANNED = ("pose", "position", "point", "distance", "plane", "pixels")
-"""Kinds of measurements that can be planned: of the others the sensor's own state would have to be known."""
+PLANNED = ("pose", "position", "point", "distance", "plane", "pixels", "inclination")
+"""Kinds of measurements that can be planned. What a shot of camera and sonars tells hangs on which squares it shows, and how well
+these are found in the image: that is known of images only."""
+
+ANGLES_ALONE = (
+    "inclinations tell nothing of lengths: the sigma is what is left of angles, the arm's lengths as in the URDF"
+)
+"""What the sigma of the target does not hold where directions of gravity are measured."""
 
 WHERE = {
     "point": "points: points.csv",
@@ -95,13 +101,16 @@ def beforehand(campaign: Campaign, robot: Robot, progress: Progress = SILENT) ->
     kind = campaign.measurements.kind
     if kind not in PLANNED:
         raise CampaignError(
-            f"{campaign.path}: measurements.kind: configurations for `kind: {kind}` cannot be planned; plan them for one of "
-            f"{listed(PLANNED)}"
+            f"{campaign.path}: measurements.kind: configurations for `kind: {kind}` cannot be planned, as what a shot tells "
+            "hangs on the squares in its image; plan for `kind: pose`, with `noise` as `aridcal measure` states it for your "
+            f"head, and take those that show a square. Others that can be planned: {listed(PLANNED[1:])}"
         )
     files = [path for block in campaign.blocks for path in block.files]
     missing = [path for path in files if not path.exists()]
+    remarks = (ANGLES_ALONE,) if kind == "inclination" else ()
     if not missing:
-        return _measured(campaign, robot, bodies(campaign.design.keep_out, robot), progress)
+        found = _measured(campaign, robot, bodies(campaign.design.keep_out, robot), progress)
+        return replace(found, notices=(*remarks, *found.notices))
     if len(missing) < len(files):
         raise MeasurementError(
             f"{missing[0]}: there is no such file, though others of {campaign.path} are there: take it out of the campaign, and "
@@ -112,7 +121,8 @@ def beforehand(campaign: Campaign, robot: Robot, progress: Progress = SILENT) ->
             f"{campaign.path}: measurements: nothing was measured yet, and there are several blocks: plan each in a campaign of "
             "its own"
         )
-    return _from_nothing(campaign, robot, bodies(campaign.design.keep_out, robot))
+    found = _from_nothing(campaign, robot, bodies(campaign.design.keep_out, robot))
+    return replace(found, notices=(*remarks, *found.notices))
 
 
 def bodies(keep_out: Sequence[Box], robot: Robot) -> Bodies:
@@ -231,7 +241,7 @@ def _referred(campaign: Campaign, known: Known) -> np.ndarray:
     """Labels of all that rows may refer to, one row for each choice, shape (n, 3)."""
     settings, declared = campaign.measurements, campaign.instruments.declared
     kind = settings.kind
-    if kind in OF_TARGETS:
+    if kind in OF_TARGETS or not KINDS[kind].roles:
         found = [("", "", "")]
     elif kind == "pixels":
         cameras = [settings.camera] if settings.camera else list(declared["camera"])

@@ -11,10 +11,11 @@ from aridcal.errors import CampaignError
 from aridcal.fit.problem import problem
 from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.measurement_settings import OF_TARGETS
-from aridcal.instruments.pixels import PIXELS, faces, in_image
+from aridcal.instruments.inclination import DOWN, INCLINED
+from aridcal.instruments.pixels import PIXELS, ends_of_sight, faces, in_image
 from aridcal.model.reaching import Miss, brought, draw_readings
 from aridcal.planning.beforehand import Beforehand
-from aridcal.planning.clearance import clear
+from aridcal.planning.clearance import clear, unobstructed
 
 ROUNDS = 40
 """Times that configurations are drawn: fewer than one in forty inside what is allowed is hardly a workspace."""
@@ -24,6 +25,10 @@ AT_ONCE = 3000
 
 FEWEST = 4
 """Markers that an image must show, or all if there are fewer: a pose needs three, and one more to check."""
+
+
+STUB = 0.03
+"""[m] of a line of sight at the target that nothing obstructs: the target's own mount stands there."""
 
 
 @dataclass(frozen=True)
@@ -91,7 +96,7 @@ def offers(known: Beforehand) -> Offers:
     titles: list[dict[str, str]] = []
     for k in range(n):
         own = {} if rows.target is None or kind not in OF_TARGETS else {"target": str(rows.target[k])}
-        if rows.blocks and kind not in OF_TARGETS:
+        if rows.blocks and rows.refers[k, 0] and kind not in OF_TARGETS:
             own = {{"point": "point", "distance": "anchor", "plane": "plane"}[kind]: str(rows.refers[k, 0])}
         own |= {} if rows.station is None else {"station": str(rows.station[k])}
         titles.append(own)
@@ -107,10 +112,20 @@ def rows_like(known: Beforehand, readings: np.ndarray, pattern: np.ndarray) -> D
         pattern: Number of each row's pattern, shape (N,).
     """
     made = replace(known.patterns.select(pattern), readings=readings)
-    if made.blocks and known.campaign.measurements.kind in OF_TARGETS:  # turns are compared with what was seen
-        R, p = known.model.poses(known.theta, known.model.rows(readings, made.conditions, made.station, made.target))
-        made = replace(made, observed=np.hstack([p, R.reshape(-1, 9)])[:, : made.observed.shape[1]])
-    return made
+    kind = known.campaign.measurements.kind
+    if not made.blocks or kind not in (*OF_TARGETS, INCLINED.name):
+        return made
+    # turns are compared with what was seen
+    R, p = known.model.poses(known.theta, known.model.rows(readings, made.conditions, made.station, made.target))
+    seen = np.swapaxes(R, 1, 2) @ DOWN if kind == INCLINED.name else np.hstack([p, R.reshape(-1, 9)])
+    return replace(made, observed=_as_wide(seen, made.observed.shape[1]))
+
+
+def _as_wide(values: np.ndarray, width: int) -> np.ndarray:
+    """Columns cut off, or filled up with zeros, to so many."""
+    wide = np.zeros((len(values), width))
+    wide[:, : values.shape[1]] = values[:, :width]
+    return wide
 
 
 def targets_of(known: Beforehand, readings: np.ndarray, pattern: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -119,14 +134,40 @@ def targets_of(known: Beforehand, readings: np.ndarray, pattern: np.ndarray) -> 
     return known.model.poses(known.theta, known.model.rows(readings, made.conditions, made.station, made.target))
 
 
-def allowed(known: Beforehand, readings: np.ndarray, pattern: np.ndarray) -> np.ndarray:
-    """True of configurations in which the arm keeps clear, shape (n,); see :func:`rows_like`."""
+def in_base(known: Beforehand, readings: np.ndarray, pattern: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Poses of the targets in the robot's base, (n, 3, 3) and (n, 3), [m]; see :func:`rows_like`."""
     made = known.patterns.select(pattern)
     rows = known.model.rows(readings, made.conditions, made.station, made.target)
-    _, p = known.model.poses(known.theta, rows)
-    bases = [frame for _, frame in known.model.frames(known.theta)[0]]
-    own = np.array([bases[k].actInv(at) for k, at in zip(rows.world.tolist(), p, strict=True)]).reshape(-1, 3)
+    R, p = known.model.poses(known.theta, rows)
+    base = [known.model.frames(known.theta)[0][k][1] for k in rows.world.tolist()]
+    turn = np.array([frame.rotation for frame in base]).reshape(-1, 3, 3)
+    off = p - np.array([frame.translation for frame in base]).reshape(-1, 3)
+    return np.swapaxes(turn, 1, 2) @ R, np.einsum("nji,nj->ni", turn, off)
+
+
+def allowed(known: Beforehand, readings: np.ndarray, pattern: np.ndarray) -> np.ndarray:
+    """True of configurations in which the arm keeps clear, shape (n,); see :func:`rows_like`."""
+    own = in_base(known, readings, pattern)[1]
     return clear(known.robot, known.campaign.design.keep_out, known.bodies, readings, own)
+
+
+def in_sight(known: Beforehand, readings: np.ndarray, pattern: np.ndarray) -> np.ndarray:
+    """True of configurations in which the instrument sees the target, shape (n,); see :func:`rows_like`."""
+    sight = known.campaign.design.sight
+    if sight is None or not len(readings):
+        return np.ones(len(readings), dtype=bool)
+    R, p = in_base(known, readings, pattern)
+    away = np.array(sight.at) - p
+    length = np.linalg.norm(away, axis=1)
+    good = length > STUB
+    if sight.axis is not None and sight.within is not None:
+        axis = R @ (np.array(sight.axis) / np.linalg.norm(sight.axis))
+        good &= np.sum(axis * away, axis=1) >= np.cos(sight.within) * length
+    ends = p[good] + away[good] * (STUB / length[good])[:, None]
+    starts = np.broadcast_to(np.array(sight.at), ends.shape)
+    boxes = known.campaign.design.keep_out
+    good[good] = unobstructed(known.robot, boxes, known.bodies, readings[good], starts, ends)
+    return good
 
 
 def draw_candidates(known: Beforehand, count: int, least: int, rng: np.random.Generator) -> Candidates:
@@ -164,7 +205,8 @@ def _of_offer(known: Beforehand, own: np.ndarray, count: int, least: int, rng: n
         readings = _drawn(known, int(own[0]), drawn, rng)
         seen = _seen(known, readings, own)
         good = seen.sum(axis=1) >= min(FEWEST, len(own))
-        good[good] = allowed(known, readings[good], np.full(int(good.sum()), own[0]))
+        for holds in (allowed, in_sight):
+            good[good] = holds(known, readings[good], np.full(int(good.sum()), own[0]))
         found.append(readings[good])
         shown.append(seen[good])
         many += int(good.sum())
@@ -173,7 +215,7 @@ def _of_offer(known: Beforehand, own: np.ndarray, count: int, least: int, rng: n
     if many < least:
         raise CampaignError(
             f"{known.campaign.path}: of {ROUNDS * drawn:,} configurations only {many} can be measured inside the joints' limits: "
-            "check `design.keep_out`, and what `instruments` says of cameras and markers"
+            "check `design.keep_out` and `design.sight`, and what `instruments` says of cameras and markers"
         )
     count = min(count, many)
     of, column = np.nonzero(np.concatenate(shown)[:count])
@@ -224,4 +266,21 @@ def _seen(known: Beforehand, readings: np.ndarray, own: np.ndarray) -> np.ndarra
     seen = in_image(R, p, states, size)
     if known.campaign.instruments.markers.file is not None:
         seen &= faces(R, p, states[0], states[1])
+    few = seen.reshape(n, m).sum(axis=1) < min(FEWEST, m)
+    some = np.flatnonzero(seen & ~np.repeat(few, m))
+    if len(some):
+        camera_at, marker_at = ends_of_sight(R[some], p[some], [state[some] for state in states])
+        starts, ends = (_to_base(known, own[0], at) for at in (camera_at, marker_at))
+        short = STUB / np.maximum(np.linalg.norm(ends - starts, axis=1), 2 * STUB)[:, None]
+        starts, ends = starts + short * (ends - starts), ends + short * (starts - ends)
+        boxes = known.campaign.design.keep_out
+        seen[some] = unobstructed(known.robot, boxes, known.bodies, np.repeat(readings, m, axis=0)[some], starts, ends)
     return seen.reshape(n, m)
+
+
+def _to_base(known: Beforehand, pattern: int, at: np.ndarray) -> np.ndarray:
+    """Places in the world as the base of a pattern's station has them, shape (n, 3), [m]."""
+    made = known.patterns.select(np.array([pattern]))
+    world = known.model.rows(made.readings, made.conditions, made.station, made.target).world[0]
+    frame = known.model.frames(known.theta)[0][world][1]
+    return np.asarray((at - frame.translation) @ frame.rotation)

@@ -1,4 +1,4 @@
-"""Configurations in which the arm keeps out of boxes and of itself."""
+"""Configurations in which the arm keeps out of boxes and of itself, and lines that go past it."""
 
 from __future__ import annotations
 
@@ -8,8 +8,11 @@ import numpy as np
 
 from aridcal.inputs.purposes import Box
 from aridcal.robot.chain import Robot
-from aridcal.robot.collisions import Bodies, touches
+from aridcal.robot.collisions import Bodies, lines_touch, touches
 from aridcal.robot.kinematics import joint_frames
+
+THICK = 0.05
+"""[m]: half of what the thinnest arms of industrial robots measure across."""
 
 
 def clear(robot: Robot, boxes: Sequence[Box], bodies: Bodies, readings: np.ndarray, targets: np.ndarray) -> np.ndarray:
@@ -32,6 +35,52 @@ def clear(robot: Robot, boxes: Sequence[Box], bodies: Bodies, readings: np.ndarr
     if bodies.any:
         good[good] = ~touches(robot, bodies.geometry, readings[good]).any(axis=1)
     return good
+
+
+def unobstructed(
+    robot: Robot, boxes: Sequence[Box], bodies: Bodies, readings: np.ndarray, starts: np.ndarray, ends: np.ndarray
+) -> np.ndarray:
+    """True where a straight line goes past the boxes and the arm, shape (n,).
+
+    The arm has the URDF's collision shapes; without any it is lines from joint to joint, :data:`THICK` all around.
+
+    Args:
+        robot: The chain.
+        boxes: In the base's frame.
+        bodies: What the URDF says of its shapes.
+        readings: Shape (n, columns), [rad] or [m].
+        starts: In the base's frame, shape (n, 3), [m].
+        ends: Likewise.
+    """
+    good = np.ones(len(readings), dtype=bool)
+    for box in boxes:
+        good &= ~crosses(starts, ends, box)
+    if bodies.shaped:
+        good[good] = ~lines_touch(robot, bodies.geometry, readings[good], starts[good], ends[good])
+        return good
+    points = joint_frames(robot, readings)[1]
+    for k in range(points.shape[1] - 1):
+        good &= apart(starts, ends, points[:, k], points[:, k + 1]) > THICK
+    return good
+
+
+def apart(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> np.ndarray:
+    """Distance of two straight lines from a to b and from c to d, shape (n,), [m] (Ericson 2004, section 5.1.9).
+
+    Args:
+        a: Shape (n, 3), [m], as are the others.
+        b: See there.
+        c: See there.
+        d: See there.
+    """
+    u, v, w = b - a, d - c, a - c
+    uu, vv = (np.maximum(np.sum(x * x, axis=1), 1e-300) for x in (u, v))
+    uv, uw, vw = np.sum(u * v, axis=1), np.sum(u * w, axis=1), np.sum(v * w, axis=1)
+    across = uu * vv - uv * uv
+    s = np.clip(np.where(across > 1e-12 * uu * vv, (uv * vw - uw * vv) / np.maximum(across, 1e-300), 0.0), 0.0, 1.0)
+    t = np.clip((uv * s + vw) / vv, 0.0, 1.0)
+    s = np.clip((uv * t - uw) / uu, 0.0, 1.0)
+    return np.asarray(np.linalg.norm(w + s[:, None] * u - t[:, None] * v, axis=1))
 
 
 def crosses(start: np.ndarray, end: np.ndarray, box: Box) -> np.ndarray:

@@ -29,7 +29,7 @@ POOL, SMALL_POOL = 3000, 1000
 """Configurations to choose from, and the same where many are wanted, or each must be sought: twice as many make the choice better
 by a per cent."""
 
-EASY = ("pose", "position", "distance")
+EASY = ("pose", "position", "distance", "inclination")
 """Kinds that can be measured in any configuration."""
 
 RANDOM = 100

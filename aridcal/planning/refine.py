@@ -8,7 +8,7 @@ import numpy as np
 
 from aridcal.model.reaching import limits_of
 from aridcal.planning.beforehand import Beforehand
-from aridcal.planning.candidates import Candidates, allowed
+from aridcal.planning.candidates import Candidates, allowed, in_sight
 from aridcal.planning.exchange import Choice, updated, weights_of_the_worst, worth_of
 from aridcal.planning.telling import Told, rows_of
 
@@ -78,7 +78,7 @@ def _stepped(
             if gain[1 + best] <= gain[0]:
                 break
             place = places[best]
-            if allowed(known, tried.readings[[place]], tried.first[[place]])[0]:
+            if all(holds(known, tried.readings[[place]], tried.first[[place]])[0] for holds in (allowed, in_sight)):
                 readings[k], told[k] = tried.readings[place], rows[place]
                 break
         covariance, solved = updated(without, told[k], 1.0), updated(solved_without, told[k][:, own], 1.0)

@@ -20,6 +20,10 @@ FLAT = 1e-6
 """[m]: a mesh thinner than that has no hull; it stands for nothing that could be hit."""
 
 
+THIN = 1e-3
+"""[m]: radius of a line of sight."""
+
+
 @dataclass(frozen=True)
 class Bodies:
     """What can touch.
@@ -36,6 +40,11 @@ class Bodies:
     def any(self) -> bool:
         """True if any pair is looked at."""
         return len(self.geometry.collisionPairs) > 0
+
+    @property
+    def shaped(self) -> bool:
+        """True if any shape moves with the robot."""
+        return any(shape.parentJoint for shape in self.geometry.geometryObjects)
 
 
 def bodies_of(robot: Robot, boxes: Sequence[tuple[np.ndarray, np.ndarray]], usual: np.ndarray) -> Bodies:
@@ -94,6 +103,38 @@ def touches(robot: Robot, geometry: pin.GeometryModel, readings: np.ndarray) -> 
         pin.updateGeometryPlacements(model, data, geometry, seen)
         pin.computeCollisions(geometry, seen, False)
         found[row] = [result.isCollision() for result in seen.collisionResults]
+    return found
+
+
+def lines_touch(
+    robot: Robot, geometry: pin.GeometryModel, readings: np.ndarray, starts: np.ndarray, ends: np.ndarray
+) -> np.ndarray:
+    """Whether a straight line touches any shape that moves with the robot, in each configuration, shape (n,) bool.
+
+    Args:
+        robot: The whole tree.
+        geometry: Shapes.
+        readings: Shape (n, columns), [rad] or [m].
+        starts: In the base's frame, shape (n, 3), [m].
+        ends: Likewise.
+    """
+    model, data, seen = robot.tree, robot.tree.createData(), geometry.createData()
+    moving = [k for k, shape in enumerate(geometry.geometryObjects) if shape.parentJoint]
+    base, request = _base(robot), coal.CollisionRequest()
+    found = np.zeros(len(readings), dtype=bool)
+    for row, placements in enumerate(_placements(robot, readings)):
+        for joint, placement in enumerate(placements, start=1):
+            data.oMi[joint] = placement
+        pin.updateGeometryPlacements(model, data, geometry, seen)
+        start, end = (np.asarray(base.act(each[row])) for each in (starts, ends))
+        along = end - start
+        turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), along).matrix()
+        line, at = coal.Capsule(THIN, float(np.linalg.norm(along))), coal.Transform3s(turn, (start + end) / 2)
+        for k in moving:
+            own = coal.Transform3s(seen.oMg[k].rotation, seen.oMg[k].translation)
+            if coal.collide(geometry.geometryObjects[k].geometry, own, line, at, request, coal.CollisionResult()):
+                found[row] = True
+                break
     return found
 
 
