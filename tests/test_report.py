@@ -36,7 +36,6 @@ from aridcal.robot.doty import doty_links
 from aridcal.search.noise_tests import Clue
 from aridcal.trust.gains import Curve, Diagnosis, NamedEffect, Rejected
 from aridcal.trust.halves import Halves
-from aridcal.trust.uncertainty import accuracy
 
 ANSWERS = ["data", "separable", "enough", "fits", "depends", "remains", "iso", "parameters", "use"]
 HOSTILE = """<img src=x onerror="alert('1')">$\\frac{1}{0}$ &amp;"""
@@ -225,15 +224,6 @@ def test_repeats_are_reported_as_iso_9283_does(outcome: Outcome, report: str) ->
     assert "4 configurations measured more than once (8 rows)" in shown
     repeatability = f"{number(1e3 * outcome.repeats.repeatability)} mm"
     assert f"the mean distance to the centre plus three standard deviations is {repeatability}" in shown
-
-
-def test_pose_accuracy_averages_repeats_first(outcome: Outcome) -> None:
-    m = outcome.measurements.select(outcome.measurements.as_read[116:124])
-    assert np.ptp(m.readings[:4] - m.readings[4:]) == 0
-    apart = np.tile([[3e-3, 4e-3, 0.0]], (8, 1))
-    apart[4:, 0] = -3e-3  # repeats 6 mm apart along x: their centre is 4 mm off
-    assert accuracy(m, apart) == pytest.approx(np.full(4, 4e-3))
-    assert accuracy(m.select(np.zeros(8, dtype=bool)), apart[:0]).shape == (0,)
 
 
 def test_redundant_coefficients_are_named_with_their_twins(outcome: Outcome, report: str) -> None:

@@ -17,7 +17,7 @@ from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.channels import TARGET_POSITION, TARGET_ROTATION
 from aridcal.model.model import Model, Rows
 from aridcal.robot.chain import parse_robot
-from aridcal.trust.uncertainty import accuracy, outliers, precision, target_sigma, with_noise_seen
+from aridcal.trust.uncertainty import outliers, precision, target_sigma, with_noise_seen
 
 
 def example(n: int = 200, noise: float = 1e-4, seed: int = 0) -> tuple[robots.Truth, Fit, Dataset]:
@@ -167,17 +167,3 @@ def test_a_test_row_is_flagged_only_if_it_is_far_off_at_every_stage() -> None:
     nominal[92] = 0.5  # what the final model explains is none either
     found = outliers(train, flags, [nominal, final], (TARGET_POSITION, TARGET_ROTATION))
     assert set(np.flatnonzero(found)) == {3, 90}
-
-
-def test_accuracy_is_the_distance_of_each_configurations_centre() -> None:
-    rng = np.random.default_rng(5)
-    robot = robots.arid()
-    q = np.repeat(robots.readings(robot, 20, rng), 5, axis=0)
-    rows = robots.measured(robot, q, np.zeros((100, 3)))
-    centre = rng.normal(0, 1e-3, (20, 3))
-    jitter = rng.normal(0, 1e-4, (20, 5, 3))
-    jitter -= jitter.mean(axis=1, keepdims=True)
-    r = (centre[:, None] + jitter).reshape(100, 3)
-    found = accuracy(rows, r)
-    np.testing.assert_allclose(np.sort(found), np.sort(np.linalg.norm(centre, axis=1)), rtol=1e-9)
-    assert accuracy(rows.select(np.zeros(100, dtype=bool)), r[:0]).size == 0

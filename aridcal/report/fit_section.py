@@ -13,8 +13,8 @@ from aridcal.instruments.catalogue import KINDS
 from aridcal.instruments.channels import Channels, spread
 from aridcal.report.data_section import row_table
 from aridcal.report.second_look_section import halves, left_out
-from aridcal.result.key_figures import axis_rms, pose_accuracy, row_errors, scored, steps, worst_rows
-from aridcal.result.outcome import STATISTICS, Outcome, errors, statistics
+from aridcal.result.key_figures import axis_rms, row_errors, scored, steps, worst_rows
+from aridcal.result.outcome import STATISTICS, Outcome, errors
 
 PARTS = {"test": "held out", "train": "fitted", "test_all": "held out, with outliers"}
 STATISTIC_NAMES = dict(zip(STATISTICS, ("RMS", "mean", "median", "95 % below", "max"), strict=True))
@@ -42,7 +42,6 @@ def fits(outcome: Outcome) -> Iterator[Content]:
     yield from _error_tables(outcome)
     yield tag("h3", f"Before and after, on {words}")
     yield _histograms(compared, outcome.channels)
-    yield _iso_9283(outcome)
     yield from halves(outcome)
     yield from left_out(outcome)
     yield tag("h3", "Axis by axis")
@@ -108,20 +107,6 @@ def _histograms(compared: dict[str, np.ndarray], channels: Channels) -> Html:
 def _told(values: np.ndarray) -> np.ndarray:
     """Those that are there: rows of other instruments have none."""
     return values[~np.isnan(values)]
-
-
-def _iso_9283(outcome: Outcome) -> Content:
-    """Pose accuracy of every step; nothing where no position was measured."""
-    _, words = scored(outcome)
-    lines = []
-    for step in steps(outcome):
-        accuracy = pose_accuracy(outcome, step.residual)
-        if not len(accuracy):
-            return ""
-        found = statistics(accuracy)
-        lines.append([step.title, *(number(found[key]) for key in ("mean", "p95", "max"))])
-    caption = f"Pose accuracy AP of ISO 9283 [mm], {words}"
-    return table(["model", "mean", "95 % below", "worst pose"], lines, caption)
 
 
 def _axes(channels: Channels) -> list[str]:

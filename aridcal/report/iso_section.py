@@ -48,7 +48,7 @@ def _why_not(outcome: Outcome) -> str:
             "here rows are of another kind, or of several targets."
         )
     return (
-        f"No pose was attained twice, so there is no figure of {STANDARD} beside the pose accuracies of section 4. The "
+        f"No pose was attained twice, so there are no figures of {STANDARD}. The "
         f"standard asks for {ASKED_CYCLES} cycles of {ASKED_POSES} poses: repeat some, each time after a move to the others."
     )
 

@@ -75,23 +75,31 @@ def _after_a_change(things: bool) -> Html:
     lines: list[list[Content]] = [
         [
             "measuring target or tool",
-            ["a few poses with the wrist turned widely, to refit ", tag("code", "tip_target")],
+            ["5 to 20 poses with the wrist turned widely, to refit ", tag("code", "tip_target")],
             "every constant in the URDF",
         ],
         [
             "place of the robot's base or the tracker",
-            ["a few poses spread over the workspace, to refit ", tag("code", "world_base")],
+            ["5 to 20 poses spread over the workspace, to refit ", tag("code", "world_base")],
             "every constant in the URDF",
         ],
         *([THING_MOVED] if things else []),
-        ["motor, gear, encoder or zero position; a collision", "the whole campaign", "nothing"],
+        [
+            "motor, encoder or zero position of one joint",
+            "5 to 20 poses in which that joint moves widely",
+            "all but that joint's zero",
+        ],
+        [
+            "gear or link; a collision",
+            "5 to 20 poses; the whole campaign if one zero does not explain them",
+            "what they show",
+        ],
     ]
     caption: Content = [
-        "For the first two use ",
-        tag("code", "calibrated.urdf"),
-        " and ",
-        tag("code", "parameters: {set: none}"),
-        ": only the frames are then fitted",
+        tag("code", "aridcal check"),
+        " says from such rows what moved, and ",
+        tag("code", "aridcal recalibrate"),
+        " fits that alone",
     ]
     return table(["changed", "measure again", "stays valid"], lines, caption, numbers=3)
 

@@ -8,15 +8,13 @@ from typing import Any
 import numpy as np
 
 from aridcal.inputs.dataset import Dataset
-from aridcal.instruments.catalogue import KINDS
-from aridcal.instruments.channels import TARGET_POSITION, Channels, norms, spread
+from aridcal.instruments.channels import Channels, norms, spread
 from aridcal.result.folder import parameters
 from aridcal.result.outcome import Outcome, Stage, leading, said, statistics
 from aridcal.search.noise_tests import SURE
 from aridcal.search.residual_trends import Order, Trace
 from aridcal.trust.gains import NamedEffect
 from aridcal.trust.halves import Halves
-from aridcal.trust.uncertainty import accuracy
 
 QUESTIONABLE = 0.03
 """Share of outliers above which the measurement is at fault. A sound setup loses a reflector now and then: some rows in a
@@ -301,28 +299,6 @@ def sigma_and_error(outcome: Outcome) -> tuple[float, float] | None:
     if not len(size):
         return None
     return 1e3 * float(np.median(outcome.precision.position)), 1e3 * statistics(size)["rms"]
-
-
-def pose_accuracy(outcome: Outcome, residual: np.ndarray) -> np.ndarray:
-    """AP of ISO 9283 for each configuration among the rows of :func:`scored` that measure the target's position, [mm]."""
-    position = of_positions(outcome.measurements, residual)
-    mask = scored(outcome)[0] & np.isfinite(position).all(axis=1)
-    rows = outcome.measurements.select(mask)
-    return 1e3 * accuracy(rows, position[mask])
-
-
-def of_positions(rows: Dataset, residual: np.ndarray) -> np.ndarray:
-    """Residuals of the target's measured position in world axes, shape (N, 3), [m]; NaN where a row measures none."""
-    if not rows.blocks:
-        return np.asarray(residual[:, : TARGET_POSITION.size])
-    found = np.full((len(rows), TARGET_POSITION.size), np.nan)
-    first = 0
-    for b, block in enumerate(rows.blocks):
-        if KINDS[block.kind].places:
-            own = rows.block == b
-            found[own] = residual[own, first : first + TARGET_POSITION.size]
-        first += sum(channel.size for channel in block.channels)
-    return found
 
 
 def axis_rms(residual: np.ndarray, channels: Channels) -> np.ndarray:

@@ -39,20 +39,6 @@ class Precision:
     rotation: np.ndarray
 
 
-def accuracy(rows: Dataset, residual: np.ndarray) -> np.ndarray:
-    """ISO 9283's AP of every configuration: how far the centre of its attained positions is off, [m].
-
-    Args:
-        rows: N rows; those that repeat a configuration count as one.
-        residual: Measured minus predicted, shape (N, m), [m] and [rad].
-    """
-    if len(rows) == 0:
-        return np.empty(0)
-    label = np.unique(rows.configuration, return_inverse=True)[1]
-    total = np.stack([np.bincount(label, axis) for axis in residual[:, :3].T], axis=1)
-    return np.asarray(np.linalg.norm(total / np.bincount(label)[:, None], axis=1))
-
-
 def precision(fit: Fit, train: Dataset) -> Precision:
     """Propagate the noise to the target."""
     position, rotation = target_sigma(
