@@ -66,7 +66,7 @@ def calibrated(campaign: Path, table: pd.DataFrame) -> Outcome:
 def without_places(outcome: Outcome) -> str:
     """``result.json`` less the seconds and the rows' numbers, lists of rows sorted."""
     document = result_document(outcome) | {"seconds": 0}
-    for rows in (document["n"]["refused"], document["n"]["outlier_rows"]):
+    for rows in (document["n"]["refused"], document["n"]["outlier_rows"], document["influence"]["rows"]):
         for row in rows:
             row["row"] = 0
         rows.sort(key=json.dumps)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import gauges
 import numpy as np
@@ -19,6 +20,7 @@ from aridcal.fit.problem import problem
 from aridcal.fit.stages import fit_geometry
 from aridcal.inputs.dataset import Dataset
 from aridcal.model.model import Model
+from aridcal.result.pipeline import identify
 from aridcal.trust.halves import DISAGREE, PATTERNS, Halves, divisions, halves
 
 NOISE = 1e-4
@@ -89,8 +91,7 @@ def test_p_is_uniform_where_nothing_is_missing_though_the_noise_is_estimated() -
     found = []
     for seed in range(1, 61):
         truth = robots.simulate(robots.arid(), 40, np.random.default_rng(seed), 1e-3, NOISE)
-        rows = replace(truth.measured, sha256=f"{seed:016x}")  # a file of its own
-        result = halves(fit(truth.data(model), weight=np.ones(40)), rows)
+        result = halves(fit(truth.data(model), weight=np.ones(40)), truth.measured)
         assert result is not None
         found.append(result.p_value)
     assert kstest(found, "uniform").pvalue > 0.01
@@ -181,6 +182,21 @@ def test_targets_of_one_body_count_once() -> None:
     assert after.squares == pytest.approx(before.squares, rel=1e-6)
     naive = compared(fit(problem(found.model, three), found.theta, np.ones(150)), three)
     assert naive.p_value < after.p_value
+
+
+def test_scatter_of_readings_that_is_weighed_is_no_error_of_the_model(tmp_path: Path) -> None:
+    """Its size changes from row to row, and it moves all numbers of a row together."""
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        truth = robots.simulate(robots.ur10(), 60, rng, 1e-3, 5e-5)
+        read = truth.readings + 3e-4 * rng.standard_normal((60, 6))
+        truth = replace(truth, measured=replace(truth.measured, readings=read))
+        outcome = identify(robots.write_campaign(tmp_path, truth))
+        assert outcome.measurements.relative is not None
+        looked = outcome.second_look
+        assert looked is not None
+        found = looked.halves["final"]
+        assert found is not None and found.p_value > 0.01
 
 
 def test_too_few_rows_and_data_without_noise_say_nothing() -> None:

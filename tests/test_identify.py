@@ -18,9 +18,12 @@ from scipy.spatial.transform import Rotation
 
 from aridcal import identify, predict
 from aridcal.fit.constants import stage_urdf
+from aridcal.fit.least_squares import fit
+from aridcal.fit.problem import problem
 from aridcal.result.outcome import Outcome
 from aridcal.result.saved_model import SavedModel
 from aridcal.result_folder import RESULT_FILES
+from aridcal.trust.halves import halves as compare_halves
 
 CONTROLLERS = {"kinematics.yaml", "dh.yaml", "dh_modified.yaml", "doty.yaml", "joint_offsets.yaml", "frames.yaml"}
 FILES = {
@@ -230,6 +233,13 @@ def test_ur10_series_b_reaches_the_published_accuracy(shared_data: Path, tmp_pat
         assert len(geometric.fit.theta) == 30
         assert geometric.fit.convergence.converged
         assert geometric.fit.convergence.agreed == geometric.fit.convergence.restarts
+        # Its own rows say that geometry is not all, and how well rows that were not fitted are predicted.
+        looked = outcome.second_look
+        assert looked is not None and looked.folds is not None
+        halves = looked.halves["final"]
+        assert halves is not None and halves.p_value < 1e-100 and halves.measured > 2.0 * halves.expected
+        assert looked.folds.mean[0] == pytest.approx(position[-1], rel=0.06)
+    assert_shuffled_residuals_agree(outcome)
     assert np.mean(nominal) == pytest.approx(1.08e-3, rel=0.05)
     assert np.mean(position) <= 0.445e-3
     assert np.mean(rotation) <= 0.91e-3
@@ -242,6 +252,18 @@ def test_ur10_series_b_reaches_the_published_accuracy(shared_data: Path, tmp_pat
     R, p = chain_of_calibrated_urdf(written(outcome), outcome.robot, frames, rows)
     for a, b in zip(model.poses(geometric.fit.theta, model.rows(rows)), (R, p), strict=True):
         np.testing.assert_allclose(a, b, atol=1e-9, rtol=0)
+
+
+def assert_shuffled_residuals_agree(outcome: Outcome) -> None:
+    """Attack: the same residuals dealt out to other rows are no structure, however far from normal they are."""
+    train, found = outcome.measurements.select(outcome.measurements.train), outcome.stage("geometric").fit
+    rows = train.select(~found.outliers)
+    left = np.random.default_rng(0).permutation(found.residual[~found.outliers])
+    R, p = found.model.poses(found.theta, problem(found.model, rows).rows)
+    dealt = replace(rows, position=p + left[:, :3], rotation=Rotation.from_rotvec(left[:, 3:]).as_matrix() @ R)
+    again = fit(problem(found.model, dealt), found.theta, np.ones(len(rows)))
+    halves = compare_halves(again, dealt)
+    assert halves is not None and halves.p_value > 0.01
 
 
 def test_ur10_series_d_names_its_degenerate_target_translation(shared_data: Path, tmp_path: Path) -> None:

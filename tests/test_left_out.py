@@ -75,6 +75,26 @@ def test_errors_of_folds_are_those_of_fits_that_find_the_instruments_things_anew
     np.testing.assert_allclose(told.error, really_left_out(found, rows), rtol=2e-2)
 
 
+def test_rows_of_an_anchor_that_only_one_fold_knows_are_not_counted(tmp_path: Path) -> None:
+    """Attack: eight rows of one wire, left out together: they would be predicted from a place that they alone told."""
+    arm = gauges.arm(seed=2)
+    rows = gauges.rows(arm, gauges.distances(arm), declared=True)
+    lone = rows.refers[:, 0] == "w2"
+    rows = rows.select(~lone | (np.cumsum(lone) <= 8))
+    lone = rows.refers[:, 0] == "w2"
+    first = fit_geometry(gauges.campaign(tmp_path, arm, rows), arm.robot, rows, ()).geometric
+    found = fit(problem(first.model, rows), first.theta, np.ones(len(rows)))
+    told = folds(found, rows, rows_of(found, rows))
+    assert told is not None
+    together = held_together(rows)
+    fold = (np.random.default_rng(3).permutation(int(together.max()) + 1) % FOLDS)[together]
+    (k,) = np.unique(fold[lone])
+    rest, asked = fold != k, problem(found.model, rows)
+    again = fit(asked.select(rest), found.theta, np.ones(int(rest.sum())))
+    left = problem(again.model, rows).select(~rest & ~lone).residual(again.theta)
+    assert told.error[k, 0] == pytest.approx(np.sqrt(np.mean(left**2)), rel=2e-2)
+
+
 def test_beliefs_hold_in_every_fold() -> None:
     """A prior that nearly fixes half of the coefficients: without it rows left out would be predicted worse."""
     found, rows = calibrated(20)

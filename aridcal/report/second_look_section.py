@@ -150,7 +150,7 @@ def _combinations(outcome: Outcome, found: Known) -> Html:
         times = number(every[k].std / best, 2) if best > 0 else ""
         lines.append([combination_in_words(every[k], outcome.robot), _sigma(every[k]), times])
         before = k
-    caption = "Independent combinations of constants, from the best known to the worst; a metre counts as a radian"
+    caption = "Independent combinations of constants, from the best known to the worst; 1 mm counts as 1 mrad"
     return table(["combination", "± 1σ", "times the best"], lines, caption)
 
 

@@ -19,6 +19,7 @@ the same rows are given noise instead of residuals, :data:`DRAWS` times, and all
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
@@ -63,9 +64,6 @@ PATTERNS = {
 }
 """Which eighths of a column's values make a half: Walsh functions, so that one period over the range, or two, of any phase,
 differ between the halves of at least one of them."""
-
-SEED = 16
-"""Digits of the files' hash that are the seed of the draws: 64 bits."""
 
 GRAVITY = ".gravity_"
 """In the names of gravity's loads."""
@@ -277,9 +275,10 @@ def _compared(
 def _draws(rows: Columns, data: Dataset) -> tuple[np.ndarray, np.ndarray]:
     """The residuals and sets of noise in their place, shape (N, m, 1 + DRAWS), and of what is known beforehand likewise.
 
-    The same files give the same noise, other files other noise: what chance made of one campaign is not that of the next.
+    The same rows give the same noise, other rows other noise: what chance made of one campaign is not that of the next.
     """
-    rng = np.random.default_rng(int(data.sha256[:SEED] or "0", 16))
+    read = b"".join(values.tobytes() for values in (data.readings, data.position, data.observed))
+    rng = np.random.default_rng(int.from_bytes(hashlib.sha256(read).digest()))
     N, m = rows.r.shape
     if rows.share < 1.0:  # rows of one configuration are one measurement
         each = rng.standard_normal((int(data.configuration.max()) + 1, m, DRAWS))
