@@ -174,9 +174,8 @@ def test_flagged_rows_count_as_off() -> None:
         beyond(first, rows, rows.test, o, residual, np.full(2, NOISE), False) for o in (outlier, np.zeros_like(outlier))
     ]
     assert left[0] is not None and left[1] is not None
-    known = knowledge(first, rows, ())
-    place = known.over(rows, rows.readings, np.arange(100))
-    place = replace(place, measured=np.ones(100, dtype=bool))
+    known = knowledge(first, truth.measured, ())
+    place = known.over(truth.measured, truth.readings, np.arange(len(truth.readings)))
     said = [kept(known, place, (0.0, 0.0, 0.0), part, 1e-2, False) for part in left]
     assert [part is not None and part.within for part in said] == [False, True]
     assert said[0] is not None and "4 of 20 held-out rows are off by more" in said[0].reasons[0]
