@@ -315,8 +315,8 @@ def real(name: str, runs: int, seed: int) -> None:
         part = outcome.certainty.kept[0]
         within, true = 100 * np.mean(off <= part.bound), 1e3 * np.quantile(off, 0.95)
         print(
-            f"{name}: said to be within {1e3 * part.bound:.3f} mm in 95 % of the range; so are {within:.1f} % of {len(off)} other "
-            f"rows, 95 % of which are within {true:.3f} mm; {time.process_time() - started:.0f} s",
+            f"{name}: said to be within {1e3 * part.bound:.3f} mm in 95 % of the range; so are {within:.1f} % of {len(off)} "
+            f"other rows, 95 % of which are within {true:.3f} mm; {time.process_time() - started:.0f} s",
             flush=True,
         )
 
