@@ -360,3 +360,27 @@ def test_what_no_row_tells_is_not_within(tmp_path: Path) -> None:
     good, words = kept_in_words(outcome, asked=True)[1]
     assert not good and words.endswith("in 95 % of the range that was measured: no row tells the target's rotation.")
     assert as_document(outcome.certainty)["region"]["rotation"]["within"] is False
+
+
+def test_without_held_out_rows_the_fitted_ones_judge_with_their_freedom() -> None:
+    """40 rows of an arm that repeats to 0.3 mrad, fitted and then judged by themselves: no smaller for having been fitted."""
+    truth, first = arm()
+    sizes = []
+    for seed in range(12):
+        rng = np.random.default_rng([8, seed])
+        rows = measured(truth, robots.readings(truth.model.robot, 40, rng), rng, 3e-4)
+        rows = replace(rows, test=np.zeros(40, dtype=bool))
+        found = fit(problem(first.model, rows), first.theta, np.ones(40))
+        residual = problem(found.model, rows).residual(found.theta)
+        nothing = np.zeros(40, dtype=bool)
+        left = beyond(found, rows, ~nothing, nothing, residual, np.full(2, NOISE), (0.0, 0.0, 0.0), False)
+        assert left is not None and not left.held_out
+        sizes.append(left.sigma)
+    q = robots.readings(truth.model.robot, 500, np.random.default_rng(0))
+    still = off(
+        truth,
+        replace(first, model=truth.model, theta=truth.theta),
+        q,
+        q + 3e-4 * np.random.default_rng(1).normal(size=q.shape),
+    )
+    assert np.sqrt(np.mean(np.square(sizes))) == pytest.approx(np.sqrt(np.mean(still**2) / 3.0), rel=0.15)
