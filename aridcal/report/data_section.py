@@ -159,11 +159,10 @@ def enough(outcome: Outcome) -> Iterator[Content]:
     """Question 3: is there enough data, in the right places?"""
     precision, joints = outcome.precision, joint_ranges(outcome)
     placed = known_scale(outcome.measurements) is not None
-    sigma = {
-        "at the fitted rows": 1e3 * precision.position,
-        "over the whole joint range": 1e3 * outcome.certainty.anywhere.sigma,
-    }
-    yield _pictures(joints, sigma if placed else {})
+    anywhere = outcome.certainty.anywhere
+    sigma = {"at the fitted rows": 1e3 * precision.position}
+    sigma |= {"over the whole joint range": 1e3 * anywhere.sigma[anywhere.told]} if anywhere.told.any() else {}
+    yield _pictures(joints, sigma if placed and anywhere.told.any() else {})
     yield _joint_table(joints)
     named = {f"{name} [mm]": values for name, values in sigma.items() if placed}
     if outcome.measurements.sees_turns:
