@@ -124,6 +124,14 @@ def test_the_scale_of_points_is_known_if_a_length_is(tmp_path: Path) -> None:
         assert np.isfinite(outcome.certainty.kept[0].bound) == tied
 
 
+def test_a_camera_on_the_arm_tells_of_the_tip_by_convention(tmp_path: Path) -> None:
+    """Its mounting takes up what the last link is off by: that must not make the whole arm unknown."""
+    arm = gauges.arm()
+    known = gauges.outcome(tmp_path, arm, gauges.rows(arm, gauges.pixels(arm), declared=True)).certainty
+    assert known.anywhere.told.all() and known.anywhere.turns_told.all()
+    assert np.isfinite([part.bound for part in known.kept]).all()
+
+
 def test_what_is_unlike_the_rows_is_marked_and_less_sure() -> None:
     _, found, rows = calibrated(n=80)
     half = rows.select(rows.readings[:, 1] > 1.0)

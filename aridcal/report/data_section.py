@@ -163,9 +163,11 @@ def enough(outcome: Outcome) -> Iterator[Content]:
     """Question 3: is there enough data, in the right places?"""
     precision, joints = outcome.precision, joint_ranges(outcome)
     placed = known_scale(outcome.measurements) is not None
+    known = outcome.certainty
     sigma = {"at the fitted rows": 1e3 * precision.position}
-    if outcome.certainty is not None:
-        sigma["over the whole joint range"] = 1e3 * outcome.certainty.anywhere.sigma
+    if known is not None and known.anywhere.told.any():
+        sigma["over the whole joint range"] = 1e3 * known.anywhere.sigma[known.anywhere.told]
+    placed = placed and (known is None or bool(known.anywhere.told.any()))
     yield _pictures(joints, sigma if placed else {})
     yield _joint_table(joints)
     named = {f"{name} [mm]": values for name, values in sigma.items() if placed}

@@ -111,7 +111,8 @@ def certainty(
     judging = rows.test if (rows.test & ~outlier).any() else rows.train & ~outlier
     for turn, of in enumerate(("position", "rotation")):
         tolerance = None if asked is None else getattr(asked, of)
-        left = beyond(fit, rows, judging, outlier, residual, noise, bool(turn)) if rows.sees_turns or not turn else None
+        seen = rows.sees_turns or not turn
+        left = beyond(fit, rows, judging, outlier, residual, noise, tool, bool(turn)) if seen else None
         answer = kept(known, region, tool, left, tolerance, bool(turn))
         if answer is not None:
             found.append(answer)
@@ -119,7 +120,7 @@ def certainty(
             found.append(unjudged(of, tolerance))
     slices = _slices(known, train)
     if any(tool):
-        title += f", of the point {', '.join(f'{1e3 * number:g}' for number in tool)} mm beside the target"
+        title += f", for the point {', '.join(f'{1e3 * number:g}' for number in tool)} mm from the target"
     return Certainty(anywhere, slices, region, title, tool, tuple(found))
 
 

@@ -133,7 +133,7 @@ class Kept:
         """Why nothing can be said of a part of the region, in words."""
         if self.told < SHARE:
             return f"no reading tells a part of what moves the target{' in some of it' if self.told else ''}"
-        return f"{100 * (1.0 - self.measured):.0f} % of it were not measured"
+        return f"{100 * (1.0 - self.measured):.0f} % of that was not measured"
 
     @property
     def within(self) -> bool | None:
@@ -165,9 +165,12 @@ def beyond(
     outlier: np.ndarray,
     residual: np.ndarray,
     noise: np.ndarray,
+    tool: Sequence[float],
     turn: bool,
 ) -> Beyond | None:
     """What rows that judge leave beyond the calibration; None where none tells.
+
+    Of a point beside the target both the shift and the turn that explain a row count, together.
 
     Args:
         fit: The final model.
@@ -176,6 +179,7 @@ def beyond(
         outlier: Flagged rows, shape (N,) bool.
         residual: Measured minus predicted of all, shape (N, m).
         noise: See :func:`instrument_noise`.
+        tool: The point, in the target's axes, [m].
         turn: Of the rotation instead of the position.
     """
     flagged = np.full(int((judging & outlier).sum()), np.inf)
@@ -187,11 +191,12 @@ def beyond(
     seen = at_target(fit, own)
     J = np.concatenate([asked.pieces(fit.theta, block).J for block in asked.blocks()])
     covariance = J @ fit.covariance @ J.transpose(0, 2, 1)
+    arm = fit.model.poses(fit.theta, asked.rows)[0] @ np.asarray(tool, dtype=float)
     sigma = spread(noise, rows.channels)
     size, squares, scatter, model, told = np.full((5, len(own)), np.nan)
     declared = True
     for lever in seen.levers:
-        by = lever.turn if turn else lever.shift
+        by = lever.turn if turn else lever.shift + np.cross(lever.turn, arm[lever.rows][:, :, None], axis=1)
         rank = np.linalg.matrix_rank(by)
         some, by, rank = lever.rows[rank > 0], by[rank > 0], rank[rank > 0]
         if not len(some):

@@ -24,8 +24,9 @@ from scipy.stats import qmc
 from aridcal.effects.effect import FRAME_COMPONENTS, Coefficient
 from aridcal.effects.regional_kind import far_from_nodes
 from aridcal.effects.sights import target_places
-from aridcal.fit.constants import has_world
+from aridcal.fit.constants import has_world, measures_target
 from aridcal.fit.least_squares import Fit
+from aridcal.fit.normal_equations import solve
 from aridcal.fit.problem import BLOCK, problem
 from aridcal.fit.residual import linearise
 from aridcal.inputs.dataset import Dataset
@@ -259,30 +260,33 @@ def knowledge(fit: Fit, train: Dataset, candidates: Sequence[Coefficient]) -> Kn
             fit.sigma
         )
         own = np.flatnonzero([c.basis.constant for c in model.coefficients])
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(H)[own], np.finfo(float).tiny))
-        balanced = H[np.ix_(own, own)] * scale * scale[:, None]
         cross = H[own][:, count:]
-        follows[own] = scale[:, None] * np.linalg.lstsq(balanced, scale[:, None] * cross, rcond=1e-13)[0]
+        follows[own] = solve(H[np.ix_(own, own)], cross)
         rest = H[count:, count:] - cross.T @ follows[own]
         values, vectors = np.linalg.eigh(0.5 * (rest + rest.T))
         size = wide.sizes[count:]
         left = np.linalg.inv(vectors * np.maximum(values, 0.0) @ vectors.T + np.diag(1.0 / (LOOSE * size) ** 2))
     found = Knowledge(fit, wide, follows, left, _seen(fit, train))
-    return found if has_world(train) else _of_the_base(found, train)
+    conventions = [] if has_world(train) else ["world_base"]
+    conventions += [] if measures_target(train) else ["tip_target"]
+    return _up_to(conventions, found, train) if conventions else found
 
 
-def _of_the_base(known: Knowledge, train: Dataset) -> Knowledge:
-    """The same without what is as if the base stood elsewhere: where no instrument knows the world, it is a convention."""
+def _up_to(frames: Sequence[str], known: Knowledge, train: Dataset) -> Knowledge:
+    """The same without what is as if a frame were elsewhere.
+
+    Where no instrument knows the world, the base is where the calibration has it by convention; so is the tip where cameras see
+    all, whose own mounting takes up what the last link is off by.
+    """
     model, count = known.fit.model, len(known.fit.theta)
     some = np.unique(np.linspace(0, len(train) - 1, ASKED).round().astype(int))
     part = train.select(some)
     rows = model.rows(part.readings, part.conditions, part.station, part.target)
-    base = [Coefficient("world_base", component) for component in FRAME_COMPONENTS]
-    _, _, J = model.with_coefficients((*model.coefficients, *base)).jacobian(
-        np.append(known.fit.theta, np.zeros(6)), rows
-    )
+    rigid = [Coefficient(frame, component) for frame in frames for component in FRAME_COMPONENTS]
+    moved = model.with_coefficients((*model.coefficients, *rigid))
+    _, _, J = moved.jacobian(np.append(known.fit.theta, np.zeros(len(rigid))), rows)
     _, _, more = known.columns(rows, np.zeros(3))
-    moves = J[:, :, count:].reshape(-1, 6)
+    moves = J[:, :, count:].reshape(-1, len(rigid))
     size = known.wide.sizes[count:]
     flat = more.reshape(len(moves), -1) * (LOOSE * size)
     _, values, V = np.linalg.svd(flat - moves @ np.linalg.lstsq(moves, flat, rcond=None)[0])
