@@ -14,6 +14,7 @@ import robots
 import yaml
 from scipy.linalg import cholesky
 
+from aridcal.calibration import Calibration
 from aridcal.effects.basis import FORMS, Basis, wendland
 from aridcal.effects.catalogue import declared
 from aridcal.effects.effect import Coefficient
@@ -22,7 +23,7 @@ from aridcal.effects.loads import Surroundings, covariate_table
 from aridcal.effects.regional_kind import IN_SPACE, ball_field, far_from_nodes, spread_out, widths
 from aridcal.effects.sights import TARGET, Sights, sight_table
 from aridcal.effects.smooth import Kernel, samples_root, smooth_precision
-from aridcal.errors import CampaignError
+from aridcal.errors import AridcalError, CampaignError
 from aridcal.inputs.campaign import EffectDeclaration, Job
 from aridcal.inputs.yaml_file import load_settings, parse_settings
 from aridcal.model.model import Model
@@ -136,6 +137,25 @@ def test_each_region_s_urdf_alone_predicts_the_rows_of_its_region(bent: tuple[Ou
     exports = {e.name: e for e in hand_over(outcome).exports}
     assert exports["URDF by region"].error == pytest.approx(rms(error[test]), rel=1e-6)
     assert exports["URDF by region"].error < 0.5 * exports["URDF alone"].error
+
+
+def test_python_has_the_regions_as_a_table_fresh_and_loaded(bent: tuple[Outcome, Path]) -> None:
+    outcome, folder = bent
+    fresh = Calibration(calibration(outcome), outcome).regions
+    loaded = Calibration(calibration(outcome), folder=folder).regions
+    pd.testing.assert_frame_equal(fresh, loaded)
+    assert list(fresh.index) == sorted(p.stem for p in (folder / "regions").glob("*.urdf"))
+    assert fresh["rows_all"].sum() == len(outcome.measurements)
+    assert (fresh["low_joint_1"] <= fresh["high_joint_1"]).all()
+    assert Calibration(calibration(outcome), folder=folder / "regions").regions.empty  # no such file there
+
+
+def test_a_damaged_index_is_refused(bent: tuple[Outcome, Path], tmp_path: Path) -> None:
+    (tmp_path / "regions").mkdir()
+    for text in ("regions: {region_01: {urdf: a.urdf}}\n", "regions: [1]\n", "regions: &a [*a]\n", "- 1\n"):
+        (tmp_path / "regions" / "index.yaml").write_text(text)
+        with pytest.raises(AridcalError, match=r"index.yaml"):
+            _ = Calibration(calibration(bent[0]), folder=tmp_path).regions
 
 
 CENTRE, OFF, REACH = np.array([0.9, 2.2, 0.5]), np.array([3e-4, -4e-4, 3.3e-4]), 0.4  # in the base frame, [m]
