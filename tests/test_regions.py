@@ -38,6 +38,8 @@ from aridcal.result.saved_model import SavedModel, SolvedModel
 from aridcal.result.saving import calibration
 from aridcal.robot.chain import parse_robot
 from aridcal.robot.kinematics import tip_frames
+from aridcal.search.arm import calibrated_arm, fit_constants
+from aridcal.showing import SILENT
 
 NOISE = {"position": 1e-4, "rotation": 1e-4}
 FRAMES = {
@@ -369,3 +371,27 @@ def test_a_declaration_of_what_is_not_there_is_refused(wrong: dict[str, object])
     rows, _, _ = rows_in_space(20)
     with pytest.raises(CampaignError, match="cannot be fitted"):
         declared(rows, EffectDeclaration(kind="regional", where="joint_2", **wrong), "campaign.yaml")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("jumps", [False, True], ids=["bends", "jumps"])
+def test_what_does_not_hold_between_the_places_measured_is_not_called_a_constant_that_varies(jumps: bool) -> None:
+    """Sixteen stops along the rail, a tilt at each: neighbours alike, or each its own. Rows alone cannot tell these apart."""
+    rng = np.random.default_rng(0)
+    robot = robots.arid()
+    stop = np.repeat(np.arange(16), 12)
+    q = robots.readings(robot, len(stop), rng)
+    q[:, 0] = np.linspace(1.0, 17.0, 16)[stop]
+    tilt = 1e-3 * (rng.choice([-1.0, 1.0], 16) if jumps else np.sin(np.linspace(0.0, 6.0, 16)))[stop]
+    beta = Coefficient("joint_2", "beta", Basis("linear", ("tilt",), (0.0,)))
+    model = Model(robot, (beta,))
+    R, p = model.poses(np.ones(1), model.rows(q, {"tilt": tilt}))
+    p = p + 1e-4 * rng.standard_normal(p.shape)
+    rows = robots.declared(robots.measured(robot, q, p, R), 1e-4, 1e-4)
+    asked = robots.campaign("pose", parameters={"set": "doty"}, diagnosis={"candidates": ("regional",)})
+    found = calibrated_arm(asked, robot, rows, (), fit_constants(asked, robot, rows, ()), SILENT).diagnosed.found
+    active = [a.effect.where for a in found.state.active]
+    assert active == ([] if jumps else ["joint_2"])
+    if jumps:
+        best = found.rejected[0]
+        assert best.score.gain > 100.0
+        assert best.why == "does not hold in regions that were held back whole"
