@@ -20,6 +20,7 @@ from aridcal.drawing.as_tables import (
     influence_table,
     iso_table,
     parameter_table,
+    region_table,
     verification_table,
 )
 from aridcal.drawing.html import tag
@@ -28,11 +29,11 @@ from aridcal.errors import AridcalError, MeasurementError, shortened
 from aridcal.identify import VERDICTS
 from aridcal.inputs.query import Query
 from aridcal.inputs.tables import AnyTable, read_tables
-from aridcal.inputs.yaml_file import decode
+from aridcal.inputs.yaml_file import decode, parse_yaml
 from aridcal.reading.files import RESULT, read_file
 from aridcal.report.page import write_report
 from aridcal.result.compensate import compensate
-from aridcal.result.controllers import hand_over
+from aridcal.result.controllers import INDEX, by_region, hand_over, index_document
 from aridcal.result.folder import result_document
 from aridcal.result.outcome import Outcome
 from aridcal.result.pipeline import score
@@ -112,6 +113,25 @@ class Calibration:
     def combinations(self) -> pd.DataFrame:
         """Combinations of constants that the rows tell independently, the best known first: shares by name, and ``std``."""
         return self._figures(combination_table)
+
+    @property
+    def regions(self) -> pd.DataFrame:
+        """Where each region's own URDF holds and what it leaves, [m] and [rad]; empty where nothing varies by region.
+
+        Raises:
+            AridcalError: of a loaded calibration whose ``regions/index.yaml`` is damaged.
+        """
+        if self.outcome is not None:
+            own = by_region(self.outcome)
+            return region_table(index_document(self.outcome, own) if own is not None else {})
+        path = (self.folder or Path()) / INDEX
+        if not path.is_file():
+            return region_table({})
+        index, _ = parse_yaml(_text(path), path)
+        try:
+            return region_table(index)
+        except (KeyError, TypeError, AttributeError) as error:
+            raise AridcalError(f"{path}: is damaged ({shortened(repr(error))}). Run identify again") from None
 
     def predict(self, queries: AnyTable) -> pd.DataFrame:
         """Tell where the real target is for each row of joint readings.

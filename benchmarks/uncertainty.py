@@ -312,6 +312,7 @@ def real(name: str, runs: int, seed: int) -> None:
         outcome = identify(campaign.with_tables([asked]))
         others = score(outcome, table.iloc[some[250:]])
         off = np.linalg.norm(others.residuals["final"][:, :3], axis=1)
+        assert outcome.certainty is not None
         part = outcome.certainty.kept[0]
         within, true = 100 * np.mean(off <= part.bound), 1e3 * np.quantile(off, 0.95)
         print(

@@ -14,6 +14,7 @@ import robots
 import yaml
 from scipy.linalg import cholesky
 
+from aridcal.calibration import Calibration
 from aridcal.effects.basis import FORMS, Basis, wendland
 from aridcal.effects.catalogue import declared
 from aridcal.effects.effect import Coefficient
@@ -22,7 +23,7 @@ from aridcal.effects.loads import Surroundings, covariate_table
 from aridcal.effects.regional_kind import IN_SPACE, ball_field, far_from_nodes, spread_out, widths
 from aridcal.effects.sights import TARGET, Sights, sight_table
 from aridcal.effects.smooth import Kernel, samples_root, smooth_precision
-from aridcal.errors import CampaignError
+from aridcal.errors import AridcalError, CampaignError
 from aridcal.inputs.campaign import EffectDeclaration, Job
 from aridcal.inputs.yaml_file import load_settings, parse_settings
 from aridcal.model.model import Model
@@ -37,6 +38,8 @@ from aridcal.result.saved_model import SavedModel, SolvedModel
 from aridcal.result.saving import calibration
 from aridcal.robot.chain import parse_robot
 from aridcal.robot.kinematics import tip_frames
+from aridcal.search.arm import calibrated_arm, fit_constants
+from aridcal.showing import SILENT
 
 NOISE = {"position": 1e-4, "rotation": 1e-4}
 FRAMES = {
@@ -136,6 +139,25 @@ def test_each_region_s_urdf_alone_predicts_the_rows_of_its_region(bent: tuple[Ou
     exports = {e.name: e for e in hand_over(outcome).exports}
     assert exports["URDF by region"].error == pytest.approx(rms(error[test]), rel=1e-6)
     assert exports["URDF by region"].error < 0.5 * exports["URDF alone"].error
+
+
+def test_python_has_the_regions_as_a_table_fresh_and_loaded(bent: tuple[Outcome, Path]) -> None:
+    outcome, folder = bent
+    fresh = Calibration(calibration(outcome), outcome).regions
+    loaded = Calibration(calibration(outcome), folder=folder).regions
+    pd.testing.assert_frame_equal(fresh, loaded)
+    assert list(fresh.index) == sorted(p.stem for p in (folder / "regions").glob("*.urdf"))
+    assert fresh["rows_all"].sum() == len(outcome.measurements)
+    assert (fresh["low_joint_1"] <= fresh["high_joint_1"]).all()
+    assert Calibration(calibration(outcome), folder=folder / "regions").regions.empty  # no such file there
+
+
+def test_a_damaged_index_is_refused(bent: tuple[Outcome, Path], tmp_path: Path) -> None:
+    (tmp_path / "regions").mkdir()
+    for text in ("regions: {region_01: {urdf: a.urdf}}\n", "regions: [1]\n", "regions: &a [*a]\n", "- 1\n"):
+        (tmp_path / "regions" / "index.yaml").write_text(text)
+        with pytest.raises(AridcalError, match=r"index.yaml"):
+            _ = Calibration(calibration(bent[0]), folder=tmp_path).regions
 
 
 CENTRE, OFF, REACH = np.array([0.9, 2.2, 0.5]), np.array([3e-4, -4e-4, 3.3e-4]), 0.4  # in the base frame, [m]
@@ -349,3 +371,27 @@ def test_a_declaration_of_what_is_not_there_is_refused(wrong: dict[str, object])
     rows, _, _ = rows_in_space(20)
     with pytest.raises(CampaignError, match="cannot be fitted"):
         declared(rows, EffectDeclaration(kind="regional", where="joint_2", **wrong), "campaign.yaml")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("jumps", [False, True], ids=["bends", "jumps"])
+def test_what_does_not_hold_between_the_places_measured_is_not_called_a_constant_that_varies(jumps: bool) -> None:
+    """Sixteen stops along the rail, a tilt at each: neighbours alike, or each its own. Rows alone cannot tell these apart."""
+    rng = np.random.default_rng(0)
+    robot = robots.arid()
+    stop = np.repeat(np.arange(16), 12)
+    q = robots.readings(robot, len(stop), rng)
+    q[:, 0] = np.linspace(1.0, 17.0, 16)[stop]
+    tilt = 1e-3 * (rng.choice([-1.0, 1.0], 16) if jumps else np.sin(np.linspace(0.0, 6.0, 16)))[stop]
+    beta = Coefficient("joint_2", "beta", Basis("linear", ("tilt",), (0.0,)))
+    model = Model(robot, (beta,))
+    R, p = model.poses(np.ones(1), model.rows(q, {"tilt": tilt}))
+    p = p + 1e-4 * rng.standard_normal(p.shape)
+    rows = robots.declared(robots.measured(robot, q, p, R), 1e-4, 1e-4)
+    asked = robots.campaign("pose", parameters={"set": "doty"}, diagnosis={"candidates": ("regional",)})
+    found = calibrated_arm(asked, robot, rows, (), fit_constants(asked, robot, rows, ()), SILENT).diagnosed.found
+    active = [a.effect.where for a in found.state.active]
+    assert active == ([] if jumps else ["joint_2"])
+    if jumps:
+        best = found.rejected[0]
+        assert best.score.gain > 100.0
+        assert best.why == "does not hold in regions that were held back whole"

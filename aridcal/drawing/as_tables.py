@@ -106,6 +106,21 @@ def iso_table(result: Document) -> pd.DataFrame:
     return table.astype({name: float for name in table if str(name).startswith(models) or name == "hours"})
 
 
+def region_table(index: Document) -> pd.DataFrame:
+    """Regions of an ``index.yaml`` by name: their URDF, where each holds, and what it leaves in SI units.
+
+    Args:
+        index: ``regions/index.yaml``; empty where nothing varies by region.
+    """
+    rows = {}
+    for name, region in index.get("regions", {}).items():
+        row = {"urdf": region["urdf"]}
+        for part in ("middle", "low", "high", "rows", "error"):
+            row |= {f"{part}_{of}": value for of, value in region[part].items()}
+        rows[name] = row
+    return pd.DataFrame.from_dict(rows, orient="index").rename_axis("region")
+
+
 def _statistics(found: Iterable[Mapping[str, Mapping[str, float]]], index: pd.Index) -> pd.DataFrame:
     """Error statistics as a table: ``{"position_mm": {"rms": 0.1}}`` gives the column ``position_rms_mm``."""
     rows = []

@@ -116,7 +116,7 @@ def hand_over(outcome: Outcome) -> Handover:
     if with_maps is not None:
         files = ("joint_maps.urdf", "joint_maps.csv")
         exports.append(export("+ joint maps", files, with_maps))
-    own = regions(final.fit, m, ~m.test & ~outcome.outlier, [e.effect for e in outcome.effects])
+    own = by_region(outcome)
     if own is not None:
         exports.append(export(BY_REGION, (INDEX,), final.fit, own))
     exports.append(export("full model", ("calibration.yaml",), final.fit))
@@ -132,6 +132,12 @@ def hand_over(outcome: Outcome) -> Handover:
         calibrated=parse_robot(stage_urdf(outcome.stage("geometric").fit), robot.tip, robot.base, robot.path),
         regions=own,
     )
+
+
+def by_region(outcome: Outcome) -> Regions | None:
+    """Constants of each region; None where the whole workspace has the same."""
+    m = outcome.measurements
+    return regions(outcome.stage("final").fit, m, ~m.test & ~outcome.outlier, [e.effect for e in outcome.effects])
 
 
 def write_controllers(outcome: Outcome, handover: Handover, folder: Path) -> None:
@@ -160,7 +166,7 @@ def write_controllers(outcome: Outcome, handover: Handover, folder: Path) -> Non
         (folder / INDEX).parent.mkdir()
         for region in handover.regions.every:
             (folder / INDEX).with_name(f"{region.name}.urdf").write_bytes(stage_urdf(region.fit))
-        text = yaml.safe_dump(_index(outcome, handover.regions), sort_keys=False, width=200)
+        text = yaml.safe_dump(index_document(outcome, handover.regions), sort_keys=False, width=200)
         unit = f"`error`: RMS {handover.channel.noun} [{handover.channel.unit}] on a region's held-out rows, or on all."
         write(INDEX, text, BY_REGION, *WHERE_HOLDS, unit)
     if handover.with_maps is not None:
@@ -172,7 +178,7 @@ def write_controllers(outcome: Outcome, handover: Handover, folder: Path) -> Non
         pd.concat(rows).to_csv(folder / "joint_maps.csv", index=False, float_format="%.12g")
 
 
-def _index(outcome: Outcome, own: Regions) -> dict[str, Any]:
+def index_document(outcome: Outcome, own: Regions) -> dict[str, Any]:
     """Where each region's URDF holds, and what it leaves beside the one URDF and the full model."""
     part = columns(outcome.channels)[leading(outcome.measurements)[0]]
     left = {
