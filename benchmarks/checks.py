@@ -132,8 +132,8 @@ def real(results: Path, table: Path, draws: int) -> None:
     for k, joint in enumerate(joints):
         null, error = 1e3 * off[:, k, 1], 1e3 * (recovered[:, k] - OFF)
         print(
-            f"{joint}: zero of the rows as they are {null.mean():+.3f} mrad, {null.std():.3f} from draw to draw; change recovered "
-            f"within {np.sqrt(np.mean(error**2)):.3f} mrad RMS, {np.abs(error).max():.3f} at the most of {draws}"
+            f"{joint}: zero of the rows as they are {null.mean():+.3f} mrad, {null.std():.3f} from draw to draw; change "
+            f"recovered within {np.sqrt(np.mean(error**2)):.3f} mrad RMS, {np.abs(error).max():.3f} at the most of {draws}"
         )
 
 
