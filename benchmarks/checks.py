@@ -142,14 +142,14 @@ def zero(saved: SavedModel, table: pd.DataFrame, joint: str) -> float:
     rows = read_new_rows(saved, table).rows
     wide = widened(saved.final)
     question = asked(wide, rows, known_noise(saved, rows))
-    for suspect in suspects(wide, rows):
-        if suspect.kind == "frame" or (suspect.kind, suspect.where) == ("zero", joint):
-            question = question.with_moved(suspect, suspect.sizes[-1])
+    every = suspects(wide, rows)
+    own = next(s for s in every if (s.kind, s.where) == ("zero", joint))
+    for suspect in (*(s for s in every if s.kind == "frame"), own):
+        question = question.with_moved(suspect, suspect.sizes[-1])
     for _ in range(3):
         place = likely(question)
         shown = float(np.sqrt(place.squares(question.times) / len(place.r)))
         question = replace(question, times=max(1.0, question.times * shown))
-    own = next(s for s in suspects(wide, rows) if (s.kind, s.where) == ("zero", joint))
     return float(likely(question).theta[own.touched[0]])
 
 
