@@ -83,7 +83,11 @@ def test_what_nobody_knew_takes_up_as_many_numbers_as_it_has(kind: str, tmp_path
     for _ in range(12):
         rows = new.rows.select(rng.choice(len(new.rows), 30, replace=False))
         found = check(ur10().saved, rows, frames=new.frames).first
-        squares, numbers, alarms = squares + found.squares, numbers + found.numbers, alarms + (found.p_value < FALSE_ALARMS)
+        squares, numbers, alarms = (
+            squares + found.squares,
+            numbers + found.numbers,
+            alarms + (found.p_value < FALSE_ALARMS),
+        )
     assert squares / numbers == pytest.approx(1.0, abs=4 * np.sqrt(2 / numbers) + 0.02)
     assert alarms <= 2
 
