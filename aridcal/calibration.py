@@ -13,6 +13,7 @@ from typing import Any
 
 import pandas as pd
 
+from aridcal.check import Check, answer
 from aridcal.drawing.as_tables import (
     combination_table,
     effect_table,
@@ -31,6 +32,7 @@ from aridcal.inputs.query import Query
 from aridcal.inputs.tables import AnyTable, read_tables
 from aridcal.inputs.yaml_file import decode, parse_yaml
 from aridcal.reading.files import RESULT, read_file
+from aridcal.recalibrate import recalibrate
 from aridcal.report.page import write_report
 from aridcal.result.compensate import compensate
 from aridcal.result.controllers import INDEX, by_region, hand_over, index_document
@@ -209,6 +211,39 @@ class Calibration:
             found = score(self._with_data("verify"), measurements)
         outliers = int(found.outlier.sum())
         return Verified(found.file, len(found.measurements), outliers, verification_table(found))
+
+    def check(self, measurements: AnyTable, tolerance: float | None = None) -> Check:
+        """Tell from 5 to 20 new rows whether the calibration is still good, and if not, what moved.
+
+        Args:
+            measurements: In the columns and units of the campaign's own, or the path of another instrument's campaign.
+            tolerance: Largest RMS position error that is still good, [m]; None: anything that the rows contradict is not.
+
+        Raises:
+            AridcalError: the rows need mending, or nothing can be said of a tolerance.
+        """
+        with working() as progress:
+            progress("asking what moved")
+            return answer(self.model, measurements, tolerance)
+
+    def recalibrate(self, measurements: AnyTable, folder: str | Path) -> Calibration:
+        """Mend the calibration with 5 to 20 new rows: what moved is fitted, all else kept.
+
+        Args:
+            measurements: As for :meth:`check`.
+            folder: Where the whole result is written, with its lineage.
+
+        Returns:
+            The repaired calibration.
+
+        Raises:
+            AridcalError: nothing moved, it cannot be told what did, or this calibration was not loaded from a file.
+        """
+        if self.folder is None:
+            raise AridcalError("`recalibrate` writes where a calibration comes from: save it, and load what was saved")
+        with working() as progress:
+            recalibrate(self.folder, measurements, Path(folder), progress)
+        return Calibration(SavedModel.load(folder), folder=Path(folder))
 
     def report(self, path: str | Path | None = None) -> Page:
         """The report: the answer, and the reasons for it. A notebook shows it; with a path it is saved as well."""

@@ -29,13 +29,14 @@ from aridcal.command_line import CommandParser, command_parser, run
 from aridcal.drawing.scene import write_scene
 from aridcal.errors import CampaignError, OutputError
 from aridcal.fit.constants import urdf_of
+from aridcal.inputs.tables import AnyTable
 from aridcal.reading.files import CALIBRATION, read_file
 from aridcal.reading.names import path_argument
 from aridcal.report.repair_page import write_repair_report
 from aridcal.result.controllers import hand_over, write_controllers
 from aridcal.result.saved_model import SavedModel
 from aridcal.result_folder import RESULT_FILES, RESULT_FOLDERS
-from aridcal.showing import Progress, told_on
+from aridcal.showing import SILENT, Progress, told_on
 from aridcal.upkeep.answers import check_lines, left_out_line
 from aridcal.upkeep.checking import Checked, check
 from aridcal.upkeep.documents import document, figures_before, lineage, residuals
@@ -66,30 +67,45 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _main(arguments: argparse.Namespace) -> None:
-    before = arguments.results / "calibration.yaml" if arguments.results.is_dir() else arguments.results
-    if arguments.out.resolve() == before.resolve().parent:
-        raise OutputError(f"{arguments.out}: holds the calibration that is to be repaired, which is kept; name another")
-    with claimed(arguments.out, "folder", RESULT_FILES, RESULT_FOLDERS):
-        _recalibrate(arguments, before)
-
-
-def _recalibrate(arguments: argparse.Namespace, before: Path) -> None:
-    saved = SavedModel.load(arguments.results)
-    content = read_file(before, CampaignError, CALIBRATION)
     with told_on(Console(stderr=True)) as progress:
+        said = recalibrate(arguments.results, arguments.rows, arguments.out, progress)
+    console = Console()
+    for line in said:
+        console.print(line, markup=False, highlight=False, soft_wrap=True)
+    console.print(f"repaired: {arguments.out / 'report.html'}", soft_wrap=True, markup=False, highlight=False)
+
+
+def recalibrate(results: Path, table: AnyTable, out: Path, progress: Progress = SILENT) -> tuple[str, ...]:
+    """Repair a calibration with new rows, and write the folder of what it is now.
+
+    Args:
+        results: The folder of the calibration, or its ``calibration.yaml``.
+        table: See :func:`aridcal.upkeep.new_rows.read_new_rows`.
+        out: The folder to write.
+        progress: Told what is being done.
+
+    Returns:
+        What was found, in words, a line each.
+
+    Raises:
+        AridcalError: nothing can or must be repaired, or something of the input needs mending.
+    """
+    before = results / "calibration.yaml" if results.is_dir() else results
+    if out.resolve() == before.resolve().parent:
+        raise OutputError(f"{out}: holds the calibration that is to be repaired, which is kept; name another")
+    with claimed(out, "folder", RESULT_FILES, RESULT_FOLDERS):
+        saved = SavedModel.load(results)
+        content = read_file(before, CampaignError, CALIBRATION)
         progress("asking what moved")
-        new = read_new_rows(saved, arguments.rows)
+        new = read_new_rows(saved, table)
         checked = check(saved, new.rows, frames=new.frames)
         mended = repaired(saved, checked)
         lines = check_lines(checked, mended.changes, saved.measurements.units)
         progress("setting the repair beside the rows")
         made = repair_outcomes(saved, checked, mended)
         parents = lineage(saved, before, content, checked)
-        notices = _write(arguments.out, made, checked, mended, parents, lines, figures_before(before), progress)
-    console = Console()
-    for line in (*lines, left_out_line(made), *(f"note: {notice}" for notice in notices)):
-        console.print(line, markup=False, highlight=False, soft_wrap=True)
-    console.print(f"repaired: {arguments.out / 'report.html'}", soft_wrap=True, markup=False, highlight=False)
+        notices = _write(out, made, checked, mended, parents, lines, figures_before(before), progress)
+    return (*lines, left_out_line(made), *(f"note: {notice}" for notice in notices))
 
 
 def _write(

@@ -276,6 +276,23 @@ def test_the_folder_says_where_it_comes_from_and_can_be_used_at_once(results, tm
     np.testing.assert_allclose(pd.read_csv(back)[list(NAMES)], asked[list(NAMES)], atol=1e-6)
 
 
+def test_python_checks_and_mends_as_the_commands_do(results, tmp_path, capsys):
+    csv = new_rows(tmp_path / "new.csv", jump(2, 1e-3))
+    loaded = aridcal.load(results)
+    found = loaded.check(pd.read_csv(csv))
+    main(["check", str(results), str(csv)])
+    assert capsys.readouterr().out == f"{found!r}\n"
+    assert not found.good and found.p_value < 1e-9
+    assert list(found.moved["moved"]) == ["elbow_joint"]
+    assert found.moved["value"][0] == pytest.approx(1e-3, abs=1e-4)
+    assert loaded.check(csv, tolerance=5e-3).good
+    mended = loaded.recalibrate(csv, tmp_path / "mended")
+    assert mended.check(csv).good and len(mended.check(csv).moved) == 0
+    assert "fitted" in repr(mended) and (tmp_path / "mended" / "report.html").is_file()
+    with pytest.raises(aridcal.AridcalError, match="save it"):
+        aridcal.Calibration(loaded.model).recalibrate(csv, tmp_path / "other")
+
+
 def test_a_second_repair_keeps_the_lineage_of_the_first(results, tmp_path):
     once, twice = tmp_path / "once", tmp_path / "twice"
     first = new_rows(tmp_path / "first.csv", jump(2, 1e-3))

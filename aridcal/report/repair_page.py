@@ -86,7 +86,7 @@ def _page(
     chapters = [
         ("moved", "1. What moved?", _moved(mended, lines)),
         ("rows", "2. Do the new rows fit now?", _rows(made)),
-        ("parameters", "3. What is the calibration now?", identified(made.rows)),
+        ("parameters", "3. What is the calibration now?", identified(made.model)),
         ("use", "4. How to use the result", _use(made, handover)),
         ("lineage", "5. Where does it come from?", _lineage(lineage)),
     ]

@@ -15,7 +15,7 @@ from aridcal import __version__
 from aridcal.errors import AridcalError
 from aridcal.inputs.yaml_file import decode
 from aridcal.reading.files import RESULT, read_file
-from aridcal.result.folder import finite, residual_columns, residual_table, result_document
+from aridcal.result.folder import finite, frames, parameters, residual_columns, residual_table, result_document
 from aridcal.result.outcome import errors
 from aridcal.result.saved_model import SavedModel, SolvedModel
 from aridcal.upkeep.checking import Checked
@@ -75,13 +75,15 @@ def document(
         "left_out": made.left_out,
     }
     known = {p.get("name"): p for p in _listed(before, "parameters") if p.get("status") != "identified"}
-    now = [p if p["status"] == "identified" else known.get(p["name"], p) for p in found["parameters"]]
+    own = parameters(made.model.stage("geometric").fit)
+    now = [p if p["status"] == "identified" else known.get(p["name"], p) for p in own]
     repair = {
         "error": found["error"]
         | {
             name: {part: errors(residual, mask, rows.channels) for part, mask in parts.items()}
             for name, residual in stages.items()
         },
+        "frames": frames(made.model.stage("final")),
         "parameters": now,
         "effects": list(_effects(_listed(before, "effects"), mended.saved.final)),
         "moved": [

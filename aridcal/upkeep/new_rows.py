@@ -129,6 +129,12 @@ def _other(saved: SavedModel, path: Path) -> Campaign:
             f"{path}: measurements.kind: camera_sonar is not read here; `aridcal measure` makes a table of poses from its "
             "images: name that, with `kind: pose`"
         )
+    ties = [key for key in ("lengths", "perpendicular") if key in asked.instruments.model_fields_set]
+    if ties:
+        raise CampaignError(
+            f"{path}: instruments.{ties[0]}: what is known between things is not used with a calibration that has its scale "
+            "already; delete this key"
+        )
     per = [name for name in ("world_base", "tip_target") if getattr(asked.frames, name).per is not None]
     if per:
         raise CampaignError(f"{path}: frames.{per[0]}.per: new rows have one frame each; delete this key")
