@@ -267,6 +267,9 @@ def test_python_plans_and_saves_what_the_command_does(tmp_path: Path) -> None:
     assert (tmp_path / "a.csv").read_bytes() == (tmp_path / "b.csv").read_bytes()
     assert "sleep(2.000)" in (tmp_path / "poses.script").read_text()
     pd.testing.assert_frame_equal(pd.read_csv(tmp_path / "a.csv"), poses.table, check_dtype=False)
+    rows = robots.simulate(robots.ur10(), 40, np.random.default_rng(3), noise=1e-4)
+    of_frame = load_campaign(path).with_tables([robots.table(rows)])
+    assert aridcal.plan(of_frame, 4).design.measured > 20  # its rows are in no file
     assert poses.sigma["n"].tolist() == [1, 2, 5, 10] and "5 configurations" in repr(poses)
     for wrong, said in [
         (lambda: aridcal.plan(path, 0), "n: should be"),
