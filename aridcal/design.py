@@ -213,7 +213,7 @@ def _report(plan: Plan, apart: Sequence[str], out: Sequence[Path]) -> None:
     console.print(_sigma_table(plan, apart))
     lines = [
         f"{plan.measured} rows so far; {plan.unknowns} unknowns of arm, frames, effects can be identified with the planned ones",
-        f"RMS of as many random configurations, mm: {_mm(plan.random)}",
+        *([] if apart else [f"RMS of as many random configurations, mm: {_mm(plan.random)}"]),
         "observability " + ", ".join(f"O{k} {value:.3g}" for k, value in enumerate(plan.indices, start=1)),
         *(f"note: {notice}" for notice in plan.notices),
         *duel_lines(plan.duels),

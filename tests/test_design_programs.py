@@ -282,3 +282,20 @@ def test_python_plans_and_saves_what_the_command_does(tmp_path: Path) -> None:
         with pytest.raises(aridcal.AridcalError, match=said):
             wrong()
     assert not (tmp_path / "c.csv").exists()
+
+
+def test_rows_measured_from_both_sides_are_added_to(tmp_path: Path) -> None:
+    """Columns of directions in the table, written as the campaign calls them, come back in the plan."""
+    rng = np.random.default_rng(3)
+    table = robots.table(robots.simulate(robots.ur10(), 40, rng, noise=1e-4))
+    (tmp_path / "robot.urdf").write_bytes(robots.ur10().urdf)
+    table.assign(side=rng.choice([-1, 1], 40)).to_csv(tmp_path / "m.csv", index=False)
+    path = tmp_path / "c.yaml"
+    block = "{kind: pose, file: m.csv, columns: {elbow_joint_direction: side}}"
+    path.write_text(
+        f"format: 1\nrobot: {{urdf: robot.urdf, tip: {robots.ur10().tip}}}\nmeasurements: {block}\n"
+        f"diagnosis: {{enabled: false}}\n{PLAY}"
+    )
+    plan = aridcal.plan(path, 6)
+    assert list(plan.table.columns[6:]) == ["side"] and plan.table["side"].sum() == 0
+    assert 20 < plan.design.measured <= 40 and plan.design.via.shape == (6, 6)

@@ -21,6 +21,7 @@ from aridcal.planning.design import Asked, design
 from aridcal.planning.rivals import Duel, duel_lines
 from aridcal.planning.suspects import with_pair
 from aridcal.planning.telling import so_far, told, whitened
+from aridcal.report.plan_page import plan_page
 from aridcal.result.pipeline import identify
 from aridcal.robot.chain import load_robot
 
@@ -132,7 +133,11 @@ def test_an_effect_that_no_row_shows_is_taken_for_one_that_they_would(tmp_path: 
     readings = POSTURE + rng.uniform(-0.3, 0.3, (40, 6))
     known, theta = bent(path, readings, NOISE)
     table_of(known, 0 * theta, readings, rng).to_csv(tmp_path / "rows.csv", index=False)
-    duels = design(known_of(path), Asked(8, apart=PAIR)).duels
+    plan = design(known_of(path), Asked(8, apart=PAIR))
+    page = plan_page(plan, known.robot, "c.yaml")
+    assert "They are to tell two effects apart" in page and "will be named, if it is four sigmas large" in page
+    assert "random ones" not in page  # chosen for something else
+    duels = plan.duels
     assert not any(duel.shown for duel in duels) and min(duel.after for duel in duels[:2]) > 15
 
 
