@@ -165,8 +165,8 @@ def test_the_way_of_a_program_brings_joints_from_the_sides_that_are_said() -> No
     both = np.array([True, False, True, True, False, True])
     made = from_both_sides(readings, SIX, TURN, both, rng)
     path, own = [], []
-    for via, reading in zip(made.via, readings, strict=True):
-        if np.isfinite(via).all():
+    for via, needed, reading in zip(made.via, made.needed, readings, strict=True):
+        if needed:
             path.append(via)
         path.append(reading)
         own.append(len(path) - 1)
@@ -202,7 +202,8 @@ def test_joints_at_their_ends_come_from_inside() -> None:
 def test_a_plan_says_from_which_side_and_goes_that_way(tmp_path: Path) -> None:
     floor = "design: {keep_out: [{min: [-2, -2, -2], max: [2, 2, 0.02]}]}\n"
     path = written(tmp_path, PLAY + floor)
-    assert command.main([str(path), "-n", "12", "-o", str(tmp_path / "p.csv"), "-o", str(tmp_path / "p.yaml")]) == 0
+    out = [part for name in ("p.csv", "p.yaml", "p.script") for part in ("-o", str(tmp_path / name))]
+    assert command.main([str(path), "-n", "12", *out]) == 0
     table = pd.read_csv(tmp_path / "p.csv")
     assert list(table.columns[6:]) == ["elbow_joint_direction"] and table["elbow_joint_direction"].abs().eq(1).all()
     assert abs(table["elbow_joint_direction"].sum()) <= 2
@@ -212,6 +213,11 @@ def test_a_plan_says_from_which_side_and_goes_that_way(tmp_path: Path) -> None:
     sides = approach(np.array([point["positions"][elbow] for point in points]), 1e-6)
     own = [k for k, point in enumerate(points) if point["configuration"]]
     np.testing.assert_array_equal(sides[own], table["elbow_joint_direction"])
+    # who plans the ways itself is told of one before each that can be; others only where it takes one
+    before = [k - 1 for k in own if k and not points[k - 1]["configuration"]]
+    gap = [points[k + 1]["positions"][elbow] - points[k]["positions"][elbow] for k in before]
+    assert len(before) >= 10 and np.allclose(np.abs(gap), BACK_ANGLE)
+    assert (tmp_path / "p.script").read_text().count("movej") < len(points)
     made = load_campaign(path)
     known = beforehand(made, load_robot(made.robot.urdf, made.robot.tip))
     every = np.array([point["positions"] for point in points])

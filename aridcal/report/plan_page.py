@@ -190,7 +190,7 @@ def _one_by_one(plan: Plan, robot: Robot) -> Iterator[Content]:
         loss = seen.loss[k]
         telling = [i for i in np.argsort(-loss, kind="stable")[:NAMED] if loss[i] > TELLING * usual[i]]
         words = ", ".join(f"{seen.suspects[i]} ({_percent(loss[i])})" for i in telling)
-        way = ["a point before it" if np.isfinite(plan.via[k]).all() else "straight"] if plan.directions else []
+        way = ["a point before it" if plan.by_way[k] else "straight"] if plan.directions else []
         lines.append([str(k + 1), *joints, *([titles[k]] if titles else []), *way, words or "the geometry"])
     yield table(head, lines, "In the order of the visits", numbers=len(head))
     yield tag(
