@@ -45,7 +45,7 @@ from aridcal.inputs.campaign import Campaign, load_campaign
 from aridcal.planning.beforehand import beforehand
 from aridcal.planning.design import Asked, Plan, as_table, design
 from aridcal.planning.exchange import Criterion
-from aridcal.planning.programs import LANGUAGES, check_program, moves, program
+from aridcal.planning.programs import LANGUAGES, WAYPOINTS, check_program, moves, program
 from aridcal.planning.rivals import duel_lines
 from aridcal.reading.names import path_argument
 from aridcal.report.plan_page import plan_page
@@ -201,9 +201,9 @@ def _write(plan: Plan, campaign: Campaign, robot: Robot, path: Path, file: Path,
     elif ending == PAGE:
         file.write_text(plan_page(plan, robot, campaign.path.name), encoding="utf-8", errors="replace")
     else:
-        made = moves(
-            campaign.path.name, robot.readings, robot.kinds, plan.readings, plan.via, plan.titles, settle
-        )  # fmt: skip
+        # controllers go straight in joints; who knows by which way MoveIt comes
+        via = plan.via if ending == WAYPOINTS else np.where(plan.by_way[:, None], plan.via, np.nan)
+        made = moves(campaign.path.name, robot.readings, robot.kinds, plan.readings, via, plan.titles, settle)
         file.write_text(program(made, ending, path.stem), encoding="utf-8", errors="replace")
 
 
@@ -213,7 +213,7 @@ def _report(plan: Plan, apart: Sequence[str], out: Sequence[Path]) -> None:
     console.print(_sigma_table(plan, apart))
     lines = [
         f"{plan.measured} rows so far; {plan.unknowns} unknowns of arm, frames, effects can be identified with the planned ones",
-        f"RMS of as many random configurations, mm: {_mm(plan.random)}",
+        *([] if apart else [f"RMS of as many random configurations, mm: {_mm(plan.random)}"]),
         "observability " + ", ".join(f"O{k} {value:.3g}" for k, value in enumerate(plan.indices, start=1)),
         *(f"note: {notice}" for notice in plan.notices),
         *duel_lines(plan.duels),
@@ -228,7 +228,7 @@ def _of_sides(plan: Plan) -> list[str]:
     """From which sides joints come, in words."""
     if not plan.directions:
         return []
-    via = int(np.isfinite(plan.via).all(axis=1).sum())
+    via = int(plan.by_way.sum())
     return [
         f"{', '.join(plan.directions)} come from both sides: {via} points on the way, in programs; a table has the "
         "side in JOINT_direction: copy these columns into the table of what is measured"

@@ -1,6 +1,7 @@
 """How much better chosen configurations are than random ones, and how near to the best that exchanges find.
 
     python benchmarks/design.py            # UR10, ARID, a Panda; poses, positions, points, distances: some minutes
+    python benchmarks/design.py suspects   # what suspects cost where there are none, and gain where they are
     python benchmarks/design.py bound      # what no choice for the first of these can be better than
     python benchmarks/design.py series-b   # the real UR10: 100 of its own rows, chosen and at random; needs ../shared/data
 
@@ -30,6 +31,7 @@ from aridcal.planning.exchange import best_choice, exchanged, rms_sigma, worst_s
 from aridcal.planning.refine import Refined, refined
 from aridcal.planning.region import region_readings
 from aridcal.planning.suspects import with_usual_effects
+from aridcal.planning.telling import rows_of
 from aridcal.result.outcome import errors
 from aridcal.result.pipeline import identify
 from aridcal.robot.chain import load_robot
@@ -107,6 +109,29 @@ def _near(known: Beforehand, n: int, region: np.ndarray, rng: np.random.Generato
     return float(np.sqrt(few.cost(best_choice(few, n, rng)) / least))
 
 
+def suspects() -> None:
+    """What a plan for constants costs where effects are, and one for suspects where there are none; as shares of random ones."""
+    for arm, kind, n, noise, more in (CASES[0], CASES[2], CASES[3]):
+        with tempfile.TemporaryDirectory() as folder:
+            made = campaign(Path(folder), arm, kind, noise, more)
+            bare, rng = beforehand(made, load_robot(made.robot.urdf, made.robot.tip)), np.random.default_rng(0)
+            candidates = draw_candidates(bare, POOL, n, rng)
+            region = region_readings(bare, None, rng)
+            asked = [
+                (k, *question(k, Asked(n), candidates, region)) for k in (bare, with_usual_effects(bare, candidates))
+            ]
+        for title, (known, choice, of) in zip(("constants alone", "usual suspects"), asked, strict=True):
+            chosen = best_choice(choice, n, rng)
+            best = refined(known, of, choice, Refined(candidates.some(chosen), choice.rows[chosen]), rng)
+            shares = []
+            for other, judged, unknowns in asked:
+                random = [rms_sigma(judged, judged.information(rng.permutation(POOL)[:n])) for _ in range(RANDOM)]
+                M = replace(judged, rows=rows_of(other, unknowns, best.candidates)).information(range(n))
+                shares.append(rms_sigma(judged, M) / np.median(random))
+            told = f"{shares[0]:.3f} where there are constants alone, {shares[1]:.3f} where such effects are"
+            print(f"{arm}, {n} of {kind}, planned for {title}: {told}", flush=True)
+
+
 def bound() -> None:
     r"""How small a share of random choices' sigma any thirty poses of a UR10 can have, constants alone.
 
@@ -170,4 +195,4 @@ def final_rms(real: Campaign, table: pd.DataFrame, some: list[int]) -> str:
 
 
 if __name__ == "__main__":
-    {"": planned, "bound": bound, "series-b": series_b}["".join(sys.argv[1:])]()
+    {"": planned, "suspects": suspects, "bound": bound, "series-b": series_b}["".join(sys.argv[1:])]()

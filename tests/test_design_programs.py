@@ -165,8 +165,8 @@ def test_the_way_of_a_program_brings_joints_from_the_sides_that_are_said() -> No
     both = np.array([True, False, True, True, False, True])
     made = from_both_sides(readings, SIX, TURN, both, rng)
     path, own = [], []
-    for via, reading in zip(made.via, readings, strict=True):
-        if np.isfinite(via).all():
+    for via, needed, reading in zip(made.via, made.needed, readings, strict=True):
+        if needed:
             path.append(via)
         path.append(reading)
         own.append(len(path) - 1)
@@ -202,7 +202,8 @@ def test_joints_at_their_ends_come_from_inside() -> None:
 def test_a_plan_says_from_which_side_and_goes_that_way(tmp_path: Path) -> None:
     floor = "design: {keep_out: [{min: [-2, -2, -2], max: [2, 2, 0.02]}]}\n"
     path = written(tmp_path, PLAY + floor)
-    assert command.main([str(path), "-n", "12", "-o", str(tmp_path / "p.csv"), "-o", str(tmp_path / "p.yaml")]) == 0
+    out = [part for name in ("p.csv", "p.yaml", "p.script") for part in ("-o", str(tmp_path / name))]
+    assert command.main([str(path), "-n", "12", *out]) == 0
     table = pd.read_csv(tmp_path / "p.csv")
     assert list(table.columns[6:]) == ["elbow_joint_direction"] and table["elbow_joint_direction"].abs().eq(1).all()
     assert abs(table["elbow_joint_direction"].sum()) <= 2
@@ -212,6 +213,11 @@ def test_a_plan_says_from_which_side_and_goes_that_way(tmp_path: Path) -> None:
     sides = approach(np.array([point["positions"][elbow] for point in points]), 1e-6)
     own = [k for k, point in enumerate(points) if point["configuration"]]
     np.testing.assert_array_equal(sides[own], table["elbow_joint_direction"])
+    # who plans the ways itself is told of one before each that can be; others only where it takes one
+    before = [k - 1 for k in own if k and not points[k - 1]["configuration"]]
+    gap = [points[k + 1]["positions"][elbow] - points[k]["positions"][elbow] for k in before]
+    assert len(before) >= 10 and np.allclose(np.abs(gap), BACK_ANGLE)
+    assert (tmp_path / "p.script").read_text().count("movej") < len(points)
     made = load_campaign(path)
     known = beforehand(made, load_robot(made.robot.urdf, made.robot.tip))
     every = np.array([point["positions"] for point in points])
@@ -267,6 +273,9 @@ def test_python_plans_and_saves_what_the_command_does(tmp_path: Path) -> None:
     assert (tmp_path / "a.csv").read_bytes() == (tmp_path / "b.csv").read_bytes()
     assert "sleep(2.000)" in (tmp_path / "poses.script").read_text()
     pd.testing.assert_frame_equal(pd.read_csv(tmp_path / "a.csv"), poses.table, check_dtype=False)
+    rows = robots.simulate(robots.ur10(), 40, np.random.default_rng(3), noise=1e-4)
+    of_frame = load_campaign(path).with_tables([robots.table(rows)])
+    assert aridcal.plan(of_frame, 4).design.measured > 20  # its rows are in no file
     assert poses.sigma["n"].tolist() == [1, 2, 5, 10] and "5 configurations" in repr(poses)
     for wrong, said in [
         (lambda: aridcal.plan(path, 0), "n: should be"),
@@ -279,3 +288,20 @@ def test_python_plans_and_saves_what_the_command_does(tmp_path: Path) -> None:
         with pytest.raises(aridcal.AridcalError, match=said):
             wrong()
     assert not (tmp_path / "c.csv").exists()
+
+
+def test_rows_measured_from_both_sides_are_added_to(tmp_path: Path) -> None:
+    """Columns of directions in the table, written as the campaign calls them, come back in the plan."""
+    rng = np.random.default_rng(3)
+    table = robots.table(robots.simulate(robots.ur10(), 40, rng, noise=1e-4))
+    (tmp_path / "robot.urdf").write_bytes(robots.ur10().urdf)
+    table.assign(side=rng.choice([-1, 1], 40)).to_csv(tmp_path / "m.csv", index=False)
+    path = tmp_path / "c.yaml"
+    block = "{kind: pose, file: m.csv, columns: {elbow_joint_direction: side}}"
+    path.write_text(
+        f"format: 1\nrobot: {{urdf: robot.urdf, tip: {robots.ur10().tip}}}\nmeasurements: {block}\n"
+        f"diagnosis: {{enabled: false}}\n{PLAY}"
+    )
+    plan = aridcal.plan(path, 6)
+    assert list(plan.table.columns[6:]) == ["side"] and plan.table["side"].sum() == 0
+    assert 20 < plan.design.measured <= 40 and plan.design.via.shape == (6, 6)

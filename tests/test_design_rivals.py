@@ -21,6 +21,7 @@ from aridcal.planning.design import Asked, design
 from aridcal.planning.rivals import Duel, duel_lines
 from aridcal.planning.suspects import with_pair
 from aridcal.planning.telling import so_far, told, whitened
+from aridcal.report.plan_page import plan_page
 from aridcal.result.pipeline import identify
 from aridcal.robot.chain import load_robot
 
@@ -123,7 +124,21 @@ def test_expected_evidence_is_what_a_fit_of_the_rival_leaves(tmp_path: Path) -> 
     duel = next(d for d in plan.duels if "compliance" in d.true and "joint_gain" in d.rival)
     assert duel.after == pytest.approx(beaten @ beaten / 2, rel=0.02)
     before = left(flat[:, own] * fitted, flat[:, [*constants, other]])
-    assert duel.before == pytest.approx(before @ before / 2, rel=0.02)
+    assert duel.before == pytest.approx(before @ before / 2, rel=0.02) and duel.shown
+
+
+def test_an_effect_that_no_row_shows_is_taken_for_one_that_they_would(tmp_path: Path) -> None:
+    """Rows of an arm without any: what is expected is a condition, and said to be one."""
+    path, rng = path_of(tmp_path), np.random.default_rng(3)
+    readings = POSTURE + rng.uniform(-0.3, 0.3, (40, 6))
+    known, theta = bent(path, readings, NOISE)
+    table_of(known, 0 * theta, readings, rng).to_csv(tmp_path / "rows.csv", index=False)
+    plan = design(known_of(path), Asked(8, apart=PAIR))
+    page = plan_page(plan, known.robot, "c.yaml")
+    assert "They are to tell two effects apart" in page and "will be named, if it is four sigmas large" in page
+    assert "random ones" not in page  # chosen for something else
+    duels = plan.duels
+    assert not any(duel.shown for duel in duels) and min(duel.after for duel in duels[:2]) > 15
 
 
 def test_the_choice_is_the_best_by_every_single_exchange() -> None:
@@ -156,7 +171,8 @@ def test_what_is_expected_is_said_of_the_nearest_rival() -> None:
     duels = (Duel("a", "b", 1.0, 90.0), Duel("a", "c", 2.0, 20.0), Duel("b", "a", 0.5, 4.0))
     lines = duel_lines(duels)
     assert len(lines) == 2 and "b is behind by 1.0" in lines[0] and "c, the nearest, by 20.0: will be named" in lines[0]
-    assert "may be taken for it still" in lines[1]
+    assert "may be taken for it still (" in lines[1]
+    assert "which the rows so far do not show" in duel_lines((Duel("a", "b", 1.0, 90.0, shown=False),))[0]
 
 
 def test_two_criteria_at_once_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -18,16 +18,18 @@ class Approaches:
 
     Attributes:
         sides: -1 where a joint comes from above, 1 from below, 0 where it does not move, shape (n, columns).
-        via: Readings by way of which each is come to, shape (n, columns); NaN where none is needed.
+        via: Readings by way of which each is come to, shape (n, columns); NaN where there are none.
+        straight: True where all joints move so by themselves, on a straight way in joints from the configuration before, (n,).
     """
 
     sides: np.ndarray
     via: np.ndarray
+    straight: np.ndarray
 
     @property
     def needed(self) -> np.ndarray:
-        """True where a point on the way is needed, shape (n,)."""
-        return np.asarray(np.isfinite(self.via).all(axis=1))
+        """True where a point on the way is needed, if the way there is straight in joints, shape (n,)."""
+        return np.asarray(np.isfinite(self.via).all(axis=1) & ~self.straight)
 
 
 def still_of(kinds: tuple[str, ...]) -> np.ndarray:
@@ -76,10 +78,9 @@ def from_both_sides(
     via = np.clip(readings - np.where(both, sides * back, 0.0), *limits.T)
     before = np.vstack([np.full(readings.shape[1], np.nan), readings[:-1]])
     on_the_way = sides * (readings - before) >= back  # it comes from that side by itself, from far enough
-    via[on_the_way[:, both].all(axis=1)] = np.nan
     if not both.any():
         via[:] = np.nan
-    return Approaches(sides, via)
+    return Approaches(sides, via, on_the_way[:, both].all(axis=1))
 
 
 def _paired(reading: np.ndarray, natural: np.ndarray, room: np.ndarray, rng: np.random.Generator) -> np.ndarray:

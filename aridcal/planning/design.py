@@ -61,7 +61,8 @@ class Plan:
 
     Attributes:
         readings: In the order in which to visit them, shape (n, columns), [rad] or [m].
-        via: By way of which readings to come to each, so that joints come from the side that is meant; NaN where none is needed.
+        via: By way of which readings to come to each, so that joints come from the side that is meant; NaN where there are none.
+        straight: True where the way from the one before does that by itself, if it is straight in joints, shape (n,).
         labels: What each measures, by column.
         directions: From which side joints come, -1 or 1, by the joint's name, for those of which it matters.
         sigma: Against the number of configurations, the best ones first; with two effects to be told apart what these do to the
@@ -77,6 +78,7 @@ class Plan:
 
     readings: np.ndarray
     via: np.ndarray
+    straight: np.ndarray
     labels: dict[str, np.ndarray]
     directions: dict[str, np.ndarray]
     sigma: tuple[Sigma, ...]
@@ -87,6 +89,11 @@ class Plan:
     notices: tuple[str, ...]
     duels: tuple[Duel, ...]
     coverage: Coverage
+
+    @property
+    def by_way(self) -> np.ndarray:
+        """True where programs go by way of a point, shape (n,)."""
+        return np.asarray(np.isfinite(self.via).all(axis=1) & ~self.straight)
 
     @property
     def titles(self) -> tuple[str, ...]:
@@ -155,6 +162,7 @@ def design(known: Beforehand, asked: Asked, progress: Progress = SILENT) -> Plan
     return Plan(
         readings=visited.readings,
         via=approaches.via,
+        straight=approaches.straight,
         labels={name: np.array([title[name] for title in titles]) for name in titles[0]},
         directions={known.robot.readings[j]: approaches.sides[:, j] for j in both},
         sigma=tuple(sigma_of(more, order[:count]) for count in sorted(counts)),
@@ -198,9 +206,10 @@ def _visits(
     visited = best.some(short_order(best.readings))
     natural = as_they_come(visited.readings, robot.kinds)
     approaches = from_both_sides(visited.readings, robot.kinds, robot.limits, both_sides(known), rng)
-    number = np.flatnonzero(approaches.needed)
+    number = np.flatnonzero(np.isfinite(approaches.via).all(axis=1))
     blocked = number[~allowed(known, approaches.via[number], visited.first[number])]
     approaches.via[blocked] = np.nan
+    blocked = blocked[~approaches.straight[blocked]]
     approaches.sides[blocked] = natural[blocked]
     visited = replace(visited, sides=approaches.sides)
     if not len(blocked):

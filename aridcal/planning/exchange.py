@@ -25,11 +25,11 @@ import numpy as np
 
 Criterion = Literal["A", "D", "G"]
 
-ASKED, FEWEST_PASSES = 600, 2
+ASKED, FEWEST_PASSES = 600, 1
 """Times that a member of a choice is asked whether another is better, and passes through all of them at the least: four or five
 passes are usual for thirty; of hundreds, each matters less."""
 
-STARTS, FEW = 3, 60
+STARTS, FEW = 3, 40
 """Choices that exchanges begin with where few are wanted: the greedy one and random ones, which end within a per cent of each
 other; and up to how many that is. More begin with the greedy one alone."""
 

@@ -208,11 +208,14 @@ def _moveit(made: Moves, stem: str) -> Iterator[str]:
     yield yaml.safe_dump(document, sort_keys=False, default_flow_style=None, width=10_000, allow_unicode=True).rstrip()
 
 
+WAYPOINTS = ".yaml"
+"""Ending of the only one whose reader plans the ways itself."""
+
 LANGUAGES: dict[str, tuple[str, int | None, Callable[[Moves, str], Iterator[str]]]] = {
     ".script": ("URScript", 0, _urscript),
     ".src": ("KRL", AXES, _krl),
     ".mod": ("RAPID", AXES, _rapid),
-    ".yaml": ("YAML", None, _moveit),
+    WAYPOINTS: ("YAML", None, _moveit),
 }
 """By the ending of a file's name: the language, how many external axes it has beside an arm's six (None: any arm), and what
 writes it."""

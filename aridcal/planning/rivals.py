@@ -64,12 +64,14 @@ class Duel:
         rival: What is fitted instead.
         before: Nats by which the rival is expected to be behind, by the rows so far.
         after: The same with the planned ones.
+        shown: False where the rows so far show less of the effect than is ever named: it was taken for larger.
     """
 
     true: str
     rival: str
     before: float
     after: float
+    shown: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,6 +84,7 @@ class _Side:
         weight: theta theta', shape (own, own).
         title: What the effect and its rival are called.
         owner: Which of the two effects each is, 0 or 1; 2 for a rival that is neither.
+        shown: See :class:`Duel`.
     """
 
     columns: np.ndarray
@@ -89,6 +92,7 @@ class _Side:
     weight: np.ndarray
     title: tuple[str, str]
     owner: tuple[int, int]
+    shown: bool = True
 
     def power(self, covariance: np.ndarray) -> np.ndarray:
         """Non-centrality by covariances of all columns, (..., D, D) to (...)."""
@@ -137,13 +141,13 @@ def telling_apart(
     pool = np.einsum("cpi,cpj->ij", rows, rows, optimize=True) * (3.0 * n / len(rows))
     sides = []
     for h in (k for k, side in enumerate(owner) if side < 2):
-        weight = _expected(base, parts[h], information, flat.T @ residual)
+        weight, shown = _expected(base, parts[h], information, flat.T @ residual)
         for r, part in enumerate(parts):
             rest = [k for k in part if k not in parts[h]]
             if owner[r] == owner[h] or not rest:
                 continue
             columns = np.concatenate([base, rest, parts[h]]).astype(int)
-            made = _Side(columns, len(parts[h]), weight, (every[h].label, every[r].label), (owner[h], owner[r]))
+            made = _Side(columns, len(parts[h]), weight, (every[h].label, every[r].label), (owner[h], owner[r]), shown)
             if owner[r] < 2 or _power(made, information + pool) > HOPELESS:
                 sides.append(made)
     chosen, taken = [], [side for side in sides if side.owner[1] < 2]
@@ -155,7 +159,8 @@ def telling_apart(
             break
         taken += more
     F = rows[chosen].reshape(-1, rows.shape[2])
-    duels = [Duel(*s.title, _power(s, information) / 2, _power(s, information + F.T @ F) / 2) for s in taken]
+    then = information + F.T @ F
+    duels = [Duel(*s.title, _power(s, information) / 2, _power(s, then) / 2, s.shown) for s in taken]
     return chosen, tuple(duels)
 
 
@@ -166,9 +171,10 @@ def duel_lines(duels: Sequence[Duel]) -> list[str]:
         own = [duel for duel in duels if duel.true == true]
         before, after = min(own, key=lambda d: d.before), min(own, key=lambda d: d.after)
         verdict = "will be named" if after.after >= CLEAR / 2 else "may be taken for it still"
+        size = "" if after.shown else ", if it is four sigmas large, which the rows so far do not show"
         lines.append(
             f"if {true} is there, {before.rival} is behind by {before.before:.1f} nats so far, and with the planned rows "
-            f"{after.rival}, the nearest, by {after.after:.1f}: {verdict} (the search asks for 3)"
+            f"{after.rival}, the nearest, by {after.after:.1f}: {verdict}{size} (the search asks for 3)"
         )
     return lines
 
@@ -205,15 +211,17 @@ def _library(
     ]
 
 
-def _expected(base: np.ndarray, own: Sequence[int], information: np.ndarray, pull: np.ndarray) -> np.ndarray:
-    """Theta theta' of an effect as the rows so far have it, at least so large that they show it; see :data:`LEAST`."""
+def _expected(
+    base: np.ndarray, own: Sequence[int], information: np.ndarray, pull: np.ndarray
+) -> tuple[np.ndarray, bool]:
+    """Theta theta' of an effect as the rows so far have it, or so large that they would show it; and whether they do."""
+    if not pull.any():
+        return EXPECTED**2 * np.eye(len(own)), True
     columns = np.concatenate([base, own]).astype(int)
     covariance = np.linalg.inv(information[np.ix_(columns, columns)])
-    if not pull.any():
-        return np.asarray(EXPECTED**2 * np.eye(len(own)))
     theta = (covariance @ pull[columns])[-len(own) :]
     shown = float(theta @ np.linalg.solve(covariance[-len(own) :, -len(own) :], theta))
-    return np.outer(theta, theta) * max(1.0, LEAST / max(shown, 1e-300))
+    return np.outer(theta, theta) * max(1.0, LEAST / max(shown, 1e-300)), shown >= LEAST
 
 
 def _power(side: _Side, information: np.ndarray) -> float:

@@ -69,7 +69,10 @@ def plan_page(plan: Plan, robot: Robot, title: str) -> Html:
 def _summary(plan: Plan) -> Iterator[Content]:
     """The plan's figure beside chance's, and what was assumed."""
     at = plan.at_n
-    if np.isnan(at.rms):
+    if plan.duels:
+        yield tag("p", "They are to tell two effects apart, and each from whatever else could stand in its place:")
+        yield bullets(duel_lines(plan.duels))
+    elif np.isnan(at.rms):
         yield tag("p", "So few rows do not tell where the target is: some of the unknowns stay as they were assumed.")
     else:
         chance = (
@@ -92,14 +95,15 @@ def _how_many(plan: Plan) -> Iterator[Content]:
     against = plan.coverage.against
     at = np.array([s.n for s in against])
     n = len(plan.readings)
+    what = "what the two effects do to the target" if plan.duels else "the target"
     lines = {
         "three axes": 1e3 * np.array([s.rms for s in against]),
         "worst direction": 1e3 * np.array([s.worst for s in against]),
     }
     if not np.isnan(plan.at_n.rms):
-        labels = ("new configurations", "σ of the target [mm]")
+        labels = ("new configurations", "σ [mm]")
         picture = falling("sigma", "Sigma of the target against the number of configurations", at, lines, labels)
-        yield figures([("Uncertainty of the target over the region, the best configurations first", picture)])
+        yield figures([(f"Uncertainty of {what} over the region, the best configurations first", picture)])
     rows = [[_count(s.n, n), _mm(s.rms), _mm(s.worst)] for s in plan.sigma]
     yield table(
         ["new configurations", "three axes, RMS", "worst direction, worst place"], rows, "Predicted σ of the target"
@@ -143,7 +147,7 @@ def _where(plan: Plan, robot: Robot) -> Iterator[Content]:
         [j.name, range_in_words(j.limits, j.kind), range_in_words(j.seen, j.kind), f"{100 * j.measured:.0f} %"]
         for j in ranges
     ]
-    yield table(["joint", "limits", "planned", "share covered"], rows, "Ranges of the joints")
+    yield table(["joint", "limits", "planned", "share covered, of a turn at most"], rows, "Ranges of the joints")
 
 
 def _telling(plan: Plan) -> Iterator[Content]:
@@ -153,9 +157,6 @@ def _telling(plan: Plan) -> Iterator[Content]:
         "Observability indices of frames and constants, in σ per m and rad (Sun and Hollerbach 2008); larger is better"
     )
     yield table(["index", "what it is", "value"], rows, caption, numbers=2)
-    if plan.duels:
-        yield tag("h3", "Two effects told apart")
-        yield bullets(duel_lines(plan.duels))
     seen = plan.coverage
     if not seen.suspects:
         yield tag("p", "No effect beyond constants was planned for; those that `effects` of the campaign declares are.")
@@ -189,7 +190,7 @@ def _one_by_one(plan: Plan, robot: Robot) -> Iterator[Content]:
         loss = seen.loss[k]
         telling = [i for i in np.argsort(-loss, kind="stable")[:NAMED] if loss[i] > TELLING * usual[i]]
         words = ", ".join(f"{seen.suspects[i]} ({_percent(loss[i])})" for i in telling)
-        way = ["a point before it" if np.isfinite(plan.via[k]).all() else "straight"] if plan.directions else []
+        way = ["a point before it" if plan.by_way[k] else "straight"] if plan.directions else []
         lines.append([str(k + 1), *joints, *([titles[k]] if titles else []), *way, words or "the geometry"])
     yield table(head, lines, "In the order of the visits", numbers=len(head))
     yield tag(
