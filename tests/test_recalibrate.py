@@ -276,6 +276,22 @@ def test_the_folder_says_where_it_comes_from_and_can_be_used_at_once(results, tm
     np.testing.assert_allclose(pd.read_csv(back)[list(NAMES)], asked[list(NAMES)], atol=1e-6)
 
 
+def test_rows_marked_test_are_scored_and_never_fitted(results, tmp_path, capsys):
+    """Whatever they say, the repair is the same; and their error is stated apart."""
+    table = pd.read_csv(new_rows(tmp_path / "new.csv", jump(2, 1e-3))).assign(split=["test"] * 3 + ["train"] * 7)
+    found = {}
+    for name, shift in (("as they are", 0.0), ("elsewhere", 0.01)):
+        table.assign(x=table["x"] + shift * (table["split"] == "test")).to_csv(tmp_path / "split.csv", index=False)
+        assert main(["recalibrate", str(results), str(tmp_path / "split.csv"), "-o", str(tmp_path / name)]) == 0
+        assert "on 3 held-out rows" in capsys.readouterr().out
+        found[name] = json.loads((tmp_path / name / "result.json").read_text())
+    one, other = found.values()
+    assert one["moved"] == other["moved"] and one["parameters"] == other["parameters"]
+    errors = [result["error"]["after"]["test"]["position_mm"]["rms"] for result in (one, other)]
+    assert errors[0] < 0.2 and errors[1] == pytest.approx(10.0, rel=0.03)
+    assert one["lineage"]["rows"]["used"] == list(range(5, 12))
+
+
 def test_python_checks_and_mends_as_the_commands_do(results, tmp_path, capsys):
     csv = new_rows(tmp_path / "new.csv", jump(2, 1e-3))
     loaded = aridcal.load(results)
