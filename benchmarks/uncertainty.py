@@ -134,13 +134,13 @@ def machine(case: Case, rng: np.random.Generator) -> Machine:
     return Machine(model, np.concatenate([rng.normal(0.0, 1e-3, len(own)), [value for _, value in effects]]))
 
 
-def measure(case: Case, made: Machine, rng: np.random.Generator, jitter: float = 0.0) -> Dataset:
-    """Rows with noise, which is declared; the joints stand beside their readings by a jitter, [rad]."""
+def measure(case: Case, made: Machine, rng: np.random.Generator, jitter: float | None = None) -> Dataset:
+    """Rows with noise, which is declared; the joints stand beside their readings by a jitter, [rad], if there is one."""
     q = robots.readings(made.model.robot, case.rows, rng, INSIDE)
     station = None
     if case.stations > 1:
         station = np.array([f"s{k % case.stations}" for k in range(case.rows)])
-    real = q + jitter * rng.normal(size=q.shape)
+    real = q if jitter is None else q + jitter * rng.normal(size=q.shape)
     R, p = made.model.poses(made.theta, made.model.rows(real, None, station))
     p = p + NOISE * rng.normal(size=p.shape)
     R = Rotation.from_rotvec(NOISE * rng.normal(size=p.shape)).as_matrix() @ R
