@@ -26,6 +26,7 @@ from aridcal.drawing.as_tables import (
 )
 from aridcal.drawing.html import tag
 from aridcal.drawing.scene import write_scene
+from aridcal.drawing.shown import DECIMALS, Verified, headline
 from aridcal.errors import AridcalError, MeasurementError, shortened
 from aridcal.identify import VERDICTS
 from aridcal.inputs.query import Query
@@ -47,12 +48,6 @@ from aridcal.writing.files import atomic_file
 
 SHOWN_REMARKS = 5
 """Remarks that are shown: notices of a calibration, rows that a warning names."""
-
-HEADLINE = ("rms", "p95", "max")
-"""Statistics of an error that a calibration shows of itself; of all quantities but the first only one."""
-
-DECIMALS = "{:.3f}".format
-"""How errors are shown, to 1 µm and 1 µrad."""
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -298,7 +293,7 @@ class Calibration:
     def _headline(self) -> pd.DataFrame:
         """Each model's error on the rows that count: those held out, if there are any."""
         part = "test" if self._figures(lambda result: result["n"]["test"]) else "train"
-        return _headline(self.errors[self.errors.index.get_level_values("rows") == part].droplevel("rows"))
+        return headline(self.errors[self.errors.index.get_level_values("rows") == part].droplevel("rows"))
 
     @property
     def _remarks(self) -> list[str]:
@@ -363,34 +358,6 @@ class Calibration:
         return self.outcome
 
 
-@dataclass(frozen=True, repr=False, eq=False)
-class Verified:
-    """Another day's measurements, scored with models that have never seen them.
-
-    Attributes:
-        file: Where they came from.
-        rows: How many.
-        outliers: How many of them were left out: grossly off even with the frames fitted anew.
-        errors: Of each model, and of the last with both frames fitted anew (``realigned``), [mm] and [mrad].
-    """
-
-    file: str
-    rows: int
-    outliers: int
-    errors: pd.DataFrame
-
-    def __repr__(self) -> str:
-        return f"{self._title}\n{_headline(self.errors).to_string(float_format=DECIMALS)}"
-
-    def _repr_html_(self) -> str:
-        return f"{tag('p', self._title)}{_headline(self.errors).to_html(float_format=DECIMALS, border=0)}"
-
-    @property
-    def _title(self) -> str:
-        left_out = f", {self.outliers} gross outliers left out" if self.outliers else ""
-        return f"{self.file}: {self.rows} rows of another day{left_out}"
-
-
 def _remarks(result: dict[str, Any]) -> list[str]:
     verdict = result["verdict"]
     effects = ", ".join(f"{effect['kind']} at {effect['where']}" for effect in result["effects"])
@@ -401,13 +368,6 @@ def _remarks(result: dict[str, Any]) -> list[str]:
 def _text(path: Path) -> str:
     """A file of a result folder."""
     return decode(read_file(path, AridcalError, RESULT), path, AridcalError)
-
-
-def _headline(table: pd.DataFrame) -> pd.DataFrame:
-    """The columns of a table of errors that fit on a screen."""
-    names = [str(name) for name in table if "_rms_" in str(name)]
-    first, *others = names
-    return table[[*(first.replace("_rms_", f"_{each}_") for each in HEADLINE), *others]].rename_axis(None)
 
 
 def _frame(table: AnyTable) -> pd.DataFrame:

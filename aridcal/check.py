@@ -40,13 +40,13 @@ from aridcal.planning.design import joint_table
 from aridcal.planning.travel import short_order
 from aridcal.reading.names import path_argument
 from aridcal.result.outcome import enumerated
-from aridcal.result.predict import ENDINGS, write_table
 from aridcal.result.saved_model import SavedModel
 from aridcal.upkeep.answers import check_lines
 from aridcal.upkeep.checking import Checked, check
 from aridcal.upkeep.new_rows import read_new_rows
 from aridcal.upkeep.repair import changes
 from aridcal.writing.files import atomic_file, check_home, claimed
+from aridcal.writing.tables import ENDINGS, write_table
 
 
 @dataclass(frozen=True, repr=False, eq=False)

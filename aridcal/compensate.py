@@ -41,11 +41,12 @@ from aridcal.errors import OutputError
 from aridcal.inputs.query import Query, Remarks
 from aridcal.reading.names import path_argument
 from aridcal.result.compensate import Trajectory, compensate, correction_table
-from aridcal.result.predict import ENDINGS, read_queries, table_file, write_table
+from aridcal.result.predict import read_queries
 from aridcal.result.saved_model import SavedModel
 from aridcal.result.stretches import Stretch
 from aridcal.showing import told_on
 from aridcal.writing.files import atomic_file, check_home, claimed
+from aridcal.writing.tables import ENDINGS, table_file, write_table
 
 SHOWN_REMARKS = 5
 

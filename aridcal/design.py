@@ -49,10 +49,10 @@ from aridcal.planning.programs import LANGUAGES, WAYPOINTS, check_program, moves
 from aridcal.planning.rivals import duel_lines
 from aridcal.reading.names import path_argument
 from aridcal.report.plan_page import plan_page
-from aridcal.result.predict import ENDINGS, write_table
 from aridcal.robot.chain import Robot, load_robot
 from aridcal.showing import told_on
 from aridcal.writing.files import atomic_file, check_home, claimed
+from aridcal.writing.tables import ENDINGS, write_table
 
 PAGE = ".html"
 WRITTEN = (*ENDINGS, *LANGUAGES, PAGE)

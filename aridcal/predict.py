@@ -29,10 +29,11 @@ from aridcal.command_line import CommandParser, command_parser, run
 from aridcal.errors import OutputError
 from aridcal.inputs.query import Query, Remarks
 from aridcal.reading.names import path_argument
-from aridcal.result.predict import ENDINGS, predict, read_queries, table_file
+from aridcal.result.predict import predict, read_queries
 from aridcal.result.saved_model import SavedModel
 from aridcal.showing import told_on
 from aridcal.writing.files import atomic_file, check_home, claimed
+from aridcal.writing.tables import ENDINGS, table_file
 
 SHOWN_REMARKS = 5
 

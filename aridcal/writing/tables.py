@@ -1,0 +1,55 @@
+"""Tables as files: csv or parquet, whole or a stretch at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet
+
+ENDINGS = (".csv", ".parquet")
+
+
+def write_table(table: pd.DataFrame, path: Path) -> None:
+    """Write csv or parquet, by the name's ending; every float with the digits that give it back exactly."""
+    with table_file(path) as write:
+        write(table)
+
+
+@contextmanager
+def table_file(path: Path) -> Iterator[Callable[[pd.DataFrame], None]]:
+    """Write csv or parquet, by the name's ending, a stretch at a time; every float with the digits that give it back exactly.
+
+    Yields:
+        To be called with the rows of each stretch; all have the columns of the first.
+    """
+    if path.suffix.lower() == ".parquet":
+        with _Parquet(path) as parquet:
+            yield parquet.write
+        return
+    with path.open("w", encoding="utf-8", newline="") as file:
+
+        def write(table: pd.DataFrame) -> None:
+            words = {str(name): table[name].map({True: "true", False: "false"}) for name in table.select_dtypes(bool)}
+            table.assign(**words).to_csv(file, index=False, header=not file.tell(), float_format="%.17g")
+
+        yield write
+
+
+class _Parquet(ExitStack):
+    """A parquet file that grows; the first stretch decides the types of its columns."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__()
+        self._path = path
+        self._file: pa.parquet.ParquetWriter | None = None
+
+    def write(self, table: pd.DataFrame) -> None:
+        """Append rows."""
+        if self._file is None:
+            schema = pa.Schema.from_pandas(table, preserve_index=False)
+            self._file = self.enter_context(pa.parquet.ParquetWriter(self._path, schema, compression="snappy"))
+        self._file.write_table(pa.Table.from_pandas(table, self._file.schema, preserve_index=False, safe=False))
