@@ -449,7 +449,7 @@ def test_a_section_that_fails_is_a_line_and_the_rest_of_the_report_stands(
     outcome: Outcome, handover: Handover, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole = page.page(outcome, handover)
-    monkeypatch.setattr("aridcal.report.fit_section._iso_9283", fails(ZeroDivisionError("oops")))
+    monkeypatch.setattr("aridcal.report.fit_section._axis_table", fails(ZeroDivisionError("oops")))
     notices = page.write_report(outcome, handover, tmp_path / "report.html")
     text = (tmp_path / "report.html").read_text("utf-8")
     assert len(notices) == 1
