@@ -13,7 +13,8 @@ import robots
 from aridcal import design as command
 from aridcal.errors import AridcalError, CampaignError, MeasurementError
 from aridcal.fit.stages import fit_geometry
-from aridcal.inputs.campaign import Box, Campaign, load_campaign
+from aridcal.inputs.campaign import Campaign, load_campaign
+from aridcal.inputs.purposes import Box
 from aridcal.inputs.read import load_measurements
 from aridcal.planning import design as planning
 from aridcal.planning.beforehand import Beforehand, beforehand

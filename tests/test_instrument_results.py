@@ -445,7 +445,18 @@ def test_the_report_has_all_sections_and_nothing_is_missing_or_not_a_number(name
     assert written(name)[1] == ()
     report = drawn(name)
     sections = html.fromstring(report).xpath("//section/@id")
-    assert sections == ["data", "separable", "enough", "fits", "depends", "remains", "instruments", "parameters", "use"]
+    assert sections == [
+        "data",
+        "separable",
+        "enough",
+        "fits",
+        "depends",
+        "remains",
+        "iso",
+        "instruments",
+        "parameters",
+        "use",
+    ]
     assert not re.search(r"\bnan\b|\binf\b", text(report))
     assert "Consistency is not accuracy" in text(report, '//section[@id="instruments"]')
     ids = html.fromstring(report).xpath("//@id")

@@ -15,12 +15,13 @@ import pinocchio as pin
 import yaml
 from scipy.spatial.transform import Rotation
 
-from aridcal.effects.catalogue import KINDS, is_of_head
+from aridcal.effects.catalogue import is_of_head
 from aridcal.effects.effect import FRAME_COMPONENTS, Coefficient
 from aridcal.effects.loads import Surroundings
 from aridcal.effects.sights import Sights
 from aridcal.errors import CampaignError, MeasurementError, nearest
 from aridcal.head.render import Optics
+from aridcal.inputs.campaign import DiagnosisSettings
 from aridcal.inputs.head_settings import HeadSettings, load_squares
 from aridcal.inputs.quantities import POSITION, QUATERNION, column_of
 from aridcal.inputs.yaml_file import load_settings
@@ -302,7 +303,7 @@ def write_campaign(simulation: Simulation, folder: Path, home: Path, progress: P
         else:
             block["head"] = _write_shots(simulation, scenario.measurements.head, folder, home)
     keys["measurements"] = blocks if scenario.listed else blocks[0]
-    if keys.get("diagnosis", {}).get("candidates") == list(KINDS):
+    if keys.get("diagnosis", {}).get("candidates") == list(DiagnosisSettings().candidates):
         keys["diagnosis"]["candidates"] = "all"
     text = yaml.safe_dump(keys, sort_keys=False, allow_unicode=True, default_flow_style=None, width=120)
     first_line = f"# Made by `aridcal simulate {scenario.path.name}`; the truth is in truth.json.\n"

@@ -194,6 +194,7 @@ def _diagnosed(
         progress(f"fitting all {len(train)} rows")
         current = _widened(replace(every, limit=limits(train)), found.state, current)
     confounded = twins(place.linear, named, found.state, progress)
+    place.linear.products.forget()
     stated = [a.effect for a in found.state.active if a.stated]
     return Diagnosed(current, place.at, place.linear, observed, found, confounded, tuple(stated), tuple(barred))
 

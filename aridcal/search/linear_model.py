@@ -139,16 +139,6 @@ class LinearModel:
         slots = [k for e in effects for k in self._index(e)[0]]
         return self.seen(self.G[:, :, slots] * self._bases_of(effects)[:, None, :])
 
-    def in_order(self, of: str, order: np.ndarray, member: Effect | None) -> np.ndarray:
-        """Columns of what is, or was, in the model (None: the constants), rows in the order of a covariate, shape (N, m, d)."""
-        if (of, member) not in self._ordered:
-            self._ordered[of, member] = (self.A if member is None else self.columns(member))[order]
-        return self._ordered[of, member]
-
-    @cached_property
-    def _ordered(self) -> dict[tuple[str, Effect | None], np.ndarray]:
-        return {}
-
     def made_of(self, effect: Effect, beta: np.ndarray) -> np.ndarray:
         """What an effect does with coefficients of shape (d,), shape (N, m), before unknown things take up a part."""
         slots, phi = self._index(effect)[0], self._bases_of([effect])

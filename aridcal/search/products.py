@@ -22,8 +22,11 @@ from aridcal.instruments.channels import Channels, columns
 CHUNK = 128
 """Columns that are multiplied at once: their Gram matrix stays in the cache."""
 
-KEPT = 2**24
-"""Numbers of the library's columns that are kept, 128 MB; the columns of further candidates are made again when needed."""
+KEPT = 2**23
+"""Numbers of the library's columns that are kept, 64 MB; the columns of further candidates are made again when needed."""
+
+MEMBERS = 24
+"""Effects of which all products are kept, those in the model last: with 2,000 rows and 72 knots 20 MB each."""
 
 # Columns of effects side by side, shape (N, m, d), or of some of the rows.
 Make = Callable[[Sequence[Effect]], np.ndarray]
@@ -109,6 +112,8 @@ class Products:
         self._columns: dict[Effect | None, Flat] = {None: layout.flat(A)}
         self._between: dict[tuple[Effect | None, Effect | None], np.ndarray] = {}
         self._pull: dict[Effect | None, np.ndarray] = {}
+        self._ordered: dict[tuple[str, Effect | None], np.ndarray] = {}
+        self._known: dict[Effect, None] = {}
         self._place: dict[Effect, tuple[_Chunk, slice]] = {}
         self._kept = 0
         stretches = [layout.stretches(channel.size) for channel in layout.channels]
@@ -121,10 +126,49 @@ class Products:
         """Columns of effects side by side, in the order of the folds."""
         return self.layout.flat(self._make(effects))
 
+    def now_in_the_model(self, effects: Sequence[Effect]) -> None:
+        """Forget what was in the model longest ago, if more is kept than there is room for."""
+        for effect in effects:
+            self._known.pop(effect, None)
+            self._known[effect] = None  # now the last
+        for effect in list(self._known)[: max(len(self._known) - max(MEMBERS, len(effects)), 0)]:
+            self._forget(effect)
+
+    def forget(self) -> None:
+        """Keep nothing: no more is asked."""
+        for effect in list(self._known):
+            self._forget(effect)
+        self._place.clear()
+        self._kept = 0
+
+    def _forget(self, effect: Effect) -> None:
+        del self._known[effect]
+        self._columns.pop(effect, None)
+        self._pull.pop(effect, None)
+        for key in [key for key in self._between if effect in key]:
+            del self._between[key]
+        for name in [key for key in self._ordered if key[1] == effect]:
+            del self._ordered[name]
+        for chunk in self._chunks():
+            chunk.across.pop(effect, None)
+
+    def _chunks(self) -> list[_Chunk]:
+        return list({id(chunk): chunk for chunk, _ in self._place.values()}.values())
+
+    def in_order(self, of: str, order: np.ndarray, member: Effect | None) -> np.ndarray:
+        """Columns of what is in the model, rows in another order, that of a covariate, shape (N, m, d); they are kept."""
+        if (of, member) not in self._ordered:
+            place = np.argsort(self.layout.order)[order]
+            N = len(order)
+            parts = [x.reshape(N, -1, x.shape[1])[place] for x in self.columns(member)]
+            self._ordered[of, member] = np.concatenate(parts, axis=1)
+        return self._ordered[of, member]
+
     def columns(self, of: Effect | None) -> Flat:
         """Columns of an effect that is, or was, in the model (None: of the constants); they are kept."""
         if of not in self._columns:
             assert of is not None
+            self._known[of] = None
             self._columns[of] = self.flat([of])
         return self._columns[of]
 

@@ -176,6 +176,7 @@ def solve_state(
         used: Rows to begin with, shape (N,) bool.
         fixed: Keep to these rows: what is compared with another model must be solved on the same ones.
     """
+    model.products.now_in_the_model([a.effect for a in active])
     every = _of_all_rows(model, active)
     precision = block_diag(model.gauge, *(a.precision for a in active))
     sound = used
