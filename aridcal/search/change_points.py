@@ -186,7 +186,7 @@ class _Scan:
         order = np.argsort(model.table[of], kind="stable")
         used = state.used[order]
         g = model.G[:, :, list(own)][order] * (used[:, None] / state.sigma)[:, :, None]
-        members = tuple(model.products.in_order(of, order, member) for member in state.members)
+        members = tuple(model.products.in_order(of, order, effect) for effect, _ in state.members)
         slots = {slot: k for k, slot in enumerate(own)}
         return cls(state, slots, g / state.sigma[:, None], g, state.residual[order], members, np.flatnonzero(used))
 

@@ -14,7 +14,7 @@ from aridcal.effects.smooth import samples_root, smooth_precision
 from aridcal.fit.elimination import Projector
 from aridcal.instruments.channels import Channels
 from aridcal.search.evidence import Score
-from aridcal.search.products import Layout, Products
+from aridcal.search.products import Layout, Products, Separated
 
 PLAUSIBLE = 5e-3
 """[m] and [rad] per unit of a basis: what joints, links and frames are wrong by in a way that changes is less."""
@@ -84,7 +84,17 @@ class LinearModel:
     @cached_property
     def products(self) -> Products:
         """Sums of products of its columns, each made when it is first asked for."""
-        return Products(self.A, self.r, Layout.of(self.fold, self.channels), self.side_by_side)
+        layout = Layout.of(self.fold, self.channels)
+        ordered = self.G[layout.order]
+        separated = Separated(
+            tuple(ordered[:, part] for part in layout.parts), self.phi[layout.order].T.copy(), self._place
+        )
+        return Products(self.A, self.r, layout, self.side_by_side, separated, self.off is None)
+
+    def _place(self, effect: Effect) -> tuple[list[int], list[int]]:
+        slots, bases = self._index(effect)
+        assert bases is not None
+        return slots, bases
 
     def holed(self, residual: np.ndarray) -> np.ndarray:
         """Residuals, shape (N, m), NaN in channels that a row does not measure."""

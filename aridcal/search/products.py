@@ -11,8 +11,8 @@ Rows that a state does not use are few: theirs are taken off. So the cost of a t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -22,14 +22,17 @@ from aridcal.instruments.channels import Channels, columns
 CHUNK = 128
 """Columns that are multiplied at once: their Gram matrix stays in the cache."""
 
-KEPT = 2**23
-"""Numbers of the library's columns that are kept, 64 MB; the columns of further candidates are made again when needed."""
+KEPT = 2**25
+"""Numbers of the library's products that are kept, 256 MB; those of further candidates are made again when needed."""
 
 MEMBERS = 24
 """Effects of which all products are kept, those in the model last: with 2,000 rows and 72 knots 20 MB each."""
 
 # Columns of effects side by side, shape (N, m, d), or of some of the rows.
 Make = Callable[[Sequence[Effect]], np.ndarray]
+
+# What stands in the design: an effect (None: the constants) and the modes that are solved for, shape (d, modes).
+Member = tuple[Effect | None, np.ndarray]
 
 # Numbers of each channel under one another: (N size, d) or (N size,) each.
 Flat = tuple[np.ndarray, ...]
@@ -77,29 +80,82 @@ class Layout:
         return [(places[:, None] * size + np.arange(size)).ravel() for size in sizes]
 
 
-@dataclass
+@dataclass(frozen=True)
+class Separated:
+    """Columns as motions times bases, in the order of the folds: what multiplies a motion's column is the same for all axes.
+
+    Attributes:
+        G: Columns of the S motions, (N, size, S) for each channel.
+        phi: Values of the B bases, shape (B, N).
+        place: Motion and basis of each coefficient of an effect.
+    """
+
+    G: tuple[np.ndarray, ...]
+    phi: np.ndarray
+    place: Callable[[Effect], tuple[list[int], list[int]]]
+
+    def rows(self, slots: np.ndarray, bases: np.ndarray, places: np.ndarray) -> list[np.ndarray]:
+        """Columns in some rows, shape (rows size, w) for each channel."""
+        phi = self.phi[np.ix_(bases, places)].T[:, None]
+        return [(G[places][:, :, slots] * phi).reshape(-1, len(slots)) for G in self.G]
+
+    def times(self, slots: np.ndarray, bases: np.ndarray, Y: Sequence[np.ndarray]) -> np.ndarray:
+        r"""Products with other columns, (N, size, t) for each channel: shape (C, w, t).
+
+        .. math:: X^T Y = \sum_n \phi_n \sum_m g_{nm} Y_{nm}
+
+        The inner sum is that of a motion, whatever the basis.
+        """
+        made = np.empty((len(self.G), len(slots), Y[0].shape[2]))
+        for slot in np.unique(slots):
+            own = np.flatnonzero(slots == slot)
+            phi = self.phi[bases[own]]
+            for c, (G, y) in enumerate(zip(self.G, Y, strict=True)):
+                made[c, own] = phi @ np.einsum("nm,nmt->nt", G[:, :, slot], y)
+        return made
+
+    def gram(self, slots: np.ndarray, bases: np.ndarray) -> np.ndarray:
+        """Products with one another, shape (C, w, w)."""
+        made = np.empty((len(self.G), len(slots), len(slots)))
+        different = np.unique(slots)
+        for first in different:
+            for second in different:
+                a, b = np.flatnonzero(slots == first), np.flatnonzero(slots == second)
+                for c, G in enumerate(self.G):
+                    weight = np.einsum("nm,nm->n", G[:, :, first], G[:, :, second])
+                    made[c][np.ix_(a, b)] = (self.phi[bases[a]] * weight) @ self.phi[bases[b]].T
+        return made
+
+
+@dataclass(frozen=True)
 class _Chunk:
     """Candidates that are multiplied together, w columns.
 
     Attributes:
         effects: The candidates.
+        slots: Motion of each column, shape (w,).
+        bases: Basis of each column, shape (w,).
         own: X'X, shape (C, w, w).
         pull: X'r, shape (C, w).
-        across: X'Y for the columns Y of each effect that was asked for (None: the constants), shape (C, w, d).
-        kept: The columns themselves, if there is room.
+        across: By the identity of a member's modes: X'Y for its columns Y in modes, shape (C, w, modes).
+        columns: X itself, where unknown things take a part off each column; else None: motions times bases.
     """
 
     effects: tuple[Effect, ...]
+    slots: np.ndarray
+    bases: np.ndarray
     own: np.ndarray
     pull: np.ndarray
-    across: dict[Effect | None, np.ndarray] = field(default_factory=dict)
-    kept: Flat | None = None
+    across: dict[int, np.ndarray]
+    columns: Flat | None
 
 
 class Products:
     """What was multiplied so far of one linearised model."""
 
-    def __init__(self, A: np.ndarray, r: np.ndarray, layout: Layout, make: Make) -> None:
+    def __init__(
+        self, A: np.ndarray, r: np.ndarray, layout: Layout, make: Make, separated: Separated, whole: bool
+    ) -> None:
         """Start with nothing.
 
         Args:
@@ -107,13 +163,18 @@ class Products:
             r: Residual, shape (N, m).
             layout: Of the rows.
             make: Columns of effects.
+            separated: The same of effects whose bases are known beforehand.
+            whole: Whether that is all; else unknown things take a part off each column.
         """
         self.layout, self.r, self._make = layout, layout.flat(r), make
+        self._separated, self._whole = separated, whole
         self._columns: dict[Effect | None, Flat] = {None: layout.flat(A)}
         self._between: dict[tuple[Effect | None, Effect | None], np.ndarray] = {}
         self._pull: dict[Effect | None, np.ndarray] = {}
         self._ordered: dict[tuple[str, Effect | None], np.ndarray] = {}
         self._known: dict[Effect, None] = {}
+        self._solved_for: dict[int, tuple[np.ndarray, list[np.ndarray]]] = {}
+        self.constants: Member = None, np.eye(A.shape[2])
         self._place: dict[Effect, tuple[_Chunk, slice]] = {}
         self._kept = 0
         stretches = [layout.stretches(channel.size) for channel in layout.channels]
@@ -126,19 +187,32 @@ class Products:
         """Columns of effects side by side, in the order of the folds."""
         return self.layout.flat(self._make(effects))
 
-    def now_in_the_model(self, effects: Sequence[Effect]) -> None:
+    def now_in_the_model(self, members: Sequence[Member]) -> None:
         """Forget what was in the model longest ago, if more is kept than there is room for."""
-        for effect in effects:
-            self._known.pop(effect, None)
-            self._known[effect] = None  # now the last
-        for effect in list(self._known)[: max(len(self._known) - max(MEMBERS, len(effects)), 0)]:
-            self._forget(effect)
+        for effect, modes in members:
+            if effect is not None:
+                self._known[effect] = self._known.pop(effect, None)  # now the last
+            known = self._solved_for.pop(id(modes)) if id(modes) in self._solved_for else None
+            self._solved_for[id(modes)] = known or (modes, self._in_modes(effect, modes))
+        most = max(MEMBERS, len(members))
+        for old in list(self._known)[: max(len(self._known) - most, 0)]:
+            self._forget(old)
+        for gone in list(self._solved_for)[: max(len(self._solved_for) - most, 0)]:
+            del self._solved_for[gone]
+            for chunk in {id(chunk): chunk for chunk, _ in self._place.values()}.values():
+                if gone in chunk.across:
+                    self._kept -= chunk.across.pop(gone).size
+
+    def _in_modes(self, effect: Effect | None, modes: np.ndarray) -> list[np.ndarray]:
+        """What is solved for of a member as columns, (N, size, modes) for each channel."""
+        return [(x @ modes).reshape(len(self.layout.order), -1, modes.shape[1]) for x in self.columns(effect)]
 
     def forget(self) -> None:
         """Keep nothing: no more is asked."""
         for effect in list(self._known):
             self._forget(effect)
         self._place.clear()
+        self._solved_for.clear()
         self._kept = 0
 
     def _forget(self, effect: Effect) -> None:
@@ -149,11 +223,6 @@ class Products:
             del self._between[key]
         for name in [key for key in self._ordered if key[1] == effect]:
             del self._ordered[name]
-        for chunk in self._chunks():
-            chunk.across.pop(effect, None)
-
-    def _chunks(self) -> list[_Chunk]:
-        return list({id(chunk): chunk for chunk, _ in self._place.values()}.values())
 
     def in_order(self, of: str, order: np.ndarray, member: Effect | None) -> np.ndarray:
         """Columns of what is in the model, rows in another order, that of a covariate, shape (N, m, d); they are kept."""
@@ -168,7 +237,7 @@ class Products:
         """Columns of an effect that is, or was, in the model (None: of the constants); they are kept."""
         if of not in self._columns:
             assert of is not None
-            self._known[of] = None
+            self._known.setdefault(of, None)
             self._columns[of] = self.flat([of])
         return self._columns[of]
 
@@ -201,17 +270,34 @@ class Products:
             for f in range(len(self.layout.starts) - 1)
         ])  # fmt: skip
 
-    def chunks(self, effects: Sequence[Effect]) -> list[_Chunk]:
-        """Chunks in which some candidates are, made where they are not yet."""
-        for group in grouped([e for e in effects if e not in self._place]):
-            X = self.flat(group)
-            kept = X if self._kept + sum(x.size for x in X) <= KEPT else None
-            self._kept += sum(x.size for x in X) if kept else 0
-            pull = np.array([x.T @ r for x, r in zip(X, self.r, strict=True)])
-            chunk = _Chunk(tuple(group), np.array([x.T @ x for x in X]), pull, {}, kept)
-            for effect, own in placed(group):
-                self._place[effect] = chunk, own
-        return list({id(self._place[e][0]): self._place[e][0] for e in effects}.values())
+    def chunks(self, effects: Sequence[Effect]) -> Iterator[_Chunk]:
+        """Chunks in which some candidates are, made where they are not yet, and kept as long as there is room."""
+        known = [self._place[e][0] for e in effects if e in self._place]
+        new = [e for e in effects if e not in self._place]
+        yield from {id(chunk): chunk for chunk in known}.values()
+        for group in grouped(new):
+            chunk = self._chunk(group)
+            if self._room(chunk.own.size + sum(x.size for x in chunk.columns or ())):
+                for effect, own in placed(group):
+                    self._place[effect] = chunk, own
+            yield chunk
+
+    def _room(self, numbers: int) -> bool:
+        """Whether so many numbers more are kept; they are counted."""
+        room = self._kept + numbers <= KEPT
+        self._kept += numbers if room else 0
+        return room
+
+    def _chunk(self, effects: Sequence[Effect]) -> _Chunk:
+        places = [self._separated.place(e) for e in effects]
+        slots, bases = (np.array([k for place in places for k in place[part]]) for part in (0, 1))
+        if self._whole:
+            own = self._separated.gram(slots, bases)
+            r = [values.reshape(len(self.layout.order), -1, 1) for values in self.r]
+            return _Chunk(tuple(effects), slots, bases, own, self._separated.times(slots, bases, r)[:, :, 0], {}, None)
+        X = self.flat(effects)
+        pull = np.array([x.T @ r for x, r in zip(X, self.r, strict=True)])
+        return _Chunk(tuple(effects), slots, bases, np.array([x.T @ x for x in X]), pull, {}, X)
 
     def known(self, effect: Effect) -> tuple[_Chunk, slice] | None:
         """Where a candidate is, if it was scored with the library."""
@@ -225,25 +311,35 @@ class Products:
         chunk, own = known
         return np.asarray(np.einsum("ckk->c", chunk.own[:, own, own]))
 
-    def of_candidate(self, effect: Effect) -> Flat:
-        """Columns of a candidate, kept or made here."""
-        known = self.known(effect)
-        if known is None or known[0].kept is None:
-            return self.flat([effect])
-        return tuple(x[:, known[1]] for x in known[0].kept)
+    def rows_of(self, chunk: _Chunk, places: np.ndarray) -> list[np.ndarray]:
+        """Columns of a chunk in some rows, given by their places in the order of the folds, shape (rows size, w) a channel."""
+        if chunk.columns is None:
+            return self._separated.rows(chunk.slots, chunk.bases, places)
+        return [x[rows] for x, rows in zip(chunk.columns, self.layout.numbers(places), strict=True)]
 
-    def of_chunk(self, chunk: _Chunk) -> Flat:
-        """Columns of a chunk."""
-        return chunk.kept if chunk.kept is not None else self.flat(chunk.effects)
+    def across(self, chunk: _Chunk, members: Sequence[Member]) -> np.ndarray:
+        """Products of a chunk's columns with those of the design, shape (C, w, P)."""
+        found = []
+        for _, modes in members:
+            made = chunk.across.get(id(modes))
+            if made is None:
+                made = self._across(chunk, self._solved_for[id(modes)][1])
+                if self._room(made.size):
+                    chunk.across[id(modes)] = made
+            found.append(made)
+        return np.concatenate(found, axis=2)
 
-    def across(self, chunk: _Chunk, members: Sequence[Effect | None]) -> list[np.ndarray]:
-        """Products of a chunk's columns with those of the constants and effects in the model, shape (C, w, d) each."""
-        new = [member for member in members if member not in chunk.across]
-        if new:
-            X = self.of_chunk(chunk)
-            for member in new:
-                chunk.across[member] = np.array([x.T @ y for x, y in zip(X, self.columns(member), strict=True)])
-        return [chunk.across[member] for member in members]
+    def _across(self, chunk: _Chunk, Y: list[np.ndarray]) -> np.ndarray:
+        if chunk.columns is None:
+            return self._separated.times(chunk.slots, chunk.bases, Y)
+        return np.array([x.T @ y.reshape(len(x), -1) for x, y in zip(chunk.columns, Y, strict=True)])
+
+    def across_any(self, X: Flat, members: Sequence[Member]) -> np.ndarray:
+        """The same of any columns."""
+        Y = [self._solved_for[id(modes)][1] for _, modes in members]
+        return np.concatenate([
+            np.array([x.T @ part.reshape(len(x), -1) for x, part in zip(X, y, strict=True)]) for y in Y
+        ], axis=2)  # fmt: skip
 
 
 def grouped(effects: Sequence[Effect]) -> list[list[Effect]]:

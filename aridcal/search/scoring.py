@@ -33,8 +33,8 @@ from aridcal.search.evidence import (
     with_noise,
 )
 from aridcal.search.linear_model import Active, LinearModel
-from aridcal.search.products import Flat, grouped, placed
-from aridcal.search.state import State, activate, with_candidate, with_columns
+from aridcal.search.products import grouped, placed
+from aridcal.search.state import State, activate, members, with_candidate, with_columns
 from aridcal.showing import SILENT, Progress
 
 ALPHA = 3e-4
@@ -88,9 +88,9 @@ def score_all(model: LinearModel, effects: Sequence[Effect], state: State, progr
     left, count = float(np.sum(equations.squares_left(beta) / sigma**2)), float(equations.count.sum())
     asked = set(effects)
     found: dict[Effect, Score] = {}
-    for group, X, cross, own, pull in _products(model, effects, state):
+    for group, lost, cross, own, pull in _products(model, effects, state):
         progress.part(len(found), len(effects), "candidates")
-        AC, CC, Cr = state.less_unused(X, cross, own, pull)
+        AC, CC, Cr = state.less_unused(lost, cross, own, pull)
         Cr = np.tensordot(sigma**-2.0, Cr - np.swapaxes(AC, 1, 2) @ beta, 1)
         CA, CC = (np.tensordot(sigma**-2.0, sums, 1) for sums in (np.swapaxes(AC, 1, 2), CC))
         taken = CA @ state.solution.inverse
@@ -104,23 +104,21 @@ def score_all(model: LinearModel, effects: Sequence[Effect], state: State, progr
 
 def _products(
     model: LinearModel, effects: Sequence[Effect], state: State
-) -> Iterator[tuple[Sequence[Effect], Flat, np.ndarray, np.ndarray, np.ndarray]]:
-    """Candidates, chunk by chunk: columns, and their products with the design, with one another and with the residual.
+) -> Iterator[tuple[Sequence[Effect], list[np.ndarray], np.ndarray, np.ndarray, np.ndarray]]:
+    """Candidates, chunk by chunk: columns in the rows that are not in use, and products with design, one another and residual.
 
     Those whose bases the model has are asked about again and again: their products are kept. The others are made here.
     """
-    made = model.products
+    made, design = model.products, members(model, state.active)
+    made.now_in_the_model(design)
     for chunk in made.chunks([e for e in effects if model.prepared(e)]):
-        cross = state.in_modes(made.across(chunk, state.members))
-        X = chunk.kept if len(state.unused) == 0 or chunk.kept is not None else made.flat(chunk.effects)
-        yield chunk.effects, X if X is not None else (), cross, chunk.own, chunk.pull
+        lost = made.rows_of(chunk, state.unused)
+        yield chunk.effects, lost, made.across(chunk, design), chunk.own, chunk.pull
     for group in grouped([e for e in effects if not model.prepared(e)]):
         X = made.flat(group)
-        cross = state.in_modes([
-            np.array([x.T @ y for x, y in zip(X, made.columns(member), strict=True)]) for member in state.members
-        ])  # fmt: skip
-        own = np.array([x.T @ x for x in X])
-        yield group, X, cross, own, np.array([x.T @ r for x, r in zip(X, made.r, strict=True)])
+        lost = [x[rows] for x, rows in zip(X, made.layout.numbers(state.unused), strict=True)]
+        own, pull = (np.array([x.T @ y for x, y in zip(X, other, strict=True)]) for other in (X, made.r))
+        yield group, lost, made.across_any(X, design), own, pull
 
 
 def refine(model: LinearModel, state: State, effect: Effect, rough: Score) -> Score:
@@ -296,11 +294,11 @@ def held_back_folds(state: State, candidate: Active) -> np.ndarray:
     """
     made, layout = state.model.products, state.model.products.layout
     P, sizes = len(state.precision), [channel.size for channel in state.channels]
-    X = tuple(x @ candidate.modes for x in made.of_candidate(candidate.effect))
+    X = tuple(x @ candidate.modes for x in made.flat([candidate.effect]))
     unused = layout.numbers(state.unused)
     for x, rows in zip(X, unused, strict=True):
         x[rows] = 0.0
-    cross = np.swapaxes(state.in_modes([made.by_fold(X, member) for member in state.members]), 2, 3)
+    cross = np.swapaxes(state.in_modes([made.by_fold(X, effect) for effect, _ in state.members]), 2, 3)
     own, pull = made.own_by_fold(X)
     folds = [sums.bordered(*more) for sums, *more in zip(state.folds, cross, own, pull, strict=True)]
     whole = state.equations.bordered(cross.sum(axis=0), own.sum(axis=0), pull.sum(axis=0))

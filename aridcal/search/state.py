@@ -17,6 +17,7 @@ from aridcal.fit.normal_equations import NormalEquations, accumulate, total
 from aridcal.instruments.channels import Channels, columns, spread
 from aridcal.search.evidence import Score, Solution, solve
 from aridcal.search.linear_model import Active, LinearModel
+from aridcal.search.products import Member
 
 FAINT = 0.02
 """A mode that the data could move by less than this share of its prior is left out: nothing would be learnt of it."""
@@ -79,9 +80,9 @@ class State:
         return self.flat(self.model.r)
 
     @property
-    def members(self) -> tuple[Effect | None, ...]:
-        """What stands in the design: the constants (None), then the effects."""
-        return (None, *(a.effect for a in self.active))
+    def members(self) -> tuple[Member, ...]:
+        """What stands in the design: the constants, then the effects."""
+        return members(self.model, self.active)
 
     def in_modes(self, blocks: Sequence[np.ndarray]) -> np.ndarray:
         """Products with the coefficients of all members, (..., w, d) each, as products with what is solved for, (..., w, P)."""
@@ -100,30 +101,6 @@ class State:
                 values += x[own] @ taken
         return fitted
 
-    def less_unused(
-        self, X: Sequence[np.ndarray], cross: np.ndarray, own: np.ndarray, pull: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Sums of columns X of all rows without the rows that are not in use.
-
-        Args:
-            X: Of each channel, in the order of the folds, shape (N size, w).
-            cross: Their products with the design's columns, shape (C, w, P).
-            own: With one another, shape (C, w, w).
-            pull: With the residual, shape (C, w).
-
-        Returns:
-            The same for the rows in use; the first as (C, P, w).
-        """
-        if len(self.unused):
-            made = self.model.products
-            numbers = made.layout.numbers(self.unused)
-            lost = [x[rows] for x, rows in zip(X, numbers, strict=True)]
-            right = [r[rows] for r, rows in zip(made.r, numbers, strict=True)]
-            cross = cross - np.array([x.T @ a for x, a in zip(lost, self.extra, strict=True)])
-            own = own - np.array([x.T @ x for x in lost])
-            pull = pull - np.array([x.T @ r for x, r in zip(lost, right, strict=True)])
-        return np.swapaxes(cross, 1, 2), own, pull
-
     @property
     def sigma(self) -> np.ndarray:
         """Noise of each number of a row, shape (m,)."""
@@ -137,6 +114,33 @@ class State:
         """Arrays of the design's shape in sigmas, all channels under one another."""
         scaled = [part / sigma for part, sigma in zip(values, self.solution.sigma, strict=True)]
         return np.concatenate(scaled)
+
+    def less_unused(
+        self, lost: Sequence[np.ndarray], cross: np.ndarray, own: np.ndarray, pull: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Sums of some columns over all rows without the rows that are not in use.
+
+        Args:
+            lost: The columns in these, shape (rows size, w) for each channel.
+            cross: Products with the design's columns, shape (C, w, P).
+            own: With one another, shape (C, w, w).
+            pull: With the residual, shape (C, w).
+
+        Returns:
+            The same for the rows in use; the first as (C, P, w).
+        """
+        if len(self.unused):
+            made = self.model.products
+            right = [r[rows] for r, rows in zip(made.r, made.layout.numbers(self.unused), strict=True)]
+            cross = cross - np.array([x.T @ a for x, a in zip(lost, self.extra, strict=True)])
+            own = own - np.array([x.T @ x for x in lost])
+            pull = pull - np.array([x.T @ r for x, r in zip(lost, right, strict=True)])
+        return np.swapaxes(cross, 1, 2), own, pull
+
+
+def members(model: LinearModel, active: Sequence[Active]) -> tuple[Member, ...]:
+    """What stands in the design of some effects: the constants, then these."""
+    return (model.products.constants, *((a.effect, a.modes) for a in active))
 
 
 def flat(values: np.ndarray, channels: Channels, present: np.ndarray) -> tuple[np.ndarray, ...]:
@@ -176,7 +180,7 @@ def solve_state(
         used: Rows to begin with, shape (N,) bool.
         fixed: Keep to these rows: what is compared with another model must be solved on the same ones.
     """
-    model.products.now_in_the_model([a.effect for a in active])
+    model.products.now_in_the_model(members(model, active))
     every = _of_all_rows(model, active)
     precision = block_diag(model.gauge, *(a.precision for a in active))
     sound = used
@@ -202,17 +206,16 @@ def _places(sizes: Sequence[int]) -> list[slice]:
 def _of_all_rows(model: LinearModel, active: Sequence[Active]) -> list[NormalEquations]:
     """Sums of a set of effects over the rows of each fold, whether in use or not."""
     made = model.products
-    modes = [np.eye(model.A.shape[2]), *(a.modes for a in active)]
-    members: list[Effect | None] = [None, *(a.effect for a in active)]
-    own = _places([m.shape[1] for m in modes])
+    every = members(model, active)
+    own = _places([modes.shape[1] for _, modes in every])
     layout, channels = made.layout, len(model.channels)
     folds = len(layout.starts) - 1
     AA = np.empty((folds, channels, own[-1].stop, own[-1].stop))
     Ar = np.empty((folds, channels, own[-1].stop))
-    for i, (a, left) in enumerate(zip(members, modes, strict=True)):
+    for i, (a, left) in enumerate(every):
         Ar[:, :, own[i]] = made.pull(a) @ left
-        for j, b in enumerate(members[: i + 1]):
-            block = np.ascontiguousarray(left.T) @ made.between(a, b) @ modes[j]
+        for j, (b, right) in enumerate(every[: i + 1]):
+            block = np.ascontiguousarray(left.T) @ made.between(a, b) @ right
             AA[:, :, own[i], own[j]] = block
             AA[:, :, own[j], own[i]] = block.transpose(0, 1, 3, 2)
     there = [model.present[layout.order[low:high]] for low, high in pairwise(layout.starts)]
@@ -279,12 +282,15 @@ def with_candidate(state: State, candidate: Active) -> tuple[NormalEquations, np
 def with_columns(state: State, effect: Effect) -> NormalEquations:
     """Equations of the model with the columns of an effect's coefficients added."""
     made = state.model.products
-    known, X = made.known(effect), made.of_candidate(effect)
+    made.now_in_the_model(state.members)
+    known = made.known(effect)
     if known is None:
+        X = made.flat([effect])
         own, pull = (sums.sum(axis=0) for sums in made.own_by_fold(X))
-        cross = [made.by_fold(X, member).sum(axis=0) for member in state.members]
+        cross = made.across_any(X, state.members)
+        lost = [x[rows] for x, rows in zip(X, made.layout.numbers(state.unused), strict=True)]
     else:
         chunk, where = known
-        cross = [block[:, where] for block in made.across(chunk, state.members)]
-        own, pull = chunk.own[:, where, where], chunk.pull[:, where]
-    return state.equations.bordered(*state.less_unused(X, state.in_modes(cross), own, pull))
+        own, pull, cross = chunk.own[:, where, where], chunk.pull[:, where], made.across(chunk, state.members)[:, where]
+        lost = [x[:, where] for x in made.rows_of(chunk, state.unused)]
+    return state.equations.bordered(*state.less_unused(lost, cross, own, pull))
