@@ -136,10 +136,12 @@ def _outcome(
     stages, outlier, final = known.stages, known.outlier, known.stages[-1].fit
     kept = rows.select(~outlier)
     before, after = (stage.residual[~outlier] for stage in stages[1:])
+    progress("fitting halves of the rows apart")
     again = second_look(stages[1].fit, diagnosed.fit, train, progress)
     asked = frame_coefficients(campaign, station_labels(campaign, rows), rows) + constants(
         robot, campaign.parameters.set
     )
+    progress("working out how well the target is known")
     certain = certainty(campaign, final, rows, asked, where, outlier, stages[-1].residual, known.repeats)
     stages = with_instruments_found(stages, train)
     head = None if detections is None else measuring_head(final, stages[1].fit, rows, rows.train & ~outlier, detections)

@@ -157,8 +157,9 @@ def iso_9283(
     copied = copies(rows)
     label, used = places(rows), ~(copied | outlier)
     own = rows.sequence[used[rows.sequence]]
-    groups = [own[label[own] == k] for k in dict.fromkeys(label[own].tolist())] if len(own) else []
-    cycles = tuple(group for group in groups if len(group) > 1)
+    _, first, number, count = np.unique(label[own], return_index=True, return_inverse=True, return_counts=True)
+    together = np.split(own[np.argsort(number, kind="stable")], np.cumsum(count)[:-1])
+    cycles = tuple(together[k] for k in np.argsort(first) if count[k] > 1)  # in the order of their first cycles
     if not cycles:
         return None
     there = np.isin(label, label[[group[0] for group in cycles]])
