@@ -142,6 +142,20 @@ def test_it_claims_no_more_than_the_verdict(outcome: Outcome, folder: Path, word
     assert "By the verdict" not in sound and words not in sound
 
 
+@pytest.mark.parametrize(
+    ("reasons", "answer"), [((), "kept in 95 %"), (("few rows",), "cannot be said to be kept in 95 %")]
+)
+def test_a_tolerance_stands_among_the_figures_whether_it_is_kept_or_not(
+    outcome: Outcome, folder: Path, reasons: tuple[str, ...], answer: str
+) -> None:
+    assert outcome.certainty is not None
+    first, *others = outcome.certainty.kept
+    asked = replace(outcome.certainty, kept=(replace(first, tolerance=2e-4, reasons=reasons), *others))
+    headline = dict(page_of(replace(outcome, certainty=asked), folder).headline)
+    assert headline["Tolerance of position"].startswith(f"0.200 mm: {answer}")
+    assert not any(name.startswith("Tolerance") for name, _ in page_of(outcome, folder).headline)
+
+
 def test_it_is_the_makers_own_record_and_no_accreditation(outcome: Outcome, folder: Path) -> None:
     page = page_of(outcome, folder)
     assert page.title == "Calibration certificate: the maker's own record"

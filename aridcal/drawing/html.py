@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from html import escape
+from importlib.resources import files
 from typing import TypeVar
 
 from aridcal.errors import printable, shortened
@@ -71,6 +72,17 @@ def join(content: Content) -> Html:
 def missing(notice: str) -> Html:
     """The line that stands where something could not be drawn."""
     return tag("p", notice, class_="missing")
+
+
+def styled_page(title: str, body: Content) -> Html:
+    """A page in the report's style that needs nothing else."""
+    head = [
+        tag("meta", charset="utf-8"),
+        tag("meta", name="viewport", content="width=device-width, initial-scale=1"),
+        tag("title", title),
+        tag("style", Html(files("aridcal.drawing").joinpath("assets/report.css").read_text("utf-8"))),
+    ]
+    return join([Html("<!DOCTYPE html>\n"), tag("html", tag("head", head), tag("body", body), lang="en")])
 
 
 def empty_page(title: str, notice: str) -> Html:

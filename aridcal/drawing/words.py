@@ -133,7 +133,10 @@ def _kept(part: Kept, known: Certainty) -> tuple[bool, str]:
         part.rows > 0
     )
     if part.within:
-        return True, f"{part.of.capitalize()} {asked}, with {sure} confidence (it could be {bound}).{rows}"
+        return (
+            True,
+            f"{part.of.capitalize()} {asked}, with {sure} confidence: it is off by less than {bound} there.{rows}",
+        )
     return False, f"{part.of.capitalize()} not {asked}: {'; '.join(part.reasons)}.{rows}"
 
 

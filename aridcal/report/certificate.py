@@ -27,6 +27,7 @@ from aridcal.result.key_figures import another_day, constants, every_held_out_ro
 from aridcal.result.outcome import Outcome, errors
 from aridcal.result.saving import ends, holes, seen_in
 from aridcal.trust.iso9283 import STANDARD
+from aridcal.trust.tolerance import CONFIDENCE, SHARE
 
 FILES = ("certificate.html", "certificate.pdf")
 
@@ -123,6 +124,7 @@ def certificate(outcome: Outcome, about: About, folder: Path, issued: datetime.d
                 for j in judged
             ),
             (f"Uncertainty, k = {COVERAGE:g}", _in_short(known)),
+            *_tolerances(outcome),
             ("Verdict", f"{verdict}."),
         ],
         parts=[
@@ -279,6 +281,19 @@ def _known(outcome: Outcome) -> _Known | None:
         return None
     median, most = (1e3 * COVERAGE * float(f(precision.position)) for f in (np.median, np.max))
     return _Known(median, most, 1e3 * COVERAGE * float(np.percentile(known.anywhere.sigma, 95)))
+
+
+def _tolerances(outcome: Outcome) -> Iterator[tuple[str, str]]:
+    """Each tolerance that was given, and whether it is kept."""
+    known = outcome.certainty
+    if known is None:
+        return
+    sure = f"in {100 * SHARE:.0f} % of {known.title}, with {100 * CONFIDENCE:.0f} % confidence"
+    for part in known.kept:
+        if part.tolerance is not None:
+            unit = "mrad" if part.of == "rotation" else "mm"
+            answer = "kept" if part.within else "cannot be said to be kept"
+            yield f"Tolerance of {part.of}", f"{number(1e3 * part.tolerance)} {unit}: {answer} {sure}"
 
 
 def _in_short(known: _Known | None) -> str:

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from importlib.resources import files
 from pathlib import Path
 
 from aridcal import __version__
-from aridcal.drawing.html import Content, Html, attempt, counted, empty_page, join, missing, noting, tag
+from aridcal.drawing.html import Content, Html, attempt, counted, empty_page, join, missing, noting, styled_page, tag
 from aridcal.report.data_section import data, enough
 from aridcal.report.dependence import drives
 from aridcal.report.first_screen import summary
@@ -61,15 +60,7 @@ def page(outcome: Outcome, handover: Handover, progress: Progress = SILENT) -> H
         tag("main", sections),
         tag("footer", f"aridcal {__version__}, {counted(len(m), 'row')} with sha256 {m.sha256[:16]}"),
     ]
-    style = files("aridcal.drawing").joinpath("assets/report.css").read_text("utf-8")
-    head = [
-        tag("meta", charset="utf-8"),
-        tag("meta", name="viewport", content="width=device-width, initial-scale=1"),
-        tag("title", f"Calibration of {outcome.robot.tree.name}"),
-        tag("style", Html(style)),
-    ]
-    whole = tag("html", tag("head", head), tag("body", body), lang="en")
-    return join([Html("<!DOCTYPE html>\n"), whole])
+    return styled_page(f"Calibration of {outcome.robot.tree.name}", body)
 
 
 def drawn(title: str, content: Iterable[Content]) -> list[Content]:

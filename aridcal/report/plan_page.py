@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from importlib.resources import files
 
 import numpy as np
 
 from aridcal import __version__
 from aridcal.drawing.figures import coverage, falling, field
-from aridcal.drawing.html import Content, Html, bullets, counted, figures, join, number, table, tag
+from aridcal.drawing.html import Content, Html, bullets, counted, figures, number, styled_page, table, tag
 from aridcal.drawing.words import range_in_words, reading_in_words
 from aridcal.planning.coverage import Sigma
 from aridcal.planning.design import Plan
@@ -57,13 +56,7 @@ def plan_page(plan: Plan, robot: Robot, title: str) -> Html:
         tag("main", [tag("section", tag("h2", name), list(content)) for name, content in sections]),
         tag("footer", f"aridcal {__version__}"),
     ]
-    head = [
-        tag("meta", charset="utf-8"),
-        tag("meta", name="viewport", content="width=device-width, initial-scale=1"),
-        tag("title", f"{heading}: {title}"),
-        tag("style", Html(files("aridcal.drawing").joinpath("assets/report.css").read_text("utf-8"))),
-    ]
-    return join([Html("<!DOCTYPE html>\n"), tag("html", tag("head", head), tag("body", body), lang="en")])
+    return styled_page(f"{heading}: {title}", body)
 
 
 def _summary(plan: Plan) -> Iterator[Content]:

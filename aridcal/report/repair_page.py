@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +16,10 @@ from aridcal.drawing.html import (
     bullets,
     counted,
     empty_page,
-    join,
     noting,
     number,
     plus_minus,
+    styled_page,
     table,
     tag,
 )
@@ -98,14 +97,7 @@ def _page(
         tag("main", sections),
         tag("footer", f"aridcal {__version__}, {counted(len(m), 'row')} with sha256 {m.sha256[:16]}"),
     ]
-    head = [
-        tag("meta", charset="utf-8"),
-        tag("meta", name="viewport", content="width=device-width, initial-scale=1"),
-        tag("title", f"Repair of {made.rows.robot.tree.name}"),
-        tag("style", Html(files("aridcal.drawing").joinpath("assets/report.css").read_text("utf-8"))),
-    ]
-    whole = tag("html", tag("head", head), tag("body", body), lang="en")
-    return join([Html("<!DOCTYPE html>\n"), whole])
+    return styled_page(f"Repair of {made.rows.robot.tree.name}", body)
 
 
 def _summary(made: RepairOutcomes, checked: Checked, mended: Repaired) -> Iterator[Content]:
