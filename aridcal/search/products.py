@@ -205,7 +205,12 @@ class Products:
 
     def _in_modes(self, effect: Effect | None, modes: np.ndarray) -> list[np.ndarray]:
         """What is solved for of a member as columns, (N, size, modes) for each channel."""
-        return [(x @ modes).reshape(len(self.layout.order), -1, modes.shape[1]) for x in self.columns(effect)]
+        return [self._by_row(x @ modes) for x in self.columns(effect)]
+
+    def _by_row(self, x: np.ndarray) -> np.ndarray:
+        """Numbers of a channel under one another, (N size, d), row by row: (N, size, d)."""
+        rows = len(self.layout.order)
+        return x.reshape(rows, len(x) // rows, x.shape[1])
 
     def forget(self) -> None:
         """Keep nothing: no more is asked."""
@@ -228,8 +233,7 @@ class Products:
         """Columns of what is in the model, rows in another order, that of a covariate, shape (N, m, d); they are kept."""
         if (of, member) not in self._ordered:
             place = np.argsort(self.layout.order)[order]
-            N = len(order)
-            parts = [x.reshape(N, -1, x.shape[1])[place] for x in self.columns(member)]
+            parts = [self._by_row(x)[place] for x in self.columns(member)]
             self._ordered[of, member] = np.concatenate(parts, axis=1)
         return self._ordered[of, member]
 
@@ -293,7 +297,7 @@ class Products:
         slots, bases = (np.array([k for place in places for k in place[part]]) for part in (0, 1))
         if self._whole:
             own = self._separated.gram(slots, bases)
-            r = [values.reshape(len(self.layout.order), -1, 1) for values in self.r]
+            r = [self._by_row(values[:, None]) for values in self.r]
             return _Chunk(tuple(effects), slots, bases, own, self._separated.times(slots, bases, r)[:, :, 0], {}, None)
         X = self.flat(effects)
         pull = np.array([x.T @ r for x, r in zip(X, self.r, strict=True)])
@@ -332,13 +336,13 @@ class Products:
     def _across(self, chunk: _Chunk, Y: list[np.ndarray]) -> np.ndarray:
         if chunk.columns is None:
             return self._separated.times(chunk.slots, chunk.bases, Y)
-        return np.array([x.T @ y.reshape(len(x), -1) for x, y in zip(chunk.columns, Y, strict=True)])
+        return np.array([x.T @ y.reshape(len(x), y.shape[2]) for x, y in zip(chunk.columns, Y, strict=True)])
 
     def across_any(self, X: Flat, members: Sequence[Member]) -> np.ndarray:
         """The same of any columns."""
         Y = [self._solved_for[id(modes)][1] for _, modes in members]
         return np.concatenate([
-            np.array([x.T @ part.reshape(len(x), -1) for x, part in zip(X, y, strict=True)]) for y in Y
+            np.array([x.T @ part.reshape(len(x), part.shape[2]) for x, part in zip(X, y, strict=True)]) for y in Y
         ], axis=2)  # fmt: skip
 
 
