@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -9,19 +10,20 @@ import numpy as np
 import pytest
 import robots
 
+from aridcal.drawing.figures import falling
 from aridcal.inputs.campaign import load_campaign
 from aridcal.model.reaching import limits_of
 from aridcal.planning import design as planning
 from aridcal.planning.beforehand import Beforehand, beforehand
 from aridcal.planning.candidates import allowed, draw_candidates
-from aridcal.planning.coverage import suspects
+from aridcal.planning.coverage import Sigma, suspects
 from aridcal.planning.design import Asked, Plan, design, question
 from aridcal.planning.exchange import best_choice
 from aridcal.planning.refine import Refined, refined
 from aridcal.planning.region import region_readings
 from aridcal.planning.suspects import USUAL, with_stated_effects, with_usual_effects
 from aridcal.planning.telling import rows_of
-from aridcal.report.plan_page import plan_page
+from aridcal.report.plan_page import plan_page, worth
 from aridcal.robot.chain import load_robot
 
 POSE = "kind: pose, noise: {position: 1.0e-4, rotation: 1.0e-4}"
@@ -163,3 +165,17 @@ def test_a_page_of_too_few_configurations_says_so(tmp_path: Path) -> None:
     plan = plan_of(tmp_path, 1, "")
     text = plan_page(plan, known_of(tmp_path).robot, "c.yaml")
     assert "So few rows do not tell where the target is" in text and "nan" not in text.replace("resonan", "")
+
+
+def test_repeating_a_plan_is_worth_its_square_root_only_where_nothing_else_was_measured() -> None:
+    """Eight rows again beside 240 that are there take off next to nothing, not 29 %."""
+    now, more = Sigma(8, 2.0e-5, 2.0e-5), Sigma(16, 1.9e-5, 1.9e-5)
+    assert worth(now, more, 0) == "8 more of them would take 5 % off; measuring these again so many times, 29 %."
+    assert worth(now, more, 240) == "8 more of them would take 5 % off."
+
+
+def test_ticks_of_less_than_a_decade_can_be_told_apart() -> None:
+    at = np.arange(1.0, 6.0)
+    drawn = falling("k", "words", at, {"a": np.linspace(0.0242, 0.0221, 5)}, ("n", "sigma [mm]"))
+    ticks = [text for text in re.findall(r">([^<>]+)<", drawn) if text.startswith("0.0")]
+    assert len(ticks) == len(set(ticks)) > 1

@@ -283,7 +283,9 @@ def falling(key: str, alt: str, at: np.ndarray, values: Mapping[str, np.ndarray]
             axes.plot(at, v, color=color, linewidth=1.8, marker="o", markersize=3.5, label=name)
     axes.set(xlabel=labels[0], ylabel=labels[1], yscale="log", xlim=(0, None))
     axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    axes.yaxis.set_major_formatter(lambda value, _: number(value, 1))
+    axes.yaxis.set_major_formatter(
+        lambda value, _: f"{value:.3g}"
+    )  # ticks of less than a decade differ in the third digit
     axes.yaxis.set_minor_formatter(lambda value, _: "")
     return _with_legend(figure, axes, columns=3)
 

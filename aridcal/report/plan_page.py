@@ -103,7 +103,7 @@ def _how_many(plan: Plan) -> Iterator[Content]:
     )
     more = plan.sigma[-1]
     if more.n > n and not np.isnan(plan.at_n.rms):
-        yield tag("p", _worth(plan.at_n, more))
+        yield tag("p", worth(plan.at_n, more, plan.measured))
 
 
 def _count(count: int, planned: int) -> str:
@@ -111,10 +111,11 @@ def _count(count: int, planned: int) -> str:
     return f"{count} (this plan)" if count == planned else str(count)
 
 
-def _worth(now: Sigma, more: Sigma) -> str:
-    """What more configurations would gain, in words."""
+def worth(now: Sigma, more: Sigma, measured: int) -> str:
+    """What more configurations would gain, in words; beside the same ones again, where no rows measured before count, too."""
     gain, twice = (100 * (1.0 - share) for share in (more.rms / now.rms, (now.n / more.n) ** 0.5))
-    return f"{more.n - now.n} more of them would take {gain:.0f} % off; measuring these again so many times, {twice:.0f} %."
+    again = "" if measured else f"; measuring these again so many times, {twice:.0f} %"
+    return f"{more.n - now.n} more of them would take {gain:.0f} % off{again}."
 
 
 def _where(plan: Plan, robot: Robot) -> Iterator[Content]:
