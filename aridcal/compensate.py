@@ -18,9 +18,16 @@ recorded (`joint_reading: reported` in the campaign), they are what the controll
 With --grid the output is a correction table, for controllers that accept no model: for each point of a grid over the
 joints, the correction to be added to the nominal solution.
 
+A program in place of the poses (URScript .script; KRL .src, .dat; RAPID .mod; FANUC .ls; G-code .nc of a gantry) is written
+again with other numbers for its targets, so that the real arm comes to where the nominal one would; every other byte stays. Its
+targets must have been made offline: those that were taught on this robot are right already. A table beside the new program says
+for each target what was done; a target that is out of reach, beyond what was measured, or in a frame that only the controller
+knows, is named and left. --frames states such frames: `bases` and `tools` by name or number, each with xyz [m] and rpy [rad].
+
 Example:
     aridcal compensate results/calibration.yaml poses.csv -o joints.csv
     aridcal compensate results/calibration.yaml --grid 5 -o table.csv
+    aridcal compensate results weld.src -o corrected/weld.src --frames frames.yaml --at temperature=24.5
 """
 
 from __future__ import annotations
@@ -37,8 +44,13 @@ import pandas as pd
 from rich.console import Console
 
 from aridcal.command_line import CommandParser, command_parser, run
-from aridcal.errors import OutputError
+from aridcal.errors import CampaignError, MeasurementError, OutputError
 from aridcal.inputs.query import Query, Remarks
+from aridcal.programs.axes import Axes, axes_of
+from aridcal.programs.correct import Correction, as_table, correct
+from aridcal.programs.frames import KnownFrames, read_frames
+from aridcal.programs.languages import Language, language_of, read_program
+from aridcal.programs.targets import spliced
 from aridcal.reading.names import path_argument
 from aridcal.result.compensate import Trajectory, compensate, correction_table
 from aridcal.result.predict import read_queries
@@ -56,13 +68,26 @@ def parser() -> CommandParser:
     command = command_parser("compensate", __doc__)
     command.add_argument("calibration", type=path_argument, help="calibration.yaml of a result folder")
     command.add_argument(
-        "poses", type=path_argument, nargs="?", help="wanted poses (and covariates, and joints), .csv or .parquet"
+        "poses",
+        type=path_argument,
+        nargs="?",
+        help="wanted poses (and covariates, and joints), .csv or .parquet; or a robot program",
     )
     command.add_argument(
         "--grid", type=int, metavar="POINTS", help="write a correction table with this many points along each joint"
     )
     command.add_argument(
-        "-o", "--out", type=path_argument, required=True, help="where to write the commands, .csv or .parquet"
+        "-o",
+        "--out",
+        type=path_argument,
+        required=True,
+        help="where to write the commands, .csv or .parquet, or the program",
+    )
+    command.add_argument(
+        "--frames", type=path_argument, metavar="FILE", help="frames of a program that only its controller has"
+    )
+    command.add_argument(
+        "--at", action="append", default=[], metavar="NAME=VALUE", help="what effects depend on while the program runs"
     )
     return command
 
@@ -79,6 +104,12 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _main(arguments: argparse.Namespace) -> None:
+    language = language_of(arguments.poses) if arguments.poses is not None else None
+    if language is not None:
+        _correct_program(arguments, language)
+        return
+    if arguments.frames is not None or arguments.at:
+        raise OutputError("--frames and --at are for robot programs: a table has its own columns")
     if arguments.out.suffix.lower() not in ENDINGS:
         raise OutputError(f"{arguments.out}: should be a .csv or .parquet file")
     check_home(arguments.out)
@@ -103,6 +134,89 @@ def _compensate(arguments: argparse.Namespace) -> None:
             write(table)
             answered.add(query, table)
     _report(answered, calibration, arguments.out)
+
+
+def _correct_program(arguments: argparse.Namespace, language: Language) -> None:
+    program, out = arguments.poses, arguments.out
+    if language_of(out) is not language:
+        raise OutputError(f"{out}: should end as {program.name} does: it is {language.name}, too")
+    side = out.with_name(f"{out.name}.corrections.csv")
+    check_home(out)
+    with claimed(out, "file"), claimed(side, "file"):
+        saved = SavedModel.load(arguments.calibration)
+        robot = saved.final.model.robot
+        axes, frames, text = axes_of(robot.kinds), read_frames(arguments.frames), read_program(program)
+        targets = language.read(text, axes, frames)
+        if not targets:
+            raise MeasurementError(f"{program}: no target of {language.name} is in it; is it a program of this maker?")
+        with told_on(Console(stderr=True)) as progress:
+            progress.at("correcting the program")
+            found = correct(
+                saved, targets, _values(arguments.at), _start(frames, axes, language),
+                lambda done: progress.share(done / len(targets)),
+            )  # fmt: skip
+        changes = [change for correction in found for change in correction.changes]
+        with atomic_file(out) as path, atomic_file(side) as table:
+            path.write_bytes(spliced(text, changes).encode("latin-1"))
+            write_table(as_table(found), table)
+    _say(found, out, side, saved)
+
+
+def _values(given: Sequence[str]) -> dict[str, float]:
+    """NAME=VALUE of each --at."""
+    found = {}
+    for text in given:
+        name, _, value = text.partition("=")
+        try:
+            found[name.strip()] = float(value)
+        except ValueError:
+            raise OutputError(f"--at {text}: should be NAME=NUMBER, as in --at temperature=24.5") from None
+    return found
+
+
+def _start(frames: KnownFrames, axes: Axes, language: Language) -> np.ndarray | None:
+    """Readings where the program begins, [rad] or [m]; None if nobody says."""
+    if frames.start is None:
+        return None
+    order = [*axes.arm, *axes.external]
+    if len(frames.start) != len(order):
+        raise CampaignError(f"--frames: `start` has {len(frames.start)} numbers, the robot {len(order)} axes")
+    found = np.zeros(len(order))
+    for value, (unit, k) in zip(frames.start, axes.units(order, language.angle, language.length), strict=True):
+        found[k] = unit * value
+    return found
+
+
+def _say(found: Sequence[Correction], out: Path, side: Path, saved: SavedModel) -> None:
+    """Print what was left, and what is gained."""
+    console = Console(stderr=True)
+    left = [c for c in found if c.why]
+    done = [c for c in found if not c.why]
+    doubtful = [c for c in done if c.doubt > saved.noise[0]]
+    lines = [f"line {c.target.line}, {c.target.name}: {c.why}; left as it is" for c in left[:SHOWN_REMARKS]]
+    lines += [f"and {len(left) - SHOWN_REMARKS} more"] if len(left) > SHOWN_REMARKS else []
+    if doubtful:
+        worst = max(doubtful, key=lambda c: c.doubt)
+        lines.append(
+            f"{len(doubtful)} targets do not say how the arm stands; the position nearest to the target before was taken. Line "
+            f"{worst.target.line}, {worst.target.name}: with another one its correction differs by {1e3 * worst.doubt:.3f} mm"
+        )
+    if saved.measurements.joint_reading == "reported":
+        lines.append(
+            "joints are as the controller reports them, as in the calibration: where commanded ones differ, they keep that"
+        )
+    said = f"{out}: {len(done)} of {len(found)} targets corrected"
+    if done:
+        before, after = (
+            1e3 * _rms(lengths) for lengths in zip(*((c.before[0], c.after[0]) for c in done), strict=True)
+        )
+        said += f"; by the calibrated model they are {after:.3f} mm off now (RMS), {before:.3f} mm before"
+    for line in (*lines, f"{said}; each one in {side}"):
+        console.print(line, markup=False, highlight=False, soft_wrap=True)
+
+
+def _rms(values: Sequence[float]) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
 
 
 @dataclass

@@ -1,0 +1,94 @@
+"""How languages write a pose: UR's rotation vector, KUKA's A B C, ABB's quaternion, FANUC's W P R."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Literal
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from aridcal.programs.targets import Notation
+
+MILLI = 1e-3
+
+
+def pose(position: np.ndarray, rotation: Rotation) -> np.ndarray:
+    """A transform of shape (4, 4) from a position (3,), [m], and a rotation."""
+    found = np.eye(4)
+    found[:3, :3], found[:3, 3] = rotation.as_matrix(), position
+    return found
+
+
+def inverse(T: np.ndarray) -> np.ndarray:
+    """The inverse of a transform, shape (4, 4)."""
+    found = np.eye(4)
+    found[:3, :3], found[:3, 3] = T[:3, :3].T, -T[:3, :3].T @ T[:3, 3]
+    return found
+
+
+def _euler(
+    order: Literal["ZYX"], reverse: bool
+) -> tuple[Callable[[np.ndarray], np.ndarray], Callable[..., np.ndarray]]:
+    """Millimetres and three angles in degrees.
+
+    Args:
+        order: Of scipy: capital letters turn about moved axes.
+        reverse: The angles stand in the reverse of that order.
+    """
+    step = -1 if reverse else 1
+
+    def to_pose(values: np.ndarray) -> np.ndarray:
+        return pose(MILLI * values[:3], Rotation.from_euler(order, values[3:][::step], degrees=True))
+
+    def to_numbers(T: np.ndarray, before: np.ndarray) -> np.ndarray:
+        angles = Rotation.from_matrix(T[:3, :3]).as_euler(order, degrees=True)
+        # Three angles say what other three say, too: the middle one beyond a right angle, the outer two half a turn on.
+        other = np.array([angles[0] + 180.0, 180.0 - angles[1], angles[2] + 180.0])
+        found = [_nearest_turn(a[::step], before[3:]) for a in (angles, other)]
+        best = min(found, key=lambda a: float(np.sum((a - before[3:]) ** 2)))
+        return np.concatenate([T[:3, 3] / MILLI, best])
+
+    return to_pose, to_numbers
+
+
+def _nearest_turn(angles: np.ndarray, before: np.ndarray) -> np.ndarray:
+    """Angles in degrees, turned by whole turns to be nearest to others."""
+    return np.asarray(angles + 360.0 * np.round((before - angles) / 360.0))
+
+
+def _from_rotation_vector(values: np.ndarray) -> np.ndarray:
+    return pose(values[:3], Rotation.from_rotvec(values[3:]))
+
+
+def _to_rotation_vector(T: np.ndarray, before: np.ndarray) -> np.ndarray:
+    vector = Rotation.from_matrix(T[:3, :3]).as_rotvec()
+    angle = float(np.linalg.norm(vector))
+    if angle > 0.0:  # a whole turn more or less about the same axis turns alike
+        along = float(before[3:] @ vector) / angle
+        vector = vector * (1.0 + math.tau * round((along - angle) / math.tau) / angle)
+    return np.concatenate([T[:3, 3], vector])
+
+
+def _from_quaternion(values: np.ndarray) -> np.ndarray:
+    return pose(MILLI * values[:3], Rotation.from_quat(values[3:], scalar_first=True))
+
+
+def _to_quaternion(T: np.ndarray, before: np.ndarray) -> np.ndarray:
+    quaternion = Rotation.from_matrix(T[:3, :3]).as_quat(scalar_first=True)
+    sign = 1.0 if quaternion @ before[3:] >= 0.0 else -1.0
+    return np.concatenate([T[:3, 3] / MILLI, sign * quaternion])
+
+
+UR = Notation(_from_rotation_vector, _to_rotation_vector, (7,) * 3 + (6,) * 3)
+"""p[x, y, z, rx, ry, rz]: metres and a rotation vector in radians."""
+
+KUKA = Notation(*_euler("ZYX", reverse=False), (4,) * 3 + (5,) * 3)
+"""X Y Z A B C: millimetres; A about z, B about the new y, C about the newest x, degrees."""
+
+ABB = Notation(_from_quaternion, _to_quaternion, (4,) * 3 + (8,) * 4)
+"""[x, y, z], [q1, q2, q3, q4]: millimetres and a quaternion, its scalar first."""
+
+FANUC = Notation(*_euler("ZYX", reverse=True), (3,) * 6)
+"""X Y Z W P R: millimetres; R about z, P about the new y, W about the newest x, degrees. The controller writes three digits."""
