@@ -22,7 +22,8 @@ A program in place of the poses (URScript .script; KRL .src, .dat; RAPID .mod; F
 again with other numbers for its targets, so that the real arm comes to where the nominal one would; every other byte stays. Its
 targets must have been made offline: those that were taught on this robot are right already. A table beside the new program says
 for each target what was done; a target that is out of reach, beyond what was measured, or in a frame that only the controller
-knows, is named and left. --frames states such frames: `bases` and `tools` by name or number, each with xyz [m] and rpy [rad].
+knows, is named and left. --frames states such frames: `bases` and `tools` by name, or by number in quotes, each with xyz [m] and
+rpy [rad].
 
 Example:
     aridcal compensate results/calibration.yaml poses.csv -o joints.csv
@@ -198,19 +199,15 @@ def _say(found: Sequence[Correction], out: Path, side: Path, saved: SavedModel) 
     if doubtful:
         worst = max(doubtful, key=lambda c: c.doubt)
         lines.append(
-            f"{len(doubtful)} targets do not say how the arm stands; the position nearest to the target before was taken. Line "
+            f"{len(doubtful)} of them do not say how the arm stands; the position nearest to the target before was taken. Line "
             f"{worst.target.line}, {worst.target.name}: with another one its correction differs by {1e3 * worst.doubt:.3f} mm"
         )
     if saved.measurements.joint_reading == "reported":
-        lines.append(
-            "joints are as the controller reports them, as in the calibration: where commanded ones differ, they keep that"
-        )
+        lines.append("joints are taken as the controller reports them, as in the calibration, not as it is told")
     said = f"{out}: {len(done)} of {len(found)} targets corrected"
     if done:
-        before, after = (
-            1e3 * _rms(lengths) for lengths in zip(*((c.before[0], c.after[0]) for c in done), strict=True)
-        )
-        said += f"; by the calibrated model they are {after:.3f} mm off now (RMS), {before:.3f} mm before"
+        before, after = 1e3 * _rms([c.before[0] for c in done]), 1e3 * _rms([c.after[0] for c in done])
+        said += f"; the calibrated model has the tip {before:.3f} mm off as the program was (RMS), rounding leaves {after:.4f} mm"
     for line in (*lines, f"{said}; each one in {side}"):
         console.print(line, markup=False, highlight=False, soft_wrap=True)
 

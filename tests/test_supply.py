@@ -17,6 +17,11 @@ from aridcal.doctor import IMPORTED_AS
 HOME = Path(__file__).resolve().parents[1]
 PROJECT = tomllib.loads((HOME / "pyproject.toml").read_text("utf-8"))["project"]
 NEEDED = [Requirement(line) for line in PROJECT["dependencies"]]
+EXTRAS = {
+    extra: [r for r in map(Requirement, PROJECT["optional-dependencies"][extra]) if r.name != PROJECT["name"]]
+    for extra in ("fleet", "ros", "xacro", "dev")
+}
+"""What is installed on request; developers have all of it."""
 
 BY_OTHERS = {"collada": "trimesh"}
 """Imported by another dependency, which does not ask for it itself."""
@@ -85,7 +90,7 @@ def test_the_lock_holds_all_that_is_required_with_hashes() -> None:
     locked: dict[str, list[str]] = {}
     for name, version, _ in entries:
         locked.setdefault(canonicalize_name(name), []).append(version)
-    for required in (*NEEDED, *map(Requirement, PROJECT["optional-dependencies"]["dev"])):
+    for required in (*NEEDED, *(r for own in EXTRAS.values() for r in own)):
         versions = locked[canonicalize_name(required.name)]
         assert all(required.specifier.contains(version) for version in versions), required
 

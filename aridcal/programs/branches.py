@@ -77,7 +77,7 @@ def positions_of_arm(
             for q in _turned(command.readings, own, near, branch.fits):
                 if not any(np.abs(q - other).max() < SAME for other in found):
                     found.append(q)
-        if found and branch.near is not None:
+        if found and branch.settled:  # the nearest that fits is the one
             break
     return sorted(found, key=lambda q: float(np.sum((q - near) ** 2)))
 

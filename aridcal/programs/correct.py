@@ -213,7 +213,7 @@ class _Walk:
             for value, n, digits in zip(values, target.numbers, target.places, strict=True)
         )
         as_read = target.base @ target.notation.pose(np.array([float(text) for text in texts])) @ inverse(target.tool)
-        near = replace(target.branch, near=command.readings, fits=lambda q: True)
+        near = replace(target.branch, near=command.readings, fits=lambda q: True, settled=True)
         sent = next(iter(positions_of_arm(self._arm.nominal, as_read, near, command.readings)), command.readings)
         found = Correction(
             target, self._left(command, sides), texts, _apart(target.base @ new, told),

@@ -17,13 +17,13 @@ class FrameSettings(Settings):
     """A file of ``--frames``.
 
     Attributes:
-        bases: T_base_frame of each frame that targets are in, by the name or number that the program knows it by.
+        bases: T_base_frame of each frame that targets are in, by its name in the program, or its number in quotes.
         tools: T_tip_tool of each tool, likewise.
         start: Readings of the joints where the program begins, in the units of the program.
     """
 
-    bases: Mapping[str | int, Placement] = Field(default_factory=dict)
-    tools: Mapping[str | int, Placement] = Field(default_factory=dict)
+    bases: Mapping[str, Placement] = Field(default_factory=dict)
+    tools: Mapping[str, Placement] = Field(default_factory=dict)
     start: tuple[Number, ...] | None = None
 
 
@@ -54,8 +54,8 @@ def read_frames(path: Path | None) -> KnownFrames:
     return KnownFrames(_poses(settings.bases), _poses(settings.tools), settings.start)
 
 
-def _poses(placements: Mapping[str | int, Placement]) -> dict[str, np.ndarray]:
-    return {str(name).lower(): placement.homogeneous for name, placement in placements.items()}
+def _poses(placements: Mapping[str, Placement]) -> dict[str, np.ndarray]:
+    return {name.lower(): placement.homogeneous for name, placement in placements.items()}
 
 
 def unknown(kind: str, name: str) -> str:

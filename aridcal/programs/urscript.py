@@ -25,6 +25,9 @@ LIST = re.compile(r"(p?)\s*\[")
 DEFAULT = "default"
 """The tool of a program that sets none, in a file of frames."""
 
+POSE = 6
+"""Numbers of a pose."""
+
 DEEPEST = 20
 """Names that stand for names, and frames in frames; a program that goes deeper goes round in circles."""
 
@@ -90,6 +93,8 @@ class _Program:
         found = self.target(start, end, depth)
         if found.form == "joints":
             raise NotPlain(f"{found.name}: is no pose")
+        if len(found.numbers) != POSE:
+            raise NotPlain(f"{found.name}: has {len(found.numbers)} numbers, a pose six")
         return np.asarray(found.base @ UR.pose(np.array([n.value for n in found.numbers])))
 
     def joints(self, start: int, end: int) -> np.ndarray | None:
@@ -136,7 +141,7 @@ def read(text: str, axes: Axes, frames: KnownFrames) -> list[Target]:
         end = closing(plain, call.end() - 1)
         arguments = split_arguments(plain, call.end(), end) if end > 0 else []
         if call.group("tcp"):
-            tool = _tool(program, arguments)
+            tool = _tool(program, arguments[0]) if arguments else "the tool: set_tcp(...) does not end"
             continue
         for start, stop in arguments[: 2 if call.group("move") == "movec" else 1]:
             line = line_of(text, call.start())
@@ -166,9 +171,9 @@ def _assignments(text: str) -> dict[str, list[tuple[int, int]]]:
     return found
 
 
-def _tool(program: _Program, arguments: list[tuple[int, int]]) -> np.ndarray | str:
+def _tool(program: _Program, argument: tuple[int, int]) -> np.ndarray | str:
     try:
-        return program.frame(*arguments[0])
+        return program.frame(*argument)
     except NotPlain as why:
         return f"the tool: {why}"
 
@@ -180,7 +185,7 @@ def _target(line: int, found: _Found, tool: np.ndarray | str, axes: Axes) -> Tar
             return Target(line, found.name, "joints", (), f"has {len(found.numbers)} joints, the robot {len(units)}")
         readings = axes.readings(found.numbers, units)
         return Target(line, found.name, "joints", found.numbers, "", readings, units, digits=6)
-    if len(found.numbers) != 6:
+    if len(found.numbers) != POSE:
         return Target(line, found.name, "pose", (), f"has {len(found.numbers)} numbers, a pose six")
     why = tool if isinstance(tool, str) else ""
     own = None if isinstance(tool, str) else tool

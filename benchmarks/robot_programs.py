@@ -1,0 +1,118 @@
+"""Robot programs corrected: is every other byte kept, and does the real arm come to where it should?
+
+40 programs a language as integrators write them (nested frames, names, comments, CRLF, umlauts) for a simulated UR10 of which
+the truth is known. The corrected text is read by the program's own template, and its numbers are given to a controller with the
+nominal arm; where the true arm then stands is compared with where it should be, and with the calibrated model's error.
+
+Example:
+    python benchmarks/robot_programs.py --programs 40
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from calibrated import Machine, machine
+from made_programs import MAKERS, Made, path
+from rich.console import Console
+from rich.table import Table
+
+from aridcal.compensate import main as compensate
+from aridcal.programs.branches import controller, flange
+
+POINTS = 25
+
+
+def error(wanted: np.ndarray, m: Machine, q: np.ndarray) -> tuple[float, float]:
+    """How far the true target is from where it should be, and from where the calibrated model says, [m]."""
+    final = m.saved.final
+    world, tip = (frames[0][1].homogeneous for frames in final.model.frames(final.theta))
+    _, true = m.model.poses(m.theta, m.model.rows(q[None]))
+    _, said = final.poses(q[None])
+    return float(np.linalg.norm(true[0] - (world @ wanted @ tip)[:3, 3])), float(np.linalg.norm(true[0] - said[0]))
+
+
+def sent(made: Made, texts: list[str], ending: str, m: Machine) -> list[np.ndarray]:
+    """Readings to which the controller goes for each target of a program, with the nominal arm."""
+    dialect, _ = MAKERS[ending]
+    nominal, found, values = controller(m.model.robot), [], list(map(float, texts))
+    for kind, base, tool, q in zip(made.kinds, made.bases, made.tools, made.readings, strict=True):
+        count = 6 if kind == "joints" else len(dialect.pose(np.eye(4)))
+        own, values = np.array(values[:count]), values[count:]
+        if kind == "joints":
+            found.append(dialect.joints * own)
+        else:
+            T = base @ dialect.read(own) @ np.linalg.inv(tool)
+            command = nominal.command(T[:3, :3], T[:3, 3], q, {})
+            assert command.reached
+            found.append(command.readings)
+    return found
+
+
+def corrected(made: Made, ending: str, calibration: Path, folder: Path) -> tuple[str, pd.DataFrame]:
+    """The text that the command writes, and its side table."""
+    program, out = folder / f"program{ending}", folder / f"corrected{ending}"
+    program.write_bytes(made.text.encode("utf-8"))
+    arguments = [str(calibration), str(program), "-o", str(out)]
+    if made.frames:
+        (folder / "frames.yaml").write_text(made.frames)
+        arguments += ["--frames", str(folder / "frames.yaml")]
+    assert compensate(arguments) == 0
+    return out.read_bytes().decode("utf-8"), pd.read_csv(folder / f"{out.name}.corrections.csv")
+
+
+def measure(ending: str, programs: int, m: Machine) -> dict[str, float]:
+    """What becomes of the programs of a language."""
+    robot = m.saved.final.model.robot
+    low, high = np.array([m.saved.ranges[name] for name in robot.readings]).T
+    kept = targets = done = 0
+    before, after, model = [], [], []
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        (folder / "calibration.yaml").write_text(m.saved.dump())
+        for seed in range(programs):
+            rng = np.random.default_rng(seed)
+            made = MAKERS[ending][1](rng, path(rng, low, high, POINTS), lambda q: flange(robot, q))
+            text, side = corrected(made, ending, folder / "calibration.yaml", folder)
+            texts = made.read(text)
+            kept += texts is not None
+            targets += len(made.kinds)
+            if texts is None or len(side) != len(made.kinds):
+                continue
+            original = sent(made, made.numbers, ending, m)
+            now = sent(made, texts, ending, m)
+            left = [a == b for a, b in zip(original, now, strict=True) if np.array_equal(a, b)]
+            done += len(made.kinds) - len(left)
+            for q, there in zip(original, now, strict=True):
+                if not np.array_equal(q, there):
+                    wanted = flange(robot, q)
+                    before.append(error(wanted, m, q)[0])
+                    after.append(error(wanted, m, there)[0])
+                    model.append(error(wanted, m, there)[1])
+    rms = [1e3 * float(np.sqrt(np.mean(np.square(e)))) for e in (before, after, model)]
+    return {"kept": kept, "targets": targets, "done": done, "before": rms[0], "after": rms[1], "model": rms[2]}
+
+
+def main() -> None:
+    command = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    command.add_argument("--programs", type=int, default=40, help="of each language")
+    programs = command.parse_args().programs
+    m = machine(3, n=150)
+    table = Table(
+        "language", "all other bytes kept", "targets", "corrected", "before [mm]", "after", "model's error", "ratio"
+    )
+    for ending in MAKERS:
+        found = measure(ending, programs, m)
+        table.add_row(
+            ending, f"{found['kept']:.0f} of {programs}", f"{found['targets']:.0f}", f"{found['done']:.0f}",
+            f"{found['before']:.3f}", f"{found['after']:.4f}", f"{found['model']:.4f}", f"{found['after'] / found['model']:.2f}",
+        )  # fmt: skip
+    Console().print(table)
+
+
+if __name__ == "__main__":
+    main()
