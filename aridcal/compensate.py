@@ -196,6 +196,13 @@ def _say(found: Sequence[Correction], out: Path, side: Path, saved: SavedModel) 
     doubtful = [c for c in done if c.doubt > saved.noise[0]]
     lines = [f"line {c.target.line}, {c.target.name}: {c.why}; left as it is" for c in left[:SHOWN_REMARKS]]
     lines += [f"and {len(left) - SHOWN_REMARKS} more"] if len(left) > SHOWN_REMARKS else []
+    singular = [c for c in done if c.remark]
+    if singular:
+        most = max(singular, key=lambda c: c.after[0])
+        lines.append(
+            f"{len(singular)} of them: {most.remark}. Most remains on line {most.target.line}, {most.target.name}: "
+            f"{1e3 * most.after[0]:.3f} mm and {1e3 * most.after[1]:.3f} mrad"
+        )
     if doubtful:
         worst = max(doubtful, key=lambda c: c.doubt)
         lines.append(
@@ -207,7 +214,7 @@ def _say(found: Sequence[Correction], out: Path, side: Path, saved: SavedModel) 
     said = f"{out}: {len(done)} of {len(found)} targets corrected"
     if done:
         before, after = 1e3 * _rms([c.before[0] for c in done]), 1e3 * _rms([c.after[0] for c in done])
-        said += f"; the calibrated model has the tip {before:.3f} mm off as the program was (RMS), rounding leaves {after:.4f} mm"
+        said += f"; the calibrated model has the tip {before:.3f} mm off as the program was (RMS), {after:.4f} mm as it is now"
     for line in (*lines, f"{said}; each one in {side}"):
         console.print(line, markup=False, highlight=False, soft_wrap=True)
 

@@ -69,8 +69,8 @@ def measure(ending: str, programs: int, m: Machine) -> dict[str, float]:
     """What becomes of the programs of a language."""
     robot = m.saved.final.model.robot
     low, high = np.array([m.saved.ranges[name] for name in robot.readings]).T
-    kept = targets = done = 0
-    before, after, model = [], [], []
+    found = {"kept": 0.0, "targets": 0.0, "left": 0.0, "part": 0.0}
+    errors: dict[str, list[float]] = {"before": [], "after": [], "model": [], "rest": [0.0]}
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         (folder / "calibration.yaml").write_text(m.saved.dump())
@@ -79,22 +79,23 @@ def measure(ending: str, programs: int, m: Machine) -> dict[str, float]:
             made = MAKERS[ending][1](rng, path(rng, low, high, POINTS), lambda q: flange(robot, q))
             text, side = corrected(made, ending, folder / "calibration.yaml", folder)
             texts = made.read(text)
-            kept += texts is not None
-            targets += len(made.kinds)
-            if texts is None or len(side) != len(made.kinds):
+            found["targets"] += len(made.kinds)
+            if texts is None:
                 continue
-            original = sent(made, made.numbers, ending, m)
-            now = sent(made, texts, ending, m)
-            left = [a == b for a, b in zip(original, now, strict=True) if np.array_equal(a, b)]
-            done += len(made.kinds) - len(left)
-            for q, there in zip(original, now, strict=True):
-                if not np.array_equal(q, there):
-                    wanted = flange(robot, q)
-                    before.append(error(wanted, m, q)[0])
-                    after.append(error(wanted, m, there)[0])
-                    model.append(error(wanted, m, there)[1])
-    rms = [1e3 * float(np.sqrt(np.mean(np.square(e)))) for e in (before, after, model)]
-    return {"kept": kept, "targets": targets, "done": done, "before": rms[0], "after": rms[1], "model": rms[2]}
+            found["kept"] += 1
+            ways = zip(sent(made, made.numbers, ending, m), sent(made, texts, ending, m), strict=True)
+            for (q, there), (_, row) in zip(ways, side.iterrows(), strict=True):
+                wanted = flange(robot, q)
+                if not row["corrected"]:
+                    found["left"] += 1
+                elif isinstance(row["remark"], str):
+                    found["part"] += 1
+                    errors["rest"].append(error(wanted, m, there)[0])
+                else:
+                    errors["before"].append(error(wanted, m, q)[0])
+                    errors["after"].append(error(wanted, m, there)[0])
+                    errors["model"].append(error(wanted, m, there)[1])
+    return found | {name: 1e3 * float(np.sqrt(np.mean(np.square(e)))) for name, e in errors.items()}
 
 
 def main() -> None:
@@ -102,16 +103,28 @@ def main() -> None:
     command.add_argument("--programs", type=int, default=40, help="of each language")
     programs = command.parse_args().programs
     m = machine(3, n=150)
-    table = Table(
-        "language", "all other bytes kept", "targets", "corrected", "before [mm]", "after", "model's error", "ratio"
+    console = Console(width=120)
+    heads = (
+        "language",
+        "bytes kept",
+        "targets",
+        "left",
+        "in part",
+        "rest [mm]",
+        "before [mm]",
+        "after",
+        "model's",
+        "ratio",
     )
+    table = Table(*heads)
     for ending in MAKERS:
         found = measure(ending, programs, m)
         table.add_row(
-            ending, f"{found['kept']:.0f} of {programs}", f"{found['targets']:.0f}", f"{found['done']:.0f}",
-            f"{found['before']:.3f}", f"{found['after']:.4f}", f"{found['model']:.4f}", f"{found['after'] / found['model']:.2f}",
+            ending, f"{found['kept']:.0f} of {programs}", *(f"{found[name]:.0f}" for name in ("targets", "left", "part")),
+            f"{found['rest']:.2f}", f"{found['before']:.3f}", f"{found['after']:.4f}", f"{found['model']:.4f}",
+            f"{found['after'] / found['model']:.2f}",
         )  # fmt: skip
-    Console().print(table)
+    console.print(table)
 
 
 if __name__ == "__main__":

@@ -21,6 +21,10 @@ STARTS = 60
 """Drawn over the joints' ranges: of the eight positions of a six-axis arm each is missed by all with less than one in a thousand,
 where each takes a twentieth of the starts."""
 
+AROUND, KICK = 6, 0.3
+"""Starts close by, and how far they are, [rad] or [m]: with an elbow nearly straight a search may end on its other side, which is
+further away, and one from there on the nearer."""
+
 SAME = 1e-4
 """Readings that differ by less are the same position of the arm, [rad] or [m]."""
 
@@ -71,13 +75,13 @@ def positions_of_arm(
     near = before if branch.near is None else np.where(np.isfinite(branch.near), branch.near, before)
     own = holding(nominal, branch.held)
     found: list[np.ndarray] = []
-    for start in _starts(own, near):
+    for tried, start in enumerate(_starts(own, near)):
         command = own.command(wanted[:3, :3], wanted[:3, 3], start, {})
         if command.reached:
             for q in _turned(command.readings, own, near, branch.fits):
                 if not any(np.abs(q - other).max() < SAME for other in found):
                     found.append(q)
-        if found and branch.settled:  # the nearest that fits is the one
+        if found and branch.settled and tried >= AROUND:  # the nearest that fits is the one
             break
     return sorted(found, key=lambda q: float(np.sum((q - near) ** 2)))
 
@@ -86,6 +90,8 @@ def _starts(own: InverseKinematics, near: np.ndarray) -> Iterator[np.ndarray]:
     rng = np.random.default_rng(0)
     low, high = np.maximum(own.low, near - WIDE), np.minimum(own.high, near + WIDE)
     yield near
+    for kick in KICK * rng.standard_normal((AROUND, len(near))):
+        yield near + kick
     for _ in range(STARTS):
         yield rng.uniform(low, np.maximum(low, high))
 

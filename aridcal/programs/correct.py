@@ -9,7 +9,7 @@ one for which the controller finds q': base^-1 T_nominal(q') tool.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -22,7 +22,7 @@ from aridcal.model.inverse import Command, InverseKinematics
 from aridcal.model.one_row import OneRowModel
 from aridcal.programs.branches import controller, flange, holding, positions_of_arm
 from aridcal.programs.notations import inverse
-from aridcal.programs.targets import Number, Target, written
+from aridcal.programs.targets import Branch, Number, Target, written
 from aridcal.result.compensate import STILL
 from aridcal.result.predict import at_any_station, directions, extrapolates, std_of
 from aridcal.result.saved_model import SavedModel
@@ -30,6 +30,21 @@ from aridcal.result.saved_model import SavedModel
 BEYOND = "is beyond what was measured for the calibration"
 
 UNREACHED = "cannot be reached within the joint limits"
+
+SINGULAR = "is close to a singularity: corrected as far as small motions of the joints can"
+
+GENTLE = 0.2
+"""[rad] or [m]: an arm whose elbow is nearly straight bends it by so much for 2 cm; a correction that moves a joint further goes
+round a singularity, and the arm would swing there between two targets."""
+
+DAMPINGS = np.logspace(-4, 0, 9)
+"""[m/rad]: tried one after the other until no joint moves further."""
+
+SAME = 1e-3
+"""[rad] or [m]: readings that differ by more are another position of the arm."""
+
+WORTH = 0.5
+"""A correction that is not whole is made where it leaves less than half of the error."""
 
 NOWHERE = "the nominal arm does not get there: it is out of reach, or base, tool or tip are others"
 
@@ -44,6 +59,7 @@ class Correction:
     Attributes:
         target: As it stands in the program.
         why: Why it is left as it is; empty where it is corrected.
+        remark: What is to be known of a correction.
         texts: New numbers, as they are written.
         moved: By how much the place that the controller is told is moved, [m] and [rad].
         before: How far the real tip would be from its place as the program is, [m] and [rad].
@@ -54,6 +70,7 @@ class Correction:
 
     target: Target
     why: str = ""
+    remark: str = ""
     texts: tuple[str, ...] = ()
     moved: tuple[float, float] = (np.nan, np.nan)
     before: tuple[float, float] = (np.nan, np.nan)
@@ -89,12 +106,12 @@ class _Arm:
         """The calibrated arm with its effects; wanted poses are those of the target in the world."""
         robot = self.saved.final.model.robot
         noise = self.saved.noise if self.saved.kind == "pose" else (self.saved.noise[0], self.saved.noise[0] / LEVER)
-        model = OneRowModel(self.saved.final.model, self.saved.final.theta, self._station)
+        model = OneRowModel(self.saved.final.model, self.saved.final.theta, self.station)
         low, high = robot.limits.T
         return InverseKinematics(model, low, high, self.nominal.turning, True, noise)
 
     @cached_property
-    def _station(self) -> str | None:
+    def station(self) -> str | None:
         model = self.saved.final.model
         return next((label for label, _ in (*model.world_base, *model.tip_target) if label is not None), None)
 
@@ -102,7 +119,7 @@ class _Arm:
     def _frames(self) -> tuple[np.ndarray, np.ndarray]:
         """T_world_base and T_tip_target as calibrated: the same before and after, so that they matter to the weighing alone."""
         world, tip = self.saved.final.model.frames(self.saved.final.theta)
-        first = [next(T for label, T in frames if label in (None, self._station)) for frames in (world, tip)]
+        first = [next(T for label, T in frames if label in (None, self.station)) for frames in (world, tip)]
         return np.asarray(first[0].homogeneous), np.asarray(first[1].homogeneous)
 
     def target(self, wanted: np.ndarray) -> np.ndarray:
@@ -116,6 +133,36 @@ class _Arm:
         """Readings that bring the real tip to T_base_tip."""
         T = self.target(wanted)
         return holding(self.real, held).command(T[:3, :3], T[:3, 3], q, {**self.covariates, **sides})
+
+    def nearby(
+        self, wanted: np.ndarray, q: np.ndarray, sides: Mapping[str, float], held: np.ndarray | None
+    ) -> tuple[np.ndarray, str]:
+        r"""Readings near others that bring the real tip to T_base_tip, and a remark where that is not wholly to be had.
+
+        Close to a singularity, damped least squares with the least damping :math:`\lambda` that keeps the joints near,
+
+        .. math:: \delta q = J^T (J J^T + \lambda^2)^{-1} e
+        """
+        command = self.command(wanted, q, sides, held)
+        if command.reached and np.abs(command.readings - q).max() < GENTLE and self._same_side(command.readings, q):
+            return command.readings, ""
+        T, values = self.target(wanted), {**self.covariates, **sides}
+        own = holding(self.real, held)
+        e, J = own.error(T[:3, :3], T[:3, 3], q, values)
+        J = J * (own.low < own.high)
+        for damping in DAMPINGS:
+            step = J.T @ np.linalg.solve(J @ J.T + damping**2 * np.eye(len(J)), e)
+            there = np.clip(q + step, own.low, own.high)
+            if np.abs(there - q).max() < GENTLE:
+                left, _ = own.error(T[:3, :3], T[:3, 3], there, values)
+                return (there, SINGULAR) if np.linalg.norm(left) < WORTH * np.linalg.norm(e) else (q, UNREACHED)
+        return q, UNREACHED
+
+    def _same_side(self, q: np.ndarray, start: np.ndarray) -> bool:
+        """Whether the controller, coming from a start, stands as wanted, and no elbow has gone through its singularity."""
+        T = flange(self.saved.final.model.robot, q)
+        found = self.nominal.command(T[:3, :3], T[:3, 3], start, {})
+        return found.reached and float(np.abs(found.readings - q).max()) < SAME
 
     def miss(self, wanted: np.ndarray, q: np.ndarray, sides: Mapping[str, float]) -> tuple[float, float]:
         """How far the real target is from where it should be, [m] and [rad]."""
@@ -182,15 +229,16 @@ class _Walk:
         wanted = flange(self._robot, q)
         free = np.isin(np.arange(len(q)), [k for _, k in target.units])
         sides = self._approached(q)
-        command = self._arm.command(wanted, q, sides, np.where(free, np.nan, self._sent))
+        real, remark = self._arm.nearby(wanted, q, sides, np.where(free, np.nan, self._sent))
         texts = []
         sent = np.where(free, q, self._sent)
         for n, digits, (unit, k) in zip(target.numbers, target.places, target.units, strict=True):
-            texts.append(written(n.value + (command.readings[k] - q[k]) / unit, n.text, digits))
+            texts.append(written(n.value + (real[k] - q[k]) / unit, n.text, digits))
             sent[k] = q[k] + (float(texts[-1]) - n.value) * unit
         as_is = np.where(free, q, self._sent)
+        moved = _apart(flange(self._robot, sent), flange(self._robot, as_is))
         found = Correction(
-            target, self._left(command, sides), tuple(texts), _apart(flange(self._robot, sent), flange(self._robot, as_is)),
+            target, self._left(real, remark, sides), remark, tuple(texts), moved,
             self._arm.miss(wanted, as_is, sides), self._arm.miss(wanted, sent, sides),
         )  # fmt: skip
         self._nominal, self._sent = q, (as_is if found.why else sent)
@@ -205,18 +253,18 @@ class _Walk:
             return Correction(target, NOWHERE)
         q, others = stands[0], [] if target.branch.settled else stands[1:]
         sides = self._approached(q)
-        command = self._arm.command(wanted, q, sides, target.branch.held)
-        new = self._posed(target, command.readings)
+        real, remark = self._arm.nearby(wanted, q, sides, target.branch.held)
+        new = self._posed(target, real)
         values = target.notation.numbers(new, target.values)
         texts = tuple(
             written(value, n.text, digits)
             for value, n, digits in zip(values, target.numbers, target.places, strict=True)
         )
         as_read = target.base @ target.notation.pose(np.array([float(text) for text in texts])) @ inverse(target.tool)
-        near = replace(target.branch, near=command.readings, fits=lambda q: True, settled=True)
-        sent = next(iter(positions_of_arm(self._arm.nominal, as_read, near, command.readings)), command.readings)
+        near = Branch(near=q, held=target.branch.held, settled=True)
+        sent = next(iter(positions_of_arm(self._arm.nominal, as_read, near, q)), q)
         found = Correction(
-            target, self._left(command, sides), texts, _apart(target.base @ new, told),
+            target, self._left(real, remark, sides), remark, texts, _apart(target.base @ new, told),
             self._arm.miss(wanted, q, sides), self._arm.miss(wanted, sent, sides),
             len(stands), max((self._differs(target, wanted, new, other, sides) for other in others), default=0.0),
         )  # fmt: skip
@@ -232,8 +280,8 @@ class _Walk:
         self, target: Target, wanted: np.ndarray, new: np.ndarray, other: np.ndarray, sides: Mapping[str, float]
     ) -> float:
         """How much a correction would differ if the arm stood otherwise, [m]."""
-        command = self._arm.command(wanted, other, sides, target.branch.held)
-        return _apart(self._posed(target, command.readings), new)[0]
+        real, _ = self._arm.nearby(wanted, other, sides, target.branch.held)
+        return _apart(self._posed(target, real), new)[0]
 
     def _approached(self, q: np.ndarray) -> dict[str, float]:
         """From which side each joint comes that has to do with it."""
@@ -242,14 +290,14 @@ class _Walk:
             self._sides[name] = float(approach(q[k : k + 1], STILL, self._sides[name], float(self._nominal[k]))[0])
         return self._sides
 
-    def _left(self, command: Command, sides: Mapping[str, float]) -> str:
+    def _left(self, real: np.ndarray, remark: str, sides: Mapping[str, float]) -> str:
         """Why a target is left as it is; empty if it is not."""
-        if not command.reached:
-            return UNREACHED
-        known = {name: np.array([value]) for name, value in ({**self._arm.covariates, **sides}).items()}
+        if remark == UNREACHED:
+            return remark
+        known = {name: np.array([value]) for name, value in {**self._arm.covariates, **sides}.items()}
         line, usable = np.ones(1, dtype=int), np.ones(1, dtype=bool)
-        station = None if self._arm._station is None else np.array([self._arm._station])
-        query = Query(pd.DataFrame(), command.readings[None], None, None, known, station, line, usable, (), ())
+        station = None if self._arm.station is None else np.array([self._arm.station])
+        query = Query(pd.DataFrame(), real[None], None, None, known, station, line, usable, (), ())
         return BEYOND if extrapolates(self._arm.saved, query, std_of(self._arm.saved, query))[0] else ""
 
 
@@ -272,7 +320,7 @@ def _rows(corrections: Sequence[Correction]) -> Iterator[dict[str, object]]:
             "target": c.target.name,
             "written_as": c.target.form,
             "corrected": not c.why,
-            "why_not": c.why,
+            "remark": c.why or c.remark,
             "moved_mm": 1e3 * c.moved[0] if not c.why else 0.0,
             "turned_mrad": 1e3 * c.moved[1] if not c.why else 0.0,
             "error_before_mm": 1e3 * c.before[0],
