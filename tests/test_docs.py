@@ -24,7 +24,7 @@ from aridcal.effects.smooth import Kernel
 
 TOP = Path(__file__).resolve().parents[1]
 DOCS = TOP / "docs"
-PAGES = [*sorted(DOCS.glob("*.md")), TOP / "README.md", TOP / "CONTRIBUTING.md", *sorted(TOP.glob("notebooks/*.ipynb"))]
+PAGES = [*sorted(DOCS.rglob("*.md")), TOP / "README.md", TOP / "CONTRIBUTING.md", *sorted(TOP.glob("notebooks/*.ipynb"))]
 
 
 SEARCH_PAGE = DOCS / "how-the-search-works.md"
@@ -152,7 +152,7 @@ def test_the_site_has_every_page_in_its_menu():
     menu = yaml.safe_load((TOP / "mkdocs.yml").read_text("utf-8"))["nav"]
     named = set(re.findall(r"[\w/-]+\.md", json.dumps(menu)))
     made = {"index.md", "commands.md", *(f"notebooks/{path.stem}.md" for path in TOP.glob("notebooks/*.ipynb"))}
-    assert named == made | {path.name for path in DOCS.glob("*.md")}
+    assert named == made | {path.relative_to(DOCS).as_posix() for path in DOCS.rglob("*.md")}
 
 
 @pytest.fixture(scope="module")
