@@ -114,7 +114,7 @@ def region_table(index: Document) -> pd.DataFrame:
     """
     rows = {}
     for name, region in index.get("regions", {}).items():
-        row = {"urdf": region["urdf"]}
+        row = {name: region[name] for name in ("label", "urdf") if name in region or name == "urdf"}
         for part in ("middle", "low", "high", "rows", "error"):
             row |= {f"{part}_{of}": value for of, value in region[part].items()}
         rows[name] = row

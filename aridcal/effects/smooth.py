@@ -57,8 +57,8 @@ def samples_root(shape: Shape, kernel: Kernel) -> np.ndarray:
 
 
 def kernels_that_matter(shape: Shape, kernels: tuple[Kernel, ...]) -> tuple[Kernel, ...]:
-    """Of some kernels those that make a difference to samples: one where all of them are at nodes."""
-    return kernels[:1] if all(isinstance(part, Nodes) for part in shape) else kernels
+    """Of some kernels those that make a difference to samples: one where all are at nodes, or alone, as those of a label."""
+    return kernels[:1] if all(isinstance(part, Nodes) or part == (1,) for part in shape) else kernels
 
 
 @cache

@@ -11,6 +11,7 @@ import pinocchio as pin
 
 from aridcal.effects.basis import evaluate
 from aridcal.effects.effect import FRAME_COMPONENTS, LINK_COMPONENTS, Coefficient
+from aridcal.effects.labels import label_columns
 from aridcal.effects.loads import Surroundings, covariate_table, needs
 from aridcal.effects.sights import is_sight, sight_table
 from aridcal.errors import CovariateNotFound, MeasurementError
@@ -146,7 +147,8 @@ class Model:
         wanted = {name for c in varying for name in c.basis.of}
         if "payload" in self.needs and "payload" not in (covariates or {}):
             raise CovariateNotFound("the model depends on 'payload', which was not measured: add that column")
-        table = covariate_table(self.robot, readings, covariates or {}, self.around, world, wanted) if wanted else {}
+        given = label_columns(wanted, station) | dict(covariates or {})
+        table = covariate_table(self.robot, readings, given, self.around, world, wanted) if wanted else {}
         if any(map(is_sight, wanted)):
             gravity = np.atleast_2d(self.around.gravity)[0]  # instruments measure one base
             table |= sight_table(self.robot, readings, self.around.sights, gravity, tip)

@@ -12,6 +12,7 @@ import pandas as pd
 from scipy.interpolate import RegularGridInterpolator
 from scipy.spatial.transform import Rotation
 
+from aridcal.effects.regional_kind import labels_of
 from aridcal.errors import AridcalError, CovariateNotFound
 from aridcal.inputs.approach import approach
 from aridcal.inputs.query import Query
@@ -141,6 +142,7 @@ class _Walk:
         model = saved.final.model
         self._saved, self._stations = saved, per_station(model)
         self._needs = at_any_station(saved).model.needs
+        self._labels = labels_of(c.basis for c in model.coefficients)
         self._seen = np.array([saved.ranges.get(name, (0.0, 0.0)) for name in model.robot.readings])
         self._last, self._rng = self._seen.mean(axis=1), np.random.default_rng(0)
 
@@ -165,7 +167,7 @@ class _Walk:
                 found.append(nothing)
                 continue
             inverse = self._saved.inverse_kinematics(None if stations is None else str(stations[k]))
-            given = {name: float(covariates[name][k]) for name in self._needs}
+            given = {name: float(covariates[name][k]) for name in (*self._needs, *self._labels)}
             own = query.readings[k]
             seed = np.where(np.isnan(own), self._last, own)
             best = inverse.command(R[k], query.position[k], seed, given)

@@ -11,7 +11,8 @@ import numpy as np
 import pandas as pd
 from scipy.spatial.transform import Rotation
 
-from aridcal.effects.regional_kind import far_from_nodes
+from aridcal.effects.labels import STATION, label_in
+from aridcal.effects.regional_kind import far_from_nodes, labels_of, without_label
 from aridcal.effects.sights import target_places
 from aridcal.errors import MeasurementError
 from aridcal.inputs.measurement_settings import MeasurementSettings
@@ -89,6 +90,7 @@ def _query(saved: SavedModel, table: AnyTable | Table, poses: bool) -> Query:
         per_station=per_station(saved.final.model),
         label=saved.frames_by,
         needs=set(at_any_station(saved).model.needs) - set(directions(saved) if poses else ()),
+        of_labels=labels_of(c.basis for c in saved.final.model.coefficients),
         limit=saved.limits.table,
     )
     if poses:
@@ -268,7 +270,8 @@ def std_of(saved: SavedModel, query: Query) -> np.ndarray:
 def extrapolates(saved: SavedModel, query: Query, std: np.ndarray) -> np.ndarray:
     """Rows that are not like those that the calibration has seen, shape (N,).
 
-    See :meth:`aridcal.trust.seen.Seen.beyond`; and far from all places that a field is known at.
+    See :meth:`aridcal.trust.seen.Seen.beyond`; and far from all places that a field is known at, or of a label that is none of
+    those that deviate, each by itself.
 
     Args:
         saved: The model.
@@ -278,6 +281,7 @@ def extrapolates(saved: SavedModel, query: Query, std: np.ndarray) -> np.ndarray
     readings = dict(zip(saved.final.model.robot.readings, query.readings.T, strict=True))
     seen = Seen(saved.ranges, saved.holes, saved.largest_std)
     beyond = seen.beyond(query.covariates | readings, std)
+    beyond |= without_label((c.basis for c in saved.final.model.coefficients), query.covariates, len(beyond))
     known = query.usable & np.isfinite(query.readings).all(axis=1)
     beyond[known] |= _far(saved, query, known)
     return beyond
@@ -299,6 +303,9 @@ def evenly(saved: SavedModel) -> pd.DataFrame:
     if per_station(model):
         label = next(label for label, _ in (*model.world_base, *model.tip_target) if label is not None)
         table[column_of(saved.frames_by, settings, robot.readings)] = label
+    of_labels = labels_of(c.basis for c in model.coefficients)
+    if of_labels and column_of(STATION, settings, robot.readings) not in table:
+        table[column_of(STATION, settings, robot.readings)] = label_in(of_labels[0])
     return table
 
 

@@ -16,7 +16,8 @@ from scipy.stats import wilcoxon
 
 from aridcal.effects.catalogue import KINDS
 from aridcal.effects.effect import Effect
-from aridcal.effects.regional_kind import is_field, spread_out
+from aridcal.effects.labels import STATION
+from aridcal.effects.regional_kind import is_local, spread_out
 from aridcal.effects.sights import is_sight
 from aridcal.fit.normal_equations import NormalEquations, accumulate, last_log_determinant, nested_solutions, spent_with
 from aridcal.search.change_points import walk_instead
@@ -197,7 +198,7 @@ def judge(model: LinearModel, state: State, effect: Effect, found: Score, tested
     if held_out_whole(model, state, candidate) <= 0.0:
         return judgement(share, "does not hold in regions that were held back whole")
     configuration = np.unique(model.configuration[state.used], return_inverse=True)[1]
-    if effect.smooth and not effect.hinted and not is_field(effect):
+    if effect.smooth and not effect.hinted and not is_local(effect):
         robust, least = _ranked(np.array([np.bincount(configuration, each) for each in loss])), DOUBT
     else:
         moved = _fitted(model, state, candidate) if effect.smooth else model.columns(effect)
@@ -218,11 +219,11 @@ def judge(model: LinearModel, state: State, effect: Effect, found: Score, tested
 def held_out_whole(model: LinearModel, state: State, candidate: Active) -> float:
     """Share of the squared error that a constant by region takes off regions held back whole; 1 of all else.
 
-    A constant along a rail is said to hold between the rows that were measured, and must show that; a field in space says
-    nothing but where its rows are.
+    A constant along a rail is said to hold between the rows that were measured, and must show that; a field in space, or what
+    single labels deviate by, says nothing but where its rows are.
     """
     effect = candidate.effect
-    if not KINDS[effect.kind].asked or is_field(effect):
+    if not KINDS[effect.kind].asked or is_local(effect):
         return 1.0
     places = np.column_stack([model.table[name][state.used] for name in effect.covariates])
     middles, _ = spread_out(places, REGIONS)
@@ -246,8 +247,8 @@ def _fitted(model: LinearModel, state: State, candidate: Active) -> np.ndarray:
 
 
 def _sources(effect: Effect) -> list[str]:
-    """What an effect depends on, loads counted as the joints that make them; places of the target, too, are the user's."""
-    named = (name for name in effect.covariates if not is_sight(name))
+    """What an effect depends on, loads counted as the joints that make them; places of the target and labels are the user's."""
+    named = (name for name in effect.covariates if not is_sight(name) and name != STATION)
     return [name.split(".")[0] if ".gravity_" in name else name for name in named]
 
 
