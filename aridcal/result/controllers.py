@@ -195,12 +195,11 @@ def index_document(outcome: Outcome, own: Regions) -> dict[str, Any]:
         held_out = region.rows & test
         judged = held_out if held_out.any() else region.rows & ~outcome.outlier
         errors = {name: _rms(residual[judged][:, part]) for name, residual in left.items() if judged.any()}
-        label = {} if region.label is None else {"label": region.label}
-        return label | {
+        ends = {"middle": region.middle, "low": region.low, "high": region.high}
+        told = {name: dict(zip(own.by, values.tolist(), strict=True)) for name, values in ends.items()}
+        return {
             "urdf": f"{region.name}.urdf",
-            "middle": dict(zip(own.by, region.middle.tolist(), strict=True)),
-            "low": dict(zip(own.by, region.low.tolist(), strict=True)),
-            "high": dict(zip(own.by, region.high.tolist(), strict=True)),
+            **(told if region.label is None else {"label": region.label}),
             "rows": {"all": int(region.rows.sum()), "held_out": int(held_out.sum())},
             "error": errors,
         }
