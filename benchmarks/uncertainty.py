@@ -23,8 +23,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 import robots
-from instrument_cases import TOP, WAYS, made, noisy, scenario
-from instruments import rows_of
+from instrument_cases import TOP, WAYS, made, noisy, rows_of, scenario
 from scipy.spatial.transform import Rotation
 
 from aridcal.effects.basis import Basis
