@@ -198,9 +198,8 @@ def noise_causes(fit: Fit, active: Sequence[Active], rows: Dataset, progress: Pr
         # What comes back stays in the model here, so that no other cause has to take it over, but it is not noise.
         structured[k] = any(_comes_back(found, k, p, still, orders[p.common]) for p in possible[k].parts)
         structured &= found.free
-    return _told(
-        possible, settled(scatter, found, channels), structured, part, asked, fit.theta, len(part) / still.count
-    )
+    found = settled(scatter, found, channels)
+    return _told(possible, found, structured, part, asked, fit.theta, len(part) / still.count)
 
 
 def _there(rows: Dataset) -> np.ndarray:
@@ -219,8 +218,7 @@ def _scatter(part: Problem, fit: Fit, active: Sequence[Active], possible: Sequen
     for a in active:
         own = [index[c.name] for c in a.effect.coefficients]
         column = J[:, :, own] @ a.modes
-        # A prior pulls the modes towards zero: the residual as it was without them.
-        y = y + column @ np.linalg.lstsq(a.modes, fit.theta[own], rcond=None)[0]
+        y = y + column @ np.linalg.lstsq(a.modes, fit.theta[own], rcond=None)[0]  # a prior pulls the modes towards zero
         told = told_modes(column, spread(fit.sigma, part.channels)) if a.effect.smooth else np.eye(column.shape[2])
         A.append(column @ told)
         precision.append(told.T @ a.precision @ told)
