@@ -12,7 +12,7 @@ from aridcal.effects.basis import Basis, evaluate
 from aridcal.effects.effect import Coefficient, Effect
 from aridcal.effects.kinds import Observed
 from aridcal.fit.flags import flagged
-from aridcal.fit.identifiable import identifiable
+from aridcal.fit.identifiable import apart, identifiable
 from aridcal.fit.least_squares import Fit, fit
 from aridcal.fit.normal_equations import Prior
 from aridcal.fit.problem import Problem, agreeing, problem
@@ -126,6 +126,10 @@ def _regained(start: Start, found: Fit) -> tuple[Coefficient, ...]:
     model = found.model.with_coefficients(found.model.coefficients + dropped)
     theta = np.concatenate([found.theta, np.zeros(len(dropped))])
     asked = problem(model, start.train, start.progress)
+    constant = np.flatnonzero([c.basis.constant for c in model.coefficients])
+    R = triangle(asked, theta, found.weight, found.sigma, constant) * model.sizes[constant]
+    if not apart(R, len(constant) - len(dropped)).any():  # sums of the other constants, whatever the effects are
+        return ()
     R = triangle(asked, theta, found.weight, found.sigma) * model.sizes
     kept = identifiable(R, range(len(theta))).kept
     return tuple(c for k, c in enumerate(model.coefficients) if k >= len(found.theta) and k in kept)
