@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -60,17 +61,44 @@ def refit(start: Start, state: State, current: Fit) -> Fit:
     Constants that the geometric stage could not identify, its residual being large, are taken in when they can be now.
     """
     constants = tuple(c for c in current.model.coefficients if c.basis.constant)
-    found = refit_constants(start, constants, state, current)
+    found = refit_constants(start, constants, state, current, _as_solved(start, constants, state))
     more = _regained(start, found)
     return refit_constants(start, constants + more, state, found) if more else found
 
 
-def refit_constants(start: Start, constants: tuple[Coefficient, ...], state: State, current: Fit) -> Fit:
-    """Fit given constants and the effects of a state; see :func:`refit`."""
+def _as_solved(start: Start, constants: tuple[Coefficient, ...], state: State) -> dict[str, float]:
+    """Values of the coefficients as the linearised model has them, by name; nothing where its constants are others."""
+    if state.model.A.shape[2] != len(constants):
+        return {}
+    before = dict(zip(start.geometric.model.names, start.geometric.theta.tolist(), strict=True))
+    ends = np.cumsum([len(constants), *(a.modes.shape[1] for a in state.active)])[:-1]
+    steps, *parts = np.split(state.solution.beta, ends)
+    found = {c.name: before.get(c.name, 0.0) + step for c, step in zip(constants, steps.tolist(), strict=True)}
+    for a, part in zip(state.active, parts, strict=True):
+        found |= dict(zip((c.name for c in a.effect.coefficients), (a.modes @ part).tolist(), strict=True))
+    return found
+
+
+def refit_constants(
+    start: Start,
+    constants: tuple[Coefficient, ...],
+    state: State,
+    current: Fit,
+    solved: Mapping[str, float] = MappingProxyType({}),
+) -> Fit:
+    """Fit given constants and the effects of a state; see :func:`refit`.
+
+    Args:
+        start: Where the search began.
+        constants: To be fitted.
+        state: The effects, and the rows in use.
+        current: A fit to begin from.
+        solved: Values to begin from instead, by the names of coefficients.
+    """
     geometric = start.geometric
     effects = tuple(c for a in state.active for c in a.effect.coefficients)
     model = geometric.model.with_coefficients(constants + effects)
-    known = dict(zip(current.model.names, current.theta, strict=True))
+    known = dict(zip(current.model.names, current.theta.tolist(), strict=True)) | dict(solved)
     theta = np.array([known.get(name, 0.0) for name in model.names])
     asked = problem(model, start.train, start.progress)
     weight = np.where(state.used, 1.0, 0.0)
