@@ -15,7 +15,7 @@ from scipy.sparse.csgraph import connected_components
 
 from aridcal.fit.least_squares import thin
 from aridcal.fit.problem import Problem
-from aridcal.fit.variance_components import Scatter, full_rank
+from aridcal.fit.scatter import Scatter, full_rank
 from aridcal.inputs.dataset import Dataset
 
 OF_ONE = 24
