@@ -26,7 +26,7 @@ from rich.table import Table
 from aridcal.command_line import DONE, NOT_GOOD, CommandParser, command_parser, run
 from aridcal.drawing.words import causes_in_words, kept_in_words, noise_in_words, scale_in_words
 from aridcal.errors import shortened
-from aridcal.head.detections import CACHE
+from aridcal.head.found import CACHE
 from aridcal.inputs.campaign import load_campaign
 from aridcal.inputs.measurement_settings import length_argument
 from aridcal.prepare.other_readings import refuse_misread

@@ -14,7 +14,7 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 from aridcal.fit.constants import constants
-from aridcal.head.detections import Read
+from aridcal.head.found import Read
 from aridcal.inputs.campaign import Campaign, load_campaign
 from aridcal.inputs.dataset import ROLES, Dataset, dataset
 from aridcal.instruments.catalogue import KINDS, labelled

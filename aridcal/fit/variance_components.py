@@ -28,7 +28,7 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg.blas import dtrsm
 from scipy.sparse import coo_array, csr_array
-from scipy.stats import norm
+from scipy.special import ndtr
 
 from aridcal.fit.normal_equations import TINY, balanced
 
@@ -270,7 +270,7 @@ def boundary_chance(twice: float) -> float:
 
     Half the cases give nothing, the rest chi-square with one degree of freedom (Self and Liang 1987, case 5).
     """
-    return float(norm.sf(np.sqrt(max(twice, 0.0))))
+    return float(ndtr(-np.sqrt(max(twice, 0.0))))
 
 
 def contributions(scatter: Scatter, found: Components) -> np.ndarray:

@@ -7,9 +7,9 @@ import re
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
-import pandas as pd
 import pyarrow as pa
 import pyarrow.compute as pc
 
@@ -18,8 +18,11 @@ from aridcal.reading.files import TABLE, Limit, read_file
 from aridcal.reading.names import check_path
 from aridcal.reading.table_files import FileCells, check_header, read_csv, read_parquet, whole
 
+if TYPE_CHECKING:
+    import pandas as pd
+
 # What a user may give as a table: the path of a csv or parquet file, or the rows themselves.
-AnyTable = str | Path | pd.DataFrame
+AnyTable: TypeAlias = "str | Path | pd.DataFrame"
 
 # Stands in messages where a table has no file. Its row k is called line k + 2, as if it were saved as csv.
 IN_MEMORY = Path("DataFrame")
@@ -124,6 +127,8 @@ class Table:
 
     def frame(self) -> pd.DataFrame:
         """All cells, as they were written in csv."""
+        import pandas as pd  # slow to load: only where somebody wants a DataFrame
+
         columns = {}
         for name in self.names:
             by_file = [column.to_pandas() for column in self.cells[name]]
@@ -205,7 +210,7 @@ def read_tables(tables: Sequence[AnyTable], spare: Collection[str] | None = (), 
 
 def _read(table: AnyTable, spare: Collection[str] | None, limit: Limit, update: Callable[[bytes], None]) -> _Part:
     """Read one table; its bytes are handed to ``update`` and not kept."""
-    if isinstance(table, pd.DataFrame):
+    if not isinstance(table, str | Path):
         read, path = _from_frame(table), IN_MEMORY
         update(table.to_csv(index=False).encode())
     else:
@@ -252,6 +257,8 @@ def _numbers(column: pa.ChunkedArray) -> tuple[np.ndarray, np.ndarray]:
         return values.astype(float), np.zeros(len(column), dtype=bool)
     except pa.ArrowInvalid:
         cells = text.to_pandas()
+    import pandas as pd  # slow to load: only where a column has text beside numbers
+
     values = pd.to_numeric(cells, errors="coerce").to_numpy(dtype=float)
     spelt_nan = cells.str.fullmatch("[-+]?nan", case=False).fillna(False).to_numpy(dtype=bool)
     filled = cells.notna().to_numpy()

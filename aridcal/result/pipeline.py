@@ -16,7 +16,7 @@ from aridcal.fit.least_squares import Fit, fit
 from aridcal.fit.noise import Repeats, declared_notices, repeats
 from aridcal.fit.problem import problem, scaled, unscaled
 from aridcal.fit.stages import Geometry, recentred, with_things_moved
-from aridcal.head.detections import Detections, read_rows
+from aridcal.head.found import Detections, Read
 from aridcal.inputs.approach import with_directions
 from aridcal.inputs.campaign import Campaign, load_campaign
 from aridcal.inputs.dataset import Dataset
@@ -69,6 +69,16 @@ class Judged:
     repeats: Repeats | None
     clues: tuple[Clue, ...]
     verdict: Verdict
+
+
+def read_rows(campaign: Campaign, robot: Robot, cache: Path | None, seed: int, progress: Progress) -> Read:
+    """Read the measurements of a campaign, from its tables or from the images of its head."""
+    if campaign.measurements.head is not None:
+        # OpenCV and pandas load slowly, and most campaigns have no images
+        from aridcal.head.detections import read_shots
+
+        return read_shots(campaign, robot, cache, seed, progress)
+    return Read(campaign, load_measurements(campaign, robot.readings, robot.limits, robot.kinds, seed))
 
 
 def identify(
