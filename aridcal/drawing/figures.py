@@ -9,7 +9,7 @@ from typing import ParamSpec
 
 import numpy as np
 
-from aridcal.drawing.html import Html, attempt, missing, number
+from aridcal.drawing.html import Html, attempt, missing
 from aridcal.drawing.plot import (
     EDGE,
     GREY,
@@ -27,47 +27,31 @@ from aridcal.drawing.plot import (
     level,
     line,
     path,
-    rings,
     room_for,
-    round_up,
     scale,
     stairs,
     text,
     whole,
     wide,
-    written,
 )
 
 P = ParamSpec("P")
 
 BEFORE, AFTER = "#D55E00", "#0072B2"  # Okabe and Ito's
-# Small to large: brightness falls all the way, so that it survives grey print and colour blindness.
-LEVELS = ("#c9d3dc", "#8cc3e8", "#3f93c9", "#a3326b", "#3b1f5b")
-
-MOST_VALUES = 95.0
-"""Percentage of the values that lie below the last step of a colour scale, so that a few wild ones do not make all others one
-colour."""
-
-# Along the longer side of a field.
-SQUARES = 36
-
 # At most so many points are drawn in one cloud.
 POINTS = 500
 
 # Of a figure, in 1/72 inch: it is legible on a phone, and three stand side by side on a desk.
 WIDTH, WIDE, HEIGHT = 310.0, 634.0, 195.0
 
-# Of ticks along x and y.
 TICKS = (6, 6)
+"""Along x and y at most."""
 
 EDGES = (34.0, 8.0)
 """Room below an area, for ticks and their label, and at its right."""
 
-FLAT, STEEP = 0.35, 1.1
-"""Least and largest height of a plane's picture, in its widths."""
 
-
-def _figure(draw: Callable[P, str]) -> Callable[P, Html]:
+def drawn_or_missing(draw: Callable[P, str]) -> Callable[P, Html]:
     """Turn a function that draws into one that returns a line in its place if it fails.
 
     Its first two arguments are ``key`` and ``alt``.
@@ -80,7 +64,7 @@ def _figure(draw: Callable[P, str]) -> Callable[P, Html]:
     return drawn
 
 
-@_figure
+@drawn_or_missing
 def histogram(key: str, alt: str, values: Mapping[str, np.ndarray], label: str) -> str:
     """Two distributions on one axis.
 
@@ -102,7 +86,7 @@ def histogram(key: str, alt: str, values: Mapping[str, np.ndarray], label: str) 
     return whole(alt, WIDTH, HEIGHT, made)
 
 
-@_figure
+@drawn_or_missing
 def coverage(key: str, alt: str, names: Sequence[str], shares: Sequence[np.ndarray], ranges: Sequence[str]) -> str:
     """Where within its limits each joint was measured: one histogram per joint, on a line of its own.
 
@@ -118,7 +102,7 @@ def coverage(key: str, alt: str, names: Sequence[str], shares: Sequence[np.ndarr
     area = Area(left, 6.0, WIDTH - left - EDGES[1], each * count, Scale(0.0, 100.0), Scale(0.0, max(count, 1)))
     across = area.x.ticks(TICKS[0])
     grid = "".join(f"M{u:.1f} {area.top:.1f}V{area.bottom:.1f}" for u in area.across(across[0]))
-    made = [path(grid, stroke=EDGE, stroke_width=0.4), _below(area, "share of the joint's range [%]")]
+    made = [path(grid, stroke=EDGE, stroke_width=0.4), below(area, "share of the joint's range [%]")]
     made += [
         text(float(u), area.bottom + 12, said, "middle")
         for u, said in zip(area.across(across[0]), across[1], strict=True)
@@ -145,7 +129,7 @@ class Trend:
     smooth: np.ndarray
 
 
-@_figure
+@drawn_or_missing
 def panels(
     key: str,
     alt: str,
@@ -168,7 +152,7 @@ def panels(
     whole_area, _ = _axes(labels, scale(x, 0.03), Scale(-top, top), (), above=LINE + 4)
     gap, count = 10.0, len(values)
     each = (whole_area.width - gap * (count - 1)) / count
-    made = [_below(whole_area, labels[0]), _beside(whole_area, labels[1])]
+    made = [below(whole_area, labels[0]), beside(whole_area, labels[1])]
     some = _some(len(x))
     for k, (name, v) in enumerate(values.items()):
         left = whole_area.left + k * (each + gap)
@@ -197,7 +181,7 @@ def _reach(values: np.ndarray, trend: Trend | None) -> float:
     return max(float(np.percentile(np.abs(values), 98)), float((np.abs(trend.mean) + 2 * trend.std).max()))
 
 
-@_figure
+@drawn_or_missing
 def correlogram(key: str, alt: str, lags: np.ndarray, correlation: np.ndarray, bound: float, label: str) -> str:
     """Correlation of residuals some rows apart, and what 95 % of it stays within if all is noise.
 
@@ -223,98 +207,7 @@ def correlogram(key: str, alt: str, lags: np.ndarray, correlation: np.ndarray, b
     return whole(alt, WIDTH, HEIGHT, made)
 
 
-def color_steps(values: np.ndarray) -> np.ndarray:
-    """Ends of the steps of a colour scale: equal round ones from zero on, the last up to the largest value.
-
-    Noise, which is about as large everywhere, then has about one colour. Steps of equally many values would show it in all.
-
-    Args:
-        values: All that the scale is for, not negative: figures that are compared have one scale.
-
-    Returns:
-        As many as there are colours, and one more.
-    """
-    step = round_up(max(float(np.percentile(values, MOST_VALUES)), 1e-12) / len(LEVELS))
-    steps = step * np.arange(len(LEVELS) + 1)
-    steps[-1] = max(steps[-1], float(values.max()))
-    return steps
-
-
-@_figure
-def field(
-    key: str,
-    alt: str,
-    points: np.ndarray,
-    values: np.ndarray,
-    labels: tuple[str, str],
-    unit: str,
-    steps: np.ndarray,
-    hollow: np.ndarray | None = None,
-    marks: Mapping[str, np.ndarray] | None = None,
-) -> str:
-    """RMS of a value over a plane: one dot for the rows of each small square, coloured by a scale that figures share.
-
-    Args:
-        key: Of the figure, unique in the page.
-        alt: What the figure shows, for those who cannot see it.
-        points: Shape (N, 2).
-        values: Shape (N,), not negative.
-        labels: Of the two axes, with their units.
-        unit: Of the values.
-        steps: Of the colours, from :func:`color_steps`.
-        hollow: Of the rows, shape (N,) bool; a dot for which most of them are gets a hole.
-        marks: Other points of the plane by their name, shape (M, 2), as rings above the dots.
-    """
-    side = max(float(np.ptp(points, axis=0).max()) / SQUARES, 1e-9)
-    _, square = np.unique(np.floor(points / side), axis=0, return_inverse=True)
-    square = square.reshape(-1)
-    count = np.bincount(square)
-    x, y = (np.bincount(square, column) / count for column in points.T)
-    rms = np.sqrt(np.bincount(square, values**2) / count)
-    step = np.searchsorted(steps[1:-1], rms, side="right")
-    area, made, height = _plane(
-        np.concatenate([points, *(marks or {}).values()]), labels, unit, steps, tuple(marks or {})
-    )
-    for k, color in enumerate(LEVELS):
-        made.append(dots(area, x[step == k], y[step == k], color, size=5.0, opacity=1.0))
-    if hollow is not None:
-        open_ = np.bincount(square, hollow) > 0.5 * count
-        made.append(dots(area, x[open_], y[open_], "white", size=2.2, opacity=1.0))
-    made += [rings(area, at[:, 0], at[:, 1], INK) for at in (marks or {}).values()]
-    return whole(alt, WIDTH, height, made)
-
-
-def _plane(
-    points: np.ndarray, labels: tuple[str, str], unit: str, steps: np.ndarray, marks: tuple[str, ...]
-) -> tuple[Area, list[str], float]:
-    """An area of equal scale in both directions below a colour scale; what stands around it, and the figure's height."""
-    (x, y), spans = (scale(points[:, k], 0.05) for k in (0, 1)), np.maximum(1.1 * np.ptp(points, axis=0), 1e-9)
-    names, high = legend([Named(name, INK, "ring") for name in marks], 0.0, WIDTH)
-    top = high + 2 * LINE + 6
-    left = 2 * LINE + room_for(y, TICKS[1]) - 8
-    width = WIDTH - left - EDGES[1]
-    height = width * float(np.clip(spans[1] / spans[0], FLAT, STEEP))
-    unit_length = max(spans[0] / width, spans[1] / height)  # of values, for one of length
-    middle = [0.5 * (end.low + end.high) for end in (x, y)]
-    half = [0.5 * unit_length * length for length in (width, height)]
-    area = Area(left, top, width, height, *(Scale(m - h, m + h) for m, h in zip(middle, half, strict=True)))
-    made = [names, _color_scale(left, high, width, unit, steps), frame(area, TICKS), _below(area, labels[0])]
-    return area, [*made, _beside(area, labels[1])], area.bottom + EDGES[0]
-
-
-def _color_scale(left: float, top: float, width: float, unit: str, steps: np.ndarray) -> str:
-    """Boxes of the colours, and between them where each begins."""
-    each = (width - 30) / len(LEVELS)
-    made = []
-    for k, color in enumerate(LEVELS):
-        made.append(path(f"M{left + k * each:.1f} {top + 4:.1f}h{each:.1f}v8h-{each:.1f}Z", fill=color))
-    said = [*written(steps[:-1], float(steps[1])), number(float(steps[-1]), 2)]
-    for k, value in enumerate(said):
-        made.append(text(left + k * each, top + 23, value, "start" if k == 0 else "middle"))
-    return "".join([*made, text(left + width, top + 12, unit, "end", INK)])
-
-
-@_figure
+@drawn_or_missing
 def falling(key: str, alt: str, at: np.ndarray, values: Mapping[str, np.ndarray], labels: tuple[str, str]) -> str:
     """Values that fall over some powers of ten, against how many of something there are.
 
@@ -338,7 +231,7 @@ def falling(key: str, alt: str, at: np.ndarray, values: Mapping[str, np.ndarray]
     return whole(alt, WIDTH, HEIGHT, made)
 
 
-@_figure
+@drawn_or_missing
 def curve(
     key: str,
     alt: str,
@@ -399,14 +292,16 @@ def _axes(
     entries, high = legend(names, left, width)
     top = above if above is not None else high + 4
     area = Area(left, top, width - left - EDGES[1], HEIGHT - top - EDGES[0], x, y)
-    return area, [entries, frame(area, TICKS), _below(area, labels[0]), _beside(area, labels[1])]
+    return area, [entries, frame(area, TICKS), below(area, labels[0]), beside(area, labels[1])]
 
 
-def _below(area: Area, label: str) -> str:
+def below(area: Area, label: str) -> str:
+    """The label of a horizontal axis."""
     return text(area.left + area.width / 2, area.bottom + 27, label, "middle", INK)
 
 
-def _beside(area: Area, label: str) -> str:
+def beside(area: Area, label: str) -> str:
+    """The label of a vertical axis."""
     return text(LINE - 4, area.top + area.height / 2, label, "middle", INK, turned=True)
 
 

@@ -6,7 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from aridcal.drawing.figures import color_steps, field, histogram, panels
+from aridcal.drawing.fields import color_steps, field
+from aridcal.drawing.figures import histogram, panels
 from aridcal.drawing.html import Content, Html, counted, figures, number, table, tag
 from aridcal.drawing.words import reading_in_words
 from aridcal.instruments.catalogue import KINDS

@@ -7,7 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from aridcal import __version__
-from aridcal.drawing.figures import color_steps, coverage, falling, field
+from aridcal.drawing.fields import color_steps, field
+from aridcal.drawing.figures import coverage, falling
 from aridcal.drawing.html import Content, Html, bullets, counted, figures, number, styled_page, table, tag
 from aridcal.drawing.words import range_in_words, reading_in_words
 from aridcal.planning.coverage import Sigma

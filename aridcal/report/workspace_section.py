@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from aridcal.drawing.figures import color_steps, field
+from aridcal.drawing.fields import color_steps, field
 from aridcal.drawing.html import Content, Html, bullets, figures, number, table, tag
 from aridcal.drawing.words import kept_in_words
 from aridcal.result.outcome import Outcome
