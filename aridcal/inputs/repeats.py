@@ -5,9 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
 from aridcal.robot.chain import JointKind
 
@@ -27,6 +24,11 @@ def blocks(readings: np.ndarray, kinds: Sequence[JointKind]) -> np.ndarray:
     Returns:
         Labels 0, 1, ... in order of appearance, shape (N,).
     """
+    # slow to load, and a slip in a table is found before
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import cKDTree
+
     turning = np.array([kind == "continuous" for kind in kinds], dtype=bool)
     same = tolerances(kinds)
     circle = [f(readings[:, turning]) / SAME_ANGLE for f in (np.cos, np.sin)]
