@@ -119,7 +119,7 @@ def _levers(data: _Data, hint: np.ndarray) -> list[np.ndarray]:
     cost = _lever_cost(data, tips)
     spread = np.sum(_centred(data.m, data.world) ** 2, axis=1)
     size = max(float(np.sqrt(np.mean(spread))), 1e-6)  # one row alone has none
-    from scipy.optimize import minimize  # slow to load, and most rows measure rotations, which need no search
+    from scipy.optimize import minimize  # slow to load, and known frames need no search
 
     found: list[tuple[float, np.ndarray]] = []
     for direction in np.vstack([np.zeros(3), np.eye(3), -np.eye(3)]):

@@ -249,20 +249,30 @@ def _arrow(column: pd.Series) -> pa.ChunkedArray:
 def _numbers(column: pa.ChunkedArray) -> tuple[np.ndarray, np.ndarray]:
     """Values of a column, NaN where there is no number, and which cells hold text instead; shape (n,) each."""
     if is_number(column.type):
-        values = pc.cast(column, pa.float64(), safe=False).to_numpy()
-        return values.astype(float), np.zeros(len(column), dtype=bool)
+        return _floats(pc.cast(column, pa.float64(), safe=False)), np.zeros(len(column), dtype=bool)
     text = _trimmed(column)
     try:
-        values = pc.cast(text, pa.float64()).to_numpy()
-        return values.astype(float), np.zeros(len(column), dtype=bool)
+        return _floats(pc.cast(text, pa.float64())), np.zeros(len(column), dtype=bool)
     except pa.ArrowInvalid:
         cells = text.to_pandas()
-    import pandas as pd  # slow to load: only where a column has text beside numbers
+    import pandas as pd  # slow to load: only where a column has words beside numbers
 
     values = pd.to_numeric(cells, errors="coerce").to_numpy(dtype=float)
     spelt_nan = cells.str.fullmatch("[-+]?nan", case=False).fillna(False).to_numpy(dtype=bool)
     filled = cells.notna().to_numpy()
     return values, np.isnan(values) & filled & ~spelt_nan
+
+
+def _floats(column: pa.ChunkedArray) -> np.ndarray:
+    """Numbers of a column, NaN in its holes: from Arrow's own bytes, for its conversions all load pandas, which takes a while."""
+    parts = [np.empty(0)]
+    for chunk in column.chunks:
+        here = slice(chunk.offset, chunk.offset + len(chunk))
+        holes = chunk.is_null().cast(pa.uint8())
+        if len(chunk):
+            empty = np.frombuffer(holes.buffers()[1], dtype=np.uint8)[holes.offset : holes.offset + len(chunk)]
+            parts.append(np.where(empty, np.nan, np.frombuffer(chunk.buffers()[1], dtype=float)[here]))
+    return np.concatenate(parts)
 
 
 def _trimmed(column: pa.ChunkedArray) -> pa.ChunkedArray:
@@ -272,8 +282,8 @@ def _trimmed(column: pa.ChunkedArray) -> pa.ChunkedArray:
     except (pa.ArrowInvalid, pa.ArrowNotImplementedError):  # lists and the like
         texts = [str(value) for value in column.to_pylist()]
         text = pa.chunked_array([pa.array(texts, pa.string())])
-    nothing = pc.equal(text, "")
-    return pc.if_else(nothing, pa.scalar(None, pa.string()), text)
+    filled = pc.cast(pc.binary_length(text), pa.bool_())
+    return pc.if_else(filled, text, pa.nulls(1, pa.string())[0])
 
 
 def is_number(kind: pa.DataType) -> bool:

@@ -325,9 +325,8 @@ def _refuse_line_breaks(cells: pa.Table, line: np.ndarray, broken: list[pyarrow.
     lines = [row.number for row in broken if "\n" in row.text]
     for column in cells.columns:
         several = pc.match_substring(column, "\n")
-        found = pc.index(several, True).as_py()
-        if found >= 0:
-            lines.append(int(line[found]))
+        if pc.any(several).as_py():
+            lines.append(int(line[several.to_pylist().index(True)]))
     if lines:
         raise MeasurementError(
             f"{path}, line {min(lines)}: a quote is left open, or a cell has several lines; close it, or write one line"

@@ -317,13 +317,15 @@ def spread_out(low: np.ndarray, high: np.ndarray, count: int = SAMPLES) -> np.nd
     .. math:: u_n = (1/2 + n \alpha) \bmod 1, \qquad \alpha_k = g^{-k}, \qquad g^{d+1} = g + 1
 
     The step's powers are as far from fractions of small numbers as d of them can be, so that no two configurations are near
-    each other (Roberts 2018, "The unreasonable effectiveness of quasirandom sequences").
+    each other (Roberts 2018, "The unreasonable effectiveness of quasirandom sequences"). Of each column the ranks are taken,
+    so that every one of ``count`` equal slices of it has one configuration.
     """
     columns = len(low)
     polynomial = np.concatenate([[1.0], np.zeros(columns - 1), [-1.0, -1.0]])
     g = float(np.roots(polynomial).real.max())
     share = (0.5 + np.outer(np.arange(1, count + 1), g ** -np.arange(1.0, columns + 1))) % 1.0
-    return np.asarray(low + (high - low) * share)
+    rank = np.argsort(np.argsort(share, axis=0), axis=0)
+    return np.asarray(low + (high - low) * (rank + 0.5) / count)
 
 
 def ends(data: Dataset, limits: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
