@@ -11,7 +11,6 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
-from scipy.spatial.distance import cdist
 
 from aridcal.effects.basis import Basis
 from aridcal.effects.effect import FRAME_COMPONENTS, LINK_COMPONENTS, Coefficient, Effect
@@ -143,6 +142,8 @@ def far_from_nodes(bases: Iterable[Basis], places: np.ndarray) -> np.ndarray:
 
     Further from its nodes than twice as far as any of these is from its neighbour; False where there are but single dents.
     """
+    from scipy.spatial.distance import cdist  # slow to load, and a campaign is read without it
+
     nodes: dict[float, list[tuple[float, ...]]] = {}
     for basis in dict.fromkeys(bases):
         if basis.form == "ball":

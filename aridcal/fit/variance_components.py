@@ -26,7 +26,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg.blas import dtrsm
-from scipy.stats import norm
+from scipy.special import ndtr
 
 from aridcal.fit.minorant import best, moments
 from aridcal.fit.normal_equations import TINY, balanced
@@ -265,7 +265,7 @@ def boundary_chance(twice: float) -> float:
 
     Half the cases give nothing, the rest chi-square with one degree of freedom (Self and Liang 1987, case 5).
     """
-    return float(norm.sf(np.sqrt(max(twice, 0.0))))
+    return float(ndtr(-np.sqrt(max(twice, 0.0))))
 
 
 def contributions(scatter: Scatter, found: Components) -> np.ndarray:

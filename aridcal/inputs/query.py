@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
-from typing import Literal
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-import pandas as pd
 
 from aridcal.effects.labels import STATION, label_columns
 from aridcal.errors import MeasurementError
@@ -17,6 +17,9 @@ from aridcal.inputs.quantities import POSITION, Source
 from aridcal.inputs.tables import AnyTable, Remark, Table, read_tables
 from aridcal.reading.files import TABLE, Limit
 from aridcal.robot.chain import JointKind
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 @dataclass(frozen=True)
@@ -137,7 +140,7 @@ def load_query(
         if values is not None:
             values[~source.usable] = np.nan
     return Query(
-        table=query.copy() if isinstance(query, pd.DataFrame) else table.frame(),
+        table=table.frame() if isinstance(query, str | Path | Table) else query.copy(),
         readings=q,
         position=position,
         quaternion=quaternion,

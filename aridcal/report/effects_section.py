@@ -89,7 +89,7 @@ def _curve(outcome: Outcome, key: str, effect: NamedEffect, found: Curve) -> tup
     labels = (f"{found.covariate}{unit}", f"{found.component} [{moved}]")
     periods = max(effect.effect.order, default=0.0) * float(np.ptp(found.at)) / (2 * math.pi)
     at, value, std = scale * found.at, size * found.value, size * found.std
-    picture = curve(key, alt, at, value, std, rows, labels, wide=periods > WINDING)
+    picture = curve(key, alt, at, value, std, rows, labels, winding=periods > WINDING)
     span, known = number(float(np.ptp(value))), number(float(np.median(std)), 2)
     seen = f"{span} {moved} peak to peak, known to {known} {moved} (median 1σ)"
     return [tag("code", label), f", {found.component} over {found.covariate}: {seen}"], picture

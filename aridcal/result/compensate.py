@@ -6,10 +6,9 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from itertools import product
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
-from scipy.interpolate import RegularGridInterpolator
 from scipy.spatial.transform import Rotation
 
 from aridcal.effects.regional_kind import labels_of
@@ -21,6 +20,9 @@ from aridcal.model.model import Model
 from aridcal.result.predict import at_any_station, directions, extrapolates, per_station, std_of
 from aridcal.result.saved_model import SavedModel
 from aridcal.showing import SILENT, Progress
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 STILL = 1e-6
 """A joint that moves by less keeps its side of the backlash, [rad] or [m]."""
@@ -295,6 +297,8 @@ def _interpolated(axes: tuple[np.ndarray, ...], delta: np.ndarray, readings: np.
         delta: Correction at each point, shape (points of axis 1, ..., columns).
         readings: Shape (N, columns), inside the table.
     """
+    from scipy.interpolate import RegularGridInterpolator  # slow to load, and only tables need it
+
     moving = [k for k, axis in enumerate(axes) if len(axis) > 1]
     inner = delta[tuple(slice(None) if k in moving else 0 for k in range(len(axes)))]
     table = RegularGridInterpolator([axes[k] for k in moving], inner)

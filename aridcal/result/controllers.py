@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 import yaml
 
 from aridcal.effects.basis import evaluate
@@ -175,6 +174,8 @@ def write_controllers(outcome: Outcome, handover: Handover, folder: Path) -> Non
         write(INDEX, text, BY_REGION, *(WHERE_HOLDS if handover.regions.by else WHOSE_HOLDS), unit)
     if handover.with_maps is not None:
         (folder / "joint_maps.urdf").write_bytes(stage_urdf(handover.with_maps))
+        import pandas as pd  # slow to load, and few calibrations have maps
+
         rows = [
             pd.DataFrame({"joint": name, "reading": at, "correction": value})
             for name, (at, value) in handover.maps.items()

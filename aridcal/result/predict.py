@@ -6,9 +6,9 @@ import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 from scipy.spatial.transform import Rotation
 
 from aridcal.effects.labels import STATION, label_in
@@ -25,6 +25,9 @@ from aridcal.result.saved_model import SavedModel
 from aridcal.result.stretches import Stretch, stretches
 from aridcal.trust.seen import Seen
 from aridcal.trust.workspace import spread_out, target_covariance, worst_direction
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 def read_query(saved: SavedModel, table: AnyTable, poses: bool = False) -> Query:
@@ -97,7 +100,7 @@ def _query(saved: SavedModel, table: AnyTable | Table, poses: bool) -> Query:
         return query
     if isinstance(table, Table):
         return _sides_unknown(saved, query, table.files[0].name)
-    return _sides_unknown(saved, query, IN_MEMORY.name if isinstance(table, pd.DataFrame) else Path(table).name)
+    return _sides_unknown(saved, query, Path(table).name if isinstance(table, str | Path) else IN_MEMORY.name)
 
 
 def _sides_unknown(saved: SavedModel, query: Query, file: str) -> Query:
@@ -297,6 +300,8 @@ def evenly(saved: SavedModel) -> pd.DataFrame:
     low, high = np.array([saved.ranges[name] for name in robot.readings]).T
     scale = [settings.units.metres if kind == "prismatic" else settings.units.radians for kind in robot.kinds]
     names = [settings.columns.get(name, name) for name in robot.readings]
+    import pandas as pd  # slow to load: only where somebody wants a DataFrame
+
     table = pd.DataFrame(dict(zip(names, (spread_out(low, high) / scale).T, strict=True)))
     for name in model.needs:
         table[settings.columns.get(name, name)] = float(np.mean(saved.ranges[name]))

@@ -12,8 +12,7 @@ from itertools import pairwise
 
 import numpy as np
 from scipy.linalg import block_diag
-from scipy.stats import f as f_distribution
-from scipy.stats import wilcoxon
+from scipy.special import fdtrc
 
 from aridcal.effects.catalogue import KINDS
 from aridcal.effects.effect import Effect
@@ -257,6 +256,8 @@ def _over_time(model: LinearModel, state: State, candidate: Active) -> float:
 
 def _ranked(loss: np.ndarray) -> float:
     """p-value, by Wilcoxon's signed ranks, of losses (2, n) that a candidate makes no smaller."""
+    from scipy.stats import wilcoxon  # slow to load, and few searches come here
+
     return float(wilcoxon(loss[0] - loss[1], alternative="greater").pvalue)
 
 
@@ -382,4 +383,4 @@ def _robust(state: State, effect: Effect, along: np.ndarray, cluster: np.ndarray
     s = C.T @ r
     spread = pulls.T @ pulls * clusters / (clusters - 1)
     statistic = float(s @ np.linalg.pinv(spread, hermitian=True) @ s) / d * (clusters - d) / clusters
-    return float(f_distribution.sf(statistic, d, clusters - d))
+    return float(fdtrc(d, clusters - d, statistic))
