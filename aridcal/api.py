@@ -120,7 +120,7 @@ def plan(
     Args:
         campaign: ``campaign.yaml``, or a campaign. If its tables are there, new rows add to them.
         n: How many.
-        region: Table of joints, or of x y z of the target, where it is to be known; None: anywhere.
+        region: Table of joints, or of x y z of the target, where it is to be known; None: the campaign's own, else anywhere.
         apart: Two effects to be told apart, ``WHERE.KIND`` each.
         optimal: What is made small: ``A``, ``D`` or ``G``; two effects are told apart by the evidence expected instead.
 

@@ -1,9 +1,9 @@
 """Choose configurations to measure: those that make the target best known where it is to work.
 
 With tables already measured, the new rows add to what these tell. A campaign whose tables are not there yet is planned from
-nothing: the kind of measurement, its noise, and frames and instruments as hints. Joints stay inside their limits. The arm, as
-lines from joint to joint and to the target and with the URDF's collision shapes, keeps out of itself and of the boxes of the
-campaign's `design: {keep_out: [{min: [x, y, z], max: [x, y, z]}]}` (base frame, m). The tracker or camera of
+nothing: the kind of measurement, its noise, and frames and instruments as hints. Joints keep 2 % of their ranges off their
+limits. The arm, as lines from joint to joint and to the target and with the URDF's collision shapes, keeps out of itself and of
+the boxes of the campaign's `design: {keep_out: [{min: [x, y, z], max: [x, y, z]}]}` (base frame, m). The tracker or camera of
 `design: {sight: {at: [x, y, z]}}` sees the target past them. The ways between are not looked at.
 
 Configurations come in an order that shortens the way. Where backlash is among the effects that may be there, each joint comes to
@@ -15,8 +15,8 @@ JOINT_direction; .script (URScript), .src (KRL), .mod (RAPID), joint moves with 
 .html, a page that shows what the plan covers.
 
 Optimal is `A`: the mean variance of the target's position over the region (default), `G`: the largest one in any direction,
-or `D`: the uncertainty of the constants. The region is the whole range of the joints, or a table of joints or of places
-of the target.
+or `D`: the uncertainty of the constants. The region is a table of joints or of places of the target, else the `region` of the
+campaign, else the whole range of the joints.
 
 Example:
     aridcal design campaign.yaml -n 30 -o poses.csv

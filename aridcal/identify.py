@@ -18,27 +18,26 @@ import argparse
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from rich.console import Console
 from rich.table import Table
 
 from aridcal.command_line import DONE, NOT_GOOD, CommandParser, command_parser, run
-from aridcal.drawing.words import causes_in_words, kept_in_words, noise_in_words, scale_in_words
 from aridcal.errors import shortened
-from aridcal.head.detections import CACHE
+from aridcal.head.found import CACHE
 from aridcal.inputs.campaign import load_campaign
 from aridcal.inputs.measurement_settings import length_argument
-from aridcal.prepare.other_readings import refuse_misread
 from aridcal.reading.names import path_argument
-from aridcal.result.folder import what_moved
-from aridcal.result.key_figures import another_day, every_held_out_row, or_as_well, over_time, scored
-from aridcal.result.outcome import Outcome, Verification, errors, said
-from aridcal.result.pipeline import identify
+from aridcal.result.reading import read_job
 from aridcal.result_folder import RESULT_FILES, RESULT_FOLDERS, write_folder
 from aridcal.showing import told_on
-from aridcal.trust.gains import NamedEffect
 from aridcal.writing.files import claimed
+
+if TYPE_CHECKING:
+    from aridcal.result.outcome import Outcome, Verification
+    from aridcal.trust.gains import NamedEffect
 
 VERDICTS = {
     "noise_floor": "the remaining error is consistent with the noise",
@@ -57,6 +56,10 @@ SHOWN_AS = {"rms": "RMS", "p95": "p95", "max": "max"}
 
 def summary(outcome: Outcome, console: Console) -> None:
     """Print the figures that matter."""
+    from aridcal.drawing.words import kept_in_words, scale_in_words
+    from aridcal.result.folder import what_moved
+    from aridcal.result.key_figures import another_day, every_held_out_row, over_time
+
     console.print(_error_table(outcome))
     if outcome.parts()["test_all"].any():
         console.print(every_held_out_row(outcome), markup=False)
@@ -88,6 +91,9 @@ def summary(outcome: Outcome, console: Console) -> None:
 
 def _error_table(outcome: Outcome) -> Table:
     """Errors of every stage on the rows that judge the calibration."""
+    from aridcal.result.key_figures import scored
+    from aridcal.result.outcome import errors
+
     mask, rows = scored(outcome)
     table = Table(title=f"error on {mask.sum()} {rows}", title_justify="left")
     table.add_column("model", no_wrap=True)
@@ -105,6 +111,9 @@ def _error_table(outcome: Outcome) -> Table:
 
 def _effect_line(outcome: Outcome, named: NamedEffect) -> str:
     """An effect, those that would do as well in its place, and its gain on the held-out rows, if there are any."""
+    from aridcal.result.key_figures import or_as_well
+    from aridcal.result.outcome import said
+
     source = "declared" if named.declared else "found"
     gain = ""
     if len(named.before):
@@ -116,12 +125,16 @@ def _effect_line(outcome: Outcome, named: NamedEffect) -> str:
 
 def _noise_line(outcome: Outcome) -> str:
     """The noise that is left, and what it is made of beyond the instrument."""
+    from aridcal.drawing.words import causes_in_words, noise_in_words
+
     causes = causes_in_words(outcome)
     return f"noise: {noise_in_words(outcome, outcome.scatter)}{'. ' if causes else ''}{causes}"
 
 
 def _verification_lines(v: Verification) -> list[str]:
     """Errors on another day's data."""
+    from aridcal.result.outcome import said
+
     sound = ~v.outlier
     figures = ", ".join(f"{name} {said(r, sound, v.measurements)}" for name, r in v.residuals.items())
     gross = f" ({v.outlier.sum()} gross outliers excluded)" if v.outlier.any() else ""
@@ -182,7 +195,12 @@ def _identify(arguments: argparse.Namespace, out: Path) -> int:
         campaign = load_campaign(arguments.campaign)
         if arguments.tolerance is not None:
             campaign = campaign.with_tolerance(arguments.tolerance)
-        outcome = identify(campaign, arguments.seed, arguments.verify, progress, out / CACHE, refuse_misread)
+        job = read_job(campaign, arguments.seed, progress, out / CACHE, arguments.verify is not None)
+        # Loaded only now, here and above: what fits, searches and draws takes longer to load than a slip in a table to be found.
+        from aridcal.prepare.other_readings import refuse_misread
+        from aridcal.result.pipeline import identify
+
+        outcome = identify(job, verify=arguments.verify, progress=progress, judge=refuse_misread)
         written = write_folder(outcome, out, progress)
     summary(outcome, console)
     handover = written.handover

@@ -5,22 +5,21 @@ from __future__ import annotations
 import datetime
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from aridcal.drawing.scene import write_scene
-from aridcal.report.certificate import FILES, write_certificate
-from aridcal.report.page import write_report
-from aridcal.result.controllers import Handover, hand_over, write_controllers
-from aridcal.result.folder import write_results
-from aridcal.result.outcome import Outcome
 from aridcal.showing import SILENT, Progress
 from aridcal.writing.files import atomic_folder
+
+if TYPE_CHECKING:
+    from aridcal.result.controllers import Handover
+    from aridcal.result.outcome import Outcome
 
 RESULT_FILES = frozenset(
     {
         *("result.json", "calibration.yaml", "calibrated.urdf", "model.urdf", "residuals.csv", "fiducials.csv"),
         *("kinematics.yaml", "dh.yaml", "dh_modified.yaml", "doty.yaml", "joint_offsets.yaml", "frames.yaml"),
         *("joint_maps.urdf", "joint_maps.csv", "report.html", "scene.html"),
-        *FILES,
+        *("certificate.html", "certificate.pdf"),
     }
 )
 """All that a result may have: what an earlier one had and this has not must not outlive it."""
@@ -55,6 +54,13 @@ def write_folder(outcome: Outcome, folder: Path, progress: Progress = SILENT) ->
     Raises:
         OutputError: the folder cannot be written.
     """
+    # Commands ask for the names above before they read a table; what draws is loaded when there is something to draw.
+    from aridcal.drawing.scene import write_scene
+    from aridcal.report.certificate import write_certificate
+    from aridcal.report.page import write_report
+    from aridcal.result.controllers import hand_over, write_controllers
+    from aridcal.result.folder import write_results
+
     with atomic_folder(folder, RESULT_FILES | RESULT_FOLDERS) as stage:
         progress("writing figures and tables")
         write_results(outcome, stage, progress)

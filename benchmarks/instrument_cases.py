@@ -15,10 +15,14 @@ from random_robots import draw_robot
 from scipy.spatial.transform import Rotation
 
 from aridcal.fit.constants import constants
+from aridcal.fit.least_squares import Fit
+from aridcal.fit.problem import problem
+from aridcal.fit.stages import fit_geometry
 from aridcal.inputs.campaign import Campaign, load_campaign
 from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.read import load_measurements
 from aridcal.inputs.yaml_file import load_settings
+from aridcal.instruments.channels import spread
 from aridcal.prepare.scenario import Scenario
 from aridcal.prepare.simulation import Simulation, simulate, write_campaign
 from aridcal.prepare.true_things import documents
@@ -52,6 +56,7 @@ WAYS: dict[str, tuple[str, dict[str, Any]]] = {
     "inclination": ("inclination", {}),
 }
 ARMS = ("six", "seven", "arid")
+ROWS, IMAGES, QUERIES = 120, 30, 100
 
 
 @dataclass(frozen=True)
@@ -179,3 +184,19 @@ def elsewhere(one: Made, n: int) -> Made:
     other = {**truth, "n": n, "seed": truth["seed"] + 500_000, "parameters": simulation.parameters}
     other |= {"instruments": things, "effects": effects, "noise": {}}
     return made({**one.keys, "truth": other}, one.robot)
+
+
+def rows_of(way: str) -> int:
+    """Rows of an ordinary campaign, or images."""
+    return IMAGES if WAYS[way][0] == "pixels" else ROWS
+
+
+def geometric(one: Made) -> Fit:
+    """Constants of the training rows."""
+    return fit_geometry(one.campaign, one.robot, one.train, ()).geometric
+
+
+def error_of(found: Fit, new: Made) -> float:
+    """RMS per number on exact rows that were never measured, in sigma."""
+    off = problem(found.model, new.rows).residual(found.theta) / spread(new.sigma, new.rows.channels)
+    return float(np.sqrt(np.nanmean(off**2)))

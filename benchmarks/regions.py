@@ -1,14 +1,16 @@
-"""Calibration by region: constants that vary along a rail, and one calibration square that is not where it should be.
+"""Calibration by region: constants that vary along a rail or by station, and one calibration square that is off.
 
     python benchmarks/regions.py                  # all, some minutes
     python benchmarks/regions.py rail --cases 10  # ARID, beta and alpha of three links varying along the rail by 1 mrad RMS
     python benchmarks/regions.py square           # three strips of 28 squares; around one of them the targets are 0.5 mm off
+    python benchmarks/regions.py station          # eight stations, each with zeros of two joints of its own, 1 mrad RMS
+    python benchmarks/regions.py few              # the same; one station has three rows
 
 Each case is an ARID with constants that are 2 mm and 2 mrad off, measured by a tracker of 0.1 mm and 0.1 mrad. Models are
 fitted to the training rows and judged at others: `measured` by what the tracker says of them, `true` by where the targets really
 are. The oracle knows the true functions and fits their sizes. `asked` is `diagnosis: {candidates: [all, regional,
 residual_field]}`, `declared` names the effects, and `one model` has neither. Clean cases are the same arms without the variation:
-what do the two cost there?
+what do the two cost there? `station` has labels in the clean cases, too.
 """
 
 from __future__ import annotations
@@ -40,6 +42,10 @@ STRIPS, SQUARES, VIEWS, HELD_OUT = (3.0, 3.5, 4.0), 28, 4, 4  # [m] along the ra
 OFF, REACH = 5e-4, 0.12  # how far targets are off around a square, and how far around it (one sigma), [m]
 LINKS: list[dict[str, object]] = [
     {"kind": "regional", "where": f"joint_{k}", "motion": ("beta", "alpha"), "by": "joint_1"} for k in (1, 2, 3)
+]
+STATIONS, FEW = 8, 3  # labels; rows of one that has few
+ZEROS: list[dict[str, object]] = [
+    {"kind": "regional", "where": f"joint_{k}", "motion": ("axis",), "by": "station"} for k in (2, 3)
 ]
 FIELD: list[dict[str, object]] = [{"kind": "residual_field", "where": "world_base"}]
 ASKED = ("all", "regional", "residual_field")
@@ -120,6 +126,36 @@ def square(seed: int, varies: bool) -> Case:
     return Case(robot, measured(robot, q, R, p, test, rng), p, test & (distance < 1.5 * REACH), known, {"dent": dent})
 
 
+def station(seed: int, varies: bool, few: bool = False) -> Case:
+    """Rows at eight stations, or what a user calls so; two joints' zeros differ from one to the next."""
+    rng = np.random.default_rng([seed, 3])
+    robot = arid()
+    low, high = robot.limits.T
+    q = rng.uniform(low, high, (TRAIN + JUDGED, len(low)))
+    label = rng.integers(0, STATIONS, len(q))
+    if few:
+        own = np.flatnonzero(label[:TRAIN] == 0)
+        label[own[FEW:]] = 1
+    zeros = VARIES * rng.standard_normal((STATIONS, 2))
+    columns = {f"zero_{k}": values[label] for k, values in enumerate((zeros - zeros.mean(axis=0)).T)}
+    known = tuple(
+        Coefficient(f"joint_{k}", "axis", Basis("linear", (name,), (0.0,)))
+        for k, name in zip((2, 3), columns, strict=True)
+    )
+    truth = truth_of(robot, "doty", ARID_FRAMES)
+    theta = np.concatenate([WRONG * rng.standard_normal(len(truth.coefficients)), np.full(len(known), float(varies))])
+    whole = truth.with_coefficients((*truth.coefficients, *known))
+    R, p = whole.poses(theta, whole.rows(q, columns))
+    test = np.arange(len(q)) >= TRAIN
+    rows = replace(measured(robot, q, R, p, test, rng), station=np.array([f"s{k}" for k in label]))
+    return Case(robot, rows, p, test & (label == 0) if few else test, known, columns)
+
+
+def few(seed: int, varies: bool) -> Case:
+    """One station has three rows; what is judged is that station."""
+    return station(seed, varies, True)
+
+
 def measured(
     robot: Robot, q: np.ndarray, R: np.ndarray, p: np.ndarray, test: np.ndarray, rng: np.random.Generator
 ) -> Dataset:
@@ -155,7 +191,7 @@ def errors(case: Case, found: Fit) -> tuple[float, float]:
     """RMS over the rows that judge: of what the tracker says, and of the truth, [mm]."""
     rows = case.rows.select(case.judged)
     columns = {name: values[case.judged] for name, values in case.columns.items()}
-    places = found.model.poses(found.theta, found.model.rows(rows.readings, columns))[1]
+    places = found.model.poses(found.theta, found.model.rows(rows.readings, columns, rows.station))[1]
     every = places - rows.position, places - case.true[case.judged]
     return tuple(1e3 * float(np.sqrt(np.mean(np.sum(e**2, axis=1)))) for e in every)  # type: ignore[return-value]
 
@@ -199,10 +235,10 @@ def run(make: Callable[[int, bool], Case], declared: list[dict[str, object]], ca
 def main() -> int:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", nargs="*", metavar="NAME", help="rail, square; default: both")
+    parser.add_argument("what", nargs="*", metavar="NAME", help="rail, square, station, few; default: all")
     parser.add_argument("--cases", type=int, default=10)
     arguments = parser.parse_args()
-    parts = {"rail": (rail, LINKS), "square": (square, FIELD)}
+    parts = {"rail": (rail, LINKS), "square": (square, FIELD), "station": (station, ZEROS), "few": (few, ZEROS)}
     for name in arguments.what or parts:
         if name not in parts:
             parser.error(f"no part {name!r}: choose from {', '.join(parts)}")

@@ -14,7 +14,7 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 from aridcal.fit.constants import constants
-from aridcal.head.detections import Read
+from aridcal.head.found import Read
 from aridcal.inputs.campaign import Campaign, load_campaign
 from aridcal.inputs.dataset import ROLES, Dataset, dataset
 from aridcal.instruments.catalogue import KINDS, labelled
@@ -22,7 +22,7 @@ from aridcal.instruments.kind import Role
 from aridcal.instruments.pose import TRACKER
 from aridcal.instruments.setup import Block, Instruments, Things, Tie
 from aridcal.model.model import Model
-from aridcal.result import pipeline
+from aridcal.result import pipeline, reading
 from aridcal.result.outcome import Outcome
 from aridcal.robot.chain import Robot
 
@@ -283,5 +283,5 @@ def outcome(folder: Path, of: Arm, data: Dataset, **changes: object) -> Outcome:
     """The rows through the whole pipeline, as if they had been read from a file."""
     job = campaign(folder, of, data, **changes)
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(pipeline, "read_rows", lambda job, *_: Read(job, data))
+        patched.setattr(reading, "read_rows", lambda job, *_: Read(job, data))
         return pipeline.identify(job)

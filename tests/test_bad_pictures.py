@@ -466,7 +466,7 @@ def test_a_section_that_fails_is_a_line_and_the_rest_of_the_report_stands(
 def test_a_figure_that_fails_is_a_line_in_its_place(
     outcome: Outcome, handover: Handover, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("aridcal.drawing.figures._with_legend", fails(ValueError("no legend")))
+    monkeypatch.setattr("aridcal.drawing.figures.legend", fails(ValueError("no legend")))
     notices = page.write_report(outcome, handover, tmp_path / "report.html")
     body = etree.HTML((tmp_path / "report.html").read_text("utf-8"))
     assert len(notices) >= 3

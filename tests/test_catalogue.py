@@ -25,6 +25,7 @@ from aridcal.effects.catalogue import (
 )
 from aridcal.effects.effect import Coefficient, Effect
 from aridcal.effects.kinds import Kind, Observed
+from aridcal.effects.labels import STATION, label_columns
 from aridcal.effects.loads import Surroundings, covariate_table
 from aridcal.effects.sights import TARGET, Sights, sight_table
 from aridcal.head.detections import head_things
@@ -66,7 +67,7 @@ CONTRACT: dict[str, tuple[set[str], tuple[str, ...]]] = {
     "principal_point": ({"cx", "cy"}, ()),
     "sonar_bias": ({"bias"}, ()),
     "sonar_scale": ({"scale"}, ()),
-    "regional": ({"beta", "alpha", "pitch", "roll"}, ()),
+    "regional": ({"beta", "alpha", "axis", *FRAME}, ()),
     "residual_field": ({"x", "y", "z"}, TARGET),
     "unknown": (FRAME, ()),
 }
@@ -82,6 +83,7 @@ HELD = {
 HEAD_HELD = head_things(Head(np.zeros(13), np.zeros((2, 3)), "perpendicular", 1.0)).held
 N = 40
 MEASURED = ("time", "temperature", "temperature_hall", "payload", "joint_1_direction")
+LABELS = ("station[a]", "station[b]")
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 
 
@@ -92,12 +94,13 @@ def observed() -> tuple[Observed, Model, np.ndarray, dict[str, np.ndarray]]:
     q = robots.readings(robot, N, rng)
     columns = {name: rng.normal(0.0, 1.0, N) for name in MEASURED}
     columns["joint_1_direction"] = rng.choice([-1.0, 1.0], N)
+    columns |= label_columns(LABELS, rng.choice(["a", "b", ""], N))
     lever = np.array([0.1, 0.2, 0.3])
     around = Surroundings(np.array([1.0, 9.0, -3.0]), lever, sights=Sights(lever[None]))
     table = covariate_table(robot, q, columns, around, np.zeros(N, dtype=int), {".gravity_", ".payload_"})
     table |= sight_table(robot, q, around.sights, around.gravity, np.zeros(N, dtype=int))
     frames = ((None, robots.random_placement(rng)),)
-    return Observed(robot, table, MEASURED), Model(robot, (), frames, frames, around), q, columns
+    return Observed(robot, table, MEASURED, labels=LABELS), Model(robot, (), frames, frames, around), q, columns
 
 
 def effects(kind: str) -> list[Effect]:
@@ -134,8 +137,14 @@ def test_a_kind_moves_and_depends_on_what_the_formats_say(kind: str) -> None:
             if endings:
                 assert name == effect.where or any(e and name in (e, effect.where + e) for e in endings)
             else:
-                assert name in (*names, *MEASURED)
-    assert {e.by for e in effects(kind)} <= {"direction", "load", BY.get(kind), None}
+                assert name in (*names, *MEASURED, *((STATION,) if effect.by == STATION else ()))
+    assert {e.by for e in effects(kind)} <= {
+        "direction",
+        "load",
+        BY.get(kind),
+        STATION if kind == "regional" else None,
+        None,
+    }
     if kind == "joint_coupling":
         assert all(e.covariates == (e.with_,) != (e.where,) for e in effects(kind))
 

@@ -16,7 +16,8 @@ from scipy.spatial.transform import Rotation
 from aridcal.__main__ import main as aridcal
 from aridcal.effects.effect import Coefficient
 from aridcal.head.charuco import Board
-from aridcal.head.detections import Read, read_shots
+from aridcal.head.detections import read_shots
+from aridcal.head.found import Read
 from aridcal.head.render import Optics
 from aridcal.identify import main
 from aridcal.inputs.campaign import load_campaign

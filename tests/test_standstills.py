@@ -11,9 +11,10 @@ import pytest
 from scipy.linalg import block_diag
 
 from aridcal.fit.problem import Problem, agreed, problem
+from aridcal.fit.scatter import Scatter
 from aridcal.fit.stages import fit_geometry
 from aridcal.fit.standstills import COLUMNS, OF_ONE, clumps, representative, stack, standstills, with_things
-from aridcal.fit.variance_components import Scatter, estimate, one_more, restricted_likelihood
+from aridcal.fit.variance_components import estimate, one_more, restricted_likelihood
 from aridcal.inputs.dataset import Dataset
 
 RNG = np.random.default_rng(0)

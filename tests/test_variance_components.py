@@ -10,14 +10,16 @@ from scipy.linalg import block_diag, null_space
 from scipy.optimize import minimize
 from scipy.stats import kstest, multivariate_normal
 
+from aridcal.fit import minorant
+from aridcal.fit.scatter import Scatter, told_modes
 from aridcal.fit.variance_components import (
     Components,
-    Scatter,
     asked_for,
     boundary_chance,
     estimate,
     one_more,
     restricted_likelihood,
+    settled,
 )
 
 HELD = np.array([True, True, False, False])
@@ -87,7 +89,42 @@ def whole(rows: Scatter) -> Components:
     found = estimate(rows, np.ones(2), HELD)
     while (more := one_more(rows, found, HELD)) is not None:
         found = more[1]
-    return found
+    return settled(rows, found, HELD)
+
+
+@pytest.mark.parametrize("prior", [0.0, 0.7])
+def test_the_bound_touches_the_likelihood_where_it_is_made_and_lies_below_it_elsewhere(prior: float) -> None:
+    rows, at = scattered(scatter(12, prior=prior), np.array([1.0, 0.3, 0.8, 0.2]), 3), np.array([0.7, 0.2, 0.9, 0.3])
+    V, A, y = dense(rows, at)
+    W, (n, m) = np.linalg.inv(V), rows.y.shape
+    P = W - W @ A @ np.linalg.inv(A.T @ W @ A + rows.precision) @ A.T @ W
+    own = P.reshape(n, m, n, m)[np.arange(n), :, np.arange(n), :]
+    M = minorant.moments(np.tensordot(at, rows.blocks, axes=1), (P @ y).reshape(n, m), own)
+
+    def below(variance: np.ndarray) -> float:
+        each = np.tensordot(variance, rows.blocks, axes=1)
+        return -0.5 * float(np.linalg.slogdet(each)[1].sum() + np.einsum("nij,nji->", M, np.linalg.inv(each)))
+
+    gap = dense_likelihood(rows, at) - below(at)
+    others = at * np.exp(np.random.default_rng(1).uniform(-2.0, 2.0, (50, 4)))
+    assert all(below(other) + gap < dense_likelihood(rows, other) for other in others)
+    top = minorant.best(rows.blocks, rows.stated, M, at, np.ones(4, dtype=bool), np.zeros(4))
+    assert dense_likelihood(rows, top) > dense_likelihood(rows, at)
+    assert all(below(top) >= below(top * np.exp(step)) for step in np.vstack([np.eye(4), -np.eye(4)]) * 0.05)
+
+
+def test_modes_of_which_nothing_is_told_change_no_likelihood_and_go() -> None:
+    rng, rows = np.random.default_rng(4), scattered(scatter(30), np.array([1.0, 0.3, 0.8, 0.0]), 3)
+    modes = np.append(rng.standard_normal((30, 4, 3)), 1e-3 * rng.standard_normal((30, 4, 5)), axis=2)
+    told = told_modes(modes, np.ones(4))
+    assert told.shape == (8, 3)
+
+    def likelihood(columns: np.ndarray, variance: np.ndarray) -> float:
+        precision = block_diag(rows.precision, np.eye(columns.shape[2]))
+        return restricted_likelihood(replace(rows, A=np.append(rows.A, columns, axis=2), precision=precision), variance)
+
+    both = np.array([[likelihood(c, v) for c in (modes, modes @ told)] for v in rng.uniform(0.3, 2.0, (4, 4))])
+    np.testing.assert_allclose(both[:, 0], both[:, 1], atol=1e-3)
 
 
 def test_the_maximum_is_the_one_that_another_search_finds() -> None:

@@ -114,8 +114,8 @@ def region_table(index: Document) -> pd.DataFrame:
     """
     rows = {}
     for name, region in index.get("regions", {}).items():
-        row = {"urdf": region["urdf"]}
-        for part in ("middle", "low", "high", "rows", "error"):
+        row = {"urdf": region["urdf"]} | ({"label": region["label"]} if "label" in region else {})
+        for part in (*(() if "label" in region else ("middle", "low", "high")), "rows", "error"):
             row |= {f"{part}_{of}": value for of, value in region[part].items()}
         rows[name] = row
     return pd.DataFrame.from_dict(rows, orient="index").rename_axis("region")

@@ -3,85 +3,69 @@
 from __future__ import annotations
 
 import functools
-import io
-import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from html import escape
-from typing import TYPE_CHECKING, Any, ParamSpec
+from typing import ParamSpec
 
 import numpy as np
 
-from aridcal.drawing.html import Html, attempt, missing, number
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+from aridcal.drawing.html import Html, attempt, missing
+from aridcal.drawing.plot import (
+    EDGE,
+    GREY,
+    INK,
+    LINE,
+    Area,
+    Named,
+    Scale,
+    band,
+    bars,
+    clipped,
+    dots,
+    frame,
+    legend,
+    level,
+    line,
+    path,
+    room_for,
+    scale,
+    stairs,
+    text,
+    whole,
+    wide,
+)
 
 P = ParamSpec("P")
 
-BEFORE, AFTER, GREY = "#D55E00", "#0072B2", "#5f6b76"  # the first two are Okabe and Ito's
-# Small to large: brightness falls all the way, so that it survives grey print and colour blindness.
-LEVELS = ("#c9d3dc", "#8cc3e8", "#3f93c9", "#a3326b", "#3b1f5b")
-
-# Along the longer side of a field.
-SQUARES = 36
-
+BEFORE, AFTER = "#D55E00", "#0072B2"  # Okabe and Ito's
 # At most so many points are drawn in one cloud.
 POINTS = 500
 
-# Of a figure, in inches: it is legible on a phone, and three stand side by side on a desk.
-WIDTH, WIDE, HEIGHT = 4.3, 8.8, 2.7
+# Of a figure, in 1/72 inch: it is legible on a phone, and three stand side by side on a desk.
+WIDTH, WIDE, HEIGHT = 310.0, 634.0, 195.0
 
-STYLE: dict[Any, Any] = {
-    "svg.fonttype": "none",
-    "svg.hashsalt": "aridcal",
-    "path.simplify": False,
-    "text.parse_math": False,
-    "font.family": ["sans-serif"],
-    "font.sans-serif": ["DejaVu Sans"],
-    "font.size": 9.0,
-    "axes.edgecolor": "#aab2ba",
-    "axes.labelcolor": "#333b44",
-    "text.color": "#333b44",
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "grid.color": "#e6e9ec",
-    "xtick.color": GREY,
-    "ytick.color": GREY,
-    "xtick.major.size": 0.0,
-    "ytick.major.size": 0.0,
-    "legend.frameon": False,
-    "legend.handlelength": 1.2,
-    "axes.formatter.useoffset": False,
-}
+TICKS = (6, 6)
+"""Along x and y at most."""
+
+EDGES = (34.0, 8.0)
+"""Room below an area, for ticks and their label, and at its right."""
 
 
-def _figure(draw: Callable[P, Figure]) -> Callable[P, Html]:
-    """Turn a function that draws into one that returns SVG, or a line in its place if it fails.
+def drawn_or_missing(draw: Callable[P, str]) -> Callable[P, Html]:
+    """Turn a function that draws into one that returns a line in its place if it fails.
 
     Its first two arguments are ``key`` and ``alt``.
     """
 
     @functools.wraps(draw)
     def drawn(*args: P.args, **kwargs: P.kwargs) -> Html:
-        def svg() -> Html:
-            from matplotlib import rc_context
-
-            with rc_context(STYLE):
-                figure, text = draw(*args, **kwargs), io.StringIO()
-                figure.savefig(text, format="svg")
-            return _inline(text.getvalue(), str(args[0]), str(args[1]))
-
-        return attempt(f"report.html: the figure {str(args[0])!r}", svg, missing)
+        return attempt(f"report.html: the figure {str(args[0])!r}", lambda: Html(draw(*args, **kwargs)), missing)
 
     return drawn
 
 
-@_figure
-def histogram(key: str, alt: str, values: Mapping[str, np.ndarray], label: str) -> Figure:
+@drawn_or_missing
+def histogram(key: str, alt: str, values: Mapping[str, np.ndarray], label: str) -> str:
     """Two distributions on one axis.
 
     Args:
@@ -90,20 +74,20 @@ def histogram(key: str, alt: str, values: Mapping[str, np.ndarray], label: str) 
         values: Two arrays by name, none negative; what lies far outside is counted in the last bin.
         label: Of the horizontal axis, with its unit.
     """
-    figure, axes = _axes()
     top = max(float(np.percentile(v, 99.5)) for v in values.values())
     edges = np.linspace(0.0, max(1.03 * top, 1e-9), 41)
-    for (name, v), color, filled in zip(values.items(), (BEFORE, AFTER), (0.15, 0.45), strict=True):
-        share = 100.0 * np.histogram(np.minimum(v, edges[-1]), edges)[0] / len(v)
-        axes.stairs(share, edges, color=color, fill=True, alpha=filled)
-        axes.stairs(share, edges, color=color, linewidth=1.4, label=name)
-    axes.set(xlabel=label, ylabel="rows [%]", xlim=(0, edges[-1]))
-    axes.set_ylim(bottom=0)
-    return _with_legend(figure, axes)
+    shares = [100.0 * np.histogram(np.minimum(v, edges[-1]), edges)[0] / len(v) for v in values.values()]
+    y = Scale(0.0, 1.05 * max(float(share.max()) for share in shares))
+    colors = (BEFORE, AFTER)
+    names = [Named(name, color, "box") for name, color in zip(values, colors, strict=False)]
+    area, made = _axes((label, "rows [%]"), Scale(0.0, float(edges[-1])), y, names)
+    for share, color, filled in zip(shares, colors, (0.15, 0.45), strict=False):
+        made.append(stairs(area, edges, share, 0.0, color, filled, 1.4))
+    return whole(alt, WIDTH, HEIGHT, made)
 
 
-@_figure
-def coverage(key: str, alt: str, names: Sequence[str], shares: Sequence[np.ndarray], ranges: Sequence[str]) -> Figure:
+@drawn_or_missing
+def coverage(key: str, alt: str, names: Sequence[str], shares: Sequence[np.ndarray], ranges: Sequence[str]) -> str:
     """Where within its limits each joint was measured: one histogram per joint, on a line of its own.
 
     Args:
@@ -113,21 +97,25 @@ def coverage(key: str, alt: str, names: Sequence[str], shares: Sequence[np.ndarr
         shares: Readings of each as a share of the joint's range: 0 at its lower limit, 1 at its upper one.
         ranges: The two limits in words.
     """
-    count = len(names)
-    figure, axes = _axes(WIDTH, 0.55 + 0.42 * count, left=0.3, top=0.1)
+    count, each = len(names), 30.0
+    left = min(6 + max((wide(said) for said in (*map(_short, names), *ranges)), default=0.0), 0.45 * WIDTH)
+    area = Area(left, 6.0, WIDTH - left - EDGES[1], each * count, Scale(0.0, 100.0), Scale(0.0, max(count, 1)))
+    across = area.x.ticks(TICKS[0])
+    grid = "".join(f"M{u:.1f} {area.top:.1f}V{area.bottom:.1f}" for u in area.across(across[0]))
+    made = [path(grid, stroke=EDGE, stroke_width=0.4), below(area, "share of the joint's range [%]")]
+    made += [
+        text(float(u), area.bottom + 12, said, "middle")
+        for u, said in zip(area.across(across[0]), across[1], strict=True)
+    ]
     edges = np.linspace(0.0, 1.0, 37)
-    for k, share in enumerate(shares):
+    for k, (name, share, limits) in enumerate(zip(names, shares, ranges, strict=True)):
         bins = np.histogram(np.clip(share, 0.0, 1.0), edges)[0]
-        height = 0.8 * bins / max(bins.max(), 1)
-        line = count - 1 - k
-        axes.stairs(line + height, 100 * edges, baseline=line, color=AFTER, fill=True, alpha=0.55)
-        axes.axhline(line, color="#aab2ba", linewidth=0.8)
-    axes.set(xlabel="share of the joint's range [%]", xlim=(0, 100), ylim=(-0.1, count))
-    labels = [f"{_short(name)}\n{limits}" for name, limits in zip(names, ranges, strict=True)]
-    axes.set_yticks(np.arange(count) + 0.4, labels[::-1], fontsize=8)
-    axes.grid(visible=False, axis="y")
-    axes.spines.left.set_visible(False)
-    return figure
+        foot = float(count - 1 - k)
+        made.append(stairs(area, 100 * edges, foot + 0.8 * bins / max(bins.max(), 1), foot, AFTER, 0.55, 0.0))
+        made.append(level(area, foot, EDGE))
+        middle = area.top + each * (k + 0.5) - 2
+        made.append(text(left - 6, middle, _short(name), "end", INK) + text(left - 6, middle + 11, limits, "end"))
+    return whole(alt, WIDTH, area.bottom + EDGES[0], made)
 
 
 @dataclass(frozen=True)
@@ -141,7 +129,7 @@ class Trend:
     smooth: np.ndarray
 
 
-@_figure
+@drawn_or_missing
 def panels(
     key: str,
     alt: str,
@@ -149,7 +137,7 @@ def panels(
     values: Mapping[str, np.ndarray],
     labels: tuple[str, str],
     trends: Mapping[str, Trend] | None = None,
-) -> Figure:
+) -> str:
     """Clouds of points about zero side by side, on one scale; the last is the present one.
 
     Args:
@@ -160,34 +148,30 @@ def panels(
         labels: Of the two axes, with their units.
         trends: Of each cloud, by the same names.
     """
-    figure, axes = _axes()
-    low, _, right, _ = axes.get_position().extents
-    gap = 0.035
-    wide = (right - low - gap * (len(values) - 1)) / len(values)
-    top = max(_reach(v, trends[name] if trends else None) for name, v in values.items()) or 1.0
+    top = 1.05 * (max(_reach(v, trends[name] if trends else None) for name, v in values.items()) or 1.0)
+    whole_area, _ = _axes(labels, scale(x, 0.03), Scale(-top, top), (), above=LINE + 4)
+    gap, count = 10.0, len(values)
+    each = (whole_area.width - gap * (count - 1)) / count
+    made = [below(whole_area, labels[0]), beside(whole_area, labels[1])]
+    some = _some(len(x))
     for k, (name, v) in enumerate(values.items()):
-        _, bottom, _, height = axes.get_position().bounds
-        panel = figure.add_axes((low + k * (wide + gap), bottom, wide, height), facecolor="none")
-        color = AFTER if k == len(values) - 1 else BEFORE
-        _dots(panel, x, v, GREY if trends else color, alpha=0.35 if trends else 0.6)
-        panel.axhline(0.0, color=GREY, linewidth=0.8)
+        left = whole_area.left + k * (each + gap)
+        area = Area(left, whole_area.top, each, whole_area.height, whole_area.x, whole_area.y)
+        color = AFTER if k == count - 1 else BEFORE
+        made.append(frame(area, (TICKS[0] if count == 1 else 4, TICKS[1]), numbers=k == 0))
+        inside = [
+            dots(area, x[some], v[some], GREY if trends else color, opacity=0.35 if trends else 0.6),
+            level(area, 0.0),
+        ]
         if trends:
             t = trends[name]
-            panel.vlines(t.centre, t.mean - 2 * t.std, t.mean + 2 * t.std, color=color, linewidth=1.0)
-            _dots(panel, t.centre, t.mean, color, size=4.0, alpha=1.0)
-            panel.plot(t.at, t.smooth, color=color, linewidth=1.8)
-        room = 0.03 * float(np.ptp(x)) or 1.0
-        panel.set(xlim=(x.min() - room, x.max() + room), ylim=(-1.05 * top, 1.05 * top))
-        panel.locator_params(axis="x", nbins=4 if len(values) > 1 else 6)
-        panel.locator_params(axis="y", nbins=6)
-        panel.set_title(name, loc="left", fontsize=9, color=color, pad=4)
-        if k:
-            panel.tick_params(labelleft=False)
-        else:
-            panel.set_ylabel(labels[1])
-    figure.text((low + right) / 2, 0.03, labels[0], ha="center")
-    axes.remove()
-    return figure
+            inside.append(bars(area, t.centre, t.mean - 2 * t.std, t.mean + 2 * t.std, color))
+            inside.append(
+                dots(area, t.centre, t.mean, color, size=4.0, opacity=1.0) + line(area, t.at, t.smooth, color)
+            )
+        made.append(clipped(f"{key}-{k}", area, "".join(inside)))
+        made.append(text(left, whole_area.top - 5, name, color=color))
+    return whole(alt, WIDTH, HEIGHT, made)
 
 
 def _reach(values: np.ndarray, trend: Trend | None) -> float:
@@ -197,8 +181,8 @@ def _reach(values: np.ndarray, trend: Trend | None) -> float:
     return max(float(np.percentile(np.abs(values), 98)), float((np.abs(trend.mean) + 2 * trend.std).max()))
 
 
-@_figure
-def correlogram(key: str, alt: str, lags: np.ndarray, correlation: np.ndarray, bound: float, label: str) -> Figure:
+@drawn_or_missing
+def correlogram(key: str, alt: str, lags: np.ndarray, correlation: np.ndarray, bound: float, label: str) -> str:
     """Correlation of residuals some rows apart, and what 95 % of it stays within if all is noise.
 
     Args:
@@ -209,63 +193,22 @@ def correlogram(key: str, alt: str, lags: np.ndarray, correlation: np.ndarray, b
         bound: Half width of the band.
         label: Of the horizontal axis.
     """
-    figure, axes = _axes()
-    axes.axhspan(-bound, bound, color=GREY, alpha=0.18, linewidth=0, label="95 % of noise")
-    axes.vlines(lags, 0.0, correlation, color=AFTER, linewidth=2.0)
-    _dots(axes, lags.astype(float), correlation, AFTER, label="residuals", size=4.5, alpha=1.0)
-    axes.axhline(0.0, color=GREY, linewidth=0.8)
     top = 1.15 * max(float(np.abs(correlation).max()), 2.0 * bound)
-    axes.set(xlabel=label, ylabel="correlation [1]", ylim=(-top, top))
-    return _with_legend(figure, axes)
+    names = (Named("95 % of noise", GREY, "box"), Named("residuals", AFTER))
+    lags = lags.astype(float)
+    area, made = _axes((label, "correlation [1]"), scale(lags, 0.05), Scale(-top, top), names)
+    ends = np.array([area.x.low, area.x.high])
+    made += [
+        band(area, ends, np.full(2, -bound), np.full(2, bound), GREY, 0.18),
+        bars(area, lags, np.zeros(len(lags)), correlation, AFTER, 2.0),
+        dots(area, lags, correlation, AFTER, size=4.5, opacity=1.0),
+        level(area, 0.0),
+    ]
+    return whole(alt, WIDTH, HEIGHT, made)
 
 
-@_figure
-def field(
-    key: str,
-    alt: str,
-    points: np.ndarray,
-    values: np.ndarray,
-    labels: tuple[str, str],
-    unit: str,
-    hollow: np.ndarray | None = None,
-    marks: Mapping[str, np.ndarray] | None = None,
-) -> Figure:
-    """RMS of a value over a plane: one dot for the rows of each small square, in five steps of equally many dots.
-
-    Args:
-        key: Of the figure, unique in the page.
-        alt: What the figure shows, for those who cannot see it.
-        points: Shape (N, 2).
-        values: Shape (N,), not negative.
-        labels: Of the two axes, with their units.
-        unit: Of the values.
-        hollow: Of the rows, shape (N,) bool; a dot for which most of them are gets a hole.
-        marks: Other points of the plane by their name, shape (M, 2), as rings above the dots.
-    """
-    figure, axes = _axes(HEIGHT + 1.6, HEIGHT + 1.6, left=0.14, top=0.42)
-    side = max(float(np.ptp(points, axis=0).max()) / SQUARES, 1e-9)
-    _, square = np.unique(np.floor(points / side), axis=0, return_inverse=True)
-    square = square.reshape(-1)
-    count = np.bincount(square)
-    x, y = (np.bincount(square, column) / count for column in points.T)
-    rms = np.sqrt(np.bincount(square, values**2) / count)
-    steps = np.quantile(rms, np.linspace(0, 1, len(LEVELS) + 1))
-    level = np.searchsorted(steps[1:-1], rms, side="right")
-    for k, color in enumerate(LEVELS):
-        name = f"{number(steps[k], 2)}–{number(steps[k + 1], 2)} {unit}"
-        _dots(axes, x[level == k], y[level == k], color, label=name, size=5.0, alpha=1.0)
-    if hollow is not None:
-        open_ = np.bincount(square, hollow) > 0.5 * count
-        _dots(axes, x[open_], y[open_], "white", size=2.2, alpha=1.0)
-    for name, at in (marks or {}).items():
-        axes.plot(*at.T, color="#1d242b", marker="o", markerfacecolor="none", linestyle="", markersize=5, label=name)
-    axes.set(xlabel=labels[0], ylabel=labels[1])
-    axes.set_aspect("equal", adjustable="datalim")
-    return _with_legend(figure, axes, columns=3)
-
-
-@_figure
-def falling(key: str, alt: str, at: np.ndarray, values: Mapping[str, np.ndarray], labels: tuple[str, str]) -> Figure:
+@drawn_or_missing
+def falling(key: str, alt: str, at: np.ndarray, values: Mapping[str, np.ndarray], labels: tuple[str, str]) -> str:
     """Values that fall over some powers of ten, against how many of something there are.
 
     Args:
@@ -275,22 +218,20 @@ def falling(key: str, alt: str, at: np.ndarray, values: Mapping[str, np.ndarray]
         values: By name, shape (B,) each; NaN where there is none, and names with nothing else are left out.
         labels: Of the two axes, with their units.
     """
-    from matplotlib.ticker import LogLocator
-
-    figure, axes = _axes()
-    for (name, v), color in zip(values.items(), (AFTER, BEFORE, GREY), strict=False):
-        if np.isfinite(v).any():
-            axes.plot(at, v, color=color, linewidth=1.8, marker="o", markersize=3.5, label=name)
-    axes.set(xlabel=labels[0], ylabel=labels[1], yscale="log", xlim=(0, None))
-    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    axes.yaxis.set_major_formatter(
-        lambda value, _: f"{value:.3g}"
-    )  # ticks of less than a decade differ in the third digit
-    axes.yaxis.set_minor_formatter(lambda value, _: "")
-    return _with_legend(figure, axes, columns=3)
+    there = {name: v for name, v in values.items() if np.isfinite(v).any()}
+    every = np.concatenate(list(there.values()))
+    low, high = float(np.nanmin(every)), float(np.nanmax(every))
+    room = max((high / low) ** 0.05, 1.001)
+    colors = (AFTER, BEFORE, GREY)
+    names = [Named(name, color, "line") for name, color in zip(there, colors, strict=False)]
+    x = Scale(0.0, 1.05 * max(float(at.max()), 1.0))
+    area, made = _axes(labels, x, Scale(low / room, high * room, log=True), names)
+    for v, color in zip(there.values(), colors, strict=False):
+        made.append(line(area, at, v, color) + dots(area, at, v, color, size=4.0, opacity=1.0))
+    return whole(alt, WIDTH, HEIGHT, made)
 
 
-@_figure
+@drawn_or_missing
 def curve(
     key: str,
     alt: str,
@@ -299,8 +240,8 @@ def curve(
     std: np.ndarray,
     rows: tuple[np.ndarray, np.ndarray],
     labels: tuple[str, str],
-    wide: bool = False,
-) -> Figure:
+    winding: bool = False,
+) -> str:
     """A function with its band of two standard deviations, and the rows behind it.
 
     Args:
@@ -311,79 +252,65 @@ def curve(
         std: Its standard deviation, shape (G,).
         rows: Where each row stands and what it asks for, shape (N,) each; the wildest are cut off.
         labels: Of the two axes, with their units.
-        wide: Twice as wide as other figures, for a curve that winds a lot.
+        winding: For a curve that winds a lot: twice as wide as other figures.
     """
-    figure, axes = _axes(WIDE) if wide else _axes()
-    axes.fill_between(at, value - 2 * std, value + 2 * std, color=AFTER, alpha=0.25, linewidth=0)
-    _dots(axes, *rows, GREY, label="rows", alpha=0.3)
-    axes.plot(at, value, color=AFTER, linewidth=2.0, label="identified, ± 2σ")
     cut = [*np.percentile(value - 2 * std, [3, 97]), *np.percentile(value + 2 * std, [3, 97]), value.min(), value.max()]
     cut += [*np.percentile(rows[1], [1, 99])] if len(rows[1]) else []
-    low, high = min(cut), max(cut)
-    room = 0.06 * (high - low) or 1.0
-    axes.set(xlabel=labels[0], ylabel=labels[1], ylim=(low - room, high + room))
-    return _with_legend(figure, axes)
+    names = (Named("rows", GREY), Named("identified, ± 2σ", AFTER, "line"))
+    width = WIDE if winding else WIDTH
+    x = scale(np.concatenate([at, rows[0]]), 0.03)
+    area, made = _axes(labels, x, scale(np.array(cut), 0.06), names, width)
+    some = _some(len(rows[0]))
+    inside = [
+        band(area, at, value - 2 * std, value + 2 * std, AFTER, 0.25),
+        dots(area, rows[0][some], rows[1][some], GREY, opacity=0.3),
+        line(area, at, value, AFTER, 2.0),
+    ]
+    made.append(clipped(key, area, "".join(inside)))
+    return whole(alt, width, HEIGHT, made, "plot wide" if winding else "plot")
 
 
-def _axes(width: float = WIDTH, height: float = HEIGHT, left: float = 0.14, top: float = 0.3) -> tuple[Figure, Axes]:
-    """One figure with one pair of axes; ``left`` is a share of the usual width, ``top`` in inches."""
-    from matplotlib.figure import Figure
+def _axes(
+    labels: tuple[str, str],
+    x: Scale,
+    y: Scale,
+    names: Sequence[Named] = (),
+    width: float = WIDTH,
+    above: float | None = None,
+) -> tuple[Area, list[str]]:
+    """The area of a figure, and all that stands around it: legend, grid, ticks and labels.
 
-    figure = Figure(figsize=(width, height), facecolor="none")
-    bottom, usual = 0.45, min(WIDTH / width, 1.0)
-    left, right = left * usual, 1.0 - 0.03 * usual
-    axes = figure.add_axes((left, bottom / height, right - left, 1 - (bottom + top) / height), facecolor="none")
-    axes.locator_params(nbins=6)
-    return figure, axes
-
-
-def _with_legend(figure: Figure, axes: Axes, columns: int = 2) -> Figure:
-    axes.legend(
-        loc="lower left",
-        bbox_to_anchor=(-0.02, 1.0),
-        ncols=columns,
-        borderaxespad=0.1,
-        borderpad=0.1,
-        columnspacing=0.9,
-        handletextpad=0.4,
-    )
-    return figure
-
-
-def _dots(
-    axes: Axes, x: np.ndarray, y: np.ndarray, color: str, label: str = "", size: float = 2.6, alpha: float = 0.6
-) -> None:
-    """Points as strokes without length but with round ends: one short path in place of an element per point.
-
-    Of more than :data:`POINTS` a reproducible choice is drawn.
+    Args:
+        labels: Of the two axes.
+        x: The horizontal one.
+        y: The vertical one.
+        names: Of the legend.
+        width: Of the figure.
+        above: Room above the area; None for what the legend needs.
     """
-    if len(x) > POINTS:
-        some = np.random.default_rng(0).choice(len(x), POINTS, replace=False)
-        x, y = x[some], y[some]
-    gap = np.full(len(x), np.nan)
-    u, v = (np.column_stack([values, values, gap]).ravel() for values in (x, y))
-    axes.plot(u, v, color=color, linewidth=size, alpha=alpha, solid_capstyle="round")
-    if label:
-        axes.plot([], [], color=color, marker="o", linestyle="", markersize=4.5, label=label)
+    left = 2 * LINE + room_for(y, TICKS[1]) - 8
+    entries, high = legend(names, left, width)
+    top = above if above is not None else high + 4
+    area = Area(left, top, width - left - EDGES[1], HEIGHT - top - EDGES[0], x, y)
+    return area, [entries, frame(area, TICKS), below(area, labels[0]), beside(area, labels[1])]
+
+
+def below(area: Area, label: str) -> str:
+    """The label of a horizontal axis."""
+    return text(area.left + area.width / 2, area.bottom + 27, label, "middle", INK)
+
+
+def beside(area: Area, label: str) -> str:
+    """The label of a vertical axis."""
+    return text(LINE - 4, area.top + area.height / 2, label, "middle", INK, turned=True)
+
+
+def _some(count: int) -> np.ndarray:
+    """Which points of a cloud are drawn: of more than :data:`POINTS` a reproducible choice."""
+    if count <= POINTS:
+        return np.arange(count)
+    return np.random.default_rng(0).choice(count, POINTS, replace=False)
 
 
 def _short(name: str, most: int = 16) -> str:
     return name if len(name) <= most else f"{name[: most - 1]}…"
-
-
-def _inline(svg: str, key: str, alt: str) -> Html:
-    """Matplotlib's file as an element of a page: ids unique and only where needed, two decimals."""
-    svg = svg[svg.index("<svg") :]
-    size = re.search(r'viewBox="0 0 ([\d.]+) ([\d.]+)"', svg)
-    assert size is not None
-    body = svg[svg.index(">") + 1 :]
-    body = re.sub(r"<metadata>.*?</metadata>|<style.*?</style>|<!--.*?-->", "", body, flags=re.DOTALL)
-    referred = set(re.findall(r'(?:url\(|href=")#([^)"]+)', body))
-    body = re.sub(r' id="([^"]+)"', lambda m: f' id="{key}-{m[1]}"' if m[1] in referred else "", body)
-    body = re.sub(r'(url\(|href=")#', rf"\1#{key}-", body).replace("xlink:href", "href")
-    body = re.sub(r"<[^>]*>", lambda m: re.sub(r"(?<=\d)(\.\d{2})\d+", r"\1", m[0]), body)  # not in what is read
-    body = re.sub(r"\s+", " ", body).replace("> <", "><")
-    body = re.sub(r"M (\S+ \S+) L \1(?= )", r"M\1h0", body)
-    kind = "plot wide" if float(size[1]) > 72 * WIDTH + 1 else "plot"
-    head = f'<svg class="{kind}" viewBox="0 0 {size[1]} {size[2]}" role="img" aria-label="{escape(alt)}">'
-    return Html(head + body.strip())

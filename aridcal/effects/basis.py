@@ -134,6 +134,11 @@ def _step(z: Columns, n: Numbers) -> np.ndarray:
     return np.where(z[0] < n[0], -1.0, 0.0)
 
 
+def _label(z: Columns, n: Numbers) -> np.ndarray:
+    """1 in the rows of a label, 0 in all others, those of a label that nobody knows among them."""
+    return np.asarray(z[0])
+
+
 FORMS: dict[str, Form] = {
     "ones": Form(_ones, "1"),
     "linear": Form(_linear, "{of[0]}"),
@@ -146,6 +151,7 @@ FORMS: dict[str, Form] = {
     "ball": Form(_ball, "region({n[0]:.6g},{n[1]:.6g},{n[2]:.6g};{n[3]:.6g})"),
     "times_power": Form(_times_power, "{of[0]}*{of[1]}^{n[2]:g}"),
     "step": Form(_step, "step({of[0]}@{n[0]:.12g})", absent=np.inf),
+    "label": Form(_label, "{of[0]}", absent=0.0),
 }
 
 

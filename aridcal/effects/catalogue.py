@@ -14,6 +14,7 @@ from aridcal.effects.head_kinds import HEAD_KINDS
 from aridcal.effects.instrument_kinds import INSTRUMENT_KINDS
 from aridcal.effects.joint_kinds import JOINT_KINDS
 from aridcal.effects.kinds import Declaration, Kind, Observed
+from aridcal.effects.labels import MOST_LABELS, STATION
 from aridcal.effects.regional_kind import REGIONAL, RESIDUAL_FIELD
 from aridcal.effects.unknown_kind import UNKNOWN
 from aridcal.errors import CampaignError, nearest
@@ -99,6 +100,11 @@ def declared(rows: Observed, declaration: Declaration, place: str) -> Effect:
         curves = [effect for effect in fitting if effect.smooth]  # they hold what the others can
         found = curves or fitting
         found = found[:1] if kind.exclusive else found
+    if not found and d.by == STATION and len(rows.labels) < 2:
+        raise CampaignError(
+            f"{place}: effects: {d.kind} at {d.where} by {STATION} needs a column `{STATION}` with 2 to {MOST_LABELS} different "
+            "labels; name it under measurements.columns"
+        )
     if not found:
         raise CampaignError(
             f"{place}: effects: {d.kind} at {d.where} cannot be fitted: this robot or these columns have nothing that "

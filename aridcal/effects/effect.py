@@ -11,6 +11,7 @@ from itertools import groupby
 import numpy as np
 
 from aridcal.effects.basis import CONSTANT, Basis, basis_name
+from aridcal.effects.labels import STATION
 from aridcal.effects.smooth import Nodes, Part, Shape
 from aridcal.robot.kinematics import transverse
 
@@ -114,7 +115,10 @@ class Effect:
     @property
     def covariates(self) -> tuple[str, ...]:
         """Columns it depends on, each once; none of what is the same in all rows."""
-        return tuple(dict.fromkeys(name for c in self.coefficients if c.basis.form != "ones" for name in c.basis.of))
+        of = (
+            (STATION,) if c.basis.form == "label" else c.basis.of for c in self.coefficients if c.basis.form != "ones"
+        )
+        return tuple(dict.fromkeys(name for names in of for name in names))
 
     @property
     def at(self) -> Basis | None:

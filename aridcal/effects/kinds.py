@@ -57,6 +57,7 @@ class Observed:
         orientations: False where only positions were measured: the target's own turns are not seen then.
         held: Components that are taken as stated of each thing that measurements refer to, by the name of its role and its own.
         referred: Different configurations of the rows that refer to each of those things.
+        labels: Covariates of the rows' labels (see :mod:`aridcal.effects.labels`).
     """
 
     robot: Robot
@@ -65,6 +66,7 @@ class Observed:
     orientations: bool = True
     held: Mapping[tuple[str, str], tuple[str, ...]] = field(default_factory=dict)
     referred: Mapping[tuple[str, str], int] = field(default_factory=dict)
+    labels: tuple[str, ...] = ()
 
     def moves(self, joint: Joint) -> bool:
         """True if the joint's reading covers enough to say anything about it."""

@@ -2,20 +2,20 @@
 
 Doty (1992), sections 1 and 8, calibrates the arm at each square of a strip and interpolates between them. Here the deviation
 from the one model of the whole workspace is a smooth function of the place, whose size and length the data choose: no size at
-all where they do not ask for it.
+all where they do not ask for it. By label, each has a deviation of its own, and their size alone is chosen.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
-from scipy.spatial.distance import cdist
 
 from aridcal.effects.basis import Basis
 from aridcal.effects.effect import FRAME_COMPONENTS, LINK_COMPONENTS, Coefficient, Effect
 from aridcal.effects.kinds import LEAST_KNOTS, Declaration, Kind, Observed, bumps
+from aridcal.effects.labels import STATION
 from aridcal.effects.sights import TARGET
 from aridcal.robot.doty import doty_links
 
@@ -38,14 +38,19 @@ that is smooth over the nodes goes on a little."""
 
 FRAMES = ("world_base", "tip_target")
 
-SHIFT = ("x", "y", "z")
+SHIFT, TURN = ("x", "y", "z"), ("roll", "pitch", "yaw")
 
 
 def _regional(rows: Observed) -> Iterator[Effect]:
-    """Tilts of each link along each rail."""
+    """Tilts of each link along each rail; by label also joints' zeros and frames."""
     for rail in rows.moving("prismatic"):
         for where, motion in _links(rows):
             yield _varying(rows, "regional", where, motion, rail.name)
+    if len(rows.labels) > 1:
+        zeros = [(joint.name, ("axis",)) for joint in rows.moving()]
+        frames = [(where, motion) for where in FRAMES for motion in (SHIFT, TURN)]
+        for where, motion in (*_links(rows), *zeros, *frames):
+            yield _varying(rows, "regional", where, motion, STATION)
 
 
 def _residual_field(rows: Observed) -> Iterator[Effect]:
@@ -68,7 +73,8 @@ def _stated(rows: Observed, d: Declaration) -> Iterator[Effect]:
     """What a declaration says: a joint's or a frame's motions over a reading, a column or in space; by default its tilts."""
     motion = d.motion or dict(_links(rows)).get(d.where) or (SHIFT if d.where in FRAMES else FRAME_COMPONENTS)
     by = d.by or IN_SPACE
-    if set(motion) <= set(_motions(rows, d.where)) and by in (IN_SPACE, *rows.varying()):
+    labels = (STATION,) if len(rows.labels) > 1 else ()
+    if set(motion) <= set(_motions(rows, d.where)) and by in (IN_SPACE, *labels, *rows.varying()):
         effect = _varying(rows, d.kind, d.where, motion, by)
         if effect.coefficients:
             yield effect
@@ -83,8 +89,14 @@ def _motions(rows: Observed, where: str) -> tuple[str, ...]:
 
 
 def _varying(rows: Observed, kind: str, where: str, motion: tuple[str, ...], by: str) -> Effect:
-    """Motions of one place as smooth functions of a covariate, or of the target's place; empty where there are too few."""
-    if by == IN_SPACE:
+    """Motions of one place as smooth functions of a covariate, or of the target's place; empty where there are too few.
+
+    By label they are as many numbers as there are labels, each alike in size alone.
+    """
+    if by == STATION and rows.labels:
+        bases = [Basis("label", (name,)) for name in rows.labels]
+        every = tuple(Coefficient(where, component, basis) for component in motion for basis in bases)
+    elif by == IN_SPACE:
         bases = ball_field(np.column_stack([rows.table[name] for name in TARGET]))
         every = tuple(Coefficient(where, component, basis) for component in motion for basis in bases)
     else:
@@ -130,6 +142,8 @@ def far_from_nodes(bases: Iterable[Basis], places: np.ndarray) -> np.ndarray:
 
     Further from its nodes than twice as far as any of these is from its neighbour; False where there are but single dents.
     """
+    from scipy.spatial.distance import cdist  # slow to load, and a campaign is read without it
+
     nodes: dict[float, list[tuple[float, ...]]] = {}
     for basis in dict.fromkeys(bases):
         if basis.form == "ball":
@@ -161,18 +175,48 @@ def is_field(effect: Effect) -> bool:
     return effect.coefficients[0].basis.form == "ball"
 
 
+def is_of_labels(effect: Effect) -> bool:
+    """True for deviations of single labels."""
+    return effect.coefficients[0].basis.form == "label"
+
+
+def is_local(effect: Effect) -> bool:
+    """True for what says nothing but where its rows are: a field in space, or deviations of labels."""
+    return is_field(effect) or is_of_labels(effect)
+
+
+def labels_of(bases: Iterable[Basis]) -> tuple[str, ...]:
+    """Covariates of labels on which some bases depend, each once."""
+    return tuple(dict.fromkeys(basis.of[0] for basis in bases if basis.form == "label"))
+
+
+def without_label(bases: Iterable[Basis], columns: Mapping[str, np.ndarray], count: int) -> np.ndarray:
+    """Rows of a label that nobody knows, where deviations of labels are known, shape (count,) bool.
+
+    Args:
+        bases: Of a model.
+        columns: Covariates of labels, shape (count,) each.
+        count: Of the rows.
+    """
+    of_labels = labels_of(bases)
+    known = np.zeros(count, dtype=bool)
+    for name in of_labels:
+        known |= columns[name] > 0.0
+    return ~known if of_labels else known
+
+
 REGIONAL = Kind(
     "regional",
     where="a joint, `world_base` or `tip_target`",
     words="a constant that is not the same all over the workspace",
-    bases=("bump", "ball"),
+    bases=("bump", "ball", "label"),
     example="{kind: regional, where: joint_2, motion: [beta, alpha], by: joint_1}",
     doc="regional",
     testable=_regional,
     key="by",
     of_declaration=_stated,
     asked=True,
-    columns=lambda d: () if d.by == IN_SPACE else (str(d.by),),
+    columns=lambda d: () if d.by in (IN_SPACE, STATION) else (str(d.by),),
     curve=("axis", *FRAME_COMPONENTS, *LINK_COMPONENTS),
 )
 

@@ -6,8 +6,6 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from scipy.linalg import block_diag
-from scipy.spatial.distance import cdist
 
 from aridcal.effects.basis import wendland
 
@@ -53,12 +51,14 @@ def samples_root(shape: Shape, kernel: Kernel) -> np.ndarray:
         kernel: What is believed of functions on knots; nodes hold it in their radius.
     """
     roots = [_nodes_root(part) if isinstance(part, Nodes) else kernel_root(part, kernel) for part in shape]
+    from scipy.linalg import block_diag  # slow to load, and a campaign is read without it
+
     return roots[0] if len(roots) == 1 else np.asarray(block_diag(*roots))
 
 
 def kernels_that_matter(shape: Shape, kernels: tuple[Kernel, ...]) -> tuple[Kernel, ...]:
-    """Of some kernels those that make a difference to samples: one where all of them are at nodes."""
-    return kernels[:1] if all(isinstance(part, Nodes) for part in shape) else kernels
+    """Of some kernels those that make a difference to samples: one where all are at nodes, or alone, as those of a label."""
+    return kernels[:1] if all(isinstance(part, Nodes) or part == (1,) for part in shape) else kernels
 
 
 @cache
@@ -111,6 +111,8 @@ def _nodes_root(nodes: Nodes) -> np.ndarray:
     values at the nodes, if :math:`w \sim N(0, K^{-1})`, K the kernel between the nodes (J. Quinonero-Candela, C. E. Rasmussen,
     JMLR 6, 2005, section 3: subset of regressors).
     """
+    from scipy.spatial.distance import cdist  # slow to load, and a campaign is read without it
+
     places = np.array(nodes.places)
     variances, modes = np.linalg.eigh(wendland(cdist(places, places)))
     return np.asarray(modes / np.sqrt(np.maximum(variances, SPREAD * variances[-1])))

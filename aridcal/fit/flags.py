@@ -6,8 +6,7 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from scipy.special import gammaincinv
-from scipy.stats import binom
+from scipy.special import betainc, gammaincinv
 
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.channels import Channels, norms
@@ -161,7 +160,10 @@ def _window(name: str, values: np.ndarray, flags: np.ndarray, coordinates: int) 
     low, high = (ends[k] for k in np.triu_indices(len(ends)))
     inside = np.searchsorted(every, high, side="right") - np.searchsorted(every, low)
     hits = np.searchsorted(own, high, side="right") - np.searchsorted(own, low)
-    chance = np.asarray(binom.sf(hits - 2, f - 1, (inside - 1) / (len(every) - 1)))
+    # of f - 1 other flags at least hits - 1 in the window: the binomial tail (DLMF 8.17.5), 1 where none is asked for
+    least = np.maximum(hits - 1, 1)
+    tail = betainc(least, f - least, (inside - 1) / (len(every) - 1))
+    chance = np.where(hits > 1, tail, 1.0)
     best = int(np.argmin(chance))
     a, b = float(low[best]), float(high[best])
     rows = flags & (values >= a) & (values <= b)

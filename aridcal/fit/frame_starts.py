@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
-from scipy.optimize import minimize
 
 from aridcal.instruments.pose import nearest_rotation
 
@@ -120,6 +119,8 @@ def _levers(data: _Data, hint: np.ndarray) -> list[np.ndarray]:
     cost = _lever_cost(data, tips)
     spread = np.sum(_centred(data.m, data.world) ** 2, axis=1)
     size = max(float(np.sqrt(np.mean(spread))), 1e-6)  # one row alone has none
+    from scipy.optimize import minimize  # slow to load, and known frames need no search
+
     found: list[tuple[float, np.ndarray]] = []
     for direction in np.vstack([np.zeros(3), np.eye(3), -np.eye(3)]):
         start = np.tile(size * direction, tips)

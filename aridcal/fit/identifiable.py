@@ -64,6 +64,22 @@ def identifiable(R: np.ndarray, order: Sequence[int], ahead: Sequence[int] = ())
     return Subset(tuple(kept), _partners(R, dropped, kept, length), float(singular[0] / singular[-1]))
 
 
+def apart(R: np.ndarray, first: int) -> np.ndarray:
+    """Which columns behind the first ones are no sums of these, as far as that can be measured, shape (K - first,) bool.
+
+    Beside further columns no other ones can be.
+
+    Args:
+        R: As for :func:`identifiable`, shape (<= K, K).
+        first: How many columns come first.
+    """
+    Q = np.linalg.qr(R[:, :first])[0]
+    rest = R[:, first:] - Q @ (Q.T @ R[:, first:])
+    rest -= Q @ (Q.T @ rest)
+    left = np.linalg.norm(rest, axis=0)
+    return np.asarray((left > TOLERANCE * np.linalg.norm(R[:, first:], axis=0)) & _measured(left))
+
+
 def _measured(length: float | np.ndarray) -> bool | np.ndarray:
     """Whether the noise moves a direction of so many sigmas per [m] or [rad] by less than :data:`WORST`."""
     return length * WORST >= 1.0

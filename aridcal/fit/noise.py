@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import pandas as pd
 
 from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.measurement_settings import OF_TARGETS
@@ -87,7 +86,7 @@ def copies(rows: Dataset) -> np.ndarray:
         *([] if rows.rotation is None else [rows.rotation.reshape(len(rows), 9)]),
         np.where(np.isnan(rows.position[:, 0]), np.arange(len(rows)), -1),
     ]
-    return np.asarray(first_alike(pd.DataFrame(np.column_stack(poses))) != np.arange(len(rows)))
+    return np.asarray(first_alike(np.column_stack(poses).T) != np.arange(len(rows)))
 
 
 def places(rows: Dataset) -> np.ndarray:

@@ -104,11 +104,6 @@ def accumulate(A: Sequence[np.ndarray], r: Sequence[np.ndarray]) -> NormalEquati
     return NormalEquations(information, pull, squares, count)
 
 
-def total(parts: Sequence[NormalEquations]) -> NormalEquations:
-    """Sums over the rows of several parts."""
-    return NormalEquations(*(np.sum([getattr(p, name) for p in parts], axis=0) for name in ("AA", "Ar", "rr", "count")))
-
-
 def _bordered(first: np.ndarray, cross: np.ndarray, last: np.ndarray) -> np.ndarray:
     """Symmetric matrices from their blocks: (C, K, K), (C, K, d) and (C, d, d) to (C, K + d, K + d)."""
     upper = np.concatenate([first, cross], axis=2)
@@ -186,6 +181,22 @@ def nested_solutions(H: np.ndarray, g: np.ndarray, first: int) -> np.ndarray:
         leading = factor[:count, :count]
         found[:count, k] = solve_triangular(leading, forward[:count], trans=1, lower=True, check_finite=False)
     return found * scale[:, None]
+
+
+def conditional(covariance: np.ndarray, theta: np.ndarray, gone: np.ndarray) -> np.ndarray:
+    r"""Solution when some unknowns become zero and all others follow, from the covariance of all.
+
+    .. math:: \theta - V_{:G} V_{GG}^{-1} \theta_G
+
+    Args:
+        covariance: V = H^-1, shape (K, K).
+        theta: The solution of all, shape (K,).
+        gone: Unknowns G that become zero, shape (K,) bool.
+    """
+    V = covariance[:, gone]
+    moved = theta - V @ solve(V[gone], theta[gone], ridge=RIDGE)
+    moved[gone] = 0.0
+    return moved
 
 
 def last_log_determinant(H: np.ndarray, first: int) -> float:

@@ -138,13 +138,14 @@ class Problem:
         data, rows = self.data, self.rows[part]
         relative = None if data.relative is None else data.relative[part]
         if self.measured is None or self.wide is None:
-            R, p, J = self.model.jacobian(theta, rows)
+            R, p, twists = self.model.motions(theta, rows)
             r = residuals(R, p, data.position[part], None if data.rotation is None else data.rotation[part])
-            J = J[:, : r.shape[1]]
+            twists = twists[:, : r.shape[1]]
             if data.relative is not None and data.rotation is not None:
                 # log(exp(r) exp(-w)) = r - (w + r x w / 2 + ...): matters only where a row's axes weigh unequally.
-                J[:, 3:] += 0.5 * np.cross(r[:, 3:, None], J[:, 3:], axis=1)
-            return Pieces(scaled(r, relative), scaled(J, relative), np.zeros((*r.shape, 0)), rows.positions)
+                twists[:, 3:] += 0.5 * np.cross(r[:, 3:, None], twists[:, 3:], axis=1)
+            J = self.model.of_coefficients(scaled(twists, relative), rows)
+            return Pieces(scaled(r, relative), J, np.zeros((*r.shape, 0)), rows.positions)
         here, at = self.measured[part], rows.positions
         if here.conditions.any():
             R, p = self.model.poses(theta, rows)

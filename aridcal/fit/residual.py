@@ -180,22 +180,33 @@ def taking_off(question: Problem, theta: np.ndarray, weight: np.ndarray, sigma: 
     return projector(B, question.group_of(slice(None)), found, weight, spread(sigma, question.channels))
 
 
-def triangle(question: Problem, theta: np.ndarray, weight: np.ndarray, sigma: np.ndarray) -> np.ndarray:
-    """Upper triangle R of the whitened Jacobian's QR, shape (<= K, K): all that rank and covariance need."""
+def triangle(
+    question: Problem, theta: np.ndarray, weight: np.ndarray, sigma: np.ndarray, of: np.ndarray | slice = slice(None)
+) -> np.ndarray:
+    """Upper triangle R of the whitened Jacobian's QR, shape (<= k, k): all that rank and covariance need.
+
+    Args:
+        question: K coefficients.
+        theta: Their values, shape (K,).
+        weight: Of each row, shape (N,).
+        sigma: Noise of each channel, shape (C,).
+        of: Numbers of k coefficients whose columns are asked about, all else held.
+    """
     question = agreed(question, theta)
     per_number = spread(1.0 / sigma, question.channels)
-    R, found = np.empty((0, len(theta))), None
+    count = len(theta[of])
+    R, found = np.empty((0, count)), None
     beforehand = question.beforehand()
     if beforehand is not None:
         found = linearise(question, theta, weight, sigma).groups
-        R = R if found is None else tied_columns(found, beforehand)
+        R = R if found is None else tied_columns(found, beforehand)[:, of]
     for block in question.blocks():
         part = question.pieces(theta, block)
         r, J = part.r, part.J
         if found is not None:
             r, J = found.rows(question.group_of(block), part.B, J, r)
-        whitened = J * (np.sqrt(weight[block])[:, None] * per_number)[:, :, None]
-        R = np.asarray(np.linalg.qr(np.vstack([R, whitened.reshape(r.size, len(theta))]), mode="r"))
+        whitened = J[:, :, of] * (np.sqrt(weight[block])[:, None] * per_number)[:, :, None]
+        R = np.asarray(np.linalg.qr(np.vstack([R, whitened.reshape(r.size, count)]), mode="r"))
     return R
 
 

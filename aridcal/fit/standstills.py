@@ -9,13 +9,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import pandas as pd
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from aridcal.fit.least_squares import thin
 from aridcal.fit.problem import Problem
-from aridcal.fit.variance_components import Scatter, full_rank
+from aridcal.fit.scatter import Scatter, full_rank
 from aridcal.inputs.dataset import Dataset
 
 OF_ONE = 24
@@ -39,6 +38,8 @@ def standstills(rows: Dataset) -> np.ndarray:
     """
     if not rows.blocks:
         return np.arange(len(rows))
+    import pandas as pd  # slow to load, and plain poses do not come here
+
     target = np.zeros(len(rows), dtype=str) if rows.target is None else rows.target
     what = pd.DataFrame({f"q {k}": q for k, q in enumerate(rows.readings.T)})
     what["visit"] = what.assign(
@@ -77,6 +78,8 @@ def representative(asked: Problem, most: int) -> np.ndarray:
     data = asked.data
     if not data.blocks:
         return thin(asked.rows, most)
+    import pandas as pd  # as above
+
     rng, number, group = np.random.default_rng(0), standstills(data), asked.group_of(slice(None))
     kept = np.arange(len(data))
     if asked.groups is not None:

@@ -13,7 +13,7 @@ its derivatives are (Patterson and Thompson 1971; Harville 1977, section 4)
 
 It is maximised with the average information :math:`\tfrac12 y^T P B_k P B_l P y` (Gilmour, Thompson and Cullis 1995), the
 mean of the observed and of Fisher's, which needs P times vectors only. Rows being independent, :math:`tr(P B_k)` needs
-only the diagonal blocks :math:`P_{ii}`, and is exact.
+only the diagonal blocks :math:`P_{ii}`, and is exact. Far from the maximum :mod:`aridcal.fit.minorant` says where to look next.
 
 Unknown things, of which there may be thousands, have columns as well, without a prior. Those of one clump of rows are not
 zero in these rows alone, and are solved for clump by clump: with M the projection that takes them off the whitened rows,
@@ -22,21 +22,29 @@ zero in these rows alone, and are solved for clump by clump: with M the projecti
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg.blas import dtrsm
-from scipy.sparse import coo_array, csr_array
-from scipy.stats import norm
+from scipy.special import ndtr
 
+from aridcal.fit.minorant import best, moments
 from aridcal.fit.normal_equations import TINY, balanced
+from aridcal.fit.scatter import Scatter
 
 STEPS = 40
-"""Steps of the average information at the most; six are usual."""
+"""Steps at the most; three are usual."""
+
+FAR = 1.0
+"""[nat]: a step of the average information that promises more is not near enough for it to be trusted; a bound is maximised
+instead, which never overshoots."""
 
 SETTLED = 1e-3
-"""[nat]: a step that promises less is the last; no decision hangs on so little."""
+"""[nat]: a step that promises less is the last of all: a twentieth of a standard deviation."""
+
+ROUGH = 0.1
+"""[nat]: the same as long as components are added. A likelihood ratio is then out by less than a tenth, and the chance of
+noise by a tenth of itself; what has settled better takes twice the time."""
 
 CHANCE = 1e-3
 """Of naming a cause in data that have none, after correction for the number of causes asked about: one of 1000 clean
@@ -52,62 +60,6 @@ thousand times better than the scatter is no instrument."""
 
 HALVINGS = 12
 """Times that a step is halved at the most before it counts as rounding."""
-
-
-@dataclass(frozen=True)
-class Scatter:
-    """Residuals and what may make them scatter: N rows of m numbers, K columns, C components.
-
-    Attributes:
-        y: Residuals, shape (N, m).
-        A: Columns that are fitted, shape (N, m, K).
-        precision: Of their coefficients' prior, shape (K, K).
-        blocks: Covariance of each row per unit of each component's variance, shape (C, N, m, m). A number that no
-            component scatters has the variance 1: it is not measured (and has zeros elsewhere), or states what is known
-            beforehand, in sigmas.
-        things: Columns of what is unknown of the row's clump, shape (N, m, U), of full rank in the clump or 0; None where
-            nothing is.
-        clump: Of each row, shape (N,), -1 for none.
-    """
-
-    y: np.ndarray
-    A: np.ndarray
-    precision: np.ndarray
-    blocks: np.ndarray
-    things: np.ndarray | None = None
-    clump: np.ndarray | None = None
-
-    @cached_property
-    def stated(self) -> np.ndarray:
-        """Covariance of what no component scatters, shape (N, m, m)."""
-        apart = np.einsum("cnii->ni", self.blocks) == 0.0
-        return np.asarray(apart[:, :, None] * np.eye(apart.shape[1]))
-
-    @cached_property
-    def gather(self) -> csr_array:
-        """Sums over the rows of each clump, shape (clumps, N)."""
-        assert self.clump is not None
-        own = np.flatnonzero(self.clump >= 0)
-        shape = (int(self.clump.max(initial=-1)) + 1, len(self.clump))
-        return coo_array((np.ones(len(own)), (self.clump[own], own)), shape=shape).tocsr()
-
-    def summed(self, values: np.ndarray) -> np.ndarray:
-        """Sums of values, shape (N, ...), over the rows of each clump, shape (clumps, ...)."""
-        return np.asarray(self.gather @ values.reshape(len(values), -1)).reshape(-1, *values.shape[1:])
-
-
-def full_rank(scatter: Scatter) -> Scatter:
-    """The same with columns of things that span what they spanned in each clump, and are orthonormal there or 0."""
-    B = scatter.things
-    if B is None or scatter.clump is None:
-        return scatter
-    H = scatter.summed(B.transpose(0, 2, 1) @ B)
-    size = np.sqrt(np.einsum("guu->gu", H))
-    scale = np.where(size > 0.0, 1.0 / np.where(size > 0.0, size, 1.0), 0.0)
-    values, vectors = np.linalg.eigh(H * scale[:, :, None] * scale[:, None, :])
-    told = values > RANK * np.maximum(values[:, -1:], TINY)
-    turned = scale[:, :, None] * vectors * np.where(told, 1.0 / np.sqrt(np.where(told, values, 1.0)), 0.0)[:, None, :]
-    return replace(scatter, things=B @ turned[scatter.clump])
 
 
 @dataclass(frozen=True)
@@ -194,6 +146,17 @@ def estimate(scatter: Scatter, channels: np.ndarray, held: np.ndarray) -> Compon
     return _maximum(scatter, start, held, held)
 
 
+def settled(scatter: Scatter, found: Components, held: np.ndarray) -> Components:
+    """The maximum with the same components to :data:`SETTLED`.
+
+    Args:
+        scatter: Residuals and components.
+        found: That to :data:`ROUGH`.
+        held: Channels, shape (C,) bool.
+    """
+    return _maximum(scatter, found.variance, found.free, held, found, SETTLED)
+
+
 def one_more(scatter: Scatter, found: Components, held: np.ndarray) -> tuple[int, Components] | None:
     """The component that is asked for most, and the maximum with it; None if chance may ask for as much.
 
@@ -208,7 +171,7 @@ def one_more(scatter: Scatter, found: Components, held: np.ndarray) -> tuple[int
         return None
     start, free = found.variance.copy(), found.free.copy()
     start[k], free[k] = asked.variance[k], True
-    more = _maximum(scatter, start, free, held)
+    more = _maximum(scatter, start, free, held, found)
     chance = boundary_chance(2.0 * (more.log_likelihood - found.log_likelihood)) * int((~held).sum())
     return (k, more) if chance < CHANCE else None
 
@@ -225,11 +188,18 @@ def instead(scatter: Scatter, found: Components, several: np.ndarray, k: int, he
     """
     start, free = np.where(several, 0.0, found.variance), found.free & ~several
     start[k], free[k] = found.variance[several & found.free].mean(), True
-    fewer = _maximum(scatter, start, free, held)
+    fewer = _maximum(scatter, start, free, held, found)
     return fewer if fewer.log_likelihood >= found.log_likelihood else None
 
 
-def _maximum(scatter: Scatter, theta: np.ndarray, free: np.ndarray, held: np.ndarray) -> Components:
+def _maximum(
+    scatter: Scatter,
+    theta: np.ndarray,
+    free: np.ndarray,
+    held: np.ndarray,
+    known: Components | None = None,
+    enough: float = ROUGH,
+) -> Components:
     """Maximise the restricted likelihood over the variances of the components in the model.
 
     Args:
@@ -237,18 +207,29 @@ def _maximum(scatter: Scatter, theta: np.ndarray, free: np.ndarray, held: np.nda
         theta: Variances to begin with, shape (C,); 0 for those that are not in the model.
         free: Components in the model, shape (C,) bool.
         held: Those of them whose variance may not vanish, shape (C,) bool.
+        known: The maximum with others, if there is one: it says where to look first.
+        enough: [nat] that a step must promise, not to be the last.
     """
     low = np.where(held, LEAST * theta, 0.0)
+    if known is not None:
+        theta = _bounded(scatter, known.variance, known, theta, free, low)
     here = _place(scatter, theta)
     for _ in range(STEPS if np.isfinite(here.log_likelihood) else 0):
-        score, information = _derivatives(scatter, here)
+        score, information = _derivatives(scatter, here, free)
         moving = free & ~((theta <= low) & (score <= 0.0))
         if not moving.any():  # nothing is left to scatter: exact data
             break
         step = np.zeros(len(theta))
         step[moving] = _solve(information[np.ix_(moving, moving)], score[moving])
-        if float(score @ step) < SETTLED:
+        promised = float(score @ step)
+        if promised < enough:
             break
+        if promised > FAR:
+            wanted = _bounded(scatter, theta, here, theta, free, low)
+            there = _place(scatter, wanted)
+            if there.log_likelihood > here.log_likelihood:
+                theta, here = wanted, there
+                continue
         for _ in range(HALVINGS):
             wanted = np.where(free, np.maximum(theta + step, low), 0.0)
             there = _place(scatter, wanted)
@@ -258,11 +239,25 @@ def _maximum(scatter: Scatter, theta: np.ndarray, free: np.ndarray, held: np.nda
         else:
             break
         theta, here = wanted, there
-    score, information = _derivatives(scatter, here)
+    _, information = _derivatives(scatter, here, free)
     inside = free & (theta > 0.0)
     covariance = np.zeros((len(theta),) * 2)
     covariance[np.ix_(inside, inside)] = _solve(information[np.ix_(inside, inside)], np.eye(int(inside.sum())))
     return Components(free, theta, covariance, here.log_likelihood, here.pull, here.kernel)
+
+
+def _bounded(
+    scatter: Scatter, at: np.ndarray, here: Components | _Place, start: np.ndarray, free: np.ndarray, low: np.ndarray
+) -> np.ndarray:
+    """Where the bound about a place (variances ``at``) is highest, sought from ``start``, shape (C,) each."""
+    M = moments(_covariances(scatter, at), here.pull, here.kernel)
+    return best(scatter.blocks, scatter.stated, M, start, free, low)
+
+
+def _covariances(scatter: Scatter, theta: np.ndarray) -> np.ndarray:
+    """V of each row, shape (N, m, m)."""
+    used = theta > 0.0
+    return np.asarray(np.tensordot(theta[used], scatter.blocks[used], axes=1) + scatter.stated)
 
 
 def boundary_chance(twice: float) -> float:
@@ -270,7 +265,7 @@ def boundary_chance(twice: float) -> float:
 
     Half the cases give nothing, the rest chi-square with one degree of freedom (Self and Liang 1987, case 5).
     """
-    return float(norm.sf(np.sqrt(max(twice, 0.0))))
+    return float(ndtr(-np.sqrt(max(twice, 0.0))))
 
 
 def contributions(scatter: Scatter, found: Components) -> np.ndarray:
@@ -323,8 +318,7 @@ IMITATED = 0.01
 def _place(scatter: Scatter, theta: np.ndarray) -> _Place:
     """The likelihood at some variances, shape (C,); none at all where a channel is exact beside what else scatters."""
     n, m, count = scatter.A.shape
-    used = theta > 0.0
-    V = np.tensordot(theta[used], scatter.blocks[used], axes=1) + scatter.stated
+    V = _covariances(scatter, theta)
     try:
         L = np.linalg.cholesky(V)
     except np.linalg.LinAlgError:
@@ -341,7 +335,8 @@ def _place(scatter: Scatter, theta: np.ndarray) -> _Place:
     U, z = U.reshape(n * m, count), z.ravel()
     H, scale = balanced(U.T @ U + scatter.precision)
     factor = np.linalg.cholesky(H + RIDGE * np.eye(count))
-    T = dtrsm(1.0, factor.T, (U * scale).T, trans_a=1).T
+    U *= scale
+    T = dtrsm(1.0, factor.T, U.T, trans_a=1, overwrite_b=1).T
     e = z - T @ (T.T @ z)
     logdet += 2.0 * float(np.sum(np.log(np.diag(factor)))) - 2.0 * float(np.sum(np.log(scale[scale > 0.0])))
     rows = T.reshape(n, m, count)
@@ -370,23 +365,23 @@ def _of_clumps(scatter: Scatter, Q: np.ndarray, values: np.ndarray) -> np.ndarra
 RIDGE = 1e-12
 """Added to the unit diagonal of the columns' balanced equations: some thousand roundings."""
 
-RANK = 1e-10
-"""Share of a clump's largest eigenvalue, columns scaled to 1, below which a combination of its things is rounding."""
 
-
-def _derivatives(scatter: Scatter, here: _Place) -> tuple[np.ndarray, np.ndarray]:
-    """Score, shape (C,), and average information, shape (C, C), of all components."""
-    moved = np.einsum("cnij,nj->cni", scatter.blocks, here.pull, optimize=True)
+def _derivatives(scatter: Scatter, here: _Place, of: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Score, shape (C,), and average information, shape (C, C), of some components, shape (C,) bool; 0 for the others."""
+    blocks = scatter.blocks[of]
+    moved = np.einsum("cnij,nj->cni", blocks, here.pull, optimize=True)
     pulled = np.einsum("cni,ni->c", moved, here.pull)
-    score = 0.5 * (pulled - np.einsum("nij,cnij->c", here.kernel, scatter.blocks, optimize=True))
+    score, information = np.zeros(len(of)), np.zeros((len(of),) * 2)
+    score[of] = 0.5 * (pulled - np.einsum("nij,cnij->c", here.kernel, blocks, optimize=True))
     white = np.einsum("nij,cnj->cni", here.root, moved, optimize=True)
-    information = np.zeros((len(moved),) * 2)
+    told = np.zeros((len(moved),) * 2)
     if here.Q is not None:
         own = _of_clumps(scatter, here.Q, white.transpose(1, 2, 0)).reshape(-1, len(moved))
-        information -= own.T @ own
+        told -= own.T @ own
     white = white.reshape(len(moved), -1)
     along = white @ here.T
-    return score, np.asarray(0.5 * (information + white @ white.T - along @ along.T))
+    information[np.ix_(of, of)] = 0.5 * (told + white @ white.T - along @ along.T)
+    return score, information
 
 
 def _solve(H: np.ndarray, b: np.ndarray) -> np.ndarray:

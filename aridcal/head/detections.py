@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +18,7 @@ import pandas as pd
 from aridcal.errors import AridcalError, MeasurementError
 from aridcal.head.charuco import corner_places
 from aridcal.head.fiducials import Fiducials
+from aridcal.head.found import Detections, Read
 from aridcal.head.matching import NotMeasured, spans_plane
 from aridcal.head.seen import Seen, check_pose, head_of, observed, start_anywhere
 from aridcal.head.shots import Shot, board, image_content, load, measure_shots, read_ranges
@@ -33,7 +34,6 @@ from aridcal.model.stated_noise import with_stated_noise
 from aridcal.robot.chain import Robot
 from aridcal.showing import Progress
 
-CACHE = "fiducials.csv"
 INDEX_COLUMNS = ("shot", "square", "fiducial")
 NUMBER_COLUMNS = ("u", "v", "std_u", "std_v")
 CACHE_COLUMNS = (*INDEX_COLUMNS, *NUMBER_COLUMNS, "digest")
@@ -46,41 +46,6 @@ DIGEST_LENGTH = 16
 
 # In place of the digest of an image that is there and cannot be read: no fiducials were ever found in it.
 UNREADABLE = "unreadable"
-
-
-@dataclass(frozen=True)
-class Detections:
-    """What was found in the images of a campaign.
-
-    Attributes:
-        fiducials: The cache: a line for each fiducial.
-        mount: T_tip_camera as head.yaml has it, shape (4, 4).
-    """
-
-    fiducials: pd.DataFrame
-    mount: np.ndarray
-
-
-@dataclass(frozen=True)
-class Read:
-    """The rows of a campaign, of whatever kind.
-
-    Attributes:
-        campaign: The job; of a measuring head its target is at the camera.
-        rows: Its rows.
-        detections: What was found in images; None where there are none.
-    """
-
-    campaign: Campaign
-    rows: Dataset
-    detections: Detections | None = None
-
-
-def read_rows(campaign: Campaign, robot: Robot, cache: Path | None, seed: int, progress: Progress) -> Read:
-    """Read the measurements of a campaign, from its tables or from the images of its head; see :func:`read_shots`."""
-    if campaign.measurements.head is not None:
-        return read_shots(campaign, robot, cache, seed, progress)
-    return Read(campaign, load_measurements(campaign, robot.readings, robot.limits, robot.kinds, seed))
 
 
 def read_shots(campaign: Campaign, robot: Robot, cache: Path | None, seed: int, progress: Progress) -> Read:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
-from scipy.stats import chi2
+from scipy.special import chdtrc, chdtri
 
 from aridcal.head.sonar import Plane
 from aridcal.instruments.camera import DOTY_OPENCV, on_plane, predict_pixels
@@ -265,10 +265,10 @@ def measure_pose(
     pose, _ = robust_pose(points, pixels, covariances, sonars, intrinsics, start)
     covariance = pose.covariance
     unlikely = MISFIT_P if pose.dof > FEW_DOF else FEW_MISFIT_P
-    if pose.dof > 0 and chi2.sf(pose.chi2, pose.dof) < unlikely:
+    if pose.dof > 0 and chdtrc(pose.dof, pose.chi2) < unlikely:
         covariance = covariance * max(1.0, pose.chi2 / pose.dof)  # dof may be next to nothing
     r = pose.range_residuals / sonars.std
-    if r @ r > chi2.isf(MISFIT_P, max(len(r), 1)):
+    if r @ r > chdtri(max(len(r), 1), MISFIT_P):
         off = _contradiction(pose, sonars)
         covariance = covariance + np.outer(off, off)
     return replace(pose, covariance=covariance)

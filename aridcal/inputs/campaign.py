@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-import pandas as pd
 from pydantic import (
     BeforeValidator,
     Field,
@@ -32,6 +31,9 @@ from aridcal.inputs.yaml_file import LARGEST, RelativePath, Section, Settings, V
 from aridcal.instruments.catalogue import KINDS as MEASURED
 from aridcal.instruments.catalogue import labelled
 from aridcal.reading.names import check_path
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 # Kinds of measurements whose rows refer to things under `instruments`.
 REFERRING = tuple(kind for kind in MEASURED if labelled(kind))

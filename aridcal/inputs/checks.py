@@ -6,7 +6,6 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-import pandas as pd
 
 from aridcal.errors import MeasurementError
 from aridcal.inputs.instrument_settings import ArmCameraSettings
@@ -64,11 +63,8 @@ def refuse_copies(
     """
     rows = sequence[source.usable[sequence]]
     there = [column[rows] for column in columns if column is not None]
-    cells = pd.DataFrame(np.column_stack(there))
-    for number, words in enumerate(labels):
-        if words is not None:
-            cells[f"label {number}"] = words[rows]
-    first = rows[first_alike(cells)]
+    words = [label[rows] for label in labels if label is not None]
+    first = rows[first_alike([*np.column_stack(there).T, *words])]
     copies = rows != first
     for row, kept in zip(rows[copies].tolist(), first[copies].tolist(), strict=True):
         source.refused.append(source.table.remark(row, "", f"identical to {_line(source, kept, row)}"))
@@ -99,7 +95,7 @@ def stale_rows(
         included; shape (N,) each.
     """
     rows = sequence[source.usable[sequence]]
-    first = rows[first_alike(pd.DataFrame(measured[rows]))]
+    first = rows[first_alike(measured[rows].T)]
     moved = (np.abs(q[rows] - q[first]) > tolerances(kinds)).any(axis=1)
     earlier = np.full(len(q), -1)
     earlier[rows[moved]] = first[moved]

@@ -9,10 +9,9 @@ from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 
 from aridcal.effects.effect import ROW_ORDER
-from aridcal.inputs.repeats import blocks
+from aridcal.inputs.repeats import blocks, by_appearance, first_alike
 from aridcal.inputs.tables import Remark
 from aridcal.instruments.catalogue import KINDS
 from aridcal.instruments.channels import TARGET_POSITION, TARGET_ROTATION, Channels, columns, spread
@@ -153,7 +152,7 @@ class Dataset:
         if not self.blocks:
             per_row = {name: value for name, value in per_row.items() if name not in OF_BLOCKS}
         chosen = {name: value[rows] for name, value in per_row.items() if isinstance(value, np.ndarray)}
-        chosen["configuration"] = pd.factorize(chosen["configuration"])[0]
+        chosen["configuration"] = by_appearance(chosen["configuration"])
         return replace(self, **chosen, covariates={name: value[rows] for name, value in self.covariates.items()})
 
     def declared(self, estimate: np.ndarray) -> np.ndarray:
@@ -194,11 +193,9 @@ def together(parts: Sequence[Dataset]) -> Dataset:
         _labels_of([part.target for part in parts], counts),
         _labels_of([part.station for part in parts], counts),
     )
-    alike = pd.DataFrame({"block": block, "place": np.concatenate([part.configuration for part in parts])})
-    for k in range(ROLES):
-        alike[f"role {k}"] = refers[:, k]
+    alike = [block, np.concatenate([part.configuration for part in parts]), *refers.T]
     if target is not None:
-        alike["target"] = target
+        alike.append(target)
     sha256 = "".join(part.sha256 for part in parts)
     return Dataset(
         names=parts[0].names,
@@ -218,7 +215,7 @@ def together(parts: Sequence[Dataset]) -> Dataset:
         relative=None,
         covariates=covariates,
         station=station,
-        configuration=alike.groupby(list(alike.columns), sort=False).ngroup().to_numpy(),
+        configuration=by_appearance(first_alike(alike)),
         stale=np.concatenate([part.stale for part in parts]),
         doubtful=np.concatenate([part.doubtful for part in parts]),
         test=np.concatenate([part.test for part in parts]),

@@ -7,7 +7,6 @@ from typing import Annotated
 
 import numpy as np
 from pydantic import Field, PositiveInt, model_validator
-from scipy.spatial.transform import Rotation
 
 from aridcal.errors import MeasurementError
 from aridcal.inputs.instrument_settings import Placement
@@ -15,6 +14,7 @@ from aridcal.inputs.quantities import POSITION, QUATERNION, QUATERNION_SLACK
 from aridcal.inputs.tables import Table, read_tables
 from aridcal.inputs.yaml_file import LARGEST, Number, Positive, RelativePath, Section, Settings, Vector3
 from aridcal.instruments.camera_sonar import Measures
+from aridcal.instruments.pose import turned
 from aridcal.reading.files import MEGA, TABLE, Limit
 
 CHARUCO_KEYS = ("squares_x", "squares_y", "square", "marker", "dictionary")
@@ -134,14 +134,12 @@ def load_squares(path: Path, limit: Limit = TABLE) -> dict[int, np.ndarray]:
         raise MeasurementError(str(table.refused[0]))
     numbers = np.column_stack([table.numbers(name)[0] for name in names])
     squares: dict[int, np.ndarray] = {}
-    for row, (number, *pose) in enumerate(numbers):
+    for row, (number, *_) in enumerate(numbers):
         _check_square(table, row, names, numbers[row])
         if int(number) in squares:
             raise MeasurementError(str(table.remark(row, "index", "appears twice: number the squares anew")))
-        position, quaternion = pose[:3], pose[3:]
         T = np.eye(4)
-        T[:3, :3] = Rotation.from_quat(quaternion).as_matrix()
-        T[:3, 3] = position
+        T[:3, :3], T[:3, 3] = turned(numbers[row : row + 1, 4:]).as_matrix()[0], numbers[row, 1:4]
         squares[int(number)] = T
     return squares
 

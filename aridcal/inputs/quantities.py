@@ -7,12 +7,12 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from aridcal.effects.effect import ROW_ORDER
 from aridcal.errors import CampaignError, MeasurementError, has_controls, nearest
 from aridcal.inputs.measurement_settings import MeasurementSettings
 from aridcal.inputs.tables import DECIMAL_COMMA, Remark, Table
+from aridcal.instruments.pose import turned
 from aridcal.reading.names import LONGEST_NAME
 from aridcal.robot.chain import JointKind
 
@@ -198,7 +198,7 @@ class Source:
         largest = np.abs(angles[self.usable]).max(axis=1, initial=0)
         if len(largest) and np.mean(largest > TURNS) > 0.5:
             raise self.wrong_unit(columns, "angle", float(np.abs(angles).max()))
-        return np.asarray(self._turned(angles).as_quat())
+        return np.asarray(turned(angles, self.settings.orientation.euler).as_quat())
 
     def refuse_second_orientation(self) -> None:
         """Refuse a table of Euler angles or rotation vectors whose quaternions are other orientations.
@@ -214,8 +214,9 @@ class Source:
         rows = np.flatnonzero(self.usable & whole)
         if not len(rows):
             return
-        difference = self._turned(angles[rows]) * Rotation.from_quat(also[rows]).inv()
-        apart = np.atleast_1d(difference.magnitude())
+        apart = np.atleast_1d(
+            (turned(angles[rows], self.settings.orientation.euler) * turned(also[rows]).inv()).magnitude()
+        )
         worst = int(np.argmax(apart))
         if apart[worst] > SAME_ORIENTATION:
             raise MeasurementError(
@@ -223,11 +224,6 @@ class Source:
                 f"two orientations, {np.degrees(apart[worst]):.3g} degrees apart. Delete one of them; the campaign's own "
                 f"is {' '.join(own)}"
             )
-
-    def _turned(self, angles: np.ndarray) -> Rotation:
-        """Rotations of Euler angles or rotation vectors, shape (N, 3), [rad]."""
-        euler = self.settings.orientation.euler
-        return Rotation.from_euler(euler, angles) if euler else Rotation.from_rotvec(angles)
 
     def std(self) -> np.ndarray | None:
         """1-sigma of the rows, shape (N, 6): position in [m], then rotation vector in [rad].

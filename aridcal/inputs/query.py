@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
-from typing import Literal
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-import pandas as pd
 
+from aridcal.effects.labels import STATION, label_columns
 from aridcal.errors import MeasurementError
 from aridcal.inputs.checks import check_units, note_limits
 from aridcal.inputs.measurement_settings import MeasurementSettings
@@ -16,6 +17,9 @@ from aridcal.inputs.quantities import POSITION, Source
 from aridcal.inputs.tables import AnyTable, Remark, Table, read_tables
 from aridcal.reading.files import TABLE, Limit
 from aridcal.robot.chain import JointKind
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 @dataclass(frozen=True)
@@ -88,6 +92,7 @@ def load_query(
     per_station: bool = False,
     label: Literal["station", "target"] = "station",
     needs: Collection[str] = (),
+    of_labels: Collection[str] = (),
     limit: Limit = TABLE,
 ) -> Query:
     """Read a table of joint readings, or of wanted poses, keeping every row and column.
@@ -102,6 +107,8 @@ def load_query(
         per_station: The column that says which frames a row has is needed.
         label: Which column that is.
         needs: Covariates that every row needs, where they have a column.
+        of_labels: Covariates of stations (see :mod:`aridcal.effects.labels`); their column is needed then, its cells may be
+            empty.
         limit: How large the table may be.
 
     Raises:
@@ -122,7 +129,8 @@ def load_query(
     if per_station and label == "target":
         table.require([source.column(label)], "this calibration has several targets: name one in each row")
     station = source.labels(label, needed=label if per_station else "")
-    covariates = source.covariates()
+    of_stations = _stations(source, station if label == STATION else None) if of_labels else None
+    covariates = source.covariates() | label_columns(of_labels, of_stations)
     _refuse_text(source, poses)
     _refuse_holes(source, covariates, needs)
     if source.usable.any():
@@ -132,7 +140,7 @@ def load_query(
         if values is not None:
             values[~source.usable] = np.nan
     return Query(
-        table=query.copy() if isinstance(query, pd.DataFrame) else table.frame(),
+        table=table.frame() if isinstance(query, str | Path | Table) else query.copy(),
         readings=q,
         position=position,
         quaternion=quaternion,
@@ -143,6 +151,13 @@ def load_query(
         refused=source.refusals(),
         notices=tuple(source.notices),
     )
+
+
+def _stations(source: Source, read: np.ndarray | None) -> np.ndarray | None:
+    """Labels of the rows, which effects depend on, shape (N,), if they are not read yet."""
+    why = "this calibration has constants by station: name each row's, or leave its cell empty for the one model of all"
+    source.table.require([source.column(STATION)], why)
+    return source.labels(STATION) if read is None else read
 
 
 def _refuse_text(source: Source, poses: bool) -> None:

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from aridcal.errors import CampaignError, MeasurementError, listed, nearest
 from aridcal.inputs.campaign import Campaign
@@ -30,6 +29,7 @@ from aridcal.inputs.tables import AnyTable, Remark, Table, read_tables
 from aridcal.inputs.things import Known, Rows, instruments_of, known_of, with_trackers
 from aridcal.instruments.catalogue import KINDS
 from aridcal.instruments.channels import TARGET_POSITION, TARGET_ROTATION, Channels
+from aridcal.instruments.pose import turned
 from aridcal.instruments.setup import Block
 from aridcal.robot.chain import JointKind
 
@@ -164,7 +164,7 @@ def _block(asked: _Asked, number: int, tables: Sequence[AnyTable], alone: bool) 
         stale, doubtful = stale_rows(source, q, kinds, measured, sequence)
     if quaternion is not None:
         note_stale(source, stale)
-    rotation = None if quaternion is None else Rotation.from_quat(quaternion).as_matrix()
+    rotation = None if quaternion is None else turned(quaternion).as_matrix()
     if rotation is not None and not plain:
         observed = np.hstack([position, rotation.reshape(-1, 9)])
     channels, sigma = _channels(settings)

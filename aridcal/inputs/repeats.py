@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
-import pandas as pd
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
 from aridcal.robot.chain import JointKind
 
@@ -28,6 +24,11 @@ def blocks(readings: np.ndarray, kinds: Sequence[JointKind]) -> np.ndarray:
     Returns:
         Labels 0, 1, ... in order of appearance, shape (N,).
     """
+    # slow to load, and a slip in a table is found before
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import cKDTree
+
     turning = np.array([kind == "continuous" for kind in kinds], dtype=bool)
     same = tolerances(kinds)
     circle = [f(readings[:, turning]) / SAME_ANGLE for f in (np.cos, np.sin)]
@@ -37,17 +38,32 @@ def blocks(readings: np.ndarray, kinds: Sequence[JointKind]) -> np.ndarray:
     pairs = cKDTree(cells).query_pairs(2.5, p=np.inf, output_type="ndarray")
     graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(cells), len(cells)))
     _, label = connected_components(graph, directed=False)
-    return pd.factorize(label[cell.reshape(-1)])[0]
+    return by_appearance(label[cell.reshape(-1)])
 
 
-def first_alike(rows: pd.DataFrame) -> np.ndarray:
-    """For each row the number of the first that equals it, holes included, shape (N,)."""
-    first = np.arange(len(rows))
-    alike = np.flatnonzero(rows.duplicated(keep=False))
-    if len(alike):
-        group = rows.iloc[alike].groupby(list(rows.columns), sort=False, dropna=False).ngroup().to_numpy()
-        first[alike] = alike[np.unique(group, return_index=True)[1]][group]
-    return first
+def by_appearance(labels: np.ndarray) -> np.ndarray:
+    """The same labels as 0, 1, ... in order of appearance, shape (N,)."""
+    _, first, number = np.unique(labels, return_index=True, return_inverse=True)
+    rank = np.empty(len(first), dtype=int)
+    rank[np.argsort(first)] = np.arange(len(first))
+    return rank[number]
+
+
+def first_alike(columns: Iterable[np.ndarray]) -> np.ndarray:
+    """For each row the number of the first that equals it in all columns, holes included, shape (N,).
+
+    Args:
+        columns: Numbers or words of N rows, shape (N,) each.
+    """
+    first = np.empty(0, dtype=int)
+    group: np.ndarray | None = None
+    for column in columns:
+        _, number = np.unique(column, return_inverse=True)
+        whole = number if group is None else group * (int(number.max(initial=0)) + 1) + number
+        _, first, group = np.unique(whole, return_index=True, return_inverse=True)
+        if len(first) == len(whole):  # numbers with noise differ in the first column already: most tables end here
+            return np.arange(len(whole))
+    return first[group]
 
 
 def by_content(columns: Sequence[np.ndarray | None]) -> np.ndarray:

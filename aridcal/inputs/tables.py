@@ -7,9 +7,9 @@ import re
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
-import pandas as pd
 import pyarrow as pa
 import pyarrow.compute as pc
 
@@ -18,8 +18,11 @@ from aridcal.reading.files import TABLE, Limit, read_file
 from aridcal.reading.names import check_path
 from aridcal.reading.table_files import FileCells, check_header, read_csv, read_parquet, whole
 
+if TYPE_CHECKING:
+    import pandas as pd
+
 # What a user may give as a table: the path of a csv or parquet file, or the rows themselves.
-AnyTable = str | Path | pd.DataFrame
+AnyTable: TypeAlias = "str | Path | pd.DataFrame"
 
 # Stands in messages where a table has no file. Its row k is called line k + 2, as if it were saved as csv.
 IN_MEMORY = Path("DataFrame")
@@ -124,6 +127,8 @@ class Table:
 
     def frame(self) -> pd.DataFrame:
         """All cells, as they were written in csv."""
+        import pandas as pd  # slow to load: only where somebody wants a DataFrame
+
         columns = {}
         for name in self.names:
             by_file = [column.to_pandas() for column in self.cells[name]]
@@ -205,7 +210,7 @@ def read_tables(tables: Sequence[AnyTable], spare: Collection[str] | None = (), 
 
 def _read(table: AnyTable, spare: Collection[str] | None, limit: Limit, update: Callable[[bytes], None]) -> _Part:
     """Read one table; its bytes are handed to ``update`` and not kept."""
-    if isinstance(table, pd.DataFrame):
+    if not isinstance(table, str | Path):
         read, path = _from_frame(table), IN_MEMORY
         update(table.to_csv(index=False).encode())
     else:
@@ -244,18 +249,30 @@ def _arrow(column: pd.Series) -> pa.ChunkedArray:
 def _numbers(column: pa.ChunkedArray) -> tuple[np.ndarray, np.ndarray]:
     """Values of a column, NaN where there is no number, and which cells hold text instead; shape (n,) each."""
     if is_number(column.type):
-        values = pc.cast(column, pa.float64(), safe=False).to_numpy()
-        return values.astype(float), np.zeros(len(column), dtype=bool)
+        return _floats(pc.cast(column, pa.float64(), safe=False)), np.zeros(len(column), dtype=bool)
     text = _trimmed(column)
     try:
-        values = pc.cast(text, pa.float64()).to_numpy()
-        return values.astype(float), np.zeros(len(column), dtype=bool)
+        return _floats(pc.cast(text, pa.float64())), np.zeros(len(column), dtype=bool)
     except pa.ArrowInvalid:
         cells = text.to_pandas()
+    import pandas as pd  # slow to load: only where a column has words beside numbers
+
     values = pd.to_numeric(cells, errors="coerce").to_numpy(dtype=float)
     spelt_nan = cells.str.fullmatch("[-+]?nan", case=False).fillna(False).to_numpy(dtype=bool)
     filled = cells.notna().to_numpy()
     return values, np.isnan(values) & filled & ~spelt_nan
+
+
+def _floats(column: pa.ChunkedArray) -> np.ndarray:
+    """Numbers of a column, NaN in its holes: from Arrow's own bytes, for its conversions all load pandas, which takes a while."""
+    parts = [np.empty(0)]
+    for chunk in column.chunks:
+        here = slice(chunk.offset, chunk.offset + len(chunk))
+        holes = chunk.is_null().cast(pa.uint8())
+        if len(chunk):
+            empty = np.frombuffer(holes.buffers()[1], dtype=np.uint8)[holes.offset : holes.offset + len(chunk)]
+            parts.append(np.where(empty, np.nan, np.frombuffer(chunk.buffers()[1], dtype=float)[here]))
+    return np.concatenate(parts)
 
 
 def _trimmed(column: pa.ChunkedArray) -> pa.ChunkedArray:
@@ -265,8 +282,8 @@ def _trimmed(column: pa.ChunkedArray) -> pa.ChunkedArray:
     except (pa.ArrowInvalid, pa.ArrowNotImplementedError):  # lists and the like
         texts = [str(value) for value in column.to_pylist()]
         text = pa.chunked_array([pa.array(texts, pa.string())])
-    nothing = pc.equal(text, "")
-    return pc.if_else(nothing, pa.scalar(None, pa.string()), text)
+    filled = pc.cast(pc.binary_length(text), pa.bool_())
+    return pc.if_else(filled, text, pa.nulls(1, pa.string())[0])
 
 
 def is_number(kind: pa.DataType) -> bool:

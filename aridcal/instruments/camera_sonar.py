@@ -21,7 +21,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from aridcal.instruments.camera import INTRINSICS, Measures, carried, predict_pixels, predict_ranges
 from aridcal.instruments.channels import TARGET_POSITION, TARGET_ROTATION, Channel
@@ -299,6 +298,8 @@ def _missing(observed: np.ndarray, m: int) -> np.ndarray:
 
 def _posed(shots: Shots, head: Head) -> np.ndarray:
     """Upper rows of T_camera_square where image points and ranges fit best, shape (n, 3, 4): Gauss-Newton on SE(3)."""
+    from scipy.spatial.transform import Rotation  # slow to load, and a campaign is read without it
+
     T = shots.start.copy()
     for _ in range(STEPS):
         y, B, _, _ = _whitened(T, shots, head)

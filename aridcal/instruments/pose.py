@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from aridcal.instruments.channels import TARGET_POSITION, TARGET_ROTATION
 from aridcal.instruments.kind import Kind, Role, Seen, States, added, points_twist
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 SMALL = 1e-2
 """[rad]: below this a quotient that tends to 0/0 is taken from its series, whose next term is 2e-13."""
@@ -33,6 +37,15 @@ def residuals(
     return np.hstack([r, rotation_vector(measured_rotation @ rotation.transpose(0, 2, 1))])
 
 
+def turned(values: np.ndarray, euler: str | None = None) -> Rotation:
+    """Rotations of quaternions (N, 4), of Euler angles in an order of axes, or of rotation vectors, shape (N, 3), [rad]."""
+    from scipy.spatial.transform import Rotation  # slow to load, and a campaign is read without it
+
+    if values.shape[1] == 4:
+        return Rotation.from_quat(values)
+    return Rotation.from_euler(euler, values) if euler else Rotation.from_rotvec(values)
+
+
 def rotation_vector(R: np.ndarray) -> np.ndarray:
     """Axis times angle of rotations, shape (N, 3, 3) to (N, 3); fast where they turn by less than 90 degrees."""
     vector = 0.5 * np.stack([R[:, 2, 1] - R[:, 1, 2], R[:, 0, 2] - R[:, 2, 0], R[:, 1, 0] - R[:, 0, 1]], axis=1)
@@ -43,6 +56,8 @@ def rotation_vector(R: np.ndarray) -> np.ndarray:
     vector *= per_sine[:, None]
     wide = cosine < 0.0
     if wide.any():
+        from scipy.spatial.transform import Rotation  # as above
+
         vector[wide] = Rotation.from_matrix(R[wide], assume_valid=True).as_rotvec()
     return vector
 

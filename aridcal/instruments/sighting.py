@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from aridcal.instruments.descent import Place, View, descend, located, placed, spread
 from aridcal.instruments.pixels import LENS, ON_TIP, PLACE, R9, T, normalised
@@ -183,6 +182,8 @@ def _turns(camera: np.ndarray, settled: bool) -> np.ndarray:
 
 def grid() -> np.ndarray:
     """Rotations spread evenly, shape (GRID, 3, 3): a super-Fibonacci spiral (Alexa 2022, CVPR, 8291)."""
+    from scipy.spatial.transform import Rotation  # slow to load, and a campaign is read without it
+
     s = np.arange(GRID) + 0.5
     r, R = np.sqrt(s / GRID), np.sqrt(1.0 - s / GRID)
     alpha, beta = 2 * np.pi * s / np.sqrt(2.0), 2 * np.pi * s / 1.533751168755204288118041

@@ -11,12 +11,13 @@ import pinocchio as pin
 
 from aridcal.effects.basis import evaluate
 from aridcal.effects.effect import FRAME_COMPONENTS, LINK_COMPONENTS, Coefficient
+from aridcal.effects.labels import label_columns
 from aridcal.effects.loads import Surroundings, covariate_table, needs
 from aridcal.effects.sights import is_sight, sight_table
 from aridcal.errors import CovariateNotFound, MeasurementError
 from aridcal.instruments.setup import Instruments
 from aridcal.model.extended import ORDER, ExtendedModel, Slot, own_slot
-from aridcal.model.motions import motion, transform
+from aridcal.model.motions import motion, move_to, transform
 from aridcal.robot.chain import Robot
 
 SIZES = {"m": 1.0, "rad": 1.0, "px": 500.0, "1": 10.0, "1/m": 1.0}
@@ -146,7 +147,8 @@ class Model:
         wanted = {name for c in varying for name in c.basis.of}
         if "payload" in self.needs and "payload" not in (covariates or {}):
             raise CovariateNotFound("the model depends on 'payload', which was not measured: add that column")
-        table = covariate_table(self.robot, readings, covariates or {}, self.around, world, wanted) if wanted else {}
+        given = label_columns(wanted, station) | dict(covariates or {})
+        table = covariate_table(self.robot, readings, given, self.around, world, wanted) if wanted else {}
         if any(map(is_sight, wanted)):
             gravity = np.atleast_2d(self.around.gravity)[0]  # instruments measure one base
             table |= sight_table(self.robot, readings, self.around.sights, gravity, tip)
@@ -180,23 +182,32 @@ class Model:
             The poses, as :meth:`poses`, and the twists of the target at its own origin in world axes, shape (N, 6, K):
             linear [m], then angular [rad], per unit of each coefficient.
         """
-        n = len(rows)
         if self.at_things.any():
-            J = np.zeros((n, 6, len(theta)))
+            J = np.zeros((len(rows), 6, len(theta)))
             R, p, J[:, :, ~self.at_things] = self._arm.jacobian(theta[~self.at_things], self._of_arm(rows))
             return R, p, J
+        R, p, twists = self.motions(theta, rows)
+        return R, p, self.of_coefficients(twists, rows)
+
+    def motions(self, theta: np.ndarray, rows: Rows) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The poses, and the twists of the target that the extended model's joints cause, shape (N, 6, joints)."""
+        n = len(rows)
         R, p = np.empty((n, 3, 3)), np.empty((n, 3))
-        wide = np.empty((n, 6, len(self._extended.index)))
+        twists = np.empty((n, 6, len(self._extended.index)))
         q = self._configurations(theta, rows)
         for index, world, tip in self._variants(rows):
-            R[index], p[index], wide[index] = self._extended.jacobian(q[index], world, tip)
-        J = wide[:, :, self._extended.carrier]
-        _move_to(p, J)
+            R[index], p[index], twists[index] = self._extended.jacobian(q[index], world, tip)
+        move_to(p, twists)
+        return R, p, twists
+
+    def of_coefficients(self, twists: np.ndarray, rows: Rows) -> np.ndarray:
+        """What joints do, or anything linear in that, shape (N, m, joints), as what coefficients do, shape (N, m, K)."""
+        J = twists[:, :, self._extended.carrier]
         if len(self._based):
             J[:, :, self._based] *= rows.phi[:, None, :]
         for own, frame in self._of_frames(rows):
             J[:, :, own.coefficients] *= own.frames == frame[:, None, None]
-        return R, p, J
+        return J
 
     def origins(self, theta: np.ndarray) -> dict[str, pin.SE3]:
         """Own ``<origin>`` of every joint that the constants move: nominal placement times corrections."""
@@ -363,20 +374,6 @@ class Model:
     def _constant_values(self, theta: np.ndarray) -> dict[Slot, float]:
         pairs = zip(self._extended.slots, self.coefficients, strict=True)
         return {slot: float(theta[k]) for k, (slot, c) in enumerate(pairs) if c.basis.constant}
-
-
-def _move_to(p: np.ndarray, J: np.ndarray) -> None:
-    """Turn velocities of the point at the world's origin, as Pinocchio has them, into those at p: v + w x p.
-
-    Args:
-        p: Shape (N, 3), [m].
-        J: Twists (v, w), shape (N, 6, K); changed in place.
-    """
-    x, y, z = p[:, 0, None], p[:, 1, None], p[:, 2, None]
-    wx, wy, wz = J[:, 3], J[:, 4], J[:, 5]
-    J[:, 0] += wy * z - wz * y
-    J[:, 1] += wz * x - wx * z
-    J[:, 2] += wx * y - wy * x
 
 
 def _labels(station: np.ndarray | None, n: int) -> np.ndarray:

@@ -58,3 +58,17 @@ def transform(motion: Motion, value: float) -> pin.SE3:
     if turns:
         return pin.SE3(pin.exp3(vector * value), np.zeros(3))
     return pin.SE3(np.eye(3), vector * value)
+
+
+def move_to(p: np.ndarray, J: np.ndarray) -> None:
+    """Turn velocities of the point at the world's origin, as Pinocchio has them, into those at p: v + w x p.
+
+    Args:
+        p: Shape (N, 3), [m].
+        J: Twists (v, w), shape (N, 6, K); changed in place.
+    """
+    x, y, z = p[:, 0, None], p[:, 1, None], p[:, 2, None]
+    wx, wy, wz = J[:, 3], J[:, 4], J[:, 5]
+    J[:, 0] += wy * z - wz * y
+    J[:, 1] += wz * x - wx * z
+    J[:, 2] += wx * y - wy * x

@@ -11,6 +11,7 @@ import pinocchio as pin
 
 from aridcal.effects.basis import FORMS, Basis, Columns, Numbers
 from aridcal.effects.effect import direction
+from aridcal.effects.labels import is_label, label_in
 from aridcal.effects.loads import Surroundings, bearing_components, is_load, needs
 from aridcal.effects.sights import TARGET
 from aridcal.errors import CovariateNotFound, nearest
@@ -109,6 +110,7 @@ class OneRowModel:
         names = list(dict.fromkeys(name for basis in bases.values() for name in basis.of))
         place = {name: i for i, name in enumerate(names)}
         self._absent = _absent(bases.values())
+        self._absent |= {name: float(label_in(name) == station) for name in names if is_label(name)}
         self._curves = self._take_curves(bases, theta, place)
         self._terms = self._all_terms(bases, theta, place)
 

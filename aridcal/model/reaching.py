@@ -17,7 +17,8 @@ Miss = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 """Rotations and positions of the targets of some rows, and their numbers, to how far each is from where it must be, (n, k)."""
 
 INSIDE = 0.02
-"""Share of each joint's range that is left free at either end: effects move the readings a little further."""
+"""Share of each joint's range that is left free at either end: effects move the readings a little further, controllers refuse
+what lies beyond a limit and slow down before it, and cables are strained there."""
 
 STEPS, ROUNDS = 30, 60
 """Newton steps towards a place, and how often rows that have not come there start anew from other readings."""
@@ -45,9 +46,18 @@ def limits_of(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
     return np.where(np.isfinite(low), low, -math.pi), np.where(np.isfinite(high), high, math.pi)
 
 
-def draw_readings(robot: Robot, n: int, rng: np.random.Generator) -> np.ndarray:
-    """Draw readings, uniform inside their limits, shape (n, columns), [rad] or [m]; +-pi where there is no limit."""
+def off_the_limits(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
+    """The same a share :data:`INSIDE` of each range nearer to its middle."""
     low, high = limits_of(robot)
+    margin = INSIDE * (high - low)
+    return low + margin, high - margin
+
+
+def draw_readings(
+    robot: Robot, n: int, rng: np.random.Generator, ends: Callable[[Robot], tuple[np.ndarray, np.ndarray]] = limits_of
+) -> np.ndarray:
+    """Draw readings, uniform between ends of their ranges, shape (n, columns), [rad] or [m]."""
+    low, high = ends(robot)
     return np.asarray(rng.uniform(low, high, (n, len(low))))
 
 
@@ -70,9 +80,7 @@ def brought(
     Raises:
         CampaignError: some rows cannot be reached.
     """
-    low, high = limits_of(robot)
-    margin = INSIDE * (high - low)
-    low, high = low + margin, high - margin
+    low, high = off_the_limits(robot)
     found = np.empty((n, len(low)))
     left = np.arange(n)
     for _ in range(ROUNDS):

@@ -13,7 +13,7 @@ from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.measurement_settings import OF_TARGETS
 from aridcal.instruments.inclination import DOWN, INCLINED
 from aridcal.instruments.pixels import PIXELS, ends_of_sight, faces, in_image
-from aridcal.model.reaching import Miss, brought, draw_readings
+from aridcal.model.reaching import Miss, brought, draw_readings, off_the_limits
 from aridcal.planning.beforehand import Beforehand
 from aridcal.planning.clearance import clear, unobstructed
 
@@ -228,7 +228,7 @@ def _drawn(known: Beforehand, pattern: int, count: int, rng: np.random.Generator
     rows = known.patterns
     kind = known.campaign.measurements.kind
     if kind not in ("point", "plane"):
-        return draw_readings(known.robot, count, rng)
+        return draw_readings(known.robot, count, rng, off_the_limits)
     things = known.model.instruments.things[kind]
     number = things.names.index(str(rows.refers[pattern, 0]))
     state: np.ndarray = known.model.states.get(kind, things.start)[number]

@@ -170,10 +170,20 @@ def design(known: Beforehand, asked: Asked, progress: Progress = SILENT) -> Plan
         indices=indices(known, of, rows),
         unknowns=len(of.kept),
         measured=len(known.rows),
-        notices=(*known.notices, *notices),
+        notices=(*known.notices, *_of_region(known, asked), *notices),
         duels=duels,
         coverage=coverage(known, of, more, order, visited, rows, region),
     )
+
+
+def _of_region(known: Beforehand, asked: Asked) -> list[str]:
+    """That a plan is for the region that the campaign names, and for its point on the target."""
+    own, said = known.campaign.region, []
+    if asked.region is None and (own.file is not None or own.joints):
+        said.append("the target is to be known over the `region` that the campaign names")
+    if any(own.tool):
+        said.append("what is to be known is the point `tool` of the campaign's `region`, not the target itself")
+    return said
 
 
 def question(known: Beforehand, asked: Asked, candidates: Candidates, region: np.ndarray) -> tuple[Choice, Told]:

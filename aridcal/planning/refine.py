@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from aridcal.model.reaching import limits_of
+from aridcal.model.reaching import off_the_limits
 from aridcal.planning.beforehand import Beforehand
 from aridcal.planning.candidates import Candidates, allowed, in_sight
 from aridcal.planning.exchange import Choice, updated, weights_of_the_worst, worth_of
@@ -17,9 +17,6 @@ REACH = (0.15, 0.15, 0.08, 0.08, 0.04, 0.04, 0.02, 0.02)
 
 TRIED = 16
 """Configurations around each that are tried at every step: one joint moved in half of them, all joints in the others."""
-
-EDGE = 1e-4
-"""[rad] or [m] that joints keep off their limits: a program has fewer digits, and controllers refuse what lies beyond."""
 
 
 @dataclass(frozen=True)
@@ -86,12 +83,11 @@ def _stepped(
 
 
 def _around(known: Beforehand, candidates: Candidates, share: float, rng: np.random.Generator) -> Candidates:
-    """Places around configurations, :data:`TRIED` for each, inside the limits."""
-    low, high = limits_of(known.robot)
+    """Places around configurations, :data:`TRIED` for each, off the limits."""
+    low, high = off_the_limits(known.robot)
     n, columns = candidates.readings.shape
     step = share * (high - low) * rng.standard_normal((n, TRIED, columns))
     half = TRIED // 2
     step[:, :half] *= np.arange(columns) == rng.integers(0, columns, (n, half, 1))
     every = candidates.some(np.repeat(np.arange(n), TRIED))
-    edge = np.minimum(EDGE, (high - low) / 2)
-    return replace(every, readings=np.clip(every.readings + step.reshape(-1, columns), low + edge, high - edge))
+    return replace(every, readings=np.clip(every.readings + step.reshape(-1, columns), low, high))

@@ -13,6 +13,7 @@ from aridcal.fit.problem import Problem, agreed, problem
 from aridcal.instruments.channels import spread
 from aridcal.planning.beforehand import Beforehand
 from aridcal.planning.candidates import Candidates
+from aridcal.trust.workspace import shifted
 
 LOOSE = 0.1
 """[m] and [rad]: how well everything is known before it is measured. No robot is wrong by more, and what is measured is known a
@@ -159,7 +160,7 @@ def together(rows: np.ndarray, candidates: Candidates) -> np.ndarray:
 def target_columns(
     known: Beforehand, of: Told, readings: np.ndarray, pattern: int, parts: Sequence[Sequence[int]] = ()
 ) -> np.ndarray:
-    """How the target moves in some configurations with the unknowns, shape (R, 3, D), [m].
+    """How the target, or the campaign's own point on it, moves in some configurations with the unknowns, shape (R, 3, D), [m].
 
     Args:
         known: The model.
@@ -170,7 +171,9 @@ def target_columns(
     """
     made = known.patterns.select(np.full(len(readings), pattern))
     rows = known.model.rows(readings, made.conditions, made.station, made.target)
-    _, _, J = known.model.jacobian(known.theta, rows)
+    R, _, J = known.model.jacobian(known.theta, rows)
+    tool = np.array(known.campaign.region.tool)
+    J = shifted(J, R @ tool) if tool.any() else J
     found = []
     for part in parts or [of.kept]:
         columns = np.zeros((len(readings), 3, of.things + len(of.kept)))

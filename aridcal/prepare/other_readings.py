@@ -11,10 +11,9 @@ import itertools
 import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 from scipy.spatial.transform import Rotation
 
 from aridcal.errors import AridcalError, NotOfThisRobot
@@ -30,6 +29,9 @@ from aridcal.inputs.read import load_measurements
 from aridcal.inputs.tables import read_tables
 from aridcal.prepare.units_and_angles import TRIED_LENGTHS
 from aridcal.robot.chain import Robot
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 # Rows on which readings are tried.
 SAMPLE = 150
@@ -331,6 +333,8 @@ def _written(settings: MeasurementSettings, rotation: Rotation, names: Sequence[
 
 def _numbers(table: pd.DataFrame, names: Sequence[str]) -> np.ndarray:
     """Columns of the sample as numbers, shape (N, columns)."""
+    import pandas as pd  # slow to load, and few tables are asked how else they could be read
+
     return table[list(names)].apply(pd.to_numeric, errors="coerce").to_numpy(float, copy=True)
 
 

@@ -13,7 +13,6 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.csv
-import pyarrow.parquet
 
 from aridcal.errors import MeasurementError, shortened
 from aridcal.reading.files import MEGA, Limit, not_utf8
@@ -134,8 +133,10 @@ def read_parquet(content: bytes, path: Path, limit: Limit, spare: Collection[str
     Raises:
         MeasurementError: it is none, is too large, has no rows, or has lists or structures that may not be left out.
     """
+    from pyarrow import parquet  # slow to load, and csv is read without it
+
     try:
-        footer = pa.parquet.read_metadata(pa.BufferReader(content))
+        footer = parquet.read_metadata(pa.BufferReader(content))
         schema = footer.schema.to_arrow_schema()
         names = [name for name in schema.names if not PANDAS_INDEX.fullmatch(name)]
         check_header(names, path)
@@ -151,7 +152,7 @@ def read_parquet(content: bytes, path: Path, limit: Limit, spare: Collection[str
         check_size(path, footer.num_rows, len(names), limit)
         texts = [name for name in names if _is_text(schema.field(name).type)]
         # Words as they are stored, each once: a word of a megabyte in a million rows takes a few bytes there.
-        file = pa.parquet.ParquetFile(pa.BufferReader(content), read_dictionary=texts)
+        file = parquet.ParquetFile(pa.BufferReader(content), read_dictionary=texts)
         batches, rows = [], 0
         for batch in file.iter_batches(columns=names):
             rows += batch.num_rows
@@ -324,9 +325,8 @@ def _refuse_line_breaks(cells: pa.Table, line: np.ndarray, broken: list[pyarrow.
     lines = [row.number for row in broken if "\n" in row.text]
     for column in cells.columns:
         several = pc.match_substring(column, "\n")
-        found = pc.index(several, True).as_py()
-        if found >= 0:
-            lines.append(int(line[found]))
+        if pc.any(several).as_py():
+            lines.append(int(line[several.to_pylist().index(True)]))
     if lines:
         raise MeasurementError(
             f"{path}, line {min(lines)}: a quote is left open, or a cell has several lines; close it, or write one line"

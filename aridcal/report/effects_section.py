@@ -12,8 +12,9 @@ from aridcal.drawing.html import Content, Html, bullets, counted, figures, numbe
 from aridcal.drawing.words import how_to_separate, shown_in
 from aridcal.effects.basis import Basis
 from aridcal.effects.catalogue import KINDS
-from aridcal.effects.effect import ANGULAR
-from aridcal.effects.regional_kind import is_field
+from aridcal.effects.effect import ANGULAR, Coefficient, Effect
+from aridcal.effects.labels import label_in
+from aridcal.effects.regional_kind import is_field, is_of_labels, labels_of
 from aridcal.result.folder import what_moved
 from aridcal.result.outcome import Outcome, errors
 from aridcal.trust.gains import Curve, Diagnosis, NamedEffect
@@ -43,6 +44,7 @@ def effects_in_the_model(outcome: Outcome) -> Iterator[Content]:
     pairs = [(effect, part) for effect in outcome.effects for part in effect.curves]
     yield figures(_curve(outcome, f"effect-{k}", effect, part) for k, (effect, part) in enumerate(pairs))
     yield _coefficients(outcome)
+    yield from (_by_label(outcome, e.effect) for e in outcome.effects if is_of_labels(e.effect))
     yield from _confounded(outcome)
 
 
@@ -87,7 +89,7 @@ def _curve(outcome: Outcome, key: str, effect: NamedEffect, found: Curve) -> tup
     labels = (f"{found.covariate}{unit}", f"{found.component} [{moved}]")
     periods = max(effect.effect.order, default=0.0) * float(np.ptp(found.at)) / (2 * math.pi)
     at, value, std = scale * found.at, size * found.value, size * found.std
-    picture = curve(key, alt, at, value, std, rows, labels, wide=periods > WINDING)
+    picture = curve(key, alt, at, value, std, rows, labels, winding=periods > WINDING)
     span, known = number(float(np.ptp(value))), number(float(np.median(std)), 2)
     seen = f"{span} {moved} peak to peak, known to {known} {moved} (median 1σ)"
     return [tag("code", label), f", {found.component} over {found.covariate}: {seen}"], picture
@@ -137,6 +139,36 @@ def _coefficients(outcome: Outcome) -> Content:
                 unit = (shown if c.component in units else "") + _per(outcome, c.basis)
                 lines.append([tag("code", c.name), value, unit])
     return table(["coefficient", "value ± 1σ", "unit"], lines, "Coefficients of the effects") if lines else ""
+
+
+def _by_label(outcome: Outcome, effect: Effect) -> Content:
+    """What each label deviates by from the mean of all, and how many fitted rows say so.
+
+    What all of them have in common is as uncertain as they differ, since it is the one model's, too; differences are not.
+    """
+    fit, m = outcome.stage("final").fit, outcome.measurements
+    known = labels_of(c.basis for c in effect.coefficients)
+    turning = {j.name for j in outcome.robot.joints if j.kind == "revolute"}
+    shown = {
+        component: shown_in("rad" if component in ANGULAR or (component == "axis" and effect.where in turning) else "m")
+        for component in effect.motion
+    }
+    cells: dict[str, list[Content]] = {name: [] for name in known}
+    for component, (_, size) in shown.items():
+        own = [
+            fit.model.names.index(Coefficient(effect.where, component, Basis("label", (name,))).name) for name in known
+        ]
+        apart = np.eye(len(own)) - 1.0 / len(own)
+        value = size * apart @ fit.theta[own]
+        std = size * np.sqrt(np.diag(apart @ fit.covariance[np.ix_(own, own)] @ apart))
+        for name, *numbers in zip(known, value.tolist(), std.tolist(), strict=True):
+            cells[name].append(plus_minus(*numbers))
+    assert m.station is not None
+    used = m.station[~m.test & ~outcome.outlier]
+    lines = [[label_in(name), str(int(np.sum(used == label_in(name)))), *cells[name]] for name in known]
+    head = ["label", "fitted rows", *(f"{component} [{unit}]" for component, (unit, _) in shown.items())]
+    caption = f"{effect.label}: how each label deviates from the mean of all, ± 1σ; any other label has the one model"
+    return table(head, lines, caption)
 
 
 def _per(outcome: Outcome, basis: Basis) -> str:

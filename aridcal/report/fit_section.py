@@ -6,7 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from aridcal.drawing.figures import field, histogram, panels
+from aridcal.drawing.fields import color_steps, field
+from aridcal.drawing.figures import histogram, panels
 from aridcal.drawing.html import Content, Html, counted, figures, number, table, tag
 from aridcal.drawing.words import reading_in_words
 from aridcal.instruments.catalogue import KINDS
@@ -165,11 +166,12 @@ def _workspace(outcome: Outcome) -> Html:
         return tag("p", "None of these rows tells where the target is.")
     what = "Error at the target" if outcome.measurements.blocks else "Position error"
     drawn: list[tuple[Content, Html]] = []
+    colors = color_steps(error)
     for a, b in ((0, 1), (0, 2), (1, 2)):
         first, second = "xyz"[a], "xyz"[b]
         labels = (f"world {first} [m]", f"world {second} [m]")
         alt = f"{what} after calibration over {labels[0]} and {labels[1]}"
-        plot = field(f"field-{first}{second}", alt, points[:, [a, b]], error, labels, "mm")
+        plot = field(f"field-{first}{second}", alt, points[:, [a, b]], error, labels, "mm", colors)
         drawn.append((f"{what} after calibration, {first}–{second} plane", plot))
     return figures(drawn)
 

@@ -7,7 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from aridcal import __version__
-from aridcal.drawing.figures import coverage, falling, field
+from aridcal.drawing.fields import color_steps, field
+from aridcal.drawing.figures import coverage, falling
 from aridcal.drawing.html import Content, Html, bullets, counted, figures, number, styled_page, table, tag
 from aridcal.drawing.words import range_in_words, reading_in_words
 from aridcal.planning.coverage import Sigma
@@ -122,13 +123,14 @@ def _where(plan: Plan, robot: Robot) -> Iterator[Content]:
     """Targets in two views, and ranges of the joints."""
     seen = plan.coverage
     sigma = 1e3 * seen.worst
+    colors = color_steps(sigma)
     drawn: list[tuple[Content, Html]] = []
     for name, axes in VIEWS.items():
         labels = tuple(f"{'xyz'[axis]} [m]" for axis in axes)
         rings = {"planned": seen.targets[:, axes]}
         text = f"Planned targets and the region's sigma, seen {name}"
         picture = field(
-            name.replace(" ", "-"), text, seen.places[:, axes], sigma, (labels[0], labels[1]), "mm", marks=rings
+            name.replace(" ", "-"), text, seen.places[:, axes], sigma, (labels[0], labels[1]), "mm", colors, marks=rings
         )  # fmt: skip
         drawn.append((f"Seen {name}: dots are places of the region with their σ in the worst direction", picture))
     ranges = [joint_range(*j) for j in zip(robot.readings, robot.kinds, robot.limits, plan.readings.T, strict=True)]

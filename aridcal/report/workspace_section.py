@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from aridcal.drawing.figures import field
+from aridcal.drawing.fields import color_steps, field
 from aridcal.drawing.html import Content, Html, bullets, figures, number, table, tag
 from aridcal.drawing.words import kept_in_words
 from aridcal.result.outcome import Outcome
@@ -69,16 +69,24 @@ def _line(title: str, part: Workspace) -> list[Content]:
 def _slices(known: Certainty) -> list[tuple[Content, Html]]:
     """A picture of each slice."""
     drawn: list[tuple[Content, Html]] = []
-    for cut in known.slices:
-        part = cut.workspace.select(cut.workspace.told)
-        if not len(part):
-            continue
+    told = [(cut, cut.workspace.select(cut.workspace.told)) for cut in known.slices if cut.workspace.told.any()]
+    if not told:
+        return drawn
+    colors = color_steps(1e3 * np.concatenate([part.sigma for _, part in told]))
+    for cut, part in told:
         first, second = ("xyz"[axis] for axis in cut.axes)
         across = "xyz"[3 - sum(cut.axes)]
         what = f"1σ of the target, worst direction, {first}–{second} plane at {across} = {cut.at:.2f} m"
         labels = (f"base {first} [m]", f"base {second} [m]")
         plot = field(
-            f"slice-{first}{second}", what, part.places[:, cut.axes], 1e3 * part.sigma, labels, "mm", ~part.measured
+            f"slice-{first}{second}",
+            what,
+            part.places[:, cut.axes],
+            1e3 * part.sigma,
+            labels,
+            "mm",
+            colors,
+            ~part.measured,
         )
         drawn.append((what, plot))
     return drawn

@@ -6,12 +6,12 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from itertools import product
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
-from scipy.interpolate import RegularGridInterpolator
 from scipy.spatial.transform import Rotation
 
+from aridcal.effects.regional_kind import labels_of
 from aridcal.errors import AridcalError, CovariateNotFound
 from aridcal.inputs.approach import approach
 from aridcal.inputs.query import Query
@@ -20,6 +20,9 @@ from aridcal.model.model import Model
 from aridcal.result.predict import at_any_station, directions, extrapolates, per_station, std_of
 from aridcal.result.saved_model import SavedModel
 from aridcal.showing import SILENT, Progress
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 STILL = 1e-6
 """A joint that moves by less keeps its side of the backlash, [rad] or [m]."""
@@ -141,6 +144,7 @@ class _Walk:
         model = saved.final.model
         self._saved, self._stations = saved, per_station(model)
         self._needs = at_any_station(saved).model.needs
+        self._labels = labels_of(c.basis for c in model.coefficients)
         self._seen = np.array([saved.ranges.get(name, (0.0, 0.0)) for name in model.robot.readings])
         self._last, self._rng = self._seen.mean(axis=1), np.random.default_rng(0)
 
@@ -165,7 +169,7 @@ class _Walk:
                 found.append(nothing)
                 continue
             inverse = self._saved.inverse_kinematics(None if stations is None else str(stations[k]))
-            given = {name: float(covariates[name][k]) for name in self._needs}
+            given = {name: float(covariates[name][k]) for name in (*self._needs, *self._labels)}
             own = query.readings[k]
             seed = np.where(np.isnan(own), self._last, own)
             best = inverse.command(R[k], query.position[k], seed, given)
@@ -293,6 +297,8 @@ def _interpolated(axes: tuple[np.ndarray, ...], delta: np.ndarray, readings: np.
         delta: Correction at each point, shape (points of axis 1, ..., columns).
         readings: Shape (N, columns), inside the table.
     """
+    from scipy.interpolate import RegularGridInterpolator  # slow to load, and only tables need it
+
     moving = [k for k, axis in enumerate(axes) if len(axis) > 1]
     inner = delta[tuple(slice(None) if k in moving else 0 for k in range(len(axes)))]
     table = RegularGridInterpolator([axes[k] for k in moving], inner)

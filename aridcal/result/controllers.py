@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 import yaml
 
 from aridcal.effects.basis import evaluate
@@ -33,6 +32,10 @@ BY_REGION, INDEX = "URDF by region", "regions/index.yaml"
 WHERE_HOLDS = (
     "A region's URDF holds where its `middle` is the nearest, each coordinate divided by its `scale` [m, rad]. All go with",
     "the two frames of `URDF by region` in frames.yaml.",
+)
+WHOSE_HOLDS = (
+    "A region's URDF holds for rows whose `station` is its `label`; that of an empty label, the one model, for all others. All",
+    "go with the two frames of `URDF by region` in frames.yaml.",
 )
 FIRM = 1e12  # precision of a coefficient that is held, in units of the noise's own
 
@@ -168,9 +171,11 @@ def write_controllers(outcome: Outcome, handover: Handover, folder: Path) -> Non
             (folder / INDEX).with_name(f"{region.name}.urdf").write_bytes(stage_urdf(region.fit))
         text = yaml.safe_dump(index_document(outcome, handover.regions), sort_keys=False, width=200)
         unit = f"`error`: RMS {handover.channel.noun} [{handover.channel.unit}] on a region's held-out rows, or on all."
-        write(INDEX, text, BY_REGION, *WHERE_HOLDS, unit)
+        write(INDEX, text, BY_REGION, *(WHERE_HOLDS if handover.regions.by else WHOSE_HOLDS), unit)
     if handover.with_maps is not None:
         (folder / "joint_maps.urdf").write_bytes(stage_urdf(handover.with_maps))
+        import pandas as pd  # slow to load, and few calibrations have maps
+
         rows = [
             pd.DataFrame({"joint": name, "reading": at, "correction": value})
             for name, (at, value) in handover.maps.items()
@@ -191,11 +196,11 @@ def index_document(outcome: Outcome, own: Regions) -> dict[str, Any]:
         held_out = region.rows & test
         judged = held_out if held_out.any() else region.rows & ~outcome.outlier
         errors = {name: _rms(residual[judged][:, part]) for name, residual in left.items() if judged.any()}
+        ends = {"middle": region.middle, "low": region.low, "high": region.high}
+        told = {name: dict(zip(own.by, values.tolist(), strict=True)) for name, values in ends.items()}
         return {
             "urdf": f"{region.name}.urdf",
-            "middle": dict(zip(own.by, region.middle.tolist(), strict=True)),
-            "low": dict(zip(own.by, region.low.tolist(), strict=True)),
-            "high": dict(zip(own.by, region.high.tolist(), strict=True)),
+            **(told if region.label is None else {"label": region.label}),
             "rows": {"all": int(region.rows.sum()), "held_out": int(held_out.sum())},
             "error": errors,
         }

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import math
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 import pinocchio as pin
 
 from aridcal import __version__
@@ -32,6 +32,9 @@ from aridcal.trust.certainty import as_document
 from aridcal.trust.gains import NamedEffect
 from aridcal.trust.iso9283 import document as iso_document
 
+if TYPE_CHECKING:
+    import pandas as pd
+
 AT_ONCE = 20_000
 """Rows that are written between two words of progress: half a second."""
 
@@ -45,12 +48,10 @@ def write_results(outcome: Outcome, folder: Path, progress: Progress = SILENT) -
     if outcome.effects:
         (folder / "model.urdf").write_bytes(stage_urdf(outcome.stage("final").fit))
     (folder / "calibration.yaml").write_text(calibration(outcome).dump(), encoding="utf-8")
-    table = residual_table(outcome)
-    with (folder / "residuals.csv").open("w", encoding="utf-8", newline="") as file:
-        for first in progress.through(range(0, len(table), AT_ONCE), len(table), "rows of residuals.csv", AT_ONCE):
-            some = table.iloc[first : first + AT_ONCE]
-            some.to_csv(file, index=False, header=first == 0, float_format="%.9g")
+    _write_residuals(residual_columns_of(outcome), folder / "residuals.csv", progress)
     if outcome.head is not None:
+        import pandas as pd  # slow to load, and other campaigns have no images
+
         pd.DataFrame(outcome.head.fiducials).to_csv(folder / "fiducials.csv", index=False)
 
 
@@ -305,14 +306,40 @@ def _short(effect: Effect) -> dict[str, Any]:
 
 
 def residual_table(outcome: Outcome) -> pd.DataFrame:
-    """One line per usable row: where it stands, its part and flags, and what each stage leaves, in SI and [px].
+    """The columns of ``residuals.csv``, one line per usable row."""
+    import pandas as pd  # slow to load: only where somebody wants a DataFrame
+
+    return pd.DataFrame(residual_columns_of(outcome), index=outcome.measurements.as_read)
+
+
+def _write_residuals(table: Mapping[str, np.ndarray], path: Path, progress: Progress) -> None:
+    """Write columns as csv, so many rows between two words of progress; holes are empty."""
+    rows = len(next(iter(table.values())))
+    with path.open("w", encoding="utf-8", newline="") as file:
+        lines = csv.writer(file, lineterminator="\n")
+        lines.writerow(table)
+        for first in progress.through(range(0, rows, AT_ONCE), rows, "rows of residuals.csv", AT_ONCE):
+            some = (_in_csv(column[first : first + AT_ONCE]) for column in table.values())
+            lines.writerows(zip(*some, strict=True))
+
+
+def _in_csv(column: np.ndarray) -> list[Any]:
+    """Cells as they are written: numbers to nine digits."""
+    cells: list[Any] = column.tolist()
+    if column.dtype.kind != "f":
+        return cells
+    return ["" if math.isnan(value) else f"{value:.9g}" for value in cells]
+
+
+def residual_columns_of(outcome: Outcome) -> dict[str, np.ndarray]:
+    """Of each usable row where it stands, its part and flags, and what each stage leaves, in SI and [px]; as they were read.
 
     Of rows of several kinds also its block, the things that it refers to and its target, as the campaign names them.
     """
     m = outcome.measurements
     axes = residual_columns(m)
     table: dict[str, Any] = {
-        "file": [m.files[k].name for k in m.file],
+        "file": np.array([path.name for path in m.files], dtype=object)[m.file],
         "row": m.line,
         "split": np.where(m.test, "test", "train"),
         "weight": np.where(outcome.outlier, 0.0, 1.0),
@@ -323,7 +350,7 @@ def residual_table(outcome: Outcome) -> pd.DataFrame:
     for stage in outcome.stages:
         label = stage.name.replace(" ", "_")
         table |= {f"{label}_{axis}": column for axis, column in zip(axes, stage.residual.T, strict=True)}
-    return pd.DataFrame(table).iloc[m.as_read]
+    return {name: np.asarray(column)[m.as_read] for name, column in table.items()}
 
 
 def residual_columns(m: Dataset) -> list[str]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from aridcal.fit.closed_form import ClosedForm, closed_form
 from aridcal.fit.least_squares import Fit
-from aridcal.head.detections import Detections
+from aridcal.head.found import Detections
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.camera_sonar import HEAD, Head, Reduced, reduced, unpacked
 

@@ -9,24 +9,25 @@ from pathlib import Path
 
 import numpy as np
 
-from aridcal.errors import CampaignError, MeasurementError, NotOfThisRobot
+from aridcal.errors import NotOfThisRobot
 from aridcal.fit.constants import constants, frame_coefficients, station_labels, unused_links
 from aridcal.fit.flags import distance, robust_sigma
 from aridcal.fit.least_squares import Fit, fit
 from aridcal.fit.noise import Repeats, declared_notices, repeats
 from aridcal.fit.problem import problem, scaled, unscaled
 from aridcal.fit.stages import Geometry, recentred, with_things_moved
-from aridcal.head.detections import Detections, read_rows
+from aridcal.head.found import Detections
 from aridcal.inputs.approach import with_directions
-from aridcal.inputs.campaign import Campaign, load_campaign
+from aridcal.inputs.campaign import Campaign
 from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.read import load_measurements
 from aridcal.inputs.tables import AnyTable
 from aridcal.model.memory import Size, available_memory, check_memory
 from aridcal.result.measuring_head import measuring_head
 from aridcal.result.outcome import Outcome, Stage, Verification
+from aridcal.result.reading import Job, read_job
 from aridcal.result.verdict import Verdict, decide, row_clues
-from aridcal.robot.chain import Robot, load_robot
+from aridcal.robot.chain import Robot
 from aridcal.search.arm import CalibratedArm, calibrated_arm, fit_constants
 from aridcal.search.diagnose import SEARCHED, Diagnosed
 from aridcal.search.noise_causes import structured_notices
@@ -42,9 +43,6 @@ from aridcal.trust.uncertainty import FAR, outliers, precision, realigned, with_
 
 Judge = Callable[[Campaign, Robot, Dataset, Geometry | None], None]
 """Told what frames and constants leave of the rows, None if nothing can be made of them; may refuse them and say why."""
-
-STILL = 1e-3
-"""[rad] or [m]: a joint that covers less does not move."""
 
 ONE_BODY = (
     "{} targets keep their distances exactly: they were made from one pose of one body, and count as one measurement"
@@ -72,7 +70,7 @@ class Judged:
 
 
 def identify(
-    job: Path | Campaign,
+    job: Path | Campaign | Job,
     seed: int = 0,
     verify: AnyTable | None = None,
     progress: Progress = SILENT,
@@ -82,7 +80,7 @@ def identify(
     """Run a campaign up to its outcome.
 
     Args:
-        job: The campaign, or the path of its ``campaign.yaml``.
+        job: The campaign, the path of its ``campaign.yaml``, or what was read of it already.
         seed: Of the split into train and test, where the table has none.
         verify: Another day's table, to be scored.
         progress: Called with what is being done.
@@ -92,15 +90,9 @@ def identify(
     Raises:
         AridcalError: whatever in the input needs mending.
     """
-    started = time.perf_counter()
-    campaign = job if isinstance(job, Campaign) else load_campaign(job)
-    robot = load_robot(campaign.robot.urdf, campaign.robot.tip, campaign.robot.base, campaign.limits.urdf)
-    progress("reading the measurements")
-    if verify is not None and campaign.measurements.head is not None:
-        raise CampaignError(f"{campaign.path}: --verify needs a table of poses; `kind: camera_sonar` has shots")
-    read = read_rows(campaign, robot, cache, seed, progress)
-    campaign, rows = read.campaign, with_directions(read.rows)
-    still = _check_motion(campaign, rows)
+    if not isinstance(job, Job):
+        job = read_job(job, seed, progress, cache, verify is not None)
+    campaign, robot, rows = job.campaign, job.robot, job.rows
     labels = station_labels(campaign, rows)
     check_memory(_size(campaign, robot, rows, labels), str(campaign.path), available_memory())
     progress(f"fitting frames and constants to {rows.train.sum()} rows")
@@ -112,11 +104,11 @@ def identify(
     judge(campaign, robot, rows, geometry)
     where = region(campaign, geometry.geometric, rows.select(rows.train))
     arm = calibrated_arm(campaign, robot, rows, labels, geometry, progress)
-    outcome = _outcome(campaign, robot, arm, where, still, read.detections, progress)
+    outcome = _outcome(campaign, robot, arm, where, job.still, job.detections, progress)
     if verify is not None:
         progress("scoring another day's measurements")
         outcome = replace(outcome, verification=score(outcome, verify))
-    return replace(outcome, seconds=time.perf_counter() - started)
+    return replace(outcome, seconds=time.perf_counter() - job.started)
 
 
 def _outcome(
@@ -234,26 +226,6 @@ def _size(campaign: Campaign, robot: Robot, rows: Dataset, labels: tuple[str, ..
         numbers=sum(channel.size for channel in rows.channels),
         joints=len(robot.joints),
     )
-
-
-def _check_motion(campaign: Campaign, rows: Dataset) -> tuple[str, ...]:
-    """Refuse rows that can tell nothing whatever the model, and name the joints that never move."""
-    if not rows.train.any():
-        raise MeasurementError(f"{rows.title}: every row is held out: mark some as `train` in the column `split`")
-    frames = campaign.frames
-    constant = frames.world_base.identify or frames.tip_target.identify or campaign.parameters.set != "none"
-    if not (constant or campaign.effects or campaign.diagnosis.enabled):
-        raise CampaignError(
-            f"{campaign.path}: nothing is to be identified: both frames have `identify: false`, `parameters` has "
-            "`set: none`, and no effect is declared or sought. Change one of them"
-        )
-    travel = np.ptp(rows.readings[rows.train], axis=0)
-    still = [name for name, moved in zip(rows.names, travel, strict=True) if moved < STILL]
-    if len(still) == len(rows.names):
-        count = rows.train.sum()
-        why = "there is only one row to fit" if count == 1 else f"no joint moves in any of its {count} rows"
-        raise MeasurementError(f"{rows.title}: {why}: nothing can be identified. Measure other configurations")
-    return tuple(f"{name} never moves: its parameters are confounded with its neighbours'" for name in still)
 
 
 def _stages(rows: Dataset, geometry: Geometry, final: Fit, progress: Progress) -> tuple[tuple[Stage, ...], np.ndarray]:

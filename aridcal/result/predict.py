@@ -6,12 +6,13 @@ import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 from scipy.spatial.transform import Rotation
 
-from aridcal.effects.regional_kind import far_from_nodes
+from aridcal.effects.labels import STATION, label_in
+from aridcal.effects.regional_kind import far_from_nodes, labels_of, without_label
 from aridcal.effects.sights import target_places
 from aridcal.errors import MeasurementError
 from aridcal.inputs.measurement_settings import MeasurementSettings
@@ -24,6 +25,9 @@ from aridcal.result.saved_model import SavedModel
 from aridcal.result.stretches import Stretch, stretches
 from aridcal.trust.seen import Seen
 from aridcal.trust.workspace import spread_out, target_covariance, worst_direction
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 def read_query(saved: SavedModel, table: AnyTable, poses: bool = False) -> Query:
@@ -89,13 +93,14 @@ def _query(saved: SavedModel, table: AnyTable | Table, poses: bool) -> Query:
         per_station=per_station(saved.final.model),
         label=saved.frames_by,
         needs=set(at_any_station(saved).model.needs) - set(directions(saved) if poses else ()),
+        of_labels=labels_of(c.basis for c in saved.final.model.coefficients),
         limit=saved.limits.table,
     )
     if poses:
         return query
     if isinstance(table, Table):
         return _sides_unknown(saved, query, table.files[0].name)
-    return _sides_unknown(saved, query, IN_MEMORY.name if isinstance(table, pd.DataFrame) else Path(table).name)
+    return _sides_unknown(saved, query, Path(table).name if isinstance(table, str | Path) else IN_MEMORY.name)
 
 
 def _sides_unknown(saved: SavedModel, query: Query, file: str) -> Query:
@@ -268,7 +273,8 @@ def std_of(saved: SavedModel, query: Query) -> np.ndarray:
 def extrapolates(saved: SavedModel, query: Query, std: np.ndarray) -> np.ndarray:
     """Rows that are not like those that the calibration has seen, shape (N,).
 
-    See :meth:`aridcal.trust.seen.Seen.beyond`; and far from all places that a field is known at.
+    See :meth:`aridcal.trust.seen.Seen.beyond`; and far from all places that a field is known at, or of a label that is none of
+    those that deviate, each by itself.
 
     Args:
         saved: The model.
@@ -278,6 +284,7 @@ def extrapolates(saved: SavedModel, query: Query, std: np.ndarray) -> np.ndarray
     readings = dict(zip(saved.final.model.robot.readings, query.readings.T, strict=True))
     seen = Seen(saved.ranges, saved.holes, saved.largest_std)
     beyond = seen.beyond(query.covariates | readings, std)
+    beyond |= without_label((c.basis for c in saved.final.model.coefficients), query.covariates, len(beyond))
     known = query.usable & np.isfinite(query.readings).all(axis=1)
     beyond[known] |= _far(saved, query, known)
     return beyond
@@ -293,12 +300,17 @@ def evenly(saved: SavedModel) -> pd.DataFrame:
     low, high = np.array([saved.ranges[name] for name in robot.readings]).T
     scale = [settings.units.metres if kind == "prismatic" else settings.units.radians for kind in robot.kinds]
     names = [settings.columns.get(name, name) for name in robot.readings]
+    import pandas as pd  # slow to load: only where somebody wants a DataFrame
+
     table = pd.DataFrame(dict(zip(names, (spread_out(low, high) / scale).T, strict=True)))
     for name in model.needs:
         table[settings.columns.get(name, name)] = float(np.mean(saved.ranges[name]))
     if per_station(model):
         label = next(label for label, _ in (*model.world_base, *model.tip_target) if label is not None)
         table[column_of(saved.frames_by, settings, robot.readings)] = label
+    of_labels = labels_of(c.basis for c in model.coefficients)
+    if of_labels and column_of(STATION, settings, robot.readings) not in table:
+        table[column_of(STATION, settings, robot.readings)] = label_in(of_labels[0])
     return table
 
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet
 
@@ -60,7 +59,7 @@ def stretches(table: AnyTable, limit: Limit = TABLE) -> Iterator[Stretch]:
     Raises:
         MeasurementError: as :func:`read_tables`.
     """
-    path = None if isinstance(table, pd.DataFrame) else Path(table)
+    path = Path(table) if isinstance(table, str | Path) else None
     found: Iterator[Stretch] = iter(())
     if path is not None and path.is_file() and STRETCH < path.stat().st_size <= limit.megabytes * MEGA:
         sorts = {".csv": _of_csv, ".parquet": _of_parquet}

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import f as f_distribution
+from scipy.special import fdtrc
 
 from aridcal.effects.catalogue import KINDS
 from aridcal.effects.effect import Effect
@@ -123,7 +123,7 @@ def _held_out(rows: Dataset, test: np.ndarray, fit: Fit, residual: np.ndarray, o
     ratio = float(np.nanmean(np.nanmean(residual[test] ** 2 / expected, axis=1)))
     fitted = np.nanmean(residual[train] ** 2 / variance, axis=1)
     kappa = max(1.0, float(np.var(fitted) / np.mean(fitted) ** 2) * m / 2.0)
-    p_value = float(f_distribution.sf(ratio, configurations * m / kappa, fit.freedom / kappa))
+    p_value = float(fdtrc(configurations * m / kappa, fit.freedom / kappa, ratio))
     what = f"held-out rows err {np.sqrt(ratio):.2g} times as much as the noise of the fitted rows explains"
     return Clue("held_out", what, float(np.clip(1.0 - 1.0 / max(ratio, FLOOR), 0.0, 1.0)), p_value)
 
@@ -136,7 +136,7 @@ def _offset(residual: np.ndarray) -> Clue | None:
     mean = residual.mean(axis=0)
     spread_of_mean = np.atleast_2d(np.cov(residual.T)) / n
     statistic = float(mean @ np.linalg.pinv(spread_of_mean, hermitian=True) @ mean)
-    p_value = float(f_distribution.sf(statistic * (n - m) / (m * (n - 1)), m, n - m))
+    p_value = float(fdtrc(m, n - m, statistic * (n - m) / (m * (n - 1))))
     share = float(np.mean(mean**2 / np.maximum(np.mean(residual**2, axis=0), FLOOR**2)))
     return Clue(
         "offset", "the mean of the residuals is not zero: something constant is held at a wrong value", share, p_value

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from scipy.special import gammaincc
@@ -30,6 +29,14 @@ SIDE = 6
 
 COARSE = 200
 """Steps that are looked at in the first round; between the best and its neighbours all are looked at."""
+
+NODES = 33
+"""Of those, where what the model takes up of a step is worked out; between them it hardly differs from a line's, and what it
+differs by only decides which steps are looked at closely. Each costs as much as the square of all that is in the model."""
+
+CLOSELY = 12
+"""Steps that are looked at closely, those that seem best: between nodes what the model takes up is out by a tenth at
+the most, near the ends."""
 
 LENGTHS = (2.0, 5.0, 12.0, 30.0, np.inf)
 """Rows over which noise may stay alike: two and a half times apart, from one row to the next to a walk without end."""
@@ -137,7 +144,7 @@ class _Trial:
 
     def _best(self, of: Sequence[int], before: np.ndarray) -> int:
         rough = _far_apart(before)
-        low, high = _around(before, rough, self._explained(of, rough))
+        low, high = _around(before, rough, int(np.argmax(self._explained(of, rough))))
         return low + int(np.argmax(self._explained(of, before[low : high + 1])))
 
     def _explained(self, of: Sequence[int], before: np.ndarray) -> np.ndarray:
@@ -164,8 +171,8 @@ class _Scan:
         state: The model without a step.
         slots: Position of each slot in the columns.
         G: Columns of the slots over the variance, zero in rows that are not in use, shape (N, m, S).
-        g: The same in sigmas.
-        r: The residual, shape (N, m).
+        squares: (C'C) up to each row in use, shape (n + 1, S, S).
+        pulls: s up to each, shape (n + 1, S).
         members: Columns of what is in the design, shape (N, m, d) each.
         row: Place of each row in use, shape (n,).
     """
@@ -173,8 +180,8 @@ class _Scan:
     state: State
     slots: dict[int, int]
     G: np.ndarray
-    g: np.ndarray
-    r: np.ndarray
+    squares: np.ndarray
+    pulls: np.ndarray
     members: tuple[np.ndarray, ...]
     row: np.ndarray
 
@@ -185,76 +192,107 @@ class _Scan:
         own = dict.fromkeys(model.slot_index[c.where, c.component] for e in templates for c in e.coefficients)
         order = np.argsort(model.table[of], kind="stable")
         used = state.used[order]
+        row, sigma = np.flatnonzero(used), state.sigma[:, None]
         g = model.G[:, :, list(own)][order] * (used[:, None] / state.sigma)[:, :, None]
         members = tuple(model.products.in_order(of, order, effect) for effect, _ in state.members)
+        turned, right = g[row].transpose(0, 2, 1), state.residual[order[row], :, None] / sigma
+        squares, pulls = (np.cumsum(each, axis=0) for each in (turned @ g[row], (turned @ right)[:, :, 0]))
         slots = {slot: k for k, slot in enumerate(own)}
-        return cls(state, slots, g / state.sigma[:, None], g, state.residual[order], members, np.flatnonzero(used))
+        return cls(state, slots, g / sigma, _from_nothing(squares), _from_nothing(pulls), members, row)
 
     def best(self, of: Sequence[Sequence[int]], before: Sequence[np.ndarray]) -> list[int]:
         """Index of the step that explains most, for each of some groups of slots among those with so many rows before them."""
-        sums = self._sums(np.unique(np.concatenate([_far_apart(rows) for rows in before])))
+        every = np.unique(np.concatenate([_far_apart(rows) for rows in before]))
+        all_slots = list(range(len(self.slots)))
+        nodes = _Nodes.of(every, self, all_slots)
         found = []
         for slots, rows in zip(of, before, strict=True):
             own = [self.slots[slot] for slot in slots]
             rough = _far_apart(rows)
-            low, high = _around(rows, rough, sums.explained(own, rough))
+            seems = self._explained(own, rough, nodes.between(rough, own))
+            closer = np.sort(np.argsort(-seems, kind="stable")[:CLOSELY])
+            explained = self._explained(own, rough[closer], self.taken(own, rough[closer], nodes))
+            low, high = _around(rows, rough, int(closer[np.argmax(explained)]))
             close = rows[low : high + 1]
-            found.append(low + int(np.argmax(self._sums(close, sums).explained(own, close))))
+            found.append(low + int(np.argmax(self._explained(own, close, self.taken(own, close, nodes)))))
         return found
 
-    def _sums(self, before: np.ndarray, known: _Sums | None = None) -> _Sums:
-        """Sums over the rows before each of some steps, ascending: those between two of them are added up first.
+    def _explained(self, own: Sequence[int], before: np.ndarray, taken: np.ndarray) -> np.ndarray:
+        """Squares that steps of some columns explain, shape (k,), the model taking up so much of their products, (k, d, d)."""
+        squares = self.squares[before][:, own][:, :, own]
+        return _squares_explained(squares - taken, self.pulls[before][:, own], np.einsum("kss->ks", squares))
 
-        Args:
-            before: Rows in use before each step, shape (k,).
-            known: Sums up to the first of them, among others.
-        """
-        S = self.G.shape[2]
-        first = 0 if known is None else int(self.row[before[0]])
-        stops = self.row[before].tolist()
-        start = [0.0, 0.0, 0.0] if known is None else known.up_to(int(before[0]))
-        CC, CA, s = [], [], []
-        for low, high in pairwise([first, *stops]):
-            G, g = self.G[low:high].reshape(-1, S).T, self.g[low:high].reshape(-1, S)
-            CC.append(g.T @ g)
-            CA.append(np.hstack([G @ member[low:high].reshape(-1, member.shape[2]) for member in self.members]))
-            s.append(G @ self.r[low:high].ravel())
-        squares, raw_shared, pulls = (
-            np.cumsum(values, axis=0) + begin for values, begin in zip((CC, CA, s), start, strict=True)
-        )
+    def taken(self, own: Sequence[int], before: np.ndarray, known: _Nodes | None = None) -> np.ndarray:
+        """What the model takes up of the products of some columns before some rows, ascending, shape (k, d, d)."""
+        return self.taken_of(self.shared(own, before, known))
+
+    def taken_of(self, shared: np.ndarray) -> np.ndarray:
+        """The same from the products with the members' columns, (k, d, W)."""
         ends = np.cumsum([member.shape[2] for member in self.members])[:-1]
-        shared = self.state.in_modes(np.split(raw_shared, ends, axis=2))
+        shared = self.state.in_modes(np.split(shared, ends, axis=2))
         inverse = self.state.solution.inverse
-        taken = (shared.reshape(-1, len(inverse)) @ inverse).reshape(shared.shape)
-        M = squares - taken @ np.swapaxes(shared, 1, 2)
-        return _Sums(before, M, (squares, raw_shared, pulls))
+        return np.asarray(
+            (shared.reshape(-1, len(inverse)) @ inverse).reshape(shared.shape) @ np.swapaxes(shared, 1, 2)
+        )
+
+    def shared(self, own: Sequence[int], before: np.ndarray, known: _Nodes | None = None) -> np.ndarray:
+        """C'A of some columns and the members' before some rows, ascending, shape (k, d, W): from the last sum that is known."""
+        G = self.G[:, :, own]
+        stops = self.row[before].tolist()
+        done, total = 0, np.zeros((len(own), sum(member.shape[2] for member in self.members)))
+        found = np.empty((len(stops), *total.shape))
+        for k, (count, stop) in enumerate(zip(before.tolist(), stops, strict=True)):
+            start = None if known is None else known.last(count)
+            if start is not None and known is not None and self.row[known.before[start]] > done:
+                done, total = int(self.row[known.before[start]]), known.shared[start][own]
+            if stop > done:
+                part = G[done:stop].reshape(-1, len(own)).T
+                more = [part @ member[done:stop].reshape(part.shape[1], -1) for member in self.members]
+                done, total = stop, total + np.hstack(more)
+            found[k] = total
+        return found
 
 
 @dataclass(frozen=True)
-class _Sums:
-    """What steps at k rows would explain.
+class _Nodes:
+    """Steps for which it is known what the model takes up of them.
 
     Attributes:
         before: Rows before each, ascending, shape (k,).
-        M: Products of their columns off the model's, shape (k, S, S).
-        cumulative: (C'C)_k of shape (k, S, S), (C'A)_k, s_k of shape (k, S).
+        shared: C'A, shape (k, S, W).
+        taken: What the model takes up of the products of their columns, shape (k, S, S).
     """
 
     before: np.ndarray
-    M: np.ndarray
-    cumulative: tuple[np.ndarray, np.ndarray, np.ndarray]
+    shared: np.ndarray
+    taken: np.ndarray
 
-    def up_to(self, before: int) -> list[np.ndarray]:
-        """The sums over so many rows."""
-        k = int(np.searchsorted(self.before, before))
-        return [values[k] for values in self.cumulative]
+    @classmethod
+    def of(cls, every: np.ndarray, scan: _Scan, own: Sequence[int]) -> _Nodes:
+        """At the most :data:`NODES` of the steps, evenly, from the first to the last."""
+        before = every[np.unique(np.linspace(0, len(every) - 1, min(NODES, len(every))).round().astype(int))]
+        shared = scan.shared(own, before)
+        return cls(before, shared, scan.taken_of(shared))
 
-    def explained(self, own: Sequence[int], before: np.ndarray) -> np.ndarray:
-        """Squares that steps of some columns explain at some of the rows, shape of ``before``."""
-        at = np.searchsorted(self.before, before)
-        squares, _, pulls = self.cumulative
-        raw = np.einsum("kss->ks", squares[at])[:, own]
-        return _squares_explained(self.M[at][:, own][:, :, own], pulls[at][:, own], raw)
+    def last(self, count: int) -> int | None:
+        """Number of the last of them with no more rows before it; None if there is none."""
+        k = int(np.searchsorted(self.before, count, side="right")) - 1
+        return k if k >= 0 else None
+
+    def between(self, before: np.ndarray, own: Sequence[int]) -> np.ndarray:
+        """What the model takes up of some columns before so many rows, in a line between nodes, shape (k, d, d)."""
+        taken = self.taken[:, own][:, :, own]
+        high = np.clip(np.searchsorted(self.before, before), 1, max(len(self.before) - 1, 1))
+        if len(self.before) == 1:
+            return taken[np.zeros(len(before), dtype=int)]
+        low = high - 1
+        share = ((before - self.before[low]) / (self.before[high] - self.before[low]))[:, None, None]
+        return np.asarray((1.0 - share) * taken[low] + share * taken[high])
+
+
+def _from_nothing(sums: np.ndarray) -> np.ndarray:
+    """Sums up to and with each row, (n, ...), as sums before each row, and before none, (n + 1, ...)."""
+    return np.concatenate([np.zeros((1, *sums.shape[1:])), sums])
 
 
 def _far_apart(before: np.ndarray) -> np.ndarray:
@@ -262,9 +300,8 @@ def _far_apart(before: np.ndarray) -> np.ndarray:
     return before[np.unique(np.linspace(0, len(before) - 1, min(COARSE, len(before))).round().astype(int))]
 
 
-def _around(before: np.ndarray, rough: np.ndarray, explained: np.ndarray) -> tuple[int, int]:
-    """First and last index of the places around the best of those that were looked at."""
-    top = int(np.argmax(explained))
+def _around(before: np.ndarray, rough: np.ndarray, top: int) -> tuple[int, int]:
+    """First and last index of the places around one of those that were looked at."""
     ends = rough[max(top - 1, 0)], rough[min(top + 1, len(rough) - 1)]
     low, high = np.searchsorted(before, ends).tolist()
     return low, high

@@ -10,6 +10,7 @@ import numpy as np
 from aridcal.effects.catalogue import KINDS, Barred, barred_joints, candidates, declared, usable_columns
 from aridcal.effects.effect import ROW_ORDER, Effect
 from aridcal.effects.kinds import Observed
+from aridcal.effects.labels import MOST_LABELS, STATION, label_column, label_columns, labels_in
 from aridcal.effects.loads import covariate_table
 from aridcal.effects.sights import sight_table
 from aridcal.effects.smooth import Kernel
@@ -34,7 +35,7 @@ from aridcal.search.exact import (
 from aridcal.search.hints import pairs
 from aridcal.search.linear_model import Active, LinearModel
 from aridcal.search.state import State, activate, solve_state
-from aridcal.search.stated import with_declared, with_fields
+from aridcal.search.stated import tied_to_frames, with_declared, with_fields
 from aridcal.search.stepwise import Found, confirmed, is_small, missed, rank, search, twins
 from aridcal.showing import SILENT, Progress
 
@@ -165,7 +166,7 @@ def _diagnosed(
         progress(f"testing {len(named)} known effects")
     sought = [d.at is None for d in campaign.effects]
     state, lost = with_declared(place.linear, stated, sought, start.geometric)
-    barred += lost
+    barred += lost + tied_to_frames(place.linear, state, named)
     small = is_small(place.linear, named)
     if small:
         place, state = _large_first(start, place, named, library, state, observed)
@@ -372,6 +373,13 @@ def look(model: Model, rows: Dataset) -> tuple[Observed, list[Barred]]:
     table |= sight_table(model.robot, rows.readings, sights, np.atleast_2d(model.around.gravity)[0], frames.tip)
     # A derived side of approach is for backlash alone: nothing else is asked whether it depends on it.
     table |= {name: derived[name] for name in usable_columns(derived)[0]}
+    labels = [label_column(label) for label in labels_in(rows.station)]
+    if len(labels) > MOST_LABELS:
+        barred.append(
+            Barred(f"deviations by {STATION}", f"there are {len(labels)} labels, and {MOST_LABELS} at the most")
+        )
+        labels = []
+    table |= label_columns(labels, rows.station)
     observed = Observed(
         robot=model.robot,
         table=table,
@@ -379,5 +387,6 @@ def look(model: Model, rows: Dataset) -> tuple[Observed, list[Barred]]:
         orientations=rows.sees_turns,
         held=model.instruments.held,
         referred={(role, name): len(np.unique(rows.configuration[own])) for role, name, own in references(rows)},
+        labels=tuple(labels),
     )
     return observed, barred + barred_joints(observed)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -12,7 +13,7 @@ from aridcal.effects.basis import Basis, evaluate
 from aridcal.effects.effect import Coefficient, Effect
 from aridcal.effects.kinds import Observed
 from aridcal.fit.flags import flagged
-from aridcal.fit.identifiable import identifiable
+from aridcal.fit.identifiable import apart, identifiable
 from aridcal.fit.least_squares import Fit, fit
 from aridcal.fit.normal_equations import Prior
 from aridcal.fit.problem import Problem, agreeing, problem
@@ -60,17 +61,44 @@ def refit(start: Start, state: State, current: Fit) -> Fit:
     Constants that the geometric stage could not identify, its residual being large, are taken in when they can be now.
     """
     constants = tuple(c for c in current.model.coefficients if c.basis.constant)
-    found = refit_constants(start, constants, state, current)
+    found = refit_constants(start, constants, state, current, _as_solved(start, constants, state))
     more = _regained(start, found)
     return refit_constants(start, constants + more, state, found) if more else found
 
 
-def refit_constants(start: Start, constants: tuple[Coefficient, ...], state: State, current: Fit) -> Fit:
-    """Fit given constants and the effects of a state; see :func:`refit`."""
+def _as_solved(start: Start, constants: tuple[Coefficient, ...], state: State) -> dict[str, float]:
+    """Values of the coefficients as the linearised model has them, by name; nothing where its constants are others."""
+    if state.model.A.shape[2] != len(constants):
+        return {}
+    before = dict(zip(start.geometric.model.names, start.geometric.theta.tolist(), strict=True))
+    ends = np.cumsum([len(constants), *(a.modes.shape[1] for a in state.active)])[:-1]
+    steps, *parts = np.split(state.solution.beta, ends)
+    found = {c.name: before.get(c.name, 0.0) + step for c, step in zip(constants, steps.tolist(), strict=True)}
+    for a, part in zip(state.active, parts, strict=True):
+        found |= dict(zip((c.name for c in a.effect.coefficients), (a.modes @ part).tolist(), strict=True))
+    return found
+
+
+def refit_constants(
+    start: Start,
+    constants: tuple[Coefficient, ...],
+    state: State,
+    current: Fit,
+    solved: Mapping[str, float] = MappingProxyType({}),
+) -> Fit:
+    """Fit given constants and the effects of a state; see :func:`refit`.
+
+    Args:
+        start: Where the search began.
+        constants: To be fitted.
+        state: The effects, and the rows in use.
+        current: A fit to begin from.
+        solved: Values to begin from instead, by the names of coefficients.
+    """
     geometric = start.geometric
     effects = tuple(c for a in state.active for c in a.effect.coefficients)
     model = geometric.model.with_coefficients(constants + effects)
-    known = dict(zip(current.model.names, current.theta, strict=True))
+    known = dict(zip(current.model.names, current.theta.tolist(), strict=True)) | dict(solved)
     theta = np.array([known.get(name, 0.0) for name in model.names])
     asked = problem(model, start.train, start.progress)
     weight = np.where(state.used, 1.0, 0.0)
@@ -126,6 +154,10 @@ def _regained(start: Start, found: Fit) -> tuple[Coefficient, ...]:
     model = found.model.with_coefficients(found.model.coefficients + dropped)
     theta = np.concatenate([found.theta, np.zeros(len(dropped))])
     asked = problem(model, start.train, start.progress)
+    constant = np.flatnonzero([c.basis.constant for c in model.coefficients])
+    R = triangle(asked, theta, found.weight, found.sigma, constant) * model.sizes[constant]
+    if not apart(R, len(constant) - len(dropped)).any():  # sums of the other constants, whatever the effects are
+        return ()
     R = triangle(asked, theta, found.weight, found.sigma) * model.sizes
     kept = identifiable(R, range(len(theta))).kept
     return tuple(c for k, c in enumerate(model.coefficients) if k >= len(found.theta) and k in kept)

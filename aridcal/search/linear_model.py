@@ -14,7 +14,7 @@ from aridcal.effects.smooth import samples_root, smooth_precision
 from aridcal.fit.elimination import Projector
 from aridcal.instruments.channels import Channels
 from aridcal.search.evidence import Score
-from aridcal.search.products import Layout, Products, Separated
+from aridcal.search.products import Flat, Layout, Products
 
 PLAUSIBLE = 5e-3
 """[m] and [rad] per unit of a basis: what joints, links and frames are wrong by in a way that changes is less."""
@@ -84,17 +84,29 @@ class LinearModel:
     @cached_property
     def products(self) -> Products:
         """Sums of products of its columns, each made when it is first asked for."""
-        layout = Layout.of(self.fold, self.channels)
-        ordered = self.G[layout.order]
-        separated = Separated(
-            tuple(ordered[:, part] for part in layout.parts), self.phi[layout.order].T.copy(), self._place
-        )
-        return Products(self.A, self.r, layout, self.side_by_side, separated, self.off is None)
+        return Products(self.A, self.r, self._layout, self.flat_columns)
 
-    def _place(self, effect: Effect) -> tuple[list[int], list[int]]:
-        slots, bases = self._index(effect)
-        assert bases is not None
-        return slots, bases
+    @cached_property
+    def _layout(self) -> Layout:
+        return Layout.of(self.fold, self.channels)
+
+    @cached_property
+    def _in_folds(self) -> tuple[tuple[np.ndarray, ...], np.ndarray]:
+        """Columns of the slots, (N, size, S) for each channel, and bases, (N, B), in the order of the folds."""
+        ordered = self.G[self._layout.order]
+        return tuple(np.ascontiguousarray(ordered[:, own]) for own in self._layout.parts), self.phi[self._layout.order]
+
+    def flat_columns(self, effects: Sequence[Effect], places: np.ndarray | None = None) -> Flat:
+        """Columns of effects side by side, channel by channel, in the order of the folds, or at some places of it."""
+        if self.off is not None or not all(self.prepared(e) for e in effects):
+            X = self._layout.flat(self.side_by_side(effects))
+            return X if places is None else tuple(x[n] for x, n in zip(X, self._layout.numbers(places), strict=True))
+        slots, bases = (np.array([k for e in effects for k in self._index(e)[part] or ()]) for part in (0, 1))
+        G, phi = self._in_folds
+        if places is not None:
+            G, phi = tuple(g[places] for g in G), phi[places]
+        values = np.take(phi, bases, axis=1)[:, None]
+        return tuple((np.take(g, slots, axis=2) * values).reshape(-1, len(slots)) for g in G)
 
     def holed(self, residual: np.ndarray) -> np.ndarray:
         """Residuals, shape (N, m), NaN in channels that a row does not measure."""

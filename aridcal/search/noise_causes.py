@@ -21,8 +21,9 @@ from aridcal.fit.flags import FLOOR
 from aridcal.fit.least_squares import Fit
 from aridcal.fit.problem import Problem, agreed, problem, scaled
 from aridcal.fit.residual import moved_by
+from aridcal.fit.scatter import Scatter, told_modes
 from aridcal.fit.standstills import Stack, representative, stack, standstills, with_things
-from aridcal.fit.variance_components import Components, Scatter, estimate, instead, one_more, std_of_sigma
+from aridcal.fit.variance_components import Components, estimate, instead, one_more, settled, std_of_sigma
 from aridcal.inputs.dataset import Dataset, factors
 from aridcal.inputs.measurement_settings import OF_TARGETS
 from aridcal.instruments.channels import TARGET_POSITION, TARGET_ROTATION, columns, spread
@@ -197,6 +198,7 @@ def noise_causes(fit: Fit, active: Sequence[Active], rows: Dataset, progress: Pr
         # What comes back stays in the model here, so that no other cause has to take it over, but it is not noise.
         structured[k] = any(_comes_back(found, k, p, still, orders[p.common]) for p in possible[k].parts)
         structured &= found.free
+    found = settled(scatter, found, channels)
     return _told(possible, found, structured, part, asked, fit.theta, len(part) / still.count)
 
 
@@ -216,13 +218,12 @@ def _scatter(part: Problem, fit: Fit, active: Sequence[Active], possible: Sequen
     for a in active:
         own = [index[c.name] for c in a.effect.coefficients]
         column = J[:, :, own] @ a.modes
-        # A prior pulls the modes towards zero: the residual as it was without them.
-        y = y + column @ np.linalg.lstsq(a.modes, fit.theta[own], rcond=None)[0]
-        A.append(column)
-        precision.append(a.precision)
-    blocks = [p.stacked(still) for p in possible]
-    made = Scatter(still.vectors(y), still.vectors(np.concatenate(A, axis=2)), block_diag(*precision), np.array(blocks))
-    return with_things(made, part, B, still)
+        y = y + column @ np.linalg.lstsq(a.modes, fit.theta[own], rcond=None)[0]  # a prior pulls the modes towards zero
+        told = told_modes(column, spread(fit.sigma, part.channels)) if a.effect.smooth else np.eye(column.shape[2])
+        A.append(column @ told)
+        precision.append(told.T @ a.precision @ told)
+    columns_of, blocks = np.concatenate(A, axis=2), np.array([p.stacked(still) for p in possible])
+    return with_things(Scatter(*map(still.vectors, (y, columns_of)), block_diag(*precision), blocks), part, B, still)
 
 
 def _possible(question: Problem, theta: np.ndarray) -> list[_Asked]:

@@ -13,7 +13,7 @@ from typing import Literal
 
 import numpy as np
 from scipy.spatial import cKDTree
-from scipy.stats import chi2, gumbel_r, mannwhitneyu, norm
+from scipy.special import chdtr, chdtrc, ndtr
 
 from aridcal.effects.basis import Basis
 from aridcal.effects.effect import Coefficient
@@ -133,6 +133,8 @@ def _of_one_thing(rows: Dataset, white: np.ndarray) -> list[Clue]:
 
     Squares of its rows against those of all others by their ranks (Mann and Whitney 1947), which long tails do not upset.
     """
+    from scipy.stats import mannwhitneyu  # slow to load, and only instruments with things need it
+
     roles = [labelled(block.kind) for block in rows.blocks]
     told = np.array([bool(own) for own in roles])[rows.block]
     names = np.where(rows.refers[:, 2] != "", rows.refers[:, 2], np.where(told, rows.refers[:, 0], ""))
@@ -193,7 +195,7 @@ def _repeated(repeats: Repeats, sigma: np.ndarray) -> Clue:
     """Repeats know the noise and nothing of the model: what the residual has beyond their scatter repeats."""
     numbers = float(repeats.freedom.sum())
     share = float(np.clip(1.0 - np.nansum(repeats.freedom * repeats.sigma**2 / sigma**2) / numbers, 0.0, 1.0))
-    p_value = float(chi2.cdf(numbers * (1.0 - share), numbers))
+    p_value = float(chdtr(numbers, numbers * (1.0 - share)))
     return Clue("repeats", "repeats scatter less than the residual", share, p_value)
 
 
@@ -273,7 +275,7 @@ def _alike(
     )
     z = (seen - shuffled.mean(axis=0)) / np.maximum(shuffled.std(axis=0), 1e-12)
     best = int(np.argmax(z))
-    p_value = min(1.0, len(views) * float(norm.sf(z[best])))
+    p_value = min(1.0, len(views) * float(ndtr(-z[best])))
     return Clue(question, f"{what} {views[best].words}", float(np.clip(seen[best], 0.0, 1.0)), p_value)
 
 
@@ -334,7 +336,7 @@ def _change(views: Sequence[View], rows: Dataset, order: np.ndarray, words: str,
     )
     scale = np.maximum(shuffled.std(axis=0), 1e-12) * np.sqrt(6.0) / np.pi
     place = shuffled.mean(axis=0) - np.euler_gamma * scale
-    chances = gumbel_r.sf(seen, place, scale)
+    chances = -np.expm1(-np.exp((place - seen) / scale))
     best = int(np.argmin(chances))
     total = float(np.sum(views[best].white ** 2))
     share = float(np.clip((seen[best] - shuffled[:, best].mean()) / total, 0.0, 1.0))
@@ -351,6 +353,6 @@ def _stated(rows: Dataset, sigma: np.ndarray, freedom: float) -> list[Clue]:
         if stated:
             numbers, ratio = channel.size * float(own.sum()) * freedom, seen / stated
             share = float(np.clip(1.0 - ratio**-2, 0.0, 1.0))
-            p_value = float(chi2.sf(numbers * ratio**2, numbers))
+            p_value = float(chdtrc(numbers, numbers * ratio**2))
             found.append(Clue("declared", f"the residual exceeds the declared {channel.name} noise", share, p_value))
     return found

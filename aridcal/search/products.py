@@ -12,7 +12,7 @@ Rows that a state does not use are few: theirs are taken off. So the cost of a t
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -28,14 +28,14 @@ KEPT = 2**25
 MEMBERS = 24
 """Effects of which all products are kept, those in the model last: with 2,000 rows and 72 knots 20 MB each."""
 
-# Columns of effects side by side, shape (N, m, d), or of some of the rows.
-Make = Callable[[Sequence[Effect]], np.ndarray]
-
 # What stands in the design: an effect (None: the constants) and the modes that are solved for, shape (d, modes).
 Member = tuple[Effect | None, np.ndarray]
 
 # Numbers of each channel under one another: (N size, d) or (N size,) each.
 Flat = tuple[np.ndarray, ...]
+
+# Columns of effects side by side, in the order of the folds, of all rows or of those at some places of it.
+Make = Callable[[Sequence[Effect], np.ndarray | None], Flat]
 
 
 @dataclass(frozen=True)
@@ -65,6 +65,14 @@ class Layout:
         ordered = values[self.order]
         return tuple(ordered[:, part].reshape(len(ordered) * (part.stop - part.start), *tail) for part in self.parts)
 
+    def by_row(self, parts: Sequence[np.ndarray]) -> np.ndarray:
+        """What :meth:`flat` made, rows in their own order, shape (N, m, d)."""
+        rows = len(self.order)
+        ordered = np.concatenate([x.reshape(rows, len(x) // rows, x.shape[1]) for x in parts], axis=1)
+        values = np.empty_like(ordered)
+        values[self.order] = ordered
+        return values
+
     @property
     def parts(self) -> tuple[slice, ...]:
         """Columns of each channel."""
@@ -81,81 +89,28 @@ class Layout:
 
 
 @dataclass(frozen=True)
-class Separated:
-    """Columns as motions times bases, in the order of the folds: what multiplies a motion's column is the same for all axes.
-
-    Attributes:
-        G: Columns of the S motions, (N, size, S) for each channel.
-        phi: Values of the B bases, shape (B, N).
-        place: Motion and basis of each coefficient of an effect.
-    """
-
-    G: tuple[np.ndarray, ...]
-    phi: np.ndarray
-    place: Callable[[Effect], tuple[list[int], list[int]]]
-
-    def rows(self, slots: np.ndarray, bases: np.ndarray, places: np.ndarray) -> list[np.ndarray]:
-        """Columns in some rows, shape (rows size, w) for each channel."""
-        phi = self.phi[np.ix_(bases, places)].T[:, None]
-        return [(G[places][:, :, slots] * phi).reshape(-1, len(slots)) for G in self.G]
-
-    def times(self, slots: np.ndarray, bases: np.ndarray, Y: Sequence[np.ndarray]) -> np.ndarray:
-        r"""Products with other columns, (N, size, t) for each channel: shape (C, w, t).
-
-        .. math:: X^T Y = \sum_n \phi_n \sum_m g_{nm} Y_{nm}
-
-        The inner sum is that of a motion, whatever the basis.
-        """
-        made = np.empty((len(self.G), len(slots), Y[0].shape[2]))
-        for slot in np.unique(slots):
-            own = np.flatnonzero(slots == slot)
-            phi = self.phi[bases[own]]
-            for c, (G, y) in enumerate(zip(self.G, Y, strict=True)):
-                made[c, own] = phi @ np.einsum("nm,nmt->nt", G[:, :, slot], y)
-        return made
-
-    def gram(self, slots: np.ndarray, bases: np.ndarray) -> np.ndarray:
-        """Products with one another, shape (C, w, w)."""
-        made = np.empty((len(self.G), len(slots), len(slots)))
-        different = np.unique(slots)
-        for first in different:
-            for second in different:
-                a, b = np.flatnonzero(slots == first), np.flatnonzero(slots == second)
-                for c, G in enumerate(self.G):
-                    weight = np.einsum("nm,nm->n", G[:, :, first], G[:, :, second])
-                    made[c][np.ix_(a, b)] = (self.phi[bases[a]] * weight) @ self.phi[bases[b]].T
-        return made
-
-
-@dataclass(frozen=True)
-class _Chunk:
+class Chunk:
     """Candidates that are multiplied together, w columns.
 
     Attributes:
         effects: The candidates.
-        slots: Motion of each column, shape (w,).
-        bases: Basis of each column, shape (w,).
         own: X'X, shape (C, w, w).
         pull: X'r, shape (C, w).
-        across: By the identity of a member's modes: X'Y for its columns Y in modes, shape (C, w, modes).
-        columns: X itself, where unknown things take a part off each column; else None: motions times bases.
+        across: X'Y for the columns Y of what stands in the design (None: the constants), shape (C, w, d) each.
+        columns: X itself, where there is room for it.
     """
 
     effects: tuple[Effect, ...]
-    slots: np.ndarray
-    bases: np.ndarray
     own: np.ndarray
     pull: np.ndarray
-    across: dict[int, np.ndarray]
+    across: dict[Effect | None, np.ndarray]
     columns: Flat | None
 
 
 class Products:
     """What was multiplied so far of one linearised model."""
 
-    def __init__(
-        self, A: np.ndarray, r: np.ndarray, layout: Layout, make: Make, separated: Separated, whole: bool
-    ) -> None:
+    def __init__(self, A: np.ndarray, r: np.ndarray, layout: Layout, make: Make) -> None:
         """Start with nothing.
 
         Args:
@@ -163,19 +118,15 @@ class Products:
             r: Residual, shape (N, m).
             layout: Of the rows.
             make: Columns of effects.
-            separated: The same of effects whose bases are known beforehand.
-            whole: Whether that is all; else unknown things take a part off each column.
         """
         self.layout, self.r, self._make = layout, layout.flat(r), make
-        self._separated, self._whole = separated, whole
         self._columns: dict[Effect | None, Flat] = {None: layout.flat(A)}
         self._between: dict[tuple[Effect | None, Effect | None], np.ndarray] = {}
         self._pull: dict[Effect | None, np.ndarray] = {}
         self._ordered: dict[tuple[str, Effect | None], np.ndarray] = {}
         self._known: dict[Effect, None] = {}
-        self._solved_for: dict[int, tuple[np.ndarray, list[np.ndarray]]] = {}
         self.constants: Member = None, np.eye(A.shape[2])
-        self._place: dict[Effect, tuple[_Chunk, slice]] = {}
+        self._place: dict[Effect, tuple[Chunk, slice]] = {}
         self._kept = 0
         stretches = [layout.stretches(channel.size) for channel in layout.channels]
         self.squares = np.array([
@@ -185,27 +136,16 @@ class Products:
 
     def flat(self, effects: Sequence[Effect]) -> Flat:
         """Columns of effects side by side, in the order of the folds."""
-        return self.layout.flat(self._make(effects))
+        return self._make(effects, None)
 
     def now_in_the_model(self, members: Sequence[Member]) -> None:
         """Forget what was in the model longest ago, if more is kept than there is room for."""
-        for effect, modes in members:
+        for effect, _ in members:
             if effect is not None:
                 self._known[effect] = self._known.pop(effect, None)  # now the last
-            known = self._solved_for.pop(id(modes)) if id(modes) in self._solved_for else None
-            self._solved_for[id(modes)] = known or (modes, self._in_modes(effect, modes))
         most = max(MEMBERS, len(members))
         for old in list(self._known)[: max(len(self._known) - most, 0)]:
             self._forget(old)
-        for gone in list(self._solved_for)[: max(len(self._solved_for) - most, 0)]:
-            del self._solved_for[gone]
-            for chunk in {id(chunk): chunk for chunk, _ in self._place.values()}.values():
-                if gone in chunk.across:
-                    self._kept -= chunk.across.pop(gone).size
-
-    def _in_modes(self, effect: Effect | None, modes: np.ndarray) -> list[np.ndarray]:
-        """What is solved for of a member as columns, (N, size, modes) for each channel."""
-        return [self._by_row(x @ modes) for x in self.columns(effect)]
 
     def _by_row(self, x: np.ndarray) -> np.ndarray:
         """Numbers of a channel under one another, (N size, d), row by row: (N, size, d)."""
@@ -217,7 +157,6 @@ class Products:
         for effect in list(self._known):
             self._forget(effect)
         self._place.clear()
-        self._solved_for.clear()
         self._kept = 0
 
     def _forget(self, effect: Effect) -> None:
@@ -228,6 +167,8 @@ class Products:
             del self._between[key]
         for name in [key for key in self._ordered if key[1] == effect]:
             del self._ordered[name]
+        for chunk in {id(chunk): chunk for chunk, _ in self._place.values()}.values():
+            chunk.across.pop(effect, None)
 
     def in_order(self, of: str, order: np.ndarray, member: Effect | None) -> np.ndarray:
         """Columns of what is in the model, rows in another order, that of a covariate, shape (N, m, d); they are kept."""
@@ -248,18 +189,10 @@ class Products:
     def between(self, a: Effect | None, b: Effect | None) -> np.ndarray:
         """Products of two such, shape (F, C, da, db)."""
         if (a, b) not in self._between:
-            made = self.by_fold(self.columns(a), b)
+            made = self._folds(self.columns(a), self.columns(b))
             self._between[a, b] = made
             self._between[b, a] = made.transpose(0, 1, 3, 2)
         return self._between[a, b]
-
-    def by_fold(self, X: Flat, b: Effect | None) -> np.ndarray:
-        """Products of any columns with those of the model, shape (F, C, d, db)."""
-        return self._folds(X, self.columns(b))
-
-    def own_by_fold(self, X: Flat) -> tuple[np.ndarray, np.ndarray]:
-        """Products of any columns with themselves and with the residual, shape (F, C, d, d) and (F, C, d)."""
-        return self._folds(X, X), self._folds(X, self.r)
 
     def pull(self, of: Effect | None) -> np.ndarray:
         """Products with the residual, shape (F, C, d)."""
@@ -274,16 +207,18 @@ class Products:
             for f in range(len(self.layout.starts) - 1)
         ])  # fmt: skip
 
-    def chunks(self, effects: Sequence[Effect]) -> Iterator[_Chunk]:
+    def chunks(self, effects: Sequence[Effect]) -> Iterator[Chunk]:
         """Chunks in which some candidates are, made where they are not yet, and kept as long as there is room."""
         known = [self._place[e][0] for e in effects if e in self._place]
         new = [e for e in effects if e not in self._place]
         yield from {id(chunk): chunk for chunk in known}.values()
         for group in grouped(new):
-            chunk = self._chunk(group)
-            if self._room(chunk.own.size + sum(x.size for x in chunk.columns or ())):
+            chunk = self.chunk(group)
+            if self._room(chunk.own.size):
+                room = self._room(sum(x.size for x in chunk.columns or ()))
+                kept = chunk if room else replace(chunk, columns=None)
                 for effect, own in placed(group):
-                    self._place[effect] = chunk, own
+                    self._place[effect] = kept, own
             yield chunk
 
     def _room(self, numbers: int) -> bool:
@@ -292,58 +227,36 @@ class Products:
         self._kept += numbers if room else 0
         return room
 
-    def _chunk(self, effects: Sequence[Effect]) -> _Chunk:
-        places = [self._separated.place(e) for e in effects]
-        slots, bases = (np.array([k for place in places for k in place[part]]) for part in (0, 1))
-        if self._whole:
-            own = self._separated.gram(slots, bases)
-            r = [self._by_row(values[:, None]) for values in self.r]
-            return _Chunk(tuple(effects), slots, bases, own, self._separated.times(slots, bases, r)[:, :, 0], {}, None)
+    def chunk(self, effects: Sequence[Effect]) -> Chunk:
+        """Candidates multiplied together; they are not kept."""
         X = self.flat(effects)
+        own = np.array([x.T @ x for x in X])
         pull = np.array([x.T @ r for x, r in zip(X, self.r, strict=True)])
-        return _Chunk(tuple(effects), slots, bases, np.array([x.T @ x for x in X]), pull, {}, X)
+        return Chunk(tuple(effects), own, pull, {}, X)
 
-    def known(self, effect: Effect) -> tuple[_Chunk, slice] | None:
-        """Where a candidate is, if it was scored with the library."""
-        return self._place.get(effect)
+    def chunk_of(self, effect: Effect) -> tuple[Chunk, slice]:
+        """Where a candidate is: among those that were scored with the library, or by itself."""
+        return self._place.get(effect) or (self.chunk([effect]), slice(None))
 
     def lengths(self, effect: Effect) -> np.ndarray:
         """Sum of squares of an effect's columns in each channel, shape (C,)."""
-        known = self.known(effect)
-        if known is None:
-            return np.array([float(np.sum(x**2)) for x in self.flat([effect])])
-        chunk, own = known
+        chunk, own = self.chunk_of(effect)
         return np.asarray(np.einsum("ckk->c", chunk.own[:, own, own]))
 
-    def rows_of(self, chunk: _Chunk, places: np.ndarray) -> list[np.ndarray]:
+    def rows_of(self, chunk: Chunk, places: np.ndarray) -> list[np.ndarray]:
         """Columns of a chunk in some rows, given by their places in the order of the folds, shape (rows size, w) a channel."""
         if chunk.columns is None:
-            return self._separated.rows(chunk.slots, chunk.bases, places)
+            return list(self._make(chunk.effects, places))
         return [x[rows] for x, rows in zip(chunk.columns, self.layout.numbers(places), strict=True)]
 
-    def across(self, chunk: _Chunk, members: Sequence[Member]) -> np.ndarray:
-        """Products of a chunk's columns with those of the design, shape (C, w, P)."""
-        found = []
-        for _, modes in members:
-            made = chunk.across.get(id(modes))
-            if made is None:
-                made = self._across(chunk, self._solved_for[id(modes)][1])
-                if self._room(made.size):
-                    chunk.across[id(modes)] = made
-            found.append(made)
-        return np.concatenate(found, axis=2)
-
-    def _across(self, chunk: _Chunk, Y: list[np.ndarray]) -> np.ndarray:
-        if chunk.columns is None:
-            return self._separated.times(chunk.slots, chunk.bases, Y)
-        return np.array([x.T @ y.reshape(len(x), y.shape[2]) for x, y in zip(chunk.columns, Y, strict=True)])
-
-    def across_any(self, X: Flat, members: Sequence[Member]) -> np.ndarray:
-        """The same of any columns."""
-        Y = [self._solved_for[id(modes)][1] for _, modes in members]
-        return np.concatenate([
-            np.array([x.T @ part.reshape(len(x), part.shape[2]) for x, part in zip(X, y, strict=True)]) for y in Y
-        ], axis=2)  # fmt: skip
+    def across(self, chunk: Chunk, members: Sequence[Member]) -> list[np.ndarray]:
+        """Products of a chunk's columns with those of the coefficients in the design, shape (C, w, d) for each member."""
+        new = [effect for effect, _ in members if effect not in chunk.across]
+        if new:
+            X, Y = chunk.columns or self.flat(chunk.effects), [self.columns(effect) for effect in new]
+            for effect, columns in zip(new, Y, strict=True):
+                chunk.across[effect] = np.array([x.T @ y for x, y in zip(X, columns, strict=True)])
+        return [chunk.across[effect] for effect, _ in members]
 
 
 def grouped(effects: Sequence[Effect]) -> list[list[Effect]]:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2, norm
+from scipy.special import chdtrc, ndtr
 
 from aridcal.effects.basis import Basis
 from aridcal.effects.effect import Coefficient
@@ -265,7 +265,7 @@ def _means(pulled: _Pulled, values: np.ndarray, asks: np.ndarray) -> _Means:
 
 def _chance(m: _Means) -> float:
     """That noise alone makes such means."""
-    return float(chi2.sf(np.sum((m.mean / m.std) ** 2), len(m.mean)))
+    return float(chdtrc(len(m.mean), np.sum((m.mean / m.std) ** 2)))
 
 
 def _size(m: _Means) -> float:
@@ -315,5 +315,5 @@ def _order(residual: np.ndarray, rows: Dataset) -> Order:
         changes=changes,
         expected=expected,
         spread=deviation,
-        p_value=float(norm.cdf((changes - expected) / max(deviation, 1e-12))),
+        p_value=float(ndtr((changes - expected) / max(deviation, 1e-12))),
     )

@@ -6,24 +6,32 @@ the number of candidates, squared error on rows held back, and a test that stand
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from scipy.linalg import block_diag
-from scipy.stats import f as f_distribution
-from scipy.stats import wilcoxon
+from scipy.special import fdtrc
 
 from aridcal.effects.catalogue import KINDS
 from aridcal.effects.effect import Effect
-from aridcal.effects.regional_kind import is_field, spread_out
+from aridcal.effects.labels import STATION
+from aridcal.effects.regional_kind import is_local, spread_out
 from aridcal.effects.sights import is_sight
-from aridcal.fit.normal_equations import NormalEquations, accumulate, last_log_determinant, nested_solutions, spent_with
+from aridcal.fit.normal_equations import (
+    NormalEquations,
+    accumulate,
+    conditional,
+    inverse,
+    last_log_determinant,
+    nested_solutions,
+    spent_with,
+)
 from aridcal.search.change_points import walk_instead
 from aridcal.search.evidence import (
     SMOOTH_PRICE,
     Score,
-    coefficients,
     price,
     score,
     shaped,
@@ -34,7 +42,7 @@ from aridcal.search.evidence import (
 )
 from aridcal.search.linear_model import Active, LinearModel
 from aridcal.search.products import grouped, placed
-from aridcal.search.state import State, activate, members, with_candidate, with_columns
+from aridcal.search.state import State, activate, by_fold, with_candidate, with_columns
 from aridcal.showing import SILENT, Progress
 
 ALPHA = 3e-4
@@ -88,37 +96,22 @@ def score_all(model: LinearModel, effects: Sequence[Effect], state: State, progr
     left, count = float(np.sum(equations.squares_left(beta) / sigma**2)), float(equations.count.sum())
     asked = set(effects)
     found: dict[Effect, Score] = {}
-    for group, lost, cross, own, pull in _products(model, effects, state):
+    made = model.products
+    made.now_in_the_model(state.members)
+    prepared = [e for e in effects if model.prepared(e)]
+    others = [e for e in effects if not model.prepared(e)]
+    for chunk in (*made.chunks(prepared), *(made.chunk(group) for group in grouped(others))):
         progress.part(len(found), len(effects), "candidates")
-        AC, CC, Cr = state.less_unused(lost, cross, own, pull)
+        AC, CC, Cr = state.in_use(chunk)
         Cr = np.tensordot(sigma**-2.0, Cr - np.swapaxes(AC, 1, 2) @ beta, 1)
         CA, CC = (np.tensordot(sigma**-2.0, sums, 1) for sums in (np.swapaxes(AC, 1, 2), CC))
         taken = CA @ state.solution.inverse
         raw = np.diag(CC)
-        for effect, where in placed(group):
+        for effect, where in placed(chunk.effects):
             if effect in asked:
                 M = CC[where, where] - taken[where] @ CA[where].T
                 found[effect] = score(M, Cr[where], raw[where], left, count, effect.shape if effect.smooth else None)
     return [found[e] for e in effects]
-
-
-def _products(
-    model: LinearModel, effects: Sequence[Effect], state: State
-) -> Iterator[tuple[Sequence[Effect], list[np.ndarray], np.ndarray, np.ndarray, np.ndarray]]:
-    """Candidates, chunk by chunk: columns in the rows that are not in use, and products with design, one another and residual.
-
-    Those whose bases the model has are asked about again and again: their products are kept. The others are made here.
-    """
-    made, design = model.products, members(model, state.active)
-    made.now_in_the_model(design)
-    for chunk in made.chunks([e for e in effects if model.prepared(e)]):
-        lost = made.rows_of(chunk, state.unused)
-        yield chunk.effects, lost, made.across(chunk, design), chunk.own, chunk.pull
-    for group in grouped([e for e in effects if not model.prepared(e)]):
-        X = made.flat(group)
-        lost = [x[rows] for x, rows in zip(X, made.layout.numbers(state.unused), strict=True)]
-        own, pull = (np.array([x.T @ y for x, y in zip(X, other, strict=True)]) for other in (X, made.r))
-        yield group, lost, made.across_any(X, design), own, pull
 
 
 def refine(model: LinearModel, state: State, effect: Effect, rough: Score) -> Score:
@@ -197,11 +190,11 @@ def judge(model: LinearModel, state: State, effect: Effect, found: Score, tested
     if held_out_whole(model, state, candidate) <= 0.0:
         return judgement(share, "does not hold in regions that were held back whole")
     configuration = np.unique(model.configuration[state.used], return_inverse=True)[1]
-    if effect.smooth and not effect.hinted and not is_field(effect):
+    if effect.smooth and not effect.hinted and not is_local(effect):
         robust, least = _ranked(np.array([np.bincount(configuration, each) for each in loss])), DOUBT
     else:
-        moved = _fitted(model, state, candidate) if effect.smooth else model.columns(effect)
-        robust, least = effect.looked * _robust(model, state, moved, configuration), ROBUST
+        along = _fitted(state, candidate) if effect.smooth else np.eye(len(effect.coefficients))
+        robust, least = effect.looked * _robust(state, effect, along, configuration), ROBUST
     if robust > least:
         return judgement(share, f"the gain is not consistent across rows (p = {robust:.2g})")
     if not set(_sources(effect)) <= set(model.own):
@@ -218,11 +211,11 @@ def judge(model: LinearModel, state: State, effect: Effect, found: Score, tested
 def held_out_whole(model: LinearModel, state: State, candidate: Active) -> float:
     """Share of the squared error that a constant by region takes off regions held back whole; 1 of all else.
 
-    A constant along a rail is said to hold between the rows that were measured, and must show that; a field in space says
-    nothing but where its rows are.
+    A constant along a rail is said to hold between the rows that were measured, and must show that; a field in space, or what
+    single labels deviate by, says nothing but where its rows are.
     """
     effect = candidate.effect
-    if not KINDS[effect.kind].asked or is_field(effect):
+    if not KINDS[effect.kind].asked or is_local(effect):
         return 1.0
     places = np.column_stack([model.table[name][state.used] for name in effect.covariates])
     middles, _ = spread_out(places, REGIONS)
@@ -238,16 +231,16 @@ def _at_several(model: LinearModel, effect: Effect) -> bool:
     return effect.at is None and len(np.unique(model.thing[there])) > 1
 
 
-def _fitted(model: LinearModel, state: State, candidate: Active) -> np.ndarray:
-    """A smooth candidate as the one column that fits best, shape (N, m, 1): of a narrow map few rows know anything."""
+def _fitted(state: State, candidate: Active) -> np.ndarray:
+    """A smooth candidate as the one function that fits best, shape (d, 1): of a narrow map few rows know anything."""
     total, precision = with_candidate(state, candidate)
     beta = solve(total, precision, state.solution.sigma).beta[len(state.precision) :]
-    return candidate.columns(model) @ beta[:, None]
+    return candidate.modes @ beta[:, None]
 
 
 def _sources(effect: Effect) -> list[str]:
-    """What an effect depends on, loads counted as the joints that make them; places of the target, too, are the user's."""
-    named = (name for name in effect.covariates if not is_sight(name))
+    """What an effect depends on, loads counted as the joints that make them; places of the target and labels are the user's."""
+    named = (name for name in effect.covariates if not is_sight(name) and name != STATION)
     return [name.split(".")[0] if ".gravity_" in name else name for name in named]
 
 
@@ -255,7 +248,7 @@ def _over_time(model: LinearModel, state: State, candidate: Active) -> float:
     """p-value of what depends on a column that the user does not control, when rows of one stretch may err together."""
     run = np.unique(model.run[state.used], return_inverse=True)[1]
     if not candidate.effect.smooth:
-        return _robust(model, state, model.columns(candidate.effect), run)
+        return _robust(state, candidate.effect, np.eye(len(candidate.effect.coefficients)), run)
     # It may have more freedom than there are stretches: whole stretches are held back instead.
     loss = held_back(model, state, candidate, run % PARTS).sum(axis=1)
     return _ranked(np.array([np.bincount(run, each) for each in loss]))
@@ -263,6 +256,8 @@ def _over_time(model: LinearModel, state: State, candidate: Active) -> float:
 
 def _ranked(loss: np.ndarray) -> float:
     """p-value, by Wilcoxon's signed ranks, of losses (2, n) that a candidate makes no smaller."""
+    from scipy.stats import wilcoxon  # slow to load, and few searches come here
+
     return float(wilcoxon(loss[0] - loss[1], alternative="greater").pvalue)
 
 
@@ -294,24 +289,19 @@ def held_back_folds(state: State, candidate: Active) -> np.ndarray:
     """
     made, layout = state.model.products, state.model.products.layout
     P, sizes = len(state.precision), [channel.size for channel in state.channels]
-    X = tuple(x @ candidate.modes for x in made.flat([candidate.effect]))
-    unused = layout.numbers(state.unused)
-    for x, rows in zip(X, unused, strict=True):
-        x[rows] = 0.0
-    cross = np.swapaxes(state.in_modes([made.by_fold(X, effect) for effect, _ in state.members]), 2, 3)
-    own, pull = made.own_by_fold(X)
-    folds = [sums.bordered(*more) for sums, *more in zip(state.folds, cross, own, pull, strict=True)]
-    whole = state.equations.bordered(cross.sum(axis=0), own.sum(axis=0), pull.sum(axis=0))
     precision = block_diag(state.precision, candidate.precision)
-    sigma = _noise_with(state, whole, precision)[0]
+    sigma = candidate.score.sigma
+    if sigma is None:
+        sigma = _noise_with(state, *with_candidate(state, candidate))[0]
+    H, g = by_fold(state, candidate, sigma)
+    rest, pull = H.sum(axis=0) + precision - H, g.sum(axis=0) - g
     squares = np.zeros((2, len(sizes), len(layout.order)))
-    for fold, low, high in zip(folds, layout.starts[:-1], layout.starts[1:], strict=True):
-        rest = whole.minus(fold)
-        beta = nested_solutions(rest.information(sigma) + precision, rest.pull(sigma), P)
-        for c, (fitted, x) in enumerate(zip(state.fitted_by_place(beta[:P], low, high), X, strict=True)):
-            numbers = slice(low * sizes[c], high * sizes[c])
-            left = (made.r[c][numbers, None] - fitted - x[numbers] @ beta[P:]) / sigma[c]
-            squares[:, c, low:high] = np.sum(left.reshape(high - low, sizes[c], 2) ** 2, axis=1).T
+    for k, (low, high) in enumerate(pairwise(layout.starts.tolist())):
+        beta = nested_solutions(rest[k], pull[k], P)
+        fitted = state.fitted_by_place(beta, low, high, candidate)
+        for c, (r, values, size) in enumerate(zip(made.r, fitted, sizes, strict=True)):
+            left = (r[low * size : high * size, None] - values) / sigma[c]
+            squares[:, c, low:high] = np.sum(left.reshape(high - low, size, 2) ** 2, axis=1).T
     found = np.empty_like(squares)
     found[:, :, layout.order] = squares
     return np.where(state.present.T, found[:, :, state.used], 0.0)
@@ -342,21 +332,23 @@ def held_back_squares(
     """
     sizes = [channel.size for channel in state.channels]
     squares = np.zeros((len(kept), len(sizes), len(part)))
+    whole, pull = equations.information(sigma) + precision, equations.pull(sigma)
     for k in np.unique(part):
         held = part == k
         own = [np.flatnonzero(np.repeat(held[there], size)) for there, size in zip(state.present.T, sizes, strict=True)]
         A = [a[rows] for a, rows in zip(design, own, strict=True)]
         b = [values[rows] for values, rows in zip(state.right, own, strict=True)]
-        rest = equations.minus(accumulate(A, b))
-        for i, keep in enumerate(kept):
-            beta = coefficients(rest.part(keep), precision[np.ix_(keep, keep)], sigma)
-            for c, (a, values, size) in enumerate(zip(A, b, sizes, strict=True)):
-                left = (values - a[:, keep] @ beta) / sigma[c]
-                squares[i, c, held & state.present[:, c]] = np.sum(left.reshape(-1, size) ** 2, axis=1)
+        lost = accumulate(A, b)
+        covariance = inverse(whole - lost.information(sigma))
+        solution = covariance @ (pull - lost.pull(sigma))
+        beta = np.stack([conditional(covariance, solution, ~keep) for keep in kept], axis=1)
+        for c, (a, values, size) in enumerate(zip(A, b, sizes, strict=True)):
+            left = (values[:, None] - a @ beta) / sigma[c]
+            squares[:, c, held & state.present[:, c]] = np.sum(left.reshape(-1, size, len(kept)) ** 2, axis=1).T
     return squares
 
 
-def _robust(model: LinearModel, state: State, moved: np.ndarray, cluster: np.ndarray) -> float:
+def _robust(state: State, effect: Effect, along: np.ndarray, cluster: np.ndarray) -> float:
     r"""p-value of a candidate when the numbers of one cluster of rows may err together: a cluster-robust score test.
 
     With C its columns off the model's, r the residual and e what it leaves, all in sigmas,
@@ -367,25 +359,28 @@ def _robust(model: LinearModel, state: State, moved: np.ndarray, cluster: np.nda
     for g clusters j and d columns (Cameron and Miller 2015, doi:10.3368/jhr.50.2.317).
 
     Args:
-        model: The linearised model.
         state: The model without it.
-        moved: The candidate's columns, shape (N, m, d).
+        effect: The candidate.
+        along: What of its coefficients is tested, shape (coefficients, d).
         cluster: Number of the cluster of each row in use, shape (n,).
     """
-    A = state.whitened(state.design)
-    C = state.whitened(state.flat(moved))
-    C = C - A @ (state.solution.inverse @ (A.T @ C))
+    made, sigma = state.model.products, state.solution.sigma
+    chunk, where = made.chunk_of(effect)
+    AC = np.tensordot(sigma**-2.0, state.in_use(chunk, where)[0], 1) @ along
+    fitted = state.fitted_by_place(state.solution.inverse @ AC, 0, len(made.layout.order))
+    columns_of = [x @ along - values for x, values in zip(made.flat([effect]), fitted, strict=True)]
+    C = state.whitened(state.flat(made.layout.by_row(columns_of)))
     C = C[:, np.linalg.norm(C, axis=0) > 1e-9]
     r = state.whitened(state.flat(state.residual))
     after = r - C @ np.linalg.lstsq(C, r, rcond=None)[0]
     clusters, d = int(cluster.max()) + 1, C.shape[1]
     if d == 0 or clusters <= d + 2:
         return 1.0
-    there = zip(model.channels, state.present.T, strict=True)
+    there = zip(state.channels, state.present.T, strict=True)
     of_number = np.concatenate([np.repeat(cluster[own], channel.size) for channel, own in there])
     pulls = np.zeros((clusters, d))
     np.add.at(pulls, of_number, C * after[:, None])
     s = C.T @ r
     spread = pulls.T @ pulls * clusters / (clusters - 1)
     statistic = float(s @ np.linalg.pinv(spread, hermitian=True) @ s) / d * (clusters - d) / clusters
-    return float(f_distribution.sf(statistic, d, clusters - d))
+    return float(fdtrc(d, clusters - d, statistic))

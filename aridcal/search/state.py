@@ -13,11 +13,11 @@ from scipy.linalg import block_diag
 from aridcal.effects.effect import Effect
 from aridcal.effects.smooth import kernel_modes
 from aridcal.fit.flags import flagged
-from aridcal.fit.normal_equations import NormalEquations, accumulate, total
+from aridcal.fit.normal_equations import NormalEquations, accumulate
 from aridcal.instruments.channels import Channels, columns, spread
 from aridcal.search.evidence import Score, Solution, solve
 from aridcal.search.linear_model import Active, LinearModel
-from aridcal.search.products import Member
+from aridcal.search.products import Chunk, Member
 
 FAINT = 0.02
 """A mode that the data could move by less than this share of its prior is left out: nothing would be learnt of it."""
@@ -34,8 +34,7 @@ class State:
         model: The linearised model.
         active: The effects.
         precision: Of the prior of all that is solved for, shape (P, P).
-        folds: Sums over the rows in use of each fold.
-        equations: Over all of them.
+        equations: Sums over the rows in use.
         solution: Their solution.
         residual: What is left of every row, shape (N, m).
         used: Rows in use: those that are no outliers, shape (N,) bool.
@@ -46,7 +45,6 @@ class State:
     model: LinearModel
     active: tuple[Active, ...]
     precision: np.ndarray
-    folds: tuple[NormalEquations, ...]
     equations: NormalEquations
     solution: Solution
     residual: np.ndarray
@@ -89,15 +87,24 @@ class State:
         first, *others = blocks
         return np.concatenate([first, *(b @ a.modes for b, a in zip(others, self.active, strict=True))], axis=-1)
 
-    def fitted_by_place(self, beta: np.ndarray, low: int, high: int) -> list[np.ndarray]:
-        """What L solutions, shape (P, L), make of rows at some places of the folds' order, ((high - low) size, L) a channel."""
+    def fitted_by_place(
+        self, beta: np.ndarray, low: int, high: int, candidate: Active | None = None
+    ) -> list[np.ndarray]:
+        """What L solutions make of rows at some places of the folds' order, ((high - low) size, L) for each channel.
+
+        Args:
+            beta: Shape (P, L), or (P + d, L) with a candidate.
+            low: The first place.
+            high: One beyond the last.
+            candidate: What is added.
+        """
         made = self.model.products
-        first, *others = _places([self.model.A.shape[2], *(a.modes.shape[1] for a in self.active)])
+        every = members(self.model, self.active if candidate is None else (*self.active, candidate))
         numbers = [slice(low * channel.size, high * channel.size) for channel in self.channels]
-        fitted = [x[own] @ beta[first] for x, own in zip(made.columns(None), numbers, strict=True)]
-        for a, place in zip(self.active, others, strict=True):
-            taken = a.modes @ beta[place]
-            for values, x, own in zip(fitted, made.columns(a.effect), numbers, strict=True):
+        fitted = [np.zeros((own.stop - own.start, beta.shape[1])) for own in numbers]
+        for (effect, modes), place in zip(every, _places([modes.shape[1] for _, modes in every]), strict=True):
+            taken = modes @ beta[place]
+            for values, x, own in zip(fitted, made.columns(effect), numbers, strict=True):
                 values += x[own] @ taken
         return fitted
 
@@ -115,22 +122,21 @@ class State:
         scaled = [part / sigma for part, sigma in zip(values, self.solution.sigma, strict=True)]
         return np.concatenate(scaled)
 
-    def less_unused(
-        self, lost: Sequence[np.ndarray], cross: np.ndarray, own: np.ndarray, pull: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Sums of some columns over all rows without the rows that are not in use.
+    def in_use(self, chunk: Chunk, where: slice = slice(None)) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Sums of candidates' columns over the rows in use.
 
         Args:
-            lost: The columns in these, shape (rows size, w) for each channel.
-            cross: Products with the design's columns, shape (C, w, P).
-            own: With one another, shape (C, w, w).
-            pull: With the residual, shape (C, w).
+            chunk: The candidates.
+            where: Some of its columns.
 
         Returns:
-            The same for the rows in use; the first as (C, P, w).
+            Products with what is solved for, shape (C, P, w), with one another, (C, w, w), and with the residual, (C, w).
         """
+        made = self.model.products
+        cross = self.in_modes([values[:, where] for values in made.across(chunk, self.members)])
+        own, pull = chunk.own[:, where, where], chunk.pull[:, where]
         if len(self.unused):
-            made = self.model.products
+            lost = [x[:, where] for x in made.rows_of(chunk, self.unused)]
             right = [r[rows] for r, rows in zip(made.r, made.layout.numbers(self.unused), strict=True)]
             cross = cross - np.array([x.T @ a for x, a in zip(lost, self.extra, strict=True)])
             own = own - np.array([x.T @ x for x in lost])
@@ -186,16 +192,14 @@ def solve_state(
     sound = used
     for _ in range(FLAGGING):
         used = sound
-        unused, extra, folds = _in_use(model, active, every, used)
-        equations = total(folds)
-        equations = replace(equations, count=np.maximum(model.share * equations.count - model.taken, 1.0))
+        unused, extra, equations = _in_use(model, active, every, used)
         solution = solve(equations, precision, sigma)
         residual = _left(model, active, solution.beta)
         sigma = solution.sigma
         sound = ~flagged(model.holed(residual), model.channels, model.limit)
         if fixed or np.array_equal(sound, used):
             break
-    return State(model, tuple(active), precision, folds, equations, solution, residual, used, unused, extra)
+    return State(model, tuple(active), precision, equations, solution, residual, used, unused, extra)
 
 
 def _places(sizes: Sequence[int]) -> list[slice]:
@@ -203,51 +207,70 @@ def _places(sizes: Sequence[int]) -> list[slice]:
     return [slice(low, high) for low, high in pairwise(ends)]
 
 
-def _of_all_rows(model: LinearModel, active: Sequence[Active]) -> list[NormalEquations]:
-    """Sums of a set of effects over the rows of each fold, whether in use or not."""
+def _of_all_rows(model: LinearModel, active: Sequence[Active]) -> NormalEquations:
+    """Sums of a set of effects over all rows, whether in use or not."""
     made = model.products
     every = members(model, active)
     own = _places([modes.shape[1] for _, modes in every])
-    layout, channels = made.layout, len(model.channels)
-    folds = len(layout.starts) - 1
-    AA = np.empty((folds, channels, own[-1].stop, own[-1].stop))
-    Ar = np.empty((folds, channels, own[-1].stop))
+    AA = np.empty((len(model.channels), own[-1].stop, own[-1].stop))
+    Ar = np.empty((len(model.channels), own[-1].stop))
     for i, (a, left) in enumerate(every):
-        Ar[:, :, own[i]] = made.pull(a) @ left
+        Ar[:, own[i]] = made.pull(a).sum(axis=0) @ left
         for j, (b, right) in enumerate(every[: i + 1]):
-            block = np.ascontiguousarray(left.T) @ made.between(a, b) @ right
-            AA[:, :, own[i], own[j]] = block
-            AA[:, :, own[j], own[i]] = block.transpose(0, 1, 3, 2)
-    there = [model.present[layout.order[low:high]] for low, high in pairwise(layout.starts)]
+            block = left.T @ made.between(a, b).sum(axis=0) @ right
+            AA[:, own[i], own[j]] = block
+            AA[:, own[j], own[i]] = block.transpose(0, 2, 1)
     sizes = np.array([channel.size for channel in model.channels])
-    return [
-        NormalEquations(aa, ar, rr, own.sum(axis=0) * sizes)
-        for aa, ar, rr, own in zip(AA, Ar, made.squares, there, strict=True)
-    ]
+    return NormalEquations(AA, Ar, made.squares.sum(axis=0), model.present.sum(axis=0) * sizes)
 
 
 def _in_use(
-    model: LinearModel, active: Sequence[Active], every: Sequence[NormalEquations], used: np.ndarray
-) -> tuple[np.ndarray, tuple[np.ndarray, ...], tuple[NormalEquations, ...]]:
-    """Places and columns of the rows that are not used, and the sums of each fold without them."""
+    model: LinearModel, active: Sequence[Active], every: NormalEquations, used: np.ndarray
+) -> tuple[np.ndarray, tuple[np.ndarray, ...], NormalEquations]:
+    """Places and columns of the rows that are not used, and the sums without them."""
     made, layout = model.products, model.products.layout
     unused = np.flatnonzero(~used[layout.order])
-    numbers = layout.numbers(unused)
-    columns_of = [[x[own] for x, own in zip(made.columns(None), numbers, strict=True)]]
-    columns_of += [[x[own] @ a.modes for x, own in zip(made.columns(a.effect), numbers, strict=True)] for a in active]
-    extra = tuple(np.hstack(parts) for parts in zip(*columns_of, strict=True))
-    right = [r[own] for r, own in zip(made.r, numbers, strict=True)]
-    sizes = [channel.size for channel in model.channels]
-    there = model.present[layout.order[unused]]
-    fold = np.searchsorted(layout.starts, unused, side="right") - 1
-    folds = list(every)
+    extra = columns_at(model, active, unused)
+    right = [r[own] for r, own in zip(made.r, layout.numbers(unused), strict=True)]
+    sizes = np.array([channel.size for channel in model.channels])
+    there = model.present[layout.order[unused]].sum(axis=0) * sizes
+    equations = every.minus(replace(accumulate(extra, right), count=there)) if len(unused) else every
+    count = np.maximum(model.share * equations.count - model.taken, 1.0)
+    return unused, extra, replace(equations, count=count)
+
+
+def columns_at(model: LinearModel, active: Sequence[Active], places: np.ndarray) -> tuple[np.ndarray, ...]:
+    """What is solved for, in rows at some places of the folds' order: shape (rows size, P) for each channel."""
+    made, numbers = model.products, model.products.layout.numbers(places)
+    parts = [
+        [x[own] @ modes for x, own in zip(made.columns(effect), numbers, strict=True)]
+        for effect, modes in members(model, active)
+    ]
+    return tuple(np.hstack(part) for part in zip(*parts, strict=True))
+
+
+def by_fold(state: State, candidate: Active, sigma: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """H of shape (F, P + d, P + d) and g of (F, P + d): sums over the rows in use of each fold, with a candidate added."""
+    model, active = state.model, (*state.active, candidate)
+    made, layout = model.products, model.products.layout
+    every, weight = members(model, active), sigma**-2.0
+    own = _places([modes.shape[1] for _, modes in every])
+    H = np.empty((len(layout.starts) - 1, own[-1].stop, own[-1].stop))
+    g = np.empty(H.shape[:2])
+    for i, (a, left) in enumerate(every):
+        g[:, own[i]] = np.tensordot(made.pull(a), weight, (1, 0)) @ left
+        for j, (b, right) in enumerate(every[: i + 1]):
+            block = left.T @ np.tensordot(weight, made.between(a, b), (0, 1)) @ right
+            H[:, own[i], own[j]] = block
+            H[:, own[j], own[i]] = block.transpose(0, 2, 1)
+    fold = np.searchsorted(layout.starts, state.unused, side="right") - 1
     for f in np.unique(fold).tolist():
-        own = [np.repeat(fold == f, size) for size in sizes]
-        lost = accumulate(
-            [x[k] for x, k in zip(extra, own, strict=True)], [r[k] for r, k in zip(right, own, strict=True)]
-        )
-        folds[f] = every[f].minus(replace(lost, count=there[fold == f].sum(axis=0) * np.array(sizes)))
-    return unused, extra, tuple(folds)
+        lost = state.unused[fold == f]
+        right = [r[rows] for r, rows in zip(made.r, layout.numbers(lost), strict=True)]
+        sums = accumulate(columns_at(model, active, lost), right)
+        H[f] -= sums.information(sigma)
+        g[f] -= sums.pull(sigma)
+    return H, g
 
 
 def _left(model: LinearModel, active: Sequence[Active], beta: np.ndarray) -> np.ndarray:
@@ -283,14 +306,4 @@ def with_columns(state: State, effect: Effect) -> NormalEquations:
     """Equations of the model with the columns of an effect's coefficients added."""
     made = state.model.products
     made.now_in_the_model(state.members)
-    known = made.known(effect)
-    if known is None:
-        X = made.flat([effect])
-        own, pull = (sums.sum(axis=0) for sums in made.own_by_fold(X))
-        cross = made.across_any(X, state.members)
-        lost = [x[rows] for x, rows in zip(X, made.layout.numbers(state.unused), strict=True)]
-    else:
-        chunk, where = known
-        own, pull, cross = chunk.own[:, where, where], chunk.pull[:, where], made.across(chunk, state.members)[:, where]
-        lost = [x[:, where] for x in made.rows_of(chunk, state.unused)]
-    return state.equations.bordered(*state.less_unused(lost, cross, own, pull))
+    return state.equations.bordered(*state.in_use(*made.chunk_of(effect)))

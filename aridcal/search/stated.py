@@ -5,11 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from aridcal.effects.catalogue import KINDS, Barred
 from aridcal.effects.effect import Effect
-from aridcal.effects.regional_kind import widths
+from aridcal.effects.regional_kind import is_of_labels, widths
 from aridcal.fit.least_squares import Fit
 from aridcal.search.change_points import best_steps
+from aridcal.search.evidence import DEPENDENT
 from aridcal.search.hints import hinted
 from aridcal.search.linear_model import Active, LinearModel
 from aridcal.search.scoring import held_back, held_out_whole, judge, refine, score_all
@@ -83,7 +86,29 @@ def _with_regions(linear: LinearModel, waiting: Sequence[Effect], state: State) 
         effect, best = max(worth, key=lambda pair: pair[1].score.gain)
         left.remove(effect)
         state = solve_state(linear, (*state.active, best), state.solution.sigma, state.used)
-    return state, [_left_out(effect, NO_BETTER) for effect in left]
+    tied = _tied(linear, state, left)
+    return state, [_left_out(e, CONFOUNDED if e in tied else NO_BETTER) for e in left]
+
+
+def tied_to_frames(linear: LinearModel, state: State, candidates: Sequence[Effect]) -> list[Barred]:
+    """Of deviations of labels those that the model does without: frames that each label has to itself, for the most part."""
+    tied = _tied(linear, state, candidates)
+    return [Barred(f"{e.label}, moving {' '.join(e.motion)},", CONFOUNDED) for e in tied]
+
+
+def _tied(linear: LinearModel, state: State, effects: Sequence[Effect]) -> list[Effect]:
+    """Deviations of labels of which nothing is left beside the model's own columns, whatever is believed of them beforehand."""
+    own = [e for e in effects if is_of_labels(e)]
+    if not own:
+        return []
+    Q = np.linalg.qr(state.whitened(state.design))[0]
+    found = []
+    for effect in own:
+        C = state.whitened(state.flat(linear.columns(effect)))
+        left = C - Q @ (Q.T @ C)
+        if np.all(np.sum(left**2, axis=0) <= DEPENDENT * np.sum(C**2, axis=0)):
+            found.append(effect)
+    return found
 
 
 def _predicts_better(linear: LinearModel, state: State, candidate: Active) -> bool:

@@ -9,7 +9,7 @@ import numpy as np
 
 from aridcal.effects.catalogue import KINDS
 from aridcal.effects.effect import Effect
-from aridcal.effects.regional_kind import is_field
+from aridcal.effects.regional_kind import is_field, is_local, is_of_labels
 from aridcal.instruments.channels import columns
 from aridcal.search.change_points import best_steps
 from aridcal.search.evidence import Score
@@ -137,7 +137,7 @@ def twins(
     """For each effect, the candidates that would do about as well in its place."""
     small = is_small(model, library)
     return tuple(
-        _twins(model, library, state, k, progress) if small or not a.effect.smooth else ()
+        _twins(model, library, state, k, progress) if small or not a.effect.smooth or is_of_labels(a.effect) else ()
         for k, a in enumerate(state.active)
     )
 
@@ -306,9 +306,9 @@ def missed(model: LinearModel, state: State) -> State:
 
 
 def _judging(model: LinearModel, effect: Effect) -> list[int]:
-    """Channels that judge an effect: all; of a field, which has few rows to speak for it, those that it moves."""
+    """Channels that judge an effect: all; of what is local, which has few rows to speak for it, those that it moves."""
     every = list(range(len(model.channels)))
-    if not is_field(effect):
+    if not is_local(effect):
         return every
     moved = np.any(model.columns(effect), axis=(0, 2))
     return [k for k, part in enumerate(columns(model.channels)) if moved[part].any()]

@@ -17,7 +17,7 @@ from aridcal.trust.tolerance import Kept, beyond, instrument_noise, kept, unjudg
 from aridcal.trust.workspace import Knowledge, Workspace, ends, knowledge, spread_out
 
 CLOUD = 8192
-"""Configurations among which those of a slice are looked for, again a power of two."""
+"""Configurations among which those of a slice are looked for."""
 
 THICK = 0.06
 """Of the reach: half the thickness of a slice. A tenth of all configurations are then in one."""

@@ -11,7 +11,7 @@ import numpy as np
 from aridcal.effects.basis import evaluate
 from aridcal.effects.catalogue import Barred, merged
 from aridcal.effects.effect import ANGULAR, ROW_ORDER, Coefficient, Effect
-from aridcal.effects.regional_kind import is_field
+from aridcal.effects.regional_kind import is_local
 from aridcal.fit.least_squares import Fit
 from aridcal.fit.normal_equations import TINY, without
 from aridcal.fit.problem import Problem, problem
@@ -242,7 +242,7 @@ def _curves(effect: Effect, diagnosed: Diagnosed) -> list[Curve]:
     """The effect's motions, each over the covariate it depends on first."""
     identified = set(diagnosed.fit.model.names)
     made: list[Curve] = []
-    if is_field(effect):  # no line through it says what it is
+    if is_local(effect):  # no line through it says what it is
         return made
     for component in effect.motion:
         of_covariates = [c for c in effect.coefficients if c.basis.form != "ones"]

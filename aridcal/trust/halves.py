@@ -24,7 +24,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import f as fisher
+from scipy.special import fdtrc
 
 from aridcal.effects.effect import Coefficient
 from aridcal.effects.loads import covariate_table
@@ -269,7 +269,7 @@ def _compared(
         difference = root.T @ w
         usual = max(float(np.sum(at_target * (root.T @ root))), np.finfo(float).tiny)
         moved = np.maximum(np.sum(difference * (at_target @ difference), axis=0), 0.0) / usual
-        yield _Compared(way, fisher.sf(F, d, left - d), float(F[0]), (d, left - d), usual, moved)
+        yield _Compared(way, fdtrc(d, left - d, F), float(F[0]), (d, left - d), usual, moved)
 
 
 def _draws(rows: Columns, data: Dataset) -> tuple[np.ndarray, np.ndarray]:

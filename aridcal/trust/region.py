@@ -9,7 +9,7 @@ import numpy as np
 
 from aridcal.errors import CampaignError, MeasurementError, nearest
 from aridcal.fit.least_squares import Fit
-from aridcal.inputs.campaign import Campaign, Region
+from aridcal.inputs.campaign import Campaign
 from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.quantities import POSITION, column_of
 from aridcal.inputs.query import load_query
@@ -69,7 +69,7 @@ def region(campaign: Campaign, fit: Fit, train: Dataset) -> np.ndarray | None:
     if asked.file is None and not asked.joints:
         return None
     if asked.file is None:
-        return spread_out(*_corners(campaign, asked, robot, train))
+        return spread_out(*corners(campaign, robot, train.readings.min(axis=0), train.readings.max(axis=0)))
     path = asked.file
 
     def reach(places: np.ndarray) -> np.ndarray:
@@ -92,13 +92,23 @@ def region(campaign: Campaign, fit: Fit, train: Dataset) -> np.ndarray | None:
     return readings[np.linspace(0, len(readings) - 1, SAMPLES).round().astype(int)]
 
 
-def _corners(campaign: Campaign, asked: Region, robot: Robot, train: Dataset) -> tuple[np.ndarray, np.ndarray]:
-    """Lowest and highest readings, shape (columns,) each."""
-    low, high = train.readings.min(axis=0), train.readings.max(axis=0)
+def corners(campaign: Campaign, robot: Robot, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Lowest and highest readings of the region that a campaign names by joints, shape (columns,) each.
+
+    Args:
+        campaign: Names it.
+        robot: The chain.
+        low: Readings of joints that are not named, shape (columns,).
+        high: Likewise.
+
+    Raises:
+        CampaignError: there is no such joint, or it cannot go there.
+    """
+    low, high = low.copy(), high.copy()
     columns = {campaign.measurements.columns.get(name, name): k for k, name in enumerate(robot.readings)}
     columns |= {name: k for k, name in enumerate(robot.readings)}
     units = campaign.measurements.units
-    for name, ends in asked.joints.items():
+    for name, ends in campaign.region.joints.items():
         place = f"{campaign.path}: region.joints.{name}"
         if name not in columns:
             raise CampaignError(f"{place}: there is no such joint{nearest(name, columns)}")

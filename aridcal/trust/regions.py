@@ -13,7 +13,8 @@ import numpy as np
 
 from aridcal.effects.catalogue import KINDS
 from aridcal.effects.effect import FRAME_COMPONENTS, Coefficient, Effect
-from aridcal.effects.regional_kind import IN_SPACE, spread_out
+from aridcal.effects.labels import label_in
+from aridcal.effects.regional_kind import IN_SPACE, is_of_labels, labels_of, spread_out
 from aridcal.effects.sights import TARGET, target_places
 from aridcal.fit.least_squares import Fit, fit, thin
 from aridcal.fit.normal_equations import Prior
@@ -56,6 +57,7 @@ class Region:
         high: Their highest.
         rows: Rows of it, fitted and held out, shape (N,) bool.
         fit: Its constants, with the frames of the whole model.
+        label: Of its rows, where labels tell regions apart; empty of those of any other label. Else None.
     """
 
     name: str
@@ -64,6 +66,7 @@ class Region:
     high: np.ndarray
     rows: np.ndarray
     fit: Fit = field(repr=False)
+    label: str | None = None
 
 
 @dataclass(frozen=True)
@@ -71,7 +74,8 @@ class Regions:
     """All regions of a calibration.
 
     Attributes:
-        by: Covariates that tell them apart: the region is the one whose middle is nearest, each in units of ``scale``.
+        by: Covariates that tell them apart: the region is the one whose middle is nearest, each in units of ``scale``. None
+            where labels do.
         scale: Of each covariate, shape (d,).
         every: The regions.
     """
@@ -98,7 +102,7 @@ class Regions:
 
 
 def regions(final: Fit, rows: Dataset, fitted: np.ndarray, effects: Sequence[Effect]) -> Regions | None:
-    """Regions of what deviates from the one model; None if nothing does.
+    """Regions of what deviates from the one model; None if nothing does. Where labels do, each is a region.
 
     Args:
         final: The whole model.
@@ -109,6 +113,8 @@ def regions(final: Fit, rows: Dataset, fitted: np.ndarray, effects: Sequence[Eff
     varying = [e for e in effects if KINDS[e.kind].asked]
     if not varying:
         return None
+    if any(is_of_labels(e) for e in varying):
+        return _of_labels(recentred(final), rows, fitted)
     by, places = _told_apart(final, rows, varying)
     scale = np.maximum(np.ptp(places[fitted], axis=0), 1e-9) if by != TARGET else np.ones(3)
     different = np.unique(np.round(places[fitted] / scale, 6), axis=0)
@@ -148,6 +154,28 @@ def _divided(
         found = _constants(final, around)
         every.append(Region(f"region_{number + 1:02d}", scale * middle, low, high, own, found))
     return Regions(by, scale, tuple(every))
+
+
+def _of_labels(final: Fit, rows: Dataset, fitted: np.ndarray) -> Regions:
+    """A region for each label that deviates, and, if frames are the same for all labels, one for any other."""
+    assert rows.station is not None
+    known = [label_in(name) for name in labels_of(c.basis for c in final.model.coefficients)]
+    at = final.model.rows(rows.readings, rows.conditions, rows.station, rows.target)
+    places = target_places(final.model.robot, rows.readings, final.model.around.sights.targets[at.tip])
+    nothing = np.zeros(0)
+    apart = len(final.model.world_base) > 1 or (rows.target is None and len(final.model.tip_target) > 1)
+    every = []
+    for number, label in enumerate(known if apart else [*known, ""]):
+        own = rows.station == label if label else ~np.isin(rows.station, known)
+        far = np.linalg.norm(places - (places[own & fitted] if (own & fitted).any() else places).mean(axis=0), axis=1)
+        far = np.where(own, -1.0, far) if label else np.zeros(len(rows))
+        order = np.argsort(np.where(fitted, far, np.inf), kind="stable")
+        count = min(max(ROWS_AROUND, int((own & fitted).sum())), int(fitted.sum()))
+        around = rows.select(np.sort(order[:count]))
+        around = replace(around, station=np.full(len(around), label))
+        found = _constants(final, around)
+        every.append(Region(f"region_{number + 1:02d}", nothing, nothing, nothing, own, found, label))
+    return Regions((), nothing, tuple(every))
 
 
 def _places(fit: Fit, rows: Dataset) -> np.ndarray:

@@ -19,7 +19,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import beta, binom
+from scipy.special import betainc, betaincinv
 
 from aridcal.fit.least_squares import Fit
 from aridcal.fit.noise import WORTH_SAYING, Repeats
@@ -287,14 +287,16 @@ def kept(
     within, count = int((left.size <= tolerance).sum()), len(left.size)
     confidence = float(np.mean(reached <= tolerance))
     reasons = [] if bound <= tolerance else [_why(found)]
-    if count - within > binom.ppf(1.0 - DOUBT, count, max(1.0 - SHARE, usual)):
-        reasons.append(f"{count - within} of {count} {found.judges} are off by more, which is more than this explains")
+    beyond = count - within
+    # so many or more by chance: the binomial tail (DLMF 8.17.5)
+    if beyond and betainc(beyond, within + 1, max(1.0 - SHARE, usual)) <= DOUBT:
+        reasons.append(f"{beyond} of {count} {found.judges} are off by more, which is more than this explains")
     return replace(
         found,
         share=float(np.mean(length <= tolerance)),
         confidence=confidence,
         rows_within=within,
-        rows_share=float(beta.ppf(1.0 - CONFIDENCE, within, count - within + 1)) if within else 0.0,
+        rows_share=float(betaincinv(within, count - within + 1, 1.0 - CONFIDENCE)) if within else 0.0,
         reasons=tuple(reasons),
     )
 

@@ -19,7 +19,6 @@ from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.stats import qmc
 
 from aridcal.effects.effect import FRAME_COMPONENTS, Coefficient
 from aridcal.effects.regional_kind import far_from_nodes
@@ -34,8 +33,8 @@ from aridcal.model.model import Model, Rows
 from aridcal.trust.seen import CHANNELS, Seen, holes, largest
 
 SAMPLES = 512
-"""Configurations over the workspace, a power of two for Sobol's sequence (Sobol 1967; Owen 1998 scrambles it): a share of 5 % is
-then known to 1 %, and the worst of them is that of all but some thousandths."""
+"""Configurations over the workspace: a share of 5 % is then known to 1 %, and the worst of them is that of all but some
+thousandths."""
 
 LOOSE = 0.1
 """[m] and [rad]: what a constant may be off by that no row tells. No robot is wrong by more; what is told is known a thousand
@@ -313,9 +312,20 @@ def _seen(fit: Fit, train: Dataset) -> Seen:
 
 
 def spread_out(low: np.ndarray, high: np.ndarray, count: int = SAMPLES) -> np.ndarray:
-    """Configurations evenly between two corners, by Sobol's sequence, scrambled with a fixed seed, shape (count, columns)."""
-    sequence = qmc.Sobol(len(low), seed=0)
-    return np.asarray(low + (high - low) * sequence.random(count))
+    r"""Configurations evenly between two corners, shape (count, columns), by an additive sequence.
+
+    .. math:: u_n = (1/2 + n \alpha) \bmod 1, \qquad \alpha_k = g^{-k}, \qquad g^{d+1} = g + 1
+
+    The step's powers are as far from fractions of small numbers as d of them can be, so that no two configurations are near
+    each other (Roberts 2018, "The unreasonable effectiveness of quasirandom sequences"). Of each column the ranks are taken,
+    so that every one of ``count`` equal slices of it has one configuration.
+    """
+    columns = len(low)
+    polynomial = np.concatenate([[1.0], np.zeros(columns - 1), [-1.0, -1.0]])
+    g = float(np.roots(polynomial).real.max())
+    share = (0.5 + np.outer(np.arange(1, count + 1), g ** -np.arange(1.0, columns + 1))) % 1.0
+    rank = np.argsort(np.argsort(share, axis=0), axis=0)
+    return np.asarray(low + (high - low) * (rank + 0.5) / count)
 
 
 def ends(data: Dataset, limits: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -1,0 +1,45 @@
+"""Labels of rows as covariates: 1 in the rows of a station, 0 in all others."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+STATION = "station"
+"""The column of labels: of stations, of squares, of whatever rows are alike in."""
+
+MOST_LABELS = 96
+"""Stations of which each may deviate by itself, as many as a field in space has nodes."""
+
+
+def label_column(label: str) -> str:
+    """Name of the covariate that is 1 in the rows of a station."""
+    return f"{STATION}[{label}]"
+
+
+def label_in(name: str) -> str:
+    """The label of such a covariate."""
+    return name[len(STATION) + 1 : -1]
+
+
+def is_label(name: str) -> bool:
+    """True for such a covariate."""
+    return name.startswith(f"{STATION}[")
+
+
+def labels_in(station: np.ndarray | None) -> list[str]:
+    """Different labels of some rows, sorted; a row with an empty one has none."""
+    return [] if station is None else [str(label) for label in np.unique(station) if label]
+
+
+def label_columns(names: Iterable[str], station: np.ndarray | None) -> dict[str, np.ndarray]:
+    """Those of some covariates that are of labels, shape (N,) each; none where the rows have no labels at all.
+
+    Args:
+        names: Of covariates, others among them.
+        station: Label of each row, shape (N,).
+    """
+    if station is None:
+        return {}
+    return {name: (station == label_in(name)).astype(float) for name in names if is_label(name)}

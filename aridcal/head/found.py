@@ -1,0 +1,45 @@
+"""What was read of a campaign, and what was found in its images: without what reads images, which takes its time to load."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from aridcal.inputs.campaign import Campaign
+from aridcal.inputs.dataset import Dataset
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+CACHE = "fiducials.csv"
+"""The file of all that is kept of images."""
+
+
+@dataclass(frozen=True)
+class Detections:
+    """What was found in the images of a campaign.
+
+    Attributes:
+        fiducials: The cache: a line for each fiducial.
+        mount: T_tip_camera as head.yaml has it, shape (4, 4).
+    """
+
+    fiducials: pd.DataFrame
+    mount: np.ndarray
+
+
+@dataclass(frozen=True)
+class Read:
+    """The rows of a campaign, of whatever kind.
+
+    Attributes:
+        campaign: The job; of a measuring head its target is at the camera.
+        rows: Its rows.
+        detections: What was found in images; None where there are none.
+    """
+
+    campaign: Campaign
+    rows: Dataset
+    detections: Detections | None = None

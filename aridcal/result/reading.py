@@ -1,0 +1,98 @@
+"""A campaign and its rows, read: all that users slip in is found here, before what fits and searches is loaded."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from aridcal.errors import CampaignError, MeasurementError
+from aridcal.head.found import Detections, Read
+from aridcal.inputs.approach import with_directions
+from aridcal.inputs.campaign import Campaign, load_campaign
+from aridcal.inputs.dataset import Dataset
+from aridcal.inputs.read import load_measurements
+from aridcal.robot.chain import Robot, load_robot
+from aridcal.showing import SILENT, Progress
+
+STILL = 1e-3
+"""[rad] or [m]: a joint that covers less does not move."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """A campaign that was read.
+
+    Attributes:
+        campaign: As it is; of a measuring head its target is at the camera.
+        robot: The nominal chain.
+        rows: Its rows, with the sides that joints came from.
+        detections: What was found in images; None where there are none.
+        still: Sentences on joints that never move.
+        started: Clock when reading began, [s].
+    """
+
+    campaign: Campaign
+    robot: Robot
+    rows: Dataset
+    detections: Detections | None
+    still: tuple[str, ...]
+    started: float
+
+
+def read_job(
+    job: Path | Campaign, seed: int = 0, progress: Progress = SILENT, cache: Path | None = None, verified: bool = False
+) -> Job:
+    """Read a campaign, its robot and its rows.
+
+    Args:
+        job: The campaign, or the path of its ``campaign.yaml``.
+        seed: Of the split into train and test, where the table has none.
+        progress: Called with what is being done.
+        cache: ``fiducials.csv`` of an earlier run on the same images, if there is one.
+        verified: Whether another day's table is to be scored.
+
+    Raises:
+        AridcalError: whatever in the input needs mending.
+    """
+    started = time.perf_counter()
+    campaign = job if isinstance(job, Campaign) else load_campaign(job)
+    robot = load_robot(campaign.robot.urdf, campaign.robot.tip, campaign.robot.base, campaign.limits.urdf)
+    progress("reading the measurements")
+    if verified and campaign.measurements.head is not None:
+        raise CampaignError(f"{campaign.path}: --verify needs a table of poses; `kind: camera_sonar` has shots")
+    read = read_rows(campaign, robot, cache, seed, progress)
+    rows = with_directions(read.rows)
+    return Job(read.campaign, robot, rows, read.detections, _check_motion(read.campaign, rows), started)
+
+
+def read_rows(campaign: Campaign, robot: Robot, cache: Path | None, seed: int, progress: Progress) -> Read:
+    """Read the measurements of a campaign, from its tables or from the images of its head."""
+    if campaign.measurements.head is not None:
+        # OpenCV and pandas load slowly, and most campaigns have no images
+        from aridcal.head.detections import read_shots
+
+        return read_shots(campaign, robot, cache, seed, progress)
+    return Read(campaign, load_measurements(campaign, robot.readings, robot.limits, robot.kinds, seed))
+
+
+def _check_motion(campaign: Campaign, rows: Dataset) -> tuple[str, ...]:
+    """Refuse rows that can tell nothing whatever the model, and name the joints that never move."""
+    if not rows.train.any():
+        raise MeasurementError(f"{rows.title}: every row is held out: mark some as `train` in the column `split`")
+    frames = campaign.frames
+    constant = frames.world_base.identify or frames.tip_target.identify or campaign.parameters.set != "none"
+    if not (constant or campaign.effects or campaign.diagnosis.enabled):
+        raise CampaignError(
+            f"{campaign.path}: nothing is to be identified: both frames have `identify: false`, `parameters` has "
+            "`set: none`, and no effect is declared or sought. Change one of them"
+        )
+    travel = np.ptp(rows.readings[rows.train], axis=0)
+    still = [name for name, moved in zip(rows.names, travel, strict=True) if moved < STILL]
+    if len(still) == len(rows.names):
+        count = rows.train.sum()
+        why = "there is only one row to fit" if count == 1 else f"no joint moves in any of its {count} rows"
+        raise MeasurementError(f"{rows.title}: {why}: nothing can be identified. Measure other configurations")
+    return tuple(f"{name} never moves: its parameters are confounded with its neighbours'" for name in still)
