@@ -82,10 +82,10 @@ def round_up(value: float) -> float:
 def written(at: np.ndarray, step: float) -> list[str]:
     """Ticks in words: with as many decimals as their step needs, all with an exponent where one would be too long."""
     largest = float(np.abs(at).max(initial=0.0))
-    decimals = max(-math.floor(math.log10(step) + 1e-9), 0)
+    last = math.floor(math.log10(step) + 1e-9)  # place of the digit in which ticks differ
     if step >= DIGITS[0] and largest < DIGITS[1]:
-        return [f"{value + 0.0:,.{decimals}f}".replace("-", "−") for value in at]
-    digits = max(math.floor(math.log10(largest / step) + 1e-9), 0) if largest else 0
+        return [f"{value + 0.0:,.{max(-last, 0)}f}".replace("-", "−") for value in at]
+    digits = max(math.floor(math.log10(largest) + 1e-9) - last, 0) if largest else 0
     return [f"{value:.{digits}e}".replace("-", "−") if value else "0" for value in at]
 
 
