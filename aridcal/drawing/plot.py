@@ -26,7 +26,7 @@ STEPS = (1.0, 2.0, 5.0, 10.0)
 """Ticks are these times a power of ten apart: read without counting."""
 
 NARROW, BROAD = "fijlrtI.,:;|!'()[] ", "mwMW%@—"
-LETTER, THIN, THICK = 0.58, 0.36, 0.92
+LETTER, THIN, THICK = 0.62, 0.36, 0.95
 """Widths of letters in their sizes, those of wide sans-serif fonts: the reader's own font is not known here."""
 
 DIGITS = (1e-4, 1e6)
