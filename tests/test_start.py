@@ -5,11 +5,21 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
+import pyarrow as pa
 import pytest
 import robots
+from scipy.stats import binom
+
+from aridcal.fit.flags import cluster, coordinates
+from aridcal.inputs.repeats import by_appearance, first_alike
+from aridcal.inputs.tables import _floats
+from aridcal.result.folder import residual_table, write_results
+from aridcal.result.pipeline import identify
 
 SLOW = {"cv2", "matplotlib", "meshcat", "pandas", "scipy", "trimesh"}
 """What takes a tenth of a second or more to load, and what draws."""
@@ -62,3 +72,61 @@ def test_a_whole_calibration_needs_neither_scipy_stats_nor_pandas_nor_matplotlib
 @pytest.mark.parametrize("module", ["aridcal", "aridcal.command_line"])
 def test_what_every_command_loads_is_little(module: str) -> None:
     assert not loaded(f"import {module}") & {*SLOW, "numpy"}
+
+
+# ---- what stands in the place of a library does what it did ----------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_rows_that_are_alike_are_those_that_pandas_finds(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    whole = rng.integers(0, 3, (200, 2)).astype(float)
+    whole[rng.random((200, 2)) < 0.2] = np.nan
+    columns = [*whole.T, rng.choice(["a", "b", ""], 200), np.where(rng.random(200) < 0.5, 0.0, -0.0)]
+    frame = pd.DataFrame(dict(enumerate(columns)))
+    group = frame.groupby(list(frame.columns), sort=False, dropna=False).ngroup().to_numpy()
+    first = first_alike(columns)
+    np.testing.assert_array_equal(first, [np.flatnonzero(group == own)[0] for own in group])
+    np.testing.assert_array_equal(by_appearance(first), pd.factorize(first)[0])
+
+
+def test_of_no_rows_none_are_alike() -> None:
+    assert len(first_alike([np.zeros(0)])) == len(by_appearance(np.zeros(0))) == 0
+
+
+def test_numbers_of_arrow_are_read_as_its_own_conversion_does() -> None:
+    values = pa.array([1.0, None, -3e300, float("nan"), 5.0, None, 7.0])
+    whole = [values, values.slice(1, 4), values.slice(6), values.slice(2, 0), pa.nulls(2, pa.float64())]
+    for chunks in (whole, whole[1:2], whole[3:4], whole[4:]):
+        column = pa.chunked_array(chunks, pa.float64())
+        np.testing.assert_array_equal(_floats(column), column.to_numpy())
+
+
+def test_residuals_are_written_as_pandas_would(tmp_path: Path) -> None:
+    truth = robots.simulate(robots.ur10(), 40, np.random.default_rng(1), noise=1e-4)
+    rows = robots.table(truth).assign(station=np.where(np.arange(40) % 2, 'a, "b"', ""))
+    path = robots.write_campaign(tmp_path, truth, rows, measurements={"file": "b, c.csv"})
+    (tmp_path / "measurements.csv").rename(tmp_path / "b, c.csv")
+    outcome = identify(path)
+    holes = outcome.stages[0].residual.copy()
+    holes[3, 2] = np.nan
+    outcome = replace(outcome, stages=(replace(outcome.stages[0], residual=holes), *outcome.stages[1:]))
+    write_results(outcome, tmp_path)
+    table = residual_table(outcome)
+    assert (tmp_path / "residuals.csv").read_text() == table.to_csv(
+        index=False, float_format="%.9g", lineterminator="\n"
+    )
+    assert table.index.tolist() == outcome.measurements.as_read.tolist()
+
+
+def test_the_chance_of_a_cluster_is_the_binomial_one() -> None:
+    rng = np.random.default_rng(0)
+    data = robots.measured(robots.ur10(), rng.uniform(-3, 3, (250, 6)), rng.normal(size=(250, 3)))
+    flags = np.zeros(250, dtype=bool)
+    flags[np.argsort(data.readings[:, 2])[40:47]] = flags[[3, 99]] = True
+    found = cluster(flags, data)
+    assert found is not None
+    values, f = coordinates(data)[found.coordinate], int(flags.sum())
+    inside = int(((values >= found.low) & (values <= found.high)).sum())
+    chance = binom.sf(found.rows.sum() - 2, f - 1, (inside - 1) / 249)
+    assert found.p_value == pytest.approx(min(1.0, chance * f * (f - 1) * len(coordinates(data))), rel=1e-9)

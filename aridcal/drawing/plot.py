@@ -26,7 +26,7 @@ STEPS = (1.0, 2.0, 5.0, 10.0)
 """Ticks are these times a power of ten apart: read without counting."""
 
 NARROW, BROAD = "fijlrtI.,:;|!'()[] ", "mwMW%@—"
-LETTER, THIN, THICK = 0.58, 0.36, 0.92
+LETTER, THIN, THICK = 0.62, 0.36, 0.95
 """Widths of letters in their sizes, those of wide sans-serif fonts: the reader's own font is not known here."""
 
 DIGITS = (1e-4, 1e6)
@@ -82,10 +82,10 @@ def round_up(value: float) -> float:
 def written(at: np.ndarray, step: float) -> list[str]:
     """Ticks in words: with as many decimals as their step needs, all with an exponent where one would be too long."""
     largest = float(np.abs(at).max(initial=0.0))
-    decimals = max(-math.floor(math.log10(step) + 1e-9), 0)
+    last = math.floor(math.log10(step) + 1e-9)  # place of the digit in which ticks differ
     if step >= DIGITS[0] and largest < DIGITS[1]:
-        return [f"{value + 0.0:,.{decimals}f}".replace("-", "−") for value in at]
-    digits = max(math.floor(math.log10(largest / step) + 1e-9), 0) if largest else 0
+        return [f"{value + 0.0:,.{max(-last, 0)}f}".replace("-", "−") for value in at]
+    digits = max(math.floor(math.log10(largest) + 1e-9) - last, 0) if largest else 0
     return [f"{value:.{digits}e}".replace("-", "−") if value else "0" for value in at]
 
 

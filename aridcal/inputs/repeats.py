@@ -53,16 +53,16 @@ def first_alike(columns: Iterable[np.ndarray]) -> np.ndarray:
     """For each row the number of the first that equals it in all columns, holes included, shape (N,).
 
     Args:
-        columns: Numbers or words of N rows, shape (N,) each.
+        columns: Numbers or words of N rows, one at least, shape (N,) each.
     """
-    first = np.empty(0, dtype=int)
-    group: np.ndarray | None = None
+    first, group = np.empty(0, dtype=int), np.array(0)
     for column in columns:
         _, number = np.unique(column, return_inverse=True)
-        whole = number if group is None else group * (int(number.max(initial=0)) + 1) + number
-        _, first, group = np.unique(whole, return_index=True, return_inverse=True)
-        if len(first) == len(whole):  # numbers with noise differ in the first column already: most tables end here
-            return np.arange(len(whole))
+        _, first, group = np.unique(
+            group * (number.max(initial=0) + 1) + number, return_index=True, return_inverse=True
+        )
+        if len(first) == len(number):  # numbers with noise differ in the first column already: most tables end here
+            return first[group]
     return first[group]
 
 
