@@ -105,7 +105,7 @@ class Model:
     instruments: Instruments = field(default_factory=Instruments)
     states: Mapping[str, np.ndarray] = field(default_factory=dict)
 
-    @property
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """Names of the coefficients."""
         return tuple(c.name for c in self.coefficients)
