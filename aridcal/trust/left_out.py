@@ -174,7 +174,7 @@ def influence(fit: Fit, rows: Columns) -> Influence | None:
         J = J.copy()
         J[own] -= B[own] @ things.X[group]
         L[own] = B[own] @ things.inverse[group] @ B[own].transpose(0, 2, 1)
-    moved = J @ fit.covariance
+    moved = (J.reshape(n * m, K) @ fit.covariance).reshape(J.shape)  # one product, not many small ones
     L += moved @ J.transpose(0, 2, 1)
     # A row that alone tells of something predicts itself: without it there is nothing to compare.
     rest = np.linalg.pinv(np.eye(m) - L, hermitian=True, rcond=LONE) @ rows.r[:, :, None]

@@ -22,7 +22,7 @@ import numpy as np
 from scipy.stats import beta, binom
 
 from aridcal.fit.least_squares import Fit
-from aridcal.fit.noise import WORTH_SAYING, Repeats
+from aridcal.fit.noise import WORTH_SAYING, Repeats, carried
 from aridcal.fit.problem import problem
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.channels import spread
@@ -190,7 +190,7 @@ def beyond(
     asked = problem(fit.model, own).settled(fit.theta)
     seen = at_target(fit, own)
     J = np.concatenate([asked.pieces(fit.theta, block).J for block in asked.blocks()])
-    covariance = J @ fit.covariance @ J.transpose(0, 2, 1)
+    covariance = carried(J, fit.covariance)
     arm = fit.model.poses(fit.theta, asked.rows)[0] @ np.asarray(tool, dtype=float)
     sigma = spread(noise, rows.channels)
     size, squares, scatter, model, told = np.full((5, len(own)), np.nan)
