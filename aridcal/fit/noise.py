@@ -140,6 +140,6 @@ def carried(J: np.ndarray, covariance: np.ndarray) -> np.ndarray:
         J: Columns of K coefficients, shape (N, m, K).
         covariance: Theirs, shape (K, K).
     """
-    flat = np.ascontiguousarray(J).reshape(-1, J.shape[2])
+    flat = J.reshape(J.shape[0] * J.shape[1], J.shape[2])
     # One product of large matrices: many of six rows each cost three times as much.
     return np.asarray((flat @ covariance).reshape(J.shape) @ J.transpose(0, 2, 1))

@@ -309,8 +309,10 @@ def unjudged(of: str, tolerance: float) -> Kept:
 def _drawn(columns: np.ndarray, covariance: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Errors by coefficients drawn from their covariance, shape (R, 3, draws), from columns of shape (R, 3, K)."""
     values, vectors = np.linalg.eigh(covariance)
-    root = vectors * np.sqrt(np.maximum(values, 0.0))
-    return np.asarray(columns @ (root @ rng.standard_normal((len(root), DRAWS))))
+    # The symmetric root is the same whatever signs rounding gives the vectors.
+    root = vectors * np.sqrt(np.maximum(values, 0.0)) @ vectors.T
+    flat = columns.reshape(columns.shape[0] * columns.shape[1], len(root))
+    return np.asarray(flat @ (root @ rng.standard_normal((len(root), DRAWS)))).reshape(*columns.shape[:2], DRAWS)
 
 
 def _beyond(left: Beyond, shape: tuple[int, ...], rng: np.random.Generator) -> np.ndarray:
