@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -130,6 +131,11 @@ class Fit:
     def std(self) -> np.ndarray:
         """Standard deviation of each coefficient, shape (K,)."""
         return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+
+    @cached_property
+    def whitened_information(self) -> np.ndarray:
+        """Information in units of the coefficients' standard deviations, shape (K, K)."""
+        return np.linalg.inv(self.covariance / np.outer(self.std, self.std))
 
     @property
     def outliers(self) -> np.ndarray:

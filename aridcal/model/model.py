@@ -106,7 +106,7 @@ class Model:
     instruments: Instruments = field(default_factory=Instruments)
     states: Mapping[str, np.ndarray] = field(default_factory=dict)
 
-    @property
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """Names of the coefficients."""
         return tuple(c.name for c in self.coefficients)
@@ -202,9 +202,12 @@ class Model:
 
     def of_coefficients(self, twists: np.ndarray, rows: Rows) -> np.ndarray:
         """What joints do, or anything linear in that, shape (N, m, joints), as what coefficients do, shape (N, m, K)."""
-        J = twists[:, :, self._extended.carrier]
+        J = np.take(twists, self._extended.carrier, axis=2)
         if len(self._based):
-            J[:, :, self._based] *= rows.phi[:, None, :]
+            first, last = self._based[0], self._based[-1] + 1
+            # Constants stand before all others as a rule: then no part is copied.
+            own = slice(first, last) if last - first == len(self._based) else self._based
+            J[:, :, own] *= rows.phi[:, None, :]
         for own, frame in self._of_frames(rows):
             J[:, :, own.coefficients] *= own.frames == frame[:, None, None]
         return J
@@ -340,12 +343,12 @@ class Model:
         carrier = self._extended.carrier
         q = np.zeros((len(rows), len(self._extended.index)))
         q[:, self._extended.own] = rows.positions
-        varying = np.zeros(len(theta), dtype=bool)
-        varying[self._varying] = True
-        for k in np.flatnonzero(~varying):
-            q[:, carrier[k]] += theta[k]
-        for column, k in enumerate(self._based):
-            q[:, carrier[k]] += theta[k] * rows.phi[:, column]
+        alike = np.delete(np.arange(len(theta)), self._varying)
+        q += np.bincount(carrier[alike], theta[alike], q.shape[1])
+        if len(self._based):
+            spread = np.zeros((len(self._based), q.shape[1]))
+            spread[np.arange(len(self._based)), carrier[self._based]] = theta[self._based]
+            q += rows.phi @ spread
         for own, frame in self._of_frames(rows):
             for k in own.coefficients[np.isin(own.frames, frame)]:
                 q[:, carrier[k]] += theta[k] * (frame == own.frame_of[k])

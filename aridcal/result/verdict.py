@@ -12,6 +12,7 @@ from aridcal.effects.catalogue import KINDS
 from aridcal.effects.effect import Effect
 from aridcal.fit.flags import FLOOR, MEASURED, Cluster, cluster
 from aridcal.fit.least_squares import Fit
+from aridcal.fit.noise import carried
 from aridcal.fit.problem import problem
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.channels import spread
@@ -149,7 +150,7 @@ def _model_variance(rows: Dataset, fit: Fit) -> np.ndarray:
     parts = []
     for block in asked.blocks():
         J = asked.pieces(fit.theta, block).J
-        parts.append(np.einsum("nmk,nmk->nm", J @ fit.covariance, J))
+        parts.append(np.einsum("nmm->nm", carried(J, fit.covariance)))
     return np.concatenate(parts)
 
 

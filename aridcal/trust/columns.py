@@ -79,8 +79,9 @@ class Columns:
         """H (K, K) and g (K,) of some of the rows, their things solved for as :meth:`solved` has it for the same rows."""
         J, group = self.J[some], self.group[some]
         left, _ = self.less(self.r[some, :, None], self.known.left[:, None], things, some)
-        own = J.copy()
+        own = J
         if self.groups is not None:
+            own = J.copy()
             of_things = group >= 0
             own[of_things] -= self.B[some][of_things] @ things.X[group[of_things]]
         flat = J.reshape(-1, J.shape[2])

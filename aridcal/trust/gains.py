@@ -196,16 +196,9 @@ def refitted(fit: Fit, gone: np.ndarray, free: np.ndarray) -> np.ndarray:
         milliradians are exact to microradians, and the error that they leave is right to second order in that, since it
         is at its minimum.
     """
-    scale, information = whitened_information(fit)
-    whole = fit.theta / scale
-    step = without(information, whole, gone, free) - whole
-    return np.where(gone, 0.0, fit.theta + scale * step)
-
-
-def whitened_information(fit: Fit) -> tuple[np.ndarray, np.ndarray]:
-    """Standard deviations of a fit's coefficients, shape (K,), and its information in units of them, shape (K, K)."""
-    scale = np.sqrt(np.diag(fit.covariance))
-    return scale, np.linalg.inv(fit.covariance / np.outer(scale, scale))
+    whole = fit.theta / fit.std
+    step = without(fit.whitened_information, whole, gone, free) - whole
+    return np.where(gone, 0.0, fit.theta + fit.std * step)
 
 
 def _with_effects(asked: Problem, fit: Fit, effects: Sequence[Effect]) -> np.ndarray:

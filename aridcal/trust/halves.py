@@ -28,6 +28,7 @@ from scipy.special import fdtrc
 
 from aridcal.effects.effect import Coefficient
 from aridcal.effects.loads import covariate_table
+from aridcal.fit.elimination import Eliminated
 from aridcal.fit.flags import FLOOR
 from aridcal.fit.least_squares import Fit
 from aridcal.fit.normal_equations import balanced
@@ -237,7 +238,7 @@ def _compared(
     """
     N, m, K = rows.J.shape
     things = rows.solved()
-    J, k = rows.J.reshape(N * m, K), int(own.sum())
+    J = rows.J.reshape(N * m, K)
     none = np.zeros((len(rows.known.left), K))
     JP, tied = rows.less(rows.J, none, things)
     inverse, spent = _pseudo_inverse(J.T @ JP.reshape(N * m, K))
@@ -251,18 +252,14 @@ def _compared(
     squares = np.sum(flat**2, axis=0) + np.sum(known**2, axis=0)
     numbers = rows.share * rows.there.sum() + len(rows.known.left) - np.sum(things.rank)
     left = round(float(numbers)) - spent
-    for way in ways:
-        A = np.where(way.side[:, None, None], rows.J[:, :, own], 0.0)
-        AP, _ = rows.less(A, none[:, :k], things)
-        A = A.reshape(N * m, k)
-        cross = J.T @ AP.reshape(N * m, k)
-        M = A.T @ AP.reshape(N * m, k) - cross.T @ inverse @ cross
+    for way, side in zip(ways, _sides(rows, ways, own, things, flat), strict=True):
+        M = side.squares - side.cross.T @ inverse @ side.cross
         values, vectors, scale = _told(M)
         d = len(values)
         if d == 0 or left - d < d:
             continue
         root = (vectors / np.sqrt(values)).T * scale
-        w = root @ (A.T @ flat)
+        w = root @ side.pull
         T2 = np.sum(w**2, axis=0)
         noise = (squares - T2) / (left - d)
         F = T2 / d / np.maximum(noise, np.finfo(float).tiny)
@@ -270,6 +267,69 @@ def _compared(
         usual = max(float(np.sum(at_target * (root.T @ root))), np.finfo(float).tiny)
         moved = np.maximum(np.sum(difference * (at_target @ difference), axis=0), 0.0) / usual
         yield _Compared(way, fdtrc(d, left - d, F), float(F[0]), (d, left - d), usual, moved)
+
+
+@dataclass(frozen=True)
+class _Side:
+    """Sums over the second half of a division, of the k columns that each half has of its own.
+
+    Attributes:
+        squares: With one another, shape (k, k), less what the things take up.
+        cross: With all columns, shape (K, k), likewise.
+        pull: With what is left of the residuals and of each draw, shape (k, 1 + DRAWS).
+    """
+
+    squares: np.ndarray
+    cross: np.ndarray
+    pull: np.ndarray
+
+
+def _sides(
+    rows: Columns, ways: list[Division], own: np.ndarray, things: Eliminated, flat: np.ndarray
+) -> Iterator[_Side]:
+    """The sums of every division; those of one column are made of the same few parts of the rows.
+
+    Args:
+        rows: N rows of m numbers.
+        ways: The divisions.
+        own: Coefficients that each half has of its own, shape (K,) bool.
+        things: Of all rows: they hang together, so that sums over parts are none over the whole.
+        flat: What is left of the residuals and of the draws, shape (N m, 1 + DRAWS).
+    """
+    N, m, K = rows.J.shape
+    if rows.groups is not None:
+        J, none = rows.J.reshape(N * m, K), np.zeros((len(rows.known.left), int(own.sum())))
+        for way in ways:
+            A = np.where(way.side[:, None, None], rows.J[:, :, own], 0.0)
+            AP = rows.less(A, none, things)[0].reshape(N * m, -1)
+            A = A.reshape(N * m, -1)
+            yield _Side(A.T @ AP, J.T @ AP, A.T @ flat)
+        return
+    left = flat.reshape(N, m, -1)
+    made: dict[str, dict[bytes, _Side]] = {}
+    for way in ways:
+        if way.of not in made:
+            same = np.array([other.side for other in ways if other.of == way.of])
+            parts, number = np.unique(same, axis=1, return_inverse=True)
+            counted = np.flatnonzero(parts.any(axis=0))
+            each = [_part(rows.J[number == c], own, left[number == c]) for c in counted]
+            totals = [_total(each, part) for part in parts[:, counted]]
+            made[way.of] = dict(zip((side.tobytes() for side in same), totals, strict=True))
+        yield made[way.of].pop(way.side.tobytes())
+
+
+def _part(J: np.ndarray, own: np.ndarray, left: np.ndarray) -> _Side:
+    """Sums over n rows: their columns (n, m, K), and what is left of them (n, m, 1 + DRAWS)."""
+    J = J.reshape(-1, J.shape[2])
+    A = J[:, own]
+    cross = J.T @ A
+    return _Side(cross[own], cross, A.T @ left.reshape(len(J), -1))
+
+
+def _total(parts: list[_Side], some: np.ndarray) -> _Side:
+    """Those of some of the parts, shape (parts,) bool, together."""
+    chosen = [part for part, there in zip(parts, some, strict=True) if there]
+    return _Side(*(np.sum([getattr(part, of) for part in chosen], axis=0) for of in ("squares", "cross", "pull")))
 
 
 def _draws(rows: Columns, data: Dataset) -> tuple[np.ndarray, np.ndarray]:

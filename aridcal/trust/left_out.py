@@ -116,14 +116,17 @@ def folds(fit: Fit, train: Dataset, rows: Columns) -> Folds | None:
         return None
     fold = (np.random.default_rng(3).permutation(int(together.max()) + 1) % FOLDS)[together]
     things = rows.solved()
-    H, g = rows.equations(things)
+    every = rows.equations(things) if rows.groups is not None else None
     whole = len(rows) / max(int((~fit.outliers).sum()), 1) * _information(fit)
     left = rows.r.copy()
     for k in range(FOLDS):
         out = fold == k
         rest = rows.solved(~out)
-        H_rest, g_rest = rows.equations(rest, ~out)
-        step = solve(whole + H_rest - H, g_rest - g, ridge=RIDGE)
+        if every is None:  # sums over rows: the others' are all less those of these
+            H_out, g_out = rows.equations(things, out)
+        else:
+            H_out, g_out = (all_of - those for all_of, those in zip(every, rows.equations(rest, ~out), strict=True))
+        step = solve(whole - H_out, -g_out, ridge=RIDGE)
         left[out] -= rows.J[out] @ step
         if rows.groups is not None:
             group = rows.group[out]
@@ -171,16 +174,18 @@ def influence(fit: Fit, rows: Columns) -> Influence | None:
         J = J.copy()
         J[own] -= B[own] @ things.X[group]
         L[own] = B[own] @ things.inverse[group] @ B[own].transpose(0, 2, 1)
-    moved = J @ fit.covariance
+    moved = (J.reshape(n * m, K) @ fit.covariance).reshape(J.shape)  # one product, not many small ones
     L += moved @ J.transpose(0, 2, 1)
     # A row that alone tells of something predicts itself: without it there is nothing to compare.
     rest = np.linalg.pinv(np.eye(m) - L, hermitian=True, rcond=LONE) @ rows.r[:, :, None]
     step = -(moved.transpose(0, 2, 1) @ rest)[:, :, 0]
     at_target = rows.target.reshape(-1, K)
     T = at_target.T @ at_target / n
-    shift = np.sqrt(np.maximum(np.einsum("nk,kl,nl->n", step, T, step), 0.0))
+    shift = np.sqrt(np.maximum(np.sum((step @ T) * step, axis=1), 0.0))
     order = np.argsort(-shift, kind="stable")
     leverage = np.einsum("nmm->n", L) / np.maximum(rows.there.sum(axis=1), 1)
-    distance = np.einsum("nk,kl,nl->n", step, _information(fit), step) / K
+    # The step is the covariance times the row's pull, so that its product with the information is that pull.
+    pull = -(J.transpose(0, 2, 1) @ rest)[:, :, 0]
+    distance = np.maximum(np.sum(step * pull, axis=1), 0.0) / K
     sigma = float(np.sqrt(np.sum(T * fit.covariance)))
     return Influence(rows.rows[order], shift[order], sigma, leverage[order], distance[order])

@@ -22,7 +22,7 @@ import numpy as np
 from scipy.special import betainc, betaincinv
 
 from aridcal.fit.least_squares import Fit
-from aridcal.fit.noise import WORTH_SAYING, Repeats
+from aridcal.fit.noise import WORTH_SAYING, Repeats, carried
 from aridcal.fit.problem import problem
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.channels import spread
@@ -190,7 +190,7 @@ def beyond(
     asked = problem(fit.model, own).settled(fit.theta)
     seen = at_target(fit, own)
     J = np.concatenate([asked.pieces(fit.theta, block).J for block in asked.blocks()])
-    covariance = J @ fit.covariance @ J.transpose(0, 2, 1)
+    covariance = carried(J, fit.covariance)
     arm = fit.model.poses(fit.theta, asked.rows)[0] @ np.asarray(tool, dtype=float)
     sigma = spread(noise, rows.channels)
     size, squares, scatter, model, told = np.full((5, len(own)), np.nan)
@@ -311,8 +311,10 @@ def unjudged(of: str, tolerance: float) -> Kept:
 def _drawn(columns: np.ndarray, covariance: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Errors by coefficients drawn from their covariance, shape (R, 3, draws), from columns of shape (R, 3, K)."""
     values, vectors = np.linalg.eigh(covariance)
-    root = vectors * np.sqrt(np.maximum(values, 0.0))
-    return np.asarray(columns @ (root @ rng.standard_normal((len(root), DRAWS))))
+    # The symmetric root is the same whatever signs rounding gives the vectors.
+    root = vectors * np.sqrt(np.maximum(values, 0.0)) @ vectors.T
+    flat = columns.reshape(columns.shape[0] * columns.shape[1], len(root))
+    return np.asarray(flat @ (root @ rng.standard_normal((len(root), DRAWS)))).reshape(*columns.shape[:2], DRAWS)
 
 
 def _beyond(left: Beyond, shape: tuple[int, ...], rng: np.random.Generator) -> np.ndarray:

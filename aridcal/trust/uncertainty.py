@@ -8,7 +8,7 @@ import numpy as np
 
 from aridcal.fit.flags import distance, robust_sigma
 from aridcal.fit.least_squares import Fit
-from aridcal.fit.noise import contradicted
+from aridcal.fit.noise import carried, contradicted
 from aridcal.fit.problem import BLOCK, Problem, problem
 from aridcal.fit.residual import linearise
 from aridcal.inputs.dataset import Dataset
@@ -79,8 +79,8 @@ def target_sigma(fit: Fit, rows: Rows) -> tuple[np.ndarray, np.ndarray]:
         block = slice(start, start + BLOCK)
         _, _, J = fit.model.jacobian(fit.theta, rows[block])
         for k, part in enumerate((J[:, :3], J[:, 3:])):
-            spread = part @ fit.covariance @ part.transpose(0, 2, 1)
-            worst[k, block] = np.sqrt(np.maximum(np.linalg.eigvalsh(spread)[:, -1], 0.0))
+            variance = np.linalg.eigvalsh(carried(part, fit.covariance))[:, -1]
+            worst[k, block] = np.sqrt(np.maximum(variance, 0.0))
     return worst[0], worst[1]
 
 

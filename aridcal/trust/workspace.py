@@ -25,6 +25,7 @@ from aridcal.effects.regional_kind import far_from_nodes
 from aridcal.effects.sights import target_places
 from aridcal.fit.constants import has_world, measures_target
 from aridcal.fit.least_squares import Fit
+from aridcal.fit.noise import carried
 from aridcal.fit.normal_equations import solve
 from aridcal.fit.problem import BLOCK, problem
 from aridcal.fit.residual import linearise
@@ -160,7 +161,7 @@ class Knowledge:
         for start in range(0, len(rows), BLOCK):
             some = slice(start, start + BLOCK)
             p, own, more = self.columns(rows[some], np.asarray(tool, dtype=float))
-            known, left = own @ self.fit.covariance @ _turned(own), more @ self.open @ _turned(more)
+            known, left = carried(own, self.fit.covariance), carried(more, self.open)
             every = known + left
             places[some] = np.einsum("nji,nj->ni", axes[some], p - origin[some])
             covariance[some], turns[some] = every[:, :3, :3], every[:, 3:, 3:]
@@ -224,7 +225,7 @@ def target_covariance(
         some = slice(start, start + BLOCK)
         R, _, J = model.jacobian(theta, rows[some])
         J = J if tool is None else shifted(J, R @ tool)
-        found[some] = J @ covariance @ _turned(J)
+        found[some] = carried(J, covariance)
     return found
 
 
