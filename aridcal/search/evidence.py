@@ -136,15 +136,15 @@ def with_noise(
     return sigma, -0.5 * (misfit + float(beta @ precision @ beta))
 
 
-def score(
+def scores(
     M: np.ndarray, s: np.ndarray, raw: np.ndarray, left: float, count: float, shape: Shape | None = None
-) -> Score:
-    """Evidence for d columns.
+) -> list[Score]:
+    """Evidence for k candidates of d columns each, one by one.
 
     Args:
-        M: Their Gram matrix after projection off the model, in units of sigma, shape (d, d).
-        s: Their product with the residual, shape (d,).
-        raw: Their squared lengths before projection, shape (d,).
+        M: Their Gram matrices after projection off the model, in units of sigma, shape (k, d, d).
+        s: Their products with the residual, shape (k, d).
+        raw: Their squared lengths before projection, shape (k, d).
         left: The residual's sum of squares, in units of sigma.
         count: Numbers measured.
         shape: For samples of smooth functions: of what; else None.
@@ -165,7 +165,7 @@ def shaped(total: NormalEquations, precision: np.ndarray, shape: Shape, sigma: n
     H, g = total.information(sigma), total.pull(sigma)
     model = np.arange(len(H)) < K
     M, s = projected(H, g, model, inverse(H[:K, :K] + precision))
-    return replace(_smooth(M, s, np.diag(H)[K:], shape, KERNELS), sigma=sigma)
+    return replace(_smooth(M[None], s[None], np.diag(H)[None, K:], shape, KERNELS)[0], sigma=sigma)
 
 
 def price(twice: float, freedom: int) -> float:
@@ -174,23 +174,18 @@ def price(twice: float, freedom: int) -> float:
     return 0.5 * (twice - freedom * (1.0 + float(np.log(max(each, 1.0)))))
 
 
-def _plain(M: np.ndarray, s: np.ndarray, raw: np.ndarray, left: float, count: float) -> Score:
-    """Evidence for columns that are no smooth function; see :func:`score`."""
-    if len(s) == 1:  # most candidates: no need of a decomposition
-        if M[0, 0] <= DEPENDENT * raw[0]:
-            return NOTHING
-        explained, freedom = float(s[0] ** 2 / M[0, 0]), 1
-    else:
-        scale = 1.0 / np.sqrt(np.maximum(raw, TINY))
-        values, vectors = np.linalg.eigh(M * np.outer(scale, scale))
-        new = values > DEPENDENT
-        freedom = int(new.sum())
-        if freedom == 0:
-            return NOTHING
-        along = vectors[:, new].T @ (s * scale)
-        explained = float(np.sum(along**2 / values[new]))
-    twice = _profiled(explained, left, count)
-    return Score(price(twice, freedom), tail(twice, freedom), freedom)
+def _plain(M: np.ndarray, s: np.ndarray, raw: np.ndarray, left: float, count: float) -> list[Score]:
+    """Evidence for columns that are no smooth functions; see :func:`scores`."""
+    scale = 1.0 / np.sqrt(np.maximum(raw, TINY))
+    values, vectors = np.linalg.eigh(M * scale[:, :, None] * scale[:, None, :])
+    new = values > DEPENDENT
+    along = np.einsum("kij,ki->kj", vectors, s * scale)
+    explained = np.sum(np.where(new, along**2 / np.where(new, values, 1.0), 0.0), axis=1)
+    twice = -count * np.log1p(-np.minimum(explained / left, WHOLE))
+    return [
+        Score(price(gain, freedom), tail(gain, freedom), freedom) if freedom else NOTHING
+        for gain, freedom in zip(twice.tolist(), new.sum(axis=1).tolist(), strict=True)
+    ]
 
 
 def _smooth(
@@ -201,7 +196,7 @@ def _smooth(
     kernels: tuple[Kernel, ...],
     left: float = np.inf,
     count: float = 0.0,
-) -> Score:
+) -> list[Score]:
     r"""Evidence of the best kernel and amplitude; the noise is profiled if what is left of the residual is given.
 
     In the eigenbasis of the samples' information under the prior, values :math:`v_i` and pulls :math:`a_i`,
@@ -210,26 +205,29 @@ def _smooth(
 
     with the first sum, what is explained, profiled as for plain columns where the noise is not known.
     """
-    best = Score(-np.inf, 1.0, 0)
+    best = [NOTHING] * len(s)
+    gains = np.full(len(s), -np.inf)
     for kernel in kernels_that_matter(shape, kernels):
         root = samples_root(shape, kernel)
         spectrum, vectors = np.linalg.eigh(root.T @ M @ root)
         values = np.maximum(spectrum, 0.0)
-        if values[-1] <= 0.0:
-            return NOTHING
-        mean_square = float(np.sum(root**2 * raw[:, None])) / len(s)
-        squares = np.where(values > DEPENDENT * mean_square, (vectors.T @ (root.T @ s)) ** 2, 0.0)
-        variances = TAUS / values[-1]
-        shrunk = 1.0 + variances * values
-        explained = (variances / shrunk) @ squares
+        largest = values[:, -1]
+        mean_square = raw @ np.sum(root**2, axis=1) / s.shape[1]
+        pulls = np.einsum("kij,ki->kj", vectors, s @ root)
+        squares = np.where(values > DEPENDENT * mean_square[:, None], pulls**2, 0.0)
+        variances = TAUS.T / np.maximum(largest, TINY)[:, None]
+        shrunk = 1.0 + variances[:, :, None] * values[:, None]
+        explained = variances * np.einsum("ktj,kj->kt", 1.0 / shrunk, squares)
         likelihood = explained if left == np.inf else -count * np.log1p(-np.minimum(explained / left, WHOLE))
-        twice = likelihood - np.sum(np.log1p(variances * values), axis=1)
-        k = int(np.argmax(twice))
-        gain = 0.5 * float(twice[k]) - SMOOTH_PRICE
-        if gain > best.gain:
-            freedom = float(np.sum(variances[k] * values / (1.0 + variances[k] * values)))
-            tau = float(np.sqrt(variances[k, 0]))
-            best = Score(gain, smooth_tail(float(twice[k])), max(round(freedom), 1), tau, kernel)
+        twice = likelihood - np.sum(np.log(shrunk), axis=2)
+        top = np.argmax(twice, axis=1)
+        gain = 0.5 * np.take_along_axis(twice, top[:, None], axis=1)[:, 0] - SMOOTH_PRICE
+        for k in np.flatnonzero((gain > gains) & (largest > 0.0)).tolist():
+            t = top[k]
+            freedom = float(np.sum(1.0 - 1.0 / shrunk[k, t]))
+            tau = float(np.sqrt(variances[k, t]))
+            best[k] = Score(float(gain[k]), smooth_tail(float(twice[k, t])), max(round(freedom), 1), tau, kernel)
+            gains[k] = gain[k]
     return best
 
 
@@ -244,8 +242,3 @@ def smooth_tail(twice: float) -> float:
 def tail(twice: float, freedom: int) -> float:
     """Chance that chi-square with so many degrees of freedom exceeds a value."""
     return float(gammaincc(0.5 * freedom, 0.5 * max(twice, 0.0)))
-
-
-def _profiled(explained: float, left: float, count: float) -> float:
-    """Twice the gain in log-likelihood when the noise is estimated anew."""
-    return float(-count * np.log1p(-min(explained / left, WHOLE)))

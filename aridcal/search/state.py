@@ -82,6 +82,11 @@ class State:
         """What stands in the design: the constants, then the effects."""
         return members(self.model, self.active)
 
+    @property
+    def places(self) -> list[slice]:
+        """Where each of them is in what is solved for."""
+        return _places([modes.shape[1] for _, modes in self.members])
+
     def in_modes(self, blocks: Sequence[np.ndarray]) -> np.ndarray:
         """Products with the coefficients of all members, (..., w, d) each, as products with what is solved for, (..., w, P)."""
         first, *others = blocks
