@@ -24,7 +24,8 @@ from aridcal.search.change_points import (
 )
 from aridcal.search.evidence import NOTHING
 from aridcal.search.linear_model import LinearModel
-from aridcal.search.scoring import DOUBT, judge, refine, score_all
+from aridcal.search.scoring import DOUBT, judge, refine
+from aridcal.search.screening import score_all
 from aridcal.search.state import State, activate, solve_state
 
 SLOTS = (("world_base", "x"), ("world_base", "y"), ("world_base", "roll"), ("j1", "axis"), ("tip_target", "z"))

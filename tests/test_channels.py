@@ -13,7 +13,8 @@ from aridcal.fit.normal_equations import accumulate
 from aridcal.instruments.channels import TARGET_POSITION, TARGET_ROTATION, Channel, Channels, columns, norms, spread
 from aridcal.search.evidence import solve
 from aridcal.search.linear_model import LinearModel
-from aridcal.search.scoring import refine, score_all
+from aridcal.search.scoring import refine
+from aridcal.search.screening import score_all
 from aridcal.search.state import activate, flat, solve_state
 
 FORCE = Channel("force", "N", ("f",), "mN", 1e3, "force error")

@@ -11,7 +11,7 @@ from scipy.stats import t as t_distribution
 
 from aridcal.effects.smooth import Kernel, kernel_root, smooth_precision
 from aridcal.fit.normal_equations import accumulate
-from aridcal.search.evidence import KERNELS, coefficients, score, shaped, solve
+from aridcal.search.evidence import KERNELS, coefficients, scores, shaped, solve
 
 UNIT = np.ones(1)
 
@@ -24,7 +24,9 @@ def problem(seed: int, n: int = 80, K: int = 5, d: int = 3) -> tuple[np.ndarray,
 def scored(A: np.ndarray, C: np.ndarray, r: np.ndarray, shape: tuple[int, ...] | None = None):  # type: ignore[no-untyped-def]
     P = np.eye(len(r)) - A @ np.linalg.pinv(A)
     left = P @ r
-    return score(C.T @ P @ C, C.T @ left, np.sum(C**2, axis=0), float(left @ left), len(r), shape)
+    return scores(
+        (C.T @ P @ C)[None], (C.T @ left)[None], np.sum(C**2, axis=0)[None], float(left @ left), len(r), shape
+    )[0]
 
 
 @pytest.mark.parametrize("d", [1, 3])

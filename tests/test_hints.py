@@ -16,7 +16,8 @@ from aridcal.instruments.channels import TARGET_POSITION, TARGET_ROTATION
 from aridcal.search.evidence import Score
 from aridcal.search.hints import harmonics, pairs
 from aridcal.search.linear_model import LinearModel
-from aridcal.search.scoring import Judgement, judge, refine, score_all
+from aridcal.search.scoring import Judgement, judge, refine
+from aridcal.search.screening import score_all
 from aridcal.search.state import activate, solve_state
 
 SLOTS = (("j1", "axis"), ("j1", "x"), ("j2", "axis"), ("tip_target", "z"))

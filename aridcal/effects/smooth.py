@@ -90,13 +90,6 @@ def kernel_root(shape: tuple[int, ...], kernel: Kernel) -> np.ndarray:
     return root
 
 
-@cache
-def kernel_modes(shape: Shape, kernel: Kernel) -> tuple[np.ndarray, np.ndarray]:
-    """Independent shapes of a smooth function's samples beforehand, in columns (knots, knots), and the deviation of each."""
-    modes, sizes, _ = np.linalg.svd(samples_root(shape, kernel), full_matrices=False)
-    return modes, sizes
-
-
 def _matern(distance: np.ndarray) -> np.ndarray:
     """Matern 7/2 of a distance in correlation lengths."""
     a = np.sqrt(7.0) * distance

@@ -238,11 +238,6 @@ class Products:
         """Where a candidate is: among those that were scored with the library, or by itself."""
         return self._place.get(effect) or (self.chunk([effect]), slice(None))
 
-    def lengths(self, effect: Effect) -> np.ndarray:
-        """Sum of squares of an effect's columns in each channel, shape (C,)."""
-        chunk, own = self.chunk_of(effect)
-        return np.asarray(np.einsum("ckk->c", chunk.own[:, own, own]))
-
     def rows_of(self, chunk: Chunk, places: np.ndarray) -> list[np.ndarray]:
         """Columns of a chunk in some rows, given by their places in the order of the folds, shape (rows size, w) a channel."""
         if chunk.columns is None:

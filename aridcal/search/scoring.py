@@ -33,7 +33,6 @@ from aridcal.search.evidence import (
     SMOOTH_PRICE,
     Score,
     price,
-    score,
     shaped,
     smooth_tail,
     solve,
@@ -41,9 +40,7 @@ from aridcal.search.evidence import (
     with_noise,
 )
 from aridcal.search.linear_model import Active, LinearModel
-from aridcal.search.products import grouped, placed
 from aridcal.search.state import State, activate, by_fold, with_candidate, with_columns
-from aridcal.showing import SILENT, Progress
 
 ALPHA = 3e-4
 """Chance that a clean campaign shows any effect at all, by these tests alone: one in three thousand."""
@@ -88,30 +85,6 @@ class Judgement:
     p_value: float
     gain_held_back: float
     why: str
-
-
-def score_all(model: LinearModel, effects: Sequence[Effect], state: State, progress: Progress = SILENT) -> list[Score]:
-    """Score candidates against a solved state, each alone: what they add, their columns projected off the model's."""
-    equations, beta, sigma = state.equations, state.solution.beta, state.solution.sigma
-    left, count = float(np.sum(equations.squares_left(beta) / sigma**2)), float(equations.count.sum())
-    asked = set(effects)
-    found: dict[Effect, Score] = {}
-    made = model.products
-    made.now_in_the_model(state.members)
-    prepared = [e for e in effects if model.prepared(e)]
-    others = [e for e in effects if not model.prepared(e)]
-    for chunk in (*made.chunks(prepared), *(made.chunk(group) for group in grouped(others))):
-        progress.part(len(found), len(effects), "candidates")
-        AC, CC, Cr = state.in_use(chunk)
-        Cr = np.tensordot(sigma**-2.0, Cr - np.swapaxes(AC, 1, 2) @ beta, 1)
-        CA, CC = (np.tensordot(sigma**-2.0, sums, 1) for sums in (np.swapaxes(AC, 1, 2), CC))
-        taken = CA @ state.solution.inverse
-        raw = np.diag(CC)
-        for effect, where in placed(chunk.effects):
-            if effect in asked:
-                M = CC[where, where] - taken[where] @ CA[where].T
-                found[effect] = score(M, Cr[where], raw[where], left, count, effect.shape if effect.smooth else None)
-    return [found[e] for e in effects]
 
 
 def refine(model: LinearModel, state: State, effect: Effect, rough: Score) -> Score:
@@ -197,7 +170,7 @@ def judge(model: LinearModel, state: State, effect: Effect, found: Score, tested
         robust, least = effect.looked * _robust(state, effect, along, configuration), ROBUST
     if robust > least:
         return judgement(share, f"the gain is not consistent across rows (p = {robust:.2g})")
-    if not set(_sources(effect)) <= set(model.own):
+    if not set(sources(effect)) <= set(model.own):
         robust = _over_time(model, state, candidate)
         if robust > ROBUST:
             return judgement(share, f"seen in too few separate periods of time (p = {robust:.2g})")
@@ -238,7 +211,7 @@ def _fitted(state: State, candidate: Active) -> np.ndarray:
     return candidate.modes @ beta[:, None]
 
 
-def _sources(effect: Effect) -> list[str]:
+def sources(effect: Effect) -> list[str]:
     """What an effect depends on, loads counted as the joints that make them; places of the target and labels are the user's."""
     named = (name for name in effect.covariates if not is_sight(name) and name != STATION)
     return [name.split(".")[0] if ".gravity_" in name else name for name in named]

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from aridcal.effects.effect import Effect
-from aridcal.effects.smooth import kernel_modes
+from aridcal.effects.smooth import samples_root
 from aridcal.fit.flags import flagged
 from aridcal.fit.normal_equations import NormalEquations, accumulate
 from aridcal.instruments.channels import Channels, columns, spread
@@ -81,6 +81,11 @@ class State:
     def members(self) -> tuple[Member, ...]:
         """What stands in the design: the constants, then the effects."""
         return members(self.model, self.active)
+
+    @property
+    def places(self) -> list[slice]:
+        """Where each of them is in what is solved for."""
+        return _places([modes.shape[1] for _, modes in self.members])
 
     def in_modes(self, blocks: Sequence[np.ndarray]) -> np.ndarray:
         """Products with the coefficients of all members, (..., w, d) each, as products with what is solved for, (..., w, P)."""
@@ -287,12 +292,11 @@ def activate(model: LinearModel, state: State, effect: Effect, found: Score) -> 
     if not effect.smooth:
         return Active(effect, found, np.eye(len(effect.coefficients)), prior=model.prior_of(effect))
     noise = found.sigma if found.sigma is not None else state.solution.sigma
-    squares = model.products.lengths(effect) @ noise**-2.0
-    mean_square = float(squares) / len(effect.coefficients)
-    modes, sizes = kernel_modes(effect.shape, found.kernel)
-    sizes = sizes * found.tau
-    seen = sizes**2 * mean_square > FAINT
-    return Active(effect, found, (modes * sizes)[:, seen])
+    chunk, own = model.products.chunk_of(effect)
+    gram = np.tensordot(noise**-2.0, chunk.own[:, own, own], 1)
+    root = found.tau * samples_root(effect.shape, found.kernel)
+    told, modes = np.linalg.eigh(root.T @ gram @ root)
+    return Active(effect, found, root @ modes[:, told > FAINT])
 
 
 def with_candidate(state: State, candidate: Active) -> tuple[NormalEquations, np.ndarray]:

@@ -15,7 +15,8 @@ from aridcal.search.change_points import best_steps
 from aridcal.search.evidence import DEPENDENT
 from aridcal.search.hints import hinted
 from aridcal.search.linear_model import Active, LinearModel
-from aridcal.search.scoring import held_back, held_out_whole, judge, refine, score_all
+from aridcal.search.scoring import held_back, held_out_whole, judge, refine
+from aridcal.search.screening import score_all
 from aridcal.search.state import State, activate, solve_state
 
 CONFOUNDED = "it is confounded with what is fitted without it: no row tells them apart"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,8 +14,9 @@ from aridcal.instruments.channels import columns
 from aridcal.search.change_points import best_steps
 from aridcal.search.evidence import Score
 from aridcal.search.hints import hinted
-from aridcal.search.linear_model import LinearModel
-from aridcal.search.scoring import ALPHA, Judgement, held_back_squares, judge, refine, score_all
+from aridcal.search.linear_model import Active, LinearModel
+from aridcal.search.scoring import ALPHA, Judgement, held_back_squares, judge, refine, sources
+from aridcal.search.screening import score_all, score_without
 from aridcal.search.state import State, activate, solve_state
 from aridcal.showing import SILENT, Progress
 
@@ -136,9 +137,13 @@ def twins(
 ) -> tuple[tuple[Effect, ...], ...]:
     """For each effect, the candidates that would do about as well in its place."""
     small = is_small(model, library)
+    also = [a.effect for a in state.active if KINDS[a.effect.kind].named]
+    rough = _without_each(model, library, also, state, progress)
     return tuple(
-        _twins(model, library, state, k, progress) if small or not a.effect.smooth or is_of_labels(a.effect) else ()
-        for k, a in enumerate(state.active)
+        _twins(model, library, state, a, rough[a.effect], progress)
+        if small or not a.effect.smooth or is_of_labels(a.effect)
+        else ()
+        for a in state.active
     )
 
 
@@ -149,6 +154,7 @@ def rank(
     hints: Collection[str] = (),
     also: Sequence[Effect] = (),
     progress: Progress = SILENT,
+    known: Mapping[Effect, Score] | None = None,
 ) -> list[tuple[Effect, Score]]:
     """Score every candidate that is not in the model; the best first, the first few with their noise apart.
 
@@ -159,6 +165,7 @@ def rank(
         hints: Kinds of which those that the residual hints at are candidates too.
         also: Further candidates, as they are.
         progress: Told how many are scored.
+        known: Rough scores of candidates, where there are some.
     """
     jumps = [e for e in library if e.at is not None]
     library = [*(e for e in library if e.at is None), *best_steps(model, state, jumps), *also]
@@ -166,13 +173,14 @@ def rank(
     held = {(kind, e.where) for e in taken if not e.hinted for kind in KINDS[e.kind].holds}
     every = dict.fromkeys([*library, *hinted(model, state, hints)])
     free = [e for e in every if e not in taken and not _is_held(e, held)]
-    found = score_all(model, free, state, progress)
-    order = sorted(range(len(free)), key=lambda k: -found[k].gain)
-    enough = PROMISING * found[order[0]].gain if order else 0.0
-    head = [free[k] for k in order if found[k].gain > max(enough, 0.0)][:REFINED]
-    rough = dict(zip(free, found, strict=True))
+    rough = dict(known or {})
+    new = [e for e in free if e not in rough]
+    rough.update(zip(new, score_all(model, new, state, progress), strict=True))
+    order = sorted(free, key=lambda e: -rough[e].gain)
+    enough = PROMISING * rough[order[0]].gain if order else 0.0
+    head = [e for e in order if rough[e].gain > max(enough, 0.0)][:REFINED]
     close = sorted(((e, refine(model, state, e, rough[e])) for e in head), key=lambda pair: -pair[1].gain)
-    return close + [(free[k], found[k]) for k in order if free[k] not in head]
+    return close + [(e, rough[e]) for e in order if e not in head]
 
 
 def _is_held(effect: Effect, held: set[tuple[str, str]]) -> bool:
@@ -241,12 +249,14 @@ def _tidy(
     known = {*library, *also} - {a.effect for a in state.active if a.stated}
     for _ in range(rounds):
         before = [a.effect for a in state.active]
+        rough = _without_each(model, library, also, state, progress)
         for effect in before:
             active = [a for a in state.active if a.effect != effect]
             if len(active) == len(state.active) or effect not in known:
                 continue
             without = solve_state(model, active, state.solution.sigma, state.used, fixed=True)
-            ranked = rank(model, library, without, {effect.kind}, also, progress)
+            rivals = _in_place_of(model, library, effect)
+            ranked = rank(model, rivals, without, {effect.kind}, also, progress, rough[effect])
             mine = next((s for e, s in ranked if e == effect), None)
             if mine is None:  # a map of the same joint, taken since, holds it
                 state = without
@@ -257,19 +267,50 @@ def _tidy(
             keep = not judge(model, without, best, its, tested).why
             taken = (*active, activate(model, without, best, its)) if keep else active
             state = solve_state(model, taken, without.solution.sigma, without.used)
+            if not keep or best != effect:
+                rough = _without_each(model, library, also, state, progress)
         if [a.effect for a in state.active] == before:
             break
     return state
 
 
+def _without_each(
+    model: LinearModel, library: Sequence[Effect], also: Sequence[Effect], state: State, progress: Progress
+) -> dict[Effect, dict[Effect, Score]]:
+    """Rough scores of all candidates that are no steps, without each effect of the model in turn."""
+    lasting = dict.fromkeys([*(e for e in library if e.at is None), *also])
+    found = score_without(model, list(lasting), state, progress)
+    return {a.effect: mine for a, mine in zip(state.active, found, strict=True)}
+
+
+def _in_place_of(model: LinearModel, library: Sequence[Effect], effect: Effect) -> list[Effect]:
+    """Candidates that may be what an effect is taken for: of what joints alone decide, no step, where a scan takes long."""
+    timed = effect.at is not None or not set(sources(effect)) <= set(model.own)
+    return [e for e in library if e.at is None or timed or is_small(model, library)]
+
+
 def _twins(
-    model: LinearModel, library: Sequence[Effect], state: State, k: int, progress: Progress
+    model: LinearModel,
+    library: Sequence[Effect],
+    state: State,
+    mine: Active,
+    rough: Mapping[Effect, Score],
+    progress: Progress,
 ) -> tuple[Effect, ...]:
-    """Candidates that would do about as well in the place of one of the effects."""
-    mine = state.active[k]
+    """Candidates that would do about as well in the place of one of the effects.
+
+    Args:
+        model: The linearised model.
+        library: Candidates.
+        state: The model with it.
+        mine: The effect.
+        rough: Scores of candidates without it.
+        progress: Told how many are scored.
+    """
     active = [a for a in state.active if a is not mine]
     without = solve_state(model, active, state.solution.sigma, state.used, fixed=True)
-    ranked = rank(model, library, without, also=[mine.effect], progress=progress)
+    rivals = _in_place_of(model, library, mine.effect)
+    ranked = rank(model, rivals, without, also=[mine.effect], progress=progress, known=rough)
     own = next((s for e, s in ranked if e == mine.effect), None)
     if own is None:
         return ()

@@ -1,0 +1,97 @@
+r"""Candidates scored roughly, all at once: against the model as it is, and against it without each of its effects.
+
+With V the inverse of the model's information, C the columns of a candidate and :math:`T = C^T A V`, all in sigmas,
+
+.. math:: M = C^T C - T A^T C, \qquad s = C^T (r - A \beta)
+
+are what a candidate is scored by (:mod:`aridcal.search.evidence`). Without the columns E of one effect nothing need be solved
+anew: with :math:`W = V_{EE}^{-1}`
+
+.. math:: M_{-E} = M + T_E W T_E^T, \qquad s_{-E} = s + T_E W \beta_E
+
+at the same noise.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from aridcal.effects.effect import Effect
+from aridcal.fit.normal_equations import conditional, inverse
+from aridcal.search.evidence import Score, scores
+from aridcal.search.linear_model import LinearModel
+from aridcal.search.products import grouped, placed
+from aridcal.search.state import State
+from aridcal.showing import SILENT, Progress
+
+# What a candidate is scored by: M, s, and squared lengths before projection.
+Sums = tuple[np.ndarray, np.ndarray, np.ndarray]
+
+
+def score_all(model: LinearModel, effects: Sequence[Effect], state: State, progress: Progress = SILENT) -> list[Score]:
+    """Score candidates against a solved state, each alone: what they add, their columns projected off the model's."""
+    sums = {
+        effect: (M[own, own], s[own], raw[own])
+        for placed_there, _, M, s, raw in _projected(model, effects, state, progress)
+        for effect, own in placed_there
+    }
+    found = _scored(sums, state, state.solution.beta)
+    return [found[e] for e in effects]
+
+
+def score_without(
+    model: LinearModel, effects: Sequence[Effect], state: State, progress: Progress = SILENT
+) -> list[dict[Effect, Score]]:
+    """Score candidates against a solved state without each of its effects, at the noise that all leave."""
+    V, beta = state.solution.inverse, state.solution.beta
+    parts = state.places[1:]
+    W = [inverse(V[own, own]) for own in parts]
+    sums: list[dict[Effect, Sums]] = [{} for _ in parts]
+    for placed_there, T, M, s, raw in _projected(model, effects, state, progress):
+        for mine, own, w in zip(sums, parts, W, strict=True):
+            back = T[:, own] @ w
+            pull = s + back @ beta[own]
+            for effect, k in placed_there:
+                mine[effect] = M[k, k] + back[k] @ T[k, own].T, pull[k], raw[k]
+    found = []
+    for mine, own in zip(sums, parts, strict=True):
+        gone = np.zeros(len(beta), dtype=bool)
+        gone[own] = True
+        found.append(_scored(mine, state, conditional(V, beta, gone)))
+    return found
+
+
+def _projected(
+    model: LinearModel, effects: Sequence[Effect], state: State, progress: Progress
+) -> Iterator[tuple[list[tuple[Effect, slice]], np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
+    """Candidates chunk by chunk, and where they are in it: T, M, s and squared lengths, w columns together."""
+    made, beta, weight = model.products, state.solution.beta, state.solution.sigma**-2.0
+    made.now_in_the_model(state.members)
+    asked, done = set(effects), 0
+    prepared = [e for e in effects if model.prepared(e)]
+    others = [e for e in effects if not model.prepared(e)]
+    for chunk in (*made.chunks(prepared), *(made.chunk(group) for group in grouped(others))):
+        progress.part(done, len(effects), "candidates")
+        AC, CC, Cr = state.in_use(chunk)
+        CA, CC = np.tensordot(weight, AC, 1).T, np.tensordot(weight, CC, 1)
+        T = CA @ state.solution.inverse
+        there = [(effect, own) for effect, own in placed(chunk.effects) if effect in asked]
+        done += len(there)
+        yield there, T, CC - T @ CA.T, weight @ Cr - CA @ beta, np.diag(CC)
+
+
+def _scored(sums: dict[Effect, Sums], state: State, beta: np.ndarray) -> dict[Effect, Score]:
+    """Evidence of candidates, those of one shape together, where the model has some solution."""
+    equations, sigma = state.equations, state.solution.sigma
+    left, count = float(np.sum(equations.squares_left(beta) / sigma**2)), float(equations.count.sum())
+    alike = defaultdict(list)
+    for effect in sums:
+        alike[len(effect.coefficients), effect.shape if effect.smooth else None].append(effect)
+    found: dict[Effect, Score] = {}
+    for (_, shape), group in alike.items():
+        M, s, raw = (np.stack(parts) for parts in zip(*(sums[e] for e in group), strict=True))
+        found.update(zip(group, scores(M, s, raw, left, count, shape), strict=True))
+    return found
