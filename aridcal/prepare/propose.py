@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from aridcal.errors import MeasurementError, RobotError, listed
-from aridcal.inputs.quantities import ABSURD, POSITION, QUATERNION, SAME_ORIENTATION
+from aridcal.inputs.orientations import QUATERNION
+from aridcal.inputs.quantities import ABSURD, POSITION, SAME_ORIENTATION
 from aridcal.inputs.tables import Table
 from aridcal.prepare.column_names import Family, angle_triples, match_joints, positions, quaternions, unit
 from aridcal.prepare.covariates import say_covariates, say_repeats

@@ -21,7 +21,8 @@ from scipy.spatial.transform import Rotation
 
 from aridcal.fit.frame_starts import start_frames
 from aridcal.inputs.measurement_settings import ANGLES, LENGTHS
-from aridcal.inputs.quantities import QUATERNION, TURNS
+from aridcal.inputs.orientations import QUATERNION
+from aridcal.inputs.quantities import TURNS
 from aridcal.prepare.column_names import Family
 from aridcal.robot.chain import Robot
 from aridcal.robot.kinematics import tip_frames
