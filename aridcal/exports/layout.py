@@ -143,7 +143,9 @@ def _is_row(cells: Sequence[str], numeric: set[int]) -> bool:
 
 def _summaries(split: Sequence[Sequence[str]], rows: Sequence[int], numeric: set[int], first: int) -> list[str]:
     """Beginnings of rows that are computed from others: no measurements, though they have all their numbers."""
-    return sorted({split[k][0] for k in range(first, len(split)) if split[k] and split[k][0].lower().rstrip(":.") in SUMMARIES})
+    return sorted(
+        {split[k][0] for k in range(first, len(split)) if split[k] and split[k][0].lower().rstrip(":.") in SUMMARIES}
+    )
 
 
 def _header(

@@ -93,7 +93,10 @@ def _samples(content: bytes, path: Path) -> Iterator[dict[str, Any]]:
                 states, observations = sample["joint_states"], sample["observations"]
                 joints = dict(zip(map(str, states["name"]), map(float, states["position"]), strict=True))
                 seen = [
-                    (str(one["sensor_name"]), [tuple(float(f["point"][axis]) for axis in "xyz") for f in one["features"]])
+                    (
+                        str(one["sensor_name"]),
+                        [tuple(float(f["point"][axis]) for axis in "xyz") for f in one["features"]],
+                    )
                     for one in observations
                 ]
             except (KeyError, TypeError, ValueError):

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -86,11 +87,16 @@ def look(content: bytes, path: Path, limit: Limit, pick: Pick) -> Found:
         separated = found.separator
     if not found.header:
         raise MeasurementError(
-            f"{path}: no line names its {len(found.rows[0])} columns{_of(who)}; write their names above line {found.first}, joints as "
-            "in the URDF, then x y z and the orientation's"
+            f"{path}: no line names its {len(found.rows[0])} columns{_of(who)}; write their names above line {found.first}, "
+            "joints as in the URDF, then x y z and the orientation's"
         )
     base = Dialect(
-        encoding=coded, separator=separated, header=found.header, first_row=_first_row(found), comment=found.comment, sheet=sheet
+        encoding=coded,
+        separator=separated,
+        header=found.header,
+        first_row=_first_row(found),
+        comment=found.comment,
+        sheet=sheet,
     )
     base = replace(base, lists=_lists(found), dates=_dates(found, path, pick))
     numbers = [row[k] for row in found.rows for k in found.numeric if k < len(row) and is_number(row[k])]
@@ -133,7 +139,9 @@ def _samples(content: bytes, path: Path, pick: Pick) -> Found:
     """Samples of robot_calibration, and the sensor that measured."""
     names = robot_calibration.sensors(content, path)
     if not names:
-        raise MeasurementError(f"{path}: no sensor has points that change from sample to sample; measure more configurations")
+        raise MeasurementError(
+            f"{path}: no sensor has points that change from sample to sample; measure more configurations"
+        )
     k = 0 if len(names) == 1 else pick("table.sheet", "which sensor measured the target", names, f"{path} has several")
     return Found((replace(PLAIN, export=robot_calibration.NAME, sheet=names[k]),), robot_calibration.NAME)
 
@@ -144,8 +152,14 @@ def _sheet(content: bytes, path: Path, limit: Limit, pick: Pick) -> tuple[str, s
     texts = {name: workbooks.as_csv(content, path, limit, name, ".").decode() for name in names}
     tables = [name for name in names if layout([line[:LONGEST] for line in texts[name].split("\n")[:LOOKED_AT]])]
     if not tables:
-        raise MeasurementError(f"{path}: none of the sheets {listed(names)} holds a table of numbers; name the table that was measured")
-    k = 0 if len(tables) == 1 else pick("table.sheet", "which sheet holds the measurements", tables, f"{path} has several tables")
+        raise MeasurementError(
+            f"{path}: none of the sheets {listed(names)} holds a table of numbers; name the table that was measured"
+        )
+    k = (
+        0
+        if len(tables) == 1
+        else pick("table.sheet", "which sheet holds the measurements", tables, f"{path} has several tables")
+    )
     return ("" if len(names) == 1 else tables[k]), texts[tables[k]]
 
 
@@ -162,7 +176,9 @@ def _lists(found: Layout) -> dict[str, tuple[str, ...]]:
         if "pose" in about or "tcp" in about or cells[0].lower().startswith("p"):
             named = {6: POSE_OF_SIX, 7: POSE_OF_SEVEN}.get(size)
         else:
-            named = {3: ("x", "y", "z")}.get(size) if about in ("position", "xyz", "translation", "point", "p") else None
+            named = (
+                {3: ("x", "y", "z")}.get(size) if about in ("position", "xyz", "translation", "point", "p") else None
+            )
         taken = set(found.names) | {part for parts in lists.values() for part in parts}
         if named is None or set(named) & taken:
             named = tuple(f"{name} {number + 1}" for number in range(size))
@@ -193,7 +209,9 @@ def _dates(found: Layout, path: Path, pick: Pick) -> Dates | None:
         chosen = (dated or clocks)[:1]
     rows = [" ".join(row[place[name]] for name in chosen) for row in found.rows]
     filled = [row for row in rows if row.strip()]
-    return Dates(_order(filled, chosen, path, pick), tuple(sorted(chosen, key=lambda name: (name in clocks, place[name]))))
+    return Dates(
+        _order(filled, chosen, path, pick), tuple(sorted(chosen, key=lambda name: (name in clocks, place[name])))
+    )
 
 
 def _filled(found: Layout, k: int) -> list[str]:
@@ -208,7 +226,7 @@ def _order(cells: Sequence[str], names: Sequence[str], path: Path, pick: Pick) -
     apart: dict[str, list[float]] = {}
     for order in possible:
         times = [seconds(cell, order) or 0.0 for cell in cells]
-        apart[order] = [b - a for a, b in zip(times, times[1:], strict=False)]
+        apart[order] = [b - a for a, b in itertools.pairwise(times)]
     unlike = [order for k, order in enumerate(possible) if apart[order] not in [apart[o] for o in possible[:k]]]
     forward = [order for order in unlike if all(step >= 0 for step in apart[order])]
     unlike = forward if len(forward) == 1 else unlike

@@ -124,7 +124,9 @@ def _known(encoding: str) -> str:
         if not codecs.lookup(encoding)._is_text_encoding:
             raise LookupError
     except (LookupError, ValueError):
-        raise ValueError(f"{encoding!r} is no encoding of text that is known; utf-8, utf-16 or cp1252 for instance") from None
+        raise ValueError(
+            f"{encoding!r} is no encoding of text that is known; utf-8, utf-16 or cp1252 for instance"
+        ) from None
     return encoding
 
 
@@ -230,7 +232,9 @@ class Units(Section):
         }[of]  # fmt: skip
         unit = self.columns.get(column, usual)
         if unit not in known:
-            raise CampaignError(f"measurements.units.columns.{column}: {unit} is no unit of {of}; write one of {', '.join(known)}")
+            raise CampaignError(
+                f"measurements.units.columns.{column}: {unit} is no unit of {of}; write one of {', '.join(known)}"
+            )
         return known[unit]
 
     def joint(self, column: str, kind: str) -> float:
@@ -239,7 +243,7 @@ class Units(Section):
 
 
 HOW_WRITTEN = (
-    "write quaternion, {euler: XYZ, columns: [rx, ry, rz]}, {rotvec: [rx, ry, rz]} or {matrix: [r11, r12, r13, r21, … r33]}"
+    "write quaternion, {euler: XYZ, columns: [rx, ry, rz]}, {rotvec: [rx, ry, rz]} or {matrix: [r11, r12, r13, …]}"
 )
 """What an orientation can be."""
 
@@ -341,7 +345,12 @@ class MeasurementSettings(Section):
         """Columns without which a table is none of this block, beside the joints."""
         names: tuple[str, ...]
         if self.kind in OF_TARGETS:
-            own = self.orientation.columns or self.orientation.rotvec or self.orientation.matrix or ("qx", "qy", "qz", "qw")
+            own = (
+                self.orientation.columns
+                or self.orientation.rotvec
+                or self.orientation.matrix
+                or ("qx", "qy", "qz", "qw")
+            )
             names = ("x", "y", "z", *(own if self.kind == "pose" else ()))
         else:
             kind = KINDS[self.kind]

@@ -13,7 +13,15 @@ from aridcal.effects.effect import ROW_ORDER
 from aridcal.errors import CampaignError, MeasurementError, has_controls, nearest
 from aridcal.inputs.measurement_settings import MeasurementSettings
 from aridcal.inputs.orientations import (
-    IDENTITY, MATRIX_SLACK, QUATERNION, QUATERNION_SLACK, angle_columns, column_of, normalised, of_matrices, own_orientation,
+    IDENTITY,
+    MATRIX_SLACK,
+    QUATERNION,
+    QUATERNION_SLACK,
+    angle_columns,
+    column_of,
+    normalised,
+    of_matrices,
+    own_orientation,
     turned,
 )  # fmt: skip
 from aridcal.inputs.tables import DECIMAL_COMMA, Remark, Table
@@ -178,7 +186,9 @@ class Source:
     def _from_quaternions(self, columns: list[str]) -> np.ndarray:
         """Columns of quaternions, made to have norm 1, shape (N, 4)."""
         quaternion, norm = normalised(self.needed(columns, 1.0), self.usable)
-        self._refuse_each(np.abs(norm - 1) > QUATERNION_SLACK, " ".join(columns), "the norm of the quaternion is not 1", norm)
+        self._refuse_each(
+            np.abs(norm - 1) > QUATERNION_SLACK, " ".join(columns), "the norm of the quaternion is not 1", norm
+        )
         return np.where(self.usable[:, None], quaternion, IDENTITY)
 
     def _refuse_each(self, bad: np.ndarray, columns: str, why: str, value: np.ndarray) -> None:
@@ -367,10 +377,12 @@ class Source:
             words = self.table.texts(name)[is_text].tolist()
             with_comma = [word for word in words if DECIMAL_COMMA.fullmatch(word)]
             if len(with_comma) > len(numbers) / 2:
-                raise MeasurementError(f"{self.table.title}: column {name!r} has decimal commas; write points{INIT_TELLS}")
+                raise MeasurementError(
+                    f"{self.table.title}: column {name!r} has decimal commas; write points{INIT_TELLS}"
+                )
             marked = [word[1:] for word in words if word.startswith(NO_NUMBER)]
             if len(marked) > len(numbers) / 2:
-                why = f"{name!r} has numbers that `table` under measurements does not describe, {marked[0]!r}; mend it{INIT_TELLS}"
+                why = f"{name!r} has numbers that `table` does not describe, {marked[0]!r}; mend it{INIT_TELLS}"
                 raise MeasurementError(f"{self.table.title}: column {why}")
             self.refuse(is_text, name, "not a number")
         missing = ~np.isfinite(numbers)

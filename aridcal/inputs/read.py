@@ -23,7 +23,7 @@ from aridcal.inputs.checks import (
 )
 from aridcal.inputs.dataset import ROLES, Dataset, RowNoise, together, weighed, weighed_apart
 from aridcal.inputs.measurement_settings import OF_TARGETS, SHOT, TARGET, MeasurementSettings
-from aridcal.inputs.quantities import POSITION, Source
+from aridcal.inputs.quantities import Source
 from aridcal.inputs.repeats import blocks, by_content
 from aridcal.inputs.split import draw_split, with_training_labels, with_training_rows
 from aridcal.inputs.tables import AnyTable, Remark, Table, read_tables
@@ -369,7 +369,7 @@ def _tables_of_blocks(campaign: Campaign, files: Sequence[AnyTable] | None) -> l
     found: dict[int, list[AnyTable]] = {}
     for table in campaign.tables if files is None else files:
         having = [k for k, block in enumerate(campaign.blocks) if block.needs <= _names(table, block, campaign)]
-        needed = {k: len(_needs(campaign.blocks[k])) for k in having}
+        needed = {k: len(campaign.blocks[k].needs) for k in having}
         most = [k for k in having if needed[k] == max(needed.values())]
         if len(most) != 1:
             titles = listed([campaign.blocks[k].title for k in most] or [block.title for block in campaign.blocks])

@@ -248,9 +248,7 @@ def _read(
     return _Part(path, read.cells, read.line, tuple(refused), read.left_out)
 
 
-def _read_text(
-    content: bytes, path: Path, limit: Limit, dialect: Dialect, needed: Collection[str] | None
-) -> FileCells:
+def _read_text(content: bytes, path: Path, limit: Limit, dialect: Dialect, needed: Collection[str] | None) -> FileCells:
     """Read what is no parquet; plain csv in spite of the dialect only where that makes nothing of it."""
     if dialect == PLAIN:
         return read_csv(content, path, limit)

@@ -14,7 +14,9 @@ MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", 
 
 NUMBERS = re.compile(r"(\d{1,4})([-/.])(\d{1,2})\2(\d{1,4})\.?")
 COMPACT = re.compile(r"(\d{4})(\d{2})(\d{2})(?=[T _]|$)")
-WORDS = re.compile(r"(?:(\d{1,2})[-. ]+([A-Za-z]{3})[a-z]*[-., ]+(\d{4})|([A-Za-z]{3})[a-z]*[-. ]+(\d{1,2}),?[- ]+(\d{4}))")
+WORDS = re.compile(
+    r"(?:(\d{1,2})[-. ]+([A-Za-z]{3})[a-z]*[-., ]+(\d{4})|([A-Za-z]{3})[a-z]*[-. ]+(\d{1,2}),?[- ]+(\d{4}))"
+)
 CLOCK = re.compile(
     r"(\d{1,2}):(\d{2})(?::(\d{2})(?:[.,:](\d{1,9}))?)?\s*([AaPp])?\.?(?:[Mm]\.?)?\s*(Z|UTC|GMT|[-+]\d{2}:?\d{2})?"
 )

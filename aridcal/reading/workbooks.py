@@ -59,7 +59,9 @@ def as_csv(content: bytes, path: Path, limit: Limit, sheet: str, decimal: str) -
     if sheet and sheet not in names:
         raise MeasurementError(f"{path}: has no sheet {shortened(sheet)!r}{nearest(sheet, names)}; see `table.sheet`")
     if not sheet and len(names) != 1:
-        raise MeasurementError(f"{path}: has the sheets {listed(names)}; say which under measurements: `table: {{sheet: …}}`")
+        raise MeasurementError(
+            f"{path}: has the sheets {listed(names)}; say which under measurements: `table: {{sheet: …}}`"
+        )
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
     try:
@@ -80,11 +82,14 @@ def _opened(content: bytes, path: Path, limit: Limit) -> Any:
             size = sum(part.file_size for part in parts.infolist())
             if size > UNPACKED * limit.megabytes * MEGA:
                 raise MeasurementError(
-                    f"{path}: unpacks to {size / MEGA:,.0f} MB, at most {UNPACKED * limit.megabytes:g} MB are read; {limit.remedy}"
+                    f"{path}: unpacks to {size / MEGA:,.0f} MB, at most {UNPACKED * limit.megabytes:g} MB are read; "
+                    f"{limit.remedy}"
                 )
             for part in parts.infolist():
                 if part.filename.lower().endswith((".xml", ".rels")) and _declares(parts, part):
-                    raise MeasurementError(f"{path}: declares entities in its XML, which no workbook needs; save it anew")
+                    raise MeasurementError(
+                        f"{path}: declares entities in its XML, which no workbook needs; save it anew"
+                    )
         book = openpyxl.load_workbook(io.BytesIO(content), read_only=True, data_only=True, keep_links=False)
     except MeasurementError:
         raise
@@ -111,7 +116,9 @@ def _rows(sheet: Any, path: Path, limit: Limit) -> Iterator[tuple[Any, ...]]:
             raise MeasurementError(f"{path}: has more than {MOST_ROWS:,} rows, which no sheet has; save it anew")
         filled = max((k + 1 for k, cell in enumerate(row) if cell is not None), default=0)
         if filled > MOST_COLUMNS:
-            raise MeasurementError(f"{path}: has {filled:,} columns, at most {MOST_COLUMNS:,} are read; split the table")
+            raise MeasurementError(
+                f"{path}: has {filled:,} columns, at most {MOST_COLUMNS:,} are read; split the table"
+            )
         cells += len(row)
         if HELD * cells > limit.megabytes * MEGA:
             raise MeasurementError(f"{path}: has more cells than {limit.megabytes:g} MB hold; {limit.remedy}")

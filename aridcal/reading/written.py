@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import codecs
 import csv
+import itertools
 import re
 from collections.abc import Collection, Sequence
 from dataclasses import replace
@@ -202,7 +203,9 @@ def _converted(read: FileCells, dialect: Dialect, path: Path) -> pa.Table:
     for name in (*dialect.lists, *(dialect.dates.columns if dialect.dates else ())):
         if name not in cells.column_names:
             where = "lists" if name in dialect.lists else "dates"
-            raise MeasurementError(f"{path}: no column {name!r}, which `table.{where}` names{nearest(name, cells.column_names)}")
+            raise MeasurementError(
+                f"{path}: no column {name!r}, which `table.{where}` names{nearest(name, cells.column_names)}"
+            )
     names: list[str] = []
     columns: list[pa.ChunkedArray] = []
     for name in cells.column_names:
@@ -221,7 +224,9 @@ def _converted(read: FileCells, dialect: Dialect, path: Path) -> pa.Table:
         if name in names[:k]:
             raise MeasurementError(f"{path}: the column {name!r} is there twice; rename one, or set `table.lists`")
     if len(names) > MOST_COLUMNS:
-        raise MeasurementError(f"{path}: has {len(names):,} columns, at most {MOST_COLUMNS:,} are read; split the table")
+        raise MeasurementError(
+            f"{path}: has {len(names):,} columns, at most {MOST_COLUMNS:,} are read; split the table"
+        )
     return pa.table(columns, names=names)
 
 
@@ -247,13 +252,13 @@ def _in_seconds(cells: pa.Table, lines: np.ndarray, dates: Dates, path: Path) ->
         value = seconds(text, dates.order) if text else None
         if text and value is None:
             raise MeasurementError(
-                f"{path}, line {lines[k]}: column {dates.name!r}, {shortened(text)}: is no date or time in the order {dates.order}; "
-                "mend the cell, or set `table.dates`"
+                f"{path}, line {lines[k]}: column {dates.name!r}, {shortened(text)}: is no date or time in the order "
+                f"{dates.order}; mend the cell, or set `table.dates`"
             )
         dated = dated or (not dated and bool(text) and has_date(text))
         values.append(value)
     known = [value for value in values if value is not None]
-    if not dated and any(b < a - DAY / 2 for a, b in zip(known, known[1:], strict=False)):
+    if not dated and any(b < a - DAY / 2 for a, b in itertools.pairwise(known)):
         raise MeasurementError(
             f"{path}: column {dates.name!r} passes midnight and has no date: add it, or leave the column out of `table.dates`"
         )

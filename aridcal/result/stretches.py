@@ -68,7 +68,12 @@ def stretches(
     path = None if isinstance(table, pd.DataFrame) else Path(table)
     found: Iterator[Stretch] = iter(())
     whole_file = dialect != PLAIN and path is not None and path.suffix.lower() != ".parquet"
-    if path is not None and not whole_file and path.is_file() and STRETCH < path.stat().st_size <= limit.megabytes * MEGA:
+    if (
+        path is not None
+        and not whole_file
+        and path.is_file()
+        and STRETCH < path.stat().st_size <= limit.megabytes * MEGA
+    ):
         sorts = {".csv": _of_csv, ".parquet": _of_parquet}
         found = sorts[path.suffix.lower()](path, limit) if path.suffix.lower() in sorts else found
     names = None
