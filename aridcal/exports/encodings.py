@@ -37,7 +37,8 @@ def encoding(content: bytes, path: Path) -> str:
     western = begin.decode("cp1252", errors="replace")
     if all(letter.isascii() or letter in WESTERN for letter in western):
         return "cp1252"
-    best = charset_normalizer.from_bytes(begin).best()
+    words = b"\n".join(line for line in begin.splitlines() if not line.isascii())  # numbers tell nothing, and dilute
+    best = charset_normalizer.from_bytes(words).best()
     if best is None:
         raise MeasurementError(f"{path}: is not UTF-8 text, nor any other that is known; save it as UTF-8")
     try:

@@ -12,7 +12,7 @@ from aridcal.reading.dialect import BLANKS
 from aridcal.reading.written import is_units, joined, split_line, uncommented
 
 SEPARATORS = ("\t", ";", ",", "|", BLANKS)
-"""Tried in this order; of two that part the same numbers the first."""
+"""Tried in this order; of two that part the same numbers the first, blanks only where nothing else parts any."""
 
 FEWEST = 3
 """Numbers of a row: a table of measurements has more columns than that."""
@@ -66,6 +66,8 @@ def layout(lines: Sequence[str]) -> Layout | None:
     """The layout that makes the most numbers of some lines; None where none makes a table of them."""
     best: Layout | None = None
     for separator in SEPARATORS:
+        if separator == BLANKS and best is not None:  # words of names are parted by blanks, too
+            return best
         found = _layout(lines, separator)
         if found and (best is None or found.score > best.score):
             best = found

@@ -346,7 +346,8 @@ class Source:
         """The error for columns that cannot be in the stated unit; `largest` in [rad] or [m]."""
         units = self.settings.units
         stated, one = (units.angle, units.radians) if unit == "angle" else (units.length, units.metres)
-        remedy = "in degrees, write `units: {angle: deg}`" if unit == "angle" else "in mm, write `units: {length: mm}`"
+        usual = "in degrees, write `units: {angle: deg}`" if unit == "angle" else "in mm, write `units: {length: mm}`"
+        remedy = usual if stated not in ("deg", "mm") else "in another unit, name that in `units`"
         names = ", ".join(repr(name) for name in columns)
         return MeasurementError(
             f"{self.table.title}: column {names} cannot be in {stated}: values up to {largest / one:.6g}. "

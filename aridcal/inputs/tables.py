@@ -16,6 +16,7 @@ import pyarrow.compute as pc
 
 from aridcal.errors import SHOWN, MeasurementError, listed, nearest, printable
 from aridcal.exports import robot_calibration
+from aridcal.reading import workbooks
 from aridcal.reading.dialect import PLAIN, Dialect
 from aridcal.reading.files import TABLE, Limit, read_file
 from aridcal.reading.names import check_path
@@ -35,6 +36,9 @@ DECIMAL_COMMA = re.compile(r"\s*[-+]?\d+,\d+([eE][-+]?\d+)?\s*")
 PLAIN_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?|[-+]?(nan|inf)", re.IGNORECASE)
 
 ENDINGS = (".csv", ".parquet")
+
+# What is read where a campaign says how (`table`), or is plain csv or a workbook of one sheet all the same.
+OTHER_ENDINGS = (".txt", ".tsv", ".tab", ".dat", ".asc", ".log", ".prn", *workbooks.ENDINGS)
 
 # Columns that are not there which a message names.
 SHOWN_MISSING = 12
@@ -233,10 +237,9 @@ def _read(
         path = Path(table)
         check_path(path, MeasurementError)
         ending = path.suffix.lower()
-        if path.is_file() and ending not in ENDINGS and dialect == PLAIN:
+        if path.is_file() and ending not in (*ENDINGS, *OTHER_ENDINGS) and dialect == PLAIN:
             raise MeasurementError(
-                f"{path}: should be a .csv or .parquet file; for text of another sort and .xlsx, `aridcal init` writes how they "
-                "are read (`table` under measurements)"
+                f"{path}: should be a .csv or .parquet file, text ({' '.join(OTHER_ENDINGS[:3])} …) or .xlsx"
             )
         content = read_file(path, MeasurementError, limit)
         update(content)
@@ -250,7 +253,7 @@ def _read(
 
 def _read_text(content: bytes, path: Path, limit: Limit, dialect: Dialect, needed: Collection[str] | None) -> FileCells:
     """Read what is no parquet; plain csv in spite of the dialect only where that makes nothing of it."""
-    if dialect == PLAIN:
+    if dialect == PLAIN and path.suffix.lower() not in workbooks.ENDINGS:
         return read_csv(content, path, limit)
     may_be_plain = needed is not None and path.suffix.lower() == ".csv" and _is_plain(content, needed)
     try:
@@ -261,9 +264,11 @@ def _read_text(content: bytes, path: Path, limit: Limit, dialect: Dialect, neede
         if may_be_plain:
             return read_csv(content, path, limit)
         raise
+    if not may_be_plain:
+        return read
     lacks = not set(needed or ()) <= set(read.cells.column_names)
     points = dialect.decimal != "." and b"." in content.split(b"\n", 2)[1]
-    return read_csv(content, path, limit) if may_be_plain and (lacks or points) else read
+    return read_csv(content, path, limit) if lacks or points else read
 
 
 def _is_plain(content: bytes, needed: Collection[str]) -> bool:

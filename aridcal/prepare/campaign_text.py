@@ -80,7 +80,7 @@ def draft(
     dialects, maker = dialects_of(tables, asker)
     dialect, why = best_dialect(dialects, proposed, asker)
     proposal = proposed(dialect, asker)
-    say_table(dialect, maker, why, proposal)
+    say_table(dialect, tables, maker, why, proposal)
     proposal.guesses = [replace(guess, value=_placed(guess.value, out.parent)) for guess in proposal.guesses]
     text = campaign_text(proposal, urdf, tables, out.parent)
     campaign = parse_settings(text, out, Campaign)

@@ -31,6 +31,8 @@ COMMANDED = _set(
 )
 # Words for what was measured.
 MEASURED = _set("measured measurement meas actual tracker laser mocap leica marker reflector smr probe")
+# Of these, words for what may be one of several on a body.
+ON_A_BODY = _set("marker reflector smr probe")
 # Words for how well something was measured.
 SCATTER = _set("std sigma sd stdev error err residual")
 # Words for what is neither a reading nor a pose.
@@ -45,7 +47,7 @@ QUATERNION_LIKE = _set("q quat quaternion")
 # Words for the scalar of a quaternion.
 SCALAR = _set("0 4 w s r scalar real qw qs qr qo")
 # Words for the numbers of a position, where they are numbered.
-PLACED = _set("position pos p t translation xyz point pose tcp")
+PLACED = _set("position pos p t trans translation xyz point pose tcp")
 # Angles whose columns are called by Greek letters or otherwise, in their order.
 NAMED_ANGLES = (("phi", "theta", "psi"), ("psi", "theta", "phi"), ("o", "a", "t"), ("az", "el", "roll"))
 # A cell of a matrix: what it is of, its row and its column.
@@ -53,7 +55,7 @@ MATRIX_CELL = re.compile(r"(.*?)[\s_\[(,.]*([0-4])[\s_\])(,.]*([0-4])[\])]?")
 # Numbers of a matrix in a row: of a rotation, of a pose without and with its last line.
 MATRIX_SIZES = (9, 12, 16)
 # Words for joints.
-JOINT_LIKE = _set("j q joint joints axis a theta th angle")
+JOINT_LIKE = _set("j q jt joint joints axis a theta th angle robax gelenk achse axe eje asse")
 # Where a word ends without a separator: before a capital, a number, or a letter after a number.
 WORD_ENDS = re.compile(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Za-z])(?=\d)|(?<=\d)(?=[A-Za-z])")
 

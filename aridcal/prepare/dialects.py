@@ -13,6 +13,7 @@ from aridcal.exports.sniffing import as_keys, look
 from aridcal.inputs.tables import AnyTable
 from aridcal.prepare.guesses import Asker, Proposal, nobody
 from aridcal.prepare.orientation_columns import CLEAR
+from aridcal.reading import workbooks
 from aridcal.reading.dialect import PLAIN, Dialect
 from aridcal.reading.files import TABLE, read_file
 from aridcal.reading.names import check_path
@@ -102,20 +103,16 @@ def best_dialect(
     return near[k][1], "as was answered"
 
 
-def table_words(dialect: Dialect, maker: str, why: str) -> str:
-    """What is said of how a table is written."""
-    said = [f"an export of {maker}"] if maker else []
-    return "; ".join([*said, _words(dialect), *([why] if why else [])])
-
-
-def _words(dialect: Dialect) -> str:
+def _words(dialect: Dialect, workbook: bool = False) -> str:
     """A dialect in words."""
     if dialect.export:
         return f"samples of {dialect.export}, sensor {dialect.sheet}"
     parted = {"\t": "tabs", ";": "semicolons", ",": "commas", "|": "bars", " ": "blanks"}[dialect.separator]
-    said = [f"sheet {dialect.sheet}"] if dialect.sheet else [f"{dialect.encoding}, cells parted by {parted}"]
-    header = " and ".join(map(str, dialect.header))
-    return ", ".join([*said, _numbers(dialect), f"names in line {header}, rows from line {dialect.begins}"])
+    said = f"{dialect.encoding}, cells parted by {parted}"
+    if workbook:
+        said = f"sheet {dialect.sheet}" if dialect.sheet else "a workbook of one sheet"
+    header = f"line{'s' if len(dialect.header) > 1 else ''} {', '.join(map(str, dialect.header))}"
+    return f"{said}, {_numbers(dialect)}, names in {header}, rows from line {dialect.begins}"
 
 
 def _numbers(dialect: Dialect) -> str:
@@ -125,8 +122,13 @@ def _numbers(dialect: Dialect) -> str:
     return f"{sign} and thousands with {groups}" if groups else sign
 
 
-def say_table(dialect: Dialect, maker: str, why: str, made: Proposal) -> None:
+def say_table(dialect: Dialect, tables: Sequence[AnyTable], maker: str, why: str, made: Proposal) -> None:
     """Say how the tables are written, where they are no plain csv or a maker's."""
     keys = as_keys(dialect)
-    if keys or maker:
-        made.say("measurements.table", keys or None, table_words(dialect, maker, why))
+    workbook = any(
+        not isinstance(one, pd.DataFrame) and Path(one).suffix.lower() in workbooks.ENDINGS for one in tables
+    )
+    if keys or maker or workbook:
+        said = [f"an export of {maker}"] if maker else []
+        said += [_words(dialect, workbook), *([why] if why else [])]
+        made.say("measurements.table", keys or None, "; ".join(said))

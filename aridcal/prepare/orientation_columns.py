@@ -77,7 +77,7 @@ def say_orientation(
         MeasurementError: there are two orientations that disagree.
         AridcalError: two ways fit alike, and nobody says which is meant.
     """
-    found = sorted(_candidates(table, used, rows, reading), key=lambda one: (*_order(one), _unlike(one, place)))
+    found = sorted(_candidates(table, used, place, rows, reading), key=lambda one: (*_order(one), _unlike(one, place)))
     if not found:
         made.say("measurements.kind", "position", "no columns of an orientation", sure=False)
         return set()
@@ -146,12 +146,14 @@ def _refuse_second(table: Table, rows: np.ndarray, own: _Columns, best: Writing,
             )
 
 
-def _candidates(table: Table, used: set[str], rows: np.ndarray, reading: Reading) -> list[_Columns]:
+def _candidates(table: Table, used: set[str], place: Family, rows: np.ndarray, reading: Reading) -> list[_Columns]:
     """Columns that may be an orientation, those of four numbers first."""
     free = [name for name in table.names if name and name not in used]
     found, in_matrices = [], set()
-    for matrix in matrices(free):
-        names = sorted({name for way in matrix.rotation for name in way}, key=free.index)
+    for matrix in matrices(name for name in table.names if name in free or name in place.columns):
+        names = sorted({name for way in matrix.rotation for name in way}, key=table.names.index)
+        if not set(names) <= set(free):
+            continue
         values = dict(zip(names, sensible(table, names)[rows].T, strict=True))
         if all(np.isfinite(column).any() for column in values.values()):
             ways = matrix_writings(matrix, values, reading)

@@ -8,11 +8,23 @@ from typing import Any
 
 import numpy as np
 
-from aridcal.errors import MeasurementError, RobotError, listed
+from aridcal.errors import MeasurementError, RobotError, listed, shortened
 from aridcal.inputs.measurement_settings import TARGET
 from aridcal.inputs.quantities import POSITION
 from aridcal.inputs.tables import Table
-from aridcal.prepare.column_names import Family, match_joints, matrices, positions, unit
+from aridcal.prepare.column_names import (
+    MEASURED,
+    ON_A_BODY,
+    PLACED,
+    TURNED,
+    Family,
+    angle_triples,
+    match_joints,
+    matrices,
+    positions,
+    quaternions,
+    unit,
+)
 from aridcal.prepare.covariates import say_covariates, say_repeats
 from aridcal.prepare.guesses import Asker, Proposal, ask
 from aridcal.prepare.orientation_columns import CLEAR, MOST_ANSWERS, say_orientation, sensible
@@ -113,7 +125,12 @@ def _joints(chains: Iterable[tuple[str, ...]], table: Table) -> tuple[tuple[str,
     """
     names = [name for name in table.names if name]
     matches = {joints: match_joints(joints, names) for joints in chains}
-    found = {joints: match for joints, match in matches.items() if match}
+    longest = max(map(len, matches))
+    found = {
+        joints: match
+        for joints, match in matches.items()
+        if match and (match[1] in ("same name", "similar name") or 2 * len(joints) >= longest)
+    }
     if not found:
         lacking = [joint for joint in max(matches, key=len) if joint not in names]
         raise MeasurementError(
@@ -165,15 +182,18 @@ def _position(table: Table, used: set[str], joints: Sequence[str], asker: Asker,
     free = [name for name in table.names if name and name not in used]
     families = [family for family in _places(free) if np.isfinite(sensible(table, family.columns)).any()]
     if not families:
-        raise MeasurementError(f"{table.title}: no columns for the target's position: call them x, y and z")
+        raise MeasurementError(f"{table.title}: no columns for the target's position: {_no_position(table, free)}")
     likely = [family for family in families if not family.commanded] or families
-    surest = [family for family in likely if family.measured]
+    surest = [family for family in likely if family.about & (MEASURED - ON_A_BODY)]
     moved, left = likely, ""
     if len(likely) > 1 and len(surest) != 1:
         moved = [family for family in likely if _moves_along(table, made.robot, joints, family)]
         left = "; the others do not move as the robot does" if len(moved) == 1 else ""
     elif len(surest) == 1:
         moved = surest
+    if len(moved) > 1:
+        turned = [family for family in moved if _turned(free, family)]
+        moved = turned if len(turned) == 1 else moved
     picked = (moved or likely)[0]
     if len(moved) != 1 and len(likely) > 1:
         likely = moved or likely
@@ -196,6 +216,24 @@ def _places(free: Sequence[str]) -> list[Family]:
     inside = {name for family in found for name in family.columns}
     plain = positions(name for name in free if name not in in_matrices | inside)
     return [*found, *(family for family in plain if not set(family.columns) & inside)]
+
+
+def _no_position(table: Table, free: Sequence[str]) -> str:
+    """What to do where no columns have numbers that may be a position."""
+    for family in _places(free):
+        cells = [cell for cell in table.texts(family.columns[0]).tolist() if cell]
+        if cells:
+            return (
+                f"{' '.join(family.columns)} hold no numbers, {shortened(cells[0])!r} for instance; write numbers alone"
+            )
+    return "call them x, y and z"
+
+
+def _turned(free: Sequence[str], place: Family) -> bool:
+    """True of a position beside which an orientation has the same words."""
+    own = place.about - PLACED
+    triples = (*quaternions(free), *angle_triples(free))
+    return any(family.about - TURNED == own and not set(family.columns) & set(place.columns) for family in triples)
 
 
 def _moves_along(table: Table, robot: Robot, joints: Sequence[str], place: Family) -> bool:

@@ -110,7 +110,8 @@ def split_line(line: str, separator: str) -> list[str]:
 def header_names(lines: Sequence[str], dialect: Dialect, separator: str, path: Path) -> list[str]:
     """Names of the columns: the cells of the header's lines, one below the other, with blanks between.
 
-    A cell of an upper line that is empty has what stands left of it, as merged cells have; repeated names get numbers.
+    A cell of an upper line that is empty has what stands left of it, as merged cells have, unless that line repeats its cells:
+    then it is written in full. Repeated names get numbers.
 
     Raises:
         MeasurementError: there is no such line.
@@ -131,9 +132,12 @@ def joined(rows: Sequence[Sequence[str]]) -> list[str]:
     columns: list[list[str]] = [[] for _ in range(width)]
     for number, row in enumerate(rows):
         last = ""
+        merged = (
+            number < len(rows) - 1 and not is_units(row) and not any(a and a == b for a, b in itertools.pairwise(row))
+        )
         for k in range(width):
             cell = row[k] if k < len(row) else ""
-            if number < len(rows) - 1 and not is_units(row):
+            if merged:
                 last = cell or last
                 cell = last if any(k < len(below) and below[k] for below in rows[number + 1 :]) else cell
             if cell and cell not in columns[k]:
