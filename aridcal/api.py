@@ -11,7 +11,7 @@ Example:
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import get_args
@@ -41,15 +41,18 @@ from aridcal.showing import working
 __all__ = ["AridcalError", "Calibration", "Campaign", "PlannedPoses", "calibrate", "load", "plan", "propose"]
 
 
-def propose(urdf: str | Path, measurements: AnyTable | Sequence[AnyTable]) -> Campaign:
+def propose(
+    urdf: str | Path, measurements: AnyTable | Sequence[AnyTable], answers: Mapping[str, int] | None = None
+) -> Campaign:
     """Propose a campaign by looking at a URDF and at measurements, and print what was found and what was guessed.
 
-    Nothing is asked and nothing is written: where the data leave a choice, the likeliest is taken and said to be
-    guessed. ``print(campaign)`` shows the campaign as a file, every choice with its reason.
+    Nothing is written, and nothing is guessed that changes a number: where the data leave such a choice, the error names it
+    and its possible answers. ``print(campaign)`` shows the campaign as a file, every choice with its reason.
 
     Args:
         urdf: The nominal robot.
-        measurements: Measured poses as a DataFrame or the path of a csv or parquet file, or several of them.
+        measurements: Measured poses as a DataFrame or the path of a file, or several: any text, .xlsx, .parquet.
+        answers: Numbers of answers to questions that were asked before: ``{"units": 2}``.
 
     Returns:
         The campaign, for :func:`calibrate`.
@@ -58,7 +61,7 @@ def propose(urdf: str | Path, measurements: AnyTable | Sequence[AnyTable]) -> Ca
         AridcalError: what in the tables or the URDF needs mending first.
     """
     tables = [measurements] if isinstance(measurements, str | Path | pd.DataFrame) else list(measurements)
-    proposed = draft(Path(urdf).absolute(), tables, Path.cwd() / "campaign.yaml", nobody)
+    proposed = draft(Path(urdf).absolute(), tables, Path.cwd() / "campaign.yaml", nobody, answers)
     title = ", ".join(file.name for file in proposed.rows.files)
     tell(proposed, title, Console(force_jupyter=False))
     return proposed.campaign

@@ -27,10 +27,10 @@ from aridcal.drawing.as_tables import (
 from aridcal.drawing.html import tag
 from aridcal.drawing.scene import write_scene
 from aridcal.drawing.shown import DECIMALS, Verified, headline
-from aridcal.errors import AridcalError, MeasurementError, shortened
+from aridcal.errors import AridcalError, shortened
 from aridcal.identify import VERDICTS
-from aridcal.inputs.query import Query
-from aridcal.inputs.tables import AnyTable, read_tables
+from aridcal.inputs.query import Query, seeded
+from aridcal.inputs.tables import AnyTable
 from aridcal.inputs.yaml_file import decode, parse_yaml
 from aridcal.reading.files import RESULT, read_file
 from aridcal.recalibrate import recalibrate
@@ -186,7 +186,9 @@ class Calibration:
         """
         with working() as progress:
             progress("finding the commands")
-            query = read_query(self.model, poses if seed is None else self._seeded(poses, seed), poses=True)
+            joints = self.model.final.model.robot.readings
+            table = poses if seed is None else seeded(poses, seed, self.model.measurements, joints)
+            query = read_query(self.model, table, poses=True)
             count = len(query.line)
             table = compensate(self.model, query, told=lambda rows: progress.part(rows, count, "rows"))
         _warn(query)
@@ -310,19 +312,6 @@ class Calibration:
             said = shortened(f"{type(error).__name__}: {error}")
             raise AridcalError(f"{self.folder}: result.json is damaged ({said}). Run identify again") from None
 
-    def _seeded(self, poses: AnyTable, seed: AnyTable) -> pd.DataFrame:
-        """Poses with the joints of other rows, as many as there are poses."""
-        names = self.model.measurements.columns
-        joints = [names.get(joint, joint) for joint in self.model.final.model.robot.readings]
-        start = read_tables([seed])
-        start.require(joints, "`seed` has a column for each joint")
-        wanted, rows = _frame(poses), start.frame()
-        if len(rows) != len(wanted):
-            raise MeasurementError(
-                f"{start.title}: {len(rows)} rows of seeds for {len(wanted)} poses: give one for each"
-            )
-        return wanted.assign(**{joint: rows[joint].to_numpy() for joint in joints})
-
     def _page(self, name: str, write: Callable[[Outcome, Path], tuple[str, ...]], path: str | Path | None) -> Page:
         """A page made anew, or of a loaded calibration the folder's own; warns of what could not be drawn."""
         if self.outcome is None:
@@ -368,10 +357,6 @@ def _remarks(result: dict[str, Any]) -> list[str]:
 def _text(path: Path) -> str:
     """A file of a result folder."""
     return decode(read_file(path, AridcalError, RESULT), path, AridcalError)
-
-
-def _frame(table: AnyTable) -> pd.DataFrame:
-    return table if isinstance(table, pd.DataFrame) else read_tables([table]).frame()
 
 
 def _with_numbers(table: pd.DataFrame) -> pd.DataFrame:

@@ -92,7 +92,7 @@ def answer(saved: SavedModel, table: AnyTable, tolerance: float | None = None) -
         for c in moved
         for name, unit, value, std in zip(c.names, c.units, c.value.tolist(), c.std.tolist(), strict=True)
     ]
-    lines = tuple(check_lines(found, moved, saved.measurements.units))
+    lines = tuple(check_lines(found, moved, saved.measurements))
     return Check(found.good, found.first.p_value, pd.DataFrame(rows, columns=columns), lines)
 
 
@@ -141,7 +141,7 @@ def _check(arguments: argparse.Namespace) -> int:
     new = read_new_rows(saved, arguments.rows)
     checked = check(saved, new.rows, arguments.tolerance, new.frames)
     console = Console()
-    for line in check_lines(checked, changes(checked), saved.measurements.units):
+    for line in check_lines(checked, changes(checked), saved.measurements):
         console.print(line, markup=False, highlight=False, soft_wrap=True)
     if arguments.poses is not None:
         console.print(_poses(arguments.poses, saved, checked), markup=False, highlight=False, soft_wrap=True)

@@ -269,8 +269,8 @@ def _tabulate(calibration: SavedModel, points: int, out: Path) -> None:
     with told_on(Console(stderr=True)) as progress:
         progress.at("making the table")
         found = correction_table(calibration, points, progress)
-    units = [settings.units.metres if k == "prismatic" else settings.units.radians for k in robot.kinds]
     names = [settings.columns.get(name, name) for name in robot.readings]
+    units = [settings.units.joint(name, kind) for name, kind in zip(names, robot.kinds, strict=True)]
     values = np.hstack([np.array(list(product(*found.axes))), found.delta.reshape(-1, len(names))])
     columns = [*names, *(f"delta_{name}" for name in names)]
     with atomic_file(out) as path:

@@ -1,7 +1,9 @@
 """Write a campaign for a URDF and a table of measurements: which column is which, in which unit, in which frame.
 
-Every guess is printed and stands as a comment in the file. Where the data leave a choice, the command asks; if it is not
-run on a terminal, it takes the likeliest answer and says so.
+Text with any separator, decimal sign, encoding and header, workbooks (.xlsx) and exports of measuring systems are read; how,
+is written into the campaign, so that nothing is guessed afterwards. Every guess is printed and stands as a comment in the file.
+Where the data leave a choice that changes the numbers, the command asks; if it is not run on a terminal, it stops, names the
+choices, and `--set KEY=NUMBER` answers.
 
 Example:
     aridcal init --urdf my_robot.urdf --measurements measurements.csv
@@ -9,16 +11,17 @@ Example:
 
 from __future__ import annotations
 
+import argparse
 import itertools
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from rich.console import Console
 from rich.prompt import IntPrompt
 
 from aridcal.command_line import CommandParser, command_parser, run
-from aridcal.errors import OutputError
+from aridcal.errors import OutputError, shortened
 from aridcal.prepare.campaign_text import Draft, draft, scalar
 from aridcal.prepare.guesses import nobody
 from aridcal.reading.names import path_argument
@@ -51,6 +54,14 @@ def tell(proposed: Draft, title: str, console: Console) -> None:
     console.print(said, markup=False, highlight=False, soft_wrap=True)
 
 
+def _answer(text: str) -> tuple[str, int]:
+    """A key and the number of an answer: the ``type`` of an argument of argparse."""
+    key, _, number = text.partition("=")
+    if not key or not number.isdecimal() or len(number) > 3:
+        raise argparse.ArgumentTypeError(f"should be KEY=NUMBER, units=2 for instance, not {shortened(text)!r}")
+    return key, int(number)
+
+
 def parser() -> CommandParser:
     """The command's arguments."""
     arguments = command_parser("init", __doc__)
@@ -60,8 +71,16 @@ def parser() -> CommandParser:
         type=path_argument,
         required=True,
         nargs="+",
-        metavar="CSV",
-        help="measured poses, .csv or .parquet",
+        metavar="TABLE",
+        help="measured poses: .csv or other text in any dialect, .xlsx, .parquet, robot_calibration's .yaml",
+    )
+    arguments.add_argument(
+        "--set",
+        type=_answer,
+        action="append",
+        default=[],
+        metavar="KEY=NUMBER",
+        help="answer a question that was asked before, by its number",
     )
     arguments.add_argument(
         "-o",
@@ -76,14 +95,15 @@ def parser() -> CommandParser:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; returns its exit status."""
     arguments = parser().parse_args(argv)
-    return run(lambda: _main(arguments.urdf, arguments.measurements, arguments.out))
+    settled = dict(arguments.set)
+    return run(lambda: _main(arguments.urdf, arguments.measurements, arguments.out, settled))
 
 
-def _main(urdf: Path, files: Sequence[Path], out: Path) -> None:
+def _main(urdf: Path, files: Sequence[Path], out: Path, settled: Mapping[str, int]) -> None:
     if out.exists():
         raise OutputError(f"{out}: exists already; delete it, or choose another name with -o")
     with claimed(out, "file"):
-        proposed = draft(urdf, files, out, _ask if sys.stdin.isatty() else nobody)
+        proposed = draft(urdf, files, out, _ask if sys.stdin.isatty() else nobody, settled)
         with atomic_file(out) as path:
             path.write_text(proposed.campaign.text, encoding="utf-8")
     console = Console()

@@ -100,7 +100,7 @@ def recalibrate(results: Path, table: AnyTable, out: Path, progress: Progress = 
         new = read_new_rows(saved, table)
         checked = check(saved, new.rows, frames=new.frames)
         mended = repaired(saved, checked)
-        lines = check_lines(checked, mended.changes, saved.measurements.units)
+        lines = check_lines(checked, mended.changes, saved.measurements)
         progress("setting the repair beside the rows")
         made = repair_outcomes(saved, checked, mended)
         parents = lineage(saved, before, content, checked)

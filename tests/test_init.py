@@ -209,15 +209,10 @@ def test_a_split_of_the_users_is_kept_and_a_row_counter_ignored(tmp_path):
         (lambda t: t.drop(columns="elbow_joint"), "no columns for the joints elbow_joint, though"),
         (lambda t: t.drop(columns="y"), "no columns for the target's position"),
         (lambda t: t[:3], "4 are the least"),
-        (
-            lambda t: t.assign(rx=10 * t.x, ry=20 * t.y, rz=30 * t.z).pipe(_mixed),
-            "joints are in rad but rx ry rz in deg",
-        ),
     ],
 )
 def test_what_no_campaign_can_say_is_refused_with_a_remedy(spoil, why, tmp_path, capsys, monkeypatch):
-    robot, q, p, R = ur10_rows()
-    _mixed.rotation = R  # type: ignore[attr-defined]
+    robot, q, p, _ = ur10_rows()
     table = pd.DataFrame(named(" ".join(robot.names), q) | named("x y z", p))
     spoil(table).to_csv(tmp_path / "m.csv", index=False)
     monkeypatch.setattr("sys.stdin", io.StringIO())
@@ -249,9 +244,21 @@ def test_two_orientations_that_disagree_are_refused(tmp_path):
         read_back(tmp_path / "campaign.yaml", robot)
 
 
-def _mixed(table: pd.DataFrame) -> pd.DataFrame:
-    angles = _mixed.rotation.as_euler("xyz", degrees=True)  # type: ignore[attr-defined]
-    return table.assign(rx=angles[:, 0], ry=angles[:, 1], rz=angles[:, 2])
+def test_angles_in_two_units_are_told_apart_by_columns(tmp_path):
+    """Joints in rad beside Euler angles in degrees, rails in mm beside positions in m."""
+    robot, q, p, R = ur10_rows()
+    table = named(" ".join(robot.names), q) | named("x y z", p) | named("rx ry rz", R.as_euler("xyz", degrees=True))
+    made = draft(UR10, [pd.DataFrame(table)], tmp_path / "c.yaml", never)
+    units = {g.key: g.value for g in made.proposal.guesses}["measurements.units"]
+    assert units == {"columns": {"rz": "deg", "ry": "deg", "rx": "deg"}}
+    assert (Rotation.from_matrix(made.rows.rotation[made.rows.as_read]) * R.inv()).magnitude().max() < 1e-12
+
+    robot = load_robot(URDF / "arid.urdf", "flange")
+    q, p, _ = measured(robot, 60)
+    table = named("axis1 axis2 axis3 axis4", q * [1e3, 1, 1, 1]) | named("x y z", p)
+    made = draft(URDF / "arid.urdf", [pd.DataFrame(table)], tmp_path / "c.yaml", nobody)
+    np.testing.assert_allclose(made.rows.readings[made.rows.as_read], q, atol=1e-12)
+    assert {g.key: g.value for g in made.proposal.guesses}["measurements.units"] == {"columns": {"axis1": "mm"}}
 
 
 def test_a_campaign_that_is_there_is_never_overwritten(tmp_path, capsys):

@@ -10,7 +10,8 @@ from pydantic import Field, PositiveInt, model_validator
 
 from aridcal.errors import MeasurementError
 from aridcal.inputs.instrument_settings import Placement
-from aridcal.inputs.quantities import POSITION, QUATERNION, QUATERNION_SLACK
+from aridcal.inputs.orientations import QUATERNION
+from aridcal.inputs.quantities import POSITION, QUATERNION_SLACK
 from aridcal.inputs.tables import Table, read_tables
 from aridcal.inputs.yaml_file import LARGEST, Number, Positive, RelativePath, Section, Settings, Vector3
 from aridcal.instruments.camera_sonar import Measures

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import codecs
 import itertools
 import math
 import re
@@ -13,8 +14,10 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BeforeValidator, Field, field_validator, model_validator
 
 from aridcal.errors import CampaignError, nearest, shortened
+from aridcal.exports.robot_calibration import NAME
 from aridcal.inputs.yaml_file import RelativePath, Section
 from aridcal.instruments.catalogue import KINDS
+from aridcal.reading.dialect import BLANKS, PLAIN, Dates, Dialect
 from aridcal.reading.names import check_name
 
 # Metres in one of each unit of length.
@@ -34,6 +37,9 @@ TARGET, SHOT = "target", "shot"
 
 # Radians in one of each unit of angle.
 ANGLES = MappingProxyType({"rad": 1.0, "deg": math.pi / 180})
+
+# Seconds in one of each unit of time.
+TIMES = MappingProxyType({"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0})
 
 # The same of tolerances.
 SMALL_ANGLES = MappingProxyType({**ANGLES, "mrad": 1e-3})
@@ -105,11 +111,105 @@ class Noise(Section):
     """What the `std_*` columns are taken for."""
 
 
+SEPARATORS = {"tab": "\t", "blanks": BLANKS, ",": ",", ";": ";", "|": "|"}
+
+THOUSANDS = {"": "", ".": ".", ",": ",", "'": "'", "blank": " "}
+
+LAST_LINE = 100_000
+"""Below which no header stands."""
+
+
+def _known(encoding: str) -> str:
+    try:
+        if not codecs.lookup(encoding)._is_text_encoding:
+            raise LookupError
+    except (LookupError, ValueError):
+        raise ValueError(
+            f"{encoding!r} is no encoding of text that is known; utf-8, utf-16 or cp1252 for instance"
+        ) from None
+    return encoding
+
+
+def _shown(name: str) -> str:
+    check_name(name, "measurements.table", CampaignError)
+    return name
+
+
+Name = Annotated[str, AfterValidator(_shown)]
+
+Line = Annotated[int, Field(ge=1, le=LAST_LINE)]
+
+
+class DatesSettings(Section):
+    """Columns that hold dates or times of day: they become one of seconds."""
+
+    order: Literal["ymd", "dmy", "mdy"] = "ymd"
+    """Of day, month and year where all three are numbers."""
+    columns: Annotated[tuple[Name, ...], BeforeValidator(listed), Field(min_length=1, max_length=2)]
+
+
+class TableSettings(Section):
+    """How the files are written."""
+
+    sheet: Name = ""
+    """Of a workbook, where it has several; of `export: robot_calibration` the sensor."""
+    encoding: Annotated[str, AfterValidator(_known)] = "utf-8"
+    separator: Literal["tab", "blanks", ",", ";", "|"] = ","
+    decimal: Literal[".", ","] = "."
+    thousands: Literal["", ".", ",", "'", "blank"] = ""
+    header: Annotated[tuple[Line, ...], BeforeValidator(listed), Field(min_length=1, max_length=8)] = (1,)
+    """Lines whose cells name the columns, put together with blanks."""
+    first_row: Line | None = None
+    """Line of the first row; `None`: below the header."""
+    comment: Annotated[tuple[Annotated[str, Field(min_length=1, max_length=60)], ...], BeforeValidator(listed)] = ()
+    """What lines begin with that are no rows."""
+    names: tuple[Name, ...] = ()
+    """Of the columns, in place of a header."""
+    lists: dict[Name, Annotated[tuple[Name, ...], Field(min_length=1)]] = Field(default_factory=dict)
+    """Columns whose cells hold several numbers, and names for these."""
+    dates: DatesSettings | None = None
+    export: Literal["", "robot_calibration"] = ""
+
+    @model_validator(mode="after")
+    def _consistent(self) -> TableSettings:
+        if self.decimal == self.thousands:
+            raise ValueError("thousands: is the decimal sign, too; write what is in the file")
+        if self.first_row is not None and not self.names and self.first_row <= max(self.header):
+            raise ValueError(f"first_row: should be below the header, line {max(self.header)}")
+        return self
+
+    @property
+    def dialect(self) -> Dialect:
+        """For whoever reads the files."""
+        header = () if self.names else tuple(sorted(self.header))
+        return Dialect(
+            encoding=self.encoding,
+            separator=SEPARATORS[self.separator],
+            decimal=self.decimal,
+            thousands=THOUSANDS[self.thousands],
+            header=header,
+            first_row=self.first_row or 0,
+            comment=self.comment,
+            sheet=self.sheet,
+            names=self.names,
+            lists=dict(self.lists),
+            dates=Dates(self.dates.order, self.dates.columns) if self.dates else None,
+            export=NAME if self.export else "",
+        )
+
+    @property
+    def is_plain(self) -> bool:
+        """True where the files are plain csv."""
+        return self.dialect == PLAIN
+
+
 class Units(Section):
     """Units of the measurement files."""
 
     length: Annotated[str, one_of(LENGTHS)] = "m"
     angle: Annotated[str, one_of(ANGLES)] = "rad"
+    columns: dict[str, Annotated[str, one_of({**LENGTHS, **ANGLES, **TIMES})]] = Field(default_factory=dict)
+    """Of single columns that are in another one."""
 
     @property
     def metres(self) -> float:
@@ -121,9 +221,35 @@ class Units(Section):
         """Radians in the file's unit of angle."""
         return ANGLES[self.angle]
 
+    def scale(self, column: str, of: Literal["length", "angle", "time"]) -> float:
+        """SI units in one of a column's.
+
+        Raises:
+            CampaignError: its own unit is one of something else.
+        """
+        usual, known = {
+            "length": (self.length, LENGTHS), "angle": (self.angle, ANGLES), "time": ("s", TIMES)
+        }[of]  # fmt: skip
+        unit = self.columns.get(column, usual)
+        if unit not in known:
+            raise CampaignError(
+                f"measurements.units.columns.{column}: {unit} is no unit of {of}; write one of {', '.join(known)}"
+            )
+        return known[unit]
+
+    def joint(self, column: str, kind: str) -> float:
+        """Radians, or metres of a prismatic joint, in one of the unit of a joint's column."""
+        return self.scale(column, "length" if kind == "prismatic" else "angle")
+
+
+HOW_WRITTEN = (
+    "write quaternion, {euler: XYZ, columns: [rx, ry, rz]}, {rotvec: [rx, ry, rz]} or {matrix: [r11, r12, r13, …]}"
+)
+"""What an orientation can be."""
+
 
 class Orientation(Section):
-    """How the files hold orientations. Neither `euler` nor `rotvec`: as the quaternion `qx qy qz qw`."""
+    """How the files hold orientations. Neither `euler` nor `rotvec` nor `matrix`: as the quaternion `qx qy qz qw`."""
 
     euler: str | None = None
     """Axes in scipy's letters: capitals turn with the body."""
@@ -131,6 +257,8 @@ class Orientation(Section):
     """Columns of the three Euler angles."""
     rotvec: tuple[str, str, str] | None = None
     """Columns of the rotation vector."""
+    matrix: tuple[str, str, str, str, str, str, str, str, str] | None = None
+    """Columns of the rotation matrix, row by row."""
 
     @field_validator("euler")
     @classmethod
@@ -146,10 +274,9 @@ class Orientation(Section):
 
     @model_validator(mode="after")
     def _complete(self) -> Orientation:
-        if self.euler is None and self.rotvec is None and self.columns is None:
-            return self
-        if (self.euler is None) == (self.rotvec is None) or (self.euler is None) != (self.columns is None):
-            raise ValueError("write quaternion, {euler: XYZ, columns: [rx, ry, rz]} or {rotvec: [rx, ry, rz]}")
+        ways = sum(way is not None for way in (self.euler, self.rotvec, self.matrix))
+        if ways > 1 or (self.euler is None) != (self.columns is None):
+            raise ValueError(HOW_WRITTEN)
         return self
 
 
@@ -170,6 +297,8 @@ class MeasurementSettings(Section):
     columns: dict[str, str] = Field(default_factory=dict)
     """Column of a joint or a quantity where the two names differ."""
     units: Units = Units()
+    table: TableSettings = TableSettings()
+    """How the files are written, where they are no plain csv."""
     orientation: Orientation = Orientation()
     ignore: Names = ()
     """Columns that are no covariates."""
@@ -179,7 +308,7 @@ class MeasurementSettings(Section):
     def _quaternion_by_name(cls, orientation: Any) -> Any:
         if isinstance(orientation, str):
             if orientation != "quaternion":
-                raise ValueError("write quaternion, {euler: XYZ, columns: [rx, ry, rz]} or {rotvec: [rx, ry, rz]}")
+                raise ValueError(HOW_WRITTEN)
             return {}
         return orientation
 
@@ -210,6 +339,24 @@ class MeasurementSettings(Section):
     def title(self) -> str:
         """Name of the block."""
         return self.name or self.kind
+
+    @property
+    def needs(self) -> set[str]:
+        """Columns without which a table is none of this block, beside the joints."""
+        names: tuple[str, ...]
+        if self.kind in OF_TARGETS:
+            own = (
+                self.orientation.columns
+                or self.orientation.rotvec
+                or self.orientation.matrix
+                or ("qx", "qy", "qz", "qw")
+            )
+            names = ("x", "y", "z", *(own if self.kind == "pose" else ()))
+        else:
+            kind = KINDS[self.kind]
+            labels = [role.name for role in kind.roles if role.name in ("point", "marker", "plane")]
+            names = (*(() if self.kind == "plane" else kind.read), *labels)
+        return {self.columns.get(name, name) for name in names}
 
     @property
     def own_columns(self) -> tuple[str, ...]:

@@ -11,21 +11,30 @@ import numpy as np
 from aridcal.effects.effect import ROW_ORDER
 from aridcal.errors import CampaignError, MeasurementError, has_controls, nearest
 from aridcal.inputs.measurement_settings import MeasurementSettings
+from aridcal.inputs.orientations import (
+    IDENTITY,
+    MATRIX_SLACK,
+    QUATERNION,
+    QUATERNION_SLACK,
+    angle_columns,
+    column_of,
+    normalised,
+    of_matrices,
+    own_orientation,
+    turned,
+)  # fmt: skip
 from aridcal.inputs.tables import DECIMAL_COMMA, Remark, Table
-from aridcal.instruments.pose import turned
+from aridcal.instruments import pose
 from aridcal.reading.names import LONGEST_NAME
+from aridcal.reading.numerals import NO_NUMBER
 from aridcal.robot.chain import JointKind
 
 POSITION = ("x", "y", "z")
-QUATERNION = ("qx", "qy", "qz", "qw")
-IDENTITY = (0.0, 0.0, 0.0, 1.0)
 STD = ("std_x", "std_y", "std_z", "std_rx", "std_ry", "std_rz")
 LABELS = ("station", "split")
 POSE_OR_LABEL = (*POSITION, *QUATERNION, *STD, *LABELS)
 QUANTITIES = (*POSE_OR_LABEL, "time", "temperature", "payload")
 
-# How far from 1 the norm of a measured quaternion may be: three decimals in the table are enough.
-QUATERNION_SLACK = 1e-3
 # Two columns of one orientation that are farther apart disagree, [rad]; rounding to three decimals is allowed.
 SAME_ORIENTATION = 1e-3
 # No reading and no place is that large, [rad] or [m].
@@ -34,18 +43,9 @@ ABSURD = 1e9
 FINEST = 1e-12
 # A covariate that large is a hole: some programs write 1e308 where they know nothing.
 UNUSABLE = 1e30
+INIT_TELLS = ", or let `aridcal init` find out how"
 # More than an angle of a pose, or a joint with limits, turns, [rad].
 TURNS = 4 * np.pi
-
-
-def column_of(quantity: str, settings: MeasurementSettings, joint_names: Collection[str]) -> str:
-    """Column that holds a quantity; where a joint has its name, `columns` speaks of the joint."""
-    return quantity if quantity in joint_names else settings.columns.get(quantity, quantity)
-
-
-def angle_columns(settings: MeasurementSettings) -> tuple[str, str, str] | None:
-    """Columns of the campaign's Euler angles or rotation vectors; `None` where it has quaternions."""
-    return settings.orientation.columns or settings.orientation.rotvec
 
 
 @dataclass
@@ -86,8 +86,7 @@ class Source:
                 )
         for joint in self.joint_names:
             like_a_quantity = joint in quantities or joint.startswith("temperature_")
-            column = self.settings.columns.get(joint, joint)
-            if like_a_quantity and column == joint:
+            if like_a_quantity and self.settings.columns.get(joint, joint) == joint:
                 raise CampaignError(
                     f"{self.origin}: the joint {joint!r} has the name of a quantity; "
                     f"say under measurements which column is the joint: `columns: {{{joint}: COLUMN}}`"
@@ -157,13 +156,13 @@ class Source:
         """
         columns = [self.column(name) for name in POSITION]
         self.table.require(columns, "Name them x y z, or map them under measurements.columns")
-        return self.needed(columns, self.settings.units.metres)
+        return self.needed(columns, [self.settings.units.scale(name, "length") for name in columns])
 
     @property
     def orientation_columns(self) -> list[str]:
-        """Columns of the campaign's own orientation: three angles, or the four of a quaternion."""
-        angles = angle_columns(self.settings)
-        return list(angles or (self.column(name) for name in QUATERNION))
+        """Columns of the campaign's own orientation: three angles, nine of a matrix, or the four of a quaternion."""
+        own = own_orientation(self.settings)
+        return list(own or (self.column(name) for name in QUATERNION))
 
     def quaternion(self) -> np.ndarray:
         """Measured orientations as unit quaternions, shape (N, 4); rows that have none are refused.
@@ -174,34 +173,41 @@ class Source:
         columns = self.orientation_columns
         advice = "Say under measurements how orientations are given (`orientation`), or `kind: position`"
         self.table.require(columns, advice)
+        if self.settings.orientation.matrix:
+            return self._from_matrices(columns)
         return self._from_angles(columns) if angle_columns(self.settings) else self._from_quaternions(columns)
+
+    def _from_matrices(self, columns: list[str]) -> np.ndarray:
+        """Columns of rotation matrices as unit quaternions, shape (N, 4); rows that have none are refused."""
+        quaternion, off = of_matrices(self.needed(columns, 1.0), self.usable)
+        self._refuse_each(off > MATRIX_SLACK, f"{columns[0]} … {columns[-1]}", "the matrix is no rotation", off)
+        return np.where(self.usable[:, None], quaternion, IDENTITY)
 
     def _from_quaternions(self, columns: list[str]) -> np.ndarray:
         """Columns of quaternions, made to have norm 1, shape (N, 4)."""
-        cells = self.needed(columns, 1.0)
-        norm = np.linalg.norm(self._or_identity(cells), axis=1)
-        for row in np.flatnonzero(np.abs(norm - 1) > QUATERNION_SLACK).tolist():
-            why = "the norm of the quaternion is not 1"
-            self.refused.append(self.table.remark(row, " ".join(columns), why, f"{norm[row]:.6g}"))
-            self.usable[row] = False
-        divisor = np.where(self.usable, norm, 1)
-        return self._or_identity(cells) / divisor[:, None]
-
-    def _or_identity(self, quaternion: np.ndarray) -> np.ndarray:
-        """Quaternions with no rotation in place of those of unusable rows, shape (N, 4)."""
+        quaternion, norm = normalised(self.needed(columns, 1.0), self.usable)
+        self._refuse_each(
+            np.abs(norm - 1) > QUATERNION_SLACK, " ".join(columns), "the norm of the quaternion is not 1", norm
+        )
         return np.where(self.usable[:, None], quaternion, IDENTITY)
+
+    def _refuse_each(self, bad: np.ndarray, columns: str, why: str, value: np.ndarray) -> None:
+        """Refuse rows for what several of their cells together are."""
+        for row in np.flatnonzero(bad & self.usable).tolist():
+            self.refused.append(self.table.remark(row, columns, why, f"{value[row]:.6g}"))
+            self.usable[row] = False
 
     def _from_angles(self, columns: list[str]) -> np.ndarray:
         """Columns of Euler angles or of a rotation vector as unit quaternions, shape (N, 4)."""
-        angles = self.needed(columns, self.settings.units.radians)
+        angles = self.needed(columns, self._angle_scales(columns))
         angles = np.where(self.usable[:, None], angles, 0)
         largest = np.abs(angles[self.usable]).max(axis=1, initial=0)
         if len(largest) and np.mean(largest > TURNS) > 0.5:
             raise self.wrong_unit(columns, "angle", float(np.abs(angles).max()))
-        return np.asarray(turned(angles, self.settings.orientation.euler).as_quat())
+        return np.asarray(turned(angles, self.settings).as_quat())
 
     def refuse_second_orientation(self) -> None:
-        """Refuse a table of Euler angles or rotation vectors whose quaternions are other orientations.
+        """Refuse a table of Euler angles, rotation vectors or matrices whose quaternions are other orientations.
 
         Raises:
             MeasurementError: the two differ by more than rounding in some row.
@@ -209,14 +215,14 @@ class Source:
         own, second = self.orientation_columns, [self.column(name) for name in QUATERNION]
         if own == second or not all(self.has(name) for name in (*own, *second)):
             return
-        angles, also = self.table.matrix(own) * self.settings.units.radians, self.table.matrix(second)
+        scales = 1.0 if self.settings.orientation.matrix else self._angle_scales(own)
+        angles, also = self.table.matrix(own) * scales, self.table.matrix(second)
         whole = np.isfinite(angles).all(axis=1) & (np.linalg.norm(also, axis=1) > 0.5)  # neither holes nor zeros
         rows = np.flatnonzero(self.usable & whole)
         if not len(rows):
             return
-        apart = np.atleast_1d(
-            (turned(angles[rows], self.settings.orientation.euler) * turned(also[rows]).inv()).magnitude()
-        )
+        difference = turned(angles[rows], self.settings) * pose.turned(also[rows]).inv()
+        apart = np.atleast_1d(difference.magnitude())
         worst = int(np.argmax(apart))
         if apart[worst] > SAME_ORIENTATION:
             raise MeasurementError(
@@ -237,15 +243,15 @@ class Source:
         noise, units = self.settings.noise, self.settings.units
         if noise.rows == "ignore":
             return None
-        halves = [(slice(0, 3), units.metres), (slice(3, 6), units.radians)]
-        wanted = halves[:1] if self.settings.kind == "position" else halves
+        wanted: list[tuple[slice, Literal["length", "angle"]]] = [(slice(0, 3), "length"), (slice(3, 6), "angle")]
+        wanted = wanted[:1] if self.settings.kind == "position" else wanted
         std = np.ones((len(self.table), 6))
         given = 0
-        for half, scale in wanted:
+        for half, of in wanted:
             columns = [self.column(name) for name in STD[half]]
             if any(self.has(name) for name in columns):
                 self.table.require(columns, "Give all three, or write `noise: {rows: ignore}`")
-                std[:, half] = self.needed(columns, scale)
+                std[:, half] = self.needed(columns, [units.scale(name, of) for name in columns])
                 for sigma, name in zip(std[:, half].T, columns, strict=True):
                     self.refuse(sigma <= 0, name, "a sigma must be positive")
                     self.refuse(sigma < FINEST, name, "a sigma that small is none")
@@ -304,7 +310,8 @@ class Source:
             elif quantity not in (*POSE_OR_LABEL, *self.settings.own_columns):
                 values = self._covariate(name, quantity)
                 if values is not None:
-                    found[quantity] = values
+                    in_seconds = quantity == "time" and name in self.settings.units.columns
+                    found[quantity] = values * self.settings.units.scale(name, "time") if in_seconds else values
         return found
 
     def note_unknown_ignored(self) -> None:
@@ -339,7 +346,8 @@ class Source:
         """The error for columns that cannot be in the stated unit; `largest` in [rad] or [m]."""
         units = self.settings.units
         stated, one = (units.angle, units.radians) if unit == "angle" else (units.length, units.metres)
-        remedy = "in degrees, write `units: {angle: deg}`" if unit == "angle" else "in mm, write `units: {length: mm}`"
+        usual = "in degrees, write `units: {angle: deg}`" if unit == "angle" else "in mm, write `units: {length: mm}`"
+        remedy = usual if stated not in ("deg", "mm") else "in another unit, name that in `units`"
         names = ", ".join(repr(name) for name in columns)
         return MeasurementError(
             f"{self.table.title}: column {names} cannot be in {stated}: values up to {largest / one:.6g}. "
@@ -370,7 +378,13 @@ class Source:
             words = self.table.texts(name)[is_text].tolist()
             with_comma = [word for word in words if DECIMAL_COMMA.fullmatch(word)]
             if len(with_comma) > len(numbers) / 2:
-                raise MeasurementError(f"{self.table.title}: column {name!r} has decimal commas; write points")
+                raise MeasurementError(
+                    f"{self.table.title}: column {name!r} has decimal commas; write points{INIT_TELLS}"
+                )
+            marked = [word[1:] for word in words if word.startswith(NO_NUMBER)]
+            if len(marked) > len(numbers) / 2:
+                why = f"{name!r} has numbers that `table` does not describe, {marked[0]!r}; mend it{INIT_TELLS}"
+                raise MeasurementError(f"{self.table.title}: column {why}")
             self.refuse(is_text, name, "not a number")
         missing = ~np.isfinite(numbers)
         if missing.any():
@@ -392,5 +406,8 @@ class Source:
         return name in self.table.cells and name not in self.settings.ignore
 
     def _scales(self, kinds: Sequence[JointKind]) -> list[float]:
-        units = self.settings.units
-        return [units.metres if kind == "prismatic" else units.radians for kind in kinds]
+        return [self.settings.units.joint(name, kind) for name, kind in zip(self.joint_columns, kinds, strict=True)]
+
+    def _angle_scales(self, columns: Sequence[str]) -> np.ndarray:
+        """Radians in one of the unit of each column."""
+        return np.array([self.settings.units.scale(name, "angle") for name in columns])

@@ -117,7 +117,9 @@ def load_query(
             they are not asked for.
     """
     settings = settings or MeasurementSettings()
-    table = query if isinstance(query, Table) else read_tables([query], limit=limit)
+    dialect = settings.table.dialect
+    needed = [settings.columns.get(name, name) for name in (POSITION if poses else readings)]
+    table = query if isinstance(query, Table) else read_tables([query], (), limit, dialect, needed)
     if table.refused:
         raise MeasurementError(f"{table.title}: {table.refused[0]}; mend the file")
     source = Source(table, settings, tuple(readings), table.title)
@@ -158,6 +160,26 @@ def _stations(source: Source, read: np.ndarray | None) -> np.ndarray | None:
     why = "this calibration has constants by station: name each row's, or leave its cell empty for the one model of all"
     source.table.require([source.column(STATION)], why)
     return source.labels(STATION) if read is None else read
+
+
+def seeded(poses: AnyTable, seed: AnyTable, settings: MeasurementSettings, readings: Sequence[str]) -> pd.DataFrame:
+    """Wanted poses with the joints of other rows, as many as there are poses.
+
+    Raises:
+        MeasurementError: the seeds lack a joint, or are not as many.
+    """
+    joints = [settings.columns.get(name, name) for name in readings]
+    places = [settings.columns.get(name, name) for name in POSITION]
+    dialect = settings.table.dialect
+    start = read_tables([seed], dialect=dialect, needed=joints)
+    start.require(joints, "`seed` has a column for each joint")
+    import pandas as pd  # slow to load: only where somebody has DataFrames
+
+    rows = start.frame()
+    wanted = poses if isinstance(poses, pd.DataFrame) else read_tables([poses], dialect=dialect, needed=places).frame()
+    if len(rows) != len(wanted):
+        raise MeasurementError(f"{start.title}: {len(rows)} rows of seeds for {len(wanted)} poses: give one for each")
+    return wanted.assign(**{joint: rows[joint].to_numpy() for joint in joints})
 
 
 def _refuse_text(source: Source, poses: bool) -> None:

@@ -22,7 +22,7 @@ from aridcal.inputs.checks import (
 )
 from aridcal.inputs.dataset import ROLES, Dataset, RowNoise, together, weighed, weighed_apart
 from aridcal.inputs.measurement_settings import OF_TARGETS, SHOT, TARGET, MeasurementSettings
-from aridcal.inputs.quantities import POSITION, Source
+from aridcal.inputs.quantities import Source
 from aridcal.inputs.repeats import blocks, by_content
 from aridcal.inputs.split import draw_split, with_training_labels, with_training_rows
 from aridcal.inputs.tables import AnyTable, Remark, Table, read_tables
@@ -122,7 +122,10 @@ def _block(asked: _Asked, number: int, tables: Sequence[AnyTable], alone: bool) 
     """
     campaign, kinds = asked.campaign, asked.kinds
     settings = campaign.blocks[number]
-    table = read_tables(_existing(campaign, tables, asked.own_files), settings.ignore, campaign.limits.table)
+    own = [settings.columns.get(name, name) for name in asked.readings]
+    needed = None if asked.own_files else {*own, *(settings.needs if asked.require_pose else ())}
+    there = _existing(campaign, tables, asked.own_files)
+    table = read_tables(there, settings.ignore, campaign.limits.table, settings.table.dialect, needed)
     source = Source(table, settings, asked.readings, str(campaign.path))
     q = source.joints(kinds)
     of_target = asked.require_pose and settings.kind in OF_TARGETS
@@ -232,8 +235,9 @@ def _words(source: Source, quantity: str) -> np.ndarray | None:
 def _observed(source: Source) -> np.ndarray:
     """What a row of the kind reads, shape (N, W), in SI; a plane that is touched reads nothing."""
     settings, names = source.settings, KINDS[source.settings.kind].read
-    scale = settings.units.metres if settings.kind in ("distance", "plane") else 1.0
     cells = [source.column(name) for name in names]
+    of_length = settings.kind in ("distance", "plane")
+    scale = [settings.units.scale(name, "length") if of_length else 1.0 for name in cells]
     if settings.kind == "plane" and not source.has(cells[0]):
         return np.zeros((len(source.table), 1))
     source.table.require(cells, f"`kind: {settings.kind}` needs {' '.join(names)}; map them under measurements.columns")
@@ -364,9 +368,8 @@ def _tables_of_blocks(campaign: Campaign, files: Sequence[AnyTable] | None) -> l
         return [(number, block.files) for number, block in enumerate(campaign.blocks)]
     found: dict[int, list[AnyTable]] = {}
     for table in campaign.tables if files is None else files:
-        names = read_tables([table], None, campaign.limits.table).names
-        having = [k for k, block in enumerate(campaign.blocks) if _needs(block) <= set(names)]
-        needed = {k: len(_needs(campaign.blocks[k])) for k in having}
+        having = [k for k, block in enumerate(campaign.blocks) if block.needs <= _names(table, block, campaign)]
+        needed = {k: len(campaign.blocks[k].needs) for k in having}
         most = [k for k in having if needed[k] == max(needed.values())]
         if len(most) != 1:
             titles = listed([campaign.blocks[k].title for k in most] or [block.title for block in campaign.blocks])
@@ -379,13 +382,11 @@ def _tables_of_blocks(campaign: Campaign, files: Sequence[AnyTable] | None) -> l
     return sorted(found.items())
 
 
-def _needs(settings: MeasurementSettings) -> set[str]:
-    """Columns without which a table is not of a block, beside the joints."""
-    if settings.kind in OF_TARGETS:
-        angles = settings.orientation.columns or settings.orientation.rotvec or ("qx", "qy", "qz", "qw")
-        names = (*POSITION, *(angles if settings.kind == "pose" else ()))
-    else:
-        kind = KINDS[settings.kind]
-        labels = [role.name for role in kind.roles if role.name in ("point", "marker", "plane")]
-        names = (*(() if settings.kind == "plane" else kind.read), *labels)
-    return {settings.columns.get(name, name) for name in names}
+def _names(table: AnyTable, settings: MeasurementSettings, campaign: Campaign) -> set[str]:
+    """Columns of a table as a block would read it; none where it is not written as the block's own files are."""
+    try:
+        return set(read_tables([table], None, campaign.limits.table, settings.table.dialect, settings.needs).names)
+    except MeasurementError:
+        if settings.table.is_plain:
+            raise
+        return set()

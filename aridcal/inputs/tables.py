@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import hashlib
 import re
 from collections.abc import Callable, Collection, Iterable, Sequence
@@ -14,9 +15,13 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from aridcal.errors import SHOWN, MeasurementError, listed, nearest, printable
+from aridcal.exports import robot_calibration
+from aridcal.reading import workbooks
+from aridcal.reading.dialect import PLAIN, Dialect
 from aridcal.reading.files import TABLE, Limit, read_file
 from aridcal.reading.names import check_path
 from aridcal.reading.table_files import FileCells, check_header, read_csv, read_parquet, whole
+from aridcal.reading.written import read_written
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -30,8 +35,13 @@ IN_MEMORY = Path("DataFrame")
 # A number with a comma in place of the point.
 DECIMAL_COMMA = re.compile(r"\s*[-+]?\d+,\d+([eE][-+]?\d+)?\s*")
 
+# A number as programs write it.
+PLAIN_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?|[-+]?(nan|inf)", re.IGNORECASE)
 
 ENDINGS = (".csv", ".parquet")
+
+# What is read where a campaign says how (`table`), or is plain csv or a workbook of one sheet all the same.
+OTHER_ENDINGS = (".txt", ".tsv", ".tab", ".dat", ".asc", ".log", ".prn", *workbooks.ENDINGS)
 
 # Columns that are not there which a message names.
 SHOWN_MISSING = 12
@@ -170,20 +180,28 @@ class _Part:
     left_out: tuple[str, ...]
 
 
-def read_tables(tables: Sequence[AnyTable], spare: Collection[str] | None = (), limit: Limit = TABLE) -> Table:
-    """Read csv (UTF-8, comma, decimal point, one header line) and parquet files and DataFrames as one table.
+def read_tables(
+    tables: Sequence[AnyTable],
+    spare: Collection[str] | None = (),
+    limit: Limit = TABLE,
+    dialect: Dialect = PLAIN,
+    needed: Collection[str] | None = None,
+) -> Table:
+    """Read files of text, workbooks, parquet files and DataFrames as one table.
 
     Args:
         tables: In the order of their rows.
         spare: Columns that are left out if some files lack them, or hold lists in them; None: any.
         limit: Size of each file, and of its cells in memory.
+        dialect: How files of text are written; by default UTF-8, commas, decimal points, one header line.
+        needed: Columns of a file that is plain csv in spite of `dialect`: what commands write is. None: no file is.
 
     Raises:
         MeasurementError: a file is missing, empty, too large, of another kind or in another dialect, has a column twice, or
             the files do not have the same columns.
     """
     sha256 = hashlib.sha256()
-    parts = [_read(table, spare, limit, sha256.update) for table in tables]
+    parts = [_read(table, spare, limit, sha256.update, dialect, needed) for table in tables]
     having = {name: part.path for part in reversed(parts) for name in part.cells.column_names}
     lacking: dict[str, Path] = {}
     for part in reversed(parts):
@@ -208,7 +226,14 @@ def read_tables(tables: Sequence[AnyTable], spare: Collection[str] | None = (), 
     )
 
 
-def _read(table: AnyTable, spare: Collection[str] | None, limit: Limit, update: Callable[[bytes], None]) -> _Part:
+def _read(
+    table: AnyTable,
+    spare: Collection[str] | None,
+    limit: Limit,
+    update: Callable[[bytes], None],
+    dialect: Dialect,
+    needed: Collection[str] | None,
+) -> _Part:
     """Read one table; its bytes are handed to ``update`` and not kept."""
     if not isinstance(table, str | Path):
         read, path = _from_frame(table), IN_MEMORY
@@ -217,13 +242,50 @@ def _read(table: AnyTable, spare: Collection[str] | None, limit: Limit, update: 
         path = Path(table)
         check_path(path, MeasurementError)
         ending = path.suffix.lower()
-        if path.is_file() and ending not in ENDINGS:
-            raise MeasurementError(f"{path}: should be a .csv or .parquet file")
+        if path.is_file() and ending not in (*ENDINGS, *OTHER_ENDINGS) and dialect == PLAIN:
+            raise MeasurementError(
+                f"{path}: should be a .csv or .parquet file, text ({' '.join(OTHER_ENDINGS[:3])} …) or .xlsx"
+            )
         content = read_file(path, MeasurementError, limit)
         update(content)
-        read = read_csv(content, path, limit) if ending == ".csv" else read_parquet(content, path, limit, spare)
+        if ending == ".parquet":
+            read = read_parquet(content, path, limit, spare)
+        else:
+            read = _read_text(content, path, limit, dialect, needed)
     refused = [Remark(path.name, row.line, "", row.text, row.why) for row in read.broken]
     return _Part(path, read.cells, read.line, tuple(refused), read.left_out)
+
+
+def _read_text(content: bytes, path: Path, limit: Limit, dialect: Dialect, needed: Collection[str] | None) -> FileCells:
+    """Read what is no parquet; plain csv in spite of the dialect only where that makes nothing of it."""
+    if dialect == PLAIN and path.suffix.lower() not in workbooks.ENDINGS:
+        return read_csv(content, path, limit)
+    may_be_plain = needed is not None and path.suffix.lower() == ".csv" and _is_plain(content, needed)
+    try:
+        if dialect.export:
+            return read_csv(robot_calibration.as_csv(content, path, dialect.sheet), path, limit)
+        read = read_written(content, path, limit, dialect)
+    except MeasurementError:
+        if may_be_plain:
+            return read_csv(content, path, limit)
+        raise
+    if not may_be_plain:
+        return read
+    lacks = not set(needed or ()) <= set(read.cells.column_names)
+    points = dialect.decimal != "." and b"." in content.split(b"\n", 2)[1]
+    return read_csv(content, path, limit) if lacks or points else read
+
+
+def _is_plain(content: bytes, needed: Collection[str]) -> bool:
+    """True of csv whose first line names all columns that are needed, and whose second line has numbers in them."""
+    lines = content.removeprefix(b"\xef\xbb\xbf").split(b"\n", 2)[:2]
+    try:
+        names, cells = (next(csv.reader([line.decode().strip("\r")]), []) for line in lines)
+    except (ValueError, csv.Error):  # not UTF-8, or one line only
+        return False
+    places = [k for k, name in enumerate(names) if name.strip() in needed]
+    found = {names[k].strip() for k in places} == set(needed)
+    return found and all(k < len(cells) and (not cells[k] or PLAIN_NUMBER.fullmatch(cells[k].strip())) for k in places)
 
 
 def _from_frame(frame: pd.DataFrame) -> FileCells:

@@ -10,7 +10,7 @@ import pandas as pd
 
 from aridcal.errors import CampaignError
 from aridcal.inputs.measurement_settings import MeasurementSettings
-from aridcal.inputs.quantities import column_of
+from aridcal.inputs.orientations import column_of
 from aridcal.planning.approaches import Approaches, as_they_come, from_both_sides
 from aridcal.planning.beforehand import Beforehand
 from aridcal.planning.candidates import Candidates, allowed, draw_candidates, offers
@@ -243,9 +243,6 @@ def as_table(plan: Plan, robot: Robot, settings: MeasurementSettings) -> pd.Data
 
 def joint_table(readings: np.ndarray, robot: Robot, settings: MeasurementSettings) -> pd.DataFrame:
     """Readings, shape (n, columns), [rad] or [m], in the columns and units of a campaign's own table."""
-    units = {"prismatic": settings.units.metres}
-    columns = {
-        settings.columns.get(name, name): values / units.get(kind, settings.units.radians)
-        for name, kind, values in zip(robot.readings, robot.kinds, readings.T, strict=True)
-    }
-    return pd.DataFrame(columns)
+    names = [settings.columns.get(name, name) for name in robot.readings]
+    scales = [settings.units.joint(name, kind) for name, kind in zip(names, robot.kinds, strict=True)]
+    return pd.DataFrame(dict(zip(names, (readings / scales).T, strict=True)))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import os
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -19,8 +19,10 @@ from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.read import load_measurements
 from aridcal.inputs.tables import AnyTable, read_tables
 from aridcal.inputs.yaml_file import parse_settings
-from aridcal.prepare.guesses import Choose, Guess, Proposal
-from aridcal.prepare.propose import propose
+from aridcal.prepare.dialects import best_dialect, dialects_of, say_table
+from aridcal.prepare.guesses import Asker, Choose, Guess, Proposal
+from aridcal.prepare.propose import QUESTIONS, propose
+from aridcal.reading.dialect import Dialect
 from aridcal.reading.files import URDF, read_file
 
 # Of a line with a comment.
@@ -48,7 +50,9 @@ class Draft:
     rows: Dataset
 
 
-def draft(urdf: Path, tables: Sequence[AnyTable], out: Path, choose: Choose) -> Draft:
+def draft(
+    urdf: Path, tables: Sequence[AnyTable], out: Path, choose: Choose, settled: Mapping[str, int] | None = None
+) -> Draft:
     """Propose a campaign and try it: what comes back can be identified as it stands.
 
     Args:
@@ -56,16 +60,27 @@ def draft(urdf: Path, tables: Sequence[AnyTable], out: Path, choose: Choose) -> 
         tables: Its measurements.
         out: Where the campaign will be.
         choose: Asked where the evidence does not decide.
+        settled: Numbers of answers that were given beforehand, by the key of the question.
 
     Raises:
-        AridcalError: what in the files needs mending first.
+        AridcalError: what in the files needs mending first; or what is to be answered.
     """
-    table = read_tables(tables, None)
-    try:
-        proposal = propose(read_file(urdf, RobotError, URDF), urdf, table, choose)
-    except MeasurementError:
-        read_tables(tables)  # what lacks may be in some of the files: then that is the fault
-        raise
+    asker = Asker(choose, settled or {})
+    asker.check(QUESTIONS)
+    content = read_file(urdf, RobotError, URDF)
+
+    def proposed(dialect: Dialect, asker: Asker) -> Proposal:
+        table = read_tables(tables, None, dialect=dialect)
+        try:
+            return propose(content, urdf, table, asker, dialect.dates.name if dialect.dates else None)
+        except MeasurementError:
+            read_tables(tables, dialect=dialect)  # what lacks may be in some of the files: then that is the fault
+            raise
+
+    dialects, maker = dialects_of(tables, asker)
+    dialect, why = best_dialect(dialects, proposed, asker)
+    proposal = proposed(dialect, asker)
+    say_table(dialect, tables, maker, why, proposal)
     proposal.guesses = [replace(guess, value=_placed(guess.value, out.parent)) for guess in proposal.guesses]
     text = campaign_text(proposal, urdf, tables, out.parent)
     campaign = parse_settings(text, out, Campaign)

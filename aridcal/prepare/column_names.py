@@ -13,9 +13,13 @@ def _set(text: str) -> frozenset[str]:
 
 # Words for units, and what campaigns call them.
 UNIT_WORDS = {
-    **{word: "rad" for word in ("rad", "radians")},
-    **{word: "deg" for word in ("deg", "degree", "degrees", "°")},
-    **{word: word for word in ("m", "cm", "mm", "um", "in", "ft", "s")},
+    **{word: "rad" for word in ("rad", "radian", "radians")},
+    **{word: "deg" for word in ("deg", "degree", "degrees", "grad", "°")},
+    **{word: "m" for word in ("meter", "meters", "metres")},
+    **{word: "mm" for word in ("millimeter", "millimeters", "millimetres")},
+    **{word: "in" for word in ("inch", "inches")},
+    **{word: "s" for word in ("sec", "secs", "second", "seconds")},
+    **{word: word for word in ("m", "cm", "mm", "um", "in", "ft", "s", "ms", "us", "ns")},
 }
 # Words for one letter.
 SYNONYMS = {"roll": "rx", "pitch": "ry", "yaw": "rz", "alpha": "a", "beta": "b", "gamma": "c"}
@@ -27,6 +31,8 @@ COMMANDED = _set(
 )
 # Words for what was measured.
 MEASURED = _set("measured measurement meas actual tracker laser mocap leica marker reflector smr probe")
+# Of these, words for what may be one of several on a body.
+ON_A_BODY = _set("marker reflector smr probe")
 # Words for how well something was measured.
 SCATTER = _set("std sigma sd stdev error err residual")
 # Words for what is neither a reading nor a pose.
@@ -35,9 +41,21 @@ OTHER = SCATTER | _set(
     "moment effort current temperature temp direction"
 )
 # Words for orientations.
-TURNED = _set("r rot rotation rv rotvec euler orientation ori angle angles rpy o q quat quaternion")
+TURNED = _set("r rot rotation rv rotvec euler orientation ori angle angles rpy o q quat quaternion e")
+# Words for quaternions.
+QUATERNION_LIKE = _set("q quat quaternion")
+# Words for the scalar of a quaternion.
+SCALAR = _set("0 4 w s r scalar real qw qs qr qo")
+# Words for the numbers of a position, where they are numbered.
+PLACED = _set("position pos p t trans translation xyz point pose tcp")
+# Angles whose columns are called by Greek letters or otherwise, in their order.
+NAMED_ANGLES = (("phi", "theta", "psi"), ("psi", "theta", "phi"), ("o", "a", "t"), ("az", "el", "roll"))
+# A cell of a matrix: what it is of, its row and its column.
+MATRIX_CELL = re.compile(r"(.*?)[\s_\[(,.]*([0-4])[\s_\])(,.]*([0-4])[\])]?")
+# Numbers of a matrix in a row: of a rotation, of a pose without and with its last line.
+MATRIX_SIZES = (9, 12, 16)
 # Words for joints.
-JOINT_LIKE = _set("j q joint joints axis a theta th angle")
+JOINT_LIKE = _set("j q jt joint joints axis a theta th angle robax gelenk achse axe eje asse")
 # Where a word ends without a separator: before a capital, a number, or a letter after a number.
 WORD_ENDS = re.compile(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Za-z])(?=\d)|(?<=\d)(?=[A-Za-z])")
 
@@ -183,7 +201,16 @@ def positions(names: Iterable[str]) -> list[Family]:
 
     What was measured comes before what was not said to be, what was commanded last; among these, short names first.
     """
-    found = [family for family in lettered(names, "xyz") if not family.about & (TURNED | OTHER)]
+    names = list(names)
+    by_number = [
+        Family(family.columns[:3], family.about, family.numbers[:3])
+        for family in numbered(names)
+        if (len(family.columns) == 3 or (len(family.columns) in (6, 7) and family.about & {"pose", "tcp"}))
+        and family.about & PLACED
+        and not family.about & TURNED
+    ]
+    by_letter = [family for family in lettered(names, "xyz") if not family.about & TURNED]
+    found = [family for family in (*by_letter, *by_number) if not family.about & OTHER]
     return sorted(found, key=lambda family: (family.commanded, not family.measured, len(family.about)))
 
 
@@ -192,7 +219,12 @@ def quaternions(names: Iterable[str]) -> list[Family]:
     names = list(names)
     by_letter = lettered(names, "xyzw")
     by_number = [family for family in numbered(names) if len(family.columns) == 4 and family.about & TURNED]
-    found = [family for family in (*by_letter, *by_number) if not family.about & OTHER]
+    by_number += [
+        Family(family.columns[3:], family.about, family.numbers[3:])
+        for family in numbered(names)
+        if len(family.columns) == 7 and family.about & {"pose", "tcp"}
+    ]
+    found = [family for family in (*by_letter, *_with_scalars(names), *by_number) if not family.about & OTHER]
     return sorted(found, key=lambda family: (family.commanded, not family.measured, bool(family.numbers)))
 
 
@@ -203,15 +235,97 @@ def angle_triples(names: Iterable[str]) -> list[Family]:
     """
     names = list(names)
     by_axis = [family for family in lettered(names, "xyz") if family.about & TURNED]
-    candidates = (*by_axis, *lettered(names, "abc"), *lettered(names, "wpr"))
+    candidates = [*by_axis, *lettered(names, "abc"), *lettered(names, "wpr")]
+    by_words = {words(name): name for name in reversed(names)}
+    for said in NAMED_ANGLES:
+        if all((SYNONYMS.get(word, word),) in by_words for word in said):
+            candidates.append(Family(tuple(by_words[(SYNONYMS.get(word, word),)] for word in said), frozenset()))
+    for family in numbered(names):
+        if len(family.columns) == 3 and family.about & TURNED:
+            candidates.append(family)
+        elif len(family.columns) == 6 and family.about & {"pose", "tcp"}:
+            candidates.append(Family(family.columns[3:], family.about, family.numbers[3:]))
     found = [family for family in candidates if not family.about & OTHER]
     return sorted(found, key=lambda family: (family.commanded, not family.measured))
+
+
+def _with_scalars(names: Sequence[str]) -> list[Family]:
+    """Quaternions whose scalar is called otherwise than their vector: ``Q0 Qx Qy Qz``."""
+    found = []
+    for family in lettered(names, "xyz"):
+        if not family.about & QUATERNION_LIKE:
+            continue
+        for name in names:
+            said = set(words(name))
+            if name not in family.columns and said & SCALAR and said - SCALAR <= family.about:
+                found.append(Family((*family.columns, name), family.about))
+                break
+    return found
+
+
+@dataclass(frozen=True)
+class MatrixColumns:
+    """Columns of a rotation matrix, or of a pose as one.
+
+    Attributes:
+        rotation: Row by row, each way in which they may be meant.
+        position: Columns of the place, one triple for each of these ways; None: there is none.
+        about: The words that they share.
+    """
+
+    rotation: tuple[tuple[str, ...], ...]
+    position: tuple[tuple[str, str, str], ...] | None
+    about: frozenset[str]
+
+
+def matrices(names: Iterable[str]) -> list[MatrixColumns]:
+    """Families of columns that are matrices: by two numbers, numbered through, or ``nx ny nz ox … az``."""
+    names = list(names)
+    cells: dict[str, dict[tuple[int, int], str]] = {}
+    for name in names:
+        place = MATRIX_CELL.fullmatch(name)
+        if place is not None:
+            cells.setdefault(place[1].strip(" _[(."), {}).setdefault((int(place[2]), int(place[3])), name)
+    found = []
+    for prefix, cell in cells.items():
+        for base in (1, 0):
+            span = range(base, base + 3)
+            if all((i, j) in cell for i in span for j in span):
+                rotation = tuple(cell[i, j] for i in span for j in span)
+                beside = [cell.get((i, base + 3)) for i in span]
+                position = ((beside[0], beside[1], beside[2]),) if all(beside) else None
+                found.append(MatrixColumns((rotation,), position, frozenset(words(prefix))))  # type: ignore[arg-type]
+                break
+    found += [_numbered_matrix(family) for family in numbered(names) if len(family.columns) in MATRIX_SIZES]
+    return [*found, *_of_vectors(names)]
+
+
+def _numbered_matrix(family: Family) -> MatrixColumns:
+    """A matrix whose cells are counted through: row by row, or column by column."""
+    c, size = family.columns, len(family.columns)
+    wide = 3 if size == 9 else 4
+    rows = tuple(c[wide * i + j] for i in range(3) for j in range(3))
+    tall = 4 if size == 16 else 3
+    columns = tuple(c[tall * j + i] for i in range(3) for j in range(3))
+    place = None if size == 9 else ((c[3], c[7], c[11]), (c[3 * tall], c[3 * tall + 1], c[3 * tall + 2]))
+    return MatrixColumns((rows, columns), place, family.about)
+
+
+def _of_vectors(names: Sequence[str]) -> list[MatrixColumns]:
+    """Columns of a matrix as vectors: ``n``, ``o`` and ``a``, each with x y z, and perhaps ``p``."""
+    by_stem: dict[frozenset[str], Family] = {family.about: family for family in lettered(names, "xyz")}
+    triple = [by_stem.get(frozenset({stem})) for stem in "noa"]
+    if any(family is None for family in triple):
+        return []
+    vectors = [family.columns for family in triple if family is not None]
+    rotation = tuple(vectors[j][i] for i in range(3) for j in range(3))
+    return [MatrixColumns((rotation,), None, frozenset())]
 
 
 def named(names: Iterable[str], *wanted: str) -> str | None:
     """The first column that is one of some words, with a unit perhaps and a word that says that it was measured."""
     for name in names:
-        said = [word for word in words(name) if word not in MEASURED]
+        said = [word for word in words(name) if word not in MEASURED | {"name"}]
         if len(said) == 1 and said[0] in wanted:
             return name
     return None

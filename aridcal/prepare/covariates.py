@@ -6,11 +6,11 @@ from collections.abc import Collection
 
 import numpy as np
 
-from aridcal.inputs.measurement_settings import ANGLES, LENGTHS
+from aridcal.inputs.measurement_settings import ANGLES, LENGTHS, TIMES
 from aridcal.inputs.quantities import STD
 from aridcal.inputs.repeats import blocks
 from aridcal.inputs.tables import Table
-from aridcal.prepare.column_names import SCATTER, angle_triples, named, numbered, positions, quaternions, words
+from aridcal.prepare.column_names import SCATTER, angle_triples, named, numbered, positions, quaternions, unit, words
 from aridcal.prepare.guesses import Proposal
 from aridcal.prepare.units_and_angles import Reading
 
@@ -21,17 +21,23 @@ COVARIATES = (
     ("payload", "kg", ("payload", "load")),
 )
 
+# Largest numbers of clocks that count from 1970, in units that programs write; what is larger counts nanoseconds.
+EPOCH = {"s": 1e11, "ms": 1e14, "us": 1e17}
+
 POSE_NOISE = "{position: …, rotation: …}, 1 sigma per axis, m and rad"
 """How the noise of poses and positions is stated."""
 
 
-def say_covariates(table: Table, used: set[str], made: Proposal, noise: str = POSE_NOISE) -> None:
+def say_covariates(
+    table: Table, used: set[str], made: Proposal, clock: str | None = None, noise: str = POSE_NOISE
+) -> None:
     """Say what the columns are that are left: sigmas of the rows, covariates, and what is neither.
 
     Args:
         table: The measurements.
         used: Columns that are spoken for.
         made: Told what was found.
+        clock: Column of seconds that was made of dates.
         noise: How it is stated.
     """
     std = [name for name in STD if name in table.cells]
@@ -42,9 +48,15 @@ def say_covariates(table: Table, used: set[str], made: Proposal, noise: str = PO
     free = [name for name in table.names if name and name not in used and name not in STD]
     for quantity, si_unit, spellings in COVARIATES:
         column = named(free, *spellings)
-        if column and np.isfinite(table.numbers(column)[0]).any():
+        if quantity == "time" and clock in free:
+            free.remove(clock)
+            made.say_columns({quantity: clock}, "dates, in seconds")
+        elif column and np.isfinite(table.numbers(column)[0]).any():
             free.remove(column)
-            made.say_columns({quantity: column}, f"by its name, taken for {si_unit}")
+            counted = _unit_of_time(table, column) if quantity == "time" else si_unit
+            made.say_columns({quantity: column}, f"by its name, taken for {counted}")
+            if counted != si_unit:
+                made.add_units({column: counted}, f"{column} in {counted}")
     families = (*positions(free), *angle_triples(free), *quaternions(free), *numbered(free))
     in_families = {name for family in families for name in family.columns}
     reasons = {name: _no_covariate(table, name, in_families) for name in free}
@@ -56,6 +68,15 @@ def say_covariates(table: Table, used: set[str], made: Proposal, noise: str = PO
     kept = ", ".join(name for name in free if not reasons[name])
     if kept:
         made.say("covariates", None, f"effects may depend on {kept}; name under `ignore` what is none", sure=False)
+
+
+def _unit_of_time(table: Table, column: str) -> str:
+    """The unit that a clock counts: by its name, or by how large the seconds since 1970 are in it."""
+    said = unit(column)
+    if said in TIMES:
+        return said
+    largest = float(np.nanmax(np.abs(table.numbers(column)[0])))
+    return next((name for name, most in EPOCH.items() if largest < most), "ns")
 
 
 def _no_covariate(table: Table, name: str, in_families: Collection[str]) -> str:

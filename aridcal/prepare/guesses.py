@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from aridcal.errors import AridcalError, CampaignError, nearest
 from aridcal.robot.chain import Robot
 
 # Asks a question with its possible answers, the likeliest first, and why; returns the answer's number, None
@@ -35,6 +36,66 @@ class Guess:
         return self.key.rpartition(".")[2]
 
 
+class Unanswered(AridcalError):
+    """The data leave a choice that changes every number, and nobody was there to make it."""
+
+
+@dataclass(frozen=True)
+class Asker:
+    """Makes choices that the data leave open.
+
+    Attributes:
+        choose: Asks a person.
+        settled: Numbers of answers that were given beforehand, by the key of the question.
+    """
+
+    choose: Choose
+    settled: Mapping[str, int] = field(default_factory=dict)
+
+    def pick(self, key: str, question: str, answers: Sequence[str], why: str) -> int:
+        """The number of the answer, from 0, to a question that must not be guessed.
+
+        Args:
+            key: Of the campaign, below ``measurements``.
+            question: Without its mark.
+            answers: The likeliest first.
+            why: What is the matter.
+
+        Raises:
+            Unanswered: nobody answered; naming the key and the choices.
+            CampaignError: an answer that was given beforehand is none of these.
+        """
+        given = self.settled.get(key)
+        if given is not None:
+            if not 1 <= given <= len(answers):
+                raise CampaignError(f"--set {key}={given}: should be from 1 to {len(answers)}: {_numbered(answers)}")
+            return given - 1
+        answer = self.choose(question, answers, why)
+        if answer is None:
+            raise Unanswered(
+                f"{question}? {why[:1].upper()}{why[1:]}. This becomes `measurements.{key}`. Run this again with "
+                f"`--set {key}=NUMBER`: {_numbered(answers)}"
+            )
+        return answer
+
+    def check(self, asked: Sequence[str]) -> None:
+        """Refuse an answer to what is never asked.
+
+        Args:
+            asked: Keys of all questions that there are.
+
+        Raises:
+            CampaignError: naming it.
+        """
+        for key in self.settled:
+            if key not in asked:
+                raise CampaignError(f"--set {key}: nothing of that name is ever asked{nearest(key, asked)}")
+
+
+def _numbered(answers: Sequence[str]) -> str:
+    return "; ".join(f"{number} = {answer}" for number, answer in enumerate(answers, start=1))
+
+
 @dataclass
 class Proposal:
     """What was found in a URDF and a table, in the order in which it was found.
@@ -42,10 +103,22 @@ class Proposal:
     Attributes:
         robot: The chain whose joints have columns.
         guesses: What the campaign says, and why.
+        fit: Median distance of the targets from the nominal robot's, [m] and as a share of their spread; None: not judged.
     """
 
     robot: Robot
     guesses: list[Guess] = field(default_factory=list)
+    fit: tuple[float, float] | None = None
+
+    def add_units(self, columns: dict[str, str], why: str) -> None:
+        """Say units of single columns, beside those of the table."""
+        for k, guess in enumerate(self.guesses):
+            if guess.key == "measurements.units":
+                value = guess.value or {}
+                units = {**value, "columns": {**value.get("columns", {}), **columns}}
+                self.guesses[k] = Guess(guess.key, units, f"{guess.why}; {why}", guess.sure)
+                return
+        self.say("measurements.units", {"columns": columns}, why)
 
     def say(self, key: str, value: Any, why: str, sure: bool = True) -> None:
         """Add a guess."""
@@ -65,4 +138,4 @@ def ask(choose: Choose, question: str, answers: Sequence[str], why: str) -> tupl
 
 
 def nobody(question: str, answers: Sequence[str], why: str) -> None:
-    """Leaves every question open: the likeliest answer is taken, and said to be a guess."""
+    """Leaves every question open: what changes no number is guessed and said to be, and all else is an error."""

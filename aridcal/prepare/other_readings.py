@@ -24,7 +24,8 @@ from aridcal.fit.stages import Geometry, fit_geometry, nominal_sigma
 from aridcal.inputs.campaign import Campaign
 from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.measurement_settings import ANGLES, MeasurementSettings
-from aridcal.inputs.quantities import POSITION, QUATERNION, angle_columns, column_of
+from aridcal.inputs.orientations import QUATERNION, angle_columns, column_of
+from aridcal.inputs.quantities import POSITION
 from aridcal.inputs.read import load_measurements
 from aridcal.inputs.tables import read_tables
 from aridcal.prepare.units_and_angles import TRIED_LENGTHS
@@ -155,7 +156,9 @@ def _far_less(other: tuple[Left, Left], own: tuple[Left, Left | None]) -> bool:
 
 def _sample(campaign: Campaign, train: Dataset) -> pd.DataFrame:
     """Some training rows as they stand in the tables."""
-    table = read_tables(campaign.tables, campaign.measurements.ignore, campaign.limits.table)
+    settings = campaign.measurements
+    joints = [settings.columns.get(name, name) for name in train.names] if campaign.has_other_tables else None
+    table = read_tables(campaign.tables, settings.ignore, campaign.limits.table, settings.table.dialect, joints)
     number = {place: k for k, place in enumerate(zip(table.file.tolist(), table.line.tolist(), strict=True))}
     rows = np.array([number[place] for place in zip(train.file.tolist(), train.line.tolist(), strict=True)])
     drawn = np.random.default_rng(0).permutation(rows)[:SAMPLE]

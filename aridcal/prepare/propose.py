@@ -4,17 +4,32 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from aridcal.errors import MeasurementError, RobotError, listed
-from aridcal.inputs.quantities import ABSURD, POSITION, QUATERNION, SAME_ORIENTATION
+from aridcal.errors import MeasurementError, RobotError, listed, shortened
+from aridcal.inputs.measurement_settings import TARGET
+from aridcal.inputs.quantities import POSITION
 from aridcal.inputs.tables import Table
-from aridcal.prepare.column_names import Family, angle_triples, match_joints, positions, quaternions, unit
+from aridcal.prepare.column_names import (
+    MEASURED,
+    ON_A_BODY,
+    PLACED,
+    TURNED,
+    Family,
+    angle_triples,
+    match_joints,
+    matrices,
+    positions,
+    quaternions,
+    unit,
+)
 from aridcal.prepare.covariates import say_covariates, say_repeats
-from aridcal.prepare.guesses import Choose, Proposal, ask
+from aridcal.prepare.guesses import Asker, Proposal, ask
+from aridcal.prepare.orientation_columns import CLEAR, MOST_ANSWERS, say_orientation, sensible
 from aridcal.prepare.other_kinds import other_kind, say_other_kind
-from aridcal.prepare.units_and_angles import Reading, Sample, Writing, angle_writings, quaternion_writings, readings
+from aridcal.prepare.units_and_angles import Reading, Sample, readings
 from aridcal.robot.chain import Robot, chain
 from aridcal.robot.tree import read_tree
 
@@ -22,35 +37,30 @@ from aridcal.robot.tree import read_tree
 SAMPLE = 150
 # Rows without which nothing can be judged: the frames alone take twelve numbers.
 FEWEST = 4
-# A way to read the table that fits so many times better than the next needs no question.
-CLEAR = 3.0
 # No nominal robot misses the targets by so much of their spread.
 STRANGE_SHARE = 0.05
-# No nominal robot misses orientations by so much, [rad].
-STRANGE_ANGLE = 0.2
-# How far from 1 the norms of a quaternion's columns may be.
-UNIT_SLACK = 0.05
-# Some programs write four zeros where they know no orientation.
-NO_ROTATION = 0.5
 # The base's z is the instrument's if they are as close as that, [deg]: floors and tripods are less exact than
 # noise.
 UPRIGHT = 5.0
-# Answers that a question offers.
-MOST_ANSWERS = 4
 # Links that are the tip by their name, the likeliest first.
 TIPS = ("tool0", "flange", "ee_link", "tcp")
 # How joints were matched with columns, in words.
 HOW = {"similar name": "names alike", "number": "by their numbers", "order": "by their ORDER along the chain"}
 
 
-def propose(urdf: bytes, path: Path, table: Table, choose: Choose) -> Proposal:
+QUESTIONS = ("table.sheet", "table.dates", "table.decimal", "columns", "units", "orientation")
+"""Keys of what may be asked; answers may be given beforehand."""
+
+
+def propose(urdf: bytes, path: Path, table: Table, asker: Asker, clock: str | None = None) -> Proposal:
     """Propose what a campaign should say.
 
     Args:
         urdf: The URDF's bytes.
         path: Where they came from.
         table: The measurements.
-        choose: Asked wherever the evidence does not decide.
+        asker: Asked wherever the evidence does not decide.
+        clock: Column of seconds that was made of dates.
 
     Raises:
         MeasurementError: joints or positions have no columns, or a campaign cannot tell their units.
@@ -58,7 +68,7 @@ def propose(urdf: bytes, path: Path, table: Table, choose: Choose) -> Proposal:
     """
     chains = _chains(urdf, path)
     joints, columns, how = _joints(chains, table)
-    robot, sure = _tip(chains[joints], choose)
+    robot, sure = _tip(chains[joints], asker)
     made = Proposal(robot)
     made.say("robot.base", robot.base, "the URDF's root link")
     ends = f"{robot.names[0]} … {robot.names[-1]}" if len(robot.names) > 1 else robot.names[0]
@@ -70,16 +80,16 @@ def propose(urdf: bytes, path: Path, table: Table, choose: Choose) -> Proposal:
         kind, own = other
         turning = np.array([joint != "prismatic" for joint in robot.kinds])
         used |= {*say_other_kind(kind, own, table, joint_columns, turning, made), *_split(table, used, made)}
-        say_covariates(table, used, made, kind.noise)
+        say_covariates(table, used, made, clock, kind.noise)
         return made
-    place = _position(table, used, choose, made)
+    place = _position(table, used, joint_columns, asker, made)
     used |= {*place.columns, *_split(table, used, made)}
     sample, rows = _sample(table, robot, joint_columns, place)
-    reading = _units(sample, robot, [*columns.values(), *place.columns], choose, made)
-    used |= _orientation(table, used, rows, reading, choose, made)
+    reading = _units(sample, robot, joint_columns, place.columns, asker, made)
+    used |= say_orientation(table, used, place, rows, reading, asker, made)
     _gravity(reading, made)
-    say_covariates(table, used, made)
-    say_repeats(_sensible(table, joint_columns), reading, made)
+    say_covariates(table, used, made, clock)
+    say_repeats(sensible(table, joint_columns), reading, made)
     return made
 
 
@@ -115,7 +125,12 @@ def _joints(chains: Iterable[tuple[str, ...]], table: Table) -> tuple[tuple[str,
     """
     names = [name for name in table.names if name]
     matches = {joints: match_joints(joints, names) for joints in chains}
-    found = {joints: match for joints, match in matches.items() if match}
+    longest = max(map(len, matches))
+    found = {
+        joints: match
+        for joints, match in matches.items()
+        if match and (match[1] in ("same name", "similar name") or 2 * len(joints) >= longest)
+    }
     if not found:
         lacking = [joint for joint in max(matches, key=len) if joint not in names]
         raise MeasurementError(
@@ -135,7 +150,7 @@ def _joints(chains: Iterable[tuple[str, ...]], table: Table) -> tuple[tuple[str,
     return best, columns, how
 
 
-def _tip(robots: Sequence[Robot], choose: Choose) -> tuple[Robot, bool]:
+def _tip(robots: Sequence[Robot], asker: Asker) -> tuple[Robot, bool]:
     """Which of the chains that end rigidly after the same joint is meant, and if that is sure."""
 
     def rank(robot: Robot) -> tuple[int, bool]:
@@ -146,35 +161,88 @@ def _tip(robots: Sequence[Robot], choose: Choose) -> tuple[Robot, bool]:
     if len(ends) == 1 or ends[0].tip in TIPS:
         return ends[0], True
     about = "all are rigid after the last joint: take what your programs call the tool"
-    picked, sure = ask(choose, "which link is the tip", [robot.tip for robot in ends], about)
+    picked, sure = ask(asker.choose, "which link is the tip", [robot.tip for robot in ends], about)
     return ends[picked], sure
 
 
-def _position(table: Table, used: set[str], choose: Choose, made: Proposal) -> Family:
+def _position(table: Table, used: set[str], joints: Sequence[str], asker: Asker, made: Proposal) -> Family:
     """The columns of the measured position.
 
     Args:
         table: The measurements.
         used: Columns that are spoken for.
-        choose: Asked where more than one position may be the measured one.
+        joints: Column of each reading.
+        asker: Asked where more than one position may be the measured one.
         made: Told what was found.
 
     Raises:
         MeasurementError: there are none.
+        AridcalError: several may be, and nobody says which is.
     """
     free = [name for name in table.names if name and name not in used]
-    families = [family for family in positions(free) if np.isfinite(_sensible(table, family.columns)).any()]
+    families = [family for family in _places(free) if np.isfinite(sensible(table, family.columns)).any()]
     if not families:
-        raise MeasurementError(f"{table.title}: no columns for the target's position: call them x, y and z")
-    options = [" ".join(family.columns) for family in families]
-    picked, sure = 0, not families[0].commanded
-    if len(families) > 1 and not families[1].commanded:
-        picked, sure = ask(choose, "which columns are the measured position", options, "more than one may be")
-    passed = [option for k, option in enumerate(options) if k != picked]
-    why = "the measured position" + (f", not {' or '.join(passed)}" if passed else "")
-    columns = dict(zip(POSITION, families[picked].columns, strict=True))
-    made.say_columns(columns, why, sure)
-    return families[picked]
+        raise MeasurementError(f"{table.title}: no columns for the target's position: {_no_position(table, free)}")
+    likely = [family for family in families if not family.commanded] or families
+    surest = [family for family in likely if family.about & (MEASURED - ON_A_BODY)]
+    moved, left = likely, ""
+    if len(likely) > 1 and len(surest) != 1:
+        moved = [family for family in likely if _moves_along(table, made.robot, joints, family)]
+        left = "; the others do not move as the robot does" if len(moved) == 1 else ""
+    elif len(surest) == 1:
+        moved = surest
+    if len(moved) > 1:
+        turned = [family for family in moved if _turned(free, family)]
+        moved = turned if len(turned) == 1 else moved
+    picked = (moved or likely)[0]
+    if len(moved) != 1 and len(likely) > 1:
+        likely = moved or likely
+        options = [" ".join(family.columns) for family in likely]
+        question = "which columns are the measured position"
+        picked = likely[asker.pick("columns", question, options, "more than one may be")]
+    passed = [" ".join(family.columns) for family in families if family is not picked]
+    why = "the measured position" + (f", not {' or '.join(passed)}{left}" if passed else "")
+    columns = dict(zip(POSITION, picked.columns, strict=True))
+    made.say_columns(columns, why, sure=not picked.commanded)
+    return picked
+
+
+def _places(free: Sequence[str]) -> list[Family]:
+    """Families that may hold measured positions; those of a matrix of a pose first."""
+    found, in_matrices = [], set()
+    for matrix in matrices(free):
+        in_matrices |= {name for way in matrix.rotation for name in way}
+        found += [Family(place, matrix.about) for place in matrix.position or ()]
+    inside = {name for family in found for name in family.columns}
+    plain = positions(name for name in free if name not in in_matrices | inside)
+    return [*found, *(family for family in plain if not set(family.columns) & inside)]
+
+
+def _no_position(table: Table, free: Sequence[str]) -> str:
+    """What to do where no columns have numbers that may be a position."""
+    for family in _places(free):
+        cells = [cell for cell in table.texts(family.columns[0]).tolist() if cell]
+        if cells:
+            return (
+                f"{' '.join(family.columns)} hold no numbers, {shortened(cells[0])!r} for instance; write numbers alone"
+            )
+    return "call them x, y and z"
+
+
+def _turned(free: Sequence[str], place: Family) -> bool:
+    """True of a position beside which an orientation has the same words."""
+    own = place.about - PLACED
+    triples = (*quaternions(free), *angle_triples(free))
+    return any(family.about - TURNED == own and not set(family.columns) & set(place.columns) for family in triples)
+
+
+def _moves_along(table: Table, robot: Robot, joints: Sequence[str], place: Family) -> bool:
+    """True of positions that some way to read them finds near the nominal robot's."""
+    try:
+        sample, _ = _sample(table, robot, joints, place)
+    except MeasurementError:
+        return False
+    return min((reading.share for reading in readings(sample, robot)), default=1.0) <= STRANGE_SHARE
 
 
 def _split(table: Table, used: set[str], made: Proposal) -> list[str]:
@@ -199,8 +267,11 @@ def _sample(table: Table, robot: Robot, joints: Sequence[str], place: Family) ->
     Raises:
         MeasurementError: too few rows have all of these.
     """
-    q, position = _sensible(table, joints), _sensible(table, place.columns)
+    q, position = sensible(table, joints), sensible(table, place.columns)
     finite = np.isfinite(q).all(axis=1) & np.isfinite(position).all(axis=1)
+    if TARGET in table.cells:  # points of a board: of one alone, since each has a place of its own
+        words, counts = np.unique(table.texts(TARGET), return_counts=True)
+        finite &= table.texts(TARGET) == words[np.argmax(counts)]
     whole = np.flatnonzero(finite)
     if len(whole) < FEWEST:
         counts = np.isfinite(np.hstack([q, position])).sum(axis=0)
@@ -217,21 +288,24 @@ def _sample(table: Table, robot: Robot, joints: Sequence[str], place: Family) ->
     return Sample(q[rows], turning, position[rows], station), rows
 
 
-def _units(sample: Sample, robot: Robot, columns: Sequence[str], choose: Choose, made: Proposal) -> Reading:
+def _units(
+    sample: Sample, robot: Robot, joints: Sequence[str], place: Sequence[str], asker: Asker, made: Proposal
+) -> Reading:
     """Keep the units, and the frames per station, that the nominal robot agrees with.
 
     Args:
         sample: Rows to judge by.
         robot: The nominal robot.
-        columns: Of joints and position: their names may end in a unit.
-        choose: Asked where two ways fit alike.
+        joints: Columns: their names may end in a unit.
+        place: Columns of the position, likewise.
+        asker: Asked where two ways fit alike and no header tells.
         made: Told what was found.
 
     Returns:
         The way to read joints and positions.
 
     Raises:
-        MeasurementError: positions and rails are in different units, which a campaign cannot say.
+        AridcalError: two ways fit alike, and nobody says which is meant.
     """
     tried = readings(sample, robot)
     best = next(reading for reading in tried if reading.per is None)
@@ -240,25 +314,49 @@ def _units(sample: Sample, robot: Robot, columns: Sequence[str], choose: Choose,
         why = f"stations that share it: {1e3 * best.metres:.3g} mm off; one each: {1e3 * first.metres:.3g} mm"
         made.say(f"frames.{first.per}", {"per": "station"}, why)
         best = first
-    if best.travel != best.length:
-        raise MeasurementError(
-            f"positions are in {best.length} but joints that slide in {best.travel}: `units` speaks of all lengths of "
-            "a file. Convert one of them, in a spreadsheet for instance, and run this again"
-        )
-    near = [r for r in tried if r.per == best.per and (r.travel == r.length or r is best)][:MOST_ANSWERS]
-    clear = len(near) == 1 or near[1].share > CLEAR * near[0].share
-    if not clear:
-        names = [f"{reading.angle} and {reading.length}" for reading in near]
-        picked, clear = ask(choose, "which units have joints and positions", names, "they fit the nominal robot alike")
-        best = near[picked]
-    value = {}
+    near = [r for r in tried if r.per == best.per][:MOST_ANSWERS]
+    alike = [reading for reading in near if reading.share <= CLEAR * best.share]
+    by_header = ""
+    if len(alike) > 1 and best.share <= STRANGE_SHARE:  # else none is right, which is said below
+        said = _said(sample, joints, place)
+        agreeing = [reading for reading in alike if said and said <= set(_named(sample, reading))]
+        if len(agreeing) == 1:
+            best, by_header = agreeing[0], "as the header says, where others fit alike: "
+        else:
+            names = [_units_in_words(reading) for reading in alike]
+            why = "these fit the nominal robot alike"
+            best = alike[asker.pick("units", "which units have joints and positions", names, why)]
+    value: dict[str, Any] = {}
     if best.length != "m":
         value["length"] = best.length
     if best.angle != "rad":
         value["angle"] = best.angle
-    likely = best.share <= STRANGE_SHARE
-    made.say("measurements.units", value or None, _why_units(best, near, columns), sure=clear and likely)
+    if best.travel != best.length:
+        slides = [name for name, turns in zip(joints, sample.turning, strict=True) if not turns]
+        value["columns"] = dict.fromkeys(slides, best.travel)
+    made.fit = (best.metres, best.share)
+    why = by_header + _why_units(best, near, [*joints, *place])
+    made.say("measurements.units", value or None, why, sure=best.share <= STRANGE_SHARE)
     return best
+
+
+def _said(sample: Sample, joints: Sequence[str], place: Sequence[str]) -> set[tuple[str, str]]:
+    """What the header says of units: of which columns, and which one."""
+    kinds = ["angle" if turns else "travel" for turns in sample.turning] + ["length"] * len(place)
+    words = [unit(name) for name in (*joints, *place)]
+    return {(kind, word) for kind, word in zip(kinds, words, strict=True) if word}
+
+
+def _named(sample: Sample, reading: Reading) -> list[tuple[str, str]]:
+    """The same of a way to read them."""
+    travel = [] if sample.turning.all() else [("travel", reading.travel)]
+    return [("angle", reading.angle), ("length", reading.length), *travel]
+
+
+def _units_in_words(reading: Reading) -> str:
+    """Units of a way to read joints and positions."""
+    rails = "" if reading.travel == reading.length else f", rails in {reading.travel}"
+    return f"{reading.angle} and {reading.length}{rails}"
 
 
 def _why_units(best: Reading, near: Sequence[Reading], columns: Sequence[str]) -> str:
@@ -266,120 +364,14 @@ def _why_units(best: Reading, near: Sequence[Reading], columns: Sequence[str]) -
     said = {unit(column) for column in columns} - {None}
     agrees = said and said <= {best.angle, best.length}
     why = "as the header says: " if agrees else ""
-    why += f"in {best.angle} and {best.length} the nominal robot misses the targets by {1e3 * best.metres:.3g} mm"
+    why += f"in {_units_in_words(best)} the nominal robot misses the targets by {1e3 * best.metres:.3g} mm"
     why += f" ({100 * best.share:.2g} % of their spread)"
     for other in [reading for reading in near if reading is not best][:1]:
-        why += f"; in {other.angle} and {other.length} by {100 * other.share:.2g} %"
+        why += f"; in {_units_in_words(other)} by {100 * other.share:.2g} %"
     if best.share > STRANGE_SHARE:
         why += ". That is MUCH: check that the URDF is this robot's, each joint's column, sign and zero, and whether tracker"
         why += " or target were moved in between (then give each place its label in a column `station`)"
     return why
-
-
-def _orientation(
-    table: Table, used: set[str], rows: np.ndarray, reading: Reading, choose: Choose, made: Proposal
-) -> set[str]:
-    """Keep the writing of orientations that the nominal robot agrees with.
-
-    Args:
-        table: N rows.
-        used: Columns that are spoken for.
-        rows: Those to judge by.
-        reading: The way to read joints and positions.
-        choose: Asked where two ways fit alike.
-        made: Told what was found.
-
-    Returns:
-        The columns of the orientation; none where there are only positions.
-
-    Raises:
-        MeasurementError: joints and orientations are in different units, which a campaign cannot say; or there are two
-            orientations that disagree.
-    """
-    found = _writings(table, used, rows, reading)
-    if not found:
-        made.say("measurements.kind", "position", "no columns of an orientation", sure=False)
-        return set()
-    family, ways = found[0]
-    best, clear = ways[0], len(ways) == 1 or ways[1].misfit > CLEAR * ways[0].misfit
-    if not clear:
-        answers = [way.what for way in ways[:MOST_ANSWERS]]
-        picked, clear = ask(choose, "how are orientations written", answers, "they fit the nominal robot alike")
-        best = ways[picked]
-    if best.angle not in (None, reading.angle):
-        raise MeasurementError(
-            f"{table.title}: joints are in {reading.angle} but {' '.join(family.columns)} in {best.angle}: `units` "
-            "speaks of all angles of a file. Convert one of them, in a spreadsheet for instance, and run this again"
-        )
-    _refuse_second_orientation(table, rows, family, best, found[1:])
-    why = f"{best.what} misses the nominal robot's orientations by {1e3 * best.misfit:.3g} mrad"
-    for other in [way for way in ways if way is not best][:1]:
-        why += f"; {other.what} by {1e3 * other.misfit:.3g}"
-    likely = best.misfit <= STRANGE_ANGLE
-    if not likely:
-        why += ". That is MUCH: check their order, and that they turn the target into the world and not back"
-    made.say("measurements.kind", "pose", "positions and orientations")
-    for key, value in best.keys.items():
-        made.say(key, value, why, sure=clear and likely)
-    return set(family.columns)
-
-
-def _refuse_second_orientation(
-    table: Table, rows: np.ndarray, family: Family, best: Writing, others: Sequence[tuple[Family, list[Writing]]]
-) -> None:
-    """Refuse a second orientation that nothing says was commanded, and that is another than the first.
-
-    Args:
-        table: N rows.
-        rows: Those to judge by.
-        family: The first one's columns.
-        best: How it is written.
-        others: Further columns that may be orientations, and every way to read them.
-
-    Raises:
-        MeasurementError: naming a row and both.
-    """
-    for other, ways in others:
-        alike = (other.commanded, other.measured) == (family.commanded, family.measured)
-        if set(other.columns) & set(family.columns) or not alike or ways[0].misfit > STRANGE_ANGLE:
-            continue
-        whole = np.isfinite(table.matrix((*family.columns, *other.columns))[rows]).all(axis=1)
-        apart = [np.where(whole, (way.rotation * best.rotation.inv()).magnitude(), 0.0) for way in ways]
-        nearest = min(apart, key=np.max)
-        worst = int(np.argmax(nearest))
-        if nearest[worst] > SAME_ORIENTATION:
-            raise MeasurementError(
-                f"{table.title}, line {table.line[rows[worst]]}: {' '.join(family.columns)} and {' '.join(other.columns)} "
-                f"are two orientations, {np.degrees(nearest[worst]):.3g} degrees apart. Delete the one that was not "
-                "measured, or call its columns commanded"
-            )
-
-
-def _writings(table: Table, used: set[str], rows: np.ndarray, reading: Reading) -> list[tuple[Family, list[Writing]]]:
-    """Columns that may be an orientation, the likeliest first, and every way to read each, the best first."""
-    free = [name for name in table.names if name and name not in used]
-    found = []
-    for family in (*quaternions(free), *angle_triples(free)):
-        values = _sensible(table, family.columns)[rows]
-        named = set(family.columns) == set(QUATERNION) and np.isfinite(table.matrix(family.columns)).any()
-        norm = np.linalg.norm(values, axis=1)
-        if len(family.columns) == 4 and np.isfinite(norm).any() and abs(float(np.nanmedian(norm)) - 1) <= UNIT_SLACK:
-            values[norm < NO_ROTATION] = np.nan
-            found.append((family, quaternion_writings(family, values, reading)))
-        elif len(family.columns) == 3 and np.isfinite(norm).any():
-            found.append((family, angle_writings(family, values, reading)))
-        elif named:
-            raise MeasurementError(
-                f"{table.title}: {' '.join(family.columns)} hold no quaternions of norm 1: mend them, or delete these columns if "
-                "no orientation was measured"
-            )
-    return found
-
-
-def _sensible(table: Table, columns: Sequence[str]) -> np.ndarray:
-    """Columns as numbers, shape (N, columns); NaN where there is none, or one so large that it stands for a hole."""
-    values = table.matrix(columns)
-    return np.where(np.abs(values) <= ABSURD, values, np.nan)
 
 
 def _gravity(reading: Reading, made: Proposal) -> None:

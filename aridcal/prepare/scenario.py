@@ -119,6 +119,7 @@ def check_scenario(scenario: Scenario) -> None:
             f"{', '.join(filter(is_of_head, KINDS))} need `kind: camera_sonar`, or a camera under `instruments`",
         ),
         "measurements.units": (_any_has(scenario, "units"), "the table is written in SI; delete this key"),
+        "measurements.table": (_any_has(scenario, "table"), "the table is written as csv; delete this key"),
         "measurements.orientation": (
             _any_has(scenario, "orientation"),
             "the table is written with quaternions; delete this key",

@@ -23,7 +23,8 @@ from aridcal.errors import CampaignError, MeasurementError, nearest
 from aridcal.head.render import Optics
 from aridcal.inputs.campaign import DiagnosisSettings
 from aridcal.inputs.head_settings import HeadSettings, load_squares
-from aridcal.inputs.quantities import POSITION, QUATERNION, column_of
+from aridcal.inputs.orientations import QUATERNION, column_of
+from aridcal.inputs.quantities import POSITION
 from aridcal.inputs.yaml_file import load_settings
 from aridcal.model.model import Model
 from aridcal.model.reaching import draw_readings

@@ -11,7 +11,7 @@ and what counts is the median distance of the measured targets from it.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,8 +21,9 @@ from scipy.spatial.transform import Rotation
 
 from aridcal.fit.frame_starts import start_frames
 from aridcal.inputs.measurement_settings import ANGLES, LENGTHS
-from aridcal.inputs.quantities import QUATERNION, TURNS
-from aridcal.prepare.column_names import Family
+from aridcal.inputs.orientations import MATRIX_SLACK, QUATERNION
+from aridcal.inputs.quantities import TURNS
+from aridcal.prepare.column_names import Family, MatrixColumns
 from aridcal.robot.chain import Robot
 from aridcal.robot.kinematics import tip_frames
 
@@ -37,7 +38,13 @@ TINY = 1e-9
 # Euler angles whose columns name their axes.
 AXIS_SEQUENCES = ("xyz", "XYZ", "XZY", "YXZ", "YZX", "ZXY")
 # Euler angles in columns such as A B C. Fixed xyz is turning ZYX with the columns reversed.
-PLAIN_SEQUENCES = ("ZYX", "xyz", "XYZ", "ZYZ", "ZXZ")
+PLAIN_SEQUENCES = ("ZYX", "xyz", "XYZ", "ZYZ", "ZXZ", "zyx", "XZY", "YXZ", "YZX", "ZXY", "XYX", "XZX", "YXY", "YZY")
+# Share of rows whose matrices are rotations, if they are meant to be.
+MOSTLY = 0.8
+# Ways that the next is compared with.
+SHOWN_WAYS = 4
+# Rotations that are closer in every row are the same, [rad]: rounding of what was computed, not of what was written.
+SAME = 1e-9
 
 
 @dataclass(frozen=True)
@@ -182,9 +189,38 @@ def angle_writings(family: Family, values: np.ndarray, reading: Reading) -> list
     return sorted(found, key=lambda writing: writing.misfit)
 
 
+def matrix_writings(columns: MatrixColumns, values: dict[str, np.ndarray], reading: Reading) -> list[Writing]:
+    """As a matrix row by row, or column by column where its columns are counted through; values of shape (N,) each."""
+    found = []
+    for names in columns.rotation:
+        cells = np.column_stack([values[name] for name in names])
+        R = _whole(cells).reshape(-1, 3, 3)
+        off = np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
+        good = (off < MATRIX_SLACK) & (np.linalg.det(R) > 0)
+        if good.mean() < MOSTLY:
+            continue
+        rotation = Rotation.from_matrix(np.where(good[:, None, None], R, R[np.argmax(good)]))
+        cells = np.where(good[:, None], cells, np.nan)
+        what = f"a rotation matrix ({names[0]} {names[1]} {names[2]} its first row)"
+        keys: dict[str, Any] = {"measurements.orientation": {"matrix": list(names)}}
+        found.append(Writing(_misfit(rotation, cells, reading), what, keys, rotation))
+    return sorted(found, key=lambda writing: writing.misfit)
+
+
+def different(ways: Sequence[Writing]) -> list[Writing]:
+    """Ways whose rotations differ from those of every way before."""
+    kept: list[Writing] = []
+    for way in ways:
+        if not any(np.max((way.rotation * other.rotation.inv()).magnitude()) < SAME for other in kept[:SHOWN_WAYS]):
+            kept.append(way)
+    return kept
+
+
 def _sequences(family: Family) -> Iterator[tuple[str, list[int]]]:
     """Sequences of axes to try, and the columns in their order."""
-    names_its_axis = family.columns[0].lower().endswith(("x", "roll"))
+    names_its_axis = (
+        family.columns[0].lower().split("[")[0].split("(")[0].strip(" _").endswith(("x", "roll", "x deg", "x rad"))
+    )
     for sequence in AXIS_SEQUENCES if names_its_axis else PLAIN_SEQUENCES:
         by_axis = ["xyz".index(letter) for letter in sequence.lower()]
         yield sequence, by_axis if names_its_axis else [0, 1, 2]

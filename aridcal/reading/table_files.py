@@ -214,9 +214,25 @@ def read_csv(content: bytes, path: Path, limit: Limit) -> FileCells:
     if not re.search(rb"\n\s*\S", text):
         check_header(header, path)
         raise MeasurementError(f"{path}: {NO_ROWS}")
+    return below(text, header, path, limit)
+
+
+def below(text: bytes, header: list[str], path: Path, limit: Limit, separator: str = ",") -> FileCells:
+    """Read the rows below the first line as text cells.
+
+    Args:
+        text: UTF-8 with line ends as on Unix; its first line is not looked at.
+        header: Names of the columns.
+        path: Whence it came, for messages.
+        limit: Memory that its cells may take.
+        separator: Between cells.
+
+    Raises:
+        MeasurementError: as :func:`read_csv`.
+    """
     _check_columns([name for name in header if name], path)
     check_size(path, text.count(b"\n"), len(header), limit)
-    cells, broken, blank = _parse(text, len(header), path)
+    cells, broken, blank = _parse(text, len(header), path, separator)
     line = np.arange(FIRST_LINE, FIRST_LINE + cells.num_rows + len(broken) + len(blank))
     line = np.delete(line, np.array([row.number for row in broken] + blank, dtype=int) - FIRST_LINE)
     if b'"' in text:
@@ -277,12 +293,15 @@ def _header(text: bytes, path: Path) -> list[str]:
         raise MeasurementError(f"{path}, line 1: is not a header row: {problem}. It should name the columns") from None
     if len(cells) <= 1 and re.search(r"[;\t]", first):
         raise MeasurementError(
-            f"{path}: looks separated by semicolons or tabs; convert it to commas and decimal points"
+            f"{path}: looks separated by semicolons or tabs; `aridcal init` finds out how it is written, or convert it to commas "
+            "and decimal points"
         )
     return [name.strip() for name in cells] or [""]
 
 
-def _parse(text: bytes, columns: int, path: Path) -> tuple[pa.Table, list[pyarrow.csv.InvalidRow], list[int]]:
+def _parse(
+    text: bytes, columns: int, path: Path, separator: str
+) -> tuple[pa.Table, list[pyarrow.csv.InvalidRow], list[int]]:
     """Read the rows below the header as text, those that do not have as many cells, and the lines that are blank."""
     broken: list[pyarrow.csv.InvalidRow] = []
     blank: list[int] = []
@@ -299,7 +318,7 @@ def _parse(text: bytes, columns: int, path: Path) -> tuple[pa.Table, list[pyarro
     reading = pyarrow.csv.ReadOptions(
         use_threads=False, column_names=numbers, skip_rows=1, block_size=min(len(text) + 1, LONGEST_LINE)
     )
-    parsing = pyarrow.csv.ParseOptions(ignore_empty_lines=False, invalid_row_handler=skip)
+    parsing = pyarrow.csv.ParseOptions(delimiter=separator, ignore_empty_lines=False, invalid_row_handler=skip)
     as_text = pyarrow.csv.ConvertOptions(
         column_types=dict.fromkeys(numbers, pa.string()), null_values=[""], strings_can_be_null=True
     )

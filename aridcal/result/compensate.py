@@ -73,8 +73,8 @@ def compensate(
     readings = np.array([command.readings for command in found])
     table = query.table.copy()
     for k, (name, kind) in enumerate(zip(robot.readings, robot.kinds, strict=True)):
-        unit = units.metres if kind == "prismatic" else units.radians
-        table[settings.columns.get(name, name)] = readings[:, k] / unit
+        column = settings.columns.get(name, name)
+        table[column] = readings[:, k] / units.joint(column, kind)
     for name in directions(saved):
         table[settings.columns.get(name, name)] = covariates[name]
     table["reached"] = [command.reached for command in found]

@@ -16,7 +16,8 @@ from aridcal.effects.regional_kind import far_from_nodes, labels_of, without_lab
 from aridcal.effects.sights import target_places
 from aridcal.errors import MeasurementError
 from aridcal.inputs.measurement_settings import MeasurementSettings
-from aridcal.inputs.quantities import POSITION, QUATERNION, STD, angle_columns, column_of
+from aridcal.inputs.orientations import QUATERNION, angle_columns, column_of, own_orientation
+from aridcal.inputs.quantities import POSITION, STD
 from aridcal.inputs.query import Query, load_query
 from aridcal.inputs.tables import IN_MEMORY, AnyTable, Remark, Table
 from aridcal.model.inverse import InverseKinematics
@@ -70,7 +71,10 @@ def read_queries(saved: SavedModel, table: AnyTable, poses: bool = False) -> Ite
     """
     first: list[Remark] = []
     usable = False
-    for stretch in stretches(table, saved.limits.table):
+    settings = saved.measurements
+    names = POSITION if poses else saved.final.model.robot.readings
+    needed = [settings.columns.get(name, name) for name in names]
+    for stretch in stretches(table, saved.limits.table, settings.table.dialect, needed):
         query = _query(saved, stretch.table, poses)
         usable |= bool(query.usable.any())
         first = first or list(query.refused[:1])
@@ -184,7 +188,7 @@ def pose_columns(
     """
     units = settings.units
     names = [column_of(name, settings, joints) for name in POSITION]
-    columns = dict(zip(names, (p / units.metres).T, strict=True))
+    columns = dict(zip(names, (p / [units.scale(name, "length") for name in names]).T, strict=True))
     if settings.kind == "position":
         return columns
     numbers = orientations(R, settings)
@@ -202,10 +206,10 @@ def std_columns(std: np.ndarray, settings: MeasurementSettings, joints: tuple[st
     Returns:
         Values of each column, shape (N,) each, in the campaign's units; those of positions alone for `kind: position`.
     """
-    units = settings.units
-    scaled = std / np.repeat([units.metres, units.radians], 3)
+    units, names = settings.units, _std_names(settings, joints)
+    scaled = std / [units.scale(name, "length" if k < 3 else "angle") for k, name in enumerate(names)]
     count = 3 if settings.kind == "position" else 6
-    return dict(zip(_std_names(settings, joints)[:count], scaled.T, strict=False))
+    return dict(zip(names[:count], scaled.T, strict=False))
 
 
 def _std_names(settings: MeasurementSettings, joints: tuple[str, ...]) -> tuple[str, ...]:
@@ -213,8 +217,8 @@ def _std_names(settings: MeasurementSettings, joints: tuple[str, ...]) -> tuple[
 
 
 def orientation_columns(settings: MeasurementSettings, joints: tuple[str, ...] = ()) -> tuple[str, ...]:
-    """Columns of the campaign's orientations: three angles, or the four numbers of a quaternion."""
-    return angle_columns(settings) or _quaternion_columns(settings, joints)
+    """Columns of the campaign's orientations: three angles, nine of a matrix, or the four numbers of a quaternion."""
+    return own_orientation(settings) or _quaternion_columns(settings, joints)
 
 
 def _pose_names(settings: MeasurementSettings, joints: tuple[str, ...]) -> set[str]:
@@ -236,10 +240,12 @@ def orientations(R: np.ndarray, settings: MeasurementSettings) -> np.ndarray:
         settings: Say which way.
 
     Returns:
-        Euler angles or rotation vectors, shape (N, 3), or unit quaternions qx qy qz qw with qw >= 0, shape (N, 4).
+        Euler angles or rotation vectors, shape (N, 3), matrices row by row, shape (N, 9), or unit quaternions qx qy qz qw
+        with qw >= 0, shape (N, 4).
         Where Euler angles are not unique, the last one is 0.
     """
-    spec, radians = settings.orientation, settings.units.radians
+    spec = settings.orientation
+    radians = [settings.units.scale(name, "angle") for name in angle_columns(settings) or ()]
     known = ~np.isnan(R).any(axis=(1, 2))
     rotation = Rotation.from_matrix(R[known], assume_valid=True)
     if spec.euler:
@@ -248,6 +254,8 @@ def orientations(R: np.ndarray, settings: MeasurementSettings) -> np.ndarray:
             numbers = rotation.as_euler(spec.euler) / radians  # type: ignore[call-overload]
     elif spec.rotvec:
         numbers = rotation.as_rotvec() / radians
+    elif spec.matrix:
+        numbers = rotation.as_matrix().reshape(-1, 9)
     else:
         numbers = rotation.as_quat(canonical=True)
     every = np.full((len(R), numbers.shape[1]), np.nan)
@@ -298,8 +306,8 @@ def evenly(saved: SavedModel) -> pd.DataFrame:
     model, settings = saved.final.model, saved.measurements
     robot = model.robot
     low, high = np.array([saved.ranges[name] for name in robot.readings]).T
-    scale = [settings.units.metres if kind == "prismatic" else settings.units.radians for kind in robot.kinds]
     names = [settings.columns.get(name, name) for name in robot.readings]
+    scale = [settings.units.joint(name, kind) for name, kind in zip(names, robot.kinds, strict=True)]
     import pandas as pd  # slow to load: only where somebody wants a DataFrame
 
     table = pd.DataFrame(dict(zip(names, (spread_out(low, high) / scale).T, strict=True)))

@@ -12,6 +12,7 @@ import pyarrow.parquet
 
 from aridcal.errors import MeasurementError
 from aridcal.inputs.tables import AnyTable, Remark, Table, is_number, read_tables
+from aridcal.reading.dialect import PLAIN, Dialect
 from aridcal.reading.files import MEGA, TABLE, Limit
 from aridcal.reading.table_files import FIRST_LINE, PANDAS_INDEX, check_header, check_size, read_csv
 
@@ -49,19 +50,29 @@ class Stretch:
         return (self.before + (self.done - self.before) * rows / len(self.table)) / self.total
 
 
-def stretches(table: AnyTable, limit: Limit = TABLE) -> Iterator[Stretch]:
-    """Read a table a stretch at a time; a short one, or a DataFrame, as a whole.
+def stretches(
+    table: AnyTable, limit: Limit = TABLE, dialect: Dialect = PLAIN, needed: Sequence[str] = ()
+) -> Iterator[Stretch]:
+    """Read a table a stretch at a time; a short one, a DataFrame, or one that is no plain csv, as a whole.
 
     Args:
         table: Where the rows are.
         limit: How large it may be.
+        dialect: How it is written, if it is not plain.
+        needed: Columns of one that is plain all the same.
 
     Raises:
         MeasurementError: as :func:`read_tables`.
     """
     path = Path(table) if isinstance(table, str | Path) else None
     found: Iterator[Stretch] = iter(())
-    if path is not None and path.is_file() and STRETCH < path.stat().st_size <= limit.megabytes * MEGA:
+    whole_file = dialect != PLAIN and path is not None and path.suffix.lower() != ".parquet"
+    if (
+        path is not None
+        and not whole_file
+        and path.is_file()
+        and STRETCH < path.stat().st_size <= limit.megabytes * MEGA
+    ):
         sorts = {".csv": _of_csv, ".parquet": _of_parquet}
         found = sorts[path.suffix.lower()](path, limit) if path.suffix.lower() in sorts else found
     names = None
@@ -72,7 +83,7 @@ def stretches(table: AnyTable, limit: Limit = TABLE) -> Iterator[Stretch]:
             raise MeasurementError(f"{path}: from line {line} on, a column has cells and no name: name it in line 1")
         yield stretch
     if names is None:
-        whole = read_tables([table], limit=limit)
+        whole = read_tables([table], (), limit, dialect, needed)
         yield Stretch(whole, 0, len(whole), len(whole))
 
 

@@ -11,7 +11,8 @@ from aridcal.errors import CampaignError, MeasurementError, nearest
 from aridcal.fit.least_squares import Fit
 from aridcal.inputs.campaign import Campaign
 from aridcal.inputs.dataset import Dataset
-from aridcal.inputs.quantities import POSITION, column_of
+from aridcal.inputs.orientations import column_of
+from aridcal.inputs.quantities import POSITION
 from aridcal.inputs.query import load_query
 from aridcal.inputs.tables import read_tables
 from aridcal.model.reaching import brought
@@ -36,9 +37,12 @@ def region_of_table(campaign: Campaign, robot: Robot, path: Path, reach: Reach) 
         CampaignError: the arm does not reach a place.
     """
     settings, limit = campaign.measurements, campaign.limits.table
-    names = set(read_tables([path], limit=limit).names)
     joints = [settings.columns.get(name, name) for name in robot.readings]
     places = [column_of(name, settings, robot.readings) for name in POSITION]
+    dialect = settings.table.dialect
+    names = set(read_tables([path], (), limit, dialect, joints).names)
+    if not set(joints) <= names:
+        names = set(read_tables([path], (), limit, dialect, places).names)
     if not (set(joints) <= names or set(places) <= names):
         raise MeasurementError(
             f"{path}: should have the columns of all joints ({', '.join(joints)}) or of the target's places ({', '.join(places)})"
@@ -113,7 +117,7 @@ def corners(campaign: Campaign, robot: Robot, low: np.ndarray, high: np.ndarray)
         if name not in columns:
             raise CampaignError(f"{place}: there is no such joint{nearest(name, columns)}")
         k = columns[name]
-        scale = units.metres if robot.kinds[k] == "prismatic" else units.radians
+        scale = units.joint(campaign.measurements.columns.get(robot.readings[k], robot.readings[k]), robot.kinds[k])
         first, last = robot.limits[k]
         low[k], high[k] = (scale * end for end in ends)
         if low[k] < first or high[k] > last:

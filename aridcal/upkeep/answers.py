@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from aridcal.inputs.measurement_settings import Units
+from aridcal.inputs.measurement_settings import MeasurementSettings
 from aridcal.result.outcome import enumerated, said
 from aridcal.upkeep.bounds import FALSE_ALARMS, Bounds
 from aridcal.upkeep.checking import Cause, Checked
@@ -21,13 +21,13 @@ MILLI = 1e3
 """[mm] in a metre, [mrad] in a radian."""
 
 
-def check_lines(checked: Checked, changes: Sequence[Change], units: Units) -> list[str]:
+def check_lines(checked: Checked, changes: Sequence[Change], settings: MeasurementSettings) -> list[str]:
     """The answer of `aridcal check`, the verdict first.
 
     Args:
         checked: What the rows say.
         changes: By how much each of what moved did so.
-        units: Of the campaign's tables, for a configuration to measure.
+        settings: Of the campaign's tables: units, for a configuration to measure.
     """
     rows, error = checked.rows, checked.error
     every = np.ones(len(rows), dtype=bool)
@@ -45,7 +45,7 @@ def check_lines(checked: Checked, changes: Sequence[Change], units: Units) -> li
             lines.append(f"fitted anew: {change.cause.words}, {amount(change, checked)} from where it was")
     by_cause = {id(change.cause): change for change in changes}
     for cause in checked.causes:
-        lines += _cause_lines(checked, cause, by_cause.get(id(cause)), units)
+        lines += _cause_lines(checked, cause, by_cause.get(id(cause)), settings)
     if checked.causes:
         left = "goes with the calibration" if checked.rest.p_value >= FALSE_ALARMS else "is explained by nothing known"
         lines.append(f"what remains {left} ({checked.rest.words})")
@@ -87,7 +87,7 @@ def _verdict(checked: Checked) -> str:
     return f"still good: the error {sure} within {limit} ({odd})"
 
 
-def _cause_lines(checked: Checked, cause: Cause, change: Change | None, units: Units) -> list[str]:
+def _cause_lines(checked: Checked, cause: Cause, change: Change | None, settings: MeasurementSettings) -> list[str]:
     """One cause: what, by how much, how sure, and what would tell it from another."""
     how = f" (probability {_percent(cause.probability)})"
     if change is None:
@@ -105,7 +105,8 @@ def _cause_lines(checked: Checked, cause: Cause, change: Change | None, units: U
         if not cause.telling:
             lines.append("  no configuration of those tried tells them apart: either repair serves")
         for told in cause.telling[:1]:
-            scale = [units.metres if kind == "prismatic" else units.radians for kind in robot.kinds]
+            columns = [settings.columns.get(name, name) for name in robot.readings]
+            scale = [settings.units.joint(name, kind) for name, kind in zip(columns, robot.kinds, strict=True)]
             pairs = zip(robot.readings, (told.readings / scale).tolist(), strict=True)
             at = ", ".join(f"{name} {value:.4g}" for name, value in pairs)
             what = "the target's place here" if checked.rows.blocks else "this"

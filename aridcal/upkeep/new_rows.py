@@ -14,7 +14,8 @@ from aridcal.inputs.campaign import REFERRING, Campaign, Frames, RobotSettings
 from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.instrument_settings import InstrumentSettings
 from aridcal.inputs.measurement_settings import OF_TARGETS
-from aridcal.inputs.quantities import POSITION, column_of
+from aridcal.inputs.orientations import column_of
+from aridcal.inputs.quantities import POSITION
 from aridcal.inputs.read import ONE_TARGET, TIP, load_measurements
 from aridcal.inputs.tables import AnyTable, read_tables
 from aridcal.inputs.yaml_file import load_settings
@@ -151,7 +152,8 @@ def _own(saved: SavedModel, table: AnyTable) -> Campaign:
         )
     robot, settings = saved.final.model.robot, saved.measurements
     places = {column_of(name, settings, robot.readings) for name in POSITION}
-    names = set(read_tables([table], None, saved.limits.table).names)
+    joints = [settings.columns.get(name, name) for name in robot.readings]
+    names = set(read_tables([table], None, saved.limits.table, settings.table.dialect, joints).names)
     several = saved.frames_by == "target"
     referring = any(block.kind in REFERRING or block.kind == "inclination" for block in campaign.blocks)
     if not several and (places <= names or not referring):

@@ -1,0 +1,269 @@
+"""Tables that are no plain csv, read by the keys that say how they are written; nothing is guessed here."""
+
+from __future__ import annotations
+
+import codecs
+import csv
+import itertools
+import re
+from collections.abc import Collection, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+
+from aridcal.errors import MeasurementError, nearest, shortened
+from aridcal.reading import workbooks
+from aridcal.reading.dates import DAY, has_date, seconds
+from aridcal.reading.dialect import BLANKS, Dates, Dialect
+from aridcal.reading.files import Limit, not_utf8
+from aridcal.reading.numerals import as_numbers, pattern, several
+from aridcal.reading.table_files import LONGEST_LINE, MOST_COLUMNS, FileCells, below
+
+LINE_END = re.compile(r"\r\n|\r|\n")
+
+UNITS_OR_WORDS = 0.5
+"""Lines between the header and the first row hold units or words: one of which more cells are numbers is a row."""
+
+WORD = re.compile(r'"(?:[^"]|"")*"|[^\s"]+')
+"""A cell between blanks; one in quotes may hold some."""
+
+
+def read_written(content: bytes, path: Path, limit: Limit, dialect: Dialect) -> FileCells:
+    """Read a table of text, or a sheet of a workbook, in a dialect.
+
+    Args:
+        content: Of the file.
+        path: Whence it came, for messages.
+        limit: Memory that its cells may take.
+        dialect: How it is written.
+
+    Returns:
+        Its cells as text, numbers with points; columns of dates as numbers, [s]. Lines are those of the file.
+
+    Raises:
+        MeasurementError: it is written otherwise, is too large, or has no rows.
+    """
+    separator = dialect.separator
+    if path.suffix.lower() in workbooks.ENDINGS:
+        content, separator = workbooks.as_csv(content, path, limit, dialect.sheet, dialect.decimal), ","
+        text = content.decode()
+    else:
+        text = decoded(content, path, dialect.encoding)
+    lines = LINE_END.split(text)
+    names = header_names(lines, dialect, separator, path)
+    _check_between(lines, dialect, separator, path)
+    begins = dialect.begins
+    kept = [_row(line, dialect.comment, separator) for line in lines[begins - 1 :]]
+    first = next((line for line in kept if line.strip()), "")
+    parted = "\t" if separator == BLANKS else separator
+    names = _as_wide(names, split_line(first, parted))
+    above = max(begins - 1, 1)  # the reader begins below one line
+    body = "\n" * above + "\n".join(kept)
+    read = below(body.encode(), names, path, limit, parted)
+    shift = above - begins + 1
+    broken = tuple(replace(row, line=row.line - shift) for row in read.broken)
+    read = replace(read, line=read.line - shift, broken=broken)
+    return replace(read, cells=_converted(read, dialect, path))
+
+
+def decoded(content: bytes, path: Path, encoding: str) -> str:
+    """A file's text without the mark of its byte order.
+
+    Raises:
+        MeasurementError: it is in another encoding.
+    """
+    if codecs.lookup(encoding).name == "utf-8":
+        try:
+            return content.decode("utf-8-sig")
+        except UnicodeDecodeError as problem:
+            raise not_utf8(content, problem.start, path, MeasurementError) from None
+    try:
+        text = content.decode(encoding)
+    except (UnicodeError, LookupError) as problem:
+        raise MeasurementError(
+            f"{path}: is no text in {encoding}: {shortened(str(problem), 120)}; set `table.encoding`, or save it as UTF-8"
+        ) from None
+    text = text.removeprefix("\ufeff")
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        raise MeasurementError(f"{path}: is no text in {encoding}; set `table.encoding`, or save it as UTF-8") from None
+    return text
+
+
+def split_line(line: str, separator: str) -> list[str]:
+    """The cells of a line, surrounding blanks removed; none of a blank line."""
+    if not line.strip():
+        return []
+    if separator == BLANKS:
+        cells = [cell.strip('"') for cell in WORD.findall(line)]
+    else:
+        try:
+            cells = next(csv.reader([line.replace("\0", " ")], delimiter=separator), [])
+        except csv.Error:
+            return [line]
+    return [cell.strip() for cell in cells]
+
+
+def header_names(lines: Sequence[str], dialect: Dialect, separator: str, path: Path) -> list[str]:
+    """Names of the columns: the cells of the header's lines, one below the other, with blanks between.
+
+    A cell of an upper line that is empty has what stands left of it, as merged cells have, unless that line repeats its cells:
+    then it is written in full. Repeated names get numbers.
+
+    Raises:
+        MeasurementError: there is no such line.
+    """
+    if not dialect.header:
+        return list(dialect.names)
+    if max(dialect.header) > len(lines) or max(map(len, (lines[k - 1] for k in dialect.header))) > LONGEST_LINE:
+        raise MeasurementError(
+            f"{path}: has no header in line {max(dialect.header)}; set `table.header`, which counts lines from 1"
+        )
+    rows = [split_line(uncommented(lines[k - 1], dialect.comment), separator) for k in sorted(dialect.header)]
+    return joined(rows)
+
+
+def joined(rows: Sequence[Sequence[str]]) -> list[str]:
+    """Several lines of a header as one name a column, each of them another."""
+    width = max((len(row) for row in rows), default=0)
+    columns: list[list[str]] = [[] for _ in range(width)]
+    for number, row in enumerate(rows):
+        last = ""
+        merged = (
+            number < len(rows) - 1 and not is_units(row) and not any(a and a == b for a, b in itertools.pairwise(row))
+        )
+        for k in range(width):
+            cell = row[k] if k < len(row) else ""
+            if merged:
+                last = cell or last
+                cell = last if any(k < len(below) and below[k] for below in rows[number + 1 :]) else cell
+            if cell and cell not in columns[k]:
+                columns[k].append(cell)
+    names: list[str] = []
+    for parts in columns:
+        name = " ".join(parts)
+        again = sum(1 for other in names if name and (other == name or other.startswith(f"{name} #")))
+        names.append(f"{name} #{again + 1}" if again else name)
+    return names
+
+
+UNIT = re.compile(
+    r"[\[(]?\s*(?:rad|radians?|deg|degrees?|°|m|cm|mm|um|µm|in|inch|ft|s|sec|seconds?|ms|us|ns|°c|c|kg|n|nm|hz|-|1|%|v|a)\s*[\])]?",
+    re.IGNORECASE,
+)
+"""What stands in a line of units."""
+
+
+def is_units(row: Sequence[str]) -> bool:
+    """True of a line of units."""
+    filled = [cell for cell in row if cell]
+    return bool(filled) and all(UNIT.fullmatch(cell) for cell in filled) and not all(c in ("-", "1") for c in filled)
+
+
+def uncommented(line: str, comment: Collection[str]) -> str:
+    """A line without the mark of a comment at its beginning."""
+    bare = line.lstrip()
+    for mark in sorted(comment, key=len, reverse=True):
+        if mark and bare.startswith(mark) and not mark[0].isalnum():
+            return bare[len(mark) :]
+    return line
+
+
+def _row(line: str, comment: Collection[str], separator: str) -> str:
+    """A line of the table; a comment is blank, and cells between blanks are parted by tabs."""
+    if comment and line.lstrip().startswith(tuple(comment)):
+        return ""
+    line = line.replace("\x0b", " ").replace("\x0c", " ")
+    return "\t".join(WORD.findall(line)) if separator == BLANKS else line
+
+
+def _check_between(lines: Sequence[str], dialect: Dialect, separator: str, path: Path) -> None:
+    """Refuse a table of which rows would be left out as lines of units."""
+    number = re.compile(pattern(dialect))
+    for k in range(max(dialect.header, default=0) + 1, min(dialect.begins, len(lines) + 1)):
+        cells = [cell for cell in split_line(_row(lines[k - 1], dialect.comment, separator), separator) if cell]
+        if sum(bool(number.match(cell)) for cell in cells) > max(UNITS_OR_WORDS * len(cells), 2):
+            raise MeasurementError(
+                f"{path}, line {k}: holds numbers, but `table.first_row` is {dialect.begins}: a row would be left out. Set it "
+                "to the line of the first row"
+            )
+
+
+def _as_wide(names: list[str], row: Sequence[str]) -> list[str]:
+    """Names for as many columns as a row has, where only empty ones lack or are too many; names are none of blanks."""
+    while len(names) > len(row) > 0 and not names[-1]:
+        names = names[:-1]
+    if len(row) > len(names) and not any(row[len(names) :]):
+        names = names + [""] * (len(row) - len(names))
+    return [name or (f"column {k + 1}" if k < len(row) and row[k] else "") for k, name in enumerate(names)]
+
+
+def _converted(read: FileCells, dialect: Dialect, path: Path) -> pa.Table:
+    """Cells whose numbers have points, lists taken apart and dates in seconds."""
+    cells = read.cells
+    for name in (*dialect.lists, *(dialect.dates.columns if dialect.dates else ())):
+        if name not in cells.column_names:
+            where = "lists" if name in dialect.lists else "dates"
+            raise MeasurementError(
+                f"{path}: no column {name!r}, which `table.{where}` names{nearest(name, cells.column_names)}"
+            )
+    names: list[str] = []
+    columns: list[pa.ChunkedArray] = []
+    for name in cells.column_names:
+        if name in dialect.lists:
+            parts = dialect.lists[name]
+            names += parts
+            columns += _taken_apart(cells[name], len(parts), dialect)
+        elif dialect.dates and name in dialect.dates.columns:
+            if name == dialect.dates.columns[-1]:
+                names.append(dialect.dates.name)
+                columns.append(_in_seconds(cells, read.line, dialect.dates, path))
+        else:
+            names.append(name)
+            columns.append(as_numbers(cells[name], dialect))
+    for k, name in enumerate(names):
+        if name in names[:k]:
+            raise MeasurementError(f"{path}: the column {name!r} is there twice; rename one, or set `table.lists`")
+    if len(names) > MOST_COLUMNS:
+        raise MeasurementError(
+            f"{path}: has {len(names):,} columns, at most {MOST_COLUMNS:,} are read; split the table"
+        )
+    return pa.table(columns, names=names)
+
+
+def _taken_apart(column: pa.ChunkedArray, count: int, dialect: Dialect) -> list[pa.ChunkedArray]:
+    """Columns of the numbers in cells of lists; empty where a cell has another count of them."""
+    found = [several(cell or "", dialect) for cell in column.to_pylist()]
+    nothing = [None] * count
+    rows = [row if len(row) == count else nothing for row in found]
+    return [pa.chunked_array([pa.array([row[k] for row in rows], pa.string())]) for k in range(count)]
+
+
+def _in_seconds(cells: pa.Table, lines: np.ndarray, dates: Dates, path: Path) -> pa.ChunkedArray:
+    """Columns of dates as one of seconds; null where a cell is empty.
+
+    Raises:
+        MeasurementError: a cell is no date of that order, or times of day without a date pass midnight.
+    """
+    parts = [cells[name].to_pylist() for name in dates.columns]
+    values: list[float | None] = []
+    dated = False
+    for k, row in enumerate(zip(*parts, strict=True)):
+        text = " ".join(cell.strip() for cell in row if cell and cell.strip())
+        value = seconds(text, dates.order) if text else None
+        if text and value is None:
+            raise MeasurementError(
+                f"{path}, line {lines[k]}: column {dates.name!r}, {shortened(text)}: is no date or time in the order "
+                f"{dates.order}; mend the cell, or set `table.dates`"
+            )
+        dated = dated or (not dated and bool(text) and has_date(text))
+        values.append(value)
+    known = [value for value in values if value is not None]
+    if not dated and any(b < a - DAY / 2 for a, b in itertools.pairwise(known)):
+        raise MeasurementError(
+            f"{path}: column {dates.name!r} passes midnight and has no date: add it, or leave the column out of `table.dates`"
+        )
+    return pa.chunked_array([pa.array(values, pa.float64())])
