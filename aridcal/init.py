@@ -9,19 +9,21 @@ Example:
 
 from __future__ import annotations
 
+import argparse
 import itertools
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from rich.console import Console
 from rich.prompt import IntPrompt
 
 from aridcal.command_line import CommandParser, command_parser, run
-from aridcal.errors import OutputError
+from aridcal.errors import OutputError, printable, shortened
 from aridcal.prepare.campaign_text import Draft, draft, scalar
 from aridcal.prepare.guesses import nobody
 from aridcal.reading.names import path_argument
+from aridcal.robot.named import described
 from aridcal.writing.files import atomic_file, claimed
 
 SHOWN_REMARKS = 5
@@ -54,7 +56,12 @@ def tell(proposed: Draft, title: str, console: Console) -> None:
 def parser() -> CommandParser:
     """The command's arguments."""
     arguments = command_parser("init", __doc__)
-    arguments.add_argument("--urdf", type=path_argument, required=True, help="the nominal robot")
+    arguments.add_argument(
+        "--urdf",
+        type=path_argument,
+        required=True,
+        help="the nominal robot: a URDF, a xacro file, or a robot's name in the cache of robot_descriptions (ur5e)",
+    )
     arguments.add_argument(
         "--measurements",
         type=path_argument,
@@ -62,6 +69,22 @@ def parser() -> CommandParser:
         nargs="+",
         metavar="CSV",
         help="measured poses, .csv or .parquet",
+    )
+    arguments.add_argument(
+        "--package",
+        type=_pair,
+        action="append",
+        default=[],
+        metavar="NAME=FOLDER",
+        help="where a package of ROS is that the URDF names; may be repeated",
+    )
+    arguments.add_argument(
+        "--argument",
+        type=_pair,
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="an argument of the xacro file; may be repeated",
     )
     arguments.add_argument(
         "-o",
@@ -76,14 +99,25 @@ def parser() -> CommandParser:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; returns its exit status."""
     arguments = parser().parse_args(argv)
-    return run(lambda: _main(arguments.urdf, arguments.measurements, arguments.out))
+    packages = {name: path_argument(place) for name, place in arguments.package}
+    return run(lambda: _main(arguments.urdf, packages, dict(arguments.argument), arguments.measurements, arguments.out))
 
 
-def _main(urdf: Path, files: Sequence[Path], out: Path) -> None:
+def _pair(text: str) -> tuple[str, str]:
+    """The ``type`` of an argument of argparse that gives something a name."""
+    name, equals, value = text.partition("=")
+    if not (name and equals and value):
+        raise argparse.ArgumentTypeError(f"{printable(shortened(text))!r} should be NAME=VALUE")
+    return name, value
+
+
+def _main(
+    urdf: Path, packages: Mapping[str, Path], arguments: Mapping[str, str], files: Sequence[Path], out: Path
+) -> None:
     if out.exists():
         raise OutputError(f"{out}: exists already; delete it, or choose another name with -o")
     with claimed(out, "file"):
-        proposed = draft(urdf, files, out, _ask if sys.stdin.isatty() else nobody)
+        proposed = draft(described(urdf, packages, arguments), files, out, _ask if sys.stdin.isatty() else nobody)
         with atomic_file(out) as path:
             path.write_text(proposed.campaign.text, encoding="utf-8")
     console = Console()

@@ -17,6 +17,17 @@ from aridcal.doctor import IMPORTED_AS
 HOME = Path(__file__).resolve().parents[1]
 PROJECT = tomllib.loads((HOME / "pyproject.toml").read_text("utf-8"))["project"]
 NEEDED = [Requirement(line) for line in PROJECT["dependencies"]]
+EXTRAS = {
+    extra: [r for r in map(Requirement, PROJECT["optional-dependencies"][extra]) if r.name != PROJECT["name"]]
+    for extra in ("fleet", "ros", "xacro", "dev")
+}
+"""What is installed on request; developers have all of it."""
+
+ON_REQUEST = {
+    "robot_descriptions": {"robot/named.py"},
+    "xacrodoc": {"robot/expand.py"},
+}
+"""Modules of extras, and the files that may import each, inside of functions."""
 
 BY_OTHERS = {"collada": "trimesh"}
 """Imported by another dependency, which does not ask for it itself."""
@@ -49,9 +60,20 @@ def test_imports_are_found_wherever_they_are() -> None:
 
 def test_every_dependency_is_used_and_everything_used_is_a_dependency() -> None:
     imported = set().union(*(used(path.read_text("utf-8")) for path in (HOME / "aridcal").rglob("*.py")))
-    imported = {PART_OF.get(name, name) for name in imported} - NOT_OURS
+    imported = {PART_OF.get(name, name) for name in imported} - NOT_OURS - set(ON_REQUEST)
     assert not imported & set(BY_OTHERS)
     assert imported | set(BY_OTHERS) == {IMPORTED_AS.get(r.name, r.name) for r in NEEDED}
+
+
+def test_extras_are_imported_in_their_own_files_alone_and_when_they_are_needed() -> None:
+    optional = {r.name.replace("-", "_") for extra in ("fleet", "ros", "xacro") for r in EXTRAS[extra]}
+    assert set(ON_REQUEST) <= optional
+    for path in (HOME / "aridcal").rglob("*.py"):
+        source = path.read_text("utf-8")
+        own = {name for name, files in ON_REQUEST.items() if path.relative_to(HOME / "aridcal").as_posix() in files}
+        assert used(source) & optional == own, path
+        at_once = [node for node in ast.parse(source).body if isinstance(node, ast.Import | ast.ImportFrom)]
+        assert not used("\n".join(map(ast.unparse, at_once))) & optional, path
 
 
 def test_what_others_import_for_us_is_what_they_import() -> None:
@@ -85,7 +107,7 @@ def test_the_lock_holds_all_that_is_required_with_hashes() -> None:
     locked: dict[str, list[str]] = {}
     for name, version, _ in entries:
         locked.setdefault(canonicalize_name(name), []).append(version)
-    for required in (*NEEDED, *map(Requirement, PROJECT["optional-dependencies"]["dev"])):
+    for required in (*NEEDED, *(r for own in EXTRAS.values() for r in own)):
         versions = locked[canonicalize_name(required.name)]
         assert all(required.specifier.contains(version) for version in versions), required
 

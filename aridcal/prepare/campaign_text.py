@@ -13,7 +13,7 @@ from typing import Any
 import pandas as pd
 import yaml
 
-from aridcal.errors import MeasurementError, RobotError
+from aridcal.errors import MeasurementError
 from aridcal.inputs.campaign import Campaign
 from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.read import load_measurements
@@ -21,7 +21,9 @@ from aridcal.inputs.tables import AnyTable, read_tables
 from aridcal.inputs.yaml_file import parse_settings
 from aridcal.prepare.guesses import Choose, Guess, Proposal
 from aridcal.prepare.propose import propose
-from aridcal.reading.files import URDF, read_file
+from aridcal.reading.files import URDF
+from aridcal.robot.expand import read_urdf
+from aridcal.robot.named import Named
 
 # Of a line with a comment.
 WIDTH = 116
@@ -48,11 +50,11 @@ class Draft:
     rows: Dataset
 
 
-def draft(urdf: Path, tables: Sequence[AnyTable], out: Path, choose: Choose) -> Draft:
+def draft(source: Named, tables: Sequence[AnyTable], out: Path, choose: Choose) -> Draft:
     """Propose a campaign and try it: what comes back can be identified as it stands.
 
     Args:
-        urdf: The robot.
+        source: The robot, as :func:`described` has it.
         tables: Its measurements.
         out: Where the campaign will be.
         choose: Asked where the evidence does not decide.
@@ -60,14 +62,15 @@ def draft(urdf: Path, tables: Sequence[AnyTable], out: Path, choose: Choose) -> 
     Raises:
         AridcalError: what in the files needs mending first.
     """
+    urdf = read_urdf(source.path, URDF, source.packages, source.arguments)
     table = read_tables(tables, None)
     try:
-        proposal = propose(read_file(urdf, RobotError, URDF), urdf, table, choose)
+        proposal = propose(urdf, source.path, table, choose)
     except MeasurementError:
         read_tables(tables)  # what lacks may be in some of the files: then that is the fault
         raise
     proposal.guesses = [replace(guess, value=_placed(guess.value, out.parent)) for guess in proposal.guesses]
-    text = campaign_text(proposal, urdf, tables, out.parent)
+    text = campaign_text(proposal, source, tables, out.parent)
     campaign = parse_settings(text, out, Campaign)
     if any(isinstance(table, pd.DataFrame) for table in tables):
         campaign = campaign.with_tables(tables)
@@ -76,12 +79,12 @@ def draft(urdf: Path, tables: Sequence[AnyTable], out: Path, choose: Choose) -> 
     return Draft(campaign, proposal, rows)
 
 
-def campaign_text(proposal: Proposal, urdf: Path, tables: Sequence[AnyTable], home: Path) -> str:
+def campaign_text(proposal: Proposal, source: Named, tables: Sequence[AnyTable], home: Path) -> str:
     """Write a proposal as ``campaign.yaml``, every choice with its reason above it.
 
     Args:
         proposal: What was found.
-        urdf: The robot.
+        source: The robot.
         tables: The measurements.
         home: Folder of the campaign; paths are relative to it.
     """
@@ -93,7 +96,7 @@ def campaign_text(proposal: Proposal, urdf: Path, tables: Sequence[AnyTable], ho
     renamed = any(guess.value is not None for guess in columns)
     lines = [
         f"{HEAD}robot:",
-        f"  urdf: {scalar(_relative(urdf, home))}",
+        *_source(source, home),
         *_mapping(parts["robot"], "  "),
         "measurements:",
         *_files(tables, home),
@@ -106,6 +109,17 @@ def campaign_text(proposal: Proposal, urdf: Path, tables: Sequence[AnyTable], ho
     if "instruments" in parts:
         lines += ["instruments:", *_mapping(parts["instruments"], "  ")]
     return "\n".join(lines) + "\n"
+
+
+def _source(source: Named, home: Path) -> list[str]:
+    """The lines that name the robot's description; what lies in a cache is not named by its way from the campaign."""
+    placed = str if source.cached else lambda path: _relative(path, home)
+    lines = [f"  urdf: {scalar(placed(source.path))}"]
+    if source.packages:
+        lines.append(f"  packages: {scalar({name: placed(place) for name, place in source.packages.items()})}")
+    if source.arguments:
+        lines.append(f"  arguments: {scalar(dict(source.arguments))}")
+    return lines
 
 
 def _files(tables: Sequence[AnyTable], home: Path) -> list[str]:

@@ -21,7 +21,7 @@ from aridcal.effects.loads import Surroundings
 from aridcal.effects.sights import Sights
 from aridcal.errors import CampaignError, MeasurementError, nearest
 from aridcal.head.render import Optics
-from aridcal.inputs.campaign import DiagnosisSettings
+from aridcal.inputs.campaign import DiagnosisSettings, nominal_robot
 from aridcal.inputs.head_settings import HeadSettings, load_squares
 from aridcal.inputs.quantities import POSITION, QUATERNION, column_of
 from aridcal.inputs.yaml_file import load_settings
@@ -34,7 +34,7 @@ from aridcal.prepare.true_things import Real, documents
 from aridcal.prepare.viewpoints import draw_views, photographed, true_head
 from aridcal.reading.files import read_file
 from aridcal.reading.table_files import FIRST_LINE
-from aridcal.robot.chain import Robot, load_robot
+from aridcal.robot.chain import Robot
 from aridcal.robot.doty import doty_links
 from aridcal.showing import SILENT, Progress
 
@@ -89,7 +89,7 @@ def simulate(scenario: Scenario, progress: Progress = SILENT) -> Simulation:
     """
     check_scenario(scenario)
     truth = scenario.truth
-    robot = load_robot(scenario.robot.urdf, scenario.robot.tip, scenario.robot.base, scenario.limits.urdf)
+    robot = nominal_robot(scenario)
     constants, configurations, noise, outliers, chance, of_things = _streams(truth.seed)
     coefficients = named_constants(robot, truth.parameters, scenario.path)
     theta = np.array([p.value + p.std * constants.standard_normal() for p in truth.parameters.values()])

@@ -18,7 +18,7 @@ from aridcal.fit.problem import problem, scaled, unscaled
 from aridcal.fit.stages import Geometry, recentred, with_things_moved
 from aridcal.head.detections import Detections, read_rows
 from aridcal.inputs.approach import with_directions
-from aridcal.inputs.campaign import Campaign, load_campaign
+from aridcal.inputs.campaign import Campaign, load_campaign, nominal_robot
 from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.read import load_measurements
 from aridcal.inputs.tables import AnyTable
@@ -26,7 +26,7 @@ from aridcal.model.memory import Size, available_memory, check_memory
 from aridcal.result.measuring_head import measuring_head
 from aridcal.result.outcome import Outcome, Stage, Verification
 from aridcal.result.verdict import Verdict, decide, row_clues
-from aridcal.robot.chain import Robot, load_robot
+from aridcal.robot.chain import Robot
 from aridcal.search.arm import CalibratedArm, calibrated_arm, fit_constants
 from aridcal.search.diagnose import SEARCHED, Diagnosed
 from aridcal.search.noise_causes import structured_notices
@@ -94,7 +94,7 @@ def identify(
     """
     started = time.perf_counter()
     campaign = job if isinstance(job, Campaign) else load_campaign(job)
-    robot = load_robot(campaign.robot.urdf, campaign.robot.tip, campaign.robot.base, campaign.limits.urdf)
+    robot = nominal_robot(campaign)
     progress("reading the measurements")
     if verify is not None and campaign.measurements.head is not None:
         raise CampaignError(f"{campaign.path}: --verify needs a table of poses; `kind: camera_sonar` has shots")
