@@ -36,7 +36,6 @@ from aridcal.result.pipeline import identify
 from aridcal.result.saved_model import SavedModel
 from aridcal.result.saving import calibration
 from aridcal.robot.chain import Robot
-from aridcal.robot.named import described
 from aridcal.showing import working
 
 __all__ = ["AridcalError", "Calibration", "Campaign", "PlannedPoses", "calibrate", "load", "plan", "propose"]
@@ -67,8 +66,8 @@ def propose(
         AridcalError: what in the tables or the URDF needs mending first.
     """
     tables = [measurements] if isinstance(measurements, str | Path | pd.DataFrame) else list(measurements)
-    source = described(Path(urdf), {name: Path(place) for name, place in (packages or {}).items()}, arguments or {})
-    proposed = draft(source, tables, Path.cwd() / "campaign.yaml", nobody)
+    places = {name: Path(place) for name, place in (packages or {}).items()}
+    proposed = draft(Path(urdf), tables, Path.cwd() / "campaign.yaml", nobody, places, arguments)
     title = ", ".join(file.name for file in proposed.rows.files)
     tell(proposed, title, Console(force_jupyter=False))
     return proposed.campaign

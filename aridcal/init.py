@@ -23,7 +23,6 @@ from aridcal.errors import OutputError, printable, shortened
 from aridcal.prepare.campaign_text import Draft, draft, scalar
 from aridcal.prepare.guesses import nobody
 from aridcal.reading.names import path_argument
-from aridcal.robot.named import described
 from aridcal.writing.files import atomic_file, claimed
 
 SHOWN_REMARKS = 5
@@ -117,7 +116,7 @@ def _main(
     if out.exists():
         raise OutputError(f"{out}: exists already; delete it, or choose another name with -o")
     with claimed(out, "file"):
-        proposed = draft(described(urdf, packages, arguments), files, out, _ask if sys.stdin.isatty() else nobody)
+        proposed = draft(urdf, files, out, _ask if sys.stdin.isatty() else nobody, packages, arguments)
         with atomic_file(out) as path:
             path.write_text(proposed.campaign.text, encoding="utf-8")
     console = Console()

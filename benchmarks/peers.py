@@ -139,6 +139,7 @@ def write(rows: Rows, folder: Path) -> None:
 
 def _write_ours(rows: Rows, folder: Path) -> None:
     data, robot = rows.data, rows.robot
+    assert data.rotation is not None
     columns = [*robot.readings, "x", "y", "z", "qx", "qy", "qz", "qw"]
     quaternions = Rotation.from_matrix(data.rotation).as_quat()
     made = pd.DataFrame(np.hstack([data.readings, data.position, quaternions]), columns=columns)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import os
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,7 @@ from aridcal.prepare.guesses import Choose, Guess, Proposal
 from aridcal.prepare.propose import propose
 from aridcal.reading.files import URDF
 from aridcal.robot.expand import read_urdf
-from aridcal.robot.named import Named
+from aridcal.robot.named import Named, described
 
 # Of a line with a comment.
 WIDTH = 116
@@ -50,22 +50,32 @@ class Draft:
     rows: Dataset
 
 
-def draft(source: Named, tables: Sequence[AnyTable], out: Path, choose: Choose) -> Draft:
+def draft(
+    urdf: Path,
+    tables: Sequence[AnyTable],
+    out: Path,
+    choose: Choose,
+    packages: Mapping[str, Path] | None = None,
+    arguments: Mapping[str, str] | None = None,
+) -> Draft:
     """Propose a campaign and try it: what comes back can be identified as it stands.
 
     Args:
-        source: The robot, as :func:`described` has it.
+        urdf: The robot: a URDF, a xacro file, or a name that robot_descriptions knows.
         tables: Its measurements.
         out: Where the campaign will be.
         choose: Asked where the evidence does not decide.
+        packages: Folders of packages of ROS that the robot's file names.
+        arguments: Of a xacro file.
 
     Raises:
         AridcalError: what in the files needs mending first.
     """
-    urdf = read_urdf(source.path, URDF, source.packages, source.arguments)
+    source = described(urdf, packages or {}, arguments or {})
+    content = read_urdf(source.path, URDF, source.packages, source.arguments)
     table = read_tables(tables, None)
     try:
-        proposal = propose(urdf, source.path, table, choose)
+        proposal = propose(content, source.path, table, choose)
     except MeasurementError:
         read_tables(tables)  # what lacks may be in some of the files: then that is the fault
         raise

@@ -157,7 +157,7 @@ def find_mesh(uri: str, robot: Robot) -> Path:
     scheme, _, rest = uri.rpartition("://")
     folder, (package, _, inside) = robot.path.parent, rest.partition("/")
     if scheme == "package":
-        candidates = (place / inside for place in package_folders(package, folder, robot.packages))
+        candidates: Iterator[Path] = (place / inside for place in package_folders(package, folder, robot.packages))
     elif scheme in ("", "file"):
         candidates = iter([folder / rest])
     else:
