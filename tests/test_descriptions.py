@@ -14,7 +14,7 @@ import pytest
 import yaml
 
 import aridcal
-from aridcal import identify, init
+from aridcal import identify, init, simulate
 from aridcal.errors import RobotError
 from aridcal.inputs.campaign import load_campaign, nominal_robot
 from aridcal.model.model import Model
@@ -273,7 +273,8 @@ def test_init_and_identify_take_a_xacro_file(
         "arm_parts": tmp_path / "away" / "clone"
     }
     assert identify.main(["campaign.yaml"]) == 0
-    said = capsys.readouterr().out
+    said = capsys.readouterr().out.replace("\n", " ")
+    assert "put them where the URDF looks for them" in said  # the package is there, the mesh is not
     assert said.count("not drawn for want of mesh files ('package://arm_parts/meshes/link.stl'): 3 shapes") == 1
     # plain, and the constant is in it
     made = parse_robot((tmp_path / "results" / "calibrated.urdf").read_bytes(), "link_3")
@@ -285,6 +286,25 @@ def test_python_proposes_from_a_xacro_file(tmp_path: Path, monkeypatch: pytest.M
     path = write_package(tmp_path / "arm_parts")
     campaign = aridcal.propose(path, write_table(tmp_path), arguments={"size": "2"})
     assert campaign.robot.arguments == {"size": "2"} and campaign.robot.tip == "link_3"
+
+
+def test_a_simulation_of_a_xacro_file_can_be_calibrated_where_it_lies_and_elsewhere(tmp_path: Path) -> None:
+    """Beside the scenario the file is named with its arguments; elsewhere its plain URDF is written."""
+    write_package(tmp_path / "arm_parts")
+    robot = {"urdf": "arm_parts/urdf/arm.urdf.xacro", "tip": "link_3", "arguments": {"size": 2}}
+    keys = {"format": 1, "robot": robot | {"packages": {"arm_parts": "arm_parts"}}, "truth": {"n": 20}}
+    (tmp_path / "scenario.yaml").write_text(yaml.safe_dump(keys))
+    for out, urdf in ((tmp_path / "here", "arm.urdf"), (tmp_path / "away" / "there", "arm.urdf")):
+        assert simulate.main([str(tmp_path / "scenario.yaml"), "--out", str(out)]) == 0
+        campaign = load_campaign(out / "campaign.yaml")
+        assert campaign.robot.urdf == out / urdf and not campaign.robot.arguments
+        assert campaign.robot.packages["arm_parts"].resolve() == tmp_path / "arm_parts"
+        assert np.isclose(nominal_robot(campaign).joints[1].origin.translation[2], 0.7)
+
+
+@pytest.mark.parametrize(("name", "plain"), [("a.urdf.xacro", "a.urdf"), ("a.xacro", "a.urdf"), ("a.urdf", "a.urdf")])
+def test_what_is_expanded_is_called_as_a_urdf(name: str, plain: str) -> None:
+    assert expand.plain_name(Path("b.c") / name) == Path("b.c") / plain
 
 
 def test_an_argument_may_be_a_number_or_a_truth_in_yaml(tmp_path: Path) -> None:

@@ -22,7 +22,7 @@ from aridcal.inputs.yaml_file import parse_settings
 from aridcal.prepare.guesses import Choose, Guess, Proposal
 from aridcal.prepare.propose import propose
 from aridcal.reading.files import URDF
-from aridcal.robot.expand import read_urdf
+from aridcal.robot.expand import plain_name, read_urdf
 from aridcal.robot.named import Named, described
 
 # Of a line with a comment.
@@ -75,7 +75,7 @@ def draft(
     content = read_urdf(source.path, URDF, source.packages, source.arguments)
     table = read_tables(tables, None)
     try:
-        proposal = propose(content, source.path, table, choose)
+        proposal = propose(content, plain_name(source.path), table, choose)
     except MeasurementError:
         read_tables(tables)  # what lacks may be in some of the files: then that is the fault
         raise

@@ -281,10 +281,13 @@ def write_campaign(simulation: Simulation, folder: Path, home: Path, progress: P
     keys = scenario.model_dump(mode="json", by_alias=True, exclude_unset=True, exclude={"truth"})
     beside = scenario.path.parent.resolve() == home.resolve()  # the scenario's own paths hold here as well
     if beside:
-        keys["robot"]["urdf"] = Path(os.path.relpath(robot.path, home)).as_posix()
+        keys["robot"]["urdf"] = Path(os.path.relpath(scenario.robot.urdf, home)).as_posix()
     else:
+        keys["robot"].pop("arguments", None)  # they are in the URDF that is written
         keys["robot"]["urdf"] = robot.path.name
         (folder / robot.path.name).write_bytes(robot.urdf)
+    for name, place in scenario.robot.packages.items():
+        keys["robot"]["packages"][name] = Path(os.path.relpath(place, home)).as_posix()
     known, named = scenario.instruments, keys.get("instruments", {})
     for path, part, key in ((known.points, named, "points"), (known.markers.file, named.get("markers", {}), "file")):
         if path is not None:

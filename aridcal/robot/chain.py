@@ -14,7 +14,7 @@ from lxml import etree
 
 from aridcal.errors import RobotError, nearest, shortened
 from aridcal.reading.files import URDF, Limit
-from aridcal.robot.expand import read_urdf
+from aridcal.robot.expand import plain_name, read_urdf
 from aridcal.robot.tree import LARGEST, UrdfTree, numbers, parse_xml, read_tree
 
 JointKind = Literal["revolute", "prismatic", "continuous"]
@@ -165,7 +165,7 @@ def load_robot(
         urdf = read_urdf(Path(path), limit, packages, arguments)
     except RobotError as error:
         raise RobotError(f"{error}. Check `robot.urdf`.") from None
-    return parse_robot(urdf, tip, base, Path(path), packages)
+    return parse_robot(urdf, tip, base, plain_name(Path(path)), packages)
 
 
 def parse_robot(

@@ -82,6 +82,13 @@ def read_urdf(
     return _expanded(path, limit, packages or {}, arguments or {})
 
 
+def plain_name(path: Path) -> Path:
+    """Return the name under which a description would lie as plain URDF: without the ending ``.xacro``."""
+    if path.suffix.lower() != ".xacro":
+        return path
+    return path.with_suffix("") if Path(path.stem).suffix else path.with_suffix(".urdf")
+
+
 def is_xacro(content: bytes, path: Path) -> bool:
     """Tell whether a description has macros to expand: by its name, or by elements in xacro's namespace."""
     if path.suffix.lower() == ".xacro":

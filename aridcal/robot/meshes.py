@@ -65,7 +65,7 @@ class MeshMissing(NotDrawable):
 
     Attributes:
         uri: As the URDF names it.
-        package: Of ROS, that it is in; empty if in none.
+        package: Of ROS, that it is in, if that is not found either; empty if it is in none, or in one without this file.
     """
 
     def __init__(self, uri: str, package: str) -> None:

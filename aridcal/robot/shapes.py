@@ -15,7 +15,7 @@ from aridcal.errors import shortened
 from aridcal.reading.names import why
 from aridcal.robot.chain import Robot
 from aridcal.robot.meshes import MeshMissing, NotDrawable, Part
-from aridcal.robot.packages import HINT, package_folders
+from aridcal.robot.packages import HINT, find_package, package_folders
 
 # Of what has no colour.
 GREY = (0.72, 0.74, 0.77)
@@ -168,7 +168,8 @@ def find_mesh(uri: str, robot: Robot) -> Path:
                 return path
     except (OSError, ValueError) as error:  # a name that no file can have
         raise NotDrawable(f"no mesh {shortened(uri)!r}: {why(error)}") from None
-    raise MeshMissing(uri, package if scheme == "package" else "")
+    lost = scheme == "package" and find_package(package, folder, robot.packages) is None
+    raise MeshMissing(uri, package if lost else "")
 
 
 def say_missing(missing: Sequence[MeshMissing], what: str) -> list[str]:
