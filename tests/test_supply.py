@@ -9,9 +9,11 @@ import sys
 import tomllib
 from pathlib import Path
 
+import yaml
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
+import aridcal
 from aridcal.doctor import IMPORTED_AS
 
 HOME = Path(__file__).resolve().parents[1]
@@ -110,6 +112,25 @@ def test_the_lock_holds_all_that_is_required_with_hashes() -> None:
     for required in (*NEEDED, *(r for own in EXTRAS.values() for r in own)):
         versions = locked[canonicalize_name(required.name)]
         assert all(required.specifier.contains(version) for version in versions), required
+
+
+CONDA = {
+    "matplotlib": "matplotlib-base",
+    "meshcat": "meshcat-python",
+    "opencv-python-headless": "py-opencv",
+    "pin": "pinocchio",
+}
+"""What conda-forge calls otherwise."""
+
+
+def test_the_recipe_for_conda_asks_for_the_same() -> None:
+    recipe = yaml.safe_load((HOME / "conda" / "recipe.yaml").read_text("utf-8"))
+    run = dict(line.split(" ", 1) for line in recipe["requirements"]["run"])
+    assert run.pop("python") == PROJECT["requires-python"]
+    wanted = {CONDA.get(r.name, r.name): str(r.specifier) for r in NEEDED}
+    wanted["py-opencv"] = wanted["py-opencv"].rpartition(".")[0]  # PyPI counts its own builds beyond OpenCV's versions
+    assert run == wanted
+    assert recipe["context"]["version"] == aridcal.__version__
 
 
 def test_every_asset_is_part_of_an_installation() -> None:
