@@ -7,7 +7,7 @@ READY := .venv/.ready
 export OMP_NUM_THREADS ?= 1
 export MPLBACKEND ?= Agg
 
-.PHONY: demo test print fuzz lint bench pictures docs lock matrix sbom clean
+.PHONY: demo test print fuzz lint bench pictures docs lock matrix sbom wheel clean
 .DEFAULT_GOAL := demo
 
 DEMO := identification/arid-undeclared
@@ -75,6 +75,12 @@ sbom: $(READY)
 		--output-format JSON --output-file build/aridcal.cdx.json build/sbom/bin/python
 	rm -rf build/sbom
 	@echo "$(CURDIR)/build/aridcal.cdx.json"
+
+# What `pip install` takes on any machine: build/wheels/aridcal-VERSION-py3-none-any.whl
+wheel: $(READY)
+	rm -rf build/wheels build/lib build/bdist.*
+	$(BIN)/uv build --quiet --wheel --out-dir build/wheels
+	@ls $(CURDIR)/build/wheels/*.whl
 
 clean:
 	rm -rf .venv build *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis

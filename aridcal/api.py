@@ -24,7 +24,7 @@ from aridcal.calibration import Calibration
 from aridcal.design import MOST, check_endings, check_outputs, write_plan
 from aridcal.errors import AridcalError, shortened
 from aridcal.init import tell
-from aridcal.inputs.campaign import Campaign, load_campaign
+from aridcal.inputs.campaign import Campaign, load_campaign, nominal_robot
 from aridcal.inputs.tables import AnyTable
 from aridcal.planning.beforehand import beforehand
 from aridcal.planning.design import Asked, Plan, as_table, design
@@ -35,14 +35,19 @@ from aridcal.prepare.other_readings import refuse_misread
 from aridcal.result.pipeline import identify
 from aridcal.result.saved_model import SavedModel
 from aridcal.result.saving import calibration
-from aridcal.robot.chain import Robot, load_robot
+from aridcal.robot.chain import Robot
 from aridcal.showing import working
 
 __all__ = ["AridcalError", "Calibration", "Campaign", "PlannedPoses", "calibrate", "load", "plan", "propose"]
 
 
 def propose(
-    urdf: str | Path, measurements: AnyTable | Sequence[AnyTable], answers: Mapping[str, int] | None = None
+    urdf: str | Path,
+    measurements: AnyTable | Sequence[AnyTable],
+    answers: Mapping[str, int] | None = None,
+    *,
+    packages: Mapping[str, str | Path] | None = None,
+    arguments: Mapping[str, str] | None = None,
 ) -> Campaign:
     """Propose a campaign by looking at a URDF and at measurements, and print what was found and what was guessed.
 
@@ -50,9 +55,11 @@ def propose(
     and its possible answers. ``print(campaign)`` shows the campaign as a file, every choice with its reason.
 
     Args:
-        urdf: The nominal robot.
+        urdf: The nominal robot: a URDF, a xacro file, or the name of a robot in the cache of robot_descriptions.
         measurements: Measured poses as a DataFrame or the path of a file, or several: any text, .xlsx, .parquet.
         answers: Numbers of answers to questions that were asked before: ``{"units": 2}``.
+        packages: Folders of packages of ROS that the URDF names and that are not found by themselves.
+        arguments: Of a xacro file.
 
     Returns:
         The campaign, for :func:`calibrate`.
@@ -61,7 +68,8 @@ def propose(
         AridcalError: what in the tables or the URDF needs mending first.
     """
     tables = [measurements] if isinstance(measurements, str | Path | pd.DataFrame) else list(measurements)
-    proposed = draft(Path(urdf).absolute(), tables, Path.cwd() / "campaign.yaml", nobody, answers)
+    places = {name: Path(place) for name, place in (packages or {}).items()}
+    proposed = draft(Path(urdf), tables, Path.cwd() / "campaign.yaml", nobody, answers, places, arguments)
     title = ", ".join(file.name for file in proposed.rows.files)
     tell(proposed, title, Console(force_jupyter=False))
     return proposed.campaign
@@ -139,7 +147,7 @@ def plan(
     if apart and (isinstance(apart, str) or len(apart) != 2 or apart[0] == apart[1]):
         raise AridcalError("apart: should be two effects, ('joint_2.joint_gain', 'joint_3.joint_gain') for instance")
     job = campaign if isinstance(campaign, Campaign) else load_campaign(campaign)
-    robot = load_robot(job.robot.urdf, job.robot.tip, job.robot.base, job.limits.urdf)
+    robot = nominal_robot(job)
     with working() as progress:
         asked = Asked(int(n), optimal, None if region is None else Path(region), tuple(apart))
         made = design(beforehand(job, robot, progress), asked, progress)

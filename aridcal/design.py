@@ -41,7 +41,7 @@ from rich.text import Text
 
 from aridcal.command_line import CommandParser, command_parser, run
 from aridcal.errors import OutputError
-from aridcal.inputs.campaign import Campaign, load_campaign
+from aridcal.inputs.campaign import Campaign, load_campaign, nominal_robot
 from aridcal.planning.beforehand import beforehand
 from aridcal.planning.design import Asked, Plan, as_table, design
 from aridcal.planning.exchange import Criterion
@@ -49,7 +49,7 @@ from aridcal.planning.programs import LANGUAGES, WAYPOINTS, check_program, moves
 from aridcal.planning.rivals import duel_lines
 from aridcal.reading.names import path_argument
 from aridcal.report.plan_page import plan_page
-from aridcal.robot.chain import Robot, load_robot
+from aridcal.robot.chain import Robot
 from aridcal.showing import told_on
 from aridcal.writing.files import atomic_file, check_home, claimed
 from aridcal.writing.tables import ENDINGS, write_table
@@ -138,7 +138,7 @@ def _main(arguments: argparse.Namespace) -> None:
 
 def _design(arguments: argparse.Namespace, out: list[Path]) -> None:
     campaign = load_campaign(arguments.campaign)
-    robot = load_robot(campaign.robot.urdf, campaign.robot.tip, campaign.robot.base, campaign.limits.urdf)
+    robot = nominal_robot(campaign)
     check_outputs(campaign, robot, out)
     with told_on(Console(stderr=True)) as progress:
         known = beforehand(campaign, robot, progress)

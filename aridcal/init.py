@@ -21,7 +21,7 @@ from rich.console import Console
 from rich.prompt import IntPrompt
 
 from aridcal.command_line import CommandParser, command_parser, run
-from aridcal.errors import OutputError, shortened
+from aridcal.errors import OutputError, printable, shortened
 from aridcal.prepare.campaign_text import Draft, draft, scalar
 from aridcal.prepare.guesses import nobody
 from aridcal.reading.names import path_argument
@@ -65,7 +65,12 @@ def _answer(text: str) -> tuple[str, int]:
 def parser() -> CommandParser:
     """The command's arguments."""
     arguments = command_parser("init", __doc__)
-    arguments.add_argument("--urdf", type=path_argument, required=True, help="the nominal robot")
+    arguments.add_argument(
+        "--urdf",
+        type=path_argument,
+        required=True,
+        help="the nominal robot: a URDF, a xacro file, or a robot's name in the cache of robot_descriptions (ur5e)",
+    )
     arguments.add_argument(
         "--measurements",
         type=path_argument,
@@ -83,6 +88,22 @@ def parser() -> CommandParser:
         help="answer a question that was asked before, by its number",
     )
     arguments.add_argument(
+        "--package",
+        type=_pair,
+        action="append",
+        default=[],
+        metavar="NAME=FOLDER",
+        help="where a package of ROS is that the URDF names; may be repeated",
+    )
+    arguments.add_argument(
+        "--argument",
+        type=_pair,
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="an argument of the xacro file; may be repeated",
+    )
+    arguments.add_argument(
         "-o",
         "--out",
         type=path_argument,
@@ -95,15 +116,32 @@ def parser() -> CommandParser:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; returns its exit status."""
     arguments = parser().parse_args(argv)
-    settled = dict(arguments.set)
-    return run(lambda: _main(arguments.urdf, arguments.measurements, arguments.out, settled))
+    settled, xacro = dict(arguments.set), dict(arguments.argument)
+    packages = {name: path_argument(place) for name, place in arguments.package}
+    files, out = arguments.measurements, arguments.out
+    return run(lambda: _main(arguments.urdf, files, out, settled, packages, xacro))
 
 
-def _main(urdf: Path, files: Sequence[Path], out: Path, settled: Mapping[str, int]) -> None:
+def _pair(text: str) -> tuple[str, str]:
+    """The ``type`` of an argument of argparse that gives something a name."""
+    name, equals, value = text.partition("=")
+    if not (name and equals and value):
+        raise argparse.ArgumentTypeError(f"{printable(shortened(text))!r} should be NAME=VALUE")
+    return name, value
+
+
+def _main(
+    urdf: Path,
+    files: Sequence[Path],
+    out: Path,
+    settled: Mapping[str, int],
+    packages: Mapping[str, Path],
+    arguments: Mapping[str, str],
+) -> None:
     if out.exists():
         raise OutputError(f"{out}: exists already; delete it, or choose another name with -o")
     with claimed(out, "file"):
-        proposed = draft(urdf, files, out, _ask if sys.stdin.isatty() else nobody, settled)
+        proposed = draft(urdf, files, out, _ask if sys.stdin.isatty() else nobody, settled, packages, arguments)
         with atomic_file(out) as path:
             path.write_text(proposed.campaign.text, encoding="utf-8")
     console = Console()

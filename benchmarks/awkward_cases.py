@@ -329,7 +329,9 @@ def _sep_line(t: Truth) -> bytes:
 def _gaps(t: Truth) -> bytes:
     """Empty columns between, a separator at each end of line, empty lines between."""
     lines = text(kuka(t), ";", ",").decode().splitlines()
-    spaced = [";".join([*cells[:6], "", *cells[6:9], "", *cells[9:], ""]) for cells in (line.split(";") for line in lines)]
+    spaced = [
+        ";".join([*cells[:6], "", *cells[6:9], "", *cells[9:], ""]) for cells in (line.split(";") for line in lines)
+    ]
     return "\n\n".join(spaced).encode()
 
 

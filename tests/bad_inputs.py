@@ -260,8 +260,13 @@ URDFS: dict[str, tuple[Spoil, str]] = {
     "an attribute twice": (urdf('<link name="a" name="b"/>'), "not well-formed XML.*name.*Mend"),
     "NUL": (urdf("\0"), "not well-formed XML.*Mend"),
     "half of it": (urdf('<link name="a"'), "not well-formed XML.*Mend"),
-    "xacro": (urdf('<xacro:macro xmlns:xacro="http://www.ros.org/wiki/xacro"/>'), "holds xacro macros: run xacro"),
-    "no robot": (put("robot.urdf", "<sdf/>"), "the top element is <sdf>, not <robot>"),
+    "xacro": (
+        urdf('<xacro:macro xmlns:xacro="http://www.ros.org/wiki/xacro"/>'),
+        "xacro cannot expand it: xacro:macro: missing attribute 'name'",
+    ),
+    "no robot": (put("robot.urdf", "<rob/>"), "the top element is <rob>, not <robot>"),
+    "SDF": (put("robot.urdf", "<sdf/>"), "is SDF, Gazebo's format"),
+    "MJCF": (put("robot.urdf", "<mujoco/>"), "is MJCF, MuJoCo's format"),
     "a top element of 5,000 letters": (put("robot.urdf", f"<{LONG}/>"), "the top element is <a+…>"),
     "no links": (urdf(""), "no link 'flange'"),
     "an unknown encoding": (

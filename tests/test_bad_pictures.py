@@ -257,7 +257,22 @@ def test_there_are_attacks_enough() -> None:
     assert len(BAD) + len(PALE) > 60
 
 
-@pytest.mark.parametrize("name", BAD)
+LOST = [name for name, (_, why) in BAD.items() if why.startswith("no mesh")]
+"""Links whose mesh is not there: what is said of them is one line for each package."""
+
+
+def test_meshes_that_are_not_there_are_one_line_with_the_hint(attacked: Attacked) -> None:
+    about = [notice for notice in attacked[2] if "for want of" in notice]
+    beside = "put them where the URDF looks for them, or leave it so"
+    assert about == [
+        f"not drawn for want of mesh files ('' and {len(LOST) - 2} more): {len(LOST) - 1} shapes; {beside}",
+        "not drawn for want of mesh files ('package://lost/a.dae'): 1 shape; say where with `--package lost=FOLDER` (in a "
+        "campaign: `robot.packages: {lost: FOLDER}`), or in ROS_PACKAGE_PATH or AMENT_PREFIX_PATH",
+    ]
+    assert all(notice.isprintable() for notice in about)
+
+
+@pytest.mark.parametrize("name", [name for name in BAD if name not in LOST])
 def test_a_bad_picture_gives_one_notice_with_its_link_and_the_reason(name: str, attacked: Attacked) -> None:
     about = [notice for notice in attacked[2] if f"link '{name}'" in notice]
     assert len(about) == 1, about
@@ -276,7 +291,7 @@ def test_a_bad_colour_is_grey(name: str, attacked: Attacked) -> None:
 
 def test_all_else_is_drawn(attacked: Attacked) -> None:
     _, drawn, notices = attacked
-    assert len(notices) == len(BAD) + len(PALE)
+    assert len(notices) == len(BAD) - len(LOST) + 2 + len(PALE)
     assert len(drawn) == len(PALE) + len(DRAWN)
     red = [shape for shape in drawn if shape.colour == (1.0, 0.0, 0.0)]
     assert [shape.kind for shape in red] == ["mesh"]  # the textured one, in its material's colour

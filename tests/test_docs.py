@@ -24,7 +24,12 @@ from aridcal.effects.smooth import Kernel
 
 TOP = Path(__file__).resolve().parents[1]
 DOCS = TOP / "docs"
-PAGES = [*sorted(DOCS.rglob("*.md")), TOP / "README.md", TOP / "CONTRIBUTING.md", *sorted(TOP.glob("notebooks/*.ipynb"))]
+PAGES = [
+    *sorted(DOCS.rglob("*.md")),
+    TOP / "README.md",
+    TOP / "CONTRIBUTING.md",
+    *sorted(TOP.glob("notebooks/*.ipynb")),
+]
 
 
 SEARCH_PAGE = DOCS / "how-the-search-works.md"

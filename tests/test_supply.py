@@ -9,9 +9,11 @@ import sys
 import tomllib
 from pathlib import Path
 
+import yaml
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
+import aridcal
 from aridcal.doctor import IMPORTED_AS
 
 HOME = Path(__file__).resolve().parents[1]
@@ -22,6 +24,12 @@ EXTRAS = {
     for extra in ("fleet", "ros", "xacro", "dev")
 }
 """What is installed on request; developers have all of it."""
+
+ON_REQUEST = {
+    "robot_descriptions": {"robot/named.py"},
+    "xacrodoc": {"robot/expand.py"},
+}
+"""Modules of extras, and the files that may import each, inside of functions."""
 
 BY_OTHERS = {"collada": "trimesh"}
 """Imported by another dependency, which does not ask for it itself."""
@@ -54,9 +62,20 @@ def test_imports_are_found_wherever_they_are() -> None:
 
 def test_every_dependency_is_used_and_everything_used_is_a_dependency() -> None:
     imported = set().union(*(used(path.read_text("utf-8")) for path in (HOME / "aridcal").rglob("*.py")))
-    imported = {PART_OF.get(name, name) for name in imported} - NOT_OURS
+    imported = {PART_OF.get(name, name) for name in imported} - NOT_OURS - set(ON_REQUEST)
     assert not imported & set(BY_OTHERS)
     assert imported | set(BY_OTHERS) == {IMPORTED_AS.get(r.name, r.name) for r in NEEDED}
+
+
+def test_extras_are_imported_in_their_own_files_alone_and_when_they_are_needed() -> None:
+    optional = {r.name.replace("-", "_") for extra in ("fleet", "ros", "xacro") for r in EXTRAS[extra]}
+    assert set(ON_REQUEST) <= optional
+    for path in (HOME / "aridcal").rglob("*.py"):
+        source = path.read_text("utf-8")
+        own = {name for name, files in ON_REQUEST.items() if path.relative_to(HOME / "aridcal").as_posix() in files}
+        assert used(source) & optional == own, path
+        at_once = [node for node in ast.parse(source).body if isinstance(node, ast.Import | ast.ImportFrom)]
+        assert not used("\n".join(map(ast.unparse, at_once))) & optional, path
 
 
 def test_what_others_import_for_us_is_what_they_import() -> None:
@@ -93,6 +112,25 @@ def test_the_lock_holds_all_that_is_required_with_hashes() -> None:
     for required in (*NEEDED, *(r for own in EXTRAS.values() for r in own)):
         versions = locked[canonicalize_name(required.name)]
         assert all(required.specifier.contains(version) for version in versions), required
+
+
+CONDA = {
+    "matplotlib": "matplotlib-base",
+    "meshcat": "meshcat-python",
+    "opencv-python-headless": "py-opencv",
+    "pin": "pinocchio",
+}
+"""What conda-forge calls otherwise."""
+
+
+def test_the_recipe_for_conda_asks_for_the_same() -> None:
+    recipe = yaml.safe_load((HOME / "conda" / "recipe.yaml").read_text("utf-8"))
+    run = dict(line.split(" ", 1) for line in recipe["requirements"]["run"])
+    assert run.pop("python") == PROJECT["requires-python"]
+    wanted = {CONDA.get(r.name, r.name): str(r.specifier) for r in NEEDED}
+    wanted["py-opencv"] = wanted["py-opencv"].rpartition(".")[0]  # PyPI counts its own builds beyond OpenCV's versions
+    assert run == wanted
+    assert recipe["context"]["version"] == aridcal.__version__
 
 
 def test_every_asset_is_part_of_an_installation() -> None:

@@ -385,7 +385,7 @@ def scene(outcome: Outcome) -> Scene:
     told = None if outcome.certainty is None else outcome.certainty.anywhere.select(outcome.certainty.anywhere.told)
     return Scene(
         nominal=robot,
-        calibrated=parse_robot(calibrated, robot.tip, robot.base, robot.path),
+        calibrated=parse_robot(calibrated, robot.tip, robot.base, robot.path, robot.packages),
         readings=m.readings[rows],
         T_world_base=bases[world[rows]],
         measured=measured[rows],

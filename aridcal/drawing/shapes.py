@@ -18,8 +18,8 @@ from lxml import etree
 from aridcal.drawing.html import one_line, reason
 from aridcal.errors import shortened
 from aridcal.robot.chain import Robot
-from aridcal.robot.meshes import TRIANGLES, NotDrawable, read_meshes, weld
-from aridcal.robot.shapes import GREY, Shape, floats, mesh_files, shapes_of
+from aridcal.robot.meshes import TRIANGLES, MeshMissing, NotDrawable, read_meshes, weld
+from aridcal.robot.shapes import GREY, Shape, floats, mesh_files, say_missing, shapes_of
 
 # That a mesh may keep however many there are; all meshes together are thinned to TRIANGLES.
 FEWEST_TRIANGLES = 100
@@ -56,9 +56,10 @@ def robot_shapes(robot: Robot) -> tuple[tuple[Shape, ...], tuple[str, ...]]:
     if len(visuals) > MOST_SHAPES:
         notices.append(f"of {len(visuals):,} visuals only the first {MOST_SHAPES:,} are drawn")
         visuals = visuals[:MOST_SHAPES]
-    meshes = read_meshes(mesh_files([visual for _, visual in visuals], robot.path.parent))
+    meshes = read_meshes(mesh_files([visual for _, visual in visuals], robot))
     shapes: list[Shape] = []
     triangles = 0
+    missing: list[MeshMissing] = []
     for name, visual in visuals:
         try:
             paint = _material_colour(visual.find("material"), colours)
@@ -72,9 +73,12 @@ def robot_shapes(robot: Robot) -> tuple[tuple[Shape, ...], tuple[str, ...]]:
                 raise NotDrawable(f"the robot has more than {MOST_SHAPES:,} shapes or {MOST_TRIANGLES:,} triangles")
             shapes += made
             triangles += more
+        except MeshMissing as error:
+            missing.append(error)
         except Exception as error:  # a bug of ours as well: a picture is not worth losing the results for
             said = str(error) if isinstance(error, NotDrawable) else reason(error)
             notices.append(f"link {shortened(name)!r} is not drawn: {one_line(said)}")
+    notices += say_missing(missing, "not drawn")
     if not shapes:
         notices.append("no link has a shape that can be drawn: the robot is drawn as a stick figure")
     return _thinned(shapes) or _skeleton(robot), _few(notices)

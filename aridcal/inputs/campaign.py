@@ -31,6 +31,7 @@ from aridcal.inputs.yaml_file import LARGEST, RelativePath, Section, Settings, V
 from aridcal.instruments.catalogue import KINDS as MEASURED
 from aridcal.instruments.catalogue import labelled
 from aridcal.reading.names import check_path
+from aridcal.robot.chain import Robot, load_robot
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -53,6 +54,13 @@ def _all_kinds(candidates: Any) -> Any:
 EffectKind = Annotated[str, one_of(KINDS)]
 
 
+def _as_xacro(value: Any) -> Any:
+    """A value as xacro reads it: YAML's `true` and numbers are no text."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    return str(value) if isinstance(value, int | float) else value
+
+
 class RobotSettings(Section):
     """Which chain of which URDF, and where down is."""
 
@@ -60,6 +68,10 @@ class RobotSettings(Section):
     base: str | None = None
     """Link where the chain starts; `None`: the URDF's root."""
     tip: str
+    packages: dict[str, RelativePath] = Field(default_factory=dict)
+    """Folders of packages of ROS that the URDF names and that are not found by themselves."""
+    arguments: dict[str, Annotated[str, BeforeValidator(_as_xacro)]] = Field(default_factory=dict)
+    """Of a xacro file."""
     gravity: Literal["world"] | Vector3 = (0.0, 0.0, -9.81)
     """In the base frame, m/s²; `world`: along -z of the world frame."""
 
@@ -313,6 +325,16 @@ class Campaign(Job):
             elif not block.files:
                 raise ValueError(f"{self.place(number)}.file: name the table of measurements, or a list of them")
         return self
+
+
+def nominal_robot(job: Job) -> Robot:
+    """Read the robot that a campaign or a scenario names.
+
+    Raises:
+        RobotError: its description cannot be read, or has no such chain.
+    """
+    named = job.robot
+    return load_robot(named.urdf, named.tip, named.base, job.limits.urdf, named.packages, named.arguments)
 
 
 def load_campaign(path: str | Path) -> Campaign:

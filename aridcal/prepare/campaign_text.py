@@ -13,7 +13,7 @@ from typing import Any
 import pandas as pd
 import yaml
 
-from aridcal.errors import MeasurementError, RobotError
+from aridcal.errors import MeasurementError
 from aridcal.inputs.campaign import Campaign
 from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.read import load_measurements
@@ -23,7 +23,9 @@ from aridcal.prepare.dialects import best_dialect, dialects_of, say_table
 from aridcal.prepare.guesses import Asker, Choose, Guess, Proposal
 from aridcal.prepare.propose import QUESTIONS, propose
 from aridcal.reading.dialect import Dialect
-from aridcal.reading.files import URDF, read_file
+from aridcal.reading.files import URDF
+from aridcal.robot.expand import plain_name, read_urdf
+from aridcal.robot.named import Named, described
 
 # Of a line with a comment.
 WIDTH = 116
@@ -51,28 +53,39 @@ class Draft:
 
 
 def draft(
-    urdf: Path, tables: Sequence[AnyTable], out: Path, choose: Choose, settled: Mapping[str, int] | None = None
+    urdf: Path,
+    tables: Sequence[AnyTable],
+    out: Path,
+    choose: Choose,
+    settled: Mapping[str, int] | None = None,
+    packages: Mapping[str, Path] | None = None,
+    arguments: Mapping[str, str] | None = None,
 ) -> Draft:
     """Propose a campaign and try it: what comes back can be identified as it stands.
 
     Args:
-        urdf: The robot.
+        urdf: The robot: a URDF, a xacro file, or a name that robot_descriptions knows.
         tables: Its measurements.
         out: Where the campaign will be.
         choose: Asked where the evidence does not decide.
         settled: Numbers of answers that were given beforehand, by the key of the question.
+        packages: Folders of packages of ROS that the robot's file names.
+        arguments: Of a xacro file.
 
     Raises:
         AridcalError: what in the files needs mending first; or what is to be answered.
     """
     asker = Asker(choose, settled or {})
     asker.check(QUESTIONS)
-    content = read_file(urdf, RobotError, URDF)
+    source = described(urdf, packages or {}, arguments or {})
+    content = read_urdf(source.path, URDF, source.packages, source.arguments)
 
     def proposed(dialect: Dialect, asker: Asker) -> Proposal:
         table = read_tables(tables, None, dialect=dialect)
         try:
-            return propose(content, urdf, table, asker, dialect.dates.name if dialect.dates else None)
+            return propose(
+                content, plain_name(source.path), table, asker, dialect.dates.name if dialect.dates else None
+            )
         except MeasurementError:
             read_tables(tables, dialect=dialect)  # what lacks may be in some of the files: then that is the fault
             raise
@@ -82,7 +95,7 @@ def draft(
     proposal = proposed(dialect, asker)
     say_table(dialect, tables, maker, why, proposal)
     proposal.guesses = [replace(guess, value=_placed(guess.value, out.parent)) for guess in proposal.guesses]
-    text = campaign_text(proposal, urdf, tables, out.parent)
+    text = campaign_text(proposal, source, tables, out.parent)
     campaign = parse_settings(text, out, Campaign)
     if any(isinstance(table, pd.DataFrame) for table in tables):
         campaign = campaign.with_tables(tables)
@@ -91,12 +104,12 @@ def draft(
     return Draft(campaign, proposal, rows)
 
 
-def campaign_text(proposal: Proposal, urdf: Path, tables: Sequence[AnyTable], home: Path) -> str:
+def campaign_text(proposal: Proposal, source: Named, tables: Sequence[AnyTable], home: Path) -> str:
     """Write a proposal as ``campaign.yaml``, every choice with its reason above it.
 
     Args:
         proposal: What was found.
-        urdf: The robot.
+        source: The robot.
         tables: The measurements.
         home: Folder of the campaign; paths are relative to it.
     """
@@ -108,7 +121,7 @@ def campaign_text(proposal: Proposal, urdf: Path, tables: Sequence[AnyTable], ho
     renamed = any(guess.value is not None for guess in columns)
     lines = [
         f"{HEAD}robot:",
-        f"  urdf: {scalar(_relative(urdf, home))}",
+        *_source(source, home),
         *_mapping(parts["robot"], "  "),
         "measurements:",
         *_files(tables, home),
@@ -121,6 +134,17 @@ def campaign_text(proposal: Proposal, urdf: Path, tables: Sequence[AnyTable], ho
     if "instruments" in parts:
         lines += ["instruments:", *_mapping(parts["instruments"], "  ")]
     return "\n".join(lines) + "\n"
+
+
+def _source(source: Named, home: Path) -> list[str]:
+    """The lines that name the robot's description; what lies in a cache is not named by its way from the campaign."""
+    placed = str if source.cached else lambda path: _relative(path, home)
+    lines = [f"  urdf: {scalar(placed(source.path))}"]
+    if source.packages:
+        lines.append(f"  packages: {scalar({name: placed(place) for name, place in source.packages.items()})}")
+    if source.arguments:
+        lines.append(f"  arguments: {scalar(dict(source.arguments))}")
+    return lines
 
 
 def _files(tables: Sequence[AnyTable], home: Path) -> list[str]:

@@ -21,7 +21,7 @@ from aridcal.effects.loads import Surroundings
 from aridcal.effects.sights import Sights
 from aridcal.errors import CampaignError, MeasurementError, nearest
 from aridcal.head.render import Optics
-from aridcal.inputs.campaign import DiagnosisSettings
+from aridcal.inputs.campaign import DiagnosisSettings, nominal_robot
 from aridcal.inputs.head_settings import HeadSettings, load_squares
 from aridcal.inputs.orientations import QUATERNION, column_of
 from aridcal.inputs.quantities import POSITION
@@ -35,7 +35,7 @@ from aridcal.prepare.true_things import Real, documents
 from aridcal.prepare.viewpoints import draw_views, photographed, true_head
 from aridcal.reading.files import read_file
 from aridcal.reading.table_files import FIRST_LINE
-from aridcal.robot.chain import Robot, load_robot
+from aridcal.robot.chain import Robot
 from aridcal.robot.doty import doty_links
 from aridcal.showing import SILENT, Progress
 
@@ -90,7 +90,7 @@ def simulate(scenario: Scenario, progress: Progress = SILENT) -> Simulation:
     """
     check_scenario(scenario)
     truth = scenario.truth
-    robot = load_robot(scenario.robot.urdf, scenario.robot.tip, scenario.robot.base, scenario.limits.urdf)
+    robot = nominal_robot(scenario)
     constants, configurations, noise, outliers, chance, of_things = _streams(truth.seed)
     coefficients = named_constants(robot, truth.parameters, scenario.path)
     theta = np.array([p.value + p.std * constants.standard_normal() for p in truth.parameters.values()])
@@ -282,10 +282,13 @@ def write_campaign(simulation: Simulation, folder: Path, home: Path, progress: P
     keys = scenario.model_dump(mode="json", by_alias=True, exclude_unset=True, exclude={"truth"})
     beside = scenario.path.parent.resolve() == home.resolve()  # the scenario's own paths hold here as well
     if beside:
-        keys["robot"]["urdf"] = Path(os.path.relpath(robot.path, home)).as_posix()
+        keys["robot"]["urdf"] = Path(os.path.relpath(scenario.robot.urdf, home)).as_posix()
     else:
+        keys["robot"].pop("arguments", None)  # they are in the URDF that is written
         keys["robot"]["urdf"] = robot.path.name
         (folder / robot.path.name).write_bytes(robot.urdf)
+    for name, place in scenario.robot.packages.items():
+        keys["robot"]["packages"][name] = Path(os.path.relpath(place, home)).as_posix()
     known, named = scenario.instruments, keys.get("instruments", {})
     for path, part, key in ((known.points, named, "points"), (known.markers.file, named.get("markers", {}), "file")):
         if path is not None:

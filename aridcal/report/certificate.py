@@ -365,7 +365,8 @@ def _hashes(outcome: Outcome, folder: Path) -> Iterator[tuple[str, str]]:
     """Files and their hashes, as ``sha256sum`` gives them."""
     campaign, m = outcome.campaign, outcome.measurements
     yield named(campaign.path.name), sha256(_as_read(campaign.path, campaign.text))
-    yield named(outcome.robot.path.name), sha256(outcome.robot.urdf)
+    source, plain = campaign.robot.urdf.name, outcome.robot.path.name
+    yield named(plain if source == plain else f"{source}, expanded"), sha256(outcome.robot.urdf)
     if m.sha256:
         files = [path.name for path in m.files]
         one = named(files[0]) if len(files) == 1 else f"{len(files)} files of measurements: {', '.join(files)}"

@@ -11,10 +11,10 @@ import numpy as np
 from aridcal.errors import CampaignError, MeasurementError
 from aridcal.head.found import Detections, Read
 from aridcal.inputs.approach import with_directions
-from aridcal.inputs.campaign import Campaign, load_campaign
+from aridcal.inputs.campaign import Campaign, load_campaign, nominal_robot
 from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.read import load_measurements
-from aridcal.robot.chain import Robot, load_robot
+from aridcal.robot.chain import Robot
 from aridcal.showing import SILENT, Progress
 
 STILL = 1e-3
@@ -59,7 +59,7 @@ def read_job(
     """
     started = time.perf_counter()
     campaign = job if isinstance(job, Campaign) else load_campaign(job)
-    robot = load_robot(campaign.robot.urdf, campaign.robot.tip, campaign.robot.base, campaign.limits.urdf)
+    robot = nominal_robot(campaign)
     progress("reading the measurements")
     if verified and campaign.measurements.head is not None:
         raise CampaignError(f"{campaign.path}: --verify needs a table of poses; `kind: camera_sonar` has shots")

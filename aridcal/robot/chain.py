@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Literal
@@ -13,7 +13,8 @@ import pinocchio as pin
 from lxml import etree
 
 from aridcal.errors import RobotError, nearest, shortened
-from aridcal.reading.files import URDF, Limit, read_file
+from aridcal.reading.files import URDF, Limit
+from aridcal.robot.expand import plain_name, read_urdf
 from aridcal.robot.tree import LARGEST, UrdfTree, numbers, parse_xml, read_tree
 
 JointKind = Literal["revolute", "prismatic", "continuous"]
@@ -72,6 +73,7 @@ class Robot:
         tip_origin: Own ``<origin>`` of ``tip_joint``; identity if there is none.
         moves: Axis and kind of every moving joint of the tree, by name.
         mimics: For every joint that follows another: (master, multiplier, offset), resolved to the last master.
+        packages: Where the user says that packages of ROS are, which its meshes are in.
     """
 
     urdf: bytes
@@ -84,6 +86,7 @@ class Robot:
     tip_origin: pin.SE3
     moves: Mapping[str, tuple[np.ndarray, str]] = field(repr=False)
     mimics: Mapping[str, tuple[str, float, float]] = field(repr=False)
+    packages: Mapping[str, Path] = field(default_factory=dict, repr=False)
 
     @property
     def readings(self) -> tuple[str, ...]:
@@ -137,28 +140,43 @@ class Robot:
         return np.array([sum(model.inertias[k].mass for k in model.subtrees[model.getJointId(n)]) for n in self.names])
 
 
-def load_robot(path: str | Path, tip: str, base: str | None = None, limit: Limit = URDF) -> Robot:
+def load_robot(
+    path: str | Path,
+    tip: str,
+    base: str | None = None,
+    limit: Limit = URDF,
+    packages: Mapping[str, Path] | None = None,
+    arguments: Mapping[str, str] | None = None,
+) -> Robot:
     """Read the chain base -> tip of a URDF file.
 
     Args:
-        path: URDF file, any encoding that its XML declaration states.
+        path: URDF file, any encoding that its XML declaration states, or a xacro file.
         tip: Link at the end of the chain.
         base: Link at its start; default: the root link.
         limit: How large the file may be.
+        packages: Where packages of ROS are that are not found otherwise.
+        arguments: Values of the xacro file's arguments.
 
     Raises:
         RobotError: the file cannot be read, is hostile (DTD, entities), or has no such serial chain.
     """
     try:
-        urdf = read_file(Path(path), RobotError, limit)
+        urdf = read_urdf(Path(path), limit, packages, arguments)
     except RobotError as error:
         raise RobotError(f"{error}. Check `robot.urdf`.") from None
-    return parse_robot(urdf, tip, base, Path(path))
+    return parse_robot(urdf, tip, base, plain_name(Path(path)), packages)
 
 
-def parse_robot(urdf: bytes, tip: str, base: str | None = None, path: Path = Path("robot.urdf")) -> Robot:
+def parse_robot(
+    urdf: bytes,
+    tip: str,
+    base: str | None = None,
+    path: Path = Path("robot.urdf"),
+    packages: Mapping[str, Path] | None = None,
+) -> Robot:
     """Read the chain base -> tip from a URDF's bytes; see :func:`load_robot`."""
-    return chain(read_tree(urdf, path), tip, base)
+    return replace(chain(read_tree(urdf, path), tip, base), packages=packages or {})
 
 
 def chain(tree: UrdfTree, tip: str, base: str | None = None) -> Robot:

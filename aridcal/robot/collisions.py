@@ -12,8 +12,8 @@ import pinocchio as pin
 from aridcal.errors import shortened
 from aridcal.robot.chain import Robot
 from aridcal.robot.kinematics import locked_placement, tree_frames
-from aridcal.robot.meshes import NotDrawable, read_meshes
-from aridcal.robot.shapes import Shape, mesh_files, shapes_of
+from aridcal.robot.meshes import MeshMissing, NotDrawable, read_meshes
+from aridcal.robot.shapes import Shape, mesh_files, say_missing, shapes_of
 from aridcal.robot.tree import parse_xml
 
 FLAT = 1e-6
@@ -154,16 +154,21 @@ def _shapes(robot: Robot) -> tuple[list[Shape], tuple[str, ...]]:
     """The collision shapes of a URDF, and what of them cannot be read; one that is wrong costs no other."""
     root = parse_xml(robot.urdf, robot.path)
     every = [(link.get("name", ""), own) for link in root.findall("link") for own in link.findall("collision")]
-    meshes = read_meshes(mesh_files([own for _, own in every], robot.path.parent))
+    meshes = read_meshes(mesh_files([own for _, own in every], robot))
     shapes: list[Shape] = []
     unread = []
+    missing: list[MeshMissing] = []
     for link, own in every:
         try:
             made = list(shapes_of(own, link, robot, None, meshes))
+        except MeshMissing as error:
+            missing.append(error)
+            continue
         except NotDrawable as error:
             unread.append(f"collision shapes of link {shortened(link)!r} are not looked at: {error}")
             continue
         shapes += [shape for shape in made if shape.kind != "mesh" or np.ptp(shape.vertices, axis=0).min() > FLAT]
+    unread += say_missing(missing, "collisions are not looked at")
     return shapes, tuple(unread)
 
 

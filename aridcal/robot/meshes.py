@@ -22,6 +22,8 @@ from typing import IO, Any
 
 import numpy as np
 
+from aridcal.errors import shortened
+
 FORMATS = (".stl", ".dae", ".obj", ".ply", ".glb", ".gltf", ".off")
 """What URDFs name. Archives are left out: what is in them has no size beforehand."""
 
@@ -56,6 +58,19 @@ Part = tuple[Colour, np.ndarray, np.ndarray]
 
 class NotDrawable(Exception):
     """Something has to be left out of a picture; the message says why."""
+
+
+class MeshMissing(NotDrawable):
+    """A mesh file is not there.
+
+    Attributes:
+        uri: As the URDF names it.
+        package: Of ROS, that it is in, if that is not found either; empty if it is in none, or in one without this file.
+    """
+
+    def __init__(self, uri: str, package: str) -> None:
+        super().__init__(f"no mesh {shortened(uri)!r}")
+        self.uri, self.package = uri, package
 
 
 def read_meshes(paths: Sequence[Path]) -> dict[Path, list[Part] | NotDrawable]:

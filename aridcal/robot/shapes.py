@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -15,7 +14,8 @@ from lxml import etree
 from aridcal.errors import shortened
 from aridcal.reading.names import why
 from aridcal.robot.chain import Robot
-from aridcal.robot.meshes import NotDrawable, Part
+from aridcal.robot.meshes import MeshMissing, NotDrawable, Part
+from aridcal.robot.packages import HINT, find_package, package_folders
 
 # Of what has no colour.
 GREY = (0.72, 0.74, 0.77)
@@ -96,7 +96,7 @@ def shapes_of(
     """
     frame = robot.tree.frames[robot.tree.getFrameId(link, pin.FrameType.BODY)]
     placement = frame.placement.homogeneous @ _origin(visual.find("origin"))
-    forms = list(_forms(visual, robot.path.parent, meshes))
+    forms = list(_forms(visual, robot, meshes))
     if not forms:
         raise NotDrawable(f"<{visual.tag}> has no shape in its <geometry>")
     for form in forms:
@@ -105,12 +105,12 @@ def shapes_of(
         yield Shape(frame.parentJoint, placement, form.kind, form.size, colour, form.vertices, form.faces)
 
 
-def _forms(visual: etree._Element, folder: Path, meshes: Meshes) -> Iterator[_Form]:
+def _forms(visual: etree._Element, robot: Robot, meshes: Meshes) -> Iterator[_Form]:
     """Give the parts of a visual; a mesh file has one for each of its colours.
 
     Args:
         visual: The ``<visual>``.
-        folder: Of the URDF: names of meshes may be relative to it.
+        robot: Tells where its meshes are.
         meshes: What is in the robot's mesh files.
     """
     for element in visual.iterfind("geometry/*"):
@@ -125,7 +125,7 @@ def _forms(visual: etree._Element, folder: Path, meshes: Meshes) -> Iterator[_Fo
             scale = np.array(floats(element, "scale", "1 1 1"))
             if len(scale) not in (1, 3):
                 raise NotDrawable("`scale` of <mesh> should be 3 numbers")
-            found = meshes[find_mesh(element.get("filename", ""), folder)]
+            found = meshes[find_mesh(element.get("filename", ""), robot)]
             if isinstance(found, NotDrawable):
                 raise found
             for colour, vertices, faces in found:
@@ -134,27 +134,32 @@ def _forms(visual: etree._Element, folder: Path, meshes: Meshes) -> Iterator[_Fo
             raise NotDrawable(f"<{element.tag}> is no shape of URDF")
 
 
-def mesh_files(visuals: Sequence[etree._Element], folder: Path) -> list[Path]:
+def mesh_files(visuals: Sequence[etree._Element], robot: Robot) -> list[Path]:
     """List the mesh files of visuals that are there."""
     found = []
     for visual in visuals:
         for element in visual.iterfind("geometry/mesh"):
             with suppress(NotDrawable):  # said where it is drawn
-                found.append(find_mesh(element.get("filename", ""), folder))
+                found.append(find_mesh(element.get("filename", ""), robot))
     return found
 
 
-def find_mesh(uri: str, folder: Path) -> Path:
+def find_mesh(uri: str, robot: Robot) -> Path:
     """Find a mesh file that a URDF names; nothing is fetched from elsewhere.
 
-    ``package://NAME/...`` is looked for in the folders above the URDF, and in those of ROS_PACKAGE_PATH and
-    AMENT_PREFIX_PATH; any other name is relative to the URDF's folder.
+    ``package://NAME/...`` is looked for where packages are (see :func:`package_folders`); any other name is relative to the
+    URDF's folder.
+
+    Raises:
+        MeshMissing: it is not there.
+        NotDrawable: it is no local file.
     """
     scheme, _, rest = uri.rpartition("://")
+    folder, (package, _, inside) = robot.path.parent, rest.partition("/")
     if scheme == "package":
-        candidates = _in_packages(rest, folder)
+        candidates: Iterator[Path] = (place / inside for place in package_folders(package, folder, robot.packages))
     elif scheme in ("", "file"):
-        candidates = [folder / rest]
+        candidates = iter([folder / rest])
     else:
         raise NotDrawable(f"{shortened(uri)!r} is not a local file")
     try:
@@ -163,18 +168,26 @@ def find_mesh(uri: str, folder: Path) -> Path:
                 return path
     except (OSError, ValueError) as error:  # a name that no file can have
         raise NotDrawable(f"no mesh {shortened(uri)!r}: {why(error)}") from None
-    raise NotDrawable(f"no mesh {shortened(uri)!r}")
+    lost = scheme == "package" and find_package(package, folder, robot.packages) is None
+    raise MeshMissing(uri, package if lost else "")
 
 
-def _in_packages(name: str, folder: Path) -> list[Path]:
-    """List where ``PACKAGE/inside`` may be: in folders called as the package, and in such folders within others."""
-    package, _, inside = name.partition("/")
-    above = [folder.resolve(), *folder.resolve().parents]
-    ros = [Path(p) for p in os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep) if p]
-    ament = [Path(p) / "share" for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
-    named = [place for place in above + ros if place.name == package]
-    within = [place / package for place in above + ros + ament]
-    return [root / inside for root in named + within]
+def say_missing(missing: Sequence[MeshMissing], what: str) -> list[str]:
+    """Say in one line for each package which meshes are not there, and what to do about it.
+
+    Args:
+        missing: One for each shape that lacks its mesh.
+        what: What is therefore not done with these shapes.
+    """
+    lines = []
+    for package in dict.fromkeys(each.package for each in missing):
+        lacking = [each.uri for each in missing if each.package == package]
+        more = len(set(lacking)) - 1
+        shown = repr(shortened(lacking[0])) + (f" and {more} more" if more else "")
+        count = f"{len(lacking)} shape{'s' if len(lacking) > 1 else ''}"
+        hint = HINT.format(name=package) if package else "put them where the URDF looks for them, or leave it so"
+        lines.append(f"{what} for want of mesh files ({shown}): {count}; {hint}")
+    return lines
 
 
 def floats(element: etree._Element, key: str, default: str) -> tuple[float, ...]:

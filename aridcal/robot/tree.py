@@ -33,6 +33,15 @@ LARGEST = 1e9
 """No length, angle, mass or inertia is larger; its square and products still are numbers."""
 
 
+OTHER_FORMATS = {
+    "mujoco": "MJCF, MuJoCo's format, which aridcal does not read. Name the URDF that the model was made from; if there is "
+    "none, mjcf-urdf-simple-converter (PyPI) makes one: compare its poses with MuJoCo's before you use it",
+    "sdf": "SDF, Gazebo's format, which aridcal does not read. Name the URDF that the model was made from; if there is none, "
+    "`sdf2urdf` of sdformat_tools makes one: compare its poses with Gazebo's before you use it",
+}
+"""Top elements of other descriptions of robots, what they are, and the way out."""
+
+
 @dataclass(frozen=True)
 class UrdfTree:
     """The links of a URDF, one tree, and the joints between them.
@@ -103,6 +112,8 @@ def parse_xml(urdf: bytes, path: Path) -> etree._Element:
         raise RobotError(f"{path}: not well-formed XML: {said}. Mend the URDF, or name another one.") from None
     if root.getroottree().docinfo.doctype:  # type: ignore[union-attr]
         raise RobotError(f"{path}: has a DOCTYPE: DTDs and entities are refused. Remove it from the URDF.")
+    if (other := OTHER_FORMATS.get(str(root.tag))) is not None:
+        raise RobotError(f"{path}: is {other}")
     if root.tag != "robot":
         raise RobotError(f"{path}: the top element is <{shortened(str(root.tag))}>, not <robot>. Name a URDF")
     if any("xacro" in str(element.tag) for element in root):
