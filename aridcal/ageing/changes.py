@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import f as fisher
 
-from aridcal.ageing.difference import ALWAYS, CHANGED, Difference
+from aridcal.ageing.difference import CHANGED, Difference
 from aridcal.fit.normal_equations import across
 from aridcal.upkeep.suspects import effect_groups, effect_in_words
 
@@ -31,6 +31,9 @@ ALIKE = 6.0
 
 SAME = 1e-4
 """Share of its squares that two columns may differ by to be one motion: second-order terms of constants off by a centimetre."""
+
+NEARLY = 0.01
+"""Share of its squares that a column may differ by from a zero's to be called by that name: it is the same joint's own axis."""
 
 FELT = 1e-5
 """Share of a column's squares that must be left when motions of base and target took theirs: second-order terms leave less."""
@@ -86,6 +89,7 @@ class _Candidate:
     words: str
     own: tuple[int, ...]
     X: np.ndarray
+    zero: bool = False
 
 
 def causes(of: Difference, moved: Mapping[str, float] | None = None) -> Causes:
@@ -108,8 +112,9 @@ def causes(of: Difference, moved: Mapping[str, float] | None = None) -> Causes:
         if not others or min(chances) + np.log(len(candidates)) > np.log(CHANGED):
             break
         best = int(np.argmin(chances))
-        as_good = [c.words for c, gain in zip(others, gains, strict=True) if gain > gains[best] - ALIKE]
-        alike[others[best].words] = tuple(words for words in as_good if words != others[best].words)
+        as_good = [k for k, gain in enumerate(gains) if gain > gains[best] - ALIKE]
+        best = next((k for k in as_good if others[k].zero), best)  # what moves most often: a zero
+        alike[others[best].words] = tuple(others[k].words for k in as_good if not _one_motion(others[k], others[best]))
         chosen.append(others[best])
         left = _left(of.z, chosen)
     while chosen:
@@ -157,11 +162,22 @@ def _candidates(of: Difference) -> Iterator[_Candidate]:
         if all(1.0 - float(way @ other) ** 2 > SAME for other in seen):
             seen.append(way)
             c = coefficients[k]
-            yield _Candidate(f"the zero of {c.where}" if c.basis.form in ALWAYS[1:] else c.name, (k,), X[:, [k]])
+            zero = c.basis.form == "ones"
+            yield _Candidate(f"the zero of {c.where}" if zero else c.name, (k,), X[:, [k]], zero)
     for (where, on, _), own in effect_groups(coefficients).items():
         told = [k for k in own if felt[k] and np.any(X[:, k] != 0.0)]
         if told:
             yield _Candidate(effect_in_words(where, on), tuple(told), _independent(X[:, told]))
+
+
+def _one_motion(a: _Candidate, b: _Candidate) -> bool:
+    """True of the same candidate twice, and of two that no row tells apart where they change a little."""
+    if a.words == b.words:
+        return True
+    if a.X.shape[1] != 1 or b.X.shape[1] != 1:
+        return False
+    x, y = a.X[:, 0], b.X[:, 0]
+    return float(x @ y) ** 2 > (1.0 - NEARLY) * float(x @ x) * float(y @ y)
 
 
 def _independent(X: np.ndarray) -> np.ndarray:

@@ -5,6 +5,8 @@ calibration's coefficients do to them, :math:`J_A, J_B`,
 
 .. math:: d = T_B - T_A, \qquad C = J_A \Sigma_A J_A^T + J_B \Sigma_B J_B^T + \varepsilon^2 1
 
+with :math:`\varepsilon` what is no difference: rounding, and what is not linear,
+
 as for halves of rows (:mod:`aridcal.trust.halves`), but in the poses and not in the coefficients: which constants stand for the
 same motion, and which were left at their nominal value because no row told them, is each calibration's own choice (its gauge),
 and the poses do not depend on it. What nobody can tell is taken off both sides, columns :math:`F` that may take up all they
@@ -13,7 +15,9 @@ can:
 - a motion of the base, and of the target on the tool, as one body, where these were set up anew. Large ones are taken off first,
   in closed form with small steps after it; what is left is linear.
 - what a constant does that one calibration has and the other's rows could not tell, less what the other's own coefficients take
-  up of it. A calibration that never saw a constant says nothing of its change.
+  up of it. A calibration that never saw a constant says nothing of its change. How its own coefficients took it up depends on its
+  rows, of which nothing is left; as if what they could not take up were noise of its rows, its covariance is larger by
+  :math:`1 + \ell^2 |J_{2\perp}|^2 / (n \sigma^2)`, with :math:`\ell` what the constant may be off by.
 
 An effect that only one of them has was not seen by the other: there it may be as large as its rows would not have noticed. How
 much that is follows from the number of its rows and their noise, as if they had been spread like the configurations here:
@@ -40,6 +44,7 @@ from scipy.linalg import svd
 from scipy.stats import f as fisher
 
 from aridcal.ageing.poses import CONFIGURATIONS, OVER_TIME, seen_by_both
+from aridcal.drawing.html import counted
 from aridcal.effects.effect import Coefficient
 from aridcal.fit.normal_equations import across, pseudo_inverse
 from aridcal.result.saved_model import SavedModel, SolvedModel
@@ -50,13 +55,22 @@ CHANGED = 0.01
 `aridcal check` has the same."""
 
 SMALLEST = 1e-7
-"""[m] and [rad]: what is no difference for anybody, RMS over the configurations; second-order terms and rounding are smaller."""
+"""[m] and [rad]: what is no difference for anybody, RMS over the configurations: rounding is smaller."""
+
+SECOND = 0.1
+"""[m]: what a squared angle moves that is hardly known, when base and tool took their part of it: a tenth of what it does at a
+metre. Of angles known to 1 mrad it is 0.1 um."""
 
 LOOSE = 0.1
 """[m] and [rad]: what a constant, or an effect at the target, may be off by that no row tells; no robot is wrong by more."""
 
 RANK = 1e-9
 """Share of the largest singular value, coefficients scaled by their uncertainty, below which a direction is rounding."""
+
+UNTOLD = (
+    "the {} calibration could not tell {} that the other has: what they do was taken off, and less is told of all else"
+)
+"""Notice of rows that tell too little."""
 
 ALWAYS = ("1", "ones")
 """Forms of bases that are the same in all rows: constants and zeros."""
@@ -122,7 +136,9 @@ class Difference:
         U, S, _ = svd(R, lapack_driver="gesvd")  # LAPACK's faster one gives up on some matrices of less than full rank
         U = Q @ U
         told = RANK * max(float(S.max(initial=0.0)), np.finfo(float).tiny) < S
-        floor = np.sqrt(len(self.d)) * SMALLEST / float(self.sigma.min())
+        turns = [column.unit == "rad" and column.coefficient.basis.form in ALWAYS for column in self.columns]
+        second = SECOND * float(np.diag(self.covariance)[turns].max(initial=0.0))
+        floor = np.sqrt(len(self.d)) * (SMALLEST + second) / float(self.sigma.min())
         return U[:, told], np.hypot(S[told], floor)
 
     def whitened(self, columns: np.ndarray) -> np.ndarray:
@@ -181,18 +197,21 @@ def difference(a: SavedModel, b: SavedModel, moved: Mapping[str, float] | None =
     per = np.tile(1.0 / sigma, len(both.readings))[:, None]
     own = [J * per for J in both.J]
     free = both.bodies * per
-    columns, covariance = _together(both.solved, own, frozenset(both.frames))
+    columns, covariances = _together(both.solved, own, frozenset(both.frames))
     every = np.column_stack([column.moves for column in columns])
-    lacking, untold = [], []
+    lacking, untold, notices = [], [], [*both.notices, *_shared_rows(a, b)]
     for side, saved in enumerate((a, b)):
         known = np.array([not np.isnan(column.values[side]) for column in columns], dtype=bool)
-        effects, constants = _not_seen(saved, columns, every, known, free, sigma)
+        effects, constants, times = _not_seen(saved, columns, every, known, free, sigma)
         lacking.append(effects)
         untold.append(constants)
+        covariances[side] *= times
+        if constants.shape[1]:
+            notices.append(UNTOLD.format(("first", "second")[side], counted(constants.shape[1], "constant")))
     robot = a.final.model.robot
     return Difference(
         columns=columns,
-        covariance=covariance,
+        covariance=covariances[0] + covariances[1],
         lacking=np.hstack(lacking),
         readings=both.readings,
         names=tuple(robot.readings),
@@ -203,14 +222,14 @@ def difference(a: SavedModel, b: SavedModel, moved: Mapping[str, float] | None =
         sigma=sigma,
         freedom=_freedom(a, b, both.turns),
         frames=both.frames,
-        notices=(*both.notices, *_shared_rows(a, b)),
+        notices=tuple(notices),
     )
 
 
 def _together(
     both: tuple[SolvedModel, SolvedModel], moves: list[np.ndarray], anew: frozenset[str]
 ) -> tuple[tuple[Column, ...], np.ndarray]:
-    """The coefficients of two calibrations beside one another, and the covariance of their differences.
+    """The coefficients of two calibrations beside one another, and their covariances, shape (2, K, K).
 
     A coefficient that both have moves the poses alike, but for terms of second order: the mean of both. One that depends on time
     does not, for each calibration has times of its own; there are two of it.
@@ -238,10 +257,10 @@ def _together(
                 columns[place[name]] = Column(c, first.unit, (first.values[0], value), 0.5 * (first.moves + J[:, k]))
             at[side].append(place[name])
             kept[side].append(k)
-    covariance = np.zeros((len(columns), len(columns)))
-    for solved, rows, own_rows in zip(both, at, kept, strict=True):
-        covariance[np.ix_(rows, rows)] += solved.covariance[np.ix_(own_rows, own_rows)]
-    return tuple(columns), covariance
+    covariances = np.zeros((2, len(columns), len(columns)))
+    for covariance, solved, rows, own_rows in zip(covariances, both, at, kept, strict=True):
+        covariance[np.ix_(rows, rows)] = solved.covariance[np.ix_(own_rows, own_rows)]
+    return tuple(columns), covariances
 
 
 def _not_seen(
@@ -251,7 +270,7 @@ def _not_seen(
     known: np.ndarray,
     free: np.ndarray,
     sigma: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray]:
+) -> tuple[np.ndarray, np.ndarray, float]:
     """What one calibration cannot know of the coefficients that only the other has.
 
     Args:
@@ -263,7 +282,8 @@ def _not_seen(
         sigma: See :class:`Difference`.
 
     Returns:
-        Of effects, each of unit variance, shape (n, u); of constants, which may be anything, shape (n, v).
+        Of effects, each of unit variance, shape (n, u); of constants, which may be anything, shape (n, v); and times what the
+        calibration's own covariance is larger for these.
     """
     constant = np.array([column.coefficient.basis.form in ALWAYS for column in columns], dtype=bool)
     mine = np.hstack([moves[:, known], free])
@@ -272,14 +292,16 @@ def _not_seen(
     size = np.sqrt(np.mean(left**2, axis=0)) * float(sigma.min())
     own = constant[~known]
     effects, untold = left[:, ~own], left[:, own & (LOOSE * size > SMALLEST)]
-    if not effects.shape[1]:
-        return effects, untold
     noise = np.maximum(np.repeat([saved.scatter[0][k] for k in range(len(sigma) // 3)], 3), SMALLEST)
     rows = float(saved.record.get("data", {}).get("train", 0.0)) / CONFIGURATIONS
-    heard = effects * np.tile(sigma / noise, CONFIGURATIONS)[:, None]
+    own_noise = np.tile(sigma / noise, CONFIGURATIONS)[:, None]
+    times = 1.0 + float(np.sum(np.mean((LOOSE * untold * own_noise) ** 2, axis=0)))
+    if not effects.shape[1]:
+        return effects, untold, times
+    heard = effects * own_noise
     prior = np.maximum(size[~own] / LOOSE, np.finfo(float).tiny) ** 2  # alone, none moves the target by more than LOOSE
     inverse, _ = pseudo_inverse(rows * heard.T @ heard + np.diag(prior), RANK**2)
-    return effects @ _root(inverse), untold
+    return effects @ _root(inverse), untold, times
 
 
 def _root(covariance: np.ndarray) -> np.ndarray:
