@@ -10,6 +10,8 @@ Example:
     poses = cal.predict(queries)
     joints = cal.compensate(poses, seed=queries)
     cal.save("results")
+    aridcal.compare("results/march", "results/april").causes  # what changed
+    aridcal.history("fleet").alarms  # which robots drift
 """
 
 from __future__ import annotations
@@ -28,17 +30,30 @@ __all__ = [
     "PlannedPoses",
     "__version__",
     "calibrate",
+    "compare",
+    "history",
     "load",
     "plan",
     "propose",
 ]
 
 if TYPE_CHECKING:
-    from aridcal.api import PlannedPoses, calibrate, load, plan, propose
+    from aridcal.api import PlannedPoses, calibrate, compare, history, load, plan, propose
     from aridcal.calibration import Calibration
     from aridcal.errors import AridcalError
     from aridcal.inputs.campaign import Campaign
 else:
+    import sys
+    from types import ModuleType
+
+    class _Face(ModuleType):
+        """The package: its verbs stay functions when a command's module of the same name is imported, which would hide them."""
+
+        def __setattr__(self, name, value):
+            if not (name in __all__ and isinstance(value, ModuleType)):
+                super().__setattr__(name, value)
+
+    sys.modules[__name__].__class__ = _Face
 
     def __getattr__(name):
         """Load the face when it is asked for (PEP 562): Pinocchio and pandas would make every command slow to start."""

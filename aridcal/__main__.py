@@ -18,6 +18,8 @@ COMMANDS = {
     "design": "configurations to measure next, and how well the target is known then",
     "check": "is a calibration still good, from a few new rows, and if not, what moved",
     "recalibrate": "mend a calibration with a few rows after something moved",
+    "compare": "what changed between two calibrations, beyond their uncertainty",
+    "history": "each robot's errors and constants over months, drifts and jumps, worst first",
     "print": "boards, cubes of tags and sockets for a ball, to print at true scale",
     "detect": "corners of printed boards and tags in images, as a table",
     "measure": "measured poses from camera images and sonar ranges",

@@ -7,6 +7,8 @@ Example:
     cal = aridcal.calibrate(campaign)
     poses = cal.predict(queries)
     cal.save("results")
+    aridcal.compare("march", "april").causes
+    aridcal.history("fleet").alarms
 """
 
 from __future__ import annotations
@@ -21,8 +23,10 @@ import pandas as pd
 from rich.console import Console
 
 from aridcal.calibration import Calibration
+from aridcal.compare import Changes, changes
 from aridcal.design import MOST, check_endings, check_outputs, write_plan
 from aridcal.errors import AridcalError, shortened
+from aridcal.history import FleetHistory, over_time
 from aridcal.init import tell
 from aridcal.inputs.campaign import Campaign, load_campaign, nominal_robot
 from aridcal.inputs.tables import AnyTable
@@ -38,7 +42,18 @@ from aridcal.result.saving import calibration
 from aridcal.robot.chain import Robot
 from aridcal.showing import working
 
-__all__ = ["AridcalError", "Calibration", "Campaign", "PlannedPoses", "calibrate", "load", "plan", "propose"]
+__all__ = [
+    "AridcalError",
+    "Calibration",
+    "Campaign",
+    "PlannedPoses",
+    "calibrate",
+    "compare",
+    "history",
+    "load",
+    "plan",
+    "propose",
+]
 
 
 def propose(
@@ -182,3 +197,30 @@ def load(path: str | Path) -> Calibration:
     path = Path(path)
     saved = SavedModel.load(path)
     return Calibration(saved, folder=path if path.is_dir() else path.parent)
+
+
+def compare(a: str | Path | Calibration, b: str | Path | Calibration) -> Changes:
+    """What changed between two calibrations of one robot beyond the uncertainty of both, as `aridcal compare` tells it.
+
+    Args:
+        a: The first: a result folder, the ``calibration.yaml`` in it, or a calibration.
+        b: The second.
+
+    Raises:
+        AridcalError: one is not there, or they are not of one arm.
+    """
+    first, second = (given.model if isinstance(given, Calibration) else given for given in (a, b))
+    return changes(first, second)
+
+
+def history(folder: str | Path, robot: str | None = None) -> FleetHistory:
+    """A fleet's calibrations over time: errors, constants, and which of these drift or jump, as `aridcal history` tells it.
+
+    Args:
+        folder: What `aridcal fleet` wrote, or a folder above several of them.
+        robot: The one to be shown; None: all.
+
+    Raises:
+        AridcalError: there are no runs, none of this robot, or DuckDB is not installed.
+    """
+    return over_time(folder, robot)

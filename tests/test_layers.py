@@ -33,6 +33,7 @@ STRANGERS = [{"fit", "head"}, {"report", "prepare"}]
 """Rooms that never meet."""
 
 KEPT_TO = {
+    "duckdb": ("aridcal.ageing.store",),
     "cv2": ("aridcal.boards.", "aridcal.head."),
     "meshcat": ("aridcal.view", "aridcal.drawing.scene"),
     "scipy.optimize": ("aridcal.fit.",),
@@ -134,6 +135,7 @@ def test_the_house_is_small_enough_to_be_looked_over() -> None:
         ("model.model", "import cv2", "cv2"),
         ("head.pose", "from aridcal.fit.residual import residuals", "never meet"),
         ("report.page", "from meshcat import geometry", "meshcat"),
+        ("ageing.wear", "import duckdb", "duckdb"),
         ("model.model", "from scipy import optimize", "scipy.optimize"),
         ("model.model", "from scipy.optimize import minimize", "scipy.optimize"),
         ("brand_new", "", "aridcal.brand_new has no place"),

@@ -199,6 +199,37 @@ def conditional(covariance: np.ndarray, theta: np.ndarray, gone: np.ndarray) -> 
     return moved
 
 
+def told(M: np.ndarray, share: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Directions that information tells.
+
+    Args:
+        M: Information of k unknowns, shape (k, k).
+        share: Of the largest eigenvalue, unknowns scaled alike, that one must reach.
+
+    Returns:
+        Eigenvalues (d,), vectors (k, d), and the scale (k,) of the unknowns.
+    """
+    S, scale = balanced(M)
+    S[:, scale == 0.0] = 0.0
+    values, vectors = np.linalg.eigh(S)
+    kept = values > share * max(float(values[-1]), np.finfo(float).tiny)
+    return values[kept], vectors[:, kept], scale
+
+
+def pseudo_inverse(H: np.ndarray, share: float) -> tuple[np.ndarray, int]:
+    """H^+ and the rank of H; see :func:`told`."""
+    values, vectors, scale = told(H, share)
+    root = (vectors / np.sqrt(values)).T * scale
+    return root.T @ root, len(values)
+
+
+def across(free: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """What is left of columns (n, k) where others (n, f) may take up all that they can: motions that nobody can tell apart."""
+    if not free.shape[1]:
+        return columns
+    return np.asarray(columns - free @ np.linalg.lstsq(free, columns, rcond=None)[0])
+
+
 def last_log_determinant(H: np.ndarray, first: int) -> float:
     """Logarithm of the determinant of what is left of the unknowns after the first ones, when these are solved for."""
     S, scale = balanced(H, RIDGE)

@@ -31,7 +31,7 @@ from aridcal.effects.loads import covariate_table
 from aridcal.fit.elimination import Eliminated
 from aridcal.fit.flags import FLOOR
 from aridcal.fit.least_squares import Fit
-from aridcal.fit.normal_equations import balanced
+from aridcal.fit.normal_equations import across, pseudo_inverse, told
 from aridcal.inputs.dataset import Dataset
 from aridcal.showing import SILENT, Progress
 from aridcal.trust.columns import Columns, columns_of
@@ -241,10 +241,10 @@ def _compared(
     J = rows.J.reshape(N * m, K)
     none = np.zeros((len(rows.known.left), K))
     JP, tied = rows.less(rows.J, none, things)
-    inverse, spent = _pseudo_inverse(J.T @ JP.reshape(N * m, K))
-    told, known = _draws(rows, data)
-    told, known = rows.less(told, known, things)
-    flat = told.reshape(N * m, -1)
+    inverse, spent = pseudo_inverse(J.T @ JP.reshape(N * m, K), RANK)
+    drawn, known = _draws(rows, data)
+    drawn, known = rows.less(drawn, known, things)
+    flat = drawn.reshape(N * m, -1)
     # What all coefficients together take off the residuals, and off every draw.
     steps = inverse @ (J.T @ flat)
     flat = flat - JP.reshape(N * m, K) @ steps
@@ -254,7 +254,7 @@ def _compared(
     left = round(float(numbers)) - spent
     for way, side in zip(ways, _sides(rows, ways, own, things, flat), strict=True):
         M = side.squares - side.cross.T @ inverse @ side.cross
-        values, vectors, scale = _told(M)
+        values, vectors, scale = told(M, RANK)
         d = len(values)
         if d == 0 or left - d < d:
             continue
@@ -350,22 +350,6 @@ def _draws(rows: Columns, data: Dataset) -> tuple[np.ndarray, np.ndarray]:
     return np.concatenate([rows.r[:, :, None], noise], axis=2), np.column_stack([rows.known.left, known])
 
 
-def _told(M: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Eigenvalues (d,) and vectors (k, d) of the directions that information tells, and the scale (k,) of the coefficients."""
-    S, scale = balanced(M)
-    S[:, scale == 0.0] = 0.0
-    values, vectors = np.linalg.eigh(S)
-    told = values > RANK * max(float(values[-1]), np.finfo(float).tiny)
-    return values[told], vectors[:, told], scale
-
-
-def _pseudo_inverse(H: np.ndarray) -> tuple[np.ndarray, int]:
-    """H^+ and the rank of H."""
-    values, vectors, scale = _told(H)
-    root = (vectors / np.sqrt(values)).T * scale
-    return root.T @ root, len(values)
-
-
 def _at_target(target: np.ndarray, own: np.ndarray, frames: np.ndarray) -> np.ndarray:
     """Mean square at the target of a difference of coefficients, shape (k, k), their common unobservable motion taken off.
 
@@ -377,7 +361,5 @@ def _at_target(target: np.ndarray, own: np.ndarray, frames: np.ndarray) -> np.nd
         frames: Those of the two frames, shape (K,) bool.
     """
     J = target.reshape(-1, target.shape[2])
-    rigid, J = J[:, frames], J[:, own]
-    if rigid.shape[1]:
-        J = J - rigid @ np.linalg.lstsq(rigid, J, rcond=None)[0]
+    J = across(J[:, frames], J[:, own])
     return np.asarray(J.T @ J) / len(target)

@@ -64,7 +64,7 @@ def changes(checked: Checked) -> tuple[Change, ...]:
         assert cause.suspect is not None
         own = cause.suspect.touched
         names = tuple(model.names[k] for k in own)
-        units = tuple(_unit(model, int(k)) for k in own)
+        units = tuple(unit_of(model, int(k)) for k in own)
         said.append(Change(cause, names, units, moved[own], std[own]))
     return (*_anew(checked, found.theta, std), *said)
 
@@ -103,7 +103,7 @@ def _frames_now(unknowns: Wide, theta: np.ndarray) -> dict[Place, pin.SE3]:
     return {(where, label): frame for where, frames in named for label, frame in frames}
 
 
-def _unit(model: Model, k: int) -> str:
+def unit_of(model: Model, k: int) -> str:
     """Unit of the motion that a coefficient makes: along, or about."""
     c = model.coefficients[k]
     if c.component == "axis":

@@ -121,18 +121,27 @@ def _effects(wide: SolvedModel) -> Iterator[Suspect]:
 
     Each of its coefficients may change, but a map only as a whole: samples that change one by one take up what is none of it.
     """
-    groups: dict[tuple[str, tuple[str, ...], bool], list[int]] = {}
-    for k, c in enumerate(wide.model.coefficients):
-        if not c.basis.constant and c.basis.form not in NEVER:
-            groups.setdefault((c.where, c.basis.of, c.basis.form in SMOOTH), []).append(k)
-    for (where, of, smooth), own in groups.items():
+    for (where, of, smooth), own in effect_groups(wide.model.coefficients).items():
         values = wide.theta[own]
         size = float(np.sqrt(np.mean(values**2)))
         if size > 0.0:
             directions = np.zeros((len(wide.theta), 1 if smooth else len(own)))
             directions[own] = values[:, None] if smooth else size * np.eye(len(own))
-            words = f"the effect at {where} that depends on {' and '.join(of)}"
-            yield Suspect("effect", where, words, directions, RATIOS)
+            yield Suspect("effect", where, effect_in_words(where, of), directions, RATIOS)
+
+
+def effect_groups(coefficients: Sequence[Coefficient]) -> dict[tuple[str, tuple[str, ...], bool], list[int]]:
+    """Indices of the coefficients of each effect, by where it is, what it depends on, and whether that is a smooth function."""
+    groups: dict[tuple[str, tuple[str, ...], bool], list[int]] = {}
+    for k, c in enumerate(coefficients):
+        if not c.basis.constant and c.basis.form not in NEVER:
+            groups.setdefault((c.where, c.basis.of, c.basis.form in SMOOTH), []).append(k)
+    return groups
+
+
+def effect_in_words(where: str, of: Sequence[str]) -> str:
+    """What an effect is called whose kind no calibration keeps."""
+    return f"the effect at {where} that depends on {' and '.join(of)}"
 
 
 def _zero(joint: Joint) -> Coefficient:

@@ -1,0 +1,1 @@
+"""What changed between two calibrations, and what changes over months."""

@@ -1,0 +1,272 @@
+"""Fleets over time in words, as tables, and as a page."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pandas as pd
+
+from aridcal import __version__
+from aridcal.ageing.trend import FEWEST
+from aridcal.ageing.wear import DAY_ZERO, FALSE_ALARMS, History, RobotHistory, Watched
+from aridcal.drawing.html import Content, Html, bullets, counted, figures, number, plus_minus, styled_page, table, tag
+from aridcal.drawing.timelines import Band, sparkline, timeline
+from aridcal.drawing.words import shown_in
+from aridcal.report.page import drawn
+from aridcal.result.outcome import enumerated
+
+MONTH = 365.25 / 12
+"""[d]"""
+
+PICTURED = 24
+"""Constants that the page draws: alarms first, then what may be the season."""
+
+LISTED = 200
+"""Robots that the page lists."""
+
+MUCH_SCATTER = 1.2
+"""Times its sigma that a constant must scatter by to be named for it."""
+
+
+def date(day: float) -> str:
+    """A day since 1970 as a date."""
+    return (DAY_ZERO + pd.Timedelta(days=day)).strftime("%Y-%m-%d")
+
+
+def change_in_words(w: Watched) -> str:
+    """What changed, since when, by how much."""
+    c = w.change
+    assert c is not None
+    unit, scale = shown_in(w.unit)
+    interval = f"{date(c.low)} to {date(c.high)}"
+    sign = "+" if c.size > 0 else ""
+    if c.kind == "drift":
+        since = (
+            f"before {date(c.high)}, perhaps before the first run"
+            if c.before_first
+            else f"{date(c.began)} ({interval})"
+        )
+        rate = plus_minus(scale * MONTH * c.size, scale * MONTH * c.std)
+        return f"{w.name} drifts since {since} by {sign}{rate} {unit} a month, {number(scale * c.so_far)} {unit} so far"
+    size = f"{sign}{plus_minus(scale * c.size, scale * c.std)} {unit}"
+    if c.kind == "jump":
+        return f"{w.name} jumped between {interval.replace(' to ', ' and ')} by {size}"
+    return f"{w.name} was odd on {date(c.began)} alone, by {size}: that run, not the robot"
+
+
+def robot_lines(robot: RobotHistory) -> list[str]:
+    """What is to be said of one robot."""
+    said = [f"{change_in_words(w)} (chance of a false alarm {number(w.p_value, 2)})" for w in robot.alarms]
+    if robot.cycles:
+        names = enumerated([w.name for w in robot.cycles])
+        said.append(f"{names} moved as a yearly cycle does: season or drift, more months will tell")
+    return [*said, *robot.notices]
+
+
+def remarks(found: History) -> list[str]:
+    """What is to be said of each robot, the worst first."""
+    return [f"{robot.name}: {line}" for robot in found.robots for line in robot_lines(robot)]
+
+
+def lines(found: History) -> list[str]:
+    """The answer in words."""
+    return [*remarks(found), *about(found)]
+
+
+def about(found: History) -> list[str]:
+    """What was looked at, and what alarms are worth."""
+    alarmed = [robot for robot in found.robots if robot.alarms]
+    runs = sum(len(robot.runs) for robot in found.robots)
+    said = [
+        f"{counted(len(found.robots), 'robot')}, {counted(runs, 'run')}: {len(alarmed) or 'no'} "
+        f"{'robot' if len(alarmed) == 1 else 'robots'} with an alarm",
+        f"of seasons in which nothing changes at most {FALSE_ALARMS:.0%} have an alarm anywhere among the {found.series} "
+        "constants that were looked at, month by month; a yearly cycle is no alarm",
+    ]
+    few = [robot.name for robot in found.robots if robot.watched and len(robot.watched[0].series.day) < FEWEST]
+    none = [robot.name for robot in found.robots if not robot.watched]
+    if few:
+        said.append(f"{_some(few)}: fewer than {FEWEST} runs, of which none can tell a drift from the season")
+    if none:
+        said.append(f"{_some(none)}: fewer than two runs that can be compared")
+    wide = {name: value for name, value in found.scatter.items() if value > MUCH_SCATTER}
+    if wide:
+        worst = max(wide, key=lambda name: wide[name])
+        said.append(
+            f"{counted(len(wide), 'constant')} of the fleet scatter by more than their sigma, {worst} most, "
+            f"{number(wide[worst], 2)} times: alarms allow for it"
+        )
+    return said
+
+
+def _some(names: list[str]) -> str:
+    """Names, of many the first."""
+    return enumerated(names if len(names) <= 4 else [*names[:3], f"{len(names) - 3} more"])
+
+
+def robot_table(found: History) -> pd.DataFrame:
+    """A row for each robot, the worst first."""
+    rows = []
+    for robot in found.robots:
+        channel, final = robot.error("final")
+        _, nominal = robot.error("nominal")
+        rows.append(
+            {
+                "robot": robot.name,
+                "runs": len(robot.runs),
+                "first": robot.runs["measured"].min(),
+                "last": robot.runs["measured"].max(),
+                "channel": channel,
+                "nominal_rms": nominal[-1] if len(nominal) else np.nan,
+                "final_rms": final[-1] if len(final) else np.nan,
+                "alarms": len(robot.alarms),
+                "p_value": min((w.p_value for w in robot.watched), default=1.0),
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def alarm_table(found: History) -> pd.DataFrame:
+    """A row for each alarm: sizes in [m] and [rad], of a drift for a month."""
+    rows = []
+    for w in (w for robot in found.robots for w in robot.alarms):
+        c = w.change
+        assert c is not None
+        per = MONTH if c.kind == "drift" else 1.0
+        rows.append(
+            {
+                "robot": w.robot,
+                "name": w.name,
+                "kind": c.kind,
+                "began": DAY_ZERO + pd.Timedelta(days=c.began),
+                "earliest": DAY_ZERO + pd.Timedelta(days=c.low),
+                "latest": DAY_ZERO + pd.Timedelta(days=c.high),
+                "before_first": c.before_first,
+                "size": per * c.size,
+                "std": per * c.std,
+                "so_far": c.so_far,
+                "unit": w.unit,
+                "p_value": w.p_value,
+            }
+        )
+    columns = ["robot", "name", "kind", "began", "earliest", "latest", "before_first", "size", "std", "so_far", "unit"]
+    return pd.DataFrame(rows, columns=[*columns, "p_value"])
+
+
+def constant_table(found: History) -> pd.DataFrame:
+    """Every constant of every robot in every run that is compared, [m] and [rad]; ``std`` with the fleet's scatter."""
+    parts = [
+        pd.DataFrame(
+            {
+                "robot": w.robot,
+                "name": w.name,
+                "measured": DAY_ZERO + pd.to_timedelta(w.series.day, unit="D"),
+                "value": w.series.value,
+                "std": w.series.std,
+                "unit": w.unit,
+            }
+        )
+        for robot in found.robots
+        for w in robot.watched
+    ]
+    columns = ["robot", "name", "measured", "value", "std", "unit"]
+    return pd.concat(parts, ignore_index=True) if parts else pd.DataFrame(columns=columns)
+
+
+def error_table(found: History) -> pd.DataFrame:
+    """Every robot's errors on held-out rows, run by run, in the unit that the channel's name ends in."""
+    columns = ["robot", "measured", "stage", "channel", "rms", "p95", "max"]
+    parts = [robot.errors.assign(robot=robot.name) for robot in found.robots]
+    return pd.concat(parts, ignore_index=True)[columns]
+
+
+def history_page(found: History, title: str) -> Html:
+    """The page, self-contained.
+
+    Args:
+        found: The fleet over time.
+        title: What the fleet is called: its folder.
+    """
+    alarmed = [robot for robot in found.robots if robot.alarms]
+    one = found.robots[0].name if len(found.robots) == 1 else None
+    heading = f"{one} over time" if one else f"{len(alarmed) or 'No'} of {counted(len(found.robots), 'robot')} changed"
+    chapters = [
+        ("What changed?", _alarms(found)),
+        ("Every robot, the worst first", _robots(found)),
+        ("How sure is this?", _about(found)),
+    ]
+    body = [
+        tag("header", tag("p", title, class_="about"), tag("h1", heading)),
+        tag("main", [tag("section", tag("h2", name), drawn(name, content)) for name, content in chapters]),
+        tag("footer", f"aridcal {__version__}"),
+    ]
+    return styled_page(f"{title}: {heading}", body)
+
+
+def _alarms(found: History) -> Iterator[Content]:
+    """Alarms with their pictures, then what may be the season."""
+    of = found.robots
+    if not any(robot.alarms or robot.cycles for robot in of):
+        yield tag("p", "Nothing beyond what the uncertainty explains.")
+    said = [[tag("b", robot.name), f": {line}"] for robot in of for line in robot_lines(robot)]
+    if said:
+        yield bullets(said, 60, "more remarks")
+    shown = [w for robot in of for w in robot.alarms] + [w for robot in of for w in robot.cycles]
+    if shown:
+        yield figures([(_caption(w), _picture(w)) for w in shown[:PICTURED]])
+    if len(shown) > PICTURED:
+        yield tag("p", f"{len(shown) - PICTURED} more are in the tables of `aridcal.history`.")
+
+
+def _caption(w: Watched) -> Content:
+    what = "season or drift" if w.change is None else w.change.kind
+    return [tag("b", w.robot), f" · {w.name} · {what}"]
+
+
+def _picture(w: Watched) -> Html:
+    unit, scale = shown_in(w.unit)
+    bands = [] if w.change is None else [Band(w.change.low, w.change.high, "when it began")]
+    series = w.series
+    alt = f"{w.name} of {w.robot} over time, with bars of two sigma"
+    return timeline(series.day, scale * series.value, scale * series.std, f"{w.name} [{unit}]", alt, bands)
+
+
+def _robots(found: History) -> Iterator[Content]:
+    """A line for each robot."""
+    rows: list[list[Content]] = []
+    for robot in found.robots[:LISTED]:
+        _, final = robot.error("final")
+        words = ", ".join(f"{w.name}: {w.change.kind}" for w in robot.alarms if w.change)
+        season = f"{len(robot.cycles)} perhaps the season" if robot.cycles and not words else ""
+        rows.append(
+            [
+                robot.name,
+                words or season or "–",
+                str(len(robot.runs)),
+                robot.last_day,
+                robot.last_error("nominal"),
+                robot.last_error("final"),
+                sparkline(final, f"RMS error of {robot.name} after calibration, run by run"),
+            ]
+        )
+    more = f"; {LISTED} of {len(found.robots)}" if len(found.robots) > LISTED else ""
+    titles = ["robot", "changed", "runs", "last run", "RMS before", "RMS after", "RMS after, over time"]
+    yield table(titles, rows, f"Errors on held-out rows of the last run, before and after calibration{more}", numbers=2)
+
+
+def _about(found: History) -> Iterator[Content]:
+    """What alarms are worth, and how they are made."""
+    yield bullets(about(found))
+    yield tag(
+        "p",
+        "Constants are compared in one gauge: a robot's runs that told the same constants, of the same nominal URDF. The zero of "
+        "a first or last joint that moved looks like a base or a tool that was set up anew, and these are not counted. Bars are "
+        "two sigma; a coloured band holds with 95 % the time at which a change began.",
+    )
+    yield tag(
+        "p",
+        f"Read from {counted(len(found.files), 'table')}: ",
+        ", ".join(found.files[:6]),
+        " …" if len(found.files) > 6 else "",
+    )

@@ -1,0 +1,151 @@
+"""Tell which robots of a fleet drift or jump, from all its calibrations over time: the worst first.
+
+DIR is a folder that `aridcal fleet` wrote, or one above several: every fleet.parquet below it counts. Each constant of each
+robot is followed from run to run. A drift or a jump raises an alarm, with the date on which it began and an interval; a yearly
+cycle raises none. Of seasons in which nothing changes at most 1 % have an alarm anywhere in the fleet, however often one looks.
+Base and tool are set up anew for every measurement and are not counted, nor is what looks like them.
+
+With -o DIR, DIR/history.html and DIR/history.csv are written; the table has every constant in every run.
+
+Exit status: 0 no alarm, 3 an alarm among the robots that were asked about.
+
+Needs DuckDB: pip install "aridcal[fleet]".
+
+Example:
+    aridcal history fleet
+    aridcal history fleet r017
+    aridcal history fleet -o season
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import pandas as pd
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from aridcal.ageing.history_page import (
+    about,
+    alarm_table,
+    constant_table,
+    error_table,
+    history_page,
+    lines,
+    remarks,
+    robot_table,
+)
+from aridcal.ageing.store import read_runs
+from aridcal.ageing.wear import History, history
+from aridcal.command_line import DONE, NOT_GOOD, CommandParser, command_parser, run
+from aridcal.drawing.html import tag
+from aridcal.reading.names import path_argument
+from aridcal.writing.files import atomic_folder, claimed
+from aridcal.writing.tables import write_table
+
+FILES = frozenset({"history.html", "history.csv"})
+"""All that is written."""
+
+SHOWN = 12
+"""Robots that are printed, and lines about them; the page has all."""
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class FleetHistory:
+    """A fleet over time, for Python.
+
+    Attributes:
+        robots: A row for each robot, the worst first.
+        alarms: A row for each constant that changed: when, by how much, [m] and [rad], of a drift for a month.
+        constants: Every constant in every run, [m] and [rad].
+        errors: Errors on held-out rows, run by run.
+        lines: The whole answer in words.
+    """
+
+    robots: pd.DataFrame
+    alarms: pd.DataFrame
+    constants: pd.DataFrame
+    errors: pd.DataFrame
+    lines: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        return "\n".join(self.lines)
+
+    def _repr_html_(self) -> str:
+        return "".join(tag("div", line) for line in self.lines)
+
+
+def over_time(folder: str | Path, robot: str | None = None) -> FleetHistory:
+    """A fleet over time, for Python.
+
+    Args:
+        folder: What `aridcal fleet` wrote, or a folder above several of them.
+        robot: The one to be shown; None: all.
+
+    Raises:
+        AridcalError: there are no runs, or none of this robot.
+    """
+    found = history(read_runs(Path(folder)), robot)
+    tables = robot_table(found), alarm_table(found), constant_table(found), error_table(found)
+    return FleetHistory(*tables, tuple(lines(found)))
+
+
+def parser() -> CommandParser:
+    """The command's arguments."""
+    arguments = command_parser("history", __doc__)
+    arguments.add_argument("folder", type=path_argument, metavar="DIR", help="folder of one fleet or of several")
+    arguments.add_argument("robot", nargs="?", help="show this one alone (default: all)")
+    arguments.add_argument(
+        "-o", "--out", type=path_argument, metavar="DIR", help="where to write history.html and history.csv"
+    )
+    return arguments
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command; returns its exit status."""
+    arguments = parser().parse_args(argv)
+    return run(lambda: _main(arguments))
+
+
+def _main(arguments: argparse.Namespace) -> int:
+    if arguments.out is None:
+        return _said(history(read_runs(arguments.folder), arguments.robot))
+    with claimed(arguments.out, "folder", FILES):
+        found = history(read_runs(arguments.folder), arguments.robot)
+        with atomic_folder(arguments.out, FILES) as stage:
+            page = history_page(found, str(arguments.folder))
+            (stage / "history.html").write_text(page, encoding="utf-8", errors="replace")
+            write_table(constant_table(found), stage / "history.csv")
+        return _said(found)
+
+
+def _said(found: History) -> int:
+    console = Console()
+    console.print(_table(found))
+    said = remarks(found)
+    more = [f"and {len(said) - SHOWN} more remarks"] if len(said) > SHOWN else []
+    for line in [*said[:SHOWN], *more, *about(found)]:
+        console.print(line, markup=False, highlight=False, soft_wrap=True)
+    return NOT_GOOD if any(robot.alarms for robot in found.robots) else DONE
+
+
+def _table(found: History) -> Table:
+    """The worst robots."""
+    more = f" ({SHOWN} of {len(found.robots)})" if len(found.robots) > SHOWN else ""
+    table = Table(title=f"robots, the worst first{more}", title_justify="left")
+    table.add_column("robot")
+    for column in ("runs", "last run", "RMS before", "RMS after", "alarms"):
+        table.add_column(column, justify="right")
+    for robot in found.robots[:SHOWN]:
+        errors = [robot.last_error(stage) for stage in ("nominal", "final")]
+        table.add_row(Text(robot.name), str(len(robot.runs)), robot.last_day, *errors, str(len(robot.alarms)))
+    return table
+
+
+if __name__ == "__main__":
+    sys.exit(main())
