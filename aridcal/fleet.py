@@ -49,7 +49,10 @@ def parser() -> CommandParser:
     """The command's arguments."""
     arguments = command_parser("fleet", __doc__)
     arguments.add_argument(
-        "campaigns", nargs="+", metavar="CAMPAIGN", help="campaigns, or patterns of them in quotes: 'robots/*/campaign.yaml'"
+        "campaigns",
+        nargs="+",
+        metavar="CAMPAIGN",
+        help="campaigns, or patterns of them in quotes: 'robots/*/campaign.yaml'",
     )
     arguments.add_argument(
         "-o", "--out", type=path_argument, required=True, metavar="DIR", help="folder of all results"

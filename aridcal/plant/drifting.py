@@ -1,8 +1,8 @@
 r"""Constants that drift: the last run of a robot beside its first, against what both are known to.
 
-For each constant that both identified, :math:`z = (x_2 - x_1) / \sqrt{\sigma_1^2 + \sigma_2^2}`. All constants of all robots share one
-chance of a false alarm (Bonferroni). The standard deviations know of the noise alone: what a model lacks may move constants further
-where other configurations were measured.
+For each constant that both identified, :math:`z = (x_2 - x_1) / \sqrt{\sigma_1^2 + \sigma_2^2}`. All constants of all robots
+share one chance of a false alarm (Bonferroni). The standard deviations know of the noise alone: what a model lacks may move
+constants further where other configurations were measured.
 """
 
 from __future__ import annotations

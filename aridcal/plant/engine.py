@@ -1,8 +1,8 @@
 """Tasks on a Dask cluster: processes of this computer, or any cluster by the address of its scheduler.
 
-A worker gets one task for each of its threads and no more, so that a worker's death speaks of those alone that it worked on.
-Dask gives them to other workers; after so many deaths (its `allowed-failures`, 3 unless the cluster's owner says otherwise) a task
-is given up. That is more than once, for a death is seldom the task's fault: the system is out of memory, a node is taken away.
+A worker gets one task for each of its threads and no more, so that a worker's death speaks of those alone that it worked
+on. Dask gives them to other workers; after so many deaths (its `allowed-failures`, 3 unless the cluster's owner says otherwise) a
+task is given up. That is more than once, for a death is seldom the task's fault: memory runs out, a node is taken away.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ def dask_engine(address: str | None, progress: Progress, patience: float = PATIE
         import distributed
     except ImportError:
         raise AridcalError(MISSING) from None
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what matters of it is said by us
+    _silence()
     if address is None:
         with (
             _quiet_cluster(distributed) as local,
@@ -81,11 +81,11 @@ def dask_engine(address: str | None, progress: Progress, patience: float = PATIE
         """The connection, made anew where it broke."""
         if clients[-1].status != "running":
             _close(clients[-1])
-            progress(f"{address} is gone; waiting up to {patience:.0f} s for it to come back")
+            progress.note(f"{address} is gone; waiting up to {patience:.0f} s for it to come back")
             again = _connected(address, patience)
             if again is None:
                 raise EngineGone(f"the scheduler at {address} is gone, and did not come back within {patience:.0f} s")
-            progress(f"{address} is back")
+            progress.note(f"{address} is back")
             clients.append(again)
         return clients[-1]
 
@@ -93,6 +93,13 @@ def dask_engine(address: str | None, progress: Progress, patience: float = PATIE
         yield _engine(current, progress, patience)
     finally:
         _close(clients[-1])
+
+
+def _silence() -> None:
+    """What matters of Dask's own messages is said by us, without tracebacks."""
+    for name in [*logging.root.manager.loggerDict, "distributed.client", "asyncio"]:
+        if name.partition(".")[0] in ("distributed", "asyncio", "tornado"):
+            logging.getLogger(name).setLevel(logging.CRITICAL)
 
 
 @contextmanager
@@ -123,9 +130,7 @@ def _connected(address: str, patience: float) -> Client | None:
                 return None
             time.sleep(LOOK)
         except ValueError as problem:
-            raise AridcalError(
-                f"{address}: is no address of a scheduler ({problem}); write tcp://HOST:8786"
-            ) from None
+            raise AridcalError(f"{address}: is no address of a scheduler ({problem}); write tcp://HOST:8786") from None
 
 
 def _close(client: Client) -> None:
@@ -163,7 +168,7 @@ def _asked(
     """Have tasks done on one connection; those given are let go if the block around ends early."""
     answers: queue.SimpleQueue[str] = queue.SimpleQueue()
     flying: dict[str, Future] = {}
-    left = [*reversed(tasks)]
+    left = list(tasks)[::-1]
     idle_since = time.monotonic()
     try:
         while left or flying:
@@ -172,7 +177,7 @@ def _asked(
                 idle_since = time.monotonic()
             elif time.monotonic() - idle_since > TELL_IDLE:
                 idle_since = time.monotonic()
-                progress("no worker is there; waiting for one")
+                progress.note("no worker is there; waiting for one")
             for name in islice(iter(lambda: left.pop() if left else None, None), max(slots - len(flying), 0)):
                 flying[name] = _given(client, work, tasks[name], name, answers)
             try:

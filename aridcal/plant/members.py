@@ -56,8 +56,8 @@ def members(patterns: Sequence[str], out: Path) -> tuple[Member, ...]:
     by_name: dict[str, list[Path]] = {}
     for path in found:
         by_name.setdefault(path.parent.name, []).append(path)
-    for name, paths in by_name.items():
-        _check(name, paths, out)
+    for name, of_name in by_name.items():
+        _check(name, of_name, out)
     return tuple(Member(name, by_name[name][0]) for name in sorted(by_name))
 
 
@@ -72,6 +72,4 @@ def _check(name: str, paths: Sequence[Path], out: Path) -> None:
     if name in TAKEN or not name or name.startswith("."):
         raise CampaignError(f"{paths[0]}: a robot cannot be called {name!r}; rename the folder of its campaign")
     if (out / name).resolve() == paths[0].parent.resolve():
-        raise CampaignError(
-            f"{out}: the results of {name} would stand among its inputs; choose another folder with -o"
-        )
+        raise CampaignError(f"{out}: the results of {name} would stand among its inputs; choose another folder with -o")

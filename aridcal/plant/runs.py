@@ -170,8 +170,7 @@ class _Told:
         self._done += 1
         if row["status"] == FAILED:
             self._failed += 1
-            self._progress(f"{row['robot']} failed: {shortened(row['error'].splitlines()[0], 200)}")
-            self._progress.at(f"calibrating {self._total:,} robots")
+            self._progress.note(f"{row['robot']} failed: {shortened(row['error'].splitlines()[0], 200)}")
         left = (self._clock() - self._started) / self._done * (self._total - self._done)
         failed = f", {self._failed:,} failed" if self._failed else ""
         self._progress.part(self._done, self._total, f"robots{failed}, {duration(left)} left")

@@ -1,10 +1,10 @@
 r"""Robots that stand out of their fleet, with a stated rate of false alarms.
 
-Each number of a robot (the logarithm of its error at each stage, each of its constants) is set beside the same number of all robots
-of its make: :math:`z_i = |x_i - m| / s`, with the median :math:`m` and the median of absolute deviations from it,
+Each number of a robot (the logarithm of its error at each stage, each of its constants) is set beside the same number of all
+robots of its make: :math:`z_i = |x_i - m| / s`, with the median :math:`m` and the median of absolute deviations from it,
 :math:`s = 1.4826 \operatorname{MAD}` (Hampel 1974; Leys et al. 2013, doi:10.1016/j.jesp.2013.03.013), which half of the robots
-may spoil without moving it. Where a number is known to a standard deviation of its own, :math:`s_i^2 = s^2 + \sigma_i^2`: more than
-that is not asked of one that is known badly.
+may spoil without moving it. Where a number is known to a standard deviation of its own, :math:`s_i^2 = s^2 + \sigma_i^2`: more
+than that is not asked of one that is known badly.
 
 The threshold is the quantile of the largest :math:`z` of :math:`n` normal numbers, drawn and not approximated: with 8 robots the
 median of deviations is itself known to a quarter. All numbers of a fleet share one chance of a false alarm (Bonferroni).
@@ -136,17 +136,15 @@ def _beyond(number: _Number, chance: float) -> Iterator[StandsOut]:
         value, middle = float(number.values[k]), usual
         if number.logarithmic:
             value, middle = float(np.exp(value)), float(np.exp(middle))
-        yield StandsOut(
-            number.robots[k], number.what, value, middle, scatter, number.unit, float(times[k]), threshold
-        )
+        yield StandsOut(number.robots[k], number.what, value, middle, scatter, number.unit, float(times[k]), threshold)
 
 
 @functools.lru_cache(maxsize=256)
 def quantile_of_largest(n: int, chance: float) -> float:
     """Threshold that the largest of n normal numbers' z exceeds with a chance, by seeded draws.
 
-    What lies beyond the draws is extrapolated by the tail's own decay: its logarithm falls about linearly in the logarithm of z (few
-    robots: the median of deviations in the denominator comes near zero) or faster, so that the threshold is rather too high.
+    What lies beyond the draws is extrapolated by the tail's own decay: its logarithm falls about linearly in the logarithm of z
+    (few robots: the median of deviations in the denominator comes near zero) or faster, so that the threshold is rather too high.
 
     Args:
         n: Robots.
