@@ -41,7 +41,7 @@ VERDICTS = {
     "not_enough_data": "too few data",
 }
 
-MOST_NOTICES, MOST_WITHIN, MOST_NAMED = 30, 10, 8
+MOST_NOTICES, MOST_WITHIN, MOST_NAMED = 30, 10, 3
 """Notices that are listed; constants shown that moved no more than chance has them move; robots named for one effect."""
 
 
@@ -112,7 +112,7 @@ def _summary(done: Sequence[Row]) -> Iterator[Content]:
 def _not_done(ran: Ran) -> Iterator[Content]:
     """Robots that failed, with why; and those that remain."""
     if ran.failed:
-        lines = [[name, shortened(why, 1000)] for name, why in ran.failed.items()]
+        lines = [[_name(name), shortened(why, 1000)] for name, why in ran.failed.items()]
         yield table(["robot", "why"], lines, "Robots that failed; the others are not touched by it", numbers=2)
     if ran.remaining:
         yield tag("p", f"Not computed, for {ran.gone}: {', '.join(ran.remaining)}.")
@@ -180,8 +180,8 @@ def _standing_out(rows: Sequence[Row]) -> Iterator[Content]:
     if not found:
         yield tag("p", "No robot stands out.")
         return
-    lines = [[out.robot, out.what, *_values(out), _times(out.times), number(out.threshold, 2)] for out in found]
-    head = ["robot", "number", "of this robot", "usual", "scatters off", "told from"]
+    lines = [[_name(out.robot), out.what, *_values(out), _times(out.times), number(out.threshold, 2)] for out in found]
+    head = ["robot", "number", "of this robot", "usual", "× scatter", "told from"]
     caption = (
         "How many robust standard deviations a robot is from the median of its make, and from how many on it is told"
     )
@@ -215,8 +215,8 @@ def _drifting(ran: Ran) -> Iterator[Content]:
         "p",
         f"Of {counted(robots, 'robot')} measured more than once the last run was set beside the first, "
         f"{counted(len(found), 'constant')} in all: {len(beyond):,} moved by more than the noise has them move. Of a fleet in "
-        f"which nothing moves, any constant is told so in {100 * FALSE_ALARMS:.0f} % of cases; the standard deviations know of noise "
-        "alone, and an effect that a model lacks moves constants, too.",
+        f"which nothing moves, any constant is told so in {100 * FALSE_ALARMS:.0f} % of cases; the standard deviations know of "
+        "noise alone, and an effect that a model lacks moves constants, too.",
     )
     shown = [*beyond, *[drift for drift in found if not drift.beyond][:MOST_WITHIN]]
     if shown:
@@ -232,7 +232,7 @@ def _drift(drift: Drift) -> list[Content]:
     values = [plus_minus(times * x, times * s) for x, s in ((x1, s1), (x2, s2), (x2 - x1, math.hypot(s1, s2)))]
     told: Content = tag("strong", "moved") if drift.beyond else "within chance"
     return [
-        drift.robot,
+        _name(drift.robot),
         drift.name,
         told,
         *(f"{value} {unit}" for value in values),
@@ -306,6 +306,11 @@ def _said(value: float, channel: str) -> str:
     return f"{number(value)} {_unit(channel)}"
 
 
+def _name(robot: str) -> Html:
+    """A robot's name on one line."""
+    return tag("span", robot, style="white-space: nowrap")
+
+
 def _link(row: Row) -> Html:
     """A robot's name, which leads to its report."""
-    return tag("a", row["robot"], href=f"{quote(row['robot'])}/report.html", style="white-space: nowrap")
+    return tag("a", _name(row["robot"]), href=f"{quote(row['robot'])}/report.html")

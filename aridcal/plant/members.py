@@ -46,7 +46,7 @@ def members(patterns: Sequence[str], out: Path) -> tuple[Member, ...]:
     for pattern in patterns:
         check_path(Path(pattern), CampaignError)
         # A path that is there is meant as it is, brackets and all.
-        paths = [pattern] if Path(pattern).exists() else sorted(glob.glob(pattern, recursive=True))
+        paths = [pattern] if Path(pattern).exists() else sorted(glob.glob(pattern, recursive=True))  # noqa: PTH207 - of absolute patterns, too
         files = [path for path in map(Path, paths) if not path.absolute().is_relative_to(out)]
         if not files:
             raise CampaignError(
