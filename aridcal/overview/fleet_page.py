@@ -14,13 +14,10 @@ from aridcal.drawing.figures import falling
 from aridcal.drawing.html import (
     Content,
     Html,
-    attempt,
     bullets,
     counted,
     figures,
     fixed,
-    join,
-    missing,
     number,
     plus_minus,
     styled_page,
@@ -29,6 +26,7 @@ from aridcal.drawing.html import (
 )
 from aridcal.drawing.words import shown_in
 from aridcal.errors import shortened
+from aridcal.overview.sections import drawn
 from aridcal.plant.drifting import Drift, drifting
 from aridcal.plant.figures_of import are_done, channels_of, error_of
 from aridcal.plant.record import Row
@@ -70,23 +68,14 @@ def fleet_page(ran: Ran, title: str) -> Html:
             "header",
             tag("p", f"Fleet {title}", class_="about"),
             tag("h1", heading),
-            _drawn("Summary", lambda: _summary(done)),
+            drawn("fleet.html", "Summary", lambda: _summary(done)),
         ),
-        tag("main", [tag("section", tag("h2", name), _drawn(name, content)) for name, content in chapters]),
+        tag(
+            "main", [tag("section", tag("h2", name), drawn("fleet.html", name, content)) for name, content in chapters]
+        ),
         tag("footer", f"aridcal {__version__}; every figure is in fleet.parquet"),
     ]
     return styled_page(f"{heading}: {title}", body)
-
-
-def _drawn(name: str, content: Callable[[], Iterator[Content]]) -> list[Content]:
-    """A section up to where it fails, and then a line that says so."""
-    parts: list[Content] = []
-
-    def draw() -> None:
-        parts.extend(join(part) for part in content())
-
-    attempt(f"fleet.html: the rest of section {name!r}", draw, lambda notice: parts.append(missing(notice)))
-    return parts
 
 
 def _summary(done: Sequence[Row]) -> Iterator[Content]:
@@ -122,7 +111,7 @@ def _errors(done: Sequence[Row]) -> Iterator[Content]:
     """Errors of all robots, one picture for each channel that judges."""
     if not done:
         yield tag("p", "No robot was calibrated.")
-    drawn: list[tuple[Content, Html]] = []
+    pictures: list[tuple[Content, Html]] = []
     for channel in _leading(done):
         own = _worst_first(done, channel)
         unit = _unit(channel)
@@ -133,8 +122,8 @@ def _errors(done: Sequence[Row]) -> Iterator[Content]:
             {stage: np.array([error_of(row, stage, channel) for row in own]) for stage in ("final", "nominal")},
             ("robot, worst first", f"RMS on held-out rows [{unit}]"),
         )
-        drawn.append((f"{counted(len(own), 'robot')}: as built, and with constants and effects", picture))
-    yield figures(drawn)
+        pictures.append((f"{counted(len(own), 'robot')}: as built, and with constants and effects", picture))
+    yield figures(pictures)
 
 
 def _every_robot(done: Sequence[Row]) -> Iterator[Content]:

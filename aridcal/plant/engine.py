@@ -69,6 +69,10 @@ def dask_engine(address: str | None, progress: Progress, patience: float = PATIE
         ):
             yield _engine(lambda: client, progress, 0.0)
         return
+    try:
+        distributed.comm.get_address_host_port(address, strict=True)
+    except ValueError as problem:
+        raise AridcalError(f"{address}: is no address of a scheduler: {problem}; write tcp://HOST:8786") from None
     client = _connected(address, ANSWER)
     if client is None:
         raise AridcalError(
@@ -129,8 +133,6 @@ def _connected(address: str, patience: float) -> Client | None:
             if time.monotonic() > end:
                 return None
             time.sleep(LOOK)
-        except ValueError as problem:
-            raise AridcalError(f"{address}: is no address of a scheduler ({problem}); write tcp://HOST:8786") from None
 
 
 def _close(client: Client) -> None:

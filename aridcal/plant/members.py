@@ -33,7 +33,7 @@ def members(patterns: Sequence[str], out: Path) -> tuple[Member, ...]:
 
     Args:
         patterns: Paths of campaigns, in which ``*``, ``?`` and ``**`` stand for what the shell has them stand for.
-        out: The fleet's folder; what is in it is no input.
+        out: The fleet's folder.
 
     Returns:
         One for each robot, by name.
@@ -47,12 +47,11 @@ def members(patterns: Sequence[str], out: Path) -> tuple[Member, ...]:
         check_path(Path(pattern), CampaignError)
         # A path that is there is meant as it is, brackets and all.
         paths = [pattern] if Path(pattern).exists() else sorted(glob.glob(pattern, recursive=True))  # noqa: PTH207 - of absolute patterns, too
-        files = [path for path in map(Path, paths) if not path.absolute().is_relative_to(out)]
-        if not files:
+        if not paths:
             raise CampaignError(
                 f"{pattern}: no campaign fits this; a pattern names files, 'robots/*/campaign.yaml' for instance"
             )
-        found |= dict.fromkeys(Path(os.path.normpath(path.absolute())) for path in files)
+        found |= dict.fromkeys(Path(os.path.normpath(Path(path).absolute())) for path in paths)
     by_name: dict[str, list[Path]] = {}
     for path in found:
         by_name.setdefault(path.parent.name, []).append(path)

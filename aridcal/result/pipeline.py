@@ -78,6 +78,7 @@ def identify(
     progress: Progress = SILENT,
     cache: Path | None = None,
     judge: Judge = lambda *_: None,
+    choose: Callable[[Dataset], Dataset] = lambda rows: rows,
 ) -> Outcome:
     """Run a campaign up to its outcome.
 
@@ -88,6 +89,7 @@ def identify(
         progress: Called with what is being done.
         cache: ``fiducials.csv`` of an earlier run on the same images, if there is one.
         judge: Asked about a table of poses before effects are sought.
+        choose: Gives the rows to calibrate from, of those that were read.
 
     Raises:
         AridcalError: whatever in the input needs mending.
@@ -99,7 +101,7 @@ def identify(
     if verify is not None and campaign.measurements.head is not None:
         raise CampaignError(f"{campaign.path}: --verify needs a table of poses; `kind: camera_sonar` has shots")
     read = read_rows(campaign, robot, cache, seed, progress)
-    campaign, rows = read.campaign, with_directions(read.rows)
+    campaign, rows = read.campaign, choose(with_directions(read.rows))
     still = _check_motion(campaign, rows)
     labels = station_labels(campaign, rows)
     check_memory(_size(campaign, robot, rows, labels), str(campaign.path), available_memory())
