@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import nullcontext
 from pathlib import Path
 
@@ -34,7 +34,6 @@ from aridcal.plant.members import TAKEN, members
 from aridcal.plant.runs import Ran, computed, planned
 from aridcal.plant.table import NAME
 from aridcal.reading.names import path_argument
-from aridcal.result.outcome import Outcome
 from aridcal.result_folder import write_folder
 from aridcal.showing import told_on
 from aridcal.writing.files import atomic_file, claimed
@@ -71,18 +70,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     return run(lambda: _main(arguments))
 
 
-def write_robot(outcome: Outcome, folder: Path, beside: Mapping[str, str]) -> None:
-    """Write the result folder of a robot, on whatever worker."""
-    write_folder(outcome, folder, beside=beside)
-
-
 def _main(arguments: argparse.Namespace) -> int:
     out: Path = arguments.out
     fleet = members(arguments.campaigns, out)
     console = Console()
     with claimed(out, "folder", TAKEN), told_on(Console(stderr=True)) as progress:
         out.mkdir(exist_ok=True)
-        plan = planned(fleet, out, write_robot, progress)
+        plan = planned(fleet, out, write_folder, progress)
         with dask_engine(arguments.scheduler, progress) if plan.tasks else nullcontext(here) as engine:
             ran = computed(plan, engine, progress)
         progress("drawing the page")

@@ -33,6 +33,8 @@ STRANGERS = [{"fit", "head"}, {"report", "prepare"}]
 """Rooms that never meet."""
 
 KEPT_TO = {
+    "dask": ("aridcal.plant.engine",),
+    "distributed": ("aridcal.plant.engine",),
     "cv2": ("aridcal.boards.", "aridcal.head."),
     "meshcat": ("aridcal.view", "aridcal.drawing.scene"),
     "scipy.optimize": ("aridcal.fit.",),

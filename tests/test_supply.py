@@ -25,6 +25,9 @@ PART_OF = {"coal": "pinocchio", "pydantic_core": "pydantic", "tornado": "meshcat
 """Modules of packages that a dependency requires and in whose terms it speaks: its errors, its server, its messages,
 its shapes."""
 
+EXTRAS = {"distributed": ("fleet", "plant/engine.py")}
+"""Imported by those who have asked for them: the extra that brings each, and the only file that imports it, in functions."""
+
 NOT_OURS = {"IPython"}
 """Imported only inside a notebook, which has it."""
 
@@ -51,7 +54,24 @@ def test_every_dependency_is_used_and_everything_used_is_a_dependency() -> None:
     imported = set().union(*(used(path.read_text("utf-8")) for path in (HOME / "aridcal").rglob("*.py")))
     imported = {PART_OF.get(name, name) for name in imported} - NOT_OURS
     assert not imported & set(BY_OTHERS)
-    assert imported | set(BY_OTHERS) == {IMPORTED_AS.get(r.name, r.name) for r in NEEDED}
+    assert set(EXTRAS) <= imported
+    assert (imported - set(EXTRAS)) | set(BY_OTHERS) == {IMPORTED_AS.get(r.name, r.name) for r in NEEDED}
+
+
+def test_an_extra_is_imported_late_in_one_file_and_its_absence_says_how_to_get_it() -> None:
+    optional = PROJECT["optional-dependencies"]
+    for package, (extra, home) in EXTRAS.items():
+        assert package in {Requirement(line).name for line in optional[extra]}
+        users = {
+            path.relative_to(HOME / "aridcal").as_posix()
+            for path in (HOME / "aridcal").rglob("*.py")
+            if package in used(path.read_text("utf-8"))
+        }
+        assert users == {home}
+        tree = ast.parse((HOME / "aridcal" / home).read_text("utf-8"))
+        at_once = [node for node in tree.body if isinstance(node, ast.Import | ast.ImportFrom)]
+        assert package not in used("\n".join(map(ast.unparse, at_once)))
+        assert f'pip install "aridcal[{extra}]"' in (HOME / "aridcal" / home).read_text("utf-8")
 
 
 def test_what_others_import_for_us_is_what_they_import() -> None:
@@ -85,7 +105,9 @@ def test_the_lock_holds_all_that_is_required_with_hashes() -> None:
     locked: dict[str, list[str]] = {}
     for name, version, _ in entries:
         locked.setdefault(canonicalize_name(name), []).append(version)
-    for required in (*NEEDED, *map(Requirement, PROJECT["optional-dependencies"]["dev"])):
+    optional = (Requirement(line) for lines in PROJECT["optional-dependencies"].values() for line in lines)
+    apart = {"aridcal", "atheris", "mkdocs-material", "mkdocstrings-python"}  # itself; fuzz and docs are not locked
+    for required in (*NEEDED, *(r for r in optional if r.name not in apart)):
         versions = locked[canonicalize_name(required.name)]
         assert all(required.specifier.contains(version) for version in versions), required
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import errno
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from threadpoolctl import threadpool_limits
 
@@ -38,8 +38,12 @@ LOOK_AGAIN = 0.5
 _one_at_a_time = threading.Lock()
 """Workers may have several threads; what draws the pages has settings that all threads of a process share."""
 
-Write = Callable[[Outcome, Path, Mapping[str, str]], Any]
-"""Writes a result folder, all of it or nothing, with further files by their names."""
+
+class Write(Protocol):
+    """Writes a result folder, all of it or nothing."""
+
+    def __call__(self, outcome: Outcome, folder: Path, *, beside: Mapping[str, str]) -> Any:
+        """Write it, with further files by their names."""
 
 
 @dataclass(frozen=True)
@@ -114,7 +118,7 @@ def _calibrated(task: Task) -> Row:
         outcome = identify(campaign, cache=out / CACHE, judge=refuse_misread)
         row = done_row(task.robot, outcome, inputs)
         _check(inputs_at(path)[0], task)
-        task.write(outcome, out, {FILE: as_text(row)})
+        task.write(outcome, out, beside={FILE: as_text(row)})
         return row
 
 
