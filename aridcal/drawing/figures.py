@@ -59,7 +59,7 @@ STYLE: dict[Any, Any] = {
 }
 
 
-def as_svg(draw: Callable[P, Figure]) -> Callable[P, Html]:
+def _figure(draw: Callable[P, Figure]) -> Callable[P, Html]:
     """Turn a function that draws into one that returns SVG, or a line in its place if it fails.
 
     Its first two arguments are ``key`` and ``alt``.
@@ -80,7 +80,7 @@ def as_svg(draw: Callable[P, Figure]) -> Callable[P, Html]:
     return drawn
 
 
-@as_svg
+@_figure
 def histogram(key: str, alt: str, values: Mapping[str, np.ndarray], label: str) -> Figure:
     """Two distributions on one axis.
 
@@ -90,7 +90,7 @@ def histogram(key: str, alt: str, values: Mapping[str, np.ndarray], label: str) 
         values: Two arrays by name, none negative; what lies far outside is counted in the last bin.
         label: Of the horizontal axis, with its unit.
     """
-    figure, axes = one_axes()
+    figure, axes = _axes()
     top = max(float(np.percentile(v, 99.5)) for v in values.values())
     edges = np.linspace(0.0, max(1.03 * top, 1e-9), 41)
     for (name, v), color, filled in zip(values.items(), (BEFORE, AFTER), (0.15, 0.45), strict=True):
@@ -99,10 +99,10 @@ def histogram(key: str, alt: str, values: Mapping[str, np.ndarray], label: str) 
         axes.stairs(share, edges, color=color, linewidth=1.4, label=name)
     axes.set(xlabel=label, ylabel="rows [%]", xlim=(0, edges[-1]))
     axes.set_ylim(bottom=0)
-    return with_legend(figure, axes)
+    return _with_legend(figure, axes)
 
 
-@as_svg
+@_figure
 def coverage(key: str, alt: str, names: Sequence[str], shares: Sequence[np.ndarray], ranges: Sequence[str]) -> Figure:
     """Where within its limits each joint was measured: one histogram per joint, on a line of its own.
 
@@ -114,7 +114,7 @@ def coverage(key: str, alt: str, names: Sequence[str], shares: Sequence[np.ndarr
         ranges: The two limits in words.
     """
     count = len(names)
-    figure, axes = one_axes(WIDTH, 0.55 + 0.42 * count, left=0.3, top=0.1)
+    figure, axes = _axes(WIDTH, 0.55 + 0.42 * count, left=0.3, top=0.1)
     edges = np.linspace(0.0, 1.0, 37)
     for k, share in enumerate(shares):
         bins = np.histogram(np.clip(share, 0.0, 1.0), edges)[0]
@@ -141,7 +141,7 @@ class Trend:
     smooth: np.ndarray
 
 
-@as_svg
+@_figure
 def panels(
     key: str,
     alt: str,
@@ -160,7 +160,7 @@ def panels(
         labels: Of the two axes, with their units.
         trends: Of each cloud, by the same names.
     """
-    figure, axes = one_axes()
+    figure, axes = _axes()
     low, _, right, _ = axes.get_position().extents
     gap = 0.035
     wide = (right - low - gap * (len(values) - 1)) / len(values)
@@ -197,7 +197,7 @@ def _reach(values: np.ndarray, trend: Trend | None) -> float:
     return max(float(np.percentile(np.abs(values), 98)), float((np.abs(trend.mean) + 2 * trend.std).max()))
 
 
-@as_svg
+@_figure
 def correlogram(key: str, alt: str, lags: np.ndarray, correlation: np.ndarray, bound: float, label: str) -> Figure:
     """Correlation of residuals some rows apart, and what 95 % of it stays within if all is noise.
 
@@ -209,17 +209,17 @@ def correlogram(key: str, alt: str, lags: np.ndarray, correlation: np.ndarray, b
         bound: Half width of the band.
         label: Of the horizontal axis.
     """
-    figure, axes = one_axes()
+    figure, axes = _axes()
     axes.axhspan(-bound, bound, color=GREY, alpha=0.18, linewidth=0, label="95 % of noise")
     axes.vlines(lags, 0.0, correlation, color=AFTER, linewidth=2.0)
     _dots(axes, lags.astype(float), correlation, AFTER, label="residuals", size=4.5, alpha=1.0)
     axes.axhline(0.0, color=GREY, linewidth=0.8)
     top = 1.15 * max(float(np.abs(correlation).max()), 2.0 * bound)
     axes.set(xlabel=label, ylabel="correlation [1]", ylim=(-top, top))
-    return with_legend(figure, axes)
+    return _with_legend(figure, axes)
 
 
-@as_svg
+@_figure
 def field(
     key: str,
     alt: str,
@@ -242,7 +242,7 @@ def field(
         hollow: Of the rows, shape (N,) bool; a dot for which most of them are gets a hole.
         marks: Other points of the plane by their name, shape (M, 2), as rings above the dots.
     """
-    figure, axes = one_axes(HEIGHT + 1.6, HEIGHT + 1.6, left=0.14, top=0.42)
+    figure, axes = _axes(HEIGHT + 1.6, HEIGHT + 1.6, left=0.14, top=0.42)
     side = max(float(np.ptp(points, axis=0).max()) / SQUARES, 1e-9)
     _, square = np.unique(np.floor(points / side), axis=0, return_inverse=True)
     square = square.reshape(-1)
@@ -261,10 +261,10 @@ def field(
         axes.plot(*at.T, color="#1d242b", marker="o", markerfacecolor="none", linestyle="", markersize=5, label=name)
     axes.set(xlabel=labels[0], ylabel=labels[1])
     axes.set_aspect("equal", adjustable="datalim")
-    return with_legend(figure, axes, columns=3)
+    return _with_legend(figure, axes, columns=3)
 
 
-@as_svg
+@_figure
 def falling(key: str, alt: str, at: np.ndarray, values: Mapping[str, np.ndarray], labels: tuple[str, str]) -> Figure:
     """Values that fall over some powers of ten, against how many of something there are.
 
@@ -277,7 +277,7 @@ def falling(key: str, alt: str, at: np.ndarray, values: Mapping[str, np.ndarray]
     """
     from matplotlib.ticker import LogLocator
 
-    figure, axes = one_axes()
+    figure, axes = _axes()
     for (name, v), color in zip(values.items(), (AFTER, BEFORE, GREY), strict=False):
         if np.isfinite(v).any():
             axes.plot(at, v, color=color, linewidth=1.8, marker="o", markersize=3.5, label=name)
@@ -287,10 +287,10 @@ def falling(key: str, alt: str, at: np.ndarray, values: Mapping[str, np.ndarray]
         lambda value, _: f"{value:.3g}"
     )  # ticks of less than a decade differ in the third digit
     axes.yaxis.set_minor_formatter(lambda value, _: "")
-    return with_legend(figure, axes, columns=3)
+    return _with_legend(figure, axes, columns=3)
 
 
-@as_svg
+@_figure
 def curve(
     key: str,
     alt: str,
@@ -313,7 +313,7 @@ def curve(
         labels: Of the two axes, with their units.
         wide: Twice as wide as other figures, for a curve that winds a lot.
     """
-    figure, axes = one_axes(WIDE) if wide else one_axes()
+    figure, axes = _axes(WIDE) if wide else _axes()
     axes.fill_between(at, value - 2 * std, value + 2 * std, color=AFTER, alpha=0.25, linewidth=0)
     _dots(axes, *rows, GREY, label="rows", alpha=0.3)
     axes.plot(at, value, color=AFTER, linewidth=2.0, label="identified, ± 2σ")
@@ -322,10 +322,10 @@ def curve(
     low, high = min(cut), max(cut)
     room = 0.06 * (high - low) or 1.0
     axes.set(xlabel=labels[0], ylabel=labels[1], ylim=(low - room, high + room))
-    return with_legend(figure, axes)
+    return _with_legend(figure, axes)
 
 
-def one_axes(width: float = WIDTH, height: float = HEIGHT, left: float = 0.14, top: float = 0.3) -> tuple[Figure, Axes]:
+def _axes(width: float = WIDTH, height: float = HEIGHT, left: float = 0.14, top: float = 0.3) -> tuple[Figure, Axes]:
     """One figure with one pair of axes; ``left`` is a share of the usual width, ``top`` in inches."""
     from matplotlib.figure import Figure
 
@@ -337,8 +337,7 @@ def one_axes(width: float = WIDTH, height: float = HEIGHT, left: float = 0.14, t
     return figure, axes
 
 
-def with_legend(figure: Figure, axes: Axes, columns: int = 2) -> Figure:
-    """Put a legend above the axes; returns the figure."""
+def _with_legend(figure: Figure, axes: Axes, columns: int = 2) -> Figure:
     axes.legend(
         loc="lower left",
         bbox_to_anchor=(-0.02, 1.0),

@@ -45,7 +45,8 @@ def study_page(done: Studied, title: str, effect: str, halves: bool) -> Html:
     if failed or done.remaining:
         chapters.append(("Not done", lambda: _not_done(failed, done)))
     heading = f"{counted(len(done.rows), 'run')}"
-    how = "each from half of the fitted rows" if halves else "each of a machine of its own"
+    drawn_once = len({row["run"] for row in done.rows})
+    how = "each from half of the fitted rows" if halves else f"{counted(drawn_once, 'machine')} in each case"
     body = [
         tag(
             "header", tag("p", f"Study of {title}", class_="about"), tag("h1", heading), tag("p", f"{heading}, {how}.")
@@ -65,7 +66,7 @@ def _power(cases: Sequence[Point], effect: str) -> Iterator[Content]:
         f"Sought is {effect}. Found means: it is named, or the report says that what is named cannot be told from it. "
         "With size 0 there is none of it, and a run that finds it is wrong.",
     )
-    yield figures(_by_rows_or_sizes(cases, "found", "runs that find it [%]", lambda p: _percents(p.found), 100.0))
+    yield figures(_by_rows_or_sizes(cases, "runs that find it [%]", lambda p: _percents(p.found), 100.0))
     lines = [
         [_case(p), counted(p.runs, "run"), *(_share(value) for value in (p.found, p.named, p.others))] for p in cases
     ]
@@ -83,12 +84,14 @@ def _error(cases: Sequence[Point], rows: Sequence[Row]) -> Iterator[Content]:
             "Against the truth: where the final model says that the target is, and where it really was, at held-out rows. The "
             "measured error also has the noise of the rows themselves.",
         )
-        pictures = _by_rows_or_sizes(
-            cases, "true", "error against the truth, RMS [mm]", lambda p: _triple(p.true), None
-        )
+        pictures = _by_rows_or_sizes(cases, "error against the truth, RMS [mm]", lambda p: _triple(p.true), None)
         yield figures(pictures)
-    lines = [[_case(p), counted(p.runs, "run"), _median(p.true, "mm"), _median(p.final, unit)] for p in cases]
-    head = ["case", "", "against the truth", "as measured"]
+    true = any(p.true is not None for p in cases)
+    lines = [
+        [_case(p), counted(p.runs, "run"), *([_median(p.true, "mm")] if true else []), _median(p.final, unit)]
+        for p in cases
+    ]
+    head = ["case", "", *(["against the truth"] if true else []), "as measured"]
     yield table(head, lines, f"RMS error of the final model: median of the runs, with its {INTERVAL}", numbers=1)
 
 
@@ -139,7 +142,6 @@ def _not_done(failed: Sequence[Row], done: Studied) -> Iterator[Content]:
 
 def _by_rows_or_sizes(
     cases: Sequence[Point],
-    key: str,
     label: str,
     of: Callable[[Point], tuple[float, float, float]],
     top: float | None,
@@ -156,11 +158,11 @@ def _by_rows_or_sizes(
             "runs" if size is None else f"size {size:g}": np.array([at.get((n, size), nothing) for n in rows])
             for size in chosen
         }
-        picture = banded(f"{key}-rows", f"{label} against rows", np.array(rows), curves, ("rows", label), top)
+        picture = banded(f"{label} against rows", np.array(rows), curves, ("rows", label), top)
         pictures.append((f"Against the number of rows; bands are {INTERVAL}s", picture))
     if len(sizes) > 1:
         curves = {f"{n:,} rows": np.array([at.get((n, size), nothing) for size in sizes]) for n in _spread(rows)}
-        picture = banded(f"{key}-sizes", f"{label} against the size", np.array(sizes), curves, ("size", label), top)
+        picture = banded(f"{label} against the size", np.array(sizes), curves, ("size", label), top)
         pictures.append(("Against the size of the effect, in what the scenario states", picture))
     return pictures
 

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.special import ndtri
 from scipy.stats import binom
 
+from aridcal.plant.figures_of import FRAMES
 from aridcal.plant.record import DONE
 from aridcal.plant.trials import Row
 
@@ -143,7 +144,7 @@ def found_again(rows: Sequence[Row]) -> list[tuple[str, Estimate]]:
 
 
 def scatters(rows: Sequence[Row]) -> list[Scatter]:
-    """How far each constant scatters over the runs, beside what they state, the most understated first.
+    """How far each constant of the arm scatters over the runs, beside what they state, the most understated first.
 
     The interval of a standard deviation is that of normal values with so many degrees of freedom, by Wilson and Hilferty (1931,
     doi:10.1073/pnas.17.12.684).
@@ -151,6 +152,8 @@ def scatters(rows: Sequence[Row]) -> list[Scatter]:
     values: dict[str, list[Row]] = {}
     for row in rows:
         for constant in row["constants"] or () if row["status"] == DONE else ():
+            if constant["name"].startswith(FRAMES):  # stated as twists in their own axes, which xyz and rpy are not
+                continue
             values.setdefault(constant["name"], []).append(constant)
     found = [_scatter(name, own) for name, own in values.items() if len(own) > 1]
     return sorted(found, key=lambda s: -s.scatter / s.std if s.std > 0 else -math.inf)

@@ -1,8 +1,9 @@
 """Tasks on a Dask cluster: processes of this computer, or any cluster by the address of its scheduler.
 
-A worker gets one task for each of its threads and no more, so that a worker's death speaks of those alone that it worked
-on. Dask gives them to other workers; after so many deaths (its `allowed-failures`, 3 unless the cluster's owner says otherwise) a
-task is given up. That is more than once, for a death is seldom the task's fault: memory runs out, a node is taken away.
+A worker gets one task for each of its threads and no more, so that a worker's death speaks of those alone that it worked on.
+Dask gives them to other workers at once, up to its `allowed-failures` (3 unless the cluster's owner says otherwise). A task that
+Dask gives up is tried once more when all others are done: deaths are seldom a task's fault, memory runs out, a node is taken
+away, and one after another they meet the same task, which goes from each worker to the next.
 """
 
 from __future__ import annotations
@@ -39,6 +40,10 @@ TELL_IDLE = 30.0
 """[s] between two notices that nobody works."""
 
 MISSING = 'fleets need Dask, which is not installed: pip install "aridcal[fleet]"'
+
+
+class Died(Broken):
+    """Workers died at it, one after another."""
 
 
 class _Lost(Exception):
@@ -152,9 +157,10 @@ def _engine(current: Callable[[], Client], progress: Progress, patience: float) 
 
     def engine(work: Callable[[T], R], tasks: Mapping[str, T]) -> Iterator[tuple[str, R | Broken]]:
         waiting = dict(tasks)
+        again: set[str] = set()
         while waiting:
             try:
-                for name, answer in _asked(current(), work, waiting, progress):
+                for name, answer in _asked(current(), work, waiting, again, progress):
                     del waiting[name]
                     yield name, answer
             except _Lost:
@@ -165,9 +171,17 @@ def _engine(current: Callable[[], Client], progress: Progress, patience: float) 
 
 
 def _asked(
-    client: Client, work: Callable[[T], R], tasks: Mapping[str, T], progress: Progress
+    client: Client, work: Callable[[T], R], tasks: Mapping[str, T], again: set[str], progress: Progress
 ) -> Iterator[tuple[str, R | Broken]]:
-    """Have tasks done on one connection; those given are let go if the block around ends early."""
+    """Have tasks done on one connection; those given are let go if the block around ends early.
+
+    Args:
+        client: The connection.
+        work: To be done.
+        tasks: By their names.
+        again: Names of those that Dask gave up once; added to.
+        progress: Told of troubles.
+    """
     answers: queue.SimpleQueue[str] = queue.SimpleQueue()
     flying: dict[str, Future] = {}
     left = list(tasks)[::-1]
@@ -175,18 +189,24 @@ def _asked(
     try:
         while left or flying:
             slots = _slots(client)
-            if slots or flying:
+            if slots:
                 idle_since = time.monotonic()
             elif time.monotonic() - idle_since > TELL_IDLE:
                 idle_since = time.monotonic()
                 progress.note("no worker is there; waiting for one")
             for name in islice(iter(lambda: left.pop() if left else None, None), max(slots - len(flying), 0)):
-                flying[name] = _given(client, work, tasks[name], name, answers)
+                flying[name] = _given(client, work, tasks[name], name, name in again, answers)
             try:
                 name = answers.get(timeout=LOOK)
             except queue.Empty:
                 continue
-            yield name, _answer(flying.pop(name))
+            answer = _answer(flying.pop(name))
+            if isinstance(answer, Died) and name not in again:
+                again.add(name)
+                left.insert(0, name)
+                progress.note(f"of one task {answer.why}; it is tried once more at the end")
+                continue
+            yield name, answer
     finally:
         with suppress(Exception):
             client.cancel(list(flying.values()), force=True)
@@ -206,10 +226,12 @@ def _slots(client: Client) -> int:
         raise _Lost from None
 
 
-def _given(client: Client, work: Callable[[T], R], task: T, name: str, answers: queue.SimpleQueue[str]) -> Future:
+def _given(
+    client: Client, work: Callable[[T], R], task: T, name: str, again: bool, answers: queue.SimpleQueue[str]
+) -> Future:
     """Give a task away; its name is told once it is answered, whatever the answer."""
-    try:
-        future: Future = client.submit(work, task, key=name, pure=False)
+    try:  # under the name that it had, Dask would answer as it did
+        future: Future = client.submit(work, task, key=f"{name}-again" if again else name, pure=False)
     except (OSError, TimeoutError, RuntimeError):
         raise _Lost from None
     future.add_done_callback(lambda _: answers.put(name))
@@ -236,5 +258,5 @@ def _answer(future: Future) -> Any:
         raise _Lost from None
     if isinstance(problem, KilledWorker):
         times = problem.allowed_failures + 1
-        return Broken(f"{times} workers died at this, the last one on {problem.last_worker.address}")
+        return Died(f"{times} workers died at it, the last one on {problem.last_worker.address}")
     return Broken(in_words(problem) if problem is not None else "nothing was said of it")
