@@ -25,6 +25,8 @@ COMMANDS = {
     "measure": "measured poses from camera images and sonar ranges",
     "view": "3D scene of a result in the browser",
     "simulate": "simulate a campaign with a known truth",
+    "fleet": "calibrate many robots, here or on a Dask cluster, with a page on all of them",
+    "study": "repeat a simulation many times: errors, and what is found how often",
     "doctor": "check this installation",
     "completion": "complete commands with Tab in your shell",
 }

@@ -35,6 +35,10 @@ class OutputError(AridcalError):
     """Results cannot be written where they were asked for."""
 
 
+class BusyError(OutputError):
+    """Another process is writing just there."""
+
+
 class NotIdentifiable(AridcalError):
     """Some coefficients are confounded in these measurements."""
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import datetime
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from aridcal.showing import SILENT, Progress
@@ -18,7 +20,7 @@ RESULT_FILES = frozenset(
     {
         *("result.json", "calibration.yaml", "calibrated.urdf", "model.urdf", "residuals.csv", "fiducials.csv"),
         *("kinematics.yaml", "dh.yaml", "dh_modified.yaml", "doty.yaml", "joint_offsets.yaml", "frames.yaml"),
-        *("joint_maps.urdf", "joint_maps.csv", "report.html", "scene.html"),
+        *("joint_maps.urdf", "joint_maps.csv", "report.html", "scene.html", "fleet.json"),
         *("certificate.html", "certificate.pdf"),
     }
 )
@@ -41,7 +43,9 @@ class Written:
     notices: tuple[str, ...]
 
 
-def write_folder(outcome: Outcome, folder: Path, progress: Progress = SILENT) -> Written:
+def write_folder(
+    outcome: Outcome, folder: Path, progress: Progress = SILENT, beside: Mapping[str, str] = MappingProxyType({})
+) -> Written:
     """Write every file of a result folder: all appear together or none does.
 
     Figures come first. A picture that cannot be drawn costs a notice and no other file.
@@ -50,6 +54,7 @@ def write_folder(outcome: Outcome, folder: Path, progress: Progress = SILENT) ->
         outcome: What was found.
         folder: Where to write it.
         progress: Told what is being written.
+        beside: Further files, text by name.
 
     Raises:
         OutputError: the folder cannot be written.
@@ -72,4 +77,6 @@ def write_folder(outcome: Outcome, folder: Path, progress: Progress = SILENT) ->
         progress("drawing the scene")
         notices += write_scene(outcome, stage / "scene.html")
         notices += write_certificate(outcome, stage, datetime.date.today())
+        for name, text in beside.items():
+            (stage / name).write_text(text, encoding="utf-8")
     return Written(handover, notices)

@@ -50,6 +50,10 @@ class Progress:
         """Begin a step that is told of only if it takes long."""
         self._step, self._told = step, self._clock()
 
+    def note(self, said: str) -> None:
+        """Tell something by the way; the step goes on."""
+        self._show(said)
+
     def part(self, done: int, total: int, of: str) -> None:
         """Tell how much of the step is done, unless something was told within the last :data:`EVERY` seconds.
 

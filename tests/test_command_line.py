@@ -173,6 +173,8 @@ def test_o_and_out_mean_the_same(command):
             "recalibrate",
             "print",
             "detect",
+            "fleet",
+            "study",
         }
     )
 

@@ -34,6 +34,8 @@ STRANGERS = [{"fit", "head"}, {"report", "prepare"}]
 
 KEPT_TO = {
     "duckdb": ("aridcal.ageing.store",),
+    "dask": ("aridcal.plant.engine",),
+    "distributed": ("aridcal.plant.engine",),
     "cv2": ("aridcal.boards.", "aridcal.head."),
     "meshcat": ("aridcal.view", "aridcal.drawing.scene"),
     "scipy.optimize": ("aridcal.fit.",),

@@ -26,10 +26,12 @@ EXTRAS = {
 """What is installed on request; developers have all of it."""
 
 ON_REQUEST = {
-    "robot_descriptions": {"robot/named.py"},
-    "xacrodoc": {"robot/expand.py"},
+    "distributed": ("fleet", "plant/engine.py"),
+    "duckdb": ("fleet", "ageing/store.py"),
+    "robot_descriptions": ("xacro", "robot/named.py"),
+    "xacrodoc": ("xacro", "robot/expand.py"),
 }
-"""Modules of extras, and the files that may import each, inside of functions."""
+"""Modules of extras: which brings each, and the only file that imports it, inside of functions."""
 
 BY_OTHERS = {"collada": "trimesh"}
 """Imported by another dependency, which does not ask for it itself."""
@@ -37,9 +39,6 @@ BY_OTHERS = {"collada": "trimesh"}
 PART_OF = {"coal": "pinocchio", "pydantic_core": "pydantic", "tornado": "meshcat", "umsgpack": "meshcat"}
 """Modules of packages that a dependency requires and in whose terms it speaks: its errors, its server, its messages,
 its shapes."""
-
-EXTRAS = {"duckdb": ("fleet", "ageing/store.py")}
-"""Imported by those who have asked for them: the extra that brings each, and the only file that imports it, in functions."""
 
 NOT_OURS = {"IPython"}
 """Imported only inside a notebook, which has it."""
@@ -67,35 +66,19 @@ def test_every_dependency_is_used_and_everything_used_is_a_dependency() -> None:
     imported = set().union(*(used(path.read_text("utf-8")) for path in (HOME / "aridcal").rglob("*.py")))
     imported = {PART_OF.get(name, name) for name in imported} - NOT_OURS - set(ON_REQUEST)
     assert not imported & set(BY_OTHERS)
-    assert set(EXTRAS) <= imported
-    assert (imported - set(EXTRAS)) | set(BY_OTHERS) == {IMPORTED_AS.get(r.name, r.name) for r in NEEDED}
+    assert imported | set(BY_OTHERS) == {IMPORTED_AS.get(r.name, r.name) for r in NEEDED}
 
 
 def test_an_extra_is_imported_late_in_one_file_and_its_absence_says_how_to_get_it() -> None:
-    optional = PROJECT["optional-dependencies"]
-    for package, (extra, home) in EXTRAS.items():
-        assert package in {Requirement(line).name for line in optional[extra]}
-        users = {
-            path.relative_to(HOME / "aridcal").as_posix()
-            for path in (HOME / "aridcal").rglob("*.py")
-            if package in used(path.read_text("utf-8"))
-        }
-        assert users == {home}
-        tree = ast.parse((HOME / "aridcal" / home).read_text("utf-8"))
-        at_once = [node for node in tree.body if isinstance(node, ast.Import | ast.ImportFrom)]
-        assert package not in used("\n".join(map(ast.unparse, at_once)))
-        assert f'pip install "aridcal[{extra}]"' in (HOME / "aridcal" / home).read_text("utf-8")
-
-
-def test_extras_are_imported_in_their_own_files_alone_and_when_they_are_needed() -> None:
-    optional = {r.name.replace("-", "_") for extra in ("fleet", "ros", "xacro") for r in EXTRAS[extra]}
-    assert set(ON_REQUEST) <= optional
-    for path in (HOME / "aridcal").rglob("*.py"):
-        source = path.read_text("utf-8")
-        own = {name for name, files in ON_REQUEST.items() if path.relative_to(HOME / "aridcal").as_posix() in files}
-        assert used(source) & optional == own, path
+    for module, (extra, home) in ON_REQUEST.items():
+        assert module in {r.name.replace("-", "_") for r in EXTRAS[extra]}
+        paths = (HOME / "aridcal").rglob("*.py")
+        users = [path for path in paths if module in used(path.read_text("utf-8"))]
+        assert [path.relative_to(HOME / "aridcal").as_posix() for path in users] == [home]
+        source = users[0].read_text("utf-8")
         at_once = [node for node in ast.parse(source).body if isinstance(node, ast.Import | ast.ImportFrom)]
-        assert not used("\n".join(map(ast.unparse, at_once))) & optional, path
+        assert module not in used("\n".join(map(ast.unparse, at_once)))
+        assert f'pip install "aridcal[{extra}]"' in source
 
 
 def test_what_others_import_for_us_is_what_they_import() -> None:

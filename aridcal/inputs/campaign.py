@@ -26,7 +26,7 @@ from aridcal.inputs.measurement_settings import (
     listed,
     one_of,
 )
-from aridcal.inputs.purposes import About, DesignSettings, Region, ToleranceSettings, position_alone
+from aridcal.inputs.purposes import About, DesignSettings, Region, StudySettings, ToleranceSettings, position_alone
 from aridcal.inputs.yaml_file import LARGEST, RelativePath, Section, Settings, Vector3, load_settings
 from aridcal.instruments.catalogue import KINDS as MEASURED
 from aridcal.instruments.catalogue import labelled
@@ -206,6 +206,8 @@ class Job(Settings):
     parameters: ParameterSettings = ParameterSettings()
     effects: tuple[EffectDeclaration, ...] = ()
     diagnosis: DiagnosisSettings = DiagnosisSettings()
+    study: StudySettings | None = None
+    """For `aridcal study` alone."""
 
     @property
     def blocks(self) -> tuple[MeasurementSettings, ...]:

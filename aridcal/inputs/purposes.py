@@ -14,6 +14,7 @@ from aridcal.errors import has_controls
 from aridcal.inputs.measurement_settings import (
     LENGTHS,
     SMALL_ANGLES,
+    listed,
     with_unit,
 )
 from aridcal.inputs.yaml_file import Number, RelativePath, Section, Vector3
@@ -129,6 +130,20 @@ class Region(Section):
             if not low < high:
                 raise ValueError(f"joints.{name}: the first number should be below the second")
         return self
+
+
+class StudySettings(Section):
+    """What `aridcal study` repeats."""
+
+    runs: int = Field(default=100, ge=2, le=100_000)
+    """Of each case."""
+    seed: int = Field(default=0, ge=0)
+    rows: Annotated[tuple[Annotated[int, Field(ge=4, le=1_000_000)], ...], BeforeValidator(listed)] = ()
+    """Numbers of rows; of a scenario default: its `truth.n`."""
+    sizes: Annotated[tuple[Annotated[float, Field(ge=0, le=1e6)], ...], BeforeValidator(listed)] = ()
+    """Of an effect, in what `truth.effects` states of it: 0 is none of it, 1 as stated."""
+    effect: str | None = None
+    """Which of `truth.effects`, as WHERE.KIND; default: the only one."""
 
 
 def position_alone(value: Any) -> Any:

@@ -279,7 +279,7 @@ def write_campaign(simulation: Simulation, folder: Path, home: Path, progress: P
     """
     progress.at("writing the measurements")
     scenario, robot = simulation.scenario, simulation.robot
-    keys = scenario.model_dump(mode="json", by_alias=True, exclude_unset=True, exclude={"truth"})
+    keys = scenario.model_dump(mode="json", by_alias=True, exclude_unset=True, exclude={"truth", "study"})
     beside = scenario.path.parent.resolve() == home.resolve()  # the scenario's own paths hold here as well
     if beside:
         keys["robot"]["urdf"] = Path(os.path.relpath(scenario.robot.urdf, home)).as_posix()

@@ -76,6 +76,7 @@ def identify(
     progress: Progress = SILENT,
     cache: Path | None = None,
     judge: Judge = lambda *_: None,
+    choose: Callable[[Dataset], Dataset] = lambda rows: rows,
 ) -> Outcome:
     """Run a campaign up to its outcome.
 
@@ -86,13 +87,14 @@ def identify(
         progress: Called with what is being done.
         cache: ``fiducials.csv`` of an earlier run on the same images, if there is one.
         judge: Asked about a table of poses before effects are sought.
+        choose: Gives the rows to calibrate from, of those that were read.
 
     Raises:
         AridcalError: whatever in the input needs mending.
     """
     if not isinstance(job, Job):
         job = read_job(job, seed, progress, cache, verify is not None)
-    campaign, robot, rows = job.campaign, job.robot, job.rows
+    campaign, robot, rows = job.campaign, job.robot, choose(job.rows)
     labels = station_labels(campaign, rows)
     check_memory(_size(campaign, robot, rows, labels), str(campaign.path), available_memory())
     progress(f"fitting frames and constants to {rows.train.sum()} rows")

@@ -223,7 +223,8 @@ def _scatter(part: Problem, fit: Fit, active: Sequence[Active], possible: Sequen
         A.append(column @ told)
         precision.append(told.T @ a.precision @ told)
     columns_of, blocks = np.concatenate(A, axis=2), np.array([p.stacked(still) for p in possible])
-    return with_things(Scatter(*map(still.vectors, (y, columns_of)), block_diag(*precision), blocks), part, B, still)
+    scatter = Scatter(still.vectors(y), still.vectors(columns_of), block_diag(*precision), blocks)
+    return with_things(scatter, part, B, still)
 
 
 def _possible(question: Problem, theta: np.ndarray) -> list[_Asked]:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from filelock import FileLock, Timeout
 
-from aridcal.errors import OutputError
+from aridcal.errors import BusyError
 
 ATTEMPTS, PAUSE = 20, 0.01
 """A holder that ends removes its lock's file, which can be taken for a held lock for an instant: looked at again, [s]."""
@@ -35,7 +35,7 @@ def held(lock: Path, path: Path) -> Iterator[None]:
         path: What is locked, for messages.
 
     Raises:
-        OutputError: another process holds it; its number is named.
+        BusyError: another process holds it; its number is named.
         OSError: the file system has no room or no locks.
     """
     taken = _take(lock, path)
@@ -55,14 +55,14 @@ def _take(lock: Path, path: Path) -> FileLock:
             taken.acquire()
         except Timeout:
             if holder := _holder(lock):
-                raise OutputError(
+                raise BusyError(
                     f"{path}: is being written by {holder}; wait until it has ended, or choose another place"
                 ) from None
             time.sleep(PAUSE)
             continue
         lock.write_text(f"{os.getpid()} {platform.node()}", encoding="utf-8")
         return taken
-    raise OutputError(f"{path}: is being written by another process; wait until it has ended, or choose another place")
+    raise BusyError(f"{path}: is being written by another process; wait until it has ended, or choose another place")
 
 
 def _holder(lock: Path) -> str:

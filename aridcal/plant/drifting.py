@@ -1,0 +1,89 @@
+r"""Constants that drift: the last run of a robot beside its first, against what both are known to.
+
+For each constant that both identified, :math:`z = (x_2 - x_1) / \sqrt{\sigma_1^2 + \sigma_2^2}`. All constants of all robots
+share one chance of a false alarm (Bonferroni). The standard deviations know of the noise alone: what a model lacks may move
+constants further where other configurations were measured.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from scipy.special import ndtr
+
+from aridcal.plant.figures_of import are_done, identified
+from aridcal.plant.record import Row, typed
+from aridcal.plant.standing_out import FALSE_ALARMS
+
+
+@dataclass(frozen=True)
+class Drift:
+    """A constant that is another than it was.
+
+    Attributes:
+        robot: Whose.
+        name: Of the constant.
+        unit: ``m`` or ``rad``.
+        first: Value and standard deviation at first.
+        last: The same of the last run.
+        days: Between the two measurements.
+        times: By how many standard deviations of the difference.
+        beyond: Whether that is more than chance gives among so many.
+    """
+
+    robot: str
+    name: str
+    unit: str
+    first: tuple[float, float]
+    last: tuple[float, float]
+    days: float
+    times: float
+    beyond: bool
+
+
+def drifting(rows: Sequence[Row]) -> tuple[list[Drift], int]:
+    """Constants of robots that were measured more than once, worst first.
+
+    Args:
+        rows: All runs of all robots.
+
+    Returns:
+        Every constant that was compared; and how many robots.
+    """
+    pairs = [pair for own in _by_robot(rows).values() if (pair := _first_and_last(own)) is not None]
+    found: list[tuple[float, Drift]] = []
+    for first, last in pairs:
+        days = (typed(last)["measured"] - typed(first)["measured"]).total_seconds() / 86400.0
+        before, after = identified(first), identified(last)
+        for name in [name for name in before if name in after]:
+            (x1, s1), (x2, s2) = (
+                (float(of[name]["value"]), float(of[name]["std"]))  # type: ignore[arg-type]
+                for of in (before, after)
+            )
+            both = math.hypot(s1, s2)
+            if both > 0.0:
+                times = abs(x2 - x1) / both
+                unit = str(before[name]["unit"])
+                found.append((times, Drift(last["robot"], name, unit, (x1, s1), (x2, s2), days, times, False)))
+    limit = FALSE_ALARMS / max(len(found), 1)
+    marked = [
+        Drift(d.robot, d.name, d.unit, d.first, d.last, d.days, d.times, 2.0 * float(ndtr(-times)) < limit)
+        for times, d in sorted(found, key=lambda pair: -pair[0])
+    ]
+    return marked, len(pairs)
+
+
+def _by_robot(rows: Sequence[Row]) -> dict[str, list[Row]]:
+    """Runs that came to a result, of each robot, in the order of their measurements; of one measurement the last run alone."""
+    found: dict[str, dict[str, Row]] = {}
+    for row in are_done(rows):
+        found.setdefault(row["robot"], {})[row["inputs"]] = row
+    return {name: sorted(own.values(), key=lambda row: typed(row)["measured"]) for name, own in found.items()}
+
+
+def _first_and_last(own: Sequence[Row]) -> tuple[Row, Row] | None:
+    """The two runs to compare: those of the make that the robot has now."""
+    alike = [row for row in own if row["urdf"] == own[-1]["urdf"]]
+    return (alike[0], alike[-1]) if len(alike) > 1 else None

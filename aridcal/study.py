@@ -1,0 +1,102 @@
+"""Repeat a simulation, or a calibration from halves of its rows, many times: how large errors are, and what is found how often.
+
+The file is a scenario, as `aridcal simulate` reads it, with a block `study`: `runs` machines are drawn for each of `rows` and
+each of `sizes` of an effect, simulated, calibrated, and set beside the truth. Or it is a campaign with a block `study`: each run
+calibrates from a random half of the configurations that are fitted, which scatters as much as a bootstrap of all of them.
+
+The work is done by processes of this computer, or by a Dask cluster that sees the same files. What DIR/study.parquet has already
+of the same study is not done again.
+
+Exit status: 0 all runs are done, 2 bad use, 3 runs failed or remain.
+
+Example:
+    aridcal study scenario.yaml -o study
+    aridcal study scenario.yaml -o study --scheduler tcp://10.0.0.1:8786
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from contextlib import nullcontext
+from pathlib import Path
+
+from rich.console import Console
+
+from aridcal.command_line import DONE, NOT_GOOD, CommandParser, command_parser, run
+from aridcal.drawing.html import counted
+from aridcal.errors import shortened
+from aridcal.inputs.campaign import Campaign
+from aridcal.overview.study_page import study_page
+from aridcal.plant.engine import dask_engine
+from aridcal.plant.here import here
+from aridcal.plant.record import FAILED
+from aridcal.plant.studied import NAME, Studied, known_runs, studied
+from aridcal.plant.trials import load_study, sought, trials
+from aridcal.reading.names import path_argument
+from aridcal.showing import told_on
+from aridcal.writing.files import atomic_file, claimed
+
+PAGE = "study.html"
+
+
+def parser() -> CommandParser:
+    """The command's arguments."""
+    arguments = command_parser("study", __doc__)
+    arguments.add_argument("study", type=path_argument, help="scenario.yaml or campaign.yaml, with a block `study`")
+    arguments.add_argument(
+        "-o", "--out", type=path_argument, required=True, metavar="DIR", help="folder of table and page"
+    )
+    arguments.add_argument(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="of a Dask cluster, tcp://10.0.0.1:8786 for instance (default: processes of this computer)",
+    )
+    return arguments
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command; returns its exit status."""
+    arguments = parser().parse_args(argv)
+    return run(lambda: _main(arguments))
+
+
+def _main(arguments: argparse.Namespace) -> int:
+    out: Path = arguments.out
+    job = load_study(arguments.study)
+    console = Console()
+    with claimed(out, "folder", (NAME, PAGE)), told_on(Console(stderr=True)) as progress:
+        out.mkdir(exist_ok=True)
+        every = trials(job)
+        known = known_runs(out, every)
+        needed = len(known) < len(every)
+        with dask_engine(arguments.scheduler, progress) if needed else nullcontext(here) as engine:
+            done = studied(every, known, out, engine, progress)
+        progress("drawing the page")
+        title = arguments.study.absolute().parent.name + "/" + arguments.study.name
+        with atomic_file(out / PAGE) as path:
+            page = study_page(done, title, sought(job), isinstance(job, Campaign))
+            path.write_bytes(page.encode("utf-8", "replace"))
+    for line in summary(done, len(every)):
+        console.print(line, markup=False, highlight=False, soft_wrap=True)
+    console.print(f"table: {out / NAME}\npage: {out / PAGE}", markup=False, highlight=False, soft_wrap=True)
+    return NOT_GOOD if done.remaining or any(row["status"] == FAILED for row in done.rows) else DONE
+
+
+def summary(done: Studied, asked: int) -> list[str]:
+    """What became of the study, in lines."""
+    failed = [row for row in done.rows if row["status"] == FAILED]
+    known = f", {done.kept:,} of them known already" if done.kept else ""
+    lines = [f"{len(done.rows) - len(failed):,} of {counted(asked, 'run')} done{known}"]
+    if failed:
+        lines.append(f"{counted(len(failed), 'run')} failed, the first for: {shortened(str(failed[0]['error']), 400)}")
+    if done.remaining:
+        lines.append(
+            f"{counted(done.remaining, 'run')} remain, for {done.gone}; start the same command again: what is done stays"
+        )
+    return lines
+
+
+if __name__ == "__main__":
+    sys.exit(main())
