@@ -20,6 +20,7 @@ import robots
 
 from aridcal import identify
 from aridcal.fit.least_squares import Fit
+from aridcal.result import pipeline
 
 OLD = "an earlier result"
 JOINTS = ["joint_1", "joint_2", "joint_3", "joint_4"]
@@ -36,7 +37,7 @@ def truth() -> robots.Truth:
 @pytest.fixture(scope="module")
 def usual(truth: robots.Truth, tmp_path_factory: pytest.TempPathFactory) -> Fit:
     """What comes of sound files."""
-    return identify.identify(robots.write_campaign(tmp_path_factory.mktemp("usual"), truth)).stage("final").fit
+    return pipeline.identify(robots.write_campaign(tmp_path_factory.mktemp("usual"), truth)).stage("final").fit
 
 
 def attempt(
@@ -260,7 +261,7 @@ def test_what_looks_odd_but_is_right_gives_the_usual_result(
 ) -> None:
     path = robots.write_campaign(tmp_path, truth)
     spoil(tmp_path)
-    found = identify.identify(path).stage("final").fit
+    found = pipeline.identify(path).stage("final").fit
     assert found.model.names == usual.model.names
     np.testing.assert_allclose(found.theta, usual.theta, atol=1e-12)
 
@@ -287,7 +288,7 @@ def test_a_joint_that_never_moves_is_named(truth: robots.Truth, tmp_path: Path) 
     q[:, 0] = 3.0
     R, p = truth.model.poses(truth.theta, truth.model.rows(q))
     still = replace(truth, measured=robots.measured(truth.model.robot, q, p, R))
-    outcome = identify.identify(robots.write_campaign(tmp_path, still))
+    outcome = pipeline.identify(robots.write_campaign(tmp_path, still))
     assert [name for name in truth.model.robot.readings if any(f"{name} never" in n for n in outcome.notices)] == [
         "joint_1"
     ]

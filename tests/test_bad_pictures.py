@@ -23,6 +23,7 @@ from aridcal.calibration import Calibration
 from aridcal.drawing import scene, shapes
 from aridcal.drawing.html import LONGEST, attempt, note, noting
 from aridcal.report import page
+from aridcal.result import pipeline
 from aridcal.result.controllers import Handover, hand_over
 from aridcal.result.outcome import Outcome
 from aridcal.result.saving import calibration
@@ -432,7 +433,7 @@ def children() -> list[str]:
 
 @pytest.fixture(scope="module")
 def outcome(truth: robots.Truth, tmp_path_factory: pytest.TempPathFactory) -> Outcome:
-    return identify.identify(robots.write_campaign(tmp_path_factory.mktemp("outcome"), truth))
+    return pipeline.identify(robots.write_campaign(tmp_path_factory.mktemp("outcome"), truth))
 
 
 @pytest.fixture(scope="module")

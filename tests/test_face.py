@@ -310,7 +310,7 @@ def test_what_is_saved_is_what_the_command_writes(found: aridcal.Calibration, tm
 def test_a_failed_save_leaves_nothing(
     cal: aridcal.Calibration, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("aridcal.result_folder.write_controllers", lambda *_: 1 / 0)
+    monkeypatch.setattr("aridcal.result.controllers.write_controllers", lambda *_: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         cal.save(tmp_path / "results")
     assert list(tmp_path.iterdir()) == []

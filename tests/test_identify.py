@@ -20,6 +20,7 @@ from aridcal import identify, predict
 from aridcal.fit.constants import stage_urdf
 from aridcal.fit.least_squares import fit
 from aridcal.fit.problem import problem
+from aridcal.result import pipeline
 from aridcal.result.outcome import Outcome
 from aridcal.result.saved_model import SavedModel
 from aridcal.result_folder import RESULT_FILES
@@ -169,7 +170,7 @@ def test_another_day_is_scored_with_the_models_as_they_are(small: tuple[robots.T
     p = p + 1e-4 * rng.normal(size=p.shape)
     other = replace(truth, measured=robots.measured(truth.model.robot, q, p, R))
     robots.table(other).to_csv(tmp_path / "other.csv", index=False, float_format="%.17g")
-    outcome = identify.identify(folder / "campaign.yaml", verify=tmp_path / "other.csv")
+    outcome = pipeline.identify(folder / "campaign.yaml", verify=tmp_path / "other.csv")
     assert outcome.verification is not None
     final = outcome.verification.residuals["final"]
     assert final.shape == (40, 6)
@@ -181,7 +182,7 @@ def test_positions_alone_are_enough(tmp_path: Path) -> None:
     rng = np.random.default_rng(4)
     truth = robots.simulate(robots.ur10(), 150, rng, 1e-3, 5e-5, world=robots.random_placement(rng),
                             tip=robots.random_placement(rng, 0.2), kind="position")  # fmt: skip
-    outcome = identify.identify(robots.write_campaign(tmp_path, truth))
+    outcome = pipeline.identify(robots.write_campaign(tmp_path, truth))
     assert len(outcome.stage("geometric").fit.theta) == 4 * 6 + 3
     test = outcome.parts()["test"]
     rms = np.sqrt(np.mean(np.sum(outcome.stage("geometric").residual[test] ** 2, axis=1)))
@@ -194,7 +195,7 @@ def test_a_station_without_training_rows_lends_them_from_the_test(tmp_path: Path
     rows = robots.table(truth)
     rows["station"] = np.where(np.arange(60) < 57, "near", "far")
     frames = {"world_base": {"per": "station"}}
-    outcome = identify.identify(robots.write_campaign(tmp_path, truth, rows, frames=frames))
+    outcome = pipeline.identify(robots.write_campaign(tmp_path, truth, rows, frames=frames))
     labels = [label for label, _ in outcome.stage("final").fit.model.world_base]
     assert labels == ["far", "near"]
     assert (~outcome.measurements.test & (outcome.measurements.station == "far")).any()
@@ -221,7 +222,7 @@ def test_ur10_series_b_reaches_the_published_accuracy(shared_data: Path, tmp_pat
     path = ur10_campaign(tmp_path, series)
     position, rotation, nominal = [], [], []
     for seed in range(3):
-        outcome = identify.identify(path, seed)
+        outcome = pipeline.identify(path, seed)
         test = outcome.parts()["test"]
         geometric, bare = outcome.stage("geometric"), outcome.stage("nominal")
         position.append(np.sqrt(np.mean(np.sum(geometric.residual[test, :3] ** 2, axis=1))))
@@ -268,7 +269,7 @@ def assert_shuffled_residuals_agree(outcome: Outcome) -> None:
 
 def test_ur10_series_d_names_its_degenerate_target_translation(shared_data: Path, tmp_path: Path) -> None:
     """The tool never turns: tip_target's translation goes with world_base's. It is named and nothing runs away."""
-    outcome = identify.identify(ur10_campaign(tmp_path, shared_data / "ur10-laser-tracker" / "series_d.csv"))
+    outcome = pipeline.identify(ur10_campaign(tmp_path, shared_data / "ur10-laser-tracker" / "series_d.csv"))
     for stage in ("nominal", "geometric"):
         fit = outcome.stage(stage).fit
         lost = {name: set(partners) for name, partners in fit.redundant.items() if name.startswith("tip_target.")}
