@@ -29,9 +29,17 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from rich.console import Console
 
-from aridcal.command_line import DONE, NOT_GOOD, CommandParser, command_parser, run
+from aridcal.command_line import (
+    DONE,
+    NOT_GOOD,
+    CommandParser,
+    command_parser,
+    for_scripts,
+    print_headline,
+    run,
+    screens,
+)
 from aridcal.drawing.html import tag
 from aridcal.errors import OutputError
 from aridcal.inputs.measurement_settings import length_argument
@@ -115,6 +123,7 @@ def parser() -> CommandParser:
         metavar="TABLE",
         help="where to write what to measure, where the rows cannot tell",
     )
+    for_scripts(arguments, headline=True)
     return arguments
 
 
@@ -140,13 +149,22 @@ def _check(arguments: argparse.Namespace) -> int:
     saved = SavedModel.load(arguments.results)
     new = read_new_rows(saved, arguments.rows)
     checked = check(saved, new.rows, arguments.tolerance, new.frames)
-    console = Console()
-    for line in check_lines(checked, changes(checked), saved.measurements):
+    console, _ = screens(arguments)
+    moved = changes(checked)
+    lines = check_lines(checked, moved, saved.measurements)
+    for line in lines:
         console.print(line, markup=False, highlight=False, soft_wrap=True)
     if arguments.poses is not None:
         console.print(_poses(arguments.poses, saved, checked), markup=False, highlight=False, soft_wrap=True)
     for remark in (*new.rows.refused, *new.rows.notices):
         console.print(f"note: {remark}", markup=False, highlight=False, soft_wrap=True)
+    found = {
+        "good": checked.good,
+        "p_value": checked.first.p_value,
+        "moved": [{"where": c.cause.where, "probability": c.cause.probability} for c in moved],
+        "said": list(lines),
+    }
+    print_headline(arguments, found)
     return DONE if checked.good else NOT_GOOD
 
 

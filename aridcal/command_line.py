@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import argparse
 import errno
+import json
 import os
 import signal
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from rich.console import Console
 from rich.text import Text
@@ -90,6 +91,33 @@ def command_parser(command: str, doc: str | None) -> CommandParser:
         epilog=f"example:\n{example.rstrip()}",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
+
+
+def for_scripts(command: CommandParser, headline: bool = False) -> None:
+    """Give a command the options of those who read its exit status, or its JSON, and not its words.
+
+    Args:
+        command: Its arguments.
+        headline: Whether it can print its result's headline as JSON.
+    """
+    command.add_argument("--quiet", action="store_true", help="print nothing but errors")
+    if headline:
+        command.add_argument(
+            "--json", action="store_true", help="print the result's headline as JSON, and no words, to stdout"
+        )
+
+
+def screens(arguments: argparse.Namespace) -> tuple[Console, Console]:
+    """Where a command with these options prints its result, and where its progress and its remarks."""
+    return Console(quiet=arguments.quiet or getattr(arguments, "json", False)), Console(
+        stderr=True, quiet=arguments.quiet
+    )
+
+
+def print_headline(arguments: argparse.Namespace, headline: Mapping[str, Any]) -> None:
+    """Print a result's headline as one line of JSON, if that was asked for."""
+    if arguments.json:
+        print(json.dumps(headline, allow_nan=False))
 
 
 @contextmanager

@@ -39,7 +39,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from aridcal.command_line import CommandParser, command_parser, run
+from aridcal.command_line import CommandParser, command_parser, for_scripts, run, screens
 from aridcal.errors import OutputError
 from aridcal.inputs.campaign import Campaign, load_campaign, nominal_robot
 from aridcal.planning.beforehand import beforehand
@@ -89,6 +89,7 @@ def parser() -> CommandParser:
     arguments.add_argument(
         "--optimal", choices=get_args(Criterion), help="what is made small (default: A); not with --apart"
     )
+    for_scripts(arguments)
     return arguments
 
 
@@ -140,12 +141,13 @@ def _design(arguments: argparse.Namespace, out: list[Path]) -> None:
     campaign = load_campaign(arguments.campaign)
     robot = nominal_robot(campaign)
     check_outputs(campaign, robot, out)
-    with told_on(Console(stderr=True)) as progress:
+    console, aside = screens(arguments)
+    with told_on(aside) as progress:
         known = beforehand(campaign, robot, progress)
         asked = Asked(arguments.n, arguments.optimal or "A", arguments.region, arguments.apart)
         plan = design(known, asked, progress)
         write_plan(plan, campaign, robot, out, arguments.settle)
-    _report(plan, arguments.apart, out)
+    _report(plan, arguments.apart, out, console)
 
 
 def check_endings(out: Sequence[Path]) -> None:
@@ -207,9 +209,8 @@ def _write(plan: Plan, campaign: Campaign, robot: Robot, path: Path, file: Path,
         file.write_text(program(made, ending, path.stem), encoding="utf-8", errors="replace")
 
 
-def _report(plan: Plan, apart: Sequence[str], out: Sequence[Path]) -> None:
+def _report(plan: Plan, apart: Sequence[str], out: Sequence[Path], console: Console) -> None:
     """Print what the plan will tell."""
-    console = Console()
     console.print(_sigma_table(plan, apart))
     lines = [
         f"{plan.measured} rows so far; {plan.unknowns} unknowns of arm, frames, effects can be identified with the planned ones",

@@ -22,9 +22,7 @@ from collections.abc import Sequence
 from contextlib import nullcontext
 from pathlib import Path
 
-from rich.console import Console
-
-from aridcal.command_line import DONE, NOT_GOOD, CommandParser, command_parser, run
+from aridcal.command_line import DONE, NOT_GOOD, CommandParser, command_parser, for_scripts, run, screens
 from aridcal.drawing.html import counted
 from aridcal.errors import shortened
 from aridcal.overview.fleet_page import fleet_page
@@ -61,6 +59,7 @@ def parser() -> CommandParser:
         metavar="ADDRESS",
         help="of a Dask cluster, tcp://10.0.0.1:8786 for instance (default: processes of this computer)",
     )
+    for_scripts(arguments)
     return arguments
 
 
@@ -73,8 +72,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _main(arguments: argparse.Namespace) -> int:
     out: Path = arguments.out
     fleet = members(arguments.campaigns, out)
-    console = Console()
-    with claimed(out, "folder", TAKEN), told_on(Console(stderr=True)) as progress:
+    console, aside = screens(arguments)
+    with claimed(out, "folder", TAKEN), told_on(aside) as progress:
         out.mkdir(exist_ok=True)
         plan = planned(fleet, out, write_folder, progress)
         with dask_engine(arguments.scheduler, progress) if plan.tasks else nullcontext(here) as engine:

@@ -10,21 +10,32 @@ Example:
     aridcal identify identification/arid/campaign.yaml
     aridcal identify campaign.yaml --verify another_day.csv
     aridcal identify campaign.yaml --tolerance 0.2mm
+    aridcal identify campaign.yaml --json | jq .error.final
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from aridcal.command_line import DONE, NOT_GOOD, CommandParser, command_parser, run
+from aridcal.command_line import (
+    DONE,
+    NOT_GOOD,
+    CommandParser,
+    command_parser,
+    for_scripts,
+    print_headline,
+    run,
+    screens,
+)
 from aridcal.errors import shortened
 from aridcal.head.found import CACHE
 from aridcal.inputs.campaign import load_campaign
@@ -174,6 +185,7 @@ def parser() -> CommandParser:
         default=0,
         help="seed of the random split into fitted and held-out rows, where the table has no column `split`",
     )
+    for_scripts(arguments, headline=True)
     return arguments
 
 
@@ -190,8 +202,8 @@ def _main(arguments: argparse.Namespace) -> int:
 
 
 def _identify(arguments: argparse.Namespace, out: Path) -> int:
-    console = Console()
-    with told_on(Console(stderr=True)) as progress:
+    console, aside = screens(arguments)
+    with told_on(aside) as progress:
         campaign = load_campaign(arguments.campaign)
         if arguments.tolerance is not None:
             campaign = campaign.with_tolerance(arguments.tolerance)
@@ -216,7 +228,25 @@ def _identify(arguments: argparse.Namespace, out: Path) -> int:
     console.print(f"report: {out / 'report.html'}", soft_wrap=True, markup=False, highlight=False)
     if (out / "certificate.pdf").is_file():
         console.print(f"certificate: {out / 'certificate.pdf'}", soft_wrap=True, markup=False, highlight=False)
+    print_headline(arguments, _headline(out, outcome))
     return NOT_GOOD if outcome.certainty is not None and not outcome.certainty.within else DONE
+
+
+def _headline(out: Path, outcome: Outcome) -> dict[str, Any]:
+    """What `--json` prints: keys of `result.json`, the error on the rows that judge, and where the pages are."""
+    from aridcal.result.key_figures import scored  # as above
+
+    found = json.loads((out / "result.json").read_text(encoding="utf-8"))
+    judged, rows = scored(outcome)
+    part = next(name for name, mask in outcome.parts().items() if np.array_equal(mask, judged))
+    keys = ("verdict", "reasons", "effects", "workspace", "notices")
+    return {
+        "format": found["format"],
+        "rows": f"{judged.sum()} {rows}",
+        "error": {stage: parts[part] for stage, parts in found["error"].items()},
+        **{key: found[key] for key in keys if key in found},
+        **{page: str(out / page) for page in ("report.html", "certificate.pdf") if (out / page).is_file()},
+    }
 
 
 if __name__ == "__main__":

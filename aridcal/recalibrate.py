@@ -23,9 +23,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
-
-from aridcal.command_line import CommandParser, command_parser, run
+from aridcal.command_line import CommandParser, command_parser, for_scripts, run, screens
 from aridcal.drawing.scene import write_scene
 from aridcal.errors import CampaignError, OutputError
 from aridcal.fit.constants import urdf_of
@@ -57,6 +55,7 @@ def parser() -> CommandParser:
         "rows", type=path_argument, help="measurements after the change, .csv or .parquet, or a campaign, .yaml"
     )
     arguments.add_argument("-o", "--out", type=path_argument, required=True, help="folder for the repaired calibration")
+    for_scripts(arguments)
     return arguments
 
 
@@ -67,9 +66,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _main(arguments: argparse.Namespace) -> None:
-    with told_on(Console(stderr=True)) as progress:
+    console, aside = screens(arguments)
+    with told_on(aside) as progress:
         said = recalibrate(arguments.results, arguments.rows, arguments.out, progress)
-    console = Console()
     for line in said:
         console.print(line, markup=False, highlight=False, soft_wrap=True)
     console.print(f"repaired: {arguments.out / 'report.html'}", soft_wrap=True, markup=False, highlight=False)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -25,7 +26,51 @@ T = TypeVar("T")
 EVERY = 2.0
 """[s] between two lines inside one step, at the least: one sees that it goes on, and a log stays short."""
 
+MINUTE = 60.0
+"""[s]."""
+
 Show = Callable[[str], None]
+
+BAR = 20
+"""Letters of a bar."""
+
+
+@dataclass(frozen=True)
+class HowFar:
+    """How far a step is.
+
+    Attributes:
+        step: What is being done.
+        said: How much of it is done, in words.
+        share: From 0 to 1; None where nobody can say.
+        left: What it will still take if it goes on like that, [s]; NaN where nobody can say.
+    """
+
+    step: str
+    said: str
+    share: float | None = None
+    left: float = math.nan
+
+    def __str__(self) -> str:
+        return f"{self.step}: {self.said}" + (f", {self.remaining} left" if self.remaining else "")
+
+    @property
+    def remaining(self) -> str:
+        """The time left in words; empty where nobody can say."""
+        if math.isnan(self.left) or self.share == 1.0:
+            return ""
+        return f"{self.left:.0f} s" if self.left < MINUTE else f"{self.left / MINUTE:.0f} min"
+
+    @property
+    def bar(self) -> str:
+        """The share as a bar with its percentage; empty where nobody can say."""
+        if self.share is None:
+            return ""
+        full = int(BAR * self.share)
+        return f"{'━' * full}{'─' * (BAR - full)} {100 * self.share:3.0f} %  "
+
+
+Passing = Callable[[HowFar], None]
 
 
 class Progress:
@@ -33,13 +78,14 @@ class Progress:
 
     Args:
         show: Called with each step.
-        passing: Called with what soon holds no more, how far a step is; default: as ``show``.
+        passing: Called with what soon holds no more, how far a step is; default: its words are shown as a step is.
         clock: In seconds.
     """
 
-    def __init__(self, show: Show, passing: Show | None = None, clock: Callable[[], float] = time.monotonic) -> None:
-        self._show, self._passing, self._clock = show, passing or show, clock
+    def __init__(self, show: Show, passing: Passing | None = None, clock: Callable[[], float] = time.monotonic) -> None:
+        self._show, self._passing, self._clock = show, passing or (lambda far: show(str(far))), clock
         self._step, self._told = "", clock()
+        self._began = self._told
 
     def __call__(self, step: str) -> None:
         """Begin a step."""
@@ -49,6 +95,7 @@ class Progress:
     def at(self, step: str) -> None:
         """Begin a step that is told of only if it takes long."""
         self._step, self._told = step, self._clock()
+        self._began = self._told
 
     def note(self, said: str) -> None:
         """Tell something by the way; the step goes on."""
@@ -62,17 +109,20 @@ class Progress:
             total: Of how many.
             of: What they are, ``rows`` for instance.
         """
-        self._tell(f"{done:,} of {total:,} {of}")
+        self._tell(f"{done:,} of {total:,} {of}", done / total if total else None)
 
     def share(self, done: float) -> None:
         """The same of what is not counted, ``done`` from 0 to 1."""
-        self._tell(f"{int(100 * done)} %")
+        self._tell(f"{int(100 * done)} %", done)
 
-    def _tell(self, how_far: str) -> None:
+    def _tell(self, said: str, share: float | None) -> None:
         now = self._clock()
-        if now - self._told >= EVERY:
-            self._told = now
-            self._passing(f"{self._step}: {how_far}")
+        if now - self._told < EVERY:
+            return
+        self._told = now
+        share = None if share is None else min(max(share, 0.0), 1.0)
+        left = (now - self._began) * (1.0 - share) / share if share else math.nan
+        self._passing(HowFar(self._step, said, share, left))
 
     def over(self, items: Sequence[T], of: str) -> Iterator[T]:
         """Go through items, and tell how many are done."""
@@ -105,16 +155,17 @@ def told_on(console: Console) -> Iterator[Progress]:
         clear()
         console.print(line(step), style="dim", markup=False, highlight=False, soft_wrap=True)
 
-    def passing(step: str) -> None:
+    def passing(far: HowFar) -> None:
         clear()
-        console.print(line(step), style="dim", markup=False, highlight=False, no_wrap=True, overflow="ellipsis", end="")
+        said = line(f"{far.bar}{far}")
+        console.print(said, style="dim", markup=False, highlight=False, no_wrap=True, overflow="ellipsis", end="")
 
     def clear() -> None:
         if console.is_terminal:
             console.control(Control(ControlType.CARRIAGE_RETURN, (ControlType.ERASE_IN_LINE, 2)))
 
     try:
-        yield Progress(show, passing if console.is_terminal else show)
+        yield Progress(show, passing if console.is_terminal else None)
     finally:
         clear()
 
@@ -150,7 +201,7 @@ def _in_terminal(console: Console, line: Callable[[str], str]) -> Iterator[Progr
             spinner.update(text=Text(line(step)))
             live.refresh()
 
-        yield Progress(show)
+        yield Progress(show, lambda far: show(f"{far.bar}{far}"))
 
 
 def _in_notebook(line: Callable[[str], str]) -> Iterator[Progress]:
@@ -162,7 +213,7 @@ def _in_notebook(line: Callable[[str], str]) -> Iterator[Progress]:
     def show(step: str) -> None:
         shown.update({"text/plain": line(step)}, raw=True)
 
-    yield Progress(show)
+    yield Progress(show, lambda far: show(f"{far.bar}{far}"))
     show("done")
 
 

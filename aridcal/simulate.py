@@ -8,13 +8,11 @@ Example:
 
 from __future__ import annotations
 
+import argparse
 import sys
 from collections.abc import Sequence
-from pathlib import Path
 
-from rich.console import Console
-
-from aridcal.command_line import CommandParser, command_parser, run
+from aridcal.command_line import CommandParser, command_parser, for_scripts, run, screens
 from aridcal.errors import OutputError
 from aridcal.inputs.yaml_file import load_settings
 from aridcal.prepare.scenario import Scenario
@@ -31,25 +29,27 @@ def parser() -> CommandParser:
     arguments.add_argument(
         "-o", "--out", type=path_argument, required=True, metavar="DIR", help="folder of the campaign"
     )
+    for_scripts(arguments)
     return arguments
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; returns its exit status."""
     arguments = parser().parse_args(argv)
-    return run(lambda: _main(arguments.scenario, arguments.out))
+    return run(lambda: _main(arguments))
 
 
-def _main(path: Path, out: Path) -> None:
+def _main(arguments: argparse.Namespace) -> None:
+    path, out = arguments.scenario, arguments.out
+    console, aside = screens(arguments)
     scenario = load_settings(path, Scenario)
     if (out / "campaign.yaml").resolve() == path.resolve():
         raise OutputError(f"{path}: the campaign would overwrite its scenario; rename it or choose another folder")
-    with claimed(out, "folder"), told_on(Console(stderr=True)) as progress:
+    with claimed(out, "folder"), told_on(aside) as progress:
         simulation = simulate(scenario, progress)
         with atomic_folder(out) as folder:
             write_campaign(simulation, folder, out, progress)
     rows, wrong = len(simulation.outliers), int(simulation.outliers.sum())
-    console = Console()
     console.print(
         f"{out}: {rows} rows, {wrong} of them outliers; the truth is in truth.json", soft_wrap=True, markup=False
     )

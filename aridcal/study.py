@@ -22,9 +22,7 @@ from collections.abc import Sequence
 from contextlib import nullcontext
 from pathlib import Path
 
-from rich.console import Console
-
-from aridcal.command_line import DONE, NOT_GOOD, CommandParser, command_parser, run
+from aridcal.command_line import DONE, NOT_GOOD, CommandParser, command_parser, for_scripts, run, screens
 from aridcal.drawing.html import counted
 from aridcal.errors import shortened
 from aridcal.inputs.campaign import Campaign
@@ -53,6 +51,7 @@ def parser() -> CommandParser:
         metavar="ADDRESS",
         help="of a Dask cluster, tcp://10.0.0.1:8786 for instance (default: processes of this computer)",
     )
+    for_scripts(arguments)
     return arguments
 
 
@@ -65,8 +64,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _main(arguments: argparse.Namespace) -> int:
     out: Path = arguments.out
     job = load_study(arguments.study)
-    console = Console()
-    with claimed(out, "folder", (NAME, PAGE)), told_on(Console(stderr=True)) as progress:
+    console, aside = screens(arguments)
+    with claimed(out, "folder", (NAME, PAGE)), told_on(aside) as progress:
         out.mkdir(exist_ok=True)
         every = trials(job)
         known = known_runs(out, every)

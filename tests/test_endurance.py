@@ -30,7 +30,7 @@ from aridcal.model.model import Model
 from aridcal.result import pipeline, stretches
 from aridcal.result.folder import write_results
 from aridcal.search import noise_tests
-from aridcal.showing import EVERY, Progress, told_on
+from aridcal.showing import EVERY, HowFar, Progress, told_on
 
 
 def hundred_times(folder: Path, rows: int) -> pd.DataFrame:
@@ -217,7 +217,21 @@ def test_a_step_tells_how_far_it_is_and_not_too_often() -> None:
     done = list(progress.over(range(100), "rows"))
     assert done == list(range(100)) and said[0] == "fitting"
     assert len(said) - 1 == pytest.approx(100 * 0.1 / EVERY, abs=1)
-    assert said[1].startswith("fitting: ") and said[1].endswith(" of 100 rows")
+    assert re.fullmatch(r"fitting: \d+ of 100 rows, \d+ s left", said[1])
+
+
+def test_the_time_left_is_what_the_rest_takes_at_the_pace_so_far_and_the_bar_shows_the_share() -> None:
+    told: list[HowFar] = []
+    clock = ticking(10.0)
+    progress = Progress(lambda _: None, told.append, lambda: next(clock))
+    progress("searching")
+    for done in (1, 2, 3, 4):
+        progress.part(done, 4, "rounds")
+    assert [far.left for far in told] == pytest.approx([30.0, 20.0, 10.0, 0.0])
+    assert [far.bar.count("━") for far in told] == [5, 10, 15, 20]
+    assert [str(far) for far in told[2:]] == ["searching: 3 of 4 rounds, 10 s left", "searching: 4 of 4 rounds"]
+    progress.part(0, 4, "rounds")  # nothing is done: nobody can say how long
+    assert str(told[-1]) == "searching: 0 of 4 rounds"
 
 
 def test_a_quiet_step_is_told_of_only_if_it_takes_long() -> None:
@@ -229,12 +243,12 @@ def test_a_quiet_step_is_told_of_only_if_it_takes_long() -> None:
     assert said == []
     for done in (0.2, 0.3, 0.4, 0.5):
         progress.share(done)
-    assert said == ["predicting: 40 %"]
+    assert said == ["predicting: 40 %, 3 s left"]
 
 
 def test_in_a_pipe_progress_is_lines_and_in_a_terminal_one_line(capsys: pytest.CaptureFixture[str]) -> None:
     for terminal in (False, True):
-        console = Console(stderr=True, force_terminal=terminal, width=60)
+        console = Console(stderr=True, force_terminal=terminal, width=80)
         with told_on(console) as progress:
             progress._clock = iter([0.0, 5.0, 10.0]).__next__
             progress("reading [bold]")
@@ -254,7 +268,7 @@ def test_every_long_part_of_a_calibration_is_told(tmp_path: Path) -> None:
     path = robots.write_campaign(tmp_path, truth, diagnosis={"candidates": ["joint_gain", "unknown"]})
     outcome = pipeline.identify(path, progress=progress)
     write_results(outcome, tmp_path, progress)
-    told = {found[1] for line in said if (found := re.search(r": [\d,]+ of [\d,]+ (.+)$", line))}
+    told = {found[1] for line in said if (found := re.search(r": [\d,]+ of [\d,]+ ([^,]+)", line))}
     assert {"rows", "candidates", "pairs", "other starts", "shuffles of the rows", "covariates"} <= told
     assert "rows of residuals.csv" in told
 

@@ -14,7 +14,7 @@ from typing import Any, Protocol
 from threadpoolctl import threadpool_limits
 
 from aridcal.errors import AridcalError, BusyError, MeasurementError
-from aridcal.head.detections import CACHE
+from aridcal.head.found import CACHE
 from aridcal.inputs.campaign import Campaign, load_campaign
 from aridcal.plant.keys import Inputs, inputs_of, inputs_of_text
 from aridcal.plant.record import FILE, Row, as_text, done_row, failed_row, row_in

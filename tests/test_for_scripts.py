@@ -1,0 +1,55 @@
+"""Commands as scripts call them: --quiet says nothing, --json says one line of JSON that agrees with result.json."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import robots
+
+from aridcal.check import main as check
+from aridcal.identify import main as identify
+
+
+@pytest.fixture(scope="module")
+def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    truth = robots.simulate(robots.ur10(), 60, np.random.default_rng(0), noise=1e-4)
+    return robots.write_campaign(tmp_path_factory.mktemp("scripts"), truth)
+
+
+def test_quiet_prints_nothing_and_errors_all_the_same(campaign: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    assert identify([str(campaign), "--quiet"]) == 0
+    assert capfd.readouterr() == ("", "")
+    assert (campaign.parent / "results" / "report.html").is_file()
+    assert identify([str(campaign.with_name("nowhere.yaml")), "--quiet"]) == 2
+    out, err = capfd.readouterr()
+    assert out == ""
+    assert "nowhere.yaml" in err
+
+
+def test_json_is_one_line_and_says_what_result_json_says(campaign: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    assert identify([str(campaign), "--json"]) == 0
+    out, err = capfd.readouterr()
+    said = json.loads(out)
+    assert out.count("\n") == 1
+    assert "fitting" in err  # progress goes on beside it
+    written = json.loads((campaign.parent / "results" / "result.json").read_text())
+    assert said["verdict"] == written["verdict"]
+    assert said["error"]["final"] == written["error"]["final"]["test"]
+    assert said["rows"] == f"{written['n']['test']} held-out rows"
+    assert Path(said["report.html"]).is_file()
+
+
+def test_a_check_as_json_agrees_with_its_exit_status(campaign: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    results, rows = campaign.parent / "results", campaign.parent / "measurements.csv"
+    moved = pd.read_csv(rows)
+    moved[moved.columns[0]] += 0.01
+    moved.to_csv(campaign.parent / "moved.csv", index=False)
+    for table, status in ((rows, 0), (campaign.parent / "moved.csv", 3)):
+        assert check([str(results), str(table), "--json", "--quiet"]) == status
+        said = json.loads(capfd.readouterr().out)
+        assert said["good"] == (status == 0)
+        assert said["said"]
