@@ -7,7 +7,7 @@ import re
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, TypeAlias, Union
 
 import numpy as np
 import pyarrow as pa
@@ -21,8 +21,8 @@ from aridcal.reading.table_files import FileCells, check_header, read_csv, read_
 if TYPE_CHECKING:
     import pandas as pd
 
-# What a user may give as a table: the path of a csv or parquet file, or the rows themselves.
-AnyTable: TypeAlias = "str | Path | pd.DataFrame"
+# What a user may give as a table: the path of a csv or parquet file, or the rows themselves. A name in quotes has no `|`.
+AnyTable: TypeAlias = Union[str, Path, "pd.DataFrame"]
 
 # Stands in messages where a table has no file. Its row k is called line k + 2, as if it were saved as csv.
 IN_MEMORY = Path("DataFrame")
