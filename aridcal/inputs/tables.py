@@ -8,7 +8,7 @@ import re
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, TypeAlias, Union
 
 import numpy as np
 import pyarrow as pa
@@ -26,8 +26,8 @@ from aridcal.reading.written import read_written
 if TYPE_CHECKING:
     import pandas as pd
 
-# What a user may give as a table: the path of a csv or parquet file, or the rows themselves.
-AnyTable: TypeAlias = "str | Path | pd.DataFrame"
+# What a user may give as a table: the path of a csv or parquet file, or the rows themselves. A name in quotes has no `|`.
+AnyTable: TypeAlias = Union[str, Path, "pd.DataFrame"]
 
 # Stands in messages where a table has no file. Its row k is called line k + 2, as if it were saved as csv.
 IN_MEMORY = Path("DataFrame")
