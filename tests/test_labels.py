@@ -33,6 +33,8 @@ from aridcal.robot.chain import parse_robot
 from aridcal.robot.kinematics import tip_frames
 from aridcal.search.arm import CalibratedArm, calibrated_arm, fit_constants
 from aridcal.showing import SILENT
+from aridcal.upkeep.checking import check
+from aridcal.upkeep.new_rows import read_new_rows
 
 NOISE = 1e-4
 LABELS = ("hall A", "hall B", "[3]", "lathe", "Ofen")
@@ -191,6 +193,20 @@ def test_each_label_s_urdf_alone_predicts_its_rows(halls: tuple[Outcome, Path, n
     regions = Calibration(calibration(outcome), outcome).regions
     assert list(regions["label"]) == [*sorted(LABELS), ""]
     pd.testing.assert_frame_equal(regions, Calibration(calibration(outcome), folder=folder).regions)
+
+
+def test_a_check_takes_rows_of_known_labels_alone(halls: tuple[Outcome, Path, np.ndarray]) -> None:
+    """A deviation that nobody knows would look like a change: the five labels differ by up to 2 mrad."""
+    _, folder, _ = halls
+    saved = SavedModel.load(folder / "calibration.yaml")
+    table = pd.read_csv(folder / "rows.csv").iloc[:20]
+    new = read_new_rows(saved, table)
+    assert not check(saved, new.rows).causes
+    for other in ("hall C", np.nan):
+        with pytest.raises(MeasurementError, match=r"is none of those by which the calibration's constants vary"):
+            read_new_rows(saved, table.assign(square=table["square"].where(table.index != 3, other)))
+    with pytest.raises(MeasurementError, match=r"take rows of these"):
+        read_new_rows(saved, table.drop(columns="square"))
 
 
 def test_labels_that_mean_nothing_cost_nothing() -> None:
