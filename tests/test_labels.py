@@ -294,6 +294,18 @@ def test_a_cause_that_goes_with_the_stations_is_told_from_what_is_of_theirs_alon
     ]
 
 
+@pytest.mark.parametrize("of", [["temperature"], ["station[a]", "station[b]"], []])
+def test_a_file_whose_label_is_none_is_refused(
+    halls: tuple[Outcome, Path, np.ndarray], of: list[str], tmp_path: Path
+) -> None:
+    keys = yaml.safe_load((halls[1] / "calibration.yaml").read_text("utf-8"))
+    part = next(c for c in keys["final"]["coefficients"] if c["basis"]["form"] == "label")
+    part["basis"]["of"] = of
+    (tmp_path / "calibration.yaml").write_text(yaml.safe_dump(keys), "utf-8")
+    with pytest.raises(CampaignError, match=r"no function 'label'"):
+        SavedModel.load(tmp_path / "calibration.yaml")
+
+
 def test_columns_of_labels() -> None:
     station = np.array(["a", "", "b]", "a"])
     made = label_columns(["temperature", "station[a]", "station[b]]", "station[c]"], station)

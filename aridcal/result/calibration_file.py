@@ -14,6 +14,7 @@ from pydantic import Field, field_validator, model_validator
 
 from aridcal.effects.basis import FORMS
 from aridcal.effects.effect import Coefficient
+from aridcal.effects.labels import is_label
 from aridcal.errors import CampaignError, has_controls
 from aridcal.inputs.yaml_file import LARGEST, Number, Section, Settings, Vector3, decode, parse_yaml, validated
 from aridcal.reading.files import CALIBRATION, read_file
@@ -110,7 +111,7 @@ class BasisPart(Section):
 
 def _works(form: str, of: Sequence[str], numbers: Sequence[float]) -> bool:
     """True of a basis that has finite values where it is centred, and beside that."""
-    if form not in FORMS:
+    if form not in FORMS or (form == "label" and not (len(of) == 1 and is_label(of[0]))):
         return False
     places = np.array([*numbers[:1], 0.5])
     try:
