@@ -138,7 +138,7 @@ class Calibration:
 
         Returns:
             The same rows and columns with the target's pose, its standard deviations ``std_x`` to ``std_rz``, and
-            ``extrapolates``: not like what the calibration saw.
+            ``extrapolates``: not like what the calibration saw. Where something was told by no reading, also ``told``.
 
         Raises:
             AridcalError: a column is missing, two orientations disagree, or no row can be predicted.

@@ -9,6 +9,7 @@ the table had in these columns is replaced, and orientations of another writing 
 `extrapolates` is true where a joint or a covariate is outside the calibrated range or in a hole of what was measured, and where
 the pose is three times as uncertain as at any calibrated row. A row with an empty joint gets no pose; a word in its place, or a
 hole in a covariate that an effect depends on, is an error.
+Where the calibration has something that no reading told, `told` is false in rows that it may move by more than 10 mm or 10 mrad.
 
 Example:
     aridcal predict results/calibration.yaml query.csv -o predicted.csv
@@ -84,6 +85,7 @@ class Answered:
         x: Name of the column that is empty where a row has no pose.
         rows: How many.
         unlike: How many of them are unlike what was measured.
+        untold: How many have a pose that no reading told all of.
         bare: How many have no pose.
         remarks: What is odd.
     """
@@ -91,6 +93,7 @@ class Answered:
     x: str
     rows: int = 0
     unlike: int = 0
+    untold: int = 0
     bare: int = 0
     remarks: Remarks = field(default_factory=lambda: Remarks(SHOWN_REMARKS))
 
@@ -98,7 +101,9 @@ class Answered:
         """Count one more stretch."""
         self.rows += len(table)
         self.unlike += int(table["extrapolates"].sum())
-        self.bare += int(table[self.x].isna().sum())
+        bare = table[self.x].isna()
+        self.untold += int((~table["told"] & ~bare).sum()) if "told" in table else 0
+        self.bare += int(bare.sum())
         self.remarks.add(query)
 
 
@@ -108,6 +113,7 @@ def _report(answered: Answered, out: Path) -> None:
     for remark in answered.remarks.lines():
         console.print(remark, markup=False, highlight=False, soft_wrap=True)
     said = f"{out}: {answered.rows} rows, {answered.unlike} of them unlike what was measured"
+    said += f", {answered.untold} where no reading told a part of what moves the target" if answered.untold else ""
     said += f", {answered.bare} without a pose because a number is missing" if answered.bare else ""
     console.print(said, markup=False, highlight=False, soft_wrap=True)
 

@@ -29,7 +29,7 @@ from scipy.stats import kstest
 
 from aridcal.effects.catalogue import candidates
 from aridcal.effects.loads import Surroundings
-from aridcal.effects.smooth import Kernel, kernel_root
+from aridcal.effects.smooth import Kernel, samples_root
 from aridcal.fit.constants import constants
 from aridcal.fit.least_squares import Fit, fit, fit_identifiable
 from aridcal.fit.problem import problem
@@ -147,7 +147,7 @@ def spoilt(kind: str, effect_kind: str, seed: int) -> tuple[float, float]:
         effect = choice[int(rng.integers(len(choice)))]
         weights = rng.standard_normal(len(effect.coefficients))
         if effect.smooth:
-            weights = kernel_root(effect.shape, Kernel(WAVE * len(weights), kinks=False)) @ weights
+            weights = samples_root(effect.shape, Kernel(WAVE * len(weights), kinks=False)) @ weights
         bent = replace(truth.model, coefficients=effect.coefficients, around=around)
         _, _, J = bent.jacobian(np.zeros(len(weights)), bent.rows(rows.readings, rows.conditions))
         moved = (J @ weights)[:, :size].ravel()

@@ -5,6 +5,7 @@
     python benchmarks/regions.py square           # three strips of 28 squares; around one of them the targets are 0.5 mm off
     python benchmarks/regions.py station          # eight stations, each with zeros of two joints of its own, 1 mrad RMS
     python benchmarks/regions.py few              # the same; one station has three rows
+    python benchmarks/regions.py lone             # twenty stations, at one of which the targets are 0.5 mm off
 
 Each case is an ARID with constants that are 2 mm and 2 mrad off, measured by a tracker of 0.1 mm and 0.1 mrad. Models are
 fitted to the training rows and judged at others: `measured` by what the tracker says of them, `true` by where the targets really
@@ -43,7 +44,8 @@ OFF, REACH = 5e-4, 0.12  # how far targets are off around a square, and how far 
 LINKS: list[dict[str, object]] = [
     {"kind": "regional", "where": f"joint_{k}", "motion": ("beta", "alpha"), "by": "joint_1"} for k in (1, 2, 3)
 ]
-STATIONS, FEW = 8, 3  # labels; rows of one that has few
+STATIONS, FEW, MANY = 8, 3, 20  # labels; rows of one that has few; labels of which one is off
+SHIFTS: list[dict[str, object]] = [{"kind": "regional", "where": "world_base", "by": "station"}]
 ZEROS: list[dict[str, object]] = [
     {"kind": "regional", "where": f"joint_{k}", "motion": ("axis",), "by": "station"} for k in (2, 3)
 ]
@@ -151,6 +153,25 @@ def station(seed: int, varies: bool, few: bool = False) -> Case:
     return Case(robot, rows, p, test & (label == 0) if few else test, known, columns)
 
 
+def lone(seed: int, varies: bool) -> Case:
+    """At one of twenty stations the targets are off; what is judged is that station."""
+    rng = np.random.default_rng([seed, 4])
+    robot = arid()
+    low, high = robot.limits.T
+    q = rng.uniform(low, high, (TRAIN + JUDGED, len(low)))
+    label = rng.integers(0, MANY, len(q))
+    columns = {"there": (label == 0).astype(float)}
+    known = tuple(Coefficient("world_base", c, Basis("linear", ("there",), (0.0,))) for c in ("x", "y", "z"))
+    away = rng.standard_normal(3)
+    truth = truth_of(robot, "doty", ARID_FRAMES)
+    theta = WRONG * rng.standard_normal(len(truth.coefficients))
+    R, p = truth.poses(theta, truth.rows(q))
+    p = p + float(varies) * OFF * columns["there"][:, None] * away / np.linalg.norm(away)
+    test = np.arange(len(q)) >= TRAIN
+    rows = replace(measured(robot, q, R, p, test, rng), station=np.array([f"s{k}" for k in label]))
+    return Case(robot, rows, p, test & (label == 0), known, columns)
+
+
 def few(seed: int, varies: bool) -> Case:
     """One station has three rows; what is judged is that station."""
     return station(seed, varies, True)
@@ -235,10 +256,13 @@ def run(make: Callable[[int, bool], Case], declared: list[dict[str, object]], ca
 def main() -> int:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", nargs="*", metavar="NAME", help="rail, square, station, few; default: all")
+    parser.add_argument("what", nargs="*", metavar="NAME", help="rail, square, station, few, lone; default: all")
     parser.add_argument("--cases", type=int, default=10)
     arguments = parser.parse_args()
-    parts = {"rail": (rail, LINKS), "square": (square, FIELD), "station": (station, ZEROS), "few": (few, ZEROS)}
+    parts = {
+        "rail": (rail, LINKS), "square": (square, FIELD), "station": (station, ZEROS), "few": (few, ZEROS),
+        "lone": (lone, SHIFTS),
+    }  # fmt: skip
     for name in arguments.what or parts:
         if name not in parts:
             parser.error(f"no part {name!r}: choose from {', '.join(parts)}")

@@ -549,6 +549,14 @@ SCENARIOS: dict[str, tuple[Spoil, str]] = {
         "truth.instruments: no row refers to such things",
     ),
     "stations": (key("scenario.yaml", "frames.world_base.per", "station"), "stations are not simulated; delete"),
+    "effects by station": (
+        key(
+            "scenario.yaml",
+            "truth.effects",
+            [{"kind": "regional", "where": "joint_2", "by": "station", "coefficients": 1}],
+        ),
+        "stations are not simulated; name a joint",
+    ),
     "two columns of one name": (key("scenario.yaml", "measurements.columns", {"x": "y"}), "would be called 'y'"),
 }
 

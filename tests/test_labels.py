@@ -33,6 +33,8 @@ from aridcal.robot.chain import parse_robot
 from aridcal.robot.kinematics import tip_frames
 from aridcal.search.arm import CalibratedArm, calibrated_arm, fit_constants
 from aridcal.showing import SILENT
+from aridcal.upkeep.checking import check
+from aridcal.upkeep.new_rows import read_new_rows
 
 NOISE = 1e-4
 LABELS = ("hall A", "hall B", "[3]", "lathe", "Ofen")
@@ -193,6 +195,20 @@ def test_each_label_s_urdf_alone_predicts_its_rows(halls: tuple[Outcome, Path, n
     pd.testing.assert_frame_equal(regions, Calibration(calibration(outcome), folder=folder).regions)
 
 
+def test_a_check_takes_rows_of_known_labels_alone(halls: tuple[Outcome, Path, np.ndarray]) -> None:
+    """A deviation that nobody knows would look like a change: the five labels differ by up to 2 mrad."""
+    _, folder, _ = halls
+    saved = SavedModel.load(folder / "calibration.yaml")
+    table = pd.read_csv(folder / "rows.csv").iloc[:20]
+    new = read_new_rows(saved, table)
+    assert not check(saved, new.rows).causes
+    for other in ("hall C", np.nan):
+        with pytest.raises(MeasurementError, match=r"is none of those by which the calibration's constants vary"):
+            read_new_rows(saved, table.assign(square=table["square"].where(table.index != 3, other)))
+    with pytest.raises(MeasurementError, match=r"take rows of these"):
+        read_new_rows(saved, table.drop(columns="square"))
+
+
 def test_labels_that_mean_nothing_cost_nothing() -> None:
     """Clean campaigns of eight labels: nothing is found; what is declared is left out, or next to nothing."""
     taken = 0
@@ -276,6 +292,18 @@ def test_a_cause_that_goes_with_the_stations_is_told_from_what_is_of_theirs_alon
     assert [(a.effect.kind, a.effect.where) for a in found.state.active] == [
         ("thermal" if caused else "regional", "joint_3")
     ]
+
+
+@pytest.mark.parametrize("of", [["temperature"], ["station[a]", "station[b]"], []])
+def test_a_file_whose_label_is_none_is_refused(
+    halls: tuple[Outcome, Path, np.ndarray], of: list[str], tmp_path: Path
+) -> None:
+    keys = yaml.safe_load((halls[1] / "calibration.yaml").read_text("utf-8"))
+    part = next(c for c in keys["final"]["coefficients"] if c["basis"]["form"] == "label")
+    part["basis"]["of"] = of
+    (tmp_path / "calibration.yaml").write_text(yaml.safe_dump(keys), "utf-8")
+    with pytest.raises(CampaignError, match=r"no function 'label'"):
+        SavedModel.load(tmp_path / "calibration.yaml")
 
 
 def test_columns_of_labels() -> None:

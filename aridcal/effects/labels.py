@@ -25,7 +25,7 @@ def label_in(name: str) -> str:
 
 def is_label(name: str) -> bool:
     """True for such a covariate."""
-    return name.startswith(f"{STATION}[")
+    return name.startswith(f"{STATION}[") and name.endswith("]")
 
 
 def labels_in(station: np.ndarray | None) -> list[str]:

@@ -7,6 +7,7 @@ from typing import Annotated
 from pydantic import BeforeValidator, Field
 
 from aridcal.effects.catalogue import KINDS, is_of_head
+from aridcal.effects.labels import STATION
 from aridcal.errors import CampaignError
 from aridcal.inputs.campaign import Job
 from aridcal.inputs.measurement_settings import OF_TARGETS
@@ -117,6 +118,10 @@ def check_scenario(scenario: Scenario) -> None:
             measurements.head is None
             and any(is_of_head(e.kind) and e.where not in scenario.instruments.cameras for e in truth.effects),
             f"{', '.join(filter(is_of_head, KINDS))} need `kind: camera_sonar`, or a camera under `instruments`",
+        ),
+        "truth.effects: by": (
+            any(e.by == STATION for e in truth.effects),
+            "stations are not simulated; name a joint, a column or `place`",
         ),
         "measurements.units": (_any_has(scenario, "units"), "the table is written in SI; delete this key"),
         "measurements.table": (_any_has(scenario, "table"), "the table is written as csv; delete this key"),

@@ -13,9 +13,12 @@ import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from aridcal.effects.basis import FORMS
+from aridcal.effects.effect import Coefficient
+from aridcal.effects.labels import is_label
 from aridcal.errors import CampaignError, has_controls
 from aridcal.inputs.yaml_file import LARGEST, Number, Section, Settings, Vector3, decode, parse_yaml, validated
 from aridcal.reading.files import CALIBRATION, read_file
+from aridcal.trust.workspace import Untold
 
 UNIT = 1e-6
 """How far from 1 the norm of a quaternion may be that was written with all its digits."""
@@ -108,7 +111,7 @@ class BasisPart(Section):
 
 def _works(form: str, of: Sequence[str], numbers: Sequence[float]) -> bool:
     """True of a basis that has finite values where it is centred, and beside that."""
-    if form not in FORMS:
+    if form not in FORMS or (form == "label" and not (len(of) == 1 and is_label(of[0]))):
         return False
     places = np.array([*numbers[:1], 0.5])
     try:
@@ -173,6 +176,15 @@ class LargestPart(Section):
     rotation: Annotated[float, Field(ge=0, allow_inf_nan=True)] = np.inf
 
 
+class UntoldPart(Section):
+    """One constant of a combination that no reading tells, and how far it may be off together with the others."""
+
+    where: str
+    component: str
+    station: str | None = None
+    value: Number
+
+
 Pair = tuple[float, float]
 
 Ranges = tuple[Pair, ...]
@@ -190,6 +202,7 @@ class CalibrationDocument(Settings):
     largest_std: LargestPart = LargestPart()
     geometric: SolvedPart
     final: SolvedPart
+    untold: tuple[tuple[UntoldPart, ...], ...] = ()
 
 
 class ScatterPart(Section):
@@ -234,6 +247,21 @@ def read_calibration(path: Path) -> tuple[CalibrationDocument, dict[str, Any]]:
         return validated(own, lines, path, CalibrationDocument), record
     except CampaignError as problem:
         raise CampaignError(f"{problem}. {NOT_OURS}") from None
+
+
+def untold_document(untold: Sequence[Untold]) -> list[list[dict[str, Any]]]:
+    """Combinations of constants that no reading told, as plain data."""
+    return [
+        [{"where": c.where, "component": c.component, "station": c.station, "value": value} for c, value in part]
+        for part in untold
+    ]
+
+
+def untold_of(document: CalibrationDocument) -> tuple[Untold, ...]:
+    """What :func:`untold_document` wrote."""
+    return tuple(
+        tuple((Coefficient(e.where, e.component, station=e.station), e.value) for e in part) for part in document.untold
+    )
 
 
 def packed(covariance: np.ndarray) -> str:

@@ -17,7 +17,7 @@ from aridcal.inputs.approach import approach
 from aridcal.inputs.query import Query
 from aridcal.model.inverse import Command, InverseKinematics
 from aridcal.model.model import Model
-from aridcal.result.predict import at_any_station, directions, extrapolates, per_station, std_of
+from aridcal.result.predict import at_any_station, directions, extrapolates, per_station, std_of, with_told
 from aridcal.result.saved_model import SavedModel
 from aridcal.showing import SILENT, Progress
 
@@ -83,7 +83,7 @@ def compensate(
         table["rotation_error"] = [command.rotation_error / units.radians for command in found]
     commanded = replace(query, readings=readings, covariates=covariates)
     table["extrapolates"] = extrapolates(saved, commanded, std_of(saved, commanded))
-    return table
+    return with_told(saved, commanded, table)
 
 
 def follow(saved: SavedModel, query: Query) -> tuple[list[Command], dict[str, np.ndarray]]:

@@ -25,7 +25,7 @@ from aridcal.model.model import Model
 from aridcal.result.saved_model import SavedModel
 from aridcal.result.stretches import Stretch, stretches
 from aridcal.trust.seen import Seen
-from aridcal.trust.workspace import spread_out, target_covariance, worst_direction
+from aridcal.trust.workspace import spread_out, target_covariance, told_of, worst_direction
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -169,6 +169,23 @@ def predict(saved: SavedModel, query: Query) -> pd.DataFrame:
         column[known] = values
         table[name] = column
     table["extrapolates"] = extrapolates(saved, query, std)
+    return with_told(saved, query, table)
+
+
+def with_told(saved: SavedModel, query: Query, table: pd.DataFrame) -> pd.DataFrame:
+    """A query's table with ``told``, where the calibration has something that no reading told.
+
+    False where that may move the target, or turn it, by more than 10 mm or 10 mrad.
+    """
+    if saved.untold:
+        final, known = saved.final, query.usable & np.isfinite(query.readings).all(axis=1)
+        covariates = {name: values[known] for name, values in query.covariates.items()}
+        rows = final.model.rows(
+            query.readings[known], covariates, None if query.station is None else query.station[known]
+        )
+        told = np.zeros(len(known), dtype=bool)
+        told[known] = told_of(final.model, final.theta, saved.untold, rows, saved.kind == "pose")
+        table["told"] = told
     return table
 
 
@@ -362,7 +379,7 @@ def uncertainty(saved: SavedModel, query: Query, tool: Sequence[float]) -> pd.Da
         table[name] = np.full(len(table), np.nan)
         table.loc[known, name] = values
     table["extrapolates"] = extrapolates(saved, query, std_of(saved, query))
-    return table
+    return with_told(saved, query, table)
 
 
 def _far(saved: SavedModel, query: Query, known: np.ndarray) -> np.ndarray:

@@ -36,9 +36,11 @@ from aridcal.result.calibration_file import (
     packed,
     read_calibration,
     unpacked,
+    untold_document,
+    untold_of,
 )
 from aridcal.robot.chain import parse_robot
-from aridcal.trust.workspace import target_covariance
+from aridcal.trust.workspace import Untold, target_covariance, with_untold
 
 # libyaml where PyYAML was built with it.
 Dumper: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
@@ -128,6 +130,7 @@ class SavedModel:
         holes: Where nothing was seen inside those ranges; none in files from before they were looked for.
         largest_std: Largest standard deviation of the predicted position [m], and of the rotation [rad], at the fitted rows, all
             three axes together; infinite in such files.
+        untold: Combinations of constants that no reading told, and that move the target.
     """
 
     geometric: SolvedModel
@@ -139,6 +142,7 @@ class SavedModel:
     record: dict[str, Any]
     holes: dict[str, Ranges] = field(default_factory=dict)
     largest_std: tuple[float, float] = (np.inf, np.inf)
+    untold: tuple[Untold, ...] = ()
 
     @property
     def measurements(self) -> MeasurementSettings:
@@ -270,6 +274,7 @@ class SavedModel:
             "largest_std": dict(zip(("position", "rotation"), self.largest_std, strict=True)),
             "geometric": _solved_document(self.geometric),
             "final": _solved_document(self.final),
+            **({"untold": untold_document(self.untold)} if self.untold else {}),
             **self.record,
         }
         return str(yaml.dump(document, Dumper=Dumper, sort_keys=False, allow_unicode=True, width=110))
@@ -343,6 +348,8 @@ def _restored(document: CalibrationDocument, record: dict[str, Any]) -> SavedMod
         return found
 
     geometric, final = solved(document.geometric), solved(document.final)
+    untold = untold_of(document)
+    _try(SolvedModel(*with_untold(final.model, final.theta, untold)), middle)
     known = (*robot.readings, *final.model.needs)
     for name in (*document.ranges, *document.holes):
         if name not in known:
@@ -357,6 +364,7 @@ def _restored(document: CalibrationDocument, record: dict[str, Any]) -> SavedMod
         record,
         document.holes,
         (document.largest_std.position, document.largest_std.rotation),
+        untold,
     )
 
 

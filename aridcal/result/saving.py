@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
 
 from aridcal import __version__
+from aridcal.effects.effect import Coefficient
 from aridcal.effects.sights import Sights
 from aridcal.fit.least_squares import LEAST_FREEDOM, Fit
 from aridcal.fit.noise import contradicted
@@ -20,6 +22,7 @@ from aridcal.model.model import ONE_FRAME
 from aridcal.result.outcome import Outcome
 from aridcal.result.saved_model import SavedModel, SolvedModel
 from aridcal.trust.seen import holes, largest
+from aridcal.trust.workspace import Untold
 
 
 def calibration(outcome: Outcome) -> SavedModel:
@@ -64,6 +67,7 @@ def calibration(outcome: Outcome) -> SavedModel:
         record,
         {name: found for name, v in seen.items() if (found := holes(v))},
         largest(std),
+        () if outcome.certainty is None else _of_target(outcome.certainty.untold, final, target),
     )
 
 
@@ -176,7 +180,7 @@ def _solved(fit: Fit, target: _Target) -> SolvedModel:
     others = [model.coefficients[k] for k in keep]
     if len(target.labels) == 1:
         frames = ((None, frames[0][1]),)
-        others = [replace(c, station=None) if c.where == "tip_target" else c for c in others]
+        others = [_of_one(c) for c in others]
     labels = [label for label, _ in model.tip_target]
     kept = [0] if target.tip else [labels.index(label) for label in target.labels or labels]
     around = replace(model.around, sights=Sights(model.around.sights.targets[kept]))
@@ -184,3 +188,20 @@ def _solved(fit: Fit, target: _Target) -> SolvedModel:
         model, coefficients=tuple(others), tip_target=frames, instruments=Instruments(), states={}, around=around
     )
     return SolvedModel(arm, fit.theta[keep], fit.covariance[np.ix_(keep, keep)])
+
+
+def _of_one(c: Coefficient) -> Coefficient:
+    """A coefficient of the only target."""
+    return replace(c, station=None) if c.where == "tip_target" else c
+
+
+def _of_target(untold: Sequence[Untold], fit: Fit, target: _Target) -> tuple[Untold, ...]:
+    """What no reading told of the saved target: without what is of instruments and of frames that hold no target."""
+    things = fit.model.instruments.names
+    found = []
+    for part in untold:
+        own = [(c, value) for c, value in part if c.where not in things]
+        own = [(c, v) for c, v in own if c.where != "tip_target" or not target.tip]
+        own = [(c, v) for c, v in own if c.where != "tip_target" or not target.labels or c.station in target.labels]
+        found.append(tuple((_of_one(c) if len(target.labels) == 1 else c, v) for c, v in own))
+    return tuple(part for part in found if part)

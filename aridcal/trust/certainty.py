@@ -14,7 +14,7 @@ from aridcal.fit.noise import Repeats
 from aridcal.inputs.campaign import Campaign
 from aridcal.inputs.dataset import Dataset
 from aridcal.trust.tolerance import Kept, beyond, instrument_noise, kept, unjudged
-from aridcal.trust.workspace import Knowledge, Workspace, ends, knowledge, spread_out
+from aridcal.trust.workspace import Knowledge, Untold, Workspace, ends, knowledge, spread_out
 
 CLOUD = 8192
 """Configurations among which those of a slice are looked for."""
@@ -60,6 +60,7 @@ class Certainty:
         title: What that region is, in words.
         tool: The point on the target that the region is of, in the target's axes, [m].
         kept: What it keeps within: of the position, and of the rotation where that was measured; none where no row tells.
+        untold: Combinations of constants that no reading tells, and that move the target.
     """
 
     anywhere: Workspace
@@ -68,6 +69,7 @@ class Certainty:
     title: str
     tool: tuple[float, float, float]
     kept: tuple[Kept, ...]
+    untold: tuple[Untold, ...]
 
     @property
     def within(self) -> bool:
@@ -121,7 +123,7 @@ def certainty(
     slices = _slices(known, train)
     if any(tool):
         title += f", for the point {', '.join(f'{1e3 * number:g}' for number in tool)} mm from the target"
-    return Certainty(anywhere, slices, region, title, tool, tuple(found))
+    return Certainty(anywhere, slices, region, title, tool, tuple(found), known.untold(anywhere.rows, train.sees_turns))
 
 
 def _like(train: Dataset, readings: np.ndarray) -> np.ndarray:

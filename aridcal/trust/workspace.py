@@ -45,6 +45,12 @@ TOLD = 0.01
 """[m] and [rad]: a target that what no row tells may move by more is not known. A tenth of :data:`LOOSE`."""
 
 
+FAINTLY = 0.1
+"""Share of :data:`TOLD` by which a combination of constants moves the target somewhere, or is kept in no file."""
+
+Untold = tuple[tuple[Coefficient, float], ...]
+"""A combination of constants, each with how far it may be off together with the others, [m] and [rad]."""
+
 ASKED = 100
 """Rows by which it is told whether something moves the whole arm as one body: six would do."""
 
@@ -176,6 +182,27 @@ class Knowledge:
             measured &= ~far_from_nodes(fields, nominal)
         return Workspace(rows, readings, places, covariance, turns, axes, measured, *told)
 
+    def untold(self, rows: Rows, turns: bool) -> tuple[Untold, ...]:
+        """Independent combinations of constants that no reading tells, and that move the target or turn it somewhere.
+
+        Args:
+            rows: Where, of the fit's own model.
+            turns: Whether its rotation counts.
+        """
+        if not len(self.open):
+            return ()
+        values, vectors = np.linalg.eigh(self.open)
+        size = vectors * np.sqrt(np.maximum(values, 0.0))
+        more = self.columns(rows, np.zeros(3))[2][:, : 6 if turns else 3] @ size
+        _, _, ways = np.linalg.svd(more.reshape(-1, len(size)), full_matrices=False)
+        moves = np.linalg.norm((more @ ways.T).reshape(len(rows), -1, 3, len(ways)), axis=2).max(axis=(0, 1))
+        found = []
+        for way in ways[moves > FAINTLY * TOLD]:
+            theta = np.concatenate([-self.follows @ size @ way, size @ way])
+            of = zip(self.wide.coefficients, theta.tolist(), strict=True)
+            found.append(tuple((c, value) for c, value in of if value and c.basis.constant))
+        return tuple(found)
+
     def places(self, data: Dataset, readings: np.ndarray, like: np.ndarray) -> np.ndarray:
         """Where the target is in some configurations, in the base frame, shape (M, 3), [m]; see :meth:`over`."""
         rows = self._rows(data, readings, like)
@@ -227,6 +254,39 @@ def target_covariance(
         J = J if tool is None else shifted(J, R @ tool)
         found[some] = carried(J, covariance)
     return found
+
+
+def with_untold(model: Model, theta: np.ndarray, untold: Sequence[Untold]) -> tuple[Model, np.ndarray, np.ndarray]:
+    """A model with the constants that no reading tells beside its own, its coefficients, and their covariance.
+
+    Args:
+        model: K coefficients.
+        theta: Their values, shape (K,).
+        untold: Combinations that are as uncertain as they say; all else is held.
+    """
+    others = {c for part in untold for c, _ in part} - set(model.coefficients)
+    every = (*model.coefficients, *sorted(others, key=lambda c: c.name))
+    place = {c: k for k, c in enumerate(every)}
+    ways = np.zeros((len(every), len(untold)))
+    for j, part in enumerate(untold):
+        for c, value in part:
+            ways[place[c], j] = value
+    return model.with_coefficients(every), np.append(theta, np.zeros(len(others))), ways @ ways.T
+
+
+def told_of(model: Model, theta: np.ndarray, untold: Sequence[Untold], rows: Rows, turns: bool) -> np.ndarray:
+    """Rows of whose target all is told, shape (N,) bool.
+
+    Args:
+        model: Of the calibration.
+        theta: Its coefficients.
+        untold: What no reading told.
+        rows: N of them.
+        turns: Whether the target's rotation is asked about.
+    """
+    covariance = target_covariance(*with_untold(model, theta, untold), rows)
+    parts = CHANNELS if turns else CHANNELS[:1]
+    return np.all([worst_direction(covariance[:, part, part])[0] < TOLD for part in parts], axis=0)
 
 
 def shifted(J: np.ndarray, arm: np.ndarray) -> np.ndarray:

@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from aridcal.effects.labels import label_in
+from aridcal.effects.regional_kind import labels_of
 from aridcal.errors import CampaignError, MeasurementError, listed
 from aridcal.inputs.approach import with_directions
 from aridcal.inputs.campaign import REFERRING, Campaign, Frames, RobotSettings
@@ -107,6 +109,7 @@ def read_new_rows(saved: SavedModel, table: AnyTable) -> NewRows:
         campaign, robot.readings, robot.limits, robot.kinds, files=None if new else [table], fitted=False
     )
     rows = _with_targets(saved, with_directions(rows), new)
+    _refuse_unknown_labels(saved, rows)
     numbers = sum(int(rows.measures[:, c].sum()) * channel.size for c, channel in enumerate(rows.channels))
     why = "" if numbers <= MOST else f"; more than {MOST} numbers are a campaign of their own: `aridcal identify`"
     if len(rows) < FEWEST or why:
@@ -114,6 +117,19 @@ def read_new_rows(saved: SavedModel, table: AnyTable) -> NewRows:
             f"{rows.title}: {len(rows)} usable rows: 5 to 20 in attitudes that differ are asked for{why}"
         )
     return NewRows(rows, campaign.frames if new else None)
+
+
+def _refuse_unknown_labels(saved: SavedModel, rows: Dataset) -> None:
+    """Refuse rows of a station that constants by station are not known of: a deviation there would look like a change."""
+    known = [label_in(name) for name in labels_of(c.basis for c in saved.final.model.coefficients)]
+    given = [""] if rows.station is None else np.unique(rows.station).tolist()
+    other = [label for label in given if label not in known] if known else []
+    if other:
+        what = f"station {other[0]!r} is none" if other[0] else "the rows' `station` is none"
+        raise MeasurementError(
+            f"{rows.title}: {what} of those by which the calibration's constants vary ({listed(known)}), and what it deviates by "
+            "is not known; take rows of these, or calibrate again with rows of all"
+        )
 
 
 def _other(saved: SavedModel, path: Path) -> Campaign:
