@@ -31,9 +31,13 @@ from aridcal.trust.as_document import document
 from aridcal.trust.certainty import as_document
 from aridcal.trust.gains import NamedEffect
 from aridcal.trust.iso9283 import document as iso_document
+from aridcal.writing.tables import csv_lines
 
 AT_ONCE = 20_000
 """Rows that are written between two words of progress: half a second."""
+
+DIGITS = 9
+"""Of numbers in residuals.csv: a nanometre of a metre."""
 
 WHERE = ("world_base", "tip_target")
 
@@ -45,11 +49,11 @@ def write_results(outcome: Outcome, folder: Path, progress: Progress = SILENT) -
     if outcome.effects:
         (folder / "model.urdf").write_bytes(stage_urdf(outcome.stage("final").fit))
     (folder / "calibration.yaml").write_text(calibration(outcome).dump(), encoding="utf-8")
-    table = residual_table(outcome)
+    order = outcome.measurements.as_read
     with (folder / "residuals.csv").open("w", encoding="utf-8", newline="") as file:
-        for first in progress.through(range(0, len(table), AT_ONCE), len(table), "rows of residuals.csv", AT_ONCE):
-            some = table.iloc[first : first + AT_ONCE]
-            some.to_csv(file, index=False, header=first == 0, float_format="%.9g")
+        residual_table(outcome, order[:0]).to_csv(file, index=False)
+        for first in progress.through(range(0, len(order), AT_ONCE), len(order), "rows of residuals.csv", AT_ONCE):
+            file.write(csv_lines(residual_table(outcome, order[first : first + AT_ONCE]), DIGITS))
     if outcome.head is not None:
         pd.DataFrame(outcome.head.fiducials).to_csv(folder / "fiducials.csv", index=False)
 
@@ -304,26 +308,30 @@ def _short(effect: Effect) -> dict[str, Any]:
     return {key: value for key, value in named.items() if value}
 
 
-def residual_table(outcome: Outcome) -> pd.DataFrame:
-    """One line per usable row: where it stands, its part and flags, and what each stage leaves, in SI and [px].
+def residual_table(outcome: Outcome, rows: np.ndarray) -> pd.DataFrame:
+    """One line per row: where it stands, its part and flags, and what each stage leaves, in SI and [px].
 
     Of rows of several kinds also its block, the things that it refers to and its target, as the campaign names them.
+
+    Args:
+        outcome: Of all usable rows.
+        rows: Numbers of those that are asked for, in the order of the lines.
     """
     m = outcome.measurements
     axes = residual_columns(m)
     table: dict[str, Any] = {
-        "file": [m.files[k].name for k in m.file],
-        "row": m.line,
-        "split": np.where(m.test, "test", "train"),
-        "weight": np.where(outcome.outlier, 0.0, 1.0),
-        "outlier": outcome.outlier.astype(int),
-        "stale": m.stale.astype(int),
-        **_labels(m),
+        "file": [m.files[k].name for k in m.file[rows]],
+        "row": m.line[rows],
+        "split": np.where(m.test[rows], "test", "train"),
+        "weight": np.where(outcome.outlier[rows], 0.0, 1.0),
+        "outlier": outcome.outlier[rows].astype(int),
+        "stale": m.stale[rows].astype(int),
+        **_labels(m, rows),
     }
     for stage in outcome.stages:
         label = stage.name.replace(" ", "_")
-        table |= {f"{label}_{axis}": column for axis, column in zip(axes, stage.residual.T, strict=True)}
-    return pd.DataFrame(table).iloc[m.as_read]
+        table |= {f"{label}_{axis}": column for axis, column in zip(axes, stage.residual[rows].T, strict=True)}
+    return pd.DataFrame(table)
 
 
 def residual_columns(m: Dataset) -> list[str]:
@@ -333,17 +341,18 @@ def residual_columns(m: Dataset) -> list[str]:
     return [f"{block.name}_{axis}" for block in m.blocks for channel in block.channels for axis in channel.axes]
 
 
-def _labels(m: Dataset) -> dict[str, Any]:
-    """What a row of several kinds says beside its numbers, as columns."""
+def _labels(m: Dataset, rows: np.ndarray) -> dict[str, Any]:
+    """What rows of several kinds say beside their numbers, as columns."""
     if not m.blocks:
         return {}
     names = np.array([block.name for block in m.blocks])
-    table: dict[str, Any] = {"block": names[m.block]}
+    own, refers = m.block[rows], m.refers[rows]
+    table: dict[str, Any] = {"block": names[own]}
     for b, block in enumerate(m.blocks):
         for k, role in enumerate(labelled(block.kind)):
-            column = table.setdefault(role.name, np.full(len(m), "", dtype=object))
-            column[m.block == b] = m.refers[m.block == b, k]
-    return table if m.target is None else table | {"target": m.target}
+            column = table.setdefault(role.name, np.full(len(rows), "", dtype=object))
+            column[own == b] = refers[own == b, k]
+    return table if m.target is None else table | {"target": m.target[rows]}
 
 
 def _convergence(fit: Fit) -> dict[str, Any]:
