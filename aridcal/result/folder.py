@@ -308,16 +308,17 @@ def _short(effect: Effect) -> dict[str, Any]:
     return {key: value for key, value in named.items() if value}
 
 
-def residual_table(outcome: Outcome, rows: np.ndarray) -> pd.DataFrame:
+def residual_table(outcome: Outcome, rows: np.ndarray | None = None) -> pd.DataFrame:
     """One line per row: where it stands, its part and flags, and what each stage leaves, in SI and [px].
 
     Of rows of several kinds also its block, the things that it refers to and its target, as the campaign names them.
 
     Args:
         outcome: Of all usable rows.
-        rows: Numbers of those that are asked for, in the order of the lines.
+        rows: Numbers of those that are asked for, in the order of the lines; default: all, as they stand in the files.
     """
     m = outcome.measurements
+    rows = m.as_read if rows is None else rows
     axes = residual_columns(m)
     table: dict[str, Any] = {
         "file": [m.files[k].name for k in m.file[rows]],
