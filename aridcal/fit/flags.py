@@ -10,6 +10,7 @@ from scipy.special import betainc, gammaincinv
 
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.channels import Channels, norms
+from aridcal.model.model import SIZES
 
 FLOOR = 1e-12
 """[m] or [rad]: below this everything is rounding."""
@@ -31,6 +32,9 @@ SUSPECT = 3.0
 ENDS = 150
 """Flagged rows at which a window may begin or end: 11,000 windows of each coordinate are enough to see a cluster."""
 
+
+OF_SPACE = ("m", "rad", "px")
+"""Units whose noise can be set beside each other."""
 
 MEASURED = "what is measured"
 """Name of the coordinate in which rows of the same things lie together."""
@@ -169,3 +173,10 @@ def _window(name: str, values: np.ndarray, flags: np.ndarray, coordinates: int) 
     rows = flags & (values >= a) & (values <= b)
     windows = f * (f - 1)
     return Cluster(name, a, b, rows, float(min(1.0, chance[best] * windows * coordinates)))
+
+
+def coarsest(sigma: np.ndarray, channels: Channels) -> np.ndarray:
+    """What the noise of the coarsest channel is in the unit of each, shape (C,); 0 for channels in sigmas."""
+    size = np.array([SIZES[channel.unit] if channel.unit in OF_SPACE else 0.0 for channel in channels])
+    there = size > 0.0
+    return size * float(np.max(sigma[there] / size[there], initial=0.0))

@@ -11,21 +11,18 @@ import numpy as np
 from aridcal.effects.effect import Coefficient
 from aridcal.errors import NotIdentifiable
 from aridcal.fit.elimination import Groups
-from aridcal.fit.flags import FLOOR, flagged, limits, robust_sigma
+from aridcal.fit.flags import FLOOR, coarsest, flagged, limits, robust_sigma
 from aridcal.fit.identifiable import identifiable
 from aridcal.fit.normal_equations import TINY, NormalEquations, Prior, solve_with, with_prior
 from aridcal.fit.problem import Problem
 from aridcal.fit.problem import problem as ask
 from aridcal.fit.residual import Linearisation, linearise, things_again, triangle, weighted_squares
 from aridcal.instruments.channels import Channels
-from aridcal.model.model import SIZES, Model, Rows
+from aridcal.model.model import Model, Rows
 
 ABREAST = 0.1
 """Of the coarsest channel's noise: until a fit has settled none that is estimated counts as finer. Turns may fit long before
 places do, those of exact data to the last digit; weighed by that alone they would hold the rest back."""
-
-OF_SPACE = ("m", "rad", "px")
-"""Units whose noise can be set beside each other."""
 
 STEPS = 60
 """Gauss-Newton steps at the most; five are usual."""
@@ -36,11 +33,17 @@ SETTLED = 0.03
 ROUGH = 1.0
 """The same for a robust fit, whose flags are all that is wanted of it."""
 
+UNNOTICED = 1e-4
+"""The same for a step that is not even taken where rows are many: it would be another look at all of them."""
+
 ROUNDING = 1e-13
 """A step of this share of the coefficients is rounding: the last, whatever the noise."""
 
 ROUGH_ROWS = 300
 """Rows of a robust fit, or four times the coefficients if that is more: flags need no more."""
+
+AHEAD = 20_000
+"""Rows that are fitted first, where there are twice as many: what they leave to do for all of them is one step."""
 
 NUMBERS = 3
 """That a row measures, as these counts of rows take it: a position. Where it is one length, three times the rows are taken."""
@@ -191,17 +194,21 @@ def minimise(problem: Problem, theta: np.ndarray, weight: np.ndarray | None, pri
         return declared(np.maximum(estimate, ABREAST * coarsest(estimate, channels)) if abreast else estimate)
 
     sigma = declared(robust_sigma(problem.scaled_residual(theta), channels))
-    here = linearise(problem, theta, weight, _weighing(robust, scale, sigma))
+    # Until rows are weighed channels count beside one another by their robust scale, then by their noise.
+    here = linearise(problem, theta, weight, scale if robust else sigma)
     sigma = noise_at(here, sigma)
     damping, taken = 0.0, 0
     while taken < STEPS and damping < MOST_DAMPING:
         H, g = with_prior(here.equations, sigma, theta, prior)
         step = solve_with(H, g, prior, damping)
-        follow = here.step_of_groups(step)
         last = float(np.sqrt(max(step @ g, 0.0))) < settled and damping == 0.0
         last |= bool(np.all(np.abs(step) < ROUNDING * (1.0 + np.abs(theta))))
-        there = replace(problem.stepped(follow), agreed=here.agreed)
-        trial = linearise(there, theta + step, weight, _weighing(robust, scale, sigma))
+        if last and float(np.sqrt(max(step @ g, 0.0))) < UNNOTICED and _has_many(problem):
+            step = np.zeros(len(theta))
+            there, trial = problem, here
+        else:
+            there = replace(problem.stepped(here.step_of_groups(step)), agreed=here.agreed)
+            trial = linearise(there, theta + step, weight, scale if robust else sigma)
         before = _cost(here, here.weight, channels, sigma, theta, prior)
         after = _cost(trial, here.weight, channels, sigma, theta + step, prior)
         taken += 1
@@ -220,18 +227,6 @@ def minimise(problem: Problem, theta: np.ndarray, weight: np.ndarray | None, pri
     H, g = with_prior(here.equations, sigma, theta, prior)
     rest = solve_with(H, g, prior)
     return Minimum(theta, here, sigma, taken, float(np.sqrt(max(rest @ g, 0.0))), problem)
-
-
-def coarsest(sigma: np.ndarray, channels: Channels) -> np.ndarray:
-    """What the noise of the coarsest channel is in the unit of each, shape (C,); 0 for channels in sigmas."""
-    size = np.array([SIZES[channel.unit] if channel.unit in OF_SPACE else 0.0 for channel in channels])
-    there = size > 0.0
-    return size * float(np.max(sigma[there] / size[there], initial=0.0))
-
-
-def _weighing(robust: bool, scale: np.ndarray, sigma: np.ndarray) -> np.ndarray:
-    """What channels are weighed with beside one another: their robust scale as long as rows are, their noise then."""
-    return scale if robust else sigma
 
 
 def fit(
@@ -255,6 +250,9 @@ def fit(
         theta, steps = rough.theta, rough.steps
         problem = things_again(replace(problem, states=rough.question.states), theta)
         weight = np.where(flagged(problem.scaled_residual(theta), problem.channels, limit), 0.0, 1.0)
+    if _has_many(problem):
+        some = thin(problem.rows, AHEAD)
+        theta = minimise(problem.select(some), theta, weight[some], prior).theta
     for _ in range(FLAGGING):
         found = minimise(problem, theta, weight, prior)
         problem, theta, steps = found.question, found.theta, steps + found.steps
@@ -316,6 +314,11 @@ def fit_identifiable(problem: Problem, order: Sequence[int], theta: np.ndarray |
     redundant = {model.names[k]: tuple(model.names[j] for j in partners) for k, partners in subset.redundant.items()}
     convergence = replace(result.convergence, condition=subset.condition)
     return replace(result, candidates=model.coefficients, redundant=redundant, convergence=convergence)
+
+
+def _has_many(problem: Problem) -> bool:
+    """Whether a fit of some of the rows alone leaves next to nothing to do."""
+    return len(problem) > 2 * AHEAD and problem.measured is None
 
 
 def _enough(problem: Problem) -> np.ndarray:

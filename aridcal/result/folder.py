@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import math
 from collections.abc import Mapping
@@ -31,12 +30,16 @@ from aridcal.trust.as_document import document
 from aridcal.trust.certainty import as_document
 from aridcal.trust.gains import NamedEffect
 from aridcal.trust.iso9283 import document as iso_document
+from aridcal.writing.tables import csv_lines
 
 if TYPE_CHECKING:
     import pandas as pd
 
 AT_ONCE = 20_000
 """Rows that are written between two words of progress: half a second."""
+
+DIGITS = 9
+"""Of numbers in residuals.csv: a nanometre of a metre."""
 
 WHERE = ("world_base", "tip_target")
 
@@ -48,7 +51,11 @@ def write_results(outcome: Outcome, folder: Path, progress: Progress = SILENT) -
     if outcome.effects:
         (folder / "model.urdf").write_bytes(stage_urdf(outcome.stage("final").fit))
     (folder / "calibration.yaml").write_text(calibration(outcome).dump(), encoding="utf-8")
-    _write_residuals(residual_columns_of(outcome), folder / "residuals.csv", progress)
+    order = outcome.measurements.as_read
+    with (folder / "residuals.csv").open("w", encoding="utf-8", newline="") as file:
+        file.write(",".join(residual_columns_of(outcome, order[:0])) + "\n")
+        for first in progress.through(range(0, len(order), AT_ONCE), len(order), "rows of residuals.csv", AT_ONCE):
+            file.write(csv_lines(residual_columns_of(outcome, order[first : first + AT_ONCE]), DIGITS))
     if outcome.head is not None:
         import pandas as pd  # slow to load, and other campaigns have no images
 
@@ -309,48 +316,34 @@ def residual_table(outcome: Outcome) -> pd.DataFrame:
     """The columns of ``residuals.csv``, one line per usable row."""
     import pandas as pd  # slow to load: only where somebody wants a DataFrame
 
-    return pd.DataFrame(residual_columns_of(outcome), index=outcome.measurements.as_read)
+    rows = outcome.measurements.as_read
+    return pd.DataFrame(residual_columns_of(outcome, rows), index=rows)
 
 
-def _write_residuals(table: Mapping[str, np.ndarray], path: Path, progress: Progress) -> None:
-    """Write columns as csv, so many rows between two words of progress; holes are empty."""
-    rows = len(next(iter(table.values())))
-    with path.open("w", encoding="utf-8", newline="") as file:
-        lines = csv.writer(file, lineterminator="\n")
-        lines.writerow(table)
-        for first in progress.through(range(0, rows, AT_ONCE), rows, "rows of residuals.csv", AT_ONCE):
-            some = (_in_csv(column[first : first + AT_ONCE]) for column in table.values())
-            lines.writerows(zip(*some, strict=True))
-
-
-def _in_csv(column: np.ndarray) -> list[Any]:
-    """Cells as they are written: numbers to nine digits."""
-    cells: list[Any] = column.tolist()
-    if column.dtype.kind != "f":
-        return cells
-    return ["" if math.isnan(value) else f"{value:.9g}" for value in cells]
-
-
-def residual_columns_of(outcome: Outcome) -> dict[str, np.ndarray]:
-    """Of each usable row where it stands, its part and flags, and what each stage leaves, in SI and [px]; as they were read.
+def residual_columns_of(outcome: Outcome, rows: np.ndarray) -> dict[str, np.ndarray]:
+    """Of each row where it stands, its part and flags, and what each stage leaves, in SI and [px].
 
     Of rows of several kinds also its block, the things that it refers to and its target, as the campaign names them.
+
+    Args:
+        outcome: Of all usable rows.
+        rows: Numbers of those that are asked for, in the order of the lines.
     """
     m = outcome.measurements
     axes = residual_columns(m)
     table: dict[str, Any] = {
-        "file": np.array([path.name for path in m.files], dtype=object)[m.file],
-        "row": m.line,
-        "split": np.where(m.test, "test", "train"),
-        "weight": np.where(outcome.outlier, 0.0, 1.0),
-        "outlier": outcome.outlier.astype(int),
-        "stale": m.stale.astype(int),
-        **_labels(m),
+        "file": np.array([path.name for path in m.files], dtype=object)[m.file[rows]],
+        "row": m.line[rows],
+        "split": np.where(m.test[rows], "test", "train"),
+        "weight": np.where(outcome.outlier[rows], 0.0, 1.0),
+        "outlier": outcome.outlier[rows].astype(int),
+        "stale": m.stale[rows].astype(int),
+        **_labels(m, rows),
     }
     for stage in outcome.stages:
         label = stage.name.replace(" ", "_")
-        table |= {f"{label}_{axis}": column for axis, column in zip(axes, stage.residual.T, strict=True)}
-    return {name: np.asarray(column)[m.as_read] for name, column in table.items()}
+        table |= {f"{label}_{axis}": column for axis, column in zip(axes, stage.residual[rows].T, strict=True)}
+    return {name: np.asarray(column) for name, column in table.items()}
 
 
 def residual_columns(m: Dataset) -> list[str]:
@@ -360,17 +353,18 @@ def residual_columns(m: Dataset) -> list[str]:
     return [f"{block.name}_{axis}" for block in m.blocks for channel in block.channels for axis in channel.axes]
 
 
-def _labels(m: Dataset) -> dict[str, Any]:
-    """What a row of several kinds says beside its numbers, as columns."""
+def _labels(m: Dataset, rows: np.ndarray) -> dict[str, Any]:
+    """What rows of several kinds say beside their numbers, as columns."""
     if not m.blocks:
         return {}
     names = np.array([block.name for block in m.blocks])
-    table: dict[str, Any] = {"block": names[m.block]}
+    own, refers = m.block[rows], m.refers[rows]
+    table: dict[str, Any] = {"block": names[own]}
     for b, block in enumerate(m.blocks):
         for k, role in enumerate(labelled(block.kind)):
-            column = table.setdefault(role.name, np.full(len(m), "", dtype=object))
-            column[m.block == b] = m.refers[m.block == b, k]
-    return table if m.target is None else table | {"target": m.target}
+            column = table.setdefault(role.name, np.full(len(rows), "", dtype=object))
+            column[own == b] = refers[own == b, k]
+    return table if m.target is None else table | {"target": m.target[rows]}
 
 
 def _convergence(fit: Fit) -> dict[str, Any]:

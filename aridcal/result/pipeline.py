@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -31,7 +31,7 @@ from aridcal.robot.chain import Robot
 from aridcal.search.arm import CalibratedArm, calibrated_arm, fit_constants
 from aridcal.search.diagnose import SEARCHED, Diagnosed
 from aridcal.search.noise_causes import structured_notices
-from aridcal.search.noise_tests import Clue, clues
+from aridcal.search.noise_tests import ASKED, STRETCHES, Clue, clues, stretches
 from aridcal.search.residual_trends import trace
 from aridcal.search.stated import CONFOUNDED, NO_BETTER
 from aridcal.showing import SILENT, Progress
@@ -43,6 +43,9 @@ from aridcal.trust.uncertainty import FAR, outliers, precision, realigned, with_
 
 Judge = Callable[[Campaign, Robot, Dataset, Geometry | None], None]
 """Told what frames and constants leave of the rows, None if nothing can be made of them; may refuse them and say why."""
+
+TRACED = 50_000
+"""Rows whose residuals are traced to joints and columns, of more: what those tell by a chance of 1e-300 others need not."""
 
 ONE_BODY = (
     "{} targets keep their distances exactly: they were made from one pose of one body, and count as one measurement"
@@ -130,6 +133,7 @@ def _outcome(
     stages, outlier, final = known.stages, known.outlier, known.stages[-1].fit
     kept = rows.select(~outlier)
     before, after = (stage.residual[~outlier] for stage in stages[1:])
+    traced = stretches(kept.sequence, TRACED)
     progress("fitting halves of the rows apart")
     again = second_look(stages[1].fit, diagnosed.fit, train, progress)
     asked = frame_coefficients(campaign, station_labels(campaign, rows), rows) + constants(
@@ -161,15 +165,28 @@ def _outcome(
             *structured_notices(arm.causes),
             *_derived_notices(rows, diagnosed),
             *(f"{b.what} is left out: {b.why}" for b in diagnosed.barred if b.why in (CONFOUNDED, NO_BETTER)),
+            *_some_of_many(train, len(kept), campaign),
             *declared_notices(rows, final.estimated, final.freedom),
             *unused_links(robot, campaign.parameters.set),
             *(str(n) for n in rows.notices),
         ),
         seconds=0.0,
-        traces=trace(final, kept, before, after, progress),
+        traces=trace(final, kept.select(traced), before[traced], after[traced], progress),
         diagnosis=explain(diagnosed, rows, rows.test & ~outlier, known.clues),
         head=head,
     )
+
+
+def _some_of_many(train: Dataset, kept: int, campaign: Campaign) -> Iterator[str]:
+    """Sentences on what was asked of some of the rows only, as there are many."""
+    if campaign.diagnosis.enabled and campaign.diagnosis.candidates and len(train) > SEARCHED:
+        more = np.sqrt(len(train) / SEARCHED)
+        yield (
+            f"effects were sought in {SEARCHED:,} of the {len(train):,} fitted rows, and then fitted to all: to be seen, one "
+            f"must be {more:.1f} times as large as in a search of all rows"
+        )
+    if kept > ASKED:
+        yield f"whether what remains is noise was asked of {ASKED:,} of {kept:,} rows, in {STRETCHES} stretches on end"
 
 
 def with_instruments_found(stages: tuple[Stage, ...], train: Dataset) -> tuple[Stage, ...]:

@@ -85,12 +85,15 @@ def holes(values: np.ndarray) -> tuple[Range, ...]:
     apart = np.flatnonzero(np.diff(values) > SAME * (values[-1] - values[0]))
     low, high = values[apart], values[apart + 1]
     steps = high - low
-    found = []
-    for k, step in enumerate(steps):
-        around = np.concatenate([steps[max(k - NEIGHBOURS, 0) : k], steps[k + 1 : k + 1 + NEIGHBOURS]])
-        if len(around) >= FEWEST and step > WIDE * (usual := float(around.mean())):
-            found.append((float(low[k] + EDGE * usual), float(high[k] - EDGE * usual)))
-    return tuple(found)
+    around, count = np.zeros(len(steps)), np.zeros(len(steps))
+    for away in range(1, min(NEIGHBOURS, len(steps) - 1) + 1):
+        for here, there in ((slice(away, None), slice(None, -away)), (slice(None, -away), slice(away, None))):
+            around[here] += steps[there]
+            count[here] += 1
+    usual = around / np.maximum(count, 1.0)
+    wide = (count >= FEWEST) & (steps > WIDE * usual)
+    edges = np.column_stack([low + EDGE * usual, high - EDGE * usual])[wide]
+    return tuple((first, last) for first, last in edges.tolist())
 
 
 def largest(std: np.ndarray) -> tuple[float, float]:

@@ -189,8 +189,7 @@ def beyond(
         return None
     asked = problem(fit.model, own).settled(fit.theta)
     seen = at_target(fit, own)
-    J = np.concatenate([asked.pieces(fit.theta, block).J for block in asked.blocks()])
-    covariance = carried(J, fit.covariance)
+    covariance = np.concatenate([carried(asked.pieces(fit.theta, block).J, fit.covariance) for block in asked.blocks()])
     arm = fit.model.poses(fit.theta, asked.rows)[0] @ np.asarray(tool, dtype=float)
     sigma = spread(noise, rows.channels)
     size, squares, scatter, model, told = np.full((5, len(own)), np.nan)

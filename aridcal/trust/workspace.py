@@ -24,7 +24,7 @@ from aridcal.effects.effect import FRAME_COMPONENTS, Coefficient
 from aridcal.effects.regional_kind import far_from_nodes
 from aridcal.effects.sights import target_places
 from aridcal.fit.constants import has_world, measures_target
-from aridcal.fit.least_squares import Fit
+from aridcal.fit.least_squares import Fit, thin
 from aridcal.fit.noise import carried
 from aridcal.fit.normal_equations import solve
 from aridcal.fit.problem import BLOCK, problem
@@ -50,6 +50,10 @@ FAINTLY = 0.1
 
 Untold = tuple[tuple[Coefficient, float], ...]
 """A combination of constants, each with how far it may be off together with the others, [m] and [rad]."""
+
+ENOUGH = 20_000
+"""Rows that tell what was measured, of more: sums over so many are those of all to a hundredth, and the largest uncertainty among
+them is that of all but one in some thousands."""
 
 ASKED = 100
 """Rows by which it is told whether something moves the whole arm as one body: six would do."""
@@ -316,9 +320,10 @@ def knowledge(fit: Fit, train: Dataset, candidates: Sequence[Coefficient]) -> Kn
     follows, left = np.zeros((count, extra)), np.zeros((extra, extra))
     if extra:
         asked = problem(wide, train)
-        H = linearise(asked, np.append(fit.theta, np.zeros(extra)), fit.weight, fit.sigma).equations.information(
-            fit.sigma
-        )
+        some = thin(asked.rows, ENOUGH, asked.groups)
+        weight = fit.weight[some] * (len(train) / len(some))
+        at = np.append(fit.theta, np.zeros(extra))
+        H = linearise(asked.select(some), at, weight, fit.sigma).equations.information(fit.sigma)
         own = np.flatnonzero([c.basis.constant for c in model.coefficients])
         cross = H[own][:, count:]
         follows[own] = solve(H[np.ix_(own, own)], cross)
@@ -363,6 +368,7 @@ def _seen(fit: Fit, train: Dataset) -> Seen:
     columns = dict(zip(model.robot.readings, used.readings.T, strict=True))
     columns |= {name: used.conditions[name] for name in model.needs}
     rows = model.rows(used.readings, used.conditions, used.station, used.target)
+    rows = rows[thin(rows, ENOUGH)]
     variance = np.einsum("nii->ni", target_covariance(model, fit.theta, fit.covariance, rows))
     std = np.sqrt(np.maximum(variance, 0.0))
     if not used.sees_turns:  # that of a target whose rotation was never measured says nothing
