@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from itertools import groupby
 
@@ -88,14 +88,14 @@ class Effect:
 
     def __getstate__(self) -> dict[str, object]:
         """Without what was found of it: another process hashes strings otherwise."""
-        return {name: value for name, value in self.__dict__.items() if name != "_hash"}
+        return {field.name: getattr(self, field.name) for field in fields(self)}
 
     @property
     def hinted(self) -> bool:
         """True for a member that the residual hinted at, beside those that are always tried."""
         return self.looked > 1
 
-    @property
+    @cached_property
     def shape(self) -> Shape:
         """Samples of its smooth functions: one for each motion and covariate."""
         functions = groupby(self.coefficients, lambda c: (c.component, c.basis.of))
@@ -120,7 +120,7 @@ class Effect:
         )
         return tuple(dict.fromkeys(name for names in of for name in names))
 
-    @property
+    @cached_property
     def at(self) -> Basis | None:
         """The step of what happened between two rows; None of what always acts."""
         return next((c.basis for c in self.coefficients if c.basis.form == "step"), None)

@@ -23,7 +23,7 @@ from aridcal.model.rigid_bodies import targets_of_one_body
 from aridcal.model.standing import sights_of
 from aridcal.model.stated_noise import with_stated_noise
 from aridcal.robot.chain import Robot
-from aridcal.search.diagnose import Diagnosed, diagnose
+from aridcal.search.diagnose import Diagnosed, diagnose, told_apart
 from aridcal.search.linear_model import Active
 from aridcal.search.noise_causes import NoiseCauses, noise_causes
 from aridcal.showing import SILENT, Progress
@@ -110,7 +110,7 @@ def calibrated_arm(
         again = _around(fit_constants(campaign, robot, weighed, labels, progress), around)
         arm = fitted(weighed, again, arm.diagnosed.found.state.active)
     if is_better(arm.diagnosed.fit, arm.geometry.nominal, arm.rows.select(arm.rows.train)):
-        return arm
+        return replace(arm, diagnosed=told_apart(arm.diagnosed, progress))
     return _nominal(campaign, arm, progress)
 
 
@@ -140,7 +140,8 @@ def _nominal(campaign: Campaign, arm: CalibratedArm, progress: Progress) -> Cali
     quiet = campaign.model_copy(update={"diagnosis": campaign.diagnosis.model_copy(update={"enabled": False})})
     free = 1.0 - fit.spent / fit.numbers
     arm = fit_arm(quiet, Geometry(geometry.nominal, frames, kept, free), rows, progress)
-    return replace(arm, causes=noise_causes(arm.diagnosed.fit, arm.diagnosed.found.state.active, rows, progress))
+    causes = noise_causes(arm.diagnosed.fit, arm.diagnosed.found.state.active, rows, progress)
+    return replace(arm, diagnosed=told_apart(arm.diagnosed, progress), causes=causes)
 
 
 def fit_constants(

@@ -85,9 +85,10 @@ class Diagnosed:
         linear: That linearised model; of some of the training rows, if there are thousands.
         observed: The same rows' covariates.
         found: The search's result.
-        confounded: For each active effect, the candidates that are confounded with it in these data.
+        named: The candidates that have a name.
         declared: Effects that the campaign states.
         barred: Candidates that could not be tested, and why.
+        confounded: For each active effect, the candidates that are confounded with it in these data; see :func:`told_apart`.
     """
 
     fit: Fit
@@ -95,9 +96,10 @@ class Diagnosed:
     linear: LinearModel
     observed: Observed
     found: Found
-    confounded: tuple[tuple[Effect, ...], ...]
+    named: tuple[Effect, ...]
     declared: tuple[Effect, ...]
     barred: tuple[Barred, ...]
+    confounded: tuple[tuple[Effect, ...], ...] = ()
 
 
 def diagnose(
@@ -194,10 +196,15 @@ def _diagnosed(
     if len(train) > len(start.train):
         progress(f"fitting all {len(train)} rows")
         current = _widened(replace(every, limit=limits(train)), found.state, current)
-    confounded = twins(place.linear, named, found.state, progress)
-    place.linear.products.forget()
     stated = [a.effect for a in found.state.active if a.stated]
-    return Diagnosed(current, place.at, place.linear, observed, found, confounded, tuple(stated), tuple(barred))
+    return Diagnosed(current, place.at, place.linear, observed, found, tuple(named), tuple(stated), tuple(barred))
+
+
+def told_apart(diagnosed: Diagnosed, progress: Progress = SILENT) -> Diagnosed:
+    """The same with what is confounded with each effect: asked of the final model only. Its products are forgotten."""
+    confounded = twins(diagnosed.linear, diagnosed.named, diagnosed.found.state, progress)
+    diagnosed.linear.products.forget()
+    return replace(diagnosed, confounded=confounded)
 
 
 def _only_missed(

@@ -225,18 +225,18 @@ def _smooth(
         root = samples_root(shape, kernel)
         spectrum, vectors = np.linalg.eigh(root.T @ M @ root)
         values = np.maximum(spectrum, 0.0)
-        largest = values[:, -1]
+        largest = np.where(values[:, -1] > 0.0, values[:, -1], 1.0)
         mean_square = raw @ np.sum(root**2, axis=1) / s.shape[1]
         pulls = np.einsum("kij,ki->kj", vectors, s @ root)
         squares = np.where(values > DEPENDENT * mean_square[:, None], pulls**2, 0.0)
-        variances = TAUS.T / np.maximum(largest, TINY)[:, None]
+        variances = TAUS.T / largest[:, None]
         shrunk = 1.0 + variances[:, :, None] * values[:, None]
         explained = variances * np.einsum("ktj,kj->kt", 1.0 / shrunk, squares)
         likelihood = explained if left == np.inf else -count * np.log1p(-np.minimum(explained / left, WHOLE))
         twice = likelihood - np.sum(np.log(shrunk), axis=2)
         top = np.argmax(twice, axis=1)
         gain = 0.5 * np.take_along_axis(twice, top[:, None], axis=1)[:, 0] - SMOOTH_PRICE
-        for k in np.flatnonzero((gain > gains) & (largest > 0.0)).tolist():
+        for k in np.flatnonzero((gain > gains) & (values[:, -1] > 0.0)).tolist():
             t = top[k]
             freedom = float(np.sum(1.0 - 1.0 / shrunk[k, t]))
             tau = float(np.sqrt(variances[k, t]))

@@ -23,7 +23,8 @@ CHUNK = 128
 """Columns that are multiplied at once: their Gram matrix stays in the cache."""
 
 KEPT = 2**25
-"""Numbers of the library's products that are kept, 256 MB; those of further candidates are made again when needed."""
+"""Numbers of the library's columns and products that are kept, 256 MB, columns up to half of that; the rest is made again when
+needed."""
 
 MEMBERS = 24
 """Effects of which all products are kept, those in the model last: with 2,000 rows and 72 knots 20 MB each."""
@@ -168,7 +169,8 @@ class Products:
         for name in [key for key in self._ordered if key[1] == effect]:
             del self._ordered[name]
         for chunk in {id(chunk): chunk for chunk, _ in self._place.values()}.values():
-            chunk.across.pop(effect, None)
+            if effect in chunk.across:
+                self._kept -= chunk.across.pop(effect).size
 
     def in_order(self, of: str, order: np.ndarray, member: Effect | None) -> np.ndarray:
         """Columns of what is in the model, rows in another order, that of a covariate, shape (N, m, d); they are kept."""
@@ -215,15 +217,15 @@ class Products:
         for group in grouped(new):
             chunk = self.chunk(group)
             if self._room(chunk.own.size):
-                room = self._room(sum(x.size for x in chunk.columns or ()))
+                room = self._room(sum(x.size for x in chunk.columns or ()), KEPT // 2)
                 kept = chunk if room else replace(chunk, columns=None)
                 for effect, own in placed(group):
                     self._place[effect] = kept, own
             yield chunk
 
-    def _room(self, numbers: int) -> bool:
+    def _room(self, numbers: int, most: int = KEPT) -> bool:
         """Whether so many numbers more are kept; they are counted."""
-        room = self._kept + numbers <= KEPT
+        room = self._kept + numbers <= most
         self._kept += numbers if room else 0
         return room
 
@@ -246,12 +248,15 @@ class Products:
 
     def across(self, chunk: Chunk, members: Sequence[Member]) -> list[np.ndarray]:
         """Products of a chunk's columns with those of the coefficients in the design, shape (C, w, d) for each member."""
-        new = [effect for effect, _ in members if effect not in chunk.across]
-        if new:
-            X, Y = chunk.columns or self.flat(chunk.effects), [self.columns(effect) for effect in new]
-            for effect, columns in zip(new, Y, strict=True):
-                chunk.across[effect] = np.array([x.T @ y for x, y in zip(X, columns, strict=True)])
-        return [chunk.across[effect] for effect, _ in members]
+        found = {effect: chunk.across.get(effect) for effect, _ in members}
+        new = [effect for effect, made in found.items() if made is None]
+        X = (chunk.columns or self.flat(chunk.effects)) if new else ()
+        for effect in new:
+            made = np.array([x.T @ y for x, y in zip(X, self.columns(effect), strict=True)])
+            found[effect] = made
+            if chunk.effects[0] in self._place and self._room(made.size):
+                chunk.across[effect] = made
+        return [made for made in found.values() if made is not None]
 
 
 def grouped(effects: Sequence[Effect]) -> list[list[Effect]]:

@@ -15,7 +15,7 @@ at the same noise.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 
 import numpy as np
 
@@ -43,11 +43,17 @@ def score_all(model: LinearModel, effects: Sequence[Effect], state: State, progr
 
 
 def score_without(
-    model: LinearModel, effects: Sequence[Effect], state: State, progress: Progress = SILENT
-) -> list[dict[Effect, Score]]:
-    """Score candidates against a solved state without each of its effects, at the noise that all leave."""
+    model: LinearModel,
+    effects: Sequence[Effect],
+    state: State,
+    asked: Collection[Effect],
+    progress: Progress = SILENT,
+) -> dict[Effect, dict[Effect, Score]]:
+    """Score candidates against a solved state without each of some of its effects, at the noise that all leave."""
     V, beta = state.solution.inverse, state.solution.beta
-    parts = state.places[1:]
+    every = zip(state.active, state.places[1:], strict=True)
+    out = {a.effect: own for a, own in every if a.effect in asked}
+    parts = list(out.values())
     W = [inverse(V[own, own]) for own in parts]
     sums: list[dict[Effect, Sums]] = [{} for _ in parts]
     for placed_there, T, M, s, raw in _projected(model, effects, state, progress):
@@ -56,11 +62,11 @@ def score_without(
             pull = s + back @ beta[own]
             for effect, k in placed_there:
                 mine[effect] = M[k, k] + back[k] @ T[k, own].T, pull[k], raw[k]
-    found = []
-    for mine, own in zip(sums, parts, strict=True):
+    found = {}
+    for (effect, own), mine in zip(out.items(), sums, strict=True):
         gone = np.zeros(len(beta), dtype=bool)
         gone[own] = True
-        found.append(_scored(mine, state, conditional(V, beta, gone)))
+        found[effect] = _scored(mine, state, conditional(V, beta, gone))
     return found
 
 

@@ -137,13 +137,11 @@ def twins(
 ) -> tuple[tuple[Effect, ...], ...]:
     """For each effect, the candidates that would do about as well in its place."""
     small = is_small(model, library)
-    also = [a.effect for a in state.active if KINDS[a.effect.kind].named]
-    rough = _without_each(model, library, also, state, progress)
+    asked = [a.effect for a in state.active if small or not a.effect.smooth or is_of_labels(a.effect)]
+    lasting = list(dict.fromkeys([*(e for e in library if e.at is None), *asked]))
+    rough = score_without(model, lasting, state, asked, progress)
     return tuple(
-        _twins(model, library, state, a, rough[a.effect], progress)
-        if small or not a.effect.smooth or is_of_labels(a.effect)
-        else ()
-        for a in state.active
+        _twins(model, library, state, a, rough[a.effect], progress) if a.effect in rough else () for a in state.active
     )
 
 
@@ -247,9 +245,10 @@ def _tidy(
     # Harmonics of an order of their own, and steps, are no part of the library, but are tried again like all else.
     also = [a.effect for a in state.active if a.effect.kind in kinds]
     known = {*library, *also} - {a.effect for a in state.active if a.stated}
+    lasting = list(dict.fromkeys(e for e in (*library, *also) if e.at is None or e in also))
     for _ in range(rounds):
         before = [a.effect for a in state.active]
-        rough = _without_each(model, library, also, state, progress)
+        rough = score_without(model, lasting, state, known, progress)
         for effect in before:
             active = [a for a in state.active if a.effect != effect]
             if len(active) == len(state.active) or effect not in known:
@@ -268,19 +267,10 @@ def _tidy(
             taken = (*active, activate(model, without, best, its)) if keep else active
             state = solve_state(model, taken, without.solution.sigma, without.used)
             if not keep or best != effect:
-                rough = _without_each(model, library, also, state, progress)
+                rough = score_without(model, lasting, state, known, progress)
         if [a.effect for a in state.active] == before:
             break
     return state
-
-
-def _without_each(
-    model: LinearModel, library: Sequence[Effect], also: Sequence[Effect], state: State, progress: Progress
-) -> dict[Effect, dict[Effect, Score]]:
-    """Rough scores of all candidates that are no steps, without each effect of the model in turn."""
-    lasting = dict.fromkeys([*(e for e in library if e.at is None), *also])
-    found = score_without(model, list(lasting), state, progress)
-    return {a.effect: mine for a, mine in zip(state.active, found, strict=True)}
 
 
 def _in_place_of(model: LinearModel, library: Sequence[Effect], effect: Effect) -> list[Effect]:
