@@ -170,7 +170,10 @@ robot: {urdf: r.urdf, tip: t}
 measurements:
   - {kind: point, file: [a.csv, b.parquet]}
   - {kind: pixels, file: c.csv}
-instruments: {points: p.csv, cameras: {eye: {width: 640, height: 480, fx: 700, fy: 700, cx: 320, cy: 240}}, markers: {file: m.csv}}
+instruments:
+  points: p.csv
+  cameras: {eye: {width: 640, height: 480, fx: 700, fy: 700, cx: 320, cy: 240}}
+  markers: {file: m.csv}
 region: {file: g.csv}
 """
     path.write_text(text)
