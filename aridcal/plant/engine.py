@@ -166,6 +166,7 @@ def _engine(current: Callable[[], Client], progress: Progress, patience: float) 
             except _Lost:
                 if not patience:
                     raise EngineGone("the processes that did the work are gone") from None
+                progress.note("the connection to the scheduler broke; what it has not answered is asked again")
 
     return engine
 

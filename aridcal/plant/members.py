@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from aridcal.errors import CampaignError, listed
+from aridcal.errors import CampaignError
 from aridcal.reading.names import check_name, check_path
 
 TAKEN = frozenset({"fleet.parquet", "fleet.html"})
@@ -64,7 +64,7 @@ def _check(name: str, paths: Sequence[Path], out: Path) -> None:
     """Refuse a name that cannot be a folder of the fleet's alone."""
     if len(paths) > 1:
         raise CampaignError(
-            f"two robots would be called {name!r}: {listed([str(path) for path in paths])}. A robot is called as the folder "
+            f"two robots would be called {name!r}: {paths[0]} and {paths[1]}. A robot is called as the folder "
             "of its campaign: rename one of the folders, or name the campaigns that are meant"
         )
     check_name(name, str(paths[0]), CampaignError)

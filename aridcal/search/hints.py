@@ -96,7 +96,7 @@ def harmonics(model: LinearModel, state: State) -> list[Effect]:
     looked = SCANNED * len(model.own)
     for name in model.own:
         q, pull, weight = _asked(model, state, name, state.residual, state.used)
-        orders = _loud_orders(q, pull, float(weight.sum())) if np.ptp(q) >= STILL else []
+        orders = _loud_orders(q, pull, float(weight.sum())) if np.ptp(q) >= STILL and weight.any() else []
         for order in orders:
             usual = order in ORDERS  # tried anyway
             wave = turns(name, "axis", name, order)

@@ -1,0 +1,556 @@
+"""Fleets: each robot computed once, whatever dies; failures apart; a table and a page that say what is so."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import pyarrow.parquet
+import pytest
+import yaml
+
+from aridcal.errors import AridcalError, CampaignError, OutputError
+from aridcal.fleet import main
+from aridcal.inputs.campaign import load_campaign
+from aridcal.inputs.yaml_file import load_settings
+from aridcal.overview.fleet_page import fleet_page
+from aridcal.plant import work
+from aridcal.plant.engine import dask_engine
+from aridcal.plant.here import Broken, EngineGone, here
+from aridcal.plant.keys import files_of, inputs_of
+from aridcal.plant.members import members
+from aridcal.plant.record import SCHEMA, row_in
+from aridcal.plant.runs import Planned, Ran, computed, duration, planned
+from aridcal.plant.table import merged, read_rows
+from aridcal.plant.work import Task, calibrated
+from aridcal.prepare.scenario import Scenario
+from aridcal.prepare.simulation import simulate, write_campaign
+from aridcal.result_folder import write_folder
+from aridcal.showing import SILENT, Progress
+from aridcal.writing.files import claimed
+
+ROOT = Path(__file__).parent.parent
+
+
+def made(folder: Path, seed: int, n: int = 40) -> Path:
+    """A robot that is calibrated within a second: position alone, no search."""
+    text = {
+        "format": 1,
+        "robot": {"urdf": str(ROOT / "urdf" / "arid.urdf"), "tip": "flange"},
+        "measurements": {"kind": "pose", "noise": {"position": 1e-4, "rotation": 1e-4}},
+        "parameters": {"set": "angles"},
+        "diagnosis": {"enabled": False},
+        "truth": {
+            "n": n,
+            "seed": seed,
+            "parameters": {"joint_2.beta": 2e-3},
+            "noise": {"position": 1e-4, "rotation": 1e-4},
+        },
+    }
+    folder.mkdir(parents=True)
+    path = folder.with_suffix(".yaml")  # elsewhere, so that the robot comes along
+    path.write_text(yaml.safe_dump(text))
+    write_campaign(simulate(load_settings(path, Scenario)), folder, folder)
+    path.unlink()
+    return folder / "campaign.yaml"
+
+
+@pytest.fixture(scope="module")
+def three(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three robots and their fleet, computed once in this process."""
+    home = tmp_path_factory.mktemp("plant")
+    for k in range(3):
+        made(home / "robots" / f"arm-{k}", seed=k)
+    run_here(home)
+    return home
+
+
+@pytest.fixture
+def plant(three: Path, tmp_path: Path) -> Path:
+    """A copy of them that a test may spoil."""
+    shutil.copytree(three, tmp_path / "plant")
+    return tmp_path / "plant"
+
+
+def plan(home: Path, pattern: str = "robots/*/campaign.yaml") -> Planned:
+    return planned(members([str(home / pattern)], home / "fleet"), home / "fleet", write_folder, SILENT)
+
+
+def run_here(home: Path, engine: Any = here) -> Ran:
+    (home / "fleet").mkdir(exist_ok=True)
+    return computed(plan(home), engine, SILENT)
+
+
+def never(work: Callable[[Any], Any], tasks: Mapping[str, Any]) -> Iterator[Any]:
+    """An engine that must not be asked for anything."""
+    assert not tasks
+    yield from ()
+
+
+def test_each_robot_has_its_result_folder_and_its_row(three: Path) -> None:
+    rows = read_rows(three / "fleet")
+    assert sorted(row["robot"] for row in rows) == ["arm-0", "arm-1", "arm-2"]
+    for row in rows:
+        folder = three / "fleet" / row["robot"]
+        found = json.loads((folder / "result.json").read_text())
+        assert json.loads((folder / "fleet.json").read_text()) == row
+        assert (row["status"], row["error"], row["verdict"], row["rows"]) == ("done", None, found["verdict"], 40)
+        for stage in row["stages"]:
+            assert stage["rms"] == found["error"][stage["stage"]]["test"][stage["channel"]]["rms"]
+        assert {(s["stage"], s["channel"]) for s in row["stages"]} == {
+            (stage, channel) for stage in found["error"] for channel in found["error"][stage]["test"]
+        }
+        kept = ("name", "value", "std", "unit", "status")
+        assert [{key: c[key] for key in kept} for c in row["constants"]] == [
+            {key: p[key] for key in kept} for p in found["parameters"]
+        ]
+
+
+def test_the_table_has_the_columns_that_the_formats_promise(three: Path) -> None:
+    text = (ROOT / "docs" / "formats.md").read_text("utf-8").split("## 8. A fleet's folder")[1]
+    table = pyarrow.parquet.read_table(three / "fleet" / "fleet.parquet")
+    assert table.schema.names == SCHEMA.names
+    for field in SCHEMA:
+        assert f"| `{field.name}` |" in text
+        if str(field.type).startswith("list<item: struct"):
+            line = next(line for line in text.splitlines() if line.startswith(f"| `{field.name}` |"))
+            assert [name for name in (f.name for f in field.type.value_type) if f"`{name}`" not in line] == []
+
+
+def test_duckdb_reads_it_as_the_formats_say(three: Path) -> None:
+    duckdb = pytest.importorskip("duckdb")
+    text = (ROOT / "docs" / "formats.md").read_text("utf-8")
+    query = text.split("```sql\n")[1].split("```")[0].replace("DIR", str(three / "fleet"))
+    names = {row[2] for row in duckdb.sql(query).fetchall()}
+    assert "joint_2.beta" in names
+
+
+def test_nothing_is_computed_twice(plant: Path) -> None:
+    before = read_rows(plant / "fleet")
+    ran = run_here(plant, never)
+    assert sorted(ran.kept) == ["arm-0", "arm-1", "arm-2"]
+    assert read_rows(plant / "fleet") == before
+
+
+@pytest.mark.parametrize("changed", ["measurements.csv", "campaign.yaml", "arid.urdf"])
+def test_another_input_is_another_run_and_earlier_rows_stay(plant: Path, changed: str) -> None:
+    path = plant / "robots" / "arm-1" / changed
+    path.write_text(path.read_text() + "\n")
+    asked = plan(plant)
+    assert [task.robot for task in asked.tasks.values()] == ["arm-1"]
+    ran = computed(asked, here, SILENT)
+    assert [row["robot"] for row in ran.rows].count("arm-1") == 2
+    assert len({row["key"] for row in ran.rows}) == 4
+
+
+def test_another_version_computes_everything_again(plant: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("aridcal.plant.keys.__version__", "99.0")
+    asked = plan(plant)
+    assert len(asked.tasks) == 3
+    assert {i.inputs for i in asked.inputs.values()} == {row["inputs"] for row in asked.rows}
+
+
+def test_the_key_does_not_depend_on_where_a_plant_lies(plant: Path, three: Path) -> None:
+    a, b = (inputs_of(load_campaign(home / "robots" / "arm-0" / "campaign.yaml")) for home in (plant, three))
+    assert a == b
+
+
+def test_every_file_that_a_campaign_may_name_counts(tmp_path: Path) -> None:
+    path = tmp_path / "campaign.yaml"
+    text = """format: 1
+robot: {urdf: r.urdf, tip: t}
+measurements:
+  - {kind: point, file: [a.csv, b.parquet]}
+  - {kind: pixels, file: c.csv}
+instruments:
+  points: p.csv
+  cameras: {eye: {width: 640, height: 480, fx: 700, fy: 700, cx: 320, cy: 240}}
+  markers: {file: m.csv}
+region: {file: g.csv}
+"""
+    path.write_text(text)
+    campaign = load_campaign(path)
+    named = {file.name for _, file in files_of(campaign)}
+    assert named == {"r.urdf", "a.csv", "b.parquet", "c.csv", "p.csv", "m.csv", "g.csv"}
+    keys = {inputs_of(campaign).key}
+    for name in sorted(named):
+        (tmp_path / name).write_text("anything")
+        keys.add(inputs_of(campaign).key)
+    assert len(keys) == 8
+
+
+def test_a_robot_that_fails_is_named_with_its_reason_and_costs_no_other(plant: Path) -> None:
+    (plant / "robots" / "arm-0" / "campaign.yaml").write_text("format: 1\nnonsense: 1\n")
+    table = plant / "robots" / "arm-2" / "measurements.csv"
+    table.write_text(table.read_text().replace("x", "xx", 1))
+    (plant / "robots" / "arm-1" / "campaign.yaml").open("a").write("# again\n")
+    before = (plant / "fleet" / "arm-2" / "result.json").read_bytes()
+    ran = run_here(plant)
+    assert sorted(ran.failed) == ["arm-0", "arm-2"]
+    assert "nonsense" in ran.failed["arm-0"]
+    assert "no column 'x'" in ran.failed["arm-2"]
+    assert (plant / "fleet" / "arm-2" / "result.json").read_bytes() == before
+    status = {(row["robot"], row["status"]) for row in read_rows(plant / "fleet")[-3:]}
+    assert status == {("arm-0", "failed"), ("arm-1", "done"), ("arm-2", "failed")}
+    page = fleet_page(ran, "plant")
+    assert "1 of 3 robots calibrated" in page
+    assert "nonsense" in page
+
+
+def test_a_failure_does_not_take_the_place_of_a_result() -> None:
+    done = {
+        "robot": "a",
+        "key": "k",
+        "status": "done",
+        "time": "2026-01-01T00:00:00+00:00",
+        "measured": "2026-01-01T00:00:00+00:00",
+    }
+    failed = done | {"status": "failed", "time": "2026-01-02T00:00:00+00:00"}
+    assert merged([done], [failed]) == [done]
+    assert merged([failed], [done]) == [done]
+    assert merged([failed], [failed | {"error": "later"}]) == [failed | {"error": "later"}]
+
+
+def test_a_killed_fleet_leaves_rows_in_its_folders_which_the_next_one_takes_up(plant: Path) -> None:
+    before = read_rows(plant / "fleet")
+    (plant / "fleet" / "fleet.parquet").unlink()
+    ran = run_here(plant, never)
+    assert list(ran.rows) == before
+
+
+@pytest.mark.parametrize("spoilt", ["{", "[]", '{"robot": 3}', ""])
+def test_a_row_that_cannot_be_read_is_no_row(plant: Path, spoilt: str) -> None:
+    (plant / "fleet" / "arm-0" / "fleet.json").write_text(spoilt)
+    assert row_in(plant / "fleet" / "arm-0") is None
+    assert [task.robot for task in plan(plant).tasks.values()] == ["arm-0"]
+
+
+def test_a_result_without_its_figures_is_computed_again(plant: Path) -> None:
+    (plant / "fleet" / "arm-0" / "result.json").unlink()
+    assert [task.robot for task in plan(plant).tasks.values()] == ["arm-0"]
+
+
+def test_what_stands_in_the_place_of_the_table_is_not_overwritten(plant: Path) -> None:
+    table = plant / "fleet" / "fleet.parquet"
+    table.write_text("my notes")
+    with pytest.raises(OutputError, match="no table of this fleet"):
+        plan(plant)
+    assert table.read_text() == "my notes"
+
+
+def task_of(plant: Path, robot: str, key: str | None = None) -> Task:
+    campaign = plant / "robots" / robot / "campaign.yaml"
+    out = plant / "fleet" / robot
+    return Task(robot, str(campaign), str(out), key or inputs_of(load_campaign(campaign)).key, write_folder)
+
+
+def test_a_worker_takes_the_result_of_one_that_died_after_writing(plant: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(work, "identify", lambda *_, **__: pytest.fail("computed twice"))
+    row = calibrated(task_of(plant, "arm-0"))
+    assert row == row_in(plant / "fleet" / "arm-0")
+
+
+def test_a_worker_waits_for_one_that_was_thought_dead_and_takes_its_result(
+    plant: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = plant / "fleet" / "arm-0"
+    kept = (out / "fleet.json").read_text()
+    (out / "fleet.json").unlink()
+    code = (
+        "import sys, time; from pathlib import Path; from aridcal.writing.files import claimed\n"
+        "out = Path(sys.argv[1])\n"
+        "with claimed(out, 'folder'):\n"
+        "    print('held', flush=True); sys.stdin.readline(); (out / 'fleet.json').write_text(sys.argv[2])\n"
+    )
+    other = subprocess.Popen(
+        [sys.executable, "-c", code, str(out), kept], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
+    assert other.stdin is not None and other.stdout is not None
+    assert other.stdout.readline() == "held\n"
+    waits = []
+
+    def look_again(seconds: float) -> None:
+        if not waits:
+            other.stdin.write("\n")
+            other.stdin.flush()
+        waits.append(seconds)
+        other.wait()
+
+    monkeypatch.setattr(work.time, "sleep", look_again)
+    monkeypatch.setattr(work, "identify", lambda *_, **__: pytest.fail("computed twice"))
+    assert calibrated(task_of(plant, "arm-0"))["status"] == "done"
+    assert waits
+
+
+def test_files_that_change_under_the_work_make_the_robot_fail(plant: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    task = task_of(plant, "arm-0")
+    (plant / "fleet" / "arm-0" / "fleet.json").unlink()
+    before = (plant / "fleet" / "arm-0" / "result.json").read_bytes()
+    found = work.identify
+
+    def disturbed(*args: Any, **more: Any) -> Any:
+        outcome = found(*args, **more)
+        (plant / "robots" / "arm-0" / "measurements.csv").open("a").write("\n")
+        return outcome
+
+    monkeypatch.setattr(work, "identify", disturbed)
+    row = calibrated(task)
+    assert row["status"] == "failed"
+    assert "not those that the fleet was started with" in row["error"]
+    assert row["key"] == task.key
+    assert (plant / "fleet" / "arm-0" / "result.json").read_bytes() == before
+
+
+@pytest.mark.parametrize(("number", "tries"), [(5, 2), (116, 2), (2, 1), (13, 1)])
+def test_a_disk_that_fails_is_tried_once_more_and_a_file_that_is_not_there_is_not(
+    plant: Path, monkeypatch: pytest.MonkeyPatch, number: int, tries: int
+) -> None:
+    calls = []
+
+    def fails(*_: Any, **__: Any) -> Any:
+        calls.append(1)
+        raise AridcalError("measurements.csv: cannot be read") from OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(work, "identify", fails)
+    monkeypatch.setattr(work.time, "sleep", lambda _: None)
+    row = calibrated(task_of(plant, "arm-0", "another key"))
+    assert row["status"] == "failed"
+    monkeypatch.setattr(work, "_check", lambda *_: None)
+    row = calibrated(task_of(plant, "arm-0", "another key"))
+    assert (row["status"], row["error"], len(calls)) == ("failed", "measurements.csv: cannot be read", tries)
+
+
+def test_a_bug_at_one_robot_is_that_robots_alone(plant: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for k in range(3):
+        (plant / "robots" / f"arm-{k}" / "campaign.yaml").open("a").write("# again\n")
+    found = work.identify
+    monkeypatch.setattr(
+        work, "identify", lambda campaign, **more: 1 / 0 if "arm-1" in str(campaign.path) else found(campaign, **more)
+    )
+    ran = run_here(plant)
+    assert ran.failed == {"arm-1": "ZeroDivisionError: division by zero"}
+
+
+def test_an_engine_that_goes_leaves_what_is_done_and_names_what_remains(plant: Path) -> None:
+    for k in range(3):
+        (plant / "robots" / f"arm-{k}" / "campaign.yaml").open("a").write("# again\n")
+
+    def leaves(work: Callable[[Any], Any], tasks: Mapping[str, Any]) -> Iterator[Any]:
+        name = next(iter(tasks))
+        yield name, work(tasks[name])
+        raise EngineGone("the scheduler is gone")
+
+    ran = run_here(plant, leaves)
+    assert (ran.remaining, ran.gone) == (("arm-1", "arm-2"), "the scheduler is gone")
+    assert len(read_rows(plant / "fleet")) == 4
+    assert [task.robot for task in plan(plant).tasks.values()] == ["arm-1", "arm-2"]
+
+
+# -- which robots
+
+
+def test_robots_are_called_as_their_folders(tmp_path: Path) -> None:
+    for name in ("b/arm [2]", "a/arm-1"):
+        (tmp_path / name).mkdir(parents=True)
+        (tmp_path / name / "campaign.yaml").touch()
+    found = members([str(tmp_path / "*/*/campaign.yaml")], tmp_path / "out")
+    assert [m.name for m in found] == ["arm [2]", "arm-1"]
+    assert members([str(tmp_path / "b/arm [2]/campaign.yaml")], tmp_path / "out") == found[:1]
+
+
+def test_two_robots_of_one_name_are_refused_and_one_named_twice_is_one(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        (tmp_path / name / "arm").mkdir(parents=True)
+        (tmp_path / name / "arm" / "campaign.yaml").touch()
+    once = str(tmp_path / "a" / "arm" / "campaign.yaml")
+    assert len(members([once, f"{tmp_path}/a/../a/arm/campaign.yaml"], tmp_path / "out")) == 1
+    with pytest.raises(CampaignError, match=r"two robots would be called 'arm': .*a/arm.*b/arm.*rename one"):
+        members([str(tmp_path / "*/arm/campaign.yaml")], tmp_path / "out")
+
+
+@pytest.mark.parametrize(("pattern", "out", "said"), [
+    ("nowhere/*.yaml", "out", "no campaign fits"),
+    ("r/arm/campaign.yaml", "r", "would stand among its inputs"),
+    ("r/fleet.html/campaign.yaml", "out", "cannot be called 'fleet.html'"),
+    ("r/.hidden/campaign.yaml", "out", "cannot be called '.hidden'"),
+])  # fmt: skip
+def test_what_cannot_be_a_fleet_is_refused(tmp_path: Path, pattern: str, out: str, said: str) -> None:
+    for name in ("arm", "fleet.html", ".hidden"):
+        (tmp_path / "r" / name).mkdir(parents=True)
+        (tmp_path / "r" / name / "campaign.yaml").touch()
+    with pytest.raises(CampaignError, match=said):
+        members([str(tmp_path / pattern)], tmp_path / out)
+
+
+# -- the command
+
+
+def test_two_fleets_in_one_folder_are_refused(plant: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with claimed(plant / "fleet", "folder"):
+        code = "import sys; from aridcal.fleet import main; sys.exit(main(sys.argv[1:]))"
+        words = [sys.executable, "-c", code, str(plant / "robots/*/campaign.yaml"), "-o", str(plant / "fleet")]
+        done = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert f"is being written by process {os.getpid()}" in done.stderr
+
+
+def test_a_fleet_that_is_done_needs_no_cluster_and_says_so(plant: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = plant / "fleet"
+    words = [str(plant / "robots/*/campaign.yaml"), "-o", str(out), "--scheduler", "tcp://127.0.0.1:9"]
+    assert main(words) == 0
+    assert "3 of 3 robots done, 3 of them known already" in capsys.readouterr().out
+    assert "3 of 3 robots calibrated" in (out / "fleet.html").read_text()
+    (plant / "robots" / "arm-1" / "campaign.yaml").write_text("format: 1\n")
+    assert main(words) == 3
+    told = capsys.readouterr().out
+    assert "2 of 3 robots done" in told
+    assert "\n  arm-1: " in told
+
+
+@pytest.mark.parametrize(
+    ("address", "said"), [("nonsense", "no address of a scheduler"), ("tcp://127.0.0.1:9", "no scheduler answers")]
+)
+def test_a_scheduler_that_is_none_is_bad_use(address: str, said: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("aridcal.plant.engine.ANSWER", 0.1)
+    with pytest.raises(AridcalError, match=said), dask_engine(address, SILENT):
+        pass
+
+
+def test_without_dask_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(AridcalError, match=r'pip install "aridcal\[fleet\]"'), dask_engine(None, SILENT):
+        pass
+
+
+def test_progress_says_how_many_are_done_how_many_failed_and_how_long_it_takes(plant: Path) -> None:
+    said: list[str] = []
+    ticks = iter(range(0, 100000, 10))
+    (plant / "robots" / "arm-0" / "measurements.csv").write_text("x\n1\n")
+    (plant / "robots" / "arm-1" / "campaign.yaml").open("a").write("# again\n")
+    computed(plan(plant), here, Progress(said.append, clock=lambda: float(next(ticks))))
+    assert any(line.startswith("arm-0 failed: ") for line in said)
+    assert any("1 of 2 robots, 1 failed, " in line and line.endswith(" left") for line in said)
+    assert [duration(s) for s in (1.2, 89, 600, 12000)] == ["1 s", "89 s", "10 min", "3 h 20 min"]
+
+
+# -- real processes
+
+
+def slow_or_deadly(task: tuple[str, str]) -> str:
+    """Work for workers: marks that it began, and dies on the first attempt where it is told to."""
+    folder, name = task
+    mark = Path(folder) / name
+    times = len(mark.read_text()) if mark.exists() else 0
+    mark.write_text("x" * (times + 1))
+    if name.startswith("dies") and times == 0:
+        os.kill(os.getpid(), signal.SIGKILL)
+    if name.startswith("raises"):
+        raise ValueError("on purpose")
+    return name.upper()
+
+
+@pytest.fixture
+def cluster(tmp_path: Path) -> Iterator[Callable[[], subprocess.Popen[bytes]]]:
+    """A scheduler over TCP and a worker, as processes of their own; the worker is kept alive."""
+    import socket
+    import threading
+
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    env = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tests")])}
+    quiet: dict[str, Any] = {"env": env, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    head = [
+        sys.executable,
+        "-m",
+        "distributed.cli.dask_scheduler",
+        "--host",
+        "127.0.0.1",
+        "--port",
+        str(port),
+        "--no-dashboard",
+    ]
+    hand = [
+        sys.executable,
+        "-m",
+        "distributed.cli.dask_worker",
+        f"tcp://127.0.0.1:{port}",
+        "--nthreads",
+        "1",
+        "--no-nanny",
+    ]
+    hand += ["--no-dashboard", "--local-directory", str(tmp_path)]
+    running = {"head": subprocess.Popen(head, **quiet), "hand": subprocess.Popen(hand, **quiet)}
+    over = threading.Event()
+
+    def tend() -> None:
+        while not over.wait(0.2):
+            for name, words in (("head", head), ("hand", hand)):
+                if name == "head" and running[name].poll() is not None:
+                    running["hand"].kill()  # it would end by itself, in its own time
+                if running[name].poll() is not None and not over.is_set():
+                    running[name] = subprocess.Popen(words, **quiet)
+
+    tending = threading.Thread(target=tend)
+    tending.start()
+    (tmp_path / "address").write_text(f"tcp://127.0.0.1:{port}")
+    yield lambda: running["head"]
+    over.set()
+    tending.join()
+    for process in running.values():
+        process.kill()
+        process.wait()
+
+
+def test_a_worker_and_the_scheduler_die_and_every_task_is_answered_once(
+    tmp_path: Path, cluster: Callable[[], subprocess.Popen[bytes]]
+) -> None:
+    """Over TCP, on processes of their own: what dies is started again by somebody, as systemd would."""
+    (tmp_path / "marks").mkdir()
+    names = ["one", "dies-at-first", "raises", "two", "three"]
+    tasks = {f"task-{name}": (str(tmp_path / "marks"), name) for name in names}
+    said: list[str] = []
+    answers: dict[str, Any] = {}
+    with dask_engine((tmp_path / "address").read_text(), Progress(said.append)) as engine:
+        for name, answer in engine(slow_or_deadly, tasks):
+            assert name not in answers
+            answers[name] = answer
+            if len(answers) == 3:
+                cluster().kill()
+    assert answers == {
+        f"task-{name}": Broken("ValueError: on purpose") if name == "raises" else name.upper() for name in names
+    }
+    assert (tmp_path / "marks" / "dies-at-first").read_text() == "xx"
+    assert any("connection to the scheduler broke" in line for line in said)
+
+
+def test_a_scheduler_that_stays_away_is_said_to_be_gone(tmp_path: Path) -> None:
+    words = [
+        sys.executable,
+        "-m",
+        "distributed.cli.dask_scheduler",
+        "--host",
+        "127.0.0.1",
+        "--port",
+        "0",
+        "--no-dashboard",
+    ]
+    head = subprocess.Popen(
+        [*words, "--scheduler-file", str(tmp_path / "head.json")], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    )
+    while not (tmp_path / "head.json").exists():
+        time.sleep(0.1)
+    address = json.loads((tmp_path / "head.json").read_text())["address"]
+    with dask_engine(address, SILENT, patience=0.5) as engine:
+        head.kill()
+        head.wait()
+        with pytest.raises(EngineGone, match="did not come back"):
+            list(engine(str.upper, {"a": "a"}))
