@@ -34,7 +34,7 @@ import pyarrow.parquet
 import yaml
 
 from aridcal.ageing.store import read_runs
-from aridcal.ageing.trend import Cycle, Series, dated, tested
+from aridcal.ageing.trend import Cycle, Series, dated, evidence
 from aridcal.ageing.wear import FALSE_ALARMS, LOOKS, History, history
 from aridcal.inputs.yaml_file import load_settings
 from aridcal.prepare.scenario import Scenario
@@ -205,7 +205,7 @@ def alarms(seasons: int) -> None:
     """Fleets in which nothing changes: the p-values of single series, and how many seasons have an alarm."""
     rng = np.random.default_rng(5)
     count, levels = ROBOTS * CONSTANTS, (0.3, 0.1, 0.03, 0.01, 1e-3, 1e-4)
-    p = np.array([[tested(quiet(rng, k % 3 == 0)).p_value for k in range(count)] for _ in range(seasons)])
+    p = np.array([[evidence(quiet(rng, k % 3 == 0)).p_value for k in range(count)] for _ in range(seasons)])
     print("share of p-values below a level, of steady series and of those with a yearly cycle:")
     for level in levels:
         below = (p < level).mean(axis=0)
@@ -236,7 +236,7 @@ def dates(seasons: int) -> None:
                 error.append(abs(found.began - day_of(begins)) / day_of(1.0))
                 held.append(found.low <= day_of(begins) <= found.high)
                 right.append(found.kind == kind)
-                alarmed.append(tested(series).p_value * ROBOTS * CONSTANTS * LOOKS < FALSE_ALARMS)
+                alarmed.append(evidence(series).p_value * ROBOTS * CONSTANTS * LOOKS < FALSE_ALARMS)
             print(
                 f"  {kind} of {size:g} sigma{' a month' if kind == 'drift' else ''} from month {begins}: alarm in "
                 f"{np.mean(alarmed):.0%}, date off by {np.median(error):.2f} (median), {np.quantile(error, 0.95):.2f} (95 %), in "

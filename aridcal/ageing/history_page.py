@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 
 import numpy as np
@@ -24,6 +25,9 @@ PICTURED = 24
 
 LISTED = 200
 """Robots that the page lists."""
+
+MOST_CYCLES = 4
+"""Constants that are named for a yearly cycle."""
 
 MUCH_SCATTER = 1.2
 """Times its sigma that a constant must scatter by to be named for it."""
@@ -58,9 +62,6 @@ def change_in_words(w: Watched) -> str:
 def robot_lines(robot: RobotHistory) -> list[str]:
     """What is to be said of one robot."""
     said = [f"{change_in_words(w)} (chance of a false alarm {number(w.p_value, 2)})" for w in robot.alarms]
-    if robot.cycles:
-        names = enumerated([w.name for w in robot.cycles])
-        said.append(f"{names} moved as a yearly cycle does: season or drift, more months will tell")
     return [*said, *robot.notices]
 
 
@@ -84,6 +85,13 @@ def about(found: History) -> list[str]:
         f"of seasons in which nothing changes at most {FALSE_ALARMS:.0%} have an alarm anywhere among the {found.series} "
         "constants that were looked at, month by month; a yearly cycle is no alarm",
     ]
+    cycling = Counter(w.name for robot in found.robots for w in robot.cycles)
+    for name, count in cycling.most_common(MOST_CYCLES):
+        said.append(
+            f"{name} of {counted(count, 'robot')} moved as a yearly cycle does: season or drift, more months will tell"
+        )
+    if len(cycling) > MOST_CYCLES:
+        said.append(f"and {len(cycling) - MOST_CYCLES} other constants did so")
     few = [robot.name for robot in found.robots if robot.watched and len(robot.watched[0].series.day) < FEWEST]
     none = [robot.name for robot in found.robots if not robot.watched]
     if few:

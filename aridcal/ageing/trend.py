@@ -79,7 +79,7 @@ class Cycle:
 
 
 @dataclass(frozen=True)
-class Test:
+class Evidence:
     """Whether anything but a yearly cycle is there.
 
     Attributes:
@@ -120,12 +120,12 @@ class Change:
     so_far: float
 
 
-def tested(series: Series) -> Test:
-    """Test one series for a change."""
+def evidence(series: Series) -> Evidence:
+    """Evidence one series for a change."""
     n, weight = len(series.day), 1.0 / series.std
     steady = _Steady(weight, np.ones((n, 1)), series.value)
     if n < FEWEST:
-        return Test(1.0, _p_of_pairs(series), 1, (steady.squares(), n - 1))
+        return Evidence(1.0, _p_of_pairs(series), 1, (steady.squares(), n - 1))
     always = with_cycle(series.day)
     shapes = _shapes(series.day)
     beside = _Steady(weight, always, series.value)
@@ -136,11 +136,11 @@ def tested(series: Series) -> Test:
     blurred = 1.0 / np.hypot(series.std, SHAPE * amplitude / np.sqrt(2.0))  # of a wave the RMS
     z = _Steady(blurred, always, series.value).scores(shapes)
     z_any = steady.scores(np.hstack([shapes, always[:, 1:]]))
-    return Test(_bonferroni(z), _bonferroni(z_any), int(np.sum(z != 0.0)), (beside.squares(), n - always.shape[1]))
+    return Evidence(_bonferroni(z), _bonferroni(z_any), int(np.sum(z != 0.0)), (beside.squares(), n - always.shape[1]))
 
 
 def dated(series: Series, cycle: Cycle | None = None) -> Change:
-    """What changed and when, as far as the series tells; only of use where :func:`tested` says that something did.
+    """What changed and when, as far as the series tells; only of use where :func:`evidence` says that something did.
 
     Args:
         series: One constant.

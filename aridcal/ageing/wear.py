@@ -27,7 +27,7 @@ import pandas as pd
 from scipy.stats import chi2
 
 from aridcal.ageing.store import Runs
-from aridcal.ageing.trend import FEWEST, Change, Cycle, Series, Test, dated, tested, with_cycle
+from aridcal.ageing.trend import FEWEST, Change, Cycle, Evidence, Series, dated, evidence, with_cycle
 from aridcal.drawing.html import number
 from aridcal.errors import AridcalError, nearest
 
@@ -60,7 +60,7 @@ class Watched:
         name: Of the constant.
         unit: m or rad.
         series: Its values; ``std`` with the fleet's scatter.
-        test: What it shows.
+        shows: What it shows.
         p_value: Of a change, for all series of the fleet and all looks of a season.
         p_any: The same with a yearly cycle counted as one.
         change: What changed; None without an alarm.
@@ -70,7 +70,7 @@ class Watched:
     name: str
     unit: str
     series: Series
-    test: Test
+    shows: Evidence
     p_value: float
     p_any: float
     change: Change | None
@@ -178,7 +178,7 @@ def history(of: Runs, only: str | None = None) -> History:
     found = []
     for name, (runs, _, notices) in robots.items():
         errors = of.errors.merge(runs[["run", "measured"]], on="run")
-        own = sorted(watched[name], key=lambda w: (w.p_value, w.test.p_value, w.p_any))
+        own = sorted(watched[name], key=lambda w: (w.p_value, w.shows.p_value, w.p_any))
         found.append(RobotHistory(name, runs, errors, tuple(own), tuple(notices)))
     found.sort(key=_badness)
     shown = [robot for robot in found if only in (None, robot.name)]
@@ -189,7 +189,7 @@ def _badness(robot: RobotHistory) -> tuple[int, float, int, float, str]:
     """What robots are sorted by: alarms, the surest first, then what may be the season, then their last error."""
     _, errors = robot.error("final")
     last = float(errors[-1]) if len(errors) and np.isfinite(errors[-1]) else 0.0
-    least = min((w.test.p_value for w in robot.alarms), default=1.0)
+    least = min((w.shows.p_value for w in robot.alarms), default=1.0)
     return -bool(robot.alarms), least, -bool(robot.cycles), -last, robot.name
 
 
@@ -235,7 +235,7 @@ def _scatter(every: Sequence[tuple[str, str, str, Series]]) -> dict[str, float]:
     """Times its sigma that each constant scatters by, never below 1."""
     ratios: dict[str, list[float]] = {}
     for _, constant, _, series in every:
-        squares, freedom = tested(series).squares
+        squares, freedom = evidence(series).squares
         if freedom > 0:
             ratios.setdefault(constant, []).append(squares / float(chi2.median(freedom)))
     pooled = [ratio for own in ratios.values() for ratio in own]
@@ -270,8 +270,8 @@ def _cycles(every: Sequence[tuple[str, str, str, Series]]) -> dict[str, Cycle]:
 
 def _watched(robot: str, constant: str, unit: str, series: Series, count: int, cycle: Cycle | None) -> Watched:
     """One series, judged as one of so many."""
-    test = tested(series)
+    shows = evidence(series)
     looks = count * max(len(series.day), LOOKS)
-    p_value, p_any = min(1.0, looks * test.p_value), min(1.0, looks * test.p_any)
+    p_value, p_any = min(1.0, looks * shows.p_value), min(1.0, looks * shows.p_any)
     change = dated(series, cycle) if p_value < FALSE_ALARMS else None
-    return Watched(robot, constant, unit, series, test, p_value, p_any, change)
+    return Watched(robot, constant, unit, series, shows, p_value, p_any, change)
