@@ -185,7 +185,7 @@ def test_memory_and_size_have_limits(tmp_path: Path) -> None:
     [
         (
             '<xacro:include filename="$(find lost)/a.xacro"/>',
-            "needs the package 'lost', which is not found: say where with",
+            "needs the package 'lost', which is not found: say where it is: `init --package lost=FOLDER`",
         ),
         ('<xacro:include filename="lost.xacro"/>', "No such file or directory"),
         ("<xacro:nothing/>", "unknown macro name: xacro:nothing"),
@@ -263,7 +263,7 @@ def test_init_and_identify_take_a_xacro_file(
     ours = ["--urdf", "arm.urdf.xacro", "--measurements", "m.csv", "--argument", "size=2"]
     (tmp_path / "away" / "clone" / "package.xml").unlink()
     assert init.main(ours) == 2
-    assert "needs the package 'arm_parts', which is not found: say where with `--package arm_parts=FOLDER`" in (
+    assert "needs the package 'arm_parts', which is not found: say where it is: `init --package arm_parts=FOLDER`" in (
         capsys.readouterr().err.replace("\n", " ")
     )
     assert init.main([*ours, "--package", "arm_parts=away/clone"]) == 0
@@ -274,8 +274,10 @@ def test_init_and_identify_take_a_xacro_file(
     }
     assert identify.main(["campaign.yaml"]) == 0
     said = capsys.readouterr().out.replace("\n", " ")
-    assert "put them where the URDF looks for them" in said  # the package is there, the mesh is not
-    assert said.count("not drawn for want of mesh files ('package://arm_parts/meshes/link.stl'): 3 shapes") == 1
+    assert (
+        "put it where the URDF looks for it, or leave it so. Until then a stick figure" in said
+    )  # the package is there, the mesh is not
+    assert said.count("not drawn: 3 shapes without a mesh file ('package://arm_parts/meshes/link.stl')") == 1
     # plain, and the constant is in it
     made = parse_robot((tmp_path / "results" / "calibrated.urdf").read_bytes(), "link_3")
     assert abs(made.joints[1].origin.translation[0] - 0.102) < 1e-4

@@ -17,6 +17,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -254,7 +255,10 @@ def _within_limits(seconds: int) -> None:
         resource.RLIMIT_NPROC: 0,
     }
     for which, value in limits.items():
-        resource.setrlimit(which, (value, value))
+        _, hard = resource.getrlimit(which)
+        least = value if hard == resource.RLIM_INFINITY else min(value, hard)
+        with suppress(ValueError, OSError):  # macOS refuses a limit of memory
+            resource.setrlimit(which, (least, least))
     signal.signal(signal.SIGALRM, signal.SIG_DFL)
     signal.alarm(seconds)
 
