@@ -138,7 +138,8 @@ def test_expressions_that_reach_for_python_are_refused(expression: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "expression", ["pi/2", "[v for v in range(3)]", "cfg['a'].b", "'x' if a else 'y'", "math.sin(3)"]
+    "expression",
+    ["pi/2", "limits.f_max * co_efficient", "[v for v in range(3)]", "cfg['a'].b", "'x' if a else 'y'", "math.sin(3)"],
 )
 def test_expressions_of_descriptions_are_evaluated(expression: str) -> None:
     check_expression(expression)
@@ -260,7 +261,7 @@ def test_init_and_identify_take_a_xacro_file(
     shutil.move(path, tmp_path / "arm.urdf.xacro")
     shutil.move(tmp_path / "away" / "arm_parts", tmp_path / "away" / "clone")
     write_table(tmp_path)
-    ours = ["--urdf", "arm.urdf.xacro", "--measurements", "m.csv", "--argument", "size=2"]
+    ours = ["--urdf", "arm.urdf.xacro", "--measurements", "m.csv", "--argument", "size:=2"]
     (tmp_path / "away" / "clone" / "package.xml").unlink()
     assert init.main(ours) == 2
     assert "needs the package 'arm_parts', which is not found: say where it is: `init --package arm_parts=FOLDER`" in (
@@ -313,6 +314,10 @@ def test_an_argument_may_be_a_number_or_a_truth_in_yaml(tmp_path: Path) -> None:
     text = "format: 1\nrobot: {urdf: a.urdf, tip: t, arguments: {a: 2, b: true, c: x}}\nmeasurements: {file: m.csv}\n"
     (tmp_path / "c.yaml").write_text(text)
     assert load_campaign(tmp_path / "c.yaml").robot.arguments == {"a": "2", "b": "true", "c": "x"}
+
+
+def test_values_may_hold_what_separates_names_from_them() -> None:
+    assert init._pair("a=b:=c=d") == ("a", "b:=c=d") and init._pair("a:=b") == ("a", "b")
 
 
 def test_a_pair_needs_both_its_halves(capsys: pytest.CaptureFixture[str]) -> None:

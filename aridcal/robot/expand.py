@@ -39,7 +39,9 @@ FILES = 64
 NAMESPACE = "xacro"
 """What the namespaces of xacro end in; there are several, and all are in use."""
 
-FRAMES = re.compile(r"(gi|cr|ag|tb|f|co)_")
+FRAMES = frozenset(
+    {"gi_frame", "cr_frame", "ag_frame", "tb_frame", "f_back", "f_builtins", "f_code", "f_globals", "f_locals"}
+)
 """Attributes through which an expression comes from a generator to its frame, and from there to everything."""
 
 WAYS_OUT = frozenset({"vars", "mro"})
@@ -173,7 +175,7 @@ def check_expression(expression: str) -> None:
     """
     for node in ast.walk(ast.parse(expression.strip(), mode="eval")):
         name = node.attr if isinstance(node, ast.Attribute) else node.id if isinstance(node, ast.Name) else ""
-        if name.startswith("_") or name in WAYS_OUT or (isinstance(node, ast.Attribute) and FRAMES.match(name)):
+        if name.startswith("_") or name in WAYS_OUT | FRAMES:
             raise ValueError(f"the expression {shortened(expression)!r} uses {name!r}, which is not evaluated")
 
 
