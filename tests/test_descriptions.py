@@ -126,7 +126,8 @@ ESCAPES = {
     "a frame": "(x for x in [1]).gi_frame.f_back",
     "a class by its table": "python.vars(python.type(1))",
     "the order of bases": "python.type(1).mro()",
-    "a name with an underscore": "_global_symbols",
+    "a name with two underscores": "__import__('os')",
+    "a class in a text": "f'{x.__class__}'",
     "behind a lambda": "(lambda x: x.__globals__)(len)",
 }
 
@@ -139,7 +140,15 @@ def test_expressions_that_reach_for_python_are_refused(expression: str) -> None:
 
 @pytest.mark.parametrize(
     "expression",
-    ["pi/2", "limits.f_max * co_efficient", "[v for v in range(3)]", "cfg['a'].b", "'x' if a else 'y'", "math.sin(3)"],
+    [
+        "pi/2",
+        "limits.f_max * co_efficient",
+        "prop__cog['x'] + _y",
+        "[v for v in range(3)]",
+        "cfg['a'].b",
+        "'x' if a else 'y'",
+        "math.sin(3)",
+    ],
 )
 def test_expressions_of_descriptions_are_evaluated(expression: str) -> None:
     check_expression(expression)

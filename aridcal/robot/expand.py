@@ -175,7 +175,7 @@ def check_expression(expression: str) -> None:
     """
     for node in ast.walk(ast.parse(expression.strip(), mode="eval")):
         name = node.attr if isinstance(node, ast.Attribute) else node.id if isinstance(node, ast.Name) else ""
-        if name.startswith("_") or name in WAYS_OUT | FRAMES:
+        if name.startswith("__") or name in WAYS_OUT | FRAMES:
             raise ValueError(f"the expression {shortened(expression)!r} uses {name!r}, which is not evaluated")
 
 
