@@ -247,7 +247,7 @@ def _answer(asked: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _within_limits(seconds: int) -> None:
-    """From now on: no file is written, no program started, memory and time are short."""
+    """From now on: no byte goes to a file, no process begins (but root's may), memory and time are short."""
     most = int(1e9 * MEMORY_GB)
     limits = {
         resource.RLIMIT_AS: most,
