@@ -125,6 +125,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _pair(text: str) -> tuple[str, str]:
     """The ``type`` of an argument of argparse that gives something a name."""
     name, equals, value = text.partition("=")
+    name = name.removesuffix(":")  # xacro itself writes NAME:=VALUE
     if not (name and equals and value):
         raise argparse.ArgumentTypeError(f"{printable(shortened(text))!r} should be NAME=VALUE")
     return name, value

@@ -263,12 +263,12 @@ LOST = [name for name, (_, why) in BAD.items() if why.startswith("no mesh")]
 
 
 def test_meshes_that_are_not_there_are_one_line_with_the_hint(attacked: Attacked) -> None:
-    about = [notice for notice in attacked[2] if "for want of" in notice]
-    beside = "put them where the URDF looks for them, or leave it so"
+    about = [notice for notice in attacked[2] if "without a mesh file" in notice]
+    beside = "put it where the URDF looks for it, or leave it so"
     assert about == [
-        f"not drawn for want of mesh files ('' and {len(LOST) - 2} more): {len(LOST) - 1} shapes; {beside}",
-        "not drawn for want of mesh files ('package://lost/a.dae'): 1 shape; say where with `--package lost=FOLDER` (in a "
-        "campaign: `robot.packages: {lost: FOLDER}`), or in ROS_PACKAGE_PATH or AMENT_PREFIX_PATH",
+        f"not drawn: {len(LOST) - 1} shapes without a mesh file ('' and {len(LOST) - 2} more); {beside}",
+        "not drawn: 1 shape without a mesh file ('package://lost/a.dae'); package lost: say where it is: `init --package "
+        "lost=FOLDER` (in a campaign `robot.packages`), ROS_PACKAGE_PATH or AMENT_PREFIX_PATH",
     ]
     assert all(notice.isprintable() for notice in about)
 

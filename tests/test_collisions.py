@@ -66,7 +66,11 @@ def test_shapes_that_always_overlap_and_what_cannot_be_read_say_nothing() -> Non
     assert not bodies_of(huge, [], draw_readings(huge, 20, rng)).any
     missing = balls('<mesh filename="nowhere.stl"/>')
     bodies = bodies_of(missing, [], draw_readings(missing, 20, rng))
-    assert not bodies.any and len(bodies.unread) == 1 and "('nowhere.stl'): 4 shapes" in bodies.unread[0]
+    assert (
+        not bodies.any
+        and len(bodies.unread) == 1
+        and "4 shapes without a mesh file ('nowhere.stl')" in bodies.unread[0]
+    )
 
 
 @pytest.mark.skipif(not robots.SHARED_ROBOTS.exists(), reason="needs example-robot-data")

@@ -126,7 +126,8 @@ ESCAPES = {
     "a frame": "(x for x in [1]).gi_frame.f_back",
     "a class by its table": "python.vars(python.type(1))",
     "the order of bases": "python.type(1).mro()",
-    "a name with an underscore": "_global_symbols",
+    "a name with two underscores": "__import__('os')",
+    "a class in a text": "f'{x.__class__}'",
     "behind a lambda": "(lambda x: x.__globals__)(len)",
 }
 
@@ -138,7 +139,16 @@ def test_expressions_that_reach_for_python_are_refused(expression: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "expression", ["pi/2", "[v for v in range(3)]", "cfg['a'].b", "'x' if a else 'y'", "math.sin(3)"]
+    "expression",
+    [
+        "pi/2",
+        "limits.f_max * co_efficient",
+        "prop__cog['x'] + _y",
+        "[v for v in range(3)]",
+        "cfg['a'].b",
+        "'x' if a else 'y'",
+        "math.sin(3)",
+    ],
 )
 def test_expressions_of_descriptions_are_evaluated(expression: str) -> None:
     check_expression(expression)
@@ -185,7 +195,7 @@ def test_memory_and_size_have_limits(tmp_path: Path) -> None:
     [
         (
             '<xacro:include filename="$(find lost)/a.xacro"/>',
-            "needs the package 'lost', which is not found: say where with",
+            "needs the package 'lost', which is not found: say where it is: `init --package lost=FOLDER`",
         ),
         ('<xacro:include filename="lost.xacro"/>', "No such file or directory"),
         ("<xacro:nothing/>", "unknown macro name: xacro:nothing"),
@@ -260,10 +270,10 @@ def test_init_and_identify_take_a_xacro_file(
     shutil.move(path, tmp_path / "arm.urdf.xacro")
     shutil.move(tmp_path / "away" / "arm_parts", tmp_path / "away" / "clone")
     write_table(tmp_path)
-    ours = ["--urdf", "arm.urdf.xacro", "--measurements", "m.csv", "--argument", "size=2"]
+    ours = ["--urdf", "arm.urdf.xacro", "--measurements", "m.csv", "--argument", "size:=2"]
     (tmp_path / "away" / "clone" / "package.xml").unlink()
     assert init.main(ours) == 2
-    assert "needs the package 'arm_parts', which is not found: say where with `--package arm_parts=FOLDER`" in (
+    assert "needs the package 'arm_parts', which is not found: say where it is: `init --package arm_parts=FOLDER`" in (
         capsys.readouterr().err.replace("\n", " ")
     )
     assert init.main([*ours, "--package", "arm_parts=away/clone"]) == 0
@@ -274,8 +284,10 @@ def test_init_and_identify_take_a_xacro_file(
     }
     assert identify.main(["campaign.yaml"]) == 0
     said = capsys.readouterr().out.replace("\n", " ")
-    assert "put them where the URDF looks for them" in said  # the package is there, the mesh is not
-    assert said.count("not drawn for want of mesh files ('package://arm_parts/meshes/link.stl'): 3 shapes") == 1
+    assert (
+        "put it where the URDF looks for it, or leave it so. Until then a stick figure" in said
+    )  # the package is there, the mesh is not
+    assert said.count("not drawn: 3 shapes without a mesh file ('package://arm_parts/meshes/link.stl')") == 1
     # plain, and the constant is in it
     made = parse_robot((tmp_path / "results" / "calibrated.urdf").read_bytes(), "link_3")
     assert abs(made.joints[1].origin.translation[0] - 0.102) < 1e-4
@@ -311,6 +323,10 @@ def test_an_argument_may_be_a_number_or_a_truth_in_yaml(tmp_path: Path) -> None:
     text = "format: 1\nrobot: {urdf: a.urdf, tip: t, arguments: {a: 2, b: true, c: x}}\nmeasurements: {file: m.csv}\n"
     (tmp_path / "c.yaml").write_text(text)
     assert load_campaign(tmp_path / "c.yaml").robot.arguments == {"a": "2", "b": "true", "c": "x"}
+
+
+def test_values_may_hold_what_separates_names_from_them() -> None:
+    assert init._pair("a=b:=c=d") == ("a", "b:=c=d") and init._pair("a:=b") == ("a", "b")
 
 
 def test_a_pair_needs_both_its_halves(capsys: pytest.CaptureFixture[str]) -> None:

@@ -79,7 +79,9 @@ def robot_shapes(robot: Robot) -> tuple[tuple[Shape, ...], tuple[str, ...]]:
             said = str(error) if isinstance(error, NotDrawable) else reason(error)
             notices.append(f"link {shortened(name)!r} is not drawn: {one_line(said)}")
     notices += say_missing(missing, "not drawn")
-    if not shapes:
+    if not shapes and missing:
+        notices[-1] += ". Until then a stick figure"
+    elif not shapes:
         notices.append("no link has a shape that can be drawn: the robot is drawn as a stick figure")
     return _thinned(shapes) or _skeleton(robot), _few(notices)
 

@@ -17,6 +17,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -38,7 +39,9 @@ FILES = 64
 NAMESPACE = "xacro"
 """What the namespaces of xacro end in; there are several, and all are in use."""
 
-FRAMES = re.compile(r"(gi|cr|ag|tb|f|co)_")
+FRAMES = frozenset(
+    {"gi_frame", "cr_frame", "ag_frame", "tb_frame", "f_back", "f_builtins", "f_code", "f_globals", "f_locals"}
+)
 """Attributes through which an expression comes from a generator to its frame, and from there to everything."""
 
 WAYS_OUT = frozenset({"vars", "mro"})
@@ -172,7 +175,7 @@ def check_expression(expression: str) -> None:
     """
     for node in ast.walk(ast.parse(expression.strip(), mode="eval")):
         name = node.attr if isinstance(node, ast.Attribute) else node.id if isinstance(node, ast.Name) else ""
-        if name.startswith("_") or name in WAYS_OUT or (isinstance(node, ast.Attribute) and FRAMES.match(name)):
+        if name.startswith("__") or name in WAYS_OUT | FRAMES:
             raise ValueError(f"the expression {shortened(expression)!r} uses {name!r}, which is not evaluated")
 
 
@@ -244,7 +247,7 @@ def _answer(asked: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _within_limits(seconds: int) -> None:
-    """From now on: no file is written, no program started, memory and time are short."""
+    """From now on: no byte goes to a file, no process begins (but root's may), memory and time are short."""
     most = int(1e9 * MEMORY_GB)
     limits = {
         resource.RLIMIT_AS: most,
@@ -254,7 +257,10 @@ def _within_limits(seconds: int) -> None:
         resource.RLIMIT_NPROC: 0,
     }
     for which, value in limits.items():
-        resource.setrlimit(which, (value, value))
+        _, hard = resource.getrlimit(which)
+        least = value if hard == resource.RLIM_INFINITY else min(value, hard)
+        with suppress(ValueError, OSError):  # macOS refuses a limit of memory
+            resource.setrlimit(which, (least, least))
     signal.signal(signal.SIGALRM, signal.SIG_DFL)
     signal.alarm(seconds)
 

@@ -19,6 +19,9 @@ from aridcal.robot.packages import called
 SECONDS = 60
 """To look into the cache: git is asked which version lies there, and answers in less than one."""
 
+LONGEST = 100
+"""Characters of a robot's name: those that there are have 40 at the most."""
+
 ENDING = "_description"
 """What the names of robot_descriptions end in; it may be left out."""
 
@@ -54,7 +57,8 @@ def described(urdf: Path, packages: Mapping[str, Path], arguments: Mapping[str, 
 
 def is_name(path: Path) -> bool:
     """Tell whether what a user gave for a URDF may be the name of a robot: one word without an ending, and no file."""
-    return path.name == str(path) and not path.suffix and not path.exists()
+    one_word = path.name == str(path) and not path.suffix and len(path.name) <= LONGEST
+    return one_word and not path.exists()
 
 
 def named_robot(name: str) -> Named:

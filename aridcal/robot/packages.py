@@ -15,10 +15,7 @@ from aridcal.reading.files import Limit, read_file
 MANIFEST = Limit(0.1)
 """`package.xml`, written by hand: a few kilobytes."""
 
-HINT = (
-    "say where with `--package {name}=FOLDER` (in a campaign: `robot.packages: {{{name}: FOLDER}}`), "
-    "or in ROS_PACKAGE_PATH or AMENT_PREFIX_PATH"
-)
+HINT = "say where it is: `init --package {name}=FOLDER` (in a campaign `robot.packages`), ROS_PACKAGE_PATH or AMENT_PREFIX_PATH"
 """What to do about a package that is not found."""
 
 

@@ -185,8 +185,12 @@ def say_missing(missing: Sequence[MeshMissing], what: str) -> list[str]:
         more = len(set(lacking)) - 1
         shown = repr(shortened(lacking[0])) + (f" and {more} more" if more else "")
         count = f"{len(lacking)} shape{'s' if len(lacking) > 1 else ''}"
-        hint = HINT.format(name=package) if package else "put them where the URDF looks for them, or leave it so"
-        lines.append(f"{what} for want of mesh files ({shown}): {count}; {hint}")
+        hint = (
+            f"package {package}: {HINT.format(name=package)}"
+            if package
+            else "put it where the URDF looks for it, or leave it so"
+        )
+        lines.append(f"{what}: {count} without a mesh file ({shown}); {hint}")
     return lines
 
 
