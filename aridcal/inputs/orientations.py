@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from aridcal.inputs.measurement_settings import MeasurementSettings
 
+POSITION = ("x", "y", "z")
 QUATERNION = ("qx", "qy", "qz", "qw")
 IDENTITY = (0.0, 0.0, 0.0, 1.0)
 

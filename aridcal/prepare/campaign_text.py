@@ -67,12 +67,13 @@ def draft(
     """
     asker = Asker(choose, settled or {})
     asker.check(QUESTIONS)
-    content = read_file(urdf, RobotError, URDF)
 
     def proposed(dialect: Dialect, asker: Asker) -> Proposal:
         table = read_tables(tables, None, dialect=dialect)
         try:
-            return propose(content, urdf, table, asker, dialect.dates.name if dialect.dates else None)
+            return propose(
+                read_file(urdf, RobotError, URDF), urdf, table, asker, dialect.dates.name if dialect.dates else None
+            )
         except MeasurementError:
             read_tables(tables, dialect=dialect)  # what lacks may be in some of the files: then that is the fault
             raise
