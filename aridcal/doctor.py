@@ -27,7 +27,13 @@ from aridcal.command_line import CommandParser, command_parser, run
 from aridcal.errors import AridcalError
 from aridcal.writing.files import check_writable
 
-IMPORTED_AS = {"opencv-python-headless": "cv2", "pin": "pinocchio", "pycollada": "collada", "pyyaml": "yaml"}
+IMPORTED_AS = {
+    "charset-normalizer": "charset_normalizer",
+    "opencv-python-headless": "cv2",
+    "pin": "pinocchio",
+    "pycollada": "collada",
+    "pyyaml": "yaml",
+}
 """Distributions whose modules have another name."""
 
 GOOD_ENOUGH = 2.0  # times the noise that a sound calibration may leave

@@ -62,8 +62,8 @@ def judged(case: Case, folder: Path) -> tuple[str, str]:
         off.append((Rotation.from_matrix(read.rotation) * t.R[keep].inv()).magnitude().max())
     if max(off) > case.off:
         return WRONG, f"off by {max(off):.2g}"
-    said = [g for g in made.proposal.guesses if g.key == "measurements.table"]
-    return RIGHT, said[0].why if said else "plain csv"
+    table = [guess.why for guess in made.proposal.guesses if guess.key == "measurements.table"]
+    return RIGHT, "; ".join(table) or "plain csv"
 
 
 def main() -> int:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pandas as pd
 from awkward_tables import (
@@ -35,7 +37,7 @@ from awkward_tables import (
 )
 
 
-def _but(*missing: int):
+def _but(*missing: int) -> Callable[[int], np.ndarray]:
     return lambda n: np.setdiff1d(np.arange(n), missing)
 
 
@@ -93,8 +95,9 @@ def _xlsx(t: Truth) -> bytes:
 def _xlsx_form(t: Truth) -> bytes:
     """A form: a title, the date, an empty line, merged names, units, rows, a mean; notes on another sheet."""
     table = kuka(t)
-    rows = [["Measurement of robot 7"], ["Date", pd.Timestamp("2024-03-14").to_pydatetime()], []]
-    rows += [list(table), ["°"] * 6 + ["mm"] * 3 + ["°"] * 3, *_rows(table)[1:]]
+    rows: list[list[object]] = [["Measurement of robot 7"], ["Date", pd.Timestamp("2024-03-14").to_pydatetime()], []]
+    units = ["°"] * 6 + ["mm"] * 3 + ["°"] * 3
+    rows += [[*table], [*units], *_rows(table)[1:]]
     rows.append(["Mean", *[float(np.mean(v)) for v in list(table.values())[1:]]])
     return workbook({"Notes": [["Everything fine"], ["see mail"]], "Data": rows})
 
@@ -401,6 +404,17 @@ def _one_column_off(t: Truth) -> bytes:
     return "\n".join(lines).encode()
 
 
+PREAMBLE = (
+    "Report of measurement", "Operator: A. Person", "Date: 2024-03-14", "", "Robot: R-7, cell 3", "Temperature 21.5", "",
+    "Remarks: none, really", "all fine", "",
+)  # fmt: skip
+
+
+def _robot(t: Truth, name: str) -> dict[str, np.ndarray]:
+    """Joints in degrees and positions in mm, as controllers show them."""
+    return _joints(t, name, deg=True) | _three("X Y Z", 1e3 * t.p)
+
+
 CASES: tuple[Case, ...] = (
     Case("plain.csv", "our own: csv, SI, quaternions", lambda t: text(plain(t))),
     Case("semicolons.csv", "semicolons, decimal commas", lambda t: text(kuka(t), ";", ",")),
@@ -409,7 +423,8 @@ CASES: tuple[Case, ...] = (
     Case("bars.csv", "bars between cells", lambda t: text(kuka(t), "|")),
     Case("fixed.dat", "columns of fixed width", _fixed, off=2e-9, pose=False),
     Case("numpy.txt", "numpy.savetxt: blanks, header as a comment", _numpy_text),
-    Case("quoted_commas.csv", "commas between quoted cells with decimal commas", lambda t: text(kuka(t), ",", ",", quote=True)),
+    Case("quoted_commas.csv", "commas between quoted cells with decimal commas",
+         lambda t: text(kuka(t), ",", ",", quote=True)),
     Case("thousands_points.csv", "1.234,5: thousands with points", lambda t: text(kuka(t), ";", ",", ".")),
     Case("thousands_commas.csv", "1,234.5 in tabs", lambda t: text(kuka(t), "\t", ".", ",")),
     Case("thousands_swiss.csv", "1'234.5", lambda t: text(kuka(t), ";", ".", "'")),
@@ -421,9 +436,12 @@ CASES: tuple[Case, ...] = (
     Case("utf16le.txt", "UTF-16 without its mark", lambda t: text(kuka(t), "\t", ",", encoding="utf-16-le")),
     Case("cp1252.csv", "Windows' encoding, degrees in names, all quoted", _quoted_names, pose=False),
     Case("mac.csv", "line ends of an old Macintosh", lambda t: text(kuka(t), ";", ",", end="\r")),
-    Case("units_row.csv", "a line of units below the names", lambda t: text(kuka(t), units=["deg"] * 6 + ["mm"] * 3 + ["deg"] * 3)),
-    Case("brackets.csv", "units in brackets below the names", lambda t: text(kuka(t), ";", ",", units=["[°]"] * 6 + ["[mm]"] * 3 + ["[°]"] * 3)),
-    Case("preamble.csv", "ten lines about the measurement first", lambda t: text(kuka(t), above=["Report of measurement", "Operator: A. Person", "Date: 2024-03-14", "", "Robot: R-7, cell 3", "Temperature 21.5", "", "Remarks: none, really", "all fine", ""])),
+    Case("units_row.csv", "a line of units below the names",
+         lambda t: text(kuka(t), units=["deg"] * 6 + ["mm"] * 3 + ["deg"] * 3)),
+    Case("brackets.csv", "units in brackets below the names",
+         lambda t: text(kuka(t), ";", ",", units=["[°]"] * 6 + ["[mm]"] * 3 + ["[°]"] * 3)),
+    Case("preamble.csv", "ten lines about the measurement first",
+         lambda t: text(kuka(t), above=PREAMBLE)),
     Case("two_headers.csv", "two lines of header, joints called 1 to 6", _two_lines),
     Case("merged.csv", "merged cells, names, units; commanded poses beside", _merged, pose=False),
     Case("log.csv", "a log with comments in it", _log),
@@ -437,17 +455,25 @@ CASES: tuple[Case, ...] = (
     Case("german.csv", "14.03.2024 09:58:30", lambda t: _dated(t, "%d.%m.%Y %H:%M:%S")),
     Case("american.csv", "03/14/2024 09:58:30 AM", lambda t: _dated(t, "%m/%d/%Y %I:%M:%S %p")),
     Case("milliseconds.csv", "time in ms", _milliseconds),
-    Case("mixed_units.csv", "joints in rad, Euler angles in degrees, positions in mm", lambda t: text(_joints(t) | _three("x y z", 1e3 * t.p) | _three("roll pitch yaw", _euler(t, "xyz")))),
-    Case("rail.csv", "a rail in mm, joints in degrees, positions in m", lambda t: text(_joints(t, "axis{}", deg=True) | _three("x y z", t.p) | _three("rx ry rz", t.R.as_rotvec())), arm="arid"),
-    Case("wxyz.csv", "scalar-first quaternion q1 q2 q3 q4 (ABB)", lambda t: text(_joints(t, "J{}", deg=True) | _three("X Y Z", 1e3 * t.p) | _three("q1 q2 q3 q4", t.R.as_quat()[:, [3, 0, 1, 2]]))),
-    Case("q0.csv", "scalar-first quaternion q0 qx qy qz", lambda t: text(_joints(t, "J{}", deg=True) | _three("X Y Z", 1e3 * t.p) | _three("q0 qx qy qz", t.R.as_quat()[:, [3, 0, 1, 2]]))),
+    Case("mixed_units.csv", "joints in rad, Euler angles in degrees, positions in mm",
+         lambda t: text(_joints(t) | _three("x y z", 1e3 * t.p) | _three("roll pitch yaw", _euler(t, "xyz")))),
+    Case("rail.csv", "a rail in mm, joints in degrees, positions in m",
+         lambda t: text(_joints(t, "axis{}", deg=True) | _three("x y z", t.p) | _three("rx ry rz", t.R.as_rotvec())),
+         arm="arid"),
+    Case("wxyz.csv", "scalar-first quaternion q1 q2 q3 q4 (ABB)",
+         lambda t: text(_robot(t, "J{}") | _three("q1 q2 q3 q4", t.R.as_quat()[:, [3, 0, 1, 2]]))),
+    Case("q0.csv", "scalar-first quaternion q0 qx qy qz",
+         lambda t: text(_robot(t, "J{}") | _three("q0 qx qy qz", t.R.as_quat()[:, [3, 0, 1, 2]]))),
     Case("r33.csv", "a rotation matrix r11 … r33", lambda t: text(_joints(t) | _three("x y z", t.p) | _matrix(t))),
     Case("matrix4.csv", "a 4x4 matrix T11 … T44", _wide_matrix),
     Case("matrix16.csv", "a 4x4 matrix T[0] … T[15]", _flat_matrix),
     Case("noap.csv", "a matrix as n o a p", _noap),
-    Case("staubli.csv", "Stäubli Rx Ry Rz", lambda t: text(_joints(t, "j{}", deg=True) | _three("X Y Z", 1e3 * t.p) | _three("Rx Ry Rz", _euler(t, "XYZ")), "\t")),
-    Case("fanuc.csv", "FANUC W P R", lambda t: text(_joints(t, "J{}", deg=True) | _three("X Y Z", 1e3 * t.p) | _three("W P R", _euler(t, "xyz")))),
-    Case("kawasaki.csv", "Kawasaki O A T", lambda t: text(_joints(t, "JT{}", deg=True) | _three("X Y Z", 1e3 * t.p) | _three("O A T", _euler(t, "ZYZ")))),
+    Case("staubli.csv", "Stäubli Rx Ry Rz",
+         lambda t: text(_robot(t, "j{}") | _three("Rx Ry Rz", _euler(t, "XYZ")), "\t")),
+    Case("fanuc.csv", "FANUC W P R",
+         lambda t: text(_joints(t, "J{}", deg=True) | _three("X Y Z", 1e3 * t.p) | _three("W P R", _euler(t, "xyz")))),
+    Case("kawasaki.csv", "Kawasaki O A T",
+         lambda t: text(_joints(t, "JT{}", deg=True) | _three("X Y Z", 1e3 * t.p) | _three("O A T", _euler(t, "ZYZ")))),
     Case("ur.csv", "UR's real-time data and a rotation vector, blanks", _rtde),
     Case("ur_lists.csv", "URScript's p[...] and joints as lists in cells", _pose_lists),
     Case("rapid.csv", "lists in cells: robax, trans, rot", _rapid),
@@ -480,7 +506,8 @@ CASES: tuple[Case, ...] = (
     Case("either.csv", "03/04/2024 in no order: day or month", _either_date, expected=ASKED),
     Case("hardly.csv", "joints that hardly moved: degrees and radians fit alike", _hardly_moved, expected=ASKED, pose=False),
     Case("motive_alone.csv", "OptiTrack Motive without joints", lambda t: motive(t, joints=False), expected=ASKED),
-    Case("sa_alone.txt", "SpatialAnalyzer without names and joints", lambda t: spatial_analyzer(t, joints=False), expected=ASKED),
+    Case("sa_alone.txt", "SpatialAnalyzer without names and joints",
+         lambda t: spatial_analyzer(t, joints=False), expected=ASKED),
     Case("vicon_alone.csv", "Vicon without joints", lambda t: vicon(t, joints=False), expected=ASKED),
     Case("mixed_decimals.csv", "decimal points and decimal commas in one file", _mixed_decimals, expected=ASKED, pose=False),
     Case("commas_everywhere.csv", "decimal commas between commas, unquoted", _commas_everywhere, expected=ASKED, pose=False),

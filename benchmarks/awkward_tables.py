@@ -99,7 +99,7 @@ def _three(names: str, values: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def _euler(t: Truth, sequence: str) -> np.ndarray:
-    return np.asarray(t.R.as_euler(sequence, degrees=True))
+    return np.asarray(t.R.as_euler(sequence, degrees=True))  # type: ignore[call-overload]
 
 
 def _number(value: object, decimal: str = ".", thousands: str = "", digits: int | None = None) -> str:
@@ -129,8 +129,9 @@ def text(
 ) -> bytes:
     """A table of text in some dialect."""
     out = io.StringIO()
-    quoting = csv.QUOTE_ALL if quote else csv.QUOTE_MINIMAL
-    writer = csv.writer(out, delimiter=separator, lineterminator=end, quoting=quoting)
+    writer = csv.writer(
+        out, delimiter=separator, lineterminator=end, quoting=csv.QUOTE_ALL if quote else csv.QUOTE_MINIMAL
+    )
     for line in above:
         out.write(line + end)
     if header:
@@ -240,7 +241,8 @@ def qualisys(t: Truth) -> bytes:
     lines = [
         "FILE_VERSION\t2.0.0", f"NO_OF_FRAMES\t{len(t.q)}", "NO_OF_CAMERAS\t8", "NO_OF_BODIES\t1", "FREQUENCY\t100",
         "DATA_INCLUDED\t6D", "BODY_NAMES\tTool", "",
-        "\t".join(["Frame", "Time", "X", "Y", "Z", "Roll", "Pitch", "Yaw", "Residual", *(f"Rot[{k}]" for k in range(9)), *_joints(t)]),
+        "\t".join(["Frame", "Time", "X", "Y", "Z", "Roll", "Pitch", "Yaw", "Residual",
+                   *(f"Rot[{k}]" for k in range(9)), *_joints(t)]),
     ]  # fmt: skip
     euler = _euler(t, "xyz")
     for k in range(len(t.q)):
@@ -353,8 +355,10 @@ def robot_calibration(t: Truth, extra: str = "") -> bytes:
         out += [
             "joint_states:", "  header: {seq: 0, stamp: {secs: 10, nsecs: 0}, frame_id: ''}",
             f"  name: [{', '.join(t.robot.readings)}]", f"  position: [{', '.join(repr(float(v)) for v in t.q[k])}]",
-            "observations:", "  - sensor_name: tracker", "    features:", f"      - {{header: {{frame_id: world}}, point: {{{point}}}}}",
-            "  - sensor_name: arm", "    features:", "      - {header: {frame_id: tool}, point: {x: 0.0, y: 0.0, z: 0.05}}", "---",
+            "observations:", "  - sensor_name: tracker", "    features:",
+            f"      - {{header: {{frame_id: world}}, point: {{{point}}}}}",
+            "  - sensor_name: arm", "    features:",
+            "      - {header: {frame_id: tool}, point: {x: 0.0, y: 0.0, z: 0.05}}", "---",
         ]  # fmt: skip
     return ("\n".join(out) + extra).encode()
 

@@ -14,17 +14,19 @@ import numpy as np
 
 from aridcal.boards.camera_file import CameraFile
 from aridcal.boards.pictures import grey_image
-from aridcal.errors import AridcalError, RobotError
+from aridcal.errors import AridcalError, MeasurementError, RobotError
+from aridcal.exports.sniffing import look
 from aridcal.head.matching import NotMeasured
 from aridcal.head.shots import board, read_image, read_ranges, shots_of
 from aridcal.inputs.campaign import Campaign, load_campaign
 from aridcal.inputs.head_settings import ArmSettings, HeadSettings, load_shots, load_squares
 from aridcal.inputs.query import load_query
 from aridcal.inputs.read import load_measurements
+from aridcal.inputs.tables import read_tables
 from aridcal.inputs.things import load_places
 from aridcal.inputs.yaml_file import load_settings, parse_settings
 from aridcal.prepare.scenario import Scenario, check_scenario
-from aridcal.reading.files import URDF, read_file
+from aridcal.reading.files import TABLE, URDF, read_file
 from aridcal.result.saved_model import SavedModel
 from aridcal.robot.chain import Robot, chain, load_robot
 from aridcal.robot.doty import doty_links
@@ -157,6 +159,15 @@ def _readings(path: Path) -> None:
     load_measurements(_campaign(f"kind: {kind}", rest), robot.readings, robot.limits, robot.kinds, files=[path])
 
 
+def _dialect(path: Path) -> None:
+    """A table that is looked at as `init` does, and read by what was found."""
+    content = read_file(path, MeasurementError, TABLE)
+    for dialect in look(content, path, TABLE, lambda *asked: len(asked[2]) - 1).dialects:
+        with suppress(MeasurementError):
+            read = read_tables([path], None, dialect=dialect)
+            _ = [read.numbers(name) for name in read.names], read.frame()
+
+
 TARGETS = {
     "urdf": Target(_urdf, ".urdf"),
     "campaign": Target(load_campaign, ".yaml"),
@@ -164,6 +175,9 @@ TARGETS = {
     "head": Target(_head, ".yaml"),
     "calibration": Target(_calibration, ".yaml", 6000),
     "table": Target(_table, ".csv"),
+    "dialect": Target(_dialect, ".csv"),
+    "workbook": Target(_dialect, ".xlsx", 12_000, "binary"),
+    "samples": Target(_dialect, ".yaml"),
     "readings": Target(_readings, ".csv"),
     "places": Target(lambda path: load_places(path, "point"), ".csv"),
     "squares": Target(load_squares, ".csv"),

@@ -412,7 +412,7 @@ def test_a_byte_order_mark_and_blanks_do_no_harm(write: Callable[..., Path]) -> 
 def test_missing_files_and_folders_are_named(tmp_path: Path, write: Callable[..., Path]) -> None:
     assert "no such file" in failure(tmp_path / "nothing.csv")
     assert "is a folder" in failure(tmp_path)
-    assert "should be a .csv or .parquet" in failure(write(rows().to_csv(index=False), "m.txt"))
+    assert "should be a .csv or .parquet" in failure(write(rows().to_csv(index=False), "m.docx"))
     assert "Parquet" in failure(write(b"PAR1 or not", "m.parquet"))
 
 

@@ -12,6 +12,9 @@ from aridcal.errors import MeasurementError
 LOOKED_AT = 200_000
 """Bytes from the beginning that are looked at: names of columns stand there."""
 
+FEW = 0.05
+"""Share of noughts that UTF-16 has far more of."""
+
 WESTERN = frozenset("äöüÄÖÜßàâáãåæçèéêëìíîïñòóôõøùúûÿÀÂÁÃÅÆÇÈÉÊËÌÍÎÏÑÒÓÔÕØÙÚÛ°µ±²³·×€–—’‘“”«»\u00a0§")
 """What Windows' own encoding of western Europe is used for: letters, degrees, micro, blanks that do not break."""
 
@@ -28,12 +31,11 @@ def encoding(content: bytes, path: Path) -> str:
         return "utf-16"
     begin = content[:LOOKED_AT]
     if b"\0" in begin:
-        return _without_mark(begin, path)
-    try:
-        content.decode("utf-8")
+        if begin.count(0) > FEW * len(begin) or not _is_utf8(content):
+            return _without_mark(begin, path)
+        return "utf-8"  # a slip, which whoever reads the table names
+    if _is_utf8(content):
         return "utf-8"
-    except UnicodeDecodeError:
-        pass
     western = begin.decode("cp1252", errors="replace")
     if all(letter.isascii() or letter in WESTERN for letter in western):
         return "cp1252"
@@ -46,6 +48,14 @@ def encoding(content: bytes, path: Path) -> str:
     except (UnicodeError, LookupError):
         raise MeasurementError(f"{path}: is not UTF-8 text, nor {best.encoding} throughout; save it as UTF-8") from None
     return best.encoding
+
+
+def _is_utf8(content: bytes) -> bool:
+    try:
+        content.decode("utf-8")
+    except UnicodeDecodeError:
+        return False
+    return True
 
 
 def _without_mark(begin: bytes, path: Path) -> str:

@@ -26,8 +26,8 @@ from aridcal.reading.written import LINE_END, decoded
 LOOKED_AT = 3000
 """Lines that are looked at: more make nothing plainer."""
 
-LONGEST = 20_000
-"""Characters of a line that are looked at: 1,000 columns of all their digits."""
+MOST = 4_000_000
+"""Characters that are looked at; some of a line of any length."""
 
 AT_FIRST = 40
 """Lines among which a maker's name is looked for."""
@@ -78,7 +78,7 @@ def look(content: bytes, path: Path, limit: Limit, pick: Pick) -> Found:
     else:
         coded = encoding(content, path)
         text = decoded(content, path, coded)
-    lines = [line[:LONGEST] for line in LINE_END.split(text)[:LOOKED_AT]]
+    lines = LINE_END.split(text[:MOST])[:LOOKED_AT]
     who = maker(lines[:AT_FIRST])
     found = layout(lines)
     if found is None:
@@ -150,7 +150,7 @@ def _sheet(content: bytes, path: Path, limit: Limit, pick: Pick) -> tuple[str, s
     """The sheet that holds a table, empty where there is one only, and its text."""
     names = workbooks.sheets(content, path, limit)
     texts = {name: workbooks.as_csv(content, path, limit, name, ".").decode() for name in names}
-    tables = [name for name in names if layout([line[:LONGEST] for line in texts[name].split("\n")[:LOOKED_AT]])]
+    tables = [name for name in names if layout(texts[name][:MOST].split("\n")[:LOOKED_AT])]
     if not tables:
         raise MeasurementError(
             f"{path}: none of the sheets {listed(names)} holds a table of numbers; name the table that was measured"
@@ -165,7 +165,7 @@ def _sheet(content: bytes, path: Path, limit: Limit, pick: Pick) -> tuple[str, s
 
 def _lists(found: Layout) -> dict[str, tuple[str, ...]]:
     """Columns of lists, and names for their numbers."""
-    lists = {}
+    lists: dict[str, tuple[str, ...]] = {}
     for k, name in enumerate(found.names):
         cells = [row[k] for row in found.rows if k < len(row) and row[k]]
         sizes = {len(several(cell, PLAIN)) for cell in cells if list_size(cell)}

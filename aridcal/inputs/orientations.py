@@ -13,6 +13,7 @@ from aridcal.instruments import pose
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
 
+POSITION = ("x", "y", "z")
 QUATERNION = ("qx", "qy", "qz", "qw")
 IDENTITY = (0.0, 0.0, 0.0, 1.0)
 

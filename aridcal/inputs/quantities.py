@@ -14,6 +14,7 @@ from aridcal.inputs.measurement_settings import MeasurementSettings
 from aridcal.inputs.orientations import (
     IDENTITY,
     MATRIX_SLACK,
+    POSITION,
     QUATERNION,
     QUATERNION_SLACK,
     angle_columns,
@@ -23,16 +24,13 @@ from aridcal.inputs.orientations import (
     own_orientation,
     turned,
 )  # fmt: skip
-from aridcal.inputs.tables import DECIMAL_COMMA, Remark, Table
+from aridcal.inputs.tables import Remark, Table
 from aridcal.instruments import pose
 from aridcal.reading.names import LONGEST_NAME
-from aridcal.reading.numerals import NO_NUMBER
 from aridcal.robot.chain import JointKind
 
-POSITION = ("x", "y", "z")
 STD = ("std_x", "std_y", "std_z", "std_rx", "std_ry", "std_rz")
-LABELS = ("station", "split")
-POSE_OR_LABEL = (*POSITION, *QUATERNION, *STD, *LABELS)
+POSE_OR_LABEL = (*POSITION, *QUATERNION, *STD, "station", "split")
 QUANTITIES = (*POSE_OR_LABEL, "time", "temperature", "payload")
 
 # Two columns of one orientation that are farther apart disagree, [rad]; rounding to three decimals is allowed.
@@ -43,7 +41,6 @@ ABSURD = 1e9
 FINEST = 1e-12
 # A covariate that large is a hole: some programs write 1e308 where they know nothing.
 UNUSABLE = 1e30
-INIT_TELLS = ", or let `aridcal init` find out how"
 # More than an angle of a pose, or a joint with limits, turns, [rad].
 TURNS = 4 * np.pi
 
@@ -161,8 +158,7 @@ class Source:
     @property
     def orientation_columns(self) -> list[str]:
         """Columns of the campaign's own orientation: three angles, nine of a matrix, or the four of a quaternion."""
-        own = own_orientation(self.settings)
-        return list(own or (self.column(name) for name in QUATERNION))
+        return list(own_orientation(self.settings) or (self.column(name) for name in QUATERNION))
 
     def quaternion(self) -> np.ndarray:
         """Measured orientations as unit quaternions, shape (N, 4); rows that have none are refused.
@@ -173,9 +169,9 @@ class Source:
         columns = self.orientation_columns
         advice = "Say under measurements how orientations are given (`orientation`), or `kind: position`"
         self.table.require(columns, advice)
-        if self.settings.orientation.matrix:
-            return self._from_matrices(columns)
-        return self._from_angles(columns) if angle_columns(self.settings) else self._from_quaternions(columns)
+        if angle_columns(self.settings):
+            return self._from_angles(columns)
+        return self._from_matrices(columns) if self.settings.orientation.matrix else self._from_quaternions(columns)
 
     def _from_matrices(self, columns: list[str]) -> np.ndarray:
         """Columns of rotation matrices as unit quaternions, shape (N, 4); rows that have none are refused."""
@@ -215,7 +211,7 @@ class Source:
         own, second = self.orientation_columns, [self.column(name) for name in QUATERNION]
         if own == second or not all(self.has(name) for name in (*own, *second)):
             return
-        scales = 1.0 if self.settings.orientation.matrix else self._angle_scales(own)
+        scales = self._angle_scales(own) if angle_columns(self.settings) else 1.0
         angles, also = self.table.matrix(own) * scales, self.table.matrix(second)
         whole = np.isfinite(angles).all(axis=1) & (np.linalg.norm(also, axis=1) > 0.5)  # neither holes nor zeros
         rows = np.flatnonzero(self.usable & whole)
@@ -374,18 +370,9 @@ class Source:
     def _finite(self, name: str) -> np.ndarray:
         """A column's numbers, shape (N,); rows without one are refused."""
         numbers, is_text = self.table.numbers(name)
-        if is_text.any():
-            words = self.table.texts(name)[is_text].tolist()
-            with_comma = [word for word in words if DECIMAL_COMMA.fullmatch(word)]
-            if len(with_comma) > len(numbers) / 2:
-                raise MeasurementError(
-                    f"{self.table.title}: column {name!r} has decimal commas; write points{INIT_TELLS}"
-                )
-            marked = [word[1:] for word in words if word.startswith(NO_NUMBER)]
-            if len(marked) > len(numbers) / 2:
-                why = f"{name!r} has numbers that `table` does not describe, {marked[0]!r}; mend it{INIT_TELLS}"
-                raise MeasurementError(f"{self.table.title}: column {why}")
-            self.refuse(is_text, name, "not a number")
+        if is_text.any() and (why := self.table.written_otherwise(name, is_text)):
+            raise MeasurementError(f"{self.table.title}: column {name!r} {why}")
+        self.refuse(is_text, name, "not a number")
         missing = ~np.isfinite(numbers)
         if missing.any():
             empty = self.table.texts(name) == ""
@@ -408,6 +395,6 @@ class Source:
     def _scales(self, kinds: Sequence[JointKind]) -> list[float]:
         return [self.settings.units.joint(name, kind) for name, kind in zip(self.joint_columns, kinds, strict=True)]
 
-    def _angle_scales(self, columns: Sequence[str]) -> np.ndarray:
+    def _angle_scales(self, columns: Sequence[str]) -> list[float]:
         """Radians in one of the unit of each column."""
-        return np.array([self.settings.units.scale(name, "angle") for name in columns])
+        return [self.settings.units.scale(name, "angle") for name in columns]

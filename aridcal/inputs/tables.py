@@ -20,6 +20,7 @@ from aridcal.reading import workbooks
 from aridcal.reading.dialect import PLAIN, Dialect
 from aridcal.reading.files import TABLE, Limit, read_file
 from aridcal.reading.names import check_path
+from aridcal.reading.numerals import NO_NUMBER
 from aridcal.reading.table_files import FileCells, check_header, read_csv, read_parquet, whole
 from aridcal.reading.written import read_written
 
@@ -108,6 +109,21 @@ class Table:
         values = np.concatenate([values for values, _ in by_file])
         is_text = np.concatenate([is_text for _, is_text in by_file])
         return values, is_text
+
+    def written_otherwise(self, name: str, is_text: np.ndarray) -> str:
+        """Why most cells of a column hold no numbers though they look like some, with the remedy; empty if they do not.
+
+        Args:
+            name: The column.
+            is_text: Which cells hold text, shape (N,) bool.
+        """
+        words = self.texts(name)[is_text].tolist()
+        if sum(1 for word in words if DECIMAL_COMMA.fullmatch(word)) > len(is_text) / 2:
+            return "has decimal commas; write points, or let `aridcal init` find out how the table is written"
+        marked = [word[1:] for word in words if word.startswith(NO_NUMBER)]
+        if len(marked) > len(is_text) / 2:
+            return f"has numbers that `table` does not describe, {marked[0]!r}; mend it, or let `aridcal init` find out how"
+        return ""
 
     def matrix(self, names: Iterable[str]) -> np.ndarray:
         """Read several columns as numbers, shape (N, columns), NaN where there is none."""
@@ -242,10 +258,7 @@ def _read(
         path = Path(table)
         check_path(path, MeasurementError)
         ending = path.suffix.lower()
-        if path.is_file() and ending not in (*ENDINGS, *OTHER_ENDINGS) and dialect == PLAIN:
-            raise MeasurementError(
-                f"{path}: should be a .csv or .parquet file, text ({' '.join(OTHER_ENDINGS[:3])} …) or .xlsx"
-            )
+        check_ending(path, dialect)
         content = read_file(path, MeasurementError, limit)
         update(content)
         if ending == ".parquet":
@@ -254,6 +267,19 @@ def _read(
             read = _read_text(content, path, limit, dialect, needed)
     refused = [Remark(path.name, row.line, "", row.text, row.why) for row in read.broken]
     return _Part(path, read.cells, read.line, tuple(refused), read.left_out)
+
+
+def check_ending(path: Path, dialect: Dialect = PLAIN) -> None:
+    """Refuse a file that is no table by its name.
+
+    Raises:
+        MeasurementError: its ending is none that is read.
+    """
+    known = (*ENDINGS, *OTHER_ENDINGS, *(robot_calibration.ENDINGS if dialect.export else ()))
+    if path.is_file() and path.suffix.lower() not in known:
+        raise MeasurementError(
+            f"{path}: should be a .csv or .parquet file, text ({' '.join(OTHER_ENDINGS[:3])} …) or .xlsx; save it as one of these"
+        )
 
 
 def _read_text(content: bytes, path: Path, limit: Limit, dialect: Dialect, needed: Collection[str] | None) -> FileCells:

@@ -37,7 +37,7 @@ ON_A_BODY = _set("marker reflector smr probe")
 SCATTER = _set("std sigma sd stdev error err residual")
 # Words for what is neither a reading nor a pose.
 OTHER = SCATTER | _set(
-    "delta diff d v vel velocity speed qd acc acceleration f force torque tau "
+    "delta diff dev deviation d v vel velocity speed qd acc acceleration f force torque tau "
     "moment effort current temperature temp direction"
 )
 # Words for orientations.
@@ -57,7 +57,7 @@ MATRIX_SIZES = (9, 12, 16)
 # Words for joints.
 JOINT_LIKE = _set("j q jt joint joints axis a theta th angle robax gelenk achse axe eje asse")
 # Where a word ends without a separator: before a capital, a number, or a letter after a number.
-WORD_ENDS = re.compile(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Za-z])(?=\d)|(?<=\d)(?=[A-Za-z])")
+WORD_ENDS = re.compile(r"(?<=[a-z])(?=[A-Z])|(?<=[^\W\d_])(?=\d)|(?<=\d)(?=[^\W\d_])")
 
 # Words before the one in which a family differs, what its members share of that word, and words after it.
 _Pattern = tuple[tuple[str, ...], str, tuple[str, ...]]
@@ -294,7 +294,8 @@ def matrices(names: Iterable[str]) -> list[MatrixColumns]:
                 rotation = tuple(cell[i, j] for i in span for j in span)
                 beside = [cell.get((i, base + 3)) for i in span]
                 position = ((beside[0], beside[1], beside[2]),) if all(beside) else None
-                found.append(MatrixColumns((rotation,), position, frozenset(words(prefix))))  # type: ignore[arg-type]
+                turned = tuple(cell[j, i] for i in span for j in span)
+                found.append(MatrixColumns((rotation, turned), position, frozenset(words(prefix))))  # type: ignore[arg-type]
                 break
     found += [_numbered_matrix(family) for family in numbered(names) if len(family.columns) in MATRIX_SIZES]
     return [*found, *_of_vectors(names)]

@@ -51,7 +51,7 @@ def say_covariates(
         if quantity == "time" and clock in free:
             free.remove(clock)
             made.say_columns({quantity: clock}, "dates, in seconds")
-        elif column and np.isfinite(table.numbers(column)[0]).any():
+        elif column and _varies(table, column, quantity):
             free.remove(column)
             counted = _unit_of_time(table, column) if quantity == "time" else si_unit
             made.say_columns({quantity: column}, f"by its name, taken for {counted}")
@@ -70,9 +70,16 @@ def say_covariates(
         made.say("covariates", None, f"effects may depend on {kept}; name under `ignore` what is none", sure=False)
 
 
+def _varies(table: Table, column: str, quantity: str) -> bool:
+    """True of a column with numbers; a clock that stands still is none."""
+    numbers, _ = table.numbers(column)
+    known = numbers[np.isfinite(numbers)]
+    return len(known) > 0 and (quantity != "time" or float(np.ptp(known)) > 0)
+
+
 def _unit_of_time(table: Table, column: str) -> str:
     """The unit that a clock counts: by its name, or by how large the seconds since 1970 are in it."""
-    said = unit(column)
+    said = unit(column) or ""
     if said in TIMES:
         return said
     largest = float(np.nanmax(np.abs(table.numbers(column)[0])))

@@ -9,8 +9,9 @@ from pathlib import Path
 import pandas as pd
 
 from aridcal.errors import AridcalError, MeasurementError
+from aridcal.exports import robot_calibration
 from aridcal.exports.sniffing import as_keys, look
-from aridcal.inputs.tables import AnyTable
+from aridcal.inputs.tables import AnyTable, check_ending
 from aridcal.prepare.guesses import Asker, Proposal, nobody
 from aridcal.prepare.orientation_columns import CLEAR
 from aridcal.reading import workbooks
@@ -35,6 +36,8 @@ def dialects_of(tables: Sequence[AnyTable], asker: Asker) -> tuple[list[Dialect]
         if path is None or path.suffix.lower() == ".parquet":
             continue
         check_path(path, MeasurementError)
+        if path.suffix.lower() not in robot_calibration.ENDINGS:
+            check_ending(path)
         found = look(read_file(path, MeasurementError, TABLE), path, TABLE, asker.pick)
         maker = maker or found.maker
         if possible is None:

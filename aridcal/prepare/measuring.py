@@ -16,8 +16,7 @@ from aridcal.effects.loads import Surroundings
 from aridcal.effects.sights import sights_from
 from aridcal.errors import CampaignError
 from aridcal.inputs.measurement_settings import OF_TARGETS, SHOT, TARGET, MeasurementSettings
-from aridcal.inputs.orientations import QUATERNION
-from aridcal.inputs.quantities import POSITION
+from aridcal.inputs.orientations import POSITION, QUATERNION
 from aridcal.inputs.read import ONE_TARGET, TIP
 from aridcal.inputs.things import known_of
 from aridcal.instruments.catalogue import KINDS, labelled

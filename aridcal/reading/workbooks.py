@@ -25,8 +25,8 @@ DECLARED = re.compile(rb"<\s*!\s*(?:DOCTYPE|ENTITY)", re.IGNORECASE)
 UNPACKED = 4.0
 """Times the limit that a workbook may take unpacked: a cell of XML is some 30 bytes, of which 8 are its number."""
 
-MOST_ROWS = 1_048_576
-"""Of a sheet of Excel: a number of a row beyond would have empty ones made up to it."""
+MOST_EMPTY = 20_000
+"""Empty rows, one after the other: those before a row with an absurd number are made up while a sheet is read."""
 
 HELD = 64
 """Bytes of a cell while the sheet is turned into text."""
@@ -110,11 +110,12 @@ def _declares(parts: zipfile.ZipFile, part: zipfile.ZipInfo) -> bool:
 def _rows(sheet: Any, path: Path, limit: Limit) -> Iterator[tuple[Any, ...]]:
     """Rows of a sheet without the empty cells at their ends, none for what a file merely says of its size."""
     sheet.reset_dimensions()
-    cells = 0
-    for number, row in enumerate(sheet.iter_rows(values_only=True), start=1):
-        if number > MOST_ROWS:
-            raise MeasurementError(f"{path}: has more than {MOST_ROWS:,} rows, which no sheet has; save it anew")
+    cells = empty = 0
+    for row in sheet.iter_rows(values_only=True):
         filled = max((k + 1 for k, cell in enumerate(row) if cell is not None), default=0)
+        empty = 0 if filled else empty + 1
+        if empty > MOST_EMPTY:
+            raise MeasurementError(f"{path}: has {MOST_EMPTY:,} empty rows between others; delete them")
         if filled > MOST_COLUMNS:
             raise MeasurementError(
                 f"{path}: has {filled:,} columns, at most {MOST_COLUMNS:,} are read; split the table"
