@@ -36,10 +36,11 @@ from aridcal.command_line import (
     run,
     screens,
 )
-from aridcal.errors import shortened
+from aridcal.errors import OutputError, shortened
 from aridcal.head.found import CACHE
 from aridcal.inputs.campaign import load_campaign
 from aridcal.inputs.measurement_settings import length_argument
+from aridcal.reading.files import RESULT, read_file
 from aridcal.reading.names import path_argument
 from aridcal.result.reading import read_job
 from aridcal.result_folder import RESULT_FILES, RESULT_FOLDERS, write_folder
@@ -236,7 +237,7 @@ def _headline(out: Path, outcome: Outcome) -> dict[str, Any]:
     """What `--json` prints: keys of `result.json`, the error on the rows that judge, and where the pages are."""
     from aridcal.result.key_figures import scored  # as above
 
-    found = json.loads((out / "result.json").read_text(encoding="utf-8"))
+    found = json.loads(read_file(out / "result.json", OutputError, RESULT))
     judged, rows = scored(outcome)
     part = next(name for name, mask in outcome.parts().items() if np.array_equal(mask, judged))
     keys = ("verdict", "reasons", "effects", "workspace", "notices")

@@ -13,8 +13,10 @@ import pyarrow as pa
 
 from aridcal import __version__
 from aridcal.effects.effect import FRAME_COMPONENTS, Effect
+from aridcal.errors import AridcalError
 from aridcal.inputs.campaign import Campaign
 from aridcal.plant.keys import Inputs
+from aridcal.reading.files import RESULT, read_file
 from aridcal.result.folder import result_document
 from aridcal.result.outcome import STATISTICS, Outcome
 from aridcal.robot.chain import Robot
@@ -184,9 +186,9 @@ def row_in(folder: Path) -> Row | None:
     if not all((folder / name).is_file() for name in ("result.json", "calibration.yaml", FILE)):
         return None
     try:
-        row = json.loads((folder / FILE).read_text("utf-8"))
+        row = json.loads(read_file(folder / FILE, AridcalError, RESULT))
         pa.Table.from_pylist([typed(row)], SCHEMA)
-    except (OSError, ValueError, TypeError, KeyError, AttributeError, pa.ArrowException):
+    except (AridcalError, OSError, ValueError, TypeError, KeyError, AttributeError, pa.ArrowException):
         return None
     return row if set(row) == set(SCHEMA.names) else None
 

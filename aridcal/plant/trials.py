@@ -25,6 +25,7 @@ from aridcal.plant.record import DONE, FAILED
 from aridcal.prepare.scenario import Scenario, TrueNoise, Truth
 from aridcal.prepare.simulation import Simulation, simulate
 from aridcal.prepare.true_effects import TrueEffect
+from aridcal.reading.files import SETTINGS, read_file
 from aridcal.reading.table_files import FIRST_LINE
 from aridcal.result.folder import parameters
 from aridcal.result.key_figures import scored
@@ -90,7 +91,8 @@ def load_study(path: Path) -> Scenario | Campaign:
 
 def _has_truth(path: Path) -> bool:
     """Whether a file is meant for a scenario."""
-    return any(line.startswith("truth:") for line in path.read_text("utf-8", "replace").splitlines())
+    text = read_file(path, CampaignError, SETTINGS).decode("utf-8", "replace")
+    return any(line.startswith("truth:") for line in text.splitlines())
 
 
 def _check(job: Scenario | Campaign, study: StudySettings) -> None:

@@ -25,7 +25,8 @@ from aridcal.model.model import Model
 from aridcal.result.saved_model import SavedModel
 from aridcal.result.stretches import Stretch, stretches
 from aridcal.trust.seen import Seen
-from aridcal.trust.workspace import spread_out, target_covariance, told_of, worst_direction
+from aridcal.trust.untold import told_of
+from aridcal.trust.workspace import spread_out, target_covariance, worst_direction
 
 if TYPE_CHECKING:
     import pandas as pd

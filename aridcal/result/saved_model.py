@@ -40,7 +40,8 @@ from aridcal.result.calibration_file import (
     untold_of,
 )
 from aridcal.robot.chain import parse_robot
-from aridcal.trust.workspace import Untold, target_covariance, with_untold
+from aridcal.trust.untold import with_untold
+from aridcal.trust.workspace import Untold, target_covariance
 
 # libyaml where PyYAML was built with it.
 Dumper: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)

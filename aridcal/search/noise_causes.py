@@ -394,8 +394,7 @@ def _weights(
     sigma = np.sqrt(variance[channel])
     there, usual = _there(rows), spread(sigma**2, rows.channels)
     V += np.where(there, 0.0, usual)[:, :, None] * np.eye(V.shape[1])  # what is not measured stays as it is
-    own = usual / np.diagonal(V, axis1=1, axis2=2)
-    if float(1.0 - own[there].min()) < MATTERS:
+    if float(1.0 - (usual / np.diagonal(V, axis1=1, axis2=2))[there].min()) < MATTERS:
         return None
     inner = factors(V, sigma, rows.channels)
     return inner if rows.relative is None else stretched(rows.relative, inner)

@@ -44,7 +44,6 @@ times better, so that its size decides nothing else."""
 TOLD = 0.01
 """[m] and [rad]: a target that what no row tells may move by more is not known. A tenth of :data:`LOOSE`."""
 
-
 FAINTLY = 0.1
 """Share of :data:`TOLD` by which a combination of constants moves the target somewhere, or is kept in no file."""
 
@@ -258,39 +257,6 @@ def target_covariance(
         J = J if tool is None else shifted(J, R @ tool)
         found[some] = carried(J, covariance)
     return found
-
-
-def with_untold(model: Model, theta: np.ndarray, untold: Sequence[Untold]) -> tuple[Model, np.ndarray, np.ndarray]:
-    """A model with the constants that no reading tells beside its own, its coefficients, and their covariance.
-
-    Args:
-        model: K coefficients.
-        theta: Their values, shape (K,).
-        untold: Combinations that are as uncertain as they say; all else is held.
-    """
-    others = {c for part in untold for c, _ in part} - set(model.coefficients)
-    every = (*model.coefficients, *sorted(others, key=lambda c: c.name))
-    place = {c: k for k, c in enumerate(every)}
-    ways = np.zeros((len(every), len(untold)))
-    for j, part in enumerate(untold):
-        for c, value in part:
-            ways[place[c], j] = value
-    return model.with_coefficients(every), np.append(theta, np.zeros(len(others))), ways @ ways.T
-
-
-def told_of(model: Model, theta: np.ndarray, untold: Sequence[Untold], rows: Rows, turns: bool) -> np.ndarray:
-    """Rows of whose target all is told, shape (N,) bool.
-
-    Args:
-        model: Of the calibration.
-        theta: Its coefficients.
-        untold: What no reading told.
-        rows: N of them.
-        turns: Whether the target's rotation is asked about.
-    """
-    covariance = target_covariance(*with_untold(model, theta, untold), rows)
-    parts = CHANNELS if turns else CHANNELS[:1]
-    return np.all([worst_direction(covariance[:, part, part])[0] < TOLD for part in parts], axis=0)
 
 
 def shifted(J: np.ndarray, arm: np.ndarray) -> np.ndarray:
