@@ -85,7 +85,9 @@ def _main(arguments: argparse.Namespace) -> int:
             clear_up(out, out)  # what workers have left that were stopped in the middle of a folder
         progress("drawing the page")
         with atomic_file(out / PAGE) as path:
-            path.write_bytes(fleet_page(ran, out.absolute().name).encode("utf-8", "replace"))
+            path.write_bytes(
+                fleet_page(ran, f"{out.absolute().parent.name}/{out.absolute().name}").encode("utf-8", "replace")
+            )
     for line in summary(ran):
         console.print(line, markup=False, highlight=False, soft_wrap=True)
     console.print(f"table: {out / NAME}\npage: {out / PAGE}", markup=False, highlight=False, soft_wrap=True)
