@@ -35,6 +35,7 @@ from aridcal.reading.names import path_argument
 from aridcal.result_folder import write_folder
 from aridcal.showing import told_on
 from aridcal.writing.files import atomic_file, claimed
+from aridcal.writing.staging import clear_up
 
 PAGE = "fleet.html"
 
@@ -75,12 +76,17 @@ def _main(arguments: argparse.Namespace) -> int:
     console, aside = screens(arguments)
     with claimed(out, "folder", TAKEN), told_on(aside) as progress:
         out.mkdir(exist_ok=True)
-        plan = planned(fleet, out, write_folder, progress)
-        with dask_engine(arguments.scheduler, progress) if plan.tasks else nullcontext(here) as engine:
-            ran = computed(plan, engine, progress)
+        try:
+            plan = planned(fleet, out, write_folder, progress)
+            with dask_engine(arguments.scheduler, progress) if plan.tasks else nullcontext(here) as engine:
+                ran = computed(plan, engine, progress)
+        finally:
+            clear_up(out, out)  # what workers have left that were stopped in the middle of a folder
         progress("drawing the page")
         with atomic_file(out / PAGE) as path:
-            path.write_bytes(fleet_page(ran, out.absolute().name).encode("utf-8", "replace"))
+            path.write_bytes(
+                fleet_page(ran, f"{out.absolute().parent.name}/{out.absolute().name}").encode("utf-8", "replace")
+            )
     for line in summary(ran):
         console.print(line, markup=False, highlight=False, soft_wrap=True)
     console.print(f"table: {out / NAME}\npage: {out / PAGE}", markup=False, highlight=False, soft_wrap=True)

@@ -444,6 +444,32 @@ def test_progress_says_how_many_are_done_how_many_failed_and_how_long_it_takes(p
 # -- real processes
 
 
+def test_a_fleet_that_is_stopped_leaves_nothing_half_written_and_goes_on(plant: Path) -> None:
+    """Ctrl-C at a terminal reaches the workers, too. A robot that was done is kept, and the next start computes the others."""
+    for k in range(3):
+        (plant / "robots" / f"arm-{k}" / "campaign.yaml").open("a").write("# again\n")
+    out = plant / "fleet"
+    words = [sys.executable, "-m", "aridcal.fleet", str(plant / "robots/*/campaign.yaml"), "-o", str(out)]
+    command = subprocess.Popen(
+        words, start_new_session=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+    )
+    assert command.stdout is not None
+    before = {name: (out / name / "fleet.json").stat().st_ino for name in ("arm-0", "arm-1", "arm-2")}
+    while all((out / name / "fleet.json").stat().st_ino == inode for name, inode in before.items()):
+        assert command.poll() is None
+        time.sleep(0.02)
+    os.killpg(command.pid, signal.SIGINT)
+    said = command.stdout.read()
+    assert command.wait() == 130
+    assert said.endswith("interrupted: nothing was left half written\n")
+    assert "Traceback" not in said
+    assert sorted(path.name for path in out.iterdir()) == ["arm-0", "arm-1", "arm-2", "fleet.parquet"]
+    left = [task.robot for task in plan(plant).tasks.values()]
+    assert len(left) < 3
+    assert computed(plan(plant), here, SILENT).failed == {}
+    assert plan(plant).tasks == {}
+
+
 def slow_or_deadly(task: tuple[str, str]) -> str:
     """Work for workers: marks that it began, and dies on the first attempt where it is told to."""
     folder, name = task

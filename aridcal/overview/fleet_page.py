@@ -93,9 +93,8 @@ def _summary(done: Sequence[Row]) -> Iterator[Content]:
         )
     verdicts = Counter(row["verdict"] for row in done)
     if verdicts:
-        yield tag(
-            "p", "; ".join(f"{VERDICTS.get(word, word)}: {count:,}" for word, count in verdicts.most_common()) + "."
-        )
+        said = [f"{VERDICTS.get(word, word)} {count:,}" for word, count in verdicts.most_common()]
+        yield tag("p", f"Verdicts: {', '.join(said)}.")
 
 
 def _not_done(ran: Ran) -> Iterator[Content]:

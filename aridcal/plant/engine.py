@@ -11,6 +11,7 @@ from __future__ import annotations
 import logging
 import os
 import queue
+import signal
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -111,16 +112,21 @@ def _silence() -> None:
             logging.getLogger(name).setLevel(logging.CRITICAL)
 
 
+def dask_setup(worker: object) -> None:
+    """Called by Dask in each worker that loads this module as its `preload`: Ctrl-C at a terminal is for the command alone."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
 @contextmanager
 def _quiet_cluster(distributed: Any) -> Iterator[Any]:
     """Processes of this computer, of one thread each."""
-    cores = len(os.sched_getaffinity(0))
     with distributed.LocalCluster(
-        n_workers=cores,
+        n_workers=len(os.sched_getaffinity(0)),
         threads_per_worker=1,
         processes=True,
         dashboard_address=None,
         silence_logs=logging.CRITICAL,
+        preload=[__name__],
     ) as local:
         yield local
 
