@@ -202,7 +202,8 @@ def difference(a: SavedModel, b: SavedModel, moved: Mapping[str, float] | None =
     lacking, untold, notices = [], [], [*both.notices, *_shared_rows(a, b)]
     for side, saved in enumerate((a, b)):
         known = np.array([not np.isnan(column.values[side]) for column in columns], dtype=bool)
-        effects, constants, times = _not_seen(saved, columns, every, known, free, sigma)
+        fitted = known & (np.diag(covariances[side]) > 0.0)
+        effects, constants, times = _not_seen(saved, columns, every, known, fitted, free, sigma)
         lacking.append(effects)
         untold.append(constants)
         covariances[side] *= times
@@ -268,6 +269,7 @@ def _not_seen(
     columns: tuple[Column, ...],
     moves: np.ndarray,
     known: np.ndarray,
+    fitted: np.ndarray,
     free: np.ndarray,
     sigma: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, float]:
@@ -278,6 +280,7 @@ def _not_seen(
         columns: K coefficients.
         moves: Their columns, shape (n, K).
         known: Which of them it has, shape (K,) bool.
+        fitted: Which of these it fitted: zeros that it lacks are known to be 0.
         free: Motions of base and target, shape (n, f).
         sigma: See :class:`Difference`.
 
@@ -286,9 +289,8 @@ def _not_seen(
         calibration's own covariance is larger for these.
     """
     constant = np.array([column.coefficient.basis.form in ALWAYS for column in columns], dtype=bool)
-    mine = np.hstack([moves[:, known], free])
-    left = moves[:, ~known]
-    left = left - mine @ (pseudo_inverse(mine.T @ mine, RANK)[0] @ (mine.T @ left))
+    mine = np.hstack([moves[:, fitted], free])
+    left = across(mine, moves[:, ~known])
     size = np.sqrt(np.mean(left**2, axis=0)) * float(sigma.min())
     own = constant[~known]
     effects, untold = left[:, ~own], left[:, own & (LOOSE * size > SMALLEST)]
@@ -313,9 +315,17 @@ def _root(covariance: np.ndarray) -> np.ndarray:
 
 def _freedom(a: SavedModel, b: SavedModel, turns: bool) -> float:
     """Degrees of freedom behind the noise of both (Welch 1947 for two variances that count alike): infinite if declared."""
-    of_each = [sum(saved.scatter[1][: 1 + turns]) for saved in (a, b)]
+    of_each = [_freedom_of(saved, turns) for saved in (a, b)]
     weights = sum(0.25 / freedom for freedom in of_each)
     return 1.0 / weights if weights > 0.0 else np.inf
+
+
+def _freedom_of(saved: SavedModel, turns: bool) -> float:
+    """Of one calibration, over all that its rows measured."""
+    kinds = saved.record.get("scatter_of_kinds", {})
+    if kinds:
+        return float(sum(part["freedom"] for channels in kinds.values() for part in channels.values()))
+    return float(sum(saved.scatter[1][: 1 + turns]))
 
 
 def _shared_rows(a: SavedModel, b: SavedModel) -> list[str]:
