@@ -171,6 +171,8 @@ def test_o_and_out_mean_the_same(command):
             "compensate",
             "design",
             "recalibrate",
+            "compare",
+            "history",
             "print",
             "detect",
             "fleet",

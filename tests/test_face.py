@@ -18,6 +18,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import robots
+import test_history
 from scipy.spatial.transform import Rotation
 
 import aridcal
@@ -411,6 +412,7 @@ def test_what_the_page_on_python_shows_runs(tmp_path: Path, monkeypatch: pytest.
     measured().to_csv("measurements.csv", index=False)
     measured(20, seed=5).to_csv("other_day.csv", index=False)
     measured(5, seed=3)[JOINTS].to_csv("queries.csv", index=False)
+    test_history.write(test_history.fleet(robots=2), tmp_path / "fleet")
     text = API.read_text("utf-8")
     blocks = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
     loads = next(k for k, block in enumerate(blocks) if "aridcal.load(" in block)

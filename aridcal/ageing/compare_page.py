@@ -113,7 +113,7 @@ def _coefficient(row: dict[str, Any]) -> list[Content]:
         *numbers,
         plus_minus(scale * row["change"], scale * row["std"]),
         unit,
-        number(row["p_value"], 2),
+        p_in_words(row["p_value"]),
     ]
 
 

@@ -64,6 +64,13 @@ metre. Of angles known to 1 mrad it is 0.1 um."""
 LOOSE = 0.1
 """[m] and [rad]: what a constant, or an effect at the target, may be off by that no row tells; no robot is wrong by more."""
 
+ALIKE = 1e-5
+"""Share of a constant's squares that other constants leave of it where it is one motion with them but for terms of second order,
+of constants off by 3 mm or 3 mrad: it was told, under their names. Its value times what is left is what these terms may be."""
+
+WELL = 3e-3
+"""[m] and [rad]: sigma of the least known constant above which this cannot be said: in a corner all motions look alike."""
+
 RANK = 1e-9
 """Share of the largest singular value, coefficients scaled by their uncertainty, below which a direction is rounding."""
 
@@ -202,7 +209,11 @@ def difference(a: SavedModel, b: SavedModel, moved: Mapping[str, float] | None =
     lacking, untold, notices = [], [], [*both.notices, *_shared_rows(a, b)]
     for side, saved in enumerate((a, b)):
         known = np.array([not np.isnan(column.values[side]) for column in columns], dtype=bool)
-        effects, constants, times = _not_seen(saved, columns, every, known, free, sigma)
+        variance = np.diag(covariances[side])
+        constant = [column.coefficient.basis.form in ALWAYS for column in columns]
+        well = float(variance[constant].max(initial=0.0)) < WELL**2
+        fitted = known & (variance > 0.0)
+        effects, constants, times = _not_seen(saved, columns, every, known, fitted, free, sigma, well)
         lacking.append(effects)
         untold.append(constants)
         covariances[side] *= times
@@ -268,8 +279,10 @@ def _not_seen(
     columns: tuple[Column, ...],
     moves: np.ndarray,
     known: np.ndarray,
+    fitted: np.ndarray,
     free: np.ndarray,
     sigma: np.ndarray,
+    well: bool,
 ) -> tuple[np.ndarray, np.ndarray, float]:
     """What one calibration cannot know of the coefficients that only the other has.
 
@@ -278,30 +291,34 @@ def _not_seen(
         columns: K coefficients.
         moves: Their columns, shape (n, K).
         known: Which of them it has, shape (K,) bool.
+        fitted: Which of these it fitted: zeros that it lacks are known to be 0.
         free: Motions of base and target, shape (n, f).
         sigma: See :class:`Difference`.
+        well: Whether what it fitted is known well enough to say which motions are alike.
 
     Returns:
-        Of effects, each of unit variance, shape (n, u); of constants, which may be anything, shape (n, v); and times what the
-        calibration's own covariance is larger for these.
+        Of effects, and of second order, each of unit variance, shape (n, u); of constants, which may be anything, shape (n, v);
+        and times what the calibration's own covariance is larger for these.
     """
     constant = np.array([column.coefficient.basis.form in ALWAYS for column in columns], dtype=bool)
-    mine = np.hstack([moves[:, known], free])
-    left = moves[:, ~known]
-    left = left - mine @ (pseudo_inverse(mine.T @ mine, RANK)[0] @ (mine.T @ left))
+    mine = np.hstack([moves[:, fitted], free])
+    left = across(mine, moves[:, ~known])
     size = np.sqrt(np.mean(left**2, axis=0)) * float(sigma.min())
     own = constant[~known]
-    effects, untold = left[:, ~own], left[:, own & (LOOSE * size > SMALLEST)]
+    alike = well & own & (np.sum(left**2, axis=0) < ALIKE * np.sum(moves[:, ~known] ** 2, axis=0))
+    value = np.array([np.nanmax(np.abs(column.values)) for column, has in zip(columns, known, strict=True) if not has])
+    slight = left[:, alike] * value[alike]
+    effects, untold = left[:, ~own], left[:, own & ~alike & (LOOSE * size > SMALLEST)]
     noise = np.maximum(np.repeat([saved.scatter[0][k] for k in range(len(sigma) // 3)], 3), SMALLEST)
     rows = float(saved.record.get("data", {}).get("train", 0.0)) / CONFIGURATIONS
     own_noise = np.tile(sigma / noise, CONFIGURATIONS)[:, None]
     times = 1.0 + float(np.sum(np.mean((LOOSE * untold * own_noise) ** 2, axis=0)))
     if not effects.shape[1]:
-        return effects, untold, times
+        return slight, untold, times
     heard = effects * own_noise
     prior = np.maximum(size[~own] / LOOSE, np.finfo(float).tiny) ** 2  # alone, none moves the target by more than LOOSE
     inverse, _ = pseudo_inverse(rows * heard.T @ heard + np.diag(prior), RANK**2)
-    return effects @ _root(inverse), untold, times
+    return np.hstack([slight, effects @ _root(inverse)]), untold, times
 
 
 def _root(covariance: np.ndarray) -> np.ndarray:
@@ -313,9 +330,17 @@ def _root(covariance: np.ndarray) -> np.ndarray:
 
 def _freedom(a: SavedModel, b: SavedModel, turns: bool) -> float:
     """Degrees of freedom behind the noise of both (Welch 1947 for two variances that count alike): infinite if declared."""
-    of_each = [sum(saved.scatter[1][: 1 + turns]) for saved in (a, b)]
+    of_each = [_freedom_of(saved, turns) for saved in (a, b)]
     weights = sum(0.25 / freedom for freedom in of_each)
     return 1.0 / weights if weights > 0.0 else np.inf
+
+
+def _freedom_of(saved: SavedModel, turns: bool) -> float:
+    """Of one calibration, over all that its rows measured."""
+    kinds = saved.record.get("scatter_of_kinds", {})
+    if kinds:
+        return float(sum(part["freedom"] for channels in kinds.values() for part in channels.values()))
+    return float(sum(saved.scatter[1][: 1 + turns]))
 
 
 def _shared_rows(a: SavedModel, b: SavedModel) -> list[str]:

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 
 from aridcal import __version__
+from aridcal.ageing.comparison import p_in_words
 from aridcal.ageing.trend import FEWEST
 from aridcal.ageing.wear import DAY_ZERO, FALSE_ALARMS, History, RobotHistory, Watched
 from aridcal.drawing.html import Content, Html, bullets, counted, figures, number, plus_minus, styled_page, table, tag
@@ -21,7 +22,10 @@ MONTH = 365.25 / 12
 """[d]"""
 
 PICTURED = 24
-"""Constants that the page draws: alarms first, then what may be the season."""
+"""Alarms that the page draws."""
+
+PICTURED_CYCLES = 6
+"""Constants that may go with the season that it draws."""
 
 LISTED = 200
 """Robots that the page lists."""
@@ -61,7 +65,7 @@ def change_in_words(w: Watched) -> str:
 
 def robot_lines(robot: RobotHistory) -> list[str]:
     """What is to be said of one robot."""
-    said = [f"{change_in_words(w)} (chance of a false alarm {number(w.p_value, 2)})" for w in robot.alarms]
+    said = [f"{change_in_words(w)} ({p_in_words(w.p_value)} among all)" for w in robot.alarms]
     return [*said, *robot.notices]
 
 
@@ -82,7 +86,7 @@ def about(found: History) -> list[str]:
     said = [
         f"{counted(len(found.robots), 'robot')}, {counted(runs, 'run')}: {len(alarmed) or 'no'} "
         f"{'robot' if len(alarmed) == 1 else 'robots'} with an alarm",
-        f"of seasons in which nothing changes at most {FALSE_ALARMS:.0%} have an alarm anywhere among the {found.series} "
+        f"of seasons in which nothing changes at most {FALSE_ALARMS:.0%} have an alarm anywhere among the {found.series:,} "
         "constants that were looked at, month by month; a yearly cycle is no alarm",
     ]
     cycling = Counter(w.name for robot in found.robots for w in robot.cycles)
@@ -220,11 +224,14 @@ def _alarms(found: History) -> Iterator[Content]:
     said = [[tag("b", robot.name), f": {line}"] for robot in of for line in robot_lines(robot)]
     if said:
         yield bullets(said, 60, "more remarks")
-    shown = [w for robot in of for w in robot.alarms] + [w for robot in of for w in robot.cycles]
+    alarms = [w for robot in of for w in robot.alarms]
+    cycles = [w for robot in of for w in robot.cycles]
+    shown = alarms[:PICTURED] + cycles[:PICTURED_CYCLES]
     if shown:
-        yield figures([(_caption(w), _picture(w)) for w in shown[:PICTURED]])
-    if len(shown) > PICTURED:
-        yield tag("p", f"{len(shown) - PICTURED} more are in the tables of `aridcal.history`.")
+        yield figures([(_caption(w), _picture(w)) for w in shown])
+    if len(shown) < len(alarms) + len(cycles):
+        rest = len(alarms) + len(cycles) - len(shown)
+        yield tag("p", f"{rest} more are not drawn; history.csv has the values of all.")
 
 
 def _caption(w: Watched) -> Content:
@@ -246,7 +253,7 @@ def _robots(found: History) -> Iterator[Content]:
     for robot in found.robots[:LISTED]:
         _, final = robot.error("final")
         words = ", ".join(f"{w.name}: {w.change.kind}" for w in robot.alarms if w.change)
-        season = f"{len(robot.cycles)} perhaps the season" if robot.cycles and not words else ""
+        season = f"{_some([w.name for w in robot.cycles])}: perhaps the season" if robot.cycles and not words else ""
         rows.append(
             [
                 robot.name,
