@@ -94,6 +94,13 @@ def simulated(folder: Path, n: int, urdf: Path = UR10, tip: str = "tool0") -> No
     write_campaign(simulate(load_settings(scenario, Scenario)), folder, folder)
 
 
+def unsought(folder: Path, n: int) -> None:
+    """The same, and no effect is to be looked for: frames and constants alone."""
+    simulated(folder, n)
+    with (folder / "campaign.yaml").open("a") as campaign:
+        campaign.write("diagnosis: {enabled: false}\n")
+
+
 def to_simulate(folder: Path, n: int) -> None:
     """A scenario of so many rows."""
     simulated(folder, 10)
@@ -157,6 +164,7 @@ PREDICT = ("predict", "results/calibration.yaml", "query.csv", "-o", "predicted.
 CASES = (
     Case("60 joints, 500 rows", lambda f: long_arm(f, 60, 500), IDENTIFY, 2 * GIGA),
     Case("100,000 rows", lambda f: simulated(f, 100_000), IDENTIFY, 2 * GIGA),
+    Case("1,000,000 rows, nothing sought", lambda f: unsought(f, 1_000_000), IDENTIFY, 3 * GIGA),
     Case("100 stations, 4,000 rows", lambda f: stationed(f, 4_000, 100), IDENTIFY, 2 * GIGA),
     Case("5,000 stations, 100,000 rows: refused", lambda f: stationed(f, 100_000, 5_000), IDENTIFY, 2 * GIGA, 2),
     Case("predict 1,000,000 rows", lambda f: asked(f, 1_000_000), PREDICT, 400 * MEGA),

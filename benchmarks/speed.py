@@ -295,7 +295,7 @@ def _tables(top: Path, console: Console, quick: bool, repeats: int) -> None:
 
     if not quick:
         table = stage_table("Against the number of rows: set full")
-        for n in (1000, 3000, 10_000, 30_000, 100_000):
+        for n in (1000, 3000, 10_000, 30_000, 100_000, 1_000_000):
             add_row(table, "UR10, simulated", measured(made(f"rows_{n}", n), 3 if n < 50_000 else 1))
         console.print(table)
 

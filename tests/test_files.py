@@ -8,12 +8,15 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
+import pandas as pd
 import pytest
 
 from aridcal.command_line import run
 from aridcal.errors import AridcalError, OutputError
 from aridcal.writing import disk
 from aridcal.writing.files import atomic_file, atomic_folder, check_home, check_writable, claimed_table
+from aridcal.writing.tables import csv_lines
 
 not_root = pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
 
@@ -184,3 +187,15 @@ def test_a_table_is_a_csv_file_and_none_of_those_beside_it(name, tmp_path):
     assert list(tmp_path.iterdir()) == []
     with claimed_table(tmp_path / "new" / "corners.csv", ["refused.csv"]):
         pass
+
+
+def test_lines_of_numbers_and_words_are_the_bytes_that_pandas_writes() -> None:
+    rng = np.random.default_rng(0)
+    size = 10.0 ** rng.integers(-14, 12, (500, 3))
+    table = pd.DataFrame(size * rng.standard_normal((500, 3)), columns=["x", "y, z", "w"])
+    table.loc[::7, "x"] = np.nan
+    table.loc[3:5, "w"] = [np.inf, -np.inf, -0.0]
+    names = ["plain", "with, comma", 'with "quotes"', "two\nlines", ""]
+    table = table.assign(name=[names[k % 5] for k in range(500)], number=range(500), whole=1.0)
+    assert csv_lines(table, 9) == table.to_csv(index=False, header=False, float_format="%.9g")
+    assert csv_lines(table[:0], 9) == ""

@@ -9,7 +9,7 @@ from scipy.optimize import least_squares
 
 from aridcal.effects.effect import Coefficient
 from aridcal.fit.constants import constants
-from aridcal.fit.identifiable import Subset, identifiable
+from aridcal.fit.identifiable import Subset, apart, identifiable
 from aridcal.fit.problem import problem
 from aridcal.fit.residual import triangle
 from aridcal.model.model import Model
@@ -192,3 +192,14 @@ def test_order_of_the_constants_is_that_of_the_chain_own_axis_first() -> None:
         first = {c.component for c in found[6 * k : 6 * k + 2]}
         assert first == {along, {"x": "roll", "y": "pitch", "z": "yaw"}[along]}
     assert Coefficient("joint_2", "pitch") in found
+
+
+def test_what_is_no_sum_of_the_first_columns_is_found_and_only_that() -> None:
+    rng = np.random.default_rng(0)
+    first = 1e4 * rng.standard_normal((40, 6))
+    sums, new, faint = first @ rng.standard_normal((6, 3)), 1e4 * rng.standard_normal((40, 2)), np.full((40, 1), 1.0)
+    R = np.linalg.qr(np.hstack([first, sums, new, faint]), mode="r")
+    assert apart(R, 6).tolist() == [False, False, False, True, True, False]
+    # What is none beside the first columns is none beside more of them.
+    kept = identifiable(R, range(R.shape[1])).kept
+    assert set(kept) == {0, 1, 2, 3, 4, 5, 9, 10}

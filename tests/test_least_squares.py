@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from aridcal.effects.effect import Coefficient
 from aridcal.errors import NotIdentifiable
+from aridcal.fit import least_squares as least_squares_module
 from aridcal.fit.constants import constants
 from aridcal.fit.flags import FLOOR, OUTLIER, SUSPECT, flagged, robust_sigma
 from aridcal.fit.least_squares import fit, fit_identifiable, minimise, thin
@@ -322,3 +323,17 @@ def test_thinning_is_reproducible_keeps_the_order_and_leaves_no_frame_out() -> N
     assert np.array_equal(some, thin(rows, 100))
     assert {3, 500, 900} <= set(some.tolist())
     assert np.array_equal(thin(rows[:50], 100), np.arange(50))
+
+
+def test_many_rows_are_fitted_to_the_same_minimum_as_few(monkeypatch: pytest.MonkeyPatch) -> None:
+    model, _, data = small(900, np.random.default_rng(8), 1e-4)
+    data.position[7] += 0.02
+    usual = fit(asked(model, data, None, None))
+    monkeypatch.setattr(least_squares_module, "AHEAD", 200)
+    ahead = fit(asked(model, data, None, None))
+    # A step of a thousandth of a sigma may be left out.
+    np.testing.assert_allclose(ahead.theta, usual.theta, atol=1e-3 * usual.std.min())
+    np.testing.assert_allclose(ahead.std, usual.std, rtol=1e-5)
+    np.testing.assert_array_equal(ahead.outliers, usual.outliers)
+    assert ahead.outliers.sum() == 1
+    assert ahead.convergence.converged

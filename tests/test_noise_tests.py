@@ -17,7 +17,7 @@ from aridcal.fit.problem import problem
 from aridcal.inputs.dataset import Dataset, dataset
 from aridcal.instruments.channels import PIXEL
 from aridcal.instruments.setup import Block
-from aridcal.search.noise_tests import Clue, _of_one_thing, clues
+from aridcal.search.noise_tests import STRETCHES, Clue, _of_one_thing, clues, stretches
 
 UNKNOWN = (None, None)
 
@@ -217,3 +217,15 @@ def test_a_marker_at_a_wrong_place_is_named_and_noise_names_none() -> None:
     r[4::9] *= 2.5
     (found,) = _of_one_thing(rows, r)
     assert found.tells and "marker 4" in found.what
+
+
+def test_of_many_rows_stretches_on_end_are_asked_in_the_order_of_measurement() -> None:
+    sequence = np.random.default_rng(0).permutation(100_003)
+    some = stretches(sequence, 10_000)
+    assert len(some) == len(np.unique(some)) == 10_000
+    place = np.sort(np.argsort(sequence)[some])
+    assert place[0] == 0 and place[-1] == 100_002
+    ends = np.flatnonzero(np.diff(place) > 1)
+    assert len(ends) == STRETCHES - 1
+    assert np.diff(place)[ends].max() - np.diff(place)[ends].min() <= 1
+    np.testing.assert_array_equal(stretches(sequence[:9_000], 10_000), np.arange(9_000))

@@ -24,7 +24,7 @@ from aridcal.result.pipeline import identify
 from aridcal.result.predict import predict, read_query
 from aridcal.result.saved_model import SavedModel, SolvedModel
 from aridcal.result.saving import calibration
-from aridcal.trust.seen import WIDE, holes, inside, largest
+from aridcal.trust.seen import EDGE, FEWEST, NEIGHBOURS, SAME, WIDE, holes, inside, largest
 
 LIMIT = 1.5
 
@@ -214,3 +214,21 @@ def test_a_campaign_marks_its_hole_and_hardly_any_of_its_held_out_rows(tmp_path:
     flagged = predict(saved, read_query(saved, query))["extrapolates"].to_numpy()
     assert flagged[hole].mean() > 0.95
     assert flagged[~hole].mean() < 0.05
+
+
+@pytest.mark.parametrize("how", ["evenly", "thinning out", "at the ends", "at a few places"])
+def test_holes_are_those_of_the_definition_step_by_step(how: str) -> None:
+    for seed, n in ((0, 1), (1, 2), (2, 5), (3, 9), (4, 60), (5, 300)):
+        rng = np.random.default_rng(seed)
+        values = np.sort(draws(rng, how, n))
+        values[n // 2 :] += 1.0
+        apart = np.flatnonzero(np.diff(values) > SAME * (values[-1] - values[0]))
+        low, high = values[apart], values[apart + 1]
+        expected = []
+        for k, step in enumerate(high - low):
+            around = np.delete((high - low)[max(k - NEIGHBOURS, 0) : k + 1 + NEIGHBOURS], min(k, NEIGHBOURS))
+            if len(around) >= FEWEST and step > WIDE * around.mean():
+                expected.append((low[k] + EDGE * around.mean(), high[k] - EDGE * around.mean()))
+        np.testing.assert_allclose(
+            np.array(holes(values)).reshape(-1, 2), np.array(expected).reshape(-1, 2), rtol=1e-12
+        )

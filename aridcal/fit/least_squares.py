@@ -33,7 +33,7 @@ SETTLED = 0.03
 ROUGH = 1.0
 """The same for a robust fit, whose flags are all that is wanted of it."""
 
-UNNOTICED = 1e-4
+UNNOTICED = 1e-3
 """The same for a step that is not even taken where rows are many: it would be another look at all of them."""
 
 ROUNDING = 1e-13

@@ -206,8 +206,8 @@ class Model:
         if len(self._based):
             first, last = self._based[0], self._based[-1] + 1
             # Constants stand before all others as a rule: then no part is copied.
-            varying = slice(first, last) if last - first == len(self._based) else self._based
-            J[:, :, varying] *= rows.phi[:, None, :]
+            based = slice(first, last) if last - first == len(self._based) else self._based
+            J[:, :, based] *= rows.phi[:, None, :]
         for own, frame in self._of_frames(rows):
             J[:, :, own.coefficients] *= own.frames == frame[:, None, None]
         return J

@@ -58,7 +58,6 @@ WITNESSES = (
     "{:.0f} rows on the average were measured at one reading and share its error; each is weighed by itself, so that standard "
     "deviations are too small where readings are most of what scatters. More postures tell more than more marks"
 )
-"""What is said then."""
 
 Kind = Literal["channel", "joint", "joints", "range", "sight", "length", "repeatability"]
 
@@ -222,9 +221,9 @@ def _scatter(part: Problem, fit: Fit, active: Sequence[Active], possible: Sequen
         told = told_modes(column, spread(fit.sigma, part.channels)) if a.effect.smooth else np.eye(column.shape[2])
         A.append(column @ told)
         precision.append(told.T @ a.precision @ told)
-    columns_of, blocks = np.concatenate(A, axis=2), np.array([p.stacked(still) for p in possible])
-    scatter = Scatter(still.vectors(y), still.vectors(columns_of), block_diag(*precision), blocks)
-    return with_things(scatter, part, B, still)
+    blocks = np.array([p.stacked(still) for p in possible])
+    made = Scatter(still.vectors(y), still.vectors(np.concatenate(A, axis=2)), block_diag(*precision), blocks)
+    return with_things(made, part, B, still)
 
 
 def _possible(question: Problem, theta: np.ndarray) -> list[_Asked]:
