@@ -123,6 +123,7 @@ class Products:
         self.layout, self.r, self._make = layout, layout.flat(r), make
         self._columns: dict[Effect | None, Flat] = {None: layout.flat(A)}
         self._between: dict[tuple[Effect | None, Effect | None], np.ndarray] = {}
+        self._solved: dict[tuple[int, int], tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
         self._pull: dict[Effect | None, np.ndarray] = {}
         self._ordered: dict[tuple[str, Effect | None], np.ndarray] = {}
         self._known: dict[Effect, None] = {}
@@ -144,6 +145,9 @@ class Products:
         for effect, _ in members:
             if effect is not None:
                 self._known[effect] = self._known.pop(effect, None)  # now the last
+        if len(self._solved) > len(members) ** 2:
+            now = {id(modes) for _, modes in members}
+            self._solved = {key: made for key, made in self._solved.items() if now.issuperset(key)}
         most = max(MEMBERS, len(members))
         for old in list(self._known)[: max(len(self._known) - most, 0)]:
             self._forget(old)
@@ -157,6 +161,7 @@ class Products:
         """Keep nothing: no more is asked."""
         for effect in list(self._known):
             self._forget(effect)
+        self._solved.clear()
         self._place.clear()
         self._kept = 0
 
@@ -195,6 +200,13 @@ class Products:
             self._between[a, b] = made
             self._between[b, a] = made.transpose(0, 1, 3, 2)
         return self._between[a, b]
+
+    def in_modes(self, a: Member, b: Member) -> np.ndarray:
+        """The same of what is solved for, shape (F, C, modes of a, modes of b): most of it stays from trial to trial."""
+        key = id(a[1]), id(b[1])
+        if key not in self._solved:  # kept with the modes themselves, so that no other array gets their identity
+            self._solved[key] = a[1], b[1], np.ascontiguousarray(a[1].T) @ self.between(a[0], b[0]) @ b[1]
+        return self._solved[key][2]
 
     def pull(self, of: Effect | None) -> np.ndarray:
         """Products with the residual, shape (F, C, d)."""

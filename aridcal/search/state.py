@@ -219,10 +219,10 @@ def _of_all_rows(model: LinearModel, active: Sequence[Active]) -> NormalEquation
     own = _places([modes.shape[1] for _, modes in every])
     AA = np.empty((len(model.channels), own[-1].stop, own[-1].stop))
     Ar = np.empty((len(model.channels), own[-1].stop))
-    for i, (a, left) in enumerate(every):
-        Ar[:, own[i]] = made.pull(a).sum(axis=0) @ left
-        for j, (b, right) in enumerate(every[: i + 1]):
-            block = left.T @ made.between(a, b).sum(axis=0) @ right
+    for i, a in enumerate(every):
+        Ar[:, own[i]] = made.pull(a[0]).sum(axis=0) @ a[1]
+        for j, b in enumerate(every[: i + 1]):
+            block = made.in_modes(a, b).sum(axis=0)
             AA[:, own[i], own[j]] = block
             AA[:, own[j], own[i]] = block.transpose(0, 2, 1)
     sizes = np.array([channel.size for channel in model.channels])
@@ -262,17 +262,22 @@ def by_fold(state: State, candidate: Active, sigma: np.ndarray) -> tuple[np.ndar
     own = _places([modes.shape[1] for _, modes in every])
     H = np.empty((len(layout.starts) - 1, own[-1].stop, own[-1].stop))
     g = np.empty(H.shape[:2])
-    for i, (a, left) in enumerate(every):
-        g[:, own[i]] = np.tensordot(made.pull(a), weight, (1, 0)) @ left
-        for j, (b, right) in enumerate(every[: i + 1]):
-            block = left.T @ np.tensordot(weight, made.between(a, b), (0, 1)) @ right
+    for i, a in enumerate(every):
+        g[:, own[i]] = np.einsum("c,fci->fi", weight, made.pull(a[0])) @ a[1]
+        for j, b in enumerate(every[: i + 1]):
+            block = np.einsum("c,fcij->fij", weight, made.in_modes(a, b))
             H[:, own[i], own[j]] = block
             H[:, own[j], own[i]] = block.transpose(0, 2, 1)
     fold = np.searchsorted(layout.starts, state.unused, side="right") - 1
     for f in np.unique(fold).tolist():
         lost = state.unused[fold == f]
+<<<<<<< HEAD
         left_over = [r[rows] for r, rows in zip(made.r, layout.numbers(lost), strict=True)]
         sums = accumulate(columns_at(model, active, lost), left_over)
+=======
+        residual = [r[rows] for r, rows in zip(made.r, layout.numbers(lost), strict=True)]
+        sums = accumulate(columns_at(model, active, lost), residual)
+>>>>>>> w-b7
         H[f] -= sums.information(sigma)
         g[f] -= sums.pull(sigma)
     return H, g

@@ -1,0 +1,136 @@
+"""Where the time of a search goes, against what this machine can do: operations, time and rate of each kernel.
+
+Example:
+    OMP_NUM_THREADS=1 python benchmarks/search.py ceilings
+    OMP_NUM_THREADS=1 python benchmarks/search.py identification/ur10-laser-tracker/campaign-b.yaml
+
+Operations are those of the textbook (a Cholesky factor P^3/3, an inverse from it 2 P^3/3, a symmetric eigenproblem 9 d^3),
+bytes are not counted: a kernel that stays below its ceiling waits for memory, or is too small. CPU time of one thread.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from scipy.linalg.lapack import dpotrf, dpotri
+
+from aridcal.fit import normal_equations
+from aridcal.result import pipeline
+from aridcal.search import arm, diagnose, evidence, exact, hints, products, scoring, screening, stepwise
+
+REPEATS = 20
+
+
+class Kernel:
+    """Calls, operations and CPU seconds of one function, in place of it wherever it is looked up."""
+
+    def __init__(self, name: str, places: list[object], operations: Callable[..., float] | None) -> None:
+        """Put it in place."""
+        self.name, self.calls, self.flop, self.seconds = name, 0, 0.0, 0.0
+        inner = getattr(places[0], name)
+
+        def counted(*arguments: object, **named: object) -> object:
+            self.calls += 1
+            self.flop += operations(*arguments, **named) if operations else 0.0
+            started = time.process_time()
+            try:
+                return inner(*arguments, **named)
+            finally:
+                self.seconds += time.process_time() - started
+
+        for place in places:
+            setattr(place, name, counted)
+
+    def line(self) -> str:
+        """One row of a table."""
+        rate = f"{self.flop / self.seconds / 1e9:.1f}" if self.flop and self.seconds else ""
+        return f"| `{self.name}` | {self.calls:,} | {self.flop / 1e9:.1f} | {self.seconds:.2f} | {rate} |"
+
+
+def across(made: products.Products, chunk: products.Chunk, members: list[products.Member]) -> float:
+    """Operations of products that are not kept yet."""
+    rows, w = sum(len(r) for r in made.r), len(chunk.pull[0])
+    return sum(2.0 * rows * w * made.columns(e)[0].shape[1] for e, _ in members if e not in chunk.across)
+
+
+def cubed(factor: float) -> Callable[..., float]:
+    """Operations of a factorisation of the first argument."""
+    return lambda H, *_, **__: factor * len(H) ** 3
+
+
+def smooth(M: np.ndarray, *arguments: object, **_: object) -> float:
+    """Operations of the eigenproblems of some smooth candidates."""
+    return 9.0 * len(M) * M.shape[1] ** 3 * len(arguments[3] if len(arguments) > 3 else ())  # type: ignore[arg-type]
+
+
+def rate(flop: float, work: Callable[[], object], many: int) -> float:
+    """GFLOP/s of some work, the best of several tries; many runs are timed together, as the clock's tick is long."""
+    found = []
+    for _ in range(REPEATS):
+        started = time.process_time()
+        for _ in range(many):
+            work()
+        found.append(time.process_time() - started)
+    return many * flop / min(found) / 1e9
+
+
+def ceilings() -> None:
+    """What one thread of this machine does at the most."""
+    rng = np.random.default_rng(0)
+    for P, many in ((100, 300), (250, 50), (500, 10)):
+        X = rng.standard_normal((P + 50, P))
+        H = np.asfortranarray(X.T @ X)
+        L = dpotrf(H, lower=1)[0]
+        product = rate(2.0 * P**3, partial(np.matmul, H, H), many)
+        factor = rate(P**3 / 3, partial(dpotrf, H, lower=1, clean=0), many)
+        inverse = rate(2 * P**3 / 3, partial(dpotri, L, lower=1), many)
+        print(f"P = {P}: product {product:.0f}, factor {factor:.0f}, inverse from it {inverse:.0f} GFLOP/s")
+    small = rng.standard_normal((1000, 15, 15))
+    print(f"eigenproblems of 15: {rate(9e3 * 15**3, partial(np.linalg.eigh, small), 1):.1f} GFLOP/s")
+    a, b = np.zeros(30_000_000), np.ones(30_000_000)
+    print(f"memory, read and written: {rate(2.0 * a.nbytes, partial(np.copyto, a, b), 1):.0f} GB/s")
+
+
+def measure(campaign: Path) -> None:
+    """Identify, and say what each kernel and each stage did."""
+    kernels = [
+        Kernel("across", [products.Products], across),
+        Kernel("inverse", [normal_equations, evidence, scoring, screening], cubed(1.0)),
+        Kernel("solve", [normal_equations], cubed(1 / 3)),
+        Kernel("solve_equations", [evidence], cubed(1 / 3)),
+        Kernel("nested_solutions", [scoring], cubed(1 / 3)),
+        Kernel("_smooth", [evidence], smooth),
+    ]
+    stages = [
+        Kernel("score_all", [screening, stepwise], None),
+        Kernel("score_without", [stepwise], None),
+        Kernel("refine", [stepwise], None),
+        Kernel("judge", [stepwise], None),
+        Kernel("solve_state", [stepwise, diagnose], None),
+        Kernel("best_steps", [stepwise], None),
+        Kernel("hinted", [hints, stepwise], None),
+        Kernel("missed", [diagnose], None),
+        Kernel("refit", [exact, diagnose], None),
+        Kernel("diagnose", [arm], None),
+        Kernel("noise_causes", [arm], None),
+        Kernel("told_apart", [arm], None),
+        Kernel("calibrated_arm", [pipeline], None),
+        Kernel("identify", [pipeline], None),
+    ]
+    pipeline.identify(campaign)
+    print("| kernel | calls | GFLOP | s | GFLOP/s |\n|---|---|---|---|---|")
+    print("\n".join(kernel.line() for kernel in kernels))
+    print("| stage | calls | | s | |\n|---|---|---|---|---|")
+    print("\n".join(stage.line() for stage in stages))
+
+
+if __name__ == "__main__":
+    if sys.argv[1] == "ceilings":
+        ceilings()
+    else:
+        measure(Path(sys.argv[1]))

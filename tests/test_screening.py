@@ -1,0 +1,100 @@
+"""Sums that a search keeps, and scores without each effect, by a second road: columns multiplied, models solved anew."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from test_hints import linear, made_up, with_effect
+
+from aridcal.effects.basis import Basis
+from aridcal.effects.effect import Coefficient, Effect
+from aridcal.effects.kinds import turns
+from aridcal.fit.normal_equations import conditional
+from aridcal.search.evidence import Score, solve
+from aridcal.search.linear_model import Active
+from aridcal.search.screening import score_all, score_without
+from aridcal.search.state import State, activate, by_fold, solve_state
+
+KNOTS = tuple(Coefficient("j1", "axis", Basis("bump", ("j1",), (c, 0.5))) for c in np.arange(-3.0, 3.1, 0.5))
+CURVE = Effect("joint_map", "j1", KNOTS, smooth=True)
+WAVE = Effect("joint_harmonic", "j1", turns("j1", "axis", "j1", 2.0), (2.0,))
+WARM = linear("j2", "axis", "humidity")
+
+
+def solved(prepared: bool = True) -> State:
+    """A curve, a wave and a warmth, some rows not in use."""
+    rng = np.random.default_rng(3)
+    b = made_up(rng)
+    b = b.prepare([CURVE, WAVE, WARM]) if prepared else b
+    b = with_effect(b, 0, 2.0 * np.sin(2.0 * b.table["j1"]) + b.table["j1"] ** 2)
+    used = np.ones(len(b.r), dtype=bool)
+    used[rng.choice(len(used), 9, replace=False)] = False
+    start = solve_state(b, (), np.ones(2), used, fixed=True)
+    active = [activate(b, start, CURVE, Score(1.0, 0.0, 3, tau=0.5)), activate(b, start, WAVE, Score(1.0, 0.0, 2))]
+    return solve_state(b, active, np.ones(2), used, fixed=True)
+
+
+def columns_of(made: State, *more: Active) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Columns and residual in sigmas of the rows in use, and the fold of each number."""
+    b, used = made.model, made.used
+    X = np.concatenate([b.A, *(a.columns(b) for a in (*made.active, *more))], axis=2)[used]
+    X, r = X / made.sigma[:, None], b.r[used] / made.sigma
+    return X.reshape(-1, X.shape[2]), r.ravel(), np.repeat(b.fold[used], X.shape[1])
+
+
+def test_equations_of_a_state_are_those_of_its_columns():
+    made = solved()
+    X, r, _ = columns_of(made)
+    sigma = made.solution.sigma
+    np.testing.assert_allclose(made.equations.information(sigma), X.T @ X, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(made.equations.pull(sigma), X.T @ r, rtol=1e-9, atol=1e-8)
+
+
+def test_sums_of_each_fold_are_those_of_its_columns():
+    made = solved()
+    candidate = activate(made.model, made, WARM, Score(1.0, 0.0, 1))
+    H, g = by_fold(made, candidate, made.solution.sigma)
+    X, r, fold = columns_of(made, candidate)
+    for k, number in enumerate(np.unique(made.model.fold)):
+        own = fold == number
+        np.testing.assert_allclose(H[k], X[own].T @ X[own], rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(g[k], X[own].T @ r[own], rtol=1e-9, atol=1e-8)
+
+
+@pytest.mark.parametrize("prepared", [True, False])
+@pytest.mark.parametrize("gone", [CURVE, WAVE])
+def test_scores_without_an_effect_are_those_of_the_model_solved_without_it(gone, prepared):
+    made = solved(prepared)
+    rest = [a for a in made.active if a.effect != gone]
+    other = solve_state(made.model, rest, np.ones(2), made.used, fixed=True)
+    sigma = made.solution.sigma
+    information = other.equations.information(sigma) + other.precision
+    V = np.linalg.inv(information)
+    solution = replace(other.solution, beta=V @ other.equations.pull(sigma), sigma=sigma, inverse=V)
+    slowly = score_all(made.model, [WARM, gone, WAVE, CURVE], replace(other, solution=solution))
+    fast = score_without(made.model, [WARM, gone, WAVE, CURVE], made, [gone])
+    assert list(fast) == [gone]
+    for one, effect in zip(slowly, [WARM, gone, WAVE, CURVE], strict=True):
+        assert fast[gone][effect].gain == pytest.approx(one.gain, rel=1e-5, abs=1e-4)
+        assert fast[gone][effect].freedom == one.freedom
+
+
+def test_unknowns_that_become_zero_leave_the_solution_of_the_others():
+    made = solved()
+    H, g = made.equations.information(np.ones(2)) + made.precision, made.equations.pull(np.ones(2))
+    gone = np.zeros(len(g), dtype=bool)
+    gone[made.places[1]] = True
+    found = conditional(np.linalg.inv(H), np.linalg.solve(H, g), gone)
+    np.testing.assert_allclose(found[~gone], np.linalg.solve(H[~gone][:, ~gone], g[~gone]), rtol=1e-6, atol=1e-9)
+    assert not found[gone].any()
+
+
+def test_noise_and_coefficients_agree_when_they_are_found():
+    made = solved()
+    found = solve(made.equations, made.precision, np.array([30.0, 0.01]))
+    left = made.equations.squares_left(found.beta) / (made.equations.count - found.spent)
+    np.testing.assert_allclose(np.sqrt(left), found.sigma, rtol=3e-3)
+    H = made.equations.information(found.sigma) + made.precision
+    np.testing.assert_allclose(found.inverse @ H, np.eye(len(H)), atol=1e-6)
