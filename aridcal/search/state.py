@@ -271,13 +271,8 @@ def by_fold(state: State, candidate: Active, sigma: np.ndarray) -> tuple[np.ndar
     fold = np.searchsorted(layout.starts, state.unused, side="right") - 1
     for f in np.unique(fold).tolist():
         lost = state.unused[fold == f]
-<<<<<<< HEAD
-        left_over = [r[rows] for r, rows in zip(made.r, layout.numbers(lost), strict=True)]
-        sums = accumulate(columns_at(model, active, lost), left_over)
-=======
         residual = [r[rows] for r, rows in zip(made.r, layout.numbers(lost), strict=True)]
         sums = accumulate(columns_at(model, active, lost), residual)
->>>>>>> w-b7
         H[f] -= sums.information(sigma)
         g[f] -= sums.pull(sigma)
     return H, g
