@@ -51,7 +51,7 @@ PLACED = _set("position pos p t trans translation xyz point pose tcp")
 # Angles whose columns are called by Greek letters or otherwise, in their order.
 NAMED_ANGLES = (("phi", "theta", "psi"), ("psi", "theta", "phi"), ("o", "a", "t"), ("az", "el", "roll"))
 # A cell of a matrix: what it is of, its row and its column.
-MATRIX_CELL = re.compile(r"(.*?)[\s_\[(,.]*([0-4])[\s_\])(,.]*([0-4])[\])]?")
+MATRIX_CELL = re.compile(r"(.*?)[\s_\[(,.]*([0-4])[\s_\]\[)(,.]*([0-4])[\])]?")
 # Numbers of a matrix in a row: of a rotation, of a pose without and with its last line.
 MATRIX_SIZES = (9, 12, 16)
 # Words for joints.

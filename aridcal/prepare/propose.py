@@ -10,7 +10,7 @@ import numpy as np
 
 from aridcal.errors import MeasurementError, RobotError, listed, shortened
 from aridcal.inputs.measurement_settings import TARGET
-from aridcal.inputs.quantities import POSITION
+from aridcal.inputs.orientations import POSITION, QUATERNION_SLACK
 from aridcal.inputs.tables import Table
 from aridcal.prepare.column_names import (
     MEASURED,
@@ -33,6 +33,8 @@ from aridcal.prepare.units_and_angles import Reading, Sample, readings
 from aridcal.robot.chain import Robot, chain
 from aridcal.robot.tree import read_tree
 
+# Share of rows in which a quaternion's norm is 1.
+UNIT_ROWS = 0.8
 # Rows that judge; more make no clearer verdict.
 SAMPLE = 150
 # Rows without which nothing can be judged: the frames alone take twelve numbers.
@@ -124,7 +126,9 @@ def _joints(chains: Iterable[tuple[str, ...]], table: Table) -> tuple[tuple[str,
         MeasurementError: there is none, or a longer one has columns for some of its further joints only.
     """
     names = [name for name in table.names if name]
-    matches = {joints: match_joints(joints, names) for joints in chains}
+    turned = {name for family in quaternions(names) if _is_quaternion(table, family) for name in family.columns}
+    without = [name for name in names if name not in turned]  # q1 … q4 may be a quaternion, beside joints
+    matches = {joints: match_joints(joints, without) or match_joints(joints, names) for joints in chains}
     longest = max(map(len, matches))
     found = {
         joints: match
@@ -148,6 +152,12 @@ def _joints(chains: Iterable[tuple[str, ...]], table: Table) -> tuple[tuple[str,
             )
     columns, how = found[best]
     return best, columns, how
+
+
+def _is_quaternion(table: Table, family: Family) -> bool:
+    """True of four columns whose norm is 1 in most rows."""
+    norm = np.linalg.norm(sensible(table, family.columns), axis=1)
+    return len(family.columns) == 4 and bool(np.mean(np.abs(norm - 1) < QUATERNION_SLACK) > UNIT_ROWS)
 
 
 def _tip(robots: Sequence[Robot], asker: Asker) -> tuple[Robot, bool]:
