@@ -324,6 +324,32 @@ def _small_turns(t: Truth) -> bytes:
     return text(mm(t) | _three("rx ry rz", np.zeros_like(t.p)))
 
 
+def _two_tables(t: Truth) -> bytes:
+    """Two tables one below the other, the second with its columns in another order."""
+    table = mm(t)
+    other = {name: table[name] for name in (*"xyz", *(f"q{k + 1}" for k in range(6)))}
+    return text(table) + text(other)
+
+
+def _two_arms(t: Truth) -> bytes:
+    """Readings of two arms, and nothing that tells which was measured."""
+    rng = np.random.default_rng(4)
+    left, right = _joints(t, "left_q{}"), {f"right_q{k + 1}": rng.normal(size=len(t.q)) for k in range(6)}
+    return text(right | left | _three("x y z", t.p))
+
+
+def _row_names(t: Truth) -> bytes:
+    """As R writes it: a column of row names that the header does not name."""
+    lines = text(mm(t), " ").decode().splitlines()
+    return "\n".join([lines[0], *(f'"{k + 1}" {line}' for k, line in enumerate(lines[1:]))]).encode()
+
+
+def _hash_numbers(t: Truth) -> bytes:
+    """Rows numbered #1, #2: they are no comments."""
+    lines = text(kuka(t)).decode().splitlines()
+    return "\n".join([f"no,{lines[0]}", *(f"#{k + 1},{line}" for k, line in enumerate(lines[1:]))]).encode()
+
+
 def _sep_line(t: Truth) -> bytes:
     """Excel's own first line, which says what parts cells."""
     return text(kuka(t), ";", ",", above=["sep=;"])
@@ -499,6 +525,10 @@ CASES: tuple[Case, ...] = (
     Case("controller.csv", "the tracker's position beside the controller's own", _controller_too, pose=False),
     Case("comma_too_many.csv", "a comma too many in one row", _one_column_off, rows=_but(7)),
     Case("shift_jis.txt", "names in Japanese, Shift JIS", _latin_joints, pose=False),
+    Case("hash.csv", "rows numbered #1, #2", _hash_numbers),
+    Case("two_tables.csv", "two tables in one file, columns in another order", _two_tables, expected=ASKED, pose=False),
+    Case("two_arms.csv", "readings of two arms, as likely", _two_arms, expected=ASKED, pose=False),
+    Case("row_names.txt", "R's table: row names without a name", _row_names, expected=ASKED, pose=False),
     Case("two_sheets.xlsx", "Excel: two sheets with tables", _xlsx_two, expected=ASKED),
     Case("entities.xlsx", "Excel: entities in its XML", _xlsx_bomb, expected=ASKED),
     Case("old.xls", "Excel's old binary format", _old_excel, expected=ASKED),

@@ -320,3 +320,56 @@ def test_samples_of_robot_calibration_with_several_points_are_several_targets(tm
     np.testing.assert_array_equal(table.matrix(t.robot.readings)[::2], t.q)
     with pytest.raises(MeasurementError, match="no sample has points of 'laser'; there are hand, tracker"):
         read_tables([tmp_path / "s.yaml"], dialect=Dialect(export="robot_calibration", sheet="laser"))
+
+
+@pytest.mark.parametrize("writing", ["degrees beside radians", "matrices"])
+def test_predictions_come_in_the_tables_own_units_and_are_read_again(writing: str, tmp_path: Path) -> None:
+    """Orientations in degrees beside joints in rad, or as matrices; second road: back to the joints through the inverse."""
+    t = known("ur10")
+    joints = {f"q{k + 1}": t.q[:, k] for k in range(6)}
+    place = {f"P{a}": 1e3 * t.p[:, k] for k, a in enumerate("xyz")}
+    if writing == "matrices":
+        R = t.R.as_matrix()
+        turn = {f"R{i + 1}{j + 1}": R[:, i, j] for i in range(3) for j in range(3)}
+    else:
+        turn = dict(zip("ABC", t.R.as_euler("ZYX", degrees=True).T, strict=True))
+    path = tmp_path / "m.txt"
+    path.write_bytes(text(joints | place | turn, ";", ","))
+    out = proposed(path)
+    out.write_text(out.read_text() + "diagnosis: {enabled: false}\nparameters: {set: none}\n")
+    cal = aridcal.calibrate(out)
+    (tmp_path / "q.txt").write_bytes(text(joints, ";", ","))
+    pd.DataFrame(joints).to_csv(tmp_path / "q.csv", index=False)
+    own, plainly = cal.predict(tmp_path / "q.txt"), cal.predict(tmp_path / "q.csv")
+    for name in (*place, *turn):
+        np.testing.assert_allclose(own[name].astype(float), plainly[name].astype(float), atol=1e-9)
+        assert (
+            np.abs(own[name].astype(float) - (place | turn)[name]).max() < 60
+        )  # zeros a milliradian off, mm and degrees
+    own.to_csv(tmp_path / "poses.csv", index=False)
+    back = cal.compensate(tmp_path / "poses.csv")
+    assert back["reached"].all()
+    np.testing.assert_allclose(back[list(joints)].astype(float), pd.DataFrame(joints), atol=1e-6)
+
+
+def test_a_wrong_reading_of_matrices_and_of_two_units_is_refused_by_identify(tmp_path: Path) -> None:
+    """The attack: keys of a campaign that were changed by hand after `init` had them right."""
+    t = known("ur10")
+    R = t.R.as_matrix()
+    joints = {f"q{k + 1}": t.q[:, k] for k in range(6)}
+    place = {a: t.p[:, k] for k, a in enumerate("xyz")}
+    path = tmp_path / "m.csv"
+    path.write_bytes(text(joints | place | {f"r{i + 1}{j + 1}": R[:, i, j] for i in range(3) for j in range(3)}))
+    out = proposed(path)
+    right = "[r11, r12, r13, r21, r22, r23, r31, r32, r33]"
+    assert right in out.read_text()
+    out.write_text(out.read_text().replace(right, "[r11, r21, r31, r12, r22, r32, r13, r23, r33]"))
+    with pytest.raises(AridcalError, match="orientations of the world in the target"):
+        aridcal.calibrate(out)
+    turn = dict(zip("ABC", t.R.as_euler("ZYX", degrees=True).T, strict=True))
+    path.write_bytes(text(joints | place | turn))
+    out = proposed(path)
+    assert "deg" in out.read_text()
+    out.write_text(out.read_text().replace("euler: ZYX", "euler: XYZ"))
+    with pytest.raises(AridcalError, match="Euler angles ZYX"):
+        aridcal.calibrate(out)

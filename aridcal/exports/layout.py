@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
+from aridcal.errors import MeasurementError
 from aridcal.exports.numbers_seen import is_number
 from aridcal.reading.dialect import BLANKS
 from aridcal.reading.written import is_units, joined, split_line, uncommented
@@ -23,7 +24,7 @@ MOST = 0.8
 ABOVE = 12
 """Lines above the first row among which names are looked for."""
 
-COMMENTS = ("#", "%", "//", "!", ";", "*")
+COMMENTS = ("#", "%", "//", "!", ";")
 """What lines of comment begin with."""
 
 SUMMARIES = frozenset({
@@ -99,6 +100,7 @@ def _layout(lines: Sequence[str], separator: str) -> Layout | None:
     comment = sorted(used) + _summaries(split, rows, numeric, first)
     header = _header(lines, split, commented, first, comment, separator, numeric, width)
     names = joined([split_line(uncommented(lines[k], comment), separator) for k in header]) if header else []
+    _refuse_second_header(split, header, rows, numeric)
     return Layout(
         separator, tuple(k + 1 for k in header), first + 1, tuple(comment), tuple(names),
         tuple(tuple(split[k]) for k in rows), frozenset(numeric), sum(counts[k] for k in rows),
@@ -141,6 +143,28 @@ def _numeric(rows: Sequence[Sequence[str]], width: int) -> set[int]:
 def _is_row(cells: Sequence[str], numeric: set[int]) -> bool:
     """True of a line that has numbers, or nothing, where rows have numbers."""
     return sum(1 for k in numeric if not cells[k] or _weight(cells[k])) >= MOST * len(numeric)
+
+
+def _refuse_second_header(
+    split: Sequence[Sequence[str]], header: Sequence[int], rows: Sequence[int], numeric: set[int]
+) -> None:
+    """Refuse a file in which another table follows, of the same width and with its columns in another order.
+
+    Raises:
+        MeasurementError: naming the line of its header.
+    """
+    if not header:
+        return
+    own = split[header[-1]]
+    for k in range(rows[0], rows[-1]):
+        cells = split[k]
+        words = [cell for cell in cells if cell and not is_number(cell)]
+        known = sum(1 for cell in words if cell in own)
+        if len(cells) == len(own) and 2 * known >= len(numeric) and list(cells) != list(own):
+            raise MeasurementError(
+                f"line {k + 1}: another header, in another order than that of line {header[-1] + 1}: these are two tables. Write "
+                "each into a file of its own"
+            )
 
 
 def _summaries(split: Sequence[Sequence[str]], rows: Sequence[int], numeric: set[int], first: int) -> list[str]:

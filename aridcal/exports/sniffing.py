@@ -80,7 +80,10 @@ def look(content: bytes, path: Path, limit: Limit, pick: Pick) -> Found:
         text = decoded(content, path, coded)
     lines = LINE_END.split(text[:MOST])[:LOOKED_AT]
     who = maker(lines[:AT_FIRST])
-    found = layout(lines)
+    try:
+        found = layout(lines)
+    except MeasurementError as problem:
+        raise MeasurementError(f"{path}, {problem}") from None
     if found is None:
         return Found((replace(PLAIN, encoding=coded, sheet=sheet),), who)
     if ending not in workbooks.ENDINGS:

@@ -51,7 +51,7 @@ PLACED = _set("position pos p t trans translation xyz point pose tcp")
 # Angles whose columns are called by Greek letters or otherwise, in their order.
 NAMED_ANGLES = (("phi", "theta", "psi"), ("psi", "theta", "phi"), ("o", "a", "t"), ("az", "el", "roll"))
 # A cell of a matrix: what it is of, its row and its column.
-MATRIX_CELL = re.compile(r"(.*?)[\s_\[(,.]*([0-4])[\s_\])(,.]*([0-4])[\])]?")
+MATRIX_CELL = re.compile(r"(.*?)[\s_\[(,.]*([0-4])[\s_\]\[)(,.]*([0-4])[\])]?")
 # Numbers of a matrix in a row: of a rotation, of a pose without and with its last line.
 MATRIX_SIZES = (9, 12, 16)
 # Words for joints.
@@ -169,15 +169,23 @@ def match_joints(joints: Sequence[str], names: Sequence[str]) -> tuple[dict[str,
     similar = _similar(joints, plain)
     if similar is not None:
         return similar, "similar name"
-    families = [family for family in numbered(plain) if _may_be_joints(family, len(joints))]
+    families = joint_families(plain, len(joints))
     if not families:
         return None
-    family = min(families, key=_doubt)
+    family = families[0]
     own = _numbers(joints)
     if sorted(own) == list(family.numbers):
         column = dict(zip(family.numbers, family.columns, strict=True))
         return {joint: column[number] for joint, number in zip(joints, own, strict=True)}, "number"
     return dict(zip(joints, family.columns, strict=True)), "order"
+
+
+def joint_families(names: Sequence[str], count: int) -> list[Family]:
+    """Numbered families that may be so many joints' readings, all that are the likeliest by their names."""
+    plain = [name for name in names if not set(words(name)) & OTHER]
+    families = [family for family in numbered(plain) if _may_be_joints(family, count)]
+    least = min(map(_doubt, families), default=None)
+    return [family for family in families if _doubt(family) == least]
 
 
 def _similar(joints: Sequence[str], names: Sequence[str]) -> dict[str, str] | None:
@@ -321,6 +329,24 @@ def _of_vectors(names: Sequence[str]) -> list[MatrixColumns]:
     vectors = [family.columns for family in triple if family is not None]
     rotation = tuple(vectors[j][i] for i in range(3) for j in range(3))
     return [MatrixColumns((rotation,), None, frozenset())]
+
+
+def places(free: Sequence[str]) -> list[Family]:
+    """Families that may hold measured positions; those of a matrix of a pose first."""
+    found, in_matrices = [], set()
+    for matrix in matrices(free):
+        in_matrices |= {name for way in matrix.rotation for name in way}
+        found += [Family(place, matrix.about) for place in matrix.position or ()]
+    inside = {name for family in found for name in family.columns}
+    plain = positions(name for name in free if name not in in_matrices | inside)
+    return [*found, *(family for family in plain if not set(family.columns) & inside)]
+
+
+def has_orientation(free: Sequence[str], place: Family) -> bool:
+    """True of a position beside which an orientation has the same words."""
+    own = place.about - PLACED
+    triples = (*quaternions(free), *angle_triples(free))
+    return any(family.about - TURNED == own and not set(family.columns) & set(place.columns) for family in triples)
 
 
 def named(names: Iterable[str], *wanted: str) -> str | None:

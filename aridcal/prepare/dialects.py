@@ -115,7 +115,8 @@ def _words(dialect: Dialect, workbook: bool = False) -> str:
     if workbook:
         said = f"sheet {dialect.sheet}" if dialect.sheet else "a workbook of one sheet"
     header = f"line{'s' if len(dialect.header) > 1 else ''} {', '.join(map(str, dialect.header))}"
-    return f"{said}, {_numbers(dialect)}, names in {header}, rows from line {dialect.begins}"
+    skipped = f", lines that begin with {' or '.join(dialect.comment)} are no rows" if dialect.comment else ""
+    return f"{said}, {_numbers(dialect)}, names in {header}, rows from line {dialect.begins}{skipped}"
 
 
 def _numbers(dialect: Dialect) -> str:

@@ -23,8 +23,8 @@ from aridcal.fit.problem import unscaled
 from aridcal.fit.stages import Geometry, fit_geometry, nominal_sigma
 from aridcal.inputs.campaign import Campaign
 from aridcal.inputs.dataset import Dataset
-from aridcal.inputs.measurement_settings import ANGLES, MeasurementSettings
-from aridcal.inputs.orientations import QUATERNION, angle_columns, column_of
+from aridcal.inputs.measurement_settings import ANGLES, LENGTHS, MeasurementSettings
+from aridcal.inputs.orientations import QUATERNION, angle_columns, column_of, turned
 from aridcal.inputs.quantities import POSITION
 from aridcal.inputs.read import load_measurements
 from aridcal.inputs.tables import read_tables
@@ -224,8 +224,10 @@ def _others(settings: MeasurementSettings, robot: Robot, table: pd.DataFrame) ->
 
 def _orientations(settings: MeasurementSettings, robot: Robot, table: pd.DataFrame) -> Iterator[Other]:
     """Other orders of quaternions, other writings of angles, and poses the other way round."""
-    angles = angle_columns(settings)
-    if angles is None:
+    angles, matrix = angle_columns(settings), settings.orientation.matrix
+    if matrix is not None:
+        names, rotation = list(matrix), turned(_numbers(table, matrix), settings)
+    elif angles is None:
         columns = [column_of(name, settings, robot.readings) for name in QUATERNION]
         for what, order in (("scalar-first quaternions", (1, 2, 3, 0)), ("scalar-last quaternions", (3, 0, 1, 2))):
             mapped = dict(zip(QUATERNION, (columns[k] for k in order), strict=True))
@@ -243,16 +245,16 @@ def _orientations(settings: MeasurementSettings, robot: Robot, table: pd.DataFra
             spec = {"euler": None, "columns": None, "rotvec": tuple(names)}
             said = f"orientation: {{rotvec: [{', '.join(names)}]}}"
             yield Other("rotation vectors", _write(said), _oriented(settings, spec), table)
-    turned = _written(settings, rotation.inv(), names)
+    back_turned = _written(settings, rotation.inv(), names)
     yield Other(
         "orientations of the world in the target", f"Invert the orientation {' '.join(names)} in the file",
-        settings, table.assign(**turned),
+        settings, table.assign(**back_turned),
     )  # fmt: skip
     place = [column_of(name, settings, robot.readings) for name in POSITION]
     back = -rotation.inv().apply(_numbers(table, place))
     yield Other(
         "T_target_world", "Invert every pose in the file: the campaign needs T_world_target",
-        settings, table.assign(**turned, **dict(zip(place, back.T, strict=True))),
+        settings, table.assign(**back_turned, **dict(zip(place, back.T, strict=True))),
     )  # fmt: skip
 
 
@@ -283,13 +285,11 @@ def _joints(settings: MeasurementSettings, robot: Robot, table: pd.DataFrame) ->
         remedy = f"Change the sign of {column} in the file"
         yield Other(f"{joint} with the other sign", remedy, settings, table.assign(**{column: -values}))
         scales = {unit: factor}
+        now = settings.units.columns.get(column, settings.units.angle)
         if kind == "prismatic":
-            own = settings.units
-            scales = {
-                u: own.model_copy(update={"length": u}).metres / own.metres for u in TRIED_LENGTHS if u != own.length
-            }
+            now = settings.units.columns.get(column, settings.units.length)
+            scales = {u: LENGTHS[u] / LENGTHS[now] for u in TRIED_LENGTHS if u != now}
         for other, scale in scales.items():
-            now = settings.units.length if kind == "prismatic" else settings.units.angle
             remedy = f"Convert {column} to {now} in the file"
             yield Other(
                 f"{joint} in {SPELT.get(other, other)}", remedy, settings, table.assign(**{column: scale * values})
@@ -316,21 +316,26 @@ def _oriented(settings: MeasurementSettings, spec: dict[str, Any]) -> Measuremen
 
 def _rotations(settings: MeasurementSettings, table: pd.DataFrame, names: Sequence[str]) -> Rotation:
     """Orientations of columns of angles, N."""
-    angles = settings.units.radians * _numbers(table, names)
-    euler = settings.orientation.euler
-    return Rotation.from_euler(euler, angles) if euler else Rotation.from_rotvec(angles)
+    return turned(_numbers(table, names) * _radians(settings, names), settings)
+
+
+def _radians(settings: MeasurementSettings, names: Sequence[str]) -> list[float]:
+    """Radians in one of the unit of each column of angles."""
+    return [settings.units.scale(name, "angle") for name in names]
 
 
 def _written(settings: MeasurementSettings, rotation: Rotation, names: Sequence[str]) -> dict[str, np.ndarray]:
     """Orientations in the campaign's own columns."""
-    if angle_columns(settings) is None:
+    if settings.orientation.matrix:
+        numbers = rotation.as_matrix().reshape(-1, 9)
+    elif angle_columns(settings) is None:
         numbers = rotation.as_quat()
     elif settings.orientation.euler:
         with warnings.catch_warnings():  # scipy's remark on angles that are not unique
             warnings.simplefilter("ignore", UserWarning)
-            numbers = rotation.as_euler(settings.orientation.euler) / settings.units.radians  # type: ignore[call-overload]
+            numbers = rotation.as_euler(settings.orientation.euler) / _radians(settings, names)  # type: ignore[call-overload]
     else:
-        numbers = rotation.as_rotvec() / settings.units.radians
+        numbers = rotation.as_rotvec() / _radians(settings, names)
     return dict(zip(names, numbers.T, strict=True))
 
 

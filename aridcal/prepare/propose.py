@@ -10,18 +10,16 @@ import numpy as np
 
 from aridcal.errors import MeasurementError, RobotError, listed, shortened
 from aridcal.inputs.measurement_settings import TARGET
-from aridcal.inputs.quantities import POSITION
+from aridcal.inputs.orientations import POSITION, QUATERNION_SLACK
 from aridcal.inputs.tables import Table
 from aridcal.prepare.column_names import (
     MEASURED,
     ON_A_BODY,
-    PLACED,
-    TURNED,
     Family,
-    angle_triples,
+    has_orientation,
+    joint_families,
     match_joints,
-    matrices,
-    positions,
+    places,
     quaternions,
     unit,
 )
@@ -33,6 +31,8 @@ from aridcal.prepare.units_and_angles import Reading, Sample, readings
 from aridcal.robot.chain import Robot, chain
 from aridcal.robot.tree import read_tree
 
+# Share of rows in which a quaternion's norm is 1.
+UNIT_ROWS = 0.8
 # Rows that judge; more make no clearer verdict.
 SAMPLE = 150
 # Rows without which nothing can be judged: the frames alone take twelve numbers.
@@ -48,7 +48,7 @@ TIPS = ("tool0", "flange", "ee_link", "tcp")
 HOW = {"similar name": "names alike", "number": "by their numbers", "order": "by their ORDER along the chain"}
 
 
-QUESTIONS = ("table.sheet", "table.dates", "table.decimal", "columns", "units", "orientation")
+QUESTIONS = ("table.sheet", "table.dates", "table.decimal", "joints", "columns", "units", "orientation")
 """Keys of what may be asked; answers may be given beforehand."""
 
 
@@ -67,7 +67,7 @@ def propose(urdf: bytes, path: Path, table: Table, asker: Asker, clock: str | No
         RobotError: the URDF cannot be read, or has no serial chain.
     """
     chains = _chains(urdf, path)
-    joints, columns, how = _joints(chains, table)
+    joints, columns, how = _joints(chains, table, asker)
     robot, sure = _tip(chains[joints], asker)
     made = Proposal(robot)
     made.say("robot.base", robot.base, "the URDF's root link")
@@ -114,7 +114,9 @@ def _chains(urdf: bytes, path: Path) -> dict[tuple[str, ...], list[Robot]]:
     return chains
 
 
-def _joints(chains: Iterable[tuple[str, ...]], table: Table) -> tuple[tuple[str, ...], dict[str, str], str]:
+def _joints(
+    chains: Iterable[tuple[str, ...]], table: Table, asker: Asker
+) -> tuple[tuple[str, ...], dict[str, str], str]:
     """The longest chain whose joints all have columns.
 
     Returns:
@@ -122,9 +124,12 @@ def _joints(chains: Iterable[tuple[str, ...]], table: Table) -> tuple[tuple[str,
 
     Raises:
         MeasurementError: there is none, or a longer one has columns for some of its further joints only.
+        AridcalError: two families of columns may be they, and nobody says which is.
     """
     names = [name for name in table.names if name]
-    matches = {joints: match_joints(joints, names) for joints in chains}
+    turned = {name for family in quaternions(names) if _is_quaternion(table, family) for name in family.columns}
+    without = [name for name in names if name not in turned]  # q1 … q4 may be a quaternion, beside joints
+    matches = {joints: match_joints(joints, without) or match_joints(joints, names) for joints in chains}
     longest = max(map(len, matches))
     found = {
         joints: match
@@ -147,7 +152,21 @@ def _joints(chains: Iterable[tuple[str, ...]], table: Table) -> tuple[tuple[str,
                 "the URDF"
             )
     columns, how = found[best]
+    if how in ("number", "order"):
+        alike = joint_families(without, len(best))
+        if len(alike) > 1:
+            answers = [f"{family.columns[0]} … {family.columns[-1]}" for family in alike]
+            question = "which columns are the joints' readings"
+            left = alike[asker.pick("joints", question, answers, f"{table.title} has several as likely")]
+            others = {name for family in alike if family is not left for name in family.columns}
+            columns, how = match_joints(best, [name for name in without if name not in others]) or found[best]
     return best, columns, how
+
+
+def _is_quaternion(table: Table, family: Family) -> bool:
+    """True of four columns whose norm is 1 in most rows."""
+    norm = np.linalg.norm(sensible(table, family.columns), axis=1)
+    return len(family.columns) == 4 and bool(np.mean(np.abs(norm - 1) < QUATERNION_SLACK) > UNIT_ROWS)
 
 
 def _tip(robots: Sequence[Robot], asker: Asker) -> tuple[Robot, bool]:
@@ -180,7 +199,7 @@ def _position(table: Table, used: set[str], joints: Sequence[str], asker: Asker,
         AridcalError: several may be, and nobody says which is.
     """
     free = [name for name in table.names if name and name not in used]
-    families = [family for family in _places(free) if np.isfinite(sensible(table, family.columns)).any()]
+    families = [family for family in places(free) if np.isfinite(sensible(table, family.columns)).any()]
     if not families:
         raise MeasurementError(f"{table.title}: no columns for the target's position: {_no_position(table, free)}")
     likely = [family for family in families if not family.commanded] or families
@@ -192,7 +211,7 @@ def _position(table: Table, used: set[str], joints: Sequence[str], asker: Asker,
     elif len(surest) == 1:
         moved = surest
     if len(moved) > 1:
-        turned = [family for family in moved if _turned(free, family)]
+        turned = [family for family in moved if has_orientation(free, family)]
         moved = turned if len(turned) == 1 else moved
     picked = (moved or likely)[0]
     if len(moved) != 1 and len(likely) > 1:
@@ -207,33 +226,15 @@ def _position(table: Table, used: set[str], joints: Sequence[str], asker: Asker,
     return picked
 
 
-def _places(free: Sequence[str]) -> list[Family]:
-    """Families that may hold measured positions; those of a matrix of a pose first."""
-    found, in_matrices = [], set()
-    for matrix in matrices(free):
-        in_matrices |= {name for way in matrix.rotation for name in way}
-        found += [Family(place, matrix.about) for place in matrix.position or ()]
-    inside = {name for family in found for name in family.columns}
-    plain = positions(name for name in free if name not in in_matrices | inside)
-    return [*found, *(family for family in plain if not set(family.columns) & inside)]
-
-
 def _no_position(table: Table, free: Sequence[str]) -> str:
     """What to do where no columns have numbers that may be a position."""
-    for family in _places(free):
+    for family in places(free):
         cells = [cell for cell in table.texts(family.columns[0]).tolist() if cell]
         if cells:
             return (
                 f"{' '.join(family.columns)} hold no numbers, {shortened(cells[0])!r} for instance; write numbers alone"
             )
     return "call them x, y and z"
-
-
-def _turned(free: Sequence[str], place: Family) -> bool:
-    """True of a position beside which an orientation has the same words."""
-    own = place.about - PLACED
-    triples = (*quaternions(free), *angle_triples(free))
-    return any(family.about - TURNED == own and not set(family.columns) & set(place.columns) for family in triples)
 
 
 def _moves_along(table: Table, robot: Robot, joints: Sequence[str], place: Family) -> bool:

@@ -123,6 +123,10 @@ def header_names(lines: Sequence[str], dialect: Dialect, separator: str, path: P
             f"{path}: has no header in line {max(dialect.header)}; set `table.header`, which counts lines from 1"
         )
     rows = [split_line(uncommented(lines[k - 1], dialect.comment), separator) for k in sorted(dialect.header)]
+    if not any(cell for row in rows for cell in row):
+        raise MeasurementError(
+            f"{path}: line {max(dialect.header)} is empty; it should name the columns, or set `table.header`"
+        )
     return joined(rows)
 
 
