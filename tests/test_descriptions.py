@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import errno
 import importlib.util
 import os
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -223,6 +225,17 @@ def test_xacro_writes_nothing(tmp_path: Path) -> None:
     before = sorted(tmp_path.rglob("*"))
     read_urdf(path, arguments={"size": "1"})
     assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_the_process_that_expands_can_write_no_byte(tmp_path: Path) -> None:
+    """The attack: an expression got out after all."""
+    attack = (
+        "from aridcal.robot.expand import _within_limits; _within_limits(5)\n"
+        f"file = open({str(tmp_path / 'mark')!r}, 'w')\ntry:\n    file.write('x' * 10_000); file.flush()\n"
+        "except OSError as error:\n    print('refused', error.errno)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", attack], capture_output=True, text=True, check=False)
+    assert done.stdout == f"refused {errno.EFBIG}\n" and (tmp_path / "mark").stat().st_size == 0
 
 
 def test_without_the_extra_the_way_out_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
