@@ -48,6 +48,7 @@ SHOOT = $(CHROMIUM) --headless --no-sandbox --hide-scrollbars --use-angle=swifts
 	--virtual-time-budget=9000
 pictures:
 	$(SHOOT) --window-size=1200,620 --screenshot=docs/images/report.png file://$(CURDIR)/$(DEMO)/results/report.html
+	$(BIN)/python docs/loop.py
 	$(SHOOT) --window-size=1200,760 --screenshot=docs/images/scene.png file://$(CURDIR)/$(DEMO)/results/scene.html
 
 # The pages of docs/ as a site in build/site, notebooks run; it opens without a network.
