@@ -22,7 +22,7 @@ from aridcal.inputs.campaign import Campaign, load_campaign
 from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.read import load_measurements
 from aridcal.inputs.tables import AnyTable
-from aridcal.model.memory import Size, available_memory, check_memory
+from aridcal.model.memory import Size, available_memory, check_memory, give_back
 from aridcal.result.measuring_head import measuring_head
 from aridcal.result.outcome import Outcome, Stage, Verification
 from aridcal.result.verdict import Verdict, decide, row_clues
@@ -103,6 +103,7 @@ def identify(
         raise CampaignError(f"{campaign.path}: --verify needs a table of poses; `kind: camera_sonar` has shots")
     read = read_rows(campaign, robot, cache, seed, progress)
     campaign, rows = read.campaign, with_directions(read.rows)
+    give_back()
     still = _check_motion(campaign, rows)
     labels = station_labels(campaign, rows)
     check_memory(_size(campaign, robot, rows, labels), str(campaign.path), available_memory())
