@@ -207,8 +207,10 @@ def _loud_orders(q: np.ndarray, pull: np.ndarray, weight: float) -> list[float]:
     step = np.pi / (2 * np.ptp(q))
     orders = np.arange(1, SCANNED + 1) * step
     # Order a + b is that of a times that of b: a table of a few dozen waves makes all of them.
-    coarse = np.exp(1j * np.outer(np.arange(0, SCANNED, TABLE) * step, q))
-    fine = np.exp(1j * np.outer(np.arange(1, TABLE + 1) * step, q))
+    # They are powers of the first: products cost a fifth of so many sines and cosines.
+    fine = np.cumprod(np.tile(np.exp(1j * step * q), (TABLE, 1)), axis=0)
+    coarse = np.ones((len(range(0, SCANNED, TABLE)), len(q)), dtype=complex)
+    np.cumprod(np.tile(fine[-1], (len(coarse) - 1, 1)), axis=0, out=coarse[1:])
     seen = 2.0 * np.abs((coarse * pull) @ fine.T).ravel()[:SCANNED] ** 2 / weight
     peaks = np.flatnonzero((seen > np.roll(seen, 1)) & (seen > np.roll(seen, -1)) & (seen > LOUD))
     found = []
