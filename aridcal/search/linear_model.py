@@ -146,7 +146,11 @@ class LinearModel:
         asked = dict.fromkeys(c.basis for e in effects for c in e.coefficients)
         new = [basis for basis in asked if basis not in self.basis_index]
         phi = [self.phi, *(evaluate(basis, self.table)[:, None] for basis in new)]
-        return replace(self, bases=(*self.bases, *new), phi=np.hstack(phi))
+        made = replace(self, bases=(*self.bases, *new), phi=np.hstack(phi))
+        vars(made)["products"] = self.products.made_by(
+            made.flat_columns
+        )  # of the same columns: none is multiplied again
+        return made
 
     def moves(self, effect: Effect) -> bool:
         """True if each of its motions is seen at all: a turn of the target is not, where only positions are measured."""

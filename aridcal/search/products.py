@@ -136,6 +136,11 @@ class Products:
             for f in range(len(layout.starts) - 1)
         ])  # fmt: skip
 
+    def made_by(self, make: Make) -> Products:
+        """The same, columns made by a model that has further bases."""
+        self._make = make
+        return self
+
     def flat(self, effects: Sequence[Effect]) -> Flat:
         """Columns of effects side by side, in the order of the folds."""
         return self._make(effects, None)
