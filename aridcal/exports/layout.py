@@ -97,6 +97,8 @@ def _layout(lines: Sequence[str], separator: str) -> Layout | None:
         return None
     numeric = _numeric([split[k] for k in rows], width)
     first = rows[0]
+    while first and not commented[first - 1] and _is_broken_row(split[first - 1], numeric):
+        first -= 1
     comment = sorted(used) + _summaries(split, rows, numeric, first)
     header = _header(lines, split, commented, first, comment, separator, numeric, width)
     names = joined([split_line(uncommented(lines[k], comment), separator) for k in header]) if header else []
@@ -143,6 +145,11 @@ def _numeric(rows: Sequence[Sequence[str]], width: int) -> set[int]:
 def _is_row(cells: Sequence[str], numeric: set[int]) -> bool:
     """True of a line that has numbers, or nothing, where rows have numbers."""
     return sum(1 for k in numeric if not cells[k] or _weight(cells[k])) >= MOST * len(numeric)
+
+
+def _is_broken_row(cells: Sequence[str], numeric: set[int]) -> bool:
+    """True of a line that is no row, but for a cell too many or without a number: one of decimals, which no names are."""
+    return 2 * sum(1 for cell in cells if is_number(cell) and set(cell) & set(".,")) > len(numeric)
 
 
 def _refuse_second_header(
@@ -195,10 +202,12 @@ def _header(
                 break
             continue
         if len(cells) < 2 or len(cells) > width + 1:
-            if commented[k] and not above:
+            if not above:  # a remark between names and rows
                 continue
             break
         cells_of[k] = cells
+        if not above and not is_units(cells) and sum(map(bool, cells)) < len(numeric) / 2:
+            continue  # a remark between names and rows
         if is_units(cells) and not units:
             units.append(k)
         else:

@@ -99,7 +99,9 @@ def _samples(content: bytes, path: Path) -> Iterator[dict[str, Any]]:
                     )
                     for one in observations
                 ]
-            except (KeyError, TypeError, ValueError):
+                if len(joints) != len(states["name"]):
+                    raise ValueError("a joint twice")
+            except (KeyError, TypeError, ValueError, OverflowError):
                 raise MeasurementError(
                     f"{path}: sample {number} has no joint_states with name and position and observations with features, as "
                     "robot_calibration writes them; print the bag anew"

@@ -12,7 +12,7 @@ from aridcal.errors import AridcalError, MeasurementError
 from aridcal.exports import robot_calibration
 from aridcal.exports.sniffing import as_keys, look
 from aridcal.inputs.tables import AnyTable, check_ending
-from aridcal.prepare.guesses import Asker, Proposal, nobody
+from aridcal.prepare.guesses import Asker, Guess, Proposal, nobody
 from aridcal.prepare.orientation_columns import CLEAR
 from aridcal.reading import workbooks
 from aridcal.reading.dialect import PLAIN, Dialect
@@ -135,4 +135,4 @@ def say_table(dialect: Dialect, tables: Sequence[AnyTable], maker: str, why: str
     if keys or maker or workbook:
         said = [f"an export of {maker}"] if maker else []
         said += [_words(dialect, workbook), *([why] if why else [])]
-        made.say("measurements.table", keys or None, "; ".join(said))
+        made.guesses.insert(0, Guess("measurements.table", keys or None, "; ".join(said)))

@@ -258,6 +258,8 @@ def _in_seconds(cells: pa.Table, lines: np.ndarray, dates: Dates, path: Path) ->
     for k, row in enumerate(zip(*parts, strict=True)):
         text = " ".join(cell.strip() for cell in row if cell and cell.strip())
         value = seconds(text, dates.order) if text else None
+        if text == dates.name:  # the header again, in the middle of a log
+            text = ""
         if text and value is None:
             raise MeasurementError(
                 f"{path}, line {lines[k]}: column {dates.name!r}, {shortened(text)}: is no date or time in the order "
