@@ -108,10 +108,9 @@ def for_scripts(command: CommandParser, headline: bool = False) -> None:
 
 
 def screens(arguments: argparse.Namespace) -> tuple[Console, Console]:
-    """Where a command with these options prints its result, and where its progress and its remarks."""
-    return Console(quiet=arguments.quiet or getattr(arguments, "json", False)), Console(
-        stderr=True, quiet=arguments.quiet
-    )
+    """Where a command with these options prints its result, and where its progress and its remarks; a pipe gets whole lines."""
+    silent = arguments.quiet or getattr(arguments, "json", False)
+    return Console(quiet=silent, soft_wrap=not sys.stdout.isatty()), Console(stderr=True, quiet=arguments.quiet)
 
 
 def print_headline(arguments: argparse.Namespace, headline: Mapping[str, Any]) -> None:
