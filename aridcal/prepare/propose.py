@@ -356,8 +356,9 @@ def _named(sample: Sample, reading: Reading) -> list[tuple[str, str]]:
 
 def _units_in_words(reading: Reading) -> str:
     """Units of a way to read joints and positions."""
-    rails = "" if reading.travel == reading.length else f", rails in {reading.travel}"
-    return f"{reading.angle} and {reading.length}{rails}"
+    length, travel = ("inches" if u == "in" else u for u in (reading.length, reading.travel))
+    rails = "" if travel == length else f", rails in {travel}"
+    return f"{reading.angle} and {length}{rails}"
 
 
 def _why_units(best: Reading, near: Sequence[Reading], columns: Sequence[str]) -> str:
