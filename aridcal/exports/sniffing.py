@@ -180,12 +180,13 @@ def _lists(found: Layout) -> dict[str, tuple[str, ...]]:
             continue
         size = sizes.pop()
         about = name.lower()
+        named: tuple[str, ...] | None = None
         groups = [len(several(part, PLAIN)) for part in GROUP.findall(cells[0])]
         if groups[:2] == [3, 4]:  # RAPID's robtarget: place, orientation, axes' turns, other axes
             named = (*POSE_OF_SEVEN, *(f"{name} other {number}" for number in range(8, size + 1)))
         elif groups[:1] == [6] and len(groups) > 1:  # RAPID's jointtarget: the arm's axes, other axes
             named = (
-                *(f"{name} {number}" for number in range(1, 7)),
+                *(f"{name} axis {number}" for number in range(1, 7)),
                 *(f"{name} other {k}" for k in range(7, size + 1)),
             )
         elif "pose" in about or "tcp" in about or cells[0].lower().startswith("p"):

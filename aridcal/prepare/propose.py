@@ -128,8 +128,10 @@ def _joints(
     """
     names = [name for name in table.names if name]
     turned = {name for family in quaternions(names) if _is_quaternion(table, family) for name in family.columns}
-    without = [name for name in names if name not in turned]  # q1 … q4 may be a quaternion, beside joints
-    matches = {joints: match_joints(joints, without) or match_joints(joints, names) for joints in chains}
+    without = [
+        name for name in names if name not in turned
+    ]  # q1 … q4 may be a quaternion: no joints have norm 1 in all rows
+    matches = {joints: match_joints(joints, without) for joints in chains}
     longest = max(map(len, matches))
     found = {
         joints: match
