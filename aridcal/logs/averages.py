@@ -47,13 +47,17 @@ class Averages:
     usual: np.ndarray
 
 
-def averages(windows: list[slice], position: np.ndarray, quaternion: np.ndarray | None) -> Averages:
+def averages(
+    windows: list[slice], position: np.ndarray, quaternion: np.ndarray | None, step: np.ndarray | None = None
+) -> Averages:
     """Average samples over windows.
 
     Args:
         windows: Samples of each of K standstills; three at least.
         position: Shape (N, 3), [m].
         quaternion: x y z w, norm 1, shape (N, 4), or None.
+        step: To which the instrument rounds, for each column of std. Where that is more than its noise, no number of samples makes a
+            mean better than step / sqrt(12).
     """
     place = np.array([position[rows].mean(axis=0) for rows in windows])
     left = [position[rows] - mean for rows, mean in zip(windows, place, strict=True)]
@@ -69,7 +73,10 @@ def averages(windows: list[slice], position: np.ndarray, quaternion: np.ndarray 
     # a window's variance, as if its samples were as many as they are worth
     variance = np.array([(one**2).mean(axis=0) for one in left]) * worth / free
     shrunk, usual = _shrunk(variance, free)
-    return Averages(place, turned, np.sqrt(shrunk / worth), count, rho, np.sqrt(usual))
+    squared = shrunk / worth
+    if step is not None:
+        squared += np.where(usual < step**2, step**2 / 12, 0.0)
+    return Averages(place, turned, np.sqrt(squared), count, rho, np.sqrt(usual))
 
 
 def mean_rotation(quaternion: np.ndarray) -> np.ndarray:

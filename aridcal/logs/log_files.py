@@ -19,7 +19,7 @@ from aridcal.prepare.guesses import Asker
 from aridcal.prepare.orientation_columns import sensible
 from aridcal.robot.chain import Robot
 
-RATES = (0.5, 5000.0)
+RATES = (0.5, 2000.0)
 """Samples a second of what is called a log: slower ones miss whole moves, faster ones no instrument writes."""
 
 EPOCH_BEGINS = 1e8
@@ -147,7 +147,10 @@ def _clock(table: Table, dates: str | None, asker: Asker, which: str) -> tuple[s
     steps = np.diff(values[np.isfinite(values)])
     rising = steps[steps > 0]
     if not len(rising):
-        raise MeasurementError(f"{table.title}: column {column!r} does not rise; it should hold the time of each sample")
+        raise MeasurementError(
+            f"{table.title}: the numbers of column {column!r} do not rise; it should hold the time of each sample (of a DataFrame in "
+            "numbers, not as dates)"
+        )
     period, largest = float(np.median(rising)), float(np.nanmax(np.abs(values)))
     possible = [word for word in ("s", "ms", "us", "ns") if RATES[0] <= 1.0 / (period * TIMES[word]) <= RATES[1]]
     epoch = next((word for word, most in EPOCH.items() if largest < most), "ns")

@@ -9,19 +9,20 @@ import pandas as pd
 
 from aridcal.errors import MeasurementError
 from aridcal.inputs.orientations import QUATERNION
-from aridcal.inputs.quantities import POSITION, STD
+from aridcal.inputs.quantities import FINEST, POSITION, STD
 from aridcal.logs.alignment import Moves, improved, jump, placed, window_means
 from aridcal.logs.averages import Averages, averages
 from aridcal.logs.clocks import Candidate, Clocks, candidates
 from aridcal.logs.log import Log, seen
 from aridcal.logs.log_files import JointLog
 from aridcal.logs.pairs import FEWEST as FEWEST_SAMPLES
-from aridcal.logs.pairs import Pairs, pairs, settled, within
+from aridcal.logs.pairs import Pairs, pairs, resolution, settled, within
 from aridcal.logs.standstills import Standstills, limit_of, speeds, standstills
 from aridcal.logs.written_as import Tracked, in_si, tracked
+from aridcal.prepare.covariates import SAMPLES
 from aridcal.prepare.guesses import Asker
 from aridcal.prepare.orientation_columns import CLEAR
-from aridcal.prepare.propose import SAMPLE
+from aridcal.prepare.propose import SAMPLE, STRANGE_SHARE
 from aridcal.prepare.units_and_angles import Sample, readings
 from aridcal.robot.chain import Robot
 from aridcal.robot.kinematics import tip_frames
@@ -32,14 +33,20 @@ FEWEST = 6
 MANY = 0.5
 """Of two offsets that of which fewer than this share of the other's standstills pair is no rival: few fit anything."""
 
+SHOWN_OFFSETS = 5
+"""Offsets that a message names."""
+
+SAME = 1.5
+"""Offsets that are nearer are one, [s]: candidates are a cell of their grid wide, and drifts blur them."""
+
 ROUNDS = 12
 """Of the alignment; it is done when clocks move by less than :data:`ENOUGH` anywhere in the log."""
 
 ENOUGH = 1e-5
 """[s]: a target at 1 m/s moves by 10 micrometres in it."""
 
-TIME, COUNT = "time", "n"
-"""Columns of a row beside joints and pose: by the joints' clock, and samples of the tracker behind it."""
+TIME = "time"
+"""Column of a row's time, by the joints' clock."""
 
 
 @dataclass(frozen=True)
@@ -153,7 +160,7 @@ def merged(robot: Robot, joints: JointLog, tracker: Log, places: tuple[tuple[str
         raise _too_few(joints.log, si.log, len(found))
     mean = window_means(joints.log, q, clocks.joints(found.begin), clocks.joints(found.end))
     windows = [within(si.log.time, a, b) for a, b in zip(found.begin, found.end, strict=True)]
-    average = averages(windows, si.position, si.quaternion)
+    average = averages(windows, si.position, si.quaternion, _steps(si))
     _, off = placed(robot, mean, average.position)
     table = _table(robot, mean, average, clocks.joints(0.5 * (found.begin + found.end)))
     alone = _alone(clocks, joints.log, still, si.log, seen_still, wide)
@@ -223,17 +230,23 @@ def _best(
     fullest = max(len(one.found) for one, _ in judged)
     rivals = [one for one in judged if len(one[0].found) >= MANY * fullest]
     best = min(rivals, key=lambda one: one[0].share)
+    if best[0].share > STRANGE_SHARE:
+        raise MeasurementError(
+            f"{joints.log.title} and {tracker.title}: at the offset of the clocks at which they agree best the nominal robot misses the "
+            f"targets by {100 * best[0].share:.2g} % of their spread. Check that both logs are of one motion, that the URDF is this robot's, "
+            "each joint's column and sign, and that neither tracker nor target was moved in between"
+        )
     apart = [
         one for one, _ in judged
-        if abs(one.candidate.clocks.offset - best[0].candidate.clocks.offset) > 1.0
+        if abs(one.candidate.clocks.offset - best[0].candidate.clocks.offset) > SAME
         and one.share <= CLEAR * best[0].share
         and len(one.found) >= MANY * len(best[0].found)
     ]  # fmt: skip
     if apart:
-        offsets = sorted([best[0].candidate.clocks.offset, *(one.candidate.clocks.offset for one in apart)])
-        said = ", ".join(f"{offset:.1f}" for offset in offsets[:5])
+        offsets = sorted({round(one.candidate.clocks.offset) for one in (best[0], *apart)})
+        said = ", ".join(map(str, offsets[:SHOWN_OFFSETS])) + (" …" if len(offsets) > SHOWN_OFFSETS else "")
         raise MeasurementError(
-            f"{joints.log.title} and {tracker.title}: fit with the clocks {said} s apart alike: the program repeats itself, and nothing "
+            f"{joints.log.title} and {tracker.title}: fit as well with the clocks about {said} s apart: the program repeats itself, and nothing "
             "tells which round is which; or a clock jumped. Log from before the first move until after the last, or begin with one "
             "move that is not repeated"
         )
@@ -264,18 +277,26 @@ def _aligned(
     return clocks, moves
 
 
+def _steps(si: Tracked) -> np.ndarray:
+    """To what the tracker rounds positions [m] and rotations [rad]; a quaternion's numbers change by half an angle."""
+    steps = resolution(si.position)
+    if si.quaternion is None:
+        return steps
+    return np.r_[steps, np.repeat(2.0 * resolution(si.quaternion).max(), 3)]
+
+
 def _table(robot: Robot, q: np.ndarray, average: Averages, time: np.ndarray) -> pd.DataFrame:
     """Rows in the order of time."""
-    clash = sorted(set(robot.readings) & {*POSITION, *QUATERNION, *STD, TIME, COUNT})
+    clash = sorted(set(robot.readings) & {*POSITION, *QUATERNION, *STD, TIME, SAMPLES})
     if clash:
         raise MeasurementError(f"{robot.path.name}: a joint is called {clash[0]!r}, as a column of the table is; rename it")
     columns: dict[str, np.ndarray] = {name: q[:, k] for k, name in enumerate(robot.readings)}
     columns |= dict(zip(POSITION, average.position.T, strict=True))
     if average.quaternion is not None:
         columns |= dict(zip(QUATERNION, average.quaternion.T, strict=True))
-    if (average.std > 0).all() and np.all(average.usual > 0):  # of an instrument that rounds its noise away nothing is known
+    if (average.std > FINEST).all():  # of an instrument that rounds its noise away nothing is known
         columns |= dict(zip(STD, average.std.T, strict=False))
-    columns |= {TIME: time, COUNT: average.count}
+    columns |= {TIME: time, SAMPLES: average.count}
     return pd.DataFrame(columns)
 
 

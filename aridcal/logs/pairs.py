@@ -98,23 +98,36 @@ def settled(found: Pairs, tracker: Log, places: np.ndarray) -> tuple[Pairs, np.n
         The windows, later where needed, and which are settled at their end, shape (K,) bool.
     """
     begin, good = found.begin.copy(), np.ones(len(found), dtype=bool)
-    for k in range(len(found)):
-        while True:
-            rows = within(tracker.time, begin[k], found.end[k])
-            x = places[rows]
-            third = len(x) // 3
-            if third < 2:
-                good[k] = rows.stop - rows.start >= FEWEST and good[k]
+    windows = [within(tracker.time, a, b) for a, b in zip(found.begin, found.end, strict=True)]
+    # a window of ten samples knows its own scatter badly: the usual one counts where it is larger
+    usual = np.median([_scatter(places[rows]) for rows in windows], axis=0)
+    usual = np.maximum(usual, resolution(places))
+    for k, rows in enumerate(windows):
+        first = rows.start
+        while (third := (rows.stop - first) // 3) >= 2:
+            x, rest = places[first : first + third], places[first + third : rows.stop]
+            sigma = np.maximum(_scatter(rest), usual) * np.sqrt(1 / len(x) + 1 / len(rest))
+            if np.all(np.abs(x.mean(axis=0) - rest.mean(axis=0)) <= STAYS * sigma):
                 break
-            rest = x[third:]
-            # the scatter about a line of the rest, lest creep hides itself in it
-            line = np.arange(len(rest)) - 0.5 * (len(rest) - 1)
-            slope = line @ (rest - rest.mean(axis=0)) / (line @ line)
-            left = rest - rest.mean(axis=0) - line[:, None] * slope
-            sigma = np.sqrt((left**2).sum(axis=0) / max(len(rest) - 2, 1) * (1 / third + 1 / len(rest)))
-            off = np.abs(x[:third].mean(axis=0) - rest.mean(axis=0))
-            if np.all(off <= STAYS * sigma + 1e-12):
-                break
-            begin[k] = tracker.time[rows][third]
-            good[k] = len(rest) // 3 >= 2  # else what is left cannot show that it stands
+            first += third
+            good[k] = len(rest) >= 6  # else what is left cannot show that it stands
+        good[k] &= rows.stop - first >= FEWEST
+        begin[k] = tracker.time[first]
     return Pairs(found.joints, found.tracker, begin, found.end), good
+
+
+def _scatter(x: np.ndarray) -> np.ndarray:
+    """Sigma of samples (n, 3) about a straight line through them: creep must not hide itself in it; shape (3,)."""
+    if len(x) < 3:
+        return np.zeros(x.shape[1])
+    line = np.arange(len(x)) - 0.5 * (len(x) - 1)
+    left = x - x.mean(axis=0)
+    left = left - line[:, None] * ((line @ left) / (line @ line))
+    return np.asarray(np.sqrt((left**2).sum(axis=0) / (len(x) - 2)))
+
+
+def resolution(values: np.ndarray) -> np.ndarray:
+    """The smallest step between samples (N, C), shape (C,): that to which an instrument rounds; 0 where nothing changes."""
+    steps = np.abs(np.diff(values, axis=0))
+    least = np.where(steps > 0, steps, np.inf).min(axis=0)
+    return np.where(np.isfinite(least), least, 0.0)
