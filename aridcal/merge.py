@@ -73,10 +73,8 @@ def joined(
         if not bags.is_bag(joints):
             raise AridcalError(f"{joints}: is one table; name the tracker's log after it, or a bag that has both")
         tracker = joints
-    if bags.is_bag(joints):
-        read = bags.joint_log(Path(str(joints)), robot)
-    else:
-        read = log_files.joint_log(joints, robot, asker)
+    is_bag = bags.is_bag(joints)
+    read = bags.joint_log(Path(str(joints)), robot) if is_bag else log_files.joint_log(joints, robot, asker)
     if bags.is_bag(tracker):
         links = frozenset(read_tree(robot.urdf, robot.path).links)
         measured, places = bags.tracker_log(Path(str(tracker)), links, asker)
@@ -102,8 +100,8 @@ def merge(
         answers: Numbers of answers to questions that were asked before: ``{"tracker.time": 2}``.
 
     Returns:
-        A row for each standstill that both have, SI: joints, ``x y z`` and, where measured, ``qx qy qz qw``, ``std_*`` of these means,
-        ``time`` by the joints' clock, and ``n``, the tracker's samples behind it.
+        A row for each standstill that both have, SI: joints, ``x y z`` and, where measured, ``qx qy qz qw``, ``std_*`` of these
+        means, ``time`` by the joints' clock, and ``n``, the tracker's samples behind it.
 
     Raises:
         AridcalError: the logs cannot be read or joined; saying why.
@@ -144,7 +142,8 @@ def parser() -> CommandParser:
         "--out",
         type=path_argument,
         default=Path("measurements.csv"),
-        help="where to write the table, .csv (default: measurements.csv, here); a page of the same name (.html) is written beside it",
+        help="where to write the table, .csv (default: measurements.csv, here); a page of the same name (.html) is "
+        "written beside it",
     )
     return arguments
 

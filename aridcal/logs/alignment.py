@@ -131,9 +131,7 @@ def improved(
         MeasurementError: too few moves tell anything.
     """
     begin, end = clocks.joints(found.begin), clocks.joints(found.end)
-    frames, off = placed(
-        robot, window_means(joints, q, begin, end), window_means(tracker, m, found.begin, found.end)
-    )
+    frames, off = placed(robot, window_means(joints, q, begin, end), window_means(tracker, m, found.begin, found.end))
     rows, share, move = _samples(tracker, found)
     step = max(joints.period, 1e-3)
     at = clocks.joints(tracker.time[rows])

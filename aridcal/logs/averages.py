@@ -56,8 +56,8 @@ def averages(
         windows: Samples of each of K standstills; three at least.
         position: Shape (N, 3), [m].
         quaternion: x y z w, norm 1, shape (N, 4), or None.
-        step: To which the instrument rounds, for each column of std. Where that is more than its noise, no number of samples makes a
-            mean better than step / sqrt(12).
+        step: To which the instrument rounds, for each column of std. Where that is more than its noise, no number of samples
+            makes a mean better than step / sqrt(12).
     """
     place = np.array([position[rows].mean(axis=0) for rows in windows])
     left = [position[rows] - mean for rows, mean in zip(windows, place, strict=True)]

@@ -49,7 +49,9 @@ def _opened(path: Path) -> AnyReader:
         MeasurementError: it is none, or what reads it is not installed.
     """
     if find_spec("rosbags") is None:
-        raise MeasurementError(f'{path}: is a bag of ROS: `pip install "aridcal[ros]"` for it to be read, or export tables of it')
+        raise MeasurementError(
+            f'{path}: is a bag of ROS: `pip install "aridcal[ros]"` for it to be read, or export tables of it'
+        )
     from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_typestore
 
@@ -121,7 +123,8 @@ def joint_log(path: Path, robot: Robot) -> JointLog:
         lacking = [name for name in robot.readings if name not in seen]
         there = f"; its joints are {listed(sorted(seen))}" if seen else "; it has no messages of that kind"
         raise MeasurementError(
-            f"{path}: no JointState has positions of all joints of the chain ({listed(lacking or list(robot.readings))} lacking in "
+            f"{path}: no JointState has positions of all joints of the chain "
+            f"({listed(lacking or list(robot.readings))} lacking in "
             f"some){there}. Record /joint_states of this robot, or choose the --tip whose chain it is"
         )
     topic = max(rows, key=lambda name: len(rows[name]))
@@ -169,7 +172,11 @@ def tracker_log(path: Path, links: frozenset[str], asker: Asker) -> tuple[Log, t
             "what the tracker publishes, or name its log after the bag"
         )
     names = sorted(moving, key=lambda name: -len(moving[name]))
-    k = asker.pick("target", f"{path.name}: which is the measured target", names, "more than one moves") if len(names) > 1 else 0
+    k = (
+        asker.pick("target", f"{path.name}: which is the measured target", names, "more than one moves")
+        if len(names) > 1
+        else 0
+    )
     columns = (*POSITION, *QUATERNION) if len(moving[names[k]][0]) == 8 else POSITION
     log = _made(f"{path.name}:{names[k]}", columns, moving[names[k]], arrivals[names[k]])
     return log, (POSITION,)

@@ -88,12 +88,15 @@ def cells(time: np.ndarray, values: np.ndarray, step: float, title: str) -> np.n
     if index[-1] > MOST_CELLS:
         k = int(np.argmax(np.diff(time)))
         raise MeasurementError(
-            f"{title}: lasts {time[-1] - time[0]:.4g} s, {np.diff(time)[k]:.4g} s of them between two samples, after {time[k]:.10g} s. "
+            f"{title}: lasts {time[-1] - time[0]:.4g} s, {np.diff(time)[k]:.4g} s of them between two samples, "
+            f"after {time[k]:.10g} s. "
             "If its clock jumped there, cut the log and merge each part by itself"
         )
     count = np.bincount(index)
     with np.errstate(invalid="ignore", divide="ignore"):
-        means = [np.bincount(index, column) / count for column in np.column_stack([time - time[0], values - values[0]]).T]
+        means = [
+            np.bincount(index, column) / count for column in np.column_stack([time - time[0], values - values[0]]).T
+        ]
     moved = np.diff(np.array(means), axis=1)
     return np.asarray(np.linalg.norm(moved[1:], axis=0) / moved[0])
 

@@ -85,7 +85,8 @@ def in_order(log: Log, line: np.ndarray) -> Log:
     if back[worst] > JITTER * float(np.median(rising)):
         first = int(np.argmax(back > JITTER * float(np.median(rising))))
         raise MeasurementError(
-            f"{log.title}, line {line[first]}: the clock is set back by {back[first]:.3g} s. Cut the log there, and merge each part "
+            f"{log.title}, line {line[first]}: the clock is set back by {back[first]:.3g} s. Cut the log there, "
+            "and merge each part "
             "by itself"
         )
     order = np.argsort(log.time, kind="stable")
@@ -98,7 +99,8 @@ def in_order(log: Log, line: np.ndarray) -> Log:
 def _enough(log: Log) -> None:
     if len(log.time) < FEWEST:
         raise MeasurementError(
-            f"{log.title}: {len(log.time)} samples with time and numbers; {FEWEST} are the least. A log holds the whole motion, some "
+            f"{log.title}: {len(log.time)} samples with time and numbers; {FEWEST} are the least. A log holds the "
+            "whole motion, some "
             "samples a second; a table of poses that are measured already needs `aridcal init`"
         )
 

@@ -51,9 +51,11 @@ def read_table(source: AnyTable, asker: Asker, which: str) -> tuple[Table, str |
     """
     dialects, _ = dialects_of([source], asker)
     words = [f"decimal {'point' if one.decimal == '.' else 'comma'}, thousands {one.thousands!r}" for one in dialects]
-    k = asker.pick(f"{which}.decimal", f"{_title(source)}: how are numbers written", words, "more than one may be") if len(
-        dialects
-    ) > 1 else 0
+    k = (
+        asker.pick(f"{which}.decimal", f"{_title(source)}: how are numbers written", words, "more than one may be")
+        if len(dialects) > 1
+        else 0
+    )
     table = read_tables([source], None, dialect=dialects[k])
     return table, dialects[k].dates.name if dialects[k].dates else None
 
@@ -77,8 +79,12 @@ def joint_log(source: AnyTable, robot: Robot, asker: Asker) -> JointLog:
     columns = [match[0][joint] for joint in robot.readings]
     values = sensible(table, columns)
     log = _complete(Log(table.title, seconds, robot.readings, values), table)
-    notes = (f"{table.title}: joints by their ORDER along the chain: {', '.join(columns)}",) if match[1] == "order" else ()
-    return JointLog(Log(log.title, log.time, log.columns, log.values, (*notes, *log.notes)), _units(log, columns, robot))
+    notes = (
+        (f"{table.title}: joints by their ORDER along the chain: {', '.join(columns)}",) if match[1] == "order" else ()
+    )
+    return JointLog(
+        Log(log.title, log.time, log.columns, log.values, (*notes, *log.notes)), _units(log, columns, robot)
+    )
 
 
 def tracker_log(source: AnyTable, robot: Robot, asker: Asker) -> tuple[Log, tuple[tuple[str, ...], ...]]:
@@ -148,7 +154,8 @@ def _clock(table: Table, dates: str | None, asker: Asker, which: str) -> tuple[s
     rising = steps[steps > 0]
     if not len(rising):
         raise MeasurementError(
-            f"{table.title}: the numbers of column {column!r} do not rise; it should hold the time of each sample (of a DataFrame in "
+            f"{table.title}: the numbers of column {column!r} do not rise; it should hold the time of each sample "
+            "(of a DataFrame in "
             "numbers, not as dates)"
         )
     period, largest = float(np.median(rising)), float(np.nanmax(np.abs(values)))

@@ -146,8 +146,10 @@ def merged(robot: Robot, joints: JointLog, tracker: Log, places: tuple[tuple[str
     late = jump(moves)
     if late is not None:
         raise MeasurementError(
-            f"{si.log.title}: from {late[0]:.3f} s of its clock on everything is {abs(late[1]):.3g} s {'later' if late[1] > 0 else 'earlier'} "
-            "by the joints' clock than before: one of the clocks was set in between. Cut both logs there, and merge each part by itself"
+            f"{si.log.title}: from {late[0]:.3f} s of its clock on everything is {abs(late[1]):.3g} s "
+            f"{'later' if late[1] > 0 else 'earlier'} "
+            "by the joints' clock than before: one of the clocks was set in between. Cut both logs there, and "
+            "merge each part by itself"
         )
     wide = pairs(clocks, joints.log, still, si.log, seen_still)
     found, good = settled(wide, si.log, si.position)
@@ -223,7 +225,8 @@ def _best(
     if not judged:
         if not tried:
             raise MeasurementError(
-                f"{joints.log.title} and {tracker.title}: at no offset of the clocks are the speeds of the nominal tip and of the target "
+                f"{joints.log.title} and {tracker.title}: at no offset of the clocks are the speeds of the nominal "
+                "tip and of the target "
                 "alike for 20 s. Check that both are of one motion, and that the URDF is this robot's"
             )
         raise _too_few(joints.log, tracker, most)
@@ -232,8 +235,10 @@ def _best(
     best = min(rivals, key=lambda one: one[0].share)
     if best[0].share > STRANGE_SHARE:
         raise MeasurementError(
-            f"{joints.log.title} and {tracker.title}: at the offset of the clocks at which they agree best the nominal robot misses the "
-            f"targets by {100 * best[0].share:.2g} % of their spread. Check that both logs are of one motion, that the URDF is this robot's, "
+            f"{joints.log.title} and {tracker.title}: at the offset of the clocks at which they agree best the "
+            "nominal robot misses the "
+            f"targets by {100 * best[0].share:.2g} % of their spread. Check that both logs are of one motion, that "
+            "the URDF is this robot's, "
             "each joint's column and sign, and that neither tracker nor target was moved in between"
         )
     apart = [
@@ -246,8 +251,10 @@ def _best(
         offsets = sorted({round(one.candidate.clocks.offset) for one in (best[0], *apart)})
         said = ", ".join(map(str, offsets[:SHOWN_OFFSETS])) + (" …" if len(offsets) > SHOWN_OFFSETS else "")
         raise MeasurementError(
-            f"{joints.log.title} and {tracker.title}: fit as well with the clocks about {said} s apart: the program repeats itself, and nothing "
-            "tells which round is which; or a clock jumped. Log from before the first move until after the last, or begin with one "
+            f"{joints.log.title} and {tracker.title}: fit as well with the clocks about {said} s apart: the "
+            "program repeats itself, and nothing "
+            "tells which round is which; or a clock jumped. Log from before the first move until after the last, "
+            "or begin with one "
             "move that is not repeated"
         )
     return best
@@ -255,7 +262,8 @@ def _best(
 
 def _too_few(joints: Log, tracker: Log, count: int) -> MeasurementError:
     return MeasurementError(
-        f"{joints.title} and {tracker.title}: share {count} standstills, {FEWEST} are the least. Check that both logs are of one motion, "
+        f"{joints.title} and {tracker.title}: share {count} standstills, {FEWEST} are the least. Check that both "
+        "logs are of one motion, "
         "and let the robot stand for two seconds at each pose"
     )
 
@@ -289,7 +297,9 @@ def _table(robot: Robot, q: np.ndarray, average: Averages, time: np.ndarray) -> 
     """Rows in the order of time."""
     clash = sorted(set(robot.readings) & {*POSITION, *QUATERNION, *STD, TIME, SAMPLES})
     if clash:
-        raise MeasurementError(f"{robot.path.name}: a joint is called {clash[0]!r}, as a column of the table is; rename it")
+        raise MeasurementError(
+            f"{robot.path.name}: a joint is called {clash[0]!r}, as a column of the table is; rename it"
+        )
     columns: dict[str, np.ndarray] = {name: q[:, k] for k, name in enumerate(robot.readings)}
     columns |= dict(zip(POSITION, average.position.T, strict=True))
     if average.quaternion is not None:

@@ -43,6 +43,8 @@ POINTS = 1500
 HEIGHT, LANE = 210.0, 11.0
 """Of a figure, and of one lane of standstills in it, in units of its `viewBox`."""
 
+OFF = "Measured minus nominal at each row, base and target fitted: the robot's errors, no error of this table"
+
 LISTED = 40
 """Standstills without a row that the page lists."""
 
@@ -70,8 +72,10 @@ def merge_page(found: Merged, names: tuple[str, str], out: Path) -> Html:
                 tag("h2", "What was paired"),
                 tag(
                     "p",
-                    "Speeds of the nominal tip (joints) and of the measured target (tracker), both by the joints' clock. They need not be "
-                    "equal, for the target is not at the tip: they begin and end together. The bars below are standstills of each log "
+                    "Speeds of the nominal tip (joints) and of the measured target (tracker), both by the joints' "
+                    "clock. They need not be "
+                    "equal, for the target is not at the tip: they begin and end together. The bars below are "
+                    "standstills of each log "
                     "and, between them, the windows whose samples make a row.",
                 ),
                 figures(_stretches(found)),
@@ -81,12 +85,13 @@ def merge_page(found: Merged, names: tuple[str, str], out: Path) -> Html:
                 tag("h2", "How well the clocks are known"),
                 tag(
                     "p",
-                    "Each move says by itself how late one clock is; offset and drift are a robust line through all. Points that lie in two "
+                    "Each move says by itself how late one clock is; offset and drift are a robust line through "
+                    "all. Points that lie in two "
                     "steps are a clock that was set, a bow is a clock that warms up.",
                 ),
                 figures([("What each move says beyond offset and drift", _late("late", "Residual offset of each move", found))]),
             ),
-            tag("section", tag("h2", "Rows beside the nominal robot"), figures([("Measured minus nominal at each row, base and target fitted: the robot's errors, no error of this table", _off("off", "Distance from the nominal robot at each row", found))])),
+            tag("section", tag("h2", "Rows beside the nominal robot"), figures([(OFF, _off("off", OFF, found))])),
             tag("section", tag("h2", "Standstills without a row"), _unpaired(found)),
         ),
         tag("footer", f"aridcal {__version__} · clocks at {number(float(middle), 6)} s of the tracker's"),
@@ -101,7 +106,8 @@ def lines(found: Merged) -> list[str]:
     drift, drift_sigma = 1e6 * clocks.drift, 1e6 * float(np.sqrt(clocks.covariance[1, 1]))
     samples = found.averages.count
     made = [
-        f"joints' clock = tracker's + {clocks.offset:.5f} s at {clocks.middle:.3f} s, drift {drift:.2f} ± {drift_sigma:.2g} ppm; known to "
+        f"joints' clock = tracker's + {clocks.offset:.5f} s at {clocks.middle:.3f} s, drift {drift:.2f} ± "
+        f"{drift_sigma:.2g} ppm; known to "
         f"{sigma:.2g} ms (1 sigma) in the whole log, from {len(found.moves.late)} moves",
         f"{len(found.table)} rows of {samples.min()} to {samples.max()} samples; scatter of one sample "
         f"{' '.join(number(1e3 * float(v)) for v in found.averages.usual[:3])} mm in x y z"
@@ -126,7 +132,10 @@ def _stretches(found: Merged) -> list[tuple[Content, Html]]:
     count = STRETCHES if last - first > STRETCHES * EACH else max(1, int(np.ceil((last - first) / EACH)))
     begins = np.linspace(first, last - each, count)
     return [
-        (f"{a:.1f} to {a + each:.1f} s", _speeds(f"speeds{k}", "Speeds in both logs over time", found, float(a), float(a + each)))
+        (
+            f"{a:.1f} to {a + each:.1f} s",
+            _speeds(f"speeds{k}", "Speeds in both logs over time", found, float(a), float(a + each)),
+        )
         for k, a in enumerate(begins.tolist())
     ]
 
@@ -141,7 +150,11 @@ def _speeds(key: str, alt: str, found: Merged, begin: float, end: float) -> str:
         _thinned(t, speeds(si.log, si.position), begin, end),
     ]
     top = max((float(np.nanmax(v)) for _, v in curves if np.isfinite(v).any()), default=1.0)
-    entries = [Named("joints (nominal tip)", AFTER, "line"), Named("tracker", BEFORE, "line"), Named("row", GREY, "box")]
+    entries = [
+        Named("joints (nominal tip)", AFTER, "line"),
+        Named("tracker", BEFORE, "line"),
+        Named("row", GREY, "box"),
+    ]
     y = Scale(0.0, 1.05 * max(top, 1e-9))
     left = 2 * LINE + room_for(y, TICKS[1]) - 8
     head, high = legend(entries, left, WIDE)
@@ -197,7 +210,9 @@ def _late(key: str, alt: str, found: Merged) -> str:
 @drawn_or_missing
 def _off(key: str, alt: str, found: Merged) -> str:
     """Distance from the nominal robot at each row."""
-    return _points(key, alt, found.table["time"].to_numpy(), 1e3 * np.linalg.norm(found.off, axis=1), "distance [mm]", False)
+    return _points(
+        key, alt, found.table["time"].to_numpy(), 1e3 * np.linalg.norm(found.off, axis=1), "distance [mm]", False
+    )
 
 
 def _unpaired(found: Merged) -> Content:

@@ -16,8 +16,8 @@ SURE = 3.0
 FEWEST = 3
 """Samples of the tracker that a row rests on at least."""
 
-STAYS = 5.0
-"""Times its own sigma by which the mean of a standstill's first third may be off the rest. More is an arm, or an instrument,
+STAYS = 3.5
+"""Times its sigma by which the mean of a standstill's first third may be off the rest. More is an arm, or an instrument,
 that still settles: that third is dropped."""
 
 

@@ -70,7 +70,9 @@ def speeds(log: Log, values: np.ndarray) -> np.ndarray:
     t, span, n = log.time, span_of(log), np.arange(len(log.time))
     first = np.searchsorted(t, t - span, "left")
     last = np.searchsorted(t, t + span, "right")
-    sums = np.vstack([np.zeros(values.shape[1] + 1), np.cumsum(np.column_stack([t - t[0], values - values[0]]), axis=0)])
+    sums = np.vstack(
+        [np.zeros(values.shape[1] + 1), np.cumsum(np.column_stack([t - t[0], values - values[0]]), axis=0)]
+    )
     before = (sums[n + 1] - sums[first]) / (n + 1 - first)[:, None]
     after = (sums[last] - sums[n]) / (last - n)[:, None]
     moved = after - before
@@ -109,7 +111,8 @@ def limit_of(speed: np.ndarray, title: str) -> float:
     if motion < APART * max(quiet, SLOWEST * top):
         raise MeasurementError(
             f"{title}: nothing that moves can be told from standstills: the faster part of its speeds is only "
-            f"{motion / max(quiet, SLOWEST * top):.2g} times the slower one. The robot has to stand for a second or more between moves"
+            f"{motion / max(quiet, SLOWEST * top):.2g} times the slower one. The robot has to stand for a second "
+            "or more between moves"
         )
     return max(ABOVE * quiet, SLOWEST * motion)
 

@@ -63,12 +63,20 @@ def tracked(robot: Robot, q: np.ndarray, tracker: Log, rows: np.ndarray, asker: 
         raise MeasurementError(str(problem).replace("DataFrame", tracker.title)) from None
     said = {guess.key: guess.value for guess in proposal.guesses}
     if said.get("measurements.kind") not in ("pose", "position"):
-        raise MeasurementError(f"{tracker.title}: holds no positions of a target; merge joins joints and positions or poses")
-    if proposal.fit is None or proposal.fit[1] > STRANGE_SHARE:
-        off = "" if proposal.fit is None else f" by {1e3 * proposal.fit[0]:.3g} mm, {100 * proposal.fit[1]:.2g} % of their spread"
         raise MeasurementError(
-            f"{tracker.title}: at the standstills that fit best in time the nominal robot misses the targets{off}. Check that the URDF "
-            "is this robot's, each joint's column and sign, that neither tracker nor target was moved, and that both logs are of one "
+            f"{tracker.title}: holds no positions of a target; merge joins joints and positions or poses"
+        )
+    if proposal.fit is None or proposal.fit[1] > STRANGE_SHARE:
+        off = (
+            ""
+            if proposal.fit is None
+            else f" by {1e3 * proposal.fit[0]:.3g} mm, {100 * proposal.fit[1]:.2g} % of their spread"
+        )
+        raise MeasurementError(
+            f"{tracker.title}: at the standstills that fit best in time the nominal robot misses the targets{off}. "
+            "Check that the URDF "
+            "is this robot's, each joint's column and sign, that neither tracker nor target was moved, and that "
+            "both logs are of one "
             "motion"
         )
     renamed = {name: said[key] for name in (*POSITION, *QUATERNION) if said.get(key := f"measurements.columns.{name}")}
@@ -106,7 +114,9 @@ def _rotations(log: Log, columns: tuple[str, ...], settings: MeasurementSettings
     try:
         return log, np.asarray(turned(cells * scales, settings).as_quat())
     except ValueError as problem:
-        raise AridcalError(f"{log.title}: {' '.join(columns)} are no rotations: {problem}. Mend or delete them") from None
+        raise AridcalError(
+            f"{log.title}: {' '.join(columns)} are no rotations: {problem}. Mend or delete them"
+        ) from None
 
 
 def in_si(units: tuple[str, ...], values: np.ndarray) -> np.ndarray:

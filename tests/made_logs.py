@@ -64,7 +64,8 @@ def made(
     stops = rng.uniform(limits[:, 0], limits[:, 1], (n, len(limits))) if stops is None else stops
     n = len(stops)
     stay = rng.uniform(2.0, 4.0, n) if stay is None else stay
-    move = rng.uniform(1.0, 3.0, n - 1) if move is None else move
+    if move is None:  # the fastest joint at up to 1 rad/s: 15/8 of the mean speed
+        move = 0.5 + 1.875 * np.abs(np.diff(stops, axis=0)).max(axis=1)
     lasts = ends[0] + stay.sum() + move.sum() + ends[1]
     t_joints = np.arange(0.0, lasts, 1 / rates[0])
     true = np.arange(0.0, lasts, 1 / rates[1]) + 0.3 / rates[1]
@@ -83,12 +84,13 @@ def made(
     place, turn = pose(motion(stops, stay, move, ends[0], true))
     place = place + noise[0] * rng.normal(size=place.shape)
     turn = Rotation.from_rotvec(noise[1] * rng.normal(size=place.shape)) * turn
-    clock = (true - offset) / 1.0
-    start = float(clock[0])
-    clock = start + (clock - start) / (1.0 + drift)
+    start = float(true[0] - offset)
+    clock = start + (true - true[0]) / (1.0 + drift)
     table = pd.DataFrame(joints, columns=list(robot.readings))
     table.insert(0, "time", t_joints)
-    tracker = pd.DataFrame(np.column_stack([clock, place, turn.as_quat()]), columns=["time", *"xyz", "qx", "qy", "qz", "qw"])
+    tracker = pd.DataFrame(
+        np.column_stack([clock, place, turn.as_quat()]), columns=["time", *"xyz", "qx", "qy", "qz", "qw"]
+    )
     exact, rotation = pose(stops)
     arrived = ends[0] + np.cumsum(np.r_[0.0, stay[:-1] + move])
     return Made(table, tracker, stops, exact, rotation.as_matrix(), arrived, arrived + stay, offset, drift, start)
