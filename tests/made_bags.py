@@ -22,7 +22,7 @@ def _header(store: Typestore, seconds: float, ros1: bool) -> object:
 def write_bag(
     path: Path, joints: pd.DataFrame, tracker: pd.DataFrame, how: str, as_tf: bool = False, also: str = ""
 ) -> None:
-    """Write both logs; ``how`` is ``ros1``, ``mcap`` or ``sqlite3``, ``also`` another frame in /tf (of which ROS 1 has no type here)."""
+    """Write both logs; ``how`` is ``ros1``, ``mcap`` or ``sqlite3``, ``also`` another frame in /tf."""
     ros1 = how == "ros1"
     store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
     T = store.types

@@ -98,15 +98,16 @@ def _turns(quaternion: np.ndarray, mean: np.ndarray) -> np.ndarray:
 
 
 def _correlation(left: list[np.ndarray], count: np.ndarray) -> np.ndarray:
-    """Correlation of neighbours, pooled over windows, for each column; what centring takes away is put back.
+    """Correlation of neighbours, pooled over windows, for each column.
 
-    About its own mean, the expected product of neighbours of white noise is -1/n of the variance.
+    Samples about their own mean make it smaller by (1 + 3 rho) / n (Kendall 1954), which is put back.
     """
     products = np.sum([(one[1:] * one[:-1]).sum(axis=0) for one in left], axis=0)
     squares = np.sum([(one**2).sum(axis=0) for one in left], axis=0)
     pairs = float(np.sum(count - 1))
     rho = np.where(squares > 0, products / np.where(squares > 0, squares, 1.0), 0.0) * float(count.sum()) / pairs
-    rho = rho + (1.0 + rho) / float(np.mean(count))  # E = rho - (1 + rho) / n, to first order
+    n = max(float(len(count) / np.sum(1.0 / count)), 6.0)
+    rho = (rho + 1.0 / n) / (1.0 - 3.0 / n)
     return np.asarray(np.clip(rho, 0.0, MOST_CORRELATED))
 
 

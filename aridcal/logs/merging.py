@@ -12,32 +12,22 @@ from aridcal.inputs.orientations import QUATERNION
 from aridcal.inputs.quantities import FINEST, POSITION, STD
 from aridcal.logs.alignment import Moves, improved, jump, placed, window_means
 from aridcal.logs.averages import Averages, averages
-from aridcal.logs.clocks import Candidate, Clocks, candidates
+from aridcal.logs.clocks import Clocks
 from aridcal.logs.log import Log, seen
 from aridcal.logs.log_files import JointLog
+from aridcal.logs.offsets import FEWEST, best_offset, too_few
 from aridcal.logs.pairs import FEWEST as FEWEST_SAMPLES
-from aridcal.logs.pairs import Pairs, pairs, resolution, settled, within
+from aridcal.logs.pairs import Pairs, pairs, settled, within
 from aridcal.logs.standstills import Standstills, limit_of, speeds, standstills
 from aridcal.logs.written_as import Tracked, in_si, tracked
 from aridcal.prepare.covariates import SAMPLES
 from aridcal.prepare.guesses import Asker
-from aridcal.prepare.orientation_columns import CLEAR
-from aridcal.prepare.propose import SAMPLE, STRANGE_SHARE
-from aridcal.prepare.units_and_angles import Sample, readings
+from aridcal.prepare.propose import STRANGE_SHARE
 from aridcal.robot.chain import Robot
 from aridcal.robot.kinematics import tip_frames
 
-FEWEST = 6
-"""Standstills that both logs share at least: the frames alone take nine numbers, and any three fit any three."""
-
-MANY = 0.5
-"""Of two offsets that of which fewer than this share of the other's standstills pair is no rival: few fit anything."""
-
-SHOWN_OFFSETS = 5
-"""Offsets that a message names."""
-
-SAME = 1.5
-"""Offsets that are nearer are one, [s]: candidates are a cell of their grid wide, and drifts blur them."""
+FAR = 10.0
+"""Times the usual distance from the nominal robot that no row is off by."""
 
 ROUNDS = 12
 """Of the alignment; it is done when clocks move by less than :data:`ENOUGH` anywhere in the log."""
@@ -106,15 +96,6 @@ class Merged:
     notices: tuple[str, ...]
 
 
-@dataclass(frozen=True)
-class _Judged:
-    """A candidate, and how near the nominal robot comes at the standstills that it pairs."""
-
-    candidate: Candidate
-    found: Pairs
-    share: float
-
-
 def merged(robot: Robot, joints: JointLog, tracker: Log, places: tuple[tuple[str, ...], ...], asker: Asker) -> Merged:
     """Join two logs.
 
@@ -132,7 +113,7 @@ def merged(robot: Robot, joints: JointLog, tracker: Log, places: tuple[tuple[str
     tracker = seen(tracker, place)
     raw = tracker.of(place)
     seen_still = standstills(tracker, raw)
-    best, units = _best(robot, joints, tracker, raw, seen_still, _still(joints))
+    best, units = best_offset(robot, joints, tracker, raw, seen_still, _still(joints))
     q = joints.readings(units)
     still = standstills(joints.log, q)
     found = pairs(best.candidate.clocks, joints.log, still, tracker, seen_still, 1.0)
@@ -159,11 +140,12 @@ def merged(robot: Robot, joints: JointLog, tracker: Log, places: tuple[tuple[str
     ]
     found = found.some(np.flatnonzero(good))
     if len(found) < FEWEST:
-        raise _too_few(joints.log, si.log, len(found))
+        raise too_few(joints.log, si.log, len(found))
     mean = window_means(joints.log, q, clocks.joints(found.begin), clocks.joints(found.end))
     windows = [within(si.log.time, a, b) for a, b in zip(found.begin, found.end, strict=True)]
-    average = averages(windows, si.position, si.quaternion, _steps(si))
+    average = averages(windows, si.position, si.quaternion, si.steps)
     _, off = placed(robot, mean, average.position)
+    _refuse_strange(off, average.position, clocks.joints(0.5 * (found.begin + found.end)), si.log.title)
     table = _table(robot, mean, average, clocks.joints(0.5 * (found.begin + found.end)))
     alone = _alone(clocks, joints.log, still, si.log, seen_still, wide)
     tips = speeds(joints.log, tip_frames(robot, q)[1])
@@ -195,79 +177,6 @@ def _still(joints: JointLog) -> Standstills:
     return standstills(joints.log, joints.readings(joints.units[0]))
 
 
-def _best(
-    robot: Robot, joints: JointLog, tracker: Log, raw: np.ndarray, seen_still: Standstills, still: Standstills
-) -> tuple[_Judged, tuple[str, ...]]:
-    """The offset at which speeds are alike and the standstills fit the nominal robot.
-
-    Raises:
-        MeasurementError: there is none, or there are several.
-    """
-    tried: list[tuple[Candidate, tuple[str, ...]]] = []
-    for units in joints.units:
-        tips = tip_frames(robot, joints.readings(units))[1]
-        tried += [(one, units) for one in candidates(joints.log, tips, tracker, raw)]
-    judged: list[tuple[_Judged, tuple[str, ...]]] = []
-    most = 0
-    for candidate, units in tried:
-        found = pairs(candidate.clocks, joints.log, still, tracker, seen_still, 1.0)
-        most = max(most, len(found))
-        if len(found) < FEWEST:
-            continue
-        some = found.some(np.sort(np.random.default_rng(0).permutation(len(found))[:SAMPLE]))
-        clocks = candidate.clocks
-        q = window_means(joints.log, joints.log.values, clocks.joints(some.begin), clocks.joints(some.end))
-        m = window_means(tracker, raw, some.begin, some.end)
-        turning = np.array([kind != "prismatic" for kind in robot.kinds])
-        ways = readings(Sample(q, turning, m, np.zeros(len(q))), robot)
-        if ways:
-            judged.append((_Judged(candidate, found, ways[0].share), units))
-    if not judged:
-        if not tried:
-            raise MeasurementError(
-                f"{joints.log.title} and {tracker.title}: at no offset of the clocks are the speeds of the nominal "
-                "tip and of the target "
-                "alike for 20 s. Check that both are of one motion, and that the URDF is this robot's"
-            )
-        raise _too_few(joints.log, tracker, most)
-    fullest = max(len(one.found) for one, _ in judged)
-    rivals = [one for one in judged if len(one[0].found) >= MANY * fullest]
-    best = min(rivals, key=lambda one: one[0].share)
-    if best[0].share > STRANGE_SHARE:
-        raise MeasurementError(
-            f"{joints.log.title} and {tracker.title}: at the offset of the clocks at which they agree best the "
-            "nominal robot misses the "
-            f"targets by {100 * best[0].share:.2g} % of their spread. Check that both logs are of one motion, that "
-            "the URDF is this robot's, "
-            "each joint's column and sign, and that neither tracker nor target was moved in between"
-        )
-    apart = [
-        one for one, _ in judged
-        if abs(one.candidate.clocks.offset - best[0].candidate.clocks.offset) > SAME
-        and one.share <= CLEAR * best[0].share
-        and len(one.found) >= MANY * len(best[0].found)
-    ]  # fmt: skip
-    if apart:
-        offsets = sorted({round(one.candidate.clocks.offset) for one in (best[0], *apart)})
-        said = ", ".join(map(str, offsets[:SHOWN_OFFSETS])) + (" …" if len(offsets) > SHOWN_OFFSETS else "")
-        raise MeasurementError(
-            f"{joints.log.title} and {tracker.title}: fit as well with the clocks about {said} s apart: the "
-            "program repeats itself, and nothing "
-            "tells which round is which; or a clock jumped. Log from before the first move until after the last, "
-            "or begin with one "
-            "move that is not repeated"
-        )
-    return best
-
-
-def _too_few(joints: Log, tracker: Log, count: int) -> MeasurementError:
-    return MeasurementError(
-        f"{joints.title} and {tracker.title}: share {count} standstills, {FEWEST} are the least. Check that both "
-        "logs are of one motion, "
-        "and let the robot stand for two seconds at each pose"
-    )
-
-
 def _aligned(
     clocks: Clocks, robot: Robot, joints: Log, q: np.ndarray, still: Standstills, si: Tracked, seen_still: Standstills
 ) -> tuple[Clocks, Moves]:
@@ -276,7 +185,7 @@ def _aligned(
     for _ in range(ROUNDS):
         found = pairs(clocks, joints, still, si.log, seen_still, 1.0)
         if len(found) < FEWEST:
-            raise _too_few(joints, si.log, len(found))
+            raise too_few(joints, si.log, len(found))
         better, moves = improved(clocks, robot, joints, q, si.log, si.position, found)
         change = abs(better.offset - clocks.offset) + 0.5 * lasts * abs(better.drift - clocks.drift)
         clocks = better
@@ -285,12 +194,21 @@ def _aligned(
     return clocks, moves
 
 
-def _steps(si: Tracked) -> np.ndarray:
-    """To what the tracker rounds positions [m] and rotations [rad]; a quaternion's numbers change by half an angle."""
-    steps = resolution(si.position)
-    if si.quaternion is None:
-        return steps
-    return np.r_[steps, np.repeat(2.0 * resolution(si.quaternion).max(), 3)]
+def _refuse_strange(off: np.ndarray, position: np.ndarray, time: np.ndarray, title: str) -> None:
+    """Refuse rows that no nominal robot is so far from, though it is near the others.
+
+    Raises:
+        MeasurementError: naming the first.
+    """
+    size = np.linalg.norm(off, axis=1)
+    spread = float(np.sqrt(np.mean(np.sum((position - position.mean(axis=0)) ** 2, axis=1))))
+    strange = np.flatnonzero((size > STRANGE_SHARE * spread) & (size > FAR * np.median(size)))
+    if len(strange):
+        raise MeasurementError(
+            f"{title}: at {time[strange[0]]:.3f} s of the joints' clock, and {len(strange) - 1} more standstills, "
+            f"the target is {1e3 * size[strange[0]]:.3g} mm from where the nominal robot has it, usually {1e3 * np.median(size):.3g} mm. Target or "
+            "tracker was moved, another target was seen, or a clock was set: cut both logs there, or delete these samples"
+        )
 
 
 def _table(robot: Robot, q: np.ndarray, average: Averages, time: np.ndarray) -> pd.DataFrame:

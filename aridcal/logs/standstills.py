@@ -28,6 +28,9 @@ SLOWEST = 1e-3
 APART = 10.0
 """Motion is so many times as fast as noise, or there is none."""
 
+SPIKE = 3.0
+"""A wild sample spoils the speeds of so many spans at most: one before, one after, and itself."""
+
 GAP = 5.0
 """A hole of so many periods ends a standstill: nothing is known of what was in it."""
 
@@ -135,9 +138,9 @@ def standstills(log: Log, values: np.ndarray, least: float = LEAST) -> Standstil
     label = np.cumsum(np.r_[True, np.diff(still)] | holes)
     first = np.flatnonzero(np.r_[True, np.diff(label) > 0])
     last = np.r_[first[1:] - 1, len(still) - 1]
-    runs = [(a, b) for a, b in zip(first.tolist(), last.tolist(), strict=True) if still[a]]
+    runs = [(a, b) for a, b in zip(first.tolist(), last.tolist(), strict=True) if still[a] and b - a >= 2 * SAMPLES]
     runs = _joined(runs, log, values, limit * span_of(log))
-    long = [(a, b) for a, b in runs if log.time[b] - log.time[a] >= least and b - a >= 2 * SAMPLES]
+    long = [(a, b) for a, b in runs if log.time[b] - log.time[a] >= least]
     if not long:
         raise MeasurementError(f"{log.title}: never stands still for {least:g} s; let the program wait at each pose")
     begin, end = np.array(long).T
@@ -150,9 +153,10 @@ def _joined(runs: list[tuple[int, int]], log: Log, values: np.ndarray, near: flo
     for a, b in runs:
         if joined:
             c, d = joined[-1]
-            hole = log.time[a] - log.time[d]
+            passed = log.time[a] - log.time[d]
+            hole = np.diff(log.time[d : a + 1]).max() > GAP * log.period
             apart = float(np.linalg.norm(values[a : b + 1].mean(axis=0) - values[c : d + 1].mean(axis=0)))
-            if hole < 2 * span_of(log) and hole < GAP * log.period + span_of(log) and apart < near:
+            if passed < SPIKE * span_of(log) and not hole and apart < near:
                 joined[-1] = (c, b)
                 continue
         joined.append((a, b))

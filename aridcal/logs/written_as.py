@@ -13,6 +13,7 @@ from aridcal.inputs.orientations import QUATERNION, normalised, own_orientation,
 from aridcal.inputs.quantities import POSITION
 from aridcal.inputs.tables import read_tables
 from aridcal.logs.log import Log
+from aridcal.logs.pairs import resolution
 from aridcal.prepare.guesses import Asker
 from aridcal.prepare.propose import STRANGE_SHARE, propose
 from aridcal.robot.chain import Robot
@@ -29,6 +30,7 @@ class Tracked:
         log: N samples of which all numbers are there.
         position: Shape (N, 3), [m].
         quaternion: x y z w, norm 1, shape (N, 4); None where there are only positions.
+        steps: To what its last digit rounds positions [m] and, where there are any, rotations [rad], shape (3,) or (6,).
         units: Of the joints' readings, one each.
         words: What was found, for people.
     """
@@ -36,6 +38,7 @@ class Tracked:
     log: Log
     position: np.ndarray
     quaternion: np.ndarray | None
+    steps: np.ndarray
     units: tuple[str, ...]
     words: tuple[str, ...]
 
@@ -96,11 +99,16 @@ def tracked(robot: Robot, q: np.ndarray, tracker: Log, rows: np.ndarray, asker: 
     own = own_orientation(settings) or tuple(renamed.get(name, name) for name in QUATERNION)
     needed = place if settings.kind == "position" else (*place, *own)
     log = tracker.keep(np.isfinite(tracker.of(needed)).all(axis=1), "without an orientation: left out")
-    quaternion = None
+    quaternion, steps = None, resolution(log.of(place)) * settings.units.metres
     if settings.kind == "pose":
+        finest = float(resolution(log.of(own)).max())
+        turn = (
+            2.0 if len(own) == 4 else 1.0 if len(own) == 9 else settings.units.scale(own[0], "angle")
+        )  # of half angles
+        steps = np.r_[steps, np.full(3, turn * finest)]
         log, quaternion = _rotations(log, own, settings)
     words = tuple(g.why for g in proposal.guesses if g.key in ("measurements.units", "measurements.orientation"))
-    return Tracked(log, log.of(place) * settings.units.metres, quaternion, units, words)
+    return Tracked(log, log.of(place) * settings.units.metres, quaternion, steps, units, words)
 
 
 def _rotations(log: Log, columns: tuple[str, ...], settings: MeasurementSettings) -> tuple[Log, np.ndarray]:
