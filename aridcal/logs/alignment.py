@@ -36,6 +36,13 @@ TUKEY = 4.685
 LARGEST = 0.5
 """A round moves clocks by no more, [s]: what is linear about a move ends there."""
 
+WILD = 4.0
+"""Times the usual distance from the nominal robot beyond which a standstill does not count for the frames: a wrong pair, or a
+target that was moved, would draw them to itself and so hide."""
+
+TRIMS = 10
+"""Rounds of this at most."""
+
 LEAST_TELLING = 0.05
 """Share of the usual sum of squared speeds below which a move tells nothing: it is a fifth as fast."""
 
@@ -87,20 +94,29 @@ def placed(robot: Robot, q: np.ndarray, m: np.ndarray) -> tuple[Placed, np.ndarr
         m: Measured there, shape (K, 3), [m].
 
     Returns:
-        The frames, and measured minus nominal, shape (K, 3).
+        The frames, of the standstills that are near, and measured minus nominal at all, shape (K, 3).
     """
+    kept = np.ones(len(m), dtype=bool)
+    for _ in range(TRIMS):
+        frames = _fitted(robot, q[kept], m[kept])
+        left = m - frames.target(robot, q)
+        size = np.linalg.norm(left, axis=1)
+        near = size <= WILD * np.median(size)
+        if np.array_equal(near, kept):
+            break
+        kept = near
+    return frames, left
+
+
+def _fitted(robot: Robot, q: np.ndarray, m: np.ndarray) -> Placed:
+    """Frames in closed form, of several starts that which leaves least."""
     R, p = tip_frames(robot, q)
     one = np.zeros(len(m), dtype=int)
-    best: tuple[float, Placed, np.ndarray] | None = None
-    for start in start_frames(R, p, m, None, one, one, None, None, (pin.SE3.Identity(),)):
-        world = start.world_base[0]
-        tried = Placed(world.rotation, world.translation, start.tip_target[0].translation)
-        left = m - tried.target(robot, q)
-        size = float(np.median(np.linalg.norm(left, axis=1)))
-        if best is None or size < best[0]:
-            best = size, tried, left
-    assert best is not None
-    return best[1], best[2]
+    tried = [
+        Placed(start.world_base[0].rotation, start.world_base[0].translation, start.tip_target[0].translation)
+        for start in start_frames(R, p, m, None, one, one, None, None, (pin.SE3.Identity(),))
+    ]
+    return min(tried, key=lambda frames: float(np.median(np.linalg.norm(m - frames.target(robot, q), axis=1))))
 
 
 def window_means(log: Log, values: np.ndarray, begin: np.ndarray, end: np.ndarray) -> np.ndarray:

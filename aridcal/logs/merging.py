@@ -205,9 +205,10 @@ def _refuse_strange(off: np.ndarray, position: np.ndarray, time: np.ndarray, tit
     strange = np.flatnonzero((size > STRANGE_SHARE * spread) & (size > FAR * np.median(size)))
     if len(strange):
         raise MeasurementError(
-            f"{title}: at {time[strange[0]]:.3f} s of the joints' clock, and {len(strange) - 1} more standstills, "
-            f"the target is {1e3 * size[strange[0]]:.3g} mm from where the nominal robot has it, usually {1e3 * np.median(size):.3g} mm. Target or "
-            "tracker was moved, another target was seen, or a clock was set: cut both logs there, or delete these samples"
+            f"{title}: at {time[strange[0]]:.3f} s of the joints' clock, the first of {len(strange)} such among "
+            f"{len(off)} standstills, the target is {1e3 * size[strange[0]]:.3g} mm from where the nominal robot has it, usually "
+            f"{1e3 * np.median(size):.3g} mm. Target or tracker was moved, another target was seen, or a clock was set: cut both "
+            "logs there, or delete these samples"
         )
 
 

@@ -108,16 +108,15 @@ def best_offset(
         said = ", ".join(map(str, offsets[:SHOWN_OFFSETS])) + (" …" if len(offsets) > SHOWN_OFFSETS else "")
         raise MeasurementError(
             f"{joints.log.title} and {tracker.title}: fit as well with the clocks about {said} s apart: the "
-            "program repeats itself, and nothing "
-            "tells which round is which; or a clock jumped. Log from before the first move until after the last, or begin with one "
-            "move that is not repeated"
+            "program repeats itself, and nothing tells which round is which; or a clock jumped. Log from before the first "
+            "move until after the last, or begin with one move that is not repeated"
         )
     shared = _shared(best[0].candidate.clocks, joints.log, tracker)
     if best[0].contrary[0] > MOST_CONTRARY * shared:
         raise MeasurementError(
             f"{joints.log.title} and {tracker.title}: for {best[0].contrary[0]:.3g} of {shared:.3g} s the "
-            "target moves while the joints stand, with the clocks as they agree best. If one of the clocks was set while it ran, cut both logs there and merge each "
-            "part by itself; else check that target and tracker stood firmly"
+            "target moves while the joints stand, with the clocks as they agree best. If one of the clocks was set while it ran, "
+            "cut both logs there and merge each part by itself; else check that target and tracker stood firmly"
         )
     return best
 
