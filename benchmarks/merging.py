@@ -46,7 +46,7 @@ def one(case: dict[str, float], seed: int) -> tuple[float, float, int, float, fl
     """Largest error of the clocks and its sigma [s], rows, chi-square over its degrees, share of sigma, CPU seconds."""
     robot = robots.ur10()
     lost = case.get("lost", 0.0)
-    made = made_logs.made(robot, n=150, seed=seed, **{k: v for k, v in case.items() if k != "lost"})  # type: ignore[arg-type]
+    made = made_logs.made(robot, n=150, seed=seed, **{k: v for k, v in case.items() if k != "lost"})
     tracker = made.tracker
     if lost:  # for half a second to five, so often that it sees so much less
         rng = np.random.default_rng(seed)

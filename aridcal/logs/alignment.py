@@ -33,6 +33,9 @@ LONGEST = 60.0
 TUKEY = 4.685
 """Tukey's biweight with this has 95 % efficiency for Gaussian noise."""
 
+LEAST_SLOPE = 0.3
+"""Mean slope of the biweight's psi at least: for Gaussian noise it is 0.8, with half of the moves wild 0.4."""
+
 LARGEST = 0.5
 """A round moves clocks by no more, [s]: what is linear about a move ends there."""
 
@@ -213,16 +216,20 @@ def _line(time: np.ndarray, delta: np.ndarray) -> tuple[np.ndarray, np.ndarray, 
     design = np.column_stack([np.ones(len(time)), time])
     line = np.array([np.median(delta), 0.0])
     weight = np.ones(len(time))
+    few = np.sqrt(len(time) / max(len(time) - 2, 1))  # two numbers are fitted: what is left is smaller by so much
     for _ in range(30):
         left = delta - design @ line
-        scale = max(1.4826 * float(np.median(np.abs(left))), 1e-9)
+        scale = max(1.4826 * few * float(np.median(np.abs(left))), 1e-9)
         u = np.clip(left / (TUKEY * scale), -1.0, 1.0)
         weight = (1.0 - u * u) ** 2
         normal = design.T @ (weight[:, None] * design)
         line = np.linalg.solve(normal + np.diag([1e-12, 1e-12]), design.T @ (weight * delta))
+    # of an M-estimate (Huber 1981, section 7.6): mean square of psi over the squared mean of its slope
     left = delta - design @ line
-    variance = float(weight @ left**2) / max(float(weight.sum()) - 2.0, 1.0)
-    return line, variance * np.linalg.inv(normal + np.diag([1e-12, 1e-12])), weight
+    u = np.clip(left / (TUKEY * scale), -1.0, 1.0)
+    slope = max(float(np.mean((1 - u**2) * (1 - 5 * u**2))), LEAST_SLOPE)
+    variance = float(np.sum((weight * left) ** 2)) / max(len(time) - 2, 1) / slope**2
+    return line, variance * np.linalg.inv(design.T @ design), weight
 
 
 def jump(moves: Moves) -> tuple[float, float] | None:

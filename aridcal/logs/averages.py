@@ -19,6 +19,9 @@ from aridcal.instruments.pose import rotation_vector
 MOST_CORRELATED = 0.98
 """Above this a standstill's samples are one: they are worth a hundredth of their number."""
 
+SPIKE = 8.0
+"""Sigmas, by the median, beyond which a sample at standstill is none of the place: a reflection, another target."""
+
 LEAST_WORTH = 1.0
 """Independent samples that a mean rests on at least: itself."""
 
@@ -47,13 +50,30 @@ class Averages:
     usual: np.ndarray
 
 
+def without_spikes(windows: list[slice], position: np.ndarray, step: np.ndarray) -> tuple[list[np.ndarray], int]:
+    """Samples of windows without those that are far from the others, and how many these are.
+
+    Args:
+        windows: Samples of each of K standstills.
+        position: Shape (N, 3), [m].
+        step: To which the instrument rounds it, shape (3,), [m].
+    """
+    middle = [np.median(position[rows], axis=0) for rows in windows]
+    off = [np.abs(position[rows] - centre) for rows, centre in zip(windows, middle, strict=True)]
+    scatter = 1.4826 * np.array([np.median(one, axis=0) for one in off])
+    limit = SPIKE * np.maximum(np.maximum(scatter, np.median(scatter, axis=0)), step)
+    good = [np.all(one <= most, axis=1) for one, most in zip(off, limit, strict=True)]
+    kept = [np.arange(rows.start, rows.stop)[near] for rows, near in zip(windows, good, strict=True)]
+    return kept, int(sum(np.count_nonzero(~near) for near in good))
+
+
 def averages(
-    windows: list[slice], position: np.ndarray, quaternion: np.ndarray | None, step: np.ndarray | None = None
+    windows: list[np.ndarray], position: np.ndarray, quaternion: np.ndarray | None, step: np.ndarray | None = None
 ) -> Averages:
     """Average samples over windows.
 
     Args:
-        windows: Samples of each of K standstills; three at least.
+        windows: Numbers of the samples of each of K standstills; three at least.
         position: Shape (N, 3), [m].
         quaternion: x y z w, norm 1, shape (N, 4), or None.
         step: To which the instrument rounds, for each column of std. Where that is more than its noise, no number of samples

@@ -57,7 +57,8 @@ def read_table(source: AnyTable, asker: Asker, which: str) -> tuple[Table, str |
         else 0
     )
     table = read_tables([source], None, dialect=dialects[k])
-    return table, dialects[k].dates.name if dialects[k].dates else None
+    dates = dialects[k].dates
+    return table, dates.name if dates is not None else None
 
 
 def joint_log(source: AnyTable, robot: Robot, asker: Asker) -> JointLog:

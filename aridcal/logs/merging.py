@@ -11,7 +11,7 @@ from aridcal.errors import MeasurementError
 from aridcal.inputs.orientations import QUATERNION
 from aridcal.inputs.quantities import FINEST, POSITION, STD
 from aridcal.logs.alignment import Moves, improved, jump, placed, window_means
-from aridcal.logs.averages import Averages, averages
+from aridcal.logs.averages import Averages, averages, without_spikes
 from aridcal.logs.clocks import Clocks
 from aridcal.logs.log import Log, seen
 from aridcal.logs.log_files import JointLog
@@ -143,16 +143,18 @@ def merged(robot: Robot, joints: JointLog, tracker: Log, places: tuple[tuple[str
         raise too_few(joints.log, si.log, len(found))
     mean = window_means(joints.log, q, clocks.joints(found.begin), clocks.joints(found.end))
     windows = [within(si.log.time, a, b) for a, b in zip(found.begin, found.end, strict=True)]
-    average = averages(windows, si.position, si.quaternion, si.steps)
+    samples, spikes = without_spikes(windows, si.position, si.steps[:3])
+    average = averages(samples, si.position, si.quaternion, si.steps)
     _, off = placed(robot, mean, average.position)
     _refuse_strange(off, average.position, clocks.joints(0.5 * (found.begin + found.end)), si.log.title)
     table = _table(robot, mean, average, clocks.joints(0.5 * (found.begin + found.end)))
+    spiked = [f"{si.log.title}: {spikes} samples at standstill far from their neighbours: left out"] if spikes else []
     alone = _alone(clocks, joints.log, still, si.log, seen_still, wide)
     tips = speeds(joints.log, tip_frames(robot, q)[1])
     return Merged(
         table, clocks, best.candidate.correlation, moves, joints.log, still, tips, si, seen_still, found, average, off,
         tuple(sorted([*alone, *creeping], key=lambda one: (one.log, one.begin))),
-        (*joints.log.notes, *si.log.notes),
+        (*joints.log.notes, *si.log.notes, *spiked),
     )  # fmt: skip
 
 
