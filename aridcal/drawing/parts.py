@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
+from typing import Any
+
 import numpy as np
 
-from aridcal.drawing.html import number
+from aridcal.drawing.html import number, plus_minus
 from aridcal.effects.effect import FRAME_COMPONENTS
 from aridcal.robot.chain import Joint, Robot
 from aridcal.trust.halves import Halves
@@ -42,15 +45,45 @@ def constant_in_words(name: str, robot: Robot) -> str:
     """A constant as engineers call it: ``joint_2's zero``, where it is along or about the joint's own axis; else its name."""
     where, component = name.rsplit(".", 1)
     joint = next((j for j in robot.joints if j.name == where), None)
-    return f"{where}'s zero" if joint is not None and _is_zero(joint, component) else name
+    return f"{where}'s zero" if joint is not None and _way(joint, component) else name
 
 
-def _is_zero(joint: Joint, component: str) -> bool:
-    """True if a component moves the joint's own reading."""
+def zero_of(name: str, robot: Robot) -> tuple[str, int] | None:
+    """The joint whose zero a constant is, and its way: the joint stands so much beyond its reading, or (−1) before it.
+
+    Args:
+        name: Of the constant: ``joint_2.yaw``.
+        robot: The chain.
+
+    Returns:
+        None for a constant that is no joint's zero.
+    """
+    where, component = name.rsplit(".", 1)
+    joint = next((j for j in robot.joints if j.name == where), None)
+    way = _way(joint, component) if joint is not None else 0
+    return (where, way) if way else None
+
+
+def size_in_words(p: dict[str, Any], way: int = 1) -> str:
+    """A constant with its uncertainty, an angle in degrees as well: ``3.70 ± 0.02 mrad = 0.212°``.
+
+    Args:
+        p: As :func:`aridcal.result.folder.parameters` has it, identified.
+        way: -1 turns its sign round.
+    """
+    value = way * p["value"]
+    if p["unit"] != "rad":
+        return f"{plus_minus(1e3 * value, 1e3 * p['std'])} mm"
+    return f"{plus_minus(1e3 * value, 1e3 * p['std'])} mrad = {number(math.degrees(value))}°"
+
+
+def _way(joint: Joint, component: str) -> int:
+    """1 or -1 if a component moves the joint as its own reading does, or against it; 0 if it does not."""
     if component not in FRAME_COMPONENTS:
-        return component == ("theta" if joint.kind == "revolute" else "d")
+        return int(component == "axis" or component == ("d" if joint.kind == "prismatic" else "theta"))
     k = FRAME_COMPONENTS.index(component)
-    return (k >= 3) == (joint.kind == "revolute") and abs(float(joint.axis[k % 3])) > ON_AXIS
+    along = float(joint.axis[k % 3])
+    return int(np.sign(along)) if (k >= 3) != (joint.kind == "prismatic") and abs(along) > ON_AXIS else 0
 
 
 def combination_in_words(of: Combination, robot: Robot) -> str:

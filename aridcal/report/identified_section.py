@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from aridcal.drawing.html import Content, Html, counted, fixed, number, plus_minus, table, tag
+from aridcal.drawing.parts import size_in_words, zero_of
 from aridcal.effects.effect import FRAME_COMPONENTS, LINK_COMPONENTS
 from aridcal.fit.constants import has_world
 from aridcal.report.second_look_section import known
@@ -18,6 +19,8 @@ from aridcal.robot.doty import Link, doty_links
 SYMBOLS = {"d": "d", "theta": "θ", "beta": "β", "a": "a", "alpha": "α"}
 ZERO = "axis"
 """Component of a joint's zero, which repairs have beside its origin."""
+IDENTIFIED = "identified"
+"""Status of a constant that these rows tell."""
 MOST_FRAMES = 12
 MOST_PARTNERS = 6
 
@@ -90,6 +93,7 @@ def codes(names: tuple[str, ...] | list[str]) -> Content:
 
 def identified(outcome: Outcome) -> Iterator[Content]:
     """Geometric parameters and frames with their uncertainty."""
+    yield from _zeros(outcome)
     yield from _constants(outcome)
     yield tag("h3", "Frames")
     yield tag(
@@ -102,6 +106,31 @@ def identified(outcome: Outcome) -> Iterator[Content]:
         else "",
     )  # fmt: skip
     yield from _frames(outcome)
+
+
+def _zeros(outcome: Outcome) -> Iterator[Content]:
+    """The joints' zeros among the constants, as those who adjust them call them."""
+    lines: list[list[Content]] = []
+    for p in constants(outcome):
+        zero = zero_of(p["name"], outcome.robot)
+        if zero is not None:
+            joint, way = zero
+            lines.append(
+                [joint, size_in_words(p, way) if p["status"] == IDENTIFIED else _correction(p), tag("code", p["name"])]
+            )
+    if not lines:
+        return
+    yield tag("h3", "Joint zeros")
+    yield tag(
+        "p",
+        "Where a zero is off by +1 mrad (1 mm of a sliding joint), the joint stands that much beyond its reading. The calibrated "
+        "URDF has it: correct it there or at the controller, not twice. A zero that stays nominal cannot be told from the "
+        "frames of base and target, which contain it (section 2).",
+    )
+    yield table(
+        ["joint", "zero off by ± 1σ", "same as"], lines, "Zeros of the joints, beside the other constants", numbers=1
+    )
+    yield tag("h3", "All constants")
 
 
 def _constants(outcome: Outcome) -> Iterator[Content]:
