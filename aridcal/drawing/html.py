@@ -173,6 +173,11 @@ def bullets(items: Iterable[Content], most: int | None = None, what: str = "more
     return tag("ul", [tag("li", item) for item in shown])
 
 
+def codes(names: Sequence[str]) -> Content:
+    """Names one after the other, set as code."""
+    return [part for name in names for part in (", ", tag("code", name))][1:]
+
+
 def number(value: float, digits: int = 3) -> str:
     """A number with so many significant digits, a dash where there is none.
 

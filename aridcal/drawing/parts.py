@@ -8,16 +8,13 @@ from typing import Any
 import numpy as np
 
 from aridcal.drawing.html import number, plus_minus
-from aridcal.effects.effect import FRAME_COMPONENTS
-from aridcal.robot.chain import Joint, Robot
+from aridcal.result.zeros import JointZero, zero_of
+from aridcal.robot.chain import Robot
 from aridcal.trust.halves import Halves
 from aridcal.trust.known import Combination, Pair
 
 ALIKE = 0.7
 """Ratio of two shares from which they are a sum or a difference in words: sin 45 degrees over 1."""
-
-ON_AXIS = 0.99
-"""Component of a joint's unit axis along an axis of its frame from which the two are one."""
 
 OF_TIME = {
     "low and high": "early and late rows",
@@ -43,47 +40,23 @@ def p_of_halves(found: Halves) -> str:
 
 def constant_in_words(name: str, robot: Robot) -> str:
     """A constant as engineers call it: ``joint_2's zero``, where it is along or about the joint's own axis; else its name."""
-    where, component = name.rsplit(".", 1)
-    joint = next((j for j in robot.joints if j.name == where), None)
-    return f"{where}'s zero" if joint is not None and _way(joint, component) else name
+    zero = zero_of(name, robot)
+    return f"{zero[0]}'s zero" if zero else name
 
 
-def zero_of(name: str, robot: Robot) -> tuple[str, int] | None:
-    """The joint whose zero a constant is, and its way: the joint stands so much beyond its reading, or (−1) before it.
-
-    Args:
-        name: Of the constant: ``joint_2.yaw``.
-        robot: The chain.
-
-    Returns:
-        None for a constant that is no joint's zero.
-    """
-    where, component = name.rsplit(".", 1)
-    joint = next((j for j in robot.joints if j.name == where), None)
-    way = _way(joint, component) if joint is not None else 0
-    return (where, way) if way else None
+def zero_in_words(zero: JointZero) -> str:
+    """How far a joint's zero is off, with one standard deviation, an angle in degrees as well."""
+    return size_in_words({"value": zero.value, "std": zero.std, "unit": zero.unit})
 
 
-def size_in_words(p: dict[str, Any], way: int = 1) -> str:
+def size_in_words(p: dict[str, Any]) -> str:
     """A constant with its uncertainty, an angle in degrees as well: ``3.70 ± 0.02 mrad = 0.212°``.
 
     Args:
         p: As :func:`aridcal.result.folder.parameters` has it, identified.
-        way: -1 turns its sign round.
     """
-    value = way * p["value"]
-    if p["unit"] != "rad":
-        return f"{plus_minus(1e3 * value, 1e3 * p['std'])} mm"
-    return f"{plus_minus(1e3 * value, 1e3 * p['std'])} mrad = {number(math.degrees(value))}°"
-
-
-def _way(joint: Joint, component: str) -> int:
-    """1 or -1 if a component moves the joint as its own reading does, or against it; 0 if it does not."""
-    if component not in FRAME_COMPONENTS:
-        return int(component == "axis" or component == ("d" if joint.kind == "prismatic" else "theta"))
-    k = FRAME_COMPONENTS.index(component)
-    along = float(joint.axis[k % 3])
-    return int(np.sign(along)) if (k >= 3) != (joint.kind == "prismatic") and abs(along) > ON_AXIS else 0
+    said = plus_minus(1e3 * p["value"], 1e3 * p["std"])
+    return f"{said} mrad = {number(math.degrees(p['value']))}°" if p["unit"] == "rad" else f"{said} mm"
 
 
 def combination_in_words(of: Combination, robot: Robot) -> str:

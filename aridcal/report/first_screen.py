@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterator
-from typing import Any
 
 import numpy as np
 
 from aridcal.drawing.frame import card
-from aridcal.drawing.html import Content, Html, counted, number, tag
-from aridcal.drawing.parts import division_in_words, p_of_halves, size_in_words, zero_of
+from aridcal.drawing.html import Content, Html, codes, counted, number, tag
+from aridcal.drawing.parts import division_in_words, p_of_halves, size_in_words, zero_in_words
 from aridcal.drawing.words import (
+    NOT_STATED,
     at_target_in_words,
     causes_in_words,
     kept_in_words,
@@ -46,7 +46,7 @@ from aridcal.result.key_figures import (
     steps,
 )
 from aridcal.result.outcome import Outcome, errors, leading
-from aridcal.robot.chain import Robot
+from aridcal.result.zeros import joint_zeros
 from aridcal.search.noise_tests import Clue
 
 NO_BETTER = " No model can reliably do better."
@@ -98,9 +98,7 @@ def summary(outcome: Outcome, beside: Collection[str] = frozenset()) -> Iterator
     rows = f"{counted(len(m), 'row')}, {m.test.sum():,} of them held out"
     yield tag("h1", f"Calibration of {robot.tree.name}")
     yield tag("p", f"{files} · {rows} · {robot.path.name}, {robot.base} to {robot.tip}", class_="about")
-    facts = [f"{name}: {said}" for name, said in who_and_what(outcome.campaign.about or About(), robot, m)]
-    where = "" if outcome.campaign.about else " State them under `about:` in the campaign."
-    yield tag("p", f"{' · '.join(facts)}.{where}", class_="about")
+    yield tag("p", list(_who_and_what(outcome)), class_="about")
     links = [
         part
         for name, use in LINKED.items()
@@ -122,6 +120,18 @@ def summary(outcome: Outcome, beside: Collection[str] = frozenset()) -> Iterator
         tag("div", tag("h2", "Can I trust it?"), tag("ul", checked, class_="checks")),
         class_="answers",
     )
+
+
+def _who_and_what(outcome: Outcome) -> Iterator[Content]:
+    """Robot, serial number, instrument, who and when, as far as the campaign states them."""
+    facts = dict(who_and_what(outcome.campaign.about or About(), outcome.robot, outcome.measurements))
+    stated = [f"{name}: {said}" for name, said in facts.items() if said != NOT_STATED]
+    yield f"{' · '.join(stated)}. "
+    rest = [name.lower() for name, said in facts.items() if said == NOT_STATED]
+    if rest:
+        yield "Not stated, under "
+        yield tag("code", "about:")
+        yield f" in the campaign: {', '.join(rest)}."
 
 
 def _card(outcome: Outcome, k: int) -> Html:
@@ -215,12 +225,17 @@ def _causes(outcome: Outcome) -> Iterator[Content]:
     if shares:
         yield _shares_in_words(outcome, shares, len(identified))
     words: list[Content] = []
-    zeros = [p for p in identified if zero_of(p["name"], outcome.robot)]
-    others = [p for p in identified if p not in zeros]
-    for group, unit in ((zeros, "rad"), (zeros, "m"), (others, "rad"), (others, "m")):
-        largest = max((p for p in group if p["unit"] == unit), key=lambda p: abs(p["value"]), default=None)
+    zeros = joint_zeros(outcome.stage("geometric").fit, outcome.robot)
+    of_zeros = {name for zero in zeros for name in zero.names}
+    for unit in ("rad", "m"):
+        zero = max((z for z in zeros if z.unit == unit), key=lambda z: abs(z.value), default=None)
+        if zero is not None:
+            words += [", ", f"{zero.joint} zero off by {zero_in_words(zero)} (", codes(zero.names), ")"]
+    for unit in ("rad", "m"):
+        others = (p for p in identified if p["unit"] == unit and p["name"] not in of_zeros)
+        largest = max(others, key=lambda p: abs(p["value"]), default=None)
         if largest is not None:
-            words += [", ", *_correction(largest, outcome.robot)]
+            words += [", ", tag("code", largest["name"]), f" {size_in_words(largest)}"]
     if words:
         yield ["Largest corrections: ", words[1:], "."]
 
@@ -263,15 +278,6 @@ def _corrections_in_words(count: int) -> str:
 def _percent(share: float) -> str:
     """A share of the squared error in words."""
     return f"{number(100 * share, 2)}\u00a0%" if abs(share) >= FAINT else f"less than {100 * FAINT:g}\u00a0%"
-
-
-def _correction(p: dict[str, Any], robot: Robot) -> list[Content]:
-    """A parameter with its uncertainty; the zero of a joint as one, beside its name."""
-    zero = zero_of(p["name"], robot)
-    if zero is None:
-        return [tag("code", p["name"]), f" {size_in_words(p)}"]
-    joint, way = zero
-    return [f"{joint} zero off by {size_in_words(p, way)} (", tag("code", p["name"]), ")"]
 
 
 def _remaining(outcome: Outcome) -> Iterator[Content]:

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator
 
-from aridcal.drawing.html import Content, Html, bullets, number, table, tag
+from aridcal.drawing.html import Content, Html, bullets, codes, number, table, tag
 from aridcal.drawing.words import per_number, range_in_words, sigmas_in_words
-from aridcal.report.identified_section import codes
 from aridcal.report.workspace_section import workspace
 from aridcal.result.controllers import INDEX, Export, Handover
 from aridcal.result.key_figures import narrow_joints
