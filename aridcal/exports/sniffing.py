@@ -176,7 +176,7 @@ def _lists(found: Layout) -> dict[str, tuple[str, ...]]:
     for k, name in enumerate(found.names):
         cells = [row[k] for row in found.rows if k < len(row) and row[k]]
         sizes = {len(several(cell, PLAIN)) for cell in cells if list_size(cell)}
-        if not cells or len(sizes) != 1 or not all(map(list_size, cells)):
+        if not (name and cells) or len(sizes) != 1 or not all(map(list_size, cells)):
             continue
         size = sizes.pop()
         about = name.lower()
@@ -207,7 +207,7 @@ def _dates(found: Layout, path: Path, pick: Pick) -> Dates | None:
     columns: list[str] = []
     for k, name in enumerate(found.names):
         cells = _filled(found, k)
-        if k in found.numeric or not cells or not orders(cells):
+        if k in found.numeric or not (name and cells) or not orders(cells):
             continue
         if any(word in name.lower() for word in CLOCK_WORDS) or has_date(cells[0]):
             columns.append(name)

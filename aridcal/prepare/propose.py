@@ -201,7 +201,8 @@ def _position(table: Table, used: set[str], joints: Sequence[str], asker: Asker,
         AridcalError: several may be, and nobody says which is.
     """
     free = [name for name in table.names if name and name not in used]
-    families = [family for family in places(free) if np.isfinite(sensible(table, family.columns)).all(axis=1).any()]
+    seen = {family: np.isfinite(sensible(table, family.columns)) for family in places(free)}
+    families = [family for family in seen if seen[family].all(axis=1).any()] or [f for f in seen if seen[f].any()]
     if not families:
         raise MeasurementError(f"{table.title}: no columns for the target's position: {_no_position(table, free)}")
     likely = [family for family in families if not family.commanded] or families
