@@ -135,8 +135,8 @@ def merged(robot: Robot, joints: JointLog, tracker: Log, places: tuple[tuple[str
     if abs(clocks.drift) > MOST_DRIFT + 3.0 * float(np.sqrt(clocks.covariance[1, 1])):
         raise MeasurementError(
             f"{joints.log.title} and {si.log.title}: the clocks drift apart by {1e6 * clocks.drift:,.0f} ppm; good ones do by "
-            f"less than 100, at most {1e6 * MOST_DRIFT:,.0f} are believed. Check the unit of both times, and that no clock was set in "
-            "between"
+            f"less than 100, at most {1e6 * MOST_DRIFT:,.0f} are believed. Check the unit of both times, and that no clock was "
+            "set in between"
         )
     wide = pairs(clocks, joints.log, still, si.log, seen_still)
     found, good = settled(wide, si.log, si.position)
