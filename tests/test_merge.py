@@ -358,6 +358,8 @@ def test_the_command_writes_a_table_that_init_reads_and_a_page(
     before = Path("joints.csv").read_bytes()
     assert main(["joints.csv", "tracker.csv", *robot, "-o", "joints.csv"]) == 2
     assert Path("joints.csv").read_bytes() == before
+    assert main(["joints.csv", "tracker.csv", "--urdf", str(UR10), "--tip", "tool9", "-o", "other.csv"]) == 2
+    assert "did you mean 'tool0'?). Check --tip" in capsys.readouterr().err
     assert main(["joints.csv", "joints.csv", *robot, "-o", "other.csv"]) == 2
     assert not Path("other.csv").exists()
     assert not Path("other.html").exists()
