@@ -25,7 +25,7 @@ import pandas as pd
 from rich.console import Console
 
 from aridcal.command_line import CommandParser, command_parser, run
-from aridcal.errors import AridcalError, OutputError
+from aridcal.errors import AridcalError, OutputError, RobotError
 from aridcal.init import answer, ask
 from aridcal.inputs.tables import AnyTable
 from aridcal.logs import bags, log_files
@@ -68,7 +68,10 @@ def joined(
     asker = Asker(choose, settled, drafts=False)
     asker.check(QUESTIONS)
     source = described(urdf, {}, {})
-    robot = load_robot(source.path, tip, None, packages=source.packages, arguments=source.arguments)
+    try:
+        robot = load_robot(source.path, tip, None, packages=source.packages, arguments=source.arguments)
+    except RobotError as problem:  # which speaks of a campaign's keys
+        raise RobotError(str(problem).replace("`robot.tip`", "--tip").replace("`robot.urdf`", "--urdf")) from None
     if tracker is None:
         if not bags.is_bag(joints):
             raise AridcalError(f"{joints}: is one table; name the tracker's log after it, or a bag that has both")

@@ -18,6 +18,7 @@ from scipy.stats import chi2
 import aridcal
 from aridcal.errors import AridcalError, MeasurementError
 from aridcal.logs import averages, bags
+from aridcal.logs.alignment import Moves, jump
 from aridcal.logs.clocks import correlations
 from aridcal.logs.log import Log
 from aridcal.logs.merging import Merged
@@ -68,7 +69,7 @@ def small() -> Made:
 
 @pytest.mark.parametrize(
     ("n", "seed", "offset", "drift", "wrong"),
-    [(40, 11, 3.7, 4e-5, 0.0), (15, 12, -1000.0, 0.0, 5e-3), (15, 13, 3.7, 5e-4, 5e-3)],
+    [(30, 11, 3.7, 4e-5, 0.0), (12, 12, -1000.0, 0.0, 5e-3), (12, 13, 3.7, 5e-4, 5e-3)],
 )
 def test_clocks_and_rows_are_those_that_were_simulated(
     n: int, seed: int, offset: float, drift: float, wrong: float
@@ -88,7 +89,7 @@ def test_clocks_and_rows_are_those_that_were_simulated(
 
 def test_what_the_clocks_are_said_to_be_known_to_is_how_well_they_are() -> None:
     z = []
-    for seed in range(6):
+    for seed in range(4):
         truth = made_logs.made(ROBOT, n=9, seed=20 + seed, wrong=3e-3, stay=np.full(9, 2.0))
         found = join(truth.joints, truth.tracker)
         time = np.array([found.clocks.middle])
@@ -130,7 +131,7 @@ def test_equal_times_at_other_poses_are_no_repetition() -> None:
     assert all(one.end < 20 or one.begin > 52 for one in found.unpaired), found.unpaired
 
 
-@pytest.mark.parametrize("step", [-3.0, 0.05, 0.3, 2.0])
+@pytest.mark.parametrize("step", [-3.0, 0.05, 2.0])
 def test_a_clock_that_was_set_is_refused(small: Made, step: float) -> None:
     tracker = small.tracker.copy()
     tracker.loc[len(tracker) // 2 :, "time"] += step
@@ -138,7 +139,7 @@ def test_a_clock_that_was_set_is_refused(small: Made, step: float) -> None:
         join(small.joints, tracker)
 
 
-@pytest.mark.parametrize(("share", "step"), [(0.3, 25.0), (0.7, -0.001), (0.8, 60.0)])
+@pytest.mark.parametrize(("share", "step"), [(0.3, 25.0), (0.75, 30.0)])
 def test_a_clock_that_was_set_far_is_refused_or_costs_rows_but_never_makes_wrong_ones(
     small: Made, share: float, step: float
 ) -> None:
@@ -357,6 +358,8 @@ def test_the_command_writes_a_table_that_init_reads_and_a_page(
     before = Path("joints.csv").read_bytes()
     assert main(["joints.csv", "tracker.csv", *robot, "-o", "joints.csv"]) == 2
     assert Path("joints.csv").read_bytes() == before
+    assert main(["joints.csv", "tracker.csv", "--urdf", str(UR10), "--tip", "tool9", "-o", "other.csv"]) == 2
+    assert "did you mean 'tool0'?). Check --tip" in capsys.readouterr().err
     assert main(["joints.csv", "joints.csv", *robot, "-o", "other.csv"]) == 2
     assert not Path("other.csv").exists()
     assert not Path("other.html").exists()
@@ -400,6 +403,25 @@ def test_scatter_that_differs_from_stop_to_stop_is_kept_and_that_which_does_not_
     z = other.position / other.std
     assert np.corrcoef(np.log(other.std[:, 0]), np.log(sigma[::10, 0]))[0, 1] > 0.9
     assert 0.8 < np.mean(z**2) < 1.4  # of Student's t with ten degrees of freedom it is 1.25
+
+
+def test_moves_that_scatter_are_no_jump_and_steps_among_them_are() -> None:
+    rng = np.random.default_rng(5)
+    for n in (8, 15, 150):
+        time = np.sort(rng.uniform(0, 1000, n))
+        for _ in range(30):
+            late = 5e-3 * rng.standard_t(3, n)
+            assert jump(Moves(time, late, np.ones(n))) is None
+        at = n // 2
+        found = jump(Moves(time, 1e-3 * rng.normal(size=n) + 0.2 * (np.arange(n) >= at), np.ones(n)))
+        assert found is not None
+        assert found == (time[at], pytest.approx(0.2, abs=0.01))
+
+
+def test_a_drift_that_no_clock_has_is_refused(small: Made) -> None:
+    tracker = small.tracker.assign(time=1.004 * small.tracker["time"])
+    with pytest.raises(MeasurementError, match=r"drift apart|alike for|misses"):
+        join(small.joints, tracker)
 
 
 def test_a_spike_parts_no_standstill_and_a_hole_does() -> None:

@@ -235,19 +235,24 @@ def _line(time: np.ndarray, delta: np.ndarray) -> tuple[np.ndarray, np.ndarray, 
 def jump(moves: Moves) -> tuple[float, float] | None:
     """When a clock jumped, and by how much, [s]; None where nothing says so.
 
-    Of all moves that may be the last before a jump, that is looked at which parts the early ones from the late ones best.
+    A step is fitted beside the line, before each move in turn; that which leaves least is the one, if it is far from nothing.
     """
     n = len(moves.late)
     if n < 8:
         return None
-    left = np.clip(moves.late, *np.quantile(moves.late, [0.02, 0.98]))
-    k = np.arange(3, n - 2)
-    sums = np.cumsum(left)
-    before, after = sums[k - 1] / k, (sums[-1] - sums[k - 1]) / (n - k)
-    noise = max(1.4826 * float(np.median(np.abs(np.diff(left)))) / np.sqrt(2), 1e-9)
-    size = (after - before) / (noise * np.sqrt(1 / k + 1 / (n - k)))
-    worst = int(np.argmax(np.abs(size)))
-    step = float(after[worst] - before[worst])
-    if abs(size[worst]) < JUMP or abs(step) < LEAST_JUMP:
+    late = np.clip(moves.late, *np.quantile(moves.late, [0.02, 0.98]))
+    time = (moves.time - moves.time.mean()) / np.ptp(moves.time)
+    best: tuple[float, int, float, float] | None = None
+    for k in range(3, n - 2):
+        design = np.column_stack([np.ones(n), time, np.arange(n) >= k])
+        inverse = np.linalg.inv(design.T @ design)
+        solved = inverse @ (design.T @ late)
+        left = late - design @ solved
+        if best is None or left @ left < best[0]:
+            noise = max(1.4826 * float(np.median(np.abs(left))) * np.sqrt(n / (n - 3)), 1e-9)
+            best = float(left @ left), k, float(solved[2]), float(noise * np.sqrt(inverse[2, 2]))
+    assert best is not None
+    _, k, step, sigma = best
+    if abs(step) < JUMP * sigma or abs(step) < LEAST_JUMP:
         return None
-    return float(moves.time[k[worst]]), step
+    return float(moves.time[k]), step

@@ -12,7 +12,7 @@ from aridcal.inputs.orientations import QUATERNION
 from aridcal.inputs.quantities import FINEST, POSITION, STD
 from aridcal.logs.alignment import Moves, improved, jump, placed, window_means
 from aridcal.logs.averages import Averages, averages, without_spikes
-from aridcal.logs.clocks import Clocks
+from aridcal.logs.clocks import MOST_DRIFT, Clocks
 from aridcal.logs.log import Log, seen
 from aridcal.logs.log_files import JointLog
 from aridcal.logs.offsets import FEWEST, best_offset, too_few
@@ -131,6 +131,12 @@ def merged(robot: Robot, joints: JointLog, tracker: Log, places: tuple[tuple[str
             f"{'later' if late[1] > 0 else 'earlier'} "
             "by the joints' clock than before: one of the clocks was set in between. Cut both logs there, and "
             "merge each part by itself"
+        )
+    if abs(clocks.drift) > MOST_DRIFT + 3.0 * float(np.sqrt(clocks.covariance[1, 1])):
+        raise MeasurementError(
+            f"{joints.log.title} and {si.log.title}: the clocks drift apart by {1e6 * clocks.drift:,.0f} ppm; good ones do by "
+            f"less than 100, at most {1e6 * MOST_DRIFT:,.0f} are believed. Check the unit of both times, and that no clock was "
+            "set in between"
         )
     wide = pairs(clocks, joints.log, still, si.log, seen_still)
     found, good = settled(wide, si.log, si.position)
