@@ -98,7 +98,7 @@ def test_what_counts_as_part_of_a_dependency_is_required_by_it() -> None:
 
 def test_every_dependency_has_its_reason_in_contributing() -> None:
     section = (HOME / "CONTRIBUTING.md").read_text("utf-8").split("## Dependencies")[1].split("\n## ")[0]
-    rows = re.findall(r"^\| `([a-z-]+)` \| (.+) \|$", section, re.MULTILINE)
+    rows = re.findall(r"^\| `([a-z0-9-]+)` \| (.+) \|$", section, re.MULTILINE)
     assert [name for name, _ in rows] == sorted(r.name for r in NEEDED)
     assert all(len(reason) > 10 for _, reason in rows)
 
