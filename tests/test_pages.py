@@ -13,6 +13,8 @@ import robots
 import test_measure
 from scipy.spatial.transform import Rotation
 
+from aridcal.drawing.frame import card, framed_page, sections
+from aridcal.drawing.html import bullets, table, tag
 from aridcal.identify import main as identify
 
 LOUD = """(() => {
@@ -79,6 +81,20 @@ def test_the_report_fits_the_window_and_can_be_read(report: chromium.Page) -> No
     assert report.evaluate("document.querySelector('.now').getBoundingClientRect().bottom") < 500
     if width > 1000:  # on a desk the first screen answers all five questions
         assert report.evaluate("document.querySelector('.answers').getBoundingClientRect().bottom") < 900
+
+
+def test_names_of_any_length_stay_within_a_phone(browser: chromium.Browser, tmp_path: Path) -> None:
+    name = "joint_" + "x" * 150
+    head = [tag("h1", name), tag("div", card(name, "mm", ("before", 1.0), ("after", 0.1), name), class_="cards")]
+    rows = [[tag("code", name), name, "1.234 ± 0.001 mm", "1.2"] for _ in range(2)]
+    content = [tag("p", tag("code", name)), table(["a", name, "b", "c"], rows, name, numbers=2), bullets([name])]
+    (tmp_path / "page.html").write_text(framed_page(name, head, sections([(name, content), ("b", "")]), name))
+    with browser.open(tmp_path / "page.html", 390, 800) as page:
+        assert page.evaluate("document.documentElement.scrollWidth") == 390
+        assert page.evaluate(LOUD) == []
+        assert page.evaluate(
+            "document.querySelector('.scroll').scrollWidth <= document.querySelector('.scroll').clientWidth + 1"
+        )
 
 
 def test_figures_stand_in_the_page_with_ink_in_them(report: chromium.Page) -> None:

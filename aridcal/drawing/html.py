@@ -102,9 +102,8 @@ def table(head: Sequence[Content], rows: Iterable[Sequence[Content]], caption: C
     columns = [[name, *(row[k] for row in shown)] for k, name in enumerate(names)]
     stacked = sum(_letters(column, k >= numbers) + BETWEEN for k, column in enumerate(columns)) > ON_A_PHONE
 
-    pairs = stacked and all(
-        len(name) + max(map(len, others), default=0) <= HALF_A_PHONE for name, *others in columns[max(numbers, 1) :]
-    )
+    widest = [len(name) + max(map(len, others), default=0) for name, *others in columns[max(numbers, 1) :]]
+    pairs = stacked and len(widest) > 1 and max(widest) <= HALF_A_PHONE
 
     def kind(column: int) -> str | None:
         return "n" if column >= numbers else None

@@ -58,7 +58,7 @@ LINKED = {
     "calibrated.urdf": "for your controller",
     "calibration.yaml": "for compensation",
     "scene.html": "robot and errors in 3D",
-    "certificate.pdf": "one page to sign",
+    "certificate.pdf": "the record on one page",
     "result.json": "figures for programs",
 }
 """Files of the result that the first screen leads to, and what they are for."""
@@ -190,9 +190,7 @@ def _other_day(outcome: Outcome) -> Content:
     below = tag("p", tag("strong", sentence), class_="good" if good else "look")
     noun = f"{channel.noun} on another day"
     days = ("before calibration, that day's rows", before), ("after calibration, that day's rows", after)
-    return card(
-        noun, channel.shown, *days, "before → after calibration, on rows that were not part of it (--verify).", below
-    )
+    return card(noun, channel.shown, *days, "before → after calibration, on the rows given with --verify.", below)
 
 
 def _bars(scores: list[tuple[Step, float]], unit: str) -> Html:
