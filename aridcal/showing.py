@@ -59,7 +59,7 @@ class HowFar:
         """The time left in words; empty where nobody can say."""
         if math.isnan(self.left) or self.share == 1.0:
             return ""
-        return f"{self.left:.0f} s" if self.left < MINUTE else f"{self.left / MINUTE:.0f} min"
+        return duration(self.left)
 
     @property
     def bar(self) -> str:
@@ -71,6 +71,14 @@ class HowFar:
 
 
 Passing = Callable[[HowFar], None]
+
+
+def duration(seconds: float) -> str:
+    """A time in words: ``40 s``, ``12 min``, ``3 h 20 min``."""
+    if seconds < 1.5 * MINUTE:
+        return f"{seconds:.0f} s"
+    minutes = round(seconds / MINUTE)
+    return f"{minutes} min" if minutes < 90 else f"{minutes // 60} h {minutes % 60} min"
 
 
 class Progress:

@@ -40,7 +40,8 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
     """Links are those of the repository; of one that leads out of the site the text remains."""
     own = page.file.src_uri
-    folder = "" if own == "index.md" else "notebooks" if own.startswith("notebooks/") else "docs"
+    above = posixpath.dirname(own)
+    folder = "" if own == "index.md" else "notebooks" if above == "notebooks" else posixpath.join("docs", above)
 
     def link(match: re.Match[str]) -> str:
         text, target, anchor = match.groups("")

@@ -176,6 +176,32 @@ def test_what_only_a_ur_can_work_out_is_left(text: str, why: str) -> None:
     assert why in found
 
 
+def test_a_controller_whose_base_is_turned_against_the_urdf_gets_the_same_correction(
+    calibration: Path, tmp_path: Path
+) -> None:
+    """ROS has `base_link` turned by half a turn against the base of a UR: unsaid, other poses would be corrected."""
+    half_a_turn = transform([0.0, 0.0, 0.0], [0.0, 0.0, np.pi])
+    tool = transform([0.0, 0.0, 0.1], [0.0, 0.0, 0.0])
+    low, high = np.array([arm().saved.ranges[name] for name in arm().model.robot.readings]).T
+    here = flange(arm().model.robot, low + 0.45 * (high - low)) @ tool
+    start = np.array([0, 0, 0, 2.0, 2.0, 0.0])
+    (tmp_path / "frames.yaml").write_text(
+        "format: 1\nbases: {default: {xyz: [0, 0, 0], rpy: [0, 0, 3.141592653589793]}}\n"
+        "tools: {default: {xyz: [0, 0, 0.1], rpy: [0, 0, 0]}}\n"
+    )
+    (tmp_path / "tool.yaml").write_text("format: 1\ntools: {default: {xyz: [0, 0, 0.1], rpy: [0, 0, 0]}}\n")
+    found = []
+    for T, file in ((here, "tool.yaml"), (np.linalg.inv(half_a_turn) @ here, "frames.yaml")):
+        numbers = ", ".join(f"{value:.9f}" for value in OUR_UR.numbers(T, start))
+        _, text, table = run(
+            f"movel(p[{numbers}])\n", ".script", calibration, tmp_path, "--frames", str(tmp_path / file)
+        )
+        assert table["corrected"].all(), table["remark"].tolist()
+        found.append(OUR_UR.pose(np.array([float(n) for n in text[text.index("[") + 1 : text.index("]")].split(",")])))
+    np.testing.assert_allclose(half_a_turn @ found[1], found[0], atol=1e-7)
+    assert not np.allclose(found[0], here, atol=1e-5)
+
+
 KRL_POSE = "{X 1,Y 2,Z 3,A 4,B 5,C 6}"
 
 

@@ -90,9 +90,7 @@ def lines(found: Comparison) -> list[str]:
     d = found.difference
     odd = p_in_words(d.p_value)
     if not found.changed:
-        said = [
-            f"nothing changed beyond the uncertainty ({odd}; of robots that did not change {CHANGED:.0%} are said to have)"
-        ]
+        said = [f"nothing changed beyond the uncertainty ({odd}; below {CHANGED:g} a change is told)"]
     else:
         said = [f"changed: the predicted poses differ by more than the uncertainty of both ({odd})"]
     said.append(_sizes(d))

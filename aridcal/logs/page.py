@@ -8,7 +8,8 @@ import numpy as np
 
 from aridcal import __version__
 from aridcal.drawing.figures import AFTER, BEFORE, TICKS, WIDE, below, beside, drawn_or_missing
-from aridcal.drawing.html import Content, Html, bullets, figures, number, styled_page, table, tag
+from aridcal.drawing.frame import framed_page, sections
+from aridcal.drawing.html import Content, Html, bullets, figures, number, table, tag
 from aridcal.drawing.plot import (
     EDGE,
     GREY,
@@ -45,6 +46,17 @@ HEIGHT, LANE = 210.0, 11.0
 
 OFF = "Measured minus nominal at each row, base and target fitted: the robot's errors, no error of this table"
 
+PAIRED = (
+    "Speeds of the nominal tip (joints) and of the measured target (tracker), both by the joints' clock. They need not be equal, "
+    "for the target is not at the tip: they begin and end together. The bars below are standstills of each log and, between them, "
+    "the windows whose samples make a row."
+)
+
+LATE = (
+    "Each move says by itself how late one clock is; offset and drift are a robust line through all. Points that lie in two steps "
+    "are a clock that was set, a bow is a clock that warms up."
+)
+
 LISTED = 40
 """Standstills without a row that the page lists."""
 
@@ -58,45 +70,32 @@ def merge_page(found: Merged, names: tuple[str, str], out: Path) -> Html:
         out: The table.
     """
     middle = found.tracker.log.time[[0, -1]].mean()
-    body: list[Content] = [
-        tag(
-            "header",
-            tag("p", f"{names[0]} and {names[1]}", class_="about"),
-            tag("h1", f"{len(found.table)} standstills in {out.name}"),
-            bullets(lines(found)),
-        ),
-        tag(
-            "main",
-            tag(
-                "section",
-                tag("h2", "What was paired"),
-                tag(
-                    "p",
-                    "Speeds of the nominal tip (joints) and of the measured target (tracker), both by the joints' "
-                    "clock. They need not be "
-                    "equal, for the target is not at the tip: they begin and end together. The bars below are "
-                    "standstills of each log "
-                    "and, between them, the windows whose samples make a row.",
+    head = [
+        tag("p", f"{names[0]} and {names[1]}", class_="about"),
+        tag("h1", f"{len(found.table)} standstills in {out.name}"),
+        bullets(lines(found)),
+    ]
+    chapters: list[tuple[str, Content]] = [
+        ("What was paired", [tag("p", PAIRED), figures(_stretches(found))]),
+        (
+            "How well the clocks are known",
+            [
+                tag("p", LATE),
+                figures(
+                    [
+                        (
+                            "What each move says beyond offset and drift",
+                            _late("late", "Residual offset of each move", found),
+                        )
+                    ]
                 ),
-                figures(_stretches(found)),
-            ),
-            tag(
-                "section",
-                tag("h2", "How well the clocks are known"),
-                tag(
-                    "p",
-                    "Each move says by itself how late one clock is; offset and drift are a robust line through "
-                    "all. Points that lie in two "
-                    "steps are a clock that was set, a bow is a clock that warms up.",
-                ),
-                figures([("What each move says beyond offset and drift", _late("late", "Residual offset of each move", found))]),
-            ),
-            tag("section", tag("h2", "Rows beside the nominal robot"), figures([(OFF, _off("off", OFF, found))])),
-            tag("section", tag("h2", "Standstills without a row"), _unpaired(found)),
+            ],
         ),
-        tag("footer", f"aridcal {__version__} · clocks at {number(float(middle), 6)} s of the tracker's"),
-    ]  # fmt: skip
-    return styled_page(f"{names[0]} and {names[1]} merged", body)
+        ("Rows beside the nominal robot", figures([(OFF, _off("off", OFF, found))])),
+        ("Standstills without a row", _unpaired(found)),
+    ]
+    foot = f"aridcal {__version__} · clocks at {number(float(middle), 6)} s of the tracker's"
+    return framed_page(f"{names[0]} and {names[1]} merged", head, sections(chapters), foot)
 
 
 def lines(found: Merged) -> list[str]:

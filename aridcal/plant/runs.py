@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -156,13 +156,11 @@ class _Told:
     Args:
         total: How many are to be computed.
         progress: Told of it.
-        clock: In seconds.
     """
 
-    def __init__(self, total: int, progress: Progress, clock: Callable[[], float] = time.monotonic) -> None:
-        self._total, self._progress, self._clock = total, progress, clock
+    def __init__(self, total: int, progress: Progress) -> None:
+        self._total, self._progress = total, progress
         self._done = self._failed = 0
-        self._started = clock()
         if total:
             progress(f"calibrating {total:,} robots")
 
@@ -171,14 +169,5 @@ class _Told:
         if row["status"] == FAILED:
             self._failed += 1
             self._progress.note(f"{row['robot']} failed: {shortened(row['error'].splitlines()[0], 200)}")
-        left = (self._clock() - self._started) / self._done * (self._total - self._done)
         failed = f", {self._failed:,} failed" if self._failed else ""
-        self._progress.part(self._done, self._total, f"robots{failed}, {duration(left)} left")
-
-
-def duration(seconds: float) -> str:
-    """A time in words: ``40 s``, ``12 min``, ``3 h 20 min``."""
-    if seconds < 90:
-        return f"{seconds:.0f} s"
-    minutes = round(seconds / 60)
-    return f"{minutes} min" if minutes < 90 else f"{minutes // 60} h {minutes % 60} min"
+        self._progress.part(self._done, self._total, f"robots{failed}")

@@ -13,7 +13,7 @@ import pyarrow.parquet
 from aridcal.errors import OutputError
 from aridcal.plant.here import Broken, Engine, EngineGone
 from aridcal.plant.record import DONE, FAILED
-from aridcal.plant.runs import SAVE_EVERY, duration
+from aridcal.plant.runs import SAVE_EVERY
 from aridcal.plant.trials import Row, Trial, tried
 from aridcal.showing import Progress
 from aridcal.writing.files import atomic_file
@@ -89,7 +89,7 @@ def studied(
     rows = dict(known)
     waiting = {f"aridcal-{key}-{folder.absolute()}": trial for key, trial in trials.items() if key not in known}
     progress(f"{len(waiting):,} runs")
-    started = saved = time.monotonic()
+    saved = time.monotonic()
     gone, done = "", 0
     try:
         for name, answer in engine(tried, waiting):
@@ -99,8 +99,7 @@ def studied(
                 answer = {"key": trial.key, **case, "status": FAILED, "error": answer.why}
             rows[trial.key] = answer
             done += 1
-            left = (time.monotonic() - started) / done * (len(waiting) - done)
-            progress.part(done, len(waiting), f"runs, {duration(left)} left")
+            progress.part(done, len(waiting), "runs")
             if time.monotonic() - saved > SAVE_EVERY:
                 write_runs(rows, trials, folder)
                 saved = time.monotonic()

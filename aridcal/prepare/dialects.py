@@ -14,6 +14,7 @@ from aridcal.exports.sniffing import as_keys, look
 from aridcal.inputs.tables import AnyTable, check_ending
 from aridcal.prepare.guesses import Asker, Guess, Proposal, nobody
 from aridcal.prepare.orientation_columns import CLEAR
+from aridcal.prepare.units_and_angles import rounded
 from aridcal.reading import workbooks
 from aridcal.reading.dialect import PLAIN, Dialect
 from aridcal.reading.files import TABLE, read_file
@@ -95,13 +96,13 @@ def best_dialect(
     best = judged[0]
     near = [one for one in judged if one[0] <= CLEAR * best[0]]
     if len(near) == 1:
-        passed = f"; {_numbers(judged[1][1])} by {100 * judged[1][0]:.2g} %" if len(judged) > 1 else ""
+        passed = f"; {_numbers(judged[1][1])} by {rounded(100 * judged[1][0])} %" if len(judged) > 1 else ""
         return best[
             1
-        ], f"with {_numbers(best[1])} the nominal robot misses the targets by {100 * best[0]:.2g} %{passed}"
+        ], f"with {_numbers(best[1])} the nominal robot misses the targets by {rounded(100 * best[0])} %{passed}"
     if all(abs(share - best[0]) <= SAME * max(best[0], SAME) for share, _ in near):
         return best[1], f"{_numbers(best[1])}: read in groups, the same places would be in another unit"
-    answers = [f"{_numbers(dialect)}, {100 * share:.2g} % off" for share, dialect in near]
+    answers = [f"{_numbers(dialect)}, {rounded(100 * share)} % off" for share, dialect in near]
     k = asker.pick("table.decimal", "how are numbers written", answers, "these fit the nominal robot alike")
     return near[k][1], "as was answered"
 

@@ -28,6 +28,7 @@ from aridcal.prepare.units_and_angles import (
     different,
     matrix_writings,
     quaternion_writings,
+    rounded,
 )
 
 # A way to read the table that fits so many times better than the next needs no question.
@@ -86,13 +87,13 @@ def say_orientation(
     best = ways[0]
     if len(ways) > 1 and ways[1].misfit <= CLEAR * best.misfit:
         near = [way for way in ways if way.misfit <= CLEAR * best.misfit][:MOST_ANSWERS]
-        said = [f"{way.what}, {1e3 * way.misfit:.3g} mrad off" for way in near]
+        said = [f"{way.what}, {rounded(1e3 * way.misfit)} mrad off" for way in near]
         why = f"in {' '.join(own.columns)} these fit the nominal robot alike"
         best = near[asker.pick("orientation", "how are orientations written", said, why)]
     _refuse_second(table, rows, own, best, found[1:])
-    why = f"{best.what} misses the nominal robot's orientations by {1e3 * best.misfit:.3g} mrad"
+    why = f"{best.what} misses the nominal robot's orientations by {rounded(1e3 * best.misfit)} mrad"
     for other in [way for way in ways if way is not best][:1]:
-        why += f"; {other.what} by {1e3 * other.misfit:.3g}"
+        why += f"; {other.what} by {rounded(1e3 * other.misfit)}"
     likely = best.misfit <= STRANGE_ANGLE
     if not likely:
         why += ". That is MUCH: check their order, and that they turn the target into the world and not back"

@@ -28,7 +28,7 @@ from aridcal.inputs.orientations import QUATERNION, angle_columns, column_of, tu
 from aridcal.inputs.quantities import POSITION
 from aridcal.inputs.read import load_measurements
 from aridcal.inputs.tables import read_tables
-from aridcal.prepare.units_and_angles import TRIED_LENGTHS
+from aridcal.prepare.units_and_angles import TRIED_LENGTHS, rounded
 from aridcal.robot.chain import Robot
 
 if TYPE_CHECKING:
@@ -89,7 +89,7 @@ class Left:
         return float(self.sigma[0] / max(self.spread, 1e-9) + self.sigma[1:].sum())
 
     def __str__(self) -> str:
-        said = [f"{value:.3g}" if value < 100 else f"{value:,.0f}" for value in 1e3 * self.sigma]
+        said = [rounded(value) for value in 1e3 * self.sigma]
         return " and ".join(f"{value} {unit}" for value, unit in zip(said, ("mm", "mrad"), strict=False))
 
 

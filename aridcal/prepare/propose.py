@@ -27,7 +27,7 @@ from aridcal.prepare.covariates import say_covariates, say_repeats
 from aridcal.prepare.guesses import Asker, Proposal, ask
 from aridcal.prepare.orientation_columns import CLEAR, MOST_ANSWERS, say_orientation, sensible
 from aridcal.prepare.other_kinds import other_kind, say_other_kind
-from aridcal.prepare.units_and_angles import Reading, Sample, readings
+from aridcal.prepare.units_and_angles import Reading, Sample, readings, rounded
 from aridcal.robot.chain import Robot, chain
 from aridcal.robot.tree import read_tree
 
@@ -315,7 +315,7 @@ def _units(
     best = next(reading for reading in tried if reading.per is None)
     first = tried[0]
     if first.per and first.share * CLEAR < best.share:
-        why = f"stations that share it: {1e3 * best.metres:.3g} mm off; one each: {1e3 * first.metres:.3g} mm"
+        why = f"stations that share it: {rounded(1e3 * best.metres)} mm off; one each: {rounded(1e3 * first.metres)} mm"
         made.say(f"frames.{first.per}", {"per": "station"}, why)
         best = first
     near = [r for r in tried if r.per == best.per][:MOST_ANSWERS]
@@ -359,8 +359,9 @@ def _named(sample: Sample, reading: Reading) -> list[tuple[str, str]]:
 
 def _units_in_words(reading: Reading) -> str:
     """Units of a way to read joints and positions."""
-    rails = "" if reading.travel == reading.length else f", rails in {reading.travel}"
-    return f"{reading.angle} and {reading.length}{rails}"
+    length, travel = ("inches" if u == "in" else u for u in (reading.length, reading.travel))
+    rails = "" if travel == length else f", rails in {travel}"
+    return f"{reading.angle} and {length}{rails}"
 
 
 def _why_units(best: Reading, near: Sequence[Reading], columns: Sequence[str]) -> str:
@@ -368,10 +369,10 @@ def _why_units(best: Reading, near: Sequence[Reading], columns: Sequence[str]) -
     said = {unit(column) for column in columns} - {None}
     agrees = said and said <= {best.angle, best.length}
     why = "as the header says: " if agrees else ""
-    why += f"in {_units_in_words(best)} the nominal robot misses the targets by {1e3 * best.metres:.3g} mm"
-    why += f" ({100 * best.share:.2g} % of their spread)"
+    why += f"in {_units_in_words(best)} the nominal robot misses the targets by {rounded(1e3 * best.metres)} mm"
+    why += f" ({rounded(100 * best.share)} % of their spread)"
     for other in [reading for reading in near if reading is not best][:1]:
-        why += f"; in {_units_in_words(other)} by {100 * other.share:.2g} %"
+        why += f"; in {_units_in_words(other)} by {rounded(100 * other.share)} %"
     if best.share > STRANGE_SHARE:
         why += ". That is MUCH: check that the URDF is this robot's, each joint's column, sign and zero, and whether tracker"
         why += " or target were moved in between (then give each place its label in a column `station`)"

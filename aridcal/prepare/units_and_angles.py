@@ -47,6 +47,11 @@ SHOWN_WAYS = 4
 SAME = 1e-9
 
 
+def rounded(value: float) -> str:
+    """A size to be read: three digits, and whole where it is large."""
+    return f"{value:.3g}" if value < 100 else f"{value:,.0f}"
+
+
 @dataclass(frozen=True)
 class Sample:
     """Some rows as they stand in the table.

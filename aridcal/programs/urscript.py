@@ -131,11 +131,13 @@ def read(text: str, axes: Axes, frames: KnownFrames) -> list[Target]:
     Args:
         text: The program.
         axes: Of the robot.
-        frames: For the tool of a program that sets none: ``default``.
+        frames: For the tool of a program that sets none, ``default``, and for where the controller has its base, if the URDF's
+            is elsewhere, ``default`` too: that of ROS is turned by half a turn.
     """
     plain = blanked(text, COMMENTS)
     program = _Program(plain, _assignments(plain))
     tool: np.ndarray | str = frames.tools.get(DEFAULT, unknown("the tool", DEFAULT))
+    base = frames.bases.get(DEFAULT, np.eye(4))
     found = []
     for call in MOVES.finditer(plain):
         end = closing(plain, call.end() - 1)
@@ -146,7 +148,7 @@ def read(text: str, axes: Axes, frames: KnownFrames) -> list[Target]:
         for start, stop in arguments[: 2 if call.group("move") == "movec" else 1]:
             line = line_of(text, call.start())
             try:
-                found.append(_target(line, program.target(start, stop), tool, axes))
+                found.append(_target(line, program.target(start, stop), base, tool, axes))
             except NotPlain as why:
                 name = " ".join(plain[start:stop].split())
                 found.append(Target(line, name, "pose", (), str(why)))
@@ -178,7 +180,7 @@ def _tool(program: _Program, argument: tuple[int, int]) -> np.ndarray | str:
         return f"the tool: {why}"
 
 
-def _target(line: int, found: _Found, tool: np.ndarray | str, axes: Axes) -> Target:
+def _target(line: int, found: _Found, base: np.ndarray, tool: np.ndarray | str, axes: Axes) -> Target:
     if found.form == "joints":
         units = axes.units(axes.arm, 1.0, 1.0)
         if len(found.numbers) != len(units):
@@ -190,6 +192,5 @@ def _target(line: int, found: _Found, tool: np.ndarray | str, axes: Axes) -> Tar
     why = tool if isinstance(tool, str) else ""
     own = None if isinstance(tool, str) else tool
     near = found.near if found.near is not None and len(found.near) == len(axes.kinds) else None
-    return Target(
-        line, found.name, "pose", found.numbers, why, None, (), UR, found.base, own, Branch(near=near, settled=True)
-    )
+    branch = Branch(near=near, settled=True)
+    return Target(line, found.name, "pose", found.numbers, why, None, (), UR, base @ found.base, own, branch)
