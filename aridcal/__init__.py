@@ -12,6 +12,7 @@ Example:
     cal.save("results")
     aridcal.compare("results/march", "results/april").causes  # what changed
     aridcal.history("fleet").alarms  # which robots drift
+    table = aridcal.merge("joints.csv", "tracker.csv", "ur5.urdf", "tool0")  # two logs, each with its clock
 """
 
 from __future__ import annotations
@@ -33,12 +34,13 @@ __all__ = [
     "compare",
     "history",
     "load",
+    "merge",
     "plan",
     "propose",
 ]
 
 if TYPE_CHECKING:
-    from aridcal.api import PlannedPoses, calibrate, compare, history, load, plan, propose
+    from aridcal.api import PlannedPoses, calibrate, compare, history, load, merge, plan, propose
     from aridcal.calibration import Calibration
     from aridcal.errors import AridcalError
     from aridcal.inputs.campaign import Campaign

@@ -12,6 +12,7 @@ from aridcal.errors import AridcalError, nearest
 
 COMMANDS = {
     "init": "write a campaign for a URDF and a table of measurements",
+    "merge": "a log of joints and a log of a tracker, with a clock each, to a table of measurements",
     "identify": "calibrate: from a campaign to a calibrated URDF, a report and a 3D scene",
     "predict": "poses of the real target for rows of joint readings",
     "compensate": "joint commands that bring the real target to wanted poses",

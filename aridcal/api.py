@@ -9,6 +9,7 @@ Example:
     cal.save("results")
     aridcal.compare("march", "april").causes
     aridcal.history("fleet").alarms
+    table = aridcal.merge("joints.csv", "tracker.csv", "robot.urdf", "tool0")
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ from aridcal.history import FleetHistory, over_time
 from aridcal.init import tell
 from aridcal.inputs.campaign import Campaign, load_campaign, nominal_robot
 from aridcal.inputs.tables import AnyTable
+from aridcal.merge import merge
 from aridcal.planning.beforehand import beforehand
 from aridcal.planning.design import Asked, Plan, as_table, design
 from aridcal.planning.exchange import Criterion
@@ -51,6 +53,7 @@ __all__ = [
     "compare",
     "history",
     "load",
+    "merge",
     "plan",
     "propose",
 ]

@@ -21,6 +21,9 @@ from aridcal.interrupt import MESSAGE, SIGNALLED, leave
 from aridcal.writing.signals import Handler, Terminated, handling, terminate
 
 DONE, BUG, BAD_INPUT, NOT_GOOD = 0, 1, 2, 3
+PIPED = 200
+"""Columns of a table in a pipe: none of ours is wider."""
+
 NO_ROOM = frozenset({errno.ENOSPC, errno.EDQUOT})
 INTERRUPTED, TERMINATED = SIGNALLED + signal.SIGINT, SIGNALLED + signal.SIGTERM
 
@@ -108,9 +111,13 @@ def for_scripts(command: CommandParser, headline: bool = False) -> None:
 
 
 def screens(arguments: argparse.Namespace) -> tuple[Console, Console]:
-    """Where a command with these options prints its result, and where its progress and its remarks; a pipe gets whole lines."""
-    silent = arguments.quiet or getattr(arguments, "json", False)
-    return Console(quiet=silent, soft_wrap=not sys.stdout.isatty()), Console(stderr=True, quiet=arguments.quiet)
+    """Where a command with these options prints its result, and where its progress and its remarks.
+
+    In a pipe lines are whole, however long they are: what reads them there breaks them as it likes.
+    """
+    silent, piped = arguments.quiet or getattr(arguments, "json", False), not sys.stdout.isatty()
+    words = Console(quiet=silent, soft_wrap=piped, width=PIPED if piped else None)
+    return words, Console(stderr=True, quiet=arguments.quiet)
 
 
 def print_headline(arguments: argparse.Namespace, headline: Mapping[str, Any]) -> None:

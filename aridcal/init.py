@@ -30,7 +30,7 @@ from aridcal.writing.files import atomic_file, claimed
 SHOWN_REMARKS = 5
 
 
-def _ask(question: str, answers: Sequence[str], why: str) -> int:
+def ask(question: str, answers: Sequence[str], why: str) -> int:
     """Ask on the terminal; the first answer is proposed."""
     console = Console(stderr=True)
     console.print(f"{question}? ({why})", markup=False)
@@ -54,7 +54,7 @@ def tell(proposed: Draft, title: str, console: Console) -> None:
     console.print(said, markup=False, highlight=False, soft_wrap=True)
 
 
-def _answer(text: str) -> tuple[str, int]:
+def answer(text: str) -> tuple[str, int]:
     """A key and the number of an answer: the ``type`` of an argument of argparse."""
     key, _, number = text.partition("=")
     if not key or not number.isdecimal() or len(number) > 3:
@@ -81,7 +81,7 @@ def parser() -> CommandParser:
     )
     arguments.add_argument(
         "--set",
-        type=_answer,
+        type=answer,
         action="append",
         default=[],
         metavar="KEY=NUMBER",
@@ -89,7 +89,7 @@ def parser() -> CommandParser:
     )
     arguments.add_argument(
         "--package",
-        type=_pair,
+        type=pair,
         action="append",
         default=[],
         metavar="NAME=FOLDER",
@@ -97,7 +97,7 @@ def parser() -> CommandParser:
     )
     arguments.add_argument(
         "--argument",
-        type=_pair,
+        type=pair,
         action="append",
         default=[],
         metavar="NAME=VALUE",
@@ -122,7 +122,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     return run(lambda: _main(arguments.urdf, files, out, settled, packages, xacro))
 
 
-def _pair(text: str) -> tuple[str, str]:
+def pair(text: str) -> tuple[str, str]:
     """The ``type`` of an argument of argparse that gives something a name."""
     name, equals, value = text.partition("=")
     name = name.removesuffix(":")  # xacro itself writes NAME:=VALUE
@@ -142,7 +142,7 @@ def _main(
     if out.exists():
         raise OutputError(f"{out}: exists already; delete it, or choose another name with -o")
     with claimed(out, "file"):
-        proposed = draft(urdf, files, out, _ask if sys.stdin.isatty() else nobody, settled, packages, arguments)
+        proposed = draft(urdf, files, out, ask if sys.stdin.isatty() else nobody, settled, packages, arguments)
         with atomic_file(out) as path:
             path.write_text(proposed.campaign.text, encoding="utf-8")
     console = Console()

@@ -72,11 +72,11 @@ def write_folder(
         progress("working out what controllers can be given")
         handover = hand_over(outcome)
         write_controllers(outcome, handover, stage)
-        progress("drawing the report")
-        notices = write_report(outcome, handover, stage / "report.html", progress)
         progress("drawing the scene")
-        notices += write_scene(outcome, stage / "scene.html")
+        notices = write_scene(outcome, stage / "scene.html")
         notices += write_certificate(outcome, stage, datetime.date.today())
+        progress("drawing the report")  # last, for it links to what is there
+        notices = write_report(outcome, handover, stage / "report.html", progress) + notices
         for name, text in beside.items():
             (stage / name).write_text(text, encoding="utf-8")
     return Written(handover, notices)

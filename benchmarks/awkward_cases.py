@@ -320,6 +320,19 @@ def _rapid(t: Truth) -> bytes:
     )
 
 
+def _targets(t: Truth) -> bytes:
+    """RAPID's jointtarget and robtarget, each in one cell."""
+    quat, mms, deg = t.R.as_quat()[:, [3, 0, 1, 2]], 1e3 * t.p, np.degrees(t.q)
+    other = "[9E+09,9E+09,9E+09,9E+09,9E+09,9E+09]"
+    place = [f"[{_inner(mms[k])},{_inner(quat[k])},[0,-1,0,0],{other}]" for k in range(len(t.q))]
+    axes = [f"[{_inner(deg[k])},{other}]" for k in range(len(t.q))]
+    return text({"jointtarget": np.array(axes), "measured": np.array(place)}, ";")
+
+
+def _inner(values: np.ndarray) -> str:
+    return "[" + ",".join(repr(float(v)) for v in values) + "]"
+
+
 def _small_turns(t: Truth) -> bytes:
     return text(mm(t) | _three("rx ry rz", np.zeros_like(t.p)))
 
@@ -503,6 +516,7 @@ CASES: tuple[Case, ...] = (
     Case("ur.csv", "UR's real-time data and a rotation vector, blanks", _rtde),
     Case("ur_lists.csv", "URScript's p[...] and joints as lists in cells", _pose_lists),
     Case("rapid.csv", "lists in cells: robax, trans, rot", _rapid),
+    Case("targets.csv", "RAPID's jointtarget and robtarget in cells", _targets),
     Case("sentinel.csv", "-1e30 where nothing was seen", _sentinel, rows=_but(4), pose=False),
     Case("holes.csv", "n/a, --- and nothing in cells", _holes, rows=_but(3, 5, 7), pose=False),
     Case("two_bodies.csv", "a second body that stands still", _two_bodies),

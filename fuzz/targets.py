@@ -25,6 +25,7 @@ from aridcal.inputs.read import load_measurements
 from aridcal.inputs.tables import read_tables
 from aridcal.inputs.things import load_places
 from aridcal.inputs.yaml_file import load_settings, parse_settings
+from aridcal.logs.bags import joint_log
 from aridcal.prepare.scenario import Scenario, check_scenario
 from aridcal.reading.files import TABLE, URDF, read_file
 from aridcal.result.saved_model import SavedModel
@@ -185,5 +186,7 @@ TARGETS = {
     "parquet": Target(_table, ".parquet", kind="binary"),
     "camera": Target(lambda path: load_settings(path, CameraFile), ".yaml"),
     "picture": Target(grey_image, ".png", 5000, "binary"),
+    "bag": Target(lambda path: joint_log(path, _arm()), ".bag", 17_000, "binary"),
+    "mcap": Target(lambda path: joint_log(path, _arm()), ".mcap", 16_000, "binary"),
     "image": Target(_image, ".png", 5000, "binary"),
 }

@@ -373,3 +373,27 @@ def test_a_wrong_reading_of_matrices_and_of_two_units_is_refused_by_identify(tmp
     out.write_text(out.read_text().replace("euler: ZYX", "euler: XYZ"))
     with pytest.raises(AridcalError, match="Euler angles ZYX"):
         aridcal.calibrate(out)
+
+
+def test_a_file_that_ends_before_its_first_row_has_no_rows(tmp_path: Path) -> None:
+    """The attack: the last line of a short file stands where names are, and would be a row as well."""
+    (tmp_path / "m.csv").write_text("a;b\n1;2\n3;4")
+    for header, first in (((3,), 0), ((1,), 6), ((3,), 5)):
+        with pytest.raises(MeasurementError, match=r"no rows|holds numbers"):
+            read_tables([tmp_path / "m.csv"], dialect=Dialect(separator=";", header=header, first_row=first))
+    with pytest.raises(MeasurementError, match="no header in line 4"):
+        read_tables([tmp_path / "m.csv"], dialect=Dialect(separator=";", header=(4,)))
+    read = read_tables([tmp_path / "m.csv"], dialect=Dialect(separator=";", header=(), names=("a", "b"), first_row=2))
+    assert read.line.tolist() == [2, 3] and read.numbers("b")[0].tolist() == [2.0, 4.0]
+
+
+def test_a_unit_of_a_column_that_is_not_there_is_an_error(tmp_path: Path) -> None:
+    path = tmp_path / "m.csv"
+    path.write_bytes(EVERY["mixed_units.csv"].write(known("ur10")))
+    out = proposed(path)
+    out.write_text(out.read_text().replace("pitch: deg", "pich: deg"))
+    with pytest.raises(AridcalError, match=r"units.columns.pich: there is no such column.*'pitch'"):
+        read_by(out)
+    out.write_text(out.read_text().replace("pich: deg", "pitch: mm"))
+    with pytest.raises(AridcalError, match=r"units.columns.pitch: mm is no unit of angle"):
+        read_by(out)

@@ -166,6 +166,7 @@ def test_o_and_out_mean_the_same(command):
             "identify",
             "init",
             "measure",
+            "merge",
             "simulate",
             "predict",
             "compensate",

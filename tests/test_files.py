@@ -197,5 +197,6 @@ def test_lines_of_numbers_and_words_are_the_bytes_that_pandas_writes() -> None:
     table.loc[3:5, "w"] = [np.inf, -np.inf, -0.0]
     names = ["plain", "with, comma", 'with "quotes"', "two\nlines", ""]
     table = table.assign(name=[names[k % 5] for k in range(500)], number=range(500), whole=1.0)
-    assert csv_lines(table, 9) == table.to_csv(index=False, header=False, float_format="%.9g")
-    assert csv_lines(table[:0], 9) == ""
+    columns = {name: column.to_numpy() for name, column in table.items()}
+    assert csv_lines(columns, 9) == table.to_csv(index=False, header=False, float_format="%.9g")
+    assert csv_lines({name: column[:0] for name, column in columns.items()}, 9) == ""

@@ -157,8 +157,8 @@ def test_the_page_names_who_stands_out_what_drifts_and_escapes_what_users_wrote(
     assert '<a href="r4/report.html">' in page
     assert "12 of 13 robots calibrated" in page
     assert "&lt;i&gt;" in page and "why &amp; how" in page and "r99" in page
-    assert "final position_mm" in page.split("Robots that stand out")[1].split("Constants that drift")[0]
-    assert "<strong>moved</strong>" in page.split("Constants that drift")[1].split("Effects across")[0]
-    assert "50 %" in page.split("Effects across the fleet")[1]
+    assert "final position_mm" in page.split("<h2>Robots that stand out")[1].split("<h2>Constants that drift")[0]
+    assert "<strong>moved</strong>" in page.split("<h2>Constants that drift")[1].split("<h2>Effects across")[0]
+    assert "50 %" in page.split("<h2>Effects across the fleet")[1]
     assert "joint_1 never moves &lt;b&gt; (11 robots)" in page
-    assert page.index(">r4<", page.index("Every robot")) < page.index(">r3<", page.index("Every robot"))
+    assert page.index(">r4<", page.index("<h2>Every robot")) < page.index(">r3<", page.index("<h2>Every robot"))

@@ -53,3 +53,11 @@ def test_a_check_as_json_agrees_with_its_exit_status(campaign: Path, capfd: pyte
         said = json.loads(capfd.readouterr().out)
         assert said["good"] == (status == 0)
         assert said["said"]
+
+
+def test_in_a_pipe_no_line_is_broken(campaign: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    assert identify([str(campaign)]) == 0
+    lines = capfd.readouterr().out.splitlines()
+    assert max(map(len, lines)) > 80
+    assert any(line.startswith("In 95 % of the range") and line.endswith("with 95 % confidence.") for line in lines)
+    assert lines[-1] == f"report: {campaign.parent / 'results' / 'report.html'}"

@@ -36,6 +36,7 @@ KEPT_TO = {
     "duckdb": ("aridcal.ageing.store",),
     "dask": ("aridcal.plant.engine",),
     "distributed": ("aridcal.plant.engine",),
+    "rosbags": ("aridcal.logs.bags",),
     "cv2": ("aridcal.boards.", "aridcal.head."),
     "meshcat": ("aridcal.view", "aridcal.drawing.scene"),
     "scipy.optimize": ("aridcal.fit.",),

@@ -13,12 +13,36 @@ import robots
 import test_measure
 from scipy.spatial.transform import Rotation
 
+from aridcal.drawing.frame import card, framed_page, sections
+from aridcal.drawing.html import bullets, table, tag
 from aridcal.identify import main as identify
 
 LOUD = """(() => {
   const wide = (e) => e.getBoundingClientRect().right > innerWidth + 1 && !e.closest(".scroll, figure");
   return [...document.querySelectorAll("main *, header *")].filter(wide).map((e) => e.outerHTML.slice(0, 80));
 })()"""
+
+
+LETTERS = """Math.min(...[...document.querySelectorAll("svg text")].map((t) => {
+  const shown = t.ownerSVGElement.getBoundingClientRect().width / t.ownerSVGElement.viewBox.baseVal.width;
+  return shown * parseFloat(getComputedStyle(t).fontSize);
+}))"""
+"""Size of the smallest letters of a figure, [px]."""
+
+BROKEN = r"""(() => {
+  const found = [], range = document.createRange();
+  const walk = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
+  for (let node = walk.nextNode(); node; node = walk.nextNode()) {
+    if (node.parentElement.closest("svg, thead, style") || !node.parentElement.offsetParent) continue;
+    for (const word of node.data.matchAll(/[\p{L}\p{N}_.]+/gu)) {
+      range.setStart(node, word.index);
+      range.setEnd(node, word.index + word[0].length);
+      if (new Set([...range.getClientRects()].map((r) => Math.round(r.top))).size > 1) found.push(word[0]);
+    }
+  }
+  return found;
+})()"""
+"""Words that stand on two lines."""
 
 
 @pytest.fixture(scope="module")
@@ -51,11 +75,26 @@ def test_the_report_fits_the_window_and_can_be_read(report: chromium.Page) -> No
     width = report.evaluate("innerWidth")
     assert report.evaluate("document.documentElement.scrollWidth") <= width
     assert report.evaluate(LOUD) == []
-    small = "[...document.querySelectorAll('svg text')].filter((t) => t.getBoundingClientRect().height < 8).length"
-    assert report.evaluate(small) == 0
+    assert report.evaluate(LETTERS) >= 11.0
+    tables = "[...document.querySelectorAll('.scroll')].filter((e) => e.scrollWidth > e.clientWidth + 1).length"
+    assert report.evaluate(tables) == 0  # nothing is cut off at the side
     assert report.evaluate("document.querySelector('.now').getBoundingClientRect().bottom") < 500
     if width > 1000:  # on a desk the first screen answers all five questions
         assert report.evaluate("document.querySelector('.answers').getBoundingClientRect().bottom") < 900
+
+
+def test_names_of_any_length_stay_within_a_phone(browser: chromium.Browser, tmp_path: Path) -> None:
+    name = "joint_" + "x" * 150
+    head = [tag("h1", name), tag("div", card(name, "mm", ("before", 1.0), ("after", 0.1), name), class_="cards")]
+    rows = [[tag("code", name), name, "1.234 ± 0.001 mm", "1.2"] for _ in range(2)]
+    content = [tag("p", tag("code", name)), table(["a", name, "b", "c"], rows, name, numbers=2), bullets([name])]
+    (tmp_path / "page.html").write_text(framed_page(name, head, sections([(name, content), ("b", "")]), name))
+    with browser.open(tmp_path / "page.html", 390, 800) as page:
+        assert page.evaluate("document.documentElement.scrollWidth") == 390
+        assert page.evaluate(LOUD) == []
+        assert page.evaluate(
+            "document.querySelector('.scroll').scrollWidth <= document.querySelector('.scroll').clientWidth + 1"
+        )
 
 
 def test_figures_stand_in_the_page_with_ink_in_them(report: chromium.Page) -> None:
@@ -74,9 +113,28 @@ def test_figures_stand_in_the_page_with_ink_in_them(report: chromium.Page) -> No
         assert (part.min(axis=-1) < 200).mean() > 0.005, k
 
 
-def test_links_lead_to_sections(report: chromium.Page) -> None:
+def test_links_lead_to_sections_and_to_files_that_are_there(report: chromium.Page, result: Path) -> None:
     found = "[...document.querySelectorAll('nav a')].every((a) => document.querySelector(a.getAttribute('href')))"
     assert report.evaluate(found)
+    named = report.evaluate("[...document.querySelectorAll('a')].map((a) => a.getAttribute('href'))")
+    files = {name for name in named if not name.startswith("#")}
+    assert files >= {"calibrated.urdf", "calibration.yaml", "scene.html", "result.json", "joint_offsets.yaml"}
+    assert all((result / name).is_file() for name in files)
+
+
+def test_the_contents_stay_at_the_side_of_a_wide_screen(report: chromium.Page) -> None:
+    wide = report.evaluate("innerWidth") > 1000
+    report.evaluate("document.querySelector('main > section:last-child').scrollIntoView({behavior: 'instant'})")
+    box = report.evaluate(
+        "(() => {const b = document.querySelector('nav').getBoundingClientRect(); return [b.right, b.top, b.bottom]})()"
+    )
+    begins = report.evaluate("document.querySelector('main').getBoundingClientRect().left")
+    in_sight = box[0] <= begins and box[1] >= 0 and box[2] <= 900
+    assert in_sight == wide
+
+
+def test_words_are_whole_on_a_phone(report: chromium.Page) -> None:
+    assert report.evaluate(BROKEN) == []
 
 
 def test_on_paper_the_report_keeps_its_order_and_width(result: Path, browser: chromium.Browser) -> None:

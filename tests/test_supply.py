@@ -28,6 +28,7 @@ EXTRAS = {
 ON_REQUEST = {
     "distributed": ("fleet", "plant/engine.py"),
     "duckdb": ("fleet", "ageing/store.py"),
+    "rosbags": ("ros", "logs/bags.py"),
     "robot_descriptions": ("xacro", "robot/named.py"),
     "xacrodoc": ("xacro", "robot/expand.py"),
 }

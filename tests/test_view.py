@@ -57,6 +57,14 @@ TOY = """<robot name="{name}">
 </robot>"""
 
 
+IN_SIGHT = """(() => {
+  const box = document.getElementById("flip").getBoundingClientRect();
+  const there = document.elementFromPoint((box.left + box.right) / 2, (box.top + box.bottom) / 2);
+  return box.left >= 0 && box.top >= 0 && box.right <= innerWidth && box.bottom <= innerHeight && Boolean(there.closest("#flip"));
+})()"""
+"""Whether before and after stand in the window, with nothing over them."""
+
+
 def toy(x: float = 0.0, name: str = "toy", folder: Path = Path()) -> Robot:
     return parse_robot(TOY.format(x=x, name=name).encode(), "tip", "base", folder / "toy.urdf")
 
@@ -565,7 +573,15 @@ def test_the_page_draws_robot_ghost_targets_and_needles(page: chromium.Page) -> 
 
 def test_before_and_after_are_one_click_apart(page: chromium.Page, scene: Scene) -> None:
     after = page.pixels()
+    assert page.evaluate(IN_SIGHT)
+    assert [page.evaluate(f"document.getElementById('{side}').className") for side in ("was", "is")] == ["", "on"]
+    errors = [stage["rms"] for stage in scene_content(scene, robot_shapes(scene.nominal)[0])["stages"]]
+    shown = [
+        float(page.evaluate(f"document.getElementById('{side}').textContent").split()[1]) for side in ("was", "is")
+    ]
+    assert shown == pytest.approx([errors[0], errors[-1]], rel=5.1e-3)
     click(page, "#flip")
+    assert [page.evaluate(f"document.getElementById('{side}').className") for side in ("was", "is")] == ["on", ""]
     before = page.pixels()
     assert page.evaluate("document.querySelector('input[name=stage]:checked').value") == "0"
     assert coloured(before, VIRIDIS[-1]) > 3 * coloured(after, VIRIDIS[-1])  # before calibration the errors are large
@@ -639,6 +655,9 @@ def test_on_a_phone_the_panel_opens_below_the_robot(browser: chromium.Browser, s
     with browser.open(tmp_path / "scene.html", 390, 800) as page:
         page.wait("document.documentElement.dataset.ready")
         assert page.evaluate("document.documentElement.scrollWidth") == 390
+        both = page.evaluate("document.getElementById('flip').textContent")
+        assert re.fullmatch(r"before [\d.]+ mm → after [\d.]+ mm", both)
+        assert page.evaluate(IN_SIGHT)
         assert page.evaluate("document.getElementById('panel').getBoundingClientRect().height") < 80
         page.evaluate("document.getElementById('panel').open = true")
         page.wait("document.querySelector('canvas').getBoundingClientRect().height < 450")

@@ -10,7 +10,8 @@ import numpy as np
 from aridcal import __version__
 from aridcal.ageing.comparison import Comparison, constants, lines, p_in_words, worst
 from aridcal.drawing.figures import histogram
-from aridcal.drawing.html import Content, Html, bullets, figures, number, plus_minus, styled_page, table, tag
+from aridcal.drawing.frame import framed_page, sections
+from aridcal.drawing.html import Content, Html, bullets, figures, number, plus_minus, table, tag
 from aridcal.drawing.words import reading_in_words, shown_in
 from aridcal.report.page import drawn
 
@@ -33,17 +34,13 @@ def compare_page(found: Comparison, names: tuple[str, str]) -> Html:
         ("What was compared", _about(found, names)),
     ]
     robot = found.urdf[0]
-    body = [
-        tag(
-            "header",
-            tag("p", f"{names[0]} and {names[1]} · {robot}", class_="about"),
-            tag("h1", "Changed" if found.changed else "Nothing changed beyond the uncertainty"),
-            bullets([verdict, *others]),
-        ),
-        tag("main", [tag("section", tag("h2", name), drawn(name, content)) for name, content in chapters]),
-        tag("footer", f"aridcal {__version__}"),
+    head = [
+        tag("p", f"{names[0]} and {names[1]} · {robot}", class_="about"),
+        tag("h1", "Changed" if found.changed else "Nothing changed beyond the uncertainty"),
+        bullets([verdict, *others]),
     ]
-    return styled_page(f"{names[0]} and {names[1]} compared", body)
+    parts = sections([(name, drawn(name, content)) for name, content in chapters])
+    return framed_page(f"{names[0]} and {names[1]} compared", head, parts, f"aridcal {__version__}")
 
 
 def _poses(found: Comparison) -> Iterator[Content]:

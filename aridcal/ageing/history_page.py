@@ -12,7 +12,8 @@ from aridcal import __version__
 from aridcal.ageing.comparison import p_in_words
 from aridcal.ageing.trend import FEWEST
 from aridcal.ageing.wear import DAY_ZERO, FALSE_ALARMS, History, RobotHistory, Watched
-from aridcal.drawing.html import Content, Html, bullets, counted, figures, number, plus_minus, styled_page, table, tag
+from aridcal.drawing.frame import framed_page, sections
+from aridcal.drawing.html import Content, Html, bullets, counted, figures, number, plus_minus, table, tag
 from aridcal.drawing.timelines import Band, sparkline, timeline
 from aridcal.drawing.words import shown_in
 from aridcal.report.page import drawn
@@ -208,12 +209,9 @@ def history_page(found: History, title: str) -> Html:
         ("Every robot, the worst first", _robots(found)),
         ("How sure is this?", _about(found)),
     ]
-    body = [
-        tag("header", tag("p", title, class_="about"), tag("h1", heading)),
-        tag("main", [tag("section", tag("h2", name), drawn(name, content)) for name, content in chapters]),
-        tag("footer", f"aridcal {__version__}"),
-    ]
-    return styled_page(f"{title}: {heading}", body)
+    head = [tag("p", title, class_="about"), tag("h1", heading)]
+    parts = sections([(name, drawn(name, content)) for name, content in chapters])
+    return framed_page(f"{title}: {heading}", head, parts, f"aridcal {__version__}")
 
 
 def _alarms(found: History) -> Iterator[Content]:

@@ -51,7 +51,7 @@ def banded(
         parts.append(_text(place + 15.0, 12.0, name, "start"))
         place += 27.0 + 5.2 * len(name)
     size = {"viewBox": f"0 0 {WIDTH:.0f} {HEIGHT:.0f}", "aria-label": alt}
-    return tag("svg", parts, class_="plot", role="img", font_size="9", **size)
+    return tag("svg", parts, class_="plot", role="img", font_size="10", **size)
 
 
 def _axes(ends: tuple[tuple[float, float], tuple[float, float]], labels: tuple[str, str]) -> list[Html]:

@@ -114,7 +114,7 @@ def coverage(key: str, alt: str, names: Sequence[str], shares: Sequence[np.ndarr
         made.append(stairs(area, 100 * edges, foot + 0.8 * bins / max(bins.max(), 1), foot, AFTER, 0.55, 0.0))
         made.append(level(area, foot, EDGE))
         middle = area.top + each * (k + 0.5) - 2
-        made.append(text(left - 6, middle, _short(name), "end", INK) + text(left - 6, middle + 11, limits, "end"))
+        made.append(text(left - 6, middle, _short(name), "end", INK) + text(left - 6, middle + 12, limits, "end"))
     return whole(alt, WIDTH, area.bottom + EDGES[0], made)
 
 
@@ -312,5 +312,5 @@ def _some(count: int) -> np.ndarray:
     return np.random.default_rng(0).choice(count, POINTS, replace=False)
 
 
-def _short(name: str, most: int = 16) -> str:
+def _short(name: str, most: int = 20) -> str:
     return name if len(name) <= most else f"{name[: most - 1]}…"

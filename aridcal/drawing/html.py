@@ -6,12 +6,12 @@ What only serves looks fails by itself: a notice in its place (:func:`attempt`),
 from __future__ import annotations
 
 import math
+import re
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
-from html import escape
-from importlib.resources import files
+from html import escape, unescape
 from typing import TypeVar
 
 from aridcal.errors import printable, shortened
@@ -19,6 +19,10 @@ from aridcal.errors import printable, shortened
 
 class Html(str):
     """Text that is markup and goes into a page as it is."""
+
+    def __html__(self) -> Html:
+        """What templates ask markup for; text without it is escaped there."""
+        return self
 
 
 # Text, which is escaped; markup, which is not; or a sequence of either.
@@ -29,6 +33,15 @@ VOID = frozenset({"meta", "br"})
 
 # Numbers between the first two are written without an exponent, with no more decimals than the third.
 SMALL, LARGE, MOST_DECIMALS = 1e-4, 1e6, 9
+
+ON_A_PHONE, HALF_A_PHONE = 46, 20
+"""Letters of a table side by side on a phone, 390 px wide, and of a number with its title in half of that width."""
+
+BETWEEN = 2
+"""Letters that the white between two columns takes."""
+
+ONE_LINE = 14
+"""Letters of a cell of words below which breaking it makes a column of single words."""
 
 T = TypeVar("T")
 
@@ -74,31 +87,8 @@ def missing(notice: str) -> Html:
     return tag("p", notice, class_="missing")
 
 
-def styled_page(title: str, body: Content) -> Html:
-    """A page in the report's style that needs nothing else."""
-    head = [
-        tag("meta", charset="utf-8"),
-        tag("meta", name="viewport", content="width=device-width, initial-scale=1"),
-        tag("title", title),
-        tag("style", Html(files("aridcal.drawing").joinpath("assets/report.css").read_text("utf-8"))),
-    ]
-    return join([Html("<!DOCTYPE html>\n"), tag("html", tag("head", head), tag("body", body), lang="en")])
-
-
-def empty_page(title: str, notice: str) -> Html:
-    """A page that says why it shows nothing, so that none of an earlier result is taken for it."""
-    head = tag("head", tag("meta", charset="utf-8"), tag("title", title))
-    body = tag(
-        "body",
-        tag("h1", title),
-        missing(notice),
-        tag("p", "The figures and the other files of this result are not affected."),
-    )
-    return join([Html("<!DOCTYPE html>\n"), tag("html", head, body, lang="en")])
-
-
 def table(head: Sequence[Content], rows: Iterable[Sequence[Content]], caption: Content, numbers: int = 1) -> Html:
-    """A table that scrolls by itself where the page is narrow.
+    """A table; where the page is narrow, one that is too wide for it stands row below row, each cell with its column's title.
 
     Args:
         head: Titles of the columns.
@@ -106,21 +96,55 @@ def table(head: Sequence[Content], rows: Iterable[Sequence[Content]], caption: C
         caption: What the table shows.
         numbers: From this column on cells are numbers, set to the right.
     """
+    lines = [[join(cell) for cell in row] for row in rows]
+    shown = [[plain(cell) for cell in row] for row in lines]
+    names = [plain(join(title)) for title in head]
+    columns = [[name, *(row[k] for row in shown)] for k, name in enumerate(names)]
+    stacked = sum(_letters(column, k >= numbers) + BETWEEN for k, column in enumerate(columns)) > ON_A_PHONE
+
+    widest = [len(name) + max(map(len, others), default=0) for name, *others in columns[max(numbers, 1) :]]
+    pairs = stacked and len(widest) > 1 and max(widest) <= HALF_A_PHONE
 
     def kind(column: int) -> str | None:
         return "n" if column >= numbers else None
 
-    def line(row: Sequence[Content]) -> Html:
-        title, *cells = row
-        first = tag("th", title, scope="row")
-        others = [tag("td", cell, class_=kind(column)) for column, cell in enumerate(cells, start=1)]
-        return tag("tr", first, others)
+    def cell(column: int, content: Html) -> Html:
+        if not stacked:
+            return tag("td", content, class_=kind(column))
+        begins = pairs and column >= numbers and ":" in names[column]  # of several numbers that belong together
+        return tag("td", content, class_="n first" if begins else kind(column), data_label=names[column])
+
+    def line(row: Sequence[Html]) -> Html:
+        return tag(
+            "tr", tag("th", row[0], scope="row"), [cell(k, content) for k, content in enumerate(row[1:], start=1)]
+        )
 
     titles = [tag("th", title, scope="col", class_=kind(column)) for column, title in enumerate(head)]
     top = tag("thead", tag("tr", titles))
-    body = tag("tbody", [line(row) for row in rows])
-    whole = tag("table", tag("caption", caption), top, body)
+    body = tag("tbody", [line(row) for row in lines])
+    whole = tag(
+        "table", tag("caption", caption), top, body, class_="stacked pairs" if pairs else "stacked" if stacked else None
+    )
     return tag("div", whole, class_="scroll", tabindex="0", role="group", aria_label="table")
+
+
+def plain(markup: Html) -> str:
+    """What a reader sees of markup, without its elements."""
+    return unescape(re.sub("<[^>]*>", "", markup))
+
+
+def _letters(column: Sequence[str], numbers: bool) -> int:
+    """How wide a column must be at least: numbers do not break, words do between them, but are not read one on a line."""
+    words = [max(map(len, cell.split()), default=0) for cell in column]
+    _, *cells = column
+    return max(
+        words[0],
+        *(
+            max(word, len(cell) if numbers else min(len(cell), ONE_LINE))
+            for word, cell in zip(words[1:], cells, strict=True)
+        ),
+        0,
+    )
 
 
 def figures(drawn: Iterable[tuple[Content, Html]]) -> Html:
@@ -146,6 +170,11 @@ def bullets(items: Iterable[Content], most: int | None = None, what: str = "more
     if rest > 0:
         shown = [*shown[:most], tag("em", f"and {rest:,} {what}")]
     return tag("ul", [tag("li", item) for item in shown])
+
+
+def codes(names: Sequence[str]) -> Content:
+    """Names one after the other, set as code."""
+    return [part for name in names for part in (", ", tag("code", name))][1:]
 
 
 def number(value: float, digits: int = 3) -> str:

@@ -7,10 +7,10 @@ import io
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from importlib.resources import files
 from typing import TYPE_CHECKING
 
-from aridcal.drawing.html import Content, Html, join, tag
+from aridcal.drawing.frame import asset, filled
+from aridcal.drawing.html import Html
 
 if TYPE_CHECKING:
     from matplotlib.font_manager import FontProperties
@@ -319,33 +319,4 @@ def as_pdf(page: OnePage) -> tuple[bytes, str]:
 def as_html(page: OnePage) -> Html:
     """The page as HTML of its own, to be read on a screen and printed on one sheet."""
     scale = _fitted(page)[0].scale
-    headline = [tag("div", tag("dt", name), tag("dd", said)) for name, said in page.headline]
-    style = files("aridcal.drawing").joinpath("assets/one_page.css").read_text("utf-8")
-    head = [
-        tag("meta", charset="utf-8"),
-        tag("meta", name="viewport", content="width=device-width, initial-scale=1"),
-        tag("title", page.title),
-        tag("style", Html(style)),
-    ]
-    body: list[Content] = [
-        tag("h1", page.title),
-        tag("p", page.under, class_="under"),
-        tag("dl", headline, class_="headline"),
-        *(tag("section", tag("h2", part.heading), _content(part)) for part in page.parts),
-        tag("footer", page.foot),
-    ]
-    main = tag("main", body, style=f"--scale:{scale:.3f}")
-    return join([Html("<!DOCTYPE html>\n"), tag("html", tag("head", head), tag("body", main), lang="en")])
-
-
-def _content(part: Part) -> list[Content]:
-    """What stands below a heading."""
-    made: list[Content] = []
-    if part.facts:
-        made.append(tag("dl", [tag("div", tag("dt", name), tag("dd", said)) for name, said in part.facts]))
-    if part.table:
-        first, *rest = part.table
-        top = tag("thead", tag("tr", [tag("th", cell, scope="col") for cell in first]))
-        rows = [tag("tr", [tag("td", cell) for cell in row]) for row in rest]
-        made.append(tag("table", tag("caption", part.heading), top, tag("tbody", rows)))
-    return [*made, *(tag("p", words) for words in part.words)]
+    return filled("one_page.html", page=page, scale=f"{scale:.3f}", style=Html(asset("one_page.css")))

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
+import math
+from typing import Any
+
 import numpy as np
 
-from aridcal.drawing.html import number
-from aridcal.effects.effect import FRAME_COMPONENTS
-from aridcal.robot.chain import Joint, Robot
+from aridcal.drawing.html import number, plus_minus
+from aridcal.result.zeros import JointZero, zero_of
+from aridcal.robot.chain import Robot
 from aridcal.trust.halves import Halves
 from aridcal.trust.known import Combination, Pair
 
 ALIKE = 0.7
 """Ratio of two shares from which they are a sum or a difference in words: sin 45 degrees over 1."""
-
-ON_AXIS = 0.99
-"""Component of a joint's unit axis along an axis of its frame from which the two are one."""
 
 OF_TIME = {
     "low and high": "early and late rows",
@@ -40,17 +40,23 @@ def p_of_halves(found: Halves) -> str:
 
 def constant_in_words(name: str, robot: Robot) -> str:
     """A constant as engineers call it: ``joint_2's zero``, where it is along or about the joint's own axis; else its name."""
-    where, component = name.rsplit(".", 1)
-    joint = next((j for j in robot.joints if j.name == where), None)
-    return f"{where}'s zero" if joint is not None and _is_zero(joint, component) else name
+    zero = zero_of(name, robot)
+    return f"{zero[0]}'s zero" if zero else name
 
 
-def _is_zero(joint: Joint, component: str) -> bool:
-    """True if a component moves the joint's own reading."""
-    if component not in FRAME_COMPONENTS:
-        return component == ("theta" if joint.kind == "revolute" else "d")
-    k = FRAME_COMPONENTS.index(component)
-    return (k >= 3) == (joint.kind == "revolute") and abs(float(joint.axis[k % 3])) > ON_AXIS
+def zero_in_words(zero: JointZero) -> str:
+    """How far a joint's zero is off, with one standard deviation, an angle in degrees as well."""
+    return size_in_words({"value": zero.value, "std": zero.std, "unit": zero.unit})
+
+
+def size_in_words(p: dict[str, Any]) -> str:
+    """A constant with its uncertainty, an angle in degrees as well: ``3.70 ± 0.02 mrad = 0.212°``.
+
+    Args:
+        p: As :func:`aridcal.result.folder.parameters` has it, identified.
+    """
+    said = plus_minus(1e3 * p["value"], 1e3 * p["std"])
+    return f"{said} mrad = {number(math.degrees(p['value']))}°" if p["unit"] == "rad" else f"{said} mm"
 
 
 def combination_in_words(of: Combination, robot: Robot) -> str:

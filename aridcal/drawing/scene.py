@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import base64
 import hashlib
-import html
 import importlib.util
 import json
 from dataclasses import dataclass, field
@@ -23,7 +22,8 @@ import numpy as np
 import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
-from aridcal.drawing.html import attempt, empty_page, note, noting
+from aridcal.drawing.frame import asset, empty_page, filled
+from aridcal.drawing.html import Html, attempt, note, noting
 from aridcal.drawing.shapes import robot_shapes, turn
 from aridcal.fit.constants import stage_urdf
 from aridcal.result.outcome import Outcome
@@ -131,7 +131,7 @@ def scene_page(scene: Scene) -> str:
     shapes, notices = robot_shapes(scene.nominal)
     for notice in notices:
         note(f"scene.html: {notice}")
-    script = (ASSETS / "scene.js").read_text("utf-8")
+    script = asset("scene.js")
     which = hashlib.sha256(script.encode()).hexdigest()[:12]  # the script that understands this content
     return _page(scene_content(scene, shapes) | {"notices": notices, "script": which}, script)
 
@@ -354,19 +354,15 @@ def _page(content: dict[str, Any], script: str) -> str:
     bundle = Path(found.origin).parent / "viewer" / "dist"
     text = json.dumps(content, allow_nan=False, separators=(",", ":"))
     data = text.replace("<", "\\u003c")  # no name of a user's can end the script
-    return "\n".join([
-        "<!DOCTYPE html>",
-        '<html lang="en"><head><meta charset="utf-8">',
-        '<meta name="viewport" content="width=device-width, initial-scale=1">',
-        f"<title>{html.escape(content['title'])}: calibration scene</title>",
-        f"<style>{(ASSETS / 'scene.css').read_text('utf-8')}</style></head><body>",
-        '<div id="meshcat-pane"></div>',
-        f'<script type="application/json" id="scene">{data}</script>',
-        f"<script>{(bundle / 'main.min.js.LICENSE.txt').read_text('utf-8')}</script>",
-        f"<script>{(bundle / 'main.min.js').read_text('utf-8')}</script>",
-        f"<script>{script}</script>",
-        "</body></html>",
-    ])  # fmt: skip
+    return filled(
+        "scene.html",
+        title=content["title"],
+        style=Html(asset("scene.css")),
+        data=Html(data),
+        licence=Html((bundle / "main.min.js.LICENSE.txt").read_text("utf-8")),
+        meshcat=Html((bundle / "main.min.js").read_text("utf-8")),
+        script=Html(script),
+    )
 
 
 def scene(outcome: Outcome) -> Scene:

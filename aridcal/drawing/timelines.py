@@ -10,14 +10,14 @@ import numpy as np
 from aridcal.drawing.figures import AFTER, BEFORE, GREY
 from aridcal.drawing.html import Html, number, tag
 
-WIDTH, HEIGHT = 430.0, 190.0
+WIDTH, HEIGHT = 340.0, 180.0
 LEFT, RIGHT, TOP, BOTTOM = 64.0, 12.0, 10.0, 26.0
 """Of a figure and of its margins, in units of the SVG: as wide as the other figures of a report."""
 
 SPARK_WIDTH, SPARK_HEIGHT = 120.0, 24.0
 """Of a line in a cell of a table."""
 
-MOST_TICKS = 6
+MOST_TICKS = 5
 """Months that are named below a figure."""
 
 

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import datetime
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
 from aridcal.drawing.html import fixed, number, plus_minus
 from aridcal.effects.effect import ROW_ORDER, Effect
+from aridcal.errors import printable, shortened
+from aridcal.inputs.dataset import Dataset
+from aridcal.inputs.purposes import About
 from aridcal.instruments.channels import Channels
 from aridcal.result.instruments import known_scale, scale_std
 from aridcal.result.outcome import Outcome, enumerated
@@ -43,6 +47,35 @@ LOADS = {
     "gravity_moment": "the gravity moment on the bearing of {}",
     "payload_torque": "the payload's load on {}",
 }
+
+
+NOT_STATED = "not stated"
+
+LONGEST_NAME = 40
+"""Characters of a name from a file that are shown beside what users state."""
+
+
+def named(name: str) -> str:
+    """A name from a file, fit to be shown."""
+    return shortened(printable(name), LONGEST_NAME)
+
+
+def who_and_what(about: About, robot: Robot, m: Dataset) -> Iterator[tuple[str, str]]:
+    """Which robot was measured with what, by whom and when: names and what they are."""
+    yield "Robot", about.robot or named(robot.tree.name)
+    yield "Serial number", about.serial_number or NOT_STATED
+    serial = f", serial number {about.instrument_serial}" if about.instrument_serial else ""
+    yield "Instrument", f"{about.instrument or NOT_STATED}{serial}"
+    yield "Measured by", ", ".join(filter(None, (about.who, about.organisation))) or NOT_STATED
+    yield "Measured on", about.date or _date_of_files(m)
+
+
+def _date_of_files(m: Dataset) -> str:
+    """The date of the newest file of measurements."""
+    times = [path.stat().st_mtime for path in m.files if path.is_file()]
+    if not times:
+        return NOT_STATED
+    return f"{datetime.date.fromtimestamp(max(times)).isoformat()} (date of the file; the campaign states none)"
 
 
 def sigmas_in_words(sigma: np.ndarray, channels: Channels, times: float = 1.0) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -86,7 +87,9 @@ def _layout(lines: Sequence[str], separator: str) -> Layout | None:
         used |= {mark} - {""}
         split.append(split_line(line, separator))
     counts = [0 if c else sum(map(_weight, cells)) for c, cells in zip(commented, split, strict=True)]
-    widths = Counter(len(cells) for cells, count in zip(split, counts, strict=True) if count >= FEWEST)
+    widths = Counter(
+        len(cells) for cells, count in zip(split, counts, strict=True) if count >= FEWEST and len(cells) > 1
+    )
     if not widths:
         return None
     width = max(widths, key=lambda size: (widths[size] * size, size))
@@ -127,8 +130,8 @@ def list_parts(cell: str) -> list[str]:
     for sign in "[](){}":
         bare = bare.replace(sign, " ")
     parts = bare.replace(";", " ").replace(", ", " ").split()
-    if len(parts) == 1:
-        parts = parts[0].split(",")
+    if len(parts) == 1 or not all(map(is_number, parts)):
+        parts = [part for part in re.split(r"[;,\s]+", bare) if part]
     return parts if len(parts) > 1 and all(map(is_number, parts)) else []
 
 

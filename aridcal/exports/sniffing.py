@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import itertools
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -34,6 +35,9 @@ AT_FIRST = 40
 
 POSE_OF_SIX = ("x", "y", "z", "rx", "ry", "rz")
 """Names for a list of six numbers that is called a pose."""
+
+GROUP = re.compile(r"[\[({]([^\[\](){}]*)[\])}]")
+"""A list in a list."""
 
 POSE_OF_SEVEN = ("x", "y", "z", "q1", "q2", "q3", "q4")
 
@@ -172,11 +176,20 @@ def _lists(found: Layout) -> dict[str, tuple[str, ...]]:
     for k, name in enumerate(found.names):
         cells = [row[k] for row in found.rows if k < len(row) and row[k]]
         sizes = {len(several(cell, PLAIN)) for cell in cells if list_size(cell)}
-        if not cells or len(sizes) != 1 or not all(map(list_size, cells)):
+        if not (name and cells) or len(sizes) != 1 or not all(map(list_size, cells)):
             continue
         size = sizes.pop()
         about = name.lower()
-        if "pose" in about or "tcp" in about or cells[0].lower().startswith("p"):
+        named: tuple[str, ...] | None = None
+        groups = [len(several(part, PLAIN)) for part in GROUP.findall(cells[0])]
+        if groups[:2] == [3, 4]:  # RAPID's robtarget: place, orientation, axes' turns, other axes
+            named = (*POSE_OF_SEVEN, *(f"{name} other {number}" for number in range(8, size + 1)))
+        elif groups[:1] == [6] and len(groups) > 1:  # RAPID's jointtarget: the arm's axes, other axes
+            named = (
+                *(f"{name} axis {number}" for number in range(1, 7)),
+                *(f"{name} other {k}" for k in range(7, size + 1)),
+            )
+        elif "pose" in about or "tcp" in about or cells[0].lower().startswith("p"):
             named = {6: POSE_OF_SIX, 7: POSE_OF_SEVEN}.get(size)
         else:
             named = (
@@ -194,7 +207,7 @@ def _dates(found: Layout, path: Path, pick: Pick) -> Dates | None:
     columns: list[str] = []
     for k, name in enumerate(found.names):
         cells = _filled(found, k)
-        if k in found.numeric or not cells or not orders(cells):
+        if k in found.numeric or not (name and cells) or not orders(cells):
             continue
         if any(word in name.lower() for word in CLOCK_WORDS) or has_date(cells[0]):
             columns.append(name)

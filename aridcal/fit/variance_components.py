@@ -73,6 +73,7 @@ class Components:
         log_likelihood: Restricted, but for a constant.
         pull: P y of each row, shape (N, m).
         kernel: P_ii of each row, shape (N, m, m).
+        low: Below which no variance falls, shape (C,): by what the channels began with, however often they are settled anew.
     """
 
     free: np.ndarray
@@ -81,6 +82,7 @@ class Components:
     log_likelihood: float
     pull: np.ndarray
     kernel: np.ndarray
+    low: np.ndarray
 
     @property
     def sigma(self) -> np.ndarray:
@@ -210,7 +212,7 @@ def _maximum(
         known: The maximum with others, if there is one: it says where to look first.
         enough: [nat] that a step must promise, not to be the last.
     """
-    low = np.where(held, LEAST * theta, 0.0)
+    low = np.where(held, LEAST * theta, 0.0) if known is None else known.low
     if known is not None:
         theta = _bounded(scatter, known.variance, known, theta, free, low)
     here = _place(scatter, theta)
@@ -243,7 +245,7 @@ def _maximum(
     inside = free & (theta > 0.0)
     covariance = np.zeros((len(theta),) * 2)
     covariance[np.ix_(inside, inside)] = _solve(information[np.ix_(inside, inside)], np.eye(int(inside.sum())))
-    return Components(free, theta, covariance, here.log_likelihood, here.pull, here.kernel)
+    return Components(free, theta, covariance, here.log_likelihood, here.pull, here.kernel, low)
 
 
 def _bounded(

@@ -331,6 +331,10 @@ class MeasurementSettings(Section):
             )
         if self.noise.rows != "relative" and not of_poses:
             raise ValueError(f"noise.rows: `kind: {self.kind}` has no std_* columns; delete this key")
+        if self.kind == "camera_sonar" and not self.table.is_plain:
+            raise ValueError(
+                "table: `kind: camera_sonar` has its tables in head.yaml, which are plain csv; delete this key"
+            )
         if self.camera is not None and self.kind != "pixels":
             raise ValueError("camera: belongs to `kind: pixels`; delete it")
         return self

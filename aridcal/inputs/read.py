@@ -127,6 +127,9 @@ def _block(asked: _Asked, number: int, tables: Sequence[AnyTable], alone: bool) 
     there = _existing(campaign, tables, asked.own_files)
     table = read_tables(there, settings.ignore, campaign.limits.table, settings.table.dialect, needed)
     source = Source(table, settings, asked.readings, str(campaign.path))
+    for name in sorted(set(settings.units.columns) - set(table.cells)) if asked.own_files else ():
+        where = f"{campaign.path}: {campaign.place(number)}.units.columns.{name}"
+        raise CampaignError(f"{where}: there is no such column{nearest(name, table.names)}")
     q = source.joints(kinds)
     of_target = asked.require_pose and settings.kind in OF_TARGETS
     position, quaternion, std = np.full((len(table), 3), np.nan), None, None

@@ -11,6 +11,7 @@ import numpy as np
 
 from aridcal import __version__
 from aridcal.drawing.figures import falling
+from aridcal.drawing.frame import framed_page, sections
 from aridcal.drawing.html import (
     Content,
     Html,
@@ -20,7 +21,6 @@ from aridcal.drawing.html import (
     fixed,
     number,
     plus_minus,
-    styled_page,
     table,
     tag,
 )
@@ -63,19 +63,14 @@ def fleet_page(ran: Ran, title: str) -> Html:
     if ran.failed or ran.remaining:
         chapters.insert(0, ("Not calibrated", lambda: _not_done(ran)))
     heading = f"{len(done):,} of {counted(len({*ran.now, *ran.remaining}), 'robot')} calibrated"
-    body = [
-        tag(
-            "header",
-            tag("p", f"Fleet {title}", class_="about"),
-            tag("h1", heading),
-            drawn("fleet.html", "Summary", lambda: _summary(done)),
-        ),
-        tag(
-            "main", [tag("section", tag("h2", name), drawn("fleet.html", name, content)) for name, content in chapters]
-        ),
-        tag("footer", f"aridcal {__version__}; every figure is in fleet.parquet"),
+    head = [
+        tag("p", f"Fleet {title}", class_="about"),
+        tag("h1", heading),
+        drawn("fleet.html", "Summary", lambda: _summary(done)),
     ]
-    return styled_page(f"{heading}: {title}", body)
+    parts = sections([(name, drawn("fleet.html", name, content)) for name, content in chapters])
+    foot = f"aridcal {__version__}; every figure is in fleet.parquet"
+    return framed_page(f"{heading}: {title}", head, parts, foot)
 
 
 def _summary(done: Sequence[Row]) -> Iterator[Content]:

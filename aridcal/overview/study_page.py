@@ -9,7 +9,8 @@ import numpy as np
 
 from aridcal import __version__
 from aridcal.drawing.banded import COLOURS, banded
-from aridcal.drawing.html import Content, Html, counted, figures, number, styled_page, table, tag
+from aridcal.drawing.frame import framed_page, sections
+from aridcal.drawing.html import Content, Html, counted, figures, number, table, tag
 from aridcal.drawing.words import shown_in
 from aridcal.errors import shortened
 from aridcal.overview.sections import drawn
@@ -47,16 +48,9 @@ def study_page(done: Studied, title: str, effect: str, halves: bool) -> Html:
     heading = f"{counted(len(done.rows), 'run')}"
     drawn_once = len({row["run"] for row in done.rows})
     how = "each from half of the fitted rows" if halves else f"{counted(drawn_once, 'machine')} in each case"
-    body = [
-        tag(
-            "header", tag("p", f"Study of {title}", class_="about"), tag("h1", heading), tag("p", f"{heading}, {how}.")
-        ),
-        tag(
-            "main", [tag("section", tag("h2", name), drawn("study.html", name, content)) for name, content in chapters]
-        ),
-        tag("footer", f"aridcal {__version__}; every run is in study.parquet"),
-    ]
-    return styled_page(f"{heading}: {title}", body)
+    head = [tag("p", f"Study of {title}", class_="about"), tag("h1", heading), tag("p", f"{heading}, {how}.")]
+    parts = sections([(name, drawn("study.html", name, content)) for name, content in chapters])
+    return framed_page(f"{heading}: {title}", head, parts, f"aridcal {__version__}; every run is in study.parquet")
 
 
 def _power(cases: Sequence[Point], effect: str) -> Iterator[Content]:

@@ -47,10 +47,12 @@ class Asker:
     Attributes:
         choose: Asks a person.
         settled: Numbers of answers that were given beforehand, by the key of the question.
+        drafts: Whether the answers become part of a campaign.
     """
 
     choose: Choose
     settled: Mapping[str, int] = field(default_factory=dict)
+    drafts: bool = True
 
     def pick(self, key: str, question: str, answers: Sequence[str], why: str) -> int:
         """The number of the answer, from 0, to a question that must not be guessed.
@@ -72,8 +74,9 @@ class Asker:
             return given - 1
         answer = self.choose(question, answers, why)
         if answer is None:
+            becomes = f"This becomes `measurements.{key}`. " if self.drafts else ""
             raise Unanswered(
-                f"{question}? {why[:1].upper()}{why[1:]}. This becomes `measurements.{key}`. Run this again with "
+                f"{question}? {why[:1].upper()}{why[1:]}. {becomes}Run this again with "
                 f"`--set {key}=NUMBER`: {_numbered(answers)}"
             )
         return answer

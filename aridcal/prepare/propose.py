@@ -128,8 +128,10 @@ def _joints(
     """
     names = [name for name in table.names if name]
     turned = {name for family in quaternions(names) if _is_quaternion(table, family) for name in family.columns}
-    without = [name for name in names if name not in turned]  # q1 … q4 may be a quaternion, beside joints
-    matches = {joints: match_joints(joints, without) or match_joints(joints, names) for joints in chains}
+    without = [
+        name for name in names if name not in turned
+    ]  # q1 … q4 may be a quaternion: no joints have norm 1 in all rows
+    matches = {joints: match_joints(joints, without) for joints in chains}
     longest = max(map(len, matches))
     found = {
         joints: match
@@ -199,7 +201,8 @@ def _position(table: Table, used: set[str], joints: Sequence[str], asker: Asker,
         AridcalError: several may be, and nobody says which is.
     """
     free = [name for name in table.names if name and name not in used]
-    families = [family for family in places(free) if np.isfinite(sensible(table, family.columns)).any()]
+    seen = {family: np.isfinite(sensible(table, family.columns)) for family in places(free)}
+    families = [family for family in seen if seen[family].all(axis=1).any()] or [f for f in seen if seen[f].any()]
     if not families:
         raise MeasurementError(f"{table.title}: no columns for the target's position: {_no_position(table, free)}")
     likely = [family for family in families if not family.commanded] or families

@@ -26,6 +26,9 @@ LINE_END = re.compile(r"\r\n|\r|\n")
 UNITS_OR_WORDS = 0.5
 """Lines between the header and the first row hold units or words: one of which more cells are numbers is a row."""
 
+FILLED = re.compile(r"^.*\S.*$", re.MULTILINE)
+"""A line that is not blank."""
+
 WORD = re.compile(r'"(?:[^"]|"")*"|[^\s"]+')
 """A cell between blanks; one in quotes may hold some."""
 
@@ -51,17 +54,24 @@ def read_written(content: bytes, path: Path, limit: Limit, dialect: Dialect) -> 
         text = content.decode()
     else:
         text = decoded(content, path, dialect.encoding)
-    lines = LINE_END.split(text)
+    if "\r" in text:
+        text = LINE_END.sub("\n", text)
+    begins = dialect.begins
+    lines, rest = (
+        text.split("\n", begins - 1),
+        "",
+    )  # the rows stay one text: as lines they would take several times as much
+    if len(lines) == begins:
+        rest = lines.pop()
+    del text
     names = header_names(lines, dialect, separator, path)
     _check_between(lines, dialect, separator, path)
-    begins = dialect.begins
-    kept = [_row(line, dialect.comment, separator) for line in lines[begins - 1 :]]
-    first = next((line for line in kept if line.strip()), "")
+    rest = _rows(rest, dialect.comment, separator)
+    first = FILLED.search(rest)
     parted = "\t" if separator == BLANKS else separator
-    names = _as_wide(names, split_line(first, parted))
+    names = _as_wide(names, split_line(first[0] if first else "", parted))
     above = max(begins - 1, 1)  # the reader begins below one line
-    body = "\n" * above + "\n".join(kept)
-    read = below(body.encode(), names, path, limit, parted)
+    read = below(b"\n" * above + rest.encode(), names, path, limit, parted)
     shift = above - begins + 1
     broken = tuple(replace(row, line=row.line - shift) for row in read.broken)
     read = replace(read, line=read.line - shift, broken=broken)
@@ -176,19 +186,21 @@ def uncommented(line: str, comment: Collection[str]) -> str:
     return line
 
 
-def _row(line: str, comment: Collection[str], separator: str) -> str:
-    """A line of the table; a comment is blank, and cells between blanks are parted by tabs."""
-    if comment and line.lstrip().startswith(tuple(comment)):
-        return ""
-    line = line.replace("\x0b", " ").replace("\x0c", " ")
-    return "\t".join(WORD.findall(line)) if separator == BLANKS else line
+def _rows(text: str, comment: Collection[str], separator: str) -> str:
+    """Lines of a table; comments are blank, and cells between blanks are parted by tabs."""
+    if comment:
+        marks = "|".join(re.escape(mark) for mark in comment)
+        text = re.sub(rf"^[^\S\n]*(?:{marks})[^\n]*", "", text, flags=re.MULTILINE)
+    if separator == BLANKS:
+        return "\n".join("\t".join(WORD.findall(line)) for line in text.split("\n"))
+    return text
 
 
 def _check_between(lines: Sequence[str], dialect: Dialect, separator: str, path: Path) -> None:
     """Refuse a table of which rows would be left out as lines of units."""
     number = re.compile(pattern(dialect))
     for k in range(max(dialect.header, default=0) + 1, min(dialect.begins, len(lines) + 1)):
-        cells = [cell for cell in split_line(_row(lines[k - 1], dialect.comment, separator), separator) if cell]
+        cells = [cell for cell in split_line(_rows(lines[k - 1], dialect.comment, ""), separator) if cell]
         if sum(bool(number.match(cell)) for cell in cells) > max(UNITS_OR_WORDS * len(cells), 2):
             raise MeasurementError(
                 f"{path}, line {k}: holds numbers, but `table.first_row` is {dialect.begins}: a row would be left out. Set it "

@@ -14,7 +14,7 @@ import numpy as np
 from aridcal import __version__
 from aridcal.drawing.html import attempt, counted, note, noting, number
 from aridcal.drawing.one_page import OnePage, Part, as_html, as_pdf
-from aridcal.drawing.words import range_in_words, scale_in_words
+from aridcal.drawing.words import LONGEST_NAME, NOT_STATED, named, range_in_words, scale_in_words, who_and_what
 from aridcal.errors import printable, shortened
 from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.purposes import About
@@ -30,8 +30,6 @@ from aridcal.trust.iso9283 import STANDARD
 from aridcal.trust.tolerance import CONFIDENCE, SHARE
 
 FILES = ("certificate.html", "certificate.pdf")
-
-NOT_STATED = "not stated"
 
 OWN = (
     "Computed by aridcal {} from measurements of those who are named below. It is not issued by an accredited laboratory, and is "
@@ -53,8 +51,8 @@ MOST_LACKING = 24
 MOST_REASONS = 3
 """Of the verdict; the report has all."""
 
-LONGEST_NAME, LONGEST_REASON, LONGEST_SENTENCE = 40, 200, 400
-"""Characters of a name from a file that are shown, of a reason, and of a sentence with a file's name in it."""
+LONGEST_REASON, LONGEST_SENTENCE = 200, 400
+"""Characters of a reason that are shown, and of a sentence with a file's name in it."""
 
 MOST_CHANNELS = 8
 """Quantities whose errors are stated; a campaign of several instruments has two or three."""
@@ -178,12 +176,7 @@ def _judged(outcome: Outcome) -> list[_Judged]:
 def _facts(outcome: Outcome, about: About) -> Iterator[tuple[str, str]]:
     """Who measured what, when and how."""
     m, robot = outcome.measurements, outcome.robot
-    yield "Robot", about.robot or named(robot.tree.name)
-    yield "Serial number", about.serial_number or NOT_STATED
-    serial = f", serial number {about.instrument_serial}" if about.instrument_serial else ""
-    yield "Instrument", f"{about.instrument or NOT_STATED}{serial}"
-    yield "Measured by", ", ".join(filter(None, (about.who, about.organisation))) or NOT_STATED
-    yield "Measured on", about.date or _date_of_files(m)
+    yield from who_and_what(about, robot, m)
     temperatures = _some(list(_temperatures(m)), MOST_COVARIATES)
     yield "Environment", "; ".join(filter(None, (about.environment, temperatures))) or NOT_STATED
     used = f"{counted(len(m), 'row')} of {', '.join(kinds_in_words(m))}, {m.test.sum():,} of them held out"
@@ -202,19 +195,6 @@ def kinds_in_words(m: Dataset) -> list[str]:
     if not m.blocks:
         return ["poses" if m.sees_turns else "positions"]
     return list(dict.fromkeys(KINDS[block.kind].words for block in m.blocks))
-
-
-def named(name: str) -> str:
-    """A name from a file, fit to be shown."""
-    return shortened(printable(name), LONGEST_NAME)
-
-
-def _date_of_files(m: Dataset) -> str:
-    """The date of the newest file of measurements."""
-    times = [path.stat().st_mtime for path in m.files if path.is_file()]
-    if not times:
-        return NOT_STATED
-    return f"{datetime.date.fromtimestamp(max(times)).isoformat()} (date of the file; the campaign states none)"
 
 
 def _temperatures(m: Dataset) -> Iterator[str]:

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from typing import Any
+from collections.abc import Collection, Iterator
 
 import numpy as np
 
-from aridcal.drawing.html import Content, Html, counted, number, plus_minus, tag
-from aridcal.drawing.parts import division_in_words, p_of_halves
+from aridcal.drawing.frame import card
+from aridcal.drawing.html import Content, Html, codes, counted, number, tag
+from aridcal.drawing.parts import division_in_words, p_of_halves, size_in_words, zero_in_words
 from aridcal.drawing.words import (
+    NOT_STATED,
     at_target_in_words,
     causes_in_words,
     kept_in_words,
@@ -18,9 +19,11 @@ from aridcal.drawing.words import (
     per_number,
     scale_in_words,
     sigmas_in_words,
+    who_and_what,
 )
-from aridcal.effects.catalogue import KINDS
+from aridcal.effects.catalogue import KINDS, is_of_head
 from aridcal.fit.noise import WORTH_SAYING
+from aridcal.inputs.purposes import About
 from aridcal.result.instruments import known_scale
 from aridcal.result.key_figures import (
     FEW,
@@ -42,13 +45,29 @@ from aridcal.result.key_figures import (
     squared,
     steps,
 )
-from aridcal.result.outcome import Outcome, errors
+from aridcal.result.outcome import Outcome, errors, leading
+from aridcal.result.zeros import joint_zeros
 from aridcal.search.noise_tests import Clue
 
 NO_BETTER = " No model can reliably do better."
 BELOW = (
     " The remaining error is smaller than {}, so that is no floor: it is stated too large, or was measured otherwise."
 )
+
+LINKED = {
+    "calibrated.urdf": "for your controller",
+    "calibration.yaml": "for compensation",
+    "scene.html": "robot and errors in 3D",
+    "certificate.pdf": "the record on one page",
+    "result.json": "figures for programs",
+}
+"""Files of the result that the first screen leads to, and what they are for."""
+
+GIVEN = {"nominal": "as built", "geometric": "with the URDF", "final": "with compensation"}
+"""Models by what a customer is given of them."""
+
+OF_THE_TARGET = ("position", "rotation")
+"""Channels that say how far the target is from where the controller sent it."""
 
 MOST_BARS = 7
 MOST_CAUSES = 3
@@ -67,19 +86,33 @@ VERDICTS = {
 }
 
 
-def summary(outcome: Outcome) -> Iterator[Content]:
-    """The first screen: how good before, how good now, why, what remains, can I trust it."""
+def summary(outcome: Outcome, beside: Collection[str] = frozenset()) -> Iterator[Content]:
+    """The first screen: how good before, how good now, why, what remains, can I trust it.
+
+    Args:
+        outcome: What was found.
+        beside: Names of files that stand beside the page, which it links to.
+    """
     m, robot = outcome.measurements, outcome.robot
     files = ", ".join(path.name for path in m.files)
     rows = f"{counted(len(m), 'row')}, {m.test.sum():,} of them held out"
     yield tag("h1", f"Calibration of {robot.tree.name}")
     yield tag("p", f"{files} · {rows} · {robot.path.name}, {robot.base} to {robot.tip}", class_="about")
-    yield tag(
-        "div", [_card(outcome, k) for k, channel in enumerate(outcome.channels) if not channel.inner], class_="cards"
-    )
+    yield tag("p", list(_who_and_what(outcome)), class_="about")
+    links = [
+        part
+        for name, use in LINKED.items()
+        if name in beside
+        for part in (" · ", tag("a", name, href=name), f": {use}")
+    ]
+    if links:
+        yield tag("p", "In this folder: ", links[1:], class_="about")
+    cards = [_card(outcome, k) for k, channel in enumerate(outcome.channels) if not channel.inner]
+    yield tag("div", cards, _other_day(outcome), class_="cards")
     for good, words in kept_in_words(outcome, asked=True):
         yield tag("p", tag("strong", words), class_="good" if good else "look")
-    checked = [_check(good, words) for good, words in checks(outcome)]
+    other_day = another_day(outcome)  # has a card of its own
+    checked = [_check(good, words) for good, words in checks(outcome) if (good, words) != other_day]
     yield tag(
         "div",
         tag("div", tag("h2", "Main corrections"), tag("p", list(_causes(outcome)))),
@@ -87,6 +120,18 @@ def summary(outcome: Outcome) -> Iterator[Content]:
         tag("div", tag("h2", "Can I trust it?"), tag("ul", checked, class_="checks")),
         class_="answers",
     )
+
+
+def _who_and_what(outcome: Outcome) -> Iterator[Content]:
+    """Robot, serial number, instrument, who and when, as far as the campaign states them."""
+    facts = dict(who_and_what(outcome.campaign.about or About(), outcome.robot, outcome.measurements))
+    stated = [f"{name}: {said}" for name, said in facts.items() if said != NOT_STATED]
+    yield f"{' · '.join(stated)}. "
+    rest = [name.lower() for name, said in facts.items() if said == NOT_STATED]
+    if rest:
+        yield "Not stated, under "
+        yield tag("code", "about:")
+        yield f" in the campaign: {', '.join(rest)}."
 
 
 def _card(outcome: Outcome, k: int) -> Html:
@@ -97,19 +142,55 @@ def _card(outcome: Outcome, k: int) -> Html:
     what, unit = channel.noun, channel.shown
     found = [(step, errors(step.residual, mask, outcome.channels)[channel.key]) for step in steps(outcome)]
     before, after = found[0][1], found[-1][1]
-    figures = tag(
-        "p",
-        tag("span", f"{number(before['rms'])} ", tag("small", unit), class_="before", title="before calibration"),
-        tag("span", " → ", class_="arrow"),
-        tag("span", f"{number(after['rms'])} ", tag("small", unit), class_="now", title="after calibration"),
-        class_="change",
-    )
     said = (
         f"before → after calibration, on {mask.sum():,} {rows}. After it 95 % are below {number(after['p95'])} {unit}; "
         f"the largest is {number(after['max'])} {unit}.{at_target_in_words(outcome, k, mask)}"
     )
     bars = _bars([(step, e["rms"]) for step, e in found], unit)
-    return tag("div", tag("h2", f"{what.capitalize()}, RMS"), figures, tag("p", said), bars, class_="card")
+    own = in_controller(outcome, k)
+    below = [tag("p", tag("strong", own)) if own else "", bars]
+    return card(what, unit, ("before calibration", before["rms"]), ("after calibration", after["rms"]), said, below)
+
+
+def in_controller(outcome: Outcome, k: int) -> str:
+    """What a controller is left with, by what it is given; empty for a channel that is no error of the robot's own.
+
+    Args:
+        outcome: What was found.
+        k: Number of the channel.
+    """
+    channel = outcome.channels[k]
+    if channel.name not in OF_THE_TARGET:
+        return ""
+    mask = scored(outcome)[0] & outcome.measurements.measures[:, k]
+    urdf, whole = (
+        errors(outcome.stage(name).residual, mask, outcome.channels)[channel.key]["rms"]
+        for name in ("geometric", "final")
+    )
+    alone = f"In your controller: {number(urdf)} {channel.shown} with the URDF"
+    if not outcome.effects:
+        return f"{alone}; compensation adds nothing to it."
+    if any(is_of_head(e.effect.kind) for e in outcome.effects):
+        return f"{alone}; {number(whole)} {channel.shown} for the whole model, with effects of the measuring head."
+    return f"{alone}, {number(whole)} {channel.shown} with compensation."
+
+
+def _other_day(outcome: Outcome) -> Content:
+    """A card on another day's rows; nothing where there are none."""
+    found, said = outcome.verification, another_day(outcome)
+    if found is None or said is None:
+        return ""
+    rows = found.measurements
+    channel = rows.channels[leading(rows)[0]]
+    before, after = (
+        errors(found.residuals[name], ~found.outlier, rows.channels)[channel.key]["rms"]
+        for name in ("nominal", "final")
+    )
+    good, sentence = said
+    below = tag("p", tag("strong", sentence), class_="good" if good else "look")
+    noun = f"{channel.noun} on another day"
+    days = ("before calibration, that day's rows", before), ("after calibration, that day's rows", after)
+    return card(noun, channel.shown, *days, "before → after calibration, on the rows given with --verify.", below)
 
 
 def _bars(scores: list[tuple[Step, float]], unit: str) -> Html:
@@ -130,9 +211,9 @@ def _bars(scores: list[tuple[Step, float]], unit: str) -> Html:
 
 
 def _name(step: Step) -> str:
-    """Name of a model; what equals the whole model keeps its other name."""
+    """Name of a model, as a customer knows it; what equals the whole model keeps its other name."""
     names = step.names[:-1] if len(step.names) > 1 and step.names[-1] == "final" else step.names
-    return " = ".join(names)
+    return " = ".join(GIVEN.get(name, name) for name in names)
 
 
 def _causes(outcome: Outcome) -> Iterator[Content]:
@@ -142,10 +223,17 @@ def _causes(outcome: Outcome) -> Iterator[Content]:
     if shares:
         yield _shares_in_words(outcome, shares, len(identified))
     words: list[Content] = []
+    zeros = joint_zeros(outcome.stage("geometric").fit, outcome.robot)
+    of_zeros = {name for zero in zeros for name in zero.names}
     for unit in ("rad", "m"):
-        largest = max((p for p in identified if p["unit"] == unit), key=lambda p: abs(p["value"]), default=None)
+        zero = max((z for z in zeros if z.unit == unit), key=lambda z: abs(z.value), default=None)
+        if zero is not None:
+            words += [", ", f"{zero.joint} zero off by {zero_in_words(zero)} (", codes(zero.names), ")"]
+    for unit in ("rad", "m"):
+        others = (p for p in identified if p["unit"] == unit and p["name"] not in of_zeros)
+        largest = max(others, key=lambda p: abs(p["value"]), default=None)
         if largest is not None:
-            words += [", ", *_correction(largest)]
+            words += [", ", tag("code", largest["name"]), f" {size_in_words(largest)}"]
     if words:
         yield ["Largest corrections: ", words[1:], "."]
 
@@ -188,12 +276,6 @@ def _corrections_in_words(count: int) -> str:
 def _percent(share: float) -> str:
     """A share of the squared error in words."""
     return f"{number(100 * share, 2)}\u00a0%" if abs(share) >= FAINT else f"less than {100 * FAINT:g}\u00a0%"
-
-
-def _correction(p: dict[str, Any]) -> list[Content]:
-    """A parameter with its uncertainty."""
-    unit = "mrad" if p["unit"] == "rad" else "mm"
-    return [tag("code", p["name"]), f" {plus_minus(1e3 * p['value'], 1e3 * p['std'])} {unit}"]
 
 
 def _remaining(outcome: Outcome) -> Iterator[Content]:

@@ -6,13 +6,15 @@ import math
 from collections.abc import Iterator
 from typing import Any
 
-from aridcal.drawing.html import Content, Html, counted, fixed, number, plus_minus, table, tag
+from aridcal.drawing.html import Content, Html, codes, counted, fixed, number, plus_minus, table, tag
+from aridcal.drawing.parts import zero_in_words
 from aridcal.effects.effect import FRAME_COMPONENTS, LINK_COMPONENTS
 from aridcal.fit.constants import has_world
 from aridcal.report.second_look_section import known
 from aridcal.result.folder import frames, parameters
 from aridcal.result.key_figures import constants, solved_stages
 from aridcal.result.outcome import Outcome
+from aridcal.result.zeros import joint_zeros
 from aridcal.robot.doty import Link, doty_links
 
 SYMBOLS = {"d": "d", "theta": "θ", "beta": "β", "a": "a", "alpha": "α"}
@@ -83,13 +85,9 @@ def _partners(names: tuple[str, ...]) -> Content:
     return [shown, f" and {rest} more" if rest > 0 else ""]
 
 
-def codes(names: tuple[str, ...] | list[str]) -> Content:
-    """Names one after the other, set as code."""
-    return [part for name in names for part in (", ", tag("code", name))][1:]
-
-
 def identified(outcome: Outcome) -> Iterator[Content]:
     """Geometric parameters and frames with their uncertainty."""
+    yield from _zeros(outcome)
     yield from _constants(outcome)
     yield tag("h3", "Frames")
     yield tag(
@@ -102,6 +100,29 @@ def identified(outcome: Outcome) -> Iterator[Content]:
         else "",
     )  # fmt: skip
     yield from _frames(outcome)
+
+
+def _zeros(outcome: Outcome) -> Iterator[Content]:
+    """The joints' zeros among the constants, as those who adjust them call them."""
+    found = joint_zeros(outcome.stage("geometric").fit, outcome.robot)
+    if not found:
+        return
+    lines: list[list[Content]] = [[zero.joint, codes(zero.names), zero_in_words(zero)] for zero in found]
+    known = {zero.joint for zero in found}
+    rest = [name for name in outcome.robot.readings if name not in known]
+    yield tag("h3", "Joint zeros")
+    yield tag(
+        "p",
+        "Where a zero is off by +1 mrad (1 mm of a sliding joint), the joint stands that much beyond its reading. The calibrated "
+        "URDF has it: correct it there or at the controller, not at both.",
+        [" No zero of its own has ", codes(rest), ": the frames of base or target contain it, or it was not asked for."]
+        if rest
+        else "",
+    )
+    yield table(
+        ["joint", "constant", "zero off by ± 1σ"], lines, "Zeros of the joints, among the other constants", numbers=2
+    )
+    yield tag("h3", "All constants")
 
 
 def _constants(outcome: Outcome) -> Iterator[Content]:

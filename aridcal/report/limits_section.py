@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 
-from aridcal.drawing.html import Content, Html, bullets, number, table, tag
+from aridcal.drawing.html import Content, Html, bullets, codes, number, table, tag
 from aridcal.drawing.words import per_number, range_in_words, sigmas_in_words
-from aridcal.report.identified_section import codes
 from aridcal.report.workspace_section import workspace
 from aridcal.result.controllers import INDEX, Export, Handover
 from aridcal.result.key_figures import narrow_joints
@@ -114,15 +113,21 @@ def _inside_the_target(outcome: Outcome) -> list[str]:
     return sorted(found)
 
 
-def use(outcome: Outcome, handover: Handover) -> Iterator[Content]:
-    """Which file is for what."""
-    yield _files(handover, bool(outcome.effects))
+def use(outcome: Outcome, handover: Handover, beside: Collection[str] = frozenset()) -> Iterator[Content]:
+    """Which file is for what; those beside the page are links."""
+    yield _files(handover, bool(outcome.effects), beside)
     lines: list[list[Content]] = []
     for export in handover.exports:
         distance = f"{number(1e3 * export.apart)} mm"
-        lines.append([export.name, ", ".join(export.files), _error(handover, export), distance])
-    head = ["export", "files", f"{handover.channel.name} RMS", "distance from the full model"]
+        named = [part for file in export.files for part in (", ", linked(file, beside))][1:]
+        lines.append([export.name, named, _error(handover, export), distance])
+    head = ["what your controller gets", "files", f"{handover.channel.name} RMS", "distance from the full model"]
     yield table(head, lines, f"Exports for controllers, on {handover.rows}", numbers=2)
+
+
+def linked(file: str, beside: Collection[str]) -> Html:
+    """The name of a file of the result, as a link where the file stands beside the page."""
+    return tag("a", file, href=file) if file in beside else tag("code", file)
 
 
 def _error(handover: Handover, export: Export) -> str:
@@ -131,7 +136,7 @@ def _error(handover: Handover, export: Export) -> str:
     return f"{number(channel.scale * export.error)} {channel.shown}"
 
 
-def _files(handover: Handover, effects: bool) -> Html:
+def _files(handover: Handover, effects: bool, beside: Collection[str]) -> Html:
     """The files of the result folder."""
     error = {file: _error(handover, export) for export in handover.exports for file in export.files}
     predict = tag("code", "python -m aridcal.predict calibration.yaml query.csv -o predicted.csv")
@@ -150,5 +155,5 @@ def _files(handover: Handover, effects: bool) -> Html:
         lines.insert(1, [INDEX, "where the URDF of each region beside it holds, and what it leaves", error[INDEX]])
     if effects:
         lines.insert(1, ["model.urdf", "valid only together with the effects in calibration.yaml, never alone", ""])
-    named = [[tag("code", str(name)), *rest] for name, *rest in lines]
+    named = [[linked(str(name), beside), *rest] for name, *rest in lines]
     return table(["file", "purpose", f"{handover.channel.name} RMS"], named, "Files in the result folder", numbers=2)

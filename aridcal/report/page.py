@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from pathlib import Path
 
 from aridcal import __version__
-from aridcal.drawing.html import Content, Html, attempt, counted, empty_page, join, missing, noting, styled_page, tag
+from aridcal.drawing.frame import Section, empty_page, framed_page
+from aridcal.drawing.html import Content, Html, attempt, counted, join, missing, noting
+from aridcal.inputs.dataset import Dataset
 from aridcal.report.data_section import data, enough
 from aridcal.report.dependence import drives
 from aridcal.report.first_screen import summary
@@ -30,37 +32,43 @@ def write_report(outcome: Outcome, handover: Handover, path: Path, progress: Pro
     Args:
         outcome: What was found.
         handover: What controllers can be given of it.
-        path: The HTML file.
+        path: The HTML file. It links to those files of a result that are beside it already.
         progress: Told how many pictures are drawn.
 
     Returns:
         Notices: what could not be drawn, and why.
     """
+    beside = {found.name for found in path.parent.iterdir()}
     with noting() as notices:
         text = attempt(
             "report.html",
-            lambda: page(outcome, handover, progress),
+            lambda: page(outcome, handover, progress, beside),
             lambda notice: empty_page("Calibration report", notice),
         )
     path.write_bytes(text.encode("utf-8", "replace"))  # names of files may hold what UTF-8 has not
     return tuple(notices)
 
 
-def page(outcome: Outcome, handover: Handover, progress: Progress = SILENT) -> Html:
-    """The report as one self-contained HTML page; each of its sections fails alone."""
-    chapters = _chapters(outcome, handover, progress)
-    links = [tag("a", title, href=f"#{key}") for key, title, _ in chapters]
-    sections = [
-        tag("section", tag("h2", title), drawn(title, content), id=key)
-        for key, title, content in progress.over(chapters, "sections")
-    ]
-    m = outcome.measurements
-    body = [
-        tag("header", drawn("Summary", summary(outcome)), tag("nav", links, aria_label="Sections")),
-        tag("main", sections),
-        tag("footer", f"aridcal {__version__}, {counted(len(m), 'row')} with sha256 {m.sha256[:16]}"),
-    ]
-    return styled_page(f"Calibration of {outcome.robot.tree.name}", body)
+def page(
+    outcome: Outcome, handover: Handover, progress: Progress = SILENT, beside: Collection[str] = frozenset()
+) -> Html:
+    """The report as one self-contained HTML page; each of its sections fails alone.
+
+    Args:
+        outcome: What was found.
+        handover: What controllers can be given of it.
+        progress: Told how many sections are drawn.
+        beside: Names of files that stand beside the page, which it links to.
+    """
+    chapters = _chapters(outcome, handover, progress, beside)
+    head = drawn("Summary", summary(outcome, beside))
+    parts = [Section(title, drawn(title, content), key) for key, title, content in progress.over(chapters, "sections")]
+    return framed_page(f"Calibration of {outcome.robot.tree.name}", head, parts, foot(outcome.measurements))
+
+
+def foot(m: Dataset) -> str:
+    """The last line of a page on one table of measurements: what made it, from which rows."""
+    return f"aridcal {__version__}, {counted(len(m), 'row')} with sha256 {m.sha256[:16]}"
 
 
 def drawn(title: str, content: Iterable[Content]) -> list[Content]:
@@ -75,7 +83,7 @@ def drawn(title: str, content: Iterable[Content]) -> list[Content]:
     return parts
 
 
-def _chapters(outcome: Outcome, handover: Handover, progress: Progress) -> list[Chapter]:
+def _chapters(outcome: Outcome, handover: Handover, progress: Progress, beside: Collection[str]) -> list[Chapter]:
     """The six questions, then what was identified and which file is for what."""
     chapters: list[Chapter] = [
         ("data", "1. Is the data sound?", data(outcome)),
@@ -93,5 +101,5 @@ def _chapters(outcome: Outcome, handover: Handover, progress: Progress) -> list[
     chapters.append(("parameters", "What was identified", identified(outcome)))
     if outcome.head is not None:
         chapters.append(("head", "The measuring head", measuring_head(outcome)))
-    chapters.append(("use", "How to use the result", use(outcome, handover)))
+    chapters.append(("use", "How to use the result", use(outcome, handover, beside)))
     return chapters

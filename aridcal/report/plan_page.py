@@ -9,7 +9,8 @@ import numpy as np
 from aridcal import __version__
 from aridcal.drawing.fields import color_steps, field
 from aridcal.drawing.figures import coverage, falling
-from aridcal.drawing.html import Content, Html, bullets, counted, figures, number, styled_page, table, tag
+from aridcal.drawing.frame import framed_page, sections
+from aridcal.drawing.html import Content, Html, bullets, counted, figures, number, table, tag
 from aridcal.drawing.words import range_in_words, reading_in_words
 from aridcal.planning.coverage import Sigma
 from aridcal.planning.design import Plan
@@ -46,18 +47,15 @@ def plan_page(plan: Plan, robot: Robot, title: str) -> Html:
     """
     n = len(plan.readings)
     heading = f"{counted(n, 'configuration')} to measure"
-    sections = [
+    chapters = [
         ("How many?", _how_many(plan)),
         ("Where?", _where(plan, robot)),
         ("What do they tell?", _telling(plan)),
         ("One by one", _one_by_one(plan, robot)),
     ]
-    body = [
-        tag("header", tag("p", title, class_="about"), tag("h1", heading), *_summary(plan)),
-        tag("main", [tag("section", tag("h2", name), list(content)) for name, content in sections]),
-        tag("footer", f"aridcal {__version__}"),
-    ]
-    return styled_page(f"{heading}: {title}", body)
+    head = [tag("p", title, class_="about"), tag("h1", heading), *_summary(plan)]
+    parts = sections([(name, list(content)) for name, content in chapters])
+    return framed_page(f"{heading}: {title}", head, parts, f"aridcal {__version__}")
 
 
 def _summary(plan: Plan) -> Iterator[Content]:

@@ -8,25 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from aridcal import __version__
-from aridcal.drawing.html import (
-    Content,
-    Html,
-    attempt,
-    bullets,
-    counted,
-    empty_page,
-    noting,
-    number,
-    plus_minus,
-    styled_page,
-    table,
-    tag,
-)
+from aridcal.drawing.frame import Section, card, empty_page, framed_page
+from aridcal.drawing.html import Content, Html, attempt, bullets, counted, noting, number, plus_minus, table, tag
 from aridcal.instruments.channels import Channel, norms
 from aridcal.report.identified_section import identified
 from aridcal.report.limits_section import use
-from aridcal.report.page import drawn
+from aridcal.report.page import drawn, foot
 from aridcal.result.controllers import Handover
 from aridcal.result.outcome import errors
 from aridcal.upkeep.checking import Checked
@@ -90,14 +77,9 @@ def _page(
         ("lineage", "5. Where does it come from?", _lineage(lineage)),
     ]
     m = made.rows.measurements
-    links = [tag("a", title, href=f"#{key}") for key, title, _ in chapters]
-    sections = [tag("section", tag("h2", title), drawn(title, content), id=key) for key, title, content in chapters]
-    body = [
-        tag("header", drawn("Summary", _summary(made, checked, mended)), tag("nav", links, aria_label="Sections")),
-        tag("main", sections),
-        tag("footer", f"aridcal {__version__}, {counted(len(m), 'row')} with sha256 {m.sha256[:16]}"),
-    ]
-    return styled_page(f"Repair of {made.rows.robot.tree.name}", body)
+    head = drawn("Summary", _summary(made, checked, mended))
+    parts = [Section(title, drawn(title, content), key) for key, title, content in chapters]
+    return framed_page(f"Repair of {made.rows.robot.tree.name}", head, parts, foot(m))
 
 
 def _summary(made: RepairOutcomes, checked: Checked, mended: Repaired) -> Iterator[Content]:
@@ -136,18 +118,11 @@ def _card(made: RepairOutcomes, k: int) -> Html:
         for residual in (made.rows.stage("before").residual, made.rows.stage("final").residual, made.left_out)
     )
     unit = channel.shown
-    figures = tag(
-        "p",
-        tag("span", f"{number(before)} ", tag("small", unit), class_="before", title="before the repair"),
-        tag("span", " → ", class_="arrow"),
-        tag("span", f"{number(after)} ", tag("small", unit), class_="now", title="after the repair"),
-        class_="change",
-    )
     per_axis = f" per number; {channel.size} numbers a row" if channel.size > 1 else ""
     out = "cannot be said" if np.isnan(left) else f"{number(left)} {unit}"
     of_noise = f"The noise is {number(channel.scale * noise)} {unit}{per_axis}."
     said = f"before → after the repair, on the new rows. Left out: {out}. {of_noise}"
-    return tag("div", tag("h2", f"{channel.noun.capitalize()}, RMS"), figures, tag("p", said), class_="card")
+    return card(channel.noun, unit, ("before the repair", before), ("after the repair", after), said)
 
 
 def _moved(mended: Repaired, lines: list[str]) -> Iterator[Content]:

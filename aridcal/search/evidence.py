@@ -195,7 +195,7 @@ def _plain(M: np.ndarray, s: np.ndarray, raw: np.ndarray, left: float, count: fl
     new = values > DEPENDENT
     along = np.einsum("kij,ki->kj", vectors, s * scale)
     explained = np.sum(np.where(new, along**2 / np.where(new, values, 1.0), 0.0), axis=1)
-    twice = -count * np.log1p(-np.minimum(explained / left, WHOLE))
+    twice = -count * np.log1p(-np.minimum(explained / max(left, TINY), WHOLE))
     return [
         Score(price(gain, freedom), tail(gain, freedom), freedom) if freedom else NOTHING
         for gain, freedom in zip(twice.tolist(), new.sum(axis=1).tolist(), strict=True)
@@ -232,7 +232,7 @@ def _smooth(
         variances = TAUS.T / largest[:, None]
         shrunk = 1.0 + variances[:, :, None] * values[:, None]
         explained = variances * np.einsum("ktj,kj->kt", 1.0 / shrunk, squares)
-        likelihood = explained if left == np.inf else -count * np.log1p(-np.minimum(explained / left, WHOLE))
+        likelihood = explained if left == np.inf else -count * np.log1p(-np.minimum(explained / max(left, TINY), WHOLE))
         twice = likelihood - np.sum(np.log(shrunk), axis=2)
         top = np.argmax(twice, axis=1)
         gain = 0.5 * np.take_along_axis(twice, top[:, None], axis=1)[:, 0] - SMOOTH_PRICE

@@ -8,7 +8,7 @@
     <summary><b id="title"></b> <span id="count"></span> <span id="live"></span></summary>
     <p id="missing"></p>
     <section><h2>Position error <small>RMS of <span id="scored"></span></small></h2>
-    <button id="flip" title="key b">before / after</button><div id="stages"></div>
+    <div id="stages"></div>
     <div id="effects"></div><p id="alone"></p></section>
     <section><h2><label for="field">Colour</label></h2><select id="field"></select>
     <div id="bar"></div><div id="ticks"></div></section>
@@ -22,7 +22,8 @@
     <input id="row" type="range" min="0" step="1" title="arrow keys step through the rows">
     <p id="here"></p><p id="readings"></p></section>
     <section><h2>Show</h2><div id="show"></div><p id="grid"></p></section>
-    </details>`;
+    </details>
+    <button id="flip" title="before or after calibration: key b"><span id="was"></span> → <span id="is"></span></button>`;
 
   let viewer;
   try {
@@ -129,7 +130,9 @@
 
     // The long side of the scene lies across the screen, seen from a little above; z is up, the camera's own up is y.
     function frameCamera() {
-      const azimuth = ((size.x > 1.3 * size.y ? -68 : size.y > 1.3 * size.x ? 22 : -40) * Math.PI) / 180;
+      const upright = viewer.dom_element.offsetWidth < viewer.dom_element.offsetHeight; // a phone: what is long is seen from its end
+      const [alongX, alongY] = upright ? [-20, 70] : [-68, 22];
+      const azimuth = ((size.x > 1.3 * size.y ? alongX : size.y > 1.3 * size.x ? alongY : -40) * Math.PI) / 180;
       const back = new THREE.Vector3(Math.cos(azimuth) * 0.93, Math.sin(azimuth) * 0.93, 0.37).normalize();
       const right = new THREE.Vector3(-back.y, back.x, 0).normalize();
       const up = back.clone().cross(right);
@@ -409,8 +412,13 @@
       if (off.length) {
         current = current.map((value, k) => off.reduce((sum, effect) => sum - effect.step * effect.moved[k], value));
       }
-      stages[last].shown.textContent = `${text(off.length ? rms(current, 1e3) : stages[last].rms)} mm`;
+      const after = text(off.length ? rms(current, 1e3) : stages[last].rms);
+      stages[last].shown.textContent = `${after} mm`;
       byId("alone").textContent = off.length ? "Without the effects switched off: frames and constants refitted, other effects unchanged." : "";
+      byId("was").textContent = `before ${text(stages[0].rms)} mm`;
+      byId("is").textContent = `after ${after} mm`;
+      byId("was").classList.toggle("on", state.stage === 0);
+      byId("is").classList.toggle("on", state.stage === last);
       document.getElementsByName("stage").forEach((radio, k) => (radio.checked = k === state.stage));
       placeRobots();
       drawScale();

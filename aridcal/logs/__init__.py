@@ -1,0 +1,1 @@
+"""Two logs of one motion, with a clock each, as one table of standstills."""

@@ -1,0 +1,181 @@
+"""Join a log of joints and a log of a tracker into one table of measurements: a row for each standstill that both have.
+
+The clocks need not agree, nor the rates. Standstills are found in both logs. Offset and drift of the clocks come from the moves
+between them: the nominal robot says when its target moved. Samples in which both stand are averaged, with margins dropped at both
+ends; `std_*` is the standard deviation of the mean, which allows for samples that are not independent, and `n` how many they are.
+Standstills that one log has and the other has not are named.
+
+A log is a table in any dialect (a column for each joint, or x y z and an orientation, and the time), or a bag of ROS 1 or 2
+(`.bag`, `.mcap`, `.db3`, a folder; `pip install "aridcal[ros]"`), which may hold both. Beside the table a page of the same name
+(.html) shows what was paired.
+
+Example:
+    aridcal merge joints.csv tracker.csv --urdf robot.urdf --tip tool0 -o measurements.csv
+    aridcal merge run.bag --urdf robot.urdf --tip tool0 -o measurements.csv
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import pandas as pd
+from rich.console import Console
+
+from aridcal.command_line import CommandParser, command_parser, run
+from aridcal.errors import AridcalError, OutputError, RobotError
+from aridcal.init import answer, ask
+from aridcal.inputs.tables import AnyTable
+from aridcal.logs import bags, log_files
+from aridcal.logs.merging import Merged, merged
+from aridcal.logs.page import lines, merge_page
+from aridcal.prepare.guesses import Asker, Choose, nobody
+from aridcal.reading.names import path_argument
+from aridcal.robot.chain import load_robot
+from aridcal.robot.named import described
+from aridcal.robot.tree import read_tree
+from aridcal.writing.files import atomic_table, claimed_table
+from aridcal.writing.tables import table_file
+
+QUESTIONS = (
+    "joints.time", "tracker.time", "joints.decimal", "tracker.decimal", "target",
+    "table.sheet", "table.dates", "columns", "units", "orientation",
+)  # fmt: skip
+"""Keys of what may be asked; answers may be given beforehand."""
+
+SHOWN = 5
+"""Standstills without a row that are printed; the page has them all."""
+
+
+def joined(
+    joints: AnyTable, tracker: AnyTable | None, urdf: Path, tip: str, choose: Choose, settled: Mapping[str, int]
+) -> Merged:
+    """Join two logs, or what one bag holds of both.
+
+    Args:
+        joints: A table or a bag with the joints' readings over time.
+        tracker: The same of the target's pose or position; None: the bag has it.
+        urdf: The nominal robot.
+        tip: The link that carries the target.
+        choose: Asked where the logs leave a choice that changes numbers.
+        settled: Numbers of answers that were given beforehand.
+
+    Raises:
+        AridcalError: the logs cannot be read or joined.
+    """
+    asker = Asker(choose, settled, drafts=False)
+    asker.check(QUESTIONS)
+    source = described(urdf, {}, {})
+    try:
+        robot = load_robot(source.path, tip, None, packages=source.packages, arguments=source.arguments)
+    except RobotError as problem:  # which speaks of a campaign's keys
+        raise RobotError(str(problem).replace("`robot.tip`", "--tip").replace("`robot.urdf`", "--urdf")) from None
+    if tracker is None:
+        if not bags.is_bag(joints):
+            raise AridcalError(f"{joints}: is one table; name the tracker's log after it, or a bag that has both")
+        tracker = joints
+    is_bag = bags.is_bag(joints)
+    read = bags.joint_log(Path(str(joints)), robot) if is_bag else log_files.joint_log(joints, robot, asker)
+    if bags.is_bag(tracker):
+        links = frozenset(read_tree(robot.urdf, robot.path).links)
+        measured, places = bags.tracker_log(Path(str(tracker)), links, asker)
+    else:
+        measured, places = log_files.tracker_log(tracker, robot, asker)
+    return merged(robot, read, measured, places, asker)
+
+
+def merge(
+    joints: AnyTable,
+    tracker: AnyTable | None,
+    urdf: str | Path,
+    tip: str,
+    answers: Mapping[str, int] | None = None,
+) -> pd.DataFrame:
+    """Join a log of joints and a log of a tracker, for Python; prints what was found. Nothing is written.
+
+    Args:
+        joints: Readings of the joints over time: a DataFrame, a table's file or a bag of ROS.
+        tracker: The target's pose or position over time, by any other clock; None: the bag has it, too.
+        urdf: The nominal robot.
+        tip: The link that carries the target.
+        answers: Numbers of answers to questions that were asked before: ``{"tracker.time": 2}``.
+
+    Returns:
+        A row for each standstill that both have, SI: joints, ``x y z`` and, where measured, ``qx qy qz qw``, ``std_*`` of these
+        means, ``time`` by the joints' clock, and ``n``, the tracker's samples behind it.
+
+    Raises:
+        AridcalError: the logs cannot be read or joined; saying why.
+    """
+    found = joined(joints, tracker, Path(urdf), tip, nobody, answers or {})
+    tell(found, Console(force_jupyter=False))
+    return found.table
+
+
+def tell(found: Merged, console: Console) -> None:
+    """Print what was found, and which standstills make no row."""
+    said = [*lines(found), *(f"no row: {one}" for one in found.unpaired[:SHOWN])]
+    if len(found.unpaired) > SHOWN:
+        said.append(f"no row: {len(found.unpaired) - SHOWN} more standstills")
+    for each in said:
+        console.print(each, markup=False, highlight=False, soft_wrap=True)
+
+
+def parser() -> CommandParser:
+    """The command's arguments."""
+    arguments = command_parser("merge", __doc__)
+    arguments.add_argument("joints", type=path_argument, help="log of the joints: a table, or a bag of ROS 1 or 2")
+    arguments.add_argument(
+        "tracker", type=path_argument, nargs="?", help="log of the tracker; not needed for a bag that has both"
+    )
+    arguments.add_argument("--urdf", type=path_argument, required=True, help="the nominal robot")
+    arguments.add_argument("--tip", required=True, help="the link that carries the target, tool0 for instance")
+    arguments.add_argument(
+        "--set",
+        type=answer,
+        action="append",
+        default=[],
+        metavar="KEY=NUMBER",
+        help="answer a question that was asked before, by its number",
+    )
+    arguments.add_argument(
+        "-o",
+        "--out",
+        type=path_argument,
+        default=Path("measurements.csv"),
+        help="where to write the table, .csv (default: measurements.csv, here); a page of the same name (.html) is "
+        "written beside it",
+    )
+    return arguments
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command; returns its exit status."""
+    arguments = parser().parse_args(argv)
+    return run(lambda: _main(arguments))
+
+
+def _main(arguments: argparse.Namespace) -> None:
+    out, page = arguments.out, arguments.out.with_suffix(".html").name
+    if out.resolve() in {path.resolve() for path in (arguments.joints, arguments.tracker) if path is not None}:
+        raise OutputError(f"{out}: is one of the logs; choose another name with -o")
+    with claimed_table(out, [page]):
+        choose = ask if sys.stdin.isatty() else nobody
+        found = joined(arguments.joints, arguments.tracker, arguments.urdf, arguments.tip, choose, dict(arguments.set))
+        names = (arguments.joints.name, (arguments.tracker or arguments.joints).name)
+        with atomic_table(out, [page]) as stage:
+            with table_file(stage / out.name) as write:
+                write(found.table)
+            (stage / page).write_text(merge_page(found, names, out), encoding="utf-8", errors="replace")
+    console = Console()
+    tell(found, console)
+    said = f"{out}: {len(found.table)} rows; {out.with_suffix('.html')} shows what was paired"
+    console.print(said, markup=False, highlight=False, soft_wrap=True)
+    said = f"next: aridcal init --urdf {arguments.urdf} --measurements {out}"
+    console.print(said, markup=False, highlight=False, soft_wrap=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
