@@ -73,7 +73,7 @@ def commands_page() -> str:
     parts = [
         "# Commands",
         f"```text\n{USAGE}\n```",
-        "Exit status: 0 done, 1 a bug, 2 bad input or use, 130 interrupted.",
+        "Exit status: 0 done, 1 a bug, 2 bad input or use, 3 done and the answer is no, 130 after Ctrl-C, 143 after SIGTERM.",
     ]
     for command in COMMANDS:
         own = importlib.import_module(f"aridcal.{command}").parser()
