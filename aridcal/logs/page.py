@@ -103,9 +103,9 @@ def lines(found: Merged) -> list[str]:
     clocks, time = found.clocks, found.tracker.log.time
     sigma = 1e3 * float(clocks.std(time[[0, -1]]).max())
     drift, drift_sigma = 1e6 * clocks.drift, 1e6 * float(np.sqrt(clocks.covariance[1, 1]))
-    samples = found.averages.count
+    samples, sign = found.averages.count, "-" if clocks.offset < 0 else "+"
     made = [
-        f"joints' clock = tracker's + {clocks.offset:.5f} s at {clocks.middle:.3f} s, drift {drift:.2f} ± "
+        f"joints' clock = tracker's {sign} {abs(clocks.offset):.5f} s at {clocks.middle:.3f} s, drift {drift:.2f} ± "
         f"{drift_sigma:.2g} ppm; known to "
         f"{sigma:.2g} ms (1 sigma) in the whole log, from {len(found.moves.late)} moves",
         f"{len(found.table)} rows of {samples.min()} to {samples.max()} samples; scatter of one sample "
