@@ -47,14 +47,14 @@ HEIGHT, LANE = 210.0, 11.0
 OFF = "Measured minus nominal at each row, base and target fitted: the robot's errors, no error of this table"
 
 PAIRED = (
-    "Speeds of the nominal tip (joints) and of the measured target (tracker), both by the joints' clock. They need not be equal, "
-    "for the target is not at the tip: they begin and end together. The bars below are standstills of each log and, between them, "
-    "the windows whose samples make a row."
+    "Speeds of the nominal tip (joints) and of the measured target (tracker), both by the joints' clock. They need not be "
+    "equal, for the target is not at the tip: they begin and end together. The bars below are standstills of each log and, "
+    "between them, the windows whose samples make a row."
 )
 
 LATE = (
-    "Each move says by itself how late one clock is; offset and drift are a robust line through all. Points that lie in two steps "
-    "are a clock that was set, a bow is a clock that warms up."
+    "Each move says by itself how late one clock is; offset and drift are a robust line through all. Points that lie in two "
+    "steps are a clock that was set, a bow is a clock that warms up."
 )
 
 LISTED = 40
