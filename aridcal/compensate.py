@@ -49,8 +49,8 @@ from aridcal.errors import CampaignError, MeasurementError, OutputError
 from aridcal.inputs.query import Query, Remarks
 from aridcal.programs.axes import Axes, axes_of
 from aridcal.programs.correct import Correction, as_table, correct
-from aridcal.programs.frames import KnownFrames, read_frames
-from aridcal.programs.languages import Language, language_of, read_program
+from aridcal.programs.frames import KnownFrames, read_frames, unsaid_base
+from aridcal.programs.languages import URSCRIPT, Language, language_of, read_program
 from aridcal.programs.targets import spliced
 from aridcal.reading.names import path_argument
 from aridcal.result.compensate import Trajectory, compensate, correction_table
@@ -161,6 +161,9 @@ def _correct_program(arguments: argparse.Namespace, language: Language) -> None:
             path.write_bytes(spliced(text, changes).encode("latin-1"))
             write_table(as_table(found), table)
     _say(found, out, side, saved)
+    unsaid = unsaid_base(robot, frames) if language is URSCRIPT else ""
+    if unsaid:
+        Console(stderr=True).print(f"note: {unsaid}", markup=False, highlight=False, soft_wrap=True)
 
 
 def _values(given: Sequence[str]) -> dict[str, float]:

@@ -18,13 +18,15 @@ from aridcal.compensate import main as compensate
 from aridcal.programs import fanuc, gcode, krl, rapid, urscript
 from aridcal.programs.axes import Axes, axes_of
 from aridcal.programs.branches import flange
-from aridcal.programs.frames import KnownFrames
+from aridcal.programs.frames import KnownFrames, unsaid_base
 from aridcal.programs.languages import LANGUAGES
 from aridcal.programs.notations import ABB as OUR_ABB
 from aridcal.programs.notations import FANUC as OUR_FANUC
 from aridcal.programs.notations import KUKA as OUR_KUKA
 from aridcal.programs.notations import UR as OUR_UR
 from aridcal.programs.targets import Notation, Target, spliced, written
+from aridcal.robot.chain import chain
+from aridcal.robot.tree import read_tree
 
 SIX = axes_of(("revolute",) * 6)
 
@@ -200,6 +202,20 @@ def test_a_controller_whose_base_is_turned_against_the_urdf_gets_the_same_correc
         found.append(OUR_UR.pose(np.array([float(n) for n in text[text.index("[") + 1 : text.index("]")].split(",")])))
     np.testing.assert_allclose(half_a_turn @ found[1], found[0], atol=1e-7)
     assert not np.allclose(found[0], here, atol=1e-5)
+
+
+def test_a_link_base_that_is_elsewhere_is_named_unless_the_user_states_the_base() -> None:
+    plain = Path(arm().model.robot.path).read_text()
+    other = """<link name="base"/><joint name="to_base" type="KIND"><parent link="base_link"/><child link="base"/>
+        <origin xyz="0 0 0" rpy="0 0 3.141592653589793"/><axis xyz="0 0 1"/>
+        <limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>"""
+    said = []
+    for text in (plain, *(plain.replace("</robot>", other.replace("KIND", kind)) for kind in ("revolute", "fixed"))):
+        robot = chain(read_tree(text.encode(), Path("ur10.urdf")), "tool0", "base_link")
+        said.append(unsaid_base(robot, NOTHING))
+        assert unsaid_base(robot, KnownFrames(bases={"default": np.eye(4)})) == ""
+    assert said[:2] == ["", ""]
+    assert "xyz: [0, 0, 0], rpy: [0, 0, 3.14159265]" in said[2]
 
 
 KRL_POSE = "{X 1,Y 2,Z 3,A 4,B 5,C 6}"

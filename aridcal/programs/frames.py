@@ -7,10 +7,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 from pydantic import Field
 
 from aridcal.inputs.instrument_settings import Placement
 from aridcal.inputs.yaml_file import Number, Settings, load_settings
+from aridcal.robot.chain import Robot
+from aridcal.robot.tree import read_tree
 
 
 class FrameSettings(Settings):
@@ -52,6 +55,35 @@ def read_frames(path: Path | None) -> KnownFrames:
         return KnownFrames()
     settings = load_settings(path, FrameSettings)
     return KnownFrames(_poses(settings.bases), _poses(settings.tools), settings.start)
+
+
+def controllers_base(robot: Robot) -> np.ndarray | None:
+    """Where the controller's base is in the campaign's, if the URDF says that it is elsewhere, T of shape (4, 4).
+
+    Descriptions of ROS-Industrial, and those of Universal Robots, have a link `base` for it, beside `base_link`.
+    """
+    tree, link, T = read_tree(robot.urdf, robot.path), "base", np.eye(4)
+    while link != robot.base:
+        parent, joint = tree.parent_of.get(link, ("", None))
+        if joint is None or joint.get("name") in tree.moves:
+            return None
+        link, T = parent, tree.origins[str(joint.get("name"))].homogeneous @ T
+    return None if np.allclose(T, np.eye(4), atol=1e-6) else T
+
+
+def unsaid_base(robot: Robot, frames: KnownFrames) -> str:
+    """What to do if the controller's base is the URDF's link ``base``, and nobody says so; empty if nothing is."""
+    T = controllers_base(robot)
+    if T is None or "default" in frames.bases:
+        return ""
+    xyz, rpy = (
+        ", ".join(f"{round(value, 9) + 0.0:.9g}" for value in part)
+        for part in (T[:3, 3], pin.rpy.matrixToRpy(T[:3, :3]))
+    )
+    return (
+        f"targets were taken to be in {robot.base}. If the controller counts from the URDF's link `base`, they are others: give "
+        f"--frames a file with the lines `format: 1` and `bases: {{default: {{xyz: [{xyz}], rpy: [{rpy}]}}}}`"
+    )
 
 
 def _poses(placements: Mapping[str, Placement]) -> dict[str, np.ndarray]:
