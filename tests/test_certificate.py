@@ -180,7 +180,7 @@ def test_what_is_not_stated_is_said_not_to_be(outcome: Outcome, folder: Path) ->
     (file,) = outcome.measurements.files
     os.utime(file, (1.7e9, 1.7e9))
     dated = dict(certificate(outcome, About(), folder, ISSUED).parts[0].facts)["Measured on"]
-    assert dated == "2023-11-14 (date of the file; the campaign states none)"
+    assert dated == "not stated (newest file: 2023-11-14)"
 
 
 def test_uncertainty_that_no_row_tells_is_not_stated(outcome: Outcome, folder: Path) -> None:

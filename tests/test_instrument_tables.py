@@ -527,7 +527,12 @@ def test_things_of_no_block_are_told_and_of_poses_refused(tmp_path: Path) -> Non
 
 
 def test_the_examples_of_the_formats_are_campaigns() -> None:
-    text = (Path(__file__).parent.parent / "docs" / "formats.md").read_text("utf-8").split("## 7. ")[1]
+    text = (
+        (Path(__file__).parent.parent / "docs" / "formats.md")
+        .read_text("utf-8")
+        .split("## 7. ")[1]
+        .split("\n## 8. ")[0]
+    )
     examples = re.findall(r"```yaml\n(.*?)```", text, re.DOTALL)
     assert len(examples) == 2
     small, full = (parse_settings(example, Path("campaign.yaml"), Campaign) for example in examples)

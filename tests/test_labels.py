@@ -151,7 +151,8 @@ def test_commands_bring_the_target_to_where_the_model_of_that_label_has_it(
 ) -> None:
     outcome, folder, _ = halls
     saved, m = SavedModel.load(folder / "calibration.yaml"), outcome.measurements
-    table = pd.DataFrame(m.readings[:12], columns=list(JOINTS))
+    middle = m.readings.mean(axis=0)  # off the ends of what was seen, where rounding would decide
+    table = pd.DataFrame(middle + 0.95 * (m.readings[:12] - middle), columns=list(JOINTS))
     table["square"] = [*LABELS, "hall C", "", *LABELS]
     wanted = predict(saved, read_query(saved, table))
     seeds = wanted.drop(columns=[c for c in wanted if c.startswith("std_") or c == "extrapolates"])
@@ -163,7 +164,7 @@ def test_commands_bring_the_target_to_where_the_model_of_that_label_has_it(
     model, theta = saved.final.model, saved.final.theta
     for k, label in enumerate(table["square"]):  # second road: the whole model for one row
         one = OneRowModel(model, theta, label)
-        place = one.pose(m.readings[k], one.effects(m.readings[k], {}))[1]
+        place = one.pose(table[list(JOINTS)].to_numpy()[k], one.effects(table[list(JOINTS)].to_numpy()[k], {}))[1]
         np.testing.assert_allclose(place, wanted.loc[k, ["x", "y", "z"]].to_numpy(float), atol=1e-12)
 
 

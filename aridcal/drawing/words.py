@@ -71,11 +71,11 @@ def who_and_what(about: About, robot: Robot, m: Dataset) -> Iterator[tuple[str, 
 
 
 def _date_of_files(m: Dataset) -> str:
-    """The date of the newest file of measurements."""
+    """That nobody stated a date, and that of the newest file of measurements: a copy has the date of the copying."""
     times = [path.stat().st_mtime for path in m.files if path.is_file()]
     if not times:
         return NOT_STATED
-    return f"{datetime.date.fromtimestamp(max(times)).isoformat()} (date of the file; the campaign states none)"
+    return f"{NOT_STATED} (newest file: {datetime.date.fromtimestamp(max(times)).isoformat()})"
 
 
 def sigmas_in_words(sigma: np.ndarray, channels: Channels, times: float = 1.0) -> str:
