@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import importlib
 import os
 import re
@@ -15,7 +16,7 @@ import pytest
 import aridcal
 from aridcal.__main__ import COMMANDS
 from aridcal.__main__ import main as aridcal_main
-from aridcal.command_line import run
+from aridcal.command_line import run, screens
 from aridcal.errors import AridcalError
 from aridcal.interrupt import is_command
 
@@ -225,3 +226,9 @@ def test_version_is_told(capsys):
 def test_help_is_quick_because_no_command_is_imported():
     code = "import sys, aridcal.__main__ as m; m.main(['--help']); sys.exit('pinocchio' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], stdout=subprocess.DEVNULL, check=False).returncode == 0
+
+
+def test_a_pipe_gets_a_long_line_in_one_piece(capsys: pytest.CaptureFixture[str]) -> None:
+    words = " ".join(["found"] * 60)
+    screens(argparse.Namespace(quiet=False))[0].print(words)
+    assert capsys.readouterr().out == words + "\n"
