@@ -339,7 +339,7 @@ def test_an_argument_may_be_a_number_or_a_truth_in_yaml(tmp_path: Path) -> None:
 
 
 def test_values_may_hold_what_separates_names_from_them() -> None:
-    assert init._pair("a=b:=c=d") == ("a", "b:=c=d") and init._pair("a:=b") == ("a", "b")
+    assert init.pair("a=b:=c=d") == ("a", "b:=c=d") and init.pair("a:=b") == ("a", "b")
 
 
 def test_a_pair_needs_both_its_halves(capsys: pytest.CaptureFixture[str]) -> None:
