@@ -15,9 +15,12 @@ from robot_programs import error, sent
 from scipy.spatial.transform import Rotation
 
 from aridcal.compensate import main as compensate
+from aridcal.fit.constants import constants
+from aridcal.model.model import Model
 from aridcal.programs import fanuc, gcode, krl, rapid, urscript
 from aridcal.programs.axes import Axes, axes_of
 from aridcal.programs.branches import flange
+from aridcal.programs.correct import correct
 from aridcal.programs.frames import KnownFrames, unsaid_base
 from aridcal.programs.languages import LANGUAGES
 from aridcal.programs.notations import ABB as OUR_ABB
@@ -25,7 +28,8 @@ from aridcal.programs.notations import FANUC as OUR_FANUC
 from aridcal.programs.notations import KUKA as OUR_KUKA
 from aridcal.programs.notations import UR as OUR_UR
 from aridcal.programs.targets import Notation, Target, spliced, written
-from aridcal.robot.chain import chain
+from aridcal.result.saved_model import SavedModel, SolvedModel
+from aridcal.robot.chain import chain, parse_robot
 from aridcal.robot.tree import read_tree
 
 SIX = axes_of(("revolute",) * 6)
@@ -373,3 +377,40 @@ def test_frames_are_for_programs_alone(calibration: Path, tmp_path: Path, capfd:
     arguments = [str(calibration), str(tmp_path / "poses.csv"), "-o", str(tmp_path / "b.csv"), "--at", "a=1"]
     assert compensate(arguments) == 2
     assert "--frames and --at are for robot programs" in capfd.readouterr().err
+
+
+SLIDE = (
+    '<joint name="{0}" type="prismatic"><parent link="{1}"/><child link="{2}"/><axis xyz="{3}"/>'
+    '<limit lower="-5" upper="5" effort="1" velocity="1"/></joint>'
+)
+
+
+def gantry() -> SavedModel:
+    """Three slides whose axes are a few milliradians out of square, known exactly."""
+    links = "".join(f'<link name="{name}"/>' for name in ("base", "a", "b", "tip"))
+    slides = (("x", "base", "a", "1 0 0"), ("y", "a", "b", "0 1 0"), ("z", "b", "tip", "0 0 1"))
+    urdf = f'<robot name="gantry">{links}{"".join(SLIDE.format(*slide) for slide in slides)}</robot>'
+    robot = parse_robot(urdf.encode(), "tip")
+    own = constants(robot, "full")
+    theta = np.random.default_rng(0).normal(0.0, 2e-3, len(own))
+    solved = SolvedModel(Model(robot, own), theta, np.zeros((len(own),) * 2))
+    ranges = dict.fromkeys(robot.readings, (-2.0, 2.0))
+    return SavedModel(solved, solved, "position", (0.0, 0.0, -9.81), (1e-5, 1e-3), ranges, {})
+
+
+def test_a_gantry_comes_to_its_places_where_all_words_stand_and_as_near_as_those_that_do_can_bring_it() -> None:
+    """Second road: the true model at the axes that the corrected words, and those kept from before, say."""
+    saved = gantry()
+    text = "G21 G90\nG1 X100 Y200.0 Z-50\nG1 X900 Y-300 Z120\nX150.5\nG1 Y40 Z10\n"
+    targets = gcode.read(text, GANTRY, KnownFrames(bases={"g54": np.eye(4)}))
+    found = correct(saved, targets, {})
+    assert [len(c.changes) for c in found] == [3, 3, 1, 2]
+    told = np.array([[100, 200, -50], [900, -300, 120], [150.5, -300, 120], [150.5, 40, 10]]) / 1e3
+    sent = np.zeros(3)
+    for c, q in zip(found, told, strict=True):
+        for (unit, k), (_, new) in zip(c.target.units, c.changes, strict=True):
+            sent[k] = unit * float(new)
+        place = saved.final.poses(sent[None])[1][0]
+        off, as_is = np.linalg.norm(place - q), np.linalg.norm(saved.final.poses(q[None])[1][0] - q)
+        assert off == pytest.approx(c.after[0], abs=1e-9)
+        assert off < (1e-6 if len(c.changes) == 3 else as_is)
