@@ -110,6 +110,15 @@ def for_scripts(command: CommandParser, headline: bool = False) -> None:
         )
 
 
+def for_clusters(command: CommandParser) -> None:
+    """Give a command the address of a cluster that may do its work."""
+    command.add_argument(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="of a Dask cluster, tcp://10.0.0.1:8786 for instance (default: processes of this computer)",
+    )
+
+
 def screens(arguments: argparse.Namespace) -> tuple[Console, Console]:
     """Where a command with these options prints its result, and where its progress and its remarks.
 

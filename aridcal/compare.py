@@ -28,7 +28,7 @@ from rich.console import Console
 
 from aridcal.ageing.compare_page import compare_page
 from aridcal.ageing.comparison import Comparison, compare, constants, document, lines
-from aridcal.command_line import DONE, NOT_GOOD, CommandParser, command_parser, run
+from aridcal.command_line import DONE, NOT_GOOD, CommandParser, command_parser, for_scripts, run, screens
 from aridcal.drawing.html import tag
 from aridcal.reading.names import path_argument
 from aridcal.result.folder import finite
@@ -100,6 +100,7 @@ def parser() -> CommandParser:
     arguments.add_argument(
         "-o", "--out", type=path_argument, metavar="DIR", help="where to write compare.html and compare.json"
     )
+    for_scripts(arguments)
     return arguments
 
 
@@ -111,7 +112,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _main(arguments: argparse.Namespace) -> int:
     if arguments.out is None:
-        return _said(compare(SavedModel.load(arguments.first), SavedModel.load(arguments.second)))
+        return _said(
+            compare(SavedModel.load(arguments.first), SavedModel.load(arguments.second)), screens(arguments)[0]
+        )
     with claimed(arguments.out, "folder", FILES):
         found = compare(SavedModel.load(arguments.first), SavedModel.load(arguments.second))
         with atomic_folder(arguments.out, FILES) as stage:
@@ -119,11 +122,10 @@ def _main(arguments: argparse.Namespace) -> int:
             (stage / "compare.json").write_text(text + "\n", encoding="utf-8")
             page = compare_page(found, (str(arguments.first), str(arguments.second)))
             (stage / "compare.html").write_text(page, encoding="utf-8", errors="replace")
-        return _said(found)
+        return _said(found, screens(arguments)[0])
 
 
-def _said(found: Comparison) -> int:
-    console = Console()
+def _said(found: Comparison, console: Console) -> int:
     for line in [*lines(found), *(f"note: {notice}" for notice in found.notices)]:
         console.print(line, markup=False, highlight=False, soft_wrap=True)
     return NOT_GOOD if found.changed else DONE

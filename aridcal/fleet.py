@@ -22,7 +22,7 @@ from collections.abc import Sequence
 from contextlib import nullcontext
 from pathlib import Path
 
-from aridcal.command_line import DONE, NOT_GOOD, CommandParser, command_parser, for_scripts, run, screens
+from aridcal.command_line import DONE, NOT_GOOD, CommandParser, command_parser, for_clusters, for_scripts, run, screens
 from aridcal.drawing.html import counted
 from aridcal.errors import shortened
 from aridcal.overview.fleet_page import fleet_page
@@ -55,11 +55,7 @@ def parser() -> CommandParser:
     arguments.add_argument(
         "-o", "--out", type=path_argument, required=True, metavar="DIR", help="folder of all results"
     )
-    arguments.add_argument(
-        "--scheduler",
-        metavar="ADDRESS",
-        help="of a Dask cluster, tcp://10.0.0.1:8786 for instance (default: processes of this computer)",
-    )
+    for_clusters(arguments)
     for_scripts(arguments)
     return arguments
 

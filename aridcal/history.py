@@ -42,7 +42,7 @@ from aridcal.ageing.history_page import (
 )
 from aridcal.ageing.store import read_runs
 from aridcal.ageing.wear import History, history
-from aridcal.command_line import DONE, NOT_GOOD, CommandParser, command_parser, run
+from aridcal.command_line import DONE, NOT_GOOD, CommandParser, command_parser, for_scripts, run, screens
 from aridcal.drawing.html import tag
 from aridcal.reading.names import path_argument
 from aridcal.writing.files import atomic_folder, claimed
@@ -103,6 +103,7 @@ def parser() -> CommandParser:
     arguments.add_argument(
         "-o", "--out", type=path_argument, metavar="DIR", help="where to write history.html and history.csv"
     )
+    for_scripts(arguments)
     return arguments
 
 
@@ -114,18 +115,17 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _main(arguments: argparse.Namespace) -> int:
     if arguments.out is None:
-        return _said(history(read_runs(arguments.folder), arguments.robot))
+        return _said(history(read_runs(arguments.folder), arguments.robot), screens(arguments)[0])
     with claimed(arguments.out, "folder", FILES):
         found = history(read_runs(arguments.folder), arguments.robot)
         with atomic_folder(arguments.out, FILES) as stage:
             page = history_page(found, str(arguments.folder))
             (stage / "history.html").write_text(page, encoding="utf-8", errors="replace")
             write_table(constant_table(found), stage / "history.csv")
-        return _said(found)
+        return _said(found, screens(arguments)[0])
 
 
-def _said(found: History) -> int:
-    console = Console()
+def _said(found: History, console: Console) -> int:
     console.print(_table(found))
     said = remarks(found)
     more = [f"and {len(said) - SHOWN} more remarks"] if len(said) > SHOWN else []

@@ -11,6 +11,7 @@ import pytest
 import robots
 
 from aridcal.check import main as check
+from aridcal.compare import main as compare
 from aridcal.identify import main as identify
 
 
@@ -61,3 +62,13 @@ def test_in_a_pipe_no_line_is_broken(campaign: Path, capfd: pytest.CaptureFixtur
     assert max(map(len, lines)) > 80
     assert any(line.startswith("In 95 % of the range") and line.endswith("with 95 % confidence.") for line in lines)
     assert lines[-1] == f"report: {campaign.parent / 'results' / 'report.html'}"
+
+
+def test_a_quiet_comparison_says_its_answer_by_its_status_alone(
+    campaign: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    results = str(campaign.parent / "results")
+    assert compare([results, results]) == 0
+    assert capfd.readouterr().out
+    assert compare([results, results, "--quiet"]) == 0
+    assert capfd.readouterr() == ("", "")
