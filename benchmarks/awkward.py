@@ -17,7 +17,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-from awkward_cases import CASES
+from awkward_hostile import CASES
 from awkward_tables import ASKED, RIGHT, Case, Truth, truth
 from scipy.spatial.transform import Rotation
 

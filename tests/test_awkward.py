@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 import yaml
 from awkward import judged, known
-from awkward_cases import CASES
+from awkward_hostile import CASES
 from awkward_tables import RIGHT, kuka, plain, robot_calibration, series_b, text, workbook
 from scipy.spatial.transform import Rotation
 
