@@ -11,6 +11,7 @@ Example:
     joints = cal.compensate(poses, seed=queries)
     cal.save("results")
     aridcal.compare("results/march", "results/april").causes  # what changed
+    aridcal.fleet("robots/*/campaign.yaml", "fleet").robots  # many robots, the worst first
     aridcal.history("fleet").alarms  # which robots drift
     table = aridcal.merge("joints.csv", "tracker.csv", "ur5.urdf", "tool0")  # two logs, each with its clock
 """
@@ -32,15 +33,17 @@ __all__ = [
     "__version__",
     "calibrate",
     "compare",
+    "fleet",
     "history",
     "load",
     "merge",
     "plan",
     "propose",
+    "study",
 ]
 
 if TYPE_CHECKING:
-    from aridcal.api import PlannedPoses, calibrate, compare, history, load, merge, plan, propose
+    from aridcal.api import PlannedPoses, calibrate, compare, fleet, history, load, merge, plan, propose, study
     from aridcal.calibration import Calibration
     from aridcal.errors import AridcalError
     from aridcal.inputs.campaign import Campaign

@@ -8,13 +8,16 @@ Example:
     poses = cal.predict(queries)
     cal.save("results")
     aridcal.compare("march", "april").causes
+    aridcal.fleet("robots/*/campaign.yaml", "fleet").robots
     aridcal.history("fleet").alarms
+    aridcal.study("scenario.yaml", "study").cases
     table = aridcal.merge("joints.csv", "tracker.csv", "robot.urdf", "tool0")
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import get_args
@@ -27,6 +30,7 @@ from aridcal.calibration import Calibration
 from aridcal.compare import Changes, changes
 from aridcal.design import MOST, check_endings, check_outputs, write_plan
 from aridcal.errors import AridcalError, shortened
+from aridcal.fleet import FleetRun, calibrated_fleet, fleet_run
 from aridcal.history import FleetHistory, over_time
 from aridcal.init import tell
 from aridcal.inputs.campaign import Campaign, load_campaign, nominal_robot
@@ -35,6 +39,8 @@ from aridcal.merge import merge
 from aridcal.planning.beforehand import beforehand
 from aridcal.planning.design import Asked, Plan, as_table, design
 from aridcal.planning.exchange import Criterion
+from aridcal.plant.members import members
+from aridcal.plant.trials import load_study
 from aridcal.prepare.campaign_text import draft
 from aridcal.prepare.guesses import nobody
 from aridcal.prepare.other_readings import refuse_misread
@@ -42,7 +48,8 @@ from aridcal.result.pipeline import identify
 from aridcal.result.saved_model import SavedModel
 from aridcal.result.saving import calibration
 from aridcal.robot.chain import Robot
-from aridcal.showing import working
+from aridcal.showing import Progress, working
+from aridcal.study import StudyRun, repeated, study_run
 
 __all__ = [
     "AridcalError",
@@ -51,11 +58,13 @@ __all__ = [
     "PlannedPoses",
     "calibrate",
     "compare",
+    "fleet",
     "history",
     "load",
     "merge",
     "plan",
     "propose",
+    "study",
 ]
 
 
@@ -227,3 +236,54 @@ def history(folder: str | Path, robot: str | None = None) -> FleetHistory:
         AridcalError: there are no runs, none of this robot, or DuckDB is not installed.
     """
     return over_time(folder, robot)
+
+
+def fleet(
+    campaigns: str | Path | Sequence[str | Path],
+    out: str | Path,
+    scheduler: str | None = None,
+    *,
+    progress: Callable[[str], None] | None = None,
+) -> FleetRun:
+    """Calibrate many robots, as `aridcal fleet` does: into the same folder, and none that is there already.
+
+    Robots that fail raise nothing: they are in ``failed`` with their reasons, and cost no other.
+
+    Args:
+        campaigns: Patterns or paths of campaigns, one or several: ``robots/*/campaign.yaml``. A robot is called as its folder.
+        out: Folder of all results.
+        scheduler: Address of a Dask cluster, ``tcp://10.0.0.1:8786``; None: processes of this computer.
+        progress: Told of each step, ``print`` for instance; None: terminals and notebooks show it.
+
+    Raises:
+        AridcalError: no campaign fits, the folder cannot be used, or Dask is not installed.
+    """
+    patterns = [campaigns] if isinstance(campaigns, str | Path) else list(campaigns)
+    found = members([str(pattern) for pattern in patterns], Path(out))
+    with working() if progress is None else nullcontext(Progress(progress)) as told:
+        ran = calibrated_fleet(found, Path(out), scheduler, told)
+    return fleet_run(ran, Path(out))
+
+
+def study(
+    path: str | Path,
+    out: str | Path,
+    scheduler: str | None = None,
+    *,
+    progress: Callable[[str], None] | None = None,
+) -> StudyRun:
+    """Repeat a simulation, or a calibration from halves of its rows, as `aridcal study` does. Runs that are there count.
+
+    Args:
+        path: Of a scenario or a campaign with a block ``study``.
+        out: Folder of table and page.
+        scheduler: Address of a Dask cluster; None: processes of this computer.
+        progress: Told of each step, ``print`` for instance; None: terminals and notebooks show it.
+
+    Raises:
+        AridcalError: what is studied needs mending, the folder cannot be used, or Dask is not installed.
+    """
+    job = load_study(Path(path))
+    with working() if progress is None else nullcontext(Progress(progress)) as told:
+        done = repeated(job, Path(out), scheduler, told)
+    return study_run(done, Path(out))

@@ -20,10 +20,12 @@ import argparse
 import sys
 from collections.abc import Sequence
 from contextlib import nullcontext
+from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from aridcal.command_line import DONE, NOT_GOOD, CommandParser, command_parser, for_clusters, for_scripts, run, screens
-from aridcal.drawing.html import counted
+from aridcal.drawing.html import counted, tag
 from aridcal.errors import shortened
 from aridcal.inputs.campaign import Campaign
 from aridcal.overview.study_page import study_page
@@ -32,11 +34,59 @@ from aridcal.plant.here import here
 from aridcal.plant.record import FAILED
 from aridcal.plant.studied import NAME, Studied, known_runs, studied
 from aridcal.plant.trials import load_study, sought, trials
+from aridcal.prepare.scenario import Scenario
 from aridcal.reading.names import path_argument
-from aridcal.showing import told_on
+from aridcal.showing import Progress, told_on
 from aridcal.writing.files import atomic_file, claimed
 
+if TYPE_CHECKING:
+    import pandas as pd
+
 PAGE = "study.html"
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class StudyRun:
+    """What a study found, for Python.
+
+    Attributes:
+        folder: Of ``study.parquet`` and ``study.html``.
+        cases: A row for each case: shares of runs and median errors, each with its interval (``found_low``, ``found_high``).
+        runs: Every run.
+        effects: Those that runs found, and in what share of them.
+        constants: How far each scatters over the runs, and what these state, [m] and [rad].
+        remaining: Runs that were not done, for the engine went away.
+        lines: The whole answer in words.
+    """
+
+    folder: Path
+    cases: pd.DataFrame
+    runs: pd.DataFrame
+    effects: pd.DataFrame
+    constants: pd.DataFrame
+    remaining: int
+    lines: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        return "\n".join(self.lines)
+
+    def _repr_html_(self) -> str:
+        return "".join(tag("div", line) for line in self.lines)
+
+
+def study_run(done: Studied, out: Path) -> StudyRun:
+    """What a study found, for Python."""
+    from aridcal.overview.as_tables import again_table, case_table, run_table, scatter_table
+
+    return StudyRun(
+        folder=out,
+        cases=case_table(done),
+        runs=run_table(done),
+        effects=again_table(done),
+        constants=scatter_table(done.rows),
+        remaining=done.remaining,
+        lines=tuple(summary(done)),
+    )
 
 
 def parser() -> CommandParser:
@@ -61,29 +111,46 @@ def _main(arguments: argparse.Namespace) -> int:
     out: Path = arguments.out
     job = load_study(arguments.study)
     console, aside = screens(arguments)
-    with claimed(out, "folder", (NAME, PAGE)), told_on(aside) as progress:
-        out.mkdir(exist_ok=True)
-        every = trials(job)
-        known = known_runs(out, every)
-        needed = len(known) < len(every)
-        with dask_engine(arguments.scheduler, progress) if needed else nullcontext(here) as engine:
-            done = studied(every, known, out, engine, progress)
-        progress("drawing the page")
-        title = arguments.study.absolute().parent.name + "/" + arguments.study.name
-        with atomic_file(out / PAGE) as path:
-            page = study_page(done, title, sought(job), isinstance(job, Campaign))
-            path.write_bytes(page.encode("utf-8", "replace"))
-    for line in summary(done, len(every)):
+    with told_on(aside) as progress:
+        done = repeated(job, out, arguments.scheduler, progress)
+    for line in summary(done):
         console.print(line, markup=False, highlight=False, soft_wrap=True)
     console.print(f"table: {out / NAME}\npage: {out / PAGE}", markup=False, highlight=False, soft_wrap=True)
     return NOT_GOOD if done.remaining or any(row["status"] == FAILED for row in done.rows) else DONE
 
 
-def summary(done: Studied, asked: int) -> list[str]:
+def repeated(job: Scenario | Campaign, out: Path, scheduler: str | None, progress: Progress) -> Studied:
+    """Do the runs of a study that are not there yet, and write table and page.
+
+    Args:
+        job: As it was read.
+        out: The study's folder.
+        scheduler: Address of a Dask cluster; None: processes of this computer.
+        progress: Told how far it is.
+
+    Raises:
+        AridcalError: the folder cannot be used, or the engine not be had.
+    """
+    with claimed(out, "folder", (NAME, PAGE)):
+        out.mkdir(exist_ok=True)
+        every = trials(job)
+        known = known_runs(out, every)
+        needed = len(known) < len(every)
+        with dask_engine(scheduler, progress) if needed else nullcontext(here) as engine:
+            done = studied(every, known, out, engine, progress)
+        progress("drawing the page")
+        title = job.path.absolute().parent.name + "/" + job.path.name
+        with atomic_file(out / PAGE) as path:
+            page = study_page(done, title, sought(job), isinstance(job, Campaign))
+            path.write_bytes(page.encode("utf-8", "replace"))
+    return done
+
+
+def summary(done: Studied) -> list[str]:
     """What became of the study, in lines."""
     failed = [row for row in done.rows if row["status"] == FAILED]
     known = f", {done.kept:,} of them known already" if done.kept else ""
-    lines = [f"{len(done.rows) - len(failed):,} of {counted(asked, 'run')} done{known}"]
+    lines = [f"{len(done.rows) - len(failed):,} of {counted(len(done.rows) + done.remaining, 'run')} done{known}"]
     if failed:
         lines.append(f"{counted(len(failed), 'run')} failed, the first for: {shortened(str(failed[0]['error']), 400)}")
     if done.remaining:

@@ -12,20 +12,21 @@ import subprocess
 import sys
 import typing
 import warnings
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 import robots
-import test_history
 from scipy.spatial.transform import Rotation
 
 import aridcal
 from aridcal.inputs.campaign import load_campaign
 from aridcal.inputs.yaml_file import parse_settings
+from aridcal.plant.here import here
 from aridcal.prepare.scenario import Scenario
-from aridcal.prepare.simulation import simulate
+from aridcal.prepare.simulation import simulate, write_campaign
 from aridcal.result_folder import RESULT_FILES
 
 UR10 = robots.URDF / "ur10.urdf"
@@ -412,7 +413,15 @@ def test_what_the_page_on_python_shows_runs(tmp_path: Path, monkeypatch: pytest.
     measured().to_csv("measurements.csv", index=False)
     measured(20, seed=5).to_csv("other_day.csv", index=False)
     measured(5, seed=3)[JOINTS].to_csv("queries.csv", index=False)
-    test_history.write(test_history.fleet(robots=2), tmp_path / "fleet")
+    quick = f"{TRUTH.format(urdf=UR10, n=40, seed=1)}diagnosis: {{enabled: false}}\n"
+    (tmp_path / "scenario.yaml").write_text(f"{quick}study: {{runs: 2}}\n")
+    for name in ("left", "right"):
+        (tmp_path / "robots" / name).mkdir(parents=True)
+        write_campaign(
+            simulate(parse_settings(quick, tmp_path / "s.yaml", Scenario)), *[tmp_path / "robots" / name] * 2
+        )
+    for module in ("fleet", "study"):  # processes would take longer to start than to work
+        monkeypatch.setattr(sys.modules[f"aridcal.{module}"], "dask_engine", lambda *_: nullcontext(here))
     text = API.read_text("utf-8")
     blocks = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
     loads = next(k for k, block in enumerate(blocks) if "aridcal.load(" in block)

@@ -17,6 +17,7 @@ import pyarrow.parquet
 import pytest
 import yaml
 
+import aridcal
 from aridcal.errors import AridcalError, CampaignError, OutputError
 from aridcal.fleet import main
 from aridcal.inputs.campaign import load_campaign
@@ -40,7 +41,7 @@ from aridcal.writing.files import claimed
 ROOT = Path(__file__).parent.parent
 
 
-def made(folder: Path, seed: int, n: int = 40) -> Path:
+def made(folder: Path, seed: int, n: int = 40, beta: float = 2e-3) -> Path:
     """A robot that is calibrated within a second: position alone, no search."""
     text = {
         "format": 1,
@@ -51,7 +52,7 @@ def made(folder: Path, seed: int, n: int = 40) -> Path:
         "truth": {
             "n": n,
             "seed": seed,
-            "parameters": {"joint_2.beta": 2e-3},
+            "parameters": {"joint_2.beta": beta},
             "noise": {"position": 1e-4, "rotation": 1e-4},
         },
     }
@@ -400,6 +401,74 @@ def test_two_fleets_in_one_folder_are_refused(plant: Path, capsys: pytest.Captur
         done = subprocess.run(words, capture_output=True, text=True, check=False)
     assert done.returncode == 2
     assert f"is being written by process {os.getpid()}" in done.stderr
+
+
+def test_history_reads_what_the_fleet_wrote_month_by_month(tmp_path: Path) -> None:
+    pytest.importorskip("duckdb")
+
+    def noted(outcome: Any, folder: Path, *, beside: Mapping[str, str]) -> None:
+        """A result folder as far as a fleet looks into it."""
+        folder.mkdir(exist_ok=True)
+        for name, text in {"result.json": "", "calibration.yaml": "", **beside}.items():
+            (folder / name).write_text(text)
+
+    (tmp_path / "fleet").mkdir()
+    for month in range(3):
+        for k in range(2):
+            path = made(tmp_path / str(month) / f"arm-{k}", seed=10 * month + k, beta=2e-3 + 1e-3 * month * k)
+            path.open("a").write(f'about: {{date: "2026-0{month + 1}-15"}}\n')
+        pattern = members([str(tmp_path / str(month) / "*" / "campaign.yaml")], tmp_path / "fleet")
+        ran = computed(planned(pattern, tmp_path / "fleet", noted, SILENT), here, SILENT)
+    found = aridcal.history(tmp_path)
+    assert dict(zip(found.robots["robot"], found.robots["runs"], strict=True)) == {"arm-0": 3, "arm-1": 3}
+    wears = found.constants.query("robot == 'arm-1' and name == 'joint_2.beta'")
+    assert [f"{day:%Y-%m-%d}" for day in wears["measured"]] == ["2026-01-15", "2026-02-15", "2026-03-15"]
+    assert wears["value"].tolist() == pytest.approx([2e-3, 3e-3, 4e-3], abs=5 * float(wears["std"].max()))
+    table = pyarrow.parquet.read_table(tmp_path / "fleet" / "fleet.parquet")
+    assert len(found.constants) == sum(
+        c["status"] == "identified" and not c["name"].startswith(("world_base", "tip_target"))
+        for row in table.to_pylist()
+        for c in row["constants"]
+    )
+    page = fleet_page(ran, "plant")
+    assert "<strong>moved</strong>" in page.split("<h2>Constants that drift")[1].split("joint_2.beta")[1]
+
+
+def test_python_has_what_the_command_writes(plant: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Of an arm that fails, too; and a file named once or twice is one robot."""
+    (plant / "robots" / "arm-1" / "campaign.yaml").write_text("format: 1\nnonsense: 1\n")
+    said: list[str] = []
+    patterns = [plant / "robots" / "arm-0" / "campaign.yaml", f"{plant}/robots/*/campaign.yaml"]
+    run = aridcal.fleet(patterns, plant / "fleet", progress=said.append)
+    assert main([f"{plant}/robots/*/campaign.yaml", "-o", str(plant / "fleet")]) == 3
+    written = capsys.readouterr().out
+    assert said[-1] == "drawing the page"
+    assert "\n".join(run.lines) == repr(run) and repr(run) in written
+    rows = {row["robot"]: row for row in read_rows(plant / "fleet")}
+    assert list(run.failed) == ["arm-1"] and "nonsense" in run.failed["arm-1"]
+    robots = run.robots.set_index("robot")
+    assert robots.index[-1] == "arm-1" and robots.loc["arm-1", "status"] == "failed"
+    assert robots["final_position_mm"][:2].is_monotonic_decreasing
+    for robot in ("arm-0", "arm-2"):
+        rms = {f"{s['stage']}_{s['channel']}": s["rms"] for s in rows[robot]["stages"]}
+        assert robots.loc[robot, list(rms)].to_dict() == rms
+        own = run.constants.query("robot == @robot").drop(columns="robot")
+        assert own["value"].tolist() == [c["value"] for c in rows[robot]["constants"]]
+        assert list(own) == [*rows[robot]["constants"][0]]
+    assert len(run.effects) == len(run.standing_out) == len(run.drifts) == 0
+    assert "std" in run.effects and "times" in run.standing_out and "beyond" in run.drifts
+
+
+def test_a_script_without_a_guard_is_not_run_again_in_each_worker(tmp_path: Path) -> None:
+    script = tmp_path / "script.py"
+    script.write_text(
+        "import multiprocessing\nfrom aridcal.plant.engine import _main_unseen\nprint('here', flush=True)\n"
+        "with _main_unseen():\n"
+        "    worker = multiprocessing.get_context('spawn').Process(target=print, args=('works',))\n"
+        "    worker.start()\n    worker.join()\nprint(__file__ is not None, __spec__, worker.exitcode)\n"
+    )
+    done = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, check=True)
+    assert done.stdout.split("\n") == ["here", "works", "True None 0", ""]
 
 
 def test_a_fleet_that_is_done_needs_no_cluster_and_says_so(plant: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from aridcal.overview.fleet_page import fleet_page
-from aridcal.plant.drifting import drifting
+from aridcal.plant.drifting import chance_of, drifting, freedom_of
 from aridcal.plant.runs import Ran
 from aridcal.plant.standing_out import FALSE_ALARMS, FEWEST, quantile_of_largest, standing_out
 
@@ -66,6 +66,10 @@ def test_the_threshold_is_exceeded_as_often_as_it_says_also_where_it_is_extrapol
     largest = away.max(axis=1) / (1.4826 * np.median(away, axis=1))
     assert np.mean(largest > quantile_of_largest(10, 0.01)) == pytest.approx(0.01, abs=0.002)
     assert np.mean(largest > quantile_of_largest(10, 1e-4)) < 2e-4
+    x = rng.standard_normal((40_000, 200))
+    away = np.abs(x - np.median(x, axis=1, keepdims=True))
+    largest = away.max(axis=1) / (1.4826 * np.median(away, axis=1))
+    assert np.mean(largest > quantile_of_largest(200, 0.01 / 36)) < 0.01 / 36  # six errors and thirty constants
 
 
 def test_a_robot_left_with_twice_the_error_and_one_with_another_constant_are_named_first() -> None:
@@ -94,6 +98,10 @@ def test_half_of_the_robots_may_be_spoilt_and_few_or_others_are_not_compared() -
     mixed = [r | {"urdf": str(k % 3)} for k, r in enumerate(rows)]
     assert standing_out(mixed)[1] == 0
     assert standing_out([r | {"status": "failed"} for r in rows]) == ([], 0)
+    two = [*rows, *(r | {"robot": f"s{k}", "urdf": "two"} for k, r in enumerate(rows[:3]))]
+    assert {out.robot for out in standing_out(two)[0]} == {f"r{k:02d}" for k in range(9)}
+    page = fleet_page(Ran(tuple(two), {r["robot"]: r for r in two}, (), {}, (), ""), "plant")
+    assert "3 robots of makes (URDFs) with fewer than 8 robots were not compared" in page
 
 
 def test_robots_that_are_all_the_same_to_the_last_digit_are_not_divided_by_nothing() -> None:
@@ -112,6 +120,51 @@ def test_of_fleets_in_which_nothing_moves_one_in_a_hundred_is_told_of_a_drift() 
         told += any(drift.beyond for drift in found)
     assert told <= 11
     assert FALSE_ALARMS == 0.01
+
+
+@pytest.mark.parametrize("freedom", [12, 60])
+def test_of_200_robots_of_30_constants_one_fleet_in_a_hundred_is_told_of_a_drift_also_with_few_rows(
+    freedom: int,
+) -> None:
+    """Noise that each of the two runs knows from its own rows: 2,000 fleets, 20 expected; the largest constant of each decides.
+
+    By normal numbers, as if the noise were known, far more fleets would be told of a drift.
+    """
+    rng = np.random.default_rng(freedom)
+    robots, constants, fleets = 200, 30, 2000
+    limit = FALSE_ALARMS / (robots * constants)
+    told = as_if_known = 0
+    for _ in range(fleets):
+        variance = rng.chisquare(freedom, (2, robots)).mean(axis=0) / freedom
+        largest = np.max(np.abs(rng.standard_normal((robots, constants))).max(axis=1) / np.sqrt(variance))
+        told += chance_of(float(largest), 2 * freedom) < limit
+        as_if_known += chance_of(float(largest), np.inf) < limit
+    assert told <= 34
+    assert as_if_known > 40
+
+
+def test_degrees_of_freedom_are_those_of_the_fitted_rows_or_fewer() -> None:
+    poses = row("a", np.random.default_rng(0))
+    assert freedom_of(poses) == 3 * (200 - 40) - 4
+    wires = [stage | {"channel": "distance_mm"} for stage in poses["stages"]]
+    assert freedom_of(poses | {"stages": wires}) == 200 - 40 - 4
+    assert freedom_of(poses | {"rows": 41}) == 1
+
+
+def test_constants_are_compared_among_runs_and_robots_that_told_the_same_ones() -> None:
+    """One constant less: what it stood for went to the others, by ten times their standard deviation."""
+    rng = np.random.default_rng(8)
+
+    def other_gauge(run: dict[str, Any]) -> dict[str, Any]:
+        moved = [c | {"value": c["value"] + 1e-3} for c in run["constants"][1:]]
+        return run | {"constants": [run["constants"][0] | {"status": "redundant", "std": None}, *moved]}
+
+    first, second, third = (row("a", rng, month) for month in range(3))
+    assert drifting([first, other_gauge(second)]) == ([], 0)
+    found, robots = drifting([first, other_gauge(second), third])
+    assert (robots, {drift.days for drift in found}) == (1, {60.0})
+    rows = [row(f"r{k:02d}", rng) for k in range(30)]
+    assert standing_out([*rows[:29], other_gauge(rows[29])])[0] == []
 
 
 def test_a_constant_that_moves_is_first_with_its_days_and_frames_are_none() -> None:

@@ -12,6 +12,7 @@ import pytest
 import yaml
 from scipy import stats
 
+import aridcal
 from aridcal.errors import CampaignError, OutputError
 from aridcal.inputs.campaign import Campaign
 from aridcal.inputs.yaml_file import load_settings
@@ -257,6 +258,22 @@ def test_the_command_says_what_is_known(done: tuple[Path, Studied], capsys: pyte
     assert main([str(path), "-o", str(path.parent), "--scheduler", "tcp://127.0.0.1:9"]) == 0
     assert "8 of 8 runs done, 8 of them known already" in capsys.readouterr().out
     assert (path.parent / "study.html").is_file()
+
+
+def test_python_has_what_the_command_says(done: tuple[Path, Studied]) -> None:
+    path, found = done
+    run = aridcal.study(path, path.parent, "tcp://127.0.0.1:9")  # all is known: nobody is asked
+    assert repr(run) == "8 of 8 runs done, 8 of them known already"
+    assert (len(run.runs), run.remaining) == (8, 0)
+    cases = run.cases.set_index(["rows", "size"])
+    assert list(cases.index) == [(n, size) for size in (0.0, 1.0) for n in (30, 60)]
+    rows = [row for row in found.rows if (row["rows"], row["size"]) == (60, 1.0)]
+    assert cases.loc[(60, 1.0), "found"] == np.mean([row["found"] for row in rows])
+    assert cases.loc[(60, 1.0), "true"] == pytest.approx(np.median([row["true_rms_mm"] for row in rows]))
+    assert (cases["found_low"] <= cases["found"]).all() and (cases["found"] <= cases["found_high"]).all()
+    shares = dict(zip(run.effects["effect"], run.effects["share"], strict=True))
+    assert shares == {label: share.value for label, share in found_again(found.rows)}
+    assert list(run.constants["name"]) == [s.name for s in scatters(found.rows)]
 
 
 def test_a_run_that_fails_says_why(tmp_path: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator
 
 import numpy as np
@@ -90,11 +89,12 @@ def about(found: History) -> list[str]:
         f"of seasons in which nothing changes at most {FALSE_ALARMS:.0%} have an alarm anywhere among the {found.series:,} "
         "constants that were looked at, month by month; a yearly cycle is no alarm",
     ]
-    cycling = Counter(w.name for robot in found.robots for w in robot.cycles)
-    for name, count in cycling.most_common(MOST_CYCLES):
-        said.append(
-            f"{name} of {counted(count, 'robot')} moved as a yearly cycle does: season or drift, more months will tell"
-        )
+    cycling: dict[str, list[str]] = {}
+    for robot in found.robots:
+        for w in robot.cycles:
+            cycling.setdefault(w.name, []).append(robot.name)
+    for name, robots in sorted(cycling.items(), key=lambda pair: -len(pair[1]))[:MOST_CYCLES]:
+        said.append(f"{name} of {_some(robots)} moved as a yearly cycle does: season or drift, more months will tell")
     if len(cycling) > MOST_CYCLES:
         said.append(f"and {len(cycling) - MOST_CYCLES} other constants did so")
     few = [robot.name for robot in found.robots if robot.watched and len(robot.watched[0].series.day) < FEWEST]

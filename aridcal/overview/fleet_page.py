@@ -31,7 +31,7 @@ from aridcal.plant.drifting import Drift, drifting
 from aridcal.plant.figures_of import are_done, channels_of, error_of
 from aridcal.plant.record import Row
 from aridcal.plant.runs import Ran
-from aridcal.plant.standing_out import FALSE_ALARMS, FEWEST, StandsOut, standing_out
+from aridcal.plant.standing_out import FALSE_ALARMS, FEWEST, StandsOut, makes, standing_out
 
 VERDICTS = {
     "noise_floor": "noise alone remains",
@@ -156,10 +156,15 @@ def _standing_out(rows: Sequence[Row]) -> Iterator[Content]:
     chance = f"{100 * FALSE_ALARMS:.0f} %"
     yield tag(
         "p",
-        f"{counted(compared, 'number')} of each robot (its errors, its constants) "
-        f"{'was' if compared == 1 else 'were'} set beside the same of all robots of its make. Where all are alike but for normal "
-        f"scatter, any robot is named here in {chance} of fleets.",
+        f"Errors and constants of each robot were set beside the same of all robots of its make, {counted(compared, 'number')} "
+        f"in all. Where all are alike but for normal scatter, any robot is named here in {chance} of fleets.",
     )
+    alone = len(are_done(rows)) - sum(map(len, makes(rows)))
+    if alone:
+        yield tag(
+            "p",
+            f"{counted(alone, 'robot')} of makes (URDFs) with fewer than {FEWEST} robots {_were(alone)} not compared.",
+        )
     if not found:
         yield tag("p", "No robot stands out.")
         return
@@ -169,6 +174,10 @@ def _standing_out(rows: Sequence[Row]) -> Iterator[Content]:
         "How many robust standard deviations a robot is from the median of its make, and from how many on it is told"
     )
     yield table(head, lines, caption, numbers=2)
+
+
+def _were(count: int) -> str:
+    return "was" if count == 1 else "were"
 
 
 def _values(out: StandsOut) -> tuple[str, str]:
@@ -196,10 +205,11 @@ def _drifting(ran: Ran) -> Iterator[Content]:
     beyond = [drift for drift in found if drift.beyond]
     yield tag(
         "p",
-        f"Of {counted(robots, 'robot')} measured more than once the last run was set beside the first, "
-        f"{counted(len(found), 'constant')} in all: {len(beyond):,} moved by more than the noise has them move. Of a fleet in "
-        f"which nothing moves, any constant is told so in {100 * FALSE_ALARMS:.0f} % of cases; the standard deviations know of "
-        "noise alone, and an effect that a model lacks moves constants, too.",
+        f"Of {counted(robots, 'robot')} measured more than once the last run was set beside the first that told the same "
+        f"constants, {counted(len(found), 'constant')} in all: {len(beyond):,} moved by more than the noise has them move. Of "
+        f"fleets in which nothing moves, at most {100 * FALSE_ALARMS:.0f} % have any constant said to move; the standard "
+        "deviations know of noise alone, and an effect that a model lacks moves constants, too. `aridcal history` follows every "
+        "run, and says when it began.",
     )
     shown = [*beyond, *[drift for drift in found if not drift.beyond][:MOST_WITHIN]]
     if shown:

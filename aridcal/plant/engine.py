@@ -12,6 +12,7 @@ import logging
 import os
 import queue
 import signal
+import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -70,6 +71,7 @@ def dask_engine(address: str | None, progress: Progress, patience: float = PATIE
     _silence()
     if address is None:
         with (
+            _main_unseen(),
             _quiet_cluster(distributed) as local,
             distributed.Client(local, set_as_default=False) as client,
         ):
@@ -115,6 +117,21 @@ def _silence() -> None:
 def dask_setup(worker: object) -> None:
     """Called by Dask in each worker that loads this module as its `preload`: Ctrl-C at a terminal is for the command alone."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+@contextmanager
+def _main_unseen() -> Iterator[None]:
+    """Keep new processes from running the user's script again, all of it: multiprocessing finds it by these two names.
+
+    A script that asks for a fleet outside of ``if __name__ == "__main__":`` would ask for one in each worker. No task needs it.
+    """
+    main = sys.modules["__main__"]
+    kept = {name: getattr(main, name, None) for name in ("__spec__", "__file__")}
+    vars(main).update(dict.fromkeys(kept))
+    try:
+        yield
+    finally:
+        vars(main).update(kept)
 
 
 @contextmanager

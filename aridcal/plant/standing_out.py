@@ -1,7 +1,8 @@
 r"""Robots that stand out of their fleet, with a stated rate of false alarms.
 
 Each number of a robot (the logarithm of its error at each stage, each of its constants) is set beside the same number of all
-robots of its make: :math:`z_i = |x_i - m| / s`, with the median :math:`m` and the median of absolute deviations from it,
+robots of its make; constants beside those of robots that told the same ones, for else they stand for other motions:
+:math:`z_i = |x_i - m| / s`, with the median :math:`m` and the median of absolute deviations from it,
 :math:`s = 1.4826 \operatorname{MAD}` (Hampel 1974; Leys et al. 2013, doi:10.1016/j.jesp.2013.03.013), which half of the robots
 may spoil without moving it. Where a number is known to a standard deviation of its own, :math:`s_i^2 = s^2 + \sigma_i^2`: more
 than that is not asked of one that is known badly.
@@ -103,15 +104,18 @@ def _numbers(make: Sequence[Row]) -> Iterator[_Number]:
             values = np.array([error_of(row, stage, channel) for row in make])
             there = values > 0.0
             yield from _number(f"{stage} {channel}", "", make, there, np.log(np.where(there, values, 1.0)), None)
-    constants = [identified(row) for row in make]
-    for name in dict.fromkeys(name for own in constants for name in own):
-        there = np.array([name in own for own in constants])
-        values, std = (
-            np.array([float(own[name][key]) if name in own else 0.0 for own in constants])  # type: ignore[arg-type]
-            for key in ("value", "std")
-        )
-        unit = next(str(own[name]["unit"]) for own in constants if name in own)
-        yield from _number(name, unit, make, there, values, std)
+    gauges: dict[tuple[str, ...], list[Row]] = {}
+    for row in make:
+        gauges.setdefault(tuple(identified(row)), []).append(row)
+    for names, alike in gauges.items():
+        constants = [identified(row) for row in alike]
+        for name in names:
+            values, std = (
+                np.array([float(own[name][key]) for own in constants])  # type: ignore[arg-type]
+                for key in ("value", "std")
+            )
+            unit = str(constants[0][name]["unit"])
+            yield from _number(name, unit, alike, np.full(len(alike), True), values, std)
 
 
 def _number(
