@@ -80,10 +80,10 @@ def joined(
     read = bags.joint_log(Path(str(joints)), robot) if is_bag else log_files.joint_log(joints, robot, asker)
     if bags.is_bag(tracker):
         links = frozenset(read_tree(robot.urdf, robot.path).links)
-        measured, places = bags.tracker_log(Path(str(tracker)), links, asker)
+        measured = bags.tracker_log(Path(str(tracker)), links, asker)
     else:
-        measured, places = log_files.tracker_log(tracker, robot, asker)
-    return merged(robot, read, measured, places, asker)
+        measured = log_files.tracker_log(tracker, robot, asker)
+    return merged(robot, read, measured, asker)
 
 
 def merge(
