@@ -44,7 +44,7 @@ import numpy as np
 import pandas as pd
 from rich.console import Console
 
-from aridcal.command_line import CommandParser, command_parser, run
+from aridcal.command_line import CommandParser, command_parser, for_scripts, run, screens
 from aridcal.errors import CampaignError, MeasurementError, OutputError
 from aridcal.inputs.query import Query, Remarks
 from aridcal.programs.axes import Axes, axes_of
@@ -90,6 +90,7 @@ def parser() -> CommandParser:
     command.add_argument(
         "--at", action="append", default=[], metavar="NAME=VALUE", help="what effects depend on while the program runs"
     )
+    for_scripts(command)
     return command
 
 
@@ -119,12 +120,13 @@ def _main(arguments: argparse.Namespace) -> None:
 
 
 def _compensate(arguments: argparse.Namespace) -> None:
+    _, aside = screens(arguments)
     calibration = SavedModel.load(arguments.calibration)
     if arguments.grid is not None:
-        _tabulate(calibration, arguments.grid, arguments.out)
+        _tabulate(calibration, arguments.grid, arguments.out, aside)
         return
     answered, trajectory = Answered(calibration), Trajectory(calibration)
-    with atomic_file(arguments.out) as path, table_file(path) as write, told_on(Console(stderr=True)) as progress:
+    with atomic_file(arguments.out) as path, table_file(path) as write, told_on(aside) as progress:
         progress.at("finding the commands")
         for query, stretch in read_queries(calibration, arguments.poses, poses=True):
 
@@ -134,11 +136,12 @@ def _compensate(arguments: argparse.Namespace) -> None:
             table = compensate(calibration, query, trajectory, told)
             write(table)
             answered.add(query, table)
-    _report(answered, calibration, arguments.out)
+    _report(answered, calibration, arguments.out, aside)
 
 
 def _correct_program(arguments: argparse.Namespace, language: Language) -> None:
     program, out = arguments.poses, arguments.out
+    _, aside = screens(arguments)
     if language_of(out) is not language:
         raise OutputError(f"{out}: should end as {program.name} does: it is {language.name}, too")
     side = out.with_name(f"{out.name}.corrections.csv")
@@ -150,7 +153,7 @@ def _correct_program(arguments: argparse.Namespace, language: Language) -> None:
         targets = language.read(text, axes, frames)
         if not targets:
             raise MeasurementError(f"{program}: no target of {language.name} is in it; is it a program of this maker?")
-        with told_on(Console(stderr=True)) as progress:
+        with told_on(aside) as progress:
             progress.at("correcting the program")
             found = correct(
                 saved, targets, _values(arguments.at), _start(frames, axes, language),
@@ -160,10 +163,10 @@ def _correct_program(arguments: argparse.Namespace, language: Language) -> None:
         with atomic_file(out) as path, atomic_file(side) as table:
             path.write_bytes(spliced(text, changes).encode("latin-1"))
             write_table(as_table(found), table)
-    _say(found, out, side, saved)
+    _say(found, out, side, saved, aside)
     unsaid = unsaid_base(robot, frames) if language is URSCRIPT else ""
     if unsaid:
-        Console(stderr=True).print(f"note: {unsaid}", markup=False, highlight=False, soft_wrap=True)
+        aside.print(f"note: {unsaid}", markup=False, highlight=False, soft_wrap=True)
 
 
 def _values(given: Sequence[str]) -> dict[str, float]:
@@ -191,9 +194,8 @@ def _start(frames: KnownFrames, axes: Axes, language: Language) -> np.ndarray | 
     return found
 
 
-def _say(found: Sequence[Correction], out: Path, side: Path, saved: SavedModel) -> None:
+def _say(found: Sequence[Correction], out: Path, side: Path, saved: SavedModel, console: Console) -> None:
     """Print what was left, and what is gained."""
-    console = Console(stderr=True)
     left = [c for c in found if c.why]
     done = [c for c in found if not c.why]
     doubtful = [c for c in done if c.doubt > saved.noise[0]]
@@ -267,9 +269,9 @@ class Answered:
         self.remarks.add(query)
 
 
-def _tabulate(calibration: SavedModel, points: int, out: Path) -> None:
+def _tabulate(calibration: SavedModel, points: int, out: Path, console: Console) -> None:
     robot, settings = calibration.final.model.robot, calibration.measurements
-    with told_on(Console(stderr=True)) as progress:
+    with told_on(console) as progress:
         progress.at("making the table")
         found = correction_table(calibration, points, progress)
     names = [settings.columns.get(name, name) for name in robot.readings]
@@ -278,16 +280,15 @@ def _tabulate(calibration: SavedModel, points: int, out: Path) -> None:
     columns = [*names, *(f"delta_{name}" for name in names)]
     with atomic_file(out) as path:
         write_table(pd.DataFrame(values / [*units, *units], columns=columns), path)
-    Console(stderr=True).print(
+    console.print(
         f"{out}: {len(values)} points; RMS error of the target between them {1e3 * found.after:.3f} mm, "
         f"without the table {1e3 * found.before:.3f} mm",
         markup=False, highlight=False, soft_wrap=True,
     )  # fmt: skip
 
 
-def _report(found: Answered, calibration: SavedModel, out: Path) -> None:
+def _report(found: Answered, calibration: SavedModel, out: Path, console: Console) -> None:
     """Print remarks, poses out of reach and totals."""
-    console = Console(stderr=True)
     lines = [*found.remarks.lines(), *found.far]
     if calibration.measurements.joint_reading == "reported":
         lines.append(

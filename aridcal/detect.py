@@ -32,7 +32,7 @@ from aridcal.boards.lens import FEWEST_VIEWS, Lens, LensUnknown, estimate, fit
 from aridcal.boards.options import BOARDS, TAGS, Defaults, add_board_options, as_written, board_of, chosen
 from aridcal.boards.patterns import AnyBoard, Cube
 from aridcal.boards.pictures import grey_image, listed_images
-from aridcal.command_line import CommandParser, command_parser, run
+from aridcal.command_line import CommandParser, command_parser, for_scripts, run, screens
 from aridcal.errors import AridcalError, MeasurementError, listed, printable, shortened
 from aridcal.head.matching import NotMeasured
 from aridcal.inputs.instrument_settings import ArmCameraSettings
@@ -169,6 +169,7 @@ def parser() -> CommandParser:
     arguments.add_argument("--camera", default="eye", help="the camera's name in the table (default: eye)")
     arguments.add_argument("--intrinsics", type=path_argument, metavar="YAML", help="a camera.yaml whose numbers hold")
     add_board_options(arguments)
+    for_scripts(arguments)
     return arguments
 
 
@@ -193,7 +194,7 @@ def _main(arguments: argparse.Namespace) -> None:
             raise MeasurementError(
                 f"{arguments.joints}: has no row for any of the images: its column `image` needs names as {first!r}"
             )
-        console = Console(stderr=True)
+        _, console = screens(arguments)
         console.print(
             f"looking for {arguments.board} {as_written(options)}", markup=False, highlight=False, soft_wrap=True
         )

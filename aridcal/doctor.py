@@ -8,6 +8,7 @@ Example:
 
 from __future__ import annotations
 
+import argparse
 import importlib
 import importlib.metadata
 import importlib.util
@@ -20,10 +21,8 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from rich.console import Console
-
 from aridcal import __version__
-from aridcal.command_line import CommandParser, command_parser, run
+from aridcal.command_line import CommandParser, command_parser, for_scripts, run, screens
 from aridcal.errors import AridcalError
 from aridcal.writing.files import check_writable
 
@@ -188,22 +187,24 @@ def _writable(folder: Path, remedy: str) -> Check:
 
 def parser() -> CommandParser:
     """The command's arguments."""
-    return command_parser("doctor", __doc__)
+    arguments = command_parser("doctor", __doc__)
+    for_scripts(arguments)
+    return arguments
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; returns its exit status."""
-    parser().parse_args(argv)
-    return run(_main)
+    arguments = parser().parse_args(argv)
+    return run(lambda: _main(arguments))
 
 
-def _main() -> None:
-    console = Console()
-    bad = 0
+def _main(arguments: argparse.Namespace) -> None:
+    console, _ = screens(arguments)
+    bad = []
     console.print(f"aridcal {__version__}, {Path(__file__).parent}", highlight=False, markup=False, soft_wrap=True)
     for check in checks(Path.cwd()):
         failed = bool(check.remedy) and not check.optional
-        bad += failed
+        bad += [check.what] if failed else []
         mark = (
             "[bold red]FAIL[/bold red]"
             if failed
@@ -215,7 +216,7 @@ def _main() -> None:
         said = f"{check.what}: {check.found}" + (f". Remedy: {check.remedy}" if check.remedy else "")
         console.print(said, highlight=False, markup=False, soft_wrap=True)
     if bad:
-        raise AridcalError(f"{bad} of these checks failed")
+        raise AridcalError(f"{len(bad)} of these checks failed: {', '.join(bad)}")
     console.print("all checks passed. next: aridcal init --urdf robot.urdf --measurements table.csv", highlight=False)
 
 

@@ -48,6 +48,7 @@ from aridcal.showing import told_on
 from aridcal.writing.files import claimed
 
 if TYPE_CHECKING:
+    from aridcal.result.controllers import Handover
     from aridcal.result.outcome import Outcome, Verification
     from aridcal.trust.gains import NamedEffect
 
@@ -229,8 +230,22 @@ def _identify(arguments: argparse.Namespace, out: Path) -> int:
     console.print(f"report: {out / 'report.html'}", soft_wrap=True, markup=False, highlight=False)
     if (out / "certificate.pdf").is_file():
         console.print(f"certificate: {out / 'certificate.pdf'}", soft_wrap=True, markup=False, highlight=False)
+    for line in _next(out, outcome, handover):
+        console.print(line, soft_wrap=True, markup=False, highlight=False)
     print_headline(arguments, _headline(out, outcome))
     return NOT_GOOD if outcome.certainty is not None and not outcome.certainty.within else DONE
+
+
+def _next(out: Path, outcome: Outcome, handover: Handover) -> list[str]:
+    """The way to the controller; none where the model is no better than the nominal one, or no place was measured."""
+    nominal, *_, full = (export.error for export in handover.exports)
+    if not full < nominal or handover.channel.name == "inclination":
+        return []
+    ending = "nc" if set(outcome.robot.kinds) == {"prismatic"} else "script"
+    return [
+        f"next: aridcal compensate {out} program.{ending} -o corrected.{ending}",
+        "      docs/apply/index.md has a page for each controller: what it takes, and how to undo it",
+    ]
 
 
 def _headline(out: Path, outcome: Outcome) -> dict[str, Any]:

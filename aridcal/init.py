@@ -20,7 +20,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.prompt import IntPrompt
 
-from aridcal.command_line import CommandParser, command_parser, run
+from aridcal.command_line import CommandParser, command_parser, for_scripts, run, screens
 from aridcal.errors import OutputError, printable, shortened
 from aridcal.prepare.campaign_text import Draft, draft, scalar
 from aridcal.prepare.guesses import nobody
@@ -110,16 +110,15 @@ def parser() -> CommandParser:
         default=Path("campaign.yaml"),
         help="where to write (default: campaign.yaml, here)",
     )
+    for_scripts(arguments)
     return arguments
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; returns its exit status."""
     arguments = parser().parse_args(argv)
-    settled, xacro = dict(arguments.set), dict(arguments.argument)
     packages = {name: path_argument(place) for name, place in arguments.package}
-    files, out = arguments.measurements, arguments.out
-    return run(lambda: _main(arguments.urdf, files, out, settled, packages, xacro))
+    return run(lambda: _main(arguments, packages))
 
 
 def pair(text: str) -> tuple[str, str]:
@@ -131,21 +130,16 @@ def pair(text: str) -> tuple[str, str]:
     return name, value
 
 
-def _main(
-    urdf: Path,
-    files: Sequence[Path],
-    out: Path,
-    settled: Mapping[str, int],
-    packages: Mapping[str, Path],
-    arguments: Mapping[str, str],
-) -> None:
+def _main(arguments: argparse.Namespace, packages: Mapping[str, Path]) -> None:
+    out, choose = arguments.out, ask if sys.stdin.isatty() and not arguments.quiet else nobody
     if out.exists():
         raise OutputError(f"{out}: exists already; delete it, or choose another name with -o")
     with claimed(out, "file"):
-        proposed = draft(urdf, files, out, ask if sys.stdin.isatty() else nobody, settled, packages, arguments)
+        settled, xacro = dict(arguments.set), dict(arguments.argument)
+        proposed = draft(arguments.urdf, arguments.measurements, out, choose, settled, packages, xacro)
         with atomic_file(out) as path:
             path.write_text(proposed.campaign.text, encoding="utf-8")
-    console = Console()
+    console, _ = screens(arguments)
     tell(proposed, str(out), console)
     console.print(f"next: aridcal identify {out}", soft_wrap=True, highlight=False, markup=False)
 

@@ -18,7 +18,7 @@ from rich.console import Console
 from rich.progress import track
 from scipy.spatial.transform import Rotation
 
-from aridcal.command_line import CommandParser, command_parser, run
+from aridcal.command_line import CommandParser, command_parser, for_scripts, run, screens
 from aridcal.drawing.html import Html, tag
 from aridcal.errors import AridcalError, printable, shortened
 from aridcal.head.shots import THUMBNAIL, Measured, load, measure_shots
@@ -123,6 +123,7 @@ def parser() -> CommandParser:
     arguments.add_argument(
         "-o", "--out", type=path_argument, required=True, help="table of measured poses to write, .csv"
     )
+    for_scripts(arguments)
     return arguments
 
 
@@ -135,12 +136,11 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _main(arguments: argparse.Namespace) -> None:
     out: Path = arguments.out
     with claimed_table(out, BESIDE):
-        _measure(arguments.head, out)
+        _measure(arguments.head, out, screens(arguments)[1])
 
 
-def _measure(settings: Path, out: Path) -> None:
+def _measure(settings: Path, out: Path, console: Console) -> None:
     head, squares, table, shots = load(settings)
-    console = Console(stderr=True)
     work = measure_shots(shots, head, squares)
     results = list(track(work, "measuring", total=len(shots), console=console, transient=True))
     refused = refused_table(table, results)

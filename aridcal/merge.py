@@ -24,7 +24,7 @@ from pathlib import Path
 import pandas as pd
 from rich.console import Console
 
-from aridcal.command_line import CommandParser, command_parser, run
+from aridcal.command_line import CommandParser, command_parser, for_scripts, run, screens
 from aridcal.errors import AridcalError, OutputError, RobotError
 from aridcal.init import answer, ask
 from aridcal.inputs.tables import AnyTable
@@ -80,10 +80,10 @@ def joined(
     read = bags.joint_log(Path(str(joints)), robot) if is_bag else log_files.joint_log(joints, robot, asker)
     if bags.is_bag(tracker):
         links = frozenset(read_tree(robot.urdf, robot.path).links)
-        measured, places = bags.tracker_log(Path(str(tracker)), links, asker)
+        measured = bags.tracker_log(Path(str(tracker)), links, asker)
     else:
-        measured, places = log_files.tracker_log(tracker, robot, asker)
-    return merged(robot, read, measured, places, asker)
+        measured = log_files.tracker_log(tracker, robot, asker)
+    return merged(robot, read, measured, asker)
 
 
 def merge(
@@ -148,6 +148,7 @@ def parser() -> CommandParser:
         help="where to write the table, .csv (default: measurements.csv, here); a page of the same name (.html) is "
         "written beside it",
     )
+    for_scripts(arguments)
     return arguments
 
 
@@ -162,14 +163,14 @@ def _main(arguments: argparse.Namespace) -> None:
     if out.resolve() in {path.resolve() for path in (arguments.joints, arguments.tracker) if path is not None}:
         raise OutputError(f"{out}: is one of the logs; choose another name with -o")
     with claimed_table(out, [page]):
-        choose = ask if sys.stdin.isatty() else nobody
+        choose = ask if sys.stdin.isatty() and not arguments.quiet else nobody
         found = joined(arguments.joints, arguments.tracker, arguments.urdf, arguments.tip, choose, dict(arguments.set))
         names = (arguments.joints.name, (arguments.tracker or arguments.joints).name)
         with atomic_table(out, [page]) as stage:
             with table_file(stage / out.name) as write:
                 write(found.table)
             (stage / page).write_text(merge_page(found, names, out), encoding="utf-8", errors="replace")
-    console = Console()
+    console, _ = screens(arguments)
     tell(found, console)
     said = f"{out}: {len(found.table)} rows; {out.with_suffix('.html')} shows what was paired"
     console.print(said, markup=False, highlight=False, soft_wrap=True)

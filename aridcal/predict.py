@@ -26,7 +26,7 @@ from pathlib import Path
 import pandas as pd
 from rich.console import Console
 
-from aridcal.command_line import CommandParser, command_parser, run
+from aridcal.command_line import CommandParser, command_parser, for_scripts, run, screens
 from aridcal.errors import OutputError
 from aridcal.inputs.query import Query, Remarks
 from aridcal.reading.names import path_argument
@@ -47,6 +47,7 @@ def parser() -> CommandParser:
     arguments.add_argument(
         "-o", "--out", type=path_argument, required=True, help="where to write them with their poses, .csv or .parquet"
     )
+    for_scripts(arguments)
     return arguments
 
 
@@ -67,14 +68,15 @@ def _main(arguments: argparse.Namespace) -> None:
 def _predict(arguments: argparse.Namespace) -> None:
     calibration = SavedModel.load(arguments.calibration)
     answered = Answered(calibration.measurements.columns.get("x", "x"))
-    with atomic_file(arguments.out) as path, table_file(path) as write, told_on(Console(stderr=True)) as progress:
+    _, aside = screens(arguments)
+    with atomic_file(arguments.out) as path, table_file(path) as write, told_on(aside) as progress:
         progress.at("predicting")
         for query, stretch in read_queries(calibration, arguments.query):
             table = predict(calibration, query)
             write(table)
             answered.add(query, table)
             progress.share(stretch.share(len(table)))
-    _report(answered, arguments.out)
+    _report(answered, arguments.out, aside)
 
 
 @dataclass
@@ -107,9 +109,8 @@ class Answered:
         self.remarks.add(query)
 
 
-def _report(answered: Answered, out: Path) -> None:
+def _report(answered: Answered, out: Path, console: Console) -> None:
     """Print remarks and totals."""
-    console = Console(stderr=True)
     for remark in answered.remarks.lines():
         console.print(remark, markup=False, highlight=False, soft_wrap=True)
     said = f"{out}: {answered.rows} rows, {answered.unlike} of them unlike what was measured"

@@ -20,13 +20,12 @@ from pathlib import Path
 from typing import Any
 
 import pandas as pd
-from rich.console import Console
 
 from aridcal.boards.bodies import cup, holder, seat_rise, stl
 from aridcal.boards.options import ALL_BOARDS, Defaults, add_board_options, as_written, board_of, chosen, length
 from aridcal.boards.patterns import Marks, Tags, drawing, marks, square_strip
 from aridcal.boards.sheet import MM, Sheet, on_paper, pdf, svg
-from aridcal.command_line import CommandParser, command_parser, run
+from aridcal.command_line import CommandParser, command_parser, for_scripts, run, screens
 from aridcal.errors import CampaignError, OutputError
 from aridcal.head.square import STRIP_SQUARES
 from aridcal.reading.names import path_argument
@@ -82,6 +81,7 @@ def parser() -> CommandParser:
     bodies.add_argument("--bolt", type=length, help="diameter of the bores for bolts (default: 5.5mm, of a cup 6.6mm)")
     bodies.add_argument("--bolts", type=int, help="bolts of the flange (default: 4)")
     bodies.add_argument("--circle", type=length, help="diameter of the flange's bolt circle (default: 50mm)")
+    for_scripts(arguments)
     return arguments
 
 
@@ -98,7 +98,7 @@ def _main(arguments: argparse.Namespace) -> None:
     if out.suffix.lower() not in endings:
         raise OutputError(f"{out}: {what} is written as {' or '.join(endings)}: end the name in that")
     said = _print_body(what, options, out) if what in BODIES else _print_sheet(what, options, out)
-    Console().print("\n".join(said), markup=False, highlight=False, soft_wrap=True)
+    screens(arguments)[0].print("\n".join(said), markup=False, highlight=False, soft_wrap=True)
 
 
 def _print_body(what: str, options: dict[str, Any], out: Path) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import pandas as pd
 import pytest
 import robots
 
+from aridcal.__main__ import COMMANDS
 from aridcal.check import main as check
 from aridcal.compare import main as compare
 from aridcal.identify import main as identify
@@ -61,7 +63,12 @@ def test_in_a_pipe_no_line_is_broken(campaign: Path, capfd: pytest.CaptureFixtur
     lines = capfd.readouterr().out.splitlines()
     assert max(map(len, lines)) > 80
     assert any(line.startswith("In 95 % of the range") and line.endswith("with 95 % confidence.") for line in lines)
-    assert lines[-1] == f"report: {campaign.parent / 'results' / 'report.html'}"
+    results = campaign.parent / "results"
+    report = lines.index(f"report: {results / 'report.html'}")
+    assert lines[report + 1] == f"next: aridcal compensate {results} program.script -o corrected.script"
+    assert "docs/apply/index.md" in lines[report + 2]
+    assert (Path(__file__).parents[1] / "docs" / "apply" / "index.md").is_file()
+    assert len(lines) == report + 3
 
 
 def test_a_quiet_comparison_says_its_answer_by_its_status_alone(
@@ -72,3 +79,39 @@ def test_a_quiet_comparison_says_its_answer_by_its_status_alone(
     assert capfd.readouterr().out
     assert compare([results, results, "--quiet"]) == 0
     assert capfd.readouterr() == ("", "")
+
+
+PRINTS_ITS_RESULT = ("view", "completion")
+"""What these print is what they are for: an address, a script."""
+
+
+@pytest.mark.parametrize("command", [name for name in COMMANDS if name not in PRINTS_ITS_RESULT])
+def test_every_command_can_be_quiet(command: str) -> None:
+    assert "--quiet" in importlib.import_module(f"aridcal.{command}").parser().format_help()
+
+
+def test_quiet_commands_write_what_the_others_write_and_say_nothing(
+    campaign: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each of the commands twice, with --quiet and without: the same files, no word."""
+    monkeypatch.chdir(tmp_path)
+    saved, table = str(campaign.parent / "results" / "calibration.yaml"), str(campaign.parent / "measurements.csv")
+    program = tmp_path / "a.script"
+    program.write_text("movej([0.1, -1.2, 1.3, -0.4, 0.5, 0.6])\n")
+    urdf = str(Path(__file__).parents[1] / "urdf" / "ur10.urdf")
+    lines = {
+        "init": ["--urdf", urdf, "--measurements", table, "-o", "OUT.yaml"],
+        "predict": [saved, table, "-o", "OUT.csv"],
+        "compensate": [saved, str(program), "-o", "OUT.script"],
+        "print": ["charuco", "-o", "OUT.pdf"],
+    }
+    for command, arguments in lines.items():
+        main = importlib.import_module(f"aridcal.{command}").main
+        loud, quiet = ([word.replace("OUT", name) for word in arguments] for name in ("loud", "quiet"))
+        assert main(loud) == 0
+        assert any(capfd.readouterr())
+        assert main([*quiet, "--quiet"]) == 0
+        assert capfd.readouterr() == ("", ""), command
+        assert (tmp_path / loud[-1]).read_bytes() == (tmp_path / quiet[-1]).read_bytes()
+    assert importlib.import_module("aridcal.predict").main([saved, "nowhere.csv", "-o", "x.csv", "--quiet"]) == 2
+    assert "nowhere.csv" in capfd.readouterr().err

@@ -17,7 +17,7 @@ from aridcal.errors import MeasurementError, listed, printable
 from aridcal.inputs.orientations import QUATERNION
 from aridcal.inputs.quantities import POSITION
 from aridcal.logs.log import Log, in_order
-from aridcal.logs.log_files import JointLog
+from aridcal.logs.log_files import JointLog, TrackerLog
 from aridcal.prepare.guesses import Asker
 from aridcal.robot.chain import Robot
 
@@ -136,7 +136,7 @@ def joint_log(path: Path, robot: Robot) -> JointLog:
     return JointLog(log, (units,))
 
 
-def tracker_log(path: Path, links: frozenset[str], asker: Asker) -> tuple[Log, tuple[tuple[str, ...], ...]]:
+def tracker_log(path: Path, links: frozenset[str], asker: Asker) -> TrackerLog:
     """The tracker's log of a bag: of the topic, or the frame of /tf, that moves and is no link of the robot.
 
     Args:
@@ -179,4 +179,4 @@ def tracker_log(path: Path, links: frozenset[str], asker: Asker) -> tuple[Log, t
     )
     columns = (*POSITION, *QUATERNION) if len(moving[names[k]][0]) == 8 else POSITION
     log = _made(f"{path.name}:{names[k]}", columns, moving[names[k]], arrivals[names[k]])
-    return log, (POSITION,)
+    return TrackerLog(log, (POSITION,))

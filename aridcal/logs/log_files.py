@@ -12,6 +12,7 @@ from aridcal.inputs.measurement_settings import ANGLES, LENGTHS, TIMES
 from aridcal.inputs.quantities import TURNS
 from aridcal.inputs.tables import AnyTable, Table, read_tables
 from aridcal.logs.log import Log, in_order
+from aridcal.logs.others import Others, others_of
 from aridcal.prepare.column_names import match_joints, named, positions, unit
 from aridcal.prepare.covariates import COVARIATES, EPOCH
 from aridcal.prepare.dialects import dialects_of
@@ -27,16 +28,33 @@ EPOCH_BEGINS = 1e8
 
 
 @dataclass(frozen=True)
+class TrackerLog:
+    """What a tracker measured over time.
+
+    Attributes:
+        log: As it is written.
+        places: Columns that may be the measured place, the likeliest first.
+        others: Its further columns; None: it has none.
+    """
+
+    log: Log
+    places: tuple[tuple[str, ...], ...]
+    others: Others | None = None
+
+
+@dataclass(frozen=True)
 class JointLog:
     """Readings of the joints over time.
 
     Attributes:
         log: Its columns are the robot's readings, in their order.
         units: Units in which the readings may be: one for each column, in each way that is possible.
+        others: Its further columns; None: it has none.
     """
 
     log: Log
     units: tuple[tuple[str, ...], ...]
+    others: Others | None = None
 
     def readings(self, units: tuple[str, ...]) -> np.ndarray:
         """Readings in SI, shape (N, columns)."""
@@ -83,13 +101,14 @@ def joint_log(source: AnyTable, robot: Robot, asker: Asker) -> JointLog:
     notes = (
         (f"{table.title}: joints by their ORDER along the chain: {', '.join(columns)}",) if match[1] == "order" else ()
     )
+    others = others_of(table, seconds, {*columns, clock}, len(columns))
     return JointLog(
-        Log(log.title, log.time, log.columns, log.values, (*notes, *log.notes)), _units(log, columns, robot)
+        Log(log.title, log.time, log.columns, log.values, (*notes, *log.notes)), _units(log, columns, robot), others
     )
 
 
-def tracker_log(source: AnyTable, robot: Robot, asker: Asker) -> tuple[Log, tuple[tuple[str, ...], ...]]:
-    """The tracker's log of a table, and the columns that may be the measured place, the likeliest first.
+def tracker_log(source: AnyTable, robot: Robot, asker: Asker) -> TrackerLog:
+    """The tracker's log of a table.
 
     Raises:
         AridcalError: there are none, or no clock, or it was set back.
@@ -104,7 +123,8 @@ def tracker_log(source: AnyTable, robot: Robot, asker: Asker) -> tuple[Log, tupl
         )
     kept = tuple(name for name in names if np.isfinite(table.numbers(name)[0]).any())
     log = Log(table.title, seconds, kept, sensible(table, kept))
-    return _complete(log, table, places[0]), tuple(places)
+    others = others_of(table, seconds, {*robot.readings, clock}, len(robot.readings))
+    return TrackerLog(_complete(log, table, places[0]), tuple(places), others)
 
 
 def _complete(log: Log, table: Table, needed: tuple[str, ...] | None = None) -> Log:

@@ -14,8 +14,9 @@ from aridcal.logs.alignment import Moves, improved, jump, placed, window_means
 from aridcal.logs.averages import Averages, averages, without_spikes
 from aridcal.logs.clocks import MOST_DRIFT, Clocks
 from aridcal.logs.log import Log, seen
-from aridcal.logs.log_files import JointLog
+from aridcal.logs.log_files import JointLog, TrackerLog
 from aridcal.logs.offsets import FEWEST, best_offset, too_few
+from aridcal.logs.others import carried
 from aridcal.logs.pairs import FEWEST as FEWEST_SAMPLES
 from aridcal.logs.pairs import Pairs, pairs, settled, within
 from aridcal.logs.standstills import Standstills, limit_of, speeds, standstills
@@ -96,21 +97,20 @@ class Merged:
     notices: tuple[str, ...]
 
 
-def merged(robot: Robot, joints: JointLog, tracker: Log, places: tuple[tuple[str, ...], ...], asker: Asker) -> Merged:
+def merged(robot: Robot, joints: JointLog, measured: TrackerLog, asker: Asker) -> Merged:
     """Join two logs.
 
     Args:
         robot: The chain.
         joints: Its readings over time.
-        tracker: What a tracker measured, as it is written.
-        places: Columns that may be the place, the likeliest first.
+        measured: What a tracker measured, as it is written.
         asker: Asked where the logs leave a choice that changes numbers.
 
     Raises:
         AridcalError: the logs cannot be joined; saying why, and what to do.
     """
-    place = _moving(tracker, places)
-    tracker = seen(tracker, place)
+    place = _moving(measured.log, measured.places)
+    tracker = seen(measured.log, place)
     raw = tracker.of(place)
     seen_still = standstills(tracker, raw)
     best, units = best_offset(robot, joints, tracker, raw, seen_still, _still(joints))
@@ -154,13 +154,20 @@ def merged(robot: Robot, joints: JointLog, tracker: Log, places: tuple[tuple[str
     _, off = placed(robot, mean, average.position)
     _refuse_strange(off, average.position, clocks.joints(0.5 * (found.begin + found.end)), si.log.title)
     table = _table(robot, mean, average, clocks.joints(0.5 * (found.begin + found.end)))
+    own = {*robot.readings, *POSITION, *QUATERNION, *STD, TIME, SAMPLES}
+    windows_of = {
+        "joints": (joints.others, clocks.joints(found.begin), clocks.joints(found.end)),
+        "tracker": (measured.others, found.begin, found.end),
+    }
+    further, said = carried(windows_of, own)
+    table = table.assign(**further)
     spiked = [f"{si.log.title}: {spikes} samples at standstill far from their neighbours: left out"] if spikes else []
     alone = _alone(clocks, joints.log, still, si.log, seen_still, wide)
     tips = speeds(joints.log, tip_frames(robot, q)[1])
     return Merged(
         table, clocks, best.candidate.correlation, moves, joints.log, still, tips, si, seen_still, found, average, off,
         tuple(sorted([*alone, *creeping], key=lambda one: (one.log, one.begin))),
-        (*joints.log.notes, *si.log.notes, *spiked),
+        (*joints.log.notes, *si.log.notes, *spiked, *said),
     )  # fmt: skip
 
 
