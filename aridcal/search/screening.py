@@ -53,6 +53,8 @@ def score_without(
     V, beta = state.solution.inverse, state.solution.beta
     every = zip(state.active, state.places[1:], strict=True)
     out = {a.effect: own for a, own in every if a.effect in asked}
+    if not out:
+        return {}
     parts = list(out.values())
     W = [inverse(V[own, own]) for own in parts]
     sums: list[dict[Effect, Sums]] = [{} for _ in parts]
