@@ -193,7 +193,8 @@ def linear_model(
     known = dict(zip(start.geometric.model.names, start.geometric.theta, strict=True))
     geometric = np.array([known.get(name, 0.0) for name in current.model.names])
     r = r + A @ (current.theta - geometric)
-    r, A, J = (np.sqrt(start.train.share) * values for values in (r, A, J))
+    if start.train.share != 1.0:
+        r, A, J = (np.sqrt(start.train.share) * values for values in (r, A, J))
     run, fold = _folds(start.train)
     return LinearModel(
         channels=start.train.channels,

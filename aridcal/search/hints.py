@@ -216,7 +216,9 @@ def _loud_orders(q: np.ndarray, pull: np.ndarray, weight: float) -> list[float]:
     found = []
     for peak in peaks[np.argsort(-seen[peaks])][:PEAKS]:
         close = orders[peak] + np.linspace(-1, 1, FINE) * step
-        order = float(close[np.argmax(np.abs(np.exp(1j * np.outer(close, q)) @ pull))])
+        waves = np.empty((FINE, len(q)), dtype=complex)
+        waves[0], waves[1:] = np.exp(1j * close[0] * q), np.exp(1j * (close[1] - close[0]) * q)
+        order = float(close[np.argmax(np.abs(np.cumprod(waves, axis=0) @ pull))])
         whole = round(order)
         found.append(float(whole) if abs(order - whole) < WHOLE else round(order, 3))
     return found

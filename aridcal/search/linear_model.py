@@ -14,7 +14,7 @@ from aridcal.effects.smooth import samples_root, smooth_precision
 from aridcal.fit.elimination import Projector
 from aridcal.instruments.channels import Channels
 from aridcal.search.evidence import Score
-from aridcal.search.products import Flat, Layout, Products
+from aridcal.search.products import Flat, Layout, Products, Source
 
 PLAUSIBLE = 5e-3
 """[m] and [rad] per unit of a basis: what joints, links and frames are wrong by in a way that changes is less."""
@@ -84,7 +84,7 @@ class LinearModel:
     @cached_property
     def products(self) -> Products:
         """Sums of products of its columns, each made when it is first asked for."""
-        return Products(self.A, self.r, self._layout, self.flat_columns)
+        return Products(self.A, self.r, self._layout, self._source)
 
     @cached_property
     def _layout(self) -> Layout:
@@ -95,6 +95,18 @@ class LinearModel:
         """Columns of the slots, (N, size, S) for each channel, and bases, (N, B), in the order of the folds."""
         ordered = self.G[self._layout.order]
         return tuple(np.ascontiguousarray(ordered[:, own]) for own in self._layout.parts), self.phi[self._layout.order]
+
+    @property
+    def _source(self) -> Source:
+        return Source(self.flat_columns, self._apart, self._slots_of, lambda bases: self._in_folds[1][:, list(bases)])
+
+    def _apart(self, effect: Effect) -> tuple[int, tuple[int, ...]] | None:
+        """Slot and bases of an effect that has one slot; None also where unknown things take up a part of the products."""
+        slots, bases = self._index(effect)
+        return None if bases is None or self.off is not None or len(set(slots)) > 1 else (slots[0], tuple(bases))
+
+    def _slots_of(self, slots: Sequence[int]) -> Flat:
+        return tuple(np.take(g, slots, axis=2) for g in self._in_folds[0])
 
     def flat_columns(self, effects: Sequence[Effect], places: np.ndarray | None = None) -> Flat:
         """Columns of effects side by side, channel by channel, in the order of the folds, or at some places of it."""
@@ -147,9 +159,8 @@ class LinearModel:
         new = [basis for basis in asked if basis not in self.basis_index]
         phi = [self.phi, *(evaluate(basis, self.table)[:, None] for basis in new)]
         made = replace(self, bases=(*self.bases, *new), phi=np.hstack(phi))
-        vars(made)["products"] = self.products.made_by(
-            made.flat_columns
-        )  # of the same columns: none is multiplied again
+        # Of the same columns: none is multiplied again.
+        vars(made)["products"] = self.products.made_by(made._source)
         return made
 
     def moves(self, effect: Effect) -> bool:

@@ -7,6 +7,8 @@ columns of an effect (or of the constants), all sums that this needs are
 
 fold by fold f and channel by channel c for effects that were in the model once, over all folds for the rest of the library.
 Rows that a state does not use are few: theirs are taken off. So the cost of a trial does not grow with the rows.
+
+Functions of one covariate on knots, tried as motions of many slots, are a :class:`Grid`: their columns are never made.
 """
 
 from __future__ import annotations
@@ -18,9 +20,13 @@ import numpy as np
 
 from aridcal.effects.effect import Effect
 from aridcal.instruments.channels import Channels, columns
+from aridcal.search.grids import Grid, Local, local
 
 CHUNK = 128
 """Columns that are multiplied at once: their Gram matrix stays in the cache."""
+
+GRID = 4
+"""Candidates of the same functions from which they are multiplied as a grid: for fewer, making it takes as long as their columns."""
 
 KEPT = 2**25
 """Numbers of the library's columns and products that are kept, 256 MB, columns up to half of that; the rest is made again when
@@ -35,8 +41,24 @@ Member = tuple[Effect | None, np.ndarray]
 # Numbers of each channel under one another: (N size, d) or (N size,) each.
 Flat = tuple[np.ndarray, ...]
 
-# Columns of effects side by side, in the order of the folds, of all rows or of those at some places of it.
-Make = Callable[[Sequence[Effect], np.ndarray | None], Flat]
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where columns come from; rows in the order of the folds.
+
+    Attributes:
+        make: Columns of effects side by side, of all rows or of those at some places.
+        apart: The slot and the functions of which an effect's columns are the products; None where they are not of one slot,
+            or not products.
+        slots: Columns of some slots, (N, size, slots) for each channel.
+        functions: Values of some functions, shape (N, functions).
+    """
+
+    make: Callable[[Sequence[Effect], np.ndarray | None], Flat]
+    apart: Callable[[Effect], tuple[int, tuple[int, ...]] | None]
+    slots: Callable[[Sequence[int]], Flat]
+    functions: Callable[[Sequence[int]], np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -95,10 +117,11 @@ class Chunk:
 
     Attributes:
         effects: The candidates.
-        own: X'X, shape (C, w, w).
+        own: X'X, shape (C, w, w); of a grid each candidate's own, shape (C, candidates, d, d).
         pull: X'r, shape (C, w).
         across: X'Y for the columns Y of what stands in the design (None: the constants), shape (C, w, d) each.
         columns: X itself, where there is room for it.
+        grid: What makes them, if they are one.
     """
 
     effects: tuple[Effect, ...]
@@ -106,26 +129,34 @@ class Chunk:
     pull: np.ndarray
     across: dict[Effect | None, np.ndarray]
     columns: Flat | None
+    grid: Grid | None = None
+
+    def of_one(self, where: slice) -> np.ndarray:
+        """X'X of one candidate, shape (C, d, d)."""
+        if self.grid is None:
+            return self.own[:, where, where]
+        return np.asarray(self.own[:, where.start // (where.stop - where.start)])
 
 
 class Products:
     """What was multiplied so far of one linearised model."""
 
-    def __init__(self, A: np.ndarray, r: np.ndarray, layout: Layout, make: Make) -> None:
+    def __init__(self, A: np.ndarray, r: np.ndarray, layout: Layout, source: Source) -> None:
         """Start with nothing.
 
         Args:
             A: Columns of the constants, shape (N, m, K).
             r: Residual, shape (N, m).
             layout: Of the rows.
-            make: Columns of effects.
+            source: Columns of effects.
         """
-        self.layout, self.r, self._make = layout, layout.flat(r), make
+        self.layout, self.r, self._source = layout, layout.flat(r), source
         self._columns: dict[Effect | None, Flat] = {None: layout.flat(A)}
         self._between: dict[tuple[Effect | None, Effect | None], np.ndarray] = {}
         self._solved: dict[tuple[int, int], tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
         self._pull: dict[Effect | None, np.ndarray] = {}
         self._ordered: dict[tuple[str, Effect | None], np.ndarray] = {}
+        self._local: dict[tuple[int, ...], Local | None] = {}
         self._known: dict[Effect, None] = {}
         self.constants: Member = None, np.eye(A.shape[2])
         self._place: dict[Effect, tuple[Chunk, slice]] = {}
@@ -136,14 +167,14 @@ class Products:
             for f in range(len(layout.starts) - 1)
         ])  # fmt: skip
 
-    def made_by(self, make: Make) -> Products:
+    def made_by(self, source: Source) -> Products:
         """The same, columns made by a model that has further bases."""
-        self._make = make
+        self._source = source
         return self
 
     def flat(self, effects: Sequence[Effect]) -> Flat:
         """Columns of effects side by side, in the order of the folds."""
-        return self._make(effects, None)
+        return self._source.make(effects, None)
 
     def now_in_the_model(self, members: Sequence[Member]) -> None:
         """Forget what was in the model longest ago, if more is kept than there is room for."""
@@ -231,14 +262,38 @@ class Products:
         known = [self._place[e][0] for e in effects if e in self._place]
         new = [e for e in effects if e not in self._place]
         yield from {id(chunk): chunk for chunk in known}.values()
-        for group in grouped(new):
-            chunk = self.chunk(group)
+        grids, others = self._grids(new)
+        for chunk in (*(self._grid(*grid) for grid in grids), *(self.chunk(group) for group in grouped(others))):
             if self._room(chunk.own.size):
                 room = self._room(sum(x.size for x in chunk.columns or ()), KEPT // 2)
                 kept = chunk if room else replace(chunk, columns=None)
-                for effect, own in placed(group):
+                for effect, own in placed(chunk.effects):
                     self._place[effect] = kept, own
             yield chunk
+
+    def _functions(self, bases: tuple[int, ...]) -> Local | None:
+        """Values of functions on knots; None if they are not local."""
+        if bases not in self._local:
+            self._local[bases] = local(self._source.functions(bases))
+        return self._local[bases]
+
+    def _grids(self, effects: Sequence[Effect]) -> tuple[list[tuple[tuple[int, ...], dict[Effect, int]]], list[Effect]]:
+        """Candidates of the same functions with their slots, and the other candidates."""
+        alike: dict[tuple[int, ...], dict[Effect, int]] = {}
+        for effect in effects:
+            taken = self._source.apart(effect) if effect.smooth else None
+            if taken is not None:
+                alike.setdefault(taken[1], {})[effect] = taken[0]
+        grids = [(b, own) for b, own in alike.items() if len(own) >= GRID and self._functions(b) is not None]
+        of_grids = {effect for _, own in grids for effect in own}
+        return grids, [effect for effect in effects if effect not in of_grids]
+
+    def _grid(self, bases: tuple[int, ...], effects: dict[Effect, int]) -> Chunk:
+        """Candidates of the same functions multiplied together."""
+        functions = self._functions(bases)
+        assert functions is not None
+        grid = Grid(self._source.slots(list(effects.values())), functions)
+        return Chunk(tuple(effects), grid.own(), grid.pull(self.r), {}, None, grid)
 
     def _room(self, numbers: int, most: int = KEPT) -> bool:
         """Whether so many numbers more are kept; they are counted."""
@@ -260,20 +315,31 @@ class Products:
     def rows_of(self, chunk: Chunk, places: np.ndarray) -> list[np.ndarray]:
         """Columns of a chunk in some rows, given by their places in the order of the folds, shape (rows size, w) a channel."""
         if chunk.columns is None:
-            return list(self._make(chunk.effects, places))
+            return list(self._source.make(chunk.effects, places))
         return [x[rows] for x, rows in zip(chunk.columns, self.layout.numbers(places), strict=True)]
 
     def across(self, chunk: Chunk, members: Sequence[Member]) -> list[np.ndarray]:
         """Products of a chunk's columns with those of the coefficients in the design, shape (C, w, d) for each member."""
         found = {effect: chunk.across.get(effect) for effect, _ in members}
         new = [effect for effect, made in found.items() if made is None]
-        X = (chunk.columns or self.flat(chunk.effects)) if new else ()
+        X = (chunk.columns or self.flat(chunk.effects)) if new and chunk.grid is None else ()
         for effect in new:
-            made = np.array([x.T @ y for x, y in zip(X, self.columns(effect), strict=True)])
+            if chunk.grid is None:
+                made = np.array([x.T @ y for x, y in zip(X, self.columns(effect), strict=True)])
+            else:
+                made = self._across_grid(chunk.grid, effect)
             found[effect] = made
             if chunk.effects[0] in self._place and self._room(made.size):
                 chunk.across[effect] = made
         return [made for made in found.values() if made is not None]
+
+    def _across_grid(self, grid: Grid, member: Effect | None) -> np.ndarray:
+        """Products of a grid's columns with those of the constants or of an effect, shape (C, w, d)."""
+        taken = None if member is None else self._source.apart(member)
+        functions = None if taken is None else self._functions(taken[1])
+        if taken is None or functions is None:
+            return grid.across(self.columns(member))
+        return grid.across_local([g[:, :, 0] for g in self._source.slots(taken[:1])], functions)
 
 
 def grouped(effects: Sequence[Effect]) -> list[list[Effect]]:

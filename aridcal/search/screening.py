@@ -34,9 +34,9 @@ Sums = tuple[np.ndarray, np.ndarray, np.ndarray]
 def score_all(model: LinearModel, effects: Sequence[Effect], state: State, progress: Progress = SILENT) -> list[Score]:
     """Score candidates against a solved state, each alone: what they add, their columns projected off the model's."""
     sums = {
-        effect: (M[own, own], s[own], raw[own])
-        for placed_there, _, M, s, raw in _projected(model, effects, state, progress)
-        for effect, own in placed_there
+        effect: (M, s[own], raw[own])
+        for placed_there, _, s, raw in _projected(model, effects, state, progress)
+        for effect, own, M in placed_there
     }
     found = _scored(sums, state, state.solution.beta)
     return [found[e] for e in effects]
@@ -53,15 +53,17 @@ def score_without(
     V, beta = state.solution.inverse, state.solution.beta
     every = zip(state.active, state.places[1:], strict=True)
     out = {a.effect: own for a, own in every if a.effect in asked}
+    if not out:
+        return {}
     parts = list(out.values())
     W = [inverse(V[own, own]) for own in parts]
     sums: list[dict[Effect, Sums]] = [{} for _ in parts]
-    for placed_there, T, M, s, raw in _projected(model, effects, state, progress):
+    for placed_there, T, s, raw in _projected(model, effects, state, progress):
         for mine, own, w in zip(sums, parts, W, strict=True):
             back = T[:, own] @ w
             pull = s + back @ beta[own]
-            for effect, k in placed_there:
-                mine[effect] = M[k, k] + back[k] @ T[k, own].T, pull[k], raw[k]
+            for effect, k, M in placed_there:
+                mine[effect] = M + back[k] @ T[k, own].T, pull[k], raw[k]
     found = {}
     for (effect, own), mine in zip(out.items(), sums, strict=True):
         gone = np.zeros(len(beta), dtype=bool)
@@ -72,8 +74,8 @@ def score_without(
 
 def _projected(
     model: LinearModel, effects: Sequence[Effect], state: State, progress: Progress
-) -> Iterator[tuple[list[tuple[Effect, slice]], np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
-    """Candidates chunk by chunk, and where they are in it: T, M, s and squared lengths, w columns together."""
+) -> Iterator[tuple[list[tuple[Effect, slice, np.ndarray]], np.ndarray, np.ndarray, np.ndarray]]:
+    """Candidates chunk by chunk, where they are in it, and their M: T, s and squared lengths, w columns together."""
     made, beta, weight = model.products, state.solution.beta, state.solution.sigma**-2.0
     made.now_in_the_model(state.members)
     asked, done = set(effects), 0
@@ -84,9 +86,17 @@ def _projected(
         AC, CC, Cr = state.in_use(chunk)
         CA, CC = np.tensordot(weight, AC, 1).T, np.tensordot(weight, CC, 1)
         T = CA @ state.solution.inverse
-        there = [(effect, own) for effect, own in placed(chunk.effects) if effect in asked]
+        d = CC.shape[-1]  # all columns of the chunk, or those of each candidate of a grid
+        CC = CC.reshape(-1, d, d)
+        M = CC - T.reshape(len(CC), d, -1) @ CA.reshape(len(CC), d, -1).transpose(0, 2, 1)
+        part = [M[0, own, own] if chunk.grid is None else M[k] for k, (_, own) in enumerate(placed(chunk.effects))]
+        there = [
+            (effect, own, mine)
+            for (effect, own), mine in zip(placed(chunk.effects), part, strict=True)
+            if effect in asked
+        ]
         done += len(there)
-        yield there, T, CC - T @ CA.T, weight @ Cr - CA @ beta, np.diag(CC)
+        yield there, T, weight @ Cr - CA @ beta, np.diagonal(CC, axis1=1, axis2=2).ravel()
 
 
 def _scored(sums: dict[Effect, Sums], state: State, beta: np.ndarray) -> dict[Effect, Score]:

@@ -127,24 +127,27 @@ class State:
         scaled = [part / sigma for part, sigma in zip(values, self.solution.sigma, strict=True)]
         return np.concatenate(scaled)
 
-    def in_use(self, chunk: Chunk, where: slice = slice(None)) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def in_use(self, chunk: Chunk, where: slice | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Sums of candidates' columns over the rows in use.
 
         Args:
             chunk: The candidates.
-            where: Some of its columns.
+            where: Columns of one of them; all of the chunk's otherwise.
 
         Returns:
             Products with what is solved for, shape (C, P, w), with one another, (C, w, w), and with the residual, (C, w).
+            All candidates of a grid have products with themselves alone, (C, candidates, d, d).
         """
         made = self.model.products
-        cross = self.in_modes([values[:, where] for values in made.across(chunk, self.members)])
-        own, pull = chunk.own[:, where, where], chunk.pull[:, where]
+        some = slice(None) if where is None else where
+        cross = self.in_modes([values[:, some] for values in made.across(chunk, self.members)])
+        own, pull = chunk.own if where is None else chunk.of_one(where), chunk.pull[:, some]
         if len(self.unused):
-            lost = [x[:, where] for x in made.rows_of(chunk, self.unused)]
+            lost = [x[:, some] for x in made.rows_of(chunk, self.unused)]
             right = [r[rows] for r, rows in zip(made.r, made.layout.numbers(self.unused), strict=True)]
             cross = cross - np.array([x.T @ a for x, a in zip(lost, self.extra, strict=True)])
-            own = own - np.array([x.T @ x for x in lost])
+            each = [x.reshape(len(x), -1, own.shape[-1]).transpose(1, 2, 0) for x in lost]
+            own = own - np.array([x @ x.transpose(0, 2, 1) for x in each]).reshape(own.shape)
             pull = pull - np.array([x.T @ r for x, r in zip(lost, right, strict=True)])
         return np.swapaxes(cross, 1, 2), own, pull
 
@@ -293,7 +296,7 @@ def activate(model: LinearModel, state: State, effect: Effect, found: Score) -> 
         return Active(effect, found, np.eye(len(effect.coefficients)), prior=model.prior_of(effect))
     noise = found.sigma if found.sigma is not None else state.solution.sigma
     chunk, own = model.products.chunk_of(effect)
-    gram = np.tensordot(noise**-2.0, chunk.own[:, own, own], 1)
+    gram = np.tensordot(noise**-2.0, chunk.of_one(own), 1)
     root = found.tau * samples_root(effect.shape, found.kernel)
     told, modes = np.linalg.eigh(root.T @ gram @ root)
     return Active(effect, found, root @ modes[:, told > FAINT])

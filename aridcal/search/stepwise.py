@@ -199,8 +199,9 @@ def _forward(
     seen = {frozenset(a.effect for a in state.active)}
     kinds = {e.kind for e in library}
     while len(state.active) < most:
-        before, state = state, _with_rows_of_hints(model, state, kinds)
-        ranked = rank(model, library, state, kinds, progress=progress)
+        before = state
+        state, hints = _with_rows_of_hints(model, state, kinds)
+        ranked = rank(model, library, state, also=hints, progress=progress)
         judgements = []
         chosen = None
         for effect, found in ranked[:JUDGED]:
@@ -224,17 +225,16 @@ def _forward(
     return state, rejected
 
 
-def _with_rows_of_hints(model: LinearModel, state: State, kinds: Collection[str]) -> State:
-    """The same effects solved with the flagged rows that a hint would explain: they are what it was seen by."""
-    used = state.used.copy()
-    for effect in hinted(model, state, kinds):
+def _with_rows_of_hints(model: LinearModel, state: State, kinds: Collection[str]) -> tuple[State, list[Effect]]:
+    """The same effects solved with the flagged rows that a hint would explain, as these are what it was seen by; and the hints."""
+    used, hints = state.used.copy(), hinted(model, state, kinds)
+    for effect in hints:
         if effect.smooth or is_field(effect):
             used |= np.any(model.columns(effect), axis=(1, 2))
-    return (
-        state
-        if np.array_equal(used, state.used)
-        else solve_state(model, state.active, state.solution.sigma, used, True)
-    )
+    if np.array_equal(used, state.used):
+        return state, hints
+    state = solve_state(model, state.active, state.solution.sigma, used, True)
+    return state, hinted(model, state, kinds)
 
 
 def _tidy(
@@ -249,7 +249,7 @@ def _tidy(
     for _ in range(rounds):
         before = [a.effect for a in state.active]
         rough = score_without(model, lasting, state, known, progress)
-        for effect in before:
+        for k, effect in enumerate(before):
             active = [a for a in state.active if a.effect != effect]
             if len(active) == len(state.active) or effect not in known:
                 continue
@@ -267,7 +267,7 @@ def _tidy(
             taken = (*active, activate(model, without, best, its)) if keep else active
             state = solve_state(model, taken, without.solution.sigma, without.used)
             if not keep or best != effect:
-                rough = score_without(model, lasting, state, known, progress)
+                rough = score_without(model, lasting, state, known.intersection(before[k + 1 :]), progress)
         if [a.effect for a in state.active] == before:
             break
     return state

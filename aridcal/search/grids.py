@@ -1,0 +1,103 @@
+r"""Columns that are each a slot's times a function on knots, and their products, without the columns.
+
+Of slots :math:`g_e` (so many numbers a row and channel) and functions :math:`\varphi_i` the column (e, i) is
+:math:`g_e(n) \varphi_i(n)`, and with another such column (t, j)
+
+.. math:: \sum_n \varphi_i(n) \psi_j(n) \; g_e(n) \cdot g_t(n)
+
+At each row all but k of the functions are zero (4 of cubic B-splines), so that of d functions and d' others not
+:math:`d d'`, but :math:`k k'` products a row are to be made, for all slots at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import csr_array
+
+SPARSE = 3
+"""Functions for each one that is not zero at a row from which they count as local: the sums over all cost as much below it."""
+
+
+@dataclass(frozen=True)
+class Local:
+    """Values of d functions at N rows, of which at most k are not zero at a row.
+
+    Attributes:
+        values: Shape (N, k).
+        numbers: Which function each is of, shape (N, k).
+        count: d.
+    """
+
+    values: np.ndarray
+    numbers: np.ndarray
+    count: int
+
+    def times(self, other: Local) -> Local:
+        """All products of two functions: i of the first and j of the second is number i d' + j."""
+        rows = len(self.values)
+        values = (self.values[:, :, None] * other.values[:, None, :]).reshape(rows, -1)
+        numbers = (self.numbers[:, :, None] * other.count + other.numbers[:, None, :]).reshape(rows, -1)
+        return Local(values, numbers, self.count * other.count)
+
+    def sums(self, weights: np.ndarray) -> np.ndarray:
+        """Sums over the rows of each function times weights of shape (N, w), shape (d, w)."""
+        rows, k = self.values.shape
+        ends = np.arange(0, rows * k + 1, k)
+        matrix = csr_array((self.values.ravel(), self.numbers.ravel(), ends), shape=(rows, self.count))
+        return np.asarray(matrix.T @ weights)
+
+
+def local(values: np.ndarray) -> Local | None:
+    """Functions of shape (N, d) as local ones; None if they are not."""
+    k = int(np.count_nonzero(values, axis=1).max(initial=1))
+    if k * SPARSE > values.shape[1]:
+        return None
+    numbers = np.argsort(values == 0.0, axis=1, kind="stable")[:, :k]
+    return Local(np.take_along_axis(values, numbers, axis=1), numbers, values.shape[1])
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Columns of E slots times d functions each, those of one slot side by side: w = E d columns, C channels.
+
+    Attributes:
+        slots: Columns of the slots, (N, size, E) for each channel.
+        functions: The functions.
+    """
+
+    slots: tuple[np.ndarray, ...]
+    functions: Local
+
+    def own(self) -> np.ndarray:
+        """Products of the columns of each slot with one another, shape (C, E, d, d)."""
+        made = self._summed(self.functions.times(self.functions), [np.sum(g**2, axis=1) for g in self.slots])
+        d = self.functions.count
+        return np.ascontiguousarray(made.reshape(*made.shape[:2], d, d))
+
+    def pull(self, right: Sequence[np.ndarray]) -> np.ndarray:
+        """Products with right-hand sides of shape (N size,), one for each channel, shape (C, w)."""
+        weights = [np.einsum("nse,ns->ne", g, r.reshape(len(g), -1)) for g, r in zip(self.slots, right, strict=True)]
+        return self._summed(self.functions, weights).reshape(len(self.slots), -1)
+
+    def across(self, columns: Sequence[np.ndarray]) -> np.ndarray:
+        """Products with any columns, (N size, d') for each channel, shape (C, w, d')."""
+        made = []
+        for g, y in zip(self.slots, columns, strict=True):
+            rows, size, count = g.shape
+            products = g.transpose(0, 2, 1) @ y.reshape(rows, size, -1)
+            summed = self.functions.sums(products.reshape(rows, -1)).reshape(self.functions.count, count, -1)
+            made.append(summed.transpose(1, 0, 2).reshape(count * self.functions.count, -1))
+        return np.array(made)
+
+    def across_local(self, slot: Sequence[np.ndarray], functions: Local) -> np.ndarray:
+        """Products with columns of one slot, (N, size) for each channel, times d' other functions, shape (C, w, d')."""
+        weights = [np.einsum("nse,ns->ne", g, t) for g, t in zip(self.slots, slot, strict=True)]
+        return self._summed(self.functions.times(functions), weights).reshape(len(self.slots), -1, functions.count)
+
+    def _summed(self, functions: Local, weights: Sequence[np.ndarray]) -> np.ndarray:
+        """Sums of functions times weights of shape (N, E) for each channel, shape (C, E, functions)."""
+        together = functions.sums(np.hstack(weights))
+        return together.reshape(functions.count, len(weights), -1).transpose(1, 2, 0)
