@@ -130,16 +130,27 @@ class Stack:
     count: int
     width: int
 
+    @property
+    def apart(self) -> bool:
+        """True where each row is a standstill of its own, and measures all numbers."""
+        return self.count == len(self.number) and bool(np.all(self.place == np.arange(self.width)))
+
     def vectors(self, values: np.ndarray) -> np.ndarray:
         """Numbers or columns of rows, shape (n, m, ...), as those of standstills, shape (S, M, ...); 0 beyond what these have."""
-        row, column = np.nonzero(self.place >= 0)
         made = np.zeros((self.count, self.width, *values.shape[2:]))
+        if self.apart:
+            made[self.number] = values
+            return made
+        row, column = np.nonzero(self.place >= 0)
         made[self.number[row], self.place[row, column]] = values[row, column]
         return made
 
     def matrices(self, values: np.ndarray) -> np.ndarray:
         """Covariances of rows that err independently, shape (n, m, m), as those of standstills, shape (S, M, M)."""
         made = np.zeros((self.count, self.width, self.width))
+        if self.apart:
+            made[self.number] = values
+            return made
         row, a, b = np.nonzero((self.place[:, :, None] >= 0) & (self.place[:, None, :] >= 0))
         made[self.number[row], self.place[row, a], self.place[row, b]] = values[row, a, b]
         return made

@@ -49,7 +49,10 @@ def score_without(
     asked: Collection[Effect],
     progress: Progress = SILENT,
 ) -> dict[Effect, dict[Effect, Score]]:
-    """Score candidates against a solved state without each of some of its effects, at the noise that all leave."""
+    """Score candidates against a solved state without each of some of its effects, at the noise that all leave.
+
+    Candidates are those that are not in the model then.
+    """
     V, beta = state.solution.inverse, state.solution.beta
     every = zip(state.active, state.places[1:], strict=True)
     out = {a.effect: own for a, own in every if a.effect in asked}
@@ -58,12 +61,14 @@ def score_without(
     parts = list(out.values())
     W = [inverse(V[own, own]) for own in parts]
     sums: list[dict[Effect, Sums]] = [{} for _ in parts]
+    others = [{a.effect for a in state.active} - {effect} for effect in out]  # still in the model: no candidates
     for placed_there, T, s, raw in _projected(model, effects, state, progress):
-        for mine, own, w in zip(sums, parts, W, strict=True):
+        for mine, own, w, kept in zip(sums, parts, W, others, strict=True):
             back = T[:, own] @ w
             pull = s + back @ beta[own]
             for effect, k, M in placed_there:
-                mine[effect] = M + back[k] @ T[k, own].T, pull[k], raw[k]
+                if effect not in kept:
+                    mine[effect] = M + back[k] @ T[k, own].T, pull[k], raw[k]
     found = {}
     for (effect, own), mine in zip(out.items(), sums, strict=True):
         gone = np.zeros(len(beta), dtype=bool)
