@@ -1,6 +1,6 @@
 """Corners of printed boards and tags in images, as a table of pixels for a campaign of `kind: pixels`.
 
-Beside the table, camera.yaml has the camera's own numbers as the images tell them, unless --intrinsics states them, and
+Beside the table, camera.yaml has the camera's own numbers as the images tell them, or as --intrinsics states them, and
 refused.csv names the images that show nothing that can be measured. Joints come from --joints: a table with a row for each
 image, whose column `image` has its name. Without options the board is the one that `aridcal print charuco` draws.
 
@@ -37,6 +37,7 @@ from aridcal.errors import AridcalError, MeasurementError, listed, printable, sh
 from aridcal.head.matching import NotMeasured
 from aridcal.inputs.instrument_settings import ArmCameraSettings
 from aridcal.inputs.tables import Table, read_tables
+from aridcal.reading.files import SETTINGS, read_file
 from aridcal.reading.names import check_name, path_argument
 from aridcal.writing.files import atomic_table, claimed_table
 
@@ -187,6 +188,7 @@ def _main(arguments: argparse.Namespace) -> None:
     assert not isinstance(board, Cube)
     with claimed_table(out, BESIDE):
         known = known_camera(arguments.intrinsics, arguments.camera) if arguments.intrinsics else None
+        stated = read_file(arguments.intrinsics, AridcalError, SETTINGS) if known else b""
         joints = joint_rows(arguments.joints) if arguments.joints else None
         images = listed_images(arguments.images)
         if joints is not None and not set(images) & set(joints[1]):
@@ -199,13 +201,18 @@ def _main(arguments: argparse.Namespace) -> None:
             f"looking for {arguments.board} {as_written(options)}", markup=False, highlight=False, soft_wrap=True
         )
         seen = look(images, board, console)
-        said = _write(seen, out, arguments.camera, known, joints)
+        said = _write(seen, out, arguments.camera, known, stated, joints)
     for line in said:
         console.print(line, markup=False, highlight=False, soft_wrap=True)
 
 
 def _write(
-    seen: Seen, out: Path, camera: str, known: ArmCameraSettings | None, joints: tuple[Table, dict[str, int]] | None
+    seen: Seen,
+    out: Path,
+    camera: str,
+    known: ArmCameraSettings | None,
+    stated: bytes,
+    joints: tuple[Table, dict[str, int]] | None,
 ) -> list[str]:
     """Check what was found against the camera, and write it; returns what there is to say."""
     said: list[str] = []
@@ -235,8 +242,8 @@ def _write(
     with atomic_table(out, BESIDE) as folder:
         table.to_csv(folder / out.name, index=False, float_format="%.17g")
         pd.DataFrame(refused, columns=["shot", "image", "why"]).to_csv(folder / REFUSED, index=False)
-        if text:
-            (folder / CAMERA).write_text(text, encoding="utf-8")
+        if text or stated:  # beside the table, where `init` looks for it
+            (folder / CAMERA).write_bytes(text.encode() or stated)
     lines = [f"refused: {shortened(printable(name))}: {why}" for _, name, why in refused[:SHOWN]]
     found = f"{out}: {len(table)} marks in {len(seen.good)} images, {len(refused)} images refused"
     return [*lines, *said, *([f"{out.parent / CAMERA}:", text.rstrip()] if text else []), found]

@@ -5,9 +5,12 @@ between them: the nominal robot says when its target moved. Samples in which bot
 ends; `std_*` is the standard deviation of the mean, which allows for samples that are not independent, and `n` how many they are.
 Standstills that one log has and the other has not are named.
 
+A bag with images of a camera, its CameraInfo and the joints gives what `aridcal detect` and `aridcal measure` take: a row for
+each standstill with its joints and its image, the images as PNG in a folder beside the table, and there the camera's numbers.
+
 A log is a table in any dialect (a column for each joint, or x y z and an orientation, and the time), or a bag of ROS 1 or 2
-(`.bag`, `.mcap`, `.db3`, a folder; `pip install "aridcal[ros]"`), which may hold both. Beside the table a page of the same name
-(.html) shows what was paired.
+(`.bag`, `.mcap`, `.db3`, a folder; `pip install "aridcal[ros]"`), which may hold both. Beside the table of two logs a page of the
+same name (.html) shows what was paired.
 
 Example:
     aridcal merge joints.csv tracker.csv --urdf robot.urdf --tip tool0 -o measurements.csv
@@ -17,26 +20,35 @@ Example:
 from __future__ import annotations
 
 import argparse
+import re
 import sys
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 from rich.console import Console
 
+from aridcal.boards.camera_file import CAMERA_FILE
+from aridcal.boards.frames import png_file
 from aridcal.command_line import CommandParser, command_parser, for_scripts, run, screens
 from aridcal.errors import AridcalError, OutputError, RobotError
+from aridcal.head.matching import NotMeasured
 from aridcal.init import answer, ask
 from aridcal.inputs.tables import AnyTable
 from aridcal.logs import bags, log_files
+from aridcal.logs.bag_camera import BagCamera, Take, camera_file, intrinsics
+from aridcal.logs.log_files import JointLog, TrackerLog
 from aridcal.logs.merging import Merged, merged
 from aridcal.logs.page import lines, merge_page
+from aridcal.logs.pictures import pictured
 from aridcal.prepare.guesses import Asker, Choose, nobody
 from aridcal.reading.names import path_argument
-from aridcal.robot.chain import load_robot
+from aridcal.robot.chain import Robot, load_robot
 from aridcal.robot.named import described
 from aridcal.robot.tree import read_tree
-from aridcal.writing.files import atomic_table, claimed_table
+from aridcal.writing.files import atomic_folder, atomic_table, claimed, claimed_table
 from aridcal.writing.tables import table_file
 
 QUESTIONS = (
@@ -45,14 +57,57 @@ QUESTIONS = (
 )  # fmt: skip
 """Keys of what may be asked; answers may be given beforehand."""
 
+OURS = re.compile(r"stop_\d+\.png")
+"""Images of an earlier run, which go with it."""
+
 SHOWN = 5
 """Standstills without a row that are printed; the page has them all."""
+
+
+@dataclass(frozen=True)
+class Read:
+    """Two logs that were read, or a log of joints and the images of the same bag.
+
+    Attributes:
+        robot: The nominal robot.
+        joints: Its log.
+        measured: The tracker's, or the camera's.
+        bag: Where the images are.
+        asker: Asked where the logs leave a choice that changes numbers.
+    """
+
+    robot: Robot
+    joints: JointLog
+    measured: TrackerLog | BagCamera
+    bag: Path
+    asker: Asker
+
+    def frames(self, numbers: frozenset[int], take: Take) -> None:
+        """Go through the camera's images; see :func:`aridcal.logs.bags.frames`."""
+        assert isinstance(self.measured, BagCamera)
+        bags.frames(self.bag, self.measured.topic, numbers, take)
 
 
 def joined(
     joints: AnyTable, tracker: AnyTable | None, urdf: Path, tip: str, choose: Choose, settled: Mapping[str, int]
 ) -> Merged:
-    """Join two logs, or what one bag holds of both.
+    """Join two logs, or what one bag holds of both; see :func:`read`.
+
+    Raises:
+        AridcalError: the logs cannot be read or joined, or images are what was measured.
+    """
+    logs = read(joints, tracker, urdf, tip, choose, settled)
+    if isinstance(logs.measured, BagCamera):
+        raise AridcalError(
+            f"{logs.measured.title}: holds images: the command `aridcal merge` writes them beside its table"
+        )
+    return merged(logs.robot, logs.joints, logs.measured, logs.asker)
+
+
+def read(
+    joints: AnyTable, tracker: AnyTable | None, urdf: Path, tip: str, choose: Choose, settled: Mapping[str, int]
+) -> Read:
+    """Read two logs, or what one bag holds of both.
 
     Args:
         joints: A table or a bag with the joints' readings over time.
@@ -63,7 +118,7 @@ def joined(
         settled: Numbers of answers that were given beforehand.
 
     Raises:
-        AridcalError: the logs cannot be read or joined.
+        AridcalError: the logs cannot be read.
     """
     asker = Asker(choose, settled, drafts=False)
     asker.check(QUESTIONS)
@@ -77,13 +132,18 @@ def joined(
             raise AridcalError(f"{joints}: is one table; name the tracker's log after it, or a bag that has both")
         tracker = joints
     is_bag = bags.is_bag(joints)
-    read = bags.joint_log(Path(str(joints)), robot) if is_bag else log_files.joint_log(joints, robot, asker)
+    log = bags.joint_log(Path(str(joints)), robot) if is_bag else log_files.joint_log(joints, robot, asker)
     if bags.is_bag(tracker):
         links = frozenset(read_tree(robot.urdf, robot.path).links)
-        measured = bags.tracker_log(Path(str(tracker)), links, asker)
+        measured: TrackerLog | BagCamera = bags.tracker_log(Path(str(tracker)), links, asker)
+        if isinstance(measured, BagCamera) and not (is_bag and Path(str(tracker)) == Path(str(joints))):
+            raise AridcalError(
+                f"{measured.title}: holds images, for which joints of the same bag are needed: nothing else tells its clock from "
+                f"that of {joints}. Record both together, or name each joint row's image and use `aridcal detect --joints`"
+            )
     else:
         measured = log_files.tracker_log(tracker, robot, asker)
-    return merged(robot, read, measured, asker)
+    return Read(robot, log, measured, Path(str(tracker)), asker)
 
 
 def merge(
@@ -164,7 +224,11 @@ def _main(arguments: argparse.Namespace) -> None:
         raise OutputError(f"{out}: is one of the logs; choose another name with -o")
     with claimed_table(out, [page]):
         choose = ask if sys.stdin.isatty() and not arguments.quiet else nobody
-        found = joined(arguments.joints, arguments.tracker, arguments.urdf, arguments.tip, choose, dict(arguments.set))
+        logs = read(arguments.joints, arguments.tracker, arguments.urdf, arguments.tip, choose, dict(arguments.set))
+        if isinstance(logs.measured, BagCamera):
+            _write_images(logs, logs.measured, arguments)
+            return
+        found = merged(logs.robot, logs.joints, logs.measured, logs.asker)
         names = (arguments.joints.name, (arguments.tracker or arguments.joints).name)
         with atomic_table(out, [page]) as stage:
             with table_file(stage / out.name) as write:
@@ -176,6 +240,36 @@ def _main(arguments: argparse.Namespace) -> None:
     console.print(said, markup=False, highlight=False, soft_wrap=True)
     said = f"next: aridcal init --urdf {arguments.urdf} --measurements {out}"
     console.print(said, markup=False, highlight=False, soft_wrap=True)
+
+
+def _write_images(logs: Read, camera: BagCamera, arguments: argparse.Namespace) -> None:
+    """Write the table of joints with the image of each standstill, the images and, where it is known, their camera."""
+    out: Path = arguments.out
+    found = pictured(logs.robot, logs.joints, camera, logs.frames)
+    folder = out.with_name(f"{out.stem}_images")
+    names = {int(number): f"stop_{k + 1:03d}.png" for k, number in enumerate(found.frames)}
+    numbers, remark = intrinsics(camera, found.size)
+    old = [entry.name for entry in folder.iterdir() if OURS.fullmatch(entry.name)] if folder.is_dir() else []
+    with claimed(folder, "folder"), atomic_folder(folder, [*old, CAMERA_FILE]) as stage:
+
+        def take(number: int, image: np.ndarray | NotMeasured) -> None:
+            assert isinstance(image, np.ndarray)  # it was read before
+            (stage / names[number]).write_bytes(png_file(image))
+
+        logs.frames(frozenset(names), take)
+        if numbers is not None:
+            (stage / CAMERA_FILE).write_text(camera_file(numbers, camera.title), encoding="utf-8")
+    table = found.table.assign(image=[f"{folder.name}/{names[int(number)]}" for number in found.frames])
+    with atomic_table(out, []) as stage, table_file(stage / out.name) as write:
+        write(table)
+    console, _ = screens(arguments)
+    said = [*found.notices, remark, *(f"no row: {one}" for one in found.unpaired[:SHOWN])]
+    said += [f"no row: {len(found.unpaired) - SHOWN} more standstills"] if len(found.unpaired) > SHOWN else []
+    said.append(f"{out}: {len(table)} rows, each with its image in {folder}")
+    lens = f" --intrinsics {folder / CAMERA_FILE}" if numbers is not None else ""
+    said.append(f"next: aridcal detect {folder} --joints {out}{lens} -o {out.with_name('corners.csv')}")
+    for line in said:
+        console.print(line, markup=False, highlight=False, soft_wrap=True)
 
 
 if __name__ == "__main__":

@@ -263,7 +263,12 @@ def test_an_image_of_another_board_is_refused_when_the_camera_is_known(images, t
         assert main([str(images), *options, "-o", str(out)]) == 0
         refused = pd.read_csv(out.parent / "refused.csv")
         assert list(refused["image"]) == ["shot_3.png"] and "px off" in refused["why"][0]
-        assert (out.parent / "camera.yaml").exists() == (not options)
+        if options:  # what was stated goes along, for `init` to find
+            assert (out.parent / "camera.yaml").read_bytes() == (tmp_path / "camera.yaml").read_bytes()
+    assert main([str(images), "--intrinsics", str(tmp_path / "camera.yaml"), "-o", str(tmp_path / "c.csv")]) == 0
+    assert (
+        known_camera(tmp_path / "camera.yaml", "eye").width == SIZE[0]
+    )  # not lost where it is beside the table already
 
 
 def test_without_joints_the_table_has_the_images_alone_and_says_so(images, tmp_path, capsys):

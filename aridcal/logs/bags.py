@@ -1,7 +1,7 @@
 """Logs from bags of ROS 1 and ROS 2 (.bag, .db3, .mcap, folders): joints, and targets that a tracker publishes.
 
-Read are JointState, PoseStamped, PointStamped, TransformStamped and the transforms of /tf. Images and CameraInfo are not: what a
-camera sees becomes rows by `aridcal detect`.
+Read are JointState, PoseStamped, PointStamped, TransformStamped and the transforms of /tf; of a camera Image, CompressedImage and
+CameraInfo.
 """
 
 from __future__ import annotations
@@ -14,8 +14,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from aridcal.errors import MeasurementError, listed, printable
+from aridcal.head.matching import NotMeasured
 from aridcal.inputs.orientations import QUATERNION
 from aridcal.inputs.quantities import POSITION
+from aridcal.logs.bag_camera import IMAGES, INFO, BagCamera, CameraInfo, Take, belongs, frame_of, info_of
 from aridcal.logs.log import Log, in_order
 from aridcal.logs.log_files import JointLog, TrackerLog
 from aridcal.prepare.guesses import Asker
@@ -69,12 +71,14 @@ def _unreadable(path: Path, problem: Exception) -> MeasurementError:
     )
 
 
-def _messages(path: Path, kinds: tuple[str, ...], use: Callable[[str, str, int, Any], None]) -> None:
-    """Hand over topic, kind, time of arrival and content of each message of some kinds."""
+def _messages(
+    path: Path, kinds: tuple[str, ...], use: Callable[[str, str, int, Any], None], topic: str | None = None
+) -> None:
+    """Hand over topic, kind, time of arrival and content of each message of some kinds, of one topic alone where it is named."""
     reader = _opened(path)
     try:
         with reader:
-            wanted = [one for one in reader.connections if one.msgtype in kinds]
+            wanted = [one for one in reader.connections if one.msgtype in kinds and topic in (None, one.topic)]
             if wanted:
                 for connection, arrival, raw in reader.messages(connections=wanted):
                     use(connection.topic, connection.msgtype, arrival, reader.deserialize(raw, connection.msgtype))
@@ -136,8 +140,8 @@ def joint_log(path: Path, robot: Robot) -> JointLog:
     return JointLog(log, (units,))
 
 
-def tracker_log(path: Path, links: frozenset[str], asker: Asker) -> TrackerLog:
-    """The tracker's log of a bag: of the topic, or the frame of /tf, that moves and is no link of the robot.
+def tracker_log(path: Path, links: frozenset[str], asker: Asker) -> TrackerLog | BagCamera:
+    """The tracker's log of a bag: of the topic, or the frame of /tf, that moves and is no link of the robot; or images.
 
     Args:
         path: The bag.
@@ -165,18 +169,75 @@ def tracker_log(path: Path, links: frozenset[str], asker: Asker) -> TrackerLog:
 
     _messages(path, (*POSES, *TRANSFORMS), use)
     moving = {name: found for name, found in rows.items() if len({one[1:4] for one in found}) > 1}
-    if not moving:
+    images = _image_topics(path)
+    if not moving and not images:
         there = f" that moves; of {listed(sorted(rows))} nothing does" if rows else ""
         raise MeasurementError(
-            f"{path}: no PoseStamped, PointStamped, TransformStamped or frame of /tf{there} that is no link of the robot. Record "
-            "what the tracker publishes, or name its log after the bag"
+            f"{path}: no PoseStamped, PointStamped, TransformStamped or frame of /tf{there} that is no link of the robot, and no "
+            "images. Record what the tracker or the camera publishes, or name its log after the bag"
         )
-    names = sorted(moving, key=lambda name: -len(moving[name]))
+    names = [*sorted(moving, key=lambda name: -len(moving[name])), *images]
     k = (
-        asker.pick("target", f"{path.name}: which is the measured target", names, "more than one moves")
+        asker.pick("target", f"{path.name}: which is the measured target", names, "more than one may be")
         if len(names) > 1
         else 0
     )
+    if names[k] in images:
+        return camera(path, names[k])
     columns = (*POSITION, *QUATERNION) if len(moving[names[k]][0]) == 8 else POSITION
     log = _made(f"{path.name}:{names[k]}", columns, moving[names[k]], arrivals[names[k]])
     return TrackerLog(log, (POSITION,))
+
+
+def _image_topics(path: Path) -> list[str]:
+    """Topics of images; of one that is sent raw and compressed the former, and none of depths."""
+    with_reader: list[str] = []
+    reader = _opened(path)
+    try:
+        with reader:
+            with_reader += sorted({one.topic for one in reader.connections if one.msgtype in IMAGES and one.msgcount})
+    except Exception as problem:  # as above
+        raise _unreadable(path, problem) from None
+    return [
+        topic
+        for topic in with_reader
+        if "depth" not in topic.lower()
+        and not (topic.endswith("/compressed") and topic[: -len("/compressed")] in with_reader)
+    ]
+
+
+def camera(path: Path, topic: str) -> BagCamera:
+    """When a topic's images were taken, and what their driver says of the camera."""
+    stamps: list[float] = []
+    arrivals: list[float] = []
+    infos: dict[CameraInfo, None] = {}
+
+    def use(name: str, kind: str, arrival: int, message: Any) -> None:
+        if kind == INFO:
+            if belongs(name, topic):
+                infos.setdefault(info_of(message))
+        elif name == topic:
+            stamps.append(_stamp(message.header))
+            arrivals.append(1e-9 * arrival)
+
+    for kinds, only in ((IMAGES, topic), ((INFO,), None)):
+        _messages(path, kinds, use, only)
+    by_arrival = not any(stamps)
+    time = np.array(arrivals if by_arrival else stamps)
+    return BagCamera(f"{path.name}:{topic}", topic, time, by_arrival, tuple(infos))
+
+
+def frames(path: Path, topic: str, numbers: frozenset[int], take: Take) -> None:
+    """Hand over images of a topic by their number, counted from 0 in the bag's order, or why one cannot be read."""
+    count = 0
+
+    def use(name: str, kind: str, arrival: int, message: Any) -> None:
+        nonlocal count
+        if count in numbers:
+            try:
+                take(count, frame_of(kind, message))
+            except NotMeasured as problem:
+                take(count, problem)
+        count += 1
+
+    _messages(path, IMAGES, use, topic)
