@@ -14,10 +14,10 @@ from typing import Any, NoReturn
 
 from rich.console import Console
 from rich.text import Text
-from threadpoolctl import threadpool_limits
 
 from aridcal.errors import AridcalError, printable
 from aridcal.interrupt import MESSAGE, SIGNALLED, leave
+from aridcal.showing import one_thread
 from aridcal.writing.signals import Handler, Terminated, handling, terminate
 
 DONE, BUG, BAD_INPUT, NOT_GOOD = 0, 1, 2, 3
@@ -39,8 +39,7 @@ def run(body: Callable[[], int | None]) -> int:
     """
     console = Console(stderr=True)
     try:
-        # Matrices of some hundred columns: threads that wait for each other cost ten times what they gain.
-        with _stopped_politely(), threadpool_limits(1, user_api="blas"):
+        with _stopped_politely(), one_thread():
             status = body()
             sys.stdout.flush()  # what cannot be printed is to be known here
     except AridcalError as error:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 import math
+import os
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -17,6 +18,9 @@ from rich.segment import ControlType
 from rich.spinner import Spinner
 from rich.text import Text
 from threadpoolctl import threadpool_limits
+
+OF_BLAS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS")
+"""What libraries of linear algebra look at when they are loaded."""
 
 HEIGHT = 720
 """Of a page inside a notebook, [px]: less than a screen, so that one can scroll past it."""
@@ -179,6 +183,25 @@ def told_on(console: Console) -> Iterator[Progress]:
 
 
 @contextmanager
+def one_thread() -> Iterator[None]:
+    """Let linear algebra use one thread: matrices are small, and threads that wait for each other cost ten times what they gain.
+
+    SciPy has a library of its own beside NumPy's, loaded when needed: the environment holds that one, a limit what is there.
+    """
+    kept = {name: os.environ.get(name) for name in OF_BLAS}
+    os.environ.update(dict.fromkeys(OF_BLAS, "1"))
+    try:
+        with threadpool_limits(1, user_api="blas"):
+            yield
+    finally:
+        for name, value in kept.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
+
+
+@contextmanager
 def working() -> Iterator[Progress]:
     """Show on one line what is being done, and let linear algebra use one thread, as the commands do.
 
@@ -191,7 +214,7 @@ def working() -> Iterator[Progress]:
     def line(step: str) -> str:
         return f"{time.perf_counter() - started:5.1f} s  {step}"
 
-    with threadpool_limits(1, user_api="blas"):
+    with one_thread():
         if console.is_jupyter:
             yield from _in_notebook(line)
         elif console.is_terminal:

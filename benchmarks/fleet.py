@@ -2,12 +2,19 @@
 
     python benchmarks/fleet.py make DIR --robots 200                   # campaigns DIR/robots/ROBOT/campaign.yaml
     python benchmarks/fleet.py make DIR --robots 100 --months 12 --drifting 3   # DIR/MONTH/robots/ROBOT: zeros wear
+    python benchmarks/fleet.py workers DIR --robots 200                # the same with one worker and with two
     python benchmarks/fleet.py kills DIR --every 20                    # a worker every 20 s, the scheduler once
-    python benchmarks/fleet.py workers DIR --robots 40                 # the same with one worker and with two
 
-`kills` compares every result with that of a fleet computed in one process (of as many robots as --compare says) and counts how
-often each robot was computed to its end. `workers` gives the share of time that workers are busy, and CPU seconds per robot:
-what a loaded machine still tells of parallel efficiency, beside wall time, which only a quiet one does.
+`workers` gives wall times and their efficiency T1 / (2 T2), of the whole command and from the first robot's begin to the last
+one's end. Beside it stands what the computer itself gives: the same work in plain processes without Dask, one and then two at
+once. Shares of time that workers are busy and CPU seconds per robot are what a loaded machine still tells. BLAS threads are
+those that workers have while they work, though nothing in their environment limits them.
+
+`kills` compares every result with that of an undisturbed fleet, byte by byte: of DIR/on-2, which `workers` leaves, and of as many
+plain `identify` as --compare says. It counts how often each robot was computed to its end, and says at the end what is right.
+
+Both write their figures to DIR/workers.json and DIR/kills.json, end after --limit seconds whatever happens, and have exit
+status 1 if something is not as it should be: a result that is missing, wrong, or computed twice.
 """
 
 from __future__ import annotations
@@ -22,9 +29,10 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -45,6 +53,7 @@ WEAR = 1.0e-4
 
 PRELOAD = """
 import json, os, time
+import threadpoolctl
 import aridcal.plant.work as work
 import aridcal.result_folder as results
 def log(**what):
@@ -57,14 +66,23 @@ def logged(task):
     log(what="ends", robot=task.robot)
     return row
 def written(outcome, folder, **rest):
+    blas = [lib["num_threads"] for lib in threadpoolctl.threadpool_info() if lib["user_api"] == "blas"]
+    log(what="writes", robot=folder.name, threads=max(blas))
     done = work.write_itself(outcome, folder, **rest)
     log(what="written", robot=folder.name)
     return done
 if not hasattr(work, "calibrated_itself"):  # Dask may load this twice
     work.calibrated_itself, work.write_itself = work.calibrated, results.write_folder
     work.calibrated, results.write_folder = logged, written
+    log(what="ready")
 """
 """Of a worker: it notes what it does, and nothing else changes."""
+
+COMPARED = ("calibrated.urdf", "residuals.csv", "calibration.yaml")
+"""Files that are the same to the byte whenever they are computed; ``result.json`` is but for its seconds."""
+
+THREADS = frozenset({"OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"})
+"""Of the environment, taken away from workers: what limits them is aridcal."""
 
 
 def make(folder: Path, robots: int, months: int, drifting: int, rows: int, seed: int) -> None:
@@ -118,7 +136,7 @@ class Cluster:
         self.killed = 0
 
     def _start(self, *words: str) -> subprocess.Popen[bytes]:
-        env = os.environ | {"FLEET_LOG": str(self.log), "OMP_NUM_THREADS": "1"}
+        env = {key: value for key, value in os.environ.items() if key not in THREADS} | {"FLEET_LOG": str(self.log)}
         with (self.folder / "cluster.txt").open("ab") as out:
             return subprocess.Popen(
                 [sys.executable, "-m", "distributed.cli." + words[0], *words[1:]], env=env, stdout=out, stderr=out
@@ -145,6 +163,19 @@ class Cluster:
         self.workers.append(self.workers.pop(0))
         self.killed += 1
 
+    def ready(self, limit: float = 120.0) -> None:
+        """Wait until all workers have loaded what they need."""
+        end = time.monotonic() + limit
+        while sum(line["what"] == "ready" for line in self.noted()) < len(self.workers):
+            if time.monotonic() > end:
+                raise SystemExit(f"no workers within {limit:.0f} s; see {self.folder / 'cluster.txt'}")
+            time.sleep(0.2)
+
+    def scheduler_cpu(self) -> float:
+        """CPU seconds of the scheduler that runs now."""
+        after_name = Path(f"/proc/{self.scheduler.pid}/stat").read_text("utf-8").rpartition(")")[2].split()
+        return sum(map(int, after_name[11:13])) / os.sysconf("SC_CLK_TCK")
+
     def stop(self) -> None:
         """End all of it."""
         for process in (*self.workers, self.scheduler):
@@ -170,66 +201,194 @@ def cluster(folder: Path, workers: int) -> Iterator[Cluster]:
 
 def fleet(folder: Path, out: Path, address: str | None, most: int | None = None) -> subprocess.Popen[bytes]:
     """Start the command on a folder's robots."""
-    names = sorted(str(path) for path in folder.glob("robots/*/campaign.yaml"))[:most]
-    words = ["-m", "aridcal.fleet", *names, "-o", str(out), *(["--scheduler", address] if address else [])]
-    return subprocess.Popen([sys.executable, *words])
+    words = ["-m", "aridcal.fleet", *map(str, campaigns(folder, most)), "-o", str(out)]
+    return subprocess.Popen([sys.executable, *words, *(["--scheduler", address] if address else [])])
 
 
-def kills(folder: Path, every: float, compare: int, robots: int | None) -> None:
-    """A fleet while a worker is killed every so often, and the scheduler once, half-way."""
+def campaigns(folder: Path, most: int | None) -> list[Path]:
+    """Campaigns of a folder's robots, the first so many."""
+    return sorted(folder.glob("robots/*/campaign.yaml"))[:most]
+
+
+def different(robot: str, one: Path, other: Path) -> bool:
+    """Whether two fleets have different results of a robot."""
+    if any((one / robot / name).read_bytes() != (other / robot / name).read_bytes() for name in COMPARED):
+        return True
+    a, b = (json.loads((fleet / robot / "result.json").read_text("utf-8")) for fleet in (one, other))
+    return bool(a | {"seconds": 0} != b | {"seconds": 0})
+
+
+def kills(folder: Path, every: float, compare: int, robots: int | None, limit: float) -> int:
+    """A fleet while a worker is killed every so often, and the scheduler once, half-way; returns the exit status."""
     out = folder / "fleet"
     shutil.rmtree(out, ignore_errors=True)
+    asked = [path.parent.name for path in campaigns(folder, robots)]
     with cluster(folder, 2) as made:
+        made.ready()
         command = fleet(folder, out, made.address, robots)
-        asked = len(list(folder.glob("robots/*/campaign.yaml"))[:robots])
-        last, scheduler = time.monotonic(), False
-        while command.poll() is None:
+        began = last = time.monotonic()
+        scheduler = False
+        while command.poll() is None and time.monotonic() - began < limit:
             time.sleep(0.5)
             made.tend()
-            written = sum(line["what"] == "written" for line in made.noted())
-            if written and time.monotonic() - last > every:
+            done = sum(line["what"] == "written" for line in made.noted())
+            if done and time.monotonic() - last > every:
                 made.kill_worker()
                 last = time.monotonic()
-            if not scheduler and written >= asked // 2:
+            if not scheduler and done >= len(asked) // 2:
                 made.scheduler.send_signal(signal.SIGKILL)
                 made.scheduler.wait()
                 scheduler = True
+        seconds = time.monotonic() - began
+        stopped = command.poll() is None
+        if stopped:
+            command.kill()
+        command.wait()
         noted, dead = made.noted(), made.killed
-    times = Counter(line["robot"] for line in noted if line["what"] == "written")
-    begun = Counter(line["robot"] for line in noted if line["what"] == "begins")
-    print(f"exit status {command.returncode}; workers killed: {dead}; scheduler killed: {scheduler}")
-    print(f"robots asked {asked}, written {len(times)}, written twice {sum(n > 1 for n in times.values())}")
-    print(f"begun more than once {sum(n > 1 for n in begun.values())}, at most {max(begun.values())} times")
+    written, begun = (
+        Counter(line["robot"] for line in noted if line["what"] == what) for what in ("written", "begins")
+    )
+    there = [robot for robot in asked if all((out / robot / f).is_file() for f in (*COMPARED, "result.json"))]
+    beside = {}
+    undisturbed = folder / "on-2"
+    both = [robot for robot in there if (undisturbed / robot / "result.json").is_file()]
+    beside["undisturbed fleet"] = (len(both), [robot for robot in both if different(robot, out, undisturbed)])
+    chosen = there[:: max(len(there) // compare, 1)][:compare] if compare else []
+    plain = identified(folder, chosen)
+    beside["plain identify"] = (len(chosen), [robot for robot in chosen if different(robot, out, plain)])
+    found = {
+        "load": os.getloadavg(),
+        "seconds": round(seconds, 1),
+        "stopped": stopped,
+        "exit status": command.returncode,
+        "workers killed": dead,
+        "scheduler killed": scheduler,
+        "robots asked": len(asked),
+        "missing": sorted(set(asked) - set(there)),
+        "computed to the end twice": [robot for robot, times in written.items() if times > 1],
+        "written, and killed before it was noted": sorted(set(there) - set(written)),
+        "begun more than once": sum(times > 1 for times in begun.values()),
+        "begun at most": max(begun.values(), default=0),
+        "compared with": {what: {"robots": n, "different": wrong} for what, (n, wrong) in beside.items()},
+    }
+    bad = (
+        stopped
+        or command.returncode
+        or found["missing"]
+        or found["computed to the end twice"]
+        or not scheduler
+        or not dead
+    )
+    return told(found, folder / "kills.json", bool(bad or any(wrong for _, wrong in beside.values())))
+
+
+def identified(folder: Path, robots: Sequence[str]) -> Path:
+    """Some robots calibrated by the command, one process each; returns the folder of the results."""
     plain = folder / "plain"
     shutil.rmtree(plain, ignore_errors=True)
-    chosen = [*times][:: max(len(times) // compare, 1)][:compare]
-    code = "import sys; from pathlib import Path; from aridcal.identify import main; sys.exit(main(sys.argv[1:]))"
-    wrong = []
-    for name in chosen:
-        campaign = folder / "robots" / name / "campaign.yaml"
-        words = [sys.executable, "-c", code, str(campaign), "-o", str(plain / name)]
-        subprocess.run(words, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-        files = ("calibrated.urdf", "residuals.csv")
-        wrong += [name] if any((plain / name / f).read_bytes() != (out / name / f).read_bytes() for f in files) else []
-    print(f"compared with one process: {len(chosen)} robots, different: {wrong or 'none'}")
+    for robot in robots:
+        words = [
+            "-m",
+            "aridcal",
+            "identify",
+            str(folder / "robots" / robot / "campaign.yaml"),
+            "-o",
+            str(plain / robot),
+        ]
+        subprocess.run([sys.executable, *words], check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    return plain
 
 
-def busy(folder: Path, robots: int) -> None:
-    """A fleet on one worker and on two."""
-    walls = []
+def told(found: dict[str, Any], path: Path, bad: bool) -> int:
+    """Print figures, keep them, and say whether all is as it should be."""
+    found |= {"as it should be": not bad}
+    path.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+    print("\n".join(f"{what}: {value}" for what, value in found.items()), flush=True)
+    return int(bad)
+
+
+def busy(folder: Path, robots: int | None, control: int, limit: float) -> int:
+    """A fleet on one worker and on two, and what the computer gives without Dask; returns the exit status."""
+    walls: dict[int, tuple[float, float]] = {}
+    found: dict[str, Any] = {"robots": len(campaigns(folder, robots)), "load at first": os.getloadavg()}
+    wrong: list[str] = []
     for workers in (1, 2):
         out = folder / f"on-{workers}"
         shutil.rmtree(out, ignore_errors=True)
         with cluster(folder, workers) as made:
-            time.sleep(20)  # until workers have loaded what they need
-            fleet(folder, out, made.address, robots).wait()
+            made.ready()
+            began = time.monotonic()
+            command = fleet(folder, out, made.address, robots)
+            stop = threading.Timer(limit, command.kill)
+            stop.start()
+            _, status, used = os.wait4(command.pid, 0)
+            stop.cancel()
+            whole = time.monotonic() - began
+            scheduler = made.scheduler_cpu()
             noted = made.noted()
-        walls.append(_report(noted, workers))
-    print(f"efficiency by wall time: {walls[0] / (2 * walls[1]):.3f} (tells something on a quiet machine alone)")
+        figures = _figures(noted, workers)
+        found[f"{workers} worker{'s' * (workers > 1)}"] = figures | {
+            "whole command [s]": round(whole, 2),
+            "CPU of the command [s]": round(used.ru_utime + used.ru_stime, 2),
+            "CPU of the scheduler [s]": round(scheduler, 2),
+        }
+        walls[workers] = whole, figures["first begin to last end [s]"]
+        wrong += [f"exit status {status} with {workers}"] if status else []
+        wrong += ["BLAS threads"] if figures["BLAS threads"] != 1 else []
+    found["efficiency, whole command"] = round(walls[1][0] / (2 * walls[2][0]), 4)
+    found["efficiency, first begin to last end"] = round(walls[1][1] / (2 * walls[2][1]), 4)
+    found["load at last"] = os.getloadavg()
+    if control:
+        found["efficiency of the computer, two plain processes"] = round(plain_efficiency(folder, control), 4)
+    names = [path.parent.name for path in campaigns(folder, robots)]
+    wrong += [name for name in names if different(name, folder / "on-1", folder / "on-2")] if not wrong else []
+    found["wrong"] = wrong
+    return told(found, folder / "workers.json", bool(wrong))
 
 
-def _report(noted: list[dict[str, Any]], workers: int) -> float:
-    """Busy time and CPU of workers between the first robot's begin and the last one's; returns the wall time, [s]."""
+PLAIN = """
+import sys, time
+from pathlib import Path
+from aridcal.plant.work import Task, calibrated, inputs_at
+from aridcal.result_folder import write_folder
+out = Path(sys.argv[1])
+given = map(Path, sys.argv[2:])
+tasks = [Task(c.parent.name, str(c), str(out / c.parent.name), inputs_at(c)[0].key, write_folder) for c in given]
+calibrated(tasks.pop(0))  # what is loaded when it is needed
+print("ready", flush=True); sys.stdin.readline()
+started = time.monotonic()
+for task in tasks:
+    assert calibrated(task)["status"] == "done"
+print(time.monotonic() - started)
+"""
+"""Robots calibrated one after another, without Dask."""
+
+
+def plain_efficiency(folder: Path, robots: int) -> float:
+    """Wall time of one process that calibrates some robots, over that of two at once with as many each."""
+    walls = []
+    chosen = [str(path.absolute()) for path in campaigns(folder, robots + 1)]
+    for processes in (1, 2):
+        shutil.rmtree(folder / "control", ignore_errors=True)
+        running = []
+        for k in range(processes):
+            out = folder / "control" / str(k)
+            out.mkdir(parents=True)
+            words = [sys.executable, "-c", PLAIN, str(out), *chosen]
+            running.append(subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True))
+        for process in running:
+            assert process.stdout is not None
+            process.stdout.readline()
+        for process in running:
+            assert process.stdin is not None
+            process.stdin.write("\n")
+            process.stdin.flush()
+        walls.append(np.mean([float(process.communicate()[0]) for process in running]))
+    return float(walls[0] / walls[1])
+
+
+def _figures(noted: list[dict[str, Any]], workers: int) -> dict[str, Any]:
+    """Busy time and CPU of workers between the first robot's begin and the last one's end."""
     begun: dict[int, dict[str, Any]] = {}
     spans, cpu = [], []
     for line in noted:
@@ -241,45 +400,53 @@ def _report(noted: list[dict[str, Any]], workers: int) -> float:
     first, last = min(a for a, _ in spans), max(b for _, b in spans)
     # The end, when one worker has nothing left to do, is counted: of 200 robots it is half a robot.
     share = sum(b - a for a, b in spans) / (workers * (last - first))
-    rest = np.median([later[0] - earlier[1] for earlier, later in _turns(noted)])
-    print(
-        f"{workers} worker{'s' * (workers > 1)}: {len(spans)} robots in {last - first:.1f} s, busy {100 * share:.2f} %, "
-        f"between two robots {1e3 * rest:.0f} ms, CPU per robot {np.mean(cpu):.3f} s (median {np.median(cpu):.3f})"
-    )
-    return last - first
+    ends = {pid: max(b for _, b in own) for pid, own in _spans(noted).items()}
+    turns = [later[0] - earlier[1] for own in _spans(noted).values() for earlier, later in itertools.pairwise(own)]
+    return {
+        "first begin to last end [s]": round(last - first, 2),
+        "busy": round(share, 4),
+        "alone at the end [s]": round(last - min(ends.values()), 2),
+        "between two robots, median [ms]": round(1e3 * float(np.median(turns))),
+        "between two robots, in all [s]": round(sum(turns), 2),
+        "CPU per robot, mean [s]": round(float(np.mean(cpu)), 3),
+        "CPU per robot, largest [s]": round(max(cpu), 3),
+        "CPU over wall time while busy": round(sum(cpu) / sum(b - a for a, b in spans), 3),
+        "BLAS threads": max(line["threads"] for line in noted if line["what"] == "writes"),
+    }
 
 
-def _turns(noted: list[dict[str, Any]]) -> list[tuple[tuple[float, float], tuple[float, float]]]:
-    """Pairs of robots that followed each other on one worker, as (begin, end)."""
+def _spans(noted: list[dict[str, Any]]) -> dict[int, list[list[float]]]:
+    """Begin and end of every robot, by worker."""
     own: dict[int, list[list[float]]] = {}
     for line in noted:
         if line["what"] == "begins":
             own.setdefault(line["pid"], []).append([line["time"]])
         elif line["what"] == "ends":
             own[line["pid"]][-1].append(line["time"])
-    whole = [[(a, b) for a, b in spans] for spans in own.values()]
-    return [pair for spans in whole for pair in itertools.pairwise(spans)]
+    return own
 
 
-def main() -> None:
+def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("job", choices=("make", "kills", "workers"))
     parser.add_argument("folder", type=Path)
-    parser.add_argument("--robots", type=int)
+    parser.add_argument("--robots", type=int, help="the first so many (default: all; of `make` 200)")
     parser.add_argument("--months", type=int, default=0)
     parser.add_argument("--drifting", type=int, default=0)
     parser.add_argument("--rows", type=int, default=200)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--every", type=float, default=20.0)
     parser.add_argument("--compare", type=int, default=10)
+    parser.add_argument("--control", type=int, default=16, help="robots of each plain process; 0: none")
+    parser.add_argument("--limit", type=float, default=900.0, help="of each fleet [s]")
     asked = parser.parse_args()
     if asked.job == "make":
         make(asked.folder, asked.robots or 200, asked.months, asked.drifting, asked.rows, asked.seed)
-    elif asked.job == "kills":
-        kills(asked.folder, asked.every, asked.compare, asked.robots)
-    else:
-        busy(asked.folder, asked.robots or 40)
+        return 0
+    if asked.job == "kills":
+        return kills(asked.folder, asked.every, asked.compare, asked.robots, asked.limit)
+    return busy(asked.folder, asked.robots, asked.control, asked.limit)
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from aridcal.errors import AridcalError, CampaignError, nearest
 from aridcal.inputs.campaign import Campaign, Job
@@ -31,6 +30,7 @@ from aridcal.result.folder import parameters
 from aridcal.result.key_figures import scored
 from aridcal.result.outcome import Outcome, errors
 from aridcal.result.pipeline import identify
+from aridcal.showing import one_thread
 
 Row = dict[str, Any]
 """Of ``study.parquet``."""
@@ -195,7 +195,7 @@ def tried(trial: Trial) -> Row:
         "run": trial.run,
         "seed": trial.seed,
     }
-    with threadpool_limits(1, user_api="blas"):
+    with one_thread():
         try:
             job = load_study(Path(trial.path))
             found = _simulated(job, trial) if isinstance(job, Scenario) else _halved(job, trial)

@@ -11,8 +11,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
-from threadpoolctl import threadpool_limits
-
 from aridcal.errors import AridcalError, BusyError, MeasurementError
 from aridcal.head.found import CACHE
 from aridcal.inputs.campaign import Campaign, load_campaign
@@ -21,6 +19,7 @@ from aridcal.plant.record import FILE, Row, as_text, done_row, failed_row, row_i
 from aridcal.prepare.other_readings import refuse_misread
 from aridcal.result.outcome import Outcome
 from aridcal.result.pipeline import identify
+from aridcal.showing import one_thread
 from aridcal.writing.files import claimed
 
 PASSING = frozenset(
@@ -83,7 +82,7 @@ def calibrated(task: Task) -> Row:
     Returns:
         The robot's row, ``done`` or ``failed``.
     """
-    with _one_at_a_time, threadpool_limits(1, user_api="blas"):
+    with _one_at_a_time, one_thread():
         started = time.perf_counter()
         for attempt in range(1, TRIES + 1):
             try:
