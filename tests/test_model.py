@@ -16,6 +16,8 @@ from aridcal.effects.effect import FRAME_COMPONENTS, LINK_COMPONENTS, Coefficien
 from aridcal.effects.loads import Surroundings
 from aridcal.errors import CovariateNotFound, MeasurementError
 from aridcal.fit.constants import constants, stage_urdf
+from aridcal.model.extended import MANY
+from aridcal.model.many_rows import AT_ONCE
 from aridcal.model.model import Model
 from aridcal.robot.chain import Robot, parse_robot
 from aridcal.robot.doty import doty_links, link_transform
@@ -75,6 +77,36 @@ def rows_of(model: Model, n: int = 6, seed: int = 1):  # type: ignore[no-untyped
     rng = np.random.default_rng(seed)
     q = robots.readings(model.robot, n, rng)
     return q, model.rows(q, {"time": rng.uniform(0, 1, n)})
+
+
+@pytest.mark.parametrize("which", SETS)
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_many_rows_walked_together_are_where_pinocchio_has_each(robot: str, which: str) -> None:
+    model = build(ROBOTS[robot](), SETS[which](ROBOTS[robot]()))
+    theta = np.random.default_rng(5).uniform(-0.1, 0.1, len(model.coefficients))
+    _, rows = rows_of(model, MANY + 20)
+    theta[[not c.basis.constant for c in model.coefficients]] /= np.abs(rows.phi).max(axis=0)  # loads are large numbers
+    together = (*model.jacobian(theta, rows), *model.poses(theta, rows))
+    few = [rows[slice(start, start + 44)] for start in range(0, len(rows), 44)]
+    one_by_one = [(*model.jacobian(theta, some), *model.poses(theta, some)) for some in few]
+    for found, each in zip(together, zip(*one_by_one, strict=True), strict=True):
+        np.testing.assert_allclose(found, np.concatenate(each), rtol=0, atol=2e-14 * np.abs(found).max())
+
+
+def test_poses_of_many_rows_at_stations_are_those_of_each_station() -> None:
+    arm, rng = robots.arid(), np.random.default_rng(0)
+    frames = tuple((name, robots.random_placement(rng)) for name in "ab")
+    at_each = tuple(Coefficient("world_base", c, station=name) for name in "ab" for c in ("x", "yaw"))
+    model = Model(arm, (*at_each, *constants(arm, "full")), frames, ((None, robots.random_placement(rng)),))
+    theta = rng.uniform(-0.1, 0.1, len(model.coefficients))
+    station = rng.choice(["a", "b"], 2 * AT_ONCE + 300)
+    rows = model.rows(robots.readings(arm, len(station), rng), station=station)
+    R, p = model.poses(theta, rows)
+    for name in "ab":
+        own = np.flatnonzero(station == name)[::37]
+        few = [model.jacobian(theta, rows[own[k : k + 1]]) for k in range(len(own))]
+        np.testing.assert_allclose(R[own], np.concatenate([f[0] for f in few]), rtol=0, atol=1e-13)
+        np.testing.assert_allclose(p[own], np.concatenate([f[1] for f in few]), rtol=0, atol=1e-13)
 
 
 @pytest.mark.parametrize("which", SETS)

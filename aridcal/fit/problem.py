@@ -21,6 +21,7 @@ from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.channels import Channels
 from aridcal.instruments.pose import residuals
 from aridcal.instruments.setup import Instruments
+from aridcal.model.many_rows import stretches
 from aridcal.model.measured import Measured, Slopes, States, located, measured
 from aridcal.model.model import Model, Rows
 from aridcal.showing import SILENT, Progress
@@ -117,12 +118,21 @@ class Problem:
 
         Things that the model does not know are solved for from these rows alone, and the freedom that this takes is given back.
         """
-        R, p = self.model.poses(theta, self.rows)
         if self.measured is None:
-            return residuals(R, p, self.data.position, self.data.rotation)
+            return self._of_target(theta)
+        R, p = self.model.poses(theta, self.rows)
         states, stretch = located(self.measured, R, p, theta, self.rows, self.states)
         r = self.measured.residual(R, p, theta, self.rows, states)
         return r * stretch[:, None]
+
+    def _of_target(self, theta: np.ndarray) -> np.ndarray:
+        """Residuals of the target's own pose, shape (N, m), in stretches, so that their axes are never there at once."""
+        position, rotation = self.data.position, self.data.rotation
+        left = np.empty((len(self), sum(channel.size for channel in self.channels)))
+        for part in stretches(slice(None), len(self)):
+            R, p = self.model.poses(theta, self.rows[part])
+            left[part] = residuals(R, p, position[part], None if rotation is None else rotation[part])
+        return left
 
     def scaled_residual(self, theta: np.ndarray) -> np.ndarray:
         """The same, divided by the rows' relative sigmas."""

@@ -18,7 +18,8 @@ import numpy as np
 import pinocchio as pin
 
 from aridcal.effects.effect import LINK_COMPONENTS, Coefficient
-from aridcal.model.motions import Motion, joint_model, motion, rank, transform
+from aridcal.model.many_rows import Stepped, stepped, twists, walked
+from aridcal.model.motions import Motion, joint_model, motion, move_to, placed, rank, transform, turned
 from aridcal.robot.chain import Joint, Robot
 from aridcal.robot.doty import Link, doty_links, segments
 
@@ -34,6 +35,9 @@ workspace grows with their cube: 0.1 GB for these, 3 GB for the 430 of an arm of
 
 SEGMENT = 48
 """Joints of each part of a longer one, whose workspaces take 5 MB."""
+
+MANY = 200
+"""Rows from which they are walked together (:mod:`aridcal.model.many_rows`): an arm of six takes as long either way for 150."""
 
 Group = Literal["constant", "effect", "link", "own"]
 
@@ -250,6 +254,8 @@ class ExtendedModel:
             tip: Likewise.
         """
         end = self._place(world, tip)
+        if len(q) >= MANY:
+            return placed(*walked(self._stepped, q)[1:], end)
         R, p = np.empty((len(q), 3, 3)), np.empty((len(q), 3))
         for segment in self.segments:
             own, model, data = q[:, segment.columns], segment.model, segment.data
@@ -260,12 +266,16 @@ class ExtendedModel:
                 pin.forwardKinematics(model, data, own[i])
                 turn[i], shift[i] = rotation, translation
             if segment.first:
-                R, p = R @ turn, p + _turned(R, shift)
-        return _at(R, p, end)
+                R, p = R @ turn, p + turned(R, shift)
+        return placed(R, p, end)
 
     def jacobian(self, q: np.ndarray, world: int, tip: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The same, and the twist of the point at the world's origin that each joint causes, shape (n, 6, nv)."""
+        """The same, and the twist of the target that each joint causes, in world axes, shape (n, 6, nv)."""
         end = self._place(world, tip)
+        if len(q) >= MANY:
+            frames, R, p = walked(self._stepped, q)
+            R, p = placed(R, p, end)
+            return R, p, twists(frames, p)
         R, p = np.empty((len(q), 3, 3)), np.empty((len(q), 3))
         wide = np.empty((len(q), 6, q.shape[1]))
         for segment in self.segments:
@@ -281,8 +291,10 @@ class ExtendedModel:
                 # From the end of the segments before to the world: v = R v + p x R w, w = R w.
                 J[:, :3], J[:, 3:] = R @ J[:, :3], R @ J[:, 3:]
                 J[:, :3] += np.cross(p[:, :, None], J[:, 3:], axis=1)
-                R, p = R @ turn, p + _turned(R, shift)
-        return *_at(R, p, end), wide
+                R, p = R @ turn, p + turned(R, shift)
+        R, p = placed(R, p, end)
+        move_to(p, wide)
+        return R, p, wide
 
     def locked(self, value: Mapping[Slot, float], moving: set[Slot], world: int, tip: int) -> tuple[pin.Model, pin.SE3]:
         """The model with few joints left, bodies included, and the target's placement on its last joint.
@@ -370,6 +382,13 @@ class ExtendedModel:
         """Place the joint of coordinate k on the one before."""
         number, place = divmod(k, self._size)
         self.segments[number].model.jointPlacements[place + 1] = placement
+        self._stepped.placement[k] = placement.homogeneous
+
+    @cached_property
+    def _stepped(self) -> Stepped:
+        """All its joints as arrays."""
+        joints, _ = self._joints(pin.SE3.Identity(), pin.SE3.Identity())
+        return stepped([(placement, move) for placement, _, move in joints])
 
     @property
     def _size(self) -> int:
@@ -379,13 +398,3 @@ class ExtendedModel:
     @cached_property
     def _needed(self) -> tuple[Slot, ...]:
         return tuple(dict.fromkeys(self.slots))
-
-
-def _turned(R: np.ndarray, p: np.ndarray) -> np.ndarray:
-    """Vectors (n, 3) turned by rotations (n, 3, 3)."""
-    return np.asarray((R @ p[:, :, None])[:, :, 0])
-
-
-def _at(R: np.ndarray, p: np.ndarray, end: pin.SE3) -> tuple[np.ndarray, np.ndarray]:
-    """Poses of what stands at ``end`` on the last joint."""
-    return R @ end.rotation, p + R @ end.translation

@@ -17,7 +17,8 @@ from aridcal.effects.sights import is_sight, sight_table
 from aridcal.errors import CovariateNotFound, MeasurementError
 from aridcal.instruments.setup import Instruments
 from aridcal.model.extended import ORDER, ExtendedModel, Slot, own_slot
-from aridcal.model.motions import motion, move_to, transform
+from aridcal.model.many_rows import stretches
+from aridcal.model.motions import motion, transform
 from aridcal.robot.chain import Robot
 
 SIZES = {"m": 1.0, "rad": 1.0, "px": 500.0, "1": 10.0, "1/m": 1.0}
@@ -164,9 +165,9 @@ class Model:
         if self.at_things.any():
             return self._arm.poses(theta[~self.at_things], self._of_arm(rows))
         R, p = np.empty((len(rows), 3, 3)), np.empty((len(rows), 3))
-        q = self._configurations(theta, rows)
         for index, world, tip in self._variants(rows):
-            R[index], p[index] = self._extended.poses(q[index], world, tip)
+            for part in stretches(index, len(rows)):
+                R[part], p[part] = self._extended.poses(self._configurations(theta, rows[part]), world, tip)
         return R, p
 
     def jacobian(self, theta: np.ndarray, rows: Rows) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -191,13 +192,13 @@ class Model:
 
     def motions(self, theta: np.ndarray, rows: Rows) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The poses, and the twists of the target that the extended model's joints cause, shape (N, 6, joints)."""
-        n = len(rows)
+        n, q, variants = len(rows), self._configurations(theta, rows), self._variants(rows)
+        if len(variants) == 1:
+            return self._extended.jacobian(q, *variants[0][1:])
         R, p = np.empty((n, 3, 3)), np.empty((n, 3))
         twists = np.empty((n, 6, len(self._extended.index)))
-        q = self._configurations(theta, rows)
-        for index, world, tip in self._variants(rows):
+        for index, world, tip in variants:
             R[index], p[index], twists[index] = self._extended.jacobian(q[index], world, tip)
-        move_to(p, twists)
         return R, p, twists
 
     def of_coefficients(self, twists: np.ndarray, rows: Rows) -> np.ndarray:

@@ -72,3 +72,13 @@ def move_to(p: np.ndarray, J: np.ndarray) -> None:
     J[:, 0] += wy * z - wz * y
     J[:, 1] += wz * x - wx * z
     J[:, 2] += wx * y - wy * x
+
+
+def turned(R: np.ndarray, p: np.ndarray) -> np.ndarray:
+    """Vectors (n, 3) turned by rotations (n, 3, 3)."""
+    return np.asarray((R @ p[:, :, None])[:, :, 0])
+
+
+def placed(R: np.ndarray, p: np.ndarray, end: pin.SE3) -> tuple[np.ndarray, np.ndarray]:
+    """Poses of what stands at ``end`` on a joint, from those of the joint, shape (n, 3, 3) and (n, 3)."""
+    return R @ end.rotation, p + R @ end.translation
