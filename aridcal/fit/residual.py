@@ -101,12 +101,15 @@ def linearise(question: Problem, theta: np.ndarray, weight: np.ndarray | None, s
         few = len(some) < count
         J = J[:, :, some] if few else J
         for k, part in enumerate(columns(channels)):
-            A = (J[:, part] * root[:, :, None]).reshape(r[:, part].size, len(some))
+            A = (J[:, part] * root[:, :, None]).transpose(
+                1, 2, 0
+            )  # number by number: rows run fastest in J, or slowest
+            own = (A @ A.transpose(0, 2, 1)).sum(axis=0)
             if few:
-                AA[k][np.ix_(some, some)] += A.T @ A
+                AA[k][np.ix_(some, some)] += own
             else:
-                AA[k] += A.T @ A
-            Ar[k][some] += A.T @ (r[:, part] * root).ravel()
+                AA[k] += own
+            Ar[k][some] += (A @ (r[:, part] * root).T[:, :, None])[:, :, 0].sum(axis=0)
         parts.append(seen)
         used.append(w)
     residual, weight = np.concatenate(parts), np.concatenate(used)

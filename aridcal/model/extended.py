@@ -11,7 +11,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, reduce
+from operator import mul
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -22,6 +23,7 @@ from aridcal.model.many_rows import Stepped, stepped, twists, walked
 from aridcal.model.motions import Motion, joint_model, motion, move_to, placed, rank, transform, turned
 from aridcal.robot.chain import Joint, Robot
 from aridcal.robot.doty import Link, doty_links, segments
+from aridcal.robot.kinematics import carried_bodies
 
 # C(x, y, z, roll, pitch, yaw) = Tx Ty Tz Rz(yaw) Ry(pitch) Rx(roll): exactly URDF's xyz and rpy.
 ORDER = ("x", "y", "z", "yaw", "pitch", "roll")
@@ -36,8 +38,9 @@ workspace grows with their cube: 0.1 GB for these, 3 GB for the 430 of an arm of
 SEGMENT = 48
 """Joints of each part of a longer one, whose workspaces take 5 MB."""
 
-MANY = 200
-"""Rows from which they are walked together (:mod:`aridcal.model.many_rows`): an arm of six takes as long either way for 150."""
+MANY = 40
+"""Rows from which they are walked together (:mod:`aridcal.model.many_rows`): 0.3 ms and 0.5 us a row. Pinocchio takes 2 us a row,
+and 2 ms or more to make a model, of which few questions are asked as a rule."""
 
 Group = Literal["constant", "effect", "link", "own"]
 
@@ -154,17 +157,6 @@ def _sorted(needed: Sequence[Slot], where: str, group: Group, joint: Joint | Non
     return [(slot, motion(slot.component, joint)) for slot in found]
 
 
-def carried_bodies(robot: Robot) -> dict[str, pin.Inertia]:
-    """Inertia carried by each joint of the chain: fixed links and locked side branches included."""
-    tree = robot.tree.copy()
-    for frame in tree.frames:  # Pinocchio looks for frames by name, and a link may have that of a joint
-        if frame.type != pin.FrameType.JOINT:
-            frame.name = f"{frame.name} {frame.type}"
-    lock = [k for k in range(1, tree.njoints) if tree.names[k] not in robot.names]
-    reduced = pin.buildReducedModel(tree, lock, pin.neutral(tree))
-    return {name: reduced.inertias[reduced.getJointId(name)] for name in robot.names}
-
-
 @dataclass(frozen=True)
 class Segment:
     """A stretch of an extended model's joints, as a Pinocchio model of its own.
@@ -253,9 +245,10 @@ class ExtendedModel:
             world: Index of the frame to use.
             tip: Likewise.
         """
-        end = self._place(world, tip)
         if len(q) >= MANY:
-            return placed(*walked(self._stepped, q)[1:], end)
+            joints, end = self._standing(world, tip)
+            return placed(*walked(joints, q)[1:], end)
+        end = self._place(world, tip)
         R, p = np.empty((len(q), 3, 3)), np.empty((len(q), 3))
         for segment in self.segments:
             own, model, data = q[:, segment.columns], segment.model, segment.data
@@ -271,11 +264,12 @@ class ExtendedModel:
 
     def jacobian(self, q: np.ndarray, world: int, tip: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The same, and the twist of the target that each joint causes, in world axes, shape (n, 6, nv)."""
-        end = self._place(world, tip)
         if len(q) >= MANY:
-            frames, R, p = walked(self._stepped, q)
+            joints, end = self._standing(world, tip)
+            frames, R, p = walked(joints, q)
             R, p = placed(R, p, end)
             return R, p, twists(frames, p)
+        end = self._place(world, tip)
         R, p = np.empty((len(q), 3, 3)), np.empty((len(q), 3))
         wide = np.empty((len(q), 6, q.shape[1]))
         for segment in self.segments:
@@ -352,37 +346,39 @@ class ExtendedModel:
         return found, pending
 
     def _place(self, world: int, tip: int) -> pin.SE3:
-        """Bring one pair of frames into the segments; returns the target's placement on the last joint.
+        """Bring one pair of frames into the segments; returns the target's placement on the last joint."""
+        changed, end = self._ends(world, tip)
+        for k, placement in changed.items():
+            number, place = divmod(k, self._size)
+            self.segments[number].model.jointPlacements[place + 1] = placement
+        return end
+
+    def _standing(self, world: int, tip: int) -> tuple[Stepped, pin.SE3]:
+        """All joints as arrays, with one pair of frames, and the target's placement on the last."""
+        changed, end = self._ends(world, tip)
+        for k, placement in changed.items():
+            self._stepped.placement[k] = placement.homogeneous
+        return self._stepped, end
+
+    def _ends(self, world: int, tip: int) -> tuple[dict[int, pin.SE3], pin.SE3]:
+        """Placements that one pair of frames gives to joints, by their coordinates, and that of the target on the last one.
 
         Frames differ in two placements alone: thousands of stations need no model each.
         """
         before, after, held = self._beyond
-        first, end = self.world_base[world], pin.SE3.Identity()
-        for placement in before:
-            first = first * placement
-        for placement in after:
-            end = end * placement
-        end = end * self.tip_target[tip]
-        self._set_placement(0, first)
-        if held:
-            self._set_placement(len(self.index) - held, end)
-            return pin.SE3.Identity()
-        return end
+        first, end = self.world_base[world] * before, after * self.tip_target[tip]
+        return ({0: first, len(self.index) - held: end}, pin.SE3.Identity()) if held else ({0: first}, end)
 
     @cached_property
-    def _beyond(self) -> tuple[list[pin.SE3], list[pin.SE3], int]:
-        """Placements between the base's frame and the first joint, those after the last one, and how many joints hold the tip."""
+    def _beyond(self) -> tuple[pin.SE3, pin.SE3, int]:
+        """From the base's frame to the first joint, from the last one to the tip's, and how many joints hold the tip."""
         inner = [k for k, step in enumerate(self.chain) if step.slot is not None]
-        moved = bool(frame_slots("world_base", self._needed))
-        before = [] if moved else [step.placement for step in self.chain[: inner[0] + 1]]
-        after = [step.placement for step in self.chain[inner[-1] + 1 :]]
+        first = 0 if frame_slots("world_base", self._needed) else inner[0] + 1
+        before, after = (
+            reduce(mul, [step.placement for step in part], pin.SE3.Identity())
+            for part in (self.chain[:first], self.chain[inner[-1] + 1 :])
+        )
         return before, after, len(frame_slots("tip_target", self._needed))
-
-    def _set_placement(self, k: int, placement: pin.SE3) -> None:
-        """Place the joint of coordinate k on the one before."""
-        number, place = divmod(k, self._size)
-        self.segments[number].model.jointPlacements[place + 1] = placement
-        self._stepped.placement[k] = placement.homogeneous
 
     @cached_property
     def _stepped(self) -> Stepped:

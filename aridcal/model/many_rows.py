@@ -106,23 +106,24 @@ def walked(joints: Stepped, q: np.ndarray) -> tuple[list[Moving], np.ndarray, np
 
 
 def twists(frames: Sequence[Moving], target: np.ndarray) -> np.ndarray:
-    """Twists of the target in world axes by each joint, shape (n, 6, nv): linear, then angular.
+    """Twists of the target in world axes by each joint, shape (n, 6, nv): linear, then angular. In memory rows run fastest.
 
     Args:
         frames: Those that move; see :func:`walked`.
         target: Where the target is, shape (n, 3), [m].
     """
-    made = np.empty((len(target), 6, frames[-1].part.stop))
-    levers = np.empty((6, 3, len(target)))  # the axes, and what the target does where a frame turns about each of them
+    n = len(target)
+    made = np.empty((frames[-1].part.stop, 6 * n))
+    levers = np.empty((6, 3, n))  # the axes, and what the target does where a frame turns about each of them
     for axes, origin, part, screws in frames:
         x, y, z = origin - target.T
         levers[:3], by = axes, levers[3:]
         by[:, 0] = y * axes[:, 2] - z * axes[:, 1]
         by[:, 1] = z * axes[:, 0] - x * axes[:, 2]
         by[:, 2] = x * axes[:, 1] - y * axes[:, 0]
-        for own, of in ((slice(3), _product(levers, screws)), (slice(3, 6), _product(axes, screws[3:]))):
-            made[:, own, part] = of.transpose(1, 0, 2)
-    return made
+        np.matmul(screws.T, levers.reshape(6, -1), out=made[part, : 3 * n])
+        np.matmul(screws[3:].T, axes.reshape(3, -1), out=made[part, 3 * n :])
+    return made.reshape(-1, 6, n).transpose(2, 1, 0)
 
 
 def _between(joints: Stepped, value: np.ndarray, moves: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -168,8 +169,3 @@ def _held(joints: Stepped, value: np.ndarray) -> np.ndarray:
 def _along(axes: np.ndarray, numbers: np.ndarray) -> np.ndarray:
     """Vectors of which these are the numbers along axes (3, 3, n): (3, k) numbers to (k, 3, n), (3,) numbers to (3, n)."""
     return np.asarray((numbers.T @ axes.reshape(3, -1)).reshape(*numbers.shape[1:], *axes.shape[1:]))
-
-
-def _product(vectors: np.ndarray, screws: np.ndarray) -> np.ndarray:
-    """Sums of vectors (a, 3, n) by the columns of (a, k), shape (3, n, k)."""
-    return np.asarray((vectors.reshape(len(vectors), -1).T @ screws).reshape(*vectors.shape[1:], screws.shape[1]))

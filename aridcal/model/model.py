@@ -188,22 +188,22 @@ class Model:
             R, p, J[:, :, ~self.at_things] = self._arm.jacobian(theta[~self.at_things], self._of_arm(rows))
             return R, p, J
         R, p, twists = self.motions(theta, rows)
-        return R, p, self.of_coefficients(twists, rows)
+        return R, p, np.ascontiguousarray(self.of_coefficients(twists, rows))
 
     def motions(self, theta: np.ndarray, rows: Rows) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The poses, and the twists of the target that the extended model's joints cause, shape (N, 6, joints)."""
+        """The poses, and the twists of the target that the extended model's joints cause, (N, 6, joints), rows fastest."""
         n, q, variants = len(rows), self._configurations(theta, rows), self._variants(rows)
         if len(variants) == 1:
             return self._extended.jacobian(q, *variants[0][1:])
         R, p = np.empty((n, 3, 3)), np.empty((n, 3))
-        twists = np.empty((n, 6, len(self._extended.index)))
+        twists = np.empty((q.shape[1], 6, n)).transpose(2, 1, 0)
         for index, world, tip in variants:
             R[index], p[index], twists[index] = self._extended.jacobian(q[index], world, tip)
         return R, p, twists
 
     def of_coefficients(self, twists: np.ndarray, rows: Rows) -> np.ndarray:
         """What joints do, or anything linear in that, shape (N, m, joints), as what coefficients do, shape (N, m, K)."""
-        J = np.take(twists, self._extended.carrier, axis=2)
+        J = twists.T[self._extended.carrier].T  # rows stay what runs fastest in memory
         if len(self._based):
             first, last = self._based[0], self._based[-1] + 1
             # Constants stand before all others as a rule: then no part is copied.

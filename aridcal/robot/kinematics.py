@@ -197,3 +197,14 @@ def locked_placement(model: pin.Model, frame: pin.Frame) -> pin.SE3:
     while k > 0:
         placement, k = model.jointPlacements[k] * placement, model.parents[k]
     return placement
+
+
+def carried_bodies(robot: Robot) -> dict[str, pin.Inertia]:
+    """Inertia carried by each joint of the chain: fixed links and locked side branches included."""
+    tree = robot.tree.copy()
+    for frame in tree.frames:  # Pinocchio looks for frames by name, and a link may have that of a joint
+        if frame.type != pin.FrameType.JOINT:
+            frame.name = f"{frame.name} {frame.type}"
+    lock = [k for k in range(1, tree.njoints) if tree.names[k] not in robot.names]
+    reduced = pin.buildReducedModel(tree, lock, pin.neutral(tree))
+    return {name: reduced.inertias[reduced.getJointId(name)] for name in robot.names}
