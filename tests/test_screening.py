@@ -6,14 +6,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_hints import linear, made_up, with_effect
+from scipy.stats import wilcoxon
+from test_hints import SLOTS, linear, made_up, with_effect
 
 from aridcal.effects.basis import Basis
 from aridcal.effects.effect import Coefficient, Effect
 from aridcal.effects.kinds import turns
 from aridcal.fit.normal_equations import conditional
+from aridcal.search import products
 from aridcal.search.evidence import Score, solve
+from aridcal.search.grids import local
 from aridcal.search.linear_model import Active
+from aridcal.search.scoring import signed_ranks
 from aridcal.search.screening import score_all, score_without
 from aridcal.search.state import State, activate, by_fold, solve_state
 
@@ -73,12 +77,14 @@ def test_scores_without_an_effect_are_those_of_the_model_solved_without_it(gone,
     information = other.equations.information(sigma) + other.precision
     V = np.linalg.inv(information)
     solution = replace(other.solution, beta=V @ other.equations.pull(sigma), sigma=sigma, inverse=V)
-    slowly = score_all(made.model, [WARM, gone, WAVE, CURVE], replace(other, solution=solution))
+    slowly = score_all(made.model, [WARM, gone], replace(other, solution=solution))
     fast = score_without(made.model, [WARM, gone, WAVE, CURVE], made, [gone])
     assert list(fast) == [gone]
-    for one, effect in zip(slowly, [WARM, gone, WAVE, CURVE], strict=True):
+    assert set(fast[gone]) == {WARM, gone}  # the other one is in the model, and no candidate
+    for one, effect in zip(slowly, [WARM, gone], strict=True):
         assert fast[gone][effect].gain == pytest.approx(one.gain, rel=1e-5, abs=1e-4)
         assert fast[gone][effect].freedom == one.freedom
+    assert not score_without(made.model, [WARM], made, [])
 
 
 def test_unknowns_that_become_zero_leave_the_solution_of_the_others():
@@ -98,3 +104,78 @@ def test_noise_and_coefficients_agree_when_they_are_found():
     np.testing.assert_allclose(np.sqrt(left), found.sigma, rtol=3e-3)
     H = made.equations.information(found.sigma) + made.precision
     np.testing.assert_allclose(found.inverse @ H, np.eye(len(H)), atol=1e-6)
+
+
+def curves(of: str) -> list[Effect]:
+    """Smooth functions of a column at every slot."""
+    centres = np.arange(-3.0, 3.1, 0.4)
+    return [
+        Effect(
+            "unknown",
+            where,
+            tuple(Coefficient(where, what, Basis("bump", (of,), (c, 0.4))) for c in centres),
+            smooth=True,
+        )
+        for where, what in SLOTS
+    ]
+
+
+def in_two_places(of: str) -> Effect:
+    """A smooth function that acts at two slots: a grid has no such columns, but its model may have."""
+    bases = [Basis("bump", (of,), (c, 0.5)) for c in np.arange(-3.0, 3.1, 0.5)]
+    return Effect("unknown", "j1", tuple(Coefficient(*slot, b) for slot in SLOTS[:2] for b in bases), smooth=True)
+
+
+def test_a_grid_gives_what_its_columns_give(monkeypatch):
+    """Against a curve, a wave, constants, curves of the grid itself and one of two slots, some rows not in use."""
+    candidates = [*curves("j1"), *curves("humidity"), WARM]
+    more = [candidates[1], candidates[6], in_two_places("j2")]
+    states = []
+    for least in (4, 10**9):  # as grids, and column by column
+        monkeypatch.setattr(products, "GRID", least)
+        made = solved()
+        b = made.model.prepare([*candidates, *more])
+        taken = [activate(b, made, effect, Score(1.0, 0.0, 3, tau=0.3)) for effect in more]
+        full = solve_state(b, [*made.active, *taken], np.ones(2), made.used, fixed=True)
+        chunks = list(b.products.chunks(candidates))
+        assert sum(chunk.grid is not None for chunk in chunks) == (2 if least == 4 else 0)
+        sums = {}
+        for effect in candidates:
+            chunk, own = b.products.chunk_of(effect)
+            sums[effect] = full.in_use(chunk, own)
+        states.append((score_all(b, candidates, full), sums, score_without(b, candidates, full, more)))
+    (grid, fast, without), (plain, slow, slowly) = states
+    for effect, one, other in zip(candidates, grid, plain, strict=True):
+        assert one.gain == pytest.approx(other.gain, rel=1e-7, abs=1e-7)
+        for a, b in zip(fast[effect], slow[effect], strict=True):
+            np.testing.assert_allclose(a, b, rtol=1e-10, atol=1e-9)
+    for gone in more:
+        assert set(without[gone]) == set(slowly[gone])
+        for effect, score in without[gone].items():
+            assert score.gain == pytest.approx(slowly[gone][effect].gain, rel=1e-6, abs=1e-6)
+
+
+def test_functions_that_are_not_zero_anywhere_are_not_local():
+    rng = np.random.default_rng(0)
+    values = np.where(rng.uniform(size=(50, 12)) < 0.2, rng.standard_normal((50, 12)), 0.0)
+    values[:, 3:] = np.where(np.cumsum(values[:, 3:] != 0.0, axis=1) > 1, 0.0, values[:, 3:])
+    values[7] = 0.0  # a row beyond all of them
+    sparse = local(values)
+    assert sparse is not None
+    weights = rng.standard_normal((50, 3))
+    np.testing.assert_allclose(sparse.sums(weights), values.T @ weights, atol=1e-12)
+    both = np.einsum("ni,nj->nij", values, values).reshape(50, -1)
+    np.testing.assert_allclose(sparse.times(sparse).sums(weights), both.T @ weights, atol=1e-12)
+    assert local(np.ones((50, 12))) is None
+
+
+@pytest.mark.parametrize("n", [51, 400])
+@pytest.mark.parametrize("ties", [False, True])
+def test_signed_ranks_have_the_chance_that_scipy_gives_them(n, ties):
+    rng = np.random.default_rng(n)
+    for shift in (-0.2, 0.0, 0.1, 0.4):
+        values = rng.standard_normal(n) + shift
+        values = np.round(values, 1) if ties else values  # zeros among them
+        expected = wilcoxon(values, alternative="greater").pvalue
+        assert signed_ranks(values) == pytest.approx(expected, rel=1e-9)
+    assert signed_ranks(np.zeros(n)) == 0.5  # nothing differs

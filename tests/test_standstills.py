@@ -188,3 +188,19 @@ def test_rows_of_plain_poses_stand_alone() -> None:
     data = gauges.rows(arm := gauges.arm(3), gauges.levels(arm, 10))
     twice = data.select(np.arange(20) % 10)
     assert np.array_equal(standstills(replace(twice, blocks=())), np.arange(20))
+
+
+def test_rows_that_stand_alone_are_stacked_as_any_others() -> None:
+    """The short way of rows that measure everything against the long way that others take."""
+    alone = stack(np.array([2, 0, 3, 1]), np.ones((4, 3), dtype=bool))
+    assert alone.apart
+    values, covariance = RNG.normal(size=(4, 3, 2)), RNG.normal(size=(4, 3, 3))
+    # A number that nobody measures, at one row more, and all goes the long way.
+    holes = np.ones((5, 3), dtype=bool)
+    holes[4, 1] = False
+    others = stack(np.array([2, 0, 3, 1, 4]), holes)
+    assert not others.apart
+    np.testing.assert_array_equal(alone.vectors(values), others.vectors(np.pad(values, ((0, 1), (0, 0), (0, 0))))[:4])
+    padded = np.pad(covariance, ((0, 1), (0, 0), (0, 0)))
+    np.testing.assert_array_equal(alone.matrices(covariance), others.matrices(padded)[:4])
+    assert not stack(np.array([0, 0, 1]), np.ones((3, 3), dtype=bool)).apart

@@ -26,7 +26,7 @@ CHUNK = 128
 """Columns that are multiplied at once: their Gram matrix stays in the cache."""
 
 GRID = 4
-"""Candidates of the same functions from which they are multiplied as a grid: for fewer, making it takes as long as their columns."""
+"""Candidates of the same functions from which they are multiplied as a grid: for fewer it takes as long as their columns."""
 
 KEPT = 2**25
 """Numbers of the library's columns and products that are kept, 256 MB, columns up to half of that; the rest is made again when
@@ -40,7 +40,6 @@ Member = tuple[Effect | None, np.ndarray]
 
 # Numbers of each channel under one another: (N size, d) or (N size,) each.
 Flat = tuple[np.ndarray, ...]
-
 
 
 @dataclass(frozen=True)

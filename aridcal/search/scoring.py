@@ -12,7 +12,7 @@ from itertools import pairwise
 
 import numpy as np
 from scipy.linalg import block_diag
-from scipy.special import fdtrc
+from scipy.special import fdtrc, ndtr
 
 from aridcal.effects.catalogue import KINDS
 from aridcal.effects.effect import Effect
@@ -20,6 +20,7 @@ from aridcal.effects.labels import STATION
 from aridcal.effects.regional_kind import is_local, spread_out
 from aridcal.effects.sights import is_sight
 from aridcal.fit.normal_equations import (
+    TINY,
     NormalEquations,
     accumulate,
     conditional,
@@ -60,6 +61,9 @@ PARTS = 5
 
 REGIONS = 10
 """Regions that are held back whole, one after the other: nine tenths of the rows stay to fit with."""
+
+EXACTLY = 50
+"""Losses up to which chance of their signed ranks is counted out; more are normal to a tenth of the chance, as SciPy has it."""
 
 SHAPINGS = 4
 """Times that shape and noise of a smooth function are found in turn, at the most."""
@@ -229,9 +233,29 @@ def _over_time(model: LinearModel, state: State, candidate: Active) -> float:
 
 def _ranked(loss: np.ndarray) -> float:
     """p-value, by Wilcoxon's signed ranks, of losses (2, n) that a candidate makes no smaller."""
-    from scipy.stats import wilcoxon  # slow to load, and few searches come here
+    if loss.shape[1] <= EXACTLY:
+        from scipy.stats import wilcoxon  # slow to load, and few searches come here
 
-    return float(wilcoxon(loss[0] - loss[1], alternative="greater").pvalue)
+        return float(wilcoxon(loss[0] - loss[1], alternative="greater").pvalue)
+    return signed_ranks(loss[0] - loss[1])
+
+
+def signed_ranks(values: np.ndarray) -> float:
+    r"""p-value of Wilcoxon's signed ranks that many values, shape (n,), are no larger than zero.
+
+    With R the sum of the ranks of positive values among the n' that are not zero, and t the sizes of ties,
+
+    .. math:: z = \frac{R - n' (n' + 1) / 4}{\sqrt{n' (n' + 1) (2 n' + 1) / 24 - \sum (t^3 - t) / 48}}
+
+    is normal (Wilcoxon 1945; ties: Pratt and Gibbons, Concepts of Nonparametric Theory, Springer 1981).
+    """
+    values = values[values != 0.0]
+    _, number, ties = np.unique(np.abs(values), return_inverse=True, return_counts=True)
+    rank = (np.cumsum(ties) - 0.5 * (ties - 1))[number]
+    n = float(len(values))
+    spread = n * (n + 1.0) * (2.0 * n + 1.0) / 24.0 - float(np.sum(ties**3.0 - ties)) / 48.0
+    above = float(rank[values > 0.0].sum()) - 0.25 * n * (n + 1.0)
+    return float(ndtr(-above / np.sqrt(max(spread, TINY))))
 
 
 def held_back(model: LinearModel, state: State, candidate: Active, part: np.ndarray) -> np.ndarray:

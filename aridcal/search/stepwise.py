@@ -226,7 +226,7 @@ def _forward(
 
 
 def _with_rows_of_hints(model: LinearModel, state: State, kinds: Collection[str]) -> tuple[State, list[Effect]]:
-    """The same effects solved with the flagged rows that a hint would explain, as these are what it was seen by; and the hints."""
+    """The same effects solved with the flagged rows that a hint would explain: they are what it was seen by. And the hints."""
     used, hints = state.used.copy(), hinted(model, state, kinds)
     for effect in hints:
         if effect.smooth or is_field(effect):
