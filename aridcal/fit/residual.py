@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg.lapack import dgeqrf, dgeqrf_lwork
 
 from aridcal.fit.elimination import (
     Eliminated,
@@ -209,8 +210,16 @@ def triangle(
         if found is not None:
             r, J = found.rows(question.group_of(block), part.B, J, r)
         whitened = J[:, :, of] * (np.sqrt(weight[block])[:, None] * per_number)[:, :, None]
-        R = np.asarray(np.linalg.qr(np.vstack([R, whitened.reshape(r.size, count)]), mode="r"))
+        columns_of = whitened.T.reshape(count, -1).T  # as LAPACK has them: nothing is copied where rows run fastest
+        R = _triangle(np.vstack([R, columns_of]) if len(R) else columns_of)
     return R
+
+
+def _triangle(A: np.ndarray) -> np.ndarray:
+    """R of A = Q R for A (n, k), shape (<= k, k); half of what NumPy takes for columns of Fortran's order."""
+    work, _ = dgeqrf_lwork(*A.shape)
+    reflected, _, _, _ = dgeqrf(A, lwork=int(work))
+    return np.triu(reflected[: A.shape[1]])
 
 
 def things_again(question: Problem, theta: np.ndarray, weight: np.ndarray | None = None) -> Problem:
