@@ -28,6 +28,10 @@ NO_ROOM = frozenset({errno.ENOSPC, errno.EDQUOT})
 INTERRUPTED, TERMINATED = SIGNALLED + signal.SIGINT, SIGNALLED + signal.SIGTERM
 
 
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+"""Where libraries of linear algebra look for how many threads they are to use, when they are loaded."""
+
+
 def run(body: Callable[[], int | None]) -> int:
     """Do a command's work and turn what goes wrong into a message and an exit status.
 
@@ -40,7 +44,7 @@ def run(body: Callable[[], int | None]) -> int:
     console = Console(stderr=True)
     try:
         # Matrices of some hundred columns: threads that wait for each other cost ten times what they gain.
-        with _stopped_politely(), threadpool_limits(1, user_api="blas"):
+        with _stopped_politely(), threadpool_limits(1, user_api="blas"), _loaded_with_one_thread():
             status = body()
             sys.stdout.flush()  # what cannot be printed is to be known here
     except AridcalError as error:
@@ -142,3 +146,15 @@ def _stopped_politely() -> Iterator[None]:
         handlers[signal.SIGINT] = signal.default_int_handler
     with handling(handlers):
         yield
+
+
+@contextmanager
+def _loaded_with_one_thread() -> Iterator[None]:
+    """Libraries of linear algebra that are loaded only now, SciPy's above all, also use one thread."""
+    before = {name: os.environ.get(name) for name in THREADS}
+    os.environ.update(dict.fromkeys(THREADS, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            os.environ.pop(name) if value is None else os.environ.update({name: value})

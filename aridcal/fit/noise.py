@@ -9,7 +9,7 @@ import numpy as np
 
 from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.measurement_settings import OF_TARGETS
-from aridcal.inputs.repeats import first_alike
+from aridcal.inputs.repeats import by_appearance, first_alike
 from aridcal.instruments.channels import TARGET_POSITION, columns
 
 
@@ -80,18 +80,20 @@ def copies(rows: Dataset) -> np.ndarray:
 
     They are copies, whatever else the rows say, and tell nothing of the noise. A length that is read twice alike was rounded.
     """
-    poses = [
-        rows.configuration,
-        rows.position,
-        *([] if rows.rotation is None else [rows.rotation.reshape(len(rows), 9)]),
-        np.where(np.isnan(rows.position[:, 0]), np.arange(len(rows)), -1),
-    ]
-    return np.asarray(first_alike(np.column_stack(poses).T) != np.arange(len(rows)))
+    turned = np.zeros((len(rows), 0)) if rows.rotation is None else rows.rotation.reshape(len(rows), 9)
+    unseen = np.where(np.isnan(rows.position[:, 0]), np.arange(len(rows)), -1)
+    # One after the other: where no configuration is repeated nothing else is looked at.
+    columns = (
+        column for part in (rows.configuration, rows.position, turned, unseen) for column in np.atleast_2d(part.T)
+    )
+    return np.asarray(first_alike(columns) != np.arange(len(rows)))
 
 
 def places(rows: Dataset) -> np.ndarray:
     """Number of each row's configuration at its station: rows with the same one are repeats, shape (N,)."""
-    station = np.zeros(len(rows)) if rows.station is None else np.unique(rows.station, return_inverse=True)[1]
+    if rows.station is None:
+        return by_appearance(rows.configuration)
+    station = np.unique(rows.station, return_inverse=True)[1]
     return np.unique(np.column_stack([rows.configuration, station]), axis=0, return_inverse=True)[1].reshape(-1)
 
 

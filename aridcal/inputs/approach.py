@@ -20,13 +20,14 @@ def approach(reading: np.ndarray, still: float, side: float = 0.0, last: float =
         side: From which it came to the row before the first; 0 where that is not known.
         last: Its reading there; NaN where there is none.
     """
-    sides = np.zeros(len(reading))
-    for k, value in enumerate(reading.tolist()):
-        if abs(value - last) > still:
-            side = math.copysign(1.0, value - last)
-        sides[k] = side
-        last = last if math.isnan(value) else value
-    return sides
+    seen = np.flatnonzero(~np.isnan(reading))
+    by = np.diff(reading[seen], prepend=last)
+    moved = np.abs(by) > still
+    sides, at = np.zeros(len(reading)), np.full(len(reading), -1)
+    sides[seen[moved]] = np.sign(by[moved])
+    at[seen[moved]] = seen[moved]
+    at = np.maximum.accumulate(at)
+    return np.where(at < 0, side, sides[at])
 
 
 def with_directions(rows: Dataset) -> Dataset:

@@ -62,9 +62,8 @@ def refuse_copies(
         sequence: Numbers of the rows as they were measured, shape (N,).
     """
     rows = sequence[source.usable[sequence]]
-    there = [column[rows] for column in columns if column is not None]
-    words = [label[rows] for label in labels if label is not None]
-    first = rows[first_alike([*np.column_stack(there).T, *words])]
+    compared = (every for every in (*columns, *labels) if every is not None)
+    first = rows[first_alike(column[rows] for every in compared for column in np.atleast_2d(every.T))]
     copies = rows != first
     for row, kept in zip(rows[copies].tolist(), first[copies].tolist(), strict=True):
         source.refused.append(source.table.remark(row, "", f"identical to {_line(source, kept, row)}"))
@@ -95,7 +94,7 @@ def stale_rows(
         included; shape (N,) each.
     """
     rows = sequence[source.usable[sequence]]
-    first = rows[first_alike(measured[rows].T)]
+    first = rows[first_alike(column[rows] for column in measured.T)]
     moved = (np.abs(q[rows] - q[first]) > tolerances(kinds)).any(axis=1)
     earlier = np.full(len(q), -1)
     earlier[rows[moved]] = first[moved]

@@ -148,6 +148,8 @@ class Dataset:
 
     def select(self, rows: np.ndarray) -> Dataset:
         """The data of some rows, chosen by a mask or by indices; remarks on the files stay."""
+        if isinstance(rows, np.ndarray) and rows.dtype == bool and rows.all():
+            return self
         per_row = {f.name: getattr(self, f.name) for f in fields(self)}
         if not self.blocks:
             per_row = {name: value for name, value in per_row.items() if name not in OF_BLOCKS}

@@ -120,6 +120,16 @@ def _block(asked: _Asked, number: int, tables: Sequence[AnyTable], alone: bool) 
         tables: Its tables.
         alone: True if it is the campaign's only block.
     """
+    rows, noise = _usable(asked, number, tables, alone)
+    rows = replace(rows, configuration=blocks(rows.readings, asked.kinds))
+    return _Part(rows if rows.split_given else replace(rows, test=draw_split(rows.configuration, asked.seed)), noise)
+
+
+def _usable(asked: _Asked, number: int, tables: Sequence[AnyTable], alone: bool) -> tuple[Dataset, RowNoise]:
+    """The usable rows of a block, their configurations and their split not yet drawn, and their noise.
+
+    The cells of its tables, which take more than all else, are given up when this returns.
+    """
     campaign, kinds = asked.campaign, asked.kinds
     settings = campaign.blocks[number]
     own = [settings.columns.get(name, name) for name in asked.readings]
@@ -203,13 +213,9 @@ def _block(asked: _Asked, number: int, tables: Sequence[AnyTable], alone: bool) 
         made = Block(settings.title, settings.kind, channels, sigma)
         nothing = np.zeros(len(table), dtype=int)
         rows = replace(rows, blocks=(made,), block=nothing, observed=observed, refers=refers, target=target)
-    rows = rows.select(chosen)
-    rows = replace(rows, configuration=blocks(rows.readings, kinds))
-    if split is None:
-        rows = replace(rows, test=draw_split(rows.configuration, asked.seed))
     numbers = sum(channel.size for channel in channels)
     noise = RowNoise(None if std is None else std[chosen, :numbers], absolute=settings.noise.rows == "absolute")
-    return _Part(rows, noise)
+    return rows.select(chosen), noise
 
 
 def _without_rows(like: _Part, settings: MeasurementSettings) -> _Part:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
 from aridcal.robot.chain import JointKind
 
 SAME_ANGLE, SAME_LENGTH = 1e-3, 1e-4  # readings this close repeat one configuration, [rad] and [m]
+
+BOX = 32.0  # cells along a box: rows that repeat nothing hardly share one, and few stand at its edge
 
 
 def blocks(readings: np.ndarray, kinds: Sequence[JointKind]) -> np.ndarray:
@@ -24,29 +26,62 @@ def blocks(readings: np.ndarray, kinds: Sequence[JointKind]) -> np.ndarray:
     Returns:
         Labels 0, 1, ... in order of appearance, shape (N,).
     """
-    # slow to load, and a slip in a table is found before
+    label = np.arange(len(readings))
+    near = _near_others(readings, kinds)
+    if len(near):
+        label[near] = len(readings) + _chained(np.column_stack([*_cells(readings[near], kinds)]))
+    return by_appearance(label)
+
+
+def _cells(readings: np.ndarray, kinds: Sequence[JointKind]) -> Iterator[np.ndarray]:
+    """Numbers of cells along each coordinate, shape (N,) each: half as large as what repeats one, however often that is."""
+    for reading, kind, same in zip(readings.T, kinds, tolerances(kinds).tolist(), strict=True):
+        for value in (np.cos(reading), np.sin(reading)) if kind == "continuous" else (reading,):
+            yield np.floor(2.0 * value / same)
+
+
+def _near_others(readings: np.ndarray, kinds: Sequence[JointKind]) -> np.ndarray:
+    """Rows that may be less than three cells from another along every coordinate, in order: all that are, and few others.
+
+    Those share a box of :data:`BOX` cells, where a row also counts to the box below along each coordinate in which it is one of
+    its box's first two cells. Boxes are told apart by sums of their numbers times large odd ones: two of one sum cost time alone.
+    """
+    odd = np.random.default_rng(0)
+    key, row = np.zeros(len(readings), dtype=np.int64), np.arange(len(readings))
+    for cell in _cells(readings, kinds):
+        box, place = np.divmod(cell, BOX)
+        factor = 2 * odd.integers(2**62) + 1
+        key += (box.astype(np.int64) * factor)[row]
+        low = np.flatnonzero((place < 2.0)[row])
+        key, row = np.concatenate([key, key[low] - factor]), np.concatenate([row, row[low]])
+    order = np.argsort(key)
+    alike = key[order[1:]] == key[order[:-1]]
+    shared = np.zeros(len(readings), dtype=bool)
+    shared[row[order[1:][alike]]] = shared[row[order[:-1][alike]]] = True
+    return np.flatnonzero(shared)
+
+
+def _chained(cells: np.ndarray) -> np.ndarray:
+    """Labels of rows in these cells, shape (N, coordinates), of which chains of neighbours share one, shape (N,)."""
+    # slow to load, and most tables repeat nothing
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
     from scipy.spatial import cKDTree
 
-    turning = np.array([kind == "continuous" for kind in kinds], dtype=bool)
-    same = tolerances(kinds)
-    circle = [f(readings[:, turning]) / SAME_ANGLE for f in (np.cos, np.sin)]
-    points = np.hstack([readings[:, ~turning] / same[~turning], *circle])
-    # Cells of half the distance keep the pairs few however often a configuration is repeated.
-    cells, cell = np.unique(np.floor(2 * points), axis=0, return_inverse=True)
+    cells, cell = np.unique(cells, axis=0, return_inverse=True)
     pairs = cKDTree(cells).query_pairs(2.5, p=np.inf, output_type="ndarray")
     graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(cells), len(cells)))
     _, label = connected_components(graph, directed=False)
-    return by_appearance(label[cell.reshape(-1)])
+    return np.asarray(label[cell.reshape(-1)])
 
 
 def by_appearance(labels: np.ndarray) -> np.ndarray:
-    """The same labels as 0, 1, ... in order of appearance, shape (N,)."""
-    _, first, number = np.unique(labels, return_index=True, return_inverse=True)
-    rank = np.empty(len(first), dtype=int)
-    rank[np.argsort(first)] = np.arange(len(first))
-    return rank[number]
+    """The same labels, whole numbers from 0 on, as 0, 1, ... in order of appearance, shape (N,)."""
+    labels = np.asarray(labels, dtype=int)
+    first = np.zeros(labels.max(initial=-1) + 1, dtype=int)
+    first[labels[::-1]] = np.arange(len(labels))[::-1]  # of several the last that is written stays
+    number = np.cumsum(first[labels] == np.arange(len(labels))) - 1
+    return np.asarray(number[first[labels]])
 
 
 def first_alike(columns: Iterable[np.ndarray]) -> np.ndarray:
@@ -56,14 +91,23 @@ def first_alike(columns: Iterable[np.ndarray]) -> np.ndarray:
         columns: Numbers or words of N rows, one at least, shape (N,) each.
     """
     first, group = np.empty(0, dtype=int), np.array(0)
-    for column in columns:
+    for k, column in enumerate(columns):
+        # Numbers with noise differ in the first column already: most tables end here.
+        if not k and _all_different(column):
+            return np.arange(len(column))
         _, number = np.unique(column, return_inverse=True)
         _, first, group = np.unique(
             group * (number.max(initial=0) + 1) + number, return_index=True, return_inverse=True
         )
-        if len(first) == len(number):  # numbers with noise differ in the first column already: most tables end here
+        if len(first) == len(number):
             return first[group]
     return first[group]
+
+
+def _all_different(column: np.ndarray) -> bool:
+    """True if no value is there twice, and no two are missing."""
+    in_order = np.sort(column)
+    return not np.any((in_order[1:] == in_order[:-1]) | (in_order[1:] != in_order[1:]))
 
 
 def by_content(columns: Sequence[np.ndarray | None]) -> np.ndarray:
@@ -72,8 +116,18 @@ def by_content(columns: Sequence[np.ndarray | None]) -> np.ndarray:
     Args:
         columns: What the rows hold, shape (N,) or (N, k) each; the first decides first, missing values come last.
     """
-    keys = np.column_stack([column for column in columns if column is not None])
-    return np.lexsort(keys.T[::-1])
+    keys = [key for column in columns if column is not None for key in np.atleast_2d(column.T)]
+    order = np.argsort(keys[0], kind="stable")
+    after = keys[0][order]
+    alike = (after[1:] == after[:-1]) | (after[1:] != after[1:])  # missing ones stand together at the end
+    if not alike.any():
+        return order
+    tied = np.zeros(len(order), dtype=bool)
+    tied[1:] = alike
+    tied[:-1] |= alike
+    some = order[tied]
+    order[tied] = some[np.lexsort([key[some] for key in reversed(keys)])]
+    return order
 
 
 def tolerances(kinds: Sequence[JointKind]) -> np.ndarray:
