@@ -87,7 +87,7 @@ def test_many_rows_walked_together_are_where_pinocchio_has_each(robot: str, whic
     _, rows = rows_of(model, MANY + 20)
     theta[[not c.basis.constant for c in model.coefficients]] /= np.abs(rows.phi).max(axis=0)  # loads are large numbers
     together = (*model.jacobian(theta, rows), *model.poses(theta, rows))
-    few = [rows[slice(start, start + 44)] for start in range(0, len(rows), 44)]
+    few = [rows[slice(start, start + MANY // 2)] for start in range(0, len(rows), MANY // 2)]
     one_by_one = [(*model.jacobian(theta, some), *model.poses(theta, some)) for some in few]
     for found, each in zip(together, zip(*one_by_one, strict=True), strict=True):
         np.testing.assert_allclose(found, np.concatenate(each), rtol=0, atol=2e-14 * np.abs(found).max())

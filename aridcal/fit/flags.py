@@ -75,10 +75,21 @@ def robust_sigma(r: np.ndarray, channels: Channels) -> np.ndarray:
         if not len(length):
             found.append(FLOOR)
             continue
-        seen = np.quantile(length, QUANTILES)
-        ratios = [float(q) / usual for q, usual in zip(seen, usual_norms(channel.size), strict=True)]
+        ratios = [q / usual for q, usual in zip(_quantiles(length), usual_norms(channel.size), strict=True)]
         found.append(max(*ratios, FLOOR))
     return np.array(found)
+
+
+def _quantiles(values: np.ndarray) -> list[float]:
+    """Quantiles at :data:`QUANTILES`, between neighbours linearly: as NumPy has them, whose own function takes 0.1 ms for few."""
+    places = [q * (len(values) - 1) for q in QUANTILES]
+    lower = [int(place) for place in places]
+    ordered = np.partition(values, [k for low in lower for k in (low, min(low + 1, len(values) - 1))])
+    found = []
+    for place, low in zip(places, lower, strict=True):
+        a, b = float(ordered[low]), float(ordered[min(low + 1, len(values) - 1)])
+        found.append(a + (b - a) * (place - low))
+    return found
 
 
 @cache

@@ -22,6 +22,18 @@ BEST = 2
 SAME = 1e-3
 """Share of the points' spread within which two minima are one."""
 
+DESCENTS = 500
+"""Steps from each start at the most; ten are usual."""
+
+HALVINGS = 40
+"""Times that a step is halved: what then still does not fall is rounding."""
+
+ARMIJO = 1e-4
+"""Share of what the slope promises that a step must reach (Nocedal and Wright 2006, equation 3.4)."""
+
+SETTLED = 1e-12
+"""Share of the points' spread, squared, that is no gain any more: a place found to 1e-6 of it."""
+
 Cost = Callable[[np.ndarray], tuple[float, np.ndarray]]
 
 
@@ -119,14 +131,11 @@ def _levers(data: _Data, hint: np.ndarray) -> list[np.ndarray]:
     cost = _lever_cost(data, tips)
     spread = np.sum(_centred(data.m, data.world) ** 2, axis=1)
     size = max(float(np.sqrt(np.mean(spread))), 1e-6)  # one row alone has none
-    from scipy.optimize import minimize  # slow to load, and known frames need no search
-
     found: list[tuple[float, np.ndarray]] = []
     for direction in np.vstack([np.zeros(3), np.eye(3), -np.eye(3)]):
-        start = np.tile(size * direction, tips)
-        best = minimize(cost, start, jac=True, method="L-BFGS-B")
-        if not any(np.allclose(best.x, t, atol=SAME * size) for _, t in found):
-            found.append((float(best.fun), best.x))
+        value, t = _descended(cost, np.tile(size * direction, tips), size)
+        if not any(np.allclose(t, other, atol=SAME * size) for _, other in found):
+            found.append((value, t))
     found.sort(key=lambda pair: pair[0])
     slid: list[np.ndarray] = []
     for _, minimum in found:
@@ -167,6 +176,34 @@ def _lever_cost(data: _Data, tips: int) -> Cost:
         return value / scale, slope / scale
 
     return cost
+
+
+def _descended(cost: Cost, t: np.ndarray, size: float) -> tuple[float, np.ndarray]:
+    """A minimum and its place, from t, shape (T,), by BFGS (Nocedal and Wright 2006, algorithm 6.1) with halved steps.
+
+    The library's minimisers find the same ones, and take longer to be loaded than to find them.
+    """
+    value, slope = cost(t)
+    inverse = 0.5 * size**2 * np.eye(len(t))
+    for _ in range(DESCENTS):
+        step = -inverse @ slope
+        falls = float(step @ slope)
+        for _ in range(HALVINGS):
+            found, after = cost(t + step)
+            if found <= value + ARMIJO * falls:
+                break
+            step, falls = 0.5 * step, 0.5 * falls
+        else:
+            break  # rounding
+        turn, gain = after - slope, value - found
+        t, value, slope = t + step, found, after
+        if gain < SETTLED * max(value, 1.0):
+            break
+        along = float(turn @ step)
+        if along > 0.0:  # else it curves downwards, and the matrix stays
+            across = np.eye(len(t)) - np.outer(step, turn) / along
+            inverse = across @ inverse @ across.T + np.outer(step, step) / along
+    return value, t
 
 
 def _slide(cost: Cost, t: np.ndarray, gap: np.ndarray, size: float) -> np.ndarray:

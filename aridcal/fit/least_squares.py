@@ -13,7 +13,7 @@ from aridcal.errors import NotIdentifiable
 from aridcal.fit.elimination import Groups
 from aridcal.fit.flags import FLOOR, coarsest, flagged, limits, robust_sigma
 from aridcal.fit.identifiable import identifiable
-from aridcal.fit.normal_equations import TINY, NormalEquations, Prior, solve_with, with_prior
+from aridcal.fit.normal_equations import NormalEquations, Prior, condition, solve_with, with_prior
 from aridcal.fit.problem import Problem
 from aridcal.fit.problem import problem as ask
 from aridcal.fit.residual import Linearisation, linearise, things_again, triangle, weighted_squares
@@ -34,7 +34,14 @@ ROUGH = 1.0
 """The same for a robust fit, whose flags are all that is wanted of it."""
 
 UNNOTICED = 1e-3
-"""The same for a step that is not even taken where rows are many: it would be another look at all of them."""
+"""The same for a step that is not even taken where it would be another look at all rows: where these are many, or the noise
+alone has changed since the last one."""
+
+STEADY = 1e-4
+"""Relative change of the noise that ends its estimation: nobody knows it better than to a hundredth."""
+
+ESTIMATES = 10
+"""Times that it is estimated in turn with the degrees of freedom that each channel gives up; three are usual."""
 
 ROUNDING = 1e-13
 """A step of this share of the coefficients is rounding: the last, whatever the noise."""
@@ -219,14 +226,15 @@ def minimise(problem: Problem, theta: np.ndarray, weight: np.ndarray | None, pri
         else:
             damping = max(10 * damping, FIRST_DAMPING)
         if last and abreast and not robust:
-            abreast, held = False, sigma
-            sigma = noise_at(here, sigma)
-            last = bool(np.all(sigma == held))
+            abreast = False
+            for _ in range(ESTIMATES):
+                held, sigma = sigma, noise_at(here, sigma)
+                if np.all(np.abs(sigma - held) <= STEADY * held):
+                    break
+            last = _asked(here, sigma, theta, prior) < UNNOTICED
         if last:
             break
-    H, g = with_prior(here.equations, sigma, theta, prior)
-    rest = solve_with(H, g, prior)
-    return Minimum(theta, here, sigma, taken, float(np.sqrt(max(rest @ g, 0.0))), problem)
+    return Minimum(theta, here, sigma, taken, _asked(here, sigma, theta, prior), problem)
 
 
 def fit(
@@ -273,7 +281,7 @@ def fit(
         residual=found.at.residual,
         candidates=model.coefficients,
         redundant={},
-        convergence=Convergence(steps, found.gradient, _condition(H)),
+        convergence=Convergence(steps, found.gradient, condition(H)),
         spent=float(np.sum(covariance * equations.information(sigma))),
         numbers=float(equations.count.sum()),
     )
@@ -314,6 +322,12 @@ def fit_identifiable(problem: Problem, order: Sequence[int], theta: np.ndarray |
     redundant = {model.names[k]: tuple(model.names[j] for j in partners) for k, partners in subset.redundant.items()}
     convergence = replace(result.convergence, condition=subset.condition)
     return replace(result, candidates=model.coefficients, redundant=redundant, convergence=convergence)
+
+
+def _asked(at: Linearisation, sigma: np.ndarray, theta: np.ndarray, prior: Prior | None) -> float:
+    """Length of the next step, in sigmas."""
+    H, g = with_prior(at.equations, sigma, theta, prior)
+    return float(np.sqrt(max(solve_with(H, g, prior) @ g, 0.0)))
 
 
 def _has_many(problem: Problem) -> bool:
@@ -361,25 +375,11 @@ def _narrowed(problem: Problem, kept: Sequence[int]) -> Problem:
     columns = [varying.index(k) for k in kept if k in varying]
     rows = replace(problem.rows, phi=problem.rows.phi[:, columns])
     model = model.with_coefficients([model.coefficients[k] for k in kept])
-    seen = None if problem.measured is None else problem.measured.of_model(model)
-    return replace(problem, model=model, rows=rows, measured=seen)
-
-
-def _condition(H: np.ndarray) -> float:
-    """Condition number of the Jacobian with its columns scaled to length 1, from J'J."""
-    if not len(H):
-        return 1.0
-    length = np.sqrt(np.maximum(np.diag(H), TINY))
-    return float(np.sqrt(np.linalg.cond(H / length / length[:, None])))
+    return replace(problem, model=model, rows=rows)
 
 
 def _cost(
-    at: Linearisation,
-    weight: np.ndarray,
-    channels: Channels,
-    sigma: np.ndarray,
-    theta: np.ndarray,
-    prior: Prior | None,
+    at: Linearisation, weight: np.ndarray, channels: Channels, sigma: np.ndarray, theta: np.ndarray, prior: Prior | None
 ) -> float:
     """Sum of squares in sigmas, and what is known of things and coefficients beforehand."""
     value = float(np.sum(weighted_squares(at.residual, weight, channels) / sigma**2)) + at.squares_known

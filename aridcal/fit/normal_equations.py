@@ -161,6 +161,14 @@ def solve(H: np.ndarray, g: np.ndarray, damping: float = 0.0, ridge: float = 0.0
     return np.asarray((found.T * scale).T)
 
 
+def condition(H: np.ndarray) -> float:
+    """Condition number of the Jacobian with its columns scaled to length 1, from J'J."""
+    if not len(H):
+        return 1.0
+    length = np.sqrt(np.maximum(np.diag(H), TINY))
+    return float(np.sqrt(np.linalg.cond(H / length / length[:, None])))
+
+
 def nested_solutions(H: np.ndarray, g: np.ndarray, first: int) -> np.ndarray:
     """Solutions with the first unknowns alone, the others zero, and with all, shape (K, 2), by one factorisation.
 

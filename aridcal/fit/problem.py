@@ -26,7 +26,7 @@ from aridcal.model.measured import Measured, Slopes, States, located, measured
 from aridcal.model.model import Model, Rows
 from aridcal.showing import SILENT, Progress
 
-BLOCK = 1024
+BLOCK = 2048
 """Rows differentiated at a time: they stay in the cache, and memory stays flat."""
 
 AGREEING = 6

@@ -20,7 +20,7 @@ import pinocchio as pin
 from aridcal.model.motions import Motion
 from aridcal.robot.kinematics import transverse
 
-AT_ONCE = 1_000
+AT_ONCE = 2_000
 """Rows whose poses are worked out together: all that is made on the way stays in the cache, and memory stays flat."""
 
 

@@ -96,10 +96,6 @@ class Measured:
             found[own, part] = missing
         return found
 
-    def of_model(self, model: Model) -> Measured:
-        """The same for a model of other coefficients."""
-        return replace(self, moved=_moved(model))
-
     @property
     def conditions(self) -> np.ndarray:
         """Rows that say that a condition holds, shape (N,) bool."""
