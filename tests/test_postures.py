@@ -6,10 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from calibrated import machine
 from scipy.spatial.transform import Rotation
 
 from aridcal.programs.axes import axes_of
 from aridcal.programs.branches import controller, flange, positions_of_arm
+from aridcal.programs.correct import OTHERWISE, Correction, correct
 from aridcal.programs.fanuc import read
 from aridcal.programs.frames import KnownFrames
 from aridcal.programs.postures import posture_of
@@ -140,3 +142,26 @@ def test_orientation_of_the_published_pose() -> None:
     T = flange(arm(), pendant(7.962, -5.284, -36.250, 77.661, -51.975, -79.273))
     face = Rotation.from_euler("xyz", [135.0, -45.0, 0.0], degrees=True).as_matrix()
     np.testing.assert_allclose(T[:3, 0], face[:, 2], atol=1e-3)
+
+
+def test_a_program_is_corrected_in_the_position_that_its_letters_say() -> None:
+    """The same numbers as where the nearest position is the one that the letters mean, others than where it is not."""
+    saved = machine(5, n=60, robot=arm()).saved
+    no_flip = pendant(7.962, -5.284, -36.250, 77.661, -51.975, -79.273)
+    flip = pendant(7.962, -5.284, -36.250, -102.339, 51.975, 100.727)
+
+    def corrected(config: str, start: np.ndarray, at: np.ndarray = no_flip) -> Correction:
+        T = flange(saved.final.model.robot, at)
+        numbers = [*(1e3 * T[:3, 3]), *Rotation.from_matrix(T[:3, :3]).as_euler("xyz", degrees=True)]
+        words = zip("XYZWPR", numbers, ["mm"] * 3 + ["deg"] * 3, strict=True)
+        body = f"GP1:\n UF : 0, UT : 1, {config}\n {', '.join(f'{name} = {value:.6f} {unit}' for name, value, unit in words)}"
+        text = f"/PROG A\n/MN\n1:L P[1] ;\n/POS\nP[1]{{\n{body}\n}};\n/END\n"
+        return correct(saved, read(text, SIX, KnownFrames(tools={"1": np.eye(4)})), {}, start)[0]
+
+    meant, near = corrected("CONFIG : 'F U T, 0, 0, 0',", no_flip), corrected("", flip)
+    assert meant.texts == near.texts != corrected("", no_flip).texts
+    assert (meant.positions, meant.doubt, meant.remark) == (1, 0.0, "")
+    far = pendant(0.0, 50.0, -10.0, 20.0, -40.0, 0.0)  # too far to be reached backwards
+    odd = corrected("CONFIG : 'N U B, 0, 0, 0',", far, far)
+    assert odd.remark == f"{OTHERWISE} (N U B)"
+    assert odd.texts == corrected("", far, far).texts
