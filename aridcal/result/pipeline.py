@@ -50,9 +50,6 @@ TELLING = 3
 SAME = 1e-8
 """By less than that, in [rad] or [m], joints and what was measured differ in a copy, which may have been written anew."""
 
-NO_NUMBER = -1e9
-"""Stands where a row has none."""
-
 TRACED = 50_000
 """Rows whose residuals are traced to joints and columns, of more: what those tell by a chance of 1e-300 others need not."""
 
@@ -330,7 +327,9 @@ def _numbers(rows: Dataset, width: int) -> np.ndarray:
     observed = np.full((n, width), np.nan)
     observed[:, : rows.observed.shape[1]] = rows.observed if rows.blocks else np.nan
     turns = np.full((n, 9), np.nan) if rows.rotation is None else rows.rotation.reshape(n, 9)
-    return np.nan_to_num(np.hstack([rows.readings, rows.position, turns, observed]), nan=NO_NUMBER)
+    return np.nan_to_num(
+        np.hstack([rows.readings, rows.position, turns, observed]), nan=-1e9
+    )  # a hole is like a hole alone
 
 
 def _scored(outcome: Outcome, rows: Dataset, copied: int) -> Verification:
