@@ -201,11 +201,11 @@ def _say(found: Sequence[Correction], out: Path, side: Path, saved: SavedModel, 
     doubtful = [c for c in done if c.doubt > saved.noise[0]]
     lines = [f"line {c.target.line}, {c.target.name}: {c.why}; left as it is" for c in left[:SHOWN_REMARKS]]
     lines += [f"and {len(left) - SHOWN_REMARKS} more"] if len(left) > SHOWN_REMARKS else []
-    singular = [c for c in done if c.remark]
-    if singular:
+    for remark in dict.fromkeys(c.remark for c in done if c.remark):
+        singular = [c for c in done if c.remark == remark]
         most = max(singular, key=lambda c: c.after[0])
         lines.append(
-            f"{len(singular)} of them: {most.remark}. Most remains on line {most.target.line}, {most.target.name}: "
+            f"{len(singular)} of them: {remark}. Most remains on line {most.target.line}, {most.target.name}: "
             f"{1e3 * most.after[0]:.3f} mm and {1e3 * most.after[1]:.3f} mrad"
         )
     if doubtful:

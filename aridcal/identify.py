@@ -151,7 +151,8 @@ def _verification_lines(v: Verification) -> list[str]:
     sound = ~v.outlier
     figures = ", ".join(f"{name} {said(r, sound, v.measurements)}" for name, r in v.residuals.items())
     gross = f" ({v.outlier.sum()} gross outliers excluded)" if v.outlier.any() else ""
-    lines = [f"verification on {v.file}, {sound.sum()} rows{gross}: {figures}"]
+    lines = [f"note: {v.left_out}"] if v.left_out else []
+    lines.append(f"verification on {v.file}, {sound.sum()} rows{gross}: {figures}")
     if v.realigned is not None:
         lines.append(f"  with both frames refitted: {said(v.realigned, sound, v.measurements)}")
     return lines

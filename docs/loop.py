@@ -23,30 +23,37 @@ CAMPAIGN = DOCS.parent / "identification" / "arid-undeclared" / "campaign.yaml"
 OUT = DOCS / "images" / "loop.svg"
 
 JOINT = "joint_3"
-WIDE, TALL = 960.0, 262.0
-EACH, TOP, FOOT = 240.0, 62.0, 44.0
+EACH, HIGH, TOP, FOOT = 195.0, 176.0, 38.0, 36.0
+"""Of one of the four steps, two by two, in units of which letters have ten."""
+WIDE, TALL = 2 * EACH, 2 * HIGH
+SHOWN = 620
+"""[px] in which it is shown where there is room: letters have 16 there, and 9 on a phone of 390."""
 REACH = 3.0
 """[mm]: of the horizontal axes."""
 
 
 def area(k: int, x: Scale, y: Scale) -> Area:
     """The k-th of four areas."""
-    return Area(EACH * k + 40.0, TOP, EACH - 60.0, TALL - TOP - FOOT, x, y)
+    left, top = corner(k)
+    return Area(left + 43.0, top + TOP, EACH - 53.0, HIGH - TOP - FOOT, x, y)
+
+
+def corner(k: int) -> tuple[float, float]:
+    """Left and upper edge of the k-th step."""
+    return EACH * (k % 2), HIGH * (k // 2)
 
 
 def head(k: int, title: str, said: str, color: str) -> str:
     """What a step is, and what it comes to."""
-    arrow = text(EACH * k - 12.0, 22.0, "→", "middle", GREY) if k else ""
-    return (
-        arrow
-        + text(EACH * k + 40.0, 22.0, f"{k + 1}  {title}", color=INK)
-        + text(EACH * k + 40.0, 42.0, said, color=color)
+    left, top = corner(k)
+    return text(left + 8.0, top + 14.0, f"{k + 1}  {title}", color=INK) + text(
+        left + 8.0, top + 29.0, said, color=color
     )
 
 
 def upright(own: Area, label: str) -> str:
     """The label of a vertical axis."""
-    return text(own.left - 29.0, own.top + own.height / 2, label, "middle", INK, turned=True)
+    return text(own.left - 32.0, own.top + own.height / 2, label, "middle", INK, turned=True)
 
 
 def errors(k: int, lengths: np.ndarray, color: str) -> str:
@@ -89,7 +96,7 @@ def main() -> None:
         outcome.robot, rows.readings, rows.covariates, around, np.zeros(len(rows), dtype=int), {name}
     )[name]
     asked = pull(outcome, "geometric")
-    ends = 1.1 * float(np.percentile(np.abs(asked), 98))
+    ends = 1.1 * float(np.abs(asked).max())
     third = area(2, Scale(float(torque.min()), float(torque.max())), Scale(-ends, ends))
     parts = [
         head(0, "measure", f"{rms['nominal']:.2f} mm off as designed", BEFORE),
@@ -104,7 +111,7 @@ def main() -> None:
     ]
     alt = "The loop in four steps: measure, fit, trace what remains to its cause, add it"
     svg = whole(alt, WIDE, TALL, parts).replace(
-        "<svg ", '<svg xmlns="http://www.w3.org/2000/svg" font-family="sans-serif" ', 1
+        "<svg ", f'<svg width="{SHOWN}" xmlns="http://www.w3.org/2000/svg" font-family="sans-serif" ', 1
     )
     OUT.write_text(
         svg.replace(">", f'><rect width="{WIDE:.0f}" height="{TALL:.0f}" fill="#fff"/>', 1) + "\n", encoding="utf-8"

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Literal
+from unittest.mock import patch
 
 import numpy as np
 
@@ -18,8 +19,8 @@ from aridcal.errors import AridcalError, MeasurementError, RobotError
 from aridcal.exports.sniffing import look
 from aridcal.head.matching import NotMeasured
 from aridcal.head.shots import board, read_image, read_ranges, shots_of
-from aridcal.inputs.campaign import Campaign, load_campaign
-from aridcal.inputs.head_settings import ArmSettings, HeadSettings, load_shots, load_squares
+from aridcal.inputs.campaign import ArmSettings, Campaign, load_campaign
+from aridcal.inputs.head_settings import HeadSettings, load_shots, load_squares
 from aridcal.inputs.query import load_query
 from aridcal.inputs.read import load_measurements
 from aridcal.inputs.tables import read_tables
@@ -29,6 +30,7 @@ from aridcal.logs.bags import joint_log
 from aridcal.prepare.scenario import Scenario, check_scenario
 from aridcal.reading.files import TABLE, URDF, read_file
 from aridcal.result.saved_model import SavedModel
+from aridcal.robot import expand
 from aridcal.robot.chain import Robot, chain, load_robot
 from aridcal.robot.doty import doty_links
 from aridcal.robot.splice import splice_origins
@@ -46,13 +48,14 @@ class Target:
         read: Takes the path of a file, and does with it all that a command would before the mathematics begins.
         suffix: Of that file.
         longest: Bytes that a mutant may have: what is wrong with a long file is wrong with a short one, and sooner found.
-        kind: Text is mutated by lines and words too, binary files by bytes alone.
+        kind: Text is mutated by lines and words too, binary files by bytes alone. What is read by a process of its own is text
+            that takes long: no test reads hundreds of mutants.
     """
 
     read: Callable[[Path], object]
     suffix: str
     longest: int = 3000
-    kind: Literal["text", "binary"] = "text"
+    kind: Literal["text", "binary", "process"] = "text"
 
 
 def _urdf(path: Path) -> None:
@@ -62,6 +65,12 @@ def _urdf(path: Path) -> None:
     doty_links(robot)
     if np.isfinite(robot.mass_beyond).all():
         splice_origins(robot.urdf, {name: (np.ones(3), np.zeros(3)) for name in robot.names})
+
+
+def _xacro(path: Path) -> None:
+    """A xacro file, expanded, and read as what it expands to; cut off sooner than for users, that none counts as slow."""
+    with patch.object(expand, "SECONDS", 3):
+        read_tree(expand.read_urdf(path), path)
 
 
 def _scenario(path: Path) -> None:
@@ -171,6 +180,7 @@ def _dialect(path: Path) -> None:
 
 TARGETS = {
     "urdf": Target(_urdf, ".urdf"),
+    "xacro": Target(_xacro, ".xacro", 2000, "process"),
     "campaign": Target(load_campaign, ".yaml"),
     "scenario": Target(_scenario, ".yaml"),
     "head": Target(_head, ".yaml"),

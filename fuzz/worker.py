@@ -104,7 +104,7 @@ class Worker:
 
     def mutant(self, content: bytes, longest: int, seed: int) -> bytes:
         """A mutant as Atheris asks for it."""
-        if self.target.kind == "text" and seed % BYTEWISE:
+        if self.target.kind != "binary" and seed % BYTEWISE:
             return mutate(content, seed, self.seeds, longest)
         rng = Random(seed)
         afresh = self.target.kind == "binary" and rng.random() < AFRESH

@@ -23,6 +23,7 @@ from aridcal.model.model import Model
 from aridcal.prepare.scenario import Scenario
 from aridcal.prepare.simulation import simulate, write_campaign
 from aridcal.result.saved_model import SavedModel, SolvedModel
+from aridcal.robot.chain import Robot
 
 NOISE = 5e-5
 """[m] and [rad]: of a laser tracker."""
@@ -71,18 +72,23 @@ def measured(
 
 
 def machine(
-    seed: int, kind: str = "pose", n: int = 100, effects: tuple[tuple[Coefficient, float], ...] = ()
+    seed: int,
+    kind: str = "pose",
+    n: int = 100,
+    effects: tuple[tuple[Coefficient, float], ...] = (),
+    robot: Robot | None = None,
 ) -> Machine:
-    """A UR10 with constants off by 1 mm and 1 mrad, calibrated with n rows.
+    """A UR10, or another arm, with constants off by 1 mm and 1 mrad, calibrated with n rows.
 
     Args:
         seed: Of everything.
         kind: ``pose`` or ``position``.
         n: Rows.
         effects: Coefficients that it has besides, with their values.
+        robot: The other arm.
     """
     rng = np.random.default_rng(seed)
-    robot = robots.ur10()
+    robot = robot or robots.ur10()
     own = constants(robot, "full")
     frames = ((None, robots.random_placement(rng)),), ((None, robots.random_placement(rng, 0.3)),)
     model = Model(robot, (*robots.FRAMES, *own, *(c for c, _ in effects)), *frames)

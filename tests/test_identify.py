@@ -178,6 +178,43 @@ def test_another_day_is_scored_with_the_models_as_they_are(small: tuple[robots.T
     assert np.sqrt(np.mean(outcome.verification.residuals["nominal"][:, :3] ** 2)) > 5e-4
 
 
+def test_the_campaigns_own_rows_are_no_other_day(
+    small: tuple[robots.Truth, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """All of them, or a table with a few among others, written anew with fewer digits, in another order."""
+    truth, folder = small
+    own = pd.read_csv(folder / "measurements.csv")
+    shuffled = own.sample(30, random_state=1)
+    shuffled.to_csv(tmp_path / "copy.csv", index=False, float_format="%.12g")
+    again = tmp_path / "again"
+    assert identify.main([str(folder / "campaign.yaml"), "-o", str(again), "--verify", str(tmp_path / "copy.csv")]) == 2
+    assert "all 30 rows are the campaign's own" in capsys.readouterr().err
+    assert not again.exists()
+    rng = np.random.default_rng(3)
+    q = robots.readings(truth.model.robot, 40, rng)
+    R, p = truth.model.poses(truth.theta, truth.model.rows(q))
+    p = p + 1e-4 * rng.normal(size=p.shape)
+    new = robots.table(replace(truth, measured=robots.measured(truth.model.robot, q, p, R)))
+    repeated = own.head(5).assign(x=own["x"].head(5) + 2e-5)  # the same joints, measured anew
+    new.to_csv(tmp_path / "new.csv", index=False, float_format="%.17g")
+    parts = pd.concat([new, shuffled.head(7), repeated])[new.columns]  # `split` is of the campaign alone
+    parts.to_csv(tmp_path / "mixed.csv", index=False, float_format="%.17g")
+    assert (
+        identify.main([str(folder / "campaign.yaml"), "-o", str(again), "--verify", str(tmp_path / "mixed.csv")]) == 0
+    )
+    said = capsys.readouterr().out
+    assert "note: 7 of the 52 rows of mixed.csv are the campaign's own" in said
+    assert "7 of the 52 rows" in (again / "report.html").read_text()
+    found = json.loads((again / "result.json").read_text())["verification"]
+    assert (found["rows"], found["own_rows_left_out"]) == (45, 7)
+    plain = pd.concat([new, repeated])[new.columns]
+    plain.to_csv(tmp_path / "plain.csv", index=False, float_format="%.17g")
+    outcome = pipeline.identify(folder / "campaign.yaml", verify=tmp_path / "plain.csv")
+    assert outcome.verification is not None  # the figure is that of the other rows alone
+    final = np.sqrt(np.mean(np.sum(outcome.verification.residuals["final"][:, :3] ** 2, axis=1)))
+    assert found["error"]["final"]["position_mm"]["rms"] == pytest.approx(1e3 * final, rel=1e-6)
+
+
 def test_positions_alone_are_enough(tmp_path: Path) -> None:
     rng = np.random.default_rng(4)
     truth = robots.simulate(robots.ur10(), 150, rng, 1e-3, 5e-5, world=robots.random_placement(rng),

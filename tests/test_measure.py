@@ -286,6 +286,24 @@ def test_the_square_is_worked_out_from_the_nominal_arm(arm):
     assert np.linalg.norm(errors(campaign.measured().iloc[0], campaign.truth[0])[:3]) < 2e-4
 
 
+def test_the_arm_may_be_a_xacro_file_with_arguments_and_packages(arm, tmp_path):
+    campaign, _ = arm
+    description = tmp_path / "parts" / "arid_description"
+    description.mkdir(parents=True)
+    body = ARID.read_text(encoding="utf-8").partition("?>")[2]
+    parts = body.replace("<robot ", '<robot xmlns:xacro="http://www.ros.org/wiki/xacro" ', 1)
+    (description / "arid.xacro").write_text(parts)
+    (tmp_path / "arm.xacro").write_text(
+        '<robot name="arid" xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:arg name="which" default="nothing"/>'
+        '<xacro:include filename="$(find arid_description)/$(arg which).xacro"/></robot>'
+    )
+    head = tmp_path / "head.yaml"
+    about = "packages: {arid_description: parts/arid_description}, arguments: {which: arid}"
+    head.write_text(head.read_text().replace(f"urdf: {ARID},", f"urdf: arm.xacro, {about},"))
+    assert campaign.run() == 0
+    assert np.linalg.norm(errors(campaign.measured().iloc[0], campaign.truth[0])[:3]) < 2e-4
+
+
 def test_an_ambiguous_square_is_refused_not_guessed(arm, capsys):
     campaign, _ = arm
     joint = next(name for name in campaign.shots.columns if name.startswith("joint_2") or name == "joint_2")

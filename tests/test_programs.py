@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
@@ -15,13 +16,14 @@ from robot_programs import error, sent
 from scipy.spatial.transform import Rotation
 
 from aridcal.compensate import main as compensate
+from aridcal.errors import CampaignError
 from aridcal.fit.constants import constants
 from aridcal.model.model import Model
 from aridcal.programs import fanuc, gcode, krl, rapid, urscript
 from aridcal.programs.axes import Axes, axes_of
 from aridcal.programs.branches import flange
 from aridcal.programs.correct import correct
-from aridcal.programs.frames import KnownFrames, unsaid_base
+from aridcal.programs.frames import KnownFrames, read_frames, unsaid_base
 from aridcal.programs.languages import LANGUAGES
 from aridcal.programs.notations import ABB as OUR_ABB
 from aridcal.programs.notations import FANUC as OUR_FANUC
@@ -414,3 +416,20 @@ def test_a_gantry_comes_to_its_places_where_all_words_stand_and_as_near_as_those
         off, as_is = np.linalg.norm(place - q), np.linalg.norm(saved.final.poses(q[None])[1][0] - q)
         assert off == pytest.approx(c.after[0], abs=1e-9)
         assert off < (1e-6 if len(c.changes) == 3 else as_is)
+
+
+def test_a_wrong_file_of_frames_is_answered_with_what_one_looks_like(tmp_path: Path) -> None:
+    file = tmp_path / "frames.yaml"
+    for text, problem in (("bases: {}\n", "'format' is missing"), ("format: 1\nbasis: {}\n", "did you mean 'bases'")):
+        file.write_text(text)
+        with pytest.raises(CampaignError, match=problem) as found:
+            read_frames(file)
+        said = str(found.value)
+        assert said.startswith(str(file))
+        example = said[said.index("  format: 1") : said.index("docs/apply/index.md")]
+        file.write_text(textwrap.dedent(example))
+        known = read_frames(file)  # what is shown is what is read
+        np.testing.assert_allclose(known.tools["1"][:3, 3], [0, 0, 0.15])
+    with pytest.raises(CampaignError) as absent:
+        read_frames(tmp_path / "nowhere.yaml")
+    assert "for instance" not in str(absent.value)

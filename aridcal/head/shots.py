@@ -139,7 +139,8 @@ def shots_of(table: Table, head: HeadSettings, path: Path) -> list[Shot]:
     else:
         if head.robot is None:
             raise MeasurementError(f"{head.shots}: no column 'square'; add it, or name the `robot` in {path}")
-        robot = load_robot(head.robot.urdf, head.robot.tip, head.robot.base, head.limits.urdf)
+        arm = head.robot
+        robot = load_robot(arm.urdf, arm.tip, arm.base, head.limits.urdf, arm.packages, arm.arguments)
         cameras = list(_nominal_cameras(robot, table, head))
     images = table.texts("image")
     columns = zip(table.line, images, h, given, cameras, strict=True)

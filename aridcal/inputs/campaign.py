@@ -61,8 +61,8 @@ def _as_xacro(value: Any) -> Any:
     return str(value) if isinstance(value, int | float) else value
 
 
-class RobotSettings(Section):
-    """Which chain of which URDF, and where down is."""
+class ArmSettings(Section):
+    """Which chain of which URDF or xacro file."""
 
     urdf: RelativePath
     base: str | None = None
@@ -72,6 +72,11 @@ class RobotSettings(Section):
     """Folders of packages of ROS that the URDF names and that are not found by themselves."""
     arguments: dict[str, Annotated[str, BeforeValidator(_as_xacro)]] = Field(default_factory=dict)
     """Of a xacro file."""
+
+
+class RobotSettings(ArmSettings):
+    """The robot of a campaign, and where down is."""
+
     gravity: Literal["world"] | Vector3 = (0.0, 0.0, -9.81)
     """In the base frame, m/s²; `world`: along -z of the world frame."""
 

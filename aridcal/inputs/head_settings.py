@@ -9,6 +9,7 @@ import numpy as np
 from pydantic import Field, PositiveInt, model_validator
 
 from aridcal.errors import MeasurementError
+from aridcal.inputs.campaign import ArmSettings
 from aridcal.inputs.instrument_settings import Placement
 from aridcal.inputs.orientations import QUATERNION
 from aridcal.inputs.quantities import POSITION, QUATERNION_SLACK
@@ -66,14 +67,6 @@ class SonarSettings(Section):
         return self
 
 
-class ArmSettings(Section):
-    """The nominal arm that tells which square is in view, for shots without a column ``square``."""
-
-    urdf: RelativePath
-    base: str | None = None
-    tip: str
-
-
 class HeadSettings(Settings):
     """The whole of ``head.yaml``."""
 
@@ -95,6 +88,7 @@ class HeadSettings(Settings):
     shots: RelativePath
     """Table of images and ranges, see ``load_shots``."""
     robot: ArmSettings | None = None
+    """The nominal arm that tells which square is in view, for shots without a column ``square``."""
     world_base: Placement = Placement()
     """T_world_base of that arm."""
 

@@ -142,7 +142,8 @@ def _joints(
         lacking = [joint for joint in max(matches, key=len) if joint not in names]
         raise MeasurementError(
             f"{table.title}: no columns for the joints {', '.join(lacking)}. Its columns are {listed(names)}. Name "
-            "the joints' columns as in the URDF, or number them q1, q2, … along the chain"
+            "the joints' columns as in the URDF, or number them q1, q2, … along the chain. Where the controller logged them in a "
+            f"file of its own, `aridcal merge joints.csv {table.title} --urdf … --tip …` makes one table of both"
         )
     best = max(found, key=lambda joints: (found[joints][1] != "order", len(joints)))
     for joints in matches:

@@ -9,7 +9,7 @@ one for which the controller finds q': base^-1 T_nominal(q') tool.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -20,8 +20,10 @@ from aridcal.inputs.approach import approach
 from aridcal.inputs.query import Query
 from aridcal.model.inverse import Command, InverseKinematics
 from aridcal.model.one_row import OneRowModel
+from aridcal.programs.axes import axes_of
 from aridcal.programs.branches import controller, flange, holding, positions_of_arm
 from aridcal.programs.notations import inverse
+from aridcal.programs.postures import posture_of
 from aridcal.programs.targets import Branch, Number, Target, written
 from aridcal.result.compensate import STILL
 from aridcal.result.predict import at_any_station, directions, extrapolates, std_of
@@ -32,6 +34,10 @@ BEYOND = "is beyond what was measured for the calibration"
 UNREACHED = "cannot be reached within the joint limits"
 
 SINGULAR = "is close to a singularity: corrected as far as small motions of the joints can"
+
+OTHERWISE = (
+    "CONFIG names a position that the nominal arm does not have there, the nearest was taken: check base, tool and URDF"
+)
 
 GENTLE = 0.2
 """[rad] or [m]: an arm whose elbow is nearly straight bends it by so much for 2 cm; a correction that moves a joint further goes
@@ -216,6 +222,7 @@ class _Walk:
 
     def __init__(self, arm: _Arm, start: np.ndarray) -> None:
         self._arm, self._robot = arm, arm.saved.final.model.robot
+        self._posture = posture_of(self._robot, axes_of(self._robot.kinds))
         self._nominal = start  # where the controller believes that the arm is
         self._sent = start  # where the joints are sent with the corrections
         self._sides = dict.fromkeys(directions(arm.saved), 0.0)
@@ -251,12 +258,13 @@ class _Walk:
         assert target.notation is not None and target.base is not None and target.tool is not None
         told = target.base @ target.notation.pose(target.values)
         wanted = told @ inverse(target.tool)
-        stands = positions_of_arm(self._arm.nominal, wanted, target.branch, self._nominal)
+        stands, settled, odd = self._stands(wanted, target.branch)
         if not stands:
             return Correction(target, NOWHERE)
-        q, others = stands[0], [] if target.branch.settled else stands[1:]
+        q, others = stands[0], [] if settled else stands[1:]
         sides = self._approached(q)
         real, remark = self._arm.nearby(wanted, q, sides, target.branch.held)
+        remark = remark or odd
         new = self._posed(target, real)
         values = target.notation.numbers(new, target.values)
         texts = tuple(
@@ -273,6 +281,22 @@ class _Walk:
         )  # fmt: skip
         self._nominal, self._sent = q, (q if found.why else sent)
         return found
+
+    def _stands(self, wanted: np.ndarray, branch: Branch) -> tuple[list[np.ndarray], bool, str]:
+        """How the arm may stand at T_base_tip, whether that is known, and a remark."""
+        posture, letters = self._posture, branch.letters
+        if posture is None or not letters:
+            return positions_of_arm(self._arm.nominal, wanted, branch, self._nominal), branch.settled, ""
+        known = replace(
+            branch,
+            fits=lambda q: branch.fits(q) and posture.fits(letters, q),
+            settled=branch.settled or posture.decides(letters),
+        )
+        found = positions_of_arm(self._arm.nominal, wanted, known, self._nominal)
+        if found:
+            return found, known.settled, ""
+        found = positions_of_arm(self._arm.nominal, wanted, branch, self._nominal)
+        return found, branch.settled, f"{OTHERWISE} ({' '.join(letters)})"
 
     def _posed(self, target: Target, q: np.ndarray) -> np.ndarray:
         """The pose in the program's frame for which the controller finds readings."""

@@ -26,6 +26,8 @@ FRAMES = re.compile(r"UF\s*:\s*(\w+)\s*,\s*UT\s*:\s*(\w+)")
 
 TURNS = re.compile(r"CONFIG\s*:\s*'[^']*?(-?\d+)\s*,\s*(-?\d+)\s*,\s*(-?\d+)\s*'")
 
+LETTERS = re.compile(r"CONFIG\s*:\s*'\s*([NF])\s*([UD])\s*([TB])\s*,")
+
 POSE = ("X", "Y", "Z", "W", "P", "R")
 
 
@@ -67,7 +69,8 @@ def _target(text: str, point: re.Match[str], axes: Axes, frames: KnownFrames) ->
         if axis in own:
             held[k] = axes.unit(k, DEGREE, MILLIMETRE) * own[axis].value
     turns = TURNS.search(group.group("own"))
-    branch = Branch(_turned(turns, axes), None, held)
+    letters = LETTERS.search(text, *group.span("own"))
+    branch = Branch(_turned(turns, axes), None, held, letters="".join(letters.groups()) if letters else "")
     numbers = tuple(own[part] for part in POSE)
     return Target(line, name, "pose", numbers, use.why, None, (), FANUC, known(use.base), known(use.tool), branch)
 

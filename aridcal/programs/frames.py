@@ -10,10 +10,17 @@ import numpy as np
 import pinocchio as pin
 from pydantic import Field
 
+from aridcal.errors import CampaignError
 from aridcal.inputs.instrument_settings import Placement
 from aridcal.inputs.yaml_file import Number, Settings, load_settings
 from aridcal.robot.chain import Robot
 from aridcal.robot.tree import read_tree
+
+EXAMPLE = """a file of --frames states frames that only the controller has, in metres and radians, for instance
+  format: 1
+  bases: {"1": {xyz: [0.8, 0, 0.3], rpy: [0, 0, 1.5708]}}    # of the base: frames of targets, by name or number
+  tools: {"1": {xyz: [0, 0, 0.15], rpy: [0, 0, 0]}}          # of the tip
+docs/apply/index.md has a page for each controller: how it writes its frames"""
 
 
 class FrameSettings(Settings):
@@ -53,7 +60,10 @@ def read_frames(path: Path | None) -> KnownFrames:
     """
     if path is None:
         return KnownFrames()
-    settings = load_settings(path, FrameSettings)
+    try:
+        settings = load_settings(path, FrameSettings)
+    except CampaignError as problem:
+        raise CampaignError(f"{problem}\n{EXAMPLE}" if path.is_file() else str(problem)) from None
     return KnownFrames(_poses(settings.bases), _poses(settings.tools), settings.start)
 
 

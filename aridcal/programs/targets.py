@@ -65,12 +65,14 @@ class Branch:
         near: Readings to start from, shape (columns,), NaN where nothing is said; None: those of the target before.
         held: Readings that are to stay as they are, external axes for instance, shape (columns,), NaN where none is.
         settled: With that the position is known: of several that fit, the controller itself takes the nearest.
+        letters: How the arm stands in the three letters of FANUC, ``NUT`` for instance; empty where nothing is said.
     """
 
     fits: Callable[[np.ndarray], bool] = field(default=lambda q: True)
     near: np.ndarray | None = None
     held: np.ndarray | None = None
     settled: bool = False
+    letters: str = ""
 
 
 @dataclass(frozen=True)

@@ -187,6 +187,8 @@ def verification(outcome: Outcome) -> Iterator[Content]:
     found = outcome.verification
     assert found is not None
     yield tag("p", f"{found.file}: {counted(len(found.measurements), 'row')} that were not used for the calibration.")
+    if found.left_out:
+        yield tag("p", f"{found.left_out}.")
     models = dict(found.residuals)
     if found.realigned is not None:
         models["final, frames refitted"] = found.realigned

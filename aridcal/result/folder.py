@@ -156,6 +156,7 @@ def _verification(found: Verification) -> dict[str, Any]:
     return {
         "file": found.file,
         "rows": len(found.measurements),
+        **({"own_rows_left_out": found.copied} if found.copied else {}),
         "outliers": int(found.outlier.sum()),
         "error": {
             name: errors(residual, ~found.outlier, found.measurements.channels) for name, residual in residuals.items()

@@ -55,6 +55,7 @@ class Verification:
         residuals: Measured minus predicted of each stage, shape (N, m).
         outlier: Rows that are off by more than 10 robust scales even with the frames fitted anew, shape (N,).
         realigned: The final stage's after fitting the two frames anew: what remounting target or tracker changed.
+        copied: Rows of the table that the campaign has itself: they are left out.
     """
 
     file: str
@@ -62,6 +63,17 @@ class Verification:
     residuals: dict[str, np.ndarray]
     outlier: np.ndarray
     realigned: np.ndarray | None
+    copied: int = 0
+
+    @property
+    def left_out(self) -> str:
+        """What is to be said of rows that were left out; empty if none were."""
+        if not self.copied:
+            return ""
+        return (
+            f"{self.copied} of the {self.copied + len(self.measurements)} rows of {self.file} are the campaign's own, with the "
+            "same joints and the same measurements: they say nothing of another day and are left out"
+        )
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from aridcal.errors import NotOfThisRobot
+from aridcal.errors import MeasurementError, NotOfThisRobot
 from aridcal.fit.constants import constants, frame_coefficients, station_labels, unused_links
 from aridcal.fit.flags import distance, robust_sigma
 from aridcal.fit.least_squares import Fit, fit
@@ -43,6 +43,12 @@ from aridcal.trust.uncertainty import FAR, outliers, precision, realigned, with_
 
 Judge = Callable[[Campaign, Robot, Dataset, Geometry | None], None]
 """Told what frames and constants leave of the rows, None if nothing can be made of them; may refuse them and say why."""
+
+TELLING = 3
+"""Numbers of a row that are not equal twice by chance; a gauge's one, to hundredths of a millimetre, often is."""
+
+SAME = 1e-8
+"""By less than that, in [rad] or [m], joints and what was measured differ in a copy, which may have been written anew."""
 
 TRACED = 50_000
 """Rows whose residuals are traced to joints and columns, of more: what those tell by a chance of 1e-300 others need not."""
@@ -98,6 +104,8 @@ def identify(
     if not isinstance(job, Job):
         job = read_job(job, seed, progress, cache, verify is not None)
     campaign, robot, rows = job.campaign, job.robot, choose(job.rows)
+    # read before the work is done: a table that is no other day's is told of at once
+    other = None if verify is None else other_day(campaign, robot, job.rows, verify)
     labels = station_labels(campaign, rows)
     check_memory(_size(campaign, robot, rows, labels), str(campaign.path), available_memory())
     progress(f"fitting frames and constants to {rows.train.sum()} rows")
@@ -110,9 +118,9 @@ def identify(
     where = region(campaign, geometry.geometric, rows.select(rows.train))
     arm = calibrated_arm(campaign, robot, rows, labels, geometry, progress)
     outcome = _outcome(campaign, robot, arm, where, job.still, job.detections, progress)
-    if verify is not None:
+    if other is not None:
         progress("scoring another day's measurements")
-        outcome = replace(outcome, verification=score(outcome, verify))
+        outcome = replace(outcome, verification=_scored(outcome, *other))
     return replace(outcome, seconds=time.perf_counter() - job.started)
 
 
@@ -271,13 +279,62 @@ def score(outcome: Outcome, table: AnyTable) -> Verification:
         table: Measurements in the columns and units of the campaign's own.
 
     Raises:
-        AridcalError: the table needs mending.
+        AridcalError: the table needs mending, or is the campaign's own.
     """
-    campaign, robot = outcome.campaign, outcome.robot
+    return _scored(outcome, *other_day(outcome.campaign, outcome.robot, outcome.measurements, table))
+
+
+def other_day(campaign: Campaign, robot: Robot, own: Dataset, table: AnyTable) -> tuple[Dataset, int]:
+    """Read another day's rows.
+
+    Args:
+        campaign: Says how the table is written.
+        robot: The nominal chain.
+        own: The campaign's own rows, fitted and held out.
+        table: Measurements in the columns and units of the campaign's own.
+
+    Returns:
+        The rows that the campaign does not have itself, and how many it has, which are left out.
+
+    Raises:
+        AridcalError: the table needs mending, or it has the campaign's own rows alone.
+    """
     limits, kinds = robot.limits, robot.kinds
     rows = with_directions(load_measurements(campaign, robot.readings, limits, kinds, files=[table], fitted=False))
+    copied = _copied(rows, own)
+    if copied.all() or rows.sha256 == own.sha256:
+        raise MeasurementError(
+            f"{rows.files[0]}: all {len(rows)} rows are the campaign's own, with the same joints and the same measurements, and "
+            "say nothing of another day. Give --verify what was measured at another time; how well held-out rows are met is in "
+            "the report without it"
+        )
+    return rows.select(~copied), int(copied.sum())
+
+
+def _copied(rows: Dataset, own: Dataset) -> np.ndarray:
+    """Rows that others hold too, joints and measurement, shape (N,)."""
+    from scipy.spatial import cKDTree  # slow to load
+
+    width = max(rows.observed.shape[1], own.observed.shape[1])
+    nearest, _ = cKDTree(_numbers(own, width)).query(_numbers(rows, width), p=np.inf, distance_upper_bound=SAME)
+    tells = np.isfinite(rows.observed).sum(axis=1) >= TELLING if rows.blocks else np.ones(len(rows), dtype=bool)
+    return np.asarray(np.isfinite(nearest) & tells)
+
+
+def _numbers(rows: Dataset, width: int) -> np.ndarray:
+    """Joints and measurement of each row, ``width`` numbers of another kind than poses among them, shape (N, numbers)."""
+    n = len(rows)
+    observed = np.full((n, width), np.nan)
+    observed[:, : rows.observed.shape[1]] = rows.observed if rows.blocks else np.nan
+    turns = np.full((n, 9), np.nan) if rows.rotation is None else rows.rotation.reshape(n, 9)
+    return np.nan_to_num(
+        np.hstack([rows.readings, rows.position, turns, observed]), nan=-1e9
+    )  # a hole is like a hole alone
+
+
+def _scored(outcome: Outcome, rows: Dataset, copied: int) -> Verification:
     asked = {stage.name: (problem(stage.fit.model, rows), stage.fit) for stage in outcome.stages}
     again = realigned(asked["final"][1], asked["final"][0])
     outlier = distance(again, robust_sigma(again, rows.channels), rows.channels) > FAR
     residuals = {name: question.residual(found.theta) for name, (question, found) in asked.items()}
-    return Verification(rows.files[0].name, rows, residuals, outlier, unscaled(again, rows.relative))
+    return Verification(rows.files[0].name, rows, residuals, outlier, unscaled(again, rows.relative), copied)
