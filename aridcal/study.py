@@ -53,8 +53,9 @@ class StudyRun:
         folder: Of ``study.parquet`` and ``study.html``.
         cases: A row for each case: shares of runs and median errors, each with its interval (``found_low``, ``found_high``).
         runs: Every run.
-        effects: Those that runs found, and in what share of them.
-        constants: How far each scatters over the runs, and what these state, [m] and [rad].
+        effects: Of a campaign: those that runs found, and in what share of them. Of a scenario none; see ``cases``.
+        constants: Of a campaign: how far each scatters over the runs, and what these state, [m] and [rad]. Of a scenario
+            none, for each run has a machine of its own.
         remaining: Runs that were not done, for the engine went away.
         lines: The whole answer in words.
     """
@@ -78,12 +79,13 @@ def study_run(done: Studied, out: Path) -> StudyRun:
     """What a study found, for Python."""
     from aridcal.overview.as_tables import again_table, case_table, run_table, scatter_table
 
+    halves = [row for row in done.rows if row["rows"] is None]
     return StudyRun(
         folder=out,
         cases=case_table(done),
         runs=run_table(done),
-        effects=again_table(done),
-        constants=scatter_table(done.rows),
+        effects=again_table(halves),
+        constants=scatter_table(halves),
         remaining=done.remaining,
         lines=tuple(summary(done)),
     )

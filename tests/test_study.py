@@ -26,7 +26,7 @@ from aridcal.prepare.scenario import Scenario
 from aridcal.prepare.simulation import simulate, write_campaign
 from aridcal.result.pipeline import identify
 from aridcal.showing import SILENT
-from aridcal.study import main
+from aridcal.study import main, study_run
 
 ROOT = Path(__file__).parent.parent
 
@@ -271,9 +271,12 @@ def test_python_has_what_the_command_says(done: tuple[Path, Studied]) -> None:
     assert cases.loc[(60, 1.0), "found"] == np.mean([row["found"] for row in rows])
     assert cases.loc[(60, 1.0), "true"] == pytest.approx(np.median([row["true_rms_mm"] for row in rows]))
     assert (cases["found_low"] <= cases["found"]).all() and (cases["found"] <= cases["found_high"]).all()
-    shares = dict(zip(run.effects["effect"], run.effects["share"], strict=True))
+    assert len(run.effects) == len(run.constants) == 0  # of machines of their own
+    halves = [row | {"rows": None, "size": None} for row in found.rows]
+    of_halves = study_run(Studied(tuple(halves), 0, 0, ""), path.parent)
+    shares = dict(zip(of_halves.effects["effect"], of_halves.effects["share"], strict=True))
     assert shares == {label: share.value for label, share in found_again(found.rows)}
-    assert list(run.constants["name"]) == [s.name for s in scatters(found.rows)]
+    assert list(of_halves.constants["name"]) == [s.name for s in scatters(found.rows)]
 
 
 def test_a_run_that_fails_says_why(tmp_path: Path) -> None:

@@ -78,15 +78,15 @@ def _case(point: Point) -> Row:
     return row
 
 
-def again_table(done: Studied) -> pd.DataFrame:
-    """Effects that runs of a study found, and the share of runs, most first."""
-    rows = [{"effect": label} | _estimate("share", found) for label, found in found_again(done.rows)]
+def again_table(halves: Sequence[Row]) -> pd.DataFrame:
+    """Effects that runs on halves of a campaign's rows found, and the share of runs, most first."""
+    rows = [{"effect": label} | _estimate("share", found) for label, found in found_again(halves)]
     return pd.DataFrame(rows, columns=["effect", *_estimate("share", None)])
 
 
-def scatter_table(rows: Sequence[Row]) -> pd.DataFrame:
-    """How far constants scatter over the runs of a study, [m] and [rad], beside what each run states."""
-    return pd.DataFrame([asdict(s) for s in scatters(rows)], columns=_names(Scatter))
+def scatter_table(halves: Sequence[Row]) -> pd.DataFrame:
+    """How far constants scatter over halves of a campaign's rows, [m] and [rad], beside what each run states."""
+    return pd.DataFrame([asdict(s) for s in scatters(halves)], columns=_names(Scatter))
 
 
 def _estimate(name: str, found: Estimate | None) -> Row:

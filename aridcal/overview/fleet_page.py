@@ -208,8 +208,9 @@ def _drifting(ran: Ran) -> Iterator[Content]:
         f"Of {counted(robots, 'robot')} measured more than once the last run was set beside the first that told the same "
         f"constants, {counted(len(found), 'constant')} in all: {len(beyond):,} moved by more than the noise has them move. Of "
         f"fleets in which nothing moves, at most {100 * FALSE_ALARMS:.0f} % have any constant said to move; the standard "
-        "deviations know of noise alone, and an effect that a model lacks moves constants, too. `aridcal history` follows every "
-        "run, and says when it began.",
+        "deviations know of noise alone, and an effect that a model lacks moves constants, too. ",
+        tag("code", "aridcal history"),
+        " follows every run, and says when a drift began.",
     )
     shown = [*beyond, *[drift for drift in found if not drift.beyond][:MOST_WITHIN]]
     if shown:
