@@ -160,24 +160,6 @@ print(os.environ["OPENBLAS_NUM_THREADS"], os.environ.get("BLIS_NUM_THREADS"))
         assert said.splitlines() == [*first, "[1, 1]", "2 None"]
 
 
-def test_commands_compute_on_one_blas_thread_in_libraries_that_they_load_late() -> None:
-    """SciPy's own is loaded when something is fitted, long after threads were counted. The environment stays."""
-    code = """
-import os
-import numpy, threadpoolctl
-from aridcal.command_line import run
-def threads():
-    import scipy.linalg
-    print(sorted(i["num_threads"] for i in threadpoolctl.threadpool_info() if i["user_api"] == "blas"))
-run(threads)
-print(os.environ.get("OPENBLAS_NUM_THREADS"), os.environ.get("OMP_NUM_THREADS"))
-"""
-    env = {key: value for key, value in os.environ.items() if key != "OMP_NUM_THREADS"}
-    env |= {"OPENBLAS_NUM_THREADS": "2", "PYTHONPATH": str(HOME)}
-    said = subprocess.run([sys.executable, "-c", code], env=env, check=True, capture_output=True, text=True).stdout
-    assert said.splitlines() == ["[1, 1]", "2 None"]
-
-
 def test_threads_hashes_language_clock_and_folder_change_no_byte(tmp_path: Path) -> None:
     """A run on one thread in the campaign's folder; another on two, elsewhere, through a link, of another hash seed."""
     table = attacked(UNDECLARED)
