@@ -126,10 +126,7 @@ def _block(asked: _Asked, number: int, tables: Sequence[AnyTable], alone: bool) 
 
 
 def _usable(asked: _Asked, number: int, tables: Sequence[AnyTable], alone: bool) -> tuple[Dataset, RowNoise]:
-    """The usable rows of a block, their configurations and their split not yet drawn, and their noise.
-
-    The cells of its tables, which take more than all else, are given up when this returns.
-    """
+    """A block's usable rows, configurations and split not yet drawn, and their noise; its large cells are given up."""
     campaign, kinds = asked.campaign, asked.kinds
     settings = campaign.blocks[number]
     own = [settings.columns.get(name, name) for name in asked.readings]
