@@ -115,7 +115,7 @@ def identify(
         judge(campaign, robot, rows, None)
         raise
     judge(campaign, robot, rows, geometry)
-    where = region(campaign, geometry.geometric, rows.select(rows.train))
+    where = region(campaign, geometry.geometric, rows.fitted)
     arm = calibrated_arm(campaign, robot, rows, labels, geometry, progress)
     outcome = _outcome(campaign, robot, arm, where, job.still, job.detections, progress)
     if other is not None:
@@ -136,7 +136,7 @@ def _outcome(
     """Score every stage of a calibrated arm, and ask what remains."""
     progress("scoring")
     rows, diagnosed = arm.rows, arm.diagnosed
-    train = rows.select(rows.train)
+    train = rows.fitted
     known = judged(arm, progress)
     stages, outlier, final = known.stages, known.outlier, known.stages[-1].fit
     kept = rows.select(~outlier)
@@ -257,8 +257,8 @@ def _size(campaign: Campaign, robot: Robot, rows: Dataset, labels: tuple[str, ..
 
 def _stages(rows: Dataset, geometry: Geometry, final: Fit, progress: Progress) -> tuple[tuple[Stage, ...], np.ndarray]:
     """Every stage fitted with the final model's flags, and the flags of all rows."""
-    train = rows.select(rows.train)
-    stages = []
+    train = rows.fitted
+    stages: list[Stage] = []
     for name, found in (("nominal", geometry.nominal), ("geometric", geometry.geometric), ("final", final)):
         if not np.array_equal(found.outliers, final.outliers):
             again = fit(problem(found.model, train, progress), found.theta, final.weight)
@@ -266,9 +266,20 @@ def _stages(rows: Dataset, geometry: Geometry, final: Fit, progress: Progress) -
             convergence = replace(again.convergence, **tried)
             found = replace(again, candidates=found.candidates, redundant=found.redundant, convergence=convergence)
         found = recentred(with_noise_seen(found, train, progress) if name == "final" else found)
-        stages.append(Stage(name, found, problem(found.model, rows).residual(found.theta)))
+        same = bool(stages) and _alike(stages[-1].fit, found)
+        residual = stages[-1].residual if same else problem(found.model, rows).residual(found.theta)
+        stages.append(Stage(name, found, residual))
     left = [scaled(stage.residual, rows.relative) for stage in stages]
     return tuple(stages), outliers(rows.train, final.outliers, left, rows.channels)
+
+
+def _alike(one: Fit, other: Fit) -> bool:
+    """True of fits that predict the same: a search that finds nothing leaves the model as it is."""
+    here, there = one.model, other.model
+    if here.states or there.states or here.around is not there.around:
+        return False
+    frames = here.world_base == there.world_base and here.tip_target == there.tip_target
+    return frames and here.coefficients == there.coefficients and np.array_equal(one.theta, other.theta)
 
 
 def score(outcome: Outcome, table: AnyTable) -> Verification:

@@ -92,7 +92,7 @@ def _scatter(outcome: Outcome, used: np.ndarray) -> dict[str, dict[str, float]]:
         used: Fitted rows, shape (N,) bool.
     """
     fit, rows = outcome.stage("final").fit, outcome.measurements
-    train = rows.select(rows.train)
+    train = rows.fitted
     surprise = contradicted(train, fit.estimated, fit.freedom)
     left = fit.freedom / fit.numbers
     found = {}
