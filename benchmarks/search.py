@@ -21,7 +21,7 @@ from scipy.linalg.lapack import dpotrf, dpotri
 
 from aridcal.fit import normal_equations
 from aridcal.result import pipeline
-from aridcal.search import arm, diagnose, evidence, exact, hints, products, scoring, screening, stepwise
+from aridcal.search import arm, diagnose, evidence, exact, grids, hints, products, scoring, screening, stepwise
 
 REPEATS = 20
 
@@ -55,7 +55,20 @@ class Kernel:
 def across(made: products.Products, chunk: products.Chunk, members: list[products.Member]) -> float:
     """Operations of products that are not kept yet."""
     rows, w = sum(len(r) for r in made.r), len(chunk.pull[0])
-    return sum(2.0 * rows * w * made.columns(e)[0].shape[1] for e, _ in members if e not in chunk.across)
+    new = [e for e, _ in members if e not in chunk.across]
+    if chunk.grid is None:
+        return sum(2.0 * rows * w * made.columns(e)[0].shape[1] for e in new)
+    return sum(of_grid(made, chunk.grid, e) for e in new)
+
+
+def of_grid(made: products.Products, grid: grids.Grid, member: products.Effect | None) -> float:
+    """The same of a grid with one member: k k' sums a row for each slot and channel, or k of each of the member's columns."""
+    channels, (rows, size, slots), k = len(grid.slots), grid.slots[0].shape, grid.functions.values.shape[1]
+    taken = None if member is None else made._source.apart(member)
+    other = None if taken is None else made._functions(taken[1])
+    if other is not None:
+        return 2.0 * rows * slots * channels * (size + k * other.values.shape[1])
+    return 2.0 * rows * slots * channels * made.columns(member)[0].shape[1] * (size + k)
 
 
 def cubed(factor: float) -> Callable[..., float]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -264,12 +264,8 @@ def _tidy(
             if best == effect or its.gain < mine.gain + BETTER:
                 best, its = effect, mine
             keep = not judge(model, without, best, its, tested).why
-            if keep and best == effect and not effect.smooth:  # as it was: a smooth one may have got another shape
-                again = [replace(a, score=its) if a.effect == effect else a for a in state.active]
-                state = replace(state, active=tuple(again))
-                continue
-            taken = [activate(model, without, best, its) if a.effect == effect else a for a in state.active]
-            state = solve_state(model, taken if keep else active, without.solution.sigma, without.used)
+            taken = (*active, activate(model, without, best, its)) if keep else active
+            state = solve_state(model, taken, without.solution.sigma, without.used)
             if not keep or best != effect:
                 rough = score_without(model, lasting, state, known.intersection(before[k + 1 :]), progress)
         if [a.effect for a in state.active] == before:
