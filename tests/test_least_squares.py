@@ -296,7 +296,9 @@ def test_blocks_of_rows_add_up() -> None:
     W = np.sqrt(weight)[:, None] / np.repeat([1e-3, 2e-3], 3)
     A, b = (J * W[:, :, None]).reshape(-1, 4), (r * W).ravel()
     here = linearise(question, theta, weight, sigma)
-    np.testing.assert_allclose(here.residual, r, rtol=0, atol=1e-14)  # of the last, short block each row is walked by itself
+    np.testing.assert_allclose(
+        here.residual, r, rtol=0, atol=1e-14
+    )  # of the last, short block each row is walked by itself
     equations = here.equations
     np.testing.assert_allclose(equations.information(sigma), A.T @ A, rtol=1e-10, atol=1e-3)
     np.testing.assert_allclose(equations.pull(sigma), A.T @ b, rtol=1e-9)

@@ -246,8 +246,7 @@ class ExtendedModel:
             tip: Likewise.
         """
         if len(q) >= MANY:
-            joints, end = self._standing(world, tip)
-            return placed(*walked(joints, q)[1:], end)
+            return walked(*self._standing(world, tip, q))[1:]
         end = self._place(world, tip)
         R, p = np.empty((len(q), 3, 3)), np.empty((len(q), 3))
         for segment in self.segments:
@@ -265,9 +264,7 @@ class ExtendedModel:
     def jacobian(self, q: np.ndarray, world: int, tip: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The same, and the twist of the target that each joint causes, in world axes, shape (n, 6, nv)."""
         if len(q) >= MANY:
-            joints, end = self._standing(world, tip)
-            frames, R, p = walked(joints, q)
-            R, p = placed(R, p, end)
+            frames, R, p = walked(*self._standing(world, tip, q))
             return R, p, twists(frames, p)
         end = self._place(world, tip)
         R, p = np.empty((len(q), 3, 3)), np.empty((len(q), 3))
@@ -353,12 +350,12 @@ class ExtendedModel:
             self.segments[number].model.jointPlacements[place + 1] = placement
         return end
 
-    def _standing(self, world: int, tip: int) -> tuple[Stepped, pin.SE3]:
-        """All joints as arrays, with one pair of frames, and the target's placement on the last."""
+    def _standing(self, world: int, tip: int, q: np.ndarray) -> tuple[Stepped, np.ndarray, np.ndarray]:
+        """All joints as arrays, with one pair of frames; their coordinates; and the target's placement on the last, (4, 4)."""
         changed, end = self._ends(world, tip)
         for k, placement in changed.items():
             self._stepped.placement[k] = placement.homogeneous
-        return self._stepped, end
+        return self._stepped, q, end.homogeneous
 
     def _ends(self, world: int, tip: int) -> tuple[dict[int, pin.SE3], pin.SE3]:
         """Placements that one pair of frames gives to joints, by their coordinates, and that of the target on the last one.
