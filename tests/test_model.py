@@ -99,7 +99,9 @@ def test_what_turns_about_the_target_does_not_move_it_by_a_rounding(count: int) 
     arm, rng = robots.arid(), np.random.default_rng(2)
     place = ((None, robots.random_placement(rng)),)
     model = Model(arm, (*robots.FRAMES, *constants(arm, "full")), place, place)
-    _, _, J = model.jacobian(rng.uniform(-0.01, 0.01, len(model.coefficients)), model.rows(robots.readings(arm, count, rng)))
+    _, _, J = model.jacobian(
+        rng.uniform(-0.01, 0.01, len(model.coefficients)), model.rows(robots.readings(arm, count, rng))
+    )
     about = [c.where == "tip_target" and c.component in ("roll", "pitch", "yaw") for c in model.coefficients]
     assert np.all(J[:, :3, about] == 0.0) and np.all(np.abs(J[:, :3, ~np.array(about)]).max(axis=(0, 1)) > 1e-3)
 

@@ -107,6 +107,16 @@ class Effect:
             return Nodes(tuple(zip(*(np.round(of / radii, 9).tolist() for of in (x, y, z)), strict=True)))
         return self.grid or (len(bases),)
 
+    @cached_property
+    def slots(self) -> tuple[tuple[str, str], ...]:
+        """Places and components that move, each pair once."""
+        return tuple(dict.fromkeys((c.where, c.component) for c in self.coefficients))
+
+    @cached_property
+    def bases(self) -> tuple[Basis, ...]:
+        """What its coefficients are multiplied with, each once."""
+        return tuple(dict.fromkeys(c.basis for c in self.coefficients))
+
     @property
     def motion(self) -> tuple[str, ...]:
         """Components that move, each once."""
