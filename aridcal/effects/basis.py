@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -24,6 +25,18 @@ class Basis:
     form: str = "1"
     of: tuple[str, ...] = ()
     numbers: tuple[float, ...] = ()
+
+    def __hash__(self) -> int:
+        """Of the contents, found once: hundreds of candidates share a basis."""
+        return self._hash
+
+    @cached_property
+    def _hash(self) -> int:
+        return hash((self.form, self.of, self.numbers))
+
+    def __getstate__(self) -> dict[str, object]:
+        """Without what was found of it: another process hashes strings otherwise."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}
 
     @property
     def constant(self) -> bool:
