@@ -93,6 +93,19 @@ def test_many_rows_walked_together_are_where_pinocchio_has_each(robot: str, whic
         np.testing.assert_allclose(found, np.concatenate(each), rtol=0, atol=2e-14 * np.abs(found).max())
 
 
+@pytest.mark.parametrize("count", [MANY // 2, MANY + 20])
+def test_what_turns_about_the_target_does_not_move_it_by_a_rounding(count: int) -> None:
+    """A column of roundings looks like any other, once it is brought to length 1."""
+    arm, rng = robots.arid(), np.random.default_rng(2)
+    place = ((None, robots.random_placement(rng)),)
+    model = Model(arm, (*robots.FRAMES, *constants(arm, "full")), place, place)
+    _, _, J = model.jacobian(
+        rng.uniform(-0.01, 0.01, len(model.coefficients)), model.rows(robots.readings(arm, count, rng))
+    )
+    about = [c.where == "tip_target" and c.component in ("roll", "pitch", "yaw") for c in model.coefficients]
+    assert np.all(J[:, :3, about] == 0.0) and np.all(np.abs(J[:, :3, ~np.array(about)]).max(axis=(0, 1)) > 1e-3)
+
+
 def test_poses_of_many_rows_at_stations_are_those_of_each_station() -> None:
     arm, rng = robots.arid(), np.random.default_rng(0)
     frames = tuple((name, robots.random_placement(rng)) for name in "ab")

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -24,6 +25,18 @@ class Basis:
     form: str = "1"
     of: tuple[str, ...] = ()
     numbers: tuple[float, ...] = ()
+
+    def __hash__(self) -> int:
+        """Of the contents, found once: hundreds of candidates share a basis."""
+        return self._hash
+
+    @cached_property
+    def _hash(self) -> int:
+        return hash((self.form, self.of, self.numbers))
+
+    def __getstate__(self) -> dict[str, object]:
+        """Without what was found of it: another process hashes strings otherwise."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}
 
     @property
     def constant(self) -> bool:
@@ -166,15 +179,41 @@ def evaluate(basis: Basis, covariates: Mapping[str, np.ndarray]) -> np.ndarray:
     Raises:
         CovariateNotFound: a column that it depends on was not measured.
     """
-    form = FORMS[basis.form]
+    return FORMS[basis.form].value(_columns(basis.form, basis.of, covariates), basis.numbers)
+
+
+def evaluated(bases: Sequence[Basis], covariates: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Values of bases, shape (N, B); those of one form and the same covariates at once.
+
+    Args:
+        bases: One at least.
+        covariates: Shape (N,) each.
+
+    Raises:
+        CovariateNotFound: a column that they depend on was not measured.
+    """
+    alike: dict[tuple[str, tuple[str, ...]], list[int]] = {}
+    for k, basis in enumerate(bases):
+        alike.setdefault((basis.form, basis.of), []).append(k)
+    found = np.empty((len(next(iter(covariates.values()))), len(bases)))
+    for (form, of), own in alike.items():
+        columns = [column[:, None] for column in _columns(form, of, covariates)]
+        numbers = np.array([bases[k].numbers for k in own])
+        found[:, own] = FORMS[form].value(columns, tuple(numbers.T))
+    return found
+
+
+def _columns(form: str, of: Sequence[str], covariates: Mapping[str, np.ndarray]) -> Columns:
+    """Covariates of a form, each of shape (N,)."""
+    absent = FORMS[form].absent
     columns = []
-    for name in basis.of:
+    for name in of:
         if name in covariates:
             columns.append(covariates[name])
-        elif form.absent is not None:
-            columns.append(np.full_like(next(iter(covariates.values())), form.absent, dtype=float))
+        elif absent is not None:
+            columns.append(np.full_like(next(iter(covariates.values())), absent, dtype=float))
         else:
             raise CovariateNotFound(
                 f"the model depends on {name!r}, which was not measured{nearest(name, covariates)}: add that column"
             )
-    return form.value(columns, basis.numbers)
+    return columns

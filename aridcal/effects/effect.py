@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from functools import cached_property
+from functools import cache, cached_property
 from itertools import groupby
 
 import numpy as np
@@ -107,6 +107,16 @@ class Effect:
             return Nodes(tuple(zip(*(np.round(of / radii, 9).tolist() for of in (x, y, z)), strict=True)))
         return self.grid or (len(bases),)
 
+    @cached_property
+    def slots(self) -> tuple[tuple[str, str], ...]:
+        """Places and components that move, each pair once."""
+        return tuple(dict.fromkeys((c.where, c.component) for c in self.coefficients))
+
+    @cached_property
+    def bases(self) -> tuple[Basis, ...]:
+        """What its coefficients are multiplied with, each once."""
+        return tuple(dict.fromkeys(c.basis for c in self.coefficients))
+
     @property
     def motion(self) -> tuple[str, ...]:
         """Components that move, each once."""
@@ -157,7 +167,16 @@ def direction(component: str, axis: np.ndarray | None) -> np.ndarray:
         component: ``x y z roll pitch yaw`` of a frame, or ``t1 t2 r1 r2`` across a joint's axis.
         axis: Of the joint, in its own frame, shape (3,); a frame's components need none.
     """
+    return _direction(component, None if axis is None else tuple(axis.tolist()))
+
+
+@cache
+def _direction(component: str, axis: tuple[float, ...] | None) -> np.ndarray:
+    """The same, found once: models are made by the hundred, and move along a few."""
     if component in FRAME_COMPONENTS:
-        return np.eye(3)[FRAME_COMPONENTS.index(component) % 3]
-    assert axis is not None
-    return transverse(axis)[int(component[1]) - 1]
+        found = np.eye(3)[FRAME_COMPONENTS.index(component) % 3]
+    else:
+        assert axis is not None
+        found = transverse(np.array(axis))[int(component[1]) - 1]
+    found.flags.writeable = False
+    return found

@@ -159,11 +159,22 @@ def turns(where: str, component: str, of: str, order: float) -> tuple[Coefficien
 
 
 def bumps(where: str, component: str, of: str, values: np.ndarray, knots: int) -> tuple[Coefficient, ...]:
-    """A smooth function of a covariate: cubic B-splines on evenly spaced knots over the range seen.
+    """A smooth function of a covariate as a motion.
 
     Args:
         where: A joint of the chain, ``world_base`` or ``tip_target``.
         component: That moves.
+        of: Name of the covariate; see :func:`knots_over`.
+        values: See there.
+        knots: See there.
+    """
+    return tuple(Coefficient(where, component, basis) for basis in knots_over(of, values, knots))
+
+
+def knots_over(of: str, values: np.ndarray, knots: int) -> tuple[Basis, ...]:
+    """A smooth function of a covariate: cubic B-splines on evenly spaced knots over the range seen.
+
+    Args:
         of: Name of the covariate.
         values: Of the covariate, shape (N,).
         knots: The most there may be; there is one for every two different values, and three more beyond each end, over
@@ -173,5 +184,4 @@ def bumps(where: str, component: str, of: str, values: np.ndarray, knots: int) -
     different = len(np.unique(np.round(values, 6)))
     count = int(np.clip(different // 2, LEAST_KNOTS, knots))
     step = (high - low) / (count - 1)
-    centres = [low + k * step for k in range(-3, count + 3)]
-    return tuple(Coefficient(where, component, Basis("bump", (of,), (centre, step))) for centre in centres)
+    return tuple(Basis("bump", (of,), (low + k * step, step)) for k in range(-3, count + 3))

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from itertools import product
 
 import numpy as np
 
 from aridcal.effects.basis import Basis
 from aridcal.effects.effect import ANGULAR, FRAME_COMPONENTS, Coefficient, Effect
-from aridcal.effects.kinds import Kind, Observed, bumps
+from aridcal.effects.kinds import Kind, Observed, knots_over
 from aridcal.robot.chain import Joint
 
 KNOTS = 9
@@ -24,19 +24,20 @@ ALONG = 0.99
 
 def _unknown(rows: Observed) -> Iterator[Effect]:
     """Any motion of any joint or of the target, each as a smooth function of any reading or column."""
-    covariates = rows.varying()
+    # The same bases for all motions: a thousand effects are made of them, and compared.
+    curves = {name: knots_over(name, rows.table[name], KNOTS) for name in rows.varying()}
     for j in rows.robot.joints:
         for component in FRAME_COMPONENTS:
-            for name in covariates:
+            for name, bases in curves.items():
                 if not (name == j.name and _drives(j, component)):  # that is a joint_map
-                    yield _curve(rows, j.name, component, name)
+                    yield _curve(j.name, component, bases)
     for component in FRAME_COMPONENTS:
-        for name in covariates:
-            yield _curve(rows, "tip_target", component, name)
+        for bases in curves.values():
+            yield _curve("tip_target", component, bases)
 
 
-def _curve(rows: Observed, where: str, component: str, of: str) -> Effect:
-    return Effect("unknown", where, bumps(where, component, of, rows.table[of], KNOTS), smooth=True)
+def _curve(where: str, component: str, bases: Iterable[Basis]) -> Effect:
+    return Effect("unknown", where, tuple(Coefficient(where, component, basis) for basis in bases), smooth=True)
 
 
 def _drives(joint: Joint, component: str) -> bool:

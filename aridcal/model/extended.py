@@ -120,6 +120,9 @@ def chain_steps(robot: Robot, links: Sequence[Link], needed: Sequence[Slot]) -> 
     ends = [joint.placement for joint in robot.joints[1:]] + [robot.tip_before * robot.tip_origin]
     steps: list[Step] = []
     placement = robot.joints[0].placement
+    groups: dict[tuple[str, Group], list[Slot]] = {}
+    for slot in needed:
+        groups.setdefault((slot.where, slot.group), []).append(slot)
 
     def put(found: Sequence[tuple[Slot, Motion]]) -> None:
         nonlocal placement
@@ -133,9 +136,9 @@ def chain_steps(robot: Robot, links: Sequence[Link], needed: Sequence[Slot]) -> 
         placement = pin.SE3.Identity()
 
     for joint, after in zip(robot.joints, ends, strict=True):
-        put(_sorted(needed, joint.name, "constant", joint))
+        put(_sorted(groups.get((joint.name, "constant"), ()), joint))
         end_of_origin(joint.name)
-        effects = _sorted(needed, joint.name, "effect", joint)
+        effects = _sorted(groups.get((joint.name, "effect"), ()), joint)
         own = [(own_slot(joint.name), motion("axis", joint))]
         put(own + effects if joint.kind == "prismatic" else effects + own)
         if joint.name in link_after:
@@ -145,15 +148,14 @@ def chain_steps(robot: Robot, links: Sequence[Link], needed: Sequence[Slot]) -> 
                 slot = Slot(joint.name, "link", component)
                 put([(slot, motion(LINK_AXES[component]))] if slot in needed else [])
         placement = placement * after
-    put(_sorted(needed, robot.tip_joint, "constant", None) if robot.tip_joint else [])
+    put(_sorted(groups.get((robot.tip_joint or "", "constant"), ()), None))
     end_of_origin(robot.tip_joint or "")
     return steps
 
 
-def _sorted(needed: Sequence[Slot], where: str, group: Group, joint: Joint | None) -> list[tuple[Slot, Motion]]:
+def _sorted(group: Sequence[Slot], joint: Joint | None) -> list[tuple[Slot, Motion]]:
     """A group of joints at one place with their motions, in the order of C; those of one rank by their names."""
-    found = [slot for slot in needed if (slot.where, slot.group) == (where, group)]
-    found.sort(key=lambda slot: (rank(slot.component, joint), slot.component))
+    found = sorted(group, key=lambda slot: (rank(slot.component, joint), slot.component))
     return [(slot, motion(slot.component, joint)) for slot in found]
 
 
@@ -246,8 +248,7 @@ class ExtendedModel:
             tip: Likewise.
         """
         if len(q) >= MANY:
-            joints, end = self._standing(world, tip)
-            return placed(*walked(joints, q)[1:], end)
+            return walked(*self._standing(world, tip, q))[1:]
         end = self._place(world, tip)
         R, p = np.empty((len(q), 3, 3)), np.empty((len(q), 3))
         for segment in self.segments:
@@ -265,9 +266,7 @@ class ExtendedModel:
     def jacobian(self, q: np.ndarray, world: int, tip: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The same, and the twist of the target that each joint causes, in world axes, shape (n, 6, nv)."""
         if len(q) >= MANY:
-            joints, end = self._standing(world, tip)
-            frames, R, p = walked(joints, q)
-            R, p = placed(R, p, end)
+            frames, R, p = walked(*self._standing(world, tip, q))
             return R, p, twists(frames, p)
         end = self._place(world, tip)
         R, p = np.empty((len(q), 3, 3)), np.empty((len(q), 3))
@@ -353,12 +352,12 @@ class ExtendedModel:
             self.segments[number].model.jointPlacements[place + 1] = placement
         return end
 
-    def _standing(self, world: int, tip: int) -> tuple[Stepped, pin.SE3]:
-        """All joints as arrays, with one pair of frames, and the target's placement on the last."""
+    def _standing(self, world: int, tip: int, q: np.ndarray) -> tuple[Stepped, np.ndarray, np.ndarray]:
+        """All joints as arrays, with one pair of frames; their coordinates; and the target's placement on the last, (4, 4)."""
         changed, end = self._ends(world, tip)
         for k, placement in changed.items():
             self._stepped.placement[k] = placement.homogeneous
-        return self._stepped, end
+        return self._stepped, q, end.homogeneous
 
     def _ends(self, world: int, tip: int) -> tuple[dict[int, pin.SE3], pin.SE3]:
         """Placements that one pair of frames gives to joints, by their coordinates, and that of the target on the last one.

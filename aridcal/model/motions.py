@@ -45,9 +45,9 @@ def rank(component: str, joint: Joint | None) -> tuple[bool, int]:
     e1, e2 and the axis of a joint count as x, y, z where none is an axis of its frame.
     """
     vector, turns = motion(component, joint)
-    place = int(np.argmax(np.abs(vector)))
-    others = np.delete(vector, place)
-    if np.abs(others).max() > ON_AN_AXIS:
+    size = [abs(value) for value in vector.tolist()]
+    place = size.index(max(size))
+    if max(size[:place] + size[place + 1 :]) > ON_AN_AXIS:
         place = {"1": 0, "2": 1}.get(component[-1], 2)
     return turns, -place if turns else place
 

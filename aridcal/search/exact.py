@@ -9,7 +9,7 @@ from types import MappingProxyType
 import numpy as np
 from scipy.linalg import block_diag
 
-from aridcal.effects.basis import Basis, evaluate
+from aridcal.effects.basis import Basis, evaluated
 from aridcal.effects.effect import Coefficient, Effect
 from aridcal.effects.kinds import Observed
 from aridcal.fit.flags import flagged
@@ -176,8 +176,9 @@ def linear_model(
         observed: Covariates of the rows.
     """
     effects = list(dict.fromkeys([*library, *(a.effect for a in active)]))
-    slots = tuple(dict.fromkeys((c.where, c.component) for e in effects for c in e.coefficients))
-    bases = tuple(dict.fromkeys(c.basis for e in effects for c in e.coefficients))
+    slots = tuple(dict.fromkeys(slot for e in effects for slot in e.slots))
+    own_bases = {id(basis): basis for e in effects for basis in e.bases}  # most are shared, and slow to be compared
+    bases = tuple(dict.fromkeys(own_bases.values()))
     ones = Basis("ones", (observed.robot.names[0],))
     own = current.model.coefficients
     model = current.model.with_coefficients((*own, *(Coefficient(*slot, ones) for slot in slots)))
@@ -202,7 +203,7 @@ def linear_model(
         gauge=_gauge(start.geometric, tuple(own[k] for k in constant)),
         G=np.ascontiguousarray(J[:, :, len(own) :]),
         slots=slots,
-        phi=np.column_stack([evaluate(b, observed.table) for b in bases]) if bases else np.zeros((len(r), 0)),
+        phi=evaluated(bases, observed.table) if bases else np.zeros((len(r), 0)),
         bases=bases,
         r=r,
         limit=start.limit,
