@@ -238,6 +238,7 @@ def test_frames_that_lie_about_themselves_are_refused() -> None:
     for content in (b"", b"nonsense", cv2.imencode(".png", SCENES[0])[1].tobytes()[:200]):
         with pytest.raises(NotMeasured):
             packed_frame(content)
+    assert raw_frame("mono8", 1, 2, 4_000_000_000, False, data).tolist() == [[0, 0]]  # and takes no 4 GB
     wide = np.array([[0, 256 * 200]], ">u2").view(np.uint8).ravel()
     assert raw_frame("mono16", 1, 2, 4, True, wide).tolist() == [[0, 200]]
 
