@@ -260,7 +260,8 @@ def _write_images(logs: Read, camera: BagCamera, arguments: argparse.Namespace) 
         if numbers is not None:
             (stage / CAMERA_FILE).write_text(camera_file(numbers, camera.title), encoding="utf-8")
     table = found.table.assign(image=[f"{folder.name}/{names[int(number)]}" for number in found.frames])
-    with atomic_table(out, []) as stage, table_file(stage / out.name) as write:
+    page = out.with_suffix(".html").name  # an earlier table's goes
+    with atomic_table(out, [page]) as stage, table_file(stage / out.name) as write:
         write(table)
     console, _ = screens(arguments)
     said = [*found.notices, remark, *(f"no row: {one}" for one in found.unpaired[:SHOWN])]

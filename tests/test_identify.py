@@ -204,6 +204,7 @@ def test_the_campaigns_own_rows_are_no_other_day(
     )
     said = capsys.readouterr().out
     assert "note: 7 of the 52 rows of mixed.csv are the campaign's own" in said
+    assert "(mixed.csv, 45 of 45, 7 of the campaign's own left out)" in said
     assert "7 of the 52 rows" in (again / "report.html").read_text()
     found = json.loads((again / "result.json").read_text())["verification"]
     assert (found["rows"], found["own_rows_left_out"]) == (45, 7)

@@ -21,7 +21,9 @@ from aridcal.boards.patterns import drawing, marks
 from aridcal.boards.sheet import svg
 from aridcal.detect import main as detect
 from aridcal.head.matching import NotMeasured
-from aridcal.inputs.head_settings import CameraSettings
+from aridcal.head.shots import read_image, shots_of
+from aridcal.inputs.head_settings import CameraSettings, HeadSettings, load_shots
+from aridcal.inputs.yaml_file import load_settings
 from aridcal.logs.bag_camera import BagCamera, CameraInfo, intrinsics
 from aridcal.merge import main
 
@@ -119,6 +121,29 @@ def test_from_a_bag_to_a_campaign_of_pixels(tmp_path: Path, capsys: pytest.Captu
     campaign = aridcal.propose(UR10, tmp_path / "corners.csv")
     np.testing.assert_array_equal(campaign.instruments.cameras["eye"].intrinsics, half)
     assert images.is_dir()
+
+
+def test_a_measuring_head_takes_the_table_the_images_and_the_camera(tmp_path: Path) -> None:
+    made_bags.write_camera_bag(tmp_path / "run", JOINTS, FILM, "mono8", info())
+    (tmp_path / "shots.html").write_text("an earlier page")
+    assert main([str(tmp_path / "run"), *ARGUMENTS, str(tmp_path / "shots.csv"), "--quiet"]) == 0
+    assert not (tmp_path / "shots.html").exists()
+    camera = known_camera(tmp_path / "shots_images" / "camera.yaml", "eye")
+    own = {name: getattr(camera, name) for name in CameraSettings.model_fields} | {
+        "distortion": list(camera.distortion)
+    }
+    (tmp_path / "squares.csv").write_text("index,x,y,z,qx,qy,qz,qw\n1,1,0,0.5,0,0,0,1\n")
+    (tmp_path / "head.yaml").write_text(
+        f"format: 1\ncamera: {own}\ntip_camera: {{xyz: [0, 0, 0.1], rpy: [0, 0, 0]}}\ntarget: charuco\nsquares_x: 7\n"
+        "squares_y: 5\nsquare: 0.035\nmarker: 0.026\ndictionary: DICT_5X5_50\nsquares: squares.csv\nshots: shots.csv\n"
+        f"robot: {{urdf: {UR10}, tip: tool0}}\n"
+    )
+    head = load_settings(tmp_path / "head.yaml", HeadSettings)
+    shots = shots_of(load_shots(head.shots, head), head, tmp_path / "head.yaml")
+    assert len(shots) == len(SCENES)
+    for shot, scene in zip(shots, SCENES, strict=True):
+        grey = cv2.cvtColor(scene, cv2.COLOR_BGR2GRAY).astype(float)
+        assert np.abs(read_image(shot.image, head) - grey).mean() < 3
 
 
 def test_a_moving_picture_and_clocks_that_differ_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -238,6 +263,7 @@ def test_frames_that_lie_about_themselves_are_refused() -> None:
     for content in (b"", b"nonsense", cv2.imencode(".png", SCENES[0])[1].tobytes()[:200]):
         with pytest.raises(NotMeasured):
             packed_frame(content)
+    assert raw_frame("mono8", 1, 2, 4_000_000_000, False, data).tolist() == [[0, 0]]  # and takes no 4 GB
     wide = np.array([[0, 256 * 200]], ">u2").view(np.uint8).ravel()
     assert raw_frame("mono16", 1, 2, 4, True, wide).tolist() == [[0, 200]]
 

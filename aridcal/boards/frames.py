@@ -53,9 +53,8 @@ def raw_frame(encoding: str, height: int, width: int, step: int, bigendian: bool
     row = width * CHANNELS[kind] * depth
     if width < 1 or height < 1 or step < row or len(data) < step * (height - 1) + row:
         raise NotMeasured(f"an image says {width} x {height} pixels of {encoding}, and has {len(data)} bytes")
-    whole = np.zeros(step * height, np.uint8)
-    whole[: min(len(data), len(whole))] = data[: len(whole)]
-    rows = whole.reshape(height, step)[:, :row]
+    # rows as they lie in the bytes; what a row ends in may be missing from the last, and may be said to be gigabytes
+    rows = np.lib.stride_tricks.as_strided(np.ascontiguousarray(data), (height, row), (step, 1), writeable=False)
     if depth == 2:
         numbers = np.ascontiguousarray(rows).view(">u2" if bigendian else "<u2")
         return np.asarray(numbers >> 8, dtype=np.uint8)

@@ -181,9 +181,9 @@ def another_day(outcome: Outcome) -> tuple[bool, str] | None:
     told, before = said(found.residuals[last.name], sound, others), said(last.residual, mask, rows)
     if rows.measures[mask][:, leading(rows)].any(axis=0).sum() < 2:
         before = before.partition(" ")[0]
-    sentence = (
-        f"Another day's rows ({found.file}, {sound.sum():,} of {len(sound):,}): {told} RMS, {before} on the {words}"
-    )
+    own_rows = f", {found.copied:,} of the campaign's own left out" if found.copied else ""
+    those = f"{found.file}, {sound.sum():,} of {len(sound):,}{own_rows}"
+    sentence = f"Another day's rows ({those}): {told} RMS, {before} on the {words}"
     if now < OVERFITTED * own:
         return True, f"{sentence}."
     if found.realigned is None:
