@@ -204,3 +204,5 @@ def test_rows_that_stand_alone_are_stacked_as_any_others() -> None:
     padded = np.pad(covariance, ((0, 1), (0, 0), (0, 0)))
     np.testing.assert_array_equal(alone.matrices(covariance), others.matrices(padded)[:4])
     assert not stack(np.array([0, 0, 1]), np.ones((3, 3), dtype=bool)).apart
+    of_two_kinds = np.array([[True, True, True, False], [True, False, False, False]])  # as many rows, of other numbers
+    assert not stack(np.array([1, 0]), of_two_kinds).apart

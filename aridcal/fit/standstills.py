@@ -133,7 +133,7 @@ class Stack:
     @property
     def apart(self) -> bool:
         """True where each row is a standstill of its own, and measures all numbers."""
-        return self.count == len(self.number) and bool(np.all(self.place == np.arange(self.width)))
+        return self.place.shape == (self.count, self.width) and bool(np.all(self.place == np.arange(self.width)))
 
     def vectors(self, values: np.ndarray) -> np.ndarray:
         """Numbers or columns of rows, shape (n, m, ...), as those of standstills, shape (S, M, ...); 0 beyond what these have."""

@@ -219,9 +219,9 @@ def beyond(
         1.0, float(np.var(per_row) / max(np.mean(per_row) ** 2, np.finfo(float).tiny)) * count / there.sum() / 2.0
     )
     held_out = bool(rows.test[judging].any())
-    free = 1.0 if held_out else fit.freedom / fit.numbers
-    if free <= 0.0:
+    if not held_out and fit.freedom < 1.0:  # not one measured number is left over that the calibration was not bent to
         return None
+    free = 1.0 if held_out else fit.freedom / fit.numbers
     return Beyond(
         squares=float(squares[there].sum() / count) / free,
         noise=float(scatter[there].sum() / count) if declared else 0.0,
