@@ -41,7 +41,7 @@ from aridcal.result.calibration_file import (
 )
 from aridcal.robot.chain import parse_robot
 from aridcal.trust.untold import with_untold
-from aridcal.trust.workspace import Untold, target_covariance
+from aridcal.trust.workspace import Untold, target_std
 
 # libyaml where PyYAML was built with it.
 Dumper: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
@@ -112,8 +112,7 @@ class SolvedModel:
             MeasurementError: a row's station is none of those that were calibrated.
         """
         rows = self.model.rows(readings, covariates, station)
-        found = target_covariance(self.model, self.theta, self.covariance, rows)
-        return np.sqrt(np.maximum(np.einsum("nii->ni", found), 0.0))
+        return target_std(self.model, self.theta, self.covariance, rows)
 
 
 @dataclass(frozen=True)
