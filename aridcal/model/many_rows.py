@@ -24,11 +24,20 @@ AT_ONCE = 1_000
 """Rows whose poses are worked out together: all that is made on the way stays in the cache, and memory stays flat."""
 
 
+MANY = 200
+"""Rows from which they are walked together: an arm of six with all its constants takes as long either way for 150."""
+
+
 def stretches(rows: slice | np.ndarray, n: int) -> list[slice | np.ndarray]:
     """Numbers of some rows, or all n of them, in parts of :data:`AT_ONCE`."""
     starts = range(0, n if isinstance(rows, slice) else len(rows), AT_ONCE)
     parts = [slice(start, start + AT_ONCE) for start in starts]
     return [*parts] if isinstance(rows, slice) else [rows[part] for part in parts]
+
+
+def few(n: int) -> list[slice]:
+    """Stretches of n rows that are walked one by one: what is said of a row must not depend, by a digit, on those beside it."""
+    return [slice(start, start + MANY - 1) for start in range(0, max(n, 1), MANY - 1)]
 
 
 class Stepped(NamedTuple):

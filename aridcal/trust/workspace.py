@@ -30,7 +30,7 @@ from aridcal.fit.normal_equations import solve
 from aridcal.fit.problem import BLOCK, problem
 from aridcal.fit.residual import linearise
 from aridcal.inputs.dataset import Dataset
-from aridcal.model.many_rows import stretches
+from aridcal.model.many_rows import few, stretches
 from aridcal.model.model import Model, Rows
 from aridcal.trust.seen import CHANNELS, Seen, holes, largest
 
@@ -252,8 +252,7 @@ def target_covariance(
         tool: A point that moves with the target, in its axes, shape (3,), [m], in place of its origin.
     """
     found = np.empty((len(rows), 6, 6))
-    for start in range(0, len(rows), BLOCK):
-        some = slice(start, start + BLOCK)
+    for some in few(len(rows)):
         R, _, J = model.jacobian(theta, rows[some])
         J = J if tool is None else shifted(J, R @ tool)
         found[some] = carried(J, covariance)
