@@ -283,7 +283,7 @@ SMALL = Size(coefficients=48, stations=0, rows=500, searched=400, numbers=6, joi
             {"coefficients": 30_048, "stations": 5_000},
             r"136\.\d GB .*30,048 coefficients.*5,000 stations: split the table",
         ),
-        ({"rows": 10_000_000}, r"50\.\d GB .*10,000,000 rows: give fewer"),
+        ({"rows": 10_000_000}, r"15\.\d GB .*10,000,000 rows: give fewer"),
         ({"joints": 400, "coefficients": 100}, r"24\.\d GB .*`diagnosis: \{candidates: "),
     ],
 )

@@ -140,8 +140,7 @@ def _outcome(
     known = judged(arm, progress)
     stages, outlier, final = known.stages, known.outlier, known.stages[-1].fit
     kept = rows.select(~outlier)
-    before, after = (stage.residual[~outlier] for stage in stages[1:])
-    traced = stretches(kept.sequence, TRACED)
+    traced = np.flatnonzero(~outlier)[stretches(kept.sequence, TRACED)]
     progress("fitting halves of the rows apart")
     again = second_look(stages[1].fit, diagnosed.fit, train, progress)
     asked = frame_coefficients(campaign, station_labels(campaign, rows), rows) + constants(
@@ -179,7 +178,7 @@ def _outcome(
             *(str(n) for n in rows.notices),
         ),
         seconds=0.0,
-        traces=trace(final, kept.select(traced), before[traced], after[traced], progress),
+        traces=trace(final, rows.select(traced), stages[1].residual[traced], stages[2].residual[traced], progress),
         diagnosis=explain(diagnosed, rows, rows.test & ~outlier, known.clues),
         head=head,
     )
@@ -217,15 +216,18 @@ def judged(arm: CalibratedArm, progress: Progress = SILENT) -> Judged:
     stages, outlier = _stages(rows, arm.geometry, arm.diagnosed.fit, progress)
     final, last = stages[-1].fit, stages[-1].residual
     kept, left = rows.select(~outlier), scaled(last, rows.relative)
-    white = left[~outlier]
+    white, raw = (r[~outlier] if outlier.any() else r for r in (left, last))
     # Repeats are set beside the residual that they are part of: both divided by what the rows' noise is known to be.
     # Of several targets of one body one is asked: the others err like it, whatever the model.
-    first = np.unique(kept.configuration, return_index=True)[1] if rows.share < 1.0 else np.arange(len(kept))
-    asked = clues(kept.select(first), white[first], repeats(kept, white), _freedom(final), final, progress)
+    one_each = kept, white
+    if rows.share < 1.0:
+        first = np.unique(kept.configuration, return_index=True)[1]
+        one_each = kept.select(first), white[first]
+    asked = clues(*one_each, repeats(kept, white), _freedom(final), final, progress)
     asked += row_clues(rows, final, left, outlier)
     effects = [active.effect for active in arm.diagnosed.found.state.active]
     said = decide(asked, effects, min(_freedom(final), arm.geometry.free))
-    return Judged(stages, outlier, repeats(kept, last[~outlier]), tuple(asked), said)
+    return Judged(stages, outlier, repeats(kept, raw), tuple(asked), said)
 
 
 def _derived_notices(rows: Dataset, diagnosed: Diagnosed) -> tuple[str, ...]:
