@@ -14,7 +14,7 @@ import pytest
 import robots
 import yaml
 
-from aridcal.effects.basis import FORMS, Basis
+from aridcal.effects.basis import FORMS, Basis, evaluate, evaluated
 from aridcal.effects.catalogue import (
     KINDS,
     candidates,
@@ -268,3 +268,18 @@ def test_a_new_kind_is_one_row_and_goes_through_the_whole_loop(
     assert result["verdict"] == "noise_floor"
     assert TOY.words in (out / "report.html").read_text("utf-8")
     assert "`toy`" in kinds_table()
+
+
+def test_bases_evaluated_together_are_those_one_by_one() -> None:
+    rng = np.random.default_rng(0)
+    table = {name: rng.uniform(0.1, 2.0, 50) for name in "abc"}
+    counts = {"ones": (1, 0), "linear": (1, 1), "power": (1, 3), "sin": (1, 1), "cos": (1, 1), "sign": (1, 0), "bump": (1, 2),
+              "bump2": (2, 4), "ball": (3, 4), "times_power": (2, 3), "step": (1, 1), "label": (1, 0)}  # fmt: skip
+    assert counts.keys() == FORMS.keys()
+    bases = [Basis(form, tuple(rng.permutation(list("abc"))[:of].tolist()),
+                   (*rng.uniform(0.5, 2.0, max(numbers - 1, 0)).tolist(), *([float(k + 1)] if numbers else [])))
+             for form, (of, numbers) in counts.items() for k in range(4)]  # fmt: skip
+    bases.append(Basis("label", ("nobody",)))  # counts as absent
+    bases = [bases[k] for k in rng.permutation(len(bases))]
+    found = evaluated(bases, table)
+    np.testing.assert_allclose(found, np.column_stack([evaluate(b, table) for b in bases]), rtol=1e-14, atol=1e-14)

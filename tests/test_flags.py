@@ -9,7 +9,7 @@ import pytest
 import robots
 from scipy.stats import kstest
 
-from aridcal.fit.flags import cluster, coordinates, limits
+from aridcal.fit.flags import QUANTILES, _quantiles, cluster, coordinates, limits
 from aridcal.inputs.dataset import Dataset
 
 N = 250
@@ -78,3 +78,9 @@ def test_rows_that_are_kept_are_never_flagged() -> None:
     kept = flags(np.array([7]))
     assert np.isinf(limits(data, kept)[7])
     assert np.isfinite(np.delete(limits(data, kept), 7)).all()
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 10, 11, 100, 997])
+def test_quantiles_are_those_of_numpy(count: int) -> None:
+    values = np.random.default_rng(count).standard_normal(count)
+    np.testing.assert_allclose(_quantiles(values), np.quantile(values, QUANTILES), rtol=1e-15, atol=1e-15)

@@ -9,8 +9,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import robots
+from scipy.optimize import minimize
 
-from aridcal.fit.frame_starts import FrameStart, start_frames
+from aridcal.fit.frame_starts import FrameStart, _Data, _descended, _lever_cost, start_frames
 from aridcal.fit.least_squares import fit_identifiable
 from aridcal.fit.problem import problem
 from aridcal.fit.stages import fit_geometry
@@ -82,6 +83,22 @@ def test_thirty_random_frames_lead_to_the_same_optimum(kind: str, robot) -> None
             assert np.linalg.norm(pin.log6(off).vector) < 0.05
         assert np.linalg.norm(target[0][1].translation - truth.model.tip_target[0][1].translation) < 0.05
     assert np.ptp(costs) < 1e-6 * np.mean(costs)
+
+
+@pytest.mark.parametrize("tips", [1, 4])
+def test_descents_end_no_higher_than_those_of_scipy(tips: int) -> None:
+    rng = np.random.default_rng(tips)
+    truth = robots.simulate(robots.ur10(), 60, rng, 1e-3, 1e-4, tip=robots.random_placement(rng, 0.3))
+    R, p = tip_frames(truth.model.robot, truth.readings)
+    tip, world = np.arange(60) % tips, np.arange(60) % 2
+    cost = _lever_cost(_Data(R, p, None, truth.measured.position, world, tip), tips)
+    for _ in range(10):
+        start = rng.uniform(-2.0, 2.0, 3 * tips)
+        value, place = _descended(cost, start, 1.0)
+        peer = minimize(cost, start, jac=True, method="L-BFGS-B", options={"ftol": 1e-15, "gtol": 1e-12})
+        again = minimize(cost, place, jac=True, method="L-BFGS-B", options={"ftol": 1e-15, "gtol": 1e-12})
+        assert value == cost(place)[0] <= peer.fun + 1e-9 or np.linalg.norm(place - peer.x) > 1e-2  # or another minimum
+        assert value <= again.fun + 1e-10
 
 
 @pytest.mark.parametrize("kind", ["pose", "position"])

@@ -156,7 +156,7 @@ def _lever_cost(data: _Data, tips: int) -> Cost:
     c, C, m = (_centred(part, data.world) for part in (data.p, _columns(data, tips), data.m))
     own = [data.world == w for w in range(worlds)]
     H0 = np.array([m[rows].T @ c[rows] for rows in own])
-    H1 = np.array([np.einsum("ni,njk->kij", m[rows], C[rows]) for rows in own])
+    H1 = np.array([np.einsum("ni,njk->kij", m[rows], C[rows]).reshape(-1, 9) for rows in own])
     linear = np.einsum("nik,ni->k", C, c)
     quadratic = np.einsum("nik,nil->kl", C, C)
     measured = float(np.sum(m**2))
@@ -168,11 +168,11 @@ def _lever_cost(data: _Data, tips: int) -> Cost:
         value = constant + 2 * linear @ t + t @ curved
         slope = 2 * linear + 2 * curved
         for first, second in zip(H0, H1, strict=True):
-            U, singular, Vt = np.linalg.svd(first + np.tensordot(t, second, 1))
+            U, singular, Vt = np.linalg.svd(first + (t @ second).reshape(3, 3))
             sign = np.array([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))])
             turn = (U * sign) @ Vt
             value -= 2 * float(singular @ sign)
-            slope = slope - 2 * np.einsum("kij,ij->k", second, turn)
+            slope = slope - 2 * second @ turn.ravel()
         return value / scale, slope / scale
 
     return cost

@@ -90,17 +90,19 @@ def _extended(R: np.ndarray, length: np.ndarray, kept: list[int], candidates: Se
 
     Gram-Schmidt, twice for each column, so that what is left is right to rounding.
     """
-    Q = np.linalg.qr(R[:, kept])[0]
-    kept = list(kept)
+    found, kept = np.empty((len(R), R.shape[1])), list(kept)
+    first = np.linalg.qr(R[:, kept])[0]
+    found[:, : first.shape[1]], count = first, first.shape[1]
     for k in candidates:
         if k in kept:
             continue
+        Q = found[:, :count]
         rest = R[:, k] - Q @ (Q.T @ R[:, k])
         rest -= Q @ (Q.T @ rest)
-        left = float(np.linalg.norm(rest))
+        left = float(np.sqrt(rest @ rest))
         if left > share * length[k] and _measured(left):
             kept.append(k)
-            Q = np.column_stack([Q, rest / left])
+            found[:, count], count = rest / left, count + 1
     return kept
 
 

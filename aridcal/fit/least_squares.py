@@ -190,20 +190,20 @@ def minimise(problem: Problem, theta: np.ndarray, weight: np.ndarray | None, pri
         prior: Beliefs that are not measured here.
     """
     channels, declared = problem.channels, problem.data.declared
-    robust, settled, abreast = weight is None, SETTLED, True
-    scale = np.ones(len(channels))
-    if robust:
-        settled = ROUGH
-        scale = robust_sigma(problem.scaled_residual(theta), channels)
+    robust, abreast = weight is None, True
+    settled = ROUGH if robust else SETTLED
+    at_once = (
+        None if robust or problem.measured is not None else linearise(problem, theta, weight, np.ones(len(channels)))
+    )
+    scale = robust_sigma(at_once.residual if at_once else problem.scaled_residual(theta), channels)
 
     def noise_at(place: Linearisation, sigma: np.ndarray) -> np.ndarray:
         estimate = scale if robust else _estimate(place.equations, sigma, prior)
         return declared(np.maximum(estimate, ABREAST * coarsest(estimate, channels)) if abreast else estimate)
 
-    sigma = declared(robust_sigma(problem.scaled_residual(theta), channels))
     # Until rows are weighed channels count beside one another by their robust scale, then by their noise.
-    here = linearise(problem, theta, weight, scale if robust else sigma)
-    sigma = noise_at(here, sigma)
+    here = at_once or linearise(problem, theta, weight, scale if robust else declared(scale))
+    sigma = noise_at(here, declared(scale))
     damping, taken = 0.0, 0
     while taken < STEPS and damping < MOST_DAMPING:
         H, g = with_prior(here.equations, sigma, theta, prior)

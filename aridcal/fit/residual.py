@@ -155,7 +155,10 @@ def _numbers(residual: np.ndarray, weight: np.ndarray, channels: Channels) -> np
 
 def weighted_squares(residual: np.ndarray, weight: np.ndarray, channels: Channels) -> np.ndarray:
     """Sum of squares of each channel, shape (C,), rows counted by weight."""
-    return np.array([float(weight @ np.nansum(residual[:, part] ** 2, axis=1)) for part in columns(channels)])
+    squares = residual**2
+    squares[np.isnan(squares)] = 0.0
+    each = weight @ squares
+    return np.array([float(each[part].sum()) for part in columns(channels)])
 
 
 def eliminated(
