@@ -155,6 +155,19 @@ def test_a_grid_gives_what_its_columns_give(monkeypatch):
             assert score.gain == pytest.approx(slowly[gone][effect].gain, rel=1e-6, abs=1e-6)
 
 
+def test_functions_of_one_preparation_are_not_taken_for_those_of_another():
+    """A search prepares one list after the other from the same model: their functions get the same numbers."""
+    made = solved()
+    by_list = []
+    for of in ("j2", "humidity"):
+        b = made.model.prepare(curves(of))
+        by_list.append(score_all(b, curves(of), replace(made, model=b)))
+    alone = solved()
+    b = alone.model.prepare(curves("humidity"))
+    for one, other in zip(by_list[1], score_all(b, curves("humidity"), replace(alone, model=b)), strict=True):
+        assert one.gain == pytest.approx(other.gain, rel=1e-9, abs=1e-9)
+
+
 def test_functions_that_are_not_zero_anywhere_are_not_local():
     rng = np.random.default_rng(0)
     values = np.where(rng.uniform(size=(50, 12)) < 0.2, rng.standard_normal((50, 12)), 0.0)

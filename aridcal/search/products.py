@@ -169,6 +169,7 @@ class Products:
     def made_by(self, source: Source) -> Products:
         """The same, columns made by a model that has further bases."""
         self._source = source
+        self._local.clear()  # known by numbers, which may mean other functions there
         return self
 
     def flat(self, effects: Sequence[Effect]) -> Flat:

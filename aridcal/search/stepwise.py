@@ -47,6 +47,10 @@ PASSES = 4
 SMALL = 1e6
 """Numbers measured times candidates, below which every choice is tried again after each step in little time."""
 
+ALIKE = 4
+"""Decimals of a gain [nat] that put candidates in order: the same motion of two places explains the same, and the first is taken,
+whatever rounding says."""
+
 MAPPED = 30.0
 """Highest order that a joint_map resolves: 72 knots over a turn, two for each half period."""
 
@@ -174,10 +178,10 @@ def rank(
     rough = dict(known or {})
     new = [e for e in free if e not in rough]
     rough.update(zip(new, score_all(model, new, state, progress), strict=True))
-    order = sorted(free, key=lambda e: -rough[e].gain)
+    order = sorted(free, key=lambda e: -round(rough[e].gain, ALIKE))
     enough = PROMISING * rough[order[0]].gain if order else 0.0
     head = [e for e in order if rough[e].gain > max(enough, 0.0)][:REFINED]
-    close = sorted(((e, refine(model, state, e, rough[e])) for e in head), key=lambda pair: -pair[1].gain)
+    close = sorted(((e, refine(model, state, e, rough[e])) for e in head), key=lambda pair: -round(pair[1].gain, ALIKE))
     return close + [(e, rough[e]) for e in order if e not in head]
 
 
