@@ -13,7 +13,6 @@ from aridcal.fit.least_squares import Fit
 from aridcal.fit.noise import Repeats
 from aridcal.inputs.campaign import Campaign
 from aridcal.inputs.dataset import Dataset
-from aridcal.model.many_rows import stretches
 from aridcal.trust.tolerance import Kept, beyond, instrument_noise, kept, unjudged
 from aridcal.trust.workspace import Knowledge, Untold, Workspace, ends, knowledge, spread_out
 
@@ -150,8 +149,7 @@ def _slices(known: Knowledge, train: Dataset) -> tuple[Slice, ...]:
     readings = spread_out(*ends(train, known.fit.model.robot.limits), CLOUD)
     like = _like(train, readings)
     cloud = known.places(train, readings, like)
-    parts = [np.arange(len(train))[part] for part in stretches(slice(None), len(train))]
-    middle = np.median(np.concatenate([known.places(train, train.readings[rows], rows) for rows in parts]), axis=0)
+    middle = np.median(known.places(train, train.readings, np.arange(len(train))), axis=0)
     thick = THICK * float(np.ptp(cloud, axis=0).max())
     found = []
     for axes in PLANES:
