@@ -16,8 +16,7 @@ from aridcal.effects.effect import FRAME_COMPONENTS, LINK_COMPONENTS, Coefficien
 from aridcal.effects.loads import Surroundings
 from aridcal.errors import CovariateNotFound, MeasurementError
 from aridcal.fit.constants import constants, stage_urdf
-from aridcal.model.extended import MANY
-from aridcal.model.many_rows import AT_ONCE
+from aridcal.model.many_rows import AT_ONCE, MANY
 from aridcal.model.model import Model
 from aridcal.robot.chain import Robot, parse_robot
 from aridcal.robot.doty import doty_links, link_transform

@@ -10,7 +10,6 @@ differ from station to station; the view is turned upright against gravity.
 
 from __future__ import annotations
 
-import base64
 import hashlib
 import importlib.util
 import json
@@ -20,11 +19,11 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from scipy.spatial.transform import Rotation
 
 from aridcal.drawing.frame import asset, empty_page, filled
 from aridcal.drawing.html import Html, attempt, note, noting
-from aridcal.drawing.shapes import robot_shapes, turn
+from aridcal.drawing.shapes import packed, position_quaternion, robot_shapes, stepped, turn
+from aridcal.drawing.words import drawn_of
 from aridcal.fit.constants import stage_urdf
 from aridcal.result.outcome import Outcome
 from aridcal.robot.chain import Robot, parse_robot
@@ -33,7 +32,10 @@ from aridcal.robot.shapes import Shape
 
 ASSETS = Path(__file__).parent / "assets"
 
-# At most so many rows can be stepped through; all are drawn as targets and vectors.
+MOST_DRAWN = 5_000
+"""Rows whose targets are drawn: more are dots upon dots, and of a million the page would have 73 MB."""
+
+# At most so many of them can be stepped through.
 ROWS = 200
 
 # Viridis from 0.2 to 1, evenly: its darkest fifth is left out because the page is dark.
@@ -58,8 +60,6 @@ GHOST = 0.12
 # A link that is turned by so much counts as one that is moved by the robot's size.
 RADIANS_PER_SPAN = 4.0
 
-# Of a 16-bit number.
-STEPS = 32767
 
 # [m] and without unit: a link whose frame moves less stands where it did.
 SAME = 1e-12
@@ -87,6 +87,8 @@ class Scene:
             take up, by its name, shape (N, 3) each, [m].
         places: Targets all over the joint range in the base frame, shape (M, 3), [m].
         sigma: How well the model knows them: 1-sigma in the worst direction, shape (M,), [m].
+        rms_mm: Of each stage's errors over all rows, where only some are here; default: over those that are.
+        left_out: Which rows are here, in words, where not all are.
     """
 
     nominal: Robot
@@ -102,6 +104,8 @@ class Scene:
     moved: dict[str, np.ndarray] = field(default_factory=dict)
     places: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
     sigma: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    rms_mm: dict[str, float] = field(default_factory=dict)
+    left_out: str = ""
 
 
 def write_scene(outcome: Outcome, path: Path) -> tuple[str, ...]:
@@ -131,6 +135,7 @@ def scene_page(scene: Scene) -> str:
     shapes, notices = robot_shapes(scene.nominal)
     for notice in notices:
         note(f"scene.html: {notice}")
+    notices = (*notices, *([scene.left_out] if scene.left_out else ()))
     script = asset("scene.js")
     which = hashlib.sha256(script.encode()).hexdigest()[:12]  # the script that understands this content
     return _page(scene_content(scene, shapes) | {"notices": notices, "script": which}, script)
@@ -166,16 +171,19 @@ def scene_content(scene: Scene, shapes: tuple[Shape, ...]) -> dict[str, Any]:
         "visuals": visuals,
         "bodies": len(joints),
         "corrected": [bool(moves > SAME) for moves in np.abs(nominal - calibrated).max(axis=(0, 2, 3))],
-        "poses": [_pack(_position_quaternion(T)) for T in (nominal, calibrated)],
+        "poses": [packed(position_quaternion(T)) for T in (nominal, calibrated)],
         "rows": rows.tolist(),
         "line": (np.arange(1, n + 1) if scene.line is None else scene.line).tolist(),
         "readings": _readings(scene.nominal, scene.readings[rows]),
-        "measured": _pack(measured),
-        "flags": _pack(flags, np.uint8),
-        "stages": [{"name": name, "rms": _rms_mm(e[scored]), "error": _pack(e)} for name, e in errors.items()],
-        "effects": [_stepped(name, motion) for name, motion in moved.items()],
-        "places": _pack(scene.places),
-        "sigma": _pack(1e3 * scene.sigma),
+        "measured": packed(measured),
+        "flags": packed(flags, np.uint8),
+        "stages": [
+            {"name": name, "rms": scene.rms_mm.get(name, _rms_mm(e[scored])), "error": packed(e)}
+            for name, e in errors.items()
+        ],
+        "effects": [stepped(name, motion) for name, motion in moved.items()],
+        "places": packed(scene.places),
+        "sigma": packed(1e3 * scene.sigma),
         "scored": "held-out rows" if held_out.any() else "all rows",
         "colours": VIRIDIS,
         "range": _colour_range(usual),
@@ -183,7 +191,7 @@ def scene_content(scene: Scene, shapes: tuple[Shape, ...]) -> dict[str, Any]:
         "factor": factor,
         "ghost": min(_ghost_magnification(nominal, calibrated), factor),
         "upright": _homogeneous(R_view_base).T.ravel().tolist(),  # column by column, as three.js has it
-        "seen": _pack(seen),
+        "seen": packed(seen),
     }
 
 
@@ -321,29 +329,8 @@ def _geometry(shape: Shape) -> dict[str, Any]:
     if shape.kind != "mesh":
         return geometry
     wide = len(shape.vertices) > np.iinfo(np.uint16).max
-    faces = _pack(shape.faces, np.uint32 if wide else np.uint16)
-    return geometry | {"vertices": _pack(shape.vertices), "faces": faces, "wide": wide}
-
-
-def _position_quaternion(T: np.ndarray) -> np.ndarray:
-    """Return frames (N, bodies, 4, 4) as places and quaternions x y z w, shape (N, bodies, 7)."""
-    R = T[..., :3, :3].reshape(-1, 3, 3)
-    quaternion = Rotation.from_matrix(R).as_quat().reshape(*T.shape[:2], 4)
-    return np.concatenate([T[..., :3, 3], quaternion], axis=-1)
-
-
-def _stepped(name: str, values: np.ndarray) -> dict[str, Any]:
-    """Write small motions (N, 3), [m], as 16-bit steps: there may be many effects, each with a vector for every row."""
-    largest = max(float(np.abs(values).max()), 1e-12)
-    step = largest / STEPS
-    return {"name": name, "step": step, "moved": _pack((values / step).round(), np.int16)}
-
-
-def _pack(values: np.ndarray, dtype: type = np.float32) -> str:
-    """Write numbers, row by row, as base64 of their little-endian bytes."""
-    little_endian = np.dtype(dtype).newbyteorder("<")
-    content = np.ascontiguousarray(values, little_endian).tobytes()
-    return base64.b64encode(content).decode()
+    faces = packed(shape.faces, np.uint32 if wide else np.uint16)
+    return geometry | {"vertices": packed(shape.vertices), "faces": faces, "wide": wide}
 
 
 def _page(content: dict[str, Any], script: str) -> str:
@@ -368,24 +355,29 @@ def _page(content: dict[str, Any], script: str) -> str:
 def scene(outcome: Outcome) -> Scene:
     """Collect what the picture shows: nominal and calibrated robot, measured targets, and every stage's prediction."""
     fit, m, robot = outcome.stage("final").fit, outcome.measurements, outcome.robot
-    rows = m.as_read  # they are stepped through as they stand in the files
-    world = fit.model.rows(m.readings, m.conditions, m.station, m.target).world
+    every = -(-len(m) // MOST_DRAWN)
+    rows = m.as_read[::every]  # they are stepped through as they stand in the files
+    station, target = (None if labels is None else labels[rows] for labels in (m.station, m.target))
+    conditions = {name: values[rows] for name, values in m.conditions.items()}
+    world = fit.model.rows(m.readings[rows], conditions, station, target).world
     bases = np.array([frame.homogeneous for _, frame in fit.model.world_base])
     calibrated = stage_urdf(outcome.stage("geometric").fit)
-    measured = m.position
+    measured = m.position[rows]
     shifts = {stage.name: stage.residual[:, :3] for stage in outcome.stages}
     if m.blocks:
         # What other instruments say of the target's place: the shortest way from the final model's to what fits the reading.
         shifts = {stage.name: np.nan_to_num(outcome.at_target.shift(stage.residual)) for stage in outcome.stages}
-        measured = outcome.at_target.places + shifts["final"]
+        measured = (outcome.at_target.places + shifts["final"])[rows]
+    parts = outcome.parts()
+    scored = parts["test"] if parts["test"].any() else ~outcome.outlier
     told = None if outcome.certainty is None else outcome.certainty.anywhere.select(outcome.certainty.anywhere.told)
     return Scene(
         nominal=robot,
         calibrated=parse_robot(calibrated, robot.tip, robot.base, robot.path, robot.packages),
         readings=m.readings[rows],
-        T_world_base=bases[world[rows]],
-        measured=measured[rows],
-        predicted={name: (measured - shift)[rows] for name, shift in shifts.items()},
+        T_world_base=bases[world],
+        measured=measured,
+        predicted={name: measured - shift[rows] for name, shift in shifts.items()},
         test=m.test[rows],
         outlier=outcome.outlier[rows],
         line=m.line[rows],
@@ -393,4 +385,6 @@ def scene(outcome: Outcome) -> Scene:
         moved={e.effect.label: e.adds[rows] for e in outcome.effects if e.adds is not None},
         places=np.zeros((0, 3)) if told is None else told.places,
         sigma=np.zeros(0) if told is None else told.sigma,
+        rms_mm={name: _rms_mm(shift[scored]) for name, shift in shifts.items()},
+        left_out=drawn_of(len(rows), len(m), every),
     )

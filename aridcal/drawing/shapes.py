@@ -8,12 +8,15 @@ ROS_PACKAGE_PATH, and needs trimesh also where there is no mesh to load.
 
 from __future__ import annotations
 
+import base64
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 from lxml import etree
+from scipy.spatial.transform import Rotation
 
 from aridcal.drawing.html import one_line, reason
 from aridcal.errors import shortened
@@ -23,6 +26,9 @@ from aridcal.robot.shapes import GREY, Shape, floats, mesh_files, say_missing, s
 
 # That a mesh may keep however many there are; all meshes together are thinned to TRIANGLES.
 FEWEST_TRIANGLES = 100
+
+# Of a 16-bit number.
+STEPS = 32767
 
 # Visuals that are drawn, of which each is drawn twice: a humanoid with every screw has a few hundred.
 MOST_SHAPES = 2000
@@ -173,3 +179,24 @@ def _skeleton(robot: Robot) -> tuple[Shape, ...]:
 def turn(start: np.ndarray, end: np.ndarray) -> np.ndarray:
     """Return the smallest rotation that brings one direction to another, shape (3, 3)."""
     return pin.Quaternion.FromTwoVectors(start, end).toRotationMatrix()
+
+
+def position_quaternion(T: np.ndarray) -> np.ndarray:
+    """Return frames (N, bodies, 4, 4) as places and quaternions x y z w, shape (N, bodies, 7)."""
+    R = T[..., :3, :3].reshape(-1, 3, 3)
+    quaternion = Rotation.from_matrix(R).as_quat().reshape(*T.shape[:2], 4)
+    return np.concatenate([T[..., :3, 3], quaternion], axis=-1)
+
+
+def stepped(name: str, values: np.ndarray) -> dict[str, Any]:
+    """Write small motions (N, 3), [m], as 16-bit steps: there may be many effects, each with a vector for every row."""
+    largest = max(float(np.abs(values).max()), 1e-12)
+    step = largest / STEPS
+    return {"name": name, "step": step, "moved": packed((values / step).round(), np.int16)}
+
+
+def packed(values: np.ndarray, dtype: type = np.float32) -> str:
+    """Write numbers, row by row, as base64 of their little-endian bytes."""
+    little_endian = np.dtype(dtype).newbyteorder("<")
+    content = np.ascontiguousarray(values, little_endian).tobytes()
+    return base64.b64encode(content).decode()

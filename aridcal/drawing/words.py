@@ -131,7 +131,7 @@ def scale_in_words(outcome: Outcome) -> tuple[str, ...]:
         return (f"{consistent}. A known distance between two points or markers gives it",)
     if known == 0.0:
         return ()
-    found = scale_std(outcome.stages[-1].fit, m.select(m.train))
+    found = scale_std(outcome.stages[-1].fit, m.fitted)
     rows = "" if found is None else f" ± {number(1e3 * found, 2)} mm per m of reach;"
     return (f"scale: known to{rows} the known lengths alone allow ± {number(1e3 * known, 2)} mm per m",)
 
@@ -303,3 +303,9 @@ def _correlated(change: str, kept: Sequence[str], columns: Mapping[str, np.ndarr
             if abs(r) > TOGETHER:
                 return f" (in these data the two are correlated: r = {r:.2f})"
     return ""
+
+
+def drawn_of(drawn: int, rows: int, every: int) -> str:
+    """Which of many rows are drawn: ``5,000 of 1,000,000 rows drawn, every 200th``; empty where all are."""
+    ending = "th" if every % 100 in (11, 12, 13) else {1: "st", 2: "nd", 3: "rd"}.get(every % 10, "th")
+    return "" if every == 1 else f"{drawn:,} of {rows:,} rows drawn, every {every}{ending}"

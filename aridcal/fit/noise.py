@@ -44,7 +44,7 @@ def repeats(rows: Dataset, residual: np.ndarray) -> Repeats | None:
         residual: Of each, shape (N, m), in the channels' units; NaN in channels that a row does not measure.
     """
     first = ~copies(rows)
-    rows, residual = rows.select(first), residual[first]
+    rows, residual = rows.select(first), residual if first.all() else residual[first]
     label = places(rows)
     size = np.bincount(label)
     own = size[label] > 1

@@ -90,10 +90,12 @@ def linearise(question: Problem, theta: np.ndarray, weight: np.ndarray | None, s
     AA, Ar = np.zeros((len(channels), count, count)), np.zeros((len(channels), count))
     sums = _sums(question, count)
     parts, used, nearer = [], [], []
+    conditional = question.measured is not None  # where rows measure the target's own pose readings are not moved
     for block in question.blocks():
         pieces = question.pieces(theta, block)
         r, J, B = pieces.r, pieces.J, pieces.B
-        nearer.append(pieces.agreed)
+        if conditional:
+            nearer.append(pieces.agreed)
         seen = _with_holes(question, block, r)
         w = cauchy(seen, sigma, channels) if weight is None else weight[block]
         root = np.sqrt(w * question.data.share)[:, None]
@@ -117,15 +119,16 @@ def linearise(question: Problem, theta: np.ndarray, weight: np.ndarray | None, s
         parts.append(seen)
         used.append(w)
     residual, weight = np.concatenate(parts), np.concatenate(used)
+    parts.clear()
     counted = weight * question.data.share
     rr = weighted_squares(residual, counted, channels)
     equations = NormalEquations(AA, Ar, rr, _numbers(residual, counted, channels))
-    beforehand = question.beforehand()
+    beforehand, at = question.beforehand(), np.concatenate(nearer) if conditional else question.rows.positions
     if sums is None or question.groups is None or beforehand is None:
-        return Linearisation(residual, weight, equations, np.concatenate(nearer))
+        return Linearisation(residual, weight, equations, at)
     found = solved(sums, question.groups, beforehand, sigma)
     equations = reduced(equations, sums, found, beforehand, sigma)
-    return Linearisation(residual, weight, equations, np.concatenate(nearer), found)
+    return Linearisation(residual, weight, equations, at, found)
 
 
 def _sums(question: Problem, count: int) -> Sums | None:

@@ -6,6 +6,7 @@ import hashlib
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -107,6 +108,11 @@ class Dataset:
     def train(self) -> np.ndarray:
         """Rows that may be fitted, shape (N,) bool."""
         return ~self.test
+
+    @cached_property
+    def fitted(self) -> Dataset:
+        """The data of the rows that may be fitted: made once, since whatever is fitted to them keeps them."""
+        return self.select(self.train)
 
     @property
     def measures(self) -> np.ndarray:

@@ -120,16 +120,14 @@ def _block(asked: _Asked, number: int, tables: Sequence[AnyTable], alone: bool) 
         tables: Its tables.
         alone: True if it is the campaign's only block.
     """
-    rows, noise = _usable(asked, number, tables, alone)
+    rows, chosen, noise = _read(asked, number, tables, alone)
+    rows = rows.select(chosen)
     rows = replace(rows, configuration=blocks(rows.readings, asked.kinds))
     return _Part(rows if rows.split_given else replace(rows, test=draw_split(rows.configuration, asked.seed)), noise)
 
 
-def _usable(asked: _Asked, number: int, tables: Sequence[AnyTable], alone: bool) -> tuple[Dataset, RowNoise]:
-    """The usable rows of a block, their configurations and their split not yet drawn, and their noise.
-
-    The cells of its tables, which take more than all else, are given up when this returns.
-    """
+def _read(asked: _Asked, number: int, tables: Sequence[AnyTable], alone: bool) -> tuple[Dataset, np.ndarray, RowNoise]:
+    """A block's rows without their large cells, which of them are used in what order, and the noise of these."""
     campaign, kinds = asked.campaign, asked.kinds
     settings = campaign.blocks[number]
     own = [settings.columns.get(name, name) for name in asked.readings]
@@ -215,7 +213,7 @@ def _usable(asked: _Asked, number: int, tables: Sequence[AnyTable], alone: bool)
         rows = replace(rows, blocks=(made,), block=nothing, observed=observed, refers=refers, target=target)
     numbers = sum(channel.size for channel in channels)
     noise = RowNoise(None if std is None else std[chosen, :numbers], absolute=settings.noise.rows == "absolute")
-    return rows.select(chosen), noise
+    return rows, chosen, noise
 
 
 def _without_rows(like: _Part, settings: MeasurementSettings) -> _Part:

@@ -10,7 +10,8 @@ from aridcal.robot.chain import JointKind
 
 SAME_ANGLE, SAME_LENGTH = 1e-3, 1e-4  # readings this close repeat one configuration, [rad] and [m]
 
-BOX = 32.0  # cells along a box: rows that repeat nothing hardly share one, and few stand at its edge
+BOX = 32.0
+"""Cells along a box in which rows are looked for that repeat one another: few share one by chance, and few stand at its edge."""
 
 
 def blocks(readings: np.ndarray, kinds: Sequence[JointKind]) -> np.ndarray:

@@ -19,7 +19,7 @@ import numpy as np
 import pinocchio as pin
 
 from aridcal.effects.effect import LINK_COMPONENTS, Coefficient
-from aridcal.model.many_rows import Stepped, stepped, twists, walked
+from aridcal.model.many_rows import MANY, Stepped, stepped, twists, walked
 from aridcal.model.motions import Motion, joint_model, motion, move_to, placed, rank, transform, turned
 from aridcal.robot.chain import Joint, Robot
 from aridcal.robot.doty import Link, doty_links, segments
@@ -37,10 +37,6 @@ workspace grows with their cube: 0.1 GB for these, 3 GB for the 430 of an arm of
 
 SEGMENT = 48
 """Joints of each part of a longer one, whose workspaces take 5 MB."""
-
-MANY = 40
-"""Rows from which they are walked together (:mod:`aridcal.model.many_rows`): 0.3 ms and 0.5 us a row. Pinocchio takes 2 us a row,
-and 2 ms or more to make a model, of which few questions are asked as a rule."""
 
 Group = Literal["constant", "effect", "link", "own"]
 

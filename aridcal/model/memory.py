@@ -23,8 +23,9 @@ copies, factors, inverses and singular vectors."""
 COLUMNS = 10
 """Copies of the constants' columns for the rows that are searched: the linear model's and some states'."""
 
-ROW = 5_000
-"""Bytes of a row in all that is kept of it: readings, residuals of every stage, views, curves, its lines in text."""
+ROW = 1_500
+"""Bytes of a row in all that is kept of it: readings, residuals of every stage, its cells in text. A million rows of poses of
+six joints took 850 each, where nothing was sought; an effect's columns and conditions come to that."""
 
 PAIR = 150_000
 """Bytes of what is tried for each pair of joints: couplings, functions of one load or of two covariates, and their columns."""

@@ -157,7 +157,7 @@ def _measured(campaign: Campaign, robot: Robot, bodies: Bodies, progress: Progre
         theta=np.concatenate([fit.theta, np.zeros(len(others))]),
         prior=np.full(len(fit.theta) + len(others), np.inf),
         sigma=fit.sigma,
-        rows=rows.select(rows.train),
+        rows=rows.fitted,
         weight=fit.weight,
         patterns=_patterns(rows),
         bodies=bodies,

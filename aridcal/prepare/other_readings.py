@@ -107,7 +107,7 @@ def refuse_misread(campaign: Campaign, robot: Robot, rows: Dataset, geometry: Ge
     """
     if rows.blocks:  # of these kinds no other readings are known
         return
-    train = rows.select(rows.train)
+    train = rows.fitted
     labels = station_labels(campaign, rows)
     if geometry is not None:
         left = [

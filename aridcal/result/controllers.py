@@ -241,7 +241,7 @@ def _predicted(found: Fit, rows: Dataset) -> np.ndarray:
 def _asked(outcome: Outcome, model: Model) -> Problem:
     """A model asked about some of the rows that the calibration was fitted to, at the noise that it found."""
     m = outcome.measurements
-    rows = replace(m.select(~m.test & ~outcome.outlier), sigma=tuple(outcome.noise.tolist()))
+    rows = replace(m.fitted.select(~outcome.outlier[m.train]), sigma=tuple(outcome.noise.tolist()))
     every = problem(model, rows)
     return every.select(thin(every.rows, ROWS))
 

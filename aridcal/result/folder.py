@@ -99,7 +99,7 @@ def result_document(outcome: Outcome) -> dict[str, Any]:
         **({"head": _head(outcome.head, frames(outcome.stage("final")))} if outcome.head is not None else {}),
         **_over_time(outcome),
         **({} if outcome.iso is None else {"iso_9283": iso_document(outcome.iso, m)}),
-        **({} if outcome.second_look is None else document(outcome.second_look, m.select(m.train))),
+        **({} if outcome.second_look is None else document(outcome.second_look, m.fitted)),
         **({} if outcome.certainty is None else {"workspace": as_document(outcome.certainty)}),
         "verdict": outcome.verdict.word,
         "unexplained_fraction": outcome.verdict.share,

@@ -135,7 +135,7 @@ class Outcome:
     def things(self) -> tuple[ThingValue, ...]:
         """What was found of the things that the rows refer to."""
         m = self.measurements
-        return thing_values(self.stages[-1].fit, m.select(m.train))
+        return thing_values(self.stages[-1].fit, m.fitted)
 
     @cached_property
     def iso(self) -> Iso9283 | None:

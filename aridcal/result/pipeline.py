@@ -107,7 +107,7 @@ def identify(
         judge(campaign, robot, rows, None)
         raise
     judge(campaign, robot, rows, geometry)
-    where = region(campaign, geometry.geometric, rows.select(rows.train))
+    where = region(campaign, geometry.geometric, rows.fitted)
     arm = calibrated_arm(campaign, robot, rows, labels, geometry, progress)
     outcome = _outcome(campaign, robot, arm, where, job.still, job.detections, progress)
     if verify is not None:
@@ -128,12 +128,11 @@ def _outcome(
     """Score every stage of a calibrated arm, and ask what remains."""
     progress("scoring")
     rows, diagnosed = arm.rows, arm.diagnosed
-    train = rows.select(rows.train)
+    train = rows.fitted
     known = judged(arm, progress)
     stages, outlier, final = known.stages, known.outlier, known.stages[-1].fit
     kept = rows.select(~outlier)
-    before, after = (stage.residual[~outlier] for stage in stages[1:])
-    traced = stretches(kept.sequence, TRACED)
+    traced = np.flatnonzero(~outlier)[stretches(kept.sequence, TRACED)]
     progress("fitting halves of the rows apart")
     again = second_look(stages[1].fit, diagnosed.fit, train, progress)
     asked = frame_coefficients(campaign, station_labels(campaign, rows), rows) + constants(
@@ -171,7 +170,7 @@ def _outcome(
             *(str(n) for n in rows.notices),
         ),
         seconds=0.0,
-        traces=trace(final, kept.select(traced), before[traced], after[traced], progress),
+        traces=trace(final, rows.select(traced), stages[1].residual[traced], stages[2].residual[traced], progress),
         diagnosis=explain(diagnosed, rows, rows.test & ~outlier, known.clues),
         head=head,
     )
@@ -209,15 +208,18 @@ def judged(arm: CalibratedArm, progress: Progress = SILENT) -> Judged:
     stages, outlier = _stages(rows, arm.geometry, arm.diagnosed.fit, progress)
     final, last = stages[-1].fit, stages[-1].residual
     kept, left = rows.select(~outlier), scaled(last, rows.relative)
-    white = left[~outlier]
+    white, raw = (r[~outlier] if outlier.any() else r for r in (left, last))
     # Repeats are set beside the residual that they are part of: both divided by what the rows' noise is known to be.
     # Of several targets of one body one is asked: the others err like it, whatever the model.
-    first = np.unique(kept.configuration, return_index=True)[1] if rows.share < 1.0 else np.arange(len(kept))
-    asked = clues(kept.select(first), white[first], repeats(kept, white), _freedom(final), final, progress)
+    one_each = kept, white
+    if rows.share < 1.0:
+        first = np.unique(kept.configuration, return_index=True)[1]
+        one_each = kept.select(first), white[first]
+    asked = clues(*one_each, repeats(kept, white), _freedom(final), final, progress)
     asked += row_clues(rows, final, left, outlier)
     effects = [active.effect for active in arm.diagnosed.found.state.active]
     said = decide(asked, effects, min(_freedom(final), arm.geometry.free))
-    return Judged(stages, outlier, repeats(kept, last[~outlier]), tuple(asked), said)
+    return Judged(stages, outlier, repeats(kept, raw), tuple(asked), said)
 
 
 def _derived_notices(rows: Dataset, diagnosed: Diagnosed) -> tuple[str, ...]:
@@ -249,8 +251,8 @@ def _size(campaign: Campaign, robot: Robot, rows: Dataset, labels: tuple[str, ..
 
 def _stages(rows: Dataset, geometry: Geometry, final: Fit, progress: Progress) -> tuple[tuple[Stage, ...], np.ndarray]:
     """Every stage fitted with the final model's flags, and the flags of all rows."""
-    train = rows.select(rows.train)
-    stages = []
+    train = rows.fitted
+    stages: list[Stage] = []
     for name, found in (("nominal", geometry.nominal), ("geometric", geometry.geometric), ("final", final)):
         if not np.array_equal(found.outliers, final.outliers):
             again = fit(problem(found.model, train, progress), found.theta, final.weight)
@@ -258,9 +260,20 @@ def _stages(rows: Dataset, geometry: Geometry, final: Fit, progress: Progress) -
             convergence = replace(again.convergence, **tried)
             found = replace(again, candidates=found.candidates, redundant=found.redundant, convergence=convergence)
         found = recentred(with_noise_seen(found, train, progress) if name == "final" else found)
-        stages.append(Stage(name, found, problem(found.model, rows).residual(found.theta)))
+        same = bool(stages) and _alike(stages[-1].fit, found)
+        residual = stages[-1].residual if same else problem(found.model, rows).residual(found.theta)
+        stages.append(Stage(name, found, residual))
     left = [scaled(stage.residual, rows.relative) for stage in stages]
     return tuple(stages), outliers(rows.train, final.outliers, left, rows.channels)
+
+
+def _alike(one: Fit, other: Fit) -> bool:
+    """True of fits that predict the same: a search that finds nothing leaves the model as it is."""
+    here, there = one.model, other.model
+    if here.states or there.states or here.around is not there.around:
+        return False
+    frames = here.world_base == there.world_base and here.tip_target == there.tip_target
+    return frames and here.coefficients == there.coefficients and np.array_equal(one.theta, other.theta)
 
 
 def score(outcome: Outcome, table: AnyTable) -> Verification:

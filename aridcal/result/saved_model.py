@@ -24,6 +24,7 @@ from aridcal.inputs.measurement_settings import MeasurementSettings
 from aridcal.inputs.yaml_file import Limits, parse_settings
 from aridcal.instruments.catalogue import KINDS, labelled
 from aridcal.model.inverse import Command, InverseKinematics
+from aridcal.model.many_rows import few
 from aridcal.model.model import Frames, Model
 from aridcal.model.one_row import OneRowModel
 from aridcal.reading.names import check_path
@@ -41,7 +42,7 @@ from aridcal.result.calibration_file import (
 )
 from aridcal.robot.chain import parse_robot
 from aridcal.trust.untold import with_untold
-from aridcal.trust.workspace import Untold, target_covariance
+from aridcal.trust.workspace import Untold, target_std
 
 # libyaml where PyYAML was built with it.
 Dumper: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
@@ -86,7 +87,9 @@ class SolvedModel:
             CovariateNotFound: an effect depends on a column that is not there.
             MeasurementError: a row's station is none of those that were calibrated.
         """
-        return self.model.poses(self.theta, self.model.rows(readings, covariates, station))
+        rows = self.model.rows(readings, covariates, station)
+        apart = [self.model.poses(self.theta, rows[some]) for some in few(len(rows))]
+        return np.concatenate([R for R, _ in apart]), np.concatenate([p for _, p in apart])
 
     def std(
         self,
@@ -96,8 +99,7 @@ class SolvedModel:
     ) -> np.ndarray:
         r"""How well the target is known in N configurations: the square root of the diagonal of :math:`J \Sigma J^T`.
 
-        J is the target's Jacobian and Sigma the covariance of the coefficients. That of a smooth function is its prior's where
-        the calibration saw nothing.
+        J is the target's Jacobian, Sigma the coefficients' covariance: of a smooth function its prior's where nothing was seen.
 
         Args:
             readings: As for :meth:`poses`.
@@ -112,8 +114,7 @@ class SolvedModel:
             MeasurementError: a row's station is none of those that were calibrated.
         """
         rows = self.model.rows(readings, covariates, station)
-        found = target_covariance(self.model, self.theta, self.covariance, rows)
-        return np.sqrt(np.maximum(np.einsum("nii->ni", found), 0.0))
+        return target_std(self.model, self.theta, self.covariance, rows)
 
 
 @dataclass(frozen=True)

@@ -45,7 +45,7 @@ def calibration(outcome: Outcome) -> SavedModel:
     if len(target.labels) > 1:
         record["frames_by"] = "target"
     solved = _solved(final, target)
-    fitted = m.select(used)
+    fitted = m.fitted.select(~outcome.outlier[m.train])
     if target.labels and m.target is not None:
         fitted = fitted.select(np.isin(m.target[used], target.labels))
     std = solved.std(fitted.readings, fitted.covariates, _asked_by(fitted, target))
@@ -92,7 +92,7 @@ def _scatter(outcome: Outcome, used: np.ndarray) -> dict[str, dict[str, float]]:
         used: Fitted rows, shape (N,) bool.
     """
     fit, rows = outcome.stage("final").fit, outcome.measurements
-    train = rows.select(rows.train)
+    train = rows.fitted
     surprise = contradicted(train, fit.estimated, fit.freedom)
     left = fit.freedom / fit.numbers
     found = {}

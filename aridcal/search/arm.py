@@ -109,7 +109,7 @@ def calibrated_arm(
         around = geometry.geometric.model.around
         again = _around(fit_constants(campaign, robot, weighed, labels, progress), around)
         arm = fitted(weighed, again, arm.diagnosed.found.state.active)
-    if is_better(arm.diagnosed.fit, arm.geometry.nominal, arm.rows.select(arm.rows.train)):
+    if is_better(arm.diagnosed.fit, arm.geometry.nominal, arm.rows.fitted):
         return replace(arm, diagnosed=told_apart(arm.diagnosed, progress))
     return _nominal(campaign, arm, progress)
 
@@ -148,10 +148,10 @@ def fit_constants(
     campaign: Campaign, robot: Robot, rows: Dataset, labels: tuple[str, ...], progress: Progress = SILENT
 ) -> Geometry:
     """Frames and constants from the training rows, the frames at their identified place."""
-    found = fit_geometry(campaign, robot, rows.select(rows.train), labels, progress)
+    found = fit_geometry(campaign, robot, rows.fitted, labels, progress)
     geometric = recentred(found.geometric)
     around = surroundings(campaign, geometric.model, "payload" in rows.covariates)
-    around = replace(around, sights=sights_of(geometric.model, rows.select(rows.train)))
+    around = replace(around, sights=sights_of(geometric.model, rows.fitted))
     return replace(found, geometric=replace(geometric, model=replace(geometric.model, around=around)))
 
 
@@ -171,7 +171,7 @@ def fit_arm(
         progress: Called with what is being done.
         begin: Effects of an earlier search, on other weights.
     """
-    found = diagnose(campaign, geometry.geometric, rows.select(rows.train), progress, begin)
+    found = diagnose(campaign, geometry.geometric, rows.fitted, progress, begin)
     return CalibratedArm(rows, geometry, found)
 
 

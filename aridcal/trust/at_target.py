@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -88,8 +88,9 @@ def at_target(fit: Fit, rows: Dataset) -> AtTarget:
     seen = asked.measured
     if seen is None:
         numbers = slice(0, columns(rows.channels)[-1].stop)
-        own = np.broadcast_to(np.eye(6)[numbers], (len(rows), numbers.stop, 6))
-        return AtTarget(p, (_lever(np.arange(len(rows)), numbers, own),))
+        of_all = _lever(np.arange(len(rows)), numbers, np.eye(6)[None, numbers])
+        shift, turn = (np.broadcast_to(own, (len(rows), *own.shape[1:])) for own in (of_all.shift, of_all.turn))
+        return AtTarget(p, (replace(of_all, shift=shift, turn=turn),))
     states, _ = located(seen, R, p, fit.theta, asked.rows, asked.states)
     by_twist = seen.slopes(R, p, fit.theta, asked.rows, states).by_twist
     blocks = [(np.flatnonzero(seen.block == b), part) for b, part in enumerate(seen.parts)]

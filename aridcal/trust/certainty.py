@@ -99,7 +99,7 @@ def certainty(
         residual: What it leaves of all rows, shape (N, m).
         repeats: Scatter of rows that repeat a configuration, where there are any.
     """
-    train = rows.select(rows.train)
+    train = rows.fitted
     known = knowledge(fit, train, candidates)
     tool = campaign.region.tool
     everywhere = spread_out(*ends(train, fit.model.robot.limits))

@@ -157,11 +157,12 @@ def iso_9283(
     copied = copies(rows)
     label, used = places(rows), ~(copied | outlier)
     own = rows.sequence[used[rows.sequence]]
+    own = own[np.bincount(label[own])[label[own]] > 1]  # of a million rows most are alone, and need no array each
     _, first, number, count = np.unique(label[own], return_index=True, return_inverse=True, return_counts=True)
-    together = np.split(own[np.argsort(number, kind="stable")], np.cumsum(count)[:-1])
-    cycles = tuple(together[k] for k in np.argsort(first) if count[k] > 1)  # in the order of their first cycles
-    if not cycles:
+    if not len(own):
         return None
+    together = np.split(own[np.argsort(number, kind="stable")], np.cumsum(count)[:-1])
+    cycles = tuple(together[k] for k in np.argsort(first))  # in the order of their first cycles
     there = np.isin(label, label[[group[0] for group in cycles]])
     pairs = _pairs(rows, cycles)
     return Iso9283(

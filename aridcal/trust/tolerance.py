@@ -189,7 +189,9 @@ def beyond(
         return None
     asked = problem(fit.model, own).settled(fit.theta)
     seen = at_target(fit, own)
-    covariance = np.concatenate([carried(asked.pieces(fit.theta, block).J, fit.covariance) for block in asked.blocks()])
+    covariance = np.empty((len(own), *2 * (residual.shape[1],)))
+    for block in asked.blocks():
+        covariance[block] = carried(asked.pieces(fit.theta, block).J, fit.covariance)
     arm = fit.model.poses(fit.theta, asked.rows)[0] @ np.asarray(tool, dtype=float)
     sigma = spread(noise, rows.channels)
     size, squares, scatter, model, told = np.full((5, len(own)), np.nan)
