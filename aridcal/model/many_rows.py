@@ -25,8 +25,8 @@ AT_ONCE = 2_000
 
 
 MANY = 40
-"""Rows from which they are walked together: 0.3 ms and 0.5 us a row. Pinocchio takes 2 us a row, and 2 ms or more to make a
-model, of which few questions are asked as a rule."""
+"""Rows from which they are walked together: 0.3 ms and 0.5 us a row. Pinocchio takes 2 us a row, and 2 ms or more for a model,
+of which few questions are asked as a rule."""
 
 
 def stretches(rows: slice | np.ndarray, n: int) -> list[slice | np.ndarray]:
