@@ -23,11 +23,11 @@ from aridcal.fit.normal_equations import (
     TINY,
     NormalEquations,
     accumulate,
+    added,
     conditional,
     inverse,
     last_log_determinant,
     nested_solutions,
-    spent_with,
 )
 from aridcal.search.change_points import walk_instead
 from aridcal.search.evidence import (
@@ -107,8 +107,8 @@ def refine(model: LinearModel, state: State, effect: Effect, rough: Score) -> Sc
 def _noise_with(state: State, equations: NormalEquations, precision: np.ndarray) -> tuple[np.ndarray, float]:
     """Noise of each channel with a candidate's columns in the model, shape (C,), and the log-likelihood."""
     before = state.solution
-    spent = spent_with(equations, precision, before.inverse, before.spent, before.sigma)
-    sigma, likelihood = with_noise(equations, precision, before.sigma, spent)
+    beta, spent = added(equations, precision, before.inverse, before.spent, before.sigma)
+    sigma, likelihood = with_noise(equations, precision, before.sigma, beta, spent)
     if np.all(np.abs(np.log(sigma / before.sigma)) < SHAPED):
         return sigma, likelihood
     after = solve(equations, precision, sigma)  # what priors leave free depends on the noise
