@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.linalg import block_diag
 
-from aridcal.fit.normal_equations import NormalEquations, accumulate, inverse, projected, solve, without
+from aridcal.fit.normal_equations import NormalEquations, accumulate, added, inverse, projected, solve, without
 
 SIZES = (90, 60, 30)
 """Numbers measured in each of three channels."""
@@ -107,6 +107,22 @@ def test_unknowns_solved_for_beforehand_leave_the_joint_solution() -> None:
         rows[:, others] = np.sqrt(P)
         joint = np.linalg.lstsq(np.vstack([stacked(A), rows]), np.append(stacked(r), np.zeros(3)), rcond=None)[0]
         np.testing.assert_allclose(np.linalg.solve(M, s), joint[~others], rtol=1e-9)
+
+
+@pytest.mark.parametrize("alike", [0.0, 1.0 - 1e-9, 1.0])
+def test_unknowns_added_to_a_known_inverse_have_the_joint_solution(alike: float) -> None:
+    """Whether or not what is added nearly coincides with what is there."""
+    rng = np.random.default_rng(5)
+    A, C = rng.standard_normal((2, 60, 4)), rng.standard_normal((2, 60, 3))
+    C[:, :, 0] = alike * A[:, :, 1] + (1.0 - alike) * C[:, :, 0]
+    r, sigma = rng.standard_normal((2, 60)), np.array([0.5, 3.0])
+    alone, P = accumulate(list(A), list(r)), np.diag([0.3] * 4 + [1e-3] * 3)
+    every = alone.extended(list(A), list(C), list(r))
+    known = np.linalg.inv(alone.information(sigma) + P[:4, :4])
+    theta, spent = added(every, P, known, alone.spent(known, sigma), sigma)
+    H = every.information(sigma) + P
+    np.testing.assert_allclose(theta, np.linalg.solve(H, every.pull(sigma)), rtol=1e-5, atol=1e-7)
+    np.testing.assert_allclose(spent, every.spent(np.linalg.inv(H), sigma), rtol=1e-6)
 
 
 def test_unknowns_taken_out_leave_the_solution_of_the_rest() -> None:

@@ -3,23 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
-from scipy.stats import wilcoxon
+from scipy.stats import rankdata, wilcoxon
 from test_hints import SLOTS, linear, made_up, with_effect
 
 from aridcal.effects.basis import Basis
 from aridcal.effects.effect import Coefficient, Effect
 from aridcal.effects.kinds import turns
 from aridcal.fit.normal_equations import conditional
-from aridcal.search import products
+from aridcal.search import products, state
 from aridcal.search.evidence import Score, solve
 from aridcal.search.grids import local
 from aridcal.search.linear_model import Active
-from aridcal.search.scoring import signed_ranks
+from aridcal.search.scoring import refine, signed_ranks
 from aridcal.search.screening import score_all, score_without
-from aridcal.search.state import State, activate, by_fold, solve_state
+from aridcal.search.state import State, activate, by_fold, solve_state, without_effect
 
 KNOTS = tuple(Coefficient("j1", "axis", Basis("bump", ("j1",), (c, 0.5))) for c in np.arange(-3.0, 3.1, 0.5))
 CURVE = Effect("joint_map", "j1", KNOTS, smooth=True)
@@ -192,3 +193,49 @@ def test_signed_ranks_have_the_chance_that_scipy_gives_them(n, ties):
         expected = wilcoxon(values, alternative="greater").pvalue
         assert signed_ranks(values) == pytest.approx(expected, rel=1e-9)
     assert signed_ranks(np.zeros(n)) == 0.5  # nothing differs
+
+
+@pytest.mark.parametrize("n", [1, 7, 12, 50])
+def test_signed_ranks_of_few_values_are_counted(n):
+    rng = np.random.default_rng(n)
+    for shift in (-0.4, 0.0, 0.3, 9.0):
+        values = rng.standard_normal(n) + shift
+        assert signed_ranks(values) == pytest.approx(wilcoxon(values, alternative="greater").pvalue, rel=1e-12)
+    assert signed_ranks(np.zeros(n)) == 1.0  # nothing speaks against it
+
+
+def test_ties_and_zeros_of_few_values_are_counted_too():
+    values = np.array([1.0, -1.0, 2.0, 2.0, 0.0, 3.0, -2.0, 0.0, 4.0])
+    left = values[values != 0.0]
+    ranks = rankdata(np.abs(left))
+    every = np.array(list(product((0.0, 1.0), repeat=len(left)))) @ ranks
+    assert signed_ranks(values) == pytest.approx(np.mean(every >= ranks[left > 0.0].sum()), rel=1e-12)
+
+
+@pytest.mark.parametrize("gone", [CURVE, WAVE])
+def test_noise_without_an_effect_is_begun_where_one_solution_would_bring_it(gone, monkeypatch):
+    made, begun = solved(), []
+    monkeypatch.setattr(state, "solve", lambda e, p, sigma: begun.append(sigma) or solve(e, p, sigma))
+    other = without_effect(made.model, made, gone)
+    rest = [a for a in made.active if a.effect != gone]
+    monkeypatch.undo()
+    slowly = solve_state(made.model, rest, made.solution.sigma, made.used, fixed=True)
+    assert [a.effect for a in other.active] == [a.effect for a in rest]
+    np.testing.assert_array_equal(other.used, made.used)
+    np.testing.assert_allclose(other.solution.sigma, slowly.solution.sigma, rtol=4e-3)
+    H = slowly.equations.information(made.solution.sigma) + slowly.precision
+    V = np.linalg.inv(H)
+    left = slowly.equations.squares_left(V @ slowly.equations.pull(made.solution.sigma))
+    spent = slowly.equations.spent(V, made.solution.sigma)
+    np.testing.assert_allclose(begun[0], np.sqrt(left / (slowly.equations.count - spent)), rtol=1e-6)
+
+
+def test_a_model_with_a_candidate_is_the_one_solved_from_any_noise():
+    made = solved()
+    candidate = activate(made.model, made, WARM, Score(1.0, 0.0, 1))
+    sigma = refine(made.model, made, WARM, Score(1.0, 0.0, 1)).sigma
+    both = [
+        solve_state(made.model, (*made.active, candidate), start, made.used, True) for start in (sigma, 9.0 * sigma)
+    ]
+    assert abs(both[0].solution.likelihood - both[1].solution.likelihood) < 0.04  # see NOISE_KNOWN
+    np.testing.assert_allclose(both[0].solution.sigma, both[1].solution.sigma, rtol=4e-3)

@@ -26,6 +26,9 @@ RIDGE = 1e-13
 RANK = 1e-12
 """Share of the largest singular value below which a direction of balanced equations is rounding."""
 
+BORDERED = 1e-7
+"""Share of the pull, unknowns scaled alike, that a solution from a known inverse may leave: else all are solved for anew."""
+
 
 @dataclass(frozen=True)
 class NormalEquations:
@@ -247,29 +250,39 @@ def last_log_determinant(H: np.ndarray, first: int) -> float:
     return 2.0 * float(np.sum(np.log(np.diag(factor)[first:] / np.maximum(scale[first:], TINY))))
 
 
-def spent_with(
+def added(
     equations: NormalEquations, precision: np.ndarray, known: np.ndarray, spent: np.ndarray, sigma: np.ndarray
-) -> np.ndarray:
-    r"""Degrees of freedom that each channel gives up when d unknowns are added, from what it gives up without them.
+) -> tuple[np.ndarray, np.ndarray]:
+    r"""Solution when d unknowns are added, and what each channel gives up then, from the inverse without them.
 
-    .. math:: \operatorname{tr} H^{-1} A_c = \operatorname{tr} H_{aa}^{-1} A_{c,aa}
-              + \operatorname{tr} S^{-1} (W^T A_{c,aa} W - W^T A_{c,ab} - A_{c,ba} W + A_{c,bb}), \quad
-              W = H_{aa}^{-1} H_{ab}, \quad S = H_{bb} - H_{ba} W
+    .. math:: W = H_{aa}^{-1} H_{ab}, \quad S = H_{bb} - H_{ba} W, \quad
+              \theta_b = S^{-1} (g_b - W^T g_a), \quad \theta_a = H_{aa}^{-1} g_a - W \theta_b
+
+              \operatorname{tr} H^{-1} A_c = \operatorname{tr} H_{aa}^{-1} A_{c,aa}
+              + \operatorname{tr} S^{-1} (W^T A_{c,aa} W - W^T A_{c,ab} - A_{c,ba} W + A_{c,bb})
 
     Args:
         equations: Of K unknowns a and, after them, d unknowns b.
         precision: Of the prior of all, block by block, shape (K + d, K + d).
         known: H_aa^-1 with its prior, shape (K, K).
-        spent: Without the unknowns b, shape (C,).
+        spent: Degrees of freedom that each channel gives up without the unknowns b, shape (C,).
         sigma: The noise that both are for, shape (C,).
+
+    Returns:
+        theta, shape (K + d,), and the degrees of freedom with all, shape (C,).
     """
     K = len(known)
-    H = equations.information(sigma) + precision
+    H, g = equations.information(sigma) + precision, equations.pull(sigma)
     W = known @ H[:K, K:]
-    S = H[K:, K:] - H[K:, :K] @ W
+    S = inverse(H[K:, K:] - H[K:, :K] @ W)
+    last = S @ (g[K:] - W.T @ g[:K])
+    theta = np.concatenate([known @ g[:K] - W @ last, last])
+    left, size = g - H @ theta, np.maximum(np.diag(H), TINY)
+    if not np.sum(left**2 / size) <= BORDERED**2 * np.sum(g**2 / size):  # columns that nearly coincide
+        theta = solve(H, g, ridge=RIDGE)
     cross = np.swapaxes(W.T @ equations.AA[:, :K, K:], 1, 2)
-    added = W.T @ equations.AA[:, :K, :K] @ W - cross - np.swapaxes(cross, 1, 2) + equations.AA[:, K:, K:]
-    return np.asarray(spent + np.einsum("ij,cji->c", inverse(S), added) / sigma**2)
+    more = W.T @ equations.AA[:, :K, :K] @ W - cross - np.swapaxes(cross, 1, 2) + equations.AA[:, K:, K:]
+    return theta, spent + np.einsum("ij,cji->c", S, more) / sigma**2
 
 
 def projected(

@@ -20,7 +20,7 @@ from scipy.special import gammaincc
 
 from aridcal.effects.smooth import Kernel, Shape, kernels_that_matter, samples_root
 from aridcal.fit.flags import FLOOR
-from aridcal.fit.normal_equations import RIDGE, TINY, NormalEquations, inverse, projected
+from aridcal.fit.normal_equations import RIDGE, TINY, NormalEquations, inverse
 from aridcal.fit.normal_equations import solve as solve_equations
 
 DEPENDENT = 1e-6
@@ -116,7 +116,7 @@ def solve(equations: NormalEquations, precision: np.ndarray, sigma: np.ndarray) 
         beta = covariance @ equations.pull(sigma)
         spent = equations.spent(covariance, sigma)
         squares = equations.squares_left(beta)
-        better = _noise(equations, squares, spent)
+        better = noise_left(equations, squares, spent)
         if np.all(np.abs(np.log(better / sigma)) < NOISE_KNOWN):
             break
         sigma = better
@@ -124,19 +124,27 @@ def solve(equations: NormalEquations, precision: np.ndarray, sigma: np.ndarray) 
 
 
 def with_noise(
-    equations: NormalEquations, precision: np.ndarray, sigma: np.ndarray, spent: np.ndarray
+    equations: NormalEquations, precision: np.ndarray, sigma: np.ndarray, beta: np.ndarray, spent: np.ndarray
 ) -> tuple[np.ndarray, float]:
-    """Noise, shape (C,), and log-likelihood, where the degrees of freedom that the coefficients spend are known, shape (C,)."""
-    for _ in range(NOISE_ROUNDS):
-        beta = coefficients(equations, precision, sigma)
+    """Noise, shape (C,), and log-likelihood, where the degrees of freedom that the coefficients spend are known.
+
+    Args:
+        equations: Of K coefficients.
+        precision: Of their priors, shape (K, K).
+        sigma: Noise to begin with, shape (C,).
+        beta: The coefficients for that noise, shape (K,).
+        spent: Degrees of freedom that they spend of each channel, shape (C,).
+    """
+    for k in range(NOISE_ROUNDS):
+        beta = coefficients(equations, precision, sigma) if k else beta
         squares = equations.squares_left(beta)
-        before, sigma = sigma, _noise(equations, squares, spent)
+        before, sigma = sigma, noise_left(equations, squares, spent)
         if np.all(np.abs(np.log(sigma / before)) < NOISE_SETTLED):
             break
     return sigma, _likelihood(equations, precision, sigma, beta, squares)
 
 
-def _noise(equations: NormalEquations, squares: np.ndarray, spent: np.ndarray) -> np.ndarray:
+def noise_left(equations: NormalEquations, squares: np.ndarray, spent: np.ndarray) -> np.ndarray:
     """Noise of each channel, shape (C,), from the squares that are left and the degrees of freedom that were spent."""
     freedom = np.maximum(equations.count - spent, LEAST_FREEDOM * equations.count + 1e-9)
     return np.maximum(np.sqrt(squares / freedom), FLOOR)
@@ -177,8 +185,8 @@ def shaped(total: NormalEquations, precision: np.ndarray, shape: Shape, sigma: n
     """
     K = len(precision)
     H, g = total.information(sigma), total.pull(sigma)
-    model = np.arange(len(H)) < K
-    M, s = projected(H, g, model, inverse(H[:K, :K] + precision))
+    alone = solve_equations(H[:K, :K] + precision, np.column_stack([H[:K, K:], g[:K]]), ridge=RIDGE)
+    M, s = H[K:, K:] - H[K:, :K] @ alone[:, :-1], g[K:] - H[K:, :K] @ alone[:, -1]
     return replace(_smooth(M[None], s[None], np.diag(H)[None, K:], shape, KERNELS)[0], sigma=sigma)
 
 

@@ -23,11 +23,11 @@ from aridcal.fit.normal_equations import (
     TINY,
     NormalEquations,
     accumulate,
+    added,
     conditional,
     inverse,
     last_log_determinant,
     nested_solutions,
-    spent_with,
 )
 from aridcal.search.change_points import walk_instead
 from aridcal.search.evidence import (
@@ -107,8 +107,8 @@ def refine(model: LinearModel, state: State, effect: Effect, rough: Score) -> Sc
 def _noise_with(state: State, equations: NormalEquations, precision: np.ndarray) -> tuple[np.ndarray, float]:
     """Noise of each channel with a candidate's columns in the model, shape (C,), and the log-likelihood."""
     before = state.solution
-    spent = spent_with(equations, precision, before.inverse, before.spent, before.sigma)
-    sigma, likelihood = with_noise(equations, precision, before.sigma, spent)
+    beta, spent = added(equations, precision, before.inverse, before.spent, before.sigma)
+    sigma, likelihood = with_noise(equations, precision, before.sigma, beta, spent)
     if np.all(np.abs(np.log(sigma / before.sigma)) < SHAPED):
         return sigma, likelihood
     after = solve(equations, precision, sigma)  # what priors leave free depends on the noise
@@ -233,25 +233,29 @@ def _over_time(model: LinearModel, state: State, candidate: Active) -> float:
 
 def _ranked(loss: np.ndarray) -> float:
     """p-value, by Wilcoxon's signed ranks, of losses (2, n) that a candidate makes no smaller."""
-    if loss.shape[1] <= EXACTLY:
-        from scipy.stats import wilcoxon  # slow to load, and few searches come here
-
-        return float(wilcoxon(loss[0] - loss[1], alternative="greater").pvalue)
     return signed_ranks(loss[0] - loss[1])
 
 
 def signed_ranks(values: np.ndarray) -> float:
-    r"""p-value of Wilcoxon's signed ranks that many values, shape (n,), are no larger than zero.
+    r"""p-value of Wilcoxon's signed ranks that values, shape (n,), are no larger than zero.
 
-    With R the sum of the ranks of positive values among the n' that are not zero, and t the sizes of ties,
+    Of few values all :math:`2^{n'}` ways to give signs to the ranks are counted. Of many, with R the sum of the ranks of positive
+    values among the n' that are not zero, and t the sizes of ties,
 
     .. math:: z = \frac{R - n' (n' + 1) / 4}{\sqrt{n' (n' + 1) (2 n' + 1) / 24 - \sum (t^3 - t) / 48}}
 
     is normal (Wilcoxon 1945; ties: Pratt and Gibbons, Concepts of Nonparametric Theory, Springer 1981).
     """
+    few = len(values) <= EXACTLY
     values = values[values != 0.0]
     _, number, ties = np.unique(np.abs(values), return_inverse=True, return_counts=True)
     rank = (np.cumsum(ties) - 0.5 * (ties - 1))[number]
+    if few:
+        twice = np.rint(2.0 * rank).astype(int)  # a tie has half ranks
+        ways = np.ones(1)  # of each sum of the ranks so far
+        for own in twice.tolist():
+            ways = np.pad(ways, (0, own)) + np.pad(ways, (own, 0))
+        return float(ways[twice[values > 0.0].sum() :].sum() / ways.sum())
     n = float(len(values))
     spread = n * (n + 1.0) * (2.0 * n + 1.0) / 24.0 - float(np.sum(ties**3.0 - ties)) / 48.0
     above = float(rank[values > 0.0].sum()) - 0.25 * n * (n + 1.0)

@@ -13,11 +13,12 @@ from scipy.linalg import block_diag
 from aridcal.effects.effect import Effect
 from aridcal.effects.smooth import samples_root
 from aridcal.fit.flags import flagged
-from aridcal.fit.normal_equations import NormalEquations, accumulate
+from aridcal.fit.normal_equations import RIDGE, NormalEquations, accumulate, conditional
+from aridcal.fit.normal_equations import solve as solve_equations
 from aridcal.instruments.channels import Channels, columns, spread
-from aridcal.search.evidence import Score, Solution, solve
+from aridcal.search.evidence import Score, Solution, noise_left, solve
 from aridcal.search.linear_model import Active, LinearModel
-from aridcal.search.products import Chunk, Member
+from aridcal.search.products import Chunk, Member, Products
 
 FAINT = 0.02
 """A mode that the data could move by less than this share of its prior is left out: nothing would be learnt of it."""
@@ -76,6 +77,29 @@ class State:
     def right(self) -> tuple[np.ndarray, ...]:
         """Their residuals likewise, shape (n size,)."""
         return self.flat(self.model.r)
+
+    @cached_property
+    def unused_fold(self) -> np.ndarray:
+        """Which fold the rows not in use are of, shape (N - n,)."""
+        return np.searchsorted(self.model.products.layout.starts, self.unused, side="right") - 1
+
+    @cached_property
+    def right_of_unused(self) -> list[np.ndarray]:
+        """Residuals of the rows not in use, shape ((N - n) size,) for each channel."""
+        made = self.model.products
+        return [r[rows] for r, rows in zip(made.r, made.layout.numbers(self.unused), strict=True)]
+
+    @cached_property
+    def of_folds(self) -> tuple[np.ndarray, np.ndarray]:
+        """A'A and A'r over the rows in use of each of F folds, shape (F, C, P, P) and (F, C, P)."""
+        AA, Ar = _assembled(self.model.products, self.members, together=False)
+        for c, (channel, a, r) in enumerate(zip(self.channels, self.extra, self.right_of_unused, strict=True)):
+            of_number = np.repeat(self.unused_fold, channel.size)
+            for f in np.unique(of_number).tolist():
+                lost = of_number == f
+                AA[f, c] -= a[lost].T @ a[lost]
+                Ar[f, c] -= a[lost].T @ r[lost]
+        return AA, Ar
 
     @property
     def members(self) -> tuple[Member, ...]:
@@ -144,11 +168,10 @@ class State:
         own, pull = chunk.own if where is None else chunk.of_one(where), chunk.pull[:, some]
         if len(self.unused):
             lost = [x[:, some] for x in made.rows_of(chunk, self.unused)]
-            right = [r[rows] for r, rows in zip(made.r, made.layout.numbers(self.unused), strict=True)]
             cross = cross - np.array([x.T @ a for x, a in zip(lost, self.extra, strict=True)])
             each = [x.reshape(len(x), -1, own.shape[-1]).transpose(1, 2, 0) for x in lost]
             own = own - np.array([x @ x.transpose(0, 2, 1) for x in each]).reshape(own.shape)
-            pull = pull - np.array([x.T @ r for x, r in zip(lost, right, strict=True)])
+            pull = pull - np.array([x.T @ r for x, r in zip(lost, self.right_of_unused, strict=True)])
         return np.swapaxes(cross, 1, 2), own, pull
 
 
@@ -219,15 +242,7 @@ def _of_all_rows(model: LinearModel, active: Sequence[Active]) -> NormalEquation
     """Sums of a set of effects over all rows, whether in use or not."""
     made = model.products
     every = members(model, active)
-    own = _places([modes.shape[1] for _, modes in every])
-    AA = np.empty((len(model.channels), own[-1].stop, own[-1].stop))
-    Ar = np.empty((len(model.channels), own[-1].stop))
-    for i, a in enumerate(every):
-        Ar[:, own[i]] = made.pull(a[0]).sum(axis=0) @ a[1]
-        for j, b in enumerate(every[: i + 1]):
-            block = made.in_modes(a, b).sum(axis=0)
-            AA[:, own[i], own[j]] = block
-            AA[:, own[j], own[i]] = block.transpose(0, 2, 1)
+    AA, Ar = _assembled(made, every, together=True)
     sizes = np.array([channel.size for channel in model.channels])
     return NormalEquations(AA, Ar, made.squares.sum(axis=0), model.present.sum(axis=0) * sizes)
 
@@ -238,7 +253,7 @@ def _in_use(
     """Places and columns of the rows that are not used, and the sums without them."""
     made, layout = model.products, model.products.layout
     unused = np.flatnonzero(~used[layout.order])
-    extra = columns_at(model, active, unused)
+    extra = columns_at(model, members(model, active), unused)
     right = [r[own] for r, own in zip(made.r, layout.numbers(unused), strict=True)]
     sizes = np.array([channel.size for channel in model.channels])
     there = model.present[layout.order[unused]].sum(axis=0) * sizes
@@ -247,38 +262,73 @@ def _in_use(
     return unused, extra, replace(equations, count=count)
 
 
-def columns_at(model: LinearModel, active: Sequence[Active], places: np.ndarray) -> tuple[np.ndarray, ...]:
+def columns_at(model: LinearModel, every: Sequence[Member], places: np.ndarray) -> tuple[np.ndarray, ...]:
     """What is solved for, in rows at some places of the folds' order: shape (rows size, P) for each channel."""
     made, numbers = model.products, model.products.layout.numbers(places)
-    parts = [
-        [x[own] @ modes for x, own in zip(made.columns(effect), numbers, strict=True)]
-        for effect, modes in members(model, active)
-    ]
+    parts = [[x[own] @ modes for x, own in zip(made.columns(effect), numbers, strict=True)] for effect, modes in every]
     return tuple(np.hstack(part) for part in zip(*parts, strict=True))
+
+
+def _assembled(made: Products, every: Sequence[Member], together: bool) -> tuple[np.ndarray, np.ndarray]:
+    """A'A and A'r of all rows: of the folds together, (C, P, P) and (C, P), or of each of F, (F, C, P, P) and (F, C, P)."""
+
+    def summed(of_folds: np.ndarray) -> np.ndarray:
+        return np.asarray(of_folds.sum(axis=0)) if together else of_folds
+
+    own = _places([modes.shape[1] for _, modes in every])
+    shape = made.squares.shape[together:]
+    AA, Ar = np.empty((*shape, own[-1].stop, own[-1].stop)), np.empty((*shape, own[-1].stop))
+    for i, a in enumerate(every):
+        Ar[..., own[i]] = summed(made.pull(a[0])) @ a[1]
+        for j, b in enumerate(every[: i + 1]):
+            block = summed(made.in_modes(a, b))
+            AA[..., own[i], own[j]] = block
+            AA[..., own[j], own[i]] = np.swapaxes(block, -1, -2)
+    return AA, Ar
 
 
 def by_fold(state: State, candidate: Active, sigma: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """H of shape (F, P + d, P + d) and g of (F, P + d): sums over the rows in use of each fold, with a candidate added."""
-    model, active = state.model, (*state.active, candidate)
-    made, layout = model.products, model.products.layout
-    every, weight = members(model, active), sigma**-2.0
-    own = _places([modes.shape[1] for _, modes in every])
-    H = np.empty((len(layout.starts) - 1, own[-1].stop, own[-1].stop))
-    g = np.empty(H.shape[:2])
-    for i, a in enumerate(every):
-        g[:, own[i]] = np.einsum("c,fci->fi", weight, made.pull(a[0])) @ a[1]
-        for j, b in enumerate(every[: i + 1]):
-            block = np.einsum("c,fcij->fij", weight, made.in_modes(a, b))
-            H[:, own[i], own[j]] = block
-            H[:, own[j], own[i]] = block.transpose(0, 2, 1)
-    fold = np.searchsorted(layout.starts, state.unused, side="right") - 1
-    for f in np.unique(fold).tolist():
-        lost = state.unused[fold == f]
-        residual = [r[rows] for r, rows in zip(made.r, layout.numbers(lost), strict=True)]
-        sums = accumulate(columns_at(model, active, lost), residual)
-        H[f] -= sums.information(sigma)
-        g[f] -= sums.pull(sigma)
-    return H, g
+    model, made = state.model, state.model.products
+    (AA, Ar), fold = state.of_folds, state.unused_fold
+    mine = candidate.effect, candidate.modes
+    cross = np.concatenate([made.in_modes(member, mine) for member in state.members], axis=2)
+    own, pull = made.in_modes(mine, mine).copy(), made.pull(mine[0]) @ mine[1]
+    extra, right = columns_at(model, [mine], state.unused), state.right_of_unused
+    for c, (channel, x, a, r) in enumerate(zip(state.channels, extra, state.extra, right, strict=True)):
+        of_number = np.repeat(fold, channel.size)
+        for f in np.unique(fold).tolist():
+            lost = of_number == f
+            cross[f, c] -= a[lost].T @ x[lost]
+            own[f, c] -= x[lost].T @ x[lost]
+            pull[f, c] -= x[lost].T @ r[lost]
+    P, weight = AA.shape[-1], sigma**-2.0
+    H = np.empty((len(AA), P + cross.shape[-1], P + cross.shape[-1]))
+    H[:, :P, :P] = np.einsum("c,fcij->fij", weight, AA)
+    H[:, :P, P:] = np.einsum("c,fcij->fij", weight, cross)
+    H[:, P:, :P] = H[:, :P, P:].transpose(0, 2, 1)
+    H[:, P:, P:] = np.einsum("c,fcij->fij", weight, own)
+    return H, np.einsum("c,fci->fi", weight, np.concatenate([Ar, pull], axis=2))
+
+
+def without_effect(model: LinearModel, state: State, effect: Effect) -> State:
+    r"""The model without one of its effects, solved on the same rows.
+
+    The noise to begin with is the one that the coefficients leave without it at the noise that they had with it, which needs no
+    equations solved: with G its unknowns, V the inverse of all, and A_c the sums of a channel,
+
+    .. math:: V_{-G} = V - V_{:G} V_{GG}^{-1} V_{G:}, \qquad
+              \operatorname{tr} V_{-G} A_c = \operatorname{tr} V A_c - \operatorname{tr} V_{GG}^{-1} V_{G:} A_c V_{:G}
+    """
+    V, before, equations = state.solution.inverse, state.solution, state.equations
+    gone = np.zeros(len(V), dtype=bool)
+    for a, own in zip(state.active, state.places[1:], strict=True):
+        gone[own] = a.effect == effect
+    out = V[:, gone]
+    fewer = np.einsum("ij,cij->c", solve_equations(out[gone], out.T, ridge=RIDGE).T, equations.AA @ out)
+    left = equations.squares_left(conditional(V, before.beta, gone))
+    sigma = noise_left(equations, left, before.spent - fewer / before.sigma**2)
+    return solve_state(model, [a for a in state.active if a.effect != effect], sigma, state.used, fixed=True)
 
 
 def _left(model: LinearModel, active: Sequence[Active], beta: np.ndarray) -> np.ndarray:
@@ -294,12 +344,17 @@ def activate(model: LinearModel, state: State, effect: Effect, found: Score) -> 
     """Make a candidate ready to be solved for: of a smooth one, the modes of which the data say something."""
     if not effect.smooth:
         return Active(effect, found, np.eye(len(effect.coefficients)), prior=model.prior_of(effect))
-    noise = found.sigma if found.sigma is not None else state.solution.sigma
+    noise = noise_with(state, found)
     chunk, own = model.products.chunk_of(effect)
     gram = np.tensordot(noise**-2.0, chunk.of_one(own), 1)
     root = found.tau * samples_root(effect.shape, found.kernel)
     told, modes = np.linalg.eigh(root.T @ gram @ root)
     return Active(effect, found, root @ modes[:, told > FAINT])
+
+
+def noise_with(state: State, found: Score) -> np.ndarray:
+    """What is known of the noise with a candidate in the model, shape (C,)."""
+    return state.solution.sigma if found.sigma is None else found.sigma
 
 
 def with_candidate(state: State, candidate: Active) -> tuple[NormalEquations, np.ndarray]:

@@ -17,7 +17,7 @@ from aridcal.search.hints import hinted
 from aridcal.search.linear_model import Active, LinearModel
 from aridcal.search.scoring import ALPHA, Judgement, held_back_squares, judge, refine, sources
 from aridcal.search.screening import score_all, score_without
-from aridcal.search.state import State, activate, solve_state
+from aridcal.search.state import State, activate, noise_with, solve_state, without_effect
 from aridcal.showing import SILENT, Progress
 
 CLOSE = 3.0
@@ -122,13 +122,23 @@ def confirmed(model: LinearModel, state: State, tested: int, progress: Progress 
         progress: Told how many are tried.
     """
     for effect in progress.over([a.effect for a in state.active if not a.stated], "effects"):
-        rest = [a for a in state.active if a.effect != effect]
-        without = solve_state(model, rest, state.solution.sigma, state.used, fixed=True)
+        without = without_effect(model, state, effect)
         found = refine(model, without, effect, score_all(model, [effect], without)[0])
         keep = not judge(model, without, effect, found, tested).why
-        active = (*rest, activate(model, without, effect, found)) if keep else rest
-        state = solve_state(model, active, without.solution.sigma, without.used)
+        state = _with_it(model, without, effect, found) if keep else _with_flags(model, without)
     return state
+
+
+def _with_it(model: LinearModel, state: State, effect: Effect, found: Score) -> State:
+    """The model with a candidate, flags and noise found anew, from the noise that its score was found with."""
+    return solve_state(
+        model, (*state.active, activate(model, state, effect, found)), noise_with(state, found), state.used
+    )
+
+
+def _with_flags(model: LinearModel, state: State) -> State:
+    """The same effects, rows flagged anew."""
+    return solve_state(model, state.active, state.solution.sigma, state.used)
 
 
 def is_small(model: LinearModel, library: Sequence[Effect]) -> bool:
@@ -211,7 +221,7 @@ def _forward(
         for effect, found in ranked[:JUDGED]:
             judgement = judge(model, state, effect, found, tested)
             if not judgement.why:
-                chosen = activate(model, state, effect, found)
+                chosen = _with_it(model, state, effect, found)
                 break
             judgements.append(judgement)
             if judgement.p_value > ALPHA:
@@ -220,7 +230,7 @@ def _forward(
         if chosen is None:
             state = before
             break
-        state = solve_state(model, (*state.active, chosen), state.solution.sigma, state.used)
+        state = chosen
         if small and len(state.active) > 1:
             state = _tidy(model, library, state, 1, tested, progress)
         if frozenset(a.effect for a in state.active) in seen:
@@ -254,10 +264,9 @@ def _tidy(
         before = [a.effect for a in state.active]
         rough = score_without(model, lasting, state, known, progress)
         for k, effect in enumerate(before):
-            active = [a for a in state.active if a.effect != effect]
-            if len(active) == len(state.active) or effect not in known:
+            if effect not in known or all(a.effect != effect for a in state.active):
                 continue
-            without = solve_state(model, active, state.solution.sigma, state.used, fixed=True)
+            without = without_effect(model, state, effect)
             rivals = _in_place_of(model, library, effect)
             ranked = rank(model, rivals, without, {effect.kind}, also, progress, rough[effect])
             mine = next((s for e, s in ranked if e == effect), None)
@@ -268,8 +277,7 @@ def _tidy(
             if best == effect or its.gain < mine.gain + BETTER:
                 best, its = effect, mine
             keep = not judge(model, without, best, its, tested).why
-            taken = (*active, activate(model, without, best, its)) if keep else active
-            state = solve_state(model, taken, without.solution.sigma, without.used)
+            state = _with_it(model, without, best, its) if keep else _with_flags(model, without)
             if not keep or best != effect:
                 rough = score_without(model, lasting, state, known.intersection(before[k + 1 :]), progress)
         if [a.effect for a in state.active] == before:
@@ -301,8 +309,7 @@ def _twins(
         rough: Scores of candidates without it.
         progress: Told how many are scored.
     """
-    active = [a for a in state.active if a is not mine]
-    without = solve_state(model, active, state.solution.sigma, state.used, fixed=True)
+    without = without_effect(model, state, mine.effect)
     rivals = _in_place_of(model, library, mine.effect)
     ranked = rank(model, rivals, without, also=[mine.effect], progress=progress, known=rough)
     own = next((s for e, s in ranked if e == mine.effect), None)
