@@ -149,8 +149,7 @@ def _model_variance(rows: Dataset, fit: Fit) -> np.ndarray:
     asked = problem(fit.model, rows).settled(fit.theta)
     parts = []
     for block in asked.blocks():
-        J = asked.pieces(fit.theta, block).J
-        parts.append(np.einsum("nmm->nm", carried(J, fit.covariance)))
+        parts.append(np.einsum("nmm->nm", asked.carried(fit.theta, fit.covariance, block)))
     return np.concatenate(parts)
 
 
