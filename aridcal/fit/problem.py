@@ -169,7 +169,7 @@ class Problem:
         return Pieces(scaled(r, relative), scaled(J, relative), scaled(B, relative), at)
 
     def of_joints(self, theta: np.ndarray, part: slice) -> tuple[np.ndarray, np.ndarray]:
-        """Scaled residuals (n, m) of the target's own pose in a stretch of rows, and what joints take off them, (n, m, joints)."""
+        """Scaled residuals (n, m) of the target's own pose in a stretch, and what joints take off them, (n, m, joints)."""
         data, rows = self.data, self.rows[part]
         relative = None if data.relative is None else data.relative[part]
         R, p, twists = self.model.motions(theta, rows)

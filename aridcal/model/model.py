@@ -17,9 +17,9 @@ from aridcal.effects.sights import is_sight, sight_table
 from aridcal.errors import CovariateNotFound, MeasurementError
 from aridcal.instruments.setup import Instruments
 from aridcal.model.extended import ORDER, ExtendedModel, Slot, own_slot
+from aridcal.model.local import Local, local
 from aridcal.model.many_rows import stretches
 from aridcal.model.motions import motion, transform
-from aridcal.model.local import Local, local
 from aridcal.robot.chain import Robot
 
 SIZES = {"m": 1.0, "rad": 1.0, "px": 500.0, "1": 10.0, "1/m": 1.0}
@@ -350,12 +350,13 @@ class Model:
         alike = np.delete(np.arange(len(theta)), self._varying)
         q += np.bincount(carrier[alike], theta[alike], q.shape[1])
         if len(self._based):
-            spread = np.zeros((len(self._based), q.shape[1]))
-            spread[np.arange(len(self._based)), carrier[self._based]] = theta[self._based]
-            q += rows.phi @ spread
-        for own, frame in self._of_frames(rows):
-            for k in own.coefficients[np.isin(own.frames, frame)]:
-                q[:, carrier[k]] += theta[k] * (frame == own.frame_of[k])
+            own, which = np.unique(carrier[self._based], return_inverse=True)
+            spread = np.zeros((len(self._based), len(own)))
+            spread[np.arange(len(self._based)), which] = theta[self._based]
+            q[:, own] += rows.phi @ spread
+        for at, frame in self._of_frames(rows):
+            for k in at.coefficients[np.isin(at.frames, frame)]:
+                q[:, carrier[k]] += theta[k] * (frame == at.frame_of[k])
         return q
 
     def _of_frames(self, rows: Rows) -> list[tuple[_OfFrames, np.ndarray]]:

@@ -12,7 +12,6 @@ from aridcal.effects.catalogue import KINDS
 from aridcal.effects.effect import Effect
 from aridcal.fit.flags import FLOOR, MEASURED, Cluster, cluster
 from aridcal.fit.least_squares import Fit
-from aridcal.fit.noise import carried
 from aridcal.fit.problem import problem
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.channels import spread

@@ -80,7 +80,9 @@ def target_sigma(fit: Fit, rows: Rows) -> tuple[np.ndarray, np.ndarray]:
         block = slice(start, start + BLOCK)
         _, _, J = (model.jacobian if local is None else model.motions)(fit.theta, rows[block])
         for k, part in enumerate((J[:, :3], J[:, 3:])):
-            own = carried(part, fit.covariance) if local is None else local.carried(part, rows.phi[block], fit.covariance)
+            own = (
+                carried(part, fit.covariance) if local is None else local.carried(part, rows.phi[block], fit.covariance)
+            )
             variance = np.linalg.eigvalsh(own)[:, -1]
             worst[k, block] = np.sqrt(np.maximum(variance, 0.0))
     return worst[0], worst[1]
