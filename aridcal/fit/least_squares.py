@@ -34,14 +34,13 @@ ROUGH = 1.0
 """The same for a robust fit, whose flags are all that is wanted of it."""
 
 UNNOTICED = 1e-3
-"""The same for a step that is not even taken where it would be another look at all rows: where these are many, or the noise
-alone has changed since the last one."""
+"""The same for a step that is not even taken where rows are many: it would be another look at all of them."""
 
-STEADY = 1e-4
-"""Relative change of the noise that ends its estimation: nobody knows it better than to a hundredth."""
+STEADY = 1e-9
+"""Relative change of the noise that ends its estimation: no figure may tell where it was begun, and only sums are asked again."""
 
 ESTIMATES = 10
-"""Times that it is estimated in turn with the degrees of freedom that each channel gives up; three are usual."""
+"""Times that it is estimated in turn with the degrees of freedom that each channel gives up; five are usual."""
 
 ROUNDING = 1e-13
 """A step of this share of the coefficients is rounding: the last, whatever the noise."""
@@ -190,16 +189,21 @@ def minimise(problem: Problem, theta: np.ndarray, weight: np.ndarray | None, pri
         prior: Beliefs that are not measured here.
     """
     channels, declared = problem.channels, problem.data.declared
-    robust, abreast = weight is None, True
+    robust, abreast, even = weight is None, True, np.ones(len(channels))
     settled = ROUGH if robust else SETTLED
-    at_once = (
-        None if robust or problem.measured is not None else linearise(problem, theta, weight, np.ones(len(channels)))
-    )
+    at_once = None if robust or problem.measured is not None else linearise(problem, theta, weight, even)
     scale = robust_sigma(at_once.residual if at_once else problem.scaled_residual(theta), channels)
 
     def noise_at(place: Linearisation, sigma: np.ndarray) -> np.ndarray:
         estimate = scale if robust else _estimate(place.equations, sigma, prior)
         return declared(np.maximum(estimate, ABREAST * coarsest(estimate, channels)) if abreast else estimate)
+
+    def steady(place: Linearisation, sigma: np.ndarray) -> np.ndarray:
+        for _ in range(ESTIMATES):
+            held, sigma = sigma, noise_at(place, sigma)
+            if np.all(np.abs(sigma - held) <= STEADY * held):
+                break
+        return sigma
 
     # Until rows are weighed channels count beside one another by their robust scale, then by their noise.
     here = at_once or linearise(problem, theta, weight, scale if robust else declared(scale))
@@ -208,9 +212,13 @@ def minimise(problem: Problem, theta: np.ndarray, weight: np.ndarray | None, pri
     while taken < STEPS and damping < MOST_DAMPING:
         H, g = with_prior(here.equations, sigma, theta, prior)
         step = solve_with(H, g, prior, damping)
-        last = float(np.sqrt(max(step @ g, 0.0))) < settled and damping == 0.0
+        length = float(np.sqrt(max(step @ g, 0.0)))
+        last = length < settled and damping == 0.0
         last |= bool(np.all(np.abs(step) < ROUNDING * (1.0 + np.abs(theta))))
-        if last and float(np.sqrt(max(step @ g, 0.0))) < UNNOTICED and _has_many(problem):
+        if last and abreast and not robust:
+            abreast, sigma = False, steady(here, sigma)  # the last step is taken in the noise that stays
+            continue
+        if last and length < UNNOTICED and _has_many(problem):
             step = np.zeros(len(theta))
             there, trial = problem, here
         else:
@@ -225,16 +233,11 @@ def minimise(problem: Problem, theta: np.ndarray, weight: np.ndarray | None, pri
             sigma = noise_at(here, sigma)
         else:
             damping = max(10 * damping, FIRST_DAMPING)
-        if last and abreast and not robust:
-            abreast = False
-            for _ in range(ESTIMATES):
-                held, sigma = sigma, noise_at(here, sigma)
-                if np.all(np.abs(sigma - held) <= STEADY * held):
-                    break
-            last = _asked(here, sigma, theta, prior) < UNNOTICED
         if last:
             break
-    return Minimum(theta, here, sigma, taken, _asked(here, sigma, theta, prior), problem)
+    sigma = sigma if robust else steady(here, sigma)
+    H, g = with_prior(here.equations, sigma, theta, prior)
+    return Minimum(theta, here, sigma, taken, float(np.sqrt(max(solve_with(H, g, prior) @ g, 0.0))), problem)
 
 
 def fit(
@@ -322,12 +325,6 @@ def fit_identifiable(problem: Problem, order: Sequence[int], theta: np.ndarray |
     redundant = {model.names[k]: tuple(model.names[j] for j in partners) for k, partners in subset.redundant.items()}
     convergence = replace(result.convergence, condition=subset.condition)
     return replace(result, candidates=model.coefficients, redundant=redundant, convergence=convergence)
-
-
-def _asked(at: Linearisation, sigma: np.ndarray, theta: np.ndarray, prior: Prior | None) -> float:
-    """Length of the next step, in sigmas."""
-    H, g = with_prior(at.equations, sigma, theta, prior)
-    return float(np.sqrt(max(solve_with(H, g, prior) @ g, 0.0)))
 
 
 def _has_many(problem: Problem) -> bool:
