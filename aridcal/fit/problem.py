@@ -16,6 +16,7 @@ from aridcal.fit.elimination import (
     known,
     moved,
 )
+from aridcal.fit.noise import carried
 from aridcal.fit.normal_equations import TINY
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.channels import Channels
@@ -145,17 +146,12 @@ class Problem:
 
     def pieces(self, theta: np.ndarray, part: slice = slice(None)) -> Pieces:
         """Scaled residuals of a stretch of rows, and what takes them off."""
-        data, rows = self.data, self.rows[part]
-        relative = None if data.relative is None else data.relative[part]
         if self.measured is None or self.wide is None:
-            R, p, twists = self.model.motions(theta, rows)
-            r = residuals(R, p, data.position[part], None if data.rotation is None else data.rotation[part])
-            twists = twists[:, : r.shape[1]]
-            if data.relative is not None and data.rotation is not None:
-                # log(exp(r) exp(-w)) = r - (w + r x w / 2 + ...): matters only where a row's axes weigh unequally.
-                twists[:, 3:] += 0.5 * np.cross(r[:, 3:, None], twists[:, 3:], axis=1)
-            J = self.model.of_coefficients(scaled(twists, relative), rows)
-            return Pieces(scaled(r, relative), J, np.zeros((*r.shape, 0)), rows.positions)
+            r, twists = self.of_joints(theta, part)
+            rows = self.rows[part]
+            J = self.model.of_coefficients(twists, rows)
+            return Pieces(r, J, np.zeros((*r.shape, 0)), rows.positions)
+        rows, relative = self.rows[part], None if self.data.relative is None else self.data.relative[part]
         here, at = self.measured[part], rows.positions
         if here.conditions.any():
             R, p = self.model.poses(theta, rows)
@@ -171,6 +167,25 @@ class Problem:
             J[:, :, c.index] = column
         B = self.groups.columns(slopes.by_thing, part) if self.groups is not None else np.zeros((*r.shape, 0))
         return Pieces(scaled(r, relative), scaled(J, relative), scaled(B, relative), at)
+
+    def of_joints(self, theta: np.ndarray, part: slice) -> tuple[np.ndarray, np.ndarray]:
+        """Scaled residuals (n, m) of the target's own pose in a stretch, and what joints take off them, (n, m, joints)."""
+        data, rows = self.data, self.rows[part]
+        relative = None if data.relative is None else data.relative[part]
+        R, p, twists = self.model.motions(theta, rows)
+        r = residuals(R, p, data.position[part], None if data.rotation is None else data.rotation[part])
+        twists = twists[:, : r.shape[1]]
+        if data.relative is not None and data.rotation is not None:
+            # log(exp(r) exp(-w)) = r - (w + r x w / 2 + ...): matters only where a row's axes weigh unequally.
+            twists[:, 3:] += 0.5 * np.cross(r[:, 3:, None], twists[:, 3:], axis=1)
+        return scaled(r, relative), scaled(twists, relative)
+
+    def carried(self, theta: np.ndarray, covariance: np.ndarray, part: slice) -> np.ndarray:
+        """What a covariance of the coefficients, (K, K), makes of the scaled residuals of a stretch of rows, (n, m, m)."""
+        local = None if self.measured is not None else self.model.local
+        if local is None:
+            return carried(self.pieces(theta, part).J, covariance)
+        return local.carried(self.of_joints(theta, part)[1], self.rows.phi[part], covariance)
 
     def nearer(self, theta: np.ndarray) -> Problem:
         """The same, differentiated nearer to where measurements and model agree."""

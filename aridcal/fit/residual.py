@@ -39,9 +39,10 @@ def moved_by(question: Problem, theta: np.ndarray, count: int) -> np.ndarray:
     J = np.empty((len(question), size, count))
     for block in question.blocks():
         if question.measured is None:
-            _, _, twists = question.model.jacobian(theta, question.rows[block])
             relative = None if question.data.relative is None else question.data.relative[block]
-            every = scaled(twists[:, :size], relative)
+            rows = question.rows[block]
+            _, _, twists = question.model.motions(theta, rows)
+            every = question.model.of_coefficients(scaled(twists[:, :size], relative), rows, len(theta) - count)
         else:
             every = question.pieces(theta, block).J
         J[block] = every[:, :, every.shape[2] - count :]
@@ -91,7 +92,18 @@ def linearise(question: Problem, theta: np.ndarray, weight: np.ndarray | None, s
     sums = _sums(question, count)
     parts, used, nearer = [], [], []
     conditional = question.measured is not None  # where rows measure the target's own pose readings are not moved
+    local = None if conditional else question.model.local
     for block in question.blocks():
+        if local is not None:
+            r, twists = question.of_joints(theta, block)
+            w = cauchy(r, sigma, channels) if weight is None else weight[block]
+            root, phi = np.sqrt(w * question.data.share)[:, None], question.rows.phi[block]
+            twists *= root[:, :, None]
+            AA += local.information(twists, phi, columns(channels))
+            Ar += local.pull(twists, phi, r * root, columns(channels))
+            parts.append(r)
+            used.append(w)
+            continue
         pieces = question.pieces(theta, block)
         r, J, B = pieces.r, pieces.J, pieces.B
         if conditional:

@@ -17,6 +17,7 @@ from aridcal.effects.sights import is_sight, sight_table
 from aridcal.errors import CovariateNotFound, MeasurementError
 from aridcal.instruments.setup import Instruments
 from aridcal.model.extended import ORDER, ExtendedModel, Slot, own_slot
+from aridcal.model.local import Local, local
 from aridcal.model.many_rows import stretches
 from aridcal.model.motions import motion, transform
 from aridcal.robot.chain import Robot
@@ -201,16 +202,17 @@ class Model:
             R[index], p[index], twists[index] = self._extended.jacobian(q[index], world, tip)
         return R, p, twists
 
-    def of_coefficients(self, twists: np.ndarray, rows: Rows) -> np.ndarray:
-        """What joints do, or anything linear in that, shape (N, m, joints), as what coefficients do, shape (N, m, K)."""
-        J = twists.T[self._extended.carrier].T  # rows stay what runs fastest in memory
-        if len(self._based):
-            first, last = self._based[0], self._based[-1] + 1
+    def of_coefficients(self, twists: np.ndarray, rows: Rows, first: int = 0) -> np.ndarray:
+        """What joints do, or anything linear in that, (N, m, joints), as what coefficients from the first on do, (N, m, K)."""
+        J = twists.T[self._extended.carrier[first:]].T  # rows stay what runs fastest in memory
+        which = self._based[self._based >= first] - first
+        if len(which):
             # Constants stand before all others as a rule: then no part is copied.
-            based = slice(first, last) if last - first == len(self._based) else self._based
-            J[:, :, based] *= rows.phi[:, None, :]
+            based = slice(which[0], which[-1] + 1) if which[-1] + 1 - which[0] == len(which) else which
+            J[:, :, based] *= rows.phi[:, None, -len(which) :]
         for own, frame in self._of_frames(rows):
-            J[:, :, own.coefficients] *= own.frames == frame[:, None, None]
+            asked = own.coefficients >= first
+            J[:, :, own.coefficients[asked] - first] *= own.frames[asked] == frame[:, None, None]
         return J
 
     def origins(self, theta: np.ndarray) -> dict[str, pin.SE3]:
@@ -242,11 +244,8 @@ class Model:
 
     def _moved(self, where: str, label: str | None, start: pin.SE3, theta: np.ndarray) -> pin.SE3:
         """One frame with its constants applied, in the order of C."""
-        value = {
-            c.component: theta[k]
-            for k, c in enumerate(self.coefficients)
-            if c.where == where and c.basis.constant and c.station == label
-        }
+        own = [(c, x) for c, x in zip(self.coefficients, theta, strict=True) if c.where == where and c.station == label]
+        value = {c.component: x for c, x in own if c.basis.constant}
         for component in ORDER:
             if component in value:
                 start = start * transform(motion(component), value[component])
@@ -319,10 +318,14 @@ class Model:
         return ExtendedModel(self.robot, self.coefficients, world, tip)
 
     @cached_property
+    def local(self) -> Local | None:
+        """Which coefficients act in few rows; None where a column for each of them is quicker."""
+        return None if self.at_things.any() else local(self.coefficients, self._extended.carrier)
+
+    @cached_property
     def _varying(self) -> np.ndarray:
         """Coefficients that do not act alike on every row."""
-        alike = [c.basis.constant and c.station is None for c in self.coefficients]
-        return np.flatnonzero(~np.array(alike, dtype=bool))
+        return np.flatnonzero([not c.basis.constant or c.station is not None for c in self.coefficients])
 
     @cached_property
     def _based(self) -> np.ndarray:
@@ -347,12 +350,13 @@ class Model:
         alike = np.delete(np.arange(len(theta)), self._varying)
         q += np.bincount(carrier[alike], theta[alike], q.shape[1])
         if len(self._based):
-            spread = np.zeros((len(self._based), q.shape[1]))
-            spread[np.arange(len(self._based)), carrier[self._based]] = theta[self._based]
-            q += rows.phi @ spread
-        for own, frame in self._of_frames(rows):
-            for k in own.coefficients[np.isin(own.frames, frame)]:
-                q[:, carrier[k]] += theta[k] * (frame == own.frame_of[k])
+            own, which = np.unique(carrier[self._based], return_inverse=True)
+            spread = np.zeros((len(self._based), len(own)))
+            spread[np.arange(len(self._based)), which] = theta[self._based]
+            q[:, own] += rows.phi @ spread
+        for at, frame in self._of_frames(rows):
+            for k in at.coefficients[np.isin(at.frames, frame)]:
+                q[:, carrier[k]] += theta[k] * (frame == at.frame_of[k])
         return q
 
     def _of_frames(self, rows: Rows) -> list[tuple[_OfFrames, np.ndarray]]:
@@ -366,11 +370,8 @@ class Model:
         found = []
         for where, frames in (("world_base", self.world_base), ("tip_target", self.tip_target)):
             number = {label: k for k, (label, _) in enumerate(frames)}
-            own = [
-                k
-                for k, c in enumerate(self.coefficients)
-                if c.where == where and c.basis.constant and c.station is not None
-            ]
+            apart = np.setdiff1d(self._varying, self._based).tolist()
+            own = [k for k in apart if self.coefficients[k].where == where]
             at = {k: number[self.coefficients[k].station] for k in own}
             found.append(_OfFrames(np.array(own, dtype=int), np.array(list(at.values()), dtype=int), at))
         return found[0], found[1]

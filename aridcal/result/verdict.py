@@ -12,7 +12,6 @@ from aridcal.effects.catalogue import KINDS
 from aridcal.effects.effect import Effect
 from aridcal.fit.flags import FLOOR, MEASURED, Cluster, cluster
 from aridcal.fit.least_squares import Fit
-from aridcal.fit.noise import carried
 from aridcal.fit.problem import problem
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.channels import spread
@@ -149,8 +148,7 @@ def _model_variance(rows: Dataset, fit: Fit) -> np.ndarray:
     asked = problem(fit.model, rows).settled(fit.theta)
     parts = []
     for block in asked.blocks():
-        J = asked.pieces(fit.theta, block).J
-        parts.append(np.einsum("nmm->nm", carried(J, fit.covariance)))
+        parts.append(np.einsum("nmm->nm", asked.carried(fit.theta, fit.covariance, block)))
     return np.concatenate(parts)
 
 

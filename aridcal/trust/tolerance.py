@@ -22,7 +22,7 @@ import numpy as np
 from scipy.special import betainc, betaincinv
 
 from aridcal.fit.least_squares import Fit
-from aridcal.fit.noise import WORTH_SAYING, Repeats, carried
+from aridcal.fit.noise import WORTH_SAYING, Repeats
 from aridcal.fit.problem import problem
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.channels import spread
@@ -191,7 +191,7 @@ def beyond(
     seen = at_target(fit, own)
     covariance = np.empty((len(own), *2 * (residual.shape[1],)))
     for block in asked.blocks():
-        covariance[block] = carried(asked.pieces(fit.theta, block).J, fit.covariance)
+        covariance[block] = asked.carried(fit.theta, fit.covariance, block)
     arm = fit.model.poses(fit.theta, asked.rows)[0] @ np.asarray(tool, dtype=float)
     sigma = spread(noise, rows.channels)
     size, squares, scatter, model, told = np.full((5, len(own)), np.nan)

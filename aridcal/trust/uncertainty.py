@@ -74,12 +74,16 @@ def target_sigma(fit: Fit, rows: Rows) -> tuple[np.ndarray, np.ndarray]:
     The square root of the largest eigenvalue of :math:`J \Sigma J^T`, J the target's Jacobian and Sigma the covariance of
     the coefficients.
     """
-    worst = np.empty((2, len(rows)))
+    worst, model = np.empty((2, len(rows))), fit.model
+    local = model.local
     for start in range(0, len(rows), BLOCK):
         block = slice(start, start + BLOCK)
-        _, _, J = fit.model.jacobian(fit.theta, rows[block])
+        _, _, J = (model.jacobian if local is None else model.motions)(fit.theta, rows[block])
         for k, part in enumerate((J[:, :3], J[:, 3:])):
-            variance = np.linalg.eigvalsh(carried(part, fit.covariance))[:, -1]
+            own = (
+                carried(part, fit.covariance) if local is None else local.carried(part, rows.phi[block], fit.covariance)
+            )
+            variance = np.linalg.eigvalsh(own)[:, -1]
             worst[k, block] = np.sqrt(np.maximum(variance, 0.0))
     return worst[0], worst[1]
 

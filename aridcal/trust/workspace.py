@@ -251,11 +251,11 @@ def target_covariance(
         rows: N configurations.
         tool: A point that moves with the target, in its axes, shape (3,), [m], in place of its origin.
     """
-    found = np.empty((len(rows), 6, 6))
+    found, local = np.empty((len(rows), 6, 6)), model.local
     for some in few(len(rows)):
-        R, _, J = model.jacobian(theta, rows[some])
+        R, _, J = (model.jacobian if local is None else model.motions)(theta, rows[some])
         J = J if tool is None else shifted(J, R @ tool)
-        found[some] = carried(J, covariance)
+        found[some] = carried(J, covariance) if local is None else local.carried(J, rows.phi[some], covariance)
     return found
 
 

@@ -1,0 +1,105 @@
+"""Hat functions that act in few rows, against a column for each of them: the same sums, covariances and motions."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import robots
+
+from aridcal.effects.basis import Basis
+from aridcal.effects.effect import Coefficient
+from aridcal.fit.noise import carried
+from aridcal.fit.problem import Problem
+from aridcal.fit.problem import problem as ask
+from aridcal.fit.residual import linearise, moved_by
+from aridcal.instruments.channels import columns
+from aridcal.model.local import WORTH
+from aridcal.model.model import Model
+from aridcal.trust.workspace import shifted, target_covariance
+
+COUNT = 45
+
+
+def mapped(count: int = COUNT) -> tuple[Model, np.ndarray]:
+    """An arm with hat functions of all its joints, one of which depends on another's reading too, between other effects."""
+    rng, robot = np.random.default_rng(0), robots.ur10()
+    knots = np.linspace(-2.0, 2.0, count).tolist()
+    hats = [Coefficient(j, "axis", Basis("bump", (j,), (at, 0.1))) for j in robot.names for at in knots]
+    crossing = Coefficient(robot.names[2], "r1", Basis("sin", (robot.names[0],), (1.5,)))
+    constant = Coefficient(robot.names[1], "axis")
+    # Not in the usual order: constants first.
+    every = (*robots.FRAMES, *hats[:50], constant, *hats[50:], crossing)
+    frames = [((None, robots.random_placement(rng)),) for _ in range(2)]
+    return Model(robot, every, *frames), rng.normal(0, 1e-3, len(every))
+
+
+def questions(kind: str) -> tuple[Problem, Problem, np.ndarray]:
+    """A question whose hat functions are summed where they act, the same with a column for each, and coefficients."""
+    rng = np.random.default_rng(1)
+    model, theta = mapped()
+    q = rng.uniform(-1.5, 1.5, (2_100, 6))  # two stretches of rows
+    q[7] = 4.0  # beyond all knots: no hat function acts
+    q[8] = np.linspace(-1.5, 1.5, 6)
+    R, p = model.poses(theta, model.rows(q))
+    data = robots.measured(model.robot, q, p + rng.normal(0, 1e-3, p.shape), None if kind == "position" else R)
+    if kind == "relative":
+        relative = rng.uniform(0.3, 3.0, (len(q), 6))
+        data = replace(data, relative=relative)
+    question = ask(model, data)
+    assert model.local is not None
+    wide = replace(model)
+    wide.__dict__["local"] = None
+    return question, replace(question, model=wide), theta + rng.normal(0, 1e-3, len(theta))
+
+
+@pytest.mark.parametrize("kind", ["pose", "position", "relative"])
+def test_sums_over_rows_are_those_of_all_columns(kind: str) -> None:
+    question, wide, theta = questions(kind)
+    sigma = np.array([1e-3, 2e-3])[: len(question.channels)]
+    for weight in (None, np.random.default_rng(2).uniform(0, 1, len(question))):
+        found, known = (linearise(q, theta, weight, sigma) for q in (question, wide))
+        np.testing.assert_array_equal(found.residual, known.residual)
+        np.testing.assert_array_equal(found.weight, known.weight)
+        for name in ("AA", "Ar", "rr", "count"):
+            a, b = getattr(found.equations, name), getattr(known.equations, name)
+            np.testing.assert_allclose(a, b, rtol=1e-11, atol=1e-12 * np.abs(b).max(), err_msg=name)
+    # And by hand, from the columns themselves.
+    _, J = wide.linearised(theta)
+    for k, part in enumerate(columns(question.channels)):
+        own = J[:, part] * np.sqrt(found.weight * question.data.share)[:, None, None]
+        flat = own.reshape(-1, len(theta))
+        np.testing.assert_allclose(found.equations.AA[k], flat.T @ flat, rtol=1e-11, atol=1e-9)
+
+
+@pytest.mark.parametrize("kind", ["pose", "position", "relative"])
+def test_covariances_of_rows_are_those_of_all_columns(kind: str) -> None:
+    question, wide, theta = questions(kind)
+    root = np.random.default_rng(3).normal(size=(len(theta), len(theta)))
+    covariance, part = root @ root.T, slice(0, 100)
+    found, known = (q.carried(theta, covariance, part) for q in (question, wide))
+    np.testing.assert_allclose(found, known, rtol=1e-11, atol=1e-12 * np.abs(known).max())
+    tool = np.array([0.1, -0.2, 0.3])
+    rows = question.rows[part]
+    R, _, J = wide.model.jacobian(theta, rows)
+    known = carried(shifted(J, R @ tool), covariance)
+    found = target_covariance(question.model, theta, covariance, rows, tool)
+    np.testing.assert_allclose(found, known, rtol=1e-9, atol=1e-12 * np.abs(known).max())
+
+
+def test_columns_of_the_last_coefficients_are_those_among_all() -> None:
+    question, wide, theta = questions("relative")
+    _, _, J = wide.model.jacobian(theta, wide.rows)
+    assert question.data.relative is not None
+    for count in (1, 200, len(theta)):  # with no constant; with one between the hat functions; all
+        known = J[:, :, len(theta) - count :] / question.data.relative[:, :, None]
+        np.testing.assert_allclose(moved_by(question, theta, count), known, rtol=1e-12, atol=1e-14)
+
+
+def test_few_hat_functions_and_those_of_stations_have_columns() -> None:
+    model, _ = mapped()
+    assert sum(c.basis.form == "bump" for c in model.coefficients) >= WORTH
+    assert mapped(WORTH // 6)[0].local is None
+    first, *others = model.coefficients
+    assert model.with_coefficients([replace(first, station="A"), *others]).local is None
