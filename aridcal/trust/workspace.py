@@ -261,10 +261,11 @@ def target_covariance(
 
 def target_std(model: Model, theta: np.ndarray, covariance: np.ndarray, rows: Rows) -> np.ndarray:
     """Roots of the diagonals of :func:`target_covariance`, shape (N, 6): of a million rows the whole takes six times as much."""
-    variance = np.empty((len(rows), 6))
+    std = np.empty((len(rows), 6))
     for part in stretches(slice(None), len(rows)):
-        variance[part] = np.einsum("nii->ni", target_covariance(model, theta, covariance, rows[part]))
-    return np.sqrt(np.maximum(variance, 0.0))
+        variance = np.einsum("nii->ni", target_covariance(model, theta, covariance, rows[part]))
+        std[part] = np.sqrt(np.maximum(variance, 0.0))
+    return std
 
 
 def shifted(J: np.ndarray, arm: np.ndarray) -> np.ndarray:
