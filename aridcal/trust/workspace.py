@@ -209,9 +209,13 @@ class Knowledge:
 
     def places(self, data: Dataset, readings: np.ndarray, like: np.ndarray) -> np.ndarray:
         """Where the target is in some configurations, in the base frame, shape (M, 3), [m]; see :meth:`over`."""
-        rows = self._rows(data, readings, like)
-        axes, origin = self._bases(rows)
-        return np.asarray(np.einsum("nji,nj->ni", axes, self.fit.model.poses(self.fit.theta, rows)[1] - origin))
+        places = np.empty((len(readings), 3))
+        for part in stretches(slice(None), len(readings)):
+            rows = self._rows(data, readings[part], like[part])
+            axes, origin = self._bases(rows)
+            at = self.fit.model.poses(self.fit.theta, rows)[1]
+            places[part] = np.einsum("nji,nj->ni", axes, at - origin)
+        return places
 
     def _rows(self, data: Dataset, readings: np.ndarray, like: np.ndarray) -> Rows:
         """Other readings as the model sees them."""
