@@ -28,7 +28,9 @@ def thinned(flagged: np.ndarray) -> tuple[np.ndarray, str]:
     words = f"{len(rows):,} of {len(flagged):,} rows drawn"
     if not len(odd):
         return rows, f"{words}, {_each(every)}"
-    which = f"every flagged one ({len(odd):,})" if every_odd == 1 else f"{_each(every_odd)} of {len(odd):,} flagged ones"
+    which = (
+        f"every flagged one ({len(odd):,})" if every_odd == 1 else f"{_each(every_odd)} of {len(odd):,} flagged ones"
+    )
     return rows, f"{words}: {which}{f', {_each(every)} of the others' if len(sound) else ''}"
 
 

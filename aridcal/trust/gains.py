@@ -137,7 +137,7 @@ def explain(diagnosed: Diagnosed, every: Dataset, scored: np.ndarray, clues: Seq
         groups.setdefault(a.effect.identity, []).append(k)
     stated = {e.identity for e in diagnosed.declared}
     asked = problem(fit.model, every)
-    final = asked.residual(fit.theta)
+    final = asked.residual(fit.theta) if groups else np.empty((0, 0))  # that of each effect: without one nobody asks
     effects = []
     for who, members in groups.items():
         own = [active[k] for k in members]
