@@ -102,15 +102,14 @@ def hand_over(outcome: Outcome) -> Handover:
     first = leading(m)[0]
     part = columns(m.channels)[first]
 
-    # What no row tells alone, as a camera's place, is found from all; where the target's own pose is measured, few are enough.
-    of = np.ones(len(m), dtype=bool) if m.blocks else judged
-    some, mine = m.select(of), judged[of]
-
     def export(name: str, files: tuple[str, ...], found: Fit, own: Regions | None = None) -> Export:
         found = recentred(found)
-        left = problem(found.model, some).residual(found.theta) if own is None else own.residual(some)
-        apart = (left - final.residual[of])[:, :3] if not m.blocks else _predicted(found, m) - outcome.at_target.places
-        return Export(name, files, _rms(left[mine][:, part]), _rms(apart[mine]), found.model)
+        left = (problem(found.model, m).residual(found.theta) if own is None else own.residual(m))[judged]
+        if m.blocks:
+            apart = (_predicted(found, m) - outcome.at_target.places)[judged]
+        else:
+            apart = (left - final.residual[judged])[:, :3]
+        return Export(name, files, _rms(left[:, part]), _rms(apart), found.model)
 
     offsets = _offsets(outcome)
     with_maps = _with_maps(outcome)
