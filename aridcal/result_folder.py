@@ -61,20 +61,24 @@ def write_folder(
     """
     # Commands ask for the names above before they read a table; what draws is loaded when there is something to draw.
     from aridcal.drawing.scene import write_scene
+    from aridcal.reading.freed import give_back
     from aridcal.report.certificate import write_certificate
     from aridcal.report.page import write_report
     from aridcal.result.controllers import hand_over, write_controllers
     from aridcal.result.folder import write_results
 
+    give_back()
     with atomic_folder(folder, RESULT_FILES | RESULT_FOLDERS) as stage:
         progress("writing figures and tables")
         write_results(outcome, stage, progress)
         progress("working out what controllers can be given")
+        give_back()
         handover = hand_over(outcome)
         write_controllers(outcome, handover, stage)
         progress("drawing the scene")
         notices = write_scene(outcome, stage / "scene.html")
         notices += write_certificate(outcome, stage, datetime.date.today())
+        give_back()
         progress("drawing the report")  # last, for it links to what is there
         notices = write_report(outcome, handover, stage / "report.html", progress) + notices
         for name, text in beside.items():

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from lxml import etree
 
-from aridcal.drawing.fields import LEVELS, color_steps, field
+from aridcal.drawing.fields import LEVELS, SQUARES, color_steps, field
 from aridcal.drawing.figures import Trend, correlogram, coverage, curve, falling, histogram, panels
 from aridcal.drawing.html import Html, noting
 from aridcal.drawing.plot import Area, Named, Scale, along, legend, scale, written
+from aridcal.drawing.thinned import MOST_DRAWN, SOUND_DRAWN, thinned
 
 RNG = np.random.default_rng(0)
 HOSTILE = """<b onclick="x">&'"""
@@ -240,3 +241,39 @@ def test_a_field_is_as_long_to_the_right_as_upwards() -> None:
     drawn = field("k", "alt", points, np.full(3, 0.5), ("x", "y"), "mm", np.arange(6.0))
     places = dots_of(drawn, LEVELS[0])
     assert np.ptp(places[:, 0]) == pytest.approx(2 * np.ptp(places[:, 1]), abs=0.3)
+
+
+def test_squares_of_a_field_are_those_of_pairs() -> None:
+    """Each square has one number; the slow road sorts pairs."""
+    for k in range(20):
+        points = RNG.normal(size=(500, 2)) * [1.0, 10.0 ** (k / 5 - 2)] + 5.0 * RNG.normal(size=2)
+        side = float(np.ptp(points, axis=0).max()) / SQUARES
+        squares = np.unique(np.floor(points / side), axis=0)
+        drawn = colors_of(field("k", "alt", points, np.ones(500), ("x", "y"), "mm", color_steps(np.ones(500))))
+        assert sum(drawn.values()) == len(squares)
+
+
+@pytest.mark.parametrize(
+    ("rows", "flagged", "said"),
+    [
+        (5_000, 10, ""),
+        (5_001, 0, "2,501 of 5,001 rows drawn, every 2nd"),
+        (1_000_000, 0, "5,000 of 1,000,000 rows drawn, every 200th"),
+        (1_000_000, 1, "4,977 of 1,000,000 rows drawn: every flagged one (1), every 201st of the others"),
+        (60_000, 2_000, "4,900 of 60,000 rows drawn: every flagged one (2,000), every 20th of the others"),
+        (60_000, 5_000, "6,000 of 60,000 rows drawn: every flagged one (5,000), every 55th of the others"),
+        (60_000, 20_000, "6,000 of 60,000 rows drawn: every 4th of 20,000 flagged ones, every 40th of the others"),
+        (5_100, 5_100, "2,550 of 5,100 rows drawn: every 2nd of 5,100 flagged ones"),
+    ],
+)
+def test_of_too_many_rows_the_flagged_ones_stay(rows: int, flagged: int, said: str) -> None:
+    """A gross outlier among a million rows is what somebody looks for: it must not fall between every 200th."""
+    odd = np.zeros(rows, dtype=bool)
+    odd[RNG.choice(rows, flagged, replace=False)] = True
+    drawn, words = thinned(odd)
+    assert words == said
+    assert (np.diff(drawn) > 0).all() and len(drawn) <= MOST_DRAWN + SOUND_DRAWN
+    assert flagged > MOST_DRAWN or odd[drawn].sum() == flagged
+    steps = np.diff(np.flatnonzero(np.isin(np.flatnonzero(~odd), drawn)))
+    assert len(np.unique(steps)) <= 1  # the others evenly
+    assert not words or words.startswith(f"{len(drawn):,} of {rows:,} rows drawn")

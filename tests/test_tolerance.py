@@ -22,7 +22,7 @@ from aridcal.errors import CampaignError
 from aridcal.fit.constants import constants
 from aridcal.fit.least_squares import Fit, fit, fit_identifiable
 from aridcal.fit.noise import repeats
-from aridcal.fit.problem import problem
+from aridcal.fit.problem import BLOCK, problem
 from aridcal.inputs.campaign import Campaign
 from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.measurement_settings import LENGTHS, SMALL_ANGLES, with_unit
@@ -384,3 +384,33 @@ def test_without_held_out_rows_the_fitted_ones_judge_with_their_freedom() -> Non
         q + 3e-4 * np.random.default_rng(1).normal(size=q.shape),
     )
     assert np.sqrt(np.mean(np.square(sizes))) == pytest.approx(np.sqrt(np.mean(still**2) / 3.0), rel=0.15)
+
+
+@pytest.mark.parametrize("turn", [False, True])
+def test_rows_judged_in_stretches_are_judged_as_all_at_once(turn: bool) -> None:
+    """Of many rows covariances are worked out some at a time: the sums are those of each row by itself."""
+    truth, first = arm()
+    rng = np.random.default_rng(7)
+    count = 2 * BLOCK + 100
+    rows = measured(truth, robots.readings(truth.model.robot, count, rng), rng)
+    odd = rng.random(count) < 0.01
+    residual, tool = problem(first.model, rows).residual(first.theta), np.array([0.1, 0.2, -0.3])
+    judging = rng.random(count) < 0.9
+    found = beyond(first, rows, judging, odd, residual, np.full(2, NOISE), tuple(tool.tolist()), turn)
+    assert found is not None
+    own = np.flatnonzero(judging & ~odd)
+    R, _, J = first.model.jacobian(first.theta, problem(first.model, rows).rows[own])
+    off, variance, noise = [], [], []
+    for r, axes, columns in zip(residual[own], R, J, strict=True):
+        by = np.hstack([np.zeros((3, 3)), np.eye(3)])
+        if not turn:
+            x, y, z = axes @ tool
+            by = np.hstack([np.eye(3), -np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])])
+        off.append(by @ r)
+        variance.append(np.trace(by @ columns @ first.covariance @ columns.T @ by.T))
+        noise.append(NOISE**2 * np.sum(by**2))
+    np.testing.assert_allclose(found.size[: len(own)], np.linalg.norm(off, axis=1), rtol=1e-9)
+    assert np.isinf(found.size[len(own) :]).sum() == (judging & odd).sum()
+    assert found.squares == pytest.approx(np.sum(np.square(off)) / (3 * len(own)), rel=1e-9)
+    assert found.model == pytest.approx(np.sum(variance) / (3 * len(own)), rel=1e-6)
+    assert found.noise == pytest.approx(np.sum(noise) / (3 * len(own)), rel=1e-9)

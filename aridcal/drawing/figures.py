@@ -305,6 +305,11 @@ def beside(area: Area, label: str) -> str:
     return text(LINE - 4, area.top + area.height / 2, label, "middle", INK, turned=True)
 
 
+def of_cloud(count: int) -> str:
+    """For the caption of a cloud: how many of its points are drawn; empty where all are."""
+    return f" ({POINTS:,} of {count:,} rows drawn)" if count > POINTS else ""
+
+
 def _some(count: int) -> np.ndarray:
     """Which points of a cloud are drawn: of more than :data:`POINTS` a reproducible choice."""
     if count <= POINTS:

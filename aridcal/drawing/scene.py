@@ -23,7 +23,7 @@ import pinocchio as pin
 from aridcal.drawing.frame import asset, empty_page, filled
 from aridcal.drawing.html import Html, attempt, note, noting
 from aridcal.drawing.shapes import packed, position_quaternion, robot_shapes, stepped, turn
-from aridcal.drawing.words import drawn_of
+from aridcal.drawing.thinned import thinned
 from aridcal.fit.constants import stage_urdf
 from aridcal.result.outcome import Outcome
 from aridcal.robot.chain import Robot, parse_robot
@@ -31,9 +31,6 @@ from aridcal.robot.kinematics import tree_frames
 from aridcal.robot.shapes import Shape
 
 ASSETS = Path(__file__).parent / "assets"
-
-MOST_DRAWN = 5_000
-"""Rows whose targets are drawn: more are dots upon dots, and of a million the page would have 73 MB."""
 
 # At most so many of them can be stepped through.
 ROWS = 200
@@ -355,8 +352,9 @@ def _page(content: dict[str, Any], script: str) -> str:
 def scene(outcome: Outcome) -> Scene:
     """Collect what the picture shows: nominal and calibrated robot, measured targets, and every stage's prediction."""
     fit, m, robot = outcome.stage("final").fit, outcome.measurements, outcome.robot
-    every = -(-len(m) // MOST_DRAWN)
-    rows = m.as_read[::every]  # they are stepped through as they stand in the files
+    as_read = m.as_read  # they are stepped through as they stand in the files
+    some, left_out = thinned(outcome.outlier[as_read])
+    rows = as_read[some]
     station, target = (None if labels is None else labels[rows] for labels in (m.station, m.target))
     conditions = {name: values[rows] for name, values in m.conditions.items()}
     world = fit.model.rows(m.readings[rows], conditions, station, target).world
@@ -386,5 +384,5 @@ def scene(outcome: Outcome) -> Scene:
         places=np.zeros((0, 3)) if told is None else told.places,
         sigma=np.zeros(0) if told is None else told.sigma,
         rms_mm={name: _rms_mm(shift[scored]) for name, shift in shifts.items()},
-        left_out=drawn_of(len(rows), len(m), every),
+        left_out=left_out,
     )

@@ -303,9 +303,3 @@ def _correlated(change: str, kept: Sequence[str], columns: Mapping[str, np.ndarr
             if abs(r) > TOGETHER:
                 return f" (in these data the two are correlated: r = {r:.2f})"
     return ""
-
-
-def drawn_of(drawn: int, rows: int, every: int) -> str:
-    """Which of many rows are drawn: ``5,000 of 1,000,000 rows drawn, every 200th``; empty where all are."""
-    ending = "th" if every % 100 in (11, 12, 13) else {1: "st", 2: "nd", 3: "rd"}.get(every % 10, "th")
-    return "" if every == 1 else f"{drawn:,} of {rows:,} rows drawn, every {every}{ending}"

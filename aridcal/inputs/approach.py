@@ -43,7 +43,7 @@ def with_directions(rows: Dataset) -> Dataset:
         column = f"{name}_direction"
         if column in rows.covariates:
             continue
-        found[column] = np.zeros(len(rows))
+        found[column] = np.zeros(len(rows), dtype=np.int8)  # a million rows of six joints: 6 MB instead of 48
         for file in np.unique(rows.file):
             own = np.flatnonzero(rows.file == file)
             timed = time is not None and np.isfinite(time[own]).all()

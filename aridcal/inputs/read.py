@@ -31,6 +31,7 @@ from aridcal.instruments.catalogue import KINDS
 from aridcal.instruments.channels import TARGET_POSITION, TARGET_ROTATION, Channels
 from aridcal.instruments.pose import turned
 from aridcal.instruments.setup import Block
+from aridcal.reading.freed import give_back
 from aridcal.robot.chain import JointKind
 
 TIP = "tip"
@@ -121,8 +122,8 @@ def _block(asked: _Asked, number: int, tables: Sequence[AnyTable], alone: bool) 
         alone: True if it is the campaign's only block.
     """
     rows, chosen, noise = _read(asked, number, tables, alone)
-    rows = rows.select(chosen)
-    rows = replace(rows, configuration=blocks(rows.readings, asked.kinds))
+    give_back()  # the table's cells, which are more than all that was made of them
+    rows = replace(used := rows.select(chosen), configuration=blocks(used.readings, asked.kinds))
     return _Part(rows if rows.split_given else replace(rows, test=draw_split(rows.configuration, asked.seed)), noise)
 
 

@@ -6,8 +6,6 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
-import pyarrow as pa
-
 from aridcal.errors import CampaignError
 
 NUMBER = 8
@@ -102,11 +100,6 @@ def check_memory(size: Size, place: str, available: int | None) -> None:
 
 def _gigabytes(size: int) -> str:
     return f"{size / 1e9:,.1f} GB"
-
-
-def give_back() -> None:
-    """Give back to the system what reading a table took and does not need any more: of a million rows 300 MB."""
-    pa.default_memory_pool().release_unused()
 
 
 def available_memory() -> int | None:

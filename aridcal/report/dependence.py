@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from aridcal.drawing.figures import Trend, correlogram, panels
+from aridcal.drawing.figures import Trend, correlogram, of_cloud, panels
 from aridcal.drawing.html import Content, Html, figures, number, table, tag
 from aridcal.drawing.words import shown_in
 from aridcal.report.effects_section import axis_unit, effects_in_the_model, other_candidates, p_in_words
@@ -87,7 +87,7 @@ def _joints(outcome: Outcome, progress: Progress) -> Iterator[Content]:
     )
     drawn: list[tuple[Content, Html]] = []
     for k, trace in enumerate(progress.over(found, "pictures of joints")):
-        caption = [tag("code", trace.motion), f": {_in_words(outcome, trace, len(found))}"]
+        caption = [tag("code", trace.motion), f": {_in_words(outcome, trace, len(found))}", of_cloud(len(trace.seen))]
         drawn.append((caption, _picture(outcome, f"joint-{k}", trace)))
     yield figures(drawn)
 
@@ -164,7 +164,8 @@ def _strongest(outcome: Outcome, progress: Progress) -> Iterator[Content]:
     drawn: list[tuple[Content, Html]] = []
     for k, trace in enumerate(progress.over(worth[:MOST_TRACES], "pictures of dependences")):
         names = [tag("code", trace.motion), " over ", tag("code", trace.covariate)]
-        drawn.append(([*names, f": {_in_words(outcome, trace, asked)}"], _picture(outcome, f"trace-{k}", trace)))
+        caption = [*names, f": {_in_words(outcome, trace, asked)}", of_cloud(len(trace.seen))]
+        drawn.append((caption, _picture(outcome, f"trace-{k}", trace)))
     yield figures(drawn)
 
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from aridcal.drawing.figures import curve
+from aridcal.drawing.figures import curve, of_cloud
 from aridcal.drawing.html import Content, Html, bullets, counted, figures, number, plus_minus, table, tag
 from aridcal.drawing.words import how_to_separate, shown_in
 from aridcal.effects.basis import Basis
@@ -92,7 +92,8 @@ def _curve(outcome: Outcome, key: str, effect: NamedEffect, found: Curve) -> tup
     picture = curve(key, alt, at, value, std, rows, labels, winding=periods > WINDING)
     span, known = number(float(np.ptp(value))), number(float(np.median(std)), 2)
     seen = f"{span} {moved} peak to peak, known to {known} {moved} (median 1σ)"
-    return [tag("code", label), f", {found.component} over {found.covariate}: {seen}"], picture
+    said = f", {found.component} over {found.covariate}: {seen}{of_cloud(len(found.seen))}"
+    return [tag("code", label), said], picture
 
 
 def axis_unit(outcome: Outcome, covariate: str) -> tuple[str, float]:

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from aridcal.drawing.fields import color_steps, field
-from aridcal.drawing.figures import histogram, panels
+from aridcal.drawing.figures import histogram, of_cloud, panels
 from aridcal.drawing.html import Content, Html, counted, figures, number, table, tag
 from aridcal.drawing.words import reading_in_words
 from aridcal.instruments.catalogue import KINDS
@@ -148,7 +148,8 @@ def _axis_pictures(compared: dict[str, np.ndarray], channels: Channels, words: s
         values = {name: scale[k] * residual[own, k] for name, residual in compared.items()}
         alt = f"Residual {axis} row by row, before and after calibration"
         labels = (f"number of the row among the {words}", axis)
-        drawn.append((f"Measured minus predicted: {axis}", panels(f"axis-{k}", alt, order[own], values, labels)))
+        caption = f"Measured minus predicted: {axis}{of_cloud(int(own.sum()))}"
+        drawn.append((caption, panels(f"axis-{k}", alt, order[own], values, labels)))
     return figures(drawn)
 
 

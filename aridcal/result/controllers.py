@@ -104,9 +104,11 @@ def hand_over(outcome: Outcome) -> Handover:
 
     def export(name: str, files: tuple[str, ...], found: Fit, own: Regions | None = None) -> Export:
         found = recentred(found)
-        left = problem(found.model, m).residual(found.theta) if own is None else own.residual(m)
-        apart = (left - final.residual)[:, :3] if not m.blocks else _predicted(found, m) - outcome.at_target.places
-        return Export(name, files, _rms(left[judged][:, part]), _rms(apart[judged]), found.model)
+        left = (problem(found.model, m).residual(found.theta) if own is None else own.residual(m))[judged]
+        apart = left - final.residual[judged]
+        if m.blocks:
+            apart = (_predicted(found, m) - outcome.at_target.places)[judged]
+        return Export(name, files, _rms(left[:, part]), _rms(apart[:, :3]), found.model)
 
     offsets = _offsets(outcome)
     with_maps = _with_maps(outcome)

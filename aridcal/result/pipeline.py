@@ -23,6 +23,7 @@ from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.read import load_measurements
 from aridcal.inputs.tables import AnyTable
 from aridcal.model.memory import Size, available_memory, check_memory
+from aridcal.reading.freed import give_back
 from aridcal.result.measuring_head import measuring_head
 from aridcal.result.outcome import Outcome, Stage, Verification
 from aridcal.result.reading import Job, read_job
@@ -116,6 +117,7 @@ def identify(
         raise
     judge(campaign, robot, rows, geometry)
     where = region(campaign, geometry.geometric, rows.fitted)
+    give_back()
     arm = calibrated_arm(campaign, robot, rows, labels, geometry, progress)
     outcome = _outcome(campaign, robot, arm, where, job.still, job.detections, progress)
     if other is not None:
@@ -135,6 +137,7 @@ def _outcome(
 ) -> Outcome:
     """Score every stage of a calibrated arm, and ask what remains."""
     progress("scoring")
+    give_back()  # what the fits took: here and below the most memory is wanted
     rows, diagnosed = arm.rows, arm.diagnosed
     train = rows.fitted
     known = judged(arm, progress)
@@ -147,9 +150,12 @@ def _outcome(
         robot, campaign.parameters.set
     )
     progress("working out how well the target is known")
+    give_back()
     certain = certainty(campaign, final, rows, asked, where, outlier, stages[-1].residual, known.repeats)
     stages = with_instruments_found(stages, train)
     head = None if detections is None else measuring_head(final, stages[1].fit, rows, rows.train & ~outlier, detections)
+    known_to = precision(final, train)
+    give_back()
     return Outcome(
         campaign=campaign,
         robot=robot,
@@ -159,7 +165,7 @@ def _outcome(
         noise=final.sigma,
         noise_source="declared" if all(rows.sigma) else "estimated",
         repeats=known.repeats,
-        precision=precision(final, train),
+        precision=known_to,
         second_look=again,
         certainty=certain,
         verdict=known.verdict,

@@ -14,7 +14,6 @@ from aridcal.inputs.approach import with_directions
 from aridcal.inputs.campaign import Campaign, load_campaign, nominal_robot
 from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.read import load_measurements
-from aridcal.model.memory import give_back
 from aridcal.robot.chain import Robot
 from aridcal.showing import SILENT, Progress
 
@@ -65,7 +64,6 @@ def read_job(
     if verified and campaign.measurements.head is not None:
         raise CampaignError(f"{campaign.path}: --verify needs a table of poses; `kind: camera_sonar` has shots")
     read = read_rows(campaign, robot, cache, seed, progress)
-    give_back()
     rows = with_directions(read.rows)
     return Job(read.campaign, robot, rows, read.detections, _check_motion(read.campaign, rows), started)
 

@@ -125,8 +125,10 @@ class Robot:
         """Joint positions, shape (N, joints), from readings, shape (N, columns): mimics follow their masters."""
         column = {name: k for k, name in enumerate(self.readings)}
         index = [column[j.reading] for j in self.joints]
-        multiplier = np.array([j.multiplier for j in self.joints])
-        return readings[:, index] * multiplier + np.array([j.offset for j in self.joints])
+        found = readings[:, index].astype(float, copy=False)  # a copy already; of a million rows two more take 96 MB
+        found *= [j.multiplier for j in self.joints]
+        found += [j.offset for j in self.joints]
+        return found
 
     @cached_property
     def tree(self) -> pin.Model:

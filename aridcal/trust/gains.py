@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -130,11 +130,27 @@ def explain(diagnosed: Diagnosed, every: Dataset, scored: np.ndarray, clues: Seq
         scored: Those held out, without outliers, shape (N,).
         clues: Whether what remains is noise.
     """
-    found, fit = diagnosed.found, diagnosed.fit
+    found = diagnosed.found
     active = found.state.active
     groups: dict[tuple[object, ...], list[int]] = {}
     for k, a in enumerate(active):
         groups.setdefault(a.effect.identity, []).append(k)
+    return Diagnosis(
+        effects=_named(diagnosed, every, scored, groups) if groups else (),
+        rejected=tuple(Rejected(j.effect, j.p_value, j.score.gain, j.why) for j in found.rejected),
+        barred=diagnosed.barred,
+        tested=found.tested,
+        clues=tuple(clues),
+        over_time=_over_time(diagnosed),
+    )
+
+
+def _named(
+    diagnosed: Diagnosed, every: Dataset, scored: np.ndarray, groups: Mapping[tuple[object, ...], Sequence[int]]
+) -> tuple[NamedEffect, ...]:
+    """Each effect, the largest first: what all rows leave with it and without, from its numbers among those that are active."""
+    found, fit = diagnosed.found, diagnosed.fit
+    active = found.state.active
     stated = {e.identity for e in diagnosed.declared}
     asked = problem(fit.model, every)
     final = asked.residual(fit.theta)
@@ -161,14 +177,7 @@ def explain(diagnosed: Diagnosed, every: Dataset, scored: np.ndarray, clues: Seq
     for k in range(len(effects) - 1):
         first = [e.effect for e in effects[: k + 1]]
         effects[k] = replace(effects[k], reached=_with_effects(asked, fit, first))
-    return Diagnosis(
-        effects=tuple(effects),
-        rejected=tuple(Rejected(j.effect, j.p_value, j.score.gain, j.why) for j in found.rejected),
-        barred=diagnosed.barred,
-        tested=found.tested,
-        clues=tuple(clues),
-        over_time=_over_time(diagnosed),
-    )
+    return tuple(effects)
 
 
 def _over_time(diagnosed: Diagnosed) -> float | None:

@@ -189,27 +189,30 @@ def beyond(
         return None
     asked = problem(fit.model, own).settled(fit.theta)
     seen = at_target(fit, own)
-    covariance = np.empty((len(own), *2 * (residual.shape[1],)))
-    for block in asked.blocks():
-        covariance[block] = asked.carried(fit.theta, fit.covariance, block)
-    arm = fit.model.poses(fit.theta, asked.rows)[0] @ np.asarray(tool, dtype=float)
     sigma = spread(noise, rows.channels)
     size, squares, scatter, model, told = np.full((5, len(own)), np.nan)
-    declared = True
-    for lever in seen.levers:
-        by = lever.turn if turn else lever.shift + np.cross(lever.turn, arm[lever.rows][:, :, None], axis=1)
-        rank = np.linalg.matrix_rank(by)
-        some, by, rank = lever.rows[rank > 0], by[rank > 0], rank[rank > 0]
-        if not len(some):
-            continue
-        felt = np.abs(by).max(axis=(0, 1)) > 0.0
-        declared &= bool(np.all(sigma[lever.part][felt] > 0.0))
-        off = np.einsum("nij,nj->ni", by, residual[judging][some][:, lever.part])
-        part = covariance[some][:, lever.part, lever.part]
-        size[some], told[some] = np.linalg.norm(off, axis=1), rank
-        squares[some] = np.sum(off**2, axis=1)
-        scatter[some] = np.sum((by * sigma[lever.part]) ** 2, axis=(1, 2))
-        model[some] = np.einsum("nij,njk,nik->n", by, part, by)
+    left, declared = residual[judging], True
+    for block in asked.blocks():  # of all rows at once the covariances alone would take 288 bytes a row
+        covariance = asked.carried(fit.theta, fit.covariance, block)
+        arm = fit.model.poses(fit.theta, asked.rows[block])[0] @ np.asarray(tool, dtype=float)
+        for lever in seen.levers:
+            first, last = np.searchsorted(lever.rows, (block.start, block.stop))
+            some, here = lever.rows[first:last], lever.rows[first:last] - block.start
+            by = lever.turn[first:last]
+            if not turn:
+                by = lever.shift[first:last] + np.cross(by, arm[here][:, :, None], axis=1)
+            rank = np.linalg.matrix_rank(by)
+            some, here, by, rank = some[rank > 0], here[rank > 0], by[rank > 0], rank[rank > 0]
+            if not len(some):
+                continue
+            felt = np.abs(by).max(axis=(0, 1)) > 0.0
+            declared &= bool(np.all(sigma[lever.part][felt] > 0.0))
+            off = np.einsum("nij,nj->ni", by, left[some, lever.part])
+            part = covariance[here][:, lever.part, lever.part]
+            size[some], told[some] = np.linalg.norm(off, axis=1), rank
+            squares[some] = np.sum(off**2, axis=1)
+            scatter[some] = np.sum((by * sigma[lever.part]) ** 2, axis=(1, 2))
+            model[some] = np.einsum("nij,njk,nik->n", by, part, by)
     there = np.isfinite(size)
     if not there.any():
         return None

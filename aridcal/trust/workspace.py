@@ -209,9 +209,13 @@ class Knowledge:
 
     def places(self, data: Dataset, readings: np.ndarray, like: np.ndarray) -> np.ndarray:
         """Where the target is in some configurations, in the base frame, shape (M, 3), [m]; see :meth:`over`."""
-        rows = self._rows(data, readings, like)
-        axes, origin = self._bases(rows)
-        return np.asarray(np.einsum("nji,nj->ni", axes, self.fit.model.poses(self.fit.theta, rows)[1] - origin))
+        places = np.empty((len(readings), 3))
+        for part in stretches(slice(None), len(readings)):
+            rows = self._rows(data, readings[part], like[part])
+            axes, origin = self._bases(rows)
+            at = self.fit.model.poses(self.fit.theta, rows)[1]
+            places[part] = np.einsum("nji,nj->ni", axes, at - origin)
+        return places
 
     def _rows(self, data: Dataset, readings: np.ndarray, like: np.ndarray) -> Rows:
         """Other readings as the model sees them."""
@@ -261,10 +265,11 @@ def target_covariance(
 
 def target_std(model: Model, theta: np.ndarray, covariance: np.ndarray, rows: Rows) -> np.ndarray:
     """Roots of the diagonals of :func:`target_covariance`, shape (N, 6): of a million rows the whole takes six times as much."""
-    variance = np.empty((len(rows), 6))
+    std = np.empty((len(rows), 6))
     for part in stretches(slice(None), len(rows)):
-        variance[part] = np.einsum("nii->ni", target_covariance(model, theta, covariance, rows[part]))
-    return np.sqrt(np.maximum(variance, 0.0))
+        variance = np.einsum("nii->ni", target_covariance(model, theta, covariance, rows[part]))
+        std[part] = np.sqrt(np.maximum(variance, 0.0))
+    return std
 
 
 def shifted(J: np.ndarray, arm: np.ndarray) -> np.ndarray:
