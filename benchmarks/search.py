@@ -21,7 +21,7 @@ from scipy.linalg.lapack import dpotrf, dpotri
 
 from aridcal.fit import normal_equations
 from aridcal.result import pipeline
-from aridcal.search import arm, diagnose, evidence, exact, grids, hints, products, scoring, screening, stepwise
+from aridcal.search import arm, diagnose, evidence, exact, grids, hints, products, scoring, screening, state, stepwise
 
 REPEATS = 20
 
@@ -124,7 +124,7 @@ def measure(campaign: Path) -> None:
         Kernel("score_without", [stepwise], None),
         Kernel("refine", [stepwise], None),
         Kernel("judge", [stepwise], None),
-        Kernel("solve_state", [stepwise, diagnose], None),
+        Kernel("solve_state", [state, stepwise, diagnose], None),
         Kernel("best_steps", [stepwise], None),
         Kernel("hinted", [hints, stepwise], None),
         Kernel("missed", [diagnose], None),
