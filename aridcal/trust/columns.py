@@ -127,7 +127,10 @@ def columns_of(fit: Fit, data: Dataset, sigma: np.ndarray, most: int, progress: 
     pieces = [asked.pieces(fit.theta, block) for block in asked.blocks()]
     r, J, B = (np.concatenate([getattr(piece, of) for piece in pieces]) for of in ("r", "J", "B"))
     there = np.ones(r.shape, dtype=bool) if asked.measured is None else ~asked.measured.absent
-    target = [fit.model.jacobian(fit.theta, asked.rows[block])[2][:, :3] for block in asked.blocks()]
+    if asked.measured is None and data.relative is None:
+        target = [J[:, :3]]  # the target's own position is what rows measure first
+    else:
+        target = [fit.model.jacobian(fit.theta, asked.rows[block])[2][:, :3] for block in asked.blocks()]
     nothing = Known(np.zeros(0, dtype=int), np.zeros((0, B.shape[2])), np.zeros(0))
     return Columns(
         rows=chosen,
