@@ -22,7 +22,7 @@ from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.channels import Channels
 from aridcal.instruments.pose import residuals
 from aridcal.instruments.setup import Instruments
-from aridcal.model.many_rows import stretches
+from aridcal.model.many_rows import starts, stretches
 from aridcal.model.measured import Measured, Slopes, States, located, measured
 from aridcal.model.model import Model, Rows
 from aridcal.showing import SILENT, Progress
@@ -98,9 +98,9 @@ class Problem:
 
     def blocks(self) -> Iterator[slice]:
         """Stretches of rows that are differentiated at a time; their passing is told."""
-        starts = range(0, len(self), BLOCK)
-        for start in self.progress.through(starts, len(self), "rows", BLOCK):
-            yield slice(start, start + BLOCK)
+        begins = starts(len(self), BLOCK)
+        for start in self.progress.through(begins, len(self), "rows", BLOCK):
+            yield slice(start, len(self) if start == begins[-1] else start + BLOCK)
 
     def select(self, some: np.ndarray) -> Problem:
         """The same question about some of the rows."""

@@ -31,9 +31,14 @@ of which few questions are asked as a rule."""
 
 def stretches(rows: slice | np.ndarray, n: int) -> list[slice | np.ndarray]:
     """Numbers of some rows, or all n of them, in parts of :data:`AT_ONCE`."""
-    starts = range(0, n if isinstance(rows, slice) else len(rows), AT_ONCE)
-    parts = [slice(start, start + AT_ONCE) for start in starts]
+    begins = range(0, n if isinstance(rows, slice) else len(rows), AT_ONCE)
+    parts = [slice(start, start + AT_ONCE) for start in begins]
     return [*parts] if isinstance(rows, slice) else [rows[part] for part in parts]
+
+
+def starts(n: int, size: int) -> range:
+    """Where stretches of so many of n rows begin; too few at the end to be walked together go with those before."""
+    return range(0, max(n - MANY + 1, min(n, 1)), size)
 
 
 def few(n: int) -> list[slice]:

@@ -23,7 +23,7 @@ COLUMNS = 10
 
 ROW = 1_500
 """Bytes of a row in all that is kept of it: readings, residuals of every stage, its cells in text. A million rows of poses of
-six joints took 850 each, where nothing was sought; an effect's columns and conditions come to that."""
+six joints took 750 each, where nothing was sought; an effect's columns and conditions come to that."""
 
 PAIR = 150_000
 """Bytes of what is tried for each pair of joints: couplings, functions of one load or of two covariates, and their columns."""
