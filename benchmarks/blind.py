@@ -151,8 +151,9 @@ def oracle(case: Case, geometric: Fit) -> Fit:
     # What is well known stays ahead of what the effect makes barely separable.
     order = sorted(range(first), key=lambda k: truth.names[k] not in geometric.model.names)
     columns = first
-    if any(cause.effect.kind == "shift" for cause in case.causes):
-        # Turning the frame of a target that moved turns its step too: that is no direction of its own.
+    shifts = any(cause.effect.kind == "shift" for cause in case.causes)
+    if shifts or all(shape is None for shape in case.shapes):
+        # What an effect and the constants do alike is no direction of its own: the constants leave it to the effect.
         columns, order = len(case.theta), [*range(first, len(case.theta)), *order]
     kept = [k for k in sorted(identifiable(R[:, :columns], order).kept) if k < first] + [*range(first, len(case.theta))]
     model, theta = truth.with_coefficients([truth.coefficients[k] for k in kept]), case.theta[kept]
