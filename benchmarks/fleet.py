@@ -78,6 +78,9 @@ if not hasattr(work, "calibrated_itself"):  # Dask may load this twice
 """
 """Of a worker: it notes what it does, and nothing else changes."""
 
+LEAN = {"DASK_DISTRIBUTED__WORKER__PROFILE__ENABLED": "False", "DASK_DISTRIBUTED__SCHEDULER__WORK_STEALING": "False"}
+"""Of scheduler and workers, as `docs/formats.md` advises, and as `aridcal fleet` starts its own."""
+
 COMPARED = ("calibrated.urdf", "residuals.csv", "calibration.yaml")
 """Files that are the same to the byte whenever they are computed; ``result.json`` is but for its seconds."""
 
@@ -136,7 +139,11 @@ class Cluster:
         self.killed = 0
 
     def _start(self, *words: str) -> subprocess.Popen[bytes]:
-        env = {key: value for key, value in os.environ.items() if key not in THREADS} | {"FLEET_LOG": str(self.log)}
+        env = (
+            {key: value for key, value in os.environ.items() if key not in THREADS}
+            | {"FLEET_LOG": str(self.log)}
+            | LEAN
+        )
         with (self.folder / "cluster.txt").open("ab") as out:
             return subprocess.Popen(
                 [sys.executable, "-m", "distributed.cli." + words[0], *words[1:]], env=env, stdout=out, stderr=out

@@ -26,6 +26,7 @@ EXTRAS = {
 """What is installed on request; developers have all of it."""
 
 ON_REQUEST = {
+    "dask": ("fleet", "plant/engine.py"),
     "distributed": ("fleet", "plant/engine.py"),
     "duckdb": ("fleet", "ageing/store.py"),
     "rosbags": ("ros", "logs/bags.py"),

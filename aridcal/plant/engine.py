@@ -35,6 +35,9 @@ PATIENCE = 120.0
 ANSWER = 10.0
 """[s] within which a scheduler that is there answers."""
 
+LEAN = {"distributed.worker.profile.enabled": False, "distributed.scheduler.work-stealing": False}
+"""Of Dask, in processes of this computer: nobody looks at its profile, a sample every 10 ms, and no task waits to be stolen."""
+
 LOOK = 1.0
 """[s] between two looks at the cluster while no answer comes."""
 
@@ -137,14 +140,19 @@ def _main_unseen() -> Iterator[None]:
 @contextmanager
 def _quiet_cluster(distributed: Any) -> Iterator[Any]:
     """Processes of this computer, of one thread each."""
-    with distributed.LocalCluster(
-        n_workers=len(os.sched_getaffinity(0)),
-        threads_per_worker=1,
-        processes=True,
-        dashboard_address=None,
-        silence_logs=logging.CRITICAL,
-        preload=[__name__],
-    ) as local:
+    import dask
+
+    with (
+        dask.config.set(LEAN),
+        distributed.LocalCluster(
+            n_workers=len(os.sched_getaffinity(0)),
+            threads_per_worker=1,
+            processes=True,
+            dashboard_address=None,
+            silence_logs=logging.CRITICAL,
+            preload=[__name__],
+        ) as local,
+    ):
         yield local
 
 
@@ -224,7 +232,13 @@ def _asked(
                 name = answers.get(timeout=LOOK)
             except queue.Empty:
                 continue
-            answer = _answer(flying.pop(name))
+            done = flying.pop(name)
+            if (
+                left and done.status == "finished"
+            ):  # the worker is there and idle: what it did can be looked at meanwhile
+                following = left.pop()
+                flying[following] = _given(client, work, tasks[following], following, following in again, answers)
+            answer = _answer(done)
             if isinstance(answer, Died) and name not in again:
                 again.add(name)
                 left.insert(0, name)
