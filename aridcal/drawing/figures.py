@@ -208,7 +208,9 @@ def correlogram(key: str, alt: str, lags: np.ndarray, correlation: np.ndarray, b
 
 
 @drawn_or_missing
-def falling(key: str, alt: str, at: np.ndarray, values: Mapping[str, np.ndarray], labels: tuple[str, str]) -> str:
+def falling(
+    key: str, alt: str, at: np.ndarray, values: Mapping[str, np.ndarray], labels: tuple[str, str], joined: bool = True
+) -> str:
     """Values that fall over some powers of ten, against how many of something there are.
 
     Args:
@@ -217,17 +219,19 @@ def falling(key: str, alt: str, at: np.ndarray, values: Mapping[str, np.ndarray]
         at: Shape (B,).
         values: By name, shape (B,) each; NaN where there is none, and names with nothing else are left out.
         labels: Of the two axes, with their units.
+        joined: Whether lines join them; not where each stands for a thing of its own.
     """
     there = {name: v for name, v in values.items() if np.isfinite(v).any()}
     every = np.concatenate(list(there.values()))
     low, high = float(np.nanmin(every)), float(np.nanmax(every))
     room = max((high / low) ** 0.05, 1.001)
     colors = (AFTER, BEFORE, GREY)
-    names = [Named(name, color, "line") for name, color in zip(there, colors, strict=False)]
+    names = [Named(name, color, "line" if joined else "dot") for name, color in zip(there, colors, strict=False)]
     x = Scale(0.0, 1.05 * max(float(at.max()), 1.0))
     area, made = _axes(labels, x, Scale(low / room, high * room, log=True), names)
     for v, color in zip(there.values(), colors, strict=False):
-        made.append(line(area, at, v, color) + dots(area, at, v, color, size=4.0, opacity=1.0))
+        own = dots(area, at, v, color, size=4.0, opacity=1.0)
+        made.append(line(area, at, v, color) + own if joined else own)
     return whole(alt, WIDTH, HEIGHT, made)
 
 

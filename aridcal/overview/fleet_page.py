@@ -115,6 +115,7 @@ def _errors(done: Sequence[Row]) -> Iterator[Content]:
             np.arange(1, len(own) + 1),
             {stage: np.array([error_of(row, stage, channel) for row in own]) for stage in ("final", "nominal")},
             ("robot, worst first", f"RMS on held-out rows [{unit}]"),
+            joined=False,
         )
         pictures.append((f"{counted(len(own), 'robot')}: as built, and with constants and effects", picture))
     yield figures(pictures)
