@@ -16,7 +16,9 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+import yaml
 from calibrated import Machine, machine
+from made_gcode import ZEROS, calibrated_gantry, drive, gcode
 from made_programs import MAKERS, Made, path
 from rich.console import Console
 from rich.table import Table
@@ -98,10 +100,48 @@ def measure(ending: str, programs: int, m: Machine) -> dict[str, float]:
     return found | {name: 1e3 * float(np.sqrt(np.mean(np.square(e)))) for name, e in errors.items()}
 
 
+def measure_gantry(programs: int, m: Machine) -> dict[str, float]:
+    """What becomes of G-code, original and corrected driven to the end by a controller that knows nothing of ours."""
+    robot = m.saved.final.model.robot
+    low, high = np.array([m.saved.ranges[name] for name in robot.readings]).T
+    found = {"kept": 0.0, "targets": 0.0, "left": 0.0, "part": 0.0}
+    errors: dict[str, list[float]] = {"before": [], "after": [], "model": [], "rest": [0.0]}
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        (folder / "calibration.yaml").write_text(m.saved.dump())
+        for seed in range(programs):
+            made = gcode(np.random.default_rng(seed), low, high, POINTS)
+            text, side = corrected(made, ".nc", folder / "calibration.yaml", folder)
+            found["kept"] += made.read(text) is not None
+            found["targets"] += len(side)
+            units = np.array([np.pi / 180 if kind == "revolute" else 1e-3 for kind in robot.kinds])
+            start = units * np.array(yaml.safe_load(made.frames)["start"])
+            zeros = {**ZEROS, "G57": (0.0, 0.0, 0.0)}
+            was, now = (
+                {block.line: block.place for block in drive(program, robot.kinds, zeros, start)}
+                for program in (made.text, text)
+            )
+            for row in side.itertuples():
+                q, there = was[row.line], now[row.line]
+                wanted = flange(robot, q)
+                if not row.corrected:
+                    found["left"] += 1
+                elif isinstance(row.remark, str):
+                    found["part"] += 1
+                    errors["rest"].append(error(wanted, m, there)[0])
+                else:
+                    errors["before"].append(error(wanted, m, q)[0])
+                    errors["after"].append(error(wanted, m, there)[0])
+                    errors["model"].append(error(wanted, m, there)[1])
+    return found | {name: 1e3 * float(np.sqrt(np.mean(np.square(e)))) for name, e in errors.items()}
+
+
 def main() -> None:
     command = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     command.add_argument("--programs", type=int, default=40, help="of each language")
-    programs = command.parse_args().programs
+    command.add_argument("--only", choices=[*MAKERS, ".nc"], default="", help="one language")
+    arguments = command.parse_args()
+    programs, only = arguments.programs, arguments.only
     m = machine(3, n=150)
     console = Console(width=120)
     heads = (
@@ -117,8 +157,11 @@ def main() -> None:
         "ratio",
     )
     table = Table(*heads)
-    for ending in MAKERS:
-        found = measure(ending, programs, m)
+    measured = {ending: measure(ending, programs, m) for ending in MAKERS if only in ("", ending)}
+    if only in ("", ".nc"):
+        measured["gantry .nc"] = measure_gantry(programs, calibrated_gantry(rotary=False))
+        measured["with a rotary axis"] = measure_gantry(programs, calibrated_gantry(rotary=True))
+    for ending, found in measured.items():
         table.add_row(
             ending, f"{found['kept']:.0f} of {programs}", *(f"{found[name]:.0f}" for name in ("targets", "left", "part")),
             f"{found['rest']:.2f}", f"{found['before']:.3f}", f"{found['after']:.4f}", f"{found['model']:.4f}",

@@ -35,9 +35,14 @@ UNREACHED = "cannot be reached within the joint limits"
 
 SINGULAR = "is close to a singularity: corrected as far as small motions of the joints can"
 
+PARTLY = "does not state all axes: corrected as far as those can that it states"
+
 OTHERWISE = (
     "CONFIG names a position that the nominal arm does not have there, the nearest was taken: check base, tool and URDF"
 )
+
+SEEN = 1e-6
+"""[m]: what remains of an error where axes are missing is said from here on; the rounding of the numbers leaves as much."""
 
 GENTLE = 0.2
 """[rad] or [m]: an arm whose elbow is nearly straight bends it by so much for 2 cm; a correction that moves a joint further goes
@@ -247,9 +252,12 @@ class _Walk:
             sent[k] = q[k] + (float(texts[-1]) - n.value) * unit
         as_is = np.where(free, q, self._sent)
         moved = _apart(flange(self._robot, sent), flange(self._robot, as_is))
+        after = self._arm.miss(wanted, sent, sides)
+        if not free.all() and self._arm.miss(wanted, real, sides)[0] > SEEN:
+            remark = remark if remark == UNREACHED else PARTLY
         found = Correction(
             target, self._left(real, remark, sides), remark, tuple(texts), moved,
-            self._arm.miss(wanted, as_is, sides), self._arm.miss(wanted, sent, sides),
+            self._arm.miss(wanted, as_is, sides), after,
         )  # fmt: skip
         self._nominal, self._sent = q, (as_is if found.why else sent)
         return found
