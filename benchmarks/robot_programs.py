@@ -4,8 +4,14 @@
 the truth is known. The corrected text is read by the program's own template, and its numbers are given to a controller with the
 nominal arm; where the true arm then stands is compared with where it should be, and with the calibrated model's error.
 
+G-code is for two gantries, three slides and three slides with a rotary axis, out of square, with errors of scale and a rail that
+waves. A controller that knows nothing of the reader (``tests/made_gcode.py``) drives the original and the corrected text to the
+end, arcs, steps, G92 and homing too; where the original sends the nominal gantry is where the corrected text should bring the
+true one.
+
 Example:
     python benchmarks/robot_programs.py --programs 40
+    python benchmarks/robot_programs.py --only .nc
 """
 
 from __future__ import annotations
