@@ -73,12 +73,36 @@ def corrected(made: Made, ending: str, calibration: Path, folder: Path) -> tuple
     return out.read_bytes().decode("utf-8"), pd.read_csv(folder / f"{out.name}.corrections.csv")
 
 
+class Tally:
+    """What became of the targets of a language's programs, counted, and how far off the real machine was, [m]."""
+
+    def __init__(self) -> None:
+        self.count = {"kept": 0.0, "targets": 0.0, "left": 0.0, "part": 0.0}
+        self.errors: dict[str, list[float]] = {"before": [], "after": [], "model": [], "rest": [0.0]}
+
+    def target(self, m: Machine, q: np.ndarray, there: np.ndarray, corrected: bool, remark: object) -> None:
+        """Add one: readings that the program asked for, those of the corrected one, and what was said of it."""
+        wanted = flange(m.saved.final.model.robot, q)
+        if not corrected:
+            self.count["left"] += 1
+        elif isinstance(remark, str):
+            self.count["part"] += 1
+            self.errors["rest"].append(error(wanted, m, there)[0])
+        else:
+            self.errors["before"].append(error(wanted, m, q)[0])
+            self.errors["after"].append(error(wanted, m, there)[0])
+            self.errors["model"].append(error(wanted, m, there)[1])
+
+    def told(self) -> dict[str, float]:
+        """Counts, and RMS errors, [mm]."""
+        return self.count | {name: 1e3 * float(np.sqrt(np.mean(np.square(e)))) for name, e in self.errors.items()}
+
+
 def measure(ending: str, programs: int, m: Machine) -> dict[str, float]:
     """What becomes of the programs of a language."""
     robot = m.saved.final.model.robot
     low, high = np.array([m.saved.ranges[name] for name in robot.readings]).T
-    found = {"kept": 0.0, "targets": 0.0, "left": 0.0, "part": 0.0}
-    errors: dict[str, list[float]] = {"before": [], "after": [], "model": [], "rest": [0.0]}
+    tally = Tally()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         (folder / "calibration.yaml").write_text(m.saved.dump())
@@ -87,39 +111,29 @@ def measure(ending: str, programs: int, m: Machine) -> dict[str, float]:
             made = MAKERS[ending][1](rng, path(rng, low, high, POINTS), lambda q: flange(robot, q))
             text, side = corrected(made, ending, folder / "calibration.yaml", folder)
             texts = made.read(text)
-            found["targets"] += len(made.kinds)
+            tally.count["targets"] += len(made.kinds)
             if texts is None:
                 continue
-            found["kept"] += 1
+            tally.count["kept"] += 1
             ways = zip(sent(made, made.numbers, ending, m), sent(made, texts, ending, m), strict=True)
             for (q, there), (_, row) in zip(ways, side.iterrows(), strict=True):
-                wanted = flange(robot, q)
-                if not row["corrected"]:
-                    found["left"] += 1
-                elif isinstance(row["remark"], str):
-                    found["part"] += 1
-                    errors["rest"].append(error(wanted, m, there)[0])
-                else:
-                    errors["before"].append(error(wanted, m, q)[0])
-                    errors["after"].append(error(wanted, m, there)[0])
-                    errors["model"].append(error(wanted, m, there)[1])
-    return found | {name: 1e3 * float(np.sqrt(np.mean(np.square(e)))) for name, e in errors.items()}
+                tally.target(m, q, there, bool(row["corrected"]), row["remark"])
+    return tally.told()
 
 
 def measure_gantry(programs: int, m: Machine) -> dict[str, float]:
     """What becomes of G-code, original and corrected driven to the end by a controller that knows nothing of ours."""
     robot = m.saved.final.model.robot
     low, high = np.array([m.saved.ranges[name] for name in robot.readings]).T
-    found = {"kept": 0.0, "targets": 0.0, "left": 0.0, "part": 0.0}
-    errors: dict[str, list[float]] = {"before": [], "after": [], "model": [], "rest": [0.0]}
+    tally = Tally()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         (folder / "calibration.yaml").write_text(m.saved.dump())
         for seed in range(programs):
             made = gcode(np.random.default_rng(seed), low, high, POINTS)
             text, side = corrected(made, ".nc", folder / "calibration.yaml", folder)
-            found["kept"] += made.read(text) is not None
-            found["targets"] += len(side)
+            tally.count["kept"] += made.read(text) is not None
+            tally.count["targets"] += len(side)
             units = np.array([np.pi / 180 if kind == "revolute" else 1e-3 for kind in robot.kinds])
             start = units * np.array(yaml.safe_load(made.frames)["start"])
             zeros = {**ZEROS, "G57": (0.0, 0.0, 0.0)}
@@ -128,18 +142,8 @@ def measure_gantry(programs: int, m: Machine) -> dict[str, float]:
                 for program in (made.text, text)
             )
             for row in side.itertuples():
-                q, there = was[row.line], now[row.line]
-                wanted = flange(robot, q)
-                if not row.corrected:
-                    found["left"] += 1
-                elif isinstance(row.remark, str):
-                    found["part"] += 1
-                    errors["rest"].append(error(wanted, m, there)[0])
-                else:
-                    errors["before"].append(error(wanted, m, q)[0])
-                    errors["after"].append(error(wanted, m, there)[0])
-                    errors["model"].append(error(wanted, m, there)[1])
-    return found | {name: 1e3 * float(np.sqrt(np.mean(np.square(e)))) for name, e in errors.items()}
+                tally.target(m, was[row.line], now[row.line], bool(row.corrected), row.remark)
+    return tally.told()
 
 
 def main() -> None:
