@@ -20,9 +20,10 @@ import numpy as np
 from scipy.special import gammaincc
 
 from aridcal.effects.effect import Effect
+from aridcal.instruments.channels import by_row
 from aridcal.search.evidence import DEPENDENT, solve
 from aridcal.search.linear_model import Active, LinearModel
-from aridcal.search.state import State, by_row, with_candidate
+from aridcal.search.state import State, with_candidate
 
 SIDE = 6
 """Rows at the least on either side of a step: fewer are outliers, not a new state."""

@@ -38,6 +38,9 @@ MEMBERS = 24
 # What stands in the design: an effect (None: the constants) and the modes that are solved for, shape (d, modes).
 Member = tuple[Effect | None, np.ndarray]
 
+# Members and their A'A, shape (C, P, P), and A'r, (C, P).
+Assembled = tuple[tuple[Member, ...], np.ndarray, np.ndarray]
+
 # Numbers of each channel under one another: (N size, d) or (N size,) each.
 Flat = tuple[np.ndarray, ...]
 
@@ -160,6 +163,7 @@ class Products:
         self.constants: Member = None, np.eye(A.shape[2])
         self._place: dict[Effect, tuple[Chunk, slice]] = {}
         self._kept = 0
+        self.assembled: Assembled | None = None
         stretches = [layout.stretches(channel.size) for channel in layout.channels]
         self.squares = np.array([
             [r[own[f]] @ r[own[f]] for r, own in zip(self.r, stretches, strict=True)]
@@ -198,6 +202,7 @@ class Products:
         for effect in list(self._known):
             self._forget(effect)
         self._solved.clear()
+        self.assembled = None
         self._place.clear()
         self._kept = 0
 
