@@ -34,6 +34,15 @@ def test_the_likeliest_amplitude_is_that_of_determinants_and_solutions(d, fall, 
     assert found.seen.all()
 
 
+@pytest.mark.filterwarnings("error")
+def test_information_that_rounding_made_negative_is_none():
+    A, b = made(5, 30, 12, 6.0, 0.5)
+    ill = A - 1e-9 * np.linalg.norm(A, axis=(1, 2))[:, None, None] * np.eye(12)
+    assert np.any(np.linalg.eigvalsh(ill) < 0.0)
+    well, found = (likeliest(each, b, np.full(30, 1e-9), np.inf, 0.0) for each in (A, ill))
+    np.testing.assert_allclose(found.twice, well.twice, rtol=1e-5, atol=1e-3)
+
+
 def test_what_rounding_left_of_columns_explains_nothing():
     """Columns that the model has already: modes and pulls of rounding would explain everything with a large amplitude."""
     A, b = made(3, 4, 10, 1.0, 1.0)
@@ -57,7 +66,9 @@ def test_a_mode_that_is_rounding_beside_others_is_left_out():
     assert found.variance[0] == pytest.approx(variances[np.argmax(twice)])
 
 
-def test_columns_that_are_nil_are_not_seen():
-    found = likeliest(np.zeros((2, 3, 3)), np.zeros((2, 3)), np.zeros(2), 100.0, 50.0)
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("size", [0.0, 1e-320, 1e-200])
+def test_columns_that_are_nil_are_not_seen(size):
+    found = likeliest(np.full((2, 3, 3), size), np.full((2, 3), size), np.zeros(2), 100.0, 50.0)
     assert not found.seen.any()
     assert np.isfinite(found.twice).all()

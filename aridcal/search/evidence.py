@@ -318,10 +318,10 @@ def _by_chain(A: np.ndarray, b: np.ndarray, left: float, count: float) -> Amplit
     """
     diagonal, square, values = _chains(A, b)
     d = b.shape[1]
-    largest = np.where(values[:, -1] > 0.0, values[:, -1], 1.0)[:, None]
+    largest = _largest(values)
     diagonal, square = diagonal / largest, square / largest**2
     faint = 1.0 / TAUS
-    F = faint + diagonal[:, -1:]
+    F = np.maximum(faint + diagonal[:, -1:], faint)  # as it is but for rounding
     product = F.copy()
     volume = np.full(F.shape, d * np.log(TAUS))
     taken = np.empty_like(F)
@@ -329,7 +329,7 @@ def _by_chain(A: np.ndarray, b: np.ndarray, left: float, count: float) -> Amplit
         np.divide(square[:, j + 1, None], F, out=taken)
         np.add(faint, diagonal[:, j, None], out=F)
         F -= taken
-        np.maximum(F, faint, out=F)  # as it is but for rounding
+        np.maximum(F, faint, out=F)
         product *= F
         if (d - j) % FACTORS == 0:
             volume += np.log(product)
@@ -344,12 +344,18 @@ def _by_modes(A: np.ndarray, b: np.ndarray, least: np.ndarray, left: float, coun
     """In the eigenbasis, without the pulls of modes that are rounding."""
     values, vectors = np.linalg.eigh(A)
     values = np.maximum(values, 0.0)
-    largest = np.where(values[:, -1] > 0.0, values[:, -1], 1.0)[:, None]
+    largest = _largest(values)
     squares = np.where(values > least[:, None], np.einsum("kij,ki->kj", vectors, b) ** 2, 0.0)
     variances = TAUS / largest
     shrunk = 1.0 + variances[:, :, None] * values[:, None]
     explained = variances * np.einsum("ktj,kj->kt", 1.0 / shrunk, squares)
     return _top(profiled(explained, left, count) - np.sum(np.log(shrunk), axis=2), values, largest)
+
+
+def _largest(values: np.ndarray) -> np.ndarray:
+    """Information of the best mode, shape (n, 1); 1 where nothing is seen."""
+    best = values[:, -1:]
+    return np.where(best > TINY**0.5, best, 1.0)
 
 
 def _top(twice: np.ndarray, values: np.ndarray, largest: np.ndarray) -> Amplitudes:
@@ -358,7 +364,7 @@ def _top(twice: np.ndarray, values: np.ndarray, largest: np.ndarray) -> Amplitud
     variance = TAUS[top] / largest[:, 0]
     told = variance[:, None] * values
     best = twice[np.arange(len(top)), top]
-    return Amplitudes(variance, best, np.sum(told / (1.0 + told), axis=1), values[:, -1] > 0.0)
+    return Amplitudes(variance, best, np.sum(told / (1.0 + told), axis=1), values[:, -1] > TINY**0.5)
 
 
 def _chains(A: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
