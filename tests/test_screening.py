@@ -91,6 +91,18 @@ def test_sums_of_each_fold_are_those_of_its_columns():
         np.testing.assert_allclose(g[k], X[own].T @ r[own], rtol=1e-9, atol=1e-8)
 
 
+def test_what_was_found_of_a_state_is_not_found_again_and_is_no_other_states():
+    made, other = solved(), solved()
+    first = score_all(made.model, [WARM], made)
+    again = score_all(made.model, [linear("j1", "axis", "humidity"), WARM], made)
+    assert again[1] is first[0]
+    assert score_all(other.model, [WARM], other)[0] is not first[0]
+    assert again[0].gain == pytest.approx(score_all(other.model, [linear("j1", "axis", "humidity")], other)[0].gain)
+    fine = refine(made.model, made, WARM, first[0])
+    assert refine(made.model, made, WARM, first[0]) is fine
+    assert refine(made.model, made, WARM, replace(first[0], gain=0.0)) is not fine  # of another rough score
+
+
 @pytest.mark.parametrize("prepared", [True, False])
 @pytest.mark.parametrize("gone", [CURVE, WAVE])
 def test_scores_without_an_effect_are_those_of_the_model_solved_without_it(gone, prepared):

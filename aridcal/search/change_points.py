@@ -97,6 +97,10 @@ def _between_its_rows(
 
 def best_steps(model: LinearModel, state: State, templates: Sequence[Effect]) -> list[Effect]:
     """The same effects, each with its step where the residual asks for it most; those that fit nowhere are left out."""
+    return state.once(("steps", *templates), lambda: _best_steps(model, state, templates))
+
+
+def _best_steps(model: LinearModel, state: State, templates: Sequence[Effect]) -> list[Effect]:
     found: dict[int, Effect] = {}
     for of in dict.fromkeys(e.covariates[0] for e in templates):
         values = model.table[of][state.used]
@@ -107,12 +111,11 @@ def best_steps(model: LinearModel, state: State, templates: Sequence[Effect]) ->
         if not len(before):
             continue
         asked = {}
-        for k, effect in enumerate(templates):
-            if effect.covariates[0] == of:
-                slots = [model.slot_index[c.where, c.component] for c in effect.coefficients]
-                mine = _between_its_rows(model, state, values, slots, before)
-                if mine.any():
-                    asked[k] = slots, mine
+        for k in (k for k, effect in enumerate(templates) if effect.covariates[0] == of):
+            slots = [model.slot_index[c.where, c.component] for c in templates[k].coefficients]
+            mine = _between_its_rows(model, state, values, slots, before)
+            if mine.any():
+                asked[k] = slots, mine
         if not asked:
             continue
         groups = [slots for slots, _ in asked.values()], [before[mine] for _, mine in asked.values()]

@@ -16,6 +16,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg.lapack import dsterf, dsytrd
 from scipy.special import gammaincc
 
 from aridcal.effects.smooth import Kernel, Shape, kernels_that_matter, samples_root
@@ -29,9 +30,6 @@ DEPENDENT = 1e-6
 SMOOTH_PRICE = 2.0
 """[nat] for the two numbers that shape a smooth function: one each, as for a column."""
 
-TAUS = np.logspace(-1.5, 9, 43)[:, None]
-"""Prior variances that are tried, in units of the best seen mode: four a decade, from nothing to all that it asks for."""
-
 NOISE_ROUNDS = 6
 """Times that noise and coefficients are found in turn; three are usual."""
 
@@ -44,8 +42,21 @@ NOISE_KNOWN = 2e-3
 LEAST_FREEDOM = 0.05
 """Share of a channel's numbers that is left to estimate its noise from, whatever the freedom of the model."""
 
+TAUS = np.logspace(-1.5, 9, 43)
+"""Prior variances that are tried, in units of the best seen mode: four a decade, from nothing to all that it asks for."""
+
 WHOLE = 1.0 - 1e-12
 """A share of the residual that is explained is at most this: beyond it is rounding."""
+
+HIDDEN = 1e-3
+"""Prior variance of a mode that is rounding, in units of its noise, from which it is left out by name: a mode below it adds no
+more than such a share of a nat."""
+
+FACTORS = 24
+"""Factors from 1e-9 to 33 that are multiplied before a logarithm is taken: their product is far from what overflows."""
+
+TOGETHER = 400
+"""Candidates times kernels whose evidence is found at once: their numbers stay in the cache."""
 
 ROUGH = tuple(Kernel(length) for length in (0.7, 1.5, 3.0, 6.0, 12.0, 24.0))
 """Shapes of smooth functions for a first look: an octave apart, from one knot to a third of a joint map."""
@@ -92,6 +103,23 @@ class Score:
     tau: float = 0.0
     kernel: Kernel = ROUGH[0]
     sigma: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class Amplitudes:
+    """The likeliest amplitude of each of n candidates.
+
+    Attributes:
+        variance: Of the prior, tau^2, shape (n,).
+        twice: Logarithm of the likelihood ratio to nothing, times two, shape (n,).
+        freedom: Degrees of freedom that the samples spend then, shape (n,).
+        seen: False where the data say nothing of the samples, shape (n,).
+    """
+
+    variance: np.ndarray
+    twice: np.ndarray
+    freedom: np.ndarray
+    seen: np.ndarray
 
 
 NOTHING = Score(0.0, 1.0, 0)
@@ -203,7 +231,7 @@ def _plain(M: np.ndarray, s: np.ndarray, raw: np.ndarray, left: float, count: fl
     new = values > DEPENDENT
     along = np.einsum("kij,ki->kj", vectors, s * scale)
     explained = np.sum(np.where(new, along**2 / np.where(new, values, 1.0), 0.0), axis=1)
-    twice = -count * np.log1p(-np.minimum(explained / max(left, TINY), WHOLE))
+    twice = profiled(explained, left, count)
     return [
         Score(price(gain, freedom), tail(gain, freedom), freedom) if freedom else NOTHING
         for gain, freedom in zip(twice.tolist(), new.sum(axis=1).tolist(), strict=True)
@@ -219,38 +247,137 @@ def _smooth(
     left: float = np.inf,
     count: float = 0.0,
 ) -> list[Score]:
-    r"""Evidence of the best kernel and amplitude; the noise is profiled if what is left of the residual is given.
+    """Evidence of the best kernel and amplitude; the noise is profiled if what is left of the residual is given.
 
-    In the eigenbasis of the samples' information under the prior, values :math:`v_i` and pulls :math:`a_i`,
-
-    .. math:: 2 \log L(\tau) = \sum_i \frac{\tau^2 a_i^2}{1 + \tau^2 v_i} - \sum_i \log(1 + \tau^2 v_i)
-
-    with the first sum, what is explained, profiled as for plain columns where the noise is not known.
+    Of all kernels and :data:`TAUS`; see :func:`likeliest`.
     """
-    best = [NOTHING] * len(s)
-    gains = np.full(len(s), -np.inf)
-    for kernel in kernels_that_matter(shape, kernels):
-        root = samples_root(shape, kernel)
-        spectrum, vectors = np.linalg.eigh(root.T @ M @ root)
-        values = np.maximum(spectrum, 0.0)
-        largest = np.where(values[:, -1] > 0.0, values[:, -1], 1.0)
-        mean_square = raw @ np.sum(root**2, axis=1) / s.shape[1]
-        pulls = np.einsum("kij,ki->kj", vectors, s @ root)
-        squares = np.where(values > DEPENDENT * mean_square[:, None], pulls**2, 0.0)
-        variances = TAUS.T / largest[:, None]
-        shrunk = 1.0 + variances[:, :, None] * values[:, None]
-        explained = variances * np.einsum("ktj,kj->kt", 1.0 / shrunk, squares)
-        likelihood = explained if left == np.inf else -count * np.log1p(-np.minimum(explained / max(left, TINY), WHOLE))
-        twice = likelihood - np.sum(np.log(shrunk), axis=2)
-        top = np.argmax(twice, axis=1)
-        gain = 0.5 * np.take_along_axis(twice, top[:, None], axis=1)[:, 0] - SMOOTH_PRICE
-        for k in np.flatnonzero((gain > gains) & (values[:, -1] > 0.0)).tolist():
-            t = top[k]
-            freedom = float(np.sum(1.0 - 1.0 / shrunk[k, t]))
-            tau = float(np.sqrt(variances[k, t]))
-            best[k] = Score(float(gain[k]), smooth_tail(float(twice[k, t])), max(round(freedom), 1), tau, kernel)
-            gains[k] = gain[k]
-    return best
+    kernels = kernels_that_matter(shape, kernels)
+    parts = []
+    step = max(1, TOGETHER // len(s))
+    for first in range(0, len(kernels), step):
+        roots = np.stack([samples_root(shape, kernel) for kernel in kernels[first : first + step]])[:, None]
+        A, b = np.swapaxes(roots, 2, 3) @ M @ roots, s @ roots[:, 0]
+        mean_square = np.sum(roots[:, 0] ** 2, axis=2) @ raw.T / s.shape[1]
+        parts.append(likeliest(A.reshape(-1, *M.shape[1:]), b.reshape(-1, s.shape[1]),
+                               DEPENDENT * mean_square.ravel(), left, count))  # fmt: skip
+    variance, twice, freedom, seen = (np.concatenate([getattr(part, name) for part in parts]).reshape(len(kernels), -1)
+                                      for name in ("variance", "twice", "freedom", "seen"))  # fmt: skip
+    best = np.argmax(np.where(seen, twice, -np.inf), axis=0)
+    return [
+        Score(
+            0.5 * float(twice[at, k]) - SMOOTH_PRICE,
+            smooth_tail(float(twice[at, k])),
+            max(round(float(freedom[at, k])), 1),
+            float(np.sqrt(variance[at, k])),
+            kernels[at],
+        )
+        if seen[at, k]
+        else NOTHING
+        for k, at in enumerate(best.tolist())
+    ]
+
+
+def likeliest(A: np.ndarray, b: np.ndarray, least: np.ndarray, left: float, count: float) -> Amplitudes:
+    r"""The likeliest of the amplitudes of :data:`TAUS`.
+
+    .. math:: 2 \log L(\tau) = \tau^2 b^T (I + \tau^2 A)^{-1} b - \log |I + \tau^2 A|
+
+    with the first term, what is explained, profiled as for plain columns where the noise is not known.
+
+    Args:
+        A: Information of the samples, times the root of their prior on both sides, in units of sigma, shape (n, d, d).
+        b: Their pulls likewise, shape (n, d).
+        least: Information of a mode below which its pull is rounding, shape (n,).
+        left: The residual's sum of squares, in units of sigma, of which the noise is profiled; infinite where it is known.
+        count: Numbers measured.
+    """
+    found = _by_chain(A, b, left, count)
+    doubted = found.variance * least > HIDDEN
+    if doubted.any():
+        sure = _by_modes(A[doubted], b[doubted], least[doubted], left, count)
+        for name, values in vars(found).items():
+            values[doubted] = vars(sure)[name]
+    return found
+
+
+def profiled(explained: np.ndarray, left: float, count: float) -> np.ndarray:
+    """Twice the gain in log-likelihood of what columns explain, the noise found anew where what is left is given."""
+    if left == np.inf:
+        return explained
+    return np.asarray(-count * np.log1p(-np.minimum(explained / max(left, TINY), WHOLE)))
+
+
+def _by_chain(A: np.ndarray, b: np.ndarray, left: float, count: float) -> Amplitudes:
+    r"""All modes, without eigenvectors, which would take most of the time of a search.
+
+    Reflections make A tridiagonal and b one number (Golub and Van Loan, Matrix Computations, 4th ed., section 8.3.1). With
+    :math:`v = \tau^{-2}`, diagonal :math:`\alpha_j`, :math:`\beta_j` beside it, :math:`\beta_0 = |b|`, from the last row up,
+
+    .. math:: F_d = v + \alpha_d, \quad F_j = v + \alpha_j - \beta_j^2 / F_{j+1}, \quad
+        2 \log L = \beta_0^2 / F_1 - \sum_j \log (F_j / v)
+    """
+    diagonal, square, values = _chains(A, b)
+    d = b.shape[1]
+    largest = _largest(values)
+    diagonal, square = diagonal / largest, square / largest**2
+    faint = 1.0 / TAUS
+    F = np.maximum(faint + diagonal[:, -1:], faint)  # as it is but for rounding
+    product = F.copy()
+    volume = np.full(F.shape, d * np.log(TAUS))
+    taken = np.empty_like(F)
+    for j in range(d - 2, -1, -1):
+        np.divide(square[:, j + 1, None], F, out=taken)
+        np.add(faint, diagonal[:, j, None], out=F)
+        F -= taken
+        np.maximum(F, faint, out=F)
+        product *= F
+        if (d - j) % FACTORS == 0:
+            volume += np.log(product)
+            product[:] = 1.0
+    volume += np.log(product)
+    # In units of the largest mode b has lost its square, explained squares one of them.
+    twice = profiled(square[:, :1] * largest / F, left, count) - volume
+    return _top(twice, values, largest)
+
+
+def _by_modes(A: np.ndarray, b: np.ndarray, least: np.ndarray, left: float, count: float) -> Amplitudes:
+    """In the eigenbasis, without the pulls of modes that are rounding."""
+    values, vectors = np.linalg.eigh(A)
+    values = np.maximum(values, 0.0)
+    largest = _largest(values)
+    squares = np.where(values > least[:, None], np.einsum("kij,ki->kj", vectors, b) ** 2, 0.0)
+    variances = TAUS / largest
+    shrunk = 1.0 + variances[:, :, None] * values[:, None]
+    explained = variances * np.einsum("ktj,kj->kt", 1.0 / shrunk, squares)
+    return _top(profiled(explained, left, count) - np.sum(np.log(shrunk), axis=2), values, largest)
+
+
+def _largest(values: np.ndarray) -> np.ndarray:
+    """Information of the best mode, shape (n, 1); 1 where nothing is seen."""
+    best = values[:, -1:]
+    return np.where(best > TINY**0.5, best, 1.0)
+
+
+def _top(twice: np.ndarray, values: np.ndarray, largest: np.ndarray) -> Amplitudes:
+    """The best of all amplitudes, (n, amplitudes), of samples with eigenvalues (n, d)."""
+    top = np.argmax(twice, axis=1)
+    variance = TAUS[top] / largest[:, 0]
+    told = variance[:, None] * values
+    best = twice[np.arange(len(top)), top]
+    return Amplitudes(variance, best, np.sum(told / (1.0 + told), axis=1), values[:, -1] > TINY**0.5)
+
+
+def _chains(A: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Diagonals of the tridiagonal forms, squares of what is beside them, the pull's first, and eigenvalues: (n, d) each."""
+    n, d = b.shape
+    bordered = np.zeros((n, d + 1, d + 1))
+    bordered[:, 1:, 1:] = A
+    bordered[:, 0, 1:] = b
+    diagonal, beside, values = np.empty((n, d + 1)), np.empty((n, d)), np.empty((n, d))
+    for k, matrix in enumerate(bordered):  # transposed it is as LAPACK wants it, without a copy
+        _, diagonal[k], beside[k], _, _ = dsytrd(matrix.T, lower=1, overwrite_a=1)
+        values[k] = dsterf(diagonal[k, 1:], beside[k, 1:])[0] if d > 1 else diagonal[k, 1:]
+    return diagonal[:, 1:], beside**2, np.maximum(values, 0.0)
 
 
 def smooth_tail(twice: float) -> float:

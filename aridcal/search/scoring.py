@@ -93,6 +93,11 @@ class Judgement:
 
 def refine(model: LinearModel, state: State, effect: Effect, rough: Score) -> Score:
     """The same score with the noise of each channel estimated apart, with the candidate in."""
+    question = effect, rough.gain, rough.tau, rough.kernel
+    return state.once(question, lambda: _refined(model, state, effect, rough))
+
+
+def _refined(model: LinearModel, state: State, effect: Effect, rough: Score) -> Score:
     if effect.smooth:
         return _reshaped(model, state, effect, rough)
     if rough.freedom == 0:  # declared, though the model can do all that it does

@@ -33,13 +33,14 @@ Sums = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 def score_all(model: LinearModel, effects: Sequence[Effect], state: State, progress: Progress = SILENT) -> list[Score]:
     """Score candidates against a solved state, each alone: what they add, their columns projected off the model's."""
+    new = [e for e in effects if e not in state.scored]
     sums = {
         effect: (M, s[own], raw[own])
-        for placed_there, _, s, raw in _projected(model, effects, state, progress)
+        for placed_there, _, s, raw in _projected(model, new, state, progress)
         for effect, own, M in placed_there
     }
-    found = _scored(sums, state, state.solution.beta)
-    return [found[e] for e in effects]
+    state.scored.update(_scored(sums, state, state.solution.beta))
+    return [state.scored[e] for e in effects]
 
 
 def score_without(

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
+from typing import Any, TypeVar
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -26,6 +27,8 @@ FAINT = 0.02
 FLAGGING = 6
 """Times that flags and coefficients are found in turn; two are usual."""
 
+T = TypeVar("T")
+
 
 @dataclass(frozen=True)
 class State:
@@ -41,6 +44,8 @@ class State:
         used: Rows in use: those that are no outliers, shape (N,) bool.
         unused: The other rows' places in the order of the folds, shape (N - n,).
         extra: Columns of these, one array for each channel, shape ((N - n) size, P).
+        scored: Rough scores of candidates that were asked for so far.
+        answers: What else was asked for so far.
     """
 
     model: LinearModel
@@ -52,6 +57,15 @@ class State:
     used: np.ndarray
     unused: np.ndarray
     extra: tuple[np.ndarray, ...]
+    scored: dict[Effect, Score] = field(default_factory=dict, repr=False, compare=False)
+    answers: dict[Hashable, Any] = field(default_factory=dict, repr=False, compare=False)
+
+    def once(self, question: Hashable, answer: Callable[[], T]) -> T:
+        """What was found of it: who asks again gets the same."""
+        if question not in self.answers:
+            self.answers[question] = answer()
+        found: T = self.answers[question]
+        return found
 
     @property
     def channels(self) -> Channels:
