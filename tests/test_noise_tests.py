@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import permutations
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from aridcal.fit.problem import problem
 from aridcal.inputs.dataset import Dataset, dataset
 from aridcal.instruments.channels import PIXEL
 from aridcal.instruments.setup import Block
-from aridcal.search.noise_tests import STRETCHES, Clue, _of_one_thing, clues, stretches
+from aridcal.search.noise_tests import STRETCHES, Clue, View, _neighbours, _of_one_thing, by_chance, clues, stretches
 
 UNKNOWN = (None, None)
 
@@ -68,6 +69,23 @@ def test_chances_that_the_declared_noise_makes_the_residual_are_uniform() -> Non
     assert np.shape(chances) == (300, 2)
     for values in np.array(chances).T:
         assert kstest(values, "uniform").pvalue > 1e-3
+
+
+@pytest.mark.parametrize("columns", [1, 3])
+def test_what_chance_makes_of_pairs_is_what_all_orders_make_of_them(columns: int) -> None:
+    rng = np.random.default_rng(columns)
+    x = 0.4 + rng.standard_normal((6, columns)) ** 3  # neither centred nor normal
+    first, second = np.array([[0, 1, 1, 3, 4, 0, 5, 2], [1, 0, 2, 4, 3, 5, 2, 0]])  # some twice, either way round
+    every = [np.sum(x[list(order)][first] * x[list(order)][second]) for order in permutations(range(6))]
+    assert by_chance(x, first, second) == pytest.approx((np.mean(every), np.std(every)), rel=1e-9)
+
+
+def test_rows_that_stand_twice_are_no_neighbours_of_themselves() -> None:
+    """Residuals have nothing in common; a quarter of what rows are compared with would be themselves."""
+    rng = np.random.default_rng(2)
+    readings = np.repeat(rng.standard_normal((500, 3)), 2, axis=0)
+    found = _neighbours([View("so", rng.standard_normal((1000, 2)))], readings)
+    assert found.share < 0.05 and found.p_value > 0.01
 
 
 def test_what_depends_on_the_configuration_makes_neighbours_err_alike() -> None:

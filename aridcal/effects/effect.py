@@ -83,8 +83,9 @@ class Effect:
 
     @cached_property
     def _hash(self) -> int:
-        shape = self.order, self.with_, self.by, self.smooth, self.grid, self.looked
-        return hash((self.kind, self.where, self.coefficients, shape))
+        # Of curves of dozens of coefficients the ends: those that differ in between alone are rare, and are compared.
+        shape = self.order, self.with_, self.by, self.smooth, self.grid, self.looked, len(self.coefficients)
+        return hash((self.kind, self.where, self.coefficients[:1], self.coefficients[-1:], shape))
 
     def __getstate__(self) -> dict[str, object]:
         """Without what was found of it: another process hashes strings otherwise."""

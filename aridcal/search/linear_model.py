@@ -142,12 +142,12 @@ class LinearModel:
         return {}
 
     def _index(self, effect: Effect) -> tuple[list[int], list[int] | None]:
-        if effect not in self._indices:
+        found = self._indices.get(effect)
+        if found is None:
             slots = [self.slot_index[c.where, c.component] for c in effect.coefficients]
-            known = all(c.basis in self.basis_index for c in effect.coefficients)
-            bases = [self.basis_index[c.basis] for c in effect.coefficients] if known else None
-            self._indices[effect] = slots, bases
-        return self._indices[effect]
+            bases = [k for c in effect.coefficients if (k := self.basis_index.get(c.basis)) is not None]
+            found = self._indices[effect] = slots, bases if len(bases) == len(slots) else None
+        return found
 
     def prepared(self, effect: Effect) -> bool:
         """True if all its bases are among ``bases``."""

@@ -7,7 +7,7 @@ them, corrected for their number.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -43,9 +43,6 @@ FEWEST = 16
 
 FEWEST_OF_A_THING = 5
 """Rows of a thing from which it is compared with the others: a sigma is then known to a third."""
-
-PAIRS = 262_144
-"""Pairs of rows that are multiplied together: 40 MB for a seven-axis arm, however many rows there are."""
 
 REACH = 3
 """Rows after each that count as its neighbours, in each order: a bump of few rows makes few pairs."""
@@ -130,8 +127,8 @@ def clues(
         part = rows if len(some) == len(rows) else rows.select(some)
         others = _other_views(part, residual[some], sigma, fit) if fit else []
         views = [View("in world axes", white[some]), *others]
-        found.append(_neighbours(views, part.readings, progress))
-        found.append(_order(views, part, progress))
+        found.append(_neighbours(views, part.readings))
+        found.append(_order(views, part))
         found += _changes(views, part, progress)
     if rows.blocks:
         found += _of_one_thing(rows, white)
@@ -223,14 +220,15 @@ def _repeated(repeats: Repeats, sigma: np.ndarray) -> Clue:
     return Clue("repeats", "repeats scatter less than the residual", share, p_value)
 
 
-def _neighbours(views: Sequence[View], readings: np.ndarray, progress: Progress) -> Clue:
+def _neighbours(views: Sequence[View], readings: np.ndarray) -> Clue:
     """Do rows at near configurations err alike? Distances in standard deviations of each joint's readings."""
     deviation = readings.std(axis=0)
     moves = deviation > 1e-9
     points = readings[:, moves] / deviation[moves]
     near = np.asarray(cKDTree(points).query(points, k=NEIGHBOURS + 1)[1])
     rows, others = np.repeat(np.arange(len(points)), NEIGHBOURS), near[:, 1:].ravel()
-    return _alike("neighbours", "neighbouring configurations have similar residuals", views, rows, others, progress)
+    apart = rows != others  # of rows that are all alike, the row itself need not be the first
+    return _alike("neighbours", "neighbouring configurations have similar residuals", views, rows[apart], others[apart])
 
 
 def neighbours(rows: Dataset) -> list[np.ndarray]:
@@ -254,18 +252,16 @@ def _successors(order: np.ndarray) -> np.ndarray:
     return np.concatenate([np.column_stack([order[:-k], order[k:]]) for k in range(1, REACH + 1)])
 
 
-def _order(views: Sequence[View], rows: Dataset, progress: Progress) -> Clue:
+def _order(views: Sequence[View], rows: Dataset) -> Clue:
     """Do rows that follow one another err alike?"""
     order = rows.sequence
     each = "measurements" if "time" in rows.covariates else "rows"
     what = f"consecutive {each} have similar residuals"
-    return _alike("order", what, views, order[:-1], order[1:], progress)
+    return _alike("order", what, views, order[:-1], order[1:])
 
 
-def _alike(
-    question: Question, what: str, views: Sequence[View], first: np.ndarray, second: np.ndarray, progress: Progress
-) -> Clue:
-    """Correlation of pairs of rows; how much chance varies comes from shuffled rows.
+def _alike(question: Question, what: str, views: Sequence[View], first: np.ndarray, second: np.ndarray) -> Clue:
+    """Correlation of pairs of rows, against what it is in all orders of the rows.
 
     Args:
         question: Which question this answers.
@@ -273,43 +269,51 @@ def _alike(
         views: Residuals in sigmas.
         first: One row of each pair, shape (pairs,).
         second: The other.
-        progress: Told how often they are shuffled.
     """
-    rng = np.random.default_rng(0)
     white, starts = _side_by_side(views)
-
-    ends = range(0, len(first), PAIRS)
-    one, other = np.empty((2, min(PAIRS, len(first)), white.shape[1]))
-    mixed = np.empty_like(white)
-
-    def correlations(r: np.ndarray) -> np.ndarray:
-        total = np.zeros(r.shape[1])
-        for pairs in (slice(start, start + PAIRS) for start in ends):
-            n = len(first[pairs])
-            _picked(r, first[pairs], one[:n])
-            _picked(r, second[pairs], other[:n])
-            total += np.einsum("nm,nm->m", one[:n], other[:n])
-        return np.asarray(np.add.reduceat(total, starts))
-
-    numbers = len(first) * np.array([view.white.shape[1] for view in views])
-    seen = correlations(white) / numbers
-    shuffled = (
-        np.array([correlations(_picked(white, rng.permutation(len(white)), mixed)) for _ in _shuffles(progress)])
-        / numbers
-    )
-    z = (seen - shuffled.mean(axis=0)) / np.maximum(shuffled.std(axis=0), 1e-12)
+    seen = np.add.reduceat(np.einsum("nm,nm->m", white[first], white[second]), starts)
+    mean, deviation = np.array([by_chance(view.white, first, second) for view in views]).T
+    z = (seen - mean) / np.maximum(deviation, TINY)
     best = int(np.argmax(z))
     p_value = min(1.0, len(views) * float(ndtr(-z[best])))
-    return Clue(question, f"{what} {views[best].words}", float(np.clip(seen[best], 0.0, 1.0)), p_value)
+    share = seen[best] / (len(first) * views[best].white.shape[1])
+    return Clue(question, f"{what} {views[best].words}", float(np.clip(share, 0.0, 1.0)), p_value)
+
+
+def by_chance(x: np.ndarray, first: np.ndarray, second: np.ndarray) -> tuple[float, float]:
+    r"""Mean and standard deviation of the sum of products of pairs of rows, over all orders of the rows.
+
+    With W symmetric, half the number of times that rows i and j are a pair, :math:`G = x x^T`, :math:`n_{(k)}` the product of k
+    factors :math:`n (n - 1) \dots` and, off the diagonal, :math:`T_0 = \sum W_{ij}`, :math:`T_1 = \sum W_{ij}^2`,
+    :math:`T_2 = \sum_i (\sum_j W_{ij})^2` and U the same of G,
+
+    .. math:: E = \frac{T_0 U_0}{n_{(2)}}, \quad E^{(2)} = \frac{2 T_1 U_1}{n_{(2)}} + \frac{4 (T_2 - T_1) (U_2 - U_1)}{n_{(3)}}
+        + \frac{(T_0^2 + 2 T_1 - 4 T_2) (U_0^2 + 2 U_1 - 4 U_2)}{n_{(4)}}
+
+    are the first two moments (N. Mantel, Cancer Research 27, 1967, 209-220).
+
+    Args:
+        x: Shape (n, m), four rows at least.
+        first: One row of each pair, shape (pairs,), never the same as the other.
+        second: The other.
+    """
+    n = len(x)
+    _, times = np.unique(np.minimum(first, second) * n + np.maximum(first, second), return_counts=True)
+    count = 0.5 * (np.bincount(first, minlength=n) + np.bincount(second, minlength=n))
+    T0, T1, T2 = float(len(first)), 0.5 * float(times @ times), float(count @ count)
+    own, total = np.einsum("nm,nm->n", x, x), x.sum(axis=0)
+    of_row = x @ total - own
+    U0, U1, U2 = float(of_row.sum()), float(np.sum((x.T @ x) ** 2) - own @ own), float(of_row @ of_row)
+    pairs, threes, fours = n * (n - 1.0), n * (n - 1.0) * (n - 2.0), n * (n - 1.0) * (n - 2.0) * (n - 3.0)
+    mean = T0 * U0 / pairs
+    square = 2.0 * T1 * U1 / pairs + 4.0 * (T2 - T1) * (U2 - U1) / threes
+    square += (T0**2 + 2.0 * T1 - 4.0 * T2) * (U0**2 + 2.0 * U1 - 4.0 * U2) / fours
+    return mean, float(np.sqrt(max(square - mean**2, 0.0)))
 
 
 def _picked(values: np.ndarray, rows: np.ndarray, into: np.ndarray) -> np.ndarray:
     """Some rows of an array, written into another one: to make it anew each time takes three times as long as to fill it."""
     return np.take(values, rows, axis=0, out=into, mode="clip")
-
-
-def _shuffles(progress: Progress) -> Iterator[int]:
-    return progress.over(range(SHUFFLES), "shuffles of the rows")
 
 
 def _side_by_side(views: Sequence[View]) -> tuple[np.ndarray, np.ndarray]:
@@ -353,11 +357,10 @@ def _change(views: Sequence[View], rows: Dataset, order: np.ndarray, words: str,
         squares /= weight[:, None]
         return np.asarray(np.add.reduceat(squares, starts, axis=1))
 
+    shuffles = progress.over(range(SHUFFLES), "shuffles of the rows")
     steps = statistics(white[order])
     seen = steps.max(axis=0)
-    shuffled = np.array(
-        [statistics(_picked(white, rng.permutation(n), mixed)).max(axis=0) for _ in _shuffles(progress)]
-    )
+    shuffled = np.array([statistics(_picked(white, rng.permutation(n), mixed)).max(axis=0) for _ in shuffles])
     scale = np.maximum(shuffled.std(axis=0), 1e-12) * np.sqrt(6.0) / np.pi
     place = shuffled.mean(axis=0) - np.euler_gamma * scale
     chances = -np.expm1(-np.exp((place - seen) / scale))

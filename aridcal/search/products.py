@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -24,6 +25,10 @@ from aridcal.search.grids import Grid, Local, local
 
 CHUNK = 128
 """Columns that are multiplied at once: their Gram matrix stays in the cache."""
+
+PIECE = 24
+"""Columns whose Gram matrix is made: of candidates that are tried one by one all but the diagonal is made in vain, and of fewer
+columns each call costs more than its sums."""
 
 GRID = 4
 """Candidates of the same functions from which they are multiplied as a grid: for fewer it takes as long as their columns."""
@@ -119,7 +124,8 @@ class Chunk:
 
     Attributes:
         effects: The candidates.
-        own: X'X, shape (C, w, w); of a grid each candidate's own, shape (C, candidates, d, d).
+        own: X'X, shape (C, w, w), of columns that are far apart 0: no two candidates are asked about together; of a grid each
+            candidate's own, shape (C, candidates, d, d).
         pull: X'r, shape (C, w).
         across: X'Y for the columns Y of what stands in the design (None: the constants), shape (C, w, d) each.
         columns: X itself, where there is room for it.
@@ -264,9 +270,15 @@ class Products:
 
     def chunks(self, effects: Sequence[Effect]) -> Iterator[Chunk]:
         """Chunks in which some candidates are, made where they are not yet, and kept as long as there is room."""
-        known = [self._place[e][0] for e in effects if e in self._place]
-        new = [e for e in effects if e not in self._place]
-        yield from {id(chunk): chunk for chunk in known}.values()
+        known: dict[int, Chunk] = {}
+        new: list[Effect] = []
+        for e in effects:
+            place = self._place.get(e)
+            if place is None:
+                new.append(e)
+            else:
+                known[id(place[0])] = place[0]
+        yield from known.values()
         grids, others = self._grids(new)
         for chunk in (*(self._grid(*grid) for grid in grids), *(self.chunk(group) for group in grouped(others))):
             if self._room(chunk.own.size):
@@ -309,7 +321,10 @@ class Products:
     def chunk(self, effects: Sequence[Effect]) -> Chunk:
         """Candidates multiplied together; they are not kept."""
         X = self.flat(effects)
-        own = np.array([x.T @ x for x in X])
+        own = np.zeros((len(X), X[0].shape[1], X[0].shape[1]))
+        for low, high in pieces(effects):
+            for values, x in zip(own, X, strict=True):
+                values[low:high, low:high] = x[:, low:high].T @ x[:, low:high]
         pull = np.array([x.T @ r for x, r in zip(X, self.r, strict=True)])
         return Chunk(tuple(effects), own, pull, {}, X)
 
@@ -358,6 +373,17 @@ def grouped(effects: Sequence[Effect]) -> list[list[Effect]]:
         groups[-1].append(effect)
         size += len(effect.coefficients)
     return groups
+
+
+def pieces(effects: Sequence[Effect]) -> list[tuple[int, int]]:
+    """First column, and one beyond the last, of pieces of about :data:`PIECE` columns that hold whole candidates."""
+    ends = [0]
+    end = 0
+    for k, effect in enumerate(effects):
+        end += len(effect.coefficients)
+        if end - ends[-1] >= PIECE or k == len(effects) - 1:
+            ends.append(end)
+    return list(pairwise(ends))
 
 
 def placed(effects: Sequence[Effect]) -> list[tuple[Effect, slice]]:

@@ -85,8 +85,10 @@ def _projected(
     made, beta, weight = model.products, state.solution.beta, state.solution.sigma**-2.0
     made.now_in_the_model(state.members)
     asked, done = set(effects), 0
-    prepared = [e for e in effects if model.prepared(e)]
-    others = [e for e in effects if not model.prepared(e)]
+    prepared: list[Effect] = []
+    others: list[Effect] = []
+    for e in effects:
+        (prepared if model.prepared(e) else others).append(e)
     for chunk in (*made.chunks(prepared), *(made.chunk(group) for group in grouped(others))):
         progress.part(done, len(effects), "candidates")
         AC, CC, Cr = state.in_use(chunk)
@@ -95,10 +97,9 @@ def _projected(
         d = CC.shape[-1]  # all columns of the chunk, or those of each candidate of a grid
         CC = CC.reshape(-1, d, d)
         M = CC - T.reshape(len(CC), d, -1) @ CA.reshape(len(CC), d, -1).transpose(0, 2, 1)
-        part = [M[0, own, own] if chunk.grid is None else M[k] for k, (_, own) in enumerate(placed(chunk.effects))]
         there = [
-            (effect, own, mine)
-            for (effect, own), mine in zip(placed(chunk.effects), part, strict=True)
+            (effect, own, M[0, own, own] if chunk.grid is None else M[k])
+            for k, (effect, own) in enumerate(placed(chunk.effects))
             if effect in asked
         ]
         done += len(there)
