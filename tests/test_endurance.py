@@ -29,7 +29,6 @@ from aridcal.model.memory import Size, available_memory, check_memory
 from aridcal.model.model import Model
 from aridcal.result import pipeline, stretches
 from aridcal.result.folder import write_results
-from aridcal.search import noise_tests
 from aridcal.showing import EVERY, HowFar, Progress, told_on
 
 
@@ -189,21 +188,6 @@ def test_columns_that_move_no_row_of_a_block_change_no_sum(monkeypatch: pytest.M
     np.testing.assert_allclose(sparse.AA, dense.AA, rtol=1e-12, atol=1e-12)
     np.testing.assert_allclose(sparse.Ar, dense.Ar, rtol=1e-12, atol=1e-12)
     assert not dense.AA[:, 12:].any()
-
-
-def test_shuffles_in_parts_give_the_same_clue(monkeypatch: pytest.MonkeyPatch) -> None:
-    rng = np.random.default_rng(0)
-    views = [
-        noise_tests.View("so", rng.normal(size=(300, 3))),
-        noise_tests.View("otherwise", rng.normal(size=(300, 1))),
-    ]
-    order = np.arange(300)
-    silent = Progress(lambda _: None)
-    whole = noise_tests._alike("order", "", views, order[:-1], order[1:], silent)
-    monkeypatch.setattr(noise_tests, "PAIRS", 64)
-    parts = noise_tests._alike("order", "", views, order[:-1], order[1:], silent)
-    assert parts.p_value == pytest.approx(whole.p_value, rel=1e-9)
-    assert parts.share == pytest.approx(whole.share, abs=1e-12)
 
 
 def ticking(step: float) -> Iterator[float]:

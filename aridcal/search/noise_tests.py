@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 from scipy.special import chdtr, chdtrc, ndtr
 
@@ -43,9 +44,6 @@ FEWEST = 16
 
 FEWEST_OF_A_THING = 5
 """Rows of a thing from which it is compared with the others: a sigma is then known to a third."""
-
-PAIRS = 262_144
-"""Pairs of rows that are multiplied together: 40 MB for a seven-axis arm, however many rows there are."""
 
 REACH = 3
 """Rows after each that count as its neighbours, in each order: a bump of few rows makes few pairs."""
@@ -277,19 +275,11 @@ def _alike(
     """
     rng = np.random.default_rng(0)
     white, starts = _side_by_side(views)
-
-    ends = range(0, len(first), PAIRS)
-    one, other = np.empty((2, min(PAIRS, len(first)), white.shape[1]))
+    beside = csr_array((np.ones(len(first)), (first, second)), shape=(len(white), len(white)))
     mixed = np.empty_like(white)
 
     def correlations(r: np.ndarray) -> np.ndarray:
-        total = np.zeros(r.shape[1])
-        for pairs in (slice(start, start + PAIRS) for start in ends):
-            n = len(first[pairs])
-            _picked(r, first[pairs], one[:n])
-            _picked(r, second[pairs], other[:n])
-            total += np.einsum("nm,nm->m", one[:n], other[:n])
-        return np.asarray(np.add.reduceat(total, starts))
+        return np.asarray(np.add.reduceat(np.einsum("nm,nm->m", r, beside @ r), starts))
 
     numbers = len(first) * np.array([view.white.shape[1] for view in views])
     seen = correlations(white) / numbers
@@ -345,18 +335,19 @@ def _change(views: Sequence[View], rows: Dataset, order: np.ndarray, words: str,
     before = np.arange(min(SIDE, n // 2), n - min(SIDE, n // 2) + 1)
     weight = before * (1.0 - before / n)
 
-    mixed, sums = np.empty_like(white), np.empty_like(white)
+    mixed, sums = np.empty_like(white), np.empty(white.shape[::-1])
+    parts = [slice(start, start + view.white.shape[1]) for start, view in zip(starts.tolist(), views, strict=True)]
 
-    def statistics(r: np.ndarray) -> np.ndarray:
-        squares = np.cumsum(r, axis=0, out=sums)[before[0] - 1 : before[-1]]
-        squares **= 2
-        squares /= weight[:, None]
-        return np.asarray(np.add.reduceat(squares, starts, axis=1))
+    def statistics(r: np.ndarray) -> Iterator[np.ndarray]:
+        # Column by column: sums and maxima run along what lies side by side in memory.
+        squares = np.cumsum(r.T, axis=1, out=sums)[:, before[0] - 1 : before[-1]]
+        np.square(squares, out=squares)
+        return (squares[part].sum(axis=0) / weight for part in parts)
 
-    steps = statistics(white[order])
-    seen = steps.max(axis=0)
+    steps = list(statistics(white[order]))
+    seen = np.array([step.max() for step in steps])
     shuffled = np.array(
-        [statistics(_picked(white, rng.permutation(n), mixed)).max(axis=0) for _ in _shuffles(progress)]
+        [[step.max() for step in statistics(_picked(white, rng.permutation(n), mixed))] for _ in _shuffles(progress)]
     )
     scale = np.maximum(shuffled.std(axis=0), 1e-12) * np.sqrt(6.0) / np.pi
     place = shuffled.mean(axis=0) - np.euler_gamma * scale
@@ -364,7 +355,7 @@ def _change(views: Sequence[View], rows: Dataset, order: np.ndarray, words: str,
     best = int(np.argmin(chances))
     total = float(np.sum(views[best].white ** 2))
     share = float(np.clip((seen[best] - shuffled[:, best].mean()) / total, 0.0, 1.0))
-    k = int(before[np.argmax(steps[:, best])])
+    k = int(before[np.argmax(steps[best])])
     last, first = rows.line[order[k - 1 : k + 1]]
     what = f"residuals jump between rows {last} and {first}{words}, {views[best].words}"
     return Clue("change", what, share, min(1.0, len(views) * float(chances[best])))
