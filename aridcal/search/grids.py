@@ -42,6 +42,10 @@ class Local:
         numbers = (self.numbers[:, :, None] * other.count + other.numbers[:, None, :]).reshape(rows, -1)
         return Local(values, numbers, self.count * other.count)
 
+    def part(self, low: int, high: int) -> Local:
+        """Those of some rows on end."""
+        return Local(self.values[low:high], self.numbers[low:high], self.count)
+
     def sums(self, weights: np.ndarray) -> np.ndarray:
         """Sums over the rows of each function times weights of shape (N, w), shape (d, w)."""
         rows, k = self.values.shape
@@ -92,10 +96,15 @@ class Grid:
             made.append(summed.transpose(1, 0, 2).reshape(count * self.functions.count, -1))
         return np.array(made)
 
-    def across_local(self, slot: Sequence[np.ndarray], functions: Local) -> np.ndarray:
-        """Products with columns of one slot, (N, size) for each channel, times d' other functions, shape (C, w, d')."""
-        weights = [np.einsum("nse,ns->ne", g, t) for g, t in zip(self.slots, slot, strict=True)]
-        return self._summed(self.functions.times(functions), weights).reshape(len(self.slots), -1, functions.count)
+    def across_grid(self, other: Grid) -> np.ndarray:
+        """Products with the columns of one slot times d' other functions, shape (C, w, d')."""
+        weights = [np.einsum("nse,ns->ne", g, t[:, :, 0]) for g, t in zip(self.slots, other.slots, strict=True)]
+        together = self._summed(self.functions.times(other.functions), weights)
+        return together.reshape(len(self.slots), -1, other.functions.count)
+
+    def part(self, low: int, high: int) -> Grid:
+        """That of some rows on end."""
+        return Grid(tuple(g[low:high] for g in self.slots), self.functions.part(low, high))
 
     def _summed(self, functions: Local, weights: Sequence[np.ndarray]) -> np.ndarray:
         """Sums of functions times weights of shape (N, E) for each channel, shape (C, E, functions)."""

@@ -243,7 +243,13 @@ class Products:
     def between(self, a: Effect | None, b: Effect | None) -> np.ndarray:
         """Products of two such, shape (F, C, da, db)."""
         if (a, b) not in self._between:
-            made = self._folds(self.columns(a), self.columns(b))
+            left, right = self._as_grid(a), self._as_grid(b)
+            if left is not None:
+                made = self._folds_of_grid(left, self.columns(b) if right is None else right)
+            elif right is not None:
+                made = self._folds_of_grid(right, self.columns(a)).transpose(0, 1, 3, 2)
+            else:
+                made = self._folds(self.columns(a), self.columns(b))
             self._between[a, b] = made
             self._between[b, a] = made.transpose(0, 1, 3, 2)
         return self._between[a, b]
@@ -268,17 +274,28 @@ class Products:
             for f in range(len(self.layout.starts) - 1)
         ])  # fmt: skip
 
+    def _folds_of_grid(self, grid: Grid, Y: Flat | Grid) -> np.ndarray:
+        """Products of a grid's columns with others, fold by fold, shape (F, C, w, d)."""
+        made = []
+        for low, high in pairwise(self.layout.starts.tolist()):
+            if isinstance(Y, Grid):
+                made.append(grid.part(low, high).across_grid(Y.part(low, high)))
+            else:
+                own = [y[low * c.size : high * c.size] for y, c in zip(Y, self.layout.channels, strict=True)]
+                made.append(grid.part(low, high).across(own))
+        return np.array(made)
+
+    def _as_grid(self, member: Effect | None) -> Grid | None:
+        """The one slot and the functions on knots that make an effect's columns; None if they are not so made."""
+        taken = None if member is None else self._source.apart(member)
+        functions = None if taken is None else self._functions(taken[1])
+        return None if taken is None or functions is None else Grid(self._source.slots(taken[:1]), functions)
+
     def chunks(self, effects: Sequence[Effect]) -> Iterator[Chunk]:
         """Chunks in which some candidates are, made where they are not yet, and kept as long as there is room."""
-        known: dict[int, Chunk] = {}
-        new: list[Effect] = []
-        for e in effects:
-            place = self._place.get(e)
-            if place is None:
-                new.append(e)
-            else:
-                known[id(place[0])] = place[0]
-        yield from known.values()
+        places = [self._place.get(e) for e in effects]
+        new = [e for e, place in zip(effects, places, strict=True) if place is None]
+        yield from {id(place[0]): place[0] for place in places if place is not None}.values()
         grids, others = self._grids(new)
         for chunk in (*(self._grid(*grid) for grid in grids), *(self.chunk(group) for group in grouped(others))):
             if self._room(chunk.own.size):
@@ -344,22 +361,17 @@ class Products:
         new = [effect for effect, made in found.items() if made is None]
         X = (chunk.columns or self.flat(chunk.effects)) if new and chunk.grid is None else ()
         for effect in new:
-            if chunk.grid is None:
-                made = np.array([x.T @ y for x, y in zip(X, self.columns(effect), strict=True)])
+            grid = self._as_grid(effect)
+            if chunk.grid is not None:
+                made = chunk.grid.across(self.columns(effect)) if grid is None else chunk.grid.across_grid(grid)
+            elif grid is not None:
+                made = grid.across(X).transpose(0, 2, 1)
             else:
-                made = self._across_grid(chunk.grid, effect)
+                made = np.array([x.T @ y for x, y in zip(X, self.columns(effect), strict=True)])
             found[effect] = made
             if chunk.effects[0] in self._place and self._room(made.size):
                 chunk.across[effect] = made
         return [made for made in found.values() if made is not None]
-
-    def _across_grid(self, grid: Grid, member: Effect | None) -> np.ndarray:
-        """Products of a grid's columns with those of the constants or of an effect, shape (C, w, d)."""
-        taken = None if member is None else self._source.apart(member)
-        functions = None if taken is None else self._functions(taken[1])
-        if taken is None or functions is None:
-            return grid.across(self.columns(member))
-        return grid.across_local([g[:, :, 0] for g in self._source.slots(taken[:1])], functions)
 
 
 def grouped(effects: Sequence[Effect]) -> list[list[Effect]]:
