@@ -198,11 +198,6 @@ class Products:
         for old in list(self._known)[: max(len(self._known) - most, 0)]:
             self._forget(old)
 
-    def _by_row(self, x: np.ndarray) -> np.ndarray:
-        """Numbers of a channel under one another, (N size, d), row by row: (N, size, d)."""
-        rows = len(self.layout.order)
-        return x.reshape(rows, len(x) // rows, x.shape[1])
-
     def forget(self) -> None:
         """Keep nothing: no more is asked."""
         for effect in list(self._known):
@@ -228,7 +223,7 @@ class Products:
         """Columns of what is in the model, rows in another order, that of a covariate, shape (N, m, d); they are kept."""
         if (of, member) not in self._ordered:
             place = np.argsort(self.layout.order)[order]
-            parts = [self._by_row(x)[place] for x in self.columns(member)]
+            parts = [x.reshape(len(place), -1, x.shape[1])[place] for x in self.columns(member)]
             self._ordered[of, member] = np.concatenate(parts, axis=1)
         return self._ordered[of, member]
 
