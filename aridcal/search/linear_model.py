@@ -144,7 +144,10 @@ class LinearModel:
     def _index(self, effect: Effect) -> tuple[list[int], list[int] | None]:
         found = self._indices.get(effect)
         if found is None:
-            slots = [self.slot_index[c.where, c.component] for c in effect.coefficients]
+            if len(effect.slots) == 1:
+                slots = [self.slot_index[effect.slots[0]]] * len(effect.coefficients)
+            else:
+                slots = [self.slot_index[c.where, c.component] for c in effect.coefficients]
             bases = [k for c in effect.coefficients if (k := self.basis_index.get(c.basis)) is not None]
             found = self._indices[effect] = slots, bases if len(bases) == len(slots) else None
         return found
