@@ -31,7 +31,7 @@ from aridcal.prepare.scenario import Scenario
 from aridcal.prepare.simulation import simulate, write_campaign
 from aridcal.result.outcome import Outcome
 from aridcal.result.pipeline import identify
-from aridcal.robot.kinematics import gravity_loads, joint_frames, transverse
+from aridcal.robot.kinematics import gravity_loads, joint_frames, transverse, tree_frames
 
 DOCS = Path(__file__).resolve().parent
 OUT = DOCS / "images" / "effects"
@@ -73,7 +73,7 @@ def torque(joint: str, motion: str = "axis") -> Callable[[Outcome], np.ndarray]:
 
     def of(o: Outcome) -> np.ndarray:
         gravity = np.array(o.campaign.robot.gravity, dtype=float)
-        loads = gravity_loads(o.robot, o.measurements.readings, gravity)
+        loads = gravity_loads(o.robot, tuple(tree_frames(o.robot, o.measurements.readings)), gravity)
         return np.asarray(loads[:, o.robot.names.index(joint), 3:] @ direction(o, joint, motion))
 
     return of

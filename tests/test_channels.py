@@ -10,12 +10,21 @@ from aridcal.effects.basis import Basis
 from aridcal.effects.effect import Coefficient, Effect
 from aridcal.fit.flags import OUTLIER, QUANTILES, distance, flagged, robust_sigma, usual_norms
 from aridcal.fit.normal_equations import accumulate
-from aridcal.instruments.channels import TARGET_POSITION, TARGET_ROTATION, Channel, Channels, columns, norms, spread
+from aridcal.instruments.channels import (
+    TARGET_POSITION,
+    TARGET_ROTATION,
+    Channel,
+    Channels,
+    columns,
+    flat,
+    norms,
+    spread,
+)
 from aridcal.search.evidence import solve
 from aridcal.search.linear_model import LinearModel
 from aridcal.search.scoring import refine
 from aridcal.search.screening import score_all
-from aridcal.search.state import activate, flat, solve_state
+from aridcal.search.state import activate, solve_state
 
 FORCE = Channel("force", "N", ("f",), "mN", 1e3, "force error")
 WIRES = Channel("wire", "m", ("w1", "w2"), "mm", 1e3, "wire error")

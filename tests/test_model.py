@@ -20,7 +20,7 @@ from aridcal.model.many_rows import AT_ONCE, MANY
 from aridcal.model.model import Model
 from aridcal.robot.chain import Robot, parse_robot
 from aridcal.robot.doty import doty_links, link_transform
-from aridcal.robot.kinematics import gravity_loads, rotations, tip_frames, transverse
+from aridcal.robot.kinematics import gravity_loads, rotations, tip_frames, transverse, tree_frames
 
 TIME = Basis("linear", ("time",), (0.5,))
 ROBOTS = {
@@ -303,7 +303,7 @@ def test_the_extended_models_gravity_is_the_nominal_load() -> None:
     model = Model(robot, coefficients)
     q = robots.readings(robot, 5, np.random.default_rng(0))
     gravity = np.array([3.0, -4.0, 8.0])
-    loads = gravity_loads(robot, q, gravity)
+    loads = gravity_loads(robot, tuple(tree_frames(robot, q)), gravity)
     locked = model.locked(np.zeros(len(coefficients)))
     extended, own, carrier = locked.model, locked.own, locked.carrier
     extended.gravity.linear = gravity
@@ -397,7 +397,9 @@ def test_a_link_may_have_the_name_of_a_joint():
 
 def nominal(robot: Robot, q: np.ndarray) -> tuple[np.ndarray, ...]:
     model = Model(robot, ())
-    return *model.poses(np.zeros(0), model.rows(q)), gravity_loads(robot, q, np.array([1.0, 2.0, -9.81]))
+    return *model.poses(np.zeros(0), model.rows(q)), gravity_loads(
+        robot, tuple(tree_frames(robot, q)), np.array([1.0, 2.0, -9.81])
+    )
 
 
 def test_the_order_of_the_coefficients_moves_no_pose() -> None:

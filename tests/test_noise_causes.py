@@ -19,8 +19,8 @@ from aridcal.result.folder import result_document
 from aridcal.result.outcome import Outcome
 from aridcal.result.pipeline import identify
 from aridcal.robot.chain import Robot
-from aridcal.search.arm import CalibratedArm, calibrated_arm, fit_arm, fit_constants
-from aridcal.search.noise_causes import NoiseCause, NoiseCauses, structured_notices
+from aridcal.search.arm import CalibratedArm, calibrated_arm, fit_arm, fit_constants, structured_notices
+from aridcal.search.noise_causes import NoiseCause, NoiseCauses
 from aridcal.showing import SILENT
 
 UR10 = robots.ur10()

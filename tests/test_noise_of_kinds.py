@@ -24,8 +24,8 @@ from aridcal.report.data_section import data as data_section
 from aridcal.result.folder import result_document
 from aridcal.result.key_figures import another_day
 from aridcal.result.outcome import Outcome, Verification, errors
-from aridcal.search.arm import CalibratedArm, calibrated_arm, fit_arm, fit_constants
-from aridcal.search.noise_causes import NoiseCauses, noise_causes, structured_notices
+from aridcal.search.arm import CalibratedArm, calibrated_arm, fit_arm, fit_constants, structured_notices
+from aridcal.search.noise_causes import NoiseCauses, noise_causes
 from aridcal.showing import SILENT
 
 ROUNDED = np.radians(0.1)

@@ -18,7 +18,20 @@ from aridcal.fit.problem import problem
 from aridcal.inputs.dataset import Dataset, dataset
 from aridcal.instruments.channels import PIXEL
 from aridcal.instruments.setup import Block
-from aridcal.search.noise_tests import STRETCHES, Clue, View, _neighbours, _of_one_thing, by_chance, clues, stretches
+from aridcal.search.change_points import SIDE
+from aridcal.search.noise_tests import (
+    SHUFFLES,
+    STRETCHES,
+    Clue,
+    View,
+    _change,
+    _neighbours,
+    _of_one_thing,
+    by_chance,
+    clues,
+    stretches,
+)
+from aridcal.showing import SILENT
 
 UNKNOWN = (None, None)
 
@@ -247,3 +260,35 @@ def test_of_many_rows_stretches_on_end_are_asked_in_the_order_of_measurement() -
     assert len(ends) == STRETCHES - 1
     assert np.diff(place)[ends].max() - np.diff(place)[ends].min() <= 1
     np.testing.assert_array_equal(stretches(sequence[:9_000], 10_000), np.arange(9_000))
+
+
+def shuffled(views: list[View]) -> list[list[np.ndarray]]:
+    """The same shuffles of the rows, view by view."""
+    rng = np.random.default_rng(0)
+    orders = [rng.permutation(len(views[0].white)) for _ in range(SHUFFLES)]
+    return [[view.white[order] for order in orders] for view in views]
+
+
+def two_views(n: int) -> list[View]:
+    rng = np.random.default_rng(5)
+    wave = 0.3 * np.sin(np.arange(n) / 9.0)[:, None] + np.where(np.arange(n) < n // 3, 0.0, 0.4)[:, None]
+    return [View("so", rng.normal(size=(n, 3))), View("otherwise", wave + rng.normal(size=(n, 1)))]
+
+
+def test_a_jump_is_the_largest_step_of_the_mean_as_every_place_by_itself_gives_it() -> None:
+    views, n = two_views(300), 300
+    rows_ = rows(np.hstack([view.white for view in views])[:, :3], np.zeros((n, 1)))
+
+    def largest(white: np.ndarray) -> tuple[float, int]:
+        centred = white - white.mean(axis=0)
+        steps = {
+            k: float(np.sum(centred[:k].sum(axis=0) ** 2) / (k * (1.0 - k / n))) for k in range(SIDE, n - SIDE + 1)
+        }
+        best = max(steps, key=steps.__getitem__)
+        return steps[best], best
+
+    seen, at = largest(views[1].white)
+    chance = np.array([largest(white)[0] for white in shuffled(views)[1]])
+    found = _change(views, rows_, np.arange(n), "", SILENT)
+    assert f"between rows {rows_.line[at - 1]} and {rows_.line[at]}," in found.what
+    assert found.share == pytest.approx((seen - chance.mean()) / float(np.sum(views[1].white ** 2)), abs=1e-12)

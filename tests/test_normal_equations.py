@@ -8,7 +8,18 @@ import numpy as np
 import pytest
 from scipy.linalg import block_diag
 
-from aridcal.fit.normal_equations import NormalEquations, accumulate, added, inverse, projected, solve, without
+from aridcal.fit.normal_equations import (
+    Combined,
+    NormalEquations,
+    Prior,
+    accumulate,
+    added,
+    condition,
+    inverse,
+    projected,
+    solve,
+    without,
+)
 
 SIZES = (90, 60, 30)
 """Numbers measured in each of three channels."""
@@ -169,3 +180,34 @@ def test_channels_of_one_are_the_sum_of_their_rows() -> None:
     apart = block_diag(*(np.eye(n) / s**2 for n, s in zip(SIZES, SIGMA, strict=True)))
     whole = np.concatenate(A)
     np.testing.assert_allclose(one.information(np.ones(1)), whole.T @ apart @ whole, rtol=1e-10)
+
+
+@pytest.mark.parametrize("damping", [0.0, 0.3])
+def test_a_step_in_the_priors_combinations_is_that_of_the_stacked_columns_with_the_prior_as_rows(
+    damping: float,
+) -> None:
+    rng = np.random.default_rng(5)
+    A, r = columns(11, 7), right(12)
+    basis = (np.eye(2), rng.standard_normal((3, 3)), rng.standard_normal((2, 2)))
+    B, root = block_diag(*basis), rng.standard_normal((7, 7))
+    prior = Prior(rng.standard_normal(7), root.T @ root, basis)
+    theta = rng.standard_normal(7)
+    told = Combined(accumulate(A, r), prior)
+    step = told.of_coefficients(solve(told.information(SIGMA), told.pull(SIGMA, theta), damping)[:, None])[:, 0]
+
+    rows = np.vstack([stacked(A), root]) @ B
+    values = np.concatenate([stacked(right(12)), root @ (prior.mean - theta)])
+    length = np.linalg.norm(rows, axis=0)
+    damped = np.vstack([rows, np.sqrt(damping) * np.diag(length)])
+    expected = B @ np.linalg.lstsq(damped, np.concatenate([values, np.zeros(7)]), rcond=None)[0]
+    assert step == pytest.approx(expected, rel=1e-8)
+
+    whole = np.vstack([stacked(A), root])
+    assert told.covariance(inverse(told.information(SIGMA), ridge=0.0)) == pytest.approx(
+        np.linalg.inv(whole.T @ whole), rel=1e-6
+    )
+
+
+def test_the_condition_number_is_that_of_the_columns_scaled_to_length_one() -> None:
+    A = np.vstack(columns(3, 6))
+    assert condition(A.T @ A) == pytest.approx(np.linalg.cond(A / np.linalg.norm(A, axis=0)), rel=1e-9)

@@ -13,7 +13,7 @@ import yourdfpy
 
 from aridcal.errors import RobotError
 from aridcal.robot.chain import Robot, load_robot, parse_robot
-from aridcal.robot.kinematics import gravity_loads, joint_frames, rotations, tip_frames, transverse
+from aridcal.robot.kinematics import gravity_loads, joint_frames, rotations, tip_frames, transverse, tree_frames
 
 FRANKA = robots.SHARED_ROBOTS / "panda_description" / "urdf" / "panda.urdf"
 TIAGO = robots.SHARED_ROBOTS / "tiago_description" / "robots" / "tiago.urdf"
@@ -194,20 +194,37 @@ def extended_loads(robot: Robot, readings: np.ndarray, gravity: np.ndarray) -> n
 def test_gravity_loads_are_pinocchios_along_and_across_every_axis(robot: Robot) -> None:
     rng = np.random.default_rng(4)
     q, gravity = robots.readings(robot, 4, rng), rng.normal(0, 9.81, (4, 3))
-    found = gravity_loads(robot, q, gravity)
+    found = gravity_loads(robot, tuple(tree_frames(robot, q)), gravity)
     for k in range(len(q)):
         expected = extended_loads(robot, q[k], gravity[k])
         np.testing.assert_allclose(found[k], expected, atol=1e-11 * max(1.0, np.abs(expected).max()))
     assert np.abs(found).max() > 1.0
-    one = gravity_loads(robot, q, gravity[0])
+    one = gravity_loads(robot, tuple(tree_frames(robot, q)), gravity[0])
     np.testing.assert_allclose(one[0], found[0])
+
+
+def test_loads_and_frames_of_a_row_do_not_depend_by_a_digit_on_those_beside_it(robot: Robot) -> None:
+    """Candidates share what rows feel, and a row that is predicted alone is predicted as in its table."""
+    q, gravity = robots.readings(robot, 70, np.random.default_rng(5)), np.array([1.0, 2.0, -9.81])
+    whole = gravity_loads(robot, tuple(tree_frames(robot, q)), gravity), *tip_frames(robot, q), *joint_frames(robot, q)
+    for part in (slice(0, 1), slice(3, 10), slice(5, 70)):
+        own = q[part]
+        alone = (
+            gravity_loads(robot, tuple(tree_frames(robot, own)), gravity),
+            *tip_frames(robot, own),
+            *joint_frames(robot, own),
+        )
+        for one, other in zip(alone, whole, strict=True):
+            np.testing.assert_array_equal(one, other[part])
 
 
 def test_a_side_branch_that_follows_the_chain_moves_as_mass() -> None:
     """The vane follows the motor, whose column is measured: the wrist's load changes with it, as it should."""
     robot = parse_robot(COLUMN, "hand", "base")
     q = np.array([[0.0, 0.4], [0.8, 0.4]])
-    load = gravity_loads(robot, q, np.array([0.0, 0.0, -9.81]))[:, robot.names.index("wrist"), 3:]
+    load = gravity_loads(robot, tuple(tree_frames(robot, q)), np.array([0.0, 0.0, -9.81]))[
+        :, robot.names.index("wrist"), 3:
+    ]
     assert np.abs(load[0] - load[1]).max() > 1.0
     assert "flap" not in robot.names
 
@@ -220,7 +237,7 @@ def test_mass_beyond_counts_branches_and_fixed_links() -> None:
 def test_a_robot_without_masses_bears_no_load() -> None:
     robot = parse_robot(b"".join(part.split(b"</inertial>")[-1] for part in COLUMN.split(b"<inertial>")), "hand")
     assert not robot.mass_beyond.any()
-    assert not gravity_loads(robot, np.ones((2, 2)), np.array([0, 0, -9.81])).any()
+    assert not gravity_loads(robot, tuple(tree_frames(robot, np.ones((2, 2)))), np.array([0, 0, -9.81])).any()
 
 
 def test_joint_frames_do_not_turn_with_a_revolute_joint_but_travel_with_a_carriage() -> None:

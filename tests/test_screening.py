@@ -57,6 +57,29 @@ def test_equations_of_a_state_are_those_of_its_columns():
     np.testing.assert_allclose(made.equations.pull(sigma), X.T @ r, rtol=1e-9, atol=1e-8)
 
 
+def test_equations_put_together_from_those_of_the_set_before_are_those_of_the_columns():
+    """Whatever came, went, changed places or was shaped anew."""
+    made = solved()
+    curve, wave = made.active
+    other = activate(made.model, made, CURVE, Score(1.0, 0.0, 3, tau=0.01))
+    warm = activate(made.model, made, WARM, Score(1.0, 0.0, 1))
+    assert other.modes.shape != curve.modes.shape
+    for active in (
+        [wave, curve],
+        [curve, wave, warm],
+        [wave, warm],
+        [warm, other, wave],
+        [],
+        [curve],
+        [wave, curve, warm],
+    ):
+        again = solve_state(made.model, active, np.ones(2), made.used, fixed=True)
+        X, r, _ = columns_of(again)
+        sigma = again.solution.sigma
+        np.testing.assert_allclose(again.equations.information(sigma), X.T @ X, rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(again.equations.pull(sigma), X.T @ r, rtol=1e-9, atol=1e-8)
+
+
 def test_sums_of_each_fold_are_those_of_its_columns():
     made = solved()
     candidate = activate(made.model, made, WARM, Score(1.0, 0.0, 1))

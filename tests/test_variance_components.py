@@ -11,14 +11,13 @@ from scipy.optimize import minimize
 from scipy.stats import kstest, multivariate_normal
 
 from aridcal.fit import minorant
-from aridcal.fit.scatter import Scatter, told_modes
+from aridcal.fit.scatter import Scatter, conditioned, derivatives, place, restricted_likelihood, told_modes
 from aridcal.fit.variance_components import (
     Components,
     asked_for,
     boundary_chance,
     estimate,
     one_more,
-    restricted_likelihood,
     settled,
 )
 
@@ -111,6 +110,94 @@ def test_the_bound_touches_the_likelihood_where_it_is_made_and_lies_below_it_els
     top = minorant.best(rows.blocks, rows.stated, M, at, np.ones(4, dtype=bool), np.zeros(4))
     assert dense_likelihood(rows, top) > dense_likelihood(rows, at)
     assert all(below(top) >= below(top * np.exp(step)) for step in np.vstack([np.eye(4), -np.eye(4)]) * 0.05)
+
+
+def hard(seed: int = 0, weights: np.ndarray | None = None) -> Scatter:
+    """Rows of columns that nearly coincide, one of nothing, one a million times the others; a large signal in the rest.
+
+    Args:
+        seed: Makes the same again.
+        weights: What the noise of each row is multiplied by, shape (150,).
+    """
+    rows = scatter(150, columns=30, seed=seed, prior=0.7)
+    rng, A = np.random.default_rng(seed), rows.A.copy()
+    A[:, :, 1] = A[:, :, 0] + 1e-4 * A[:, :, 1]
+    A[:, :, 2] = 0.0
+    if weights is not None:
+        rows = replace(rows, blocks=rows.blocks * (weights**2)[:, None, None])
+    noisy = scattered(rows, np.array([1.0, 0.3, 0.8, 0.2]), seed)
+    A[:, :, 3] *= 1e6
+    return replace(noisy, A=A, y=noisy.y + A[:, :, 4:] @ rng.normal(scale=10.0, size=26))
+
+
+def in_clumps(rows: Scatter) -> Scatter:
+    """The same with two unknowns of every ten rows, columns of which they nearly take off; the last ten rows have none."""
+    rng, clump = np.random.default_rng(1), np.arange(len(rows.y)) // 10
+    things, A = rng.standard_normal((*rows.y.shape, 2)), rows.A.copy()
+    things[-10:], clump[-10:] = 0.0, -1
+    A[:, :, 5] = 1e-4 * A[:, :, 5] + 1e2 * things[:, :, 0]
+    return replace(rows, A=A, things=things, clump=clump)
+
+
+@pytest.mark.parametrize("with_things", [False, True])
+@pytest.mark.parametrize("far", [3.0, 1e6])
+def test_in_single_precision_a_likelihood_is_what_it_is_in_double(far: float, with_things: bool) -> None:
+    """Far away, where single precision has no digits left, it is not asked for."""
+    rng, start = np.random.default_rng(2), np.array([1.0, 0.1, 0.0, 0.0])
+    rows = in_clumps(hard()) if with_things else hard()
+    near = conditioned(rows, start)
+    assert near.near is not None and near.near.A.dtype == np.float32
+    free = np.ones(4, dtype=bool)
+    for _ in range(8):
+        variance = np.array([1.0, 0.1, 0.6, 0.05]) * np.exp(rng.uniform(-np.log(far), np.log(far), 4))
+        one, two = place(near, variance), place(rows, variance)
+        assert one.log_likelihood == pytest.approx(two.log_likelihood, abs=1e-4, rel=1e-7 if far > 3.0 else 0.0)
+        np.testing.assert_allclose(one.pull, two.pull, atol=1e-5 * np.abs(two.pull).max())
+        np.testing.assert_allclose(one.kernel, two.kernel, atol=1e-5 * np.abs(two.kernel).max())
+        (score, information), (other, twice) = (derivatives(s, p, free) for s, p in ((near, one), (rows, two)))
+        std = np.sqrt(np.diag(twice))
+        np.testing.assert_allclose(score / std, other / std, atol=1e-3 + 1e-4 * np.abs(other / std).max())
+        np.testing.assert_allclose(information / np.outer(std, std), twice / np.outer(std, std), atol=1e-4)
+
+
+def test_rows_of_wild_weights_are_looked_at_as_well_in_single_precision() -> None:
+    """One row in ten has a million times the weight of the others, or a millionth."""
+    rng = np.random.default_rng(3)
+    rows = hard(weights=10.0 ** rng.choice([-3.0, 0.0, 3.0], 150, p=[0.05, 0.9, 0.05]))
+    near = conditioned(rows, np.array([1.0, 0.1, 0.0, 0.0]))
+    variances = np.array([1.0, 0.1, 0.6, 0.05]) * np.exp(rng.uniform(-1.0, 1.0, (6, 4)))
+    one, two = (np.array([restricted_likelihood(s, v) for v in variances]) for s in (near, rows))
+    # A combination of columns that is rounding beside such weights has a ridge: a constant.
+    np.testing.assert_allclose(one - one[0], two - two[0], atol=1e-3)
+
+
+def test_what_is_found_in_single_precision_is_what_is_found_in_double() -> None:
+    for seed in range(5):
+        rows = hard(seed)
+        one, two = whole(conditioned(rows, np.array([1.0, 1.0, 0.0, 0.0]))), whole(rows)
+        assert np.array_equal(one.free, two.free)
+        np.testing.assert_allclose(one.sigma, two.sigma, atol=1e-3 * two.sigma_std.max())
+        np.testing.assert_allclose(one.sigma_std, two.sigma_std, rtol=1e-3)
+        assert one.log_likelihood == pytest.approx(two.log_likelihood, abs=1e-3)
+
+
+def test_the_last_step_that_is_not_looked_at_ends_where_it_says() -> None:
+    """Likelihoods that are told for variances are those of them: to a tenth while components are added, then to a thousandth."""
+    for seed in range(10):
+        rows = scattered(scatter(60), np.array([1.0, 0.3, 0.8, 0.5]), seed)
+        found = estimate(rows, np.array([0.3, 0.3]), HELD)
+        told = [found]
+        while (more := one_more(rows, found, HELD)) is not None:
+            found = more[1]
+            told.append(found)
+        for one in told:
+            best = settled(rows, one, HELD)
+            best = settled(rows, replace(best, left=1.0), HELD)  # a step further
+            assert one.log_likelihood == pytest.approx(best.log_likelihood, abs=0.1)
+            assert restricted_likelihood(rows, one.variance) == pytest.approx(best.log_likelihood, abs=0.1)
+            last = settled(rows, one, HELD)
+            assert last.log_likelihood == pytest.approx(best.log_likelihood, abs=1e-3)
+            assert restricted_likelihood(rows, last.variance) == pytest.approx(best.log_likelihood, abs=1e-3)
 
 
 def test_modes_of_which_nothing_is_told_change_no_likelihood_and_go() -> None:

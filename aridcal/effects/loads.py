@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -11,7 +11,7 @@ from aridcal.effects.basis import FORMS, Basis
 from aridcal.effects.effect import direction
 from aridcal.effects.sights import Sights, is_sight
 from aridcal.robot.chain import Joint, Robot
-from aridcal.robot.kinematics import gravity_loads, joint_frames, tip_frames
+from aridcal.robot.kinematics import Walked, borne_by, gravity_loads, of_chain, tip_on, tree_frames
 
 LOADS = (".gravity_", ".payload_")
 """What the names of loads hold, and no other covariate's."""
@@ -78,13 +78,14 @@ def covariate_table(
         return table
     per_row = np.atleast_2d(around.gravity)[world if np.ndim(around.gravity) == 2 else 0]
     gravity = np.broadcast_to(per_row, (len(readings), 3))
-    pull = np.zeros((len(readings), len(robot.names), 6))
+    walked = tuple(tree_frames(robot, readings))
+    pull: np.ndarray | float = 0.0
     if "payload" in measured:
-        pull = _payload_loads(robot, readings, measured["payload"][:, None] * gravity, around.lever)
+        pull = _payload_loads(robot, walked, measured["payload"][:, None] * gravity, around.lever)
         table |= {f"{joint.name}.payload_torque": _driving(joint, pull[:, j]) for j, joint in enumerate(robot.joints)}
     elif around.loaded:
         return table
-    loads = gravity_loads(robot, readings, gravity) + (pull if around.loaded else 0.0)
+    loads = gravity_loads(robot, walked, gravity) + (pull if around.loaded else 0.0)
     for j, joint in enumerate(robot.joints):
         table[f"{joint.name}.gravity_torque"] = _driving(joint, loads[:, j])
         for component in bearing_components(joint.kind):
@@ -99,14 +100,12 @@ def _driving(joint: Joint, load: np.ndarray) -> np.ndarray:
     return np.asarray(part @ joint.axis)
 
 
-def _payload_loads(robot: Robot, readings: np.ndarray, weight: np.ndarray, lever: np.ndarray) -> np.ndarray:
+def _payload_loads(robot: Robot, walked: Sequence[Walked], weight: np.ndarray, lever: np.ndarray) -> np.ndarray:
     """What a payload of some weight, shape (N, 3) [N], does to each joint, as :func:`gravity_loads` has it."""
-    axes, origins = joint_frames(robot, readings)
-    R, tip = tip_frames(robot, readings)
+    chain = of_chain(robot, walked)
+    R, tip = tip_on(robot, chain[-1])
     target = tip + R @ lever
-    moment = np.cross(target[:, None] - origins, weight[:, None])
-    force = np.broadcast_to(weight[:, None], moment.shape)
-    return np.concatenate([np.einsum("njki,njk->nji", axes, part) for part in (force, moment)], axis=2)
+    return borne_by(chain, [(weight, np.cross(target - step.origin, weight)) for step in chain])
 
 
 def bearing_components(kind: str) -> tuple[str, ...]:

@@ -13,7 +13,7 @@ from aridcal.errors import NotIdentifiable
 from aridcal.fit.elimination import Groups
 from aridcal.fit.flags import FLOOR, coarsest, flagged, limits, robust_sigma
 from aridcal.fit.identifiable import identifiable
-from aridcal.fit.normal_equations import NormalEquations, Prior, condition, solve_with, with_prior
+from aridcal.fit.normal_equations import Combined, Prior, condition, inverse, solve
 from aridcal.fit.problem import Problem
 from aridcal.fit.problem import problem as ask
 from aridcal.fit.residual import Linearisation, linearise, things_again, triangle, weighted_squares
@@ -194,29 +194,30 @@ def minimise(problem: Problem, theta: np.ndarray, weight: np.ndarray | None, pri
     at_once = None if robust or problem.measured is not None else linearise(problem, theta, weight, even)
     scale = robust_sigma(at_once.residual if at_once else problem.scaled_residual(theta), channels)
 
-    def noise_at(place: Linearisation, sigma: np.ndarray) -> np.ndarray:
-        estimate = scale if robust else _estimate(place.equations, sigma, prior)
+    def noise_at(told: Combined, sigma: np.ndarray) -> np.ndarray:
+        estimate = scale if robust else _estimate(told, sigma)
         return declared(np.maximum(estimate, ABREAST * coarsest(estimate, channels)) if abreast else estimate)
 
-    def steady(place: Linearisation, sigma: np.ndarray) -> np.ndarray:
+    def steady(told: Combined, sigma: np.ndarray) -> np.ndarray:
         for _ in range(ESTIMATES):
-            held, sigma = sigma, noise_at(place, sigma)
+            held, sigma = sigma, noise_at(told, sigma)
             if np.all(np.abs(sigma - held) <= STEADY * held):
                 break
         return sigma
 
     # Until rows are weighed channels count beside one another by their robust scale, then by their noise.
     here = at_once or linearise(problem, theta, weight, scale if robust else declared(scale))
-    sigma = noise_at(here, declared(scale))
+    told = Combined(here.equations, prior)
+    sigma = noise_at(told, declared(scale))
     damping, taken = 0.0, 0
     while taken < STEPS and damping < MOST_DAMPING:
-        H, g = with_prior(here.equations, sigma, theta, prior)
-        step = solve_with(H, g, prior, damping)
-        length = float(np.sqrt(max(step @ g, 0.0)))
+        g = told.pull(sigma, theta)
+        combined = solve(told.information(sigma), g, damping)
+        step, length = told.of_coefficients(combined[:, None])[:, 0], float(np.sqrt(max(combined @ g, 0.0)))
         last = length < settled and damping == 0.0
         last |= bool(np.all(np.abs(step) < ROUNDING * (1.0 + np.abs(theta))))
         if last and abreast and not robust:
-            abreast, sigma = False, steady(here, sigma)  # the last step is taken in the noise that stays
+            abreast, sigma = False, steady(told, sigma)  # the last step is taken in the noise that stays
             continue
         if last and length < UNNOTICED and _has_many(problem):
             step = np.zeros(len(theta))
@@ -228,16 +229,18 @@ def minimise(problem: Problem, theta: np.ndarray, weight: np.ndarray | None, pri
         after = _cost(trial, here.weight, channels, sigma, theta + step, prior)
         taken += 1
         if after <= before + (0.0 if problem.measured is None else SLACK) or last:
+            told = told if trial is here else Combined(trial.equations, prior)
             problem, theta, here, damping = there, theta + step, trial, 0.0 if damping < FIRST_DAMPING else damping / 10
             scale = robust_sigma(here.residual, channels) if robust else scale
-            sigma = noise_at(here, sigma)
+            sigma = noise_at(told, sigma)
         else:
             damping = max(10 * damping, FIRST_DAMPING)
         if last:
             break
-    sigma = sigma if robust else steady(here, sigma)
-    H, g = with_prior(here.equations, sigma, theta, prior)
-    return Minimum(theta, here, sigma, taken, float(np.sqrt(max(solve_with(H, g, prior) @ g, 0.0))), problem)
+    sigma = sigma if robust else steady(told, sigma)
+    g = told.pull(sigma, theta)
+    asked = float(solve(told.information(sigma), g) @ g)
+    return Minimum(theta, here, sigma, taken, float(np.sqrt(max(asked, 0.0))), problem)
 
 
 def fit(
@@ -272,20 +275,21 @@ def fit(
             break
         weight = again
     equations, sigma = found.at.equations, found.sigma
-    H, _ = with_prior(equations, sigma, theta, prior)
-    covariance = solve_with(H, np.eye(len(H)), prior)
+    told = Combined(equations, prior)
+    inner = inverse(told.information(sigma), ridge=0.0)
+    H = equations.information(sigma) + (0.0 if prior is None else prior.precision)
     return Fit(
         model=replace(model, instruments=problem.instruments, states=problem.states) if problem.states else model,
         theta=theta,
-        covariance=covariance,
+        covariance=told.covariance(inner),
         sigma=sigma,
-        estimated=_estimate(equations, sigma, prior),
+        estimated=_estimate(told, sigma),
         weight=found.at.weight,
         residual=found.at.residual,
         candidates=model.coefficients,
         redundant={},
         convergence=Convergence(steps, found.gradient, condition(H)),
-        spent=float(np.sum(covariance * equations.information(sigma))),
+        spent=float(told.equations.spent(inner, sigma).sum()),
         numbers=float(equations.count.sum()),
     )
 
@@ -386,12 +390,9 @@ def _cost(
     return value
 
 
-def _estimate(equations: NormalEquations, sigma: np.ndarray, prior: Prior | None) -> np.ndarray:
+def _estimate(told: Combined, sigma: np.ndarray) -> np.ndarray:
     """Noise of each channel from the residuals, shape (C,): sum of squares over the degrees of freedom that it has left."""
-    H = equations.information(sigma)
-    if prior is not None:
-        H = H + prior.precision
-    spent = equations.spent(solve_with(H, np.eye(len(H)), prior), sigma)
-    freedom = equations.count - spent
+    equations = told.equations
+    freedom = equations.count - equations.spent(inverse(told.information(sigma), ridge=0.0), sigma)
     left = np.sqrt(equations.rr / np.where(freedom > LEAST_FREEDOM, freedom, 1.0))
     return np.where(freedom > LEAST_FREEDOM, np.maximum(left, FLOOR), sigma)

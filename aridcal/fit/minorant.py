@@ -23,7 +23,7 @@ from aridcal.fit.normal_equations import balanced
 STEPS = 30
 """Of Fisher's scoring at the most; a dozen are usual, and each costs a hundredth of a look at all columns."""
 
-SETTLED = 1e-3
+SETTLED = 0.03
 """[nat]: a step that promises less is the last. What is left is found with the true likelihood."""
 
 HALVINGS = 12
@@ -64,6 +64,7 @@ def best(
         even, scale = balanced(information[np.ix_(moving, moving)])
         step[moving] = scale * (np.linalg.pinv(even, hermitian=True) @ (scale * score[moving]))
         if float(score @ step) < SETTLED:
+            found = np.maximum(found + step, low)
             break
         for _ in range(HALVINGS):
             wanted = np.maximum(found + step, low)

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -128,11 +129,11 @@ def balanced(H: np.ndarray, ridge: float = 0.0) -> tuple[np.ndarray, np.ndarray]
     return S, scale
 
 
-def inverse(H: np.ndarray) -> np.ndarray:
-    """H^-1 by Cholesky with a :data:`RIDGE`; the pseudo-inverse where H is singular. Twice as fast as :func:`solve`."""
+def inverse(H: np.ndarray, ridge: float = RIDGE) -> np.ndarray:
+    """H^-1 by Cholesky with a ridge; the pseudo-inverse where H is singular. Twice as fast as :func:`solve`."""
     if not len(H):
         return H
-    S, scale = balanced(H, RIDGE)
+    S, scale = balanced(H, ridge)
     factor, failed = dpotrf(S.T, lower=1)  # symmetric; transposed, LAPACK need not turn it first
     if failed:
         found = np.asarray(np.linalg.pinv(S, hermitian=True, rcond=RANK))
@@ -169,7 +170,8 @@ def condition(H: np.ndarray) -> float:
     if not len(H):
         return 1.0
     length = np.sqrt(np.maximum(np.diag(H), TINY))
-    return float(np.sqrt(np.linalg.cond(H / length / length[:, None])))
+    values = np.abs(np.linalg.eigvalsh(H / length / length[:, None]))
+    return float(np.sqrt(values.max() / max(float(values.min()), TINY)))
 
 
 def nested_solutions(H: np.ndarray, g: np.ndarray, first: int) -> np.ndarray:
@@ -330,28 +332,69 @@ class Prior:
     Attributes:
         mean: Shape (K,).
         precision: Shape (K, K).
-        basis: Combinations of coefficients, in columns, that are alike in how sure one is of them, shape (K, K): the
-            samples of a smooth function are far too alike themselves to be solved for one by one. None: each its own.
+        basis: Combinations of coefficients, in columns, that are alike in how sure one is of them, for coefficients that follow
+            one another: square blocks along the diagonal of a matrix of shape (K, K). The samples of a smooth function are
+            far too alike themselves to be solved for one by one. None: each its own.
     """
 
     mean: np.ndarray
     precision: np.ndarray
-    basis: np.ndarray | None = None
+    basis: tuple[np.ndarray, ...] | None = None
+
+    @cached_property
+    def combined(self) -> np.ndarray:
+        """Precision of the combinations, shape (K, K)."""
+        return _both_sides(self.basis, self.precision)
 
 
-def with_prior(
-    equations: NormalEquations, sigma: np.ndarray, theta: np.ndarray, prior: Prior | None
-) -> tuple[np.ndarray, np.ndarray]:
-    """H and g of a step from theta, the prior's pull included."""
-    H, g = equations.information(sigma), equations.pull(sigma)
-    if prior is not None:
-        H, g = H + prior.precision, g + prior.precision @ (prior.mean - theta)
-    return H, g
+class Combined:
+    """Equations of a step of K coefficients in the combinations that a prior holds independent.
+
+    With B the prior's basis, :math:`B^T A_c^T A_c B` is made once; each noise that is tried costs a sum of these.
+    """
+
+    def __init__(self, equations: NormalEquations, prior: Prior | None) -> None:
+        """Combine them.
+
+        Args:
+            equations: Of the coefficients.
+            prior: What is believed of them.
+        """
+        self._prior, self._blocks = prior, None if prior is None else prior.basis
+        AA, Ar = _both_sides(self._blocks, equations.AA), _transposed(self._blocks, equations.Ar[..., None])[..., 0]
+        self.equations = NormalEquations(AA, Ar, equations.rr, equations.count)
+
+    def information(self, sigma: np.ndarray) -> np.ndarray:
+        """H of the combinations with the prior, shape (K, K), for noise of shape (C,)."""
+        H = self.equations.information(sigma)
+        return H if self._prior is None else H + self._prior.combined
+
+    def pull(self, sigma: np.ndarray, theta: np.ndarray) -> np.ndarray:
+        """Pull g of the combinations, the prior's pull on coefficients theta included, shape (K,)."""
+        g = self.equations.pull(sigma)
+        if self._prior is None:
+            return g
+        wanted = self._prior.precision @ (self._prior.mean - theta)
+        return np.asarray(g + _transposed(self._blocks, wanted[:, None])[:, 0])
+
+    def of_coefficients(self, values: np.ndarray) -> np.ndarray:
+        """Combinations, shape (K, n), as coefficients: B times these."""
+        return _transposed(None if self._blocks is None else tuple(b.T for b in self._blocks), values)
+
+    def covariance(self, inverse: np.ndarray) -> np.ndarray:
+        """Of the coefficients, shape (K, K), from that of the combinations."""
+        return _both_sides(None if self._blocks is None else tuple(b.T for b in self._blocks), inverse)
 
 
-def solve_with(H: np.ndarray, b: np.ndarray, prior: Prior | None, damping: float = 0.0) -> np.ndarray:
-    """H^-1 b, shape of b, in the combinations that the prior holds independent."""
-    if prior is None or prior.basis is None:
-        return solve(H, b, damping)
-    B = prior.basis
-    return np.asarray(B @ solve(B.T @ H @ B, B.T @ b, damping))
+def _transposed(blocks: Sequence[np.ndarray] | None, values: np.ndarray) -> np.ndarray:
+    """B^T times values of shape (..., K, n), B given by the blocks along its diagonal; None: the identity."""
+    if blocks is None:
+        return values
+    ends = np.cumsum([len(b) for b in blocks])[:-1]
+    parts = np.split(values, ends, axis=-2)
+    return np.concatenate([b.T @ part for b, part in zip(blocks, parts, strict=True)], axis=-2)
+
+
+def _both_sides(blocks: Sequence[np.ndarray] | None, M: np.ndarray) -> np.ndarray:
+    """B^T M B of symmetric M, shape (..., K, K)."""
+    return _transposed(blocks, np.swapaxes(_transposed(blocks, M), -1, -2))

@@ -132,25 +132,24 @@ class Stack:
 
     @property
     def apart(self) -> bool:
-        """True where each row is a standstill of its own, and measures all numbers."""
-        return self.place.shape == (self.count, self.width) and bool(np.all(self.place == np.arange(self.width)))
+        """True where each row is a standstill of its own, in their order, and measures all numbers."""
+        own = self.place.shape == (self.count, self.width) and np.array_equal(self.number, np.arange(self.count))
+        return own and bool(np.all(self.place == np.arange(self.width)))
 
     def vectors(self, values: np.ndarray) -> np.ndarray:
         """Numbers or columns of rows, shape (n, m, ...), as those of standstills, shape (S, M, ...); 0 beyond what these have."""
-        made = np.zeros((self.count, self.width, *values.shape[2:]))
         if self.apart:
-            made[self.number] = values
-            return made
+            return values
+        made = np.zeros((self.count, self.width, *values.shape[2:]))
         row, column = np.nonzero(self.place >= 0)
         made[self.number[row], self.place[row, column]] = values[row, column]
         return made
 
     def matrices(self, values: np.ndarray) -> np.ndarray:
         """Covariances of rows that err independently, shape (n, m, m), as those of standstills, shape (S, M, M)."""
-        made = np.zeros((self.count, self.width, self.width))
         if self.apart:
-            made[self.number] = values
-            return made
+            return values
+        made = np.zeros((self.count, self.width, self.width))
         row, a, b = np.nonzero((self.place[:, :, None] >= 0) & (self.place[:, None, :] >= 0))
         made[self.number[row], self.place[row, a], self.place[row, b]] = values[row, a, b]
         return made

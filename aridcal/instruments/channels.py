@@ -84,3 +84,28 @@ def spread(values: np.ndarray, channels: Sequence[Channel]) -> np.ndarray:
 def norms(residual: np.ndarray, channels: Sequence[Channel]) -> np.ndarray:
     """Length of each row's residual in each channel, shape (C, N), from residuals of shape (N, m)."""
     return np.array([np.linalg.norm(residual[:, part], axis=1) for part in columns(channels)])
+
+
+def flat(values: np.ndarray, channels: Channels, present: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Columns (n, m, d) or residuals (n, m) by channel, one number under the other: (n size, d) or (n size,) each.
+
+    Args:
+        values: Of n rows.
+        channels: C of them.
+        present: Which rows have numbers of each, shape (n, C) bool: the others are left out.
+    """
+    _, _, *tail = values.shape
+    made = []
+    for channel, part, own in zip(channels, columns(channels), present.T, strict=True):
+        rows = values[:, part] if own.all() else values[own][:, part]
+        made.append(rows.reshape(len(rows) * channel.size, *tail))
+    return tuple(made)
+
+
+def by_row(parts: Sequence[np.ndarray], channels: Channels, present: np.ndarray) -> np.ndarray:
+    """What :func:`flat` made, row by row again, shape (n, m, d) or (n, m); 0 where a row has no number."""
+    _, *tail = parts[0].shape
+    rows = np.zeros((len(present), sum(channel.size for channel in channels), *tail))
+    for values, channel, part, own in zip(parts, channels, columns(channels), present.T, strict=True):
+        rows[own, part] = values.reshape(-1, channel.size, *tail)
+    return rows

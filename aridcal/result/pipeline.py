@@ -29,9 +29,8 @@ from aridcal.result.outcome import Outcome, Stage, Verification
 from aridcal.result.reading import Job, read_job
 from aridcal.result.verdict import Verdict, decide, row_clues
 from aridcal.robot.chain import Robot
-from aridcal.search.arm import CalibratedArm, calibrated_arm, fit_constants
+from aridcal.search.arm import CalibratedArm, calibrated_arm, fit_constants, structured_notices
 from aridcal.search.diagnose import SEARCHED, Diagnosed
-from aridcal.search.noise_causes import structured_notices
 from aridcal.search.noise_tests import ASKED, STRETCHES, Clue, clues, stretches
 from aridcal.search.residual_trends import trace
 from aridcal.search.stated import CONFOUNDED, NO_BETTER

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -78,7 +78,7 @@ def rotations(axis: np.ndarray, angle: np.ndarray) -> np.ndarray:
 
 
 class Walked(NamedTuple):
-    """A joint of the tree in N configurations, in the base's frame.
+    """A joint of the tree in N configurations, in the base's frame. In memory rows run fastest.
 
     Attributes:
         joint: Its id in ``robot.tree``.
@@ -94,7 +94,11 @@ class Walked(NamedTuple):
 
 
 def tree_frames(robot: Robot, readings: np.ndarray) -> Iterator[Walked]:
-    """Walk the whole tree for N rows at once, nominal placements, parents first.
+    r"""Walk the whole tree for N rows at once, nominal placements, parents first.
+
+    .. math:: A' = A + \sin q \, A [a] + (1 - \cos q) \, A [a]^2
+
+    turns axes A about a (Rodrigues, as :func:`rotations`).
 
     Args:
         robot: The chain; its readings drive the tree, and joints that are not measured stay at zero.
@@ -106,25 +110,41 @@ def tree_frames(robot: Robot, readings: np.ndarray) -> Iterator[Walked]:
     base = model.frames[model.getFrameId(robot.base, pin.FrameType.BODY)]
     upstream = _joints_upstream(model, base)  # what moves the base itself moves nothing in the base's frame
     start = locked_placement(model, base).inverse()
-    R = {0: np.broadcast_to(start.rotation, (n, 3, 3))}
-    p = {0: np.broadcast_to(start.translation, (n, 3))}
+    # Each of three axes, or a place, has its numbers in the base here, shape (3, n): all that is done with them is long sums.
+    R = {0: np.repeat(start.rotation.T[:, :, None], n, axis=2)}
+    p = {0: np.repeat(start.translation[:, None], n, axis=1)}
     for k in range(1, model.njoints):
         name, parent, placement = model.names[k], model.parents[k], model.jointPlacements[k]
-        bearing = R[parent] @ placement.rotation
-        axes, origin = bearing, p[parent] + R[parent] @ placement.translation
+        bearing = np.empty((3, 3, n))
+        for own, numbers in zip(bearing, placement.rotation.T, strict=True):
+            own[:] = along(R[parent], numbers)
+        axes, origin = bearing, p[parent] + along(R[parent], placement.translation)
         master, multiplier, offset = robot.mimics.get(name, (name, 1.0, 0.0))
         if master in column and name in robot.moves and k not in upstream:
             axis, kind = robot.moves[name]
             q = multiplier * readings[:, column[master]] + offset
             if kind == "prismatic":
-                origin = origin + q[:, None] * (bearing @ axis)
+                origin = origin + q * along(bearing, axis)
             else:
-                axes = bearing @ rotations(axis, q)
+                about, s, c = pin.skew(axis), np.sin(q), 1.0 - np.cos(q)
+                axes = bearing.copy()
+                for own, once, twice in zip(axes, about.T, (about @ about).T, strict=True):
+                    if once.any():
+                        own += s * along(bearing, once) + c * along(bearing, twice)
         R[k], p[k] = axes, origin
-        yield Walked(k, bearing, axes, origin)
+        yield Walked(k, bearing.transpose(2, 1, 0), axes.transpose(2, 1, 0), origin.T)
 
 
-def gravity_loads(robot: Robot, readings: np.ndarray, gravity: np.ndarray) -> np.ndarray:
+def along(axes: np.ndarray, numbers: np.ndarray) -> np.ndarray:
+    """A vector with these numbers, shape (3,), along axes, shape (3, 3, n): (3, n).
+
+    Number by number: a product of matrices rounds a row otherwise beside other rows, and most numbers are zero.
+    """
+    parts = [axis * number for axis, number in zip(axes, numbers.tolist(), strict=True) if number]
+    return np.asarray(sum(parts[1:], parts[0]) if parts else np.zeros(axes.shape[1:]))
+
+
+def gravity_loads(robot: Robot, walked: Sequence[Walked], gravity: np.ndarray) -> np.ndarray:
     r"""Gravity's pull on everything beyond each joint of the chain, from the nominal masses.
 
     .. math:: f = \sum_b m_b g, \quad \tau = \sum_b m_b (c_b - o) \times g
@@ -133,7 +153,7 @@ def gravity_loads(robot: Robot, readings: np.ndarray, gravity: np.ndarray) -> np
 
     Args:
         robot: The chain.
-        readings: Shape (N, columns), [rad] or [m].
+        walked: Its tree in N configurations, as :func:`tree_frames` has it.
         gravity: In the base frame, [m/s^2], shape (3,) or (N, 3).
 
     Returns:
@@ -141,23 +161,26 @@ def gravity_loads(robot: Robot, readings: np.ndarray, gravity: np.ndarray) -> np
         (N, joints, 6).
     """
     model = robot.tree
-    n = len(readings)
-    gravity = np.broadcast_to(gravity, (n, 3))
-    walked = {step.joint: step for step in tree_frames(robot, readings)}
-    centre = {k: step.origin + step.axes @ model.inertias[k].lever for k, step in walked.items()}
-    loads = np.zeros((n, len(robot.names), 6))
-    for j, name in enumerate(robot.names):
-        k = model.getJointId(name)
-        bearing, origin = walked[k].bearing, walked[k].origin
-        mass, moment = 0.0, np.zeros((n, 3))
-        for body in model.subtrees[k]:
-            own_mass = model.inertias[body].mass
-            if own_mass > 0.0:
-                mass += own_mass
-                moment += own_mass * np.cross(centre[body] - origin, gravity)
-        loads[:, j, :3] = np.einsum("nji,nj->ni", bearing, mass * gravity)
-        loads[:, j, 3:] = np.einsum("nji,nj->ni", bearing, moment)
-    return loads
+    mass, moment = np.zeros(model.njoints), np.zeros((model.njoints, *walked[0].origin.T.shape))
+    for step in reversed(walked):  # children first; each hands what it bears to its parent
+        k, own = step.joint, model.inertias[step.joint]
+        if own.mass > 0.0:
+            mass[k] += own.mass
+            moment[k] += own.mass * (step.origin.T + along(step.axes.T, own.lever))
+        mass[model.parents[k]] += mass[k]
+        moment[model.parents[k]] += moment[k]
+    chain = of_chain(robot, walked)
+    of = [(mass[step.joint], moment[step.joint].T - mass[step.joint] * step.origin) for step in chain]
+    return borne_by(chain, [(held * gravity, np.cross(lever, gravity)) for held, lever in of])
+
+
+def borne_by(joints: Sequence[Walked], wrenches: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
+    """Force [N] and moment [N m] of each of some joints, (3,) or (N, 3), in its axes before it turns, shape (N, joints, 6)."""
+    loads = np.empty((len(joints), 6, len(joints[0].origin)))
+    for load, joint, parts in zip(loads, joints, wrenches, strict=True):
+        for own, part in zip((load[:3], load[3:]), parts, strict=True):
+            np.sum(joint.bearing.T * np.atleast_2d(part).T, axis=1, out=own)
+    return loads.transpose(2, 0, 1)
 
 
 def joint_frames(robot: Robot, readings: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -165,21 +188,32 @@ def joint_frames(robot: Robot, readings: np.ndarray) -> tuple[np.ndarray, np.nda
 
     Axes are those before a revolute joint turns; origins are those after a prismatic joint's travel.
     """
-    walked = {step.joint: step for step in tree_frames(robot, readings)}
-    chain = [walked[robot.tree.getJointId(name)] for name in robot.names]
+    chain = of_chain(robot, tuple(tree_frames(robot, readings)))
     axes = np.stack([step.bearing for step in chain], axis=1)
     origins = np.stack([step.origin for step in chain], axis=1)
     return axes, origins
 
 
+def of_chain(robot: Robot, walked: Sequence[Walked]) -> list[Walked]:
+    """The chain's own joints, of the whole tree."""
+    at = {step.joint: step for step in walked}
+    return [at[robot.tree.getJointId(name)] for name in robot.names]
+
+
 def tip_frames(robot: Robot, readings: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Axes (N, 3, 3) and origins (N, 3) of the tip link in the base frame, nominal."""
     last = robot.tree.getJointId(robot.joints[-1].name)
-    end = robot.tip_before * robot.tip_origin
     for step in tree_frames(robot, readings):
         if step.joint == last:
-            return step.axes @ end.rotation, step.origin + step.axes @ end.translation
+            return tip_on(robot, step)
     raise AssertionError("the chain's last joint is in its own tree")
+
+
+def tip_on(robot: Robot, last: Walked) -> tuple[np.ndarray, np.ndarray]:
+    """Axes (N, 3, 3) and origins (N, 3) of the tip link, from where the chain's last joint is."""
+    end, axes = robot.tip_before * robot.tip_origin, last.axes.T
+    turned = np.array([along(axes, numbers) for numbers in end.rotation.T])
+    return turned.T, last.origin + along(axes, end.translation).T
 
 
 def _joints_upstream(model: pin.Model, frame: pin.Frame) -> set[int]:

@@ -51,6 +51,15 @@ PLENTY = 8.0
 SURE = 1.0
 """Standard errors by which the larger model must be better (the one-standard-error rule: Breiman and others 1984)."""
 
+SEVERAL = 2.0
+"""Rows that share the error of a reading from which it is said that weights do not know: below it standard deviations are out by
+less than a third, and only so far as readings are what scatters."""
+
+WITNESSES = (
+    "{:.0f} rows on the average were measured at one reading and share its error; each is weighed by itself, so that standard "
+    "deviations are too small where readings are most of what scatters. More postures tell more than more marks"
+)
+
 
 @dataclass(frozen=True)
 class CalibratedArm:
@@ -234,3 +243,25 @@ def _squares(fit: Fit, data: Dataset) -> np.ndarray:
         H, g = data.share * sums.information(fit.sigma), data.share * sums.pull(fit.sigma)
         left[own] = r[own] + J[own] @ solve(whole - H, g, ridge=RIDGE)
     return np.stack([np.sum(left[:, c] ** 2, axis=1) for c in parts], axis=1)
+
+
+def structured_notices(causes: NoiseCauses | None) -> list[str]:
+    """Sentences on what seems to scatter and does not, and on what weights do not know."""
+    misread = (
+        "the residual looks as if {} were misread at random, but its errors come back at neighbouring rows: an error "
+        "curve or play that the model lacks, and no noise"
+    )
+    looks = {
+        "joint": misread,
+        "joints": misread,
+        "range": "the {} error grows with the distance from the origin of the world frame, but comes back at neighbouring "
+        "rows: it is no noise",
+        "sight": "the {} error is about the line of sight, but comes back at neighbouring rows: it is no noise",
+        "length": "the {} error grows with the length that is read, but comes back at neighbouring rows: it is no noise",
+        "repeatability": "the {} error is larger than the rows state and the same in all of them, but comes back at "
+        "neighbouring rows: it is no noise",
+    }
+    if causes is None:
+        return []
+    said = [looks[kind].format(name) for kind, name in causes.structured]
+    return [*said, WITNESSES.format(causes.shared)] if causes.shared > SEVERAL else said

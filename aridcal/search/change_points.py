@@ -20,9 +20,10 @@ import numpy as np
 from scipy.special import gammaincc
 
 from aridcal.effects.effect import Effect
+from aridcal.instruments.channels import by_row
 from aridcal.search.evidence import DEPENDENT, solve
 from aridcal.search.linear_model import Active, LinearModel
-from aridcal.search.state import State, by_row, with_candidate
+from aridcal.search.state import State, with_candidate
 
 SIDE = 6
 """Rows at the least on either side of a step: fewer are outliers, not a new state."""
@@ -118,10 +119,9 @@ def _best_steps(model: LinearModel, state: State, templates: Sequence[Effect]) -
         if not asked:
             continue
         groups = [slots for slots, _ in asked.values()], [before[mine] for _, mine in asked.values()]
-        if model.off is None:
-            best = _Scan.of(state, of, [templates[k] for k in asked]).best(*groups)
-        else:
-            best = _Trial(model, state, values).best(*groups)
+        every = [templates[k] for k in asked]
+        scan = _Scan.of(state, of, every) if model.off is None else _Trial(model, state, values)
+        best = scan.best(*groups)
         for (k, (_, mine)), place in zip(asked.items(), best, strict=True):
             found[k] = templates[k].placed(float(points[mine][place]))
     return [found[k] for k in sorted(found)]

@@ -138,7 +138,7 @@ def _prior(geometric: Fit, constants: tuple[Coefficient, ...], state: State) -> 
     precision = block_diag(*parts)
     mean = np.zeros(len(precision))
     mean[:count] = [before.get(c.name, 0.0) for c in constants]
-    return Prior(mean, precision, block_diag(np.eye(count), *(a.root for a in state.active)))
+    return Prior(mean, precision, (np.eye(count), *(a.root for a in state.active)))
 
 
 def _gauge(geometric: Fit, constants: tuple[Coefficient, ...]) -> np.ndarray:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -19,9 +20,10 @@ from aridcal.effects.basis import Basis
 from aridcal.effects.effect import Coefficient
 from aridcal.fit.flags import FLOOR
 from aridcal.fit.least_squares import Fit
+from aridcal.fit.normal_equations import TINY
 from aridcal.fit.problem import Problem, agreed, problem, scaled
 from aridcal.fit.residual import moved_by
-from aridcal.fit.scatter import Scatter, told_modes
+from aridcal.fit.scatter import Scatter, conditioned, told_modes
 from aridcal.fit.standstills import Stack, representative, stack, standstills, with_things
 from aridcal.fit.variance_components import Components, estimate, instead, one_more, settled, std_of_sigma
 from aridcal.inputs.dataset import Dataset, factors
@@ -47,17 +49,11 @@ REPEATABLE = 0.5
 ALIKE = 3.0
 """Standard deviations of chance that it takes to say so. With a dozen orders asked about, 1 of 60 true noises is refused."""
 
+UNSURE = 1.25
+"""Times by which something may be more or less than it takes to say so, and is looked at again at variances that have settled."""
+
 ALL_ALIKE = "all revolute joints"
 """Name of the cause that readings of all of them scatter alike: rounded to the same digit, or of the same encoder."""
-
-SEVERAL = 2.0
-"""Rows that share the error of a reading from which it is said that weights do not know: below it standard deviations are out by
-less than a third, and only so far as readings are what scatters."""
-
-WITNESSES = (
-    "{:.0f} rows on the average were measured at one reading and share its error; each is weighed by itself, so that standard "
-    "deviations are too small where readings are most of what scatters. More postures tell more than more marks"
-)
 
 Kind = Literal["channel", "joint", "joints", "range", "sight", "length", "repeatability"]
 
@@ -180,13 +176,14 @@ def noise_causes(fit: Fit, active: Sequence[Active], rows: Dataset, progress: Pr
     part = asked.select(some)
     possible = _possible(part, fit.theta)
     still = stack(standstills(part.data), _there(part.data))
-    scatter = _scatter(part, fit, active, possible, still)
     channels = np.array([p.kind == "channel" for p in possible])
+    start = np.pad(np.maximum(fit.estimated, FLOOR) ** 2, (0, int((~channels).sum())))
+    scatter = conditioned(_scatter(part, fit, active, possible, still), start)
     first = np.unique(still.number, return_index=True)[1]
     orders = {False: neighbours(part.data), True: neighbours(part.data.select(first))}
     structured = np.zeros(len(possible), dtype=bool)
     single, alike = (np.array([p.kind == kind for p in possible]) for kind in ("joint", "joints"))
-    found = estimate(scatter, np.maximum(fit.estimated, FLOOR) ** 2, channels)
+    found = estimate(scatter, start[channels], channels)
     while (more := one_more(scatter, found, channels)) is not None:
         k, found = more
         progress.part(int(found.free.sum()), len(possible), "causes")
@@ -195,7 +192,10 @@ def noise_causes(fit: Fit, active: Sequence[Active], rows: Dataset, progress: Pr
             fewer = instead(scatter, found, single, int(np.argmax(alike)), channels)
             k, found = (k, found) if fewer is None else (int(np.argmax(alike)), fewer)
         # What comes back stays in the model here, so that no other cause has to take it over, but it is not noise.
-        structured[k] = any(_comes_back(found, k, p, still, orders[p.common]) for p in possible[k].parts)
+        said = partial(_comes_back, k=k, cause=possible[k], still=still, orders=orders[possible[k].common])
+        if 1.0 / UNSURE < said(found) < UNSURE:
+            found = settled(scatter, found, channels)
+        structured[k] = said(found) > 1.0
         structured &= found.free
     found = settled(scatter, found, channels)
     return _told(possible, found, structured, part, asked, fit.theta, len(part) / still.count)
@@ -213,16 +213,23 @@ def _scatter(part: Problem, fit: Fit, active: Sequence[Active], possible: Sequen
     y, J, B = (np.concatenate([getattr(p, name) for p in pieces]) for name in ("r", "J", "B"))
     index = {name: k for k, name in enumerate(fit.model.names)}
     constant = [k for k, c in enumerate(fit.model.coefficients) if c.basis.constant]
-    A, precision = [J[:, :, constant]], [np.diag((GAUGE * fit.model.sizes[constant]) ** -2.0)]
+    wide, (n, m) = J.reshape(-1, J.shape[2]), y.shape
+    A, precision = [wide[:, constant]], [np.diag((GAUGE * fit.model.sizes[constant]) ** -2.0)]
     for a in active:
         own = [index[c.name] for c in a.effect.coefficients]
-        column = J[:, :, own] @ a.modes
-        y = y + column @ np.linalg.lstsq(a.modes, fit.theta[own], rcond=None)[0]  # a prior pulls the modes towards zero
-        told = told_modes(column, spread(fit.sigma, part.channels)) if a.effect.smooth else np.eye(column.shape[2])
-        A.append(column @ told)
-        precision.append(told.T @ a.precision @ told)
+        column, known = wide[:, own] @ a.modes, a.precision
+        # A prior pulls the modes towards zero.
+        y = y + (column @ np.linalg.lstsq(a.modes, fit.theta[own], rcond=None)[0]).reshape(n, m)
+        if a.effect.smooth:
+            told = told_modes(column.reshape(n, m, -1), spread(fit.sigma, part.channels))
+            if told.shape[1] < len(told):
+                column, known = column @ told, told.T @ known @ told
+        A.append(column)
+        precision.append(known)
     blocks = np.array([p.stacked(still) for p in possible])
-    made = Scatter(still.vectors(y), still.vectors(np.concatenate(A, axis=2)), block_diag(*precision), blocks)
+    made = Scatter(
+        still.vectors(y), still.vectors(np.concatenate(A, axis=1).reshape(n, m, -1)), block_diag(*precision), blocks
+    )
     return with_things(made, part, B, still)
 
 
@@ -273,11 +280,12 @@ def _of_instruments(rows: Dataset, p: np.ndarray, own: np.ndarray) -> Iterator[t
             yield "repeatability", channel.name, channel.unit, own[:, :, part]
 
 
-def _comes_back(found: Components, k: int, cause: _Asked, still: Stack, orders: Sequence[np.ndarray]) -> bool:
-    """True if what a cause was off by comes back at neighbouring rows, or at neighbouring standstills if these share it.
+def _comes_back(found: Components, k: int, cause: _Asked, still: Stack, orders: Sequence[np.ndarray]) -> float:
+    """How much what a cause was off by comes back at neighbouring rows, or at neighbouring standstills if these share it.
 
     What a row's residual says of it, with its sign, is u = J' P y; J' P J times the cause is in it. Of noise, products of
-    two rows have the mean 0; of what comes back, they have theta times the product of both rows' J' P J.
+    two rows have the mean 0; of what comes back, they have theta times the product of both rows' J' P J. More than 1 is as
+    much as it takes, in the part and the pairs in which it is most.
 
     Args:
         found: The maximum with this component.
@@ -286,20 +294,20 @@ def _comes_back(found: Components, k: int, cause: _Asked, still: Stack, orders: 
         still: How the rows are stacked.
         orders: Pairs of rows or of standstills, shape (pairs, 2) each.
     """
-    root, pull, kernel = cause.root, found.pull[: still.count], found.kernel[: still.count]
-    if cause.common:
-        root = still.vectors(root)
-    else:
+    pull, kernel = found.pull[: still.count], found.kernel[: still.count]
+    if not cause.common:
         pull, kernel = still.of_rows(pull), still.blocks_of_rows(kernel)
-    said = np.einsum("nmd,nm->nd", root, pull)
-    known = root.transpose(0, 2, 1) @ kernel @ root
-    for a, b in (pairs.T for pairs in orders):
-        product = np.einsum("nd,nd->n", said[a], said[b])
-        whole = float(found.variance[k] * np.sum(known[a] * known[b]))
-        enough = float(product.sum()) > ALIKE * float(np.sqrt(product @ product))
-        if enough and float(product.sum()) > REPEATABLE * whole:
-            return True
-    return False
+    most = 0.0
+    for part in cause.parts:
+        root = still.vectors(part.root) if cause.common else part.root
+        said = np.einsum("nmd,nm->nd", root, pull)
+        known = root.transpose(0, 2, 1) @ kernel @ root
+        for a, b in (pairs.T for pairs in orders):
+            product = np.einsum("nd,nd->n", said[a], said[b])
+            whole = REPEATABLE * float(found.variance[k] * np.sum(known[a] * known[b]))
+            chance = ALIKE * float(np.sqrt(product @ product))
+            most = max(most, float(product.sum()) / max(whole, chance, TINY))
+    return most
 
 
 def _told(
@@ -346,28 +354,6 @@ def _of_each_joint(possible: Sequence[_Asked]) -> np.ndarray:
     each[kinds == "joints"] = 0.0
     each += np.outer((kinds == "joint") & (units == "rad"), kinds == "joints")
     return each
-
-
-def structured_notices(causes: NoiseCauses | None) -> list[str]:
-    """Sentences on what seems to scatter and does not, and on what weights do not know."""
-    misread = (
-        "the residual looks as if {} were misread at random, but its errors come back at neighbouring rows: an error "
-        "curve or play that the model lacks, and no noise"
-    )
-    looks = {
-        "joint": misread,
-        "joints": misread,
-        "range": "the {} error grows with the distance from the origin of the world frame, but comes back at neighbouring "
-        "rows: it is no noise",
-        "sight": "the {} error is about the line of sight, but comes back at neighbouring rows: it is no noise",
-        "length": "the {} error grows with the length that is read, but comes back at neighbouring rows: it is no noise",
-        "repeatability": "the {} error is larger than the rows state and the same in all of them, but comes back at "
-        "neighbouring rows: it is no noise",
-    }
-    if causes is None:
-        return []
-    said = [looks[kind].format(name) for kind, name in causes.structured]
-    return [*said, WITNESSES.format(causes.shared)] if causes.shared > SEVERAL else said
 
 
 def stretched(relative: np.ndarray, values: np.ndarray) -> np.ndarray:

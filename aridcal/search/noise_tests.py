@@ -7,7 +7,7 @@ them, corrected for their number.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -349,25 +349,28 @@ def _change(views: Sequence[View], rows: Dataset, order: np.ndarray, words: str,
     before = np.arange(min(SIDE, n // 2), n - min(SIDE, n // 2) + 1)
     weight = before * (1.0 - before / n)
 
-    mixed, sums = np.empty_like(white), np.empty_like(white)
+    mixed, sums = np.empty_like(white), np.empty(white.shape[::-1])
+    parts = [slice(start, start + view.white.shape[1]) for start, view in zip(starts.tolist(), views, strict=True)]
 
-    def statistics(r: np.ndarray) -> np.ndarray:
-        squares = np.cumsum(r, axis=0, out=sums)[before[0] - 1 : before[-1]]
-        squares **= 2
-        squares /= weight[:, None]
-        return np.asarray(np.add.reduceat(squares, starts, axis=1))
+    def statistics(r: np.ndarray) -> Iterator[np.ndarray]:
+        # Column by column: sums and maxima run along what lies side by side in memory.
+        squares = np.cumsum(r.T, axis=1, out=sums)[:, before[0] - 1 : before[-1]]
+        np.square(squares, out=squares)
+        return (squares[part].sum(axis=0) / weight for part in parts)
 
     shuffles = progress.over(range(SHUFFLES), "shuffles of the rows")
-    steps = statistics(white[order])
-    seen = steps.max(axis=0)
-    shuffled = np.array([statistics(_picked(white, rng.permutation(n), mixed)).max(axis=0) for _ in shuffles])
+    steps = list(statistics(white[order]))
+    seen = np.array([step.max() for step in steps])
+    shuffled = np.array(
+        [[step.max() for step in statistics(_picked(white, rng.permutation(n), mixed))] for _ in shuffles]
+    )
     scale = np.maximum(shuffled.std(axis=0), 1e-12) * np.sqrt(6.0) / np.pi
     place = shuffled.mean(axis=0) - np.euler_gamma * scale
     chances = -np.expm1(-np.exp((place - seen) / scale))
     best = int(np.argmin(chances))
     total = float(np.sum(views[best].white ** 2))
     share = float(np.clip((seen[best] - shuffled[:, best].mean()) / total, 0.0, 1.0))
-    k = int(before[np.argmax(steps[:, best])])
+    k = int(before[np.argmax(steps[best])])
     last, first = rows.line[order[k - 1 : k + 1]]
     what = f"residuals jump between rows {last} and {first}{words}, {views[best].words}"
     return Clue("change", what, share, min(1.0, len(views) * float(chances[best])))

@@ -43,6 +43,9 @@ MEMBERS = 24
 # What stands in the design: an effect (None: the constants) and the modes that are solved for, shape (d, modes).
 Member = tuple[Effect | None, np.ndarray]
 
+# Members and their A'A, shape (C, P, P), and A'r, (C, P).
+Assembled = tuple[tuple[Member, ...], np.ndarray, np.ndarray]
+
 # Numbers of each channel under one another: (N size, d) or (N size,) each.
 Flat = tuple[np.ndarray, ...]
 
@@ -166,6 +169,7 @@ class Products:
         self.constants: Member = None, np.eye(A.shape[2])
         self._place: dict[Effect, tuple[Chunk, slice]] = {}
         self._kept = 0
+        self.assembled: Assembled | None = None
         stretches = [layout.stretches(channel.size) for channel in layout.channels]
         self.squares = np.array([
             [r[own[f]] @ r[own[f]] for r, own in zip(self.r, stretches, strict=True)]
@@ -194,16 +198,12 @@ class Products:
         for old in list(self._known)[: max(len(self._known) - most, 0)]:
             self._forget(old)
 
-    def _by_row(self, x: np.ndarray) -> np.ndarray:
-        """Numbers of a channel under one another, (N size, d), row by row: (N, size, d)."""
-        rows = len(self.layout.order)
-        return x.reshape(rows, len(x) // rows, x.shape[1])
-
     def forget(self) -> None:
         """Keep nothing: no more is asked."""
         for effect in list(self._known):
             self._forget(effect)
         self._solved.clear()
+        self.assembled = None
         self._place.clear()
         self._kept = 0
 
@@ -223,7 +223,7 @@ class Products:
         """Columns of what is in the model, rows in another order, that of a covariate, shape (N, m, d); they are kept."""
         if (of, member) not in self._ordered:
             place = np.argsort(self.layout.order)[order]
-            parts = [self._by_row(x)[place] for x in self.columns(member)]
+            parts = [x.reshape(len(place), -1, x.shape[1])[place] for x in self.columns(member)]
             self._ordered[of, member] = np.concatenate(parts, axis=1)
         return self._ordered[of, member]
 

@@ -16,10 +16,10 @@ from aridcal.effects.smooth import samples_root
 from aridcal.fit.flags import flagged
 from aridcal.fit.normal_equations import RIDGE, NormalEquations, accumulate, conditional
 from aridcal.fit.normal_equations import solve as solve_equations
-from aridcal.instruments.channels import Channels, columns, spread
+from aridcal.instruments.channels import Channels, flat, spread
 from aridcal.search.evidence import Score, Solution, noise_left, solve
 from aridcal.search.linear_model import Active, LinearModel
-from aridcal.search.products import Chunk, Member, Products
+from aridcal.search.products import Assembled, Chunk, Member, Products
 
 FAINT = 0.02
 """A mode that the data could move by less than this share of its prior is left out: nothing would be learnt of it."""
@@ -194,31 +194,6 @@ def members(model: LinearModel, active: Sequence[Active]) -> tuple[Member, ...]:
     return (model.products.constants, *((a.effect, a.modes) for a in active))
 
 
-def flat(values: np.ndarray, channels: Channels, present: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Columns (n, m, d) or residuals (n, m) by channel, one number under the other: (n size, d) or (n size,) each.
-
-    Args:
-        values: Of n rows.
-        channels: C of them.
-        present: Which rows have numbers of each, shape (n, C) bool: the others are left out.
-    """
-    _, _, *tail = values.shape
-    made = []
-    for channel, part, own in zip(channels, columns(channels), present.T, strict=True):
-        rows = values[:, part] if own.all() else values[own][:, part]
-        made.append(rows.reshape(len(rows) * channel.size, *tail))
-    return tuple(made)
-
-
-def by_row(parts: Sequence[np.ndarray], channels: Channels, present: np.ndarray) -> np.ndarray:
-    """What :func:`flat` made, row by row again, shape (n, m, d) or (n, m); 0 where a row has no number."""
-    _, *tail = parts[0].shape
-    rows = np.zeros((len(present), sum(channel.size for channel in channels), *tail))
-    for values, channel, part, own in zip(parts, channels, columns(channels), present.T, strict=True):
-        rows[own, part] = values.reshape(-1, channel.size, *tail)
-    return rows
-
-
 def solve_state(
     model: LinearModel, active: Sequence[Active], sigma: np.ndarray, used: np.ndarray, fixed: bool = False
 ) -> State:
@@ -247,16 +222,12 @@ def solve_state(
     return State(model, tuple(active), precision, equations, solution, residual, used, unused, extra)
 
 
-def _places(sizes: Sequence[int]) -> list[slice]:
-    ends = np.cumsum([0, *sizes]).tolist()
-    return [slice(low, high) for low, high in pairwise(ends)]
-
-
 def _of_all_rows(model: LinearModel, active: Sequence[Active]) -> NormalEquations:
-    """Sums of a set of effects over all rows, whether in use or not."""
+    """Sums of a set of effects over all rows, whether in use or not: those of the last set as far as it is the same."""
     made = model.products
     every = members(model, active)
-    AA, Ar = _assembled(made, every, together=True)
+    AA, Ar = _assembled(made, every, together=True, known=made.assembled)
+    made.assembled = every, AA, Ar
     sizes = np.array([channel.size for channel in model.channels])
     return NormalEquations(AA, Ar, made.squares.sum(axis=0), model.present.sum(axis=0) * sizes)
 
@@ -283,8 +254,23 @@ def columns_at(model: LinearModel, every: Sequence[Member], places: np.ndarray) 
     return tuple(np.hstack(part) for part in zip(*parts, strict=True))
 
 
-def _assembled(made: Products, every: Sequence[Member], together: bool) -> tuple[np.ndarray, np.ndarray]:
-    """A'A and A'r of all rows: of the folds together, (C, P, P) and (C, P), or of each of F, (F, C, P, P) and (F, C, P)."""
+def _places(sizes: Sequence[int]) -> list[slice]:
+    """Where members of so many unknowns each are, one after the other."""
+    ends = np.cumsum([0, *sizes]).tolist()
+    return [slice(low, high) for low, high in pairwise(ends)]
+
+
+def _assembled(
+    made: Products, every: Sequence[Member], together: bool, known: Assembled | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """A'A and A'r of all rows: of the folds together, (C, P, P) and (C, P), or of each of F, (F, C, P, P) and (F, C, P).
+
+    Args:
+        made: Products of the members.
+        every: The members.
+        together: Whether the folds are summed.
+        known: The same of others, of which some may be among these.
+    """
 
     def summed(of_folds: np.ndarray) -> np.ndarray:
         return np.asarray(of_folds.sum(axis=0)) if together else of_folds
@@ -292,13 +278,39 @@ def _assembled(made: Products, every: Sequence[Member], together: bool) -> tuple
     own = _places([modes.shape[1] for _, modes in every])
     shape = made.squares.shape[together:]
     AA, Ar = np.empty((*shape, own[-1].stop, own[-1].stop)), np.empty((*shape, own[-1].stop))
+    same = set() if known is None else _copied(known, every, own, AA, Ar)
     for i, a in enumerate(every):
-        Ar[..., own[i]] = summed(made.pull(a[0])) @ a[1]
+        if i not in same:
+            Ar[..., own[i]] = summed(made.pull(a[0])) @ a[1]
         for j, b in enumerate(every[: i + 1]):
+            if i in same and j in same:
+                continue
             block = summed(made.in_modes(a, b))
             AA[..., own[i], own[j]] = block
             AA[..., own[j], own[i]] = np.swapaxes(block, -1, -2)
     return AA, Ar
+
+
+def _copied(
+    known: Assembled, every: Sequence[Member], own: Sequence[slice], AA: np.ndarray, Ar: np.ndarray
+) -> set[int]:
+    """Copy to AA and Ar what is known of members; numbers of those that are."""
+    before, known_AA, known_Ar = known
+    places = _places([modes.shape[1] for _, modes in before])
+    where = {id(modes): place for (_, modes), place in zip(before, places, strict=True)}
+    same = {k: where[id(modes)] for k, (_, modes) in enumerate(every) if id(modes) in where}
+    runs: list[tuple[slice, slice]] = []  # here and there: members that follow one another in both are copied together
+    for k, there in same.items():
+        here = own[k]
+        if runs and (runs[-1][0].stop, runs[-1][1].stop) == (here.start, there.start):
+            here, there = slice(runs[-1][0].start, here.stop), slice(runs[-1][1].start, there.stop)
+            runs.pop()
+        runs.append((here, there))
+    for here, there in runs:
+        Ar[:, here] = known_Ar[:, there]
+        for across, from_there in runs:
+            AA[:, here, across] = known_AA[:, there, from_there]
+    return set(same)
 
 
 def by_fold(state: State, candidate: Active, sigma: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
