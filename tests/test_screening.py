@@ -101,6 +101,7 @@ def test_what_was_found_of_a_state_is_not_found_again_and_is_no_other_states():
     fine = refine(made.model, made, WARM, first[0])
     assert refine(made.model, made, WARM, first[0]) is fine
     assert refine(made.model, made, WARM, replace(first[0], gain=0.0)) is not fine  # of another rough score
+    assert score_all(made.model, [WARM], replace(made, used=~made.used))[0] is not first[0]
 
 
 @pytest.mark.parametrize("prepared", [True, False])

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cache, cached_property
 from itertools import groupby
+from operator import attrgetter
 
 import numpy as np
 
@@ -99,7 +100,7 @@ class Effect:
     @cached_property
     def shape(self) -> Shape:
         """Samples of its smooth functions: one for each motion and covariate."""
-        functions = groupby(self.coefficients, lambda c: (c.component, c.basis.of))
+        functions = groupby(self.coefficients, attrgetter("component", "basis.of"))
         return tuple(self._samples([c.basis for c in own]) for _, own in functions)
 
     def _samples(self, bases: Sequence[Basis]) -> Part:
@@ -112,11 +113,6 @@ class Effect:
     def slots(self) -> tuple[tuple[str, str], ...]:
         """Places and components that move, each pair once."""
         return tuple(dict.fromkeys((c.where, c.component) for c in self.coefficients))
-
-    @cached_property
-    def bases(self) -> tuple[Basis, ...]:
-        """What its coefficients are multiplied with, each once."""
-        return tuple(dict.fromkeys(c.basis for c in self.coefficients))
 
     @property
     def motion(self) -> tuple[str, ...]:

@@ -92,13 +92,14 @@ class LinearModel:
 
     @cached_property
     def _in_folds(self) -> tuple[tuple[np.ndarray, ...], np.ndarray]:
-        """Columns of the slots, (N, size, S) for each channel, and bases, (N, B), in the order of the folds."""
-        ordered = self.G[self._layout.order]
-        return tuple(np.ascontiguousarray(ordered[:, own]) for own in self._layout.parts), self.phi[self._layout.order]
+        """Columns of the slots, (S, N, size) for each channel, and bases, (B, N), in the order of the folds."""
+        ordered = self.G[self._layout.order].transpose(2, 0, 1)
+        parts = tuple(np.ascontiguousarray(ordered[:, :, own]) for own in self._layout.parts)
+        return parts, np.ascontiguousarray(self.phi[self._layout.order].T)
 
     @property
     def _source(self) -> Source:
-        return Source(self.flat_columns, self._apart, self._slots_of, lambda bases: self._in_folds[1][:, list(bases)])
+        return Source(self.flat_columns, self._apart, self._slots_of, lambda bases: self._in_folds[1][list(bases)].T)
 
     def _apart(self, effect: Effect) -> tuple[int, tuple[int, ...]] | None:
         """Slot and bases of an effect that has one slot; None also where unknown things take up a part of the products."""
@@ -106,7 +107,7 @@ class LinearModel:
         return None if bases is None or self.off is not None or len(set(slots)) > 1 else (slots[0], tuple(bases))
 
     def _slots_of(self, slots: Sequence[int]) -> Flat:
-        return tuple(np.take(g, slots, axis=2) for g in self._in_folds[0])
+        return tuple(np.ascontiguousarray(g[list(slots)].transpose(1, 2, 0)) for g in self._in_folds[0])
 
     def flat_columns(self, effects: Sequence[Effect], places: np.ndarray | None = None) -> Flat:
         """Columns of effects side by side, channel by channel, in the order of the folds, or at some places of it."""
@@ -115,10 +116,15 @@ class LinearModel:
             return X if places is None else tuple(x[n] for x, n in zip(X, self._layout.numbers(places), strict=True))
         slots, bases = (np.array([k for e in effects for k in self._index(e)[part] or ()]) for part in (0, 1))
         G, phi = self._in_folds
-        if places is not None:
-            G, phi = tuple(g[places] for g in G), phi[places]
-        values = np.take(phi, bases, axis=1)[:, None]
-        return tuple((np.take(g, slots, axis=2) * values).reshape(-1, len(slots)) for g in G)
+        some = slice(None) if places is None else places
+        values = phi[bases][:, some]
+        made = []
+        for g in G:
+            x = g[slots][:, some]
+            for k in range(x.shape[2]):  # numbers of a row have the same value: rows are multiplied on end
+                x[:, :, k] *= values
+            made.append(x.reshape(len(slots), -1).T)
+        return tuple(made)
 
     def holed(self, residual: np.ndarray) -> np.ndarray:
         """Residuals, shape (N, m), NaN in channels that a row does not measure."""
@@ -144,7 +150,10 @@ class LinearModel:
     def _index(self, effect: Effect) -> tuple[list[int], list[int] | None]:
         found = self._indices.get(effect)
         if found is None:
-            slots = [self.slot_index[c.where, c.component] for c in effect.coefficients]
+            if len(effect.slots) == 1:
+                slots = [self.slot_index[effect.slots[0]]] * len(effect.coefficients)
+            else:
+                slots = [self.slot_index[c.where, c.component] for c in effect.coefficients]
             bases = [k for c in effect.coefficients if (k := self.basis_index.get(c.basis)) is not None]
             found = self._indices[effect] = slots, bases if len(bases) == len(slots) else None
         return found

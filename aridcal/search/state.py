@@ -57,8 +57,8 @@ class State:
     used: np.ndarray
     unused: np.ndarray
     extra: tuple[np.ndarray, ...]
-    scored: dict[Effect, Score] = field(default_factory=dict, repr=False, compare=False)
-    answers: dict[Hashable, Any] = field(default_factory=dict, repr=False, compare=False)
+    scored: dict[Effect, Score] = field(default_factory=dict, init=False, repr=False, compare=False)
+    answers: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def once(self, question: Hashable, answer: Callable[[], T]) -> T:
         """What was found of it: who asks again gets the same."""
