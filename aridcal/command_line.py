@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import ctypes
 import errno
 import json
 import os
@@ -26,15 +25,6 @@ PIPED = 200
 """Columns of a table in a pipe: none of ours is wider."""
 
 NO_ROOM = frozenset({errno.ENOSPC, errno.EDQUOT})
-TRIM_ABOVE, MAP_ABOVE = -1, -3
-"""Numbers of ``M_TRIM_THRESHOLD`` and ``M_MMAP_THRESHOLD`` in glibc's ``malloc.h``."""
-
-HEAP = 2**25
-"""Bytes of an array from which it is mapped apart and given back at once: glibc takes no more."""
-
-NEVER = 2**31 - 1
-"""Freed bytes at the heap's end from which they are given back unasked: what mallopt can be told at the most."""
-
 INTERRUPTED, TERMINATED = SIGNALLED + signal.SIGINT, SIGNALLED + signal.SIGTERM
 
 
@@ -48,7 +38,6 @@ def run(body: Callable[[], int | None]) -> int:
         0 done, 1 a bug, 2 bad input or use, 3 what was checked is not good, 130 after Ctrl-C, 143 after SIGTERM.
     """
     console = Console(stderr=True)
-    _keep_freed()
     try:
         with _stopped_politely(), one_thread():
             status = body()
@@ -75,19 +64,6 @@ def run(body: Callable[[], int | None]) -> int:
         console.print("`aridcal doctor` tells whether the installation is at fault")
         return BUG
     return status or DONE
-
-
-def _keep_freed() -> None:
-    """Keep freed memory for the next array: a search makes arrays of some megabytes by the thousand.
-
-    glibc gives them back, and to have a page anew takes the kernel 4 to 9 us: on 12,000 rows 100,000 times. What is too much
-    goes back where :func:`aridcal.reading.freed.give_back` says so. A program that imports aridcal has its own ways.
-    """
-    if sys.platform == "linux":
-        mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
-        if mallopt is not None:
-            mallopt(MAP_ABOVE, HEAP)
-            mallopt(TRIM_ABOVE, NEVER)
 
 
 def _say_no_more() -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import importlib
 import os
-import platform
 import re
 import signal
 import subprocess
@@ -233,39 +232,3 @@ def test_a_pipe_gets_a_long_line_in_one_piece(capsys: pytest.CaptureFixture[str]
     words = " ".join(["found"] * 60)
     screens(argparse.Namespace(quiet=False))[0].print(words)
     assert capsys.readouterr().out == words + "\n"
-
-
-ARRAYS = """
-import resource
-from aridcal.command_line import run
-from aridcal.reading.freed import give_back
-
-def fault():
-    return resource.getrusage(resource.RUSAGE_SELF).ru_minflt
-
-def resident():
-    return int(open("/proc/self/statm").read().split()[1]) * resource.getpagesize()
-
-def arrays():
-    for _ in range(6):
-        started = fault()
-        held = [b"x" * (3 << 20) for _ in range(40)]
-        del held
-    print(fault() - started, end=" ")
-
-arrays()
-run(arrays)
-before = resident()
-give_back()
-print(before - resident())
-"""
-
-
-@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="only glibc can be told what to keep")
-def test_a_command_keeps_freed_memory_until_it_gives_it_back_and_the_library_leaves_that_to_its_user() -> None:
-    """120 MB in pieces of 3 MB, made and freed again and again, are 30,000 pages each time, or none."""
-    told = subprocess.run([sys.executable, "-c", ARRAYS], capture_output=True, text=True, check=True).stdout.split()
-    library, command, given = map(int, told)
-    assert library > 10_000
-    assert command < 100
-    assert given > 100 << 20
