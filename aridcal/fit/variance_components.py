@@ -206,7 +206,6 @@ def _maximum(
         theta = _bounded(scatter, known.at, known, theta, free, low)
     here, left, gain = place(scatter, theta), 0.0, 0.0
     score, information = derivatives(scatter, here, free)
-    ahead = theta
     for _ in range(STEPS if np.isfinite(here.log_likelihood) else 0):
         moving, step = free & ~((theta <= low) & (score <= 0.0)), np.zeros(len(theta))
         if moving.any():  # else nothing is left to scatter: exact data
@@ -223,6 +222,8 @@ def _maximum(
             break
         theta, here = higher
         score, information = derivatives(scatter, here, free)
+    else:
+        ahead, gain = theta, 0.0
     inside = free & (theta > 0.0)
     covariance = np.zeros((len(theta),) * 2)
     covariance[np.ix_(inside, inside)] = _solve(information[np.ix_(inside, inside)], np.eye(int(inside.sum())))
@@ -296,7 +297,7 @@ class Asked:
     def clear(self) -> bool:
         """True if what is asked for most is so by :data:`CLEAR`, and enough or not by as much."""
         k = int(np.argmax(self.normal))
-        first = CLEAR * self.normal[k] > np.partition(self.normal, -2)[-2]
+        first = CLEAR * self.normal[k] >= np.partition(self.normal, -2)[-2]
         return bool(first and not CLEAR < self.plain[k] / PLAIN < 1.0 / CLEAR)
 
 
