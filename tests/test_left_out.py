@@ -13,12 +13,13 @@ import robots
 
 from aridcal.fit.constants import constants
 from aridcal.fit.least_squares import Fit, fit, fit_identifiable
+from aridcal.fit.noise import carried
 from aridcal.fit.normal_equations import Prior
 from aridcal.fit.problem import problem
 from aridcal.fit.stages import fit_geometry
 from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.split import held_together
-from aridcal.trust.left_out import FOLDS, folds, influence, rows_of
+from aridcal.trust.left_out import FOLDS, _shares, folds, influence, rows_of
 
 NOISE = 1e-4
 
@@ -173,3 +174,16 @@ def test_a_row_that_is_off_is_the_one_that_decides_and_clean_rows_do_not() -> No
 def test_fewer_configurations_than_folds_are_not_left_out_in_turn() -> None:
     found, rows = calibrated(9)
     assert folds(found, rows, rows_of(found, rows)) is None
+
+
+@pytest.mark.parametrize("share", [0.0, 0.08, 0.6])
+def test_the_share_of_a_row_is_the_same_from_the_few_columns_that_act_in_it(share: float) -> None:
+    rng = np.random.default_rng(0)
+    J = rng.normal(size=(2_100, 3, 60)) * (
+        rng.random((2_100, 1, 60)) < share
+    )  # two stretches; rows with none among them
+    J[:, :, 7] = 0.0
+    root = rng.normal(size=(60, 60))
+    known = carried(J, root @ root.T)
+    np.testing.assert_allclose(_shares(J, root @ root.T), known, rtol=1e-10, atol=1e-9)
+    assert known.any() == (share > 0.0)

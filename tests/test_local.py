@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +19,8 @@ from aridcal.fit.residual import linearise, moved_by
 from aridcal.instruments.channels import columns
 from aridcal.model.local import WORTH
 from aridcal.model.model import Model
-from aridcal.trust.workspace import shifted, target_covariance
+from aridcal.trust.seen import Seen
+from aridcal.trust.workspace import Knowledge, shifted, target_covariance
 
 COUNT = 45
 
@@ -86,6 +89,30 @@ def test_covariances_of_rows_are_those_of_all_columns(kind: str) -> None:
     known = carried(shifted(J, R @ tool), covariance)
     found = target_covariance(question.model, theta, covariance, rows, tool)
     np.testing.assert_allclose(found, known, rtol=1e-9, atol=1e-12 * np.abs(known).max())
+
+
+def test_what_is_known_of_a_point_is_the_same_with_a_column_for_each() -> None:
+    """With constants that no reading tells behind the coefficients, which those of all rows follow and hat functions do not."""
+    question, _, theta = questions("pose")
+    rng, model, count = np.random.default_rng(4), question.model, len(theta)
+    root = rng.normal(0, 1e-5, (count, count))
+    fit: Any = SimpleNamespace(model=model, theta=theta, covariance=root @ root.T)
+    open_ = [Coefficient(model.robot.names[3], "r1"), Coefficient(model.robot.names[4], "axis")]
+    constant = np.array([c.basis.constant for c in model.coefficients])
+    follows = np.where(constant[:, None], rng.normal(0, 0.5, (count, 2)), 0.0)
+    local = model.with_coefficients((*model.coefficients, *open_))
+    wide = replace(local)
+    wide.__dict__["local"] = None
+    assert local.local is not None
+    seen = Seen({}, {}, (np.inf, np.inf))
+    asked = question.data.readings[:120], np.arange(120), (0.1, -0.2, 0.3)
+    found, known = (
+        Knowledge(fit, own, follows, np.array([[4e-6, 1e-6], [1e-6, 9e-6]]), seen).over(question.data, *asked)
+        for own in (local, wide)
+    )
+    for name in ("places", "covariance", "turns", "told", "turns_told"):
+        np.testing.assert_allclose(getattr(found, name), getattr(known, name), rtol=1e-9, atol=1e-16, err_msg=name)
+    assert known.told.any() or known.turns_told.any()
 
 
 def test_columns_of_the_last_coefficients_are_those_among_all() -> None:

@@ -62,7 +62,7 @@ def certain(found: Fit, rows: Dataset, where: np.ndarray | None = None) -> tuple
         tool,
         False,
     )
-    answer = kept(known, place, tool, left, None, False)
+    answer = kept(known, place, known.columns(place.rows, np.zeros(3))[1:], left, None, False)
     assert answer is not None
     return answer, place.readings
 
@@ -143,7 +143,7 @@ def answers(
     known = knowledge(exact, rows, ())
     place = known.over(rows, np.resize(rows.readings, (400, 4)), np.zeros(400, dtype=int))
     place = replace(place, measured=where(np.ones(400, dtype=bool)))
-    answer = kept(known, place, (0.0, 0.0, 0.0), left, tolerance, False)
+    answer = kept(known, place, known.columns(place.rows, np.zeros(3))[1:], left, tolerance, False)
     assert answer is not None
     return answer.bound, answer.reasons
 
@@ -184,7 +184,8 @@ def test_flagged_rows_count_as_off() -> None:
     assert left[0] is not None and left[1] is not None
     known = knowledge(first, truth.measured, ())
     place = known.over(truth.measured, truth.readings, np.arange(len(truth.readings)))
-    said = [kept(known, place, (0.0, 0.0, 0.0), part, 1e-2, False) for part in left]
+    moves = known.columns(place.rows, np.zeros(3))[1:]
+    said = [kept(known, place, moves, part, 1e-2, False) for part in left]
     assert [part is not None and part.within for part in said] == [False, True]
     assert said[0] is not None and "4 of 20 held-out rows are off by more" in said[0].reasons[0]
 

@@ -374,7 +374,7 @@ def _narrowed(problem: Problem, kept: Sequence[int]) -> Problem:
     varies = [not c.basis.constant for c in model.coefficients]
     varying = [int(k) for k in np.flatnonzero(varies)]
     columns = [varying.index(k) for k in kept if k in varying]
-    rows = replace(problem.rows, phi=problem.rows.phi[:, columns])
+    rows = replace(problem.rows, phi=problem.rows.phi.T[columns].T)
     model = model.with_coefficients([model.coefficients[k] for k in kept])
     return replace(problem, model=model, rows=rows)
 

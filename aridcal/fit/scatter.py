@@ -199,11 +199,10 @@ def place(scatter: Scatter, theta: np.ndarray) -> Place:
         nothing = np.zeros((n, m, m))
         return Place(-np.inf, np.zeros((n, m)), nothing, nothing, np.zeros((n * m, count)), None)
     columns, U, z, factor, scale = _equations(scatter, white)
-    pulled = scale * ((z.astype(U.dtype) @ U) - columns.slope)
-    t = solve_triangular(factor, pulled, lower=True, check_finite=False)
+    t = solve_triangular(factor, scale * (z.astype(U.dtype) @ U - columns.slope), lower=True, check_finite=False)
     best = scale * solve_triangular(factor, t, trans=1, lower=True, check_finite=False)
     logdet = white.logdet + _logdet(factor, scale)
-    T = _divided(U, factor, scale)
+    T = U if np.may_share_memory(U, columns.A) else _divided(U, factor, scale)
     rows, left = T.reshape(n, m, count), np.eye(m)
     if white.Q is not None:
         left = left - white.Q @ white.Q.transpose(0, 2, 1)
@@ -258,6 +257,8 @@ def _equations(scatter: Scatter, white: _White) -> tuple[Columns, np.ndarray, np
     """Columns that do, whitened, (N m, K), and residuals, (N m,); factor and scale of their equations."""
     if scatter.near is not None:
         U, z = _whitened(scatter, white, scatter.near)
+        if np.may_share_memory(U, scatter.near.A):
+            return scatter.near, U, z, np.eye(U.shape[1]), np.ones(U.shape[1])
         H, scale = balanced(U.T @ U + scatter.near.precision, RIDGE)
         factor, failed = dpotrf(H.T, lower=1)
         if not failed and np.diag(factor).min() ** 2 > EVEN:
@@ -268,13 +269,17 @@ def _equations(scatter: Scatter, white: _White) -> tuple[Columns, np.ndarray, np
 
 
 def _whitened(scatter: Scatter, white: _White, columns: Columns) -> tuple[np.ndarray, np.ndarray]:
-    """Columns, shape (N m, K), and residuals, shape (N m,), in units of the scatter, less what the things take off them."""
-    turn = white.root if columns.units is None else white.root @ columns.units
-    U, z = turn.astype(columns.A.dtype) @ columns.A, white.root @ columns.y[:, :, None]
+    """Columns (or they themselves), (N m, K), and residuals, (N m,), in units of the scatter, less what things take off."""
+    U, z = columns.A, white.root @ columns.y[:, :, None]
+    there = columns.units is not None and np.array_equal(white.L, columns.units)  # then they are so already
+    if not there:
+        turn = white.root if columns.units is None else white.root @ columns.units
+        U = turn.astype(U.dtype) @ U
     if white.Q is not None:
-        Q = white.Q.astype(U.dtype)
-        U -= Q @ _of_clumps(scatter, Q, U).astype(U.dtype)[scatter.clump]
         z -= white.Q @ _of_clumps(scatter, white.Q, z)[scatter.clump]
+        if not there:
+            Q = white.Q.astype(U.dtype)
+            U -= Q @ _of_clumps(scatter, Q, U).astype(U.dtype)[scatter.clump]
     return U.reshape(-1, U.shape[2]), z.ravel()
 
 

@@ -83,7 +83,8 @@ class Local:
 
     def _acting(self, twists: np.ndarray, phi: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Columns of the constants (n, m, p); those of the others that act in each row (n, m, a), and which these are, (n, a)."""
-        n, (row, column) = len(phi), np.nonzero(phi)
+        n, there = len(phi), np.flatnonzero(np.ascontiguousarray(phi != 0.0))  # row by row, in one pass
+        row, column = np.divmod(there, phi.shape[1])
         count = np.bincount(row, minlength=n)
         place = np.arange(len(row)) - (np.cumsum(count) - count)[row]
         # Rows with fewer than others are filled up with zeros.

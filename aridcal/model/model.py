@@ -36,7 +36,7 @@ class Rows:
 
     Attributes:
         positions: Joint positions, shape (N, joints), [rad] or [m].
-        phi: Bases of the coefficients that are no constants, shape (N, varying).
+        phi: Bases of the coefficients that are no constants, shape (N, varying). In memory rows run fastest, as in twists.
         world: Index of each row's ``world_base`` frame, shape (N,).
         tip: Index of each row's ``tip_target`` frame, shape (N,).
     """
@@ -50,7 +50,7 @@ class Rows:
         return len(self.positions)
 
     def __getitem__(self, rows: slice | np.ndarray) -> Rows:
-        return Rows(self.positions[rows], self.phi[rows], self.world[rows], self.tip[rows])
+        return Rows(self.positions[rows], self.phi.T[:, rows].T, self.world[rows], self.tip[rows])
 
 
 @dataclass(frozen=True)
@@ -154,7 +154,7 @@ class Model:
         if any(map(is_sight, wanted)):
             gravity = np.atleast_2d(self.around.gravity)[0]  # instruments measure one base
             table |= sight_table(self.robot, readings, self.around.sights, gravity, tip)
-        phi = np.empty((n, len(varying)))
+        phi = np.empty((len(varying), n)).T
         for k, c in enumerate(varying):
             phi[:, k] = evaluate(c.basis, table)
             if c.station is not None:
@@ -310,7 +310,7 @@ class Model:
 
     def _of_arm(self, rows: Rows) -> Rows:
         """The rows as the model without them sees them."""
-        return replace(rows, phi=rows.phi[:, ~self.at_things[self._based]])
+        return replace(rows, phi=rows.phi.T[~self.at_things[self._based]].T)
 
     @cached_property
     def _extended(self) -> ExtendedModel:

@@ -36,7 +36,7 @@ from aridcal.search.hints import pairs
 from aridcal.search.linear_model import Active, LinearModel
 from aridcal.search.state import State, activate, solve_state
 from aridcal.search.stated import tied_to_frames, with_declared, with_fields
-from aridcal.search.stepwise import Found, confirmed, is_small, missed, rank, search, tidied, twins
+from aridcal.search.stepwise import Found, confirmed, is_small, missed, rank, search, twins
 from aridcal.showing import SILENT, Progress
 
 ROUNDS = 3
@@ -184,9 +184,8 @@ def _diagnosed(
         progress(f"testing {len(unnamed)} functions of unknown cause, then pairs")
         more = _unnamed(place.linear, unnamed, found, observed, fresh, progress)
         if fresh and len(more.state.active) > len(state.active):  # what only imitated it is not missed any more
-            rounds = 2 if is_small(place.linear, named) else 1
-            state = tidied(place.linear, named, more.state, rounds, len(named), progress, certain=False)
-            more = replace(more, state=state)
+            again = search(place.linear, named, more.state, 0, progress=progress)
+            more = replace(again, rejected=more.rejected, tested=more.tested)
         found, state = more, more.state
     if _shapes(state) != fitted:
         progress(_fitting(state))

@@ -210,27 +210,34 @@ def _scatter(part: Problem, fit: Fit, active: Sequence[Active], possible: Sequen
     """The final model linearised where it is, at some rows, by standstills: smooth effects by the modes that the data tell."""
     here = agreed(part, fit.theta)
     pieces = [here.pieces(fit.theta, block) for block in here.blocks()]
-    y, J, B = (np.concatenate([getattr(p, name) for p in pieces]) for name in ("r", "J", "B"))
+    y, J, B = map(_together, ([p.r for p in pieces], [p.J for p in pieces], [p.B for p in pieces]))
     index = {name: k for k, name in enumerate(fit.model.names)}
     constant = [k for k, c in enumerate(fit.model.coefficients) if c.basis.constant]
-    wide, (n, m) = J.reshape(-1, J.shape[2]), y.shape
-    A, precision = [wide[:, constant]], [np.diag((GAUGE * fit.model.sizes[constant]) ** -2.0)]
+    wide, (n, m), used = J.reshape(-1, J.shape[2]), y.shape, len(constant)
+    A = np.empty((n * m, used + sum(a.modes.shape[1] for a in active)))
+    A[:, :used], precision = wide[:, constant], [np.diag((GAUGE * fit.model.sizes[constant]) ** -2.0)]
     for a in active:
         own = [index[c.name] for c in a.effect.coefficients]
-        column, known = wide[:, own] @ a.modes, a.precision
+        side_by_side = own == list(range(own[0], own[0] + len(own)))
+        part_of_J = wide[:, own[0] : own[0] + len(own)] if side_by_side else wide[:, own]
+        column, known = np.matmul(part_of_J, a.modes, out=A[:, used : used + a.modes.shape[1]]), a.precision
         # A prior pulls the modes towards zero.
         y = y + (column @ np.linalg.lstsq(a.modes, fit.theta[own], rcond=None)[0]).reshape(n, m)
         if a.effect.smooth:
             told = told_modes(column.reshape(n, m, -1), spread(fit.sigma, part.channels))
             if told.shape[1] < len(told):
-                column, known = column @ told, told.T @ known @ told
-        A.append(column)
+                A[:, used : used + told.shape[1]], known = column @ told, told.T @ known @ told
+        used += len(known)
         precision.append(known)
+    A = A[:, :used].reshape(n, m, -1)
     blocks = np.array([p.stacked(still) for p in possible])
-    made = Scatter(
-        still.vectors(y), still.vectors(np.concatenate(A, axis=1).reshape(n, m, -1)), block_diag(*precision), blocks
-    )
+    made = Scatter(still.vectors(y), still.vectors(A), block_diag(*precision), blocks)
     return with_things(made, part, B, still)
+
+
+def _together(parts: Sequence[np.ndarray]) -> np.ndarray:
+    """Arrays one behind the other; one alone as it is, for such arrays are large."""
+    return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
 def _possible(question: Problem, theta: np.ndarray) -> list[_Asked]:

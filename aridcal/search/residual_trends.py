@@ -155,11 +155,10 @@ def trace(fit: Fit, rows: Dataset, before: np.ndarray, after: np.ndarray, progre
         progress: Told how many covariates are asked about.
     """
     robot = fit.model.robot
-    pulled = _pull(fit, rows, before, after)
+    pulled, world = _pull(fit, rows, before, after)
     own = {p.motion: p for p in pulled}
     measured = {name: values for name, values in rows.covariates.items() if name not in rows.derived}
     complete = {name: values for name, values in measured.items() if np.isfinite(values).all()}
-    world = fit.model.rows(rows.readings, rows.conditions, rows.station, rows.target).world
     table = covariate_table(robot, rows.readings, complete, fit.model.around, world, {".gravity_"})
     asked = {name: v for name, v in table.items() if _varies(v) and ".gravity_moment" not in name}
     return Traces(
@@ -174,8 +173,8 @@ def _varies(values: np.ndarray) -> bool:
     return float(np.ptp(values)) > VARIES * float(np.abs(values).max())
 
 
-def _pull(fit: Fit, rows: Dataset, before: np.ndarray, after: np.ndarray) -> list[_Pulled]:
-    r"""Residuals pulled back to each joint's own axis, row by row, and along the axes of each channel.
+def _pull(fit: Fit, rows: Dataset, before: np.ndarray, after: np.ndarray) -> tuple[list[_Pulled], np.ndarray]:
+    r"""Residuals pulled back to each joint's own axis, row by row, and along the axes of each channel; and the rows' base frames.
 
     Weighted least squares in one unknown: with J the joint's column and r the residual, both in sigmas, a row asks for
     :math:`J^T r / J^T J`, known with variance :math:`1 / J^T J`.
@@ -206,19 +205,25 @@ def _pull(fit: Fit, rows: Dataset, before: np.ndarray, after: np.ndarray) -> lis
         weight = np.where(own, 1.0 / max(float(np.nanmean(after[:, k] ** 2)) if own.any() else 0.0, FLOOR**2), 0.0)
         was_k, left_k = (np.nan_to_num(r[:, k]) for r in (before, after))
         found.append(_Pulled(axis, unit, was_k, left_k, weight))
-    return found
+    return found, asked.rows.world
 
 
 def _strongest(pulled: Sequence[_Pulled], covariate: str, values: np.ndarray) -> Trace:
     """The motion of which noise would least likely show as much."""
-    chances = [_chance(_means(p, values, p.after)) for p in pulled]
+    chances, sliced = [], {}
+    for p in pulled:
+        own = (p.weight > 0).tobytes()
+        if own not in sliced:  # of all motions together there are few sets of rows
+            sliced[own] = _sliced(p, values)
+        chances.append(_chance(_means(p, values, p.after, sliced[own])))
     return _trace(pulled[int(np.argmin(chances))], covariate, values)
 
 
 def _trace(pulled: _Pulled, covariate: str, values: np.ndarray) -> Trace:
     """A motion over a covariate, before and after."""
     seen = pulled.weight > 0
-    was, left = (_means(pulled, values, v) for v in (pulled.before, pulled.after))
+    sliced = _sliced(pulled, values)
+    was, left = (_means(pulled, values, v, sliced) for v in (pulled.before, pulled.after))
     at = np.linspace(left.centre[0], left.centre[-1], CURVE)
     return Trace(
         motion=pulled.motion,
@@ -250,14 +255,20 @@ class _Means:
     std: np.ndarray
 
 
-def _means(pulled: _Pulled, values: np.ndarray, asks: np.ndarray) -> _Means:
-    """Slices of equally many rows; of a column with few values, one slice for each."""
+def _sliced(pulled: _Pulled, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rows that say something of a motion, in the order of a covariate, shape (n,), and the slice of each: see :func:`_means`."""
     seen = np.flatnonzero(pulled.weight > 0)
     seen = seen[np.argsort(values[seen], kind="stable")]
-    weight = pulled.weight[seen]
     different, place = np.unique(values[seen], return_inverse=True)
     if len(different) > FEW_VALUES:
         place = np.arange(len(seen)) * int(np.clip(len(seen) // SLICE, 1, MOST_SLICES)) // len(seen)
+    return seen, place
+
+
+def _means(pulled: _Pulled, values: np.ndarray, asks: np.ndarray, sliced: tuple[np.ndarray, np.ndarray]) -> _Means:
+    """Slices of equally many rows; of a column with few values, one slice for each."""
+    seen, place = sliced
+    weight = pulled.weight[seen]
     total = np.bincount(place, weight)
     centre, mean = (np.bincount(place, weight * v[seen]) / total for v in (values, asks))
     return _Means(centre, mean, 1.0 / np.sqrt(total))

@@ -47,10 +47,6 @@ PASSES = 4
 SMALL = 1e6
 """Numbers measured times candidates, below which every choice is tried again after each step in little time."""
 
-CERTAIN = 100.0
-"""[nat] of evidence for an effect, given all others, that nothing promising in its place can have made: nine times what gate 1
-asks of one column."""
-
 ALIKE = 4
 """Decimals of a gain [nat] that put candidates in order: the same motion of two places explains the same, and the first is taken,
 whatever rounding says."""
@@ -108,9 +104,9 @@ def search(
         state, rejected = _forward(model, library, state, most, small, tested, progress)
         if not exchange:
             break
-        after = tidied(model, library, state, 2 if small else 1, tested, progress)
-        same = [a.effect for a in after.active] == [a.effect for a in state.active]
-        state = after
+        tidied = _tidy(model, library, state, 2 if small else 1, tested, progress)
+        same = [a.effect for a in tidied.active] == [a.effect for a in state.active]
+        state = tidied
         if same:
             break
     return Found(state, rejected, tested)
@@ -206,7 +202,13 @@ def _is_held(effect: Effect, held: set[tuple[str, str]]) -> bool:
 
 
 def _forward(
-    model: LinearModel, library: Sequence[Effect], state: State, most: int, small: bool, tested: int, progress: Progress
+    model: LinearModel,
+    library: Sequence[Effect],
+    state: State,
+    most: int,
+    small: bool,
+    tested: int,
+    progress: Progress,
 ) -> tuple[State, tuple[Judgement, ...]]:
     rejected: tuple[Judgement, ...] = ()
     seen = {frozenset(a.effect for a in state.active)}
@@ -231,7 +233,7 @@ def _forward(
             break
         state = chosen
         if small and len(state.active) > 1:
-            state = tidied(model, library, state, 1, tested, progress)
+            state = _tidy(model, library, state, 1, tested, progress)
         if frozenset(a.effect for a in state.active) in seen:
             break  # what is added is taken out again: this goes round in circles
         seen.add(frozenset(a.effect for a in state.active))
@@ -250,19 +252,10 @@ def _with_rows_of_hints(model: LinearModel, state: State, kinds: Collection[str]
     return state, hinted(model, state, kinds)
 
 
-def tidied(
-    model: LinearModel,
-    library: Sequence[Effect],
-    state: State,
-    rounds: int,
-    tested: int,
-    progress: Progress = SILENT,
-    certain: bool = True,
+def _tidy(
+    model: LinearModel, library: Sequence[Effect], state: State, rounds: int, tested: int, progress: Progress
 ) -> State:
-    """Take each effect out in turn: drop it if it is not missed, exchange it if another does better in its place.
-
-    All are tried, ``rounds`` times at the most, those that stand out only if ``certain``; see :func:`search` for the rest.
-    """
+    """Take each effect out in turn: drop it if it is not missed, exchange it if another does better in its place."""
     kinds = {e.kind for e in library}
     # Harmonics of an order of their own, and steps, are no part of the library, but are tried again like all else.
     also = [a.effect for a in state.active if a.effect.kind in kinds]
@@ -273,8 +266,6 @@ def tidied(
         rough = score_without(model, lasting, state, known, progress)
         for k, effect in enumerate(before):
             if effect not in known or all(a.effect != effect for a in state.active):
-                continue
-            if not certain and _stands_out(effect, rough[effect]):
                 continue
             without = without_effect(model, state, effect)
             rivals = _in_place_of(model, library, effect)
@@ -293,12 +284,6 @@ def tidied(
         if [a.effect for a in state.active] == before:
             break
     return state
-
-
-def _stands_out(effect: Effect, rough: Mapping[Effect, Score]) -> bool:
-    """True if an effect's evidence is certain, and no other candidate comes near it."""
-    mine = rough[effect].gain
-    return mine > CERTAIN and all(s.gain < PROMISING * mine for e, s in rough.items() if e != effect)
 
 
 def _in_place_of(model: LinearModel, library: Sequence[Effect], effect: Effect) -> list[Effect]:

@@ -110,12 +110,13 @@ def certainty(
     else:
         region = known.over(train, where, _like(train, where), tool)
     found, noise, asked = [], instrument_noise(fit, rows, repeats), campaign.tolerance
+    moves = known.columns(region.rows, np.asarray(tool, dtype=float))[1:]
     judging = rows.test if (rows.test & ~outlier).any() else rows.train & ~outlier
     for turn, of in enumerate(("position", "rotation")):
         tolerance = None if asked is None else getattr(asked, of)
         seen = rows.sees_turns or not turn
         left = beyond(fit, rows, judging, outlier, residual, noise, tool, bool(turn)) if seen else None
-        answer = kept(known, region, tool, left, tolerance, bool(turn))
+        answer = kept(known, region, moves, left, tolerance, bool(turn))
         if answer is not None:
             found.append(answer)
         elif tolerance is not None:

@@ -121,27 +121,39 @@ def columns_of(fit: Fit, data: Dataset, sigma: np.ndarray, most: int, progress: 
     wide = sum(channel.size for channel in data.channels) * max(len(fit.theta), 1)
     chosen = thin(asked.rows, min(most, NUMBERS // wide), asked.groups)
     chosen = chosen[fit.weight[chosen] > 0.0]
-    asked = agreed(asked.select(chosen), fit.theta)
+    asked = agreed(asked if len(chosen) == len(asked) else asked.select(chosen), fit.theta)
     per = 1.0 / spread(sigma, asked.channels)
     root = np.sqrt(fit.weight[chosen] * data.share)[:, None] * per
-    pieces = [asked.pieces(fit.theta, block) for block in asked.blocks()]
-    r, J, B = (np.concatenate([getattr(piece, of) for piece in pieces]) for of in ("r", "J", "B"))
-    there = np.ones(r.shape, dtype=bool) if asked.measured is None else ~asked.measured.absent
-    if asked.measured is None and data.relative is None:
-        target = [J[:, :3]]  # the target's own position is what rows measure first
-    else:
-        target = [fit.model.jacobian(fit.theta, asked.rows[block])[2][:, :3] for block in asked.blocks()]
+    shape, count = root.shape, len(fit.theta)
+    # Row by row in memory, for rows are what is picked out of them.
+    r, J, B = np.empty(shape), np.empty((*shape, count)), np.empty((*shape, 0))
+    target = np.empty((len(chosen), 3, count))
+    if asked.groups is not None:
+        B = np.empty((*shape, asked.groups.unknown.shape[1]))
+    for block in asked.blocks():
+        piece = asked.pieces(fit.theta, block)
+        r[block] = np.nan_to_num(piece.r) * root[block]
+        for into, columns in ((J, piece.J), (B, piece.B)):
+            np.multiply(columns, root[block, :, None], out=into[block])
+        if asked.measured is None and data.relative is None:
+            target[block] = piece.J[:, :3]  # the target's own position is what rows measure first
+        elif asked.measured is None:
+            twists = fit.model.motions(fit.theta, asked.rows[block])[2]
+            target[block] = fit.model.of_coefficients(twists[:, :3], asked.rows[block])
+        else:
+            target[block] = fit.model.jacobian(fit.theta, asked.rows[block])[2][:, :3]
+    there = np.ones(shape, dtype=bool) if asked.measured is None else ~asked.measured.absent
     nothing = Known(np.zeros(0, dtype=int), np.zeros((0, B.shape[2])), np.zeros(0))
     return Columns(
         rows=chosen,
         channels=asked.channels,
-        r=np.nan_to_num(r) * root,
-        J=J * root[:, :, None],
-        B=B * root[:, :, None],
+        r=r,
+        J=J,
+        B=B,
         there=there,
         group=asked.group_of(slice(None)),
         groups=asked.groups,
         known=asked.beforehand() or nothing,
         share=data.share,
-        target=np.concatenate(target),
+        target=target,
     )

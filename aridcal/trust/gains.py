@@ -153,7 +153,7 @@ def _named(
     active = found.state.active
     stated = {e.identity for e in diagnosed.declared}
     asked = problem(fit.model, every)
-    final = asked.residual(fit.theta)
+    final, places = asked.residual(fit.theta), fit.model.poses(fit.theta, asked.rows)[1]
     effects = []
     for who, members in groups.items():
         own = [active[k] for k in members]
@@ -170,7 +170,7 @@ def _named(
             reached=final,
             confounded_with=tuple(twins.values()),
             curves=tuple(_curves(effect, diagnosed)),
-            adds=_added(asked, fit, effect),
+            adds=places - _without(asked, fit, effect),
         )
         effects.append(named)
     effects.sort(key=lambda e: -_rms(e.before, every.channels))
@@ -224,13 +224,12 @@ def _with_effects(asked: Problem, fit: Fit, effects: Sequence[Effect]) -> np.nda
     return replace(again, states=states).residual(theta)
 
 
-def _added(asked: Problem, fit: Fit, effect: Effect) -> np.ndarray:
-    """What an effect adds to the predicted positions beyond what frames and constants take up, shape (N, 3), [m]."""
+def _without(asked: Problem, fit: Fit, effect: Effect) -> np.ndarray:
+    """Predicted positions without an effect, what frames and constants take up of it taken up, shape (N, 3), [m]."""
     names = {c.name for c in effect.coefficients}
     gone = np.array([name in names for name in fit.model.names], dtype=bool)
     constant = np.array([c.basis.constant for c in fit.model.coefficients], dtype=bool)
-    without_it = refitted(fit, gone, constant)
-    return fit.model.poses(fit.theta, asked.rows)[1] - fit.model.poses(without_it, asked.rows)[1]
+    return fit.model.poses(refitted(fit, gone, constant), asked.rows)[1]
 
 
 def _rms(r: np.ndarray, channels: Channels) -> float:

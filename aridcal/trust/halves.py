@@ -305,14 +305,15 @@ def _sides(
             A = A.reshape(N * m, -1)
             yield _Side(A.T @ AP, J.T @ AP, A.T @ flat)
         return
-    left = flat.reshape(N, m, -1)
+    # Row behind row: from columns behind one another parts are taken number by number.
+    J, left = np.ascontiguousarray(rows.J), flat.reshape(N, m, -1)
     made: dict[str, dict[bytes, _Side]] = {}
     for way in ways:
         if way.of not in made:
             same = np.array([other.side for other in ways if other.of == way.of])
             parts, number = np.unique(same, axis=1, return_inverse=True)
             counted = np.flatnonzero(parts.any(axis=0))
-            each = [_part(rows.J[number == c], own, left[number == c]) for c in counted]
+            each = [_part(J[number == c], own, left[number == c]) for c in counted]
             totals = [_total(each, part) for part in parts[:, counted]]
             made[way.of] = dict(zip((side.tobytes() for side in same), totals, strict=True))
         yield made[way.of].pop(way.side.tobytes())

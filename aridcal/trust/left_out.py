@@ -18,11 +18,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from aridcal.fit.least_squares import Fit
+from aridcal.fit.noise import carried
 from aridcal.fit.normal_equations import RIDGE, solve
 from aridcal.fit.problem import unscaled
 from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.split import held_together
 from aridcal.instruments.channels import norms, spread
+from aridcal.model.many_rows import stretches
 from aridcal.showing import SILENT, Progress
 from aridcal.trust.columns import Columns, columns_of
 
@@ -174,18 +176,32 @@ def influence(fit: Fit, rows: Columns) -> Influence | None:
         J = J.copy()
         J[own] -= B[own] @ things.X[group]
         L[own] = B[own] @ things.inverse[group] @ B[own].transpose(0, 2, 1)
-    moved = (J.reshape(n * m, K) @ fit.covariance).reshape(J.shape)  # one product, not many small ones
-    L += moved @ J.transpose(0, 2, 1)
+    L += _shares(J, fit.covariance)
     # A row that alone tells of something predicts itself: without it there is nothing to compare.
     rest = np.linalg.pinv(np.eye(m) - L, hermitian=True, rcond=LONE) @ rows.r[:, :, None]
-    step = -(moved.transpose(0, 2, 1) @ rest)[:, :, 0]
+    pull = -(J.transpose(0, 2, 1) @ rest)[:, :, 0]
+    step = pull @ fit.covariance
     at_target = rows.target.reshape(-1, K)
     T = at_target.T @ at_target / n
     shift = np.sqrt(np.maximum(np.sum((step @ T) * step, axis=1), 0.0))
     order = np.argsort(-shift, kind="stable")
     leverage = np.einsum("nmm->n", L) / np.maximum(rows.there.sum(axis=1), 1)
     # The step is the covariance times the row's pull, so that its product with the information is that pull.
-    pull = -(J.transpose(0, 2, 1) @ rest)[:, :, 0]
     distance = np.maximum(np.sum(step * pull, axis=1), 0.0) / K
     sigma = float(np.sqrt(np.sum(T * fit.covariance)))
     return Influence(rows.rows[order], shift[order], sigma, leverage[order], distance[order])
+
+
+def _shares(J: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    r""":math:`J \Sigma J^T` of each row, shape (n, m, m), from columns (n, m, K): of those that act there, where they are few."""
+    acts = J.any(axis=1)
+    most = int(acts.sum(axis=1).max(initial=0))
+    if 4 * most > len(covariance):  # to pick them out takes longer than the one product of all
+        return carried(J, covariance)
+    which = np.argsort(~acts, axis=1, kind="stable")[:, :most]
+    own = np.take_along_axis(J, which[:, None], axis=2)
+    found = np.empty((len(J), J.shape[1], J.shape[1]))
+    for some in stretches(slice(None), len(J)):
+        between = covariance[which[some, :, None], which[some, None, :]]
+        found[some] = own[some] @ between @ own[some].transpose(0, 2, 1)
+    return found

@@ -239,14 +239,20 @@ def beyond(
 
 
 def kept(
-    known: Knowledge, region: Workspace, tool: Sequence[float], left: Beyond | None, tolerance: float | None, turn: bool
+    known: Knowledge,
+    region: Workspace,
+    moves: tuple[np.ndarray, np.ndarray],
+    left: Beyond | None,
+    tolerance: float | None,
+    turn: bool,
 ) -> Kept | None:
     """What a region keeps within; None where no row tells anything of it.
 
     Args:
         known: The calibration.
         region: The configurations, R of them.
-        tool: Point on the target, in its axes, [m].
+        moves: Columns of the shift of a point on the target and of the turn, with the coefficients (R, 6, K) and with what is
+            open (R, 6, D); see :meth:`Knowledge.columns`.
         left: What rows leave beyond it.
         tolerance: Asked for, [m] or [rad]; None where nothing is.
         turn: Of the rotation instead of the position.
@@ -255,7 +261,7 @@ def kept(
         return None
     part = slice(3, 6) if turn else slice(0, 3)
     rng = np.random.default_rng(0)
-    _, own, more = known.columns(region.rows, np.asarray(tool, dtype=float))
+    own, more = moves
     off = _drawn(own[:, part], known.fit.covariance, rng) + _drawn(more[:, part], known.open, rng)
     off += _beyond(left, off.shape, rng)
     told = region.turns_told if turn else region.told

@@ -79,11 +79,9 @@ def target_sigma(fit: Fit, rows: Rows) -> tuple[np.ndarray, np.ndarray]:
     for start in range(0, len(rows), BLOCK):
         block = slice(start, start + BLOCK)
         _, _, J = (model.jacobian if local is None else model.motions)(fit.theta, rows[block])
-        for k, part in enumerate((J[:, :3], J[:, 3:])):
-            own = (
-                carried(part, fit.covariance) if local is None else local.carried(part, rows.phi[block], fit.covariance)
-            )
-            variance = np.linalg.eigvalsh(own)[:, -1]
+        own = carried(J, fit.covariance) if local is None else local.carried(J, rows.phi[block], fit.covariance)
+        for k, part in enumerate((slice(0, 3), slice(3, 6))):
+            variance = np.linalg.eigvalsh(own[:, part, part])[:, -1]
             worst[k, block] = np.sqrt(np.maximum(variance, 0.0))
     return worst[0], worst[1]
 

@@ -93,7 +93,7 @@ class Workspace:
 
     @cached_property
     def _worst(self) -> tuple[np.ndarray, np.ndarray]:
-        return worst_direction(_turned(self.axes) @ self.covariance @ self.axes)
+        return worst_direction(self.axes.transpose(0, 2, 1) @ self.covariance @ self.axes)
 
     @property
     def sigma(self) -> np.ndarray:
@@ -170,8 +170,7 @@ class Knowledge:
         std, unknown = np.empty((len(rows), 6)), np.empty((2, len(rows)))
         for start in range(0, len(rows), BLOCK):
             some = slice(start, start + BLOCK)
-            p, own, more = self.columns(rows[some], np.asarray(tool, dtype=float))
-            known, left = carried(own, self.fit.covariance), carried(more, self.open)
+            p, known, left = self._spread(rows[some], np.asarray(tool, dtype=float))
             every = known + left
             places[some] = np.einsum("nji,nj->ni", axes[some], p - origin[some])
             covariance[some], turns[some] = every[:, :3, :3], every[:, 3:, 3:]
@@ -185,6 +184,20 @@ class Knowledge:
             nominal = target_places(model.robot, readings, model.around.sights.targets[rows.tip])
             measured &= ~far_from_nodes(fields, nominal)
         return Workspace(rows, readings, places, covariance, turns, axes, measured, *told)
+
+    def _spread(self, rows: Rows, tool: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """A point on the target as :meth:`columns` has it, and its covariance by the coefficients and by what is open."""
+        local, extra = self.wide.local, len(self.open)
+        if local is None:
+            p, own, more = self.columns(rows, tool)
+            return p, carried(own, self.fit.covariance), carried(more, self.open)
+        R, p, twists = self.wide.motions(np.append(self.fit.theta, np.zeros(extra)), rows)
+        arm, covariance = R @ tool, np.pad(self.fit.covariance, (0, extra))
+        twists = shifted(twists, arm)
+        # Only constants follow what is open: what acts in few rows has no part in it.
+        ways = np.vstack([-self.follows, np.eye(extra)])[local.plain]
+        more = twists[:, :, local.carrier[local.plain]] @ ways
+        return p + arm, local.carried(twists, rows.phi, covariance), carried(more, self.open)
 
     def untold(self, rows: Rows, turns: bool) -> tuple[Untold, ...]:
         """Independent combinations of constants that no reading tells, and that move the target or turn it somewhere.
@@ -279,10 +292,6 @@ def shifted(J: np.ndarray, arm: np.ndarray) -> np.ndarray:
     return moved
 
 
-def _turned(matrices: np.ndarray) -> np.ndarray:
-    return matrices.transpose(0, 2, 1)
-
-
 def knowledge(fit: Fit, train: Dataset, candidates: Sequence[Coefficient]) -> Knowledge:
     """What the rows told of a calibrated model.
 
@@ -302,7 +311,8 @@ def knowledge(fit: Fit, train: Dataset, candidates: Sequence[Coefficient]) -> Kn
         some = thin(asked.rows, ENOUGH, asked.groups)
         weight = fit.weight[some] * (len(train) / len(some))
         at = np.append(fit.theta, np.zeros(extra))
-        H = linearise(asked.select(some), at, weight, fit.sigma).equations.information(fit.sigma)
+        asked = asked if len(some) == len(asked) else asked.select(some)
+        H = linearise(asked, at, weight, fit.sigma).equations.information(fit.sigma)
         own = np.flatnonzero([c.basis.constant for c in model.coefficients])
         cross = H[own][:, count:]
         follows[own] = solve(H[np.ix_(own, own)], cross)
@@ -348,8 +358,7 @@ def _seen(fit: Fit, train: Dataset) -> Seen:
     columns |= {name: used.conditions[name] for name in model.needs}
     rows = model.rows(used.readings, used.conditions, used.station, used.target)
     rows = rows[thin(rows, ENOUGH)]
-    variance = np.einsum("nii->ni", target_covariance(model, fit.theta, fit.covariance, rows))
-    std = np.sqrt(np.maximum(variance, 0.0))
+    std = target_std(model, fit.theta, fit.covariance, rows)
     if not used.sees_turns:  # that of a target whose rotation was never measured says nothing
         std[:, 3:] = np.inf
     ranges = {name: (float(np.nanmin(v)), float(np.nanmax(v))) for name, v in columns.items()}
