@@ -24,7 +24,7 @@ ROW_ORDER = "file row"
 ANGULAR = frozenset({"roll", "pitch", "yaw", "theta", "beta", "alpha", "r1", "r2"})
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, init=False)
 class Coefficient:
     """One unknown of the model: a basis times a small motion somewhere.
 
@@ -39,6 +39,10 @@ class Coefficient:
     component: str
     basis: Basis = CONSTANT
     station: str | None = None
+
+    def __init__(self, where: str, component: str, basis: Basis = CONSTANT, station: str | None = None) -> None:
+        """Hold what is given: a search makes ten thousand, in half the time that the generated method takes."""
+        vars(self).update(where=where, component=component, basis=basis, station=station)
 
     @cached_property
     def name(self) -> str:

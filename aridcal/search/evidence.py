@@ -43,7 +43,7 @@ LEAST_FREEDOM = 0.05
 """Share of a channel's numbers that is left to estimate its noise from, whatever the freedom of the model."""
 
 TAUS = np.logspace(-1.5, 9, 43)
-"""Prior variances that are tried, in units of the best seen mode: four a decade, from nothing to all that it asks for."""
+"""Prior variances that are tried, in units of the best seen mode, at a first look of all: four a decade, from nothing to all."""
 
 WHOLE = 1.0 - 1e-12
 """A share of the residual that is explained is at most this: beyond it is rounding."""
@@ -259,7 +259,7 @@ def _smooth(
         A, b = np.swapaxes(roots, 2, 3) @ M @ roots, s @ roots[:, 0]
         mean_square = np.sum(roots[:, 0] ** 2, axis=2) @ raw.T / s.shape[1]
         parts.append(likeliest(A.reshape(-1, *M.shape[1:]), b.reshape(-1, s.shape[1]),
-                               DEPENDENT * mean_square.ravel(), left, count))  # fmt: skip
+                               DEPENDENT * mean_square.ravel(), left, count, left < np.inf))  # fmt: skip
     variance, twice, freedom, seen = (np.concatenate([getattr(part, name) for part in parts]).reshape(len(kernels), -1)
                                       for name in ("variance", "twice", "freedom", "seen"))  # fmt: skip
     best = np.argmax(np.where(seen, twice, -np.inf), axis=0)
@@ -277,7 +277,9 @@ def _smooth(
     ]
 
 
-def likeliest(A: np.ndarray, b: np.ndarray, least: np.ndarray, left: float, count: float) -> Amplitudes:
+def likeliest(
+    A: np.ndarray, b: np.ndarray, least: np.ndarray, left: float, count: float, roughly: bool = False
+) -> Amplitudes:
     r"""The likeliest of the amplitudes of :data:`TAUS`.
 
     .. math:: 2 \log L(\tau) = \tau^2 b^T (I + \tau^2 A)^{-1} b - \log |I + \tau^2 A|
@@ -290,8 +292,9 @@ def likeliest(A: np.ndarray, b: np.ndarray, least: np.ndarray, left: float, coun
         least: Information of a mode below which its pull is rounding, shape (n,).
         left: The residual's sum of squares, in units of sigma, of which the noise is profiled; infinite where it is known.
         count: Numbers measured.
+        roughly: Take amplitudes in units of all modes together, which need not be found one by one.
     """
-    found = _by_chain(A, b, left, count)
+    found = _by_chain(A, b, left, count, roughly)
     doubted = found.variance * least > HIDDEN
     if doubted.any():
         sure = _by_modes(A[doubted], b[doubted], least[doubted], left, count)
@@ -307,7 +310,7 @@ def profiled(explained: np.ndarray, left: float, count: float) -> np.ndarray:
     return np.asarray(-count * np.log1p(-np.minimum(explained / max(left, TINY), WHOLE)))
 
 
-def _by_chain(A: np.ndarray, b: np.ndarray, left: float, count: float) -> Amplitudes:
+def _by_chain(A: np.ndarray, b: np.ndarray, left: float, count: float, roughly: bool) -> Amplitudes:
     r"""All modes, without eigenvectors, which would take most of the time of a search.
 
     Reflections make A tridiagonal and b one number (Golub and Van Loan, Matrix Computations, 4th ed., section 8.3.1). With
@@ -316,9 +319,9 @@ def _by_chain(A: np.ndarray, b: np.ndarray, left: float, count: float) -> Amplit
     .. math:: F_d = v + \alpha_d, \quad F_j = v + \alpha_j - \beta_j^2 / F_{j+1}, \quad
         2 \log L = \beta_0^2 / F_1 - \sum_j \log (F_j / v)
     """
-    diagonal, square, values = _chains(A, b)
+    diagonal, square, scale = _chains(A, b, roughly)
     d = b.shape[1]
-    largest = _largest(values)
+    largest = _largest(scale)
     diagonal, square = diagonal / largest, square / largest**2
     faint = 1.0 / TAUS
     F = np.maximum(faint + diagonal[:, -1:], faint)  # as it is but for rounding
@@ -337,47 +340,50 @@ def _by_chain(A: np.ndarray, b: np.ndarray, left: float, count: float) -> Amplit
     volume += np.log(product)
     # In units of the largest mode b has lost its square, explained squares one of them.
     twice = profiled(square[:, :1] * largest / F, left, count) - volume
-    return _top(twice, values, largest)
+    top = np.argmax(twice, axis=1)
+    v = 1.0 / TAUS[top]
+    F, slope = np.maximum(v + diagonal[:, -1], v), np.ones(len(v))
+    free = slope / F
+    for j in range(d - 2, -1, -1):  # derivatives by v
+        ratio = square[:, j + 1] / F
+        slope = 1.0 + ratio / F * slope
+        F = np.maximum(v + diagonal[:, j] - ratio, v)
+        free += slope / F
+    return Amplitudes(TAUS[top] / largest[:, 0], twice[np.arange(len(top)), top], d - v * free, scale > TINY**0.5)
 
 
 def _by_modes(A: np.ndarray, b: np.ndarray, least: np.ndarray, left: float, count: float) -> Amplitudes:
     """In the eigenbasis, without the pulls of modes that are rounding."""
     values, vectors = np.linalg.eigh(A)
     values = np.maximum(values, 0.0)
-    largest = _largest(values)
+    largest = _largest(values[:, -1])
     squares = np.where(values > least[:, None], np.einsum("kij,ki->kj", vectors, b) ** 2, 0.0)
     variances = TAUS / largest
     shrunk = 1.0 + variances[:, :, None] * values[:, None]
     explained = variances * np.einsum("ktj,kj->kt", 1.0 / shrunk, squares)
-    return _top(profiled(explained, left, count) - np.sum(np.log(shrunk), axis=2), values, largest)
-
-
-def _largest(values: np.ndarray) -> np.ndarray:
-    """Information of the best mode, shape (n, 1); 1 where nothing is seen."""
-    best = values[:, -1:]
-    return np.where(best > TINY**0.5, best, 1.0)
-
-
-def _top(twice: np.ndarray, values: np.ndarray, largest: np.ndarray) -> Amplitudes:
-    """The best of all amplitudes, (n, amplitudes), of samples with eigenvalues (n, d)."""
+    twice = profiled(explained, left, count) - np.sum(np.log(shrunk), axis=2)
     top = np.argmax(twice, axis=1)
-    variance = TAUS[top] / largest[:, 0]
-    told = variance[:, None] * values
-    best = twice[np.arange(len(top)), top]
-    return Amplitudes(variance, best, np.sum(told / (1.0 + told), axis=1), values[:, -1] > TINY**0.5)
+    own = np.arange(len(top)), top
+    return Amplitudes(variances[own], twice[own], np.sum(1.0 - 1.0 / shrunk[own], axis=1), values[:, -1] > TINY**0.5)
 
 
-def _chains(A: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Diagonals of the tridiagonal forms, squares of what is beside them, the pull's first, and eigenvalues: (n, d) each."""
+def _largest(scale: np.ndarray) -> np.ndarray:
+    """What amplitudes are in units of, shape (n, 1); 1 where nothing is seen."""
+    return np.where(scale > TINY**0.5, scale, 1.0)[:, None]
+
+
+def _chains(A: np.ndarray, b: np.ndarray, roughly: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Diagonals of the tridiagonal forms and squares of what is beside them, the pull's first, (n, d) each; the scale, (n,)."""
     n, d = b.shape
     bordered = np.zeros((n, d + 1, d + 1))
     bordered[:, 1:, 1:] = A
     bordered[:, 0, 1:] = b
-    diagonal, beside, values = np.empty((n, d + 1)), np.empty((n, d)), np.empty((n, d))
+    diagonal, beside, best = np.empty((n, d + 1)), np.empty((n, d)), np.einsum("kii->k", A)
     for k, matrix in enumerate(bordered):  # transposed it is as LAPACK wants it, without a copy
         _, diagonal[k], beside[k], _, _ = dsytrd(matrix.T, lower=1, overwrite_a=1)
-        values[k] = dsterf(diagonal[k, 1:], beside[k, 1:])[0] if d > 1 else diagonal[k, 1:]
-    return diagonal[:, 1:], beside**2, np.maximum(values, 0.0)
+        if not roughly and d > 1:
+            best[k] = dsterf(diagonal[k, 1:], beside[k, 1:])[0][-1]
+    return diagonal[:, 1:], beside**2, best
 
 
 def smooth_tail(twice: float) -> float:

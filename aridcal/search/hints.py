@@ -239,9 +239,9 @@ def pairs(
     pull[:, weight.sum(0) <= 0.0] = 0.0
     frames = [(s, slot) for s, slot in enumerate(model.slots) if slot[1] in FRAME_COMPONENTS]
     found = []
+    waves = {of: np.polynomial.legendre.legvander(_centred(model.table[of][used]), DEGREE) for of in covariates}
     for a, b in progress.over(list(combinations(covariates, 2)), "pairs"):
-        waves = [np.polynomial.legendre.legvander(_centred(model.table[name][used]), DEGREE) for name in (a, b)]
-        products = np.einsum("ni,nj->nij", *waves).reshape(len(pull), -1)
+        products = (waves[a][:, :, None] * waves[b][:, None]).reshape(len(pull), -1)
         along = np.linalg.qr(products)[0].T @ pull
         explained = np.sum(along**2, axis=0)
         found += [(float(explained[s]), (where, component, (a, b))) for s, (where, component) in frames]

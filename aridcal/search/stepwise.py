@@ -192,7 +192,8 @@ def rank(
     enough = PROMISING * rough[order[0]].gain if order else 0.0
     head = [e for e in order if rough[e].gain > max(enough, 0.0)][:REFINED]
     close = sorted(((e, refine(model, state, e, rough[e])) for e in head), key=lambda pair: -round(pair[1].gain, ALIKE))
-    return close + [(e, rough[e]) for e in order if e not in head]
+    refined = set(head)
+    return close + [(e, rough[e]) for e in order if e not in refined]
 
 
 def _is_held(effect: Effect, held: set[tuple[str, str]]) -> bool:
