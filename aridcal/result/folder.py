@@ -21,6 +21,7 @@ from aridcal.fit.least_squares import Fit
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.catalogue import labelled
 from aridcal.instruments.channels import columns
+from aridcal.reading.freed import give_back
 from aridcal.result.measuring_head import MeasuringHead
 from aridcal.result.outcome import Outcome, Stage, Verification, errors
 from aridcal.result.saving import calibration
@@ -47,6 +48,7 @@ WHERE = ("world_base", "tip_target")
 def write_results(outcome: Outcome, folder: Path, progress: Progress = SILENT) -> None:
     """Write every file of the result folder that needs no drawing."""
     (folder / "result.json").write_text(json.dumps(result_document(outcome), indent=2, allow_nan=False) + "\n")
+    give_back()  # what the figures took: the scatter over all rows below takes as much again
     (folder / "calibrated.urdf").write_bytes(stage_urdf(outcome.stage("geometric").fit))
     if outcome.effects:
         (folder / "model.urdf").write_bytes(stage_urdf(outcome.stage("final").fit))
