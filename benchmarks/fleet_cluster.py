@@ -41,7 +41,12 @@ if not hasattr(work, "calibrated_itself"):  # Dask may load this twice
 """
 """Of a worker: it notes what it does, and nothing else changes."""
 
-LEAN = {"DASK_DISTRIBUTED__WORKER__PROFILE__ENABLED": "False", "DASK_DISTRIBUTED__SCHEDULER__WORK_STEALING": "False"}
+LEAN = {
+    "DASK_DISTRIBUTED__WORKER__PROFILE__ENABLED": "False",
+    "DASK_DISTRIBUTED__SCHEDULER__WORK_STEALING": "False",
+    "DASK_DISTRIBUTED__ADMIN__TICK__INTERVAL": "1s",
+    "DASK_DISTRIBUTED__ADMIN__SYSTEM_MONITOR__INTERVAL": "10s",
+}
 """Of scheduler and workers, as `docs/formats.md` advises, and as `aridcal fleet` starts its own."""
 
 THREADS = frozenset({"OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"})

@@ -471,6 +471,15 @@ def test_a_script_without_a_guard_is_not_run_again_in_each_worker(tmp_path: Path
     assert done.stdout.split("\n") == ["here", "works", "True None 0", ""]
 
 
+def test_workers_of_this_computer_leave_the_c_library_its_own_ways_with_memory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("MALLOC_TRIM_THRESHOLD_", raising=False)
+    with dask_engine(None, SILENT) as engine:
+        answers = dict(engine(os.getenv, {"trims": "MALLOC_TRIM_THRESHOLD_", "threads": "OMP_NUM_THREADS"}))
+    assert answers == {"trims": None, "threads": "1"}
+
+
 def test_a_fleet_that_is_done_needs_no_cluster_and_says_so(plant: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = plant / "fleet"
     words = [str(plant / "robots/*/campaign.yaml"), "-o", str(out), "--scheduler", "tcp://127.0.0.1:9"]
