@@ -42,8 +42,8 @@ LEAN: dict[str, bool | str | None] = {
     "distributed.admin.system-monitor.interval": "10s",
     "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": None,
 }
-"""Of Dask, in processes of this computer: nobody looks at its profile, a sample every 10 ms, nor at its monitors, 50 a
-second; no task waits to be stolen; and what it asks of glibc, to give memory back at once, has every larger array cleared anew."""
+"""Of Dask, in processes of this computer: nobody looks at its profile, a sample every 10 ms, nor at its monitors, 50 a second;
+no task waits to be stolen; and what it asks of glibc, to give memory back at once, has every larger array cleared anew."""
 
 LOOK = 1.0
 """[s] between two looks at the cluster while no answer comes."""
