@@ -13,9 +13,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
-from scipy.sparse import csr_array
+from scipy.sparse import csc_array
 
 SPARSE = 3
 """Functions for each one that is not zero at a row from which they count as local: the sums over all cost as much below it."""
@@ -43,15 +44,25 @@ class Local:
         return Local(values, numbers, self.count * other.count)
 
     def part(self, low: int, high: int) -> Local:
-        """Those of some rows on end."""
-        return Local(self.values[low:high], self.numbers[low:high], self.count)
+        """Those of some rows on end; they are kept."""
+        if (low, high) not in self._parts:
+            self._parts[low, high] = Local(self.values[low:high], self.numbers[low:high], self.count)
+        return self._parts[low, high]
 
     def sums(self, weights: np.ndarray) -> np.ndarray:
         """Sums over the rows of each function times weights of shape (N, w), shape (d, w)."""
+        return np.asarray(self._over_rows @ weights)
+
+    @cached_property
+    def _parts(self) -> dict[tuple[int, int], Local]:
+        return {}
+
+    @cached_property
+    def _over_rows(self) -> csc_array:
+        """Functions by rows, shape (d, N)."""
         rows, k = self.values.shape
         ends = np.arange(0, rows * k + 1, k)
-        matrix = csr_array((self.values.ravel(), self.numbers.ravel(), ends), shape=(rows, self.count))
-        return np.asarray(matrix.T @ weights)
+        return csc_array((self.values.ravel(), self.numbers.ravel(), ends), shape=(self.count, rows))
 
 
 def local(values: np.ndarray) -> Local | None:
