@@ -51,7 +51,7 @@ SHUFFLES = 400
 """Orders drawn at random that tell how much chance varies: its spread is then known to 4 %."""
 
 TOGETHER = 2**17
-"""Numbers of residuals that are shuffled at once: they stay in the cache, and a hundred rows cost no more calls than thousands."""
+"""Numbers of residuals that are shuffled at once: they stay in the cache, and few rows take few calls."""
 
 ASKED = 10_000
 """Rows that are asked at the most, of more: a correlation of 0.03 shows among so many."""
