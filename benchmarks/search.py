@@ -4,8 +4,9 @@ Example:
     OMP_NUM_THREADS=1 python benchmarks/search.py ceilings
     OMP_NUM_THREADS=1 python benchmarks/search.py identification/ur10-laser-tracker/campaign-b.yaml
 
-Operations are those of the textbook (a Cholesky factor P^3/3, an inverse from it 2 P^3/3, a symmetric eigenproblem 9 d^3, a tridiagonal form 4 d^3/3),
-bytes are not counted: a kernel that stays below its ceiling waits for memory, or is too small. CPU time of one thread.
+Operations are those of the textbook (a Cholesky factor P^3/3, an inverse from it 2 P^3/3, a symmetric eigenproblem 9 d^3, a
+tridiagonal form 4 d^3/3), bytes are not counted: a kernel that stays below its ceiling waits for memory, or is too small. CPU
+time of one thread.
 """
 
 from __future__ import annotations

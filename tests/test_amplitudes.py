@@ -74,3 +74,17 @@ def test_columns_that_are_nil_are_not_seen(size):
     found = likeliest(np.full((2, 3, 3), size), np.full((2, 3), size), np.zeros(2), 100.0, 50.0)
     assert not found.seen.any()
     assert np.isfinite(found.twice).all()
+
+
+@pytest.mark.filterwarnings("error")
+def test_dozens_of_modes_that_are_rounding_have_no_more_freedom_than_there_are_samples():
+    """Large pulls: the likeliest amplitude is so large that information which rounding made negative counts a millionfold."""
+    rng = np.random.default_rng(4)
+    columns = rng.standard_normal((6, 200, 2)) @ rng.standard_normal((6, 2, 70))
+    noise = rng.standard_normal((6, 70, 70))
+    A = np.swapaxes(columns, 1, 2) @ columns
+    A = A + 1e-6 * np.linalg.norm(A, axis=(1, 2))[:, None, None] * (noise + np.swapaxes(noise, 1, 2)) / 24.0
+    for roughly in (False, True):
+        found = likeliest(A, 1e9 * columns[:, :7].sum(axis=1), np.zeros(6), np.inf, 0.0, roughly)
+        assert np.isfinite(found.twice).all()
+        assert np.all((found.freedom >= 0.0) & (found.freedom <= 70.0))

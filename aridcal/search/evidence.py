@@ -342,14 +342,15 @@ def _by_chain(A: np.ndarray, b: np.ndarray, left: float, count: float, roughly: 
     twice = profiled(square[:, :1] * largest / F, left, count) - volume
     top = np.argmax(twice, axis=1)
     v = 1.0 / TAUS[top]
-    F, slope = np.maximum(v + diagonal[:, -1], v), np.ones(len(v))
-    free = slope / F
-    for j in range(d - 2, -1, -1):  # derivatives by v
+    F = np.maximum(v + diagonal[:, -1], v)
+    own = v / F  # d log F / d log v, 1 at the most: F - v is concave in v, and not negative at 0
+    free = own.copy()
+    for j in range(d - 2, -1, -1):
         ratio = square[:, j + 1] / F
-        slope = 1.0 + ratio / F * slope
         F = np.maximum(v + diagonal[:, j] - ratio, v)
-        free += slope / F
-    return Amplitudes(TAUS[top] / largest[:, 0], twice[np.arange(len(top)), top], d - v * free, scale > TINY**0.5)
+        own = np.minimum((v + ratio * own) / F, 1.0)
+        free += own
+    return Amplitudes(TAUS[top] / largest[:, 0], twice[np.arange(len(top)), top], d - free, scale > TINY**0.5)
 
 
 def _by_modes(A: np.ndarray, b: np.ndarray, least: np.ndarray, left: float, count: float) -> Amplitudes:
