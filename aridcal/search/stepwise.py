@@ -33,7 +33,7 @@ PROMISING = 0.4
 """Share of the best score below which a candidate is not scored again: it would not overtake."""
 
 HOPELESS = 0.33
-"""Share of the evidence that :data:`ALPHA` asks for below which the best rough score is not found again: of 965 scores so small the
+"""Share of the evidence that :data:`ALPHA` asks for below which the best rough score is not found again: of 965 so small ones the
 noise apart changed none by more than 0.6 nat, where 9 are missing."""
 
 JUDGED = 4
