@@ -18,6 +18,8 @@ from __future__ import annotations
 
 import argparse
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -98,14 +100,19 @@ class Tally:
         return self.count | {name: 1e3 * float(np.sqrt(np.mean(np.square(e)))) for name, e in self.errors.items()}
 
 
+@contextmanager
+def set_up(m: Machine) -> Iterator[tuple[Path, np.ndarray, np.ndarray]]:
+    """A folder with the calibration of a machine, and the ranges of its readings, shape (joints,) each."""
+    low, high = np.array([m.saved.ranges[name] for name in m.saved.final.model.robot.readings]).T
+    with tempfile.TemporaryDirectory() as name:
+        (Path(name) / "calibration.yaml").write_text(m.saved.dump())
+        yield Path(name), low, high
+
+
 def measure(ending: str, programs: int, m: Machine) -> dict[str, float]:
     """What becomes of the programs of a language."""
-    robot = m.saved.final.model.robot
-    low, high = np.array([m.saved.ranges[name] for name in robot.readings]).T
-    tally = Tally()
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        (folder / "calibration.yaml").write_text(m.saved.dump())
+    robot, tally = m.saved.final.model.robot, Tally()
+    with set_up(m) as (folder, low, high):
         for seed in range(programs):
             rng = np.random.default_rng(seed)
             made = MAKERS[ending][1](rng, path(rng, low, high, POINTS), lambda q: flange(robot, q))
@@ -123,12 +130,8 @@ def measure(ending: str, programs: int, m: Machine) -> dict[str, float]:
 
 def measure_gantry(programs: int, m: Machine) -> dict[str, float]:
     """What becomes of G-code, original and corrected driven to the end by a controller that knows nothing of ours."""
-    robot = m.saved.final.model.robot
-    low, high = np.array([m.saved.ranges[name] for name in robot.readings]).T
-    tally = Tally()
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        (folder / "calibration.yaml").write_text(m.saved.dump())
+    robot, tally = m.saved.final.model.robot, Tally()
+    with set_up(m) as (folder, low, high):
         for seed in range(programs):
             made = gcode(np.random.default_rng(seed), low, high, POINTS)
             text, side = corrected(made, ".nc", folder / "calibration.yaml", folder)

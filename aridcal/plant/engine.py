@@ -240,9 +240,8 @@ def _asked(
             except queue.Empty:
                 continue
             done = flying.pop(name)
-            if (
-                left and done.status == "finished"
-            ):  # the worker is there and idle: what it did can be looked at meanwhile
+            # The worker is there and idle: what it did can be looked at meanwhile.
+            if left and done.status == "finished":
                 following = left.pop()
                 flying[following] = _given(client, work, tasks[following], following, following in again, answers)
             answer = _answer(done)

@@ -177,9 +177,8 @@ def linear_model(
     """
     effects = list(dict.fromkeys([*library, *(a.effect for a in active)]))
     slots = tuple(dict.fromkeys(slot for e in effects for slot in e.slots))
-    own_bases = {
-        id(c.basis): c.basis for e in effects for c in e.coefficients
-    }  # most are shared, and slow to be compared
+    # Most are shared, and slow to be compared.
+    own_bases = {id(c.basis): c.basis for e in effects for c in e.coefficients}
     bases = tuple(dict.fromkeys(own_bases.values()))
     ones = Basis("ones", (observed.robot.names[0],))
     own = current.model.coefficients

@@ -33,8 +33,8 @@ PROMISING = 0.4
 """Share of the best score below which a candidate is not scored again: it would not overtake."""
 
 HOPELESS = 0.33
-"""Share of the evidence that :data:`ALPHA` asks for below which the best rough score is not found again: of 965 so small ones the
-noise apart changed none by more than 0.6 nat, where 9 are missing."""
+"""Share of the evidence that :data:`ALPHA` asks for below which the best rough score is not found again: noise apart
+moves so small a score by parts of a nat, where 9 are missing."""
 
 JUDGED = 4
 """Candidates that are tried on rows held back, the best first, before a step gives up."""
