@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from aridcal.errors import AridcalError
-from aridcal.programs.targets import Number
+from aridcal.programs.text import Number
 
 MOST = 6
 """Axes of an arm in all these languages; what is more is an external axis."""
@@ -26,11 +26,13 @@ class Axes:
         kinds: Of the readings.
         arm: Index of the reading of each axis of the arm, at most six.
         external: Likewise of each external axis.
+        zeros: What the controller shows, in its units, of each axis of the arm where the reading is zero; empty: zero.
     """
 
     kinds: tuple[str, ...]
     arm: tuple[int, ...]
     external: tuple[int, ...] = ()
+    zeros: tuple[float, ...] = ()
 
     def unit(self, reading: int, angle: float, length: float) -> float:
         """What a unit of a reading is, [rad] or [m]."""
@@ -42,28 +44,33 @@ class Axes:
 
     def readings(self, numbers: Sequence[Number], units: Sequence[tuple[float, int]]) -> np.ndarray:
         """Readings from numbers, shape (columns,), [rad] or [m]; NaN where there is no number."""
-        found = np.full(len(self.kinds), np.nan)
+        readings = np.full(len(self.kinds), np.nan)
         for n, (unit, k) in zip(numbers, units, strict=True):
-            found[k] = unit * n.value
-        return found
+            readings[k] = unit * (n.value - self.zero(k))
+        return readings
+
+    def zero(self, reading: int) -> float:
+        """What the controller shows of an axis where its reading is zero, in its units."""
+        return self.zeros[self.arm.index(reading)] if self.zeros and reading in self.arm else 0.0
 
 
-def axes_of(kinds: Sequence[str]) -> Axes:
+def axes_of(kinds: Sequence[str], zeros: Sequence[float] = ()) -> Axes:
     """The axes of a robot: all its readings in their order, or a rail besides as the external axis.
 
     Args:
         kinds: Of the readings.
+        zeros: See :class:`Axes`.
 
     Raises:
         AridcalError: the robot has more axes than a program can name.
     """
     every = tuple(range(len(kinds)))
     if len(kinds) <= MOST:
-        return Axes(tuple(kinds), every)
+        return Axes(tuple(kinds), every, (), tuple(zeros))
     rails = tuple(k for k in every if kinds[k] == "prismatic")
     arm = tuple(k for k in every if k not in rails)
     if len(arm) > MOST:
         raise AridcalError(
             f"the robot has {len(arm)} turning joints: programs have {MOST}; give a table of poses to `aridcal compensate`"
         )
-    return Axes(tuple(kinds), arm, rails)
+    return Axes(tuple(kinds), arm, rails, tuple(zeros))

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-import pinocchio as pin
 from pydantic import Field
 
 from aridcal.errors import CampaignError
@@ -30,11 +29,13 @@ class FrameSettings(Settings):
         bases: T_base_frame of each frame that targets are in, by its name in the program, or its number in quotes.
         tools: T_tip_tool of each tool, likewise.
         start: Readings of the joints where the program begins, in the units of the program.
+        harmless: Routines that no given file has, and that change nothing of frames, tools, modes and points.
     """
 
     bases: Mapping[str, Placement] = Field(default_factory=dict)
     tools: Mapping[str, Placement] = Field(default_factory=dict)
     start: tuple[Number, ...] | None = None
+    harmless: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -45,11 +46,13 @@ class KnownFrames:
         bases: Where targets are.
         tools: What is to be there.
         start: See :class:`FrameSettings`.
+        harmless: Likewise, in small letters.
     """
 
     bases: Mapping[str, np.ndarray] = field(default_factory=dict)
     tools: Mapping[str, np.ndarray] = field(default_factory=dict)
     start: tuple[float, ...] | None = None
+    harmless: frozenset[str] = frozenset()
 
 
 def read_frames(path: Path | None) -> KnownFrames:
@@ -64,7 +67,8 @@ def read_frames(path: Path | None) -> KnownFrames:
         settings = load_settings(path, FrameSettings)
     except CampaignError as problem:
         raise CampaignError(f"{problem}\n{EXAMPLE}" if path.is_file() else str(problem)) from None
-    return KnownFrames(_poses(settings.bases), _poses(settings.tools), settings.start)
+    harmless = frozenset(name.lower() for name in settings.harmless)
+    return KnownFrames(_poses(settings.bases), _poses(settings.tools), settings.start, harmless)
 
 
 def controllers_base(robot: Robot) -> np.ndarray | None:
@@ -81,23 +85,13 @@ def controllers_base(robot: Robot) -> np.ndarray | None:
     return None if np.allclose(T, np.eye(4), atol=1e-6) else T
 
 
-def unsaid_base(robot: Robot, frames: KnownFrames) -> str:
-    """What to do if the controller's base is the URDF's link ``base``, and nobody says so; empty if nothing is."""
-    T = controllers_base(robot)
-    if T is None or "default" in frames.bases:
-        return ""
-    xyz, rpy = (
-        ", ".join(f"{round(value, 9) + 0.0:.9g}" for value in part)
-        for part in (T[:3, 3], pin.rpy.matrixToRpy(T[:3, :3]))
-    )
-    return (
-        f"targets were taken to be in {robot.base}. If the controller counts from the URDF's link `base`, they are others: give "
-        f"--frames a file with the lines `format: 1` and `bases: {{default: {{xyz: [{xyz}], rpy: [{rpy}]}}}}`"
-    )
-
-
 def _poses(placements: Mapping[str, Placement]) -> dict[str, np.ndarray]:
     return {name.lower(): placement.homogeneous for name, placement in placements.items()}
+
+
+def absent(name: str) -> str:
+    """Why nothing is certain behind a call of a routine that is in no given file."""
+    return f"{name} is in no given file, and may change frames and points: give its file, or state it as `harmless` in --frames"
 
 
 def unknown(kind: str, name: str) -> str:

@@ -1,44 +1,14 @@
-"""Targets of a robot program: where their numbers stand in the text, what they mean, and the text with other numbers."""
+"""Targets of a robot program: where their numbers stand in the text, and what they mean."""
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
 
-NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
-"""A number as all these languages write it."""
-
-
-@dataclass(frozen=True)
-class Number:
-    """A number of the program.
-
-    Attributes:
-        start: Its first letter's place in the text.
-        text: As it stands there.
-    """
-
-    start: int
-    text: str
-
-    @property
-    def end(self) -> int:
-        """The place behind its last letter."""
-        return self.start + len(self.text)
-
-    @property
-    def value(self) -> float:
-        """What it says."""
-        return float(self.text)
-
-
-def number(match: re.Match[str], group: int | str = 0) -> Number:
-    """The number that a group of a match is."""
-    return Number(match.start(group), match.group(group))
+from aridcal.programs.text import Number
 
 
 @dataclass(frozen=True)
@@ -57,22 +27,55 @@ class Notation:
 
 
 @dataclass(frozen=True)
+class Words:
+    """What stands in the program of the arm's posture beside a pose: KUKA's S and T, ABB's confdata, FANUC's CONFIG.
+
+    Attributes:
+        numbers: Where it stands.
+        texts: For readings, shape (columns,), what should stand there; None where no words describe them, or nobody knows which.
+            What stands there in the program and agrees with the readings is given back as it is.
+        names: What the language calls them, for messages.
+    """
+
+    numbers: tuple[Number, ...]
+    texts: Callable[[np.ndarray], tuple[str, ...] | None]
+    names: str
+
+    def agree(self, readings: np.ndarray) -> bool:
+        """Whether what stands in the program is the posture of readings, shape (columns,)."""
+        return self.texts(readings) == tuple(number.text for number in self.numbers)
+
+
+@dataclass(frozen=True)
 class Branch:
     """What a program says of the arm's position beside the pose, in readings [rad] or [m].
 
     Attributes:
-        fits: Whether readings, shape (columns,), agree with it.
+        words: Its posture in words; None where it says nothing.
         near: Readings to start from, shape (columns,), NaN where nothing is said; None: those of the target before.
         held: Readings that are to stay as they are, external axes for instance, shape (columns,), NaN where none is.
-        settled: With that the position is known: of several that fit, the controller itself takes the nearest.
-        letters: How the arm stands in the three letters of FANUC, ``NUT`` for instance; empty where nothing is said.
+        nearest: Of several positions that fit the controller takes the nearest to ``near``, or to the target before.
+        unknown: Why it is not known where the arm comes from; empty where it is, or where that does not matter.
     """
 
-    fits: Callable[[np.ndarray], bool] = field(default=lambda q: True)
+    words: Words | None = None
     near: np.ndarray | None = None
     held: np.ndarray | None = None
-    settled: bool = False
-    letters: str = ""
+    nearest: bool = False
+    unknown: str = ""
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where the numbers of a pose are meant.
+
+    Attributes:
+        base: T_base_frame of the frame that it is in, shape (4, 4).
+        tool: T_tip_tool of the tool that is to be there, shape (4, 4).
+    """
+
+    base: np.ndarray
+    tool: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -80,32 +83,35 @@ class Target:
     """One place that a program sends the robot to.
 
     Attributes:
-        line: Of the text, from 1.
+        line: Of the file, from 1, where it stands.
         name: What the program calls it, or how it stands there.
         form: Of its numbers: ``joints`` or a ``pose``.
-        numbers: Where they stand.
+        numbers: Where they stand; none where they are not plain.
         why: Why it cannot be corrected; empty if it can be.
         readings: Of joints: shape (columns,), [rad] or [m]; NaN where the program says nothing, so that the last one holds.
         units: Of joints: what one unit of each of ``numbers`` is, [rad] or [m], and which reading it belongs to.
         notation: Of a pose: how it is written.
-        base: Of a pose: T_base_frame of the frame that it is in, shape (4, 4).
-        tool: Of a pose: T_tip_tool of the tool that is to be there, shape (4, 4).
+        place: Of a pose: its frame and tool.
+        beside: Of a pose: other frames and tools that it is used with, by a constant way off: an approach for instance. They
+            take part in the correction as it is, which is right at ``place``.
         branch: Of a pose: the arm's position.
         digits: Of joints: behind the point.
+        file: Of the project, its index.
     """
 
     line: int
     name: str
     form: Literal["joints", "pose"]
-    numbers: tuple[Number, ...]
+    numbers: tuple[Number, ...] = ()
     why: str = ""
     readings: np.ndarray | None = None
     units: tuple[tuple[float, int], ...] = ()
     notation: Notation | None = None
-    base: np.ndarray | None = None
-    tool: np.ndarray | None = None
+    place: Place | None = None
+    beside: tuple[Place, ...] = ()
     branch: Branch = field(default_factory=Branch)
     digits: int = 6
+    file: int = 0
 
     @property
     def values(self) -> np.ndarray:
@@ -116,66 +122,3 @@ class Target:
     def places(self) -> tuple[int, ...]:
         """Digits behind the point of each of its numbers, at least."""
         return self.notation.digits if self.notation is not None else (self.digits,) * len(self.numbers)
-
-
-def line_of(text: str, place: int) -> int:
-    """The line of a place in a text, from 1."""
-    return text.count("\n", 0, place) + 1
-
-
-def written(value: float, before: str, digits: int) -> str:
-    """A number in place of another: as many digits behind the point as that had, or more where they are needed."""
-    own = before.lower().split("e")[0]
-    had = len(own.split(".")[1]) if "." in own else 0
-    text = f"{value:.{max(had, digits)}f}"
-    return text.lstrip("-") if float(text) == 0.0 else text
-
-
-def spliced(text: str, changes: Sequence[tuple[Number, str]]) -> str:
-    """The text with other numbers; all else stays."""
-    parts, end = [], 0
-    for old, new in sorted(changes, key=lambda change: change[0].start):
-        parts += [text[end : old.start], new]
-        end = old.end
-    return "".join([*parts, text[end:]])
-
-
-def blanked(text: str, comments: str) -> str:
-    """The text with comments and strings as blanks, so that every place keeps its number.
-
-    Args:
-        text: The program.
-        comments: A regular expression of strings and comments of the language.
-    """
-    return re.sub(comments, lambda found: re.sub(r"[^\n]", " ", found.group()), text)
-
-
-def split_arguments(text: str, start: int, end: int) -> list[tuple[int, int]]:
-    """Places of what commas part between two places, brackets of any kind kept whole; blanks at the ends left out."""
-    depth, begin, found = 0, start, []
-    for place in range(start, end):
-        letter = text[place]
-        depth += (letter in "([{") - (letter in ")]}")
-        if letter == "," and depth == 0:
-            found.append((begin, place))
-            begin = place + 1
-    found.append((begin, end))
-    return [_trimmed(text, *span) for span in found]
-
-
-def _trimmed(text: str, start: int, end: int) -> tuple[int, int]:
-    while start < end and text[start].isspace():
-        start += 1
-    while end > start and text[end - 1].isspace():
-        end -= 1
-    return start, end
-
-
-def closing(text: str, place: int) -> int:
-    """The place of the bracket that closes the one at a place; -1 if none does."""
-    depth = 0
-    for at in range(place, len(text)):
-        depth += (text[at] in "([{") - (text[at] in ")]}")
-        if depth == 0:
-            return at
-    return -1

@@ -1,16 +1,50 @@
-"""Points that a program states in one place and goes to in others: in which frames, with which tools."""
+"""What a program does with each of its points: do all moves mean one place by its numbers, and does nothing else use them?"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
 
 import numpy as np
 
-Frame = np.ndarray | str
-"""A transform of shape (4, 4), or why it is not known."""
+from aridcal.programs.targets import Place, Target
+from aridcal.programs.text import Code
+from aridcal.programs.walk import Unknown
 
-NEVER = "no move of this file goes there, so that its frame and tool are not known"
+NEVER = "no move of the given files goes there, so that its frame and tool are not known"
+
+SAME = 1e-9
+"""[m] and of a rotation's matrix: frames that differ by rounding are the same."""
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A transform of shape (4, 4), [m], as a value of a state."""
+
+    T: np.ndarray
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Frame) and (self.T is other.T or bool(np.abs(self.T - other.T).max() < SAME))
+
+    def __matmul__(self, other: Frame) -> Frame:
+        return Frame(self.T @ other.T)
+
+    __hash__ = None  # type: ignore[assignment]  # what is nearly equal has no hash
+
+
+HERE = Frame(np.eye(4))
+"""No transform."""
+
+
+def product(*factors: object) -> Frame | Unknown:
+    """The product of frames, each of which may be unknown."""
+    T = HERE
+    for factor in factors:
+        if isinstance(factor, Unknown):
+            return factor
+        assert isinstance(factor, Frame)
+        T = T @ factor
+    return T
 
 
 @dataclass(frozen=True)
@@ -18,36 +52,126 @@ class Use:
     """How a move comes to a point.
 
     Attributes:
-        base: T_base_frame of the frame that the point is in.
-        tool: T_tip_tool of what is to be there.
+        line: Where the move stands, as messages say it: ``line 12``, with the file where there are several.
+        base: :class:`Frame` that the point is in, or :class:`Unknown`.
+        tool: Frame of the tip that is to be there, likewise.
+        aside: The move goes to a place a constant way off from the point, which base and tool contain.
+        why: Why the numbers are not to be corrected for this move; empty if they may be.
+        near: Readings that the controller starts from, where the program states them.
+        unknown: Why it is not known where the arm comes from; empty where it is known or does not matter.
+        mode: Anything else in which uses must agree.
     """
 
-    base: Frame
-    tool: Frame
+    line: str
+    base: object = HERE
+    tool: object = HERE
+    aside: bool = False
+    why: str = ""
+    near: tuple[float, ...] | None = None
+    unknown: str = ""
+    mode: str = ""
 
     @property
-    def why(self) -> str:
+    def trouble(self) -> str:
         """Why the place is not known; empty if it is."""
-        return next((part for part in (self.base, self.tool) if isinstance(part, str)), "")
+        return self.why or next((part.why for part in (self.base, self.tool) if isinstance(part, Unknown)), "")
+
+    @property
+    def place(self) -> Place:
+        """The frame and the tool, of a use without trouble."""
+        assert isinstance(self.base, Frame) and isinstance(self.tool, Frame)
+        return Place(self.base.T, self.tool.T)
 
     def same(self, other: Use) -> bool:
-        """True where both mean the same place of the same tip."""
-        pairs = ((self.base, other.base), (self.tool, other.tool))
-        return all(
-            a == b if isinstance(a, str) or isinstance(b, str) else bool(np.allclose(a, b, atol=1e-9)) for a, b in pairs
-        )
+        """True where both mean the same place of the same tip, in the same way."""
+        return (self.base, self.tool, self.mode, self.near) == (other.base, other.tool, other.mode, other.near)
 
 
-def one_use(uses: Sequence[Use]) -> Use:
-    """The use that all moves make of a point; one that says why where they differ, or where there is none."""
-    if not uses:
-        return Use(NEVER, NEVER)
-    if all(uses[0].same(other) for other in uses[1:]):
-        return uses[0]
-    why = "moves go there in different frames or with different tools: give each its own point"
-    return Use(why, why)
+@dataclass
+class _Point:
+    make: Callable[[Use, tuple[Place, ...]], Target]
+    uses: list[Use] = field(default_factory=list)
+    spoilt: str = ""
 
 
-def known(frame: Frame) -> np.ndarray | None:
-    """The transform, if it is known."""
-    return None if isinstance(frame, str) else frame
+@dataclass
+class Ledger:
+    """All that a program does with its points, in the order of the walk.
+
+    A point is a literal of the text, named by its file and its place there. ``make`` turns it and a use into a target, ``Target``
+    without a reason; it is called once, when all is known.
+    """
+
+    _points: dict[tuple[int, int], _Point] = field(default_factory=dict)
+    _vague: dict[tuple[int, int, str], Target] = field(default_factory=dict)
+
+    def declare(self, key: tuple[int, int], make: Callable[[Use, tuple[Place, ...]], Target]) -> None:
+        """A point stands in the text; it is named in the answer even if nothing uses it."""
+        self._points.setdefault(key, _Point(make))
+
+    def go(self, key: tuple[int, int], use: Use) -> None:
+        """A move goes to a declared point. Its first use decides where it comes among the targets."""
+        point = self._points.pop(key) if not self._points[key].uses else self._points[key]
+        self._points.setdefault(key, point)
+        if not any(use.same(other) and use.trouble == other.trouble for other in point.uses):
+            point.uses.append(use)
+
+    def spoil(self, key: tuple[int, int], why: str) -> None:
+        """Something else than a move uses the numbers of a declared point: they must stay."""
+        point = self._points[key]
+        point.spoilt = point.spoilt or why
+
+    def leave(self, target: Target) -> None:
+        """A move goes to a place that no plain numbers of the text say: named, with the reason in ``target.why``."""
+        self._vague.setdefault((target.file, target.line, target.name), target)
+
+    def targets(self) -> list[Target]:
+        """Each point once: those that moves go to in the order of the walk, then what is left."""
+        return [*self._read(), *self._vague.values()]
+
+    def _read(self) -> Iterator[Target]:
+        for point in sorted(self._points.values(), key=lambda point: not point.uses):
+            yield _target(point)
+
+
+def _target(point: _Point) -> Target:
+    """The target of a point; with a reason where not all that uses it means the same."""
+    uses = point.uses or [Use("", Unknown(NEVER), Unknown(NEVER))]
+    direct = [use for use in uses if not use.aside] or uses
+    first = direct[0]
+    trouble = point.spoilt or next((use.trouble for use in uses if use.trouble), "")
+    if not trouble:
+        other = next((use for use in direct[1:] if not use.same(first)), None)
+        if other is not None:
+            trouble = _two_meanings(first, other)
+    if trouble:
+        return _with_reason(point.make(Use(first.line, HERE, HERE), ()), trouble)
+    beside = tuple(use.place for use in uses if use.aside and not use.same(first))
+    unknown = next((use.unknown for use in direct if use.unknown), "")
+    return point.make(_replace_unknown(first, unknown), beside)
+
+
+def _replace_unknown(use: Use, unknown: str) -> Use:
+    """The use with what any of the point's uses does not know of where the arm comes from."""
+    return Use(use.line, use.base, use.tool, use.aside, use.why, use.near, unknown, use.mode)
+
+
+def _two_meanings(first: Use, other: Use) -> str:
+    parts = [
+        ("frame", first.base == other.base),
+        ("tool", first.tool == other.tool),
+        ("way off the point", first.aside == other.aside),
+        ("way of moving", (first.mode, first.near) == (other.mode, other.near)),
+    ]
+    what = next((name for name, same in parts if not same), "place")
+    return f"{first.line} and {other.line} go there with another {what} each: give each its own point"
+
+
+def _with_reason(target: Target, why: str) -> Target:
+    return Target(target.line, target.name, target.form, target.numbers, target.why or why, file=target.file)
+
+
+def line_name(codes: tuple[Code, ...], code: Code, place: int) -> str:
+    """How messages name a line: with its file where there are several."""
+    line = f"line {code.line(place)}"
+    return line if len(codes) == 1 else f"{code.name} {line}"

@@ -1,0 +1,46 @@
+"""What a program is read for: the robot, its axes as the controller counts them, and frames that the user states."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from aridcal.programs.axes import Axes, axes_of
+from aridcal.programs.frames import KnownFrames
+from aridcal.programs.targets import Target
+from aridcal.robot.chain import Robot
+
+
+@dataclass(frozen=True)
+class Cell:
+    """The robot that a program moves.
+
+    Attributes:
+        robot: The nominal arm.
+        frames: Those of ``--frames``.
+        zeros: What the controller shows, in its units, of each axis of the arm where its reading is zero; empty: zero of each.
+        start: Whether it is stated where the arm stands when the program begins.
+    """
+
+    robot: Robot
+    frames: KnownFrames = field(default_factory=KnownFrames)
+    zeros: tuple[float, ...] = ()
+    start: bool = False
+
+    @property
+    def axes(self) -> Axes:
+        """The robot's readings as the program counts them."""
+        return axes_of(self.robot.kinds, self.zeros)
+
+
+@dataclass(frozen=True)
+class Reading:
+    """What a reader says of a project.
+
+    Attributes:
+        targets: In the order in which the robot goes there; behind them those that are left for a reason of the text.
+        notes: Sentences on what was taken for granted, for the user.
+    """
+
+    targets: Sequence[Target]
+    notes: tuple[str, ...] = ()

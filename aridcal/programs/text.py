@@ -1,0 +1,141 @@
+"""A program's text: places, lines and brackets of it, each found once for the whole text."""
+
+from __future__ import annotations
+
+import re
+from bisect import bisect_right
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
+"""A number as all these languages write it."""
+
+CLOSES = {"(": ")", "[": "]", "{": "}"}
+
+
+@dataclass(frozen=True)
+class Number:
+    """A number of the program.
+
+    Attributes:
+        start: Its first letter's place in the text.
+        text: As it stands there.
+    """
+
+    start: int
+    text: str
+
+    @property
+    def end(self) -> int:
+        """The place behind its last letter."""
+        return self.start + len(self.text)
+
+    @property
+    def value(self) -> float:
+        """What it says."""
+        return float(self.text)
+
+
+def number(match: re.Match[str], group: int | str = 0) -> Number:
+    """The number that a group of a match is."""
+    return Number(match.start(group), match.group(group))
+
+
+@dataclass(frozen=True)
+class Code:
+    """The text of one file of a project.
+
+    Attributes:
+        file: Its index in the project.
+        name: For messages.
+        text: As it stands, each byte a letter.
+        plain: The same with comments and strings as blanks, so that every place keeps its number.
+    """
+
+    file: int
+    name: str
+    text: str
+    plain: str
+
+    @cached_property
+    def _starts(self) -> list[int]:
+        return [0, *(m.end() for m in re.finditer("\n", self.text))]
+
+    @cached_property
+    def _pairs(self) -> dict[int, int]:
+        return bracket_pairs(self.plain)
+
+    def line(self, place: int) -> int:
+        """The line of a place, from 1."""
+        return bisect_right(self._starts, place)
+
+    def closing(self, place: int) -> int:
+        """The place of the bracket that closes the one at a place; -1 if none does."""
+        return self._pairs.get(place, -1)
+
+    def arguments(self, start: int, end: int) -> list[tuple[int, int]]:
+        """Places of what commas part between two places, brackets of any kind kept whole; blanks at the ends left out.
+
+        Nothing between the places is no argument.
+        """
+        spans, begin, place = [], start, start
+        for match in re.compile(r"[,(\[{]").finditer(self.plain, start, end):
+            if match.start() < place:  # inside of brackets that are passed over
+                continue
+            if match.group() == ",":
+                spans.append(self.trimmed(begin, match.start()))
+                begin = match.end()
+            else:
+                place = max(self.closing(match.start()), match.start())
+        last = self.trimmed(begin, end)
+        return [*spans, last] if spans or last[0] < last[1] else []
+
+    def trimmed(self, start: int, end: int) -> tuple[int, int]:
+        """A span without the blanks at its ends."""
+        while start < end and self.plain[start].isspace():
+            start += 1
+        while end > start and self.plain[end - 1].isspace():
+            end -= 1
+        return start, end
+
+
+def bracket_pairs(text: str) -> dict[int, int]:
+    """The place of the closing bracket of each opening one that has its own."""
+    pairs: dict[int, int] = {}
+    opened: list[int] = []
+    for match in re.finditer(r"[()\[\]{}]", text):
+        if match.group() in CLOSES:
+            opened.append(match.start())
+        elif opened and CLOSES[text[opened[-1]]] == match.group():
+            pairs[opened.pop()] = match.start()
+        else:  # what does not fit leaves all that is open without an end
+            opened.clear()
+    return pairs
+
+
+def blanked(text: str, comments: str) -> str:
+    """The text with comments and strings as blanks, so that every place keeps its number.
+
+    Args:
+        text: The program.
+        comments: A regular expression of strings and comments of the language.
+    """
+    return re.sub(comments, lambda match: re.sub(r"[^\n]", " ", match.group()), text)
+
+
+def written(value: float, before: str, digits: int) -> str:
+    """A number in place of another: as many digits behind the point as that had, or more where they are needed."""
+    own = before.lower().split("e")[0]
+    had = len(own.split(".")[1]) if "." in own else 0
+    text = f"{value:.{max(had, digits)}f}"
+    return text.lstrip("-") if float(text) == 0.0 else text
+
+
+def spliced(text: str, changes: Sequence[tuple[Number, str]]) -> str:
+    """The text with other numbers; all else stays."""
+    parts, end = [], 0
+    for old, new in sorted(changes, key=lambda change: change[0].start):
+        parts += [text[end : old.start], new]
+        end = old.end
+    return "".join([*parts, text[end:]])
