@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from aridcal.errors import CampaignError
+from aridcal.programs.anatomy import anatomy_of
 from aridcal.programs.axes import DEGREE, MILLIMETRE, axes_of
 from aridcal.programs.cell import Cell
 from aridcal.programs.language import Language
@@ -34,8 +35,15 @@ WITNESSES = 3
 """Poses whose words speak against the zeros, at least: one or two are a slip of a pen. Of joint targets one beyond the limits is
 enough, for none of them could ever have been driven."""
 
-STRAY = 0.1
-"""The share of poses whose words may agree with wrong zeros: those where a word happens to be the same with either."""
+BY_CHANCE = 0.5
+"""The share of poses whose words may agree with wrong zeros. KUKA's T has one bit an axis: with two zeros wrong a quarter of the
+poses agree by chance, and twice as many would not be spread evenly; quarters of a turn agree with none."""
+
+COPIED = 0.1
+"""The share of poses whose words may not agree with the right zeros: linear moves do not ask for them, and nobody mends them."""
+
+ENOUGH = 100
+"""Poses that are looked at: more say the same."""
 
 LOOSE = 1.0
 """Degrees or millimetres beyond a limit that a description's rounding explains."""
@@ -83,29 +91,28 @@ class _Witnesses:
     Attributes:
         cell: As it was read for.
         poses: Words of each pose, and the nominal arm's positions there, at least one.
-        joints: What the controller shows at each joint target, NaN where nothing is said, shape (axes of the arm,), degrees or mm.
+        joints: What the controller shows at each joint target, NaN where nothing is said, (axes of the arm,), degrees or mm.
     """
 
     cell: Cell
     poses: Sequence[tuple[Posture, Sequence[np.ndarray]]]
     joints: Sequence[np.ndarray]
 
-    def agree(self, shift: np.ndarray) -> list[bool]:
-        """Of each pose, whether its words fit a position, if zeros were shifted by degrees."""
-        axes = self.cell.axes
-        zeros = tuple(np.array(axes.zeros or np.zeros(len(axes.arm))) + shift)
-        shifted = replace(axes, zeros=zeros)
-        return [any(_fits(replace(words, axes=shifted), q, self.cell) for q in stands) for words, stands in self.poses]
-
-    def within(self, shift: np.ndarray) -> list[bool]:
-        """Of each joint target, whether it is within the URDF's limits, if zeros were shifted by degrees."""
-        axes = self.cell.axes
-        units = [axes.unit(k, DEGREE, MILLIMETRE) for k in axes.arm]
-        zeros = np.array(axes.zeros or np.zeros(len(axes.arm))) + shift
-        low, high = (self.cell.robot.limits[list(axes.arm)] / np.array(units)[:, None]).T
+    def agree(self, zeros: tuple[float, ...]) -> list[bool]:
+        """Of each pose, whether its words fit a position with these zeros."""
+        axes = replace(self.cell.axes, zeros=zeros)
+        arm = anatomy_of(self.cell.robot, axes)
         return [
-            bool(np.all(np.isnan(q) | ((q - zeros >= low - LOOSE) & (q - zeros <= high + LOOSE)))) for q in self.joints
+            any(_fits(replace(words, axes=axes, anatomy=arm), q, self.cell) for q in stands)
+            for words, stands in self.poses
         ]
+
+    def within(self, zeros: tuple[float, ...]) -> list[bool]:
+        """Of each joint target, whether it is within the URDF's limits with these zeros."""
+        axes = self.cell.axes
+        units = np.array([axes.unit(k, DEGREE, MILLIMETRE) for k in axes.arm])
+        low, high = (self.cell.robot.limits[list(axes.arm)] / units[:, None] + np.array(zeros)[:, None]).T
+        return [bool(np.all(np.isnan(q) | ((q >= low - LOOSE) & (q <= high + LOOSE)))) for q in self.joints]
 
 
 def _fits(words: Posture, q: np.ndarray, cell: Cell) -> bool:
@@ -117,7 +124,7 @@ def _fits(words: Posture, q: np.ndarray, cell: Cell) -> bool:
 def _turned(q: np.ndarray, cell: Cell) -> Iterator[np.ndarray]:
     """A position, and the same with axes 1, 4 and 6 turned by a whole turn within their limits."""
     axes, limits = cell.axes, cell.robot.limits
-    turning = [axes.arm[k] for k in (0, 3, 5) if k < len(axes.arm) and axes.kinds[axes.arm[k]] != "prismatic"]
+    turning = [axes.arm[k] for k in (0, 3, 5)]
     for turns in itertools.product((0.0, math.tau, -math.tau), repeat=len(turning)):
         other = q.copy()
         other[turning] += turns
@@ -129,11 +136,11 @@ def zeros_hint(targets: Sequence[Target], positions: Sequence[Sequence[np.ndarra
     """What to state where a program contradicts its controller's zeros; empty where that is not certain.
 
     It is said only where two things that have nothing to do with each other agree: by the arm's own geometry the zeros of axes 2
-    and 3 are a multiple of 90 degrees off where this maker has them; and the program, which with the zeros as they are names
-    postures that the arm does not have (almost everywhere), or joints beyond its limits, is free of contradictions with the maker's.
+    and 3 are a multiple of 90 degrees off where this maker has them; and the program names postures that the arm does not have
+    (most of them), or joints beyond its limits, and no longer does with the maker's zeros.
 
     Args:
-        targets: Of the program.
+        targets: Of the program, or some of them.
         positions: Of each target of a pose, all positions in which the nominal arm reaches it, whatever the words say; else none.
         cell: As the program was read for.
         language: Its name.
@@ -145,17 +152,18 @@ def zeros_hint(targets: Sequence[Target], positions: Sequence[Sequence[np.ndarra
         (target.branch.words.texts, stands)
         for target, stands in zip(targets, positions, strict=True)
         if target.branch.words is not None and isinstance(target.branch.words.texts, Posture) and len(stands)
-    ]
+    ][:ENOUGH]
     joints = [_shown(target, cell) for target in targets if target.form == "joints" and target.readings is not None]
     witnesses = _Witnesses(cell, poses, joints)
-    if not (all(witnesses.agree(off)) and all(witnesses.within(off))):
-        return ""
-    as_is = np.zeros(len(off))
+    as_is = cell.axes.zeros or (0.0,) * len(off)
+    meant = tuple(float(zero) for zero in np.array(as_is) + off)
     agreeing, within = witnesses.agree(as_is), witnesses.within(as_is)
-    spoken = len(agreeing) - sum(agreeing) >= WITNESSES and sum(agreeing) <= STRAY * len(agreeing)
+    spoken = len(poses) - sum(agreeing) >= WITNESSES and sum(agreeing) <= BY_CHANCE * len(poses)
     if not spoken and all(within):
         return ""
-    return _sentence(cell, language, off, agreeing, within)
+    if sum(witnesses.agree(meant)) < (1.0 - COPIED) * len(poses) or not all(witnesses.within(meant)):
+        return ""
+    return _sentence(language, off, meant, (agreeing, within))
 
 
 def _shown(target: Target, cell: Cell) -> np.ndarray:
@@ -180,15 +188,17 @@ def _off(cell: Cell, language: str) -> np.ndarray | None:
     return off + 0.0 if np.abs(exact - off).max() < TRUE else None
 
 
-def _sentence(cell: Cell, language: str, off: np.ndarray, agreeing: Sequence[bool], within: Sequence[bool]) -> str:
+def _sentence(
+    language: str, off: np.ndarray, meant: Sequence[float], verdicts: tuple[Sequence[bool], Sequence[bool]]
+) -> str:
     maker, letter = MAKERS[language]
-    parts = [f"{letter}{k + 1} zero is {abs(off[k]):.0f}° off this URDF's" for k in np.flatnonzero(off)]
-    zeros = np.array(cell.zeros or np.zeros(len(off))) + off
-    reasons = [
-        f"{len(agreeing) - sum(agreeing)} of {len(agreeing)} postures" if not all(agreeing) else "",
-        f"{len(within) - sum(within)} of {len(within)} joint targets" if not all(within) else "",
+    axes = " and ".join(f"{letter}{k + 1} zero is {abs(off[k]):.0f}° off this URDF's" for k in np.flatnonzero(off))
+    against = [
+        f"{len(good) - sum(good)} of {len(good)} {what}"
+        for good, what in zip(verdicts, ("postures", "joint targets"), strict=True)
+        if not all(good)
     ]
     return (
-        f"{maker}'s {' and '.join(parts)}, which {' and '.join(r for r in reasons if r)} contradict: state "
-        f"--zeros {','.join(f'{z:g}' for z in zeros)}, or `controller_zeros` of the robot in the campaign"
+        f"{maker}'s {axes}: {' and '.join(against)} of the program say so. State --zeros "
+        f"{','.join(f'{zero:g}' for zero in meant)}, or robot.controller_zeros in the campaign"
     )
