@@ -22,8 +22,9 @@ from aridcal.programs.cell import Cell
 from aridcal.programs.postures import EITHER, fanuc_words, krl_words, rapid_words, unread
 from aridcal.programs.targets import Branch, Target, Words
 from aridcal.programs.text import Number
-from aridcal.programs.zeros import WITNESSES, cell_zeros, zeros_hint
+from aridcal.programs.zeros import WITNESSES, cell_zeros, senses_hint, zeros_hint
 from aridcal.result.saved_model import SavedModel
+from aridcal.robot.chain import parse_robot
 
 KUKA_ZERO = (0.0, -90.0, 90.0, 0.0, 0.0, 0.0)
 """Of a URDF whose upper arm is upright at zero."""
@@ -42,7 +43,7 @@ def some(given: Some | None) -> Some:
 
 
 def krl_of(cell: Cell, status: str, turn: str) -> Words:
-    return some(krl_words(*numbers(status, turn), cell))
+    return some(krl_words(Number(0, status), Number(10, turn), cell))
 
 
 def rapid_of(cell: Cell, *data: str) -> Words:
@@ -70,7 +71,8 @@ def degrees(*shown: float) -> np.ndarray:
 
 def poses(arm: Arm, n: int, seed: int = 1) -> list[dict[tuple[bool, bool, bool], np.ndarray]]:
     """All eight positions at random poses that have eight, each checked to be one."""
-    robot, rng, every = arm.robot(), np.random.default_rng(seed), []
+    robot, rng = arm.robot(), np.random.default_rng(seed)
+    every: list[dict[tuple[bool, bool, bool], np.ndarray]] = []
     while len(every) < n:
         q = np.radians(rng.uniform(-170.0, 170.0, 6))
         T = flange(robot, q)
@@ -261,6 +263,16 @@ def test_the_posture_of_an_arm_of_another_build_is_kept_and_that_is_said() -> No
     )
 
 
+def test_an_arm_of_which_an_axis_follows_another_is_of_another_build() -> None:
+    lever = (
+        '<link name="lever"/><joint name="side" type="revolute"><parent link="l1"/><child link="lever"/><axis xyz="0 1 0"/>'
+        '<limit lower="-3" upper="3" effort="1" velocity="1"/></joint></robot>'
+    )
+    followed = ABB.robot().urdf.decode().replace("</robot>", lever)
+    followed = followed.replace('<child link="l3"/>', '<child link="l3"/><mimic joint="side" multiplier="-1"/>')
+    assert Cell(parse_robot(followed.encode(), "l6", "world")).anatomy is None
+
+
 def test_an_abb_that_cannot_bend_backwards_keeps_its_cfx_and_that_is_said() -> None:
     """Axis 3 of an arm with a parallel rod ends before the arm is stretched: RobotStudio uses no cfx there."""
     limits = [(-180.0, 180.0)] * 6
@@ -378,6 +390,20 @@ def test_nothing_is_said_of_zeros_where_words_are_wrong_whatever_the_zeros() -> 
         targets, positions = kuka_program(cell, 30)
         wrong = [replace(t, branch=Branch(krl_of(cell, "2", "0"))) for t in targets]
         assert zeros_hint(wrong, positions, cell, krl.ROW.name) == ""
+
+
+def test_axes_that_turn_the_other_way_than_the_makers_are_named() -> None:
+    """As in a much used URDF of a KR 210, whose axes all turn to the left; and in one whose flange alone is turned round."""
+    for row, arm in ((krl.ROW, KUKA), (rapid.ROW, ABB), (fanuc.ROW, FANUC)):
+        for robot in (arm.robot(), arm.robot(upright=True), arm.robot(mount='rpy="3.141592653589793 0 0"')):
+            assert senses_hint(Cell(robot), row.name) == ""
+    left = Arm(KUKA.lengths, (1, 1, 1, 1, 1, 1), level=True)
+    assert "j1, j4, j6 of the URDF turn the other way than KUKA's A1, A4, A6" in senses_hint(
+        Cell(left.robot()), krl.ROW.name
+    )
+    flange_alone = Arm(FANUC.lengths, (1, 1, -1, -1, -1, 1), level=False)
+    assert senses_hint(Cell(flange_alone.robot()), fanuc.ROW.name).startswith("j6 of the URDF")
+    assert senses_hint(Cell(robots.ur10()), krl.ROW.name) == senses_hint(Cell(left.robot()), "URScript") == ""
 
 
 def test_an_abb_program_for_a_urdf_that_lies_level_at_zero() -> None:

@@ -39,9 +39,9 @@ class Anatomy:
         upper: From axis 2 to axis 3 where the controller shows zero, [m].
         fore: From axis 3 to the wrist's centre, likewise.
         forearm: Which way axis 4 points there, to the wrist: of length 1.
-        senses: Of axes 2 and 3: 1 where the arm leans forward as the angle grows, -1 where it leans back.
-        nod: Of axis 5, where axis 4 shows zero: 1 where the flange bends down as the angle grows, -1 where it lifts; 0 where its
-            zero is none of these.
+        senses: What each axis does as its angle grows where the controller shows zero, -1 for the opposite: axis 1 turns to the
+            left, 2 and 3 lean forward, 4 and 6 turn clockwise for who looks out along them, 5 bends the flange down; 0 for 5 and
+            6 where the zero of the wrist is another one.
         stretched: The angle that axis 3 shows where the wrist is in line with axes 2 and 3, [rad]: KUKA's phi.
         stretches: Whether axis 3 can go there, and so bend the arm to the other side.
     """
@@ -50,20 +50,19 @@ class Anatomy:
     upper: complex
     fore: complex
     forearm: complex
-    senses: tuple[float, float]
-    nod: float
+    senses: tuple[float, ...]
     stretched: float
     stretches: bool
 
     def ahead(self, shown: np.ndarray) -> float:
         """How far the wrist's centre is in front of axis 1, as a share of the arm's length; below zero: behind, overhead."""
-        lean = self.senses[0] * shown[1]
-        reach = self.upper * cmath.exp(-1j * lean) + self.fore * cmath.exp(-1j * (lean + self.senses[1] * shown[2]))
+        lean = self.senses[1] * shown[1]
+        reach = self.upper * cmath.exp(-1j * lean) + self.fore * cmath.exp(-1j * (lean + self.senses[2] * shown[2]))
         return (self.lead + reach.real) / (abs(self.upper) + abs(self.fore))
 
     def bent(self, shown: np.ndarray) -> float:
         """Sine of the elbow: above zero where the wrist's centre is in front of the line from axis 2 to axis 3."""
-        return math.sin(self.senses[1] * (shown[2] - self.stretched))
+        return math.sin(self.senses[2] * (shown[2] - self.stretched))
 
 
 def anatomy_of(robot: Robot, axes: Axes) -> Anatomy | None:
@@ -74,7 +73,9 @@ def anatomy_of(robot: Robot, axes: Axes) -> Anatomy | None:
         axes: With what its controller shows where its readings are zero.
     """
     columns = [robot.readings.index(joint.reading) for joint in robot.joints]
-    if len(axes.arm) != 6 or len(columns) != len(set(columns)) or any(axes.kinds[k] == "prismatic" for k in axes.arm):
+    if len(axes.arm) != 6 or any(axes.kinds[k] == "prismatic" for k in axes.arm):
+        return None
+    if any(joint.reading != joint.name for joint in robot.joints):  # one that follows another, as a rod makes it
         return None
     joints = [columns.index(k) for k in axes.arm]
     zero = np.zeros(len(robot.readings))
@@ -104,12 +105,12 @@ def anatomy_of(robot: Robot, axes: Axes) -> Anatomy | None:
         or abs(out @ side) > STRAIGHT
     ):
         return None
-    senses = (float(np.sign(a[1] @ side)), float(np.sign(a[2] @ side)))
     in_line = abs(a[4] @ side) > 1.0 - STRAIGHT and abs(a[3] @ a[5]) > 1.0 - STRAIGHT
-    nod = float(np.sign(a[4] @ side)) if in_line else 0.0
-    stretched = senses[1] * cmath.phase(fore / upper)
+    along = [a[0] @ up, a[1] @ side, a[2] @ side, a[3] @ out, in_line * (a[4] @ side), in_line * (a[5] @ out)]
+    senses = tuple(float(np.sign(cosine)) for cosine in along)
+    stretched = senses[2] * cmath.phase(fore / upper)
     low, high = robot.limits[axes.arm[2]] - zero[axes.arm[2]]
-    return Anatomy(lead, upper, fore, seen(out), senses, nod, stretched, _within(stretched, float(low), float(high)))
+    return Anatomy(lead, upper, fore, seen(out), senses, stretched, _within(stretched, float(low), float(high)))
 
 
 def _within(angle: float, low: float, high: float) -> bool:

@@ -238,7 +238,7 @@ def _letter(stance: Stance, text: str) -> str | None:
     if arm is None:
         return text
     pairs: Mapping[str, float] = {
-        "NF": arm.nod * wrist,
+        "NF": arm.senses[4] * wrist,
         "TB": ahead,
         "UD": bent if ahead > 0.0 else 0.0,
     }

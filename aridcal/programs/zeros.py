@@ -31,6 +31,9 @@ front; ABB's and FANUC's upper arm is upright, the forearm level."""
 
 MAKERS = {"KRL": ("KUKA", "A"), "RAPID": ("ABB", "axis "), "FANUC LS": ("FANUC", "J")}
 
+SENSES = {"KRL": (-1, 1, 1, -1, 1, -1), "RAPID": (1, 1, 1, 1, 1, 1), "FANUC LS": (1, 1, -1, -1, -1, -1)}
+"""Which way the maker's axes turn, as :attr:`Anatomy.senses` has them."""
+
 WITNESSES = 3
 """Poses whose words speak against the zeros, at least: one or two are a slip of a pen. Of joint targets one beyond the limits is
 enough, for none of them could ever have been driven."""
@@ -137,7 +140,8 @@ def zeros_hint(targets: Sequence[Target], positions: Sequence[Sequence[np.ndarra
 
     It is said only where two things that have nothing to do with each other agree: by the arm's own geometry the zeros of axes 2
     and 3 are a multiple of 90 degrees off where this maker has them; and the program names postures that the arm does not have
-    (most of them), or joints beyond its limits, and no longer does with the maker's zeros.
+    (most of them), or joints beyond its limits, and no longer does with the maker's zeros. Of axes 1, 4 and 6 nothing is said: a
+    base or a tool that is turned by a right angle looks just the same.
 
     Args:
         targets: Of the program, or some of them.
@@ -166,6 +170,29 @@ def zeros_hint(targets: Sequence[Target], positions: Sequence[Sequence[np.ndarra
     return _sentence(language, off, meant, (agreeing, within))
 
 
+def senses_hint(cell: Cell, language: str) -> str:
+    """Which axes of the URDF turn the other way than the maker's; empty where none does, or nobody can tell.
+
+    Joint targets, and words that count such an axis, then mean another place than the URDF's.
+
+    Args:
+        cell: As the program was read for.
+        language: Its name.
+    """
+    arm = cell.anatomy
+    if arm is None or language not in SENSES:
+        return ""
+    other = [k for k, (own, makers) in enumerate(zip(arm.senses, SENSES[language], strict=True)) if own * makers < 0]
+    if not other:
+        return ""
+    maker, letter = MAKERS[language]
+    joints = ", ".join(cell.robot.readings[cell.axes.arm[k]] for k in other)
+    return (
+        f"{joints} of the URDF turn the other way than {maker}'s {', '.join(f'{letter}{k + 1}' for k in other)}: joints in the "
+        "program mean other places than the URDF's; calibrate with a URDF whose axes turn as the controller's do"
+    )
+
+
 def _shown(target: Target, cell: Cell) -> np.ndarray:
     """What the controller shows at a joint target, degrees or mm."""
     assert target.readings is not None
@@ -181,7 +208,7 @@ def _off(cell: Cell, language: str) -> np.ndarray | None:
     upper, forearm = (math.degrees(cmath.phase(part)) for part in (arm.upper, arm.forearm))
     meant_upper, meant_forearm = AT_ZERO[language]
     lean = meant_upper - upper
-    exact = np.array([0.0, arm.senses[0] * lean, arm.senses[1] * (meant_forearm - forearm - lean), 0.0, 0.0, 0.0])
+    exact = np.array([0.0, arm.senses[1] * lean, arm.senses[2] * (meant_forearm - forearm - lean), 0.0, 0.0, 0.0])
     half_turn = 2.0 * RIGHT_ANGLE
     exact = (exact + half_turn) % (2.0 * half_turn) - half_turn
     off = RIGHT_ANGLE * np.round(exact / RIGHT_ANGLE)
