@@ -377,6 +377,11 @@ def test_nothing_is_said_of_zeros_that_are_right_or_stated_or_not_contradicted()
     assert zeros_hint([home(stated, 0, -90, 90, 0, 0, 0)], [[]], stated, krl.ROW.name) == ""
     assert zeros_hint(*kuka_program(bare, WITNESSES - 1), bare, krl.ROW.name) == ""
     assert zeros_hint(*kuka_program(bare, words=False), bare, krl.ROW.name) == ""
+    own = [
+        replace(t, branch=Branch(krl_of(bare, *some(krl_of(bare, "0", "0").texts(stands[0])))))
+        for t, stands in zip(*kuka_program(bare), strict=True)
+    ]  # written for the URDF's zeros, by an offline system that has them
+    assert zeros_hint(own, kuka_program(bare)[1], bare, krl.ROW.name) == ""
     assert zeros_hint([home(bare, 0, -90, 30, 0, 0, 0)], [[]], bare, krl.ROW.name) == ""  # it can go there
     assert (
         zeros_hint([home(bare, 0, -90, 90, 0, 130, 0)], [[]], bare, krl.ROW.name) == ""
