@@ -25,6 +25,7 @@ from aridcal.errors import OutputError, printable, shortened
 from aridcal.prepare.campaign_text import Draft, draft, scalar
 from aridcal.prepare.guesses import nobody
 from aridcal.reading.names import path_argument
+from aridcal.showing import Screen
 from aridcal.writing.files import atomic_file, claimed
 
 SHOWN_REMARKS = 5
@@ -32,7 +33,7 @@ SHOWN_REMARKS = 5
 
 def ask(question: str, answers: Sequence[str], why: str) -> int:
     """Ask on the terminal; the first answer is proposed."""
-    console = Console(stderr=True)
+    console = Screen(stderr=True)
     console.print(f"{question}? ({why})", markup=False)
     for number, answer in enumerate(answers, start=1):
         console.print(f"  {number}  {answer}", markup=False, highlight=False)

@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import TypeVar
+from typing import IO, TypeVar
 
 from rich.console import Console
 from rich.control import Control
@@ -37,6 +37,21 @@ Show = Callable[[str], None]
 
 BAR = 20
 """Letters of a bar."""
+
+
+def unheard(stream: IO[str]) -> None:
+    """Nobody reads a stream any more: what is still printed goes nowhere. Python would try once more at its end, and complain."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, stream.fileno())
+    os.close(nowhere)
+
+
+class Screen(Console):
+    """A terminal, file or pipe. Once nobody reads it, as after ``| head``, the work goes on, and ends with its own status."""
+
+    def on_broken_pipe(self) -> None:
+        """Rich would end the program with status 1."""
+        unheard(self.file)
 
 
 @dataclass(frozen=True)
@@ -208,7 +223,7 @@ def working() -> Iterator[Progress]:
     Yields:
         To be told of each step. Outside terminals and notebooks it shows nothing.
     """
-    console = Console(stderr=True)
+    console = Screen(stderr=True)
     started = time.perf_counter()
 
     def line(step: str) -> str:

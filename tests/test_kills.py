@@ -290,6 +290,20 @@ def test_a_killed_holder_holds_nothing(tmp_path):
     assert contents(tmp_path) == {"a.txt": "new a"}
 
 
+def test_a_disk_that_is_full_leaves_no_lock_behind(tmp_path, monkeypatch):
+    def full(path: Path, *_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
+
+    monkeypatch.setattr(Path, "write_text", full)
+    for kind, name in (("folder", "new/results"), ("file", "poses.csv")):
+        with pytest.raises(OutputError, match=rf"{name}: cannot be written: No space left.*Make room"):  # noqa: SIM117
+            with claimed(tmp_path / name, kind):
+                pytest.fail("the work has begun")
+    assert list(tmp_path.iterdir()) == []
+    monkeypatch.undo()
+    write_folder(tmp_path / "results")  # and no lock is held: another try succeeds
+
+
 def test_two_threads_do_not_write_the_same_output(tmp_path):
     said = []
 
