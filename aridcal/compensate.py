@@ -58,6 +58,7 @@ from aridcal.result.predict import read_queries
 from aridcal.result.saved_model import SavedModel
 from aridcal.result.stretches import Stretch
 from aridcal.showing import told_on
+from aridcal.writing.apart import check_apart
 from aridcal.writing.files import atomic_file, check_home, claimed
 from aridcal.writing.tables import ENDINGS, table_file, write_table
 
@@ -115,6 +116,7 @@ def _main(arguments: argparse.Namespace) -> None:
     if arguments.out.suffix.lower() not in ENDINGS:
         raise OutputError(f"{arguments.out}: should be a .csv or .parquet file")
     check_home(arguments.out)
+    check_apart([arguments.out], [arguments.calibration, arguments.poses])
     with claimed(arguments.out, "file"):
         _compensate(arguments)
 
@@ -146,6 +148,7 @@ def _correct_program(arguments: argparse.Namespace, language: Language) -> None:
         raise OutputError(f"{out}: should end as {program.name} does: it is {language.name}, too")
     side = out.with_name(f"{out.name}.corrections.csv")
     check_home(out)
+    check_apart([out, side], [arguments.calibration, program, arguments.frames])
     with claimed(out, "file"), claimed(side, "file"):
         saved = SavedModel.load(arguments.calibration)
         robot = saved.final.model.robot

@@ -27,6 +27,7 @@ from aridcal.inputs.head_settings import POSE_COLUMNS, HeadSettings, range_colum
 from aridcal.inputs.quantities import STD
 from aridcal.inputs.tables import Table
 from aridcal.reading.names import path_argument
+from aridcal.writing.apart import check_apart
 from aridcal.writing.files import atomic_table, claimed_table
 
 BESIDE = REFUSED, SHEET = "refused.csv", "shots.html"
@@ -135,12 +136,18 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _main(arguments: argparse.Namespace) -> None:
     out: Path = arguments.out
+    check_apart(_written(out), [arguments.head])
     with claimed_table(out, BESIDE):
         _measure(arguments.head, out, screens(arguments)[1])
 
 
+def _written(out: Path) -> list[Path]:
+    return [out, *(out.with_name(name) for name in BESIDE)]
+
+
 def _measure(settings: Path, out: Path, console: Console) -> None:
     head, squares, table, shots = load(settings)
+    check_apart(_written(out), [head.squares, head.shots, *(head.shots.parent / shot.image for shot in shots)])
     work = measure_shots(shots, head, squares)
     results = list(track(work, "measuring", total=len(shots), console=console, transient=True))
     refused = refused_table(table, results)
