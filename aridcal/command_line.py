@@ -14,7 +14,7 @@ from typing import Any, NoReturn
 from rich.console import Console
 from rich.text import Text
 
-from aridcal.errors import AridcalError, printable
+from aridcal.errors import AridcalError, printable_lines
 from aridcal.interrupt import MESSAGE, SIGNALLED, leave
 from aridcal.showing import Screen, one_thread, unheard
 from aridcal.writing.signals import Handler, Terminated, handling, terminate
@@ -44,7 +44,7 @@ def run(body: Callable[[], int | None]) -> int:
             sys.stdout.flush()  # what cannot be printed is to be known here
     except AridcalError as error:
         # As plain text: a station's name in brackets is no markup, and a path must not be broken into lines.
-        said = "\n".join(map(printable, str(error).split("\n")))
+        said = printable_lines(str(error))
         console.print(Text("error: ", style="bold red") + Text(said, style="not bold"), soft_wrap=True)
         return BAD_INPUT
     except KeyboardInterrupt as stop:
@@ -71,7 +71,7 @@ class CommandParser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Print what is wrong and exit with status 2."""
-        super().error(f"{message}\n`{self.prog} --help` has an example")
+        super().error(f"{printable_lines(message)}\n`{self.prog} --help` has an example")
 
     def exit(self, status: int = 0, message: str | None = None) -> NoReturn:
         """Exit, with status 2 if the help could not be printed."""

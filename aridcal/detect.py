@@ -41,6 +41,7 @@ from aridcal.reading.files import SETTINGS, read_file
 from aridcal.reading.names import check_name, path_argument
 from aridcal.writing.apart import check_apart
 from aridcal.writing.files import atomic_table, claimed_table
+from aridcal.writing.tables import in_plain_words
 
 BESIDE = CAMERA, REFUSED = CAMERA_FILE, "refused.csv"
 """Written beside the table."""
@@ -245,7 +246,7 @@ def _write(
     text = camera_text(camera, lens, seen.size, len(seen.good)) if lens else ""
     with atomic_table(out, BESIDE) as folder:
         table.to_csv(folder / out.name, index=False, float_format="%.17g")
-        pd.DataFrame(refused, columns=["shot", "image", "why"]).to_csv(folder / REFUSED, index=False)
+        in_plain_words(pd.DataFrame(refused, columns=["shot", "image", "why"])).to_csv(folder / REFUSED, index=False)
         if text or stated:  # beside the table, where `init` looks for it
             (folder / CAMERA).write_bytes(text.encode() or stated)
     lines = [f"refused: {shortened(printable(name))}: {why}" for _, name, why in refused[:SHOWN]]

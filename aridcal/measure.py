@@ -29,6 +29,7 @@ from aridcal.inputs.tables import Table
 from aridcal.reading.names import path_argument
 from aridcal.writing.apart import check_apart
 from aridcal.writing.files import atomic_table, claimed_table
+from aridcal.writing.tables import in_plain_words
 
 BESIDE = REFUSED, SHEET = "refused.csv", "shots.html"
 """Written beside the table: the shots that were not measured, and a page with all images."""
@@ -160,7 +161,7 @@ def _measure(settings: Path, out: Path, console: Console) -> None:
         raise AridcalError(f"{head.shots}: nothing could be measured. First: {first}")
     with atomic_table(out, BESIDE) as folder:
         measured_table(table, results, head).to_csv(folder / out.name, index=False, float_format="%.17g")
-        refused.to_csv(folder / REFUSED, index=False)
+        in_plain_words(refused).to_csv(folder / REFUSED, index=False)
         (folder / SHEET).write_text(contact_sheet(results, f"Shots of {head.shots.name}"), encoding="utf-8")
     said = [f"refused: {line}" for line in lines[:SHOWN]]
     if head.sonars:
