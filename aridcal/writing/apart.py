@@ -26,7 +26,7 @@ def check_apart(outputs: Iterable[Path], inputs: Iterable[Path | None]) -> None:
             file = path / "calibration.yaml" if path.is_dir() else path
             if _same(out, file):
                 raise OutputError(
-                    f"{out}: is {file}, which is read, and would be overwritten; write to another place with -o"
+                    f"{out}: is {file}, which is read: this would overwrite it; write to another place with -o"
                 )
 
 
