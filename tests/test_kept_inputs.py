@@ -63,7 +63,7 @@ def refused(words: list[str | Path], file: Path, capsys: pytest.CaptureFixture[s
     listing = sorted(file.parent.iterdir())
     assert main([str(word) for word in words]) == 2
     said = capsys.readouterr().err
-    assert "which is read: this would overwrite it; write to another place" in said and file.name in said
+    assert "which is read: this would overwrite it; write to another file" in said and file.name in said
     assert file.read_bytes() == before and sorted(file.parent.iterdir()) == listing
 
 

@@ -25,9 +25,7 @@ def check_apart(outputs: Iterable[Path], inputs: Iterable[Path | None]) -> None:
         for path in read:
             file = path / "calibration.yaml" if path.is_dir() else path
             if _same(out, file):
-                raise OutputError(
-                    f"{out}: is {file}, which is read: this would overwrite it; write to another place with -o"
-                )
+                raise OutputError(f"{out}: is {file}, which is read: this would overwrite it; write to another file")
 
 
 def _same(one: Path, other: Path) -> bool:
