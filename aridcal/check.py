@@ -53,6 +53,7 @@ from aridcal.upkeep.answers import check_lines
 from aridcal.upkeep.checking import Checked, check
 from aridcal.upkeep.new_rows import read_new_rows
 from aridcal.upkeep.repair import changes
+from aridcal.writing.apart import check_apart
 from aridcal.writing.files import atomic_file, check_home, claimed
 from aridcal.writing.tables import ENDINGS, write_table
 
@@ -138,9 +139,8 @@ def _main(arguments: argparse.Namespace) -> int:
         return _check(arguments)
     if arguments.poses.suffix.lower() not in ENDINGS:
         raise OutputError(f"{arguments.poses}: should be a .csv or .parquet file")
-    if arguments.poses.resolve() == arguments.rows.resolve():
-        raise OutputError(f"{arguments.poses}: is the table of new rows; write what to measure to another file")
     check_home(arguments.poses)
+    check_apart([arguments.poses], [arguments.results, arguments.rows])
     with claimed(arguments.poses, "file"):
         return _check(arguments)
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import errno
 import json
-import os
 import signal
 import sys
 from collections.abc import Callable, Iterator, Mapping
@@ -15,9 +14,9 @@ from typing import Any, NoReturn
 from rich.console import Console
 from rich.text import Text
 
-from aridcal.errors import AridcalError, printable
+from aridcal.errors import AridcalError, printable_lines
 from aridcal.interrupt import MESSAGE, SIGNALLED, leave
-from aridcal.showing import one_thread
+from aridcal.showing import Screen, one_thread, unheard
 from aridcal.writing.signals import Handler, Terminated, handling, terminate
 
 DONE, BUG, BAD_INPUT, NOT_GOOD = 0, 1, 2, 3
@@ -37,25 +36,26 @@ def run(body: Callable[[], int | None]) -> int:
     Returns:
         0 done, 1 a bug, 2 bad input or use, 3 what was checked is not good, 130 after Ctrl-C, 143 after SIGTERM.
     """
-    console = Console(stderr=True)
+    console = Screen(stderr=True)
+    status: int | None = DONE
     try:
         with _stopped_politely(), one_thread():
             status = body()
             sys.stdout.flush()  # what cannot be printed is to be known here
     except AridcalError as error:
         # As plain text: a station's name in brackets is no markup, and a path must not be broken into lines.
-        said = "\n".join(map(printable, str(error).split("\n")))
+        said = printable_lines(str(error))
         console.print(Text("error: ", style="bold red") + Text(said, style="not bold"), soft_wrap=True)
         return BAD_INPUT
     except KeyboardInterrupt as stop:
         console.print(MESSAGE, soft_wrap=True)
         return TERMINATED if isinstance(stop, Terminated) else INTERRUPTED
     except BrokenPipeError:  # whoever read the output, `head` for instance, has seen enough
-        _say_no_more()
-        return DONE
+        unheard(sys.stdout)
+        return status or DONE
     except Exception as error:
         if isinstance(error, OSError) and error.errno in NO_ROOM:
-            _say_no_more()
+            unheard(sys.stdout)
             said = f"error: what was to be printed could not be written: {error.strerror}. Make room"
             console.print(said, soft_wrap=True, markup=False)
             return BAD_INPUT
@@ -66,17 +66,16 @@ def run(body: Callable[[], int | None]) -> int:
     return status or DONE
 
 
-def _say_no_more() -> None:
-    """Python would try once more to print what is left, at its very end, and complain."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-
-
 class CommandParser(argparse.ArgumentParser):
     """A command's arguments; a slip in them is answered with where to look."""
 
     def error(self, message: str) -> NoReturn:
         """Print what is wrong and exit with status 2."""
-        super().error(f"{message}\n`{self.prog} --help` has an example")
+        super().error(f"{printable_lines(message)}\n`{self.prog} --help` has an example")
+
+    def exit(self, status: int = 0, message: str | None = None) -> NoReturn:
+        """Exit, with status 2 if the help could not be printed."""
+        super().exit(run(lambda: None) or status, message)
 
 
 def command_parser(command: str, doc: str | None) -> CommandParser:
@@ -124,8 +123,8 @@ def screens(arguments: argparse.Namespace) -> tuple[Console, Console]:
     In a pipe lines are whole, however long they are: what reads them there breaks them as it likes.
     """
     silent, piped = arguments.quiet or getattr(arguments, "json", False), not sys.stdout.isatty()
-    words = Console(quiet=silent, soft_wrap=piped, width=PIPED if piped else None)
-    return words, Console(stderr=True, quiet=arguments.quiet)
+    words = Screen(quiet=silent, soft_wrap=piped, width=PIPED if piped else None)
+    return words, Screen(stderr=True, quiet=arguments.quiet)
 
 
 def print_headline(arguments: argparse.Namespace, headline: Mapping[str, Any]) -> None:

@@ -33,6 +33,7 @@ from aridcal.drawing.html import tag
 from aridcal.reading.names import path_argument
 from aridcal.result.folder import finite
 from aridcal.result.saved_model import SavedModel
+from aridcal.writing.apart import check_apart
 from aridcal.writing.files import atomic_folder, claimed
 
 FILES = frozenset({"compare.html", "compare.json"})
@@ -115,6 +116,7 @@ def _main(arguments: argparse.Namespace) -> int:
         return _said(
             compare(SavedModel.load(arguments.first), SavedModel.load(arguments.second)), screens(arguments)[0]
         )
+    check_apart((arguments.out / name for name in FILES), [arguments.first, arguments.second])
     with claimed(arguments.out, "folder", FILES):
         found = compare(SavedModel.load(arguments.first), SavedModel.load(arguments.second))
         with atomic_folder(arguments.out, FILES) as stage:

@@ -48,10 +48,12 @@ from aridcal.planning.design import Asked, Plan, as_table, design
 from aridcal.planning.exchange import Criterion
 from aridcal.planning.programs import PROGRAMS, WAYPOINTS, check_program, moves, program
 from aridcal.planning.rivals import duel_lines
+from aridcal.plant.keys import files_of
 from aridcal.reading.names import path_argument
 from aridcal.report.plan_page import plan_page
 from aridcal.robot.chain import Robot
 from aridcal.showing import told_on
+from aridcal.writing.apart import check_apart
 from aridcal.writing.files import atomic_file, check_home, claimed
 from aridcal.writing.tables import ENDINGS, write_table
 
@@ -169,11 +171,9 @@ def check_outputs(campaign: Campaign, robot: Robot, out: Sequence[Path]) -> None
     Raises:
         OutputError: naming the file.
     """
-    own = [campaign.path, *(file for block in campaign.blocks for file in block.files)]
+    check_apart(out, [campaign.path, *(file for _, file in files_of(campaign))])
     places = [path.resolve() for path in out]
     for number, (path, place) in enumerate(zip(out, places, strict=True)):
-        if place in [file.resolve() for file in own]:
-            raise OutputError(f"{path}: is the campaign or a table of it; write the plan to another file")
         if place in places[:number]:
             raise OutputError(f"{path}: is named twice; delete one")
         if path.suffix.lower() in PROGRAMS:

@@ -39,7 +39,9 @@ from aridcal.inputs.instrument_settings import ArmCameraSettings
 from aridcal.inputs.tables import Table, read_tables
 from aridcal.reading.files import SETTINGS, read_file
 from aridcal.reading.names import check_name, path_argument
+from aridcal.writing.apart import check_apart
 from aridcal.writing.files import atomic_table, claimed_table
+from aridcal.writing.tables import in_plain_words
 
 BESIDE = CAMERA, REFUSED = CAMERA_FILE, "refused.csv"
 """Written beside the table."""
@@ -186,11 +188,14 @@ def _main(arguments: argparse.Namespace) -> None:
     options = chosen(arguments, arguments.board, KINDS)
     board = board_of(arguments.board, options)
     assert not isinstance(board, Cube)
+    # The numbers of --intrinsics may be in the camera's file beside the table, and are what is written there again.
+    check_apart([out, out.with_name(REFUSED)], [arguments.joints, arguments.intrinsics])
     with claimed_table(out, BESIDE):
         known = known_camera(arguments.intrinsics, arguments.camera) if arguments.intrinsics else None
         stated = read_file(arguments.intrinsics, AridcalError, SETTINGS) if known else b""
         joints = joint_rows(arguments.joints) if arguments.joints else None
         images = listed_images(arguments.images)
+        check_apart([out, *(out.with_name(name) for name in BESIDE)], images.values())
         if joints is not None and not set(images) & set(joints[1]):
             first = next(iter(images))
             raise MeasurementError(
@@ -241,7 +246,7 @@ def _write(
     text = camera_text(camera, lens, seen.size, len(seen.good)) if lens else ""
     with atomic_table(out, BESIDE) as folder:
         table.to_csv(folder / out.name, index=False, float_format="%.17g")
-        pd.DataFrame(refused, columns=["shot", "image", "why"]).to_csv(folder / REFUSED, index=False)
+        in_plain_words(pd.DataFrame(refused, columns=["shot", "image", "why"])).to_csv(folder / REFUSED, index=False)
         if text or stated:  # beside the table, where `init` looks for it
             (folder / CAMERA).write_bytes(text.encode() or stated)
     lines = [f"refused: {shortened(printable(name))}: {why}" for _, name, why in refused[:SHOWN]]

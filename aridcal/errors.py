@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import re
 import unicodedata
 from collections.abc import Iterable, Sequence
 
@@ -72,6 +73,13 @@ def printable(text: str) -> str:
         return text
     spelt = (repr(c)[1:-1] if unicodedata.category(c) in BREAKING else c for c in text)
     return "".join(spelt)
+
+
+def printable_lines(text: str) -> str:
+    """The same of a text whose line breaks and tabs are meant."""
+    if text.isprintable():
+        return text
+    return "".join(part if part in ("\n", "\t") else printable(part) for part in re.split("([\n\t])", text))
 
 
 def shortened(text: str, most: int = SHOWN) -> str:

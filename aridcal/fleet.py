@@ -36,6 +36,7 @@ from aridcal.plant.table import NAME
 from aridcal.reading.names import path_argument
 from aridcal.result_folder import write_folder
 from aridcal.showing import Progress, told_on
+from aridcal.writing.apart import check_apart
 from aridcal.writing.files import atomic_file, claimed
 from aridcal.writing.staging import clear_up
 
@@ -124,6 +125,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _main(arguments: argparse.Namespace) -> int:
     out: Path = arguments.out
     fleet = members(arguments.campaigns, out)
+    check_apart((out / name for name in TAKEN), (member.campaign for member in fleet))
     console, aside = screens(arguments)
     with told_on(aside) as progress:
         ran = calibrated_fleet(fleet, out, arguments.scheduler, progress)

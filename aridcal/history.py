@@ -40,11 +40,12 @@ from aridcal.ageing.history_page import (
     remarks,
     robot_table,
 )
-from aridcal.ageing.store import read_runs
+from aridcal.ageing.store import read_runs, tables_below
 from aridcal.ageing.wear import History, history
 from aridcal.command_line import DONE, NOT_GOOD, CommandParser, command_parser, for_scripts, run, screens
 from aridcal.drawing.html import tag
 from aridcal.reading.names import path_argument
+from aridcal.writing.apart import check_apart
 from aridcal.writing.files import atomic_folder, claimed
 from aridcal.writing.tables import write_table
 
@@ -116,6 +117,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _main(arguments: argparse.Namespace) -> int:
     if arguments.out is None:
         return _said(history(read_runs(arguments.folder), arguments.robot), screens(arguments)[0])
+    check_apart((arguments.out / name for name in FILES), tables_below(arguments.folder))
     with claimed(arguments.out, "folder", FILES):
         found = history(read_runs(arguments.folder), arguments.robot)
         with atomic_folder(arguments.out, FILES) as stage:

@@ -40,11 +40,13 @@ from aridcal.errors import OutputError, shortened
 from aridcal.head.found import CACHE
 from aridcal.inputs.campaign import load_campaign
 from aridcal.inputs.measurement_settings import length_argument
+from aridcal.plant.keys import files_of
 from aridcal.reading.files import RESULT, read_file
 from aridcal.reading.names import path_argument
 from aridcal.result.reading import read_job
 from aridcal.result_folder import RESULT_FILES, RESULT_FOLDERS, write_folder
 from aridcal.showing import told_on
+from aridcal.writing.apart import check_apart
 from aridcal.writing.files import claimed
 
 if TYPE_CHECKING:
@@ -210,6 +212,8 @@ def _identify(arguments: argparse.Namespace, out: Path) -> int:
         campaign = load_campaign(arguments.campaign)
         if arguments.tolerance is not None:
             campaign = campaign.with_tolerance(arguments.tolerance)
+        inputs = (campaign.path, arguments.verify, *(file for _, file in files_of(campaign)))
+        check_apart((out / name for name in RESULT_FILES), inputs)
         job = read_job(campaign, arguments.seed, progress, out / CACHE, arguments.verify is not None)
         # Loaded only now, here and above: what fits, searches and draws takes longer to load than a slip in a table to be found.
         from aridcal.prepare.other_readings import refuse_misread

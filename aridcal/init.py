@@ -25,6 +25,8 @@ from aridcal.errors import OutputError, printable, shortened
 from aridcal.prepare.campaign_text import Draft, draft, scalar
 from aridcal.prepare.guesses import nobody
 from aridcal.reading.names import path_argument
+from aridcal.showing import Screen
+from aridcal.writing.apart import check_apart
 from aridcal.writing.files import atomic_file, claimed
 
 SHOWN_REMARKS = 5
@@ -32,7 +34,7 @@ SHOWN_REMARKS = 5
 
 def ask(question: str, answers: Sequence[str], why: str) -> int:
     """Ask on the terminal; the first answer is proposed."""
-    console = Console(stderr=True)
+    console = Screen(stderr=True)
     console.print(f"{question}? ({why})", markup=False)
     for number, answer in enumerate(answers, start=1):
         console.print(f"  {number}  {answer}", markup=False, highlight=False)
@@ -134,6 +136,9 @@ def _main(arguments: argparse.Namespace, packages: Mapping[str, Path]) -> None:
     out, choose = arguments.out, ask if sys.stdin.isatty() and not arguments.quiet else nobody
     if out.exists():
         raise OutputError(f"{out}: exists already; delete it, or choose another name with -o")
+    check_apart(
+        [out], [arguments.urdf, *arguments.measurements]
+    )  # a link that leads to what is not there, for instance
     with claimed(out, "file"):
         settled, xacro = dict(arguments.set), dict(arguments.argument)
         proposed = draft(arguments.urdf, arguments.measurements, out, choose, settled, packages, xacro)

@@ -1,4 +1,7 @@
-"""Ctrl-C or SIGTERM while a command still loads its libraries: a line and exit status 130 or 143, as at any later moment."""
+"""What a command does before all else: it answers signals, and takes the place of streams that whoever started it has closed.
+
+Ctrl-C or SIGTERM while its libraries still load: a line and exit status 130 or 143, as at any later moment.
+"""
 
 # Imports as little as can be: until `watch` has run, Ctrl-C prints a traceback.
 
@@ -33,10 +36,23 @@ def is_command(argv: list[str], original: list[str]) -> bool:
     return started.rpartition(os.sep)[2].partition(".")[0] == "aridcal"
 
 
+def open_closed_streams() -> None:
+    """Open what was closed (``>&-``) to nowhere: the next file that is opened would take its number, and what is printed."""
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        if getattr(sys, name) is None:
+            nowhere = os.open(os.devnull, os.O_RDWR)
+            if nowhere != number:
+                os.dup2(nowhere, number)
+                os.close(nowhere)
+            stream = open(number, "r" if number == 0 else "w", encoding="utf-8", closefd=False)  # noqa: SIM115 (for as long as we live)
+            setattr(sys, name, stream)
+
+
 def watch() -> None:
     """From now on signals end a command as :func:`leave` does; whoever imports the library keeps Python's own way."""
     if not is_command(sys.argv, sys.orig_argv):
         return
+    open_closed_streams()
     for number, usual in ((signal.SIGINT, signal.default_int_handler), (signal.SIGTERM, signal.SIG_DFL)):
         if signal.getsignal(number) is usual:
             signal.signal(number, leave)

@@ -27,7 +27,9 @@ from aridcal.inputs.head_settings import POSE_COLUMNS, HeadSettings, range_colum
 from aridcal.inputs.quantities import STD
 from aridcal.inputs.tables import Table
 from aridcal.reading.names import path_argument
+from aridcal.writing.apart import check_apart
 from aridcal.writing.files import atomic_table, claimed_table
+from aridcal.writing.tables import in_plain_words
 
 BESIDE = REFUSED, SHEET = "refused.csv", "shots.html"
 """Written beside the table: the shots that were not measured, and a page with all images."""
@@ -135,12 +137,18 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _main(arguments: argparse.Namespace) -> None:
     out: Path = arguments.out
+    check_apart(_written(out), [arguments.head])
     with claimed_table(out, BESIDE):
         _measure(arguments.head, out, screens(arguments)[1])
 
 
+def _written(out: Path) -> list[Path]:
+    return [out, *(out.with_name(name) for name in BESIDE)]
+
+
 def _measure(settings: Path, out: Path, console: Console) -> None:
     head, squares, table, shots = load(settings)
+    check_apart(_written(out), [head.squares, head.shots, *(head.shots.parent / shot.image for shot in shots)])
     work = measure_shots(shots, head, squares)
     results = list(track(work, "measuring", total=len(shots), console=console, transient=True))
     refused = refused_table(table, results)
@@ -153,7 +161,7 @@ def _measure(settings: Path, out: Path, console: Console) -> None:
         raise AridcalError(f"{head.shots}: nothing could be measured. First: {first}")
     with atomic_table(out, BESIDE) as folder:
         measured_table(table, results, head).to_csv(folder / out.name, index=False, float_format="%.17g")
-        refused.to_csv(folder / REFUSED, index=False)
+        in_plain_words(refused).to_csv(folder / REFUSED, index=False)
         (folder / SHEET).write_text(contact_sheet(results, f"Shots of {head.shots.name}"), encoding="utf-8")
     said = [f"refused: {line}" for line in lines[:SHOWN]]
     if head.sonars:

@@ -33,7 +33,7 @@ from rich.console import Console
 from aridcal.boards.camera_file import CAMERA_FILE
 from aridcal.boards.frames import png_file
 from aridcal.command_line import CommandParser, command_parser, for_scripts, run, screens
-from aridcal.errors import AridcalError, OutputError, RobotError
+from aridcal.errors import AridcalError, RobotError
 from aridcal.head.matching import NotMeasured
 from aridcal.init import answer, ask
 from aridcal.inputs.tables import AnyTable
@@ -48,6 +48,7 @@ from aridcal.reading.names import path_argument
 from aridcal.robot.chain import Robot, load_robot
 from aridcal.robot.named import described
 from aridcal.robot.tree import read_tree
+from aridcal.writing.apart import check_apart
 from aridcal.writing.files import atomic_folder, atomic_table, claimed, claimed_table
 from aridcal.writing.tables import table_file
 
@@ -220,8 +221,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _main(arguments: argparse.Namespace) -> None:
     out, page = arguments.out, arguments.out.with_suffix(".html").name
-    if out.resolve() in {path.resolve() for path in (arguments.joints, arguments.tracker) if path is not None}:
-        raise OutputError(f"{out}: is one of the logs; choose another name with -o")
+    check_apart([out, out.with_name(page)], [arguments.joints, arguments.tracker, arguments.urdf])
     with claimed_table(out, [page]):
         choose = ask if sys.stdin.isatty() and not arguments.quiet else nobody
         logs = read(arguments.joints, arguments.tracker, arguments.urdf, arguments.tip, choose, dict(arguments.set))

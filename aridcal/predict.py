@@ -33,6 +33,7 @@ from aridcal.reading.names import path_argument
 from aridcal.result.predict import predict, read_queries
 from aridcal.result.saved_model import SavedModel
 from aridcal.showing import told_on
+from aridcal.writing.apart import check_apart
 from aridcal.writing.files import atomic_file, check_home, claimed
 from aridcal.writing.tables import ENDINGS, table_file
 
@@ -61,6 +62,7 @@ def _main(arguments: argparse.Namespace) -> None:
     if arguments.out.suffix.lower() not in ENDINGS:
         raise OutputError(f"{arguments.out}: should be a .csv or .parquet file")
     check_home(arguments.out)
+    check_apart([arguments.out], [arguments.calibration, arguments.query])
     with claimed(arguments.out, "file"):
         _predict(arguments)
 

@@ -41,6 +41,7 @@ from aridcal.upkeep.documents import document, figures_before, lineage, residual
 from aridcal.upkeep.new_rows import read_new_rows
 from aridcal.upkeep.outcomes import RepairOutcomes, repair_outcomes
 from aridcal.upkeep.repair import Repaired, repaired
+from aridcal.writing.apart import check_apart
 from aridcal.writing.files import atomic_folder, claimed
 
 AGAINST = "where it was calibrated, against the repaired model"
@@ -92,6 +93,7 @@ def recalibrate(results: Path, table: AnyTable, out: Path, progress: Progress = 
     before = results / "calibration.yaml" if results.is_dir() else results
     if out.resolve() == before.resolve().parent:
         raise OutputError(f"{out}: holds the calibration that is to be repaired, which is kept; name another")
+    check_apart((out / name for name in RESULT_FILES), [before, table if isinstance(table, Path) else None])
     with claimed(out, "folder", RESULT_FILES, RESULT_FOLDERS):
         saved = SavedModel.load(results)
         content = read_file(before, CampaignError, CALIBRATION)

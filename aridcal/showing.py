@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import TypeVar
+from typing import IO, Any, TypeVar
 
 from rich.console import Console
 from rich.control import Control
@@ -18,6 +18,8 @@ from rich.segment import ControlType
 from rich.spinner import Spinner
 from rich.text import Text
 from threadpoolctl import threadpool_limits
+
+from aridcal.errors import printable_lines
 
 OF_BLAS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS")
 """What libraries of linear algebra look at when they are loaded."""
@@ -37,6 +39,28 @@ Show = Callable[[str], None]
 
 BAR = 20
 """Letters of a bar."""
+
+
+def unheard(stream: IO[str]) -> None:
+    """Nobody reads a stream any more: what is still printed goes nowhere. Python would try once more at its end, and complain."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, stream.fileno())
+    os.close(nowhere)
+
+
+class Screen(Console):
+    """A terminal, file or pipe; control characters in what a user named are spelt out, wherever they are printed.
+
+    Once nobody reads it, as after ``| head``, the work goes on, and ends with its own status.
+    """
+
+    def render_str(self, text: str, **how: Any) -> Text:
+        """Text as Rich prints it, in lines and in cells of tables."""
+        return super().render_str(printable_lines(text), **how)
+
+    def on_broken_pipe(self) -> None:
+        """Rich would end the program with status 1."""
+        unheard(self.file)
 
 
 @dataclass(frozen=True)
@@ -208,7 +232,7 @@ def working() -> Iterator[Progress]:
     Yields:
         To be told of each step. Outside terminals and notebooks it shows nothing.
     """
-    console = Console(stderr=True)
+    console = Screen(stderr=True)
     started = time.perf_counter()
 
     def line(step: str) -> str:
@@ -229,7 +253,7 @@ def _in_terminal(console: Console, line: Callable[[str], str]) -> Iterator[Progr
     with Live(spinner, console=console, transient=True) as live:
 
         def show(step: str) -> None:
-            spinner.update(text=Text(line(step)))
+            spinner.update(text=Text(printable_lines(line(step))))
             live.refresh()
 
         yield Progress(show, lambda far: show(f"{far.bar}{far}"))

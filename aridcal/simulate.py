@@ -13,12 +13,12 @@ import sys
 from collections.abc import Sequence
 
 from aridcal.command_line import CommandParser, command_parser, for_scripts, run, screens
-from aridcal.errors import OutputError
 from aridcal.inputs.yaml_file import load_settings
 from aridcal.prepare.scenario import Scenario
 from aridcal.prepare.simulation import simulate, write_campaign
 from aridcal.reading.names import path_argument
 from aridcal.showing import told_on
+from aridcal.writing.apart import check_apart
 from aridcal.writing.files import atomic_folder, claimed
 
 
@@ -42,13 +42,16 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _main(arguments: argparse.Namespace) -> None:
     path, out = arguments.scenario, arguments.out
     console, aside = screens(arguments)
+    check_apart([out / "campaign.yaml"], [path])
     scenario = load_settings(path, Scenario)
-    if (out / "campaign.yaml").resolve() == path.resolve():
-        raise OutputError(f"{path}: the campaign would overwrite its scenario; rename it or choose another folder")
     with claimed(out, "folder"), told_on(aside) as progress:
         simulation = simulate(scenario, progress)
         with atomic_folder(out) as folder:
             write_campaign(simulation, folder, out, progress)
+            known, head = scenario.instruments, scenario.measurements.head
+            inputs = [path, scenario.robot.urdf, known.points, known.markers.file, head]
+            written = [out / file.relative_to(folder) for file in folder.rglob("*")]
+            check_apart(written, inputs)
     rows, wrong = len(simulation.outliers), int(simulation.outliers.sum())
     console.print(
         f"{out}: {rows} rows, {wrong} of them outliers; the truth is in truth.json", soft_wrap=True, markup=False

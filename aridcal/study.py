@@ -37,6 +37,7 @@ from aridcal.plant.trials import load_study, sought, trials
 from aridcal.prepare.scenario import Scenario
 from aridcal.reading.names import path_argument
 from aridcal.showing import Progress, told_on
+from aridcal.writing.apart import check_apart
 from aridcal.writing.files import atomic_file, claimed
 
 if TYPE_CHECKING:
@@ -111,6 +112,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _main(arguments: argparse.Namespace) -> int:
     out: Path = arguments.out
+    check_apart([out / NAME, out / PAGE], [arguments.study])
     job = load_study(arguments.study)
     console, aside = screens(arguments)
     with told_on(aside) as progress:

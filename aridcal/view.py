@@ -27,7 +27,6 @@ import tornado.web
 import umsgpack  # type: ignore[import-untyped]
 from meshcat.servers.tree import find_node
 from meshcat.servers.zmqserver import WebSocketHandler, ZMQWebSocketBridge
-from rich.console import Console
 from tornado.httpserver import HTTPServer
 from tornado.netutil import bind_sockets
 
@@ -35,6 +34,7 @@ from aridcal.command_line import CommandParser, command_parser, run
 from aridcal.errors import OutputError
 from aridcal.reading.files import RESULT, read_file
 from aridcal.reading.names import path_argument
+from aridcal.showing import Screen
 
 # Meshcat's server runs inside this process: its own way, a child in a session of its own, outlives a parent that is
 # killed. Two things of it are closed: it would listen to the whole network, and take drawing commands from any program on
@@ -222,7 +222,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 async def _main(scene: Path) -> None:
     viewer = Viewer(scene)
     try:
-        Console().print(
+        Screen().print(
             f"{viewer.url}  (follows the folder; Ctrl-C ends it)", soft_wrap=True, highlight=False, markup=False
         )
         if _has_screen():

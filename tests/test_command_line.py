@@ -9,7 +9,9 @@ import re
 import signal
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
+from typing import TextIO
 
 import pytest
 
@@ -86,6 +88,80 @@ def test_what_cannot_be_printed_for_want_of_room_is_said_without_traceback():
     assert done.returncode == 2
     assert "No space left on device" in done.stderr
     assert "Traceback" not in done.stderr and "Exception ignored" not in done.stderr
+
+
+def started(*words: str, redirected: str = "", stdout: int | None = None) -> subprocess.CompletedProcess[str]:
+    """A command as a shell starts it."""
+    line = ["sh", "-c", f'exec "$0" "$@" {redirected}', sys.executable, "-m", "aridcal", *words]
+    return subprocess.run(line, stdout=stdout, stderr=subprocess.PIPE, text=True, check=False)
+
+
+@pytest.fixture
+def unread() -> Iterator[int]:
+    """The end of a pipe that nobody reads: every byte written to it fails, as after `| head`, however fast that is."""
+    reading, writing = os.pipe()
+    os.close(reading)
+    yield writing
+    os.close(writing)
+
+
+@pytest.mark.parametrize(
+    "words", [["doctor"], ["--help"], ["identify", "--help"], ["completion", "bash"]], ids=" ".join
+)
+def test_what_nobody_reads_costs_a_command_neither_its_status_nor_a_word(words: list[str], unread: int) -> None:
+    done = started(*words, stdout=unread)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+@pytest.mark.parametrize("redirected", [">&-", "<&- >&-", "<&- >&- 2>&-"])
+@pytest.mark.parametrize("words", [["doctor"], ["--version"], ["identify", "--help"]], ids=" ".join)
+def test_closed_streams_are_as_if_they_led_nowhere(words: list[str], redirected: str) -> None:
+    done = started(*words, redirected=redirected)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_a_file_does_not_take_the_place_of_a_closed_stream(tmp_path: Path) -> None:
+    """Files get the lowest number that is free: what is printed, or what a library writes by number, would go into them."""
+    (tmp_path / "aridcal").write_text(
+        "import os, sys\nimport aridcal\nwith open(sys.argv[1], 'w') as file:\n    os.write(1, b'out')\n    os.write(2, b'err')\n"
+        "    print('more')\n    assert file.fileno() > 2 and sys.stdin.read() == ''\n"
+    )
+    line = f"exec {sys.executable} {tmp_path / 'aridcal'} {tmp_path / 'kept'} <&- >&- 2>&-"
+    root = str(Path(aridcal.__file__).parents[1])
+    done = subprocess.run(["sh", "-c", line], check=False, env=os.environ | {"PYTHONPATH": root})
+    assert done.returncode == 0 and (tmp_path / "kept").read_text() == ""
+
+
+@pytest.fixture
+def into_nothing(unread: int, monkeypatch: pytest.MonkeyPatch) -> Iterator[TextIO]:
+    """Standard output led there."""
+    with os.fdopen(os.dup(unread), "w") as stream:
+        monkeypatch.setattr(sys, "stdout", stream)
+        yield stream
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_the_help_of_every_command_may_go_unread(command: str, into_nothing: TextIO) -> None:
+    with pytest.raises(SystemExit) as stop:
+        aridcal_main([command, "--help"])
+    assert stop.value.code == 0
+    into_nothing.flush()  # what Python does at its end
+
+
+@pytest.mark.parametrize("status", [0, 3])
+def test_the_work_goes_on_and_its_status_counts_though_nobody_reads(status: int, into_nothing: TextIO) -> None:
+    done = []
+
+    def body() -> int:
+        words, _ = screens(argparse.Namespace(quiet=False))
+        for line in range(3):
+            words.print(line)
+            done.append(line)
+        return status
+
+    assert run(body) == status
+    assert done == [0, 1, 2]
+    assert run(lambda: print("headline") or status) == status  # type: ignore[func-returns-value]
 
 
 STOPPER = """

@@ -245,7 +245,7 @@ def test_all_outputs_appear_or_none(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert "4 configurations" in capsys.readouterr().out
     for bad, said in [
         ("p.txt", "should be a file that ends in one of"),
-        ("campaign.yaml", "write the plan to another file"),
+        ("campaign.yaml", "this would overwrite it; write to another file"),
         ("a-b.src", "letters, digits and _"),
         ("q.csv", "named twice"),
     ]:
@@ -283,7 +283,7 @@ def test_python_plans_and_saves_what_the_command_does(tmp_path: Path) -> None:
         (lambda: aridcal.plan(path, 5, optimal="E"), "optimal: should be one of A, D, G"),  # type: ignore[arg-type]
         (lambda: aridcal.plan(path, 5, apart=("joint_1.joint_gain",)), "apart: should be two"),
         (lambda: poses.save(tmp_path / "p.txt"), "ends in one of"),
-        (lambda: poses.save(tmp_path / "c.csv", path), "write the plan to another file"),
+        (lambda: poses.save(tmp_path / "c.csv", path), "this would overwrite it; write to another file"),
     ]:
         with pytest.raises(aridcal.AridcalError, match=said):
             wrong()

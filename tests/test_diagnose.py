@@ -165,6 +165,30 @@ def test_three_effects_at_once_are_told_apart(tmp_path):
     assert error(outcome, "final") < 1.15 * LEAST
 
 
+@pytest.mark.parametrize(
+    ("where", "twice"), [("joint_1", "joint_1.z"), ("joint_2", "joint_2.yaw"), ("joint_4", "joint_4.yaw")]
+)
+def test_motions_of_a_declared_effect_that_no_row_tells_from_its_others_are_left_out_by_name(
+    tmp_path: Path, where: str, twice: str
+) -> None:
+    """All motions at a joint: its axis and one of its bearing are the same. The others are fitted as if declared by name."""
+    path = campaign(tmp_path, [{"kind": "thermal", **EFFECTS["thermal"]}], n=60)
+    off: dict[str, object] = {"enabled": False}
+    every = identify(changed(path, effects=[{"kind": "thermal", "where": where}], diagnosis=off))
+    (effect,) = every.effects
+    (said,) = [notice for notice in every.notices if "is left out" in notice]
+    assert said.startswith(f"{twice}:temperature, of the declared thermal at {where}, is left out: it is confounded")
+    motion = list(dict.fromkeys(c.component for c in effect.effect.coefficients))
+    assert len(motion) == 6 and twice.partition(".")[2] not in motion
+    named = identify(changed(path, effects=[{"kind": "thermal", "where": where, "motion": motion}], diagnosis=off))
+    assert not any("is left out" in notice for notice in named.notices)
+    for c in effect.effect.coefficients:
+        mine, theirs = (o.stages[-1].fit.std[o.stages[-1].fit.model.names.index(c.name)] for o in (every, named))
+        assert mine == pytest.approx(theirs, rel=1e-6)
+        assert mine < 1e-3
+    assert error(every, "final") == pytest.approx(error(named, "final"), rel=1e-6)
+
+
 def test_a_shuffled_column_is_not_taken(tmp_path):
     path = campaign(tmp_path, [{"kind": "thermal", **EFFECTS["thermal"]}])
     rows = pd.read_csv(tmp_path / "measurements.csv", dtype=str)

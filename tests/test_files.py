@@ -130,7 +130,7 @@ def test_a_folder_without_permission_is_named(tmp_path):
 
 
 SLOW_WRITER = """
-import sys, time
+import sys
 from pathlib import Path
 from aridcal.command_line import run
 from aridcal.writing.files import atomic_folder
@@ -139,7 +139,7 @@ def body():
     with atomic_folder(Path(sys.argv[1])) as folder:
         (folder / "a.txt").write_text("new")
         print("half way", flush=True)
-        time.sleep(60)
+        sys.stdin.read()  # for ever
 
 sys.exit(run(body))
 """
@@ -149,12 +149,14 @@ sys.exit(run(body))
 def test_a_process_stopped_half_way_leaves_the_earlier_result_alone(tmp_path, number):
     (tmp_path / "a.txt").write_text("old")
     with subprocess.Popen(
-        [sys.executable, "-c", SLOW_WRITER, str(tmp_path)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    ) as process:
+        [sys.executable, "-c", SLOW_WRITER, str(tmp_path)],
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    ) as process:  # fmt: skip
         assert process.stdout is not None
         assert process.stdout.readline() == "half way\n"
         process.send_signal(number)
-        _, err = process.communicate(timeout=30)
+        assert process.stderr is not None
+        err = process.stderr.read()
     assert process.returncode == 128 + number
     assert err.startswith("interrupted")
     assert contents(tmp_path) == {"a.txt": "old"}

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import robots
@@ -51,3 +53,32 @@ def test_taking_coefficients_out_agrees_with_fitting_without_them() -> None:
     both, *single = (refitted(whole, gone, free) - whole.theta for gone in (parts[0] | parts[1], *parts))
     np.testing.assert_allclose(both, sum(single), atol=1e-12)
     np.testing.assert_array_equal(single[0][parts[1]], 0.0)
+
+
+def test_a_model_of_whose_coefficients_only_a_sum_is_told_can_lose_others() -> None:
+    """An axis and the rotation of its bearing about it are one motion: the residual without others is that of either alone."""
+    truth = robots.simulate(robots.ur10(), 80, np.random.default_rng(4), size=1e-3, noise=5e-5)
+    wave = Basis("sin", ("elbow_joint",), (1.0,))
+    once, again = (Coefficient("elbow_joint", component, wave) for component in ("axis", "pitch"))
+    lost = Coefficient("shoulder_lift_joint", "axis", Basis("cos", ("shoulder_lift_joint",), (1.0,)))
+    constants = tuple(c for c in truth.model.coefficients if c.component in ("roll", "x"))
+    model = truth.model.with_coefficients((*constants, once, lost))
+    theta = np.append(np.random.default_rng(0).normal(0, 1e-3, len(constants)), [2e-3, 1e-3])
+    R, p = model.poses(theta, model.rows(truth.readings))
+    p = p + np.random.default_rng(1).normal(0, 5e-5, p.shape)
+    data = robots.positions_alone(robots.measured(model.robot, truth.readings, p, R))
+    found = fit(problem(model, data))
+    # Both motions in the model, each with half of what the rows tell of their sum.
+    both = model.with_coefficients((*model.coefficients, again))
+    halves = np.vstack([np.eye(len(theta)), np.zeros(len(theta))])
+    halves[[len(constants), -1], len(constants)] = 0.5
+    whole = replace(found, model=both, theta=halves @ found.theta, covariance=halves @ found.covariance @ halves.T)
+    left = problem(both, data).residual
+    np.testing.assert_allclose(left(whole.theta), problem(model, data).residual(found.theta), atol=1e-9)
+
+    gone = np.array([c == lost for c in both.coefficients])
+    less = model.with_coefficients((*constants, once))
+    fixed = fit(problem(less, robots.declared(data, *found.sigma)), weight=found.weight)
+    exact = problem(less, data).residual(fixed.theta)
+    assert np.sqrt(np.mean(exact**2)) > 2 * 5e-5  # what is missing is missed
+    np.testing.assert_allclose(left(refitted(whole, gone, ~gone)), exact, atol=2e-6)  # one Gauss-Newton step

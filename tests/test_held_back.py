@@ -52,6 +52,14 @@ def test_constants_that_say_nothing_do_not_beat_the_nominal_robot(size: float, b
     assert arm.is_better(geometric, nominal, truth.measured) == better
 
 
+def test_constants_of_which_only_a_sum_is_told_are_judged_like_others() -> None:
+    nominal, geometric, truth = fits(30, 2e-3)
+    covariance = geometric.covariance.copy()
+    covariance[:2] = covariance[:, :2] = 0.0
+    covariance[:2, :2] = 2.0**-40  # a power of two: the two are tied to the last digit
+    assert arm.is_better(replace(geometric, covariance=covariance), nominal, truth.measured)
+
+
 def markers(folder: Path, apart: bool) -> Path:
     """Three markers at each of 26 poses of a good robot, from one poor pose each, or each measured by itself."""
     rng = np.random.default_rng(4)

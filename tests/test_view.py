@@ -393,7 +393,7 @@ def asked(url: str, **headers: str) -> tuple[int, str]:
     """Status and body of a page, asked for with headers of our own."""
     request = urllib.request.Request(url, headers=headers)
     try:
-        with urllib.request.urlopen(request, timeout=10) as answer:
+        with urllib.request.urlopen(request, timeout=chromium.PATIENCE) as answer:
             return answer.status, answer.read().decode()
     except urllib.error.HTTPError as error:
         return error.code, error.read().decode()
@@ -414,10 +414,10 @@ def test_the_command_serves_the_scene_alone_and_ends_with_a_signal(number: signa
             status, said = asked(url + path)
             assert status == 404 and "secret" not in said
         process.send_signal(number)
-        assert process.wait(timeout=20) == 128 + number
+        assert process.wait(timeout=chromium.PATIENCE) == 128 + number
         assert "Traceback" not in process.stderr.read()  # type: ignore[union-attr]
     with pytest.raises(urllib.error.URLError):
-        urllib.request.urlopen(url, timeout=10)
+        urllib.request.urlopen(url, timeout=chromium.PATIENCE)
 
 
 def test_only_pages_of_this_computer_are_answered(tmp_path: Path) -> None:
@@ -440,7 +440,7 @@ def test_only_pages_of_this_computer_are_answered(tmp_path: Path) -> None:
                      "Sec-WebSocket-Key": "AAAAAAAAAAAAAAAAAAAAAA=="}  # fmt: skip
 
         def opened(**headers: str) -> int:
-            connection = http.client.HTTPConnection(home, timeout=10)
+            connection = http.client.HTTPConnection(home, timeout=chromium.PATIENCE)
             connection.request("GET", "/live", headers=handshake | headers)
             status = connection.getresponse().status
             connection.close()
@@ -479,7 +479,7 @@ def test_ctrl_c_ends_the_command_at_any_time(tmp_path: Path) -> None:
                                 b"Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n")  # fmt: skip
                 time.sleep(wait)
                 process.send_signal(signal.SIGINT)
-                assert process.wait(timeout=20) == 130
+                assert process.wait(timeout=chromium.PATIENCE) == 130
             said = process.stderr.read()  # type: ignore[union-attr]
             assert "interrupted" in said and "Traceback" not in said and "rror" not in said, said
 
@@ -674,6 +674,12 @@ def test_on_a_phone_the_panel_opens_below_the_robot(browser: chromium.Browser, s
 # ---- live ------------------------------------------------------------------------------------------------------------
 
 
+def replaced(file: Path, text: str) -> None:
+    """Another file in the place of this one in one step: nobody reads half of it."""
+    file.with_suffix(".new").write_text(text)
+    file.with_suffix(".new").replace(file)
+
+
 def exchanged(folder: Path, page: str) -> None:
     """Another result in the place of this one, as identify leaves it: another folder, which was not there for a moment."""
     new, old = folder.with_name("new"), folder.with_name("old")
@@ -737,11 +743,11 @@ def becomes(page: chromium.Page, condition: str) -> None:
 def test_a_page_of_another_version_is_loaded_anew(browser: chromium.Browser, scene: Scene, tmp_path: Path) -> None:
     (tmp_path / "scene.html").write_text("<body><p id='told'>no picture</p></body>")
     with viewed(tmp_path) as (_, url), browser.open(url, 1000, 800) as page:
-        (tmp_path / "scene.html").write_text(scene_page(scene))
+        replaced(tmp_path / "scene.html", scene_page(scene))
         becomes(page, "document.documentElement.dataset.ready")
-        (tmp_path / "scene.html").write_text(re.sub('"script":"[0-9a-f]+"', '"script":"older"', scene_page(scene)))
+        replaced(tmp_path / "scene.html", re.sub('"script":"[0-9a-f]+"', '"script":"older"', scene_page(scene)))
         becomes(page, "window.calibrationScene?.script === 'older'")
-        (tmp_path / "scene.html").write_text("<body><p id='told'>no picture</p></body>")
+        replaced(tmp_path / "scene.html", "<body><p id='told'>no picture</p></body>")
         becomes(page, "document.getElementById('told')")
 
 

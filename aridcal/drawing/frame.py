@@ -9,6 +9,7 @@ from importlib.resources import files
 from typing import TYPE_CHECKING
 
 from aridcal.drawing.html import Content, Html, join, number
+from aridcal.errors import printable_lines
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -35,13 +36,19 @@ class Section:
 
 
 @functools.cache
+def _spelt_out(value: object) -> object:
+    """Text with control characters spelt out; markup as it is."""
+    return printable_lines(value) if type(value) is str else value
+
+
 def _templates() -> Environment:
     """The templates, read once; Jinja2 is loaded when there is a page to draw."""
     from jinja2 import Environment, FunctionLoader, StrictUndefined
 
     return Environment(
-        loader=FunctionLoader(asset), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
+        loader=FunctionLoader(asset), autoescape=True, finalize=_spelt_out, undefined=StrictUndefined,
+        trim_blocks=True, lstrip_blocks=True,
+    )  # fmt: skip
 
 
 def asset(name: str) -> str:

@@ -14,7 +14,7 @@ from contextvars import ContextVar
 from html import escape, unescape
 from typing import TypeVar
 
-from aridcal.errors import printable, shortened
+from aridcal.errors import printable, printable_lines, shortened
 
 
 class Html(str):
@@ -66,7 +66,7 @@ def tag(name: str, /, *content: Content, **attributes: str | None) -> Html:
     for key, value in attributes.items():
         if value is not None:
             written = key.rstrip("_").replace("_", "-")
-            pairs += f' {written}="{escape(value)}"'
+            pairs += f' {written}="{escape(printable_lines(value))}"'
     start = f"<{name}{pairs}>"
     if name in VOID:
         return Html(start)
@@ -78,7 +78,7 @@ def join(content: Content) -> Html:
     if isinstance(content, Html):
         return content
     if isinstance(content, str):
-        return Html(escape(content))
+        return Html(escape(printable_lines(content)))
     return Html("".join(join(part) for part in content))
 
 

@@ -14,6 +14,8 @@ from html import escape
 
 import numpy as np
 
+from aridcal.errors import printable_lines
+
 INK, GREY, EDGE, GRID = "#333b44", "#5f6b76", "#aab2ba", "#e6e9ec"
 
 TEXT = 10.0
@@ -150,7 +152,7 @@ def wide(text: str) -> float:
 def text(x: float, y: float, said: str, anchor: str = "start", color: str = GREY, turned: bool = False) -> str:
     """Words at their baseline; ``turned`` ones read upwards."""
     place = f'transform="translate({x:.1f} {y:.1f}) rotate(-90)"' if turned else f'x="{x:.1f}" y="{y:.1f}"'
-    return f'<text {place} text-anchor="{anchor}" fill="{color}">{escape(said, quote=False)}</text>'
+    return f'<text {place} text-anchor="{anchor}" fill="{color}">{escape(printable_lines(said), quote=False)}</text>'
 
 
 def path(d: str, **look: str | float) -> str:

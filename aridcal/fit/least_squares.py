@@ -13,7 +13,7 @@ from aridcal.errors import NotIdentifiable
 from aridcal.fit.elimination import Groups
 from aridcal.fit.flags import FLOOR, coarsest, flagged, limits, robust_sigma
 from aridcal.fit.identifiable import identifiable
-from aridcal.fit.normal_equations import Combined, Prior, condition, inverse, solve
+from aridcal.fit.normal_equations import RANK, Combined, Prior, condition, inverse, solve
 from aridcal.fit.problem import Problem
 from aridcal.fit.problem import problem as ask
 from aridcal.fit.residual import Linearisation, linearise, things_again, triangle, weighted_squares
@@ -142,9 +142,11 @@ class Fit:
         return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
 
     @cached_property
-    def whitened_information(self) -> np.ndarray:
-        """Information in units of the coefficients' standard deviations, shape (K, K)."""
-        return np.linalg.inv(self.covariance / np.outer(self.std, self.std))
+    def information(self) -> np.ndarray:
+        """Inverse of the covariance, shape (K, K): of rows and priors; of combinations that move nothing there is none."""
+        scale = np.where(self.std > 0.0, self.std, 1.0)
+        relative = self.covariance / np.outer(scale, scale)
+        return np.asarray(np.linalg.pinv(relative, rcond=RANK, hermitian=True) / np.outer(scale, scale))
 
     @property
     def outliers(self) -> np.ndarray:

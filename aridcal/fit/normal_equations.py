@@ -196,19 +196,23 @@ def nested_solutions(H: np.ndarray, g: np.ndarray, first: int) -> np.ndarray:
     return found * scale[:, None]
 
 
-def conditional(covariance: np.ndarray, theta: np.ndarray, gone: np.ndarray) -> np.ndarray:
-    r"""Solution when some unknowns become zero and all others follow, from the covariance of all.
+def conditional(
+    covariance: np.ndarray, theta: np.ndarray, gone: np.ndarray, stays: np.ndarray | None = None
+) -> np.ndarray:
+    r"""Solution when some unknowns become zero and others follow, from the covariance of all.
 
-    .. math:: \theta - V_{:G} V_{GG}^{-1} \theta_G
+    .. math:: \theta - V_{:F} V_{FF}^{-1} d_F, \qquad d = \theta \text{ for } G, \; 0 \text{ for } S, \qquad F = G \cup S
 
     Args:
         covariance: V = H^-1, shape (K, K).
         theta: The solution of all, shape (K,).
         gone: Unknowns G that become zero, shape (K,) bool.
+        stays: Unknowns S that do not follow, shape (K,) bool; None: all others do.
     """
-    V = covariance[:, gone]
-    moved = theta - V @ solve(V[gone], theta[gone], ridge=RIDGE)
-    moved[gone] = 0.0
+    fixed = gone if stays is None else gone | stays
+    V = covariance[:, fixed]
+    moved = theta - V @ solve(V[fixed], np.where(gone, theta, 0.0)[fixed], ridge=RIDGE)
+    moved[fixed] = np.where(gone, 0.0, theta)[fixed]
     return moved
 
 
@@ -307,22 +311,6 @@ def projected(
     cross = H[np.ix_(own, others)]
     M = H[np.ix_(own, own)] - cross @ others_inverse @ cross.T
     return M, g[own] - cross @ (others_inverse @ g[others])
-
-
-def without(H: np.ndarray, theta: np.ndarray, gone: np.ndarray, free: np.ndarray) -> np.ndarray:
-    r"""Solution when some unknowns become zero and others follow, from the solution of all.
-
-    .. math:: \theta_F = \theta^*_F + H_{FF}^{-1} H_{FG} \theta^*_G
-
-    Args:
-        H: Information of all, shape (K, K).
-        theta: Their solution theta*, shape (K,).
-        gone: Unknowns G that become zero, shape (K,) bool.
-        free: Unknowns F that follow, shape (K,) bool; the rest stay.
-    """
-    moved = np.where(gone, 0.0, theta)
-    moved[free] += np.linalg.solve(H[np.ix_(free, free)], H[np.ix_(free, gone)] @ theta[gone])
-    return moved
 
 
 @dataclass(frozen=True)

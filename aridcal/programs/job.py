@@ -24,6 +24,7 @@ from aridcal.programs.zeros import cell_zeros
 from aridcal.reading.files import CALIBRATION, read_file
 from aridcal.result.saved_model import SavedModel
 from aridcal.showing import SILENT, Progress
+from aridcal.writing.apart import check_apart
 from aridcal.writing.files import atomic_file, atomic_folder, check_home, claimed
 from aridcal.writing.tables import write_table
 
@@ -179,8 +180,7 @@ def _outputs(request: Request, opened: Opened) -> Outputs:
         _check_outside(out, request.programs)
         outputs = Outputs(tuple(out / name for name in opened.names), out / SIDE_OF_FOLDER, out)
     inputs = [*(source.path for source in opened.project.sources), request.calibration, request.frames]
-    for path in (*outputs.files, outputs.side):
-        check_not_read(path, [source for source in inputs if source is not None])
+    check_apart([*outputs.files, outputs.side], inputs)
     return outputs
 
 

@@ -1,13 +1,12 @@
 """URDFs as they are written: read whole, and where they are xacro, expanded by a process of its own within limits.
 
 Run as a program, this module is that process. A xacro file holds expressions of Python that its reader evaluates
-(``${...}``, ``$(eval ...)``), includes other files and reads YAML. It is kept to that: see :func:`check_expression`, and the
-limits in :func:`_within_limits`. That is a fence and no wall: what nobody trusts is better expanded on another machine.
+(``${...}``, ``$(eval ...)``), includes other files and reads YAML. It is kept to that: see :mod:`aridcal.robot.expressions`,
+and the limits in :func:`_within_limits`. What nobody trusts is better expanded on another machine all the same.
 """
 
 from __future__ import annotations
 
-import ast
 import importlib.util
 import json
 import os
@@ -25,6 +24,7 @@ from lxml import etree
 
 from aridcal.errors import RobotError, nearest, shortened
 from aridcal.reading.files import MEGA, URDF, Limit, read_file
+from aridcal.robot.expressions import evaluate, forget_others
 from aridcal.robot.packages import HINT, find_package
 
 SECONDS = 20
@@ -38,14 +38,6 @@ FILES = 64
 
 NAMESPACE = "xacro"
 """What the namespaces of xacro end in; there are several, and all are in use."""
-
-FRAMES = frozenset(
-    {"gi_frame", "cr_frame", "ag_frame", "tb_frame", "f_back", "f_builtins", "f_code", "f_globals", "f_locals"}
-)
-"""Attributes through which an expression comes from a generator to its frame, and from there to everything."""
-
-WAYS_OUT = frozenset({"vars", "mro"})
-"""Names that xacro gives to expressions, and that lead out of what it means to give: no description needs them."""
 
 UNDEFINED = re.compile(r"Undefined substitution argument (\S+)")
 
@@ -164,21 +156,6 @@ def _remedy(path: Path, said: Mapping[str, Any]) -> str:
     return f"{path}: xacro cannot expand it: {shortened(why, 500)}. Mend it, or run xacro first and name what it writes"
 
 
-def check_expression(expression: str) -> None:
-    """Refuse an expression of a xacro file that would reach for more than numbers, texts and lists.
-
-    xacro itself refuses names that begin with two underscores, but does not look inside of comprehensions, and hands out
-    functions that lead around it.
-
-    Raises:
-        ValueError: naming what is not evaluated.
-    """
-    for node in ast.walk(ast.parse(expression.strip(), mode="eval")):
-        name = node.attr if isinstance(node, ast.Attribute) else node.id if isinstance(node, ast.Name) else ""
-        if name.startswith("__") or name in WAYS_OUT | FRAMES:
-            raise ValueError(f"the expression {shortened(expression)!r} uses {name!r}, which is not evaluated")
-
-
 class _Arguments(dict[str, str]):
     """Values of arguments, and which of these the file knows."""
 
@@ -214,20 +191,10 @@ def _answer(asked: Mapping[str, Any]) -> dict[str, Any]:
             raise _NoPackage(name)
         return str(found.absolute())
 
-    def evaluate(code: str, *scope: Any) -> Any:
-        check_expression(code)
-        return eval(code, *scope)  # what xacro would have done
-
-    inner = doc.xacro.safe_eval
-
-    def careful(expression: str, *scope: Any) -> Any:
-        check_expression(expression)
-        return inner(expression, *scope)
-
     given = _Arguments(asked["arguments"])
     doc.packages.get_path = find
-    doc.xacro.safe_eval = careful
-    doc.substitution_args.eval = evaluate
+    forget_others(doc.xacro._global_symbols)
+    doc.xacro.safe_eval = doc.substitution_args.eval = evaluate
     doc.substitution_args._eval_dict["find"] = find
     _within_limits(asked["seconds"])
     try:

@@ -234,14 +234,12 @@ def _squares(fit: Fit, data: Dataset) -> np.ndarray:
     number = np.random.default_rng(2).permutation(int(together.max()) + 1)
     block = number[together] % BLOCKS
     parts, K = columns(data.channels), J.shape[2]
-    scale = fit.std
-    whole = np.linalg.inv(fit.covariance / np.outer(scale, scale)) / np.outer(scale, scale)
     left = r.copy()
     for k in np.unique(block):
         own = block == k
         sums = accumulate([J[own][:, c].reshape(-1, K) for c in parts], [r[own][:, c].ravel() for c in parts])
         H, g = data.share * sums.information(fit.sigma), data.share * sums.pull(fit.sigma)
-        left[own] = r[own] + J[own] @ solve(whole - H, g, ridge=RIDGE)
+        left[own] = r[own] + J[own] @ solve(fit.information - H, g, ridge=RIDGE)
     return np.stack([np.sum(left[:, c] ** 2, axis=1) for c in parts], axis=1)
 
 

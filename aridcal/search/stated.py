@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from aridcal.effects.catalogue import KINDS, Barred
-from aridcal.effects.effect import Effect
+from aridcal.effects.effect import Coefficient, Effect
 from aridcal.effects.regional_kind import is_of_labels, widths
 from aridcal.fit.least_squares import Fit
 from aridcal.search.change_points import best_steps
@@ -35,8 +35,9 @@ def with_declared(
 ) -> tuple[State, list[Barred]]:
     """The model with the declared effects, which need no evidence; a step for which no row was said is sought.
 
-    Those of which the rows tell nothing beside the constants, and the effects declared before, are left out and named; so are
-    constants by region with which rows held back are predicted no better. Fields without a cause wait for :func:`with_fields`.
+    Those of which the rows tell nothing beside the constants, and the effects declared before, are left out and named, and so are
+    those of their motions of which the rows tell nothing beside the others (:func:`_told`); so are constants by region with which
+    rows held back are predicted no better. Fields without a cause wait for :func:`with_fields`.
     """
     lost: list[Barred] = []
     state = solve_state(linear, (), geometric.sigma, ~geometric.outliers)
@@ -50,7 +51,10 @@ def with_declared(
         if score_all(linear, [effect], state)[0].freedom == 0:
             lost.append(_left_out(effect, CONFOUNDED))
             continue
-        active = (*state.active, _admitted(linear, state, effect))
+        told = _told(linear, state, effect)
+        mute = [c.name for c in effect.coefficients if c not in told.coefficients]
+        lost += [Barred(f"{name}, of the declared {effect.label},", CONFOUNDED) for name in mute]
+        active = (*state.active, _admitted(linear, state, told))
         state = solve_state(linear, active, state.solution.sigma, state.used)
     state, left_out = _with_regions(linear, waiting, state)
     return state, [*lost, *left_out]
@@ -118,6 +122,22 @@ def _predicts_better(linear: LinearModel, state: State, candidate: Active) -> bo
         return False
     without, with_it = held_back(linear, state, candidate, state.fold).sum(axis=(1, 2))
     return bool(with_it < without) and held_out_whole(linear, state, candidate) > 0.0
+
+
+def _told(linear: LinearModel, state: State, effect: Effect) -> Effect:
+    """A declared effect without those coefficients that are sums of the model's columns and of its own before them.
+
+    A revolute joint's ``axis`` is one of its bearing's rotations: of both together the rows tell the sum alone. What is
+    believed beforehand of a smooth effect, or of its size, tells its coefficients apart anyhow.
+    """
+    if effect.smooth or linear.prior_of(effect):
+        return effect
+    kept: tuple[Coefficient, ...] = ()
+    for coefficient in effect.coefficients:
+        more = replace(effect, coefficients=(*kept, coefficient))
+        if score_all(linear, [more], state)[0].freedom > len(kept):
+            kept = more.coefficients
+    return replace(effect, coefficients=kept)
 
 
 def _admitted(model: LinearModel, state: State, effect: Effect) -> Active:

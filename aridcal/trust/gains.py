@@ -13,7 +13,7 @@ from aridcal.effects.catalogue import Barred, merged
 from aridcal.effects.effect import ANGULAR, ROW_ORDER, Coefficient, Effect
 from aridcal.effects.regional_kind import is_local
 from aridcal.fit.least_squares import Fit
-from aridcal.fit.normal_equations import TINY, without
+from aridcal.fit.normal_equations import TINY, conditional
 from aridcal.fit.problem import Problem, problem
 from aridcal.fit.residual import things_again
 from aridcal.inputs.dataset import Dataset
@@ -201,13 +201,11 @@ def refitted(fit: Fit, gone: np.ndarray, free: np.ndarray) -> np.ndarray:
         free: Coefficients that are fitted anew, shape (K,); the rest stay.
 
     Returns:
-        Shape (K,), see :func:`aridcal.fit.normal_equations.without`. It is one Gauss-Newton step: constants that move by
+        Shape (K,), see :func:`aridcal.fit.normal_equations.conditional`. It is one Gauss-Newton step: constants that move by
         milliradians are exact to microradians, and the error that they leave is right to second order in that, since it
         is at its minimum.
     """
-    whole = fit.theta / fit.std
-    step = without(fit.whitened_information, whole, gone, free) - whole
-    return np.where(gone, 0.0, fit.theta + fit.std * step)
+    return conditional(fit.covariance, fit.theta, gone, ~(gone | free))
 
 
 def _with_effects(asked: Problem, fit: Fit, effects: Sequence[Effect]) -> np.ndarray:

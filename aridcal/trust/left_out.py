@@ -119,7 +119,7 @@ def folds(fit: Fit, train: Dataset, rows: Columns) -> Folds | None:
     fold = (np.random.default_rng(3).permutation(int(together.max()) + 1) % FOLDS)[together]
     things = rows.solved()
     every = rows.equations(things) if rows.groups is not None else None
-    whole = len(rows) / max(int((~fit.outliers).sum()), 1) * _information(fit)
+    whole = len(rows) / max(int((~fit.outliers).sum()), 1) * fit.information
     left = rows.r.copy()
     for k in range(FOLDS):
         out = fold == k
@@ -150,12 +150,6 @@ def _rms(r: np.ndarray, rows: Columns, fit: Fit, data: Dataset, some: np.ndarray
     count = (~np.isnan(sizes)).sum(axis=1)
     total = np.nansum(sizes**2, axis=1)
     return np.asarray(np.where(count > 0, np.sqrt(total / np.maximum(count, 1)), np.nan))
-
-
-def _information(fit: Fit) -> np.ndarray:
-    """Inverse of the coefficients' covariance, shape (K, K): rows and priors."""
-    scale = np.where(fit.std > 0.0, fit.std, 1.0)
-    return np.asarray(np.linalg.pinv(fit.covariance / np.outer(scale, scale), hermitian=True) / np.outer(scale, scale))
 
 
 def influence(fit: Fit, rows: Columns) -> Influence | None:

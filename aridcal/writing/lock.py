@@ -44,8 +44,7 @@ def held(lock: Path, path: Path) -> Iterator[None]:
         yield
     finally:
         _mine.reset(token)
-        lock.unlink(missing_ok=True)  # while it is held: whoever opened it before looks again
-        taken.release()
+        _give_back(lock, taken)
 
 
 def _take(lock: Path, path: Path) -> FileLock:
@@ -60,9 +59,19 @@ def _take(lock: Path, path: Path) -> FileLock:
                 ) from None
             time.sleep(PAUSE)
             continue
-        lock.write_text(f"{os.getpid()} {platform.node()}", encoding="utf-8")
+        try:
+            lock.write_text(f"{os.getpid()} {platform.node()}", encoding="utf-8")
+        except OSError:  # the disk is full
+            _give_back(lock, taken)
+            raise
         return taken
     raise BusyError(f"{path}: is being written by another process; wait until it has ended, or choose another place")
+
+
+def _give_back(lock: Path, taken: FileLock) -> None:
+    """Remove a lock's file, while it is held: whoever opened it before looks again."""
+    lock.unlink(missing_ok=True)
+    taken.release()
 
 
 def _holder(lock: Path) -> str:

@@ -11,6 +11,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet
 
+from aridcal.errors import printable
+
 if TYPE_CHECKING:
     import pandas as pd
 
@@ -53,6 +55,16 @@ def write_table(table: pd.DataFrame, path: Path) -> None:
         write(table)
 
 
+def in_plain_words(table: pd.DataFrame) -> pd.DataFrame:
+    """The same table with the control characters in its words spelt out: terminals obey them."""
+    spelt = {
+        str(name): [printable(cell) if isinstance(cell, str) else cell for cell in column]
+        for name, column in table.items()
+        if column.dtype.kind == "O" and any(isinstance(cell, str) and not cell.isprintable() for cell in column)
+    }
+    return table.assign(**spelt) if spelt else table
+
+
 @contextmanager
 def table_file(path: Path) -> Iterator[Callable[[pd.DataFrame], None]]:
     """Write csv or parquet, by the name's ending, a stretch at a time; every float with the digits that give it back exactly.
@@ -67,6 +79,7 @@ def table_file(path: Path) -> Iterator[Callable[[pd.DataFrame], None]]:
     with path.open("w", encoding="utf-8", newline="") as file:
 
         def write(table: pd.DataFrame) -> None:
+            table = in_plain_words(table)
             words = {str(name): table[name].map({True: "true", False: "false"}) for name in table.select_dtypes(bool)}
             table.assign(**words).to_csv(file, index=False, header=not file.tell(), float_format="%.17g")
 
@@ -83,6 +96,7 @@ class _Parquet(ExitStack):
 
     def write(self, table: pd.DataFrame) -> None:
         """Append rows."""
+        table = in_plain_words(table)
         if self._file is None:
             schema = pa.Schema.from_pandas(table, preserve_index=False)
             self._file = self.enter_context(pa.parquet.ParquetWriter(self._path, schema, compression="snappy"))
