@@ -58,7 +58,7 @@ class DesignSettings(Section):
     """What planned configurations must respect beside the joints' limits."""
 
     keep_out: tuple[Box, ...] | None = None
-    """Boxes that neither the arm nor its target may enter; not stated: the plane that the arm is mounted on, where it is known."""
+    """Boxes that neither the arm nor its target may enter; not stated: the plane that the arm is mounted on, if it is known."""
     sight: SightSettings | None = None
     """What must see the target over the arm and the boxes."""
 

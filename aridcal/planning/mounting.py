@@ -9,7 +9,7 @@ from aridcal.robot.chain import Robot
 from aridcal.robot.kinematics import joint_frames
 
 UPRIGHT = 0.999
-"""Cosine of the angle between the first turning axis and the base's z, from which on the base's z counts as the mount's normal."""
+"""Cosine of the angle between the first turning axis and the base's z, from which on that z counts as the mount's normal."""
 
 
 def mounting_side(robot: Robot) -> float:

@@ -76,8 +76,8 @@ def check_program(ending: str, stem: str, kinds: tuple[str, ...]) -> None:
         return
     if not re.fullmatch(rf"[A-Za-z][A-Za-z0-9_]{{0,{LONGEST - 1}}}", stem):
         raise OutputError(
-            f"{shortened(stem)}{ending}: a program in {language.name} has the name of its file, so that should be a letter, and then "
-            f"letters, digits and _, {LONGEST} in all at the most; give it such a name"
+            f"{shortened(stem)}{ending}: a program in {language.name} has the name of its file, so that should be a letter, and "
+            f"then letters, digits and _, {LONGEST} in all at the most; give it such a name"
         )
     sliding = kinds.count("prismatic")
     turning = len(kinds) - sliding

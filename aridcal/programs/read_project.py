@@ -86,6 +86,6 @@ def _one_language(files: Sequence[Path], paths: Sequence[Path]) -> Language:
         )
     if len(languages) > 1:
         raise AridcalError(
-            f"{', '.join(map(str, paths))}: has programs in {' and '.join(sorted(languages))}: correct them one language at a time"
+            f"{', '.join(map(str, paths))}: has programs in {' and '.join(sorted(languages))}: correct one language at a time"
         )
     return next(iter(languages.values()))

@@ -34,7 +34,8 @@ def _headline(answer: Answer, done: Sequence[Correction]) -> str:
     if not done:
         return headline
     before, after = 1e3 * _rms([c.before[0] for c in done]), 1e3 * _rms([c.after[0] for c in done])
-    return f"{headline}; the calibrated model has the tip {before:.3f} mm off (RMS) as the program was, {after:.4f} mm as it is now"
+    off = f"the calibrated model has the tip {before:.3f} mm off (RMS) as the program was, {after:.4f} mm as it is now"
+    return f"{headline}; {off}"
 
 
 def _reasons(left: Sequence[Correction], opened: Opened) -> list[str]:
