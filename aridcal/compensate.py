@@ -152,7 +152,7 @@ def _correct_programs(arguments: argparse.Namespace) -> None:
     _, aside = screens(arguments)
     request = Request(
         arguments.calibration, tuple(arguments.poses), arguments.out, arguments.frames, _values(arguments.at),
-        _numbers(arguments.start, "--start"), _numbers(arguments.zeros, "--zeros"),
+        _joints(arguments.start), arguments.zeros,
     )  # fmt: skip
     with told_on(aside) as progress:
         answer = correct_programs(request, progress)
@@ -172,16 +172,14 @@ def _values(given: Sequence[str]) -> dict[str, float]:
     return values
 
 
-def _numbers(text: str | None, option: str) -> tuple[float, ...] | None:
-    """Numbers with commas between; None where the option is not given."""
+def _joints(text: str | None) -> tuple[float, ...] | None:
+    """Numbers of --start; None where it is not given."""
     if text is None:
         return None
     try:
         return tuple(float(part) for part in text.split(","))
     except ValueError:
-        raise OutputError(
-            f"{option} {text}: should be numbers with commas between, in the units of the program"
-        ) from None
+        raise OutputError(f"--start {text}: should be numbers with commas between, in the units of the program") from None
 
 
 @dataclass

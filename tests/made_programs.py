@@ -47,9 +47,14 @@ class Made:
         return re.sub(MARK, lambda _: next(values), self.template)
 
     def read(self, text: str) -> list[str] | None:
-        """Numbers of a corrected program; None where anything else is not as it was."""
-        found = re.fullmatch(NUMBER.join(map(re.escape, self.template.split(MARK))), text)
-        return None if found is None else list(found.groups())
+        """Numbers of a corrected program; None where anything else is not as it was, but for the comment that says so."""
+        match = re.fullmatch(NUMBER.join(map(re.escape, self.template.split(MARK))), unmarked(text))
+        return None if match is None else list(match.groups())
+
+
+def unmarked(text: str) -> str:
+    """A corrected program without the line that says that it is."""
+    return re.sub(r"[^\n]*corrected by aridcal[^\n]*\n?", "", text)
 
 
 def transform(xyz: Sequence[float], rpy: Sequence[float]) -> np.ndarray:
@@ -211,6 +216,7 @@ def urscript(rng: np.random.Generator, steps: Sequence[Step], flange: Flange) ->
     """As Polyscope writes them: a header, waypoints under names, features, a tool."""
     w = Writer(UR, flange, str(rng.choice(["\n", "\r\n"])))
     tool, feature, inner = random_frame(rng, 0.2), random_frame(rng, 0.4), random_frame(rng, 0.2)
+    w.made.frames = _frames_file({"default": np.eye(4)}, {})
     w.line("def Schweißnaht_1():")
     w.line("  # Kommentar: movel(p[1, 2, 3, 4, 5, 6]) bleibt, wie er ist — äöü")
     w.line('  textmsg("movej([0,0,0,0,0,0])")')
@@ -368,12 +374,12 @@ def fanuc(rng: np.random.Generator, steps: Sequence[Step], flange: Flange) -> Ma
 
 def _frames_file(bases: dict[str, np.ndarray], tools: dict[str, np.ndarray]) -> str:
     def entries(frames: dict[str, np.ndarray]) -> str:
-        return "".join(
-            f"  '{name}': {{xyz: {T[:3, 3].tolist()}, rpy: {_R(T).as_euler('xyz').tolist()}}}\n"
+        return ", ".join(
+            f"'{name}': {{xyz: {T[:3, 3].tolist()}, rpy: {_R(T).as_euler('xyz').tolist()}}}"
             for name, T in frames.items()
         )
 
-    return f"format: 1\nbases:\n{entries(bases)}tools:\n{entries(tools)}"
+    return f"format: 1\nbases: {{{entries(bases)}}}\ntools: {{{entries(tools)}}}\n"
 
 
 MAKERS: dict[str, tuple[Dialect, Callable[[np.random.Generator, Sequence[Step], Flange], Made]]] = {

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Sequence
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 
@@ -13,30 +14,31 @@ import pytest
 from calibrated import Machine, machine
 from made_programs import FANUC, KUKA, MAKERS, UR, Dialect, Made, path, transform
 from robot_programs import error, sent
+from robots import ur10
 from scipy.spatial.transform import Rotation
 
 from aridcal.compensate import main as compensate
-from aridcal.errors import CampaignError
+from aridcal.errors import AridcalError, CampaignError
 from aridcal.fit.constants import constants
 from aridcal.model.model import Model
-from aridcal.programs import fanuc, gcode, krl, rapid, urscript
-from aridcal.programs.axes import Axes, axes_of
+from aridcal.programs import gcode
 from aridcal.programs.branches import flange
+from aridcal.programs.cell import Cell
 from aridcal.programs.correct import correct
-from aridcal.programs.frames import KnownFrames, read_frames, unsaid_base
-from aridcal.programs.languages import LANGUAGES
+from aridcal.programs.frames import KnownFrames, controllers_base, read_frames
+from aridcal.programs.languages import language_of
 from aridcal.programs.notations import ABB as OUR_ABB
 from aridcal.programs.notations import FANUC as OUR_FANUC
 from aridcal.programs.notations import KUKA as OUR_KUKA
 from aridcal.programs.notations import UR as OUR_UR
-from aridcal.programs.targets import Notation, Target, spliced, written
+from aridcal.programs.project import Project, Source
+from aridcal.programs.targets import Notation
+from aridcal.programs.text import written
 from aridcal.result.saved_model import SavedModel, SolvedModel
 from aridcal.robot.chain import chain, parse_robot
 from aridcal.robot.tree import read_tree
 
-SIX = axes_of(("revolute",) * 6)
-
-NOTHING = KnownFrames()
+CELL = Cell(ur10())
 
 
 @cache
@@ -110,9 +112,12 @@ def test_a_program_that_is_cut_or_garbled_anywhere_is_read_or_left_but_never_bre
             + str(rng.choice(["", "[", "{", ")", "p[", '"', ",", "= ", ":", "9" * 400]))
             + text[start + length :]
         )
-        for target in LANGUAGES[ending].read(garbled, SIX, NOTHING):
-            assert target.why or np.isfinite(target.values).all()
-            assert all(garbled[n.start : n.end] == n.text for n in target.numbers)
+        language = language_of(Path(f"p{ending}"))
+        assert language is not None
+        with suppress(AridcalError):
+            for target in language.read(Project((Source(Path(f"p{ending}"), garbled),)), CELL).targets:
+                assert target.why or np.isfinite(target.values).all()
+                assert all(garbled[n.start : n.end] == n.text for n in target.numbers)
 
 
 @pytest.mark.parametrize(
@@ -164,26 +169,6 @@ def test_a_number_keeps_its_digits_and_gets_those_that_it_needs(
     assert written(value, before, digits) == after
 
 
-def whys(targets: Sequence[Target]) -> list[str]:
-    return [target.why for target in targets]
-
-
-@pytest.mark.parametrize(
-    ("text", "why"),
-    [
-        ("set_tcp(p[0,0,0,0,0,0])\nmovel(p[x, 0, 0, 0, 0, 0])\n", "x in p[x, 0, 0, 0, 0, 0] is no plain number"),
-        ("movel(p[1, 0, 0, 0, 0, 0])\n", "the tool default is not in the program"),
-        ("set_tcp(p[0,0,0,0,0,0])\nmovel(pose_add(a, b))\n", "pose_add(...) is worked out by the controller only"),
-        ("set_tcp(p[0,0,0,0,0,0])\na = p[0,0,0,0,0,0]\na = p[1,0,0,0,0,0]\nmovel(a)\n", "a is assigned 2 times"),
-        ("a = b\nb = a\nmovel(a)\n", "stands for itself"),
-        ("movej([0, 1, 2])\n", "has 3 joints, the robot 6"),
-    ],
-)
-def test_what_only_a_ur_can_work_out_is_left(text: str, why: str) -> None:
-    (found,) = whys(urscript.read(text, SIX, NOTHING))
-    assert why in found
-
-
 def test_a_controller_whose_base_is_turned_against_the_urdf_gets_the_same_correction(
     calibration: Path, tmp_path: Path
 ) -> None:
@@ -210,128 +195,19 @@ def test_a_controller_whose_base_is_turned_against_the_urdf_gets_the_same_correc
     assert not np.allclose(found[0], here, atol=1e-5)
 
 
-def test_a_link_base_that_is_elsewhere_is_named_unless_the_user_states_the_base() -> None:
+def test_a_link_base_that_is_elsewhere_is_where_a_ur_counts_from() -> None:
+    """Second road: the URDF's own joint between the two links."""
     plain = Path(arm().model.robot.path).read_text()
     other = """<link name="base"/><joint name="to_base" type="KIND"><parent link="base_link"/><child link="base"/>
         <origin xyz="0 0 0" rpy="0 0 3.141592653589793"/><axis xyz="0 0 1"/>
         <limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>"""
-    said = []
+    bases = []
     for text in (plain, *(plain.replace("</robot>", other.replace("KIND", kind)) for kind in ("revolute", "fixed"))):
         robot = chain(read_tree(text.encode(), Path("ur10.urdf")), "tool0", "base_link")
-        said.append(unsaid_base(robot, NOTHING))
-        assert unsaid_base(robot, KnownFrames(bases={"default": np.eye(4)})) == ""
-    assert said[:2] == ["", ""]
-    assert "xyz: [0, 0, 0], rpy: [0, 0, 3.14159265]" in said[2]
-
-
-KRL_POSE = "{X 1,Y 2,Z 3,A 4,B 5,C 6}"
-
-
-@pytest.mark.parametrize(
-    ("text", "why"),
-    [
-        (f"PTP {KRL_POSE}\n", "the base default is not in the program"),
-        (f"$BASE=$NULLFRAME\nBAS(#TOOL,4)\nLIN {KRL_POSE}\n", "TOOL_DATA[4] is not in the program"),
-        ("$BASE=$NULLFRAME\n$TOOL=$NULLFRAME\nLIN {X 5}\n", "lacks some of X Y Z A B C"),
-        (f"LIN_REL {KRL_POSE}\n", "is a step from the place before"),
-        (f"$BASE=$NULLFRAME\n$TOOL=$NULLFRAME\n$IPO_MODE=#TCP\nLIN {KRL_POSE}\n", "stands outside"),
-        (f"P1={KRL_POSE}\n$BASE=$NULLFRAME\n$TOOL=$NULLFRAME\nLIN P1\n$TOOL={KRL_POSE}\nLIN P1\n", "different tools"),
-        (f"P1={KRL_POSE}\n", "no move of this file goes there"),
-    ],
-)
-def test_what_only_a_kuka_can_work_out_is_left(text: str, why: str) -> None:
-    (found,) = whys(krl.read(text, SIX, NOTHING))
-    assert why in found
-
-
-def test_points_of_inline_forms_have_the_base_and_the_tool_of_their_data() -> None:
-    text = f'DECL E6POS XP1={KRL_POSE}\nDECL FDAT FP1={{TOOL_NO 2,BASE_NO 0,IPO_FRAME #BASE,POINT2[] " "}}\n'
-    tool = transform([0, 0, 0.1], [0, 0, 0])
-    (target,) = krl.read(text, SIX, KnownFrames(tools={"2": tool}))
-    assert not target.why
-    np.testing.assert_array_equal(target.tool, tool)
-    np.testing.assert_array_equal(target.base, np.eye(4))
-
-
-def test_a_shift_behind_a_colon_belongs_to_the_tool() -> None:
-    """P:S with a tool T is where P is with the tool T S^-1."""
-    shift = "{X 0,Y 0,Z 100,A 0,B 0,C 0}"
-    text = f"$BASE=$NULLFRAME\n$TOOL=$NULLFRAME\nP1={KRL_POSE}\nLIN P1:{shift} C_DIS\n"
-    (target,) = krl.read(text, SIX, NOTHING)
-    np.testing.assert_allclose(target.tool, transform([0, 0, -0.1], [0, 0, 0]), atol=1e-12)
-
-
-RAPID_POSE = "[[1,2,3],[1,0,0,0],[0,0,0,0],[9E9,9E9,9E9,9E9,9E9,9E9]]"
-
-
-@pytest.mark.parametrize(
-    ("text", "why"),
-    [
-        (f"CONST robtarget p1:={RAPID_POSE};\n", "no move of this file goes there"),
-        (f"CONST robtarget p1:={RAPID_POSE};\nMoveL p1,v100,fine,tGun;\n", "the tool tGun is not in the program"),
-        (f"CONST robtarget p1:={RAPID_POSE};\nMoveL p1,v100,fine,tool0\\WObj:=wA;\n", "the work object wA is not in"),
-        (f"CONST robtarget p1:={RAPID_POSE};\nPDispOn p1,tool0;\nMoveL p1,v100,fine,tool0;\n", "a displacement acts"),
-        ("MoveL p9,v100,fine,tool0;\n", "is not in this file"),
-    ],
-)
-def test_what_only_an_abb_can_work_out_is_left(text: str, why: str) -> None:
-    (found,) = whys(rapid.read(text, SIX, NOTHING))
-    assert why in found
-
-
-def test_a_point_of_fanuc_needs_its_user_frame_and_tool() -> None:
-    body = "GP1:\n UF : 3, UT : 1, CONFIG : 'N U T, 0, 0, 0',\n X = 1.0 mm, Y = 2.0 mm, Z = 3.0 mm,\n W = 1.0 deg, P = 2.0 deg, "
-    body += "R = 3.0 deg"
-    text = f"/PROG A\n/MN\n1:L P[1] ;\n/POS\nP[1]{{\n{body}\n}};\n/END\n"
-    assert "user frame 3 is not in the program" in fanuc.read(text, SIX, NOTHING)[0].why
-    frames = KnownFrames(bases={"3": np.eye(4)}, tools={"1": np.eye(4)})
-    assert fanuc.read(text, SIX, frames)[0].why == ""
-
-
-GANTRY = axes_of(("prismatic",) * 3)
-
-G54 = KnownFrames(bases={"g54": transform([0.5, 0.0, 0.0], [0, 0, 0])})
-
-
-def test_axis_words_of_a_gantry_are_its_joints_from_the_zero_of_the_work_offset() -> None:
-    text = "G21 G90 (G1 X9) \nG1 X10. Y-20.5 F900 ; X7\nZ3\nG20 X1\n"
-    found = gcode.read(text, GANTRY, G54)
-    readings = np.array([target.readings for target in found])
-    np.testing.assert_allclose(
-        readings, [[0.51, -0.0205, np.nan], [np.nan, np.nan, 0.003], [0.5254, np.nan, np.nan]], equal_nan=True
-    )
-
-
-@pytest.mark.parametrize(
-    ("text", "why"),
-    [
-        ("G91 G1 X1\n", "is a step from the place before"),
-        ("G2 X1 Y1 I5\n", "is no straight move"),
-        ("G43 H1\nG1 Z1\n", "a length of a tool acts"),
-        ("G55 G1 X1\n", "the work offset G55 is not in the program"),
-        ("X1\n", "is no straight move"),
-    ],
-)
-def test_what_only_a_gantry_can_work_out_is_left(text: str, why: str) -> None:
-    (found,) = whys(gcode.read(text, GANTRY, G54))
-    assert why in found
-
-
-def test_a_rail_is_the_external_axis_and_keeps_its_place_for_a_pose() -> None:
-    axes = Axes(("prismatic", *["revolute"] * 6), (1, 2, 3, 4, 5, 6), (0,))
-    assert axes_of(axes.kinds) == axes
-    text = "$BASE=$NULLFRAME\n$TOOL=$NULLFRAME\nLIN {X 1,Y 2,Z 3,A 4,B 5,C 6,S 0,T 0,E1 1500.0}\n"
-    (target,) = krl.read(text, axes, NOTHING)
-    assert target.branch.held is not None
-    np.testing.assert_allclose(target.branch.held, [1.5, *[np.nan] * 6], equal_nan=True)
-
-
-def test_only_numbers_are_exchanged() -> None:
-    (target,) = urscript.read("movej([1, -2.50,3e0 , .5, 0, 7])  # é\r\n", SIX, NOTHING)
-    changes = [(n, f"<{n.text}>") for n in target.numbers]
-    assert spliced("movej([1, -2.50,3e0 , .5, 0, 7])  # é\r\n", changes) == (
-        "movej([<1>, <-2.50>,<3e0> , <.5>, <0>, <7>])  # é\r\n"
-    )
+        bases.append(controllers_base(robot))
+    assert bases[:2] == [None, None]
+    assert bases[2] is not None
+    np.testing.assert_allclose(bases[2], transform([0, 0, 0], [0, 0, np.pi]), atol=1e-12)
 
 
 def test_targets_beyond_what_was_measured_or_out_of_reach_are_named_and_left(
@@ -404,14 +280,15 @@ def test_a_gantry_comes_to_its_places_where_all_words_stand_and_as_near_as_those
     """Second road: the true model at the axes that the corrected words, and those kept from before, say."""
     saved = gantry()
     text = "G21 G90\nG1 X100 Y200.0 Z-50\nG1 X900 Y-300 Z120\nX150.5\nG1 Y40 Z10\n"
-    targets = gcode.read(text, GANTRY, KnownFrames(bases={"g54": np.eye(4)}))
-    found = correct(saved, targets, {})
+    cell = Cell(saved.final.model.robot, KnownFrames(bases={"g54": np.eye(4)}))
+    reading = gcode.ROW.read(Project((Source(Path("p.nc"), text),)), cell)
+    found = correct(saved, reading.targets, {})
     assert [len(c.changes) for c in found] == [3, 3, 1, 2]
     told = np.array([[100, 200, -50], [900, -300, 120], [150.5, -300, 120], [150.5, 40, 10]]) / 1e3
     sent = np.zeros(3)
     for c, q in zip(found, told, strict=True):
-        for (unit, k), (_, new) in zip(c.target.units, c.changes, strict=True):
-            sent[k] = unit * float(new)
+        for (unit, k), change in zip(c.target.units, c.changes, strict=True):
+            sent[k] = unit * float(change.text)
         place = saved.final.poses(sent[None])[1][0]
         off, as_is = np.linalg.norm(place - q), np.linalg.norm(saved.final.poses(q[None])[1][0] - q)
         assert off == pytest.approx(c.after[0], abs=1e-9)

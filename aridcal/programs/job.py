@@ -40,7 +40,8 @@ class Request:
         frames: A file of frames that only the controller has.
         at: What effects depend on while the program runs.
         start: Joints where the program begins, in its units.
-        zeros: What the controller shows of each axis where the URDF's joint is at zero, in its units; None: the campaign's.
+        zeros: What the controller shows of each axis where the URDF's joint is at zero, numbers with commas between them, in the
+            program's units; None: the campaign's.
     """
 
     calibration: Path
@@ -49,7 +50,7 @@ class Request:
     frames: Path | None = None
     at: Mapping[str, float] = field(default_factory=dict)
     start: tuple[float, ...] | None = None
-    zeros: tuple[float, ...] | None = None
+    zeros: str | None = None
 
 
 @dataclass(frozen=True)
