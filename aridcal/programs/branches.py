@@ -1,9 +1,9 @@
 """How the controller stands at poses: its own inverse kinematics, with the nominal arm, and which of its answers.
 
-Of several answers it takes the nearest to where it comes from, of those that agree with what the program says of the posture. Where
-an arm comes from is the answer of the pose before, so that a program is a chain; many poses are nevertheless worked out at once:
-what each comes from is guessed, and what comes out otherwise is worked out again until nothing changes. As each pose depends only
-on the one before, that is what a walk along the chain gives, whatever was guessed.
+Of several answers it takes the nearest to where it comes from, of those that agree with what the program says of the posture.
+Where an arm comes from is the answer of the pose before, so that a program is a chain; many poses are nevertheless worked out
+at once: what each comes from is guessed, and what comes out otherwise is worked out again until nothing changes. As each pose
+depends only on the one before, that is what a walk along the chain gives, whatever was guessed.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ EXACT = 1e-7
 """What counts as reached of the nominal arm, [m] and [rad]: far below what any arm repeats."""
 
 STARTS = 60
-"""Drawn over the joints' ranges: of the eight positions of a six-axis arm each is missed by all with less than one in a thousand,
-where each takes a twentieth of the starts."""
+"""Drawn over the joints' ranges: four of five come to a pose, so that each of the eight positions of a six-axis arm is missed by
+all of them two times in a thousand."""
 
 FEW = 6
 """Of them, for a first look at what other positions there are: half of an arm's eight, as a rule."""
@@ -46,8 +46,15 @@ CLOSE = 8.0
 """Times the way within which no other position can be: a search that starts where the arm comes from and ends so close by is
 trusted not to have passed one, which must be on its way then."""
 
-FAR = 1.0
-"""[rad] or [m]: what comes from further away may come to any position, so that all are looked for."""
+FAR = 2.0
+"""[rad] or [m], all joints together: what comes from further away may come to any position, so that all are looked for."""
+
+SPREAD, FURTHEST, UPHILL = 500, 20, 40
+"""Configurations from which the arm's reach is sought, how many of them go uphill, and in how many steps: twice as many of each
+change it by less than a thousandth."""
+
+BEYOND_REACH = 1.01
+"""Times that reach beyond which nothing is looked for: what the search for it may lack, ten times over."""
 
 WIDE = np.pi
 """Joints without limits are started within half a turn, [rad] or [m]."""
@@ -167,24 +174,37 @@ class Controller:
 
     @cached_property
     def reach(self) -> float:
-        """The tip is never further from the first joint, [m]: all lengths together, slides drawn out."""
-        joints = self.robot.joints
-        links = [float(np.linalg.norm(joint.placement.translation)) for joint in joints[1:]]
-        tip = self.robot.tip_before * self.robot.tip_origin
-        slides = [max(abs(j.lower), abs(j.upper)) for j in joints if j.kind == "prismatic"]
-        return float(np.linalg.norm(tip.translation)) + sum(links) + sum(slides)
+        """The furthest that the tip gets from the first joint, [m]: uphill from the furthest of many configurations."""
+        q = self._drawn(1, SPREAD)[0]
+        for _ in range(UPHILL):
+            _, p, J = self.inverse.arm.looks(q, {})
+            out = p - self.robot.joints[0].placement.translation
+            far = np.linalg.norm(out, axis=1)
+            furthest = np.argsort(far)[-FURTHEST:]
+            way = np.einsum("nij,ni->nj", J[:, :3], out / np.maximum(far, EXACT)[:, None])[furthest]
+            q = np.clip(q[furthest] + way / max(float(far.max()), EXACT), self.inverse.low, self.inverse.high)
+        return float(far.max())
 
     def too_far(self, wanted: np.ndarray) -> np.ndarray:
-        """Poses that the arm's lengths together do not reach, shape (n,)."""
+        """Poses that are further away than the arm gets, whatever its joints do, shape (n,)."""
         apart = np.linalg.norm(wanted[:, :3, 3] - self.robot.joints[0].placement.translation, axis=1)
-        return np.asarray(apart > self.reach + EXACT)
+        drawn_out = ~self.inverse.turning & ~np.isfinite(self.inverse.high - self.inverse.low)
+        return np.asarray((apart > BEYOND_REACH * self.reach) & (not drawn_out.any()))
+
+    @cached_property
+    def unlimited(self) -> InverseRows:
+        """The same arm without limits: what it finds beyond them tells why a pose is out of reach."""
+        none = np.full(len(self.inverse.low), np.inf)
+        return replace(self.inverse, low=-none, high=none)
 
     def redundant(self, held: np.ndarray) -> bool:
         """Whether the arm may reach a pose in ways without number, so that each depends on the one before by small amounts."""
         free = np.isnan(held) & (self.inverse.low < self.inverse.high)
         return bool((free.sum(axis=1) > 6).any())
 
-    def settle(self, wanted: np.ndarray, seeds: np.ndarray, held: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def settle(
+        self, wanted: np.ndarray, seeds: np.ndarray, held: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Where a search from each seed ends, shape (n, columns); whether the tip is there, (n,); and the Jacobian there."""
         found = self.inverse.approach(wanted, seeds, held, {})
         return found.readings, self._there(found), found.J
@@ -216,7 +236,8 @@ class Controller:
         left, far = every[~searched], searched.copy()
         for seeds, close in ((guess, 1.0), (near, CLOSE)):
             some, at = poses[left], near[left]
-            q, reached, J = self.settle(some.wanted, seeds[left], some.held)
+            if seeds is guess or len(left) < len(poses) or not np.array_equal(near, guess):
+                q, reached, J = self.settle(some.wanted, seeds[left], some.held)
             q = self._turned_towards(q, at, some.held)
             inside = ((q >= self.inverse.low - SAME) & (q <= self.inverse.high + SAME)).all(axis=1)
             ok = reached & inside & self._alone(q, at, J, some.held, close)
@@ -249,14 +270,14 @@ class Controller:
         smallest = np.sqrt(np.maximum(np.linalg.eigvalsh(H)[:, 0], 0.0))
         return np.asarray(np.linalg.norm(q - near, axis=1) * max(self.reach, 1.0) < close * smallest)
 
-    def _around(
-        self, poses: Poses, near: np.ndarray, rows: np.ndarray, found: np.ndarray, there: np.ndarray
-    ) -> None:
+    def _around(self, poses: Poses, near: np.ndarray, rows: np.ndarray, found: np.ndarray, there: np.ndarray) -> None:
         """Look around where some rows come from; fills in what is found."""
         draws = np.random.default_rng(0).standard_normal((AROUND, near.shape[1]))
         kicks = np.vstack([np.zeros(near.shape[1]), KICK * draws])
         for some in _parts(rows, len(kicks)):
-            self._choose(poses, near, some, *self._from(poses[some], near[some][:, None] + kicks), found, there)
+            self._choose(
+                poses, near, some, *self._from(poses[some], near[some][:, None] + kicks, self.inverse), found, there
+            )
 
     def _everywhere(
         self, poses: Poses, near: np.ndarray, rows: np.ndarray, found: np.ndarray, there: np.ndarray, memory: Memory
@@ -264,12 +285,15 @@ class Controller:
         """Look over all readings for some rows, once for each pose; fills in what is found."""
         rows = rows[~self.too_far(poses.wanted[rows])]
         new = np.array([k for k in rows.tolist() if poses.key(k) not in memory], dtype=int)
-        for some in _parts(new, STARTS):
-            for k, ends, ok in zip(some.tolist(), *self._from(poses[some], self._drawn(len(some), STARTS)), strict=True):
-                memory[poses.key(k)] = self._different(ends[ok])
+        for k, ends in zip(new.tolist(), self.searched(poses[new]), strict=True):
+            memory[poses.key(k)] = ends
         for k in rows.tolist():
             ends = memory[poses.key(k)]
             self._choose(poses, near, np.array([k]), ends[None], np.ones((1, len(ends)), dtype=bool), found, there)
+
+    def within_limits(self, pose: Poses, ends: np.ndarray) -> bool:
+        """Whether any of the positions (positions, columns) of one pose, whatever its posture, is within the limits."""
+        return any(self._turned(end, pose.held[0], end, None) is not None for end in ends)
 
     def _different(self, ends: np.ndarray) -> np.ndarray:
         """The different positions among ends of searches, shape (tries, columns), whole turns apart counted as one."""
@@ -293,7 +317,7 @@ class Controller:
     ) -> None:
         """Take the nearest position of each row that some searches (rows, tries, columns) ended at."""
         nearest = self._turned_towards(ends, near[rows][:, None], poses.held[rows][:, None])
-        inside = ((nearest >= self.inverse.low - SAME) & (nearest <= self.inverse.high + SAME)).all(axis=2)
+        inside = np.all((nearest >= self.inverse.low - SAME) & (nearest <= self.inverse.high + SAME), axis=2)
         away = np.where(reached, np.sum((nearest - near[rows][:, None]) ** 2, axis=2), np.inf)
         for k, own, ok, sure, way, turned in zip(rows.tolist(), ends, reached, inside, away, nearest, strict=True):
             best = int(way.argmin()) if len(way) else 0
@@ -306,13 +330,12 @@ class Controller:
             if first is not None:
                 found[k], there[k] = first, True
 
-    def _from(self, poses: Poses, seeds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _from(self, poses: Poses, seeds: np.ndarray, inverse: InverseRows) -> tuple[np.ndarray, np.ndarray]:
         """Ends of searches from several seeds each, (n, tries, columns), and which are there, (n, tries)."""
         n, tries, columns = seeds.shape
-        q, ok, _ = self.settle(
-            np.repeat(poses.wanted, tries, axis=0), seeds.reshape(-1, columns), np.repeat(poses.held, tries, axis=0)
-        )
-        return q.reshape(n, tries, columns), ok.reshape(n, tries)
+        wanted, held = np.repeat(poses.wanted, tries, axis=0), np.repeat(poses.held, tries, axis=0)
+        found = inverse.approach(wanted, seeds.reshape(-1, columns), held, {})
+        return found.readings.reshape(n, tries, columns), self._there(found).reshape(n, tries)
 
     def _drawn(self, n: int, count: int) -> np.ndarray:
         """Starts over the joints' ranges, the same for each of n rows, shape (n, count, columns); once round is enough."""
@@ -323,18 +346,18 @@ class Controller:
 
     # --- one after the other --------------------------------------------------------------------------------------------
 
-    def walk(self, chain: Chain, before: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def walk(self, chain: Chain, before: np.ndarray, memory: Memory) -> tuple[np.ndarray, np.ndarray]:
         """The arm's position at each target of a chain, each from where the one before has come to.
 
         Args:
             chain: N targets.
             before: Readings where it begins, shape (columns,).
+            memory: Filled with what searches over all readings found.
 
         Returns:
             Readings, shape (n, columns), those of the target before where there is none; and whether there is one.
         """
         n, certain, window = len(chain.poses), 0, NARROW
-        memory: Memory = {}
         q, there = np.tile(before, (n, 1)), np.ones(n, dtype=bool)
         if self.redundant(chain.poses.held[~chain.joints]):
             window = 1
@@ -446,20 +469,18 @@ class Controller:
 
     def positions(self, poses: Poses, near: np.ndarray, count: int = STARTS) -> list[list[np.ndarray]]:
         """The arm's positions at each pose that fit, the nearest to some readings (n, columns) first; from so many starts."""
-        found: list[list[np.ndarray]] = []
-        for some in _parts(np.arange(len(poses)), count):
-            ends, ok = self._from(poses[some], np.concatenate([near[some][:, None], self._drawn(len(some), count)], axis=1))
-            for k, own, reached in zip(some.tolist(), ends, ok, strict=True):
-                found.append(self._distinct(own[reached], poses.held[k], near[k], poses.fits[k]))
-        return found
+        ends = self.searched(poses, count)
+        rows = zip(ends, near, strict=True)
+        return [self._distinct(own, poses.held[k], at, poses.fits[k]) for k, (own, at) in enumerate(rows)]
 
-    def beyond_limits(self, wanted: np.ndarray, near: np.ndarray) -> bool:
-        """Whether the arm would get to T_base_tip if no joint had a limit."""
-        unlimited = np.full_like(near, np.inf)
-        inverse = replace(self.inverse, low=-unlimited, high=unlimited)
-        seeds = np.vstack([near, self._drawn(1, STARTS)[0]])
-        found = inverse.approach(np.repeat(wanted[None], len(seeds), axis=0), seeds, np.full(seeds.shape, np.nan), {})
-        return bool(self._there(found).any())
+    def searched(self, poses: Poses, count: int = STARTS) -> list[np.ndarray]:
+        """Ends of searches over all readings that get to each pose, (positions, columns), beyond limits and of any posture."""
+        found = []
+        for some in _parts(np.arange(len(poses)), count):
+            part, seeds = poses[some], self._drawn(len(some), count)
+            ends, ok = self._from(part, seeds, self.inverse if self.redundant(part.held) else self.unlimited)
+            found += [self._different(own[reached]) for own, reached in zip(ends, ok, strict=True)]
+        return found
 
     def _distinct(self, ends: np.ndarray, held: np.ndarray, near: np.ndarray, fits: Fits | None) -> list[np.ndarray]:
         """The different positions among ends of searches (tries, columns) that fit, the nearest first."""

@@ -22,7 +22,7 @@ from aridcal.inputs.approach import approach
 from aridcal.inputs.query import Query
 from aridcal.model.inverse import FINEST, UNAVOIDABLE
 from aridcal.model.inverse_rows import ArmRows, InverseRows, rotation_vectors
-from aridcal.programs.branches import FEW, STARTS, Chain, Controller, Poses, flanges
+from aridcal.programs.branches import FEW, STARTS, Chain, Controller, Memory, Poses, flanges
 from aridcal.programs.notations import inverse
 from aridcal.programs.proof import Change
 from aridcal.programs.targets import Notation, Place, Target
@@ -41,7 +41,9 @@ PARTLY = "does not state all axes: corrected as far as those can that it states"
 
 NOWHERE = "the nominal arm does not get there: it is out of reach, or base, tool or tip are others"
 
-LIMITED = "the nominal arm gets there beyond its joint limits only: it is out of reach, or base, tool or limits are others"
+LIMITED = (
+    "the nominal arm gets there beyond its joint limits only: it is out of reach, or base, tool or limits are others"
+)
 
 WORDLESS = "its posture once corrected has no words in this language"
 
@@ -71,7 +73,9 @@ LEVER = 1.0
 
 BESIDE = "is also used a constant way off, where its correction is right in part only"
 
-BESIDE_WORSE = "is also used a constant way off, where its correction would leave more than half of the error: give each its point"
+BESIDE_WORSE = (
+    "is also used a constant way off, where its correction would leave more than half of the error: give each a point"
+)
 
 BESIDE_NOWHERE = "is also used a constant way off, where the nominal arm does not get: give each place its own point"
 
@@ -145,7 +149,9 @@ class _Arm:
         """The calibrated arm with its effects; wanted poses are those of the target in the world."""
         final, nominal = self.saved.final, self.controller.inverse
         lever = self.saved.noise[0] / self.saved.noise[1] if self.saved.kind == "pose" else LEVER
-        return InverseRows(ArmRows(final.model, final.theta, self.station), nominal.low, nominal.high, nominal.turning, lever)
+        return InverseRows(
+            ArmRows(final.model, final.theta, self.station), nominal.low, nominal.high, nominal.turning, lever
+        )
 
     @cached_property
     def station(self) -> str | None:
@@ -387,28 +393,30 @@ class _Walk:
         own = np.flatnonzero(~joints)
         wanted[own] = _placed([targets[k] for k in own.tolist()], [targets[k].values for k in own.tolist()])
         poses = Poses(wanted, held, fits)
-        q, there = self._controller.walk(Chain(joints, given, poses, near), self._nominal)
-        come = np.vstack([self._nominal, q[:-1]])
-        whys = [self._why_nowhere(targets[k], poses[np.array([k])], come[k]) for k in np.flatnonzero(~there).tolist()]
+        memory: Memory = {}
+        q, there = self._controller.walk(Chain(joints, given, poses, near), self._nominal, memory)
+        nowhere = np.flatnonzero(~there)
+        whys = [
+            self._why_nowhere(targets[k], poses[nowhere[j : j + 1]], memory) for j, k in enumerate(nowhere.tolist())
+        ]
         if not there.any():
             return there, whys, None
         q, joints, held = q[there], joints[there], held[there]
         wanted = np.where(joints[:, None, None], flanges(self._robot, q), wanted[there])
         stated = np.isfinite(given[there])
-        own = [target for target, ok in zip(targets, there.tolist(), strict=True) if ok]
-        return there, whys, _Lot(own, joints, stated, q, wanted, held, self._approached(q))
+        reached = [target for target, ok in zip(targets, there.tolist(), strict=True) if ok]
+        return there, whys, _Lot(reached, joints, stated, q, wanted, held, self._approached(q))
 
-    def _why_nowhere(self, target: Target, pose: Poses, near: np.ndarray) -> str:
-        """Why the controller does not get to a pose."""
-        words = target.branch.words
-        if self._controller.too_far(pose.wanted)[0]:
+    def _why_nowhere(self, target: Target, pose: Poses, memory: Memory) -> str:
+        """Why the controller does not get to a pose, by what searches over all readings found."""
+        ends = memory.get(pose.key(0))
+        if ends is None or not len(ends):
             return NOWHERE
-        if words is not None:
-            (any_posture,) = self._controller.positions(Poses(pose.wanted, pose.held, [None]), near[None])
-            if any_posture:
-                stands = " ".join(number.text for number in words.numbers)
-                return f"its posture ({words.names} {stands}) is none that the nominal arm has there"
-        return LIMITED if self._controller.beyond_limits(pose.wanted[0], near) else NOWHERE
+        words = target.branch.words
+        if words is None or not self._controller.within_limits(pose, ends):
+            return LIMITED
+        stands = " ".join(number.text for number in words.numbers)
+        return f"its posture ({words.names} {stands}) is none that the nominal arm has there"
 
     def _approached(self, q: np.ndarray) -> dict[str, np.ndarray]:
         """From which side each joint comes that has to do with it."""
@@ -500,9 +508,7 @@ class _Walk:
 
     def _settle_stance(self, lot: _Lot) -> None:
         """Leave poses of which nobody knows how the arm stands there, where their corrections depend on it."""
-        rows = np.array(
-            [k for k in lot.poses.tolist() if _unsettled(lot.targets[k]) and not lot.why[k]], dtype=int
-        )
+        rows = np.array([k for k in lot.poses.tolist() if _unsettled(lot.targets[k]) and not lot.why[k]], dtype=int)
         for count in (FEW, STARTS):  # few starts find, as a rule, that corrections differ
             if len(rows):
                 self._compare(lot, rows, count)
@@ -556,10 +562,7 @@ class _Walk:
     def _look_beside(self, lot: _Lot, rows: np.ndarray, numbers: Sequence[np.ndarray]) -> None:
         """Work out what the correction does at other places where the same numbers are used."""
         pairs = [
-            (row, place)
-            for row, k in enumerate(rows.tolist())
-            if not lot.why[k]
-            for place in lot.targets[k].beside
+            (row, place) for row, k in enumerate(rows.tolist()) if not lot.why[k] for place in lot.targets[k].beside
         ]
         if not pairs:
             return
