@@ -469,6 +469,7 @@ def test_windows_of_any_size_give_the_same_walk(monkeypatch: pytest.MonkeyPatch)
     found = []
     for size in (1, 8, 2048):
         monkeypatch.setattr(branches, "NARROW", size)
+        monkeypatch.setattr(branches, "USUAL", size)
         found.append(Controller(robot).walk(chain, HOME, {})[0])
     np.testing.assert_allclose(found[1], found[0], atol=1e-6)
     np.testing.assert_allclose(found[2], found[0], atol=1e-6)

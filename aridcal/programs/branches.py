@@ -65,14 +65,15 @@ TURN = 2.0 * np.pi
 TURNS = (-2, -1, 0, 1, 2)
 """Whole turns by which joints are turned to agree with words: controllers count no more."""
 
-ANCHORS = 8
-"""A pose of so many is solved first, one after the other, so that all others have a start close by."""
+ANCHORS, SPARSE = 8, 32
+"""A pose of so many is solved first, one after the other, so that all others have a start close by; where guesses are right for
+long, of more."""
 
 SWEEPS = 16
 """How often poses are worked out again before those left are guessed anew from what is certain by then."""
 
-NARROW, BROAD = 16, 2048
-"""Poses that are guessed together: more and more as long as guesses are right, fewer where they are not."""
+NARROW, USUAL, BROAD = 16, 256, 2048
+"""Poses that are guessed together: as usual at first, more as long as guesses are right, fewer where they are not."""
 
 Fits = Callable[[np.ndarray], bool]
 """Whether readings, shape (columns,), agree with what a program says of the posture."""
@@ -357,25 +358,26 @@ class Controller:
         Returns:
             Readings, shape (n, columns), those of the target before where there is none; and whether there is one.
         """
-        n, certain, window = len(chain.poses), 0, NARROW
+        n, certain, window = len(chain.poses), 0, USUAL
         q, there = np.tile(before, (n, 1)), np.ones(n, dtype=bool)
         if self.redundant(chain.poses.held[~chain.joints]):
             window = 1
         while certain < n:
             end, here = min(certain + window, n), q[certain - 1] if certain else before
-            q[certain:end] = self._guessed(chain, certain, end, here)
+            stride = ANCHORS if window <= USUAL else SPARSE
+            q[certain:end] = self._guessed(chain, certain, end, here, stride)
             certain = self._swept(chain, before, certain, end, q, there, memory)
             if window > 1:
                 window = min(2 * window, BROAD) if certain == end else max(window // 2, NARROW)
         return q, there
 
-    def _guessed(self, chain: Chain, start: int, end: int, before: np.ndarray) -> np.ndarray:
+    def _guessed(self, chain: Chain, start: int, end: int, before: np.ndarray, stride: int) -> np.ndarray:
         """Readings of the targets from one to another, the chance of a wrong position taken."""
         seeds, here = [], before
         for k in range(start, end):
             if chain.joints[k]:
                 here = np.where(np.isnan(chain.given[k]), here, chain.given[k])
-            elif (k - start) % ANCHORS == 0:
+            elif (k - start) % stride == 0:
                 wanted, held = chain.poses.wanted[k], chain.poses.held[k]
                 stays = np.isfinite(held)
                 low, high = (np.where(stays, held, limit) for limit in (self.one.low, self.one.high))
@@ -443,7 +445,7 @@ class Controller:
         where a limit is in the way or words count turns.
         """
         low, high = self.inverse.low - SAME, self.inverse.high + SAME
-        for k in range(start, end):
+        for k in range(self._first_unwound(chain, before, start, end, q, there), end):
             come = q[k - 1] if k else before
             if chain.joints[k] or not there[k]:
                 given = chain.given[k] if chain.joints[k] else np.full(len(come), np.nan)
@@ -464,6 +466,19 @@ class Controller:
             if other:
                 return k + 1
         return end
+
+    def _first_unwound(
+        self, chain: Chain, before: np.ndarray, start: int, end: int, q: np.ndarray, there: np.ndarray
+    ) -> int:
+        """The first target that is whole turns from where it comes from, or states other axes than hold; the end if none is."""
+        rows = np.arange(start, end)
+        come = np.where((rows > 0)[:, None], q[rows - 1], before)
+        near = np.where(np.isnan(chain.near[rows]), come, chain.near[rows])
+        posed = np.where(there[rows][:, None], self._turned_towards(q[rows], near, chain.poses.held[rows]), come)
+        given = np.where(np.isnan(chain.given[rows]), come, chain.given[rows])
+        follows = np.where(chain.joints[rows][:, None], given, posed)
+        other = np.abs(follows - q[rows]).max(axis=1, initial=0.0) > SETTLED
+        return int(rows[other.argmax()]) if other.any() else end
 
     # --- all positions --------------------------------------------------------------------------------------------------
 
