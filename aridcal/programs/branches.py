@@ -65,9 +65,8 @@ TURN = 2.0 * np.pi
 TURNS = (-2, -1, 0, 1, 2)
 """Whole turns by which joints are turned to agree with words: controllers count no more."""
 
-ANCHORS, SPARSE = 8, 32
-"""A pose of so many is solved first, one after the other, so that all others have a start close by; where guesses are right for
-long, of more."""
+ANCHORS = 16
+"""A pose of so many is solved first, one after the other, so that all others have a start close by."""
 
 SWEEPS = 16
 """How often poses are worked out again before those left are guessed anew from what is certain by then."""
@@ -364,20 +363,19 @@ class Controller:
             window = 1
         while certain < n:
             end, here = min(certain + window, n), q[certain - 1] if certain else before
-            stride = ANCHORS if window <= USUAL else SPARSE
-            q[certain:end] = self._guessed(chain, certain, end, here, stride)
+            q[certain:end] = self._guessed(chain, certain, end, here)
             certain = self._swept(chain, before, certain, end, q, there, memory)
             if window > 1:
                 window = min(2 * window, BROAD) if certain == end else max(window // 2, NARROW)
         return q, there
 
-    def _guessed(self, chain: Chain, start: int, end: int, before: np.ndarray, stride: int) -> np.ndarray:
+    def _guessed(self, chain: Chain, start: int, end: int, before: np.ndarray) -> np.ndarray:
         """Readings of the targets from one to another, the chance of a wrong position taken."""
         seeds, here = [], before
         for k in range(start, end):
             if chain.joints[k]:
                 here = np.where(np.isnan(chain.given[k]), here, chain.given[k])
-            elif (k - start) % stride == 0:
+            elif (k - start) % ANCHORS == 0:
                 wanted, held = chain.poses.wanted[k], chain.poses.held[k]
                 stays = np.isfinite(held)
                 low, high = (np.where(stays, held, limit) for limit in (self.one.low, self.one.high))

@@ -93,8 +93,8 @@ class Correction:
         target: As it stands in the program.
         why: Why it is left as it is; empty where it is corrected.
         remark: What is to be known of a correction.
-        texts: New numbers, as they are written.
-        words: New words of its posture, as they are written; none where the program has none.
+        texts: New numbers, as they are written; none where it is left.
+        words: New words of its posture, as they are written; none where the program has none, or it is left.
         moved: By how much the place that the controller is told is moved, [m] and [rad].
         before: How far the real tip would be from its place as the program is, [m] and [rad].
         after: How far it will be, rounding included, [m] and [rad].
@@ -330,10 +330,9 @@ class _Lot:
         pairs = [[tuple(pair) for pair in numbers.tolist()] for numbers in (self.moved, self.before, self.after)]
         for k, target in enumerate(self.targets):
             moved, before, after = (own[k] for own in pairs)
-            yield Correction(
-                target, self.why[k], self.remark[k], self.texts[k], self.words[k], moved, before, after,
-                int(self.positions[k]), float(self.doubt[k]), float(self.beside[k]),
-            )  # fmt: skip
+            texts, words = ((), ()) if self.why[k] else (self.texts[k], self.words[k])
+            more = int(self.positions[k]), float(self.doubt[k]) or 0.0, float(self.beside[k]) or 0.0
+            yield Correction(target, self.why[k], self.remark[k], texts, words, moved, before, after, *more)
 
 
 class _Walk:
