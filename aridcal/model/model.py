@@ -202,6 +202,22 @@ class Model:
             R[index], p[index], twists[index] = self._extended.jacobian(q[index], world, tip)
         return R, p, twists
 
+    def by_readings(self, theta: np.ndarray, rows: Rows) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The poses, and the twists of the target that readings cause while effects stay as they are, (N, 6, columns)."""
+        if self.at_things.any():
+            return self._arm.by_readings(theta[~self.at_things], self._of_arm(rows))
+        R, p, twists = self.motions(theta, rows)
+        return R, p, twists[:, :, self._extended.own] @ self._drive
+
+    @cached_property
+    def _drive(self) -> np.ndarray:
+        """How readings move the robot's joints, mimics among them, shape (joints, columns)."""
+        column = {name: k for k, name in enumerate(self.robot.readings)}
+        drive = np.zeros((len(self.robot.joints), len(column)))
+        for row, joint in zip(drive, self.robot.joints, strict=True):
+            row[column[joint.reading]] = joint.multiplier
+        return drive
+
     def of_coefficients(self, twists: np.ndarray, rows: Rows, first: int = 0) -> np.ndarray:
         """What joints do, or anything linear in that, (N, m, joints), as what coefficients from the first on do, (N, m, K)."""
         J = twists.T[self._extended.carrier[first:]].T  # rows stay what runs fastest in memory

@@ -3,13 +3,15 @@
 A target of joints q stands for the place T_nominal(q) of the tip, as whoever programmed it offline saw it. A pose P stands for
 base P tool^-1; the controller finds q for it with the nominal arm. Either way the wanted place W of the tip is known, and the
 joints q' that bring the real one there follow from the calibrated model: T_real(q') = W. Joints are replaced by q'; a pose by the
-one for which the controller finds q': base^-1 T_nominal(q') tool.
+one for which the controller finds q': base^-1 T_nominal(q') tool, its posture in words by that of q'.
+
+Targets are worked out some thousand at a time, in arrays.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -18,13 +20,13 @@ import pandas as pd
 from aridcal.errors import CovariateNotFound
 from aridcal.inputs.approach import approach
 from aridcal.inputs.query import Query
-from aridcal.model.inverse import Command, InverseKinematics
-from aridcal.model.one_row import OneRowModel
-from aridcal.programs.axes import axes_of
-from aridcal.programs.branches import controller, flange, holding, positions_of_arm
+from aridcal.model.inverse import FINEST, UNAVOIDABLE
+from aridcal.model.inverse_rows import ArmRows, InverseRows, rotation_vectors
+from aridcal.programs.branches import FEW, STARTS, Chain, Controller, Memory, Poses, flanges
 from aridcal.programs.notations import inverse
-from aridcal.programs.postures import posture_of
-from aridcal.programs.targets import Branch, Number, Target, written
+from aridcal.programs.proof import Change
+from aridcal.programs.targets import Notation, Place, Target
+from aridcal.programs.text import written
 from aridcal.result.compensate import STILL
 from aridcal.result.predict import at_any_station, directions, extrapolates, std_of
 from aridcal.result.saved_model import SavedModel
@@ -37,9 +39,15 @@ SINGULAR = "is close to a singularity: corrected as far as small motions of the 
 
 PARTLY = "does not state all axes: corrected as far as those can that it states"
 
-OTHERWISE = (
-    "CONFIG names a position that the nominal arm does not have there, the nearest was taken: check base, tool and URDF"
+NOWHERE = "the nominal arm does not get there: it is out of reach, or base, tool or tip are others"
+
+LIMITED = (
+    "the nominal arm gets there beyond its joint limits only: it is out of reach, or base, tool or limits are others"
 )
+
+WORDLESS = "its posture once corrected has no words in this language"
+
+ELSEWHERE = "its posture once corrected is shared with another position of the arm, nearer to where it comes from"
 
 SEEN = 1e-6
 """[m]: what remains of an error where axes are missing is said from here on; the rounding of the numbers leaves as much."""
@@ -60,13 +68,24 @@ WORTH = 0.5
 DIGITS = 6
 """Of millimetres and milliradians in the side table: a nanometre, which nobody reads past."""
 
-NOWHERE = "the nominal arm does not get there: it is out of reach, or base, tool or tip are others"
-
 LEVER = 1.0
 """[m]: where positions alone were measured, a turn of the tip counts as so much as it moves a tool of this length."""
 
+BESIDE = "is also used a constant way off, where its correction is right in part only"
 
-@dataclass(frozen=True)
+BESIDE_WORSE = (
+    "is also used a constant way off, where its correction would leave more than half of the error: give each a point"
+)
+
+BESIDE_NOWHERE = "is also used a constant way off, where the nominal arm does not get: give each place its own point"
+
+UNSETTLED = "its correction depends on how the arm stands there: give --start J1,J2,…, or a joint target before it"
+
+AT_ONCE = 2_000
+"""Targets that are worked out together: all that is made on the way takes some megabytes, and a program of any length no more."""
+
+
+@dataclass(frozen=True, slots=True)
 class Correction:
     """What becomes of one target.
 
@@ -74,28 +93,38 @@ class Correction:
         target: As it stands in the program.
         why: Why it is left as it is; empty where it is corrected.
         remark: What is to be known of a correction.
-        texts: New numbers, as they are written.
+        texts: New numbers, as they are written; none where it is left.
+        words: New words of its posture, as they are written; none where the program has none, or it is left.
         moved: By how much the place that the controller is told is moved, [m] and [rad].
         before: How far the real tip would be from its place as the program is, [m] and [rad].
         after: How far it will be, rounding included, [m] and [rad].
-        positions: Positions of the arm that agree with the program; the nearest to the target before is taken.
+        positions: Positions of the arm that agree with the program, where it is not known which it takes.
         doubt: How much the correction would differ with another of them, [m].
+        beside: What remains at the worst of the other places where the same numbers are used, [m].
     """
 
     target: Target
     why: str = ""
     remark: str = ""
     texts: tuple[str, ...] = ()
+    words: tuple[str, ...] = ()
     moved: tuple[float, float] = (np.nan, np.nan)
     before: tuple[float, float] = (np.nan, np.nan)
     after: tuple[float, float] = (np.nan, np.nan)
     positions: int = 1
     doubt: float = 0.0
+    beside: float = 0.0
 
     @property
-    def changes(self) -> list[tuple[Number, str]]:
-        """Numbers of the text and what stands there now."""
-        return list(zip(self.target.numbers, self.texts, strict=True)) if not self.why else []
+    def changes(self) -> list[Change]:
+        """Numbers of the text that change, those of the posture among them, and what stands there now."""
+        if self.why:
+            return []
+        stated = self.target.branch.words
+        numbers = (*self.target.numbers, *(stated.numbers if stated is not None and self.words else ()))
+        texts = (*self.texts, *self.words)
+        pairs = zip(numbers, texts, strict=True)
+        return [Change(self.target.file, number, text) for number, text in pairs if text != number.text]
 
 
 @dataclass(frozen=True)
@@ -111,21 +140,22 @@ class _Arm:
     covariates: Mapping[str, float]
 
     @cached_property
-    def nominal(self) -> InverseKinematics:
-        """What the controller works with."""
-        return controller(self.saved.final.model.robot)
+    def controller(self) -> Controller:
+        """What the controller works with: the nominal arm."""
+        return Controller(self.saved.final.model.robot)
 
     @cached_property
-    def real(self) -> InverseKinematics:
+    def real(self) -> InverseRows:
         """The calibrated arm with its effects; wanted poses are those of the target in the world."""
-        robot = self.saved.final.model.robot
-        noise = self.saved.noise if self.saved.kind == "pose" else (self.saved.noise[0], self.saved.noise[0] / LEVER)
-        model = OneRowModel(self.saved.final.model, self.saved.final.theta, self.station)
-        low, high = robot.limits.T
-        return InverseKinematics(model, low, high, self.nominal.turning, True, noise)
+        final, nominal = self.saved.final, self.controller.inverse
+        lever = self.saved.noise[0] / self.saved.noise[1] if self.saved.kind == "pose" else LEVER
+        return InverseRows(
+            ArmRows(final.model, final.theta, self.station), nominal.low, nominal.high, nominal.turning, lever
+        )
 
     @cached_property
     def station(self) -> str | None:
+        """Label of the first station, where frames are per station: what base and target are is the same before and after."""
         model = self.saved.final.model
         return next((label for label, _ in (*model.world_base, *model.tip_target) if label is not None), None)
 
@@ -136,53 +166,79 @@ class _Arm:
         first = [next(T for label, T in frames if label in (None, self.station)) for frames in (world, tip)]
         return np.asarray(first[0].homogeneous), np.asarray(first[1].homogeneous)
 
+    @cached_property
+    def _allowed(self) -> tuple[float, float]:
+        """What a pose may be missed by that counts as reached, [m] and [rad] times the lever."""
+        lean = len(self.real.low) < 6
+        noise = self.saved.noise[0], self.saved.noise[1] if self.saved.kind == "pose" else self.saved.noise[0] / LEVER
+        position, rotation = (UNAVOIDABLE if lean else max(sigma, FINEST) for sigma in noise)
+        return position, rotation * self.real.lever
+
     def target(self, wanted: np.ndarray) -> np.ndarray:
-        """T_world_target with the tip at T_base_tip."""
+        """T_world_target with the tip at T_base_tip, shape (n, 4, 4)."""
         base, target = self._frames
         return np.asarray(base @ wanted @ target)
 
-    def command(
-        self, wanted: np.ndarray, q: np.ndarray, sides: Mapping[str, float], held: np.ndarray | None
-    ) -> Command:
-        """Readings that bring the real tip to T_base_tip."""
-        T = self.target(wanted)
-        return holding(self.real, held).command(T[:3, :3], T[:3, 3], q, {**self.covariates, **sides})
+    def values(self, sides: Mapping[str, np.ndarray], n: int) -> dict[str, np.ndarray]:
+        """All covariates of n targets."""
+        return {name: np.full(n, value) for name, value in self.covariates.items()} | dict(sides)
 
     def nearby(
-        self, wanted: np.ndarray, q: np.ndarray, sides: Mapping[str, float], held: np.ndarray | None
-    ) -> tuple[np.ndarray, str]:
-        r"""Readings near others that bring the real tip to T_base_tip, and a remark where that is not wholly to be had.
+        self, wanted: np.ndarray, q: np.ndarray, sides: Mapping[str, np.ndarray], held: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        r"""Readings near others that bring the real tip to T_base_tip, and a remark for each where that is not wholly to be had.
 
         Close to a singularity, damped least squares with the least damping :math:`\lambda` that keeps the joints near,
 
         .. math:: \delta q = J^T (J J^T + \lambda^2)^{-1} e
         """
-        command = self.command(wanted, q, sides, held)
-        if command.reached and np.abs(command.readings - q).max() < GENTLE and self._same_side(command.readings, q):
-            return command.readings, ""
-        T, values = self.target(wanted), {**self.covariates, **sides}
-        own = holding(self.real, held)
-        e, J = own.error(T[:3, :3], T[:3, 3], q, values)
-        J = J * (own.low < own.high)
+        values, T = self.values(sides, len(q)), self.target(wanted)
+        found = self.real.approach(T, q, held, values)
+        position, rotation = (np.linalg.norm(found.error[:, part], axis=1) for part in (slice(3), slice(3, 6)))
+        whole = (position < self._allowed[0]) & (rotation < self._allowed[1])
+        whole &= np.abs(found.readings - q).max(axis=1, initial=0.0) < GENTLE
+        whole[whole] = self._same_side(found.readings[whole], q[whole], held[whole])
+        readings, remarks = found.readings.copy(), np.full(len(q), "", dtype=object)
+        some = ~whole
+        if some.any():
+            own = {name: value[some] for name, value in values.items()}
+            readings[some], remarks[some] = self._damped(T[some], q[some], held[some], own)
+        return readings, remarks
+
+    def _damped(
+        self, T: np.ndarray, q: np.ndarray, held: np.ndarray, values: Mapping[str, np.ndarray]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """One damped step for each target, and what is said of it."""
+        e, J = self.real.error(T, q, values)
+        J = J * (np.isnan(held) & (self.real.low < self.real.high))[:, None]
+        back, H = J.transpose(0, 2, 1), J @ J.transpose(0, 2, 1)
+        there, gentle = q.copy(), np.zeros(len(q), dtype=bool)
         for damping in DAMPINGS:
-            step = J.T @ np.linalg.solve(J @ J.T + damping**2 * np.eye(len(J)), e)
-            there = np.clip(q + step, own.low, own.high)
-            if np.abs(there - q).max() < GENTLE:
-                left, _ = own.error(T[:3, :3], T[:3, 3], there, values)
-                return (there, SINGULAR) if np.linalg.norm(left) < WORTH * np.linalg.norm(e) else (q, UNREACHED)
-        return q, UNREACHED
+            step = (back @ np.linalg.solve(H + damping**2 * np.eye(6), e[:, :, None]))[:, :, 0]
+            trial = np.where(np.isnan(held), np.clip(q + step, self.real.low, self.real.high), held)
+            new = ~gentle & (np.abs(trial - q).max(axis=1, initial=0.0) < GENTLE)
+            there[new], gentle = trial[new], gentle | new
+        left, _ = self.real.error(T, there, values)
+        worth = gentle & (np.linalg.norm(left, axis=1) < WORTH * np.linalg.norm(e, axis=1))
+        return np.where(worth[:, None], there, q), np.where(worth, SINGULAR, UNREACHED).astype(object)
 
-    def _same_side(self, q: np.ndarray, start: np.ndarray) -> bool:
+    def _same_side(self, q: np.ndarray, start: np.ndarray, held: np.ndarray) -> np.ndarray:
         """Whether the controller, coming from a start, stands as wanted, and no elbow has gone through its singularity."""
-        T = flange(self.saved.final.model.robot, q)
-        found = self.nominal.command(T[:3, :3], T[:3, 3], start, {})
-        return found.reached and float(np.abs(found.readings - q).max()) < SAME
+        found, reached, _ = self.controller.settle(flanges(self.controller.robot, q), start, held)
+        return np.asarray(reached & (np.abs(found - q).max(axis=1, initial=0.0) < SAME))
 
-    def miss(self, wanted: np.ndarray, q: np.ndarray, sides: Mapping[str, float]) -> tuple[float, float]:
-        """How far the real target is from where it should be, [m] and [rad]."""
-        T = self.target(wanted)
-        e, _ = self.real.error(T[:3, :3], T[:3, 3], q, {**self.covariates, **sides})
-        return float(np.linalg.norm(e[:3])), float(np.linalg.norm(e[3:])) / self.real.lever
+    def miss(self, wanted: np.ndarray, q: np.ndarray, sides: Mapping[str, np.ndarray]) -> np.ndarray:
+        """How far the real target is from where it should be, [m] and [rad], shape (n, 2)."""
+        e, _ = self.real.error(self.target(wanted), q, self.values(sides, len(q)))
+        return np.stack([np.linalg.norm(e[:, :3], axis=1), np.linalg.norm(e[:, 3:], axis=1) / self.real.lever], axis=1)
+
+    def beyond(self, q: np.ndarray, sides: Mapping[str, np.ndarray]) -> np.ndarray:
+        """Readings that are not like those that were measured, shape (n,)."""
+        n = len(q)
+        station = None if self.station is None else np.full(n, self.station)
+        line, usable = np.arange(n), np.ones(n, dtype=bool)
+        query = Query(pd.DataFrame(), q, None, None, self.values(sides, n), station, line, usable, (), ())
+        return extrapolates(self.saved, query, std_of(self.saved, query))
 
 
 def correct(
@@ -210,11 +266,73 @@ def correct(
         raise CovariateNotFound(f"the model depends on {missing[0]!r}: state it, as in --at {missing[0]}=VALUE")
     middle = np.array([np.mean(saved.ranges.get(name, (0.0, 0.0))) for name in saved.final.model.robot.readings])
     walk = _Walk(arm, middle if start is None else start)
-    found = []
-    for done, target in enumerate(targets):
-        told(done)
-        found.append(walk.go(target))
+    found: list[Correction] = []
+    for first in range(0, len(targets), AT_ONCE):
+        told(first)
+        found += walk.go(targets[first : first + AT_ONCE])
     return found
+
+
+@dataclass
+class _Lot:
+    """Some targets of a program without a reason to be left, n of them, and what is worked out of them.
+
+    Attributes:
+        targets: As they are read.
+        joints: Those that state readings, shape (n,) bool; the others are poses.
+        stated: Readings that a target of joints states, shape (n, columns) bool.
+        q: Readings where the controller believes that the arm is, shape (n, columns).
+        wanted: T_base_tip where the tip is to be, shape (n, 4, 4).
+        held: Readings that stay, shape (n, columns), NaN where they do not.
+        sides: From which side joints come.
+        real: Readings that bring the real tip there.
+        sent: Readings where the joints are sent, texts rounded.
+        why: Why each is left.
+        remark: What is to be known of each.
+        texts: Their new numbers.
+        words: New words of their posture.
+        moved: By how much the place is moved, [m] and [rad], shape (n, 2).
+        before: How far the real tip would be from its place, likewise.
+        after: How far it will be.
+        positions: Of the arm that agree with the program.
+        doubt: How much another one would change, [m].
+        beside: What remains at other places where the same numbers are used, [m].
+    """
+
+    targets: Sequence[Target]
+    joints: np.ndarray
+    stated: np.ndarray
+    q: np.ndarray
+    wanted: np.ndarray
+    held: np.ndarray
+    sides: dict[str, np.ndarray]
+
+    def __post_init__(self) -> None:
+        n = len(self.targets)
+        self.real, self.sent = self.q.copy(), self.q.copy()
+        self.why, self.remark = np.full(n, "", dtype=object), np.full(n, "", dtype=object)
+        self.texts: list[tuple[str, ...]] = [()] * n
+        self.words: list[tuple[str, ...]] = [()] * n
+        self.moved, self.before, self.after = (np.full((n, 2), np.nan) for _ in range(3))
+        self.positions, self.doubt, self.beside = np.ones(n, dtype=int), np.zeros(n), np.zeros(n)
+
+    @property
+    def poses(self) -> np.ndarray:
+        """Numbers of those that are poses."""
+        return np.flatnonzero(~self.joints)
+
+    def own_sides(self, rows: np.ndarray) -> dict[str, np.ndarray]:
+        """From which side joints come, of some."""
+        return {name: side[rows] for name, side in self.sides.items()}
+
+    def corrections(self) -> Iterator[Correction]:
+        """What becomes of each."""
+        pairs = [[tuple(pair) for pair in numbers.tolist()] for numbers in (self.moved, self.before, self.after)]
+        for k, target in enumerate(self.targets):
+            moved, before, after = (own[k] for own in pairs)
+            texts, words = ((), ()) if self.why[k] else (self.texts[k], self.words[k])
+            more = int(self.positions[k]), float(self.doubt[k]) or 0.0, float(self.beside[k]) or 0.0
+            yield Correction(target, self.why[k], self.remark[k], texts, words, moved, before, after, *more)
 
 
 class _Walk:
@@ -226,142 +344,322 @@ class _Walk:
     """
 
     def __init__(self, arm: _Arm, start: np.ndarray) -> None:
-        self._arm, self._robot = arm, arm.saved.final.model.robot
-        self._posture = posture_of(self._robot, axes_of(self._robot.kinds))
-        self._nominal = start  # where the controller believes that the arm is
-        self._sent = start  # where the joints are sent with the corrections
+        self._arm, self._controller = arm, arm.controller
+        self._robot = arm.saved.final.model.robot
+        self._nominal = np.asarray(start, dtype=float)  # where the controller believes that the arm is
+        self._sent = self._nominal  # where the joints are sent with the corrections
         self._sides = dict.fromkeys(directions(arm.saved), 0.0)
 
-    def go(self, target: Target) -> Correction:
-        """Correct one more target."""
-        if target.why:
-            return Correction(target, target.why)
-        return self._joints(target) if target.form == "joints" else self._pose(target)
-
-    def _joints(self, target: Target) -> Correction:
-        assert target.readings is not None
-        q = np.where(np.isfinite(target.readings), target.readings, self._nominal)
-        wanted = flange(self._robot, q)
-        free = np.isin(np.arange(len(q)), [k for _, k in target.units])
-        sides = self._approached(q)
-        real, remark = self._arm.nearby(wanted, q, sides, np.where(free, np.nan, self._sent))
-        texts = []
-        sent = np.where(free, q, self._sent)
-        for n, digits, (unit, k) in zip(target.numbers, target.places, target.units, strict=True):
-            texts.append(written(n.value + (real[k] - q[k]) / unit, n.text, digits))
-            sent[k] = q[k] + (float(texts[-1]) - n.value) * unit
-        as_is = np.where(free, q, self._sent)
-        moved = _apart(flange(self._robot, sent), flange(self._robot, as_is))
-        after = self._arm.miss(wanted, sent, sides)
-        if not free.all() and self._arm.miss(wanted, real, sides)[0] > SEEN:
-            remark = remark if remark == UNREACHED else PARTLY
-        found = Correction(
-            target, self._left(real, remark, sides), remark, tuple(texts), moved,
-            self._arm.miss(wanted, as_is, sides), after,
-        )  # fmt: skip
-        self._nominal, self._sent = q, (as_is if found.why else sent)
+    def go(self, targets: Sequence[Target]) -> list[Correction]:
+        """Correct some more targets."""
+        found: list[Correction] = [Correction(target, target.why) for target in targets]
+        plain = np.array([k for k, target in enumerate(targets) if not target.why], dtype=int)
+        if len(plain):
+            own = [targets[k] for k in plain.tolist()]
+            there, whys, lot = self._stood(own)
+            for k, why in zip(plain[~there].tolist(), whys, strict=True):
+                found[k] = Correction(targets[k], why)
+            if lot is not None:
+                if len(lot.poses):
+                    self._send_poses(lot)
+                if lot.joints.any():
+                    self._send_joints(lot)
+                self._nominal, self._sent = lot.q[-1], lot.sent[-1]
+                for k, correction in zip(plain[there].tolist(), lot.corrections(), strict=True):
+                    found[k] = correction
         return found
 
-    def _pose(self, target: Target) -> Correction:
-        assert target.notation is not None and target.base is not None and target.tool is not None
-        told = target.base @ target.notation.pose(target.values)
-        wanted = told @ inverse(target.tool)
-        stands, settled, odd = self._stands(wanted, target.branch)
-        if not stands:
-            return Correction(target, NOWHERE)
-        q, others = stands[0], [] if settled else stands[1:]
-        sides = self._approached(q)
-        real, remark = self._arm.nearby(wanted, q, sides, target.branch.held)
-        remark = remark or odd
-        new = self._posed(target, real)
-        values = target.notation.numbers(new, target.values)
-        texts = tuple(
-            written(value, n.text, digits)
-            for value, n, digits in zip(values, target.numbers, target.places, strict=True)
-        )
-        as_read = target.base @ target.notation.pose(np.array([float(text) for text in texts])) @ inverse(target.tool)
-        near = Branch(near=q, held=target.branch.held, settled=True)
-        sent = next(iter(positions_of_arm(self._arm.nominal, as_read, near, q)), q)
-        found = Correction(
-            target, self._left(real, remark, sides), remark, texts, _apart(target.base @ new, told),
-            self._arm.miss(wanted, q, sides), self._arm.miss(wanted, sent, sides),
-            len(stands), max((self._differs(target, wanted, new, other, sides) for other in others), default=0.0),
-        )  # fmt: skip
-        self._nominal, self._sent = q, (q if found.why else sent)
-        return found
+    # --- where the controller stands ----------------------------------------------------------------------------------------
 
-    def _stands(self, wanted: np.ndarray, branch: Branch) -> tuple[list[np.ndarray], bool, str]:
-        """How the arm may stand at T_base_tip, whether that is known, and a remark."""
-        posture, letters = self._posture, branch.letters
-        if posture is None or not letters:
-            return positions_of_arm(self._arm.nominal, wanted, branch, self._nominal), branch.settled, ""
-        known = replace(
-            branch,
-            fits=lambda q: branch.fits(q) and posture.fits(letters, q),
-            settled=branch.settled or posture.decides(letters),
-        )
-        found = positions_of_arm(self._arm.nominal, wanted, known, self._nominal)
-        if found:
-            return found, known.settled, ""
-        found = positions_of_arm(self._arm.nominal, wanted, branch, self._nominal)
-        return found, branch.settled, f"{OTHERWISE} ({' '.join(letters)})"
+    def _stood(self, targets: Sequence[Target]) -> tuple[np.ndarray, list[str], _Lot | None]:
+        """Which targets the controller gets to, shape (n,); why not to the others; and the lot of those."""
+        n, columns = len(targets), len(self._robot.readings)
+        joints = np.array([target.form == "joints" for target in targets])
+        given, near, held = (np.full((n, columns), np.nan) for _ in range(3))
+        fits: list[Callable[[np.ndarray], bool] | None] = [None] * n
+        for k, target in enumerate(targets):
+            branch = target.branch
+            if target.readings is not None:
+                given[k] = target.readings
+                continue
+            if branch.held is not None:
+                held[k] = branch.held
+            if branch.near is not None:
+                near[k] = branch.near
+            if branch.words is not None:
+                fits[k] = branch.words.agree
+        wanted = np.tile(np.eye(4), (n, 1, 1))
+        own = np.flatnonzero(~joints)
+        wanted[own] = _placed([targets[k] for k in own.tolist()], [targets[k].values for k in own.tolist()])
+        poses = Poses(wanted, held, fits)
+        memory: Memory = {}
+        q, there = self._controller.walk(Chain(joints, given, poses, near), self._nominal, memory)
+        nowhere = np.flatnonzero(~there)
+        whys = [
+            self._why_nowhere(targets[k], poses[nowhere[j : j + 1]], memory) for j, k in enumerate(nowhere.tolist())
+        ]
+        if not there.any():
+            return there, whys, None
+        q, joints, held = q[there], joints[there], held[there]
+        wanted = np.where(joints[:, None, None], flanges(self._robot, q), wanted[there])
+        stated = np.isfinite(given[there])
+        reached = [target for target, ok in zip(targets, there.tolist(), strict=True) if ok]
+        return there, whys, _Lot(reached, joints, stated, q, wanted, held, self._approached(q))
 
-    def _posed(self, target: Target, q: np.ndarray) -> np.ndarray:
-        """The pose in the program's frame for which the controller finds readings."""
-        assert target.base is not None and target.tool is not None
-        return np.asarray(inverse(target.base) @ flange(self._robot, q) @ target.tool)
+    def _why_nowhere(self, target: Target, pose: Poses, memory: Memory) -> str:
+        """Why the controller does not get to a pose, by what searches over all readings found."""
+        ends = memory.get(pose.key(0))
+        if ends is None or not len(ends):
+            return NOWHERE
+        words = target.branch.words
+        if words is None or not self._controller.within_limits(pose, ends):
+            return LIMITED
+        stands = " ".join(number.text for number in words.numbers)
+        return f"its posture ({words.names} {stands}) is none that the nominal arm has there"
 
-    def _differs(
-        self, target: Target, wanted: np.ndarray, new: np.ndarray, other: np.ndarray, sides: Mapping[str, float]
-    ) -> float:
-        """How much a correction would differ if the arm stood otherwise, [m]."""
-        real, _ = self._arm.nearby(wanted, other, sides, target.branch.held)
-        return _apart(self._posed(target, real), new)[0]
-
-    def _approached(self, q: np.ndarray) -> dict[str, float]:
+    def _approached(self, q: np.ndarray) -> dict[str, np.ndarray]:
         """From which side each joint comes that has to do with it."""
-        for name in self._sides:
+        found = {}
+        for name, side in self._sides.items():
             k = self._robot.readings.index(self._robot.joint(name.removesuffix("_direction")).reading)
-            self._sides[name] = float(approach(q[k : k + 1], STILL, self._sides[name], float(self._nominal[k]))[0])
-        return self._sides
+            found[name] = approach(q[:, k], STILL, side, float(self._nominal[k]))
+            self._sides[name] = float(found[name][-1])
+        return found
 
-    def _left(self, real: np.ndarray, remark: str, sides: Mapping[str, float]) -> str:
-        """Why a target is left as it is; empty if it is not."""
-        if remark == UNREACHED:
-            return remark
-        known = {name: np.array([value]) for name, value in {**self._arm.covariates, **sides}.items()}
-        line, usable = np.ones(1, dtype=int), np.ones(1, dtype=bool)
-        station = None if self._arm.station is None else np.array([self._arm.station])
-        query = Query(pd.DataFrame(), real[None], None, None, known, station, line, usable, (), ())
-        return BEYOND if extrapolates(self._arm.saved, query, std_of(self._arm.saved, query))[0] else ""
+    # --- joints -------------------------------------------------------------------------------------------------------------
+
+    def _send_joints(self, lot: _Lot) -> None:
+        """Work out all targets of joints. What a target does not state holds from the one before that does.
+
+        What holds is guessed to be the nominal reading, and targets are worked out again as long as that changes: each depends
+        on those before it alone, so that the end is what one after the other gives.
+        """
+        given = lot.stated | ~lot.joints[:, None]
+        order = np.where(given, np.arange(len(lot.q))[:, None], -1)
+        last = np.vstack([np.full((1, order.shape[1]), -1), np.maximum.accumulate(order, axis=0)[:-1]])
+        columns = np.arange(order.shape[1])
+        rows, as_is = np.flatnonzero(lot.joints), np.full_like(lot.q, np.nan)
+        while len(rows):
+            holds = np.where(last[rows] < 0, self._sent, lot.sent[last[rows], columns])
+            as_is[rows] = np.where(lot.stated[rows], lot.q[rows], holds)
+            self._send_stated(lot, rows, as_is[rows])
+            holds = np.where(last < 0, self._sent, lot.sent[last, columns])
+            rows = np.flatnonzero(lot.joints & (~lot.stated & (holds != as_is)).any(axis=1))
+
+    def _send_stated(self, lot: _Lot, rows: np.ndarray, as_is: np.ndarray) -> None:
+        """Work out targets of joints for what holds of those that they do not state.
+
+        Args:
+            lot: All targets.
+            rows: Which.
+            as_is: Readings where the program sends the joints without their correction, shape (rows, columns).
+        """
+        wanted, q, free, sides = lot.wanted[rows], lot.q[rows], lot.stated[rows], lot.own_sides(rows)
+        real, remark = self._arm.nearby(wanted, q, sides, np.where(free, np.nan, as_is))
+        sent = as_is.copy()
+        for row, k in enumerate(rows.tolist()):
+            target, texts = lot.targets[k], []
+            for number, digits, (unit, j) in zip(target.numbers, target.places, target.units, strict=True):
+                value = number.value
+                text = written(value + (real[row, j] - q[row, j]) / unit, number.text, digits)
+                sent[row, j] = q[row, j] + (float(text) - value) * unit
+                texts.append(text)
+            lot.texts[k] = tuple(texts)
+        lot.moved[rows] = _apart(flanges(self._robot, sent), flanges(self._robot, as_is))
+        lot.before[rows], lot.after[rows] = (self._arm.miss(wanted, there, sides) for there in (as_is, sent))
+        missed = ~free.all(axis=1) & (remark != UNREACHED)
+        missed[missed] = self._arm.miss(wanted[missed], real[missed], lot.own_sides(rows[missed]))[:, 0] > SEEN
+        remark[missed] = PARTLY
+        lot.remark[rows], lot.why[rows] = remark, self._left(real, remark, sides)
+        lot.sent[rows] = np.where((lot.why[rows] != "")[:, None], as_is, sent)
+
+    def _left(self, real: np.ndarray, remark: np.ndarray, sides: Mapping[str, np.ndarray]) -> np.ndarray:
+        """Why targets are left as they are; empty of those that are not."""
+        beyond = np.where(self._arm.beyond(real, sides), BEYOND, "")
+        return np.where(remark == UNREACHED, UNREACHED, beyond).astype(object)
+
+    # --- poses --------------------------------------------------------------------------------------------------------------
+
+    def _send_poses(self, lot: _Lot) -> None:
+        """Work out all targets that are poses."""
+        rows = lot.poses
+        targets, sides = [lot.targets[k] for k in rows.tolist()], lot.own_sides(rows)
+        wanted, q, held = lot.wanted[rows], lot.q[rows], lot.held[rows]
+        real, remark = self._arm.nearby(wanted, q, sides, held)
+        base, tool = _frames([_place(target) for target in targets])
+        new = inverse(base) @ flanges(self._robot, real) @ tool
+        numbers = []
+        for k, target, values in zip(rows.tolist(), targets, _numbers(targets, new), strict=True):
+            pairs = zip(values, target.numbers, target.places, strict=True)
+            lot.texts[k] = tuple([written(value, number.text, digits) for value, number, digits in pairs])
+            numbers.append(np.array([float(text) for text in lot.texts[k]]))
+        as_read = _placed(targets, numbers)
+        sent, reached, _ = self._controller.settle(as_read, q, held)
+        lot.real[rows], lot.sent[rows] = real, np.where(reached[:, None], sent, q)
+        lot.moved[rows] = _apart(base @ new, wanted @ tool)
+        lot.before[rows], lot.after[rows] = (self._arm.miss(wanted, there, sides) for there in (q, lot.sent[rows]))
+        lot.remark[rows], lot.why[rows] = remark, self._left(real, remark, sides)
+        self._settle_stance(lot)
+        self._reword(lot, rows, as_read)
+        self._look_beside(lot, rows, numbers)
+        left = rows[lot.why[rows] != ""]
+        lot.sent[left] = lot.q[left]
+
+    def _settle_stance(self, lot: _Lot) -> None:
+        """Leave poses of which nobody knows how the arm stands there, where their corrections depend on it."""
+        rows = np.array([k for k in lot.poses.tolist() if _unsettled(lot.targets[k]) and not lot.why[k]], dtype=int)
+        for count in (FEW, STARTS):  # few starts find, as a rule, that corrections differ
+            if len(rows):
+                self._compare(lot, rows, count)
+                rows = rows[lot.why[rows] == ""]
+
+    def _compare(self, lot: _Lot, rows: np.ndarray, count: int) -> None:
+        """Compare the corrections for all positions that some starts find."""
+        poses = Poses(lot.wanted[rows], lot.held[rows], [_fits(lot.targets[k]) for k in rows.tolist()])
+        positions = self._controller.positions(poses, lot.q[rows], count)
+        pairs = [
+            (k, other)
+            for k, own in zip(rows.tolist(), positions, strict=True)
+            for other in own
+            if np.abs(other - lot.q[k]).max() > SAME
+        ]
+        lot.positions[rows] = 1
+        if not pairs:
+            return
+        of, others = np.array([k for k, _ in pairs]), np.array([other for _, other in pairs])
+        np.add.at(lot.positions, of, 1)
+        real, remark = self._arm.nearby(lot.wanted[of], others, lot.own_sides(of), lot.held[of])
+        differ = _apart(flanges(self._robot, real), flanges(self._robot, lot.real[of]))
+        np.maximum.at(lot.doubt, of, differ[:, 0])
+        noise = self._arm.saved.noise
+        apart = (differ[:, 0] > noise[0]) | (differ[:, 1] > noise[1]) | (remark == UNREACHED)
+        for k in of[apart].tolist():
+            lot.why[k] = f"{lot.targets[k].branch.unknown}; {UNSETTLED}"
+
+    def _reword(self, lot: _Lot, rows: np.ndarray, as_read: np.ndarray) -> None:
+        """Say the postures of corrected joints, and make sure that the controller takes the same position for them."""
+        changed, fits = [], []
+        for row, k in enumerate(rows.tolist()):
+            words = lot.targets[k].branch.words
+            if words is None or lot.why[k]:
+                continue
+            texts = words.texts(lot.sent[k])
+            if texts is None:
+                lot.why[k] = WORDLESS
+                continue
+            lot.words[k] = texts
+            if texts != tuple([number.text for number in words.numbers]):
+                changed.append(row)
+                fits.append(lambda q, words=words, texts=texts: words.texts(q) == texts)
+        if changed:
+            own = rows[changed]
+            poses = Poses(as_read[changed], lot.held[own], fits)
+            taken, _ = self._controller.nearest(poses, lot.q[own], lot.sent[own], {})
+            other = np.abs(taken - lot.sent[own]).max(axis=1) > SAME
+            lot.why[own[other]] = ELSEWHERE
+
+    def _look_beside(self, lot: _Lot, rows: np.ndarray, numbers: Sequence[np.ndarray]) -> None:
+        """Work out what the correction does at other places where the same numbers are used."""
+        pairs = [
+            (row, place) for row, k in enumerate(rows.tolist()) if not lot.why[k] for place in lot.targets[k].beside
+        ]
+        if not pairs:
+            return
+        of = rows[[row for row, _ in pairs]]
+        targets, places = [lot.targets[k] for k in of.tolist()], [place for _, place in pairs]
+        wanted = _placed(targets, [target.values for target in targets], places)
+        as_read = _placed(targets, [numbers[row] for row, _ in pairs], places)
+        held, sides = lot.held[of], lot.own_sides(of)
+        poses = Poses(wanted, held, [None] * len(of))
+        q, there = self._controller.nearest(poses, lot.q[of], lot.q[of], {})
+        sent, reached, _ = self._controller.settle(as_read, q, held)
+        before, after = (self._arm.miss(wanted, readings, sides) for readings in (q, sent))
+        weights = np.array([1.0, self._arm.real.lever])
+        worth = np.linalg.norm(after * weights, axis=1) < WORTH * np.linalg.norm(before * weights, axis=1)
+        np.maximum.at(lot.beside, of, after[:, 0])
+        for k, ok, half in zip(of.tolist(), there & reached, worth, strict=True):
+            if not (ok and half):
+                lot.why[k] = lot.why[k] or (BESIDE_WORSE if ok else BESIDE_NOWHERE)
+            lot.remark[k] = lot.remark[k] or BESIDE
 
 
-def _apart(A: np.ndarray, B: np.ndarray) -> tuple[float, float]:
-    """How far two poses are from each other, [m] and [rad]."""
-    R = A[:3, :3].T @ B[:3, :3]
-    turn = np.arctan2(np.linalg.norm([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]]), np.trace(R) - 1.0)
-    return float(np.linalg.norm(A[:3, 3] - B[:3, 3])), float(turn)
+def _unsettled(target: Target) -> bool:
+    """Whether it matters, and is not known, where the arm comes from."""
+    return bool(target.branch.unknown) and target.branch.near is None
+
+
+def _fits(target: Target) -> Callable[[np.ndarray], bool] | None:
+    """Whether readings agree with what the program says of the posture; None where it says nothing."""
+    return None if target.branch.words is None else target.branch.words.agree
+
+
+def _place(target: Target) -> Place:
+    """Frame and tool of a pose."""
+    assert target.place is not None
+    return target.place
+
+
+def _frames(places: Sequence[Place]) -> tuple[np.ndarray, np.ndarray]:
+    """Frames and tools, shape (n, 4, 4) each."""
+    return np.array([place.base for place in places]), np.array([place.tool for place in places])
+
+
+def _placed(targets: Sequence[Target], numbers: Sequence[np.ndarray], places: Sequence[Place] = ()) -> np.ndarray:
+    """T_base_tip of poses that say some numbers, shape (n, 4, 4): at their own places, or at others."""
+    poses = np.empty((len(targets), 4, 4))
+    for notation, own in _by_notation(targets):
+        poses[own] = notation.pose(np.array([numbers[k] for k in own]))
+    base, tool = _frames(places or [_place(target) for target in targets])
+    return np.asarray(base @ poses @ inverse(tool)) if len(targets) else poses
+
+
+def _numbers(targets: Sequence[Target], poses: np.ndarray) -> list[list[float]]:
+    """What the notation of each target says of poses (n, 4, 4) in its frame."""
+    found: list[list[float]] = [[]] * len(targets)
+    for notation, own in _by_notation(targets):
+        values = notation.numbers(poses[own], np.array([targets[k].values for k in own]))
+        for k, numbers in zip(own, values.tolist(), strict=True):
+            found[k] = numbers
+    return found
+
+
+def _by_notation(targets: Sequence[Target]) -> Iterator[tuple[Notation, list[int]]]:
+    """The notations that targets are written in, and the numbers of the targets of each."""
+    found: dict[int, tuple[Notation, list[int]]] = {}
+    for k, target in enumerate(targets):
+        assert target.notation is not None
+        found.setdefault(id(target.notation), (target.notation, []))[1].append(k)
+    yield from found.values()
+
+
+def _apart(A: np.ndarray, B: np.ndarray) -> np.ndarray:
+    """How far poses (n, 4, 4) are from each other, [m] and [rad], shape (n, 2)."""
+    R = A[:, :3, :3].transpose(0, 2, 1) @ B[:, :3, :3]
+    turn = np.linalg.norm(rotation_vectors(R), axis=1)
+    return np.stack([np.linalg.norm(A[:, :3, 3] - B[:, :3, 3], axis=1), turn], axis=1)
 
 
 def as_table(corrections: Sequence[Correction]) -> pd.DataFrame:
     """The corrections of each move, one row a target; millimetres and milliradians."""
-    return pd.DataFrame(list(_rows(corrections)))
+    moved, before, after = (
+        1e3 * np.array([getattr(c, name) for c in corrections]).reshape(-1, 2) for name in ("moved", "before", "after")
+    )
+    left = np.array([bool(c.why) for c in corrections], dtype=bool)
+    moved, after = np.where(left[:, None], 0.0, moved), np.where(left[:, None], before, after)
+    columns = {
+        "line": [c.target.line for c in corrections],
+        "target": [c.target.name for c in corrections],
+        "written_as": [c.target.form for c in corrections],
+        "corrected": ~left,
+        "remark": [c.why or _remark(c) for c in corrections],
+    }
+    for name, pair in (("moved_mm", moved), ("error_before_mm", before), ("error_after_mm", after)):
+        columns[name] = np.round(pair[:, 0], DIGITS)
+        columns["turned_mrad" if pair is moved else name.replace("_mm", "_mrad")] = np.round(pair[:, 1], DIGITS)
+    columns["arm_positions"] = [c.positions for c in corrections]
+    columns["other_position_mm"] = np.round([1e3 * c.doubt for c in corrections], DIGITS)
+    return pd.DataFrame(columns)
 
 
-def _rows(corrections: Sequence[Correction]) -> Iterator[dict[str, object]]:
-    for c in corrections:
-        yield {
-            "line": c.target.line,
-            "target": c.target.name,
-            "written_as": c.target.form,
-            "corrected": not c.why,
-            "remark": c.why or c.remark,
-            "moved_mm": round(1e3 * c.moved[0], DIGITS) if not c.why else 0.0,
-            "turned_mrad": round(1e3 * c.moved[1], DIGITS) if not c.why else 0.0,
-            "error_before_mm": round(1e3 * c.before[0], DIGITS),
-            "error_before_mrad": round(1e3 * c.before[1], DIGITS),
-            "error_after_mm": round(1e3 * (c.before if c.why else c.after)[0], DIGITS),
-            "error_after_mrad": round(1e3 * (c.before if c.why else c.after)[1], DIGITS),
-            "arm_positions": c.positions,
-            "other_position_mm": round(1e3 * c.doubt, DIGITS),
-        }
+def _remark(c: Correction) -> str:
+    return f"{c.remark}: {1e3 * c.beside:.{DIGITS}f} mm remain there at most" if c.beside else c.remark

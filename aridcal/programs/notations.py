@@ -1,8 +1,9 @@
-"""How languages write a pose: UR's rotation vector, KUKA's A B C, ABB's quaternion, FANUC's W P R."""
+"""How languages write a pose: UR's rotation vector, KUKA's A B C, ABB's quaternion, FANUC's W P R; one, or many at once."""
 
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable
 from typing import Literal
 
@@ -15,16 +16,17 @@ MILLI = 1e-3
 
 
 def pose(position: np.ndarray, rotation: Rotation) -> np.ndarray:
-    """A transform of shape (4, 4) from a position (3,), [m], and a rotation."""
-    found = np.eye(4)
-    found[:3, :3], found[:3, 3] = rotation.as_matrix(), position
+    """Transforms of shape (..., 4, 4) from positions (..., 3), [m], and rotations."""
+    found = np.zeros((*position.shape[:-1], 4, 4))
+    found[..., :3, :3], found[..., :3, 3], found[..., 3, 3] = rotation.as_matrix(), position, 1.0
     return found
 
 
 def inverse(T: np.ndarray) -> np.ndarray:
-    """The inverse of a transform, shape (4, 4)."""
-    found = np.eye(4)
-    found[:3, :3], found[:3, 3] = T[:3, :3].T, -T[:3, :3].T @ T[:3, 3]
+    """The inverses of transforms, shape (..., 4, 4)."""
+    found, back = np.zeros_like(T), np.swapaxes(T[..., :3, :3], -1, -2)
+    found[..., :3, :3], found[..., :3, 3] = back, -(back @ T[..., :3, 3:])[..., 0]
+    found[..., 3, 3] = 1.0
     return found
 
 
@@ -40,15 +42,17 @@ def _euler(
     step = -1 if reverse else 1
 
     def to_pose(values: np.ndarray) -> np.ndarray:
-        return pose(MILLI * values[:3], Rotation.from_euler(order, values[3:][::step], degrees=True))
+        return pose(MILLI * values[..., :3], Rotation.from_euler(order, values[..., 3:][..., ::step], degrees=True))
 
     def to_numbers(T: np.ndarray, before: np.ndarray) -> np.ndarray:
-        angles = Rotation.from_matrix(T[:3, :3]).as_euler(order, degrees=True)
+        with warnings.catch_warnings():  # scipy's remark on angles that are not unique: the last is zero then
+            warnings.simplefilter("ignore", UserWarning)
+            angles = Rotation.from_matrix(T[..., :3, :3]).as_euler(order, degrees=True)
         # Three angles say what other three say, too: the middle one beyond a right angle, the outer two half a turn on.
-        other = np.array([angles[0] + 180.0, 180.0 - angles[1], angles[2] + 180.0])
-        found = [_nearest_turn(a[::step], before[3:]) for a in (angles, other)]
-        best = min(found, key=lambda a: float(np.sum((a - before[3:]) ** 2)))
-        return np.concatenate([T[:3, 3] / MILLI, best])
+        other = angles * [1.0, -1.0, 1.0] + 180.0
+        first, second = (_nearest_turn(a[..., ::step], before[..., 3:]) for a in (angles, other))
+        off, off_other = (np.sum((a - before[..., 3:]) ** 2, axis=-1, keepdims=True) for a in (first, second))
+        return np.concatenate([T[..., :3, 3] / MILLI, np.where(off <= off_other, first, second)], axis=-1)
 
     return to_pose, to_numbers
 
@@ -59,26 +63,27 @@ def _nearest_turn(angles: np.ndarray, before: np.ndarray) -> np.ndarray:
 
 
 def _from_rotation_vector(values: np.ndarray) -> np.ndarray:
-    return pose(values[:3], Rotation.from_rotvec(values[3:]))
+    return pose(values[..., :3], Rotation.from_rotvec(values[..., 3:]))
 
 
 def _to_rotation_vector(T: np.ndarray, before: np.ndarray) -> np.ndarray:
-    vector = Rotation.from_matrix(T[:3, :3]).as_rotvec()
-    angle = float(np.linalg.norm(vector))
-    if angle > 0.0:  # a whole turn more or less about the same axis turns alike
-        along = float(before[3:] @ vector) / angle
-        vector = vector * (1.0 + math.tau * round((along - angle) / math.tau) / angle)
-    return np.concatenate([T[:3, 3], vector])
+    vector = Rotation.from_matrix(T[..., :3, :3]).as_rotvec()
+    angle = np.linalg.norm(vector, axis=-1, keepdims=True)
+    length = np.where(angle > 0.0, angle, 1.0)
+    # A whole turn more or less about the same axis turns alike.
+    along = np.sum(before[..., 3:] * vector, axis=-1, keepdims=True) / length
+    vector = vector * (1.0 + math.tau * np.round((along - angle) / math.tau) / length)
+    return np.concatenate([T[..., :3, 3], vector], axis=-1)
 
 
 def _from_quaternion(values: np.ndarray) -> np.ndarray:
-    return pose(MILLI * values[:3], Rotation.from_quat(values[3:], scalar_first=True))
+    return pose(MILLI * values[..., :3], Rotation.from_quat(values[..., 3:], scalar_first=True))
 
 
 def _to_quaternion(T: np.ndarray, before: np.ndarray) -> np.ndarray:
-    quaternion = Rotation.from_matrix(T[:3, :3]).as_quat(scalar_first=True)
-    sign = 1.0 if quaternion @ before[3:] >= 0.0 else -1.0
-    return np.concatenate([T[:3, 3] / MILLI, sign * quaternion])
+    quaternion = Rotation.from_matrix(T[..., :3, :3]).as_quat(scalar_first=True)
+    sign = np.where(np.sum(quaternion * before[..., 3:], axis=-1, keepdims=True) >= 0.0, 1.0, -1.0)
+    return np.concatenate([T[..., :3, 3] / MILLI, sign * quaternion], axis=-1)
 
 
 UR = Notation(_from_rotation_vector, _to_rotation_vector, (7,) * 3 + (6,) * 3)

@@ -19,7 +19,7 @@ class Unproved(Exception):
     """The new text does not say what was meant: a fault of the program, never of its user."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Change:
     """Another text for a number.
 

@@ -26,7 +26,7 @@ class Notation:
     digits: tuple[int, ...]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Words:
     """What stands in the program of the arm's posture beside a pose: KUKA's S and T, ABB's confdata, FANUC's CONFIG.
 
@@ -46,7 +46,7 @@ class Words:
         return self.texts(readings) == tuple(number.text for number in self.numbers)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Branch:
     """What a program says of the arm's position beside the pose, in readings [rad] or [m].
 
@@ -65,7 +65,7 @@ class Branch:
     unknown: str = ""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Place:
     """Where the numbers of a pose are meant.
 
@@ -78,7 +78,7 @@ class Place:
     tool: np.ndarray
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Target:
     """One place that a program sends the robot to.
 
