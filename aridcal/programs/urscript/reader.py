@@ -1,0 +1,119 @@
+"""URScript programs: their targets, by a walk along all ways of each program."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+
+from aridcal.programs.cell import Cell, Reading
+from aridcal.programs.project import Project
+from aridcal.programs.targets import Target
+from aridcal.programs.text import Code
+from aridcal.programs.urscript.grammar import (
+    File,
+    Malformed,
+    Parser,
+    Routine,
+    Token,
+    code_of,
+    definitions,
+    routine_key,
+    tokens_of,
+)
+from aridcal.programs.urscript.meaning import DEFAULT, THREADED, Meaning
+from aridcal.programs.urscript.scopes import Scopes
+from aridcal.programs.urscript.table import MOVES
+from aridcal.programs.walk import State, TooLong, Walk
+
+BASE_NOTE = "poses are taken in the link `base` of the URDF, as the controller counts them; --frames may state another"
+
+LONE_RETURN = re.compile(r"\r(?!\n)")
+
+MOVE = re.compile(rf"\b(?:{'|'.join(MOVES)})\s*+\(")
+
+
+def read(project: Project, cell: Cell) -> Reading:
+    """Targets of a project.
+
+    Raises:
+        AridcalError: it has poses, and nothing says where the controller counts them from.
+    """
+    codes = tuple(code_of(k, source.path.name, source.text) for k, source in enumerate(project.sources))
+    files, one, left = _parsed(codes)
+    routines = {routine.key: routine for file in files.values() for routine in file.routines}
+    empty = File([], {}, {})
+    listed = [files.get(k, empty) for k in range(len(codes))]
+    meaning = Meaning(codes, project, cell, routines, Scopes(listed, one), [file.titles for file in listed])
+    try:
+        _walked(meaning, files)
+    except (TooLong, RecursionError):
+        why = "the program has too many ways, or calls too deep, to be followed"
+        return Reading([target for code in codes for target in _all_left(code, why)])
+    notes = (BASE_NOTE,) if meaning.poses and DEFAULT not in cell.frames.bases else ()
+    return Reading([*meaning.targets(), *left], notes)
+
+
+def comment(text: str, sentence: str) -> tuple[int, str]:
+    """A comment behind all that there is."""
+    end = "\r\n" if "\r\n" in text else "\n"
+    return len(text), f"{'' if not text or text.endswith(chr(10)) else end}# {sentence}{end}"
+
+
+def _parsed(codes: tuple[Code, ...]) -> tuple[dict[int, File], bool, list[Target]]:
+    """Files that can be read, whether they call each other, and what the others leave."""
+    left: list[Target] = []
+    tokens: dict[int, list[Token]] = {}
+    for code in codes:
+        lone = LONE_RETURN.search(code.text)
+        if lone:
+            left += _all_left(code, f"{code.name} has a carriage return without a line feed: write its line ends anew")
+        else:
+            tokens[code.file] = tokens_of(code.text)
+    keys: dict[int, dict[str, tuple[str, ...]]] = {}
+    for k, own in tokens.items():
+        keys[k] = {}
+        for name, place in definitions(own):
+            keys[k][name] = (*keys[k].get(name, ()), routine_key(k, name, place))
+    files, one = {}, False
+    for k, own in tokens.items():
+        others = {name: found for other in keys if other != k for name, found in keys[other].items()}
+        try:
+            files[k] = Parser(codes[k], own, {**others, **keys[k]}).file()
+        except Malformed as problem:
+            left += _all_left(codes[k], f"{codes[k].name} is no whole program: {problem}")
+        else:
+            one = one or any(
+                key not in keys[k].get(key.split("@")[0], ()) for r in files[k].routines for key in r.calls
+            )
+    return files, one, left
+
+
+def _walked(meaning: Meaning, files: dict[int, File]) -> None:
+    """Walk all programs of the files: what stands outside of functions, then functions that nothing calls, then threads."""
+    routines = {routine.key: routine for file in files.values() for routine in file.routines}
+    walk = meaning.walk = Walk({key: routine.body for key, routine in routines.items()}, meaning)
+    called = {key for routine in routines.values() for key in routine.calls if key != routine.key}
+    for file in files.values():
+        top, *others = file.routines
+        state = meaning.begin()
+        walk.enter(top.key, state)
+        for routine in _entries(others, called, walk):
+            walk.enter(routine.key, State(state))
+    for routine in routines.values():
+        if routine.kind == "thread":
+            state = State()
+            state.forget_all(THREADED)
+            walk.enter(routine.key, state)
+
+
+def _entries(routines: list[Routine], called: set[str], walk: Walk) -> Iterator[Routine]:
+    """Functions that nothing calls; then those that only such call as nothing comes to."""
+    functions = [routine for routine in routines if routine.kind != "thread"]
+    yield from (routine for routine in functions if routine.key not in called)
+    yield from (routine for routine in functions if routine.key not in walk.reached)
+
+
+def _all_left(code: Code, why: str) -> Iterator[Target]:
+    """All moves of a file that cannot be read."""
+    for move in MOVE.finditer(code.plain):
+        yield Target(code.line(move.start()), move.group(), "pose", (), why, file=code.file)
