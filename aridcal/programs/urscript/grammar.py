@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import pairwise
 from typing import NamedTuple
 
 from aridcal.programs.text import Code, blanked
-from aridcal.programs.urscript.table import RULES
+from aridcal.programs.urscript.table import MOVES, RULES
 from aridcal.programs.walk import DEEPEST, Body, Call, Choice, Leave, Node, Repeat, Step
 
 _NUMBER = r"(?:\d++\.?+\d*+|\.\d++)(?:[eE][-+]?+\d++)?+"
@@ -22,6 +21,7 @@ TOKENS = re.compile(
     rf"""
     (?P<blank>[ \t]++|\r(?=\n)|\#[^\n]*+)
   | (?P<line>[\n;])
+  | (?P<move>(?:{"|".join(MOVES)})\(p?+{_LIST}(?:[ \t]*+,[ \t]*+[avtr][ \t]*+=[ \t]*+{_NUMBER})*+[ \t]*+\))
   | (?P<list>(?:p[ \t]*+)?+{_LIST})
   | (?P<pose>p[ \t]*+\[)
   | (?P<name>[A-Za-z_]\w*+)
@@ -33,9 +33,12 @@ TOKENS = re.compile(
     """,
     re.VERBOSE | re.ASCII,
 )
-"""A list of plain numbers is one token: programs from offline systems consist of them. A note is PolyScope's name of a line."""
+"""A list of plain numbers is one token, and so is a move to such a list: programs of offline systems consist of them. A note is
+PolyScope's name of a line."""
 
 COMMENTS = r'"[^"\n]*+"|#[^\n]*+'
+
+DEFINITION = re.compile(r"\b(?:def|thread|sec)[ \t]++([A-Za-z_]\w*+)", re.ASCII)
 
 BLOCKS = ("def", "thread", "sec", "if", "while")
 
@@ -81,6 +84,7 @@ class Name(NamedTuple):
 
     routine: Routine
     name: str
+    at: Spot
 
 
 class Constant(NamedTuple):
@@ -125,7 +129,7 @@ class Called(NamedTuple):
     name: str
     arguments: tuple[tuple[str, Expression], ...]
     at: Spot
-    routines: tuple[str, ...]
+    routines: Sequence[str]
 
 
 class Method(NamedTuple):
@@ -238,31 +242,27 @@ def code_of(file: int, name: str, text: str) -> Code:
     return Code(file, name, text, blanked(text, COMMENTS))
 
 
-def tokens_of(text: str) -> list[Token]:
-    """The tokens of a text, without line ends in brackets that are closed."""
-    tokens = [Token(m.lastgroup or "", m.group(), m.start()) for m in TOKENS.finditer(text) if m.lastgroup != "blank"]
-    closing, opened = {}, []
-    for k, token in enumerate(tokens):
-        if token.kind == "pose" or (token.kind == "sign" and token.text in "(["):
-            opened.append(k)
-        elif token.kind == "sign" and token.text in ")]":
-            if opened and tokens[opened[-1]].text[-1] == {")": "(", "]": "["}[token.text]:
-                closing[opened.pop()] = k
-            else:
-                opened.clear()
-    kept, inside = [], -1
-    for k, token in enumerate(tokens):
-        inside = max(inside, closing.get(k, -1))
-        if k >= inside or token.kind != "line" or token.text == ";":
-            kept.append(token)
-    return [*kept, Token("line", "\n", len(text)), Token("stop", "", len(text))]
+def lines_of(code: Code) -> Iterator[list[Token]]:
+    """The tokens of each line, and its end; a line goes on where brackets are open that are closed later."""
+    line: list[Token] = []
+    inside = -1
+    for match in TOKENS.finditer(code.text):
+        kind, text, place = match.lastgroup or "", match.group(), match.start()
+        if kind == "line" and (place > inside or text == ";"):
+            yield [*line, Token(kind, text, place)]
+            line.clear()
+        elif kind == "pose" or (kind == "sign" and text in "(["):
+            inside = max(inside, code.closing(match.end() - 1))
+            line.append(Token(kind, text, place))
+        elif kind not in ("blank", "line"):
+            line.append(Token(kind, text, place))
+    yield [*line, Token("line", "", len(code.text))]
 
 
-def definitions(tokens: list[Token]) -> Iterator[tuple[str, int]]:
+def definitions(code: Code) -> Iterator[tuple[str, int]]:
     """Names of all routines of a file, and where they stand."""
-    for word, name in pairwise(tokens):
-        if word.kind == "name" and word.text in ("def", "thread", "sec") and name.kind == "name":
-            yield name.text, name.place
+    for match in DEFINITION.finditer(code.plain):
+        yield match.group(1), match.start(1)
 
 
 def routine_key(file: int, name: str, place: int) -> str:
@@ -283,14 +283,14 @@ class Parser:
 
     Args:
         code: The file.
-        tokens: Of it.
         routines: Keys of the routines that each name may mean here.
 
     A statement that cannot be read costs its line; blocks that do not fit cost the file.
     """
 
-    def __init__(self, code: Code, tokens: list[Token], routines: dict[str, tuple[str, ...]]) -> None:
-        self._code, self._tokens, self._keys = code, tokens, routines
+    def __init__(self, code: Code, routines: Mapping[str, Sequence[str]]) -> None:
+        self._code, self._keys = code, routines
+        self._tokens: list[Token] = []
         self._at = 0
         self._routine = Routine(routine_key(code.file, TOP, 0), TOP, "top", code.file, None)
         self._blocks = [_Block("top")]
@@ -303,16 +303,15 @@ class Parser:
         Raises:
             Malformed: naming where.
         """
-        while (token := self._tokens[self._at]).kind != "stop":
-            if token.kind in ("line", "note"):
-                self._at += 1
-                continue
-            start = self._at
-            try:
-                self._statement(token)
-            except _Garbled as problem:
-                self._skip(start, str(problem))
-            self._pending.clear()
+        for line in lines_of(self._code):
+            self._tokens, self._at = line, 0
+            while (token := self._tokens[self._at]).kind != "line":
+                start = self._at
+                try:
+                    self._statement(token)
+                except _Garbled as problem:
+                    self._skip(start, str(problem))
+                self._pending.clear()
         if len(self._blocks) > 1:
             raise Malformed(f"a `{self._blocks[-1].kind}` has no `end`")
         self._routine.body = tuple(self._blocks[0].body)
@@ -326,18 +325,15 @@ class Parser:
 
     def _skip(self, start: int, why: str) -> None:
         """Pass over a line of which nobody knows the meaning; a block that it seems to begin is kept."""
-        end = max(start, self._at)
-        while self._tokens[end].kind not in ("line", "stop"):
-            end += 1
-        line = self._tokens[start:end]
+        line = self._tokens[start:-1]
         if line[0].text in ("elif", "else", "end"):
             raise self._malformed(f"{line[0].text} is not read", line[0])
-        names = tuple(self._name(t.text) for t in line if t.kind == "name" and t.text not in KEYWORDS)
+        names = tuple(self._name(t.text, t) for t in line if t.kind == "name" and t.text not in KEYWORDS)
         literals = tuple(self._literal(t) for t in line if t.kind == "list")
         self._add(Step(NoStatement(names, literals, why, self._spot(line[0]))))
         if line[0].text in BLOCKS or line[-1].text == ":":
             self._open("?", line[0])
-        self._at = end
+        self._at = len(self._tokens) - 1
 
     # Blocks
 
@@ -376,12 +372,15 @@ class Parser:
     # Statements
 
     def _statement(self, token: Token) -> None:
-        if token.kind != "name":
+        if token.kind == "note":
+            self._at += 1
+            return
+        if token.kind not in ("name", "move"):
             raise _Garbled("is no statement of URScript")
         read = _STATEMENTS.get(token.text, Parser._expression_statement)
         read(self, token)
         after = self._tokens[self._at]
-        if after.kind not in ("line", "name", "note"):
+        if after.kind not in ("line", "name", "move", "note"):
             raise _Garbled(f"{after.text} is not understood there")
 
     def _definition(self, token: Token) -> None:
@@ -413,7 +412,7 @@ class Parser:
 
     def _while(self, token: Token) -> None:
         condition = self._condition(token)
-        forever = condition == Name(self._routine, "True")
+        forever = isinstance(condition, Name) and condition.name == "True"
         if forever:
             self._pending.clear()
         self._open("forever" if forever else "while", token)
@@ -580,6 +579,8 @@ class Parser:
         self._at += 1
         if token.kind == "list":
             return self._list(token)
+        if token.kind == "move":
+            return self._plain_move(token)
         if token.kind == "name":
             if token.text == "run":
                 return self._run(depth)
@@ -587,7 +588,7 @@ class Parser:
                 raise _Garbled(f"{token.text} is not understood there")
             if self._tokens[self._at].text == "(":
                 return self._call(token, depth)
-            return self._name(token.text)
+            return self._name(token.text, token)
         if token.kind == "number":
             return Constant(float(int(token.text, 16)) if token.text[1:2] in ("x", "X") else float(token.text))
         if token.kind == "text":
@@ -605,7 +606,7 @@ class Parser:
     def _list(self, token: Token) -> Expression:
         if token.text[0] == "p" and "," not in token.text:  # an element of a variable p
             number = token.text[token.text.index("[") + 1 : -1].strip()
-            return Element(self._name("p"), Constant(float(number)), self._spot(token))
+            return Element(self._name("p", token), Constant(float(number)), self._spot(token))
         return self._literal(token)
 
     def _literal(self, token: Token) -> Literal:
@@ -615,7 +616,7 @@ class Parser:
         start = self._at
         items = tuple(value for keyword, value in self._items("]", depth))
         if token.kind == "pose" and len(items) == 1:
-            return Element(self._name("p"), items[0], self._spot(token))
+            return Element(self._name("p", token), items[0], self._spot(token))
         end = self._tokens[self._at - 1].place + 1
         if items and self._plain(start):
             return Literal(self._code.file, token.place, end, token.kind == "pose")
@@ -626,17 +627,26 @@ class Parser:
         inside = self._code.plain[self._tokens[start].place : self._tokens[self._at - 1].place + 1]
         return re.fullmatch(_LIST, f"[{inside}") is not None
 
+    def _plain_move(self, token: Token) -> Expression:
+        """A move to a list of plain numbers; what else it is given are plain numbers, too."""
+        name, _, goal = token.text.partition("(")
+        start = token.place + len(name) + 1
+        literal = Literal(self._code.file, start, start + goal.index("]") + 1, goal[0] == "p")
+        return self._calls(Token("name", name, token.place), (("", literal),))
+
     def _call(self, name: Token, depth: int) -> Expression:
         self._at += 1
-        arguments = self._items(")", depth)
+        return self._calls(name, self._items(")", depth))
+
+    def _calls(self, name: Token, arguments: tuple[tuple[str, Expression], ...]) -> Expression:
         routines = self._keys.get(name.text, ())
         self._routine.calls.update(routines)
         called = Called(name.text, arguments, self._spot(name), routines)
-        if routines and name.text in RULES:  # which of the two is meant is not said anywhere
-            self._pending.append(Step(NoStatement((), (), f"the program defines {name.text} itself", self._spot(name))))
+        if len(routines) > 1 or (routines and name.text in RULES):
+            why = f"{name.text} is defined more than once"
+            self._pending.append(Step(NoStatement((), (), why, self._spot(name))))
         elif routines:
-            ways = tuple((Call(key, called),) for key in routines)
-            self._pending.append(ways[0][0] if len(ways) == 1 else Choice(ways))
+            self._pending.append(Call(routines[0], called))
         elif name.text not in RULES:
             self._pending.append(Call(name.text, called))
         return called
@@ -669,9 +679,9 @@ class Parser:
                 self._at -= 1
                 raise _Garbled(f"{token.text.strip() or 'its end'} is not understood there")
 
-    def _name(self, name: str) -> Name:
+    def _name(self, name: str, token: Token) -> Name:
         self._routine.mentions.add(name)
-        return Name(self._routine, name)
+        return Name(self._routine, name, self._spot(token))
 
 
 _OPERATORS = frozenset({"+", "-", "*", "/", "%", "==", "!=", "<", ">", "<=", ">=", "and", "or", "xor"})

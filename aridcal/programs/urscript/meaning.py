@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Hashable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import Literal as Literal_
 
@@ -53,6 +53,8 @@ LARGEST = 1e6
 TEXT = Unknown("is a text")
 
 Form = Literal_["joints", "pose"]
+
+Variable = tuple[str, Hashable]
 
 THREADED = "it runs beside the program, in a thread"
 
@@ -108,6 +110,17 @@ class Items:
     values: tuple[object, ...]
 
 
+@dataclass(frozen=True)
+class Computed:
+    """A value that only the controller works out, so that it is no point of the text; all are equal.
+
+    Attributes:
+        why: The reason, for the user.
+    """
+
+    why: str = field(compare=False)
+
+
 class Meaning:
     """The semantics of URScript.
 
@@ -138,6 +151,8 @@ class Meaning:
         self._spent: dict[tuple[int, int], str] = {}
         self._frames: dict[tuple[int, int], set[Literal]] = {}
         self._poses: dict[Literal, object] = {}
+        self._held: dict[Variable, set[tuple[int, int]]] = {}
+        self._vague: dict[Variable, str] = {}
         threads = [key for key, routine in routines.items() if routine.kind == "thread"]
         self._watched = mentioned(routines, threads)
         self.walk: Walk | None = None
@@ -160,6 +175,9 @@ class Meaning:
             crossed = next((frame for frame in frames if frame.key in self._gone), None)
             if crossed is not None:
                 self._ledger.spoil(key, f"its frame {self._title(crossed)} is a target itself")
+        for variable, why in self._vague.items():
+            for key in self._held.get(variable, ()):
+                self._spent.setdefault(key, why)
         for key in self._gone:
             if key in self._spent:
                 self._ledger.spoil(key, self._spent[key])
@@ -177,7 +195,7 @@ class Meaning:
             self._assign(what, state)
         elif isinstance(what, Return):
             value = TEXT if what.value is None else self._value(what.value, state)
-            state.set("returned", None, value)
+            self._set(("returned", None), value, state)
         elif isinstance(what, NoStatement):
             line = self._line(what.at)
             for name in what.names:
@@ -191,16 +209,15 @@ class Meaning:
         routine = self._routines[name]
         arguments = self._bound(what, routine.parameters, state) if isinstance(what, Called) else {}
         for local in routine.local:
-            state.set(
-                LOCAL, (name, local), arguments.get(local, Unknown(f"{local} is set by whoever calls {routine.name}"))
-            )
+            value = arguments.get(local, Unknown(f"{local} is set by whoever calls {routine.name}"))
+            self._set((LOCAL, (name, local)), value, state)
         state.forget("returned", None, f"{routine.name} gives nothing back")
         self._part(state)
 
     def leave(self, what: object, name: str, state: State) -> None:
         """Hand over what a routine gives back."""
         if isinstance(what, Called):
-            state.set("returned", what.at, state.get("returned"))
+            state.set("returned", what.at, self._get(("returned", None), state, what.name, what.at))
         self._part(state)
 
     def absent(self, what: object, name: str, state: State) -> None:
@@ -229,11 +246,20 @@ class Meaning:
 
     def _spend(self, value: object, why: str) -> None:
         """A value is used for something else than a move: its numbers must stay."""
-        if isinstance(value, Point):
-            self._spent.setdefault(value.literal.key, why)
-        elif isinstance(value, Items):
-            for item in value.values:
-                self._spend(item, why)
+        for key in _keys(value):
+            self._spent.setdefault(key, why)
+
+    def _set(self, variable: Variable, value: object, state: State) -> None:
+        """Give a variable a value."""
+        self._held.setdefault(variable, set()).update(_keys(value))
+        state.set(*variable, Computed(value.why) if isinstance(value, Unknown) else value)
+
+    def _get(self, variable: Variable, state: State, name: str, at: Spot) -> object:
+        """The value of a variable; where it is not certain, all points that it ever holds may be used here."""
+        value = state.get(*variable)
+        if isinstance(value, Unknown):
+            self._vague.setdefault(variable, f"{self._line(at)} uses {name}, and {value.why}")
+        return Unknown(value.why) if isinstance(value, Computed) else value
 
     def _numbers(self, literal: Literal) -> tuple[Number, ...]:
         plain = self._codes[literal.file].plain
@@ -284,8 +310,7 @@ class Meaning:
         return TEXT
 
     def _variable(self, name: Name, state: State) -> object:
-        family, member = self._scopes.key(name.routine, name.name)
-        value = state.get(family, member)
+        value = self._get(self._scopes.key(name.routine, name.name), state, name.name, name.at)
         return Unknown(f"{name.name} {value.why}") if value is NEVER_SET else value
 
     def _listing(self, listing: Listing, state: State) -> object:
@@ -365,7 +390,7 @@ class Meaning:
             state.forget_family(LOCAL, f"{line} may set a name of the function around it")
         if family != LOCAL and name.name in self._watched:
             self._spend(value, f"{line}: {name.name} is used in a thread, too")
-        state.set(family, member, value)
+        self._set((family, member), value, state)
 
     def _component(self, to: Expression, value: object, line: str, state: State) -> None:
         """An element or a member is given a value."""
@@ -384,9 +409,8 @@ class Meaning:
             ):
                 k = int(index)
                 pose = old.literal.pose if isinstance(old, Point) else isinstance(old, Vector) and old.pose
-                state.set(
-                    *self._scopes.key(to.of.routine, to.of.name), Vector(pose, (*values[:k], value, *values[k + 1 :]))
-                )
+                changed = Vector(pose, (*values[:k], value, *values[k + 1 :]))
+                self._set(self._scopes.key(to.of.routine, to.of.name), changed, state)
                 return
         self._changed(to, f"{line} writes a part of it", state)
 
@@ -407,7 +431,8 @@ class Meaning:
 
     def _called(self, called: Called, state: State) -> object:
         if called.routines:
-            return state.get("returned", called.at)
+            returned = state.get("returned", called.at)
+            return Unknown(returned.why) if isinstance(returned, Computed) else returned
         rule = RULES.get(called.name)
         if rule is None:  # its arguments are spent by `absent`
             return Unknown(f"{called.name} is in no given file")
@@ -661,6 +686,15 @@ _EVALUATE = {
 
 _STANDING = ("get_actual_joint_positions", "get_target_joint_positions")
 """Where the arm stands: inverse kinematics starts there without being told."""
+
+
+def _keys(value: object) -> Iterator[tuple[int, int]]:
+    """Points in a value."""
+    if isinstance(value, Point):
+        yield value.literal.key
+    elif isinstance(value, Items):
+        for item in value.values:
+            yield from _keys(item)
 
 
 def _plain(values: Sequence[float]) -> bool:

@@ -14,11 +14,9 @@ from aridcal.programs.urscript.grammar import (
     Malformed,
     Parser,
     Routine,
-    Token,
     code_of,
     definitions,
     routine_key,
-    tokens_of,
 )
 from aridcal.programs.urscript.meaning import DEFAULT, THREADED, Meaning
 from aridcal.programs.urscript.scopes import Scopes
@@ -62,25 +60,26 @@ def comment(text: str, sentence: str) -> tuple[int, str]:
 def _parsed(codes: tuple[Code, ...]) -> tuple[dict[int, File], bool, list[Target]]:
     """Files that can be read, whether they call each other, and what the others leave."""
     left: list[Target] = []
-    tokens: dict[int, list[Token]] = {}
+    whole: list[Code] = []
     for code in codes:
         lone = LONE_RETURN.search(code.text)
         if lone:
             left += _all_left(code, f"{code.name} has a carriage return without a line feed: write its line ends anew")
         else:
-            tokens[code.file] = tokens_of(code.text)
-    keys: dict[int, dict[str, tuple[str, ...]]] = {}
-    for k, own in tokens.items():
-        keys[k] = {}
-        for name, place in definitions(own):
-            keys[k][name] = (*keys[k].get(name, ()), routine_key(k, name, place))
+            whole.append(code)
+    keys: dict[int, dict[str, list[str]]] = {}
+    for code in whole:
+        keys[code.file] = {}
+        for name, place in definitions(code):
+            keys[code.file].setdefault(name, []).append(routine_key(code.file, name, place))
     files, one = {}, False
-    for k, own in tokens.items():
+    for code in whole:
+        k = code.file
         others = {name: found for other in keys if other != k for name, found in keys[other].items()}
         try:
-            files[k] = Parser(codes[k], own, {**others, **keys[k]}).file()
+            files[k] = Parser(code, {**others, **keys[k]}).file()
         except Malformed as problem:
-            left += _all_left(codes[k], f"{codes[k].name} is no whole program: {problem}")
+            left += _all_left(code, f"{code.name} is no whole program: {problem}")
         else:
             one = one or any(
                 key not in keys[k].get(key.split("@")[0], ()) for r in files[k].routines for key in r.calls
