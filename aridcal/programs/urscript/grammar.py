@@ -375,7 +375,7 @@ class Parser:
         if token.kind == "note":
             self._at += 1
             return
-        if token.kind not in ("name", "move"):
+        if token.kind not in ("name", "move", "list", "pose"):  # p[2] may be an element of a variable p
             raise _Garbled("is no statement of URScript")
         read = _STATEMENTS.get(token.text, Parser._expression_statement)
         read(self, token)
