@@ -670,7 +670,9 @@ class Parser:
             if token.kind == "name" and self._tokens[self._at + 1].text == "=":
                 keyword = token.text
                 self._at += 2
-            items.append((keyword, self._expression(depth + 1)))
+                token = self._tokens[self._at]
+            alone = token.kind in ("name", "number", "list") and self._tokens[self._at + 1].text in (",", closing)
+            items.append((keyword, self._simple(depth) if alone else self._expression(depth + 1)))
             token = self._tokens[self._at]
             self._at += 1
             if token.text == closing:

@@ -151,6 +151,7 @@ class Meaning:
         self._spent: dict[tuple[int, int], str] = {}
         self._frames: dict[tuple[int, int], set[Literal]] = {}
         self._poses: dict[Literal, object] = {}
+        self._products: dict[tuple[int, int], tuple[object, object, object]] = {}
         self._held: dict[Variable, set[tuple[int, int]]] = {}
         self._vague: dict[Variable, str] = {}
         threads = [key for key, routine in routines.items() if routine.kind == "thread"]
@@ -280,7 +281,7 @@ class Meaning:
         """A value as a frame."""
         self._spend(value, why)
         if isinstance(value, Point) and value.solved is None:
-            return product(value.base, self._pose(value.literal))
+            return self._product(value.base, self._pose(value.literal))
         if isinstance(value, Vector):
             return _frame_of(value.pose, value.values)
         return value if isinstance(value, Frame | Unknown) else Unknown(f"{why}, and it is no pose")
@@ -482,7 +483,7 @@ class Meaning:
         base = self._frame(first, f"{line} uses it as a frame")
         if isinstance(second, Point) and second.solved is None and second.literal.pose:
             frames = (*first.frames, first.literal) if isinstance(first, Point) else ()
-            return replace(second, base=product(base, second.base), frames=(*frames, *second.frames))
+            return replace(second, base=self._product(base, second.base), frames=(*frames, *second.frames))
         return product(base, self._frame(second, f"{line} computes with it"))
 
     def _pose_inv(self, called: Called, state: State) -> object:
@@ -600,7 +601,7 @@ class Meaning:
                 line, why=why or ("" if move.by_joints or not coming else f"it stands for its pose, and {coming}")
             )
         elif value.solved is None:
-            use = Use(line, self._based(value), state.get("tool"), why=why, unknown=coming)
+            use = Use(line, self._product(self.base, value.base), state.get("tool"), why=why, unknown=coming)
         else:
             use = self._solved(value, value.solved, line, why, coming, state)
         if move.by_joints and (not pose or use.near is not None):
@@ -621,10 +622,16 @@ class Meaning:
             coming = solved.why
         elif state.get("rest") != solved.rest:
             coming = f"{line} goes to joints that were worked out before, elsewhere"
-        return Use(line, self._based(value), solved.tool, why=why, near=solved.near, unknown=coming)
+        return Use(line, self._product(self.base, value.base), solved.tool, why=why, near=solved.near, unknown=coming)
 
-    def _based(self, value: Point) -> object:
-        return self.base if value.base is HERE else product(self.base, value.base)
+    def _product(self, first: object, second: object) -> object:
+        """The product of two frames; of the same ones it is the same object, so that a long program has few."""
+        if first is HERE or second is HERE:
+            return second if first is HERE else first
+        key = id(first), id(second)
+        if key not in self._products:
+            self._products[key] = first, second, product(first, second)
+        return self._products[key][-1]
 
     @cached_property
     def base(self) -> Frame:
