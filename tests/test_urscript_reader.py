@@ -98,6 +98,7 @@ TOOL, STANCE = "p[0, 0, 0.1, 0, 0, 0]", "[0.1, -1.5, 1.5, 0.1, 1.5, 0.2]"
     [
         (f"movel({P})\n", [], TOOL),
         (f"movel(pose_trans({Q}, {P}))\n", [Q], TOOL),
+        (f"movel(pose_trans(p_from_to={P}, p_from={Q}))\n", [Q], TOOL),
         (f"f = {Q}\ng = pose_trans(f, {Q})\nmovel(pose_trans(g, {P}))\n", [Q, Q], TOOL),
         (f"movel(pose_trans({Q}, pose_trans({Q}, {P})))\n", [Q, Q], TOOL),
         ("t = p[0, 0, 0.1, 0, 0, 0]\nt[2] = 0.25\nset_tcp(t)\n" f"movel({P})\n", [], "p[0, 0, 0.25, 0, 0, 0]"),
@@ -216,6 +217,12 @@ def test_a_function_that_no_file_has_is_harmless_if_the_user_says_so_or_if_its_f
     assert is_corrected(read(text, KnownFrames(bases=OWN_BASE.bases, harmless=frozenset({"close_it"}))).targets[-1])
     assert is_corrected(read(text, **{"b.script": "def close_it(n):\n set_digital_out(1, True)\nend\n"}).targets[-1])
     assert not is_corrected(read(text, **{"b.script": f"def close_it(n):\n set_tcp({Q})\n foo()\nend\n"}).targets[-1])
+
+
+def test_a_function_that_two_other_files_have_may_be_either() -> None:
+    library = "def close_it(n):\n set_digital_out(1, True)\nend\n"
+    text = HEAD + f"close_it(5)\nmovel({P})\n"
+    assert not is_corrected(read(text, **{"b.script": library, "c.script": library}).targets[-1])
 
 
 def test_points_of_a_file_that_is_not_corrected_are_named_and_left() -> None:

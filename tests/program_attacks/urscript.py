@@ -88,6 +88,12 @@ CASES: tuple[tuple[str, str, str], ...] = (
     ("tool in a thread", f"«thread t():\n set_tcp({Q})\nend\nrun t()\n»{GO}", "at any time"),
     ("tool of a parameter", f"def f(t):\n set_tcp(t)\nend\nf({Q})\n«f(x)\n»{GO}", "tool"),
     ("tool by a name", f'«set_tcp("welder")\n»{GO}', "tool"),
+    ("function with two tools", f"def f():\n movel(⟦{P}⟧)\nend\nf()\n«set_tcp({Q})\nf()\n»", "another tool"),
+    (
+        "local of the function around it",
+        f"def f():\n local p1 = ⟦{P}⟧\n def g():\n  «p1 = x¦sync()»\n end\n g()\n movel(p1)\nend\nf()\n",
+        "",
+    ),
     ("frame of a camera", f"movel(pose_trans(«get_plane()¦{Q}», ⟦{P}⟧))\n", ""),
     ("frame changed", f"f = {Q}\n«f[0] = x\n»movel(pose_trans(f, ⟦{P}⟧))\n", ""),
     ("frame in a branch", f"f = {Q}\n«if x:\n f = p[1,0,0,0,0,0]\nend\n»movel(pose_trans(f, ⟦{P}⟧))\n", ""),

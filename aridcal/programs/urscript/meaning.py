@@ -231,14 +231,13 @@ class Meaning:
 
     def _part(self, state: State) -> None:
         """Names that several functions set are not certain where one goes over to another."""
+        state.forget_family(UNSURE, "it may be local to the function around it")
         if self._scopes.shared:
             state.forget_family(SHARED, "several functions set it: declare it `global` before, or `local`")
 
     def _bound(self, called: Called, parameters: tuple[str, ...], state: State) -> dict[str, object]:
-        names = [
-            keyword or (parameters[k] if k < len(parameters) else "") for k, (keyword, _) in enumerate(called.arguments)
-        ]
-        return {name: self._value(value, state) for name, (_, value) in zip(names, called.arguments, strict=True)}
+        """The values of a function's arguments, by the names of its parameters."""
+        return {name: self._value(value, state) for name, value in _named(called, parameters).items()}
 
     def _line(self, at: Spot) -> str:
         return line_name(self._codes, self._codes[at[0]], at[1])
@@ -476,10 +475,10 @@ class Meaning:
 
     def _pose_trans(self, called: Called, state: State) -> object:
         line = self._line(called.at)
-        values = list(self._bound(called, ("p_from", "p_from_to"), state).values())
-        if len(values) != 2:
-            return self._waste(values, line)
-        first, second = values
+        given = self._bound(called, ("p_from", "p_from_to"), state)
+        if given.keys() != {"p_from", "p_from_to"}:
+            return self._waste(list(given.values()), line)
+        first, second = given["p_from"], given["p_from_to"]
         base = self._frame(first, f"{line} uses it as a frame")
         if isinstance(second, Point) and second.solved is None and second.literal.pose:
             frames = (*first.frames, first.literal) if isinstance(first, Point) else ()
@@ -514,8 +513,7 @@ class Meaning:
         names = ("x", "qnear", "maxPositionError", "maxOrientationError", "tcp")
         given = self._bound(called, names, state)
         value, near, tool = given.pop("x", None), given.pop("qnear", None), state.get("tool")
-        spoken = {name: expression for name, (_, expression) in zip(names, called.arguments, strict=False)}
-        spoken |= {keyword: expression for keyword, expression in called.arguments if keyword}
+        spoken = _named(called, names)
         for name, other in given.items():
             if isinstance(other, float):  # how exact it is to be
                 continue
@@ -693,6 +691,14 @@ _EVALUATE = {
 
 _STANDING = ("get_actual_joint_positions", "get_target_joint_positions")
 """Where the arm stands: inverse kinematics starts there without being told."""
+
+
+def _named(called: Called, parameters: tuple[str, ...]) -> dict[str, Expression]:
+    """The arguments of a function by the names of its parameters; one too many has none."""
+    return {
+        keyword or (parameters[k] if k < len(parameters) else ""): value
+        for k, (keyword, value) in enumerate(called.arguments)
+    }
 
 
 def _keys(value: object) -> Iterator[tuple[int, int]]:

@@ -94,7 +94,9 @@ def _parsed(codes: tuple[Code, ...]) -> tuple[dict[int, File], bool, list[Target
     files, one = {}, False
     for code in whole:
         k = code.file
-        others = {name: found for other in keys if other != k for name, found in keys[other].items()}
+        others: dict[str, list[str]] = {}
+        for name, elsewhere in ((n, e) for other in keys if other != k for n, e in keys[other].items()):
+            others.setdefault(name, []).extend(elsewhere)
         try:
             files[k] = Parser(code, {**others, **keys[k]}).file()
         except Malformed as problem:
