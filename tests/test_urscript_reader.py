@@ -252,8 +252,20 @@ def test_a_program_that_is_none_as_a_whole_is_left_as_a_whole(text: str) -> None
 )
 def test_any_text_is_read_or_left(garbage: str) -> None:
     for text in (garbage * 2000, (garbage + "\n") * 2000, HEAD + garbage + f"\nmovel({P})\n"):
-        for found in read(text).targets:
-            assert found.why or np.isfinite(found.values).all()
+        for one in read(text).targets:
+            assert one.why or np.isfinite(one.values).all()
+
+
+def test_a_function_or_thread_with_a_garbled_head_is_none() -> None:
+    text = f"{HEAD}movel({P})\nthread t(:\n sync()\nend\nthread u():\n t()\nend\nrun t()\nrun u()\nmovel({Q})\n"
+    assert [is_corrected(t) for t in read(text).targets] == [True, True, False]
+
+
+def test_reasons_do_not_depend_on_places_that_a_correction_moves() -> None:
+    text = f"{HEAD}movel({P})\ndef f():\n f()\nend\nf()\nmovel({Q})\n"
+    longer = text.replace("0.2, 0.3", "0.2000001, 0.3000001")
+    assert [t.why for t in read(text).targets] == [t.why for t in read(longer).targets]
+    assert read(text).targets[-1].why
 
 
 @pytest.mark.parametrize(

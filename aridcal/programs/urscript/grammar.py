@@ -265,11 +265,6 @@ def definitions(code: Code) -> Iterator[tuple[str, int]]:
         yield match.group(1), match.start(1)
 
 
-def routine_key(file: int, name: str, place: int) -> str:
-    """The name of a routine among all of a project."""
-    return f"{name}@{file}.{place}"
-
-
 @dataclass
 class _Block:
     kind: str
@@ -284,15 +279,16 @@ class Parser:
     Args:
         code: The file.
         routines: Keys of the routines that each name may mean here.
+        keys: Of the routines of this file, by the places of their names.
 
     A statement that cannot be read costs its line; blocks that do not fit cost the file.
     """
 
-    def __init__(self, code: Code, routines: Mapping[str, Sequence[str]]) -> None:
-        self._code, self._keys = code, routines
+    def __init__(self, code: Code, routines: Mapping[str, Sequence[str]], keys: Mapping[int, str]) -> None:
+        self._code, self._routines, self._keys = code, routines, keys
         self._tokens: list[Token] = []
         self._at = 0
-        self._routine = Routine(routine_key(code.file, TOP, 0), TOP, "top", code.file, None)
+        self._routine = Routine(f"{TOP} {code.file}", TOP, "top", code.file, None)
         self._blocks = [_Block("top")]
         self._pending: list[Node] = []
         self._file = File([self._routine], {}, {})
@@ -399,7 +395,7 @@ class Parser:
         self._expect(":")
         self._pending.clear()  # what is worked out for a parameter that is not given
         self._open("def", token)
-        key = routine_key(self._code.file, name.text, name.place)
+        key = self._keys[name.place]
         kind = "thread" if token.text == "thread" else "def"
         self._routine = Routine(key, name.text, kind, self._code.file, self._routine, tuple(parameters))
         self._routine.local.update(parameters)
@@ -639,7 +635,7 @@ class Parser:
         return self._calls(name, self._items(")", depth))
 
     def _calls(self, name: Token, arguments: tuple[tuple[str, Expression], ...]) -> Expression:
-        routines = self._keys.get(name.text, ())
+        routines = self._routines.get(name.text, ())
         self._routine.calls.update(routines)
         called = Called(name.text, arguments, self._spot(name), routines)
         if len(routines) > 1 or (routines and name.text in RULES):
@@ -655,7 +651,7 @@ class Parser:
         name = self._take("name")
         self._expect("(")
         arguments = self._items(")", depth)
-        routines = self._keys.get(name.text, ())
+        routines = self._routines.get(name.text, ())
         self._routine.calls.update(routines)
         return Run(Called(name.text, arguments, self._spot(name), routines))
 

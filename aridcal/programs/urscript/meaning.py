@@ -223,7 +223,9 @@ class Meaning:
 
     def absent(self, what: object, name: str, state: State) -> None:
         """A function that stands nowhere."""
-        assert isinstance(what, Called)
+        if not isinstance(what, Called):  # a thread of which the head is garbled
+            state.forget_all(absent(name))
+            return
         for _, argument in what.arguments:
             self._spend(self._value(argument, state), f"{self._line(what.at)} passes it on to {name}")
         if name.lower() not in self._cell.frames.harmless:

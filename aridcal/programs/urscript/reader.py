@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import re
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -18,7 +19,6 @@ from aridcal.programs.urscript.grammar import (
     Routine,
     code_of,
     definitions,
-    routine_key,
 )
 from aridcal.programs.urscript.meaning import DEFAULT, THREADED, Meaning
 from aridcal.programs.urscript.scopes import Scopes
@@ -86,26 +86,36 @@ def _parsed(codes: tuple[Code, ...]) -> tuple[dict[int, File], bool, list[Target
             left += _all_left(code, f"{code.name} has a carriage return without a line feed: write its line ends anew")
         else:
             whole.append(code)
-    keys: dict[int, dict[str, list[str]]] = {}
-    for code in whole:
-        keys[code.file] = {}
-        for name, place in definitions(code):
-            keys[code.file].setdefault(name, []).append(routine_key(code.file, name, place))
+    names, keys = _named(whole)
     files, one = {}, False
     for code in whole:
-        k = code.file
+        own = names[code.file]
         others: dict[str, list[str]] = {}
-        for name, elsewhere in ((n, e) for other in keys if other != k for n, e in keys[other].items()):
+        for name, elsewhere in ((n, k) for file in names if file != code.file for n, k in names[file].items()):
             others.setdefault(name, []).extend(elsewhere)
         try:
-            files[k] = Parser(code, {**others, **keys[k]}).file()
+            files[code.file] = Parser(code, {**others, **own}, keys[code.file]).file()
         except Malformed as problem:
             left += _all_left(code, f"{code.name} is no whole program: {problem}")
         else:
-            one = one or any(
-                key not in keys[k].get(key.split("@")[0], ()) for r in files[k].routines for key in r.calls
-            )
+            mine = set(keys[code.file].values())
+            one = one or any(not routine.calls <= mine for routine in files[code.file].routines)
     return files, one, left
+
+
+def _named(codes: list[Code]) -> tuple[dict[int, dict[str, list[str]]], dict[int, dict[int, str]]]:
+    """Keys of the routines of each file by their names, and by their places: their names, numbered where several have one."""
+    names: dict[int, dict[str, list[str]]] = {}
+    keys: dict[int, dict[int, str]] = {}
+    count: Counter[str] = Counter()
+    for code in codes:
+        names[code.file], keys[code.file] = {}, {}
+        for name, place in definitions(code):
+            count[name] += 1
+            key = name if count[name] == 1 else f"{name} {count[name]}"
+            names[code.file].setdefault(name, []).append(key)
+            keys[code.file][place] = key
+    return names, keys
 
 
 def _walked(meaning: Meaning, files: dict[int, File]) -> None:

@@ -70,7 +70,7 @@ def mentioned(routines: Mapping[str, Routine], starts: Iterable[str]) -> set[str
     waiting = list(starts)
     while waiting:
         key = waiting.pop()
-        if key not in reached:
+        if key in routines and key not in reached:  # one whose head is garbled is no routine
             reached.add(key)
             waiting += routines[key].calls
     return {name for key in reached for name in routines[key].mentions}
