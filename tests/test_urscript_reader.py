@@ -248,7 +248,8 @@ def test_a_program_that_is_none_as_a_whole_is_left_as_a_whole(text: str) -> None
 
 
 @pytest.mark.parametrize(
-    "garbage", ["movel(", "p[", '"', "[1,", "x = (", "if ", "$ 1", "\xa0", "9" * 400, "not ", "def f():"]
+    "garbage",
+    ["movel(", "p[", '"', "[1,", "x = (", "if ", "$ 1", "\xa0", "9" * 400, "x = 0x" + "f" * 400, "not ", "def f():"],
 )
 def test_any_text_is_read_or_left(garbage: str) -> None:
     for text in (garbage * 2000, (garbage + "\n") * 2000, HEAD + garbage + f"\nmovel({P})\n"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -46,6 +47,9 @@ KEYWORDS = frozenset(BLOCKS) | {
     *("elif", "else", "end", "return", "break", "continue", "halt", "pause", "enter_critical", "exit_critical"),
     *("global", "local", "run", "join", "kill", "and", "or", "xor", "not", "True", "False"),
 }
+
+LONGEST_HEX = 18
+"""Letters of 64 bits with their `0x`; what is longer is no number of a controller."""
 
 BYTE_ORDER_MARK = "\xef\xbb\xbf"
 
@@ -586,7 +590,7 @@ class Parser:
                 return self._call(token, depth)
             return self._name(token.text, token)
         if token.kind == "number":
-            return Constant(float(int(token.text, 16)) if token.text[1:2] in ("x", "X") else float(token.text))
+            return Constant(_number(token.text))
         if token.kind == "text":
             return Text(token.text)
         if token.kind == "pose":
@@ -697,6 +701,13 @@ _STATEMENTS = {
     **dict.fromkeys(("join", "kill"), Parser._thread_statement),
     **dict.fromkeys(("global", "local"), Parser._scoped),
 }
+
+
+def _number(text: str) -> float:
+    """What a number says, with hexadecimal ones."""
+    if text[1:2] not in ("x", "X"):
+        return float(text)
+    return float(int(text, 16)) if len(text) <= LONGEST_HEX else math.inf
 
 
 def _root(target: Expression) -> Name | None:
