@@ -144,6 +144,7 @@ def test_a_point_used_twice_is_one_target() -> None:
         f"while i < 3:\n i = i + 1\n movel(⟨{P}⟩)\nend\nhalt\nset_tcp({Q})\nmovel({P})\n",
         f"def f():\n if x:\n  return True\n end\n movel(⟨{P}⟩)\n return False\nend\nwhile f():\n movel(⟨{Q}⟩)\nend\n",
         f"thread t():\n while True:\n  n = n + 1\n  sync()\n end\nend\nh = run t()\nmovel(⟨{P}⟩)\nkill h\njoin h\n",
+        f"def place():\n return ⟨{P}⟩\nend\ndef close_it():\n sleep(1)\nend\nmovel(place())\nclose_it()\nx = close_it()\n",
         f"movep(⟨{P}⟩, a=1, v=0.1, r=0.05)\nservoj(⟨[0.2, -1.4, 1.6, 0.1, 1.4, 0.3]⟩, t=0.1)\nservoc(⟨{Q}⟩)\n",
         f"enter_critical\nx = [1, [2, 3], p[1,2,3,4,5,6]]\ny = not x and -1 < 2\nexit_critical\nmovel(⟨{P}⟩)\n",
     ],

@@ -212,7 +212,7 @@ class Meaning:
         for local in routine.local:
             value = arguments.get(local, Unknown(f"{local} is set by whoever calls {routine.name}"))
             self._set((LOCAL, (name, local)), value, state)
-        state.forget("returned", None, f"{routine.name} gives nothing back")
+        self._set(("returned", None), Unknown(f"{routine.name} gives nothing back"), state)
         self._part(state)
 
     def leave(self, what: object, name: str, state: State) -> None:
