@@ -71,10 +71,10 @@ def read_frames(path: Path | None) -> KnownFrames:
     return KnownFrames(_poses(settings.bases), _poses(settings.tools), settings.start, harmless)
 
 
-def controllers_base(robot: Robot) -> np.ndarray | None:
-    """Where the controller's base is in the campaign's, if the URDF says that it is elsewhere, T of shape (4, 4).
+def fixed_base(robot: Robot) -> np.ndarray | None:
+    """Where the URDF has the link `base`, in the campaign's base, T of shape (4, 4); None where no such link is fixed to that.
 
-    Descriptions of ROS-Industrial, and those of Universal Robots, have a link `base` for it, beside `base_link`.
+    Descriptions of ROS-Industrial, and those of Universal Robots, have it for the controller's base, beside `base_link`.
     """
     tree, link, T = read_tree(robot.urdf, robot.path), "base", np.eye(4)
     while link != robot.base:
@@ -82,7 +82,13 @@ def controllers_base(robot: Robot) -> np.ndarray | None:
         if joint is None or joint.get("name") in tree.moves:
             return None
         link, T = parent, tree.origins[str(joint.get("name"))].homogeneous @ T
-    return None if np.allclose(T, np.eye(4), atol=1e-6) else T
+    return T
+
+
+def controllers_base(robot: Robot) -> np.ndarray | None:
+    """Where the controller's base is in the campaign's, if the URDF says that it is elsewhere, T of shape (4, 4)."""
+    T = fixed_base(robot)
+    return None if T is None or np.allclose(T, np.eye(4), atol=1e-6) else T
 
 
 def _poses(placements: Mapping[str, Placement]) -> dict[str, np.ndarray]:
