@@ -83,8 +83,8 @@ class Said:
         threads: Interrupts and triggers.
         missing: Routines that are called and are in no file, in small letters.
         packages: Routines of technology packages that are called.
+        odd: Routines of :data:`table.ODD` that are called.
         resumes: The statement by which an interrupt breaks routines off, and its file.
-        words: All values of enumerations.
         broken: What is wrong with a file, its place, and the file.
     """
 
@@ -97,6 +97,7 @@ class Said:
     threads: list[Thread] = field(default_factory=list)
     missing: set[str] = field(default_factory=set)
     packages: set[str] = field(default_factory=set)
+    odd: set[str] = field(default_factory=set)
     resumes: tuple[File, int] | None = None
     broken: list[tuple[File, int, str]] = field(default_factory=list)
 
@@ -137,6 +138,7 @@ class Reader:
         self._labels: set[str] = set()
         self._gotos: list[tuple[str, int]] = []
         self._started = False
+        self._place = 0
 
     # data lists
 
@@ -175,11 +177,12 @@ class Reader:
 
     def _declaration(self, line: Line, scope: str, public: bool) -> list[Assignment]:
         """``DECL GLOBAL E6POS P1={...}, P2``."""
-        while line.peek() in ("decl", "global", "const", "public"):
-            public = public or line.peek() in ("global",)
+        stated = False
+        while (word := line.peek()) in ("decl", "global", "const"):
+            public, stated = public or word == "global", stated or word == "decl"
             line.take()
         kind = line.take()
-        if kind.kind != "name":
+        if kind.kind != "name" or not (stated or kind.text in table.TYPES):
             raise Misread
         given: list[Assignment] = []
         while True:
@@ -266,6 +269,8 @@ class Reader:
 
     @property
     def _body(self) -> list[Node]:
+        if not self._blocks[-1].bodies:
+            raise Broken(self._place, "stands before the first CASE")
         return self._blocks[-1].bodies[-1]
 
     def _lines(self) -> Iterator[tuple[int, int]]:
@@ -288,6 +293,7 @@ class Reader:
         return Variable(start, name.upper(), key, shared)
 
     def _statement(self, start: int, end: int) -> None:
+        self._place = start
         try:
             line = self._line(start, end)
             if not line.ended:
@@ -377,8 +383,6 @@ class Reader:
     def _local(self, first: Token, line: Line) -> None:
         """A declaration in a routine."""
         rest = [first, *line.rest()]
-        if first.text not in ("decl", "global", "const") and not (len(rest) > 1 and rest[1].kind == "name"):
-            raise Misread
         again = Line(rest, self._file.index, self._low, self._text, self._resolved, self._routine_key)
         given = self._declaration(again, f"{self._file.module}/{self._routine}", False)
         self._called(again)
@@ -437,6 +441,8 @@ class Reader:
         if call.routine != name:
             self._passed(call)
             return [Call(call.routine, call)]
+        if name in table.ODD:
+            self._said.odd.add(name)
         if name == "bas" or name in table.ODD:
             return [Step(Carried(call, self._line_name(call.start)))]
         if name in table.FUNCTIONS and name not in self._names.twice:
