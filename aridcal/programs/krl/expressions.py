@@ -23,7 +23,9 @@ from aridcal.programs.text import Number
 DEEPEST = 40
 """Brackets in brackets of one statement."""
 
-_OPERATORS = frozenset(("+", "-", "*", "/", "==", "<>", "<", ">", "<=", ">=", "and", "or", "exor", "b_and", "b_or", "b_exor"))
+_OPERATORS = frozenset(
+    ("+", "-", "*", "/", "==", "<>", "<", ">", "<=", ">=", "and", "or", "exor", "b_and", "b_or", "b_exor")
+)
 
 _BEFORE = frozenset(("not", "b_not", "+", "-"))
 

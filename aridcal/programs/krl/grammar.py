@@ -30,7 +30,14 @@ _LINES = re.compile(r"[^\n]+")
 
 _MOVES = table.LINEAR | table.JOINTED | table.RELATIVE | table.ASYNCHRONOUS
 
-_BODIES = {"if": "endif", "switch": "endswitch", "for": "endfor", "while": "endwhile", "loop": "endloop", "repeat": "until"}
+_BODIES = {
+    "if": "endif",
+    "switch": "endswitch",
+    "for": "endfor",
+    "while": "endwhile",
+    "loop": "endloop",
+    "repeat": "until",
+}
 
 _ENDS = frozenset((*_BODIES.values(), "endspline", "else", "case", "default"))
 
@@ -309,7 +316,9 @@ class Reader:
                     Mention(self._variable(match.group(), match.start()), self._file, "is not understood, and names it")
                 )
         first = NAME.search(self._low, start, end)
-        return Unclear(f"{self._line_name(start)} is not understood{f' ({first.group().upper()[:24]})' if first else ''}")
+        return Unclear(
+            f"{self._line_name(start)} is not understood{f' ({first.group().upper()[:24]})' if first else ''}"
+        )
 
     def _line_name(self, place: int) -> str:
         return f"{self._file.code.name} line {self._file.code.line(place)}"
@@ -320,7 +329,11 @@ class Reader:
             raise Misread
         if following == "=" or (following in ("[", ".") and word not in _MOVES):
             self._assigned(line)
-        elif following == "(" and word not in _MOVES and word not in ("if", "while", "until", "switch", "wait", "return", "case"):
+        elif (
+            following == "("
+            and word not in _MOVES
+            and word not in ("if", "while", "until", "switch", "wait", "return", "case")
+        ):
             call = line.expression()
             line.close()
             if not isinstance(call, Function):
@@ -414,7 +427,9 @@ class Reader:
         if not isinstance(value, Aggregate):
             framed = to.key in ("$base", "$tool") or isinstance(value, Product)
             whole = isinstance(value, Variable) and value.whole
-            self._mentions(value, "uses it as a frame" if framed else "assigns from it" if whole else "computes with it")
+            self._mentions(
+                value, "uses it as a frame" if framed else "assigns from it" if whole else "computes with it"
+            )
         else:
             self._mentions(value, "computes with it")
 
@@ -558,7 +573,9 @@ class Reader:
             raise Misread
         for token in rest[:at]:
             if token.kind == "name":
-                self._said.reads.append(Mention(self._variable(token.text, token.start), self._file, "computes with it"))
+                self._said.reads.append(
+                    Mention(self._variable(token.text, token.start), self._file, "computes with it")
+                )
         done = Line(rest[at + 1 :], self._file.index, self._low, self._text, self._resolved, self._routine_key)
         if done.peek(1) == "(":
             call = done.expression()

@@ -182,9 +182,7 @@ class Meaning:
         )
         self._shifted = sorted(table.CORRECTIONS & written)
         self._ignoring = any("#ignore" in code.plain for code in points.codes)
-        self._oddities = sorted(
-            said.odd | {key for key in written if _odd(key, points.cell)}
-        )
+        self._oddities = sorted(said.odd | {key for key in written if _odd(key, points.cell)})
         self.robroot = self._root()
 
     # the beginning
@@ -197,7 +195,9 @@ class Meaning:
             if "default" in stated:
                 state.set("frame", family, self._of_user(family, stated["default"]))
             else:
-                state.forget("frame", family, f"{family.upper()} is not set before: state it, or call BAS, or give the caller")
+                state.forget(
+                    "frame", family, f"{family.upper()} is not set before: state it, or call BAS, or give the caller"
+                )
         state.set("mode", "ipo", "#base")
         state.set("mode", "ori", "")
         for name in self._oddities:
@@ -290,7 +290,11 @@ class Meaning:
             return
         if command == "#initmov":
             state.set("frame", "$base", HERE)
-            state.forget("frame", "$tool", "$TOOL after BAS(#INITMOV,0) is what bas.src of the controller says: set it in the program")
+            state.forget(
+                "frame",
+                "$tool",
+                "$TOOL after BAS(#INITMOV,0) is what bas.src of the controller says: set it in the program",
+            )
             state.set("mode", "ipo", "#base")
         elif command in ("#base", "#tool") and number is not None:
             state.set("frame", f"${command[1:]}", self._numbered(command[1:], self.value(number, state), state))
@@ -342,7 +346,9 @@ class Meaning:
         before = WORKED if to.worked_out else self._get(to.element, to.shared, state)
         value = self.value(assignment.value, state)
         if isinstance(before, Aggregate) and len(to.path) == 1 and isinstance(value, Number | Word):
-            self._put(to.element, to.shared, replace(before, place=None, fields={**before.fields, to.path[0]: value}), state)
+            self._put(
+                to.element, to.shared, replace(before, place=None, fields={**before.fields, to.path[0]: value}), state
+            )
         else:
             self._forget(to, f"a part of {to.key.upper().split(':')[-1]} is worked out", state)
 
@@ -353,7 +359,12 @@ class Meaning:
         before = state.get("frame", to.key)
         value = self.value(assignment.value, state)
         part = to.path[0] if len(to.path) == 1 else ""
-        if isinstance(before, Frame) and isinstance(value, Number) and abs(value.value) <= LARGEST and part in ("x", "y", "z"):
+        if (
+            isinstance(before, Frame)
+            and isinstance(value, Number)
+            and abs(value.value) <= LARGEST
+            and part in ("x", "y", "z")
+        ):
             T = before.T.copy()
             T["xyz".index(part), 3] = MILLIMETRE * value.value
             return Frame(T)
@@ -407,8 +418,10 @@ class Meaning:
             self._points.vague(goal, move.file, why) if state.recording else None
             self._unread(move, state)
             return
-        shown = goal.point.shown if isinstance(goal.point, Variable) else _shown(
-            self._points.codes[move.file].text[goal.start : goal.end]
+        shown = (
+            goal.point.shown
+            if isinstance(goal.point, Variable)
+            else _shown(self._points.codes[move.file].text[goal.start : goal.end])
         )
         use, stated = self._use(move, goal, value, conditions, state)
         if state.recording:
@@ -416,9 +429,7 @@ class Meaning:
         if last:
             self._stance(move, value, use, stated, state)
 
-    def _use(
-        self, move: Move, goal: Goal, value: Aggregate, conditions: _Conditions, state: State
-    ) -> tuple[Use, bool]:
+    def _use(self, move: Move, goal: Goal, value: Aggregate, conditions: _Conditions, state: State) -> tuple[Use, bool]:
         """How the move comes to its point, and whether the point's S and T say how the arm stands there."""
         line = self._line(move)
         shift = bool(goal.before or goal.behind)
@@ -451,7 +462,9 @@ class Meaning:
 
     def _unread(self, move: Move, state: State) -> None:
         if move.word in table.JOINTED:
-            state.forget("stance", None, f"{self._line(move)} goes to a place that is not known, and how the arm stands there")
+            state.forget(
+                "stance", None, f"{self._line(move)} goes to a place that is not known, and how the arm stands there"
+            )
 
     def _left(self, move: Move, why: str) -> Target:
         code = self._points.codes[move.file]
@@ -527,7 +540,9 @@ class Meaning:
     def _numbered(self, kind: str, number: object, state: State) -> Frame | Unknown:
         """Tool or base of a number, as BAS and the functions of inline forms have it."""
         if not isinstance(number, Number):
-            return Unknown(number.why if isinstance(number, Unknown) and number.why else f"the number of the {kind} is worked out")
+            return Unknown(
+                number.why if isinstance(number, Unknown) and number.why else f"the number of the {kind} is worked out"
+            )
         n = number.value
         if self._shifted:
             return Unknown(f"{self._shifted[0].upper()} shifts numbered tools and bases")
@@ -640,4 +655,3 @@ def _odd(key: str, cell: Cell) -> bool:
     if not key.startswith("$") or key in ("$base", "$tool", "$ipo_mode"):
         return False
     return key not in table.SYSTEM_VARIABLES and not (key in table.OUTSIDE and not cell.axes.external)
-

@@ -12,7 +12,8 @@ from aridcal.programs.krl.tokens import plain
 from aridcal.programs.text import Code
 
 _MODULE = re.compile(
-    r"^[ \t]*(?:global[ \t]+)?(?:defdat[ \t]+|def[ \t]+|deffct[ \t]+[\w$]+(?:[ \t]*\[[^\]\n]*\])?[ \t]+)([\w$]+)", re.M | re.A
+    r"^[ \t]*(?:global[ \t]+)?(?:defdat[ \t]+|def[ \t]+|deffct[ \t]+[\w$]+(?:[ \t]*\[[^\]\n]*\])?[ \t]+)([\w$]+)",
+    re.M | re.A,
 )
 
 _HEAD = re.compile(

@@ -43,7 +43,8 @@ def read(project: Project, cell: Cell) -> Reading:
         cell: The robot, and frames that the user states.
     """
     files = tuple(
-        file_of(k, source.path.name, _without_mark(source.text), source.ours) for k, source in enumerate(project.sources)
+        file_of(k, source.path.name, _without_mark(source.text), source.ours)
+        for k, source in enumerate(project.sources)
     )
     said, names = _parsed([file for file in files if file.stem not in table.SYSTEM_MODULES])
     spoilt = _spoilt(files, said)
@@ -146,10 +147,14 @@ def _values(
     codes = tuple(file.code for file in files)
     written = {}
     for mention in said.writes:
-        line = f"{mention.file.code.name} line {mention.file.code.line(mention.variable.start)}" if len(codes) > 1 else (
-            f"line {mention.file.code.line(mention.variable.start)}"
+        line = (
+            f"{mention.file.code.name} line {mention.file.code.line(mention.variable.start)}"
+            if len(codes) > 1
+            else (f"line {mention.file.code.line(mention.variable.start)}")
         )
-        written.setdefault(mention.variable.key, f"{mention.variable.shown} is kept from one run to the next: {line} {mention.does}")
+        written.setdefault(
+            mention.variable.key, f"{mention.variable.shown} is kept from one run to the next: {line} {mention.does}"
+        )
     reached = bool(said.missing - frames.harmless) or bool(said.broken) or bool(names.twice)
     constants: dict[Element, object] = {}
     begin: dict[Element, object] = {}
@@ -290,7 +295,10 @@ def _left_alone(
         for move in _moves(body):
             for goal in move.targets:
                 points.vague(goal, move.file, why)
-    return [Target(t.line, t.name, t.form, t.numbers, t.why if t.why and t.numbers == () else why, file=t.file) for t in points.ledger.targets()]
+    return [
+        Target(t.line, t.name, t.form, t.numbers, t.why if t.why and t.numbers == () else why, file=t.file)
+        for t in points.ledger.targets()
+    ]
 
 
 def _moves(body: Body) -> Iterator[Move]:

@@ -42,7 +42,9 @@ HARMLESS = frozenset(
 DECLARATIONS = frozenset(("signal", "struc", "enum", "channel", "ext", "extp", "extfct", "extfctp", "import"))
 """Statements that declare what holds no place, besides DECL and the types themselves."""
 
-TYPES = frozenset(("int", "real", "bool", "char", "pos", "e6pos", "frame", "axis", "e6axis", "load", "inertia", "state_t"))
+TYPES = frozenset(
+    ("int", "real", "bool", "char", "pos", "e6pos", "frame", "axis", "e6axis", "load", "inertia", "state_t")
+)
 """Types whose declarations need no DECL."""
 
 POINTS = frozenset(("pos", "e6pos", "axis", "e6axis"))
@@ -135,11 +137,24 @@ PACKAGES = frozenset(
 )
 """Routines of KUKA's grippers and spot guns: they switch signals and wait. A note says that this is taken for granted."""
 
-SYSTEM_MODULES = frozenset(("bas", "ir_stopm", "p00", "msglib", "h50", "h70", "masref_main", "tm_bib", "new_serv", "ibgn", "bas_t"))
+SYSTEM_MODULES = frozenset(
+    ("bas", "ir_stopm", "p00", "msglib", "h50", "h70", "masref_main", "tm_bib", "new_serv", "ibgn", "bas_t")
+)
 """Modules that controllers come with: these tables say what they do, their text is not read."""
 
 BAS_HARMLESS = frozenset(
-    ("#acc_cp", "#acc_glue", "#acc_ptp", "#vel_cp", "#vel_ptp", "#cp_dat", "#ptp_dat", "#out_sync", "#out_async", "#group")
+    (
+        "#acc_cp",
+        "#acc_glue",
+        "#acc_ptp",
+        "#vel_cp",
+        "#vel_ptp",
+        "#cp_dat",
+        "#ptp_dat",
+        "#out_sync",
+        "#out_async",
+        "#group",
+    )
 )
 """Commands of BAS on speeds, accelerations and signals."""
 
@@ -147,6 +162,15 @@ BAS_FRAMES = frozenset(("#frames", "#ptp_params", "#cp_params"))
 """Commands of BAS that set tool, base and mode from FDAT_ACT."""
 
 CORRECTIONS = frozenset(
-    ("base_corr", "base_corr_on", "m_base_corr", "m_bas_cor_on", "tool_corr", "tool_corr_on", "tool_corr_w", "tool_corr_w_on")
+    (
+        "base_corr",
+        "base_corr_on",
+        "m_base_corr",
+        "m_bas_cor_on",
+        "tool_corr",
+        "tool_corr_on",
+        "tool_corr_w",
+        "tool_corr_w_on",
+    )
 )
 """Variables by which BAS and the functions of inline forms shift numbered tools and bases."""
