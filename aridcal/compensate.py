@@ -45,13 +45,11 @@ import pandas as pd
 from rich.console import Console
 
 from aridcal.command_line import CommandParser, command_parser, for_scripts, run, screens
-from aridcal.errors import CampaignError, MeasurementError, OutputError
+from aridcal.errors import OutputError, printable
 from aridcal.inputs.query import Query, Remarks
-from aridcal.programs.axes import Axes, axes_of
-from aridcal.programs.correct import Correction, as_table, correct
-from aridcal.programs.frames import KnownFrames, read_frames, unsaid_base
-from aridcal.programs.languages import URSCRIPT, Language, language_of, read_program
-from aridcal.programs.targets import spliced
+from aridcal.programs.job import Request, correct_programs
+from aridcal.programs.read_project import is_program
+from aridcal.programs.sentences import lines_of
 from aridcal.reading.names import path_argument
 from aridcal.result.compensate import Trajectory, compensate, correction_table
 from aridcal.result.predict import read_queries
@@ -71,8 +69,8 @@ def parser() -> CommandParser:
     command.add_argument(
         "poses",
         type=path_argument,
-        nargs="?",
-        help="wanted poses (and covariates, and joints), .csv or .parquet; or a robot program",
+        nargs="*",
+        help="wanted poses (and covariates, and joints), .csv or .parquet; or a robot program, several, or a folder of them",
     )
     command.add_argument(
         "--grid", type=int, metavar="POINTS", help="write a correction table with this many points along each joint"
@@ -82,13 +80,21 @@ def parser() -> CommandParser:
         "--out",
         type=path_argument,
         required=True,
-        help="where to write the commands, .csv or .parquet, or the program",
+        help="where to write the commands, .csv or .parquet, or the program; of several programs the folder",
     )
     command.add_argument(
         "--frames", type=path_argument, metavar="FILE", help="frames of a program that only its controller has"
     )
     command.add_argument(
         "--at", action="append", default=[], metavar="NAME=VALUE", help="what effects depend on while the program runs"
+    )
+    command.add_argument(
+        "--start", metavar="J1,J2,...", help="joints where the program begins, in its units: how the arm stands then"
+    )
+    command.add_argument(
+        "--zeros",
+        metavar="A1,A2,...",
+        help="what the controller shows of each axis where the URDF's joint is at zero, in its units (default: the campaign's)",
     )
     for_scripts(command)
     return command
@@ -98,7 +104,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; returns its exit status."""
     command = parser()
     arguments = command.parse_args(argv)
-    if (arguments.poses is None) == (arguments.grid is None):
+    if bool(arguments.poses) == (arguments.grid is not None):
         command.error("give either the poses or --grid POINTS")
     if arguments.grid is not None and arguments.grid < 2:
         command.error("--grid needs at least 2 points")
@@ -106,12 +112,13 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _main(arguments: argparse.Namespace) -> None:
-    language = language_of(arguments.poses) if arguments.poses is not None else None
-    if language is not None:
-        _correct_program(arguments, language)
+    if arguments.poses and any(is_program(path) for path in arguments.poses):
+        _correct_programs(arguments)
         return
-    if arguments.frames is not None or arguments.at:
-        raise OutputError("--frames and --at are for robot programs: a table has its own columns")
+    if len(arguments.poses) > 1:
+        raise OutputError("several files are for robot programs: give one table of poses")
+    if arguments.frames or arguments.at or arguments.start or arguments.zeros:
+        raise OutputError("--frames, --at, --start and --zeros are for robot programs: a table has its own columns")
     if arguments.out.suffix.lower() not in ENDINGS:
         raise OutputError(f"{arguments.out}: should be a .csv or .parquet file")
     check_home(arguments.out)
@@ -128,7 +135,7 @@ def _compensate(arguments: argparse.Namespace) -> None:
     answered, trajectory = Answered(calibration), Trajectory(calibration)
     with atomic_file(arguments.out) as path, table_file(path) as write, told_on(aside) as progress:
         progress.at("finding the commands")
-        for query, stretch in read_queries(calibration, arguments.poses, poses=True):
+        for query, stretch in read_queries(calibration, arguments.poses[0], poses=True):
 
             def told(rows: int, stretch: Stretch = stretch) -> None:
                 progress.share(stretch.share(rows))
@@ -139,93 +146,40 @@ def _compensate(arguments: argparse.Namespace) -> None:
     _report(answered, calibration, arguments.out, aside)
 
 
-def _correct_program(arguments: argparse.Namespace, language: Language) -> None:
-    program, out = arguments.poses, arguments.out
+def _correct_programs(arguments: argparse.Namespace) -> None:
     _, aside = screens(arguments)
-    if language_of(out) is not language:
-        raise OutputError(f"{out}: should end as {program.name} does: it is {language.name}, too")
-    side = out.with_name(f"{out.name}.corrections.csv")
-    check_home(out)
-    with claimed(out, "file"), claimed(side, "file"):
-        saved = SavedModel.load(arguments.calibration)
-        robot = saved.final.model.robot
-        axes, frames, text = axes_of(robot.kinds), read_frames(arguments.frames), read_program(program)
-        targets = language.read(text, axes, frames)
-        if not targets:
-            raise MeasurementError(f"{program}: no target of {language.name} is in it; is it a program of this maker?")
-        with told_on(aside) as progress:
-            progress.at("correcting the program")
-            found = correct(
-                saved, targets, _values(arguments.at), _start(frames, axes, language),
-                lambda done: progress.share(done / len(targets)),
-            )  # fmt: skip
-        changes = [change for correction in found for change in correction.changes]
-        with atomic_file(out) as path, atomic_file(side) as table:
-            path.write_bytes(spliced(text, changes).encode("latin-1"))
-            write_table(as_table(found), table)
-    _say(found, out, side, saved, aside)
-    unsaid = unsaid_base(robot, frames) if language is URSCRIPT else ""
-    if unsaid:
-        aside.print(f"note: {unsaid}", markup=False, highlight=False, soft_wrap=True)
+    request = Request(
+        arguments.calibration, tuple(arguments.poses), arguments.out, arguments.frames, _values(arguments.at),
+        _numbers(arguments.start, "--start"), _numbers(arguments.zeros, "--zeros"),
+    )  # fmt: skip
+    with told_on(aside) as progress:
+        answer = correct_programs(request, progress)
+    for line in lines_of(answer):
+        aside.print(printable(line), markup=False, highlight=False, soft_wrap=True)
 
 
 def _values(given: Sequence[str]) -> dict[str, float]:
     """NAME=VALUE of each --at."""
-    found = {}
+    values = {}
     for text in given:
         name, _, value = text.partition("=")
         try:
-            found[name.strip()] = float(value)
+            values[name.strip()] = float(value)
         except ValueError:
             raise OutputError(f"--at {text}: should be NAME=NUMBER, as in --at temperature=24.5") from None
-    return found
+    return values
 
 
-def _start(frames: KnownFrames, axes: Axes, language: Language) -> np.ndarray | None:
-    """Readings where the program begins, [rad] or [m]; None if nobody says."""
-    if frames.start is None:
+def _numbers(text: str | None, option: str) -> tuple[float, ...] | None:
+    """Numbers with commas between; None where the option is not given."""
+    if text is None:
         return None
-    order = [*axes.arm, *axes.external]
-    if len(frames.start) != len(order):
-        raise CampaignError(f"--frames: `start` has {len(frames.start)} numbers, the robot {len(order)} axes")
-    found = np.zeros(len(order))
-    for value, (unit, k) in zip(frames.start, axes.units(order, language.angle, language.length), strict=True):
-        found[k] = unit * value
-    return found
-
-
-def _say(found: Sequence[Correction], out: Path, side: Path, saved: SavedModel, console: Console) -> None:
-    """Print what was left, and what is gained."""
-    left = [c for c in found if c.why]
-    done = [c for c in found if not c.why]
-    doubtful = [c for c in done if c.doubt > saved.noise[0]]
-    lines = [f"line {c.target.line}, {c.target.name}: {c.why}; left as it is" for c in left[:SHOWN_REMARKS]]
-    lines += [f"and {len(left) - SHOWN_REMARKS} more"] if len(left) > SHOWN_REMARKS else []
-    for remark in dict.fromkeys(c.remark for c in done if c.remark):
-        singular = [c for c in done if c.remark == remark]
-        most = max(singular, key=lambda c: c.after[0])
-        lines.append(
-            f"{len(singular)} of them: {remark}. Most remains on line {most.target.line}, {most.target.name}: "
-            f"{1e3 * most.after[0]:.3f} mm and {1e3 * most.after[1]:.3f} mrad"
-        )
-    if doubtful:
-        worst = max(doubtful, key=lambda c: c.doubt)
-        lines.append(
-            f"{len(doubtful)} of them do not say how the arm stands; the position nearest to the target before was taken. Line "
-            f"{worst.target.line}, {worst.target.name}: with another one its correction differs by {1e3 * worst.doubt:.3f} mm"
-        )
-    if saved.measurements.joint_reading == "reported":
-        lines.append("joints are taken as the controller reports them, as in the calibration, not as it is told")
-    said = f"{out}: {len(done)} of {len(found)} targets corrected"
-    if done:
-        before, after = 1e3 * _rms([c.before[0] for c in done]), 1e3 * _rms([c.after[0] for c in done])
-        said += f"; the calibrated model has the tip {before:.3f} mm off as the program was (RMS), {after:.4f} mm as it is now"
-    for line in (*lines, f"{said}; each one in {side}"):
-        console.print(line, markup=False, highlight=False, soft_wrap=True)
-
-
-def _rms(values: Sequence[float]) -> float:
-    return float(np.sqrt(np.mean(np.square(values))))
+    try:
+        return tuple(float(part) for part in text.split(","))
+    except ValueError:
+        raise OutputError(
+            f"{option} {text}: should be numbers with commas between, in the units of the program"
+        ) from None
 
 
 @dataclass

@@ -3,7 +3,8 @@
 With tables already measured, the new rows add to what these tell. A campaign whose tables are not there yet is planned from
 nothing: the kind of measurement, its noise, and frames and instruments as hints. Joints keep 2 % of their ranges off their
 limits. The arm, as lines from joint to joint and to the target and with the URDF's collision shapes, keeps out of itself and of
-the boxes of the campaign's `design: {keep_out: [{min: [x, y, z], max: [x, y, z]}]}` (base frame, m). The tracker or camera of
+the boxes of the campaign's `design: {keep_out: [{min: [x, y, z], max: [x, y, z]}]}` (base frame, m); without that key it stays
+above the plane z = 0 of its base, where that is what it is mounted on. The tracker or camera of
 `design: {sight: {at: [x, y, z]}}` sees the target past them. The ways between are not looked at.
 
 Configurations come in an order that shortens the way. Where backlash is among the effects that may be there, each joint comes to
@@ -45,7 +46,7 @@ from aridcal.inputs.campaign import Campaign, load_campaign, nominal_robot
 from aridcal.planning.beforehand import beforehand
 from aridcal.planning.design import Asked, Plan, as_table, design
 from aridcal.planning.exchange import Criterion
-from aridcal.planning.programs import LANGUAGES, WAYPOINTS, check_program, moves, program
+from aridcal.planning.programs import PROGRAMS, WAYPOINTS, check_program, moves, program
 from aridcal.planning.rivals import duel_lines
 from aridcal.reading.names import path_argument
 from aridcal.report.plan_page import plan_page
@@ -55,7 +56,7 @@ from aridcal.writing.files import atomic_file, check_home, claimed
 from aridcal.writing.tables import ENDINGS, write_table
 
 PAGE = ".html"
-WRITTEN = (*ENDINGS, *LANGUAGES, PAGE)
+WRITTEN = (*ENDINGS, *PROGRAMS, PAGE)
 """Endings of what can be written."""
 
 LONGEST_WAIT = 3600.0
@@ -175,7 +176,7 @@ def check_outputs(campaign: Campaign, robot: Robot, out: Sequence[Path]) -> None
             raise OutputError(f"{path}: is the campaign or a table of it; write the plan to another file")
         if place in places[:number]:
             raise OutputError(f"{path}: is named twice; delete one")
-        if path.suffix.lower() in LANGUAGES:
+        if path.suffix.lower() in PROGRAMS:
             check_program(path.suffix.lower(), path.stem, robot.kinds)
 
 
@@ -205,7 +206,9 @@ def _write(plan: Plan, campaign: Campaign, robot: Robot, path: Path, file: Path,
     else:
         # controllers go straight in joints; who knows by which way MoveIt comes
         via = plan.via if ending == WAYPOINTS else np.where(plan.by_way[:, None], plan.via, np.nan)
-        made = moves(campaign.path.name, robot.readings, robot.kinds, plan.readings, via, plan.titles, settle)
+        made = moves(
+            campaign.path.name, robot.readings, robot.kinds, plan.readings, via, plan.titles, settle, (plan.kept_out,)
+        )
         file.write_text(program(made, ending, path.stem), encoding="utf-8", errors="replace")
 
 
@@ -217,6 +220,7 @@ def _report(plan: Plan, apart: Sequence[str], out: Sequence[Path], console: Cons
         *([] if apart else [f"RMS of as many random configurations, mm: {_mm(plan.random)}"]),
         "observability " + ", ".join(f"O{k} {value:.3g}" for k, value in enumerate(plan.indices, start=1)),
         *(f"note: {notice}" for notice in plan.notices),
+        plan.kept_out,
         *duel_lines(plan.duels),
         *_of_sides(plan),
         f"{', '.join(str(path) for path in out)}: {len(plan.readings)} configurations",

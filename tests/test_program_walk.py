@@ -27,7 +27,7 @@ from aridcal.programs.walk import (
 
 
 class Toy:
-    """Statements are ``("set", name, value)``, ``("copy", to, from)``, ``("wipe",)``, ``("wipe", family)``, ``("see", label)``."""
+    """Statements are ``("set", name, value)``, ``("copy", to, from)``, ``("wipe",)``, ``("wipe", "v")``, ``("see", label)``."""
 
     def __init__(self) -> None:
         self.seen: dict[str, list[dict[str, object]]] = {}
@@ -113,18 +113,18 @@ def test_a_way_that_leaves_does_not_come_behind_the_branch() -> None:
 
 
 def test_jumps_carry_their_state_to_their_mark_forwards_and_backwards() -> None:
-    forth = [put("a", 1), Choice(((Jump("x"),), ())), put("a", 2), Mark("x"), see()]
+    forth: Body = [put("a", 1), Choice(((Jump("x"),), ())), put("a", 2), Mark("x"), see()]
     assert certain(forth) is None
     assert certain([put("a", 1), Jump("x"), put("a", 2), Mark("x"), see()]) == 1
-    back = [put("a", 1), Mark("x"), see(), put("a", 2), Choice(((Jump("x"),), ()))]
+    back: Body = [put("a", 1), Mark("x"), see(), put("a", 2), Choice(((Jump("x"),), ()))]
     assert certain(back) is None
     assert certain([put("a", 1), Mark("x"), see(), put("b", 2), Choice(((Jump("x"),), ()))]) == 1
-    anywhere = [put("a", 1), Choice(((Jump(""),), ())), put("a", 2), Mark("x"), see()]
+    anywhere: Body = [put("a", 1), Choice(((Jump(""),), ())), put("a", 2), Mark("x"), see()]
     assert certain(anywhere) is None
 
 
 def test_a_routine_is_walked_in_the_state_of_each_caller() -> None:
-    body = [put("a", 1), Call("f", None), put("a", 2), Call("f", None)]
+    body: Body = [put("a", 1), Call("f", None), put("a", 2), Call("f", None)]
     assert [values["a"] for values in walked(body, f=[see()])["here"]] == [1, 2]
     assert certain([Call("f", None), see()], f=[put("a", 3)]) == 3
     assert certain([put("a", 1), Call("g", None), see()]) is None
@@ -132,7 +132,7 @@ def test_a_routine_is_walked_in_the_state_of_each_caller() -> None:
 
 
 def test_a_local_name_ends_with_its_routine() -> None:
-    body = [put("c", 1), Call("f", "local"), see()]
+    body: Body = [put("c", 1), Call("f", "local"), see()]
     assert certain(body, "c", f=[see("inside"), put("b", 2)]) == 1
     assert walked(body, f=[see("inside")])["inside"][0]["c"] == "parameter"
 

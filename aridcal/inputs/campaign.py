@@ -18,7 +18,7 @@ from pydantic import (
 )
 
 from aridcal.effects.catalogue import KINDS, is_of_head
-from aridcal.errors import CampaignError, nearest
+from aridcal.errors import CampaignError, nearest, shortened
 from aridcal.inputs.instrument_settings import InstrumentSettings
 from aridcal.inputs.measurement_settings import (
     MeasurementSettings,
@@ -27,7 +27,7 @@ from aridcal.inputs.measurement_settings import (
     one_of,
 )
 from aridcal.inputs.purposes import About, DesignSettings, Region, StudySettings, ToleranceSettings, position_alone
-from aridcal.inputs.yaml_file import LARGEST, RelativePath, Section, Settings, Vector3, load_settings
+from aridcal.inputs.yaml_file import LARGEST, Number, RelativePath, Section, Settings, Vector3, load_settings
 from aridcal.instruments.catalogue import KINDS as MEASURED
 from aridcal.instruments.catalogue import labelled
 from aridcal.reading.names import check_path
@@ -79,6 +79,8 @@ class RobotSettings(ArmSettings):
 
     gravity: Literal["world"] | Vector3 = (0.0, 0.0, -9.81)
     """In the base frame, m/s²; `world`: along -z of the world frame."""
+    controller_zeros: dict[str, Number] = Field(default_factory=dict)
+    """What the controller shows of a joint where its reading is zero, rad or m, where that is not zero; for robot programs."""
 
     @field_validator("gravity", mode="before")
     @classmethod
@@ -339,9 +341,17 @@ def nominal_robot(job: Job) -> Robot:
 
     Raises:
         RobotError: its description cannot be read, or has no such chain.
+        CampaignError: `controller_zeros` names a joint that is not on it.
     """
     named = job.robot
-    return load_robot(named.urdf, named.tip, named.base, job.limits.urdf, named.packages, named.arguments)
+    robot = load_robot(named.urdf, named.tip, named.base, job.limits.urdf, named.packages, named.arguments)
+    for name in named.controller_zeros:
+        if name not in robot.readings:
+            raise CampaignError(
+                f"robot.controller_zeros: no joint {shortened(name)!r} on the chain{nearest(name, robot.readings)}; write one "
+                "of its moving joints"
+            )
+    return robot
 
 
 def load_campaign(path: str | Path) -> Campaign:

@@ -57,8 +57,8 @@ class SightSettings(Section):
 class DesignSettings(Section):
     """What planned configurations must respect beside the joints' limits."""
 
-    keep_out: tuple[Box, ...] = ()
-    """Boxes that neither the arm nor its target may enter."""
+    keep_out: tuple[Box, ...] | None = None
+    """Boxes that neither the arm nor its target may enter; not stated: the plane that the arm is mounted on, where it is known."""
     sight: SightSettings | None = None
     """What must see the target over the arm and the boxes."""
 

@@ -24,8 +24,11 @@ from aridcal.instruments.channels import TARGET_POSITION, TARGET_ROTATION
 from aridcal.instruments.setup import Block, Instruments
 from aridcal.model.model import SIZES, Model
 from aridcal.model.reaching import draw_readings
+from aridcal.planning.clearance import THICK
+from aridcal.planning.mounting import mounting_side, stands_above
 from aridcal.robot.chain import Robot
 from aridcal.robot.collisions import Bodies, bodies_of
+from aridcal.robot.kinematics import tip_frames
 from aridcal.search.arm import fit_arm, fit_constants, surroundings
 from aridcal.showing import SILENT, Progress
 
@@ -69,6 +72,7 @@ class Beforehand:
         weight: Of each, shape (N,).
         patterns: Rows of which each new one is a copy with other readings: of every thing that it may refer to, one.
         bodies: What of the arm can touch what.
+        side: Of the mounting plane, on which arm and target are kept, see :func:`mounting_side`; 0 where they are not.
         notices: What had to be assumed.
     """
 
@@ -82,7 +86,23 @@ class Beforehand:
     weight: np.ndarray
     patterns: Dataset
     bodies: Bodies
+    side: float
     notices: tuple[str, ...]
+
+    @property
+    def boxes(self) -> tuple[Box, ...]:
+        """What the campaign keeps the arm out of."""
+        return self.campaign.design.keep_out or ()
+
+    @property
+    def kept_out(self) -> str:
+        """What the arm is kept out of, in words."""
+        if self.boxes:
+            return f"kept out of: itself and the {len(self.boxes)} boxes of design.keep_out"
+        if self.side:
+            plane = f"the mounting plane z = 0 of {self.robot.base}"
+            return f"kept out of: itself and {plane}, by {1e3 * THICK:.0f} mm (other limits: design.keep_out)"
+        return "kept out of: itself alone; floor, tables and walls are not known: state them as design.keep_out"
 
     def with_coefficients(self, more: tuple[Coefficient, ...], prior: np.ndarray | None = None) -> Beforehand:
         """The same with more that may be identified, perhaps each with how large it is expected to be."""
@@ -109,7 +129,7 @@ def beforehand(campaign: Campaign, robot: Robot, progress: Progress = SILENT) ->
     missing = [path for path in files if not path.exists()]
     remarks = (ANGLES_ALONE,) if kind == "inclination" else ()
     if not missing:
-        found = _measured(campaign, robot, bodies(campaign.design.keep_out, robot), progress)
+        found = _measured(campaign, robot, bodies(campaign.design.keep_out or (), robot), progress)
         return replace(found, notices=(*remarks, *found.notices))
     if len(missing) < len(files):
         raise MeasurementError(
@@ -121,7 +141,7 @@ def beforehand(campaign: Campaign, robot: Robot, progress: Progress = SILENT) ->
             f"{campaign.path}: measurements: nothing was measured yet, and there are several blocks: plan each in a campaign of "
             "its own"
         )
-    found = _from_nothing(campaign, robot, bodies(campaign.design.keep_out, robot))
+    found = _from_nothing(campaign, robot, bodies(campaign.design.keep_out or (), robot))
     return replace(found, notices=(*remarks, *found.notices))
 
 
@@ -161,8 +181,22 @@ def _measured(campaign: Campaign, robot: Robot, bodies: Bodies, progress: Progre
         weight=fit.weight,
         patterns=_patterns(rows),
         bodies=bodies,
+        side=_side(campaign, robot, rows.readings),
         notices=(*notices, *bodies.unread),
     )
+
+
+def _side(campaign: Campaign, robot: Robot, measured: np.ndarray) -> float:
+    """The side of the mounting plane that plans keep to; none where the campaign says what to keep out of, or rows went below.
+
+    Args:
+        campaign: What is to be measured.
+        robot: The chain.
+        measured: Readings of the rows so far, shape (n, columns).
+    """
+    side = mounting_side(robot) if campaign.design.keep_out is None else 0.0
+    flanges = tip_frames(robot, measured)[1]
+    return side if side and stands_above(robot, side, measured, flanges).all() else 0.0
 
 
 def _patterns(rows: Dataset) -> Dataset:
@@ -233,6 +267,7 @@ def _from_nothing(campaign: Campaign, robot: Robot, bodies: Bodies) -> Beforehan
         weight=np.zeros(0),
         patterns=rows,
         bodies=bodies,
+        side=_side(campaign, robot, np.zeros((0, len(robot.readings)))),
         notices=(*assumed, *bodies.unread),
     )
 

@@ -16,6 +16,7 @@ from aridcal.instruments.pixels import PIXELS, ends_of_sight, faces, in_image
 from aridcal.model.reaching import Miss, brought, draw_readings, off_the_limits
 from aridcal.planning.beforehand import Beforehand
 from aridcal.planning.clearance import clear, unobstructed
+from aridcal.planning.mounting import stands_above
 
 ROUNDS = 40
 """Times that configurations are drawn: fewer than one in forty inside what is allowed is hardly a workspace."""
@@ -148,7 +149,8 @@ def in_base(known: Beforehand, readings: np.ndarray, pattern: np.ndarray) -> tup
 def allowed(known: Beforehand, readings: np.ndarray, pattern: np.ndarray) -> np.ndarray:
     """True of configurations in which the arm keeps clear, shape (n,); see :func:`rows_like`."""
     own = in_base(known, readings, pattern)[1]
-    return clear(known.robot, known.campaign.design.keep_out, known.bodies, readings, own)
+    good = clear(known.robot, known.boxes, known.bodies, readings, own)
+    return good & stands_above(known.robot, known.side, readings, own) if known.side else good
 
 
 def in_sight(known: Beforehand, readings: np.ndarray, pattern: np.ndarray) -> np.ndarray:
@@ -165,7 +167,7 @@ def in_sight(known: Beforehand, readings: np.ndarray, pattern: np.ndarray) -> np
         good &= np.sum(axis * away, axis=1) >= np.cos(sight.within) * length
     ends = p[good] + away[good] * (STUB / length[good])[:, None]
     starts = np.broadcast_to(np.array(sight.at), ends.shape)
-    boxes = known.campaign.design.keep_out
+    boxes = known.boxes
     good[good] = unobstructed(known.robot, boxes, known.bodies, readings[good], starts, ends)
     return good
 
@@ -273,7 +275,7 @@ def _seen(known: Beforehand, readings: np.ndarray, own: np.ndarray) -> np.ndarra
         starts, ends = (_to_base(known, own[0], at) for at in (camera_at, marker_at))
         short = STUB / np.maximum(np.linalg.norm(ends - starts, axis=1), 2 * STUB)[:, None]
         starts, ends = starts + short * (ends - starts), ends + short * (starts - ends)
-        boxes = known.campaign.design.keep_out
+        boxes = known.boxes
         seen[some] = unobstructed(known.robot, boxes, known.bodies, np.repeat(readings, m, axis=0)[some], starts, ends)
     return seen.reshape(n, m)
 

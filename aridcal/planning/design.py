@@ -72,6 +72,7 @@ class Plan:
         unknowns: How many coefficients can be identified, with the planned rows.
         measured: Rows so far.
         notices: What was assumed.
+        kept_out: What the arm was kept out of.
         duels: What is expected of two effects that are to be told apart, against each other and against what imitates them.
         coverage: For the page.
     """
@@ -87,6 +88,7 @@ class Plan:
     unknowns: int
     measured: int
     notices: tuple[str, ...]
+    kept_out: str
     duels: tuple[Duel, ...]
     coverage: Coverage
 
@@ -171,6 +173,7 @@ def design(known: Beforehand, asked: Asked, progress: Progress = SILENT) -> Plan
         unknowns=len(of.kept),
         measured=len(known.rows),
         notices=(*known.notices, *_of_region(known, asked), *notices),
+        kept_out=known.kept_out,
         duels=duels,
         coverage=coverage(known, of, more, order, visited, rows, region),
     )

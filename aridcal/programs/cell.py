@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
+from aridcal.programs.anatomy import Anatomy, anatomy_of
 from aridcal.programs.axes import Axes, axes_of
 from aridcal.programs.frames import KnownFrames
 from aridcal.programs.targets import Target
@@ -31,6 +33,11 @@ class Cell:
     def axes(self) -> Axes:
         """The robot's readings as the program counts them."""
         return axes_of(self.robot.kinds, self.zeros)
+
+    @cached_property
+    def anatomy(self) -> Anatomy | None:
+        """What words for its posture are about; None where it is no arm of that kind."""
+        return anatomy_of(self.robot, self.axes)
 
 
 @dataclass(frozen=True)

@@ -34,7 +34,7 @@ class Words:
         numbers: Where it stands.
         texts: For readings, shape (columns,), what should stand there; None where no words describe them, or nobody knows which.
             What stands there in the program and agrees with the readings is given back as it is.
-        names: What the language calls them, for messages.
+        names: What the language calls them, and what stands there, for messages: ``S 2, T 10`` for instance.
     """
 
     numbers: tuple[Number, ...]

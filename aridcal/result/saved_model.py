@@ -184,6 +184,11 @@ class SavedModel:
         """How large tables may be, as the campaign says."""
         return self.campaign.limits if self.campaign else Limits()
 
+    @property
+    def controller_zeros(self) -> Mapping[str, float]:
+        """What the controller shows of joints where their readings are zero, [rad] or [m], as the campaign says; else zero."""
+        return self.campaign.robot.controller_zeros if self.campaign else {}
+
     @cached_property
     def campaign(self) -> Campaign | None:
         """What was asked; None where the record has no campaign."""

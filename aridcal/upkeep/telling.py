@@ -105,7 +105,7 @@ def _clear(saved: SavedModel) -> np.ndarray:
     robot = saved.final.model.robot
     low, high = np.array([saved.ranges[name] for name in robot.readings]).T
     readings = np.random.default_rng(0).uniform(low, high, (TRIED, len(low)))
-    boxes = saved.campaign.design.keep_out if saved.campaign is not None else ()
+    boxes = (saved.campaign.design.keep_out or ()) if saved.campaign is not None else ()
     _, places = joint_frames(robot, readings)
     good = clear(robot, boxes, bodies(boxes, robot), readings, places[:, -1])
     return readings[good] if good.any() else readings

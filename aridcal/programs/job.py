@@ -1,0 +1,214 @@
+"""Programs corrected: read as a project, corrected, proved, and written all or none."""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from aridcal.errors import CampaignError, MeasurementError, OutputError
+from aridcal.programs.axes import axes_of
+from aridcal.programs.cell import Cell, Reading
+from aridcal.programs.correct import Correction, as_table, correct
+from aridcal.programs.frames import read_frames
+from aridcal.programs.language import Language
+from aridcal.programs.languages import language_of
+from aridcal.programs.marks import OUTPUT_HASH, SIDE, SIDE_OF_FOLDER, mark_of, output_hash, refuse_corrected
+from aridcal.programs.proof import Change, corrected
+from aridcal.programs.read_project import Opened, read_project
+from aridcal.programs.zeros import cell_zeros
+from aridcal.reading.files import CALIBRATION, read_file
+from aridcal.result.saved_model import SavedModel
+from aridcal.showing import SILENT, Progress
+from aridcal.writing.files import atomic_file, atomic_folder, check_home, claimed
+from aridcal.writing.tables import write_table
+
+
+@dataclass(frozen=True)
+class Request:
+    """What is to be corrected, and what is known of it.
+
+    Attributes:
+        calibration: Path of calibration.yaml.
+        programs: Files, or folders of them.
+        out: A file for a single program, a folder for more.
+        frames: A file of frames that only the controller has.
+        at: What effects depend on while the program runs.
+        start: Joints where the program begins, in its units.
+        zeros: What the controller shows of each axis where the URDF's joint is at zero, in its units; None: the campaign's.
+    """
+
+    calibration: Path
+    programs: tuple[Path, ...]
+    out: Path
+    frames: Path | None = None
+    at: Mapping[str, float] = field(default_factory=dict)
+    start: tuple[float, ...] | None = None
+    zeros: tuple[float, ...] | None = None
+
+
+@dataclass(frozen=True)
+class Outputs:
+    """Where corrected programs go.
+
+    Attributes:
+        files: One for each program, in their order.
+        side: The table that says what was done.
+        folder: All of them are in it, by their names in the project; None where one file was named.
+    """
+
+    files: tuple[Path, ...]
+    side: Path
+    folder: Path | None
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What was done.
+
+    Attributes:
+        reading: Of the programs.
+        corrections: One for each of its targets.
+        outputs: Where all was written.
+        opened: The project.
+        saved: The calibration.
+    """
+
+    reading: Reading
+    corrections: Sequence[Correction]
+    outputs: Outputs
+    opened: Opened
+    saved: SavedModel
+
+
+def correct_programs(request: Request, progress: Progress = SILENT) -> Answer:
+    """Correct programs, prove the new texts, and write all of them, or none.
+
+    Args:
+        request: What is to be corrected.
+        progress: Told what is being done.
+
+    Raises:
+        AridcalError: a file cannot be read or written, has no target, or was corrected before.
+        Unproved: the new text does not say what was meant: a fault of ours.
+    """
+    content = read_file(request.calibration, CampaignError, CALIBRATION)
+    saved = SavedModel.load(request.calibration)
+    opened = read_project(request.programs)
+    for source in opened.project.sources:
+        if source.ours:
+            refuse_corrected(source.path, source.text)
+    outputs = _outputs(request, opened)
+    with ExitStack() as ends:
+        if outputs.folder is not None:
+            ends.enter_context(claimed(outputs.folder, "folder", [*map(str, opened.names), SIDE_OF_FOLDER]))
+        else:
+            ends.enter_context(claimed(outputs.files[0], "file"))
+            ends.enter_context(claimed(outputs.side, "file"))
+        reading, corrections, texts = _corrected(request, saved, content, opened, progress)
+        _write(opened, outputs, texts, corrections)
+    return Answer(reading, corrections, outputs, opened, saved)
+
+
+def _corrected(
+    request: Request, saved: SavedModel, content: bytes, opened: Opened, progress: Progress
+) -> tuple[Reading, Sequence[Correction], tuple[str, ...]]:
+    """What the programs say, what becomes of each target, and the proved new text of each file."""
+    language, robot = opened.language, saved.final.model.robot
+    frames = read_frames(request.frames)
+    where, numbers = ("--start", request.start) if request.start is not None else ("--frames: `start`", frames.start)
+    start = None if numbers is None else _readings(numbers, where, saved, language)
+    cell = Cell(robot, frames, cell_zeros(saved, request.zeros, language), start is not None)
+    progress.at("reading the program")
+    reading = language.read(opened.project, cell)
+    if not reading.targets:
+        names = ", ".join(str(source.path) for source in opened.project.sources if source.ours)
+        raise MeasurementError(f"{names}: no target of {language.name} is in it; is it a program of this maker?")
+    progress.at("correcting the program")
+    count = len(reading.targets)
+    corrections = correct(saved, reading.targets, request.at, start, lambda done: progress.share(done / count))
+    progress.at("reading the new program")
+    changes = [change for correction in corrections for change in correction.changes]
+    changes += _marks(language, opened, {change.file for change in changes}, content)
+    return reading, corrections, corrected(language, opened.project, cell, reading.targets, changes)
+
+
+def _marks(language: Language, opened: Opened, files: Collection[int], calibration: bytes) -> Iterator[Change]:
+    """A comment in each file that changes."""
+    day = datetime.date.today().isoformat()
+    for file in files:
+        mark = mark_of(language, opened.project.sources[file].text, calibration, day)
+        if mark is not None:
+            yield Change(file, *mark)
+
+
+def _readings(numbers: Sequence[float], where: str, saved: SavedModel, language: Language) -> np.ndarray:
+    """Readings where the program begins, shape (columns,), [rad] or [m]."""
+    axes = axes_of(saved.final.model.robot.kinds)
+    order = [*axes.arm, *axes.external]
+    if len(numbers) != len(order):
+        raise CampaignError(f"{where} has {len(numbers)} numbers, the robot {len(order)} axes")
+    readings = np.zeros(len(order))
+    for value, (unit, k) in zip(numbers, axes.units(order, language.angle, language.length), strict=True):
+        readings[k] = unit * value
+    return readings
+
+
+def _outputs(request: Request, opened: Opened) -> Outputs:
+    """Where the programs of a project are to be written.
+
+    Raises:
+        OutputError: a file that is read would be replaced, or would be read as a program next time, or a file was named that
+            is none of this language.
+    """
+    out, language = request.out, opened.language
+    single = len(opened.names) == 1 and not out.is_dir() and not request.programs[0].is_dir()
+    if single and language_of(out) is not language and out.suffix:
+        name = opened.project.sources[0].path.name
+        raise OutputError(f"{out}: should end as {name} does: it is {language.name}, too; or be a folder")
+    if not single and language_of(out) is not None:
+        raise OutputError(f"{out}: should be a folder: {len(opened.names)} programs are to be written")
+    if single and out.suffix:
+        check_home(out)
+        outputs = Outputs((out,), out.with_name(f"{out.name}{SIDE}"), None)
+    else:
+        _check_outside(out, request.programs)
+        outputs = Outputs(tuple(out / name for name in opened.names), out / SIDE_OF_FOLDER, out)
+    inputs = [*(source.path for source in opened.project.sources), request.calibration, request.frames]
+    for path in (*outputs.files, outputs.side):
+        check_not_read(path, [source for source in inputs if source is not None])
+    return outputs
+
+
+def _check_outside(out: Path, programs: Sequence[Path]) -> None:
+    """Make sure that a folder of outputs is neither one of inputs nor inside of it: they would be read as inputs next time."""
+    place = out.resolve()
+    for path in programs:
+        folder = path.resolve() if path.is_dir() else path.resolve().parent
+        if place == folder or (path.is_dir() and folder in place.parents):
+            raise OutputError(f"{out}: is where the programs are read from; give a folder outside of {folder}")
+
+
+def _write(opened: Opened, outputs: Outputs, texts: Sequence[str], corrections: Sequence[Correction]) -> None:
+    """Write the programs and the table beside them, all or none."""
+    changed = {change.file for correction in corrections for change in correction.changes}
+    sources = opened.project.sources
+    hashes = [output_hash(text) if file in changed else "" for file, text in enumerate(texts)]
+    table = as_table(corrections, [source.path.name for source in sources])
+    table[OUTPUT_HASH] = [hashes[c.target.file] for c in corrections]
+    with ExitStack() as ends:
+        if outputs.folder is not None:
+            built = ends.enter_context(atomic_folder(outputs.folder))
+            places = [built / name for name in opened.names]
+            side = built / SIDE_OF_FOLDER
+        else:
+            places = [ends.enter_context(atomic_file(outputs.files[0]))]
+            side = ends.enter_context(atomic_file(outputs.side))
+        for place, text in zip(places, texts, strict=False):  # behind the programs are files that are only read
+            place.parent.mkdir(parents=True, exist_ok=True)
+            place.write_bytes(text.encode("latin-1"))
+        write_table(table, side)

@@ -1,0 +1,91 @@
+"""The files that a user names as a program, and those of the controller that belong to them."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from aridcal.errors import AridcalError
+from aridcal.programs.language import Language
+from aridcal.programs.languages import LANGUAGES, language_of
+from aridcal.programs.project import Project, Source, read_text
+
+MOST_FILES = 2000
+"""Of one project: the largest backups of a controller have some hundreds."""
+
+SYSTEM = "$"
+"""Begins the names of files that belong to the controller: ``$config.dat``. They are read, and never corrected."""
+
+
+@dataclass(frozen=True)
+class Opened:
+    """A project as it was read.
+
+    Attributes:
+        language: Of all its programs.
+        project: Its files.
+        names: Of the files to be corrected, where they are to be written below an output folder.
+    """
+
+    language: Language
+    project: Project
+    names: tuple[Path, ...]
+
+
+def is_program(path: Path) -> bool:
+    """Whether a path is a program's file by its name, or a folder: of programs then."""
+    return language_of(path) is not None or path.is_dir()
+
+
+def read_project(paths: Sequence[Path]) -> Opened:
+    """Read programs with what belongs to them.
+
+    Args:
+        paths: Files, or folders with all the programs below them.
+
+    Raises:
+        AridcalError: there is none, they are of several languages, or a file cannot be read.
+    """
+    named = [(file, file.name) for path in paths if not path.is_dir() for file in (path,)]
+    named += [(file, str(file.relative_to(path))) for path in paths if path.is_dir() for file in _below(path)]
+    files = {os.path.realpath(file): (file, Path(name)) for file, name in named}
+    ours = [(file, name) for file, name in files.values() if language_of(file) and not file.name.startswith(SYSTEM)]
+    language = _one_language([file for file, _ in ours], paths)
+    if len({str(name).lower() for _, name in ours}) < len(ours):
+        raise AridcalError("two of the programs have the same name: give the folder that both are in")
+    beside = [file for file, _ in files.values() if not any(file is own for own, _ in ours)]
+    beside += [file for own, _ in ours for file in language.context(own)]
+    context = {os.path.realpath(file): file for file in beside}
+    sources = [Source(file, read_text(file)) for file, _ in ours]
+    sources += [
+        Source(file, read_text(file), False) for real, file in context.items() if real not in files or file in beside
+    ]
+    return Opened(language, Project(tuple(sources)), tuple(name for _, name in ours))
+
+
+def _below(folder: Path) -> list[Path]:
+    """All files below a folder that may be of a project, in the order of their names; links to folders are not followed."""
+    endings = {ending for language in LANGUAGES for ending in language.endings}
+    files: list[Path] = []
+    for place, folders, names in os.walk(folder):
+        folders.sort()
+        files += [Path(place) / name for name in sorted(names) if Path(name).suffix.lower() in endings]
+        if len(files) > MOST_FILES:
+            raise AridcalError(f"{folder}: has more than {MOST_FILES} programs: give the folder of one project")
+    return files
+
+
+def _one_language(files: Sequence[Path], paths: Sequence[Path]) -> Language:
+    languages = {language.name: language for file in files if (language := language_of(file)) is not None}
+    if not languages:
+        endings = ", ".join(ending for language in LANGUAGES for ending in language.endings)
+        raise AridcalError(
+            f"{', '.join(map(str, paths))}: there is no program in it: its name should end in one of {endings}"
+        )
+    if len(languages) > 1:
+        raise AridcalError(
+            f"{', '.join(map(str, paths))}: has programs in {' and '.join(sorted(languages))}: correct them one language at a time"
+        )
+    return next(iter(languages.values()))

@@ -1,0 +1,114 @@
+"""Mutants of small programs, read, corrected and proved: the proof is never false, and other bytes never change.
+
+    python benchmarks/program_fuzz.py --language KRL --mutants 1000000
+
+Seeds are the programs of `tests/program_attacks`. Each mutant is read; every target that may be corrected gets other numbers, and
+the new text is proved. A finding is a proof that fails though only numbers of targets were changed, a byte outside of these that
+differs, or any exception but an `AridcalError`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Sequence
+from random import Random
+
+from programs_marked import attacks, cell_of, language_named, project_of
+
+from aridcal.errors import AridcalError
+from aridcal.programs.cell import Cell
+from aridcal.programs.language import Language
+from aridcal.programs.languages import LANGUAGES
+from aridcal.programs.project import Project
+from aridcal.programs.proof import Change, corrected
+from aridcal.programs.text import written
+from fuzz.mutate import mutate
+
+LONGEST = 1500
+"""Bytes of a mutant: what is wrong with a long program is wrong with a short one, and sooner found."""
+
+FRAMES = (
+    "format: 1\n"
+    "bases: {default: {xyz: [0.1, 0, 0]}, '1': {xyz: [0, 0.2, 0]}, '2': {xyz: [0, 0, 0.3]}, '5': {xyz: [0.3, 0, 0]},"
+    " g54: {xyz: [0.1, 0, 0]}, g55: {xyz: [0, 0.1, 0]}}\n"
+    "tools: {default: {xyz: [0, 0, 0.1]}, '1': {xyz: [0, 0, 0.2]}, '2': {xyz: [0, 0, 0.05]}, '3': {xyz: [0, 0, 0.3]}}\n"
+)
+
+
+def changed_outside(before: str, after: str, changes: Sequence[Change]) -> bool:
+    """Whether anything but the given numbers differs: the old numbers are put back, from the end to the beginning."""
+    text, ordered = after, sorted(changes, key=lambda c: c.number.start)
+    shift = sum(len(c.text) - len(c.number.text) for c in ordered)
+    for c in reversed(ordered):
+        shift -= len(c.text) - len(c.number.text)
+        start = c.number.start + shift
+        text = text[:start] + c.number.text + text[start + len(c.text) :]
+    return text != before
+
+
+def attempt(language: Language, cell: Cell, project: Project, rng: Random) -> tuple[int, str]:
+    """How many targets were corrected, and what is wrong; empty if nothing is."""
+    try:
+        targets = language.read(project, cell).targets
+    except AridcalError:
+        return 0, ""
+    changes = []
+    plain = [target for target in targets if not target.why]
+    for target in plain:
+        for number, digits in zip(target.numbers, target.places, strict=True):
+            step = 10.0 ** rng.uniform(-6, 0)
+            changes.append(
+                Change(target.file, number, written(number.value + rng.choice((-step, step)), number.text, digits))
+            )
+    texts = corrected(language, project, cell, targets, changes)
+    for file, (source, text) in enumerate(zip(project.sources, texts, strict=True)):
+        if changed_outside(source.text, text, [c for c in changes if c.file == file]):
+            return len(plain), "a byte outside of targets has changed"
+    return len(plain), ""
+
+
+def fuzz(language: Language, mutants: int, seed: int) -> dict[str, int]:
+    """Counts of mutants, of those with corrected targets, of these targets, and of findings, which are printed."""
+    cell = cell_of(language, FRAMES)
+    seeds = [project_of(attack.files) for ending in language.endings for _, attack in attacks(ending)]
+    texts = [source.text.encode("latin-1") for _, project, _ in seeds for source in project.sources if source.ours]
+    rng = Random(seed)
+    counts = {"mutants": 0, "with targets": 0, "targets": 0, "findings": 0}
+    for number in range(mutants):
+        _, project, _ = rng.choice(seeds)
+        changed = rng.randrange(len(project.sources))
+        new = [source.text for source in project.sources]
+        content = new[changed].encode("latin-1")
+        new[changed] = mutate(content, rng.randrange(2**63), texts, LONGEST).decode("latin-1").replace("\0", " ")
+        mutant = project.with_texts(new)
+        try:
+            targets, fault = attempt(language, cell, mutant, rng)
+        except Exception as problem:  # whatever it is, it is a finding
+            targets, fault = 0, f"{type(problem).__name__}: {problem}"
+        counts["mutants"] += 1
+        counts["with targets"] += targets > 0
+        counts["targets"] += targets
+        if fault:
+            counts["findings"] += 1
+            if counts["findings"] <= 20:
+                print(f"seed {seed}, mutant {number}: {fault}\n{new[changed]!r}", flush=True)
+    return counts
+
+
+def main() -> None:
+    command = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    command.add_argument("--language", choices=[language.name for language in LANGUAGES])
+    command.add_argument("--mutants", type=int, default=1_000_000)
+    command.add_argument("--seed", type=int, default=1)
+    arguments = command.parse_args()
+    languages = LANGUAGES if arguments.language is None else [language_named(arguments.language)]
+    for language in languages:
+        begin = time.process_time()
+        counts = fuzz(language, arguments.mutants, arguments.seed)
+        said = ", ".join(f"{count:,} {name}" for name, count in counts.items())
+        print(f"{language.name}: {said}; {time.process_time() - begin:.0f} s", flush=True)
+
+
+if __name__ == "__main__":
+    main()
