@@ -338,7 +338,7 @@ class Reader:
             line.close()
             if not isinstance(call, Function):
                 raise Misread
-            self._mentions(call, "computes with it")
+            self._mentions(call, "passes it on")
             self._called(line)
         elif word in _MOVES or word in ("spline", "ptp_spline"):
             self._move(line)

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from aridcal.programs.axes import DEGREE, MILLIMETRE
+from aridcal.programs.axes import DEGREE, MILLIMETRE, Axes
 from aridcal.programs.cell import Cell
 from aridcal.programs.frames import absent, unknown
 from aridcal.programs.krl import table
@@ -75,6 +75,17 @@ class Points:
         self._declared: set[tuple[int, int]] = set()
 
     @cached_property
+    def _columns(self) -> dict[str, int]:
+        """The reading of each axis that the robot has."""
+        axes = self.cell.axes
+        arm = dict(zip(AXES, axes.arm, strict=False))
+        return arm | dict(zip(EXTERNAL, axes.external, strict=False))
+
+    @cached_property
+    def _axes(self) -> Axes:
+        return self.cell.axes
+
+    @cached_property
     def codes(self) -> tuple[Code, ...]:
         """The texts."""
         return tuple(file.code for file in self.files)
@@ -114,8 +125,7 @@ class Points:
         why = value.why
         if not why and not self.files[file].ours:
             why = f"stands in {self.files[file].code.name}, which is not corrected: give it, too"
-        axes = self.cell.axes
-        own = {**dict(zip(AXES, axes.arm, strict=False)), **dict(zip(EXTERNAL, axes.external, strict=False))}
+        axes, own = self._axes, self._columns
         stated = {k: v for k, v in value.fields.items() if isinstance(v, Number)}
         if value.jointed:
             columns = [axis for axis in own if axis in stated]

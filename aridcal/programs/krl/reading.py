@@ -12,7 +12,7 @@ import numpy as np
 from aridcal.programs.cell import Cell, Reading
 from aridcal.programs.frames import KnownFrames
 from aridcal.programs.krl import table
-from aridcal.programs.krl.grammar import Broken, Reader, Said
+from aridcal.programs.krl.grammar import Broken, Mention, Reader, Said
 from aridcal.programs.krl.meaning import Element, Meaning, Points
 from aridcal.programs.krl.names import File, Names, file_of
 from aridcal.programs.krl.syntax import Aggregate, Function, Move, Unclear, Variable
@@ -20,7 +20,7 @@ from aridcal.programs.krl.tokens import NAME
 from aridcal.programs.krl.writing import END_OF_FILE
 from aridcal.programs.project import Project
 from aridcal.programs.targets import Target
-from aridcal.programs.uses import Frame, Ledger
+from aridcal.programs.uses import Frame, Ledger, line_name
 from aridcal.programs.walk import Body, Call, Choice, Repeat, State, Step, TooLong, Unknown, Walk
 
 _CONTROL = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f]|\r(?!\n)")
@@ -137,15 +137,14 @@ def _values(
     given: dict[Element, File] = {}
     for file, variable, value in said.values:
         element = variable.element
+        values[element] = value
         if not variable.whole or element in given:
             values[element] = Unknown(f"{variable.shown} is given in two places")
         elif element in stated and not (isinstance(value, Aggregate) and value.frame == stated[element]):
             values[element] = Unknown(f"{variable.shown} is one frame in {file.code.name} and another in --frames")
-        else:
-            values[element] = value
         given[element] = file
     codes = tuple(file.code for file in files)
-    written = {}
+    written: dict[str, str] = {}
     for mention in said.writes:
         line = (
             f"{mention.file.code.name} line {mention.file.code.line(mention.variable.start)}"
@@ -191,7 +190,6 @@ def _stated(frames: KnownFrames) -> dict[Element, object]:
 
 def _spoilt(files: Sequence[File], said: Said) -> dict[tuple[int, int], str]:
     """Why numbers at places of the text must stay: something else than a move uses them."""
-    codes = tuple(file.code for file in files)
     by_key: dict[str, list[tuple[Variable, Aggregate]]] = {}
     for _, variable, value in said.points:
         by_key.setdefault(variable.key, []).append((variable, value))
@@ -204,11 +202,8 @@ def _spoilt(files: Sequence[File], said: Said) -> dict[tuple[int, int], str]:
     for mention in said.reads:
         for variable, value in by_key.get(mention.variable.key, ()):
             if _may_be(mention.variable, variable):
-                line = mention.file.code.line(mention.variable.start)
-                where = f"line {line}" if len(codes) == 1 else f"{mention.file.code.name} line {line}"
-                spoil(value, f"{where} {mention.does}")
+                spoil(value, f"{_line(files, mention)} {mention.does}")
     for key, given in by_key.items():
-        elements = Counter(variable.element for variable, _ in given if variable.whole)
         name = key.split(":")[-1]
         for file, _, _ in said.broken:
             if re.search(rf"(?<![\w$]){re.escape(name)}(?![\w$])", file.code.plain):
@@ -217,8 +212,11 @@ def _spoilt(files: Sequence[File], said: Said) -> dict[tuple[int, int], str]:
         for variable, value in given:
             if variable.worked_out or variable.path:
                 spoil(value, f"{variable.shown} is an element that the program works out")
-        del elements
     return spoilt
+
+
+def _line(files: Sequence[File], mention: Mention) -> str:
+    return line_name(tuple(file.code for file in files), mention.file.code, mention.variable.start)
 
 
 def _may_be(one: Variable, other: Variable) -> bool:

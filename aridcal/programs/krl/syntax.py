@@ -18,6 +18,10 @@ AXES = tuple(f"a{k}" for k in range(1, 7))
 
 EXTERNAL = tuple(f"e{k}" for k in range(1, 7))
 
+_OF_AXES = frozenset((*AXES, *EXTERNAL))
+
+_OF_POSES = frozenset((*POSE, "s", "t", *EXTERNAL))
+
 LARGEST = 1e6
 """Degrees or millimetres: no robot's numbers are beyond."""
 
@@ -92,23 +96,21 @@ class Aggregate:
     end: int
     fields: Mapping[str, Expression]
 
-    @property
+    @cached_property
     def jointed(self) -> bool:
         """Whether it says axes."""
-        return not self.fields.keys().isdisjoint(AXES) or (
-            bool(self.fields) and self.fields.keys() <= set(EXTERNAL) | set(AXES)
-        )
+        return bool(self.fields) and (not self.fields.keys().isdisjoint(AXES) or self.fields.keys() <= _OF_AXES)
 
     @cached_property
     def point(self) -> bool:
         """Whether a move could go there."""
         return not self.fields.keys().isdisjoint((*POSE, *AXES)) and "m" not in self.fields
 
-    @property
+    @cached_property
     def why(self) -> str:
         """Why its numbers are not those of a target; empty if they are."""
         fields = self.fields
-        allowed = {*AXES, *EXTERNAL} if self.jointed else {*POSE, "s", "t", *EXTERNAL}
+        allowed = _OF_AXES if self.jointed else _OF_POSES
         for name, value in fields.items():
             if name not in allowed:
                 return f"has a field {name.upper()}, which no target has"

@@ -109,7 +109,7 @@ FUNCTIONS = frozenset(
         "exists_krldlg clear_krlmsg clear_krldlg set_opt_filter pulse cwrite swrite cclose cioctl ckr "
         "msgnotify msgquit msgdialog msgloop msgstate msgclear msgcreate "
         "svel_cp svel_joint sacc_cp sacc_joint sapo sapo_ptp sload sgear_jerk sjerk scirc_typ scirc_m sori_typ sipo_mode "
-        "s_exax_ign s_exax_ign2 stool stool2 sbase k_root k_type k_offs k_addr k_name k_shift ek eb lk inv_pos "
+        "s_exax_ign s_exax_ign2 use_cm_pro_values stool stool2 sbase k_root k_type k_offs k_addr k_name k_shift ek eb lk inv_pos "
         "err_clear err_raise varval to_string eki_init eki_open eki_close eki_clear eki_send eki_checkbuffer eki_lock eki_unlock "
         "eki_setint eki_setreal eki_setbool eki_setstring eki_setframe eki_clearbuffer md_cmd get_brakesig "
         "set_tq_values tqm_fifo_read md_getstate m_comment getcycdef diag wtime "
