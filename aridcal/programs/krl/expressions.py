@@ -137,7 +137,8 @@ class Line:
         if token.kind == "name":
             return self._named(token)
         if token.kind == "plain":
-            return Aggregate((self._file, token.start), token.end, fields(self._low, self._text, token))
+            values = dict[str, Expression](fields(self._low, self._text, token))
+            return Aggregate((self._file, token.start), token.end, values)
         if token.kind == "number":
             return self._number(token.start, token)
         if token.kind == "word":

@@ -86,6 +86,11 @@ class Points:
         return self.cell.axes
 
     @cached_property
+    def _free(self) -> np.ndarray:
+        """Readings of which none is held."""
+        return np.full(len(self._axes.kinds), np.nan)
+
+    @cached_property
     def codes(self) -> tuple[Code, ...]:
         """The texts."""
         return tuple(file.code for file in self.files)
@@ -135,7 +140,7 @@ class Points:
             why = why or ("" if numbers else "states no axis that this robot has")
             return Target(line, name, "joints", numbers, why, readings, units, digits=5, file=file)
         numbers = tuple(stated[part] for part in POSE if part in stated)
-        held = np.full(len(axes.kinds), np.nan)
+        held = self._free.copy() if axes.external else self._free
         for axis, column in zip(EXTERNAL, axes.external, strict=False):
             if axis in stated:
                 held[column] = axes.unit(column, DEGREE, MILLIMETRE) * stated[axis].value
@@ -452,7 +457,7 @@ class Meaning:
         tool = self._as_frame(conditions.tool, "$TOOL")
         for frame in self._frames(goal.behind[::-1], state):
             tool = product(tool, inverse_of(frame) if isinstance(frame, Frame) else frame)
-        stated = move.word in table.JOINTED and value.states_posture and not goal.behind
+        stated = value.states_posture and not goal.behind
         stance = state.get("stance")
         comes = stance.why if isinstance(stance, Unknown) and not stated else ""
         return Use(line, base, tool, shift, why, None, comes, "shifted" if goal.behind else ""), stated
@@ -462,8 +467,6 @@ class Meaning:
 
     def _stance(self, move: Move, value: Aggregate, use: Use, stated: bool, state: State) -> None:
         """Note whether it is known how the arm stands behind a move."""
-        if move.word not in table.JOINTED:
-            return
         read = not value.why and not use.trouble and value.place not in self._points.spoilt
         if not read:
             self._unread(move, state)

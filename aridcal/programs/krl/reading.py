@@ -199,10 +199,17 @@ def _spoilt(files: Sequence[File], said: Said) -> dict[tuple[int, int], str]:
         assert value.place is not None
         spoilt.setdefault(value.place, why)
 
+    sound = dict(by_key)  # what is spoilt is not looked at again: a point may be read in each line
     for mention in said.reads:
-        for variable, value in by_key.get(mention.variable.key, ()):
-            if _may_be(mention.variable, variable):
-                spoil(value, f"{_line(files, mention)} {mention.does}")
+        own = sound.get(mention.variable.key)
+        if own:
+            rest = [given for given in own if not _may_be(mention.variable, given[0])]
+            if len(rest) < len(own):
+                why = f"{_line(files, mention)} {mention.does}"
+                for variable, value in own:
+                    if _may_be(mention.variable, variable):
+                        spoil(value, why)
+                sound[mention.variable.key] = rest
     for key, given in by_key.items():
         name = key.split(":")[-1]
         for file, _, _ in said.broken:

@@ -197,7 +197,7 @@ def variables(expression: Expression) -> Iterator[Variable]:
 def parts(expression: Expression) -> tuple[Expression, ...]:
     """What an expression is made of."""
     if isinstance(expression, Aggregate):
-        return tuple(value for value in expression.fields.values() if not isinstance(value, Number))
+        return tuple(value for value in expression.fields.values() if not isinstance(value, Number | Word | Text))
     if isinstance(expression, Function):
         return expression.arguments
     if isinstance(expression, Product):

@@ -5,17 +5,22 @@ from __future__ import annotations
 import re
 from typing import NamedTuple
 
+from aridcal.programs.krl.syntax import Text, Word
 from aridcal.programs.text import Number
 
 _NUMBER = r"[-+]?(?:\d++(?:\.\d*+)?|\.\d++)(?:e[-+]?\d++)?"
 
-_PLAIN = (
-    r"\{[ \t]*+(?:(?:e6pos|pos|frame|e6axis|axis)[ \t]*+:[ \t]*+)?"
-    rf"[a-z][a-z0-9]?[ \t]++{_NUMBER}[ \t]*+(?:,[ \t]*+[a-z][a-z0-9]?[ \t]++{_NUMBER}[ \t]*+)*+\}}"
-)
-"""An aggregate of plain numbers, which is what most lines of long programs have."""
+_VALUE = rf"(?:{_NUMBER}|#[a-z_]\w*+|\"[^\"\n]*+\"|true|false)"
 
-_FIELD = re.compile(rf"([a-z][a-z0-9]?)[ \t]++({_NUMBER})", re.ASCII)
+_NAME = r"[a-z_]\w*+(?:\[\])?"
+
+_PLAIN = (
+    r"\{[ \t]*+(?:(?:e6pos|pos|frame|e6axis|axis|fdat|pdat|ldat)[ \t]*+:[ \t]*+)?"
+    rf"{_NAME}[ \t]++{_VALUE}[ \t]*+(?:,[ \t]*+{_NAME}[ \t]++{_VALUE}[ \t]*+)*+\}}"
+)
+"""An aggregate of plain values, which is what most lines of long programs have."""
+
+_FIELD = re.compile(rf"[{{,:][ \t]*+([a-z_]\w*+)(?:\[\])?[ \t]++(?:({_NUMBER})|(#[a-z_]\w*+)|[\"tf])", re.ASCII)
 
 _TOKEN = re.compile(
     rf"[ \t\r]*+(?:(?P<plain>{_PLAIN})|(?P<number>(?:\d++(?:\.\d*+)?|\.\d++)(?:e[-+]?\d++)?(?![\w$.]))|(?P<name>[a-z_$][\w$]*+)"
@@ -37,7 +42,7 @@ class Token(NamedTuple):
     """A word, a number or a sign.
 
     Attributes:
-        kind: ``name``, ``number``, ``word``, ``text``, ``bits``, ``sign``, or ``plain``: an aggregate of plain numbers.
+        kind: ``name``, ``number``, ``word``, ``text``, ``bits``, ``sign``, or ``plain``: an aggregate of plain values.
         text: In small letters.
         start: Its place in the file.
         end: Behind it.
@@ -74,13 +79,13 @@ def tokens(text: str, start: int, end: int) -> list[Token]:
             break
         kind = match.lastgroup
         assert kind is not None
-        start = match.end()
-        line.append(Token(kind, match.group(kind), match.start(kind), start))
+        begin, start = match.span(kind)
+        line.append(Token(kind, text[begin:start], begin, start))
     return line
 
 
-def fields(low: str, text: str, token: Token) -> dict[str, Number]:
-    """Fields of an aggregate of plain numbers.
+def fields(low: str, text: str, token: Token) -> dict[str, Number | Word | Text]:
+    """Fields of an aggregate of plain values.
 
     Args:
         low: The text in small letters.
@@ -90,10 +95,13 @@ def fields(low: str, text: str, token: Token) -> dict[str, Number]:
     Raises:
         Misread: a name stands there twice.
     """
-    values = {
-        match.group(1): Number(match.start(2), text[match.start(2) : match.end(2)])
-        for match in _FIELD.finditer(low, token.start, token.end)
-    }
-    if len(values) != token.text.count(",") + 1:
+    values: dict[str, Number | Word | Text] = {}
+    count = 0
+    for match in _FIELD.finditer(low, token.start, token.end):
+        name, number, word = match.groups()
+        start = match.start(2)
+        count += 1
+        values[name] = Number(start, text[start : match.end(2)]) if number else Word(word) if word else Text()
+    if len(values) != count:
         raise Misread
     return values
