@@ -25,7 +25,9 @@ BEGIN = (
 
 def program(body: str, more: str = "") -> dict[str, str]:
     """A program of one file, known at its beginning."""
-    return {"a.src": f"&ACCESS RVP\nDEF a( )\nDECL E6POS P1,P2,P3\nDECL E6POS P[5]\nINT I\nREAL R\nFRAME F\n{BEGIN}{body}\nEND\n{more}"}
+    return {
+        "a.src": f"&ACCESS RVP\nDEF a( )\nDECL E6POS P1,P2,P3\nDECL E6POS P[5]\nINT I\nREAL R\nFRAME F\n{BEGIN}{body}\nEND\n{more}"
+    }
 
 
 def project(body: str, data: str, more: str = "", **others: str) -> dict[str, str]:
@@ -36,7 +38,7 @@ def project(body: str, data: str, more: str = "", **others: str) -> dict[str, st
 
 CONFIG = f"DEFDAT $CONFIG\nFRAME BASE_DATA[32]\nFRAME TOOL_DATA[16]\nBASE_DATA[1]={FRAME}\nBASE_DATA[2]={OTHER}\nTOOL_DATA[1]={FRAME}\nENDDAT\n"
 
-FORM = "DECL FDAT FP1={TOOL_NO 1,BASE_NO 1,IPO_FRAME #BASE,POINT2[] \" \",TQ_STATE FALSE}"
+FORM = 'DECL FDAT FP1={TOOL_NO 1,BASE_NO 1,IPO_FRAME #BASE,POINT2[] " ",TQ_STATE FALSE}'
 
 INLINE = "$BWDSTART=FALSE\nPDAT_ACT=PPDAT1\nFDAT_ACT=FP1\nBAS(#PTP_PARAMS,100)\nPTP XP1"
 
@@ -57,7 +59,11 @@ def point(name: str, statement: str, why: str = "", more: str = "") -> Attack:
 
 
 FRAMES = (
-    left("the base from a function", "$BASE=newbase(3)", more="DEFFCT FRAME newbase(n:IN)\nINT n\nRETURN $NULLFRAME\nENDFCT\n"),
+    left(
+        "the base from a function",
+        "$BASE=newbase(3)",
+        more="DEFFCT FRAME newbase(n:IN)\nINT n\nRETURN $NULLFRAME\nENDFCT\n",
+    ),
     left("a base of the controller that nobody gives", "BAS(#BASE,4)", "4"),
     left("a tool of the controller that nobody gives", "BAS(#TOOL,4)", "4"),
     left("a base worked out", "$BASE.Z=R+5"),
@@ -110,7 +116,10 @@ FRAMES = (
     ),
     Attack(
         "a base behind a routine that no file has",
-        {"a.src": f"DEF a()\n{BEGIN}{GOOD}\nMYSUB()\nBAS(#BASE,1)\n$TOOL=$NULLFRAME\n{LEFT}\nEND\n", "$config.dat": CONFIG},
+        {
+            "a.src": f"DEF a()\n{BEGIN}{GOOD}\nMYSUB()\nBAS(#BASE,1)\n$TOOL=$NULLFRAME\n{LEFT}\nEND\n",
+            "$config.dat": CONFIG,
+        },
         why="MYSUB",
     ),
     Attack(
@@ -129,7 +138,9 @@ FRAMES = (
     ),
     Attack(
         "an interrupt sets the base",
-        program(f"INTERRUPT DECL 5 WHEN $IN[3] DO stop1()\nINTERRUPT ON 5\n{LEFT}", "DEF stop1()\n$BASE=$NULLFRAME\nEND\n"),
+        program(
+            f"INTERRUPT DECL 5 WHEN $IN[3] DO stop1()\nINTERRUPT ON 5\n{LEFT}", "DEF stop1()\n$BASE=$NULLFRAME\nEND\n"
+        ),
         why="at any time",
     ),
     Attack(
@@ -151,7 +162,9 @@ FRAMES = (
         ),
         why="RESUME",
     ),
-    Attack("no base is set", {"a.src": f"DEF a()\nPTP ⟨{{A1 1,A2 -90,A3 90,A4 0,A5 9,A6 0}}⟩\n{LEFT}\nEND\n"}, why="$BASE"),
+    Attack(
+        "no base is set", {"a.src": f"DEF a()\nPTP ⟨{{A1 1,A2 -90,A3 90,A4 0,A5 9,A6 0}}⟩\n{LEFT}\nEND\n"}, why="$BASE"
+    ),
     Attack(
         "routines that nothing calls begin with nothing",
         program(GOOD, f"DEF other()\n{LEFT}\nEND\n"),
@@ -162,10 +175,16 @@ FRAMES = (
         program("sub()\n$BASE=$NULLFRAME\nsub()", f"DEF sub()\n{LEFT}\nEND\n"),
         why="another frame",
     ),
-    Attack("a file whose blocks do not close", {"a.src": f"DEF a()\n{BEGIN}IF $IN[1] THEN\n{LEFT}\nEND\n"}, why="understood"),
+    Attack(
+        "a file whose blocks do not close",
+        {"a.src": f"DEF a()\n{BEGIN}IF $IN[1] THEN\n{LEFT}\nEND\n"},
+        why="understood",
+    ),
     Attack("an END too many", {"a.src": f"DEF a()\n{BEGIN}{LEFT}\nENDIF\nEND\n"}, why="understood"),
     Attack("a jump to nowhere", {"a.src": f"DEF a()\n{BEGIN}{LEFT}\nGOTO nowhere\nEND\n"}, why="label"),
-    Attack("a carriage return alone", {"a.src": f"DEF a()\n{BEGIN}; text\r$BASE=$NULLFRAME\n{LEFT}\nEND\n"}, why="carriage"),
+    Attack(
+        "a carriage return alone", {"a.src": f"DEF a()\n{BEGIN}; text\r$BASE=$NULLFRAME\n{LEFT}\nEND\n"}, why="carriage"
+    ),
     Attack(
         "two files have the routine",
         {
@@ -207,7 +226,11 @@ POINTS = (
     Attack("two bases", program(f"P1=⟦{POSE}⟧\nLIN P1\n$BASE=$NULLFRAME\nLIN P1\n{GOOD}"), why="another frame"),
     Attack("two tools", program(f"P1=⟦{POSE}⟧\nLIN P1\n$TOOL=$NULLFRAME\nLIN P1\n{GOOD}"), why="another tool"),
     Attack("a base that goes round a loop", program(f"LOOP\n{LEFT}\n$BASE=$BASE:{FRAME}\nENDLOOP")),
-    Attack("indexed", program(f"P[1]=⟦{POSE}⟧\nP[2]=⟦{POSE}⟧\nP2=⟨{POSE}⟩\nFOR I=1 TO 2\nLIN P[I]\nENDFOR\nLIN P2"), why="indexes"),
+    Attack(
+        "indexed",
+        program(f"P[1]=⟦{POSE}⟧\nP[2]=⟦{POSE}⟧\nP2=⟨{POSE}⟩\nFOR I=1 TO 2\nLIN P[I]\nENDFOR\nLIN P2"),
+        why="indexes",
+    ),
     Attack("indexed, and named once", program(f"P[1]=⟦{POSE}⟧\nLIN P[1]\nI=1\nLIN P[I]\n{GOOD}"), why="indexes"),
     Attack("an element assigned at a place worked out", program(f"P[I]=⟦{POSE}⟧\nLIN P[1]\n{GOOD}")),
     Attack("the same number under another name", program(f"P1=⟦{POSE}⟧\nP2=P1\nLIN P2\n{GOOD}"), why="assigns"),
@@ -216,7 +239,11 @@ POINTS = (
     Attack("a part of the literal in a move is worked out", program(f"LIN {{X ⟦1⟧,Y 2,Z 100+R,A 4,B 5,C 6}}\n{GOOD}")),
     Attack("a part of a pose", program(f"LIN {{Z ⟦300⟧}}\n{GOOD}"), why="does not state"),
     Attack("a step", program(f"LIN_REL {{X ⟦10⟧,Y 0,Z 5}}\n{GOOD}"), why="step"),
-    Attack("a step of axes", program(f"PTP_REL {{A1 ⟦10⟧}}\nPTP {{A1 ⟨10⟩,A2 -80,A3 90,A4 5,A5 40,A6 6}}\n{GOOD}"), why="step"),
+    Attack(
+        "a step of axes",
+        program(f"PTP_REL {{A1 ⟦10⟧}}\nPTP {{A1 ⟨10⟩,A2 -80,A3 90,A4 5,A5 40,A6 6}}\n{GOOD}"),
+        why="step",
+    ),
     Attack("a circle that goes on", program(f"CIRC ⟦{POSE}⟧,⟦{OTHER}⟧,CA 235\n{GOOD}"), why="CA"),
     Attack("a name twice in a pose", program("LIN {X ⟦1⟧,X 2,Y 2,Z 3,A 4,B 5,C 6}\n$BASE=$NULLFRAME")),
     Attack("a field that no pose has", program(f"LIN {{X ⟦1⟧,Y 2,Z 3,A 4,B 5,C 6,Q 7}}\n{GOOD}"), why="Q"),
@@ -230,7 +257,10 @@ POINTS = (
     ),
     Attack(
         "a point of the data list that a routine that no file has gets",
-        project(f"{GOOD}\nTEACH(P1)\n$BASE=$NULLFRAME\n$TOOL=$NULLFRAME\n$IPO_MODE=#BASE\nLIN P1\nLIN P2", f"DECL E6POS P1=⟦{POSE}⟧\nDECL E6POS P2=⟨{POSE}⟩"),
+        project(
+            f"{GOOD}\nTEACH(P1)\n$BASE=$NULLFRAME\n$TOOL=$NULLFRAME\n$IPO_MODE=#BASE\nLIN P1\nLIN P2",
+            f"DECL E6POS P1=⟦{POSE}⟧\nDECL E6POS P2=⟨{POSE}⟩",
+        ),
     ),
     Attack(
         "a point that is declared twice",
@@ -243,11 +273,17 @@ POINTS = (
     ),
     Attack(
         "a parameter hides the point",
-        project(f"{GOOD}\nsub(P2)", f"DECL E6POS P1=⟦{POSE}⟧\nDECL E6POS P2=⟦{POSE}⟧", "DEF sub(P1:IN)\nE6POS P1\nLIN P1\nEND\n"),
+        project(
+            f"{GOOD}\nsub(P2)",
+            f"DECL E6POS P1=⟦{POSE}⟧\nDECL E6POS P2=⟦{POSE}⟧",
+            "DEF sub(P1:IN)\nE6POS P1\nLIN P1\nEND\n",
+        ),
     ),
     Attack(
         "a point of another module",
-        project(f"LIN P1\n{GOOD}", "INT N", b__dat=f"DEFDAT B\nDECL E6POS P1=⟦{POSE}⟧\nENDDAT\n", b__src="DEF b()\nEND\n"),
+        project(
+            f"LIN P1\n{GOOD}", "INT N", b__dat=f"DEFDAT B\nDECL E6POS P1=⟦{POSE}⟧\nENDDAT\n", b__src="DEF b()\nEND\n"
+        ),
     ),
     Attack(
         "a global point that another file computes with",
@@ -261,9 +297,8 @@ POINTS = (
     ),
     Attack(
         "the data of an inline form are written",
-        project(
-            f"FP1.BASE_NO=2\n{INLINE}", f"DECL E6POS XP1=⟦{FULL}⟧\n{FORM}", _config__dat=CONFIG
-        ).copy() | {"b.src": f"DEF b()\nFP1.TOOL_NO=R\nEND\nDEF c()\n{BEGIN}{GOOD}\nEND\n"},
+        project(f"FP1.BASE_NO=2\n{INLINE}", f"DECL E6POS XP1=⟦{FULL}⟧\n{FORM}", _config__dat=CONFIG).copy()
+        | {"b.src": f"DEF b()\nFP1.TOOL_NO=R\nEND\nDEF c()\n{BEGIN}{GOOD}\nEND\n"},
     ),
     Attack(
         "the form's data depend on a branch",
@@ -300,8 +335,14 @@ POINTS = (
 
 CONTROLS = (
     followed("a part of the base", "$BASE.Z=100"),
-    followed("signals and timers", "$OUT[3]=TRUE\n$TIMER[1]=0\n$TIMER_STOP[1]=FALSE\n$FLAG[2]=$IN[3] AND NOT $IN[4]\nPULSE($OUT[1],TRUE,0.5)"),
-    followed("speeds", "$VEL.CP=0.2\n$ACC_AXIS[1]=50\n$APO.CDIS=5\n$ADVANCE=3\nBAS(#VEL_PTP,30)\nBAS (#ACC_CP , 20 )\n$OV_PRO=50"),
+    followed(
+        "signals and timers",
+        "$OUT[3]=TRUE\n$TIMER[1]=0\n$TIMER_STOP[1]=FALSE\n$FLAG[2]=$IN[3] AND NOT $IN[4]\nPULSE($OUT[1],TRUE,0.5)",
+    ),
+    followed(
+        "speeds",
+        "$VEL.CP=0.2\n$ACC_AXIS[1]=50\n$APO.CDIS=5\n$ADVANCE=3\nBAS(#VEL_PTP,30)\nBAS (#ACC_CP , 20 )\n$OV_PRO=50",
+    ),
     followed("waits", "WAIT SEC 0.5\nWAIT FOR $IN[1] AND NOT $IN[2]\nCONTINUE\nHALT"),
     followed("arithmetic", "I=I+1\nR=SIN(R)*2-I/3\nP[I+1].X=R"),
     followed("messages", 'MSGNOTIFY("text; with a semicolon")\n$LOOP_MSG[]="a"'),
@@ -311,20 +352,42 @@ CONTROLS = (
     followed("a routine that is given", "sub(3)", "DEF sub(n:IN)\nINT n\n$OUT[n]=TRUE\nEND\n"),
     followed("the standard interrupt", "GLOBAL INTERRUPT DECL 3 WHEN $STOPMESS==TRUE DO IR_STOPM ( )\nINTERRUPT ON 3"),
     followed("a trigger of a signal", "TRIGGER WHEN DISTANCE=1 DELAY=-20 DO $OUT[5]=TRUE PRIO=-1"),
-    followed("an interrupt that only counts", "INTERRUPT DECL 4 WHEN $IN[4] DO sub()\nINTERRUPT ON 4", "DEF sub()\nI=I+1\nEND\n"),
+    followed(
+        "an interrupt that only counts",
+        "INTERRUPT DECL 4 WHEN $IN[4] DO sub()\nINTERRUPT ON 4",
+        "DEF sub()\nI=I+1\nEND\n",
+    ),
     followed("a load", "$LOAD={M 5,CM {X 0,Y 0,Z 10,A 0,B 0,C 0},J {X 0,Y 0,Z 0}}"),
     followed("grippers", "H50(GRP_APO,1,2,GCONT)\nUSER_GRP(0,DUMMY,DUMMY,GDEFAULT)"),
     followed("external axes", "ASYPTP {E1 30}"),
     followed("relative moves along a line", "LIN_REL {Z 50} #TOOL"),
-    Attack("a spline", program(f"SPLINE WITH $VEL.CP=0.2\nSPL ⟨{POSE}⟩\nSLIN ⟨{OTHER}⟩\nSCIRC ⟨{POSE}⟩,⟨{OTHER}⟩\nENDSPLINE C_SPL")),
+    Attack(
+        "a spline",
+        program(f"SPLINE WITH $VEL.CP=0.2\nSPL ⟨{POSE}⟩\nSLIN ⟨{OTHER}⟩\nSCIRC ⟨{POSE}⟩,⟨{OTHER}⟩\nENDSPLINE C_SPL"),
+    ),
     Attack("a circle", program(f"CIRC ⟨{POSE}⟩,⟨{OTHER}⟩ C_DIS")),
-    Attack("a shifted point", program(f"P1=⟨{POSE}⟩\nLIN P1:{{X 0,Y 0,Z -50,A 0,B 0,C 0}}\nLIN P1\nLIN P1:{{X 0,Y 0,Z -50,A 0,B 0,C 0}}")),
-    Attack("types before numbers", program(f"LIN ⟨{{FRAME: X 500, Y 10, Z 300, A 4, B 5, C 6}}⟩\nPTP ⟨{{E6POS:X 500,Y 10,Z 300,A 4,B 5,C 6,S 2,T 10,E1 0}}⟩")),
+    Attack(
+        "a shifted point",
+        program(f"P1=⟨{POSE}⟩\nLIN P1:{{X 0,Y 0,Z -50,A 0,B 0,C 0}}\nLIN P1\nLIN P1:{{X 0,Y 0,Z -50,A 0,B 0,C 0}}"),
+    ),
+    Attack(
+        "types before numbers",
+        program(
+            f"LIN ⟨{{FRAME: X 500, Y 10, Z 300, A 4, B 5, C 6}}⟩\nPTP ⟨{{E6POS:X 500,Y 10,Z 300,A 4,B 5,C 6,S 2,T 10,E1 0}}⟩"
+        ),
+    ),
     Attack("numbers of all forms", program("LIN ⟨{X +500.,Y .5,Z 3e2,A -4E+0,B 5,C 6}⟩")),
-    Attack("tabs, blanks and small letters", program("\tlin\t⟨{ x 500 ,y\t10 , z 300,a 4,b 5,c 6 }⟩\tc_dis c_dis ; comment")),
+    Attack(
+        "tabs, blanks and small letters",
+        program("\tlin\t⟨{ x 500 ,y\t10 , z 300,a 4,b 5,c 6 }⟩\tc_dis c_dis ; comment"),
+    ),
     Attack(
         "inline forms",
-        project(INLINE, f"DECL E6POS XP1=⟨{FULL}⟩\n{FORM}\nDECL PDAT PPDAT1={{VEL 100.0,ACC 100.0,APO_DIST 100.0}}", _config__dat=CONFIG),
+        project(
+            INLINE,
+            f"DECL E6POS XP1=⟨{FULL}⟩\n{FORM}\nDECL PDAT PPDAT1={{VEL 100.0,ACC 100.0,APO_DIST 100.0}}",
+            _config__dat=CONFIG,
+        ),
     ),
     Attack(
         "inline forms of KSS 8",
@@ -354,9 +417,14 @@ CONTROLS = (
     ),
     Attack(
         "a routine that no file has reaches no points of the data list",
-        project(f"MYSUB()\n$BASE=$NULLFRAME\n$TOOL=$NULLFRAME\n$IPO_MODE=#BASE\nLIN P1\n{GOOD}", f"DECL E6POS P1=⟨{POSE}⟩"),
+        project(
+            f"MYSUB()\n$BASE=$NULLFRAME\n$TOOL=$NULLFRAME\n$IPO_MODE=#BASE\nLIN P1\n{GOOD}", f"DECL E6POS P1=⟨{POSE}⟩"
+        ),
     ),
-    Attack("home is monitored", project(f"$H_POS=XHOME\nPTP XHOME\n{GOOD}", "DECL E6AXIS XHOME=⟨{A1 0,A2 -90,A3 90,A4 0,A5 0,A6 0}⟩")),
+    Attack(
+        "home is monitored",
+        project(f"$H_POS=XHOME\nPTP XHOME\n{GOOD}", "DECL E6AXIS XHOME=⟨{A1 0,A2 -90,A3 90,A4 0,A5 0,A6 0}⟩"),
+    ),
 )
 
 ATTACKS: tuple[Attack, ...] = (*FRAMES, *POINTS, *CONTROLS)

@@ -50,6 +50,9 @@ BEGINNING = "no axes are stated before, so that it is not known how the arm stan
 
 STEP = "is a step from the place before"
 
+MOST_USES = 40
+"""Ways in which one point is used that are compared with each other: people use two or three."""
+
 LONGEST = 60
 """Letters of a target's name."""
 
@@ -73,6 +76,7 @@ class Points:
     def __post_init__(self) -> None:
         self._jumps: set[tuple[int, int]] = set()
         self._declared: set[tuple[int, int]] = set()
+        self._uses: dict[tuple[int, int], list[Use]] = {}
 
     @cached_property
     def _columns(self) -> dict[str, int]:
@@ -115,7 +119,14 @@ class Points:
         self.declare(name, value)
         if stated:
             self._jumps.add(value.place)
-        self.ledger.go(value.place, use)
+        uses = self._uses.setdefault(value.place, [])
+        if len(uses) == MOST_USES:
+            self.ledger.spoil(value.place, f"is used in more than {MOST_USES} ways, which are not compared")
+        elif not any(
+            use.same(other) and use.trouble == other.trouble and use.unknown == other.unknown for other in uses
+        ):
+            uses.append(use)
+            self.ledger.go(value.place, use)
 
     def vague(self, goal: Goal, file: int, why: str) -> None:
         """A move goes to a place that no plain numbers say."""
@@ -198,7 +209,7 @@ class Meaning:
         self._shifted = sorted(table.CORRECTIONS & written)
         self._ignoring = any("#ignore" in code.plain for code in points.codes)
         self._oddities = sorted(said.odd | {key for key in written if _odd(key, points.cell)})
-        self.robroot = self._root()
+        self.foot = foot(said)
 
     # the beginning
 
@@ -208,7 +219,8 @@ class Meaning:
         frames = self._stated
         for family, stated in (("$base", frames.bases), ("$tool", frames.tools)):
             if "default" in stated:
-                state.set("frame", family, self._of_user(family, stated["default"]))
+                stated_frame = Frame(stated["default"])
+                state.set("frame", family, product(self.foot, stated_frame) if family == "$base" else stated_frame)
             else:
                 state.forget(
                     "frame", family, f"{family.upper()} is not set before: state it, or call BAS, or give the caller"
@@ -231,15 +243,6 @@ class Meaning:
         for family in ("frame", "mode", "stance"):
             state.forget_family(family, why)
         return state
-
-    def _root(self) -> Frame:
-        """T_world_foot: where the foot of the robot is in the world of the controller."""
-        value = self._constants.get(("$robroot", None))
-        return value.frame or HERE if isinstance(value, Aggregate) else HERE
-
-    def _of_user(self, family: str, T: np.ndarray) -> Frame:
-        """A frame of --frames as the program counts it: bases are stated from the robot's foot, and count from the world."""
-        return self.robroot @ Frame(T) if family == "$base" else Frame(T)
 
     # statements
 
@@ -452,11 +455,11 @@ class Meaning:
             return Use(line, why="has frames beside axes" if shift else move.why or conditions.odd_why), False
         why = move.why or conditions.why
         base = self._as_frame(conditions.base, "$BASE")
-        if shift or self.robroot is not HERE:
-            base = product(inverse_of(self.robroot), base, *self._frames(goal.before, state))
+        if shift or self.foot is not HERE:
+            base = product(inverse_of(self.foot), base, *self._frames(goal.before, state))
         tool = self._as_frame(conditions.tool, "$TOOL")
         for frame in self._frames(goal.behind[::-1], state):
-            tool = product(tool, inverse_of(frame) if isinstance(frame, Frame) else frame)
+            tool = product(tool, inverse_of(frame))
         stated = value.states_posture and not goal.behind
         stance = state.get("stance")
         comes = stance.why if isinstance(stance, Unknown) and not stated else ""
@@ -512,7 +515,7 @@ class Meaning:
         if key in table.FRAMES_OF_ALL:
             return HERE
         if key == "$robroot":
-            return self.robroot
+            return self.foot
         if key in ("$base", "$tool"):
             return state.get("frame", key)
         if key.startswith("$"):
@@ -647,9 +650,20 @@ class _Parts:
         return Unknown(f"{self.shown} is no structure")
 
 
-def inverse_of(frame: Frame) -> Frame:
-    """The inverse."""
-    return Frame(inverse(frame.T)) if frame is not HERE else HERE
+def inverse_of(frame: object) -> object:
+    """The inverse of a frame that may be unknown."""
+    return Frame(inverse(frame.T)) if isinstance(frame, Frame) and frame is not HERE else frame
+
+
+def foot(said: Said) -> Frame | Unknown:
+    """Where the foot of the robot is in the world of the controller, by $ROBROOT of its machine data."""
+    given = [value for _, variable, value in said.values if variable.key == "$robroot"]
+    if not given:
+        return HERE
+    value = given[0]
+    if len(given) > 1 or not isinstance(value, Aggregate) or value.frame is None:
+        return Unknown("$ROBROOT is given twice, or is no frame of six plain numbers")
+    return value.frame
 
 
 def _shown_of(goal: Goal) -> str:

@@ -13,14 +13,14 @@ from aridcal.programs.cell import Cell, Reading
 from aridcal.programs.frames import KnownFrames
 from aridcal.programs.krl import table
 from aridcal.programs.krl.grammar import Broken, Mention, Reader, Said
-from aridcal.programs.krl.meaning import Element, Meaning, Points
+from aridcal.programs.krl.meaning import Element, Meaning, Points, foot
 from aridcal.programs.krl.names import File, Names, file_of
 from aridcal.programs.krl.syntax import Aggregate, Function, Move, Unclear, Variable
 from aridcal.programs.krl.tokens import NAME
 from aridcal.programs.krl.writing import END_OF_FILE
 from aridcal.programs.project import Project
 from aridcal.programs.targets import Target
-from aridcal.programs.uses import Frame, Ledger, line_name
+from aridcal.programs.uses import Frame, Ledger, line_name, product
 from aridcal.programs.walk import Body, Call, Choice, Repeat, State, Step, TooLong, Unknown, Walk
 
 _CONTROL = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f]|\r(?!\n)")
@@ -43,7 +43,7 @@ def read(project: Project, cell: Cell) -> Reading:
         cell: The robot, and frames that the user states.
     """
     files = tuple(
-        file_of(k, source.path.name, _without_mark(source.text), source.ours)
+        file_of(k, source.path.name, _without_marks(source.text), source.ours)
         for k, source in enumerate(project.sources)
     )
     said, names = _parsed([file for file in files if file.stem not in table.SYSTEM_MODULES])
@@ -88,11 +88,11 @@ def _entries(parent: Path) -> list[Path]:
         return []
 
 
-def _without_mark(text: str) -> str:
-    """The text, a byte order mark at its beginning as blanks."""
+def _without_marks(text: str) -> str:
+    """The text, a byte order mark at its beginning and marks of its end as blanks."""
     if text.startswith(_BYTE_ORDER_MARK):
-        return " " * len(_BYTE_ORDER_MARK) + text[len(_BYTE_ORDER_MARK) :]
-    return text
+        text = " " * len(_BYTE_ORDER_MARK) + text[len(_BYTE_ORDER_MARK) :]
+    return text.rstrip(END_OF_FILE).ljust(len(text))
 
 
 def _parsed(files: Sequence[File]) -> tuple[Said, Names]:
@@ -100,7 +100,7 @@ def _parsed(files: Sequence[File]) -> tuple[Said, Names]:
     said, names = Said(), Names()
     sound = []
     for file in files:
-        odd = _CONTROL.search(file.code.text.rstrip(END_OF_FILE))
+        odd = _CONTROL.search(file.code.text)
         if odd is not None:
             said.broken.append((file, odd.start(), "has a control character, or a carriage return alone"))
         else:
@@ -132,7 +132,7 @@ def _values(
     files: Sequence[File], said: Said, names: Names, frames: KnownFrames
 ) -> tuple[dict[Element, object], dict[Element, object]]:
     """Values of data lists and of --frames: those that stay for ever, and those that hold when a program begins."""
-    stated = _stated(frames)
+    stated = _stated(frames, foot(said))
     values: dict[Element, object] = dict(stated)
     given: dict[Element, File] = {}
     for file, variable, value in said.values:
@@ -168,8 +168,8 @@ def _values(
     return constants, begin
 
 
-def _stated(frames: KnownFrames) -> dict[Element, object]:
-    """Frames of the user by the variable that they are."""
+def _stated(frames: KnownFrames, world_foot: Frame | Unknown) -> dict[Element, object]:
+    """Frames of the user by the variable that they are: bases are stated from the robot's foot, and count from the world."""
     values: dict[Element, object] = {}
     for kind, given in (("base_data", frames.bases), ("tool_data", frames.tools)):
         for name, T in given.items():
@@ -180,7 +180,7 @@ def _stated(frames: KnownFrames) -> dict[Element, object]:
                 element = (match.group(1), (float(match.group(2)),))
             if name == "default":
                 continue
-            frame = Frame(T)
+            frame = product(world_foot, Frame(T)) if kind == "base_data" else Frame(T)
             if element in values and values[element] != frame:
                 values[element] = Unknown(f"{name} is two frames in --frames")
             else:

@@ -104,7 +104,7 @@ ODD = {
 
 FUNCTIONS = frozenset(
     (
-        "abs sqrt sin cos tan acos asin atan atan2 exp ln varstate b_and b_or b_not b_exor strlen strdecllen strfind strcomp "
+        "abs sqrt sin cos tan acos asin atan atan2 exp ln varstate strlen strdecllen strfind strcomp "
         "getvaridx get_sig_inf get_decl_place get_decl_dim is_key_pressed timer_limit sync set_krlmsg set_krldlg exists_krlmsg "
         "exists_krldlg clear_krlmsg clear_krldlg set_opt_filter pulse cwrite swrite cclose cioctl ckr "
         "msgnotify msgquit msgdialog msgloop msgstate msgclear msgcreate "
