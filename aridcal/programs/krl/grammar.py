@@ -39,6 +39,9 @@ _BODIES = {
     "repeat": "until",
 }
 
+_BEFORE_BRACKETS = frozenset(("not", "and", "or", "exor", "b_not", "b_and", "b_or", "b_exor", "if", "when", "path", "do"))
+"""Words before a bracket that call nothing."""
+
 _ENDS = frozenset((*_BODIES.values(), "endspline", "else", "case", "default"))
 
 
@@ -90,6 +93,7 @@ class Said:
         threads: Interrupts and triggers.
         missing: Routines that are called and are in no file, in small letters.
         packages: Routines of technology packages that are called.
+        imported: Names of variables that one module takes from another.
         odd: Routines of :data:`table.ODD` that are called.
         resumes: The statement by which an interrupt breaks routines off, and its file.
         broken: What is wrong with a file, its place, and the file.
@@ -104,6 +108,7 @@ class Said:
     threads: list[Thread] = field(default_factory=list)
     missing: set[str] = field(default_factory=set)
     packages: set[str] = field(default_factory=set)
+    imported: set[str] = field(default_factory=set)
     odd: set[str] = field(default_factory=set)
     resumes: tuple[File, int] | None = None
     broken: list[tuple[File, int, str]] = field(default_factory=list)
@@ -178,6 +183,7 @@ class Reader:
     def _imported(self, line: Line) -> None:
         """A variable of another module: what it holds is not known here."""
         for name in (token.text for token in line.rest() if token.kind == "name"):
+            self._said.imported.add(name)
             variable = self._variable(name, 0)
             self._said.writes.append(Mention(variable, self._file, "imports it"))
             self._said.reads.append(Mention(variable, self._file, "imports it"))
@@ -353,8 +359,14 @@ class Reader:
     def _plain(self, line: Line, word: str) -> None:
         """A statement of one line that is neither a move nor a part of a block."""
         first = line.take()
-        if word in table.HARMLESS:
-            self._said_in(line)
+        if word == "wait":
+            if not (line.takes("for") or line.takes("sec")):
+                raise Misread
+            self._mentions(line.expression(), "computes with it")
+            line.close()
+            self._called(line)
+        elif word in table.HARMLESS:
+            self._said_in(line.rest())
         elif word == "goto":
             label = line.take()
             line.close()
@@ -383,14 +395,18 @@ class Reader:
         else:
             self._local(first, line)
 
-    def _said_in(self, line: Line) -> None:
-        """Variables and calls of a harmless statement, whatever its form."""
-        rest = line.rest()
+    def _said_in(self, rest: Sequence[Token]) -> None:
+        """Note the variables of a part of a statement, whatever its form.
+
+        Raises:
+            Misread: it calls a routine, which may do anything.
+        """
         for k, token in enumerate(rest):
             if token.kind != "name":
                 continue
-            if k + 1 < len(rest) and rest[k + 1].text == "(" and self._routine_key(token.text) != token.text:
-                raise Misread  # a routine of the project in the middle of it
+            opens = k + 1 < len(rest) and rest[k + 1].text == "("
+            if opens and token.text not in _BEFORE_BRACKETS and token.text not in table.FUNCTIONS:
+                raise Misread
             self._said.reads.append(Mention(self._variable(token.text, token.start), self._file, "computes with it"))
 
     def _local(self, first: Token, line: Line) -> None:
@@ -571,11 +587,7 @@ class Reader:
         at = next((k for k, token in enumerate(rest) if token.text == "do" and token.kind == "name"), -1)
         if at < 0:
             raise Misread
-        for token in rest[:at]:
-            if token.kind == "name":
-                self._said.reads.append(
-                    Mention(self._variable(token.text, token.start), self._file, "computes with it")
-                )
+        self._said_in(rest[:at])
         done = Line(rest[at + 1 :], self._file.index, self._low, self._text, self._resolved, self._routine_key)
         if done.peek(1) == "(":
             call = done.expression()
@@ -649,6 +661,8 @@ class Reader:
                 if not line.takes(","):
                     break
         line.close()
+        if line.calls:
+            raise Misread
         block.last = word != "case"
         block.bodies.append([])
 

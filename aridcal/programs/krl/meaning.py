@@ -240,7 +240,7 @@ class Meaning:
     def at_any_time(self, why: str) -> State:
         """The state in which an interrupt begins."""
         state = self.start()
-        for family in ("frame", "mode", "stance"):
+        for family in ("frame", "mode", "stance", "odd"):
             state.forget_family(family, why)
         return state
 
@@ -372,7 +372,7 @@ class Meaning:
 
     def _new_frame(self, assignment: Assignment, state: State) -> object:
         to = assignment.to
-        if not to.path:
+        if not to.path and to.index is None and not to.worked_out:
             return self.frame(assignment.value, state)
         before = state.get("frame", to.key)
         value = self.value(assignment.value, state)

@@ -7,8 +7,6 @@ from collections import Counter
 from collections.abc import Hashable, Iterator, Mapping, Sequence
 from pathlib import Path
 
-import numpy as np
-
 from aridcal.programs.cell import Cell, Reading
 from aridcal.programs.frames import KnownFrames
 from aridcal.programs.krl import table
@@ -16,7 +14,6 @@ from aridcal.programs.krl.grammar import Broken, Mention, Reader, Said
 from aridcal.programs.krl.meaning import Element, Meaning, Points, foot
 from aridcal.programs.krl.names import File, Names, file_of
 from aridcal.programs.krl.syntax import Aggregate, Function, Move, Unclear, Variable
-from aridcal.programs.krl.tokens import NAME
 from aridcal.programs.krl.writing import END_OF_FILE
 from aridcal.programs.project import Project
 from aridcal.programs.targets import Target
@@ -161,6 +158,8 @@ def _values(
         key = element[0]
         if key in written:
             begin[element] = Unknown(written[key])
+        elif key.split(":")[-1] in said.imported:
+            begin[element] = Unknown(f"{key.split(':')[-1].upper()} is imported by another module, which may write it")
         elif reached and ":" not in key:
             begin[element] = value
         else:
@@ -217,6 +216,8 @@ def _spoilt(files: Sequence[File], said: Said) -> dict[tuple[int, int], str]:
                 for _, value in given:
                     spoil(value, f"{file.code.name}, of which nothing is understood, names it")
         for variable, value in given:
+            if name in said.imported:
+                spoil(value, f"{name.upper()} is imported by another module, which may write it")
             if variable.worked_out or variable.path:
                 spoil(value, f"{variable.shown} is an element that the program works out")
     return spoilt
