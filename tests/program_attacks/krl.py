@@ -373,7 +373,7 @@ CONTROLS = (
     Attack(
         "types before numbers",
         program(
-            f"LIN ⟨{{FRAME: X 500, Y 10, Z 300, A 4, B 5, C 6}}⟩\nPTP ⟨{{E6POS:X 500,Y 10,Z 300,A 4,B 5,C 6,S 2,T 10,E1 0}}⟩"
+            "LIN ⟨{FRAME: X 500, Y 10, Z 300, A 4, B 5, C 6}⟩\nPTP ⟨{E6POS:X 500,Y 10,Z 300,A 4,B 5,C 6,S 2,T 10,E1 0}⟩"
         ),
     ),
     Attack("numbers of all forms", program("LIN ⟨{X +500.,Y .5,Z 3e2,A -4E+0,B 5,C 6}⟩")),

@@ -10,10 +10,13 @@ from pathlib import Path
 from aridcal.programs.cell import Cell, Reading
 from aridcal.programs.frames import KnownFrames
 from aridcal.programs.krl import table
-from aridcal.programs.krl.grammar import Broken, Mention, Reader, Said
-from aridcal.programs.krl.meaning import Element, Meaning, Points, foot
+from aridcal.programs.krl.grammar import Broken, Reader
+from aridcal.programs.krl.meaning import Meaning
 from aridcal.programs.krl.names import File, Names, file_of
+from aridcal.programs.krl.noting import Mention, Said
+from aridcal.programs.krl.points import Points
 from aridcal.programs.krl.syntax import Aggregate, Function, Move, Unclear, Variable
+from aridcal.programs.krl.values import Element, foot
 from aridcal.programs.krl.writing import END_OF_FILE
 from aridcal.programs.project import Project
 from aridcal.programs.targets import Target
@@ -154,16 +157,16 @@ def _values(
     reached = bool(said.missing - frames.harmless) or bool(said.broken) or bool(names.twice)
     constants: dict[Element, object] = {}
     begin: dict[Element, object] = {}
-    for element, value in values.items():
+    for element, held in values.items():
         key = element[0]
         if key in written:
             begin[element] = Unknown(written[key])
         elif key.split(":")[-1] in said.imported:
             begin[element] = Unknown(f"{key.split(':')[-1].upper()} is imported by another module, which may write it")
         elif reached and ":" not in key:
-            begin[element] = value
+            begin[element] = held
         else:
-            constants[element] = value
+            constants[element] = held
     return constants, begin
 
 

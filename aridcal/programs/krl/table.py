@@ -1,10 +1,18 @@
-"""What statements, system variables and standard routines of KRL do, after KUKA's manual "KUKA System Software, Operating and
-Programming Instructions for System Integrators" (KSS 8) and the module `bas.src` that controllers come with.
+"""What statements, system variables and standard routines of KRL do.
+
+After KUKA's manual "KUKA System Software, Operating and Programming Instructions for System Integrators" (KSS 8), and the module
+`bas.src` that controllers come with.
 
 What is in none of these tables is unknown: behind it nothing is certain that it may touch.
 """
 
 from __future__ import annotations
+
+
+def _words(text: str) -> frozenset[str]:
+    """The words of a text, of many that need no quotes each."""
+    return frozenset(text.split())
+
 
 LINEAR = frozenset(("lin", "slin", "circ", "scirc", "spl"))
 """Moves along a path: the arm keeps its posture."""
@@ -63,7 +71,7 @@ HELD = {
 
 SYSTEM_VARIABLES = frozenset(
     f"${name}"
-    for name in (
+    for name in _words(
         # speeds, accelerations, approximation, and what else is of the way between targets
         "acc acc_axis acc_c acc_car_act acc_extax acc_ma acc_ov advance apo apo_dis_ptp bwdstart circ_mode circ_type "
         "circ_dir cp_vel_type curr_red filter gear_jerk jerk jerk_ma ori_type ov_appl ov_jog ov_pro ov_rob "
@@ -82,7 +90,7 @@ SYSTEM_VARIABLES = frozenset(
         "robruntime energy_module energy_interim trace nearpathtol stopmb_id collmon_on coll_load coll_targetload data_ext_obj1 "
         "data_ext_obj2 act_group gear_jerk_ma torq_diff torq_diff2 curr_mon no_msg op_mode_msg "
         "interpreter displayvar msg_str collmon_tol_pro hold_torque currtype axis_cmd_filter ipo_filter"
-    ).split()
+    )
 )
 """Variables of the controller to which a program may give values without another meaning of its targets."""
 
@@ -102,38 +110,32 @@ ODD = {
 }
 """Routines after which the arm is elsewhere than targets say."""
 
-FUNCTIONS = frozenset(
-    (
-        "abs sqrt sin cos tan acos asin atan atan2 exp ln varstate strlen strdecllen strfind strcomp "
-        "getvaridx get_sig_inf get_decl_place get_decl_dim is_key_pressed timer_limit sync set_krlmsg set_krldlg exists_krlmsg "
-        "exists_krldlg clear_krlmsg clear_krldlg set_opt_filter pulse cwrite swrite cclose cioctl ckr "
-        "msgnotify msgquit msgdialog msgloop msgstate msgclear msgcreate "
-        "svel_cp svel_joint sacc_cp sacc_joint sapo sapo_ptp sload sgear_jerk sjerk scirc_typ scirc_m sori_typ sipo_mode "
-        "s_exax_ign s_exax_ign2 use_cm_pro_values stool stool2 sbase k_root k_type k_offs k_addr k_name k_shift ek eb lk inv_pos "
-        "err_clear err_raise varval to_string eki_init eki_open eki_close eki_clear eki_send eki_checkbuffer eki_lock eki_unlock "
-        "eki_setint eki_setreal eki_setbool eki_setstring eki_setframe eki_clearbuffer md_cmd get_brakesig "
-        "set_tq_values tqm_fifo_read md_getstate m_comment getcycdef diag wtime "
-        "ac_pointarrival st_off rsi_off rsi_delete set_brakesig set_cabctrl cabctrl "
-        # messages, start-up and program numbers of the modules that controllers come with
-        "ir_stopm p00 new_serv check_home p00_error get_msgt tm_nullfct"
-    ).split()
+FUNCTIONS = _words(
+    "abs sqrt sin cos tan acos asin atan atan2 exp ln varstate strlen strdecllen strfind strcomp "
+    "getvaridx get_sig_inf get_decl_place get_decl_dim is_key_pressed timer_limit sync set_krlmsg set_krldlg exists_krlmsg "
+    "exists_krldlg clear_krlmsg clear_krldlg set_opt_filter pulse cwrite swrite cclose cioctl ckr "
+    "msgnotify msgquit msgdialog msgloop msgstate msgclear msgcreate "
+    "svel_cp svel_joint sacc_cp sacc_joint sapo sapo_ptp sload sgear_jerk sjerk scirc_typ scirc_m sori_typ sipo_mode "
+    "s_exax_ign s_exax_ign2 use_cm_pro_values stool stool2 sbase k_root k_type k_offs k_addr k_name k_shift ek eb lk inv_pos "
+    "err_clear err_raise varval to_string eki_init eki_open eki_close eki_clear eki_send eki_checkbuffer eki_lock eki_unlock "
+    "eki_setint eki_setreal eki_setbool eki_setstring eki_setframe eki_clearbuffer md_cmd get_brakesig "
+    "set_tq_values tqm_fifo_read md_getstate m_comment getcycdef diag wtime "
+    "ac_pointarrival st_off rsi_off rsi_delete set_brakesig set_cabctrl cabctrl "
+    # messages, start-up and program numbers of the modules that controllers come with
+    "ir_stopm p00 new_serv check_home p00_error get_msgt tm_nullfct"
 )
 """Functions and routines of the controller that read what they are given, and change nothing that matters here."""
 
-WRITING = frozenset(
-    (
-        "strtoint strtoreal strtobool strtostring strcopy stradd strclear strtoframe strtopos strtoe6pos strtoaxis strtoe6axis "
-        "cread sread copen cast_to cast_from varset set_sig get_system_data frand rand eki_getint eki_getreal eki_getbool "
-        "eki_getstring eki_getframe eki_getintarray eki_getrealarray eki_getboolarray eki_getframearray"
-    ).split()
+WRITING = _words(
+    "strtoint strtoreal strtobool strtostring strcopy stradd strclear strtoframe strtopos strtoe6pos strtoaxis strtoe6axis "
+    "cread sread copen cast_to cast_from varset set_sig get_system_data frand rand eki_getint eki_getreal eki_getbool "
+    "eki_getstring eki_getframe eki_getintarray eki_getrealarray eki_getboolarray eki_getframearray"
 )
 """Likewise, and they write into what they are given."""
 
-PACKAGES = frozenset(
-    (
-        "h50 h70 grp gripp user_grp userspot spot servogun a10_ini a10 a20_ini a20 a50_ini a50 h50_ini gripper_init grpg_check "
-        "grpg_set grpg_setstate grpg_setstateandcheck tech_ini coll_mon_ini"
-    ).split()
+PACKAGES = _words(
+    "h50 h70 grp gripp user_grp userspot spot servogun a10_ini a10 a20_ini a20 a50_ini a50 h50_ini gripper_init grpg_check "
+    "grpg_set grpg_setstate grpg_setstateandcheck tech_ini coll_mon_ini"
 )
 """Routines of KUKA's grippers and spot guns: they switch signals and wait. A note says that this is taken for granted."""
 

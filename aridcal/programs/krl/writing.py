@@ -14,7 +14,7 @@ END_OF_FILE = "\x1a"
 
 
 def program(made: Moves, stem: str) -> Iterator[str]:
-    """Lines of a program: `PTP` to an axis position without approximation stops exactly, and nothing is carried out ahead of `WAIT`."""
+    """Lines of a program: `PTP` to axes without approximation stops exactly, and nothing is carried out ahead of `WAIT`."""
     axes = made.axes()
     yield f"DEF {stem}( )"
     yield from (f"  ; {note}" for note in made.notes)
