@@ -23,11 +23,12 @@ BEGIN = (
 """Axes, base and tool are known behind it."""
 
 
+DECLARED = "DECL E6POS P1,P2,P3\nDECL E6POS P[5]\nINT I\nREAL R\nFRAME F\n"
+
+
 def program(body: str, more: str = "") -> dict[str, str]:
     """A program of one file, known at its beginning."""
-    return {
-        "a.src": f"&ACCESS RVP\nDEF a( )\nDECL E6POS P1,P2,P3\nDECL E6POS P[5]\nINT I\nREAL R\nFRAME F\n{BEGIN}{body}\nEND\n{more}"
-    }
+    return {"a.src": f"&ACCESS RVP\nDEF a( )\n{DECLARED}{BEGIN}{body}\nEND\n{more}"}
 
 
 def project(body: str, data: str, more: str = "", **others: str) -> dict[str, str]:
@@ -36,7 +37,10 @@ def project(body: str, data: str, more: str = "", **others: str) -> dict[str, st
     return files | {name.replace("__", ".").replace("_", "$"): text for name, text in others.items()}
 
 
-CONFIG = f"DEFDAT $CONFIG\nFRAME BASE_DATA[32]\nFRAME TOOL_DATA[16]\nBASE_DATA[1]={FRAME}\nBASE_DATA[2]={OTHER}\nTOOL_DATA[1]={FRAME}\nENDDAT\n"
+CONFIG = (
+    "DEFDAT $CONFIG\nFRAME BASE_DATA[32]\nFRAME TOOL_DATA[16]\n"
+    f"BASE_DATA[1]={FRAME}\nBASE_DATA[2]={OTHER}\nTOOL_DATA[1]={FRAME}\nENDDAT\n"
+)
 
 FORM = 'DECL FDAT FP1={TOOL_NO 1,BASE_NO 1,IPO_FRAME #BASE,POINT2[] " ",TQ_STATE FALSE}'
 
@@ -303,8 +307,10 @@ POINTS = (
     Attack(
         "the form's data depend on a branch",
         project(
-            f"IF $IN[1] THEN\nFDAT_ACT=FP1\nELSE\nFDAT_ACT=FP2\nENDIF\nBAS(#PTP_PARAMS,100)\nPTP XP1\n{INLINE.replace('XP1', 'XP2')}",
-            f"DECL E6POS XP1=⟦{FULL}⟧\nDECL E6POS XP2=⟨{FULL}⟩\n{FORM}\n{FORM.replace('FP1', 'FP2').replace('BASE_NO 1', 'BASE_NO 2')}",
+            "IF $IN[1] THEN\nFDAT_ACT=FP1\nELSE\nFDAT_ACT=FP2\nENDIF\n"
+            f"BAS(#PTP_PARAMS,100)\nPTP XP1\n{INLINE.replace('XP1', 'XP2')}",
+            f"DECL E6POS XP1=⟦{FULL}⟧\nDECL E6POS XP2=⟨{FULL}⟩\n{FORM}\n"
+            f"{FORM.replace('FP1', 'FP2').replace('BASE_NO 1', 'BASE_NO 2')}",
             _config__dat=CONFIG,
         ),
     ),
@@ -407,7 +413,8 @@ CONTROLS = (
     Attack(
         "a base that is set twice",
         {
-            "a.src": f"DEF a()\n{BEGIN}BASE_DATA[1]={FRAME}\n$BASE=BASE_DATA[1]\n{GOOD}\nBASE_DATA[1]={OTHER}\n{GOOD}\nBAS(#BASE,1)\n{GOOD}\nEND\n"
+            "a.src": f"DEF a()\n{BEGIN}BASE_DATA[1]={FRAME}\n$BASE=BASE_DATA[1]\n{GOOD}\n"
+            f"BASE_DATA[1]={OTHER}\n{GOOD}\nBAS(#BASE,1)\n{GOOD}\nEND\n"
         },
     ),
     Attack(

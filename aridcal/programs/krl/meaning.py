@@ -70,6 +70,7 @@ class Meaning(Values):
             {m.variable.key for m in said.writes if m.variable.index is not None and m.variable.shared}
             | {key for key, index in begin if index and ":" not in key}
         )
+        self.linear_words = False
         self._ignoring = any("#ignore" in code.plain for code in points.codes)
         self._oddities = sorted(said.odd | {key for key in written if _odd(key, points.cell)})
 
@@ -314,6 +315,7 @@ class Meaning(Values):
         for frame in self._frames(goal.behind[::-1], state):
             tool = product(tool, inverse_of(frame))
         stated = value.states_posture and not goal.behind
+        self.linear_words = self.linear_words or (stated and move.word not in table.JOINTED)
         stance = state.get("stance")
         comes = stance.why if isinstance(stance, Unknown) and not stated else ""
         return Use(line, base, tool, shift, why, None, comes, "shifted" if goal.behind else ""), stated

@@ -57,7 +57,7 @@ def read(project: Project, cell: Cell) -> Reading:
     except TooLong:
         return Reading(_left_alone(files, said, names, spoilt, cell, "the program has more ways than can be followed"))
     broken = [target for file, place, why in said.broken for target in _of_broken(file, place, why)]
-    return Reading([*points.ledger.targets(), *broken], tuple(_notes(said, constants)))
+    return Reading([*points.ledger.targets(), *broken], tuple(_notes(said, constants, meaning)))
 
 
 def context(path: Path) -> list[Path]:
@@ -331,11 +331,13 @@ def _of_broken(file: File, place: int, why: str) -> Iterator[Target]:
         yield Target(file.code.line(match.start()), shown, "pose", (), reason, file=file.index)
 
 
-def _notes(said: Said, constants: Mapping[Element, object]) -> Iterator[str]:
+def _notes(said: Said, constants: Mapping[Element, object], meaning: Meaning) -> Iterator[str]:
     """What was taken for granted."""
     yield "BAS and the functions of inline forms are taken to do what KUKA's bas.src does"
     if ("$robroot", None) not in constants:
         yield "$WORLD is taken to be at the foot of the robot ($ROBROOT zero): give $machine.dat if it is elsewhere"
+    if meaning.linear_words:
+        yield "S and T of points of linear moves, which the controller does not read there, are taken to be how the arm stands"
     if said.packages:
         listed = ", ".join(sorted(said.packages))
         yield f"{listed}: taken to switch signals and wait, as KUKA's grippers and guns do"
