@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from bisect import bisect_left
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
 from aridcal.programs.text import Code
@@ -26,14 +26,12 @@ SPACE = re.compile(r"\s*")
 PATH = re.compile(rf"({NAME})((?:\s*\{{[^{{}};]*\}}|\s*\.\s*{NAME})*)\s*(:=|:(?!=))?")
 """A name with its indices and components, and what follows a label or the left side of an assignment."""
 
-DATA = re.compile(
-    rf"\s*(CONST|VAR|PERS)\s+({NAME})\s+({NAME})\s*(\{{[^{{}};]*\}})?\s*(:=)?", re.IGNORECASE
-)
+DATA = re.compile(rf"\s*(CONST|VAR|PERS)\s+({NAME})\s+({NAME})\s*(\{{[^{{}};]*\}})?\s*(:=)?", re.IGNORECASE)
 ROUTINE = re.compile(rf"\s*(PROC|TRAP|FUNC\s+{NAME})\s+({NAME})\s*", re.IGNORECASE)
 PARAMETER = re.compile(rf"(\\?)\s*(?:(VAR|PERS|INOUT)\s+)?({NAME})\s+({NAME})\s*(\{{[^{{}}]*\}})?", re.IGNORECASE)
 RECORD = re.compile(rf"\s*RECORD\s+({NAME})((?:\s+{NAME}\s+{NAME}\s*;)*)\s*ENDRECORD\b", re.IGNORECASE)
 ALIAS = re.compile(rf"\s*ALIAS\s+({NAME})\s+({NAME})\s*;", re.IGNORECASE)
-MODULE = re.compile(rf"\s*MODULE\s+([\w\x80-\xff]+)\s*(?:\(([^()]*)\))?", re.IGNORECASE)
+MODULE = re.compile(r"\s*MODULE\s+([\w\x80-\xff]+)\s*(?:\(([^()]*)\))?", re.IGNORECASE)
 LOOP = re.compile(rf"\s*({NAME})\s+FROM\b(.*?)\bTO\b(.*)", re.IGNORECASE | re.DOTALL)
 THEN = re.compile(r"\bTHEN\b|;", re.IGNORECASE)
 DO = re.compile(r"\bDO\b|;", re.IGNORECASE)
@@ -48,7 +46,9 @@ RESERVED = re.compile(
 )
 """Words that stand in no statement of one kind: one of them there means that a semicolon is missing."""
 
-OPERAND = re.compile(rf'\s*(?:(?:NOT\b|[-+])\s*)*(?:"[^"]*"(?:"[^"]*")*|(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|({NAME}))', re.IGNORECASE)
+OPERAND = re.compile(
+    rf'\s*(?:(?:NOT\b|[-+])\s*)*(?:"[^"]*"(?:"[^"]*")*|(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|({NAME}))', re.IGNORECASE
+)
 OPERATOR = re.compile(r"\s*(?:<>|<=|>=|[-+*/=<>]|(?:AND|OR|XOR|DIV|MOD)\b)", re.IGNORECASE)
 BEHIND = re.compile(rf"\s*(?:([({{])|\.\s*{NAME})")
 
@@ -232,6 +232,7 @@ class _Reader:
             if self.place >= len(self.plain):
                 if end:
                     raise NotUnderstood(self.place, "the module has no end")
+                _once(module.routines)
                 return
             if placeholder := PLACEHOLDER.match(self.plain, self.place):
                 self.place = placeholder.end()
@@ -239,6 +240,7 @@ class _Reader:
             start, (word, local) = self.place, self._scope()
             if word == "endmodule" and end:
                 self.place = start + len(word)
+                _once(module.routines)
                 return
             if word in ("const", "var", "pers"):
                 module.data.append(self._declared(local))
@@ -277,7 +279,13 @@ class _Reader:
             self._one_statement(*value)
         self.place = end + 1
         return Declared(
-            match.group(1).lower(), fold(match.group(2)), match.group(3), match.start(3), match.group(4) is not None, value, local
+            match.group(1).lower(),
+            fold(match.group(2)),
+            match.group(3),
+            match.start(3),
+            match.group(4) is not None,
+            value,
+            local,
         )
 
     def _semicolon(self, place: int) -> int:
@@ -306,6 +314,7 @@ class _Reader:
             self.place = end + 1
         while self._scope()[0] in ("const", "var", "pers"):
             routine.data.append(self._declared())
+        _once((*routine.parameters, *routine.data))
         _RoutineReader(self, routine).read()
         return routine
 
@@ -415,7 +424,9 @@ class _RoutineReader:
     def _close(self, word: str) -> _Block:
         block = self._open[-1]
         if block.word != word:
-            raise NotUnderstood(self._reader.place, f"{block.word.upper()} of line {self._code.line(block.place)} has no end")
+            raise NotUnderstood(
+                self._reader.place, f"{block.word.upper()} of line {self._code.line(block.place)} has no end"
+            )
         return self._open.pop() if word != "routine" else block
 
     def _until(self, pattern: re.Pattern[str], missing: str) -> tuple[int, str]:
@@ -634,12 +645,12 @@ class _RoutineReader:
         self._reader.place = end + 1
 
 
-_STRUCTURE = frozenset(
-    "if elseif else endif while endwhile for endfor test case default endtest return raise retry trynext exit goto connect".split()
-)
-
-_SIMPLE = frozenset("return raise retry trynext exit goto connect".split())
+_SIMPLE = frozenset(("return", "raise", "retry", "trynext", "exit", "goto", "connect"))
 """Statements that may stand behind the condition of an IF of one line."""
+
+_STRUCTURE = _SIMPLE | {
+    *("if", "elseif", "else", "endif", "while", "endwhile", "for", "endfor", "test", "case", "default", "endtest")
+}
 
 WHOLE = re.compile(r"\s*-?\d+\s*")
 
@@ -647,6 +658,15 @@ WHOLE = re.compile(r"\s*-?\d+\s*")
 def _counts(first: str, last: str) -> bool:
     """Whether a loop between plain numbers is carried out once at least."""
     return WHOLE.fullmatch(first) is not None and WHOLE.fullmatch(last) is not None and int(first) <= int(last)
+
+
+def _once(every: Iterable[Declared | Routine]) -> None:
+    """Make sure that no name is declared twice."""
+    names: set[str] = set()
+    for own in every:
+        if fold(own.name) in names:
+            raise NotUnderstood(own.place, f"{own.name} is declared twice")
+        names.add(fold(own.name))
 
 
 def bodies(routine: Routine) -> Sequence[Body]:

@@ -14,6 +14,9 @@ def _names(text: str) -> frozenset[str]:
     return frozenset(text.lower().split())
 
 
+Way = Literal["L", "J", "A", "E"]
+
+
 @dataclass(frozen=True)
 class Move:
     """A move, by the place of its arguments among those that must stand there.
@@ -30,7 +33,7 @@ class Move:
 
     points: tuple[int, ...]
     tool: int | None
-    way: Literal["L", "J", "A", "E"]
+    way: Way
     written: tuple[int, ...] = ()
     routine: int | None = None
     why: str = ""
@@ -39,12 +42,12 @@ class Move:
 _L, _J, _C, _A = Move((0,), 3, "L"), Move((0,), 3, "J"), Move((0, 1), 4, "L"), Move((0,), 3, "A")
 
 _TRIGG = {
-    "trigg" + letters: Move(points, tool, way)
-    for letters, points, tool, way in (
-        *((name, (0,), 4, way) for name, way in (("l", "L"), ("j", "J"), ("absj", "A"))),
-        *((name, (0,), 3, way) for name, way in (("lios", "L"), ("jios", "J"))),
-        ("c", (0, 1), 5, "L"),
-    )
+    "triggl": Move((0,), 4, "L"),
+    "triggj": Move((0,), 4, "J"),
+    "triggc": Move((0, 1), 5, "L"),
+    "triggabsj": Move((0,), 4, "A"),
+    "trigglios": _L,
+    "triggjios": _J,
 }
 
 _PROCESS = {
@@ -165,37 +168,37 @@ WILD = _names(
 )
 """Instructions that may change data and modes of any module."""
 
-ENDS = {"exit": "program", "exitcycle": "program", "retry": "routine", "trynext": "routine"}
-"""Statements behind which the next one is not carried out."""
-
 READING = _names(
     """
-    accset acteventbuffer addaccessrule aliascamera arckill arcrefresh arcmanual bealignaxis bookerrno break camflush camloadjob camreqimage
-    camsetexposure camsetparameter camsetprogrammode camsetrunmode camstartloadjob camwaitloadjob cancelload checkprogref cirpathmode
-    clearpath clkreset clkstart clkstop close closedir comment copyfile corrclear corrdiscon deacteventbuffer ditheract
-    ditherdeact dropsensor egmactjoint egmactmove egmactpose egmreset egmsetupai egmsetupao egmsetupgi egmsetupltapp egmsetupuc
-    egmstop egmstreamstart egmstreamstop errlog errraise errwrite fccalib fcloadid fcresetlpfiltertune fcsetlpfiltertune fcspdchgact
-    fcspdchgdeact fcspdchgtune fcsetdampingtune fcresetdampingtune fcsupcartspeed fcsupforce fcsuporient fcsuppos fcsupreoriespeed
-    fcsuptcpspeed fcsuptorque fccondforce fccondorient fccondpos fccondreoriespeed fccondtcpspeed fccondtorque fccondwaitwhile
-    fcrefcircle fcrefforce fcrefline fcrefmoveframe fcrefrot fcrefspiral fcrefstop fcreftorque fcdeactivatelogging
-    fricidevaluate fricidinit fricidsetfriclevels gripload icap idelete idisable ienable ierror invertdo iobusstart
-    iobusstate iodisable ioenable ipers irmqmessage isignalai isignalao isignaldi isignaldo isignalgi isignalgo isleep itimer ivarvalue
-    iwatch logout makedir mechunitload motionprocessmodeset motionsup open opendir packdnheader pathacclim pathrecstart pathrecstop
-    pathresol perfmonstart perfmonstop proccall procerrrecovery pulsedo raisetouser removeallcyclicbool removecyclicbool removedir
-    removefile renamefile reset resetaxisdistance resetaxismovetime resetppmoved resetretrycount restopath rewind rmqemptyqueue
-    rmqsendmessage save scwrite sendevice set setao setdatasearch setdo setgo setsysdata setupcyclicbool skipwarn smbmsg
-    socketaccept socketbind socketclose socketconnect socketcreate socketlisten socketsend socketsendto speedlimaxis
-    speedlimcheckpoint speedrefresh spystart spystop startmove startmoveretry stcalib stclose stindgun stindgunreset stop stopen
-    stopmove stopmovereset storepath sttune sttunereset supsyncsensoroff supsyncsensoron syncmoveoff syncmoveon syncmoveresume
-    syncmovesuspend syncmoveundo synctosensor systemstopaction testsigndefine testsignreset texttabinstall tperase tpshow tpwrite
-    traceon traceoff triggcheckio triggdatareset triggequip triggint triggio triggrampao triggspeed triggstopproc tunereset tuneservo
-    uimsgbox uimsgwrite uimsgwriteabort uishow velset waitai waitao waitdi waitdo waitgi waitgo waitrob waitsensor waitsynctask
-    waittime waituntil worldacclim write writeanybin writebin writeblock writerawbytes writestrbin writevar writevararr wzboxdef wzcyldef
-    wzdisable wzdoset wzenable wzfree wzhomejointdef wzlimjointdef wzlimsup wzsphdef xmlclose
-    g_init g_calibrate g_gripin g_gripout g_moveto g_stop g_jogin g_jogout g_setforce g_setmaxspd g_vacuumon1 g_vacuumon2 g_vacuumoff1
-    g_vacuumoff2 g_blowon1 g_blowon2 g_blowoff1 g_blowoff2 hand_initialize hand_docalibration hand_gripinward hand_gripoutward
-    hand_jogin hand_jogout hand_jogstop hand_moveto hand_sethelpspeed hand_setholdforce hand_setmaxspeed hand_stop hand_turnoffblow1
-    hand_turnoffblow2 hand_turnoffvacuum1 hand_turnoffvacuum2 hand_turnonblow1 hand_turnonblow2 hand_turnonvacuum1 hand_turnonvacuum2
+    accset acteventbuffer addaccessrule aliascamera arckill arcrefresh arcmanual bealignaxis bookerrno break camflush
+    camloadjob camreqimage camsetexposure camsetparameter camsetprogrammode camsetrunmode camstartloadjob camwaitloadjob
+    cancelload checkprogref cirpathmode clearpath clkreset clkstart clkstop close closedir comment copyfile corrclear
+    corrdiscon deacteventbuffer ditheract ditherdeact dropsensor egmactjoint egmactmove egmactpose egmreset egmsetupai
+    egmsetupao egmsetupgi egmsetupltapp egmsetupuc egmstop egmstreamstart egmstreamstop errlog errraise errwrite fccalib
+    fcloadid fcresetlpfiltertune fcsetlpfiltertune fcspdchgact fcspdchgdeact fcspdchgtune fcsetdampingtune
+    fcresetdampingtune fcsupcartspeed fcsupforce fcsuporient fcsuppos fcsupreoriespeed fcsuptcpspeed fcsuptorque
+    fccondforce fccondorient fccondpos fccondreoriespeed fccondtcpspeed fccondtorque fccondwaitwhile fcrefcircle
+    fcrefforce fcrefline fcrefmoveframe fcrefrot fcrefspiral fcrefstop fcreftorque fcdeactivatelogging fricidevaluate
+    fricidinit fricidsetfriclevels gripload icap idelete idisable ienable ierror invertdo iobusstart iobusstate
+    iodisable ioenable ipers irmqmessage isignalai isignalao isignaldi isignaldo isignalgi isignalgo isleep itimer
+    ivarvalue iwatch logout makedir mechunitload motionprocessmodeset motionsup open opendir packdnheader pathacclim
+    pathrecstart pathrecstop pathresol perfmonstart perfmonstop proccall procerrrecovery pulsedo raisetouser
+    removeallcyclicbool removecyclicbool removedir removefile renamefile reset resetaxisdistance resetaxismovetime
+    resetppmoved resetretrycount restopath rewind rmqemptyqueue rmqsendmessage save scwrite sendevice set setao
+    setdatasearch setdo setgo setsysdata setupcyclicbool skipwarn smbmsg socketaccept socketbind socketclose
+    socketconnect socketcreate socketlisten socketsend socketsendto speedlimaxis speedlimcheckpoint speedrefresh
+    spystart spystop startmove startmoveretry stcalib stclose stindgun stindgunreset stop stopen stopmove stopmovereset
+    storepath sttune sttunereset supsyncsensoroff supsyncsensoron syncmoveoff syncmoveon syncmoveresume syncmovesuspend
+    syncmoveundo synctosensor systemstopaction testsigndefine testsignreset texttabinstall tperase tpshow tpwrite
+    traceon traceoff triggcheckio triggdatareset triggequip triggint triggio triggrampao triggspeed triggstopproc
+    tunereset tuneservo uimsgbox uimsgwrite uimsgwriteabort uishow velset waitai waitao waitdi waitdo waitgi waitgo
+    waitrob waitsensor waitsynctask waittime waituntil worldacclim write writeanybin writebin writeblock writerawbytes
+    writestrbin writevar writevararr wzboxdef wzcyldef wzdisable wzdoset wzenable wzfree wzhomejointdef wzlimjointdef
+    wzlimsup wzsphdef xmlclose g_init g_calibrate g_gripin g_gripout g_moveto g_stop g_jogin g_jogout g_setforce
+    g_setmaxspd g_vacuumon1 g_vacuumon2 g_vacuumoff1 g_vacuumoff2 g_blowon1 g_blowon2 g_blowoff1 g_blowoff2
+    hand_initialize hand_docalibration hand_gripinward hand_gripoutward hand_jogin hand_jogout hand_jogstop hand_moveto
+    hand_sethelpspeed hand_setholdforce hand_setmaxspeed hand_stop hand_turnoffblow1 hand_turnoffblow2
+    hand_turnoffvacuum1 hand_turnoffvacuum2 hand_turnonblow1 hand_turnonblow2 hand_turnonvacuum1 hand_turnonvacuum2
     """
 )
 """Instructions that read their arguments, and change nothing that a target's meaning depends on: signals, waiting, speeds, loads,
@@ -203,40 +206,43 @@ interrupts, files, messages, supervision."""
 
 WRITING = _names(
     """
-    add aliasio aliasioreset bitclear bitset camgetparameter camgetresult clear cleariobuff clearrawbytes clkread copyrawbytes
-    corrcon corrwrite decr dropwobj egmgetid fcgetforce getdataval getjointdata getsysdata gettrapdata gettorque incr
-    mtoolrotcalib mtooltcpcalib packrawbytes readanybin readblock readcfgdata readerrdata readrawbytes readvararr recordprofile
-    rmqfindslot rmqgetmessage rmqgetmsgdata rmqgetmsgheader rmqreadwait rmqsendwait socketreceive socketreceivefrom
-    stoolrotcalib stooltcpcalib swap tpreaddnum tpreadfk tpreadnum triggdatacopy tryint unpackrawbytes waittestandset waitwobj
-    xmlgetattribute besetuptoolj betcpextend bequickcheck berefpointer oframechange hexapodcalib
-    search_1d search_groove search_part loadid manloadidproc
+    add aliasio aliasioreset bitclear bitset camgetparameter camgetresult clear cleariobuff clearrawbytes clkread
+    copyrawbytes corrcon corrwrite decr dropwobj egmgetid fcgetforce getdataval getjointdata getsysdata gettrapdata
+    gettorque incr mtoolrotcalib mtooltcpcalib packrawbytes readanybin readblock readcfgdata readerrdata readrawbytes
+    readvararr recordprofile rmqfindslot rmqgetmessage rmqgetmsgdata rmqgetmsgheader rmqreadwait rmqsendwait
+    socketreceive socketreceivefrom stoolrotcalib stooltcpcalib swap tpreaddnum tpreadfk tpreadnum triggdatacopy tryint
+    unpackrawbytes waittestandset waitwobj xmlgetattribute besetuptoolj betcpextend bequickcheck berefpointer
+    oframechange hexapodcalib search_1d search_groove search_part loadid manloadidproc
     """
 )
 """Instructions that may write their arguments, and nothing else."""
 
 FUNCTIONS = _names(
     """
-    abs absdnum acos acosdnum aoutput ainput argname asin asindnum atan atandnum atan2 atan2dnum bitand bitanddnum bitcheck bitcheckdnum
-    bitlsh bitlshdnum bitneg bitnegdnum bitor bitordnum bitrsh bitrshdnum bitxor bitxordnum bytetostr calcjointt calcrobt
-    calcrotaxframez calcrotaxisframe camgetexposure camgetloadedjob camgetname camgetmode camnumberofresults cdate cjointt clkread
-    corread cos cosdnum cpos crobt cspeedoverride ctime ctool cwobj dectohex defaccframe defdframe defframe dim distance dnumtonum
-    dnumtostr dotprod doutput dinput egmgetstate errtext eulerzyx eventtype exechandler execlevel exp fcgetforce fcgetprocessdata
-    fcisforcemode fcistrackmode filesize filesizednum filetime filetimednum fssize getaxisdistance getaxismovetime getmaxnumberofcyclicbool
-    getmecunitname getmodalpayloadmode getmotorcurrent getmotortorque getnextsym getnextmechunit getnextcyclicbool
-    getnumberofcyclicbool getserviceinfo getsignalorigin getsysinfo gettaskname gettime gettsindex getuasuserinfo ginput ginputdnum
-    goutput goutputdnum hextodec indinpos indspeed iounitstate isbrakecheckactive iscollfree iscyclicbool isfile ismechunitactive ispers
-    isstopmoveact isstopstateevent issyncmoveon issysid isvar isleadthrough maxextlinearspeed maxextreorientspeed maxextspeed
-    maxextjointspeed maxrobreorientspeed maxrobspeed mirpos modexist modtime modtimednum motionplannerno nonmotionmode norient
-    numtodnum numtostr offs opmode orientzyx orobt pardidposvalid paridposvalid paridrobvalid pathlengthget pathlevel pathrecvalidbwd
-    pathrecvalidfwd pfrestart poseinv posemult posevect pow powdnum ppmovedinmanmode present profileactive progmemfree prxgetmaxrecordpos
-    rawbyteslen readbin readdir readmotor readnum readstr readstrbin readvar reltool remainingretries rmqgetslotname robname robos
-    round rounddnum runmode safetycontrollergetchecksum safetycontrollergetopmodepinstatus safetycontrollergetswversion sin sindnum
-    socketgetstatus socketpeek sqrt sqrtdnum stcalcforce stcalctorque stiscalib stisclosed stisindgun stisopen strdigcalc strdigcmp
-    strfind strformat strlen strmap strmatch strmemb strorder strpart strtobyte strtoval tan tandnum tasksinsync taskisactive
-    taskisexecuting taskrunmec taskrunrob testandset testdi testsignread textget texttabfreetouse texttabget triggdatavalid trunc
-    truncdnum type typeof uialphaentry uiclientexist uidnumentry uidnumtune uilistview uimessagebox uinumentry uinumtune unitstate
-    validio valtostr vectmagn wristop hand_getactualpos hand_getbyte hand_iscalibrated hand_getpressure1 hand_getpressure2 hand_getspeed
-    g_getpos g_getspd g_getpressure1 g_getpressure2 g_getstate g_iscalibrated bectcp
+    abs absdnum acos acosdnum aoutput ainput argname asin asindnum atan atandnum atan2 atan2dnum bitand bitanddnum
+    bitcheck bitcheckdnum bitlsh bitlshdnum bitneg bitnegdnum bitor bitordnum bitrsh bitrshdnum bitxor bitxordnum
+    bytetostr calcjointt calcrobt calcrotaxframez calcrotaxisframe camgetexposure camgetloadedjob camgetname camgetmode
+    camnumberofresults cdate cjointt clkread corread cos cosdnum cpos crobt cspeedoverride ctime ctool cwobj dectohex
+    defaccframe defdframe defframe dim distance dnumtonum dnumtostr dotprod doutput dinput egmgetstate errtext eulerzyx
+    eventtype exechandler execlevel exp fcgetforce fcgetprocessdata fcisforcemode fcistrackmode filesize filesizednum
+    filetime filetimednum fssize getaxisdistance getaxismovetime getmaxnumberofcyclicbool getmecunitname
+    getmodalpayloadmode getmotorcurrent getmotortorque getnextsym getnextmechunit getnextcyclicbool
+    getnumberofcyclicbool getserviceinfo getsignalorigin getsysinfo gettaskname gettime gettsindex getuasuserinfo ginput
+    ginputdnum goutput goutputdnum hextodec indinpos indspeed iounitstate isbrakecheckactive iscollfree iscyclicbool
+    isfile ismechunitactive ispers isstopmoveact isstopstateevent issyncmoveon issysid isvar isleadthrough
+    maxextlinearspeed maxextreorientspeed maxextspeed maxextjointspeed maxrobreorientspeed maxrobspeed mirpos modexist
+    modtime modtimednum motionplannerno nonmotionmode norient numtodnum numtostr offs opmode orientzyx orobt
+    pardidposvalid paridposvalid paridrobvalid pathlengthget pathlevel pathrecvalidbwd pathrecvalidfwd pfrestart poseinv
+    posemult posevect pow powdnum ppmovedinmanmode present profileactive progmemfree prxgetmaxrecordpos rawbyteslen
+    readbin readdir readmotor readnum readstr readstrbin readvar reltool remainingretries rmqgetslotname robname robos
+    round rounddnum runmode safetycontrollergetchecksum safetycontrollergetopmodepinstatus safetycontrollergetswversion
+    sin sindnum socketgetstatus socketpeek sqrt sqrtdnum stcalcforce stcalctorque stiscalib stisclosed stisindgun
+    stisopen strdigcalc strdigcmp strfind strformat strlen strmap strmatch strmemb strorder strpart strtobyte strtoval
+    tan tandnum tasksinsync taskisactive taskisexecuting taskrunmec taskrunrob testandset testdi testsignread textget
+    texttabfreetouse texttabget triggdatavalid trunc truncdnum type typeof uialphaentry uiclientexist uidnumentry
+    uidnumtune uilistview uimessagebox uinumentry uinumtune unitstate validio valtostr vectmagn wristop
+    hand_getactualpos hand_getbyte hand_iscalibrated hand_getpressure1 hand_getpressure2 hand_getspeed g_getpos g_getspd
+    g_getpressure1 g_getpressure2 g_getstate g_iscalibrated bectcp
     """
 )
 """Functions that change nothing but arguments of those in :data:`WRITING_FUNCTIONS`."""

@@ -45,6 +45,7 @@ class Datum:
         type: With aliases resolved.
         changed: What may change it, as messages say it; empty where nothing does.
         owner: The routine that it belongs to; empty of a module's data.
+        parameter: Whether the caller says what it is.
     """
 
     declared: Declared
@@ -53,6 +54,7 @@ class Datum:
     type: str
     changed: str = ""
     owner: str = ""
+    parameter: bool = False
 
     @property
     def holds_points(self) -> bool:
@@ -112,9 +114,13 @@ class Point:
     after: Frame | None = None
 
 
+COMMA = r"\s*,\s*"
+
+
 def _brackets(*counts: int) -> re.Pattern[str]:
-    parts = [rf"\[\s*{r'\s*,\s*'.join([rf'({NUMBER.pattern})'] * count)}\s*\]" for count in counts]
-    return re.compile(rf"\[\s*{r'\s*,\s*'.join(parts)}\s*\]")
+    """Lists of so many numbers each, in one list."""
+    parts = [rf"\[\s*{COMMA.join([f'({NUMBER.pattern})'] * count)}\s*\]" for count in counts]
+    return re.compile(rf"\[\s*{COMMA.join(parts)}\s*\]")
 
 
 _ROBTARGET, _JOINTTARGET = _brackets(3, 4, 4, 6), _brackets(6, 6)
