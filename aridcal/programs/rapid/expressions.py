@@ -44,6 +44,7 @@ STEP = re.compile(rf"\s*\{{([^{{}};]*)\}}|\s*\.\s*({NAME})")
 SIGN = re.compile(r"[-+*/(\[{]")
 WORD = re.compile(rf"(?<![.\\\w\x80-\xff])({NAME})((?:\s*\{{[^{{}};]*\}})*)")
 STRING = re.compile(r'"[^"]*"')
+NAME_INSIDE = re.compile(r"[A-DF-Za-df-z_\x80-\xff]|[Ee](?![-+\d])")
 INNER = re.compile(r"\[\s*\[\s*[^\[\s]")
 
 Arithmetic = Callable[[float, float], float]
@@ -81,6 +82,7 @@ class Expressions:
     frames: KnownFrames
     declare: Callable[[Literal], None]
     _values: dict[int, object] = field(default_factory=dict)
+    _frames: dict[tuple[str, str, tuple[str, ...], str], Value] = field(default_factory=dict)
     _kept: dict[tuple[str, tuple[object, ...]], Frame | Unknown] = field(default_factory=dict)
 
     def value(self, datum: Datum, state: State) -> object:
@@ -158,6 +160,23 @@ class Expressions:
         return lambda state: HERE if present(state) is ABSENT else given(state)
 
     def _frame(
+        self,
+        bound: Bound,
+        span: tuple[int, int],
+        loops: tuple[str, ...],
+        zero: str,
+        kind: str,
+        convert: Callable[[str, object], Frame | Unknown],
+    ) -> Value:
+        """A frame by what stands there: most moves of a routine have the same."""
+        key = (f"{id(bound)}", bound.code.plain[slice(*span)], loops, zero)
+        if not key[1].isidentifier():
+            return self._new_frame(bound, span, loops, zero, kind, convert)
+        if key not in self._frames:
+            self._frames[key] = self._new_frame(bound, span, loops, zero, kind, convert)
+        return self._frames[key]
+
+    def _new_frame(
         self,
         bound: Bound,
         span: tuple[int, int],
@@ -290,6 +309,11 @@ class Expressions:
     def mentioned(self, bound: Bound, start: int, end: int, loops: tuple[str, ...] = ()) -> list[Value]:
         """All data of an expression that may hold targets, each whole or the element that a plain index says."""
         values: list[Value] = []
+        text = bound.code.plain[start:end]
+        if text.isidentifier() or INNER.match(text):  # most arguments: no target's name, or a target's own numbers
+            datum = bound.scope.datum(fold(text)) if text.isidentifier() else None
+            if (datum is None and NAME_INSIDE.search(text) is None) or (datum is not None and not datum.holds_points):
+                return values
         for match in WORD.finditer(bound.code.plain, start, end):
             name = fold(match.group(1))
             if name in WORDS_BEFORE_BRACKETS or name in loops:

@@ -38,13 +38,58 @@ DO = re.compile(r"\bDO\b|;", re.IGNORECASE)
 CASES = re.compile(r"\b(?:CASE|DEFAULT|ENDTEST)\b|;", re.IGNORECASE)
 COLON = re.compile(r":(?!=)|;")
 PLACEHOLDER = re.compile(r"\s*<[A-Z]{3}>")
-RESERVED = re.compile(
-    r"(?<![\\\w.])(?:BACKWARD|CASE|CONNECT|CONST|DEFAULT|DO|ELSE|ELSEIF|ENDFOR|ENDFUNC|ENDIF|ENDMODULE|ENDPROC|ENDRECORD|ENDTEST|"
-    r"ENDTRAP|ENDWHILE|ERROR|FOR|FROM|FUNC|GOTO|IF|INOUT|LOCAL|MODULE|PERS|PROC|RAISE|RECORD|RETRY|RETURN|STEP|TASK|TEST|THEN|TO|TRAP|"
-    r"TRYNEXT|UNDO|VAR|WHILE)\b",
-    re.IGNORECASE,
+RESERVED = frozenset(
+    (
+        *(
+            "backward",
+            "case",
+            "connect",
+            "const",
+            "default",
+            "do",
+            "else",
+            "elseif",
+            "endfor",
+            "endfunc",
+            "endif",
+            "endmodule",
+        ),
+        *(
+            "endproc",
+            "endrecord",
+            "endtest",
+            "endtrap",
+            "endwhile",
+            "error",
+            "for",
+            "from",
+            "func",
+            "goto",
+            "if",
+            "inout",
+        ),
+        *(
+            "local",
+            "module",
+            "pers",
+            "proc",
+            "raise",
+            "record",
+            "retry",
+            "return",
+            "step",
+            "task",
+            "test",
+            "then",
+            "to",
+            "trap",
+        ),
+        *("trynext", "undo", "var", "while"),
+    )
 )
 """Words that stand in no statement of one kind: one of them there means that a semicolon is missing."""
+
+WORDS = re.compile(NAME)
 
 OPERAND = re.compile(
     rf'\s*(?:(?:NOT\b|[-+])\s*)*(?:"[^"]*"(?:"[^"]*")*|(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|({NAME}))', re.IGNORECASE
@@ -61,7 +106,7 @@ class NotUnderstood(Exception):
         self.place = place
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Statement:
     """A statement, as it stands.
 
@@ -82,7 +127,7 @@ class Statement:
     loops: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Declared:
     """Data, or a parameter.
 
@@ -187,8 +232,8 @@ def modules(code: Code) -> list[Module]:
 class _Block:
     """An open statement of several lines: what it is, the body that is being read, and its bodies so far."""
 
-    def __init__(self, word: str, place: int, loop: str = "", once: bool = False) -> None:
-        self.word, self.place, self.loop, self.once = word, place, loop, once
+    def __init__(self, word: str, place: int, loops: tuple[str, ...] = (), once: bool = False) -> None:
+        self.word, self.place, self.loops, self.once = word, place, loops, once
         self.body: list[Node] = []
         self.ways: list[list[Node]] = []
         self.all = False
@@ -206,6 +251,7 @@ class _Reader:
         self.place = match.end()
         if (bare := re.search(r"\r(?!\n)", self.code.text)) is not None:
             raise NotUnderstood(bare.start(), "a line ends in a bare carriage return: save it with line feeds")
+        self._shallow()
         found: list[Module] = []
         while (header := MODULE.match(self.plain, self.place)) is not None:
             self.place = header.end()
@@ -220,6 +266,14 @@ class _Reader:
         if self.place < len(self.plain):
             raise NotUnderstood(self.place, "text stands behind the module")
         return found
+
+    def _shallow(self) -> None:
+        """Make sure that brackets do not stand in brackets without end."""
+        deep = 0
+        for match in re.finditer(r"[()]", self.plain):
+            deep += 1 if match.group() == "(" else -1
+            if deep > DEEPEST:
+                raise NotUnderstood(match.start(), f"more than {DEEPEST} brackets stand in each other")
 
     def _space(self) -> None:
         match = SPACE.match(self.plain, self.place)
@@ -295,9 +349,12 @@ class _Reader:
         return self._ends[k]
 
     def _one_statement(self, start: int, end: int) -> None:
-        word = RESERVED.search(self.plain, start, end)
-        if word is not None:
-            raise NotUnderstood(word.start(), f"{word.group()} stands inside of a statement: is a semicolon missing?")
+        if RESERVED.isdisjoint(WORDS.findall(self.plain[start:end].lower())):
+            return
+        for match in WORDS.finditer(self.plain, start, end):
+            if match.group().lower() in RESERVED and self.plain[match.start() - 1] not in "\\.":
+                what = f"{match.group()} stands inside of a statement: is a semicolon missing?"
+                raise NotUnderstood(match.start(), what)
 
     def _routine(self, local: bool) -> Routine:
         match = ROUTINE.match(self.plain, self.place)
@@ -346,7 +403,6 @@ class _RoutineReader:
         self._open = [_Block("routine", reader.place)]
         self._end = "end" + routine.kind
         self._target = routine.body
-        self._handler = ""
 
     def read(self) -> None:
         reader = self._reader
@@ -397,7 +453,6 @@ class _RoutineReader:
     def _begin_handler(self, word: str, place: int) -> None:
         self._target.extend(self._open[0].body)
         self._target = []
-        self._handler = word
         self._routine.handlers.append(self._target)
         if word == "error":
             self._routine.goes_on = True
@@ -407,7 +462,7 @@ class _RoutineReader:
         self._reader.place = place
 
     def _loops(self) -> tuple[str, ...]:
-        return tuple(block.loop for block in self._open if block.loop)
+        return self._open[-1].loops
 
     def _add(self, *nodes: Node) -> None:
         self._open[-1].body.extend(nodes)
@@ -419,7 +474,8 @@ class _RoutineReader:
     def _begin(self, word: str, place: int, loop: str = "", once: bool = False) -> None:
         if len(self._open) > DEEPEST:
             raise NotUnderstood(place, f"more than {DEEPEST} statements stand in each other")
-        self._open.append(_Block(word, place, loop, once))
+        loops = (*self._loops(), *([loop] if loop else []))
+        self._open.append(_Block(word, place, loops, once))
 
     def _close(self, word: str) -> _Block:
         block = self._open[-1]
@@ -629,7 +685,7 @@ class _RoutineReader:
         match = PATH.match(self._plain, start)
         assert match is not None
         name, sign = fold(match.group(1)), match.group(3)
-        if RESERVED.fullmatch(name):
+        if name in RESERVED:
             raise NotUnderstood(start, f"{name.upper()} does not belong here")
         if sign == ":" and not match.group(2):
             self._add(Mark(name))

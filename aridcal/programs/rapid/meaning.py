@@ -57,19 +57,18 @@ GUARDED = "!"
 Work = Callable[[State], None]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class _Prepared:
     """A move, ready to be carried out."""
 
     statement: Statement
     bound: Bound
     move: Move
-    points: tuple[tuple[Value, str, list[Value]], ...]
+    points: tuple[tuple[Value, tuple[int, int], list[Value]], ...]
     tool: Value
     base: Value
     why: str
     offset: bool
-    written: tuple[Datum, ...]
 
 
 @dataclass(frozen=True)
@@ -104,11 +103,14 @@ class Meaning:
     _listed: set[tuple[int, int]] = field(default_factory=set)
 
     def __post_init__(self) -> None:
+        self.axes = self.cell.axes
+        self._free = np.full(len(self.axes.kinds), np.nan)
         self.expressions = Expressions(self.names, self.cell.frames, self._declare)
         for datum in self.names.data:
             self._initial(datum)
+        fragile = any(bound.routine.goes_on for bound in self.names.routines.values())
         for bound in self.names.routines.values():
-            for guarded in (False, True):
+            for guarded in (False, True) if fragile else (False,):
                 self.bodies[bound.key + GUARDED * guarded] = self._routine(bound, guarded)
             if bound.routine.handlers:
                 nodes = [Choice(tuple(tuple(self._body(bound, h, False)) for h in bound.routine.handlers))]
@@ -420,7 +422,7 @@ class Meaning:
         points = tuple(
             (
                 self._destination(bound, statement, span, pose),
-                _name(bound, span),
+                span,
                 self._mentioned(bound, statement, span),
             )
             for span in spans
@@ -440,7 +442,6 @@ class Meaning:
             self.expressions.work_object(bound, given.option("wobj"), loops) if pose else Constant(HERE),
             why,
             given.option("noeoffs") is None,
-            (),
         )
         nodes = self._reading(bound, statement, reading)
         nodes.append(Step(partial(self._go, prepared)))
@@ -456,7 +457,7 @@ class Meaning:
 
     def _go(self, prepared: _Prepared, state: State) -> None:
         way = prepared.move.way
-        for value, name, mentioned in prepared.points:
+        for value, span, mentioned in prepared.points:
             goal = value(state)
             if (
                 isinstance(goal, Point)
@@ -466,14 +467,14 @@ class Meaning:
                 if state.recording:
                     self._use(prepared, goal, state)
             elif state.recording:
-                self._vague(prepared, goal, name, state)
+                self._vague(prepared, goal, span)
                 self._spoil(mentioned, self._why_spoilt(prepared), state)
             self._stand(prepared, goal, state)
 
     def _why_spoilt(self, prepared: _Prepared) -> str:
         return f"{self._line(prepared.bound, prepared.statement)} works out another place from it"
 
-    def _vague(self, prepared: _Prepared, goal: object, name: str, state: State) -> None:
+    def _vague(self, prepared: _Prepared, goal: object, span: tuple[int, int]) -> None:
         """A move to a place that no plain numbers say."""
         code = prepared.bound.code
         if isinstance(goal, Point):  # brackets that are no plain numbers, or of another form
@@ -486,6 +487,7 @@ class Meaning:
         why = goal.why if isinstance(goal, Unknown) else "it is no target by itself"
         form = "pose" if prepared.move.way in "LJ" else "joints"
         line = code.line(prepared.statement.start)
+        name = " ".join(code.text[slice(*span)].split())
         self.ledger.leave(Target(line, name, "pose" if form == "pose" else "joints", (), why, file=code.file))
 
     def _use(self, prepared: _Prepared, goal: Point, state: State) -> None:
@@ -637,10 +639,12 @@ class Meaning:
 
     def _rails(self, own: Literal) -> list[tuple[float, int]]:
         """External axes that the target states: their readings [rad] or [m], with the index of each."""
-        axes = self.cell.axes
+        axes = self.axes
+        if not axes.external:
+            return []
         return [
             (axes.unit(k, DEGREE, MILLIMETRE) * n.value, k)
-            for n, k in zip(own.external, axes.external, strict=False)
+            for n, k in zip(own.parts[1], axes.external, strict=False)
             if n.value < NOT_USED
         ]
 
@@ -650,23 +654,21 @@ class Meaning:
             return Target(line, own.name, own.form, (), own.why, file=code.file)
         if not self.sources[code.file].ours:
             why = f"stands in {code.name}, which is not corrected: give it, too"
-            return Target(line, own.name, own.form, own.numbers, why, file=code.file)
-        axes = self.cell.axes
+            return Target(line, own.name, own.form, own.parts[0], why, file=code.file)
+        axes = self.axes
+        every, external = own.parts
         if own.form == "joints":
-            numbers = own.numbers[: len(axes.arm)]
-            rails = [(n, k) for n, k in zip(own.external, axes.external, strict=False) if n.value < NOT_USED]
+            numbers = every[: len(axes.arm)]
+            rails = [(n, k) for n, k in zip(external, axes.external, strict=False) if n.value < NOT_USED]
             units = axes.units([*axes.arm, *(k for _, k in rails)], DEGREE, MILLIMETRE)
             every = (*numbers, *(n for n, _ in rails))
             readings = axes.readings(every, units)
             return Target(line, own.name, "joints", every, "", readings, units, digits=5, file=code.file)
-        held = np.full(len(axes.kinds), np.nan)
+        held = self._free
         for value, k in self._rails(own):
+            held = held.copy()
             held[k] = value
         words = self._words_of(own) if use.mode == "on" else None
         unknown = "" if words is not None else use.unknown
         branch = Branch(words, None, held, nearest=use.mode != "on", unknown=unknown)
-        return Target(line, own.name, "pose", own.numbers, "", None, (), ABB, use.place, beside, branch, file=code.file)
-
-
-def _name(bound: Bound, span: tuple[int, int] | None) -> str:
-    return " ".join(bound.code.text[slice(*span)].split()) if span is not None else ""
+        return Target(line, own.name, "pose", every, "", None, (), ABB, use.place, beside, branch, file=code.file)

@@ -57,7 +57,7 @@ class Bound:
         return self.module.code
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Option:
     """An optional argument.
 
@@ -72,7 +72,7 @@ class Option:
     span: tuple[int, int]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Arguments:
     """Arguments of a call: those that must stand there, and the optional ones."""
 
@@ -90,8 +90,40 @@ class Arguments:
         yield from (option.span for option in self.options if option.sign)
 
 
+PLAIN = re.compile(
+    r"""\s*(\[\s*\[[^][]*\]\s*(?:,\s*\[[^][]*\]\s*)*\]|[^][,\\(){};"]*)((?:\\[^][,\\(){};"]*)*)(?:,|\Z)"""
+)
+"""An argument in the form of most: a name or a target of plain numbers, with options that are names."""
+
+
 def arguments(code: Code, start: int, end: int) -> Arguments:
     """Arguments between two places: commas part them, a backslash begins an optional one."""
+    text = code.plain[start:end]
+    required: list[tuple[int, int]] = []
+    options: list[Option] = []
+    place = 0
+    while place < len(text):
+        match = PLAIN.match(text, place)
+        if match is None:
+            return _any_arguments(code, start, end)
+        if match.group(1).strip():
+            required.append(code.trimmed(start + match.start(1), start + match.end(1)))
+        if match.group(2):
+            options += _options(code, start + match.start(2), start + match.end(2))
+        place = match.end()
+    return Arguments(tuple(required), tuple(options))
+
+
+def _options(code: Code, start: int, end: int) -> Iterator[Option]:
+    """Optional arguments, each without a backslash inside."""
+    for option in OPTION.finditer(code.plain, start, end):
+        stop = code.plain.find("\\", option.end(), end)
+        span = code.trimmed(option.end(), end if stop < 0 else stop)
+        yield Option(fold(option.group(1)), option.group(2) or "", span)
+
+
+def _any_arguments(code: Code, start: int, end: int) -> Arguments:
+    """Arguments with brackets in them."""
     required: list[tuple[int, int]] = []
     options: list[Option] = []
     for first, last in code.arguments(start, end):

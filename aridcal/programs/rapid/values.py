@@ -69,34 +69,47 @@ class Alias:
     datum: Datum
 
 
-@dataclass(eq=False)
+@dataclass(eq=False, slots=True)
 class Literal:
     """A robtarget or a jointtarget that stands in the text.
 
     Attributes:
         code: The file.
         start: Its first bracket.
+        end: Behind its last one.
         name: What the program calls it.
         form: Of its numbers.
-        numbers: Those that a correction changes: of place and rotation, or of the arm's axes.
-        configuration: Those of confdata.
-        external: Those of external axes.
         why: Why it has no plain meaning; empty if it has.
     """
 
     code: Code
     start: int
+    end: int
     name: str
     form: OneOf["joints", "pose"]
-    numbers: tuple[Number, ...] = ()
-    configuration: tuple[Number, ...] = ()
-    external: tuple[Number, ...] = ()
     why: str = ""
 
     @property
     def key(self) -> tuple[int, int]:
         """Its file and its place there."""
         return self.code.file, self.start
+
+    @property
+    def configuration(self) -> tuple[Number, ...]:
+        """Numbers of confdata."""
+        match = FORMS[self.form].fullmatch(self.code.plain, self.start, self.end)
+        assert match is not None and self.form == "pose"
+        return tuple(number(match, k) for k in range(8, 12))
+
+    @property
+    def parts(self) -> tuple[tuple[Number, ...], tuple[Number, ...]]:
+        """Numbers of place and rotation, or of the arm's axes; those of external axes."""
+        match = FORMS[self.form].fullmatch(self.code.plain, self.start, self.end)
+        assert match is not None
+        own, last = (7, 12) if self.form == "pose" else (6, 7)
+        return tuple(number(match, k) for k in range(1, own + 1)), tuple(
+            number(match, k) for k in range(last, last + 6)
+        )
 
 
 @dataclass(frozen=True)
@@ -123,28 +136,20 @@ def _brackets(*counts: int) -> re.Pattern[str]:
     return re.compile(rf"\[\s*{COMMA.join(parts)}\s*\]")
 
 
-_ROBTARGET, _JOINTTARGET = _brackets(3, 4, 4, 6), _brackets(6, 6)
+FORMS = {"pose": _brackets(3, 4, 4, 6), "joints": _brackets(6, 6)}
 
 
 def literal(code: Code, start: int, end: int, name: str, form: OneOf["joints", "pose"]) -> Literal:
     """The target that stands between two places."""
-    match = (_ROBTARGET if form == "pose" else _JOINTTARGET).fullmatch(code.plain, start, end)
+    match = FORMS[form].fullmatch(code.plain, start, end)
     if match is None:
-        return Literal(code, start, name, form, why="is no plain numbers")
-    numbers = tuple(number(match, k) for k in range(1, match.re.groups + 1))
-    if form == "joints":
-        own = Literal(code, start, name, form, numbers[:6], (), numbers[6:])
-        return own if _sound(own.numbers) else Literal(code, start, name, form, why="has numbers that no axis has")
-    own = Literal(code, start, name, form, numbers[:7], numbers[7:11], numbers[11:])
-    if not _sound(own.numbers):
-        return Literal(code, start, name, form, why="has numbers that no place has")
-    if not abs(math.hypot(*(n.value for n in numbers[3:7])) - 1.0) < UNIT:
-        return Literal(code, start, name, form, why="has no unit quaternion")
-    return own
-
-
-def _sound(numbers: tuple[Number, ...]) -> bool:
-    return all(abs(n.value) <= LARGEST for n in numbers)
+        return Literal(code, start, end, name, form, "is no plain numbers")
+    numbers = [float(text) for text in match.groups()]
+    if max(map(abs, numbers[:6])) > LARGEST:
+        return Literal(code, start, end, name, form, "has numbers that no arm has")
+    if form == "pose" and abs(math.hypot(*numbers[3:7]) - 1.0) > UNIT:
+        return Literal(code, start, end, name, form, "has no unit quaternion")
+    return Literal(code, start, end, name, form)
 
 
 def transform(value: object) -> Frame | None:
