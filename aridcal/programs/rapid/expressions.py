@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Literal as OneOf
 
 from aridcal.programs.frames import KnownFrames, unknown
 from aridcal.programs.rapid.grammar import NAME, fold
 from aridcal.programs.rapid.names import BARE, CALLED, WORDS_BEFORE_BRACKETS, Bound, Names, Option, arguments
-from aridcal.programs.rapid.table import FRAME_TYPES
 from aridcal.programs.rapid.values import (
     ABSENT,
     Alias,
@@ -19,6 +18,7 @@ from aridcal.programs.rapid.values import (
     Point,
     as_pose,
     backwards,
+    component,
     literal,
     object_frame,
     offs,
@@ -90,11 +90,21 @@ class Expressions:
         for _ in range(DEEPEST):
             if self.steady(datum):
                 return self.declared(datum)
+            if datum.leaves and not datum.whole:
+                return self._of_leaves(datum, state)
             value = state.get("data", datum.address)
             if not isinstance(value, Alias):
                 return Unknown(datum.changed or "it is what the caller says") if value is NEVER_SET else value
             datum = value.datum
         return Unknown("it stands for data of too many routines")
+
+    def _of_leaves(self, datum: Datum, state: State) -> object:
+        """The declared value with the parts that statements change."""
+        value = self.declared(datum)
+        for place in datum.leaves:
+            now = state.get("data", datum.leaf(place))
+            value = with_part(value, place, Unknown(datum.changed) if now is NEVER_SET else now)
+        return value
 
     def steady(self, datum: Datum) -> bool:
         """Whether the declared value is that of all times."""
@@ -248,12 +258,13 @@ class Expressions:
         kind, array = datum.type, True
         for step in STEP.finditer(bound.code.plain, place, end):
             if step.group(2):
-                k, kind = _component(kind, fold(step.group(2)))
-                if k is None:
+                part = component(kind, f".{step.group(2)}")
+                if part is None:
                     return Constant(
                         Unknown(f"{self.names.line(bound.code, place)} takes a part of {datum.declared.name}")
                     )
-                indices.append(Constant(float(k + 1)))
+                kind = part[1]
+                indices.append(Constant(float(part[0][0])))
             elif not array:
                 return Constant(Unknown(f"{self.names.line(bound.code, place)} takes a part of {datum.declared.name}"))
             else:
@@ -261,10 +272,10 @@ class Expressions:
                 indices += [self.compile(bound, *span, loops, deep - 1) for span in spans]
             array = False
         if self.steady(datum) and all(isinstance(index, Constant) for index in indices):
-            return Constant(_part(self.declared(datum), [index(State()) for index in indices]))
+            return Constant(part_of(self.declared(datum), [index(State()) for index in indices]))
         if not indices:
             return lambda state: self.value(datum, state)
-        return lambda state: _part(self.value(datum, state), [index(state) for index in indices])
+        return lambda state: part_of(self.value(datum, state), [index(state) for index in indices])
 
     def _function(self, bound: Bound, name: str, start: int, end: int, loops: tuple[str, ...], deep: int) -> Value:
         line = f"{self.names.line(bound.code, start)} works it out"
@@ -349,15 +360,7 @@ def _together(parts: list[Value], work: Callable[[tuple[object, ...]], object]) 
     return lambda state: work(tuple(part(state) for part in parts))
 
 
-def _component(kind: str, name: str) -> tuple[int | None, str]:
-    """Which part of a record a component is, and of which type."""
-    for k, (own, inner) in enumerate(FRAME_TYPES.get(kind, ())):
-        if own == name:
-            return k, inner
-    return None, ""
-
-
-def _part(value: object, indices: list[object]) -> object:
+def part_of(value: object, indices: Sequence[object]) -> object:
     """A part of a value, counted from 1."""
     for index in indices:
         if isinstance(value, Unknown):
@@ -370,18 +373,15 @@ def _part(value: object, indices: list[object]) -> object:
     return value
 
 
-def with_part(value: object, indices: list[int], new: object) -> object:
+def with_part(value: object, place: tuple[int, ...], new: object) -> object:
     """A value with another part, counted from 1."""
-    if not indices:
+    if not place:
         return new
     if isinstance(value, Unknown):
         return value
-    if not (isinstance(value, tuple) and 1 <= indices[0] <= len(value)):
+    if not (isinstance(value, tuple) and 1 <= place[0] <= len(value)):
         return Unknown("it has no such part")
-    part = with_part(value[indices[0] - 1], indices[1:], new)
-    if isinstance(part, Unknown):
-        return part
-    return (*value[: indices[0] - 1], part, *value[indices[0] :])
+    return (*value[: place[0] - 1], with_part(value[place[0] - 1], place[1:], new), *value[place[0] :])
 
 
 def _pose(why: str, work: Callable[..., Frame], *values: object) -> object:

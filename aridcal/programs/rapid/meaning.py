@@ -14,12 +14,11 @@ from aridcal.programs.frames import absent
 from aridcal.programs.notations import ABB
 from aridcal.programs.postures import rapid_words
 from aridcal.programs.project import Source
-from aridcal.programs.rapid.expressions import STEP, Constant, Expressions, Value, with_part
+from aridcal.programs.rapid.expressions import STEP, Constant, Expressions, Value, part_of, with_part
 from aridcal.programs.rapid.grammar import Statement, fold
 from aridcal.programs.rapid.names import BARE, INSTRUCTIONS, Arguments, Bound, Names, arguments, calls, late, matched
 from aridcal.programs.rapid.table import (
     DEFAULTS,
-    FRAME_TYPES,
     FUNCTIONS,
     IN_THE_WAY,
     MODES,
@@ -39,6 +38,7 @@ from aridcal.programs.rapid.values import (
     Literal,
     Point,
     backwards,
+    component,
     points_of,
     transform,
 )
@@ -309,7 +309,7 @@ class Meaning:
             match = BARE.fullmatch(bound.code.plain, *span)
             datum = bound.scope.datum(fold(match.group(1))) if match else None
             if datum is not None and not self.expressions.steady(datum):
-                nodes.append(Step(partial(self._set, datum, [], Constant(Unknown(why)))))
+                nodes.append(Step(partial(self._set, datum, (), Constant(Unknown(why)))))
         return nodes
 
     def _assignment(self, bound: Bound, statement: Statement) -> list[Node]:
@@ -323,60 +323,55 @@ class Meaning:
         if datum is None:
             return nodes
         path = code.plain[statement.start : statement.body].rstrip().removesuffix(":=")
-        indices = self._indices(bound, statement, datum, path)
+        place = self._place(bound, statement, datum, path)
         span = code.trimmed(statement.body, statement.end)
-        if datum.holds_points and not (datum.declared.array and not indices):
+        if datum.holds_points and not (datum.declared.array and place == ()):
             plain = code.plain.startswith("[", span[0])
             value = (
                 self._destination(bound, statement, span, datum.type == "robtarget")
                 if plain
                 else Constant(Unknown(f"{line} works it out"))
             )
-            if indices and not datum.declared.array:
+            if place != () and not datum.declared.array:
                 value = Constant(Unknown(f"{line} sets a part of it"))
         elif datum.holds_points:
             value = Constant(Unknown(f"{line} sets it"))
         else:
             value = self.expressions.compile(bound, *span, statement.loops)
-        return [*nodes, Step(partial(self._set, datum, indices, value))]
+        return [*nodes, Step(partial(self._set, datum, place, value))]
 
-    def _indices(self, bound: Bound, statement: Statement, datum: Datum, path: str) -> list[int] | None:
+    def _place(self, bound: Bound, statement: Statement, datum: Datum, path: str) -> tuple[int, ...] | None:
         """Which part of data is assigned to, counted from 1; None where that is worked out."""
-        indices: list[int] = []
-        kind = datum.type
-        start = statement.start + len(path.split("{")[0].split(".")[0].rstrip())
-        for step in STEP.finditer(bound.code.plain, start, statement.start + len(path)):
-            if step.group(2):
-                names = [name for name, _ in FRAME_TYPES.get(kind, ())]
-                if fold(step.group(2)) not in names:
-                    return None
-                k = names.index(fold(step.group(2)))
-                indices.append(k + 1)
-                kind = FRAME_TYPES[kind][k][1]
-            else:
-                for span in bound.code.arguments(step.start(1), step.end(1)):
-                    value = self.expressions.compile(bound, *span, statement.loops)
-                    index = value(State()) if isinstance(value, Constant) else None
-                    if type(index) is not float or not index.is_integer():
-                        return None
-                    indices.append(int(index))
-        return indices
+        match = BARE.match(path)
+        step = STEP.match(path, match.end(1)) if match is not None else None
+        if step is None:
+            return ()
+        if "{" not in path:
+            part = component(datum.type, path)
+            return part[0] if part is not None else None
+        if step.group(2) or path[step.end() :].strip():
+            return None
+        begin = statement.start + step.start(1)
+        spans = bound.code.arguments(begin, begin + len(step.group(1)))
+        values = [self.expressions.compile(bound, *span, statement.loops) for span in spans]
+        numbers = [value(State()) for value in values if isinstance(value, Constant)]
+        whole = tuple(int(n) for n in numbers if isinstance(n, float) and n.is_integer())
+        return whole if len(whole) == len(spans) else None
 
-    def _set(self, datum: Datum, indices: list[int] | None, value: Value, state: State) -> None:
+    def _set(self, datum: Datum, place: tuple[int, ...] | None, value: Value, state: State) -> None:
         """Give data, or a part of it, a value; also what a parameter stands for."""
         new = value(state)
-        for _ in range(10):
-            below = state.get("data", datum.address)
-            if not isinstance(below, Alias):
-                break
+        while isinstance(below := state.get("data", datum.address), Alias) and below.datum is not datum:
             datum = below.datum
-        else:
-            self._forget_all("it is set through too many routines", state)
+        if datum.leaves and not datum.whole and place is not None:
+            for leaf in datum.leaves:
+                if leaf[: len(place)] == place:
+                    state.set("data", datum.leaf(leaf), part_of(new, [float(k) for k in leaf[len(place) :]]))
             return
-        if indices is None:
-            new = Unknown(f"{datum.changed or 'a statement changes it'}")
-        elif indices:
-            new = with_part(self.expressions.value(datum, state), indices, new)
+        if place is None:
+            new = Unknown(datum.changed or "a statement changes a part of it")
+        elif place:
+            new = with_part(self.expressions.value(datum, state), place, new)
         state.set("data", datum.address, new)
 
     def _mode(self, bound: Bound, statement: Statement, given: Arguments) -> Node:
@@ -579,7 +574,7 @@ class Meaning:
             self._pass(what, state)
         for datum in bound.data:
             if not self.expressions.steady(datum):
-                state.set("data", datum.address, self.expressions.declared(datum))
+                self._set(datum, (), Constant(self.expressions.declared(datum)), state)
 
     def _pass(self, given: _Given, state: State) -> None:
         for parameter, value in given.parameters:
@@ -600,7 +595,8 @@ class Meaning:
         """Drop parameters and own data."""
         bound = self.names.routines.get(name.removesuffix(GUARDED).removesuffix(" handlers"))
         for datum in (*bound.parameters, *bound.data) if bound is not None else ():
-            state.drop("data", datum.address)
+            for address in datum.addresses:
+                state.drop("data", address)
 
     def absent(self, what: object, name: str, state: State) -> None:
         """A routine that is in no given file changes what it may."""
@@ -633,7 +629,8 @@ class Meaning:
         """Data that anything changes keeps its value when the program begins anew."""
         for datum in self.names.data:
             if not self.expressions.steady(datum):
-                state.forget("data", datum.address, datum.changed)
+                for address in datum.addresses:
+                    state.forget("data", address, datum.changed)
 
     # ---- targets
 

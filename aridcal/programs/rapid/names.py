@@ -18,7 +18,7 @@ from aridcal.programs.rapid.table import (
     WRITING,
     WRITING_FUNCTIONS,
 )
-from aridcal.programs.rapid.values import Datum, Scope
+from aridcal.programs.rapid.values import Datum, Scope, component, leaves
 from aridcal.programs.text import Code
 from aridcal.programs.uses import line_name
 from aridcal.programs.walk import Body, Choice, Repeat, Step
@@ -238,7 +238,8 @@ class Names:
                 if twice is not None:
                     first = self.line(twice.code, twice.declared.place)
                     why = f"{first} and {self.line(module.code, declared.place)} declare it"
-                    twice.changed = datum.changed = why
+                    self._change_whole(twice, why)
+                    self._change_whole(datum, why)
                 own[name] = datum
                 if not declared.local:
                     everywhere.setdefault(name, datum)
@@ -275,7 +276,8 @@ class Names:
         code = bound.code
         why = f"{self.line(code, statement.start)} changes it"
         if statement.kind == "assign":
-            self._change(bound, statement.name, why)
+            path = code.plain[statement.start : statement.body].rstrip().removesuffix(":=")
+            self._change(bound, statement.name, why, path if "{" not in path else "")
         elif statement.kind in ("call", "late"):
             self._look_at_call(bound, statement, why)
         for name, start, end in calls(code, statement.body, statement.end):
@@ -322,7 +324,7 @@ class Names:
         if name in WILD:
             for datum in self._all:
                 if not datum.owner and datum.declared.storage != "const":
-                    datum.changed = datum.changed or f"{why[:-11]} may change all data ({name})"
+                    self._change_whole(datum, f"{why[:-11]} may change all data ({name})")
             self.scattered = self.scattered or f"{why[:-11]} may change all data ({name})"
 
     def _look_at_function(self, bound: Bound, name: str, given: Arguments, why: str) -> None:
@@ -342,7 +344,7 @@ class Names:
             self._change_span(bound, span, why)
         for datum in self._all:
             if not datum.owner and not datum.declared.local and datum.declared.storage != "const":
-                datum.changed = datum.changed or reason
+                self._change_whole(datum, reason)
         self.scattered = self.scattered or reason
 
     def _pass_on(self, bound: Bound, callee: Bound, given: Arguments, why: str) -> None:
@@ -361,10 +363,20 @@ class Names:
         if match is not None:
             self._change(bound, fold(match.group(1)), why)
 
-    def _change(self, bound: Bound, name: str, why: str) -> None:
+    def _change(self, bound: Bound, name: str, why: str, path: str = "") -> None:
+        """Data may be changed, or a part of it."""
         datum = bound.scope.datum(name)
-        if datum is not None and datum.declared.storage != "const":
+        if datum is None or datum.declared.storage == "const":
+            return
+        part = component(datum.type, path) if "." in path else None
+        if part is None or datum.parameter:
+            self._change_whole(datum, why)
+        else:
             datum.changed = datum.changed or why
+            datum.leaves.update(leaves(part[1], part[0]))
+
+    def _change_whole(self, datum: Datum, why: str) -> None:
+        datum.changed, datum.whole = datum.changed or why, True
 
     def _spread(self) -> None:
         """Parameters that are changed change what they stand for, however far away."""
@@ -375,8 +387,8 @@ class Names:
         while waiting:
             parameter = waiting.pop()
             for datum in callers.get(id(parameter), ()):
-                if not datum.changed and datum.declared.storage != "const":
-                    datum.changed = parameter.changed
+                if not datum.whole and datum.declared.storage != "const":
+                    self._change_whole(datum, parameter.changed)
                     waiting.append(datum)
 
 

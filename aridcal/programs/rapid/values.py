@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Literal as OneOf
 
@@ -11,7 +12,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from aridcal.programs.notations import ABB, MILLI, inverse, pose
-from aridcal.programs.rapid.grammar import Declared
+from aridcal.programs.rapid.grammar import Declared, fold
+from aridcal.programs.rapid.table import FRAME_TYPES
 from aridcal.programs.text import NUMBER, Code, Number, number
 from aridcal.programs.uses import HERE, Frame
 from aridcal.programs.walk import Unknown
@@ -44,6 +46,9 @@ class Datum:
         address: Of its value in a state.
         type: With aliases resolved.
         changed: What may change it, as messages say it; empty where nothing does.
+        leaves: Numbers and words of a record that statements change one by one, each by its place, counted from 1; empty where
+            it may be changed as a whole.
+        whole: Whether it may be.
         owner: The routine that it belongs to; empty of a module's data.
         parameter: Whether the caller says what it is.
     """
@@ -53,8 +58,19 @@ class Datum:
     address: tuple[str, str]
     type: str
     changed: str = ""
+    leaves: set[tuple[int, ...]] = field(default_factory=set)
+    whole: bool = False
     owner: str = ""
     parameter: bool = False
+
+    def leaf(self, place: tuple[int, ...]) -> tuple[str, str]:
+        """The address of a part in a state."""
+        return self.address[0], f"{self.address[1]}.{'.'.join(map(str, place))}"
+
+    @property
+    def addresses(self) -> list[tuple[str, str]]:
+        """All of its addresses."""
+        return [self.address] if self.whole or not self.leaves else [self.leaf(place) for place in sorted(self.leaves)]
 
     @property
     def holds_points(self) -> bool:
@@ -152,6 +168,33 @@ def literal(code: Code, start: int, end: int, name: str, form: OneOf["joints", "
     return Literal(code, start, end, name, form)
 
 
+def leaves(kind: str, place: tuple[int, ...] = ()) -> Iterator[tuple[int, ...]]:
+    """Places of all numbers and words of a type's records."""
+    if kind not in FRAME_TYPES:
+        yield place
+    for k, (_, inner) in enumerate(FRAME_TYPES.get(kind, ()), 1):
+        yield from leaves(inner, (*place, k))
+
+
+def component(kind: str, path: str) -> tuple[tuple[int, ...], str] | None:
+    """The place and the type of a part of a record, ``.uframe.trans.z``; None where it has no such part."""
+    place: tuple[int, ...] = ()
+    for name in path.replace(" ", "").split(".")[1:]:
+        names = [own for own, _ in FRAME_TYPES.get(kind, ())]
+        if fold(name) not in names:
+            return None
+        k = names.index(fold(name))
+        place, kind = (*place, k + 1), FRAME_TYPES[kind][k][1]
+    return place, kind
+
+
+def doubt(value: object) -> Unknown | None:
+    """What is not certain of a value; None where all of it is."""
+    if isinstance(value, Unknown):
+        return value
+    return next((own for part in value if (own := doubt(part))), None) if isinstance(value, tuple) else None
+
+
 def transform(value: object) -> Frame | None:
     """The frame of a pose ((x, y, z), (q1, q2, q3, q4)); None where it is none."""
     if not (isinstance(value, tuple) and len(value) == 2 and all(isinstance(part, tuple) for part in value)):
@@ -172,8 +215,8 @@ def as_pose(frame: Frame) -> tuple[tuple[float, ...], tuple[float, ...]]:
 
 def tool_frame(name: str, value: object) -> Frame | Unknown:
     """T_tip_tool of a tooldata."""
-    if isinstance(value, Unknown):
-        return Unknown(f"the tool {name}: {value.why}")
+    if (unsure := doubt(value)) is not None:
+        return Unknown(f"the tool {name}: {unsure.why}")
     if not (isinstance(value, tuple) and len(value) == 3):
         return Unknown(f"the tool {name} is no plain numbers")
     if value[0] is not True:
@@ -183,8 +226,8 @@ def tool_frame(name: str, value: object) -> Frame | Unknown:
 
 def object_frame(name: str, value: object) -> Frame | Unknown:
     """T_base_object of a wobjdata."""
-    if isinstance(value, Unknown):
-        return Unknown(f"the work object {name}: {value.why}")
+    if (unsure := doubt(value)) is not None:
+        return Unknown(f"the work object {name}: {unsure.why}")
     if not (isinstance(value, tuple) and len(value) == 5):
         return Unknown(f"the work object {name} is no plain numbers")
     if value[0] is not False:
