@@ -17,6 +17,7 @@ from aridcal.programs.frames import KnownFrames, read_frames
 from aridcal.programs.project import Project, Source
 from aridcal.programs.rapid import ROW, context
 from aridcal.programs.targets import Target
+from aridcal.robot.chain import Robot, parse_robot
 
 ARM = robots.ur10()
 
@@ -25,14 +26,13 @@ MARK = re.compile("[⟦⟧⟨⟩]")
 
 def spans(text: str, begin: str, end: str) -> list[tuple[int, int]]:
     """Places of what stands between marks, in the text without any."""
-    places, opened, shift = [], 0, 0
-    for match in MARK.finditer(text):
+    places, opened = [], 0
+    for shift, match in enumerate(MARK.finditer(text)):
         place = match.start() - shift
         if match.group() == begin:
             opened = place
         elif match.group() == end:
             places.append((opened, place))
-        shift += 1
     return places
 
 
@@ -223,9 +223,17 @@ def test_a_point_of_a_file_that_is_not_corrected_is_named_and_left() -> None:
     assert target.why == "stands in b.mod, which is not corrected: give it, too" and target.file == 1
 
 
+def on_a_rail() -> Robot:
+    """An arm of six turning joints on a rail."""
+    urdf = ARM.urdf.decode()
+    joint = '<joint name="rail" type="prismatic"><parent link="floor"/><child link="{}"/><axis xyz="1 0 0"/>'
+    limit = '<limit lower="0" upper="3" effort="1" velocity="1"/></joint><link name="floor"/></robot>'
+    moved = urdf.replace("</robot>", joint.format(ARM.base) + limit)
+    return parse_robot(moved.encode(), ARM.tip)
+
+
 def test_external_axes_of_a_pose_are_held() -> None:
-    rail = robots.arid()
-    cell = Cell(rail, start=True)
+    cell = Cell(on_a_rail(), start=True)
     assert cell.axes.external
     text = main("MoveL [[500,10,300],[0,0,1,0],[0,0,0,0],[1500,9E9,9E9,9E9,9E9,9E9]],v100,fine,tool0;")["a.mod"]
     (target,) = ROW.read(Project((Source(Path("a.mod"), text),)), cell).targets

@@ -35,9 +35,20 @@ def left(name: str, statement: str, why: str = "", more: str = "", data: str = "
     return Attack(name, program(f"{statement}\nMoveL ⟦{POSE}⟧,v100,fine,tool0;", data, more), why=why)
 
 
+def alone(name: str, statement: str, more: str, data: str = "") -> Attack:
+    """A statement that leaves all targets of the program, wherever they stand."""
+    body = f"{statement}\nMoveL ⟦{POSE}⟧,v100,fine,tool0;\nMoveAbsJ ⟨{JOINTS}⟩,v100,fine,tool0;"
+    return Attack(name, {"a.mod": f"MODULE a\n{DATA}{data}PROC main()\n{body}\nENDPROC\n{more}ENDMODULE\n"})
+
+
 def followed(name: str, statement: str, more: str = "", data: str = "") -> Attack:
     """A statement that is followed exactly, or is harmless."""
     return Attack(name, program(f"{statement}\nMoveL ⟨{POSE}⟩,v100,fine,tool0;", data, more))
+
+
+def before(name: str, statement: str) -> Attack:
+    """A statement before which a plain target is corrected."""
+    return Attack(name, program(f"MoveL ⟨{OTHER}⟩,v100,fine,tool0;\n{statement}\nMoveL ⟦{POSE}⟧,v100,fine,tool0;"))
 
 
 def point(name: str, statement: str, why: str = "", more: str = "", kind: str = "CONST", data: str = "") -> Attack:
@@ -83,10 +94,6 @@ MODES = (
         "moves",
         "PROC go()\nPDispOn [[1,2,3],[1,0,0,0]],tool0;\nENDPROC\n",
     ),
-    Attack(
-        "a program displacement of the last cycle",
-        program(f"MoveL ⟦{POSE}⟧,v100,fine,tool0;\nPDispSet [[0,0,9],[1,0,0,0]];"),
-    ),
     followed("a program displacement that is set plainly", "PDispSet [[0,0,9],[1,0,0,0]];"),
     followed("a program displacement that is over", f"PDispOn {OTHER},tool0;\nPDispOff;"),
     left("an offset of external axes", "EOffsSet [100,0,0,0,0,0];", "external axes"),
@@ -108,8 +115,21 @@ MODES = (
     left("data that any name writes", 'SetDataVal "w1",n;', "may change"),
     left("all data of a type", 'SetAllDataVal "wobjdata",w2;', "may change"),
     left("another module is loaded", 'Load \\Dynamic,"HOME:/b.mod";', "may change"),
-    left("a procedure whose name is worked out", "%name%;", "worked out"),
-    left("a procedure whose name is data", "CallByVar name,3;", "may change"),
+    Attack(
+        "a procedure whose name is worked out",
+        {
+            "a.mod": f"MODULE a\nPROC main()\nMoveL ⟨{OTHER}⟩,v100,fine,tool0;\n%name%;\nMoveL ⟦{POSE}⟧,v100,fine,tool0;\nENDPROC\nENDMODULE\n"
+        },
+        why="worked out",
+    ),
+    Attack(
+        "a procedure whose name is data",
+        {
+            "a.mod": f"MODULE a\nPROC main()\nMoveL ⟨{OTHER}⟩,v,z,tool0;\nCallByVar s,3;\nMoveL ⟦{POSE}⟧,v,z,tool0;\nENDPROC\nENDMODULE\n"
+        },
+    ),
+    before("a displacement behind a target", "PDispSet [[0,0,9],[1,0,0,0]];\nPDispAdd shift;"),
+    before("a routine that is in no file, behind a target", "goSomewhere;"),
     left("a routine that is in no file", "goSomewhere;", "goSomewhere is in no given file".lower()),
     left("a function that is in no file", "n:=getSomething();", "is in no given file"),
     left("a function that is in no file, in a condition", "IF getSomething()>3 n:=2;", "is in no given file"),
@@ -120,17 +140,15 @@ MODES = (
         "moves",
         "FUNC num f()\nPDispOn [[1,2,3],[1,0,0,0]],tool0;\nRETURN 1;\nENDFUNC\n",
     ),
-    left(
+    alone(
         "an interrupt that displaces",
         "CONNECT i WITH tr;\nISignalDI di1,1,i;",
-        "",
         "TRAP tr\nPDispSet [[1,2,3],[1,0,0,0]];\nENDTRAP\n",
         "VAR intnum i;\n",
     ),
-    left(
+    alone(
         "an error handler that displaces",
         "risky;",
-        "",
         "PROC risky()\nWaitDI di1,1;\nERROR\nPDispSet [[1,2,3],[1,0,0,0]];\nRETRY;\nENDPROC\n",
     ),
     left(
@@ -298,10 +316,10 @@ POINTS = (
 FRAMES = (
     framed("a work object that another is copied to", "IF b w1:=w2;", "changes it"),
     framed("a work object by component, on one way", "IF b w1.uframe.trans.z:=9;", "changes it"),
-    framed("a work object by component, computed", "w1.uframe.trans.z:=n;", "line"),
+    framed("a work object by component, computed", "w1.uframe.trans.z:=n;", "w1"),
     framed("a work object that is computed", "w1.oframe:=DefFrame(CRobT(),CRobT(),CRobT());", "works it out"),
-    framed("a tool that is measured", "MToolTCPCalib j,j,j,j,t1,n,n;", "changes it", data="VAR jointtarget j;\n"),
-    framed("a tool that is computed", "t1.tframe.trans.z:=n+1;", "line"),
+    framed("a tool that is measured", "MToolTCPCalib j,j,j,j,t1,n,n;", "change it", data="VAR jointtarget j;\n"),
+    framed("a tool that is computed", "t1.tframe.trans.z:=n+1;", "t1"),
     framed("a tool that is held by no robot", "t1.robhold:=FALSE;", "not held"),
     framed("a work object that the robot holds", "w1.robhold:=TRUE;", "held by the robot"),
     framed("a user frame that a unit moves", "w1.ufprog:=FALSE;", "mechanical unit"),
@@ -317,8 +335,8 @@ FRAMES = (
     framed(
         "a frame that a routine of a routine changes",
         "one w1;",
-        "changes it",
-        "PROC one(PERS wobjdata w)\ntwo w;\nENDPROC\nPROC two(PERS wobjdata w)\nw:=w2;\nENDPROC\n",
+        "w1",
+        "PROC one(PERS wobjdata w)\ntwo w;\nENDPROC\nPROC two(PERS wobjdata w)\nw:=wobjs{n};\nENDPROC\n",
     ),
     framed("a frame that an interrupt changes", "n:=1;", "", "TRAP tr\nw1.uframe.trans.x:=9;\nENDTRAP\n"),
     framed("a frame that is left changed", "n:=1;", "changes it", "PROC later()\nw1.uframe.trans.x:=9;\nENDPROC\n"),
@@ -410,7 +428,7 @@ FRAMES = (
         "a routine of the program with the name of an instruction",
         program(
             f"MoveL p1,v100,fine,tool0;\nSetDO do1,1;\nMoveJ ⟦{POSE}⟧,v100,fine,tool0;",
-            f"CONST robtarget p1:=⟦{OTHER}⟧;\n",
+            f"CONST robtarget p1:=⟨{OTHER}⟩;\n",
             "PROC SetDO(string d,num v)\nPDispOn [[1,2,3],[1,0,0,0]],tool0;\nENDPROC\n",
         ),
     ),

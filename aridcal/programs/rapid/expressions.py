@@ -205,13 +205,13 @@ class Expressions:
             return Constant(HERE if name == zero else Unknown(unknown(kind, text)))
         value = self.compile(bound, *span, loops)
         if isinstance(value, Constant):
-            return Constant(convert(text, value.value))
+            return value if isinstance(value.value, Frame) else Constant(convert(text, value.value))
         kept = self._kept
 
         def frame(state: State) -> object:
             now = value(state)
             if not isinstance(now, tuple):
-                return convert(text, now)
+                return now if isinstance(now, Frame) else convert(text, now)
             if (text, now) not in kept:
                 kept[text, now] = convert(text, now)
             return kept[text, now]
@@ -253,7 +253,7 @@ class Expressions:
         if name in loops:
             return Constant(Unknown(f"{name} changes with every turn of the loop"))
         if datum is None:
-            return Constant(Unknown(f"{name} is in no given file"))
+            return Constant(self._of_controller(name))
         indices: list[Value] = []
         kind, array = datum.type, True
         for step in STEP.finditer(bound.code.plain, place, end):
@@ -276,6 +276,13 @@ class Expressions:
         if not indices:
             return lambda state: self.value(datum, state)
         return lambda state: part_of(self.value(datum, state), [index(state) for index in indices])
+
+    def _of_controller(self, name: str) -> object:
+        """The value of data that no given file declares."""
+        if name in ("tool0", "wobj0"):
+            return HERE
+        stated = [frames[name] for frames in (self.frames.tools, self.frames.bases) if name in frames]
+        return Frame(stated[0]) if len(stated) == 1 else Unknown(f"{name} is in no given file")
 
     def _function(self, bound: Bound, name: str, start: int, end: int, loops: tuple[str, ...], deep: int) -> Value:
         line = f"{self.names.line(bound.code, start)} works it out"

@@ -25,6 +25,7 @@ from aridcal.programs.rapid.table import (
     MOVES,
     PLAIN_OPTIONS,
     UNSTEADY,
+    WHY,
     WILD,
     WRITING,
     WRITING_FUNCTIONS,
@@ -44,7 +45,7 @@ from aridcal.programs.rapid.values import (
 )
 from aridcal.programs.targets import Branch, Place, Target, Words
 from aridcal.programs.uses import HERE, Ledger, Use, product
-from aridcal.programs.walk import Body, Call, Choice, Jump, Leave, Mark, Node, Repeat, State, Step, Unknown
+from aridcal.programs.walk import DIFFERS, Body, Call, Choice, Jump, Leave, Mark, Node, Repeat, State, Step, Unknown
 
 STANCE = ("stance", None)
 """Whether it is known where the arm comes from."""
@@ -376,7 +377,8 @@ class Meaning:
 
     def _mode(self, bound: Bound, statement: Statement, given: Arguments) -> Node:
         mode, how = MODES[statement.name]
-        line = f"{self._line(bound, statement)} ({bound.code.text[statement.start : statement.start + len(statement.name)]})"
+        word = bound.code.text[statement.start : statement.start + len(statement.name)]
+        line = f"{self._line(bound, statement)} ({word}) {WHY[mode]}"
         value: Value = Constant(Unknown(line))
         if how == "default":
             value = Constant(DEFAULTS[mode])
@@ -500,30 +502,30 @@ class Meaning:
             return
         mode, trouble = self._mode_of(prepared, own, state)
         displacement = state.get("mode", "displacement")
+        if isinstance(displacement, Unknown):
+            displacement = Unknown(_said("displacement", displacement))
         base = product(prepared.base(state), HERE if displacement is None else displacement, goal.before or HERE)
         tool = prepared.tool(state)
         if goal.after is not None:
             tool = product(tool, backwards(goal.after))
         aside = goal.before is not None or goal.after is not None
-        if isinstance(displacement, Unknown):
-            why = why or f"{displacement.why} moves the frame of targets"
         stance = state.get(*STANCE)
         unknown = stance.why if isinstance(stance, Unknown) else ""
         self.ledger.go(own.key, Use(line, base, tool, aside, why or trouble, unknown=unknown, mode=mode))
 
     def _in_the_way(self, prepared: _Prepared, own: Literal, state: State) -> str:
         """Why a mode leaves the target as it is; empty where none does."""
-        for mode, words in IN_THE_WAY.items():
+        for mode in IN_THE_WAY:
             if mode == "offset" and own.form == "joints" and not prepared.offset:
                 continue
             value = state.get("mode", mode)
             if isinstance(value, Unknown):
-                return words.format(value.why)
+                return _said(mode, value)
         if self._rails(own) and isinstance(units := state.get("mode", "units"), Unknown):
-            return f"{units.why} switches external axes"
+            return _said("units", units)
         wrist = state.get("mode", "wrist")
         if prepared.move.way == "L" and isinstance(wrist, Unknown):
-            return f"{wrist.why} may turn the tool otherwise"
+            return _said("wrist", wrist)
         return ""
 
     def _mode_of(self, prepared: _Prepared, own: Literal, state: State) -> tuple[str, str]:
@@ -532,7 +534,7 @@ class Meaning:
             return "", ""
         value = state.get("mode", "conf" + prepared.move.way.lower())
         if isinstance(value, Unknown):
-            return "", f"whether confdata counts is not known: {value.why}"
+            return "", _said("confl", value)
         return str(value), ""
 
     def _words_of(self, own: Literal) -> Words | None:
@@ -620,8 +622,8 @@ class Meaning:
 
     def anywhere(self, state: State) -> None:
         """Any place of the program: of an error handler, for instance."""
-        for mode in sorted(self.names.stepped) if not self.names.scattered else DEFAULTS:
-            state.forget("mode", mode, self.names.scattered or "it is changed elsewhere in the program")
+        for mode in DEFAULTS if self.names.unknown_calls else sorted(self.names.stepped):
+            state.forget("mode", mode, self.names.unknown_calls or "it is changed elsewhere in the program")
         state.forget(*STANCE, "it is not known where the arm comes from")
         self._lose_data(state)
 
@@ -669,3 +671,8 @@ class Meaning:
         unknown = "" if words is not None else use.unknown
         branch = Branch(words, None, held, nearest=use.mode != "on", unknown=unknown)
         return Target(line, own.name, "pose", every, "", None, (), ABB, use.place, beside, branch, file=code.file)
+
+
+def _said(mode: str, unknown: Unknown) -> str:
+    """Why a mode is not certain, for a reader who does not know which mode is meant."""
+    return f"something {WHY[mode]}, and {unknown.why}" if unknown.why == DIFFERS else unknown.why

@@ -161,7 +161,7 @@ class Names:
         harmless: Routines that the user states as such.
         routines: All, by key.
         stepped: Modes that any statement changes.
-        cycles: Whether a statement begins the cycle anew.
+        unknown_calls: Why routines may run of which nothing is known; empty where none does.
         scattered: Why routines may be called from anywhere; empty where all calls are plain.
         called: Keys of routines that others call.
     """
@@ -170,11 +170,12 @@ class Names:
     harmless: frozenset[str]
     routines: dict[str, Bound] = field(default_factory=dict)
     stepped: set[str] = field(default_factory=set)
-    cycles: bool = False
     scattered: str = ""
+    unknown_calls: str = ""
     called: set[str] = field(default_factory=set)
     _calls: dict[tuple[int, str], str] = field(default_factory=dict)
     _globals: dict[str, str] = field(default_factory=dict)
+    _twice: set[str] = field(default_factory=set)
     _edges: list[tuple[Datum, Datum]] = field(default_factory=list)
     _all: list[Datum] = field(default_factory=list)
     _homes: dict[str, Bound] = field(default_factory=dict)
@@ -209,7 +210,10 @@ class Names:
 
     def routine(self, module: Module, name: str) -> str | None:
         """The key of the routine that a module calls by a name; None where no given module has it."""
-        return self._calls.get((id(module), name), self._globals.get(name))
+        own = self._calls.get((id(module), name))
+        if own is None or not self.routines[own].routine.local:
+            return f"? {name}" if name in self._twice else own or self._globals.get(name)
+        return own
 
     def begin_with(self, module: Module, prefix: str) -> list[str]:
         """Keys of all procedures that a module sees and whose names begin like this."""
@@ -217,7 +221,7 @@ class Names:
         return [
             key
             for name, key in seen.items()
-            if name.startswith(prefix) and key in self.routines and self.routines[key].routine.kind == "proc"
+            if name.startswith(prefix) and name not in self._twice and self.routines[key].routine.kind == "proc"
         ]
 
     def arguments(self, statement: Statement) -> Arguments:
@@ -269,7 +273,8 @@ class Names:
         self.routines[key] = Bound(key, module, routine, Scope((own, *scope.levels)), parameters, data)
         self._calls[id(module), name] = key
         if not routine.local:
-            self._globals[name] = "?" + name if name in self._globals else key
+            self._twice |= {name} if name in self._globals else set()
+            self._globals[name] = key
 
     def _look(self, bound: Bound, statement: Statement) -> None:
         """What a statement may change, for the whole project."""
@@ -295,12 +300,9 @@ class Names:
             for named in keys:
                 self._pass_on(bound, self.routines[named], given, why)
             if not keys and not (whole and prefix in self.harmless):
-                self._scatter(
-                    bound,
-                    given,
-                    why,
-                    absent(prefix) if whole else f"{why[:-11]} calls a procedure by a worked out name",
-                )
+                if not whole:
+                    self.scattered = self.scattered or f"{why[:-11]} calls a procedure by a worked out name"
+                self._scatter(bound, given, why, absent(prefix) if whole else self.scattered)
             return
         key = self.routine(bound.module, statement.name)
         if key is not None and key in self.routines:
@@ -318,14 +320,15 @@ class Names:
             for k in MOVES[name].written:
                 if k < len(given.required):
                     self._change_span(bound, given.required[k], why)
-        self.cycles = self.cycles or name == "exitcycle"
         if name in MODES:
             self.stepped.add(MODES[name][0])
         if name in WILD:
+            self.unknown_calls = self.unknown_calls or f"{why[:-11]} may change all modes ({name})"
             for datum in self._all:
                 if not datum.owner and datum.declared.storage != "const":
                     self._change_whole(datum, f"{why[:-11]} may change all data ({name})")
-            self.scattered = self.scattered or f"{why[:-11]} may change all data ({name})"
+            if name == "callbyvar":
+                self.scattered = self.scattered or f"{why[:-11]} calls a procedure by a worked out name"
 
     def _look_at_function(self, bound: Bound, name: str, given: Arguments, why: str) -> None:
         key = self.routine(bound.module, name)
@@ -340,12 +343,12 @@ class Names:
 
     def _scatter(self, bound: Bound, given: Arguments, why: str, reason: str) -> None:
         """A routine that is not known may change what it is given, and all that it sees."""
+        self.unknown_calls = self.unknown_calls or reason
         for span in given.spans:
             self._change_span(bound, span, why)
         for datum in self._all:
             if not datum.owner and not datum.declared.local and datum.declared.storage != "const":
                 self._change_whole(datum, reason)
-        self.scattered = self.scattered or reason
 
     def _pass_on(self, bound: Bound, callee: Bound, given: Arguments, why: str) -> None:
         """What the routine changes of its parameters, it changes of the data that they stand for."""

@@ -5,14 +5,14 @@ from __future__ import annotations
 from aridcal.programs.cell import Cell, Reading
 from aridcal.programs.project import Project
 from aridcal.programs.rapid.grammar import Module, NotUnderstood, blanked, fold, modules
-from aridcal.programs.rapid.meaning import Meaning
+from aridcal.programs.rapid.meaning import GUARDED, Meaning
 from aridcal.programs.rapid.names import Names
 from aridcal.programs.targets import Target
 from aridcal.programs.text import Code
-from aridcal.programs.walk import Call, Choice, Repeat, State, Step, TooLong, Walk
+from aridcal.programs.walk import Call, Choice, Node, Repeat, State, TooLong, Walk
 
-LOOP = ""
-"""The key of what a controller does without end: main, or what stands for it."""
+FIRST = ""
+"""The key of what a controller begins with."""
 
 TOO_LONG = "the program has more ways than can be followed"
 
@@ -78,7 +78,7 @@ def _global_names(module: Module) -> list[str]:
 
 
 def _walk(meaning: Meaning, names: Names) -> None:
-    walk = Walk({**meaning.bodies, LOOP: _cycle(meaning, names)}, meaning)
+    walk = Walk({**meaning.bodies, FIRST: _first(names)}, meaning)
     state = State()
     meaning.begin(state)
     for key, bound in names.routines.items():
@@ -88,23 +88,20 @@ def _walk(meaning: Meaning, names: Names) -> None:
             state.volatile(
                 walk.writes(f"{key} handlers", state), f"the error handler of {bound.routine.name} changes it"
             )
-    walk.enter(LOOP, state)
+    walk.enter(FIRST, state)
     for key, bound in names.routines.items():
-        if key not in walk.reached and f"{key}!" not in walk.reached:
+        if key not in walk.reached and f"{key}{GUARDED}" not in walk.reached:
             meaning.begin(state)
             if bound.routine.kind == "trap" or names.scattered:
                 meaning.anywhere(state)
             walk.enter(key, state)
 
 
-def _cycle(meaning: Meaning, names: Names) -> list[Repeat]:
-    """What the controller carries out again and again: main, or whatever a main that is not given may call."""
-    entries = [
-        key for key, bound in names.routines.items() if fold(bound.routine.name) == "main" and not bound.routine.local
-    ]
-    if not entries:
-        called = names.called
-        entries = [key for key, b in names.routines.items() if key not in called and b.routine.kind == "proc"]
-    begin = (Step(meaning.anywhere),) if names.cycles else ()
-    ways = tuple((*begin, Call(key, None)) for key in entries)
+def _first(names: Names) -> list[Node]:
+    """What the controller begins with: main, or, where no given file has it, all that it may call, one after another."""
+    every = [(key, bound.routine) for key, bound in names.routines.items() if bound.routine.kind == "proc"]
+    main = [Call(key, None) for key, routine in every if fold(routine.name) == "main" and not routine.local]
+    if main:
+        return [*main[:1]]
+    ways = tuple((Call(key, None),) for key, _ in every if key not in names.called)
     return [Repeat((Choice(ways),), once=True)] if ways else []

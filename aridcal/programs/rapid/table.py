@@ -148,13 +148,21 @@ DEFAULTS: dict[str, object] = {
 }
 """Modes at a program's start."""
 
-IN_THE_WAY = {
-    "offset": "{} moves the external axes",
-    "softness": "{} makes an axis soft",
-    "independence": "{} lets an axis turn by itself",
-    "force": "{}: a force decides where the arm goes",
+WHY = {
+    "displacement": "moves the frame of targets",
+    "offset": "moves the external axes",
+    "confl": "may let confdata count or not",
+    "confj": "may let confdata count or not",
+    "wrist": "may turn the tool otherwise than targets say",
+    "softness": "makes an axis soft",
+    "independence": "lets an axis turn by itself",
+    "force": "lets a force decide where the arm goes",
+    "units": "switches external axes",
 }
-"""Modes that leave all targets as they are while they are on, and why."""
+"""What such an instruction does to targets, for messages."""
+
+IN_THE_WAY = ("offset", "softness", "independence", "force")
+"""Modes that leave all targets as they are while they are on."""
 
 UNSTEADY = _names(
     "egmrunjoint egmrunpose egmrunmove pathrecmovebwd pathrecmovefwd stepbwdpath setleadthrough hollowwristreset fcrefstart "
