@@ -175,6 +175,7 @@ class Names:
     called: set[str] = field(default_factory=set)
     _calls: dict[tuple[int, str], str] = field(default_factory=dict)
     _globals: dict[str, str] = field(default_factory=dict)
+    _changed_all: set[bool] = field(default_factory=set)
     _twice: set[str] = field(default_factory=set)
     _edges: list[tuple[Datum, Datum]] = field(default_factory=list)
     _all: list[Datum] = field(default_factory=list)
@@ -324,11 +325,18 @@ class Names:
             self.stepped.add(MODES[name][0])
         if name in WILD:
             self.unknown_calls = self.unknown_calls or f"{why[:-11]} may change all modes ({name})"
-            for datum in self._all:
-                if not datum.owner and datum.declared.storage != "const":
-                    self._change_whole(datum, f"{why[:-11]} may change all data ({name})")
             if name == "callbyvar":
                 self.scattered = self.scattered or f"{why[:-11]} calls a procedure by a worked out name"
+            self._change_all(f"{why[:-11]} may change all data ({name})", local=True)
+
+    def _change_all(self, why: str, local: bool) -> None:
+        """Data of modules may be changed: those that others see, or also the local ones."""
+        if local in self._changed_all:
+            return
+        self._changed_all |= {local, False}
+        for datum in self._all:
+            if not datum.owner and datum.declared.storage != "const" and (local or not datum.declared.local):
+                self._change_whole(datum, why)
 
     def _look_at_function(self, bound: Bound, name: str, given: Arguments, why: str) -> None:
         key = self.routine(bound.module, name)
@@ -346,9 +354,7 @@ class Names:
         self.unknown_calls = self.unknown_calls or reason
         for span in given.spans:
             self._change_span(bound, span, why)
-        for datum in self._all:
-            if not datum.owner and not datum.declared.local and datum.declared.storage != "const":
-                self._change_whole(datum, reason)
+        self._change_all(reason, local=False)
 
     def _pass_on(self, bound: Bound, callee: Bound, given: Arguments, why: str) -> None:
         """What the routine changes of its parameters, it changes of the data that they stand for."""
