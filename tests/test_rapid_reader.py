@@ -16,7 +16,8 @@ from aridcal.programs.cell import Cell, Reading
 from aridcal.programs.frames import KnownFrames, read_frames
 from aridcal.programs.project import Project, Source
 from aridcal.programs.rapid import ROW, context
-from aridcal.programs.targets import Target
+from aridcal.programs.targets import Target, Words
+from aridcal.programs.text import Number
 from aridcal.robot.chain import Robot, parse_robot
 
 ARM = robots.ur10()
@@ -139,6 +140,48 @@ def test_targets_come_in_the_order_of_the_moves_each_with_its_line_and_name() ->
     assert {name for name, _, _, left in names[3:] if left} == {"arr{1}", "never"}
 
 
+CONF = [
+    ("", "MoveJ", True),
+    ("", "MoveL", True),
+    ("ConfL\\Off;", "MoveL", False),
+    ("ConfL \\Off;", "MoveJ", True),
+    ("ConfJ\\Off;", "MoveJ", False),
+    ("ConfJ\\Off;", "TriggJ", False),
+    ("ConfJ\\Off;", "MoveL", True),
+    ("ConfL\\Off;ConfL\\On;", "MoveL", True),
+]
+
+
+@pytest.mark.parametrize(("mode", "move", "counts"), CONF)
+def test_confdata_counts_where_the_controller_asks_for_it(
+    mode: str, move: str, counts: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("aridcal.programs.rapid.meaning.rapid_words", _words)
+    behind = "tr1,z1,tool0" if move == "TriggJ" else "z1,tool0"
+    body = f"{mode}\n{move} {POSE},v100,{behind};\nMoveL {OTHER},v100,z1,tool0;"
+    first, second = read(main(body), start=False).targets
+    assert first.why == "" and (first.branch.words is not None) == counts
+    assert first.branch.nearest != counts and bool(first.branch.unknown) != counts
+    if counts:  # a posture in words is a stance
+        assert second.branch.unknown == ""
+    elif move == "MoveL":
+        assert second.branch.unknown
+
+
+def test_a_point_that_is_reached_with_and_without_confdata_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("aridcal.programs.rapid.meaning.rapid_words", _words)
+    data = f"CONST robtarget p1:={POSE};\nCONST robtarget p2:={OTHER};\n"
+    body = "MoveL p1,v,z,tool0;\nMoveL p2,v,z,tool0;\nConfL\\Off;\nMoveL p1,v,z,tool0;\nIF b ConfL\\On;\n"
+    targets = read(main(f"{body}MoveL {POSE},v,z,tool0;", data)).targets
+    why = [target.why for target in targets]
+    assert "another way of moving" in why[0] and why[1] == "" and "confdata" in why[2]
+
+
+def _words(data: tuple[Number, ...], cell: Cell) -> Words:
+    """Words that no readings contradict."""
+    return Words(data, lambda readings: tuple(n.text for n in data), "confdata")
+
+
 def test_where_the_arm_comes_from_is_not_known_before_a_joint_target() -> None:
     body = f"MoveL {POSE},v100,fine,tool0;\nMoveAbsJ {JOINTS},v100,fine,tool0;\nMoveL {OTHER},v100,fine,tool0;"
     unknown = [bool(t.branch.unknown) for t in read(main(body), start=False).targets]
@@ -167,7 +210,6 @@ def test_where_the_arm_comes_from_is_not_known_before_a_joint_target() -> None:
         f"MODULE a\nPROC main()\nMoveL [[{'9' * 5000},0,0],[1,0,0,0],{ZERO}],v,z,tool0;\nENDPROC\nENDMODULE",
         f"MODULE a\nPROC main()\nMoveL [[1,0,0],[0,0,0,0],{ZERO}],v,z,tool0;\nENDPROC\nENDMODULE",
         f"MODULE a\nPROC main()\nMoveL [[0x10,0,0],[1,0,0,0],{ZERO}],v,z,tool0;\nENDPROC\nENDMODULE",
-        f"MODULE a\nPROC main()\nmain;\nMoveL {POSE},v,z,tool0;\nENDPROC\nENDMODULE",
     ],
 )
 def test_no_text_raises_and_what_is_not_formed_as_rapid_is_left(text: str) -> None:

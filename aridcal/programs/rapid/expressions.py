@@ -57,7 +57,7 @@ OPERATORS: dict[str, Arithmetic] = {
 }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Constant:
     """An expression whose value never changes."""
 

@@ -105,6 +105,7 @@ class Meaning:
 
     def __post_init__(self) -> None:
         self.axes = self.cell.axes
+        self._calm = not self.names.stepped and not self.names.unknown_calls
         self._free = np.full(len(self.axes.kinds), np.nan)
         self.expressions = Expressions(self.names, self.cell.frames, self._declare)
         for datum in self.names.data:
@@ -140,9 +141,8 @@ class Meaning:
             start, end = datum.declared.value
             home = self.names.home(datum)
             why = f"{self.names.line(datum.code, datum.declared.place)} sets {datum.declared.name} from it"
-            if any(letter.isalpha() for letter in datum.code.plain[start:end].replace("E", "").replace("e", "")):
-                for mentioned in self.expressions.mentioned(home, start, end):
-                    self._spoil_all(points_of(mentioned(State())), why)
+            for mentioned in self.expressions.mentioned(home, *datum.code.trimmed(start, end)):
+                self._spoil_all(points_of(mentioned(State())), why)
 
     def _spoil_all(self, literals: Iterable[Literal], why: str) -> None:
         for own in literals:
@@ -501,10 +501,12 @@ class Meaning:
             self.ledger.go(own.key, Use(line, why=why))
             return
         mode, trouble = self._mode_of(prepared, own, state)
-        displacement = state.get("mode", "displacement")
+        displacement = None if self._calm else state.get("mode", "displacement")
         if isinstance(displacement, Unknown):
             displacement = Unknown(_said("displacement", displacement))
-        base = product(prepared.base(state), HERE if displacement is None else displacement, goal.before or HERE)
+        base = prepared.base(state)
+        if displacement is not None or goal.before is not None:
+            base = product(base, displacement or HERE, goal.before or HERE)
         tool = prepared.tool(state)
         if goal.after is not None:
             tool = product(tool, backwards(goal.after))
@@ -515,6 +517,8 @@ class Meaning:
 
     def _in_the_way(self, prepared: _Prepared, own: Literal, state: State) -> str:
         """Why a mode leaves the target as it is; empty where none does."""
+        if self._calm:
+            return ""
         for mode in IN_THE_WAY:
             if mode == "offset" and own.form == "joints" and not prepared.offset:
                 continue
@@ -532,7 +536,7 @@ class Meaning:
         """Whether confdata decides of the arm's configuration, and why that is not known."""
         if self._words_of(own) is None:
             return "", ""
-        value = state.get("mode", "conf" + prepared.move.way.lower())
+        value = "on" if self._calm else state.get("mode", "conf" + prepared.move.way.lower())
         if isinstance(value, Unknown):
             return "", _said("confl", value)
         return str(value), ""

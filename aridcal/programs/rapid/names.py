@@ -382,7 +382,7 @@ class Names:
             self._change_whole(datum, why)
         else:
             datum.changed = datum.changed or why
-            datum.leaves.update(leaves(part[1], part[0]))
+            datum.leaves |= frozenset(leaves(part[1], part[0]))
 
     def _change_whole(self, datum: Datum, why: str) -> None:
         datum.changed, datum.whole = datum.changed or why, True

@@ -36,7 +36,7 @@ class _Absent:
 ABSENT = _Absent()
 
 
-@dataclass(eq=False)
+@dataclass(eq=False, slots=True)
 class Datum:
     """Data of a program.
 
@@ -58,7 +58,7 @@ class Datum:
     address: tuple[str, str]
     type: str
     changed: str = ""
-    leaves: set[tuple[int, ...]] = field(default_factory=set)
+    leaves: frozenset[tuple[int, ...]] = frozenset()
     whole: bool = False
     owner: str = ""
     parameter: bool = False
@@ -128,7 +128,7 @@ class Literal:
         )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Point:
     """A place of the text's numbers, or a constant way off from it.
 
