@@ -416,15 +416,7 @@ class Meaning:
                 why = why or f"{line}: what \\{option.name} does to the place is not known"
         spans = [required[k] if k < len(required) else None for k in move.points]
         pose = move.way in "LJ"
-        points = tuple(
-            (
-                self._destination(bound, statement, span, pose),
-                span,
-                self._mentioned(bound, statement, span),
-            )
-            for span in spans
-            if span is not None
-        )
+        points = tuple(self._goal(bound, statement, span, pose) for span in spans if span is not None)
         count = move.tool if move.tool is None or move.tool >= 0 else len(required) - 1
         tool = required[count] if count is not None and max(move.points) < count < len(required) else None
         if pose and (tool is None or None in spans):
@@ -451,6 +443,14 @@ class Meaning:
                 )
             )
         return nodes
+
+    def _goal(
+        self, bound: Bound, statement: Statement, span: tuple[int, int], pose: bool
+    ) -> tuple[Value, tuple[int, int], list[Value]]:
+        """Where a move goes, where that stands, and targets that it is worked out from."""
+        value = self._destination(bound, statement, span, pose)
+        own = isinstance(value, Constant) and isinstance(value.value, Point) and not value.value.literal.why
+        return value, span, [] if own else self._mentioned(bound, statement, span)
 
     def _go(self, prepared: _Prepared, state: State) -> None:
         way = prepared.move.way

@@ -100,6 +100,7 @@ def _walk(meaning: Meaning, names: Names) -> None:
             state.volatile(
                 walk.writes(f"{key} handlers", state), f"the error handler of {bound.routine.name} changes it"
             )
+    walk.reached.clear()  # what was looked at above has written nothing down
     walk.enter(FIRST, state)
     for key, bound in names.routines.items():
         if key not in walk.reached and f"{key}{GUARDED}" not in walk.reached:
