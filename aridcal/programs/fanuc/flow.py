@@ -14,7 +14,7 @@ Fields = tuple[tuple[str, str], ...]
 """Parts of an instruction by name."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Place:
     """Where a motion instruction goes.
 
@@ -32,7 +32,7 @@ class Place:
         return int(self.index) if self.kind == "P" and self.index.isdecimal() and len(self.index) < 10 else None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Action:
     """What an instruction does to the state.
 
@@ -41,6 +41,7 @@ class Action:
         program: Index of the listing.
         start: Of the instruction in its text.
         fields: Parts of it by name.
+        how: Of a move: J, L, C, A or S.
         places: Of a move.
         options: Of a move.
         raw: The instruction as it stands there.
@@ -50,6 +51,7 @@ class Action:
     program: int
     start: int
     fields: Fields = ()
+    how: str = ""
     places: tuple[Place, ...] = ()
     options: tuple[tuple[Option, Fields], ...] = ()
     raw: str = ""
@@ -146,7 +148,7 @@ class _Reader:
         self._otherwise = False
 
     def read(self) -> Flow:
-        for instruction in self._listing.instructions:
+        for instruction in self._listing.instructions():
             self._instruction(instruction)
         self._end_select()
         if len(self._blocks) > 1:
@@ -296,8 +298,8 @@ class _Reader:
             elif option.does == "call":
                 self.flow.tasks.append(match.group("name"))
                 behind.append(Choice(([self._call(match.group("name"), start)], [])))
-        how = (("how", move.group("how")),)
-        return [Step(Action("move", self._program, start, how, places, tuple(options))), *behind]
+        action = Action("move", self._program, start, (), move.group("how"), places, tuple(options))
+        return [Step(action), *behind]
 
     def _note_points(self, text: str, start: int) -> None:
         """Points that an instruction uses otherwise than to go there."""

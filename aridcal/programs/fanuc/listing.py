@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
 
 from aridcal.programs.fanuc.table import HEADERS
-from aridcal.programs.text import NUMBER, Code, Number, number
+from aridcal.programs.text import NUMBER, Code, Number
 
 SECTION = re.compile(r"(?:\A(?:\xef\xbb\xbf)?|(?<=[\r\n]))[ \t]*/(PROG|ATTR|APPL|MN|POS|END)\b")
 
@@ -43,6 +44,15 @@ POSE = ("X", "Y", "Z", "W", "P", "R")
 
 UNITS = dict.fromkeys(POSE[:3], "MM") | dict.fromkeys(POSE[3:], "DEG")
 
+POSED = re.compile(
+    r"\s*GP1\s*:\s*UF : (\w+), UT : (\w+),\s*CONFIG : '([NF]) ([UD]) ([TB]), (-?\d+), (-?\d+), (-?\d+)',\s*"
+    + r"\s*,\s*".join(rf"{name} *= *({NUMBER.pattern})\s*{unit.lower()}" for name, unit in UNITS.items())
+    + r"\s*\Z"
+)
+"""A pose of one group as controllers write it; points in another form are taken apart field by field."""
+
+POSED_UNITS = tuple(UNITS.values())
+
 LARGEST = 1e6
 """[mm] or [deg]: no arm is asked for more; such a number is a fault of the program."""
 
@@ -50,7 +60,7 @@ NESTED = 4
 """Brackets in brackets: the controller takes registers of registers, and no more."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Instruction:
     """One instruction of /MN.
 
@@ -65,7 +75,7 @@ class Instruction:
     raw: str
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Point:
     """A point of /POS, group 1.
 
@@ -75,9 +85,9 @@ class Point:
         why: Why it cannot be corrected, whatever the program does with it; empty if it can be.
         user: Number of its user frame, or F: the active one.
         tool: Likewise of its tool.
-        letters: N or F, U or D, T or B of CONFIG; none where there is no CONFIG.
-        turns: The three turn numbers.
-        fields: Numbers by name.
+        config: N or F, U or D, T or B of CONFIG and the three turn numbers; none where there is no CONFIG.
+        names: Of its numbers: X or J1, for instance.
+        numbers: They.
         units: Their units, in capitals.
     """
 
@@ -86,15 +96,19 @@ class Point:
     why: str = ""
     user: str = "F"
     tool: str = "F"
-    letters: tuple[Number, ...] = ()
-    turns: tuple[Number, ...] = ()
-    fields: Mapping[str, Number] = field(default_factory=dict)
-    units: Mapping[str, str] = field(default_factory=dict)
+    config: tuple[Number, ...] = ()
+    names: tuple[str, ...] = ()
+    numbers: tuple[Number, ...] = ()
+    units: tuple[str, ...] = ()
 
     @property
     def joints(self) -> bool:
         """Whether it states joints."""
-        return "J1" in self.fields
+        return "J1" in self.names
+
+    def field(self, name: str) -> Number:
+        """One of its numbers."""
+        return self.numbers[self.names.index(name)]
 
 
 @dataclass(frozen=True)
@@ -104,16 +118,34 @@ class Listing:
     Attributes:
         code: Its file.
         name: Of the program, in capitals.
-        instructions: Of /MN, remarks left out.
         points: Of /POS, by number.
+        span: Where /MN begins and ends.
         why: Why none of its points can be corrected; empty if they can be.
     """
 
     code: Code
     name: str
-    instructions: tuple[Instruction, ...]
     points: Mapping[int, Point]
+    span: tuple[int, int] = (0, 0)
     why: str = ""
+
+    def instructions(self) -> Iterator[Instruction]:
+        """Those of /MN, remarks left out."""
+        text, (place, end) = self.code.text, self.span
+        while place < end:
+            head = HEAD.match(text, place, end)
+            place = head.end() if head is not None else place
+            remark = REMARK.match(text, place, end)
+            if remark is not None:
+                place = remark.end()
+                continue
+            body = BODY.match(text, place, end)
+            assert body is not None  # it may be empty
+            raw, stop = body.group(), body.end()
+            if raw.strip():
+                closed = stop < end and NUMBERED.search(raw) is None
+                yield Instruction(place, plain(raw) if closed else "", raw)
+            place = stop + 1
 
 
 def read_listing(code: Code) -> Listing | None:
@@ -131,7 +163,7 @@ def read_listing(code: Code) -> Listing | None:
     else:
         why = ""
     name = ""
-    instructions: tuple[Instruction, ...] = ()
+    span = (0, 0)
     points: dict[int, Point] = {}
     for kind, start, end in sections:
         if kind == "PROG":
@@ -140,10 +172,10 @@ def read_listing(code: Code) -> Listing | None:
         elif kind == "APPL":
             why = why or _foreign_header(code, start, end)
         elif kind == "MN":
-            instructions += tuple(_instructions(code.text, start, end))
+            span = (start, end)
         elif kind == "POS":
             why = _read_points(code, start, end, points) or why
-    return Listing(code, name, instructions, points, why)
+    return Listing(code, name, points, span, why)
 
 
 def plain(raw: str) -> str:
@@ -151,35 +183,24 @@ def plain(raw: str) -> str:
 
     Empty where brackets do not close: a name may hold a bracket, and then nothing of the instruction is certain.
     """
-    text = re.sub(r"\n[ \t]*:", " ", raw)
-    text = re.sub(r"'[^'\n]*'", "''", text)
-    text = re.sub(r"(?<![\w.]) | (?![\w.$])", "", " ".join(text.split())).upper()
+    text = QUOTED.sub("''", CONTINUED.sub(" ", raw))
+    text = LOOSE.sub("", " ".join(text.split())).upper()
     for _ in range(NESTED):
-        text, count = re.subn(r"\[((?:GP\d+(?:,GP\d+)*:)?[^\[\]:]*)(?::[^\[\]]*)?\]", "\1\\1\2", text)
+        text, count = BRACKET.subn("\1\\1\2", text)
         if not count:
             break
     return "" if "[" in text or "]" in text else text.translate(BRACKETS)
 
 
+CONTINUED, QUOTED = re.compile(r"\n[ \t]*:"), re.compile(r"'[^'\n]*'")
+
+LOOSE = re.compile(r"(?<![\w.]) | (?![\w.$])")
+"""A blank that does not part two words."""
+
+BRACKET = re.compile(r"\[((?:GP\d+(?:,GP\d+)*:)?[^\[\]:]*)(?::[^\[\]]*)?\]")
+"""The innermost brackets: groups, the number, and the name, which means nothing."""
+
 BRACKETS = str.maketrans("\1\2", "[]")
-
-
-def _instructions(text: str, start: int, end: int) -> Iterator[Instruction]:
-    place = start
-    while place < end:
-        head = HEAD.match(text, place, end)
-        place = head.end() if head is not None else place
-        remark = REMARK.match(text, place, end)
-        if remark is not None:
-            place = remark.end()
-            continue
-        body = BODY.match(text, place, end)
-        assert body is not None  # it may be empty
-        raw, stop = body.group(), body.end()
-        if raw.strip():
-            closed = stop < end and NUMBERED.search(raw) is None
-            yield Instruction(place, plain(raw) if closed else "", " ".join(raw.split()))
-        place = stop + 1
 
 
 def _foreign_header(code: Code, start: int, end: int) -> str:
@@ -218,6 +239,14 @@ def _read_points(code: Code, start: int, end: int, points: dict[int, Point]) -> 
 def _point(text: str, match: re.Match[str]) -> Point:
     start, (begin, end) = match.start(1), match.span(2)
     index = int(match.group(1)[-INDEX_DIGITS:])
+    usual = POSED.match(text, begin, end)
+    if usual is not None:
+        words = tuple([Number(usual.start(k), usual.group(k)) for k in range(3, 9)])
+        numbers = tuple([Number(usual.start(k), usual.group(k)) for k in range(9, 15)])
+        why = _beyond(numbers)
+        return Point(
+            index, start, why, _index(usual.group(1)), _index(usual.group(2)), words, POSE, numbers, POSED_UNITS
+        )
     groups = list(GROUP.finditer(text, begin, end))
     spans = {int(g.group(1)[-INDEX_DIGITS:]): g.end() for g in groups}
     if len(spans) != len(groups) or text[begin : groups[0].start() if groups else end].strip():
@@ -228,48 +257,62 @@ def _point(text: str, match: re.Match[str]) -> Point:
     head = FRAMES.match(text, spans[1], stop)
     if head is None:
         return Point(index, start, "is not understood: UF and UT are missing")
-    fields: dict[str, Number] = {}
-    units: dict[str, str] = {}
-    place = head.end()
-    while place < stop and (entry := FIELD.match(text, place, stop)) is not None:
-        name = entry.group(1).upper()
-        if name in fields or entry.group(3) is None:
-            return Point(index, start, f"is not understood: {name}")
-        fields[name], units[name] = number(entry, 2), entry.group(3).upper()
-        place = entry.end()
-    if text[place:stop].strip():
-        return Point(index, start, f"is not understood: {' '.join(text[place:stop].split())[:SHOWN]}")
-    return _checked(index, start, head, fields, units)
+    stated = CONFIG.fullmatch(text, *head.span(3)) if head.group(3) is not None else None
+    names, numbers, units, rest = _fields(text, head.end(), stop)
+    if rest:
+        return Point(index, start, f"is not understood: {rest[:SHOWN]}")
+    why = _fault(names, numbers, units)
+    if head.group(3) is not None and stated is None:
+        why = why or f"its CONFIG '{head.group(3)[:SHOWN].strip()}' is none of an arm of six axes"
+    words = () if stated is None else tuple(Number(stated.start(k), stated.group(k)) for k in range(1, 7))
+    user, tool = _index(head.group(1).upper()), _index(head.group(2).upper())
+    return Point(index, start, why, user, tool, words, names, numbers, units)
+
+
+def _fields(text: str, start: int, end: int) -> tuple[tuple[str, ...], tuple[Number, ...], tuple[str, ...], str]:
+    """Names, numbers and units of a point's fields, and what stands there that is none."""
+    names: list[str] = []
+    numbers: list[Number] = []
+    units: list[str] = []
+    while start < end and (entry := FIELD.match(text, start, end)) is not None:
+        names.append(entry.group(1).upper())
+        numbers.append(Number(entry.start(2), entry.group(2)))
+        units.append((entry.group(3) or "").upper())
+        start = entry.end()
+    return _same(tuple(names)), tuple(numbers), _same(tuple(units)), " ".join(text[start:end].split())
 
 
 INDEX_DIGITS = 9
 """Digits of a number in brackets that are looked at: controllers count to thousands."""
 
 
-def _checked(index: int, start: int, head: re.Match[str], fields: dict[str, Number], units: dict[str, str]) -> Point:
-    """A point whose parts have been told apart."""
-    user, tool = head.group(1).upper(), head.group(2).upper()
-    letters: tuple[Number, ...] = ()
-    turns: tuple[Number, ...] = ()
-    why = ""
-    if any("*" in n.text for n in fields.values()):
-        why = "is not taught"
-    elif any(not abs(n.value) <= LARGEST for n in fields.values()):
-        why = "has a number that no arm can reach"
-    elif "J1" not in fields and not set(POSE) <= set(fields):
-        why = "has neither X Y Z W P R nor J1, J2, ..."
-    elif "J1" in fields and set(POSE) & set(fields):
-        why = "has joints and a pose"
-    elif any(units[name] != unit for name, unit in UNITS.items() if name in units):
-        why = "has a number in an unexpected unit"
-    elif head.group(3) is not None:
-        config = CONFIG.fullmatch(head.string, *head.span(3))
-        if config is None:
-            why = f"its CONFIG '{head.group(3)[:SHOWN].strip()}' is none of an arm of six axes"
-        else:
-            letters = tuple(number(config, k) for k in (1, 2, 3))
-            turns = tuple(number(config, k) for k in (4, 5, 6))
-    return Point(index, start, why, _index(user), _index(tool), letters, turns, fields, units)
+def _fault(names: Sequence[str], numbers: Sequence[Number], units: Sequence[str]) -> str:
+    """Why the numbers of a point are no place; empty if they are one."""
+    if any("*" in n.text for n in numbers):
+        return "is not taught"
+    if _beyond(numbers):
+        return _beyond(numbers)
+    if not all(units) or len(set(names)) < len(names):
+        return "is not understood: it has a number twice, or without a unit"
+    posed = [name for name in POSE if name in names]
+    if "J1" in names and posed:
+        return "has joints and a pose"
+    if "J1" not in names and len(posed) < len(POSE):
+        return "has neither X Y Z W P R nor J1, J2, ..."
+    if any(UNITS.get(name, unit) != unit for name, unit in zip(names, units, strict=True)):
+        return "has a number in an unexpected unit"
+    return ""
+
+
+def _beyond(numbers: Sequence[Number]) -> str:
+    """Why a number is none of a place; empty if all are."""
+    return "has a number that no arm can reach" if max([abs(n.value) for n in numbers], default=0.0) > LARGEST else ""
+
+
+@lru_cache(maxsize=64)
+def _same(words: tuple[str, ...]) -> tuple[str, ...]:
+    """The words, one tuple for all points that have the same."""
+    return words
 
 
 def _index(text: str) -> str:

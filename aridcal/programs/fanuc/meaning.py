@@ -14,7 +14,6 @@ from aridcal.programs.axes import DEGREE, MILLIMETRE
 from aridcal.programs.cell import Cell
 from aridcal.programs.fanuc.flow import Action, Flow, Place
 from aridcal.programs.fanuc.listing import LARGEST, POSE, SHOWN, Listing, Point
-from aridcal.programs.fanuc.table import MODES
 from aridcal.programs.frames import absent, unknown
 from aridcal.programs.notations import FANUC, MILLI
 from aridcal.programs.postures import fanuc_words
@@ -70,6 +69,19 @@ class Active:
     """
 
     number: str
+    line: str = field(compare=False)
+
+
+@dataclass(frozen=True)
+class Mode:
+    """What keeps the arm from going where the points are.
+
+    Attributes:
+        name: What it is.
+        line: Of the instruction that has begun it, for messages.
+    """
+
+    name: str
     line: str = field(compare=False)
 
 
@@ -135,7 +147,7 @@ class Meaning:
         why = foreign or listing.why or flow.why
         for point in listing.points.values():
             key = self._key(program, point)
-            self._words[key] = fanuc_words(point.letters, point.turns, self._cell) if point.letters else None
+            self._words[key] = fanuc_words(point.config[:3], point.config[3:], self._cell) if point.config else None
             self.ledger.declare(key, partial(self._target, program, point))
             if why or point.why or self._beyond(point):
                 self.ledger.spoil(key, why or point.why or self._beyond(point))
@@ -149,14 +161,15 @@ class Meaning:
 
     def _beyond(self, point: Point) -> str:
         """Why a point does not fit the robot's axes."""
-        named = [name for name in point.fields if name not in POSE]
+        named = [name for name in point.names if name not in POSE]
         axes = self._arm | self._external
         for name in named:
             if name not in axes:
                 return f"has an axis {name} that the robot of the calibration has not"
             slides = self._axes.kinds[axes[name]] == "prismatic"
-            if (point.units[name] == "MM") != slides:
-                return f"has {name} in {point.units[name].lower()}, but that axis {'slides' if slides else 'turns'}"
+            unit = point.units[point.names.index(name)]
+            if (unit == "MM") != slides:
+                return f"has {name} in {unit.lower()}, but that axis {'slides' if slides else 'turns'}"
         if point.joints and not set(self._arm) <= set(named):
             return "does not state all joints of the arm"
         return ""
@@ -166,25 +179,25 @@ class Meaning:
         line, name = code.line(point.start), f"P[{point.number}]"
         if point.joints:
             axes = self._arm | self._external
-            named = [axis for axis in axes if axis in point.fields]
-            units = self._axes.units([axes[axis] for axis in named if not self._beyond(point)], DEGREE, MILLIMETRE)
-            numbers = tuple(point.fields[axis] for axis in named) if units else ()
+            named = [axis for axis in axes if axis in point.names] if not point.why else []
+            units = self._axes.units([axes[axis] for axis in named], DEGREE, MILLIMETRE)
+            numbers = tuple(point.field(axis) for axis in named)
             readings = self._axes.readings(numbers, units)
             return Target(line, name, "joints", numbers, "", readings, units, digits=3, file=code.file)
-        plain = not point.why and set(POSE) <= set(point.fields)
-        numbers = tuple(point.fields[part] for part in POSE) if plain else ()
+        plain = not point.why
+        numbers = tuple(point.field(part) for part in POSE) if plain else ()
         branch = Branch(self._words[self._key(program, point)], None, self._held(point), False, use.unknown)
         place = use.place if plain else None
         return Target(line, name, "pose", numbers, "", None, (), FANUC, place, beside, branch, file=code.file)
 
     def _held(self, point: Point) -> np.ndarray | None:
         """External axes that a pose states, shape (columns,), NaN of the others."""
-        own = {axis: k for axis, k in self._external.items() if axis in point.fields}
+        own = {axis: k for axis, k in self._external.items() if axis in point.names}
         if not own:
             return None
         held = np.full(len(self._axes.kinds), np.nan)
         for axis, k in own.items():
-            held[k] = self._axes.unit(k, DEGREE, MILLIMETRE) * point.fields[axis].value
+            held[k] = self._axes.unit(k, DEGREE, MILLIMETRE) * point.field(axis).value
         return held
 
     # the state
@@ -200,8 +213,7 @@ class Meaning:
             for number, why in written[family].items():
                 state.forget(family, number, why)
         state.set("points", None, True)
-        for mode, _, _ in MODES:
-            state.set("mode", mode, True)
+        state.set("modes", None, ())
         if self._cell.start:
             state.set("stance", None, True)
         else:
@@ -233,8 +245,12 @@ class Meaning:
                 n = int(match.group(1))
                 state.set(what.does, None, (n, state.get("register", n)))
         elif what.does in ("mode", "no mode"):
-            name = what.field("name")
-            state.set("mode", name, True if what.does == "no mode" else Unknown(f"{name} from {line} on"))
+            modes = state.get("modes")
+            if isinstance(modes, tuple):
+                others = tuple(mode for mode in modes if mode.name != what.field("name"))
+                state.set(
+                    "modes", None, others if what.does == "no mode" else (*others, Mode(what.field("name"), line))
+                )
             state.forget_family("register", f"{line} may set it")  # searches write what they find
         elif what.does == "unknown":
             name = what.raw.rstrip(" ;").lower()
@@ -320,7 +336,7 @@ class Meaning:
         listing = self._listings[what.program]
         point = listing.points.get(place.point) if place.point is not None else None
         if point is None:
-            if what.field("how") == "J":
+            if what.how == "J":
                 state.forget("stance", None, STANCE)
             if state.recording and what.program in self._spoken:
                 self._leave(what, place, listing)
@@ -347,9 +363,11 @@ class Meaning:
         line = self.line(what.program, what.start)
         points = state.get("points")
         why = points.why if isinstance(points, Unknown) else ""
-        for mode, _, _ in MODES:
-            on = state.get("mode", mode)
-            why = why or (on.why if isinstance(on, Unknown) else "")
+        modes = state.get("modes")
+        if isinstance(modes, Unknown):
+            why = why or modes.why
+        elif isinstance(modes, tuple) and modes:
+            why = why or f"{modes[0].name} from {modes[0].line} on"
         why = why or next((f"{line}: {option.why}" for option, _ in what.options if option.does == "left"), "")
         if point.joints:
             self.assumed.add("joints")
