@@ -89,7 +89,10 @@ BEFORE: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("a program that no file has", ("CALL GRIP",)),
     ("a program that no file has, with arguments", ("CALL GRIP(1,'a;b')",)),
     ("a program that no file has, on a condition", ("IF R[1]=1,CALL GRIP",)),
-    ("a program that no file has, in a selection", ("SELECT R[1]=1,CALL GRIP", "=2,JMP LBL[1]", "ELSE,JMP LBL[1]", "LBL[1]")),
+    (
+        "a program that no file has, in a selection",
+        ("SELECT R[1]=1,CALL GRIP", "=2,JMP LBL[1]", "ELSE,JMP LBL[1]", "LBL[1]"),
+    ),
     ("a program whose name is worked out", ("CALL SR[1]",)),
     ("a task that no file has", ("RUN GRIP",)),
     ("a handler that no file has", ("MONITOR GRIP",)),
@@ -163,23 +166,28 @@ NEITHER = [point(1, LEFT), point(2, LEFT)]
 
 HANDLER = listing(["WHEN DI[1]=ON,CALL SUB"], name="HANDLER")
 
+BEGUN = ("UTOOL_NUM=1", "UFRAME_NUM=1")
+
+OTHERWISE = ("UFRAME_NUM=2", "LBL[1]", GO)
+
 ACTIVE: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("the active frame where none is set", ("UTOOL_NUM=1", GO)),
     ("the active frame from a register", ("UFRAME_NUM=R[1]", "UTOOL_NUM=1", GO)),
     ("the active frame from an argument", ("UFRAME_NUM=AR[1]", "UTOOL_NUM=1", GO)),
-    ("the active frame of a branch", ("UFRAME_NUM=1", "IF (R[1]=1) THEN", "UFRAME_NUM=2", "ENDIF", "UTOOL_NUM=1", GO)),
-    ("the active frame of a condition", ("UFRAME_NUM=1", "IF (R[1]=1),UFRAME_NUM=2", "UTOOL_NUM=1", GO)),
-    ("the active frame of a loop", ("UTOOL_NUM=1", "UFRAME_NUM=1", "LBL[1]", GO, "UFRAME_NUM=2", "JMP LBL[1]")),
-    ("the active frame of a counted loop", ("UTOOL_NUM=1", "UFRAME_NUM=1", "FOR R[1]=1 TO 2", GO, "UFRAME_NUM=2", "ENDFOR")),
-    ("the active frame of a called program", ("UTOOL_NUM=1", "UFRAME_NUM=1", "CALL OTHER", GO)),
-    ("two moves in two frames", ("UTOOL_NUM=1", "UFRAME_NUM=1", GO, "UFRAME_NUM=2", GO)),
-    ("two moves with two tools", ("UTOOL_NUM=1", "UFRAME_NUM=1", GO, "UTOOL_NUM=2", GO)),
-    ("a jump whose label is worked out", ("UTOOL_NUM=1", "UFRAME_NUM=1", "JMP LBL[R[1]]", "LBL[1]", "UFRAME_NUM=2", "LBL[2]", GO)),
-    ("a jump on a time-out", ("UTOOL_NUM=1", "UFRAME_NUM=1", "WAIT DI[1]=ON TIMEOUT,LBL[1]", "UFRAME_NUM=2", "LBL[1]", GO)),
-    ("a jump where a camera sees nothing", ("UTOOL_NUM=1", "UFRAME_NUM=1", "VISION GET_OFFSET 'A' VR[1] JMP LBL[1]", "UFRAME_NUM=2", "LBL[1]", GO)),
-    ("a jump where a search ends", ("UTOOL_NUM=1", "UFRAME_NUM=1", "L P[3] 9mm/sec FINE Skip,LBL[1]", "UFRAME_NUM=2", "LBL[1]", GO)),
-    ("a jump where a search is cut off", ("UTOOL_NUM=1", "UFRAME_NUM=1", "L P[3] 9mm/sec FINE SkipJump,LBL[1]", "UFRAME_NUM=2", "LBL[1]", GO)),
-)  # fmt: skip
+    ("the active frame of a branch", (*BEGUN, "IF (R[1]=1) THEN", "UFRAME_NUM=2", "ENDIF", GO)),
+    ("the active frame of a condition", (*BEGUN, "IF (R[1]=1),UFRAME_NUM=2", GO)),
+    ("the active frame of a loop", (*BEGUN, "LBL[1]", GO, "UFRAME_NUM=2", "JMP LBL[1]")),
+    ("the active frame of a counted loop", (*BEGUN, "FOR R[1]=1 TO 2", GO, "UFRAME_NUM=2", "ENDFOR")),
+    ("the active frame of a called program", (*BEGUN, "CALL OTHER", GO)),
+    ("two moves in two frames", (*BEGUN, GO, "UFRAME_NUM=2", GO)),
+    ("two moves with two tools", (*BEGUN, GO, "UTOOL_NUM=2", GO)),
+    ("a jump whose label is worked out", (*BEGUN, "JMP LBL[R[1]]", "LBL[2]", *OTHERWISE)),
+    ("a jump on a condition", (*BEGUN, "IF R[1]=1,JMP LBL[1]", *OTHERWISE)),
+    ("a jump on a time-out", (*BEGUN, "WAIT DI[1]=ON TIMEOUT,LBL[1]", *OTHERWISE)),
+    ("a jump where a camera sees nothing", (*BEGUN, "VISION GET_OFFSET 'A' VR[1] JMP LBL[1]", *OTHERWISE)),
+    ("a jump where a search ends", (*BEGUN, "L P[3] 9mm/sec FINE Skip,LBL[1]", *OTHERWISE)),
+    ("a jump where a search is cut off", (*BEGUN, "L P[3] 9mm/sec FINE SkipJump,LBL[1]", *OTHERWISE)),
+)
 """Programs to P[1] in the active frame and tool."""
 
 KNOWN = ("PR[1]=LPOS", "PR[1]=PR[1]-PR[1]", "PR[1,3]=50")
@@ -219,7 +227,10 @@ DATA: tuple[tuple[str, str], ...] = (
     ("a point in no unit", point(1, LEFT).replace(" mm", "")),
     ("a point with millimetres in an angle", point(1, LEFT).replace("1.377 deg", "1.377 mm")),
     ("a point without an angle", point(1, LEFT).replace("P =     1.377 deg,\t", "")),
-    ("a point with an axis that the robot has not", point(1, LEFT).replace("-68.968 deg", "-68.968 deg,\n\tE1= 10.000 mm")),
+    (
+        "a point with an axis that the robot has not",
+        point(1, LEFT).replace("-68.968 deg", "-68.968 deg,\n\tE1= 10.000 mm"),
+    ),
     ("a point beyond all arms", point(1, LEFT).replace("-98.244", "1e999")),
     ("a point without frame and tool", point(1, LEFT).replace("UF : 1, UT : 1,", "")),
     ("a point in a frame that nobody states", point(1, LEFT, user="7")),

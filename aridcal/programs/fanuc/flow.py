@@ -29,7 +29,7 @@ class Place:
     @property
     def point(self) -> int | None:
         """The number of a point of the program."""
-        return int(self.index) if self.kind == "P" and self.index.isdecimal() and len(self.index) < 10 else None
+        return int(self.index) if self.kind == "P" and short(self.index) else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -242,7 +242,8 @@ class _Reader:
             return [Leave("program" if text == "ABORT" else "routine")]
         if NO_TASK.fullmatch(text) is not None or (text and HARMLESS_RE.fullmatch(text) is not None):
             return []
-        return [Step(self._change(text, instruction))]
+        change = self._change(text, instruction)
+        return [Step(change)] if change is not None else []
 
     def _conditional(self, text: str, instruction: Instruction) -> list[Node]:
         """What an instruction does where its condition holds."""
@@ -256,15 +257,18 @@ class _Reader:
         self.flow.calls.append(name)
         return Call(name, Action("call", self._program, start))
 
-    def _change(self, text: str, instruction: Instruction) -> Action:
+    def _change(self, text: str, instruction: Instruction) -> Action | None:
+        """What an instruction changes; None if nothing of this arm."""
         start = instruction.start
         for does, pattern in CHANGES_RE:
             match = pattern.fullmatch(text)
             if match is not None:
                 fields = _fields(match)
                 if does in ("frame", "tool"):
-                    index = match.group("index")
-                    self.flow.writes.append((does, int(index) if _short(index) else ANY, start))
+                    index = own_group(match.group("index"))
+                    if index is None:
+                        return None
+                    self.flow.writes.append((does, int(index) if short(index) else ANY, start))
                 return Action(does, self._program, start, fields)
         for name, on, off in MODES_RE:
             for does, pattern in (("mode", on), ("no mode", off)):
@@ -305,7 +309,7 @@ class _Reader:
         """Points that an instruction uses otherwise than to go there."""
         for match in POINT.finditer(text):
             index = match.group(1).split(",")[0]
-            point = int(index) if _short(index) else ANY
+            point = int(index) if short(index) else ANY
             written = match.start() == 0 and text[match.end() : match.end() + 1] == "="
             self.flow.uses.append((point, start, "sets it anew" if written else "takes its numbers for something else"))
 
@@ -323,7 +327,13 @@ def _fields(match: re.Match[str]) -> Fields:
     return tuple((name, value) for name, value in match.groupdict().items() if value is not None)
 
 
-def _short(index: str) -> bool:
+def own_group(index: str) -> str | None:
+    """What stands in brackets without group 1; None where it is of another group."""
+    return index.removeprefix("GP1:") if not index.startswith("GP") or index.startswith("GP1:") else None
+
+
+def short(index: str) -> bool:
+    """Whether it is a number of a register, a frame or a point."""
     return index.isdecimal() and len(index) < 10
 
 

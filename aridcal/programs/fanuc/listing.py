@@ -151,8 +151,8 @@ class Listing:
 def read_listing(code: Code) -> Listing | None:
     """A program; None of a file that holds none."""
     marks = list(SECTION.finditer(code.text))
-    ends = [*(mark.start() for mark in marks[1:]), len(code.text)]
-    sections = [(mark.group(1), mark.end(), end) for mark, end in zip(marks, ends, strict=True)]
+    ends = [*(mark.start() for mark in marks), len(code.text)][1:]
+    sections = [(mark.group(1), mark.end(), end) for mark, end in zip(marks, ends, strict=False)]
     kinds = [kind for kind, _, _ in sections]
     if "PROG" not in kinds:
         return None

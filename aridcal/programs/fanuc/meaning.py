@@ -12,7 +12,7 @@ import numpy as np
 from aridcal.errors import printable
 from aridcal.programs.axes import DEGREE, MILLIMETRE
 from aridcal.programs.cell import Cell
-from aridcal.programs.fanuc.flow import Action, Flow, Place
+from aridcal.programs.fanuc.flow import Action, Flow, Place, own_group, short
 from aridcal.programs.fanuc.listing import LARGEST, POSE, SHOWN, Listing, Point
 from aridcal.programs.frames import absent, unknown
 from aridcal.programs.notations import FANUC, MILLI
@@ -285,11 +285,8 @@ class Meaning:
             state.forget(what.does, None, f"{line} takes it from {what.field('value')[:SHOWN]}")
 
     def _frame(self, what: Action, state: State, line: str) -> None:
-        index, source = what.field("index"), REGISTER.fullmatch(what.field("value"))
-        if index.startswith("GP") and not index.startswith("GP1:"):
-            return
-        index = index.removeprefix("GP1:")
-        if not (index.isdecimal() and len(index) < 10):
+        index, source = own_group(what.field("index")) or "", REGISTER.fullmatch(what.field("value"))
+        if not short(index):
             state.forget_family(what.does, f"{line} sets one whose number is worked out")
             return
         register = state.get("register", int(source.group(1))) if source is not None else None
@@ -307,11 +304,11 @@ class Meaning:
         return flange if isinstance(flange, Frame) else HERE
 
     def _register(self, what: Action, state: State, line: str) -> None:
-        index = what.field("index").removeprefix("GP1:")
-        if index.startswith("GP"):
+        index = own_group(what.field("index"))
+        if index is None:
             return
         number, _, element = index.partition(",")
-        if not (number.isdecimal() and len(number) < 10):
+        if not short(number):
             state.forget_family("register", f"{line} sets a register whose number is worked out")
             return
         before = state.get("register", int(number))
@@ -411,7 +408,7 @@ class Meaning:
                 return None
             register = condition[1] if condition[1] == state.get("register", condition[0]) else None
         else:
-            register = state.get("register", int(named)) if named.isdecimal() and len(named) < 10 else None
+            register = state.get("register", int(named)) if short(named) else None
         return register.shift if isinstance(register, Register) else None
 
     def _base(self, point: Point, state: State, line: str) -> object:
