@@ -341,7 +341,7 @@ def test_a_listing_is_not_believed_where_a_given_program_sets_the_frame() -> Non
     cell = stated(KnownFrames())
     assert by_name(read(text, cell, True, sysframe_va=SYSFRAME))["P[1]"].why == ""
     reason = by_name(read(text, cell, True, sysframe_va=SYSFRAME, setter_ls=setter))["P[1]"].why
-    assert reason == "setter.ls line 5 sets it, perhaps in a run before"
+    assert reason == "setter.ls line 5 sets this user frame, perhaps in a run before"
     assert why(text, setter_ls=setter) == ""  # what the user states is believed against a program that is not called
     calls = listing([GO, "CALL SETTER"], [point(1, user="2")])
     assert "in a run before" in why(calls, setter_ls=setter)

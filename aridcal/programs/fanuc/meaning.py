@@ -253,10 +253,10 @@ class Meaning:
                 )
             state.forget_family("register", f"{line} may set it")  # searches write what they find
         elif what.does == "unknown":
-            name = what.raw.rstrip(" ;").lower()
+            name = " ".join(what.raw.split()).lower()
             if name not in self._cell.frames.harmless:
                 state.forget_all(
-                    f"{line} is not understood, and may change frames and points: {printable(what.raw[:SHOWN])}"
+                    f"{line} is not understood, and may change frames and points: {printable(name[:SHOWN])}"
                 )
 
     def enter(self, what: object, name: str, state: State) -> None:
@@ -287,12 +287,12 @@ class Meaning:
     def _frame(self, what: Action, state: State, line: str) -> None:
         index, source = own_group(what.field("index")) or "", REGISTER.fullmatch(what.field("value"))
         if not short(index):
-            state.forget_family(what.does, f"{line} sets one whose number is worked out")
+            state.forget_family(what.does, f"{line} sets a user {what.does} whose number is worked out")
             return
         register = state.get("register", int(source.group(1))) if source is not None else None
         value = register.frame if isinstance(register, Register) else None
         if value is None:
-            state.forget(what.does, int(index), f"{line} sets it to {what.field('value')[:SHOWN]}")
+            state.forget(what.does, int(index), f"{line} sets the user {what.does} to {what.field('value')[:SHOWN]}")
         else:
             state.set(
                 what.does, int(index), self._given.world @ value if what.does == "frame" else self._flange @ value

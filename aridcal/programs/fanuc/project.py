@@ -80,7 +80,7 @@ def _walked(
     tasks = {name for k in walked for name in flows[k].tasks}
     for name in sorted(tasks):
         if not (name not in names and name.lower() in cell.frames.harmless):
-            state.volatile(walk.writes(name, state), f"{name} runs beside the program, and may set it")
+            state.volatile(walk.writes(name, state), f"{name} runs beside the program, and may change it")
     for k in _entries(walked, flows, names):
         walk.enter(_routine(names, k), State(state))
     for k in walked:
@@ -140,7 +140,7 @@ def _written(
         for family, number, start in flow.writes:
             if k in walked or (number != ANY and str(number) not in believed[family]):
                 line = line_name(codes, listings[k].code, start)
-                written[family].setdefault(number, f"{line} sets it, perhaps in a run before")
+                written[family].setdefault(number, f"{line} sets this user {family}, perhaps in a run before")
     return written
 
 

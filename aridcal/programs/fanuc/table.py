@@ -30,9 +30,9 @@ HARMLESS = (
     r"OVERRIDE=.+",
     rf"(?:JOINT|LINEAR)_MAX_SPEED(?:\[{INDEX}\])?=.+",
     rf"PAYLOAD\[{INDEX}\]",
-    r"COL (?:DETECT|GUARD)\b.*",
-    r"TORQ_LIMIT\b.*",
-    r"TC_ONLINE\b.*",  # the condition on which the arm may move
+    r"COL (?:DETECT (?:ON|OFF)|GUARD (?:ADJUST|STICK)\b.*)",
+    rf"TORQ_LIMIT {VALUE}%",
+    r"TC_ONLINE(?:\(.*\)| ENABLE| DISABLE)",  # the condition on which the arm may move
     r"(?:UN)?LOCK [PV]REG",
     r"CLEAR_RESUME_PROG",
     # system variables that have nothing to do with places, and variables of KAREL programs
@@ -40,8 +40,8 @@ HARMLESS = (
     r"\$\[\w+\]\w.*?=.+",
     # processes along the way
     r"(?:ARC|WELD) (?:START|END)(?:\[.*\])?",
-    r"WEAVE\b[\w ]*(?:\[.*\])?",
-    r"STITCH\b.*",
+    r"WEAVE (?:SINE|SINE 2|CIRCLE|FIGURE 8|L|END)(?:\[.*\])?",
+    r"STITCH (?:ON|OFF|START|END|ENABLE|DISABLE)(?:\[.*\])?",
     r"SPOT\[.*\]",
     r"PRESS_MOTN\[.*\]",
     r"SS\[.*\]|SE",
