@@ -167,6 +167,10 @@ class _Reader:
         if self._branch_of_select(text, instruction):
             return
         self._end_select()
+        move = MOVE.fullmatch(text)
+        if move is not None:
+            self._blocks[-1].nodes.extend(self._move(move, instruction))
+            return
         label = LABEL.fullmatch(text)
         if BLOCK.fullmatch(text) is not None:
             if len(self._blocks) > DEEPEST:
@@ -222,7 +226,7 @@ class _Reader:
         if text.startswith(("IF ", "IF(", "WHEN ", "WHEN(")):
             return [Choice((self._conditional(text, instruction), []))]
         move = MOVE.fullmatch(text)
-        if move is not None:
+        if move is not None:  # on a condition, as the newest controllers take it
             return self._move(move, instruction)
         self._note_points(text, start)
         jump, call, task = JUMP.fullmatch(text), CALL.fullmatch(text), TASK.fullmatch(text)
@@ -282,7 +286,8 @@ class _Reader:
         for place in places:
             if place.kind == "P" and place.point is None:
                 self.flow.uses.append((ANY, start, f"goes to P[{place.index}], which may be this one"))
-        self._note_points(move.group("speed") + move.group("options"), start)
+        if "P[" in move.group("options"):
+            self._note_points(move.group("options"), start)
         options: list[tuple[Option, Fields]] = []
         behind: list[Node] = []
         text, at = move.group("options"), 0

@@ -183,12 +183,13 @@ def plain(raw: str) -> str:
 
     Empty where brackets do not close: a name may hold a bracket, and then nothing of the instruction is certain.
     """
-    text = QUOTED.sub("''", CONTINUED.sub(" ", raw))
+    text = CONTINUED.sub(" ", raw) if "\n" in raw else raw
+    text = QUOTED.sub("''", text) if "'" in text else text
     text = LOOSE.sub("", " ".join(text.split())).upper()
     for _ in range(NESTED):
-        text, count = BRACKET.subn("\1\\1\2", text)
-        if not count:
+        if "[" not in text:
             break
+        text = BRACKET.sub("\1\\1\2", text)
     return "" if "[" in text or "]" in text else text.translate(BRACKETS)
 
 

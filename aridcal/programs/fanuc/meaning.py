@@ -149,8 +149,9 @@ class Meaning:
             key = self._key(program, point)
             self._words[key] = fanuc_words(point.config[:3], point.config[3:], self._cell) if point.config else None
             self.ledger.declare(key, partial(self._target, program, point))
-            if why or point.why or self._beyond(point):
-                self.ledger.spoil(key, why or point.why or self._beyond(point))
+            reason = why or point.why or self._beyond(point)
+            if reason:
+                self.ledger.spoil(key, reason)
         for number, start, use in flow.uses:
             for point in listing.points.values():
                 if number in (point.number, -1):
@@ -161,6 +162,8 @@ class Meaning:
 
     def _beyond(self, point: Point) -> str:
         """Why a point does not fit the robot's axes."""
+        if point.names == POSE:
+            return ""
         named = [name for name in point.names if name not in POSE]
         axes = self._arm | self._external
         for name in named:
@@ -185,7 +188,7 @@ class Meaning:
             readings = self._axes.readings(numbers, units)
             return Target(line, name, "joints", numbers, "", readings, units, digits=3, file=code.file)
         plain = not point.why
-        numbers = tuple(point.field(part) for part in POSE) if plain else ()
+        numbers = tuple(map(point.field, POSE)) if plain else ()
         branch = Branch(self._words[self._key(program, point)], None, self._held(point), False, use.unknown)
         place = use.place if plain else None
         return Target(line, name, "pose", numbers, "", None, (), FANUC, place, beside, branch, file=code.file)
@@ -378,7 +381,7 @@ class Meaning:
                 continue
             shift = self._shift(what, option.does, state)
             if shift is None:
-                why = why or f"{line} shifts it by what is not certain"
+                why = why or f"{line} shifts it by a way that is not certain"
                 continue
             way = Frame(_translation(shift if option.does == "offset" else -shift))
             aside = aside or bool(np.any(shift != 0.0))
