@@ -14,6 +14,7 @@ from program_attacks.fanuc import (
     ANYWHERE,
     ATTACKS,
     BEFORE,
+    FRAME_SET,
     FRAMES,
     GO,
     KNOWN,
@@ -114,7 +115,7 @@ def test_a_point_that_does_not_mean_what_it_says_is_left(attack: Attack, tmp_pat
 CONTROLS = (
     [(name, [*START, GO]) for name, _ in (*OPTIONS, *BEFORE, *ANYWHERE)]
     + [(name, ["UFRAME_NUM=1", "UTOOL_NUM=1", GO]) for name, _ in ACTIVE]
-    + [("a shift", [*KNOWN, SHIFTED])]
+    + [("a shift", [*KNOWN, SHIFTED]), ("a frame", [*FRAME_SET, GO])]
 )
 
 
@@ -133,7 +134,8 @@ HARMLESS = (
     "Weave End", "SPOT[SD=1,P=2]", "VISION RUN_FIND 'A'", "RSR[1]=ENABLE", "SEMAPHORE[1]=ON", "!a remark: UFRAME_NUM=2",
     "//UFRAME_NUM=2", "--eg:UFRAME_NUM=2", "PR[5]=LPOS", "PR[5,3]=7", "LPR[1]=LPOS", "UFRAME_NUM[GP2]=2", "UFRAME[3]=PR[9]",
     "UTOOL[3]=PR[9]", "UFRAME[GP2:1]=PR[9]", "VOFFSET CONDITION VR[1]", "IF R[1]=1,JMP LBL[99]", "JMP LBL[99]",
-    "SELECT R[1]=1,JMP LBL[99]", "PL[1]=[1,1,1]", "MONITOR END HANDLER", "DIAG_REC[1,2,3]", "Stitch Start", "AR[1]=5",
+    "PRESS_MOTN[1]", "SS[1]", "SE", "GUN[1]=ON", "PALLETIZING-B_1", "------", "TORQ_LIMIT 80.0%", "CLEAR_RESUME_PROG", "SELECT R[1]=1,JMP LBL[99]",
+    "PL[1]=[1,1,1]", "MONITOR END HANDLER", "DIAG_REC[1,2,3]", "Stitch Start", "AR[1]=5",
 )  # fmt: skip
 
 

@@ -44,6 +44,9 @@ START = ("UFRAME_NUM=1", "UTOOL_NUM=1", "L P[2] 100mm/sec FINE")
 
 GO = "L P[1] 100mm/sec FINE"
 
+FRAME_SET = ("PR[1]=LPOS", "PR[1]=PR[1]-PR[1]", "UFRAME[1]=PR[1]")
+"""The frame is certain, whatever other programs have done before."""
+
 SETS_FRAME = listing(["UFRAME[1]=PR[9]"], name="SUB")
 
 OPTIONS = (
@@ -151,13 +154,17 @@ SUBS: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("a called program that sets the frame", ("CALL SUB",)),
     ("a called program that sets the frame, in a loop", ("FOR R[1]=1 TO 3", "CALL SUB", "ENDFOR")),
     ("a task that sets the frame", ("RUN SUB",)),
+    ("a task that sets the frame, and never ends", ("RUN ENDLESS",)),
+    ("a task that sets the frame, and is given up", ("RUN STOPPED",)),
+    ("a task that calls what sets the frame", ("RUN CALLS",)),
+    ("a task that starts what sets the frame", ("RUN STARTS",)),
+    ("a task that calls what no file has", ("RUN LOST",)),
     ("an error program that sets the frame", ("ERROR_PROG=SUB",)),
     ("a resume program that sets the frame", ("RESUME_PROG[1]=SUB",)),
     ("a program at a time before a move", ("L P[3] 100mm/sec FINE TB .10sec,CALL SUB",)),
     ("a program at a distance before a move", ("L P[3] 100mm/sec FINE DB 5.0mm,CALL SUB",)),
     ("a handler whose program sets the frame", ("MONITOR HANDLER",)),
     ("a selection of programs", ("SELECT R[1]=1,CALL SUB", "=2,CALL EMPTY", "ELSE,CALL EMPTY")),
-    ("another program of the project", ()),
 )
 
 BOTH = [point(1, LEFT), point(2, RIGHT)]
@@ -169,6 +176,18 @@ HANDLER = listing(["WHEN DI[1]=ON,CALL SUB"], name="HANDLER")
 BEGUN = ("UTOOL_NUM=1", "UFRAME_NUM=1")
 
 OTHERWISE = ("UFRAME_NUM=2", "LBL[1]", GO)
+
+TASKS = {
+    name: listing(lines, name=name)
+    for name, lines in {
+        "EMPTY": ["R[1]=1"],
+        "ENDLESS": ["LBL[1]", "UFRAME[1]=PR[9]", "JMP LBL[1]"],
+        "STOPPED": ["UFRAME[1]=PR[9]", "ABORT"],
+        "CALLS": ["LBL[1]", "IF R[1]=1,CALL SUB", "JMP LBL[1]"],
+        "STARTS": ["LBL[1]", "RUN SUB", "JMP LBL[1]"],
+        "LOST": ["LBL[1]", "CALL GRIP", "JMP LBL[1]"],
+    }.items()
+}
 
 ACTIVE: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("the active frame where none is set", ("UTOOL_NUM=1", GO)),
@@ -246,6 +265,15 @@ HEADERS: tuple[tuple[str, str], ...] = (
 )
 
 
+def _called(text: str, programs: dict[str, str]) -> dict[str, str]:
+    """Those of the programs that a text names, or that these name."""
+    own = {
+        name: program for name, program in programs.items() if f" {name}" in text.replace("=", " ").replace(",", " ")
+    }
+    others = {name: program for name, program in programs.items() if name not in own}
+    return own | {name: program for text in own.values() for name, program in _called(text, others).items()}
+
+
 def _attacks() -> tuple[Attack, ...]:
     listed: list[Attack] = []
 
@@ -265,8 +293,9 @@ def _attacks() -> tuple[Attack, ...]:
     for name, lines in EVERY_POINT:
         add(name, listing([*START, GO, *lines], NEITHER), SUB=listing(["R[1]=1"], name="SUB"))
     for name, lines in SUBS:
-        others = {"SUB": SETS_FRAME, "HANDLER": HANDLER, "EMPTY": listing(["R[1]=1"], name="EMPTY")}
-        add(name, listing([*START, *lines, GO], [point(1, LEFT), point(2), point(3)]), **others)
+        text = listing([*FRAME_SET, *lines, GO], [point(1, LEFT), point(3)])
+        add(name, text, **_called(text, {"SUB": SETS_FRAME, "HANDLER": HANDLER, **TASKS}))
+    add("a program of the project that nobody calls", listing([GO], [point(1, LEFT)]), SUB=SETS_FRAME)
     for name, lines in ACTIVE:
         other = listing(["IF R[1]=1,JMP LBL[1]", "UFRAME_NUM=2", "LBL[1]"], name="OTHER")
         add(name, listing(lines, [point(1, LEFT, "F", "F"), point(3)]), OTHER=other)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 from aridcal.programs.fanuc.listing import SHOWN, Instruction, Listing
@@ -326,6 +326,19 @@ def read_flow(program: int, listing: Listing) -> Flow:
         TooLong: blocks are nested too deep.
     """
     return _Reader(program, listing).read()
+
+
+def actions(body: Body) -> Iterator[Action]:
+    """All that a body does, in whatever order."""
+    for node in body:
+        if isinstance(node, Step):
+            assert isinstance(node.what, Action)
+            yield node.what
+        elif isinstance(node, Choice):
+            for way in node.ways:
+                yield from actions(way)
+        elif isinstance(node, Repeat):
+            yield from actions(node.body)
 
 
 def _fields(match: re.Match[str]) -> Fields:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from aridcal.programs.cell import Cell, Reading
 from aridcal.programs.fanuc.controller import read_frames_of_controller
-from aridcal.programs.fanuc.flow import ANY, Flow, read_flow
+from aridcal.programs.fanuc.flow import ANY, Flow, actions, read_flow
 from aridcal.programs.fanuc.listing import Listing, read_listing
 from aridcal.programs.fanuc.meaning import Given, Meaning
 from aridcal.programs.frames import KnownFrames, controllers_base
@@ -77,10 +77,10 @@ def _walked(
     walk = Walk({_routine(names, k): flows[k].body for k in walked}, meaning)
     state = State()
     meaning.begin(state, _written(listings, flows, codes, frozenset(walked), cell.frames))
-    tasks = {name for k in walked for name in flows[k].tasks}
-    for name in sorted(tasks):
-        if not (name not in names and name.lower() in cell.frames.harmless):
-            state.volatile(walk.writes(name, state), f"{name} runs beside the program, and may change it")
+    for name in sorted({name for k in walked for name in flows[k].tasks}):
+        state.volatile(
+            _writes(name, flows, names, meaning, state), f"{name} runs beside the program, and may change it"
+        )
     for k in _entries(walked, flows, names):
         walk.enter(_routine(names, k), State(state))
     for k in walked:
@@ -121,6 +121,26 @@ def _entries(walked: Sequence[int], flows: Sequence[Flow], names: Mapping[str, i
     """Listings that none of the others calls."""
     called = {names[name] for k in walked for name in flows[k].calls if name in names and names[name] != k}
     return (k for k in walked if k not in called)
+
+
+def _writes(
+    name: str, flows: Sequence[Flow], names: Mapping[str, int], meaning: Meaning, state: State
+) -> list[tuple[str, Hashable]]:
+    """All that a program may change that runs beside others, wherever it is: it may never end, or be stopped at any line."""
+    reached = _reached([names[name]], flows, names) if name in names else frozenset()
+    keys: dict[tuple[str, Hashable], None] = {}
+    for own in (name, *(own for k in reached for own in (*flows[k].calls, *flows[k].tasks))):
+        if own not in names:
+            scratch = State(state)
+            meaning.absent(None, own, scratch)
+            keys |= dict.fromkeys(scratch.own_keys())
+    for k in sorted(reached):
+        for action in actions(flows[k].body):
+            if action.does != "move":
+                scratch = State(state)
+                meaning.step(action, scratch)
+                keys |= dict.fromkeys(scratch.own_keys())
+    return list(keys)
 
 
 def _written(
