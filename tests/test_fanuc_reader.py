@@ -134,7 +134,8 @@ HARMLESS = (
     "Weave End", "SPOT[SD=1,P=2]", "VISION RUN_FIND 'A'", "RSR[1]=ENABLE", "SEMAPHORE[1]=ON", "!a remark: UFRAME_NUM=2",
     "//UFRAME_NUM=2", "--eg:UFRAME_NUM=2", "PR[5]=LPOS", "PR[5,3]=7", "LPR[1]=LPOS", "UFRAME_NUM[GP2]=2", "UFRAME[3]=PR[9]",
     "UTOOL[3]=PR[9]", "UFRAME[GP2:1]=PR[9]", "VOFFSET CONDITION VR[1]", "IF R[1]=1,JMP LBL[99]", "JMP LBL[99]",
-    "PRESS_MOTN[1]", "SS[1]", "SE", "GUN[1]=ON", "PALLETIZING-B_1", "------", "TORQ_LIMIT 80.0%", "CLEAR_RESUME_PROG", "SELECT R[1]=1,JMP LBL[99]",
+    "PRESS_MOTN[1]", "SS[1]", "SE", "GUN[1]=ON", "PALLETIZING-B_1", "------", "TORQ_LIMIT 80.0%",
+    "CLEAR_RESUME_PROG", "SELECT R[1]=1,JMP LBL[99]",
     "PL[1]=[1,1,1]", "MONITOR END HANDLER", "DIAG_REC[1,2,3]", "Stitch Start", "AR[1]=5",
 )  # fmt: skip
 
@@ -435,6 +436,15 @@ def test_what_comes_behind_an_end_or_an_abort_is_not_carried_out() -> None:
         assert targets["P[1]"].why == "" and targets["P[2]"].why == ""
         behind = listing([GO, end, "L P[2] 9mm/sec FINE"], [point(1), point(2)])
         assert "no move of the given files goes there" in why(behind, "P[2]")
+
+
+def test_loops_in_loops_are_followed_in_any_depth() -> None:
+    for depth in (2, 4, 5, 30):
+        loops, ends = ["FOR R[1]=1 TO 2"] * depth, ["ENDFOR"] * depth
+        same = ["UFRAME_NUM=1", *loops, "UFRAME_NUM=1", *ends, GO]
+        assert why(listing(same, [point(1, user="F")])) == ""
+        other = ["UFRAME_NUM=1", *loops, GO, "UFRAME_NUM=2", *ends]
+        assert why(listing(other, [point(1, user="F")])) != ""
 
 
 def test_selections_join_their_branches() -> None:

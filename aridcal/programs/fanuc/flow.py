@@ -84,6 +84,10 @@ class Flow:
 
 ANY = -1
 
+LOOPS = 4
+"""Loops in loops that are walked as such: each takes three walks of what it contains. Deeper ones are written out with jumps, which
+are all settled together."""
+
 HARMLESS_RE = re.compile("|".join(f"(?:{row})" for row in HARMLESS))
 
 CHANGES_RE = tuple((does, re.compile(row)) for does, row in CHANGES)
@@ -176,6 +180,8 @@ class _Reader:
             if len(self._blocks) > DEEPEST:
                 raise TooLong
             self._blocks.append(_Block("IF" if text.startswith("IF") else "LOOP", start))
+            if sum(block.kind == "LOOP" for block in self._blocks) > LOOPS:
+                self._come_into()
             self._note_points(text, start)
         elif text == "ELSE":
             if self._blocks[-1].kind != "IF" or len(self._blocks[-1].ways) > 1:
@@ -184,11 +190,15 @@ class _Reader:
         elif text in ("ENDIF", "ENDFOR", "ENDWHILE"):
             self._close("IF" if text == "ENDIF" else "LOOP", start)
         elif label is not None:
-            for block in self._blocks:
-                block.marks = True
+            self._come_into()
             self._blocks[-1].nodes.append(Mark(label.group(1)))
         else:
             self._blocks[-1].nodes.extend(self._nodes(text, instruction))
+
+    def _come_into(self) -> None:
+        """Write all open blocks out with jumps."""
+        for block in self._blocks:
+            block.marks = True
 
     def _close(self, kind: str, start: int) -> None:
         if self._blocks[-1].kind != kind:
