@@ -135,7 +135,7 @@ HARMLESS = (
     "//UFRAME_NUM=2", "--eg:UFRAME_NUM=2", "PR[5]=LPOS", "PR[5,3]=7", "LPR[1]=LPOS", "UFRAME_NUM[GP2]=2", "UFRAME[3]=PR[9]",
     "UTOOL[3]=PR[9]", "UFRAME[GP2:1]=PR[9]", "VOFFSET CONDITION VR[1]", "IF R[1]=1,JMP LBL[99]", "JMP LBL[99]",
     "PRESS_MOTN[1]", "SS[1]", "SE", "GUN[1]=ON", "PALLETIZING-B_1", "------", "TORQ_LIMIT 80.0%",
-    "CLEAR_RESUME_PROG", "SELECT R[1]=1,JMP LBL[99]",
+    "CLEAR_RESUME_PROG", "P[5]=LPOS", "P[5,3]=7", "TOOL_OFFSET CONDITION PR[1]", "OFFSET CONDITION PR[1]", "SELECT R[1]=1,JMP LBL[99]",
     "PL[1]=[1,1,1]", "MONITOR END HANDLER", "DIAG_REC[1,2,3]", "Stitch Start", "AR[1]=5",
 )  # fmt: skip
 
@@ -245,6 +245,8 @@ def test_an_offset_of_a_register_that_the_program_sets_is_followed(tmp_path: Pat
     np.testing.assert_allclose(both.place.base, direct.base)
     by_condition = place(listing([*zero, "OFFSET CONDITION PR[2]", f"{GO} Offset"], [point(1)]), cell)
     np.testing.assert_allclose(by_condition.base, offset.base)
+    tool_by_condition = place(listing([*zero, "TOOL_OFFSET CONDITION PR[2]", f"{GO} Tool_Offset"], [point(1)]), cell)
+    np.testing.assert_allclose(tool_by_condition.tool, tool.tool)
     changed = [*zero, "OFFSET CONDITION PR[2]", "PR[2,1]=9", f"{GO} Offset"]
     assert "not certain" in by_name(read(listing(changed, [point(1)]), cell))["P[1]"].why
     called = [*zero, "OFFSET CONDITION PR[2]", "CALL SUB", f"{GO} Offset"]

@@ -85,8 +85,8 @@ class Flow:
 ANY = -1
 
 LOOPS = 4
-"""Loops in loops that are walked as such: each takes three walks of what it contains. Deeper ones are written out with jumps, which
-are all settled together."""
+"""Loops in loops that are walked as such: each takes three walks of what it contains. Deeper ones are written out with
+jumps, which are all settled together."""
 
 HARMLESS_RE = re.compile("|".join(f"(?:{row})" for row in HARMLESS))
 

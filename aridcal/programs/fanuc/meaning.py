@@ -12,7 +12,7 @@ import numpy as np
 from aridcal.errors import printable
 from aridcal.programs.axes import DEGREE, MILLIMETRE
 from aridcal.programs.cell import Cell
-from aridcal.programs.fanuc.flow import Action, Flow, Place, own_group, short
+from aridcal.programs.fanuc.flow import ANY, Action, Flow, Place, own_group, short
 from aridcal.programs.fanuc.listing import LARGEST, POSE, SHOWN, Listing, Point
 from aridcal.programs.frames import absent, unknown
 from aridcal.programs.notations import FANUC, MILLI
@@ -152,10 +152,16 @@ class Meaning:
             reason = why or point.why or self._beyond(point)
             if reason:
                 self.ledger.spoil(key, reason)
+        every = next((use for use in flow.uses if use[0] == ANY), None)
         for number, start, use in flow.uses:
+            if number in listing.points:
+                self._spoil(program, listing.points[number], start, use)
+        if every is not None:
             for point in listing.points.values():
-                if number in (point.number, -1):
-                    self.ledger.spoil(self._key(program, point), f"{self.line(program, start)} {use}")
+                self._spoil(program, point, *every[1:])
+
+    def _spoil(self, program: int, point: Point, start: int, use: str) -> None:
+        self.ledger.spoil(self._key(program, point), f"{self.line(program, start)} {use}")
 
     def _key(self, program: int, point: Point) -> tuple[int, int]:
         return self._listings[program].code.file, point.start
