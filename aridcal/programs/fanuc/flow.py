@@ -1,0 +1,408 @@
+"""The way through a TP program: its instructions as the nodes that are walked."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+
+from aridcal.programs.fanuc.listing import SHOWN, Instruction, Listing
+from aridcal.programs.fanuc.table import CHANGES, HARMLESS, INDEX, MODES, MOVE, OPTIONS, PLACE, Option
+from aridcal.programs.walk import DEEPEST, Body, Call, Choice, Jump, Leave, Mark, Node, Repeat, Step, TooLong
+
+Fields = tuple[tuple[str, str], ...]
+"""Parts of an instruction by name."""
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where a motion instruction goes.
+
+    Attributes:
+        kind: P, PR, LPR or PAL_...
+        index: What stands in the brackets.
+    """
+
+    kind: str
+    index: str
+
+    @property
+    def point(self) -> int | None:
+        """The number of a point of the program."""
+        return int(self.index) if self.kind == "P" and short(self.index) else None
+
+
+@dataclass(frozen=True, slots=True)
+class Action:
+    """What an instruction does to the state.
+
+    Attributes:
+        does: ``move``, one of the table's changes, ``mode``, or ``unknown``.
+        program: Index of the listing.
+        start: Of the instruction in its text.
+        fields: Parts of it by name.
+        how: Of a move: J, L, C, A or S.
+        places: Of a move.
+        options: Of a move.
+        raw: The instruction as it stands there.
+    """
+
+    does: str
+    program: int
+    start: int
+    fields: Fields = ()
+    how: str = ""
+    places: tuple[Place, ...] = ()
+    options: tuple[tuple[Option, Fields], ...] = ()
+    raw: str = ""
+
+    def field(self, name: str) -> str:
+        """A part; empty if it is not there."""
+        return dict(self.fields).get(name) or ""
+
+
+@dataclass
+class Flow:
+    """What a listing does, and what else uses its points.
+
+    Attributes:
+        body: Its nodes.
+        calls: Names of programs that it calls.
+        tasks: Names of programs that run beside it: started, on conditions, at times before or after a move.
+        uses: Of points, by number, or -1 for all of them: where something else than a move to it uses it, and in what way.
+        writes: ``frame`` and ``tool`` with the number that it sets, or -1 for any.
+        why: Why its way cannot be followed; empty if it can.
+    """
+
+    body: Body = ()
+    calls: list[str] = field(default_factory=list)
+    tasks: list[str] = field(default_factory=list)
+    uses: list[tuple[int, int, str]] = field(default_factory=list)
+    writes: list[tuple[str, int, int]] = field(default_factory=list)
+    why: str = ""
+
+
+ANY = -1
+
+LOOPS = 4
+"""Loops in loops that are walked as such: each takes three walks of what it contains. Deeper ones are written out with
+jumps, which are all settled together."""
+
+HARMLESS_RE = re.compile("|".join(f"(?:{row})" for row in HARMLESS))
+
+CHANGES_RE = tuple((does, re.compile(row)) for does, row in CHANGES)
+
+MODES_RE = tuple((name, re.compile(on), re.compile(off)) for name, on, off in MODES)
+
+OPTIONS_RE = tuple((option, re.compile(option.pattern)) for option in OPTIONS)
+
+POINT = re.compile(rf"(?<![A-Z_$])P\[({INDEX})\]")
+
+LABEL = re.compile(r"LBL\[(\d+)\]")
+
+JUMP = re.compile(rf"JMP,? ?LBL\[({INDEX})\]")
+
+CALL = re.compile(r"CALL (\w+)(?:\(.*\))?")
+
+TASK = re.compile(r"(?:RUN (\w+)(?:\(.*\))?|(?:ERROR|RESUME|MAINT)_PROG(?:\[\d+\])?=(\w+)|MONITOR (?!END\b)(\w+))")
+
+NO_TASK = re.compile(r"MONITOR END (\w+)")
+
+BLOCK = re.compile(r"IF\(.*\)THEN|FOR\b.+|WHILE\b.+")
+
+WAIT = re.compile(rf"WAIT\b.+?,? ?TIMEOUT,? ?LBL\[({INDEX})\]")
+
+VISION = re.compile(rf"VISION GET_OFFSET\b[^,]*?,?(JMP,? ?LBL\[{INDEX}\])")
+
+
+@dataclass
+class _Block:
+    """An instruction that contains others, while it is read.
+
+    Attributes:
+        kind: ``IF`` or ``LOOP``; empty of the program itself.
+        start: Where it begins.
+        ways: Nodes of its branches.
+        marks: Whether a jump can come into it.
+    """
+
+    kind: str
+    start: int
+    ways: list[list[Node]] = field(default_factory=lambda: [[]])
+    marks: bool = False
+
+    @property
+    def nodes(self) -> list[Node]:
+        return self.ways[-1]
+
+
+class _Reader:
+    """Instructions of one listing to nodes.
+
+    Args:
+        program: Its index.
+        listing: It.
+    """
+
+    def __init__(self, program: int, listing: Listing) -> None:
+        self._program, self._listing = program, listing
+        self.flow = Flow()
+        self._blocks = [_Block("", 0)]
+        self._choice: list[Body] = []  # branches of a SELECT that is not yet complete
+        self._otherwise = False
+
+    def read(self) -> Flow:
+        for instruction in self._listing.instructions():
+            self._instruction(instruction)
+        self._end_select()
+        if len(self._blocks) > 1:
+            self._wrong(self._blocks[-1].start, "has no end")
+        self.flow.body = self._blocks[0].nodes
+        if self.flow.why:
+            self.flow.body = [Step(Action("unknown", self._program, 0, raw=self.flow.why))]
+        return self.flow
+
+    def _wrong(self, start: int, what: str) -> None:
+        line = self._listing.code.line(start)
+        self.flow.why = self.flow.why or f"the block of line {line} {what}"
+
+    def _instruction(self, instruction: Instruction) -> None:
+        text, start = instruction.text, instruction.start
+        if self._branch_of_select(text, instruction):
+            return
+        self._end_select()
+        move = MOVE.fullmatch(text)
+        if move is not None:
+            self._blocks[-1].nodes.extend(self._move(move, instruction))
+            return
+        label = LABEL.fullmatch(text)
+        if BLOCK.fullmatch(text) is not None:
+            if len(self._blocks) > DEEPEST:
+                raise TooLong
+            self._blocks.append(_Block("IF" if text.startswith("IF") else "LOOP", start))
+            if sum(block.kind == "LOOP" for block in self._blocks) > LOOPS:
+                self._come_into()
+            self._note_points(text, start)
+        elif text == "ELSE":
+            if self._blocks[-1].kind != "IF" or len(self._blocks[-1].ways) > 1:
+                self._wrong(start, "has no IF")
+            self._blocks[-1].ways.append([])
+        elif text in ("ENDIF", "ENDFOR", "ENDWHILE"):
+            self._close("IF" if text == "ENDIF" else "LOOP", start)
+        elif label is not None:
+            self._come_into()
+            self._blocks[-1].nodes.append(Mark(label.group(1)))
+        else:
+            self._blocks[-1].nodes.extend(self._nodes(text, instruction))
+
+    def _come_into(self) -> None:
+        """Write all open blocks out with jumps."""
+        for block in self._blocks:
+            block.marks = True
+
+    def _close(self, kind: str, start: int) -> None:
+        if self._blocks[-1].kind != kind:
+            self._wrong(start, "ends what did not begin")
+            return
+        block = self._blocks.pop()
+        nodes = self._blocks[-1].nodes
+        if block.marks:  # what jumps can come into is written out with jumps
+            nodes.extend(_flat_loop(block) if kind == "LOOP" else _flat_choice(block))
+        elif kind == "LOOP":
+            nodes.append(Repeat(block.nodes))
+        else:
+            nodes.append(Choice((*block.ways, *([[]] if len(block.ways) == 1 else []))))
+
+    def _branch_of_select(self, text: str, instruction: Instruction) -> bool:
+        """Whether an instruction is a branch of a SELECT."""
+        opened = bool(self._choice)
+        if text.startswith("SELECT ") or (opened and text.startswith(("=", "ELSE,"))):
+            if text.startswith("SELECT "):
+                self._end_select()
+            self._choice.append(self._conditional(text, instruction))
+            self._otherwise = text.startswith("ELSE,")
+            return True
+        return False
+
+    def _end_select(self) -> None:
+        if self._choice:
+            ways = [*self._choice, *([] if self._otherwise else [[]])]
+            self._blocks[-1].nodes.append(Choice(tuple(ways)))
+        self._choice, self._otherwise = [], False
+
+    def _nodes(self, text: str, instruction: Instruction) -> list[Node]:
+        """Nodes of an instruction that contains no other lines."""
+        start = instruction.start
+        if text.startswith(("IF ", "IF(", "WHEN ", "WHEN(")):
+            return [Choice((self._conditional(text, instruction), []))]
+        move = MOVE.fullmatch(text)
+        if move is not None:  # on a condition, as the newest controllers take it
+            return self._move(move, instruction)
+        self._note_points(text, start)
+        jump, call, task = JUMP.fullmatch(text), CALL.fullmatch(text), TASK.fullmatch(text)
+        wait, vision = WAIT.fullmatch(text), VISION.fullmatch(text)
+        if jump is not None:
+            return [_jump(jump.group(1))]
+        if wait is not None:
+            return [Choice(([_jump(wait.group(1))], []))]
+        if vision is not None:
+            return [Choice((self._nodes(vision.group(1), instruction), []))]
+        if call is not None:
+            return [self._call(call.group(1), start)]
+        if task is not None:
+            self.flow.tasks.append(next(name for name in task.groups() if name is not None))
+            return []
+        if text in ("END", "[END]", "ABORT"):
+            return [Leave("program" if text == "ABORT" else "routine")]
+        if NO_TASK.fullmatch(text) is not None or (text and HARMLESS_RE.fullmatch(text) is not None):
+            return []
+        change = self._change(text, instruction)
+        return [Step(change)] if change is not None else []
+
+    def _conditional(self, text: str, instruction: Instruction) -> list[Node]:
+        """What an instruction does where its condition holds."""
+        condition, action = _split(text)
+        self._note_points(condition, instruction.start)
+        if action.startswith(("IF", "WHEN", "SELECT")):  # the controller takes none of these here
+            return [Step(Action("unknown", self._program, instruction.start, raw=instruction.raw))]
+        return self._nodes(action, instruction)
+
+    def _call(self, name: str, start: int) -> Node:
+        self.flow.calls.append(name)
+        return Call(name, Action("call", self._program, start))
+
+    def _change(self, text: str, instruction: Instruction) -> Action | None:
+        """What an instruction changes; None if nothing of this arm."""
+        start = instruction.start
+        for does, pattern in CHANGES_RE:
+            match = pattern.fullmatch(text)
+            if match is not None:
+                fields = _fields(match)
+                if does in ("frame", "tool"):
+                    index = own_group(match.group("index"))
+                    if index is None:
+                        return None
+                    self.flow.writes.append((does, int(index) if short(index) else ANY, start))
+                return Action(does, self._program, start, fields)
+        for name, on, off in MODES_RE:
+            for does, pattern in (("mode", on), ("no mode", off)):
+                if pattern.fullmatch(text) is not None:
+                    return Action(does, self._program, start, (("name", name),))
+        return Action("unknown", self._program, start, raw=instruction.raw)
+
+    def _move(self, move: re.Match[str], instruction: Instruction) -> list[Node]:
+        start = instruction.start
+        places = tuple(Place(p.group("kind"), p.group("index")) for p in PLACE.finditer(move.group("places")))
+        for place in places:
+            if place.kind == "P" and place.point is None:
+                self.flow.uses.append((ANY, start, f"goes to P[{place.index}], which may be this one"))
+        if "P[" in move.group("options"):
+            self._note_points(move.group("options"), start)
+        options: list[tuple[Option, Fields]] = []
+        behind: list[Node] = []
+        text, at = move.group("options"), 0
+        while at < len(text):
+            option, match = _option(text, at)
+            if match is None:
+                options.append((Option("left", "", f"{text[at:].strip()[:SHOWN]} is not understood"), ()))
+                behind.append(Step(Action("unknown", self._program, start, raw=instruction.raw)))
+                break
+            at = match.end()
+            options.append((option, _fields(match)))
+            if option.does == "skip":
+                if match.group("register") is not None:
+                    index = (("index", match.group("register")), ("value", "LPOS"))
+                    behind.append(Step(Action("register", self._program, start, index)))
+                behind.append(Choice(([_jump(match.group("label"))], [])))
+            elif option.does == "call":
+                self.flow.tasks.append(match.group("name"))
+                behind.append(Choice(([self._call(match.group("name"), start)], [])))
+        action = Action("move", self._program, start, (), move.group("how"), places, tuple(options))
+        return [Step(action), *behind]
+
+    def _note_points(self, text: str, start: int) -> None:
+        """Points that an instruction uses otherwise than to go there."""
+        for match in POINT.finditer(text):
+            index = match.group(1).split(",")[0]
+            point = int(index) if short(index) else ANY
+            written = match.start() == 0 and text[match.end() : match.end() + 1] == "="
+            self.flow.uses.append((point, start, "sets it anew" if written else "takes its numbers for something else"))
+
+
+def read_flow(program: int, listing: Listing) -> Flow:
+    """What a listing does.
+
+    Raises:
+        TooLong: blocks are nested too deep.
+    """
+    return _Reader(program, listing).read()
+
+
+def actions(body: Body) -> Iterator[Action]:
+    """All that a body does, in whatever order."""
+    for node in body:
+        if isinstance(node, Step):
+            assert isinstance(node.what, Action)
+            yield node.what
+        elif isinstance(node, Choice):
+            for way in node.ways:
+                yield from actions(way)
+        elif isinstance(node, Repeat):
+            yield from actions(node.body)
+
+
+def _fields(match: re.Match[str]) -> Fields:
+    return tuple((name, value) for name, value in match.groupdict().items() if value is not None)
+
+
+def own_group(index: str) -> str | None:
+    """What stands in brackets without group 1; None where it is of another group."""
+    return index.removeprefix("GP1:") if not index.startswith("GP") or index.startswith("GP1:") else None
+
+
+def short(index: str) -> bool:
+    """Whether it is a number of a register, a frame or a point."""
+    return index.isdecimal() and len(index) < 10
+
+
+def _jump(index: str) -> Jump:
+    """A jump to a label, to any of them where its number is worked out."""
+    return Jump(index if index.isdecimal() else "")
+
+
+def _split(text: str) -> tuple[str, str]:
+    """A condition and what is done on it: at the first comma outside of brackets."""
+    depth = 0
+    for match in re.finditer(r"[(\[\])]|,", text):
+        if match.group() == "," and depth == 0:
+            return text[: match.start()], text[match.end() :]
+        depth += {"(": 1, "[": 1, ")": -1, "]": -1}.get(match.group(), 0)
+    return text, ""
+
+
+def _option(text: str, at: int) -> tuple[Option, re.Match[str] | None]:
+    if text[at] == " ":
+        at += 1
+    for option, pattern in OPTIONS_RE:
+        match = pattern.match(text, at)
+        if match is not None:
+            return option, match
+    return OPTIONS[0], None
+
+
+def _flat_choice(block: _Block) -> Sequence[Node]:
+    end = f"end {block.start}"
+    nodes: list[Node] = []
+    for k, way in enumerate(block.ways):
+        last = k + 1 == len(block.ways)
+        other = f"else {block.start} {k}"
+        if last and k > 0:
+            nodes += way
+        else:
+            nodes += [Choice(([Jump(other)], [])), *way, Jump(end), Mark(other)]
+    return [*nodes, Mark(end)]
+
+
+def _flat_loop(block: _Block) -> Sequence[Node]:
+    head, end = f"head {block.start}", f"end {block.start}"
+    return [Mark(head), Choice(([Jump(end)], [])), *block.nodes, Jump(head), Mark(end)]

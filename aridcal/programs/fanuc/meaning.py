@@ -1,0 +1,516 @@
+"""What a TP program does to frames, tools, position registers and points, and what its moves go to."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+
+import numpy as np
+
+from aridcal.errors import printable
+from aridcal.programs.axes import DEGREE, MILLIMETRE
+from aridcal.programs.cell import Cell
+from aridcal.programs.fanuc.flow import ANY, Action, Flow, Place, own_group, short
+from aridcal.programs.fanuc.listing import LARGEST, POSE, SHOWN, Listing, Point
+from aridcal.programs.frames import absent, unknown
+from aridcal.programs.notations import FANUC, MILLI
+from aridcal.programs.postures import fanuc_words
+from aridcal.programs.targets import Branch, Target, Words
+from aridcal.programs.targets import Place as Meant
+from aridcal.programs.text import Code
+from aridcal.programs.uses import HERE, Frame, Ledger, Use, line_name
+from aridcal.programs.walk import NEVER_SET, State, Unknown
+
+STANCE = "it is not known where the arm comes from, and CONFIG does not say how it stands: state --start J1,J2,..."
+
+ELEMENT = re.compile(r"PR\[(\d{1,9}),([1-6])\]")
+
+REGISTER = re.compile(r"PR\[(\d{1,9})\]")
+
+PLAIN = re.compile(r"\(?([-+]?(?:\d+\.?\d*|\.\d+))\)?")
+
+TERMS = re.compile(r"([-+]?)((?:[^-+\[\]]|\[[^\[\]]*\])+)")
+
+
+@dataclass(frozen=True)
+class Register:
+    """A position register that holds a pose.
+
+    Attributes:
+        numbers: X Y Z W P R, [mm] and [deg]; None of what is not certain.
+    """
+
+    numbers: tuple[float | None, ...] = (None,) * 6
+
+    @property
+    def frame(self) -> Frame | None:
+        """The transform that it is; None where a number is not certain."""
+        values = [n for n in self.numbers if n is not None]
+        return Frame(FANUC.pose(np.array(values))) if len(values) == len(self.numbers) else None
+
+    @property
+    def shift(self) -> np.ndarray | None:
+        """The way that it is, [m]; None where it turns (how angles are added is a setting), or is not certain."""
+        x, y, z, *angles = self.numbers
+        if x is None or y is None or z is None or any(angle != 0.0 for angle in angles):
+            return None
+        return MILLI * np.array([x, y, z])
+
+
+@dataclass(frozen=True)
+class Active:
+    """The number of a frame or tool that an instruction has made the active one.
+
+    Attributes:
+        number: It.
+        line: Of the instruction, for messages.
+    """
+
+    number: str
+    line: str = field(compare=False)
+
+
+@dataclass(frozen=True)
+class Mode:
+    """What keeps the arm from going where the points are.
+
+    Attributes:
+        name: What it is.
+        line: Of the instruction that has begun it, for messages.
+    """
+
+    name: str
+    line: str = field(compare=False)
+
+
+@dataclass(frozen=True)
+class Given:
+    """Frames that are stated for a project.
+
+    Attributes:
+        world: T_base_world of user frame 0.
+        frames: T_base_frame by number, or why it is not known.
+        tools: T_tip_tool likewise.
+    """
+
+    world: Frame
+    frames: Mapping[int, Frame | Unknown]
+    tools: Mapping[int, Frame | Unknown]
+
+
+class Meaning:
+    """Semantics of TP programs.
+
+    Attributes:
+        ledger: What moves go to.
+        assumed: What moves have needed that no file says: ``world``, ``flange``, ``joints``.
+
+    Args:
+        listings: Of the project.
+        flows: Of each.
+        codes: All files of the project.
+        ours: Indices of listings that are corrected.
+        spoken: Indices of those whose points are named in the answer.
+        given: Frames.
+        cell: The robot.
+    """
+
+    def __init__(
+        self,
+        listings: Sequence[Listing],
+        flows: Sequence[Flow],
+        codes: tuple[Code, ...],
+        ours: Mapping[int, bool],
+        spoken: frozenset[int],
+        given: Given,
+        cell: Cell,
+    ) -> None:
+        self.ledger = Ledger()
+        self.assumed: set[str] = set()
+        self._listings, self._codes, self._given, self._cell = listings, codes, given, cell
+        self._axes = cell.axes
+        self._arm = {f"J{k + 1}": own for k, own in enumerate(self._axes.arm)}
+        self._external = {f"E{k + 1}": own for k, own in enumerate(self._axes.external)}
+        self._words: dict[tuple[int, int], Words | None] = {}
+        self._spoken = spoken
+        for program in sorted(spoken):
+            self._declare(program, flows[program], ours[program])
+
+    # points
+
+    def _declare(self, program: int, flow: Flow, ours: bool) -> None:
+        """Name the points of a listing, and spoil those that it uses for anything else than moves."""
+        listing = self._listings[program]
+        foreign = "" if ours else f"stands in {listing.code.name}, which is not corrected: give it, too"
+        why = foreign or listing.why or flow.why
+        for point in listing.points.values():
+            key = self._key(program, point)
+            self._words[key] = fanuc_words(point.config[:3], point.config[3:], self._cell) if point.config else None
+            self.ledger.declare(key, partial(self._target, program, point))
+            reason = why or point.why or self._beyond(point)
+            if reason:
+                self.ledger.spoil(key, reason)
+        every = next((use for use in flow.uses if use[0] == ANY), None)
+        for number, start, use in flow.uses:
+            if number in listing.points:
+                self._spoil(program, listing.points[number], start, use)
+        if every is not None:
+            for point in listing.points.values():
+                self._spoil(program, point, *every[1:])
+
+    def _spoil(self, program: int, point: Point, start: int, use: str) -> None:
+        self.ledger.spoil(self._key(program, point), f"{self.line(program, start)} {use}")
+
+    def _key(self, program: int, point: Point) -> tuple[int, int]:
+        return self._listings[program].code.file, point.start
+
+    def _beyond(self, point: Point) -> str:
+        """Why a point does not fit the robot's axes."""
+        if point.names == POSE:
+            return ""
+        named = [name for name in point.names if name not in POSE]
+        axes = self._arm | self._external
+        for name in named:
+            if name not in axes:
+                return f"has an axis {name} that the robot of the calibration has not"
+            slides = self._axes.kinds[axes[name]] == "prismatic"
+            unit = point.units[point.names.index(name)]
+            if (unit == "MM") != slides:
+                return f"has {name} in {unit.lower()}, but that axis {'slides' if slides else 'turns'}"
+        if point.joints and not set(self._arm) <= set(named):
+            return "does not state all joints of the arm"
+        return ""
+
+    def _target(self, program: int, point: Point, use: Use, beside: tuple[Meant, ...]) -> Target:
+        code = self._listings[program].code
+        line, name = code.line(point.start), f"P[{point.number}]"
+        if point.joints:
+            axes = self._arm | self._external
+            named = [axis for axis in axes if axis in point.names] if not point.why else []
+            units = self._axes.units([axes[axis] for axis in named], DEGREE, MILLIMETRE)
+            numbers = tuple(point.field(axis) for axis in named)
+            readings = self._axes.readings(numbers, units)
+            return Target(line, name, "joints", numbers, "", readings, units, digits=3, file=code.file)
+        plain = not point.why
+        numbers = tuple(map(point.field, POSE)) if plain else ()
+        branch = Branch(self._words[self._key(program, point)], None, self._held(point), False, use.unknown)
+        place = use.place if plain else None
+        return Target(line, name, "pose", numbers, "", None, (), FANUC, place, beside, branch, file=code.file)
+
+    def _held(self, point: Point) -> np.ndarray | None:
+        """External axes that a pose states, shape (columns,), NaN of the others."""
+        own = {axis: k for axis, k in self._external.items() if axis in point.names}
+        if not own:
+            return None
+        held = np.full(len(self._axes.kinds), np.nan)
+        for axis, k in own.items():
+            held[k] = self._axes.unit(k, DEGREE, MILLIMETRE) * point.field(axis).value
+        return held
+
+    # the state
+
+    def begin(self, state: State, written: Mapping[str, Mapping[int, str]]) -> None:
+        """The state in which a program is started; ``written``: frames and tools that some given program sets, and where."""
+        for family, stated in (("frame", self._given.frames), ("tool", self._given.tools)):
+            if -1 in written[family]:
+                state.forget_family(family, written[family][-1])
+                continue
+            for number, value in stated.items():
+                state.set(family, number, value)
+            for number, why in written[family].items():
+                state.forget(family, number, why)
+        state.set("points", None, True)
+        state.set("modes", None, ())
+        if self._cell.start:
+            state.set("stance", None, True)
+        else:
+            state.forget("stance", None, STANCE)
+
+    def line(self, program: int, start: int) -> str:
+        """How messages name the line of an instruction."""
+        return line_name(self._codes, self._listings[program].code, start)
+
+    def step(self, what: object, state: State) -> None:
+        """Carry out an instruction."""
+        assert isinstance(what, Action)
+        if what.does == "move":
+            for place in what.places:
+                self._go(what, place, state)
+            return
+        line = self.line(what.program, what.start)
+        if what.does in ("frame number", "tool number"):
+            self._number(what, state, line)
+        elif what.does in ("frame", "tool"):
+            self._frame(what, state, line)
+        elif what.does == "register":
+            self._register(what, state, line)
+        elif what.does in ("offset", "tool offset"):
+            match = REGISTER.fullmatch(what.field("value"))
+            if match is None:
+                state.forget(what.does, None, f"{line} sets {what.field('value')[:SHOWN]} for it")
+            else:
+                n = int(match.group(1))
+                state.set(what.does, None, (n, state.get("register", n)))
+        elif what.does in ("mode", "no mode"):
+            modes = state.get("modes")
+            if isinstance(modes, tuple):
+                others = tuple(mode for mode in modes if mode.name != what.field("name"))
+                state.set(
+                    "modes", None, others if what.does == "no mode" else (*others, Mode(what.field("name"), line))
+                )
+            state.forget_family("register", f"{line} may set it")  # searches write what they find
+        elif what.does == "unknown":
+            name = " ".join(what.raw.split()).lower()
+            if name not in self._cell.frames.harmless:
+                state.forget_all(
+                    f"{line} is not understood, and may change frames and points: {printable(name[:SHOWN])}"
+                )
+
+    def enter(self, what: object, name: str, state: State) -> None:
+        """Offsets of a caller may not hold in what it calls."""
+        for offset in ("offset", "tool offset"):
+            state.forget(offset, None, f"the program that calls {name} sets it, or none")
+
+    def leave(self, what: object, name: str, state: State) -> None:
+        """Nor those of what it calls in the caller."""
+        for offset in ("offset", "tool offset"):
+            state.forget(offset, None, f"{name} may set it")
+
+    def absent(self, what: object, name: str, state: State) -> None:
+        """A program is called that no file has."""
+        if name.lower() not in self._cell.frames.harmless:
+            state.forget_all(absent(name))
+
+    def _number(self, what: Action, state: State, line: str) -> None:
+        groups = what.field("groups")
+        if groups and "GP1" not in groups:
+            return
+        value = PLAIN.fullmatch(what.field("value"))
+        if value is not None and value.group(1).isdecimal():
+            state.set(what.does, None, Active(value.group(1)[-9:].lstrip("0") or "0", line))
+        else:
+            state.forget(what.does, None, f"{line} takes it from {what.field('value')[:SHOWN]}")
+
+    def _frame(self, what: Action, state: State, line: str) -> None:
+        index, source = own_group(what.field("index")) or "", REGISTER.fullmatch(what.field("value"))
+        if not short(index):
+            state.forget_family(what.does, f"{line} sets a user {what.does} whose number is worked out")
+            return
+        register = state.get("register", int(source.group(1))) if source is not None else None
+        value = register.frame if isinstance(register, Register) else None
+        if value is None:
+            state.forget(what.does, int(index), f"{line} sets the user {what.does} to {what.field('value')[:SHOWN]}")
+        else:
+            state.set(
+                what.does, int(index), self._given.world @ value if what.does == "frame" else self._flange @ value
+            )
+
+    @property
+    def _flange(self) -> Frame:
+        flange = self._given.tools.get(0, HERE)
+        return flange if isinstance(flange, Frame) else HERE
+
+    def _register(self, what: Action, state: State, line: str) -> None:
+        index = own_group(what.field("index"))
+        if index is None:
+            return
+        number, _, element = index.partition(",")
+        if not short(number):
+            state.forget_family("register", f"{line} sets a register whose number is worked out")
+            return
+        before = state.get("register", int(number))
+        if not element:
+            value = _sum(what.field("value"), state)
+        elif not isinstance(before, Register):
+            value = None
+        elif element in "123456" and len(element) == 1:
+            numbers = list(before.numbers)
+            numbers[int(element) - 1] = _number(what.field("value"), state)
+            value = Register(tuple(numbers))
+        else:
+            value = before if element.isdecimal() else Register()
+        if value is None:
+            state.forget("register", int(number), f"{line} sets it to what is not certain")
+        else:
+            state.set("register", int(number), value)
+
+    # moves
+
+    def _go(self, what: Action, place: Place, state: State) -> None:
+        listing = self._listings[what.program]
+        point = listing.points.get(place.point) if place.point is not None else None
+        if point is None:
+            if what.how == "J":
+                state.forget("stance", None, STANCE)
+            if state.recording and what.program in self._spoken:
+                self._leave(what, place, listing)
+            return
+        key = self._key(what.program, point)
+        if state.recording and key in self._words:
+            self.ledger.go(key, self._use(what, point, state))
+        if point.joints or self._words.get(key) is not None:
+            state.set("stance", None, True)
+
+    def _leave(self, what: Action, place: Place, listing: Listing) -> None:
+        line = self.line(what.program, what.start)
+        reasons = {
+            "P": f"{line} goes to a point that /POS does not have",
+            "PAL_": f"{line} works out a place of a pallet",
+        }
+        why = reasons.get(
+            place.kind[:4] if place.kind != "P" else "P", f"{line} goes to what a position register holds"
+        )
+        name = f"{place.kind}[{place.index[:SHOWN]}]"
+        self.ledger.leave(Target(listing.code.line(what.start), name, "pose", (), why, file=listing.code.file))
+
+    def _use(self, what: Action, point: Point, state: State) -> Use:
+        line = self.line(what.program, what.start)
+        points = state.get("points")
+        why = points.why if isinstance(points, Unknown) else ""
+        modes = state.get("modes")
+        if isinstance(modes, Unknown):
+            why = why or modes.why
+        elif isinstance(modes, tuple) and modes:
+            why = why or f"{modes[0].name} from {modes[0].line} on"
+        why = why or next((f"{line}: {option.why}" for option, _ in what.options if option.does == "left"), "")
+        if point.joints:
+            self.assumed.add("joints")
+            why = why or self._shifted_joints(what, state, line)
+            return Use(line, why=why)
+        base = self._base(point, state, line)
+        tool = self._tool(point, state, line)
+        aside = False
+        for option, _ in what.options:
+            if option.does not in ("offset", "tool offset"):
+                continue
+            shift = self._shift(what, option.does, state)
+            if shift is None:
+                why = why or f"{line} shifts it by a way that is not certain"
+                continue
+            way = Frame(_translation(shift if option.does == "offset" else -shift))
+            aside = aside or bool(np.any(shift != 0.0))
+            if option.does == "offset":
+                base = base @ way if isinstance(base, Frame) else base
+            else:
+                tool = tool @ way if isinstance(tool, Frame) else tool
+        stance = state.get("stance")
+        settled = self._words.get(self._key(what.program, point)) is not None
+        strange = stance.why if isinstance(stance, Unknown) and not settled else ""
+        return Use(line, base, tool, aside, why, None, strange)
+
+    def _shifted_joints(self, what: Action, state: State, line: str) -> str:
+        for option, _ in what.options:
+            if option.does in ("offset", "tool offset"):
+                shift = self._shift(what, option.does, state)
+                if shift is None or np.any(shift != 0.0):
+                    return f"{line} shifts joints by a way"
+        return ""
+
+    def _shift(self, what: Action, does: str, state: State) -> np.ndarray | None:
+        """The way by which a move goes aside, [m]; None where it is not certain."""
+        named = next(dict(fields).get("register") for option, fields in what.options if option.does == does)
+        if named is None:
+            condition = state.get(does)
+            if not isinstance(condition, tuple):
+                return None
+            register = condition[1] if condition[1] == state.get("register", condition[0]) else None
+        else:
+            register = state.get("register", int(named)) if short(named) else None
+        return register.shift if isinstance(register, Register) else None
+
+    def _base(self, point: Point, state: State, line: str) -> object:
+        number = self._agreed("frame number", "user frame", point.user, state, line)
+        if isinstance(number, Unknown):
+            return number
+        if number == "0":
+            self.assumed.add("world")
+            return self._given.world
+        value = state.get("frame", int(number))
+        return Unknown(unknown("user frame", number)) if value is NEVER_SET else value
+
+    def _tool(self, point: Point, state: State, line: str) -> object:
+        number = self._agreed("tool number", "user tool", point.tool, state, line)
+        if isinstance(number, Unknown):
+            return number
+        if number == "0":
+            self.assumed.add("flange")
+            return self._flange
+        value = state.get("tool", int(number))
+        return Unknown(unknown("user tool", number)) if value is NEVER_SET else value
+
+    @staticmethod
+    def _agreed(family: str, kind: str, own: str, state: State, line: str) -> str | Unknown:
+        """The number of a point's frame or tool, which must be the active one: else the controller stops there."""
+        active = state.get(family)
+        if not own.isdecimal():
+            if isinstance(active, Active):
+                return active.number
+            assert isinstance(active, Unknown)
+            return Unknown(f"its {kind} is the active one of {line}, and {active.why}")
+        if isinstance(active, Active) and active.number != own:
+            return Unknown(
+                f"is in {kind} {own}, but {active.line} has set {active.number}: the controller stops at {line}"
+            )
+        return own
+
+
+def _sum(text: str, state: State) -> Register | None:
+    """A position register from registers that are added element by element; None where it may hold joints, or anything."""
+    total: Register | None = None
+    parts = list(TERMS.finditer(text))
+    if "".join(part.group() for part in parts) != text:
+        return None
+    for part in parts:
+        source = REGISTER.fullmatch(part.group(2))
+        term = state.get("register", int(source.group(1))) if source is not None else None
+        if part.group(2) in ("LPOS",) or re.fullmatch(r"U(?:FRAME|TOOL)\[\d+\]", part.group(2)) is not None:
+            term = Register()
+        if not isinstance(term, Register):
+            return None
+        if total is None:
+            total = term if part.group(1) != "-" else Register()
+        elif part.group(1) == "-" and len(parts) == 2 and parts[0].group() == part.group(2):
+            total = Register((0.0,) * 6)  # a register less itself, whatever it holds
+        else:
+            sign = -1.0 if part.group(1) == "-" else 1.0
+            total = Register(
+                tuple(
+                    None if a is None or b is None else a + sign * b
+                    for a, b in zip(total.numbers, term.numbers, strict=True)
+                )
+            )
+    return total
+
+
+def _number(text: str, state: State) -> float | None:
+    """A number that stands there, or an element of a register, or a sum of these; None where it is not certain."""
+    whole = PLAIN.fullmatch(text)
+    if whole is not None:
+        return _bounded(float(whole.group(1)))
+    total = 0.0
+    parts = list(TERMS.finditer(text))
+    if not parts or "".join(part.group() for part in parts) != text:
+        return None
+    for part in parts:
+        element, plain = ELEMENT.fullmatch(part.group(2)), PLAIN.fullmatch(part.group(2))
+        if element is not None:
+            register = state.get("register", int(element.group(1)))
+            value = register.numbers[int(element.group(2)) - 1] if isinstance(register, Register) else None
+        else:
+            value = float(plain.group(1)) if plain is not None else None
+        if value is None:
+            return None
+        total += -value if part.group(1) == "-" else value
+    return _bounded(total)
+
+
+def _bounded(value: float) -> float | None:
+    return value if abs(value) <= LARGEST else None
+
+
+def _translation(shift: np.ndarray) -> np.ndarray:
+    T = np.eye(4)
+    T[:3, 3] = shift
+    return T

@@ -1,0 +1,213 @@
+"""A project of TP programs: its listings, the frames of its controller, and the targets of those that are corrected."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from aridcal.programs.cell import Cell, Reading
+from aridcal.programs.fanuc.controller import read_frames_of_controller
+from aridcal.programs.fanuc.flow import ANY, Flow, actions, read_flow
+from aridcal.programs.fanuc.listing import Listing, read_listing
+from aridcal.programs.fanuc.meaning import Given, Meaning
+from aridcal.programs.frames import KnownFrames, controllers_base
+from aridcal.programs.project import Project
+from aridcal.programs.text import Code
+from aridcal.programs.uses import HERE, Frame, line_name
+from aridcal.programs.walk import State, TooLong, Unknown, Walk
+
+ENDING = ".ls"
+
+LISTINGS = ("sysframe.va", "frame.dg")
+"""Listings of the frames that a controller holds, in the order in which they are believed: FRAME.DG rounds to a tenth."""
+
+ROUNDED = 1e-3
+"""[m] and of a rotation's matrix: a listing in tenths of a millimetre and of a degree agrees with exact numbers within that."""
+
+WAYS = "the program has more ways than can be followed"
+
+
+def context(path: Path) -> list[Path]:
+    """Other programs beside one, and the controller's listings of its frames."""
+    try:
+        beside = sorted(path.parent.iterdir())
+    except OSError:
+        return []
+    return [
+        other
+        for other in beside
+        if (other.suffix.lower() == ENDING or other.name.lower() in LISTINGS) and other.name != path.name
+    ]
+
+
+def read(project: Project, cell: Cell) -> Reading:
+    """Targets of a project: points of /POS, in the order in which the programs go there."""
+    codes = tuple(Code(file, s.path.name, s.text, s.text) for file, s in enumerate(project.sources))
+    programs = [code for code in codes if project.sources[code.file].path.suffix.lower() == ENDING]
+    listings = [listing for code in programs if (listing := read_listing(code)) is not None]
+    ours = {k: project.sources[listing.code.file].ours for k, listing in enumerate(listings)}
+    try:
+        flows = [read_flow(k, listing) for k, listing in enumerate(listings)]
+        return _walked(project, cell, codes, listings, flows, ours)
+    except (TooLong, RecursionError):
+        left = [replace(listing, why=listing.why or WAYS) for k, listing in enumerate(listings) if ours[k]]
+        nothing = Given(HERE, {}, {})
+        own = dict.fromkeys(range(len(left)), True)
+        meaning = Meaning(left, [Flow() for _ in left], codes, own, frozenset(own), nothing, cell)
+        return Reading(meaning.ledger.targets())
+
+
+def _walked(
+    project: Project,
+    cell: Cell,
+    codes: tuple[Code, ...],
+    listings: Sequence[Listing],
+    flows: Sequence[Flow],
+    ours: Mapping[int, bool],
+) -> Reading:
+    names = _names(listings, ours)
+    spoken = _reached([k for k in ours if ours[k]], flows, names)
+    above = [k for k in ours if not ours[k] and _reached([k], flows, names) & spoken and k not in spoken]
+    walked = [k for k in ours if k in spoken or k in above]
+    given, notes = _given(project, cell, codes)
+    meaning = Meaning(listings, flows, codes, ours, spoken, given, cell)
+    walk = Walk({_routine(names, k): flows[k].body for k in walked}, meaning)
+    state = State()
+    meaning.begin(state, _written(listings, flows, codes, frozenset(walked), cell.frames))
+    for name in sorted({name for k in walked for name in flows[k].tasks}):
+        state.volatile(
+            _writes(name, flows, names, meaning, state), f"{name} runs beside the program, and may change it"
+        )
+    for k in _entries(walked, flows, names):
+        walk.enter(_routine(names, k), State(state))
+    for k in walked:
+        if _routine(names, k) not in walk.reached:
+            walk.enter(_routine(names, k), State(state))
+    return Reading(meaning.ledger.targets(), (*notes, *_assumptions(meaning.assumed, cell)))
+
+
+def _names(listings: Sequence[Listing], ours: Mapping[int, bool]) -> dict[str, int]:
+    """Which listing a program's name means: of several, the only one that is to be corrected, or none."""
+    names: dict[str, int] = {}
+    for name in dict.fromkeys(listing.name for listing in listings):
+        same = [k for k, listing in enumerate(listings) if listing.name == name]
+        own = [k for k in same if ours[k]] or same
+        if len(own) == 1:
+            names[name] = own[0]
+    return names
+
+
+def _routine(names: Mapping[str, int], program: int) -> str:
+    """The name under which a listing is walked: its own, or one that nobody calls where two have the same."""
+    return next((name for name, k in names.items() if k == program), f"/{program}")
+
+
+def _reached(start: Sequence[int], flows: Sequence[Flow], names: Mapping[str, int]) -> frozenset[int]:
+    """Listings that some call, those themselves included."""
+    reached: dict[int, None] = {}
+    waiting = list(start)
+    while waiting:
+        k = waiting.pop()
+        if k not in reached:
+            reached[k] = None
+            waiting += [names[name] for name in (*flows[k].calls, *flows[k].tasks) if name in names]
+    return frozenset(reached)
+
+
+def _entries(walked: Sequence[int], flows: Sequence[Flow], names: Mapping[str, int]) -> Iterator[int]:
+    """Listings that none of the others calls."""
+    called = {names[name] for k in walked for name in flows[k].calls if name in names and names[name] != k}
+    return (k for k in walked if k not in called)
+
+
+def _writes(
+    name: str, flows: Sequence[Flow], names: Mapping[str, int], meaning: Meaning, state: State
+) -> list[tuple[str, Hashable]]:
+    """All that a program may change that runs beside others, wherever it is: it may never end, or be stopped at any line."""
+    reached = _reached([names[name]], flows, names) if name in names else frozenset()
+    keys: dict[tuple[str, Hashable], None] = {}
+    for own in (name, *(own for k in reached for own in (*flows[k].calls, *flows[k].tasks))):
+        if own not in names:
+            scratch = State(state)
+            meaning.absent(None, own, scratch)
+            keys |= dict.fromkeys(scratch.own_keys())
+    for k in sorted(reached):
+        for action in actions(flows[k].body):
+            if action.does != "move":
+                scratch = State(state)
+                meaning.step(action, scratch)
+                keys |= dict.fromkeys(scratch.own_keys())
+    return list(keys)
+
+
+def _written(
+    listings: Sequence[Listing],
+    flows: Sequence[Flow],
+    codes: tuple[Code, ...],
+    walked: frozenset[int],
+    stated: KnownFrames,
+) -> dict[str, dict[int, str]]:
+    """Frames and tools that given programs set, so that they may hold anything when a program begins, and where.
+
+    What the user states is believed against programs that have nothing to do with those that are corrected.
+    """
+    written: dict[str, dict[int, str]] = {"frame": {}, "tool": {}}
+    believed = {"frame": stated.bases, "tool": stated.tools}
+    for k, flow in enumerate(flows):
+        for family, number, start in flow.writes:
+            if k in walked or (number != ANY and str(number) not in believed[family]):
+                line = line_name(codes, listings[k].code, start)
+                written[family].setdefault(number, f"{line} sets this user {family}, perhaps in a run before")
+    return written
+
+
+def _given(project: Project, cell: Cell, codes: tuple[Code, ...]) -> tuple[Given, tuple[str, ...]]:
+    """Frames that are known when a program begins, and what was taken for granted."""
+    notes = []
+    world = cell.frames.bases.get("0")
+    if world is None:
+        world = controllers_base(cell.robot)
+    base = HERE if world is None else Frame(world)
+    flange = Frame(cell.frames.tools["0"]) if "0" in cell.frames.tools else HERE
+    names = [project.sources[code.file].path.name.lower() for code in codes]
+    listings = [read_frames_of_controller(code.text) for own in LISTINGS for code in codes if names[code.file] == own]
+    notes += [f"user frames and tools are those of {code.name}" for code in codes if names[code.file] in LISTINGS]
+    frames = _joined("user frame", cell.frames.bases, base, [listing.frames for listing in listings])
+    tools = _joined("user tool", cell.frames.tools, flange, [listing.tools for listing in listings])
+    return Given(base, frames, {**tools, 0: flange}), tuple(notes)
+
+
+def _joined(
+    kind: str, stated: Mapping[str, np.ndarray], below: Frame, listings: Sequence[Mapping[int, np.ndarray]]
+) -> dict[int, Frame | Unknown]:
+    """Frames that the user states and those of the controller; where they differ neither is certain."""
+    sources = [{int(name): Frame(T) for name, T in stated.items() if name.isdecimal() and len(name) < 10}]
+    sources += [{number: below @ Frame(T) for number, T in listing.items()} for listing in listings]
+    joined: dict[int, Frame | Unknown] = {}
+    for source in sources:
+        for number, frame in source.items():
+            own = joined.setdefault(number, frame)
+            if isinstance(own, Frame) and np.abs(own.T - frame.T).max() > ROUNDED:
+                joined[number] = Unknown(
+                    f"{kind} {number} is stated twice, not alike: in --frames or in listings of the controller"
+                )
+    return joined
+
+
+def _assumptions(assumed: set[str], cell: Cell) -> tuple[str, ...]:
+    """What no file says, and moves have needed."""
+    robot, stated = cell.robot, cell.frames
+    notes = {
+        "world": f"user frame 0, the world frame, is taken as {_world(cell)}" if "0" not in stated.bases else "",
+        "flange": f"user tool 0, the flange, is taken as the link {robot.tip}" if "0" not in stated.tools else "",
+        "joints": "J1 to J6 are taken as the campaign counts its joints: does it count J3 as the controller shows it?",
+    }
+    return tuple(notes[name] for name in sorted(assumed) if notes[name])
+
+
+def _world(cell: Cell) -> str:
+    own = controllers_base(cell.robot)
+    return f"the link {cell.robot.base if own is None else 'base'} of the URDF"
