@@ -141,7 +141,9 @@ def _worked_out(code: str) -> tuple[list[tuple[str, int, str]], str]:
             plain = word is not None and spaced.group().rstrip(" \t") == word.group(2)
             if not plain and spaced.group().count(".") > 1:
                 return words, "a number has two points here"
-            words.append((letter.upper(), word.start(2) if plain and word else place, word.group(2) if plain and word else ""))
+            words.append(
+                (letter.upper(), word.start(2) if plain and word else place, word.group(2) if plain and word else "")
+            )
             place = spaced.end()
             continue
         behind = _expression_end(code, _behind_blanks(code, place + 1))

@@ -6,7 +6,7 @@ import re
 from dataclasses import dataclass, field, replace
 
 from aridcal.programs.gcode.blocks import LABEL, Block, Line, block_of, lines_of
-from aridcal.programs.gcode.table import CALLS, ENDS, RETURNS, VARIABLES, WILD
+from aridcal.programs.gcode.table import ENDS, RETURNS, VARIABLES, WILD
 from aridcal.programs.walk import DEEPEST, Body, Call, Choice, Jump, Leave, Mark, Node, Repeat, Step
 
 SKIPPED = re.compile(r"[ \t]*+/[0-9]?")
@@ -88,7 +88,9 @@ class _File:
         self._open: list[_Open] = [_Open("routine", self._name)]
         self._run: list[Block] = []
         self._begun = self._ended = self._returns = False
-        self._labels = {m.group(1).lstrip("0") for m in GOTO.finditer(text) if not text[m.start() - 1 : m.start()].isalpha()}
+        self._labels = {
+            m.group(1).lstrip("0") for m in GOTO.finditer(text) if not text[m.start() - 1 : m.start()].isalpha()
+        }
 
     def read(self) -> None:
         for line in lines_of(self._text):

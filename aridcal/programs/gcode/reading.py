@@ -3,41 +3,30 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
-from functools import partial
-
-import numpy as np
+from dataclasses import dataclass
 
 from aridcal.errors import AridcalError
 from aridcal.programs.axes import DEGREE
 from aridcal.programs.cell import Cell, Reading
-from aridcal.programs.frames import absent, unknown
+from aridcal.programs.frames import absent
 from aridcal.programs.gcode.blocks import Block
 from aridcal.programs.gcode.flow import Flow
+from aridcal.programs.gcode.modes import MODES, UNDERSTOOD, Control, Modes
+from aridcal.programs.gcode.record import AT_START, ELSEWHERE, Key, Move, Record, letters_of
 from aridcal.programs.gcode.table import (
     ARC,
-    AXES,
     CALLS,
     CODES,
-    CURVED,
-    CURVES,
-    EXTRUDER,
-    FREE,
-    INCH,
+    COUNTS_FROM_HERE,
     MILLIMETRE,
-    NOTHING,
     SLIDES,
     START,
     STATED,
-    STRAIGHT,
     TURNS,
-    Code,
 )
 from aridcal.programs.project import Project
-from aridcal.programs.targets import Place, Target
 from aridcal.programs.text import Number
-from aridcal.programs.uses import HERE, Frame, Ledger, Use
+from aridcal.programs.uses import HERE
 from aridcal.programs.walk import State, TooLong, Unknown, Walk
 
 POINTED = re.compile(r"[XYZABCUVW][ \t]*+[-+]?[0-9]++\.(?![0-9])", re.IGNORECASE)
@@ -46,51 +35,19 @@ POINTED = re.compile(r"[XYZABCUVW][ \t]*+[-+]?[0-9]++\.(?![0-9])", re.IGNORECASE
 LARGEST = 1e6
 """Of a number in a target: a gantry of a kilometre."""
 
-UPRIGHT = 1e-9
-"""Frames that are turned by more do more than shift axes."""
-
 NOT_STATED = Unknown("no G0 or G1 stands before it")
 
-UNDERSTOOD = "understood"
-"""Unknown behind a block that may do anything, until the program ends."""
+AWAY = Unknown("the axes are elsewhere")
 
-MODES = ("motion", *START, UNDERSTOOD)
-
-Key = tuple[int, int]
-"""A block: its file and its line."""
-
-AT_START: Key = (-1, 0)
-"""Where axes are as it is stated, before the first block."""
-
-Modes = dict[str, object]
-
-
-@dataclass(frozen=True)
-class _Move:
-    """A block that sends axes somewhere.
-
-    Attributes:
-        block: As it stands.
-        axes: Indices of the readings that it states.
-        readings: That it states, shape (columns,), NaN elsewhere; None where they are not known.
-        units: As in :class:`Target`.
-        held: Block that has stated each other reading.
-        why: Why it cannot be corrected; empty if it can be.
-    """
-
-    block: Block
-    axes: tuple[int, ...]
-    readings: np.ndarray | None
-    units: tuple[tuple[float, int], ...]
-    held: tuple[tuple[int, Key], ...]
-    why: str
+Words = list[tuple[str, Number | None]]
 
 
 def read(project: Project, cell: Cell) -> Reading:
     """Targets of all straight moves, in the order in which the axes go there.
 
     A block that lacks the word of an axis leaves it where it is, so that only the words that stand there can be corrected; and
-    none of them where nobody knows where that axis is, behind a step or a tool change for instance.
+    none of them where nobody knows where that axis is, behind a step or a tool change for instance. A target that is left has
+    readings all the same where they are known: the axes are there then, as the program says and not as it was corrected.
 
     Args:
         project: Programs; letters go to the robot's joints in their order, X Y Z to those that slide, A B C to those that turn.
@@ -107,9 +64,7 @@ def read(project: Project, cell: Cell) -> Reading:
     walk = Walk(flow.routines, reader)
     try:
         for main in flow.mains:
-            state = State()
-            reader.begin(state, cell.start and main == flow.mains[0])
-            walk.enter(main, state)
+            walk.enter(main, reader.start(cell.start and main == flow.mains[0]))
         for name in flow.routines:
             if name not in walk.reached:
                 state = State()
@@ -117,7 +72,26 @@ def read(project: Project, cell: Cell) -> Reading:
                 walk.enter(name, state)
     except TooLong:
         flow.wild = flow.wild or "the program has more ways than can be followed"
-    return Reading(reader.targets(flow.wild), reader.notes())
+    return Reading(reader.record.targets(flow.wild), reader.notes())
+
+
+@dataclass
+class _Now:
+    """What is certain before a block.
+
+    Attributes:
+        modes: Of the controller.
+        at: For each reading the block that has sent it to where it is, or :class:`Unknown`.
+        last: For each reading the last block that has stated it, whether it is still there or not.
+        trouble: Why it is not known where a straight move would go; empty if it is.
+        recording: Whether moves are written down.
+    """
+
+    modes: Modes
+    at: list[object]
+    last: list[object]
+    trouble: str
+    recording: bool
 
 
 class _Reader:
@@ -125,30 +99,31 @@ class _Reader:
 
     def __init__(self, project: Project, cell: Cell) -> None:
         self._project, self._cell = project, cell
-        kinds = cell.robot.kinds
-        self._letters = _letters(kinds)
-        self._kinds, self._zeros = kinds, [cell.axes.zero(k) for k in range(len(kinds))]
-        self._ledger = Ledger()
-        self._moves: dict[Key, _Move] = {}
-        self._by_name: dict[tuple[str, object], Frame | Unknown] = {}
-        self._pointed = [_writes_points(source.text) for source in project.sources]
+        self._kinds = cell.robot.kinds
+        self._zeros = [cell.axes.zero(k) for k in range(len(self._kinds))]
+        self._letters = _letters(self._kinds)
+        self._control = Control(self._letters, cell.frames, self._line)
+        self._pointed = [POINTED.search(source.text) is not None for source in project.sources]
         self._stated: set[str] = set()
         self._granted: dict[str, int] = {}
         self._whole = False
+        self.record = Record(project, len(self._kinds))
 
-    def begin(self, state: State, placed: bool) -> None:
-        """Set all modes as a reset leaves them.
+    def start(self, placed: bool) -> State:
+        """All modes as a reset leaves them.
 
         Args:
-            state: To set.
             placed: Whether it is known where the axes are.
         """
+        state = State()
         for mode, value in START.items():
             state.set(mode, None, value)
         state.set("motion", None, NOT_STATED)
         state.set(UNDERSTOOD, None, True)
         for k in range(len(self._kinds)):
-            state.set("at", k, AT_START if placed else Unknown("no block before says where the axes are"))
+            state.set("at", k, AT_START if placed else AWAY)
+            state.set("last", k, AT_START)
+        return state
 
     def enter(self, what: object, name: str, state: State) -> None:
         """Nothing: modes of the caller hold in what it calls."""
@@ -158,319 +133,149 @@ class _Reader:
 
     def absent(self, what: object, name: str, state: State) -> None:
         """Another program may do anything, unless the user says that it is harmless; the axes are elsewhere in any case."""
-        block = what
-        assert isinstance(block, Block)
-        if name.lower() not in self._cell.frames.harmless:
-            state.set(UNDERSTOOD, None, Unknown(self._at(block, absent(name))))
+        assert isinstance(what, Block)
+        if name not in self._cell.frames.harmless:
+            state.set(UNDERSTOOD, None, Unknown(self._control.at(what, absent(name))))
         for k in range(len(self._kinds)):
-            state.forget("at", k, f"{name} brings the axes where it does")
+            state.set("at", k, AWAY)
 
     def step(self, what: object, state: State) -> None:
         """Carry out blocks one after the other."""
         assert isinstance(what, tuple)
+        columns = range(len(self._kinds))
         modes: Modes = {mode: state.get(mode) for mode in MODES}
-        at: list[object] = [state.get("at", k) for k in range(len(self._kinds))]
-        before, stood = dict(modes), list(at)
+        now = _Now(
+            dict(modes),
+            [state.get("at", k) for k in columns],
+            [state.get("last", k) for k in columns],
+            self._control.lost(modes),
+            state.recording,
+        )
+        at, last = list(now.at), list(now.last)
         for block in what:
-            self._block(block, modes, at, state.recording)
-        for mode, value in modes.items():
-            if value is not before[mode]:
+            self._block(block, now)
+        for mode, value in now.modes.items():
+            if value is not modes[mode]:
                 state.set(mode, None, value)
-        for k, place in enumerate(at):
-            if place is not stood[k]:
-                state.set("at", k, place)
+        for k in columns:
+            if now.at[k] is not at[k]:
+                state.set("at", k, now.at[k])
+            if now.last[k] is not last[k]:
+                state.set("last", k, now.last[k])
 
-    def _block(self, block: Block, modes: Modes, at: list[object], recording: bool) -> None:
+    def _block(self, block: Block, now: _Now) -> None:
         """Carry out one block: first its codes, then its axis words."""
-        before = dict(modes) if block.late else modes
-        fault = block.fault or self._codes(block, modes) or self._misfit(block, modes)
-        if fault and not isinstance(modes[UNDERSTOOD], Unknown):
-            modes[UNDERSTOOD] = Unknown(self._at(block, fault))
-        words = next((row.words for code in block.codes if (row := CODES.get(code)) and row.words != "place"), "place")
-        away = words == "away" or any(letter == "T" for letter, _ in block.others) or self._calls(block)
+        before = dict(now.modes) if block.late else now.modes
+        if block.codes or block.others or block.fault or block.axes:
+            self._control.carry_out(block, now.modes, self._stated)
+        if block.codes or block.fault or isinstance(now.modes[UNDERSTOOD], Unknown):
+            now.trouble = self._control.lost(now.modes)
+        rows = [CODES[code] for code in block.codes if code in CODES]
+        words = next((row.words for row in rows if row.words != "place"), "place")
         own = [(letter, number) for letter, number in block.axes if letter in self._letters]
-        if "length" in modes and "Z" in self._letters and any(CODES[c].mode == "length" for c in block.codes if c in CODES):
-            at[self._letters["Z"]] = Unknown("the length of the tool has changed")
+        self._counted_from(block, own, now)
+        if "Z" in self._letters and any(row.mode == "length" for row in rows):
+            now.at[self._letters["Z"]] = AWAY  # FANUC's controllers move it by the length at once
+        away = words == "away" or len(rows) < len(block.codes) or not CALLS.isdisjoint(block.codes)
+        away = away or any(letter == "T" for letter, _ in block.others)
         if words == "place" and own:
-            late = any(before[CODES[code].mode] != modes[CODES[code].mode] for code in block.late if code in CODES and CODES[code].mode)
-            self._go(block, own, modes, at, recording, self._doubt(block, own, away, late))
-        if away or isinstance(modes[UNDERSTOOD], Unknown):
-            for k in range(len(at)):
-                at[k] = Unknown("the axes are elsewhere")
+            late = any(
+                row.mode and before[row.mode] != now.modes[row.mode] for row in map(CODES.get, block.late) if row
+            )
+            self._go(block, own, now, _doubt(own, away, late, self._pointed[block.file]))
+        if words == "away":
+            now.last[:] = [ELSEWHERE] * len(now.last)
+        if away or isinstance(now.modes[UNDERSTOOD], Unknown):
+            now.at[:] = [AWAY] * len(now.at)
 
-    def _calls(self, block: Block) -> bool:
-        return bool(CALLS & set(block.codes)) or any(c not in CODES for c in block.codes)
+    def _counted_from(self, block: Block, own: Words, now: _Now) -> None:
+        """Arcs, steps and new zeros count from where the axes are: the block that has sent them there must stay as it is."""
+        if not now.recording:
+            return
+        curve = next((code for code in block.codes if code in COUNTS_FROM_HERE), "")
+        if curve and (own or curve not in ("G10",)):
+            axes = [self._letters[letter] for letter, _ in own] or list(range(len(self._kinds)))
+            what = curve
+        elif not own or any(CODES[code].words != "place" for code in block.codes if code in CODES):
+            return
+        elif isinstance(now.modes["distance"], Unknown):
+            axes, what = [self._letters[letter] for letter, _ in own], "a step (G91)"
+        elif isinstance(now.modes["radius"], Unknown):
+            axes, what = list(range(len(self._kinds))), "the path beside (G41 or G42)"
+        elif now.modes["motion"] == ARC or (
+            isinstance(now.modes["motion"], Unknown) and now.modes["motion"] is not NOT_STATED
+        ):
+            axes, what = self._plane(now.modes), "an arc or a curve"
+        else:
+            return
+        for k in axes:
+            self.record.use(now.last[k], k, f"{what} counts from there ({self._line(block)})")
 
-    def _codes(self, block: Block, modes: Modes) -> str:
-        """Set modes by the codes of a block; returns what is not understood."""
-        by_mode: dict[str, str] = {}
-        codes = block.codes
-        if "G80" in codes and not {"G0", "G1"}.isdisjoint(codes):
-            codes = tuple(code for code in codes if code != "G80")
-        for code in codes:
-            if code in CALLS and code != "M98":
-                return self._call(block, code)
-            row = CODES.get(code)
-            if row is None:
-                if code.lower() not in self._cell.frames.harmless:
-                    return f"{code} is not in the table of codes that are understood; state it as `harmless` in --frames if it is"
-                continue
-            if not row.mode:
-                continue
-            if by_mode.setdefault(row.mode, code) != code:
-                modes[row.mode] = Unknown(self._at(block, f"{by_mode[row.mode]} and {code} stand in one block"))
-                continue
-            case = CASES.get(code)
-            value = case(self, block, row) if case is not None else self._value(block, code, row)
-            if isinstance(value, str) and value == FAULTY:
-                return f"{code} is not understood with the words of its block"
-            if value is not None:
-                modes[row.mode] = value
-            self._stated.add(row.mode)
-        return ""
+    def _plane(self, modes: Modes) -> list[int]:
+        """Axes in which arcs turn."""
+        names = "XY" if modes["plane"] == "XY" else "XYZ"
+        return [k for letter, k in self._letters.items() if letter in names]
 
-    def _value(self, block: Block, code: str, row: Code) -> object:
-        """The value that a code gives to its mode."""
-        if row.value is None:
-            return Unknown(self._at(block, f"{code}: {row.why}") if row.mode not in ("motion", "distance") else row.why)
-        return code if row.value == "by name" else row.value
-
-    def _call(self, block: Block, code: str) -> str:
-        name = f"o{block.word('P')}"
-        if code == "G65" and name in self._cell.frames.harmless:
-            return ""
-        return absent(f"{code} P{block.word('P')}")
-
-    def _misfit(self, block: Block, modes: Modes) -> str:
-        """Which word of a block belongs to none of its codes; empty if each does."""
-        if not block.others and not block.axes:
-            return ""
-        taken = set(FREE)
-        data = False
-        for code in block.codes:
-            row = CODES.get(code)
-            if row is not None:
-                taken.update(row.takes)
-                data = data or row.words != "place"
-            else:
-                return ""  # the user says that it is harmless, with all its words
-        if modes["motion"] != STRAIGHT:
-            taken |= CURVED
-        if any(letter == EXTRUDER for letter, _ in block.others) and (block.axes or data or "G92" in block.codes or not block.codes or "G1" in block.codes):
-            taken.add(EXTRUDER)
-        if any(code in CALLS for code in block.codes):
-            return ""
-        for letter, _ in block.others:
-            if letter not in taken:
-                return f"{letter} belongs to no code of its block"
-        if not data:
-            for letter, _ in block.axes:
-                if letter not in self._letters:
-                    return f"{letter} is no axis of the robot"
-        letters = [letter for letter, _ in block.others]
-        if len(set(letters)) < len(letters):
-            return "a word stands twice in one block"
-        return ""
-
-    def _doubt(self, block: Block, own: list[tuple[str, Number | None]], away: bool, late: bool) -> str:
-        """What of a block's own words keeps it from being corrected."""
-        letters = [letter for letter, _ in own]
-        out = sorted({letter for letter, number in own if number is None})
-        if out:
-            return f"{' '.join(out)} is worked out by the controller"
-        if len(set(letters)) < len(letters):
-            return "states an axis twice"
-        if away:
-            return "changes the tool, or calls another program, in the same block"
-        if late:
-            return "has a code behind its axis words: controllers differ in what it holds for"
-        return self._unplain(block, own)
-
-    def _unplain(self, block: Block, own: list[tuple[str, Number | None]]) -> str:
-        for _, number in own:
-            assert number is not None
-            if not abs(number.value) <= LARGEST:
-                return f"{number.text} is no length of a gantry"
-            if self._pointed[block.file] and "." not in number.text and number.value != 0.0:
-                return f"{number.text} has no decimal point, where others have: on some controllers it counts thousandths"
-        return ""
-
-    def _go(
-        self,
-        block: Block,
-        own: list[tuple[str, Number | None]],
-        modes: Modes,
-        at: list[object],
-        recording: bool,
-        doubt: str,
-    ) -> None:
+    def _go(self, block: Block, own: Words, now: _Now, doubt: str) -> None:
         """A block sends axes somewhere."""
-        axes = tuple(self._letters[letter] for letter, _ in own)
-        key: Key = (block.file, block.line)
-        base = self._offset(modes["work offset"])
-        tool = self._length(modes)
-        lost = self._lost(modes, base, tool)
-        motion = modes["motion"]
-        curved = "is no straight move: arcs are left" if motion == ARC else ""
-        why = doubt or lost or (motion.why if isinstance(motion, Unknown) else "")
+        axes = tuple([self._letters[letter] for letter, _ in own])
+        motion = now.modes["motion"]
+        why = doubt or now.trouble or (motion.why if isinstance(motion, Unknown) else "")
         known = not why
-        missing = [k for k in range(len(at)) if k not in axes and isinstance(at[k], Unknown)]
-        if known and missing and not curved:
-            letters = {k: letter for letter, k in self._letters.items()}
-            why = f"does not state {' '.join(letters[k] for k in missing)}, and no plain move before says where that is"
-        why = why or curved
-        held = tuple((k, place) for k, place in enumerate(at) if k not in axes and isinstance(place, tuple))
+        zero = self._control.zero(now.modes) if known else None
+        if motion == ARC:
+            why = why or "is no straight move: arcs are left"
+        missing = [k for k, place in enumerate(now.at) if k not in axes and isinstance(place, Unknown)]
+        if missing:
+            why = (
+                why
+                or f"does not state {letters_of(missing, self._letters)}, and no plain move before says where that is"
+            )
+        held = tuple([(k, place) for k, place in enumerate(now.at) if k not in axes and isinstance(place, tuple)])
+        key: Key = (block.file, block.line)
+        step = isinstance(now.modes["distance"], Unknown)
+        for k in axes:
+            now.last[k] = now.last[k] if step else key
         if known:
             for k in axes:
-                at[k] = key
+                now.at[k] = key
         else:
-            for k in range(len(at)):
-                at[k] = Unknown("the axes are elsewhere")
-        if recording:
-            self._note(block, own, why)
-            self._record(key, block, own, axes, modes, base, tool, known, held, why)
-
-    def _record(
-        self,
-        key: Key,
-        block: Block,
-        own: list[tuple[str, Number | None]],
-        axes: tuple[int, ...],
-        modes: Modes,
-        base: Frame | Unknown,
-        tool: Frame | Unknown,
-        known: bool,
-        held: tuple[tuple[int, Key], ...],
-        why: str,
-    ) -> None:
-        """Write a move down."""
-        units = readings = None
-        if known:
-            assert isinstance(modes["unit"], float) and isinstance(base, Frame) and isinstance(tool, Frame)
-            unit = modes["unit"]
-            units = tuple((unit if self._kinds[k] == "prismatic" else DEGREE, k) for k in axes)
-            readings = self._readings(own, units, base, tool)
-        if key not in self._moves:
-            self._moves[key] = _Move(block, axes, readings, units or (), held, why)
-            self._ledger.declare(key, partial(self._target, key))
-        use = Use(
-            self._line(block),
-            base if known else HERE,
-            tool if known else HERE,
-            why=why,
-            mode=f"{units} {held}",
-        )
-        self._ledger.go(key, use)
-
-    def _readings(
-        self,
-        own: list[tuple[str, Number | None]],
-        units: tuple[tuple[float, int], ...],
-        base: Frame,
-        tool: Frame,
-    ) -> np.ndarray:
-        """Where a block sends axes, shape (columns,), [m] or [rad]."""
-        readings = np.full(len(self._kinds), np.nan)
-        for (letter, number), (unit, k) in zip(own, units, strict=True):
-            assert number is not None
-            slides = self._kinds[k] == "prismatic"
-            readings[k] = unit * number.value - (MILLIMETRE if slides else DEGREE) * self._zeros[k]
-            if letter in "XYZ":
-                readings[k] += base.T["XYZ".index(letter), 3] + tool.T["XYZ".index(letter), 3]
-        return readings
-
-    def _target(self, key: Key, use: Use, beside: tuple[Place, ...]) -> Target:
-        """The target of a block."""
-        move = self._moves[key]
-        numbers = tuple(number for _, number in move.block.axes if number is not None)
-        name = " ".join(f"{letter}{number.text if number else ''}" for letter, number in move.block.axes)
-        source = self._project.sources[key[0]]
-        why = "" if source.ours else f"stands in {source.path.name}, which is not corrected: give it, too"
-        digits = 5 if any(unit == INCH for unit, _ in move.units) else 4
-        plain = len(numbers) == len(move.block.axes)
-        return Target(
-            move.block.line, name or move.block.text, "joints", numbers if plain else (), why, move.readings, move.units,
-            digits=digits, file=key[0],
-        )  # fmt: skip
-
-    def targets(self, wild: str) -> list[Target]:
-        """All targets, each left where what it leaves out was not stated by the block that went before it.
-
-        Args:
-            wild: Why none can be corrected; empty if some can.
-        """
-        last: dict[int, Key] = dict.fromkeys(range(len(self._kinds)), AT_START)
-        answers = []
-        for target in self._ledger.targets():
-            key = (target.file, target.line)
-            move = self._moves[key]
-            why = target.why or wild
-            if not why and any(last.get(k) != source for k, source in move.held):
-                why = "does not state all axes, and comes here from several places"
-            known = move.readings is not None and (not target.why or target.why == move.why)
-            for k in move.axes if known else range(len(self._kinds)):
-                last[k] = key if known else (-2, 0)
-            if why:
-                readings, units = (move.readings, move.units) if known else (None, ())
-                target = replace(target, why=why, readings=readings, units=units)
-            answers.append(target)
-        return answers
-
-    def _lost(self, modes: Modes, base: Frame | Unknown, tool: Frame | Unknown) -> str:
-        """Why it is not known where a block goes; empty if it is."""
-        understood = modes[UNDERSTOOD]
-        if isinstance(understood, Unknown):
-            return understood.why
-        for mode in START:
-            value = modes[mode]
-            if isinstance(value, Unknown):
-                return value.why
-        return next((part.why for part in (base, tool) if isinstance(part, Unknown)), "")
-
-    def _offset(self, name: object) -> Frame | Unknown:
-        """Where the zeros of axes are in a work offset."""
-        if isinstance(name, Unknown):
-            return name
-        return self._stated_frame("the work offset", name, self._cell.frames.bases)
-
-    def _length(self, modes: Modes) -> Frame | Unknown:
-        """What the length of a tool adds to Z."""
-        name = modes["length"]
-        if name == NOTHING:
-            return HERE
-        if isinstance(name, Unknown):
-            return name
-        if modes["plane"] != "XY":
-            return Unknown("the length of a tool acts (G43) in another plane than G17: controllers differ in its direction")
-        frame = self._stated_frame("the length of tool", name, self._cell.frames.tools)
-        if isinstance(frame, Frame) and np.abs(frame.T[:2, 3]).max() > UPRIGHT:
-            return Unknown(f"the tool {name} of --frames is no length in z alone")
-        return frame
-
-    def _stated_frame(self, kind: str, name: object, frames: Mapping[str, np.ndarray]) -> Frame | Unknown:
-        if (kind, name) not in self._by_name:
-            T = frames.get(str(name).lower())
-            frame: Frame | Unknown = Unknown(unknown(kind, str(name))) if T is None else Frame(T)
-            if T is not None and np.abs(T[:3, :3] - np.eye(3)).max() > UPRIGHT:
-                frame = Unknown(f"{name} of --frames is turned (rpy): offsets of G-code only shift axes")
-            self._by_name[kind, name] = frame
-        return self._by_name[kind, name]
-
-    def _at(self, block: Block, why: str) -> str:
-        return f"{self._line(block)}: {why}"
-
-    def _line(self, block: Block) -> str:
-        if len(self._project.sources) == 1:
-            return f"line {block.line}"
-        return f"{self._project.sources[block.file].path.name} line {block.line}"
-
-    def _note(self, block: Block, own: list[tuple[str, Number | None]], why: str) -> None:
-        """Remember what is taken for granted for a target."""
-        if why:
+            now.at[:] = [AWAY] * len(now.at)
+        if not now.recording:
             return
-        for mode in STATED.keys() - self._stated:
-            self._granted.setdefault(mode, block.line)
-        self._whole = self._whole or any("." not in n.text and n.value != 0.0 for _, n in own if n is not None)
+        units: tuple[tuple[float, int], ...] = ()
+        readings: tuple[float, ...] = ()
+        if zero is not None:
+            length = now.modes["unit"]
+            assert isinstance(length, float)
+            units = tuple([(length if self._kinds[k] == "prismatic" else DEGREE, k) for k in axes])
+            readings = tuple(
+                [
+                    self._reading(letter, number, unit, zero.shift)
+                    for (letter, number), (unit, _) in zip(own, units, strict=True)
+                ]
+            )
+        base, tool = (zero.base, zero.tool) if zero is not None else (HERE, HERE)
+        self.record.add(Move(block, axes, readings, units, held, base, tool, why), self._line(block))
+        if not why:
+            self._remember(block, own)
+
+    def _reading(self, letter: str, number: Number | None, unit: float, shift: tuple[float, float, float]) -> float:
+        """Where a word sends its axis, [m] or [rad]."""
+        assert number is not None
+        k = self._letters[letter]
+        own = MILLIMETRE if self._kinds[k] == "prismatic" else DEGREE
+        return unit * number.value - own * self._zeros[k] + (shift["XYZ".index(letter)] if letter in "XYZ" else 0.0)
+
+    def _remember(self, block: Block, own: Words) -> None:
+        """Note what is taken for granted for a target."""
+        if len(self._stated) < len(START):
+            for mode in STATED.keys() - self._stated:
+                self._granted.setdefault(mode, block.line)
+        if not self._whole:
+            self._whole = any(
+                number is not None and "." not in number.text and number.value != 0.0 for _, number in own
+            )
 
     def notes(self) -> tuple[str, ...]:
         """What was taken for granted."""
@@ -479,72 +284,42 @@ class _Reader:
         for mode, line in sorted(self._granted.items()):
             notes.append(f"{STATED[mode]} stands nowhere before line {line}: it is taken for granted")
         if self._whole:
-            notes.append("numbers without a decimal point count whole units, not thousandths: no number of the program ends in a point")
+            notes.append(
+                "numbers without a decimal point are taken as whole units, not as thousandths: no number ends in a point"
+            )
         return tuple(notes)
 
-
-FAULTY = "faulty"
-"""In place of a value: the words of the block do not fit its code."""
-
-
-def _tool_length(reader: _Reader, block: Block, row: Code) -> object:
-    """G43 H1: the length of that number."""
-    number = block.word("H")
-    return f"H{number.lstrip('0') or '0'}" if number.isdigit() else Unknown(reader._at(block, row.why))
+    def _line(self, block: Block) -> str:
+        """How messages name a block's line: with its file where there are several."""
+        line = f"line {block.line}"
+        return line if len(self._project.sources) == 1 else f"{self._project.sources[block.file].path.name} {line}"
 
 
-def _numbered_offset(reader: _Reader, block: Block, row: Code) -> object:
-    number = block.word("P")
-    return f"G54.1 P{number.lstrip('0') or '0'}" if number.isdigit() else Unknown(reader._at(block, "which work offset is meant is worked out"))
+def _doubt(own: Words, away: bool, late: bool, pointed: bool) -> str:
+    """What of a block's own words keeps it from being corrected; empty if nothing does.
 
-
-def _local_zero(reader: _Reader, block: Block, row: Code) -> object:
-    """G52 with zeros for all axes ends it."""
-    zeros = {letter for letter, number in block.axes if number is not None and number.value == 0.0}
-    if zeros >= reader._letters.keys() and len(block.axes) == len(zeros):
-        return NOTHING
-    return Unknown(reader._at(block, f"G52: {row.why}"))
-
-
-def _zero(reader: _Reader, block: Block, row: Code) -> object:
-    """G92 E0 counts a printer's material from here on, and touches no axis."""
-    if not block.axes and [letter for letter, _ in block.others if letter not in FREE] == [EXTRUDER]:
-        return None
-    return Unknown(reader._at(block, f"G92: {row.why}"))
-
-
-def _curve(reader: _Reader, block: Block, row: Code) -> object:
-    """G5 P10000, G5.1 Q1: FANUC's fast machining."""
-    return Unknown(row.why) if block.axes else None
-
-
-def _diameter(reader: _Reader, block: Block, row: Code) -> object:
-    """G7 with axis words is FANUC's hypothetical axis."""
-    return FAULTY if block.axes else Unknown(reader._at(block, f"G7: {row.why}"))
-
-
-def _not_scaled(reader: _Reader, block: Block, row: Code) -> object:
-    """G50 with axis words sets a lathe's zero."""
-    return FAULTY if block.axes else NOTHING
-
-
-def _not_mirrored(reader: _Reader, block: Block, row: Code) -> object:
-    """G50.1 ends it for the axes that it names."""
-    return NOTHING if {letter for letter, _ in block.axes} >= reader._letters.keys() else None
-
-
-CASES: Mapping[str, Callable[[_Reader, Block, Code], object]] = {
-    "G43": _tool_length,
-    "G54.1": _numbered_offset,
-    "G52": _local_zero,
-    "G92": _zero,
-    **dict.fromkeys(CURVES, _curve),
-    "G7": _diameter,
-    "G50": _not_scaled,
-    "G50.1": _not_mirrored,
-    "G100": _not_mirrored,
-}
-"""Codes whose value depends on the words of their block; None leaves the mode as it is."""
+    Args:
+        own: Its axis words.
+        away: Whether the axes go elsewhere in the same block.
+        late: Whether a code behind an axis word sets a mode.
+        pointed: Whether whole numbers of the program have a point behind them.
+    """
+    letters = [letter for letter, _ in own]
+    if any(number is None for _, number in own):
+        return f"{' '.join(letter for letter, number in own if number is None)} is worked out by the controller"
+    if len(set(letters)) < len(letters):
+        return "states an axis twice"
+    if away:
+        return "changes the tool, or calls another program, in the same block"
+    if late:
+        return "has a code behind its axis words: controllers differ in what it holds for"
+    for _, number in own:
+        assert number is not None
+        if not abs(number.value) <= LARGEST:
+            return f"{number.text} is no length of a gantry"
+        if pointed and "." not in number.text and number.value != 0.0:
+            return f"{number.text} has no decimal point, where others have: on some controllers it counts thousandths"
+    return ""
 
 
 def _letters(kinds: tuple[str, ...]) -> dict[str, int]:
@@ -557,8 +332,3 @@ def _letters(kinds: tuple[str, ...]) -> dict[str, int]:
             "for them; give a table of poses to `aridcal compensate`"
         )
     return {**dict(zip(SLIDES, slides, strict=False)), **dict(zip(TURNS, turns, strict=False))}
-
-
-def _writes_points(text: str) -> bool:
-    """Whether whole numbers have a point behind them, as FANUC's and Haas's programs have."""
-    return POINTED.search(text) is not None

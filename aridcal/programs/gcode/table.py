@@ -145,10 +145,13 @@ CODES: Mapping[str, Code] = {
 }
 """By the code's letter and number, without zeros in front."""
 
-CURVES = frozenset("G5 G5.1".split())
+CURVES = frozenset(["G5", "G5.1"])
 """FANUC's switches for fast machining where their block has no axis words: harmless then."""
 
-CALLS = frozenset("G65 G66 G66.1 M98".split())
+COUNTS_FROM_HERE = frozenset(["G92", "G10", "G51", "G68", "G68.1", "G16", "G28.1", "G30.1"])
+"""They set a zero or a centre where the axes are, if no words of theirs say another."""
+
+CALLS = frozenset(["G65", "G66", "G66.1", "M98"])
 """They call the program that P names."""
 
 ENDS, RETURNS = frozenset({"M2", "M30"}), "M99"
