@@ -28,7 +28,7 @@ REFERENCE = re.compile(r"[-+]?[ \t]*+(?:[A-Za-z]{2,6}[ \t]*+(?=\[))?#*+(?:[0-9]+
 LABEL = re.compile(r"[ \t]*+[Nn][ \t]*+([0-9]+)")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Line:
     """A line of a program.
 
@@ -45,7 +45,7 @@ class Line:
     fault: str
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Block:
     """What a line says.
 

@@ -19,7 +19,8 @@ O_WORD = re.compile(
 )
 
 MACRO = re.compile(
-    r"[ \t]*+(?:[Nn][ \t]*+[0-9]++)?[ \t]*+(?:(IF|WHILE)[ \t]*+(?=\[)|(GOTO)|(DO|END)[ \t]*+(?=[0-9])|(POPEN|PCLOS|DPRNT|BPRNT)(?![A-Za-z]))",
+    r"[ \t]*+(?:[Nn][ \t]*+[0-9]++)?[ \t]*+"
+    r"(?:(IF|WHILE)[ \t]*+(?=\[)|(GOTO)|(DO|END)[ \t]*+(?=[0-9])|(POPEN|PCLOS|DPRNT|BPRNT)(?![A-Za-z]))",
     re.IGNORECASE,
 )
 

@@ -284,9 +284,7 @@ class _Reader:
         for mode, line in sorted(self._granted.items()):
             notes.append(f"{STATED[mode]} stands nowhere before line {line}: it is taken for granted")
         if self._whole:
-            notes.append(
-                "numbers without a decimal point are taken as whole units, not as thousandths: no number ends in a point"
-            )
+            notes.append("numbers without a decimal point are taken as whole units, not as thousandths")
         return tuple(notes)
 
     def _line(self, block: Block) -> str:
@@ -328,7 +326,7 @@ def _letters(kinds: tuple[str, ...]) -> dict[str, int]:
     turns = [k for k, kind in enumerate(kinds) if kind != "prismatic"]
     if len(slides) > len(SLIDES) or len(turns) > len(TURNS):
         raise AridcalError(
-            f"the robot has {len(slides)} sliding and {len(turns)} turning joints: G-code has {len(SLIDES)} and {len(TURNS)} letters "
-            "for them; give a table of poses to `aridcal compensate`"
+            f"the robot has {len(slides)} sliding and {len(turns)} turning joints: G-code has {len(SLIDES)} and {len(TURNS)} "
+            "letters for them; give a table of poses to `aridcal compensate`"
         )
     return {**dict(zip(SLIDES, slides, strict=False)), **dict(zip(TURNS, turns, strict=False))}

@@ -23,10 +23,10 @@ AT_START: Key = (-1, 0)
 ELSEWHERE: Key = (-2, 0)
 """Likewise, where nobody knows."""
 
-MET = "does not state all axes, and the program comes here from several places"
+MET = "the program comes here in several ways, in other units or with other axes left where they are"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Move:
     """A block that sends axes somewhere.
 
@@ -88,7 +88,7 @@ class Record:
             self._ledger.declare(move.key, partial(self._target, move))
         elif not first.same(move):
             self._met.add(move.key)
-        self._ledger.go(move.key, Use(line, move.base, move.tool, why=move.why, mode=f"{move.units} {move.held}"))
+        self._ledger.go(move.key, Use(line, move.base, move.tool, why=move.why))
 
     def use(self, key: object, axis: int, why: str) -> None:
         """Something counts from the place that a block has sent an axis to, so that it must stay.
@@ -116,7 +116,7 @@ class Record:
         move = self._moves[target.file, target.line]
         used = next((self._axes_used[k] for k in move.axes if k in self._axes_used), "")
         stale = any(last[k] != source for k, source in move.held)
-        why = target.why or wild or used or (MET if stale else "")
+        why = target.why or wild or used or (MET if stale or move.key in self._met else "")
         known = bool(move.readings) and move.key not in self._met
         for k in move.axes if known else range(self.columns):
             last[k] = move.key if known else ELSEWHERE
