@@ -18,6 +18,7 @@ from aridcal.programs.gcode.table import (
     CALLS,
     CODES,
     COUNTS_FROM_HERE,
+    CURVED,
     MILLIMETRE,
     SLIDES,
     START,
@@ -196,7 +197,9 @@ class _Reader:
         if curve and (own or curve not in ("G10",)):
             axes = [self._letters[letter] for letter, _ in own] or list(range(len(self._kinds)))
             what = curve
-        elif not own or any(CODES[code].words != "place" for code in block.codes if code in CODES):
+        elif any(CODES[code].words != "place" for code in block.codes if code in CODES):
+            return
+        elif not own and not any(letter in CURVED for letter, _ in block.others):
             return
         elif isinstance(now.modes["distance"], Unknown):
             axes, what = [self._letters[letter] for letter, _ in own], "a step (G91)"
