@@ -1,6 +1,6 @@
 """LinuxCNC's own interpreter, `rs274`: where it sends the axes, block by block.
 
-Debian has it in `linuxcnc-uspace`. It knows nothing of ours, and prints canonical moves: programs for it have an N word in each block.
+Debian has it in `linuxcnc-uspace`. It knows nothing of ours, and prints canonical moves with the N word of their block.
 """
 
 from __future__ import annotations

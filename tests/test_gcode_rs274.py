@@ -18,7 +18,8 @@ from aridcal.programs.project import Project, Source
 from aridcal.programs.targets import Target
 from aridcal.programs.text import Number, spliced, written
 
-PROGRAMS = 500
+PROGRAMS = 60
+"""Random ones: 500 were run when this was written; a finding every few programs came in the first twenty."""
 
 OFFSETS = ((12.5, -7.25, 3.0), (100.0, 50.5, -20.0), (0.0, 0.0, 0.0))
 """Of G54, G55 and G56, [mm]."""
@@ -187,7 +188,10 @@ def _compare_moves(
     assert [(c.block, c.call) for c in before] == [(c.block, c.call) for c in after]
     offset = np.zeros(3)
     for old, new in zip(before, after, strict=True):
-        if old.call != "SET_FEED_RATE":  # G93 states times, of which the interpreter makes feeds
+        if old.call not in (
+            "SET_FEED_RATE",
+            "SET_G92_OFFSET",
+        ):  # made of the way to go (G93), and of where the axes are (G92)
             assert old.numbers == new.numbers, f"{old} has become {new}"
         if not np.isfinite(old.place).any():
             continue

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 from aridcal.programs.gcode.blocks import LABEL, Block, Line, block_of, lines_of
 from aridcal.programs.gcode.table import ENDS, RETURNS, VARIABLES, WILD
-from aridcal.programs.walk import DEEPEST, Body, Call, Choice, Jump, Leave, Mark, Node, Repeat, Step
+from aridcal.programs.walk import DEEPEST, JUMPS, Body, Call, Choice, Jump, Leave, Mark, Node, Repeat, Step
 
 SKIPPED = re.compile(r"[ \t]*+/[0-9]?")
 """Before a block that a switch of the controller leaves out."""
@@ -93,7 +93,11 @@ class _File:
             m.group(1).lstrip("0") for m in GOTO.finditer(text) if not text[m.start() - 1 : m.start()].isalpha()
         }
 
+        self._marked: set[str] = set()
+        self._jumps = 0
+
     def read(self) -> None:
+        """Read all lines."""
         for line in lines_of(self._text):
             if line.code.lstrip(" \t").startswith("%"):
                 if self._begun:
@@ -118,7 +122,10 @@ class _File:
                 return
             if self._labels and (label := LABEL.match(line.code)) is not None:
                 number = label.group(1).lstrip("0")
-                if number in self._labels or "" in self._labels:
+                if number in self._marked:
+                    self._go_wild(line, f"has the number N{number} once more, to which a jump leads")
+                elif number in self._labels:
+                    self._marked.add(number)
                     self._put(Mark(number))
             for pattern, read in ((O_WORD, self._o_word), (MACRO, self._macro), (VARIABLE, self._variable)):
                 match = pattern.match(line.code)
@@ -129,6 +136,9 @@ class _File:
 
     def _skipped(self, line: Line, end: int) -> None:
         """A block that may be left out: one way with it, one without."""
+        if SKIPPED.match(line.code, end) is not None:
+            self._fault(line, "/ stands twice")
+            return
         self._flush()
         self._open.append(_Open("if", "/"))
         self._line(replace(line, code=" " * end + line.code[end:]))
@@ -210,8 +220,6 @@ class _File:
         elif word == "endsub" and same and top.kind == "sub":
             self._open.pop()
             self._flow.routines[label] = top.body
-        elif word == top.kind == "endsub":
-            self._go_wild(line, MATCHLESS)
         else:
             self._go_wild(line, MATCHLESS)
 
@@ -226,7 +234,7 @@ class _File:
             behind = _closed(line.code, behind)
         rest = line.code[behind:].strip(" \t") if behind >= 0 else ""
         if condition and condition.upper() == "IF" and (target := GOTO.fullmatch(rest)) is not None:
-            self._put(Choice(((Jump(_jump(target)),), ())))
+            self._put(Choice(((self._jump(line, target),), ())))
         elif condition and condition.upper() == "IF" and (then := THEN.match(rest)) is not None:
             place = line.code.index(rest, behind) + then.end()
             way = replace(line, code=" " * place + line.code[place:])
@@ -238,13 +246,22 @@ class _File:
         elif condition and condition.upper() == "WHILE" and (do := DO.fullmatch(rest)) is not None:
             self._begin(line, "DO", do.group(1))
         elif goto and (target := GOTO.fullmatch(line.code[match.start(2) :].strip(" \t"))) is not None:
-            self._put(Jump(_jump(target)))
+            self._put(self._jump(line, target))
         elif loop and loop.upper() == "DO" and rest.isdigit():
             self._begin(line, "DO", rest)
         elif loop and rest.isdigit() and (self._open[-1].kind, self._open[-1].label) == ("DO", rest):
             self._put(Repeat(self._open.pop().body))
         else:
             self._go_wild(line, "jumps or repeats in a way that is not understood")
+
+    def _jump(self, line: Line, target: re.Match[str]) -> Jump:
+        number, rest = target.groups()
+        self._jumps += 1
+        if rest.strip(" \t") or not number:
+            self._go_wild(line, "jumps to a line that is worked out")
+        if self._jumps > JUMPS:
+            self._go_wild(line, f"is one more than {JUMPS} jumps")
+        return Jump(number.lstrip("0"))
 
     def _variable(self, line: Line, match: re.Match[str]) -> None:
         """``#100=...``: harmless for variables that are the user's."""
@@ -284,12 +301,6 @@ class _File:
             self._flow.routines.setdefault(routine.label, routine.body)
             if not self._returns and routine.label not in self._flow.mains:
                 self._flow.mains.append(routine.label)
-
-
-def _jump(target: re.Match[str]) -> str:
-    """The label of a jump; empty where it is worked out."""
-    number, rest = target.groups()
-    return "" if rest.strip(" \t") else number.lstrip("0")
 
 
 def _program_name(number: str | None, named: str | None) -> str:

@@ -16,8 +16,8 @@ from aridcal.programs.gcode.record import AT_START, ELSEWHERE, Key, Move, Record
 from aridcal.programs.gcode.table import (
     ARC,
     CALLS,
+    CENTRE,
     CODES,
-    COUNTS_FROM_HERE,
     CURVED,
     MILLIMETRE,
     SLIDES,
@@ -70,6 +70,8 @@ def read(project: Project, cell: Cell) -> Reading:
             if name not in walk.reached:
                 state = State()
                 state.forget_all(f"{name} is called by no program of the given files: give that, too")
+                for k in range(len(cell.robot.kinds)):
+                    state.set("last", k, ELSEWHERE)
                 walk.enter(name, state)
     except TooLong:
         flow.wild = flow.wild or "the program has more ways than can be followed"
@@ -174,7 +176,8 @@ class _Reader:
         rows = [CODES[code] for code in block.codes if code in CODES]
         words = next((row.words for row in rows if row.words != "place"), "place")
         own = [(letter, number) for letter, number in block.axes if letter in self._letters]
-        self._counted_from(block, own, now)
+        if now.recording and words == "place":
+            self._arc_begins(block, own, now.modes, now.last)
         if "Z" in self._letters and any(row.mode == "length" for row in rows):
             now.at[self._letters["Z"]] = AWAY  # FANUC's controllers move it by the length at once
         away = words == "away" or len(rows) < len(block.codes) or not CALLS.isdisjoint(block.codes)
@@ -189,35 +192,16 @@ class _Reader:
         if away or isinstance(now.modes[UNDERSTOOD], Unknown):
             now.at[:] = [AWAY] * len(now.at)
 
-    def _counted_from(self, block: Block, own: Words, now: _Now) -> None:
-        """Arcs, steps and new zeros count from where the axes are: the block that has sent them there must stay as it is."""
-        if not now.recording:
+    def _arc_begins(self, block: Block, own: Words, modes: Modes, last: list[object]) -> None:
+        """An arc's centre counts from where it begins, and controllers stop where its ends do not fit: none is to move."""
+        motion, letters = modes["motion"], {letter for letter, _ in block.others}
+        if motion != ARC and not (isinstance(motion, Unknown) and letters & CENTRE):
             return
-        curve = next((code for code in block.codes if code in COUNTS_FROM_HERE), "")
-        if curve and (own or curve not in ("G10",)):
-            axes = [self._letters[letter] for letter, _ in own] or list(range(len(self._kinds)))
-            what = curve
-        elif any(CODES[code].words != "place" for code in block.codes if code in CODES):
+        if not own and letters.isdisjoint(CURVED):
             return
-        elif not own and not any(letter in CURVED for letter, _ in block.others):
-            return
-        elif isinstance(now.modes["distance"], Unknown):
-            axes, what = [self._letters[letter] for letter, _ in own], "a step (G91)"
-        elif isinstance(now.modes["radius"], Unknown):
-            axes, what = list(range(len(self._kinds))), "the path beside (G41 or G42)"
-        elif now.modes["motion"] == ARC or (
-            isinstance(now.modes["motion"], Unknown) and now.modes["motion"] is not NOT_STATED
-        ):
-            axes, what = self._plane(now.modes), "an arc or a curve"
-        else:
-            return
-        for k in axes:
-            self.record.use(now.last[k], k, f"{what} counts from there ({self._line(block)})")
-
-    def _plane(self, modes: Modes) -> list[int]:
-        """Axes in which arcs turn."""
-        names = "XY" if modes["plane"] == "XY" else "XYZ"
-        return [k for letter, k in self._letters.items() if letter in names]
+        for letter, k in self._letters.items():
+            if letter in ("XY" if modes["plane"] == "XY" else "XYZ"):
+                self.record.use(last[k], k, f"an arc or a curve begins there ({self._line(block)})")
 
     def _go(self, block: Block, own: Words, now: _Now, doubt: str) -> None:
         """A block sends axes somewhere."""
@@ -236,9 +220,8 @@ class _Reader:
             )
         held = tuple([(k, place) for k, place in enumerate(now.at) if k not in axes and isinstance(place, tuple)])
         key: Key = (block.file, block.line)
-        step = isinstance(now.modes["distance"], Unknown)
         for k in axes:
-            now.last[k] = now.last[k] if step else key
+            now.last[k] = key if not isinstance(now.modes["distance"], Unknown) else now.last[k]
         if known:
             for k in axes:
                 now.at[k] = key

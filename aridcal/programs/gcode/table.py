@@ -80,13 +80,12 @@ OTHER_MOTION = "is no straight move: cycles, threads and probing are left"
 CODES: Mapping[str, Code] = {
     # motion; G33 G31 G38 and the like bring the axes where only the controller knows
     **_sets("G0 G1", "motion", STRAIGHT),
-    **_sets("G2 G3", "motion", ARC, "IJKRP"),
-    **_hides("G5 G5.1 G5.2 G5.3 G6.1 G6.2", "motion", "is no straight move: curves are left", "IJKPQRL"),
+    **_sets("G2 G3 G5 G5.1", "motion", ARC, "IJKRPQ"),
+    **_hides("G5.2 G5.3 G6.1 G6.2", "motion", "is no straight move: curves are left", "IJKPQRL"),
     **_hides("G31 G31.1 G31.2 G31.3 G38.2 G38.3 G38.4 G38.5", "motion", OTHER_MOTION, "PQR"),
     **_hides("G33 G33.1 G34 G35 G74 G76 G84 G84.2 G84.3 G88", "motion", OTHER_MOTION, "IJKPQRLEH"),
     **_hides("G73 G81 G82 G83 G85 G86 G87 G89", "motion", OTHER_MOTION, "IJKPQRLE"),
     **_hides("G80", "motion", "stands behind G80, which ends all motion: controllers differ in what moves then"),
-    **_hides("G70 G71 G72", "motion", "G70 to G72 are cycles on some controllers and units on others"),
     # places
     **_sets("G90", "distance", "absolute"),
     **_hides("G91", "distance", "is a step from the place before (G91)"),
@@ -148,9 +147,6 @@ CODES: Mapping[str, Code] = {
 CURVES = frozenset(["G5", "G5.1"])
 """FANUC's switches for fast machining where their block has no axis words: harmless then."""
 
-COUNTS_FROM_HERE = frozenset(["G92", "G10", "G51", "G68", "G68.1", "G16", "G28.1", "G30.1"])
-"""They set a zero or a centre where the axes are, if no words of theirs say another."""
-
 CALLS = frozenset(["G65", "G66", "G66.1", "M98"])
 """They call the program that P names."""
 
@@ -167,6 +163,9 @@ FREE = frozenset("NFST")
 
 CURVED = frozenset("IJKPQRL")
 """Letters of blocks that go on with an arc or a cycle."""
+
+CENTRE = frozenset("IJ")
+"""Letters that only arcs have, where cycles have none."""
 
 EXTRUDER = "E"
 """Material that a printer puts out; on others a feed."""
