@@ -188,7 +188,8 @@ class _Reader:
             )
             self._go(block, own, now, _doubt(own, away, late, self._pointed[block.file]))
         if words == "away":
-            now.last[:] = [ELSEWHERE] * len(now.last)
+            for letter, _ in own:
+                now.last[self._letters[letter]] = ELSEWHERE
         if away or isinstance(now.modes[UNDERSTOOD], Unknown):
             now.at[:] = [AWAY] * len(now.at)
 
