@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from program_attacks import Attack
 from program_twins import twins
+
+from program_attacks import Attack
 
 BASE = "format: 1\nbases: {default: {xyz: [0, 0, 0], rpy: [0, 0, 3.141592653589793]}}\n"
 
