@@ -1,0 +1,638 @@
+"""KRL: constructs of the programming manual, and of programs by hand, that change what a target means."""
+
+from __future__ import annotations
+
+from program_twins import twins
+
+from program_attacks import Attack
+
+FRAMES = """format: 1
+bases:
+  "1": {xyz: [0.5, 0.0, 0.2], rpy: [0.0, 0.0, 0.5]}
+  "2": {xyz: [0.6, 0.1, 0.2], rpy: [0.0, 0.0, 0.4]}
+tools:
+  "1": {xyz: [0.0, 0.0, 0.12], rpy: [0.0, 0.0, 0.0]}
+  "2": {xyz: [0.0, 0.05, 0.2], rpy: [0.0, 0.0, 0.0]}
+"""
+
+SET = """$BASE={X 100,Y 0,Z 50,A 0,B 0,C 0}
+$TOOL={X 0,Y 0,Z 120,A 0,B 0,C 0}
+PTP ⟨{A1 0,A2 -90,A3 90,A4 0,A5 10,A6 0}⟩
+"""
+
+POSE = "{X 900,Y 100,Z 800,A 0,B 90,C 0}"
+
+
+def lone(
+    name: str, trap: str, plain: str = "", declared: str = "", below: str = "", why: str = ""
+) -> tuple[Attack, Attack]:
+    """A trap between a joint target and a pose.
+
+    Args:
+        name: Of the attack.
+        trap: Lines.
+        plain: Lines in their place in the control.
+        declared: Lines of declarations.
+        below: Routines below.
+        why: Words of the reason.
+    """
+    text = f"DEF p()\n{declared}{SET}§\nLIN ⟦{POSE}⟧\nEND\n{below}"
+    return twins(name, {"p.src": text}, trap, plain, FRAMES, why)
+
+
+def body(
+    name: str,
+    text: str,
+    trap: str | tuple[str, ...],
+    plain: str | tuple[str, ...] = "",
+    declared: str = "",
+    below: str = "",
+) -> tuple[Attack, Attack]:
+    """A program's lines behind the first joint target."""
+    return twins(name, {"p.src": f"DEF p()\n{declared}{SET}{text}\nEND\n{below}"}, trap, plain, FRAMES)
+
+
+POINT = f"DECL E6POS P1\nP1=⟦{POSE}⟧\n"
+
+STATE = (
+    *lone("the base's number comes from inputs", "$BASE=BASE_DATA[N]", "$BASE=BASE_DATA[1]", "DECL INT N\nN=$IN[1]\n"),
+    *lone("the base is where the arm is", "$BASE=$POS_ACT", "$VEL.CP=0.5"),
+    *lone("BAS sets a base by a number that is not known", "BAS(#BASE,N)", "BAS(#BASE,1)", "DECL INT N\nN=$ANIN[1]\n"),
+    *lone("BAS sets a tool by a number that is not known", "BAS(#TOOL,N)", "BAS(#TOOL,2)", "DECL INT N\nN=$ANIN[1]\n"),
+    *lone("a component of the base is measured", "$BASE.Z=$ANIN[1]*100", "$ADVANCE=3"),
+    *lone(
+        "a component of the tool is worn", "$TOOL.Z=$TOOL.Z-WEAR", "$VEL.ORI1=200", "DECL REAL WEAR\nWEAR=$ANIN[2]\n"
+    ),
+    *lone("the tool stands in the room", "$IPO_MODE=#TCP", "$IPO_MODE=#BASE"),
+    *lone(
+        "the base is on a table that turns",
+        "$BASE=EK(MACHINE_DEF[2].ROOT,MACHINE_DEF[2].MECH_TYPE,{X 0,Y 0,Z 0,A 0,B 0,C 0})",
+        "$ORI_TYPE=#VAR",
+    ),
+    *lone("the robot's root is set to what a variable says", "$ROBROOT=CELL_ROOT", "$APO.CDIS=10"),
+    *lone("a routine of another file that is not given", "MEASURE_BASE()", "WAIT SEC 0.5"),
+    *lone("an external routine that is declared", "GRIPPER(1,2)", "$OUT[1]=TRUE", "EXT GRIPPER(INT:IN,INT:IN)\n"),
+    *lone(
+        "a local routine sets the base to what is measured",
+        "SETUP()",
+        "LAMP()",
+        below="DEF SETUP()\n$BASE=$POS_ACT\nEND\nDEF LAMP()\n$OUT[1]=TRUE\nEND\n",
+    ),
+    *lone(
+        "one branch sets another base",
+        "IF $IN[1] THEN\n$BASE={X 200,Y 0,Z 50,A 0,B 0,C 0}\nENDIF",
+        "IF $IN[1] THEN\n$OUT[1]=TRUE\nENDIF",
+    ),
+    *lone(
+        "a case sets another tool",
+        "SWITCH N\nCASE 1\n$TOOL={X 0,Y 0,Z 200,A 0,B 0,C 0}\nCASE 2,3\n$OUT[1]=TRUE\nENDSWITCH",
+        "SWITCH N\nCASE 1\n$OUT[2]=TRUE\nCASE 2,3\n$OUT[1]=TRUE\nENDSWITCH",
+        "DECL INT N\nN=$ANIN[1]\n",
+    ),
+    *lone(
+        "a label that is reached past the line that sets the base",
+        "$BASE={X 200,Y 0,Z 50,A 0,B 0,C 0}\nIF $IN[1] THEN\nGOTO ON_TABLE\nENDIF\n$BASE={X 300,Y 0,Z 50,A 0,B 0,C 0}\nON_TABLE:",
+        "IF $IN[1] THEN\nGOTO ON_TABLE\nENDIF\n$OUT[3]=TRUE\nON_TABLE:",
+    ),
+    *lone(
+        "a switching action calls what sets the base",
+        f"TRIGGER WHEN DISTANCE=0 DELAY=0 DO SEEN() PRIO=-1\nLIN {POSE}",
+        "TRIGGER WHEN DISTANCE=0 DELAY=0 DO $OUT[4]=TRUE\nPTP {A1 0,A2 -90,A3 90,A4 0,A5 20,A6 0}",
+        below="DEF SEEN()\n$BASE=$POS_ACT\nEND\n",
+    ),
+    *lone("a sensor corrects the path", "IRET=RSI_MOVECORR()", "WAIT FOR $IN[1]", "DECL INT IRET\n"),
+    *lone("a correction by RSI is switched on", "IRET=RSI_ON(#RELATIVE)", "WAIT FOR $IN[1]", "DECL INT IRET\n"),
+    *lone(
+        "data of the tool are written before they are fetched",
+        "TOOL_DATA[1].Z=$ANIN[1]*200\n$TOOL=TOOL_DATA[1]",
+        "$TOOL=TOOL_DATA[1]",
+    ),
+    *lone(
+        "data of the base are measured, by an index that counts",
+        "FOR I=1 TO 2\nBASE_DATA[I]=$POS_ACT\nENDFOR\n$BASE=BASE_DATA[1]",
+        "FOR I=1 TO 2\n$OUT[I]=TRUE\nENDFOR\n$BASE=BASE_DATA[1]",
+        "DECL INT I\n",
+    ),
+    *lone("a base is not among those that are stated", "$BASE=BASE_DATA[7]", "$BASE=BASE_DATA[2]"),
+    *lone(
+        "the base has another shift at its right", "$BASE=$BASE:SHIFT", "$BASE=$BASE:$NULLFRAME", "DECL FRAME SHIFT\n"
+    ),
+    *lone(
+        "a repeated block sets the base at least once, and then otherwise",
+        "REPEAT\n$BASE.X=$ANIN[1]\nUNTIL $IN[1]",
+        "REPEAT\nWAIT SEC 0.1\nUNTIL $IN[1]",
+    ),
+    *lone(
+        "the keyboard's case",
+        "$base=$Pos_Act",
+        "$vel.cp=0.4",
+    ),
+    *lone(
+        "a base is handed to a routine that changes it",
+        "RAISE($BASE)",
+        "LOOK($IN[1])",
+        below="DEF RAISE(F:OUT)\nDECL FRAME F\nF.Z=F.Z+$ANIN[1]\nEND\nDEF LOOK(B:IN)\nDECL BOOL B\n$OUT[1]=B\nEND\n",
+    ),
+    *lone(
+        "a function in a condition sets the base",
+        "IF SEEN() THEN\n$OUT[1]=TRUE\nENDIF",
+        "IF $IN[1] THEN\n$OUT[1]=TRUE\nENDIF",
+        below="DEFFCT BOOL SEEN()\n$BASE=$POS_ACT\nRETURN TRUE\nENDFCT\n",
+    ),
+    *lone(
+        "a value is read into the base from a channel",
+        'CREAD(H,ST,MODE,OFF,"%r",$BASE.X)',
+        'CWRITE(H,ST,MODE,"%s","ready")',
+        "DECL INT H,OFF\nDECL STATE_T ST\nDECL MODUS_T MODE\n",
+    ),
+    *lone(
+        "a jump back leads over the line that changes the base",
+        "GOTO BEGIN\nAGAIN:\n$BASE.X=$ANIN[1]\nBEGIN:\nIF $IN[2] THEN\nGOTO AGAIN\nENDIF",
+        "GOTO BEGIN\nAGAIN:\n$OUT[2]=TRUE\nBEGIN:\nIF $IN[2] THEN\nGOTO AGAIN\nENDIF",
+    ),
+)
+
+POINTS = (
+    *body("one point with two bases", f"{POINT}LIN P1\n§\nLIN P1", "$BASE=BASE_DATA[2]", "$OUT[1]=TRUE"),
+    *body(
+        "one point with two tools in one loop", f"{POINT}LOOP\nLIN P1\n§\nENDLOOP", "$TOOL=TOOL_DATA[2]", "$OUT[1]=TRUE"
+    ),
+    *body(
+        "a loop's end sets another base for its next pass",
+        f"FOR I=1 TO 3\nLIN ⟦{POSE}⟧\n§\nENDFOR",
+        "$BASE.X=$BASE.X+100",
+        "WAIT SEC 0.1",
+        "DECL INT I\n",
+    ),
+    *body(
+        "a routine that is called with two bases",
+        "GO()\n§\nGO()",
+        "$BASE=BASE_DATA[2]",
+        "$OUT[1]=FALSE",
+        below=f"DEF GO()\nLIN ⟦{POSE}⟧\nEND\n",
+    ),
+    *body(
+        "a routine that calls itself with another base",
+        "GO(2)",
+        "$BASE=BASE_DATA[2]",
+        "$OUT[1]=FALSE",
+        below=f"DEF GO(N:IN)\nDECL INT N\nLIN ⟦{POSE}⟧\nIF N>0 THEN\n§\nGO(N-1)\nENDIF\nEND\n",
+    )[:1],
+    *body("a coordinate is raised", f"{POINT}§\nLIN P1", "P1.Z=P1.Z+10", "$OUT[1]=TRUE"),
+    *body("a coordinate is measured", f"{POINT}§\nLIN P1", "p1.z = $ANIN[1]", "$out[1] = TRUE"),
+    *body("an angle decides", f"{POINT}§\nLIN P1\nENDIF", "IF P1.A>0 THEN", "IF $IN[1] THEN"),
+    *body("a step in the base", f"§ ⟦{POSE}⟧", "LIN_REL", "LIN"),
+    *body("a step in the tool", f"§ ⟦{POSE}⟧§", ("LIN_REL", " #TOOL"), ("LIN", "")),
+    *body("a step of the joints", "§ ⟦{A1 10,A2 -80,A3 90,A4 0,A5 10,A6 0}⟧", "PTP_REL", "PTP"),
+    *body("a step by a spline's move", f"§ ⟦{POSE}⟧", "SLIN_REL", "SLIN"),
+    *body(
+        "a step on a circle",
+        "§ ⟦{X 900,Y 100,Z 800,A 0,B 90,C 0}⟧,⟦{X 900,Y 200,Z 700,A 0,B 90,C 0}⟧",
+        "CIRC_REL",
+        "CIRC",
+    ),
+    *body(
+        "a shift that is measured is put behind the point",
+        f"{POINT}SHIFT=$NULLFRAME\n§",
+        "SHIFT.Z=$ANIN[1]\nLIN P1:SHIFT",
+        "LIN P1",
+        "DECL FRAME SHIFT\n",
+    ),
+    *body("a frame is put before the point", f"{POINT}LIN §P1", "SEEN:", "", "DECL FRAME SEEN\nSEEN=$POS_ACT\n"),
+    *body("a point with some coordinates only", "LIN ⟦{X 900,Y 100§}⟧", "", ",Z 800,A 0,B 90,C 0"),
+    *body(
+        "a copy is changed, and both are targets",
+        f"{POINT}LIN P1\n§",
+        "P2=P1\nP2.Z=$ANIN[1]\nLIN P2",
+        "LIN P1",
+        "DECL E6POS P2\n",
+    ),
+    *body("a point is the base, too", f"{POINT}LIN P1\n§", "$BASE=P1\nLIN {X 0,Y 0,Z 10,A 0,B 0,C 0}", "LIN P1"),
+    *body("a point's inverse is the base", f"{POINT}LIN P1\n§", "$BASE=INV_POS(P1)", "LIN P1"),
+    *body(
+        "axes are worked out from the point",
+        f"{POINT}LIN P1\n§",
+        "AX=INVERSE(P1,$AXIS_ACT,ST)\nAX.A6=AX.A6+90\nPTP AX",
+        "LIN P1",
+        "DECL E6AXIS AX\nDECL INT ST\n",
+    ),
+    *body(
+        "a pose is worked out from axes that are a target, too",
+        "AX=⟦{A1 10,A2 -80,A3 90,A4 0,A5 10,A6 0}⟧\nPTP AX\n§",
+        "P2=FORWARD(AX,ST)\nP2.Z=P2.Z+50\nLIN P2",
+        "PTP AX",
+        "DECL E6AXIS AX\nDECL E6POS P2\nDECL INT ST\n",
+    ),
+    *body(
+        "one axis of a joint target is turned",
+        "AX=⟦{A1 10,A2 -80,A3 90,A4 0,A5 10,A6 0}⟧\n§\nPTP AX",
+        "AX.A6=AX.A6+90",
+        "$OUT[1]=TRUE",
+        "DECL E6AXIS AX\n",
+    ),
+    *body(
+        "a point is handed to a routine that changes it",
+        f"{POINT}§\nLIN P1",
+        "RAISE(P1)",
+        "$OUT[1]=TRUE",
+        below="DEF RAISE(P:OUT)\nDECL E6POS P\nP.Z=P.Z+$ANIN[1]\nEND\n",
+    ),
+    *body(
+        "a point is handed to a routine that does not say how it takes it",
+        f"{POINT}§\nLIN P1",
+        "MEASURE(P1)",
+        "WAIT SEC 0",
+    ),
+    *body(
+        "points of an array with two bases, by a number that counts",
+        f"PS[1]=⟦{POSE}⟧\nPS[2]=⟦{POSE}⟧\nFOR I=1 TO 2\n$BASE=BASE_DATA[1]\nLIN PS[I]\n$BASE=BASE_DATA[2]\nLIN PS[I]\nENDFOR§",
+        "",
+        "",
+        "DECL E6POS PS[2]\nDECL INT I\n",
+    )[:1],
+    *body(
+        "an element of an array is overwritten by an index that is not known",
+        f"PS[1]=⟦{POSE}⟧\nPS[2]=⟦{POSE}⟧\n§\nLIN PS[1]\nLIN PS[2]",
+        "PS[N]=$POS_ACT",
+        "$OUT[1]=TRUE",
+        "DECL E6POS PS[2]\nDECL INT N\nN=$ANIN[1]\n",
+    )[:1],
+    *body("a move in a comment", f";FOLD LIN P1 Vel=2 m/s;%{{PE}}\n§LIN ⟦{POSE}⟧\n;ENDFOLD", ";", ""),
+    *body(
+        "a move in a text",
+        "§LIN ⟦{X 900,Y 100,Z 800,A 0,B 90,C 0}⟧§",
+        ('MSG[]="', '"'),
+        ("", " C_DIS"),
+        "DECL CHAR MSG[80]\n",
+    ),
+    *body(
+        "a base that is set for one move",
+        f"SLIN ⟦{POSE}⟧ WITH §",
+        "$BASE=$POS_ACT",
+        "$VEL.CP=0.2",
+    ),
+    *body(
+        "a tool that is set for one move, among others",
+        f"SLIN ⟦{POSE}⟧ WITH $VEL.CP=0.2,§$ACC.CP=1.5",
+        "$TOOL=WORN_TOOL,",
+        "",
+    ),
+    *body(
+        "a base that is set for a block of splines",
+        f"SPLINE§\nSPL ⟦{POSE}⟧\nSLIN ⟦{{X 900,Y 200,Z 800,A 0,B 90,C 0}}⟧\nENDSPLINE",
+        " WITH $BASE=SEEN",
+        " WITH $VEL.CP=0.2",
+        "DECL FRAME SEEN\n",
+    ),
+    *body(
+        "a frame is worked out from three points, one of which is a target",
+        f"{POINT}LIN P1\n§",
+        "F=FRAME_OF(P1,$POS_ACT,$POS_ACT)\n$BASE=F\nLIN {X 0,Y 0,Z 0,A 0,B 0,C 0}",
+        "LIN P1",
+        "DECL FRAME F\n",
+    ),
+    *body(
+        "a part of a structure that is measured in place",
+        f"PART.P=⟦{POSE}⟧\n§\nLIN PART.P",
+        "PART.P.Z=$ANIN[1]",
+        "$OUT[1]=TRUE",
+        "STRUC PART_T E6POS P,INT N\nDECL PART_T PART\n",
+    )[:1],
+)
+
+
+def fdat(tool: int, base: str, mode: str) -> str:
+    """Data of a point as inline forms have them."""
+    return f'DECL FDAT FP1={{TOOL_NO {tool},BASE_NO {base},IPO_FRAME {mode},POINT2[] " ",TQ_STATE FALSE}}\n'
+
+
+INLINE = (
+    "DEF p()\nPTP ⟨{A1 0,A2 -90,A3 90,A4 0,A5 10,A6 0}⟩\n"
+    ";FOLD LIN P1 Vel=2 m/s CPDAT1 Tool[1] Base[1];%{PE}%R 5.2,%MKUKATPBASIS,%CMOVE,%VLIN\n"
+    "$BWDSTART=FALSE\nLDAT_ACT=LCPDAT1\nFDAT_ACT=FP1\n§\nBAS(#CP_PARAMS,2)\nLIN XP1\n;ENDFOLD\nEND\n"
+)
+
+LDAT = "DECL LDAT LCPDAT1={VEL 2.0,ACC 100.0,APO_DIST 100.0,APO_FAC 50.0,ORI_TYP #VAR}\n"
+
+FILES = (
+    *twins(
+        "an inline form with the tool in the room",
+        {
+            "p.src": INLINE.replace("§", ""),
+            "p.dat": "DEFDAT p\nDECL E6POS XP1=⟦" + POSE + "⟧\n"
+            'DECL FDAT FP1={TOOL_NO 1,BASE_NO 1,IPO_FRAME §,POINT2[] " ",TQ_STATE FALSE}\n' + LDAT + "ENDDAT\n",
+        },
+        "#TCP",
+        "#BASE",
+        FRAMES,
+    ),
+    *twins(
+        "an inline form whose tool's number is written before",
+        {"p.src": INLINE, "p.dat": f"DEFDAT p\nDECL E6POS XP1=⟦{POSE}⟧\n{fdat(1, '1', '#BASE')}{LDAT}ENDDAT\n"},
+        "FDAT_ACT.TOOL_NO=$ANIN[1]",
+        "",
+        FRAMES,
+    ),
+    *twins(
+        "an inline form with a base that nobody states",
+        {
+            "p.src": INLINE.replace("§", ""),
+            "p.dat": "DEFDAT p\nDECL E6POS XP1=⟦" + POSE + "⟧\n"
+            'DECL FDAT FP1={TOOL_NO 1,BASE_NO §,IPO_FRAME #BASE,POINT2[] " ",TQ_STATE FALSE}\n' + LDAT + "ENDDAT\n",
+        },
+        "9",
+        "1",
+        FRAMES,
+    ),
+    *twins(
+        "a point of the list of data is overwritten before it is a target",
+        {"p.src": f"DEF p()\n{SET}§\nLIN XP1\nEND\n", "p.dat": f"DEFDAT p\nDECL E6POS XP1=⟦{POSE}⟧\nENDDAT\n"},
+        "XP1=$POS_ACT",
+        "$OUT[1]=TRUE",
+        FRAMES,
+    ),
+    *twins(
+        "a local name hides that of the list of data",
+        {
+            "p.src": f"DEF p()\n§\n{SET}LIN XP1\nEND\n",
+            "p.dat": f"DEFDAT p\nDECL E6POS XP1=⟦{POSE}⟧\nENDDAT\n",
+        },
+        "DECL E6POS XP1\nXP1=$POS_ACT",
+        "DECL INT N",
+        FRAMES,
+    ),
+    *twins(
+        "one name in two lists of data, one of them in a base that is measured",
+        {
+            "a.src": f"DEF a()\n{SET}LIN XP1\nEND\n",
+            "a.dat": f"DEFDAT a\nDECL E6POS XP1=⟨{POSE}⟩\nENDDAT\n",
+            "b.src": f"DEF b()\n{SET}§\nLIN XP1\nEND\n",
+            "b.dat": f"DEFDAT b\nDECL E6POS XP1=⟦{POSE}⟧\nENDDAT\n",
+        },
+        "$BASE=$POS_ACT",
+        "$OUT[1]=TRUE",
+        FRAMES,
+    ),
+    *twins(
+        "a public point that another program changes",
+        {
+            "p.src": f"DEF p()\n{SET}§\nLIN XP1\nEND\n",
+            "p.dat": f"DEFDAT p PUBLIC\nDECL GLOBAL E6POS XP1=⟦{POSE}⟧\nENDDAT\n",
+            "q.src": "GLOBAL DEF q()\nXP1.Z=$ANIN[1]\nEND\n",
+        },
+        "q()",
+        "$OUT[1]=TRUE",
+        FRAMES,
+    )[:1],
+    *twins(
+        "a routine of another file sets the base",
+        {
+            "p.src": f"DEF p()\n{SET}r()\nLIN ⟦{POSE}⟧\nEND\n",
+            "r.src": "DEF r()\n§\nEND\n",
+        },
+        "$BASE=$POS_ACT",
+        "$OUT[1]=TRUE",
+        FRAMES,
+    ),
+    *twins(
+        "the controller's own list of data has the base, and the program writes a part of it",
+        {
+            "p.src": f"DEF p()\n$TOOL=$NULLFRAME\n§\n$BASE=BASE_DATA[3]\nPTP ⟨{{A1 0,A2 -90,A3 90,A4 0,A5 10,A6 0}}⟩\n"
+            f"LIN ⟦{POSE}⟧\nEND\n",
+            "$config.dat": "DEFDAT $CONFIG\nBASE_DATA[3]={X 500,Y 0,Z 100,A 30,B 0,C 0}\nENDDAT\n",
+        },
+        "BASE_DATA[3].X=BASE_DATA[3].X+$ANIN[1]",
+        "$OUT[1]=TRUE",
+    ),
+    *twins(
+        "an interrupt changes the base while the program waits",
+        {
+            "p.src": f"DEF p()\nINTERRUPT DECL 4 WHEN $IN[7]==TRUE DO SEEN()\n{SET}INTERRUPT ON 4\nWAIT SEC 1\nLIN ⟦{POSE}⟧\nEND\n"
+            "DEF SEEN()\n§\nEND\n"
+        },
+        "$BASE=$POS_INT",
+        "$OUT[5]=TRUE",
+        FRAMES,
+    ),
+    *twins(
+        "an interrupt changes a point",
+        {
+            "p.src": f"DEF p()\nINTERRUPT DECL 4 WHEN $IN[7] DO SEEN()\n{SET}INTERRUPT ON 4\nWAIT SEC 1\nLIN XP1\nEND\n"
+            "DEF SEEN()\n§\nEND\n",
+            "p.dat": f"DEFDAT p\nDECL E6POS XP1=⟦{POSE}⟧\nENDDAT\n",
+        },
+        "XP1.Z=$POS_INT.Z",
+        "$OUT[5]=TRUE",
+        FRAMES,
+    ),
+    *twins(
+        "one name is declared twice in a list of data",
+        {
+            "p.src": f"DEF p()\n{SET}LIN XP1\nEND\n",
+            "p.dat": f"DEFDAT p\nDECL E6POS XP1=⟦{POSE}⟧\n§ENDDAT\n",
+        },
+        "DECL E6POS XP1={X 0,Y 500,Z 700,A 0,B 90,C 0}\n",
+        "DECL INT N=3\n",
+        FRAMES,
+    ),
+)
+
+REACHES_NOTHING = (
+    Attack(
+        "control: data of a base are written behind the line that has fetched them",
+        {
+            "p.src": f"DEF p()\n$TOOL=$NULLFRAME\n$BASE=BASE_DATA[1]\nPTP ⟨{{A1 0,A2 -90,A3 90,A4 0,A5 10,A6 0}}⟩\n"
+            f"BASE_DATA[1]=$POS_ACT\n$BASE=BASE_DATA[1]\nLIN ⟦{POSE}⟧\nEND\n"
+        },
+        FRAMES,
+    ),
+    Attack(
+        "control: what stands behind a return, and in a text or a comment",
+        {
+            "p.src": f'DEF p()\nDECL CHAR M[80]\n{SET}OFF()\nM[]="$BASE=$POS_ACT; "\n; $BASE=$POS_ACT\n;FOLD $BASE=$POS_ACT;%{{PE}}\n'
+            f";ENDFOLD\nLIN ⟨{POSE}⟩\nEND\nDEF OFF()\nRETURN\n$BASE=$POS_ACT\nEND\n"
+        },
+        FRAMES,
+    ),
+    Attack(
+        "control: an inline form of KSS 8 with its line for collision detection",
+        {
+            "p.src": INLINE.replace("§", "SET_CD_PARAMS (0)"),
+            "p.dat": f"DEFDAT p\nDECL E6POS XP1=⟨{POSE}⟩\n{fdat(1, '1', '#BASE')}{LDAT}ENDDAT\n",
+        },
+        FRAMES,
+    ),
+    Attack(
+        "control: cases of letters, blanks and tabs",
+        {
+            "p.src": "&ACCESS RVP\r\n&REL 3\r\ndef P( )\r\n\t$Base = { x 100 , y 0 , z 50 , a 0 , b 0 , c 0 }\r\n\t$tool=$nullframe\r\n"
+            "\tptp ⟨{ a1 0 , a2 -90 , a3 90 , a4 0 , a5 10 , a6 0 }⟩\r\n\tLin ⟨{z 800, x 900.0, y -1E+2, c 0, b +90, a 0}⟩ c_dis\r\nend\r\n"
+        },
+        FRAMES,
+    ),
+)
+
+GRID = [(850 + 20 * (k % 4), -200 + 50 * (k // 4), 700 + 10 * (k % 3)) for k in range(16)]
+"""Places of plain programs, [mm]."""
+
+EXTERNAL = ",E1 0.0,E2 0.0,E3 0.0,E4 0.0,E5 0.0,E6 0.0"
+
+
+def poses(count: int, digits: int, more: str = "") -> list[str]:
+    """Poses with marks around them."""
+    return [
+        "⟨{" + ",".join(f"{k} {v:.{digits}f}" for k, v in zip("XYZABC", (*xyz, 0, 90, 0), strict=True)) + more + "}⟩"
+        for xyz in GRID[:count]
+    ]
+
+
+def stances(count: int, digits: int = 3, more: str = "") -> list[str]:
+    """Joint targets with marks around them."""
+    return [
+        "⟨{"
+        + ",".join(f"A{j} {v:.{digits}f}" for j, v in enumerate((3 * k, -90, 90, 0, 10 + k, 0), start=1))
+        + more
+        + "}⟩"
+        for k in range(count)
+    ]
+
+
+def program(name: str, *lines: str, head: tuple[str, ...] = (), end: str = "\n", **files: str) -> Attack:
+    """A plain program of which all is marked."""
+    text = end.join([*head, "DEF plain()", *lines, "END", ""])
+    return Attack(f"plain: {name}", {"plain.src": text, **{n.replace("_", "."): t for n, t in files.items()}}, FRAMES)
+
+
+STATED = ("$BASE={X 100.0,Y 0.0,Z 50.0,A 0.0,B 0.0,C 0.0}", "$TOOL={X 0.0,Y 0.0,Z 145.5,A 0.0,B 0.0,C 0.0}")
+
+INI = (
+    ";FOLD INI;%{PE}",
+    "  ;FOLD BASISTECH INI",
+    "    GLOBAL INTERRUPT DECL 3 WHEN $STOPMESS==TRUE DO IR_STOPM ( )",
+    "    INTERRUPT ON 3 ",
+    "    BAS (#INITMOV,0 )",
+    "  ;ENDFOLD (BASISTECH INI)",
+    "  ;FOLD USER INI",
+    "    ;Make your modifications here",
+    "  ;ENDFOLD (USER INI)",
+    ";ENDFOLD (INI)",
+)
+
+
+def inline(k: int, kind: str) -> str:
+    """An inline form of a move to a point."""
+    name = f"P{k}"
+    if kind == "PTP":
+        return (
+            f";FOLD PTP {name} Vel=100 % PDAT1 Tool[1] Base[1];%{{PE}}%R 8.3.31,%MKUKATPBASIS,%CMOVE,%VPTP,%P 1:PTP\n"
+            f"$BWDSTART=FALSE\nPDAT_ACT=PPDAT1\nFDAT_ACT=F{name}\nBAS(#PTP_PARAMS,100)\nPTP X{name}\n;ENDFOLD"
+        )
+    return (
+        f";FOLD LIN {name} Vel=2 m/s CPDAT1 Tool[1] Base[1];%{{PE}}%R 8.3.31,%MKUKATPBASIS,%CMOVE,%VLIN,%P 1:LIN\n"
+        f"$BWDSTART=FALSE\nLDAT_ACT=LCPDAT1\nFDAT_ACT=F{name}\nBAS(#CP_PARAMS,2)\nLIN X{name}\n;ENDFOLD"
+    )
+
+
+PLAIN = (
+    program(
+        "offline programming, numbers in moves",
+        *INI,
+        *STATED,
+        "$VEL.CP=0.25",
+        "$APO.CDIS=1.0",
+        f"PTP {stances(1)[0]} C_PTP",
+        *(f"LIN {p} C_DIS" for p in poses(14, 3)),
+        head=("&ACCESS RVP", "&REL 1", "&PARAM TEMPLATE = C:\\KRC\\Roboter\\Template\\vorgabe"),
+    ),
+    program(
+        "points under names, declared and assigned",
+        "DECL E6POS XA,XB,XC,XD,XE,XF,XG,XH",
+        *STATED,
+        f"PTP {stances(1)[0]}",
+        *(f"X{letter}={p}" for letter, p in zip("ABCDEFGH", poses(8, 2), strict=True)),
+        *(f"LIN X{letter}" for letter in "ABCDEFGH"),
+    ),
+    program(
+        "inline forms with a list of data",
+        *INI,
+        f"PTP {stances(1)[0]}",
+        *(inline(k, "PTP" if k % 3 == 1 else "LIN") for k in range(1, 9)),
+        plain_dat="DEFDAT PLAIN\nEXT BAS (BAS_COMMAND :IN,REAL :IN )\nDECL INT SUCCESS\n"
+        + "DECL PDAT PPDAT1={VEL 100.0,ACC 100.0,APO_DIST 100.0}\n"
+        + LDAT
+        + "".join(
+            f'DECL E6POS XP{k}={p}\nDECL FDAT FP{k}={{TOOL_NO 1,BASE_NO 1,IPO_FRAME #BASE,POINT2[] " ",TQ_STATE FALSE}}\n'
+            for k, p in enumerate(poses(8, 6, ",S 2,T 10" + EXTERNAL), start=1)
+        )
+        + "ENDDAT\n",
+    ),
+    program(
+        "joints alone, as a planner writes them",
+        "$VEL_AXIS[1]=20",
+        *(f"PTP {q} C_PTP" for q in stances(16, 4, EXTERNAL)),
+    ),
+    program(
+        "a loop with inputs, outputs and waits",
+        *STATED,
+        f"PTP {stances(1)[0]}",
+        "LOOP",
+        *(f"LIN {p}\n$OUT[{k}]=TRUE\nWAIT FOR $IN[{k}]\nWAIT SEC 0.2" for k, p in enumerate(poses(8, 1), start=1)),
+        "ENDLOOP",
+    ),
+    program(
+        "circles and lines",
+        *STATED,
+        f"PTP {stances(1)[0]}",
+        *(
+            f"LIN {a} C_VEL\nCIRC {b},{c}"
+            for a, b, c in zip(poses(12, 3)[0::3], poses(12, 3)[1::3], poses(12, 3)[2::3], strict=True)
+        ),
+    ),
+    program(
+        "numbers of base and tool, changed on the way",
+        "$BASE=BASE_DATA[1]",
+        "$TOOL=TOOL_DATA[1]",
+        f"PTP {stances(1)[0]}",
+        *(f"LIN {p}" for p in poses(6, 3)),
+        "$TOOL=TOOL_DATA[2]",
+        "$BASE=BASE_DATA[2]",
+        f"PTP {stances(2)[1]}",
+        *(f"LIN {p}" for p in poses(6, 2)),
+    ),
+    program(
+        "routines of its own",
+        *STATED,
+        f"PTP {stances(1)[0]}",
+        "GRIP(TRUE)",
+        *(f"LIN {p}\nGRIP({'TRUE' if k % 2 else 'FALSE'})" for k, p in enumerate(poses(8, 3))),
+        "END",
+        "DEF GRIP(ON:IN)",
+        "DECL BOOL ON",
+        "$OUT[1]=ON",
+        "WAIT SEC 0.5",
+    ),
+    program(
+        "splines of single moves, CRLF, umlauts",
+        *STATED,
+        f"SPTP {stances(1)[0]}",
+        *(f"SLIN {p} C_SPL ; Naht {k}: Übergang" for k, p in enumerate(poses(10, 4))),
+        end="\r\n",
+    ),
+    program(
+        "by hand, with switches and counters",
+        "DECL INT N",
+        *STATED,
+        "N=0",
+        f"PTP {stances(1)[0]}",
+        "WHILE N<10",
+        "SWITCH N",
+        *(f"CASE {k}\nLIN {p}" for k, p in enumerate(poses(8, 2))),
+        "DEFAULT",
+        "HALT",
+        "ENDSWITCH",
+        "N=N+1",
+        "ENDWHILE",
+    ),
+)
+
+ATTACKS: tuple[Attack, ...] = (*STATE, *POINTS, *FILES, *REACHES_NOTHING, *PLAIN)
