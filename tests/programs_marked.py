@@ -93,7 +93,7 @@ def wrong(files: Mapping[str, str], frames: str = "") -> list[str]:
         reading: Reading = language.read(project, cell_of(language, frames))
     except AridcalError as error:
         return [f"must be corrected, but: {error}" for own in marks.values() for mark in own if mark.corrected]
-    corrected = [t for t in reading.targets if not t.why]
+    corrected = [t for t in reading.targets if not t.why and not _unsettled(t)]
     faults = []
     for file, own in marks.items():
         for mark in own:
@@ -105,6 +105,11 @@ def wrong(files: Mapping[str, str], frames: str = "") -> list[str]:
             elif not mark.corrected and inside:
                 faults.append(f"{text}: must be left, and is corrected")
     return faults
+
+
+def _unsettled(target: Target) -> bool:
+    """Whether it is not known how the arm stands there: such a target is left, too."""
+    return bool(target.branch.unknown) and target.branch.words is None and target.branch.near is None
 
 
 def _inside(target: Target, mark: Marked) -> bool:

@@ -131,6 +131,16 @@ def test_a_routine_is_walked_in_the_state_of_each_caller() -> None:
     assert certain([put("a", 1), Call("main", None), see()]) is None
 
 
+def test_a_routine_that_calls_itself_is_entered_in_any_state_that_it_makes() -> None:
+    body = [put("a", 1), Call("f", None)]
+    again = Choice(((put("a", 2), Call("f", None)), ()))
+    assert certain(body, f=[see(), again]) is None
+    by_way = {"f": [see(), Call("g", None)], "g": [Choice(((put("a", 2), Call("f", None)), ()))]}
+    assert certain(body, **by_way) is None
+    assert certain(body, f=[put("a", 3), see(), again]) == 3
+    assert certain(body, f=[see(), Choice(((put("b", 2), Call("f", None)), ()))]) == 1
+
+
 def test_a_local_name_ends_with_its_routine() -> None:
     body: Body = [put("c", 1), Call("f", "local"), see()]
     assert certain(body, "c", f=[see("inside"), put("b", 2)]) == 1
@@ -144,6 +154,13 @@ def test_what_an_interrupt_sets_is_never_certain() -> None:
     state.volatile(walk.writes("trap", state), "an interrupt")
     walk.enter("main", state)
     assert isinstance(toy.seen["here"][0]["a"], Unknown) and toy.seen["here"][0]["b"] == 2
+
+
+def test_what_an_interrupt_sets_is_told_also_where_it_never_ends() -> None:
+    toy = Toy()
+    walk = Walk({"trap": [put("a", 5), Mark("x"), Jump("x")], "stop": [put("b", 1), Leave("program")]}, toy)
+    assert walk.writes("trap", State()) == [("v", "a")]
+    assert walk.writes("stop", State()) == [("v", "b")]
 
 
 def test_programs_with_too_many_ways_are_given_up() -> None:

@@ -8,10 +8,12 @@ state of its caller. What is not certain is :class:`Unknown`, with the reason th
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Protocol
+
+import numpy as np
 
 PASSES = 6
 """Walks of one loop, or of a routine with jumps, until its states stay. What a loop sets becomes unknown in one walk, what is
@@ -62,11 +64,13 @@ class _Shared:
     Attributes:
         volatile: What interrupts and other threads set: unknown for good. A family without a member stands for all of it.
         trials: Loops and jumps that are being tried: their moves are not written down.
+        noted: All that is set by walks whose sets are asked for; None while nobody asks.
     """
 
     def __init__(self) -> None:
         self.volatile: dict[tuple[str, Hashable], Unknown] = {}
         self.trials = 0
+        self.noted: dict[tuple[str, Hashable], None] | None = None
 
 
 class State:
@@ -111,6 +115,8 @@ class State:
     def set(self, family: str, member: Hashable, value: object) -> None:
         """Set a value; of a family without members the member is None."""
         self._own.setdefault(family, {})[member] = value
+        if self._shared.noted is not None:
+            self._shared.noted[family, member] = None
 
     def forget(self, family: str, member: Hashable, why: str) -> None:
         """A value is unknown from here on."""
@@ -120,10 +126,26 @@ class State:
         """All values of a family are unknown until they are set again."""
         self._own[family] = {}
         self._families[family] = Unknown(why)
+        if self._shared.noted is not None:
+            self._shared.noted[family, None] = None
 
     def forget_all(self, why: str) -> None:
         """All values are unknown until they are set again."""
         self._own, self._families, self._cleared = {}, {}, Unknown(why)
+        if self._shared.noted is not None:
+            self._shared.noted[EVERYTHING] = None
+
+    @contextmanager
+    def noted(self) -> Iterator[dict[tuple[str, Hashable], None]]:
+        """Collect what is set in this state and its overlays, within a block and within the blocks in it."""
+        before, own = self._shared.noted, dict[tuple[str, Hashable], None]()
+        self._shared.noted = own
+        try:
+            yield own
+        finally:
+            self._shared.noted = before
+            if before is not None:
+                before.update(own)
 
     def drop(self, family: str, member: Hashable) -> None:
         """Take back what this overlay has set: the value below shows again, as of a local name that ends."""
@@ -351,6 +373,8 @@ class Walk:
         self._stack: list[str] = []
         self.reached: set[str] = set()
         self._marked = {name: _marked(body) for name, body in routines.items()}
+        self._cyclic = _cyclic(routines)
+        self._written: dict[str, list[tuple[str, Hashable]]] = {}
 
     def enter(self, name: str, state: State) -> None:
         """Walk a routine as the program begins there.
@@ -361,11 +385,17 @@ class Walk:
         self._call(Call(name, None), state)
 
     def writes(self, name: str, state: State) -> list[tuple[str, Hashable]]:
-        """What a routine sets when it is called in a state, which stays as it is: of an interrupt, for instance."""
-        with self._trial(state):
-            overlay = State(state)
-            self._call(Call(name, None), overlay)
-        return overlay.own_keys()
+        """What a routine sets when it is called in a state, which stays as it is: of an interrupt, for instance.
+
+        All counts that is set on any way, also where the routine never comes to its end.
+        """
+        return self._set_within(state, lambda overlay: self._call(Call(name, None), overlay))
+
+    def _set_within(self, state: State, walk: Callable[[State], object]) -> list[tuple[str, Hashable]]:
+        """What a walk sets, tried in an overlay of a state."""
+        with self._trial(state), state.noted() as keys:
+            walk(State(state))
+        return list(keys)
 
     @contextmanager
     def _trial(self, state: State) -> Iterator[None]:
@@ -381,13 +411,16 @@ class Walk:
             self._semantics.absent(call.what, call.name, state)
             return True
         if call.name in self._stack:
-            state.forget_all(f"{call.name} calls itself")
+            self._forget_written(call.name, state)
             return True
         if len(self._stack) >= DEEPEST:
             raise TooLong
         self.reached.add(call.name)
         self._stack.append(call.name)
         own = State(state)
+        if call.name in self._cyclic:  # it may also be entered from within itself, in any state that it makes
+            self._find_written(call, body, state)
+            self._forget_written(call.name, own)
         self._semantics.enter(call.what, call.name, own)
         entered = State(own)
         exits = self._routine(body, entered, self._marked[call.name])
@@ -397,6 +430,29 @@ class Walk:
             state._absorb(own)
         self._stack.pop()
         return bool(exits)
+
+    def _find_written(self, call: Call, body: Body, state: State) -> None:
+        """Find what a routine that calls itself sets: within that trial the call of itself does nothing of its own."""
+        if call.name in self._written:
+            return
+        self._written[call.name] = []
+
+        def inside(own: State) -> None:
+            self._semantics.enter(call.what, call.name, own)
+            self._routine(body, State(own), self._marked[call.name])
+
+        self._written[call.name] = self._set_within(state, inside)
+
+    def _forget_written(self, name: str, state: State) -> None:
+        """What a routine that calls itself sets is unknown in it, and behind its call of itself."""
+        why = f"{name} calls itself"
+        for family, member in self._written.get(name, [EVERYTHING]):
+            if (family, member) == EVERYTHING:
+                state.forget_all(why)
+            elif member is None:
+                state.forget_family(family, why)
+            else:
+                state.forget(family, member, why)
 
     def _routine(self, body: Body, entered: State, marked: bool) -> list[State]:
         """States in which a routine is left, overlays of the one below the entered; none if it never ends."""
@@ -513,6 +569,31 @@ def _merged(states: Sequence[State], below: State) -> State:
     joined = State(below)
     joined.join(states)
     return joined
+
+
+def _cyclic(routines: Mapping[str, Body]) -> frozenset[str]:
+    """Routines that call themselves, perhaps by way of others: strongly connected components of the calls."""
+    from scipy.sparse import coo_array  # slow to load, and most commands read no programs
+    from scipy.sparse.csgraph import connected_components
+
+    number = {name: k for k, name in enumerate(routines)}
+    pairs = {(number[name], number[to]) for name, body in routines.items() for to in _called(body) if to in number}
+    if not pairs:
+        return frozenset()
+    rows, columns = np.array(sorted(pairs)).T
+    graph = coo_array((np.ones(len(rows)), (rows, columns)), shape=(len(number), len(number)))
+    _, component = connected_components(graph, directed=True, connection="strong")
+    several = np.bincount(component)[component] > 1
+    selves = {a for a, b in pairs if a == b}
+    return frozenset(name for name, k in number.items() if several[k] or k in selves)
+
+
+def _called(body: Body) -> Iterator[str]:
+    for node in body:
+        if isinstance(node, Call):
+            yield node.name
+        for inner in _bodies(node):
+            yield from _called(inner)
 
 
 def _size(body: Body) -> int:
