@@ -243,6 +243,18 @@ POINTS = (
         "PROC hop(robtarget r)\nMoveL r,v100,fine,t1;\nENDPROC\n",
     ),
     point(
+        "a point whose copy is changed in part",
+        "raised p1;",
+        "sets a part of it",
+        "PROC raised(robtarget r)\nr.trans.z:=100;\nMoveL r,v100,fine,tool0;\nENDPROC\n",
+    ),
+    point(
+        "a point whose copy is measured",
+        "raised p1;",
+        "may change it",
+        "PROC raised(robtarget r)\nGetDataVal s,r;\nMoveL r,v100,fine,tool0;\nENDPROC\n",
+    ),
+    point(
         "a point that a function gives back",
         "MoveL same(p1),v100,fine,tool0;",
         "",
