@@ -275,6 +275,7 @@ POINTS = (
         "a constant way off",
         "MoveL Offs(p1,0,0,100),v100,fine,tool0;MoveJ RelTool(p2,0,0,-50\\Rz:=90),v100,fine,tool0;",
     ),
+    used("no way off", "MoveL Offs(p1,0,0,0),v100,fine,tool0;MoveL RelTool(p2,0,0,0\\Rz:=0),v100,fine,tool0;"),
     used("an IF of one line", "IF n>1 AND b MoveL p1,v100,fine,tool0;"),
     used("a routine that goes there", "hop p1;", "PROC hop(robtarget r)\nMoveL r,v100,fine,tool0;\nENDPROC\n"),
     used(
