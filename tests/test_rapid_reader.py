@@ -256,6 +256,13 @@ def test_a_module_that_cannot_be_in_the_same_task_is_no_context() -> None:
         assert [target.why == "" for target in reading.targets] == [corrected] and bool(reading.notes) != corrected
 
 
+def test_a_file_beside_it_that_is_no_rapid_is_passed_over_and_one_that_is_broken_leaves_all() -> None:
+    own = Source(Path("a.mod"), main(f"MoveL {POSE},v,z,tool0;")["a.mod"])
+    for text, corrected in (("real :: x = 1", True), ("MODULE b\nPROC x()\nMoveL", False)):
+        reading = ROW.read(Project((own, Source(Path("b.mod"), text, ours=False))), Cell(ARM))
+        assert [target.why == "" for target in reading.targets] == [corrected] and bool(reading.notes) == corrected
+
+
 def test_a_point_of_a_file_that_is_not_corrected_is_named_and_left() -> None:
     own = Source(Path("a.mod"), "MODULE a\nPROC main()\nMoveL pB,v,z,tool0;\nENDPROC\nENDMODULE\n")
     beside = Source(

@@ -1,4 +1,4 @@
-"""Constructs of RAPID that change what a target means, after ABB's technical reference, each beside plain targets of the same kind."""
+"""Constructs of RAPID that change what a target means, after ABB's reference, each beside plain targets of the same kind."""
 
 from __future__ import annotations
 
@@ -23,6 +23,16 @@ VAR pose shift:=[[1,2,3],[1,0,0,0]];
 
 PLAIN = f"PROC plain()\nMoveL ⟨{POSE}⟩,v100,fine,tool0;\nMoveAbsJ ⟨{JOINTS}⟩,v100,fine,tool0;\nENDPROC\n"
 """Controls, in a routine of their own: a controller begins it with all modes as at its start."""
+
+
+TOOL = "PERS tooldata tB:=[TRUE,[[0,0,9],[1,0,0,0]],[1,[0,0,1],[1,0,0,0],0,0,0]];\n"
+
+OBJECT = 'PERS wobjdata wB:=[FALSE,TRUE,"",[[0,0,0],[1,0,0,0]],[[0,0,0],[1,0,0,0]]];\n'
+
+
+def bare(body: str, data: str = "") -> str:
+    """A module with a main routine, without more."""
+    return f"MODULE a\n{data}PROC main()\n{body}\nENDPROC\nENDMODULE\n"
 
 
 def program(body: str, data: str = "", more: str = "") -> dict[str, str]:
@@ -117,16 +127,12 @@ MODES = (
     left("another module is loaded", 'Load \\Dynamic,"HOME:/b.mod";', "may change"),
     Attack(
         "a procedure whose name is worked out",
-        {
-            "a.mod": f"MODULE a\nPROC main()\nMoveL ⟨{OTHER}⟩,v100,fine,tool0;\n%name%;\nMoveL ⟦{POSE}⟧,v100,fine,tool0;\nENDPROC\nENDMODULE\n"
-        },
+        {"a.mod": bare(f"MoveL ⟨{OTHER}⟩,v100,fine,tool0;\n%name%;\nMoveL ⟦{POSE}⟧,v100,fine,tool0;")},
         why="worked out",
     ),
     Attack(
         "a procedure whose name is data",
-        {
-            "a.mod": f"MODULE a\nPROC main()\nMoveL ⟨{OTHER}⟩,v,z,tool0;\nCallByVar s,3;\nMoveL ⟦{POSE}⟧,v,z,tool0;\nENDPROC\nENDMODULE\n"
-        },
+        {"a.mod": bare(f"MoveL ⟨{OTHER}⟩,v,z,tool0;\nCallByVar s,3;\nMoveL ⟦{POSE}⟧,v,z,tool0;")},
     ),
     before("a displacement behind a target", "PDispSet [[0,0,9],[1,0,0,0]];\nPDispAdd shift;"),
     before("a routine that is in no file, behind a target", "goSomewhere;"),
@@ -155,7 +161,8 @@ MODES = (
         "an error between a displacement and its end",
         "outer;",
         "",
-        "PROC outer()\ninner;\nERROR\nTRYNEXT;\nENDPROC\nPROC inner()\nPDispSet [[1,2,3],[1,0,0,0]];\nWaitDI di1,1;\nPDispOff;\nENDPROC\n",
+        "PROC outer()\ninner;\nERROR\nTRYNEXT;\nENDPROC\n"
+        "PROC inner()\nPDispSet [[1,2,3],[1,0,0,0]];\nWaitDI di1,1;\nPDispOff;\nENDPROC\n",
     ),
     left("a jump past the end of a displacement", "PDispSet [[1,2,3],[1,0,0,0]];\nIF b GOTO on;\nPDispOff;\non:"),
     left("a case that displaces", "TEST n\nCASE 1,2:\nPDispSet [[1,2,3],[1,0,0,0]];\nDEFAULT:\nPDispOff;\nENDTEST"),
@@ -167,7 +174,8 @@ MODES = (
     followed(
         "plain statements",
         'SetDO do1,1;WaitTime 1;TPWrite "a"+NumToStr(n,0);ConfL\\On;AccSet 50,50;VelSet 50,100;\nGripLoad load0;n:=n+1;Incr n;'
-        "\nSet do1;Reset do1;WaitDI di1,1;PulseDO do1;WaitUntil di1=1 AND n>2;b:=NOT b;ClkReset c;StorePath;RestoPath;MotionSup\\Off;",
+        "\nSet do1;Reset do1;WaitDI di1,1;"
+        "PulseDO do1;WaitUntil di1=1 AND n>2;b:=NOT b;ClkReset c;StorePath;RestoPath;MotionSup\\Off;",
     ),
 )
 
@@ -183,7 +191,7 @@ POINTS = (
     point(
         "a point in a computation of joints", "j:=CalcJointT(p1,tool0);", "sets j from it", data="VAR jointtarget j;\n"
     ),
-    point("a point in a frame", "w2.uframe:=DefFrame(p1,p2,p2);", "").__class__(
+    Attack(
         "points in a frame",
         program(
             "MoveL p1,v100,fine,tool0;\nMoveL p2,v100,fine,tool0;\nw2.uframe:=DefFrame(p1,p1,p1);",
@@ -230,9 +238,21 @@ POINTS = (
     ),
     point(
         "a point that a routine goes to with its own tool",
-        "goto p1;".replace("goto", "hop"),
+        "hop p1;",
         "another tool",
         "PROC hop(robtarget r)\nMoveL r,v100,fine,t1;\nENDPROC\n",
+    ),
+    point(
+        "a point whose copy is changed in part",
+        "raised p1;",
+        "sets a part of it",
+        "PROC raised(robtarget r)\nr.trans.z:=100;\nMoveL r,v100,fine,tool0;\nENDPROC\n",
+    ),
+    point(
+        "a point whose copy is measured",
+        "raised p1;",
+        "may change it",
+        "PROC raised(robtarget r)\nGetDataVal s,r;\nMoveL r,v100,fine,tool0;\nENDPROC\n",
     ),
     point(
         "a point that a function gives back",
@@ -246,7 +266,7 @@ POINTS = (
         "sets q from it",
         data="CONST robtarget q:=[p1.trans,[1,0,0,0],[0,0,0,0],[9E9,9E9,9E9,9E9,9E9,9E9]];\n",
     ),
-    point("a point under another name of its type", "p1.trans.x:=3;", "", kind="VAR").__class__(
+    Attack(
         "a type with another name",
         program("MoveL p1,v100,fine,tool0;\nP1.Trans.X:=3;", f"ALIAS robtarget place;\nVAR place p1:=⟦{POSE}⟧;\n"),
     ),
@@ -255,6 +275,7 @@ POINTS = (
         "a constant way off",
         "MoveL Offs(p1,0,0,100),v100,fine,tool0;MoveJ RelTool(p2,0,0,-50\\Rz:=90),v100,fine,tool0;",
     ),
+    used("no way off", "MoveL Offs(p1,0,0,0),v100,fine,tool0;MoveL RelTool(p2,0,0,0\\Rz:=0),v100,fine,tool0;"),
     used("an IF of one line", "IF n>1 AND b MoveL p1,v100,fine,tool0;"),
     used("a routine that goes there", "hop p1;", "PROC hop(robtarget r)\nMoveL r,v100,fine,tool0;\nENDPROC\n"),
     used(
@@ -408,15 +429,15 @@ FRAMES = (
     Attack(
         "data of another module",
         {
-            "a.mod": f"MODULE a\nPROC main()\nMoveL ⟨{POSE}⟩,v100,fine,tB\\WObj:=wB;\nMoveL pB,v100,fine,tool0;\nENDPROC\nENDMODULE\n",
-            "b.sys": f'MODULE b(SYSMODULE)\nTASK PERS tooldata tB:=[TRUE,[[0,0,9],[1,0,0,0]],[1,[0,0,1],[1,0,0,0],0,0,0]];\nPERS wobjdata wB:=[FALSE,TRUE,"",[[0,0,0],[1,0,0,0]],[[0,0,0],[1,0,0,0]]];\nCONST robtarget pB:=⟨{OTHER}⟩;\nENDMODULE\n',
+            "a.mod": bare(f"MoveL ⟨{POSE}⟩,v100,fine,tB\\WObj:=wB;\nMoveL pB,v100,fine,tool0;"),
+            "b.sys": f"MODULE b(SYSMODULE)\nTASK {TOOL}{OBJECT}CONST robtarget pB:=⟨{OTHER}⟩;\nENDMODULE\n",
         },
     ),
     Attack(
         "local data of another module",
         {
             "a.mod": f"MODULE a\nPROC main()\nMoveL ⟦{POSE}⟧,v100,fine,tB;\nENDPROC\nENDMODULE\n",
-            "b.sys": "MODULE b(SYSMODULE)\nLOCAL PERS tooldata tB:=[TRUE,[[0,0,9],[1,0,0,0]],[1,[0,0,1],[1,0,0,0],0,0,0]];\nENDMODULE\n",
+            "b.sys": f"MODULE b(SYSMODULE)\nLOCAL {TOOL}ENDMODULE\n",
         },
         why="tB is not in the program",
     ),
@@ -438,7 +459,7 @@ FRAMES = (
     Attack(
         "another module that changes a frame",
         {
-            "a.mod": f"MODULE a\n{DATA}PROC main()\nMoveL ⟦{POSE}⟧,v100,fine,t1\\WObj:=w1;\nMoveL ⟨{OTHER}⟩,v100,fine,t1\\WObj:=w2;\nENDPROC\nENDMODULE\n",
+            "a.mod": bare(f"MoveL ⟦{POSE}⟧,v100,fine,t1\\WObj:=w1;\nMoveL ⟨{OTHER}⟩,v100,fine,t1\\WObj:=w2;", DATA),
             "b.mod": "MODULE b\nPROC other()\nw1.oframe:=[[1,1,1],[1,0,0,0]];\nENDPROC\nENDMODULE\n",
         },
         why="changes it",
@@ -457,19 +478,15 @@ MOVES = (
     move("path corrections", "MoveL {left},v100,fine,tool0\\Corr;", "Corr"),
     move("seam tracking", "ArcL {left},v100,sm1,wd1,fine,tool0\\Track:=tr1;", "track"),
     move("an option that is not known", "MoveL {left},v100,fine,tool0\\Foo;", "foo"),
-    move(
-        "a tool that is worked out", "MoveL {left},v100,fine,pick(n);", "", "FUNC num pick(num k)\nRETURN 1;\nENDFUNC\n"
-    ).__class__("a tool of an array", program(f"MoveL ⟦{POSE}⟧,v100,fine,ts{{n}};", "PERS tooldata ts{2};\n")),
+    Attack("a tool of an array", program(f"MoveL ⟦{POSE}⟧,v100,fine,ts{{n}};", "PERS tooldata ts{2};\n")),
     move("a move without a tool", "MoveL {left},v100,fine;", "other arguments"),
     move("a force-controlled move", "FCPressL {left},v100,20,fine,tool0;", "force"),
     move("a move that a sensor corrects", "EGMMoveL e1,{left},v100,fine,tool0;", "sensor"),
     move("external axes alone", "MoveExtJ {joints},v100,fine;", "external axes alone"),
     move("a joint target in a linear move", "MoveL {joints},v100,fine,tool0;"),
-    move("a missing semicolon", "MoveL {left},v100,fine,tool0\nMoveL {left},v100,fine,tool0;").__class__(
+    Attack(
         "a missing semicolon",
-        {
-            "a.mod": f"MODULE a\nPROC main()\nMoveL ⟦{POSE}⟧,v100,fine,tool0\nIF b THEN\nMoveL ⟦{OTHER}⟧,v100,fine,tool0;\nENDIF\nENDPROC\nENDMODULE\n"
-        },
+        {"a.mod": bare(f"MoveL ⟦{POSE}⟧,v100,fine,tool0\nIF b THEN\nMoveL ⟦{OTHER}⟧,v100,fine,tool0;\nENDIF")},
         why="is not understood",
     ),
     moved("circles", "MoveC {good},{other},v100,fine,tool0;"),

@@ -310,6 +310,8 @@ class Meaning:
             match = BARE.fullmatch(bound.code.plain, *span)
             datum = bound.scope.datum(fold(match.group(1))) if match else None
             if datum is not None and not self.expressions.steady(datum):
+                if datum.holds_points:
+                    nodes.append(Step(partial(self._spoil, [partial(self.expressions.value, datum)], why)))
                 nodes.append(Step(partial(self._set, datum, (), Constant(Unknown(why)))))
         return nodes
 
@@ -326,6 +328,9 @@ class Meaning:
         path = code.plain[statement.start : statement.body].rstrip().removesuffix(":=")
         place = self._place(bound, statement, datum, path)
         span = code.trimmed(statement.body, statement.end)
+        if datum.holds_points and place != ():
+            before = partial(self.expressions.value, datum)
+            nodes.append(Step(partial(self._spoil, [before], f"{line} sets a part of it")))
         if datum.holds_points and not (datum.declared.array and place == ()):
             plain = code.plain.startswith("[", span[0])
             value = (

@@ -6,7 +6,7 @@ import gc
 
 from aridcal.programs.cell import Cell, Reading
 from aridcal.programs.project import Project
-from aridcal.programs.rapid.grammar import Module, NotUnderstood, blanked, fold, modules
+from aridcal.programs.rapid.grammar import MODULE, Module, NotUnderstood, blanked, fold, modules
 from aridcal.programs.rapid.meaning import GUARDED, Meaning
 from aridcal.programs.rapid.names import Names
 from aridcal.programs.targets import Target
@@ -62,6 +62,9 @@ def _modules(project: Project, codes: tuple[Code, ...]) -> tuple[list[Module], l
         try:
             found = modules(code)
         except NotUnderstood as problem:
+            if not source.ours and MODULE.search(code.plain) is None:
+                notes.append(f"{source.path}: is no RAPID: not looked at")
+                continue
             raise _Broken(_broken(code, codes, problem)) from None
         twice = None if source.ours else _clash(given, found)
         if twice:

@@ -245,10 +245,10 @@ def offs(point: object, numbers: tuple[object, ...]) -> object:
     way = _plain(numbers)
     if not isinstance(point, Point) or point.literal.form != "pose" or way is None or len(way) != 3:
         return None
+    if not any(way):
+        return point
     step = Frame(pose(MILLI * np.array(way), Rotation.identity()))
-    if point.after is not None:  # a step in the point's frame is the same before and after a step of the tool
-        return Point(point.literal, step @ (point.before or HERE), point.after)
-    return Point(point.literal, step @ (point.before or HERE), None)
+    return Point(point.literal, step @ (point.before or HERE), point.after)
 
 
 def reltool(point: object, numbers: tuple[object, ...], turns: tuple[object, ...]) -> object:
@@ -256,6 +256,8 @@ def reltool(point: object, numbers: tuple[object, ...], turns: tuple[object, ...
     way, angles = _plain(numbers), _plain(turns)
     if not isinstance(point, Point) or point.literal.form != "pose" or way is None or angles is None or len(way) != 3:
         return None
+    if not any(way) and not any(angles):
+        return point
     step = Frame(pose(MILLI * np.array(way), Rotation.from_euler("XYZ", angles, degrees=True)))
     return Point(point.literal, point.before, (point.after or HERE) @ step)
 
