@@ -365,11 +365,13 @@ class Meaning:
     def _agreed(family: str, kind: str, own: str, state: State, line: str) -> str | Unknown:
         """The number of a point's frame or tool, which must be the active one: else the controller stops there."""
         active = state.get(family)
-        if not own.isdecimal():
+        if own == "F":
             if isinstance(active, Active):
                 return active.number
             assert isinstance(active, Unknown)
             return Unknown(f"its {kind} is the active one of {line}, and {active.why}")
+        if not own.isdecimal():
+            return Unknown(f"its {kind} {own} is no number")
         if isinstance(active, Active) and active.number != own:
             return Unknown(
                 f"is in {kind} {own}, but {active.line} has set {active.number}: the controller stops at {line}"
