@@ -135,7 +135,9 @@ HARMLESS = (
     "//UFRAME_NUM=2", "--eg:UFRAME_NUM=2", "PR[5]=LPOS", "PR[5,3]=7", "LPR[1]=LPOS", "UFRAME_NUM[GP2]=2", "UFRAME[3]=PR[9]",
     "UTOOL[3]=PR[9]", "UFRAME[GP2:1]=PR[9]", "VOFFSET CONDITION VR[1]", "IF R[1]=1,JMP LBL[99]", "JMP LBL[99]",
     "PRESS_MOTN[1]", "SS[1]", "SE", "GUN[1]=ON", "PALLETIZING-B_1", "------", "TORQ_LIMIT 80.0%",
-    "CLEAR_RESUME_PROG", "P[5]=LPOS", "P[5,3]=7", "TOOL_OFFSET CONDITION PR[1]", "OFFSET CONDITION PR[1]", "SELECT R[1]=1,JMP LBL[99]",
+    "CLEAR_RESUME_PROG", "P[5]=LPOS", "P[5,3]=7",
+    "TOOL_OFFSET CONDITION PR[1]", "OFFSET CONDITION PR[1]",
+    "SELECT R[1]=1,JMP LBL[99]",
     "PL[1]=[1,1,1]", "MONITOR END HANDLER", "DIAG_REC[1,2,3]", "Stitch Start", "AR[1]=5",
 )  # fmt: skip
 
@@ -159,6 +161,49 @@ HARMLESS_OPTIONS = (
 @pytest.mark.parametrize("option", HARMLESS_OPTIONS)
 def test_an_option_that_changes_the_way_alone_leaves_the_place(option: str) -> None:
     assert why(listing([*START, f"{GO} {option}", "LBL[1]"], [point(1), point(2)])) == ""
+
+
+LEFT_OPTIONS = (
+    "INC",
+    "VOFFSET,VR[1]",
+    "VOFFSET",
+    "RTCP",
+    "COORD",
+    "COORD[2]",
+    "MROT",
+    "Offset,PR[1]",
+    "Tool_Offset,PR[R[1]]",
+)
+
+
+@pytest.mark.parametrize("option", LEFT_OPTIONS)
+def test_an_option_that_moves_the_place_matters_to_its_own_move_alone(option: str) -> None:
+    lines = ["UFRAME_NUM=1", f"{GO} {option}", "L P[2] 9mm/sec FINE"]
+    targets = by_name(read(listing(lines, [point(1), point(2)])))
+    assert "line 6" in targets["P[1]"].why
+    assert targets["P[2]"].why == ""
+
+
+def test_a_program_called_at_a_time_is_followed() -> None:
+    text = listing([f"{GO} TB .10sec,CALL SUB(1)", "L P[2] 9mm/sec FINE"], [point(1), point(2)])
+    targets = by_name(read(text, None, True, sub_ls=listing(["DO[1]=ON"], name="SUB")))
+    assert [targets[name].why for name in ("P[1]", "P[2]")] == ["", ""]
+
+
+PLAIN_HEADERS = (
+    "/APPL\n",
+    "/APPL\n/APPL\n\nAUTO_SINGULARITY_HEADER;\n  ENABLE_SINGULARITY_AVOIDANCE   : TRUE;\n",
+    "/APPL\n  ARC Welding Equipment : 1,*,*,*,*;\n",
+    "/APPL\n  SPOT : TRUE ;\n  SPOT Welding Equipment Number : 1 ;\n",
+    "/APPL\nLINE_TRACK;\n  LINE_TRACK_SCHEDULE_NUMBER      : 0;\n  LINE_TRACK_BOUNDARY_NUMBER      : 0;\n"
+    "  CONTINUE_TRACK_AT_PROG_END      : FALSE;\n",
+    "/APPL\nPLTZ_MODE_HEADER;\n PLTZ_MODE_ENABLE   : FALSE;\n J4TURN  : ZERORAD;\n ORIENT  : DOWNWARDS;\n",
+)
+
+
+@pytest.mark.parametrize("header", PLAIN_HEADERS)
+def test_application_data_that_leave_points_where_they_are_are_known(header: str) -> None:
+    assert why(listing([*START, GO], [point(1), point(2)], header=header)) == ""
 
 
 MOVES = (

@@ -252,6 +252,8 @@ DATA: tuple[tuple[str, str], ...] = (
     ),
     ("a point beyond all arms", point(1, LEFT).replace("-98.244", "1e999")),
     ("a point without frame and tool", point(1, LEFT).replace("UF : 1, UT : 1,", "")),
+    ("a point in a frame with a name", point(1, LEFT, user="TABLE")),
+    ("a point with a tool with a name", point(1, LEFT, tool="T1")),
     ("a point in a frame that nobody states", point(1, LEFT, user="7")),
     ("a point with a tool that nobody states", point(1, LEFT, tool="7")),
     ("a point in the active tool where none is set", point(1, LEFT, tool="F")),
@@ -303,7 +305,11 @@ def _attacks() -> tuple[Attack, ...]:
         shifts = listing(["PR[1]=LPOS"], name="SHIFTS")
         add(name, listing([*KNOWN, *lines, SHIFTED], [point(1, LEFT), point(3)]), SHIFTS=shifts)
     for name, text in DATA:
-        add(name, listing([GO, "L P[2] 100mm/sec FINE"], [text, point(2, ("", "") if "twice" in name else RIGHT)]))
+        active = ["UFRAME_NUM=1", "UTOOL_NUM=1"] if "with a name" in name else []
+        add(
+            name,
+            listing([*active, GO, "L P[2] 100mm/sec FINE"], [text, point(2, ("", "") if "twice" in name else RIGHT)]),
+        )
     for name, header in HEADERS:
         add(name, listing([*START, GO], NEITHER, header=header))
     add("two programs in a file", listing([*START, GO], NEITHER, after=listing(["R[1]=1"], name="SUB")))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -10,53 +9,20 @@ from functools import partial
 import numpy as np
 
 from aridcal.errors import printable
-from aridcal.programs.axes import DEGREE, MILLIMETRE
 from aridcal.programs.cell import Cell
-from aridcal.programs.fanuc.flow import ANY, Action, Flow, Place, own_group, short
-from aridcal.programs.fanuc.listing import LARGEST, POSE, SHOWN, Listing, Point
+from aridcal.programs.fanuc.actions import Action, Place, own_group, short
+from aridcal.programs.fanuc.flow import ANY, Flow
+from aridcal.programs.fanuc.listing import SHOWN, Listing, Point
+from aridcal.programs.fanuc.points import Targets
+from aridcal.programs.fanuc.registers import PLAIN, REGISTER, Register, number_of, sum_of
 from aridcal.programs.frames import absent, unknown
-from aridcal.programs.notations import FANUC, MILLI
 from aridcal.programs.postures import fanuc_words
-from aridcal.programs.targets import Branch, Target, Words
-from aridcal.programs.targets import Place as Meant
+from aridcal.programs.targets import Target, Words
 from aridcal.programs.text import Code
 from aridcal.programs.uses import HERE, Frame, Ledger, Use, line_name
 from aridcal.programs.walk import NEVER_SET, State, Unknown
 
 STANCE = "it is not known where the arm comes from, and CONFIG does not say how it stands: state --start J1,J2,..."
-
-ELEMENT = re.compile(r"PR\[(\d{1,9}),([1-6])\]")
-
-REGISTER = re.compile(r"PR\[(\d{1,9})\]")
-
-PLAIN = re.compile(r"\(?([-+]?(?:\d+\.?\d*|\.\d+))\)?")
-
-TERMS = re.compile(r"([-+]?)((?:[^-+\[\]]|\[[^\[\]]*\])+)")
-
-
-@dataclass(frozen=True)
-class Register:
-    """A position register that holds a pose.
-
-    Attributes:
-        numbers: X Y Z W P R, [mm] and [deg]; None of what is not certain.
-    """
-
-    numbers: tuple[float | None, ...] = (None,) * 6
-
-    @property
-    def frame(self) -> Frame | None:
-        """The transform that it is; None where a number is not certain."""
-        values = [n for n in self.numbers if n is not None]
-        return Frame(FANUC.pose(np.array(values))) if len(values) == len(self.numbers) else None
-
-    @property
-    def shift(self) -> np.ndarray | None:
-        """The way that it is, [m]; None where it turns (how angles are added is a setting), or is not certain."""
-        x, y, z, *angles = self.numbers
-        if x is None or y is None or z is None or any(angle != 0.0 for angle in angles):
-            return None
-        return MILLI * np.array([x, y, z])
 
 
 @dataclass(frozen=True)
@@ -130,9 +96,7 @@ class Meaning:
         self.ledger = Ledger()
         self.assumed: set[str] = set()
         self._listings, self._codes, self._given, self._cell = listings, codes, given, cell
-        self._axes = cell.axes
-        self._arm = {f"J{k + 1}": own for k, own in enumerate(self._axes.arm)}
-        self._external = {f"E{k + 1}": own for k, own in enumerate(self._axes.external)}
+        self._targets = Targets(cell.axes)
         self._words: dict[tuple[int, int], Words | None] = {}
         self._spoken = spoken
         for program in sorted(spoken):
@@ -148,8 +112,8 @@ class Meaning:
         for point in listing.points.values():
             key = self._key(program, point)
             self._words[key] = fanuc_words(point.config[:3], point.config[3:], self._cell) if point.config else None
-            self.ledger.declare(key, partial(self._target, program, point))
-            reason = why or point.why or self._beyond(point)
+            self.ledger.declare(key, partial(self._targets.target, listing.code, point, self._words[key]))
+            reason = why or point.why or self._targets.beyond(point)
             if reason:
                 self.ledger.spoil(key, reason)
         every = next((use for use in flow.uses if use[0] == ANY), None)
@@ -165,49 +129,6 @@ class Meaning:
 
     def _key(self, program: int, point: Point) -> tuple[int, int]:
         return self._listings[program].code.file, point.start
-
-    def _beyond(self, point: Point) -> str:
-        """Why a point does not fit the robot's axes."""
-        if point.names == POSE:
-            return ""
-        named = [name for name in point.names if name not in POSE]
-        axes = self._arm | self._external
-        for name in named:
-            if name not in axes:
-                return f"has an axis {name} that the robot of the calibration has not"
-            slides = self._axes.kinds[axes[name]] == "prismatic"
-            unit = point.units[point.names.index(name)]
-            if (unit == "MM") != slides:
-                return f"has {name} in {unit.lower()}, but that axis {'slides' if slides else 'turns'}"
-        if point.joints and not set(self._arm) <= set(named):
-            return "does not state all joints of the arm"
-        return ""
-
-    def _target(self, program: int, point: Point, use: Use, beside: tuple[Meant, ...]) -> Target:
-        code = self._listings[program].code
-        line, name = code.line(point.start), f"P[{point.number}]"
-        if point.joints:
-            axes = self._arm | self._external
-            named = [axis for axis in axes if axis in point.names] if not point.why else []
-            units = self._axes.units([axes[axis] for axis in named], DEGREE, MILLIMETRE)
-            numbers = tuple(point.field(axis) for axis in named)
-            readings = self._axes.readings(numbers, units)
-            return Target(line, name, "joints", numbers, "", readings, units, digits=3, file=code.file)
-        plain = not point.why
-        numbers = tuple(map(point.field, POSE)) if plain else ()
-        branch = Branch(self._words[self._key(program, point)], None, self._held(point), False, use.unknown)
-        place = use.place if plain else None
-        return Target(line, name, "pose", numbers, "", None, (), FANUC, place, beside, branch, file=code.file)
-
-    def _held(self, point: Point) -> np.ndarray | None:
-        """External axes that a pose states, shape (columns,), NaN of the others."""
-        own = {axis: k for axis, k in self._external.items() if axis in point.names}
-        if not own:
-            return None
-        held = np.full(len(self._axes.kinds), np.nan)
-        for axis, k in own.items():
-            held[k] = self._axes.unit(k, DEGREE, MILLIMETRE) * point.field(axis).value
-        return held
 
     # the state
 
@@ -322,12 +243,12 @@ class Meaning:
             return
         before = state.get("register", int(number))
         if not element:
-            value = _sum(what.field("value"), state)
+            value = sum_of(what.field("value"), state)
         elif not isinstance(before, Register):
             value = None
         elif element in "123456" and len(element) == 1:
             numbers = list(before.numbers)
-            numbers[int(element) - 1] = _number(what.field("value"), state)
+            numbers[int(element) - 1] = number_of(what.field("value"), state)
             value = Register(tuple(numbers))
         else:
             value = before if element.isdecimal() else Register()
@@ -444,70 +365,18 @@ class Meaning:
     def _agreed(family: str, kind: str, own: str, state: State, line: str) -> str | Unknown:
         """The number of a point's frame or tool, which must be the active one: else the controller stops there."""
         active = state.get(family)
-        if not own.isdecimal():
+        if own == "F":
             if isinstance(active, Active):
                 return active.number
             assert isinstance(active, Unknown)
             return Unknown(f"its {kind} is the active one of {line}, and {active.why}")
+        if not own.isdecimal():
+            return Unknown(f"its {kind} {own} is no number")
         if isinstance(active, Active) and active.number != own:
             return Unknown(
                 f"is in {kind} {own}, but {active.line} has set {active.number}: the controller stops at {line}"
             )
         return own
-
-
-def _sum(text: str, state: State) -> Register | None:
-    """A position register from registers that are added element by element; None where it may hold joints, or anything."""
-    total: Register | None = None
-    parts = list(TERMS.finditer(text))
-    if "".join(part.group() for part in parts) != text:
-        return None
-    for part in parts:
-        source = REGISTER.fullmatch(part.group(2))
-        term = state.get("register", int(source.group(1))) if source is not None else None
-        if part.group(2) in ("LPOS",) or re.fullmatch(r"U(?:FRAME|TOOL)\[\d+\]", part.group(2)) is not None:
-            term = Register()
-        if not isinstance(term, Register):
-            return None
-        if total is None:
-            total = term if part.group(1) != "-" else Register()
-        elif part.group(1) == "-" and len(parts) == 2 and parts[0].group() == part.group(2):
-            total = Register((0.0,) * 6)  # a register less itself, whatever it holds
-        else:
-            sign = -1.0 if part.group(1) == "-" else 1.0
-            total = Register(
-                tuple(
-                    None if a is None or b is None else a + sign * b
-                    for a, b in zip(total.numbers, term.numbers, strict=True)
-                )
-            )
-    return total
-
-
-def _number(text: str, state: State) -> float | None:
-    """A number that stands there, or an element of a register, or a sum of these; None where it is not certain."""
-    whole = PLAIN.fullmatch(text)
-    if whole is not None:
-        return _bounded(float(whole.group(1)))
-    total = 0.0
-    parts = list(TERMS.finditer(text))
-    if not parts or "".join(part.group() for part in parts) != text:
-        return None
-    for part in parts:
-        element, plain = ELEMENT.fullmatch(part.group(2)), PLAIN.fullmatch(part.group(2))
-        if element is not None:
-            register = state.get("register", int(element.group(1)))
-            value = register.numbers[int(element.group(2)) - 1] if isinstance(register, Register) else None
-        else:
-            value = float(plain.group(1)) if plain is not None else None
-        if value is None:
-            return None
-        total += -value if part.group(1) == "-" else value
-    return _bounded(total)
-
-
-def _bounded(value: float) -> float | None:
-    return value if abs(value) <= LARGEST else None
 
 
 def _translation(shift: np.ndarray) -> np.ndarray:

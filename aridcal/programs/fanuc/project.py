@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from aridcal.programs.cell import Cell, Reading
+from aridcal.programs.fanuc.actions import actions
 from aridcal.programs.fanuc.controller import read_frames_of_controller
-from aridcal.programs.fanuc.flow import ANY, Flow, actions, read_flow
+from aridcal.programs.fanuc.flow import ANY, Flow, read_flow
 from aridcal.programs.fanuc.listing import Listing, read_listing
 from aridcal.programs.fanuc.meaning import Given, Meaning
 from aridcal.programs.frames import KnownFrames, controllers_base
