@@ -24,6 +24,9 @@ _BODIES = {
     "repeat": "until",
 }
 
+_COPY = re.compile(r"[ \t]*+([a-z_$][\w$]*+)[ \t]*+=[ \t]*+([a-z_][\w$]*+)[ \t\r]*+", re.ASCII)
+"""``PDAT_ACT=PPDAT1``: half of the lines of inline forms."""
+
 _ENDS = frozenset((*_BODIES.values(), "endspline", "else", "case", "default"))
 
 
@@ -157,6 +160,12 @@ class Reader(Motions):
 
     def _statement(self, start: int, end: int) -> None:
         self._place = start
+        copy = _COPY.fullmatch(self._low, start, end)
+        if copy is not None:
+            to, value = (self._variable(copy.group(k), copy.start(k)) for k in (1, 2))
+            self._written(Assignment(to, value))
+            self._body.append(Step(Assignment(to, value)))
+            return
         try:
             line = self._line(start, end)
             if not line.ended:

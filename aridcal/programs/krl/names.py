@@ -83,12 +83,10 @@ class Names:
 
     Attributes:
         types: Of variables, by key.
-        shared: Variables that routines of all files reach.
         twice: Names of routines and modules that several files have.
     """
 
     types: dict[str, str] = field(default_factory=dict)
-    shared: set[str] = field(default_factory=set)
     twice: set[str] = field(default_factory=set)
     _own: dict[str, set[str]] = field(default_factory=dict)
     _routines: dict[tuple[str, str], Head] = field(default_factory=dict)
@@ -120,9 +118,7 @@ class Names:
         """A variable of a module or of a routine, ``module`` or ``module/routine``; gives its key."""
         key = name if shared else f"{scope}:{name}"
         self.types[key] = kind
-        if shared:
-            self.shared.add(name)
-        else:
+        if not shared:
             self._own.setdefault(scope, set()).add(name)
         return key
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -273,18 +273,3 @@ class Carried:
 
 
 Statement = Assignment | Move | Unclear | Carried
-
-
-@dataclass
-class Routine:
-    """A routine of a file.
-
-    Attributes:
-        key: Among the project's routines.
-        shown: Its name.
-        parameters: Keys of its parameters, and whether each is handed over by value.
-    """
-
-    key: str
-    shown: str
-    parameters: list[tuple[Variable, bool]] = field(default_factory=list)

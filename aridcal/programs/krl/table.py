@@ -1,7 +1,7 @@
 """What statements, system variables and standard routines of KRL do.
 
-After KUKA's manual "KUKA System Software, Operating and Programming Instructions for System Integrators" (KSS 8), and the module
-`bas.src` that controllers come with.
+BAS, the functions of inline forms and IR_STOPM are as in KUKA's modules `bas.src` and `ir_stopm.src` of KSS 8. The other rows are
+after common knowledge of KRL, and remain to be compared with the manual, row by row.
 
 What is in none of these tables is unknown: behind it nothing is certain that it may touch.
 """
@@ -64,8 +64,6 @@ HELD = {
     "$axis_act_mes",
     "$pos_act",
     "$pos_act_mes",
-    "$axis_for",
-    "$pos_for",
 }
 """Places where the arm is already: a move there is none."""
 
@@ -73,23 +71,23 @@ SYSTEM_VARIABLES = frozenset(
     f"${name}"
     for name in _words(
         # speeds, accelerations, approximation, and what else is of the way between targets
-        "acc acc_axis acc_c acc_car_act acc_extax acc_ma acc_ov advance apo apo_dis_ptp bwdstart circ_mode circ_type "
-        "circ_dir cp_vel_type curr_red filter gear_jerk jerk jerk_ma ori_type ov_appl ov_jog ov_pro ov_rob "
-        "red_vel spl_tsys spl_vel_mode vel vel_axis vel_c vel_extax vel_ma velmax_axis bwd_step orityp spl_ori_joint_auto "
-        "singul_strategy singul_dist cp_statmon "
+        "acc acc_axis acc_c acc_extax acc_ma advance apo apo_dis_ptp bwdstart circ_mode circ_type "
+        "cp_vel_type filter gear_jerk jerk jerk_ma ori_type ov_appl ov_jog ov_pro ov_rob "
+        "red_vel spl_tsys vel vel_axis vel_c vel_extax vel_ma spl_ori_joint_auto "
+        "singul_strategy singul_dist "
         # numbers of tool and base for the display, and loads
-        "act_base act_base_c act_ext act_tool act_tool_c act_ex_ax load load_c load_a1 load_a2 load_a3 adap_acc load_a1_c "
+        "act_base act_base_c act_tool act_tool_c act_ex_ax load load_c load_a1 load_a2 load_a3 load_a1_c "
         "load_a2_c load_a3_c "
         # signals, flags, timers
-        "out out_c anout flag cycflag timer timer_stop timer_flag set_io_size sen_pint sen_prea digout "
-        "in home1 home2 home3 home4 home5 h_pos h_pos_tol h_axis_tol in_home "
+        "out out_c anout flag cycflag timer timer_stop sen_pint sen_prea "
+        "h_pos h_pos_tol h_axis_tol "
         # monitoring, messages, program run
-        "torqmon torqmon_com torqmon_def torqmon_com_def torqmon_time torq_vel torq_max coll_alarm coll_enable coll_on "
-        "tol_vel soft_plc_cmd pro_mode pro_mode1 loop_msg loop_cont msg_t cycle_time err stopnoaprox wboxdisable workspace "
-        "axworkspace softn_end softp_end soft softlimit_check brk_ctrl brake_sig asys ext exts date user_saf rint_list "
-        "robruntime energy_module energy_interim trace nearpathtol stopmb_id collmon_on coll_load coll_targetload data_ext_obj1 "
-        "data_ext_obj2 act_group gear_jerk_ma torq_diff torq_diff2 curr_mon no_msg op_mode_msg "
-        "interpreter displayvar msg_str collmon_tol_pro hold_torque currtype axis_cmd_filter ipo_filter"
+        "torqmon torqmon_com torqmon_def torqmon_com_def torqmon_time coll_alarm coll_enable coll_on "
+        "tol_vel soft_plc_cmd pro_mode pro_mode1 loop_msg loop_cont cycle_time err wboxdisable workspace "
+        "axworkspace softn_end softp_end "
+        "collmon_on coll_load coll_targetload "
+        "act_group gear_jerk_ma torq_diff torq_diff2 "
+        "collmon_tol_pro "
     )
 )
 """Variables of the controller to which a program may give values without another meaning of its targets."""
@@ -106,37 +104,33 @@ ODD = {
     "st_on": "a sensor moves the arm besides",
     "st_on1": "a sensor moves the arm besides",
     "st_on2": "a sensor moves the arm besides",
-    "rob_stop": "it stops the arm",
 }
 """Routines after which the arm is elsewhere than targets say."""
 
 FUNCTIONS = _words(
-    "abs sqrt sin cos tan acos asin atan atan2 exp ln varstate strlen strdecllen strfind strcomp "
-    "getvaridx get_sig_inf get_decl_place get_decl_dim is_key_pressed timer_limit sync set_krlmsg set_krldlg exists_krlmsg "
-    "exists_krldlg clear_krlmsg clear_krldlg set_opt_filter pulse cwrite swrite cclose cioctl ckr "
-    "msgnotify msgquit msgdialog msgloop msgstate msgclear msgcreate "
+    "abs sqrt sin cos tan acos atan2 varstate strlen strdecllen strfind strcomp "
+    "sync set_krlmsg set_krldlg exists_krlmsg "
+    "exists_krldlg clear_krlmsg clear_krldlg pulse cwrite swrite cclose cioctl "
+    "msgnotify msgquit msgdialog msgloop "
     "svel_cp svel_joint sacc_cp sacc_joint sapo sapo_ptp sload sgear_jerk sjerk scirc_typ scirc_m sori_typ sipo_mode "
     "s_exax_ign s_exax_ign2 use_cm_pro_values stool stool2 sbase k_root k_type k_offs k_addr k_name k_shift ek eb lk inv_pos "
-    "err_clear err_raise varval to_string eki_init eki_open eki_close eki_clear eki_send eki_checkbuffer eki_lock eki_unlock "
-    "eki_setint eki_setreal eki_setbool eki_setstring eki_setframe eki_clearbuffer md_cmd get_brakesig "
-    "set_tq_values tqm_fifo_read md_getstate m_comment getcycdef diag wtime "
-    "ac_pointarrival st_off rsi_off rsi_delete set_brakesig set_cabctrl cabctrl "
+    "err_clear err_raise eki_init eki_open eki_close eki_clear eki_send eki_checkbuffer eki_lock eki_unlock "
+    "eki_setint eki_setreal eki_setbool eki_setstring eki_setframe eki_clearbuffer "
+    "set_tq_values tqm_fifo_read "
+    "ac_pointarrival st_off rsi_off rsi_delete "
     # messages, start-up and program numbers of the modules that controllers come with
-    "ir_stopm p00 new_serv check_home p00_error get_msgt tm_nullfct"
+    "ir_stopm p00 "
 )
 """Functions and routines of the controller that read what they are given, and change nothing that matters here."""
 
 WRITING = _words(
-    "strtoint strtoreal strtobool strtostring strcopy stradd strclear strtoframe strtopos strtoe6pos strtoaxis strtoe6axis "
-    "cread sread copen cast_to cast_from varset set_sig get_system_data frand rand eki_getint eki_getreal eki_getbool "
+    "strtoint strtoreal strtobool strcopy stradd strclear "
+    "cread sread copen cast_to cast_from eki_getint eki_getreal eki_getbool "
     "eki_getstring eki_getframe eki_getintarray eki_getrealarray eki_getboolarray eki_getframearray"
 )
 """Likewise, and they write into what they are given."""
 
-PACKAGES = _words(
-    "h50 h70 grp gripp user_grp userspot spot servogun a10_ini a10 a20_ini a20 a50_ini a50 h50_ini gripper_init grpg_check "
-    "grpg_set grpg_setstate grpg_setstateandcheck tech_ini coll_mon_ini"
-)
+PACKAGES = _words("h50 user_grp userspot grpg_check grpg_setstateandcheck")
 """Routines of KUKA's grippers and spot guns: they switch signals and wait. A note says that this is taken for granted."""
 
 SYSTEM_MODULES = frozenset(
