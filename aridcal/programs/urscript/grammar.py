@@ -199,7 +199,6 @@ class Routine:
         body: What it does.
         local: Names of parameters, and those that are declared to be local.
         assigned: Names that it sets and declares neither global nor local; where first.
-        mentions: All names of variables in it.
         calls: Keys of all routines that it calls or starts.
     """
 
@@ -212,7 +211,6 @@ class Routine:
     body: Body = ()
     local: set[str] = field(default_factory=set)
     assigned: dict[str, int] = field(default_factory=dict)
-    mentions: set[str] = field(default_factory=set)
     calls: set[str] = field(default_factory=set)
 
 
@@ -682,7 +680,6 @@ class Parser:
                 raise _Garbled(f"{token.text.strip() or 'its end'} is not understood there")
 
     def _name(self, name: str, token: Token) -> Name:
-        self._routine.mentions.add(name)
         return Name(self._routine, name, self._spot(token))
 
 

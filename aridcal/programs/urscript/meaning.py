@@ -36,7 +36,7 @@ from aridcal.programs.urscript.grammar import (
     Spot,
     Text,
 )
-from aridcal.programs.urscript.scopes import LOCAL, SHARED, UNSURE, Scopes, mentioned
+from aridcal.programs.urscript.scopes import LOCAL, SHARED, UNSURE, Scopes
 from aridcal.programs.urscript.table import MODE, RULES, SWITCHED, VIA, Move, Rule, Switch
 from aridcal.programs.uses import HERE, Frame, Ledger, Use, line_name, product
 from aridcal.programs.walk import NEVER_SET, State, Unknown, Walk
@@ -154,8 +154,6 @@ class Meaning:
         self._products: dict[tuple[int, int], tuple[object, object, object]] = {}
         self._held: dict[Variable, set[tuple[int, int]]] = {}
         self._vague: dict[Variable, str] = {}
-        threads = [key for key, routine in routines.items() if routine.kind == "thread"]
-        self._watched = mentioned(routines, threads)
         self.walk: Walk | None = None
         self.poses = False
 
@@ -390,8 +388,6 @@ class Meaning:
             return
         if family == UNSURE:
             state.forget_family(LOCAL, f"{line} may set a name of the function around it")
-        if family != LOCAL and name.name in self._watched:
-            self._spend(value, f"{line}: {name.name} is used in a thread, too")
         self._set((family, member), value, state)
 
     def _component(self, to: Expression, value: object, line: str, state: State) -> None:

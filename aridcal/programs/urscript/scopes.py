@@ -7,7 +7,7 @@ them has just set it.
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterable, Mapping, Sequence
+from collections.abc import Hashable, Sequence
 
 from aridcal.programs.urscript.grammar import File, Routine
 
@@ -62,15 +62,3 @@ class Scopes:
             around = around.parent
         variable = (self._space(routine.file), name)
         return (SHARED if variable in self.shared else GLOBAL), variable
-
-
-def mentioned(routines: Mapping[str, Routine], starts: Iterable[str]) -> set[str]:
-    """Names of variables in routines and in all that they call."""
-    reached: set[str] = set()
-    waiting = list(starts)
-    while waiting:
-        key = waiting.pop()
-        if key in routines and key not in reached:  # one whose head is garbled is no routine
-            reached.add(key)
-            waiting += routines[key].calls
-    return {name for key in reached for name in routines[key].mentions}
