@@ -36,12 +36,14 @@ class Canonical:
         call: What it is: ``STRAIGHT_FEED``, ``ARC_FEED``, ...
         numbers: As they are printed, apart from those of ``place``.
         place: Of X, Y and Z in machine coordinates at its end, [m]; NaN where it does not move.
+        centre: Of an arc, likewise; NaN along the arc's axis, and of other moves.
     """
 
     block: int
     call: str
     numbers: tuple[str, ...]
     place: np.ndarray
+    centre: np.ndarray
 
 
 def run(
@@ -78,7 +80,7 @@ def _calls(text: str) -> Iterator[Canonical]:
         block, call = match.group(1), match.group(2)
         numbers = tuple(re.findall(r"[-+]?\d+\.?\d*", match.group(3)))
         values = np.array([float(n) for n in numbers])
-        place = np.full(3, np.nan)
+        place, centre = np.full(3, np.nan), np.full(3, np.nan)
         if call == "USE_LENGTH_UNITS":
             unit = INCH if "INCHES" in match.group(3) else MILLIMETRE
         elif call == "SET_G5X_OFFSET":
@@ -96,5 +98,7 @@ def _calls(text: str) -> Iterator[Canonical]:
             order = ["XYZ".index(letter) for letter in plane]
             place[order] = unit * values[[0, 1, 5]]
             place += work + zero + tool
-            numbers = (*numbers[:5], *numbers[6:])
-        yield Canonical(int(block) if block.isdigit() else -1, call, numbers, place)
+            centre[order[:2]] = unit * values[[2, 3]]
+            centre += work + zero + tool
+            numbers = (numbers[4], *numbers[6:])
+        yield Canonical(int(block) if block.isdigit() else -1, call, numbers, place, centre)

@@ -30,7 +30,7 @@ def shifted(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> np.ndarray:
 FRAMES = KnownFrames(
     {"g54": shifted(0.1, 0.2, 0.3), "g55": shifted(), "g54.1 p3": shifted(0.5)},
     {"h1": shifted(0.0, 0.0, 0.08)},
-    harmless=frozenset({"o7000", "m777", "g65 p9810"}),
+    harmless=frozenset({"o7000", "m777"}),
 )
 
 HEAD = "G90 G21 G54\n"
@@ -67,6 +67,7 @@ def plain(text: str, start: bool = False, rotary: bool = False) -> list[list[flo
         ("G0 X1 Y2 Z3 (to G55 X9)", (101.0, 202.0, 303.0)),
         ("G1 X1 Y2 Z3 ; (to X9", (101.0, 202.0, 303.0)),
         ("M98 P7000\nG1 X1 Y2 Z3", (101.0, 202.0, 303.0)),
+        ("G65 P7000 X5.5 Q1\nG1 X1 Y2 Z3", (101.0, 202.0, 303.0)),
         ("M777\nG1 X1 Y2 Z3", (101.0, 202.0, 303.0)),
     ],
 )

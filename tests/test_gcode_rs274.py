@@ -200,3 +200,5 @@ def _compare_moves(
         for k in range(3):
             offset[k] = own[k] if k in own else (0.0 if abs(further[k]) < ROUNDING else offset[k])
         assert np.abs(further - offset).max() < ROUNDING, f"{old} has become {new}, {offset} was meant"
+        turned = np.isfinite(old.centre)  # of an arc that is reached by steps all is carried along
+        assert (np.abs(new.centre - old.centre - offset)[turned] < ROUNDING).all(), f"{old} has become {new}"

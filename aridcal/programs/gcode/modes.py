@@ -79,7 +79,7 @@ class Control:
             modes: To set.
             stated: Modes that the program has stated so far, to add to.
         """
-        fault = block.fault or self._codes(block, modes, stated) or self._misfit(block, modes)
+        fault = block.fault or (self._codes(block, modes, stated) if block.codes else "") or self._misfit(block, modes)
         if fault and not isinstance(modes[UNDERSTOOD], Unknown):
             modes[UNDERSTOOD] = Unknown(self.at(block, fault))
 
@@ -126,6 +126,8 @@ class Control:
         by_mode: dict[str, str] = {}
         for code in _without_end_of_cycles(block.codes):
             row = CODES.get(code)
+            if code == "G65" and f"o{block.word('P')}" in self.frames.harmless:
+                continue
             if code in CALLS and code != "M98":
                 return absent(f"{code} P{block.word('P')}")
             if row is None and code.lower() not in self.frames.harmless:

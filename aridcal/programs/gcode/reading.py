@@ -110,6 +110,7 @@ class _Reader:
         self._stated: set[str] = set()
         self._granted: dict[str, int] = {}
         self._whole = False
+        self._made_units: dict[tuple[tuple[int, ...], float], tuple[tuple[float, int], ...]] = {}
         self.record = Record(project, len(self._kinds))
 
     def start(self, placed: bool) -> State:
@@ -169,8 +170,7 @@ class _Reader:
     def _block(self, block: Block, now: _Now) -> None:
         """Carry out one block: first its codes, then its axis words."""
         before = dict(now.modes) if block.late else now.modes
-        if block.codes or block.others or block.fault or block.axes:
-            self._control.carry_out(block, now.modes, self._stated)
+        self._control.carry_out(block, now.modes, self._stated)
         if block.codes or block.fault or isinstance(now.modes[UNDERSTOOD], Unknown):
             now.trouble = self._control.lost(now.modes)
         rows = [CODES[code] for code in block.codes if code in CODES]
@@ -235,7 +235,7 @@ class _Reader:
         if zero is not None:
             length = now.modes["unit"]
             assert isinstance(length, float)
-            units = tuple([(length if self._kinds[k] == "prismatic" else DEGREE, k) for k in axes])
+            units = self._units(axes, length)
             readings = tuple(
                 [
                     self._reading(letter, number, unit, zero.shift)
@@ -246,6 +246,13 @@ class _Reader:
         self.record.add(Move(block, axes, readings, units, held, base, tool, why), self._line(block))
         if not why:
             self._remember(block, own)
+
+    def _units(self, axes: tuple[int, ...], length: float) -> tuple[tuple[float, int], ...]:
+        """What a unit of each word is, one tuple for all blocks of the same words: a program has few."""
+        if (axes, length) not in self._made_units:
+            own = [(length if self._kinds[k] == "prismatic" else DEGREE, k) for k in axes]
+            self._made_units[axes, length] = tuple(own)
+        return self._made_units[axes, length]
 
     def _reading(self, letter: str, number: Number | None, unit: float, shift: tuple[float, float, float]) -> float:
         """Where a word sends its axis, [m] or [rad]."""
