@@ -473,5 +473,6 @@ def test_windows_of_any_size_give_the_same_walk(monkeypatch: pytest.MonkeyPatch)
         monkeypatch.setattr(branches, "NARROW", size)
         monkeypatch.setattr(branches, "USUAL", size)
         found.append(Controller(robot).walk(chain, HOME, {})[0])
-    np.testing.assert_allclose(found[1], found[0], atol=1e-6)
-    np.testing.assert_allclose(found[2], found[0], atol=1e-6)
+    for other in found[1:]:  # with the elbow straight, readings are less sharp than the tip's place
+        np.testing.assert_allclose(other, found[0], atol=branches.SAME)
+        np.testing.assert_allclose(flanges(robot, other), flanges(robot, found[0]), atol=2 * branches.EXACT)

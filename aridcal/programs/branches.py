@@ -16,7 +16,7 @@ from itertools import combinations
 import numpy as np
 
 from aridcal.model.inverse import UNAVOIDABLE, InverseKinematics
-from aridcal.model.inverse_rows import AT_ONCE, Approached, ArmRows, InverseRows
+from aridcal.model.inverse_rows import AT_ONCE, STEPS, Approached, ArmRows, InverseRows
 from aridcal.model.model import Model
 from aridcal.model.one_row import OneRowModel
 from aridcal.robot.chain import Robot
@@ -64,6 +64,9 @@ TURN = 2.0 * np.pi
 
 TURNS = (-2, -1, 0, 1, 2)
 """Whole turns by which joints are turned to agree with words: controllers count no more."""
+
+QUICK = 8
+"""Steps of a search for a guess: what takes longer is worked out where it matters."""
 
 ANCHORS = 16
 """A pose of so many is solved first, one after the other, so that all others have a start close by."""
@@ -203,10 +206,10 @@ class Controller:
         return bool((free.sum(axis=1) > 6).any())
 
     def settle(
-        self, wanted: np.ndarray, seeds: np.ndarray, held: np.ndarray
+        self, wanted: np.ndarray, seeds: np.ndarray, held: np.ndarray, steps: int = STEPS
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Where a search from each seed ends, shape (n, columns); whether the tip is there, (n,); and the Jacobian there."""
-        found = self.inverse.approach(wanted, seeds, held, {})
+        found = self.inverse.approach(wanted, seeds, held, {}, steps)
         return found.readings, self._there(found), found.J
 
     def _there(self, found: Approached) -> np.ndarray:
@@ -224,7 +227,7 @@ class Controller:
         Args:
             poses: N of them.
             near: Readings that it comes from, shape (n, columns).
-            guess: Readings that may be close to the answer, likewise; they have no part in it.
+            guess: Readings that may be the answer, likewise; they have no other part in it.
             memory: What was found of these poses before.
 
         Returns:
@@ -234,10 +237,9 @@ class Controller:
         every = np.arange(len(poses))
         searched = np.array([poses.key(k) in memory for k in every.tolist()], dtype=bool) if memory else every < 0
         left, far = every[~searched], searched.copy()
-        for seeds, close in ((guess, 1.0), (near, CLOSE)):
+        for seeds, steps, close in ((guess, 0, 1.0), (near, STEPS, CLOSE)):
             some, at = poses[left], near[left]
-            if seeds is guess or len(left) < len(poses) or not np.array_equal(near, guess):
-                q, reached, J = self.settle(some.wanted, seeds[left], some.held)
+            q, reached, J = self.settle(some.wanted, seeds[left], some.held, steps)
             q = self._turned_towards(q, at, some.held)
             inside = ((q >= self.inverse.low - SAME) & (q <= self.inverse.high + SAME)).all(axis=1)
             ok = reached & inside & self._alone(q, at, J, some.held, close)
@@ -385,7 +387,7 @@ class Controller:
         found = np.array(seeds)
         own = np.flatnonzero(~chain.joints[start:end])
         held = chain.poses.held[start + own]
-        q, reached, _ = self.settle(chain.poses.wanted[start + own], found[own], held)
+        q, reached, _ = self.settle(chain.poses.wanted[start + own], found[own], held, QUICK)
         found[own[reached]] = self._turned_towards(q, found[own], held)[reached]
         return found
 
