@@ -43,7 +43,8 @@ def pose(
 ) -> str:
     """A position in a user frame."""
     x, y, z = xyz
-    text = f"X = {x:9.3f}  mm,\tY = {y:9.3f}  mm,\tZ = {z:9.3f}  mm,\n\tW =   180.000 deg,\tP =     0.000 deg,\tR =    10.000 deg{more}"
+    text = f"X = {x:9.3f}  mm,\tY = {y:9.3f}  mm,\tZ = {z:9.3f}  mm,\n"
+    text += f"\tW =   180.000 deg,\tP =     0.000 deg,\tR =    10.000 deg{more}"
     return f"P[{number}]{{\n   GP1:\n\t{frames}\t\tCONFIG : 'N U T, 0, 0, 0',\n\t{mark[:1]}{text}{mark[1:]}\n}};"
 
 
@@ -226,7 +227,8 @@ POINTS = (
         "1",
         "0",
         [UNMARKED, pose("2")],
-        "/APPL\n\nLINE_TRACK;\n  LINE_TRACK_SCHEDULE_NUMBER      : §;\n  LINE_TRACK_BOUNDARY_NUMBER      : 1;\n  CONTINUE_TRACK_AT_PROG_END      : TRUE;\n\n",
+        "/APPL\n\nLINE_TRACK;\n  LINE_TRACK_SCHEDULE_NUMBER      : §;\n  LINE_TRACK_BOUNDARY_NUMBER      : 1;\n"
+        "  CONTINUE_TRACK_AT_PROG_END      : TRUE;\n\n",
     )[:1],
     *body(
         "a program called twice with an offset in force, which a register names",
@@ -277,7 +279,8 @@ POINTS = (
         "positions are declared twice",
         [MOVE],
         pose("2", (901, 100, 700), mark=""),
-        "P[9]{\n   GP1:\n\tUF : 1, UT : 1,\t\n\tJ1= 0.000 deg,\tJ2= 0.000 deg,\tJ3= 0.000 deg,\n\tJ4= 0.000 deg,\tJ5= 0.000 deg,\tJ6= 0.000 deg\n};",
+        "P[9]{\n   GP1:\n\tUF : 1, UT : 1,\t\n\tJ1= 0.000 deg,\tJ2= 0.000 deg,\tJ3= 0.000 deg,\n"
+        "\tJ4= 0.000 deg,\tJ5= 0.000 deg,\tJ6= 0.000 deg\n};",
         [UNMARKED, pose("2"), "§"],
     ),
     *body("a seam is met in another pass", ["  §", MOVE], "MP Offset PR[4] RPM[5]", "Weave Sine[1]"),
@@ -483,7 +486,8 @@ PLAIN = (
             *START,
             "  FOR R[1]=1 TO 3",
             *(
-                f"  IF (DI[{k}]=ON) THEN ;\n  {k}0:L P[{k}] 200mm/sec FINE    ;\n  {k}1:  ELSE ;\n  {k}2:  WAIT DI[{k}]=ON TIMEOUT,LBL[9] ;\n  {k}3:  ENDIF"
+                f"  IF (DI[{k}]=ON) THEN ;\n  {k}0:L P[{k}] 200mm/sec FINE    ;\n  {k}1:  ELSE ;\n"
+                f"  {k}2:  WAIT DI[{k}]=ON TIMEOUT,LBL[9] ;\n  {k}3:  ENDIF"
                 for k in range(2, 10)
             ),
             "  ENDFOR",
@@ -508,7 +512,7 @@ ORDER = (
         "IF (DI[1]=ON AND !DI[2] OR R[1]>3),CALL MEASURE",
         "IF (DI[1]=ON AND !DI[2] OR R[1]>3),R[1]=(3)",
     ),
-    *body("a label whose name looks like a move", [f"  LBL[3:L P[2]]", "  §", MOVE], "UFRAME[1]=PR[1]", "DO[1]=ON"),
+    *body("a label whose name looks like a move", ["  LBL[3:L P[2]]", "  §", MOVE], "UFRAME[1]=PR[1]", "DO[1]=ON"),
     *body(
         "a text that looks like a remark, and a call behind it",
         ["  SR[1]='!'", "  §", MOVE],

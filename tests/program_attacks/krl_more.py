@@ -91,7 +91,8 @@ STATE = (
     ),
     *lone(
         "a label that is reached past the line that sets the base",
-        "$BASE={X 200,Y 0,Z 50,A 0,B 0,C 0}\nIF $IN[1] THEN\nGOTO ON_TABLE\nENDIF\n$BASE={X 300,Y 0,Z 50,A 0,B 0,C 0}\nON_TABLE:",
+        "$BASE={X 200,Y 0,Z 50,A 0,B 0,C 0}\nIF $IN[1] THEN\nGOTO ON_TABLE\nENDIF\n"
+        "$BASE={X 300,Y 0,Z 50,A 0,B 0,C 0}\nON_TABLE:",
         "IF $IN[1] THEN\nGOTO ON_TABLE\nENDIF\n$OUT[3]=TRUE\nON_TABLE:",
     ),
     *lone(
@@ -407,7 +408,8 @@ FILES = (
     *twins(
         "an interrupt changes the base while the program waits",
         {
-            "p.src": f"DEF p()\nINTERRUPT DECL 4 WHEN $IN[7]==TRUE DO SEEN()\n{SET}INTERRUPT ON 4\nWAIT SEC 1\nLIN ⟦{POSE}⟧\nEND\n"
+            "p.src": f"DEF p()\nINTERRUPT DECL 4 WHEN $IN[7]==TRUE DO SEEN()\n{SET}INTERRUPT ON 4\nWAIT SEC 1\n"
+            f"LIN ⟦{POSE}⟧\nEND\n"
             "DEF SEEN()\n§\nEND\n"
         },
         "$BASE=$POS_INT",
@@ -449,7 +451,8 @@ REACHES_NOTHING = (
     Attack(
         "control: what stands behind a return, and in a text or a comment",
         {
-            "p.src": f'DEF p()\nDECL CHAR M[80]\n{SET}OFF()\nM[]="$BASE=$POS_ACT; "\n; $BASE=$POS_ACT\n;FOLD $BASE=$POS_ACT;%{{PE}}\n'
+            "p.src": f'DEF p()\nDECL CHAR M[80]\n{SET}OFF()\nM[]="$BASE=$POS_ACT; "\n; $BASE=$POS_ACT\n'
+            f";FOLD $BASE=$POS_ACT;%{{PE}}\n"
             f";ENDFOLD\nLIN ⟨{POSE}⟩\nEND\nDEF OFF()\nRETURN\n$BASE=$POS_ACT\nEND\n"
         },
         FRAMES,
@@ -465,8 +468,10 @@ REACHES_NOTHING = (
     Attack(
         "control: cases of letters, blanks and tabs",
         {
-            "p.src": "&ACCESS RVP\r\n&REL 3\r\ndef P( )\r\n\t$Base = { x 100 , y 0 , z 50 , a 0 , b 0 , c 0 }\r\n\t$tool=$nullframe\r\n"
-            "\tptp ⟨{ a1 0 , a2 -90 , a3 90 , a4 0 , a5 10 , a6 0 }⟩\r\n\tLin ⟨{z 800, x 900.0, y -1E+2, c 0, b +90, a 0}⟩ c_dis\r\nend\r\n"
+            "p.src": "&ACCESS RVP\r\n&REL 3\r\ndef P( )\r\n\t$Base = { x 100 , y 0 , z 50 , a 0 , b 0 , c 0 }\r\n"
+            "\t$tool=$nullframe\r\n"
+            "\tptp ⟨{ a1 0 , a2 -90 , a3 90 , a4 0 , a5 10 , a6 0 }⟩\r\n"
+            "\tLin ⟨{z 800, x 900.0, y -1E+2, c 0, b +90, a 0}⟩ c_dis\r\nend\r\n"
         },
         FRAMES,
     ),
@@ -671,7 +676,8 @@ ORDER = (
         "an interrupt leaves the routine in the middle of its bases",
         {
             "p.src": f"DEF p()\nINTERRUPT DECL 4 WHEN $IN[7] DO STOPIT()\n{SET}SEARCH()\nLIN ⟦{POSE}⟧\nEND\n"
-            "DEF SEARCH()\nINTERRUPT ON 4\n$BASE=BASE_DATA[2]\nWAIT SEC 1\n$BASE={X 100,Y 0,Z 50,A 0,B 0,C 0}\nINTERRUPT OFF 4\nEND\n"
+            "DEF SEARCH()\nINTERRUPT ON 4\n$BASE=BASE_DATA[2]\nWAIT SEC 1\n$BASE={X 100,Y 0,Z 50,A 0,B 0,C 0}\n"
+            "INTERRUPT OFF 4\nEND\n"
             "DEF STOPIT()\n§\nEND\n"
         },
         "BRAKE\nRESUME",
@@ -715,7 +721,8 @@ ORDER = (
     *twins(
         "data of the base are overwritten behind the move, and are kept for the next run",
         {
-            "p.src": f"DEF p()\n$TOOL=$NULLFRAME\n$BASE=BASE_DATA[1]\nPTP ⟨{{A1 0,A2 -90,A3 90,A4 0,A5 10,A6 0}}⟩\nLIN ⟦{POSE}⟧\n§\nEND\n"
+            "p.src": f"DEF p()\n$TOOL=$NULLFRAME\n$BASE=BASE_DATA[1]\nPTP ⟨{{A1 0,A2 -90,A3 90,A4 0,A5 10,A6 0}}⟩\n"
+            f"LIN ⟦{POSE}⟧\n§\nEND\n"
         },
         "BASE_DATA[1]=$POS_ACT",
         "$OUT[1]=TRUE",
@@ -724,7 +731,8 @@ ORDER = (
     *twins(
         "a base of a list of data that another program measures",
         {
-            "p.src": f"DEF p()\n$TOOL=$NULLFRAME\n$BASE=TABLE\nPTP ⟨{{A1 0,A2 -90,A3 90,A4 0,A5 10,A6 0}}⟩\nLIN ⟦{POSE}⟧\nEND\n",
+            "p.src": f"DEF p()\n$TOOL=$NULLFRAME\n$BASE=TABLE\nPTP ⟨{{A1 0,A2 -90,A3 90,A4 0,A5 10,A6 0}}⟩\n"
+            f"LIN ⟦{POSE}⟧\nEND\n",
             "p.dat": "DEFDAT p PUBLIC\nDECL GLOBAL FRAME TABLE={X 500,Y 0,Z 100,A 0,B 0,C 0}\nENDDAT\n",
             "q.src": "DEF q()\n§\nEND\n",
         },
@@ -767,14 +775,16 @@ ORDER = (
     Attack(
         "control: letters whose second byte some take for the end of a line",
         {
-            "p.src": f"DEF p()\n{SET}; Å $BASE=$POS_ACT\n;à\xa0$BASE=$POS_ACT\n;FOLD Å $BASE=$POS_ACT\n;ENDFOLD\nLIN ⟨{POSE}⟩\nEND\n"
+            "p.src": f"DEF p()\n{SET}; Å $BASE=$POS_ACT\n;à\xa0$BASE=$POS_ACT\n;FOLD Å $BASE=$POS_ACT\n;ENDFOLD\n"
+            f"LIN ⟨{POSE}⟩\nEND\n"
         },
         FRAMES,
     ),
     Attack(
         "control: aggregates that name their type, and positions of four kinds",
         {
-            "p.src": f"DEF p()\n{SET}LIN ⟨{{POS: X 900,Y 100,Z 800,A 0,B 90,C 0,S 2,T 10}}⟩\nLIN ⟨{{E6POS: X 900,Y 110,Z 800,A 0,B 90,C 0,E1 0.0}}⟩\n"
+            "p.src": f"DEF p()\n{SET}LIN ⟨{{POS: X 900,Y 100,Z 800,A 0,B 90,C 0,S 2,T 10}}⟩\n"
+            f"LIN ⟨{{E6POS: X 900,Y 110,Z 800,A 0,B 90,C 0,E1 0.0}}⟩\n"
             "LIN ⟨{FRAME: X 900,Y 120,Z 800,A 0,B 90,C 0}⟩\nPTP ⟨{E6AXIS: A1 0,A2 -90,A3 90,A4 0,A5 30,A6 0,E1 0.0}⟩\nEND\n"
         },
         FRAMES,

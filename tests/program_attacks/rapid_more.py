@@ -25,7 +25,8 @@ MOVE = "MoveL p10,v200,fine,tG\\WObj:=wA;"
 def module(main: str, declared: str = "", routines: str = "", kind: str = "CONST", target: str = TARGET) -> str:
     """A module with a joint target, a robtarget ``p10``, and lines of ``main`` behind the first move."""
     return (
-        f"MODULE M\n{DATA}  {kind} robtarget p10:=⟦{target}⟧;\n{declared}  PROC main()\n    MoveAbsJ jH\\NoEOffs,v500,fine,tG;\n"
+        f"MODULE M\n{DATA}  {kind} robtarget p10:=⟦{target}⟧;\n{declared}  PROC main()\n"
+        "    MoveAbsJ jH\\NoEOffs,v500,fine,tG;\n"
         f"    {main}\n  ENDPROC\n{routines}ENDMODULE\n"
     )
 
@@ -261,7 +262,8 @@ POINTS = (
         "§\n    MoveAbsJ jH\\NoEOffs,v500,fine,tG;",
         "go;",
         MOVE,
-        routines="  PROC go()\n    VAR robtarget p10;\n    p10:=CRobT(\\Tool:=tG\\WObj:=wA);\n    MoveL p10,v200,fine,tG\\WObj:=wA;\n  ENDPROC\n",
+        routines="  PROC go()\n    VAR robtarget p10;\n    p10:=CRobT(\\Tool:=tG\\WObj:=wA);\n"
+        "    MoveL p10,v200,fine,tG\\WObj:=wA;\n  ENDPROC\n",
     )[:1],
     *body(
         "a parameter hides it",
@@ -276,7 +278,8 @@ POINTS = (
         "MoveL p10,v200,fine,t§\\WObj:=w§;",
         ("Fixed", "Held"),
         ("G", "A"),
-        f'  PERS tooldata tFixed:=[FALSE,[[800,0,500],[1,0,0,0]],{LOAD}];\n  PERS wobjdata wHeld:=[TRUE,TRUE,"",[[0,0,0],[1,0,0,0]],[[0,0,100],[1,0,0,0]]];\n',
+        f"  PERS tooldata tFixed:=[FALSE,[[800,0,500],[1,0,0,0]],{LOAD}];\n"
+        '  PERS wobjdata wHeld:=[TRUE,TRUE,"",[[0,0,0],[1,0,0,0]],[[0,0,100],[1,0,0,0]]];\n',
     ),
     *body(
         "an object on a unit that turns",
@@ -292,7 +295,8 @@ JOINTS = (
         "a joint target whose pose is worked out and moved on",
         {
             "M.mod": f"MODULE M\n{DATA}  CONST jointtarget jZ:=⟦[[5,-20,30,0,40,0],{AXES}]⟧;\n  VAR robtarget pZ;\n"
-            "  PROC main()\n    MoveAbsJ jH\\NoEOffs,v500,fine,tG;\n    MoveAbsJ jZ\\NoEOffs,v500,fine,tG;\n    §\n  ENDPROC\nENDMODULE\n"
+            "  PROC main()\n    MoveAbsJ jH\\NoEOffs,v500,fine,tG;\n    MoveAbsJ jZ\\NoEOffs,v500,fine,tG;\n    §\n"
+            "  ENDPROC\nENDMODULE\n"
         },
         "pZ:=CalcRobT(jZ,tG);\n    MoveL Offs(pZ,0,0,ai1),v200,fine,tG;",
         "Set do1;",
@@ -301,7 +305,8 @@ JOINTS = (
         "an axis of a joint target is written",
         {
             "M.mod": f"MODULE M\n{DATA}  VAR jointtarget jZ:=⟦[[5,-20,30,0,40,0],{AXES}]⟧;\n"
-            "  PROC main()\n    MoveAbsJ jH\\NoEOffs,v500,fine,tG;\n    §\n    MoveAbsJ jZ\\NoEOffs,v500,fine,tG;\n  ENDPROC\nENDMODULE\n"
+            "  PROC main()\n    MoveAbsJ jH\\NoEOffs,v500,fine,tG;\n    §\n    MoveAbsJ jZ\\NoEOffs,v500,fine,tG;\n"
+            "  ENDPROC\nENDMODULE\n"
         },
         "jZ.robax.rax_6:=jZ.robax.rax_6+ai1;",
         "Set do1;",
@@ -361,7 +366,8 @@ FLOW = (
         "another module's local point has the same name",
         {
             "M.mod": module(MOVE),
-            "N.mod": f"MODULE N\n  LOCAL CONST robtarget p10:=⟦{TARGET}⟧;\n  PROC rOther()\n    MoveAbsJ jH\\NoEOffs,v500,fine,tG;\n"
+            "N.mod": f"MODULE N\n  LOCAL CONST robtarget p10:=⟦{TARGET}⟧;\n  PROC rOther()\n"
+            "    MoveAbsJ jH\\NoEOffs,v500,fine,tG;\n"
             "    MoveL p10,v200,fine,tG\\WObj:=§;\n  ENDPROC\nENDMODULE\n",
         },
         "wNobody",
@@ -371,7 +377,8 @@ FLOW = (
         "another module's local point has the same name, and an object that nobody has",
         {
             "M.mod": module(MOVE).replace("⟦", "⟨").replace("⟧", "⟩"),
-            "N.mod": f"MODULE N\n  LOCAL CONST robtarget p10:=⟦{TARGET}⟧;\n  PROC rOther()\n    MoveL p10,v200,fine,tG\\WObj:=wNobody;\n"
+            "N.mod": f"MODULE N\n  LOCAL CONST robtarget p10:=⟦{TARGET}⟧;\n  PROC rOther()\n"
+            "    MoveL p10,v200,fine,tG\\WObj:=wNobody;\n"
             "  ENDPROC\nENDMODULE\n",
         },
     ),
@@ -399,7 +406,8 @@ FLOW = (
         "an array's element is overwritten by an index that is not known",
         {
             "M.mod": f"MODULE M\n{DATA}  VAR robtarget pA{{2}}:=[⟦{TARGET}⟧,⟦{TARGET}⟧];\n{VARIABLE}  PROC main()\n"
-            "    MoveAbsJ jH\\NoEOffs,v500,fine,tG;\n    §\n    MoveL pA{1},v200,fine,tG\\WObj:=wA;\n    MoveL pA{2},v200,fine,tG\\WObj:=wA;\n"
+            "    MoveAbsJ jH\\NoEOffs,v500,fine,tG;\n    §\n    MoveL pA{1},v200,fine,tG\\WObj:=wA;\n"
+            "    MoveL pA{2},v200,fine,tG\\WObj:=wA;\n"
             "  ENDPROC\nENDMODULE\n"
         },
         "pA{n1}:=CRobT(\\Tool:=tG\\WObj:=wA);",
@@ -657,7 +665,8 @@ ORDER = (
         "a routine is handed the object, and changes it",
         "learn wA;",
         "lamp do1;",
-        routines="  PROC learn(PERS wobjdata w)\n    w.oframe.trans.x:=ai1;\n  ENDPROC\n  PROC lamp(VAR signaldo d)\n    SetDO d,1;\n  ENDPROC\n",
+        routines="  PROC learn(PERS wobjdata w)\n    w.oframe.trans.x:=ai1;\n  ENDPROC\n"
+        "  PROC lamp(VAR signaldo d)\n    SetDO d,1;\n  ENDPROC\n",
     )[:1],
     *lone(
         "a routine is handed the tool, and changes it",
@@ -692,7 +701,7 @@ ORDER = (
         MOVE.replace("p10", "p30") + "§",
         "",
         "",
-        f"  CONST robtarget p30:=⟦[[900,100,700],[0,0,1,0],[0,0,0,0],[1500,9E9,9E9,9E9,9E9,9E9]]⟧;\n",
+        "  CONST robtarget p30:=⟦[[900,100,700],[0,0,1,0],[0,0,0,0],[1500,9E9,9E9,9E9,9E9,9E9]]⟧;\n",
     )[:1],
     *twins(
         "a part of a target in a move is worked out",
@@ -711,7 +720,7 @@ ORDER = (
     ),
     *twins(
         "one public name in two modules",
-        {"M.mod": module(MOVE), "N.mod": f"MODULE N\n§ENDMODULE\n"},
+        {"M.mod": module(MOVE), "N.mod": "MODULE N\n§ENDMODULE\n"},
         "  CONST robtarget p10:=[[900,-100,700],[0,0,1,0],[0,0,0,0],[9E9,9E9,9E9,9E9,9E9,9E9]];\n",
         "  CONST robtarget p11:=[[900,-100,700],[0,0,1,0],[0,0,0,0],[9E9,9E9,9E9,9E9,9E9,9E9]];\n",
     ),
@@ -779,7 +788,7 @@ ORDER = (
         "control: letters whose second byte some take for the end of a line",
         {
             "M.mod": module(
-                f"! Å PDispSet peSeen;\n    ! à\xa0 PDispSet peSeen;\n    MoveL p10, ! Å first\n      v200,fine,tG\\WObj:=wA;",
+                "! Å PDispSet peSeen;\n    ! à\xa0 PDispSet peSeen;\n    MoveL p10, ! Å first\n      v200,fine,tG\\WObj:=wA;",
                 "  VAR pose peSeen;\n",
             )
             .replace("⟦", "⟨")
