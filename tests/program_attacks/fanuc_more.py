@@ -43,7 +43,8 @@ def pose(
 ) -> str:
     """A position in a user frame."""
     x, y, z = xyz
-    text = f"X = {x:9.3f}  mm,\tY = {y:9.3f}  mm,\tZ = {z:9.3f}  mm,\n\tW =   180.000 deg,\tP =     0.000 deg,\tR =    10.000 deg{more}"
+    text = f"X = {x:9.3f}  mm,\tY = {y:9.3f}  mm,\tZ = {z:9.3f}  mm,\n"
+    text += f"\tW =   180.000 deg,\tP =     0.000 deg,\tR =    10.000 deg{more}"
     return f"P[{number}]{{\n   GP1:\n\t{frames}\t\tCONFIG : 'N U T, 0, 0, 0',\n\t{mark[:1]}{text}{mark[1:]}\n}};"
 
 
@@ -226,7 +227,8 @@ POINTS = (
         "1",
         "0",
         [UNMARKED, pose("2")],
-        "/APPL\n\nLINE_TRACK;\n  LINE_TRACK_SCHEDULE_NUMBER      : §;\n  LINE_TRACK_BOUNDARY_NUMBER      : 1;\n  CONTINUE_TRACK_AT_PROG_END      : TRUE;\n\n",
+        "/APPL\n\nLINE_TRACK;\n  LINE_TRACK_SCHEDULE_NUMBER      : §;\n  LINE_TRACK_BOUNDARY_NUMBER      : 1;\n"
+        "  CONTINUE_TRACK_AT_PROG_END      : TRUE;\n\n",
     )[:1],
     *body(
         "a program called twice with an offset in force, which a register names",
@@ -277,7 +279,8 @@ POINTS = (
         "positions are declared twice",
         [MOVE],
         pose("2", (901, 100, 700), mark=""),
-        "P[9]{\n   GP1:\n\tUF : 1, UT : 1,\t\n\tJ1= 0.000 deg,\tJ2= 0.000 deg,\tJ3= 0.000 deg,\n\tJ4= 0.000 deg,\tJ5= 0.000 deg,\tJ6= 0.000 deg\n};",
+        "P[9]{\n   GP1:\n\tUF : 1, UT : 1,\t\n\tJ1= 0.000 deg,\tJ2= 0.000 deg,\tJ3= 0.000 deg,\n"
+        "\tJ4= 0.000 deg,\tJ5= 0.000 deg,\tJ6= 0.000 deg\n};",
         [UNMARKED, pose("2"), "§"],
     ),
     *body("a seam is met in another pass", ["  §", MOVE], "MP Offset PR[4] RPM[5]", "Weave Sine[1]"),
@@ -483,7 +486,8 @@ PLAIN = (
             *START,
             "  FOR R[1]=1 TO 3",
             *(
-                f"  IF (DI[{k}]=ON) THEN ;\n  {k}0:L P[{k}] 200mm/sec FINE    ;\n  {k}1:  ELSE ;\n  {k}2:  WAIT DI[{k}]=ON TIMEOUT,LBL[9] ;\n  {k}3:  ENDIF"
+                f"  IF (DI[{k}]=ON) THEN ;\n  {k}0:L P[{k}] 200mm/sec FINE    ;\n  {k}1:  ELSE ;\n"
+                f"  {k}2:  WAIT DI[{k}]=ON TIMEOUT,LBL[9] ;\n  {k}3:  ENDIF"
                 for k in range(2, 10)
             ),
             "  ENDFOR",
@@ -494,4 +498,138 @@ PLAIN = (
     ),
 )
 
-ATTACKS: tuple[Attack, ...] = (*STATE, *POINTS, *REACHES_NOTHING, *PLAIN)
+ORDER = (
+    *body("an offset on the line's second row", [f"{MOVE}\n    :  §"], "Offset,PR[5]", "ACC80"),
+    *body(
+        "a sign for not in a condition, and a call behind it",
+        ["  §", MOVE],
+        "IF (!DI[1]),CALL MEASURE",
+        "WAIT (!DI[1])",
+    ),
+    *body(
+        "a call in a condition of many parts",
+        ["  §", MOVE],
+        "IF (DI[1]=ON AND !DI[2] OR R[1]>3),CALL MEASURE",
+        "IF (DI[1]=ON AND !DI[2] OR R[1]>3),R[1]=(3)",
+    ),
+    *body("a label whose name looks like a move", ["  LBL[3:L P[2]]", "  §", MOVE], "UFRAME[1]=PR[1]", "DO[1]=ON"),
+    *body(
+        "a text that looks like a remark, and a call behind it",
+        ["  SR[1]='!'", "  §", MOVE],
+        "CALL SR[1]",
+        "R[1]=STRLEN SR[1]",
+    ),
+    *body(
+        "an argument that looks like the end of a line",
+        ["  CALL LOG('; !')", MOVE],
+        "CALL MEASURE",
+        "DO[1]=ON",
+        LOG=listing("LOG", ["  §"], []),
+    ),
+    *body(
+        "a file whose program has another name",
+        ["  CALL SUB", MOVE],
+        "OTHER",
+        "SUB",
+        SUB=listing("§", ["  DO[1]=ON"], []),
+    )[:1],
+    *body("an axis beside the arm's six", [MOVE], ",\n\tE1 =  1500.000  mm", "", [JOINT, pose("2", more="§")]),
+    *body(
+        "a line of two moves, one with an offset",
+        ["L P[2] 200mm/sec FINE    ;\n   9:L P[3] 200mm/sec FINE §"],
+        "Offset,PR[5]",
+        "",
+        [JOINT, pose("2", mark="⟨⟩"), OTHER],
+    ),
+    *body(
+        "a choice of programs by a register",
+        ["  SELECT R[1]=1,CALL LAMP ;\n    :  =2,CALL MEASURE ;\n    :  ELSE,CALL LAMP", MOVE],
+        "",
+        "",
+        LAMP=listing("LAMP", ["  DO[1]=ON"], []),
+    )[:1],
+    *body(
+        "a loop counts down and writes the tool",
+        ["  FOR R[1]=R[2] DOWNTO 1", "  §", "  ENDFOR", MOVE],
+        "UTOOL[1]=PR[R[1]]",
+        "DO[1]=ON",
+    ),
+    *body(
+        "a jump back over what writes the frame",
+        ["  JMP LBL[2]", "  LBL[1]", "  §", "  LBL[2]", "  IF DI[1]=ON,JMP LBL[1]", MOVE],
+        "UFRAME[1]=PR[3]",
+        "DO[1]=ON",
+    ),
+    *body(
+        "a wait runs out into what writes the frame",
+        ["  WAIT DI[1]=ON TIMEOUT,LBL[1]", "  JMP LBL[2]", "  LBL[1]", "  §", "  LBL[2]", MOVE],
+        "UFRAME[1]=PR[3]",
+        "DO[1]=ON",
+    ),
+    *body(
+        "a skip leads to what writes the frame",
+        ["  SKIP CONDITION DI[1]=ON", "L P[3] 50mm/sec FINE Skip,LBL[1]   ", "  §", "  LBL[1]", MOVE],
+        "UTOOL[1]=PR[3]",
+        "DO[1]=ON",
+        [JOINT, pose("2"), pose("3", (900, 200, 700), mark="")],
+    ),
+    *body(
+        "a frame is written in a program that runs beside",
+        ["  RUN SUB", MOVE],
+        "UFRAME[1]=PR[3]",
+        "DO[1]=ON",
+        [JOINT, pose("2")],
+        SUB=listing("SUB", ["  §"], []),
+    ),
+    *body(
+        "a program that runs before the move's end",
+        [f"{MOVE}TB    .20sec,CALL SUB", "L P[3] 200mm/sec FINE"],
+        "UFRAME[1]=PR[3]",
+        "DO[1]=ON",
+        [JOINT, pose("2"), OTHER],
+        SUB=listing("SUB", ["  §"], []),
+    ),
+    *body("a group's mask without the first", [MOVE], "*,1,*,*,*", "1,*,*,*,*", [UNMARKED, pose("2")])[:0],
+    *body("a position's frame by a name", [MOVE], "TABLE", "1", [JOINT, pose("2", frames="UF : §, UT : 1,")]),
+    *body("a coordinate that is none", [MOVE], "9.1.2", "91.2", [JOINT, pose("2").replace("   10.000", "§")]),
+    *body(
+        "a coordinate is missing",
+        [MOVE],
+        "",
+        ",\tR =    10.000 deg",
+        [JOINT, pose("2").replace(",\tR =    10.000 deg", "§")],
+    ),
+    *body("a coordinate in inches", [MOVE], "in", "mm", [JOINT, pose("2").replace("mm,\tY", "§,\tY")]),
+    *body("an angle in radians", [MOVE], "rad", "deg", [JOINT, pose("2").replace("10.000 deg", "10.000 §")]),
+    Attack(
+        "control: letters whose second byte some take for the end of a line",
+        {
+            "P.LS": listing(
+                "P",
+                [*START, "  !Å UFRAME[1]=PR[1]", "  !à\xa0UFRAME[1]=PR[1]", MOVE],
+                [JOINT, pose('2:"Å"', mark="⟨⟩")],
+            )
+        },
+        FRAMES,
+    ),
+    Attack(
+        "control: speeds and zones by registers, and what a header says of singularities",
+        {
+            "P.LS": listing(
+                "P",
+                [
+                    *START,
+                    "L P[2] R[1]mm/sec CNT R[2] ACC R[3]   ",
+                    "L P[3] 2.0sec CNT100   ",
+                    "J P[4] R[7]% FINE   ",
+                    "L P[5] max_speed CNT100 RT_LDR[1]   ",
+                ][:6],
+                [JOINT, *[pose(str(k), (900, 100 * k, 700), mark="⟨⟩") for k in (2, 3, 4)]],
+                "/APPL\n\nAUTO_SINGULARITY_HEADER;\n  ENABLE_SINGULARITY_AVOIDANCE   : TRUE;\n\n",
+            )
+        },
+        FRAMES,
+    ),
+)
+
+ATTACKS: tuple[Attack, ...] = (*STATE, *POINTS, *REACHES_NOTHING, *PLAIN, *ORDER)

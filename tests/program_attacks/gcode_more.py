@@ -101,7 +101,9 @@ BLOCKS = (
     *body("incremental behind the words", "G1 ⟦X1.0 Y2.0 Z3.0⟧ §", "G91", "G90"),
     *body("a local zero's axes are no move", "§ ⟦X1.0 Y2.0 Z3.0⟧", "G52", "G1"),
     *body("an arc's end", "G1 X11.0 Y20.0 Z5.0\nG17 § ⟦X40.0 Y30.0 Z5.0⟧§", ("G2", " I10.0 J0"), ("G1", "")),
-    *body("an arc's end by its radius", "G1 X11.0 Y20.0 Z5.0\nG17\n§ ⟦X40.0 Y30.0 Z5.0⟧§", ("G3", " R25.0"), ("G1", "")),
+    *body(
+        "an arc's end by its radius", "G1 X11.0 Y20.0 Z5.0\nG17\n§ ⟦X40.0 Y30.0 Z5.0⟧§", ("G3", " R25.0"), ("G1", "")
+    ),
     *body("a drilling cycle", "§ ⟦X40.0 Y30.0 Z-5.0⟧§", ("G81", " R2.0 F100"), ("G1", " F100")),
     *body(
         "a place of a drilling cycle", "G81 X10.0 Y10.0 Z-5.0 R2.0 F100\n§⟦X40.0 Y30.0⟧ Z2.0", "", "G80 G0 Z2.0\nG1 "
@@ -314,4 +316,66 @@ PLAIN = (
     ),
 )
 
-ATTACKS: tuple[Attack, ...] = (*STATE, *BLOCKS, *FLOW, *REACHES_NOTHING, *PLAIN)
+SHOPS = (
+    *lone("a comment that opens in another, over lines", ";(\nG52 X5.0\n;)", ";(\nM8\n;)"),
+    *lone("a semicolon in a comment, and a zero behind it", "(;) G52 X5.0", "(;) M8"),
+    *lone("incremental words of a return that stay", "G91 G28 Z0", "G90"),
+    *lone("modes that are kept and brought back", "G91\nM70\nG90\nM72", "G91\nG90"),
+    *lone("a plane that is tilted, turned to", "G53.1", "G17"),
+    *lone("inches by Siemens or a lathe's cycle", "G70", "G21"),
+    *lone("a length of a tool by Siemens", 'T="MILL6"\nD1', "M3 S500"),
+    Attack(
+        "a subprogram of the same file by Haas",
+        {"p.nc": f"G21 G90 G17 G54\nG1 X1.0 Y2.0 Z3.0\nM97 P100\n{MOVE}\nM30\nN100 G52 X5.0\nM99\n"},
+        FRAMES,
+    ),
+    *lone("a cycle at each place by Siemens", "MCALL CYCLE81(5,0,1,-5)", "M0"),
+    *lone("a frame's product by Siemens", "$P_PFRAME=CTRANS(X,10)", "M0"),
+    *lone("Heidenhain's shift", "CYCL DEF 7.0 DATUM SHIFT\nCYCL DEF 7.1 X+5", "M0"),
+    *lone("a printer's bed is measured", "G29", "M0"),
+    *lone("a printer's home is shifted", "M206 X5.0", "M0"),
+    *lone("a printer's probe is shifted", "M851 Z-0.5", "M0"),
+    *lone("a code of the machine builder's", "M150", "M0"),
+    *lone("a block number with the zero close behind", "N10G52X5.0", "N10M8"),
+    *lone("a zero in letters of two sizes", "g52X5.0", "m8"),
+    *lone("an axis is written to by a parameter of the controller", "#5421=3.0", "M0"),
+    *lone("a stop from which the operator goes on with anything", "M0\nG[#1]", "M0"),
+    *lone("a scale, turned off in part", "G51 X0 Y0 I2.0 J2.0", "G50")[:1],
+    *body("a sum over the block's letters", "§G1 ⟦X30.0 Y40.0 Z6.0⟧ F500§", ("N3 ", "*97"), ("N3 ", "")),
+    *body("a comma in place of a point", "G1 ⟦X30§0 Y40.0 Z6.0⟧", ",", "."),
+    *body("a switch within a block", "G1 ⟦X30.0 Y40.0 Z6.0⟧ §", "/X35.0", "F300"),
+    *body("an angle from the pole", "G1 ⟦X30.0 Y40.0 Z6.0⟧ §", "^30", "F300"),
+    *body("a call behind a block's words", "G1 X1.0 Y1.0 Z1.0 §\n" + MOVE, "M98 P100", "F300"),
+    *body("the length of a tool in the move's own block", "G1 §⟦X30.0 Y40.0 Z6.0⟧", "G43 H1 ", ""),
+    *body("a radius of a tool in the move's own block", "G1 §⟦X30.0 Y40.0 Z6.0⟧", "G41 D1 ", ""),
+    *body("steps in the move's own block", "G1 §⟦X30.0 Y40.0 Z6.0⟧", "G91 ", ""),
+    *body("machine coordinates of one letter, by Okuma's word", "G15 §\n" + MOVE, "H0", "")[:1],
+    *body("an axis by its letter and number, by Siemens", "G1 ⟦X§30.0 Y40.0 Z6.0⟧", "1=", ""),
+    *body("an absolute word among steps, by Siemens", "G91\nG1 ⟦X§ Y40.0 Z6.0⟧\nG90", "=AC(30.0)", "30.0")[:1],
+    *body("a chamfer in the block", "G1 ⟦X30.0 Y40.0 Z6.0⟧ §\nG1 X60.0 Y80.0 Z6.0", "CHF=2", "F300"),
+    *body("a thread by a tap", "§ ⟦X40.0 Y30.0 Z-5.0⟧§", ("G33.1", " K1.0"), ("G1", "")),
+    *body(
+        "cycles that go on behind their block",
+        "G81 X10.0 Y10.0 Z-5.0 R2.0 F100\n§",
+        "⟦X40.0 Y30.0 Z-5.0⟧",
+        "G80\nG1 ⟨X40.0 Y30.0 Z5.0⟩",
+    ),
+    *body("a bore that shifts the tool", "§ ⟦X40.0 Y30.0 Z-5.0⟧§", ("G76", " R2.0 Q0.5 F100"), ("G1", " F100")),
+    Attack(
+        "control: letters whose second byte some take for the end of a line",
+        {"p.nc": f"{HEAD}; Å G52 X5.0\n(à\xa0G52 X5.0)\n{MOVE}\nM30\n".replace("⟦", "⟨").replace("⟧", "⟩")},
+        FRAMES,
+    ),
+    Attack(
+        "control: outputs and waits of LinuxCNC",
+        {"p.ngc": f"{HEAD}M62 P0\nM64 P1\nM66 P0 L0\nM68 E0 Q1.5\n{MOVE}\nM2\n".replace("⟦", "⟨").replace("⟧", "⟩")},
+        FRAMES,
+    ),
+    Attack(
+        "control: parameters of the program's own",
+        {"p.ngc": f"{HEAD}#100=5\n#<depth>=[#100*2]\n#101=[#100+1]\n{MOVE}\nM2\n".replace("⟦", "⟨").replace("⟧", "⟩")},
+        FRAMES,
+    ),
+)
+
+ATTACKS: tuple[Attack, ...] = (*STATE, *BLOCKS, *FLOW, *REACHES_NOTHING, *PLAIN, *SHOPS)

@@ -91,7 +91,8 @@ STATE = (
     ),
     *lone(
         "a label that is reached past the line that sets the base",
-        "$BASE={X 200,Y 0,Z 50,A 0,B 0,C 0}\nIF $IN[1] THEN\nGOTO ON_TABLE\nENDIF\n$BASE={X 300,Y 0,Z 50,A 0,B 0,C 0}\nON_TABLE:",
+        "$BASE={X 200,Y 0,Z 50,A 0,B 0,C 0}\nIF $IN[1] THEN\nGOTO ON_TABLE\nENDIF\n"
+        "$BASE={X 300,Y 0,Z 50,A 0,B 0,C 0}\nON_TABLE:",
         "IF $IN[1] THEN\nGOTO ON_TABLE\nENDIF\n$OUT[3]=TRUE\nON_TABLE:",
     ),
     *lone(
@@ -407,7 +408,8 @@ FILES = (
     *twins(
         "an interrupt changes the base while the program waits",
         {
-            "p.src": f"DEF p()\nINTERRUPT DECL 4 WHEN $IN[7]==TRUE DO SEEN()\n{SET}INTERRUPT ON 4\nWAIT SEC 1\nLIN ⟦{POSE}⟧\nEND\n"
+            "p.src": f"DEF p()\nINTERRUPT DECL 4 WHEN $IN[7]==TRUE DO SEEN()\n{SET}INTERRUPT ON 4\nWAIT SEC 1\n"
+            f"LIN ⟦{POSE}⟧\nEND\n"
             "DEF SEEN()\n§\nEND\n"
         },
         "$BASE=$POS_INT",
@@ -449,7 +451,8 @@ REACHES_NOTHING = (
     Attack(
         "control: what stands behind a return, and in a text or a comment",
         {
-            "p.src": f'DEF p()\nDECL CHAR M[80]\n{SET}OFF()\nM[]="$BASE=$POS_ACT; "\n; $BASE=$POS_ACT\n;FOLD $BASE=$POS_ACT;%{{PE}}\n'
+            "p.src": f'DEF p()\nDECL CHAR M[80]\n{SET}OFF()\nM[]="$BASE=$POS_ACT; "\n; $BASE=$POS_ACT\n'
+            f";FOLD $BASE=$POS_ACT;%{{PE}}\n"
             f";ENDFOLD\nLIN ⟨{POSE}⟩\nEND\nDEF OFF()\nRETURN\n$BASE=$POS_ACT\nEND\n"
         },
         FRAMES,
@@ -465,8 +468,10 @@ REACHES_NOTHING = (
     Attack(
         "control: cases of letters, blanks and tabs",
         {
-            "p.src": "&ACCESS RVP\r\n&REL 3\r\ndef P( )\r\n\t$Base = { x 100 , y 0 , z 50 , a 0 , b 0 , c 0 }\r\n\t$tool=$nullframe\r\n"
-            "\tptp ⟨{ a1 0 , a2 -90 , a3 90 , a4 0 , a5 10 , a6 0 }⟩\r\n\tLin ⟨{z 800, x 900.0, y -1E+2, c 0, b +90, a 0}⟩ c_dis\r\nend\r\n"
+            "p.src": "&ACCESS RVP\r\n&REL 3\r\ndef P( )\r\n\t$Base = { x 100 , y 0 , z 50 , a 0 , b 0 , c 0 }\r\n"
+            "\t$tool=$nullframe\r\n"
+            "\tptp ⟨{ a1 0 , a2 -90 , a3 90 , a4 0 , a5 10 , a6 0 }⟩\r\n"
+            "\tLin ⟨{z 800, x 900.0, y -1E+2, c 0, b +90, a 0}⟩ c_dis\r\nend\r\n"
         },
         FRAMES,
     ),
@@ -635,4 +640,155 @@ PLAIN = (
     ),
 )
 
-ATTACKS: tuple[Attack, ...] = (*STATE, *POINTS, *FILES, *REACHES_NOTHING, *PLAIN)
+ORDER = (
+    *lone(
+        "a routine of the file has a built-in's name",
+        "BAS(#VEL_CP,1)",
+        "$VEL.CP=1",
+        below="DEF BAS(C:IN,R:IN)\nDECL BAS_COMMAND C\nDECL REAL R\n$BASE=$POS_ACT\nEND\n",
+    )[:1],
+    *twins(
+        "a routine of the file hides that of another file",
+        {
+            "p.src": f"DEF p()\n{SET}SETUP()\nLIN ⟦{POSE}⟧\nEND\nDEF SETUP()\n§\nEND\n",
+            "setup.src": "DEF SETUP()\n§\nEND\n",
+        },
+        ("$BASE=$POS_ACT", "$OUT[1]=TRUE"),
+        ("$OUT[1]=TRUE", "$OUT[2]=TRUE"),
+        FRAMES,
+    ),
+    *twins(
+        "an alias of a point of another list is measured",
+        {
+            "p.src": f"DEF p()\nIMPORT E6POS HOME IS /R1/Q..XP1\n{SET}§\nLIN HOME\nEND\n",
+            "q.dat": f"DEFDAT q PUBLIC\nDECL GLOBAL E6POS XP1=⟦{POSE}⟧\nENDDAT\n",
+        },
+        "HOME.Z=$ANIN[1]",
+        "",
+        FRAMES,
+    )[:1],
+    *lone(
+        "a loop is left after the base was set",
+        "LOOP\n$BASE=BASE_DATA[2]\nIF $IN[1] THEN\nEXIT\nENDIF\n$BASE=BASE_DATA[1]\nIF $IN[2] THEN\nEXIT\nENDIF\nENDLOOP",
+        "LOOP\nIF $IN[1] THEN\nEXIT\nENDIF\nENDLOOP",
+    ),
+    *twins(
+        "an interrupt leaves the routine in the middle of its bases",
+        {
+            "p.src": f"DEF p()\nINTERRUPT DECL 4 WHEN $IN[7] DO STOPIT()\n{SET}SEARCH()\nLIN ⟦{POSE}⟧\nEND\n"
+            "DEF SEARCH()\nINTERRUPT ON 4\n$BASE=BASE_DATA[2]\nWAIT SEC 1\n$BASE={X 100,Y 0,Z 50,A 0,B 0,C 0}\n"
+            "INTERRUPT OFF 4\nEND\n"
+            "DEF STOPIT()\n§\nEND\n"
+        },
+        "BRAKE\nRESUME",
+        "$OUT[1]=TRUE",
+        FRAMES,
+    ),
+    *body(
+        "a part of a point is taken into another",
+        f"{POINT}LIN P1\n§",
+        "P2={X 900,Y 100,Z 800,A 0,B 90,C 0}\nP2.X=P1.X+$ANIN[1]\nLIN P2",
+        "LIN P1",
+        "DECL E6POS P2\n",
+    ),
+    *body(
+        "a part of a point stands in an aggregate", f"{POINT}LIN P1\n§", "LIN {X P1.X,Y 0,Z 700,A 0,B 90,C 0}", "LIN P1"
+    ),
+    *body("the tool is in the room for one move", f"SLIN ⟦{POSE}⟧ WITH §", "$IPO_MODE=#TCP", "$ACC.CP=1.0"),
+    *body(
+        "the tool is in the room for a block",
+        f"SPLINE WITH §\nSPL ⟦{POSE}⟧\nENDSPLINE",
+        "$IPO_MODE=#TCP",
+        "$ACC.CP=1.0",
+    ),
+    *body("a step behind a colon from where the arm is", f"LIN §⟦{POSE}⟧", "$POS_ACT:", ""),
+    *body("a component twice in an aggregate", "LIN ⟦{X 900,Y 100,Z 800,A 0,B 90,C 0§}⟧", ",X 950", ",S 2,T 10"),
+    *body("a component that is worked out", "LIN ⟦{X 900,Y 100,Z 800§,A 0,B 90,C 0}⟧", "+$ANIN[1]", ""),
+    *body(
+        "a component that a name says",
+        "LIN ⟦{X 900,Y 100,Z §,A 0,B 90,C 0}⟧",
+        "DEPTH",
+        "800",
+        "DECL REAL DEPTH\nDEPTH=$ANIN[1]\n",
+    ),
+    *twins(
+        "a point of a list is overwritten behind its move, and the list is kept for the next run",
+        {"p.src": f"DEF p()\n{SET}LIN XP1\n§\nEND\n", "p.dat": f"DEFDAT p\nDECL E6POS XP1=⟦{POSE}⟧\nENDDAT\n"},
+        "XP1=$POS_ACT",
+        "$OUT[1]=TRUE",
+        FRAMES,
+    ),
+    *twins(
+        "data of the base are overwritten behind the move, and are kept for the next run",
+        {
+            "p.src": f"DEF p()\n$TOOL=$NULLFRAME\n$BASE=BASE_DATA[1]\nPTP ⟨{{A1 0,A2 -90,A3 90,A4 0,A5 10,A6 0}}⟩\n"
+            f"LIN ⟦{POSE}⟧\n§\nEND\n"
+        },
+        "BASE_DATA[1]=$POS_ACT",
+        "$OUT[1]=TRUE",
+        FRAMES,
+    ),
+    *twins(
+        "a base of a list of data that another program measures",
+        {
+            "p.src": f"DEF p()\n$TOOL=$NULLFRAME\n$BASE=TABLE\nPTP ⟨{{A1 0,A2 -90,A3 90,A4 0,A5 10,A6 0}}⟩\n"
+            f"LIN ⟦{POSE}⟧\nEND\n",
+            "p.dat": "DEFDAT p PUBLIC\nDECL GLOBAL FRAME TABLE={X 500,Y 0,Z 100,A 0,B 0,C 0}\nENDDAT\n",
+            "q.src": "DEF q()\n§\nEND\n",
+        },
+        "TABLE=$POS_ACT",
+        "$OUT[1]=TRUE",
+        FRAMES,
+    ),
+    *body("a rail is told a place", "LIN ⟦{X 900,Y 100,Z 800,A 0,B 90,C 0,S 2,T 10,E1 §}⟧", "1500.0", "0.0"),
+    *lone(
+        "the base is a product with what is not known behind many that are",
+        "$BASE=BASE_DATA[1]:{X 0,Y 0,Z 10,A 0,B 0,C 0}:SEEN",
+        "$BASE=BASE_DATA[1]:{X 0,Y 0,Z 10,A 0,B 0,C 0}",
+        "DECL FRAME SEEN\nSEEN=$POS_ACT\n",
+    ),
+    *lone("a negative index", "$BASE=BASE_DATA[-1]", "$BASE=BASE_DATA[2]"),
+    *lone("a frame without a value", "$BASE=EMPTY", "$APO.CPTP=20", "DECL FRAME EMPTY\n"),
+    *lone(
+        "a base by a function of the file that asks an input",
+        "$BASE=TABLE()",
+        "$ORI_TYPE=#CONSTANT",
+        below="DEFFCT FRAME TABLE()\nDECL FRAME F\nF=$NULLFRAME\nF.X=$ANIN[1]\nRETURN F\nENDFCT\n",
+    ),
+    *lone(
+        "a text between, with a semicolon and a quotation mark in it",
+        'M[]="a;b"\n$BASE=$POS_ACT',
+        'M[]="a;b"\n$OUT[1]=TRUE',
+        "DECL CHAR M[20]\n",
+    ),
+    *lone(
+        "a base is set behind a comment mark in a text on one line",
+        'M[]="; " \n$BASE=$POS_ACT ; "',
+        'M[]="; " \n$OUT[1]=TRUE ; "',
+        "DECL CHAR M[20]\n",
+    ),
+    Attack(
+        "a bare CR ends a comment",
+        {"p.src": f"DEF p()\n{SET}; next\r$BASE=$POS_ACT\nLIN ⟦{POSE}⟧\nEND\n".replace("⟨", "").replace("⟩", "")},
+        FRAMES,
+    ),
+    Attack(
+        "control: letters whose second byte some take for the end of a line",
+        {
+            "p.src": f"DEF p()\n{SET}; Å $BASE=$POS_ACT\n;à\xa0$BASE=$POS_ACT\n;FOLD Å $BASE=$POS_ACT\n;ENDFOLD\n"
+            f"LIN ⟨{POSE}⟩\nEND\n"
+        },
+        FRAMES,
+    ),
+    Attack(
+        "control: aggregates that name their type, and positions of four kinds",
+        {
+            "p.src": f"DEF p()\n{SET}LIN ⟨{{POS: X 900,Y 100,Z 800,A 0,B 90,C 0,S 2,T 10}}⟩\n"
+            f"LIN ⟨{{E6POS: X 900,Y 110,Z 800,A 0,B 90,C 0,E1 0.0}}⟩\n"
+            "LIN ⟨{FRAME: X 900,Y 120,Z 800,A 0,B 90,C 0}⟩\nPTP ⟨{E6AXIS: A1 0,A2 -90,A3 90,A4 0,A5 30,A6 0,E1 0.0}⟩\nEND\n"
+        },
+        FRAMES,
+    ),
+)
+
+ATTACKS: tuple[Attack, ...] = (*STATE, *POINTS, *FILES, *REACHES_NOTHING, *PLAIN, *ORDER)

@@ -25,7 +25,8 @@ MOVE = "MoveL p10,v200,fine,tG\\WObj:=wA;"
 def module(main: str, declared: str = "", routines: str = "", kind: str = "CONST", target: str = TARGET) -> str:
     """A module with a joint target, a robtarget ``p10``, and lines of ``main`` behind the first move."""
     return (
-        f"MODULE M\n{DATA}  {kind} robtarget p10:=⟦{target}⟧;\n{declared}  PROC main()\n    MoveAbsJ jH\\NoEOffs,v500,fine,tG;\n"
+        f"MODULE M\n{DATA}  {kind} robtarget p10:=⟦{target}⟧;\n{declared}  PROC main()\n"
+        "    MoveAbsJ jH\\NoEOffs,v500,fine,tG;\n"
         f"    {main}\n  ENDPROC\n{routines}ENDMODULE\n"
     )
 
@@ -261,7 +262,8 @@ POINTS = (
         "§\n    MoveAbsJ jH\\NoEOffs,v500,fine,tG;",
         "go;",
         MOVE,
-        routines="  PROC go()\n    VAR robtarget p10;\n    p10:=CRobT(\\Tool:=tG\\WObj:=wA);\n    MoveL p10,v200,fine,tG\\WObj:=wA;\n  ENDPROC\n",
+        routines="  PROC go()\n    VAR robtarget p10;\n    p10:=CRobT(\\Tool:=tG\\WObj:=wA);\n"
+        "    MoveL p10,v200,fine,tG\\WObj:=wA;\n  ENDPROC\n",
     )[:1],
     *body(
         "a parameter hides it",
@@ -276,7 +278,8 @@ POINTS = (
         "MoveL p10,v200,fine,t§\\WObj:=w§;",
         ("Fixed", "Held"),
         ("G", "A"),
-        f'  PERS tooldata tFixed:=[FALSE,[[800,0,500],[1,0,0,0]],{LOAD}];\n  PERS wobjdata wHeld:=[TRUE,TRUE,"",[[0,0,0],[1,0,0,0]],[[0,0,100],[1,0,0,0]]];\n',
+        f"  PERS tooldata tFixed:=[FALSE,[[800,0,500],[1,0,0,0]],{LOAD}];\n"
+        '  PERS wobjdata wHeld:=[TRUE,TRUE,"",[[0,0,0],[1,0,0,0]],[[0,0,100],[1,0,0,0]]];\n',
     ),
     *body(
         "an object on a unit that turns",
@@ -292,7 +295,8 @@ JOINTS = (
         "a joint target whose pose is worked out and moved on",
         {
             "M.mod": f"MODULE M\n{DATA}  CONST jointtarget jZ:=⟦[[5,-20,30,0,40,0],{AXES}]⟧;\n  VAR robtarget pZ;\n"
-            "  PROC main()\n    MoveAbsJ jH\\NoEOffs,v500,fine,tG;\n    MoveAbsJ jZ\\NoEOffs,v500,fine,tG;\n    §\n  ENDPROC\nENDMODULE\n"
+            "  PROC main()\n    MoveAbsJ jH\\NoEOffs,v500,fine,tG;\n    MoveAbsJ jZ\\NoEOffs,v500,fine,tG;\n    §\n"
+            "  ENDPROC\nENDMODULE\n"
         },
         "pZ:=CalcRobT(jZ,tG);\n    MoveL Offs(pZ,0,0,ai1),v200,fine,tG;",
         "Set do1;",
@@ -301,7 +305,8 @@ JOINTS = (
         "an axis of a joint target is written",
         {
             "M.mod": f"MODULE M\n{DATA}  VAR jointtarget jZ:=⟦[[5,-20,30,0,40,0],{AXES}]⟧;\n"
-            "  PROC main()\n    MoveAbsJ jH\\NoEOffs,v500,fine,tG;\n    §\n    MoveAbsJ jZ\\NoEOffs,v500,fine,tG;\n  ENDPROC\nENDMODULE\n"
+            "  PROC main()\n    MoveAbsJ jH\\NoEOffs,v500,fine,tG;\n    §\n    MoveAbsJ jZ\\NoEOffs,v500,fine,tG;\n"
+            "  ENDPROC\nENDMODULE\n"
         },
         "jZ.robax.rax_6:=jZ.robax.rax_6+ai1;",
         "Set do1;",
@@ -361,7 +366,8 @@ FLOW = (
         "another module's local point has the same name",
         {
             "M.mod": module(MOVE),
-            "N.mod": f"MODULE N\n  LOCAL CONST robtarget p10:=⟦{TARGET}⟧;\n  PROC rOther()\n    MoveAbsJ jH\\NoEOffs,v500,fine,tG;\n"
+            "N.mod": f"MODULE N\n  LOCAL CONST robtarget p10:=⟦{TARGET}⟧;\n  PROC rOther()\n"
+            "    MoveAbsJ jH\\NoEOffs,v500,fine,tG;\n"
             "    MoveL p10,v200,fine,tG\\WObj:=§;\n  ENDPROC\nENDMODULE\n",
         },
         "wNobody",
@@ -371,7 +377,8 @@ FLOW = (
         "another module's local point has the same name, and an object that nobody has",
         {
             "M.mod": module(MOVE).replace("⟦", "⟨").replace("⟧", "⟩"),
-            "N.mod": f"MODULE N\n  LOCAL CONST robtarget p10:=⟦{TARGET}⟧;\n  PROC rOther()\n    MoveL p10,v200,fine,tG\\WObj:=wNobody;\n"
+            "N.mod": f"MODULE N\n  LOCAL CONST robtarget p10:=⟦{TARGET}⟧;\n  PROC rOther()\n"
+            "    MoveL p10,v200,fine,tG\\WObj:=wNobody;\n"
             "  ENDPROC\nENDMODULE\n",
         },
     ),
@@ -399,7 +406,8 @@ FLOW = (
         "an array's element is overwritten by an index that is not known",
         {
             "M.mod": f"MODULE M\n{DATA}  VAR robtarget pA{{2}}:=[⟦{TARGET}⟧,⟦{TARGET}⟧];\n{VARIABLE}  PROC main()\n"
-            "    MoveAbsJ jH\\NoEOffs,v500,fine,tG;\n    §\n    MoveL pA{1},v200,fine,tG\\WObj:=wA;\n    MoveL pA{2},v200,fine,tG\\WObj:=wA;\n"
+            "    MoveAbsJ jH\\NoEOffs,v500,fine,tG;\n    §\n    MoveL pA{1},v200,fine,tG\\WObj:=wA;\n"
+            "    MoveL pA{2},v200,fine,tG\\WObj:=wA;\n"
             "  ENDPROC\nENDMODULE\n"
         },
         "pA{n1}:=CRobT(\\Tool:=tG\\WObj:=wA);",
@@ -601,4 +609,200 @@ PLAIN = (
     ),
 )
 
-ATTACKS: tuple[Attack, ...] = (*STATE, *POINTS, *JOINTS, *FLOW, *REACHES_NOTHING, *PLAIN)
+IN_PLACE = (
+    f"MODULE M\n{DATA}  PROC main()\n    MoveAbsJ jH\\NoEOffs,v500,fine,tG;\n"
+    f"    MoveL ⟦{TARGET}⟧,v200,fine,tG\\WObj:=wA;\n  ENDPROC\nENDMODULE\n"
+)
+"""A module whose target stands in the move."""
+
+ORDER = (
+    *twins(
+        "a displacement at the end acts in the next cycle",
+        {"M.mod": module(f"{MOVE}\n    §", "  VAR pose peSeen;\n")},
+        "PDispSet peSeen;",
+        "PDispOff;",
+    ),
+    *twins(
+        "a permanent object is measured at the end, and kept",
+        {"M.mod": module(f"{MOVE}\n    §")},
+        "wA.oframe.trans.x:=ai1;",
+        "SetDO do1,1;",
+    ),
+    *twins(
+        "a permanent tool is measured at the end, and kept",
+        {"M.mod": module(f"{MOVE}\n    §")},
+        "tG.tframe.trans.z:=ai1;",
+        "PulseDO do1;",
+    ),
+    *lone(
+        "an operator is asked for a part of the object",
+        'TPReadNum wA.oframe.trans.x,"x?";',
+        'TPReadNum n1,"x?";',
+        VARIABLE,
+    ),
+    *lone(
+        "a text is turned into the object",
+        "bOk:=StrToVal(stIn,wA);",
+        "bOk:=StrToVal(stIn,n1);",
+        VARIABLE + "  VAR bool bOk;\n  VAR string stIn;\n",
+    ),
+    *body(
+        "a text is turned into the point",
+        f"§\n    {MOVE}",
+        "bOk:=StrToVal(stIn,p10);",
+        "bOk:=StrToVal(stIn,n1);",
+        VARIABLE + "  VAR bool bOk;\n  VAR string stIn;\n",
+        kind="VAR",
+    ),
+    *lone("the tool in force is read into another's data", "GetSysData tG;", "WaitTime 0.1;"),
+    *lone(
+        "data are read from a file into the object",
+        "ReadAnyBin ioFile,wA\\Time:=2;",
+        "Rewind ioFile;",
+        "  VAR iodev ioFile;\n",
+    ),
+    *lone(
+        "a routine is handed the object, and changes it",
+        "learn wA;",
+        "lamp do1;",
+        routines="  PROC learn(PERS wobjdata w)\n    w.oframe.trans.x:=ai1;\n  ENDPROC\n"
+        "  PROC lamp(VAR signaldo d)\n    SetDO d,1;\n  ENDPROC\n",
+    )[:1],
+    *lone(
+        "a routine is handed the tool, and changes it",
+        "learn tG;",
+        "WaitTime 1;",
+        routines="  PROC learn(INOUT tooldata t)\n    t.tframe.trans.z:=ai1;\n  ENDPROC\n",
+    )[:1],
+    *body(
+        "a parameter has the object's name",
+        f"{MOVE}\n    §",
+        "go wB;",
+        "Set do1;",
+        routines="  PROC go(PERS wobjdata wA)\n    MoveL p10,v200,fine,tG\\WObj:=wA;\n  ENDPROC\n",
+    )[:1],
+    *body(
+        "a parameter has the tool's name",
+        f"{MOVE}\n    §",
+        "go tH;",
+        "Set do1;",
+        routines="  PROC go(PERS tooldata tG)\n    MoveL p10,v200,fine,tG\\WObj:=wA;\n  ENDPROC\n",
+    )[:1],
+    *body(
+        "a procedure named by a text on the way",
+        f'MoveLSync p20,v200,fine,tG\\WObj:=wA,"§";\n    {MOVE}',
+        "rNobody",
+        "rLamp",
+        f"  CONST robtarget p20:={TARGET};\n",
+        "  PROC rLamp()\n    Set do1;\n  ENDPROC\n",
+    ),
+    *body(
+        "a rail is told a place",
+        MOVE.replace("p10", "p30") + "§",
+        "",
+        "",
+        "  CONST robtarget p30:=⟦[[900,100,700],[0,0,1,0],[0,0,0,0],[1500,9E9,9E9,9E9,9E9,9E9]]⟧;\n",
+    )[:1],
+    *twins(
+        "a part of a target in a move is worked out",
+        {"M.mod": IN_PLACE.replace("900", "900§")},
+        "+ai1",
+    ),
+    *twins(
+        "a target's part is a name",
+        {
+            "M.mod": IN_PLACE.replace("700", "§").replace(
+                "ENDMODULE", "  PERS num nH:=700;\n  PROC rSeen()\n    nH:=ai1;\n  ENDPROC\nENDMODULE"
+            )
+        },
+        "nH",
+        "700",
+    ),
+    *twins(
+        "one public name in two modules",
+        {"M.mod": module(MOVE), "N.mod": "MODULE N\n§ENDMODULE\n"},
+        "  CONST robtarget p10:=[[900,-100,700],[0,0,1,0],[0,0,0,0],[9E9,9E9,9E9,9E9,9E9,9E9]];\n",
+        "  CONST robtarget p11:=[[900,-100,700],[0,0,1,0],[0,0,0,0],[9E9,9E9,9E9,9E9,9E9,9E9]];\n",
+    ),
+    *twins(
+        "a local routine hides another module's",
+        {
+            "M.mod": module(
+                f"prepare;\n    {MOVE}", "  VAR pose peSeen;\n", "  LOCAL PROC prepare()\n    §\n  ENDPROC\n"
+            ),
+            "N.mod": "MODULE N\n  PROC prepare()\n    §\n  ENDPROC\nENDMODULE\n",
+        },
+        ("PDispSet peSeen;", "Set do1;"),
+        ("Set do1;", "Reset do1;"),
+    ),
+    *twins(
+        "a handler of errors of what is called goes back with another object",
+        {
+            "M.mod": module(
+                f"go;\n    {MOVE}",
+                routines="  PROC go()\n    MoveAbsJ jH\\NoEOffs,v500,fine,tG;\n  ERROR\n    §\n    RETURN;\n  ENDPROC\n",
+            )
+        },
+        "wA.oframe.trans.x:=ai1;",
+        "Set do1;",
+    ),
+    *twins(
+        "a signal's interrupt on the way sets the object",
+        {
+            "M.mod": module(
+                f"CONNECT i1 WITH seen;\n    TriggInt tr1,10,i1;\n    TriggL p20,v200,tr1,fine,tG\\WObj:=wA;\n    {MOVE}",
+                f"  VAR intnum i1;\n  VAR triggdata tr1;\n  CONST robtarget p20:={TARGET};\n",
+                TRAP,
+            )
+        },
+        "wA.oframe.trans.x:=ai1;",
+        "Set do1;",
+    ),
+    *lone(
+        "a label is reached from behind",
+        "GOTO lower;\n    upper:\n    GOTO go;\n    lower:\n    PDispSet peSeen;\n    GOTO upper;\n    go:",
+        "GOTO lower;\n    upper:\n    GOTO go;\n    lower:\n    Set do1;\n    GOTO upper;\n    go:",
+        "  VAR pose peSeen;\n",
+    ),
+    *lone(
+        "a text with a doubled quotation mark, and a statement behind it",
+        'TPWrite """"; PDispSet peSeen;',
+        'TPWrite """"; Set do1;',
+        "  VAR pose peSeen;\n",
+    ),
+    *lone(
+        "an exclamation mark in a text, and a statement behind it",
+        'TPWrite "go!"; PDispSet peSeen;',
+        'TPWrite "go!"; Set do1;',
+        "  VAR pose peSeen;\n",
+    ),
+    Attack(
+        "a bare CR ends a comment",
+        {
+            "M.mod": module(f"! next\r    PDispSet peSeen;\n    {MOVE}", "  VAR pose peSeen;\n")
+            .replace("⟨", "")
+            .replace("⟩", "")
+        },
+    ),
+    Attack(
+        "control: letters whose second byte some take for the end of a line",
+        {
+            "M.mod": module(
+                "! Å PDispSet peSeen;\n    ! à\xa0 PDispSet peSeen;\n    MoveL p10, ! Å first\n      v200,fine,tG\\WObj:=wA;",
+                "  VAR pose peSeen;\n",
+            )
+            .replace("⟦", "⟨")
+            .replace("⟧", "⟩")
+        },
+    ),
+    Attack(
+        "control: switches of a move that change nothing of its place",
+        {
+            "M.mod": module("MoveL\\Conc,p10\\ID:=7,v200\\V:=150,fine\\Inpos:=inpos50,tG\\WObj:=wA\\TLoad:=load0;")
+            .replace("⟦", "⟨")
+            .replace("⟧", "⟩")
+        },
+    ),
+)
+
+ATTACKS: tuple[Attack, ...] = (*STATE, *POINTS, *JOINTS, *FLOW, *REACHES_NOTHING, *PLAIN, *ORDER)

@@ -68,8 +68,10 @@ STATE = (
     ),
     *lone(
         "one branch sets another tool",
-        "if get_standard_digital_in(0):\n    set_tcp(p[0, 0, 0.1, 0, 0, 0])\n  else:\n    set_tcp(p[0, 0, 0.2, 0, 0, 0])\n  end",
-        "if get_standard_digital_in(0):\n    set_tcp(p[0, 0, 0.1, 0, 0, 0])\n  else:\n    set_tcp(p[0, 0, 0.1, 0, 0, 0])\n  end",
+        "if get_standard_digital_in(0):\n    set_tcp(p[0, 0, 0.1, 0, 0, 0])\n  else:\n"
+        "    set_tcp(p[0, 0, 0.2, 0, 0, 0])\n  end",
+        "if get_standard_digital_in(0):\n    set_tcp(p[0, 0, 0.1, 0, 0, 0])\n  else:\n"
+        "    set_tcp(p[0, 0, 0.1, 0, 0, 0])\n  end",
     ),
     *lone(
         "an elif without else may set another tool",
@@ -147,7 +149,8 @@ POINTS = (
     ),
     *body(
         "a function calls itself with another tool",
-        "  def down(n):\n    movel(p⟦[0.5, -0.3, 0.35, 2.2, -2.2, 0.1]⟧)\n    if n > 0:\n      §\n      down(n - 1)\n    end\n  end\n  down(1)",
+        "  def down(n):\n    movel(p⟦[0.5, -0.3, 0.35, 2.2, -2.2, 0.1]⟧)\n    if n > 0:\n      §\n      down(n - 1)\n"
+        "    end\n  end\n  down(1)",
         "set_tcp(p[0, 0, 0.2, 0, 0, 0])",
         "sleep(0.1)",
     ),
@@ -177,7 +180,8 @@ POINTS = (
     ),
     *body(
         "a point is mixed with another",
-        "  p1 = p⟦[0.5, -0.3, 0.35, 2.2, -2.2, 0.1]⟧\n  p2 = p⟦[0.5, 0.3, 0.35, 2.2, -2.2, 0.1]⟧\n  movel(p1)\n  §\n  movel(p2)",
+        "  p1 = p⟦[0.5, -0.3, 0.35, 2.2, -2.2, 0.1]⟧\n  p2 = p⟦[0.5, 0.3, 0.35, 2.2, -2.2, 0.1]⟧\n  movel(p1)\n  §\n"
+        "  movel(p2)",
         "movel(interpolate_pose(p1, p2, 0.5))",
         "sleep(0.1)",
     ),
@@ -249,7 +253,8 @@ POINTS = (
     ),
     *body(
         "a feature moves on in a loop",
-        "  feature = p[0.1, 0, 0, 0, 0, 0]\n  i = 0\n  while i < 3:\n    movel(pose_trans(feature, p⟦[0.4, 0.1, 0.35, 2.2, -2.2, 0.1]⟧))\n"
+        "  feature = p[0.1, 0, 0, 0, 0, 0]\n  i = 0\n  while i < 3:\n"
+        "    movel(pose_trans(feature, p⟦[0.4, 0.1, 0.35, 2.2, -2.2, 0.1]⟧))\n"
         "    §\n    i = i + 1\n  end",
         "feature[0] = feature[0] + 0.05",
         "sleep(0.1)",
@@ -281,7 +286,8 @@ POINTS = (
     *body(
         "points of a list with two tools, by a number that counts",
         "  ps = [p⟦[0.5, -0.3, 0.35, 2.2, -2.2, 0.1]⟧, p⟦[0.5, -0.2, 0.35, 2.2, -2.2, 0.1]⟧]\n  i = 0\n  while i < 2:\n"
-        "    set_tcp(p[0, 0, 0.1, 0, 0, 0])\n    movel(ps[i])\n    set_tcp(p[0, 0, 0.2, 0, 0, 0])\n    movel(ps[i])\n    i = i + 1\n  end§",
+        "    set_tcp(p[0, 0, 0.1, 0, 0, 0])\n    movel(ps[i])\n    set_tcp(p[0, 0, 0.2, 0, 0, 0])\n    movel(ps[i])\n"
+        "    i = i + 1\n  end§",
         "\n  sleep(0.1)",
         "\n  sleep(0.1)",
     )[:1],
@@ -339,7 +345,8 @@ POINTS = (
     ),
     *body(
         "a point is passed by a call in which it is moved off by what an input says",
-        "  p1 = p⟦[0.5, -0.3, 0.35, 2.2, -2.2, 0.1]⟧\n  def over(where):\n    where[2] = where[2] + read_input_float_register(0)\n"
+        "  p1 = p⟦[0.5, -0.3, 0.35, 2.2, -2.2, 0.1]⟧\n  def over(where):\n"
+        "    where[2] = where[2] + read_input_float_register(0)\n"
         "    movel(where)\n  end\n  §\n  movel(p1)",
         "over(p1)",
         "sleep(0.1)",
@@ -378,7 +385,8 @@ POINTS = (
     ),
     *body(
         "a palette's corner counts the others",
-        "  corner = p⟦[0.5, -0.3, 0.35, 2.2, -2.2, 0.1]⟧\n  movel(corner)\n  n = 0\n  while n < 6:\n    §\n    n = n + 1\n  end",
+        "  corner = p⟦[0.5, -0.3, 0.35, 2.2, -2.2, 0.1]⟧\n  movel(corner)\n  n = 0\n  while n < 6:\n    §\n"
+        "    n = n + 1\n  end",
         "movel(p[corner[0] + 0.05 * n, corner[1], corner[2], corner[3], corner[4], corner[5]])",
         "movel(corner)",
     ),
@@ -410,7 +418,8 @@ REACHES_NOTHING = (
     Attack(
         "control: a thread that switches a lamp",
         {
-            "p.script": "def prog():\n  thread lamp():\n    while (True):\n      set_standard_digital_out(0, True)\n      sleep(0.5)\n"
+            "p.script": "def prog():\n  thread lamp():\n    while (True):\n      set_standard_digital_out(0, True)\n"
+            "      sleep(0.5)\n"
             "      set_standard_digital_out(0, False)\n      sleep(0.5)\n    end\n  end\n  set_tcp(p[0, 0, 0.1, 0, 0, 0])\n"
             "  t = run lamp()\n  movej(⟨[0.1, -1.2, 1.4, -1.5, -1.57, 0.2]⟩)\n  movel(p⟨[0.5, -0.3, 0.35, 2.2, -2.2, 0.1]⟩)\n"
             "  kill t\nend\n"
@@ -554,6 +563,148 @@ PLAIN = (
     ),
 )
 
+P1 = "p⟦[0.5, -0.3, 0.35, 2.2, -2.2, 0.1]⟧"
+
+NAMES = (
+    *lone(
+        "a function of the program's own has a built-in's name",
+        "sleep(0.1)",
+        "sync()",
+        "  def sleep(t):\n    set_tcp(get_actual_tcp_pose())\n  end\n",
+    )[:1],
+    *body(
+        "a move of the program's own has a built-in's name",
+        "  def movel(where):\n    movej(pose_trans(where, get_actual_tcp_pose()))\n  end\n"
+        "  movel(p⟦[0.5, -0.3, 0.35, 2.2, -2.2, 0.1]⟧)§",
+        "",
+        "",
+    )[:1],
+    *lone(
+        "a function is defined twice",
+        "setup()",
+        "sync()",
+        "  def setup():\n    sync()\n  end\n  def setup():\n    set_tcp(p[0, 0, 0.3, 0, 0, 0])\n  end\n",
+    )[:1],
+    *lone("a name that begins as a built-in", "set_tcp_of(3)", "sync()"),
+    *body("a name that begins as a move", f"  §({P1})", "movel_fast", "movel"),
+    *lone(
+        "an apostrophe in two texts with the tool between",
+        'textmsg("don\'t")\n  §\n  textmsg("won\'t")'.replace("§", "set_tcp(get_actual_tcp_pose())"),
+        'textmsg("don\'t")\n  sleep(0.1)\n  textmsg("won\'t")',
+    ),
+    *lone(
+        "a quotation mark in two comments with the tool between",
+        '# 5" pipe\n  set_tcp(get_actual_tcp_pose())\n  # 6" pipe',
+        '# 5" pipe\n  sleep(0.1)\n  # 6" pipe',
+    ),
+    Attack(
+        "a bare CR ends a comment",
+        {
+            "p.script": f"def prog():\n  set_tcp(p[0, 0, 0.1, 0, 0, 0])\n  # next\r  set_tcp(get_actual_tcp_pose())\n"
+            f"  movel({P1})\nend\n"
+        },
+    ),
+    *lone(
+        "the tool grows in each pass of a loop",
+        "while get_standard_digital_in(0):\n    set_tcp(pose_trans(get_tcp_offset(), p[0, 0, 0.01, 0, 0, 0]))\n  end",
+        "while get_standard_digital_in(0):\n    sleep(0.1)\n  end",
+    ),
+    *lone(
+        "a part of a structure that is measured is the tool",
+        "s = struct(tool=p[0, 0, 0.1, 0, 0, 0])\n  s.tool[2] = read_input_float_register(0)\n  set_tcp(s.tool)",
+        "s = struct(n=3)",
+    )[:1],
+    *body(
+        "a component is raised by an operator that the manual has not",
+        f"  p1 = {P1}\n  §\n  movel(p1)",
+        "p1[2] += 0.1",
+        "sleep(0.1)",
+    )[:1],
+    *body(
+        "another pass of a loop goes another way",
+        f"  i = 0\n  while i < 3:\n    if i == 1:\n      §\n    end\n    movel({P1})\n    i = i + 1\n  end",
+        "set_tcp(p[0, 0, 0.2, 0, 0, 0])",
+        "sleep(0.1)",
+    ),
+    *body(
+        "a pass that is cut short by continue",
+        "  i = 0\n  while i < 3:\n    i = i + 1\n    if get_standard_digital_in(0):\n      §\n      continue\n"
+        f"    end\n    movel({P1})\n  end",
+        "set_tcp(p[0, 0, 0.2, 0, 0, 0])",
+        "sleep(0.1)",
+    ),
+    *body(
+        "a thread moves while the program sets the tool",
+        f"  thread mover():\n    movel({P1})\n  end\n  t = run mover()\n  §\n  join t",
+        "set_tcp(p[0, 0, 0.2, 0, 0, 0])",
+        "sleep(0.1)",
+    )[:1],
+    *body(
+        "a point is an argument's value where none is given",
+        f"  def go(where={P1}):\n    movel(where)\n  end\n  §",
+        "go(get_actual_tcp_pose())",
+        "go()",
+    )[:1],
+    *body(
+        "a circle's middle with another tool",
+        f"  p1 = {P1}\n  movel(p1)\n  §\n  movec(p1, p[0.5, 0.3, 0.35, 2.2, -2.2, 0.1])",
+        "set_tcp(p[0, 0, 0.2, 0, 0, 0])",
+        "sleep(0.1)",
+    ),
+    *body(
+        "a function gives the point back, and what calls it moves it off",
+        f"  def home():\n    return {P1}\n  end\n  §",
+        "movel(pose_trans(home(), p[0, 0, read_input_float_register(0), 0, 0, 0]))",
+        "sleep(0.1)",
+    )[:1],
+    *body(
+        "a point's numbers are joints as well",
+        f"  p1 = {P1}\n  movel(p1)\n  §",
+        "movej([p1[0], -1.2, 1.4, -1.5, -1.57, p1[5]])",
+        "movel(p1)",
+    ),
+    *body(
+        "a nested function sets the tool",
+        f"  def outer():\n    def inner():\n      §\n    end\n    inner()\n  end\n  outer()\n  movel({P1})",
+        "set_tcp(get_actual_tcp_pose())",
+        "sleep(0.1)",
+    )[:1],
+    *body(
+        "poses that the pendant's installation has",
+        f"  p1 = {P1}\n  §\n  movel(p1)",
+        "p1 = Station_const",
+        "sleep(0.1)",
+    ),
+    Attack(
+        "a move before any tool is set",
+        {
+            "p.script": f"def prog():\n  movej(⟨[0.1, -1.2, 1.4, -1.5, -1.57, 0.2]⟩)\n  movel({P1})\n"
+            "  set_tcp(p[0, 0, 0.1, 0, 0, 0])\nend\n"
+        },
+    ),
+    Attack(
+        "a second program of the file begins with the tool of the first, or with the one before",
+        {
+            "p.script": "def first():\n  set_tcp(p[0, 0, 0.1, 0, 0, 0])\n"
+            f"  movej(⟨[0.1, -1.2, 1.4, -1.5, -1.57, 0.2]⟩)\nend\ndef second():\n  movel({P1})\nend\n"
+        },
+    ),
+    Attack(
+        "control: letters whose second byte some take for the end of a line",
+        {
+            "p.script": f'{HEAD}  # Å set_tcp(get_actual_tcp_pose())\n  # à\xa0 movel(x)\n  textmsg("Å")  # …\n'
+            "  movel(p⟨[0.5, -0.3, 0.35, 2.2, -2.2, 0.1]⟩)\nend\n"
+        },
+    ),
+    Attack(
+        "control: a form feed and a vertical tab in a comment",
+        {
+            "p.script": f"{HEAD}  # a \f set_tcp(get_actual_tcp_pose())\n  # a \v set_tcp(get_actual_tcp_pose())\n"
+            "  movel(p⟨[0.5, -0.3, 0.35, 2.2, -2.2, 0.1]⟩)\nend\n"
+        },
+    ),
+)
+
 ATTACKS: tuple[Attack, ...] = tuple(
-    replace(attack, frames=BASE) for attack in (*STATE, *POINTS, *REACHES_NOTHING, *PLAIN)
+    replace(attack, frames=BASE) for attack in (*STATE, *POINTS, *REACHES_NOTHING, *PLAIN, *NAMES)
 )
