@@ -5,6 +5,7 @@ Debian has it in `linuxcnc-uspace`. It knows nothing of ours, and prints canonic
 
 from __future__ import annotations
 
+import os
 import re
 import subprocess
 from collections.abc import Iterator, Mapping, Sequence
@@ -66,7 +67,8 @@ def run(
     variables.write_text("".join(f"{number} {value:.9f}\n" for number, value in sorted(values.items())))
     tools.write_text("".join(f"T{n} P{n} Z{length / MACHINE:.9f} D1.0\n" for n, length in lengths.items()))
     command = ["rs274", *(["-b"] if skip else []), "-g", "-v", str(variables), "-t", str(tools), str(program)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60, cwd=program.parent)
+    own = {**os.environ, "HOME": str(program.parent)}  # it keeps its tools there: runs beside each other would share them
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, cwd=program.parent, env=own)
     return list(_calls(done.stdout))
 
 

@@ -103,7 +103,7 @@ def test_turning_axes_are_degrees_whatever_the_unit() -> None:
         ("G65 P9999\nG1 X1 Y1 Z1", "line 2: G65 P9999 is in no given file"),
         ("G1 X2000000 Y1 Z1", "is no length of a gantry"),
         ("G1 X1 Y1 Z1\nQ5\nG1 X2 Y2 Z2", "line 3: Q belongs to no code of its block"),
-        ("G1 X20. Y1.5 Z1.5\nG1 X10 Y1.5 Z1.5", "10 has no decimal point"),
+        ("G1 X20. Y1.5 Z1.5\nG1 X10 Y1.5 Z1.5", "with a decimal point and without"),
     ],
 )
 def test_the_reason_names_the_line_and_the_cause(text: str, why: str) -> None:

@@ -178,7 +178,7 @@ WHOLE: dict[str, str] = {
     "blanks in a number": f"{HEAD}G1 ⟦X 1 0 Y5.5 Z6.5⟧\n",
     "a sign apart": f"{HEAD}G1 ⟦X- 5 Y5.5 Z6.5⟧\n",
     "an exponent": f"{HEAD}G1 ⟦X1.5E+3 Y5.5E2 Z6.5⟧\n",
-    "no decimal point where others have one": f"{HEAD}G1 X20. Y5.5 Z6.5\nG1 ⟦X10 Y5.5 Z6.5⟧\n",
+    "no decimal point where others have one": "G90 G21 G54\nG1 ⟦X20. Y5.5 Z6.5⟧\nG1 ⟦X10 Y5.5 Z6.5⟧\n",
     "blocks parted by a bare CR": f"{HEAD}G1 ⟦X4.5 Y5.5 Z6.5\rX7.5⟧\nG1 ⟦X4.5 Y5.5 Z6.5⟧\n",
     "a block that may be left out sets a mode": f"{HEAD}/G91\n{LEFT}",
     "a block that may be left out sets an offset": f"{HEAD}/G55\n{LEFT}",

@@ -9,7 +9,7 @@ from aridcal.errors import AridcalError
 from aridcal.programs.axes import DEGREE
 from aridcal.programs.cell import Cell, Reading
 from aridcal.programs.frames import absent
-from aridcal.programs.gcode.blocks import Block
+from aridcal.programs.gcode.blocks import COMMENT, Block
 from aridcal.programs.gcode.flow import Flow
 from aridcal.programs.gcode.modes import MODES, UNDERSTOOD, Control, Modes
 from aridcal.programs.gcode.record import AT_START, ELSEWHERE, Key, Move, Record, letters_of
@@ -32,6 +32,11 @@ from aridcal.programs.walk import State, TooLong, Unknown, Walk
 
 POINTED = re.compile(r"[XYZABCUVW][ \t]*+[-+]?[0-9]++\.(?![0-9])", re.IGNORECASE)
 """A whole number with its point: ``X20.``"""
+
+POINTLESS = re.compile(r"[XYZABCUVW][ \t]*+[-+]?0*+[1-9][0-9]*+(?![0-9.])", re.IGNORECASE)
+"""One without: ``X20``, but for zero."""
+
+MIXED = "whole numbers stand with a decimal point and without: on controllers that need it X20 is 0.020; write all with a point"
 
 LARGEST = 1e6
 """Of a number in a target: a gantry of a kilometre."""
@@ -106,7 +111,7 @@ class _Reader:
         self._zeros = [cell.axes.zero(k) for k in range(len(self._kinds))]
         self._letters = _letters(self._kinds)
         self._control = Control(self._letters, cell.frames, self._line)
-        self._pointed = [POINTED.search(source.text) is not None for source in project.sources]
+        self._mixed = [_mixes_points(source.text) for source in project.sources]
         self._stated: set[str] = set()
         self._granted: dict[str, int] = {}
         self._whole = False
@@ -186,7 +191,7 @@ class _Reader:
             late = any(
                 row.mode and before[row.mode] != now.modes[row.mode] for row in map(CODES.get, block.late) if row
             )
-            self._go(block, own, now, _doubt(own, away, late, self._pointed[block.file]))
+            self._go(block, own, now, _doubt(own, away, late, self._mixed[block.file]))
         if words == "away":
             for letter, _ in own:
                 now.last[self._letters[letter]] = ELSEWHERE
@@ -287,14 +292,14 @@ class _Reader:
         return line if len(self._project.sources) == 1 else f"{self._project.sources[block.file].path.name} {line}"
 
 
-def _doubt(own: Words, away: bool, late: bool, pointed: bool) -> str:
+def _doubt(own: Words, away: bool, late: bool, mixed: bool) -> str:
     """What of a block's own words keeps it from being corrected; empty if nothing does.
 
     Args:
         own: Its axis words.
         away: Whether the axes go elsewhere in the same block.
         late: Whether a code behind an axis word sets a mode.
-        pointed: Whether whole numbers of the program have a point behind them.
+        mixed: Whether whole numbers of the program stand with and without a point.
     """
     letters = [letter for letter, _ in own]
     if any(number is None for _, number in own):
@@ -309,9 +314,13 @@ def _doubt(own: Words, away: bool, late: bool, pointed: bool) -> str:
         assert number is not None
         if not abs(number.value) <= LARGEST:
             return f"{number.text} is no length of a gantry"
-        if pointed and "." not in number.text and number.value != 0.0:
-            return f"{number.text} has no decimal point, where others have: on some controllers it counts thousandths"
-    return ""
+    return MIXED if mixed else ""
+
+
+def _mixes_points(text: str) -> bool:
+    """Whether it is in doubt what a whole number without a point is, where others have one."""
+    code = COMMENT.sub("", text) if POINTED.search(text) is not None else ""
+    return POINTED.search(code) is not None and POINTLESS.search(code) is not None
 
 
 def _letters(kinds: tuple[str, ...]) -> dict[str, int]:
