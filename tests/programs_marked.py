@@ -93,7 +93,7 @@ def wrong(files: Mapping[str, str], frames: str = "") -> list[str]:
         reading: Reading = language.read(project, cell_of(language, frames))
     except AridcalError as error:
         return [f"must be corrected, but: {error}" for own in marks.values() for mark in own if mark.corrected]
-    corrected = [t for t in reading.targets if not t.why and not _unsettled(t)]
+    corrected = [t for t in reading.targets if not t.why]
     faults = []
     for file, own in marks.items():
         for mark in own:
@@ -102,7 +102,7 @@ def wrong(files: Mapping[str, str], frames: str = "") -> list[str]:
             if mark.corrected and not inside:
                 reasons = sorted({t.why for t in reading.targets if t.why})
                 faults.append(f"{text}: must be corrected, but: {'; '.join(reasons)}")
-            elif not mark.corrected and inside:
+            elif not mark.corrected and not all(map(_unsettled, inside)):
                 faults.append(f"{text}: must be left, and is corrected")
     return faults
 
