@@ -460,7 +460,7 @@ REACHES_NOTHING = (
     Attack(
         "control: an inline form of KSS 8 with its line for collision detection",
         {
-            "p.src": INLINE.replace("§", "SET_CD_PARAMS (0)"),
+            "p.src": INLINE.replace("§\n", "").replace("LIN XP1", "SET_CD_PARAMS (0)\nLIN XP1"),
             "p.dat": f"DEFDAT p\nDECL E6POS XP1=⟨{POSE}⟩\n{fdat(1, '1', '#BASE')}{LDAT}ENDDAT\n",
         },
         FRAMES,
