@@ -113,7 +113,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _with_lists(argv: Sequence[str]) -> list[str]:
-    """The arguments with lists of numbers tied to their option: one that begins with a minus would be taken for another option."""
+    """The arguments, lists of numbers tied to their option: what begins with a minus would be taken for another option."""
     tied: list[str] = []
     for argument in argv:
         if tied and tied[-1] in ("--start", "--zeros"):
