@@ -100,7 +100,7 @@ def correct_programs(request: Request, progress: Progress = SILENT) -> Answer:
     """
     content = read_file(request.calibration, CampaignError, CALIBRATION)
     saved = SavedModel.load(request.calibration)
-    opened = read_project(request.programs)
+    opened = read_project(request.programs, request.out)
     for source in opened.project.sources:
         if source.ours:
             refuse_corrected(source.path, source.text)
