@@ -27,12 +27,14 @@ from calibrated import machine
 from made_gcode import calibrated_gantry
 from rich.console import Console
 from rich.table import Table
-from target_correction import HOME, way
+from target_correction import HOME
 
 from aridcal.programs.branches import flanges
 from aridcal.programs.notations import ABB, FANUC, KUKA, UR
 from aridcal.programs.targets import Notation
 from aridcal.robot.chain import Robot
+
+BASE = "format: 1\nbases: {default: {xyz: [0, 0, 0], rpy: [0, 0, 0]}}\ntools: {default: {xyz: [0, 0, 0], rpy: [0, 0, 0]}}\n"
 
 FRAMES = "format: 1\nbases: {'1': {xyz: [0, 0, 0], rpy: [0, 0, 0]}}\ntools: {'1': {xyz: [0, 0, 0], rpy: [0, 0, 0]}}\n"
 
@@ -165,12 +167,13 @@ def kuka(own: Sequence[float]) -> str:
 
 
 def abb(own: Sequence[float]) -> str:
-    return f"[{listed(own[:3], 3)}],[{listed(own[3:], 6)}],[0,0,0,0],[9E9,9E9,9E9,9E9,9E9,9E9]"
+    """A robtarget's parts; the last three numbers are quarters of turns of axes 1, 4 and 6."""
+    return f"[{listed(own[:3], 3)}],[{listed(own[3:7], 6)}],[{listed(own[7:], 0)},0],[9E9,9E9,9E9,9E9,9E9,9E9]"
 
 
 STYLES = (
-    Style("URScript, poses", ".script", UR, urscript),
-    Style("URScript, pose_trans", ".script", UR, robodk),
+    Style("URScript, poses", ".script", UR, urscript, BASE),
+    Style("URScript, pose_trans", ".script", UR, robodk, BASE),
     Style("KRL, LIN", ".src", KUKA, krl),
     Style("KRL, inline forms", ".src", KUKA, inline_forms, FRAMES),
     Style("RAPID, poses", ".mod", ABB, rapid),
@@ -232,6 +235,12 @@ def cost(command: Sequence[str]) -> tuple[float, float, int, str]:
     return used.ru_utime + used.ru_stime, used.ru_maxrss / 1024, process.returncode, last
 
 
+def seam(n: int) -> np.ndarray:
+    """Readings of n targets, each close to the one before, where the arm was calibrated."""
+    t = np.linspace(0.0, 0.03 * n, n)[:, None]
+    return HOME + 0.2 * np.sin(t * [0.5, 0.6, 0.7, 0.8, 0.9, 1.0])
+
+
 class Bench:
     """A folder with the calibrations of both machines."""
 
@@ -247,12 +256,16 @@ class Bench:
             t = np.linspace(0.0, 0.01 * n, n)[:, None]
             return (1e3 * np.sin(t * [0.7, 0.9, 1.0]) * [0.8, 0.8, 0.3]).tolist()  # type: ignore[no-any-return]
         robot: Robot = self._arm.model.robot
-        T = flanges(robot, way("seam", n, HOME, HOME))
+        q = seam(n)
+        T = flanges(robot, q)
         if style.files is robodk:
             T[:, 0, 3] -= 0.1
             T[:, :3, 3] += 0.1 * T[:, :3, 2]
-        width = 7 if style.notation is ABB else 6
-        return style.notation.numbers(T, np.zeros((n, width))).tolist()  # type: ignore[no-any-return]
+        if style.notation is ABB:
+            numbers = np.hstack([ABB.numbers(T, np.ones((n, 7))), np.floor(q[:, [0, 3, 5]] / (np.pi / 2))])
+        else:
+            numbers = style.notation.numbers(T, np.zeros((n, 6)))
+        return numbers.tolist()  # type: ignore[no-any-return]
 
     def run(self, ending: str, files: Mapping[str, str], frames: str) -> tuple[float, float, int, str]:
         """What a program costs."""

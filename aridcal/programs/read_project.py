@@ -57,11 +57,10 @@ def read_project(paths: Sequence[Path]) -> Opened:
         raise AridcalError("two of the programs have the same name: give the folder that both are in")
     beside = [file for file, _ in files.values() if not any(file is own for own, _ in ours)]
     beside += [file for own, _ in ours for file in language.context(own)]
-    context = {os.path.realpath(file): file for file in beside}
+    own_files = {os.path.realpath(own) for own, _ in ours}
+    context = {real: file for file in beside if (real := os.path.realpath(file)) not in own_files}
     sources = [Source(file, read_text(file)) for file, _ in ours]
-    sources += [
-        Source(file, read_text(file), False) for real, file in context.items() if real not in files or file in beside
-    ]
+    sources += [Source(file, read_text(file), False) for file in context.values()]
     return Opened(language, Project(tuple(sources)), tuple(name for _, name in ours))
 
 
