@@ -214,7 +214,11 @@ def hostile(n: int) -> Iterator[tuple[str, str, str]]:
     yield "procedures", ".mod", f"MODULE m\n{procedures}ENDMODULE\n"
     for name, piece in (("L P[", "L P["), ("quotes", '"'), ("brackets", "(["), ("P[1]{", "P[1]{")):
         yield f"{name} unclosed", ".ls", f"/PROG F\n/MN\n{piece * n}\n/POS\n{piece * n}\n/END\n"
-        yield f"{name} unclosed, on lines", ".ls", f"/PROG F\n/MN\n{(piece + chr(10)) * n}/POS\n{(piece + chr(10)) * n}/END\n"
+        yield (
+            f"{name} unclosed, on lines",
+            ".ls",
+            f"/PROG F\n/MN\n{(piece + chr(10)) * n}/POS\n{(piece + chr(10)) * n}/END\n",
+        )
     jumps = "".join(f"  LBL[{k}] ;\n  IF R[1]=1,JMP LBL[{k // 2}] ;\n" for k in range(1, n // 20))
     yield "jumps", ".ls", f"/PROG F\n/MN\n{jumps}/POS\n/END\n"
     for name, piece in (("(", "("), ("[", "["), ("G1 X[", "G1 X["), ("G1 X", "G1 X"), ("quotes", '"')):

@@ -20,6 +20,7 @@ import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -47,7 +48,7 @@ UNSEEN = (
 )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Stance:
     """How an arm stands.
 
@@ -70,7 +71,7 @@ Rule = Callable[[Stance, str], str | None]
 """What should stand in place of a text; None where nobody can tell."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Posture:
     """Words of a program, and what each should be.
 
@@ -187,6 +188,7 @@ def _with_bits(text: str, decided: Sequence[float] | np.ndarray) -> str | None:
     return f"{literal['open']}{literal['base']}{digits}{literal['close']}"
 
 
+@lru_cache
 def _quarter(axis: int, axes: Axes) -> Rule:
     """The quarter of a turn, or the metre, that an axis is in."""
     unit = 1.0 if axes.kinds[axes.arm[axis]] == "prismatic" else QUARTER
@@ -197,6 +199,7 @@ def _quarter(axis: int, axes: Axes) -> Rule:
     return rule
 
 
+@lru_cache
 def _turns(axis: int) -> Rule:
     """Whole turns of an axis away from its middle."""
 

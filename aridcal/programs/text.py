@@ -138,4 +138,5 @@ def spliced(text: str, changes: Sequence[tuple[Number, str]]) -> str:
     for old, new in sorted(changes, key=lambda change: change[0].start):
         parts += [text[end : old.start], new]
         end = old.end
-    return "".join([*parts, text[end:]])
+    parts.append(text[end:])
+    return "".join(parts)
