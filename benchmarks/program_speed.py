@@ -87,7 +87,7 @@ def inline_forms(numbers: Numbers) -> dict[str, str]:
     source, data = ["&ACCESS RVP", "DEF path()", "PTP {A1 17.2,A2 -68.8,A3 85.9,A4 -85.9,A5 -80.2,A6 11.5}"], []
     for k, own in enumerate(numbers, start=1):
         source += [
-            f";FOLD LIN P{k} CONT Vel=2 m/s CPDAT{k} Tool[1] Base[1];%{{PE}}%R 8.3.22,%MKUKATPBASIS,%CMOVE,%VLIN,%P 1:LIN, 2:P{k}",
+            f";FOLD LIN P{k} CONT Vel=2 m/s CPDAT{k} Tool[1] Base[1];%{{PE}}%R 8.3.22,%MKUKATPBASIS,%CMOVE,%VLIN,%P 1:LIN",
             "$BWDSTART=FALSE",
             f"LDAT_ACT=LCPDAT{k}",
             f"FDAT_ACT=FP{k}",
