@@ -104,12 +104,23 @@ def parser() -> CommandParser:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; returns its exit status."""
     command = parser()
-    arguments = command.parse_args(argv)
+    arguments = command.parse_args(_with_lists(sys.argv[1:] if argv is None else argv))
     if bool(arguments.poses) == (arguments.grid is not None):
         command.error("give either the poses or --grid POINTS")
     if arguments.grid is not None and arguments.grid < 2:
         command.error("--grid needs at least 2 points")
     return run(lambda: _main(arguments))
+
+
+def _with_lists(argv: Sequence[str]) -> list[str]:
+    """The arguments, lists of numbers tied to their option: what begins with a minus would be taken for another option."""
+    tied: list[str] = []
+    for argument in argv:
+        if tied and tied[-1] in ("--start", "--zeros"):
+            tied[-1] += f"={argument}"
+        else:
+            tied.append(argument)
+    return tied
 
 
 def _main(arguments: argparse.Namespace) -> None:
@@ -179,7 +190,9 @@ def _joints(text: str | None) -> tuple[float, ...] | None:
     try:
         return tuple(float(part) for part in text.split(","))
     except ValueError:
-        raise OutputError(f"--start {text}: should be numbers with commas between, in the units of the program") from None
+        raise OutputError(
+            f"--start {text}: should be numbers with commas between, in the units of the program"
+        ) from None
 
 
 @dataclass

@@ -11,8 +11,8 @@ Programs of `tests/made_programs.py` go from top to bottom, so that it is known 
 - a harmless statement, also in a branch or a loop, a comment with code in it: nothing changes;
 - a move in a branch: no frame changes.
 
-Of programs by others it is not known what comes behind what: there a harmless statement must change nothing, and whatever is still
-corrected behind an unknown one must have the same frame and the same tool as before.
+Of programs by others it is not known what comes behind what: there a harmless statement must change nothing, and whatever is
+still corrected behind an unknown one must have the same frame and the same tool as before.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ import re
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -73,8 +74,8 @@ SYNTAX = {
         ("if get_digital_in(1):", "end"), ("while get_digital_in(2):", "end"), r"\s*(movej|movel|movep)\(",
     ),
     "KRL": Syntax(
-        "FROBNICATE(1)", "$OUT[3]=TRUE", f"$TOOL={{X 0, Y 0, Z {1e3 * SHIFT}, A 0, B 0, C 0}}", "; $TOOL={X 1, Y 2, Z 3, A 0, B 0, C 0}",
-        ("IF $IN[1] THEN", "ENDIF"), ("WHILE $IN[2]", "ENDWHILE"), r"\s*(PTP|LIN|SLIN)\b",
+        "FROBNICATE(1)", "$OUT[3]=TRUE", f"$TOOL={{X 0, Y 0, Z {1e3 * SHIFT}, A 0, B 0, C 0}}",
+        "; $TOOL={X 1, Y 2, Z 3, A 0, B 0, C 0}", ("IF $IN[1] THEN", "ENDIF"), ("WHILE $IN[2]", "ENDWHILE"), r"(?i)\s*(PTP|LIN|SLIN)\b",
     ),
     "RAPID": Syntax(
         "Frobnicate 1;", "SetDO do3,1;", "", "! MoveL p10, v100, fine, tool0;", ("IF di1=1 THEN", "ENDIF"),
@@ -221,15 +222,12 @@ def measure(language: Language, mutants: int, folder: Path | None) -> None:
     if language.endings[0] in MAKERS:
         programs = [made_program(language, seed) for seed in range(20)]
         cells = [cell_of(language, made.frames, True) for made in programs]
-        checks += [
-            lambda rng, own=made, at=cell: check_made(language, own, at, rng)
-            for made, cell in zip(programs, cells, strict=True)
-        ]
+        checks += [partial(check_made, language, made, cell) for made, cell in zip(programs, cells, strict=True)]
     for file in sorted(folder.rglob("*")) if folder is not None else ():
         if language_of(file) is language and file.is_file():
             frames = read_frames(frames_file if (frames_file := file.parent / "frames.yaml").exists() else None)
             text, cell = read_text(file), Cell(cell_of(language, "").robot, frames, (), True)
-            checks.append(lambda rng, own=text, at=cell: check_other(language, own, at, rng))
+            checks.append(partial(check_other, language, text, cell))
     if not checks:
         print(f"{language.name}: no programs; give --folder", flush=True)
         return

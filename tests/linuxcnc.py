@@ -67,7 +67,7 @@ def run(
     variables.write_text("".join(f"{number} {value:.9f}\n" for number, value in sorted(values.items())))
     tools.write_text("".join(f"T{n} P{n} Z{length / MACHINE:.9f} D1.0\n" for n, length in lengths.items()))
     command = ["rs274", *(["-b"] if skip else []), "-g", "-v", str(variables), "-t", str(tools), str(program)]
-    own = {**os.environ, "HOME": str(program.parent)}  # it keeps its tools there: runs beside each other would share them
+    own = {**os.environ, "HOME": str(program.parent)}  # its tools are kept there, one file for all runs
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, cwd=program.parent, env=own)
     return list(_calls(done.stdout))
 

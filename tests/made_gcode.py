@@ -150,7 +150,7 @@ def gcode(rng: np.random.Generator, low: np.ndarray, high: np.ndarray, n: int) -
 
     def line(text: str = "", comment: str = "") -> None:
         code = text.replace(" ", "") if packed else text
-        name = f"N{next(places)} " if numbered and text else ""
+        name = f"N{next(places)} " if numbered and text and text[0] not in "%O" else ""
         made.template += name + (code.lower() if lower else code) + comment + end
 
     def move(head: str, which: str, q: np.ndarray, tail: str = "", comment: str = "", stepped: bool = False) -> None:

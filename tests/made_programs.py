@@ -13,7 +13,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-MARK = "\x00"
+MARK, WORD = "\x00", "\x01"
+"""What stands in a template for a number of a target, and for a number of its posture."""
 
 NUMBER = r"([-+]?\d+\.?\d*)"
 
@@ -23,8 +24,9 @@ class Made:
     """A program.
 
     Attributes:
-        template: With a mark in place of each number of a target.
+        template: With a mark in place of each number of a target, and of its posture.
         numbers: As they stand in the program, in its order.
+        words: Numbers of postures likewise.
         readings: Of each target, [rad].
         kinds: Of each target: ``joints`` or ``pose``.
         bases: Of each target: T_base_frame.
@@ -34,6 +36,7 @@ class Made:
 
     template: str = ""
     numbers: list[str] = field(default_factory=list)
+    words: list[str] = field(default_factory=list)
     readings: list[np.ndarray] = field(default_factory=list)
     kinds: list[str] = field(default_factory=list)
     bases: list[np.ndarray] = field(default_factory=list)
@@ -43,13 +46,23 @@ class Made:
     @property
     def text(self) -> str:
         """The program."""
-        values = iter(self.numbers)
-        return re.sub(MARK, lambda _: next(values), self.template)
+        values = {MARK: iter(self.numbers), WORD: iter(self.words)}
+        return re.sub(f"[{MARK}{WORD}]", lambda mark: next(values[mark.group()]), self.template)
 
     def read(self, text: str) -> list[str] | None:
         """Numbers of a corrected program; None where anything else is not as it was, but for the comment that says so."""
-        match = re.fullmatch(NUMBER.join(map(re.escape, self.template.split(MARK))), unmarked(text))
-        return None if match is None else list(match.groups())
+        numbers = self._marked(text)
+        return None if numbers is None else [number for mark, number in numbers if mark == MARK]
+
+    def read_words(self, text: str) -> list[str]:
+        """Numbers of postures in a corrected program."""
+        return [number for mark, number in self._marked(text) or () if mark == WORD]
+
+    def _marked(self, text: str) -> list[tuple[str, str]] | None:
+        between = re.split(f"[{MARK}{WORD}]", self.template)
+        match = re.fullmatch(NUMBER.join(map(re.escape, between)), unmarked(text))
+        marks = [letter for letter in self.template if letter in (MARK, WORD)]
+        return None if match is None else list(zip(marks, match.groups(), strict=True))
 
 
 def unmarked(text: str) -> str:
@@ -252,6 +265,21 @@ def urscript(rng: np.random.Generator, steps: Sequence[Step], flange: Flange) ->
     return w.made
 
 
+def signs(q: np.ndarray) -> str:
+    """KUKA's T: a bit for each axis below zero."""
+    return str(sum(1 << k for k in range(6) if q[k] < 0))
+
+
+def quarters(q: np.ndarray) -> list[str]:
+    """ABB's quarters of a turn of axes 1, 4 and 6."""
+    return [str(int(np.floor(q[j] / (np.pi / 2)))) for j in (0, 3, 5)]
+
+
+def turns(q: np.ndarray) -> list[str]:
+    """FANUC's whole turns of axes 1, 4 and 6."""
+    return [str(round(q[j] / (2 * np.pi))) for j in (0, 3, 5)]
+
+
 def krl(rng: np.random.Generator, steps: Sequence[Step], flange: Flange) -> Made:
     """As WorkVisual and offline systems write them: $BASE and $TOOL, aggregates in moves and under names."""
     w = Writer(KUKA, flange, "\r\n")
@@ -261,8 +289,10 @@ def krl(rng: np.random.Generator, steps: Sequence[Step], flange: Flange) -> Made
     def aggregate(texts: Sequence[str], more: str = "") -> str:
         return "{" + ", ".join(f"{key} {text}" for key, text in zip(keys, texts, strict=True)) + more + "}"
 
-    def turns(q: np.ndarray) -> str:
-        return f",S {int(rng.integers(8))},T {sum(1 << k for k in range(6) if q[k] < 0)},E1 0.0,E2 0.0"
+    def posture(q: np.ndarray) -> str:
+        status = int(rng.integers(8))
+        w.made.words.append(signs(q))
+        return f",S {status},T {WORD},E1 0.0,E2 0.0"
 
     w.line("&ACCESS RVP")
     w.line("&REL 12")
@@ -289,10 +319,10 @@ def krl(rng: np.random.Generator, steps: Sequence[Step], flange: Flange) -> Made
             axes = ", ".join(f"A{j + 1} {t}" for j, t in enumerate(w.joints(q)))
             w.line(f"PTP {{{axes}, E1 0.000}} C_PTP")
         elif rng.random() < 0.4:
-            w.line(f"XP{k}={aggregate(w.pose(q, base, tool), turns(q))}")
+            w.line(f"XP{k}={aggregate(w.pose(q, base, tool), posture(q))}")
             w.line(f"{rng.choice(['LIN', 'SLIN', 'PTP'])} XP{k} C_DIS")
         else:
-            w.line(f"  {rng.choice(['LIN', 'lin', 'PTP'])} {aggregate(w.pose(q, base, tool), turns(q))} C_DIS")
+            w.line(f"  {rng.choice(['LIN', 'lin', 'PTP'])} {aggregate(w.pose(q, base, tool), posture(q))} C_DIS")
         if rng.random() < 0.2:
             w.line('$OUT[12]=TRUE ; Düse auf "X 1, Y 2"')
     w.line(";ENDFOLD")
@@ -316,7 +346,6 @@ def rapid(rng: np.random.Generator, steps: Sequence[Step], flange: Flange) -> Ma
     moves = []
     for k, step in enumerate(steps):
         q = step.readings
-        data = ",".join(str(int(np.floor(q[j] / (np.pi / 2)))) for j in (0, 3, 5))
         if step.form == "joints":
             w.line(f"  CONST jointtarget jp{k}:=[[{','.join(w.joints(q))}],{external}];")
             moves.append(f"    MoveAbsJ jp{k}\\NoEOffs,v1000,fine,tBrenner;")
@@ -326,7 +355,8 @@ def rapid(rng: np.random.Generator, steps: Sequence[Step], flange: Flange) -> Ma
         marks = w.pose(q, base, tool)
         behind = "\\WObj:=wobTisch" if in_object else ""
         how = rng.integers(3)
-        w.line(f"  CONST robtarget p{k}0:=[{nested(marks)},[{data},0],{external}];")
+        w.made.words += quarters(q)
+        w.line(f"  CONST robtarget p{k}0:=[{nested(marks)},[{WORD},{WORD},{WORD},0],{external}];")
         point = f"Offs(p{k}0,0,0,0)" if how == 0 else f"p{k}0"
         moves.append(
             f"    Move{rng.choice(['L', 'J'])} {point}, v{100 * (1 + k % 3)}, z{5 * (k % 3)}, tBrenner{behind};"
@@ -362,8 +392,8 @@ def fanuc(rng: np.random.Generator, steps: Sequence[Step], flange: Flange) -> Ma
             w.line(f"\tJ1=  {t[0]} deg,\tJ2=  {t[1]} deg,\tJ3=  {t[2]} deg,")
             w.line(f"\tJ4=  {t[3]} deg,\tJ5=  {t[4]} deg,\tJ6=  {t[5]} deg")
         else:
-            turns = ", ".join(str(round(q[j] / (2 * np.pi))) for j in (0, 3, 5))
-            w.line(f"\tUF : 2, UT : 1,\t\tCONFIG : 'N U T, {turns}',")
+            w.made.words += turns(q)
+            w.line(f"\tUF : 2, UT : 1,\t\tCONFIG : 'N U T, {WORD}, {WORD}, {WORD}',")
             t = w.pose(q, base, tool)
             w.line(f"\tX =  {t[0]}  mm,\tY =   {t[1]}  mm,\tZ =   {t[2]}  mm,")
             w.line(f"\tW =   {t[3]} deg,\tP =   {t[4]} deg,\tR =   {t[5]} deg")

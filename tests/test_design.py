@@ -504,4 +504,7 @@ def test_a_failed_plan_writes_nothing(tmp_path: Path, capsys: pytest.CaptureFixt
     assert command.main([str(campaign(tmp_path).path), "-n", "5", "-o", str(tmp_path / "poses.txt")]) == 2
     assert "ends in one of .csv" in capsys.readouterr().err
     assert command.main([str(campaign(tmp_path).path), "-n", "5", "-o", str(tmp_path / "rows.csv")]) == 2
-    assert "this would overwrite it; write to another file" in capsys.readouterr().err and not (tmp_path / "rows.csv").exists()
+    assert (
+        "this would overwrite it; write to another file" in capsys.readouterr().err
+        and not (tmp_path / "rows.csv").exists()
+    )

@@ -310,7 +310,7 @@ def test_three_reasons_not_to_get_to_a_pose_are_told_apart() -> None:
         shown(robot, beyond, held=held),
     ]
     found = correct.correct(saved, targets, {}, q)
-    assert found[0].why == "its posture (signs 1 1) is none that the nominal arm has there"
+    assert found[0].why == "its posture (signs) is none that the nominal arm has there"
     assert found[1].why == correct.NOWHERE
     assert found[2].why == correct.LIMITED
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from calibrated import Machine, machine
-from made_programs import FANUC, KUKA, MAKERS, UR, Dialect, Made, path, transform
+from made_programs import FANUC, KUKA, MAKERS, UR, Dialect, Made, path, quarters, signs, transform, turns
 from robot_programs import error, sent
 from robots import ur10
 from scipy.spatial.transform import Rotation
@@ -24,7 +24,7 @@ from aridcal.model.model import Model
 from aridcal.programs import gcode
 from aridcal.programs.branches import flange
 from aridcal.programs.cell import Cell
-from aridcal.programs.correct import correct
+from aridcal.programs.correct import NOWHERE, correct
 from aridcal.programs.frames import KnownFrames, controllers_base, read_frames
 from aridcal.programs.languages import language_of
 from aridcal.programs.notations import ABB as OUR_ABB
@@ -39,6 +39,11 @@ from aridcal.robot.chain import chain, parse_robot
 from aridcal.robot.tree import read_tree
 
 CELL = Cell(ur10())
+
+POSTURES: dict[str, Callable[[np.ndarray], list[str]]] = {
+    ".script": lambda q: [], ".src": lambda q: [signs(q)], ".mod": quarters, ".ls": turns,
+}  # fmt: skip
+"""What each language writes of the arm's posture."""
 
 
 @cache
@@ -98,6 +103,11 @@ def test_only_numbers_of_targets_change_and_the_real_arm_comes_to_their_places(
         after.append(error(wanted, m, there)[0])
         model.append(error(wanted, m, there)[1])
     assert side["corrected"].all()
+    poses = [q for q, kind in zip(sent(program, numbers, ending, m), program.kinds, strict=True) if kind == "pose"]
+    words = iter(program.read_words(text))
+    for q in poses:  # at a boundary either word is right
+        near = [POSTURES[ending](q + step) for step in (0.0, 1e-3, -1e-3)]
+        assert [next(words) for _ in near[0]] in near
     assert np.linalg.norm(after) < 1.2 * np.linalg.norm(model)
     assert np.linalg.norm(after) < 0.01 * np.linalg.norm(before)
 
@@ -182,13 +192,14 @@ def test_a_controller_whose_base_is_turned_against_the_urdf_gets_the_same_correc
         "format: 1\nbases: {default: {xyz: [0, 0, 0], rpy: [0, 0, 3.141592653589793]}}\n"
         "tools: {default: {xyz: [0, 0, 0.1], rpy: [0, 0, 0]}}\n"
     )
-    (tmp_path / "tool.yaml").write_text("format: 1\ntools: {default: {xyz: [0, 0, 0.1], rpy: [0, 0, 0]}}\n")
+    (tmp_path / "tool.yaml").write_text(
+        "format: 1\nbases: {default: {xyz: [0, 0, 0], rpy: [0, 0, 0]}}\ntools: {default: {xyz: [0, 0, 0.1], rpy: [0, 0, 0]}}\n"
+    )
     found = []
     for T, file in ((here, "tool.yaml"), (np.linalg.inv(half_a_turn) @ here, "frames.yaml")):
         numbers = ", ".join(f"{value:.9f}" for value in OUR_UR.numbers(T, start))
-        _, text, table = run(
-            f"movel(p[{numbers}])\n", ".script", calibration, tmp_path, "--frames", str(tmp_path / file)
-        )
+        more = ("--frames", str(tmp_path / file), "--start", ",".join(f"{q:.6f}" for q in low + 0.45 * (high - low)))
+        _, text, table = run(f"movel(p[{numbers}])\n", ".script", calibration, tmp_path, *more)
         assert table["corrected"].all(), table["remark"].tolist()
         found.append(OUR_UR.pose(np.array([float(n) for n in text[text.index("[") + 1 : text.index("]")].split(",")])))
     np.testing.assert_allclose(half_a_turn @ found[1], found[0], atol=1e-7)
@@ -214,13 +225,14 @@ def test_targets_beyond_what_was_measured_or_out_of_reach_are_named_and_left(
     calibration: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     text = "movej([6.0, 6.0, 6.0, 6.0, 6.0, 6.0])\nset_tcp(p[0,0,0,0,0,0])\nmovel(p[9.0, 0.0, 0.0, 0.0, 0.0, 0.0])\n"
-    status, same, side = run(text, ".script", calibration, tmp_path)
+    (tmp_path / "base.yaml").write_text("format: 1\nbases: {default: {xyz: [0, 0, 0], rpy: [0, 0, 0]}}\n")
+    status, same, side = run(text, ".script", calibration, tmp_path, "--frames", str(tmp_path / "base.yaml"))
     assert status == 0
     assert same == text
     assert not side["corrected"].any()
     said = capfd.readouterr().err
     assert "line 1, [6.0, 6.0, 6.0, 6.0, 6.0, 6.0]: is beyond what was measured" in said
-    assert "line 3, p[9.0, 0.0, 0.0, 0.0, 0.0, 0.0]: the nominal arm does not get there" in said
+    assert f"line 3, p[9.0, 0.0, 0.0, 0.0, 0.0, 0.0]: {NOWHERE}" in said
 
 
 @pytest.mark.parametrize(
@@ -254,7 +266,7 @@ def test_frames_are_for_programs_alone(calibration: Path, tmp_path: Path, capfd:
     (tmp_path / "poses.csv").write_text("x,y,z\n1,2,3\n")
     arguments = [str(calibration), str(tmp_path / "poses.csv"), "-o", str(tmp_path / "b.csv"), "--at", "a=1"]
     assert compensate(arguments) == 2
-    assert "--frames and --at are for robot programs" in capfd.readouterr().err
+    assert "--frames, --at, --start and --zeros are for robot programs" in capfd.readouterr().err
 
 
 SLIDE = (

@@ -275,7 +275,7 @@ def correct(
 
 @dataclass
 class _Lot:
-    """Some targets of a program without a reason to be left, n of them, and what is worked out of them.
+    """Some targets of a program of which it is known where they are, n of them, and what is worked out of them.
 
     Attributes:
         targets: As they are read.
@@ -353,7 +353,7 @@ class _Walk:
     def go(self, targets: Sequence[Target]) -> list[Correction]:
         """Correct some more targets."""
         found: list[Correction] = [Correction(target, target.why) for target in targets]
-        plain = np.array([k for k, target in enumerate(targets) if not target.why], dtype=int)
+        plain = np.array([k for k, target in enumerate(targets) if not target.why or _passes(target)], dtype=int)
         if len(plain):
             own = [targets[k] for k in plain.tolist()]
             there, whys, lot = self._stood(own)
@@ -414,8 +414,7 @@ class _Walk:
         words = target.branch.words
         if words is None or not self._controller.within_limits(pose, ends):
             return LIMITED
-        stands = " ".join(number.text for number in words.numbers)
-        return f"its posture ({words.names} {stands}) is none that the nominal arm has there"
+        return f"its posture ({words.names}) is none that the nominal arm has there"
 
     def _approached(self, q: np.ndarray) -> dict[str, np.ndarray]:
         """From which side each joint comes that has to do with it."""
@@ -471,6 +470,8 @@ class _Walk:
         missed[missed] = self._arm.miss(wanted[missed], real[missed], lot.own_sides(rows[missed]))[:, 0] > SEEN
         remark[missed] = PARTLY
         lot.remark[rows], lot.why[rows] = remark, self._left(real, remark, sides)
+        for k in rows.tolist():
+            lot.why[k] = lot.targets[k].why or lot.why[k]
         lot.sent[rows] = np.where((lot.why[rows] != "")[:, None], as_is, sent)
 
     def _left(self, real: np.ndarray, remark: np.ndarray, sides: Mapping[str, np.ndarray]) -> np.ndarray:
@@ -581,6 +582,11 @@ class _Walk:
             if not (ok and half):
                 lot.why[k] = lot.why[k] or (BESIDE_WORSE if ok else BESIDE_NOWHERE)
             lot.remark[k] = lot.remark[k] or BESIDE
+
+
+def _passes(target: Target) -> bool:
+    """Whether a target is left, and all the same it is known where the arm is there: axes that are stated stand there."""
+    return target.form == "joints" and target.readings is not None
 
 
 def _unsettled(target: Target) -> bool:

@@ -199,7 +199,9 @@ def _write(opened: Opened, outputs: Outputs, texts: Sequence[str], corrections: 
     changed = {change.file for correction in corrections for change in correction.changes}
     sources = opened.project.sources
     hashes = [output_hash(text) if file in changed else "" for file, text in enumerate(texts)]
-    table = as_table(corrections, [source.path.name for source in sources])
+    table = as_table(corrections)
+    if len(outputs.files) > 1:
+        table.insert(0, "file", [sources[c.target.file].path.name for c in corrections])
     table[OUTPUT_HASH] = [hashes[c.target.file] for c in corrections]
     with ExitStack() as ends:
         if outputs.folder is not None:

@@ -88,7 +88,8 @@ class Target:
         form: Of its numbers: ``joints`` or a ``pose``.
         numbers: Where they stand; none where they are not plain.
         why: Why it cannot be corrected; empty if it can be.
-        readings: Of joints: shape (columns,), [rad] or [m]; NaN where the program says nothing, so that the last one holds.
+        readings: Of joints, also of those that are left where it is known where they are: shape (columns,), [rad] or [m]; NaN
+            where the program says nothing, so that the last one holds.
         units: Of joints: what one unit of each of ``numbers`` is, [rad] or [m], and which reading it belongs to.
         notation: Of a pose: how it is written.
         place: Of a pose: its frame and tool.

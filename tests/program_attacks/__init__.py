@@ -1,4 +1,4 @@
-"""Small programs with constructs that change what a target means: what is marked ⟦…⟧ must be left, what is marked ⟨…⟩ corrected."""
+"""Programs with constructs that change what a target means: what is marked ⟦…⟧ must be left, what is marked ⟨…⟩ corrected."""
 
 from __future__ import annotations
 

@@ -632,4 +632,65 @@ ORDER = (
     ),
 )
 
-ATTACKS: tuple[Attack, ...] = (*STATE, *POINTS, *REACHES_NOTHING, *PLAIN, *ORDER)
+INDIRECT = (
+    *body(
+        "programs that call each other, with an offset on the way",
+        ["  CALL A"],
+        "UFRAME[1]=PR[1]",
+        "DO[1]=ON",
+        [JOINT],
+        A=listing("A", [MOVE, "  IF R[1]>3,JMP LBL[1]", "  §", "  CALL B", "  LBL[1]"], [pose("2")]),
+        B=listing("B", ["  CALL A"], []),
+    )[:1],
+    *body(
+        "a program that a program calls writes the tool",
+        ["  CALL A", MOVE],
+        "UTOOL[1]=PR[1]",
+        "DO[1]=ON",
+        A=listing("A", ["  CALL B"], []),
+        B=listing("B", ["  §"], []),
+    ),
+    *body(
+        "a monitor's program writes the frame",
+        ["  MONITOR CH", MOVE],
+        "CALL SEEN",
+        "DO[1]=ON",
+        [UNMARKED, pose("2")],
+        CH=listing("CH", ["  WHEN DI[1]=ON,§"], []),
+    )[:1],
+    *body(
+        "a program on the way calls one that writes the frame",
+        [f"{MOVE}DB     5.0mm,CALL A", "L P[3] 200mm/sec FINE   "],
+        "UFRAME[1]=PR[1]",
+        "DO[1]=ON",
+        [JOINT, pose("2"), OTHER],
+        A=listing("A", ["  CALL B"], []),
+        B=listing("B", ["  §"], []),
+    ),
+    *body(
+        "a frame that is what it was, by way of a register that nobody knows",
+        ["  UFRAME[1]=PR[1]", "  §", MOVE],
+        "UFRAME[1]=PR[2]",
+        "DO[1]=ON",
+        [UNMARKED, pose("2")],
+    )[:1],
+    *body(
+        "an offset on a position that a loop comes to by two lines",
+        ["  FOR R[1]=1 TO 2", "  IF R[1]=2,JMP LBL[1]", MOVE, "  LBL[1]", f"{MOVE}§", "  ENDFOR"],
+        "Offset,PR[1]",
+    ),
+    *body(
+        "a position that is copied by its number",
+        ["  PR[1]=P[R[1]]", MOVE, "  §"],
+        "L PR[1] 200mm/sec FINE",
+        "DO[1]=ON",
+        [UNMARKED, pose("2")],
+    )[:1],
+    *body(
+        "a mixed condition with a call in brackets", ["  §", MOVE], "IF (R[1]=1),CALL MEASURE", "IF (R[1]=1),DO[1]=(ON)"
+    ),
+    *body("a part of a position is written", ["  §", MOVE], "P[2,3]=R[1]", "PR[2,3]=R[1]"),
+    *body("a position is written by an offset of itself", ["  §", MOVE], "P[2]=P[2]+PR[1]", "PR[2]=PR[2]+PR[1]"),
+)
+
+ATTACKS: tuple[Attack, ...] = (*STATE, *POINTS, *REACHES_NOTHING, *INDIRECT, *PLAIN, *ORDER)

@@ -378,4 +378,28 @@ SHOPS = (
     ),
 )
 
-ATTACKS: tuple[Attack, ...] = (*STATE, *BLOCKS, *FLOW, *REACHES_NOTHING, *PLAIN, *SHOPS)
+ENDS = (
+    Attack(
+        "a block behind a comment that a bare CR ends, with other line ends about",
+        {"p.nc": f"G21 G90 G17 G54\r\n; next\rG91\r\n{MOVE}\r\nM30\r\n"},
+        FRAMES,
+    ),
+    Attack(
+        "a whole program with bare CR, and a zero in it", {"p.nc": f"G21 G90 G17 G54\rG52 X5.0\r{MOVE}\rM30\r"}, FRAMES
+    ),
+    Attack("a form feed between words", {"p.nc": "G21 G90 G17 G54\nG1\fG91 ⟦X1.0 Y2.0 Z3.0⟧\nM30\n"}, FRAMES),
+    *lone("a zero behind a tab", "\tG52\tX5.0", "\tM8"),
+    *lone("a zero in a block that is numbered twice", "N10 N20 G52 X5.0", "N10 M8"),
+    Attack(
+        "a zero by small letters in a macro's branch",
+        {"p.nc": f"G21 G90 G17 G54\nif [#1 gt 0] then g52 x5\n{MOVE}\nM30\n"},
+        FRAMES,
+    ),
+    *lone("a parameter that is the work offset, by its name", "#<_ini[axis_x]home>=5\n#5241=2.0", "M8"),
+    *lone("a loop of Siemens", "FOR R1=1 TO 3\nATRANS X5\nENDFOR", "M8"),
+    *lone("a label, and a jump of Siemens", "IF R1>0 GOTOF ENDE\nTRANS X5\nENDE:", "M8"),
+    *lone("a coordinate turn by Heidenhain's or Okuma's word", "G11 X0 Y0 P30", "M8"),
+    *lone("a figure is turned by Mitsubishi's word", "G68.1 X0 Y0 Z0 I0 J0 K1 R10.0", "G69"),
+)
+
+ATTACKS: tuple[Attack, ...] = (*STATE, *BLOCKS, *FLOW, *REACHES_NOTHING, *ENDS, *PLAIN, *SHOPS)

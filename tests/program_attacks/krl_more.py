@@ -460,7 +460,7 @@ REACHES_NOTHING = (
     Attack(
         "control: an inline form of KSS 8 with its line for collision detection",
         {
-            "p.src": INLINE.replace("§", "SET_CD_PARAMS (0)"),
+            "p.src": INLINE.replace("§\n", "").replace("LIN XP1", "SET_CD_PARAMS (0)\nLIN XP1"),
             "p.dat": f"DEFDAT p\nDECL E6POS XP1=⟨{POSE}⟩\n{fdat(1, '1', '#BASE')}{LDAT}ENDDAT\n",
         },
         FRAMES,
@@ -791,4 +791,142 @@ ORDER = (
     ),
 )
 
-ATTACKS: tuple[Attack, ...] = (*STATE, *POINTS, *FILES, *REACHES_NOTHING, *PLAIN, *ORDER)
+INDIRECT = (
+    *body(
+        "two routines call each other, and the base changes between",
+        "A(1)",
+        "$BASE=BASE_DATA[2]",
+        "$OUT[1]=TRUE",
+        below=f"DEF A(N:IN)\nDECL INT N\nLIN ⟦{POSE}⟧\nIF N>0 THEN\n§\nB(N)\nENDIF\nEND\nDEF B(N:IN)\nDECL INT N\nA(N-1)\nEND\n",
+    )[:1],
+    *twins(
+        "an interrupt's routine calls what sets the base",
+        {
+            "p.src": f"DEF p()\nINTERRUPT DECL 4 WHEN $IN[7] DO SEEN()\n{SET}INTERRUPT ON 4\nWAIT SEC 1\nLIN ⟦{POSE}⟧\n"
+            "END\nDEF SEEN()\nFIT()\nEND\nDEF FIT()\n§\nEND\n"
+        },
+        "$BASE=$POS_INT",
+        "$OUT[1]=TRUE",
+        FRAMES,
+    ),
+    *twins(
+        "an interrupt that another routine declares and switches on",
+        {
+            "p.src": f"DEF p()\n{SET}ARM()\nWAIT SEC 1\nLIN ⟦{POSE}⟧\nEND\nDEF ARM()\n"
+            "GLOBAL INTERRUPT DECL 4 WHEN $IN[7] DO SEEN()\nINTERRUPT ON 4\nEND\nDEF SEEN()\n§\nEND\n"
+        },
+        "$BASE=$POS_INT",
+        "$OUT[1]=TRUE",
+        FRAMES,
+    ),
+    *twins(
+        "an interrupt whose routine no file has",
+        {
+            "p.src": f"DEF p()\nINTERRUPT DECL 4 WHEN $IN[7] DO §\n{SET}INTERRUPT ON 4\nWAIT SEC 1\nLIN ⟦{POSE}⟧\nEND\n"
+            "DEF LAMP()\n$OUT[1]=TRUE\nEND\n"
+        },
+        "NOBODY()",
+        "LAMP()",
+        FRAMES,
+    ),
+    *lone(
+        "cases that all set the base, and no default",
+        "SWITCH N\nCASE 1\n$BASE=BASE_DATA[2]\nCASE 2\n$BASE=BASE_DATA[2]\nENDSWITCH",
+        "SWITCH N\nCASE 1\n$BASE=BASE_DATA[2]\nCASE 2\n$BASE=BASE_DATA[2]\nDEFAULT\n$BASE=BASE_DATA[2]\nENDSWITCH",
+        "DECL INT N\nN=$ANIN[1]\n",
+    ),
+    *lone(
+        "a loop that perhaps never runs sets the base",
+        "WHILE $IN[1]\n$BASE=BASE_DATA[2]\nENDWHILE",
+        "REPEAT\n$BASE=BASE_DATA[2]\nUNTIL $IN[1]",
+    ),
+    *lone(
+        "a counted loop that perhaps never runs sets the base",
+        "FOR I=1 TO N\n$BASE=BASE_DATA[2]\nENDFOR",
+        "FOR I=1 TO N\n$OUT[1]=TRUE\nENDFOR",
+        "DECL INT I,N\nN=$ANIN[1]\n",
+    ),
+    *body(
+        "one literal in the bases of a list",
+        f"FOR I=1 TO 2\n§\nLIN ⟦{POSE}⟧\nENDFOR",
+        "$BASE=BASE_DATA[I]",
+        "$BASE=BASE_DATA[1]",
+        "DECL INT I\n",
+    ),
+    *lone(
+        "a wait's condition sets the base",
+        "WAIT FOR SEEN()",
+        "WAIT FOR $IN[3]",
+        below="DEFFCT BOOL SEEN()\n$BASE=$POS_ACT\nRETURN TRUE\nENDFCT\n",
+    ),
+    *lone(
+        "an index's function sets the base",
+        "$OUT[WHICH()]=TRUE",
+        "$OUT[2]=TRUE",
+        below="DEFFCT INT WHICH()\n$BASE=$POS_ACT\nRETURN 2\nENDFCT\n",
+    ),
+    *lone(
+        "a component of data is handed to a routine that changes it",
+        "RAISE(BASE_DATA[2].Z)\n$BASE=BASE_DATA[2]",
+        "$BASE=BASE_DATA[2]",
+        below="DEF RAISE(Z:OUT)\nDECL REAL Z\nZ=Z+$ANIN[1]\nEND\n",
+    )[:1],
+    *lone(
+        "the base is one of a list of the program's own, by a number",
+        "$BASE=TABLES[N]",
+        "$BASE=$NULLFRAME",
+        "DECL FRAME TABLES[2]\nDECL INT N\nTABLES[1]={X 1,Y 0,Z 0,A 0,B 0,C 0}\nTABLES[2]={X 2,Y 0,Z 0,A 0,B 0,C 0}\n"
+        "N=$ANIN[1]\n",
+    ),
+    *twins(
+        "an inline form whose base's number is written before",
+        {
+            "p.src": INLINE.replace("FDAT_ACT=FP1\n§", "§FDAT_ACT=FP1"),
+            "p.dat": f"DEFDAT p\nDECL E6POS XP1=⟦{POSE}⟧\n{fdat(1, '1', '#BASE')}{LDAT}ENDDAT\n",
+        },
+        "FP1.BASE_NO=$ANIN[1]\n",
+        "",
+        FRAMES,
+    ),
+    *twins(
+        "a point is overwritten by another of the list",
+        {
+            "p.src": f"DEF p()\n{SET}§\nLIN XP1\nEND\n",
+            "p.dat": f"DEFDAT p\nDECL E6POS XP1=⟦{POSE}⟧\nDECL E6POS XP2={{X 900,Y 0,Z 700,A 0,B 90,C 0}}\nENDDAT\n",
+        },
+        "XP1=XP2",
+        "$OUT[1]=TRUE",
+        FRAMES,
+    ),
+    *twins(
+        "an inline form of a spline with the tool in the room",
+        {
+            "p.src": "DEF p()\nSPTP ⟨{A1 0,A2 -90,A3 90,A4 0,A5 10,A6 0}⟩\n"
+            ";FOLD SLIN P1 Vel=2 m/s CPDAT1 Tool[1] Base[1];%{PE}\n"
+            "SLIN XP1 WITH $VEL=SVEL_CP(2.0,,LCPDAT1),$TOOL=STOOL2(FP1),"
+            "$BASE=SBASE(FP1.BASE_NO),$IPO_MODE=SIPO_MODE(FP1.IPO_FRAME),"
+            "$LOAD=SLOAD(FP1.TOOL_NO),$ACC=SACC_CP(LCPDAT1),$ORI_TYPE=SORI_TYP(LCPDAT1),"
+            "$APO=SAPO(LCPDAT1),$JERK=SJERK(LCPDAT1) C_Spl\n;ENDFOLD\nEND\n",
+            "p.dat": "DEFDAT p\nDECL E6POS XP1=⟦" + POSE + "⟧\n"
+            'DECL FDAT FP1={TOOL_NO 1,BASE_NO 1,IPO_FRAME §,POINT2[] " ",TQ_STATE FALSE}\n' + LDAT + "ENDDAT\n",
+        },
+        "#TCP",
+        "#BASE",
+        FRAMES,
+    ),
+    *lone(
+        "a jump out of a loop over the line that sets the base again",
+        "LOOP\n$BASE=BASE_DATA[2]\nIF $IN[1] THEN\nGOTO OUT\nENDIF\n$BASE={X 100,Y 0,Z 50,A 0,B 0,C 0}\n"
+        "IF $IN[2] THEN\nEXIT\nENDIF\nENDLOOP\nOUT:",
+        "LOOP\nIF $IN[1] THEN\nGOTO OUT\nENDIF\nIF $IN[2] THEN\nEXIT\nENDIF\nENDLOOP\nOUT:",
+    ),
+    *lone(
+        "a routine that returns before it sets the base back",
+        "WORK()",
+        "LAMP()",
+        below="DEF WORK()\n$BASE=BASE_DATA[2]\nIF $IN[1] THEN\nRETURN\nENDIF\n"
+        "$BASE={X 100,Y 0,Z 50,A 0,B 0,C 0}\nEND\nDEF LAMP()\n$OUT[1]=TRUE\nEND\n",
+    ),
+)
+
+ATTACKS: tuple[Attack, ...] = (*STATE, *POINTS, *FILES, *REACHES_NOTHING, *INDIRECT, *PLAIN, *ORDER)

@@ -805,4 +805,134 @@ ORDER = (
     ),
 )
 
-ATTACKS: tuple[Attack, ...] = (*STATE, *POINTS, *JOINTS, *FLOW, *REACHES_NOTHING, *PLAIN, *ORDER)
+SHIFT = "  VAR pose peSeen;\n"
+
+INDIRECT = (
+    *lone(
+        "an interrupt whose routine no module has",
+        "CONNECT i1 WITH tNobody;\n    ISignalDI di1,1,i1;",
+        "Set do1;",
+        "  VAR intnum i1;\n",
+    ),
+    *body(
+        "a joint move that calls a procedure named by a text",
+        f'MoveJSync p20,v200,fine,tG\\WObj:=wA,"§";\n    {MOVE}',
+        "rNobody",
+        "rLamp",
+        f"  CONST robtarget p20:={TARGET};\n",
+        "  PROC rLamp()\n    Set do1;\n  ENDPROC\n",
+    ),
+    *body(
+        "a procedure of its own that a move calls sets a displacement",
+        f'MoveLSync p20,v200,fine,tG\\WObj:=wA,"rSeen";\n    {MOVE}',
+        "PDispSet peSeen;",
+        "Set do1;",
+        SHIFT + f"  CONST robtarget p20:={TARGET};\n",
+        "  PROC rSeen()\n    §\n  ENDPROC\n",
+    ),
+    *body(
+        "two routines call each other, and a displacement comes between",
+        "a 1;",
+        "PDispSet peSeen;",
+        "Set do1;",
+        SHIFT,
+        f"  PROC a(num n)\n    {MOVE}\n    IF n>0 THEN\n      §\n      b n;\n    ENDIF\n  ENDPROC\n  PROC b(num n)\n"
+        "    a n-1;\n  ENDPROC\n",
+    )[:1],
+    *body(
+        "a routine calls itself with a displacement",
+        "go 2;",
+        "PDispSet peSeen;",
+        "Set do1;",
+        SHIFT,
+        f"  PROC go(num n)\n    {MOVE}\n    IF n>0 THEN\n      §\n      go n-1;\n    ENDIF\n  ENDPROC\n",
+    )[:1],
+    *body(
+        "an interrupt's routine calls what sets a displacement",
+        f"CONNECT i1 WITH seen;\n    ITimer 1,i1;\n    WaitTime 1;\n    {MOVE}",
+        "PDispSet peSeen;",
+        "Set do1;",
+        SHIFT + "  VAR intnum i1;\n",
+        "  TRAP seen\n    fit;\n  ENDTRAP\n  PROC fit()\n    §\n  ENDPROC\n",
+    ),
+    *body(
+        "an interrupt that a routine connects",
+        f"arm;\n    WaitTime 1;\n    {MOVE}",
+        "PDispSet peSeen;",
+        "Set do1;",
+        SHIFT + "  VAR intnum i1;\n",
+        "  TRAP seen\n    §\n  ENDTRAP\n  PROC arm()\n    CONNECT i1 WITH seen;\n    ISignalDI di1,1,i1;\n  ENDPROC\n",
+    ),
+    *body(
+        "a cycle is ended with a displacement in force",
+        f"{MOVE}\n    §\n    IF di1=1 ExitCycle;\n    PDispOff;",
+        "PDispSet peSeen;",
+        "Set do1;",
+        SHIFT,
+    ),
+    *lone(
+        "a displacement is off in one case only",
+        "PDispSet peSeen;\n    TEST ai1\n    CASE 1,2:\n      PDispOff;\n    ENDTEST",
+        "PDispSet peSeen;\n    TEST ai1\n    CASE 1,2:\n      PDispOff;\n    DEFAULT:\n      PDispOff;\n    ENDTEST",
+        SHIFT,
+    ),
+    *lone(
+        "a displacement is off in a loop that perhaps never runs",
+        "PDispSet peSeen;\n    WHILE di1=1 DO\n      PDispOff;\n    ENDWHILE",
+        "PDispSet peSeen;\n    PDispOff;\n    WHILE di1=1 DO\n      WaitTime 1;\n    ENDWHILE",
+        SHIFT,
+    ),
+    *lone(
+        "a displacement is off behind a return that comes first",
+        "PDispSet peSeen;\n    back;",
+        "PDispSet peSeen;\n    PDispOff;\n    back;",
+        SHIFT,
+        "  PROC back()\n    IF di1=1 RETURN;\n    PDispOff;\n  ENDPROC\n",
+    ),
+    *body(
+        "a constant is another's copy, and both are targets with two tools",
+        f"{MOVE}\n    MoveL p20,v200,fine,t§\\WObj:=wA;",
+        "H",
+        "G",
+        "  CONST robtarget p20:=p10;\n",
+    )[:1],
+    *twins(
+        "a module's own tool has the name of a public one",
+        {
+            "M.mod": module(f"{MOVE}\n    rOther;"),
+            "N.mod": "MODULE N\n§  PROC rOther()\n    MoveL p10,v200,fine,tG\\WObj:=wA;\n  ENDPROC\nENDMODULE\n",
+        },
+        f"  LOCAL PERS tooldata tG:=[TRUE,[[0,0,300],[1,0,0,0]],{LOAD}];\n",
+        f"  LOCAL PERS tooldata tN:=[TRUE,[[0,0,300],[1,0,0,0]],{LOAD}];\n",
+    ),
+    *twins(
+        "a number of a declared target is worked out",
+        {"M.mod": module(MOVE, "§", target=TARGET.replace("700", "nH"))},
+        "  PERS num nH:=700;\n  PROC rSeen()\n    nH:=ai1;\n  ENDPROC\n",
+    )[:1],
+    *lone(
+        "the condition of a loop sets a displacement",
+        "WHILE bMore() DO\n      WaitTime 1;\n    ENDWHILE",
+        "WHILE di1=1 DO\n      WaitTime 1;\n    ENDWHILE",
+        SHIFT,
+        "  FUNC bool bMore()\n    PDispSet peSeen;\n    RETURN FALSE;\n  ENDFUNC\n",
+    )[:1],
+    *body(
+        "a move's speed is a function that sets a displacement",
+        "MoveL p10,vSlow(),fine,tG\\WObj:=wA;",
+        "PDispSet peSeen;",
+        "Set do1;",
+        SHIFT,
+        "  FUNC speeddata vSlow()\n    §\n    RETURN v100;\n  ENDFUNC\n",
+    )[:1],
+    *body(
+        "an object out of an array that a loop goes through",
+        "FOR i FROM 1 TO 2 DO\n      MoveL p10,v200,fine,tG\\WObj:=w§;\n    ENDFOR",
+        "All{i}",
+        "A",
+        '  PERS wobjdata wAll{2}:=[[FALSE,TRUE,"",[[1,0,0],[1,0,0,0]],[[0,0,0],[1,0,0,0]]],'
+        '[FALSE,TRUE,"",[[2,0,0],[1,0,0,0]],[[0,0,0],[1,0,0,0]]]];\n',
+    ),
+)
+
+ATTACKS: tuple[Attack, ...] = (*STATE, *POINTS, *JOINTS, *FLOW, *REACHES_NOTHING, *INDIRECT, *PLAIN, *ORDER)

@@ -705,6 +705,120 @@ NAMES = (
     ),
 )
 
+INDIRECT = (
+    *body(
+        "two functions call each other, and the tool changes between",
+        f"  def a(n):\n    movel({P1})\n    if n > 0:\n      §\n      b(n)\n    end\n  end\n  def b(n):\n    a(n - 1)\n"
+        "  end\n  a(1)",
+        "set_tcp(p[0, 0, 0.2, 0, 0, 0])",
+        "sleep(0.1)",
+    )[:1],
+    *body(
+        "a thread calls a function that sets the tool",
+        f"  def fit():\n    §\n  end\n  thread watch():\n    fit()\n  end\n  run watch()\n  movel({P1})",
+        "set_tcp(get_actual_tcp_pose())",
+        "sleep(0.1)",
+    ),
+    *body(
+        "a function starts the thread that sets the tool",
+        f"  thread watch():\n    §\n  end\n  def start():\n    run watch()\n  end\n  start()\n  movel({P1})",
+        "set_tcp(get_actual_tcp_pose())",
+        "sleep(0.1)",
+    ),
+    *body(
+        "a branch starts the thread that sets the tool",
+        f"  thread watch():\n    §\n  end\n  if get_standard_digital_in(1):\n    run watch()\n  end\n  movel({P1})",
+        "set_tcp(get_actual_tcp_pose())",
+        "sleep(0.1)",
+    ),
+    *body(
+        "a thread is started behind the move in a loop",
+        f"  thread watch():\n    §\n  end\n  i = 0\n  while i < 3:\n    movel({P1})\n    if i == 0:\n"
+        "      run watch()\n    end\n    i = i + 1\n  end",
+        "set_tcp(get_actual_tcp_pose())",
+        "sleep(0.1)",
+    ),
+    *body(
+        "a thread is awaited, and has set the tool",
+        f"  thread watch():\n    §\n  end\n  t = run watch()\n  join t\n  movel({P1})",
+        "set_tcp(get_actual_tcp_pose())",
+        "sleep(0.1)",
+    ),
+    *body(
+        "a thread changes the variable that the tool is set from",
+        "  global length = 0.1\n  thread watch():\n    §\n  end\n  run watch()\n  set_tcp(p[0, 0, length, 0, 0, 0])\n"
+        f"  movel({P1})",
+        "length = read_input_float_register(0)",
+        "sleep(0.1)",
+    )[:1],
+    *body(
+        "a branch changes a number that the tool is set from",
+        f"  length = 0.1\n  if get_standard_digital_in(1):\n    §\n  end\n  set_tcp(p[0, 0, length, 0, 0, 0])\n  movel({P1})",
+        "length = 0.2",
+        "sleep(0.1)",
+    )[:1],
+    *body(
+        "a tool out of a list by a register",
+        f"  tools = [p[0, 0, 0.1, 0, 0, 0], p[0, 0, 0.2, 0, 0, 0]]\n  §\n  movel({P1})",
+        "set_tcp(tools[read_input_integer_register(0)])",
+        "sleep(0.1)",
+    ),
+    *body(
+        "a copy is the target, and the point it was copied from changes before its own move",
+        f"  p1 = {P1}\n  p2 = p1\n  movel(p2)\n  §\n  movel(p1)",
+        "p1[2] = read_input_float_register(0)",
+        "sleep(0.1)",
+    )[:1],
+    *body(
+        "the condition of a loop sets the tool",
+        f"  def more():\n    §\n    return get_standard_digital_in(1)\n  end\n  while more():\n    movel({P1})\n  end",
+        "set_tcp(get_actual_tcp_pose())",
+        "sleep(0.1)",
+    ),
+    *body(
+        "the tool is what a function gives",
+        "  def choose():\n    if get_standard_digital_in(1):\n      return p[0, 0, 0.1, 0, 0, 0]\n    end\n"
+        f"    return p[0, 0, 0.2, 0, 0, 0]\n  end\n  §\n  movel({P1})",
+        "set_tcp(choose())",
+        "sleep(0.1)",
+    ),
+    *body(
+        "a point is compared with where the arm is",
+        f"  p1 = {P1}\n  §\n    movel(p1)\n  end",
+        "if p1 == get_actual_tcp_pose():",
+        "if get_standard_digital_in(1):",
+    ),
+    *body(
+        "a point's length is worked with", f"  p1 = {P1}\n  movel(p1)\n  §", "sleep(norm([p1[0], p1[1]]))", "sleep(0.1)"
+    ),
+    *body(
+        "points of two branches, one of them raised behind",
+        f"  if get_standard_digital_in(1):\n    p1 = {P1}\n  else:\n    p1 = p⟦[0.5, 0.3, 0.35, 2.2, -2.2, 0.1]⟧\n"
+        "  end\n  §\n  movel(p1)",
+        "p1[2] = p1[2] + read_input_float_register(0)",
+        "sleep(0.1)",
+    )[:1],
+    *body(
+        "a loop within a loop sets the tool at its end",
+        f"  i = 0\n  while i < 2:\n    j = 0\n    while j < 2:\n      movel({P1})\n      j = j + 1\n    end\n    §\n"
+        "    i = i + 1\n  end",
+        "set_tcp(p[0, 0, 0.2, 0, 0, 0])",
+        "sleep(0.1)",
+    ),
+    *body(
+        "a conveyor is followed in one branch",
+        f"  if get_standard_digital_in(1):\n    §\n  end\n  movel({P1})",
+        "track_conveyor_linear(p[1, 0, 0, 0, 0, 0], 500.0)",
+        "sleep(0.1)",
+    ),
+    *body(
+        "a thread adds an offset to the path",
+        f"  thread watch():\n    §\n  end\n  run watch()\n  movel({P1})",
+        "path_offset_enable()\n    path_offset_set(p[0, 0, read_input_float_register(0), 0, 0, 0], 1)",
+        "sleep(0.1)",
+    ),
+)
+
 ATTACKS: tuple[Attack, ...] = tuple(
-    replace(attack, frames=BASE) for attack in (*STATE, *POINTS, *REACHES_NOTHING, *PLAIN, *NAMES)
+    replace(attack, frames=BASE) for attack in (*STATE, *POINTS, *REACHES_NOTHING, *INDIRECT, *PLAIN, *NAMES)
 )

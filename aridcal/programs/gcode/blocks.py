@@ -82,7 +82,11 @@ def lines_of(text: str) -> Iterator[Line]:
         code = row.rstrip("\r")
         if start == 0 and code.startswith("\xef\xbb\xbf"):  # UTF-8 says so
             code = "   " + code[3:]
-        fault = ""
+        fault = (
+            "a carriage return stands within the line: controllers differ in whether it ends there"
+            if "\r" in code
+            else ""
+        )
         if "(" in code or ";" in code or ")" in code:
             if PYTHON.search(code):
                 fault = "a comment is carried out here (py)"

@@ -25,7 +25,7 @@ TOKENS = re.compile(
   | (?P<move>(?:{"|".join(MOVES)})\(p?+{_LIST}(?:[ \t]*+,[ \t]*+[avtr][ \t]*+=[ \t]*+{_NUMBER})*+[ \t]*+\))
   | (?P<list>(?:p[ \t]*+)?+{_LIST})
   | (?P<pose>p[ \t]*+\[)
-  | (?P<name>[A-Za-z_]\w*+)
+  | (?P<name>[A-Za-z_\x80-\xff][\w\x80-\xff]*+)
   | (?P<number>(?:0[xX][0-9a-fA-F]++|{_NUMBER})(?![\w.]))
   | (?P<text>"[^"\n]*+")
   | (?P<note>\$[ \t]*+\d[^\n]*+)
@@ -39,7 +39,7 @@ PolyScope's name of a line."""
 
 COMMENTS = r'"[^"\n]*+"|#[^\n]*+'
 
-DEFINITION = re.compile(r"\b(?:def|thread|sec)[ \t]++([A-Za-z_]\w*+)", re.ASCII)
+DEFINITION = re.compile(r"\b(?:def|thread|sec)[ \t]++([A-Za-z_\x80-\xff][\w\x80-\xff]*+)", re.ASCII)
 
 BLOCKS = ("def", "thread", "sec", "if", "while")
 
