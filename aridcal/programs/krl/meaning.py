@@ -75,7 +75,6 @@ class Meaning(Values):
             {m.variable.key for m in said.writes if m.variable.index is not None and m.variable.shared}
             | {key for key, index in begin if index and ":" not in key}
         )
-        self.linear_words = False
         self._ignoring = any("#ignore" in code.plain for code in points.codes)
         self._outside = EXTERNAL[len(points.cell.axes.external) :]
         self._moved_outside = any(_TOLD_OUTSIDE.search(code.plain) for code in points.codes)
@@ -308,7 +307,7 @@ class Meaning(Values):
         self._send_outside(move, value, state)
         use, stated = self._use(move, goal, value, conditions, state)
         if state.recording:
-            self._points.go(shown, value, use, stated)
+            self._points.go(shown, value, use, move.word in table.JOINTED)
         if last:
             self._stance(move, value, use, stated, state)
 
@@ -325,8 +324,7 @@ class Meaning(Values):
         tool = self._as_frame(conditions.tool, "$TOOL")
         for frame in self._frames(goal.behind[::-1], state):
             tool = product(tool, inverse_of(frame))
-        stated = value.states_posture and not goal.behind
-        self.linear_words = self.linear_words or (stated and move.word not in table.JOINTED)
+        stated = move.word in table.JOINTED and value.states_posture and not goal.behind
         stance = state.get("stance")
         comes = stance.why if isinstance(stance, Unknown) and not stated else ""
         return Use(line, base, tool, shift, why, None, comes, "shifted" if goal.behind else ""), stated

@@ -336,8 +336,6 @@ def _notes(said: Said, constants: Mapping[Element, object], meaning: Meaning) ->
     yield "BAS and the functions of inline forms are taken to do what KUKA's bas.src does"
     if ("$robroot", None) not in constants:
         yield "$WORLD is taken to be at the foot of the robot ($ROBROOT zero): give $machine.dat if it is elsewhere"
-    if meaning.linear_words:
-        yield "S and T of points of linear moves, which the controller does not read there, are taken to be how the arm stands"
     if said.packages:
         listed = ", ".join(sorted(said.packages))
         yield f"{listed}: taken to switch signals, wait and weave, as KUKA's grippers, guns and torches do"
