@@ -292,7 +292,7 @@ def krl(rng: np.random.Generator, steps: Sequence[Step], flange: Flange) -> Made
         return "{" + ", ".join(f"{key} {text}" for key, text in zip(keys, texts, strict=True)) + more + "}"
 
     def posed(k: int, q: np.ndarray, moves: Sequence[str]) -> tuple[str, str]:
-        """A move, and an aggregate with S and T: controllers ask for these in moves of all axes alone, elsewhere they are stale."""
+        """A move, and an aggregate with S and T: stale ones where the controller does not ask for them."""
         texts, status, move = w.pose(q, base, tool), int(rng.integers(8)), str(rng.choice(moves))
         if move == "PTP":
             w.made.words.append(signs(q))
