@@ -11,7 +11,6 @@ from aridcal.programs.targets import Branch, Place, Target, Words
 from aridcal.programs.text import Code
 from aridcal.programs.uses import Use
 
-
 COUPLED = (
     "FANUC counts J3 from the horizontal, and the URDF its joint from link 2, so that J1 to J6 mean another place there: "
     "give poses, or state `j3_from_link_2: true` in --frames if this controller counts as the URDF does"
