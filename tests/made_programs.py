@@ -32,6 +32,7 @@ class Made:
         bases: Of each target: T_base_frame.
         tools: Of each target: T_tip_tool.
         frames: The file of ``--frames``; empty if the program states all.
+        stale: Targets whose words for a posture nobody asks for, and that must stay as they stand.
     """
 
     template: str = ""
@@ -42,6 +43,7 @@ class Made:
     bases: list[np.ndarray] = field(default_factory=list)
     tools: list[np.ndarray] = field(default_factory=list)
     frames: str = ""
+    stale: set[int] = field(default_factory=set)
 
     @property
     def text(self) -> str:
@@ -289,10 +291,15 @@ def krl(rng: np.random.Generator, steps: Sequence[Step], flange: Flange) -> Made
     def aggregate(texts: Sequence[str], more: str = "") -> str:
         return "{" + ", ".join(f"{key} {text}" for key, text in zip(keys, texts, strict=True)) + more + "}"
 
-    def posture(q: np.ndarray) -> str:
-        status = int(rng.integers(8))
-        w.made.words.append(signs(q))
-        return f",S {status},T {WORD},E1 0.0,E2 0.0"
+    def posed(k: int, q: np.ndarray, moves: Sequence[str]) -> tuple[str, str]:
+        """A move, and an aggregate with S and T: stale ones where the controller does not ask for them."""
+        texts, status, move = w.pose(q, base, tool), int(rng.integers(8)), str(rng.choice(moves))
+        if move == "PTP":
+            w.made.words.append(signs(q))
+        else:
+            w.made.stale.add(k)
+        turn = WORD if move == "PTP" else str(63 - int(signs(q)))
+        return move, aggregate(texts, f",S {status},T {turn},E1 0.0,E2 0.0")
 
     w.line("&ACCESS RVP")
     w.line("&REL 12")
@@ -319,10 +326,11 @@ def krl(rng: np.random.Generator, steps: Sequence[Step], flange: Flange) -> Made
             axes = ", ".join(f"A{j + 1} {t}" for j, t in enumerate(w.joints(q)))
             w.line(f"PTP {{{axes}, E1 0.000}} C_PTP")
         elif rng.random() < 0.4:
-            w.line(f"XP{k}={aggregate(w.pose(q, base, tool), posture(q))}")
-            w.line(f"{rng.choice(['LIN', 'SLIN', 'PTP'])} XP{k} C_DIS")
+            move, point = posed(k, q, ["LIN", "SLIN", "PTP"])
+            w.line(f"XP{k}={point}")
+            w.line(f"{move} XP{k} C_DIS")
         else:
-            w.line(f"  {rng.choice(['LIN', 'lin', 'PTP'])} {aggregate(w.pose(q, base, tool), posture(q))} C_DIS")
+            w.line("  {} {} C_DIS".format(*posed(k, q, ["LIN", "lin", "PTP"])))
         if rng.random() < 0.2:
             w.line('$OUT[12]=TRUE ; Düse auf "X 1, Y 2"')
     w.line(";ENDFOLD")

@@ -25,6 +25,7 @@ from program_attacks.fanuc import (
     listing,
     point,
 )
+from robots import ur10
 from scipy.spatial.transform import Rotation
 
 from aridcal.programs.cell import Cell, Reading
@@ -66,7 +67,7 @@ def frames_of(text: str, folder: Path) -> KnownFrames:
 
 def stated(frames: KnownFrames | None = None) -> Cell:
     eye = {str(n): np.eye(4) for n in range(1, 4)}
-    return Cell(ARM, frames if frames is not None else KnownFrames(eye, eye))
+    return Cell(ARM, frames if frames is not None else KnownFrames(eye, eye, j3_from_link_2=True))
 
 
 def read(text: str, cell: Cell | None = None, ours: bool = True, **others: str) -> Reading:
@@ -519,16 +520,33 @@ def joints(number: int, j1: str = "10.000", more: str = "") -> str:
 
 
 def test_joints_need_no_frame_and_no_tool() -> None:
-    reading = read(listing(["UFRAME_NUM=2", GO], [joints(1)]), stated(KnownFrames()))
+    reading = read(listing(["UFRAME_NUM=2", GO], [joints(1)]), stated(KnownFrames(j3_from_link_2=True)))
     target = by_name(reading)["P[1]"]
     assert target.why == "" and target.form == "joints" and target.readings is not None
     np.testing.assert_allclose(target.readings, np.radians([10, 71.314, -40.004, 0.574, -50.086, 145.67]))
-    assert any("J3" in note for note in reading.notes)
+    assert not any("J3" in note for note in reading.notes)
     assert "shifts joints" in why(listing([f"{GO} Tool_Offset,PR[1]"], [joints(1)]))
     assert "shifts joints" in why(listing([*KNOWN, SHIFTED], [joints(1)]))
     assert "axis J7" in why(listing([GO], [joints(1, more=",\n\tJ7=  1.000 mm")]))
     assert "in mm" in why(listing([GO], [joints(1).replace("10.000 deg", "10.000 mm")]))
     assert "all joints" in why(listing([GO], [joints(1).replace(",\tJ6=   145.670 deg", "")]))
+
+
+def test_joints_of_an_arm_whose_j3_may_count_from_the_horizontal_are_left_unless_the_user_states_otherwise(
+    tmp_path: Path,
+) -> None:
+    text = listing(["J P[1] 9% FINE", GO.replace("P[1]", "P[2]")], [joints(1), point(2, config="")])
+    bare, other = stated(KnownFrames()), Cell(ur10(), KnownFrames())
+    assert bare.anatomy is not None and other.anatomy is None
+    left = by_name(read(text, bare))
+    assert "from the horizontal" in left["P[1]"].why and "j3_from_link_2" in left["P[1]"].why
+    assert (
+        "--start" in left["P[2]"].branch.unknown or left["P[2]"].why
+    )  # nobody knows where a misread target has taken the arm
+    known = stated(frames_of("format: 1\nj3_from_link_2: true\n", tmp_path))
+    assert by_name(read(text, known))["P[1]"].why == ""
+    said = read(text, other)  # nobody can tell whether it is such an arm: it is asked
+    assert by_name(said)["P[1]"].why == "" and any("J3" in note for note in said.notes)
 
 
 def test_a_second_group_belongs_to_another_arm() -> None:

@@ -328,3 +328,24 @@ def test_programs_with_too_many_ways_are_left_as_a_whole() -> None:
     body = "LOOP\n" * 40 + f"LIN {POSE}\n" * 50 + "ENDLOOP\n" * 40
     targets = read({"a.src": f"DEF a()\n{BEGIN}{body}END\n"}).targets
     assert len(targets) > 50 and all("more ways" in t.why for t in targets)
+
+
+@pytest.mark.parametrize(
+    ("moves", "asked", "settled"),
+    [
+        ("PTP P1", True, True),
+        ("SPTP P1", True, True),
+        ("LIN P1", False, False),
+        ("SLIN P1", False, False),
+        ("CIRC P1,P1", False, False),
+        ("SPLINE\nSPL P1\nENDSPLINE", False, False),
+        ("LIN P1\nPTP P1", True, False),
+    ],
+)
+def test_status_and_turn_are_asked_for_by_moves_of_all_axes_alone(moves: str, asked: bool, settled: bool) -> None:
+    """Where nothing but linear moves goes to a point, its S and T say nothing, and it is not known how the arm comes there."""
+    text = f"DEF a()\nDECL E6POS P1\n$BASE={FRAME}\n$TOOL={FRAME}\nP1={FULL}\n{moves}\nEND\n"
+    (target,) = read({"a.src": text}).targets
+    words = target.branch.words
+    assert (words is not None, bool(target.branch.unknown), target.why) == (asked, not settled, "")
+    assert words is None or [n.text for n in words.numbers] == ["2", "10"]

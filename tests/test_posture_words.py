@@ -16,15 +16,19 @@ from posture_arms import ABB, FANUC, KUKA, Arm
 
 from aridcal.errors import AridcalError
 from aridcal.inputs.campaign import load_campaign, nominal_robot
+from aridcal.model.model import Model
 from aridcal.programs import fanuc, krl, rapid
 from aridcal.programs.branches import flange
-from aridcal.programs.cell import Cell
+from aridcal.programs.cell import Cell, Reading
+from aridcal.programs.job import Request, correct_programs
+from aridcal.programs.notations import KUKA as NOTATION
 from aridcal.programs.postures import EITHER, fanuc_words, krl_words, rapid_words, unread
+from aridcal.programs.sentences import lines_of
 from aridcal.programs.targets import Branch, Target, Words
 from aridcal.programs.text import Number
 from aridcal.programs.zeros import WITNESSES, cell_zeros, senses_hint, zeros_hint
-from aridcal.result.saved_model import SavedModel
-from aridcal.robot.chain import parse_robot
+from aridcal.result.saved_model import SavedModel, SolvedModel
+from aridcal.robot.chain import Robot, parse_robot
 
 KUKA_ZERO = (0.0, -90.0, 90.0, 0.0, 0.0, 0.0)
 """Of a URDF whose upper arm is upright at zero."""
@@ -409,6 +413,50 @@ def test_axes_that_turn_the_other_way_than_the_makers_are_named() -> None:
     flange_alone = Arm(FANUC.lengths, (1, 1, -1, -1, -1, 1), level=False)
     assert senses_hint(Cell(flange_alone.robot()), fanuc.ROW.name).startswith("j6 of the URDF")
     assert senses_hint(Cell(robots.ur10()), krl.ROW.name) == senses_hint(Cell(left.robot()), "URScript") == ""
+
+
+def compensated(robot: Robot, ending: str, text: str, folder: Path) -> tuple[list[str], Reading]:
+    """What is said of a program that is corrected for an arm without faults, calibrated everywhere."""
+    saved = SavedModel(
+        *[SolvedModel(Model(robot, ()), np.zeros(0), np.zeros((0, 0)))] * 2, "pose", (0.0, 0.0, -9.81), (5e-5, 5e-5),
+        dict.fromkeys(robot.readings, (-7.0, 7.0)), {},
+    )  # fmt: skip
+    (folder / "calibration.yaml").write_text(saved.dump())
+    (folder / f"a{ending}").write_text(text)
+    answer = correct_programs(Request(folder / "calibration.yaml", (folder / f"a{ending}",), folder / f"b{ending}"))
+    return lines_of(answer), replace(answer.reading, targets=[c.target for c in answer.corrections])
+
+
+def krl_program(n: int) -> str:
+    """PTP points of a KUKA with the words that its zeros give, and LIN points without any."""
+    cell, lines = Cell(KUKA.robot()), []
+    rng = np.random.default_rng(9)
+    for k in range(n):
+        q = np.radians(rng.uniform([-90, -120, 30, -90, -90, -170], [90, -20, 120, 90, 90, 170]))
+        status, turn = some(krl_of(cell, "0", "0").texts(q))
+        v = NOTATION.numbers(flange(cell.robot, q), np.zeros(6))
+        pose = ",".join(f"{name} {value:.6f}" for name, value in zip("XYZABC", v, strict=True))
+        lines.append(f"PTP {{{pose},S {status},T {turn}}}" if k % 3 else f"LIN {{{pose}}}")
+    shown = ",".join(f"A{k + 1} {np.degrees(value):.4f}" for k, value in enumerate(q))
+    return "\n".join(["DEF a()", "$BASE=$NULLFRAME", "$TOOL=$NULLFRAME", f"PTP {{{shown}}}", *lines, "END", ""])
+
+
+def test_a_program_that_speaks_against_the_zeros_is_answered_with_what_to_state(tmp_path: Path) -> None:
+    wrong, _ = compensated(KUKA.robot(LIMITS, upright=True), ".src", krl_program(30), tmp_path)
+    assert any("--zeros 0,-90,90,0,0,0" in line and line.startswith("note: ") for line in wrong)
+    right, _ = compensated(KUKA.robot(), ".src", krl_program(30), tmp_path)
+    assert not any("--zeros" in line for line in right)
+
+
+def test_what_axes_that_turn_the_other_way_give_another_meaning_is_left(tmp_path: Path) -> None:
+    left = Arm(KUKA.lengths, (1, 1, 1, 1, 1, 1), level=True)
+    _, reading = compensated(left.robot(), ".src", krl_program(6), tmp_path)
+    assert len(reading.targets) == 7
+    for target in reading.targets:
+        counted = target.form == "joints" or target.branch.words is not None
+        assert "turn the other way" in (target.why if counted else target.branch.unknown)
+    _, reading = compensated(KUKA.robot(), ".src", krl_program(6), tmp_path)
+    assert not any(target.why or target.branch.unknown for target in reading.targets)
 
 
 def test_an_abb_program_for_a_urdf_that_lies_level_at_zero() -> None:

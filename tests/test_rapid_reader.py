@@ -172,7 +172,7 @@ def test_a_point_that_is_reached_with_and_without_confdata_is_left(monkeypatch: 
     monkeypatch.setattr("aridcal.programs.rapid.meaning.rapid_words", _words)
     data = f"CONST robtarget p1:={POSE};\nCONST robtarget p2:={OTHER};\n"
     body = "MoveL p1,v,z,tool0;\nMoveL p2,v,z,tool0;\nConfL\\Off;\nMoveL p1,v,z,tool0;\nIF b ConfL\\On;\n"
-    targets = read(main(f"{body}MoveL {POSE},v,z,tool0;", data)).targets
+    targets = read(main(f"{body}MoveL {POSE},v,z,tool0;\nEXIT;", data)).targets
     why = [target.why for target in targets]
     assert "another way of moving" in why[0] and why[1] == "" and "confdata" in why[2]
 
@@ -183,11 +183,12 @@ def _words(data: tuple[Number, ...], cell: Cell) -> Words:
 
 
 def test_where_the_arm_comes_from_is_not_known_before_a_joint_target() -> None:
-    body = f"MoveL {POSE},v100,fine,tool0;\nMoveAbsJ {JOINTS},v100,fine,tool0;\nMoveL {OTHER},v100,fine,tool0;"
+    off = "ConfL\\Off;\n"  # so that confdata does not say how the arm stands
+    body = f"{off}MoveL {POSE},v100,fine,tool0;\nMoveAbsJ {JOINTS},v100,fine,tool0;\nMoveL {OTHER},v100,fine,tool0;"
     unknown = [bool(t.branch.unknown) for t in read(main(body), start=False).targets]
     assert unknown == [True, False, False]
     assert not any(t.branch.unknown for t in read(main(body), start=True).targets)
-    lost = f"MoveAbsJ {JOINTS},v100,fine,tool0;\nMoveJ CRobT(),v100,fine,tool0;\nMoveL {OTHER},v100,fine,tool0;"
+    lost = f"{off}MoveAbsJ {JOINTS},v100,fine,tool0;\nMoveJ CRobT(),v100,fine,tool0;\nMoveL {OTHER},v100,fine,tool0;"
     assert [bool(t.branch.unknown) for t in read(main(lost), start=False).targets][1]
 
 

@@ -264,7 +264,7 @@ def test_a_function_or_thread_with_a_garbled_head_is_none() -> None:
 
 
 def test_reasons_do_not_depend_on_places_that_a_correction_moves() -> None:
-    text = f"{HEAD}movel({P})\ndef f():\n f()\nend\nf()\nmovel({Q})\n"
+    text = f"{HEAD}movel({P})\ndef f():\n if x:\n  set_tcp({Q})\n  f()\n end\nend\nf()\nmovel({Q})\n"
     longer = text.replace("0.2, 0.3", "0.2000001, 0.3000001")
     assert [t.why for t in read(text).targets] == [t.why for t in read(longer).targets]
     assert read(text).targets[-1].why

@@ -30,6 +30,7 @@ from aridcal.programs.text import written
 from aridcal.result.compensate import STILL
 from aridcal.result.predict import at_any_station, directions, extrapolates, std_of
 from aridcal.result.saved_model import SavedModel
+from aridcal.robot.chain import Robot
 
 BEYOND = "is beyond what was measured for the calibration"
 
@@ -44,6 +45,8 @@ NOWHERE = "the nominal arm does not get there: it is out of reach, or base, tool
 LIMITED = (
     "the nominal arm gets there beyond its joint limits only: it is out of reach, or base, tool or limits are others"
 )
+
+NO_SUCH_POSTURE = "is none that the nominal arm has there"
 
 WORDLESS = "its posture once corrected has no words in this language"
 
@@ -273,6 +276,23 @@ def correct(
     return found
 
 
+def every_position(robot: Robot, targets: Sequence[Target]) -> list[list[np.ndarray]]:
+    """All positions in which the nominal arm reaches each target's pose, whatever its posture in words; none of joint targets."""
+    poses = [k for k, target in enumerate(targets) if target.form == "pose" and not target.why]
+    own = [targets[k] for k in poses]
+    held = np.full((len(own), len(robot.readings)), np.nan)
+    for k, target in enumerate(own):
+        if target.branch.held is not None:
+            held[k] = target.branch.held
+    wanted = _placed(own, [target.values for target in own]) if own else np.empty((0, 4, 4))
+    near = np.tile(np.clip(0.0, *robot.limits.T), (len(own), 1))
+    found: list[list[np.ndarray]] = [[] for _ in targets]
+    positions = Controller(robot).positions(Poses(wanted, held, [None] * len(own)), near)
+    for k, stands in zip(poses, positions, strict=True):
+        found[k] = stands
+    return found
+
+
 @dataclass
 class _Lot:
     """Some targets of a program of which it is known where they are, n of them, and what is worked out of them.
@@ -414,7 +434,7 @@ class _Walk:
         words = target.branch.words
         if words is None or not self._controller.within_limits(pose, ends):
             return LIMITED
-        return f"its posture ({words.names}) is none that the nominal arm has there"
+        return f"its posture ({words.names}) {NO_SUCH_POSTURE}"
 
     def _approached(self, q: np.ndarray) -> dict[str, np.ndarray]:
         """From which side each joint comes that has to do with it."""

@@ -30,12 +30,14 @@ class FrameSettings(Settings):
         tools: T_tip_tool of each tool, likewise.
         start: Readings of the joints where the program begins, in the units of the program.
         harmless: Routines that no given file has, and that change nothing of frames, tools, modes and points.
+        j3_from_link_2: FANUC: the controller counts J3 from link 2, as the URDF's joint, not from the horizontal.
     """
 
     bases: Mapping[str, Placement] = Field(default_factory=dict)
     tools: Mapping[str, Placement] = Field(default_factory=dict)
     start: tuple[Number, ...] | None = None
     harmless: tuple[str, ...] = ()
+    j3_from_link_2: bool = False
 
 
 @dataclass(frozen=True)
@@ -47,12 +49,14 @@ class KnownFrames:
         tools: What is to be there.
         start: See :class:`FrameSettings`.
         harmless: Likewise, in small letters.
+        j3_from_link_2: Likewise.
     """
 
     bases: Mapping[str, np.ndarray] = field(default_factory=dict)
     tools: Mapping[str, np.ndarray] = field(default_factory=dict)
     start: tuple[float, ...] | None = None
     harmless: frozenset[str] = frozenset()
+    j3_from_link_2: bool = False
 
 
 def read_frames(path: Path | None) -> KnownFrames:
@@ -68,7 +72,8 @@ def read_frames(path: Path | None) -> KnownFrames:
     except CampaignError as problem:
         raise CampaignError(f"{problem}\n{EXAMPLE}" if path.is_file() else str(problem)) from None
     harmless = frozenset(name.lower() for name in settings.harmless)
-    return KnownFrames(_poses(settings.bases), _poses(settings.tools), settings.start, harmless)
+    bases, tools = _poses(settings.bases), _poses(settings.tools)
+    return KnownFrames(bases, tools, settings.start, harmless, settings.j3_from_link_2)
 
 
 def fixed_base(robot: Robot) -> np.ndarray | None:

@@ -6,22 +6,22 @@ import datetime
 import gc
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from aridcal.errors import CampaignError, MeasurementError, OutputError
-from aridcal.programs.axes import axes_of
+from aridcal.programs.axes import Axes, axes_of
 from aridcal.programs.cell import Cell, Reading
-from aridcal.programs.correct import Correction, as_table, correct
+from aridcal.programs.correct import NO_SUCH_POSTURE, Correction, as_table, correct, every_position
 from aridcal.programs.frames import read_frames
 from aridcal.programs.language import Language
 from aridcal.programs.languages import language_of
 from aridcal.programs.marks import OUTPUT_HASH, SIDE, SIDE_OF_FOLDER, mark_of, output_hash, refuse_corrected
 from aridcal.programs.proof import Change, corrected
 from aridcal.programs.read_project import Opened, read_project
-from aridcal.programs.zeros import cell_zeros
+from aridcal.programs.zeros import cell_zeros, without_mirrored, witnesses, zeros_hint
 from aridcal.reading.files import CALIBRATION, read_file
 from aridcal.result.saved_model import SavedModel
 from aridcal.showing import SILENT, Progress
@@ -137,8 +137,9 @@ def _corrected(
     language, robot = opened.language, saved.final.model.robot
     frames = read_frames(request.frames)
     where, numbers = ("--start", request.start) if request.start is not None else ("--frames: `start`", frames.start)
-    start = None if numbers is None else _readings(numbers, where, saved, language)
-    cell = Cell(robot, frames, cell_zeros(saved, request.zeros, language), start is not None)
+    axes = axes_of(robot.kinds, cell_zeros(saved, request.zeros, language))
+    start = None if numbers is None else _readings(numbers, where, axes, language)
+    cell = Cell(robot, frames, axes.zeros, start is not None)
     progress.at("reading the program")
     reading = language.read(opened.project, cell)
     gc.collect()  # what was made of the text is not needed any more
@@ -147,11 +148,22 @@ def _corrected(
         raise MeasurementError(f"{names}: no target of {language.name} is in it; is it a program of this maker?")
     progress.at("correcting the program")
     count = len(reading.targets)
-    corrections = correct(saved, reading.targets, request.at, start, lambda done: progress.share(done / count))
+    targets = without_mirrored(reading.targets, cell, language.name)
+    corrections = correct(saved, targets, request.at, start, lambda done: progress.share(done / count))
+    hint = _zeros_hint(corrections, cell, language)
     progress.at("reading the new program")
     changes = [change for correction in corrections for change in correction.changes]
     changes += _marks(language, opened, {change.file for change in changes}, content)
-    return reading, corrections, corrected(language, opened.project, cell, reading.targets, changes)
+    texts = corrected(language, opened.project, cell, reading.targets, changes)
+    return replace(reading, notes=(*reading.notes, hint) if hint else reading.notes), corrections, texts
+
+
+def _zeros_hint(corrections: Sequence[Correction], cell: Cell, language: Language) -> str:
+    """What the program says against the zeros of its controller; looked for only where postures or limits are contradicted."""
+    contradicted = sum(c.why.endswith(NO_SUCH_POSTURE) for c in corrections)
+    poses, joints = witnesses([c.target for c in corrections], contradicted, cell)
+    positions = [*every_position(cell.robot, poses), *([] for _ in joints)]
+    return zeros_hint([*poses, *joints], positions, cell, language.name)
 
 
 def _marks(language: Language, opened: Opened, files: Collection[int], calibration: bytes) -> Iterator[Change]:
@@ -163,15 +175,14 @@ def _marks(language: Language, opened: Opened, files: Collection[int], calibrati
             yield Change(file, *mark)
 
 
-def _readings(numbers: Sequence[float], where: str, saved: SavedModel, language: Language) -> np.ndarray:
+def _readings(numbers: Sequence[float], where: str, axes: Axes, language: Language) -> np.ndarray:
     """Readings where the program begins, shape (columns,), [rad] or [m]."""
-    axes = axes_of(saved.final.model.robot.kinds)
     order = [*axes.arm, *axes.external]
     if len(numbers) != len(order):
         raise CampaignError(f"{where} has {len(numbers)} numbers, the robot {len(order)} axes")
     readings = np.zeros(len(order))
     for value, (unit, k) in zip(numbers, axes.units(order, language.angle, language.length), strict=True):
-        readings[k] = unit * value
+        readings[k] = unit * (value - axes.zero(k))
     return readings
 
 

@@ -22,7 +22,6 @@ def lines_of(answer: Answer) -> list[str]:
     lines = [f"note: {note}" for note in answer.reading.notes]
     lines += _reasons([c for c in corrections if c.why], opened)
     lines += _remarks(done, opened)
-    lines += _doubts([c for c in done if c.doubt > answer.saved.noise[0]], opened)
     if answer.saved.measurements.joint_reading == "reported":
         lines.append("joints are taken as the controller reports them, as in the calibration, not as it is told")
     return [*lines, f"{_headline(answer, done)}; each one in {answer.outputs.side}"]
@@ -65,16 +64,6 @@ def _remarks(done: Sequence[Correction], opened: Opened) -> list[str]:
             f"{1e3 * most.after[0]:.3f} mm and {1e3 * most.after[1]:.3f} mrad"
         )
     return lines
-
-
-def _doubts(doubtful: Sequence[Correction], opened: Opened) -> list[str]:
-    if not doubtful:
-        return []
-    worst = max(doubtful, key=lambda c: c.doubt)
-    return [
-        f"{len(doubtful)} of them do not say how the arm stands; the position nearest to the target before was taken. At "
-        f"{_name(worst, opened)}: with another one its correction differs by {1e3 * worst.doubt:.3f} mm"
-    ]
 
 
 def _name(correction: Correction, opened: Opened) -> str:

@@ -193,6 +193,43 @@ def senses_hint(cell: Cell, language: str) -> str:
     )
 
 
+def without_mirrored(targets: Sequence[Target], cell: Cell, language: str) -> Sequence[Target]:
+    """Targets as they are, those left that axes which turn the other way give another meaning.
+
+    These are joints and poses with a posture in words. How the arm stands at other poses is not known then: it comes from those.
+    """
+    why = senses_hint(cell, language)
+    return [_mirrored(target, why) for target in targets] if why else targets
+
+
+def _mirrored(target: Target, why: str) -> Target:
+    if target.why:
+        return target
+    if target.form == "joints" or target.branch.words is not None:
+        return replace(target, why=why)
+    return replace(target, branch=replace(target.branch, unknown=target.branch.unknown or why))
+
+
+def witnesses(targets: Sequence[Target], contradicted: int, cell: Cell) -> tuple[Sequence[Target], Sequence[Target]]:
+    """Poses and joint targets that :func:`zeros_hint` is to look at; none where nothing speaks against the zeros.
+
+    Args:
+        targets: Of the program.
+        contradicted: How many poses name a posture that the nominal arm does not have there.
+        cell: As the program was read for.
+    """
+    joints = [
+        target for target in targets if target.form == "joints" and target.readings is not None and not target.why
+    ]
+    low, high = cell.robot.limits.T
+    readings = np.array([target.readings for target in joints]).reshape(-1, len(low))
+    if contradicted < WITNESSES and not ((readings < low) | (readings > high)).any():
+        return [], []
+    poses = [target for target in targets if target.branch.words is not None and not target.why]
+    chosen = np.unique(np.linspace(0, len(poses) - 1, ENOUGH).astype(int)).tolist() if poses else []
+    return [poses[k] for k in chosen], joints
+
+
 def _shown(target: Target, cell: Cell) -> np.ndarray:
     """What the controller shows at a joint target, degrees or mm."""
     assert target.readings is not None

@@ -740,6 +740,25 @@ ORDER = (
         "$OUT[1]=TRUE",
         FRAMES,
     ),
+    *body(
+        "a rail is told a place in a move before",
+        f"PTP {{A1 0,A2 -90,A3 90,A4 0,A5 10,A6 0,E1 §}}\nLIN ⟦{POSE}⟧",
+        "1500.0",
+        "0.0",
+    ),
+    *body(
+        "a rail is told a place in one branch",
+        f"IF $IN[1] THEN\nPTP {{A1 0,A2 -90,A3 90,A4 0,A5 10,A6 0,E1 §}}\nENDIF\nLIN ⟦{POSE}⟧",
+        "-20",
+        "0",
+    ),
+    *body(
+        "arc welding by another routine than that of the package",
+        f"{POINT}§\nLIN P1",
+        "ArcMyNG(#ArcOnAfterMoveStd,WDAT1,WP1)",
+        "TRIGGER WHEN PATH = ArcGetPath(#OnTheFlyArcOn, WDAT1) DELAY = ArcGetDelay(#GasPreflow, WDAT1) "
+        "DO ArcMainNG(#GasPreflow, WDAT1, WP1) PRIO = -1\nArcMainNG(#ArcOnBeforeMoveStd, WDAT1, WP1)",
+    ),
     *body("a rail is told a place", "LIN ⟦{X 900,Y 100,Z 800,A 0,B 90,C 0,S 2,T 10,E1 §}⟧", "1500.0", "0.0"),
     *lone(
         "the base is a product with what is not known behind many that are",

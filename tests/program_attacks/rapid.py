@@ -56,9 +56,10 @@ def followed(name: str, statement: str, more: str = "", data: str = "") -> Attac
     return Attack(name, program(f"{statement}\nMoveL ⟨{POSE}⟩,v100,fine,tool0;", data, more))
 
 
-def before(name: str, statement: str) -> Attack:
+def before(name: str, statement: str, end: str = "") -> Attack:
     """A statement before which a plain target is corrected."""
-    return Attack(name, program(f"MoveL ⟨{OTHER}⟩,v100,fine,tool0;\n{statement}\nMoveL ⟦{POSE}⟧,v100,fine,tool0;"))
+    body = f"MoveL ⟨{OTHER}⟩,v100,fine,tool0;\n{statement}\nMoveL ⟦{POSE}⟧,v100,fine,tool0;\n{end}"
+    return Attack(name, program(body))
 
 
 def point(name: str, statement: str, why: str = "", more: str = "", kind: str = "CONST", data: str = "") -> Attack:
@@ -134,7 +135,7 @@ MODES = (
         "a procedure whose name is data",
         {"a.mod": bare(f"MoveL ⟨{OTHER}⟩,v,z,tool0;\nCallByVar s,3;\nMoveL ⟦{POSE}⟧,v,z,tool0;")},
     ),
-    before("a displacement behind a target", "PDispSet [[0,0,9],[1,0,0,0]];\nPDispAdd shift;"),
+    before("a displacement behind a target", "PDispSet [[0,0,9],[1,0,0,0]];\nPDispAdd shift;", "EXIT;"),
     before("a routine that is in no file, behind a target", "goSomewhere;"),
     left("a routine that is in no file", "goSomewhere;", "goSomewhere is in no given file".lower()),
     left("a function that is in no file", "n:=getSomething();", "is in no given file"),
@@ -467,7 +468,7 @@ FRAMES = (
     Attack(
         "a routine of the program with the name of an instruction",
         program(
-            f"MoveL p1,v100,fine,tool0;\nSetDO do1,1;\nMoveJ ⟦{POSE}⟧,v100,fine,tool0;",
+            f"MoveL p1,v100,fine,tool0;\nSetDO do1,1;\nMoveJ ⟦{POSE}⟧,v100,fine,tool0;\nPDispOff;",
             f"CONST robtarget p1:=⟨{OTHER}⟩;\n",
             "PROC SetDO(string d,num v)\nPDispOn [[1,2,3],[1,0,0,0]],tool0;\nENDPROC\n",
         ),

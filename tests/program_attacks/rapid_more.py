@@ -623,6 +623,24 @@ ORDER = (
         "PDispOff;",
     ),
     *twins(
+        "a rail is told a place in a move before",
+        {"M.mod": module(f"MoveAbsJ [[0,-20,30,0,40,0],[§,9E9,9E9,9E9,9E9,9E9]]\\NoEOffs,v500,fine,tG;\n    {MOVE}")},
+        "1500",
+        "9E9",
+    ),
+    *twins(
+        "a procedure of a move is named by a variable",
+        {
+            "M.mod": module(
+                f"MoveLSync p20,v200,fine,tG\\WObj:=wA,§;\n    {MOVE}",
+                f"  CONST robtarget p20:={TARGET};\n",
+                "  PROC rLamp()\n    Set do1;\n  ENDPROC\n",
+            )
+        },
+        "stNext",
+        '"rLamp"',
+    ),
+    *twins(
         "a permanent object is measured at the end, and kept",
         {"M.mod": module(f"{MOVE}\n    §")},
         "wA.oframe.trans.x:=ai1;",

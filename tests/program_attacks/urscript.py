@@ -80,7 +80,7 @@ CASES: tuple[tuple[str, str, str], ...] = (
     ("unknown block", f"«for i in x:\n sync()\nend\n»{BOTH}", ""),
     ("the language's name", f"«def sync():\n set_tcp({P})\nend\n»sync()\n{BOTH}", "more than once"),
     ("defined twice", f"def f():\n sync()\nend\n«def f():\n set_tcp({Q})\nend\n»f()\n{BOTH}", "more than once"),
-    ("calls itself", f"def f():\n «f()¦sync()»\nend\nf()\n{BOTH}", ""),
+    ("calls itself", f"def f():\n if x:\n  «set_tcp({Q})\n  »f()\n end\nend\nf()\n{GO}", ""),
     ("strange keyword", f"movel(⟦{P}⟧«, frame={Q}»)\n", "not known to take"),
     # Tools and frames
     ("tool computed", f"«set_tcp(pose_add(p[0,0,0.1,0,0,0], {Q}))\n»{GO}", "tool"),

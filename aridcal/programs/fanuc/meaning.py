@@ -96,7 +96,8 @@ class Meaning:
         self.ledger = Ledger()
         self.assumed: set[str] = set()
         self._listings, self._codes, self._given, self._cell = listings, codes, given, cell
-        self._targets = Targets(cell.axes)
+        self._targets = Targets(cell.axes, cell.anatomy is not None and not cell.frames.j3_from_link_2)
+        self._misread: set[tuple[int, int]] = set()
         self._words: dict[tuple[int, int], Words | None] = {}
         self._spoken = spoken
         for program in sorted(spoken):
@@ -116,6 +117,7 @@ class Meaning:
             reason = why or point.why or self._targets.beyond(point)
             if reason:
                 self.ledger.spoil(key, reason)
+                self._misread.add(key)
         every = next((use for use in flow.uses if use[0] == ANY), None)
         for number, start, use in flow.uses:
             if number in listing.points:
@@ -271,7 +273,10 @@ class Meaning:
         key = self._key(what.program, point)
         if state.recording and key in self._words:
             self.ledger.go(key, self._use(what, point, state))
-        if point.joints or self._words.get(key) is not None:
+        if key in self._misread:
+            if what.how == "J":
+                state.forget("stance", None, STANCE)
+        elif point.joints or self._words.get(key) is not None:
             state.set("stance", None, True)
 
     def _leave(self, what: Action, place: Place, listing: Listing) -> None:
@@ -297,7 +302,8 @@ class Meaning:
             why = why or f"{modes[0].name} from {modes[0].line} on"
         why = why or next((f"{line}: {option.why}" for option, _ in what.options if option.does == "left"), "")
         if point.joints:
-            self.assumed.add("joints")
+            if self._key(what.program, point) not in self._misread and not self._cell.frames.j3_from_link_2:
+                self.assumed.add("joints")
             why = why or self._shifted_joints(what, state, line)
             return Use(line, why=why)
         base = self._base(point, state, line)

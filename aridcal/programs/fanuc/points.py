@@ -11,16 +11,24 @@ from aridcal.programs.targets import Branch, Place, Target, Words
 from aridcal.programs.text import Code
 from aridcal.programs.uses import Use
 
+COUPLED = (
+    "FANUC counts J3 from the horizontal, and the URDF its joint from link 2, so that J1 to J6 mean another place there: "
+    "give poses, or state `j3_from_link_2: true` in --frames if this controller counts as the URDF does"
+)
+"""As drivers for ROS have it: of most arms the controller's J3 is the URDF's joint less J2 (J23_factor of fanuc_driver, which
+is 1 for most arms, 0 or -1 for a few, and stands in no file of a program)."""
+
 
 class Targets:
     """Points as targets.
 
     Args:
         axes: Of the robot: J1 and so on are its joints in their order, E1 and so on its rails.
+        coupled: Whether J3 of joint targets is counted otherwise than the URDF's joint.
     """
 
-    def __init__(self, axes: Axes) -> None:
-        self._axes = axes
+    def __init__(self, axes: Axes, coupled: bool) -> None:
+        self._axes, self._coupled = axes, coupled
         self._arm = {f"J{k + 1}": own for k, own in enumerate(axes.arm)}
         self._external = {f"E{k + 1}": own for k, own in enumerate(axes.external)}
 
@@ -39,7 +47,7 @@ class Targets:
                 return f"has {name} in {unit.lower()}, but that axis {'slides' if slides else 'turns'}"
         if point.joints and not set(self._arm) <= set(named):
             return "does not state all joints of the arm"
-        return ""
+        return COUPLED if point.joints and self._coupled else ""
 
     def target(self, code: Code, point: Point, words: Words | None, use: Use, beside: tuple[Place, ...]) -> Target:
         """The target of a point that a program uses.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, replace
 
@@ -14,6 +15,7 @@ from aridcal.programs.krl.noting import Said
 from aridcal.programs.krl.points import Points, shown_text
 from aridcal.programs.krl.syntax import (
     AXES,
+    EXTERNAL,
     LARGEST,
     Aggregate,
     Assignment,
@@ -40,6 +42,9 @@ NO_MODE = Unknown("$IPO_MODE is not certain")
 BEGINNING = "no axes are stated before, so that it is not known how the arm stands"
 
 STEP = "is a step from the place before"
+
+_TOLD_OUTSIDE = re.compile(r"(?<![\w$])e[1-6][ \t]++[+-]?[0.]*+[1-9]")
+"""A place of an external axis that is not zero."""
 
 
 class Meaning(Values):
@@ -70,8 +75,9 @@ class Meaning(Values):
             {m.variable.key for m in said.writes if m.variable.index is not None and m.variable.shared}
             | {key for key, index in begin if index and ":" not in key}
         )
-        self.linear_words = False
         self._ignoring = any("#ignore" in code.plain for code in points.codes)
+        self._outside = EXTERNAL[len(points.cell.axes.external) :]
+        self._moved_outside = any(_TOLD_OUTSIDE.search(code.plain) for code in points.codes)
         self._oddities = sorted(said.odd | {key for key in written if _odd(key, points.cell)})
 
     def start(self) -> State:
@@ -88,6 +94,7 @@ class Meaning(Values):
                 )
         state.set("mode", "ipo", "#base")
         state.set("mode", "ori", "")
+        state.set("outside", None, "")
         for name in self._oddities:
             state.set("odd", name, "")
         if self._points.cell.start:
@@ -101,7 +108,7 @@ class Meaning(Values):
     def at_any_time(self, why: str) -> State:
         """The state in which an interrupt begins."""
         state = self.start()
-        for family in ("frame", "mode", "stance", "odd"):
+        for family in ("frame", "mode", "stance", "odd", "outside"):
             state.forget_family(family, why)
         return state
 
@@ -138,13 +145,13 @@ class Meaning(Values):
         """A routine that is in no given file: it reaches all but variables of other modules."""
         assert isinstance(what, Function)
         self._given_back(what, state)
-        if name in self._stated.harmless:
+        if name in self._stated.harmless or (name in table.PACKAGES and name not in self._names.twice):
             return
         why = f"{name.upper()} is in several files" if name in self._names.twice else absent(name.upper())
         self._reached(why, state)
 
     def _reached(self, why: str, state: State) -> None:
-        for family in ("frame", "mode", "stance", "shared"):
+        for family in ("frame", "mode", "stance", "outside", "shared"):
             state.forget_family(family, why)
         for array in self.arrays:
             state.forget_family(f"shared:{array}", why)
@@ -254,6 +261,7 @@ class Meaning(Values):
 
     def _move(self, move: Move, state: State) -> None:
         if move.word in table.RELATIVE:
+            state.forget("outside", None, f"{self._line(move)} goes a step from where they were")
             if state.recording:
                 self._points.ledger.leave(self._left(move, STEP))
             if move.word.removesuffix("_rel") in table.JOINTED:
@@ -289,15 +297,17 @@ class Meaning(Values):
                 why = f"{_shown_of(goal)} is a copy of numbers that stand elsewhere"
             self._points.vague(goal, move.file, why) if state.recording else None
             self._unread(move, state)
+            state.forget("outside", None, f"{self._line(move)} goes to a place that is not known")
             return
         shown = (
             goal.point.shown
             if isinstance(goal.point, Variable)
             else shown_text(self._points.codes[move.file].text[goal.start : goal.end])
         )
+        self._send_outside(move, value, state)
         use, stated = self._use(move, goal, value, conditions, state)
         if state.recording:
-            self._points.go(shown, value, use, stated)
+            self._points.go(shown, value, use, move.word in table.JOINTED)
         if last:
             self._stance(move, value, use, stated, state)
 
@@ -307,18 +317,32 @@ class Meaning(Values):
         shift = bool(goal.before or goal.behind)
         if value.jointed:
             return Use(line, why="has frames beside axes" if shift else move.why or conditions.odd_why), False
-        why = move.why or conditions.why
+        why = move.why or conditions.why or self._stands_outside(state)
         base = self._as_frame(conditions.base, "$BASE")
         if shift or self.foot is not HERE:
             base = product(inverse_of(self.foot), base, *self._frames(goal.before, state))
         tool = self._as_frame(conditions.tool, "$TOOL")
         for frame in self._frames(goal.behind[::-1], state):
             tool = product(tool, inverse_of(frame))
-        stated = value.states_posture and not goal.behind
-        self.linear_words = self.linear_words or (stated and move.word not in table.JOINTED)
+        stated = move.word in table.JOINTED and value.states_posture and not goal.behind
         stance = state.get("stance")
         comes = stance.why if isinstance(stance, Unknown) and not stated else ""
         return Use(line, base, tool, shift, why, None, comes, "shifted" if goal.behind else ""), stated
+
+    def _send_outside(self, move: Move, value: Aggregate, state: State) -> None:
+        """Note where a move sends external axes that the robot of the calibration does not have."""
+        told = [(axis, own.value) for axis in self._outside if isinstance(own := value.fields.get(axis), Number)]
+        if told and self._moved_outside:
+            axis = next((axis for axis, place in told if place), "")
+            why = f"{self._line(move)} tells external axis {axis.upper()} a place, and the URDF does not have that axis"
+            state.set("outside", None, why if axis else "")
+
+    def _stands_outside(self, state: State) -> str:
+        """Why it is not known where such axes have taken the robot, or the work; empty where they are at zero."""
+        if not self._moved_outside:
+            return ""
+        stands = state.get("outside")
+        return f"external axes are not certain: {stands.why}" if isinstance(stands, Unknown) else str(stands)
 
     def _frames(self, factors: tuple[Expression, ...], state: State) -> list[object]:
         return [self.frame(factor, state) for factor in factors]

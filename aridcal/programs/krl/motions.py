@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from aridcal.programs.krl import table
 from aridcal.programs.krl.expressions import Line
 from aridcal.programs.krl.noting import Mention, Notes, Thread
-from aridcal.programs.krl.syntax import Aggregate, Assignment, Function, Goal, Move, Variable
+from aridcal.programs.krl.syntax import Assignment, Function, Goal, Move, Variable
 from aridcal.programs.krl.tokens import Misread, Token
 
 MOVES = table.LINEAR | table.JOINTED | table.RELATIVE | table.ASYNCHRONOUS
@@ -80,7 +80,7 @@ class Motions(Notes):
             if point.worked_out or point.path:
                 does = "indexes it" if point.worked_out else "computes with it"
                 self._said.reads.append(Mention(point, self._file, does))
-        elif not isinstance(point, Aggregate):
+        else:
             self._mentions(point, "computes with it")
         for frame in (*goal.before, *goal.behind):
             self._mentions(frame, "shifts by it")
@@ -101,7 +101,7 @@ class Motions(Notes):
             if not isinstance(call, Function):
                 raise Misread
             what: Function | Assignment = call
-            if self._call(call) and call.routine == call.name:
+            if self._call(call) and call.routine == call.name and call.name not in table.PACKAGES:
                 self._said.missing.add(call.name)
         else:
             to = done.variable(done.take())

@@ -80,11 +80,11 @@ class Points:
         if value.place in self.spoilt:
             self.ledger.spoil(value.place, self.spoilt[value.place])
 
-    def go(self, name: str, value: Aggregate, use: Use, stated: bool) -> None:
-        """A move goes to a point; of ``stated`` ones its S and T say the posture."""
+    def go(self, name: str, value: Aggregate, use: Use, jump: bool) -> None:
+        """A move goes to a point, with a jump of all axes or along a path."""
         assert value.place is not None
         self.declare(name, value)
-        if stated:
+        if jump:
             self._jumps.add(value.place)
         uses = self._uses.setdefault(value.place, [])
         if len(uses) == MOST_USES:
@@ -122,10 +122,10 @@ class Points:
         for axis, column in zip(EXTERNAL, axes.external, strict=False):
             if axis in stated:
                 held[column] = axes.unit(column, DEGREE, MILLIMETRE) * stated[axis].value
-        words = None if why else krl_words(stated.get("s"), stated.get("t"), self.cell)
-        if use.mode == "shifted":  # S and T of what is shifted are not those of the place
-            words = None
-        branch = Branch(words, None, held, nearest=words is None or value.place not in self._jumps, unknown=use.unknown)
+        words = None
+        if not why and value.place in self._jumps and use.mode != "shifted":  # else S and T are not asked for
+            words = krl_words(stated.get("s"), stated.get("t"), self.cell)
+        branch = Branch(words, None, held, nearest=words is None or not value.states_posture, unknown=use.unknown)
         return Target(
             line,
             name,

@@ -253,7 +253,7 @@ def _walk(said: Said, meaning: Meaning, files: Sequence[File], points: Points) -
         if isinstance(what, Function) and what.routine in said.bodies:
             threads.setdefault(what.routine, why)
             volatile.append((walk.writes(what.routine, meaning.at_any_time(why)), why))
-        elif not isinstance(what, Function) or what.name in said.missing:
+        elif not isinstance(what, Function) or what.name in said.missing or what.name in table.PACKAGES:
             volatile.append((meaning.written_by(what), why))
     called = {name for body in said.bodies.values() for name in _called(body)}
     entries = [key for key in _ordered(said.bodies, files) if key not in called and key not in threads]
@@ -336,8 +336,6 @@ def _notes(said: Said, constants: Mapping[Element, object], meaning: Meaning) ->
     yield "BAS and the functions of inline forms are taken to do what KUKA's bas.src does"
     if ("$robroot", None) not in constants:
         yield "$WORLD is taken to be at the foot of the robot ($ROBROOT zero): give $machine.dat if it is elsewhere"
-    if meaning.linear_words:
-        yield "S and T of points of linear moves, which the controller does not read there, are taken to be how the arm stands"
     if said.packages:
         listed = ", ".join(sorted(said.packages))
-        yield f"{listed}: taken to switch signals and wait, as KUKA's grippers and guns do"
+        yield f"{listed}: taken to switch signals, wait and weave, as KUKA's grippers, guns and torches do"

@@ -116,7 +116,8 @@ FUNCTIONS = _words(
     "s_exax_ign s_exax_ign2 use_cm_pro_values stool stool2 sbase k_root k_type k_offs k_addr k_name k_shift ek eb lk inv_pos "
     "err_clear err_raise eki_init eki_open eki_close eki_clear eki_send eki_checkbuffer eki_lock eki_unlock "
     "eki_setint eki_setreal eki_setbool eki_setstring eki_setframe eki_clearbuffer "
-    "set_tq_values tqm_fifo_read "
+    "set_tq_values tqm_fifo_read set_cd_params "
+    "arcgetdelay arcgetpath "
     "ac_pointarrival st_off rsi_off rsi_delete "
     # messages, start-up and program numbers of the modules that controllers come with
     "ir_stopm p00 "
@@ -130,8 +131,9 @@ WRITING = _words(
 )
 """Likewise, and they write into what they are given."""
 
-PACKAGES = _words("h50 user_grp userspot grpg_check grpg_setstateandcheck")
-"""Routines of KUKA's grippers and spot guns: they switch signals and wait. A note says that this is taken for granted."""
+PACKAGES = _words("h50 h70 user_grp userspot grpg_check grpg_setstateandcheck arcmainng")
+"""Routines of KUKA's grippers, spot guns and arc welding: they switch signals, wait, and weave to and fro about the path. A note
+says that this is taken for granted."""
 
 SYSTEM_MODULES = frozenset(
     ("bas", "ir_stopm", "p00", "msglib", "h50", "h70", "masref_main", "tm_bib", "new_serv", "ibgn", "bas_t")

@@ -16,7 +16,18 @@ from aridcal.programs.postures import rapid_words
 from aridcal.programs.project import Source
 from aridcal.programs.rapid.expressions import STEP, Constant, Expressions, Value, part_of, with_part
 from aridcal.programs.rapid.grammar import Statement, fold
-from aridcal.programs.rapid.names import BARE, INSTRUCTIONS, Arguments, Bound, Names, arguments, calls, late, matched
+from aridcal.programs.rapid.names import (
+    BARE,
+    INSTRUCTIONS,
+    Arguments,
+    Bound,
+    Names,
+    arguments,
+    calls,
+    late,
+    matched,
+    named,
+)
 from aridcal.programs.rapid.table import (
     DEFAULTS,
     FUNCTIONS,
@@ -45,10 +56,27 @@ from aridcal.programs.rapid.values import (
 )
 from aridcal.programs.targets import Branch, Place, Target, Words
 from aridcal.programs.uses import HERE, Ledger, Use, product
-from aridcal.programs.walk import DIFFERS, Body, Call, Choice, Jump, Leave, Mark, Node, Repeat, State, Step, Unknown
+from aridcal.programs.walk import (
+    DIFFERS,
+    EVERYTHING,
+    Body,
+    Call,
+    Choice,
+    Jump,
+    Leave,
+    Mark,
+    Node,
+    Repeat,
+    State,
+    Step,
+    Unknown,
+)
 
 STANCE = ("stance", None)
 """Whether it is known where the arm comes from."""
+
+OUTSIDE = ("outside", None)
+"""Where external axes stand that the URDF does not have: why that matters; empty where they are at zero."""
 
 START = "it is not known where the arm comes from: no joint target comes before; state where it starts with --start"
 
@@ -117,6 +145,7 @@ class Meaning:
             if bound.routine.handlers:
                 nodes = [Choice(tuple(tuple(self._body(bound, h, False)) for h in bound.routine.handlers))]
                 self.bodies[f"{bound.key} handlers"] = nodes
+        self._told_outside = any(self._outside(own) for own in self._literals.values())
 
     # ---- what stands in the text
 
@@ -200,6 +229,8 @@ class Meaning:
             nodes += self._assignment(bound, statement)
         elif statement.kind in ("call", "late"):
             nodes += self._call(bound, statement, guarded)
+        elif statement.kind == "connect" and self.names.missing_trap(bound, statement):
+            nodes.append(Step(partial(self._at_any_time, absent(statement.name))))
         if guarded and any(isinstance(node, Step) for node in nodes) and not self._only_moves(statement):
             nodes.append(Choice(((Leave("routine"),), ())))
         return nodes
@@ -407,6 +438,9 @@ class Meaning:
     def _forget_all(self, why: str, state: State) -> None:
         state.forget_all(why)
 
+    def _at_any_time(self, why: str, state: State) -> None:
+        state.volatile([EVERYTHING], why)
+
     def _unsteady(self, why: str, state: State) -> None:
         state.forget(*STANCE, why)
 
@@ -441,12 +475,9 @@ class Meaning:
         nodes.append(Step(partial(self._go, prepared)))
         nodes += self._writing(bound, [required[k] for k in move.written if k < len(required)], f"{line} may change it")
         if move.routine is not None and move.routine < len(required):
-            text = bound.code.text[slice(*required[move.routine])].strip('"')
-            nodes.append(
-                self._to_routine(
-                    bound, statement, fold(text), self.names.routine(bound.module, fold(text)), Arguments(), guarded
-                )
-            )
+            name = named(bound.code, required[move.routine])
+            key = self.names.routine(bound.module, name)
+            nodes.append(self._to_routine(bound, statement, name, key, Arguments(), guarded))
         return nodes
 
     def _goal(
@@ -461,6 +492,8 @@ class Meaning:
         way = prepared.move.way
         for value, span, mentioned in prepared.points:
             goal = value(state)
+            if self._told_outside:
+                self._send_outside(prepared, goal, state)
             if (
                 isinstance(goal, Point)
                 and not goal.literal.why
@@ -472,6 +505,28 @@ class Meaning:
                 self._vague(prepared, goal, span)
                 self._spoil(mentioned, self._why_spoilt(prepared), state)
             self._stand(prepared, goal, state)
+
+    def _send_outside(self, prepared: _Prepared, goal: object, state: State) -> None:
+        """Note where a move sends external axes that the robot of the calibration does not have."""
+        line = self._line(prepared.bound, prepared.statement)
+        if not isinstance(goal, Point) or goal.literal.why:
+            state.forget(*OUTSIDE, f"{line} moves them to a place that is worked out")
+            return
+        told = self._outside(goal.literal)
+        if told:
+            axis = "abcdef"[next(iter(told))]
+            moved = any(told.values())
+            why = f"{line} tells external axis eax_{axis} a place, and the URDF does not have that axis"
+            state.set(*OUTSIDE, why if moved else "")
+
+    def _outside(self, own: Literal) -> dict[int, float]:
+        """Places of external axes that the robot of the calibration does not have, by their index, zeros last."""
+        if own.why:
+            return {}
+        first = own.code.plain.rfind("[", own.start, own.end) + 1
+        texts = own.code.plain[first : own.end].rstrip("] \t\r\n").split(",")
+        places = [(k, float(text)) for k, text in enumerate(texts) if k >= len(self.axes.external)]
+        return dict(sorted(((k, v) for k, v in places if v < NOT_USED), key=lambda item: item[1] == 0.0))
 
     def _why_spoilt(self, prepared: _Prepared) -> str:
         return f"{self._line(prepared.bound, prepared.statement)} works out another place from it"
@@ -506,6 +561,8 @@ class Meaning:
             self.ledger.go(own.key, Use(line, why=why))
             return
         mode, trouble = self._mode_of(prepared, own, state)
+        stands = state.get(*OUTSIDE) if self._told_outside else ""
+        why = why or (f"external axes are not certain: {stands.why}" if isinstance(stands, Unknown) else str(stands))
         displacement = None if self._calm else state.get("mode", "displacement")
         if isinstance(displacement, Unknown):
             displacement = Unknown(_said("displacement", displacement))
@@ -624,16 +681,23 @@ class Meaning:
         self._lose_data(state)
         for mode, value in DEFAULTS.items():
             state.set("mode", mode, value)
+        state.set(*OUTSIDE, "")
         if self.cell.start:
             state.set(*STANCE, True)
         else:
             state.forget(*STANCE, START)
+
+    def end_cycle(self, state: State) -> None:
+        """Main begins anew: what no given file changes is as the controller has it (what is not given is told of by a note)."""
+        for mode in DEFAULTS.keys() - self.names.stepped:
+            state.set("mode", mode, DEFAULTS[mode])
 
     def anywhere(self, state: State) -> None:
         """Any place of the program: of an error handler, for instance."""
         for mode in DEFAULTS if self.names.unknown_calls else sorted(self.names.stepped):
             state.forget("mode", mode, self.names.unknown_calls or "it is changed elsewhere in the program")
         state.forget(*STANCE, "it is not known where the arm comes from")
+        state.forget(*OUTSIDE, "they may have been moved before")
         self._lose_data(state)
 
     def _lose_data(self, state: State) -> None:

@@ -160,10 +160,11 @@ class Names:
         codes: All files, for lines in messages.
         harmless: Routines that the user states as such.
         routines: All, by key.
-        stepped: Modes that any statement changes.
+        stepped: Modes that any statement sets to anything but their default.
         unknown_calls: Why routines may run of which nothing is known; empty where none does.
         scattered: Why routines may be called from anywhere; empty where all calls are plain.
         called: Keys of routines that others call.
+        cut_short: Whether a cycle may end before main does, by `ExitCycle`.
     """
 
     codes: tuple[Code, ...]
@@ -173,6 +174,7 @@ class Names:
     scattered: str = ""
     unknown_calls: str = ""
     called: set[str] = field(default_factory=set)
+    cut_short: bool = False
     _calls: dict[tuple[int, str], str] = field(default_factory=dict)
     _globals: dict[str, str] = field(default_factory=dict)
     _changed_all: set[bool] = field(default_factory=set)
@@ -286,8 +288,14 @@ class Names:
             self._change(bound, statement.name, why, path if "{" not in path else "")
         elif statement.kind in ("call", "late"):
             self._look_at_call(bound, statement, why)
+        elif statement.kind == "connect" and self.missing_trap(bound, statement):
+            self._scatter(bound, Arguments(), why, absent(statement.name))
         for name, start, end in calls(code, statement.body, statement.end):
             self._look_at_function(bound, name, arguments(code, start, end), why)
+
+    def missing_trap(self, bound: Bound, statement: Statement) -> bool:
+        """Whether no given file has the routine that a `CONNECT` names."""
+        return self.routine(bound.module, statement.name) not in self.routines and statement.name not in self.harmless
 
     def _look_at_call(self, bound: Bound, statement: Statement, why: str) -> None:
         start = statement.body if statement.kind == "call" else late(bound.code, statement)[1]
@@ -314,6 +322,7 @@ class Names:
             self._scatter(bound, given, why, absent(name))
 
     def _look_at_instruction(self, bound: Bound, name: str, given: Arguments, why: str) -> None:
+        self.cut_short |= name == "exitcycle"
         if name in WRITING:
             for span in given.spans:
                 self._change_span(bound, span, why)
@@ -321,13 +330,26 @@ class Names:
             for k in MOVES[name].written:
                 if k < len(given.required):
                     self._change_span(bound, given.required[k], why)
-        if name in MODES:
+            routine = MOVES[name].routine
+            if routine is not None and routine < len(given.required):
+                self._look_at_named(bound, named(bound.code, given.required[routine]), why)
+        if name in MODES and MODES[name][1] != "default":
             self.stepped.add(MODES[name][0])
         if name in WILD:
             self.unknown_calls = self.unknown_calls or f"{why[:-11]} may change all modes ({name})"
             if name == "callbyvar":
                 self.scattered = self.scattered or f"{why[:-11]} calls a procedure by a worked out name"
             self._change_all(f"{why[:-11]} may change all data ({name})", local=True)
+
+    def _look_at_named(self, bound: Bound, name: str, why: str) -> None:
+        """A move calls a procedure that a text names."""
+        key = self.routine(bound.module, name)
+        if key is not None and key in self.routines:
+            self._pass_on(bound, self.routines[key], Arguments(), why)
+        elif name not in self.harmless:
+            reason = absent(name) if name else f"{why[:-11]} calls a procedure by a worked out name"
+            self.scattered = self.scattered or ("" if name else reason)
+            self._scatter(bound, Arguments(), why, reason)
 
     def _change_all(self, why: str, local: bool) -> None:
         """Data of modules may be changed: those that others see, or also the local ones."""
@@ -434,6 +456,13 @@ def late(code: Code, statement: Statement) -> tuple[str, int, bool]:
     text = code.text[start : match.end()].strip().rstrip("+").strip().strip('"')
     whole = match.group(1) is None and not code.plain[match.end() : end].strip()
     return (fold(text) if whole or match.group(1) else ""), end + 1, whole
+
+
+def named(code: Code, span: tuple[int, int]) -> str:
+    """The name that a text in quotes says, in small letters; empty where it is worked out."""
+    text = code.text[slice(*span)].strip()
+    plain = len(text) > 2 and text[0] == text[-1] == '"' and text.count('"') == 2
+    return fold(text[1:-1]) if plain else ""
 
 
 def statements(body: Body) -> Iterable[Statement]:

@@ -11,7 +11,7 @@ from aridcal.programs.rapid.meaning import GUARDED, Meaning
 from aridcal.programs.rapid.names import Names
 from aridcal.programs.targets import Target
 from aridcal.programs.text import Code
-from aridcal.programs.walk import Call, Choice, Node, Repeat, State, TooLong, Walk
+from aridcal.programs.walk import Call, Choice, Node, Repeat, State, Step, TooLong, Walk
 
 FIRST = ""
 """The key of what a controller begins with."""
@@ -43,6 +43,10 @@ def _read(project: Project, cell: Cell) -> Reading:
         _walk(meaning, names)
     except TooLong:
         meaning.leave_all(TOO_LONG)
+    if names.unknown_calls and any(fold(bound.routine.name) == "main" for bound in names.routines.values()):
+        notes.append(
+            f"each cycle of main is taken to begin in the controller's own modes, though {names.unknown_calls}"
+        )
     return Reading(meaning.ledger.targets(), tuple(notes))
 
 
@@ -93,7 +97,7 @@ def _global_names(module: Module) -> list[str]:
 
 
 def _walk(meaning: Meaning, names: Names) -> None:
-    walk = Walk({**meaning.bodies, FIRST: _first(names)}, meaning)
+    walk = Walk({**meaning.bodies, FIRST: _first(meaning, names)}, meaning)
     state = State()
     meaning.begin(state)
     for key, bound in names.routines.items():
@@ -113,11 +117,17 @@ def _walk(meaning: Meaning, names: Names) -> None:
             walk.enter(key, state)
 
 
-def _first(names: Names) -> list[Node]:
-    """What the controller begins with: main, or, where no given file has it, all that it may call, one after another."""
+def _first(meaning: Meaning, names: Names) -> list[Node]:
+    """What the controller begins with: main, or, where no given file has it, all that it may call, one after another.
+
+    Main begins anew at its end, and then in the modes that it has set there.
+    """
     every = [(key, bound.routine) for key, bound in names.routines.items() if bound.routine.kind == "proc"]
     main = [Call(key, None) for key, routine in every if fold(routine.name) == "main" and not routine.local]
-    if main:
+    if main and not names.stepped:
         return [*main[:1]]
+    if main:
+        cut = (Choice(((), (Step(meaning.anywhere),))),) if names.cut_short else ()
+        return [Repeat((*cut, *main[:1], Step(meaning.end_cycle)), once=True)]
     ways = tuple((Call(key, None),) for key, _ in every if key not in names.called)
     return [Repeat((Choice(ways),), once=True)] if ways else []
