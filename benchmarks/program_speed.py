@@ -263,7 +263,7 @@ class Bench:
         """Numbers of each move along a seam."""
         if style.notation is None:
             t = np.linspace(0.0, 0.01 * n, n)[:, None]
-            return (1e3 * np.sin(t * [0.7, 0.9, 1.0]) * [0.8, 0.8, 0.3]).tolist()  # type: ignore[no-any-return]
+            return (1e3 * np.sin(t * [0.7, 0.9, 1.0]) * [0.8, 0.8, 0.3]).tolist()
         robot: Robot = self._arm.model.robot
         q = seam(n)
         T = flanges(robot, q)
@@ -274,7 +274,7 @@ class Bench:
             numbers = np.hstack([ABB.numbers(T, np.ones((n, 7))), np.floor(q[:, [0, 3, 5]] / (np.pi / 2))])
         else:
             numbers = style.notation.numbers(T, np.zeros((n, 6)))
-        return numbers.tolist()  # type: ignore[no-any-return]
+        return numbers.tolist()
 
     def run(self, ending: str, files: Mapping[str, str], frames: str) -> tuple[float, float, int, str]:
         """What a program costs."""
