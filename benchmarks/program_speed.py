@@ -6,9 +6,9 @@ inline forms, declared points of RAPID, points of FANUC with frames, numbered bl
 linear. Then files that nobody writes: each should end soon, whatever it says.
 
 Example:
-    nice python benchmarks/program_speed.py --moves 10000 100000
-    nice python benchmarks/program_speed.py --only .src --moves 100000
-    nice python benchmarks/program_speed.py --hostile
+    PYTHONPATH=.:tests nice python benchmarks/program_speed.py --moves 10000 100000
+    PYTHONPATH=.:tests nice python benchmarks/program_speed.py --only .src --moves 100000
+    PYTHONPATH=.:tests nice python benchmarks/program_speed.py --hostile
 """
 
 from __future__ import annotations
