@@ -57,13 +57,12 @@ def corrected(
     for change in sorted(changes, key=lambda c: c.number.start):
         by_file[change.file].append(change)
     texts = [_spliced(source.text, own) for source, own in zip(project.sources, by_file, strict=True)]
-    meant = {(c.file, c.number.start): c.text for c in changes}
     again = language.read(project.with_texts(texts), cell).targets
     if len(again) != len(targets):
         raise Unproved(f"{len(targets)} targets were read, of the new text {len(again)}")
-    shifts = [_Shift(own) for own in by_file]
+    meant = [_Meant(own) for own in by_file]
     for before, after in zip(targets, again, strict=True):
-        _check(before, after, meant, shifts[before.file])
+        _check(before, after, meant[before.file])
     return tuple(texts)
 
 
@@ -87,32 +86,34 @@ def _spliced(text: str, ordered: Sequence[Change]) -> str:
     return new
 
 
-class _Shift:
-    """Where a place of the old text is in the new one."""
+class _Meant:
+    """Where a number of the old text is in the new one, and what is to stand there."""
 
     def __init__(self, ordered: Sequence[Change]) -> None:
         self._starts = [c.number.start for c in ordered]
+        self._texts = [c.text for c in ordered]
         self._longer = list(accumulate((len(c.text) - len(c.number.text) for c in ordered), initial=0))
 
-    def __call__(self, place: int) -> int:
-        return place + self._longer[bisect_left(self._starts, place)]
+    def __call__(self, number: Number) -> tuple[int, str]:
+        k = bisect_left(self._starts, number.start)
+        changed = k < len(self._starts) and self._starts[k] == number.start
+        return number.start + self._longer[k], self._texts[k] if changed else number.text
 
 
-def _check(before: Target, after: Target, meant: dict[tuple[int, int], str], shift: _Shift) -> None:
+def _check(before: Target, after: Target, meant: _Meant) -> None:
     """Make sure that a target of the new text is what was meant."""
-    where = f"line {before.line}, {before.name}"
     was, now = _what(before), _what(after)
     if was != now:
         name, old, new = next(each for each in zip(SAME, was, now, strict=True) if each[1] != each[2])
-        raise Unproved(f"{where}: its {name} was {old}, and is {new} in the new text")
+        raise Unproved(f"{_where(before)}: its {name} was {old}, and is {new} in the new text")
     for old_number, new_number in zip(_numbers(before), _numbers(after), strict=True):
-        text = meant.get((before.file, old_number.start), old_number.text)
-        if (new_number.start, new_number.text) != (shift(old_number.start), text):
+        place, text = meant(old_number)
+        if new_number.start != place or new_number.text != text:
             raise Unproved(
-                f"{where}: {text} was meant in place of {old_number.text}, the new text has {new_number.text}"
+                f"{_where(before)}: {text} was meant in place of {old_number.text}, the new text has {new_number.text}"
             )
     if not before.why:
-        _check_place(before, after, where)
+        _check_place(before, after)
 
 
 SAME = ("file", "line", "form", "reason", "units", "number of numbers")
@@ -129,13 +130,17 @@ def _numbers(target: Target) -> tuple[Number, ...]:
     return (*target.numbers, *(words.numbers if words is not None else ()))
 
 
-def _check_place(before: Target, after: Target, where: str) -> None:
+def _where(target: Target) -> str:
+    return f"line {target.line}, {target.name}"
+
+
+def _check_place(before: Target, after: Target) -> None:
     places = [(before.place, after.place), *zip(before.beside, after.beside, strict=True)]
     for old, new in places:
         if (old is None) != (new is None):
-            raise Unproved(f"{where}: its frame is read otherwise from the new text")
+            raise Unproved(f"{_where(before)}: its frame is read otherwise from the new text")
         if old is not None and new is not None and not (_equal(old.base, new.base) and _equal(old.tool, new.tool)):
-            raise Unproved(f"{where}: its frame or tool is another one in the new text")
+            raise Unproved(f"{_where(before)}: its frame or tool is another one in the new text")
 
 
 def _equal(old: np.ndarray, new: np.ndarray) -> bool:

@@ -29,6 +29,12 @@ routine one; a program that takes more is left as a whole, for the walk must end
 LEAST_BUDGET = 50_000
 """The same for short programs: less than a second."""
 
+MOST_BUDGET = 1_000_000
+"""The same for long programs, or :data:`FEW_WALKS` of each statement where that is more: some ten seconds for 100,000 moves."""
+
+FEW_WALKS = 10
+"""Of a statement in two loops, one in the other."""
+
 DEEPEST = 60
 """Statements in statements, and routines that call routines. People write ten; readers refuse what is deeper."""
 
@@ -369,7 +375,8 @@ class Walk:
 
     def __init__(self, routines: Mapping[str, Body], semantics: Semantics) -> None:
         self._routines, self._semantics = routines, semantics
-        self._left = max(LEAST_BUDGET, BUDGET * sum(_size(body) for body in routines.values()))
+        size = sum(_size(body) for body in routines.values())
+        self._left = max(LEAST_BUDGET, min(BUDGET * size, max(MOST_BUDGET, FEW_WALKS * size)))
         self._stack: list[str] = []
         self.reached: set[str] = set()
         self._marked = {name: _marked(body) for name, body in routines.items()}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from aridcal.programs.krl import table
@@ -11,8 +11,8 @@ from aridcal.programs.krl.expressions import Line
 from aridcal.programs.krl.motions import MOVES, Motions
 from aridcal.programs.krl.names import File, Names
 from aridcal.programs.krl.noting import Said
-from aridcal.programs.krl.syntax import Assignment, Function, Variable, Worked
-from aridcal.programs.krl.tokens import Misread, Token
+from aridcal.programs.krl.syntax import Aggregate, Assignment, Expression, Function, Variable, Worked
+from aridcal.programs.krl.tokens import GIVEN, Misread, Token, fields
 from aridcal.programs.walk import DEEPEST, Choice, Jump, Leave, Mark, Node, Repeat, Step
 
 _BODIES = {
@@ -63,12 +63,17 @@ class Reader(Motions):
         self._gotos: list[tuple[str, int]] = []
         self._started = False
         self._place = 0
+        self._forms: dict[str, Mapping[str, Expression]] = {}
 
     def data(self) -> None:
         """Read a data list."""
         public = self._file.module.startswith("$")
         for start, end in self._lines():
+            given = GIVEN.fullmatch(self._low, start, end)
             try:
+                if given is not None:
+                    self._given(given, public)
+                    continue
                 line = self._line(start, end)
                 word = line.peek()
                 if word in ("defdat", "enddat") or word in table.DECLARATIONS or not word:
@@ -82,6 +87,27 @@ class Reader(Motions):
                     self._declaration(line, self._file.module, public)
             except Misread:
                 self._unclear(start, end)
+
+    def _given(self, match: re.Match[str], public: bool) -> None:
+        """A variable that is declared with plain values."""
+        name, start = match.group("name"), match.start("name")
+        self._names.declare(self._file.module, name, match.group("kind"), public or match.group("shared") is not None)
+        to = self._variable(name, start)
+        place, end = match.span("plain")
+        values = self._fields(Token("plain", match.group("plain"), place, end), match.group("kind"))
+        value = Aggregate((self._file.index, place), end, values)
+        self._said.values.append((self._file, to, value))
+        self._gives(to, value)
+
+    def _fields(self, token: Token, kind: str) -> Mapping[str, Expression]:
+        """Fields of an aggregate; those of inline forms, which are alike line by line, are kept once."""
+        if kind not in table.FORMS:
+            return fields(self._low, self._text, token)
+        text = self._text[token.start : token.end]
+        values = self._forms.get(text)
+        if values is None:
+            values = self._forms[text] = fields(self._low, self._text, token)
+        return values
 
     def _initial(self, to: Variable, line: Line) -> None:
         line.take("=")
@@ -163,8 +189,9 @@ class Reader(Motions):
         copy = _COPY.fullmatch(self._low, start, end)
         if copy is not None:
             to, value = (self._variable(copy.group(k), copy.start(k)) for k in (1, 2))
-            self._written(Assignment(to, value))
-            self._body.append(Step(Assignment(to, value)))
+            assignment = Assignment(to, value)
+            self._written(assignment)
+            self._body.append(Step(assignment))
             return
         try:
             line = self._line(start, end)

@@ -32,7 +32,7 @@ _BEFORE_BRACKETS = frozenset(
 """Words before a bracket that call nothing."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Mention:
     """A variable that something else than a move reads, or that is written.
 

@@ -30,6 +30,8 @@ _BYTE_ORDER_MARK = "\xef\xbb\xbf"
 
 _MOVE_LINE = re.compile(r"^[ \t]*+(?:s?ptp|s?lin|s?circ|spl)[ \t]*+(?=[^\w\s=])[^\n]*+", re.M)
 
+_WORD = re.compile(r"[\w$]+")
+
 _NUMBERED = re.compile(r"[+-]?\d{1,4}")
 
 _INDEXED = re.compile(r"([\w$]+)\[(\d{1,4})\]")
@@ -212,10 +214,11 @@ def _spoilt(files: Sequence[File], said: Said) -> dict[tuple[int, int], str]:
                     if _may_be(mention.variable, variable):
                         spoil(value, why)
                 sound[mention.variable.key] = rest
+    named = [(file, set(_WORD.findall(file.code.plain))) for file, _, _ in said.broken]
     for key, given in by_key.items():
         name = key.split(":")[-1]
-        for file, _, _ in said.broken:
-            if re.search(rf"(?<![\w$]){re.escape(name)}(?![\w$])", file.code.plain):
+        for file, words in named:
+            if name in words:
                 for _, value in given:
                     spoil(value, f"{file.code.name}, of which nothing is understood, names it")
         for variable, value in given:

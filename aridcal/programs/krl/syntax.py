@@ -26,17 +26,17 @@ LARGEST = 1e6
 """Degrees or millimetres: no robot's numbers are beyond."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Text:
     """A text in quotes."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Bits:
     """A number in binary or hexadecimal digits."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Word:
     """A value of an enumeration.
 
@@ -47,7 +47,7 @@ class Word:
     name: str
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Variable:
     """A variable, an element of it, or a part of it.
 
@@ -96,12 +96,12 @@ class Aggregate:
     end: int
     fields: Mapping[str, Expression]
 
-    @cached_property
+    @property
     def jointed(self) -> bool:
         """Whether it says axes."""
         return bool(self.fields) and (not self.fields.keys().isdisjoint(AXES) or self.fields.keys() <= _OF_AXES)
 
-    @cached_property
+    @property
     def point(self) -> bool:
         """Whether a move could go there."""
         return not self.fields.keys().isdisjoint((*POSE, *AXES)) and "m" not in self.fields
@@ -142,7 +142,7 @@ class Aggregate:
         return hash((self.place, self.end))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Function:
     """A call with its arguments.
 
@@ -159,7 +159,7 @@ class Function:
     arguments: tuple[Expression, ...] = ()
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Product:
     """Frames behind each other, by the geometric operator.
 
@@ -170,7 +170,7 @@ class Product:
     factors: tuple[Expression, ...]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Worked:
     """Anything else that is worked out.
 
@@ -205,7 +205,7 @@ def parts(expression: Expression) -> tuple[Expression, ...]:
     return expression.parts if isinstance(expression, Worked) else ()
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Assignment:
     """``to = value``."""
 
@@ -213,7 +213,7 @@ class Assignment:
     value: Expression
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Goal:
     """Where a move goes: a point, with frames before and behind it.
 
@@ -232,7 +232,7 @@ class Goal:
     behind: tuple[Expression, ...] = ()
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Move:
     """A move.
 
@@ -253,7 +253,7 @@ class Move:
     settings: tuple[Assignment, ...] = ()
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Unclear:
     """A statement that the tables do not have.
 
@@ -264,7 +264,7 @@ class Unclear:
     why: str
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Carried:
     """A statement of the tables that calls a routine of the controller."""
 

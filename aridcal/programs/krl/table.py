@@ -29,6 +29,9 @@ RELATIVE = frozenset(f"{word}_rel" for word in LINEAR | JOINTED)
 ASYNCHRONOUS = frozenset(("asyptp", "asycont", "asystop", "asycancel"))
 """Moves of external axes that the program does not wait for."""
 
+FORMS = frozenset(("fdat", "ldat", "pdat"))
+"""Types of what inline forms say besides the place."""
+
 APPROXIMATIONS = frozenset(("c_ptp", "c_dis", "c_ori", "c_vel", "c_spl"))
 """How a target is rounded: it means the same place."""
 

@@ -29,6 +29,13 @@ _TOKEN = re.compile(
     re.ASCII,
 )
 
+GIVEN = re.compile(
+    rf"[ \t]*+decl[ \t]++(?:(?P<shared>global)[ \t]++)?(?P<kind>[a-z_]\w*+)[ \t]++(?P<name>[a-z_$][\w$]*+)[ \t]*+="
+    rf"[ \t]*+(?P<plain>{_PLAIN})[ \t\r]*+",
+    re.ASCII,
+)
+"""``DECL E6POS XP1={X 1,Y 2,...}``, as data lists of long programs consist of."""
+
 _STRINGS_AND_COMMENTS = re.compile(r'"[^"\n]*+"|;[^\n]*+')
 
 NAME = re.compile(r"[a-z_$][\w$]*+", re.ASCII)

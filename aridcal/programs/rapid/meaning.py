@@ -54,7 +54,7 @@ from aridcal.programs.rapid.values import (
     points_of,
     transform,
 )
-from aridcal.programs.targets import Branch, Place, Target, Words
+from aridcal.programs.targets import Branch, Place, Target
 from aridcal.programs.uses import HERE, Ledger, Use, product
 from aridcal.programs.walk import (
     DIFFERS,
@@ -128,7 +128,6 @@ class Meaning:
     ledger: Ledger = field(default_factory=Ledger)
     bodies: dict[str, Body] = field(default_factory=dict)
     _literals: dict[tuple[int, int], Literal] = field(default_factory=dict)
-    _words: dict[tuple[int, int], Words | None] = field(default_factory=dict)
     _listed: set[tuple[int, int]] = field(default_factory=set)
 
     def __post_init__(self) -> None:
@@ -596,17 +595,12 @@ class Meaning:
 
     def _mode_of(self, prepared: _Prepared, own: Literal, state: State) -> tuple[str, str]:
         """Whether confdata decides of the arm's configuration, and why that is not known."""
-        if self._words_of(own) is None:
+        if own.form != "pose":
             return "", ""
         value = "on" if self._calm else state.get("mode", "conf" + prepared.move.way.lower())
         if isinstance(value, Unknown):
             return "", _said("confl", value)
         return str(value), ""
-
-    def _words_of(self, own: Literal) -> Words | None:
-        if own.key not in self._words:
-            self._words[own.key] = rapid_words(own.configuration, self.cell)
-        return self._words[own.key]
 
     def _stand(self, prepared: _Prepared, goal: object, state: State) -> None:
         """Where the arm stands behind a move."""
@@ -728,7 +722,7 @@ class Meaning:
             why = f"stands in {code.name}, which is not corrected: give it, too"
             return Target(line, own.name, own.form, own.parts[0], why, file=code.file)
         axes = self.axes
-        every, external = own.parts
+        every, external, configuration = own.parts
         if own.form == "joints":
             numbers = every[: len(axes.arm)]
             rails = [(n, k) for n, k in zip(external, axes.external, strict=False) if n.value < NOT_USED]
@@ -740,7 +734,7 @@ class Meaning:
         for value, k in self._rails(own):
             held = held.copy()
             held[k] = value
-        words = self._words_of(own) if use.mode == "on" else None
+        words = rapid_words(configuration, self.cell) if use.mode == "on" else None
         unknown = "" if words is not None else use.unknown
         branch = Branch(words, None, held, nearest=use.mode != "on", unknown=unknown)
         return Target(line, own.name, "pose", every, "", None, (), ABB, use.place, beside, branch, file=code.file)

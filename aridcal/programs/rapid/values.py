@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from aridcal.programs.notations import ABB, MILLI, inverse, pose
 from aridcal.programs.rapid.grammar import Declared, fold
 from aridcal.programs.rapid.table import FRAME_TYPES
-from aridcal.programs.text import NUMBER, Code, Number, number
+from aridcal.programs.text import NUMBER, Code, Number
 from aridcal.programs.uses import HERE, Frame
 from aridcal.programs.walk import Unknown
 
@@ -111,21 +111,14 @@ class Literal:
         return self.code.file, self.start
 
     @property
-    def configuration(self) -> tuple[Number, ...]:
-        """Numbers of confdata."""
-        match = FORMS[self.form].fullmatch(self.code.plain, self.start, self.end)
-        assert match is not None and self.form == "pose"
-        return tuple(number(match, k) for k in range(8, 12))
-
-    @property
-    def parts(self) -> tuple[tuple[Number, ...], tuple[Number, ...]]:
-        """Numbers of place and rotation, or of the arm's axes; those of external axes."""
-        match = FORMS[self.form].fullmatch(self.code.plain, self.start, self.end)
+    def parts(self) -> tuple[tuple[Number, ...], tuple[Number, ...], tuple[Number, ...]]:
+        """Numbers of place and rotation, or of the arm's axes; those of external axes; those of confdata."""
+        text = self.code.plain
+        match = FORMS[self.form].fullmatch(text, self.start, self.end)
         assert match is not None
-        own, last = (7, 12) if self.form == "pose" else (6, 7)
-        return tuple(number(match, k) for k in range(1, own + 1)), tuple(
-            number(match, k) for k in range(last, last + 6)
-        )
+        numbers = tuple([Number(start, text[start:end]) for start, end in match.regs[1:]])
+        own, last = (7, 11) if self.form == "pose" else (6, 6)
+        return numbers[:own], numbers[last:], numbers[own:last]
 
 
 @dataclass(frozen=True, slots=True)

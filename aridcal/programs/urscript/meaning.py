@@ -78,7 +78,7 @@ class Solved:
     why: str
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Point:
     """A list of plain numbers as a value.
 
@@ -480,7 +480,7 @@ class Meaning:
         base = self._frame(first, f"{line} uses it as a frame")
         if isinstance(second, Point) and second.solved is None and second.literal.pose:
             frames = (*first.frames, first.literal) if isinstance(first, Point) else ()
-            return replace(second, base=self._product(base, second.base), frames=(*frames, *second.frames))
+            return Point(second.literal, self._product(base, second.base), (*frames, *second.frames))
         return product(base, self._frame(second, f"{line} computes with it"))
 
     def _pose_inv(self, called: Called, state: State) -> object:
