@@ -14,7 +14,9 @@ import time
 from collections.abc import Sequence
 from random import Random
 
+import numpy as np
 from programs_marked import attacks, cell_of, language_named, project_of
+from scipy.spatial.transform import Rotation
 
 from aridcal.errors import AridcalError
 from aridcal.programs.cell import Cell
@@ -22,6 +24,7 @@ from aridcal.programs.language import Language
 from aridcal.programs.languages import LANGUAGES
 from aridcal.programs.project import Project
 from aridcal.programs.proof import Change, corrected
+from aridcal.programs.targets import Target
 from aridcal.programs.text import written
 from fuzz.mutate import mutate
 
@@ -47,6 +50,17 @@ def changed_outside(before: str, after: str, changes: Sequence[Change]) -> bool:
     return text != before
 
 
+def nearby(target: Target, rng: Random) -> np.ndarray:
+    """Numbers of a place near a target's, as its language writes them."""
+    steps = np.array([rng.choice((-1.0, 1.0)) * 10.0 ** rng.uniform(-7, -3) for _ in range(6)])
+    if target.notation is None:
+        return target.values + np.resize(steps, len(target.units)) / [unit for unit, _ in target.units]
+    T = target.notation.pose(target.values)
+    moved = T.copy()
+    moved[:3, :3], moved[:3, 3] = Rotation.from_rotvec(steps[3:]).as_matrix() @ T[:3, :3], T[:3, 3] + steps[:3]
+    return target.notation.numbers(moved, target.values)
+
+
 def attempt(language: Language, cell: Cell, project: Project, rng: Random) -> tuple[int, str]:
     """How many targets were corrected, and what is wrong; empty if nothing is."""
     try:
@@ -56,11 +70,8 @@ def attempt(language: Language, cell: Cell, project: Project, rng: Random) -> tu
     changes = []
     plain = [target for target in targets if not target.why]
     for target in plain:
-        for number, digits in zip(target.numbers, target.places, strict=True):
-            step = 10.0 ** rng.uniform(-6, 0)
-            changes.append(
-                Change(target.file, number, written(number.value + rng.choice((-step, step)), number.text, digits))
-            )
+        for number, digits, value in zip(target.numbers, target.places, nearby(target, rng), strict=True):
+            changes.append(Change(target.file, number, written(value, number.text, digits)))
     texts = corrected(language, project, cell, targets, changes)
     for file, (source, text) in enumerate(zip(project.sources, texts, strict=True)):
         if changed_outside(source.text, text, [c for c in changes if c.file == file]):

@@ -21,7 +21,7 @@ from aridcal.planning.approaches import BACK_ANGLE, as_they_come, from_both_side
 from aridcal.planning.beforehand import beforehand
 from aridcal.planning.candidates import targets_of
 from aridcal.planning.design import Asked, as_table, design
-from aridcal.planning.programs import LANGUAGES, Moves, check_program, moves, program
+from aridcal.planning.programs import PROGRAMS, Moves, check_program, moves, program
 from aridcal.robot.chain import load_robot
 
 SIX = 6 * ("revolute",)
@@ -105,7 +105,7 @@ def test_waypoints_for_moveit_name_the_joints() -> None:
     assert [n for n in numbers if n] == [1, 2, 3, 4, 5] and numbers.count(0) == 2
 
 
-@pytest.mark.parametrize("ending", LANGUAGES)
+@pytest.mark.parametrize("ending", PROGRAMS)
 def test_names_of_joints_and_things_stay_inside_comments(ending: str) -> None:
     """A line break or a quotation mark in a label is no instruction."""
     evil = 'a"\nmovej([0])\rPTP HOME\N{LINE SEPARATOR}END'

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import cmath
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -54,13 +55,13 @@ class Anatomy:
     stretched: float
     stretches: bool
 
-    def ahead(self, shown: np.ndarray) -> float:
+    def ahead(self, shown: Sequence[float]) -> float:
         """How far the wrist's centre is in front of axis 1, as a share of the arm's length; below zero: behind, overhead."""
         lean = self.senses[1] * shown[1]
         reach = self.upper * cmath.exp(-1j * lean) + self.fore * cmath.exp(-1j * (lean + self.senses[2] * shown[2]))
         return (self.lead + reach.real) / (abs(self.upper) + abs(self.fore))
 
-    def bent(self, shown: np.ndarray) -> float:
+    def bent(self, shown: Sequence[float]) -> float:
         """Sine of the elbow: above zero where the wrist's centre is in front of the line from axis 2 to axis 3."""
         return math.sin(self.senses[2] * (shown[2] - self.stretched))
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -33,6 +34,11 @@ class Axes:
     arm: tuple[int, ...]
     external: tuple[int, ...] = ()
     zeros: tuple[float, ...] = ()
+
+    @cached_property
+    def shifts(self) -> np.ndarray:
+        """What the controller shows of each axis of the arm where its reading is zero, [rad] or [m]."""
+        return np.array([self.unit(k, DEGREE, MILLIMETRE) * self.zero(k) for k in self.arm])
 
     def unit(self, reading: int, angle: float, length: float) -> float:
         """What a unit of a reading is, [rad] or [m]."""

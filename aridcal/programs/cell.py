@@ -29,7 +29,7 @@ class Cell:
     zeros: tuple[float, ...] = ()
     start: bool = False
 
-    @property
+    @cached_property
     def axes(self) -> Axes:
         """The robot's readings as the program counts them."""
         return axes_of(self.robot.kinds, self.zeros)

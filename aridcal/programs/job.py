@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import datetime
+import gc
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -100,7 +101,7 @@ def correct_programs(request: Request, progress: Progress = SILENT) -> Answer:
     """
     content = read_file(request.calibration, CampaignError, CALIBRATION)
     saved = SavedModel.load(request.calibration)
-    opened = read_project(request.programs)
+    opened = read_project(request.programs, request.out)
     for source in opened.project.sources:
         if source.ours:
             refuse_corrected(source.path, source.text)
@@ -111,9 +112,22 @@ def correct_programs(request: Request, progress: Progress = SILENT) -> Answer:
         else:
             ends.enter_context(claimed(outputs.files[0], "file"))
             ends.enter_context(claimed(outputs.side, "file"))
+        ends.enter_context(_uncollected())
         reading, corrections, texts = _corrected(request, saved, content, opened, progress)
         _write(opened, outputs, texts, corrections)
     return Answer(reading, corrections, outputs, opened, saved)
+
+
+@contextmanager
+def _uncollected() -> Iterator[None]:
+    """Without Python's search for objects that hold each other: a long program has millions, and each search looks at all."""
+    was = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was:
+            gc.enable()
 
 
 def _corrected(
@@ -127,6 +141,7 @@ def _corrected(
     cell = Cell(robot, frames, cell_zeros(saved, request.zeros, language), start is not None)
     progress.at("reading the program")
     reading = language.read(opened.project, cell)
+    gc.collect()  # what was made of the text is not needed any more
     if not reading.targets:
         names = ", ".join(str(source.path) for source in opened.project.sources if source.ours)
         raise MeasurementError(f"{names}: no target of {language.name} is in it; is it a program of this maker?")
@@ -207,9 +222,8 @@ def _check_outside(out: Path, programs: Sequence[Path]) -> None:
 
 def _write(opened: Opened, outputs: Outputs, texts: Sequence[str], corrections: Sequence[Correction]) -> None:
     """Write the programs and the table beside them, all or none."""
-    changed = {change.file for correction in corrections for change in correction.changes}
     sources = opened.project.sources
-    hashes = [output_hash(text) if file in changed else "" for file, text in enumerate(texts)]
+    hashes = [output_hash(text) if text != source.text else "" for source, text in zip(sources, texts, strict=True)]
     table = as_table(corrections)
     if len(outputs.files) > 1:
         table.insert(0, "file", [sources[c.target.file].path.name for c in corrections])

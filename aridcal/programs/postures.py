@@ -20,11 +20,12 @@ import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
 from aridcal.programs.anatomy import Anatomy
-from aridcal.programs.axes import DEGREE, MILLIMETRE, Axes
+from aridcal.programs.axes import Axes
 from aridcal.programs.cell import Cell
 from aridcal.programs.targets import Words
 from aridcal.programs.text import Number
@@ -47,7 +48,7 @@ UNSEEN = (
 )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Stance:
     """How an arm stands.
 
@@ -56,7 +57,7 @@ class Stance:
         anatomy: What else can be seen of it; None: nothing.
     """
 
-    shown: np.ndarray
+    shown: Sequence[float]
     anatomy: Anatomy | None
 
     def sides(self) -> tuple[float, float, float]:
@@ -70,7 +71,7 @@ Rule = Callable[[Stance, str], str | None]
 """What should stand in place of a text; None where nobody can tell."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Posture:
     """Words of a program, and what each should be.
 
@@ -86,15 +87,14 @@ class Posture:
 
     def __call__(self, readings: np.ndarray) -> tuple[str, ...] | None:
         """What should stand there for readings, shape (columns,); None where nobody can tell all of it."""
-        stance = Stance(shown(self.axes, readings), self.anatomy)
+        stance = Stance(shown(self.axes, readings).tolist(), self.anatomy)
         texts = [rule(stance, number.text) for number, rule in self.parts]
         return None if None in texts else tuple(text for text in texts if text is not None)
 
 
 def shown(axes: Axes, readings: np.ndarray) -> np.ndarray:
     """What the controller shows of each axis of the arm at readings, [rad] or [m]."""
-    arm = list(axes.arm)
-    return np.array(readings[arm] + [axes.unit(k, DEGREE, MILLIMETRE) * axes.zero(k) for k in arm])
+    return np.asarray(readings[list(axes.arm)] + axes.shifts)
 
 
 def krl_words(status: Number | None, turn: Number | None, cell: Cell) -> Words | None:
@@ -163,7 +163,7 @@ def _turn(stance: Stance, text: str) -> str | None:
     return _with_bits(text, stance.shown)
 
 
-def _with_bits(text: str, decided: Sequence[float] | np.ndarray) -> str | None:
+def _with_bits(text: str, decided: Sequence[float]) -> str | None:
     """A whole number in which bits are set where values are below zero, kept where these are near zero, or NaN."""
     literal = INTEGER.fullmatch(text)
     if literal is None or bool(literal["open"]) != bool(literal["close"]):
@@ -187,6 +187,7 @@ def _with_bits(text: str, decided: Sequence[float] | np.ndarray) -> str | None:
     return f"{literal['open']}{literal['base']}{digits}{literal['close']}"
 
 
+@lru_cache
 def _quarter(axis: int, axes: Axes) -> Rule:
     """The quarter of a turn, or the metre, that an axis is in."""
     unit = 1.0 if axes.kinds[axes.arm[axis]] == "prismatic" else QUARTER
@@ -197,6 +198,7 @@ def _quarter(axis: int, axes: Axes) -> Rule:
     return rule
 
 
+@lru_cache
 def _turns(axis: int) -> Rule:
     """Whole turns of an axis away from its middle."""
 
@@ -214,6 +216,7 @@ def _counted(value: float, margin: float, text: str) -> str | None:
     return text if stated in (math.floor(value - margin), math.floor(value + margin)) else str(math.floor(value))
 
 
+@lru_cache
 def _whole(text: str) -> int | None:
     """The whole number that a text says."""
     try:

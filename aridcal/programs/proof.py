@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import accumulate, pairwise
 
 import numpy as np
 
@@ -52,37 +53,35 @@ def corrected(
     for change in changes:
         if not project.sources[change.file].ours:
             raise Unproved(f"{project.sources[change.file].path}: is not to be changed")
-    texts = [
-        _spliced(source.text, [c for c in changes if c.file == file]) for file, source in enumerate(project.sources)
-    ]
+    by_file: list[list[Change]] = [[] for _ in project.sources]
+    for change in sorted(changes, key=lambda c: c.number.start):
+        by_file[change.file].append(change)
+    texts = [_spliced(source.text, own) for source, own in zip(project.sources, by_file, strict=True)]
     meant = {(c.file, c.number.start): c.text for c in changes}
     again = language.read(project.with_texts(texts), cell).targets
     if len(again) != len(targets):
         raise Unproved(f"{len(targets)} targets were read, of the new text {len(again)}")
-    shifts = [_Shift([c for c in changes if c.file == file]) for file in range(len(texts))]
+    shifts = [_Shift(own) for own in by_file]
     for before, after in zip(targets, again, strict=True):
         _check(before, after, meant, shifts[before.file])
     return tuple(texts)
 
 
-def _spliced(text: str, changes: Sequence[Change]) -> str:
+def _spliced(text: str, ordered: Sequence[Change]) -> str:
     """The text with other numbers, if each change has a place of its own and all between is as it was."""
-    ordered = sorted(changes, key=lambda c: c.number.start)
     for first, second in pairwise(ordered):
         if first.number.end > second.number.start:
             raise Unproved(f"two changes at one place: {first.number.text} and {second.number.text}")
     new = spliced(text, [(c.number, c.text) for c in ordered])
     old_end = new_end = 0
     for c in ordered:
-        gap = c.number.start - old_end
-        if (
-            text[c.number.start : c.number.end] != c.number.text
-            or new[new_end : new_end + gap] != text[old_end : c.number.start]
-        ):
-            raise Unproved(f"{c.number.text} does not stand where it should")
-        if new[new_end + gap : new_end + gap + len(c.text)] != c.text:
+        start, before = c.number.start, c.number.text
+        there = new_end + start - old_end
+        if not text.startswith(before, start) or new[new_end:there] != text[old_end:start]:
+            raise Unproved(f"{before} does not stand where it should")
+        if not new.startswith(c.text, there):
             raise Unproved(f"{c.text} does not stand where it should")
-        old_end, new_end = c.number.end, new_end + gap + len(c.text)
+        old_end, new_end = start + len(before), there + len(c.text)
     if new[new_end:] != text[old_end:]:
         raise Unproved("the text behind the last change is another one")
     return new
@@ -91,29 +90,21 @@ def _spliced(text: str, changes: Sequence[Change]) -> str:
 class _Shift:
     """Where a place of the old text is in the new one."""
 
-    def __init__(self, changes: Sequence[Change]) -> None:
-        ordered = sorted(changes, key=lambda c: c.number.start)
-        self._starts = np.array([c.number.start for c in ordered], dtype=int)
-        self._longer = np.cumsum([0, *(len(c.text) - len(c.number.text) for c in ordered)])
+    def __init__(self, ordered: Sequence[Change]) -> None:
+        self._starts = [c.number.start for c in ordered]
+        self._longer = list(accumulate((len(c.text) - len(c.number.text) for c in ordered), initial=0))
 
     def __call__(self, place: int) -> int:
-        return place + int(self._longer[np.searchsorted(self._starts, place)])
+        return place + self._longer[bisect_left(self._starts, place)]
 
 
 def _check(before: Target, after: Target, meant: dict[tuple[int, int], str], shift: _Shift) -> None:
     """Make sure that a target of the new text is what was meant."""
     where = f"line {before.line}, {before.name}"
-    same = [
-        ("file", before.file, after.file),
-        ("line", before.line, after.line),
-        ("form", before.form, after.form),
-        ("reason", before.why, after.why),
-        ("units", before.units, after.units),
-        ("number of numbers", len(before.numbers), len(after.numbers)),
-    ]
-    for name, old, new in same:
-        if old != new:
-            raise Unproved(f"{where}: its {name} was {old}, and is {new} in the new text")
+    was, now = _what(before), _what(after)
+    if was != now:
+        name, old, new = next(each for each in zip(SAME, was, now, strict=True) if each[1] != each[2])
+        raise Unproved(f"{where}: its {name} was {old}, and is {new} in the new text")
     for old_number, new_number in zip(_numbers(before), _numbers(after), strict=True):
         text = meant.get((before.file, old_number.start), old_number.text)
         if (new_number.start, new_number.text) != (shift(old_number.start), text):
@@ -122,6 +113,14 @@ def _check(before: Target, after: Target, meant: dict[tuple[int, int], str], shi
             )
     if not before.why:
         _check_place(before, after, where)
+
+
+SAME = ("file", "line", "form", "reason", "units", "number of numbers")
+"""What of a target no correction changes; see :func:`_what`."""
+
+
+def _what(target: Target) -> tuple[object, ...]:
+    return target.file, target.line, target.form, target.why, target.units, len(target.numbers)
 
 
 def _numbers(target: Target) -> tuple[Number, ...]:
@@ -135,9 +134,9 @@ def _check_place(before: Target, after: Target, where: str) -> None:
     for old, new in places:
         if (old is None) != (new is None):
             raise Unproved(f"{where}: its frame is read otherwise from the new text")
-        if (
-            old is not None
-            and new is not None
-            and not (np.array_equal(old.base, new.base) and np.array_equal(old.tool, new.tool))
-        ):
+        if old is not None and new is not None and not (_equal(old.base, new.base) and _equal(old.tool, new.tool)):
             raise Unproved(f"{where}: its frame or tool is another one in the new text")
+
+
+def _equal(old: np.ndarray, new: np.ndarray) -> bool:
+    return old is new or old.tobytes() == new.tobytes() or np.array_equal(old, new)

@@ -10,6 +10,7 @@ from pathlib import Path
 from aridcal.errors import AridcalError
 from aridcal.programs.language import Language
 from aridcal.programs.languages import LANGUAGES, language_of
+from aridcal.programs.marks import MARK
 from aridcal.programs.project import Project, Source, read_text
 
 MOST_FILES = 2000
@@ -39,11 +40,12 @@ def is_program(path: Path) -> bool:
     return language_of(path) is not None or path.is_dir()
 
 
-def read_project(paths: Sequence[Path]) -> Opened:
+def read_project(paths: Sequence[Path], out: Path) -> Opened:
     """Read programs with what belongs to them.
 
     Args:
         paths: Files, or folders with all the programs below them.
+        out: What is written of them: never a file that belongs to them, though it may stand beside them.
 
     Raises:
         AridcalError: there is none, they are of several languages, or a file cannot be read.
@@ -51,18 +53,20 @@ def read_project(paths: Sequence[Path]) -> Opened:
     named = [(file, file.name) for path in paths if not path.is_dir() for file in (path,)]
     named += [(file, str(file.relative_to(path))) for path in paths if path.is_dir() for file in _below(path)]
     files = {os.path.realpath(file): (file, Path(name)) for file, name in named}
-    ours = [(file, name) for file, name in files.values() if language_of(file) and not file.name.startswith(SYSTEM)]
-    language = _one_language([file for file, _ in ours], paths)
-    if len({str(name).lower() for _, name in ours}) < len(ours):
+    ours = {
+        real: (file, name)
+        for real, (file, name) in files.items()
+        if language_of(file) and not file.name.startswith(SYSTEM)
+    }
+    language = _one_language([file for file, _ in ours.values()], paths)
+    if len({str(name).lower() for _, name in ours.values()}) < len(ours):
         raise AridcalError("two of the programs have the same name: give the folder that both are in")
-    beside = [file for file, _ in files.values() if not any(file is own for own, _ in ours)]
-    beside += [file for own, _ in ours for file in language.context(own)]
-    context = {os.path.realpath(file): file for file in beside}
-    sources = [Source(file, read_text(file)) for file, _ in ours]
-    sources += [
-        Source(file, read_text(file), False) for real, file in context.items() if real not in files or file in beside
-    ]
-    return Opened(language, Project(tuple(sources)), tuple(name for _, name in ours))
+    beside = [file for file, _ in files.values()] + [b for file, _ in ours.values() for b in language.context(file)]
+    context = {real: file for file in beside if (real := os.path.realpath(file)) not in (*ours, os.path.realpath(out))}
+    own = tuple(Source(file, read_text(file)) for file, _ in ours.values())
+    others = (Source(file, read_text(file), False) for file in context.values())
+    uncorrected = tuple(source for source in others if not MARK.search(source.text))
+    return Opened(language, Project((*own, *uncorrected)), tuple(name for _, name in ours.values()))
 
 
 def _below(folder: Path) -> list[Path]:

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
-NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
-"""A number as all these languages write it."""
+NUMBER = re.compile(r"[-+]?+(?:\d++(?:\.\d*+)?+|\.\d++)(?:[eE][-+]?+\d++)?+")
+"""A number as all these languages write it; nothing of it is given back, so that rows of digits are read once."""
 
 CLOSES = {"(": ")", "[": "]", "{": "}"}
 
@@ -126,10 +126,9 @@ def blanked(text: str, comments: str) -> str:
 
 def written(value: float, before: str, digits: int) -> str:
     """A number in place of another: as many digits behind the point as that had, or more where they are needed."""
-    own = before.lower().split("e")[0]
-    had = len(own.split(".")[1]) if "." in own else 0
-    text = f"{value:.{max(had, digits)}f}"
-    return text.lstrip("-") if float(text) == 0.0 else text
+    own = before.lower().partition("e")[0]
+    text = f"{value:.{max(len(own.partition('.')[2]), digits)}f}"
+    return text[1:] if text[0] == "-" and float(text) == 0.0 else text
 
 
 def spliced(text: str, changes: Sequence[tuple[Number, str]]) -> str:
@@ -138,4 +137,5 @@ def spliced(text: str, changes: Sequence[tuple[Number, str]]) -> str:
     for old, new in sorted(changes, key=lambda change: change[0].start):
         parts += [text[end : old.start], new]
         end = old.end
-    return "".join([*parts, text[end:]])
+    parts.append(text[end:])
+    return "".join(parts)

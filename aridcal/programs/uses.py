@@ -47,7 +47,7 @@ def product(*factors: object) -> Frame | Unknown:
     return T
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Use:
     """How a move comes to a point.
 
@@ -87,7 +87,7 @@ class Use:
         return (self.base, self.tool, self.mode, self.near) == (other.base, other.tool, other.mode, other.near)
 
 
-@dataclass
+@dataclass(slots=True)
 class _Point:
     make: Callable[[Use, tuple[Place, ...]], Target]
     uses: list[Use] = field(default_factory=list)

@@ -40,7 +40,7 @@ class TooLong(Exception):
     """The program has more ways than can be walked: nothing of it is understood."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Unknown:
     """A value that is not certain. All such values are equal: the reason tells nothing apart.
 
@@ -237,7 +237,7 @@ def _agreed(values: Sequence[object]) -> object:
     return values[0] if all(value == values[0] for value in values[1:]) else Unknown(DIFFERS)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Step:
     """A statement that is carried out and goes on to the next.
 
@@ -248,7 +248,7 @@ class Step:
     what: object
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Choice:
     """One of several ways is taken.
 
@@ -259,7 +259,7 @@ class Choice:
     ways: tuple[Body, ...]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Repeat:
     """A loop.
 
@@ -272,7 +272,7 @@ class Repeat:
     once: bool = False
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Call:
     """A routine is called.
 
@@ -285,7 +285,7 @@ class Call:
     what: object
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Mark:
     """A place of the routine that jumps come to.
 
@@ -296,7 +296,7 @@ class Mark:
     label: str
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Jump:
     """The program goes on at a mark of the same routine; a conditional jump is a :class:`Choice` of it and nothing.
 
@@ -307,7 +307,7 @@ class Jump:
     label: str
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Leave:
     """The program goes on behind what it is in.
 
