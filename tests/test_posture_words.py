@@ -417,10 +417,9 @@ def test_axes_that_turn_the_other_way_than_the_makers_are_named() -> None:
 
 def compensated(robot: Robot, ending: str, text: str, folder: Path) -> tuple[list[str], Reading]:
     """What is said of a program that is corrected for an arm without faults, calibrated everywhere."""
-    saved = SavedModel(
-        *[SolvedModel(Model(robot, ()), np.zeros(0), np.zeros((0, 0)))] * 2, "pose", (0.0, 0.0, -9.81), (5e-5, 5e-5),
-        dict.fromkeys(robot.readings, (-7.0, 7.0)), {},
-    )  # fmt: skip
+    solved = SolvedModel(Model(robot, ()), np.zeros(0), np.zeros((0, 0)))
+    ranges = dict.fromkeys(robot.readings, (-7.0, 7.0))
+    saved = SavedModel(solved, solved, "pose", (0.0, 0.0, -9.81), (5e-5, 5e-5), ranges, {})
     (folder / "calibration.yaml").write_text(saved.dump())
     (folder / f"a{ending}").write_text(text)
     answer = correct_programs(Request(folder / "calibration.yaml", (folder / f"a{ending}",), folder / f"b{ending}"))
