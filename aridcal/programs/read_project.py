@@ -12,6 +12,7 @@ from aridcal.programs.language import Language
 from aridcal.programs.languages import LANGUAGES, language_of
 from aridcal.programs.marks import MARK
 from aridcal.programs.project import Project, Source, read_text
+from aridcal.writing.tables import ENDINGS
 
 MOST_FILES = 2000
 """Of one project: the largest backups of a controller have some hundreds."""
@@ -36,8 +37,8 @@ class Opened:
 
 
 def is_program(path: Path) -> bool:
-    """Whether a path is a program's file by its name, or a folder: of programs then."""
-    return language_of(path) is not None or path.is_dir()
+    """Whether a path is a program's file by its name, or a folder: of programs then, unless it has the name of a table."""
+    return language_of(path) is not None or (path.is_dir() and path.suffix.lower() not in ENDINGS)
 
 
 def read_project(paths: Sequence[Path], out: Path) -> Opened:

@@ -23,13 +23,23 @@ def check_apart(outputs: Iterable[Path], inputs: Iterable[Path | None]) -> None:
     read = [path for path in inputs if path is not None]
     for out in outputs:
         for path in read:
-            file = path / "calibration.yaml" if path.is_dir() else path
+            file = _file_of(path)
             if _same(out, file):
                 raise OutputError(f"{out}: is {file}, which is read: this would overwrite it; write to another file")
 
 
+def _file_of(path: Path) -> Path:
+    """What is read of a path: of a result folder its calibration."""
+    with suppress(OSError, ValueError):  # what cannot be the name of a file is no folder
+        if path.is_dir():
+            return path / "calibration.yaml"
+    return path
+
+
 def _same(one: Path, other: Path) -> bool:
     """Whether two paths are one file, also where neither is there."""
-    with suppress(OSError):
+    with suppress(OSError, ValueError):
         return one.samefile(other)
-    return os.path.realpath(one) == os.path.realpath(other)
+    with suppress(OSError, ValueError):
+        return os.path.realpath(one) == os.path.realpath(other)
+    return False
