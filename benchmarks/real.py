@@ -5,8 +5,8 @@
     python benchmarks/real.py --save before.json      # to compare later: --beside before.json
 
 A place is all rows whose joints lie within 20 mrad or mm of another row of it: no held-out row has a twin among the fitted
-ones; a fifth of the places is held out. Balls in sockets are held out by the place of the part, one after the other. Rows that the
-data set's authors held out are one more split. Each run is `aridcal identify` in a process of its own.
+ones; a fifth of the places is held out. Balls in sockets are held out by the place of the part, one after the other. Rows that
+the data set's authors held out are one more split. Each run is `aridcal identify` in a process of its own.
 """
 
 from __future__ import annotations
