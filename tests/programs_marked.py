@@ -102,12 +102,12 @@ def wrong(files: Mapping[str, str], frames: str = "") -> list[str]:
             if mark.corrected and not inside:
                 reasons = sorted({t.why for t in reading.targets if t.why})
                 faults.append(f"{text}: must be corrected, but: {'; '.join(reasons)}")
-            elif not mark.corrected and not all(map(_unsettled, inside)):
+            elif not mark.corrected and not all(map(is_unsettled, inside)):
                 faults.append(f"{text}: must be left, and is corrected")
     return faults
 
 
-def _unsettled(target: Target) -> bool:
+def is_unsettled(target: Target) -> bool:
     """Whether it is not known how the arm stands there: such a target is left, too."""
     return bool(target.branch.unknown) and target.branch.words is None and target.branch.near is None
 
