@@ -21,7 +21,7 @@ from aridcal.programs.branches import flanges
 from aridcal.programs.correct import correct
 from aridcal.programs.notations import UR
 from aridcal.programs.targets import Branch, Place, Target
-from aridcal.programs.text import Number
+from aridcal.programs.text import Number, Numbers
 from aridcal.robot.chain import Robot
 
 HOME = np.array([0.3, -1.2, 1.5, -1.5, -1.4, 0.2])
@@ -44,9 +44,14 @@ def targets(robot: Robot, q: np.ndarray, form: str) -> list[Target]:
     numbers = [tuple(Number(0, f"{value:.6f}") for value in row) for row in values.tolist()]
     if form == "joints":
         units = tuple((1.0, k) for k in range(6))
-        return [Target(1, "", "joints", own, readings=np.array([n.value for n in own]), units=units) for own in numbers]
+        return [
+            Target(1, "", "joints", Numbers(own), readings=np.array([n.value for n in own]), units=units)
+            for own in numbers
+        ]
     place = Place(np.eye(4), np.eye(4))
-    return [Target(1, "", "pose", own, notation=UR, place=place, branch=Branch(nearest=True)) for own in numbers]
+    return [
+        Target(1, "", "pose", Numbers(own), notation=UR, place=place, branch=Branch(nearest=True)) for own in numbers
+    ]
 
 
 def memory() -> float:

@@ -16,7 +16,7 @@ from aridcal.programs.frames import KnownFrames
 from aridcal.programs.gcode import ROW
 from aridcal.programs.project import Project, Source
 from aridcal.programs.targets import Target
-from aridcal.programs.text import Number, spliced, written
+from aridcal.programs.text import Number, written
 
 PROGRAMS = 60
 """Random ones: 500 were run when this was written; a finding every few programs came in the first twenty."""
@@ -147,7 +147,11 @@ def moved(text: str, targets: list[Target], rng: np.random.Generator) -> tuple[s
             text_now = written(number.value + float(rng.uniform(-0.3, 0.3)), number.text, digits)
             changes.append((number, text_now))
             steps.setdefault(target.line, {})[k] = (float(text_now) - number.value) * unit
-    return spliced(text, changes), steps
+    parts, end = [], 0
+    for old, new in sorted(changes, key=lambda change: change[0].start):
+        parts += [text[end : old.start], new]
+        end = old.end
+    return "".join([*parts, text[end:]]), steps
 
 
 @pytest.mark.parametrize("seed", range(PROGRAMS))

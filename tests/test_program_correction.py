@@ -21,10 +21,10 @@ from aridcal.model.model import Model
 from aridcal.model.one_row import OneRowModel
 from aridcal.programs import branches, correct
 from aridcal.programs.branches import Controller, Poses, controller, flange, flanges
-from aridcal.programs.correct import Correction, as_table
+from aridcal.programs.corrections import Correction, as_table
 from aridcal.programs.notations import ABB, FANUC, KUKA, UR, pose
 from aridcal.programs.targets import Branch, Notation, Place, Target, Words
-from aridcal.programs.text import Number
+from aridcal.programs.text import Number, Numbers
 from aridcal.result.saved_model import SavedModel, SolvedModel
 from aridcal.robot.chain import Robot, parse_robot
 
@@ -63,7 +63,7 @@ def stated(q: np.ndarray, *axes: int) -> Target:
     texts = numbers(q[list(axes)], 6)
     readings = np.full(len(q), np.nan)
     readings[list(axes)] = [n.value for n in texts]
-    return Target(1, "joints", "joints", texts, readings=readings, units=tuple((1.0, k) for k in axes))
+    return Target(1, "joints", "joints", Numbers(texts), readings=readings, units=tuple((1.0, k) for k in axes))
 
 
 def shown(robot: Robot, q: np.ndarray, notation: Notation = UR, place: Place | None = None, **branch: object) -> Target:
@@ -71,7 +71,7 @@ def shown(robot: Robot, q: np.ndarray, notation: Notation = UR, place: Place | N
     place = place or Place(np.eye(4), np.eye(4))
     T = np.linalg.inv(place.base) @ flange(robot, q) @ place.tool
     texts = numbers(notation.numbers(T, np.ones(7)[: len(notation.digits)]), 6)
-    return Target(1, "pose", "pose", texts, notation=notation, place=place, branch=Branch(**branch))  # type: ignore[arg-type]
+    return Target(1, "pose", "pose", Numbers(texts), notation=notation, place=place, branch=Branch(**branch))  # type: ignore[arg-type]
 
 
 def frame(rng: np.random.Generator, size: float) -> np.ndarray:
@@ -92,8 +92,7 @@ def crossing(n: int, rng: np.random.Generator) -> np.ndarray:
 
 def now(c: Correction) -> np.ndarray:
     """Its numbers as they are to be."""
-    by_place = {id(change.number): change.text for change in c.changes}
-    return np.array([float(by_place.get(id(n), n.text)) for n in c.target.numbers])
+    return np.array([float(text) for text in (c.texts or c.target.numbers.texts)])
 
 
 def sent(robot: Robot, c: Correction, q: np.ndarray) -> np.ndarray:
@@ -251,7 +250,7 @@ def bits(*axes: int) -> Callable[[Sequence[str]], Words]:
 
     def words(texts: Sequence[str]) -> Words:
         return Words(
-            tuple(Number(100 + k, text) for k, text in enumerate(texts)),
+            Numbers(Number(100 + k, text) for k, text in enumerate(texts)),
             lambda q: tuple("1" if np.sin(q[k]) < 0.0 else "0" for k in axes),
             "signs",
         )
@@ -360,7 +359,8 @@ def test_numbers_that_are_used_a_constant_way_off_are_corrected_where_that_helps
     for beside, worth in (([near], True), ([near, far], True), ([turned], False), ([near, turned], False)):
         places = tuple(Place(np.eye(4), np.linalg.inv(shift)) for shift in beside)
         target = shown(robot, HOME)
-        (c,) = correct.correct(saved, [replace(target, beside=places)], {}, HOME)
+        found = correct.correct(saved, [replace(target, beside=places)], {}, HOME)
+        (c,) = found
         (alone,) = correct.correct(saved, [target], {}, HOME)
         assert bool(c.why) is not worth
         remains = []
@@ -372,7 +372,7 @@ def test_numbers_that_are_used_a_constant_way_off_are_corrected_where_that_helps
         if worth:
             assert c.remark == correct.BESIDE
             assert all(after < 0.5 * before for before, after in remains)
-            assert f"{1e3 * c.beside:.6f} mm" in as_table([c])["remark"][0]
+            assert f"{1e3 * c.beside:.6f} mm" in as_table(found)["remark"][0]
         else:
             assert c.why == correct.BESIDE_WORSE
 
@@ -381,12 +381,13 @@ def test_what_is_left_stays_as_it_is_and_changes_name_the_file() -> None:
     saved = replace(real(), ranges=dict.fromkeys(robots.ur10().readings, (-2.0, 2.0)))
     targets = [replace(stated(HOME), file=3), stated(HOME + 2.0), replace(stated(HOME), why="line 3 computes with it")]
     told: list[int] = []
-    done, beyond, spoilt = correct.correct(saved, targets, {}, HOME, told.append)
+    found = correct.correct(saved, targets, {}, HOME, told.append)
+    done, beyond, spoilt = found
     assert {change.file for change in done.changes} == {3}
     assert (beyond.why, spoilt.why) == (correct.BEYOND, "line 3 computes with it")
     assert beyond.changes == spoilt.changes == []
     assert told == [0]
-    table = as_table([done, beyond, spoilt])
+    table = as_table(found)
     assert table["corrected"].tolist() == [True, False, False]
     assert table["moved_mm"].tolist()[1:] == [0.0, 0.0]
 

@@ -17,7 +17,7 @@ from aridcal.programs.frames import KnownFrames, read_frames
 from aridcal.programs.project import Project, Source
 from aridcal.programs.rapid import ROW, context
 from aridcal.programs.targets import Target, Words
-from aridcal.programs.text import Number
+from aridcal.programs.text import Number, Numbers
 from aridcal.robot.chain import Robot, parse_robot
 
 ARM = robots.ur10()
@@ -179,7 +179,7 @@ def test_a_point_that_is_reached_with_and_without_confdata_is_left(monkeypatch: 
 
 def _words(data: tuple[Number, ...], cell: Cell) -> Words:
     """Words that no readings contradict."""
-    return Words(data, lambda readings: tuple(n.text for n in data), "confdata")
+    return Words(Numbers(data), lambda readings: tuple(n.text for n in data), "confdata")
 
 
 def test_where_the_arm_comes_from_is_not_known_before_a_joint_target() -> None:

@@ -23,10 +23,10 @@ from aridcal.inputs.query import Query
 from aridcal.model.inverse import FINEST, UNAVOIDABLE
 from aridcal.model.inverse_rows import ArmRows, InverseRows, rotation_vectors
 from aridcal.programs.branches import FEW, STARTS, Chain, Controller, Memory, Poses, flanges
+from aridcal.programs.corrections import Corrections, joined_corrections, uncorrected
 from aridcal.programs.notations import inverse
-from aridcal.programs.proof import Change
 from aridcal.programs.targets import Notation, Place, Target
-from aridcal.programs.text import written
+from aridcal.programs.text import NUL, written
 from aridcal.result.compensate import STILL
 from aridcal.result.predict import at_any_station, directions, extrapolates, std_of
 from aridcal.result.saved_model import SavedModel
@@ -68,9 +68,6 @@ SAME = 1e-3
 WORTH = 0.5
 """A correction that is not whole is made where it leaves less than half of the error."""
 
-DIGITS = 6
-"""Of millimetres and milliradians in the side table: a nanometre, which nobody reads past."""
-
 LEVER = 1.0
 """[m]: where positions alone were measured, a turn of the tip counts as so much as it moves a tool of this length."""
 
@@ -86,48 +83,6 @@ UNSETTLED = "its correction depends on how the arm stands there: give --start J1
 
 AT_ONCE = 2_000
 """Targets that are worked out together: all that is made on the way takes some megabytes, and a program of any length no more."""
-
-
-@dataclass(frozen=True, slots=True)
-class Correction:
-    """What becomes of one target.
-
-    Attributes:
-        target: As it stands in the program.
-        why: Why it is left as it is; empty where it is corrected.
-        remark: What is to be known of a correction.
-        texts: New numbers, as they are written; none where it is left.
-        words: New words of its posture, as they are written; none where the program has none, or it is left.
-        moved: By how much the place that the controller is told is moved, [m] and [rad].
-        before: How far the real tip would be from its place as the program is, [m] and [rad].
-        after: How far it will be, rounding included, [m] and [rad].
-        positions: Positions of the arm that agree with the program, where it is not known which it takes.
-        doubt: How much the correction would differ with another of them, [m].
-        beside: What remains at the worst of the other places where the same numbers are used, [m].
-    """
-
-    target: Target
-    why: str = ""
-    remark: str = ""
-    texts: tuple[str, ...] = ()
-    words: tuple[str, ...] = ()
-    moved: tuple[float, float] = (np.nan, np.nan)
-    before: tuple[float, float] = (np.nan, np.nan)
-    after: tuple[float, float] = (np.nan, np.nan)
-    positions: int = 1
-    doubt: float = 0.0
-    beside: float = 0.0
-
-    @property
-    def changes(self) -> list[Change]:
-        """Numbers of the text that change, those of the posture among them, and what stands there now."""
-        if self.why:
-            return []
-        stated = self.target.branch.words
-        numbers = (*self.target.numbers, *(stated.numbers if stated is not None and self.words else ()))
-        texts = (*self.texts, *self.words)
-        pairs = zip(numbers, texts, strict=True)
-        return [Change(self.target.file, number, text) for number, text in pairs if text != number.text]
 
 
 @dataclass(frozen=True)
@@ -250,7 +205,7 @@ def correct(
     covariates: Mapping[str, float],
     start: np.ndarray | None = None,
     told: Callable[[int], None] = lambda done: None,
-) -> list[Correction]:
+) -> Corrections:
     """Correct the targets of a program, one after the other: each starts where the one before has come to.
 
     Args:
@@ -269,11 +224,11 @@ def correct(
         raise CovariateNotFound(f"the model depends on {missing[0]!r}: state it, as in --at {missing[0]}=VALUE")
     middle = np.array([np.mean(saved.ranges.get(name, (0.0, 0.0))) for name in saved.final.model.robot.readings])
     walk = _Walk(arm, middle if start is None else start)
-    found: list[Correction] = []
-    for first in range(0, len(targets), AT_ONCE):
+    found = []
+    for first in range(0, max(len(targets), 1), AT_ONCE):
         told(first)
-        found += walk.go(targets[first : first + AT_ONCE])
-    return found
+        found.append(walk.go(targets[first : first + AT_ONCE]))
+    return joined_corrections(found)
 
 
 def every_position(robot: Robot, targets: Sequence[Target]) -> list[list[np.ndarray]]:
@@ -299,6 +254,7 @@ class _Lot:
 
     Attributes:
         targets: As they are read.
+        values: Their numbers, in the program's units.
         joints: Those that state readings, shape (n,) bool; the others are poses.
         stated: Readings that a target of joints states, shape (n, columns) bool.
         q: Readings where the controller believes that the arm is, shape (n, columns).
@@ -320,6 +276,7 @@ class _Lot:
     """
 
     targets: Sequence[Target]
+    values: Sequence[np.ndarray]
     joints: np.ndarray
     stated: np.ndarray
     q: np.ndarray
@@ -345,14 +302,14 @@ class _Lot:
         """From which side joints come, of some."""
         return {name: side[rows] for name, side in self.sides.items()}
 
-    def corrections(self) -> Iterator[Correction]:
-        """What becomes of each."""
-        pairs = [[tuple(pair) for pair in numbers.tolist()] for numbers in (self.moved, self.before, self.after)]
-        for k, target in enumerate(self.targets):
-            moved, before, after = (own[k] for own in pairs)
-            texts, words = ((), ()) if self.why[k] else (self.texts[k], self.words[k])
-            more = int(self.positions[k]), float(self.doubt[k]) or 0.0, float(self.beside[k]) or 0.0
-            yield Correction(target, self.why[k], self.remark[k], texts, words, moved, before, after, *more)
+    def tell(self, found: Corrections, rows: np.ndarray) -> None:
+        """Write down what becomes of each in some rows of corrections."""
+        for name in ("moved", "before", "after", "positions", "doubt", "beside"):
+            getattr(found, name)[rows] = getattr(self, name)
+        for k, row in enumerate(rows.tolist()):
+            found.why[row], found.remark[row] = self.why[k], self.remark[k]
+            if not self.why[k]:
+                found.texts[row], found.words[row] = NUL.join(self.texts[k]), NUL.join(self.words[k])
 
 
 class _Walk:
@@ -370,23 +327,22 @@ class _Walk:
         self._sent = self._nominal  # where the joints are sent with the corrections
         self._sides = dict.fromkeys(directions(arm.saved), 0.0)
 
-    def go(self, targets: Sequence[Target]) -> list[Correction]:
+    def go(self, targets: Sequence[Target]) -> Corrections:
         """Correct some more targets."""
-        found: list[Correction] = [Correction(target, target.why) for target in targets]
+        found = uncorrected(targets)
         plain = np.array([k for k, target in enumerate(targets) if not target.why or _passes(target)], dtype=int)
         if len(plain):
             own = [targets[k] for k in plain.tolist()]
             there, whys, lot = self._stood(own)
             for k, why in zip(plain[~there].tolist(), whys, strict=True):
-                found[k] = Correction(targets[k], why)
+                found.why[k] = why
             if lot is not None:
                 if len(lot.poses):
                     self._send_poses(lot)
                 if lot.joints.any():
                     self._send_joints(lot)
                 self._nominal, self._sent = lot.q[-1], lot.sent[-1]
-                for k, correction in zip(plain[there].tolist(), lot.corrections(), strict=True):
-                    found[k] = correction
+                lot.tell(found, plain[there])
         return found
 
     # --- where the controller stands ----------------------------------------------------------------------------------------
@@ -410,7 +366,8 @@ class _Walk:
                 fits[k] = branch.words.agree
         wanted = np.tile(np.eye(4), (n, 1, 1))
         own = np.flatnonzero(~joints)
-        wanted[own] = _placed([targets[k] for k in own.tolist()], [targets[k].values for k in own.tolist()])
+        values = [target.values for target in targets]
+        wanted[own] = _placed([targets[k] for k in own.tolist()], [values[k] for k in own.tolist()])
         poses = Poses(wanted, held, fits)
         memory: Memory = {}
         q, there = self._controller.walk(Chain(joints, given, poses, near), self._nominal, memory)
@@ -424,7 +381,8 @@ class _Walk:
         wanted = np.where(joints[:, None, None], flanges(self._robot, q), wanted[there])
         stated = np.isfinite(given[there])
         reached = [target for target, ok in zip(targets, there.tolist(), strict=True) if ok]
-        return there, whys, _Lot(reached, joints, stated, q, wanted, held, self._approached(q))
+        values = [own for own, ok in zip(values, there.tolist(), strict=True) if ok]
+        return there, whys, _Lot(reached, values, joints, stated, q, wanted, held, self._approached(q))
 
     def _why_nowhere(self, target: Target, pose: Poses, memory: Memory) -> str:
         """Why the controller does not get to a pose, by what searches over all readings found."""
@@ -478,9 +436,9 @@ class _Walk:
         sent = as_is.copy()
         for row, k in enumerate(rows.tolist()):
             target, texts = lot.targets[k], []
-            for number, digits, (unit, j) in zip(target.numbers, target.places, target.units, strict=True):
-                value = number.value
-                text = written(value + (real[row, j] - q[row, j]) / unit, number.text, digits)
+            own = zip(target.numbers.texts, lot.values[k].tolist(), target.places, target.units, strict=True)
+            for before, value, digits, (unit, j) in own:
+                text = written(value + (real[row, j] - q[row, j]) / unit, before, digits)
                 sent[row, j] = q[row, j] + (float(text) - value) * unit
                 texts.append(text)
             lot.texts[k] = tuple(texts)
@@ -510,9 +468,9 @@ class _Walk:
         base, tool = _frames([_place(target) for target in targets])
         new = inverse(base) @ flanges(self._robot, real) @ tool
         numbers = []
-        for k, target, values in zip(rows.tolist(), targets, _numbers(targets, new), strict=True):
-            pairs = zip(values, target.numbers, target.places, strict=True)
-            lot.texts[k] = tuple([written(value, number.text, digits) for value, number, digits in pairs])
+        values = [lot.values[k] for k in rows.tolist()]
+        for k, target, own in zip(rows.tolist(), targets, _numbers(targets, values, new), strict=True):
+            lot.texts[k] = tuple(map(written, own, target.numbers.texts, target.places))
             numbers.append(np.array([float(text) for text in lot.texts[k]]))
         as_read = _placed(targets, numbers)
         sent, reached, _ = self._controller.settle(as_read, q, held)
@@ -569,7 +527,7 @@ class _Walk:
                 lot.why[k] = WORDLESS
                 continue
             lot.words[k] = texts
-            if texts != tuple([number.text for number in words.numbers]):
+            if texts != words.stated:
                 changed.append(row)
                 fits.append(lambda q, words=words, texts=texts: words.texts(q) == texts)
         if changed:
@@ -588,7 +546,7 @@ class _Walk:
             return
         of = rows[[row for row, _ in pairs]]
         targets, places = [lot.targets[k] for k in of.tolist()], [place for _, place in pairs]
-        wanted = _placed(targets, [target.values for target in targets], places)
+        wanted = _placed(targets, [lot.values[k] for k in of.tolist()], places)
         as_read = _placed(targets, [numbers[row] for row, _ in pairs], places)
         held, sides = lot.held[of], lot.own_sides(of)
         poses = Poses(wanted, held, [None] * len(of))
@@ -639,11 +597,11 @@ def _placed(targets: Sequence[Target], numbers: Sequence[np.ndarray], places: Se
     return np.asarray(base @ poses @ inverse(tool)) if len(targets) else poses
 
 
-def _numbers(targets: Sequence[Target], poses: np.ndarray) -> list[list[float]]:
-    """What the notation of each target says of poses (n, 4, 4) in its frame."""
+def _numbers(targets: Sequence[Target], before: Sequence[np.ndarray], poses: np.ndarray) -> list[list[float]]:
+    """What the notation of each target, which said other numbers before, says of poses (n, 4, 4) in its frame."""
     found: list[list[float]] = [[]] * len(targets)
     for notation, own in _by_notation(targets):
-        values = notation.numbers(poses[own], np.array([targets[k].values for k in own]))
+        values = notation.numbers(poses[own], np.array([before[k] for k in own]))
         for k, numbers in zip(own, values.tolist(), strict=True):
             found[k] = numbers
     return found
@@ -663,29 +621,3 @@ def _apart(A: np.ndarray, B: np.ndarray) -> np.ndarray:
     R = A[:, :3, :3].transpose(0, 2, 1) @ B[:, :3, :3]
     turn = np.linalg.norm(rotation_vectors(R), axis=1)
     return np.stack([np.linalg.norm(A[:, :3, 3] - B[:, :3, 3], axis=1), turn], axis=1)
-
-
-def as_table(corrections: Sequence[Correction]) -> pd.DataFrame:
-    """The corrections of each move, one row a target; millimetres and milliradians."""
-    moved, before, after = (
-        1e3 * np.array([getattr(c, name) for c in corrections]).reshape(-1, 2) for name in ("moved", "before", "after")
-    )
-    left = np.array([bool(c.why) for c in corrections], dtype=bool)
-    moved, after = np.where(left[:, None], 0.0, moved), np.where(left[:, None], before, after)
-    columns = {
-        "line": [c.target.line for c in corrections],
-        "target": [c.target.name for c in corrections],
-        "written_as": [c.target.form for c in corrections],
-        "corrected": ~left,
-        "remark": [c.why or _remark(c) for c in corrections],
-    }
-    for name, pair in (("moved_mm", moved), ("error_before_mm", before), ("error_after_mm", after)):
-        columns[name] = np.round(pair[:, 0], DIGITS)
-        columns["turned_mrad" if pair is moved else name.replace("_mm", "_mrad")] = np.round(pair[:, 1], DIGITS)
-    columns["arm_positions"] = [c.positions for c in corrections]
-    columns["other_position_mm"] = np.round([1e3 * c.doubt for c in corrections], DIGITS)
-    return pd.DataFrame(columns)
-
-
-def _remark(c: Correction) -> str:
-    return f"{c.remark}: {1e3 * c.beside:.{DIGITS}f} mm remain there at most" if c.beside else c.remark

@@ -7,6 +7,7 @@ import gc
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,8 @@ import numpy as np
 from aridcal.errors import CampaignError, MeasurementError, OutputError
 from aridcal.programs.axes import Axes, axes_of
 from aridcal.programs.cell import Cell, Reading
-from aridcal.programs.correct import NO_SUCH_POSTURE, Correction, as_table, correct, every_position
+from aridcal.programs.correct import NO_SUCH_POSTURE, correct, every_position
+from aridcal.programs.corrections import Corrections, as_table
 from aridcal.programs.frames import read_frames
 from aridcal.programs.language import Language
 from aridcal.programs.languages import language_of
@@ -82,7 +84,7 @@ class Answer:
     """
 
     reading: Reading
-    corrections: Sequence[Correction]
+    corrections: Corrections
     outputs: Outputs
     opened: Opened
     saved: SavedModel
@@ -134,7 +136,7 @@ def _uncollected() -> Iterator[None]:
 
 def _corrected(
     request: Request, saved: SavedModel, content: bytes, opened: Opened, progress: Progress
-) -> tuple[Reading, Sequence[Correction], tuple[str, ...]]:
+) -> tuple[Reading, Corrections, tuple[str, ...]]:
     """What the programs say, what becomes of each target, and the proved new text of each file."""
     language, robot = opened.language, saved.final.model.robot
     frames = read_frames(request.frames)
@@ -154,16 +156,15 @@ def _corrected(
     corrections = correct(saved, targets, request.at, start, lambda done: progress.share(done / count))
     hint = _zeros_hint(corrections, cell, language)
     progress.at("reading the new program")
-    changes = [change for correction in corrections for change in correction.changes]
-    changes += _marks(language, opened, {change.file for change in changes}, content)
-    texts = corrected(language, opened.project, cell, reading.targets, changes)
+    marks = _marks(language, opened, corrections.files(), content)
+    texts = corrected(language, opened.project, cell, reading.targets, chain(corrections.changes(), marks))
     return replace(reading, notes=(*reading.notes, hint) if hint else reading.notes), corrections, texts
 
 
-def _zeros_hint(corrections: Sequence[Correction], cell: Cell, language: Language) -> str:
+def _zeros_hint(corrections: Corrections, cell: Cell, language: Language) -> str:
     """What the program says against the zeros of its controller; looked for only where postures or limits are contradicted."""
-    contradicted = sum(c.why.endswith(NO_SUCH_POSTURE) for c in corrections)
-    poses, joints = witnesses([c.target for c in corrections], contradicted, cell)
+    contradicted = sum(why.endswith(NO_SUCH_POSTURE) for why in corrections.why)
+    poses, joints = witnesses(corrections.targets, contradicted, cell)
     positions = [*every_position(cell.robot, poses), *([] for _ in joints)]
     return zeros_hint([*poses, *joints], positions, cell, language.name)
 
@@ -222,14 +223,14 @@ def _check_outside(out: Path, programs: Sequence[Path]) -> None:
             raise OutputError(f"{out}: is where the programs are read from; give a folder outside of {folder}")
 
 
-def _write(opened: Opened, outputs: Outputs, texts: Sequence[str], corrections: Sequence[Correction]) -> None:
+def _write(opened: Opened, outputs: Outputs, texts: Sequence[str], corrections: Corrections) -> None:
     """Write the programs and the table beside them, all or none."""
     sources = opened.project.sources
     hashes = [output_hash(text) if text != source.text else "" for source, text in zip(sources, texts, strict=True)]
     table = as_table(corrections)
     if len(outputs.files) > 1:
-        table.insert(0, "file", [sources[c.target.file].path.name for c in corrections])
-    table[OUTPUT_HASH] = [hashes[c.target.file] for c in corrections]
+        table.insert(0, "file", [sources[target.file].path.name for target in corrections.targets])
+    table[OUTPUT_HASH] = [hashes[target.file] for target in corrections.targets]
     with ExitStack() as ends:
         if outputs.folder is not None:
             built = ends.enter_context(atomic_folder(outputs.folder))

@@ -28,7 +28,7 @@ from aridcal.programs.anatomy import Anatomy
 from aridcal.programs.axes import Axes
 from aridcal.programs.cell import Cell
 from aridcal.programs.targets import Words
-from aridcal.programs.text import Number
+from aridcal.programs.text import Number, Numbers
 
 EITHER = 3e-4
 """[rad], [m] or shares of the arm's length: so close to where a word changes either is right. A pose of two digits of a degree is
@@ -76,19 +76,21 @@ class Posture:
     """Words of a program, and what each should be.
 
     Attributes:
-        parts: Where each stands, and its rule.
+        numbers: Where each stands.
+        rules: One for each.
         axes: Of the robot.
         anatomy: Of the robot.
     """
 
-    parts: tuple[tuple[Number, Rule], ...]
+    numbers: Numbers
+    rules: tuple[Rule, ...]
     axes: Axes
     anatomy: Anatomy | None
 
     def __call__(self, readings: np.ndarray) -> tuple[str, ...] | None:
         """What should stand there for readings, shape (columns,); None where nobody can tell all of it."""
         stance = Stance(shown(self.axes, readings).tolist(), self.anatomy)
-        texts = [rule(stance, number.text) for number, rule in self.parts]
+        texts = [rule(stance, text) for text, rule in zip(self.numbers.texts, self.rules, strict=True)]
         return None if None in texts else tuple(text for text in texts if text is not None)
 
 
@@ -102,37 +104,42 @@ def krl_words(status: Number | None, turn: Number | None, cell: Cell) -> Words |
     given = [(name, n, rule) for name, n, rule in (("S", status, _status), ("T", turn, _turn)) if n is not None]
     if not given:
         return None
-    return _words([(n, rule) for _, n, rule in given], ", ".join(f"{name} {n.text}" for name, n, _ in given), cell)
+    written = ", ".join(f"{name} {{}}" for name, _, _ in given)
+    return _words([n for _, n, _ in given], tuple(rule for _, _, rule in given), written, cell)
 
 
-def rapid_words(data: tuple[Number, ...], cell: Cell) -> Words | None:
+def rapid_words(data: Sequence[Number], cell: Cell) -> Words | None:
     """cf1, cf4, cf6 and cfx of a robtarget; None where these are no four numbers."""
-    if len(data) != 4:
-        return None
-    six = len(cell.axes.arm) == 6
-    rules = [
-        _quarter(0, cell.axes),
-        *(_quarter(axis, cell.axes) if six else _kept for axis in (3, 5)),
-        _cfx if cell.anatomy is not None and cell.anatomy.stretches else _kept,
-    ]
-    names = f"confdata [{','.join(n.text for n in data)}]"
-    return _words(list(zip(data, rules, strict=True)), names, cell)
+    return _words(data, _quarters(cell.axes, cell.anatomy), "confdata [{},{},{},{}]", cell) if len(data) == 4 else None
 
 
-def fanuc_words(letters: tuple[Number, ...], turns: tuple[Number, ...], cell: Cell) -> Words | None:
+def fanuc_words(letters: Sequence[Number], turns: Sequence[Number], cell: Cell) -> Words | None:
     """CONFIG : 'N U T, 0, 0, 0': its letters and turn numbers; None where nothing stands there."""
     if not letters and not turns:
         return None
-    axes = cell.axes
-    counted = len(turns) == 3 and len(axes.arm) == 6 and all(axes.kinds[axes.arm[k]] != "prismatic" for k in (0, 3, 5))
-    counts = [_turns(axis) for axis in (0, 3, 5)] if counted else [_kept] * len(turns)
-    rules = [*(_letter for _ in letters), *counts]
-    names = f"CONFIG '{' '.join(n.text for n in letters)}, {', '.join(n.text for n in turns)}'"
-    return _words(list(zip((*letters, *turns), rules, strict=True)), names, cell)
+    written = f"CONFIG '{' '.join('{}' for _ in letters)}, {', '.join('{}' for _ in turns)}'"
+    return _words((*letters, *turns), _letters(len(letters), len(turns), cell.axes), written, cell)
 
 
-def _words(parts: Sequence[tuple[Number, Rule]], names: str, cell: Cell) -> Words:
-    return Words(tuple(number for number, _ in parts), Posture(tuple(parts), cell.axes, cell.anatomy), names)
+@lru_cache
+def _quarters(axes: Axes, anatomy: Anatomy | None) -> tuple[Rule, ...]:
+    """Rules of cf1, cf4, cf6 and cfx."""
+    six = len(axes.arm) == 6
+    others = [_quarter(axis, axes) if six else _kept for axis in (3, 5)]
+    return _quarter(0, axes), *others, _cfx if anatomy is not None and anatomy.stretches else _kept
+
+
+@lru_cache
+def _letters(letters: int, turns: int, axes: Axes) -> tuple[Rule, ...]:
+    """Rules of CONFIG's letters and turn numbers."""
+    counted = turns == 3 and len(axes.arm) == 6 and all(axes.kinds[axes.arm[k]] != "prismatic" for k in (0, 3, 5))
+    counts = [_turns(axis) for axis in (0, 3, 5)] if counted else [_kept] * turns
+    return *([_letter] * letters), *counts
+
+
+def _words(numbers: Sequence[Number], rules: tuple[Rule, ...], written: str, cell: Cell) -> Words:
+    own = Numbers(numbers)
+    return Words(own, Posture(own, rules, cell.axes, cell.anatomy), written)
 
 
 def unread(language: str, cell: Cell) -> str:

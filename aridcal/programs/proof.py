@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from bisect import bisect_left
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from itertools import accumulate, pairwise
+from io import StringIO
+from itertools import chain
 
 import numpy as np
 
@@ -13,11 +13,15 @@ from aridcal.programs.cell import Cell
 from aridcal.programs.language import Language
 from aridcal.programs.project import Project
 from aridcal.programs.targets import Target
-from aridcal.programs.text import Number, spliced
+from aridcal.programs.text import Number
 
 
 class Unproved(Exception):
     """The new text does not say what was meant: a fault of the program, never of its user."""
+
+
+AT_ONCE = 2_000
+"""Targets that are compared together: what is made on the way takes some megabytes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +40,7 @@ class Change:
 
 
 def corrected(
-    language: Language, project: Project, cell: Cell, targets: Sequence[Target], changes: Sequence[Change]
+    language: Language, project: Project, cell: Cell, targets: Sequence[Target], changes: Iterable[Change]
 ) -> tuple[str, ...]:
     """The new text of each file, proved.
 
@@ -50,68 +54,153 @@ def corrected(
     Raises:
         Unproved: naming what is wrong.
     """
+    edits = [_Edits([], [], []) for _ in project.sources]
     for change in changes:
-        if not project.sources[change.file].ours:
-            raise Unproved(f"{project.sources[change.file].path}: is not to be changed")
-    by_file: list[list[Change]] = [[] for _ in project.sources]
-    for change in sorted(changes, key=lambda c: c.number.start):
-        by_file[change.file].append(change)
-    texts = [_spliced(source.text, own) for source, own in zip(project.sources, by_file, strict=True)]
+        source = project.sources[change.file]
+        if not source.ours:
+            raise Unproved(f"{source.path}: is not to be changed")
+        edits[change.file].add(source.text, change)
+    spliced = [_spliced(source.text, own) for source, own in zip(project.sources, edits, strict=True)]
+    del edits  # a million texts that are in the new programs now
+    texts = [text for text, _ in spliced]
     again = language.read(project.with_texts(texts), cell).targets
     if len(again) != len(targets):
         raise Unproved(f"{len(targets)} targets were read, of the new text {len(again)}")
-    meant = [_Meant(own) for own in by_file]
-    for before, after in zip(targets, again, strict=True):
-        _check(before, after, meant[before.file])
+    for start in range(0, len(targets), AT_ONCE):
+        part = slice(start, start + AT_ONCE)
+        for before, after in zip(targets[part], again[part], strict=True):
+            _check(before, after)
+        _check_numbers(targets[part], again[part], spliced)
     return tuple(texts)
 
 
-def _spliced(text: str, ordered: Sequence[Change]) -> str:
-    """The text with other numbers, if each change has a place of its own and all between is as it was."""
-    for first, second in pairwise(ordered):
-        if first.number.end > second.number.start:
-            raise Unproved(f"two changes at one place: {first.number.text} and {second.number.text}")
-    new = spliced(text, [(c.number, c.text) for c in ordered])
-    old_end = new_end = 0
-    for c in ordered:
-        start, before = c.number.start, c.number.text
-        there = new_end + start - old_end
-        if not text.startswith(before, start) or new[new_end:there] != text[old_end:start]:
+@dataclass(frozen=True)
+class _Edits:
+    """Other texts for numbers of one file.
+
+    Attributes:
+        starts: Where each stands.
+        ends: Where it ends.
+        texts: What is to stand there.
+    """
+
+    starts: list[int]
+    ends: list[int]
+    texts: list[str]
+
+    def add(self, text: str, change: Change) -> None:
+        """Take one more, of a text."""
+        start, before = change.number.start, change.number.text
+        if not text.startswith(before, start):
             raise Unproved(f"{before} does not stand where it should")
-        if not new.startswith(c.text, there):
-            raise Unproved(f"{c.text} does not stand where it should")
-        old_end, new_end = start + len(before), there + len(c.text)
+        self.starts.append(start)
+        self.ends.append(start + len(before))
+        self.texts.append(change.text)
+
+
+@dataclass(frozen=True)
+class _Moved:
+    """Where the places of an old text are in the new one, for n numbers that have changed.
+
+    Attributes:
+        text: The new text.
+        starts: Of the changed numbers in the old text, in their order, shape (n,).
+        lengths: Of what stands there now, shape (n,).
+        longer: By how much the new text is longer up to each, and to its end, shape (n + 1,).
+    """
+
+    text: str
+    starts: np.ndarray
+    lengths: np.ndarray
+    longer: np.ndarray
+
+    def meant(self, starts: np.ndarray, lengths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Where numbers of the old text should be in the new one, and how long they should be there."""
+        k = np.searchsorted(self.starts, starts)
+        changed = np.append(self.starts, -1)[k] == starts
+        return starts + self.longer[k], np.where(changed, np.append(self.lengths, 0)[k], lengths)
+
+
+def _spliced(text: str, edits: _Edits) -> tuple[str, _Moved]:
+    """The text with other numbers, if each has a place of its own and all between is as it was."""
+    starts, ends = np.array(edits.starts, dtype=np.int64), np.array(edits.ends, dtype=np.int64)
+    order = np.argsort(starts, kind="stable")
+    twice = order[1:][starts[order[1:]] < ends[order[:-1]]]
+    if len(twice):
+        raise Unproved(f"two changes at one place: {text[starts[twice[0]] : ends[twice[0]]]}")
+    new, end = StringIO(newline=""), 0
+    for k in order.tolist():
+        new.write(text[end : edits.starts[k]])
+        new.write(edits.texts[k])
+        end = edits.ends[k]
+    new.write(text[end:])
+    lengths = np.array([len(edits.texts[k]) for k in order.tolist()], dtype=np.int64)
+    longer = np.concatenate([[0], np.cumsum(lengths - (ends - starts)[order])])
+    moved = _Moved(new.getvalue(), starts[order], lengths, longer)
+    _check_rest(text, edits, order, moved)
+    return moved.text, moved
+
+
+def _check_rest(text: str, edits: _Edits, order: np.ndarray, moved: _Moved) -> None:
+    """Make sure that the new text has each new number at its place, and all between as it was."""
+    new, old_end, new_end = moved.text, 0, 0
+    for k in order.tolist():
+        start, own = edits.starts[k], edits.texts[k]
+        there = new_end + start - old_end
+        if new[new_end:there] != text[old_end:start]:
+            raise Unproved(f"the text before {own} is another one")
+        if not new.startswith(own, there):
+            raise Unproved(f"{own} does not stand where it should")
+        old_end, new_end = edits.ends[k], there + len(own)
     if new[new_end:] != text[old_end:]:
         raise Unproved("the text behind the last change is another one")
-    return new
 
 
-class _Meant:
-    """Where a number of the old text is in the new one, and what is to stand there."""
+def _check_numbers(before: Sequence[Target], after: Sequence[Target], spliced: Sequence[tuple[str, _Moved]]) -> None:
+    """Make sure that the numbers of targets are those that were meant, where they were meant."""
+    for file, (text, moved) in enumerate(spliced):
+        rows = [k for k, target in enumerate(before) if target.file == file]
+        old, new = ([_numbers(targets[k]) for k in rows] for targets in (before, after))
+        starts, lengths = _places(old)
+        places, meant = (own.tolist() for own in moved.meant(starts, lengths))
+        found = [(n.start, n.text) for n in chain.from_iterable(new)]
+        wanted = [(start, text[start : start + length]) for start, length in zip(places, meant, strict=True)]
+        if found != wanted:
+            _tell_first([before[k] for k in rows], old, new, wanted)
 
-    def __init__(self, ordered: Sequence[Change]) -> None:
-        self._starts = [c.number.start for c in ordered]
-        self._texts = [c.text for c in ordered]
-        self._longer = list(accumulate((len(c.text) - len(c.number.text) for c in ordered), initial=0))
 
-    def __call__(self, number: Number) -> tuple[int, str]:
-        k = bisect_left(self._starts, number.start)
-        changed = k < len(self._starts) and self._starts[k] == number.start
-        return number.start + self._longer[k], self._texts[k] if changed else number.text
+def _places(numbers: Sequence[Sequence[Number]]) -> tuple[np.ndarray, np.ndarray]:
+    """Where all numbers start, and how long they are."""
+    own = [(number.start, len(number.text)) for number in chain.from_iterable(numbers)]
+    starts, lengths = np.array(own, dtype=np.int64).reshape(-1, 2).T
+    return starts, lengths
 
 
-def _check(before: Target, after: Target, meant: _Meant) -> None:
-    """Make sure that a target of the new text is what was meant."""
+def _tell_first(
+    targets: Sequence[Target],
+    old: Sequence[Sequence[Number]],
+    new: Sequence[Sequence[Number]],
+    wanted: Sequence[tuple[int, str]],
+) -> None:
+    """Name the first number that is not as it was meant."""
+    left = iter(wanted)
+    for target, before, after in zip(targets, old, new, strict=True):
+        if len(before) != len(after):
+            raise Unproved(f"{_where(target)}: had {len(before)} numbers, and has {len(after)} in the new text")
+        for was, now in zip(before, after, strict=True):
+            start, text = next(left)
+            if (now.start, now.text) != (start, text):
+                raise Unproved(
+                    f"{_where(target)}: {text} was meant in place of {was.text}, the new text has {now.text}"
+                )
+
+
+def _check(before: Target, after: Target) -> None:
+    """Make sure that a target of the new text means what it meant."""
     was, now = _what(before), _what(after)
     if was != now:
         name, old, new = next(each for each in zip(SAME, was, now, strict=True) if each[1] != each[2])
         raise Unproved(f"{_where(before)}: its {name} was {old}, and is {new} in the new text")
-    for old_number, new_number in zip(_numbers(before), _numbers(after), strict=True):
-        place, text = meant(old_number)
-        if new_number.start != place or new_number.text != text:
-            raise Unproved(
-                f"{_where(before)}: {text} was meant in place of {old_number.text}, the new text has {new_number.text}"
-            )
     if not before.why:
         _check_place(before, after)
 
@@ -124,10 +213,10 @@ def _what(target: Target) -> tuple[object, ...]:
     return target.file, target.line, target.form, target.why, target.units, len(target.numbers)
 
 
-def _numbers(target: Target) -> tuple[Number, ...]:
+def _numbers(target: Target) -> Sequence[Number]:
     """All numbers of a target, those of its posture behind the others."""
     words = target.branch.words
-    return (*target.numbers, *(words.numbers if words is not None else ()))
+    return tuple(target.numbers) if words is None else (*target.numbers, *words.numbers)
 
 
 def _where(target: Target) -> str:

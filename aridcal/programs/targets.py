@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
-from aridcal.programs.text import Number
+from aridcal.programs.text import NONE, Numbers
 
 
 @dataclass(frozen=True)
@@ -34,16 +34,26 @@ class Words:
         numbers: Where it stands.
         texts: For readings, shape (columns,), what should stand there; None where no words describe them, or nobody knows which.
             What stands there in the program and agrees with the readings is given back as it is.
-        names: What the language calls them, and what stands there, for messages: ``S 2, T 10`` for instance.
+        written: What the language calls them, for messages, with a pair of braces for what stands there: ``S {}, T {}``.
     """
 
-    numbers: tuple[Number, ...]
+    numbers: Numbers
     texts: Callable[[np.ndarray], tuple[str, ...] | None]
-    names: str
+    written: str
+
+    @property
+    def names(self) -> str:
+        """What the language calls them, and what stands there: ``S 2, T 10`` for instance."""
+        return self.written.format(*self.stated)
+
+    @property
+    def stated(self) -> tuple[str, ...]:
+        """What stands there."""
+        return tuple(self.numbers.texts)
 
     def agree(self, readings: np.ndarray) -> bool:
         """Whether what stands in the program is the posture of readings, shape (columns,)."""
-        return self.texts(readings) == tuple(number.text for number in self.numbers)
+        return self.texts(readings) == self.stated
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +73,10 @@ class Branch:
     held: np.ndarray | None = None
     nearest: bool = False
     unknown: str = ""
+
+
+NOTHING_SAID = Branch()
+"""A program that says nothing of the arm's position beside the pose."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,21 +117,21 @@ class Target:
     line: int
     name: str
     form: Literal["joints", "pose"]
-    numbers: tuple[Number, ...] = ()
+    numbers: Numbers = NONE
     why: str = ""
     readings: np.ndarray | None = None
     units: tuple[tuple[float, int], ...] = ()
     notation: Notation | None = None
     place: Place | None = None
     beside: tuple[Place, ...] = ()
-    branch: Branch = field(default_factory=Branch)
+    branch: Branch = NOTHING_SAID
     digits: int = 6
     file: int = 0
 
     @property
     def values(self) -> np.ndarray:
         """Its numbers, shape (numbers,), in the program's units."""
-        return np.array([n.value for n in self.numbers])
+        return np.array([float(text) for text in self.numbers.texts])
 
     @property
     def places(self) -> tuple[int, ...]:

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import re
+from array import array
 from bisect import bisect_right
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import overload
 
 NUMBER = re.compile(r"[-+]?+(?:\d++(?:\.\d*+)?+|\.\d++)(?:[eE][-+]?+\d++)?+")
 """A number as all these languages write it; nothing of it is given back, so that rows of digits are read once."""
+
+NUL = "\0"
+"""No number has it in its text."""
 
 CLOSES = {"(": ")", "[": "]", "{": "}"}
 
@@ -35,6 +40,50 @@ class Number:
     def value(self) -> float:
         """What it says."""
         return float(self.text)
+
+
+class Numbers(Sequence[Number]):
+    """Numbers of a target, packed: a long program has a million of them.
+
+    Args:
+        numbers: Where they stand, and their texts.
+    """
+
+    __slots__ = ("joined", "starts")
+
+    def __init__(self, numbers: Iterable[Number] = ()) -> None:
+        own = tuple(numbers)
+        self.starts = array("Q", [n.start for n in own])
+        self.joined = NUL.join([n.text for n in own])
+
+    @property
+    def texts(self) -> list[str]:
+        """What stands there."""
+        return self.joined.split(NUL) if self.starts else []
+
+    def __len__(self) -> int:
+        return len(self.starts)
+
+    @overload
+    def __getitem__(self, k: int) -> Number: ...
+
+    @overload
+    def __getitem__(self, k: slice) -> tuple[Number, ...]: ...
+
+    def __getitem__(self, k: int | slice) -> Number | tuple[Number, ...]:
+        return tuple(self)[k]
+
+    def __iter__(self) -> Iterator[Number]:
+        return map(Number, self.starts, self.texts)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Sequence) and tuple(self) == tuple(other)
+
+    def __hash__(self) -> int:
+        return hash(tuple(self))
+
+
+NONE = Numbers()
 
 
 def number(match: re.Match[str], group: int | str = 0) -> Number:
@@ -129,13 +178,3 @@ def written(value: float, before: str, digits: int) -> str:
     own = before.lower().partition("e")[0]
     text = f"{value:.{max(len(own.partition('.')[2]), digits)}f}"
     return text[1:] if text[0] == "-" and float(text) == 0.0 else text
-
-
-def spliced(text: str, changes: Sequence[tuple[Number, str]]) -> str:
-    """The text with other numbers; all else stays."""
-    parts, end = [], 0
-    for old, new in sorted(changes, key=lambda change: change[0].start):
-        parts += [text[end : old.start], new]
-        end = old.end
-    parts.append(text[end:])
-    return "".join(parts)

@@ -103,6 +103,7 @@ class Ledger:
     """
 
     _points: dict[tuple[int, int], _Point] = field(default_factory=dict)
+    _frames: dict[bytes, Frame] = field(default_factory=dict)
     _vague: dict[tuple[int, int, str], Target] = field(default_factory=dict)
 
     def declare(self, key: tuple[int, int], make: Callable[[Use, tuple[Place, ...]], Target]) -> None:
@@ -126,34 +127,41 @@ class Ledger:
         self._vague.setdefault((target.file, target.line, target.name), target)
 
     def targets(self) -> list[Target]:
-        """Each point once: those that moves go to in the order of the walk, then what is left."""
-        return [*self._read(), *self._vague.values()]
+        """Each point once: those that moves go to in the order of the walk, then what is left. The ledger is empty then."""
+        targets = list(self._read())
+        targets += self._vague.values()
+        self._vague.clear()
+        return targets
 
     def _read(self) -> Iterator[Target]:
-        for point in sorted(self._points.values(), key=lambda point: not point.uses):
-            yield _target(point)
+        """Targets of points; each point is dropped for its target, for a long program has many of both."""
+        points = sorted(self._points.values(), key=lambda point: not point.uses)
+        self._points.clear()
+        points.reverse()
+        while points:
+            yield self._target(points.pop())
 
+    def _target(self, point: _Point) -> Target:
+        """The target of a point; with a reason where not all that uses it means the same."""
+        uses = point.uses or [Use("", Unknown(NEVER), Unknown(NEVER))]
+        direct = [use for use in uses if not use.aside] or uses
+        first = direct[0]
+        trouble = point.spoilt or next((use.trouble for use in uses if use.trouble), "")
+        if not trouble:
+            other = next((use for use in direct[1:] if not use.same(first)), None)
+            if other is not None:
+                trouble = _two_meanings(first, other)
+        if trouble:
+            return _with_reason(point.make(Use(first.line, HERE, HERE), ()), trouble)
+        beside = tuple(use.place for use in uses if use.aside and not use.same(first))
+        unknown = next((use.unknown for use in direct if use.unknown), "")
+        base, tool = self._one(first.base), self._one(first.tool)
+        settled = Use(first.line, base, tool, first.aside, first.why, first.near, unknown, first.mode)
+        return point.make(settled, beside)
 
-def _target(point: _Point) -> Target:
-    """The target of a point; with a reason where not all that uses it means the same."""
-    uses = point.uses or [Use("", Unknown(NEVER), Unknown(NEVER))]
-    direct = [use for use in uses if not use.aside] or uses
-    first = direct[0]
-    trouble = point.spoilt or next((use.trouble for use in uses if use.trouble), "")
-    if not trouble:
-        other = next((use for use in direct[1:] if not use.same(first)), None)
-        if other is not None:
-            trouble = _two_meanings(first, other)
-    if trouble:
-        return _with_reason(point.make(Use(first.line, HERE, HERE), ()), trouble)
-    beside = tuple(use.place for use in uses if use.aside and not use.same(first))
-    unknown = next((use.unknown for use in direct if use.unknown), "")
-    return point.make(_replace_unknown(first, unknown), beside)
-
-
-def _replace_unknown(use: Use, unknown: str) -> Use:
-    """The use with what any of the point's uses does not know of where the arm comes from."""
-    return Use(use.line, use.base, use.tool, use.aside, use.why, use.near, unknown, use.mode)
+    def _one(self, frame: object) -> object:
+        """One frame for all that are equal to the last bit: a long program has a hundred thousand of a few."""
+        return self._frames.setdefault(frame.T.tobytes(), frame) if isinstance(frame, Frame) else frame
 
 
 def _two_meanings(first: Use, other: Use) -> str:

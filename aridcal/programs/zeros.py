@@ -120,7 +120,7 @@ class _Witnesses:
 
 def _fits(words: Posture, q: np.ndarray, cell: Cell) -> bool:
     """Whether words agree with a position, or with the same with wrist axes turned by whole turns."""
-    stated = tuple(number.text for number, _ in words.parts)
+    stated = tuple(words.numbers.texts)
     return any(words(turned) == stated for turned in _turned(q, cell))
 
 

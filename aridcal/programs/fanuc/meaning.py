@@ -18,7 +18,7 @@ from aridcal.programs.fanuc.registers import PLAIN, REGISTER, Register, number_o
 from aridcal.programs.frames import absent, unknown
 from aridcal.programs.postures import fanuc_words
 from aridcal.programs.targets import Target, Words
-from aridcal.programs.text import Code
+from aridcal.programs.text import NONE, Code
 from aridcal.programs.uses import HERE, Frame, Ledger, Use, line_name
 from aridcal.programs.walk import NEVER_SET, State, Unknown
 
@@ -289,7 +289,7 @@ class Meaning:
             place.kind[:4] if place.kind != "P" else "P", f"{line} goes to what a position register holds"
         )
         name = f"{place.kind}[{place.index[:SHOWN]}]"
-        self.ledger.leave(Target(listing.code.line(what.start), name, "pose", (), why, file=listing.code.file))
+        self.ledger.leave(Target(listing.code.line(what.start), name, "pose", NONE, why, file=listing.code.file))
 
     def _use(self, what: Action, point: Point, state: State) -> Use:
         line = self.line(what.program, what.start)

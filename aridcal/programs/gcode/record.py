@@ -12,6 +12,7 @@ from aridcal.programs.gcode.blocks import Block
 from aridcal.programs.gcode.table import INCH
 from aridcal.programs.project import Project
 from aridcal.programs.targets import Place, Target
+from aridcal.programs.text import Numbers
 from aridcal.programs.uses import Frame, Ledger, Use
 
 Key = tuple[int, int]
@@ -135,7 +136,7 @@ class Record:
             move.block.line,
             " ".join(f"{letter}{number.text if number is not None else ''}" for letter, number in words),
             "joints",
-            numbers if len(numbers) == len(words) else (),
+            Numbers(numbers if len(numbers) == len(words) else ()),
             "" if source.ours else f"stands in {source.path.name}, which is not corrected: give it, too",
             self._readings(move),
             move.units,

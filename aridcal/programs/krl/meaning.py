@@ -31,7 +31,7 @@ from aridcal.programs.krl.syntax import (
 )
 from aridcal.programs.krl.values import WORKED, Element, Parts, Values, inverse_of
 from aridcal.programs.targets import Target
-from aridcal.programs.text import Number
+from aridcal.programs.text import NONE, Number
 from aridcal.programs.uses import HERE, Frame, Use, product
 from aridcal.programs.walk import State, Unknown
 
@@ -365,7 +365,7 @@ class Meaning(Values):
         code = self._points.codes[move.file]
         end = code.text.find("\n", move.start)
         shown = shown_text(code.plain[move.start : end if end >= 0 else len(code.text)].upper())
-        return Target(code.line(move.start), shown, "pose", (), why, file=move.file)
+        return Target(code.line(move.start), shown, "pose", NONE, why, file=move.file)
 
     def _line(self, move: Move) -> str:
         return self._points.line(move.file, move.start)

@@ -14,7 +14,7 @@ from aridcal.programs.krl.syntax import AXES, EXTERNAL, POSE, Aggregate, Goal
 from aridcal.programs.notations import KUKA
 from aridcal.programs.postures import krl_words
 from aridcal.programs.targets import Branch, Place, Target
-from aridcal.programs.text import Code, Number
+from aridcal.programs.text import NONE, Code, Number, Numbers
 from aridcal.programs.uses import Ledger, Use, line_name
 
 MOST_USES = 40
@@ -99,7 +99,7 @@ class Points:
         """A move goes to a place that no plain numbers say."""
         code = self.codes[file]
         shown = shown_text(code.text[goal.start : goal.end])
-        self.ledger.leave(Target(code.line(goal.start), shown, "pose", (), why, file=file))
+        self.ledger.leave(Target(code.line(goal.start), shown, "pose", NONE, why, file=file))
 
     def _target(self, name: str, value: Aggregate, use: Use, beside: tuple[Place, ...]) -> Target:
         assert value.place is not None
@@ -116,7 +116,7 @@ class Points:
             units = axes.units([own[axis] for axis in columns], DEGREE, MILLIMETRE)
             readings = axes.readings(numbers, units)
             why = why or ("" if numbers else "states no axis that this robot has")
-            return Target(line, name, "joints", numbers, why, readings, units, digits=5, file=file)
+            return Target(line, name, "joints", Numbers(numbers), why, readings, units, digits=5, file=file)
         numbers = tuple(stated[part] for part in POSE if part in stated)
         held = self._free.copy() if axes.external else self._free
         for axis, column in zip(EXTERNAL, axes.external, strict=False):
@@ -130,7 +130,7 @@ class Points:
             line,
             name,
             "pose",
-            numbers,
+            Numbers(numbers),
             why,
             notation=KUKA,
             place=use.place,

@@ -20,6 +20,7 @@ from aridcal.programs.krl.values import Element, foot
 from aridcal.programs.krl.writing import END_OF_FILE
 from aridcal.programs.project import Project
 from aridcal.programs.targets import Target
+from aridcal.programs.text import NONE
 from aridcal.programs.uses import Frame, Ledger, line_name, product
 from aridcal.programs.walk import Body, Call, Choice, Repeat, State, Step, TooLong, Unknown, Walk
 
@@ -308,7 +309,7 @@ def _left_alone(
             for goal in move.targets:
                 points.vague(goal, move.file, why)
     return [
-        Target(t.line, t.name, t.form, t.numbers, t.why if t.why and t.numbers == () else why, file=t.file)
+        Target(t.line, t.name, t.form, t.numbers, t.why if t.why and not t.numbers else why, file=t.file)
         for t in points.ledger.targets()
     ]
 
@@ -331,7 +332,7 @@ def _of_broken(file: File, place: int, why: str) -> Iterator[Target]:
         return
     for match in _MOVE_LINE.finditer(file.code.plain):
         shown = " ".join(match.group().split()).upper()[:60]
-        yield Target(file.code.line(match.start()), shown, "pose", (), reason, file=file.index)
+        yield Target(file.code.line(match.start()), shown, "pose", NONE, reason, file=file.index)
 
 
 def _notes(said: Said, constants: Mapping[Element, object], meaning: Meaning) -> Iterator[str]:

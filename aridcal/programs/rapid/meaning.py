@@ -55,6 +55,7 @@ from aridcal.programs.rapid.values import (
     transform,
 )
 from aridcal.programs.targets import Branch, Place, Target
+from aridcal.programs.text import NONE, Numbers
 from aridcal.programs.uses import HERE, Ledger, Use, product
 from aridcal.programs.walk import (
     DIFFERS,
@@ -544,7 +545,7 @@ class Meaning:
         form = "pose" if prepared.move.way in "LJ" else "joints"
         line = code.line(prepared.statement.start)
         name = " ".join(code.text[slice(*span)].split())
-        self.ledger.leave(Target(line, name, "pose" if form == "pose" else "joints", (), why, file=code.file))
+        self.ledger.leave(Target(line, name, "pose" if form == "pose" else "joints", NONE, why, file=code.file))
 
     def _use(self, prepared: _Prepared, goal: Point, state: State) -> None:
         own = goal.literal
@@ -717,10 +718,10 @@ class Meaning:
     def _target(self, own: Literal, use: Use, beside: tuple[Place, ...]) -> Target:
         code, line = own.code, own.code.line(own.start)
         if own.why:
-            return Target(line, own.name, own.form, (), own.why, file=code.file)
+            return Target(line, own.name, own.form, NONE, own.why, file=code.file)
         if not self.sources[code.file].ours:
             why = f"stands in {code.name}, which is not corrected: give it, too"
-            return Target(line, own.name, own.form, own.parts[0], why, file=code.file)
+            return Target(line, own.name, own.form, Numbers(own.parts[0]), why, file=code.file)
         axes = self.axes
         every, external, configuration = own.parts
         if own.form == "joints":
@@ -729,7 +730,7 @@ class Meaning:
             units = axes.units([*axes.arm, *(k for _, k in rails)], DEGREE, MILLIMETRE)
             every = (*numbers, *(n for n, _ in rails))
             readings = axes.readings(every, units)
-            return Target(line, own.name, "joints", every, "", readings, units, digits=5, file=code.file)
+            return Target(line, own.name, "joints", Numbers(every), "", readings, units, digits=5, file=code.file)
         held = self._free
         for value, k in self._rails(own):
             held = held.copy()
@@ -737,7 +738,9 @@ class Meaning:
         words = rapid_words(configuration, self.cell) if use.mode == "on" else None
         unknown = "" if words is not None else use.unknown
         branch = Branch(words, None, held, nearest=use.mode != "on", unknown=unknown)
-        return Target(line, own.name, "pose", every, "", None, (), ABB, use.place, beside, branch, file=code.file)
+        return Target(
+            line, own.name, "pose", Numbers(every), "", None, (), ABB, use.place, beside, branch, file=code.file
+        )
 
 
 def _said(mode: str, unknown: Unknown) -> str:

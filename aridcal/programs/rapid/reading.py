@@ -10,7 +10,7 @@ from aridcal.programs.rapid.grammar import MODULE, Module, NotUnderstood, blanke
 from aridcal.programs.rapid.meaning import GUARDED, Meaning
 from aridcal.programs.rapid.names import Names
 from aridcal.programs.targets import Target
-from aridcal.programs.text import Code
+from aridcal.programs.text import NONE, Code
 from aridcal.programs.walk import Call, Choice, Node, Repeat, State, Step, TooLong, Walk
 
 FIRST = ""
@@ -82,7 +82,7 @@ def _broken(code: Code, codes: tuple[Code, ...], problem: NotUnderstood) -> Targ
     line = code.line(problem.place)
     name = code.name if len(codes) > 1 else "the program"
     why = f"{code.name} line {line} is not understood, so that nothing is corrected: {problem}"
-    return Target(line, name, "pose", (), why, file=code.file)
+    return Target(line, name, "pose", NONE, why, file=code.file)
 
 
 def _clash(given: list[Module], found: list[Module]) -> str:

@@ -16,7 +16,7 @@ from aridcal.programs.frames import absent, fixed_base, unknown
 from aridcal.programs.notations import UR, inverse
 from aridcal.programs.project import Project
 from aridcal.programs.targets import Branch, Place, Target
-from aridcal.programs.text import NUMBER, Code, Number, number
+from aridcal.programs.text import NONE, NUMBER, Code, Number, Numbers, number
 from aridcal.programs.urscript.grammar import (
     Assign,
     Called,
@@ -649,7 +649,7 @@ class Meaning:
         end = code.closing(code.plain.find("(", place)) + 1
         name = " ".join(code.text[place : max(end, place + len(called.name))].split())
         why = value.why if isinstance(value, Unknown) else "is worked out while the program runs"
-        self._ledger.leave(Target(code.line(place), name, "pose", (), why, file=file))
+        self._ledger.leave(Target(code.line(place), name, "pose", NONE, why, file=file))
 
     def _target(self, literal: Literal, use: Use, beside: tuple[Place, ...]) -> Target:
         code, numbers = self._codes[literal.file], self._numbers(literal)
@@ -665,15 +665,15 @@ class Meaning:
         elif not source.ours:
             why = f"stands in {source.path}, which is not corrected: give it, too"
         if why:
-            return Target(line, name, form, (), why, file=literal.file)
+            return Target(line, name, form, NONE, why, file=literal.file)
         if not literal.pose:
             readings = self._axes.readings(numbers, self._units)
-            return Target(line, name, form, numbers, "", readings, self._units, file=literal.file)
+            return Target(line, name, form, Numbers(numbers), "", readings, self._units, file=literal.file)
         near = None if use.near is None else np.array(use.near)
         branch = Branch(near=near, nearest=True, unknown=use.unknown)
         return Target(
-            line, name, form, numbers, notation=UR, place=None if use.trouble else use.place, beside=beside, branch=branch,
-            file=literal.file,
+            line, name, form, Numbers(numbers), notation=UR, place=None if use.trouble else use.place, beside=beside,
+            branch=branch, file=literal.file,
         )  # fmt: skip
 
 

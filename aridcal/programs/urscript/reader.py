@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from aridcal.programs.cell import Cell, Reading
 from aridcal.programs.project import Project
 from aridcal.programs.targets import Target
-from aridcal.programs.text import Code
+from aridcal.programs.text import NONE, Code
 from aridcal.programs.urscript.grammar import (
     File,
     Malformed,
@@ -146,4 +146,4 @@ def _entries(routines: list[Routine], called: set[str], walk: Walk) -> Iterator[
 def _all_left(code: Code, why: str) -> Iterator[Target]:
     """All moves of a file that cannot be read."""
     for move in MOVE.finditer(code.plain):
-        yield Target(code.line(move.start()), move.group(), "pose", (), why, file=code.file)
+        yield Target(code.line(move.start()), move.group(), "pose", NONE, why, file=code.file)
