@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -12,11 +14,13 @@ from made_programs import unmarked
 
 from aridcal.compensate import main as compensate
 from aridcal.programs import job, krl
-from aridcal.programs.cell import Cell
+from aridcal.programs.cell import Cell, Reading
 from aridcal.programs.language import Language
 from aridcal.programs.project import Project, Source
 from aridcal.programs.proof import Change, Unproved, corrected
 from aridcal.programs.read_project import read_project
+from aridcal.programs.targets import Place, Target
+from aridcal.programs.text import Number, Numbers
 
 POINT = "{X 700.0,Y 100.0,Z 600.0,A 0.0,B 90.0,C 0.0}"
 
@@ -172,3 +176,50 @@ def test_a_proof_fails_for_two_changes_at_one_place_and_for_a_number_that_is_not
     moved = type(first)(first.start - 1, first.text)
     with pytest.raises(Unproved, match="does not stand where it should"):
         corrected(krl.ROW, project, frames, targets, [Change(0, moved, "20.5")])
+
+
+SLIPS: dict[str, Callable[[Target], Target]] = {
+    "moved": lambda t: replace(t, numbers=_other(t.numbers, 2, lambda n: Number(n.start + 1, n.text))),
+    "another text": lambda t: replace(t, numbers=_other(t.numbers, -1, lambda n: Number(n.start, f"{n.text}0"))),
+    "one less": lambda t: replace(t, numbers=Numbers(t.numbers[:-1])),
+    "another line": lambda t: replace(t, line=t.line + 1),
+    "left": lambda t: replace(t, why="is computed"),
+    "another frame": lambda t: replace(t, place=Place(t.place.base + 1e-12, t.place.tool)),
+    "no frame": lambda t: replace(t, place=None),
+    "another turn": lambda t: replace(
+        t,
+        branch=replace(
+            t.branch,
+            words=replace(t.branch.words, numbers=_other(t.branch.words.numbers, 1, lambda n: Number(n.start, "7"))),
+        ),
+    ),
+    "no turn": lambda t: replace(t, branch=replace(t.branch, words=None)),
+}
+"""What a second reading may get wrong of a target that is a pose with S and T."""
+
+
+def _other(numbers: Numbers, k: int, change: Callable[[Number], Number]) -> Numbers:
+    """Numbers of which one is another."""
+    own = list(numbers)
+    own[k] = change(own[k])
+    return Numbers(own)
+
+
+@pytest.mark.parametrize("slip", SLIPS)
+def test_a_proof_fails_whatever_the_second_reading_has_otherwise(slip: str) -> None:
+    point = "{X 800,Y 100,Z 900,A 10,B 20,C 30,S 2,T 10}"
+    moves = "\n".join(f"PTP {point}" for _ in range(3))
+    text = f"DEF a()\n$BASE = {{X 0,Y 0,Z 0,A 0,B 0,C 0}}\n$TOOL = {{X 0,Y 0,Z 0,A 0,B 0,C 0}}\n{moves}\nEND\n"
+    project, frames = Project((Source(Path("a.src"), text),)), Cell(arm().model.robot)
+    targets = list(krl.ROW.read(project, frames).targets)
+    assert [t.why for t in targets] == [""] * 3 and targets[1].branch.words is not None
+    changes = [Change(0, number, f"{number.value + 1.125:.3f}") for t in targets for number in t.numbers]
+
+    def slipped(project: Project, cell: Cell) -> Reading:
+        first, second, third = krl.ROW.read(project, cell).targets
+        return Reading([first, SLIPS[slip](second), third])
+
+    (new,) = corrected(krl.ROW, project, frames, targets, changes)
+    assert new.count("X 801.125,") == 3
+    with pytest.raises(Unproved, match=f"line {targets[1].line}, "):
+        corrected(replace(krl.ROW, read=slipped), project, frames, targets, changes)

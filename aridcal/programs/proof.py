@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from io import StringIO
-from itertools import chain
 
 import numpy as np
 
@@ -157,42 +157,35 @@ def _check_rest(text: str, edits: _Edits, order: np.ndarray, moved: _Moved) -> N
 
 
 def _check_numbers(before: Sequence[Target], after: Sequence[Target], spliced: Sequence[tuple[str, _Moved]]) -> None:
-    """Make sure that the numbers of targets are those that were meant, where they were meant."""
+    """Make sure that the numbers of targets, as many as before, are those that were meant, where they were meant."""
     for file, (text, moved) in enumerate(spliced):
         rows = [k for k, target in enumerate(before) if target.file == file]
-        old, new = ([_numbers(targets[k]) for k in rows] for targets in (before, after))
-        starts, lengths = _places(old)
-        places, meant = (own.tolist() for own in moved.meant(starts, lengths))
-        found = [(n.start, n.text) for n in chain.from_iterable(new)]
-        wanted = [(start, text[start : start + length]) for start, length in zip(places, meant, strict=True)]
-        if found != wanted:
-            _tell_first([before[k] for k in rows], old, new, wanted)
+        (old_starts, old), (new_starts, new) = (_standing([targets[k] for k in rows]) for targets in (before, after))
+        starts, lengths = moved.meant(old_starts, np.array([len(own) for own in old], dtype=np.int64))
+        meant = [text[start : start + n] for start, n in zip(starts.tolist(), lengths.tolist(), strict=True)]
+        if new != meant or not np.array_equal(starts, new_starts):
+            wrong = (starts != new_starts) | (np.array(new) != np.array(meant))
+            k = int(wrong.argmax())
+            target = before[rows[int(np.searchsorted(np.cumsum([_count(before[row]) for row in rows]), k, "right"))]]
+            raise Unproved(f"{_where(target)}: {meant[k]} was meant in place of {old[k]}, the new text has {new[k]}")
 
 
-def _places(numbers: Sequence[Sequence[Number]]) -> tuple[np.ndarray, np.ndarray]:
-    """Where all numbers start, and how long they are."""
-    own = [(number.start, len(number.text)) for number in chain.from_iterable(numbers)]
-    starts, lengths = np.array(own, dtype=np.int64).reshape(-1, 2).T
-    return starts, lengths
+def _standing(targets: Sequence[Target]) -> tuple[np.ndarray, list[str]]:
+    """Where all numbers of targets start, those of a posture behind the others, and what stands there."""
+    starts, texts = array("Q"), list[str]()
+    for target in targets:
+        starts += target.numbers.starts
+        texts += target.numbers.texts
+        if target.branch.words is not None:
+            starts += target.branch.words.numbers.starts
+            texts += target.branch.words.numbers.texts
+    return np.array(starts, dtype=np.int64), texts
 
 
-def _tell_first(
-    targets: Sequence[Target],
-    old: Sequence[Sequence[Number]],
-    new: Sequence[Sequence[Number]],
-    wanted: Sequence[tuple[int, str]],
-) -> None:
-    """Name the first number that is not as it was meant."""
-    left = iter(wanted)
-    for target, before, after in zip(targets, old, new, strict=True):
-        if len(before) != len(after):
-            raise Unproved(f"{_where(target)}: had {len(before)} numbers, and has {len(after)} in the new text")
-        for was, now in zip(before, after, strict=True):
-            start, text = next(left)
-            if (now.start, now.text) != (start, text):
-                raise Unproved(
-                    f"{_where(target)}: {text} was meant in place of {was.text}, the new text has {now.text}"
-                )
+def _count(target: Target) -> int:
+    """How many numbers a target has, those of its posture among them."""
+    words = target.branch.words
+    return len(target.numbers) + (0 if words is None else len(words.numbers))
 
 
 def _check(before: Target, after: Target) -> None:
@@ -210,13 +203,7 @@ SAME = ("file", "line", "form", "reason", "units", "number of numbers")
 
 
 def _what(target: Target) -> tuple[object, ...]:
-    return target.file, target.line, target.form, target.why, target.units, len(target.numbers)
-
-
-def _numbers(target: Target) -> Sequence[Number]:
-    """All numbers of a target, those of its posture behind the others."""
-    words = target.branch.words
-    return tuple(target.numbers) if words is None else (*target.numbers, *words.numbers)
+    return target.file, target.line, target.form, target.why, target.units, _count(target)
 
 
 def _where(target: Target) -> str:
