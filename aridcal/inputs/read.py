@@ -23,7 +23,7 @@ from aridcal.inputs.checks import (
 from aridcal.inputs.dataset import ROLES, Dataset, RowNoise, together, weighed, weighed_apart
 from aridcal.inputs.measurement_settings import OF_TARGETS, SHOT, TARGET, MeasurementSettings
 from aridcal.inputs.quantities import Source
-from aridcal.inputs.repeats import blocks, by_content
+from aridcal.inputs.repeats import blocks, by_content, places
 from aridcal.inputs.split import draw_split, with_training_labels, with_training_rows
 from aridcal.inputs.tables import AnyTable, Remark, Table, read_tables
 from aridcal.inputs.things import Known, Rows, instruments_of, known_of, with_trackers
@@ -124,7 +124,10 @@ def _block(asked: _Asked, number: int, tables: Sequence[AnyTable], alone: bool) 
     rows, chosen, noise = _read(asked, number, tables, alone)
     give_back()  # the table's cells, which are more than all that was made of them
     rows = replace(used := rows.select(chosen), configuration=blocks(used.readings, asked.kinds))
-    return _Part(rows if rows.split_given else replace(rows, test=draw_split(rows.configuration, asked.seed)), noise)
+    return _Part(
+        rows if rows.split_given else replace(rows, test=draw_split(places(rows.readings, asked.kinds), asked.seed)),
+        noise,
+    )
 
 
 def _read(asked: _Asked, number: int, tables: Sequence[AnyTable], alone: bool) -> tuple[Dataset, np.ndarray, RowNoise]:

@@ -14,7 +14,23 @@ BOX = 32.0
 """Cells along a box in which rows are looked for that repeat one another: few share one by chance, and few stand at its edge."""
 
 
-def blocks(readings: np.ndarray, kinds: Sequence[JointKind]) -> np.ndarray:
+CENTRES, COMPARED = 200, 20_000
+"""Rows whose distances to others tell whether rows lie in places, and rows that they are compared with."""
+
+GAP = 2.0
+"""Factor on either side of a distance within which next to no pair of rows is apart, where rows lie in places."""
+
+IN_GAP = 0.02
+"""Pairs in that gap, as a share of those that are closer: a stray row or two may lie between places."""
+
+ACCOMPANIED = 0.3
+"""Share of rows that have others at their place, from which rows are said to lie in places."""
+
+FEWEST_PLACES = 8
+"""Places below which rows are not taken together by them: too few to hold any back."""
+
+
+def blocks(readings: np.ndarray, kinds: Sequence[JointKind], scale: float = 1.0) -> np.ndarray:
     """Number the configurations: rows that repeat one have the same label.
 
     Rows within 1 mrad and 0.1 mm of each other, or joined by a chain of such rows, always share a label; rows more
@@ -23,25 +39,70 @@ def blocks(readings: np.ndarray, kinds: Sequence[JointKind]) -> np.ndarray:
     Args:
         readings: Shape (N, columns), [rad] or [m].
         kinds: Kind of each column.
+        scale: How many times these distances.
 
     Returns:
         Labels 0, 1, ... in order of appearance, shape (N,).
     """
     label = np.arange(len(readings))
-    near = _near_others(readings, kinds)
+    near = _near_others(readings, kinds, scale)
     if len(near):
-        label[near] = len(readings) + _chained(np.column_stack([*_cells(readings[near], kinds)]))
+        label[near] = len(readings) + _chained(np.column_stack([*_cells(readings[near], kinds, scale)]))
     return by_appearance(label)
 
 
-def _cells(readings: np.ndarray, kinds: Sequence[JointKind]) -> Iterator[np.ndarray]:
+def places(readings: np.ndarray, kinds: Sequence[JointKind]) -> np.ndarray:
+    """Number the places in which rows were measured: configurations, or groups of near ones with nothing between them.
+
+    Whoever measures a place several times does not come back to the same millidegree. Rows lie in places if there is a distance
+    that is wide of all others: next to no pair of rows is apart by half to twice of it, and many rows have others that are closer.
+
+    Args:
+        readings: Shape (N, columns), [rad] or [m].
+        kinds: Kind of each column.
+
+    Returns:
+        Labels 0, 1, ... in order of appearance, shape (N,); those of :func:`blocks` where rows do not lie in places.
+    """
+    label = blocks(readings, kinds)
+    distance = _gap(readings, kinds)
+    if distance is None:
+        return label
+    wider = blocks(readings, kinds, distance)
+    return wider if wider.max() + 1 >= FEWEST_PLACES else label
+
+
+def _gap(readings: np.ndarray, kinds: Sequence[JointKind]) -> float | None:
+    """The distance, in what repeats a configuration, that parts places; None where there is none."""
+    if len(readings) < 2 * FEWEST_PLACES:
+        return None
+    rng = np.random.default_rng(0)
+    some = rng.permutation(len(readings))[:COMPARED]
+    points = np.column_stack([cell / 2.0 for cell in _cells(readings[some], kinds, 1.0)])
+    apart = np.stack([np.abs(points - centre).max(axis=1) for centre in points[:CENTRES]])
+    nearest = np.sort(apart, axis=1)[:, 1]  # the first is the row itself
+    pairs = np.sort(apart, axis=None)
+    typical = float(np.median(pairs))
+    best = None
+    for edge in np.geomspace(1.0, max(typical, 1.0), 200)[1:]:
+        low, high = edge / GAP, edge * GAP
+        if high > typical:
+            break
+        closer = int(np.searchsorted(pairs, low)) - len(apart)
+        between = int(np.searchsorted(pairs, high)) - len(apart) - closer
+        if between <= IN_GAP * closer and np.mean(nearest < low) >= ACCOMPANIED:
+            best = float(edge)
+    return best
+
+
+def _cells(readings: np.ndarray, kinds: Sequence[JointKind], scale: float) -> Iterator[np.ndarray]:
     """Numbers of cells along each coordinate, shape (N,) each: half as large as what repeats one, however often that is."""
     for reading, kind, same in zip(readings.T, kinds, tolerances(kinds).tolist(), strict=True):
         for value in (np.cos(reading), np.sin(reading)) if kind == "continuous" else (reading,):
-            yield np.floor(2.0 * value / same)
+            yield np.floor(2.0 * value / (scale * same))
 
 
-def _near_others(readings: np.ndarray, kinds: Sequence[JointKind]) -> np.ndarray:
+def _near_others(readings: np.ndarray, kinds: Sequence[JointKind], scale: float) -> np.ndarray:
     """Rows that may be less than three cells from another along every coordinate, in order: all that are, and few others.
 
     Those share a box of :data:`BOX` cells, where a row also counts to the box below along each coordinate in which it is one of
@@ -49,7 +110,7 @@ def _near_others(readings: np.ndarray, kinds: Sequence[JointKind]) -> np.ndarray
     """
     odd = np.random.default_rng(0)
     key, row = np.zeros(len(readings), dtype=np.int64), np.arange(len(readings))
-    for cell in _cells(readings, kinds):
+    for cell in _cells(readings, kinds, scale):
         box, place = np.divmod(cell, BOX)
         factor = 2 * odd.integers(2**62) + 1
         key += (box.astype(np.int64) * factor)[row]

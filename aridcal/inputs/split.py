@@ -9,7 +9,7 @@ import numpy as np
 
 from aridcal.errors import MeasurementError, listed
 from aridcal.inputs.dataset import Dataset
-from aridcal.inputs.repeats import blocks
+from aridcal.inputs.repeats import places
 from aridcal.inputs.tables import Remark
 from aridcal.instruments.catalogue import KINDS
 
@@ -22,16 +22,16 @@ FEW_ROWS = 12
 
 
 def held_together(data: Dataset) -> np.ndarray:
-    """Numbers of what is held back as one, shape (N,): configurations; of things with few rows, all rows of one.
+    """Numbers of what is held back as one, shape (N,): the rows of a place; of things with few rows, all rows of one.
 
     What a row says of a thing that has few rows, the others know: held back alone it would not be new.
     """
     if not data.blocks:
-        return data.configuration
+        return places(data.readings, data.kinds)
     labels = np.column_stack([data.block.astype(str), data.refers])
     thing = np.unique(labels, axis=0, return_inverse=True)[1].reshape(-1)
     few = np.bincount(thing)[thing] < FEW_ROWS
-    of_arm = blocks(data.readings, data.kinds)
+    of_arm = places(data.readings, data.kinds)
     return np.asarray(np.unique(np.where(few, thing + of_arm.max() + 1, of_arm), return_inverse=True)[1])
 
 

@@ -21,8 +21,10 @@ from aridcal.inputs.approach import with_directions
 from aridcal.inputs.campaign import Campaign
 from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.read import load_measurements
+from aridcal.inputs.split import held_together
 from aridcal.inputs.tables import AnyTable
 from aridcal.model.memory import Size, available_memory, check_memory
+from aridcal.model.rigid_bodies import targets_of_one_body
 from aridcal.reading.freed import give_back
 from aridcal.result.measuring_head import measuring_head
 from aridcal.result.outcome import Outcome, Stage, Verification
@@ -57,6 +59,8 @@ ONE_BODY = (
     "{} targets keep their distances exactly: they were made from one pose of one body, and count as one measurement"
 )
 """What is said of them: their errors are the same, so that three of them know no more than one."""
+
+ONE_PLACE = "the {} rows lie in {} places, and those of one place err alike: they count as {:.0f} independent ones"
 
 
 @dataclass(frozen=True)
@@ -173,7 +177,7 @@ def _outcome(
             *(head.notices if head is not None else ()),
             *still,
             *([arm.geometry.kept] if arm.geometry.kept else []),
-            *([ONE_BODY.format(round(1 / rows.share))] if rows.share < 1 else []),
+            *_shared(rows, final),
             *structured_notices(arm.causes),
             *_derived_notices(rows, diagnosed),
             *(f"{b.what} is left out: {b.why}" for b in diagnosed.barred if b.why in (CONFOUNDED, NO_BETTER)),
@@ -187,6 +191,16 @@ def _outcome(
         diagnosis=explain(diagnosed, rows, rows.test & ~outlier, known.clues),
         head=head,
     )
+
+
+def _shared(rows: Dataset, final: Fit) -> Iterator[str]:
+    """Sentences on rows that count for less than one, as they are not independent."""
+    bodies = targets_of_one_body(rows, float(final.estimated[0]))
+    if bodies > 1:
+        yield ONE_BODY.format(bodies)
+    elif rows.share < 1.0:
+        place = held_together(rows)
+        yield ONE_PLACE.format(len(rows), place.max() + 1, rows.share * len(rows))
 
 
 def _some_of_many(train: Dataset, kept: int, campaign: Campaign) -> Iterator[str]:
@@ -226,7 +240,7 @@ def judged(arm: CalibratedArm, progress: Progress = SILENT) -> Judged:
     # Of several targets of one body one is asked: the others err like it, whatever the model.
     one_each = kept, white
     if rows.share < 1.0:
-        first = np.unique(kept.configuration, return_index=True)[1]
+        first = np.unique(held_together(kept), return_index=True)[1]
         one_each = kept.select(first), white[first]
     asked = clues(*one_each, repeats(kept, white), _freedom(final), final, progress)
     asked += row_clues(rows, final, left, outlier)

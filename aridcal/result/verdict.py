@@ -14,6 +14,7 @@ from aridcal.fit.flags import FLOOR, MEASURED, Cluster, cluster
 from aridcal.fit.least_squares import Fit
 from aridcal.fit.problem import problem
 from aridcal.inputs.dataset import Dataset
+from aridcal.inputs.split import held_together
 from aridcal.instruments.channels import spread
 from aridcal.search.noise_tests import Clue
 
@@ -114,7 +115,7 @@ def _held_out(rows: Dataset, test: np.ndarray, fit: Fit, residual: np.ndarray, o
     those of normal noise, keeps heavy tails from being taken for a difference.
     """
     train = rows.train & ~outlier
-    configurations = len(np.unique(rows.configuration[test]))
+    configurations = len(np.unique(held_together(rows)[test]))
     if configurations < FEWEST or fit.freedom <= 0:
         return None
     m = float(np.mean(np.sum(~np.isnan(residual[train]), axis=1)))

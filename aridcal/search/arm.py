@@ -10,6 +10,7 @@ import numpy as np
 from aridcal.effects.loads import Surroundings, is_load
 from aridcal.fit.least_squares import Fit
 from aridcal.fit.normal_equations import RIDGE, accumulate, solve
+from aridcal.fit.place_noise import independent_share
 from aridcal.fit.problem import problem
 from aridcal.fit.residual import eliminated
 from aridcal.fit.stages import Geometry, fit_geometry, recentred, with_things_moved
@@ -17,7 +18,7 @@ from aridcal.inputs.campaign import Campaign
 from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.split import held_together
 from aridcal.instruments.catalogue import KINDS
-from aridcal.instruments.channels import columns
+from aridcal.instruments.channels import columns, spread
 from aridcal.model.model import Model
 from aridcal.model.rigid_bodies import targets_of_one_body
 from aridcal.model.standing import sights_of
@@ -26,10 +27,14 @@ from aridcal.robot.chain import Robot
 from aridcal.search.diagnose import Diagnosed, diagnose, told_apart
 from aridcal.search.linear_model import Active
 from aridcal.search.noise_causes import NoiseCauses, noise_causes
+from aridcal.search.noise_tests import rms_of_channels
 from aridcal.showing import SILENT, Progress
 
 EARTH = np.array([0.0, 0.0, -9.81])
 """Gravity in a levelled world, [m/s^2]."""
+
+CLEARER = 1.2
+"""Times as much as before that a row must count for, once effects are found, for another search: evidence grows by as much."""
 
 HANGS = 1e-4
 """[m] by which the target of the final model may be elsewhere than that of the geometric stage, where the payload was hung:
@@ -91,8 +96,9 @@ def calibrated_arm(
     So no effect is made of the scatter of a joint's reading, and rows that this scatter does not touch count in full.
     """
     bodies = targets_of_one_body(rows, float(geometry.geometric.estimated[0]))
-    if bodies > 1:
-        rows = replace(rows, share=1.0 / bodies)
+    share = 1.0 / bodies if bodies > 1 else _share(rows, geometry.geometric)
+    if share < 1.0:
+        rows = replace(rows, share=share)
         geometry = fit_constants(campaign, robot, rows, labels, progress)
 
     def fitted(data: Dataset, geometry: Geometry, begin: Sequence[Active] = ()) -> CalibratedArm:
@@ -101,6 +107,13 @@ def calibrated_arm(
         return replace(arm, causes=noise_causes(arm.diagnosed.fit, arm.diagnosed.found.state.active, rows, progress))
 
     arm = fitted(rows, geometry)
+    if share < 1.0 and bodies == 1:
+        share = _share(rows, arm.diagnosed.fit)
+        if share > CLEARER * rows.share:
+            progress("with what was found rows of one place err less alike: looking again with what they count for now")
+            rows = replace(rows, share=share)
+            geometry = _around(fit_constants(campaign, robot, rows, labels, progress), geometry.geometric.model.around)
+            arm = fitted(rows, geometry, arm.diagnosed.found.state.active)
     hung = _hung_again(arm)
     if hung is not None:
         progress("the target is elsewhere than the geometry had it: the payload hangs there, fitting again")
@@ -121,6 +134,13 @@ def calibrated_arm(
     if is_better(arm.diagnosed.fit, arm.geometry.nominal, arm.rows.fitted):
         return replace(arm, diagnosed=told_apart(arm.diagnosed, progress))
     return _nominal(campaign, arm, progress)
+
+
+def _share(rows: Dataset, fit: Fit) -> float:
+    """What each row counts for, by how alike rows of one place err in a fit of the training rows."""
+    used = rows.fitted.select(~fit.outliers)
+    residual = fit.residual[~fit.outliers]
+    return independent_share(used, residual / spread(rms_of_channels(residual, used), used.channels))
 
 
 def _hung_again(arm: CalibratedArm) -> Geometry | None:

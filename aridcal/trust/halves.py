@@ -33,6 +33,7 @@ from aridcal.fit.flags import FLOOR
 from aridcal.fit.least_squares import Fit
 from aridcal.fit.normal_equations import across, pseudo_inverse, told
 from aridcal.inputs.dataset import Dataset
+from aridcal.inputs.split import held_together
 from aridcal.showing import SILENT, Progress
 from aridcal.trust.columns import Columns, columns_of
 
@@ -341,9 +342,10 @@ def _draws(rows: Columns, data: Dataset) -> tuple[np.ndarray, np.ndarray]:
     read = b"".join(values.tobytes() for values in (data.readings, data.position, data.observed))
     rng = np.random.default_rng(int.from_bytes(hashlib.sha256(read).digest()))
     N, m = rows.r.shape
-    if rows.share < 1.0:  # rows of one configuration are one measurement
-        each = rng.standard_normal((int(data.configuration.max()) + 1, m, DRAWS))
-        every = each[data.configuration] * np.sqrt(rows.share)
+    if rows.share < 1.0:  # rows of one place are one measurement
+        place = held_together(data)
+        each = rng.standard_normal((int(place.max()) + 1, m, DRAWS))
+        every = each[place] * np.sqrt(rows.share)
     else:
         every = rng.standard_normal((N, m, DRAWS))
     noise = np.where(rows.there[:, :, None], every, 0.0)
