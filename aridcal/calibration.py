@@ -42,6 +42,7 @@ from aridcal.result.outcome import Outcome
 from aridcal.result.pipeline import score
 from aridcal.result.predict import evenly, predict, read_query, uncertainty
 from aridcal.result.saved_model import SavedModel
+from aridcal.result.verdict import NOISE_UNKNOWN
 from aridcal.result_folder import write_folder
 from aridcal.showing import Page, working
 from aridcal.writing.files import atomic_file
@@ -351,7 +352,9 @@ def _remarks(result: dict[str, Any]) -> list[str]:
     verdict = result["verdict"]
     effects = ", ".join(f"{effect['kind']} at {effect['where']}" for effect in result["effects"])
     notices = [f"note: {notice}" for notice in result["notices"][:SHOWN_REMARKS]]
-    return [f"effects: {effects or 'none'}", f"verdict: {verdict}: {VERDICTS[verdict]}", *notices]
+    unknown = NOISE_UNKNOWN in result.get("reasons", [])
+    words = "the rest may be noise; nobody has said how large that is" if unknown else VERDICTS[verdict]
+    return [f"effects: {effects or 'none'}", f"verdict: {verdict}: {words}", *notices]
 
 
 def _text(path: Path) -> str:

@@ -71,7 +71,7 @@ SHOWN_AS = {"rms": "RMS", "p95": "p95", "max": "max"}
 
 def summary(outcome: Outcome, console: Console) -> None:
     """Print the figures that matter."""
-    from aridcal.drawing.words import kept_in_words, scale_in_words
+    from aridcal.drawing.words import kept_in_words, noise_unknown_in_words, scale_in_words
     from aridcal.result.folder import what_moved
     from aridcal.result.key_figures import another_day, every_held_out_row, over_time
 
@@ -97,9 +97,13 @@ def summary(outcome: Outcome, console: Console) -> None:
     for _, sentence in (*kept_in_words(outcome, asked=True), *kept_in_words(outcome, asked=False)):
         console.print(sentence, markup=False)
     verdict = outcome.verdict
-    console.print(f"verdict: {verdict.word}: {VERDICTS[verdict.word]}", markup=False)
-    for reason in verdict.reasons:
-        console.print(f"  {reason}", markup=False)
+    if verdict.noise_unknown:
+        console.print(f"verdict: {verdict.word}: {noise_unknown_in_words(outcome)}", markup=False)
+        console.print("  declare `noise` in the campaign, or measure some configurations twice", markup=False)
+    else:
+        console.print(f"verdict: {verdict.word}: {VERDICTS[verdict.word]}", markup=False)
+        for reason in verdict.reasons:
+            console.print(f"  {reason}", markup=False)
     for notice in outcome.notices[:MOST_NOTICES]:
         console.print(f"note: {notice}", markup=False)
 

@@ -21,7 +21,6 @@ import pandas as pd
 from rich.console import Console
 from rich.table import Table
 from robots import readings, simulate, ur10, write_campaign
-from robots import table as as_frame
 
 import aridcal
 from aridcal.effects.basis import Basis

@@ -19,7 +19,7 @@ from aridcal.report.first_screen import summary as first_screen
 from aridcal.result.folder import result_document
 from aridcal.result.outcome import Outcome
 from aridcal.result.pipeline import identify
-from aridcal.result.verdict import decide, row_clues
+from aridcal.result.verdict import NOISE_UNKNOWN, decide, row_clues
 from aridcal.search.noise_tests import Clue
 
 SIGMA = 1e-4
@@ -62,7 +62,7 @@ def said(outcome: Outcome) -> str:
 
 def test_a_sound_campaign_is_at_the_noise_floor_and_says_how_many_rows_are_flagged(tmp_path: Path) -> None:
     outcome = identify(campaign(tmp_path))
-    assert (outcome.verdict.word, outcome.verdict.reasons) == ("noise_floor", ())
+    assert (outcome.verdict.word, outcome.verdict.reasons) == ("noise_floor", (NOISE_UNKNOWN,))
     assert "0 of 40 held-out rows flagged as outliers" in said(outcome)
     assert any("0 of 40 held-out rows flagged" in words and good for good, words in checks(outcome))
 
@@ -131,7 +131,7 @@ CLUES = {
 def test_word_share_and_reasons_never_contradict_one_another(
     clues: tuple[str, ...], effects: tuple[Effect, ...], freedom: float
 ) -> None:
-    found = decide([CLUES[name] for name in clues], effects, freedom)
+    found = decide([CLUES[name] for name in clues], effects, freedom, True)
     telling = [CLUES[name] for name in clues if name in ("tells", "flags")]
     assert (found.word == "noise_floor") == (found.reasons == ())
     assert (found.word == "not_enough_data") == (freedom < 0.5)

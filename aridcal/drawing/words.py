@@ -85,6 +85,12 @@ def sigmas_in_words(sigma: np.ndarray, channels: Channels, times: float = 1.0) -
     return enumerated(shown)
 
 
+def noise_unknown_in_words(outcome: Outcome) -> str:
+    """That nothing is left which these rows can show, where nobody knows the instrument's noise."""
+    left = noise_in_words(outcome, outcome.stage("final").fit.estimated)
+    return f"nothing repeatable is left that these rows can show; whether {left} is the instrument's noise, nobody has said"
+
+
 def noise_in_words(outcome: Outcome, sigma: np.ndarray) -> str:
     """Noise of each channel, shape (C,), in words: ``0.17 mm over three axes``, of several instruments that of each number."""
     if not outcome.measurements.blocks:

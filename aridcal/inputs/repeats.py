@@ -55,7 +55,7 @@ def places(readings: np.ndarray, kinds: Sequence[JointKind]) -> np.ndarray:
     """Number the places in which rows were measured: configurations, or groups of near ones with nothing between them.
 
     Whoever measures a place several times does not come back to the same millidegree. Rows lie in places if there is a distance
-    that is wide of all others: next to no pair of rows is apart by half to twice of it, and many rows have others that are closer.
+    wide of all others: next to no pair of rows is apart by half to twice of it, and many rows have others that are closer.
 
     Args:
         readings: Shape (N, columns), [rad] or [m].

@@ -14,7 +14,15 @@ import numpy as np
 from aridcal import __version__
 from aridcal.drawing.html import attempt, counted, note, noting, number
 from aridcal.drawing.one_page import OnePage, Part, as_html, as_pdf
-from aridcal.drawing.words import LONGEST_NAME, NOT_STATED, named, range_in_words, scale_in_words, who_and_what
+from aridcal.drawing.words import (
+    LONGEST_NAME,
+    NOT_STATED,
+    named,
+    noise_unknown_in_words,
+    range_in_words,
+    scale_in_words,
+    who_and_what,
+)
 from aridcal.errors import printable, shortened
 from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.purposes import About
@@ -110,7 +118,8 @@ def certificate(outcome: Outcome, about: About, folder: Path, issued: datetime.d
         folder: Where the files are that it identifies.
         issued: Date of issue.
     """
-    verdict = VERDICTS[outcome.verdict.word].partition(".")[0]
+    unknown = outcome.verdict.noise_unknown
+    verdict = noise_unknown_in_words(outcome) if unknown else VERDICTS[outcome.verdict.word].partition(".")[0]
     judged, known = _judged(outcome), _known(outcome)
     reference = f"No. {about.certificate_number}. " if about.certificate_number else ""
     return OnePage(

@@ -16,6 +16,7 @@ from aridcal.drawing.words import (
     causes_in_words,
     kept_in_words,
     noise_in_words,
+    noise_unknown_in_words,
     per_number,
     scale_in_words,
     sigmas_in_words,
@@ -281,8 +282,12 @@ def _percent(share: float) -> str:
 def _remaining(outcome: Outcome) -> Iterator[Content]:
     """The verdict, and the noise that no model can get below."""
     said = outcome.verdict
-    yield VERDICTS[said.word]
-    if said.reasons:
+    if said.noise_unknown:
+        sentence = noise_unknown_in_words(outcome)
+        yield f"{sentence[0].upper()}{sentence[1:]}: declare it in the campaign, or measure some configurations twice."
+    else:
+        yield VERDICTS[said.word]
+    if said.reasons and not said.noise_unknown:
         yield f" Signs of it: {'; '.join(said.reasons)}."
     if said.share > 0:
         yield f" {100 * said.share:.0f} % of the remaining variance is repeatable."

@@ -245,8 +245,11 @@ def judged(arm: CalibratedArm, progress: Progress = SILENT) -> Judged:
     asked = clues(*one_each, repeats(kept, white), _freedom(final), final, progress)
     asked += row_clues(rows, final, left, outlier)
     effects = [active.effect for active in arm.diagnosed.found.state.active]
-    said = decide(asked, effects, min(_freedom(final), arm.geometry.free))
-    return Judged(stages, outlier, repeats(kept, raw), tuple(asked), said)
+    scatter = repeats(kept, raw)
+    seen = np.zeros(len(rows.channels)) if scatter is None else scatter.freedom
+    known = all(s is not None or f > 0 for s, f in zip(rows.sigma, seen.tolist(), strict=True))
+    said = decide(asked, effects, min(_freedom(final), arm.geometry.free), known)
+    return Judged(stages, outlier, scatter, tuple(asked), said)
 
 
 def _derived_notices(rows: Dataset, diagnosed: Diagnosed) -> tuple[str, ...]:

@@ -33,6 +33,10 @@ LEAST_FREEDOM = 0.67
 (1 - h) / h of the noise's: with less it is off by more than 0.7 sigma, and nobody may say that only noise is left."""
 
 
+NOISE_UNKNOWN = "noise_unknown"
+"""Reason why ``noise_floor`` is not a plain one: nobody has declared the noise, and no repeats show it."""
+
+
 @dataclass(frozen=True)
 class Verdict:
     """What may be said of what remains.
@@ -40,21 +44,27 @@ class Verdict:
     Attributes:
         word: ``noise_floor``, ``structure_remains`` or ``not_enough_data``.
         share: Of the remaining variance that is repeatable beyond the noise, 0 to 1.
-        reasons: Why it is not ``noise_floor``, in words; empty if it is.
+        reasons: Why it is not ``noise_floor``, in words; of that :data:`NOISE_UNKNOWN`, or none.
     """
 
     word: str
     share: float
     reasons: tuple[str, ...]
 
+    @property
+    def noise_unknown(self) -> bool:
+        """Whether nothing repeatable is left that the rows can show, and nobody knows what noise the instrument has."""
+        return NOISE_UNKNOWN in self.reasons
 
-def decide(clues: Sequence[Clue], effects: Sequence[Effect], freedom: float) -> Verdict:
+
+def decide(clues: Sequence[Clue], effects: Sequence[Effect], freedom: float, noise_known: bool) -> Verdict:
     """The verdict.
 
     Args:
         clues: Answers of all questions to the residual.
         effects: Those in the model.
         freedom: Share of the numbers measured that is left after fitting.
+        noise_known: Whether the noise of every channel was declared, or repeats show it.
     """
     telling = [c for c in clues if c.tells]
     share = max((c.share for c in telling), default=0.0)
@@ -67,7 +77,9 @@ def decide(clues: Sequence[Clue], effects: Sequence[Effect], freedom: float) -> 
     if freedom <= LEAST_FREEDOM:
         few = f"only {100 * max(freedom, 0.0):.0f} % of the measured numbers are left to judge the model by"
         return Verdict("not_enough_data", share, (few, *reasons))
-    return Verdict("structure_remains" if reasons else "noise_floor", share, tuple(reasons))
+    if reasons:
+        return Verdict("structure_remains", share, tuple(reasons))
+    return Verdict("noise_floor", share, () if noise_known else (NOISE_UNKNOWN,))
 
 
 def row_clues(rows: Dataset, fit: Fit, residual: np.ndarray, outlier: np.ndarray) -> list[Clue]:
