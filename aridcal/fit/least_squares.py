@@ -13,7 +13,7 @@ from aridcal.errors import NotIdentifiable
 from aridcal.fit.elimination import Groups
 from aridcal.fit.flags import FLOOR, coarsest, flagged, limits, robust_sigma
 from aridcal.fit.identifiable import identifiable
-from aridcal.fit.normal_equations import RANK, Combined, Prior, condition, inverse, solve
+from aridcal.fit.normal_equations import RANK, RIDGE, Combined, Prior, condition, inverse, solve
 from aridcal.fit.problem import Problem
 from aridcal.fit.problem import problem as ask
 from aridcal.fit.residual import Linearisation, linearise, things_again, triangle, weighted_squares
@@ -76,6 +76,16 @@ nearly (see :func:`aridcal.fit.problem.agreeing`)."""
 VANISHED = 1e-2
 """Sigmas of a coefficient: a gradient that asks for less has vanished."""
 
+PLENTY = 8.0
+"""Numbers measured for each coefficient from which nothing is believed of it: its freedom costs an eighth of the squares at most."""
+
+USUAL, BELIEVED = 1e-3, 2.0
+"""[m] and [rad]: a millimetre and a milliradian are what constants of industrial arms are usually off by; that counts as much as two
+coefficients of a group that are known."""
+
+CLOSE = 0.02
+"""Relative change of a group's size that ends its estimation: what depends on it changes by less than a hundredth of a sigma."""
+
 UNKNOWN_NOISE = 1e-4
 """[m] and [rad]: noise of a good instrument, where nothing is known of it yet."""
 
@@ -121,6 +131,8 @@ class Fit:
         convergence: How well the minimum was found.
         spent: Degrees of freedom used up: K, or less where priors shrink.
         numbers: Numbers measured in the rows in use.
+        believed: Precision with which coefficients were believed to be zero, where rows are few, shape (K, K): all zero where
+            nothing was believed.
     """
 
     model: Model
@@ -135,6 +147,7 @@ class Fit:
     convergence: Convergence
     spent: float
     numbers: float
+    believed: np.ndarray
 
     @property
     def std(self) -> np.ndarray:
@@ -293,16 +306,20 @@ def fit(
         convergence=Convergence(steps, found.gradient, condition(H)),
         spent=float(told.equations.spent(inner, sigma).sum()),
         numbers=float(equations.count.sum()),
+        believed=np.zeros((len(theta), len(theta))),
     )
 
 
-def fit_identifiable(problem: Problem, order: Sequence[int], theta: np.ndarray | None = None) -> Fit:
+def fit_identifiable(
+    problem: Problem, order: Sequence[int], theta: np.ndarray | None = None, groups: Sequence[Sequence[int]] = ()
+) -> Fit:
     """Fit the identifiable ones of a model's coefficients; the others stay nominal and are named.
 
     Args:
         problem: All candidates, N rows.
         order: The candidates' indices, the ones to keep before others first.
         theta: Start, shape (all candidates,); default: zero.
+        groups: Candidates that are believed to be alike in size, where rows are few; see :func:`shrunk`.
 
     Raises:
         NotIdentifiable: nothing at all can be identified.
@@ -318,10 +335,13 @@ def fit_identifiable(problem: Problem, order: Sequence[int], theta: np.ndarray |
         kept = sorted(subset.kept)
         if not kept:
             raise NotIdentifiable([model.names])
-        result = fit(_narrowed(problem, kept), theta[kept])
+        narrowed = _narrowed(problem, kept)
+        result = fit(narrowed, theta[kept])
+        if groups and result.numbers < PLENTY * len(kept):
+            R = triangle(problem, _placed(result, kept, len(theta)), result.weight, result.sigma)
+            result = shrunk(narrowed, result, _stood_for(R, kept, groups))
         problem = replace(problem, states=result.model.states)
-        theta = np.zeros(len(model.coefficients))
-        theta[kept] = result.theta
+        theta = _placed(result, kept, len(model.coefficients))
         R = triangle(problem, theta, result.weight, result.sigma) * sizes
         # What was kept stays ahead: near the solution a symmetry of the nominal robot is broken a little, and what
         # that makes barely separable must not push out what is well known.
@@ -331,6 +351,70 @@ def fit_identifiable(problem: Problem, order: Sequence[int], theta: np.ndarray |
     redundant = {model.names[k]: tuple(model.names[j] for j in partners) for k, partners in subset.redundant.items()}
     convergence = replace(result.convergence, condition=subset.condition)
     return replace(result, candidates=model.coefficients, redundant=redundant, convergence=convergence)
+
+
+def _placed(result: Fit, kept: Sequence[int], count: int) -> np.ndarray:
+    """Values of all candidates, those that were not fitted zero, shape (count,)."""
+    theta = np.zeros(count)
+    theta[kept] = result.theta
+    return theta
+
+
+def _stood_for(R: np.ndarray, kept: Sequence[int], groups: Sequence[Sequence[int]]) -> list[np.ndarray]:
+    r"""For each group of candidates how the fitted coefficients move with it: T of :math:`J = J_{kept} T`, shape (K, n_g) each.
+
+    Args:
+        R: Triangle of the columns of all candidates, shape (all, all).
+        kept: Those that are fitted.
+        groups: Candidates; coefficients of none of them are free.
+    """
+    T = np.linalg.lstsq(R[:, kept], R, rcond=None)[0]
+    free = [k for k, candidate in enumerate(kept) if not any(candidate in group for group in groups)]
+    T[free] = 0.0
+    return [T[:, list(group)] for group in groups if len(group)]
+
+
+def shrunk(problem: Problem, free: Fit, groups: Sequence[np.ndarray]) -> Fit:
+    r"""A fit in which constants of a group are believed to be alike in size, of a size that the rows tell.
+
+    Of all constants :math:`\varphi`, the redundant ones among them, those of group g are :math:`N(0, \tau_g^2)`. The coefficients that
+    are fitted stand for sums of them, :math:`\theta = T \varphi`, and are believed to be :math:`N(0, C)`,
+
+    .. math:: C = \sum_g \tau_g^2 T_g T_g^T
+
+    The sizes follow by restricted maximum likelihood (Harville 1977; the EM step of Laird and Ware 1982),
+
+    .. math:: \tau_g^2 = \frac{\nu \tau_0^2 + \sum_{k \in g} (E \varphi_k^2)}{\nu + n_g}
+
+    where :math:`\tau_0` = :data:`USUAL` counts as :math:`\nu` = :data:`BELIEVED` constants. What rows do not tell stays near zero; where
+    they tell much, the fit is the free one.
+
+    Args:
+        problem: K identifiable coefficients, N rows.
+        free: A free fit of them, to begin from; its weights stay.
+        groups: For each group :math:`T_g`, shape (K, n_g): zero for the coefficients of which nothing is believed.
+    """
+    believed = np.flatnonzero(np.any(np.concatenate(groups, axis=1), axis=1))
+    parts = [T[believed] for T in groups]
+    sizes = np.full(len(groups), USUAL)
+    fitted, theta = free, free.theta.copy()
+    theta[believed] = 0.0
+    precision = np.zeros((len(theta), len(theta)))
+    for _ in range(ESTIMATES):
+        C = sum((size**2 * T @ T.T for size, T in zip(sizes, parts, strict=True)), np.zeros(2 * (len(believed),)))
+        precision[np.ix_(believed, believed)] = inverse(C, ridge=RIDGE)
+        prior = Prior(np.zeros(len(theta)), precision.copy())
+        fitted = fit(replace(problem, states=fitted.model.states), theta, free.weight, prior)
+        theta, before = fitted.theta, sizes.copy()
+        second = np.outer(theta[believed], theta[believed]) + fitted.covariance[np.ix_(believed, believed)]
+        for g, T in enumerate(parts):
+            gain = before[g] ** 2 * T.T @ precision[np.ix_(believed, believed)]  # of the constants on what is fitted
+            known = float(np.trace(gain @ second @ gain.T))
+            left = before[g] ** 2 * (T.shape[1] - float(np.trace(gain @ T)))
+            sizes[g] = np.sqrt((BELIEVED * USUAL**2 + known + left) / (BELIEVED + T.shape[1]))
+        if np.all(np.abs(sizes / before - 1.0) < CLOSE):
+            break
+    return replace(fitted, believed=precision)
 
 
 def _has_many(problem: Problem) -> bool:

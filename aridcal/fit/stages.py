@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,6 +15,7 @@ from aridcal.fit.constants import constants, frame_coefficients, frame_labels, h
 from aridcal.fit.flags import robust_sigma
 from aridcal.fit.frame_starts import FrameStart, start_frames
 from aridcal.fit.least_squares import Fit, fit, fit_identifiable, minimise, thin
+from aridcal.fit.normal_equations import Prior
 from aridcal.fit.problem import Problem, problem, unscaled
 from aridcal.fit.thing_starts import TIP, beginning
 from aridcal.inputs.campaign import Campaign, FrameSettings
@@ -101,11 +103,20 @@ def fit_geometry(
         return Geometry(nominal, nominal)
     centred, _ = nominal.model.recentred(nominal.theta)
     geometric = fit_identifiable(
-        problem(centred.with_coefficients(candidates), train, progress), range(len(candidates))
+        problem(centred.with_coefficients(candidates), train, progress),
+        range(len(candidates)),
+        groups=_alike(candidates, len(frames)),
     )
     left = unscaled(geometric.residual, train.relative)
     _refuse_strangers(left, train, _targets(asked, geometric.theta, geometric))
     return Geometry(nominal, with_restarts(geometric, train, progress))
+
+
+def _alike(candidates: Sequence[Coefficient], frames: int) -> tuple[list[int], list[int]]:
+    """Indices of the constants that are lengths, and of those that are angles; the frames before them are neither."""
+    constants = range(frames, len(candidates))
+    lengths = [k for k in constants if candidates[k].component in LENGTHS]
+    return lengths, [k for k in constants if k not in set(lengths)]
 
 
 def _start(
@@ -275,7 +286,8 @@ def with_restarts(found: Fit, train: Dataset, progress: Progress = SILENT) -> Fi
     )
     part = problem(found.model, train.select(some), progress)
     weight = found.weight[some]
-    reference = minimise(part, found.theta, weight)
+    prior = Prior(np.zeros(len(found.theta)), found.believed) if found.believed.any() else None
+    reference = minimise(part, found.theta, weight, prior)
     is_length = np.array([c.component in LENGTHS for c in found.model.coefficients])
     reach = np.where(is_length, REACH_LENGTH, REACH_ANGLE)
     reach[found.model.sizes != 1.0] = 0.0  # a lens is not started from elsewhere
@@ -285,7 +297,7 @@ def with_restarts(found: Fit, train: Dataset, progress: Progress = SILENT) -> Fi
     tolerance = SAME * spread(reference.sigma, train.channels)
     agreed = 0
     for theta in progress.over(others, "other starts"):
-        other = minimise(part, theta, weight)
+        other = minimise(part, theta, weight, prior)
         off = np.abs(other.at.residual - reference.at.residual)[weight > 0.5]
         agreed += not np.any(off > tolerance)  # NaN in what a row does not measure
     return replace(found, convergence=replace(found.convergence, restarts=len(others), agreed=agreed))

@@ -23,6 +23,9 @@ GAP = 2.0
 IN_GAP = 0.02
 """Pairs in that gap, as a share of those that are closer: a stray row or two may lie between places."""
 
+SMALL = 1 / 3
+"""Of the median distance of two rows, what the upper end of the gap may be: among few rows some are nearest by chance."""
+
 ACCOMPANIED = 0.3
 """Share of rows that have others at their place, from which rows are said to lie in places."""
 
@@ -86,7 +89,7 @@ def _gap(readings: np.ndarray, kinds: Sequence[JointKind]) -> float | None:
     best = None
     for edge in np.geomspace(1.0, max(typical, 1.0), 200)[1:]:
         low, high = edge / GAP, edge * GAP
-        if high > typical:
+        if high > SMALL * typical:
             break
         closer = int(np.searchsorted(pairs, low)) - len(apart)
         between = int(np.searchsorted(pairs, high)) - len(apart) - closer

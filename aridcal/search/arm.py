@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from aridcal.effects.loads import Surroundings, is_load
-from aridcal.fit.least_squares import Fit
+from aridcal.fit.least_squares import PLENTY, Fit
 from aridcal.fit.normal_equations import RIDGE, accumulate, solve
 from aridcal.fit.place_noise import independent_share
 from aridcal.fit.problem import problem
@@ -49,9 +49,6 @@ KEPT_NOMINAL = (
 
 BLOCKS = 10
 """Blocks of configurations that are held back in turn. Convention: nine tenths of the rows stay to fit with."""
-
-PLENTY = 8.0
-"""Numbers measured for each coefficient from which a model is not asked: its freedom costs an eighth of the squares at most."""
 
 SURE = 1.0
 """Standard errors by which the larger model must be better (the one-standard-error rule: Breiman and others 1984)."""

@@ -137,13 +137,28 @@ def _prior(geometric: Fit, constants: tuple[Coefficient, ...], state: State) -> 
     parts = [_gauge(geometric, constants), *(a.coefficient_precision for a in state.active)]
     precision = block_diag(*parts)
     mean = np.zeros(len(precision))
-    mean[:count] = [before.get(c.name, 0.0) for c in constants]
+    believed = _believed(geometric, constants).any(
+        axis=1
+    )  # few rows: these are near zero, not near the geometric stage
+    mean[:count] = np.where(believed, 0.0, [before.get(c.name, 0.0) for c in constants])
     return Prior(mean, precision, (np.eye(count), *(a.root for a in state.active)))
 
 
 def _gauge(geometric: Fit, constants: tuple[Coefficient, ...]) -> np.ndarray:
     """Precision with which constants are held at the geometric stage, shape (count, count)."""
-    return np.diag((GAUGE * geometric.model.with_coefficients(constants).sizes) ** -2.0)
+    believed = _believed(geometric, constants)
+    loose = (GAUGE * geometric.model.with_coefficients(constants).sizes) ** -2.0
+    return believed + np.diag(np.where(believed.any(axis=1), 0.0, loose))
+
+
+def _believed(geometric: Fit, constants: tuple[Coefficient, ...]) -> np.ndarray:
+    """Precision with which the geometric stage believed constants to be zero, shape (count, count); zero where nothing is believed."""
+    number = {name: k for k, name in enumerate(geometric.model.names)}
+    there = [k for k, c in enumerate(constants) if c.name in number]
+    own = [number[constants[k].name] for k in there]
+    precision = np.zeros((len(constants), len(constants)))
+    precision[np.ix_(there, there)] = geometric.believed[np.ix_(own, own)]
+    return precision
 
 
 def _regained(start: Start, found: Fit) -> tuple[Coefficient, ...]:

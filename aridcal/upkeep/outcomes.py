@@ -203,5 +203,6 @@ def _fit(question: Problem, solved: SolvedModel, sigma: np.ndarray, which: str) 
         convergence=Convergence(steps=0, gradient=0.0, condition=float("nan")),
         spent=float(len(solved.theta)),
         numbers=float((rows.measures * [channel.size for channel in rows.channels]).sum()),
+        believed=np.zeros((len(solved.theta), len(solved.theta))),
     )
     return recentred(made), residual
