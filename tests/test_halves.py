@@ -14,6 +14,7 @@ from scipy.stats import kstest
 
 from aridcal.effects.basis import Basis
 from aridcal.effects.effect import Coefficient
+from aridcal.effects.sights import TARGET, Sights, target_places
 from aridcal.fit.constants import constants
 from aridcal.fit.least_squares import Fit, fit, fit_identifiable
 from aridcal.fit.problem import problem
@@ -216,3 +217,17 @@ def test_divisions_are_halves_by_blocks_and_none_stands_twice() -> None:
     sides = [tuple(d.side ^ d.side[0]) for d in found]
     assert len(sides) == len(set(sides))
     assert {d.how for d in found if d.of == "row"} == set(PATTERNS)
+
+
+def test_a_field_in_space_is_common_to_both_halves() -> None:
+    """It is a smooth function like a map: halves that had a field of their own each would be compared in more numbers."""
+    truth = robots.simulate(robots.arid(), 80, np.random.default_rng(8), 1e-3, NOISE)
+    plain = calibrated(truth)
+    sights = Sights(truth.model.tip_target[0][1].translation[None])
+    places = target_places(truth.model.robot, truth.readings, np.repeat(sights.targets, len(truth.readings), axis=0))
+    ball = Coefficient("world_base", "x", Basis("ball", TARGET, (*places.mean(axis=0).tolist(), 1.0)))
+    around = replace(plain.model.around, sights=sights)
+    model = replace(plain.model, around=around).with_coefficients((*plain.model.coefficients, ball))
+    field = fit(problem(model, truth.measured), np.append(plain.theta, 0.0))
+    assert np.linalg.norm(field.covariance[-1]) > 0.0  # the rows tell it
+    assert compared(field, truth.measured).freedom[0] == compared(plain, truth.measured).freedom[0]

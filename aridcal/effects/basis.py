@@ -43,6 +43,11 @@ class Basis:
         """True for the basis 1."""
         return self.form == "1"
 
+    @property
+    def smooth(self) -> bool:
+        """True where its coefficient is a sample of a smooth function."""
+        return not self.constant and FORMS[self.form].smooth
+
 
 CONSTANT = Basis()
 
@@ -62,11 +67,13 @@ class Form:
         value: The function of covariates and numbers.
         name: Its readable name: a template of ``of``, the covariates' names, and ``n``, the numbers.
         absent: What its covariate counts as where nobody gives it; None if it must be given.
+        smooth: True where coefficients are samples of a smooth function, so that each means little by itself.
     """
 
     value: Callable[[Columns, Numbers], np.ndarray]
     name: str
     absent: float | None = None
+    smooth: bool = False
 
 
 def _ones(z: Columns, n: Numbers) -> np.ndarray:
@@ -159,9 +166,9 @@ FORMS: dict[str, Form] = {
     "sin": Form(_sine, "sin({n[0]:g}*{of[0]})"),
     "cos": Form(_cosine, "cos({n[0]:g}*{of[0]})"),
     "sign": Form(_sign, "sign({of[0]})"),
-    "bump": Form(_bump, "map({of[0]}@{n[0]:.6g})"),
-    "bump2": Form(_bump_of_two, "map({of[0]}@{n[0]:.6g},{of[1]}@{n[2]:.6g})"),
-    "ball": Form(_ball, "region({n[0]:.6g},{n[1]:.6g},{n[2]:.6g};{n[3]:.6g})"),
+    "bump": Form(_bump, "map({of[0]}@{n[0]:.6g})", smooth=True),
+    "bump2": Form(_bump_of_two, "map({of[0]}@{n[0]:.6g},{of[1]}@{n[2]:.6g})", smooth=True),
+    "ball": Form(_ball, "region({n[0]:.6g},{n[1]:.6g},{n[2]:.6g};{n[3]:.6g})", smooth=True),
     "times_power": Form(_times_power, "{of[0]}*{of[1]}^{n[2]:g}"),
     "step": Form(_step, "step({of[0]}@{n[0]:.12g})", absent=np.inf),
     "label": Form(_label, "{of[0]}", absent=0.0),

@@ -70,9 +70,6 @@ differ between the halves of at least one of them."""
 GRAVITY = ".gravity_"
 """In the names of gravity's loads."""
 
-SAMPLES = ("bump", "bump2")
-"""Forms of bases that are samples of a smooth function."""
-
 
 @dataclass(frozen=True)
 class Division:
@@ -168,7 +165,7 @@ def _loads(fit: Fit, rows: Dataset) -> dict[str, np.ndarray]:
 
 def _of_half(c: Coefficient) -> bool:
     """True for what each half has of its own: all but samples of smooth functions and frames of single stations."""
-    return c.basis.form not in SAMPLES and c.station is None
+    return not c.basis.smooth and c.station is None
 
 
 def divisions(rows: Dataset, loads: Mapping[str, np.ndarray]) -> list[Division]:

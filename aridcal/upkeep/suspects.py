@@ -29,9 +29,6 @@ RATIOS = tuple((10.0 ** np.arange(-1.5, 1.51, 0.5)).tolist())
 NEVER = ("ones", "step")
 """Forms that are no effect of the robot as it is now: constants, and what happened once."""
 
-SMOOTH = ("bump", "bump2", "ball")
-"""Forms whose coefficients are samples of a smooth function."""
-
 
 @dataclass(frozen=True)
 class Suspect:
@@ -135,7 +132,7 @@ def effect_groups(coefficients: Sequence[Coefficient]) -> dict[tuple[str, tuple[
     groups: dict[tuple[str, tuple[str, ...], bool], list[int]] = {}
     for k, c in enumerate(coefficients):
         if not c.basis.constant and c.basis.form not in NEVER:
-            groups.setdefault((c.where, c.basis.of, c.basis.form in SMOOTH), []).append(k)
+            groups.setdefault((c.where, c.basis.of, c.basis.smooth), []).append(k)
     return groups
 
 
