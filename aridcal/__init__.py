@@ -18,8 +18,9 @@ Example:
 
 from __future__ import annotations
 
-from aridcal import interrupt
+from aridcal import interrupt, utf8
 
+utf8.restart()
 interrupt.watch()  # before all other imports: they take a second, in which Ctrl-C would print a traceback
 
 from typing import TYPE_CHECKING  # noqa: E402

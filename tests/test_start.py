@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from dataclasses import replace
@@ -49,6 +50,30 @@ def test_identify_is_ready_to_read_its_table_with_no_slow_library() -> None:
 
 def test_the_list_of_commands_needs_no_arrays() -> None:
     assert not loaded("from aridcal.__main__ import main; main(['--help'])") & {*SLOW, "numpy", "pinocchio", "pydantic"}
+
+
+@pytest.mark.parametrize("module", ["aridcal", "aridcal.identify"])
+def test_a_folder_of_any_letters_is_found_in_a_locale_of_ascii(module: str, tmp_path: Path) -> None:
+    folder = tmp_path / "Süd"
+    folder.mkdir()
+    (folder / "campaign.yaml").write_text("format: 1\n")
+    words = ["identify"] if module == "aridcal" else []
+    ascii_alone = {**os.environ, "LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+    done = subprocess.run(
+        [sys.executable, "-m", module, *words, str(folder / "campaign.yaml")],
+        capture_output=True,
+        cwd=HOME,
+        env=ascii_alone,
+    )
+    said = done.stderr.decode()
+    assert done.returncode == 2 and "Süd" in said and "robot" in said  # read, and lacks the robot
+
+
+def test_a_name_that_is_not_utf8_is_called_so() -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "aridcal", "identify", b"S\xfcd/campaign.yaml"], capture_output=True, cwd=HOME
+    )
+    assert done.returncode == 2 and b"is not UTF-8: rename it" in done.stderr
 
 
 def test_a_slip_in_a_table_is_told_before_what_fits_is_loaded(tmp_path: Path) -> None:

@@ -44,6 +44,8 @@ def check_path(path: Path, error: type[AridcalError]) -> None:
         AridcalError: of the given kind, with the name shortened.
     """
     shown = shortened(printable(str(path)))
+    if any("\udc80" <= c <= "\udcff" for c in str(path)):  # how Python shows bytes that it cannot read
+        raise error(f"{shown}: the name of this file is not UTF-8: rename it")
     if has_controls(str(path)):
         raise error(f"{shown}: the name of this file holds a control character: rename it")
     try:
