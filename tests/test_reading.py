@@ -331,3 +331,11 @@ def test_no_bytes_make_the_size_of_an_image_fail() -> None:
             spoilt[rng.integers(min(len(content), 700))] = rng.integers(256)
             size = image_size(bytes(spoilt))
             assert size is None or min(size) > 0
+
+
+def test_a_cell_of_megabytes_makes_no_column_of_as_many_in_each_row(tmp_path: Path) -> None:
+    long = "x" * 2_000_000
+    (tmp_path / "m.csv").write_text("a,b\n" + "\n".join(f"{k},word" for k in range(99)) + f"\n99,{long}\n")
+    words = read_tables([tmp_path / "m.csv"]).texts("b")
+    assert words.nbytes < 100 * len(long) / 50
+    assert set(words[:99]) == {"word"} and long.startswith(words[99]) and len(words[99]) > 4096

@@ -44,6 +44,9 @@ ENDINGS = (".csv", ".parquet")
 # What is read where a campaign says how (`table`), or is plain csv or a workbook of one sheet all the same.
 OTHER_ENDINGS = (".txt", ".tsv", ".tab", ".dat", ".asc", ".log", ".prn", *workbooks.ENDINGS)
 
+# Characters of a cell as text: no path of a file has more than 4,096, and every cell of a column takes as much as its longest.
+LONGEST_TEXT = 5_000
+
 # Columns that are not there which a message names.
 SHOWN_MISSING = 12
 
@@ -130,10 +133,10 @@ class Table:
         return np.column_stack([self.numbers(name)[0] for name in names])
 
     def texts(self, name: str) -> np.ndarray:
-        """Read a column as text, shape (N,), surrounding blanks removed and empty cells as ``""``."""
+        """Read a column as text, shape (N,), surrounding blanks removed and empty cells as ``""``; of a long cell the beginning."""
         by_file = []
         for column in self.cells[name]:
-            filled = _trimmed(column).fill_null("")
+            filled = pc.utf8_slice_codeunits(_trimmed(column).fill_null(""), 0, LONGEST_TEXT)
             by_file.append(filled.to_numpy(zero_copy_only=False))
         return np.concatenate(by_file).astype(str)
 
