@@ -385,3 +385,24 @@ def test_the_geometric_stage_predicts_without_the_effects() -> None:
     moved = warm.final.poses(q, {"temperature": np.full(5, 25.0)})
     assert np.abs(moved[1] - same[1]).max() > 1e-4
     assert replace(warm, final=warm.geometric).final.poses(q)[1].shape == (5, 3)
+
+
+def test_predictions_of_a_table_in_latin_1_can_be_fed_back(tmp_path: Path) -> None:
+    """Commands write UTF-8, whatever the campaign's own tables are in."""
+    text = (
+        "format: 1\nrobot: {urdf: arid.urdf, tip: flange}\nmeasurements:\n  file: m.csv\n"
+        "  table: {encoding: latin-1}\n  columns: {temperature: Fühler}\n"
+    )
+    model = calibration(
+        effects=(Coefficient("joint_3", "axis", Basis("linear", ("temperature",), (20.0,))),), text=text
+    )
+    query = inside(6).assign(Fühler=np.linspace(12.0, 28.0, 6))
+    query.to_csv(tmp_path / "own.csv", index=False, float_format="%.17g", encoding="latin-1")
+    (tmp_path / "calibration.yaml").write_text(model.dump(), encoding="utf-8")
+    for source, out in (("own.csv", "first.csv"), ("first.csv", "second.csv")):
+        assert (
+            predict.main([str(tmp_path / name) for name in ("calibration.yaml", source)] + ["-o", str(tmp_path / out)])
+            == 0
+        )
+    first, second = (robots.read_csv(tmp_path / name) for name in ("first.csv", "second.csv"))
+    pd.testing.assert_frame_equal(first[[*query, "x", "y", "z"]], second[[*query, "x", "y", "z"]])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import csv
 import hashlib
 import re
@@ -290,6 +291,8 @@ def _read_text(content: bytes, path: Path, limit: Limit, dialect: Dialect, neede
     if dialect == PLAIN and path.suffix.lower() not in workbooks.ENDINGS:
         return read_csv(content, path, limit)
     may_be_plain = needed is not None and path.suffix.lower() == ".csv" and _is_plain(content, needed)
+    if may_be_plain and _is_utf8_instead(content, dialect.encoding):
+        return read_csv(content, path, limit)
     try:
         if dialect.export:
             return read_csv(robot_calibration.as_csv(content, path, dialect.sheet), path, limit)
@@ -315,6 +318,17 @@ def _is_plain(content: bytes, needed: Collection[str]) -> bool:
     places = [k for k, name in enumerate(names) if name.strip() in needed]
     found = {names[k].strip() for k in places} == set(needed)
     return found and all(k < len(cells) and (not cells[k] or PLAIN_NUMBER.fullmatch(cells[k].strip())) for k in places)
+
+
+def _is_utf8_instead(content: bytes, encoding: str) -> bool:
+    """True of letters beyond ASCII that are UTF-8, where another encoding is stated: text in that is hardly ever UTF-8 by chance."""
+    if content.isascii() or codecs.lookup(encoding).name == "utf-8":
+        return False
+    try:
+        content.decode()
+    except UnicodeDecodeError:
+        return False
+    return True
 
 
 def _from_frame(frame: pd.DataFrame) -> FileCells:
