@@ -114,7 +114,7 @@ def _error_table(outcome: Outcome) -> Table:
     from aridcal.result.outcome import errors
 
     mask, rows = scored(outcome)
-    table = Table(title=f"error on {mask.sum()} {rows}", title_justify="left")
+    table = Table(title=f"error on {mask.sum()} {rows}, the instrument's noise included", title_justify="left")
     table.add_column("model", no_wrap=True)
     first, *others = (channel for channel in outcome.channels if not channel.inner)
     shown = [(first, key) for key in SHOWN] + [(channel, key) for channel in others for key in SHOWN[:2]]

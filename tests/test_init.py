@@ -294,6 +294,19 @@ def test_a_frame_in_memory_is_proposed_and_read_like_the_file_of_it(tmp_path):
     assert in_memory.campaign.text.replace(remark, "") == in_file.campaign.text
 
 
+def test_a_controllers_own_pose_is_no_measurement(tmp_path):
+    """UR's real-time data: where a tracker stands beside it, that is taken; alone, it is said what it is."""
+    _, q, p, R = ur10_rows()
+    own = np.hstack([p + 1e-3, R.as_rotvec()])
+    table = named(" ".join(f"actual_q_{k}" for k in range(6)), q)
+    table |= named(" ".join(f"actual_TCP_pose_{k}" for k in range(6)), own)
+    both = draft(UR10, [pd.DataFrame(table | named("x y z", p))], tmp_path / "c.yaml", never)
+    np.testing.assert_allclose(both.rows.position[both.rows.sequence], p, atol=1e-12)
+    alone = draft(UR10, [pd.DataFrame(table)], tmp_path / "c.yaml", never).proposal
+    said = next(g for g in alone.guesses if g.key == "measurements.columns.x")
+    assert "NO MEASUREMENT" in said.why and not said.sure
+
+
 def test_answers_on_the_terminal_are_kept(tmp_path):
     urdf = UR10.read_text().replace('"tool0"', '"hand"').replace('"ee_link"', '"foot"')
     (tmp_path / "r.urdf").write_text(urdf)

@@ -210,6 +210,14 @@ def test_the_first_screen_has_the_errors_on_held_out_rows(outcome: Outcome, repo
         assert question in first
 
 
+def test_each_figure_of_the_first_screen_says_whether_it_holds_the_noise(outcome: Outcome, report: str) -> None:
+    """Errors of rows hold the instrument's, what is said of the region does not: side by side they would contradict."""
+    screen = text(report, "//header")
+    assert "held-out rows, the instrument's noise included. After it 95 % are below" in screen
+    bounds = re.findall(r"off by less than [\d.]+ m\w+ ([^,]*), with 95 %", screen)
+    assert bounds and set(bounds) == {"without the instrument's noise"}
+
+
 def test_outliers_are_named_with_file_and_line(outcome: Outcome, report: str) -> None:
     assert outcome.outlier.sum() == 2
     found = table(report, "Outliers")

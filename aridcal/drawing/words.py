@@ -163,19 +163,17 @@ def _kept(part: Kept, known: Certainty) -> tuple[bool, str]:
     """The same of one of them."""
     unit, share, sure = "mrad" if part.of == "rotation" else "mm", f"{100 * SHARE:.0f} %", f"{100 * CONFIDENCE:.0f} %"
     where, bound = f"in {share} of {known.title}", f"{number(1e3 * part.bound)} {unit}"
+    off = f"off by less than {bound} without the instrument's noise"
     if part.tolerance is None:
         if math.isinf(part.bound):
             return False, f"How far off the target's {part.of} is {where} cannot be said: {part.gap}."
-        return True, f"In{where[2:]} the target's {part.of} is off by less than {bound}, with {sure} confidence."
+        return True, f"In{where[2:]} the target's {part.of} is {off}, with {sure} confidence."
     asked = f"within the tolerance of {number(1e3 * part.tolerance)} {unit} {where}"
     rows = f" {part.rows_within:,} of {part.rows:,} {part.judges} read less, the instrument's noise included." * (
         part.rows > 0
     )
     if part.within:
-        return (
-            True,
-            f"{part.of.capitalize()} {asked}, with {sure} confidence: it is off by less than {bound} there.{rows}",
-        )
+        return True, f"{part.of.capitalize()} {asked}, with {sure} confidence: it is {off} there.{rows}"
     return False, f"{part.of.capitalize()} not {asked}: {'; '.join(part.reasons)}.{rows}"
 
 

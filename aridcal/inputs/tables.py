@@ -134,7 +134,7 @@ class Table:
         return np.column_stack([self.numbers(name)[0] for name in names])
 
     def texts(self, name: str) -> np.ndarray:
-        """Read a column as text, shape (N,), surrounding blanks removed and empty cells as ``""``; of a long cell the beginning."""
+        """Read a column as text, shape (N,), surrounding blanks removed, empty cells as ``""``, long ones cut."""
         by_file = []
         for column in self.cells[name]:
             filled = pc.utf8_slice_codeunits(_trimmed(column).fill_null(""), 0, LONGEST_TEXT)
@@ -321,7 +321,7 @@ def _is_plain(content: bytes, needed: Collection[str]) -> bool:
 
 
 def _is_utf8_instead(content: bytes, encoding: str) -> bool:
-    """True of letters beyond ASCII that are UTF-8, where another encoding is stated: text in that is hardly ever UTF-8 by chance."""
+    """True of letters beyond ASCII that are UTF-8, which text in the stated encoding hardly ever is by chance."""
     if content.isascii() or codecs.lookup(encoding).name == "utf-8":
         return False
     try:

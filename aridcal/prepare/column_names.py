@@ -33,6 +33,8 @@ COMMANDED = _set(
 MEASURED = _set("measured measurement meas actual tracker laser mocap leica marker reflector smr probe")
 # Of these, words for what may be one of several on a body.
 ON_A_BODY = _set("marker reflector smr probe")
+# Words of what a controller computes of its own joints: ``actual_TCP_pose`` of UR's real-time data.
+COMPUTED = _set("actual tcp pose")
 # Words for how well something was measured.
 SCATTER = _set("std sigma sd stdev error err residual")
 # Words for what is neither a reading nor a pose.
@@ -81,6 +83,11 @@ class Family:
     def commanded(self) -> bool:
         """Whether the names speak of what was asked for, not of what was measured."""
         return bool(self.about & COMMANDED)
+
+    @property
+    def computed(self) -> bool:
+        """Whether this is where a controller's own model has its tool, so that nothing was measured."""
+        return self.about >= COMPUTED
 
     @property
     def measured(self) -> bool:

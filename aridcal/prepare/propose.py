@@ -48,6 +48,12 @@ TIPS = ("tool0", "flange", "ee_link", "tcp")
 HOW = {"similar name": "names alike", "number": "by their numbers", "order": "by their ORDER along the chain"}
 
 
+COMPUTED_ALONE = (
+    "what the controller's own model makes of its joints, NO MEASUREMENT: a calibration to it gives that model back. Name the "
+    "columns of an instrument"
+)
+"""What is said of positions that a controller computes, where there are no others."""
+
 QUESTIONS = ("table.sheet", "table.dates", "table.decimal", "joints", "columns", "units", "orientation")
 """Keys of what may be asked; answers may be given beforehand."""
 
@@ -206,7 +212,7 @@ def _position(table: Table, used: set[str], joints: Sequence[str], asker: Asker,
     families = [family for family in seen if seen[family].all(axis=1).any()] or [f for f in seen if seen[f].any()]
     if not families:
         raise MeasurementError(f"{table.title}: no columns for the target's position: {_no_position(table, free)}")
-    likely = [family for family in families if not family.commanded] or families
+    likely = [family for family in families if not (family.commanded or family.computed)] or families
     surest = [family for family in likely if family.about & (MEASURED - ON_A_BODY)]
     moved, left = likely, ""
     if len(likely) > 1 and len(surest) != 1:
@@ -225,8 +231,10 @@ def _position(table: Table, used: set[str], joints: Sequence[str], asker: Asker,
         picked = likely[asker.pick("columns", question, options, "more than one may be")]
     passed = [" ".join(family.columns) for family in families if family is not picked]
     why = "the measured position" + (f", not {' or '.join(passed)}{left}" if passed else "")
+    if picked.computed:
+        why = COMPUTED_ALONE
     columns = dict(zip(POSITION, picked.columns, strict=True))
-    made.say_columns(columns, why, sure=not picked.commanded)
+    made.say_columns(columns, why, sure=not (picked.commanded or picked.computed))
     return picked
 
 

@@ -144,8 +144,8 @@ def _card(outcome: Outcome, k: int) -> Html:
     found = [(step, errors(step.residual, mask, outcome.channels)[channel.key]) for step in steps(outcome)]
     before, after = found[0][1], found[-1][1]
     said = (
-        f"before → after calibration, on {mask.sum():,} {rows}. After it 95 % are below {number(after['p95'])} {unit}; "
-        f"the largest is {number(after['max'])} {unit}.{at_target_in_words(outcome, k, mask)}"
+        f"before → after calibration, on {mask.sum():,} {rows}, the instrument's noise included. After it 95 % are below "
+        f"{number(after['p95'])} {unit}; the largest is {number(after['max'])} {unit}.{at_target_in_words(outcome, k, mask)}"
     )
     bars = _bars([(step, e["rms"]) for step, e in found], unit)
     own = in_controller(outcome, k)
