@@ -137,6 +137,20 @@ def test_without_joints_in_the_table_a_solution_is_searched_for(tmp_path: Path) 
     np.testing.assert_allclose(predicted(tmp_path, out)[POSE], poses, rtol=0, atol=1e-6)
 
 
+def test_a_seed_that_leads_nowhere_puts_no_pose_out_of_reach(tmp_path: Path) -> None:
+    """Starts from anywhere, some of which end in a fold: without a seed all poses are reached."""
+    model = calibration()
+    poses = wanted(tmp_path, model, readings(40))[POSE]
+    anywhere = np.random.default_rng(5).uniform(-1.2, 1.2, (40, 6))
+    R = Rotation.from_quat(poses[POSE[3:]]).as_matrix()
+    search = model.inverse_kinematics()
+    lost = [not search.command(*each, {}).reached for each in zip(R, poses[POSE[:3]].to_numpy(), anywhere, strict=True)]
+    assert any(lost)
+    _, out = run(tmp_path, model, poses.assign(**dict(zip(model.final.model.robot.readings, anywhere.T, strict=True))))
+    assert robots.read_csv(out)["reached"].all()
+    np.testing.assert_allclose(predicted(tmp_path, out)[POSE], poses, rtol=0, atol=1e-6)
+
+
 def test_poses_out_of_reach_are_said_to_be(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     model = calibration()
     poses = wanted(tmp_path, model, readings(4))[POSE]

@@ -27,7 +27,8 @@ if TYPE_CHECKING:
 STILL = 1e-6
 """A joint that moves by less keeps its side of the backlash, [rad] or [m]."""
 RESTARTS = 30
-"""Starts that are tried for a pose that comes without a seed, until one ends inside the ranges seen."""
+"""Starts that are tried for a pose that comes without a seed, or with one that leads nowhere, until one ends inside the ranges
+seen."""
 TURN = 2.0 * math.pi
 """Once round, [rad]."""
 GENTLE = 0.02
@@ -137,7 +138,8 @@ class Trajectory:
 class _Walk:
     """One command for each row, each starting from its seed or where the row before ended.
 
-    Rows without a seed may change to another branch to stay inside the ranges seen.
+    Rows without a seed may change to another branch to stay inside the ranges seen, and those whose seed leads nowhere to reach
+    the pose at all.
     """
 
     def __init__(self, saved: SavedModel) -> None:
@@ -173,7 +175,7 @@ class _Walk:
             own = query.readings[k]
             seed = np.where(np.isnan(own), self._last, own)
             best = inverse.command(R[k], query.position[k], seed, given)
-            if np.isnan(own).any():
+            if np.isnan(own).any() or not best.reached:
                 best = _searched(inverse, R[k], query.position[k], given, self._seen, self._rng, best)
             self._last = best.readings
             found.append(best)
