@@ -152,6 +152,12 @@ def _midnight(t: Truth) -> bytes:
     return text({"time": when} | plain(t))
 
 
+def _two_days(t: Truth) -> bytes:
+    """The same hours of two days."""
+    half = pd.date_range("2024-03-14 09:00:00", periods=(len(t.q) + 1) // 2, freq="37s").strftime("%H:%M:%S").to_numpy()
+    return text({"time": np.tile(half, 2)[: len(t.q)]} | plain(t))
+
+
 def _either_date(t: Truth) -> bytes:
     """Days 1 to 12 of months 1 to 12, in no order: 03/04 may be either."""
     days = np.array([f"{(5 * k) % 12 + 1:02d}/{(7 * k) % 12 + 1:02d}/2024 10:00:{k:02d}" for k in range(len(t.q))])
@@ -189,7 +195,8 @@ HOSTILE: tuple[Case, ...] = (
     Case("two_sheets.xlsx", "Excel: two sheets with tables", _xlsx_two, expected=ASKED),
     Case("entities.xlsx", "Excel: entities in its XML", _xlsx_bomb, expected=ASKED),
     Case("old.xls", "Excel's old binary format", _old_excel, expected=ASKED),
-    Case("midnight.csv", "times of day that pass midnight", _midnight, expected=ASKED),
+    Case("midnight.csv", "times of day that pass midnight", _midnight),
+    Case("two_days.csv", "times of day of two days", _two_days, expected=ASKED),
     Case("either.csv", "03/04/2024 in no order: day or month", _either_date, expected=ASKED),
     Case("hardly.csv", "joints that hardly moved: degrees and radians fit alike", _hardly_moved, expected=ASKED, pose=False),
     Case("motive_alone.csv", "OptiTrack Motive without joints", lambda t: motive(t, joints=False), expected=ASKED),

@@ -31,6 +31,7 @@ from aridcal.instruments.catalogue import KINDS
 from aridcal.instruments.channels import TARGET_POSITION, TARGET_ROTATION, Channels
 from aridcal.instruments.pose import turned
 from aridcal.instruments.setup import Block
+from aridcal.reading.dates import DAY, NIGHTS, unrolled
 from aridcal.reading.freed import give_back
 from aridcal.robot.chain import JointKind
 
@@ -163,6 +164,7 @@ def _read(asked: _Asked, number: int, tables: Sequence[AnyTable], alone: bool) -
     covariates = source.covariates()
     if asked.own_files:  # other tables, another day's for instance, need not have what is ignored anyway
         source.note_unknown_ignored()
+    _unroll(source, covariates)
     time, others = covariates.get("time"), [covariates[name] for name in sorted(covariates) if name != "time"]
     held = [q, observed, quaternion, std, *others]
     labels = [station, target, *(() if plain else refers.T)]
@@ -218,6 +220,28 @@ def _read(asked: _Asked, number: int, tables: Sequence[AnyTable], alone: bool) -
     numbers = sum(channel.size for channel in channels)
     noise = RowNoise(None if std is None else std[chosen, :numbers], absolute=settings.noise.rows == "absolute")
     return rows, chosen, noise
+
+
+def _unroll(source: Source, covariates: dict[str, np.ndarray]) -> None:
+    """Add a day to the times of rows after midnight.
+
+    Raises:
+        MeasurementError: nobody can tell how many nights they pass.
+    """
+    if "time" not in covariates:
+        return
+    column, dates, time = source.column("time"), source.settings.table.dialect.dates, covariates["time"]
+    of_day = dates is not None and dates.name == column and float(np.nanmax(np.abs(time))) < 2 * DAY
+    clock = unrolled(time, of_day)
+    if clock is None:
+        raise MeasurementError(f"{source.table.title}: column {column!r} {NIGHTS}")
+    passed = clock != time
+    if of_day:
+        passed |= clock >= DAY
+    if (passed & np.isfinite(time)).any():
+        line = source.table.line[np.flatnonzero(passed & np.isfinite(time))[0]]
+        source.note(column, f"passes midnight: from line {line} on it counts one day more")
+    covariates["time"] = clock
 
 
 def _without_rows(like: _Part, settings: MeasurementSettings) -> _Part:

@@ -214,7 +214,8 @@ def read_tables(
         spare: Columns that are left out if some files lack them, or hold lists in them; None: any.
         limit: Size of each file, and of its cells in memory.
         dialect: How files of text are written; by default UTF-8, commas, decimal points, one header line.
-        needed: Columns of a file that is plain csv in spite of `dialect`: what commands write is. None: no file is.
+        needed: Columns of a file that is plain csv in spite of `dialect`: what commands write is; dates and lists that the
+            dialect names need not be in such files. None: no file is plain, and all must be there.
 
     Raises:
         MeasurementError: a file is missing, empty, too large, of another kind or in another dialect, has a column twice, or
@@ -296,7 +297,7 @@ def _read_text(content: bytes, path: Path, limit: Limit, dialect: Dialect, neede
     try:
         if dialect.export:
             return read_csv(robot_calibration.as_csv(content, path, dialect.sheet), path, limit)
-        read = read_written(content, path, limit, dialect)
+        read = read_written(content, path, limit, dialect, needed is not None)
     except MeasurementError:
         if may_be_plain:
             return read_csv(content, path, limit)

@@ -6,6 +6,8 @@ import re
 from collections.abc import Sequence
 from datetime import UTC, datetime
 
+import numpy as np
+
 ORDERS = ("ymd", "dmy", "mdy")
 """In which day, month and year may stand."""
 
@@ -24,6 +26,19 @@ CENTURY = 70
 """Years of two digits from here on are of 1900."""
 
 DAY = 86_400.0
+
+MOST_DAYS = 7
+"""Steps back of a clock that may each be another day; a table in no order at all has more."""
+
+SWAPPED = 10.0
+"""Usual steps of a clock: one that steps back by less has no new day, but rows that changed their places."""
+
+
+NIGHTS = (
+    "steps back as if it passed midnight more than once, or a night, and has no date: add the date, put rows in the order in "
+    "which they were measured, or leave the column out (`ignore`, `table.dates`)"
+)
+"""What is said of a column of such times."""
 
 
 def seconds(cell: str, order: str) -> float | None:
@@ -54,6 +69,41 @@ def orders(cells: Sequence[str]) -> tuple[str, ...]:
 def has_date(cell: str) -> bool:
     """True of a date, false of a time of day alone."""
     return any(_date(cell.strip(), order)[0] is not None for order in ORDERS)
+
+
+def unrolled(clock: np.ndarray, of_day: bool) -> np.ndarray | None:
+    """Times in the order of their rows, with a day added from midnight on where they are times of day and pass it once.
+
+    Args:
+        clock: Shape (N,), [s], NaN where a row has none.
+        of_day: True of what was written as times of day; other numbers may count from anything.
+
+    Returns:
+        Shape (N,); None where rows pass midnight, or a night, and nobody can tell how often: to sort them would mix their days.
+    """
+    rows = np.flatnonzero(np.isfinite(clock))
+    times = clock[rows]
+    back = np.flatnonzero(np.diff(times) < 0)
+    if not len(back) or not (of_day or (times.min() >= 0.0 and times.max() < DAY)):
+        return clock
+    by = times[back] - times[back + 1]
+    before, after = times[: back[0] + 1], times[back[0] + 1 :]
+    if len(back) == 1 and by[0] > DAY / 2 and after.max() < before.min():
+        later = np.zeros(len(clock))
+        later[rows[back[0] + 1 :]] = DAY
+        return clock + later
+    few, long = len(back) <= MOST_DAYS, by > DAY / 2
+    if of_day:
+        nights = bool(long.any()) or (few and bool(np.any(by > SWAPPED * np.median(np.abs(np.diff(times))))))
+    else:
+        nights = few and bool(long.all())
+    return None if nights else clock
+
+
+def of_the_day(clock: np.ndarray, low: float, high: float) -> np.ndarray:
+    """Times of day, shape (N,), as those between two others count that pass midnight."""
+    after = (clock >= 0.0) & (clock < low) & (clock + DAY <= high)
+    return np.where((low < DAY <= high < low + DAY) & after, clock + DAY, clock)
 
 
 def _date(text: str, order: str) -> tuple[float | None, str]:

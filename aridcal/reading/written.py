@@ -15,7 +15,7 @@ import pyarrow as pa
 
 from aridcal.errors import MeasurementError, nearest, shortened
 from aridcal.reading import workbooks
-from aridcal.reading.dates import DAY, has_date, seconds
+from aridcal.reading.dates import NIGHTS, has_date, seconds, unrolled
 from aridcal.reading.dialect import BLANKS, Dates, Dialect
 from aridcal.reading.files import Limit, not_utf8
 from aridcal.reading.numerals import as_numbers, pattern, several
@@ -33,7 +33,7 @@ WORD = re.compile(r'"(?:[^"]|"")*"|[^\s"]+')
 """A cell between blanks; one in quotes may hold some."""
 
 
-def read_written(content: bytes, path: Path, limit: Limit, dialect: Dialect) -> FileCells:
+def read_written(content: bytes, path: Path, limit: Limit, dialect: Dialect, partial: bool = False) -> FileCells:
     """Read a table of text, or a sheet of a workbook, in a dialect.
 
     Args:
@@ -41,6 +41,7 @@ def read_written(content: bytes, path: Path, limit: Limit, dialect: Dialect) -> 
         path: Whence it came, for messages.
         limit: Memory that its cells may take.
         dialect: How it is written.
+        partial: Whether columns of dates and of lists that the dialect names need not be there.
 
     Returns:
         Its cells as text, numbers with points; columns of dates as numbers, [s]. Lines are those of the file.
@@ -75,7 +76,15 @@ def read_written(content: bytes, path: Path, limit: Limit, dialect: Dialect) -> 
     shift = above - begins + 1
     broken = tuple(replace(row, line=row.line - shift) for row in read.broken)
     read = replace(read, line=read.line - shift, broken=broken)
+    if partial:
+        dialect = _of_columns(dialect, read.cells.column_names)
     return replace(read, cells=_converted(read, dialect, path))
+
+
+def _of_columns(dialect: Dialect, names: Collection[str]) -> Dialect:
+    """A dialect without the dates and lists of columns that are not there."""
+    dates = dialect.dates if dialect.dates and not set(dialect.dates.columns).isdisjoint(names) else None
+    return replace(dialect, dates=dates, lists={name: parts for name, parts in dialect.lists.items() if name in names})
 
 
 def decoded(content: bytes, path: Path, encoding: str) -> str:
@@ -262,7 +271,7 @@ def _in_seconds(cells: pa.Table, lines: np.ndarray, dates: Dates, path: Path) ->
     """Columns of dates as one of seconds; null where a cell is empty.
 
     Raises:
-        MeasurementError: a cell is no date of that order, or times of day without a date pass midnight.
+        MeasurementError: a cell is no date of that order, or times of day without a date pass several nights.
     """
     parts = [cells[name].to_pylist() for name in dates.columns]
     values: list[float | None] = []
@@ -279,9 +288,9 @@ def _in_seconds(cells: pa.Table, lines: np.ndarray, dates: Dates, path: Path) ->
             )
         dated = dated or (not dated and bool(text) and has_date(text))
         values.append(value)
-    known = [value for value in values if value is not None]
-    if not dated and any(b < a - DAY / 2 for a, b in itertools.pairwise(known)):
-        raise MeasurementError(
-            f"{path}: column {dates.name!r} passes midnight and has no date: add it, or leave the column out of `table.dates`"
-        )
-    return pa.chunked_array([pa.array(values, pa.float64())])
+    if dated:
+        return pa.chunked_array([pa.array(values, pa.float64())])
+    clock = unrolled(np.array(values, dtype=float), of_day=True)
+    if clock is None:
+        raise MeasurementError(f"{path}: column {dates.name!r} {NIGHTS}")
+    return pa.chunked_array([pa.array(clock, from_pandas=True)])
