@@ -198,6 +198,7 @@ class CalibrationDocument(Settings):
     robot: RobotPart
     noise: NoisePart
     ranges: dict[str, Pair]
+    recorded: dict[str, Pair] = Field(default_factory=dict)
     holes: dict[str, tuple[Pair, ...]] = Field(default_factory=dict)
     largest_std: LargestPart = LargestPart()
     geometric: SolvedPart

@@ -22,9 +22,10 @@ from aridcal.inputs.query import Query, load_query
 from aridcal.inputs.tables import IN_MEMORY, AnyTable, Remark, Table
 from aridcal.model.inverse import InverseKinematics
 from aridcal.model.model import Model
+from aridcal.reading.dates import of_the_day
 from aridcal.result.saved_model import SavedModel
 from aridcal.result.stretches import Stretch, stretches
-from aridcal.trust.seen import Seen
+from aridcal.trust.seen import CLOCK, EXPANSION, Seen, beyond_heat, elsewhere
 from aridcal.trust.untold import told_of
 from aridcal.trust.workspace import spread_out, target_covariance, worst_direction
 
@@ -101,11 +102,20 @@ def _query(saved: SavedModel, table: AnyTable | Table, poses: bool) -> Query:
         of_labels=labels_of(c.basis for c in saved.final.model.coefficients),
         limit=saved.limits.table,
     )
+    query = _as_nights_count(saved, query)
     if poses:
         return query
     if isinstance(table, Table):
         return _sides_unknown(saved, query, table.files[0].name)
     return _sides_unknown(saved, query, Path(table).name if isinstance(table, str | Path) else IN_MEMORY.name)
+
+
+def _as_nights_count(saved: SavedModel, query: Query) -> Query:
+    """A query whose times of day count on from midnight as those of the calibration do, where its rows passed it."""
+    seen = saved.recorded | saved.ranges
+    if CLOCK not in query.covariates or CLOCK not in seen:
+        return query
+    return replace(query, covariates=query.covariates | {CLOCK: of_the_day(query.covariates[CLOCK], *seen[CLOCK])})
 
 
 def _sides_unknown(saved: SavedModel, query: Query, file: str) -> Query:
@@ -282,7 +292,9 @@ def orientations(R: np.ndarray, settings: MeasurementSettings) -> np.ndarray:
 
 
 def std_of(saved: SavedModel, query: Query) -> np.ndarray:
-    """Standard deviations of the target's pose, as :meth:`SolvedModel.std` has them, shape (N, 6); NaN where unknown.
+    """Standard deviations of the target's pose, shape (N, 6); NaN where unknown.
+
+    As :meth:`SolvedModel.std` has them, and what heat may do beyond the temperatures seen (:func:`growth`).
 
     Args:
         saved: The model.
@@ -293,14 +305,25 @@ def std_of(saved: SavedModel, query: Query) -> np.ndarray:
     station = None if query.station is None else query.station[known]
     std = np.full((len(known), 6), np.nan)
     std[known] = saved.final.std(query.readings[known], covariates, station)
+    std[:, :3] = np.hypot(std[:, :3], growth(saved, query)[:, None])
     return std
+
+
+def growth(saved: SavedModel, query: Query) -> np.ndarray:
+    """1-sigma per axis of how much the arm has grown by heat that no row of the calibration saw, shape (N,), [m].
+
+    Of the arm's length, along one direction that nobody knows: a third of its square for each axis.
+    """
+    if not query.covariates:
+        return np.zeros(len(query.line))
+    return EXPANSION * saved.span / np.sqrt(3.0) * beyond_heat(query.covariates, saved.recorded | saved.ranges)
 
 
 def extrapolates(saved: SavedModel, query: Query, std: np.ndarray) -> np.ndarray:
     """Rows that are not like those that the calibration has seen, shape (N,).
 
-    See :meth:`aridcal.trust.seen.Seen.beyond`; and far from all places that a field is known at, or of a label that is none of
-    those that deviate, each by itself.
+    See :meth:`aridcal.trust.seen.Seen.beyond` and :func:`aridcal.trust.seen.elsewhere`; and far from all places that a field is
+    known at, or of a label that is none of those that deviate, each by itself.
 
     Args:
         saved: The model.
@@ -310,6 +333,7 @@ def extrapolates(saved: SavedModel, query: Query, std: np.ndarray) -> np.ndarray
     readings = dict(zip(saved.final.model.robot.readings, query.readings.T, strict=True))
     seen = Seen(saved.ranges, saved.holes, saved.largest_std)
     beyond = seen.beyond(query.covariates | readings, std)
+    beyond |= elsewhere(query.covariates | readings, saved.recorded)
     beyond |= without_label((c.basis for c in saved.final.model.coefficients), query.covariates, len(beyond))
     known = query.usable & np.isfinite(query.readings).all(axis=1)
     beyond[known] |= _far(saved, query, known)
@@ -367,6 +391,7 @@ def uncertainty(saved: SavedModel, query: Query, tool: Sequence[float]) -> pd.Da
     final = saved.final
     rows = final.model.rows(query.readings[known], covariates, station)
     covariance = target_covariance(final.model, final.theta, final.covariance, rows, np.asarray(tool, dtype=float))
+    covariance[:, :3, :3] += growth(saved, query)[known, None, None] ** 2 * np.eye(3)
     sigma, way = worst_direction(covariance[:, :3, :3])
     columns = {
         "sigma_mm": 1e3 * sigma,

@@ -133,6 +133,7 @@ class SavedModel:
         largest_std: Largest standard deviation of the predicted position [m], and of the rotation [rad], at the fitted rows, all
             three axes together; infinite in such files.
         untold: Combinations of constants that no reading told, and that move the target.
+        recorded: Lowest and highest value seen of the other numeric columns of the tables, on which nothing depends.
     """
 
     geometric: SolvedModel
@@ -145,6 +146,7 @@ class SavedModel:
     holes: dict[str, Ranges] = field(default_factory=dict)
     largest_std: tuple[float, float] = (np.inf, np.inf)
     untold: tuple[Untold, ...] = ()
+    recorded: dict[str, tuple[float, float]] = field(default_factory=dict)
 
     @property
     def measurements(self) -> MeasurementSettings:
@@ -165,6 +167,19 @@ class SavedModel:
     def frames_by(self) -> Literal["station", "target"]:
         """Column that says which frames a row has, where there are several."""
         return "target" if self.record.get("frames_by") == "target" else "station"
+
+    @property
+    def span(self) -> float:
+        """How long the arm is from its first joint to the target, with the travel that was seen of what slides, [m]."""
+        robot = self.final.model.robot
+        links = sum(float(np.linalg.norm(joint.placement.translation)) for joint in robot.joints[1:])
+        travels = [
+            float(np.ptp(self.ranges[j.reading]))
+            for j in robot.joints
+            if j.kind == "prismatic" and j.reading in self.ranges
+        ]
+        ends = [robot.tip_before * robot.tip_origin * frame for _, frame in self.final.model.tip_target]
+        return links + sum(travels) + max(float(np.linalg.norm(end.translation)) for end in ends)
 
     @property
     def scatter(self) -> tuple[tuple[float, float], tuple[float, float]]:
@@ -277,6 +292,7 @@ class SavedModel:
             },
             "noise": {"position": self.noise[0], "rotation": self.noise[1]},
             "ranges": {name: list(pair) for name, pair in self.ranges.items()},
+            **({"recorded": {name: list(pair) for name, pair in self.recorded.items()}} if self.recorded else {}),
             "holes": {name: [list(pair) for pair in pairs] for name, pairs in self.holes.items()},
             "largest_std": dict(zip(("position", "rotation"), self.largest_std, strict=True)),
             "geometric": _solved_document(self.geometric),
@@ -372,6 +388,7 @@ def _restored(document: CalibrationDocument, record: dict[str, Any]) -> SavedMod
         document.holes,
         (document.largest_std.position, document.largest_std.rotation),
         untold,
+        document.recorded,
     )
 
 

@@ -10,6 +10,7 @@ import pinocchio as pin
 
 from aridcal import __version__
 from aridcal.effects.effect import Coefficient
+from aridcal.effects.labels import is_label
 from aridcal.effects.sights import Sights
 from aridcal.fit.least_squares import LEAST_FREEDOM, Fit
 from aridcal.fit.noise import contradicted
@@ -68,6 +69,7 @@ def calibration(outcome: Outcome) -> SavedModel:
         {name: found for name, v in seen.items() if (found := holes(v))},
         largest(std),
         () if outcome.certainty is None else _of_target(outcome.certainty.untold, final, target),
+        {name: ends(v) for name, v in recorded_in(outcome).items() if name not in seen},
     )
 
 
@@ -77,6 +79,14 @@ def seen_in(outcome: Outcome) -> dict[str, np.ndarray]:
     used = ~m.test & ~outcome.outlier
     seen = dict(zip(outcome.robot.readings, m.readings[used].T, strict=True))
     return seen | {name: m.covariates[name][used] for name in outcome.stage("final").fit.model.needs}
+
+
+def recorded_in(outcome: Outcome) -> dict[str, np.ndarray]:
+    """Numeric columns of the tables, as the fitted rows have them, by name, shape (n,) each."""
+    m = outcome.measurements
+    used = ~m.test & ~outcome.outlier
+    named = [name for name in m.covariates if name not in m.derived and not is_label(name)]
+    return {name: v for name in named if np.isfinite(v := m.covariates[name][used]).any()}
 
 
 def ends(values: np.ndarray) -> tuple[float, float]:

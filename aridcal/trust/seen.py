@@ -31,6 +31,20 @@ SPREAD = 3.0
 """Times the largest standard deviation of a prediction at the fitted rows, beyond which a prediction extrapolates. Between rows
 that surround it no function that they fix is that uncertain."""
 
+ASIDE = 0.25
+"""Of its range seen, by which a recorded column on which nothing depends may leave it: of 100 rows of normal values another lies
+that far out once in some thousands, so that ten such columns mark nothing by chance."""
+
+CLOCK = "time"
+"""A column that always leaves its range: what is predicted is later."""
+
+HEAT = "temperature"
+"""Beginning of the names of columns of temperatures, [°C] or [K]."""
+
+EXPANSION = 1e-5
+"""[1/K], one sigma: steel, cast iron and aluminium grow by 10 to 23 millionths, gears and bearings shift zeros by as much again
+or against it; what the rows told of it ends with the temperatures that they saw."""
+
 CHANNELS = (slice(0, 3), slice(3, 6))
 """Position and rotation in the six numbers of a pose."""
 
@@ -94,6 +108,31 @@ def holes(values: np.ndarray) -> tuple[Range, ...]:
     wide = (count >= FEWEST) & (steps > WIDE * usual)
     edges = np.column_stack([low + EDGE * usual, high - EDGE * usual])[wide]
     return tuple((first, last) for first, last in edges.tolist())
+
+
+def elsewhere(columns: Mapping[str, np.ndarray], recorded: Mapping[str, Range]) -> np.ndarray:
+    """Rows of which a recorded column, on which nothing depends, has left its range, shape (N,).
+
+    Args:
+        columns: Of the rows, shape (N,) each; what they lack marks nothing.
+        recorded: Lowest and highest value seen.
+    """
+    found = np.zeros(len(next(iter(columns.values()))), dtype=bool)
+    for name in (recorded.keys() & columns.keys()) - {CLOCK}:
+        low, high = recorded[name]
+        aside = ASIDE * (high - low)
+        found |= (columns[name] < low - aside) | (columns[name] > high + aside)
+    return found
+
+
+def beyond_heat(columns: Mapping[str, np.ndarray], seen: Mapping[str, Range]) -> np.ndarray:
+    """How far temperatures are outside of what was seen, shape (N,), [K]: of several the farthest; 0 where none is recorded."""
+    away = np.zeros(len(next(iter(columns.values()))))
+    for name in seen.keys() & columns.keys():
+        if name.startswith(HEAT):
+            low, high = seen[name]
+            away = np.fmax(away, np.fmax(low - columns[name], columns[name] - high))
+    return away
 
 
 def largest(std: np.ndarray) -> tuple[float, float]:

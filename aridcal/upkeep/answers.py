@@ -22,7 +22,7 @@ MILLI = 1e3
 
 
 def check_lines(checked: Checked, changes: Sequence[Change], settings: MeasurementSettings) -> list[str]:
-    """The answer of `aridcal check`, the verdict first.
+    """The answer of `aridcal check`, the verdict first; before it temperatures that the calibration did not see.
 
     Args:
         checked: What the rows say.
@@ -37,7 +37,7 @@ def check_lines(checked: Checked, changes: Sequence[Change], settings: Measureme
         if seen
     )
     left = f"{len(rows)} rows: {said(checked.residual, every, rows)} RMS where the noise is {expected} per axis"
-    lines = [_verdict(checked), left if error is None else f"{left}; {_error(error)}"]
+    lines = [*_heat_line(checked), _verdict(checked), left if error is None else f"{left}; {_error(error)}"]
     if checked.unseen:
         lines.append(f"not seen by these rows, whatever moved: {enumerated([s.words for s in checked.unseen])}")
     for change in changes:
@@ -62,6 +62,20 @@ def left_out_line(made: RepairOutcomes) -> str:
     )
     held = f"; {said(after, m.test, m)} on {int(m.test.sum())} held-out rows" if m.test.any() else ""
     return f"error of the new rows: {before} before, {now} after, {left} where each is left out{held}"
+
+
+def _heat_line(checked: Checked) -> list[str]:
+    """That the rows were measured at temperatures that the calibration did not see, and what that alone does."""
+    heat = checked.heat
+    if heat is None:
+        return []
+    low, high = (f"{value:.4g}" for value in heat.rows)
+    here = low if low == high else f"{low} to {high}"
+    return [
+        f"{heat.column} {here}, where the calibration saw {heat.seen[0]:.4g} to {heat.seen[1]:.4g}: {heat.beyond:.3g} K more or "
+        f"less move the target by some {MILLI * heat.growth:.2g} mm, and shift zeros. What follows may be no more than that: check "
+        "at the calibration's own temperature before anything is mended"
+    ]
 
 
 def _error(error: Bounds) -> str:

@@ -14,6 +14,7 @@ from aridcal.inputs.campaign import Frames
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.channels import spread
 from aridcal.result.saved_model import SavedModel, SolvedModel
+from aridcal.trust.seen import ASIDE, EXPANSION, beyond_heat
 from aridcal.upkeep.bounds import FALSE_ALARMS, Bounds, error_of
 from aridcal.upkeep.evidence import TIMES, Alarm, Question, alarm, evidence, likely, taken_up
 from aridcal.upkeep.new_rows import Noise, freedom_of, known_noise
@@ -57,6 +58,25 @@ class Cause:
 
 
 @dataclass(frozen=True)
+class Heat:
+    """Temperatures of rows that the calibration did not see.
+
+    Attributes:
+        column: Where they are recorded.
+        rows: Lowest and highest of the rows.
+        seen: Lowest and highest that the calibration saw.
+        beyond: How far the farthest row is outside of that, [K].
+        growth: By how much an arm of this length grows then, [m].
+    """
+
+    column: str
+    rows: tuple[float, float]
+    seen: tuple[float, float]
+    beyond: float
+    growth: float
+
+
+@dataclass(frozen=True)
 class Checked:
     """What new rows say of a calibration.
 
@@ -74,6 +94,7 @@ class Checked:
         tolerance: [m], if one was given.
         unknowns: What of the wide model only these rows tell.
         unseen: Suspects that these rows cannot show, whatever moved.
+        heat: Temperatures that the calibration did not see, if any.
     """
 
     rows: Dataset
@@ -88,6 +109,7 @@ class Checked:
     tolerance: float | None
     unknowns: Wide
     unseen: tuple[Suspect, ...] = ()
+    heat: Heat | None = None
 
     @property
     def moved(self) -> tuple[Cause, ...]:
@@ -168,8 +190,32 @@ def check(saved: SavedModel, rows: Dataset, tolerance: float | None = None, fram
             "positions, points, distances or planes"
         )
     return Checked(
-        rows, wide, noise, residual, first, tuple(causes), rest, question, error, tolerance, unknowns, unseen
+        rows,
+        wide,
+        noise,
+        residual,
+        first,
+        tuple(causes),
+        rest,
+        question,
+        error,
+        tolerance,
+        unknowns,
+        unseen,
+        _heat(saved, rows),
     )
+
+
+def _heat(saved: SavedModel, rows: Dataset) -> Heat | None:
+    """The column of temperatures that is farthest from what the calibration saw, if one is farther than that varied."""
+    found = []
+    for name, (low, high) in (saved.recorded | saved.ranges).items():
+        values = rows.covariates.get(name, np.zeros(0))
+        beyond = float(np.nanmax(beyond_heat({name: values}, {name: (low, high)}), initial=0.0))
+        if beyond > ASIDE * (high - low):
+            ends = float(np.nanmin(values)), float(np.nanmax(values))
+            found.append(Heat(name, ends, (low, high), beyond, EXPANSION * beyond * saved.span))
+    return max(found, key=lambda heat: heat.beyond, default=None)
 
 
 def with_unknowns(question: Question) -> np.ndarray:
