@@ -26,6 +26,7 @@ from aridcal.inputs.tables import AnyTable
 from aridcal.model.memory import Size, available_memory, check_memory
 from aridcal.model.rigid_bodies import targets_of_one_body
 from aridcal.reading.freed import give_back
+from aridcal.result.groups import LEAST, groups
 from aridcal.result.measuring_head import measuring_head
 from aridcal.result.outcome import Outcome, Stage, Verification
 from aridcal.result.reading import Job, read_job
@@ -244,12 +245,25 @@ def judged(arm: CalibratedArm, progress: Progress = SILENT) -> Judged:
         one_each = kept.select(first), white[first]
     asked = clues(*one_each, repeats(kept, white), _freedom(final), final, progress)
     asked += row_clues(rows, final, left, outlier)
+    asked += _groups(rows, final, left, outlier)
     effects = [active.effect for active in arm.diagnosed.found.state.active]
     scatter = repeats(kept, raw)
     seen = np.zeros(len(rows.channels)) if scatter is None else scatter.freedom
     known = all(s is not None or f > 0 for s, f in zip(rows.sigma, seen.tolist(), strict=True))
     said = decide(asked, effects, min(_freedom(final), arm.geometry.free), known)
     return Judged(stages, outlier, scatter, tuple(asked), said)
+
+
+def _groups(rows: Dataset, final: Fit, residual: np.ndarray, outlier: np.ndarray) -> list[Clue]:
+    """Whether some rows are shifted by one vector; of rows that are not independent one each.
+
+    A group that stands far out is flagged row by row, and is asked about with the others.
+    """
+    some = np.ones(len(rows), dtype=bool) if outlier.mean() >= LEAST else ~outlier
+    own = np.flatnonzero(some)
+    if rows.share < 1.0:
+        own = own[np.unique(held_together(rows.select(own)), return_index=True)[1]]
+    return groups(rows.select(own), residual[own], final)
 
 
 def _derived_notices(rows: Dataset, diagnosed: Diagnosed) -> tuple[str, ...]:

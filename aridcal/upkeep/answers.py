@@ -73,8 +73,8 @@ def _heat_line(checked: Checked) -> list[str]:
     here = low if low == high else f"{low} to {high}"
     return [
         f"{heat.column} {here}, where the calibration saw {heat.seen[0]:.4g} to {heat.seen[1]:.4g}: {heat.beyond:.3g} K more or "
-        f"less move the target by some {MILLI * heat.growth:.2g} mm, and shift zeros. What follows may be no more than that: check "
-        "at the calibration's own temperature before anything is mended"
+        f"less move the target by some {MILLI * heat.growth:.2g} mm, and shift zeros. What follows may be no more than that: "
+        "check at the calibration's own temperature before anything is mended"
     ]
 
 
