@@ -4,6 +4,9 @@ With --tolerance, or `tolerance:` in the campaign, it is said whether the target
 (of the range that was measured, where it names none), with 95 % confidence: by the calibration's own uncertainty, and by what
 held-out rows leave beyond it and beyond the instrument's declared noise. All files are written in either case.
 
+Where rows are too few to judge the model by (verdict not_enough_data), the screen and the report begin with that: not for a
+controller. No tolerance is kept then.
+
 Exit status: 0 done, 3 not within the tolerance.
 
 Example:
@@ -71,10 +74,12 @@ SHOWN_AS = {"rms": "RMS", "p95": "p95", "max": "max"}
 
 def summary(outcome: Outcome, console: Console) -> None:
     """Print the figures that matter."""
-    from aridcal.drawing.words import kept_in_words, noise_unknown_in_words, scale_in_words
+    from aridcal.drawing.words import NOT_FOR_A_CONTROLLER, kept_in_words, noise_unknown_in_words, scale_in_words
     from aridcal.result.folder import what_moved
     from aridcal.result.key_figures import another_day, every_held_out_row, over_time
 
+    if not outcome.verdict.for_controller:
+        console.print(NOT_FOR_A_CONTROLLER, markup=False, style="bold red")
     console.print(_error_table(outcome))
     if outcome.parts()["test_all"].any():
         console.print(every_held_out_row(outcome), markup=False)
@@ -242,13 +247,20 @@ def _identify(arguments: argparse.Namespace, out: Path) -> int:
     for line in _next(out, outcome, handover):
         console.print(line, soft_wrap=True, markup=False, highlight=False)
     print_headline(arguments, _headline(out, outcome))
-    return NOT_GOOD if outcome.certainty is not None and not outcome.certainty.within else DONE
+    return DONE if _good(outcome) else NOT_GOOD
+
+
+def _good(outcome: Outcome) -> bool:
+    """False where a tolerance is not kept, or nobody can say so as there are too few data."""
+    if outcome.campaign.tolerance is not None and not outcome.verdict.for_controller:
+        return False
+    return outcome.certainty is None or outcome.certainty.within
 
 
 def _next(out: Path, outcome: Outcome, handover: Handover) -> list[str]:
-    """The way to the controller; none where the model is no better than the nominal one, or no place was measured."""
+    """The way to the controller; none where data are few, the model is no better than the nominal one, or no place was measured."""
     nominal, *_, full = (export.error for export in handover.exports)
-    if not full < nominal or handover.channel.name == "inclination":
+    if not outcome.verdict.for_controller or not full < nominal or handover.channel.name == "inclination":
         return []
     ending = "nc" if set(outcome.robot.kinds) == {"prismatic"} else "script"
     return [

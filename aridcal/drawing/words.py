@@ -85,6 +85,13 @@ def sigmas_in_words(sigma: np.ndarray, channels: Channels, times: float = 1.0) -
     return enumerated(shown)
 
 
+NOT_FOR_A_CONTROLLER = (
+    "Not for a controller: too few rows for a model of this size, and elsewhere it may be worse than the nominal robot. Measure more "
+    "rows first."
+)
+"""What a result says first that has too few data."""
+
+
 def noise_unknown_in_words(outcome: Outcome) -> str:
     """That nothing is left which these rows can show, where nobody knows the instrument's noise."""
     left = noise_in_words(outcome, outcome.stage("final").fit.estimated)
@@ -156,7 +163,13 @@ def kept_in_words(outcome: Outcome, asked: bool) -> list[tuple[bool, str]]:
     """
     known = outcome.certainty
     parts = () if known is None else known.kept
-    return [_kept(part, known) for part in parts if known and asked == (part.tolerance is not None)]
+    of_these = [part for part in parts if asked == (part.tolerance is not None)]
+    if asked and not outcome.verdict.for_controller:
+        return [
+            (False, f"{part.of.capitalize()} within the tolerance: nobody can say, with so few rows.")
+            for part in of_these
+        ]
+    return [_kept(part, known) for part in of_these if known]
 
 
 def _kept(part: Kept, known: Certainty) -> tuple[bool, str]:

@@ -11,6 +11,7 @@ from aridcal.drawing.frame import card
 from aridcal.drawing.html import Content, Html, codes, counted, number, tag
 from aridcal.drawing.parts import division_in_words, p_of_halves, size_in_words, zero_in_words
 from aridcal.drawing.words import (
+    NOT_FOR_A_CONTROLLER,
     NOT_STATED,
     at_target_in_words,
     causes_in_words,
@@ -64,6 +65,9 @@ LINKED = {
 }
 """Files of the result that the first screen leads to, and what they are for."""
 
+NOT_READY = {"calibrated.urdf": "not for a controller", "calibration.yaml": "the whole model"}
+"""What these files are for where there are too few data."""
+
 GIVEN = {"nominal": "as built", "geometric": "with the URDF", "final": "with compensation"}
 """Models by what a customer is given of them."""
 
@@ -100,9 +104,12 @@ def summary(outcome: Outcome, beside: Collection[str] = frozenset()) -> Iterator
     yield tag("h1", f"Calibration of {robot.tree.name}")
     yield tag("p", f"{files} · {rows} · {robot.path.name}, {robot.base} to {robot.tip}", class_="about")
     yield tag("p", list(_who_and_what(outcome)), class_="about")
+    ready = outcome.verdict.for_controller
+    if not ready:
+        yield tag("p", tag("strong", NOT_FOR_A_CONTROLLER), class_="refused")
     links = [
         part
-        for name, use in LINKED.items()
+        for name, use in (LINKED if ready else LINKED | NOT_READY).items()
         if name in beside
         for part in (" · ", tag("a", name, href=name), f": {use}")
     ]
@@ -154,14 +161,15 @@ def _card(outcome: Outcome, k: int) -> Html:
 
 
 def in_controller(outcome: Outcome, k: int) -> str:
-    """What a controller is left with, by what it is given; empty for a channel that is no error of the robot's own.
+    """What a controller is left with, by what it is given; empty for a channel that is no error of the robot's own, and where data
+    are too few.
 
     Args:
         outcome: What was found.
         k: Number of the channel.
     """
     channel = outcome.channels[k]
-    if channel.name not in OF_THE_TARGET:
+    if channel.name not in OF_THE_TARGET or not outcome.verdict.for_controller:
         return ""
     mask = scored(outcome)[0] & outcome.measurements.measures[:, k]
     urdf, whole = (

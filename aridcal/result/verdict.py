@@ -52,6 +52,11 @@ class Verdict:
     reasons: tuple[str, ...]
 
     @property
+    def for_controller(self) -> bool:
+        """False where so little is left to judge the model by that nobody may send a robot by it."""
+        return self.word != "not_enough_data"
+
+    @property
     def noise_unknown(self) -> bool:
         """Whether nothing repeatable is left that the rows can show, and nobody knows what noise the instrument has."""
         return NOISE_UNKNOWN in self.reasons

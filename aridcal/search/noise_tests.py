@@ -63,7 +63,9 @@ changes slowly."""
 FELT = 1e-9
 """Share of its largest lever below which a joint moves the target in none of a row's numbers."""
 
-Question = Literal["repeats", "neighbours", "order", "change", "declared", "held_out", "offset", "flags", "thing", "groups"]
+Question = Literal[
+    "repeats", "neighbours", "order", "change", "declared", "held_out", "offset", "flags", "thing", "groups"
+]
 
 
 @dataclass(frozen=True)
