@@ -258,7 +258,7 @@ def _good(outcome: Outcome) -> bool:
 
 
 def _next(out: Path, outcome: Outcome, handover: Handover) -> list[str]:
-    """The way to the controller; none where data are few, the model is no better than the nominal one, or no place was measured."""
+    """The way to the controller; none of few data, of a model no better than the nominal one, or where no place was measured."""
     nominal, *_, full = (export.error for export in handover.exports)
     if not outcome.verdict.for_controller or not full < nominal or handover.channel.name == "inclination":
         return []

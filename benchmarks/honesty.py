@@ -9,11 +9,18 @@ Each question has its control: the same without the trap.
   often the truth is within two of its `std_*`.
 - `places`: 45 places measured five times, 4 mrad apart, where the instrument errs alike at a place (control: at each row anew); a
   clean arm and one with an effect. Effects without a cause, error against the truth beside that of the constants alone, z of `std_*`.
+- `seating`: 13 % of 200 rows 0.7 mm high (control: noise with tails that is as wide, of one group). How often two groups are
+  named, and by how many mm.
+- `heat`: an arm measured at 20 ± 0.3 degrees, asked at 32 with all lengths 12 ppm/K longer (control: asked at 20). Share of rows
+  marked, and z of `std_*`, marked rows included.
+- `night`: the base is knocked by 1 mm at 00:30 in a campaign from 23:00 to 01:00, times of day without dates (control: no knock).
+  Whether something is found, and the share of rows on the right side of the step.
 """
 
 from __future__ import annotations
 
 import argparse
+import re
 import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -22,7 +29,7 @@ import numpy as np
 import pandas as pd
 from rich.console import Console
 from rich.table import Table
-from robots import random_robot, readings, simulate, ur10, write_campaign
+from robots import random_robot, readings, simulate, table, ur10, write_campaign
 
 import aridcal
 from aridcal.effects.basis import Basis
@@ -105,11 +112,100 @@ def few(seed: int, name: str, rows: int) -> dict[str, float]:
     }
 
 
+ROWS, WIDE = 200, 1.5e-4
+"""Rows of the following questions, and their noise per axis, [m]."""
+
+HIGH, SHARE = 7e-4, 0.13
+"""[m]: how much higher a target is seated in a share of the rows."""
+
+
+def seating(seed: int, seated: bool) -> dict[str, float]:
+    """Some rows too high; or one noise with tails, as wide."""
+    rng = np.random.default_rng(seed)
+    truth = simulate(ur10(), ROWS, rng, kind="position")
+    rows = table(truth)
+    if seated:
+        rows[list("xyz")] += WIDE * rng.standard_normal((ROWS, 3))
+        rows["z"] += HIGH * (rng.random(ROWS) < SHARE)
+    else:
+        rows[list("xyz")] += np.sqrt(WIDE**2 + HIGH**2 * SHARE) / 2.0 * rng.standard_t(4, (ROWS, 3))
+    with tempfile.TemporaryDirectory() as folder:
+        cal = aridcal.calibrate(write_campaign(Path(folder), truth, rows, diagnosis={"enabled": True}))
+    groups = [
+        float(told[1]) for reason in cal.result["reasons"] if (told := re.search(r"rows are ([\d.]+) mm", reason))
+    ]
+    return {
+        "named": float(bool(groups)),
+        "mm": groups[0] if groups else np.nan,
+        "effects": float(len(cal.result["effects"])),
+    }
+
+
+WARM, GROWTH = 12.0, 12e-6
+"""[K], and [1/K] of steel."""
+
+
+def heat(seed: int, warm: bool) -> dict[str, float]:
+    """Asked at another temperature than measured at; or at the same."""
+    rng = np.random.default_rng(seed)
+    truth = simulate(ur10(), ROWS, rng, noise=5e-5, kind="position")
+    rows = table(truth).assign(temperature=20.0 + rng.uniform(-0.3, 0.3, ROWS))
+    with tempfile.TemporaryDirectory() as folder:
+        cal = aridcal.calibrate(write_campaign(Path(folder), truth, rows, diagnosis={"enabled": True}))
+    q = readings(truth.model.robot, QUERIES, rng, 0.8)
+    asked = pd.DataFrame(dict(zip(truth.model.robot.readings, q.T, strict=True)))
+    away = WARM if warm else 0.0
+    predicted = cal.predict(asked.assign(temperature=20.0 + away))
+    _, real = truth.model.poses(truth.theta, truth.model.rows(q))
+    off = predicted[["x", "y", "z"]].to_numpy() - (1.0 + GROWTH * away) * real  # the base is the world's origin
+    sigma = predicted[["std_x", "std_y", "std_z"]].to_numpy()
+    return {"marked": float(predicted["extrapolates"].mean()), "z": float(np.sqrt(np.mean((off / sigma) ** 2)))}
+
+
+KNOCK, BEGIN, KNOCKED = 1e-3, 23 * 3600.0, 24.5 * 3600.0
+"""[m], and [s] of the first day: when the campaign begins, and when the base is knocked."""
+
+
+def night(seed: int, knocked: bool) -> dict[str, float]:
+    """Times of day that pass midnight, and a knock after it; or none."""
+    rng = np.random.default_rng(seed)
+    truth = simulate(ur10(), ROWS, rng, noise=1e-4)
+    time = BEGIN + 7200.0 * np.sort(rng.random(ROWS))
+    rows = table(truth)
+    rows["x"] += KNOCK * (time > KNOCKED) * knocked
+    rows["when"] = [f"{int(t) // 3600 % 24:02d}:{int(t) // 60 % 60:02d}:{int(t) % 60:02d}" for t in time]
+    block = {"file": "measurements.csv", "kind": "pose", "columns": {"time": "when"}}
+    block["table"] = {"dates": {"order": "ymd", "columns": ["when"]}}
+    with tempfile.TemporaryDirectory() as folder:
+        cal = aridcal.calibrate(
+            write_campaign(Path(folder), truth, rows, measurements=block, diagnosis={"enabled": True})
+        )
+    assert cal.outcome is not None
+    m = cal.outcome.measurements
+    steps = [c.basis for e in cal.outcome.effects for c in e.effect.coefficients if c.basis.form == "step"]
+    if not steps:
+        return {"found": 0.0, "right side": np.nan}
+    after = (m.conditions[steps[0].of[0]] >= steps[0].numbers[0])[m.as_read]
+    return {"found": 1.0, "right side": float(np.mean(after == (time > KNOCKED)))}
+
+
 QUESTIONS: dict[str, Sequence[tuple[str, Callable[[int], dict[str, float]]]]] = {
     "few": tuple(
         (f"{name}, {rows} rows", lambda seed, name=name, rows=rows: few(seed, name, rows))
         for name in ("UR10", "7R", "rail and 3R")
         for rows in (12, 20, 30, 50)
+    ),
+    "seating": (
+        ("13 % 0.7 mm high", lambda seed: seating(seed, True)),
+        ("one noise with tails", lambda seed: seating(seed, False)),
+    ),
+    "heat": (
+        ("12 K warmer", lambda seed: heat(seed, True)),
+        ("at the same temperature", lambda seed: heat(seed, False)),
+    ),
+    "night": (
+        ("knocked at 00:30", lambda seed: night(seed, True)),
+        ("no knock", lambda seed: night(seed, False)),
     ),
     "places": (
         ("alike at a place, clean arm", lambda seed: places(seed, True, False)),
@@ -120,8 +216,9 @@ QUESTIONS: dict[str, Sequence[tuple[str, Callable[[int], dict[str, float]]]]] = 
 }
 
 
-def _extreme(values: np.ndarray) -> float:
-    return float(np.nanquantile(values, 0.95))
+def _in_words(key: str, values: np.ndarray) -> str:
+    there = values[~np.isnan(values)]
+    return f"{key} {np.median(there):.3g} ({np.quantile(there, 0.95):.3g})" if len(there) else f"{key} none"
 
 
 def main() -> None:
@@ -131,13 +228,13 @@ def main() -> None:
     command.add_argument("--seed", type=int, default=0)
     arguments = command.parse_args()
     for question in arguments.questions:
-        table = Table("case", "draws", "figures: median (95th percentile)")
+        answers = Table("case", "draws", "figures: median (95th percentile)")
         for name, draw in QUESTIONS[question]:
             drawn = [draw(arguments.seed + k) for k in range(arguments.draws)]
             figures = {key: np.array([one[key] for one in drawn]) for key in drawn[0]}
-            said = ", ".join(f"{key} {np.nanmedian(v):.3g} ({_extreme(v):.3g})" for key, v in figures.items())
-            table.add_row(name, str(len(drawn)), said)
-        Console(width=160).print(question, table)
+            said = ", ".join(_in_words(key, values) for key, values in figures.items())
+            answers.add_row(name, str(len(drawn)), said)
+        Console(width=160).print(question, answers)
 
 
 if __name__ == "__main__":

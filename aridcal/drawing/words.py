@@ -86,8 +86,8 @@ def sigmas_in_words(sigma: np.ndarray, channels: Channels, times: float = 1.0) -
 
 
 NOT_FOR_A_CONTROLLER = (
-    "Not for a controller: too few rows for a model of this size, and elsewhere it may be worse than the nominal robot. Measure more "
-    "rows first."
+    "Not for a controller: too few rows for a model of this size, and elsewhere it may be worse than the nominal robot. Measure "
+    "more rows first."
 )
 """What a result says first that has too few data."""
 

@@ -161,8 +161,9 @@ def _card(outcome: Outcome, k: int) -> Html:
 
 
 def in_controller(outcome: Outcome, k: int) -> str:
-    """What a controller is left with, by what it is given; empty for a channel that is no error of the robot's own, and where data
-    are too few.
+    """What a controller is left with, by what it is given; empty for a channel that is no error of the robot's own.
+
+    Empty, too, where data are too few for a controller.
 
     Args:
         outcome: What was found.
