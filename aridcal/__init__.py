@@ -18,9 +18,14 @@ Example:
 
 from __future__ import annotations
 
-from aridcal import interrupt, utf8
+import sys
 
-utf8.restart()
+from aridcal import interrupt
+
+if sys.getfilesystemencoding() != "utf-8":
+    from aridcal import utf8
+
+    utf8.restart()
 interrupt.watch()  # before all other imports: they take a second, in which Ctrl-C would print a traceback
 
 from typing import TYPE_CHECKING  # noqa: E402
@@ -49,7 +54,6 @@ if TYPE_CHECKING:
     from aridcal.errors import AridcalError
     from aridcal.inputs.campaign import Campaign
 else:
-    import sys
     from types import ModuleType
 
     class _Face(ModuleType):

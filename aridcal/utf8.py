@@ -13,11 +13,10 @@ from aridcal.interrupt import is_command
 def restart() -> None:
     """Start a command again in Python's UTF-8 mode, where its locale cannot read a word of the command line that is UTF-8.
 
-    A process keeps the encoding of file names that it was started with.
+    A process keeps the encoding of file names that it was started with. In that mode every such word is read, so that this
+    happens once.
     """
-    if sys.getfilesystemencoding() == "utf-8" or not is_command(sys.argv, sys.orig_argv):
-        return
-    if any(_unread(word) for word in sys.orig_argv):
+    if is_command(sys.argv, sys.orig_argv) and any(_unread(word) for word in sys.orig_argv):
         os.execv(sys.executable, [sys.executable, "-X", "utf8", *sys.orig_argv[1:]])
 
 
