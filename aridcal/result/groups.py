@@ -26,7 +26,7 @@ from aridcal.fit.normal_equations import TINY
 from aridcal.fit.problem import problem
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.channels import Channels
-from aridcal.search.noise_tests import Clue
+from aridcal.search.noise_tests import SURE, Clue
 
 FEWEST = 40
 """Rows in which groups are looked for: a twentieth of them is two."""
@@ -118,6 +118,9 @@ def _asked(rows: Dataset, channels: Channels, words: str, r: np.ndarray, times: 
     p_value = _chance(T, x * signs)
     if smaller >= EVEN:
         p_value = 2.0 * min(p_value, _chance(T, rng.uniform(-1.0, 1.0, (DRAWS, *x.shape))))
+    p_value = min(1.0, times * p_value)
+    if p_value >= SURE:
+        return None
     shift = r[few].mean(axis=0) - r[~few].mean(axis=0)
     along = shift / np.linalg.norm(shift)
     variance = float(np.mean(few)) * float(np.mean(~few)) * float(shift @ shift) / max(float(np.var(r @ along)), TINY)
@@ -126,7 +129,7 @@ def _asked(rows: Dataset, channels: Channels, words: str, r: np.ndarray, times: 
         f"{few.sum()} of {len(few)} rows are {_shift(shift, channels)} off the others, {words}".rstrip(", ")
         + f": is the target seated otherwise there? Lines {lines}"
     )
-    return Clue("groups", what, min(variance, 1.0), min(1.0, times * p_value))
+    return Clue("groups", what, min(variance, 1.0), p_value)
 
 
 def _chance(T: float, drawn: np.ndarray) -> float:
