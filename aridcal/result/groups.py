@@ -34,6 +34,9 @@ FEWEST = 40
 LEAST = 0.04
 """Share of a group: fewer rows are outliers, and flagged as such."""
 
+SMALLEST = 5
+"""Rows of a group: of noise with long tails the few that are farthest out lie on one side often enough."""
+
 EVEN = 0.25
 """Share from which signs at random may leave two groups much as they were."""
 
@@ -111,7 +114,7 @@ def _asked(rows: Dataset, channels: Channels, words: str, r: np.ndarray, times: 
         return None
     few = chance > 0.5 if share <= 0.5 else chance < 0.5
     smaller = min(share, 1.0 - share)
-    if not 0 < few.sum() < len(few):
+    if min(few.sum(), len(few) - few.sum()) < SMALLEST:
         return None
     rng = np.random.default_rng(0)
     signs = rng.choice([-1.0, 1.0], (DRAWS, len(x), 1))
