@@ -18,14 +18,8 @@ Example:
 
 from __future__ import annotations
 
-import sys
-
 from aridcal import interrupt
 
-if sys.getfilesystemencoding() != "utf-8":
-    from aridcal import utf8
-
-    utf8.restart()
 interrupt.watch()  # before all other imports: they take a second, in which Ctrl-C would print a traceback
 
 from typing import TYPE_CHECKING  # noqa: E402
@@ -54,6 +48,7 @@ if TYPE_CHECKING:
     from aridcal.errors import AridcalError
     from aridcal.inputs.campaign import Campaign
 else:
+    import sys
     from types import ModuleType
 
     class _Face(ModuleType):

@@ -7,8 +7,6 @@ from __future__ import annotations
 import os
 import sys
 
-from aridcal.interrupt import is_command
-
 
 def restart() -> None:
     """Start a command again in Python's UTF-8 mode, where its locale cannot read a word of the command line that is UTF-8.
@@ -16,7 +14,7 @@ def restart() -> None:
     A process keeps the encoding of file names that it was started with. In that mode every such word is read, so that this
     happens once.
     """
-    if is_command(sys.argv, sys.orig_argv) and any(_unread(word) for word in sys.orig_argv):
+    if any(_unread(word) for word in sys.orig_argv):
         os.execv(sys.executable, [sys.executable, "-X", "utf8", *sys.orig_argv[1:]])
 
 
