@@ -49,17 +49,10 @@ def open_closed_streams() -> None:
 
 
 def watch() -> None:
-    """From now on signals end a command as :func:`leave` does; whoever imports the library keeps Python's own way.
-
-    A command in a locale that cannot read its words starts again first, in one that can.
-    """
+    """From now on signals end a command as :func:`leave` does; whoever imports the library keeps Python's own way."""
     if not is_command(sys.argv, sys.orig_argv):
         return
     open_closed_streams()
-    if sys.getfilesystemencoding() != "utf-8":
-        from aridcal import utf8
-
-        utf8.restart()
     for number, usual in ((signal.SIGINT, signal.default_int_handler), (signal.SIGTERM, signal.SIG_DFL)):
         if signal.getsignal(number) is usual:
             signal.signal(number, leave)

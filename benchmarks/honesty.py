@@ -5,10 +5,11 @@
 
 Each question has its control: the same without the trap.
 
-- `few`: 12, 20, 30 and 50 rows of three robots whose constants are off by 1 mm and 1 mrad. Error over the nominal robot's, and how
-  often the truth is within two of its `std_*`.
-- `places`: 45 places measured five times, 4 mrad apart, where the instrument errs alike at a place (control: at each row anew); a
-  clean arm and one with an effect. Effects without a cause, error against the truth beside that of the constants alone, z of `std_*`.
+- `few`: 12, 20, 30 and 50 rows of three robots whose constants are off by 1 mm and 1 mrad. Error over the nominal robot's, and
+  how often the truth is within two of its `std_*`.
+- `places`: 45 places measured five times, 4 mrad apart, where the instrument errs alike at a place (control: at each row anew);
+  a clean arm and one with an effect. Effects without a cause, error against the truth beside that of the constants alone, z of
+  `std_*`.
 - `seating`: 13 % of 200 rows 0.7 mm high (control: noise with tails that is as wide, of one group). How often two groups are
   named, and by how many mm.
 - `heat`: an arm measured at 20 ± 0.3 degrees, asked at 32 with all lengths 12 ppm/K longer (control: asked at 20). Share of rows
@@ -23,6 +24,7 @@ import argparse
 import re
 import tempfile
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -191,7 +193,7 @@ def night(seed: int, knocked: bool) -> dict[str, float]:
 
 QUESTIONS: dict[str, Sequence[tuple[str, Callable[[int], dict[str, float]]]]] = {
     "few": tuple(
-        (f"{name}, {rows} rows", lambda seed, name=name, rows=rows: few(seed, name, rows))
+        (f"{name}, {rows} rows", partial(few, name=name, rows=rows))
         for name in ("UR10", "7R", "rail and 3R")
         for rows in (12, 20, 30, 50)
     ),

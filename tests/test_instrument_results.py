@@ -208,8 +208,10 @@ def joint_covariance(asked: Problem, outcome: Outcome) -> tuple[np.ndarray, list
         step[j] = STEP
         J.append((left(fit.theta + step[:K], step[K:]) - left(fit.theta - step[:K], -step[K:])) / (2 * STEP))
     A = np.array(J).T
-    scale = np.linalg.norm(A, axis=0)
-    return np.linalg.inv((A / scale).T @ (A / scale)) / np.outer(scale, scale), free
+    H = A.T @ A
+    H[:K, :K] += fit.believed  # where rows are few
+    scale = np.sqrt(np.diag(H))
+    return np.linalg.inv(H / np.outer(scale, scale)) / np.outer(scale, scale), free
 
 
 @pytest.mark.parametrize("name", ["point", "distance", "plane", "mixed"])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from aridcal.inputs.approach import approach
-from aridcal.inputs.repeats import blocks, by_appearance, by_content, first_alike, tolerances
+from aridcal.inputs.repeats import blocks, by_appearance, by_content, first_alike, places, tolerances
 from aridcal.robot.chain import JointKind
 
 KINDS: tuple[JointKind, ...] = ("revolute", "prismatic", "continuous")
@@ -80,3 +80,20 @@ def test_sides_are_those_of_a_walk_from_row_to_row(side: float, last: float) -> 
                 now = math.copysign(1.0, value - before)
             before = before if math.isnan(value) else value
             assert is_from == now
+
+
+def test_places_are_rows_that_are_close_in_every_joint_with_nothing_between_them() -> None:
+    """Readings around 45 places; the stops of a rail, where the arm on it stands otherwise at each row; readings all over."""
+    rng = np.random.default_rng(3)
+    kinds: list[JointKind] = ["prismatic", "revolute", "revolute", "revolute"]
+    place = np.repeat(np.arange(45), 5)
+    around = rng.uniform(-2.0, 2.0, (45, 4))[place] + rng.uniform(-4e-3, 4e-3, (225, 4))
+    np.testing.assert_array_equal(places(around, kinds), place)
+    shuffled = rng.permutation(225)
+    np.testing.assert_array_equal(places(around[shuffled], kinds), by_appearance(place[shuffled]))
+    stops = rng.uniform(-2.0, 2.0, (192, 4))
+    stops[:, 0] = np.linspace(1.0, 17.0, 16).repeat(12)
+    for apart in (stops, rng.uniform(-2.0, 2.0, (225, 4))):
+        np.testing.assert_array_equal(places(apart, kinds), np.arange(len(apart)))
+    still = around * [1.0, 1.0, 1.0, 0.0] + [0.0, 0.0, 0.0, 0.5]
+    np.testing.assert_array_equal(places(still, kinds), place)

@@ -77,11 +77,12 @@ VANISHED = 1e-2
 """Sigmas of a coefficient: a gradient that asks for less has vanished."""
 
 PLENTY = 8.0
-"""Numbers measured for each coefficient from which nothing is believed of it: its freedom costs an eighth of the squares at most."""
+"""Numbers measured for each coefficient from which nothing is believed of it: its freedom costs an
+eighth of the squares at most."""
 
 USUAL, BELIEVED = 1e-3, 2.0
-"""[m] and [rad]: a millimetre and a milliradian are what constants of industrial arms are usually off by; that counts as much as two
-coefficients of a group that are known."""
+"""[m] and [rad]: a millimetre and a milliradian are what constants of industrial arms are usually off by; that counts as much
+as two coefficients of a group that are known."""
 
 CLOSE = 0.02
 """Relative change of a group's size that ends its estimation: what depends on it changes by less than a hundredth of a sigma."""
@@ -377,8 +378,8 @@ def _stood_for(R: np.ndarray, kept: Sequence[int], groups: Sequence[Sequence[int
 def shrunk(problem: Problem, free: Fit, groups: Sequence[np.ndarray]) -> Fit:
     r"""A fit in which constants of a group are believed to be alike in size, of a size that the rows tell.
 
-    Of all constants :math:`\varphi`, the redundant ones among them, those of group g are :math:`N(0, \tau_g^2)`. The coefficients that
-    are fitted stand for sums of them, :math:`\theta = T \varphi`, and are believed to be :math:`N(0, C)`,
+    Of all constants :math:`\varphi`, the redundant ones among them, those of group g are :math:`N(0, \tau_g^2)`. The coefficients
+    that     are fitted stand for sums of them, :math:`\theta = T \varphi`, and are believed to be :math:`N(0, C)`,
 
     .. math:: C = \sum_g \tau_g^2 T_g T_g^T
 
@@ -386,8 +387,8 @@ def shrunk(problem: Problem, free: Fit, groups: Sequence[np.ndarray]) -> Fit:
 
     .. math:: \tau_g^2 = \frac{\nu \tau_0^2 + \sum_{k \in g} (E \varphi_k^2)}{\nu + n_g}
 
-    where :math:`\tau_0` = :data:`USUAL` counts as :math:`\nu` = :data:`BELIEVED` constants. What rows do not tell stays near zero; where
-    they tell much, the fit is the free one.
+    where :math:`\tau_0` = :data:`USUAL` counts as :math:`\nu` = :data:`BELIEVED` constants. What rows do not tell stays near
+    zero; where     they tell much, the fit is the free one.
 
     Args:
         problem: K identifiable coefficients, N rows.

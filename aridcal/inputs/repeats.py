@@ -24,7 +24,11 @@ IN_GAP = 0.02
 """Pairs in that gap, as a share of those that are closer: a stray row or two may lie between places."""
 
 SMALL = 1 / 3
-"""Of the median distance of two rows, what the upper end of the gap may be: among few rows some are nearest by chance."""
+"""Of the median difference of two rows in any joint that moves, what the upper end of the gap may be: among few rows some are
+nearest by chance, and the stops of a rail are no places where the arm on it stands otherwise at each row."""
+
+MOVES = 30.0
+"""Of what repeats a configuration: a joint moves if half of all rows differ by more, 30 mrad or 3 mm; less is scatter."""
 
 ACCOMPANIED = 0.3
 """Share of rows that have others at their place, from which rows are said to lie in places."""
@@ -82,10 +86,13 @@ def _gap(readings: np.ndarray, kinds: Sequence[JointKind]) -> float | None:
     rng = np.random.default_rng(0)
     some = rng.permutation(len(readings))[:COMPARED]
     points = np.column_stack([cell / 2.0 for cell in _cells(readings[some], kinds, 1.0)])
-    apart = np.stack([np.abs(points - centre).max(axis=1) for centre in points[:CENTRES]])
+    differences = np.abs(points[None, :] - points[:CENTRES, None])
+    apart, usual = differences.max(axis=2), np.median(differences, axis=(0, 1))
     nearest = np.sort(apart, axis=1)[:, 1]  # the first is the row itself
     pairs = np.sort(apart, axis=None)
-    typical = float(np.median(pairs))
+    typical = float(np.min(usual, where=usual > MOVES, initial=np.inf))
+    if not np.isfinite(typical):
+        return None
     best = None
     for edge in np.geomspace(1.0, max(typical, 1.0), 200)[1:]:
         low, high = edge / GAP, edge * GAP

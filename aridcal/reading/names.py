@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
 
 from aridcal.errors import AridcalError, has_controls, printable, shortened
@@ -45,7 +46,9 @@ def check_path(path: Path, error: type[AridcalError]) -> None:
     """
     shown = shortened(printable(str(path)))
     if any("\udc80" <= c <= "\udcff" for c in str(path)):  # how Python shows bytes that it cannot read
-        raise error(f"{shown}: the name of this file is not UTF-8: rename it")
+        raise error(
+            f"{shown}: the name of this file is not {sys.getfilesystemencoding().upper()}, as this session reads names: rename it"
+        )
     if has_controls(str(path)):
         raise error(f"{shown}: the name of this file holds a control character: rename it")
     try:

@@ -152,7 +152,7 @@ def _gauge(geometric: Fit, constants: tuple[Coefficient, ...]) -> np.ndarray:
 
 
 def _believed(geometric: Fit, constants: tuple[Coefficient, ...]) -> np.ndarray:
-    """Precision with which the geometric stage believed constants to be zero, shape (count, count); zero where nothing is believed."""
+    """Precision with which the geometric stage believed constants to be zero, (count, count); zero where nothing is believed."""
     number = {name: k for k, name in enumerate(geometric.model.names)}
     there = [k for k, c in enumerate(constants) if c.name in number]
     own = [number[constants[k].name] for k in there]
