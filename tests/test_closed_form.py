@@ -19,7 +19,7 @@ def solved(model: Model, theta: np.ndarray) -> Fit:
     count = len(theta)
     return Fit(
         model, theta, np.eye(count), np.ones(2), np.ones(2), np.zeros(0), np.zeros((0, 6)), (), {},
-        Convergence(1, 0.0, 1.0), count, 6.0,
+        Convergence(1, 0.0, 1.0), count, 6.0, np.zeros((count, count)),
     )  # fmt: skip
 
 

@@ -11,6 +11,15 @@ SURE = 3.0
 """Standard errors by which rows of one place must err alike before they count for less."""
 
 
+def _alike(rows: Dataset) -> np.ndarray:
+    """Numbers of rows of one place that see the same thing, shape (N,): marks of one image do not, though they share its joints."""
+    place = held_together(rows)
+    if not rows.blocks:
+        return place
+    of = np.column_stack([place.astype(str), rows.block.astype(str), rows.refers])
+    return np.asarray(np.unique(of, axis=0, return_inverse=True)[1].reshape(-1))
+
+
 def independent_share(rows: Dataset, residual: np.ndarray) -> float:
     r"""Of a row, how much it counts for where rows of one place err alike: 1 where they do not, or no place has two.
 
@@ -29,7 +38,7 @@ def independent_share(rows: Dataset, residual: np.ndarray) -> float:
         rows: N rows in use.
         residual: Theirs, each channel in units of its own scatter, shape (N, m); NaN in what a row does not measure.
     """
-    place = held_together(rows)
+    place = _alike(rows)
     count = np.bincount(place)
     if count.max(initial=0) < 2:
         return 1.0

@@ -307,7 +307,7 @@ def profiled(explained: np.ndarray, left: float, count: float) -> np.ndarray:
     """Twice the gain in log-likelihood of what columns explain, the noise found anew where what is left is given."""
     if left == np.inf:
         return explained
-    return np.asarray(-count * np.log1p(-np.minimum(explained / max(left, TINY), WHOLE)))
+    return np.asarray(-count * np.log1p(-np.minimum(explained, WHOLE * max(left, TINY)) / max(left, TINY)))
 
 
 def _by_chain(A: np.ndarray, b: np.ndarray, left: float, count: float, roughly: bool) -> Amplitudes:
