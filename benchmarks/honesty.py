@@ -16,6 +16,8 @@ Each question has its control: the same without the trap.
   marked, and z of `std_*`, marked rows included.
 - `night`: the base is knocked by 1 mm at 00:30 in a campaign from 23:00 to 01:00, times of day without dates (control: no knock).
   Whether something is found, and the share of rows on the right side of the step.
+- `gravity`: compliant joints, error curves and an unknown tool on a wedge, a wall or the ceiling, where the campaign has
+  gravity along -z (control: on the floor). How often the setting is named, and by how much the vector to set is off.
 """
 
 from __future__ import annotations
@@ -32,10 +34,12 @@ import pandas as pd
 from rich.console import Console
 from rich.table import Table
 from robots import random_robot, readings, simulate, table, ur10, write_campaign
+from tilted import geometric, measured
 
 import aridcal
 from aridcal.effects.basis import Basis
 from aridcal.effects.effect import Coefficient
+from aridcal.result.gravity_direction import gravity_direction
 
 PLACES, EACH, APART = 45, 5, 4e-3
 """Places, readings of each, and half of how far their joints are apart, [rad]."""
@@ -191,6 +195,19 @@ def night(seed: int, knocked: bool) -> dict[str, float]:
     return {"found": 1.0, "right side": float(np.mean(after == (time > KNOCKED)))}
 
 
+def gravity(seed: int, way: str, gears: float, compliance: float) -> dict[str, float]:
+    """A UR10 with a tool that the URDF does not have, on the floor, a wall, a wedge or the ceiling; stated: the floor."""
+    pull = np.array(
+        {"floor": (0, 0, -1), "wall": (1, 0, 0), "wedge": (0, 0.866, -0.5), "ceiling": (0, 0, 1)}[way], dtype=float
+    )
+    rows = measured(seed, pull, compliance, gears, tool=2.0)
+    said = gravity_direction(geometric(rows), rows.fitted)
+    if not said:
+        return {"named": 0.0, "degrees off": np.nan}
+    vector = np.array([float(x) for x in re.findall(r"-?\d+\.\d+", said.split("gravity: [")[1])])
+    return {"named": 1.0, "degrees off": float(np.degrees(np.arccos(min(vector @ pull / np.linalg.norm(vector), 1.0))))}
+
+
 QUESTIONS: dict[str, Sequence[tuple[str, Callable[[int], dict[str, float]]]]] = {
     "few": tuple(
         (f"{name}, {rows} rows", partial(few, name=name, rows=rows))
@@ -208,6 +225,11 @@ QUESTIONS: dict[str, Sequence[tuple[str, Callable[[int], dict[str, float]]]]] = 
     "night": (
         ("knocked at 00:30", lambda seed: night(seed, True)),
         ("no knock", lambda seed: night(seed, False)),
+    ),
+    "gravity": (
+        *((way, partial(gravity, way=way, gears=2e-4, compliance=3e-5)) for way in ("wedge", "wall", "ceiling")),
+        ("floor", partial(gravity, way="floor", gears=2e-4, compliance=3e-5)),
+        ("floor, gears alone", partial(gravity, way="floor", gears=3e-4, compliance=0.0)),
     ),
     "places": (
         ("alike at a place, clean arm", lambda seed: places(seed, True, False)),

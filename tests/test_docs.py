@@ -35,7 +35,14 @@ PAGES = [
 SEARCH_PAGE = DOCS / "how-the-search-works.md"
 THRESHOLD = re.compile(r"^\| `([A-Z_0-9]+)` \| ([^|]+) \| `([\w/]+)` \| [^|]{3,} \|$", re.MULTILINE)
 DECIDING_ROOMS = ("effects", "fit", "search", "trust")
-OTHER_DECIDERS = ("result/groups", "result/pipeline", "result/reading", "inputs/split", "inputs/repeats")
+OTHER_DECIDERS = (
+    "result/gravity_direction",
+    "result/groups",
+    "result/pipeline",
+    "result/reading",
+    "inputs/split",
+    "inputs/repeats",
+)
 GEOMETRY = ("robot/doty1992",)
 
 

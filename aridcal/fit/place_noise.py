@@ -12,7 +12,7 @@ SURE = 3.0
 
 
 def _alike(rows: Dataset) -> np.ndarray:
-    """Numbers of rows of one place that see the same thing, shape (N,): marks of one image do not, though they share its joints."""
+    """Numbers of rows of one place that see the same thing, shape (N,): marks of one image do not."""
     place = held_together(rows)
     if not rows.blocks:
         return place

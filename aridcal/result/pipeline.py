@@ -26,6 +26,7 @@ from aridcal.inputs.tables import AnyTable
 from aridcal.model.memory import Size, available_memory, check_memory
 from aridcal.model.rigid_bodies import targets_of_one_body
 from aridcal.reading.freed import give_back
+from aridcal.result.gravity_direction import gravity_direction
 from aridcal.result.groups import LEAST, groups
 from aridcal.result.measuring_head import measuring_head
 from aridcal.result.outcome import Outcome, Stage, Verification
@@ -250,7 +251,8 @@ def judged(arm: CalibratedArm, progress: Progress = SILENT) -> Judged:
     scatter = repeats(kept, raw)
     seen = np.zeros(len(rows.channels)) if scatter is None else scatter.freedom
     known = all(s is not None or f > 0 for s, f in zip(rows.sigma, seen.tolist(), strict=True))
-    said = decide(asked, effects, min(_freedom(final), arm.geometry.free), known)
+    setting = gravity_direction(arm.geometry.geometric, rows.fitted)
+    said = decide(asked, effects, min(_freedom(final), arm.geometry.free), known, setting)
     return Judged(stages, outlier, scatter, tuple(asked), said)
 
 

@@ -62,7 +62,9 @@ class Verdict:
         return NOISE_UNKNOWN in self.reasons
 
 
-def decide(clues: Sequence[Clue], effects: Sequence[Effect], freedom: float, noise_known: bool) -> Verdict:
+def decide(
+    clues: Sequence[Clue], effects: Sequence[Effect], freedom: float, noise_known: bool, setting: str = ""
+) -> Verdict:
     """The verdict.
 
     Args:
@@ -70,10 +72,11 @@ def decide(clues: Sequence[Clue], effects: Sequence[Effect], freedom: float, noi
         effects: Those in the model.
         freedom: Share of the numbers measured that is left after fitting.
         noise_known: Whether the noise of every channel was declared, or repeats show it.
+        setting: What seems to be wrong in the campaign itself; said first, for what follows from it may be its doing.
     """
     telling = [c for c in clues if c.tells]
     share = max((c.share for c in telling), default=0.0)
-    reasons = [c.what for c in telling]
+    reasons = [*([setting] if setting else []), *(c.what for c in telling)]
     unnamed = [e for e in effects if not KINDS[e.kind].named]
     if unnamed:
         # Between and beyond the rows a smooth curve without a cause is not known.
