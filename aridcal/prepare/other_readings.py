@@ -43,6 +43,9 @@ USUAL, USUAL_NOMINAL = 0.005, 0.05
 FAR_LESS = 5.0
 # Readings that fit the nominal robot best, whose constants are fitted too.
 FITTED = 4
+# Another zero, or that and another sign, is believed where it leaves so many times less than what is more usual: axes that meet
+# and frames make one look like the other (half a turn before the last axis is its other sign).
+RARER = 1.2
 # Units whose letters would not be read as one.
 SPELT = {"in": "inches", "deg": "degrees", "rad": "radians"}
 # Orders in which Euler angles may turn, fixed or with the body.
@@ -63,12 +66,14 @@ class Other:
         remedy: What to write, or to change in the file.
         settings: The campaign's, as they would be.
         table: The rows, as they would be.
+        doubt: What is left counts as so many times more: of what is rarer.
     """
 
     what: str
     remedy: str
     settings: MeasurementSettings
     table: pd.DataFrame
+    doubt: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -125,12 +130,12 @@ def refuse_misread(campaign: Campaign, robot: Robot, rows: Dataset, geometry: Ge
         nominal = _nominal(campaign, robot, other.settings, other.table, labels)
         if nominal is not None:
             judged.append((nominal, other))
-    judged.sort(key=lambda pair: pair[0].share)
+    judged.sort(key=lambda pair: pair[0].share * pair[1].doubt)
     found = []
     for nominal, other in judged[:FITTED]:
         geometric = _geometric(campaign, robot, other.settings, other.table, labels)
         if geometric is not None and _far_less((nominal, geometric), own):
-            found.append((geometric.share * nominal.share, nominal, geometric, other))
+            found.append((geometric.share * nominal.share * other.doubt, nominal, geometric, other))
     if found:
         _, nominal, geometric, other = min(found, key=lambda entry: entry[0])
         whose, before, after = "calibrated", own[1], geometric
@@ -277,13 +282,15 @@ def _units(settings: MeasurementSettings, robot: Robot, table: pd.DataFrame) -> 
 
 
 def _joints(settings: MeasurementSettings, robot: Robot, table: pd.DataFrame) -> Iterator[Other]:
-    """One joint with the other sign or in another unit, and two exchanged."""
+    """One joint with the other sign, another zero or in another unit, and two exchanged."""
     columns = {name: settings.columns.get(name, name) for name in robot.readings}
     unit, factor = _other_angle(settings)
     for (joint, column), kind in zip(columns.items(), robot.kinds, strict=True):
         values = _numbers(table, [column])[:, 0]
         remedy = f"Change the sign of {column} in the file"
         yield Other(f"{joint} with the other sign", remedy, settings, table.assign(**{column: -values}))
+        if kind != "prismatic":
+            yield from _zeros(settings, joint, column, table)
         scales = {unit: factor}
         now = settings.units.columns.get(column, settings.units.angle)
         if kind == "prismatic":
@@ -298,6 +305,22 @@ def _joints(settings: MeasurementSettings, robot: Robot, table: pd.DataFrame) ->
         mapped = {one: columns[two], two: columns[one]}
         remedy = _write(f"columns: {_braces(mapped)}")
         yield Other(f"{one} and {two} exchanged", remedy, _with(settings, columns=mapped), table)
+
+
+def _zeros(settings: MeasurementSettings, joint: str, column: str, table: pd.DataFrame) -> Iterator[Other]:
+    """A joint that counts from another quarter of a turn, or that way and backwards, as controllers and URDFs often differ."""
+    values = _numbers(table, [column])[:, 0]
+    quarter = np.pi / 2.0 / settings.units.scale(column, "angle")
+    unit = SPELT[settings.units.columns.get(column, settings.units.angle)]
+    for sign, how in ((1.0, ""), (-1.0, " and the other sign")):
+        for turns in (1, -1, 2):
+            what = f"{joint} with another zero ({90 * turns:+d} degrees){how}"
+            amount = f"{turns * quarter:.6g} {unit}"
+            remedy = f"Add {amount} to {column} in the file"
+            if sign < 0.0:
+                remedy = f"Change the sign of {column} in the file, then add {amount} to it"
+            changed = table.assign(**{column: sign * values + turns * quarter})
+            yield Other(what, remedy, settings, changed, RARER if sign > 0.0 else RARER**2)
 
 
 def _other_angle(settings: MeasurementSettings) -> tuple[str, float]:
