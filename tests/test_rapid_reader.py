@@ -292,3 +292,14 @@ def test_external_axes_of_a_pose_are_held() -> None:
     off = text.replace("PROC main()\n", "PROC main()\nDeactUnit TRACK;\n")
     (target,) = ROW.read(Project((Source(Path("a.mod"), off),)), cell).targets
     assert "external axes" in target.why
+
+
+def test_a_frame_in_place_of_a_truth_leaves_the_moves_and_nothing_else() -> None:
+    """Found by chance: what stands for a part of a work object was asked for its hash."""
+    text = (
+        'MODULE M\n  TASK PERS wobjdata w:=[FALSE,tool0,"",[[500,0,200],[1,0,0,0]],[[0,0,0],[1,0,0,0]]];\n'
+        f"  PROC main()\n    MoveAbsJ [[0,-20,30,0,40,0],[9E9,9E9,9E9,9E9,9E9,9E9]],v,z,tool0;\n    w.oframe.trans.x:=ai1;\n"
+        f"    MoveL {POSE},v,z,tool0\\WObj:=w;\n    MoveL {OTHER},v,z,tool0;\n  ENDPROC\nENDMODULE\n"
+    )
+    left, plain = (target for target in read({"m.mod": text}).targets if target.form == "pose")
+    assert left.why and not plain.why

@@ -172,7 +172,7 @@ def _check_numbers(before: Sequence[Target], after: Sequence[Target], spliced: S
 
 def _standing(targets: Sequence[Target]) -> tuple[np.ndarray, list[str]]:
     """Where all numbers of targets start, those of a posture behind the others, and what stands there."""
-    starts, texts = array("Q"), list[str]()
+    starts, texts = array("I"), list[str]()
     for target in targets:
         starts += target.numbers.starts
         texts += target.numbers.texts

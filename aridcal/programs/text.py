@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from array import array
-from bisect import bisect_right
+from bisect import bisect_left, bisect_right
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -53,7 +53,7 @@ class Numbers(Sequence[Number]):
 
     def __init__(self, numbers: Iterable[Number] = ()) -> None:
         own = tuple(numbers)
-        self.starts = array("Q", [n.start for n in own])
+        self.starts = array("I", [n.start for n in own])
         self.joined = NUL.join([n.text for n in own])
 
     @property
@@ -108,11 +108,11 @@ class Code:
     plain: str
 
     @cached_property
-    def _starts(self) -> list[int]:
-        return [0, *(m.end() for m in re.finditer("\n", self.text))]
+    def _starts(self) -> array[int]:
+        return array("I", [0, *(m.end() for m in re.finditer("\n", self.text))])
 
     @cached_property
-    def _pairs(self) -> dict[int, int]:
+    def _pairs(self) -> tuple[array[int], array[int]]:
         return bracket_pairs(self.plain)
 
     def line(self, place: int) -> int:
@@ -121,7 +121,9 @@ class Code:
 
     def closing(self, place: int) -> int:
         """The place of the bracket that closes the one at a place; -1 if none does."""
-        return self._pairs.get(place, -1)
+        opening, closing = self._pairs
+        k = bisect_left(opening, place)
+        return closing[k] or -1 if k < len(opening) and opening[k] == place else -1
 
     def arguments(self, start: int, end: int) -> list[tuple[int, int]]:
         """Places of what commas part between two places, brackets of any kind kept whole; blanks at the ends left out.
@@ -149,18 +151,21 @@ class Code:
         return start, end
 
 
-def bracket_pairs(text: str) -> dict[int, int]:
-    """The place of the closing bracket of each opening one that has its own."""
-    pairs: dict[int, int] = {}
-    opened: list[int] = []
+def bracket_pairs(text: str) -> tuple[array[int], array[int]]:
+    """Places of opening brackets that have their own closing one, in order, and those of these."""
+    opening, closing = array("I"), array("I")
+    opened: list[int] = []  # numbers among the opening ones
     for match in re.finditer(r"[()\[\]{}]", text):
-        if match.group() in CLOSES:
-            opened.append(match.start())
-        elif opened and CLOSES[text[opened[-1]]] == match.group():
-            pairs[opened.pop()] = match.start()
+        place, bracket = match.start(), match.group()
+        if bracket in CLOSES:
+            opened.append(len(opening))
+            opening.append(place)
+            closing.append(0)  # what is not closed ends nowhere: no bracket closes at the first place
+        elif opened and CLOSES[text[opening[opened[-1]]]] == bracket:
+            closing[opened.pop()] = place
         else:  # what does not fit leaves all that is open without an end
             opened.clear()
-    return pairs
+    return opening, closing
 
 
 def blanked(text: str, comments: str) -> str:

@@ -212,8 +212,11 @@ class Expressions:
             now = value(state)
             if not isinstance(now, tuple):
                 return now if isinstance(now, Frame) else convert(text, now)
-            if (text, now) not in kept:
-                kept[text, now] = convert(text, now)
+            try:
+                if (text, now) not in kept:
+                    kept[text, now] = convert(text, now)
+            except TypeError:  # a frame stands in it where numbers belong: such a value has no hash
+                return convert(text, now)
             return kept[text, now]
 
         return frame

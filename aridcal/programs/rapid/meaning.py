@@ -239,7 +239,7 @@ class Meaning:
         return statement.kind == "read" or (statement.kind == "call" and statement.name in MOVES)
 
     def _call(self, bound: Bound, statement: Statement, guarded: bool) -> list[Node]:
-        given = self.names.arguments(statement)
+        given = self.names.arguments(bound, statement)
         if statement.kind == "late":
             return self._late(bound, statement, given, guarded)
         name = statement.name

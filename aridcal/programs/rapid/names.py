@@ -227,9 +227,22 @@ class Names:
             if name.startswith(prefix) and name not in self._twice and self.routines[key].routine.kind == "proc"
         ]
 
-    def arguments(self, statement: Statement) -> Arguments:
+    def arguments(self, bound: Bound, statement: Statement) -> Arguments:
         """Arguments of a call."""
-        return self._prepared[id(statement)]
+        given = self._prepared.get(id(statement))
+        if given is None:
+            start = statement.body if statement.kind == "call" else late(bound.code, statement)[1]
+            given = arguments(bound.code, start, statement.end)
+            if not self._is_plain_move(bound, statement):  # there are too many moves to keep theirs
+                self._prepared[id(statement)] = given
+        return given
+
+    def _is_plain_move(self, bound: Bound, statement: Statement) -> bool:
+        """Whether a statement is a move of the controller's own that changes no data and calls nothing."""
+        move = MOVES.get(statement.name) if statement.kind == "call" else None
+        if move is None or move.written or move.routine is not None:
+            return False
+        return self.routine(bound.module, statement.name) is None
 
     def _declare(self, modules: Sequence[Module]) -> list[Scope]:
         """Data of modules: each sees its own, then those of all others that are not local."""
@@ -298,9 +311,9 @@ class Names:
         return self.routine(bound.module, statement.name) not in self.routines and statement.name not in self.harmless
 
     def _look_at_call(self, bound: Bound, statement: Statement, why: str) -> None:
-        start = statement.body if statement.kind == "call" else late(bound.code, statement)[1]
-        given = self._prepared[id(statement)] = arguments(bound.code, start, statement.end)
-        name = statement.name
+        if self._is_plain_move(bound, statement):
+            return
+        given, name = self.arguments(bound, statement), statement.name
         if statement.kind == "late":
             prefix, _, whole = late(bound.code, statement)
             keys = self.begin_with(bound.module, prefix) if prefix else []
