@@ -17,7 +17,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.stats import t as student
+from scipy.special import stdtr  # Student's t: its upper tail is stdtr(freedom, -t), and scipy.stats is slow to load
 
 from aridcal.effects.basis import Basis
 from aridcal.effects.effect import Coefficient
@@ -189,11 +189,11 @@ def _answer(sums: _Sums, stated: np.ndarray) -> str:
     if angle < LEAN or (angle > np.pi - LEAN and len(sure) < 2):
         return ""
     if angle > np.pi - LEAN:  # as well explained, by joints that give way against the pull
-        p_value = float(student.sf(np.abs(sure).min(), freedom))
+        p_value = float(stdtr(freedom, -np.abs(sure).min()))
     else:
         gain = _held_back(sums, stated)
         error = float(gain.std(ddof=1) / np.sqrt(len(gain)))
-        p_value = float(student.sf(gain.mean() / max(error, np.finfo(float).tiny), len(gain) - 1))
+        p_value = float(stdtr(len(gain) - 1, -gain.mean() / max(error, np.finfo(float).tiny)))
     if p_value >= SURE:
         return ""
     vector = ", ".join(f"{STANDARD * component:.2f}" for component in u)
