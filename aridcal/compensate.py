@@ -39,9 +39,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import product
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 from rich.console import Console
 
 from aridcal.command_line import CommandParser, command_parser, for_scripts, run, screens
@@ -59,6 +59,9 @@ from aridcal.showing import told_on
 from aridcal.writing.apart import check_apart
 from aridcal.writing.files import atomic_file, check_home, claimed
 from aridcal.writing.tables import ENDINGS, table_file, write_table
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 SHOWN_REMARKS = 5
 
@@ -237,6 +240,8 @@ class Answered:
 
 
 def _tabulate(calibration: SavedModel, points: int, out: Path, console: Console) -> None:
+    import pandas as pd  # slow to load, and robot programs do without
+
     robot, settings = calibration.final.model.robot, calibration.measurements
     with told_on(console) as progress:
         progress.at("making the table")

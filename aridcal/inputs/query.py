@@ -23,11 +23,10 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Query:
-    """Every row of a file that asks for poses or for commands; what a row lacks is NaN there.
+class QueryRows:
+    """Rows that ask for poses or for commands; what a row lacks is NaN there.
 
     Attributes:
-        table: All columns as they were given, in their order; cells of a csv file are text.
         readings: Shape (N, columns), [rad] or [m].
         position: Shape (N, 3), [m]; `None` unless poses were asked for.
         quaternion: Unit, qx qy qz qw, shape (N, 4); `None` likewise.
@@ -39,7 +38,6 @@ class Query:
         notices: What is odd but used.
     """
 
-    table: pd.DataFrame
     readings: np.ndarray
     position: np.ndarray | None
     quaternion: np.ndarray | None
@@ -49,6 +47,17 @@ class Query:
     usable: np.ndarray
     refused: tuple[Remark, ...]
     notices: tuple[Remark, ...]
+
+
+@dataclass(frozen=True)
+class Query(QueryRows):
+    """Every row of a file that asks for poses or for commands.
+
+    Attributes:
+        table: All columns as they were given, in their order; cells of a csv file are text.
+    """
+
+    table: pd.DataFrame
 
 
 @dataclass

@@ -15,11 +15,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import pandas as pd
 
 from aridcal.errors import CovariateNotFound
 from aridcal.inputs.approach import approach
-from aridcal.inputs.query import Query
+from aridcal.inputs.query import QueryRows
 from aridcal.model.inverse import FINEST, UNAVOIDABLE
 from aridcal.model.inverse_rows import ArmRows, InverseRows, rotation_vectors
 from aridcal.programs.branches import FEW, STARTS, Chain, Controller, Memory, Poses, flanges
@@ -195,8 +194,8 @@ class _Arm:
         n = len(q)
         station = None if self.station is None else np.full(n, self.station)
         line, usable = np.arange(n), np.ones(n, dtype=bool)
-        query = Query(pd.DataFrame(), q, None, None, self.values(sides, n), station, line, usable, (), ())
-        return extrapolates(self.saved, query, std_of(self.saved, query))
+        rows = QueryRows(q, None, None, self.values(sides, n), station, line, usable, (), ())
+        return extrapolates(self.saved, rows, std_of(self.saved, rows))
 
 
 def correct(

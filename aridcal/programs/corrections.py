@@ -8,14 +8,17 @@ from itertools import chain
 from typing import Any, overload
 
 import numpy as np
-import pandas as pd
 
+from aridcal.errors import printable
 from aridcal.programs.proof import Change
 from aridcal.programs.targets import Target
 from aridcal.programs.text import NUL, Numbers
 
 DIGITS = 6
 """Of millimetres and milliradians in the side table: a nanometre, which nobody reads past."""
+
+WRITTEN_DIGITS = 12
+"""Of such a number altogether: a kilometre in nanometres, and no digit that is rounding of the last one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,16 +164,19 @@ def joined_corrections(parts: Sequence[Corrections]) -> Corrections:
     return Corrections(**{own.name: column(own.name) for own in fields(Corrections)})
 
 
-def as_table(found: Corrections) -> pd.DataFrame:
-    """The corrections of each move, one row a target; millimetres and milliradians."""
+def as_table(found: Corrections) -> dict[str, np.ndarray]:
+    """The corrections of each move, columns with one row a target; millimetres and milliradians."""
     left = found.left
     moved, after = np.where(left[:, None], 0.0, found.moved), np.where(left[:, None], found.before, found.after)
-    columns: dict[str, object] = {
-        "line": [target.line for target in found.targets],
-        "target": [target.name for target in found.targets],
+    columns: dict[str, Any] = {
+        "line": np.array([target.line for target in found.targets], dtype=int),
+        "target": [printable(target.name) for target in found.targets],
         "written_as": [target.form for target in found.targets],
         "corrected": ~left,
-        "remark": [why or _remark(found.remark[k], found.beside[k]) for k, why in enumerate(found.why)],
+        "remark": [
+            printable(why or _remark(*remark))
+            for why, *remark in zip(found.why, found.remark, found.beside, strict=True)
+        ],
     }
     names = (
         ("moved_mm", "turned_mrad"),
@@ -181,7 +187,9 @@ def as_table(found: Corrections) -> pd.DataFrame:
         columns |= dict(zip(pair, np.round(1e3 * values.T, DIGITS), strict=True))
     columns["arm_positions"] = found.positions
     columns["other_position_mm"] = np.round(1e3 * found.doubt, DIGITS)
-    return pd.DataFrame(columns)
+    return {
+        name: np.asarray(column, dtype=object if isinstance(column, list) else None) for name, column in columns.items()
+    }
 
 
 def _remark(remark: str, beside: float) -> str:

@@ -12,11 +12,11 @@ from pathlib import Path
 
 import numpy as np
 
-from aridcal.errors import CampaignError, MeasurementError, OutputError
+from aridcal.errors import CampaignError, MeasurementError, OutputError, printable
 from aridcal.programs.axes import Axes, axes_of
 from aridcal.programs.cell import Cell, Reading
 from aridcal.programs.correct import NO_SUCH_POSTURE, correct, every_position
-from aridcal.programs.corrections import Corrections, as_table
+from aridcal.programs.corrections import WRITTEN_DIGITS, Corrections, as_table
 from aridcal.programs.frames import read_frames
 from aridcal.programs.language import Language
 from aridcal.programs.languages import language_of
@@ -29,7 +29,7 @@ from aridcal.result.saved_model import SavedModel
 from aridcal.showing import SILENT, Progress
 from aridcal.writing.apart import check_apart
 from aridcal.writing.files import atomic_file, atomic_folder, check_home, claimed
-from aridcal.writing.tables import write_table
+from aridcal.writing.tables import write_csv
 
 
 @dataclass(frozen=True)
@@ -229,8 +229,10 @@ def _write(opened: Opened, outputs: Outputs, texts: Sequence[str], corrections: 
     hashes = [output_hash(text) if text != source.text else "" for source, text in zip(sources, texts, strict=True)]
     table = as_table(corrections)
     if len(outputs.files) > 1:
-        table.insert(0, "file", [sources[target.file].path.name for target in corrections.targets])
-    table[OUTPUT_HASH] = [hashes[target.file] for target in corrections.targets]
+        table = {
+            "file": np.array([printable(sources[t.file].path.name) for t in corrections.targets], dtype=object)
+        } | table
+    table[OUTPUT_HASH] = np.array([hashes[target.file] for target in corrections.targets], dtype=object)
     with ExitStack() as ends:
         if outputs.folder is not None:
             built = ends.enter_context(atomic_folder(outputs.folder))
@@ -242,4 +244,4 @@ def _write(opened: Opened, outputs: Outputs, texts: Sequence[str], corrections: 
         for place, text in zip(places, texts, strict=False):  # behind the programs are files that are only read
             place.parent.mkdir(parents=True, exist_ok=True)
             place.write_bytes(text.encode("latin-1"))
-        write_table(table, side)
+        write_csv(table, side, WRITTEN_DIGITS)

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
+import csv
 import hashlib
 import re
-from collections.abc import Sequence
+from collections.abc import Collection
 from pathlib import Path
-
-import pandas as pd
 
 from aridcal.errors import AridcalError
 from aridcal.programs.language import Language
@@ -71,9 +70,10 @@ def refuse_corrected(path: Path, text: str) -> None:
         )
 
 
-def _hashes(table: Path) -> Sequence[str]:
+def _hashes(table: Path) -> Collection[str]:
     """Hashes of outputs in a table of corrections; none where there is no such table."""
     try:
-        return list(pd.read_csv(table, usecols=[OUTPUT_HASH], dtype=str)[OUTPUT_HASH].dropna().unique())
-    except (OSError, ValueError):
-        return []
+        with table.open(encoding="utf-8", newline="") as lines:
+            return frozenset(row.get(OUTPUT_HASH) or "" for row in csv.DictReader(lines)) - {""}
+    except (OSError, ValueError, csv.Error):
+        return frozenset()

@@ -12,8 +12,6 @@ from datetime import date, datetime, time, timedelta
 from pathlib import Path
 from typing import IO, Any
 
-from openpyxl.reader.excel import ExcelReader
-
 from aridcal.errors import MeasurementError, listed, nearest, printable, shortened
 from aridcal.reading.files import MEGA, Limit
 from aridcal.reading.table_files import MOST_COLUMNS
@@ -104,6 +102,8 @@ def as_csv(content: bytes, path: Path, limit: Limit, sheet: str, decimal: str) -
 
 def _opened(content: bytes, path: Path, limit: Limit) -> Any:
     """A workbook whose parts are within limits and declare nothing."""
+    from openpyxl.reader.excel import ExcelReader  # slow to load, and few tables are workbooks
+
     try:
         reader = ExcelReader(io.BytesIO(content), read_only=True, data_only=True, keep_links=False)
         size = sum(part.file_size for part in reader.archive.infolist())

@@ -18,7 +18,7 @@ from aridcal.errors import MeasurementError
 from aridcal.inputs.measurement_settings import MeasurementSettings
 from aridcal.inputs.orientations import QUATERNION, angle_columns, column_of, own_orientation
 from aridcal.inputs.quantities import POSITION, STD
-from aridcal.inputs.query import Query, load_query
+from aridcal.inputs.query import Query, QueryRows, load_query
 from aridcal.inputs.tables import IN_MEMORY, AnyTable, Remark, Table
 from aridcal.model.inverse import InverseKinematics
 from aridcal.model.model import Model
@@ -291,7 +291,7 @@ def orientations(R: np.ndarray, settings: MeasurementSettings) -> np.ndarray:
     return every
 
 
-def std_of(saved: SavedModel, query: Query) -> np.ndarray:
+def std_of(saved: SavedModel, query: QueryRows) -> np.ndarray:
     """Standard deviations of the target's pose, shape (N, 6); NaN where unknown.
 
     As :meth:`SolvedModel.std` has them, and what heat may do beyond the temperatures seen (:func:`growth`).
@@ -309,7 +309,7 @@ def std_of(saved: SavedModel, query: Query) -> np.ndarray:
     return std
 
 
-def growth(saved: SavedModel, query: Query) -> np.ndarray:
+def growth(saved: SavedModel, query: QueryRows) -> np.ndarray:
     """1-sigma per axis of how much the arm has grown by heat that no row of the calibration saw, shape (N,), [m].
 
     Of the arm's length, along one direction that nobody knows: a third of its square for each axis.
@@ -319,7 +319,7 @@ def growth(saved: SavedModel, query: Query) -> np.ndarray:
     return EXPANSION * saved.span / np.sqrt(3.0) * beyond_heat(query.covariates, saved.recorded | saved.ranges)
 
 
-def extrapolates(saved: SavedModel, query: Query, std: np.ndarray) -> np.ndarray:
+def extrapolates(saved: SavedModel, query: QueryRows, std: np.ndarray) -> np.ndarray:
     """Rows that are not like those that the calibration has seen, shape (N,).
 
     See :meth:`aridcal.trust.seen.Seen.beyond` and :func:`aridcal.trust.seen.elsewhere`; and far from all places that a field is
@@ -408,7 +408,7 @@ def uncertainty(saved: SavedModel, query: Query, tool: Sequence[float]) -> pd.Da
     return with_told(saved, query, table)
 
 
-def _far(saved: SavedModel, query: Query, known: np.ndarray) -> np.ndarray:
+def _far(saved: SavedModel, query: QueryRows, known: np.ndarray) -> np.ndarray:
     """Rows, of those that are known, whose target is far from all places that a field in space is known at."""
     model, readings = saved.final.model, query.readings[known]
     bases = [c.basis for c in model.coefficients if c.basis.form == "ball"]

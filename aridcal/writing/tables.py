@@ -37,16 +37,26 @@ def csv_lines(table: Mapping[str, np.ndarray], digits: int) -> str:
             cells = ["" if value != value else form % value for value in cells]
         else:
             forms.append("%s")
-            quoted = {cell: _quoted(str(cell)) for cell in set(cells)} if values.dtype.kind not in "iu" else None
+            quoted = {cell: _quoted(cell) for cell in set(cells)} if values.dtype.kind not in "iu" else None
             cells = cells if quoted is None else [quoted[cell] for cell in cells]
         columns.append(cells)
     line = ",".join(forms) + "\n"
     return "".join([line % row for row in zip(*columns, strict=True)])
 
 
-def _quoted(cell: str) -> str:
+def _quoted(cell: object) -> str:
     """A cell as csv has it."""
+    if isinstance(cell, bool):
+        return "true" if cell else "false"
+    cell = str(cell)
     return '"' + cell.replace('"', '""') + '"' if QUOTED & set(cell) else cell
+
+
+def write_csv(table: Mapping[str, np.ndarray], path: Path, digits: int) -> None:
+    """Write columns of numbers and words, floats with so many digits."""
+    with path.open("w", encoding="utf-8", newline="") as file:
+        file.write(",".join(map(_quoted, table)) + "\n")
+        file.write(csv_lines(table, digits))
 
 
 def write_table(table: pd.DataFrame, path: Path) -> None:
