@@ -113,12 +113,9 @@ def rapid_words(data: Sequence[Number], cell: Cell) -> Words | None:
     return _words(data, _quarters(cell.axes, cell.anatomy), "confdata [{},{},{},{}]", cell) if len(data) == 4 else None
 
 
-def fanuc_words(letters: Sequence[Number], turns: Sequence[Number], cell: Cell) -> Words | None:
-    """CONFIG : 'N U T, 0, 0, 0': its letters and turn numbers; None where nothing stands there."""
-    if not letters and not turns:
-        return None
-    written = f"CONFIG '{' '.join('{}' for _ in letters)}, {', '.join('{}' for _ in turns)}'"
-    return _words((*letters, *turns), _letters(len(letters), len(turns), cell.axes), written, cell)
+def fanuc_words(config: Numbers, cell: Cell) -> Words | None:
+    """CONFIG : 'N U T, 0, 0, 0': its three letters and turn numbers; None where nothing stands there."""
+    return _words(config, _letters(cell.axes), "CONFIG '{} {} {}, {}, {}, {}'", cell) if config else None
 
 
 @lru_cache
@@ -130,15 +127,15 @@ def _quarters(axes: Axes, anatomy: Anatomy | None) -> tuple[Rule, ...]:
 
 
 @lru_cache
-def _letters(letters: int, turns: int, axes: Axes) -> tuple[Rule, ...]:
-    """Rules of CONFIG's letters and turn numbers."""
-    counted = turns == 3 and len(axes.arm) == 6 and all(axes.kinds[axes.arm[k]] != "prismatic" for k in (0, 3, 5))
-    counts = [_turns(axis) for axis in (0, 3, 5)] if counted else [_kept] * turns
-    return *([_letter] * letters), *counts
+def _letters(axes: Axes) -> tuple[Rule, ...]:
+    """Rules of CONFIG's three letters and turn numbers."""
+    counted = len(axes.arm) == 6 and all(axes.kinds[axes.arm[k]] != "prismatic" for k in (0, 3, 5))
+    counts = [_turns(axis) for axis in (0, 3, 5)] if counted else [_kept] * 3
+    return *([_letter] * 3), *counts
 
 
 def _words(numbers: Sequence[Number], rules: tuple[Rule, ...], written: str, cell: Cell) -> Words:
-    own = Numbers(numbers)
+    own = numbers if isinstance(numbers, Numbers) else Numbers(numbers)
     return Words(own, Posture(own, rules, cell.axes, cell.anatomy), written)
 
 

@@ -56,6 +56,14 @@ class Numbers(Sequence[Number]):
         self.starts = array("I", [n.start for n in own])
         self.joined = NUL.join([n.text for n in own])
 
+    @classmethod
+    def of_groups(cls, match: re.Match[str], first: int, last: int) -> Numbers:
+        """The numbers that groups of a match are, from the first to the last."""
+        own = cls()
+        own.starts = array("I", [start for start, _ in match.regs[first : last + 1]])
+        own.joined = NUL.join(match.groups()[first - 1 : last])
+        return own
+
     @property
     def texts(self) -> list[str]:
         """What stands there."""

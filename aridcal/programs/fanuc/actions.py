@@ -11,6 +11,9 @@ from aridcal.programs.walk import Body, Choice, Repeat, Step
 Fields = tuple[tuple[str, str], ...]
 """Parts of an instruction by name."""
 
+Options = tuple[tuple[Option, Fields], ...]
+"""Options of a move, and parts of them."""
+
 
 @dataclass(frozen=True, slots=True)
 class Place:
@@ -51,7 +54,7 @@ class Action:
     fields: Fields = ()
     how: str = ""
     places: tuple[Place, ...] = ()
-    options: tuple[tuple[Option, Fields], ...] = ()
+    options: Options = ()
     raw: str = ""
 
     def field(self, name: str) -> str:

@@ -6,8 +6,8 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from aridcal.programs.fanuc.actions import Action, Fields, Place, own_group, short
-from aridcal.programs.fanuc.listing import SHOWN, Instruction, Listing
+from aridcal.programs.fanuc.actions import Action, Fields, Options, Place, own_group, short
+from aridcal.programs.fanuc.listing import SHOWN, Instruction, Listing, plain
 from aridcal.programs.fanuc.table import CHANGES, HARMLESS, INDEX, MODES, MOVE, OPTIONS, PLACE, Option
 from aridcal.programs.walk import DEEPEST, Body, Call, Choice, Jump, Leave, Mark, Node, Repeat, Step, TooLong
 
@@ -59,6 +59,9 @@ TASK = re.compile(r"(?:RUN (\w+)(?:\(.*\))?|(?:ERROR|RESUME|MAINT)_PROG(?:\[\d+\
 
 NO_TASK = re.compile(r"MONITOR END (\w+)")
 
+USUAL_MOVE = re.compile(r"([JL]) ?P\[(\d{1,9})(?::[^\[\]:\n'\"]*)?\](.*)", re.DOTALL)
+"""A move as controllers write it, apart from what stands behind its point."""
+
 BLOCK = re.compile(r"IF\(.*\)THEN|FOR\b.+|WHILE\b.+")
 
 WAIT = re.compile(rf"WAIT\b.+?,? ?TIMEOUT,? ?LBL\[({INDEX})\]")
@@ -101,6 +104,7 @@ class _Reader:
         self._blocks = [_Block("", 0)]
         self._choice: list[Body] = []  # branches of a SELECT that is not yet complete
         self._otherwise = False
+        self._plain_moves: dict[tuple[str, str], Options | None] = {}
 
     def read(self) -> Flow:
         for instruction in self._listing.instructions():
@@ -118,6 +122,8 @@ class _Reader:
         self.flow.why = self.flow.why or f"the block of line {line} {what}"
 
     def _instruction(self, instruction: Instruction) -> None:
+        if instruction.closed and not self._choice and self._is_plain_move(instruction):
+            return
         text, start = instruction.text, instruction.start
         if self._branch_of_select(text, instruction):
             return
@@ -145,6 +151,35 @@ class _Reader:
             self._blocks[-1].nodes.append(Mark(label.group(1)))
         else:
             self._blocks[-1].nodes.extend(self._nodes(text, instruction))
+
+    def _is_plain_move(self, instruction: Instruction) -> bool:
+        """Read a move that differs from others by its point alone, of which a long program has many; True where it is one.
+
+        What stands behind the point is read once, with the first of these points.
+        """
+        match = USUAL_MOVE.fullmatch(instruction.raw)
+        if match is None:
+            return False
+        how, point, rest = match.groups()
+        if (how, rest) not in self._plain_moves:
+            self._plain_moves[how, rest] = self._plain_move(f"{how} P[1]{rest}")
+        move = self._plain_moves[how, rest]
+        if move is None:
+            return False
+        places = (Place("P", point),)
+        self._blocks[-1].nodes.append(Step(Action("move", self._program, instruction.start, (), how, places, move)))
+        return True
+
+    def _plain_move(self, raw: str) -> Options | None:
+        """Options of a move to P[1]; None where it does anything else than to go there."""
+        move = MOVE.fullmatch(plain(raw))
+        if move is None:
+            return None
+        alone = _Reader(self._program, self._listing)
+        step, *others = alone._move(move, Instruction(0, raw))
+        if others or alone.flow != Flow() or not isinstance(step, Step) or not isinstance(step.what, Action):
+            return None
+        return step.what.options if step.what.places == (Place("P", "1"),) else None
 
     def _come_into(self) -> None:
         """Write all open blocks out with jumps."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 from aridcal.programs.fanuc.table import HEADERS
-from aridcal.programs.text import NUMBER, Code, Number
+from aridcal.programs.text import NONE, NUMBER, Code, Number, Numbers
 
 SECTION = re.compile(r"(?:\A(?:\xef\xbb\xbf)?|(?<=[\r\n]))[ \t]*/(PROG|ATTR|APPL|MN|POS|END)\b")
 
@@ -66,13 +66,18 @@ class Instruction:
 
     Attributes:
         start: Where it begins in the text.
-        text: As :func:`plain` writes it; empty where it cannot be told.
-        raw: As it stands there, for messages.
+        raw: As it stands there.
+        closed: Whether it has an end.
     """
 
     start: int
-    text: str
     raw: str
+    closed: bool = True
+
+    @property
+    def text(self) -> str:
+        """As :func:`plain` writes it; empty where it cannot be told."""
+        return plain(self.raw) if self.closed else ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,9 +101,9 @@ class Point:
     why: str = ""
     user: str = "F"
     tool: str = "F"
-    config: tuple[Number, ...] = ()
+    config: Numbers = NONE
     names: tuple[str, ...] = ()
-    numbers: tuple[Number, ...] = ()
+    numbers: Numbers = NONE
     units: tuple[str, ...] = ()
 
     @property
@@ -143,8 +148,7 @@ class Listing:
             assert body is not None  # it may be empty
             raw, stop = body.group(), body.end()
             if raw.strip():
-                closed = stop < end and NUMBERED.search(raw) is None
-                yield Instruction(place, plain(raw) if closed else "", raw)
+                yield Instruction(place, raw, stop < end and ("\n" not in raw or NUMBERED.search(raw) is None))
             place = stop + 1
 
 
@@ -242,9 +246,8 @@ def _point(text: str, match: re.Match[str]) -> Point:
     index = int(match.group(1)[-INDEX_DIGITS:])
     usual = POSED.match(text, begin, end)
     if usual is not None:
-        words = tuple([Number(usual.start(k), usual.group(k)) for k in range(3, 9)])
-        numbers = tuple([Number(usual.start(k), usual.group(k)) for k in range(9, 15)])
-        why = _beyond(numbers)
+        words, numbers = Numbers.of_groups(usual, 3, 8), Numbers.of_groups(usual, 9, 14)
+        why = _beyond(numbers.texts)
         return Point(
             index, start, why, _index(usual.group(1)), _index(usual.group(2)), words, POSE, numbers, POSED_UNITS
         )
@@ -265,9 +268,9 @@ def _point(text: str, match: re.Match[str]) -> Point:
     why = _fault(names, numbers, units)
     if head.group(3) is not None and stated is None:
         why = why or f"its CONFIG '{head.group(3)[:SHOWN].strip()}' is none of an arm of six axes"
-    words = () if stated is None else tuple(Number(stated.start(k), stated.group(k)) for k in range(1, 7))
+    words = NONE if stated is None else Numbers.of_groups(stated, 1, 6)
     user, tool = _index(head.group(1).upper()), _index(head.group(2).upper())
-    return Point(index, start, why, user, tool, words, names, numbers, units)
+    return Point(index, start, why, user, tool, words, names, Numbers(numbers), units)
 
 
 def _fields(text: str, start: int, end: int) -> tuple[tuple[str, ...], tuple[Number, ...], tuple[str, ...], str]:
@@ -291,8 +294,9 @@ def _fault(names: Sequence[str], numbers: Sequence[Number], units: Sequence[str]
     """Why the numbers of a point are no place; empty if they are one."""
     if any("*" in n.text for n in numbers):
         return "is not taught"
-    if _beyond(numbers):
-        return _beyond(numbers)
+    beyond = _beyond([n.text for n in numbers])
+    if beyond:
+        return beyond
     if not all(units) or len(set(names)) < len(names):
         return "is not understood: it has a number twice, or without a unit"
     posed = [name for name in POSE if name in names]
@@ -305,9 +309,9 @@ def _fault(names: Sequence[str], numbers: Sequence[Number], units: Sequence[str]
     return ""
 
 
-def _beyond(numbers: Sequence[Number]) -> str:
+def _beyond(texts: Sequence[str]) -> str:
     """Why a number is none of a place; empty if all are."""
-    return "has a number that no arm can reach" if max([abs(n.value) for n in numbers], default=0.0) > LARGEST else ""
+    return "has a number that no arm can reach" if max(map(abs, map(float, texts)), default=0.0) > LARGEST else ""
 
 
 @lru_cache(maxsize=64)

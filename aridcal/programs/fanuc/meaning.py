@@ -112,7 +112,7 @@ class Meaning:
         why = foreign or listing.why or flow.why
         for point in listing.points.values():
             key = self._key(program, point)
-            self._words[key] = fanuc_words(point.config[:3], point.config[3:], self._cell) if point.config else None
+            self._words[key] = fanuc_words(point.config, self._cell)
             self.ledger.declare(key, partial(self._targets.target, listing.code, point, self._words[key]))
             reason = why or point.why or self._targets.beyond(point)
             if reason:

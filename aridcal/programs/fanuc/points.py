@@ -8,7 +8,7 @@ from aridcal.programs.axes import DEGREE, MILLIMETRE, Axes
 from aridcal.programs.fanuc.listing import POSE, Point
 from aridcal.programs.notations import FANUC
 from aridcal.programs.targets import Branch, Place, Target, Words
-from aridcal.programs.text import Code, Numbers
+from aridcal.programs.text import NONE, Code, Numbers
 from aridcal.programs.uses import Use
 
 COUPLED = (
@@ -68,10 +68,10 @@ class Targets:
             readings = self._axes.readings(numbers, units)
             return Target(line, name, "joints", Numbers(numbers), "", readings, units, digits=3, file=code.file)
         plain = not point.why
-        numbers = tuple(map(point.field, POSE)) if plain else ()
+        numbers = (point.numbers if point.names == POSE else Numbers(map(point.field, POSE))) if plain else NONE
         branch = Branch(words, None, self._held(point), False, use.unknown)
         place = use.place if plain else None
-        return Target(line, name, "pose", Numbers(numbers), "", None, (), FANUC, place, beside, branch, file=code.file)
+        return Target(line, name, "pose", numbers, "", None, (), FANUC, place, beside, branch, file=code.file)
 
     def _held(self, point: Point) -> np.ndarray | None:
         """External axes that a pose states, shape (columns,), NaN of the others."""
