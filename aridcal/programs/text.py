@@ -59,7 +59,7 @@ class Numbers(Sequence[Number]):
     @classmethod
     def of_groups(cls, match: re.Match[str], first: int, last: int) -> Numbers:
         """The numbers that groups of a match are, from the first to the last."""
-        own = cls()
+        own = cls.__new__(cls)
         own.starts = array("I", [start for start, _ in match.regs[first : last + 1]])
         own.joined = NUL.join(match.groups()[first - 1 : last])
         return own

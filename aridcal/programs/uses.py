@@ -86,6 +86,11 @@ class Use:
         """True where both mean the same place of the same tip, in the same way."""
         return (self.base, self.tool, self.mode, self.near) == (other.base, other.tool, other.mode, other.near)
 
+    def agrees(self, stated: Use) -> bool:
+        """True where this means what another use states; where it does not say what it starts from, it keeps the arm as it stands."""
+        near = self.near == stated.near or (self.near is None and not self.unknown)
+        return near and (self.base, self.tool, self.mode) == (stated.base, stated.tool, stated.mode)
+
 
 @dataclass(slots=True)
 class _Point:
@@ -145,10 +150,10 @@ class Ledger:
         """The target of a point; with a reason where not all that uses it means the same."""
         uses = point.uses or [Use("", Unknown(NEVER), Unknown(NEVER))]
         direct = [use for use in uses if not use.aside] or uses
-        first = direct[0]
+        first = next((use for use in direct if use.near is not None), direct[0])
         trouble = point.spoilt or next((use.trouble for use in uses if use.trouble), "")
         if not trouble:
-            other = next((use for use in direct[1:] if not use.same(first)), None)
+            other = next((use for use in direct if not use.agrees(first)), None)
             if other is not None:
                 trouble = _two_meanings(first, other)
         if trouble:

@@ -263,6 +263,7 @@ DATA: tuple[tuple[str, str], ...] = (
 HEADERS: tuple[tuple[str, str], ...] = (
     ("line tracking", "/APPL\nLINE_TRACK;\n  LINE_TRACK_SCHEDULE_NUMBER      : 1;\n"),
     ("palletizing mode", "/APPL\nPLTZ_MODE_HEADER;\n PLTZ_MODE_ENABLE   : TRUE;\n"),
+    ("welding in several passes", "/APPL\nMPAS ;\nMPAS_NUM_PASSES        : 2;\n"),
     ("another application", "/APPL\n  DEFAULT_USER_FRAME : 2;\n"),
 )
 

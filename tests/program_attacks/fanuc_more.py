@@ -625,7 +625,8 @@ ORDER = (
                     "L P[5] max_speed CNT100 RT_LDR[1]   ",
                 ][:6],
                 [JOINT, *[pose(str(k), (900, 100 * k, 700), mark="⟨⟩") for k in (2, 3, 4)]],
-                "/APPL\n\nAUTO_SINGULARITY_HEADER;\n  ENABLE_SINGULARITY_AVOIDANCE   : TRUE;\n\n",
+                "/APPL\n\nAUTO_SINGULARITY_HEADER;\n  ENABLE_SINGULARITY_AVOIDANCE   : TRUE;\n\n"
+                "MPAS ;\nMPAS_NUM_PASSES        : 0;\nMPAS_LAST_PASS         : 0;\n",
             )
         },
         FRAMES,

@@ -157,6 +157,8 @@ WHOLE: dict[str, str] = {
     "axes behind a tool change": f"{HEAD}M6 T1\nG1 ⟦X1.5⟧\n",
     "axes behind a tool word": f"{HEAD}T1\nG1 ⟦X1.5⟧\n",
     "axes behind a length": f"{HEAD}G43 H1\nG1 ⟦X1.5 Y1.5⟧\n",
+    "axes behind the end of a length": f"{HEAD}G43 H1\nG1 X1.5 Y1.5 Z2.5\nG49\nG1 ⟦X2.5 Y2.5⟧\n",
+    "axes behind the end of no length": f"{HEAD}G1 ⟨X1.5 Y1.5 Z2.5⟩\nG49\nG1 ⟨X2.5 Y2.5⟩\n",
     "a tool change in a block": f"{HEAD}T1 M6 G1 ⟦X1.5 Y1.5 Z2.5⟧\n",
     "arcs": f"{HEAD}G1 X1.5 Y1.5 Z1.5\nG2 ⟦X5.5 Y5.5 I2. J2.⟧\n",
     "the start of an arc": "G90 G21 G54\nG1 ⟦X1.5 Y2.5 Z3.5⟧\nG2 X5.5 Y5.5 I2. J2.\n",

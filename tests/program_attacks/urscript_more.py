@@ -806,6 +806,19 @@ INDIRECT = (
         "sleep(0.1)",
     ),
     *body(
+        "a waypoint that a joint move reaches from stated joints, and a linear move as the arm stands",
+        f"  q1 = [0.2, -1.3, 1.5, -1.6, -1.5, 0.3]\n  p1 = {P1}\n  movej(get_inverse_kin(p1, qnear=q1))\n  §\n  movel(p1)",
+        "set_tcp(p[0.0, 0.0, 0.2, 0.0, 0.0, 0.0])",
+        "sleep(0.1)",
+    ),
+    *body(
+        "a waypoint that joint moves reach from two stances",
+        f"  q1 = [0.2, -1.3, 1.5, -1.6, -1.5, 0.3]\n  q2 = [0.2, -1.3, 1.5, 1.6, 1.5, 0.3]\n  p1 = {P1}\n"
+        "  movej(get_inverse_kin(p1, qnear=q1))\n  movel(p1)\n  movej(get_inverse_kin(p1, qnear=§))",
+        "q2",
+        "q1",
+    ),
+    *body(
         "a conveyor is followed in one branch",
         f"  if get_standard_digital_in(1):\n    §\n  end\n  movel({P1})",
         "track_conveyor_linear(p[1, 0, 0, 0, 0, 0], 500.0)",

@@ -133,6 +133,7 @@ HEADERS = (
     r"ENABLE_SINGULARITY_AVOIDANCE:(?:TRUE|FALSE)",
     r"PLTZ_MODE_HEADER",
     r"PLTZ_MODE_ENABLE:FALSE",
+    r"MPAS(?:_\w+:0)?",
     r"(?:J4TURN|ORIENT):\w+",
 )
 """What may stand in /APPL of a program whose points are where they say. A schedule of line tracking is not among it."""

@@ -174,7 +174,7 @@ class _Reader:
 
     def _block(self, block: Block, now: _Now) -> None:
         """Carry out one block: first its codes, then its axis words."""
-        before = dict(now.modes) if block.late else now.modes
+        before, length = dict(now.modes) if block.late else now.modes, now.modes["length"]
         self._control.carry_out(block, now.modes, self._stated)
         if block.codes or block.fault or isinstance(now.modes[UNDERSTOOD], Unknown):
             now.trouble = self._control.lost(now.modes)
@@ -183,7 +183,8 @@ class _Reader:
         own = [(letter, number) for letter, number in block.axes if letter in self._letters]
         if now.recording and words == "place":
             self._arc_begins(block, own, now.modes, now.last)
-        if "Z" in self._letters and any(row.mode == "length" for row in rows):
+        other = isinstance(length, Unknown) or now.modes["length"] != length
+        if other and "Z" in self._letters and any(row.mode == "length" for row in rows):
             now.at[self._letters["Z"]] = AWAY  # FANUC's controllers move it by the length at once
         away = words == "away" or len(rows) < len(block.codes) or not CALLS.isdisjoint(block.codes)
         away = away or any(letter == "T" for letter, _ in block.others)
