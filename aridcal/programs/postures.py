@@ -90,8 +90,13 @@ class Posture:
     def __call__(self, readings: np.ndarray) -> tuple[str, ...] | None:
         """What should stand there for readings, shape (columns,); None where nobody can tell all of it."""
         stance = Stance(shown(self.axes, readings).tolist(), self.anatomy)
-        texts = [rule(stance, text) for text, rule in zip(self.numbers.texts, self.rules, strict=True)]
-        return None if None in texts else tuple(text for text in texts if text is not None)
+        texts = []
+        for text, rule in zip(self.numbers.texts, self.rules, strict=True):
+            own = rule(stance, text)
+            if own is None:
+                return None
+            texts.append(own)
+        return tuple(texts)
 
 
 def shown(axes: Axes, readings: np.ndarray) -> np.ndarray:

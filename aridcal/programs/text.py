@@ -57,11 +57,11 @@ class Numbers(Sequence[Number]):
         self.joined = NUL.join([n.text for n in own])
 
     @classmethod
-    def of_groups(cls, match: re.Match[str], first: int, last: int) -> Numbers:
-        """The numbers that groups of a match are, from the first to the last."""
+    def packed(cls, spans: Iterable[tuple[int, int]], texts: Iterable[str]) -> Numbers:
+        """Numbers by where they stand, first letter and end, and what stands there."""
         own = cls.__new__(cls)
-        own.starts = array("I", [start for start, _ in match.regs[first : last + 1]])
-        own.joined = NUL.join(match.groups()[first - 1 : last])
+        own.starts = array("I", [start for start, _ in spans])
+        own.joined = NUL.join(texts)
         return own
 
     @property
@@ -188,6 +188,6 @@ def blanked(text: str, comments: str) -> str:
 
 def written(value: float, before: str, digits: int) -> str:
     """A number in place of another: as many digits behind the point as that had, or more where they are needed."""
-    own = before.lower().partition("e")[0]
-    text = f"{value:.{max(len(own.partition('.')[2]), digits)}f}"
+    behind = len(before.lower().partition("e")[0].partition(".")[2])
+    text = f"{value:.{behind if behind > digits else digits}f}"
     return text[1:] if text[0] == "-" and float(text) == 0.0 else text

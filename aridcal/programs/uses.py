@@ -87,7 +87,7 @@ class Use:
         return (self.base, self.tool, self.mode, self.near) == (other.base, other.tool, other.mode, other.near)
 
     def agrees(self, stated: Use) -> bool:
-        """True where this means what another use states; where it does not say what it starts from, it keeps the arm as it stands."""
+        """True where this means what another use states; one that says nothing of where it starts keeps the arm as it stands."""
         near = self.near == stated.near or (self.near is None and not self.unknown)
         return near and (self.base, self.tool, self.mode) == (stated.base, stated.tool, stated.mode)
 

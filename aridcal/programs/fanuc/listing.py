@@ -246,8 +246,9 @@ def _point(text: str, match: re.Match[str]) -> Point:
     index = int(match.group(1)[-INDEX_DIGITS:])
     usual = POSED.match(text, begin, end)
     if usual is not None:
-        words, numbers = Numbers.of_groups(usual, 3, 8), Numbers.of_groups(usual, 9, 14)
-        why = _beyond(numbers.texts)
+        spans, texts = usual.regs, usual.groups()
+        words, numbers = Numbers.packed(spans[3:9], texts[2:8]), Numbers.packed(spans[9:], texts[8:])
+        why = _beyond(texts[8:])
         return Point(
             index, start, why, _index(usual.group(1)), _index(usual.group(2)), words, POSE, numbers, POSED_UNITS
         )
@@ -268,7 +269,7 @@ def _point(text: str, match: re.Match[str]) -> Point:
     why = _fault(names, numbers, units)
     if head.group(3) is not None and stated is None:
         why = why or f"its CONFIG '{head.group(3)[:SHOWN].strip()}' is none of an arm of six axes"
-    words = NONE if stated is None else Numbers.of_groups(stated, 1, 6)
+    words = NONE if stated is None else Numbers.packed(stated.regs[1:], stated.groups())
     user, tool = _index(head.group(1).upper()), _index(head.group(2).upper())
     return Point(index, start, why, user, tool, words, names, Numbers(numbers), units)
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+import re
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
-from functools import partial
+from functools import lru_cache, partial
 
 import numpy as np
 
@@ -56,7 +57,7 @@ from aridcal.programs.rapid.values import (
 )
 from aridcal.programs.targets import Branch, Place, Target
 from aridcal.programs.text import NONE, Numbers
-from aridcal.programs.uses import HERE, Ledger, Use, product
+from aridcal.programs.uses import HERE, Frame, Ledger, Use, product
 from aridcal.programs.walk import (
     DIFFERS,
     EVERYTHING,
@@ -83,6 +84,9 @@ START = "it is not known where the arm comes from: no joint target comes before;
 
 GUARDED = "!"
 """Ends the key of a routine from which an error may come back to a caller that goes on."""
+
+FIRST = re.compile(r"\s*(\[\s*\[[^][]*\]\s*(?:,\s*\[[^][]*\]\s*)*\]|[A-Za-z_]\w*)\s*,(.*)", re.DOTALL)
+"""Arguments of a move that goes to its first one, and all that stands behind it."""
 
 Work = Callable[[State], None]
 
@@ -130,6 +134,7 @@ class Meaning:
     bodies: dict[str, Body] = field(default_factory=dict)
     _literals: dict[tuple[int, int], Literal] = field(default_factory=dict)
     _listed: set[tuple[int, int]] = field(default_factory=set)
+    _usual: dict[tuple[str, str, str], _Prepared] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.axes = self.cell.axes
@@ -239,6 +244,10 @@ class Meaning:
         return statement.kind == "read" or (statement.kind == "call" and statement.name in MOVES)
 
     def _call(self, bound: Bound, statement: Statement, guarded: bool) -> list[Node]:
+        if self._usual and statement.kind == "call" and statement.name in MOVES:
+            like = self._usual_move(bound, statement)
+            if like is not None:
+                return like
         given = self.names.arguments(bound, statement)
         if statement.kind == "late":
             return self._late(bound, statement, given, guarded)
@@ -472,6 +481,8 @@ class Meaning:
             given.option("noeoffs") is None,
         )
         nodes = self._reading(bound, statement, reading)
+        if not nodes and not loops and not why:
+            self._remember(prepared)
         nodes.append(Step(partial(self._go, prepared)))
         nodes += self._writing(bound, [required[k] for k in move.written if k < len(required)], f"{line} may change it")
         if move.routine is not None and move.routine < len(required):
@@ -479,6 +490,26 @@ class Meaning:
             key = self.names.routine(bound.module, name)
             nodes.append(self._to_routine(bound, statement, name, key, Arguments(), guarded))
         return nodes
+
+    def _remember(self, prepared: _Prepared) -> None:
+        """Keep what a plain move says behind the place that it goes to: a long program says it a hundred thousand times."""
+        bound, statement, move = prepared.bound, prepared.statement, prepared.move
+        match = FIRST.match(bound.code.plain, statement.body, statement.end)
+        frames = all(
+            isinstance(own, Constant) and isinstance(own.value, Frame) for own in (prepared.tool, prepared.base)
+        )
+        if match is not None and frames and move.points == (0,) and not move.written and move.routine is None:
+            self._usual[bound.key, statement.name, match.group(2)] = prepared
+
+    def _usual_move(self, bound: Bound, statement: Statement) -> list[Node] | None:
+        """The node of a move that says the same behind its first argument as one before; None where none did."""
+        match = FIRST.match(bound.code.plain, statement.body, statement.end)
+        like = self._usual.get((bound.key, statement.name, match.group(2))) if match is not None else None
+        if match is None or like is None or statement.loops:
+            return None
+        goal = self._goal(bound, statement, bound.code.trimmed(*match.span(1)), like.move.way in "LJ")
+        prepared = _Prepared(statement, bound, like.move, (goal,), like.tool, like.base, "", like.offset)
+        return [Step(partial(self._go, prepared))]
 
     def _goal(
         self, bound: Bound, statement: Statement, span: tuple[int, int], pose: bool
@@ -519,14 +550,12 @@ class Meaning:
             why = f"{line} tells external axis eax_{axis} a place, and the URDF does not have that axis"
             state.set(*OUTSIDE, why if moved else "")
 
-    def _outside(self, own: Literal) -> dict[int, float]:
+    def _outside(self, own: Literal) -> Mapping[int, float]:
         """Places of external axes that the robot of the calibration does not have, by their index, zeros last."""
         if own.why:
             return {}
         first = own.code.plain.rfind("[", own.start, own.end) + 1
-        texts = own.code.plain[first : own.end].rstrip("] \t\r\n").split(",")
-        places = [(k, float(text)) for k, text in enumerate(texts) if k >= len(self.axes.external)]
-        return dict(sorted(((k, v) for k, v in places if v < NOT_USED), key=lambda item: item[1] == 0.0))
+        return told_outside(own.code.plain[first : own.end], len(self.axes.external))
 
     def _why_spoilt(self, prepared: _Prepared) -> str:
         return f"{self._line(prepared.bound, prepared.statement)} works out another place from it"
@@ -711,7 +740,7 @@ class Meaning:
             return []
         return [
             (axes.unit(k, DEGREE, MILLIMETRE) * n.value, k)
-            for n, k in zip(own.parts[1], axes.external, strict=False)
+            for n, k in zip(own.external, axes.external, strict=False)
             if n.value < NOT_USED
         ]
 
@@ -721,26 +750,31 @@ class Meaning:
             return Target(line, own.name, own.form, NONE, own.why, file=code.file)
         if not self.sources[code.file].ours:
             why = f"stands in {code.name}, which is not corrected: give it, too"
-            return Target(line, own.name, own.form, Numbers(own.parts[0]), why, file=code.file)
+            return Target(line, own.name, own.form, own.numbers, why, file=code.file)
         axes = self.axes
-        every, external, configuration = own.parts
         if own.form == "joints":
-            numbers = every[: len(axes.arm)]
-            rails = [(n, k) for n, k in zip(external, axes.external, strict=False) if n.value < NOT_USED]
+            numbers = own.numbers[: len(axes.arm)]
+            rails = [(n, k) for n, k in zip(own.external, axes.external, strict=False) if n.value < NOT_USED]
             units = axes.units([*axes.arm, *(k for _, k in rails)], DEGREE, MILLIMETRE)
-            every = (*numbers, *(n for n, _ in rails))
-            readings = axes.readings(every, units)
-            return Target(line, own.name, "joints", Numbers(every), "", readings, units, digits=5, file=code.file)
+            stated = (*numbers, *(n for n, _ in rails))
+            readings = axes.readings(stated, units)
+            return Target(line, own.name, "joints", Numbers(stated), "", readings, units, digits=5, file=code.file)
         held = self._free
         for value, k in self._rails(own):
             held = held.copy()
             held[k] = value
-        words = rapid_words(configuration, self.cell) if use.mode == "on" else None
+        words = rapid_words(own.configuration, self.cell) if use.mode == "on" else None
         unknown = "" if words is not None else use.unknown
         branch = Branch(words, None, held, nearest=use.mode != "on", unknown=unknown)
-        return Target(
-            line, own.name, "pose", Numbers(every), "", None, (), ABB, use.place, beside, branch, file=code.file
-        )
+        return Target(line, own.name, "pose", own.numbers, "", None, (), ABB, use.place, beside, branch, file=code.file)
+
+
+@lru_cache(maxsize=64)
+def told_outside(text: str, own: int) -> Mapping[int, float]:
+    """Places of external axes in a target's last brackets, but for those of the robot's own, by their index, zeros last."""
+    texts = text.rstrip("] \t\r\n").split(",")
+    places = [(k, float(place)) for k, place in enumerate(texts) if k >= own]
+    return dict(sorted(((k, v) for k, v in places if v < NOT_USED), key=lambda item: item[1] == 0.0))
 
 
 def _said(mode: str, unknown: Unknown) -> str:

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from aridcal.programs.notations import ABB, MILLI, inverse, pose
 from aridcal.programs.rapid.grammar import Declared, fold
 from aridcal.programs.rapid.table import FRAME_TYPES
-from aridcal.programs.text import NUMBER, Code, Number
+from aridcal.programs.text import NONE, NUMBER, Code, Numbers
 from aridcal.programs.uses import HERE, Frame
 from aridcal.programs.walk import Unknown
 
@@ -96,6 +96,8 @@ class Literal:
         name: What the program calls it.
         form: Of its numbers.
         why: Why it has no plain meaning; empty if it has.
+        numbers: Of place and rotation, or of the arm's axes.
+        configuration: Of confdata.
     """
 
     code: Code
@@ -104,21 +106,20 @@ class Literal:
     name: str
     form: OneOf["joints", "pose"]
     why: str = ""
+    numbers: Numbers = NONE
+    configuration: Numbers = NONE
+
+    @property
+    def external(self) -> Numbers:
+        """Of external axes."""
+        match = FORMS[self.form].fullmatch(self.code.plain, self.start, self.end)
+        assert match is not None
+        return Numbers.packed(match.regs[-6:], match.groups()[-6:])
 
     @property
     def key(self) -> tuple[int, int]:
         """Its file and its place there."""
         return self.code.file, self.start
-
-    @property
-    def parts(self) -> tuple[tuple[Number, ...], tuple[Number, ...], tuple[Number, ...]]:
-        """Numbers of place and rotation, or of the arm's axes; those of external axes; those of confdata."""
-        text = self.code.plain
-        match = FORMS[self.form].fullmatch(text, self.start, self.end)
-        assert match is not None
-        numbers = tuple([Number(start, text[start:end]) for start, end in match.regs[1:]])
-        own, last = (7, 11) if self.form == "pose" else (6, 6)
-        return numbers[:own], numbers[last:], numbers[own:last]
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,7 +159,11 @@ def literal(code: Code, start: int, end: int, name: str, form: OneOf["joints", "
         return Literal(code, start, end, name, form, "has numbers that no arm has")
     if form == "pose" and abs(math.hypot(*numbers[3:7]) - 1.0) > UNIT:
         return Literal(code, start, end, name, form, "has no unit quaternion")
-    return Literal(code, start, end, name, form)
+    spans, texts = match.regs[1:], match.groups()
+    if form == "joints":
+        return Literal(code, start, end, name, form, "", Numbers.packed(spans[:6], texts[:6]))
+    configuration = Numbers.packed(spans[7:11], texts[7:11])
+    return Literal(code, start, end, name, form, "", Numbers.packed(spans[:7], texts[:7]), configuration)
 
 
 def leaves(kind: str, place: tuple[int, ...] = ()) -> Iterator[tuple[int, ...]]:
