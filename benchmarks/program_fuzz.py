@@ -23,7 +23,7 @@ from aridcal.programs.cell import Cell
 from aridcal.programs.language import Language
 from aridcal.programs.languages import LANGUAGES
 from aridcal.programs.project import Project
-from aridcal.programs.proof import Change, corrected
+from aridcal.programs.proof import Change, corrected, edited, meant
 from aridcal.programs.targets import Target
 from aridcal.programs.text import written
 from fuzz.mutate import mutate
@@ -72,7 +72,7 @@ def attempt(language: Language, cell: Cell, project: Project, rng: Random) -> tu
     for target in plain:
         for number, digits, value in zip(target.numbers, target.places, nearby(target, rng), strict=True):
             changes.append(Change(target.file, number, written(value, number.text, digits)))
-    texts = corrected(language, project, cell, targets, changes)
+    texts = corrected(language, project, cell, meant(targets), edited(project, changes))
     for file, (source, text) in enumerate(zip(project.sources, texts, strict=True)):
         if changed_outside(source.text, text, [c for c in changes if c.file == file]):
             return len(plain), "a byte outside of targets has changed"

@@ -16,7 +16,7 @@ from aridcal.programs.frames import KnownFrames
 from aridcal.programs.gcode import ROW
 from aridcal.programs.gcode.table import CODES, START
 from aridcal.programs.project import Project, Source
-from aridcal.programs.proof import Change, corrected
+from aridcal.programs.proof import Change, corrected, edited, meant
 from aridcal.programs.targets import Target
 from aridcal.programs.text import written
 
@@ -196,7 +196,7 @@ def test_a_correction_is_proved() -> None:
         for target in found if not target.why
         for number, digits in zip(target.numbers, target.places, strict=True)
     ]  # fmt: skip
-    (new,) = corrected(ROW, project, cell, found, changes)
+    (new,) = corrected(ROW, project, cell, meant(found), edited(project, changes))
     assert new == HEAD + "G55\nG0 Z5\nX10.1235 Y-3.1265\nG1 Z-1.3765 F100\nG20\nG1 X1.12346 Y.62346\nM30\n".replace(
         "Y.6", "Y0.6"
     )

@@ -17,7 +17,7 @@ from aridcal.programs import job, krl
 from aridcal.programs.cell import Cell, Reading
 from aridcal.programs.language import Language
 from aridcal.programs.project import Project, Source
-from aridcal.programs.proof import Change, Unproved, corrected
+from aridcal.programs.proof import Change, Unproved, corrected, edited, meant
 from aridcal.programs.read_project import read_project
 from aridcal.programs.targets import Place, Target
 from aridcal.programs.text import Number, Numbers
@@ -168,14 +168,14 @@ def test_a_proof_fails_for_two_changes_at_one_place_and_for_a_number_that_is_not
     (joints,) = [target for target in targets if target.form == "joints"]
     first = joints.numbers[0]
     right = Change(0, first, "20.5")
-    assert "A1 20.5," in corrected(krl.ROW, project, frames, targets, [right])[0]
+    assert "A1 20.5," in corrected(krl.ROW, project, frames, meant(targets), edited(project, [right]))[0]
     with pytest.raises(Unproved, match="two changes at one place"):
-        corrected(krl.ROW, project, frames, targets, [right, right])
+        corrected(krl.ROW, project, frames, meant(targets), edited(project, [right, right]))
     with pytest.raises(Unproved):
-        corrected(krl.ROW, project, frames, targets, [Change(0, first, "20.5,A2 1.0")])
+        corrected(krl.ROW, project, frames, meant(targets), edited(project, [Change(0, first, "20.5,A2 1.0")]))
     moved = type(first)(first.start - 1, first.text)
     with pytest.raises(Unproved, match="does not stand where it should"):
-        corrected(krl.ROW, project, frames, targets, [Change(0, moved, "20.5")])
+        corrected(krl.ROW, project, frames, meant(targets), edited(project, [Change(0, moved, "20.5")]))
 
 
 SLIPS: dict[str, Callable[[Target], Target]] = {
@@ -219,7 +219,7 @@ def test_a_proof_fails_whatever_the_second_reading_has_otherwise(slip: str) -> N
         first, second, third = krl.ROW.read(project, cell).targets
         return Reading([first, SLIPS[slip](second), third])
 
-    (new,) = corrected(krl.ROW, project, frames, targets, changes)
+    (new,) = corrected(krl.ROW, project, frames, meant(targets), edited(project, changes))
     assert new.count("X 801.125,") == 3
     with pytest.raises(Unproved, match=f"line {targets[1].line}, "):
-        corrected(replace(krl.ROW, read=slipped), project, frames, targets, changes)
+        corrected(replace(krl.ROW, read=slipped), project, frames, meant(targets), edited(project, changes))

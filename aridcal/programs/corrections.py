@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from itertools import chain
 from typing import Any, overload
 
@@ -117,6 +117,12 @@ class Corrections(Sequence[Correction]):
         """Files of the project in which a number changes."""
         rows = zip(self.targets, self.why, self.texts, self.words, strict=True)
         return {target.file for target, why, texts, words in rows if not why and _differs(target, texts, words)}
+
+    def named(self) -> Corrections:
+        """What became of targets of which only names and places are kept: their numbers stand in the new text."""
+        targets = [Target(t.line, t.name, t.form, file=t.file) for t in self.targets]
+        empty = [""] * len(targets)
+        return replace(self, targets=targets, texts=empty, words=empty)
 
     def changes(self) -> Iterator[Change]:
         """Numbers of the text that change, those of the posture among them, and what stands there now."""

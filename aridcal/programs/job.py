@@ -6,7 +6,7 @@ import datetime
 import gc
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
 
@@ -14,14 +14,14 @@ import numpy as np
 
 from aridcal.errors import CampaignError, MeasurementError, OutputError, printable
 from aridcal.programs.axes import Axes, axes_of
-from aridcal.programs.cell import Cell, Reading
+from aridcal.programs.cell import Cell
 from aridcal.programs.correct import NO_SUCH_POSTURE, correct, every_position
 from aridcal.programs.corrections import WRITTEN_DIGITS, Corrections, as_table
 from aridcal.programs.frames import read_frames
 from aridcal.programs.language import Language
 from aridcal.programs.languages import language_of
 from aridcal.programs.marks import OUTPUT_HASH, SIDE, SIDE_OF_FOLDER, mark_of, output_hash, refuse_corrected
-from aridcal.programs.proof import Change, corrected
+from aridcal.programs.proof import Change, corrected, edited, meant
 from aridcal.programs.read_project import Opened, read_project
 from aridcal.programs.zeros import cell_zeros, without_mirrored, witnesses, zeros_hint
 from aridcal.reading.files import CALIBRATION, read_file
@@ -76,14 +76,14 @@ class Answer:
     """What was done.
 
     Attributes:
-        reading: Of the programs.
-        corrections: One for each of its targets.
+        notes: What was taken for granted.
+        corrections: One for each target, without its numbers.
         outputs: Where all was written.
         opened: The project.
         saved: The calibration.
     """
 
-    reading: Reading
+    notes: tuple[str, ...]
     corrections: Corrections
     outputs: Outputs
     opened: Opened
@@ -117,9 +117,9 @@ def correct_programs(request: Request, progress: Progress = SILENT) -> Answer:
             ends.enter_context(claimed(outputs.files[0], "file"))
             ends.enter_context(claimed(outputs.side, "file"))
         ends.enter_context(_uncollected())
-        reading, corrections, texts = _corrected(request, saved, content, opened, progress)
+        notes, corrections, texts = _corrected(request, saved, content, opened, progress)
         _write(opened, outputs, texts, corrections)
-    return Answer(reading, corrections, outputs, opened, saved)
+    return Answer(notes, corrections, outputs, opened, saved)
 
 
 @contextmanager
@@ -136,8 +136,8 @@ def _uncollected() -> Iterator[None]:
 
 def _corrected(
     request: Request, saved: SavedModel, content: bytes, opened: Opened, progress: Progress
-) -> tuple[Reading, Corrections, tuple[str, ...]]:
-    """What the programs say, what becomes of each target, and the proved new text of each file."""
+) -> tuple[tuple[str, ...], Corrections, tuple[str, ...]]:
+    """What was taken for granted, what becomes of each target, and the proved new text of each file."""
     language, robot = opened.language, saved.final.model.robot
     frames = read_frames(request.frames)
     where, numbers = ("--start", request.start) if request.start is not None else ("--frames: `start`", frames.start)
@@ -157,8 +157,11 @@ def _corrected(
     hint = _zeros_hint(corrections, cell, language)
     progress.at("reading the new program")
     marks = _marks(language, opened, corrections.files(), content)
-    texts = corrected(language, opened.project, cell, reading.targets, chain(corrections.changes(), marks))
-    return replace(reading, notes=(*reading.notes, hint) if hint else reading.notes), corrections, texts
+    new = edited(opened.project, chain(corrections.changes(), marks))
+    said, notes, corrections = meant(reading.targets), reading.notes, corrections.named()
+    del reading, targets, marks  # a long program has too many to keep them while the new text is read
+    texts = corrected(language, opened.project, cell, said, new)
+    return (*notes, *([hint] if hint else [])), corrections, texts
 
 
 def _zeros_hint(corrections: Corrections, cell: Cell, language: Language) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from io import StringIO
 
 import numpy as np
@@ -12,8 +12,8 @@ import numpy as np
 from aridcal.programs.cell import Cell
 from aridcal.programs.language import Language
 from aridcal.programs.project import Project
-from aridcal.programs.targets import Target
-from aridcal.programs.text import Number
+from aridcal.programs.targets import Place, Target
+from aridcal.programs.text import NUL, Number
 
 
 class Unproved(Exception):
@@ -39,8 +39,74 @@ class Change:
     text: str
 
 
+@dataclass(frozen=True)
+class Meant:
+    """What n targets say, in columns: all that is kept of them while the new text is read.
+
+    Attributes:
+        files: Of the project, their indices.
+        lines: Where they stand.
+        names: What the program calls them.
+        forms: Of their numbers.
+        why: Why they cannot be corrected.
+        units: Of their numbers.
+        counts: How many numbers each has, those of its posture among them.
+        starts: Where all their numbers start, those of a posture behind the others.
+        texts: What stands there, of each target joined by :data:`NUL`.
+        places: Frame and tool of each.
+        beside: Likewise of other uses.
+    """
+
+    files: array[int]
+    lines: array[int]
+    names: list[str]
+    forms: list[str]
+    why: list[str]
+    units: list[tuple[tuple[float, int], ...]]
+    counts: array[int]
+    starts: array[int]
+    texts: list[str]
+    places: list[Place | None]
+    beside: list[tuple[Place, ...]]
+
+    def __len__(self) -> int:
+        return len(self.lines)
+
+    def part(self, start: int, stop: int) -> Meant:
+        """Some of them."""
+        rows, first = slice(start, stop), sum(self.counts[:start])
+        numbers = slice(first, first + sum(self.counts[rows]))
+        own = {f.name: getattr(self, f.name)[numbers if f.name == "starts" else rows] for f in fields(self)}
+        return Meant(**own)
+
+    def where(self, k: int) -> str:
+        """How messages name one."""
+        return f"line {self.lines[k]}, {self.names[k]}"
+
+
+def meant(targets: Sequence[Target]) -> Meant:
+    """What targets say."""
+    said = Meant(array("I"), array("I"), [], [], [], [], array("I"), array("I"), [], [], [])
+    for target in targets:
+        words = target.branch.words
+        numbers = [target.numbers] if words is None else [target.numbers, words.numbers]
+        said.files.append(target.file)
+        said.lines.append(target.line)
+        said.names.append(target.name)
+        said.forms.append(target.form)
+        said.why.append(target.why)
+        said.units.append(target.units)
+        said.counts.append(sum(map(len, numbers)))
+        for own in numbers:
+            said.starts.extend(own.starts)
+        said.texts.append(NUL.join([own.joined for own in numbers if len(own)]))
+        said.places.append(target.place)
+        said.beside.append(target.beside)
+    return said
+
+
 def corrected(
-    language: Language, project: Project, cell: Cell, targets: Sequence[Target], changes: Iterable[Change]
+    language: Language, project: Project, cell: Cell, said: Meant, edited: Sequence[Edited]
 ) -> tuple[str, ...]:
     """The new text of each file, proved.
 
@@ -48,30 +114,36 @@ def corrected(
         language: Of the project.
         project: As it is.
         cell: That it was read for.
-        targets: As read from it.
-        changes: Other numbers.
+        said: What the targets that were read from it say.
+        edited: The new text of each file.
 
     Raises:
         Unproved: naming what is wrong.
     """
-    edits = [_Edits([], [], []) for _ in project.sources]
+    texts = [own.text for own in edited]
+    again = language.read(project.with_texts(texts), cell).targets
+    if len(again) != len(said):
+        raise Unproved(f"{len(said)} targets were read, of the new text {len(again)}")
+    for start in range(0, len(said), AT_ONCE):
+        before, after = said.part(start, start + AT_ONCE), meant(again[start : start + AT_ONCE])
+        _check(before, after)
+        _check_numbers(before, after, project, edited)
+    return tuple(texts)
+
+
+def edited(project: Project, changes: Iterable[Change]) -> list[Edited]:
+    """The text of each file with other numbers, if each has a place of its own and all between is as it was.
+
+    Raises:
+        Unproved: naming what is wrong.
+    """
+    edits = [_Edits(array("I"), array("I"), []) for _ in project.sources]
     for change in changes:
         source = project.sources[change.file]
         if not source.ours:
             raise Unproved(f"{source.path}: is not to be changed")
         edits[change.file].add(source.text, change)
-    spliced = [_spliced(source.text, own) for source, own in zip(project.sources, edits, strict=True)]
-    del edits  # a million texts that are in the new programs now
-    texts = [text for text, _ in spliced]
-    again = language.read(project.with_texts(texts), cell).targets
-    if len(again) != len(targets):
-        raise Unproved(f"{len(targets)} targets were read, of the new text {len(again)}")
-    for start in range(0, len(targets), AT_ONCE):
-        part = slice(start, start + AT_ONCE)
-        for before, after in zip(targets[part], again[part], strict=True):
-            _check(before, after)
-        _check_numbers(targets[part], again[part], spliced)
-    return tuple(texts)
+    return [_spliced(source.text, own) for source, own in zip(project.sources, edits, strict=True)]
 
 
 @dataclass(frozen=True)
@@ -84,8 +156,8 @@ class _Edits:
         texts: What is to stand there.
     """
 
-    starts: list[int]
-    ends: list[int]
+    starts: array[int]
+    ends: array[int]
     texts: list[str]
 
     def add(self, text: str, change: Change) -> None:
@@ -99,8 +171,8 @@ class _Edits:
 
 
 @dataclass(frozen=True)
-class _Moved:
-    """Where the places of an old text are in the new one, for n numbers that have changed.
+class Edited:
+    """A text with n other numbers, and where the places of the old one are in it.
 
     Attributes:
         text: The new text.
@@ -121,7 +193,7 @@ class _Moved:
         return starts + self.longer[k], np.where(changed, np.append(self.lengths, 0)[k], lengths)
 
 
-def _spliced(text: str, edits: _Edits) -> tuple[str, _Moved]:
+def _spliced(text: str, edits: _Edits) -> Edited:
     """The text with other numbers, if each has a place of its own and all between is as it was."""
     starts, ends = np.array(edits.starts, dtype=np.int64), np.array(edits.ends, dtype=np.int64)
     order = np.argsort(starts, kind="stable")
@@ -136,14 +208,14 @@ def _spliced(text: str, edits: _Edits) -> tuple[str, _Moved]:
     new.write(text[end:])
     lengths = np.array([len(edits.texts[k]) for k in order.tolist()], dtype=np.int64)
     longer = np.concatenate([[0], np.cumsum(lengths - (ends - starts)[order])])
-    moved = _Moved(new.getvalue(), starts[order], lengths, longer)
-    _check_rest(text, edits, order, moved)
-    return moved.text, moved
+    own = Edited(new.getvalue(), starts[order], lengths, longer)
+    _check_rest(text, edits, order, own.text)
+    return own
 
 
-def _check_rest(text: str, edits: _Edits, order: np.ndarray, moved: _Moved) -> None:
+def _check_rest(text: str, edits: _Edits, order: np.ndarray, new: str) -> None:
     """Make sure that the new text has each new number at its place, and all between as it was."""
-    new, old_end, new_end = moved.text, 0, 0
+    old_end, new_end = 0, 0
     for k in order.tolist():
         start, own = edits.starts[k], edits.texts[k]
         there = new_end + start - old_end
@@ -156,67 +228,56 @@ def _check_rest(text: str, edits: _Edits, order: np.ndarray, moved: _Moved) -> N
         raise Unproved("the text behind the last change is another one")
 
 
-def _check_numbers(before: Sequence[Target], after: Sequence[Target], spliced: Sequence[tuple[str, _Moved]]) -> None:
+def _check_numbers(before: Meant, after: Meant, project: Project, edited: Sequence[Edited]) -> None:
     """Make sure that the numbers of targets, as many as before, are those that were meant, where they were meant."""
-    for file, (text, moved) in enumerate(spliced):
-        rows = [k for k, target in enumerate(before) if target.file == file]
-        (old_starts, old), (new_starts, new) = (_standing([targets[k] for k in rows]) for targets in (before, after))
-        starts, lengths = moved.meant(old_starts, np.array([len(own) for own in old], dtype=np.int64))
-        meant = [text[start : start + n] for start, n in zip(starts.tolist(), lengths.tolist(), strict=True)]
-        if new != meant or not np.array_equal(starts, new_starts):
-            wrong = (starts != new_starts) | (np.array(new) != np.array(meant))
-            k = int(wrong.argmax())
-            target = before[rows[int(np.searchsorted(np.cumsum([_count(before[row]) for row in rows]), k, "right"))]]
-            raise Unproved(f"{_where(target)}: {meant[k]} was meant in place of {old[k]}, the new text has {new[k]}")
+    ends, files = np.cumsum(before.counts), np.repeat(before.files, before.counts)
+    old_starts, new_starts = (np.array(own.starts, dtype=np.int64) for own in (before, after))
+    old, new = (np.array(NUL.join(filter(None, own.texts)).split(NUL), dtype=object) for own in (before, after))
+    for file in sorted(set(before.files)):
+        rows = np.flatnonzero(files == file)
+        text = edited[file].text
+        lengths = np.array([len(own) for own in old[rows]], dtype=np.int64)
+        starts, lengths = edited[file].meant(old_starts[rows], lengths)
+        spans = zip(starts.tolist(), (starts + lengths).tolist(), strict=True)
+        there = np.array([text[start:end] for start, end in spans], dtype=object)
+        wrong = rows[(starts != new_starts[rows]) | (there != new[rows])]
+        if len(wrong):
+            k = int(wrong[0])
+            where = before.where(int(np.searchsorted(ends, k, "right")))
+            own = there[int(np.searchsorted(rows, k))]
+            raise Unproved(f"{where}: {own} was meant in place of {old[k]}, the new text has {new[k]}")
 
 
-def _standing(targets: Sequence[Target]) -> tuple[np.ndarray, list[str]]:
-    """Where all numbers of targets start, those of a posture behind the others, and what stands there."""
-    starts, texts = array("I"), list[str]()
-    for target in targets:
-        starts += target.numbers.starts
-        texts += target.numbers.texts
-        if target.branch.words is not None:
-            starts += target.branch.words.numbers.starts
-            texts += target.branch.words.numbers.texts
-    return np.array(starts, dtype=np.int64), texts
+SAME = {
+    "files": "file",
+    "lines": "line",
+    "forms": "form",
+    "why": "reason",
+    "units": "units",
+    "counts": "number of numbers",
+}
+"""What of a target no correction changes."""
 
 
-def _count(target: Target) -> int:
-    """How many numbers a target has, those of its posture among them."""
-    words = target.branch.words
-    return len(target.numbers) + (0 if words is None else len(words.numbers))
+def _check(before: Meant, after: Meant) -> None:
+    """Make sure that targets of the new text mean what they meant."""
+    for column, name in SAME.items():
+        was, now = getattr(before, column), getattr(after, column)
+        if was != now:
+            k = next(k for k, (old, new) in enumerate(zip(was, now, strict=True)) if old != new)
+            raise Unproved(f"{before.where(k)}: its {name} was {was[k]}, and is {now[k]} in the new text")
+    for k, why in enumerate(before.why):
+        if not why:
+            _check_place(before, after, k)
 
 
-def _check(before: Target, after: Target) -> None:
-    """Make sure that a target of the new text means what it meant."""
-    was, now = _what(before), _what(after)
-    if was != now:
-        name, old, new = next(each for each in zip(SAME, was, now, strict=True) if each[1] != each[2])
-        raise Unproved(f"{_where(before)}: its {name} was {old}, and is {new} in the new text")
-    if not before.why:
-        _check_place(before, after)
-
-
-SAME = ("file", "line", "form", "reason", "units", "number of numbers")
-"""What of a target no correction changes; see :func:`_what`."""
-
-
-def _what(target: Target) -> tuple[object, ...]:
-    return target.file, target.line, target.form, target.why, target.units, _count(target)
-
-
-def _where(target: Target) -> str:
-    return f"line {target.line}, {target.name}"
-
-
-def _check_place(before: Target, after: Target) -> None:
-    places = [(before.place, after.place), *zip(before.beside, after.beside, strict=True)]
+def _check_place(before: Meant, after: Meant, k: int) -> None:
+    places = [(before.places[k], after.places[k]), *zip(before.beside[k], after.beside[k], strict=True)]
     for old, new in places:
         if (old is None) != (new is None):
-            raise Unproved(f"{_where(before)}: its frame is read otherwise from the new text")
+            raise Unproved(f"{before.where(k)}: its frame is read otherwise from the new text")
         if old is not None and new is not None and not (_equal(old.base, new.base) and _equal(old.tool, new.tool)):
-            raise Unproved(f"{_where(before)}: its frame or tool is another one in the new text")
+            raise Unproved(f"{before.where(k)}: its frame or tool is another one in the new text")
 
 
 def _equal(old: np.ndarray, new: np.ndarray) -> bool:

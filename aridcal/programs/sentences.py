@@ -16,7 +16,7 @@ SHOWN_REASONS = 12
 
 def lines_of(answer: Answer) -> list[str]:
     """What was taken for granted, what was left and why, and what is gained."""
-    lines = [f"note: {note}" for note in answer.reading.notes]
+    lines = [f"note: {note}" for note in answer.notes]
     lines += _reasons(answer.corrections, answer.opened)
     lines += _remarks(answer.corrections, answer.opened)
     if answer.saved.measurements.joint_reading == "reported":
