@@ -137,8 +137,7 @@ class Line:
         if token.kind == "name":
             return self._named(token)
         if token.kind == "plain":
-            values = dict[str, Expression](fields(self._low, self._text, token))
-            return Aggregate((self._file, token.start), token.end, values)
+            return Aggregate((self._file, token.start), token.end, fields(self._low, self._text, token))
         if token.kind == "number":
             return self._number(token.start, token)
         if token.kind == "word":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -10,7 +11,7 @@ import numpy as np
 from aridcal.programs.axes import DEGREE, MILLIMETRE, Axes
 from aridcal.programs.cell import Cell
 from aridcal.programs.krl.names import File
-from aridcal.programs.krl.syntax import AXES, EXTERNAL, POSE, Aggregate, Goal
+from aridcal.programs.krl.syntax import AXES, EXTERNAL, POSE, Aggregate, Expression, Fields, Goal
 from aridcal.programs.notations import KUKA
 from aridcal.programs.postures import krl_words
 from aridcal.programs.targets import Branch, Place, Target
@@ -109,15 +110,14 @@ class Points:
         if not why and not self.files[file].ours:
             why = f"stands in {self.files[file].code.name}, which is not corrected: give it, too"
         axes, own = self._axes, self._columns
-        stated = {k: v for k, v in value.fields.items() if isinstance(v, Number)}
+        stated, numbers = _numbers(value.fields)
         if value.jointed:
             columns = [axis for axis in own if axis in stated]
-            numbers = tuple(stated[axis] for axis in columns)
+            turned = tuple(stated[axis] for axis in columns)
             units = axes.units([own[axis] for axis in columns], DEGREE, MILLIMETRE)
-            readings = axes.readings(numbers, units)
-            why = why or ("" if numbers else "states no axis that this robot has")
-            return Target(line, name, "joints", Numbers(numbers), why, readings, units, digits=5, file=file)
-        numbers = tuple(stated[part] for part in POSE if part in stated)
+            readings = axes.readings(turned, units)
+            why = why or ("" if turned else "states no axis that this robot has")
+            return Target(line, name, "joints", Numbers(turned), why, readings, units, digits=5, file=file)
         held = self._free.copy() if axes.external else self._free
         for axis, column in zip(EXTERNAL, axes.external, strict=False):
             if axis in stated:
@@ -130,7 +130,7 @@ class Points:
             line,
             name,
             "pose",
-            Numbers(numbers),
+            numbers,
             why,
             notation=KUKA,
             place=use.place,
@@ -138,6 +138,15 @@ class Points:
             branch=branch,
             file=file,
         )
+
+
+def _numbers(fields: Mapping[str, Expression]) -> tuple[Mapping[str, Number], Numbers]:
+    """Fields that are numbers by name, and those of a pose in their order."""
+    if isinstance(fields, Fields) and fields.names == POSE:  # of most lines of a long program
+        return fields, fields.numbers
+    every = zip(fields.names, fields.numbers, strict=True) if isinstance(fields, Fields) else fields.items()
+    stated = {name: value for name, value in every if isinstance(value, Number)}
+    return stated, Numbers(stated[part] for part in POSE if part in stated)
 
 
 def shown_text(text: str) -> str:

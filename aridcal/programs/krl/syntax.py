@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, KeysView, Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
 from aridcal.programs.notations import KUKA
-from aridcal.programs.text import Number
+from aridcal.programs.text import Number, Numbers
 from aridcal.programs.uses import Frame
 
 POSE = ("x", "y", "z", "a", "b", "c")
@@ -82,6 +82,69 @@ class Variable:
         return self.key, self.index
 
 
+class Fields(Mapping[str, Number]):
+    """Fields of an aggregate that are all plain numbers, packed: a long program has a hundred thousand of a few forms.
+
+    Args:
+        names: In small letters, in the order of the text.
+        numbers: What stands there.
+    """
+
+    __slots__ = ("_places", "names", "numbers")
+
+    def __init__(self, names: tuple[str, ...], numbers: Numbers) -> None:
+        self.names, self._places = _form(names)
+        self.numbers = numbers
+
+    def __getitem__(self, name: str) -> Number:
+        return self.numbers[self._places[name]]
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._places
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.names)
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def keys(self) -> KeysView[str]:
+        """Their names."""
+        return self._places.keys()
+
+    @property
+    def why(self) -> str:
+        """Why these are not the numbers of a target; empty if they are."""
+        strange, lacking = _unlike_a_target(self.names)
+        if max(map(abs, map(float, self.numbers.texts))) <= LARGEST:
+            return strange or lacking
+        name = next(name for name, number in zip(self.names, self.numbers, strict=True) if abs(number.value) > LARGEST)
+        return strange or f"has {name.upper()} beyond a million"
+
+
+@lru_cache(maxsize=256)
+def _form(names: tuple[str, ...]) -> tuple[tuple[str, ...], dict[str, int]]:
+    """Names of fields, and the place of each among them, the same objects for all aggregates of one form."""
+    return names, {name: k for k, name in enumerate(names)}
+
+
+@lru_cache(maxsize=256)
+def _unlike_a_target(names: tuple[str, ...]) -> tuple[str, str]:
+    """Which field no target has, and which a target's pose lacks; empty where all is well."""
+    jointed = _says_axes(frozenset(names))
+    strange = next((name for name in names if name not in (_OF_AXES if jointed else _OF_POSES)), "")
+    lacking = "" if jointed else " ".join(name for name in POSE if name not in names)
+    return (
+        f"has a field {strange.upper()}, which no target has" if strange else "",
+        f"does not state {lacking.upper()}: these stay as they are" if lacking else "",
+    )
+
+
+@lru_cache(maxsize=256)
+def _says_axes(names: frozenset[str]) -> bool:
+    return bool(names) and (not names.isdisjoint(AXES) or names <= _OF_AXES)
+
+
 @dataclass(frozen=True)
 class Aggregate:
     """A structure {X 1, Y 2, ...}.
@@ -99,31 +162,28 @@ class Aggregate:
     @property
     def jointed(self) -> bool:
         """Whether it says axes."""
-        return bool(self.fields) and (not self.fields.keys().isdisjoint(AXES) or self.fields.keys() <= _OF_AXES)
+        return _says_axes(frozenset(self.fields.keys()))
 
     @property
     def point(self) -> bool:
         """Whether a move could go there."""
         return not self.fields.keys().isdisjoint((*POSE, *AXES)) and "m" not in self.fields
 
-    @cached_property
+    @property
     def why(self) -> str:
         """Why its numbers are not those of a target; empty if they are."""
         fields = self.fields
-        allowed = _OF_AXES if self.jointed else _OF_POSES
+        if isinstance(fields, Fields):
+            return fields.why
+        strange, lacking = _unlike_a_target(tuple(fields))
         for name, value in fields.items():
-            if name not in allowed:
-                return f"has a field {name.upper()}, which no target has"
             if isinstance(value, Bits):
-                return f"has {name.upper()} in bits: write it as a decimal number"
+                return strange or f"has {name.upper()} in bits: write it as a decimal number"
             if not isinstance(value, Number):
-                return f"has {name.upper()} that is no plain number"
+                return strange or f"has {name.upper()} that is no plain number"
             if not abs(value.value) <= LARGEST:
-                return f"has {name.upper()} beyond a million"
-        lacking = [name for name in POSE if name not in fields]
-        if not self.jointed and lacking:
-            return f"does not state {' '.join(lacking).upper()}: these stay as they are"
-        return ""
+                return strange or f"has {name.upper()} beyond a million"
+        return strange or lacking
 
     @cached_property
     def frame(self) -> Frame | None:
@@ -197,6 +257,8 @@ def variables(expression: Expression) -> Iterator[Variable]:
 def parts(expression: Expression) -> tuple[Expression, ...]:
     """What an expression is made of."""
     if isinstance(expression, Aggregate):
+        if isinstance(expression.fields, Fields):
+            return ()
         return tuple(value for value in expression.fields.values() if not isinstance(value, Number | Word | Text))
     if isinstance(expression, Function):
         return expression.arguments

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from typing import NamedTuple
 
-from aridcal.programs.krl.syntax import Text, Word
-from aridcal.programs.text import Number
+from aridcal.programs.krl.syntax import Fields, Text, Word
+from aridcal.programs.text import Number, Numbers
 
 _NUMBER = r"[-+]?(?:\d++(?:\.\d*+)?|\.\d++)(?:e[-+]?\d++)?"
 
@@ -91,7 +92,7 @@ def tokens(text: str, start: int, end: int) -> list[Token]:
     return line
 
 
-def fields(low: str, text: str, token: Token) -> dict[str, Number | Word | Text]:
+def fields(low: str, text: str, token: Token) -> Mapping[str, Number | Word | Text]:
     """Fields of an aggregate of plain values.
 
     Args:
@@ -102,13 +103,15 @@ def fields(low: str, text: str, token: Token) -> dict[str, Number | Word | Text]
     Raises:
         Misread: a name stands there twice.
     """
-    values: dict[str, Number | Word | Text] = {}
-    count = 0
-    for match in _FIELD.finditer(low, token.start, token.end):
-        name, number, word = match.groups()
-        start = match.start(2)
-        count += 1
-        values[name] = Number(start, text[start : match.end(2)]) if number else Word(word) if word else Text()
-    if len(values) != count:
+    matches = list(_FIELD.finditer(low, token.start, token.end))
+    names = tuple([match.group(1) for match in matches])
+    if len(set(names)) < len(names):
         raise Misread
+    spans = [match.span(2) for match in matches]
+    if all(start >= 0 for start, _ in spans):
+        return Fields(names, Numbers.packed(spans, [text[start:end] for start, end in spans]))
+    values: dict[str, Number | Word | Text] = {}
+    for name, match, (start, end) in zip(names, matches, spans, strict=True):
+        word = match.group(3)
+        values[name] = Number(start, text[start:end]) if start >= 0 else Word(word) if word else Text()
     return values
