@@ -246,12 +246,7 @@ def _point(text: str, match: re.Match[str]) -> Point:
     index = int(match.group(1)[-INDEX_DIGITS:])
     usual = POSED.match(text, begin, end)
     if usual is not None:
-        spans, texts = usual.regs, usual.groups()
-        words, numbers = Numbers.packed(spans[3:9], texts[2:8]), Numbers.packed(spans[9:], texts[8:])
-        why = _beyond(texts[8:])
-        return Point(
-            index, start, why, _index(usual.group(1)), _index(usual.group(2)), words, POSE, numbers, POSED_UNITS
-        )
+        return _usual_point(index, start, usual)
     groups = list(GROUP.finditer(text, begin, end))
     spans = {int(g.group(1)[-INDEX_DIGITS:]): g.end() for g in groups}
     if len(spans) != len(groups) or text[begin : groups[0].start() if groups else end].strip():
@@ -272,6 +267,15 @@ def _point(text: str, match: re.Match[str]) -> Point:
     words = NONE if stated is None else Numbers.packed(stated.regs[1:], stated.groups())
     user, tool = _index(head.group(1).upper()), _index(head.group(2).upper())
     return Point(index, start, why, user, tool, words, names, Numbers(numbers), units)
+
+
+def _usual_point(index: int, start: int, match: re.Match[str]) -> Point:
+    """A point in the form of :data:`POSED`."""
+    spans, texts = match.regs, match.groups()
+    words, numbers = Numbers.packed(spans[3:9], texts[2:8]), Numbers.packed(spans[9:], texts[8:])
+    return Point(
+        index, start, _beyond(texts[8:]), _index(texts[0]), _index(texts[1]), words, POSE, numbers, POSED_UNITS
+    )
 
 
 def _fields(text: str, start: int, end: int) -> tuple[tuple[str, ...], tuple[Number, ...], tuple[str, ...], str]:

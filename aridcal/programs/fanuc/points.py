@@ -64,9 +64,9 @@ class Targets:
             axes = self._arm | self._external
             named = [axis for axis in axes if axis in point.names] if not point.why else []
             units = self._axes.units([axes[axis] for axis in named], DEGREE, MILLIMETRE)
-            numbers = tuple(point.field(axis) for axis in named)
-            readings = self._axes.readings(numbers, units)
-            return Target(line, name, "joints", Numbers(numbers), "", readings, units, digits=3, file=code.file)
+            turned = tuple(point.field(axis) for axis in named)
+            readings = self._axes.readings(turned, units)
+            return Target(line, name, "joints", Numbers(turned), "", readings, units, digits=3, file=code.file)
         plain = not point.why
         numbers = (point.numbers if point.names == POSE else Numbers(map(point.field, POSE))) if plain else NONE
         branch = Branch(words, None, self._held(point), False, use.unknown)
