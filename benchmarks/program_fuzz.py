@@ -10,6 +10,7 @@ differs, or any exception but an `AridcalError`.
 from __future__ import annotations
 
 import argparse
+import sys
 import time
 from collections.abc import Sequence
 from random import Random
@@ -27,6 +28,9 @@ from aridcal.programs.proof import Change, corrected, edited, meant
 from aridcal.programs.targets import Target
 from aridcal.programs.text import written
 from fuzz.mutate import mutate
+
+TOLD_AFTER = 100_000
+"""Mutants after which it is said how far the run is: a minute or two."""
 
 LONGEST = 1500
 """Bytes of a mutant: what is wrong with a long program is wrong with a short one, and sooner found."""
@@ -98,6 +102,12 @@ def fuzz(language: Language, mutants: int, seed: int) -> dict[str, int]:
         except Exception as problem:  # whatever it is, it is a finding
             targets, fault = 0, f"{type(problem).__name__}: {problem}"
         counts["mutants"] += 1
+        if counts["mutants"] % TOLD_AFTER == 0:
+            print(
+                f"{language.name}: {counts['mutants']:,} mutants, {counts['findings']} findings",
+                file=sys.stderr,
+                flush=True,
+            )
         counts["with targets"] += targets > 0
         counts["targets"] += targets
         if fault:
