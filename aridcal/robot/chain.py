@@ -198,6 +198,11 @@ def chain(tree: UrdfTree, tip: str, base: str | None = None) -> Robot:
         link, element = parent_of[link]
         elements.append(element)
     if base is not None and link != base:
+        if _above(tip, base, parent_of):
+            raise RobotError(
+                f"{path}: base and tip are swapped: {base!r} descends from {tip!r}. Set `robot.base: {tip}` and "
+                f"`robot.tip: {base}`; where the table has poses of the base in the tip, also `inverted: pose` under measurements"
+            )
         raise RobotError(f"{path}: link {tip!r} does not descend from {base!r}: check `robot.base` and `robot.tip`")
 
     joints: list[Joint] = []
@@ -219,6 +224,13 @@ def chain(tree: UrdfTree, tip: str, base: str | None = None) -> Robot:
     if not joints:
         raise RobotError(f"{path}: no joint moves between {base or link!r} and {tip!r}: nothing to calibrate")
     return Robot(tree.urdf, path, link, tip, tuple(joints), name, before, origin, tree.moves, tree.mimics)
+
+
+def _above(upper: str, link: str, parent_of: Mapping[str, tuple[str, etree._Element]]) -> bool:
+    """True of a link that another descends from."""
+    while link in parent_of and link != upper:
+        link = parent_of[link][0]
+    return link == upper
 
 
 def _pinocchio(urdf: bytes, path: Path) -> pin.Model:
