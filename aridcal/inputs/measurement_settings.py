@@ -295,6 +295,13 @@ class JointColumn(Section):
     zero: str | None = None
     """What the column shows where the URDF's joint is at 0, with its unit; `None`: 0."""
 
+    @field_validator("sign", mode="before")
+    @classmethod
+    def _a_number(cls, sign: object) -> object:
+        if isinstance(sign, bool):  # which Python takes for a 1
+            raise ValueError("should be 1 or -1")
+        return sign
+
     @field_validator("zero", mode="before")
     @classmethod
     def _has_its_unit(cls, zero: object) -> object:

@@ -68,7 +68,8 @@ def cell_zeros(saved: SavedModel, given: str | None, language: Language) -> tupl
     axes = axes_of(robot.kinds)
     if given is None:
         stated = [_stated(saved, k) for k in axes.arm]
-        if any(_stated(saved, k) for k in axes.external):
+        unknown = (k for k in axes.external if robot.readings[k] not in saved.controller_zeros)
+        if any(_stated(saved, k) for k in unknown):
             raise CampaignError(
                 "measurements.joints: programs of a rail that counts from another zero are not corrected; give a table of poses"
             )
