@@ -15,6 +15,7 @@ from test_other_readings import XYZ, Q, Spoil, counted, inverted, machine
 
 import aridcal
 import aridcal.identify
+import aridcal.init
 from aridcal.errors import CampaignError, RobotError
 from aridcal.inputs.campaign import load_campaign, nominal_robot
 from aridcal.inputs.counting import counting
@@ -87,6 +88,30 @@ def test_the_key_is_named_first_and_with_it_nothing_differs(
         wanted = spoil(table)[XYZ + Q]
         back = made.compensate(wanted, seed=spoilt[joints])
         same_pose(back[joints], spoil(plain.compensate(table[XYZ + Q], seed=table[joints])[joints + XYZ + Q])[joints])
+
+
+@pytest.mark.parametrize("name", SPOILT)
+@pytest.mark.parametrize("angle", ["rad", "deg"])
+def test_init_finds_the_units_all_the_same_so_that_the_key_is_named(
+    name: str, angle: str, truth: robots.Truth, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    spoil, keys = SPOILT[name]
+    table = spoil(robots.table(truth))
+    joints = list(truth.model.robot.readings)
+    if angle == "deg":
+        table[joints] = np.degrees(table[joints])
+        table[XYZ] = 1e3 * table[XYZ]
+    (tmp_path / "robot.urdf").write_bytes(truth.model.robot.urdf)
+    table.to_csv(tmp_path / "m.csv", index=False)
+    path = tmp_path / "campaign.yaml"
+    asked = ["--urdf", str(tmp_path / "robot.urdf"), "--measurements", str(tmp_path / "m.csv"), "-o", str(path)]
+    assert aridcal.init.main(asked) == 0
+    said = yaml.safe_load(path.read_text())["measurements"]
+    assert said.get("units", {}) == ({} if angle == "rad" else {"angle": "deg", "length": "mm"})
+    assert "orientation" not in said and "columns" not in said
+    assert aridcal.identify.main([str(path)]) == 2
+    remedy = " ".join(capsys.readouterr().err.split()).partition("Write under measurements `")[2].partition("`")[0]
+    assert yaml.safe_load(remedy) == keys
 
 
 def kept(calibration: aridcal.Calibration, path: Path) -> aridcal.Calibration:
