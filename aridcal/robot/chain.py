@@ -198,7 +198,7 @@ def chain(tree: UrdfTree, tip: str, base: str | None = None) -> Robot:
         link, element = parent_of[link]
         elements.append(element)
     if base is not None and link != base:
-        if _above(tip, base, parent_of):
+        if _moves_above(tree, tip, base):
             raise RobotError(
                 f"{path}: base and tip are swapped: {base!r} descends from {tip!r}. Set `robot.base: {tip}` and "
                 f"`robot.tip: {base}`; where the table has poses of the base in the tip, also `inverted: pose` under measurements"
@@ -222,15 +222,19 @@ def chain(tree: UrdfTree, tip: str, base: str | None = None) -> Robot:
                 "`robot.tip`"
             )
     if not joints:
-        raise RobotError(f"{path}: no joint moves between {base or link!r} and {tip!r}: nothing to calibrate")
+        raise RobotError(
+            f"{path}: no joint moves between {base or link!r} and {tip!r}: nothing to calibrate; set `robot.tip` to the arm's other end"
+        )
     return Robot(tree.urdf, path, link, tip, tuple(joints), name, before, origin, tree.moves, tree.mimics)
 
 
-def _above(upper: str, link: str, parent_of: Mapping[str, tuple[str, etree._Element]]) -> bool:
-    """True of a link that another descends from."""
-    while link in parent_of and link != upper:
-        link = parent_of[link][0]
-    return link == upper
+def _moves_above(tree: UrdfTree, upper: str, link: str) -> bool:
+    """True of a link that descends from another by way of a joint that moves."""
+    moves = False
+    while link in tree.parent_of and link != upper:
+        link, element = tree.parent_of[link]
+        moves |= element.get("name") in tree.moves
+    return link == upper and moves
 
 
 def _pinocchio(urdf: bytes, path: Path) -> pin.Model:
