@@ -223,7 +223,8 @@ def chain(tree: UrdfTree, tip: str, base: str | None = None) -> Robot:
             )
     if not joints:
         raise RobotError(
-            f"{path}: no joint moves between {base or link!r} and {tip!r}: nothing to calibrate; set `robot.tip` to the arm's other end"
+            f"{path}: no joint moves between {base or link!r} and {tip!r}: nothing to calibrate; set `robot.tip` to the arm's "
+            "other end"
         )
     return Robot(tree.urdf, path, link, tip, tuple(joints), name, before, origin, tree.moves, tree.mimics)
 
