@@ -46,6 +46,7 @@ from rich.console import Console
 
 from aridcal.command_line import CommandParser, command_parser, for_scripts, run, screens
 from aridcal.errors import OutputError, printable
+from aridcal.inputs.counting import counting
 from aridcal.inputs.query import Query, Remarks
 from aridcal.programs.job import Request, correct_programs
 from aridcal.programs.read_project import is_program
@@ -247,13 +248,13 @@ def _tabulate(calibration: SavedModel, points: int, out: Path, console: Console)
         progress.at("making the table")
         found = correction_table(calibration, points, progress)
     names = [settings.columns.get(name, name) for name in robot.readings]
-    units = [settings.units.joint(name, kind) for name, kind in zip(names, robot.kinds, strict=True)]
-    values = np.hstack([np.array(list(product(*found.axes))), found.delta.reshape(-1, len(names))])
+    own = counting(settings, robot.readings, robot.kinds)
+    cells, deltas = own.cells(np.array(list(product(*found.axes)))), own.steps(found.delta.reshape(-1, len(names)))
     columns = [*names, *(f"delta_{name}" for name in names)]
     with atomic_file(out) as path:
-        write_table(pd.DataFrame(values / [*units, *units], columns=columns), path)
+        write_table(pd.DataFrame(np.hstack([cells, deltas]), columns=columns), path)
     console.print(
-        f"{out}: {len(values)} points; RMS error of the target between them {1e3 * found.after:.3f} mm, "
+        f"{out}: {len(cells)} points; RMS error of the target between them {1e3 * found.after:.3f} mm, "
         f"without the table {1e3 * found.before:.3f} mm",
         markup=False, highlight=False, soft_wrap=True,
     )  # fmt: skip

@@ -43,6 +43,7 @@ from rich.text import Text
 from aridcal.command_line import CommandParser, command_parser, for_scripts, run, screens
 from aridcal.errors import OutputError
 from aridcal.inputs.campaign import Campaign, load_campaign, nominal_robot
+from aridcal.inputs.counting import counting
 from aridcal.planning.beforehand import beforehand
 from aridcal.planning.design import Asked, Plan, as_table, design
 from aridcal.planning.exchange import Criterion
@@ -206,8 +207,12 @@ def _write(plan: Plan, campaign: Campaign, robot: Robot, path: Path, file: Path,
     else:
         # controllers go straight in joints; who knows by which way MoveIt comes
         via = plan.via if ending == WAYPOINTS else np.where(plan.by_way[:, None], plan.via, np.nan)
+        readings = plan.readings
+        if ending != WAYPOINTS:  # MoveIt counts as the URDF does, a controller as its own joints in the tables
+            own = counting(campaign.measurements, robot.readings, robot.kinds)
+            readings, via = own.shown(readings), own.shown(via)
         made = moves(
-            campaign.path.name, robot.readings, robot.kinds, plan.readings, via, plan.titles, settle, (plan.kept_out,)
+            campaign.path.name, robot.readings, robot.kinds, readings, via, plan.titles, settle, (plan.kept_out,)
         )
         file.write_text(program(made, ending, path.stem), encoding="utf-8", errors="replace")
 

@@ -104,7 +104,7 @@ TABLES: dict[str, tuple[Callable[[pd.DataFrame], pd.DataFrame], str]] = {
         lambda t: t.rename(columns={"joint_2": "joint_3", "joint_3": "joint_2"}),
         "Read as joint_2 and joint_3 exchanged they would be",
     ),
-    "a sign lost": (cells(joint_3=lambda v: -v), "Change the sign of joint_3 in the file"),
+    "a sign lost": (cells(joint_3=lambda v: -v), "`joints: {joint_3: {sign: -1}}`"),
     "rows out of step": (lambda t: t.assign(**t[JOINTS].shift(5).bfill()), "not of this robot.*order of rows"),
     "no qw": (lambda t: t.drop(columns="qw"), "no column 'qw'.*`kind: position`"),
     "quaternions of zeros": (cells(qx=0, qy=0, qz=0, qw=0), "the norm of the quaternion is not 1"),

@@ -290,6 +290,27 @@ def test_python_plans_and_saves_what_the_command_does(tmp_path: Path) -> None:
     assert not (tmp_path / "c.csv").exists()
 
 
+def test_tables_and_controllers_count_as_the_campaign_says_and_waypoints_as_the_urdf(tmp_path: Path) -> None:
+    path = written(tmp_path)
+    path.write_text(
+        path.read_text().replace("kind: pose", "kind: pose, joints: {elbow_joint: {sign: -1, zero: 90deg}}")
+    )
+    out = [part for name in ("p.csv", "p.yaml", "p.script") for part in ("-o", str(tmp_path / name))]
+    assert command.main([str(path), "-n", "5", *out]) == 0
+    table = pd.read_csv(tmp_path / "p.csv")
+    document = yaml.safe_load((tmp_path / "p.yaml").read_text())
+    points = np.array([point["positions"] for point in document["points"]])
+    own = [k for k, point in enumerate(document["points"]) if point["configuration"]]
+    elbow = document["joint_names"].index("elbow_joint")
+    shown = points[own]
+    shown[:, elbow] = np.pi / 2 - shown[:, elbow]
+    np.testing.assert_allclose(table[document["joint_names"]], shown, atol=1e-8)
+    np.testing.assert_array_equal(table["elbow_joint_direction"], -approach(points[:, elbow], 1e-6)[own])
+    found = [re.findall(NUMBER, q) for q in re.findall(r"movej\(\[(.*?)\]", (tmp_path / "p.script").read_text())]
+    moved = np.array(found, dtype=float)
+    assert all(np.abs(moved - row).max(axis=1).min() < 1e-6 for row in shown)
+
+
 def test_rows_measured_from_both_sides_are_added_to(tmp_path: Path) -> None:
     """Columns of directions in the table, written as the campaign calls them, come back in the plan."""
     rng = np.random.default_rng(3)

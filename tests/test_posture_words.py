@@ -482,6 +482,22 @@ def test_the_campaign_states_zeros_once_and_the_flag_takes_their_place(tmp_path:
     assert cell_zeros(stated, "0,0,0,0,0,0", krl.ROW) == cell_zeros(saved, None, krl.ROW) == ()
 
 
+def test_programs_count_as_the_tables_do_where_nothing_else_is_said(tmp_path: Path) -> None:
+    saved = machine(5, n=40, robot=KUKA.robot(upright=True)).saved
+    tables = CAMPAIGN.replace("m.csv}", "m.csv, joints: {j3: {zero: 12deg}, j5: {zero: -90deg}}}")
+
+    def stated(campaign: str) -> SavedModel:
+        (tmp_path / "calibration.yaml").write_text(replace(saved, record={"campaign": campaign}).dump())
+        return SavedModel.load(tmp_path)
+
+    np.testing.assert_allclose(cell_zeros(stated(tables), None, krl.ROW), (0, -90, 90, 0, -90, 0))
+    backwards = tables.replace("zero: -90deg", "sign: -1")
+    with pytest.raises(AridcalError, match=r"measurements\.joints\.j5\.sign: .*controller_zeros: {j5: 0}"):
+        cell_zeros(stated(backwards), None, krl.ROW)
+    told = backwards.replace("controller_zeros: {", "controller_zeros: {j5: 0, ")
+    np.testing.assert_allclose(cell_zeros(stated(told), None, krl.ROW), KUKA_ZERO)
+
+
 def test_zeros_that_are_no_numbers_for_each_axis_are_refused() -> None:
     saved = machine(5, n=40, robot=KUKA.robot()).saved
     for given in ("", "0,0,0", "0,-90,90,0,0,x", "0,-90,90,0,0,nan", "0,-90,90,0,0,0,0", "inf,0,0,0,0,0"):

@@ -19,6 +19,7 @@ from pydantic import (
 
 from aridcal.effects.catalogue import KINDS, is_of_head
 from aridcal.errors import CampaignError, nearest, shortened
+from aridcal.inputs.counting import check_joints
 from aridcal.inputs.instrument_settings import InstrumentSettings
 from aridcal.inputs.measurement_settings import (
     MeasurementSettings,
@@ -341,7 +342,7 @@ def nominal_robot(job: Job) -> Robot:
 
     Raises:
         RobotError: its description cannot be read, or has no such chain.
-        CampaignError: `controller_zeros` names a joint that is not on it.
+        CampaignError: `controller_zeros` or the `joints` of a block name a joint that is not on it.
     """
     named = job.robot
     robot = load_robot(named.urdf, named.tip, named.base, job.limits.urdf, named.packages, named.arguments)
@@ -351,6 +352,8 @@ def nominal_robot(job: Job) -> Robot:
                 f"robot.controller_zeros: no joint {shortened(name)!r} on the chain{nearest(name, robot.readings)}; write one "
                 "of its moving joints"
             )
+    for number, block in enumerate(job.blocks):
+        check_joints(block, f"{job.path}: {job.place(number)}", robot.readings, robot.kinds)
     return robot
 
 

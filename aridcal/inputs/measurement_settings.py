@@ -15,7 +15,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, field_validator, mo
 
 from aridcal.errors import CampaignError, nearest, shortened
 from aridcal.exports.robot_calibration import NAME
-from aridcal.inputs.yaml_file import RelativePath, Section
+from aridcal.inputs.yaml_file import LARGEST, RelativePath, Section
 from aridcal.instruments.catalogue import KINDS
 from aridcal.reading.dialect import BLANKS, PLAIN, Dates, Dialect
 from aridcal.reading.names import check_name
@@ -28,6 +28,9 @@ OF_TARGETS = ("pose", "position")
 
 # Channels whose noise these, and the measuring head, may declare.
 OF_POSES = ("position", "rotation")
+
+# Ends the name of the column that says from which side a joint came.
+DIRECTION = "_direction"
 
 # Farther than any arm reaches, [m].
 FAR = 100.0
@@ -48,6 +51,10 @@ SMALL_ANGLES = MappingProxyType({**ANGLES, "mrad": 1e-3})
 LARGEST_TOLERANCE = 1e9
 
 
+AMOUNT = re.compile(r"([-+]?[0-9]*\.?[0-9]+(?:[eE][-+]?[0-9]+)?)\s*([a-z]+)")
+"""A number with its unit."""
+
+
 def with_unit(text: object, units: Mapping[str, float], example: str) -> float:
     """A positive number with its unit, in SI.
 
@@ -59,7 +66,7 @@ def with_unit(text: object, units: Mapping[str, float], example: str) -> float:
     Raises:
         ValueError: it is none, or has no unit.
     """
-    found = re.fullmatch(r"([0-9]*\.?[0-9]+(?:[eE][-+]?[0-9]+)?)\s*([a-z]+)", str(text).strip())
+    found = AMOUNT.fullmatch(str(text).strip())
     if found is None or found[2] not in units or not 0.0 < float(found[1]) < LARGEST_TOLERANCE:
         raise ValueError(
             f"should be a number with its unit ({', '.join(units)}), {example} for instance, not {shortened(str(text))!r}"
@@ -280,6 +287,45 @@ class Orientation(Section):
         return self
 
 
+class JointColumn(Section):
+    """How the column of a joint counts, where not as the URDF does."""
+
+    sign: Literal[1, -1] = 1
+    """-1: the column grows where the URDF's joint falls."""
+    zero: str | None = None
+    """What the column shows where the URDF's joint is at 0, with its unit; `None`: 0."""
+
+    @field_validator("sign", mode="before")
+    @classmethod
+    def _a_number(cls, sign: object) -> object:
+        if isinstance(sign, bool):  # which Python takes for a 1
+            raise ValueError("should be 1 or -1")
+        return sign
+
+    @field_validator("zero", mode="before")
+    @classmethod
+    def _has_its_unit(cls, zero: object) -> object:
+        found = AMOUNT.fullmatch(str(zero).strip())
+        if found is None or found[2] not in {**ANGLES, **LENGTHS} or abs(float(found[1])) > LARGEST:
+            raise ValueError(
+                f"should be a number with its unit ({', '.join([*ANGLES, *LENGTHS])}), 90deg for instance: what the column shows "
+                f"where the URDF's joint is at 0; not {shortened(str(zero))!r}"
+            )
+        return f"{found[1]}{found[2]}"
+
+    @property
+    def zero_unit(self) -> str:
+        """The unit of `zero`; empty without it."""
+        found = AMOUNT.fullmatch(self.zero or "")
+        return found[2] if found else ""
+
+    @property
+    def shown_at_zero(self) -> float:
+        """`zero` in [rad] or [m]."""
+        found = AMOUNT.fullmatch(self.zero or "")
+        return float(found[1]) * {**ANGLES, **LENGTHS}[found[2]] if found else 0.0
+
+
 class MeasurementSettings(Section):
     """Where the measured rows are and how to read them."""
 
@@ -297,6 +343,10 @@ class MeasurementSettings(Section):
     columns: dict[str, str] = Field(default_factory=dict)
     """Column of a joint or a quantity where the two names differ."""
     units: Units = Units()
+    joints: dict[str, JointColumn] = Field(default_factory=dict)
+    """Joints whose columns count otherwise than the URDF: backwards, or from another zero."""
+    inverted: Literal["pose", "orientation"] | None = None
+    """What the tables hold the other way round: T_target_world as a whole, or its orientation alone; `None`: nothing."""
     table: TableSettings = TableSettings()
     """How the files are written, where they are no plain csv."""
     orientation: Orientation = Orientation()
@@ -335,9 +385,16 @@ class MeasurementSettings(Section):
             raise ValueError(
                 "table: `kind: camera_sonar` has its tables in head.yaml, which are plain csv; delete this key"
             )
+        if self.inverted is not None and self.kind != "pose":
+            raise ValueError("inverted: belongs to `kind: pose`, whose rows have orientations; delete it")
         if self.camera is not None and self.kind != "pixels":
             raise ValueError("camera: belongs to `kind: pixels`; delete it")
         return self
+
+    def sense(self, quantity: str) -> int:
+        """-1 of the side from which a joint came whose column counts backwards, else 1."""
+        joint = self.joints.get(quantity.removesuffix(DIRECTION)) if quantity.endswith(DIRECTION) else None
+        return 1 if joint is None else joint.sign
 
     @property
     def title(self) -> str:

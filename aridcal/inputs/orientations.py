@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -46,6 +46,22 @@ def turned(cells: np.ndarray, settings: MeasurementSettings) -> Rotation:
     if settings.orientation.matrix:
         return Rotation.from_matrix(cells.reshape(-1, 3, 3))
     return pose.turned(cells, settings.orientation.euler)
+
+
+def other_way(
+    R: np.ndarray, p: np.ndarray, inverted: Literal["pose", "orientation"] | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Poses of the target in the world from those of a table that has them the other way round, and back.
+
+    Args:
+        R: Rotations, shape (N, 3, 3).
+        p: Positions, shape (N, 3).
+        inverted: See :class:`MeasurementSettings`.
+    """
+    if inverted is None:
+        return R, p
+    back = R.transpose(0, 2, 1)
+    return back, -np.einsum("nij,nj->ni", back, p) if inverted == "pose" else p
 
 
 def normalised(cells: np.ndarray, usable: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -10,6 +10,7 @@ import numpy as np
 
 from aridcal.effects.effect import ROW_ORDER
 from aridcal.errors import CampaignError, MeasurementError, has_controls, nearest
+from aridcal.inputs.counting import counting
 from aridcal.inputs.measurement_settings import MeasurementSettings
 from aridcal.inputs.orientations import (
     IDENTITY,
@@ -21,6 +22,7 @@ from aridcal.inputs.orientations import (
     column_of,
     normalised,
     of_matrices,
+    other_way,
     own_orientation,
     turned,
 )  # fmt: skip
@@ -32,6 +34,9 @@ from aridcal.robot.chain import JointKind
 STD = ("std_x", "std_y", "std_z", "std_rx", "std_ry", "std_rz")
 POSE_OR_LABEL = (*POSITION, *QUATERNION, *STD, "station", "split")
 QUANTITIES = (*POSE_OR_LABEL, "time", "temperature", "payload")
+
+# Of a quaternion's numbers: those of the rotation back.
+CONJUGATE = (-1.0, -1.0, -1.0, 1.0)
 
 # Two columns of one orientation that are farther apart disagree, [rad]; rounding to three decimals is allowed.
 SAME_ORIENTATION = 1e-3
@@ -131,22 +136,36 @@ class Source:
         """
         advice = "Name them as in the URDF, or map them under measurements.columns; `aridcal init` finds which is which"
         self.table.require(self.joint_columns, advice)
-        return self.needed(self.joint_columns, self._scales(kinds))
+        own = counting(self.settings, self.joint_names, kinds)
+        return own.of_shown(self.needed(self.joint_columns, own.unit))
 
     def seeds(self, kinds: Sequence[JointKind]) -> np.ndarray:
         """Readings where there are some, NaN elsewhere; nothing is refused."""
         values = np.full((len(self.table), len(self.joint_names)), np.nan)
-        scales = self._scales(kinds)
+        own = counting(self.settings, self.joint_names, kinds)
         for k, name in enumerate(self.joint_columns):
             if name in self.table.cells:
                 self._take([name])
                 numbers, _ = self.table.numbers(name)
-                readings = numbers * scales[k]
-                values[:, k] = np.where(np.abs(readings) <= ABSURD, readings, np.nan)
-        return values
+                shown = numbers * own.unit[k]
+                values[:, k] = np.where(np.abs(shown) <= ABSURD, shown, np.nan)
+        return own.of_shown(values)
+
+    def pose(self) -> tuple[np.ndarray, np.ndarray]:
+        """Measured poses of the target in the world: positions, shape (N, 3), [m], and unit quaternions, shape (N, 4).
+
+        Raises:
+            MeasurementError: as :meth:`position` and :meth:`quaternion`.
+        """
+        position, quaternion = self.position(), self.quaternion()
+        if self.settings.inverted is None:
+            return position, quaternion
+        with np.errstate(invalid="ignore"):  # of cells that are refused
+            _, p = other_way(pose.turned(quaternion).as_matrix(), position, self.settings.inverted)
+        return p, quaternion * CONJUGATE
 
     def position(self) -> np.ndarray:
-        """Measured positions, shape (N, 3), [m]; rows that lack one are refused.
+        """Positions as the columns have them, shape (N, 3), [m]; rows that lack one are refused.
 
         Raises:
             MeasurementError: there are no such columns.
@@ -161,7 +180,7 @@ class Source:
         return list(own_orientation(self.settings) or (self.column(name) for name in QUATERNION))
 
     def quaternion(self) -> np.ndarray:
-        """Measured orientations as unit quaternions, shape (N, 4); rows that have none are refused.
+        """Orientations as the columns have them, as unit quaternions, shape (N, 4); rows that have none are refused.
 
         Raises:
             MeasurementError: there are no such columns, or their angles are in another unit.
@@ -246,6 +265,11 @@ class Source:
         for half, of in wanted:
             columns = [self.column(name) for name in STD[half]]
             if any(self.has(name) for name in columns):
+                if self.settings.inverted == "pose" or (self.settings.inverted and of == "angle"):
+                    raise CampaignError(
+                        f"{self.origin}: measurements.inverted: the columns {' '.join(columns)} are then those of the other way "
+                        "round, which are not read; write `noise: {rows: ignore}`"
+                    )
                 self.table.require(columns, "Give all three, or write `noise: {rows: ignore}`")
                 std[:, half] = self.needed(columns, [units.scale(name, of) for name in columns])
                 for sigma, name in zip(std[:, half].T, columns, strict=True):
@@ -328,7 +352,7 @@ class Source:
             return None
         if holes.any():
             self._note_holes(name, holes)
-        return np.where(holes, np.nan, numbers)
+        return np.where(holes, np.nan, self.settings.sense(quantity) * numbers)
 
     def _note_holes(self, name: str, holes: np.ndarray) -> None:
         """Name the first cell of a covariate that holds something but counts as empty."""
@@ -350,7 +374,7 @@ class Source:
             f"If they are {remedy} under measurements"
         )
 
-    def needed(self, columns: Sequence[str], scale: Sequence[float] | float) -> np.ndarray:
+    def needed(self, columns: Sequence[str], scale: Sequence[float] | np.ndarray | float) -> np.ndarray:
         """Columns in SI, shape (N, columns); rows with a cell that is no sensible number are refused.
 
         Args:
@@ -391,9 +415,6 @@ class Source:
     def has(self, name: str) -> bool:
         """True of a column that is there and not ignored."""
         return name in self.table.cells and name not in self.settings.ignore
-
-    def _scales(self, kinds: Sequence[JointKind]) -> list[float]:
-        return [self.settings.units.joint(name, kind) for name, kind in zip(self.joint_columns, kinds, strict=True)]
 
     def _angle_scales(self, columns: Sequence[str]) -> list[float]:
         """Radians in one of the unit of each column."""

@@ -133,8 +133,11 @@ def load_query(
         raise MeasurementError(f"{table.title}: {table.refused[0]}; mend the file")
     source = Source(table, settings, tuple(readings), table.title)
     q = source.seeds(kinds) if poses else source.joints(kinds)
-    position = source.position() if poses else None
-    quaternion = source.quaternion() if poses and settings.kind != "position" else None
+    position, quaternion = None, None
+    if poses and settings.kind != "position":
+        position, quaternion = source.pose()
+    elif poses:
+        position = source.position()
     if settings.kind != "position":
         source.refuse_second_orientation()
     if per_station and label == "target":

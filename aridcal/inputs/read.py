@@ -147,10 +147,11 @@ def _read(asked: _Asked, number: int, tables: Sequence[AnyTable], alone: bool) -
     of_target = asked.require_pose and settings.kind in OF_TARGETS
     position, quaternion, std = np.full((len(table), 3), np.nan), None, None
     if of_target:
-        position = source.position()
-        quaternion = source.quaternion() if settings.kind == "pose" else None
-        if quaternion is not None:
+        if settings.kind == "pose":
+            position, quaternion = source.pose()
             source.refuse_second_orientation()
+        else:
+            position = source.position()
         std = source.std()
     target = _words(source, TARGET) if TARGET in settings.own_columns else None
     plain = not asked.require_pose or (alone and of_target and target is None)

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 
 from aridcal.errors import CampaignError
+from aridcal.inputs.counting import counting
 from aridcal.inputs.measurement_settings import MeasurementSettings
 from aridcal.inputs.orientations import column_of
 from aridcal.planning.approaches import Approaches, as_they_come, from_both_sides
@@ -238,7 +239,7 @@ def as_table(plan: Plan, robot: Robot, settings: MeasurementSettings) -> pd.Data
     """Joints in the columns and units of a campaign's own table, and what each row measures."""
     labels = {column_of(name, settings, robot.readings): words for name, words in plan.labels.items()}
     sides = {
-        column_of(f"{name}_direction", settings, robot.readings): side.astype(int)
+        column_of(f"{name}_direction", settings, robot.readings): settings.sense(f"{name}_direction") * side.astype(int)
         for name, side in plan.directions.items()
     }
     return joint_table(plan.readings, robot, settings).assign(**sides, **labels)
@@ -247,5 +248,5 @@ def as_table(plan: Plan, robot: Robot, settings: MeasurementSettings) -> pd.Data
 def joint_table(readings: np.ndarray, robot: Robot, settings: MeasurementSettings) -> pd.DataFrame:
     """Readings, shape (n, columns), [rad] or [m], in the columns and units of a campaign's own table."""
     names = [settings.columns.get(name, name) for name in robot.readings]
-    scales = [settings.units.joint(name, kind) for name, kind in zip(names, robot.kinds, strict=True)]
-    return pd.DataFrame(dict(zip(names, (readings / scales).T, strict=True)))
+    cells = counting(settings, robot.readings, robot.kinds).cells(readings)
+    return pd.DataFrame(dict(zip(names, cells.T, strict=True)))

@@ -8,13 +8,12 @@ usually does, every other reading that a slip could hide is tried on some rows.
 from __future__ import annotations
 
 import itertools
-import warnings
-from collections.abc import Iterator, Sequence
+import math
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from aridcal.errors import AridcalError, NotOfThisRobot
 from aridcal.fit.constants import station_labels
@@ -23,9 +22,9 @@ from aridcal.fit.problem import unscaled
 from aridcal.fit.stages import Geometry, fit_geometry, nominal_sigma
 from aridcal.inputs.campaign import Campaign
 from aridcal.inputs.dataset import Dataset
-from aridcal.inputs.measurement_settings import ANGLES, LENGTHS, MeasurementSettings
-from aridcal.inputs.orientations import QUATERNION, angle_columns, column_of, turned
-from aridcal.inputs.quantities import POSITION
+from aridcal.inputs.measurement_settings import ANGLES, JointColumn, MeasurementSettings
+from aridcal.inputs.orientations import QUATERNION, angle_columns, column_of
+from aridcal.inputs.quantities import POSITION, STD
 from aridcal.inputs.read import load_measurements
 from aridcal.inputs.tables import read_tables
 from aridcal.prepare.units_and_angles import TRIED_LENGTHS, rounded
@@ -55,6 +54,14 @@ SEQUENCES = tuple(
     if letters[0] != letters[1] != letters[2]
     for word in ("".join(letters), "".join(letters).upper())
 )
+
+
+TURNED_BACK: dict[str, Literal["pose", "orientation"] | None] = {
+    "T_world_target": None,
+    "orientations of the world in the target": "orientation",
+    "T_target_world": "pose",
+}
+"""What tables may hold of the target, and the key that says so."""
 
 
 @dataclass(frozen=True)
@@ -229,18 +236,14 @@ def _others(settings: MeasurementSettings, robot: Robot, table: pd.DataFrame) ->
 
 def _orientations(settings: MeasurementSettings, robot: Robot, table: pd.DataFrame) -> Iterator[Other]:
     """Other orders of quaternions, other writings of angles, and poses the other way round."""
-    angles, matrix = angle_columns(settings), settings.orientation.matrix
-    if matrix is not None:
-        names, rotation = list(matrix), turned(_numbers(table, matrix), settings)
-    elif angles is None:
+    angles = angle_columns(settings)
+    if angles is None and settings.orientation.matrix is None:
         columns = [column_of(name, settings, robot.readings) for name in QUATERNION]
         for what, order in (("scalar-first quaternions", (1, 2, 3, 0)), ("scalar-last quaternions", (3, 0, 1, 2))):
             mapped = dict(zip(QUATERNION, (columns[k] for k in order), strict=True))
             yield Other(what, _write(f"columns: {_braces(mapped)}"), _with(settings, columns=mapped), table)
-        names, rotation = list(columns), Rotation.from_quat(_numbers(table, columns))
-    else:
+    if angles is not None:
         names = list(angles)
-        rotation = _rotations(settings, table, names)
         for word in SEQUENCES:
             if word != settings.orientation.euler:
                 spec = {"euler": word, "columns": tuple(names), "rotvec": None}
@@ -250,17 +253,17 @@ def _orientations(settings: MeasurementSettings, robot: Robot, table: pd.DataFra
             spec = {"euler": None, "columns": None, "rotvec": tuple(names)}
             said = f"orientation: {{rotvec: [{', '.join(names)}]}}"
             yield Other("rotation vectors", _write(said), _oriented(settings, spec), table)
-    back_turned = _written(settings, rotation.inv(), names)
-    yield Other(
-        "orientations of the world in the target", f"Invert the orientation {' '.join(names)} in the file",
-        settings, table.assign(**back_turned),
-    )  # fmt: skip
-    place = [column_of(name, settings, robot.readings) for name in POSITION]
-    back = -rotation.inv().apply(_numbers(table, place))
-    yield Other(
-        "T_target_world", "Invert every pose in the file: the campaign needs T_world_target",
-        settings, table.assign(**back_turned, **dict(zip(place, back.T, strict=True))),
-    )  # fmt: skip
+    stated = {column_of(name, settings, robot.readings) for name in STD} & set(table)
+    for what, inverted in TURNED_BACK.items():
+        if inverted != settings.inverted:
+            noise = settings.noise.model_copy(
+                update={"rows": "ignore"}
+            )  # those of rows are not known the other way round
+            changed = settings.model_copy(update={"inverted": inverted, "noise": noise})
+            remedy = _write(f"inverted: {inverted}") if inverted else "Delete `inverted` under measurements"
+            if inverted and settings.noise.rows != "ignore" and stated:
+                remedy += " and `noise: {rows: ignore}`"
+            yield Other(what, remedy, changed, table)
 
 
 def _units(settings: MeasurementSettings, robot: Robot, table: pd.DataFrame) -> Iterator[Other]:
@@ -272,11 +275,8 @@ def _units(settings: MeasurementSettings, robot: Robot, table: pd.DataFrame) -> 
             yield Other(f"lengths in {SPELT.get(unit, unit)}", _write(f"units: {{length: {unit}}}"), changed, table)
             if "prismatic" in robot.kinds:
                 place = [column_of(name, settings, robot.readings) for name in POSITION]
-                factor = units.metres / settings.units.metres
-                scaled = table.assign(**{name: factor * _numbers(table, [name])[:, 0] for name in place})
-                remedy = f"Convert {' '.join(place)} to {settings.units.length} in the file"
-                yield Other(f"positions in {SPELT.get(unit, unit)}", remedy, settings, scaled)
-    unit, _ = _other_angle(settings)
+                yield _columns_in(f"positions in {SPELT.get(unit, unit)}", dict.fromkeys(place, unit), settings, table)
+    unit = _other_angle(settings)
     changed = settings.model_copy(update={"units": settings.units.model_copy(update={"angle": unit})})
     yield Other(f"angles in {SPELT[unit]}", _write(f"units: {{angle: {unit}}}"), changed, table)
 
@@ -284,49 +284,56 @@ def _units(settings: MeasurementSettings, robot: Robot, table: pd.DataFrame) -> 
 def _joints(settings: MeasurementSettings, robot: Robot, table: pd.DataFrame) -> Iterator[Other]:
     """One joint with the other sign, another zero or in another unit, and two exchanged."""
     columns = {name: settings.columns.get(name, name) for name in robot.readings}
-    unit, factor = _other_angle(settings)
     for (joint, column), kind in zip(columns.items(), robot.kinds, strict=True):
-        values = _numbers(table, [column])[:, 0]
-        remedy = f"Change the sign of {column} in the file"
-        yield Other(f"{joint} with the other sign", remedy, settings, table.assign(**{column: -values}))
+        yield _counted(f"{joint} with the other sign", joint, -1, 0, settings, table)
         if kind != "prismatic":
-            yield from _zeros(settings, joint, column, table)
-        scales = {unit: factor}
-        now = settings.units.columns.get(column, settings.units.angle)
-        if kind == "prismatic":
-            now = settings.units.columns.get(column, settings.units.length)
-            scales = {u: LENGTHS[u] / LENGTHS[now] for u in TRIED_LENGTHS if u != now}
-        for other, scale in scales.items():
-            remedy = f"Convert {column} to {now} in the file"
-            yield Other(
-                f"{joint} in {SPELT.get(other, other)}", remedy, settings, table.assign(**{column: scale * values})
-            )
+            yield from _zeros(settings, joint, table)
+        usual, tried = (settings.units.length, TRIED_LENGTHS) if kind == "prismatic" else (settings.units.angle, ANGLES)
+        now = settings.units.columns.get(column, usual)
+        for other in tried:
+            if other != now:
+                yield _columns_in(f"{joint} in {SPELT.get(other, other)}", {column: other}, settings, table)
     for one, two in itertools.combinations(columns, 2):
         mapped = {one: columns[two], two: columns[one]}
         remedy = _write(f"columns: {_braces(mapped)}")
         yield Other(f"{one} and {two} exchanged", remedy, _with(settings, columns=mapped), table)
 
 
-def _zeros(settings: MeasurementSettings, joint: str, column: str, table: pd.DataFrame) -> Iterator[Other]:
+def _zeros(settings: MeasurementSettings, joint: str, table: pd.DataFrame) -> Iterator[Other]:
     """A joint that counts from another quarter of a turn, or that way and backwards, as controllers and URDFs often differ."""
-    values = _numbers(table, [column])[:, 0]
-    quarter = np.pi / 2.0 / settings.units.scale(column, "angle")
-    unit = SPELT[settings.units.columns.get(column, settings.units.angle)]
-    for sign, how in ((1.0, ""), (-1.0, " and the other sign")):
+    for sign, how in ((1, ""), (-1, " and the other sign")):
         for turns in (1, -1, 2):
             what = f"{joint} with another zero ({90 * turns:+d} degrees){how}"
-            amount = f"{turns * quarter:.6g} {unit}"
-            remedy = f"Add {amount} to {column} in the file"
-            if sign < 0.0:
-                remedy = f"Change the sign of {column} in the file, then add {amount} to it"
-            changed = table.assign(**{column: sign * values + turns * quarter})
-            yield Other(what, remedy, settings, changed, RARER if sign > 0.0 else RARER**2)
+            yield _counted(what, joint, sign, turns, settings, table, RARER if sign > 0 else RARER**2)
 
 
-def _other_angle(settings: MeasurementSettings) -> tuple[str, float]:
-    """The other unit of angle, and how many of the campaign's make one of it."""
-    unit = next(unit for unit in ANGLES if unit != settings.units.angle)
-    return unit, ANGLES[unit] / settings.units.radians
+def _counted(
+    what: str, joint: str, sign: int, turns: int, settings: MeasurementSettings, table: pd.DataFrame, doubt: float = 1.0
+) -> Other:
+    """A joint whose reading is ``sign`` times what the campaign makes of it, and so many quarters of a turn more."""
+    before = settings.joints.get(joint, JointColumn())
+    now = sign * before.sign
+    zero = before.zero
+    if turns:
+        degrees = 180.0 - (180.0 - math.degrees(before.shown_at_zero) + 90.0 * turns * now) % 360.0
+        zero = f"{degrees:.9g}deg" if degrees else None
+    counts = JointColumn.model_construct(sign=now, zero=zero)
+    said = {**({"zero": zero} if zero else {}), **({"sign": str(now)} if now < 0 or not zero else {})}
+    changed = settings.model_copy(update={"joints": {**settings.joints, joint: counts}})
+    return Other(what, _write(f"joints: {{{joint}: {_braces(said)}}}"), changed, table, doubt)
+
+
+def _columns_in(what: str, units: dict[str, str], settings: MeasurementSettings, table: pd.DataFrame) -> Other:
+    """Single columns in another unit."""
+    own = settings.units.model_copy(update={"columns": {**settings.units.columns, **units}})
+    return Other(
+        what, _write(f"units: {{columns: {_braces(units)}}}"), settings.model_copy(update={"units": own}), table
+    )
+
+
+def _other_angle(settings: MeasurementSettings) -> str:
+    """The other unit of angle."""
+    return next(unit for unit in ANGLES if unit != settings.units.angle)
 
 
 def _with(settings: MeasurementSettings, columns: dict[str, str]) -> MeasurementSettings:
@@ -335,38 +342,6 @@ def _with(settings: MeasurementSettings, columns: dict[str, str]) -> Measurement
 
 def _oriented(settings: MeasurementSettings, spec: dict[str, Any]) -> MeasurementSettings:
     return settings.model_copy(update={"orientation": settings.orientation.model_copy(update=spec)})
-
-
-def _rotations(settings: MeasurementSettings, table: pd.DataFrame, names: Sequence[str]) -> Rotation:
-    """Orientations of columns of angles, N."""
-    return turned(_numbers(table, names) * _radians(settings, names), settings)
-
-
-def _radians(settings: MeasurementSettings, names: Sequence[str]) -> list[float]:
-    """Radians in one of the unit of each column of angles."""
-    return [settings.units.scale(name, "angle") for name in names]
-
-
-def _written(settings: MeasurementSettings, rotation: Rotation, names: Sequence[str]) -> dict[str, np.ndarray]:
-    """Orientations in the campaign's own columns."""
-    if settings.orientation.matrix:
-        numbers = rotation.as_matrix().reshape(-1, 9)
-    elif angle_columns(settings) is None:
-        numbers = rotation.as_quat()
-    elif settings.orientation.euler:
-        with warnings.catch_warnings():  # scipy's remark on angles that are not unique
-            warnings.simplefilter("ignore", UserWarning)
-            numbers = rotation.as_euler(settings.orientation.euler) / _radians(settings, names)  # type: ignore[call-overload]
-    else:
-        numbers = rotation.as_rotvec() / _radians(settings, names)
-    return dict(zip(names, numbers.T, strict=True))
-
-
-def _numbers(table: pd.DataFrame, names: Sequence[str]) -> np.ndarray:
-    """Columns of the sample as numbers, shape (N, columns)."""
-    import pandas as pd  # slow to load, and few tables are asked how else they could be read
-
-    return table[list(names)].apply(pd.to_numeric, errors="coerce").to_numpy(float, copy=True)
 
 
 def _write(text: str) -> str:

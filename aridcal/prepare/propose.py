@@ -27,7 +27,7 @@ from aridcal.prepare.covariates import say_covariates, say_repeats
 from aridcal.prepare.guesses import Asker, Proposal, ask
 from aridcal.prepare.orientation_columns import CLEAR, MOST_ANSWERS, say_orientation, sensible
 from aridcal.prepare.other_kinds import other_kind, say_other_kind
-from aridcal.prepare.units_and_angles import Reading, Sample, readings, rounded
+from aridcal.prepare.units_and_angles import Reading, Sample, one_slip_away, readings, rounded
 from aridcal.robot.chain import Robot, chain
 from aridcal.robot.tree import read_tree
 
@@ -315,7 +315,7 @@ def _units(
         made: Told what was found.
 
     Returns:
-        The way to read joints and positions.
+        The way to read joints and positions, with any joint counted as fits best.
 
     Raises:
         AridcalError: two ways fit alike, and nobody says which is meant.
@@ -328,6 +328,14 @@ def _units(
         made.say(f"frames.{first.per}", {"per": "station"}, why)
         best = first
     near = [r for r in tried if r.per == best.per][:MOST_ANSWERS]
+    counted, slip = best, ""
+    if best.share > STRANGE_SHARE:  # a joint that counts otherwise makes other units look right
+        other = one_slip_away(sample, robot, near)
+        if other.share <= STRANGE_SHARE:
+            units = (other.angle, other.length, other.travel)
+            best, counted = next(r for r in near if (r.angle, r.length, r.travel) == units), other
+            slip = f". If one joint counted backwards, or from another quarter of a turn, by {rounded(100 * other.share)} %: "
+            slip += "`aridcal identify` says which"
     alike = [reading for reading in near if reading.share <= CLEAR * best.share]
     by_header = ""
     if len(alike) > 1 and best.share <= STRANGE_SHARE:  # else none is right, which is said below
@@ -348,9 +356,9 @@ def _units(
         slides = [name for name, turns in zip(joints, sample.turning, strict=True) if not turns]
         value["columns"] = dict.fromkeys(slides, best.travel)
     made.fit = (best.metres, best.share)
-    why = by_header + _why_units(best, near, [*joints, *place])
+    why = by_header + _why_units(best, near, [*joints, *place]) + slip
     made.say("measurements.units", value or None, why, sure=best.share <= STRANGE_SHARE)
-    return best
+    return counted
 
 
 def _said(sample: Sample, joints: Sequence[str], place: Sequence[str]) -> set[tuple[str, str]]:
@@ -383,7 +391,8 @@ def _why_units(best: Reading, near: Sequence[Reading], columns: Sequence[str]) -
     for other in [reading for reading in near if reading is not best][:1]:
         why += f"; in {_units_in_words(other)} by {rounded(100 * other.share)} %"
     if best.share > STRANGE_SHARE:
-        why += ". That is MUCH: check that the URDF is this robot's, each joint's column, sign and zero, and whether tracker"
+        why += ". That is MUCH: check that the URDF is this robot's, each joint's column, sign and zero (`joints`), whether poses"
+        why += " are the other way round (`inverted`), and whether tracker"
         why += " or target were moved in between (then give each place its label in a column `station`)"
     return why
 

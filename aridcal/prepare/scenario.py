@@ -124,6 +124,11 @@ def check_scenario(scenario: Scenario) -> None:
             "stations are not simulated; name a joint, a column or `place`",
         ),
         "measurements.units": (_any_has(scenario, "units"), "the table is written in SI; delete this key"),
+        "measurements.joints": (_any_has(scenario, "joints"), "the table counts as the URDF does; delete this key"),
+        "measurements.inverted": (
+            _any_has(scenario, "inverted"),
+            "the table has the target in the world; delete this key",
+        ),
         "measurements.table": (_any_has(scenario, "table"), "the table is written as csv; delete this key"),
         "measurements.orientation": (
             _any_has(scenario, "orientation"),

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -122,6 +122,25 @@ def readings(sample: Sample, robot: Robot) -> list[Reading]:
     possible = [one for one, size in zip(units, sizes, strict=True) if size < allowed]
     tried = [_read(sample, robot, *one, per) for per in frames for one in possible]
     return sorted(tried, key=lambda reading: reading.share)
+
+
+def one_slip_away(sample: Sample, robot: Robot, tried: Sequence[Reading]) -> Reading:
+    """The best fit of some ways to read the columns, if one joint counts backwards or from another quarter of a turn.
+
+    Args:
+        sample: Rows to judge by.
+        robot: The chain.
+        tried: What else is known of each way: its units and frames.
+    """
+    found = []
+    for way, (k, turns) in itertools.product(tried, enumerate(sample.turning.tolist())):
+        quarter = 0.5 * np.pi / ANGLES[way.angle]
+        for sign, quarters in itertools.product((1, -1), (0, 1, -1, 2) if turns else (0,)):
+            if (sign, quarters) != (1, 0):
+                q = sample.q.copy()
+                q[:, k] = sign * q[:, k] + quarters * quarter
+                found.append(_read(replace(sample, q=q), robot, way.angle, way.length, way.travel, way.per))
+    return min(found, key=lambda reading: reading.share)
 
 
 def _combinations(sample: Sample) -> list[tuple[str, str, str]]:

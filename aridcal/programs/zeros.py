@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from aridcal.errors import CampaignError
+from aridcal.inputs.counting import counting
 from aridcal.programs.anatomy import anatomy_of
 from aridcal.programs.axes import DEGREE, MILLIMETRE, axes_of
 from aridcal.programs.cell import Cell
@@ -66,12 +67,36 @@ def cell_zeros(saved: SavedModel, given: str | None, language: Language) -> tupl
     robot = saved.final.model.robot
     axes = axes_of(robot.kinds)
     if given is None:
-        stated = [saved.controller_zeros.get(robot.readings[k], 0.0) for k in axes.arm]
+        stated = [_stated(saved, k) for k in axes.arm]
+        unknown = (k for k in axes.external if robot.readings[k] not in saved.controller_zeros)
+        if any(_stated(saved, k) for k in unknown):
+            raise CampaignError(
+                "measurements.joints: programs of a rail that counts from another zero are not corrected; give a table of poses"
+            )
         units = axes.units(axes.arm, language.angle, language.length)
         zeros = tuple(value / unit for value, (unit, _) in zip(stated, units, strict=True))
     else:
         zeros = _numbers(given, len(axes.arm))
     return zeros if any(zeros) else ()
+
+
+def _stated(saved: SavedModel, reading: int) -> float:
+    """What the controller shows of a joint where its reading is zero, [rad] or [m]: where nobody says it, as its tables count.
+
+    Raises:
+        CampaignError: the tables count backwards, which programs are not read in.
+    """
+    robot = saved.final.model.robot
+    name = robot.readings[reading]
+    if name in saved.controller_zeros:
+        return saved.controller_zeros[name]
+    own = counting(saved.measurements, robot.readings, robot.kinds)
+    if own.sign[reading] < 0.0:
+        raise CampaignError(
+            f"measurements.joints.{name}.sign: programs whose joints count backwards are not corrected; where the controller "
+            f"counts as the URDF does, say so: `robot: {{controller_zeros: {{{name}: 0}}}}`"
+        )
+    return float(own.zero[reading])
 
 
 def _numbers(given: str, count: int) -> tuple[float, ...]:

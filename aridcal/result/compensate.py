@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from aridcal.effects.regional_kind import labels_of
 from aridcal.errors import AridcalError, CovariateNotFound
 from aridcal.inputs.approach import approach
+from aridcal.inputs.counting import counting
 from aridcal.inputs.query import Query
 from aridcal.model.inverse import Command, InverseKinematics
 from aridcal.model.model import Model
@@ -73,11 +74,11 @@ def compensate(
     found, covariates = (trajectory or Trajectory(saved)).follow(query, told)
     readings = np.array([command.readings for command in found])
     table = query.table.copy()
-    for k, (name, kind) in enumerate(zip(robot.readings, robot.kinds, strict=True)):
-        column = settings.columns.get(name, name)
-        table[column] = readings[:, k] / units.joint(column, kind)
+    cells = counting(settings, robot.readings, robot.kinds).cells(readings)
+    for k, name in enumerate(robot.readings):
+        table[settings.columns.get(name, name)] = cells[:, k]
     for name in directions(saved):
-        table[settings.columns.get(name, name)] = covariates[name]
+        table[settings.columns.get(name, name)] = settings.sense(name) * covariates[name]
     table["reached"] = [command.reached for command in found]
     table["position_error"] = [command.position_error / units.metres for command in found]
     if saved.kind == "pose":

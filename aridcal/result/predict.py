@@ -15,8 +15,9 @@ from aridcal.effects.labels import STATION, label_in
 from aridcal.effects.regional_kind import far_from_nodes, labels_of, without_label
 from aridcal.effects.sights import target_places
 from aridcal.errors import MeasurementError
+from aridcal.inputs.counting import counting
 from aridcal.inputs.measurement_settings import MeasurementSettings
-from aridcal.inputs.orientations import QUATERNION, angle_columns, column_of, own_orientation
+from aridcal.inputs.orientations import QUATERNION, angle_columns, column_of, other_way, own_orientation
 from aridcal.inputs.quantities import POSITION, STD
 from aridcal.inputs.query import Query, QueryRows, load_query
 from aridcal.inputs.tables import IN_MEMORY, AnyTable, Remark, Table
@@ -208,13 +209,14 @@ def pose_columns(
     Args:
         R: Rotations, shape (N, 3, 3), NaN where unknown.
         p: Positions, shape (N, 3), [m].
-        settings: Columns, units and orientation.
+        settings: Columns, units and orientation, and whether the tables have poses the other way round.
         joints: Names of the joints; where one is called like a quantity, `columns` speaks of the joint.
 
     Returns:
         Values of each column, shape (N,) each, in the campaign's units; positions alone for `kind: position`.
     """
     units = settings.units
+    R, p = other_way(R, p, settings.inverted)
     names = [column_of(name, settings, joints) for name in POSITION]
     columns = dict(zip(names, (p / [units.scale(name, "length") for name in names]).T, strict=True))
     if settings.kind == "position":
@@ -349,12 +351,12 @@ def evenly(saved: SavedModel) -> pd.DataFrame:
     robot = model.robot
     low, high = np.array([saved.ranges[name] for name in robot.readings]).T
     names = [settings.columns.get(name, name) for name in robot.readings]
-    scale = [settings.units.joint(name, kind) for name, kind in zip(names, robot.kinds, strict=True)]
+    cells = counting(settings, robot.readings, robot.kinds).cells(spread_out(low, high))
     import pandas as pd  # slow to load: only where somebody wants a DataFrame
 
-    table = pd.DataFrame(dict(zip(names, (spread_out(low, high) / scale).T, strict=True)))
+    table = pd.DataFrame(dict(zip(names, cells.T, strict=True)))
     for name in model.needs:
-        table[settings.columns.get(name, name)] = float(np.mean(saved.ranges[name]))
+        table[settings.columns.get(name, name)] = settings.sense(name) * float(np.mean(saved.ranges[name]))
     if per_station(model):
         label = next(label for label, _ in (*model.world_base, *model.tip_target) if label is not None)
         table[column_of(saved.frames_by, settings, robot.readings)] = label

@@ -198,6 +198,11 @@ def chain(tree: UrdfTree, tip: str, base: str | None = None) -> Robot:
         link, element = parent_of[link]
         elements.append(element)
     if base is not None and link != base:
+        if _moves_above(tree, tip, base):
+            raise RobotError(
+                f"{path}: base and tip are swapped: {base!r} descends from {tip!r}. Set `robot.base: {tip}` and "
+                f"`robot.tip: {base}`; where the table has poses of the base in the tip, also `inverted: pose` under measurements"
+            )
         raise RobotError(f"{path}: link {tip!r} does not descend from {base!r}: check `robot.base` and `robot.tip`")
 
     joints: list[Joint] = []
@@ -217,8 +222,20 @@ def chain(tree: UrdfTree, tip: str, base: str | None = None) -> Robot:
                 "`robot.tip`"
             )
     if not joints:
-        raise RobotError(f"{path}: no joint moves between {base or link!r} and {tip!r}: nothing to calibrate")
+        raise RobotError(
+            f"{path}: no joint moves between {base or link!r} and {tip!r}: nothing to calibrate; set `robot.tip` to the arm's "
+            "other end"
+        )
     return Robot(tree.urdf, path, link, tip, tuple(joints), name, before, origin, tree.moves, tree.mimics)
+
+
+def _moves_above(tree: UrdfTree, upper: str, link: str) -> bool:
+    """True of a link that descends from another by way of a joint that moves."""
+    moves = False
+    while link in tree.parent_of and link != upper:
+        link, element = tree.parent_of[link]
+        moves |= element.get("name") in tree.moves
+    return link == upper and moves
 
 
 def _pinocchio(urdf: bytes, path: Path) -> pin.Model:

@@ -10,6 +10,7 @@ import numpy as np
 from aridcal.errors import CampaignError, MeasurementError, nearest
 from aridcal.fit.least_squares import Fit
 from aridcal.inputs.campaign import Campaign
+from aridcal.inputs.counting import counting
 from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.orientations import column_of
 from aridcal.inputs.quantities import POSITION
@@ -111,17 +112,17 @@ def corners(campaign: Campaign, robot: Robot, low: np.ndarray, high: np.ndarray)
     low, high = low.copy(), high.copy()
     columns = {campaign.measurements.columns.get(name, name): k for k, name in enumerate(robot.readings)}
     columns |= {name: k for k, name in enumerate(robot.readings)}
-    units = campaign.measurements.units
+    own = counting(campaign.measurements, robot.readings, robot.kinds)
+    limits = own.cells(robot.limits.T)
     for name, ends in campaign.region.joints.items():
         place = f"{campaign.path}: region.joints.{name}"
         if name not in columns:
             raise CampaignError(f"{place}: there is no such joint{nearest(name, columns)}")
         k = columns[name]
-        scale = units.joint(campaign.measurements.columns.get(robot.readings[k], robot.readings[k]), robot.kinds[k])
-        first, last = robot.limits[k]
-        low[k], high[k] = (scale * end for end in ends)
-        if low[k] < first or high[k] > last:
+        low[k], high[k] = np.sort(own.sign[k] * (own.unit[k] * np.array(ends) - own.zero[k]))
+        if low[k] < robot.limits[k, 0] or high[k] > robot.limits[k, 1]:
+            first, last = np.sort(limits[:, k])
             raise CampaignError(
-                f"{place}: lies outside the joint's limits, {first / scale:g} to {last / scale:g}: give a range inside them"
+                f"{place}: lies outside the joint's limits, {first:g} to {last:g}: give a range inside them"
             )
     return low, high

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from aridcal.inputs.counting import counting
 from aridcal.inputs.measurement_settings import MeasurementSettings
 from aridcal.result.outcome import enumerated, said
 from aridcal.upkeep.bounds import FALSE_ALARMS, Bounds
@@ -119,9 +120,8 @@ def _cause_lines(checked: Checked, cause: Cause, change: Change | None, settings
         if not cause.telling:
             lines.append("  no configuration of those tried tells them apart: either repair serves")
         for told in cause.telling[:1]:
-            columns = [settings.columns.get(name, name) for name in robot.readings]
-            scale = [settings.units.joint(name, kind) for name, kind in zip(columns, robot.kinds, strict=True)]
-            pairs = zip(robot.readings, (told.readings / scale).tolist(), strict=True)
+            cells = counting(settings, robot.readings, robot.kinds).cells(told.readings)
+            pairs = zip(robot.readings, cells.tolist(), strict=True)
             at = ", ".join(f"{name} {value:.4g}" for name, value in pairs)
             what = "the target's place here" if checked.rows.blocks else "this"
             lines.append(f"  measure {what} to tell it from {told.suspect}: {at}")

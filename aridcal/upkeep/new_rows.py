@@ -13,6 +13,7 @@ from aridcal.effects.regional_kind import labels_of
 from aridcal.errors import CampaignError, MeasurementError, listed
 from aridcal.inputs.approach import with_directions
 from aridcal.inputs.campaign import REFERRING, Campaign, Frames, RobotSettings
+from aridcal.inputs.counting import check_joints
 from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.instrument_settings import InstrumentSettings
 from aridcal.inputs.measurement_settings import OF_TARGETS
@@ -140,6 +141,10 @@ def _other(saved: SavedModel, path: Path) -> Campaign:
     if "robot" in asked.model_fields_set and asked.robot.tip != tip:
         raise CampaignError(
             f"{path}: robot.tip: {asked.robot.tip!r} is not the tip that was calibrated, {tip!r}; delete the key `robot`"
+        )
+    for number, block in enumerate(asked.blocks):
+        check_joints(
+            block, f"{path}: {asked.place(number)}", saved.final.model.robot.readings, saved.final.model.robot.kinds
         )
     if any(block.kind == "camera_sonar" for block in asked.blocks):
         raise CampaignError(
