@@ -18,6 +18,9 @@ Each question has its control: the same without the trap.
   Whether something is found, and the share of rows on the right side of the step.
 - `gravity`: compliant joints, error curves and an unknown tool on a wedge, a wall or the ceiling, where the campaign has
   gravity along -z (control: on the floor). How often the setting is named, and by how much the vector to set is off.
+- `slips`: a UR10, a 7R arm or ARID's form, 60 poses, where a joint's column counts backwards or from another quarter of a turn,
+  or where poses are those of the world in the target (control: none of it). How often exactly the right key is named, and how
+  often with that key the error on held-out rows is that of the control.
 """
 
 from __future__ import annotations
@@ -31,14 +34,17 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+import yaml
 from rich.console import Console
 from rich.table import Table
-from robots import random_robot, readings, simulate, table, ur10, write_campaign
+from robots import Truth, random_robot, readings, simulate, table, ur10, write_campaign
+from scipy.spatial.transform import Rotation
 from tilted import geometric, measured
 
 import aridcal
 from aridcal.effects.basis import Basis
 from aridcal.effects.effect import Coefficient
+from aridcal.errors import AridcalError
 from aridcal.result.gravity_direction import gravity_direction
 
 PLACES, EACH, APART = 45, 5, 4e-3
@@ -208,6 +214,52 @@ def gravity(seed: int, way: str, gears: float, compliance: float) -> dict[str, f
     return {"named": 1.0, "degrees off": float(np.degrees(np.arccos(min(vector @ pull / np.linalg.norm(vector), 1.0))))}
 
 
+def slips(seed: int, slip: str) -> dict[str, float]:
+    """Columns that count otherwise than the URDF, and what the answer to them says."""
+    rng = np.random.default_rng(seed)
+    robot = (ur10(), random_robot(seed, "RRRRRRR"), random_robot(seed, "PRRR"))[seed % 3]
+    truth = simulate(robot, 60, rng, SIZE, 1e-4)
+    rows, keys = table(truth), dict[str, object]()
+    joint = str(
+        rng.choice([name for name, kind in zip(robot.readings, robot.kinds, strict=True) if kind != "prismatic"])
+    )
+    if slip == "sign":
+        rows[joint] *= -1.0
+        keys = {"joints": {joint: {"sign": -1}}}
+    elif slip == "zero":
+        quarter = int(rng.choice([-1, 1]))
+        rows[joint] += 0.5 * np.pi * quarter
+        keys = {"joints": {joint: {"zero": f"{90 * quarter}deg"}}}
+    elif slip == "poses":
+        back = Rotation.from_quat(rows[["qx", "qy", "qz", "qw"]].to_numpy()).inv()
+        rows[["x", "y", "z"]] = -back.apply(rows[["x", "y", "z"]].to_numpy(copy=True))
+        rows[["qx", "qy", "qz", "qw"]] = back.as_quat()
+        keys = {"inverted": "pose"}
+    remedy, right = _named(truth, rows), _error(truth, table(truth), {})
+    return {"named": float(remedy == keys), "told something": float(bool(remedy)),
+            "as without it": float(abs(_error(truth, rows, keys) / right - 1.0) < 1e-3)}  # fmt: skip
+
+
+def _named(truth: Truth, rows: pd.DataFrame) -> object:
+    """The keys that a campaign without any is told to set."""
+    try:
+        _error(truth, rows, {})
+    except AridcalError as error:
+        return yaml.safe_load(" ".join(str(error).split()).partition("Write under measurements `")[2].partition("`")[0])
+    return {}
+
+
+def _error(truth: Truth, rows: pd.DataFrame, keys: dict[str, object]) -> float:
+    """Position error of the geometric model on held-out rows, [m]."""
+    with tempfile.TemporaryDirectory() as folder:
+        block = {"file": "measurements.csv", "kind": "pose", **keys}
+        cal = aridcal.calibrate(write_campaign(Path(folder), truth, rows, measurements=block))
+    assert cal.outcome is not None
+    m = cal.outcome.measurements
+    off = cal.outcome.stage("geometric").residual[m.test][:, :3]
+    return float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
+
+
 QUESTIONS: dict[str, Sequence[tuple[str, Callable[[int], dict[str, float]]]]] = {
     "few": tuple(
         (f"{name}, {rows} rows", partial(few, name=name, rows=rows))
@@ -231,6 +283,7 @@ QUESTIONS: dict[str, Sequence[tuple[str, Callable[[int], dict[str, float]]]]] = 
         ("floor", partial(gravity, way="floor", gears=2e-4, compliance=3e-5)),
         ("floor, gears alone", partial(gravity, way="floor", gears=3e-4, compliance=0.0)),
     ),
+    "slips": tuple((slip, partial(slips, slip=slip)) for slip in ("sign", "zero", "poses", "none")),
     "places": (
         ("alike at a place, clean arm", lambda seed: places(seed, True, False)),
         ("each anew, clean arm", lambda seed: places(seed, False, False)),
