@@ -16,6 +16,7 @@ from aridcal.programs.cell import Cell, Reading
 from aridcal.programs.frames import KnownFrames, read_frames
 from aridcal.programs.project import Project, Source
 from aridcal.programs.rapid import ROW, context
+from aridcal.programs.rapid.grammar import fold
 from aridcal.programs.targets import Target, Words
 from aridcal.programs.text import Number, Numbers
 from aridcal.robot.chain import Robot, parse_robot
@@ -303,3 +304,9 @@ def test_a_frame_in_place_of_a_truth_leaves_the_moves_and_nothing_else() -> None
     )
     left, plain = (target for target in read({"m.mod": text}).targets if target.form == "pose")
     assert left.why and not plain.why
+
+
+@pytest.mark.parametrize("name", ["Punkt", "Größe", "Ωμέγα", "点", "jH\u2028"])
+def test_a_name_of_any_script_is_folded_once_whatever_the_bytes_are(name: str) -> None:
+    as_read = name.encode("utf-8").decode("latin-1")
+    assert fold(as_read) == name.lower() == fold(fold(as_read))

@@ -206,7 +206,7 @@ def fold(name: str) -> str:
         return name.lower()
     try:
         return name.encode("latin-1").decode("utf-8").lower()
-    except UnicodeDecodeError:
+    except UnicodeError:  # not UTF-8, or folded already
         return name.lower()
 
 
