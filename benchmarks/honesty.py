@@ -20,8 +20,8 @@ Each question has its control: the same without the trap.
   gravity along -z (control: on the floor). How often the setting is named, and by how much the vector to set is off.
 - `check`: 20 new poses in one corner of the workspace, of an arm that has not changed, whose calibration from 200 poses left
   structure below detection: small error curves of all joints, or errors of their zeros that go with all readings; or noise of
-  Student's t with two degrees of freedom (control: neither). Verdicts without structure, false alarms; and how often one joint
-  whose zero moves the target by 0.3 or 1 mm raises an alarm, and is named.
+  Student's t with two degrees of freedom (control: neither). Verdicts without structure, false alarms; how often one joint that
+  is off by 0.3 or 1 mm at the target, or 0.3 or 1 mrad where its lever is below a metre, raises an alarm, and is named.
 """
 
 from __future__ import annotations
@@ -258,7 +258,7 @@ def check(seed: int, kind: str, tails: bool) -> dict[str, float]:
     there, away = (model.poses(truth.theta, model.rows(q + 1e-6 * step))[1] for step in (0.0, one))
     lever = 1e6 * float(np.sqrt(np.mean(np.sum((away - there) ** 2, axis=1))))
     for size in (3e-4, 1e-3):
-        # Joints near the target turn it: those that hardly move it jump by no more than the size in radians.
+        # Of levers below a metre the size is that of the angle.
         moved = cal.check(rows(q, size / max(lever, 1.0) * one))
         found[f"{1e3 * size:g} mm found"] = not moved.good
         found[f"{1e3 * size:g} mm named"] = moved.moved["moved"].tolist()[:1] == [robot.names[joint]]

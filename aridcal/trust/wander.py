@@ -63,7 +63,7 @@ TRAVEL = 4.0
 """[rad] that count as the seen travel of a joint that slides: what joints that turn usually go through."""
 
 NODES = 40
-"""Of a sum over a joint's range: it errs by less than a thousandth where the process is not far shorter than a tenth of that."""
+"""Of a sum over a joint's range: it errs by less than a thousandth where the process is longer than a tenth of that."""
 
 RIDGE = 1e-6
 """Added to the unit variance of a process at its nodes: more than rounding, and a thousandth of its sigma."""
@@ -140,7 +140,7 @@ class Wandering:
         """
         unit = units(self.low, self.high, self.slides, self.joints) * process.length
         q = self.readings / unit
-        nodes = np.linspace(self.low / unit, self.high / unit, NODES)
+        nodes = (self.low + (self.high - self.low) * (np.arange(NODES)[:, None] + 0.5) / NODES) / unit
         to_mean = np.exp(-0.5 * (q[:, None] - nodes) ** 2).mean(axis=1)
         means = np.exp(-0.5 * (nodes[:, None] - nodes) ** 2).mean(axis=(0, 1))
         if process.over == "all":
