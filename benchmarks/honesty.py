@@ -21,6 +21,10 @@ Each question has its control: the same without the trap.
 - `slips`: a UR10, a 7R arm or ARID's form, 60 poses, where a joint's column counts backwards or from another quarter of a turn,
   or where poses are those of the world in the target (control: none of it). How often exactly the right key is named, and how
   often with that key the error on held-out rows is that of the control.
+- `check`: 20 new poses in one corner of the workspace, of an arm that has not changed, whose calibration from 200 poses left
+  structure below detection: small error curves of all joints, or errors of their zeros that go with all readings; or noise of
+  Student's t with two degrees of freedom (control: neither). Verdicts without structure, false alarms; how often one joint that
+  is off by 0.3 or 1 mm at the target, or 0.3 or 1 mrad where its lever is below a metre, raises an alarm, and is named.
 """
 
 from __future__ import annotations
@@ -38,6 +42,7 @@ import yaml
 from rich.console import Console
 from rich.table import Table
 from robots import Truth, random_robot, readings, simulate, table, ur10, write_campaign
+from robots import measured as as_measured
 from scipy.spatial.transform import Rotation
 from tilted import geometric, measured
 
@@ -260,6 +265,57 @@ def _error(truth: Truth, rows: pd.DataFrame, keys: dict[str, object]) -> float:
     return float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
 
 
+CORNER, NEW = 0.15, 20
+"""Of the half range of each joint that a corner takes up, and rows there."""
+
+CURVES, UNEVEN = 3e-5, 4e-5
+"""[rad] of each of four waves of each joint's error, and of errors that go with all readings."""
+
+
+def _unevenness(rng: np.random.Generator, kind: str) -> Callable[[np.ndarray], np.ndarray]:
+    """Errors of the joints (n, 6) by their readings, that no declared effect has."""
+    if kind == "curves":
+        size, phase = CURVES * rng.normal(size=(4, 6)), rng.uniform(0.0, 2.0 * np.pi, (4, 6))
+        return lambda q: sum(size[k] * np.sin((k + 1) * q + phase[k]) for k in range(4))
+    if kind == "all readings":  # of a Gaussian process with a length of 1 rad
+        waves, phase = rng.normal(size=(6, 40, 6)), rng.uniform(0.0, 2.0 * np.pi, (6, 40))
+        return lambda q: UNEVEN * np.sqrt(2.0 / 40) * np.cos(np.einsum("jwk,nk->njw", waves, q) + phase).sum(axis=2)
+    return np.zeros_like
+
+
+def check(seed: int, kind: str, tails: bool) -> dict[str, float]:
+    """New rows in a corner, of an arm that is as it was, and of one that moved."""
+    rng = np.random.default_rng(seed)
+    truth = simulate(ur10(), 1, rng)
+    model, robot, uneven = truth.model, truth.model.robot, _unevenness(rng, kind)
+
+    def scattered(count: int) -> np.ndarray:
+        return FINE * (rng.standard_t(2, (count, 3)) if tails else rng.standard_normal((count, 3)))
+
+    def rows(q: np.ndarray, offset: np.ndarray | float = 0.0) -> pd.DataFrame:
+        R, p = model.poses(truth.theta, model.rows(q + uneven(q) + offset))
+        R = Rotation.from_rotvec(scattered(len(q))).as_matrix() @ R
+        return table(Truth(model, truth.theta, as_measured(robot, q, p + scattered(len(q)), R)))
+
+    q = readings(robot, ROWS, rng, 0.6)
+    low, high = q.min(axis=0), q.max(axis=0)
+    with tempfile.TemporaryDirectory() as folder:
+        cal = aridcal.calibrate(write_campaign(Path(folder), truth, rows(q), diagnosis={"enabled": True}))
+    side, inside = rng.choice([0.0, 1.0], 6), 0.5 * CORNER * rng.random((NEW, 6))
+    q = low + (high - low) * np.abs(side - inside)
+    found = {"noise floor": cal.result["verdict"] == "noise_floor", "false alarm": not cal.check(rows(q)).good}
+    joint = int(rng.integers(6))
+    one = np.eye(6)[joint]
+    there, away = (model.poses(truth.theta, model.rows(q + 1e-6 * step))[1] for step in (0.0, one))
+    lever = 1e6 * float(np.sqrt(np.mean(np.sum((away - there) ** 2, axis=1))))
+    for size in (3e-4, 1e-3):
+        # Of levers below a metre the size is that of the angle.
+        moved = cal.check(rows(q, size / max(lever, 1.0) * one))
+        found[f"{1e3 * size:g} mm found"] = not moved.good
+        found[f"{1e3 * size:g} mm named"] = moved.moved["moved"].tolist()[:1] == [robot.names[joint]]
+    return found
+
+
 QUESTIONS: dict[str, Sequence[tuple[str, Callable[[int], dict[str, float]]]]] = {
     "few": tuple(
         (f"{name}, {rows} rows", partial(few, name=name, rows=rows))
@@ -284,6 +340,12 @@ QUESTIONS: dict[str, Sequence[tuple[str, Callable[[int], dict[str, float]]]]] = 
         ("floor, gears alone", partial(gravity, way="floor", gears=3e-4, compliance=0.0)),
     ),
     "slips": tuple((slip, partial(slips, slip=slip)) for slip in ("sign", "zero", "poses", "none")),
+    "check": (
+        ("error curves", lambda seed: check(seed, "curves", False)),
+        ("errors by all readings", lambda seed: check(seed, "all readings", False)),
+        ("noise of t2", lambda seed: check(seed, "none", True)),
+        ("neither", lambda seed: check(seed, "none", False)),
+    ),
     "places": (
         ("alike at a place, clean arm", lambda seed: places(seed, True, False)),
         ("each anew, clean arm", lambda seed: places(seed, False, False)),
@@ -294,6 +356,8 @@ QUESTIONS: dict[str, Sequence[tuple[str, Callable[[int], dict[str, float]]]]] = 
 
 
 def _in_words(key: str, values: np.ndarray) -> str:
+    if values.dtype == bool:
+        return f"{key} {values.sum()} of {len(values)}"
     there = values[~np.isnan(values)]
     return f"{key} {np.median(there):.3g} ({np.quantile(there, 0.95):.3g})" if len(there) else f"{key} none"
 
@@ -305,7 +369,7 @@ def main() -> None:
     command.add_argument("--seed", type=int, default=0)
     arguments = command.parse_args()
     for question in arguments.questions:
-        answers = Table("case", "draws", "figures: median (95th percentile)")
+        answers = Table("case", "draws", "figures: median (95th percentile), or how often")
         for name, draw in QUESTIONS[question]:
             drawn = [draw(arguments.seed + k) for k in range(arguments.draws)]
             figures = {key: np.array([one[key] for one in drawn]) for key in drawn[0]}

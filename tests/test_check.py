@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import cache
 from pathlib import Path
 
@@ -16,18 +16,20 @@ from calibrated import NOISE, Machine, jump, machine
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 from scipy.special import logsumexp
-from scipy.stats import chi2, multivariate_normal
+from scipy.stats import chi2, multivariate_normal, multivariate_t
 from test_simulate_instruments import scenario
 
 from aridcal.__main__ import main
 from aridcal.effects.basis import Basis
 from aridcal.effects.effect import Coefficient
+from aridcal.fit.tails import Tails
 from aridcal.inputs.dataset import Dataset
 from aridcal.prepare.simulation import simulate, write_campaign
 from aridcal.result.folder import write_results
 from aridcal.result.pipeline import identify
 from aridcal.result.saved_model import SavedModel
 from aridcal.result.saving import calibration
+from aridcal.trust.wander import Wander, wandering
 from aridcal.upkeep.bounds import FALSE_ALARMS, bounds
 from aridcal.upkeep.checking import asked, check
 from aridcal.upkeep.evidence import LOG_WEIGHTS, TIMES, Question, alarm, covariance_of, evidence, likely
@@ -126,7 +128,96 @@ def test_the_bounds_of_the_error_hold_it_as_often_as_they_say():
         assert 0 < wrong < 600 * FALSE_ALARMS + 10
 
 
+def test_noise_with_tails_and_nothing_to_explain_has_the_density_of_students_t():
+    m = ur10()
+    rows = m.measured(m.configurations(6), noise=3 * NOISE)
+    asking = question(m, rows)
+    asking = replace(asking, covariance=np.zeros_like(asking.covariance), tails=np.array([2.0, 5.0]))
+    place = likely(asking)
+    found = evidence(place, 1.0, np.zeros((len(place.r), 0)), (1.0,)).density[0]
+    r = asking.at(asking.theta)[0].reshape(6, 6)
+    for k, seen in zip(TIMES, found, strict=True):
+        of_channels = [
+            multivariate_t(np.zeros(3), k**2 * np.eye(3), df=df).logpdf(part)
+            for df, part in ((2.0, r[:, :3]), (5.0, r[:, 3:]))
+        ]
+        assert seen == pytest.approx(np.sum(of_channels), abs=1e-8)
+
+
+def test_what_rows_share_takes_its_part_of_what_they_tell():
+    """The covariance of the coefficients is that of normal numbers given others, the shared part among their noise."""
+    m = with_wander(ur10(), 1e-4)
+    rows = m.measured(m.configurations(8))
+    asking = uneven_question(m, rows)
+    place = likely(asking)
+    P, C = asking.covariance, asking.shared(place.J)
+    assert C.max() > 1.0
+    S = np.eye(len(C)) + place.J @ P @ place.J.T + C
+    given = P - P @ place.J.T @ np.linalg.solve(S, place.J @ P)
+    np.testing.assert_allclose(covariance_of(asking, place), given, atol=1e-9 * P.max())
+
+
 # -- false alarms, and what moved
+
+
+def with_wander(m: Machine, sigma: float) -> Machine:
+    """The machine with a calibration that left errors of its zeros that go with all readings, [rad]."""
+    record = {"wander": [asdict(Wander("all", 1.0, sigma, sigma, 1.0))]}
+    return replace(m, saved=replace(m.saved, record=record))
+
+
+def uneven_question(m: Machine, rows: Dataset) -> Question:
+    shared = wandering(m.saved.wanders, m.model.robot, rows.readings, m.saved.ranges)
+    return asked(widened(m.saved.final), rows, known_noise(m.saved, rows), wandering=shared)
+
+
+def corner(m: Machine, n: int) -> np.ndarray:
+    """Readings in one corner of where it was calibrated, shape (n, 6)."""
+    low, high = np.array([m.saved.ranges[name] for name in NAMES]).T
+    side, inside = m.rng.choice([0.0, 1.0], 6), 0.1 * m.rng.random((n, 6))
+    return low + (high - low) * np.abs(side - inside)
+
+
+def test_errors_that_neighbouring_places_share_are_false_alarms_as_seldom_as_stated():
+    """Zeros wander by 0.05 mrad beside a noise as large; a calibration that does not know that fails most checks."""
+    m = with_wander(ur10(), 5e-5)
+    waves, before, after, missed = 60, 0, 0, 0
+    for _ in range(150):
+        q = corner(m, 12)
+        k, phase = m.rng.normal(size=(6, waves, 6)), m.rng.uniform(0.0, 2.0 * np.pi, (6, waves))
+        offset = 5e-5 * np.sqrt(2.0 / waves) * np.cos(np.einsum("jwk,nk->njw", k, q) + phase).sum(axis=2)
+        rows = m.measured(q, offset)
+        every = suspects(widened(m.saved.final), rows)
+        before += alarm(question(m, rows), every).p_value < FALSE_ALARMS
+        after += alarm(uneven_question(m, rows), every).p_value < FALSE_ALARMS
+        missed += alarm(uneven_question(m, m.measured(q, offset + jump(2, 1e-3))), every).p_value >= FALSE_ALARMS
+    assert before > 75
+    assert after <= 5  # 1.5 expected
+    assert missed == 0
+
+
+def test_noise_with_tails_makes_false_alarms_as_seldom_as_stated_and_hides_no_jump():
+    """Student's t with two degrees of freedom: one position in four is more than three sigma off."""
+    m, scale = ur10(), np.array([NOISE, NOISE])
+    noise = Noise(scale, np.full(2, np.inf), (Tails(2.0, NOISE), Tails(2.0, NOISE)))
+    wide, before, after, missed = widened(m.saved.final), 0, 0, 0
+    for _ in range(150):
+        q = m.configurations(10)
+        for offset in (0.0, jump(1, 5e-4)):
+            rows = m.measured(q, offset, 0.0)
+            shake = NOISE * np.sqrt(2.0 / m.rng.chisquare(2.0, (10, 2, 1))) * m.rng.normal(size=(10, 2, 3))
+            turned = Rotation.from_rotvec(shake[:, 1]).as_matrix() @ rows.rotation
+            rows = replace(rows, position=rows.position + shake[:, 0], rotation=turned)
+            every = suspects(wide, rows)
+            alarmed = alarm(asked(wide, rows, noise), every).p_value < FALSE_ALARMS
+            if np.any(offset):
+                missed += not alarmed
+            else:
+                after += alarmed
+                before += alarm(asked(wide, rows, Noise(scale, noise.freedom)), every).p_value < FALSE_ALARMS
+    assert before > 100
+    assert after <= 5  # 1.5 expected at the most
+    assert missed == 0
 
 
 @pytest.mark.parametrize("kind", ["pose", "position"])

@@ -206,11 +206,33 @@ class CalibrationDocument(Settings):
     untold: tuple[tuple[UntoldPart, ...], ...] = ()
 
 
+ROUNDED = 1e-9
+"""By which a sum of probabilities may be more than 1."""
+
+
+class TailsPart(Section):
+    """Student's t: its degrees of freedom, and its scale per axis."""
+
+    freedom: Annotated[float, Field(gt=0, le=LARGEST)]
+    sigma: Annotated[float, Field(gt=0, le=LARGEST)]
+
+
 class ScatterPart(Section):
     """Of the fitted rows about the model: sigma per axis, and the degrees of freedom behind it."""
 
     sigma: Annotated[float, Field(gt=0, le=LARGEST)]
     freedom: Annotated[float, Field(gt=0, allow_inf_nan=True)]
+    tails: TailsPart | None = None
+
+
+class WanderPart(Section):
+    """A process that the zeros of joints may follow from place to place."""
+
+    over: Literal["own", "all"]
+    length: Annotated[float, Field(gt=0, le=LARGEST)]
+    turning: Annotated[float, Field(ge=0, le=LARGEST)]
+    sliding: Annotated[float, Field(ge=0, le=LARGEST)]
+    probability: Annotated[float, Field(gt=0, le=1.0 + ROUNDED)]
 
 
 class Record(Section):
@@ -224,6 +246,14 @@ class Record(Section):
     """What new rows are set beside; older files have none."""
     scatter_of_kinds: dict[str, dict[str, ScatterPart]] = Field(default_factory=dict)
     """The same of other kinds of measurements, by kind and channel."""
+    wander: tuple[WanderPart, ...] = ()
+    """What the model may leave that neighbouring places share; older files have none."""
+
+    @model_validator(mode="after")
+    def _sum(self) -> Record:
+        if sum(process.probability for process in self.wander) > 1.0 + ROUNDED:
+            raise ValueError("wander: probabilities of more than 1 in all")
+        return self
 
 
 def read_calibration(path: Path) -> tuple[CalibrationDocument, dict[str, Any]]:

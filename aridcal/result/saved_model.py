@@ -42,6 +42,7 @@ from aridcal.result.calibration_file import (
 )
 from aridcal.robot.chain import parse_robot
 from aridcal.trust.untold import with_untold
+from aridcal.trust.wander import Wander
 from aridcal.trust.workspace import Untold, target_std
 
 # libyaml where PyYAML was built with it.
@@ -193,6 +194,11 @@ class SavedModel:
             for name, noise in zip(("position", "rotation"), self.noise, strict=True)
         ]
         return (pairs[0][0], pairs[1][0]), (pairs[0][1], pairs[1][1])
+
+    @cached_property
+    def wanders(self) -> tuple[Wander, ...]:
+        """What the model may leave that neighbouring places share; none in files from before it was looked for."""
+        return tuple(Wander(**process) for process in self.record.get("wander", ()))
 
     @property
     def limits(self) -> Limits:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -14,15 +15,18 @@ from aridcal.effects.labels import is_label
 from aridcal.effects.sights import Sights
 from aridcal.fit.least_squares import LEAST_FREEDOM, Fit
 from aridcal.fit.noise import contradicted
+from aridcal.fit.problem import problem
+from aridcal.fit.tails import Tails, tails_of
 from aridcal.fit.thing_starts import TIP
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.catalogue import KINDS as INSTRUMENTS
-from aridcal.instruments.channels import columns, spread
+from aridcal.instruments.channels import columns, norms, spread
 from aridcal.instruments.setup import Instruments
 from aridcal.model.model import ONE_FRAME
 from aridcal.result.outcome import Outcome
 from aridcal.result.saved_model import SavedModel, SolvedModel
 from aridcal.trust.seen import holes, largest
+from aridcal.trust.wander import wanders
 from aridcal.trust.workspace import Untold
 
 
@@ -37,7 +41,8 @@ def calibration(outcome: Outcome) -> SavedModel:
         "derived_columns": [name for name in m.derived if name in seen],
         "versions": {"aridcal": __version__, "pinocchio": pin.__version__, "numpy": np.__version__},
     }
-    scatter = _scatter(outcome, used)
+    tails = _tails(outcome, final)
+    scatter = _scatter(outcome, used, tails)
     if m.blocks:
         record["scatter_of_kinds"] = _of_kinds(m, scatter)
     else:
@@ -58,7 +63,7 @@ def calibration(outcome: Outcome) -> SavedModel:
         position, rotation = outcome.at_target.noise(spread(outcome.noise, outcome.channels))
     else:
         position, rotation = float(outcome.noise[0]), float(outcome.noise[-1])
-    return SavedModel(
+    saved = SavedModel(
         _solved(outcome.stage("geometric").fit, target),
         solved,
         "pose" if target.turns else "position",
@@ -71,6 +76,8 @@ def calibration(outcome: Outcome) -> SavedModel:
         () if outcome.certainty is None else _of_target(outcome.certainty.untold, final, target),
         {name: ends(v) for name, v in recorded_in(outcome).items() if name not in seen},
     )
+    wander = wanders(final, m.select(~outcome.outlier), final.estimated, tails, saved.span)
+    return replace(saved, record=record | ({"wander": [asdict(process) for process in wander]} if wander else {}))
 
 
 def seen_in(outcome: Outcome) -> dict[str, np.ndarray]:
@@ -94,18 +101,31 @@ def ends(values: np.ndarray) -> tuple[float, float]:
     return float(np.nanmin(values)), float(np.nanmax(values))
 
 
-def _scatter(outcome: Outcome, used: np.ndarray) -> dict[str, dict[str, float]]:
+def _tails(outcome: Outcome, fit: Fit) -> list[Tails | None]:
+    """Tails of each channel's noise, outliers among them: chance makes more of what it has made."""
+    residual = problem(fit.model, outcome.measurements).scaled_residual(fit.theta)
+    left = np.sqrt(max(fit.freedom, LEAST_FREEDOM) / fit.numbers)
+    squares = norms(residual / left, outcome.channels) ** 2
+    there = outcome.measurements.measures
+    return [
+        tails_of(own[seen & np.isfinite(own)], channel.size)
+        for channel, own, seen in zip(outcome.channels, squares, there.T, strict=True)
+    ]
+
+
+def _scatter(outcome: Outcome, used: np.ndarray, tails: Sequence[Tails | None]) -> dict[str, dict[str, Any]]:
     """What the fitted rows scatter by about the final model, by channel: the declared noise as long as they agree with it.
 
     Args:
         outcome: What was found.
         used: Fitted rows, shape (N,) bool.
+        tails: Of each channel, if it has any.
     """
     fit, rows = outcome.stage("final").fit, outcome.measurements
     train = rows.fitted
     surprise = contradicted(train, fit.estimated, fit.freedom)
     left = fit.freedom / fit.numbers
-    found = {}
+    found: dict[str, dict[str, Any]] = {}
     for k, (channel, part) in enumerate(zip(outcome.channels, columns(outcome.channels), strict=True)):
         stated = rows.sigma[k]
         residual = outcome.stage("final").residual[used][:, part]
@@ -115,12 +135,15 @@ def _scatter(outcome: Outcome, used: np.ndarray) -> dict[str, dict[str, float]]:
             found[channel.name] = {"sigma": float(stated), "freedom": np.inf}
         elif freedom > LEAST_FREEDOM and np.any(residual != 0.0):
             found[channel.name] = {"sigma": float(np.sqrt(np.mean(residual**2) / left)), "freedom": float(freedom)}
+        tail = tails[k]
+        if tail is not None and channel.name in found:
+            found[channel.name]["tails"] = asdict(tail)
     return found
 
 
-def _of_kinds(m: Dataset, scatter: dict[str, dict[str, float]]) -> dict[str, dict[str, dict[str, float]]]:
+def _of_kinds(m: Dataset, scatter: dict[str, dict[str, Any]]) -> dict[str, dict[str, dict[str, Any]]]:
     """The same by the kinds of blocks, with the names that their channels have in every campaign; of two blocks the coarser."""
-    found: dict[str, dict[str, dict[str, float]]] = {}
+    found: dict[str, dict[str, dict[str, Any]]] = {}
     for block in m.blocks:
         of_kind = found.setdefault(block.kind, {})
         for channel, own in zip(INSTRUMENTS[block.kind].channels, block.channels, strict=False):

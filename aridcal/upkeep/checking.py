@@ -15,6 +15,7 @@ from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.channels import spread
 from aridcal.result.saved_model import SavedModel, SolvedModel
 from aridcal.trust.seen import ASIDE, EXPANSION, beyond_heat
+from aridcal.trust.wander import Wandering, wandering
 from aridcal.upkeep.bounds import FALSE_ALARMS, Bounds, error_of
 from aridcal.upkeep.evidence import TIMES, Alarm, Question, alarm, evidence, likely, taken_up
 from aridcal.upkeep.new_rows import Noise, freedom_of, known_noise
@@ -129,7 +130,13 @@ class Checked:
         return self.error.low <= self.tolerance
 
 
-def asked(wide: SolvedModel, rows: Dataset, noise: Noise, unknown: np.ndarray | None = None) -> Question:
+def asked(
+    wide: SolvedModel,
+    rows: Dataset,
+    noise: Noise,
+    unknown: np.ndarray | None = None,
+    wandering: Wandering | None = None,
+) -> Question:
     """New rows as a question to a wide model; those that are held out do not count.
 
     Args:
@@ -137,19 +144,23 @@ def asked(wide: SolvedModel, rows: Dataset, noise: Noise, unknown: np.ndarray | 
         rows: N rows.
         noise: Of their channels.
         unknown: Coefficients of which only these rows tell, shape (K,) bool; default: none.
+        wandering: What the model may leave that neighbouring rows share; None: nothing.
     """
+    scale, tails = noise.core
     held_out = rows.test if rows.split_given else np.zeros(len(rows), dtype=bool)
     numbers = np.array([channel.size for channel in rows.channels])
     return Question(
         problem=problem(wide.model, rows),
         theta=wide.theta,
         covariance=wide.covariance,
-        sigma=spread(noise.sigma, rows.channels),
+        sigma=spread(scale, rows.channels),
         freedom=freedom_of(noise, rows.measures[~held_out].sum(axis=0) * numbers),
         times=1.0,
         dropped=held_out,
         begin=wide.theta,
         unknown=np.zeros(len(wide.theta), dtype=bool) if unknown is None else unknown,
+        tails=tails,
+        wandering=wandering,
     )
 
 
@@ -171,7 +182,8 @@ def check(saved: SavedModel, rows: Dataset, tolerance: float | None = None, fram
     noise = known_noise(saved, rows, other=frames is not None)
     unknowns = wide_of(widened(saved.final), rows, frames)
     wide = unknowns.solved
-    start = question = asked(wide, rows, noise, unknowns.unknown)
+    shared = wandering(saved.wanders, wide.model.robot, rows.readings, saved.ranges) if saved.wanders else None
+    start = question = asked(wide, rows, noise, unknowns.unknown, shared)
     every, unseen = seen_by(start, suspects(wide, rows, unknowns.new))
     first = rest = alarm(question, every)
     causes: list[Cause] = []
@@ -249,7 +261,7 @@ def _next(
         free = question.with_moved(suspect, suspect.sizes[-1])
         place = likely(free)
         B = place.J @ suspect.directions
-        before = replace(place, known=place.J @ question.covariance @ place.J.T)
+        before = replace(place, known=place.J @ question.covariance @ place.J.T + place.shared)
         seen = evidence(before, question.times, B, suspect.sizes)
         size = min(FREE * suspect.sizes[seen.best], suspect.sizes[-1])
         # Noise that looks larger may be what else has moved: it stays as known until it is itself the best explanation.
@@ -264,7 +276,7 @@ def _next(
     found.append((scattered, Cause("noise", "rows", words, 0.0), replace(question, times=times)))
     measured = np.unique(row_of).tolist()
     for row in measured:
-        seen = evidence(here, question.times, np.eye(len(here.r))[:, row_of == row], GROSS)
+        seen = evidence(here, question.times, np.diag(here.root)[:, row_of == row], GROSS)
         dropped = question.dropped.copy()
         dropped[row] = True
         line = str(rows.line[row])

@@ -8,6 +8,12 @@ predicts :math:`r \sim N(0, S_0)`, :math:`S_0 = I + J \Sigma J^T`; after a chang
 with k times the noise that was known. Evidence of a suspect is the mean of this density over its sizes s and over k: a
 suspect of six directions pays for all six (MacKay 2003, Information Theory, chapter 28). Changes may be large: J is taken
 where the suspect, free to move, has its most likely value, and r becomes :math:`r + J (\theta - \theta_0)` (Laplace's method).
+
+To :math:`J \Sigma J^T` comes what the model leaves that neighbouring rows share (:mod:`aridcal.trust.wander`): of several
+processes their mean, and for an alarm the mean of the chances with each. Noise with tails (:mod:`aridcal.fit.tails`) is normal
+noise whose variance differs from row to row; r, J and all that follows are in units of each row's own, found with the most
+likely coefficients. Squares then have the mean that they have without tails, and a smaller variance: chances are at most as
+stated.
 """
 
 from __future__ import annotations
@@ -21,6 +27,8 @@ from scipy.special import logsumexp
 from scipy.stats import f as f_distribution
 
 from aridcal.fit.problem import Problem, agreeing
+from aridcal.fit.tails import log_density, weights
+from aridcal.trust.wander import Wandering, zero_of
 from aridcal.upkeep.realign import frame_start
 from aridcal.upkeep.suspects import Suspect
 
@@ -41,6 +49,9 @@ turn of 5 mrad does. Steps lead from there to where it is from half a radian, so
 
 ANGLES = tuple((np.pi / 12.0 * np.arange(-11, 13)).tolist())
 """[rad] all around, in steps from which Gauss and Newton's lead on: the farthest place between two is 0.13 rad off."""
+
+STEADY = 0.01
+"""Relative change of a row's weight that is its last: that of squares is then far below a sigma."""
 
 SETTLED = 1e-3
 """Sigmas of any number measured by which the last step moves its prediction."""
@@ -63,6 +74,8 @@ class Question:
         dropped: Rows that count no more, shape (N,) bool.
         begin: Where to look for the most likely coefficients, shape (K,).
         unknown: Coefficients of which only these rows tell, shape (K,) bool.
+        tails: Degrees of freedom of each channel's noise, infinite where it is normal, shape (C,).
+        wandering: What the model may leave that neighbouring rows share; None: nothing.
     """
 
     problem: Problem
@@ -74,6 +87,8 @@ class Question:
     dropped: np.ndarray
     begin: np.ndarray
     unknown: np.ndarray
+    tails: np.ndarray
+    wandering: Wandering | None = None
 
     @property
     def counted(self) -> np.ndarray:
@@ -96,6 +111,26 @@ class Question:
         r = pieces.r / self.sigma
         J = pieces.J / self.sigma[:, None]
         return r[counted], J[counted]
+
+    @cached_property
+    def of_channels(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Numbers that count, by the row and channel that they are of: which, shape (n,); of each, size and tails."""
+        data = self.problem.data
+        sizes = np.array([channel.size for channel in data.channels])
+        own = np.arange(len(data) * len(sizes)).reshape(len(data), -1).repeat(sizes, axis=1)[self.counted]
+        every, which = np.unique(own, return_inverse=True)
+        return which, sizes[every % len(sizes)], self.tails[every % len(sizes)]
+
+    def shared(self, J: np.ndarray) -> np.ndarray:
+        """Covariance of what the model leaves that neighbouring rows share, shape (n, n), columns J being (n, K)."""
+        found = np.zeros((len(J), len(J)))
+        if self.wandering is None or not self.wandering.processes:
+            return found
+        model, row = self.problem.model, self.rows
+        for joint, variance in zip(model.robot.joints, self.wandering.variance, strict=True):
+            Z = J[:, model.coefficients.index(zero_of(joint))]
+            found += Z[:, None] * variance[np.ix_(row, row)] * Z
+        return found
 
     def with_moved(self, suspect: Suspect, size: float) -> Question:
         """The same with a change of a suspect, of some size, as likely as none."""
@@ -123,7 +158,7 @@ class Question:
             r, J = self.at(theta)
             r = r + J @ (theta - self.theta)
             r = r - J[:, k] * (theta - self.theta)[k]
-            known = J @ self.covariance @ J.T
+            known = J @ self.covariance @ J.T + self.shared(J)
             squares = float(r @ np.linalg.solve(self.times**2 * np.eye(len(r)) + known, r))
             if squares < least:
                 least, best = squares, theta
@@ -136,15 +171,21 @@ class Likely:
 
     Attributes:
         theta: Shape (K,).
-        r: Residuals of the rows about the calibration, to first order about ``theta``, in sigmas, shape (n,).
+        r: Residuals of the rows about the calibration, to first order about ``theta``, in each row's own sigmas, shape (n,).
         J: Columns there, shape (n, K).
-        known: Covariance of r that is not noise, J Sigma J', shape (n, n).
+        known: Covariance of r that is not noise, J Sigma J' and what follows, shape (n, n).
+        shared: Of what the model leaves that neighbouring rows share, shape (n, n).
+        root: Inverse of each row's own sigma in that of its channel, shape (n,); 1 without tails.
+        beyond: Logarithm of what tails make of the density of normal noise, for each of :data:`TIMES`.
     """
 
     theta: np.ndarray
     r: np.ndarray
     J: np.ndarray
     known: np.ndarray
+    shared: np.ndarray
+    root: np.ndarray
+    beyond: np.ndarray
 
     @cached_property
     def spectrum(self) -> tuple[np.ndarray, np.ndarray]:
@@ -180,16 +221,47 @@ def likely(question: Question, theta: np.ndarray | None = None) -> Likely:
     """
     start, P = question.theta, question.covariance
     theta = question.begin if theta is None else theta
+    which, size, tails = question.of_channels
+    heavy = bool(np.isfinite(tails).any())
+    weight = np.ones(len(size))
     for _ in range(STEPS):
         r, J = question.at(theta)
-        r = r + J @ (theta - start)
-        PJ = P @ J.T
-        known = J @ PJ
-        step = start + PJ @ np.linalg.solve(question.times**2 * np.eye(len(r)) + known, r) - theta
+        root = np.sqrt(weight)[which]
+        r, J = root * (r + J @ (theta - start)), root[:, None] * J
+        PJ, shared = P @ J.T, question.shared(J)
+        known = J @ PJ + shared
+        S = question.times**2 * np.eye(len(r)) + known
+        pull = np.linalg.solve(S, r)
+        step = start + PJ @ pull - theta
+        squares = np.bincount(which, (question.times * pull / root) ** 2, len(size))
+        settled = bool(np.abs(J @ step).max(initial=0.0) < SETTLED)
+        if heavy:
+            left = 1.0 - question.times**2 * np.diag(np.linalg.inv(S))  # share of the noise that is not told
+            told = squares + np.bincount(which, left / root**2, len(size))
+            before, weight = weight, weights(told, size, tails)
+            settled = settled and bool(np.abs(np.log(weight / before)).max(initial=0.0) < STEADY)
         theta = theta + step
-        if np.abs(J @ step).max(initial=0.0) < SETTLED:
+        if settled:
             break
-    return Likely(theta, r, J, 0.5 * (known + known.T))
+    beyond = _beyond(squares, root[np.unique(which, return_index=True)[1]] ** 2, size, tails)
+    return Likely(theta, r, J, 0.5 * (known + known.T), shared, root, beyond)
+
+
+def _beyond(squares: np.ndarray, weight: np.ndarray, size: np.ndarray, tails: np.ndarray) -> np.ndarray:
+    r"""Logarithm of t's density at the noise of the rows, over that of normal noise in which they have weights.
+
+    Of each row :math:`\log t(d^2 / k^2) + (m / 2) \log 2\pi + w d^2 / 2 k^2`, with k times the noise: densities of r in units of
+    each row's own noise are made comparable by this, whatever the weights.
+
+    Args:
+        squares: Of the noise of each row and channel, in sigmas.
+        weight: Theirs.
+        size: Numbers of each.
+        tails: Degrees of freedom of each.
+    """
+    d = squares / np.array(TIMES)[:, None] ** 2
+    each = log_density(d, size, tails) + 0.5 * size * np.log(2.0 * np.pi) + 0.5 * weight * d
+    return np.asarray(np.where(np.isfinite(tails), each, 0.0).sum(axis=1))
 
 
 def covariance_of(question: Question, place: Likely) -> np.ndarray:
@@ -198,7 +270,7 @@ def covariance_of(question: Question, place: Likely) -> np.ndarray:
     S = question.times**2 * np.eye(len(place.r)) + place.known
     gain = np.linalg.solve(S, place.J @ P).T
     left = np.eye(len(P)) - gain @ place.J
-    return np.asarray(left @ P @ left.T + question.times**2 * gain @ gain.T)
+    return np.asarray(left @ P @ left.T + gain @ (question.times**2 * np.eye(len(S)) + place.shared) @ gain.T)
 
 
 SMALLEST = 1e-300
@@ -235,12 +307,25 @@ def alarm(question: Question, suspects: Sequence[Suspect]) -> Alarm:
 
     The whole: :math:`r^T S_0^{-1} r \sim \chi^2_n`. Along a suspect: the squares that its d directions take up,
     :math:`\chi^2_d`; F where the noise was estimated. The smallest probability counts, times the number of questions asked
-    (Bonferroni): half of it for the whole, half for all m suspects together.
+    (Bonferroni): half of it for the whole, half for all m suspects together. What the model may leave that rows share is known
+    with its probabilities alone, and so the chance is the mean over these (Box 1980, doi:10.2307/2982063).
 
     Args:
         question: The rows.
         suspects: What the rows may show beside the residual as a whole.
     """
+    found = _alarm(question, suspects)
+    if question.wandering is None or not question.wandering.processes:
+        return found
+    each = [
+        (probability, _alarm(replace(question, wandering=alone), suspects).p_value)
+        for probability, alone in question.wandering.one_by_one()
+    ]
+    return replace(found, p_value=float(sum(p * value for p, value in each) / sum(p for p, _ in each)))
+
+
+def _alarm(question: Question, suspects: Sequence[Suspect]) -> Alarm:
+    """The same with what the rows share as its mean has it."""
     place = likely(question)
     z = place.whitened(place.r, question.times)
     squares, numbers = float(z @ z), max(len(z) - taken_up(place.J[:, question.unknown]), 1)
@@ -304,7 +389,7 @@ def evidence(place: Likely, times: float, B: np.ndarray, sizes: tuple[float, ...
     found = np.empty((len(sizes), len(TIMES)))
     variances, axes = place.spectrum
     r, B = axes.T @ place.r, axes.T @ B
-    for number, more in enumerate(TIMES):
+    for number, more in enumerate(TIMES):  # of the noise that is accepted
         sigma = np.sqrt((more * times) ** 2 + variances)
         z = scaled_to(r, sigma)
         U, w, _ = np.linalg.svd(scaled_to(B, sigma), full_matrices=False)
@@ -313,5 +398,5 @@ def evidence(place: Likely, times: float, B: np.ndarray, sizes: tuple[float, ...
         for k, size in enumerate(sizes):
             grown = (size * w) ** 2
             squares = float(z @ z) - float(np.sum(along * grown / (1.0 + grown)))
-            found[k, number] = constant - 0.5 * squares - 0.5 * float(np.sum(np.log1p(grown)))
+            found[k, number] = constant - 0.5 * squares - 0.5 * float(np.sum(np.log1p(grown))) + place.beyond[number]
     return Evidence(found)

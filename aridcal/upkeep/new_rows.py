@@ -11,6 +11,7 @@ import numpy as np
 from aridcal.effects.labels import label_in
 from aridcal.effects.regional_kind import labels_of
 from aridcal.errors import CampaignError, MeasurementError, listed
+from aridcal.fit.tails import Tails
 from aridcal.inputs.approach import with_directions
 from aridcal.inputs.campaign import REFERRING, Campaign, Frames, RobotSettings
 from aridcal.inputs.counting import check_joints
@@ -75,10 +76,19 @@ class Noise:
     Attributes:
         sigma: Of each channel per axis, shape (C,), in its unit.
         freedom: Numbers that each was estimated from, shape (C,); infinite where it was declared.
+        tails: Of each channel, if it has any; none: of no channel.
     """
 
     sigma: np.ndarray
     freedom: np.ndarray
+    tails: tuple[Tails | None, ...] = ()
+
+    @property
+    def core(self) -> tuple[np.ndarray, np.ndarray]:
+        """Scale of each channel's noise, and the degrees of freedom of its tails, infinite without any, shape (C,) each."""
+        tails = self.tails or (None,) * len(self.sigma)
+        scale = [s if t is None else max(t.sigma, LEAST) for s, t in zip(self.sigma.tolist(), tails, strict=True)]
+        return np.array(scale), np.array([np.inf if t is None else t.freedom for t in tails])
 
 
 def freedom_of(noise: Noise, counts: np.ndarray) -> float:
@@ -240,15 +250,16 @@ def known_noise(saved: SavedModel, rows: Dataset, other: bool = False) -> Noise:
     found = []
     for c, (channel, kind) in enumerate(zip(rows.channels, kinds, strict=True)):
         name = names[c] if names else channel.name
-        stated = (float(rows.sigma[c] or 0.0), np.inf) if rows.sigma[c] else None
+        stated = (float(rows.sigma[c] or 0.0), np.inf, None) if rows.sigma[c] else None
         pair = stated if (other or absolute) and stated else seen.get((kind, name), stated)
         if pair is None and rows.measures[:, c].any():
             raise CampaignError(
                 f"{rows.title}: nothing is known of the noise of {channel.name}; write it in a campaign of these rows, under "
                 f"measurements: `noise: {{{name}: SIGMA}}`, in {channel.unit}"
             )
-        found.append(pair or (1.0, np.inf))
-    return Noise(np.maximum([sigma for sigma, _ in found], LEAST), np.array([freedom for _, freedom in found]))
+        found.append(pair or (1.0, np.inf, None))
+    sigma, freedom, tails = zip(*found, strict=True)
+    return Noise(np.maximum(sigma, LEAST), np.array(freedom), tails)
 
 
 def _channels_of(kind: str) -> Channels:
@@ -256,12 +267,19 @@ def _channels_of(kind: str) -> Channels:
     return KINDS[kind].channels
 
 
-def _scatter(saved: SavedModel) -> dict[tuple[str, str], tuple[float, float]]:
-    """What the calibration's own rows scattered by, and the freedom behind it, by kind and channel."""
+def _scatter(saved: SavedModel) -> dict[tuple[str, str], tuple[float, float, Tails | None]]:
+    """What the calibration's own rows scattered by, the freedom behind it, and its tails, by kind and channel."""
     sigma, freedom = saved.scatter
     of_target = zip(("position", "rotation"), sigma, freedom, strict=True)
-    found = {(kind, name): (s, f) for name, s, f in of_target for kind in OF_TARGETS}
+    own = saved.record.get("scatter", {})
+    found = {(kind, name): (s, f, _tails(own.get(name, {}))) for name, s, f in of_target for kind in OF_TARGETS}
     for kind, channels in saved.record.get("scatter_of_kinds", {}).items():
         for name, part in channels.items():
-            found[kind, name] = float(part["sigma"]), float(part["freedom"])
+            found[kind, name] = float(part["sigma"]), float(part["freedom"]), _tails(part)
     return found
+
+
+def _tails(part: dict[str, Any]) -> Tails | None:
+    """Tails as the file has them."""
+    found = part.get("tails")
+    return None if found is None else Tails(float(found["freedom"]), float(found["sigma"]))

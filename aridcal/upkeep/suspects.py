@@ -11,13 +11,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from aridcal.effects.basis import Basis
 from aridcal.effects.effect import ANGULAR, FRAME_COMPONENTS, Coefficient
 from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.read import TIP
 from aridcal.model.model import Frames, Model
 from aridcal.result.saved_model import SolvedModel
-from aridcal.robot.chain import Joint
+from aridcal.trust.wander import zero_of
 
 SIZES = tuple((10.0 ** np.arange(-5.0, 1.01, 0.5)).tolist())
 """[m] and [rad] by which a zero or a frame may have moved, each as likely: from what no instrument sees to a motor or a tracker
@@ -59,7 +58,7 @@ class Suspect:
 def widened(solved: SolvedModel) -> SolvedModel:
     """A solved model with every coefficient that a suspect may need: those it lacks are 0, and known."""
     model = solved.model
-    wanted = [*map(_zero, model.robot.joints), *_of_frames(model)]
+    wanted = [*map(zero_of, model.robot.joints), *_of_frames(model)]
     missing = [c for c in dict.fromkeys(wanted) if c not in model.coefficients]
     count = len(model.coefficients)
     covariance = np.zeros((count + len(missing), count + len(missing)))
@@ -86,7 +85,7 @@ def suspects(wide: SolvedModel, rows: Dataset, new: Collection[tuple[str, str | 
 
     found = [
         Suspect(
-            "zero", joint.name, f"the zero of {joint.name}", along([_zero(joint)]), SIZES, joint.kind != "prismatic"
+            "zero", joint.name, f"the zero of {joint.name}", along([zero_of(joint)]), SIZES, joint.kind != "prismatic"
         )
         for joint in model.robot.joints
     ]
@@ -139,14 +138,6 @@ def effect_groups(coefficients: Sequence[Coefficient]) -> dict[tuple[str, tuple[
 def effect_in_words(where: str, of: Sequence[str]) -> str:
     """What an effect is called whose kind no calibration keeps."""
     return f"the effect at {where} that depends on {' and '.join(of)}"
-
-
-def _zero(joint: Joint) -> Coefficient:
-    """The zero of a joint: a turn about, or a shift along its axis in all rows, right before its own motion.
-
-    Not a constant of its origin: those turn about axes of which others of them stand askew, and a zero may be off by a radian.
-    """
-    return Coefficient(joint.name, "axis", Basis("ones", (joint.name,)))
 
 
 def _of_frames(model: Model) -> Iterator[Coefficient]:

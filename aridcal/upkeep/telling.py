@@ -45,7 +45,8 @@ def alike(
 
 def _squares(question: Question) -> float:
     """Squares that the most likely coefficients leave, those of what was known beforehand included."""
-    return likely(question).squares(question.times)
+    place = likely(question)
+    return place.squares(question.times) - 2.0 * float(place.beyond[0])
 
 
 @dataclass(frozen=True)
