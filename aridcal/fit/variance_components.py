@@ -183,6 +183,23 @@ def without(scatter: Scatter, found: Components, out: np.ndarray, held: np.ndarr
     return _maximum(scatter, np.where(out, 0.0, found.variance), found.free & ~out, held, found)
 
 
+def roughly_without(scatter: Scatter, found: Components, out: np.ndarray) -> Components:
+    """The same as :func:`without`, the columns' fit held: the likelihood there is a bound from below, and costs little."""
+    V, free = covariances(scatter, found.at), found.free & ~out
+    M = moments(V, found.pull, found.kernel)
+    start = np.where(out, 0.0, found.variance)
+    wanted = best(scatter.blocks, scatter.stated, M, start, free, found.low)
+    there = covariances(scatter, wanted)
+    inverse = np.linalg.inv(there)
+    left = np.einsum("nij,nj->ni", V, found.pull)
+    pull = np.einsum("nij,nj->ni", inverse, left)
+    kernel = inverse - inverse @ (V - V @ found.kernel @ V) @ inverse
+    lost = height(scatter.blocks, scatter.stated, M, found.at) - height(scatter.blocks, scatter.stated, M, wanted)
+    nothing = np.zeros_like(found.covariance)
+    value = found.log_likelihood - lost
+    return Components(free, wanted, nothing, value, pull, kernel, found.low, wanted, np.inf)
+
+
 def needed(more: Components, fewer: Components, price: float, held: np.ndarray) -> bool:
     """True if chance does not give as much as further components do, whose shapes cost ``price`` [nat]."""
     gain = more.log_likelihood - fewer.log_likelihood - price
@@ -343,10 +360,8 @@ class Asked:
 
     @property
     def clear(self) -> bool:
-        """True if what is asked for most is so by :data:`CLEAR`, and enough or not by as much."""
-        k = self.first
-        first = CLEAR * self.normal[k] >= np.partition(self.normal, -2)[-2]
-        return bool(first and not CLEAR < self.plain[k] / PLAIN < 1.0 / CLEAR)
+        """True if what is asked for most is so by the rows' own contributions, or is not, by :data:`CLEAR`."""
+        return not CLEAR < self.plain[self.first] / PLAIN < 1.0 / CLEAR
 
 
 def asked_for(scatter: Scatter, found: Components, price: np.ndarray | float = 0.0) -> Asked:

@@ -29,6 +29,7 @@ from aridcal.fit.variance_components import (
     needed,
     one_more,
     promised,
+    roughly_without,
     settled,
     std_of_sigma,
     with_one,
@@ -36,7 +37,6 @@ from aridcal.fit.variance_components import (
 )
 from aridcal.inputs.dataset import Dataset, factors
 from aridcal.instruments.channels import Channel, columns, spread
-from aridcal.search.diagnose import SEARCHED
 from aridcal.search.exact import GAUGE
 from aridcal.search.linear_model import Active
 from aridcal.search.noise_asked import Asked, Kind, possible, shaped, stretched, there
@@ -60,17 +60,30 @@ ALIKE = 3.0
 UNSURE = 1.25
 """Times by which something may be more or less than it takes to say so, and is looked at again at variances that have settled."""
 
+ASKED = 800
+"""Rows that are asked at the most, of more: a sigma of three numbers a row is then known to 1.5 %, and every trial costs as
+many as there are."""
+
 TIED = 3.0
 """[nat] within which two causes explain the scatter alike: odds of 20 to 1 (Kass and Raftery 1995: strong)."""
 
 CHALLENGERS = 4
 """Rivals of a named cause that are tried at the most, those that the residual asks for most without it."""
 
-LOOSE = 5.0
-"""[nat] below the best by a bound on the likelihood from which a rival is not tried: bounds err by less where the columns take
-few of the numbers."""
+NEAR = 0.7
+"""Share of the largest score from which a rival is looked at: gains go by its square, and are half as large at least."""
 
-ROUNDS = 3
+LOOSE = 5.0
+"""[nat] by which a rival may be worse, by a bound on the likelihood, to be tried: the bound holds the columns as they are."""
+
+WEAK = 30.0
+"""[nat] that a cause seems to gain, its columns held, above which it is not left out on trial: chance gives no 15, and the bound
+tells no more than twice what is gained."""
+
+IN_WORLD = ("range", "direction", "depth", "bearing")
+"""Forms that noise may have in the world's axes."""
+
+ROUNDS = 2
 """Times that named causes meet their rivals at the most: once is usual."""
 
 
@@ -174,6 +187,16 @@ class _Inquiry:
         """What the numbers of shapes cost, shape (C,), [nat]."""
         return np.array([0.0 if c.shape is None else c.shape.price(len(self.rows)) for c in self.causes])
 
+    def price_beside(self, found: Components) -> np.ndarray:
+        """The same; no price is enough for what would only be named for what another misses."""
+        return np.where(self.second(found), np.inf, self.price)
+
+    def second(self, found: Components) -> np.ndarray:
+        """Which causes lie in the world's axes beside one of their channel, shape (C,) bool: they would be what it misses."""
+        along = self.of(*IN_WORLD)
+        names = {cause.name for cause, free in zip(self.causes, found.free & along, strict=True) if free}
+        return along & np.array([cause.name in names for cause in self.causes])
+
     def aimed(self, found: Components) -> _Inquiry:
         """The same with all shapes that are not in the model as what it leaves asks for them."""
         at = [k for k, cause in enumerate(self.causes) if cause.shape is not None and not found.free[k]]
@@ -199,14 +222,15 @@ class _Inquiry:
         names = {cause.name for cause, back in zip(self.causes, structured & along, strict=True) if back}
         return along & np.array([cause.name in names for cause in self.causes])
 
-    def comes_back(self, found: Components, k: int) -> bool:
-        """True if what a cause was off by comes back at neighbours: then it is no noise."""
+    def comes_back(self, found: Components, k: int) -> tuple[bool, Components]:
+        """True if what a cause was off by comes back at neighbours: then it is no noise; and the maximum, settled if need be."""
         cause = self.causes[k]
         said = partial(_comes_back, k=k, cause=cause, still=self.still, orders=self.orders[cause.common])
         share = said(found)
         if 1.0 / UNSURE < share < UNSURE:
-            share = said(settled(self.scatter, found, self.held))
-        return share > 1.0
+            found = settled(self.scatter, found, self.held)
+            share = said(found)
+        return share > 1.0, found
 
 
 def noise_causes(fit: Fit, active: Sequence[Active], rows: Dataset, progress: Progress = SILENT) -> NoiseCauses | None:
@@ -220,7 +244,7 @@ def noise_causes(fit: Fit, active: Sequence[Active], rows: Dataset, progress: Pr
     """
     asked = problem(fit.model, rows)
     train = np.flatnonzero(rows.train)[~fit.outliers]
-    some = train[representative(asked.select(train), SEARCHED)]
+    some = train[representative(asked.select(train), ASKED)]
     if len(some) < FEWEST:
         return None
     part = asked.select(some)
@@ -262,7 +286,7 @@ def _named(
     """Causes one after the other, as long as more than chance asks for one."""
     single, alike, held = inquiry.of("joint"), inquiry.of("joints"), inquiry.held
     inquiry = inquiry.aimed(found)
-    while (more := one_more(inquiry.scatter, found, held, inquiry.price)) is not None:
+    while (more := one_more(inquiry.scatter, found, held, inquiry.price_beside(found))) is not None:
         k, found = more
         progress.part(int(found.free.sum()), len(held), "causes")
         if (found.free & single).sum() > 1 and (alike & ~found.free).any():
@@ -270,7 +294,7 @@ def _named(
             fewer = instead(inquiry.scatter, found, single, int(np.argmax(alike)), held)
             k, found = (k, found) if fewer is None else (int(np.argmax(alike)), fewer)
         # What comes back stays in the model here, so that no other cause has to take it over, but it is not noise.
-        structured[k] = inquiry.comes_back(found, k)
+        structured[k], found = inquiry.comes_back(found, k)
         structured &= found.free
         inquiry = inquiry.aimed(found)
     return inquiry, found, structured
@@ -303,46 +327,46 @@ def _challenged(inquiry: _Inquiry, found: Components, structured: np.ndarray) ->
         sets.insert(0, joints)
     ties: dict[int, list[tuple[Asked, Components, int]]] = {int(k): [] for k in np.flatnonzero(accused)}
     for own in sets:
-        base = without(scatter, found, own, held)
         cost = float(price[own].sum())
-        if not needed(found, base, cost, held):
-            return _Challenged(False, inquiry, base, {})
+        base = roughly_without(scatter, found, own)
+        if found.log_likelihood - base.log_likelihood - cost < WEAK:
+            base = without(scatter, found, own, held)
+            if not needed(found, base, cost, held):
+                return _Challenged(False, inquiry, base, {})
         worth = found.log_likelihood - cost
         again = inquiry.aimed(base)
-        others = _likeliest(inquiry, again, found, base, own)
-        tried = [(k, with_one(again.scatter, base, k, variance, held)) for k, variance in others]
+        tried = [
+            (k, with_one(again.scatter, base, k, variance, held)) for k, variance in _likeliest(again, base, own, worth)
+        ]
         gains = [more.log_likelihood - again.price[k] - worth for k, more in tried]
         if gains and max(gains) > 0.0:
             k, more = tried[int(np.argmax(gains))]
             return _Challenged(False, again, more, {})
         for (k, more), gain in zip(tried, gains, strict=True):
-            if gain > -TIED:
+            # A shape may well coincide with a joint's motion, so that its price is none to those who must be told of it.
+            if gain + again.price[k] > -TIED:
                 for mine in np.flatnonzero(own):
                     ties[int(mine)].append((again.causes[k], more, k))
     return _Challenged(True, inquiry, found, ties)
 
 
-def _likeliest(
-    inquiry: _Inquiry, again: _Inquiry, found: Components, base: Components, own: np.ndarray
-) -> list[tuple[int, float]]:
+def _likeliest(inquiry: _Inquiry, base: Components, own: np.ndarray, worth: float) -> list[tuple[int, float]]:
     """Rivals of a set of named causes that may be as good, and the variances at which they begin.
 
     Args:
-        inquiry: What was asked.
-        again: The same aimed without the set.
-        found: The maximum with the set.
-        base: That without.
+        inquiry: What is asked, aimed without the set.
+        base: The maximum without it.
         own: The set, shape (C,) bool.
+        worth: Log-likelihood with the set, what it costs taken off.
     """
-    asked = asked_for(again.scatter, base, again.price)
-    most = [int(k) for k in np.argsort(-asked.normal) if asked.normal[k] > 0.0 and not own[k]][:CHALLENGERS]
+    asked = asked_for(inquiry.scatter, base)
+    least = max(worth - base.log_likelihood - LOOSE, 0.0)
+    enough = ~own & ~inquiry.second(base) & (asked.normal > max(NEAR * asked.normal.max(), 0.0))
+    most = [int(k) for k in np.argsort(-asked.normal) if enough[k]][:CHALLENGERS]
     if not most:
         return []
-    mine = promised(inquiry.scatter, base, [own], found.variance)[0] - inquiry.price[own].sum()
-    sets = [np.arange(len(own)) == k for k in most]
-    gains = promised(again.scatter, base, sets, asked.variance) - again.price[most]
-    enough = max(mine, gains.max()) - LOOSE
-    return [(k, float(asked.variance[k])) for k, gain in zip(most, gains, strict=True) if gain > enough]
+    gains = promised(inquiry.scatter, base, [np.arange(len(own)) == k for k in most], asked.variance)
+    return [(k, float(asked.variance[k])) for k, gain in zip(most, gains, strict=True) if gain > least]
 
 
 def _scatter(part: Problem, fit: Fit, active: Sequence[Active], causes: Sequence[Asked], still: Stack) -> Scatter:

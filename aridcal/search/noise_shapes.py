@@ -23,7 +23,7 @@ from aridcal.fit.flags import FLOOR
 from aridcal.fit.normal_equations import TINY
 from aridcal.instruments.channels import TARGET_POSITION, TARGET_ROTATION, Channel
 
-AWAY = (1.5, 2.5, 5.0)
+AWAY = (1.5, 2.0, 2.8, 4.0, 8.0)
 """Distances of an instrument that is looked for, in RMS distances of the targets from their middle: nearer it would stand
 among them, and from farther off its lines of sight are as good as parallel."""
 
