@@ -200,6 +200,21 @@ def roughly_without(scatter: Scatter, found: Components, out: np.ndarray) -> Com
     return Components(free, wanted, nothing, value, pull, kernel, found.low, wanted, np.inf)
 
 
+def highest(other: Scatter, scatter: Scatter, found: Components, of: np.ndarray) -> float:
+    """The bound about a maximum at its highest, where blocks are others; but for a constant.
+
+    Args:
+        other: With the components in the model alone, one of them another.
+        scatter: Of which the maximum is.
+        found: The maximum.
+        of: Numbers of the components in the model, ascending.
+    """
+    M = moments(covariances(scatter, found.at), found.pull, found.kernel)
+    free = np.ones(len(of), dtype=bool)
+    wanted = best(other.blocks, scatter.stated, M, found.variance[of], free, found.low[of])
+    return height(other.blocks, scatter.stated, M, wanted)
+
+
 def needed(more: Components, fewer: Components, price: float, held: np.ndarray) -> bool:
     """True if chance does not give as much as further components do, whose shapes cost ``price`` [nat]."""
     gain = more.log_likelihood - fewer.log_likelihood - price

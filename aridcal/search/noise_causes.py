@@ -25,6 +25,7 @@ from aridcal.fit.variance_components import (
     Components,
     asked_for,
     estimate,
+    highest,
     instead,
     needed,
     one_more,
@@ -40,7 +41,7 @@ from aridcal.instruments.channels import Channel, columns, spread
 from aridcal.search.exact import GAUGE
 from aridcal.search.linear_model import Active
 from aridcal.search.noise_asked import Asked, Kind, possible, shaped, stretched, there
-from aridcal.search.noise_shapes import SHAPES, Seen, Shape, aimed, shapes_of
+from aridcal.search.noise_shapes import SHAPES, Seen, Shape, aimed, nearby, shapes_of
 from aridcal.search.noise_tests import neighbours
 from aridcal.showing import SILENT, Progress
 
@@ -75,6 +76,13 @@ NEAR = 0.7
 
 LOOSE = 5.0
 """[nat] by which a rival may be worse, by a bound on the likelihood, to be tried: the bound holds the columns as they are."""
+
+STEPS = (0.1, 0.03)
+"""Shares of its size by which the numbers of a shape are moved to see whether it explains more so: the first is a fraction of
+what shapes that are tried are apart, the last what a thousand rows tell of a direction."""
+
+SETTLED = 0.1
+"""[nat] that such a move must gain at the least."""
 
 WEAK = 30.0
 """[nat] that a cause seems to gain, its columns held, above which it is not left out on trial: chance gives no 15, and the bound
@@ -199,19 +207,52 @@ class _Inquiry:
 
     def aimed(self, found: Components) -> _Inquiry:
         """The same with all shapes that are not in the model as what it leaves asks for them."""
-        at = [k for k, cause in enumerate(self.causes) if cause.shape is not None and not found.free[k]]
-        if not at:
-            return self
+        made = self
+        for k, some in self.shapes(found).items():
+            made = made.with_shape(k, some[0])
+        return made
+
+    def shapes(self, found: Components) -> dict[int, list[Shape]]:
+        """Shapes that what a maximum leaves may ask for, of each cause that has one and is not in the model."""
+        at = [k for k, cause in enumerate(self.causes) if cause.shape is not None]
+        if found.free[at].all():
+            return {}
         scatter, still = self.scatter, self.still
         pull, kernel = found.pull[: still.count], found.kernel[: still.count]
         left = np.einsum("nij,nj->ni", covariances(scatter, found.at)[: still.count], pull)
         pull, kernel, left = still.of_rows(pull), still.blocks_of_rows(kernel), still.of_rows(left)
-        shapes = aimed(self.seen, self.channels, left, pull, kernel)
-        causes, blocks, first = list(self.causes), scatter.blocks.copy(), len(self.causes) - len(shapes)
-        for k in at:
-            causes[k] = shaped(shapes[k - first], self.seen)
-            blocks[k, : still.count] = causes[k].stacked(still)
-        return replace(self, causes=tuple(causes), scatter=replace(scatter, blocks=blocks))
+        every = aimed(self.seen, self.channels, left, pull, kernel)
+        return {k: some for k, some in zip(at, every, strict=True) if not found.free[k]}
+
+    def with_shape(self, k: int, shape: Shape) -> _Inquiry:
+        """The same with another shape of a cause."""
+        cause = shaped(shape, self.seen)
+        blocks = self.scatter.blocks.copy()
+        blocks[k, : self.still.count] = cause.stacked(self.still)
+        causes = (*self.causes[:k], cause, *self.causes[k + 1 :])
+        return replace(self, causes=causes, scatter=replace(self.scatter, blocks=blocks))
+
+    def refined(self, found: Components, k: int) -> tuple[_Inquiry, Components]:
+        """A cause that was just named with the likeliest of its shapes and of the numbers near these, and the maximum.
+
+        A shape that is a little off leaves a rest that something else is accused of.
+        """
+        shape, own = self.causes[k].shape, np.arange(len(self.causes)) == k
+        if shape is None:
+            return self, found
+        value = partial(_height_with, self, found, k)
+        tried = [shape, *self.shapes(roughly_without(self.scatter, found, own)).get(k, [])]
+        best = max(((value(other), n, other) for n, other in enumerate(tried)), key=lambda one: one[:2])
+        height, _, shape = best
+        for step in STEPS:
+            higher = True
+            while higher:
+                there = [(value(other), n, other) for n, other in enumerate(nearby(shape, step, self.seen))]
+                higher = bool(there) and max(there)[0] > height + SETTLED
+                if higher:
+                    height, _, shape = max(there, key=lambda one: one[:2])
+        again = self.with_shape(k, shape)
+        return again, with_one(again.scatter, found, k, float(found.variance[k]), self.held)
 
     def rests(self, structured: np.ndarray) -> np.ndarray:
         """Which causes lie along something of a channel of which such a one comes back, shape (C,) bool.
@@ -263,6 +304,15 @@ def noise_causes(fit: Fit, active: Sequence[Active], rows: Dataset, progress: Pr
     return _told(inquiry, found, structured, challenged.ties, asked, fit.theta)
 
 
+def _height_with(inquiry: _Inquiry, found: Components, k: int, shape: Shape) -> float:
+    """The bound about a maximum where a cause has another shape, what this costs taken off."""
+    free = np.flatnonzero(found.free)
+    blocks = inquiry.scatter.blocks[free]
+    blocks[int(np.searchsorted(free, k)), : inquiry.still.count] = shaped(shape, inquiry.seen).stacked(inquiry.still)
+    rows = replace(inquiry.scatter, blocks=blocks)
+    return highest(rows, inquiry.scatter, found, free) - shape.price(len(inquiry.rows))
+
+
 def _inquiry(part: Problem, fit: Fit, active: Sequence[Active]) -> _Inquiry:
     """What is asked of some rows."""
     causes, seen = possible(part, fit.theta)
@@ -293,6 +343,7 @@ def _named(
             # One number in place of several, if it says as much.
             fewer = instead(inquiry.scatter, found, single, int(np.argmax(alike)), held)
             k, found = (k, found) if fewer is None else (int(np.argmax(alike)), fewer)
+        inquiry, found = inquiry.refined(found, k)
         # What comes back stays in the model here, so that no other cause has to take it over, but it is not noise.
         structured[k], found = inquiry.comes_back(found, k)
         structured &= found.free

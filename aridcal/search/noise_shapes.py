@@ -139,8 +139,10 @@ class _Axes:
 
 def aimed(
     seen: Seen, channels: Sequence[Channel], left: np.ndarray, pull: np.ndarray, kernel: np.ndarray
-) -> list[Shape]:
-    """Of each kind and channel the shape that a fit's residual asks for most, always as many and in the same order.
+) -> list[list[Shape]]:
+    """Of each kind and channel the shapes that a fit's residual may ask for, that which it asks for most first.
+
+    Always as many kinds, in the order of :func:`shapes_of`.
 
     Args:
         seen: N rows.
@@ -155,9 +157,31 @@ def aimed(
         u, P = np.einsum("nmi,nm->ni", G, pull), G.transpose(0, 2, 1) @ kernel @ G
         axes = _Axes(u[:, :, None] * u[:, None, :] - P, P)
         for some in _of_channel(seen, channel, axes, left):
-            best = max(some, key=lambda shape: _merit(shape, seen, axes)) if len(some) > 1 else some[0]
-            found.append(replace(best, among=len(some)))
+            some = [replace(shape, among=len(some)) for shape in some]
+            order = np.argsort([-_merit(shape, seen, axes) for shape in some], kind="stable") if len(some) > 1 else [0]
+            found.append([some[k] for k in order])
     return found
+
+
+def nearby(shape: Shape, step: float, seen: Seen) -> Iterator[Shape]:
+    """Shapes whose numbers, taken from the residual, are other by a share of their size; none where nothing was taken."""
+    for sign in (step, -step) if shape.free else ():
+        for axis in np.eye(3):
+            if shape.point is not None and shape.vector is None:
+                far = float(np.linalg.norm(shape.point - seen.p.mean(axis=0)))
+                yield sized(replace(shape, point=shape.point + sign * far * axis), seen)
+            elif shape.vector is not None:
+                size = float(np.linalg.norm(shape.vector))
+                vector = shape.vector + sign * size * axis
+                if shape.kind != "lever":
+                    vector = vector / np.linalg.norm(vector)
+                moved = replace(shape, vector=vector)
+                yield moved if shape.point is None else sized(moved, seen)
+
+
+def sized(shape: Shape, seen: Seen) -> Shape:
+    """The same, its size said at the RMS distance of the rows."""
+    return replace(shape, typical=max(float(np.sqrt(np.mean(distances(shape, seen) ** 2))), FLOOR))
 
 
 def shapes_of(seen: Seen, channel: Channel) -> list[Shape]:
@@ -194,7 +218,7 @@ def _of_channel(seen: Seen, channel: Channel, axes: _Axes, left: np.ndarray) -> 
     bearings = [Shape("bearing", name, None, origin, across=True, power=1)]
     bearings += [Shape("bearing", name, None, point, across=True, power=1, free=3) for point in from_afar(least)]
     for some in (depths, bearings):
-        yield [replace(s, typical=max(float(np.sqrt(np.mean(distances(s, seen) ** 2))), FLOOR)) for s in some]
+        yield [sized(shape, seen) for shape in some]
     if name in seen.turned:
         yield [Shape("lever", name, _lever(seen, name, left), free=3)]
 
