@@ -85,8 +85,8 @@ SETTLED = 0.1
 """[nat] that such a move must gain at the least."""
 
 WEAK = 30.0
-"""[nat] that a cause seems to gain, its columns held, above which it is not left out on trial: chance gives no 15, and the bound
-tells no more than twice what is gained."""
+"""[nat] that a cause seems to gain, its columns held, above which it is not left out on trial: chance gives no 15, and the same
+again is left for columns that would fit anew. Judgement."""
 
 IN_WORLD = ("range", "direction", "depth", "bearing")
 """Forms that noise may have in the world's axes."""
