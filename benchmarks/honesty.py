@@ -25,6 +25,9 @@ Each question has its control: the same without the trap.
   structure below detection: small error curves of all joints, or errors of their zeros that go with all readings; or noise of
   Student's t with two degrees of freedom (control: neither). Verdicts without structure, false alarms; how often one joint that
   is off by 0.3 or 1 mm at the target, or 0.3 or 1 mrad where its lever is below a metre, raises an alarm, and is named.
+- `accused`: a body of markers off the target whose rotation noise moves it on a lever of 0.1 to 0.3 m, or a camera whose noise
+  in depth grows by the square of the distance (controls: joints that are misread, and even noise). How often the cause of the
+  noise is named, something else is, and something else without the cause beside it as a tie (`false`).
 """
 
 from __future__ import annotations
@@ -33,6 +36,7 @@ import argparse
 import re
 import tempfile
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -43,6 +47,10 @@ from rich.console import Console
 from rich.table import Table
 from robots import Truth, random_robot, readings, simulate, table, ur10, write_campaign
 from robots import measured as as_measured
+import pinocchio as pin
+from rich.console import Console
+from rich.table import Table
+from robots import random_placement, random_robot, readings, simulate, table, ur10, write_campaign
 from scipy.spatial.transform import Rotation
 from tilted import geometric, measured
 
@@ -316,6 +324,57 @@ def check(seed: int, kind: str, tails: bool) -> dict[str, float]:
     return found
 
 
+TURN, DEPTH, MISREAD = 5e-4, 6e-5, 4e-4
+"""Noise of a body's rotation, [rad], of a camera's depth, [m] at 1 m, and of readings, [rad]."""
+
+AIDS = {"channels", "position_mm", "rotation_mrad", "source"}
+"""Keys of a result's noise that name no cause beyond the instrument's channels."""
+
+CAMERA = np.array([0.2, -0.1, 2.2])
+"""[m]: where a robot's base is seen from a camera."""
+
+
+def accused(seed: int, what: str, kind: str) -> dict[str, float]:
+    """Noise of one cause beside a little even noise: which is named?"""
+    rng, n = np.random.default_rng(seed), ROWS
+    world = random_placement(rng)
+    if what == "depth":
+        world = pin.SE3(world.rotation, CAMERA)
+    truth = simulate(ur10(), n, rng, 5e-4, world=world, tip=random_placement(rng, 0.1))
+    rows = truth.measured
+    assert rows.rotation is not None
+    q, p, turn = (
+        rows.readings.copy(),
+        rows.position + NOISE * rng.standard_normal((n, 3)),
+        1e-4 * rng.standard_normal((n, 3)),
+    )
+    if what == "lever":
+        turn = TURN * rng.standard_normal((n, 3))
+        p += np.cross(turn, rows.rotation @ (rng.uniform(0.1, 0.3) * random_placement(rng).rotation[0]))
+    if what == "depth" or what == "depth, elsewhere":
+        point = np.zeros(3) if what == "depth" else world.translation + 2.2 * random_placement(rng).rotation[0]
+        away = np.linalg.norm(rows.position - point, axis=1, keepdims=True)
+        p += DEPTH * away * (rows.position - point) * rng.standard_normal((n, 1))
+    if what == "joint":
+        q[:, seed % 6] += MISREAD * rng.standard_normal(n)
+    if what == "joints":
+        q += MISREAD * rng.standard_normal(q.shape)
+    R = Rotation.from_rotvec(turn).as_matrix() @ rows.rotation if kind == "pose" else None
+    truth = replace(truth, measured=replace(rows, readings=q, position=p, rotation=R))
+    with tempfile.TemporaryDirectory() as folder:
+        cal = aridcal.calibrate(write_campaign(Path(folder), truth, diagnosis={"enabled": True}))
+    own = {
+        "lever": "on_a_lever" if kind == "pose" else "in_target_axes",
+        "joint": "joint_readings",
+        "joints": "joint_readings",
+    }
+    right = "along_lines_of_sight" if "depth" in what else own.get(what, "")
+    noise = {key: causes for key, causes in cal.result["noise"].items() if key not in AIDS}
+    others = [cause for key, causes in noise.items() if key != right for cause in causes.values()]
+    untied = [cause for cause in others if right not in {rival["cause"] for rival in cause.get("or", [])}]
+    return {"named": float(right in noise), "another": float(bool(others)), "false": float(bool(untied))}
+
+
 QUESTIONS: dict[str, Sequence[tuple[str, Callable[[int], dict[str, float]]]]] = {
     "few": tuple(
         (f"{name}, {rows} rows", partial(few, name=name, rows=rows))
@@ -345,6 +404,10 @@ QUESTIONS: dict[str, Sequence[tuple[str, Callable[[int], dict[str, float]]]]] = 
         ("errors by all readings", lambda seed: check(seed, "all readings", False)),
         ("noise of t2", lambda seed: check(seed, "none", True)),
         ("neither", lambda seed: check(seed, "none", False)),
+    "accused": tuple(
+        (f"{what or 'even noise'}, {kind}s", partial(accused, what=what, kind=kind))
+        for what in ("lever", "depth", "depth, elsewhere", "joint", "joints", "")
+        for kind in ("position", "pose")
     ),
     "places": (
         ("alike at a place, clean arm", lambda seed: places(seed, True, False)),
@@ -359,6 +422,8 @@ def _in_words(key: str, values: np.ndarray) -> str:
     if values.dtype == bool:
         return f"{key} {values.sum()} of {len(values)}"
     there = values[~np.isnan(values)]
+    if len(there) and np.isin(there, (0.0, 1.0)).all():
+        return f"{key} {int(there.sum())} of {len(there)}"
     return f"{key} {np.median(there):.3g} ({np.quantile(there, 0.95):.3g})" if len(there) else f"{key} none"
 
 
@@ -370,6 +435,7 @@ def main() -> None:
     arguments = command.parse_args()
     for question in arguments.questions:
         answers = Table("case", "draws", "figures: median (95th percentile), or how often")
+        answers = Table("case", "draws", "figures: how often, or median (95th percentile)")
         for name, draw in QUESTIONS[question]:
             drawn = [draw(arguments.seed + k) for k in range(arguments.draws)]
             figures = {key: np.array([one[key] for one in drawn]) for key in drawn[0]}

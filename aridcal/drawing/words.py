@@ -18,6 +18,7 @@ from aridcal.result.instruments import known_scale, scale_std
 from aridcal.result.outcome import Outcome, enumerated
 from aridcal.robot.chain import Robot
 from aridcal.search.noise_causes import NoiseCause
+from aridcal.search.noise_shapes import Shape
 from aridcal.trust.certainty import Certainty
 from aridcal.trust.tolerance import CONFIDENCE, SHARE, Kept
 
@@ -209,7 +210,64 @@ def causes_in_words(outcome: Outcome) -> str:
                 f"Beside the noise that the rows state, the {c.name} scatters by {value} {unit} per axis in all of them alike: "
                 "what the arm itself repeats by, or what the rows leave unsaid of their instrument."
             )
+        if c.shape is not None:
+            said.append(f"Part of what scatters is {_noise_of_shape(c, c.shape)}.")
+        if c.rivals and c.kind != "joint":
+            said.append(f"It may as well be {_either(c.rivals)}: these rows do not tell which.")
     return " ".join(said)
+
+
+GROWS = {0: "", 1: ", and in proportion to the distance", 2: ", and by the square of the distance"}
+"""How noise grows along lines of sight, in words, by the power."""
+
+
+def _noise_of_shape(c: NoiseCause, shape: Shape) -> str:
+    """What lies along something, with its size and what it is likely to be."""
+    unit, times = shown_in(c.unit)
+    size = f"{plus_minus(times * c.value, times * c.std)} {unit}"
+    if shape.kind == "lever":
+        assert shape.vector is not None
+        lever = f"{number(1e3 * float(np.linalg.norm(shape.vector)))} mm"
+        return f"the measured rotation ({size}), which moves the target on a lever of {lever}: a body of markers that is off it"
+    axis = "" if shape.vector is None else f"({', '.join(fixed(x, 2) for x in shape.vector)})"
+    if shape.kind == "direction":
+        return f"{c.name} noise along {axis} of the world ({size})"
+    if shape.kind == "own_axis":
+        likely = ", as of a body of markers off the target" if shape.across and c.unit == "m" else ""
+        return f"{c.name} noise {'across' if shape.across else 'along'} {axis} of the target ({size}){likely}"
+    assert shape.point is not None
+    begin = (
+        "the origin of the world frame"
+        if not shape.point.any()
+        else f"({', '.join(fixed(x, 1) for x in shape.point)}) m"
+    )
+    at = f"{size} at {number(shape.typical)} m{GROWS[shape.power]}" if shape.power else size
+    if shape.kind == "bearing":
+        return f"{c.name} noise across the lines of sight from {begin} ({at}), as of an instrument that measures angles"
+    along = f"along {axis} of the world" if axis else "along the lines of sight"
+    return f"{c.name} noise {along} from {begin} ({at}), as of a camera's depth"
+
+
+def _either(causes: Sequence[NoiseCause]) -> str:
+    """Causes of which one may be it."""
+    return " or ".join(_said_shortly(c) for c in causes)
+
+
+def _said_shortly(c: NoiseCause) -> str:
+    """One cause with its size."""
+    if c.shape is not None:
+        return _noise_of_shape(c, c.shape)
+    unit, times = ("mm per m", 1e3) if c.unit == "m/m" else shown_in(c.unit)
+    size = f"{plus_minus(times * c.value, times * c.std)} {unit}"
+    of = {
+        "joint": f"the reading of {c.name}",
+        "joints": "the readings of all revolute joints",
+        "range": f"{c.name} noise that grows from the origin of the world frame",
+        "sight": f"{c.name} noise about the line of sight from the origin of the world frame",
+        "length": f"{c.name} noise that grows with the length",
+        "repeatability": f"{c.name} noise alike in all rows",
+    }
+    return f"{of[c.kind]} ({size})"
 
 
 def _joints_that_scatter(joints: Sequence[NoiseCause], channels: Channels) -> str:
@@ -221,6 +279,9 @@ def _joints_that_scatter(joints: Sequence[NoiseCause], channels: Channels) -> st
         f"{enumerated([c.name for c in own])} ({plus_minus(1e3 * value, 1e3 * std)} {SHOWN_UNIT[unit]}{' each' * (len(own) > 1)})"
         for (value, std, unit), own in alike.items()
     ]
+    rivals = list({(r.kind, r.name): r for c in joints for r in c.rivals}.values())
+    if rivals:
+        return f"What scatters may be the reading of {', '.join(readings)}, or {_either(rivals)}: these rows do not tell which."
     share = np.sum([c.share for c in joints], axis=0)
     most = int(np.argmax(share > MOST)) if (share > MOST).any() else int(np.argmax(share))
     if len(alike) == len(joints) and joints[0].share[most] > MOST:

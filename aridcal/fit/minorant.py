@@ -80,6 +80,12 @@ def best(
     return after
 
 
+def height(blocks: np.ndarray, stated: np.ndarray, M: np.ndarray, theta: np.ndarray) -> float:
+    """The bound at some variances, shape (C,), but for a constant; arguments as of :func:`best`."""
+    used = theta > 0.0
+    return _bound(blocks[used], stated, M, theta[used])[0]
+
+
 def _bound(B: np.ndarray, stated: np.ndarray, M: np.ndarray, theta: np.ndarray) -> tuple[float, np.ndarray]:
     """The bound at some variances, but for a constant, and the rows' V^-1, shape (N, m, m); -inf where a V is not positive."""
     V = np.tensordot(theta, B, axes=1) + stated

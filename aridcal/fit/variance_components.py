@@ -22,12 +22,13 @@ zero in these rows alone, and are solved for clump by clump: with M the projecti
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import ndtr
 
-from aridcal.fit.minorant import best, moments
+from aridcal.fit.minorant import best, height, moments
 from aridcal.fit.normal_equations import TINY, balanced
 from aridcal.fit.scatter import Place, Scatter, covariances, derivatives, place
 
@@ -143,26 +144,100 @@ def settled(scatter: Scatter, found: Components, held: np.ndarray) -> Components
     return found if found.left < SETTLED else _maximum(scatter, found.variance, found.free, held, found, SETTLED)
 
 
-def one_more(scatter: Scatter, found: Components, held: np.ndarray) -> tuple[int, Components] | None:
+def one_more(
+    scatter: Scatter, found: Components, held: np.ndarray, price: np.ndarray | float = 0.0
+) -> tuple[int, Components] | None:
     """The component that is asked for most, and the maximum with it; None if chance may ask for as much.
 
     Args:
         scatter: Residuals and components.
         found: The maximum without it.
         held: Channels, shape (C,) bool: what is asked for is one of the others.
+        price: What each component must gain for numbers of its own that were taken from the residuals, shape (C,), [nat].
     """
-    asked = asked_for(scatter, found)
+    asked = asked_for(scatter, found, price)
     if not asked.clear:
         found = settled(scatter, found, held)
-        asked = asked_for(scatter, found)
-    k = int(np.argmax(asked.normal))
-    if asked.normal[k] <= 0.0 or asked.plain[k] < PLAIN:
-        return None
+        asked = asked_for(scatter, found, price)
+    cost = np.broadcast_to(price, held.shape)
+    cheapest = int(np.argmax(np.where(cost > 0.0, 0.0, asked.normal)))
+    for k in dict.fromkeys(
+        (asked.first, cheapest)
+    ):  # what costs something does not stand in the way of what costs nothing
+        if asked.normal[k] > 0.0 and asked.plain[k] >= PLAIN:
+            more = with_one(scatter, found, k, float(asked.variance[k]), held)
+            if needed(more, found, float(cost[k]), held):
+                return k, more
+    return None
+
+
+def with_one(scatter: Scatter, found: Components, k: int, variance: float, held: np.ndarray) -> Components:
+    """The maximum with one more component, which begins at a variance."""
     start, free = found.variance.copy(), found.free.copy()
-    start[k], free[k] = asked.variance[k], True
-    more = _maximum(scatter, start, free, held, found)
-    chance = boundary_chance(2.0 * (more.log_likelihood - found.log_likelihood)) * int((~held).sum())
-    return (k, more) if chance < CHANCE else None
+    start[k], free[k] = variance, True
+    return _maximum(scatter, start, free, held, found)
+
+
+def without(scatter: Scatter, found: Components, out: np.ndarray, held: np.ndarray) -> Components:
+    """The maximum without some of its components, shape (C,) bool."""
+    return _maximum(scatter, np.where(out, 0.0, found.variance), found.free & ~out, held, found)
+
+
+def roughly_without(scatter: Scatter, found: Components, out: np.ndarray) -> Components:
+    """The same as :func:`without`, the columns' fit held: the likelihood there is a bound from below, and costs little."""
+    V, free = covariances(scatter, found.at), found.free & ~out
+    M = moments(V, found.pull, found.kernel)
+    start = np.where(out, 0.0, found.variance)
+    wanted = best(scatter.blocks, scatter.stated, M, start, free, found.low)
+    there = covariances(scatter, wanted)
+    inverse = np.linalg.inv(there)
+    left = np.einsum("nij,nj->ni", V, found.pull)
+    pull = np.einsum("nij,nj->ni", inverse, left)
+    kernel = inverse - inverse @ (V - V @ found.kernel @ V) @ inverse
+    lost = height(scatter.blocks, scatter.stated, M, found.at) - height(scatter.blocks, scatter.stated, M, wanted)
+    nothing = np.zeros_like(found.covariance)
+    value = found.log_likelihood - lost
+    return Components(free, wanted, nothing, value, pull, kernel, found.low, wanted, np.inf)
+
+
+def highest(other: Scatter, scatter: Scatter, found: Components, of: np.ndarray) -> float:
+    """The bound about a maximum at its highest, where blocks are others; but for a constant.
+
+    Args:
+        other: With the components in the model alone, one of them another.
+        scatter: Of which the maximum is.
+        found: The maximum.
+        of: Numbers of the components in the model, ascending.
+    """
+    M = moments(covariances(scatter, found.at), found.pull, found.kernel)
+    free = np.ones(len(of), dtype=bool)
+    wanted = best(other.blocks, scatter.stated, M, found.variance[of], free, found.low[of])
+    return height(other.blocks, scatter.stated, M, wanted)
+
+
+def needed(more: Components, fewer: Components, price: float, held: np.ndarray) -> bool:
+    """True if chance does not give as much as further components do, whose shapes cost ``price`` [nat]."""
+    gain = more.log_likelihood - fewer.log_likelihood - price
+    return boundary_chance(2.0 * gain) * int((~held).sum()) < CHANCE
+
+
+def promised(scatter: Scatter, found: Components, of: Sequence[np.ndarray], start: np.ndarray) -> np.ndarray:
+    """What sets of further components gain at the least, shape (sets,), [nat], by the bound about a maximum.
+
+    Args:
+        scatter: Residuals and components.
+        found: The maximum without them.
+        of: Which, shape (C,) bool each.
+        start: Variances that further components begin at, shape (C,).
+    """
+    M = moments(covariances(scatter, found.at), found.pull, found.kernel)
+
+    def bound(added: np.ndarray) -> float:
+        free = found.free | added
+        wanted = best(scatter.blocks, scatter.stated, M, np.where(added, start, found.variance), free, found.low)
+        return height(scatter.blocks, scatter.stated, M, wanted)
+
+    return np.array([bound(added) for added in of]) - height(scatter.blocks, scatter.stated, M, found.at)
 
 
 def instead(scatter: Scatter, found: Components, several: np.ndarray, k: int, held: np.ndarray) -> Components | None:
@@ -284,7 +359,7 @@ class Asked:
     """How much each component that is not in the model is asked for; 0 for those in the model, and those it can imitate.
 
     Attributes:
-        normal: Standard deviations of chance if noise is normal, shape (C,).
+        normal: Standard deviations of chance if noise is normal, shape (C,). What costs something is charged, down to 0.
         plain: The same from the rows' own contributions (White 1982): a few wild rows, or long tails, do not raise it.
         variance: That a first step would give it, shape (C,).
     """
@@ -294,19 +369,23 @@ class Asked:
     variance: np.ndarray
 
     @property
+    def first(self) -> int:
+        """What is asked for most."""
+        return int(np.argmax(self.normal))
+
+    @property
     def clear(self) -> bool:
-        """True if what is asked for most is so by :data:`CLEAR`, and enough or not by as much."""
-        k = int(np.argmax(self.normal))
-        first = CLEAR * self.normal[k] >= np.partition(self.normal, -2)[-2]
-        return bool(first and not CLEAR < self.plain[k] / PLAIN < 1.0 / CLEAR)
+        """True if what is asked for most is so by the rows' own contributions, or is not, by :data:`CLEAR`."""
+        return not CLEAR < self.plain[self.first] / PLAIN < 1.0 / CLEAR
 
 
-def asked_for(scatter: Scatter, found: Components) -> Asked:
+def asked_for(scatter: Scatter, found: Components, price: np.ndarray | float = 0.0) -> Asked:
     """The score test: the derivative at zero, less what the components in the model take up, over its standard deviation.
 
     Args:
         scatter: Residuals and components.
         found: The maximum with the components in the model.
+        price: Of each component, shape (C,), [nat]: so much of what it would gain is not counted.
     """
     free = found.free
     half = found.kernel @ scatter.blocks
@@ -320,7 +399,10 @@ def asked_for(scatter: Scatter, found: Components) -> Asked:
     new = ~free & (alone > IMITATED * np.diag(information))
     alone = np.where(new, alone, 1.0)
     plain = score / np.sqrt(np.maximum(np.sum(own**2, axis=1), TINY))
-    return Asked(*(np.where(new, value, 0.0) for value in (score / np.sqrt(alone), plain, score / alone)))
+    normal = score / np.sqrt(alone)
+    charged = np.sqrt(np.maximum(np.maximum(normal, 0.0) ** 2 - 2.0 * price, 0.0))
+    normal = np.where(np.asarray(price) > 0.0, charged, normal)
+    return Asked(*(np.where(new, value, 0.0) for value in (normal, plain, score / alone)))
 
 
 IMITATED = 0.01

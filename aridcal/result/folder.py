@@ -25,7 +25,7 @@ from aridcal.reading.freed import give_back
 from aridcal.result.measuring_head import MeasuringHead
 from aridcal.result.outcome import Outcome, Stage, Verification, errors
 from aridcal.result.saving import calibration
-from aridcal.search.noise_causes import NoiseCauses
+from aridcal.search.noise_causes import NoiseCause, NoiseCauses
 from aridcal.showing import SILENT, Progress
 from aridcal.trust.as_document import document
 from aridcal.trust.certainty import as_document
@@ -121,15 +121,36 @@ CAUSES = {
     "length": "per_length",
     "sight": "about_line_of_sight",
     "repeatability": "repeatability",
+    "direction": "in_world_axes",
+    "depth": "along_lines_of_sight",
+    "bearing": "across_lines_of_sight",
+    "own_axis": "in_target_axes",
+    "lever": "on_a_lever",
 }
 
 
 def noise_document(causes: NoiseCauses) -> dict[str, Any]:
-    """What the scatter is made of: of each kind, by name, its value with std and unit."""
+    """What the scatter is made of: of each kind, by name, its value with std and unit, and what explains it as well."""
     found: dict[str, Any] = {}
     for c in causes.causes:
-        found.setdefault(CAUSES[c.kind], {})[c.name] = {"value": c.value, "std": c.std, "unit": c.unit}
+        rivals = [{"cause": CAUSES.get(r.kind, "joint_readings"), "name": r.name, **_noise_cause(r)} for r in c.rivals]
+        found.setdefault(CAUSES[c.kind], {})[c.name] = _noise_cause(c) | ({"or": rivals} if rivals else {})
     return found
+
+
+def _noise_cause(c: NoiseCause) -> dict[str, Any]:
+    """One cause: its value, and what it lies along."""
+    said: dict[str, Any] = {"value": c.value, "std": c.std, "unit": c.unit}
+    shape = c.shape
+    if shape is None:
+        return said
+    if shape.vector is not None:
+        said["lever" if shape.kind == "lever" else "axis"] = shape.vector.tolist()
+    if shape.kind == "own_axis":
+        said["across"] = shape.across
+    if shape.point is not None:
+        said |= {"from": shape.point.tolist(), "distance": shape.typical, "power": shape.power}
+    return said
 
 
 def _over_time(outcome: Outcome) -> dict[str, Any]:

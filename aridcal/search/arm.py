@@ -272,6 +272,11 @@ def structured_notices(causes: NoiseCauses | None) -> list[str]:
         "range": "the {} error grows with the distance from the origin of the world frame, but comes back at neighbouring "
         "rows: it is no noise",
         "sight": "the {} error is about the line of sight, but comes back at neighbouring rows: it is no noise",
+        "direction": "the {} error lies along one direction of the world, but comes back at neighbouring rows: it is no noise",
+        "depth": "the {} error lies along lines of sight, but comes back at neighbouring rows: it is no noise",
+        "bearing": "the {} error lies across lines of sight, but comes back at neighbouring rows: it is no noise",
+        "own_axis": "the {} error lies along axes of the target, but comes back at neighbouring rows: it is no noise",
+        "lever": "the {} error is that of the rotation on a lever, but comes back at neighbouring rows: it is no noise",
         "length": "the {} error grows with the length that is read, but comes back at neighbouring rows: it is no noise",
         "repeatability": "the {} error is larger than the rows state and the same in all of them, but comes back at "
         "neighbouring rows: it is no noise",

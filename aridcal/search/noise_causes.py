@@ -8,31 +8,40 @@ test. Rows are then weighed with what was found: each with its own covariance, f
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
-from typing import Literal
+from functools import cached_property, partial
 
 import numpy as np
 from scipy.linalg import block_diag
 
-from aridcal.effects.basis import Basis
-from aridcal.effects.effect import Coefficient
 from aridcal.fit.flags import FLOOR
 from aridcal.fit.least_squares import Fit
 from aridcal.fit.normal_equations import TINY
-from aridcal.fit.problem import Problem, agreed, problem, scaled
-from aridcal.fit.residual import moved_by
-from aridcal.fit.scatter import Scatter, conditioned, told_modes
+from aridcal.fit.problem import Problem, agreed, problem
+from aridcal.fit.scatter import Scatter, conditioned, covariances, told_modes
 from aridcal.fit.standstills import Stack, representative, stack, standstills, with_things
-from aridcal.fit.variance_components import Components, estimate, instead, one_more, settled, std_of_sigma
+from aridcal.fit.variance_components import (
+    Components,
+    asked_for,
+    estimate,
+    highest,
+    instead,
+    needed,
+    one_more,
+    promised,
+    roughly_without,
+    settled,
+    std_of_sigma,
+    with_one,
+    without,
+)
 from aridcal.inputs.dataset import Dataset, factors
-from aridcal.inputs.measurement_settings import OF_TARGETS
-from aridcal.instruments.channels import TARGET_POSITION, TARGET_ROTATION, columns, spread
-from aridcal.instruments.distance import DISTANCE
-from aridcal.search.diagnose import SEARCHED
+from aridcal.instruments.channels import Channel, columns, spread
 from aridcal.search.exact import GAUGE
 from aridcal.search.linear_model import Active
+from aridcal.search.noise_asked import Asked, Kind, possible, shaped, stretched, there
+from aridcal.search.noise_shapes import SHAPES, Seen, Shape, aimed, nearby, shapes_of
 from aridcal.search.noise_tests import neighbours
 from aridcal.showing import SILENT, Progress
 
@@ -52,10 +61,38 @@ ALIKE = 3.0
 UNSURE = 1.25
 """Times by which something may be more or less than it takes to say so, and is looked at again at variances that have settled."""
 
-ALL_ALIKE = "all revolute joints"
-"""Name of the cause that readings of all of them scatter alike: rounded to the same digit, or of the same encoder."""
+ASKED = 800
+"""Rows that are asked at the most, of more: a sigma of three numbers a row is then known to 1.5 %, and every trial costs as
+many as there are."""
 
-Kind = Literal["channel", "joint", "joints", "range", "sight", "length", "repeatability"]
+TIED = 3.0
+"""[nat] within which two causes explain the scatter alike: odds of 20 to 1 (Kass and Raftery 1995: strong)."""
+
+CHALLENGERS = 4
+"""Rivals of a named cause that are tried at the most, those that the residual asks for most without it."""
+
+NEAR = 0.7
+"""Share of the largest score from which a rival is looked at: gains go by its square, and are half as large at least."""
+
+LOOSE = 5.0
+"""[nat] by which a rival may be worse, by a bound on the likelihood, to be tried: the bound holds the columns as they are."""
+
+STEPS = (0.1, 0.03)
+"""Shares of its size by which the numbers of a shape are moved to see whether it explains more so: the first is a fraction of
+what shapes that are tried are apart, the last what a thousand rows tell of a direction."""
+
+SETTLED = 0.1
+"""[nat] that such a move must gain at the least."""
+
+WEAK = 30.0
+"""[nat] that a cause seems to gain, its columns held, above which it is not left out on trial: chance gives no 15, and the same
+again is left for columns that would fit anew. Judgement."""
+
+IN_WORLD = ("range", "direction", "depth", "bearing")
+"""Forms that noise may have in the world's axes."""
+
+ROUNDS = 2
+"""Times that named causes meet their rivals at the most: once is usual."""
 
 
 @dataclass(frozen=True)
@@ -72,6 +109,8 @@ class NoiseCause:
         value: 1-sigma (per axis).
         std: Of the value.
         share: Of the variance of each channel over the training rows, shape (C,).
+        shape: What it lies along; None for the others.
+        rivals: What explains the scatter as well in its place: the rows do not tell which it is.
     """
 
     kind: Kind
@@ -80,6 +119,8 @@ class NoiseCause:
     value: float
     std: float
     share: np.ndarray
+    shape: Shape | None = None
+    rivals: tuple[NoiseCause, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -119,44 +160,118 @@ class NoiseCauses:
 
 
 @dataclass(frozen=True)
-class _Asked:
-    """A cause that may be there.
+class _Inquiry:
+    """What is asked, of which rows.
 
     Attributes:
-        kind: As of a :class:`NoiseCause`.
-        name: Likewise.
-        unit: Likewise.
-        root: What it adds to a row's scaled residual per unit of itself, shape (N, m, d): d independent numbers.
+        causes: All that may be, those with a shape last.
+        scatter: Residuals, and the covariances of these causes.
+        seen: Where the targets are.
+        channels: Those whose noise may have a shape.
+        rows: The rows.
+        still: How they are stacked.
+        orders: Pairs of neighbouring rows, and of neighbouring standstills.
     """
 
-    kind: Kind
-    name: str
-    unit: str
-    root: np.ndarray
+    causes: tuple[Asked, ...]
+    scatter: Scatter
+    seen: Seen
+    channels: tuple[Channel, ...]
+    rows: Dataset
+    still: Stack
+    orders: dict[bool, list[np.ndarray]]
 
-    @property
-    def common(self) -> bool:
-        """True if all rows of a standstill share it."""
-        return self.kind in ("joint", "joints")
+    def of(self, *kinds: str) -> np.ndarray:
+        """Which causes are of some kinds, shape (C,) bool."""
+        return np.array([cause.kind in kinds for cause in self.causes])
 
-    @property
-    def blocks(self) -> np.ndarray:
-        """Covariance of each row per unit of its variance, shape (N, m, m)."""
-        return np.asarray(self.root @ self.root.transpose(0, 2, 1))
+    @cached_property
+    def held(self) -> np.ndarray:
+        """Which are the channels."""
+        return self.of("channel")
 
-    @property
-    def parts(self) -> tuple[_Asked, ...]:
-        """What of it may come back by itself: each joint."""
-        if self.kind != "joints":
-            return (self,)
-        return tuple(replace(self, root=self.root[:, :, k : k + 1]) for k in range(self.root.shape[2]))
+    @cached_property
+    def price(self) -> np.ndarray:
+        """What the numbers of shapes cost, shape (C,), [nat]."""
+        return np.array([0.0 if c.shape is None else c.shape.price(len(self.rows)) for c in self.causes])
 
-    def stacked(self, still: Stack) -> np.ndarray:
-        """The same of standstills, shape (S, M, M)."""
-        if not self.common:
-            return still.matrices(self.blocks)
-        root = still.vectors(self.root)
-        return np.asarray(root @ root.transpose(0, 2, 1))
+    def price_beside(self, found: Components) -> np.ndarray:
+        """The same; no price is enough for what would only be named for what another misses."""
+        return np.where(self.second(found), np.inf, self.price)
+
+    def second(self, found: Components) -> np.ndarray:
+        """Which causes lie in the world's axes beside one of their channel, shape (C,) bool: they would be what it misses."""
+        along = self.of(*IN_WORLD)
+        names = {cause.name for cause, free in zip(self.causes, found.free & along, strict=True) if free}
+        return along & np.array([cause.name in names for cause in self.causes])
+
+    def aimed(self, found: Components) -> _Inquiry:
+        """The same with all shapes that are not in the model as what it leaves asks for them."""
+        made = self
+        for k, some in self.shapes(found).items():
+            made = made.with_shape(k, some[0])
+        return made
+
+    def shapes(self, found: Components) -> dict[int, list[Shape]]:
+        """Shapes that what a maximum leaves may ask for, of each cause that has one and is not in the model."""
+        at = [k for k, cause in enumerate(self.causes) if cause.shape is not None]
+        if found.free[at].all():
+            return {}
+        scatter, still = self.scatter, self.still
+        pull, kernel = found.pull[: still.count], found.kernel[: still.count]
+        left = np.einsum("nij,nj->ni", covariances(scatter, found.at)[: still.count], pull)
+        pull, kernel, left = still.of_rows(pull), still.blocks_of_rows(kernel), still.of_rows(left)
+        every = aimed(self.seen, self.channels, left, pull, kernel)
+        return {k: some for k, some in zip(at, every, strict=True) if not found.free[k]}
+
+    def with_shape(self, k: int, shape: Shape) -> _Inquiry:
+        """The same with another shape of a cause."""
+        cause = shaped(shape, self.seen)
+        blocks = self.scatter.blocks.copy()
+        blocks[k, : self.still.count] = cause.stacked(self.still)
+        causes = (*self.causes[:k], cause, *self.causes[k + 1 :])
+        return replace(self, causes=causes, scatter=replace(self.scatter, blocks=blocks))
+
+    def refined(self, found: Components, k: int) -> tuple[_Inquiry, Components]:
+        """A cause that was just named with the likeliest of its shapes and of the numbers near these, and the maximum.
+
+        A shape that is a little off leaves a rest that something else is accused of.
+        """
+        shape, own = self.causes[k].shape, np.arange(len(self.causes)) == k
+        if shape is None:
+            return self, found
+        value = partial(_height_with, self, found, k)
+        tried = [shape, *self.shapes(roughly_without(self.scatter, found, own)).get(k, [])]
+        best = max(((value(other), n, other) for n, other in enumerate(tried)), key=lambda one: one[:2])
+        height, _, shape = best
+        for step in STEPS:
+            higher = True
+            while higher:
+                there = [(value(other), n, other) for n, other in enumerate(nearby(shape, step, self.seen))]
+                higher = bool(there) and max(there)[0] > height + SETTLED
+                if higher:
+                    height, _, shape = max(there, key=lambda one: one[:2])
+        again = self.with_shape(k, shape)
+        return again, with_one(again.scatter, found, k, float(found.variance[k]), self.held)
+
+    def rests(self, structured: np.ndarray) -> np.ndarray:
+        """Which causes lie along something of a channel of which such a one comes back, shape (C,) bool.
+
+        A frame that turns slowly is off along no single direction: what one leaves of it, another would be named for.
+        """
+        along = self.of("range", "sight", *SHAPES)
+        names = {cause.name for cause, back in zip(self.causes, structured & along, strict=True) if back}
+        return along & np.array([cause.name in names for cause in self.causes])
+
+    def comes_back(self, found: Components, k: int) -> tuple[bool, Components]:
+        """True if what a cause was off by comes back at neighbours: then it is no noise; and the maximum, settled if need be."""
+        cause = self.causes[k]
+        said = partial(_comes_back, k=k, cause=cause, still=self.still, orders=self.orders[cause.common])
+        share = said(found)
+        if 1.0 / UNSURE < share < UNSURE:
+            found = settled(self.scatter, found, self.held)
+            share = said(found)
+        return share > 1.0, found
 
 
 def noise_causes(fit: Fit, active: Sequence[Active], rows: Dataset, progress: Progress = SILENT) -> NoiseCauses | None:
@@ -170,43 +285,142 @@ def noise_causes(fit: Fit, active: Sequence[Active], rows: Dataset, progress: Pr
     """
     asked = problem(fit.model, rows)
     train = np.flatnonzero(rows.train)[~fit.outliers]
-    some = train[representative(asked.select(train), SEARCHED)]
+    some = train[representative(asked.select(train), ASKED)]
     if len(some) < FEWEST:
         return None
     part = asked.select(some)
-    possible = _possible(part, fit.theta)
-    still = stack(standstills(part.data), _there(part.data))
-    channels = np.array([p.kind == "channel" for p in possible])
-    start = np.pad(np.maximum(fit.estimated, FLOOR) ** 2, (0, int((~channels).sum())))
-    scatter = conditioned(_scatter(part, fit, active, possible, still), start)
+    inquiry = _inquiry(part, fit, active)
+    held = inquiry.held
+    found = estimate(inquiry.scatter, np.maximum(fit.estimated, FLOOR) ** 2, held)
+    structured = np.zeros(len(held), dtype=bool)
+    for _ in range(ROUNDS):
+        inquiry, found, structured = _named(inquiry, found, structured, progress)
+        challenged = _challenged(inquiry, found, structured | inquiry.rests(structured))
+        if challenged.stands:
+            break
+        inquiry, found = challenged.inquiry, challenged.found
+        structured &= found.free
+    found = settled(inquiry.scatter, found, held)
+    return _told(inquiry, found, structured, challenged.ties, asked, fit.theta)
+
+
+def _height_with(inquiry: _Inquiry, found: Components, k: int, shape: Shape) -> float:
+    """The bound about a maximum where a cause has another shape, what this costs taken off."""
+    free = np.flatnonzero(found.free)
+    blocks = inquiry.scatter.blocks[free]
+    blocks[int(np.searchsorted(free, k)), : inquiry.still.count] = shaped(shape, inquiry.seen).stacked(inquiry.still)
+    rows = replace(inquiry.scatter, blocks=blocks)
+    return highest(rows, inquiry.scatter, found, free) - shape.price(len(inquiry.rows))
+
+
+def _inquiry(part: Problem, fit: Fit, active: Sequence[Active]) -> _Inquiry:
+    """What is asked of some rows."""
+    causes, seen = possible(part, fit.theta)
+    channels = tuple(channel for channel in part.channels if channel.name in seen.own)
+    nothing = np.zeros((*causes[0].root.shape[:2], 1))
+    for channel in channels:
+        # Aimed as soon as there is a fit that says where.
+        causes += [Asked(shape.kind, channel.name, shape.unit, nothing, shape) for shape in shapes_of(seen, channel)]
+    still = stack(standstills(part.data), there(part.data))
+    start = np.zeros(len(causes))
+    start[: len(part.channels)] = np.maximum(fit.estimated, FLOOR) ** 2
+    scatter = conditioned(_scatter(part, fit, active, causes, still), start)
     first = np.unique(still.number, return_index=True)[1]
     orders = {False: neighbours(part.data), True: neighbours(part.data.select(first))}
-    structured = np.zeros(len(possible), dtype=bool)
-    single, alike = (np.array([p.kind == kind for p in possible]) for kind in ("joint", "joints"))
-    found = estimate(scatter, start[channels], channels)
-    while (more := one_more(scatter, found, channels)) is not None:
+    return _Inquiry(tuple(causes), scatter, seen, channels, part.data, still, orders)
+
+
+def _named(
+    inquiry: _Inquiry, found: Components, structured: np.ndarray, progress: Progress
+) -> tuple[_Inquiry, Components, np.ndarray]:
+    """Causes one after the other, as long as more than chance asks for one."""
+    single, alike, held = inquiry.of("joint"), inquiry.of("joints"), inquiry.held
+    inquiry = inquiry.aimed(found)
+    while (more := one_more(inquiry.scatter, found, held, inquiry.price_beside(found))) is not None:
         k, found = more
-        progress.part(int(found.free.sum()), len(possible), "causes")
+        progress.part(int(found.free.sum()), len(held), "causes")
         if (found.free & single).sum() > 1 and (alike & ~found.free).any():
             # One number in place of several, if it says as much.
-            fewer = instead(scatter, found, single, int(np.argmax(alike)), channels)
+            fewer = instead(inquiry.scatter, found, single, int(np.argmax(alike)), held)
             k, found = (k, found) if fewer is None else (int(np.argmax(alike)), fewer)
+        inquiry, found = inquiry.refined(found, k)
         # What comes back stays in the model here, so that no other cause has to take it over, but it is not noise.
-        said = partial(_comes_back, k=k, cause=possible[k], still=still, orders=orders[possible[k].common])
-        if 1.0 / UNSURE < said(found) < UNSURE:
-            found = settled(scatter, found, channels)
-        structured[k] = said(found) > 1.0
+        structured[k], found = inquiry.comes_back(found, k)
         structured &= found.free
-    found = settled(scatter, found, channels)
-    return _told(possible, found, structured, part, asked, fit.theta, len(part) / still.count)
+        inquiry = inquiry.aimed(found)
+    return inquiry, found, structured
 
 
-def _there(rows: Dataset) -> np.ndarray:
-    """Which numbers each row measures, shape (N, m) bool."""
-    return np.repeat(rows.measures, [channel.size for channel in rows.channels], axis=1)
+@dataclass(frozen=True)
+class _Challenged:
+    """What named causes are worth beside their rivals.
+
+    Attributes:
+        stands: True if each is needed and none is explained better by a rival.
+        inquiry: The same; else with the rival's shape.
+        found: The maximum; else with the rival, or without what is not needed.
+        ties: Rivals that are as good, by cause: with what was asked then, and the maximum.
+    """
+
+    stands: bool
+    inquiry: _Inquiry
+    found: Components
+    ties: dict[int, list[tuple[Asked, Components, int]]]
 
 
-def _scatter(part: Problem, fit: Fit, active: Sequence[Active], possible: Sequence[_Asked], still: Stack) -> Scatter:
+def _challenged(inquiry: _Inquiry, found: Components, structured: np.ndarray) -> _Challenged:
+    """Let each named cause meet its rivals, and joints that are accused together those of all of them."""
+    held, price, scatter = inquiry.held, inquiry.price, inquiry.scatter
+    accused = found.free & ~held & ~structured & (found.variance > 0.0)
+    sets = [np.arange(len(held)) == k for k in np.flatnonzero(accused)]
+    joints = accused & inquiry.of("joint", "joints")
+    if joints.sum() > 1:
+        sets.insert(0, joints)
+    ties: dict[int, list[tuple[Asked, Components, int]]] = {int(k): [] for k in np.flatnonzero(accused)}
+    for own in sets:
+        cost = float(price[own].sum())
+        base = roughly_without(scatter, found, own)
+        if found.log_likelihood - base.log_likelihood - cost < WEAK:
+            base = without(scatter, found, own, held)
+            if not needed(found, base, cost, held):
+                return _Challenged(False, inquiry, base, {})
+        worth = found.log_likelihood - cost
+        again = inquiry.aimed(base)
+        tried = [
+            (k, with_one(again.scatter, base, k, variance, held)) for k, variance in _likeliest(again, base, own, worth)
+        ]
+        gains = [more.log_likelihood - again.price[k] - worth for k, more in tried]
+        if gains and max(gains) > 0.0:
+            k, more = tried[int(np.argmax(gains))]
+            return _Challenged(False, again, more, {})
+        for (k, more), gain in zip(tried, gains, strict=True):
+            # A shape may well coincide with a joint's motion, so that its price is none to those who must be told of it.
+            if gain + again.price[k] > -TIED:
+                for mine in np.flatnonzero(own):
+                    ties[int(mine)].append((again.causes[k], more, k))
+    return _Challenged(True, inquiry, found, ties)
+
+
+def _likeliest(inquiry: _Inquiry, base: Components, own: np.ndarray, worth: float) -> list[tuple[int, float]]:
+    """Rivals of a set of named causes that may be as good, and the variances at which they begin.
+
+    Args:
+        inquiry: What is asked, aimed without the set.
+        base: The maximum without it.
+        own: The set, shape (C,) bool.
+        worth: Log-likelihood with the set, what it costs taken off.
+    """
+    asked = asked_for(inquiry.scatter, base)
+    least = max(worth - base.log_likelihood - LOOSE, 0.0)
+    enough = ~own & ~inquiry.second(base) & (asked.normal > max(NEAR * asked.normal.max(), 0.0))
+    most = [int(k) for k in np.argsort(-asked.normal) if enough[k]][:CHALLENGERS]
+    if not most:
+        return []
+    gains = promised(inquiry.scatter, base, [np.arange(len(own)) == k for k in most], asked.variance)
+    return [(k, float(asked.variance[k])) for k, gain in zip(most, gains, strict=True) if gain > least]
+
+
+def _scatter(part: Problem, fit: Fit, active: Sequence[Active], causes: Sequence[Asked], still: Stack) -> Scatter:
     """The final model linearised where it is, at some rows, by standstills: smooth effects by the modes that the data tell."""
     here = agreed(part, fit.theta)
     pieces = [here.pieces(fit.theta, block) for block in here.blocks()]
@@ -230,7 +444,7 @@ def _scatter(part: Problem, fit: Fit, active: Sequence[Active], possible: Sequen
         used += len(known)
         precision.append(known)
     A = A[:, :used].reshape(n, m, -1)
-    blocks = np.array([p.stacked(still) for p in possible])
+    blocks = np.array([cause.stacked(still) for cause in causes])
     made = Scatter(still.vectors(y), still.vectors(A), block_diag(*precision), blocks)
     return with_things(made, part, B, still)
 
@@ -240,54 +454,7 @@ def _together(parts: Sequence[np.ndarray]) -> np.ndarray:
     return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
-def _possible(question: Problem, theta: np.ndarray) -> list[_Asked]:
-    """Every cause that can be asked about, from the model alone: no row's residual is looked at."""
-    rows, model = question.data, question.model
-    ones = Basis("ones", (model.robot.names[0],))
-    slots = tuple(Coefficient(j.name, "axis", ones) for j in model.robot.joints)
-    at = np.concatenate([theta, np.zeros(len(slots))])
-    more = problem(model.with_coefficients((*model.coefficients, *slots)), rows).settled(at)
-    J = moved_by(more, at, len(slots))
-    own = _there(rows)[:, :, None] * np.eye(J.shape[1])
-    parts = list(zip(rows.channels, columns(rows.channels), strict=True))
-    found = [_Asked("channel", channel.name, channel.unit, own[:, :, part]) for channel, part in parts]
-    joints, readings = model.robot.joints, model.robot.readings
-    driven = np.array([[j.multiplier * (j.reading == reading) for reading in readings] for j in joints])
-    moved = J @ driven
-    for k, (reading, kind) in enumerate(zip(readings, model.robot.kinds, strict=True)):
-        found.append(_Asked("joint", reading, "m" if kind == "prismatic" else "rad", moved[:, :, k, None]))
-    turning = np.array([kind != "prismatic" for kind in model.robot.kinds])
-    if turning.sum() > 1:
-        found.append(_Asked("joints", ALL_ALIKE, "rad", moved[:, :, turning]))
-    for what, name, unit, root in _of_instruments(rows, more.model.poses(at, more.rows)[1], own):
-        found.append(_Asked(what, name, unit, scaled(root, rows.relative)))
-    return found
-
-
-def _of_instruments(rows: Dataset, p: np.ndarray, own: np.ndarray) -> Iterator[tuple[Kind, str, str, np.ndarray]]:
-    """What instruments would add: kind, channel, unit, and root of the covariance, shape (N, m, d).
-
-    Args:
-        rows: N rows.
-        p: Where the model has the target, shape (N, 3), [m].
-        own: Unit vectors of the numbers that each row measures, shape (N, m, m).
-    """
-    away = np.linalg.norm(p, axis=1)
-    kinds = [None] * len(rows.channels) if not rows.blocks else [b.kind for b in rows.blocks for _ in b.channels]
-    for kind, channel, part in zip(kinds, rows.channels, columns(rows.channels), strict=True):
-        # Poses and positions are measured from the origin of the world frame, if from anywhere; other kinds are not.
-        if kind in (None, *OF_TARGETS) and channel.axes == TARGET_POSITION.axes:
-            yield "range", channel.name, "m/m", away[:, None, None] * own[:, :, part]
-        if kind in (None, *OF_TARGETS) and channel.axes == TARGET_ROTATION.axes:
-            sight = p / np.maximum(away, FLOOR)[:, None]
-            yield "sight", channel.name, "rad", own[:, :, part] @ sight[:, :, None]
-        if kind == DISTANCE.name:
-            yield "length", channel.name, "m/m", np.abs(np.nan_to_num(rows.observed[:, :1, None])) * own[:, :, part]
-        if rows.relative is not None and not np.allclose(scaled(own[:, :, part], rows.relative), own[:, :, part]):
-            yield "repeatability", channel.name, channel.unit, own[:, :, part]
-
-
-def _comes_back(found: Components, k: int, cause: _Asked, still: Stack, orders: Sequence[np.ndarray]) -> float:
+def _comes_back(found: Components, k: int, cause: Asked, still: Stack, orders: Sequence[np.ndarray]) -> float:
     """How much what a cause was off by comes back at neighbouring rows, or at neighbouring standstills if these share it.
 
     What a row's residual says of it, with its sign, is u = J' P y; J' P J times the cause is in it. Of noise, products of
@@ -318,54 +485,62 @@ def _comes_back(found: Components, k: int, cause: _Asked, still: Stack, orders: 
 
 
 def _told(
-    possible: Sequence[_Asked],
+    inquiry: _Inquiry,
     found: Components,
     structured: np.ndarray,
-    part: Problem,
+    ties: dict[int, list[tuple[Asked, Components, int]]],
     asked: Problem,
     theta: np.ndarray,
-    together: float,
 ) -> NoiseCauses:
     """The causes in words and figures, and the factors that they give to all rows."""
-    channel = np.array([p.kind == "channel" for p in possible])
-    noise = (found.variance > 0.0) & ~structured
-    relative = _weights(found.variance, noise, channel, asked, theta) if (noise & ~channel).any() else None
+    causes, channel = inquiry.causes, inquiry.held
+    noise = (found.variance > 0.0) & ~structured & ~inquiry.rests(structured)
+    relative = _weights(inquiry, found.variance, noise, asked, theta) if (noise & ~channel).any() else None
     if relative is None:
         noise &= channel
-    each = _of_each_joint(possible)
+    each = _of_each_joint(causes)
     variance = each @ np.where(noise, found.variance, 0.0)
     std = std_of_sigma(variance, each @ np.where(np.outer(noise, noise), found.covariance, 0.0) @ each.T)
     chosen = np.flatnonzero(variance > 0.0).tolist()
-    made = np.array([_spreads(variance[k] * possible[k].blocks, part.data) for k in chosen])
-    total = made.sum(axis=0)
-    causes = tuple(
-        NoiseCause(
-            p.kind, p.name, p.unit, float(np.sqrt(variance[k])), float(std[k]), own / np.maximum(total, FLOOR**2)
+    made = np.array([_spreads(variance[k] * causes[k].blocks, inquiry.rows) for k in chosen])
+    total = np.maximum(made.sum(axis=0), FLOOR**2)
+
+    def cause(asked: Asked, value: float, std: float, share: np.ndarray, rivals: tuple[NoiseCause, ...]) -> NoiseCause:
+        return NoiseCause(asked.kind, asked.name, asked.unit, value, std, share, asked.shape, rivals)
+
+    def rivals(k: int) -> tuple[NoiseCause, ...]:
+        accused = each[k] * noise > 0.0
+        tied = [tie for own in np.flatnonzero(accused) for tie in ties.get(int(own), [])]
+        return tuple(
+            cause(
+                rival,
+                float(more.sigma[at]),
+                float(more.sigma_std[at]),
+                _spreads(more.variance[at] * rival.blocks, inquiry.rows) / total,
+                (),
+            )
+            for rival, more, at in tied
         )
-        for k, own in zip(chosen, made, strict=True)
-        for p in [possible[k]]
-    )
+
     return NoiseCauses(
-        causes=causes,
-        total=np.sqrt(total),
-        structured=tuple((p.kind, p.name) for p, back in zip(possible, structured, strict=True) if back),
+        causes=tuple(
+            cause(causes[k], float(np.sqrt(variance[k])), float(std[k]), own / total, rivals(k))
+            for k, own in zip(chosen, made, strict=True)
+        ),
+        total=np.sqrt(made.sum(axis=0)),
+        structured=tuple((p.kind, p.name) for p, back in zip(causes, structured, strict=True) if back),
         relative=relative,
-        shared=together if any(c.kind == "joint" for c in causes) else 1.0,
+        shared=len(inquiry.rows) / inquiry.still.count if any(causes[k].kind == "joint" for k in chosen) else 1.0,
     )
 
 
-def _of_each_joint(possible: Sequence[_Asked]) -> np.ndarray:
+def _of_each_joint(possible: Sequence[Asked]) -> np.ndarray:
     """Which components each cause is told with, shape (C, C): what all joints have alike each of them has, beside its own."""
     kinds, units = np.array([p.kind for p in possible]), np.array([p.unit for p in possible])
     each = np.eye(len(possible))
     each[kinds == "joints"] = 0.0
     each += np.outer((kinds == "joint") & (units == "rad"), kinds == "joints")
     return each
-
-
-def stretched(relative: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Columns of shape (N, m, d) times the rows' relative sigmas or factors (see :class:`Dataset`)."""
-    return np.asarray(relative @ values if relative.ndim == 3 else relative[:, :, None] * values)
 
 
 def _spreads(covariance: np.ndarray, rows: Dataset) -> np.ndarray:
@@ -378,15 +553,17 @@ def _spreads(covariance: np.ndarray, rows: Dataset) -> np.ndarray:
 
 
 def _weights(
-    variance: np.ndarray, noise: np.ndarray, channel: np.ndarray, asked: Problem, theta: np.ndarray
+    inquiry: _Inquiry, variance: np.ndarray, noise: np.ndarray, asked: Problem, theta: np.ndarray
 ) -> np.ndarray | None:
     """Factors of all rows, shape (N, m, m); None if the causes beyond the channels change too little."""
-    rows, possible = asked.data, _possible(asked, theta)
-    V = np.sum([variance[k] * p.blocks for k, p in enumerate(possible) if noise[k]], axis=0)
-    sigma = np.sqrt(variance[channel])
-    there, usual = _there(rows), spread(sigma**2, rows.channels)
-    V += np.where(there, 0.0, usual)[:, :, None] * np.eye(V.shape[1])  # what is not measured stays as it is
-    if float(1.0 - (usual / np.diagonal(V, axis1=1, axis2=2))[there].min()) < MATTERS:
+    rows = asked.data
+    causes, seen = possible(asked, theta)
+    causes += [shaped(cause.shape, seen) for cause in inquiry.causes if cause.shape is not None]
+    V = np.sum([variance[k] * p.blocks for k, p in enumerate(causes) if noise[k]], axis=0)
+    sigma = np.sqrt(variance[inquiry.held])
+    measured, usual = there(rows), spread(sigma**2, rows.channels)
+    V += np.where(measured, 0.0, usual)[:, :, None] * np.eye(V.shape[1])  # what is not measured stays as it is
+    if float(1.0 - (usual / np.diagonal(V, axis1=1, axis2=2))[measured].min()) < MATTERS:
         return None
     inner = factors(V, sigma, rows.channels)
     return inner if rows.relative is None else stretched(rows.relative, inner)
