@@ -42,15 +42,12 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+import pinocchio as pin
 import yaml
 from rich.console import Console
 from rich.table import Table
-from robots import Truth, random_robot, readings, simulate, table, ur10, write_campaign
+from robots import Truth, random_placement, random_robot, readings, simulate, table, ur10, write_campaign
 from robots import measured as as_measured
-import pinocchio as pin
-from rich.console import Console
-from rich.table import Table
-from robots import random_placement, random_robot, readings, simulate, table, ur10, write_campaign
 from scipy.spatial.transform import Rotation
 from tilted import geometric, measured
 
@@ -404,6 +401,7 @@ QUESTIONS: dict[str, Sequence[tuple[str, Callable[[int], dict[str, float]]]]] = 
         ("errors by all readings", lambda seed: check(seed, "all readings", False)),
         ("noise of t2", lambda seed: check(seed, "none", True)),
         ("neither", lambda seed: check(seed, "none", False)),
+    ),
     "accused": tuple(
         (f"{what or 'even noise'}, {kind}s", partial(accused, what=what, kind=kind))
         for what in ("lever", "depth", "depth, elsewhere", "joint", "joints", "")
