@@ -90,7 +90,9 @@ def calibrated_arm(
 ) -> CalibratedArm:
     """Fit and search; ask what makes the rows scatter; if that is more than the instrument, do it again with it as weights.
 
-    So no effect is made of the scatter of a joint's reading, and rows that this scatter does not touch count in full.
+    So no effect is made of the scatter of a joint's reading, and rows that this scatter does not touch count in full. Weights are
+    those of joints and distances: of a real robot with a tracker, those of directions and levers, found in the same rows,
+    made the error on rows held out 4 % larger. What the final model leaves is asked about all causes, to name them.
     """
     bodies = targets_of_one_body(rows, float(geometry.geometric.estimated[0]))
     share = 1.0 / bodies if bodies > 1 else _share(rows, geometry.geometric)
@@ -101,7 +103,8 @@ def calibrated_arm(
     def fitted(data: Dataset, geometry: Geometry, begin: Sequence[Active] = ()) -> CalibratedArm:
         arm = fit_arm(campaign, geometry, data, progress, begin)
         progress("asking what the scatter is made of")
-        return replace(arm, causes=noise_causes(arm.diagnosed.fit, arm.diagnosed.found.state.active, rows, progress))
+        active = arm.diagnosed.found.state.active
+        return replace(arm, causes=noise_causes(arm.diagnosed.fit, active, rows, progress, shapes=False))
 
     arm = fitted(rows, geometry)
     if share < 1.0 and bodies == 1:
@@ -129,7 +132,8 @@ def calibrated_arm(
         again = _around(fit_constants(campaign, robot, weighed, labels, progress), around)
         arm = fitted(weighed, again, arm.diagnosed.found.state.active)
     if is_better(arm.diagnosed.fit, arm.geometry.nominal, arm.rows.fitted):
-        return replace(arm, diagnosed=told_apart(arm.diagnosed, progress))
+        causes = noise_causes(arm.diagnosed.fit, arm.diagnosed.found.state.active, rows, progress)
+        return replace(arm, diagnosed=told_apart(arm.diagnosed, progress), causes=causes)
     return _nominal(campaign, arm, progress)
 
 

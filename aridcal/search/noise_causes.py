@@ -274,7 +274,9 @@ class _Inquiry:
         return share > 1.0, found
 
 
-def noise_causes(fit: Fit, active: Sequence[Active], rows: Dataset, progress: Progress = SILENT) -> NoiseCauses | None:
+def noise_causes(
+    fit: Fit, active: Sequence[Active], rows: Dataset, progress: Progress = SILENT, shapes: bool = True
+) -> NoiseCauses | None:
     """Find what the scatter is made of; None if there are too few rows to ask.
 
     Args:
@@ -282,6 +284,7 @@ def noise_causes(fit: Fit, active: Sequence[Active], rows: Dataset, progress: Pr
         active: Its effects.
         rows: All rows, scaled by what the campaign says of their noise. Held-out rows are not asked; they are weighed.
         progress: Told how many causes are found.
+        shapes: Whether noise along directions, lines of sight, axes of the target and levers is asked about, too.
     """
     asked = problem(fit.model, rows)
     train = np.flatnonzero(rows.train)[~fit.outliers]
@@ -289,7 +292,7 @@ def noise_causes(fit: Fit, active: Sequence[Active], rows: Dataset, progress: Pr
     if len(some) < FEWEST:
         return None
     part = asked.select(some)
-    inquiry = _inquiry(part, fit, active)
+    inquiry = _inquiry(part, fit, active, shapes)
     held = inquiry.held
     found = estimate(inquiry.scatter, np.maximum(fit.estimated, FLOOR) ** 2, held)
     structured = np.zeros(len(held), dtype=bool)
@@ -313,10 +316,10 @@ def _height_with(inquiry: _Inquiry, found: Components, k: int, shape: Shape) -> 
     return highest(rows, inquiry.scatter, found, free) - shape.price(len(inquiry.rows))
 
 
-def _inquiry(part: Problem, fit: Fit, active: Sequence[Active]) -> _Inquiry:
+def _inquiry(part: Problem, fit: Fit, active: Sequence[Active], shapes: bool) -> _Inquiry:
     """What is asked of some rows."""
     causes, seen = possible(part, fit.theta)
-    channels = tuple(channel for channel in part.channels if channel.name in seen.own)
+    channels = tuple(channel for channel in part.channels if shapes and channel.name in seen.own)
     nothing = np.zeros((*causes[0].root.shape[:2], 1))
     for channel in channels:
         # Aimed as soon as there is a fit that says where.
