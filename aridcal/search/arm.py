@@ -132,9 +132,18 @@ def calibrated_arm(
         again = _around(fit_constants(campaign, robot, weighed, labels, progress), around)
         arm = fitted(weighed, again, arm.diagnosed.found.state.active)
     if is_better(arm.diagnosed.fit, arm.geometry.nominal, arm.rows.fitted):
-        causes = noise_causes(arm.diagnosed.fit, arm.diagnosed.found.state.active, rows, progress)
-        return replace(arm, diagnosed=told_apart(arm.diagnosed, progress), causes=causes)
+        return replace(arm, diagnosed=told_apart(arm.diagnosed, progress), causes=_named(arm, rows, progress))
     return _nominal(campaign, arm, progress)
+
+
+def _named(arm: CalibratedArm, rows: Dataset, progress: Progress) -> NoiseCauses | None:
+    """What the scatter is made of, asked of all causes; in the figures of the weights where these name the same."""
+    found, weighed = noise_causes(arm.diagnosed.fit, arm.diagnosed.found.state.active, rows, progress), arm.causes
+    if found is None or weighed is None:
+        return weighed
+    names, before = ([(c.kind, c.name) for c in own.causes] for own in (found, weighed))
+    alike = names == before and found.structured == weighed.structured and not any(c.rivals for c in found.causes)
+    return weighed if alike else found
 
 
 def _share(rows: Dataset, fit: Fit) -> float:
