@@ -142,8 +142,10 @@ def _named(arm: CalibratedArm, rows: Dataset, progress: Progress) -> NoiseCauses
     if found is None or weighed is None:
         return weighed
     names, before = ([(c.kind, c.name) for c in own.causes] for own in (found, weighed))
-    alike = names == before and found.structured == weighed.structured and not any(c.rivals for c in found.causes)
-    return weighed if alike else found
+    if names != before or found.structured != weighed.structured:
+        return found
+    pairs = zip(weighed.causes, found.causes, strict=True)
+    return replace(weighed, causes=tuple(replace(own, rivals=other.rivals) for own, other in pairs))
 
 
 def _share(rows: Dataset, fit: Fit) -> float:
