@@ -38,6 +38,7 @@ from aridcal.fit.variance_components import (
 )
 from aridcal.inputs.dataset import Dataset, factors
 from aridcal.instruments.channels import Channel, columns, spread
+from aridcal.search.diagnose import SEARCHED
 from aridcal.search.exact import GAUGE
 from aridcal.search.linear_model import Active
 from aridcal.search.noise_asked import Asked, Kind, possible, shaped, stretched, there
@@ -288,7 +289,7 @@ def noise_causes(
     """
     asked = problem(fit.model, rows)
     train = np.flatnonzero(rows.train)[~fit.outliers]
-    some = train[representative(asked.select(train), ASKED)]
+    some = train[representative(asked.select(train), ASKED if shapes else SEARCHED)]
     if len(some) < FEWEST:
         return None
     part = asked.select(some)
