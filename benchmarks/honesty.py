@@ -28,6 +28,10 @@ Each question has its control: the same without the trap.
 - `accused`: a body of markers off the target whose rotation noise moves it on a lever of 0.1 to 0.3 m, or a camera whose noise
   in depth grows by the square of the distance (controls: joints that are misread, and even noise). How often the cause of the
   noise is named, something else is, and something else without the cause beside it as a tie (`false`).
+- `rivals`: 120 poses in the order of joint 1, whose zero moves once in time, or jumps at a reading; or in warming air, where the
+  base or joint 2 goes with the temperature, or with time (controls: the same rows shuffled, so that the causes come apart). How
+  often the cause is named (`told`), without a tie with another covariate (`plainly`), another one is named without it (`false`);
+  and z of `std_*` where the two causes predict otherwise, marked rows left out.
 """
 
 from __future__ import annotations
@@ -372,6 +376,67 @@ def accused(seed: int, what: str, kind: str) -> dict[str, float]:
     return {"named": float(right in noise), "another": float(bool(others)), "false": float(bool(untied))}
 
 
+ORDERED, JUMP, WARMING = 120, 6e-4, 6.0
+"""Rows, [m] or [rad] by which something moves over the campaign, and [K] by which the air warms in it."""
+
+OVER = {"shift": "time", "drift": "time", "thermal": "temperature"}
+"""What kinds of effects depend on; all others on joints."""
+
+
+def rivals(seed: int, cause: str, other: str, shuffled: bool) -> dict[str, float]:
+    """Rows in which two causes do the same, or shuffled; asked at conditions where they do not."""
+    rng = np.random.default_rng(seed)
+    truth = simulate(ur10(), ORDERED, rng, noise=1e-4)
+    model, robot = truth.model, truth.model.robot
+    q = truth.readings[rng.permutation(ORDERED)]
+    if "joint" in (cause, other):
+        q = q[np.argsort(q[:, 0])]
+    time = 60.0 * np.arange(ORDERED)
+    temperature = 20.0 + WARMING * time / time[-1] + 0.02 * rng.standard_normal(ORDERED)
+    middle = float(q[:, 0].mean() if shuffled else q[ORDERED // 2 - 1 : ORDERED // 2 + 1, 0].mean())
+    if shuffled:
+        q = q[rng.permutation(ORDERED)]
+        temperature = temperature[rng.permutation(ORDERED)]
+    ways = {
+        "time": lambda q, t, _: (t > time.mean()) - 0.5 if "joint" in (cause, other) else t / time[-1] - 0.5,
+        "joint": lambda q, *_: (q[:, 0] > middle) - 0.5,
+        "temperature": lambda q, _, warm: (warm - 20.0) / WARMING - 0.5,
+    }
+    base = "joint" not in (cause, other) and seed % 2 == 0
+    zero, way = np.eye(6)[0 if "joint" in (cause, other) else 1], random_placement(rng).rotation[0]
+
+    def poses(q: np.ndarray, size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        moved = JUMP * size[:, None]
+        R, p = model.poses(truth.theta, model.rows(q if base else q + 2.0 * moved * zero))
+        return R, p + moved * way if base else p
+
+    R, p = poses(q, ways[cause](q, time, temperature))
+    turn = Rotation.from_rotvec(FINE * rng.standard_normal((ORDERED, 3))).as_matrix()
+    rows = table(Truth(model, truth.theta, as_measured(robot, q, p + FINE * rng.standard_normal(p.shape), turn @ R)))
+    rows = rows.assign(time=time)
+    asked = readings(robot, QUERIES, rng, 0.8)
+    when = rng.uniform(time[0], time[-1], QUERIES)
+    warm = rng.uniform(temperature.min(), temperature.max(), QUERIES)
+    query = pd.DataFrame(dict(zip(robot.readings, asked.T, strict=True))).assign(time=when)
+    if "temperature" in (cause, other):
+        rows, query = rows.assign(temperature=temperature), query.assign(temperature=warm)
+    with tempfile.TemporaryDirectory() as folder:
+        cal = aridcal.calibrate(write_campaign(Path(folder), truth, rows, diagnosis={"enabled": True}))
+    predicted = cal.predict(query)
+    right, wrong = (ways[name](asked, when, warm) for name in (cause, other))
+    off = predicted[["x", "y", "z"]].to_numpy() - poses(asked, right)[1]
+    apart = (np.abs(right - wrong) > 0.2) & ~predicted["extrapolates"].to_numpy(bool)
+    z = off[apart] / predicted[["std_x", "std_y", "std_z"]].to_numpy()[apart]
+    told = [{OVER.get(e["kind"], "joint") for e in (one, *one["confounded_with"])} for one in cal.result["effects"]]
+    return {
+        "told": float(any(cause in some for some in told)),
+        "plainly": float({cause} in told),
+        "false": float(any(cause not in some for some in told)),
+        "z": float(np.sqrt(np.mean(z**2))),
+        "error mm": 1e3 * float(np.sqrt(np.mean(np.sum(off[apart] ** 2, axis=1)))),
+    }
+
+
 QUESTIONS: dict[str, Sequence[tuple[str, Callable[[int], dict[str, float]]]]] = {
     "few": tuple(
         (f"{name}, {rows} rows", partial(few, name=name, rows=rows))
@@ -406,6 +471,14 @@ QUESTIONS: dict[str, Sequence[tuple[str, Callable[[int], dict[str, float]]]]] = 
         (f"{what or 'even noise'}, {kind}s", partial(accused, what=what, kind=kind))
         for what in ("lever", "depth", "depth, elsewhere", "joint", "joints", "")
         for kind in ("position", "pose")
+    ),
+    "rivals": tuple(
+        (
+            f"{cause}, not {other}, {'shuffled' if shuffled else 'in order'}",
+            partial(rivals, cause=cause, other=other, shuffled=shuffled),
+        )
+        for cause, other in (("time", "joint"), ("joint", "time"), ("temperature", "time"), ("time", "temperature"))
+        for shuffled in (False, True)
     ),
     "places": (
         ("alike at a place, clean arm", lambda seed: places(seed, True, False)),
