@@ -29,7 +29,7 @@ MOST_STEPPED = 24
 
 
 def _thermal(rows: Observed) -> Iterator[Effect]:
-    """Difference T - mean(T) for each motion of each place; of a rail also times its travel: it grows."""
+    """Difference T - mean(T) for each motion of each place, of frames several together; of a rail also times its travel."""
     for column in rows.columns("temperature"):
         mean = middle(rows.table[column])
         for j in rows.robot.joints:
@@ -39,22 +39,27 @@ def _thermal(rows: Observed) -> Iterator[Effect]:
                 growth = Basis("times_power", (column, j.name), (mean, 1.0, 1.0))
                 yield Effect("thermal", j.name, (Coefficient(j.name, "axis", growth),))
         for where in FRAMES:
-            for component in FRAME_COMPONENTS:
-                yield Effect("thermal", where, (slope(where, component, column, mean),))
+            yield from _of_a_frame("thermal", where, column, mean)
+
+
+def _of_a_frame(kind: str, where: str, column: str, mean: float) -> Iterator[Effect]:
+    """Each motion of a frame in proportion to a column, and its shift, its turn and both."""
+    each = tuple(slope(where, component, column, mean) for component in FRAME_COMPONENTS)
+    for coefficient in each:
+        yield Effect(kind, where, (coefficient,))
+    for coefficients in (each[:3], each[3:], each):
+        yield Effect(kind, where, coefficients)
 
 
 def _drift(rows: Observed) -> Iterator[Effect]:
-    """Difference t - mean(t) for each motion of a frame, and for its shift, its turn and both."""
+    """Difference t - mean(t) for each motion of a frame, for its shift, its turn and both, and for each joint's zero."""
     if "time" not in rows.measured:
         return
     mean = middle(rows.table["time"])
     for where in FRAMES:
-        each = tuple(slope(where, component, "time", mean) for component in FRAME_COMPONENTS)
-        shift, turn = each[:3], each[3:]
-        for coefficient in each:
-            yield Effect("drift", where, (coefficient,))
-        for coefficients in (shift, turn, each):
-            yield Effect("drift", where, coefficients)
+        yield from _of_a_frame("drift", where, "time", mean)
+    for j in rows.moving():
+        yield Effect("drift", j.name, (slope(j.name, "axis", "time", mean),))
 
 
 def _shift(rows: Observed) -> Iterator[Effect]:

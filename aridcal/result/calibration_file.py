@@ -12,12 +12,13 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
-from aridcal.effects.basis import FORMS
+from aridcal.effects.basis import FORMS, Basis
 from aridcal.effects.effect import Coefficient
 from aridcal.effects.labels import is_label
 from aridcal.errors import CampaignError, has_controls
 from aridcal.inputs.yaml_file import LARGEST, Number, Section, Settings, Vector3, decode, parse_yaml, validated
 from aridcal.reading.files import CALIBRATION, read_file
+from aridcal.trust.rivals import Rival
 from aridcal.trust.workspace import Untold
 
 UNIT = 1e-6
@@ -185,6 +186,25 @@ class UntoldPart(Section):
     value: Number
 
 
+class ChangePart(Section):
+    """One coefficient, and by how much it differs with a rival."""
+
+    where: str
+    component: str
+    basis: BasisPart
+    station: str | None
+    value: Number
+
+
+class RivalPart(Section):
+    """A cause that the rows could not tell from the one named; its words are for readers."""
+
+    effect: str
+    instead_of: str
+    weight: Annotated[float, Field(ge=0, le=1)]
+    change: tuple[ChangePart, ...]
+
+
 Pair = tuple[float, float]
 
 Ranges = tuple[Pair, ...]
@@ -204,6 +224,7 @@ class CalibrationDocument(Settings):
     geometric: SolvedPart
     final: SolvedPart
     untold: tuple[tuple[UntoldPart, ...], ...] = ()
+    rivals: tuple[RivalPart, ...] = ()
 
 
 ROUNDED = 1e-9
@@ -292,6 +313,51 @@ def untold_of(document: CalibrationDocument) -> tuple[Untold, ...]:
     """What :func:`untold_document` wrote."""
     return tuple(
         tuple((Coefficient(e.where, e.component, station=e.station), e.value) for e in part) for part in document.untold
+    )
+
+
+def rivals_document(rivals: Sequence[Rival]) -> list[dict[str, Any]]:
+    """What the rows could not tell from the effects, as plain data."""
+    return [
+        {
+            "effect": rival.effect,
+            "instead_of": rival.instead_of,
+            "weight": rival.weight,
+            "change": [
+                {
+                    "where": c.where,
+                    "component": c.component,
+                    "basis": {
+                        "form": c.basis.form,
+                        "of": list(c.basis.of),
+                        "numbers": [float(n) for n in c.basis.numbers],
+                    },
+                    "station": c.station,
+                    "value": value,
+                }
+                for c, value in rival.change
+            ],
+        }
+        for rival in rivals
+    ]
+
+
+def rivals_of(document: CalibrationDocument) -> tuple[Rival, ...]:
+    """What :func:`rivals_document` wrote."""
+    return tuple(
+        Rival(
+            rival.effect,
+            rival.instead_of,
+            rival.weight,
+            tuple(
+                (
+                    Coefficient(e.where, e.component, Basis(e.basis.form, e.basis.of, e.basis.numbers), e.station),
+                    e.value,
+                )
+                for e in rival.change
+            ),
+        )
+        for rival in document.rivals
     )
 
 

@@ -26,6 +26,7 @@ from aridcal.model.model import Model
 from aridcal.reading.dates import of_the_day
 from aridcal.result.saved_model import SavedModel
 from aridcal.result.stretches import Stretch, stretches
+from aridcal.trust.rivals import between
 from aridcal.trust.seen import CLOCK, EXPANSION, Seen, beyond_heat, elsewhere
 from aridcal.trust.untold import told_of
 from aridcal.trust.workspace import spread_out, target_covariance, worst_direction
@@ -171,9 +172,10 @@ def predict(saved: SavedModel, query: Query) -> pd.DataFrame:
     R[np.isnan(p).any(axis=1)] = np.nan
 
     std = std_of(saved, query)
+    told = np.hypot(std, np.sqrt(np.maximum(np.einsum("nii->ni", between_rivals(saved, query)), 0.0)))
 
     settings, joints = saved.measurements, saved.final.model.robot.readings
-    filled = pose_columns(R, p, settings, joints) | std_columns(std[known], settings, joints)
+    filled = pose_columns(R, p, settings, joints) | std_columns(told[known], settings, joints)
     stale = _pose_names(settings, joints) - set(filled)
     table = query.table.drop(columns=list(stale), errors="ignore")
     for name, values in filled.items():
@@ -311,6 +313,29 @@ def std_of(saved: SavedModel, query: QueryRows) -> np.ndarray:
     return std
 
 
+def between_rivals(saved: SavedModel, query: QueryRows, tool: np.ndarray | None = None) -> np.ndarray:
+    """Covariance of the target's pose between the causes that the rows could not tell apart, shape (N, 6, 6); NaN where unknown.
+
+    See :func:`aridcal.trust.rivals.between`. It marks no row: rows of which a rival says something else are like those seen.
+
+    Args:
+        saved: The model.
+        query: N rows.
+        tool: A point that moves with the target, in its axes, shape (3,), [m].
+    """
+    if not saved.rivals:
+        return np.zeros((len(query.line), 6, 6))
+    known = query.usable & np.isfinite(query.readings).all(axis=1)
+    covariates = {name: values[known] for name, values in query.covariates.items()}
+    station = None if query.station is None else query.station[known]
+    final, seen = saved.final, saved.recorded | saved.ranges
+    found = np.full((len(known), 6, 6), np.nan)
+    found[known] = between(
+        final.model, final.theta, saved.rivals, query.readings[known], covariates, station, seen, tool
+    )
+    return found
+
+
 def growth(saved: SavedModel, query: QueryRows) -> np.ndarray:
     """1-sigma per axis of how much the arm has grown by heat that no row of the calibration saw, shape (N,), [m].
 
@@ -394,6 +419,7 @@ def uncertainty(saved: SavedModel, query: Query, tool: Sequence[float]) -> pd.Da
     rows = final.model.rows(query.readings[known], covariates, station)
     covariance = target_covariance(final.model, final.theta, final.covariance, rows, np.asarray(tool, dtype=float))
     covariance[:, :3, :3] += growth(saved, query)[known, None, None] ** 2 * np.eye(3)
+    covariance += between_rivals(saved, query, np.asarray(tool, dtype=float))[known]
     sigma, way = worst_direction(covariance[:, :3, :3])
     columns = {
         "sigma_mm": 1e3 * sigma,

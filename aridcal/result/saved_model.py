@@ -36,11 +36,14 @@ from aridcal.result.calibration_file import (
     SolvedPart,
     packed,
     read_calibration,
+    rivals_document,
+    rivals_of,
     unpacked,
     untold_document,
     untold_of,
 )
 from aridcal.robot.chain import parse_robot
+from aridcal.trust.rivals import Rival, with_rivals
 from aridcal.trust.untold import with_untold
 from aridcal.trust.wander import Wander
 from aridcal.trust.workspace import Untold, target_std
@@ -135,6 +138,7 @@ class SavedModel:
             three axes together; infinite in such files.
         untold: Combinations of constants that no reading told, and that move the target.
         recorded: Lowest and highest value seen of the other numeric columns of the tables, on which nothing depends.
+        rivals: Causes that the rows could not tell from the effects; none in files from before they were kept.
     """
 
     geometric: SolvedModel
@@ -148,6 +152,7 @@ class SavedModel:
     largest_std: tuple[float, float] = (np.inf, np.inf)
     untold: tuple[Untold, ...] = ()
     recorded: dict[str, tuple[float, float]] = field(default_factory=dict)
+    rivals: tuple[Rival, ...] = ()
 
     @property
     def measurements(self) -> MeasurementSettings:
@@ -304,6 +309,7 @@ class SavedModel:
             "geometric": _solved_document(self.geometric),
             "final": _solved_document(self.final),
             **({"untold": untold_document(self.untold)} if self.untold else {}),
+            **({"rivals": rivals_document(self.rivals)} if self.rivals else {}),
             **self.record,
         }
         return str(yaml.dump(document, Dumper=Dumper, sort_keys=False, allow_unicode=True, width=110))
@@ -379,6 +385,8 @@ def _restored(document: CalibrationDocument, record: dict[str, Any]) -> SavedMod
     geometric, final = solved(document.geometric), solved(document.final)
     untold = untold_of(document)
     _try(SolvedModel(*with_untold(final.model, final.theta, untold)), middle)
+    rivals = rivals_of(document)
+    _try(SolvedModel(*with_rivals(final.model, final.theta, rivals)), middle)
     known = (*robot.readings, *final.model.needs)
     for name in (*document.ranges, *document.holes):
         if name not in known:
@@ -395,6 +403,7 @@ def _restored(document: CalibrationDocument, record: dict[str, Any]) -> SavedMod
         (document.largest_std.position, document.largest_std.rotation),
         untold,
         document.recorded,
+        rivals,
     )
 
 

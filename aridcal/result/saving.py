@@ -25,6 +25,7 @@ from aridcal.instruments.setup import Instruments
 from aridcal.model.model import ONE_FRAME
 from aridcal.result.outcome import Outcome
 from aridcal.result.saved_model import SavedModel, SolvedModel
+from aridcal.trust.rivals import Rival
 from aridcal.trust.seen import holes, largest
 from aridcal.trust.wander import wanders
 from aridcal.trust.workspace import Untold
@@ -75,9 +76,20 @@ def calibration(outcome: Outcome) -> SavedModel:
         largest(std),
         () if outcome.certainty is None else _of_target(outcome.certainty.untold, final, target),
         {name: ends(v) for name, v in recorded_in(outcome).items() if name not in seen},
+        _rivals(outcome, final, target),
     )
     wander = wanders(final, m.select(~outcome.outlier), final.estimated, tails, saved.span)
     return replace(saved, record=record | ({"wander": [asdict(process) for process in wander]} if wander else {}))
+
+
+def _rivals(outcome: Outcome, final: Fit, target: _Target) -> tuple[Rival, ...]:
+    """What the rows could not tell from the effects, as far as it moves the saved target."""
+    tied = () if outcome.diagnosis is None else outcome.diagnosis.tied
+    return tuple(
+        Rival(one.effect.label, one.instead_of.label, one.weight, change)
+        for one in tied
+        for change in _of_target((one.change,), final, target)
+    )
 
 
 def seen_in(outcome: Outcome) -> dict[str, np.ndarray]:

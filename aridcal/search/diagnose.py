@@ -37,6 +37,7 @@ from aridcal.search.linear_model import Active, LinearModel
 from aridcal.search.state import State, activate, solve_state
 from aridcal.search.stated import tied_to_frames, with_declared, with_fields
 from aridcal.search.stepwise import Found, confirmed, is_small, missed, rank, search, twins
+from aridcal.search.tied import Tied, tied
 from aridcal.showing import SILENT, Progress
 
 ROUNDS = 3
@@ -89,6 +90,7 @@ class Diagnosed:
         declared: Effects that the campaign states.
         barred: Candidates that could not be tested, and why.
         confounded: For each active effect, the candidates that are confounded with it in these data; see :func:`told_apart`.
+        tied: How likely these are, and what the model is with each.
     """
 
     fit: Fit
@@ -100,6 +102,7 @@ class Diagnosed:
     declared: tuple[Effect, ...]
     barred: tuple[Barred, ...]
     confounded: tuple[tuple[Effect, ...], ...] = ()
+    tied: tuple[Tied, ...] = ()
 
 
 def diagnose(
@@ -202,9 +205,12 @@ def _diagnosed(
 
 def told_apart(diagnosed: Diagnosed, progress: Progress = SILENT) -> Diagnosed:
     """The same with what is confounded with each effect: asked of the final model only. Its products are forgotten."""
-    confounded = twins(diagnosed.linear, diagnosed.named, diagnosed.found.state, progress)
-    diagnosed.linear.products.forget()
-    return replace(diagnosed, confounded=confounded)
+    linear, state = diagnosed.linear, diagnosed.found.state
+    found = twins(linear, diagnosed.named, state, progress)
+    constants = [c for c in diagnosed.linearised_at.model.coefficients if c.basis.constant]
+    rivals = tied(linear, constants, state, found)
+    linear.products.forget()
+    return replace(diagnosed, confounded=tuple(tuple(e for e, _ in own[1:]) for own in found), tied=rivals)
 
 
 def _only_missed(

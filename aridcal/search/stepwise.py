@@ -18,6 +18,7 @@ from aridcal.search.linear_model import Active, LinearModel
 from aridcal.search.scoring import ALPHA, Judgement, held_back_squares, judge, refine, sources
 from aridcal.search.screening import score_all, score_without
 from aridcal.search.state import State, activate, noise_with, solve_state, without_effect
+from aridcal.search.tied import mirrored
 from aridcal.showing import SILENT, Progress
 
 CLOSE = 3.0
@@ -152,8 +153,8 @@ def is_small(model: LinearModel, library: Sequence[Effect]) -> bool:
 
 def twins(
     model: LinearModel, library: Sequence[Effect], state: State, progress: Progress = SILENT
-) -> tuple[tuple[Effect, ...], ...]:
-    """For each effect, the candidates that would do about as well in its place."""
+) -> tuple[tuple[tuple[Effect, Score], ...], ...]:
+    """Each effect, and the candidates that would do about as well in its place; nothing where none are sought."""
     small = is_small(model, library)
     asked = [a.effect for a in state.active if small or not a.effect.smooth or is_of_labels(a.effect)]
     lasting = list(dict.fromkeys([*(e for e in library if e.at is None), *asked]))
@@ -304,8 +305,8 @@ def _twins(
     mine: Active,
     rough: Mapping[Effect, Score],
     progress: Progress,
-) -> tuple[Effect, ...]:
-    """Candidates that would do about as well in the place of one of the effects.
+) -> tuple[tuple[Effect, Score], ...]:
+    """One of the effects, and candidates that would do about as well in its place.
 
     Args:
         model: The linearised model.
@@ -317,17 +318,18 @@ def _twins(
     """
     without = without_effect(model, state, mine.effect)
     rivals = _in_place_of(model, library, mine.effect)
-    ranked = rank(model, rivals, without, also=[mine.effect], progress=progress, known=rough)
+    also = [mine.effect, *mirrored(model, mine.effect)]
+    ranked = rank(model, rivals, without, also=also, progress=progress, known=rough)
     own = next((s for e, s in ranked if e == mine.effect), None)
     if own is None:
         return ()
     name = (mine.effect.kind, mine.effect.where, mine.effect.with_, mine.effect.by)
-    twins: dict[tuple[object, ...], Effect] = {}
+    twins: dict[tuple[object, ...], tuple[Effect, Score]] = {}
     for effect, found in ranked[:RANKED]:
         other = (effect.kind, effect.where, effect.with_, effect.by)
         if found.gain > own.gain - CLOSE and other != name:
-            twins.setdefault(other, effect)
-    return tuple(twins.values())
+            twins.setdefault(other, (effect, found))
+    return (mine.effect, own), *twins.values()
 
 
 def missed(model: LinearModel, state: State) -> State:

@@ -22,6 +22,7 @@ from aridcal.search.diagnose import Diagnosed
 from aridcal.search.noise_tests import Clue
 from aridcal.search.scoring import PARTS, held_back
 from aridcal.search.state import solve_state
+from aridcal.search.tied import Tied
 
 GRID = 160
 """Points of a curve, at least: it is drawn without corners."""
@@ -111,6 +112,7 @@ class Diagnosis:
         clues: Whether what remains is noise.
         over_time: Position error of the fitted rows with whole stretches of time held back in turn, RMS [m]; None where
             no effect depends on time.
+        tied: The model with what the rows cannot tell from its effects.
     """
 
     effects: tuple[NamedEffect, ...]
@@ -119,6 +121,7 @@ class Diagnosis:
     tested: int
     clues: tuple[Clue, ...]
     over_time: float | None = None
+    tied: tuple[Tied, ...] = ()
 
 
 def explain(diagnosed: Diagnosed, every: Dataset, scored: np.ndarray, clues: Sequence[Clue]) -> Diagnosis:
@@ -142,6 +145,7 @@ def explain(diagnosed: Diagnosed, every: Dataset, scored: np.ndarray, clues: Seq
         tested=found.tested,
         clues=tuple(clues),
         over_time=_over_time(diagnosed),
+        tied=diagnosed.tied,
     )
 
 

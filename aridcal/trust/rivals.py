@@ -1,0 +1,82 @@
+"""Causes that the rows could not tell from those named, in use: how far predictions differ between them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from aridcal.effects.effect import Coefficient
+from aridcal.model.model import Model
+from aridcal.trust.untold import with_untold
+from aridcal.trust.workspace import target_covariance
+
+
+@dataclass(frozen=True)
+class Rival:
+    """A cause that the rows could not tell from the one named.
+
+    Attributes:
+        effect: In words.
+        instead_of: The effect that is named, in words.
+        weight: How likely it is, of that effect and its rivals.
+        change: By how much coefficients differ from the model's with it.
+    """
+
+    effect: str
+    instead_of: str
+    weight: float
+    change: tuple[tuple[Coefficient, float], ...]
+
+
+def with_rivals(model: Model, theta: np.ndarray, rivals: Sequence[Rival]) -> tuple[Model, np.ndarray, np.ndarray]:
+    """A model with the coefficients of rivals beside its own, all coefficients, and the covariance of what may be instead."""
+    ways = [tuple((c, np.sqrt(rival.weight) * value) for c, value in rival.change) for rival in rivals]
+    return with_untold(model, theta, ways)
+
+
+def between(
+    model: Model,
+    theta: np.ndarray,
+    rivals: Sequence[Rival],
+    readings: np.ndarray,
+    covariates: Mapping[str, np.ndarray],
+    station: np.ndarray | None,
+    seen: Mapping[str, tuple[float, float]],
+    tool: np.ndarray | None = None,
+) -> np.ndarray:
+    r"""Covariance of the target between the model and the rivals of its effects, shape (N, 6, 6), world axes.
+
+    .. math:: \sum_k w_k (m_k - m)(m_k - m)^T
+
+    of the predictions m_k with each rival (Bayesian model averaging; Hoeting et al. 1999, doi:10.1214/ss/1009212519), about the
+    prediction m of the model as named, not about their mean: what is predicted, commanded and written into programs is then one
+    model, which a user can name and repeat, and the spread is at least that about the mean. A rival's own uncertainty is taken to
+    be the model's: the same rows told either.
+
+    Args:
+        model: Of the calibration.
+        theta: Its coefficients, shape (K,).
+        rivals: Of its effects.
+        readings: Shape (N, columns).
+        covariates: Shape (N,) each; what is missing, or a hole, is at the end of what was seen where the rivals differ more.
+        station: Labels, where frames have some.
+        seen: Lowest and highest value of columns.
+        tool: A point that moves with the target, in its axes, shape (3,), [m].
+    """
+    wide, values, covariance = with_rivals(model, theta, rivals)
+    found: np.ndarray | None = None
+    for end in (0, 1):
+        given = dict(covariates)
+        for name in wide.needs:
+            there = given.get(name, np.full(len(readings), np.nan))
+            given[name] = np.where(np.isnan(there), seen.get(name, (0.0, 0.0))[end], there)
+        own = target_covariance(wide, values, covariance, wide.rows(readings, given, station), tool)
+        if found is None:
+            found = own
+        else:
+            larger = np.einsum("nii->n", own[:, :3, :3]) > np.einsum("nii->n", found[:, :3, :3])
+            found[larger] = own[larger]
+    assert found is not None
+    return found
