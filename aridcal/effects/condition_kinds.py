@@ -107,8 +107,8 @@ CONDITION_KINDS = (
     ),
     Kind(
         "drift",
-        where="`world_base` or `tip_target`",
-        words="a frame that moved while these rows were measured",
+        where="`world_base`, `tip_target` or a joint",
+        words="a frame or a zero that moved while these rows were measured",
         bases=("linear",),
         example="{kind: drift, where: world_base, motion: [x, y, z]}",
         doc="drift",
