@@ -54,7 +54,7 @@ CONTRACT: dict[str, tuple[set[str], tuple[str, ...]]] = {
     "rail_angular": ({"roll", "pitch", "yaw"}, ("",)),
     "joint_coupling": (AXIS, ()),
     "thermal": (AXIS | FRAME, ("temperature", "temperature_hall", "")),
-    "drift": (FRAME, ("time",)),
+    "drift": (AXIS | FRAME, ("time",)),
     "shift": (FRAME | AXIS, ("time",)),
     "payload_compliance": (AXIS | ACROSS, ("payload", ".payload_torque")),
     "tracker_scale": ({"scale"}, ()),
