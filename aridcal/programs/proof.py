@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields
 from io import StringIO
 
@@ -13,7 +13,7 @@ from aridcal.programs.cell import Cell
 from aridcal.programs.language import Language
 from aridcal.programs.project import Project
 from aridcal.programs.targets import Place, Target
-from aridcal.programs.text import NUL, Number
+from aridcal.programs.text import NUL, Numbers
 
 
 class Unproved(Exception):
@@ -26,17 +26,17 @@ AT_ONCE = 2_000
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """Another text for a number.
+    """Other texts for numbers, those of a target for instance.
 
     Attributes:
         file: Of the project, its index.
-        number: Where it stands, as it is.
-        text: What is to stand there.
+        numbers: Where they stand, as they are.
+        texts: What is to stand there, joined by :data:`NUL`.
     """
 
     file: int
-    number: Number
-    text: str
+    numbers: Numbers
+    texts: str
 
 
 @dataclass(frozen=True)
@@ -152,22 +152,25 @@ class _Edits:
 
     Attributes:
         starts: Where each stands.
-        ends: Where it ends.
+        lengths: Of what stands there.
         texts: What is to stand there.
     """
 
     starts: array[int]
-    ends: array[int]
+    lengths: array[int]
     texts: list[str]
 
     def add(self, text: str, change: Change) -> None:
-        """Take one more, of a text."""
-        start, before = change.number.start, change.number.text
-        if not text.startswith(before, start):
-            raise Unproved(f"{before} does not stand where it should")
-        self.starts.append(start)
-        self.ends.append(start + len(before))
-        self.texts.append(change.text)
+        """Take some more, of a text."""
+        before, after = change.numbers.texts, change.texts.split(NUL)
+        if len(before) != len(after):
+            raise Unproved(f"{len(after)} texts are given for {len(before)} numbers")
+        for start, own in zip(change.numbers.starts, before, strict=True):
+            if not text.startswith(own, start):
+                raise Unproved(f"{own} does not stand where it should")
+        self.starts.extend(change.numbers.starts)
+        self.lengths.extend(map(len, before))
+        self.texts.extend(after)
 
 
 @dataclass(frozen=True)
@@ -195,36 +198,55 @@ class Edited:
 
 def _spliced(text: str, edits: _Edits) -> Edited:
     """The text with other numbers, if each has a place of its own and all between is as it was."""
-    starts, ends = np.array(edits.starts, dtype=np.int64), np.array(edits.ends, dtype=np.int64)
-    order = np.argsort(starts, kind="stable")
-    twice = order[1:][starts[order[1:]] < ends[order[:-1]]]
+    order = np.argsort(np.array(edits.starts, dtype=np.int64), kind="stable")
+    starts, old = (np.array(own, dtype=np.int64)[order] for own in (edits.starts, edits.lengths))
+    twice = np.flatnonzero(starts[1:] < (starts + old)[:-1])
     if len(twice):
-        raise Unproved(f"two changes at one place: {text[starts[twice[0]] : ends[twice[0]]]}")
-    new, end = StringIO(newline=""), 0
-    for k in order.tolist():
-        new.write(text[end : edits.starts[k]])
-        new.write(edits.texts[k])
-        end = edits.ends[k]
-    new.write(text[end:])
-    lengths = np.array([len(edits.texts[k]) for k in order.tolist()], dtype=np.int64)
-    longer = np.concatenate([[0], np.cumsum(lengths - (ends - starts)[order])])
-    own = Edited(new.getvalue(), starts[order], lengths, longer)
-    _check_rest(text, edits, order, own.text)
+        first = int(starts[twice[0] + 1])
+        raise Unproved(f"two changes at one place: {text[first : first + int(old[twice[0] + 1])]}")
+    texts = [edits.texts[k] for k in order.tolist()]
+    lengths = np.fromiter(map(len, texts), dtype=np.int64, count=len(texts))
+    new = StringIO(newline="")
+    for rows, between in _between(text, starts, starts + old):
+        parts = [""] * (2 * len(between))
+        parts[::2], parts[1::2] = between, texts[rows]
+        new.write("".join(parts))
+    new.write(text[int(starts[-1] + old[-1]) if len(texts) else 0 :])
+    own = Edited(new.getvalue(), starts, lengths, np.concatenate([[0], np.cumsum(lengths - old)]))
+    _check_rest(text, starts + old, texts, own)
     return own
 
 
-def _check_rest(text: str, edits: _Edits, order: np.ndarray, new: str) -> None:
-    """Make sure that the new text has each new number at its place, and all between as it was."""
-    old_end, new_end = 0, 0
-    for k in order.tolist():
-        start, own = edits.starts[k], edits.texts[k]
-        there = new_end + start - old_end
-        if new[new_end:there] != text[old_end:start]:
-            raise Unproved(f"the text before {own} is another one")
-        if not new.startswith(own, there):
-            raise Unproved(f"{own} does not stand where it should")
-        old_end, new_end = edits.ends[k], there + len(own)
-    if new[new_end:] != text[old_end:]:
+def _between(text: str, starts: np.ndarray, ends: np.ndarray) -> Iterator[tuple[slice, list[str]]]:
+    """What stands in a text before each of some numbers that follow each other, some thousand of them at a time."""
+    last = 0
+    for first in range(0, len(starts), AT_ONCE):
+        rows = slice(first, first + AT_ONCE)
+        begins = [last, *ends[rows].tolist()]
+        last = begins.pop()
+        yield rows, [text[begin:end] for begin, end in zip(begins, starts[rows].tolist(), strict=True)]
+
+
+def _check_rest(text: str, ends: np.ndarray, texts: Sequence[str], own: Edited) -> None:
+    """Make sure that the new text has each new number at its place, and all between as it was.
+
+    Args:
+        text: The old one.
+        ends: Of the numbers in it, in their order, shape (n,).
+        texts: What should stand there now.
+        own: The new text.
+    """
+    starts = own.starts + own.longer[:-1]
+    was, now = _between(text, own.starts, ends), _between(own.text, starts, starts + own.lengths)
+    for (rows, before), (_, after) in zip(was, now, strict=True):
+        if before != after:
+            raise Unproved("the text between the numbers is another one")
+        places = zip(starts[rows].tolist(), texts[rows], strict=True)
+        wrong = next((said for start, said in places if not own.text.startswith(said, start)), None)
+        if wrong is not None:
+            raise Unproved(f"{wrong} does not stand where it should")
+    end = int(ends[-1]) if len(ends) else 0
+    if own.text[end + int(own.longer[-1]) :] != text[end:]:
         raise Unproved("the text behind the last change is another one")
 
 

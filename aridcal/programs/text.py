@@ -16,6 +16,9 @@ NUMBER = re.compile(r"[-+]?+(?:\d++(?:\.\d*+)?+|\.\d++)(?:[eE][-+]?+\d++)?+")
 NUL = "\0"
 """No number has it in its text."""
 
+LARGEST = 1e6
+"""In any unit, metres or degrees: no arm has a larger number in a target, and none with one is corrected."""
+
 CLOSES = {"(": ")", "[": "]", "{": "}"}
 
 
@@ -188,6 +191,7 @@ def blanked(text: str, comments: str) -> str:
 
 def written(value: float, before: str, digits: int) -> str:
     """A number in place of another: as many digits behind the point as that had, or more where they are needed."""
-    behind = len(before.lower().partition("e")[0].partition(".")[2])
+    fraction = before.partition(".")[2]
+    behind = len(fraction if fraction.isdigit() else fraction.lower().partition("e")[0])
     text = f"{value:.{behind if behind > digits else digits}f}"
     return text[1:] if text[0] == "-" and float(text) == 0.0 else text

@@ -74,7 +74,8 @@ class Use:
     @property
     def trouble(self) -> str:
         """Why the place is not known; empty if it is."""
-        return self.why or next((part.why for part in (self.base, self.tool) if isinstance(part, Unknown)), "")
+        base, tool = self.base, self.tool
+        return self.why or (base.why if isinstance(base, Unknown) else tool.why if isinstance(tool, Unknown) else "")
 
     @property
     def place(self) -> Place:
@@ -149,18 +150,20 @@ class Ledger:
     def _target(self, point: _Point) -> Target:
         """The target of a point; with a reason where not all that uses it means the same."""
         uses = point.uses or [Use("", Unknown(NEVER), Unknown(NEVER))]
-        direct = [use for use in uses if not use.aside] or uses
+        direct = [use for use in uses if not use.aside] or uses if len(uses) > 1 else uses
         first = next((use for use in direct if use.near is not None), direct[0])
         trouble = point.spoilt or next((use.trouble for use in uses if use.trouble), "")
-        if not trouble:
+        if not trouble and len(direct) > 1:
             other = next((use for use in direct if not use.agrees(first)), None)
             if other is not None:
                 trouble = _two_meanings(first, other)
         if trouble:
             return _with_reason(point.make(Use(first.line, HERE, HERE), ()), trouble)
-        beside = tuple(use.place for use in uses if use.aside and not use.same(first))
+        beside = tuple([use.place for use in uses if use is not first and use.aside and not use.same(first)])
         unknown = next((use.unknown for use in direct if use.unknown), "")
         base, tool = self._one(first.base), self._one(first.tool)
+        if base is first.base and tool is first.tool and unknown == first.unknown:
+            return point.make(first, beside)
         settled = Use(first.line, base, tool, first.aside, first.why, first.near, unknown, first.mode)
         return point.make(settled, beside)
 

@@ -154,6 +154,10 @@ class Meaning:
 
     # ---- what stands in the text
 
+    def end(self) -> None:
+        """Let go of all that was made of the text: parts of it hold each other, so that it would stay in memory."""
+        vars(self).clear()
+
     def _declare(self, own: Literal) -> None:
         if own.key in self._literals:
             return

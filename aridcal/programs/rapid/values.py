@@ -14,12 +14,9 @@ from scipy.spatial.transform import Rotation
 from aridcal.programs.notations import ABB, MILLI, inverse, pose
 from aridcal.programs.rapid.grammar import Declared, fold
 from aridcal.programs.rapid.table import FRAME_TYPES
-from aridcal.programs.text import NONE, NUMBER, Code, Numbers
+from aridcal.programs.text import LARGEST, NONE, NUMBER, Code, Numbers
 from aridcal.programs.uses import HERE, Frame
 from aridcal.programs.walk import Unknown
-
-LARGEST = 1e6
-"""Of a number of a target, in millimetres or degrees: a kilometre is no arm's reach."""
 
 UNIT = 0.02
 """By which the length of a quaternion may differ from one: controllers take two digits, and refuse what is further off."""

@@ -16,7 +16,7 @@ from aridcal.programs.frames import absent, fixed_base, unknown
 from aridcal.programs.notations import UR, inverse
 from aridcal.programs.project import Project
 from aridcal.programs.targets import Branch, Place, Target
-from aridcal.programs.text import NONE, NUMBER, Code, Number, Numbers, number
+from aridcal.programs.text import LARGEST, NONE, NUMBER, Code, Number, Numbers, number
 from aridcal.programs.urscript.grammar import (
     Assign,
     Called,
@@ -46,9 +46,6 @@ DEFAULT = "default"
 
 POSE = 6
 """Numbers of a pose."""
-
-LARGEST = 1e6
-"""[m] or [rad]: no numbers of a robot are larger."""
 
 TEXT = Unknown("is a text")
 
