@@ -25,7 +25,7 @@ from aridcal.programs import gcode
 from aridcal.programs.branches import flange
 from aridcal.programs.cell import Cell
 from aridcal.programs.correct import NOWHERE, correct
-from aridcal.programs.frames import KnownFrames, controllers_base, read_frames
+from aridcal.programs.frames import KnownFrames, read_frames
 from aridcal.programs.languages import language_of
 from aridcal.programs.notations import ABB as OUR_ABB
 from aridcal.programs.notations import FANUC as OUR_FANUC
@@ -216,7 +216,7 @@ def test_a_link_base_that_is_elsewhere_is_where_a_ur_counts_from() -> None:
     bases = []
     for text in (plain, *(plain.replace("</robot>", other.replace("KIND", kind)) for kind in ("revolute", "fixed"))):
         robot = chain(read_tree(text.encode(), Path("ur10.urdf")), "tool0", "base_link")
-        bases.append(controllers_base(robot))
+        bases.append(Cell(robot).elsewhere)
     assert bases[:2] == [None, None]
     assert bases[2] is not None
     np.testing.assert_allclose(bases[2], transform([0, 0, 0], [0, 0, np.pi]), atol=1e-12)

@@ -113,10 +113,9 @@ class Corrections(Sequence[Correction]):
         rows = zip(self.targets, self.why, self.texts, self.words, strict=True)
         return {target.file for target, why, texts, words in rows if not why and _differs(target, texts, words)}
 
-    def named(self) -> Corrections:
-        """What became of targets of which only names and places are kept: their numbers stand in the new text."""
-        targets = [Target(t.line, t.name, t.form, file=t.file) for t in self.targets]
-        empty = [""] * len(targets)
+    def named(self, targets: Sequence[Target]) -> Corrections:
+        """The same of targets of which only names and places are kept: their numbers stand in the new text."""
+        empty = [""] * len(self.why)
         return replace(self, targets=targets, texts=empty, words=empty)
 
     def changes(self) -> Iterator[Change]:

@@ -160,10 +160,11 @@ def _corrected(
     progress.at("reading the new program")
     marks = _marks(language, opened, corrections.files(), content)
     new = edited(opened.project, chain(corrections.changes(), marks))
-    said, notes, corrections = meant(reading.targets), reading.notes, corrections.named()
+    said, notes, corrections = meant(reading.targets), reading.notes, corrections.named(())
     del reading, targets, marks  # a long program has too many to keep them while the new text is read
     texts = corrected(language, opened.project, cell, said, new)
-    return (*notes, *([hint] if hint else [])), corrections, texts
+    named = corrections.named([target for part in said for target in part.named()])
+    return (*notes, *([hint] if hint else [])), named, texts
 
 
 def _zeros_hint(corrections: Corrections, cell: Cell, language: Language) -> str:

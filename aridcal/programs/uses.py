@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -47,8 +48,7 @@ def product(*factors: object) -> Frame | Unknown:
     return T
 
 
-@dataclass(frozen=True, slots=True)
-class Use:
+class Use(NamedTuple):
     """How a move comes to a point.
 
     Attributes:
@@ -110,6 +110,7 @@ class Ledger:
 
     _points: dict[tuple[int, int], _Point] = field(default_factory=dict)
     _frames: dict[bytes, Frame] = field(default_factory=dict)
+    _kept: dict[int, Frame] = field(default_factory=dict)
     _vague: dict[tuple[int, int, str], Target] = field(default_factory=dict)
 
     def declare(self, key: tuple[int, int], make: Callable[[Use, tuple[Place, ...]], Target]) -> None:
@@ -169,7 +170,11 @@ class Ledger:
 
     def _one(self, frame: object) -> object:
         """One frame for all that are equal to the last bit: a long program has a hundred thousand of a few."""
-        return self._frames.setdefault(frame.T.tobytes(), frame) if isinstance(frame, Frame) else frame
+        if not isinstance(frame, Frame) or self._kept.get(id(frame)) is frame:
+            return frame
+        one = self._frames.setdefault(frame.T.tobytes(), frame)
+        self._kept[id(one)] = one
+        return one
 
 
 def _two_meanings(first: Use, other: Use) -> str:
