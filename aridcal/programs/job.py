@@ -26,6 +26,7 @@ from aridcal.programs.read_project import Opened, read_project
 from aridcal.programs.text import Numbers
 from aridcal.programs.zeros import cell_zeros, without_mirrored, witnesses, zeros_hint
 from aridcal.reading.files import CALIBRATION, read_file
+from aridcal.reading.freed import give_back
 from aridcal.result.saved_model import SavedModel
 from aridcal.showing import SILENT, Progress
 from aridcal.writing.apart import check_apart
@@ -162,6 +163,8 @@ def _corrected(
     new = edited(opened.project, chain(corrections.changes(), marks))
     said, notes, corrections = meant(reading.targets), reading.notes, corrections.named(())
     del reading, targets, marks  # a long program has too many to keep them while the new text is read
+    gc.collect()  # of what was made of the text some parts hold each other
+    give_back()
     texts = corrected(language, opened.project, cell, said, new)
     named = corrections.named([target for part in said for target in part.named()])
     return (*notes, *([hint] if hint else [])), named, texts
