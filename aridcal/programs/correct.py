@@ -476,7 +476,8 @@ class _Walk:
             lot.texts[k] = tuple(map(written, own, target.numbers.texts, target.places))
             numbers.append(list(map(float, lot.texts[k])))
         as_read = _placed(targets, numbers)
-        sent, reached, _ = self._controller.settle(as_read, q, held)
+        whole = (remark == "")[:, None]  # the controller was seen to come there, and rounding is all that is between
+        sent, reached, _ = self._controller.settle(as_read, np.where(whole, real, q), held)
         lot.real[rows], lot.sent[rows] = real, np.where(reached[:, None], sent, q)
         lot.moved[rows] = _apart(base @ new, wanted @ tool)
         lot.before[rows], lot.after[rows] = (self._arm.miss(wanted, there, sides) for there in (q, lot.sent[rows]))
