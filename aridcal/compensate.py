@@ -55,7 +55,6 @@ from aridcal.reading.names import path_argument
 from aridcal.result.compensate import Trajectory, compensate, correction_table
 from aridcal.result.predict import read_queries
 from aridcal.result.saved_model import SavedModel
-from aridcal.result.stretches import Stretch
 from aridcal.showing import told_on
 from aridcal.writing.apart import check_apart
 from aridcal.writing.files import atomic_file, check_home, claimed
@@ -63,6 +62,8 @@ from aridcal.writing.tables import ENDINGS, table_file, write_table
 
 if TYPE_CHECKING:
     import pandas as pd
+
+    from aridcal.result.stretches import Stretch
 
 SHOWN_REMARKS = 5
 

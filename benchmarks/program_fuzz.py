@@ -26,7 +26,7 @@ from aridcal.programs.languages import LANGUAGES
 from aridcal.programs.project import Project
 from aridcal.programs.proof import Change, corrected, edited, meant
 from aridcal.programs.targets import Target
-from aridcal.programs.text import written
+from aridcal.programs.text import LARGEST, NUL, written
 from fuzz.mutate import mutate
 
 TOLD_AFTER = 100_000
@@ -45,12 +45,13 @@ FRAMES = (
 
 def changed_outside(before: str, after: str, changes: Sequence[Change]) -> bool:
     """Whether anything but the given numbers differs: the old numbers are put back, from the end to the beginning."""
-    text, ordered = after, sorted(changes, key=lambda c: c.number.start)
-    shift = sum(len(c.text) - len(c.number.text) for c in ordered)
-    for c in reversed(ordered):
-        shift -= len(c.text) - len(c.number.text)
-        start = c.number.start + shift
-        text = text[:start] + c.number.text + text[start + len(c.text) :]
+    own = [pair for c in changes for pair in zip(c.numbers, c.texts.split(NUL), strict=True)]
+    text, ordered = after, sorted(own, key=lambda pair: pair[0].start)
+    shift = sum(len(new) - len(number.text) for number, new in ordered)
+    for number, new in reversed(ordered):
+        shift -= len(new) - len(number.text)
+        start = number.start + shift
+        text = text[:start] + number.text + text[start + len(new) :]
     return text != before
 
 
@@ -74,8 +75,9 @@ def attempt(language: Language, cell: Cell, project: Project, rng: Random) -> tu
     changes = []
     plain = [target for target in targets if not target.why]
     for target in plain:
-        for number, digits, value in zip(target.numbers, target.places, nearby(target, rng), strict=True):
-            changes.append(Change(target.file, number, written(value, number.text, digits)))
+        new = list(map(written, nearby(target, rng), target.numbers.texts, target.places))
+        if max(map(abs, map(float, new))) <= LARGEST:  # larger ones are left by the correction, too
+            changes.append(Change(target.file, target.numbers, NUL.join(new)))
     texts = corrected(language, project, cell, meant(targets), edited(project, changes))
     for file, (source, text) in enumerate(zip(project.sources, texts, strict=True)):
         if changed_outside(source.text, text, [c for c in changes if c.file == file]):

@@ -18,7 +18,7 @@ from aridcal.programs.gcode.table import CODES, START
 from aridcal.programs.project import Project, Source
 from aridcal.programs.proof import Change, corrected, edited, meant
 from aridcal.programs.targets import Target
-from aridcal.programs.text import written
+from aridcal.programs.text import Numbers, written
 
 
 def shifted(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> np.ndarray:
@@ -192,7 +192,7 @@ def test_a_correction_is_proved() -> None:
     project, cell = Project((Source(Path("a.nc"), text),)), Cell(gantry(False), FRAMES)
     found = list(ROW.read(project, cell).targets)
     changes = [
-        Change(0, number, written(number.value + 0.123456, number.text, digits))
+        Change(0, Numbers([number]), written(number.value + 0.123456, number.text, digits))
         for target in found if not target.why
         for number, digits in zip(target.numbers, target.places, strict=True)
     ]  # fmt: skip

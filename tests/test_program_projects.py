@@ -20,7 +20,7 @@ from aridcal.programs.project import Project, Source
 from aridcal.programs.proof import Change, Unproved, corrected, edited, meant
 from aridcal.programs.read_project import read_project
 from aridcal.programs.targets import Place, Target
-from aridcal.programs.text import Number, Numbers
+from aridcal.programs.text import NUL, Number, Numbers
 
 POINT = "{X 700.0,Y 100.0,Z 600.0,A 0.0,B 90.0,C 0.0}"
 
@@ -167,15 +167,17 @@ def test_a_proof_fails_for_two_changes_at_one_place_and_for_a_number_that_is_not
     targets = krl.ROW.read(project, frames).targets
     (joints,) = [target for target in targets if target.form == "joints"]
     first = joints.numbers[0]
-    right = Change(0, first, "20.5")
+    right = Change(0, Numbers([first]), "20.5")
     assert "A1 20.5," in corrected(krl.ROW, project, frames, meant(targets), edited(project, [right]))[0]
     with pytest.raises(Unproved, match="two changes at one place"):
         corrected(krl.ROW, project, frames, meant(targets), edited(project, [right, right]))
     with pytest.raises(Unproved):
-        corrected(krl.ROW, project, frames, meant(targets), edited(project, [Change(0, first, "20.5,A2 1.0")]))
+        corrected(
+            krl.ROW, project, frames, meant(targets), edited(project, [Change(0, Numbers([first]), "20.5,A2 1.0")])
+        )
     moved = type(first)(first.start - 1, first.text)
     with pytest.raises(Unproved, match="does not stand where it should"):
-        corrected(krl.ROW, project, frames, meant(targets), edited(project, [Change(0, moved, "20.5")]))
+        corrected(krl.ROW, project, frames, meant(targets), edited(project, [Change(0, Numbers([moved]), "20.5")]))
 
 
 SLIPS: dict[str, Callable[[Target], Target]] = {
@@ -213,7 +215,7 @@ def test_a_proof_fails_whatever_the_second_reading_has_otherwise(slip: str) -> N
     project, frames = Project((Source(Path("a.src"), text),)), Cell(arm().model.robot)
     targets = list(krl.ROW.read(project, frames).targets)
     assert [t.why for t in targets] == [""] * 3 and targets[1].branch.words is not None
-    changes = [Change(0, number, f"{number.value + 1.125:.3f}") for t in targets for number in t.numbers]
+    changes = [Change(0, t.numbers, NUL.join(f"{number.value + 1.125:.3f}" for number in t.numbers)) for t in targets]
 
     def slipped(project: Project, cell: Cell) -> Reading:
         first, second, third = krl.ROW.read(project, cell).targets

@@ -25,7 +25,7 @@ from aridcal.programs import gcode
 from aridcal.programs.branches import flange
 from aridcal.programs.cell import Cell
 from aridcal.programs.correct import NOWHERE, correct
-from aridcal.programs.frames import KnownFrames, controllers_base, read_frames
+from aridcal.programs.frames import KnownFrames, read_frames
 from aridcal.programs.languages import language_of
 from aridcal.programs.notations import ABB as OUR_ABB
 from aridcal.programs.notations import FANUC as OUR_FANUC
@@ -216,7 +216,7 @@ def test_a_link_base_that_is_elsewhere_is_where_a_ur_counts_from() -> None:
     bases = []
     for text in (plain, *(plain.replace("</robot>", other.replace("KIND", kind)) for kind in ("revolute", "fixed"))):
         robot = chain(read_tree(text.encode(), Path("ur10.urdf")), "tool0", "base_link")
-        bases.append(controllers_base(robot))
+        bases.append(Cell(robot).elsewhere)
     assert bases[:2] == [None, None]
     assert bases[2] is not None
     np.testing.assert_allclose(bases[2], transform([0, 0, 0], [0, 0, np.pi]), atol=1e-12)
@@ -296,16 +296,16 @@ def test_a_gantry_comes_to_its_places_where_all_words_stand_and_as_near_as_those
     cell = Cell(saved.final.model.robot, KnownFrames(bases={"g54": np.eye(4)}))
     reading = gcode.ROW.read(Project((Source(Path("p.nc"), text),)), cell)
     found = correct(saved, reading.targets, {})
-    assert [len(c.changes) for c in found] == [3, 3, 1, 2]
+    assert [len(c.texts) for c in found] == [3, 3, 1, 2]
     told = np.array([[100, 200, -50], [900, -300, 120], [150.5, -300, 120], [150.5, 40, 10]]) / 1e3
     sent = np.zeros(3)
     for c, q in zip(found, told, strict=True):
-        for (unit, k), change in zip(c.target.units, c.changes, strict=True):
-            sent[k] = unit * float(change.text)
+        for (unit, k), text in zip(c.target.units, c.texts, strict=True):
+            sent[k] = unit * float(text)
         place = saved.final.poses(sent[None])[1][0]
         off, as_is = np.linalg.norm(place - q), np.linalg.norm(saved.final.poses(q[None])[1][0] - q)
         assert off == pytest.approx(c.after[0], abs=1e-9)
-        assert off < (1e-6 if len(c.changes) == 3 else as_is)
+        assert off < (1e-6 if len(c.texts) == 3 else as_is)
 
 
 def test_a_wrong_file_of_frames_is_answered_with_what_one_looks_like(tmp_path: Path) -> None:

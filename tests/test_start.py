@@ -48,6 +48,12 @@ def test_identify_is_ready_to_read_its_table_with_no_slow_library() -> None:
     assert not {name for name in there if name.startswith(("aridcal.search", "aridcal.trust", "aridcal.report"))}
 
 
+def test_a_program_is_corrected_without_the_libraries_that_tables_need() -> None:
+    there = loaded("import aridcal.compensate")
+    assert "aridcal.programs.correct" in there
+    assert not there & {"pandas", "pyarrow", "openpyxl"}
+
+
 def test_the_list_of_commands_needs_no_arrays() -> None:
     assert not loaded("from aridcal.__main__ import main; main(['--help'])") & {*SLOW, "numpy", "pinocchio", "pydantic"}
 

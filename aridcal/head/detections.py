@@ -27,7 +27,8 @@ from aridcal.inputs.campaign import Campaign, FrameSettings
 from aridcal.inputs.dataset import ROLES, Dataset
 from aridcal.inputs.head_settings import HeadSettings, range_columns
 from aridcal.inputs.read import load_measurements
-from aridcal.inputs.tables import Remark, Table, read_tables
+from aridcal.inputs.remarks import Remark
+from aridcal.inputs.tables import Table, read_tables
 from aridcal.instruments.camera_sonar import HEAD, Head, channels, reduced, unpacked
 from aridcal.instruments.setup import Block, Instruments, Things
 from aridcal.model.stated_noise import with_stated_noise

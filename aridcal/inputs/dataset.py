@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from aridcal.effects.effect import ROW_ORDER
+from aridcal.inputs.remarks import Remark
 from aridcal.inputs.repeats import blocks, by_appearance, first_alike
-from aridcal.inputs.tables import Remark
 from aridcal.instruments.catalogue import KINDS
 from aridcal.instruments.channels import TARGET_POSITION, TARGET_ROTATION, Channels, columns, spread
 from aridcal.instruments.setup import Block, Instruments

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -26,10 +26,13 @@ from aridcal.inputs.orientations import (
     own_orientation,
     turned,
 )  # fmt: skip
-from aridcal.inputs.tables import Remark, Table
+from aridcal.inputs.remarks import Remark
 from aridcal.instruments import pose
 from aridcal.reading.names import LONGEST_NAME
 from aridcal.robot.chain import JointKind
+
+if TYPE_CHECKING:
+    from aridcal.inputs.tables import Table
 
 STD = ("std_x", "std_y", "std_z", "std_rx", "std_ry", "std_rz")
 POSE_OR_LABEL = (*POSITION, *QUATERNION, *STD, "station", "split")

@@ -14,12 +14,14 @@ from aridcal.errors import MeasurementError
 from aridcal.inputs.checks import check_units, note_limits
 from aridcal.inputs.measurement_settings import MeasurementSettings
 from aridcal.inputs.quantities import POSITION, Source
-from aridcal.inputs.tables import AnyTable, Remark, Table, read_tables
+from aridcal.inputs.remarks import Remark
 from aridcal.reading.files import TABLE, Limit
 from aridcal.robot.chain import JointKind
 
 if TYPE_CHECKING:
     import pandas as pd
+
+    from aridcal.inputs.tables import AnyTable, Table
 
 
 @dataclass(frozen=True)
@@ -125,6 +127,8 @@ def load_query(
             covariate that is needed has a hole; its poses have two orientations that contradict each other, even where
             they are not asked for.
     """
+    from aridcal.inputs.tables import Table, read_tables  # slow to load: only where there are tables
+
     settings = settings or MeasurementSettings()
     dialect = settings.table.dialect
     needed = [settings.columns.get(name, name) for name in (POSITION if poses else readings)]
@@ -180,6 +184,8 @@ def seeded(poses: AnyTable, seed: AnyTable, settings: MeasurementSettings, readi
     Raises:
         MeasurementError: the seeds lack a joint, or are not as many.
     """
+    from aridcal.inputs.tables import read_tables  # as above
+
     joints = [settings.columns.get(name, name) for name in readings]
     places = [settings.columns.get(name, name) for name in POSITION]
     dialect = settings.table.dialect

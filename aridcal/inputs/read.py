@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -23,9 +24,9 @@ from aridcal.inputs.checks import (
 from aridcal.inputs.dataset import ROLES, Dataset, RowNoise, together, weighed, weighed_apart
 from aridcal.inputs.measurement_settings import OF_TARGETS, SHOT, TARGET, MeasurementSettings
 from aridcal.inputs.quantities import Source
+from aridcal.inputs.remarks import Remark
 from aridcal.inputs.repeats import blocks, by_content, places
 from aridcal.inputs.split import draw_split, with_training_labels, with_training_rows
-from aridcal.inputs.tables import AnyTable, Remark, Table, read_tables
 from aridcal.inputs.things import Known, Rows, instruments_of, known_of, with_trackers
 from aridcal.instruments.catalogue import KINDS
 from aridcal.instruments.channels import TARGET_POSITION, TARGET_ROTATION, Channels
@@ -34,6 +35,9 @@ from aridcal.instruments.setup import Block
 from aridcal.reading.dates import DAY, NIGHTS, unrolled
 from aridcal.reading.freed import give_back
 from aridcal.robot.chain import JointKind
+
+if TYPE_CHECKING:
+    from aridcal.inputs.tables import AnyTable, Table
 
 TIP = "tip"
 """Label of the target of pixels beside other blocks: the tip's own frame, to which cameras or markers are fixed."""
@@ -138,6 +142,8 @@ def _read(asked: _Asked, number: int, tables: Sequence[AnyTable], alone: bool) -
     own = [settings.columns.get(name, name) for name in asked.readings]
     needed = None if asked.own_files else {*own, *(settings.needs if asked.require_pose else ())}
     there = _existing(campaign, tables, asked.own_files)
+    from aridcal.inputs.tables import read_tables  # slow to load: only where there are tables
+
     table = read_tables(there, settings.ignore, campaign.limits.table, settings.table.dialect, needed)
     source = Source(table, settings, asked.readings, str(campaign.path))
     for name in sorted(set(settings.units.columns) - set(table.cells)) if asked.own_files else ():
@@ -420,6 +426,8 @@ def _tables_of_blocks(campaign: Campaign, files: Sequence[AnyTable] | None) -> l
 
 def _names(table: AnyTable, settings: MeasurementSettings, campaign: Campaign) -> set[str]:
     """Columns of a table as a block would read it; none where it is not written as the block's own files are."""
+    from aridcal.inputs.tables import read_tables  # as above
+
     try:
         return set(read_tables([table], None, campaign.limits.table, settings.table.dialect, settings.needs).names)
     except MeasurementError:

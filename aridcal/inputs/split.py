@@ -9,8 +9,8 @@ import numpy as np
 
 from aridcal.errors import MeasurementError, listed
 from aridcal.inputs.dataset import Dataset
+from aridcal.inputs.remarks import Remark
 from aridcal.inputs.repeats import places
-from aridcal.inputs.tables import Remark
 from aridcal.instruments.catalogue import KINDS
 
 TEST_SHARE = 0.2

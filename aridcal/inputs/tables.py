@@ -15,8 +15,9 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from aridcal.errors import SHOWN, MeasurementError, listed, nearest, printable
+from aridcal.errors import SHOWN, MeasurementError, listed, nearest
 from aridcal.exports import robot_calibration
+from aridcal.inputs.remarks import Remark
 from aridcal.reading import workbooks
 from aridcal.reading.dialect import PLAIN, Dialect
 from aridcal.reading.files import TABLE, Limit, read_file
@@ -50,24 +51,6 @@ LONGEST_TEXT = 5_000
 
 # Columns that are not there which a message names.
 SHOWN_MISSING = 12
-
-
-@dataclass(frozen=True)
-class Remark:
-    """Something wrong or odd about a row or a cell; `row` is the line of the file, `None` if all of it is meant."""
-
-    file: str
-    row: int | None
-    column: str
-    value: str
-    why: str
-
-    def __str__(self) -> str:
-        where = self.file if self.row is None else f"{self.file}, line {self.row}"
-        cell = ", ".join(
-            filter(None, [f"column {self.column!r}" if self.column else "", printable(self.value[:SHOWN])])
-        )
-        return f"{where}: {cell}: {self.why}" if cell else f"{where}: {self.why}"
 
 
 @dataclass(frozen=True)

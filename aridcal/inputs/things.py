@@ -21,7 +21,6 @@ from aridcal.inputs.instrument_settings import (
     PlaneSettings,
 )
 from aridcal.inputs.measurement_settings import FAR, OF_TARGETS
-from aridcal.inputs.tables import read_tables
 from aridcal.inputs.yaml_file import LARGEST
 from aridcal.instruments.kind import Kind, Role
 from aridcal.instruments.pose import TRACKER
@@ -66,6 +65,8 @@ def load_places(path: Path, key: str, limit: Limit = TABLE) -> dict[str, KnownPl
     Raises:
         MeasurementError: a cell is missing or no number, a label appears twice, or these cannot be metres.
     """
+    from aridcal.inputs.tables import read_tables  # slow to load: only where there are tables
+
     table = read_tables([path], None, limit)
     numbers = ("x", "y", "z", *(("std",) if "std" in table.names else ()))
     table.require((key, *numbers[:3]))

@@ -196,7 +196,7 @@ def shortest(J: np.ndarray, e: np.ndarray, damping: np.ndarray) -> np.ndarray:
     """
     m = e.shape[1]
     step = np.zeros((len(e), J.shape[2]))
-    enough = J.any(axis=1).sum(axis=1) >= m
+    enough = (np.einsum("nij,nij->nj", J, J) > 0.0).sum(axis=1) >= m
     for few, some in ((False, enough), (True, ~enough)):
         if some.any():
             A, b = J[some], e[some]

@@ -36,9 +36,9 @@ class Axes:
     zeros: tuple[float, ...] = ()
 
     @cached_property
-    def shifts(self) -> np.ndarray:
+    def shifts(self) -> tuple[float, ...]:
         """What the controller shows of each axis of the arm where its reading is zero, [rad] or [m]."""
-        return np.array([self.unit(k, DEGREE, MILLIMETRE) * self.zero(k) for k in self.arm])
+        return tuple(self.unit(k, DEGREE, MILLIMETRE) * self.zero(k) for k in self.arm)
 
     def unit(self, reading: int, angle: float, length: float) -> float:
         """What a unit of a reading is, [rad] or [m]."""

@@ -68,7 +68,7 @@ TURNS = (-2, -1, 0, 1, 2)
 QUICK = 8
 """Steps of a search for a guess: what takes longer is worked out where it matters."""
 
-ANCHORS = 16
+ANCHORS = 32
 """A pose of so many is solved first, one after the other, so that all others have a start close by."""
 
 SWEEPS = 16
@@ -373,18 +373,22 @@ class Controller:
 
     def _guessed(self, chain: Chain, start: int, end: int, before: np.ndarray) -> np.ndarray:
         """Readings of the targets from one to another, the chance of a wrong position taken."""
-        seeds, here = [], before
+        anchors, seeds, here = [], [], before
         for k in range(start, end):
             if chain.joints[k]:
                 here = np.where(np.isnan(chain.given[k]), here, chain.given[k])
-            elif (k - start) % ANCHORS == 0:
+            elif (k - start) % ANCHORS == 0 or k == end - 1:
                 wanted, held = chain.poses.wanted[k], chain.poses.held[k]
                 stays = np.isfinite(held)
                 low, high = (np.where(stays, held, limit) for limit in (self.one.low, self.one.high))
                 command = replace(self.one, low=low, high=high).command(wanted[:3, :3], wanted[:3, 3], here, {})
                 here = command.readings if command.reached else here
+            else:
+                continue
+            anchors.append(k)
             seeds.append(here)
-        found = np.array(seeds)
+        rows, known = np.arange(start, end), np.array(seeds)
+        found = np.column_stack([np.interp(rows, anchors, column) for column in known.T])
         own = np.flatnonzero(~chain.joints[start:end])
         held = chain.poses.held[start + own]
         q, reached, _ = self.settle(chain.poses.wanted[start + own], found[own], held, QUICK)

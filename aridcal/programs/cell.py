@@ -6,9 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
+import numpy as np
+
 from aridcal.programs.anatomy import Anatomy, anatomy_of
 from aridcal.programs.axes import Axes, axes_of
-from aridcal.programs.frames import KnownFrames
+from aridcal.programs.frames import KnownFrames, fixed_base
 from aridcal.programs.targets import Target
 from aridcal.robot.chain import Robot
 
@@ -38,6 +40,16 @@ class Cell:
     def anatomy(self) -> Anatomy | None:
         """What words for its posture are about; None where it is no arm of that kind."""
         return anatomy_of(self.robot, self.axes)
+
+    @cached_property
+    def base(self) -> np.ndarray | None:
+        """Where the URDF has the controller's base, in the campaign's, T of shape (4, 4); None where it does not say."""
+        return fixed_base(self.robot)
+
+    @property
+    def elsewhere(self) -> np.ndarray | None:
+        """The same where it is not the campaign's own; None where it is, or nothing is said."""
+        return None if self.base is None or np.allclose(self.base, np.eye(4), atol=1e-6) else self.base
 
 
 @dataclass(frozen=True)

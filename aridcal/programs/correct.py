@@ -25,7 +25,7 @@ from aridcal.programs.branches import FEW, STARTS, Chain, Controller, Memory, Po
 from aridcal.programs.corrections import Corrections, joined_corrections, uncorrected
 from aridcal.programs.notations import inverse
 from aridcal.programs.targets import Notation, Place, Target
-from aridcal.programs.text import NUL, written
+from aridcal.programs.text import LARGEST, NUL, written
 from aridcal.result.compensate import STILL
 from aridcal.result.predict import at_any_station, directions, extrapolates, std_of
 from aridcal.result.saved_model import SavedModel
@@ -50,6 +50,8 @@ NO_SUCH_POSTURE = "is none that the nominal arm has there"
 WORDLESS = "its posture once corrected has no words in this language"
 
 ELSEWHERE = "its posture once corrected is shared with another position of the arm, nearer to where it comes from"
+
+TOO_LARGE = "its numbers once corrected are larger than those of any arm"
 
 SEEN = 1e-6
 """[m]: what remains of an error where axes are missing is said from here on; the rounding of the numbers leaves as much."""
@@ -238,7 +240,7 @@ def every_position(robot: Robot, targets: Sequence[Target]) -> list[list[np.ndar
     for k, target in enumerate(own):
         if target.branch.held is not None:
             held[k] = target.branch.held
-    wanted = _placed(own, [target.values for target in own]) if own else np.empty((0, 4, 4))
+    wanted = _placed(own, [target.values.tolist() for target in own]) if own else np.empty((0, 4, 4))
     near = np.tile(np.clip(0.0, *robot.limits.T), (len(own), 1))
     found: list[list[np.ndarray]] = [[] for _ in targets]
     positions = Controller(robot).positions(Poses(wanted, held, [None] * len(own)), near)
@@ -275,7 +277,7 @@ class _Lot:
     """
 
     targets: Sequence[Target]
-    values: Sequence[np.ndarray]
+    values: Sequence[Sequence[float]]
     joints: np.ndarray
     stated: np.ndarray
     q: np.ndarray
@@ -365,7 +367,7 @@ class _Walk:
                 fits[k] = branch.words.agree
         wanted = np.tile(np.eye(4), (n, 1, 1))
         own = np.flatnonzero(~joints)
-        values = [target.values for target in targets]
+        values = [list(map(float, target.numbers.texts)) for target in targets]
         wanted[own] = _placed([targets[k] for k in own.tolist()], [values[k] for k in own.tolist()])
         poses = Poses(wanted, held, fits)
         memory: Memory = {}
@@ -432,13 +434,14 @@ class _Walk:
         """
         wanted, q, free, sides = lot.wanted[rows], lot.q[rows], lot.stated[rows], lot.own_sides(rows)
         real, remark = self._arm.nearby(wanted, q, sides, np.where(free, np.nan, as_is))
-        sent = as_is.copy()
+        sent, large = as_is.copy(), np.zeros(len(rows), dtype=bool)
         for row, k in enumerate(rows.tolist()):
             target, texts = lot.targets[k], []
-            own = zip(target.numbers.texts, lot.values[k].tolist(), target.places, target.units, strict=True)
+            own = zip(target.numbers.texts, lot.values[k], target.places, target.units, strict=True)
             for before, value, digits, (unit, j) in own:
                 text = written(value + (real[row, j] - q[row, j]) / unit, before, digits)
                 sent[row, j] = q[row, j] + (float(text) - value) * unit
+                large[row] |= abs(float(text)) > LARGEST
                 texts.append(text)
             lot.texts[k] = tuple(texts)
         lot.moved[rows] = _apart(flanges(self._robot, sent), flanges(self._robot, as_is))
@@ -447,6 +450,7 @@ class _Walk:
         missed[missed] = self._arm.miss(wanted[missed], real[missed], lot.own_sides(rows[missed]))[:, 0] > SEEN
         remark[missed] = PARTLY
         lot.remark[rows], lot.why[rows] = remark, self._left(real, remark, sides)
+        lot.why[rows[large]] = TOO_LARGE
         for k in rows.tolist():
             lot.why[k] = lot.targets[k].why or lot.why[k]
         lot.sent[rows] = np.where((lot.why[rows] != "")[:, None], as_is, sent)
@@ -470,13 +474,15 @@ class _Walk:
         values = [lot.values[k] for k in rows.tolist()]
         for k, target, own in zip(rows.tolist(), targets, _numbers(targets, values, new), strict=True):
             lot.texts[k] = tuple(map(written, own, target.numbers.texts, target.places))
-            numbers.append(np.array([float(text) for text in lot.texts[k]]))
+            numbers.append(list(map(float, lot.texts[k])))
         as_read = _placed(targets, numbers)
-        sent, reached, _ = self._controller.settle(as_read, q, held)
+        whole = (remark == "")[:, None]  # the controller was seen to come there, and rounding is all that is between
+        sent, reached, _ = self._controller.settle(as_read, np.where(whole, real, q), held)
         lot.real[rows], lot.sent[rows] = real, np.where(reached[:, None], sent, q)
         lot.moved[rows] = _apart(base @ new, wanted @ tool)
         lot.before[rows], lot.after[rows] = (self._arm.miss(wanted, there, sides) for there in (q, lot.sent[rows]))
         lot.remark[rows], lot.why[rows] = remark, self._left(real, remark, sides)
+        lot.why[[k for k, own in zip(rows.tolist(), numbers, strict=True) if max(map(abs, own)) > LARGEST]] = TOO_LARGE
         self._settle_stance(lot)
         self._reword(lot, rows, as_read)
         self._look_beside(lot, rows, numbers)
@@ -536,7 +542,7 @@ class _Walk:
             other = np.abs(taken - lot.sent[own]).max(axis=1) > SAME
             lot.why[own[other]] = ELSEWHERE
 
-    def _look_beside(self, lot: _Lot, rows: np.ndarray, numbers: Sequence[np.ndarray]) -> None:
+    def _look_beside(self, lot: _Lot, rows: np.ndarray, numbers: Sequence[Sequence[float]]) -> None:
         """Work out what the correction does at other places where the same numbers are used."""
         pairs = [
             (row, place) for row, k in enumerate(rows.tolist()) if not lot.why[k] for place in lot.targets[k].beside
@@ -587,7 +593,7 @@ def _frames(places: Sequence[Place]) -> tuple[np.ndarray, np.ndarray]:
     return np.array([place.base for place in places]), np.array([place.tool for place in places])
 
 
-def _placed(targets: Sequence[Target], numbers: Sequence[np.ndarray], places: Sequence[Place] = ()) -> np.ndarray:
+def _placed(targets: Sequence[Target], numbers: Sequence[Sequence[float]], places: Sequence[Place] = ()) -> np.ndarray:
     """T_base_tip of poses that say some numbers, shape (n, 4, 4): at their own places, or at others."""
     poses = np.empty((len(targets), 4, 4))
     for notation, own in _by_notation(targets):
@@ -596,7 +602,7 @@ def _placed(targets: Sequence[Target], numbers: Sequence[np.ndarray], places: Se
     return np.asarray(base @ poses @ inverse(tool)) if len(targets) else poses
 
 
-def _numbers(targets: Sequence[Target], before: Sequence[np.ndarray], poses: np.ndarray) -> list[list[float]]:
+def _numbers(targets: Sequence[Target], before: Sequence[Sequence[float]], poses: np.ndarray) -> list[list[float]]:
     """What the notation of each target, which said other numbers before, says of poses (n, 4, 4) in its frame."""
     found: list[list[float]] = [[]] * len(targets)
     for notation, own in _by_notation(targets):

@@ -12,7 +12,7 @@ import numpy as np
 from aridcal.errors import printable
 from aridcal.programs.proof import Change
 from aridcal.programs.targets import Target
-from aridcal.programs.text import NUL, Numbers
+from aridcal.programs.text import NUL
 
 DIGITS = 6
 """Of millimetres and milliradians in the side table: a nanometre, which nobody reads past."""
@@ -50,11 +50,6 @@ class Correction:
     positions: int = 1
     doubt: float = 0.0
     beside: float = 0.0
-
-    @property
-    def changes(self) -> list[Change]:
-        """Numbers of the text that change, those of the posture among them, and what stands there now."""
-        return [] if self.why else list(_changes(self.target, NUL.join(self.texts), NUL.join(self.words)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,14 +113,13 @@ class Corrections(Sequence[Correction]):
         rows = zip(self.targets, self.why, self.texts, self.words, strict=True)
         return {target.file for target, why, texts, words in rows if not why and _differs(target, texts, words)}
 
-    def named(self) -> Corrections:
-        """What became of targets of which only names and places are kept: their numbers stand in the new text."""
-        targets = [Target(t.line, t.name, t.form, file=t.file) for t in self.targets]
-        empty = [""] * len(targets)
+    def named(self, targets: Sequence[Target]) -> Corrections:
+        """The same of targets of which only names and places are kept: their numbers stand in the new text."""
+        empty = [""] * len(self.why)
         return replace(self, targets=targets, texts=empty, words=empty)
 
     def changes(self) -> Iterator[Change]:
-        """Numbers of the text that change, those of the posture among them, and what stands there now."""
+        """Numbers of targets that change, those of the posture among them, and what stands there now."""
         for target, why, texts, words in zip(self.targets, self.why, self.texts, self.words, strict=True):
             if not why:
                 yield from _changes(target, texts, words)
@@ -139,16 +133,10 @@ def _differs(target: Target, texts: str, words: str) -> bool:
 
 def _changes(target: Target, texts: str, words: str) -> Iterator[Change]:
     stated = target.branch.words
-    yield from _other_texts(target.file, target.numbers, texts)
-    if stated is not None and words:
-        yield from _other_texts(target.file, stated.numbers, words)
-
-
-def _other_texts(file: int, numbers: Numbers, joined: str) -> Iterator[Change]:
-    if joined != numbers.joined:
-        for number, text in zip(numbers, joined.split(NUL), strict=True):
-            if text != number.text:
-                yield Change(file, number, text)
+    if texts != target.numbers.joined:
+        yield Change(target.file, target.numbers, texts)
+    if stated is not None and words and words != stated.numbers.joined:
+        yield Change(target.file, stated.numbers, words)
 
 
 def uncorrected(targets: Sequence[Target]) -> Corrections:

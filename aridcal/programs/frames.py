@@ -90,12 +90,6 @@ def fixed_base(robot: Robot) -> np.ndarray | None:
     return T
 
 
-def controllers_base(robot: Robot) -> np.ndarray | None:
-    """Where the controller's base is in the campaign's, if the URDF says that it is elsewhere, T of shape (4, 4)."""
-    T = fixed_base(robot)
-    return None if T is None or np.allclose(T, np.eye(4), atol=1e-6) else T
-
-
 def _poses(placements: Mapping[str, Placement]) -> dict[str, np.ndarray]:
     return {name.lower(): placement.homogeneous for name, placement in placements.items()}
 

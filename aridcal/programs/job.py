@@ -23,8 +23,10 @@ from aridcal.programs.languages import language_of
 from aridcal.programs.marks import OUTPUT_HASH, SIDE, SIDE_OF_FOLDER, mark_of, output_hash, refuse_corrected
 from aridcal.programs.proof import Change, corrected, edited, meant
 from aridcal.programs.read_project import Opened, read_project
+from aridcal.programs.text import Numbers
 from aridcal.programs.zeros import cell_zeros, without_mirrored, witnesses, zeros_hint
 from aridcal.reading.files import CALIBRATION, read_file
+from aridcal.reading.freed import give_back
 from aridcal.result.saved_model import SavedModel
 from aridcal.showing import SILENT, Progress
 from aridcal.writing.apart import check_apart
@@ -130,6 +132,8 @@ def _uncollected() -> Iterator[None]:
     try:
         yield
     finally:
+        gc.freeze()
+        gc.unfreeze()  # what stays counts as old from here on, so that it is not looked through at once
         if was:
             gc.enable()
 
@@ -146,7 +150,6 @@ def _corrected(
     cell = Cell(robot, frames, axes.zeros, start is not None)
     progress.at("reading the program")
     reading = language.read(opened.project, cell)
-    gc.collect()  # what was made of the text is not needed any more
     if not reading.targets:
         names = ", ".join(str(source.path) for source in opened.project.sources if source.ours)
         raise MeasurementError(f"{names}: no target of {language.name} is in it; is it a program of this maker?")
@@ -158,10 +161,13 @@ def _corrected(
     progress.at("reading the new program")
     marks = _marks(language, opened, corrections.files(), content)
     new = edited(opened.project, chain(corrections.changes(), marks))
-    said, notes, corrections = meant(reading.targets), reading.notes, corrections.named()
+    said, notes, corrections = meant(reading.targets), reading.notes, corrections.named(())
     del reading, targets, marks  # a long program has too many to keep them while the new text is read
+    gc.collect()  # of what was made of the text some parts hold each other
+    give_back()
     texts = corrected(language, opened.project, cell, said, new)
-    return (*notes, *([hint] if hint else [])), corrections, texts
+    named = corrections.named([target for part in said for target in part.named()])
+    return (*notes, *([hint] if hint else [])), named, texts
 
 
 def _zeros_hint(corrections: Corrections, cell: Cell, language: Language) -> str:
@@ -178,7 +184,8 @@ def _marks(language: Language, opened: Opened, files: Collection[int], calibrati
     for file in files:
         mark = mark_of(language, opened.project.sources[file].text, calibration, day)
         if mark is not None:
-            yield Change(file, *mark)
+            place, comment = mark
+            yield Change(file, Numbers([place]), comment)
 
 
 def _readings(numbers: Sequence[float], where: str, axes: Axes, language: Language) -> np.ndarray:

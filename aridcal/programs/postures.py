@@ -18,9 +18,9 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -48,7 +48,7 @@ UNSEEN = (
 )
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Stance:
     """How an arm stands.
 
@@ -60,6 +60,7 @@ class Stance:
     shown: Sequence[float]
     anatomy: Anatomy | None
 
+    @cached_property
     def sides(self) -> tuple[float, float, float]:
         """In front of axis 1, bent forward, axis 5 positive: each above zero where it is so, NaN where nobody can tell."""
         if self.anatomy is None:
@@ -89,7 +90,9 @@ class Posture:
 
     def __call__(self, readings: np.ndarray) -> tuple[str, ...] | None:
         """What should stand there for readings, shape (columns,); None where nobody can tell all of it."""
-        stance = Stance(shown(self.axes, readings).tolist(), self.anatomy)
+        values, axes = readings.tolist(), self.axes
+        shown = [values[k] + shift for k, shift in zip(axes.arm, axes.shifts, strict=True)]
+        stance = Stance(shown, self.anatomy)
         texts = []
         for text, rule in zip(self.numbers.texts, self.rules, strict=True):
             own = rule(stance, text)
@@ -97,11 +100,6 @@ class Posture:
                 return None
             texts.append(own)
         return tuple(texts)
-
-
-def shown(axes: Axes, readings: np.ndarray) -> np.ndarray:
-    """What the controller shows of each axis of the arm at readings, [rad] or [m]."""
-    return np.asarray(readings[list(axes.arm)] + axes.shifts)
 
 
 def krl_words(status: Number | None, turn: Number | None, cell: Cell) -> Words | None:
@@ -164,7 +162,7 @@ def _kept(stance: Stance, text: str) -> str:
 
 
 def _status(stance: Stance, text: str) -> str | None:
-    ahead, bent, wrist = stance.sides()
+    ahead, bent, wrist = stance.sides
     return _with_bits(text, (ahead, -bent, wrist))
 
 
@@ -239,22 +237,19 @@ def _cfx(stance: Stance, text: str) -> str | None:
     stated = _whole(text)
     if stated is None or not 0 <= stated < 8:
         return None
-    ahead, bent, wrist = stance.sides()
+    ahead, bent, wrist = stance.sides
     bits = _with_bits(str(stated), (wrist, bent, ahead))
     return text if bits == str(stated) else bits
 
 
+LETTERS = {letter: pair for pair in ("NF", "TB", "UD") for letter in pair}
+"""Each letter of CONFIG, and the pair that it is of: the first of it where the value is above zero."""
+
+
 def _letter(stance: Stance, text: str) -> str | None:
-    ahead, bent, wrist = stance.sides()
-    arm = stance.anatomy
-    if arm is None:
+    arm, pair = stance.anatomy, LETTERS.get(text)
+    if arm is None or pair is None:
         return text
-    pairs: Mapping[str, float] = {
-        "NF": arm.senses[4] * wrist,
-        "TB": ahead,
-        "UD": bent if ahead > 0.0 else 0.0,
-    }
-    for pair, value in pairs.items():
-        if text in tuple(pair) and abs(value) > EITHER:
-            return pair[0] if value > 0.0 else pair[1]
-    return text
+    ahead, bent, wrist = stance.sides
+    value = {"NF": arm.senses[4] * wrist, "TB": ahead, "UD": bent if ahead > 0.0 else 0.0}[pair]
+    return pair[value < 0.0] if abs(value) > EITHER else text  # not for NaN

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from io import StringIO
+from typing import Any, Literal
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from aridcal.programs.cell import Cell
 from aridcal.programs.language import Language
 from aridcal.programs.project import Project
 from aridcal.programs.targets import Place, Target
-from aridcal.programs.text import NUL, Number
+from aridcal.programs.text import NUL, Numbers
 
 
 class Unproved(Exception):
@@ -26,87 +27,96 @@ AT_ONCE = 2_000
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """Another text for a number.
+    """Other texts for numbers, those of a target for instance.
 
     Attributes:
         file: Of the project, its index.
-        number: Where it stands, as it is.
-        text: What is to stand there.
+        numbers: Where they stand, as they are.
+        texts: What is to stand there, joined by :data:`NUL`.
     """
 
     file: int
-    number: Number
-    text: str
+    numbers: Numbers
+    texts: str
 
 
 @dataclass(frozen=True)
 class Meant:
-    """What n targets say, in columns: all that is kept of them while the new text is read.
+    """What some targets say, in columns: all that is kept of them while the new text is read.
+
+    Texts of many targets are one here: small ones would lie between all else that was made of the program, whose memory could
+    not be given back.
 
     Attributes:
         files: Of the project, their indices.
         lines: Where they stand.
-        names: What the program calls them.
+        names: What the program calls them, joined by :data:`NUL`.
         forms: Of their numbers.
         why: Why they cannot be corrected.
         units: Of their numbers.
         counts: How many numbers each has, those of its posture among them.
         starts: Where all their numbers start, those of a posture behind the others.
-        texts: What stands there, of each target joined by :data:`NUL`.
+        texts: What stands there, joined by :data:`NUL`.
         places: Frame and tool of each.
         beside: Likewise of other uses.
     """
 
     files: array[int]
     lines: array[int]
-    names: list[str]
-    forms: list[str]
+    names: str
+    forms: list[Literal["joints", "pose"]]
     why: list[str]
     units: list[tuple[tuple[float, int], ...]]
     counts: array[int]
     starts: array[int]
-    texts: list[str]
+    texts: str
     places: list[Place | None]
     beside: list[tuple[Place, ...]]
 
     def __len__(self) -> int:
         return len(self.lines)
 
-    def part(self, start: int, stop: int) -> Meant:
-        """Some of them."""
-        rows, first = slice(start, stop), sum(self.counts[:start])
-        numbers = slice(first, first + sum(self.counts[rows]))
-        own = {f.name: getattr(self, f.name)[numbers if f.name == "starts" else rows] for f in fields(self)}
-        return Meant(**own)
+    def named(self) -> list[Target]:
+        """The targets with their names and places alone."""
+        own = zip(self.lines, self.names.split(NUL), self.forms, self.files, strict=True)
+        return [Target(line, name, form, file=file) for line, name, form, file in own]
 
     def where(self, k: int) -> str:
         """How messages name one."""
-        return f"line {self.lines[k]}, {self.names[k]}"
+        return f"line {self.lines[k]}, {self.names.split(NUL)[k]}"
 
 
-def meant(targets: Sequence[Target]) -> Meant:
-    """What targets say."""
-    said = Meant(array("I"), array("I"), [], [], [], [], array("I"), array("I"), [], [], [])
-    for target in targets:
-        words = target.branch.words
-        numbers = [target.numbers] if words is None else [target.numbers, words.numbers]
-        said.files.append(target.file)
-        said.lines.append(target.line)
-        said.names.append(target.name)
-        said.forms.append(target.form)
-        said.why.append(target.why)
-        said.units.append(target.units)
-        said.counts.append(sum(map(len, numbers)))
-        for own in numbers:
-            said.starts.extend(own.starts)
-        said.texts.append(NUL.join([own.joined for own in numbers if len(own)]))
-        said.places.append(target.place)
-        said.beside.append(target.beside)
-    return said
+def meant(targets: Sequence[Target]) -> list[Meant]:
+    """What targets say, some thousand at a time."""
+    same: dict[object, Any] = {}  # one of all that are equal
+    return [_meant(targets[first : first + AT_ONCE], same) for first in range(0, len(targets), AT_ONCE)]
+
+
+def _meant(targets: Sequence[Target], same: dict[object, Any]) -> Meant:
+    words = [target.branch.words for target in targets]
+    numbers = [(t.numbers,) if own is None else (t.numbers, own.numbers) for t, own in zip(targets, words, strict=True)]
+    starts = array("I")
+    for own in numbers:
+        for part in own:
+            starts.extend(part.starts)
+    places = [target.place for target in targets]
+    return Meant(
+        files=array("I", [target.file for target in targets]),
+        lines=array("I", [target.line for target in targets]),
+        names=NUL.join([target.name for target in targets]),
+        forms=[target.form for target in targets],
+        why=[same.setdefault(target.why, target.why) for target in targets],
+        units=[same.setdefault(target.units, target.units) for target in targets],
+        counts=array("I", [sum(map(len, own)) for own in numbers]),
+        starts=starts,
+        texts=NUL.join([part.joined for own in numbers for part in own if len(part)]),
+        places=[place and same.setdefault((id(place.base), id(place.tool)), place) for place in places],
+        beside=[target.beside for target in targets],
+    )
 
 
 def corrected(
-    language: Language, project: Project, cell: Cell, said: Meant, edited: Sequence[Edited]
+    language: Language, project: Project, cell: Cell, said: Sequence[Meant], edited: Sequence[Edited]
 ) -> tuple[str, ...]:
     """The new text of each file, proved.
 
@@ -121,13 +131,12 @@ def corrected(
         Unproved: naming what is wrong.
     """
     texts = [own.text for own in edited]
-    again = language.read(project.with_texts(texts), cell).targets
-    if len(again) != len(said):
-        raise Unproved(f"{len(said)} targets were read, of the new text {len(again)}")
-    for start in range(0, len(said), AT_ONCE):
-        before, after = said.part(start, start + AT_ONCE), meant(again[start : start + AT_ONCE])
+    again, count = language.read(project.with_texts(texts), cell).targets, sum(map(len, said))
+    if len(again) != count:
+        raise Unproved(f"{count} targets were read, of the new text {len(again)}")
+    for before, after in zip(said, meant(again), strict=True):
         _check(before, after)
-        _check_numbers(before, after, project, edited)
+        _check_numbers(before, after, edited)
     return tuple(texts)
 
 
@@ -152,22 +161,25 @@ class _Edits:
 
     Attributes:
         starts: Where each stands.
-        ends: Where it ends.
+        lengths: Of what stands there.
         texts: What is to stand there.
     """
 
     starts: array[int]
-    ends: array[int]
+    lengths: array[int]
     texts: list[str]
 
     def add(self, text: str, change: Change) -> None:
-        """Take one more, of a text."""
-        start, before = change.number.start, change.number.text
-        if not text.startswith(before, start):
-            raise Unproved(f"{before} does not stand where it should")
-        self.starts.append(start)
-        self.ends.append(start + len(before))
-        self.texts.append(change.text)
+        """Take some more, of a text."""
+        before, after = change.numbers.texts, change.texts.split(NUL)
+        if len(before) != len(after):
+            raise Unproved(f"{len(after)} texts are given for {len(before)} numbers")
+        for start, own in zip(change.numbers.starts, before, strict=True):
+            if not text.startswith(own, start):
+                raise Unproved(f"{own} does not stand where it should")
+        self.starts.extend(change.numbers.starts)
+        self.lengths.extend(map(len, before))
+        self.texts.extend(after)
 
 
 @dataclass(frozen=True)
@@ -195,57 +207,73 @@ class Edited:
 
 def _spliced(text: str, edits: _Edits) -> Edited:
     """The text with other numbers, if each has a place of its own and all between is as it was."""
-    starts, ends = np.array(edits.starts, dtype=np.int64), np.array(edits.ends, dtype=np.int64)
-    order = np.argsort(starts, kind="stable")
-    twice = order[1:][starts[order[1:]] < ends[order[:-1]]]
+    order = np.argsort(np.array(edits.starts, dtype=np.int64), kind="stable")
+    starts, old = (np.array(own, dtype=np.int64)[order] for own in (edits.starts, edits.lengths))
+    twice = np.flatnonzero(starts[1:] < (starts + old)[:-1])
     if len(twice):
-        raise Unproved(f"two changes at one place: {text[starts[twice[0]] : ends[twice[0]]]}")
-    new, end = StringIO(newline=""), 0
-    for k in order.tolist():
-        new.write(text[end : edits.starts[k]])
-        new.write(edits.texts[k])
-        end = edits.ends[k]
-    new.write(text[end:])
-    lengths = np.array([len(edits.texts[k]) for k in order.tolist()], dtype=np.int64)
-    longer = np.concatenate([[0], np.cumsum(lengths - (ends - starts)[order])])
-    own = Edited(new.getvalue(), starts[order], lengths, longer)
-    _check_rest(text, edits, order, own.text)
+        first = int(starts[twice[0] + 1])
+        raise Unproved(f"two changes at one place: {text[first : first + int(old[twice[0] + 1])]}")
+    texts = [edits.texts[k] for k in order.tolist()]
+    lengths = np.fromiter(map(len, texts), dtype=np.int64, count=len(texts))
+    new = StringIO(newline="")
+    for rows, between in _between(text, starts, starts + old):
+        parts = [""] * (2 * len(between))
+        parts[::2], parts[1::2] = between, texts[rows]
+        new.write("".join(parts))
+    new.write(text[int(starts[-1] + old[-1]) if len(texts) else 0 :])
+    own = Edited(new.getvalue(), starts, lengths, np.concatenate([[0], np.cumsum(lengths - old)]))
+    _check_rest(text, starts + old, texts, own)
     return own
 
 
-def _check_rest(text: str, edits: _Edits, order: np.ndarray, new: str) -> None:
-    """Make sure that the new text has each new number at its place, and all between as it was."""
-    old_end, new_end = 0, 0
-    for k in order.tolist():
-        start, own = edits.starts[k], edits.texts[k]
-        there = new_end + start - old_end
-        if new[new_end:there] != text[old_end:start]:
-            raise Unproved(f"the text before {own} is another one")
-        if not new.startswith(own, there):
-            raise Unproved(f"{own} does not stand where it should")
-        old_end, new_end = edits.ends[k], there + len(own)
-    if new[new_end:] != text[old_end:]:
+def _between(text: str, starts: np.ndarray, ends: np.ndarray) -> Iterator[tuple[slice, list[str]]]:
+    """What stands in a text before each of some numbers that follow each other, some thousand of them at a time."""
+    last = 0
+    for first in range(0, len(starts), AT_ONCE):
+        rows = slice(first, first + AT_ONCE)
+        begins = [last, *ends[rows].tolist()]
+        last = begins.pop()
+        yield rows, [text[begin:end] for begin, end in zip(begins, starts[rows].tolist(), strict=True)]
+
+
+def _check_rest(text: str, ends: np.ndarray, texts: Sequence[str], own: Edited) -> None:
+    """Make sure that the new text has each new number at its place, and all between as it was.
+
+    Args:
+        text: The old one.
+        ends: Of the numbers in it, in their order, shape (n,).
+        texts: What should stand there now.
+        own: The new text.
+    """
+    starts = own.starts + own.longer[:-1]
+    was, now = _between(text, own.starts, ends), _between(own.text, starts, starts + own.lengths)
+    for (rows, before), (_, after) in zip(was, now, strict=True):
+        if before != after:
+            raise Unproved("the text between the numbers is another one")
+        places = zip(starts[rows].tolist(), texts[rows], strict=True)
+        wrong = next((said for start, said in places if not own.text.startswith(said, start)), None)
+        if wrong is not None:
+            raise Unproved(f"{wrong} does not stand where it should")
+    end = int(ends[-1]) if len(ends) else 0
+    if own.text[end + int(own.longer[-1]) :] != text[end:]:
         raise Unproved("the text behind the last change is another one")
 
 
-def _check_numbers(before: Meant, after: Meant, project: Project, edited: Sequence[Edited]) -> None:
+def _check_numbers(before: Meant, after: Meant, edited: Sequence[Edited]) -> None:
     """Make sure that the numbers of targets, as many as before, are those that were meant, where they were meant."""
-    ends, files = np.cumsum(before.counts), np.repeat(before.files, before.counts)
-    old_starts, new_starts = (np.array(own.starts, dtype=np.int64) for own in (before, after))
-    old, new = (np.array(NUL.join(filter(None, own.texts)).split(NUL), dtype=object) for own in (before, after))
+    files, old = np.repeat(before.files, before.counts), before.texts.split(NUL) if len(before.starts) else []
+    starts, lengths = np.array(before.starts, dtype=np.int64), np.fromiter(map(len, old), dtype=np.int64)
     for file in sorted(set(before.files)):
-        rows = np.flatnonzero(files == file)
-        text = edited[file].text
-        lengths = np.array([len(own) for own in old[rows]], dtype=np.int64)
-        starts, lengths = edited[file].meant(old_starts[rows], lengths)
-        spans = zip(starts.tolist(), (starts + lengths).tolist(), strict=True)
-        there = np.array([text[start:end] for start, end in spans], dtype=object)
-        wrong = rows[(starts != new_starts[rows]) | (there != new[rows])]
-        if len(wrong):
-            k = int(wrong[0])
-            where = before.where(int(np.searchsorted(ends, k, "right")))
-            own = there[int(np.searchsorted(rows, k))]
-            raise Unproved(f"{where}: {own} was meant in place of {old[k]}, the new text has {new[k]}")
+        rows = files == file
+        starts[rows], lengths[rows] = edited[file].meant(starts[rows], lengths[rows])
+    spans = zip(files.tolist(), starts.tolist(), (starts + lengths).tolist(), strict=True)
+    there = [edited[file].text[start:end] for file, start, end in spans]
+    moved = starts != np.array(after.starts, dtype=np.int64)
+    if NUL.join(there) != after.texts or moved.any():
+        new = after.texts.split(NUL)
+        k = next(k for k in range(len(new)) if there[k] != new[k] or moved[k])
+        where = before.where(int(np.searchsorted(np.cumsum(before.counts), k, "right")))
+        raise Unproved(f"{where}: {there[k]} was meant in place of {old[k]}, the new text has {new[k]}")
 
 
 SAME = {

@@ -16,6 +16,14 @@ NUMBER = re.compile(r"[-+]?+(?:\d++(?:\.\d*+)?+|\.\d++)(?:[eE][-+]?+\d++)?+")
 NUL = "\0"
 """No number has it in its text."""
 
+LARGEST = 1e6
+"""In any unit, metres or degrees: no arm has a larger number in a target, and none with one is corrected."""
+
+BRACKET = re.compile(r"[()\[\]{}]")
+
+NEAR = 500
+"""Letters in which a bracket's closing one is looked for first: a line or two, where most are."""
+
 CLOSES = {"(": ")", "[": "]", "{": "}"}
 
 
@@ -129,9 +137,29 @@ class Code:
 
     def closing(self, place: int) -> int:
         """The place of the bracket that closes the one at a place; -1 if none does."""
+        near = self._closing_near(place)
+        if near:
+            return near
         opening, closing = self._pairs
         k = bisect_left(opening, place)
         return closing[k] or -1 if k < len(opening) and opening[k] == place else -1
+
+    def _closing_near(self, place: int) -> int:
+        """The same where it is near, without a look at the whole text; 0 where that does not tell."""
+        opened = ""
+        if self.plain[place : place + 1] not in CLOSES:
+            return 0
+        for match in BRACKET.finditer(self.plain, place, place + NEAR):
+            bracket = match.group()
+            if bracket in CLOSES:
+                opened += CLOSES[bracket]
+            elif not opened.endswith(bracket):
+                return 0
+            elif len(opened) == 1:
+                return match.start()
+            else:
+                opened = opened[:-1]
+        return 0
 
     def arguments(self, start: int, end: int) -> list[tuple[int, int]]:
         """Places of what commas part between two places, brackets of any kind kept whole; blanks at the ends left out.
@@ -163,7 +191,7 @@ def bracket_pairs(text: str) -> tuple[array[int], array[int]]:
     """Places of opening brackets that have their own closing one, in order, and those of these."""
     opening, closing = array("I"), array("I")
     opened: list[int] = []  # numbers among the opening ones
-    for match in re.finditer(r"[()\[\]{}]", text):
+    for match in BRACKET.finditer(text):
         place, bracket = match.start(), match.group()
         if bracket in CLOSES:
             opened.append(len(opening))
@@ -188,6 +216,7 @@ def blanked(text: str, comments: str) -> str:
 
 def written(value: float, before: str, digits: int) -> str:
     """A number in place of another: as many digits behind the point as that had, or more where they are needed."""
-    behind = len(before.lower().partition("e")[0].partition(".")[2])
+    fraction = before.partition(".")[2]
+    behind = len(fraction if fraction.isdigit() else fraction.lower().partition("e")[0])
     text = f"{value:.{behind if behind > digits else digits}f}"
     return text[1:] if text[0] == "-" and float(text) == 0.0 else text

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -47,8 +48,7 @@ def product(*factors: object) -> Frame | Unknown:
     return T
 
 
-@dataclass(frozen=True, slots=True)
-class Use:
+class Use(NamedTuple):
     """How a move comes to a point.
 
     Attributes:
@@ -74,7 +74,8 @@ class Use:
     @property
     def trouble(self) -> str:
         """Why the place is not known; empty if it is."""
-        return self.why or next((part.why for part in (self.base, self.tool) if isinstance(part, Unknown)), "")
+        base, tool = self.base, self.tool
+        return self.why or (base.why if isinstance(base, Unknown) else tool.why if isinstance(tool, Unknown) else "")
 
     @property
     def place(self) -> Place:
@@ -109,6 +110,7 @@ class Ledger:
 
     _points: dict[tuple[int, int], _Point] = field(default_factory=dict)
     _frames: dict[bytes, Frame] = field(default_factory=dict)
+    _kept: dict[int, Frame] = field(default_factory=dict)
     _vague: dict[tuple[int, int, str], Target] = field(default_factory=dict)
 
     def declare(self, key: tuple[int, int], make: Callable[[Use, tuple[Place, ...]], Target]) -> None:
@@ -149,24 +151,30 @@ class Ledger:
     def _target(self, point: _Point) -> Target:
         """The target of a point; with a reason where not all that uses it means the same."""
         uses = point.uses or [Use("", Unknown(NEVER), Unknown(NEVER))]
-        direct = [use for use in uses if not use.aside] or uses
+        direct = [use for use in uses if not use.aside] or uses if len(uses) > 1 else uses
         first = next((use for use in direct if use.near is not None), direct[0])
         trouble = point.spoilt or next((use.trouble for use in uses if use.trouble), "")
-        if not trouble:
+        if not trouble and len(direct) > 1:
             other = next((use for use in direct if not use.agrees(first)), None)
             if other is not None:
                 trouble = _two_meanings(first, other)
         if trouble:
             return _with_reason(point.make(Use(first.line, HERE, HERE), ()), trouble)
-        beside = tuple(use.place for use in uses if use.aside and not use.same(first))
+        beside = tuple([use.place for use in uses if use is not first and use.aside and not use.same(first)])
         unknown = next((use.unknown for use in direct if use.unknown), "")
         base, tool = self._one(first.base), self._one(first.tool)
+        if base is first.base and tool is first.tool and unknown == first.unknown:
+            return point.make(first, beside)
         settled = Use(first.line, base, tool, first.aside, first.why, first.near, unknown, first.mode)
         return point.make(settled, beside)
 
     def _one(self, frame: object) -> object:
         """One frame for all that are equal to the last bit: a long program has a hundred thousand of a few."""
-        return self._frames.setdefault(frame.T.tobytes(), frame) if isinstance(frame, Frame) else frame
+        if not isinstance(frame, Frame) or self._kept.get(id(frame)) is frame:
+            return frame
+        one = self._frames.setdefault(frame.T.tobytes(), frame)
+        self._kept[id(one)] = one
+        return one
 
 
 def _two_meanings(first: Use, other: Use) -> str:

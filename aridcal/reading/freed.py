@@ -5,8 +5,6 @@ from __future__ import annotations
 import ctypes
 import sys
 
-import pyarrow as pa
-
 
 def give_back() -> None:
     """Give back what Arrow and the C library keep of freed memory for later: of a million rows 300 MB, and 100 to 150 MB.
@@ -14,7 +12,9 @@ def give_back() -> None:
     Arrays below 32 MB lie in the C library's heap, which shrinks from its end alone: one small array there holds all gaps below
     it. ``malloc_trim`` gives the gaps back, too; only glibc has it, and elsewhere nothing is lost but that.
     """
-    pa.default_memory_pool().release_unused()
+    arrow = sys.modules.get("pyarrow")  # of what was not loaded nothing is kept
+    if arrow is not None:
+        arrow.default_memory_pool().release_unused()
     if sys.platform == "linux":
         trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
         if trim is not None:

@@ -20,12 +20,11 @@ from aridcal.inputs.measurement_settings import MeasurementSettings
 from aridcal.inputs.orientations import QUATERNION, angle_columns, column_of, other_way, own_orientation
 from aridcal.inputs.quantities import POSITION, STD
 from aridcal.inputs.query import Query, QueryRows, load_query
-from aridcal.inputs.tables import IN_MEMORY, AnyTable, Remark, Table
+from aridcal.inputs.remarks import Remark
 from aridcal.model.inverse import InverseKinematics
 from aridcal.model.model import Model
 from aridcal.reading.dates import of_the_day
 from aridcal.result.saved_model import SavedModel
-from aridcal.result.stretches import Stretch, stretches
 from aridcal.trust.rivals import between
 from aridcal.trust.seen import CLOCK, EXPANSION, Seen, beyond_heat, elsewhere
 from aridcal.trust.untold import told_of
@@ -33,6 +32,9 @@ from aridcal.trust.workspace import spread_out, target_covariance, worst_directi
 
 if TYPE_CHECKING:
     import pandas as pd
+
+    from aridcal.inputs.tables import AnyTable, Table
+    from aridcal.result.stretches import Stretch
 
 
 def read_query(saved: SavedModel, table: AnyTable, poses: bool = False) -> Query:
@@ -73,6 +75,8 @@ def read_queries(saved: SavedModel, table: AnyTable, poses: bool = False) -> Ite
     Raises:
         MeasurementError: as :func:`read_query`.
     """
+    from aridcal.result.stretches import stretches  # slow to load: only where there are tables
+
     first: list[Remark] = []
     usable = False
     settings = saved.measurements
@@ -90,6 +94,8 @@ def read_queries(saved: SavedModel, table: AnyTable, poses: bool = False) -> Ite
 
 
 def _query(saved: SavedModel, table: AnyTable | Table, poses: bool) -> Query:
+    from aridcal.inputs.tables import IN_MEMORY, Table  # as above
+
     robot = saved.final.model.robot
     query = load_query(
         table,

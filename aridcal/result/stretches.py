@@ -11,7 +11,8 @@ import pyarrow as pa
 import pyarrow.parquet
 
 from aridcal.errors import MeasurementError
-from aridcal.inputs.tables import AnyTable, Remark, Table, is_number, read_tables
+from aridcal.inputs.remarks import Remark
+from aridcal.inputs.tables import AnyTable, Table, is_number, read_tables
 from aridcal.reading.dialect import PLAIN, Dialect
 from aridcal.reading.files import MEGA, TABLE, Limit
 from aridcal.reading.table_files import FIRST_LINE, PANDAS_INDEX, check_header, check_size, read_csv

@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet
 
 from aridcal.errors import printable
 
 if TYPE_CHECKING:
     import pandas as pd
+    import pyarrow as pa
+    import pyarrow.parquet
 
 ENDINGS = (".csv", ".parquet")
 
@@ -111,6 +111,9 @@ class _Parquet(ExitStack):
 
     def write(self, table: pd.DataFrame) -> None:
         """Append rows."""
+        import pyarrow as pa  # slow to load: only where a table is parquet
+        import pyarrow.parquet
+
         table = in_plain_words(table)
         if self._file is None:
             schema = pa.Schema.from_pandas(table, preserve_index=False)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 from aridcal.programs.fanuc.table import HEADERS
-from aridcal.programs.text import NONE, NUMBER, Code, Number, Numbers
+from aridcal.programs.text import LARGEST, NONE, NUMBER, Code, Number, Numbers
 
 SECTION = re.compile(r"(?:\A(?:\xef\xbb\xbf)?|(?<=[\r\n]))[ \t]*/(PROG|ATTR|APPL|MN|POS|END)\b")
 
@@ -52,9 +52,6 @@ POSED = re.compile(
 """A pose of one group as controllers write it; points in another form are taken apart field by field."""
 
 POSED_UNITS = tuple(UNITS.values())
-
-LARGEST = 1e6
-"""[mm] or [deg]: no arm is asked for more; such a number is a fault of the program."""
 
 NESTED = 4
 """Brackets in brackets: the controller takes registers of registers, and no more."""

@@ -14,7 +14,7 @@ from aridcal.programs.fanuc.controller import read_frames_of_controller
 from aridcal.programs.fanuc.flow import ANY, Flow, read_flow
 from aridcal.programs.fanuc.listing import Listing, read_listing
 from aridcal.programs.fanuc.meaning import Given, Meaning
-from aridcal.programs.frames import KnownFrames, controllers_base
+from aridcal.programs.frames import KnownFrames
 from aridcal.programs.project import Project
 from aridcal.programs.text import Code
 from aridcal.programs.uses import HERE, Frame, line_name
@@ -170,7 +170,7 @@ def _given(project: Project, cell: Cell, codes: tuple[Code, ...]) -> tuple[Given
     notes = []
     world = cell.frames.bases.get("0")
     if world is None:
-        world = controllers_base(cell.robot)
+        world = cell.elsewhere
     base = HERE if world is None else Frame(world)
     flange = Frame(cell.frames.tools["0"]) if "0" in cell.frames.tools else HERE
     names = [project.sources[code.file].path.name.lower() for code in codes]
@@ -210,5 +210,4 @@ def _assumptions(assumed: set[str], cell: Cell) -> tuple[str, ...]:
 
 
 def _world(cell: Cell) -> str:
-    own = controllers_base(cell.robot)
-    return f"the link {cell.robot.base if own is None else 'base'} of the URDF"
+    return f"the link {cell.robot.base if cell.elsewhere is None else 'base'} of the URDF"

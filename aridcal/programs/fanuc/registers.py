@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from aridcal.programs.fanuc.listing import LARGEST
 from aridcal.programs.notations import FANUC, MILLI
+from aridcal.programs.text import LARGEST
 from aridcal.programs.uses import Frame
 from aridcal.programs.walk import State
 

@@ -26,7 +26,7 @@ from aridcal.programs.gcode.table import (
     TURNS,
 )
 from aridcal.programs.project import Project
-from aridcal.programs.text import Number
+from aridcal.programs.text import LARGEST, Number
 from aridcal.programs.uses import HERE
 from aridcal.programs.walk import State, TooLong, Unknown, Walk
 
@@ -37,9 +37,6 @@ POINTLESS = re.compile(r"[XYZABCUVW][ \t]*+[-+]?0*+[1-9][0-9]*+(?![0-9.])", re.I
 """One without: ``X20``, but for zero."""
 
 MIXED = "whole numbers stand with a decimal point and without: on controllers that need it X20 is 0.020; write all with a point"
-
-LARGEST = 1e6
-"""Of a number in a target: a gantry of a kilometre."""
 
 NOT_STATED = Unknown("no G0 or G1 stands before it")
 

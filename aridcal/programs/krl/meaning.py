@@ -16,7 +16,6 @@ from aridcal.programs.krl.points import Points, shown_text
 from aridcal.programs.krl.syntax import (
     AXES,
     EXTERNAL,
-    LARGEST,
     Aggregate,
     Assignment,
     Carried,
@@ -31,7 +30,7 @@ from aridcal.programs.krl.syntax import (
 )
 from aridcal.programs.krl.values import WORKED, Element, Parts, Values, inverse_of
 from aridcal.programs.targets import Target
-from aridcal.programs.text import NONE, Number
+from aridcal.programs.text import LARGEST, NONE, Number
 from aridcal.programs.uses import HERE, Frame, Use, product
 from aridcal.programs.walk import State, Unknown
 

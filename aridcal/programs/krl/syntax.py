@@ -9,7 +9,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from aridcal.programs.notations import KUKA
-from aridcal.programs.text import Number, Numbers
+from aridcal.programs.text import LARGEST, Number, Numbers
 from aridcal.programs.uses import Frame
 
 POSE = ("x", "y", "z", "a", "b", "c")
@@ -21,9 +21,6 @@ EXTERNAL = tuple(f"e{k}" for k in range(1, 7))
 _OF_AXES = frozenset((*AXES, *EXTERNAL))
 
 _OF_POSES = frozenset((*POSE, "s", "t", *EXTERNAL))
-
-LARGEST = 1e6
-"""Degrees or millimetres: no robot's numbers are beyond."""
 
 
 @dataclass(frozen=True, slots=True)

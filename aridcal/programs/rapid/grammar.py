@@ -10,6 +10,7 @@ import re
 from bisect import bisect_left
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from aridcal.programs.text import Code
 from aridcal.programs.walk import DEEPEST, Body, Choice, Jump, Leave, Mark, Node, Repeat, Step
@@ -106,8 +107,7 @@ class NotUnderstood(Exception):
         self.place = place
 
 
-@dataclass(frozen=True, slots=True)
-class Statement:
+class Statement(NamedTuple):
     """A statement, as it stands.
 
     Attributes:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache, partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -91,14 +92,13 @@ FIRST = re.compile(r"\s*(\[\s*\[[^][]*\]\s*(?:,\s*\[[^][]*\]\s*)*\]|[A-Za-z_]\w*
 Work = Callable[[State], None]
 
 
-@dataclass(frozen=True, slots=True)
-class _Prepared:
+class _Prepared(NamedTuple):
     """A move, ready to be carried out."""
 
     statement: Statement
     bound: Bound
     move: Move
-    points: tuple[tuple[Value, tuple[int, int], list[Value]], ...]
+    points: tuple[tuple[Value, tuple[int, int], Sequence[Value]], ...]
     tool: Value
     base: Value
     why: str
@@ -154,10 +154,13 @@ class Meaning:
 
     # ---- what stands in the text
 
+    def end(self) -> None:
+        """Let go of all that was made of the text: parts of it hold each other, so that it would stay in memory."""
+        vars(self).clear()
+
     def _declare(self, own: Literal) -> None:
-        if own.key in self._literals:
+        if self._literals.setdefault(own.key, own) is not own:
             return
-        self._literals[own.key] = own
         if self.sources[own.code.file].ours:
             self._list(own)
 
@@ -483,7 +486,7 @@ class Meaning:
         nodes = self._reading(bound, statement, reading)
         if not nodes and not loops and not why:
             self._remember(prepared)
-        nodes.append(Step(partial(self._go, prepared)))
+        nodes.append(Step(prepared))
         nodes += self._writing(bound, [required[k] for k in move.written if k < len(required)], f"{line} may change it")
         if move.routine is not None and move.routine < len(required):
             name = named(bound.code, required[move.routine])
@@ -509,15 +512,15 @@ class Meaning:
             return None
         goal = self._goal(bound, statement, bound.code.trimmed(*match.span(1)), like.move.way in "LJ")
         prepared = _Prepared(statement, bound, like.move, (goal,), like.tool, like.base, "", like.offset)
-        return [Step(partial(self._go, prepared))]
+        return [Step(prepared)]
 
     def _goal(
         self, bound: Bound, statement: Statement, span: tuple[int, int], pose: bool
-    ) -> tuple[Value, tuple[int, int], list[Value]]:
+    ) -> tuple[Value, tuple[int, int], Sequence[Value]]:
         """Where a move goes, where that stands, and targets that it is worked out from."""
         value = self._destination(bound, statement, span, pose)
         own = isinstance(value, Constant) and isinstance(value.value, Point) and not value.value.literal.why
-        return value, span, [] if own else self._mentioned(bound, statement, span)
+        return value, span, () if own else self._mentioned(bound, statement, span)
 
     def _go(self, prepared: _Prepared, state: State) -> None:
         way = prepared.move.way
@@ -654,6 +657,9 @@ class Meaning:
 
     def step(self, what: object, state: State) -> None:
         """Carry out a statement."""
+        if isinstance(what, _Prepared):  # most are: a long program has no room for a callable of each
+            self._go(what, state)
+            return
         assert callable(what)
         what(state)
 

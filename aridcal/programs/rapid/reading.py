@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import gc
-
 from aridcal.programs.cell import Cell, Reading
 from aridcal.programs.project import Project
 from aridcal.programs.rapid.grammar import MODULE, Module, NotUnderstood, blanked, fold, modules
@@ -21,16 +19,6 @@ TOO_LONG = "the program has more ways than can be followed"
 
 def read(project: Project, cell: Cell) -> Reading:
     """Targets of a project, in the order in which the robot goes there."""
-    collecting = gc.isenabled()
-    gc.disable()  # a million small objects that all stay: looking for those to be freed takes longer than the reading
-    try:
-        return _read(project, cell)
-    finally:
-        if collecting:
-            gc.enable()
-
-
-def _read(project: Project, cell: Cell) -> Reading:
     codes = tuple(Code(k, s.path.name, s.text, blanked(s.text)) for k, s in enumerate(project.sources))
     try:
         parsed, notes = _modules(project, codes)
@@ -47,7 +35,9 @@ def _read(project: Project, cell: Cell) -> Reading:
         notes.append(
             f"each cycle of main is taken to begin in the controller's own modes, though {names.unknown_calls}"
         )
-    return Reading(meaning.ledger.targets(), tuple(notes))
+    targets = meaning.ledger.targets()
+    meaning.end()
+    return Reading(targets, tuple(notes))
 
 
 class _Broken(Exception):

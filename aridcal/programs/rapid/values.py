@@ -14,12 +14,9 @@ from scipy.spatial.transform import Rotation
 from aridcal.programs.notations import ABB, MILLI, inverse, pose
 from aridcal.programs.rapid.grammar import Declared, fold
 from aridcal.programs.rapid.table import FRAME_TYPES
-from aridcal.programs.text import NONE, NUMBER, Code, Numbers
+from aridcal.programs.text import LARGEST, NONE, NUMBER, Code, Numbers
 from aridcal.programs.uses import HERE, Frame
 from aridcal.programs.walk import Unknown
-
-LARGEST = 1e6
-"""Of a number of a target, in millimetres or degrees: a kilometre is no arm's reach."""
 
 UNIT = 0.02
 """By which the length of a quaternion may differ from one: controllers take two digits, and refuse what is further off."""
@@ -98,6 +95,7 @@ class Literal:
         why: Why it has no plain meaning; empty if it has.
         numbers: Of place and rotation, or of the arm's axes.
         configuration: Of confdata.
+        key: Its file and its place there.
     """
 
     code: Code
@@ -108,6 +106,10 @@ class Literal:
     why: str = ""
     numbers: Numbers = NONE
     configuration: Numbers = NONE
+    key: tuple[int, int] = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.key = self.code.file, self.start
 
     @property
     def external(self) -> Numbers:
@@ -115,11 +117,6 @@ class Literal:
         match = FORMS[self.form].fullmatch(self.code.plain, self.start, self.end)
         assert match is not None
         return Numbers.packed(match.regs[-6:], match.groups()[-6:])
-
-    @property
-    def key(self) -> tuple[int, int]:
-        """Its file and its place there."""
-        return self.code.file, self.start
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,12 +151,12 @@ def literal(code: Code, start: int, end: int, name: str, form: OneOf["joints", "
     match = FORMS[form].fullmatch(code.plain, start, end)
     if match is None:
         return Literal(code, start, end, name, form, "is no plain numbers")
-    numbers = [float(text) for text in match.groups()]
+    spans, texts = match.regs[1:], match.groups()
+    numbers = [float(text) for text in texts[:7]]
     if max(map(abs, numbers[:6])) > LARGEST:
         return Literal(code, start, end, name, form, "has numbers that no arm has")
     if form == "pose" and abs(math.hypot(*numbers[3:7]) - 1.0) > UNIT:
         return Literal(code, start, end, name, form, "has no unit quaternion")
-    spans, texts = match.regs[1:], match.groups()
     if form == "joints":
         return Literal(code, start, end, name, form, "", Numbers.packed(spans[:6], texts[:6]))
     configuration = Numbers.packed(spans[7:11], texts[7:11])

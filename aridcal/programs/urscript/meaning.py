@@ -12,11 +12,11 @@ import numpy as np
 
 from aridcal.errors import AridcalError
 from aridcal.programs.cell import Cell
-from aridcal.programs.frames import absent, fixed_base, unknown
+from aridcal.programs.frames import absent, unknown
 from aridcal.programs.notations import UR, inverse
 from aridcal.programs.project import Project
 from aridcal.programs.targets import Branch, Place, Target
-from aridcal.programs.text import NONE, NUMBER, Code, Number, Numbers, number
+from aridcal.programs.text import LARGEST, NONE, NUMBER, Code, Number, Numbers, number
 from aridcal.programs.urscript.grammar import (
     Assign,
     Called,
@@ -46,9 +46,6 @@ DEFAULT = "default"
 
 POSE = 6
 """Numbers of a pose."""
-
-LARGEST = 1e6
-"""[m] or [rad]: no numbers of a robot are larger."""
 
 TEXT = Unknown("is a text")
 
@@ -633,7 +630,7 @@ class Meaning:
     def base(self) -> Frame:
         """Where the controller counts poses from."""
         robot, stated = self._cell.robot, self._cell.frames.bases.get(DEFAULT)
-        T = fixed_base(robot) if stated is None else stated
+        T = self._cell.base if stated is None else stated
         if T is None:
             raise AridcalError(
                 f"{self._project.sources[0].path}: its poses are counted from the controller's base, and {robot.path} has no "

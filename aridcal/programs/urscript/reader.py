@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import gc
 import re
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import contextmanager
 
 from aridcal.programs.cell import Cell, Reading
 from aridcal.programs.project import Project
@@ -38,23 +36,6 @@ def read(project: Project, cell: Cell) -> Reading:
     Raises:
         AridcalError: it has poses, and nothing says where the controller counts them from.
     """
-    with _uncollected():
-        return _read(project, cell)
-
-
-@contextmanager
-def _uncollected() -> Iterator[None]:
-    """What is read is kept: to look for garbage in it again and again takes half of the time of a long program."""
-    collects = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if collects:
-            gc.enable()
-
-
-def _read(project: Project, cell: Cell) -> Reading:
     codes = tuple(code_of(k, source.path.name, source.text) for k, source in enumerate(project.sources))
     files, one, left = _parsed(codes)
     routines = {routine.key: routine for file in files.values() for routine in file.routines}
@@ -66,6 +47,8 @@ def _read(project: Project, cell: Cell) -> Reading:
     except (TooLong, RecursionError):
         why = "the program has too many ways, or calls too deep, to be followed"
         return Reading([target for code in codes for target in _all_left(code, why)])
+    finally:
+        meaning.walk = None  # they hold each other, and all that was made of the text
     notes = (BASE_NOTE,) if meaning.poses and DEFAULT not in cell.frames.bases else ()
     return Reading([*meaning.targets(), *left], notes)
 
