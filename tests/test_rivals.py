@@ -1,0 +1,114 @@
+"""Causes that the rows cannot tell apart: named as ties, weighed, kept with the model, and part of what a prediction states."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import honesty
+import numpy as np
+import pandas as pd
+import pytest
+from calibrated import machine
+
+from aridcal.effects.basis import Basis
+from aridcal.effects.effect import Coefficient, Effect
+from aridcal.inputs.query import load_query
+from aridcal.result.predict import predict
+from aridcal.result.saved_model import SavedModel, SolvedModel
+from aridcal.search.evidence import Score
+from aridcal.search.tied import weights
+from aridcal.trust.rivals import Rival
+
+STEP = Coefficient("elbow_joint", "axis", Basis("step", ("elbow_joint",), (0.2,)))
+SLOPE = Coefficient("shoulder_lift_joint", "axis", Basis("linear", ("shoulder_lift_joint",), (0.0,)))
+
+
+def rivals() -> tuple[Rival, ...]:
+    """Two of one effect, each with other coefficients beside its own."""
+    saved = machine(3, n=150).saved
+    own = saved.final.model.coefficients[0]
+    return (
+        Rival("a step", "a gain", 0.3, ((STEP, 4e-5), (own, -1e-5))),
+        Rival("a slope", "a gain", 0.2, ((SLOPE, 3e-5),)),
+    )
+
+
+def asked(saved: SavedModel, n: int = 60) -> pd.DataFrame:
+    """Joints within what was measured."""
+    rng = np.random.default_rng(5)
+    names = saved.final.model.robot.readings
+    return pd.DataFrame({name: rng.uniform(*saved.ranges[name], n) for name in names})
+
+
+def predicted(saved: SavedModel, table: pd.DataFrame) -> pd.DataFrame:
+    robot = saved.final.model.robot
+    return predict(saved, load_query(table, robot.readings, robot.limits, robot.kinds, saved.measurements))
+
+
+def shifted(saved: SavedModel, rival: Rival) -> SavedModel:
+    """The model that a rival is: its coefficients changed, those that it lacks beside them."""
+    model, theta = saved.final.model, dict(zip(saved.final.model.coefficients, saved.final.theta, strict=True))
+    for coefficient, value in rival.change:
+        theta[coefficient] = theta.get(coefficient, 0.0) + value
+    return replace(
+        saved,
+        final=SolvedModel(
+            model.with_coefficients(tuple(theta)), np.array(list(theta.values())), np.zeros((len(theta),) * 2)
+        ),
+    )
+
+
+def test_a_prediction_states_the_spread_between_the_model_and_its_rivals() -> None:
+    """Second road: each rival predicts by itself; the variance is the weighted sum of squares of the differences."""
+    saved = machine(3, n=150).saved
+    table = asked(saved)
+    alone, beside = predicted(saved, table), predicted(replace(saved, rivals=rivals()), table)
+    place, std = ["x", "y", "z"], ["std_x", "std_y", "std_z"]
+    np.testing.assert_array_equal(alone[place], beside[place])
+    variance = alone[std].to_numpy() ** 2
+    for rival in rivals():
+        off = predicted(shifted(saved, rival), table)[place].to_numpy() - alone[place].to_numpy()
+        assert np.abs(off).max() > 1e-6
+        variance += rival.weight * off**2
+    np.testing.assert_allclose(
+        beside[std], np.sqrt(variance), rtol=5e-4
+    )  # differences of 10 um are linear as far as that
+
+
+def test_rivals_are_kept_with_the_model_and_older_files_have_none(tmp_path: Path) -> None:
+    saved = replace(machine(3, n=150).saved, rivals=rivals())
+    file = tmp_path / "calibration.yaml"
+    file.write_text(saved.dump())
+    again = SavedModel.load(file)
+    assert again.rivals == saved.rivals
+    table = asked(saved)
+    pd.testing.assert_frame_equal(predicted(again, table), predicted(saved, table))
+    file.write_text(machine(3, n=150).saved.dump())
+    assert "rivals" not in file.read_text() and SavedModel.load(file).rivals == ()
+
+
+def score(gain: float) -> Score:
+    """The evidence of a candidate, [nat]."""
+    return Score(gain, 0.0, 1)
+
+
+def test_causes_are_weighed_alike_beforehand_however_many_places_each_has() -> None:
+    time, place = Basis("step", ("time",), (5.0,)), Basis("step", ("elbow_joint",), (0.2,))
+    of_time = [(Effect("shift", name, (Coefficient(name, "axis", time),)), score(2.0)) for name in "abcd"]
+    of_place = [(Effect("joint_map", "e", (Coefficient("e", "axis", place),)), score(2.0))]
+    shares = weights([*of_time, *of_place])
+    assert sum(shares) == pytest.approx(1.0)
+    assert sum(shares[:4]) == pytest.approx(0.5)
+    behind = weights([*of_place, (of_time[0][0], score(2.0 - np.log(9.0)))])
+    assert behind == pytest.approx([0.9, 0.1])
+
+
+@pytest.mark.parametrize("shuffled", [False, True])
+def test_a_jump_in_a_joint_is_named_where_rows_tell_it_from_one_in_time_and_a_tie_where_they_do_not(
+    shuffled: bool,
+) -> None:
+    said = honesty.rivals(3, "joint", "time", shuffled)
+    assert (said["told"], said["false"]) == (1.0, 0.0)
+    assert said["plainly"] == float(shuffled)
+    assert said["z"] < 2.0
