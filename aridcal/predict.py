@@ -5,7 +5,8 @@ those of the campaign's tables. All columns and rows are kept in their order. Th
 in the columns, units and orientation of those tables: `x y z qx qy qz qw` (qw >= 0), or X Y Z A B C in mm and degrees where
 the campaign has that. A calibration from positions gives no orientation, since it does not know the target's.
 `std_x std_y std_z std_rx std_ry std_rz` are the pose's standard deviations, in the same units, about the world's axes; what
-the table had in these columns is replaced, and orientations of another writing are dropped.
+the table had in these columns is replaced, and orientations of another writing are dropped. Where the calibration could not tell
+the cause of an effect from others, a step in time from one in a joint's reading for instance, the spread between them is in it.
 `extrapolates` is true where a joint or a covariate is outside the calibrated range or in a hole of what was measured, and where
 the pose is three times as uncertain as at any calibrated row. A row with an empty joint gets no pose; a word in its place, or a
 hole in a covariate that an effect depends on, is an error.
