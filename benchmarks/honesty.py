@@ -385,7 +385,7 @@ def accused(seed: int, what: str, kind: str) -> dict[str, float]:
     return {"named": float(right in noise), "another": float(bool(others)), "false": float(bool(untied))}
 
 
-STANDS, STOOD, AROUND = 30, 310, 0.06
+STANDS, STOOD, AROUND = 30, 310, 0.01
 """Places, rows in all, and by how much of a joint's range the rows of one place differ from its middle."""
 
 BOW, TILT, YIELD, GEAR = 1.5e-3, 1.5e-3, 2e-3, 5e-4
@@ -398,7 +398,7 @@ FREE = 0.05
 """[m] and [rad] by which the oracle's constants may be off those of the geometric stage, as in the search."""
 
 
-def column(seed: int, stood: bool, faulty: bool) -> dict[str, float]:
+def column(seed: int, stood: bool, gears: int) -> dict[str, float]:
     """A column that bends under an arm whose joints yield and whose gears err, seen by cameras."""
     rng = np.random.default_rng([seed, 26])
     robot, gravity = draw_robot("column", rng)
@@ -407,7 +407,7 @@ def column(seed: int, stood: bool, faulty: bool) -> dict[str, float]:
         around_it = AROUND * np.ptp(q, axis=0) * rng.uniform(-1.0, 1.0, (STOOD, q.shape[1]))
         q[:STOOD] = q[np.sort(np.arange(STOOD) % STANDS)] + around_it
     around = Surroundings(gravity)
-    faults = _faults_of_column(robot, q, around) if faulty else []
+    faults = _faults_of_column(robot, q, around, gears, rng) if gears else []
     causes, known = make_causes(faults, robot, q, {}, around, rng, "column")
     bare = simulate(robot, 1, rng, SIZE, kind="position")
     own = tuple(c for cause in causes for c in cause.effect.coefficients)
@@ -440,8 +440,10 @@ def _rows(columns: dict[str, np.ndarray], some: np.ndarray | slice) -> dict[str,
     return {name: values[some] for name, values in columns.items()}
 
 
-def _faults_of_column(robot: Robot, q: np.ndarray, around: Surroundings) -> list[TrueEffect]:
-    """A bow of the column and a tilt with it, two joints that yield, and a gear of each joint that errs once and twice a turn."""
+def _faults_of_column(
+    robot: Robot, q: np.ndarray, around: Surroundings, gears: int, rng: np.random.Generator
+) -> list[TrueEffect]:
+    """A bow of the column and a tilt with it, two joints that yield, and gears of the first joints, off once and twice a turn."""
     load = covariate_table(robot, q, {}, around, np.zeros(len(q), dtype=int), {".gravity_"})
     rail, *turning = robot.names
     faults: list[dict[str, object]] = [
@@ -451,8 +453,10 @@ def _faults_of_column(robot: Robot, q: np.ndarray, around: Surroundings) -> list
     for joint in turning[1:3]:
         yields = YIELD / float(np.abs(load[f"{joint}.gravity_torque"]).max())
         faults.append({"kind": "joint_compliance", "where": joint, "coefficients": yields})
-    for joint in turning:
-        faults.append({"kind": "joint_harmonic", "where": joint, "order": [1, 2], "coefficients": {"std": GEAR}})
+    for joint in turning[:gears]:
+        phase = rng.uniform(0.0, 2.0 * np.pi, 2)
+        waves = (GEAR * np.column_stack([np.cos(phase), np.sin(phase)])).ravel().tolist()
+        faults.append({"kind": "joint_harmonic", "where": joint, "order": [1, 2], "coefficients": waves})
     return [TrueEffect.model_validate(fault) for fault in faults]
 
 
@@ -505,9 +509,10 @@ QUESTIONS: dict[str, Sequence[tuple[str, Callable[[int], dict[str, float]]]]] = 
         for kind in ("position", "pose")
     ),
     "column": (
-        ("bent, in 30 places", lambda seed: column(seed, True, True)),
-        ("bent, everywhere", lambda seed: column(seed, False, True)),
-        ("rigid, in 30 places", lambda seed: column(seed, True, False)),
+        ("bent, in 30 places", lambda seed: column(seed, True, 4)),
+        ("bent, everywhere", lambda seed: column(seed, False, 4)),
+        ("gears of the wrist, too", lambda seed: column(seed, True, 6)),
+        ("rigid, in 30 places", lambda seed: column(seed, True, 0)),
     ),
     "places": (
         ("alike at a place, clean arm", lambda seed: places(seed, True, False)),
