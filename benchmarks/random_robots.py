@@ -57,10 +57,10 @@ def _column(rng: np.random.Generator) -> tuple[list[Link], Draw]:
     """An anthropomorphic arm on a vertical column, as on service robots."""
     arm, gravity = _six(rng)
     height, side = rng.uniform(0.35, 0.8), rng.uniform(0.1, 0.25)
-    kind, (x, y, z), *rest = arm[0]
+    kind, (x, y, z), axis, lower, upper = arm[0]
     return [
         ("prismatic", (0, 0, 0.3), "0 0 1", 0.0, height),
-        (kind, (x + side, y, z), *rest),
+        (kind, (x + side, y, z), axis, lower, upper),
         *arm[1:],
     ], gravity
 
