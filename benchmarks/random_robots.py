@@ -1,4 +1,4 @@
-"""Random robots of five builds, as URDFs."""
+"""Random robots of six builds, as URDFs."""
 
 from __future__ import annotations
 
@@ -9,11 +9,13 @@ import numpy as np
 from aridcal.robot.chain import Robot, parse_robot
 
 FAMILIES = ("rail", "six", "seven", "scara", "gantry")
+"""Those that `blind.py` draws from; its cases stay what they were while no other is added. There is "column" besides."""
+
 Draw = tuple[float, ...]
 
 
 def draw_robot(family: str, rng: np.random.Generator) -> tuple[Robot, np.ndarray]:
-    """A robot of one of :data:`FAMILIES` with random lengths and masses, and gravity in its base's frame."""
+    """A robot of a family with random lengths and masses, and gravity in its base's frame."""
     joints, gravity = _BUILD[family](rng)
     return parse_robot(_urdf(joints, rng), "tip"), np.array(gravity)
 
@@ -51,6 +53,18 @@ def _six(rng: np.random.Generator) -> tuple[list[Link], Draw]:
     ], DOWN
 
 
+def _column(rng: np.random.Generator) -> tuple[list[Link], Draw]:
+    """An anthropomorphic arm on a vertical column, as on service robots."""
+    arm, gravity = _six(rng)
+    height, side = rng.uniform(0.35, 0.8), rng.uniform(0.1, 0.25)
+    kind, (x, y, z), axis, lower, upper = arm[0]
+    return [
+        ("prismatic", (0, 0, 0.3), "0 0 1", 0.0, height),
+        (kind, (x + side, y, z), axis, lower, upper),
+        *arm[1:],
+    ], gravity
+
+
 def _seven(rng: np.random.Generator) -> tuple[list[Link], Draw]:
     """A redundant arm."""
     up = rng.uniform(0.15, 0.4, 7)
@@ -84,7 +98,7 @@ def _gantry(rng: np.random.Generator) -> tuple[list[Link], Draw]:
 
 
 _BUILD: dict[str, Callable[[np.random.Generator], tuple[list[Link], Draw]]] = {
-    "rail": _rail, "six": _six, "seven": _seven, "scara": _scara, "gantry": _gantry,
+    "rail": _rail, "six": _six, "seven": _seven, "scara": _scara, "gantry": _gantry, "column": _column,
 }  # fmt: skip
 
 
