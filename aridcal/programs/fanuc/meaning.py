@@ -369,7 +369,10 @@ class Meaning:
 
     @staticmethod
     def _agreed(family: str, kind: str, own: str, state: State, line: str) -> str | Unknown:
-        """The number of a point's frame or tool, which must be the active one: else the controller stops there."""
+        """The number of a point's frame or tool, which must be the active one: else the controller stops there.
+
+        Where no instruction has set one the point's own number is believed, as programs are taught with the active one.
+        """
         active = state.get(family)
         if own == "F":
             if isinstance(active, Active):
@@ -382,6 +385,8 @@ class Meaning:
             return Unknown(
                 f"is in {kind} {own}, but {active.line} has set {active.number}: the controller stops at {line}"
             )
+        if isinstance(active, Unknown) and active is not NEVER_SET:
+            return Unknown(f"is in {kind} {own}, and of the active one at {line} it is not certain: {active.why}")
         return own
 
 

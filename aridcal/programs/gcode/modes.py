@@ -10,10 +10,12 @@ import numpy as np
 from aridcal.programs.frames import KnownFrames, absent, unknown
 from aridcal.programs.gcode.blocks import Block
 from aridcal.programs.gcode.table import (
+    ADDED_OFFSETS,
     CALLS,
     CODES,
     CURVED,
     CURVES,
+    CYCLES,
     EXTRUDER,
     FREE,
     NOTHING,
@@ -198,6 +200,26 @@ def _numbered_offset(control: Control, block: Block, code: str, row: Code) -> ob
     return f"{code} P{number.lstrip('0') or '0'}"
 
 
+def _added_offset(control: Control, block: Block, code: str, row: Code) -> object:
+    """G58 with axis words and no move beside shifts the zero on Siemens, and goes there on FANUC."""
+    return FAULTY if block.axes and {"G0", "G1"}.isdisjoint(block.codes) else _plain(control, block, code, row)
+
+
+def _cycle(control: Control, block: Block, code: str, row: Code) -> object:
+    """A cycle without axis words is none."""
+    return _plain(control, block, code, row) if block.axes else FAULTY
+
+
+def _offsets(control: Control, block: Block, code: str, row: Code) -> object:
+    """G10 alone draws a printer's material back."""
+    return _plain(control, block, code, row) if block.axes or block.others else AS_BEFORE
+
+
+def _progress(control: Control, block: Block, code: str, row: Code) -> object:
+    """M73 P50 tells a printer how far it is."""
+    return AS_BEFORE if block.word("P") else FAULTY
+
+
 def _local_zero(control: Control, block: Block, code: str, row: Code) -> object:
     """G52 with zeros for all axes ends it."""
     zeros = {letter for letter, number in block.axes if number is not None and number.value == 0.0}
@@ -238,6 +260,10 @@ CASES: Mapping[str, Callable[[Control, Block, str, Code], object]] = {
     "G54.1": _numbered_offset,
     "G52": _local_zero,
     "G92": _zero_here,
+    "G10": _offsets,
+    "M73": _progress,
+    **dict.fromkeys(ADDED_OFFSETS, _added_offset),
+    **dict.fromkeys(CYCLES, _cycle),
     **dict.fromkeys(CURVES, _curve),
     "G7": _diameter,
     "G50": _not_scaled,

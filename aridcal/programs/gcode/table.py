@@ -107,6 +107,7 @@ CODES: Mapping[str, Code] = {
     **_hides("G92.3", "zero", "the zero is set as it was once before"),
     **_sets("G92.1 G92.2", "zero", NOTHING, words="data"),
     **_hides("G52", "local zero", "a local zero acts", words="data"),
+    **_hides("M73", "distance", "M73 keeps modes for the end of a subprogram", "PRCDQ"),
     **_hides("G10", "offsets", "offsets are written, so that they are not those of --frames", "LPQRIJKHD", "data"),
     **_hides("G51", "scale", "places are scaled", "IJKP", "data"),
     **_sets("G50", "scale", NOTHING, words="data"),
@@ -143,6 +144,12 @@ CODES: Mapping[str, Code] = {
     **_harmless("M99"),
 }
 """By the code's letter and number, without zeros in front."""
+
+CYCLES = frozenset(code for code, row in CODES.items() if row.why == OTHER_MOTION)
+"""Threads, holes and probing on FANUC and LinuxCNC; Fagor and Heidenhain turn and scale by some where no axis words stand beside."""
+
+ADDED_OFFSETS = frozenset(["G58", "G59"])
+"""Work offsets; on Siemens they add their axis words to the zero."""
 
 CURVES = frozenset(["G5", "G5.1"])
 """FANUC's switches for fast machining where their block has no axis words: harmless then."""
