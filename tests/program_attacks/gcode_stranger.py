@@ -1,11 +1,15 @@
-"""G-code by somebody who had not seen the reader: dialects in which a word means something else, modes that survive, words that are no axes."""
+"""G-code by somebody who had not seen the reader: dialects in which a word means something else, modes that survive."""
 
 from __future__ import annotations
 
 from program_attacks import Attack
 
 FRAMES = """format: 1
-bases: {G54: {xyz: [0.1, 0.05, 0], rpy: [0, 0, 0]}, G55: {xyz: [0.3, 0.1, 0], rpy: [0, 0, 0]}, G58: {xyz: [0.2, 0.1, 0], rpy: [0, 0, 0]}, G59: {xyz: [0.2, 0.2, 0], rpy: [0, 0, 0]}}
+bases:
+  G54: {xyz: [0.1, 0.05, 0], rpy: [0, 0, 0]}
+  G55: {xyz: [0.3, 0.1, 0], rpy: [0, 0, 0]}
+  G58: {xyz: [0.2, 0.1, 0], rpy: [0, 0, 0]}
+  G59: {xyz: [0.2, 0.2, 0], rpy: [0, 0, 0]}
 tools: {default: {xyz: [0, 0, 0], rpy: [0, 0, 0]}}
 """
 HEAD = "%\nO0100 (SIDE PLATE)\nG21 G90 G17 G40 G49 G80 G94\nG54\nS8000 M3\nG0 X⟨10.⟩ Y⟨10.⟩ Z⟨50.⟩\n"

@@ -1,4 +1,4 @@
-"""KRL by somebody who had not seen the reader: coupled bases, interrupts, triggers, shadowed names, functions with side effects."""
+"""KRL by somebody who had not seen the reader: coupled bases, interrupts, triggers, shadowed names, side effects."""
 
 from __future__ import annotations
 
@@ -94,9 +94,8 @@ ATTACKS = [
     ),
     _case(
         "an unknown routine gets the point",
-        'EKI_GetFrame("cam","Pos",XP1)\nLIN XP1\n$BASE={X 100,Y 0,Z 0,A 0,B 0,C 0}\n$TOOL={X 0,Y 0,Z 120,A 0,B 0,C 0}\nLIN ⟨'
-        + B
-        + "⟩",
+        'EKI_GetFrame("cam","Pos",XP1)\nLIN XP1\n$BASE={X 100,Y 0,Z 0,A 0,B 0,C 0}\n'
+        "$TOOL={X 0,Y 0,Z 120,A 0,B 0,C 0}\nLIN ⟨" + B + "⟩",
         cell_dat=DAT.format(f"DECL E6POS XP1=⟦{E}⟧"),
     ),
     _case("a correction of the seam", f'LIN ⟨{B}⟩\nCorrOn("CD1"," "," ")\nLIN ⟦{A}⟧\nCorrOff( )'),
@@ -160,11 +159,15 @@ ATTACKS = [
     ),
     _case(
         "fold and comment",
-        f";FOLD LIN P1 CONT Vel=2 m/s CPDAT1 Tool[1] Base[2];%{{PE}}\nLIN ⟨{A}⟩ ; was {{X 1,Y 2,Z 3,A 0,B 0,C 0}}\n;ENDFOLD\n; $BASE={{X 0,Y 0,Z 900}}\nLIN ⟨{B}⟩",
+        f";FOLD LIN P1 CONT Vel=2 m/s CPDAT1 Tool[1] Base[2];%{{PE}}\n"
+        f"LIN ⟨{A}⟩ ; was {{X 1,Y 2,Z 3,A 0,B 0,C 0}}\n;ENDFOLD\n; $BASE={{X 0,Y 0,Z 900}}\n"
+        f"LIN ⟨{B}⟩",
     ),
     _case(
         "what changes nothing of the geometry",
-        f"$VEL.CP=0.5\n$APO.CDIS=5\n$ORI_TYPE=#CONSTANT\n$CIRC_TYPE=#BASE\n$ADVANCE=3\nWAIT SEC 0\n$OUT[3]=TRUE\nPULSE($OUT[4],TRUE,0.5)\n$LOAD.M=12\nWAIT FOR $IN[2]\nHALT\nCONTINUE\nLIN ⟨{A}⟩\n$ACC.CP=2\nLIN ⟨{B}⟩",
+        "$VEL.CP=0.5\n$APO.CDIS=5\n$ORI_TYPE=#CONSTANT\n$CIRC_TYPE=#BASE\n$ADVANCE=3\nWAIT SEC 0\n"
+        "$OUT[3]=TRUE\nPULSE($OUT[4],TRUE,0.5)\n$LOAD.M=12\nWAIT FOR $IN[2]\nHALT\nCONTINUE\n"
+        f"LIN ⟨{A}⟩\n$ACC.CP=2\nLIN ⟨{B}⟩",
     ),
     _case("world and null frame", f"$BASE=$WORLD\n$TOOL=$NULLFRAME\nLIN ⟨{A}⟩\n$BASE=$NULLFRAME\nLIN ⟨{B}⟩"),
     _case(
@@ -175,27 +178,35 @@ ATTACKS = [
     _case("conveyor of the technology package", f"LIN ⟨{B}⟩\nCONV_FOLLOW(1,-1)\nLIN ⟦{A}⟧\nCONV_QUIT(1)"),
     _case(
         "inline form with an external tool",
-        "PDAT_ACT=PPDAT1\nFDAT_ACT=FP1\nBAS(#PTP_PARAMS,50)\nPTP XP1\n$IPO_MODE=#BASE\n$TOOL={X 0,Y 0,Z 120,A 0,B 0,C 0}\n$BASE={X 100,Y 0,Z 0,A 0,B 0,C 0}\nLIN XP2",
+        "PDAT_ACT=PPDAT1\nFDAT_ACT=FP1\nBAS(#PTP_PARAMS,50)\nPTP XP1\n$IPO_MODE=#BASE\n"
+        "$TOOL={X 0,Y 0,Z 120,A 0,B 0,C 0}\n$BASE={X 100,Y 0,Z 0,A 0,B 0,C 0}\nLIN XP2",
         cell_dat=DAT.format(
-            f'DECL E6POS XP1=⟦{E}⟧\nDECL E6POS XP2=⟨{F}⟩\nDECL FDAT FP1={{TOOL_NO 1,BASE_NO 1,IPO_FRAME #TCP,POINT2[] " "}}\nDECL PDAT PPDAT1={{VEL 50,ACC 100,APO_DIST 100}}'
+            f"DECL E6POS XP1=⟦{E}⟧\nDECL E6POS XP2=⟨{F}⟩\n"
+            f'DECL FDAT FP1={{TOOL_NO 1,BASE_NO 1,IPO_FRAME #TCP,POINT2[] " "}}\n'
+            f"DECL PDAT PPDAT1={{VEL 50,ACC 100,APO_DIST 100}}"
         ),
-        config_dat="DEFDAT $CONFIG\nDECL FRAME TOOL_DATA[16]\nDECL FRAME BASE_DATA[32]\nTOOL_DATA[1]={X 0,Y 0,Z 120,A 0,B 0,C 0}\nBASE_DATA[1]={X 0,Y 0,Z 0,A 0,B 0,C 0}\nENDDAT\n",
+        config_dat="DEFDAT $CONFIG\nDECL FRAME TOOL_DATA[16]\nDECL FRAME BASE_DATA[32]\n"
+        "TOOL_DATA[1]={X 0,Y 0,Z 120,A 0,B 0,C 0}\nBASE_DATA[1]={X 0,Y 0,Z 0,A 0,B 0,C 0}\nENDDAT\n",
     ),
     _case(
         "the inline form's data are written",
         "FP1.BASE_NO=PGNO\nPDAT_ACT=PPDAT1\nFDAT_ACT=FP1\nBAS(#PTP_PARAMS,50)\nPTP XP1",
         cell_dat=DAT.format(
-            f'DECL E6POS XP1=⟦{E}⟧\nDECL FDAT FP1={{TOOL_NO 1,BASE_NO 1,IPO_FRAME #BASE,POINT2[] " "}}\nDECL PDAT PPDAT1={{VEL 50,ACC 100,APO_DIST 100}}'
+            f'DECL E6POS XP1=⟦{E}⟧\nDECL FDAT FP1={{TOOL_NO 1,BASE_NO 1,IPO_FRAME #BASE,POINT2[] " "}}\n'
+            f"DECL PDAT PPDAT1={{VEL 50,ACC 100,APO_DIST 100}}"
         ),
-        config_dat="DEFDAT $CONFIG\nDECL FRAME TOOL_DATA[16]\nDECL FRAME BASE_DATA[32]\nTOOL_DATA[1]={X 0,Y 0,Z 120,A 0,B 0,C 0}\nBASE_DATA[1]={X 0,Y 0,Z 0,A 0,B 0,C 0}\nENDDAT\n",
+        config_dat="DEFDAT $CONFIG\nDECL FRAME TOOL_DATA[16]\nDECL FRAME BASE_DATA[32]\n"
+        "TOOL_DATA[1]={X 0,Y 0,Z 120,A 0,B 0,C 0}\nBASE_DATA[1]={X 0,Y 0,Z 0,A 0,B 0,C 0}\nENDDAT\n",
     ),
     _case(
         "inline form as it should be",
         "PDAT_ACT=PPDAT1\nFDAT_ACT=FP1\nBAS(#PTP_PARAMS,50)\nPTP XP1",
         cell_dat=DAT.format(
-            f'DECL E6POS XP1=⟨{E}⟩\nDECL FDAT FP1={{TOOL_NO 1,BASE_NO 1,IPO_FRAME #BASE,POINT2[] " "}}\nDECL PDAT PPDAT1={{VEL 50,ACC 100,APO_DIST 100}}'
+            f'DECL E6POS XP1=⟨{E}⟩\nDECL FDAT FP1={{TOOL_NO 1,BASE_NO 1,IPO_FRAME #BASE,POINT2[] " "}}\n'
+            f"DECL PDAT PPDAT1={{VEL 50,ACC 100,APO_DIST 100}}"
         ),
-        config_dat="DEFDAT $CONFIG\nDECL FRAME TOOL_DATA[16]\nDECL FRAME BASE_DATA[32]\nTOOL_DATA[1]={X 0,Y 0,Z 120,A 0,B 0,C 0}\nBASE_DATA[1]={X 0,Y 0,Z 0,A 0,B 0,C 0}\nENDDAT\n",
+        config_dat="DEFDAT $CONFIG\nDECL FRAME TOOL_DATA[16]\nDECL FRAME BASE_DATA[32]\n"
+        "TOOL_DATA[1]={X 0,Y 0,Z 120,A 0,B 0,C 0}\nBASE_DATA[1]={X 0,Y 0,Z 0,A 0,B 0,C 0}\nENDDAT\n",
     ),
     _case(
         "somebody's own BAS",
@@ -215,16 +226,19 @@ ATTACKS = [
     ),
     _case(
         "SWITCH sets the base",
-        f"LIN ⟨{B}⟩\nSWITCH PGNO\nCASE 1,2\n$BASE={{X 100,Y 0,Z 0,A 0,B 0,C 0}}\nCASE 3\n$BASE={{X 300,Y 0,Z 0,A 0,B 0,C 0}}\nENDSWITCH\nLIN ⟦{A}⟧",
+        f"LIN ⟨{B}⟩\nSWITCH PGNO\nCASE 1,2\n$BASE={{X 100,Y 0,Z 0,A 0,B 0,C 0}}\nCASE 3\n"
+        f"$BASE={{X 300,Y 0,Z 0,A 0,B 0,C 0}}\nENDSWITCH\nLIN ⟦{A}⟧",
     ),
     _case(
         "SWITCH sets one base in all cases",
-        f"SWITCH PGNO\nCASE 1,2\n$BASE={{X 300,Y 0,Z 0,A 0,B 0,C 0}}\nDEFAULT\n$BASE={{X 300,Y 0,Z 0,A 0,B 0,C 0}}\nENDSWITCH\nLIN ⟨{A}⟩",
+        f"SWITCH PGNO\nCASE 1,2\n$BASE={{X 300,Y 0,Z 0,A 0,B 0,C 0}}\nDEFAULT\n"
+        f"$BASE={{X 300,Y 0,Z 0,A 0,B 0,C 0}}\nENDSWITCH\nLIN ⟨{A}⟩",
     ),
     _case(
         "a global interrupt of another module",
         f"start_watch( )\nLIN ⟦{A}⟧",
-        watch_src="GLOBAL DEF start_watch( )\nGLOBAL INTERRUPT DECL 12 WHEN $TIMER[1]>500 DO drift( )\nINTERRUPT ON 12\nEND\nDEF drift( )\n$BASE.Y=$BASE.Y+0.2\nEND\n",
+        watch_src="GLOBAL DEF start_watch( )\nGLOBAL INTERRUPT DECL 12 WHEN $TIMER[1]>500 DO drift( )\n"
+        "INTERRUPT ON 12\nEND\nDEF drift( )\n$BASE.Y=$BASE.Y+0.2\nEND\n",
     ),
     _case(
         "a repeat until with another base",
@@ -243,18 +257,21 @@ ATTACKS = [
         "binary and hexadecimal stance",
         "PTP XP1\nPTP XP2",
         cell_dat=DAT.format(
-            "DECL E6POS XP1=⟦{X 512.5,Y -310.2,Z 420.7,A 12,B 80.5,C 3.1,S 'B010',T 'B000010'}⟧\nDECL E6POS XP2=⟦{X 640.1,Y -122.8,Z 355.4,A 10,B 81.2,C 2.2,S 'H2',T 'H2'}⟧"
+            "DECL E6POS XP1=⟦{X 512.5,Y -310.2,Z 420.7,A 12,B 80.5,C 3.1,S 'B010',T 'B000010'}⟧\n"
+            "DECL E6POS XP2=⟦{X 640.1,Y -122.8,Z 355.4,A 10,B 81.2,C 2.2,S 'H2',T 'H2'}⟧"
         ),
     ),
     _case("an axis that is not the robot's", f"LIN ⟨{B}⟩\nASYPTP {{E1 500.0}}\nLIN ⟨{A}⟩"),
     _case(
         "the tool's load routine changes the tool",
-        f"LIN ⟨{B}⟩\nSET_TOOL(3)\nLIN ⟦{A}⟧\n$BASE={{X 100,Y 0,Z 0,A 0,B 0,C 0}}\n$TOOL={{X 0,Y 0,Z 120,A 0,B 0,C 0}}\nLIN ⟦{B}⟧\n$IPO_MODE=#BASE\nLIN ⟨{B}⟩",
+        f"LIN ⟨{B}⟩\nSET_TOOL(3)\nLIN ⟦{A}⟧\n$BASE={{X 100,Y 0,Z 0,A 0,B 0,C 0}}\n"
+        f"$TOOL={{X 0,Y 0,Z 120,A 0,B 0,C 0}}\nLIN ⟦{B}⟧\n$IPO_MODE=#BASE\nLIN ⟨{B}⟩",
     ),
     _case("a program returns early", f"IF $IN[1] THEN\n$BASE={{X 300,Y 0,Z 0,A 0,B 0,C 0}}\nRETURN\nENDIF\nLIN ⟨{B}⟩"),
     _case(
         "a subprogram leaves early with another base",
         f"LIN ⟨{B}⟩\npart( )\nLIN ⟦{A}⟧",
-        f"DEF part( )\n$BASE={{X 300,Y 0,Z 0,A 0,B 0,C 0}}\nIF $IN[1] THEN\nRETURN\nENDIF\n$BASE={{X 100,Y 0,Z 0,A 0,B 0,C 0}}\nEND\n",
+        "DEF part( )\n$BASE={X 300,Y 0,Z 0,A 0,B 0,C 0}\nIF $IN[1] THEN\nRETURN\nENDIF\n"
+        "$BASE={X 100,Y 0,Z 0,A 0,B 0,C 0}\nEND\n",
     ),
 ]

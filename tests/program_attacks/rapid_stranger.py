@@ -1,4 +1,4 @@
-"""RAPID by somebody who had not seen the reader: what writes by name or by argument, hidden names, handlers, traps, other tasks."""
+"""RAPID by somebody who had not seen the reader: writing by name or by argument, hidden names, handlers, other tasks."""
 
 from __future__ import annotations
 
@@ -15,7 +15,10 @@ V = P.replace("CONST robtarget pA", "VAR robtarget pA")
 
 def _main(body: str, data: str, behind: str = "", module: str = "MainModule") -> str:
     lines = "".join(f"    {line}\n" for line in body.strip("\n").split("\n"))
-    return f"MODULE {module}\n  {TOOL}\n  {WOBJ}\n  {data}\n  PROC main()\n    MoveAbsJ {J}\\NoEOffs, v500, fine, tGrip;\n{lines}  ENDPROC\n{behind}ENDMODULE\n"
+    begin = (
+        f"MODULE {module}\n  {TOOL}\n  {WOBJ}\n  {data}\n  PROC main()\n    MoveAbsJ {J}\\NoEOffs, v500, fine, tGrip;\n"
+    )
+    return f"{begin}{lines}  ENDPROC\n{behind}ENDMODULE\n"
 
 
 def _case(name: str, body: str, behind: str = "", data: str = P, **files: str) -> Attack:
@@ -32,7 +35,8 @@ BOTH = P.replace("⟦", "⟨").replace("⟧", "⟩")
 ATTACKS = [
     _case(
         "plain moves",
-        f"{GO_A}\nMoveJ pB, v100\\V:=300, z10\\Z:=12, tGrip\\WObj:=wCell\\TLoad:=load0;\nMoveAbsJ ⟨{J}⟩\\NoEOffs, v500, fine, tGrip;",
+        f"{GO_A}\nMoveJ pB, v100\\V:=300, z10\\Z:=12, tGrip\\WObj:=wCell\\TLoad:=load0;\n"
+        f"MoveAbsJ ⟨{J}⟩\\NoEOffs, v500, fine, tGrip;",
         data=BOTH,
     ),
     _case(
@@ -42,7 +46,7 @@ ATTACKS = [
     ),
     _case(
         "SetAllDataVal writes all of a type",
-        f'SetAllDataVal "wobjdata"\\TypeMod:="MainModule"\\Hidden, wNew;\nMoveL pA, v100, fine, tGrip\\WObj:=wCell;',
+        'SetAllDataVal "wobjdata"\\TypeMod:="MainModule"\\Hidden, wNew;\nMoveL pA, v100, fine, tGrip\\WObj:=wCell;',
         data=NONE + "\n  VAR wobjdata wNew;",
     ),
     _case(
@@ -67,9 +71,11 @@ ATTACKS = [
     _case(
         "the tool is calibrated by the program",
         f"{GO_B}\nMToolTCPCalib j1, j2, j3, j4, tGrip, nMax, nMean;\n{GO_A}",
-        data=NONE
-        + "\n  CONST jointtarget j1:=[[1,2,3,4,5,6],[9E9,9E9,9E9,9E9,9E9,9E9]];\n  CONST jointtarget j2:=[[2,2,3,4,5,6],[9E9,9E9,9E9,9E9,9E9,9E9]];\n"
-        "  CONST jointtarget j3:=[[3,2,3,4,5,6],[9E9,9E9,9E9,9E9,9E9,9E9]];\n  CONST jointtarget j4:=[[4,2,3,4,5,6],[9E9,9E9,9E9,9E9,9E9,9E9]];\n  VAR num nMax;\n  VAR num nMean;",
+        data=NONE + "\n  CONST jointtarget j1:=[[1,2,3,4,5,6],[9E9,9E9,9E9,9E9,9E9,9E9]];\n"
+        "  CONST jointtarget j2:=[[2,2,3,4,5,6],[9E9,9E9,9E9,9E9,9E9,9E9]];\n"
+        "  CONST jointtarget j3:=[[3,2,3,4,5,6],[9E9,9E9,9E9,9E9,9E9,9E9]];\n"
+        "  CONST jointtarget j4:=[[4,2,3,4,5,6],[9E9,9E9,9E9,9E9,9E9,9E9]];\n  VAR num nMax;\n"
+        "  VAR num nMean;",
     ),
     _case(
         "wobj0 is somebody's own",
@@ -78,8 +84,9 @@ ATTACKS = [
     ),
     _case(
         "MoveL is somebody's own",
-        f"MoveL pA, v100, fine, tGrip\\WObj:=wCell;\nMoveJ pB, v100, fine, tGrip\\WObj:=wCell;",
-        "  LOCAL PROC MoveL(robtarget p, speeddata v, zonedata z, PERS tooldata t\\PERS wobjdata WObj)\n    MoveJ Offs(p,0,0,50), v, z, t\\WObj:=wCell;\n  ENDPROC\n",
+        "MoveL pA, v100, fine, tGrip\\WObj:=wCell;\nMoveJ pB, v100, fine, tGrip\\WObj:=wCell;",
+        "  LOCAL PROC MoveL(robtarget p, speeddata v, zonedata z, PERS tooldata t\\PERS wobjdata WObj)\n"
+        "    MoveJ Offs(p,0,0,50), v, z, t\\WObj:=wCell;\n  ENDPROC\n",
         data=BOTH,
     ),
     _case(
@@ -96,7 +103,8 @@ ATTACKS = [
     ),
     _case(
         "an error handler moves the frame and tries again",
-        f"MoveL pA, v100, fine, tGrip\\WObj:=wCell;\n  ERROR\n    wCell.uframe.trans.x := wCell.uframe.trans.x + 5;\n    RETRY;",
+        "MoveL pA, v100, fine, tGrip\\WObj:=wCell;\n  ERROR\n"
+        "    wCell.uframe.trans.x := wCell.uframe.trans.x + 5;\n    RETRY;",
         data=f"CONST robtarget pA := ⟦{A}⟧;",
     ),
     _case(
@@ -116,7 +124,8 @@ ATTACKS = [
         "another task writes the point",
         f"{GO_A}\n{GO_B}",
         data=P.replace("CONST robtarget pA", "PERS robtarget pA"),
-        vision="MODULE Vision\n  PERS robtarget pA;\n  PROC main()\n    WHILE TRUE DO\n      pA.trans.x := 500 + AInput(aiX);\n    ENDWHILE\n  ENDPROC\nENDMODULE\n".replace(
+        vision="MODULE Vision\n  PERS robtarget pA;\n  PROC main()\n    WHILE TRUE DO\n"
+        "      pA.trans.x := 500 + AInput(aiX);\n    ENDWHILE\n  ENDPROC\nENDMODULE\n".replace(
             "PROC main", "PROC vmain"
         ),
     ),
@@ -124,16 +133,16 @@ ATTACKS = [
         "a point local to another module has the same name",
         f"{GO_B}\nother;",
         data=f"LOCAL CONST robtarget pB := ⟨{B}⟩;",
-        other="MODULE Other\n  LOCAL VAR robtarget pB := ⟦"
-        + A
-        + "⟧;\n  PROC other()\n    pB := Offs(pB,0,0,10);\n    MoveL pB, v100, fine, tGrip\\WObj:=wCell;\n  ENDPROC\nENDMODULE\n",
+        other="MODULE Other\n  LOCAL VAR robtarget pB := ⟦" + A + "⟧;\n  PROC other()\n    pB := Offs(pB,0,0,10);\n"
+        "    MoveL pB, v100, fine, tGrip\\WObj:=wCell;\n  ENDPROC\nENDMODULE\n",
     ),
     _case(
         "a local of the routine hides the point",
         f"{GO_A}\n{GO_B}".replace(GO_A, "go;"),
         "  PROC go()\n    VAR robtarget pA := ⟦"
         + B
-        + "⟧;\n    pA.trans.z := pA.trans.z + 10;\n    MoveL pA, v100, fine, tGrip\\WObj:=wCell;\n  ENDPROC\n",
+        + "⟧;\n    pA.trans.z := pA.trans.z + 10;\n    MoveL pA, v100, fine, tGrip\\WObj:=wCell;\n"
+        "  ENDPROC\n",
         data=f"CONST robtarget pB := ⟨{B}⟩;",
     ),
     _case(
@@ -160,7 +169,7 @@ ATTACKS = [
     ),
     _case(
         "a camera's frame",
-        f"CamGetResult cam1, ctCam;\nwCell.oframe := ctCam.cframe;\nMoveL pA, v100, fine, tGrip\\WObj:=wCell;",
+        "CamGetResult cam1, ctCam;\nwCell.oframe := ctCam.cframe;\nMoveL pA, v100, fine, tGrip\\WObj:=wCell;",
         data=f"VAR cameratarget ctCam;\n  CONST robtarget pA := ⟦{A}⟧;",
     ),
     _case(
@@ -171,8 +180,9 @@ ATTACKS = [
     _case(
         "synchronised motion",
         f"{GO_B}\nSyncMoveOn s1, tasks;\nMoveL pA\\ID:=10, v100, fine, tGrip\\WObj:=wStn;\nSyncMoveOff s2;",
-        data=P
-        + '\n  VAR syncident s1;\n  VAR syncident s2;\n  PERS tasks tasks{2} := [["T_ROB1"],["T_STN1"]];\n  PERS wobjdata wStn := [FALSE,FALSE,"STN1",[[0,0,0],[1,0,0,0]],[[0,0,0],[1,0,0,0]]];',
+        data=P + "\n  VAR syncident s1;\n  VAR syncident s2;\n"
+        '  PERS tasks tasks{2} := [["T_ROB1"],["T_STN1"]];\n'
+        '  PERS wobjdata wStn := [FALSE,FALSE,"STN1",[[0,0,0],[1,0,0,0]],[[0,0,0],[1,0,0,0]]];',
     ),
     _case(
         "externally guided motion",
@@ -195,31 +205,37 @@ ATTACKS = [
     _case("compact if sets the frame", f"{GO_B}\nIF diTable = 1 wCell.uframe.trans.x := 300;\n{GO_A}", data=NONE),
     _case(
         "goto passes the displacement",
-        f"{GO_B}\nIF diX = 1 GOTO over;\nPDispSet [[0,0,30],[1,0,0,0]];\nover:\n{GO_A}\nPDispOff;\nMoveL pB, v100, fine, tGrip\\WObj:=wCell;",
+        f"{GO_B}\nIF diX = 1 GOTO over;\nPDispSet [[0,0,30],[1,0,0,0]];\nover:\n{GO_A}\nPDispOff;\n"
+        "MoveL pB, v100, fine, tGrip\\WObj:=wCell;",
     ),
     _case(
         "statements over several lines with comments between",
-        "MoveL ! approach ; slowly\n  pA,   ! the part\n  v100, fine,\n  tGrip\n  \\WObj:=wCell;\nMoveL pB,v100,fine,tGrip\\WObj:=wCell;MoveJ pA,v100,fine,tGrip\\WObj:=wCell;",
+        "MoveL ! approach ; slowly\n  pA,   ! the part\n  v100, fine,\n  tGrip\n  \\WObj:=wCell;\n"
+        "MoveL pB,v100,fine,tGrip\\WObj:=wCell;MoveJ pA,v100,fine,tGrip\\WObj:=wCell;",
         data=BOTH,
     ),
     _case("marks of comments in a string", f'TPWrite "go! ""pA"" ; MoveL pA";\n{GO_A}\n{GO_B}', data=BOTH),
     _case(
         "what changes nothing of the geometry",
-        f"AccSet 50,50;\nVelSet 80,1000;\nConfL\\On;\nSingArea\\Wrist;\nGripLoad load0;\nWaitDI diX, 1\\MaxTime:=5;\nSetDO doY, 1;\nPulseDO\\PLength:=0.2, doZ;\nTPErase;\nWaitTime\\InPos, 0.5;\nStop\\NoRegain;\n"
-        f"CirPathMode\\PathFrame;\nPathAccLim TRUE\\AccMax:=4, FALSE;\nClkReset ck;\nClkStart ck;\n{GO_A}\n{GO_B}",
+        "AccSet 50,50;\nVelSet 80,1000;\nConfL\\On;\nSingArea\\Wrist;\nGripLoad load0;\n"
+        "WaitDI diX, 1\\MaxTime:=5;\nSetDO doY, 1;\nPulseDO\\PLength:=0.2, doZ;\nTPErase;\n"
+        "WaitTime\\InPos, 0.5;\nStop\\NoRegain;\n"
+        "CirPathMode\\PathFrame;\nPathAccLim TRUE\\AccMax:=4, FALSE;\nClkReset ck;\nClkStart ck;\n"
+        f"{GO_A}\n{GO_B}",
         data=BOTH + "\n  VAR clock ck;",
     ),
     _case(
         "the tool is the result of a function",
         f"{GO_B}\ntGrip := toolOf(n);\nMoveL pA, v100, fine, tGrip\\WObj:=wCell;",
-        "  FUNC tooldata toolOf(num k)\n    VAR tooldata t := [TRUE,[[0,0,0],[1,0,0,0]],[1,[0,0,1],[1,0,0,0],0,0,0]];\n    t.tframe.trans.z := 100*k;\n    RETURN t;\n  ENDFUNC\n",
+        "  FUNC tooldata toolOf(num k)\n"
+        "    VAR tooldata t := [TRUE,[[0,0,0],[1,0,0,0]],[1,[0,0,1],[1,0,0,0],0,0,0]];\n"
+        "    t.tframe.trans.z := 100*k;\n    RETURN t;\n  ENDFUNC\n",
         data=NONE + "\n  VAR num n := 1;",
     ),
     _case(
         "external offset",
-        f"{GO_B}\nEOffsSet [10,0,0,0,0,0];\nMoveAbsJ ⟦{J}⟧, v500, fine, tGrip;\nEOffsOff;\nMoveAbsJ ⟨{J}⟩, v500, fine, tGrip;".replace(
-            f"⟦{J}⟧", J
-        ),
+        f"{GO_B}\nEOffsSet [10,0,0,0,0,0];\nMoveAbsJ ⟦{J}⟧, v500, fine, tGrip;\nEOffsOff;\n"
+        f"MoveAbsJ ⟨{J}⟩, v500, fine, tGrip;".replace(f"⟦{J}⟧", J),
         data=f"CONST robtarget pB := ⟨{B}⟩;",
     ),
     _case(
@@ -227,8 +243,8 @@ ATTACKS = [
     ),
     _case(
         "an array's element",
-        "FOR i FROM 1 TO 2 DO\n  pArr{i}.trans.z := pArr{i}.trans.z + 5;\n  MoveL pArr{i}, v100, fine, tGrip\\WObj:=wCell;\nENDFOR\n"
-        + GO_B,
+        "FOR i FROM 1 TO 2 DO\n  pArr{i}.trans.z := pArr{i}.trans.z + 5;\n"
+        "  MoveL pArr{i}, v100, fine, tGrip\\WObj:=wCell;\nENDFOR\n" + GO_B,
         data=f"CONST robtarget pB := ⟨{B}⟩;\n  VAR robtarget pArr{{2}} := [⟦{A}⟧, ⟦{B}⟧];",
     ),
     _case(
@@ -238,11 +254,13 @@ ATTACKS = [
     ),
     _case(
         "the frame of one is the place of another",
-        f"wCell.oframe.trans := pA.trans;\nMoveL pA, v100, fine, tGrip\\WObj:=wobj0;\nMoveL pB, v100, fine, tGrip\\WObj:=wobj0;",
+        "wCell.oframe.trans := pA.trans;\nMoveL pA, v100, fine, tGrip\\WObj:=wobj0;\n"
+        "MoveL pB, v100, fine, tGrip\\WObj:=wobj0;",
     ),
     _case(
         "points of a frame's definition",
-        f"wCell.uframe := DefFrame(pA, p2, p3);\nMoveL pA, v100, fine, tGrip\\WObj:=wobj0;\nMoveL pB, v100, fine, tGrip\\WObj:=wobj0;",
+        "wCell.uframe := DefFrame(pA, p2, p3);\nMoveL pA, v100, fine, tGrip\\WObj:=wobj0;\n"
+        "MoveL pB, v100, fine, tGrip\\WObj:=wobj0;",
         data=P + f"\n  CONST robtarget p2 := ⟦{B}⟧;\n  CONST robtarget p3 := ⟦{A}⟧;",
     ),
     _case(
@@ -253,7 +271,9 @@ ATTACKS = [
     _case(
         "backward handler",
         f"go;\n{GO_B}",
-        "  PROC go()\n    PDispSet [[0,0,30],[1,0,0,0]];\n    MoveL pA, v100, fine, tGrip\\WObj:=wCell;\n    PDispOff;\n  UNDO\n    PDispOff;\n  ENDPROC\n",
+        "  PROC go()\n    PDispSet [[0,0,30],[1,0,0,0]];\n"
+        "    MoveL pA, v100, fine, tGrip\\WObj:=wCell;\n    PDispOff;\n  UNDO\n    PDispOff;\n"
+        "  ENDPROC\n",
         data=NONE,
     ),
     _case("soft servo leaves the target's meaning", f"SoftAct 3, 20;\n{GO_A}\nSoftDeact;\n{GO_B}", data=P),
@@ -270,7 +290,8 @@ ATTACKS = [
     _case(
         "a stationary tool",
         f"{GO_B}\nMoveL pA, v100, fine, tNozzle\\WObj:=wHeld;",
-        data=P
-        + '\n  PERS tooldata tNozzle := [FALSE,[[1000,0,900],[1,0,0,0]],[1,[0,0,1],[1,0,0,0],0,0,0]];\n  PERS wobjdata wHeld := [TRUE,TRUE,"",[[0,0,0],[1,0,0,0]],[[0,0,0],[1,0,0,0]]];',
+        data=P + "\n"
+        "  PERS tooldata tNozzle := [FALSE,[[1000,0,900],[1,0,0,0]],[1,[0,0,1],[1,0,0,0],0,0,0]];\n"
+        '  PERS wobjdata wHeld := [TRUE,TRUE,"",[[0,0,0],[1,0,0,0]],[[0,0,0],[1,0,0,0]]];',
     ),
 ]

@@ -1,4 +1,4 @@
-"""URScripts by somebody who had not seen the reader: shadowed names, threads, optional arguments, lists, structs, what calls bring along."""
+"""URScripts by somebody who had not seen the reader: shadowed names, threads, lists, structs, what calls bring along."""
 
 from __future__ import annotations
 
@@ -41,7 +41,9 @@ ATTACKS = [
     ),
     _case(
         "a tool of inverse kinematics by name",
-        f"movej(get_inverse_kin(⟨{A}⟩, tcp=get_tcp_offset()))\nmovej(get_inverse_kin(⟦{A}⟧, tcp=p[0,0,read_input_float_register(0),0,0,0]))\nmovej(get_inverse_kin(⟨{B}⟩, qnear=[0.1,-1.5,1.5,0.1,1.5,0.2]))",
+        f"movej(get_inverse_kin(⟨{A}⟩, tcp=get_tcp_offset()))\n"
+        f"movej(get_inverse_kin(⟦{A}⟧, tcp=p[0,0,read_input_float_register(0),0,0,0]))\n"
+        f"movej(get_inverse_kin(⟨{B}⟩, qnear=[0.1,-1.5,1.5,0.1,1.5,0.2]))",
     ),
     _case(
         "a local of a function hides the global",
@@ -56,7 +58,9 @@ ATTACKS = [
     _case(
         "a thread changes a waypoint",
         f"global pick = ⟦{A}⟧\nglobal park = ⟨{B}⟩\nwatch = run watcher()\nmovel(pick)\nmovel(park)\nkill watch",
-        "thread watcher():\n  while True:\n    pick = pose_add(pick, p[0, read_input_float_register(0), 0, 0, 0, 0])\n    sync()\n  end\nend\n",
+        "thread watcher():\n  while True:\n"
+        "    pick = pose_add(pick, p[0, read_input_float_register(0), 0, 0, 0, 0])\n    sync()\n"
+        "  end\nend\n",
     ),
     _case(
         "a thread sets the tool",
@@ -65,7 +69,8 @@ ATTACKS = [
     ),
     _case(
         "a list of points grows in front",
-        f"global path = [⟦{A}⟧, ⟦{B}⟧]\npath.insert(0, get_actual_tcp_pose())\nmovel(path[0])\nmovel(path[1])\nmovej(⟨{Q}⟩)",
+        f"global path = [⟦{A}⟧, ⟦{B}⟧]\npath.insert(0, get_actual_tcp_pose())\nmovel(path[0])\n"
+        f"movel(path[1])\nmovej(⟨{Q}⟩)",
     ),
     _case("a list is sorted out by a method", f"global path = [⟦{A}⟧, ⟦{B}⟧]\npath.remove(0)\nmovel(path[0])"),
     _case(
@@ -78,7 +83,9 @@ ATTACKS = [
     ),
     _case(
         "a switch without default sets the tool",
-        f"movel(⟨{B}⟩)\nswitch read_input_integer_register(1):\n  case 1:\n    set_tcp(p[0,0,0.2,0,0,0])\n  end\n  case 2:\n    set_tcp(p[0,0,0.3,0,0,0])\n  end\nend\nmovel(⟦{A}⟧)",
+        f"movel(⟨{B}⟩)\nswitch read_input_integer_register(1):\n  case 1:\n"
+        "    set_tcp(p[0,0,0.2,0,0,0])\n  end\n  case 2:\n    set_tcp(p[0,0,0.3,0,0,0])\n  end\n"
+        f"end\nmovel(⟦{A}⟧)",
     ),
     _case(
         "recursion with another tool at each depth",
@@ -97,7 +104,9 @@ ATTACKS = [
     _case(
         "force mode begun by a function",
         f"movel(⟨{B}⟩)\ncomply()\nmovel(⟦{A}⟧)\nend_force_mode()\nmovel(⟨{A}⟩)",
-        "def comply():\n  force_mode(own_pose(), [0,0,1,0,0,0], [0,0,-20,0,0,0], 2, [0.1,0.1,0.15,0.3,0.3,0.3])\nend\n"
+        "def comply():\n"
+        "  force_mode(own_pose(), [0,0,1,0,0,0], [0,0,-20,0,0,0], 2, [0.1,0.1,0.15,0.3,0.3,0.3])\n"
+        "end\n"
         "def own_pose():\n  return get_actual_tcp_pose()\nend\n",
     ),
     _case("a pose counts from a frame of the world model", f'movel(convert_pose(⟦{A}⟧, "pallet", "base"))'),
@@ -125,8 +134,10 @@ ATTACKS = [
     _case("names of a tool in quotes", f'set_tcp(p[0,0,0.12,0,0,0], "gripper")\nmovel(⟨{B}⟩)'),
     _case(
         "what changes nothing of the geometry",
-        f"set_gravity([0,0,9.82])\nset_target_payload(1.2, [0,0,0.05], [0,0,0,0,0,0])\nset_tool_voltage(24)\nset_standard_digital_out(3, True)\n"
-        f'sync()\nsleep(0.2)\ntextmsg("part #1: end ")\nzero_ftsensor()\nmovel(⟨{A}⟩)\nstopl(2)\nmovel(⟨{B}⟩)',
+        "set_gravity([0,0,9.82])\nset_target_payload(1.2, [0,0,0.05], [0,0,0,0,0,0])\n"
+        "set_tool_voltage(24)\nset_standard_digital_out(3, True)\n"
+        f'sync()\nsleep(0.2)\ntextmsg("part #1: end ")\nzero_ftsensor()\nmovel(⟨{A}⟩)\nstopl(2)\n'
+        f"movel(⟨{B}⟩)",
     ),
     _case(
         "a point's distance is asked for",
@@ -134,7 +145,8 @@ ATTACKS = [
     ),
     _case(
         "a point is sent to another program",
-        f'spot = ⟦{A}⟧\ncam = rpc_factory("xmlrpc", "http://127.0.0.1:8000")\nspot = cam.refine(spot)\nmovel(spot)\nmovel(⟨{B}⟩)',
+        f'spot = ⟦{A}⟧\ncam = rpc_factory("xmlrpc", "http://127.0.0.1:8000")\n'
+        f"spot = cam.refine(spot)\nmovel(spot)\nmovel(⟨{B}⟩)",
     ),
     _case(
         "one pose is tool and target",
@@ -152,7 +164,8 @@ ATTACKS = [
     ),
     _case(
         "the tool's numbers are written one by one",
-        f"tool = p[0,0,0.1,0,0,0]\ntool[2] = tool[2] + read_input_float_register(3)\nmovel(⟨{B}⟩)\nset_tcp(tool)\nmovel(⟦{A}⟧)",
+        f"tool = p[0,0,0.1,0,0,0]\ntool[2] = tool[2] + read_input_float_register(3)\nmovel(⟨{B}⟩)\n"
+        f"set_tcp(tool)\nmovel(⟦{A}⟧)",
     ),
     _case(
         "a feature is taken from where the robot is",
@@ -165,7 +178,9 @@ ATTACKS = [
     ),
     _case(
         "a global is declared again in a branch",
-        f"global spot = ⟦{A}⟧\nif get_standard_digital_in(2):\n  global spot = p[read_input_float_register(1),-0.3,0.4,0,3.1,0]\nend\nmovel(spot)\nmovel(⟨{B}⟩)",
+        f"global spot = ⟦{A}⟧\nif get_standard_digital_in(2):\n"
+        "  global spot = p[read_input_float_register(1),-0.3,0.4,0,3.1,0]\nend\nmovel(spot)\n"
+        f"movel(⟨{B}⟩)",
     ),
     _case(
         "a parameter hides the global",
@@ -183,7 +198,9 @@ ATTACKS = [
     ),
     _case(
         "a loop is left before the tool is set back",
-        f"while True:\n  movel(⟦{A}⟧)\n  set_tcp(p[0,0,0.3,0,0,0])\n  if get_standard_digital_in(1):\n    continue\n  end\n  set_tcp(p[0,0,0.12,0,0,0])\n  movel(⟨{B}⟩)\nend",
+        f"while True:\n  movel(⟦{A}⟧)\n  set_tcp(p[0,0,0.3,0,0,0])\n"
+        "  if get_standard_digital_in(1):\n    continue\n  end\n  set_tcp(p[0,0,0.12,0,0,0])\n"
+        f"  movel(⟨{B}⟩)\nend",
     ),
     _case(
         "tool and point of one name in two functions",
@@ -192,16 +209,20 @@ ATTACKS = [
     ),
     _case(
         "labels of an exported program",
-        f'$ 1 "Robot Program"\n$ 2 "MoveL"\n$ 3 "Waypoint_1" "breakAfter"\nmovel(⟨{A}⟩, a=1.2, v=0.25)\n$ 4 "Waypoint_2"\nmovel(⟨{B}⟩, a=1.2, v=0.25)',
+        '$ 1 "Robot Program"\n$ 2 "MoveL"\n$ 3 "Waypoint_1" "breakAfter"\n'
+        f'movel(⟨{A}⟩, a=1.2, v=0.25)\n$ 4 "Waypoint_2"\nmovel(⟨{B}⟩, a=1.2, v=0.25)',
     ),
     _case(
         "a waypoint by pose and by stance, one of them written",
-        f"global Waypoint_1_p=⟦{A}⟧\nglobal Waypoint_1_q={Q}\nWaypoint_1_p = pose_trans(Waypoint_1_p, p[0,0,0.02,0,0,0])\n"
+        f"global Waypoint_1_p=⟦{A}⟧\nglobal Waypoint_1_q={Q}\n"
+        "Waypoint_1_p = pose_trans(Waypoint_1_p, p[0,0,0.02,0,0,0])\n"
         f"movej(get_inverse_kin(Waypoint_1_p, qnear=Waypoint_1_q))\nmovel(⟨{B}⟩)",
     ),
     _case(
         "external axes carry the robot",
-        f'movel(⟨{B}⟩)\naxis_group_add("rail", p[0,0,0,0,0,0], "base")\naxis_group_add_axis("rail", "x", "", p[0,0,0,0,0,0], 1)\nattach_frame("base", "x")\nmovel(⟦{A}⟧)',
+        f'movel(⟨{B}⟩)\naxis_group_add("rail", p[0,0,0,0,0,0], "base")\n'
+        'axis_group_add_axis("rail", "x", "", p[0,0,0,0,0,0], 1)\nattach_frame("base", "x")\n'
+        f"movel(⟦{A}⟧)",
     ),
     _case(
         "a comment that looks like an end of line",
