@@ -232,10 +232,11 @@ def test_the_frame_and_the_tool_are_those_of_the_numbers(tmp_path: Path) -> None
     np.testing.assert_allclose(active.tool, own.tool)
 
 
-def test_a_point_s_own_numbers_hold_where_the_active_ones_are_set_elsewhere(tmp_path: Path) -> None:
+def test_a_point_s_own_numbers_hold_where_nothing_sets_the_active_ones(tmp_path: Path) -> None:
     cell = stated(frames_of(FRAMES, tmp_path))
-    for lines in ([GO], ["UFRAME_NUM=R[1]", GO], ["UFRAME_NUM=AR[1]", "UTOOL_NUM=R[2]", GO]):
-        np.testing.assert_allclose(place(listing(lines, [point(1, user="2")]), cell).base, cell.frames.bases["2"])
+    np.testing.assert_allclose(place(listing([GO], [point(1, user="2")]), cell).base, cell.frames.bases["2"])
+    for lines in (["UFRAME_NUM=R[1]", GO], ["UFRAME_NUM=2", "UTOOL_NUM=AR[2]", GO]):
+        assert "of the active one" in why(listing(lines, [point(1, user="2")]), cell)
 
 
 def test_the_controller_stops_at_a_point_of_another_frame() -> None:

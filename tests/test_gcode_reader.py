@@ -164,7 +164,8 @@ def test_every_row_of_the_table_that_sets_a_mode_sets_one_that_exists() -> None:
 def test_every_mode_that_is_not_plain_keeps_what_follows_as_it_is(code: str) -> None:
     """The table's other side: a code of a plain value leaves the block behind it plain, any other one does not."""
     row = CODES[code]
-    text = f"{HEAD}{code}{' H1' if code == 'G43' else ' P3' if code == 'G54.1' else ''}\nG1 X1 Y1 Z1"
+    words = {"G43": " H1", "G54.1": " P3", "G10": " L2 P1"}
+    text = f"{HEAD}{code}{words.get(code, '')}\nG1 X1 Y1 Z1"
     stated = {"G54", "G55", "G54.1", "G43"}
     known = code in stated or (row.value is not None and row.mode != "work offset")
     assert bool(plain(text)) is known

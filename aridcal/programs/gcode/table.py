@@ -146,7 +146,7 @@ CODES: Mapping[str, Code] = {
 """By the code's letter and number, without zeros in front."""
 
 CYCLES = frozenset(code for code, row in CODES.items() if row.why == OTHER_MOTION)
-"""Threads, holes and probing on FANUC and LinuxCNC; Fagor and Heidenhain turn and scale by some where no axis words stand beside."""
+"""Holes and threads on FANUC and LinuxCNC; where no axis words stand beside, Fagor and Heidenhain turn and scale by some."""
 
 ADDED_OFFSETS = frozenset(["G58", "G59"])
 """Work offsets; on Siemens they add their axis words to the zero."""

@@ -16,16 +16,26 @@ _NUMBER = r"(?:\d++\.?+\d*+|\.\d++)(?:[eE][-+]?+\d++)?+"
 
 _SPACE = r"[ \t\r\n]*+"
 
+_NAME = r"[A-Za-z_\x80-\xff][\w\x80-\xff]*+"
+
+_GAP = r"[ \t]*+"
+
 _LIST = rf"\[{_SPACE}(?:[-+]?+{_NUMBER}{_SPACE},{_SPACE})*+[-+]?+{_NUMBER}{_SPACE}\]"
+
+_GOAL = rf"(?:pose_trans\({_GAP}{_NAME}{_GAP},{_GAP}p{_LIST}{_GAP}\)|p?+{_LIST})"
+
+_ARGUMENT = rf"(?:(?P<keyword>{_NAME}){_GAP}={_GAP})?+(?:(?P<word>{_NAME})|(?P<value>{_NUMBER}(?![\w.])))"
+
+_ARGUMENTS = rf"(?:{_GAP},{_GAP}{re.sub('[?]P<[a-z]+>', '?:', _ARGUMENT)})*+"
 
 TOKENS = re.compile(
     rf"""
     (?P<blank>[ \t]++|\r(?=\n)|\#[^\n]*+)
   | (?P<line>[\n;])
-  | (?P<move>(?:{"|".join(MOVES)})\(p?+{_LIST}(?:[ \t]*+,[ \t]*+[avtr][ \t]*+=[ \t]*+{_NUMBER})*+[ \t]*+\))
+  | (?P<move>(?:{"|".join(MOVES)})\({_GOAL}{_ARGUMENTS}{_GAP}\))
   | (?P<list>(?:p[ \t]*+)?+{_LIST})
   | (?P<pose>p[ \t]*+\[)
-  | (?P<name>[A-Za-z_\x80-\xff][\w\x80-\xff]*+)
+  | (?P<name>{_NAME})
   | (?P<number>(?:0[xX][0-9a-fA-F]++|{_NUMBER})(?![\w.]))
   | (?P<text>"[^"\n]*+")
   | (?P<note>\$[ \t]*+\d[^\n]*+)
@@ -34,12 +44,17 @@ TOKENS = re.compile(
     """,
     re.VERBOSE | re.ASCII,
 )
-"""A list of plain numbers is one token, and so is a move to such a list: programs of offline systems consist of them. A note is
-PolyScope's name of a line."""
+"""A list of plain numbers is one token, and so is a move to such a list, or to one in a frame that has a name, with names and
+numbers behind it: programs of offline systems consist of them. A note is PolyScope's name of a line."""
+
+ARGUMENT = re.compile(_ARGUMENT, re.ASCII)
+"""What stands behind the goal of such a move."""
 
 COMMENTS = r'"[^"\n]*+"|#[^\n]*+'
 
-DEFINITION = re.compile(r"\b(?:def|thread|sec)[ \t]++([A-Za-z_\x80-\xff][\w\x80-\xff]*+)", re.ASCII)
+DEFINITION = re.compile(rf"\b(?:def|thread|sec)[ \t]++({_NAME})", re.ASCII)
+
+WORD = re.compile(_NAME, re.ASCII)
 
 BLOCKS = ("def", "thread", "sec", "if", "while")
 
@@ -88,7 +103,6 @@ class Name(NamedTuple):
 
     routine: Routine
     name: str
-    at: Spot
 
 
 class Constant(NamedTuple):
@@ -131,7 +145,7 @@ class Called(NamedTuple):
     """A function of the language, of the program, or of neither; keywords are empty where there are none."""
 
     name: str
-    arguments: tuple[tuple[str, Expression], ...]
+    arguments: Arguments
     at: Spot
     routines: Sequence[str]
 
@@ -140,7 +154,7 @@ class Method(NamedTuple):
     """A method of a list, or of a server of remote procedure calls."""
 
     of: Expression
-    arguments: tuple[tuple[str, Expression], ...]
+    arguments: Arguments
     at: Spot
 
 
@@ -149,6 +163,9 @@ class Run(NamedTuple):
 
     called: Called
 
+
+Arguments = tuple[tuple[str, "Expression"], ...]
+"""What a function is given, with keywords where they stand there."""
 
 Expression = Literal | Name | Constant | Text | Listing | Operation | Element | Called | Method | Run
 
@@ -294,6 +311,7 @@ class Parser:
         self._blocks = [_Block("top")]
         self._pending: list[Node] = []
         self._file = File([self._routine], {}, {})
+        self._arguments: dict[tuple[str, str], Arguments] = {}
 
     def file(self) -> File:
         """All routines of the file.
@@ -326,7 +344,8 @@ class Parser:
         line = self._tokens[start:-1]
         if line[0].text in ("elif", "else", "end"):
             raise self._malformed(f"{line[0].text} is not read", line[0])
-        names = tuple(self._name(t.text, t) for t in line if t.kind == "name" and t.text not in KEYWORDS)
+        words = [word for t in line if t.kind in ("name", "move") for word in WORD.findall(t.text)]
+        names = tuple(self._name(word) for word in words if word not in KEYWORDS)
         literals = tuple(self._literal(t) for t in line if t.kind == "list")
         self._add(Step(NoStatement(names, literals, why, self._spot(line[0]))))
         if line[0].text in BLOCKS or line[-1].text == ":":
@@ -582,11 +601,8 @@ class Parser:
         if token.kind == "name":
             if token.text == "run":
                 return self._run(depth)
-            if token.text in KEYWORDS and token.text not in ("True", "False"):
-                raise _Garbled(f"{token.text} is not understood there")
-            if self._tokens[self._at].text == "(":
-                return self._call(token, depth)
-            return self._name(token.text, token)
+            name = self._variable(token.text)
+            return self._call(token, depth) if self._tokens[self._at].text == "(" else name
         if token.kind == "number":
             return Constant(_number(token.text))
         if token.kind == "text":
@@ -604,7 +620,7 @@ class Parser:
     def _list(self, token: Token) -> Expression:
         if token.text[0] == "p" and "," not in token.text:  # an element of a variable p
             number = token.text[token.text.index("[") + 1 : -1].strip()
-            return Element(self._name("p", token), Constant(float(number)), self._spot(token))
+            return Element(self._name("p"), Constant(float(number)), self._spot(token))
         return self._literal(token)
 
     def _literal(self, token: Token) -> Literal:
@@ -614,7 +630,7 @@ class Parser:
         start = self._at
         items = tuple(value for keyword, value in self._items("]", depth))
         if token.kind == "pose" and len(items) == 1:
-            return Element(self._name("p", token), items[0], self._spot(token))
+            return Element(self._name("p"), items[0], self._spot(token))
         end = self._tokens[self._at - 1].place + 1
         if items and self._plain(start):
             return Literal(self._code.file, token.place, end, token.kind == "pose")
@@ -626,27 +642,43 @@ class Parser:
         return re.fullmatch(_LIST, f"[{inside}") is not None
 
     def _plain_move(self, token: Token) -> Expression:
-        """A move to a list of plain numbers; what else it is given are plain numbers, too."""
-        name, _, goal = token.text.partition("(")
-        start = token.place + len(name) + 1
-        literal = Literal(self._code.file, start, start + goal.index("]") + 1, goal[0] == "p")
-        return self._calls(Token("name", name, token.place), (("", literal),))
+        """A move to a list of plain numbers, or to one in a frame that has a name."""
+        text, at = token.text, self._spot(token)
+        name = text[: text.index("(")]
+        opening, closing = text.index("["), text.index("]") + 1
+        pose = text[opening - 1] == "p"
+        goal: Expression = Literal(self._code.file, token.place + opening - pose, token.place + closing, pose)
+        before, behind = text[len(name) + 1 : opening - pose], text[closing:]
+        if before:
+            function, frame = before.rstrip(", \t").split("(")
+            goal = self._calls(function, (("", self._variable(frame.strip(" \t"))), ("", goal)), at)
+        return self._calls(name, (("", goal), *self._plain_arguments(behind)), at)
+
+    def _plain_arguments(self, text: str) -> Arguments:
+        """Names and numbers behind a goal; speeds and the like in plain numbers are of no account."""
+        key = self._routine.key, text
+        if key not in self._arguments:
+            self._arguments[key] = tuple(
+                (keyword or "", self._variable(name) if name else Constant(float(number)))
+                for keyword, name, number in ARGUMENT.findall(text)
+                if name or keyword not in ("a", "v", "t", "r")
+            )
+        return self._arguments[key]
 
     def _call(self, name: Token, depth: int) -> Expression:
         self._at += 1
-        return self._calls(name, self._items(")", depth))
+        return self._calls(name.text, self._items(")", depth), self._spot(name))
 
-    def _calls(self, name: Token, arguments: tuple[tuple[str, Expression], ...]) -> Expression:
-        routines = self._routines.get(name.text, ())
+    def _calls(self, name: str, arguments: Arguments, at: Spot) -> Expression:
+        routines = self._routines.get(name, ())
         self._routine.calls.update(routines)
-        called = Called(name.text, arguments, self._spot(name), routines)
-        if len(routines) > 1 or (routines and name.text in RULES):
-            why = f"{name.text} is defined more than once"
-            self._pending.append(Step(NoStatement((), (), why, self._spot(name))))
+        called = Called(name, arguments, at, routines)
+        if len(routines) > 1 or (routines and name in RULES):
+            self._pending.append(Step(NoStatement((), (), f"{name} is defined more than once", at)))
         elif routines:
             self._pending.append(Call(routines[0], called))
-        elif name.text not in RULES:
-            self._pending.append(Call(name.text, called))
+        elif name not in RULES:
+            self._pending.append(Call(name, called))
         return called
 
     def _run(self, depth: int) -> Expression:
@@ -657,7 +689,7 @@ class Parser:
         self._routine.calls.update(routines)
         return Run(Called(name.text, arguments, self._spot(name), routines))
 
-    def _items(self, closing: str, depth: int) -> tuple[tuple[str, Expression], ...]:
+    def _items(self, closing: str, depth: int) -> Arguments:
         """What stands between brackets, with keywords where it has them."""
         items = []
         if self._tokens[self._at].text == closing:
@@ -679,8 +711,13 @@ class Parser:
                 self._at -= 1
                 raise _Garbled(f"{token.text.strip() or 'its end'} is not understood there")
 
-    def _name(self, name: str, token: Token) -> Name:
-        return Name(self._routine, name, self._spot(token))
+    def _name(self, name: str) -> Name:
+        return Name(self._routine, name)
+
+    def _variable(self, name: str) -> Name:
+        if name in KEYWORDS and name not in ("True", "False"):
+            raise _Garbled(f"{name} is not understood there")
+        return self._name(name)
 
 
 _OPERATORS = frozenset({"+", "-", "*", "/", "%", "==", "!=", "<", ">", "<=", ">=", "and", "or", "xor"})

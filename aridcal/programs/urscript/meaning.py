@@ -151,6 +151,7 @@ class Meaning:
         self._products: dict[tuple[int, int], tuple[object, object, object]] = {}
         self._held: dict[Variable, set[tuple[int, int]]] = {}
         self._vague: dict[Variable, str] = {}
+        self._at: Spot = (0, 0)
         self.walk: Walk | None = None
         self.poses = False
 
@@ -183,6 +184,8 @@ class Meaning:
 
     def step(self, what: object, state: State) -> None:
         """Carry out a statement."""
+        assert isinstance(what, Evaluate | Assign | Return | NoStatement)
+        self._at = what.at
         if isinstance(what, Evaluate):
             value = self._value(what.value, state)
             if not isinstance(what.value, Called):
@@ -192,7 +195,7 @@ class Meaning:
         elif isinstance(what, Return):
             value = TEXT if what.value is None else self._value(what.value, state)
             self._set(("returned", None), value, state)
-        elif isinstance(what, NoStatement):
+        else:
             line = self._line(what.at)
             for name in what.names:
                 self._spend(self._value(name, state), f"{line} names it, and {what.why}")
@@ -203,6 +206,7 @@ class Meaning:
     def enter(self, what: object, name: str, state: State) -> None:
         """Set the parameters of a routine."""
         routine = self._routines[name]
+        self._at = what.at if isinstance(what, Called) else self._at
         arguments = self._bound(what, routine.parameters, state) if isinstance(what, Called) else {}
         for local in routine.local:
             value = arguments.get(local, Unknown(f"{local} is set by whoever calls {routine.name}"))
@@ -213,7 +217,8 @@ class Meaning:
     def leave(self, what: object, name: str, state: State) -> None:
         """Hand over what a routine gives back."""
         if isinstance(what, Called):
-            state.set("returned", what.at, self._get(("returned", None), state, what.name, what.at))
+            self._at = what.at
+            state.set("returned", what.at, self._get(("returned", None), state, what.name))
         self._part(state)
 
     def absent(self, what: object, name: str, state: State) -> None:
@@ -221,6 +226,7 @@ class Meaning:
         if not isinstance(what, Called):  # a thread of which the head is garbled
             state.forget_all(absent(name))
             return
+        self._at = what.at
         for _, argument in what.arguments:
             self._spend(self._value(argument, state), f"{self._line(what.at)} passes it on to {name}")
         if name.lower() not in self._cell.frames.harmless:
@@ -251,11 +257,11 @@ class Meaning:
         self._held.setdefault(variable, set()).update(_keys(value))
         state.set(*variable, Computed(value.why) if isinstance(value, Unknown) else value)
 
-    def _get(self, variable: Variable, state: State, name: str, at: Spot) -> object:
+    def _get(self, variable: Variable, state: State, name: str) -> object:
         """The value of a variable; where it is not certain, all points that it ever holds may be used here."""
         value = state.get(*variable)
         if isinstance(value, Unknown):
-            self._vague.setdefault(variable, f"{self._line(at)} uses {name}, and {value.why}")
+            self._vague.setdefault(variable, f"{self._line(self._at)} uses {name}, and {value.why}")
         return Unknown(value.why) if isinstance(value, Computed) else value
 
     def _numbers(self, literal: Literal) -> tuple[Number, ...]:
@@ -307,7 +313,7 @@ class Meaning:
         return TEXT
 
     def _variable(self, name: Name, state: State) -> object:
-        value = self._get(self._scopes.key(name.routine, name.name), state, name.name, name.at)
+        value = self._get(self._scopes.key(name.routine, name.name), state, name.name)
         return Unknown(f"{name.name} {value.why}") if value is NEVER_SET else value
 
     def _listing(self, listing: Listing, state: State) -> object:

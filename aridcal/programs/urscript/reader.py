@@ -48,7 +48,11 @@ def read(project: Project, cell: Cell) -> Reading:
         why = "the program has too many ways, or calls too deep, to be followed"
         return Reading([target for code in codes for target in _all_left(code, why)])
     finally:
-        meaning.walk = None  # they hold each other, and all that was made of the text
+        meaning.walk = (
+            None  # they hold each other, as routines and the names in them do, and all that was made of the text
+        )
+        for routine in routines.values():
+            routine.body = ()
     notes = (BASE_NOTE,) if meaning.poses and DEFAULT not in cell.frames.bases else ()
     return Reading([*meaning.targets(), *left], notes)
 
