@@ -236,7 +236,7 @@ def test_a_point_s_own_numbers_hold_where_nothing_sets_the_active_ones(tmp_path:
     cell = stated(frames_of(FRAMES, tmp_path))
     np.testing.assert_allclose(place(listing([GO], [point(1, user="2")]), cell).base, cell.frames.bases["2"])
     for lines in (["UFRAME_NUM=R[1]", GO], ["UFRAME_NUM=2", "UTOOL_NUM=AR[2]", GO]):
-        assert "of the active one" in why(listing(lines, [point(1, user="2")]), cell)
+        assert "of the active one" in by_name(read(listing(lines, [point(1, user="2")]), cell))["P[1]"].why
 
 
 def test_the_controller_stops_at_a_point_of_another_frame() -> None:
