@@ -157,7 +157,7 @@ CONF = [
 def test_confdata_counts_where_the_controller_asks_for_it(
     mode: str, move: str, counts: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("aridcal.programs.rapid.meaning.rapid_words", _words)
+    monkeypatch.setattr("aridcal.programs.rapid.points.rapid_words", _words)
     behind = "tr1,z1,tool0" if move == "TriggJ" else "z1,tool0"
     body = f"{mode}\n{move} {POSE},v100,{behind};\nMoveL {OTHER},v100,z1,tool0;"
     first, second = read(main(body), start=False).targets
@@ -170,7 +170,7 @@ def test_confdata_counts_where_the_controller_asks_for_it(
 
 
 def test_a_point_that_is_reached_with_and_without_confdata_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("aridcal.programs.rapid.meaning.rapid_words", _words)
+    monkeypatch.setattr("aridcal.programs.rapid.points.rapid_words", _words)
     data = f"CONST robtarget p1:={POSE};\nCONST robtarget p2:={OTHER};\n"
     body = "MoveL p1,v,z,tool0;\nMoveL p2,v,z,tool0;\nConfL\\Off;\nMoveL p1,v,z,tool0;\nIF b ConfL\\On;\n"
     targets = read(main(f"{body}MoveL {POSE},v,z,tool0;\nEXIT;", data)).targets

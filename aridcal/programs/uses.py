@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -93,36 +93,43 @@ class Use(NamedTuple):
         return near and (self.base, self.tool, self.mode) == (stated.base, stated.tool, stated.mode)
 
 
+What = TypeVar("What")
+"""What a language calls a point of its text."""
+
+Make = Callable[[What, Use, tuple[Place, ...]], Target]
+"""Turns a point, its use and its other places into a target without a reason."""
+
+
 @dataclass(slots=True)
-class _Point:
-    make: Callable[[Use, tuple[Place, ...]], Target]
-    uses: list[Use] = field(default_factory=list)
+class _Point(Generic[What]):
+    what: What
+    uses: tuple[Use, ...] = ()
     spoilt: str = ""
 
 
 @dataclass
-class Ledger:
+class Ledger(Generic[What]):
     """All that a program does with its points, in the order of the walk.
 
-    A point is a literal of the text, named by its file and its place there. ``make`` turns it and a use into a target, ``Target``
-    without a reason; it is called once, when all is known.
+    A point is a literal of the text, named by its file and its place there.
     """
 
-    _points: dict[tuple[int, int], _Point] = field(default_factory=dict)
+    _points: dict[tuple[int, int], _Point[What]] = field(default_factory=dict)
     _frames: dict[bytes, Frame] = field(default_factory=dict)
     _kept: dict[int, Frame] = field(default_factory=dict)
     _vague: dict[tuple[int, int, str], Target] = field(default_factory=dict)
 
-    def declare(self, key: tuple[int, int], make: Callable[[Use, tuple[Place, ...]], Target]) -> None:
+    def declare(self, key: tuple[int, int], what: What) -> None:
         """A point stands in the text; it is named in the answer even if nothing uses it."""
-        self._points.setdefault(key, _Point(make))
+        if key not in self._points:
+            self._points[key] = _Point(what)
 
     def go(self, key: tuple[int, int], use: Use) -> None:
         """A move goes to a declared point. Its first use decides where it comes among the targets."""
         point = self._points.pop(key) if not self._points[key].uses else self._points[key]
         self._points.setdefault(key, point)
         if not any(use.same(other) and use.trouble == other.trouble for other in point.uses):
-            point.uses.append(use)
+            point.uses += (use,)
 
     def spoil(self, key: tuple[int, int], why: str) -> None:
         """Something else than a move uses the numbers of a declared point: they must stay."""
@@ -133,25 +140,29 @@ class Ledger:
         """A move goes to a place that no plain numbers of the text say: named, with the reason in ``target.why``."""
         self._vague.setdefault((target.file, target.line, target.name), target)
 
-    def targets(self) -> list[Target]:
-        """Each point once: those that moves go to in the order of the walk, then what is left. The ledger is empty then."""
-        targets = list(self._read())
+    def targets(self, make: Make[What]) -> list[Target]:
+        """Each point once: those that moves go to in the order of the walk, then what is left. The ledger is empty then.
+
+        Args:
+            make: Called once for each point, when all is known.
+        """
+        targets = list(self._read(make))
         targets += self._vague.values()
         self._vague.clear()
         return targets
 
-    def _read(self) -> Iterator[Target]:
+    def _read(self, make: Make[What]) -> Iterator[Target]:
         """Targets of points; each point is dropped for its target, for a long program has many of both."""
         points = sorted(self._points.values(), key=lambda point: not point.uses)
         self._points.clear()
         points.reverse()
         while points:
-            yield self._target(points.pop())
+            yield self._target(points.pop(), make)
 
-    def _target(self, point: _Point) -> Target:
+    def _target(self, point: _Point[What], make: Make[What]) -> Target:
         """The target of a point; with a reason where not all that uses it means the same."""
-        uses = point.uses or [Use("", Unknown(NEVER), Unknown(NEVER))]
-        direct = [use for use in uses if not use.aside] or uses if len(uses) > 1 else uses
+        uses = point.uses or (Use("", Unknown(NEVER), Unknown(NEVER)),)
+        direct = tuple([use for use in uses if not use.aside]) or uses if len(uses) > 1 else uses
         first = next((use for use in direct if use.near is not None), direct[0])
         trouble = point.spoilt or next((use.trouble for use in uses if use.trouble), "")
         if not trouble and len(direct) > 1:
@@ -159,14 +170,14 @@ class Ledger:
             if other is not None:
                 trouble = _two_meanings(first, other)
         if trouble:
-            return _with_reason(point.make(Use(first.line, HERE, HERE), ()), trouble)
+            return _with_reason(make(point.what, Use(first.line, HERE, HERE), ()), trouble)
         beside = tuple([use.place for use in uses if use is not first and use.aside and not use.same(first)])
         unknown = next((use.unknown for use in direct if use.unknown), "")
         base, tool = self._one(first.base), self._one(first.tool)
         if base is first.base and tool is first.tool and unknown == first.unknown:
-            return point.make(first, beside)
+            return make(point.what, first, beside)
         settled = Use(first.line, base, tool, first.aside, first.why, first.near, unknown, first.mode)
-        return point.make(settled, beside)
+        return make(point.what, settled, beside)
 
     def _one(self, frame: object) -> object:
         """One frame for all that are equal to the last bit: a long program has a hundred thousand of a few."""

@@ -57,9 +57,13 @@ class Action:
     options: Options = ()
     raw: str = ""
 
+    def at(self, start: int) -> Action:
+        """The same at another place."""
+        return Action(self.does, self.program, start, self.fields, self.how, self.places, self.options, self.raw)
+
     def field(self, name: str) -> str:
         """A part; empty if it is not there."""
-        return dict(self.fields).get(name) or ""
+        return next((value for own, value in self.fields if own == name), "") or ""
 
 
 def actions(body: Body) -> Iterator[Action]:

@@ -105,6 +105,7 @@ class _Reader:
         self._choice: list[Body] = []  # branches of a SELECT that is not yet complete
         self._otherwise = False
         self._plain_moves: dict[tuple[str, str], Options | None] = {}
+        self._plain_actions: dict[str, tuple[Action, ...] | None] = {}
 
     def read(self) -> Flow:
         for instruction in self._listing.instructions():
@@ -122,8 +123,11 @@ class _Reader:
         self.flow.why = self.flow.why or f"the block of line {line} {what}"
 
     def _instruction(self, instruction: Instruction) -> None:
-        if instruction.closed and not self._choice and self._is_plain_move(instruction):
-            return
+        alone = instruction.closed and not self._choice
+        if not (alone and (self._is_plain_move(instruction) or self._is_plain_action(instruction))):
+            self._other_instruction(instruction)
+
+    def _other_instruction(self, instruction: Instruction) -> None:
         text, start = instruction.text, instruction.start
         if self._branch_of_select(text, instruction):
             return
@@ -180,6 +184,29 @@ class _Reader:
         if others or alone.flow != Flow() or not isinstance(step, Step) or not isinstance(step.what, Action):
             return None
         return step.what.options if step.what.places == (Place("P", "1"),) else None
+
+    def _is_plain_action(self, instruction: Instruction) -> bool:
+        """Read an instruction whose text says all that it does, and is read once; True where it is one.
+
+        Not those that begin, end, call or lead to other lines, and those that the flow counts by their places.
+        """
+        raw = instruction.raw
+        if raw not in self._plain_actions:
+            self._plain_actions[raw] = self._plain_action(raw)
+        actions = self._plain_actions[raw]
+        for action in actions or ():
+            self._blocks[-1].nodes.append(Step(action.at(instruction.start)))
+        return actions is not None
+
+    def _plain_action(self, raw: str) -> tuple[Action, ...] | None:
+        """What an instruction does wherever it stands; None where that is not all."""
+        alone = _Reader(self._program, self._listing)
+        alone._other_instruction(Instruction(0, raw))
+        if alone.flow != Flow() or len(alone._blocks) > 1 or alone._choice:
+            return None
+        steps = [node.what if isinstance(node, Step) else None for node in alone._blocks[0].nodes]
+        actions = tuple(what for what in steps if isinstance(what, Action))
+        return actions if len(actions) == len(steps) else None
 
     def _come_into(self) -> None:
         """Write all open blocks out with jumps."""

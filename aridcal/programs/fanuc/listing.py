@@ -14,16 +14,16 @@ SECTION = re.compile(r"(?:\A(?:\xef\xbb\xbf)?|(?<=[\r\n]))[ \t]*/(PROG|ATTR|APPL
 
 NAME = re.compile(r"\s*(\S+)")
 
-HEAD = re.compile(r"\s*(?:\d+[ \t]*:|:)?[ \t]*")
-"""What stands before an instruction: its line's number."""
+INSTRUCTION = re.compile(r"\s*+(?:\d++[ \t]*+:|:)?+[ \t]*+((?:'[^'\n]*'|[^;])*+)")
+"""The number of its line, and an instruction, which may be empty."""
+
+REMARKS = ("!", "//", "--")
 
 REMARK = re.compile(r"(?:!|//|--)[^;\n]*(?:\n(?![ \t]*\d+[ \t]*:)[^;\n]*)*+;?")
 """A remark, to its semicolon or to the next line with a number. What is remarked out is not carried out."""
 
 NUMBERED = re.compile(r"\n[ \t]*\d+[ \t]*:")
 """The next line with a number: an instruction that comes so far has no end."""
-
-BODY = re.compile(r"(?:'[^'\n]*'|[^;])*+")
 
 POINT = re.compile(r"\s*P\s*\[\s*(\d+)\s*(?::\s*(?:\"[^\n]*?\"|[^\n\"\]]*))?\s*\]\s*\{([^{}]*)\}\s*;?", re.IGNORECASE)
 """A point of /POS. Its comment may contain brackets of any kind."""
@@ -135,17 +135,16 @@ class Listing:
         """Those of /MN, remarks left out."""
         text, (place, end) = self.code.text, self.span
         while place < end:
-            head = HEAD.match(text, place, end)
-            place = head.end() if head is not None else place
-            remark = REMARK.match(text, place, end)
-            if remark is not None:
+            match = INSTRUCTION.match(text, place, end)
+            assert match is not None
+            raw, (start, stop) = match.group(1), match.span(1)
+            if raw.startswith(REMARKS):
+                remark = REMARK.match(text, start, end)
+                assert remark is not None
                 place = remark.end()
                 continue
-            body = BODY.match(text, place, end)
-            assert body is not None  # it may be empty
-            raw, stop = body.group(), body.end()
-            if raw.strip():
-                yield Instruction(place, raw, stop < end and ("\n" not in raw or NUMBERED.search(raw) is None))
+            if raw and not raw.isspace():
+                yield Instruction(start, raw, stop < end and ("\n" not in raw or NUMBERED.search(raw) is None))
             place = stop + 1
 
 

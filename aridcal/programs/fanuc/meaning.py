@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
+from functools import lru_cache
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from aridcal.programs.fanuc.points import Targets
 from aridcal.programs.fanuc.registers import PLAIN, REGISTER, Register, number_of, sum_of
 from aridcal.programs.frames import absent, unknown
 from aridcal.programs.postures import fanuc_words
+from aridcal.programs.targets import Place as TargetPlace
 from aridcal.programs.targets import Target, Words
 from aridcal.programs.text import NONE, Code
 from aridcal.programs.uses import HERE, Frame, Ledger, Use, line_name
@@ -31,11 +32,11 @@ class Active:
 
     Attributes:
         number: It.
-        line: Of the instruction, for messages.
+        by: The instruction.
     """
 
     number: str
-    line: str = field(compare=False)
+    by: Action = field(compare=False)
 
 
 @dataclass(frozen=True)
@@ -93,7 +94,7 @@ class Meaning:
         given: Given,
         cell: Cell,
     ) -> None:
-        self.ledger = Ledger()
+        self.ledger: Ledger[tuple[Code, Point]] = Ledger()
         self.assumed: set[str] = set()
         self._listings, self._codes, self._given, self._cell = listings, codes, given, cell
         self._targets = Targets(cell.axes, cell.anatomy is not None and not cell.frames.j3_from_link_2)
@@ -113,7 +114,7 @@ class Meaning:
         for point in listing.points.values():
             key = self._key(program, point)
             self._words[key] = fanuc_words(point.config, self._cell)
-            self.ledger.declare(key, partial(self._targets.target, listing.code, point, self._words[key]))
+            self.ledger.declare(key, (listing.code, point))
             reason = why or point.why or self._targets.beyond(point)
             if reason:
                 self.ledger.spoil(key, reason)
@@ -125,6 +126,14 @@ class Meaning:
         if every is not None:
             for point in listing.points.values():
                 self._spoil(program, point, *every[1:])
+
+    def targets(self) -> list[Target]:
+        """All targets, when the walk is over."""
+        return self.ledger.targets(self._target)
+
+    def _target(self, what: tuple[Code, Point], use: Use, beside: tuple[TargetPlace, ...]) -> Target:
+        code, point = what
+        return self._targets.target(code, point, self._words[code.file, point.start], use, beside)
 
     def _spoil(self, program: int, point: Point, start: int, use: str) -> None:
         self.ledger.spoil(self._key(program, point), f"{self.line(program, start)} {use}")
@@ -162,10 +171,11 @@ class Meaning:
             for place in what.places:
                 self._go(what, place, state)
             return
-        line = self.line(what.program, what.start)
         if what.does in ("frame number", "tool number"):
-            self._number(what, state, line)
-        elif what.does in ("frame", "tool"):
+            self._number(what, state)
+            return
+        line = self.line(what.program, what.start)
+        if what.does in ("frame", "tool"):
             self._frame(what, state, line)
         elif what.does == "register":
             self._register(what, state, line)
@@ -206,14 +216,15 @@ class Meaning:
         if name.lower() not in self._cell.frames.harmless:
             state.forget_all(absent(name))
 
-    def _number(self, what: Action, state: State, line: str) -> None:
+    def _number(self, what: Action, state: State) -> None:
         groups = what.field("groups")
         if groups and "GP1" not in groups:
             return
-        value = PLAIN.fullmatch(what.field("value"))
-        if value is not None and value.group(1).isdecimal():
-            state.set(what.does, None, Active(value.group(1)[-9:].lstrip("0") or "0", line))
+        number = _plain_number(what.field("value"))
+        if number is not None:
+            state.set(what.does, None, Active(number, what))
         else:
+            line = self.line(what.program, what.start)
             state.forget(what.does, None, f"{line} takes it from {what.field('value')[:SHOWN]}")
 
     def _frame(self, what: Action, state: State, line: str) -> None:
@@ -367,8 +378,7 @@ class Meaning:
         value = state.get("tool", int(number))
         return Unknown(unknown("user tool", number)) if value is NEVER_SET else value
 
-    @staticmethod
-    def _agreed(family: str, kind: str, own: str, state: State, line: str) -> str | Unknown:
+    def _agreed(self, family: str, kind: str, own: str, state: State, line: str) -> str | Unknown:
         """The number of a point's frame or tool, which must be the active one: else the controller stops there.
 
         Where no instruction has set one the point's own number is believed, as programs are taught with the active one.
@@ -382,12 +392,18 @@ class Meaning:
         if not own.isdecimal():
             return Unknown(f"its {kind} {own} is no number")
         if isinstance(active, Active) and active.number != own:
-            return Unknown(
-                f"is in {kind} {own}, but {active.line} has set {active.number}: the controller stops at {line}"
-            )
+            before = self.line(active.by.program, active.by.start)
+            return Unknown(f"is in {kind} {own}, but {before} has set {active.number}: the controller stops at {line}")
         if isinstance(active, Unknown) and active is not NEVER_SET:
             return Unknown(f"is in {kind} {own}, and of the active one at {line} it is not certain: {active.why}")
         return own
+
+
+@lru_cache(maxsize=64)
+def _plain_number(value: str) -> str | None:
+    """The number of a frame or a tool without zeros in front; None where it is worked out."""
+    match = PLAIN.fullmatch(value)
+    return match.group(1)[-9:].lstrip("0") or "0" if match is not None and match.group(1).isdecimal() else None
 
 
 def _translation(shift: np.ndarray) -> np.ndarray:

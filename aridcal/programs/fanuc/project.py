@@ -58,7 +58,7 @@ def read(project: Project, cell: Cell) -> Reading:
         nothing = Given(HERE, {}, {})
         own = dict.fromkeys(range(len(left)), True)
         meaning = Meaning(left, [Flow() for _ in left], codes, own, frozenset(own), nothing, cell)
-        return Reading(meaning.ledger.targets())
+        return Reading(meaning.targets())
 
 
 def _walked(
@@ -87,7 +87,10 @@ def _walked(
     for k in walked:
         if _routine(names, k) not in walk.reached:
             walk.enter(_routine(names, k), State(state))
-    return Reading(meaning.ledger.targets(), (*notes, *_assumptions(meaning.assumed, cell)))
+    del walk
+    for flow in flows:
+        flow.body = ()  # a long program's is as large as its targets
+    return Reading(meaning.targets(), (*notes, *_assumptions(meaning.assumed, cell)))
 
 
 def _names(listings: Sequence[Listing], ours: Mapping[int, bool]) -> dict[str, int]:

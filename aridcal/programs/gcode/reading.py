@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from functools import partial
 
 from aridcal.errors import AridcalError
 from aridcal.programs.axes import DEGREE
@@ -77,6 +78,8 @@ def read(project: Project, cell: Cell) -> Reading:
                 walk.enter(name, state)
     except TooLong:
         flow.wild = flow.wild or "the program has more ways than can be followed"
+    flow.routines.clear()
+    del walk  # a long program's blocks are larger than its targets
     return Reading(reader.record.targets(flow.wild), reader.notes())
 
 
@@ -103,10 +106,11 @@ class _Reader:
     """Carries blocks out; the semantics of the walk."""
 
     def __init__(self, project: Project, cell: Cell) -> None:
-        self._project, self._cell = project, cell
+        self._cell = cell
         self._kinds = cell.robot.kinds
         self._zeros = [cell.axes.zero(k) for k in range(len(self._kinds))]
         self._letters = _letters(self._kinds)
+        self._line = partial(_line, project)
         self._control = Control(self._letters, cell.frames, self._line)
         self._mixed = [_mixes_points(source.text) for source in project.sources]
         self._stated: set[str] = set()
@@ -284,10 +288,11 @@ class _Reader:
             notes.append("numbers without a decimal point are taken as whole units, not as thousandths")
         return tuple(notes)
 
-    def _line(self, block: Block) -> str:
-        """How messages name a block's line: with its file where there are several."""
-        line = f"line {block.line}"
-        return line if len(self._project.sources) == 1 else f"{self._project.sources[block.file].path.name} {line}"
+
+def _line(project: Project, block: Block) -> str:
+    """How messages name a block's line: with its file where there are several."""
+    line = f"line {block.line}"
+    return line if len(project.sources) == 1 else f"{project.sources[block.file].path.name} {line}"
 
 
 def _doubt(own: Words, away: bool, late: bool, mixed: bool) -> str:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 
 import numpy as np
 
@@ -72,7 +71,7 @@ class Record:
 
     project: Project
     columns: int
-    _ledger: Ledger = field(default_factory=Ledger)
+    _ledger: Ledger[Move] = field(default_factory=Ledger)
     _moves: dict[Key, Move] = field(default_factory=dict)
     _met: set[Key] = field(default_factory=set)
     _axes_used: dict[int, str] = field(default_factory=dict)
@@ -86,7 +85,7 @@ class Record:
         """
         first = self._moves.setdefault(move.key, move)
         if first is move:
-            self._ledger.declare(move.key, partial(self._target, move))
+            self._ledger.declare(move.key, move)
         elif not first.same(move):
             self._met.add(move.key)
         self._ledger.go(move.key, Use(line, move.base, move.tool, why=move.why))
@@ -111,10 +110,10 @@ class Record:
             wild: Why none can be corrected; empty if some can.
         """
         last: dict[int, Key] = dict.fromkeys(range(self.columns), AT_START)
-        return [self._settled(target, wild, last) for target in self._ledger.targets()]
+        return [self._settled(target, wild, last) for target in self._ledger.targets(self._target)]
 
     def _settled(self, target: Target, wild: str, last: dict[int, Key]) -> Target:
-        move = self._moves[target.file, target.line]
+        move = self._moves.pop((target.file, target.line))
         used = next((self._axes_used[k] for k in move.axes if k in self._axes_used), "")
         stale = any(last[k] != source for k, source in move.held)
         why = target.why or wild or used or (MET if stale or move.key in self._met else "")

@@ -39,7 +39,7 @@ class Points:
     files: tuple[File, ...]
     cell: Cell
     spoilt: dict[tuple[int, int], str]
-    ledger: Ledger
+    ledger: Ledger[tuple[str, Aggregate]]
 
     def __post_init__(self) -> None:
         self._jumps: set[tuple[int, int]] = set()
@@ -77,7 +77,7 @@ class Points:
         if value.place in self._declared:
             return
         self._declared.add(value.place)
-        self.ledger.declare(value.place, lambda use, beside: self._target(name, value, use, beside))
+        self.ledger.declare(value.place, (name, value))
         if value.place in self.spoilt:
             self.ledger.spoil(value.place, self.spoilt[value.place])
 
@@ -102,7 +102,12 @@ class Points:
         shown = shown_text(code.text[goal.start : goal.end])
         self.ledger.leave(Target(code.line(goal.start), shown, "pose", NONE, why, file=file))
 
-    def _target(self, name: str, value: Aggregate, use: Use, beside: tuple[Place, ...]) -> Target:
+    def targets(self) -> list[Target]:
+        """All targets, when the walk is over."""
+        return self.ledger.targets(self._target)
+
+    def _target(self, what: tuple[str, Aggregate], use: Use, beside: tuple[Place, ...]) -> Target:
+        name, value = what
         assert value.place is not None
         file, start = value.place
         line = self.codes[file].line(start)

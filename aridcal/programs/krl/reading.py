@@ -60,7 +60,7 @@ def read(project: Project, cell: Cell) -> Reading:
     except TooLong:
         return Reading(_left_alone(files, said, names, spoilt, cell, "the program has more ways than can be followed"))
     broken = [target for file, place, why in said.broken for target in _of_broken(file, place, why)]
-    return Reading([*points.ledger.targets(), *broken], tuple(_notes(said, constants, meaning)))
+    return Reading([*points.targets(), *broken], tuple(_notes(said, constants, meaning)))
 
 
 def context(path: Path) -> list[Path]:
@@ -310,7 +310,7 @@ def _left_alone(
                 points.vague(goal, move.file, why)
     return [
         Target(t.line, t.name, t.form, t.numbers, t.why if t.why and not t.numbers else why, file=t.file)
-        for t in points.ledger.targets()
+        for t in points.targets()
     ]
 
 

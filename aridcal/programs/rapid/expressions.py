@@ -81,7 +81,6 @@ class Expressions:
     names: Names
     frames: KnownFrames
     declare: Callable[[Literal], None]
-    _values: dict[int, object] = field(default_factory=dict)
     _frames: dict[tuple[str, str, tuple[str, ...], str], Value] = field(default_factory=dict)
     _kept: dict[tuple[str, tuple[object, ...]], Frame | Unknown] = field(default_factory=dict)
 
@@ -112,10 +111,10 @@ class Expressions:
 
     def declared(self, datum: Datum) -> object:
         """The value that the text declares."""
-        if id(datum) not in self._values:
-            self._values[id(datum)] = Unknown("its value is worked out from itself")
-            self._values[id(datum)] = self._declared(datum)
-        return self._values[id(datum)]
+        if datum.value is None:
+            datum.value = Unknown("its value is worked out from itself")
+            datum.value = self._declared(datum)
+        return datum.value
 
     def _declared(self, datum: Datum) -> object:
         if datum.declared.value is None:

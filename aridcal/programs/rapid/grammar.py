@@ -7,8 +7,11 @@ file, for whatever stands there may be anything.
 from __future__ import annotations
 
 import re
+import sys
+from array import array
 from bisect import bisect_left
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -201,13 +204,11 @@ class Module:
 
 
 def fold(name: str) -> str:
-    """A name for comparison: RAPID does not tell capital letters from small ones."""
-    if name.isascii():
-        return name.lower()
-    try:
-        return name.encode("latin-1").decode("utf-8").lower()
-    except UnicodeError:  # not UTF-8, or folded already
-        return name.lower()
+    """A name for comparison: RAPID does not tell capital letters from small ones. One string wherever a name stands."""
+    if not name.isascii():
+        with suppress(UnicodeError):  # not UTF-8, or folded already
+            name = name.encode("latin-1").decode("utf-8")
+    return sys.intern(name.lower())
 
 
 def blanked(text: str) -> str:
@@ -243,7 +244,7 @@ class _Reader:
     def __init__(self, code: Code) -> None:
         self.code, self.plain = code, code.plain
         self.place = 0
-        self._ends = [m.start() for m in re.finditer(";", self.plain)]
+        self._ends = array("I", [m.start() for m in re.finditer(";", self.plain)])
 
     def file(self) -> list[Module]:
         match = HEADER.match(self.plain)
@@ -333,7 +334,7 @@ class _Reader:
             self._one_statement(*value)
         self.place = end + 1
         return Declared(
-            match.group(1).lower(),
+            fold(match.group(1)),
             fold(match.group(2)),
             match.group(3),
             match.start(3),

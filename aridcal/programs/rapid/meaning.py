@@ -8,13 +8,8 @@ from dataclasses import dataclass, field
 from functools import lru_cache, partial
 from typing import NamedTuple
 
-import numpy as np
-
-from aridcal.programs.axes import DEGREE, MILLIMETRE
 from aridcal.programs.cell import Cell
 from aridcal.programs.frames import absent
-from aridcal.programs.notations import ABB
-from aridcal.programs.postures import rapid_words
 from aridcal.programs.project import Source
 from aridcal.programs.rapid.expressions import STEP, Constant, Expressions, Value, part_of, with_part
 from aridcal.programs.rapid.grammar import Statement, fold
@@ -30,6 +25,7 @@ from aridcal.programs.rapid.names import (
     matched,
     named,
 )
+from aridcal.programs.rapid.points import Targets
 from aridcal.programs.rapid.table import (
     DEFAULTS,
     FUNCTIONS,
@@ -56,8 +52,8 @@ from aridcal.programs.rapid.values import (
     points_of,
     transform,
 )
-from aridcal.programs.targets import Branch, Place, Target
-from aridcal.programs.text import NONE, Numbers
+from aridcal.programs.targets import Target
+from aridcal.programs.text import NONE
 from aridcal.programs.uses import HERE, Frame, Ledger, Use, product
 from aridcal.programs.walk import (
     DIFFERS,
@@ -92,10 +88,14 @@ FIRST = re.compile(r"\s*(\[\s*\[[^][]*\]\s*(?:,\s*\[[^][]*\]\s*)*\]|[A-Za-z_]\w*
 Work = Callable[[State], None]
 
 
-class _Prepared(NamedTuple):
-    """A move, ready to be carried out."""
+NOWHERE = (0, 0)
+"""The span of what nobody needs to show."""
 
-    statement: Statement
+
+class _Prepared(NamedTuple):
+    """A move, ready to be carried out, where it starts in the text."""
+
+    start: int
     bound: Bound
     move: Move
     points: tuple[tuple[Value, tuple[int, int], Sequence[Value]], ...]
@@ -130,16 +130,14 @@ class Meaning:
     names: Names
     cell: Cell
     sources: tuple[Source, ...]
-    ledger: Ledger = field(default_factory=Ledger)
+    ledger: Ledger[Literal] = field(default_factory=Ledger)
     bodies: dict[str, Body] = field(default_factory=dict)
-    _literals: dict[tuple[int, int], Literal] = field(default_factory=dict)
-    _listed: set[tuple[int, int]] = field(default_factory=set)
+    _literals: list[Literal] = field(default_factory=list)
     _usual: dict[tuple[str, str, str], _Prepared] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        self.axes = self.cell.axes
         self._calm = not self.names.stepped and not self.names.unknown_calls
-        self._free = np.full(len(self.axes.kinds), np.nan)
+        self.points = Targets(self.cell, self.sources)
         self.expressions = Expressions(self.names, self.cell.frames, self._declare)
         for datum in self.names.data:
             self._initial(datum)
@@ -150,7 +148,8 @@ class Meaning:
             if bound.routine.handlers:
                 nodes = [Choice(tuple(tuple(self._body(bound, h, False)) for h in bound.routine.handlers))]
                 self.bodies[f"{bound.key} handlers"] = nodes
-        self._told_outside = any(self._outside(own) for own in self._literals.values())
+            bound.routine.body.clear()  # a long program has no room for both
+        self._told_outside = any(self._outside(own) for own in self._literals)
 
     # ---- what stands in the text
 
@@ -159,15 +158,9 @@ class Meaning:
         vars(self).clear()
 
     def _declare(self, own: Literal) -> None:
-        if self._literals.setdefault(own.key, own) is not own:
-            return
+        self._literals.append(own)
         if self.sources[own.code.file].ours:
-            self._list(own)
-
-    def _list(self, own: Literal) -> None:
-        if own.key not in self._listed:
-            self._listed.add(own.key)
-            self.ledger.declare(own.key, partial(self._target, own))
+            self.ledger.declare(own.key, own)
 
     def _initial(self, datum: Datum) -> None:
         """Targets that stand behind a declaration; what changes it, or is worked out from others there."""
@@ -183,12 +176,12 @@ class Meaning:
 
     def _spoil_all(self, literals: Iterable[Literal], why: str) -> None:
         for own in literals:
-            self._list(own)
+            self.ledger.declare(own.key, own)
             self.ledger.spoil(own.key, why)
 
     def leave_all(self, why: str) -> None:
         """Leave every target of the given files."""
-        self._spoil_all(list(self._literals.values()), why)
+        self._spoil_all(self._literals, why)
 
     # ---- routines for the walk
 
@@ -474,7 +467,7 @@ class Meaning:
             why = why or f"{line} has other arguments than this move has"
         reading = [span for k, span in enumerate(required) if k not in move.points and k not in move.written]
         prepared = _Prepared(
-            statement,
+            statement.start,
             bound,
             move,
             points,
@@ -485,7 +478,7 @@ class Meaning:
         )
         nodes = self._reading(bound, statement, reading)
         if not nodes and not loops and not why:
-            self._remember(prepared)
+            self._remember(prepared, statement)
         nodes.append(Step(prepared))
         nodes += self._writing(bound, [required[k] for k in move.written if k < len(required)], f"{line} may change it")
         if move.routine is not None and move.routine < len(required):
@@ -494,9 +487,9 @@ class Meaning:
             nodes.append(self._to_routine(bound, statement, name, key, Arguments(), guarded))
         return nodes
 
-    def _remember(self, prepared: _Prepared) -> None:
+    def _remember(self, prepared: _Prepared, statement: Statement) -> None:
         """Keep what a plain move says behind the place that it goes to: a long program says it a hundred thousand times."""
-        bound, statement, move = prepared.bound, prepared.statement, prepared.move
+        bound, move = prepared.bound, prepared.move
         match = FIRST.match(bound.code.plain, statement.body, statement.end)
         frames = all(
             isinstance(own, Constant) and isinstance(own.value, Frame) for own in (prepared.tool, prepared.base)
@@ -511,16 +504,17 @@ class Meaning:
         if match is None or like is None or statement.loops:
             return None
         goal = self._goal(bound, statement, bound.code.trimmed(*match.span(1)), like.move.way in "LJ")
-        prepared = _Prepared(statement, bound, like.move, (goal,), like.tool, like.base, "", like.offset)
+        prepared = _Prepared(statement.start, bound, like.move, (goal,), like.tool, like.base, "", like.offset)
         return [Step(prepared)]
 
     def _goal(
         self, bound: Bound, statement: Statement, span: tuple[int, int], pose: bool
     ) -> tuple[Value, tuple[int, int], Sequence[Value]]:
-        """Where a move goes, where that stands, and targets that it is worked out from."""
+        """Where a move goes; of a place that is no plain point where that stands, and targets that it is worked out from."""
         value = self._destination(bound, statement, span, pose)
-        own = isinstance(value, Constant) and isinstance(value.value, Point) and not value.value.literal.why
-        return value, span, () if own else self._mentioned(bound, statement, span)
+        if isinstance(value, Constant) and isinstance(value.value, Point) and not value.value.literal.why:
+            return value, NOWHERE, ()
+        return value, span, self._mentioned(bound, statement, span)
 
     def _go(self, prepared: _Prepared, state: State) -> None:
         way = prepared.move.way
@@ -542,7 +536,7 @@ class Meaning:
 
     def _send_outside(self, prepared: _Prepared, goal: object, state: State) -> None:
         """Note where a move sends external axes that the robot of the calibration does not have."""
-        line = self._line(prepared.bound, prepared.statement)
+        line = self.names.line(prepared.bound.code, prepared.start)
         if not isinstance(goal, Point) or goal.literal.why:
             state.forget(*OUTSIDE, f"{line} moves them to a place that is worked out")
             return
@@ -558,24 +552,24 @@ class Meaning:
         if own.why:
             return {}
         first = own.code.plain.rfind("[", own.start, own.end) + 1
-        return told_outside(own.code.plain[first : own.end], len(self.axes.external))
+        return told_outside(own.code.plain[first : own.end], len(self.cell.axes.external))
 
     def _why_spoilt(self, prepared: _Prepared) -> str:
-        return f"{self._line(prepared.bound, prepared.statement)} works out another place from it"
+        return f"{self.names.line(prepared.bound.code, prepared.start)} works out another place from it"
 
     def _vague(self, prepared: _Prepared, goal: object, span: tuple[int, int]) -> None:
         """A move to a place that no plain numbers say."""
         code = prepared.bound.code
         if isinstance(goal, Point):  # brackets that are no plain numbers, or of another form
             own = goal.literal
-            self._list(own)
+            self.ledger.declare(own.key, own)
             self.ledger.spoil(own.key, own.why or "it is no target of this move")
             return
         if not self.sources[code.file].ours:
             return
         why = goal.why if isinstance(goal, Unknown) else "it is no target by itself"
         form = "pose" if prepared.move.way in "LJ" else "joints"
-        line = code.line(prepared.statement.start)
+        line = code.line(prepared.start)
         name = " ".join(code.text[slice(*span)].split())
         self.ledger.leave(Target(line, name, "pose" if form == "pose" else "joints", NONE, why, file=code.file))
 
@@ -583,8 +577,8 @@ class Meaning:
         own = goal.literal
         if not self.sources[own.code.file].ours and not self.sources[prepared.bound.code.file].ours:
             return
-        self._list(own)
-        line = self._line(prepared.bound, prepared.statement)
+        self.ledger.declare(own.key, own)
+        line = self.names.line(prepared.bound.code, prepared.start)
         if prepared.move.way == "E":
             self.ledger.spoil(own.key, f"{line} moves the external axes alone")
             return
@@ -619,7 +613,7 @@ class Meaning:
             value = state.get("mode", mode)
             if isinstance(value, Unknown):
                 return _said(mode, value)
-        if self._rails(own) and isinstance(units := state.get("mode", "units"), Unknown):
+        if self.points.rails(own) and isinstance(units := state.get("mode", "units"), Unknown):
             return _said("units", units)
         wrist = state.get("mode", "wrist")
         if prepared.move.way == "L" and isinstance(wrist, Unknown):
@@ -645,7 +639,7 @@ class Meaning:
             if isinstance(state.get(*STANCE), Unknown):
                 state.set(*STANCE, True)
         elif not plain and way in "AJ":
-            line = self._line(prepared.bound, prepared.statement)
+            line = self.names.line(prepared.bound.code, prepared.start)
             state.forget(
                 *STANCE, f"it is not known where the arm comes from: {line} moves to a place that is worked out"
             )
@@ -736,43 +730,6 @@ class Meaning:
             if not self.expressions.steady(datum):
                 for address in datum.addresses:
                     state.forget("data", address, datum.changed)
-
-    # ---- targets
-
-    def _rails(self, own: Literal) -> list[tuple[float, int]]:
-        """External axes that the target states: their readings [rad] or [m], with the index of each."""
-        axes = self.axes
-        if not axes.external:
-            return []
-        return [
-            (axes.unit(k, DEGREE, MILLIMETRE) * n.value, k)
-            for n, k in zip(own.external, axes.external, strict=False)
-            if n.value < NOT_USED
-        ]
-
-    def _target(self, own: Literal, use: Use, beside: tuple[Place, ...]) -> Target:
-        code, line = own.code, own.code.line(own.start)
-        if own.why:
-            return Target(line, own.name, own.form, NONE, own.why, file=code.file)
-        if not self.sources[code.file].ours:
-            why = f"stands in {code.name}, which is not corrected: give it, too"
-            return Target(line, own.name, own.form, own.numbers, why, file=code.file)
-        axes = self.axes
-        if own.form == "joints":
-            numbers = own.numbers[: len(axes.arm)]
-            rails = [(n, k) for n, k in zip(own.external, axes.external, strict=False) if n.value < NOT_USED]
-            units = axes.units([*axes.arm, *(k for _, k in rails)], DEGREE, MILLIMETRE)
-            stated = (*numbers, *(n for n, _ in rails))
-            readings = axes.readings(stated, units)
-            return Target(line, own.name, "joints", Numbers(stated), "", readings, units, digits=5, file=code.file)
-        held = self._free
-        for value, k in self._rails(own):
-            held = held.copy()
-            held[k] = value
-        words = rapid_words(own.configuration, self.cell) if use.mode == "on" else None
-        unknown = "" if words is not None else use.unknown
-        branch = Branch(words, None, held, nearest=use.mode != "on", unknown=unknown)
-        return Target(line, own.name, "pose", own.numbers, "", None, (), ABB, use.place, beside, branch, file=code.file)
 
 
 @lru_cache(maxsize=64)

@@ -35,9 +35,10 @@ def read(project: Project, cell: Cell) -> Reading:
         notes.append(
             f"each cycle of main is taken to begin in the controller's own modes, though {names.unknown_calls}"
         )
-    targets = meaning.ledger.targets()
+    ledger, points = meaning.ledger, meaning.points
     meaning.end()
-    return Reading(targets, tuple(notes))
+    del meaning, names, parsed  # a long program's are larger than its targets
+    return Reading(ledger.targets(points.target), tuple(notes))
 
 
 class _Broken(Exception):

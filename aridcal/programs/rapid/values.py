@@ -48,6 +48,7 @@ class Datum:
         whole: Whether it may be.
         owner: The routine that it belongs to; empty of a module's data.
         parameter: Whether the caller says what it is.
+        value: That its declaration says; None until that is worked out.
     """
 
     declared: Declared
@@ -59,6 +60,7 @@ class Datum:
     whole: bool = False
     owner: str = ""
     parameter: bool = False
+    value: object = None
 
     def leaf(self, place: tuple[int, ...]) -> tuple[str, str]:
         """The address of a part in a state."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Literal as Literal_
 
 import numpy as np
@@ -143,7 +143,7 @@ class Meaning:
         self._routines, self._scopes, self._titles = routines, scopes, titles
         self._axes = cell.axes
         self._units = self._axes.units(self._axes.arm, 1.0, 1.0)
-        self._ledger = Ledger()
+        self._ledger: Ledger[Literal] = Ledger()
         self._gone: dict[tuple[int, int], Literal] = {}
         self._spent: dict[tuple[int, int], str] = {}
         self._frames: dict[tuple[int, int], set[Literal]] = {}
@@ -178,7 +178,7 @@ class Meaning:
         for key in self._gone:
             if key in self._spent:
                 self._ledger.spoil(key, self._spent[key])
-        return self._ledger.targets()
+        return self._ledger.targets(self._target)
 
     # The walk's semantics
 
@@ -611,7 +611,7 @@ class Meaning:
             self._gone[key] = value.literal
             if value.frames:
                 self._frames.setdefault(key, set()).update(value.frames)
-            self._ledger.declare(key, partial(self._target, value.literal))
+            self._ledger.declare(key, value.literal)
             self._ledger.go(key, use)
 
     def _solved(self, value: Point, solved: Solved, line: str, why: str, coming: str, state: State) -> Use:
