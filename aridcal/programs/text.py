@@ -87,7 +87,7 @@ class Numbers(Sequence[Number]):
     def __getitem__(self, k: slice) -> tuple[Number, ...]: ...
 
     def __getitem__(self, k: int | slice) -> Number | tuple[Number, ...]:
-        return tuple(self)[k]
+        return Number(self.starts[k], self.texts[k]) if isinstance(k, int) else tuple(self)[k]
 
     def __iter__(self) -> Iterator[Number]:
         return map(Number, self.starts, self.texts)

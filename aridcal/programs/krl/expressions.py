@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Sequence
 
 from aridcal.programs.krl.syntax import (
@@ -221,7 +222,7 @@ class Line:
             else:
                 index, worked_out = (), True
         key, shared = self._resolve(token.text)
-        shown = self._text[token.start : end].upper()
+        shown = sys.intern(self._text[token.start : end].upper())
         return Variable(token.start, shown, key, shared, index, worked_out, tuple(path), tuple(inside))
 
     def goal(self, types: Callable[[str], str]) -> Goal:

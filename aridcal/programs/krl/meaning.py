@@ -69,9 +69,9 @@ class Meaning(Values):
         self._said, self._names, self._points = said, names, points
         self._begin = begin
         self._stated = points.cell.frames
-        written = {mention.variable.key for mention in said.writes}
+        written = {mention.variable.key for mention in said.writes.values()}
         self.arrays = sorted(
-            {m.variable.key for m in said.writes if m.variable.index is not None and m.variable.shared}
+            {m.variable.key for m in said.writes.values() if m.variable.index is not None and m.variable.shared}
             | {key for key, index in begin if index and ":" not in key}
         )
         self._ignoring = any("#ignore" in code.plain for code in points.codes)
@@ -330,8 +330,10 @@ class Meaning(Values):
 
     def _send_outside(self, move: Move, value: Aggregate, state: State) -> None:
         """Note where a move sends external axes that the robot of the calibration does not have."""
+        if not self._moved_outside:
+            return
         told = [(axis, own.value) for axis in self._outside if isinstance(own := value.fields.get(axis), Number)]
-        if told and self._moved_outside:
+        if told:
             axis = next((axis for axis, place in told if place), "")
             why = f"{self._line(move)} tells external axis {axis.upper()} a place, and the URDF does not have that axis"
             state.set("outside", None, why if axis else "")

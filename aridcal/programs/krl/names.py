@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import sys
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -116,15 +117,15 @@ class Names:
 
     def declare(self, scope: str, name: str, kind: str, shared: bool) -> str:
         """A variable of a module or of a routine, ``module`` or ``module/routine``; gives its key."""
-        key = name if shared else f"{scope}:{name}"
+        key = sys.intern(name if shared else f"{scope}:{name}")
         self.types[key] = kind
         if not shared:
             self._own.setdefault(scope, set()).add(name)
         return key
 
     def resolve(self, module: str, routine: str, name: str) -> tuple[str, bool]:
-        """The key of a variable, and whether routines of all files reach it."""
+        """The key of a variable, one string wherever it stands, and whether routines of all files reach it."""
         for scope in (f"{module}/{routine}", module):
             if name in self._own.get(scope, ()):
-                return f"{scope}:{name}", False
-        return name, True
+                return sys.intern(f"{scope}:{name}"), False
+        return sys.intern(name), True

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
@@ -72,7 +73,7 @@ class Said:
         values: Of data lists: variable and value.
         points: Aggregates that variables are given.
         reads: See :class:`Mention`.
-        writes: Likewise.
+        writes: The first that writes each variable, and the first that writes one of its elements.
         threads: Interrupts and triggers.
         missing: Routines that are called and are in no file, in small letters.
         packages: Routines of technology packages that are called.
@@ -87,7 +88,7 @@ class Said:
     values: list[tuple[File, Variable, Expression]] = field(default_factory=list)
     points: list[tuple[File, Variable, Aggregate]] = field(default_factory=list)
     reads: list[Mention] = field(default_factory=list)
-    writes: list[Mention] = field(default_factory=list)
+    writes: dict[tuple[str, bool], Mention] = field(default_factory=dict)
     threads: list[Thread] = field(default_factory=list)
     missing: set[str] = field(default_factory=set)
     packages: set[str] = field(default_factory=set)
@@ -95,6 +96,10 @@ class Said:
     odd: set[str] = field(default_factory=set)
     resumes: tuple[File, int] | None = None
     broken: list[tuple[File, int, str]] = field(default_factory=list)
+
+    def wrote(self, mention: Mention) -> None:
+        """Note that a variable is written."""
+        self.writes.setdefault((mention.variable.key, mention.variable.index is not None), mention)
 
 
 class Notes:
@@ -128,7 +133,7 @@ class Notes:
 
     def _variable(self, name: str, start: int) -> Variable:
         key, shared = self._resolved(name)
-        return Variable(start, name.upper(), key, shared)
+        return Variable(start, sys.intern(name.upper()), key, shared)
 
     def _line_name(self, place: int) -> str:
         return f"{self._file.code.name} line {self._file.code.line(place)}"
@@ -136,10 +141,10 @@ class Notes:
     def _unclear(self, start: int, end: int) -> Unclear:
         """A statement that is not understood may do anything with what it names."""
         for match in NAME.finditer(self._low, start, end):
-            for mentions in (self._said.reads, self._said.writes):
-                mentions.append(
-                    Mention(self._variable(match.group(), match.start()), self._file, "is not understood, and names it")
-                )
+            variable = self._variable(match.group(), match.start())
+            mention = Mention(variable, self._file, "is not understood, and names it")
+            self._said.reads.append(mention)
+            self._said.wrote(mention)
         first = NAME.search(self._low, start, end)
         return Unclear(
             f"{self._line_name(start)} is not understood{f' ({first.group().upper()[:24]})' if first else ''}"
@@ -150,7 +155,7 @@ class Notes:
         for name in (token.text for token in line.rest() if token.kind == "name"):
             self._said.imported.add(name)
             variable = self._variable(name, 0)
-            self._said.writes.append(Mention(variable, self._file, "imports it"))
+            self._said.wrote(Mention(variable, self._file, "imports it"))
             self._said.reads.append(Mention(variable, self._file, "imports it"))
 
     def _declaration(self, line: Line, scope: str, public: bool) -> list[Assignment]:
@@ -199,7 +204,7 @@ class Notes:
         """Note what an assignment of a program writes and reads."""
         to, value = assignment.to, assignment.value
         does = "writes a part of it" if to.path else "writes it"
-        self._said.writes.append(Mention(to, self._file, does))
+        self._said.wrote(Mention(to, self._file, does))
         for inside in to.inside:
             self._mentions(inside, "computes with it")
         if to.path or to.worked_out:
@@ -222,7 +227,8 @@ class Notes:
 
     def _mentions(self, expression: Expression, does: str) -> None:
         for variable in variables(expression):
-            self._said.reads.append(Mention(variable, self._file, does))
+            if self._names.types.get(variable.key) not in table.FORMS:  # these hold no points
+                self._said.reads.append(Mention(variable, self._file, does))
 
     def _call(self, call: Function) -> list[Node]:
         name = call.name
@@ -252,5 +258,5 @@ class Notes:
         for argument in call.arguments:
             self._mentions(argument, "passes it on")
         for variable in given:
-            self._said.writes.append(Mention(variable, self._file, "passes it on"))
+            self._said.wrote(Mention(variable, self._file, "passes it on"))
         return given

@@ -60,7 +60,9 @@ def read(project: Project, cell: Cell) -> Reading:
     except TooLong:
         return Reading(_left_alone(files, said, names, spoilt, cell, "the program has more ways than can be followed"))
     broken = [target for file, place, why in said.broken for target in _of_broken(file, place, why)]
-    return Reading([*points.targets(), *broken], tuple(_notes(said, constants, meaning)))
+    notes = tuple(_notes(said, constants, meaning))
+    del said, names, constants, begin, meaning  # a long program's are larger than its targets
+    return Reading([*points.targets(), *broken], notes)
 
 
 def context(path: Path) -> list[Path]:
@@ -148,7 +150,7 @@ def _values(
         given[element] = file
     codes = tuple(file.code for file in files)
     written: dict[str, str] = {}
-    for mention in said.writes:
+    for mention in said.writes.values():
         line = (
             f"{mention.file.code.name} line {mention.file.code.line(mention.variable.start)}"
             if len(codes) > 1

@@ -31,7 +31,7 @@ class Values:
         self._constants = constants
         self.foot = foot(said)
         on = {v.key for _, v, value in said.values if v.key.endswith("_on") and not _false(value)}
-        written = {mention.variable.key for mention in said.writes}
+        written = {mention.variable.key for mention in said.writes.values()}
         self._shifted = sorted(table.CORRECTIONS & (written | on))
 
     def value(self, expression: Expression, state: State) -> object:
