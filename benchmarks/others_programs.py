@@ -38,7 +38,8 @@ KINDS = {
     ),
     "somewhere else than its numbers say: a step, shifted, a cycle, beside by a radius, axes not stated": (
         r"is a step from|shifts|lies beside by|cycles, threads and probing|its frame moves with another group"
-        r"|stays? as (it|they) (is|are)|goes to a point that|the controller stops|no plain move before says where"
+        r"|stays? as (it|they) (is|are)|is a place of the machine|goes to a point that|the controller stops"
+        r"|no plain move before says where"
     ),
     "no move goes there": r"no move of the given files|is called by no program",
     "axes that the robot does not have": r"external axis|has an axis|is none of an arm of six axes",

@@ -90,7 +90,10 @@ def test_turning_axes_are_degrees_whatever_the_unit() -> None:
         ("G1 X1 Y1 Z1\nG2 X2 Y2 R5\nG81 X1 Y1 Z1 R2\nG1 X3", "does not state Y Z"),
         ("G1 X1 Y1 Z1\nG91\nX1\nG90\nY3", "does not state X"),
         ("G1 X1 Y1 Z1\nG28 Z0\nX3 Y3", "does not state Z"),
-        ("G1 X1 Y1 Z1\nG53 G0 Z0\nX3 Y3", "does not state Z"),
+        ("G1 X1 Y1 Z1\nG51 P2\nG53 G0 Z0\nG50\nX3 Y3", "does not state Z"),
+        ("G1 X1 Y1 Z1\nG91 G53 G0 Z0\nG90\nX3 Y3", "does not state Z"),
+        ("G1 X1 Y1 Z1\nT2\nX3", "does not state Y Z"),
+        ("G1 X1 Y1 Z1\nG28\nX3", "does not state Y Z"),
         ("G1 X1 Y1 Z1\nM98 P7000\nX3", "does not state Y Z"),
         ("G1 X1 Y1 Z1\nM6 T1\nX3", "does not state Y Z"),
         ("G1 X1 Y1 Z1\nG92 X0\nX3 Y3 Z3", "line 3: G92: the zero is set anew"),
@@ -108,6 +111,27 @@ def test_turning_axes_are_degrees_whatever_the_unit() -> None:
 )
 def test_the_reason_names_the_line_and_the_cause(text: str, why: str) -> None:
     assert why in targets(HEAD + text)[-1].why
+
+
+def test_a_place_of_the_machine_counts_from_no_offset_and_stays() -> None:
+    first, machine, last = targets(HEAD + "G1 X1 Y1 Z1\nG53 G0 Y5 Z0\nX3")
+    assert (first.why, last.why) == ("", "") and "place of the machine" in machine.why
+    assert machine.readings is not None
+    np.testing.assert_allclose(machine.readings, [np.nan, 0.005, 0.0])
+
+
+def test_lengths_and_offsets_that_nobody_knows_do_not_move_a_place_of_the_machine() -> None:
+    assert plain(HEAD + "G43 H9\nG92 X1\nG0 X1 Y1 Z1\nG53 X0 Y0 Z0\nM30") == []
+    assert targets(HEAD + "G43 H9\nG0 X1 Y1 Z1\nG53 X0 Y0 Z0\nG49 X2")[-1].why == ""
+
+
+def test_axes_that_do_not_go_home_stay() -> None:
+    assert targets(HEAD + "G1 X1 Y1 Z1\nG91 G28 Z0\nG90\nZ3")[-1].why == ""
+
+
+def test_a_tool_that_is_only_named_moves_nothing_where_another_code_puts_it_in() -> None:
+    assert targets(HEAD + "T1 M06\nG1 X1 Y1 Z1\nT2\nX3")[-1].why == ""
+    assert "does not state Y Z" in targets(HEAD + "(M6)\nG1 X1 Y1 Z1\nT2\nX3")[-1].why
 
 
 def test_a_block_that_leaves_an_axis_out_is_corrected_where_that_is_known() -> None:

@@ -18,6 +18,7 @@ from aridcal.programs.gcode.table import (
     CYCLES,
     EXTRUDER,
     FREE,
+    MACHINE_WIDE,
     NOTHING,
     START,
     STRAIGHT,
@@ -92,6 +93,11 @@ class Control:
             if isinstance(value, Unknown):
                 return value.why
         return self.zero(modes).why
+
+    def lost_to_machine(self, modes: Modes) -> str:
+        """Why it is not known where a block goes that counts from the machine's zero; empty if it is."""
+        values = [modes[mode] for mode in (UNDERSTOOD, *MACHINE_WIDE)]
+        return next((value.why for value in values if isinstance(value, Unknown)), "")
 
     def zero(self, modes: Modes) -> Zero:
         """Where numbers count from, in modes that are all known."""

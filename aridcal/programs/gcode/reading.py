@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 
 from aridcal.errors import AridcalError
 from aridcal.programs.axes import DEGREE
@@ -12,12 +12,13 @@ from aridcal.programs.cell import Cell, Reading
 from aridcal.programs.frames import absent
 from aridcal.programs.gcode.blocks import COMMENT, Block
 from aridcal.programs.gcode.flow import Flow
-from aridcal.programs.gcode.modes import MODES, UNDERSTOOD, Control, Modes
+from aridcal.programs.gcode.modes import MODES, UNDERSTOOD, Control, Modes, Zero
 from aridcal.programs.gcode.record import AT_START, ELSEWHERE, Key, Move, Record, letters_of
 from aridcal.programs.gcode.table import (
     ARC,
     CALLS,
     CENTRE,
+    CHANGE,
     CODES,
     CURVED,
     MILLIMETRE,
@@ -42,6 +43,10 @@ MIXED = "whole numbers stand with a decimal point and without: on controllers th
 NOT_STATED = Unknown("no G0 or G1 stands before it")
 
 AWAY = Unknown("the axes are elsewhere")
+
+IN_MACHINE = "is a place of the machine (G53), at the end of its travel perhaps: it stays"
+
+CHANGES = re.compile(rf"{CHANGE[0]}[ \t]*+0*+{CHANGE[1]}(?![0-9.])", re.IGNORECASE)
 
 Words = list[tuple[str, Number | None]]
 
@@ -106,7 +111,7 @@ class _Reader:
     """Carries blocks out; the semantics of the walk."""
 
     def __init__(self, project: Project, cell: Cell) -> None:
-        self._cell = cell
+        self._project, self._cell = project, cell
         self._kinds = cell.robot.kinds
         self._zeros = [cell.axes.zero(k) for k in range(len(self._kinds))]
         self._letters = _letters(self._kinds)
@@ -118,6 +123,11 @@ class _Reader:
         self._whole = False
         self._made_units: dict[tuple[tuple[int, ...], float], tuple[tuple[float, int], ...]] = {}
         self.record = Record(project, len(self._kinds))
+
+    @cached_property
+    def _puts_in(self) -> bool:
+        """Whether the programs have an instruction of its own that puts a tool in."""
+        return any(CHANGES.search(COMMENT.sub("", source.text)) for source in self._project.sources)
 
     def start(self, placed: bool) -> State:
         """All modes as a reset leaves them.
@@ -180,7 +190,8 @@ class _Reader:
         if block.codes or block.fault or isinstance(now.modes[UNDERSTOOD], Unknown):
             now.trouble = self._control.lost(now.modes)
         rows = [CODES[code] for code in block.codes if code in CODES]
-        words = next((row.words for row in rows if row.words != "place"), "place")
+        kinds = {row.words for row in rows} - {"place"}
+        words = next((kind for kind in ("away", "home", "data", "machine") if kind in kinds), "place")
         own = [(letter, number) for letter, number in block.axes if letter in self._letters]
         if now.recording and words == "place":
             self._arc_begins(block, own, now.modes, now.last)
@@ -188,15 +199,17 @@ class _Reader:
         if other and "Z" in self._letters and any(row.mode == "length" for row in rows):
             now.at[self._letters["Z"]] = AWAY  # FANUC's controllers move it by the length at once
         away = words == "away" or len(rows) < len(block.codes) or not CALLS.isdisjoint(block.codes)
-        away = away or any(letter == "T" for letter, _ in block.others)
-        if words == "place" and own:
+        away = away or (words == "home" and not block.axes)
+        away = away or (any(letter == "T" for letter, _ in block.others) and not self._puts_in)
+        if words in ("place", "machine") and own:
             late = any(
                 row.mode and before[row.mode] != now.modes[row.mode] for row in map(CODES.get, block.late) if row
             )
-            self._go(block, own, now, _doubt(own, away, late, self._mixed[block.file]))
-        if words == "away":
+            self._go(block, own, now, _doubt(own, away, late, self._mixed[block.file]), words == "machine")
+        if words in ("away", "home"):
             for letter, _ in own:
                 now.last[self._letters[letter]] = ELSEWHERE
+                now.at[self._letters[letter]] = AWAY
         if away or isinstance(now.modes[UNDERSTOOD], Unknown):
             now.at[:] = [AWAY] * len(now.at)
 
@@ -211,15 +224,18 @@ class _Reader:
             if letter in ("XY" if modes["plane"] == "XY" else "XYZ"):
                 self.record.use(last[k], k, f"an arc or a curve begins there ({self._line(block)})")
 
-    def _go(self, block: Block, own: Words, now: _Now, doubt: str) -> None:
-        """A block sends axes somewhere."""
+    def _go(self, block: Block, own: Words, now: _Now, doubt: str, machine: bool) -> None:
+        """A block sends axes somewhere, to a place of the work or of the machine."""
         axes = tuple([self._letters[letter] for letter, _ in own])
         motion = now.modes["motion"]
-        why = doubt or now.trouble or (motion.why if isinstance(motion, Unknown) else "")
+        trouble = self._control.lost_to_machine(now.modes) if machine else now.trouble
+        why = doubt or trouble or (motion.why if isinstance(motion, Unknown) else "")
         known = not why
-        zero = self._control.zero(now.modes) if known else None
+        zero = (Zero() if machine else self._control.zero(now.modes)) if known else None
         if motion == ARC:
             why = why or "is no straight move: arcs are left"
+        if machine:
+            why = why or IN_MACHINE
         missing = [k for k, place in enumerate(now.at) if k not in axes and isinstance(place, Unknown)]
         if missing:
             why = (

@@ -53,7 +53,8 @@ class Code:
         value: To what; None: to something that no target can be read in.
         why: The reason then, for the user.
         takes: Letters that belong to it in its block.
-        words: What axis words of its block are: a ``place`` to go to, ``data`` that moves nothing, or the axes go ``away``.
+        words: What axis words of its block are: a ``place`` to go to, one of the ``machine``, ``data`` that moves nothing, or
+            these axes go ``home``, or all go ``away``.
     """
 
     mode: str = ""
@@ -121,11 +122,11 @@ CODES: Mapping[str, Code] = {
     **_sets("G13.1 G113", "cylinder", NOTHING),
     **_hides("G7", "diameter", "X is a diameter"),
     **_sets("G8", "diameter", NOTHING, "P"),
-    # away, and data
+    # away, and data; a place of the machine counts from no offset
     "G4": Code(takes="PQRKSEFLX", words="data"),
-    "G28": Code(takes="P", words="away"),
-    "G30": Code(takes="P", words="away"),
-    "G53": Code(words="away"),
+    "G28": Code(takes="P", words="home"),
+    "G30": Code(takes="P", words="home"),
+    "G53": Code(words="machine"),
     "M6": Code(words="away"),
     # how it goes, not where: exact stops, rounding, feeds, cycles' planes, arcs' centres
     **_harmless("G9 G11 G60 G61.1 G601 G602 G603 G641 G642 G643 G644 G645 G90.1 G91.1 G93 G94 G95 G98 G99 G450 G451"),
@@ -156,6 +157,12 @@ CURVES = frozenset(["G5", "G5.1"])
 
 CALLS = frozenset(["G65", "G66", "G66.1", "M98"])
 """They call the program that P names."""
+
+MACHINE_WIDE = ("unit", "distance", "scale", "mirror", "turn", "polar", "cylinder", "diameter")
+"""Modes that matter to a place of the machine (G53); offsets and lengths do not."""
+
+CHANGE = "M6"
+"""It puts the tool in that a T has named before: in a program that has it, T alone moves nothing."""
 
 ENDS, RETURNS = frozenset({"M2", "M30"}), "M99"
 
