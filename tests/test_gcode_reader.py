@@ -121,8 +121,10 @@ def test_a_place_of_the_machine_counts_from_no_offset_and_stays() -> None:
 
 
 def test_lengths_and_offsets_that_nobody_knows_do_not_move_a_place_of_the_machine() -> None:
-    assert plain(HEAD + "G43 H9\nG92 X1\nG0 X1 Y1 Z1\nG53 X0 Y0 Z0\nM30") == []
-    assert targets(HEAD + "G43 H9\nG0 X1 Y1 Z1\nG53 X0 Y0 Z0\nG49 X2")[-1].why == ""
+    for lost, again in (("G92 X1", "G92.1"), ("G59.3", "G54")):
+        before, machine, behind = targets(HEAD + f"{lost}\nG0 X1 Y1 Z1\nG53 X0 Y0 Z0\n{again}\nX2")
+        assert before.why and machine.readings is not None and behind.why == ""
+        np.testing.assert_allclose(machine.readings, np.zeros(3))
 
 
 def test_axes_that_do_not_go_home_stay() -> None:

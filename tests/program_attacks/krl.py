@@ -259,7 +259,8 @@ POINTS = (
     Attack("a field that no pose has", program(f"LIN {{X ⟦1⟧,Y 2,Z 3,A 4,B 5,C 6,Q 7}}\n{GOOD}"), why="Q"),
     Attack("numbers beyond a million", program(f"LIN {{X ⟦1e7⟧,Y 2,Z 3,A 4,B 5,C 6}}\n{GOOD}"), why="million"),
     Attack("numbers beyond all", program(f"LIN {{X ⟦1e999⟧,Y 2,Z 3,A 4,B 5,C 6}}\n{GOOD}")),
-    Attack("the posture in bits", program(f"PTP {{X ⟦1⟧,Y 2,Z 3,A 4,B 5,C 6,S 'B010',T 10}}\n{GOOD}"), why="bits"),
+    Attack("the posture in bits", program(f"PTP {{X ⟨1⟩,Y 2,Z 3,A 4,B 5,C 6,S 'B010',T 'HA'}}\n{GOOD}")),
+    Attack("a coordinate in bits", program(f"PTP {{X 'B001',Y ⟦2⟧,Z 3,A 4,B 5,C 6,S 2,T 10}}\n{GOOD}"), why="bits"),
     Attack(
         "a point of the data list that the program writes",
         project(f"LIN P1\nP1={OTHER}\n{GOOD}", f"DECL E6POS P1=⟦{POSE}⟧"),

@@ -257,8 +257,8 @@ ATTACKS = [
         "binary and hexadecimal stance",
         "PTP XP1\nPTP XP2",
         cell_dat=DAT.format(
-            "DECL E6POS XP1=⟦{X 512.5,Y -310.2,Z 420.7,A 12,B 80.5,C 3.1,S 'B010',T 'B000010'}⟧\n"
-            "DECL E6POS XP2=⟦{X 640.1,Y -122.8,Z 355.4,A 10,B 81.2,C 2.2,S 'H2',T 'H2'}⟧"
+            "DECL E6POS XP1=⟨{X 512.5,Y -310.2,Z 420.7,A 12,B 80.5,C 3.1,S 'B010',T 'B000010'}⟩\n"
+            "DECL E6POS XP2=⟨{X 640.1,Y -122.8,Z 355.4,A 10,B 81.2,C 2.2,S 'H2',T 'H2'}⟩"
         ),
     ),
     _case("an axis that is not the robot's", f"LIN ⟨{B}⟩\nASYPTP {{E1 500.0}}\nLIN ⟨{A}⟩"),

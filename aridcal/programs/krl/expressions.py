@@ -146,7 +146,7 @@ class Line:
         if token.kind == "text":
             return Text()
         if token.kind == "bits":
-            return Bits()
+            return Bits(self._number(token.start, token))
         if token.text == "(":
             inner = self.expression()
             self.take(")")

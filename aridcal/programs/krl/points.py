@@ -11,7 +11,7 @@ import numpy as np
 from aridcal.programs.axes import DEGREE, MILLIMETRE, Axes
 from aridcal.programs.cell import Cell
 from aridcal.programs.krl.names import File
-from aridcal.programs.krl.syntax import AXES, EXTERNAL, POSE, Aggregate, Expression, Fields, Goal
+from aridcal.programs.krl.syntax import AXES, EXTERNAL, POSE, Aggregate, Bits, Expression, Fields, Goal
 from aridcal.programs.notations import KUKA
 from aridcal.programs.postures import krl_words
 from aridcal.programs.targets import Branch, Place, Target
@@ -151,7 +151,8 @@ def _numbers(fields: Mapping[str, Expression]) -> tuple[Mapping[str, Number], Nu
         return fields, fields.numbers
     every = zip(fields.names, fields.numbers, strict=True) if isinstance(fields, Fields) else fields.items()
     stated = {name: value for name, value in every if isinstance(value, Number)}
-    return stated, Numbers(stated[part] for part in POSE if part in stated)
+    posture = {name: value.written for name in ("s", "t") if isinstance(value := fields.get(name), Bits)}
+    return stated | posture, Numbers(stated[part] for part in POSE if part in stated)
 
 
 def shown_text(text: str) -> str:

@@ -30,7 +30,13 @@ class Text:
 
 @dataclass(frozen=True, slots=True)
 class Bits:
-    """A number in binary or hexadecimal digits."""
+    """A number in binary or hexadecimal digits.
+
+    Attributes:
+        written: As it stands there, in quotes.
+    """
+
+    written: Number
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,6 +180,8 @@ class Aggregate:
             return fields.why
         strange, lacking = _unlike_a_target(tuple(fields))
         for name, value in fields.items():
+            if isinstance(value, Bits) and name in ("s", "t") and " " not in value.written.text:
+                continue
             if isinstance(value, Bits):
                 return strange or f"has {name.upper()} in bits: write it as a decimal number"
             if not isinstance(value, Number):
