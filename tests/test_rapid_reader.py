@@ -72,6 +72,17 @@ def shifted(*xyz: float) -> np.ndarray:
     return T
 
 
+@pytest.mark.parametrize("option", ["", "\\WObj:=wobj0"])
+def test_the_world_and_the_flange_are_where_the_user_states_them(option: str) -> None:
+    world, flange = np.eye(4), np.eye(4)
+    world[0, 3], flange[2, 3] = 1.0, 0.5
+    text = f"MODULE m\nPROC main()\nMoveL {POSE}, v100, fine, tool0{option};\nENDPROC\nENDMODULE\n"
+    place = read({"m.mod": text}, KnownFrames({"wobj0": world}, {"tool0": flange})).targets[0].place
+    assert place is not None
+    np.testing.assert_allclose(place.base, world)
+    np.testing.assert_allclose(place.tool, flange)
+
+
 @pytest.mark.parametrize(
     ("body", "base", "tool"),
     [

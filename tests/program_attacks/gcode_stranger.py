@@ -87,6 +87,8 @@ ATTACKS = [
         head="o100 sub\nM73\nG91 G20\nG1 X⟦1.5⟧ Y⟦1.5⟧ Z⟦1.5⟧\no100 endsub\n"
         + HEAD.replace("%\nO0100 (SIDE PLATE)\n", ""),
     ),
+    _case("a tool with its offset, as lathes have it", f"{FINE}\nT0101\n{NEXT}"),
+    _case("a tool of four digits that is put in", f"{FINE}\nT0101 M6\n{FINE}\nT0002\n{FINE}"),
     _case("a printer's progress", f"M73 P10 R12\n{FINE}\nM73 P50 R5\n{FINE}", ending="gcode"),
     _case(
         "LinuxCNC: while with an offset",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
@@ -12,6 +13,7 @@ from aridcal.programs.gcode.blocks import Block
 from aridcal.programs.gcode.table import (
     ADDED_OFFSETS,
     CALLS,
+    CHANGE,
     CODES,
     CURVED,
     CURVES,
@@ -33,6 +35,9 @@ UNDERSTOOD = "understood"
 MODES = ("motion", *START, UNDERSTOOD)
 
 Modes = dict[str, object]
+
+WITH_OFFSET = re.compile(r"(?!00)[0-9]{2}(?!00)[0-9]{2}")
+"""The number of a tool and that of its offset, on lathes: ``T0101``."""
 
 UPRIGHT = 1e-9
 """[m] and of a rotation's matrix: frames that differ by more do not only shift one axis."""
@@ -170,6 +175,8 @@ class Control:
         for letter, _ in block.axes:
             if not data and letter not in self.letters:
                 return f"{letter} is no axis of the robot"
+        if WITH_OFFSET.fullmatch(block.word("T")) and CHANGE not in block.codes:
+            return f"T{block.word('T')} may put an offset in, as lathes have it"
         return "a word stands twice in one block" if len(set(letters)) < len(letters) else ""
 
 

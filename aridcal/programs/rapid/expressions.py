@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal as OneOf
+
+import numpy as np
 
 from aridcal.programs.frames import KnownFrames, unknown
 from aridcal.programs.rapid.grammar import NAME, fold
@@ -153,20 +155,25 @@ class Expressions:
         return self.compile(bound, start, end, loops)
 
     def tool(self, bound: Bound, span: tuple[int, int] | None, loops: tuple[str, ...]) -> Value:
-        """T_tip_tool of a tooldata."""
+        """T_tip_tool of a tooldata; of `tool0` where none is given."""
         if span is None:
-            return Constant(HERE)
+            return Constant(self._zero("tool0", self.frames.tools))
         return self._frame(bound, span, loops, "tool0", "the tool", tool_frame)
 
     def work_object(self, bound: Bound, option: Option | None, loops: tuple[str, ...]) -> Value:
         """T_base_object of a wobjdata; of `wobj0` where none is given."""
         if option is None:
-            return Constant(HERE)
+            return Constant(self._zero("wobj0", self.frames.bases))
         given = self._frame(bound, option.span, loops, "wobj0", "the work object", object_frame)
         if option.sign != "?":
             return given
         present = self.compile(bound, *option.span, loops)
         return lambda state: HERE if present(state) is ABSENT else given(state)
+
+    @staticmethod
+    def _zero(name: str, stated: Mapping[str, np.ndarray]) -> Frame:
+        """A frame that is nothing but where the user states something else."""
+        return Frame(stated[name]) if name in stated else HERE
 
     def _frame(
         self,
