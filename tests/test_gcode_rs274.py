@@ -18,7 +18,7 @@ from aridcal.programs.project import Project, Source
 from aridcal.programs.targets import Target
 from aridcal.programs.text import Number, written
 
-PROGRAMS = 400
+PROGRAMS = 60
 """Random ones: 500 were run when this was written; a finding every few programs came in the first twenty."""
 
 OFFSETS = ((12.5, -7.25, 3.0), (100.0, 50.5, -20.0), (0.0, 0.0, 0.0))
