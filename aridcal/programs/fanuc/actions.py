@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from aridcal.programs.fanuc.table import Option
 from aridcal.programs.walk import Body, Choice, Repeat, Step
@@ -33,8 +34,7 @@ class Place:
         return int(self.index) if self.kind == "P" and short(self.index) else None
 
 
-@dataclass(frozen=True, slots=True)
-class Action:
+class Action(NamedTuple):
     """What an instruction does to the state.
 
     Attributes:

@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 from aridcal.programs.fanuc.table import HEADERS
 from aridcal.programs.text import LARGEST, NONE, NUMBER, Code, Number, Numbers
@@ -57,8 +58,7 @@ NESTED = 4
 """Brackets in brackets: the controller takes registers of registers, and no more."""
 
 
-@dataclass(frozen=True, slots=True)
-class Instruction:
+class Instruction(NamedTuple):
     """One instruction of /MN.
 
     Attributes:
@@ -77,8 +77,7 @@ class Instruction:
         return plain(self.raw) if self.closed else ""
 
 
-@dataclass(frozen=True, slots=True)
-class Point:
+class Point(NamedTuple):
     """A point of /POS, group 1.
 
     Attributes:
