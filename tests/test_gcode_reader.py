@@ -94,6 +94,8 @@ def test_turning_axes_are_degrees_whatever_the_unit() -> None:
         ("G1 X1 Y1 Z1\nG91 G53 G0 Z0\nG90\nX3 Y3", "does not state Z"),
         ("G1 X1 Y1 Z1\nT2\nX3", "does not state Y Z"),
         ("G1 X1 Y1 Z1\nG28\nX3", "does not state Y Z"),
+        ("G1 X1 Y1 Z1\nG28 Z\nX3", "does not state Y Z"),
+        ("G1 X1 Y1 Z1\nG28 W\nX3", "does not state Y Z"),
         ("G1 X1 Y1 Z1\nM98 P7000\nX3", "does not state Y Z"),
         ("G1 X1 Y1 Z1\nM6 T1\nX3", "does not state Y Z"),
         ("G1 X1 Y1 Z1\nG92 X0\nX3 Y3 Z3", "line 3: G92: the zero is set anew"),
