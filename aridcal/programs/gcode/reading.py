@@ -199,7 +199,7 @@ class _Reader:
         if other and "Z" in self._letters and any(row.mode == "length" for row in rows):
             now.at[self._letters["Z"]] = AWAY  # FANUC's controllers move it by the length at once
         away = words == "away" or len(rows) < len(block.codes) or not CALLS.isdisjoint(block.codes)
-        away = away or (words == "home" and (not own or any(number is None for _, number in own)))
+        away = away or (words == "home" and not own)
         away = away or (any(letter == "T" for letter, _ in block.others) and not self._puts_in)
         if words in ("place", "machine") and own:
             late = any(
