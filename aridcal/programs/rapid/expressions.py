@@ -238,15 +238,15 @@ class Expressions:
         text = code.plain[start : min(end, start + LONGEST + 1)]
         if deep == 0 or not text or len(text) > LONGEST:
             return Constant(Unknown(f"{self.names.line(code, start)} works it out"))
+        match = BARE.fullmatch(text)
+        if match is not None and text.lower() not in ("true", "false"):
+            return self._read(bound, fold(match.group(1)), start + match.end(1), end, loops, deep)
+        if match is not None:
+            return Constant(text.lower() == "true")
         if NUMBER.fullmatch(text):
             return Constant(float(text))
-        if text.lower() in ("true", "false"):
-            return Constant(text.lower() == "true")
         if STRING.fullmatch(text):
             return Constant(code.text[start + 1 : end - 1])
-        match = BARE.fullmatch(text)
-        if match is not None:
-            return self._read(bound, fold(match.group(1)), start + match.end(1), end, loops, deep)
         if text[0] in "[(" and code.closing(start) == end - 1:
             if text[0] == "(":
                 return self.compile(bound, start + 1, end - 1, loops, deep - 1)
