@@ -274,4 +274,26 @@ ATTACKS = [
         "DEF part( )\n$BASE={X 300,Y 0,Z 0,A 0,B 0,C 0}\nIF $IN[1] THEN\nRETURN\nENDIF\n"
         "$BASE={X 100,Y 0,Z 0,A 0,B 0,C 0}\nEND\n",
     ),
+    _case("a circle goes on by an angle", f"CIRC ⟦{A}⟧,⟦{B}⟧,CA 270\nLIN ⟨{A}⟩"),
+    _case("the orientation is not come to", f"$ORI_TYPE=#IGNORE\nSLIN ⟦{A}⟧\n$ORI_TYPE=#VAR\nSLIN ⟨{B}⟩"),
+    _case(
+        "the tool grows with each turn",
+        f"LIN ⟨{B}⟩\nFOR I=1 TO 3\n$TOOL=$TOOL:{{X 0,Y 0,Z 10,A 0,B 0,C 0}}\nLIN ⟦{A}⟧\nENDFOR",
+    ),
+    _case(
+        "a condition of a loop sets the base",
+        f"LIN ⟨{B}⟩\nWHILE moved( )\nLIN ⟦{A}⟧\nENDWHILE",
+        "DEFFCT BOOL moved( )\n$BASE.X=$BASE.X+7\nRETURN TRUE\nENDFCT\n",
+    ),
+    _case(
+        "a base that the controller has twice",
+        f"LIN ⟨{B}⟩\nBAS(#BASE,5)\nLIN ⟦{A}⟧",
+        config_dat="DEFDAT $CONFIG\nBASE_DATA[5]={X 1,Y 0,Z 0,A 0,B 0,C 0}\n"
+        "BASE_DATA[5]={X 2,Y 0,Z 0,A 0,B 0,C 0}\nENDDAT\n",
+    ),
+    _case(
+        "a routine that its file does not show",
+        f"LIN ⟨{B}⟩\nhidden( )\nLIN ⟦{A}⟧",
+        chg_src="DEF chg( )\nEND\nDEF hidden( )\n$TOOL.Z=55\nEND\n",
+    ),
 ]

@@ -294,4 +294,22 @@ ATTACKS = [
         "  PERS tooldata tNozzle := [FALSE,[[1000,0,900],[1,0,0,0]],[1,[0,0,1],[1,0,0,0],0,0,0]];\n"
         '  PERS wobjdata wHeld := [TRUE,TRUE,"",[[0,0,0],[1,0,0,0]],[[0,0,0],[1,0,0,0]]];',
     ),
+    _case("confdata counts on a condition", f"IF diX = 1 ConfL\\Off;\n{GO_A}", data=f"CONST robtarget pA := ⟦{A}⟧;"),
+    _case("an axis is locked", f"SingArea\\LockAxis4;\n{GO_A}", data=f"CONST robtarget pA := ⟦{A}⟧;"),
+    _case(
+        "a part of the frame is worked out",
+        f"wCell.oframe.trans := [0,0,AInput(aiZ)];\n{GO_A}",
+        data=f"CONST robtarget pA := ⟦{A}⟧;",
+    ),
+    _case(
+        "the tool stands in two modules",
+        GO_A,
+        data=f"CONST robtarget pA := ⟦{A}⟧;",
+        other="MODULE Other(SYSMODULE)\n  PERS tooldata tGrip;\nENDMODULE\n",
+    ),
+    _case(
+        "a way off that changes",
+        f"nUp := GInput(giN);\nMoveL Offs(pA,0,0,nUp), v100, z5, tGrip\\WObj:=wCell;\n{GO_A}\n{GO_B}",
+        data=P + "\n  VAR num nUp := 5;",
+    ),
 ]

@@ -243,4 +243,18 @@ ATTACKS = [
         f"spots = [⟦{A}⟧, ⟦{B}⟧]\nn = shift(spots)\nmovel(spots[0])\nmovej(⟨{Q}⟩)",
         "def shift(points):\n  global spots = [points[1], points[0]]\n  return 1\nend\n",
     ),
+    _case(
+        "another program in the file sets no tool",
+        f"movel(⟨{A}⟩)",
+        "",
+        f"def other():\n  movej({Q})\n  movel(⟦{B}⟧)\nend\n",
+    ),
+    _case("a text that does not end", f'movel(⟨{B}⟩)\ntextmsg("set)\nset_tcp(p[0,0,0.9,0,0,0])\nmovel(⟦{A}⟧)'),
+    _case("a circle that keeps its orientation", f"movec(⟦{A}⟧, ⟦{B}⟧, mode=1)\nmovec(⟨{A}⟩, ⟨{B}⟩)"),
+    _case(
+        "one function gives back two points",
+        f"movel(spot(1))\nmovel(⟨{B}⟩)",
+        f"def spot(n):\n  if n == 1:\n    return ⟦{A}⟧\n  end\n  return ⟦{B}⟧\nend\n",
+    ),
+    _case("a move is the condition of a loop", f"while movel(⟦{A}⟧):\n  set_tcp(p[0,0,0.2,0,0,0])\nend"),
 ]
