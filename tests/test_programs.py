@@ -308,6 +308,22 @@ def test_a_gantry_comes_to_its_places_where_all_words_stand_and_as_near_as_those
         assert off < (1e-6 if len(c.texts) == 3 else as_is)
 
 
+@pytest.mark.parametrize(
+    ("frame", "why"),
+    [
+        ("a: {rpy: [0, 0, 90]}", "a: rpy is in radians, and 90 is more than a turn"),
+        ("a: {xyz: [0, -300, 0]}", "a: xyz is in metres, and -300 is in no cell"),
+        ("a: {xyz: [0, 0, 1]}, A: {xyz: [0, 0, 2]}", "A: stands there twice"),
+    ],
+)
+def test_frames_in_other_units_or_with_one_name_are_refused(frame: str, why: str, tmp_path: Path) -> None:
+    file = tmp_path / "frames.yaml"
+    for kind in ("bases", "tools"):
+        file.write_text(f"format: 1\n{kind}: {{{frame}}}\n")
+        with pytest.raises(CampaignError, match=f"{kind}: {why}"):
+            read_frames(file)
+
+
 def test_a_wrong_file_of_frames_is_answered_with_what_one_looks_like(tmp_path: Path) -> None:
     file = tmp_path / "frames.yaml"
     for text, problem in (("bases: {}\n", "'format' is missing"), ("format: 1\nbasis: {}\n", "did you mean 'bases'")):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,6 +21,9 @@ EXAMPLE = """a file of --frames states frames that only the controller has, in m
   bases: {"1": {xyz: [0.8, 0, 0.3], rpy: [0, 0, 1.5708]}}    # of the base: frames of targets, by name or number
   tools: {"1": {xyz: [0, 0, 0.15], rpy: [0, 0, 0]}}          # of the tip
 docs/apply/index.md has a page for each controller: how it writes its frames"""
+
+FARTHEST = 100.0
+"""[m]: the longest rails of robots have half of it."""
 
 
 class FrameSettings(Settings):
@@ -72,7 +76,7 @@ def read_frames(path: Path | None) -> KnownFrames:
     except CampaignError as problem:
         raise CampaignError(f"{problem}\n{EXAMPLE}" if path.is_file() else str(problem)) from None
     harmless = frozenset(name.lower() for name in settings.harmless)
-    bases, tools = _poses(settings.bases), _poses(settings.tools)
+    bases, tools = (_poses(path, kind, getattr(settings, kind)) for kind in ("bases", "tools"))
     return KnownFrames(bases, tools, settings.start, harmless, settings.j3_from_link_2)
 
 
@@ -90,8 +94,23 @@ def fixed_base(robot: Robot) -> np.ndarray | None:
     return T
 
 
-def _poses(placements: Mapping[str, Placement]) -> dict[str, np.ndarray]:
-    return {name.lower(): placement.homogeneous for name, placement in placements.items()}
+def _poses(path: Path, kind: str, placements: Mapping[str, Placement]) -> dict[str, np.ndarray]:
+    """Frames by name in small letters, if they are in metres and radians as far as one can see.
+
+    Raises:
+        CampaignError: a frame is nowhere in a cell, turned by more than once, or two have one name.
+    """
+    poses: dict[str, np.ndarray] = {}
+    for name, placement in placements.items():
+        where = f"{path}: {kind}: {name}"
+        if max(map(abs, placement.rpy)) > math.tau:
+            raise CampaignError(f"{where}: rpy is in radians, and {max(placement.rpy, key=abs):g} is more than a turn")
+        if max(map(abs, placement.xyz)) > FARTHEST:
+            raise CampaignError(f"{where}: xyz is in metres, and {max(placement.xyz, key=abs):g} is in no cell")
+        if name.lower() in poses:
+            raise CampaignError(f"{where}: stands there twice, for names are compared in small letters")
+        poses[name.lower()] = placement.homogeneous
+    return poses
 
 
 def absent(name: str) -> str:
