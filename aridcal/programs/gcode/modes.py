@@ -175,7 +175,7 @@ class Control:
         for letter, _ in block.axes:
             if not data and letter not in self.letters:
                 return f"{letter} is no axis of the robot"
-        if WITH_OFFSET.fullmatch(block.word("T")) and CHANGE not in block.codes:
+        if "T" in letters and WITH_OFFSET.fullmatch(block.word("T")) and CHANGE not in block.codes:
             return f"T{block.word('T')} may put an offset in, as lathes have it"
         return "a word stands twice in one block" if len(set(letters)) < len(letters) else ""
 

@@ -190,7 +190,7 @@ class _Reader:
         if block.codes or block.fault or isinstance(now.modes[UNDERSTOOD], Unknown):
             now.trouble = self._control.lost(now.modes)
         rows = [CODES[code] for code in block.codes if code in CODES]
-        kinds = {row.words for row in rows} - {"place"}
+        kinds = [row.words for row in rows]
         words = next((kind for kind in ("away", "home", "data", "machine") if kind in kinds), "place")
         own = [(letter, number) for letter, number in block.axes if letter in self._letters]
         if now.recording and words == "place":
