@@ -176,6 +176,8 @@ def test_what_is_taken_for_granted_is_said() -> None:
     assert all(word in notes for word in ("G90", "G21", "G54", "decimal point", "X x, Y y, Z z"))
     assert "G90" not in " ".join(reading(HEAD + "G0 X1.5 Y1.5 Z1.5\n").notes)
     assert "decimal point" not in " ".join(reading(HEAD + "G0 X1.5 Y1.5 Z0\n").notes)
+    assert "(G53, line 2) count from" in " ".join(reading(HEAD + "G53 G0 Z0\n").notes)
+    assert "G53" not in " ".join(reading(HEAD + "G0 Z0\n").notes)
 
 
 def test_an_arm_has_no_letters() -> None:

@@ -121,6 +121,7 @@ class _Reader:
         self._stated: set[str] = set()
         self._granted: dict[str, int] = {}
         self._whole = False
+        self._machine = ""
         self._made_units: dict[tuple[tuple[int, ...], float], tuple[tuple[float, int], ...]] = {}
         self.record = Record(project, len(self._kinds))
 
@@ -235,6 +236,7 @@ class _Reader:
         if motion == ARC:
             why = why or "is no straight move: arcs are left"
         if machine:
+            self._machine = self._machine or ("" if why else self._line(block))
             why = why or IN_MACHINE
         missing = [k for k, place in enumerate(now.at) if k not in axes and isinstance(place, Unknown)]
         if missing:
@@ -300,6 +302,11 @@ class _Reader:
         notes = [f"axis words are joints of the robot: {joints}"]
         for mode, line in sorted(self._granted.items()):
             notes.append(f"{STATED[mode]} stands nowhere before line {line}: it is taken for granted")
+        if self._machine:
+            notes.append(
+                f"places of the machine (G53, {self._machine}) count from where the joints are at zero: state --zeros where "
+                "the controller shows something else there"
+            )
         if self._whole:
             notes.append("numbers without a decimal point are taken as whole units, not as thousandths")
         return tuple(notes)
