@@ -306,3 +306,48 @@ def test_planned_moves_are_read_as_they_were_meant() -> None:
 def test_there_are_sixty_attacks_and_more_each_of_its_own() -> None:
     assert len({attack.files["a.script"] for attack in ATTACKS}) == len(ATTACKS) >= 60
     assert FRAMES
+
+
+ONE_TOKEN = (
+    f"movel({P})",
+    f"movej({Q}, 1.4, 1.05, 0, 0)",
+    f"movel({P}, a=1.2, v = 0.25, r=blend)",
+    f"movel(pose_trans(table, {P}), acc, speed, 0, blend)",
+    f"movej(pose_trans( table ,{P} ),a=acc)",
+    f"movel(pose_trans(nowhere, {P}), v=speed)",
+    f"movel({P}, v=table)",
+    f"movel({P}, speed=1)",
+    f"movel({P}, and)",
+    f"movel(pose_trans(run, {P}))",
+    f"movec({P}, 1, mode=one)",
+    f"movel(pose_trans(table, {P}), True)",
+    f"movel(pose_trans(seat, {P}))",
+)
+"""Moves that are read as one token where nothing stands before their bracket, and word by word where a blank does."""
+
+
+@pytest.mark.parametrize("move", ONE_TOKEN)
+@pytest.mark.parametrize("own", ["", "def movel(p):\nend\n", "def pose_trans(a, b):\n  return b\nend\n"])
+def test_a_move_that_is_read_as_one_token_means_what_its_words_mean(move: str, own: str) -> None:
+    head = (
+        f"table = p[0.1,0,0,0,0,0.5]\nseat = {P}\nacc = 1.2\nspeed = 0.25\nblend = 0.01\none = 1\n{HEAD}movel(seat)\n"
+    )
+
+    def said(text: str) -> list[tuple[object, ...]]:
+        targets = read(f"{own}def f():\n{head}{text}\nmovel({P})\nend\n").targets
+        return [
+            (
+                t.line,
+                t.form,
+                t.numbers.texts,
+                t.why.partition(": ")[0],
+                t.branch.unknown,
+                t.place and t.place.base.tolist(),
+                t.place and t.place.tool.tolist(),
+            )
+            for t in targets
+        ]
+
+    words = move.replace("(", " (", 1)
+    assert said(move) == said(words)
+    assert said(f"x = y z {move}") == said(f"x = y z {words}")  # no statement: all that it names is used
