@@ -25,14 +25,18 @@ from program_attacks.fanuc import (
     listing,
     point,
 )
+from programs_marked import attacks, stripped
 from robots import ur10
 from scipy.spatial.transform import Rotation
 
 from aridcal.programs.cell import Cell, Reading
 from aridcal.programs.fanuc import ROW
+from aridcal.programs.fanuc.flow import Flow, read_flow
+from aridcal.programs.fanuc.listing import read_listing
 from aridcal.programs.frames import KnownFrames, read_frames
 from aridcal.programs.project import Project, Source
 from aridcal.programs.targets import Place, Target
+from aridcal.programs.text import Code
 from aridcal.robot.chain import Robot, parse_robot
 
 JOINTS = [
@@ -638,3 +642,19 @@ def test_blocks_in_blocks_beyond_what_is_followed_leave_all() -> None:
     assert "more ways than can be followed" in why(deep)
     flat = listing([*["IF (R[1]=1) THEN"] * 40, GO, *["ENDIF"] * 40], [point(1)])
     assert why(flat) == ""
+
+
+@pytest.mark.parametrize("attack", [attack for _, attack in attacks(".ls")], ids=lambda attack: attack.name)
+def test_instructions_that_stand_there_before_are_read_as_if_they_did_not(
+    attack: Attack, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def flows() -> list[Flow]:
+        codes = [Code(k, name, text, text) for k, (name, text) in enumerate(texts.items())]
+        listings = [own for code in codes if (own := read_listing(code)) is not None]
+        return [read_flow(k, own) for k, own in enumerate(listings)]
+
+    texts = {name: stripped(text)[0] for name, text in attack.files.items() if name.lower().endswith(".ls")}
+    once = flows()
+    monkeypatch.setattr("aridcal.programs.fanuc.flow._Reader._is_plain_action", lambda *_: False)
+    monkeypatch.setattr("aridcal.programs.fanuc.flow._Reader._is_plain_move", lambda *_: False)
+    assert flows() == once
