@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -21,6 +20,9 @@ EXAMPLE = """a file of --frames states frames that only the controller has, in m
   bases: {"1": {xyz: [0.8, 0, 0.3], rpy: [0, 0, 1.5708]}}    # of the base: frames of targets, by name or number
   tools: {"1": {xyz: [0, 0, 0.15], rpy: [0, 0, 0]}}          # of the tip
 docs/apply/index.md has a page for each controller: how it writes its frames"""
+
+FURTHEST_TURN = 6.3
+"""[rad]: a turn, with its rounding."""
 
 FARTHEST = 100.0
 """[m]: the longest rails of robots have half of it."""
@@ -103,7 +105,7 @@ def _poses(path: Path, kind: str, placements: Mapping[str, Placement]) -> dict[s
     poses: dict[str, np.ndarray] = {}
     for name, placement in placements.items():
         where = f"{path}: {kind}: {name}"
-        if max(map(abs, placement.rpy)) > math.tau:
+        if max(map(abs, placement.rpy)) > FURTHEST_TURN:
             raise CampaignError(f"{where}: rpy is in radians, and {max(placement.rpy, key=abs):g} is more than a turn")
         if max(map(abs, placement.xyz)) > FARTHEST:
             raise CampaignError(f"{where}: xyz is in metres, and {max(placement.xyz, key=abs):g} is in no cell")
