@@ -14,18 +14,17 @@ BOX = 32.0
 """Cells along a box in which rows are looked for that repeat one another: few share one by chance, and few stand at its edge."""
 
 
-CENTRES, COMPARED = 200, 20_000
-"""Rows whose distances to others tell whether rows lie in places, and rows that they are compared with."""
+COMPARED = 1000
+"""Rows at the most whose distances tell whether rows lie in places; of more rows those that one joint has closest together."""
 
-GAP = 2.0
-"""Factor on either side of a distance within which next to no pair of rows is apart, where rows lie in places."""
+GAP = 4.0
+"""Factor between two distances within which next to no chains of rows join, where rows lie in places."""
 
 IN_GAP = 0.02
-"""Pairs in that gap, as a share of those that are closer: a stray row or two may lie between places."""
+"""Chains that join in that gap, as a share of those that join below: a stray row or two may lie between places."""
 
 SMALL = 1 / 3
-"""Of the median difference of two rows in any joint that moves, what the upper end of the gap may be: among few rows some are
-nearest by chance, and the stops of a rail are no places where the arm on it stands otherwise at each row."""
+"""Of the usual difference of two rows, what the lower end of the gap may be: what is wider is no place."""
 
 MOVES = 30.0
 """Of what repeats a configuration: a joint moves if half of all rows differ by more, 30 mrad or 3 mm; less is scatter."""
@@ -37,7 +36,7 @@ FEWEST_PLACES = 8
 """Places below which rows are not taken together by them: too few to hold any back."""
 
 
-def blocks(readings: np.ndarray, kinds: Sequence[JointKind], scale: float = 1.0) -> np.ndarray:
+def blocks(readings: np.ndarray, kinds: Sequence[JointKind]) -> np.ndarray:
     """Number the configurations: rows that repeat one have the same label.
 
     Rows within 1 mrad and 0.1 mm of each other, or joined by a chain of such rows, always share a label; rows more
@@ -46,23 +45,20 @@ def blocks(readings: np.ndarray, kinds: Sequence[JointKind], scale: float = 1.0)
     Args:
         readings: Shape (N, columns), [rad] or [m].
         kinds: Kind of each column.
-        scale: How many times these distances.
 
     Returns:
         Labels 0, 1, ... in order of appearance, shape (N,).
     """
-    label = np.arange(len(readings))
-    near = _near_others(readings, kinds, scale)
-    if len(near):
-        label[near] = len(readings) + _chained(np.column_stack([*_cells(readings[near], kinds, scale)]))
-    return by_appearance(label)
+    return _joined(readings, kinds, _tolerances_of_coordinates(kinds))
 
 
 def places(readings: np.ndarray, kinds: Sequence[JointKind]) -> np.ndarray:
     """Number the places in which rows were measured: configurations, or groups of near ones with nothing between them.
 
-    Whoever measures a place several times does not come back to the same millidegree. Rows lie in places if there is a distance
-    wide of all others: next to no pair of rows is apart by half to twice of it, and many rows have others that are closer.
+    Whoever measures a place several times does not come back to the same millidegree. Let rows be joined that are closer than a
+    distance, and that distance grow: rows lie in places if there is a stretch of distances in which next to nothing joins, many
+    rows have others at their place, and places are narrower than what parts them. Distances are in units of the usual
+    difference of two rows in each joint, the largest of all joints.
 
     Args:
         readings: Shape (N, columns), [rad] or [m].
@@ -72,47 +68,88 @@ def places(readings: np.ndarray, kinds: Sequence[JointKind]) -> np.ndarray:
         Labels 0, 1, ... in order of appearance, shape (N,); those of :func:`blocks` where rows do not lie in places.
     """
     label = blocks(readings, kinds)
-    distance = _gap(readings, kinds)
+    units = _usual(readings, kinds)
+    distance = _gap(readings, kinds, units)
     if distance is None:
         return label
-    wider = blocks(readings, kinds, distance)
+    wider = _joined(readings, kinds, np.maximum(distance * units, _tolerances_of_coordinates(kinds)))
     return wider if wider.max() + 1 >= FEWEST_PLACES else label
 
 
-def _gap(readings: np.ndarray, kinds: Sequence[JointKind]) -> float | None:
-    """The distance, in what repeats a configuration, that parts places; None where there is none."""
+def _usual(readings: np.ndarray, kinds: Sequence[JointKind]) -> np.ndarray:
+    """The usual difference of two rows along each coordinate, shape (coordinates,); more than scatter where one hardly moves."""
+    rng = np.random.default_rng(0)
+    some = [values[rng.permutation(len(values))[:COMPARED]] for values in _coordinates(readings, kinds)]
+    usual = [np.median(np.abs(values - np.roll(values, 1))) for values in some]
+    return np.maximum(usual, MOVES * _tolerances_of_coordinates(kinds))
+
+
+def _gap(readings: np.ndarray, kinds: Sequence[JointKind], units: np.ndarray) -> float | None:
+    """The distance, in these units, that parts places; None where there is none."""
+    from scipy.cluster.hierarchy import fcluster, linkage  # slow to load
+
     if len(readings) < 2 * FEWEST_PLACES:
         return None
-    rng = np.random.default_rng(0)
-    some = rng.permutation(len(readings))[:COMPARED]
-    points = np.column_stack([cell / 2.0 for cell in _cells(readings[some], kinds, 1.0)])
-    differences = np.abs(points[None, :] - points[:CENTRES, None])
-    apart, usual = differences.max(axis=2), np.median(differences, axis=(0, 1))
-    nearest = np.sort(apart, axis=1)[:, 1]  # the first is the row itself
-    pairs = np.sort(apart, axis=None)
-    typical = float(np.min(usual, where=usual > MOVES, initial=np.inf))
-    if not np.isfinite(typical):
-        return None
-    best = None
-    for edge in np.geomspace(1.0, max(typical, 1.0), 200)[1:]:
-        low, high = edge / GAP, edge * GAP
-        if high > SMALL * typical:
-            break
-        closer = int(np.searchsorted(pairs, low)) - len(apart)
-        between = int(np.searchsorted(pairs, high)) - len(apart) - closer
-        if between <= IN_GAP * closer and np.mean(nearest < low) >= ACCOMPANIED:
-            best = float(edge)
-    return best
+    points = np.column_stack(list(_coordinates(_close_in_one_joint(readings), kinds))) / units
+    tree = linkage(points, "single", "chebyshev")
+    joins = tree[:, 2]
+    same = float(np.max(_tolerances_of_coordinates(kinds) / units))
+    for below in range(len(joins) - FEWEST_PLACES, -1, -1):  # the widest places first
+        low = max(float(joins[below]), same)
+        high = float(joins[min(below + 1 + int(IN_GAP * (below + 1)), len(joins) - 1)])
+        if low > SMALL or high < GAP * low:
+            continue
+        if _accompanied(points, fcluster(tree, low, "distance") - 1, high) >= ACCOMPANIED:
+            return float(np.sqrt(low * min(high, 1.0)))
+    return None
 
 
-def _cells(readings: np.ndarray, kinds: Sequence[JointKind], scale: float) -> Iterator[np.ndarray]:
-    """Numbers of cells along each coordinate, shape (N,) each: half as large as what repeats one, however often that is."""
-    for reading, kind, same in zip(readings.T, kinds, tolerances(kinds).tolist(), strict=True):
-        for value in (np.cos(reading), np.sin(reading)) if kind == "continuous" else (reading,):
-            yield np.floor(2.0 * value / (scale * same))
+def _close_in_one_joint(readings: np.ndarray) -> np.ndarray:
+    """All rows, or of very many those around the middle of the joint that moves the most: most places are whole among these."""
+    if len(readings) <= COMPARED:
+        return readings
+    widest = np.argmax(np.std(readings, axis=0))
+    first = (len(readings) - COMPARED) // 2
+    return readings[np.argpartition(readings[:, widest], (first, first + COMPARED))[first : first + COMPARED]]
 
 
-def _near_others(readings: np.ndarray, kinds: Sequence[JointKind], scale: float) -> np.ndarray:
+def _accompanied(points: np.ndarray, place: np.ndarray, narrow: float) -> float:
+    """Share of the rows, points (N, coordinates), at places of several rows that are narrower than what parts places."""
+    count = np.bincount(place)
+    low, high = (np.full((len(count), points.shape[1]), fill) for fill in (np.inf, -np.inf))
+    np.minimum.at(low, place, points)
+    np.maximum.at(high, place, points)
+    whole = (count > 1) & np.all(high - low < narrow, axis=1)
+    return float(count[whole].sum() / len(points))
+
+
+def _coordinates(readings: np.ndarray, kinds: Sequence[JointKind]) -> Iterator[np.ndarray]:
+    """What rows are compared by, shape (N,) each: readings, cosine and sine of those that turn for ever."""
+    for reading, kind in zip(readings.T, kinds, strict=True):
+        yield from (np.cos(reading), np.sin(reading)) if kind == "continuous" else (reading,)
+
+
+def _tolerances_of_coordinates(kinds: Sequence[JointKind]) -> np.ndarray:
+    """How far rows may be apart along each of them and still repeat a configuration, shape (coordinates,)."""
+    return np.repeat(tolerances(kinds), [2 if kind == "continuous" else 1 for kind in kinds])
+
+
+def _joined(readings: np.ndarray, kinds: Sequence[JointKind], near: np.ndarray) -> np.ndarray:
+    """Labels in order of appearance, shape (N,): rows that are nearer than these along every coordinate share one, in chains."""
+    label = np.arange(len(readings))
+    some = _near_others(readings, kinds, near)
+    if len(some):
+        label[some] = len(readings) + _chained(np.column_stack([*_cells(readings[some], kinds, near)]))
+    return by_appearance(label)
+
+
+def _cells(readings: np.ndarray, kinds: Sequence[JointKind], near: np.ndarray) -> Iterator[np.ndarray]:
+    """Numbers of cells along each coordinate, shape (N,) each: half as large as what is near."""
+    for values, width in zip(_coordinates(readings, kinds), near.tolist(), strict=True):
+        yield np.floor(2.0 * values / width)
+
+
+def _near_others(readings: np.ndarray, kinds: Sequence[JointKind], near: np.ndarray) -> np.ndarray:
     """Rows that may be less than three cells from another along every coordinate, in order: all that are, and few others.
 
     Those share a box of :data:`BOX` cells, where a row also counts to the box below along each coordinate in which it is one of
@@ -120,7 +157,7 @@ def _near_others(readings: np.ndarray, kinds: Sequence[JointKind], scale: float)
     """
     odd = np.random.default_rng(0)
     key, row = np.zeros(len(readings), dtype=np.int64), np.arange(len(readings))
-    for cell in _cells(readings, kinds, scale):
+    for cell in _cells(readings, kinds, near):
         box, place = np.divmod(cell, BOX)
         factor = 2 * odd.integers(2**62) + 1
         key += (box.astype(np.int64) * factor)[row]
