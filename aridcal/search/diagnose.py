@@ -22,6 +22,7 @@ from aridcal.inputs.campaign import Campaign
 from aridcal.inputs.dataset import Dataset
 from aridcal.model.model import Model
 from aridcal.model.standing import references
+from aridcal.search.confounded import twins
 from aridcal.search.exact import (
     FEWEST_PLACES,
     Start,
@@ -32,11 +33,13 @@ from aridcal.search.exact import (
     refit_constants,
     worth,
 )
+from aridcal.search.held_back import missed
 from aridcal.search.hints import pairs
 from aridcal.search.linear_model import Active, LinearModel
+from aridcal.search.ranking import is_small, rank
 from aridcal.search.state import State, activate, solve_state
 from aridcal.search.stated import tied_to_frames, with_declared, with_fields
-from aridcal.search.stepwise import Found, confirmed, is_small, missed, rank, search, twins
+from aridcal.search.stepwise import Found, confirmed, search
 from aridcal.search.tied import Tied, tied
 from aridcal.showing import SILENT, Progress
 

@@ -41,10 +41,14 @@ from aridcal.search.evidence import (
     with_noise,
 )
 from aridcal.search.linear_model import Active, LinearModel
+from aridcal.search.sets import Choices
 from aridcal.search.state import State, activate, by_fold, with_candidate, with_columns
 
 ALPHA = 3e-4
 """Chance that a clean campaign shows any effect at all, by these tests alone: one in three thousand."""
+
+SIBLING = 1e-2
+"""Chance of a candidate where several others of its family are in the model: that one more gear errs is no surprise then."""
 
 LEAST = 1e-2
 """Share of the squared error, on rows held back, that an effect must take away to matter: 0.5 % of the error."""
@@ -136,7 +140,7 @@ def _reshaped(model: LinearModel, state: State, effect: Effect, rough: Score) ->
     return replace(found, gain=0.5 * twice - SMOOTH_PRICE, p_value=smooth_tail(twice))
 
 
-def judge(model: LinearModel, state: State, effect: Effect, found: Score, tested: int) -> Judgement:
+def judge(model: LinearModel, state: State, effect: Effect, found: Score, choices: Choices) -> Judgement:
     """Accept a candidate, or say why not.
 
     Args:
@@ -144,8 +148,11 @@ def judge(model: LinearModel, state: State, effect: Effect, found: Score, tested
         state: The model without it.
         effect: The candidate.
         found: Its evidence.
-        tested: Number of candidates among which it stood out.
+        choices: Candidates among which it stood out. Where several of its family are in the model, it stood out among the
+            others of that family alone.
     """
+    siblings = choices.siblings(state.active, effect)
+    chance, tested = (SIBLING, siblings) if siblings else (ALPHA, choices.count)
     tested += effect.looked if effect.hinted else 0
     if effect.at is not None:  # the best of all rows at all places: both frames, each joint and each thing
         places = {*model.own, "world_base", "tip_target", *(where for where, _ in model.slots)}
@@ -155,14 +162,14 @@ def judge(model: LinearModel, state: State, effect: Effect, found: Score, tested
     def judgement(gain: float, why: str) -> Judgement:
         return Judgement(effect, found, p_value, gain, why)
 
-    if found.gain <= 0.0 or p_value > ALPHA:
+    if found.gain <= 0.0 or p_value > chance:
         return judgement(0.0, f"not significant (p = {p_value:.2g}, corrected for {tested} candidates)")
     candidate = activate(model, state, effect, found)
     loss = held_back_folds(state, candidate).sum(axis=1)
     share = float(1.0 - loss[1].sum() / loss[0].sum())
     who = (effect.kind, effect.where, effect.at)
     known = any((a.effect.kind, a.effect.where, a.effect.at) == who for a in state.active)
-    if share < (0.0 if known else LEAST):
+    if share < (0.0 if known or siblings else LEAST):
         percent = 100 * max(share, 0.0)
         return judgement(share, f"reduces the cross-validated squared error by only {percent:.2g} %")
     if model.thing is not None and _at_several(model, effect):
@@ -176,7 +183,7 @@ def judge(model: LinearModel, state: State, effect: Effect, found: Score, tested
         robust, least = _ranked(np.array([np.bincount(configuration, each) for each in loss])), DOUBT
     else:
         along = _fitted(state, candidate) if effect.smooth else np.eye(len(effect.coefficients))
-        robust, least = effect.looked * _robust(state, effect, along, configuration), ROBUST
+        robust, least = effect.looked * _robust(state, effect, along, configuration), DOUBT if siblings else ROBUST
     if robust > least:
         return judgement(share, f"the gain is not consistent across rows (p = {robust:.2g})")
     if not set(sources(effect)) <= set(model.own):

@@ -17,6 +17,7 @@ from aridcal.search.hints import hinted
 from aridcal.search.linear_model import Active, LinearModel
 from aridcal.search.scoring import held_back, held_out_whole, judge, refine
 from aridcal.search.screening import score_all
+from aridcal.search.sets import Choices
 from aridcal.search.state import State, activate, solve_state
 
 CONFOUNDED = "it is confounded with what is fitted without it: no row tells them apart"
@@ -70,7 +71,11 @@ def with_fields(linear: LinearModel, stated: Sequence[Effect], state: State) -> 
             (e, refine(linear, state, e, score_all(linear, [e], state)[0]))
             for e in hinted(linear, state, {fields[0].kind})
         ]
-        taken = [activate(linear, state, e, found) for e, found in loud if not judge(linear, state, e, found, 1).why]
+        taken = [
+            activate(linear, state, e, found)
+            for e, found in loud
+            if not judge(linear, state, e, found, Choices.of([e])).why
+        ]
         if not taken:
             break
         active = (*state.active, *(replace(a, stated=True) for a in taken))

@@ -1,0 +1,110 @@
+"""Sets of effects exchanged for sets: what single steps cannot reach, as each of them would have to be better by itself.
+
+A search that adds the best effect first may explain the work of several simple causes by one that is none of them; then none of
+the simple ones is missed alone. So the set is grown again from others that lie further away: with a cause at all places at
+which it may act, and without a whole family. The set with the most evidence stays.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from aridcal.effects.effect import Effect
+from aridcal.search.forward import grown
+from aridcal.search.linear_model import Active, LinearModel
+from aridcal.search.ranking import rank, with_flags
+from aridcal.search.scoring import Judgement
+from aridcal.search.sets import Choices, evidence_of_set, family
+from aridcal.search.state import State, activate, solve_state
+from aridcal.search.tidying import tidied
+from aridcal.showing import Progress
+
+FEWEST = 4
+"""Effects of a model from which sets are exchanged: of fewer the best is found by exchanging single ones."""
+
+MOST_GROWN = 28
+"""Effects of such a set at the most: four for each joint of a seven-joint arm, as gears err once and twice a turn at each."""
+
+LOWEST = 3
+"""Lowest orders of which all up to each are tried together at all joints: gears and rings err once or twice a turn first."""
+
+ROUNDS = 3
+"""Times that a better set is looked for; one or two find something."""
+
+SURE = 3.0
+"""[nat] by which another set must have more evidence: odds of 20 to 1, as for causes that are told apart."""
+
+
+def regrown(
+    model: LinearModel,
+    library: Sequence[Effect],
+    state: State,
+    rejected: tuple[Judgement, ...],
+    most: int,
+    choices: Choices,
+    progress: Progress,
+) -> tuple[State, tuple[Judgement, ...]]:
+    """The best of the sets that are grown from others further away, or the set as it is; and what was refused last.
+
+    Args:
+        model: The linearised model.
+        library: Candidates.
+        state: A set to which nothing can be added, and of which no single effect can be exchanged.
+        rejected: What was refused then.
+        most: Effects of the model at the most.
+        choices: What is chosen among.
+        progress: Told how many candidates are scored.
+    """
+    most = max(most, MOST_GROWN)
+    for _ in range(ROUNDS):
+        if sum(not a.stated for a in state.active) < FEWEST:
+            break
+        best, seen = None, {frozenset(a.effect for a in state.active)}
+        value = evidence_of_set(model, state, choices, state.used)
+        for begun in progress.over(list(_further_away(model, library, state, most)), "sets of effects"):
+            trial, refused = grown(model, library, begun, most, False, choices, progress)
+            trial = tidied(model, library, trial, 1, choices, progress)
+            own = frozenset(a.effect for a in trial.active)
+            if own in seen:
+                continue
+            seen.add(own)
+            its = evidence_of_set(model, trial, choices, state.used)
+            if its > value + SURE:
+                best, value = (trial, refused), its
+        if best is None:
+            break
+        state, rejected = best
+        state, rejected = grown(model, library, state, most, True, choices, progress)
+    return state, rejected
+
+
+def _further_away(model: LinearModel, library: Sequence[Effect], state: State, most: int) -> Iterator[State]:
+    """Sets that differ from one by more than an effect."""
+    mine = [a for a in state.active if not a.stated]
+    families = list(dict.fromkeys(family(a.effect) for a in mine))
+    for own in families:
+        members = [e for e in library if family(e) == own and e.at is None]
+        without = _without(model, state, [a.effect for a in mine if family(a.effect) == own])
+        orders = sorted({e.order for e in members})
+        lowest = [frozenset(orders[: k + 1]) for k in range(len(orders))]
+        for some in dict.fromkeys([*lowest[:LOWEST], *(frozenset([order]) for order in orders)]):
+            everywhere = _everywhere(model, [e for e in members if e.order in some], without)
+            if len(everywhere.active) - len(without.active) > 1 and len(everywhere.active) <= most:
+                yield everywhere
+    for own in families:
+        yield _without(model, state, [a.effect for a in mine if family(a.effect) == own])
+
+
+def _everywhere(model: LinearModel, members: Sequence[Effect], state: State) -> State:
+    """The set with all of some effects of which the rows say anything, one of each order a place."""
+    best: dict[tuple[object, ...], Active] = {}
+    for effect, found in rank(model, members, state):
+        if found.gain > 0.0:
+            best.setdefault((effect.where, effect.order), activate(model, state, effect, found))
+    return solve_state(model, (*state.active, *best.values()), state.solution.sigma, state.used)
+
+
+def _without(model: LinearModel, state: State, effects: Sequence[Effect]) -> State:
+    """The set without some effects, rows flagged anew."""
+    rest = [a for a in state.active if a.effect not in effects]
+    return with_flags(model, solve_state(model, rest, state.solution.sigma, state.used, fixed=True))

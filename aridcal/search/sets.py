@@ -1,0 +1,124 @@
+"""Sets of effects: what is believed of a set beforehand, and the evidence for it as a whole."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from math import lgamma, log
+
+import numpy as np
+
+from aridcal.effects.effect import Effect
+from aridcal.search.evidence import SMOOTH_PRICE
+from aridcal.search.linear_model import Active, LinearModel
+from aridcal.search.state import State, solve_state
+
+SEVERAL = 2
+"""Members of a family in the model from which the others are expected: one alone says nothing of them."""
+
+Family = tuple[str, tuple[str, ...]]
+"""Kind and motion: the same cause at other places, of whatever order."""
+
+
+def family(effect: Effect) -> Family:
+    """What an effect shares with the same cause at other places: gears of one make err alike, links of one make yield alike."""
+    return effect.kind, effect.motion
+
+
+@dataclass(frozen=True)
+class Choices:
+    """What was chosen among.
+
+    Attributes:
+        count: Candidates in all.
+        places: Where each family may act.
+        orders: The orders that it may have.
+    """
+
+    count: int
+    places: Mapping[Family, frozenset[str]]
+    orders: Mapping[Family, frozenset[tuple[float, ...]]]
+
+    @classmethod
+    def of(cls, library: Sequence[Effect], count: int = 0) -> Choices:
+        """All candidates, or a count of those of which the library holds the most promising ones."""
+        places: dict[Family, set[str]] = {}
+        orders: dict[Family, set[tuple[float, ...]]] = {}
+        for effect in library:
+            places.setdefault(family(effect), set()).add(effect.where)
+            orders.setdefault(family(effect), set()).add(effect.order)
+        return cls(
+            max(count, len(library)),
+            {own: frozenset(some) for own, some in places.items()},
+            {own: frozenset(some) for own, some in orders.items()},
+        )
+
+    def siblings(self, active: Sequence[Active], effect: Effect) -> int:
+        """Candidates of its family at places without one, where several others of it are in the model; else 0."""
+        own = family(effect)
+        taken = {a.effect.where for a in active if family(a.effect) == own} - {effect.where}
+        if len(taken) < SEVERAL:
+            return 0
+        left = self.places.get(own, frozenset()) - taken
+        return max(len(left), 1) * max(len(self.orders.get(own, ())), 1)
+
+    def cost(self, active: Iterable[Active]) -> float:
+        r"""What naming a set costs beforehand, [nat]: which families, at k of m places each, and with which orders.
+
+        .. math:: \sum_{\text{families}} \log F + \log \binom{m}{k} + \log(m + 1)
+                  + \log \frac{(n + f - 1)!}{(f - 1)! \prod_j n_j!}
+
+        for F families, as if each number of places were as likely beforehand as any other (J. G. Scott, J. O. Berger, Annals of
+        Statistics 38, 2010, 2587, section 3), and with n effects of f possible orders, :math:`n_j` of each, as if each
+        composition of orders were (Laplace's rule of succession): places of one make err in one way.
+        """
+        found: dict[Family, list[Effect]] = {}
+        for a in active:
+            if not a.stated:
+                found.setdefault(family(a.effect), []).append(a.effect)
+        return sum(self._cost_of(own, effects) for own, effects in found.items())
+
+    def price(self, active: Sequence[Active], more: Active) -> float:
+        """What one more effect adds to that, [nat]."""
+        return self.cost([*active, more]) - self.cost(active)
+
+    def _cost_of(self, own: Family, effects: Sequence[Effect]) -> float:
+        counted = Counter(e.order for e in effects)
+        k, n = len({e.where for e in effects}), len(effects)
+        m = max(len(self.places.get(own, ())), k)
+        f = len(self.orders.get(own, frozenset()) | set(counted))
+        where = lgamma(m + 1) - lgamma(k + 1) - lgamma(m - k + 1) + log(m + 1)
+        orders = lgamma(n + f) - lgamma(f) - sum(lgamma(j + 1) for j in counted.values())
+        return log(max(len(self.places), 1)) + where + orders
+
+
+def evidence_of_set(model: LinearModel, state: State, choices: Choices, used: np.ndarray) -> float:
+    r"""Logarithm of the evidence for a set of effects on some rows, up to a constant that all sets share, [nat].
+
+    .. math:: \log L + \tfrac12 \log |V_{ss}| - \sum_{\text{plain}} \tfrac d2 \Big(1 + \log \max\Big(\frac{2g}{d}, 1\Big)\Big)
+              - 2 n_s - \text{cost}
+
+    with the noise in L found for the set, the covariance :math:`V_{ss}` of the modes of smooth functions, whose priors have unit
+    variance (Laplace's integral over them), :math:`n_s` smooth functions, and plain ones charged as in
+    :func:`aridcal.search.evidence.price`.
+
+    Args:
+        model: The linearised model.
+        state: The set.
+        choices: What it was chosen among.
+        used: Rows by which sets are compared, shape (N,) bool.
+    """
+    if not np.array_equal(state.used, used):
+        state = solve_state(model, state.active, state.solution.sigma, used, fixed=True)
+    smooth = np.zeros(len(state.precision), dtype=bool)
+    charged = choices.cost(state.active)
+    for a, own in zip(state.active, state.places[1:], strict=True):
+        if a.effect.smooth:
+            smooth[own] = True
+            charged += SMOOTH_PRICE
+        else:
+            each = 2.0 * a.score.gain / max(a.score.freedom, 1)
+            charged += 0.5 * a.score.freedom * (1.0 + log(max(each, 1.0)))
+    volume = np.linalg.slogdet(state.solution.inverse[np.ix_(smooth, smooth)])[1] if smooth.any() else 0.0
+    return float(state.solution.likelihood + 0.5 * volume - charged)
