@@ -10,7 +10,7 @@ import numpy as np
 from aridcal.errors import MeasurementError, listed
 from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.remarks import Remark
-from aridcal.inputs.repeats import places
+from aridcal.inputs.repeats import blocks, places
 from aridcal.instruments.catalogue import KINDS
 
 TEST_SHARE = 0.2
@@ -26,12 +26,21 @@ def held_together(data: Dataset) -> np.ndarray:
 
     What a row says of a thing that has few rows, the others know: held back alone it would not be new.
     """
+    return _with_things(data, places(data.readings, data.kinds))
+
+
+def repeated(data: Dataset) -> np.ndarray:
+    """The same of rows that repeat a configuration, where rows of one place err independently, shape (N,)."""
+    return _with_things(data, blocks(data.readings, data.kinds))
+
+
+def _with_things(data: Dataset, of_arm: np.ndarray) -> np.ndarray:
+    """Numbers of rows of one arm's place, shape (N,), but of things with few rows all rows of one."""
     if not data.blocks:
-        return places(data.readings, data.kinds)
+        return of_arm
     labels = np.column_stack([data.block.astype(str), data.refers])
     thing = np.unique(labels, axis=0, return_inverse=True)[1].reshape(-1)
     few = np.bincount(thing)[thing] < FEW_ROWS
-    of_arm = places(data.readings, data.kinds)
     return np.asarray(np.unique(np.where(few, thing + of_arm.max() + 1, of_arm), return_inverse=True)[1])
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,7 +24,6 @@ from aridcal.model.standing import sights_of
 from aridcal.model.stated_noise import with_stated_noise
 from aridcal.robot.chain import Robot
 from aridcal.search.diagnose import Diagnosed, diagnose, told_apart
-from aridcal.search.linear_model import Active
 from aridcal.search.noise_causes import NoiseCauses, noise_causes
 from aridcal.search.noise_tests import rms_of_channels
 from aridcal.showing import SILENT, Progress
@@ -34,7 +32,10 @@ EARTH = np.array([0.0, 0.0, -9.81])
 """Gravity in a levelled world, [m/s^2]."""
 
 CLEARER = 1.2
-"""Times as much as before that a row must count for, once effects are found, for another search: evidence grows by as much."""
+"""Times as much or as little as before that a row must count for, once effects are found, for another search: evidence does."""
+
+WEIGHED = 3
+"""Times that this is asked, as effects that imitate what a place errs by leave less of it; mostly once."""
 
 HANGS = 1e-4
 """[m] by which the target of the final model may be elsewhere than that of the geometric stage, where the payload was hung:
@@ -95,42 +96,42 @@ def calibrated_arm(
     made the error on rows held out 4 % larger. What the final model leaves is asked about all causes, to name them.
     """
     bodies = targets_of_one_body(rows, float(geometry.geometric.estimated[0]))
-    share = 1.0 / bodies if bodies > 1 else _share(rows, geometry.geometric)
-    if share < 1.0:
-        rows = replace(rows, share=share)
+    if bodies > 1:
+        rows = replace(rows, share=1.0 / bodies)
         geometry = fit_constants(campaign, robot, rows, labels, progress)
 
-    def fitted(data: Dataset, geometry: Geometry, begin: Sequence[Active] = ()) -> CalibratedArm:
-        arm = fit_arm(campaign, geometry, data, progress, begin)
+    def fitted(data: Dataset, geometry: Geometry, before: Diagnosed | None = None) -> CalibratedArm:
+        arm = fit_arm(campaign, geometry, data, progress, before)
         progress("asking what the scatter is made of")
         active = arm.diagnosed.found.state.active
         return replace(arm, causes=noise_causes(arm.diagnosed.fit, active, rows, progress, shapes=False))
 
     arm = fitted(rows, geometry)
-    if share < 1.0 and bodies == 1:
+    for _ in range(WEIGHED if bodies == 1 else 0):
         share = _share(rows, arm.diagnosed.fit)
-        if share > CLEARER * rows.share:
-            progress("with what was found rows of one place err less alike: looking again with what they count for now")
-            rows = replace(rows, share=share)
-            geometry = _around(fit_constants(campaign, robot, rows, labels, progress), geometry.geometric.model.around)
-            arm = fitted(rows, geometry, arm.diagnosed.found.state.active)
+        if rows.share / CLEARER < share < rows.share * CLEARER:
+            break
+        progress("rows of one place err alike: looking again with what they count for")
+        rows = replace(rows, share=share)
+        geometry = _around(fit_constants(campaign, robot, rows, labels, progress), geometry.geometric.model.around)
+        arm = fitted(rows, geometry, arm.diagnosed)
     hung = _hung_again(arm)
     if hung is not None:
         progress("the target is elsewhere than the geometry had it: the payload hangs there, fitting again")
         geometry = hung
-        arm = fitted(rows, geometry, arm.diagnosed.found.state.active)
+        arm = fitted(rows, geometry, arm.diagnosed)
     moved = with_things_moved(arm.geometry.geometric, arm.diagnosed.fit)
     if moved is not None and any(KINDS[block.kind].noise for block in rows.blocks):
         progress("weighing the rows by what the instruments, as found, leave open, and fitting again")
         rows = with_stated_noise(rows, moved.states)
         geometry = _around(fit_constants(campaign, robot, rows, labels, progress), geometry.geometric.model.around)
-        arm = fitted(rows, geometry, arm.diagnosed.found.state.active)
+        arm = fitted(rows, geometry, arm.diagnosed)
     if arm.causes is not None and arm.causes.relative is not None:
         progress("weighing the rows by what makes them scatter, and fitting again")
         weighed = replace(rows, relative=arm.causes.relative)
         around = geometry.geometric.model.around
         again = _around(fit_constants(campaign, robot, weighed, labels, progress), around)
-        arm = fitted(weighed, again, arm.diagnosed.found.state.active)
+        arm = fitted(weighed, again, arm.diagnosed)
     if is_better(arm.diagnosed.fit, arm.geometry.nominal, arm.rows.fitted):
         return replace(arm, diagnosed=told_apart(arm.diagnosed, progress), causes=_named(arm, rows, progress))
     return _nominal(campaign, arm, progress)
@@ -201,7 +202,7 @@ def fit_arm(
     geometry: Geometry,
     rows: Dataset,
     progress: Progress,
-    begin: Sequence[Active] = (),
+    before: Diagnosed | None = None,
 ) -> CalibratedArm:
     """Look for what the constants do not explain, on the training rows, and fit all together.
 
@@ -210,9 +211,9 @@ def fit_arm(
         geometry: Fitted to the training rows.
         rows: All rows.
         progress: Called with what is being done.
-        begin: Effects of an earlier search, on other weights.
+        before: An earlier search, on other weights.
     """
-    found = diagnose(campaign, geometry.geometric, rows.fitted, progress, begin)
+    found = diagnose(campaign, geometry.geometric, rows.fitted, progress, before)
     return CalibratedArm(rows, geometry, found)
 
 

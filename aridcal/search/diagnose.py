@@ -12,6 +12,7 @@ from aridcal.effects.effect import ROW_ORDER, Effect
 from aridcal.effects.kinds import Observed
 from aridcal.effects.labels import MOST_LABELS, STATION, label_column, label_columns, labels_in
 from aridcal.effects.loads import covariate_table
+from aridcal.effects.place_scatter import is_scatter
 from aridcal.effects.sights import sight_table
 from aridcal.effects.smooth import Kernel
 from aridcal.effects.unknown_kind import pair
@@ -35,7 +36,8 @@ from aridcal.search.exact import (
 )
 from aridcal.search.held_back import missed
 from aridcal.search.hints import pairs
-from aridcal.search.linear_model import Active, LinearModel
+from aridcal.search.linear_model import LinearModel
+from aridcal.search.places import has_scatter, scatter_of, with_scatter, without_scatter
 from aridcal.search.ranking import is_small, rank
 from aridcal.search.state import State, activate, solve_state
 from aridcal.search.stated import tied_to_frames, with_declared, with_fields
@@ -94,6 +96,7 @@ class Diagnosed:
         barred: Candidates that could not be tested, and why.
         confounded: For each active effect, the candidates that are confounded with it in these data; see :func:`told_apart`.
         tied: How likely these are, and what the model is with each.
+        scattered: True if rows of one place err alike, beside which the effects were found.
     """
 
     fit: Fit
@@ -106,6 +109,7 @@ class Diagnosed:
     barred: tuple[Barred, ...]
     confounded: tuple[tuple[Effect, ...], ...] = ()
     tied: tuple[Tied, ...] = ()
+    scattered: bool = False
 
 
 def diagnose(
@@ -113,7 +117,7 @@ def diagnose(
     geometric: Fit,
     train: Dataset,
     progress: Progress = SILENT,
-    begin: Sequence[Active] = (),
+    before: Diagnosed | None = None,
 ) -> Diagnosed:
     """Find the effects that the geometric model lacks, and fit all together.
 
@@ -122,15 +126,15 @@ def diagnose(
         geometric: The geometric stage.
         train: The rows that it was fitted to.
         progress: Called with what is being done.
-        begin: Effects of an earlier search, on other weights: where a search takes long, they are confirmed and added to, and
-            not sought again.
+        before: An earlier search, on other weights: where a search takes long, its effects are confirmed and added to, and not
+            sought again; where they were found beside the scatter of places, which the weights now hold, they are only fitted.
     """
-    found = _diagnosed(campaign, geometric, train, None, progress, begin)
+    found = _diagnosed(campaign, geometric, train, None, progress, before)
     together = cluster(found.fit.outliers, train)
     if together is None or together.p_value > TOGETHER:
         return found
     progress(f"{together.rows.sum()} flagged rows lie together in {together.coordinate}: searching with them")
-    again = _diagnosed(campaign, geometric, train, together.rows, progress, found.found.state.active)
+    again = _diagnosed(campaign, geometric, train, together.rows, progress, replace(found, scattered=False))
     left = int((again.fit.outliers & together.rows).sum())
     return again if left < EXPLAINED * together.rows.sum() else found
 
@@ -141,7 +145,7 @@ def _diagnosed(
     train: Dataset,
     kept: np.ndarray | None,
     progress: Progress,
-    begin: Sequence[Active],
+    before: Diagnosed | None,
 ) -> Diagnosed:
     """One search; see :func:`diagnose`.
 
@@ -151,7 +155,7 @@ def _diagnosed(
         train: N rows.
         kept: Rows that count whatever they leave, shape (N,) bool: what they show may be structure.
         progress: See there.
-        begin: See there.
+        before: See there.
     """
     every = Start(geometric, train, limits(train, kept), progress)
     start = _thinned(every)
@@ -166,7 +170,9 @@ def _diagnosed(
         curves = dict.fromkeys(e.kind for e in (*named, *unnamed) if e.smooth)
         barred += [Barred(kind, FEW_PLACES) for kind in curves]
         named, unnamed = [e for e in named if not e.smooth], []
-    library = [*named, *unnamed, *stated]
+    settled = before is not None and before.scattered
+    scatter = () if settled or not named else scatter_of(start.train)
+    library = [*named, *unnamed, *stated, *scatter]
     progress("linearising the model")
     place = Place(start.geometric, linear_model(start, start.geometric, (), library, observed))
     named = [e for e in named if place.linear.moves(e)]
@@ -175,35 +181,60 @@ def _diagnosed(
     sought = [d.at is None for d in campaign.effects]
     state, lost = with_declared(place.linear, stated, sought, start.geometric)
     barred += lost + tied_to_frames(place.linear, state, named)
+    beside = with_scatter(place.linear, state, scatter)
+    if has_scatter(beside):
+        progress("rows of one place err alike: testing beside that")
+        place = Place(start.geometric, linear_model(start, start.geometric, beside.active, library, observed))
+        state = solve_state(place.linear, beside.active, beside.solution.sigma, beside.used)
     small = is_small(place.linear, named)
-    if small:
+    if small and not settled:
         place, state = _large_first(start, place, named, library, state, observed)
-    fresh = small or not begin
-    if not fresh:
-        every_one = (*state.active, *(a for a in begin if not a.stated))
+    fresh = (small and not settled) or before is None
+    if before is not None and not fresh:
+        every_one = (*state.active, *(a for a in before.found.state.active if not a.stated))
         state = solve_state(place.linear, every_one, state.solution.sigma, state.used)
-        state = confirmed(place.linear, state, len(named) + len(unnamed), progress)
-    place, current, found, fitted = _searched(start, place, named, library, state, observed, progress, fresh)
+        if not settled:
+            state = confirmed(place.linear, state, len(named) + len(unnamed), progress)
+    if before is not None and settled:
+        current, found, fitted = place.at, replace(before.found, state=state), _shapes(replace(state, active=()))
+    else:
+        place, current, found, fitted = _searched(
+            start, place, named, library, scatter, state, observed, progress, fresh
+        )
     state, lost = with_fields(place.linear, stated, found.state)
     found, barred = replace(found, state=state), barred + lost
-    if unnamed:
+    if unnamed and not settled:
         progress(f"testing {len(unnamed)} functions of unknown cause, then pairs")
         more = _unnamed(place.linear, unnamed, found, observed, fresh, progress)
         if fresh and len(more.state.active) > len(state.active):  # what only imitated it is not missed any more
             again = search(place.linear, named, more.state, 0, progress=progress)
             more = replace(again, rejected=more.rejected, tested=more.tested)
         found, state = more, more.state
+    scattered = has_scatter(state)
+    if scattered:
+        state = without_scatter(place.linear, state)
+        found = replace(found, state=state)
     if _shapes(state) != fitted:
         progress(_fitting(state))
         current = refit(start, state, current)
-    if state.active:
+    if state.active and not (scattered or settled):
         place, current, found = _only_missed(start, current, found, library, observed, progress)
     current = flagged_again(replace(start, limit=limits(start.train)), found.state, current)
     if len(train) > len(start.train):
         progress(f"fitting all {len(train)} rows")
         current = _widened(replace(every, limit=limits(train)), found.state, current)
     stated = [a.effect for a in found.state.active if a.stated]
-    return Diagnosed(current, place.at, place.linear, observed, found, tuple(named), tuple(stated), tuple(barred))
+    return Diagnosed(
+        current,
+        place.at,
+        place.linear,
+        observed,
+        found,
+        tuple(named),
+        tuple(stated),
+        tuple(barred),
+        scattered=scattered or settled,
+    )
 
 
 def told_apart(diagnosed: Diagnosed, progress: Progress = SILENT) -> Diagnosed:
@@ -253,6 +284,7 @@ def _searched(
     place: Place,
     named: Sequence[Effect],
     library: Sequence[Effect],
+    scatter: tuple[Effect, ...],
     state: State,
     observed: Observed,
     progress: Progress,
@@ -269,8 +301,9 @@ def _searched(
     for _ in range(ROUNDS if small else 1):
         before = state
         found = search(place.linear, named, state, exchange=fresh, progress=progress)
-        same = [a.effect for a in found.state.active] == [a.effect for a in before.active]
-        state = found.state
+        state = with_scatter(place.linear, found.state, scatter) if has_scatter(found.state) else found.state
+        found = replace(found, state=state)
+        same = {a.effect for a in state.active} == {a.effect for a in before.active}
         settled = same and place.at is current and current is not start.geometric
         if not small or not state.active or settled:
             break
@@ -338,7 +371,7 @@ def _unnamed(
 
 def _shapes(state: State) -> list[tuple[Effect, float, Kernel]]:
     """The effects of a state, smooth ones with their shape."""
-    return [(a.effect, a.score.tau, a.score.kernel) for a in state.active]
+    return [(a.effect, a.score.tau, a.score.kernel) for a in state.active if not is_scatter(a.effect)]
 
 
 def _large_first(

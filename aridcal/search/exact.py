@@ -12,6 +12,7 @@ from scipy.linalg import block_diag
 from aridcal.effects.basis import Basis, evaluated
 from aridcal.effects.effect import Coefficient, Effect
 from aridcal.effects.kinds import Observed
+from aridcal.effects.place_scatter import is_scatter, place_columns
 from aridcal.fit.flags import flagged
 from aridcal.fit.identifiable import apart, identifiable
 from aridcal.fit.least_squares import Fit, fit
@@ -19,7 +20,7 @@ from aridcal.fit.normal_equations import Prior
 from aridcal.fit.problem import Problem, agreeing, problem
 from aridcal.fit.residual import taking_off, triangle
 from aridcal.inputs.dataset import Dataset
-from aridcal.inputs.split import held_together
+from aridcal.inputs.split import held_together, repeated
 from aridcal.model.model import Model
 from aridcal.search.linear_model import Active, LinearModel
 from aridcal.search.state import State
@@ -61,7 +62,9 @@ def refit(start: Start, state: State, current: Fit) -> Fit:
     Constants that the geometric stage could not identify, its residual being large, are taken in when they can be now.
     """
     constants = tuple(c for c in current.model.coefficients if c.basis.constant)
-    found = refit_constants(start, constants, state, current, _as_solved(start, constants, state))
+    solved = _as_solved(start, constants, state)
+    state = replace(state, active=tuple(a for a in state.active if not is_scatter(a.effect)))
+    found = refit_constants(start, constants, state, current, solved)
     more = _regained(start, found)
     return refit_constants(start, constants + more, state, found) if more else found
 
@@ -186,7 +189,8 @@ def linear_model(
     Args:
         start: The geometric stage, about which the constants are gauged, and the rows.
         current: The model as it is.
-        active: Effects that are in it.
+        active: Effects that are in it. If the scatter of places is among them, rows of a place are held back together;
+            else those of a configuration: where rows of a place err independently, each tells of the others' place.
         library: Effects that may be added.
         observed: Covariates of the rows.
     """
@@ -212,20 +216,23 @@ def linear_model(
     r = r + A @ (current.theta - geometric)
     if start.train.share != 1.0:
         r, A, J = (np.sqrt(start.train.share) * values for values in (r, A, J))
-    run, fold = _folds(start.train)
+    in_places = any(is_scatter(a.effect) for a in active)
+    together = (held_together if in_places else repeated)(start.train)
+    run, fold = _folds(start.train, together)
+    of_places = place_columns(held_together(start.train)) if any(is_scatter(e) for e in effects) else {}
     return LinearModel(
         channels=start.train.channels,
         A=np.ascontiguousarray(A[:, :, constant]),
         gauge=_gauge(start.geometric, tuple(own[k] for k in constant)),
         G=np.ascontiguousarray(J[:, :, len(own) :]),
         slots=slots,
-        phi=evaluated(bases, observed.table) if bases else np.zeros((len(r), 0)),
+        phi=evaluated(bases, {**observed.table, **of_places}) if bases else np.zeros((len(r), 0)),
         bases=bases,
         r=r,
         limit=start.limit,
         run=run,
         fold=fold,
-        configuration=held_together(start.train),
+        configuration=together,
         thing=_places(asked),
         off=off,
         present=start.train.measures,
@@ -250,11 +257,10 @@ def _places(asked: Problem) -> np.ndarray | None:
     return np.asarray(number) if len(different) >= FEWEST_PLACES else None
 
 
-def _folds(train: Dataset) -> tuple[np.ndarray, np.ndarray]:
-    """Stretches of time, and folds that keep repeats together, one number each for every row, shape (N,)."""
+def _folds(train: Dataset, together: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Stretches of time, and folds of what is held back together, one number each for every row, shape (N,)."""
     n = len(train)
     run = np.empty(n, dtype=int)
     run[train.sequence] = np.arange(n) * min(RUNS, n) // n
-    together = held_together(train)
     number = np.random.default_rng(0).permutation(int(together.max()) + 1)
     return run, number[together] % FOLDS
