@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -39,6 +40,7 @@ from aridcal.search.hints import pairs
 from aridcal.search.linear_model import LinearModel
 from aridcal.search.places import has_scatter, scatter_of, with_scatter, without_scatter
 from aridcal.search.ranking import is_small, rank
+from aridcal.search.sets import Choices, evidence_of_set
 from aridcal.search.state import State, activate, solve_state
 from aridcal.search.stated import tied_to_frames, with_declared, with_fields
 from aridcal.search.stepwise import Found, confirmed, search
@@ -130,6 +132,10 @@ def diagnose(
             sought again; where they were found beside the scatter of places, which the weights now hold, they are only fitted.
     """
     found = _diagnosed(campaign, geometric, train, None, progress, before)
+    if any(not a.stated for a in found.found.state.active) and not found.scattered and (scatter := scatter_of(train)):
+        progress("asking whether rows of one place err alike, in place of these effects")
+        beside = _diagnosed(campaign, geometric, train, None, progress, None, scatter)
+        found = max(found, beside, key=partial(_evidence, scatter, found.found.state.used & beside.found.state.used))
     together = cluster(found.fit.outliers, train)
     if together is None or together.p_value > TOGETHER:
         return found
@@ -146,6 +152,7 @@ def _diagnosed(
     kept: np.ndarray | None,
     progress: Progress,
     before: Diagnosed | None,
+    scatter: tuple[Effect, ...] = (),
 ) -> Diagnosed:
     """One search; see :func:`diagnose`.
 
@@ -156,6 +163,7 @@ def _diagnosed(
         kept: Rows that count whatever they leave, shape (N,) bool: what they show may be structure.
         progress: See there.
         before: See there.
+        scatter: What rows of one place may err by alike, beside which effects must show.
     """
     every = Start(geometric, train, limits(train, kept), progress)
     start = _thinned(every)
@@ -171,8 +179,7 @@ def _diagnosed(
         barred += [Barred(kind, FEW_PLACES) for kind in curves]
         named, unnamed = [e for e in named if not e.smooth], []
     settled = before is not None and before.scattered
-    scatter = () if settled or not named else scatter_of(start.train)
-    library = [*named, *unnamed, *stated, *scatter]
+    library = [*named, *unnamed, *stated, *scatter_of(start.train)]
     progress("linearising the model")
     place = Place(start.geometric, linear_model(start, start.geometric, (), library, observed))
     named = [e for e in named if place.linear.moves(e)]
@@ -235,6 +242,12 @@ def _diagnosed(
         tuple(barred),
         scattered=scattered or settled,
     )
+
+
+def _evidence(scatter: tuple[Effect, ...], used: np.ndarray, diagnosed: Diagnosed) -> float:
+    """Evidence for what was found, with the scatter of places where that is clear beside it, on some rows, [nat]."""
+    state = with_scatter(diagnosed.linear, diagnosed.found.state, scatter)
+    return evidence_of_set(diagnosed.linear, state, Choices.of(diagnosed.named), used)
 
 
 def told_apart(diagnosed: Diagnosed, progress: Progress = SILENT) -> Diagnosed:

@@ -80,19 +80,26 @@ def regrown(
 
 def _further_away(model: LinearModel, library: Sequence[Effect], state: State, most: int) -> Iterator[State]:
     """Sets that differ from one by more than an effect."""
-    mine = [a for a in state.active if not a.stated]
-    families = list(dict.fromkeys(family(a.effect) for a in mine))
-    for own in families:
+    mine = [a.effect for a in state.active if not a.stated]
+    acting = {_acts(e) for e in mine}
+    alike = dict.fromkeys([*map(family, mine), *(family(e) for e in library if _acts(e) in acting)])
+    for own in alike:
         members = [e for e in library if family(e) == own and e.at is None]
-        without = _without(model, state, [a.effect for a in mine if family(a.effect) == own])
+        places = {_acts(e) for e in members}
+        without = _without(model, state, [e for e in mine if family(e) == own or _acts(e) in places])
         orders = sorted({e.order for e in members})
         lowest = [frozenset(orders[: k + 1]) for k in range(len(orders))]
         for some in dict.fromkeys([*lowest[:LOWEST], *(frozenset([order]) for order in orders)]):
             everywhere = _everywhere(model, [e for e in members if e.order in some], without)
             if len(everywhere.active) - len(without.active) > 1 and len(everywhere.active) <= most:
                 yield everywhere
-    for own in families:
-        yield _without(model, state, [a.effect for a in mine if family(a.effect) == own])
+    for own in dict.fromkeys(map(family, mine)):
+        yield _without(model, state, [e for e in mine if family(e) == own])
+
+
+def _acts(effect: Effect) -> tuple[object, ...]:
+    """What moves, and with what: causes that share this stand for one another."""
+    return effect.where, effect.motion, effect.covariates
 
 
 def _everywhere(model: LinearModel, members: Sequence[Effect], state: State) -> State:

@@ -50,6 +50,9 @@ def search(
 ) -> Found:
     """Add effects one at a time, test again what was taken and what was not, until nothing more is worth it.
 
+    Where that is cheap, causes of a single motion come first: one that moves a frame in several ways explains a part of each of
+    several simple ones, and none of these is missed alone then.
+
     Args:
         model: The linearised model.
         library: All candidates.
@@ -66,7 +69,9 @@ def search(
         state, rejected = grown(model, library, start, most, small, choices, progress)
         state = tidied(model, library, state, 1, choices, progress) if exchange else state
         return Found(state, rejected, choices.count)
-    state, rejected = _passes(model, library, start, most, choices, progress)
+    simple = [e for e in library if len(e.slots) == 1]
+    state = _passes(model, simple, start, most, choices, progress)[0] if simple else start
+    state, rejected = _passes(model, library, state, most, choices, progress)
     if most > len(start.active) and len(state.active) > len(start.active):
         state, rejected = regrown(model, library, state, rejected, most, choices, progress)
     return Found(state, rejected, choices.count)
