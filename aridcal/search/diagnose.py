@@ -43,12 +43,12 @@ from aridcal.search.ranking import is_small, rank
 from aridcal.search.sets import Choices, evidence_of_set
 from aridcal.search.state import State, activate, solve_state
 from aridcal.search.stated import tied_to_frames, with_declared, with_fields
-from aridcal.search.stepwise import Found, confirmed, search
+from aridcal.search.stepwise import Found, confirmed, exchanged, search
 from aridcal.search.tied import Tied, tied
 from aridcal.showing import SILENT, Progress
 
-ROUNDS = 3
-"""Times that the model is linearised anew and searched, where that is cheap; two are usual."""
+ROUNDS = 4
+"""Times that the model is linearised anew and searched, where that is cheap; two are usual, two more if sets are exchanged."""
 
 SEARCHED = 2000
 """Rows at the most that are searched: an effect that matters shows in these, and every trial costs as many as there are."""
@@ -314,6 +314,8 @@ def _searched(
     for _ in range(ROUNDS if small else 1):
         before = state
         found = search(place.linear, named, state, exchange=fresh, progress=progress)
+        if fresh and small and {a.effect for a in found.state.active} == {a.effect for a in before.active}:
+            found = exchanged(place.linear, named, found, progress)
         state = with_scatter(place.linear, found.state, scatter) if has_scatter(found.state) else found.state
         found = replace(found, state=state)
         same = {a.effect for a in state.active} == {a.effect for a in before.active}

@@ -13,7 +13,6 @@ from aridcal.effects.effect import Effect
 from aridcal.search.forward import grown
 from aridcal.search.linear_model import Active, LinearModel
 from aridcal.search.ranking import rank, with_flags
-from aridcal.search.scoring import Judgement
 from aridcal.search.sets import Choices, evidence_of_set, family
 from aridcal.search.state import State, activate, solve_state
 from aridcal.search.tidying import tidied
@@ -35,50 +34,38 @@ SURE = 3.0
 """[nat] by which another set must have more evidence: odds of 20 to 1, as for causes that are told apart."""
 
 
-def regrown(
-    model: LinearModel,
-    library: Sequence[Effect],
-    state: State,
-    rejected: tuple[Judgement, ...],
-    most: int,
-    choices: Choices,
-    progress: Progress,
-) -> tuple[State, tuple[Judgement, ...]]:
-    """The best of the sets that are grown from others further away, or the set as it is; and what was refused last.
+def regrown(model: LinearModel, library: Sequence[Effect], state: State, choices: Choices, progress: Progress) -> State:
+    """The best of the sets that are grown from others further away, or the set as it is.
 
     Args:
         model: The linearised model.
         library: Candidates.
         state: A set to which nothing can be added, and of which no single effect can be exchanged.
-        rejected: What was refused then.
-        most: Effects of the model at the most.
         choices: What is chosen among.
-        progress: Told how many candidates are scored.
+        progress: Told how many sets are tried.
     """
-    most = max(most, MOST_GROWN)
+    seen = {frozenset(a.effect for a in state.active)}
     for _ in range(ROUNDS):
         if sum(not a.stated for a in state.active) < FEWEST:
             break
-        best, seen = None, {frozenset(a.effect for a in state.active)}
-        value = evidence_of_set(model, state, choices, state.used)
-        for begun in progress.over(list(_further_away(model, library, state, most)), "sets of effects"):
-            trial, refused = grown(model, library, begun, most, False, choices, progress)
+        best, value = state, evidence_of_set(model, state, choices, state.used) + SURE
+        for begun in progress.over(list(_further_away(model, library, state)), "sets of effects"):
+            trial = grown(model, library, begun, MOST_GROWN, False, choices, progress)[0]
             trial = tidied(model, library, trial, 1, choices, progress)
             own = frozenset(a.effect for a in trial.active)
             if own in seen:
                 continue
             seen.add(own)
             its = evidence_of_set(model, trial, choices, state.used)
-            if its > value + SURE:
-                best, value = (trial, refused), its
-        if best is None:
+            if its > value:
+                best, value = trial, its
+        if best is state:
             break
-        state, rejected = best
-        state, rejected = grown(model, library, state, most, True, choices, progress)
-    return state, rejected
+        state = best
+    return state
 
 
-def _further_away(model: LinearModel, library: Sequence[Effect], state: State, most: int) -> Iterator[State]:
+def _further_away(model: LinearModel, library: Sequence[Effect], state: State) -> Iterator[State]:
     """Sets that differ from one by more than an effect."""
     mine = [a.effect for a in state.active if not a.stated]
     acting = {_acts(e) for e in mine}
@@ -91,7 +78,7 @@ def _further_away(model: LinearModel, library: Sequence[Effect], state: State, m
         lowest = [frozenset(orders[: k + 1]) for k in range(len(orders))]
         for some in dict.fromkeys([*lowest[:LOWEST], *(frozenset([order]) for order in orders)]):
             everywhere = _everywhere(model, [e for e in members if e.order in some], without)
-            if len(everywhere.active) - len(without.active) > 1 and len(everywhere.active) <= most:
+            if len(everywhere.active) - len(without.active) > 1 and len(everywhere.active) <= MOST_GROWN:
                 yield everywhere
     for own in dict.fromkeys(map(family, mine)):
         yield _without(model, state, [e for e in mine if family(e) == own])

@@ -10,12 +10,17 @@ from math import lgamma, log
 import numpy as np
 
 from aridcal.effects.effect import Effect
+from aridcal.effects.place_scatter import is_scatter
+from aridcal.fit.normal_equations import TINY, inverse
 from aridcal.search.evidence import SMOOTH_PRICE
 from aridcal.search.linear_model import Active, LinearModel
 from aridcal.search.state import State, solve_state
 
 SEVERAL = 2
 """Members of a family in the model from which the others are expected: one alone says nothing of them."""
+
+PLAIN_PRICE = 1.0
+"""[nat] for the size of a plain effect's prior, as for each number that shapes a smooth function."""
 
 Family = tuple[str, tuple[str, ...]]
 """Kind and motion: the same cause at other places, of whatever order."""
@@ -96,12 +101,14 @@ class Choices:
 def evidence_of_set(model: LinearModel, state: State, choices: Choices, used: np.ndarray) -> float:
     r"""Logarithm of the evidence for a set of effects on some rows, up to a constant that all sets share, [nat].
 
-    .. math:: \log L + \tfrac12 \log |V_{ss}| - \sum_{\text{plain}} \tfrac d2 \Big(1 + \log \max\Big(\frac{2g}{d}, 1\Big)\Big)
+    Laplace's integral over the coefficients of all effects together, so that what two of them do alike is charged once:
+
+    .. math:: \log L - \tfrac12 \log \big| T V^{-1} T + D \big| - \sum_{\text{plain}} \Big(\frac{|\beta|^2}{2 \tau^2} + 1\Big)
               - 2 n_s - \text{cost}
 
-    with the noise in L found for the set, the covariance :math:`V_{ss}` of the modes of smooth functions, whose priors have unit
-    variance (Laplace's integral over them), :math:`n_s` smooth functions, and plain ones charged as in
-    :func:`aridcal.search.evidence.price`.
+    with V the covariance of the coefficients, the noise in L found for the set. A plain effect of d coefficients has a normal
+    prior whose size is the likeliest, :math:`\tau^2 = (|\beta|^2 + \operatorname{tr} V) / d`; T holds it and D is 1 there.
+    The :math:`n_s` smooth functions are solved in modes of unit prior, which is in V already: T is 1 and D is 0.
 
     Args:
         model: The linearised model.
@@ -111,14 +118,19 @@ def evidence_of_set(model: LinearModel, state: State, choices: Choices, used: np
     """
     if not np.array_equal(state.used, used):
         state = solve_state(model, state.active, state.solution.sigma, used, fixed=True)
-    smooth = np.zeros(len(state.precision), dtype=bool)
-    charged = choices.cost(state.active)
+    charged = choices.cost(a for a in state.active if not is_scatter(a.effect))
+    effects = slice(len(model.gauge), len(state.precision))
+    beta, V = state.solution.beta, state.solution.inverse
+    size, believed = np.ones(len(beta)), np.zeros(len(beta))
     for a, own in zip(state.active, state.places[1:], strict=True):
         if a.effect.smooth:
-            smooth[own] = True
             charged += SMOOTH_PRICE
-        else:
-            each = 2.0 * a.score.gain / max(a.score.freedom, 1)
-            charged += 0.5 * a.score.freedom * (1.0 + log(max(each, 1.0)))
-    volume = np.linalg.slogdet(state.solution.inverse[np.ix_(smooth, smooth)])[1] if smooth.any() else 0.0
-    return float(state.solution.likelihood + 0.5 * volume - charged)
+            continue
+        square = float(beta[own] @ beta[own])
+        variance = max((square + float(np.trace(V[own, own]))) / (own.stop - own.start), TINY)
+        size[own], believed[own] = np.sqrt(variance), 1.0
+        charged += 0.5 * square / variance + PLAIN_PRICE
+    T = size[effects]
+    information = T[:, None] * inverse(V[effects, effects]) * T + np.diag(believed[effects])
+    volume = np.linalg.slogdet(information)[1] if len(T) else 0.0
+    return float(state.solution.likelihood - 0.5 * volume - charged)

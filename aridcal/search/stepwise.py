@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from aridcal.effects.effect import Effect
 from aridcal.search.exchange import regrown
@@ -72,9 +72,22 @@ def search(
     simple = [e for e in library if len(e.slots) == 1]
     state = _passes(model, simple, start, most, choices, progress)[0] if simple else start
     state, rejected = _passes(model, library, state, most, choices, progress)
-    if most > len(start.active) and len(state.active) > len(start.active):
-        state, rejected = regrown(model, library, state, rejected, most, choices, progress)
     return Found(state, rejected, choices.count)
+
+
+def exchanged(model: LinearModel, library: Sequence[Effect], found: Found, progress: Progress = SILENT) -> Found:
+    """What was found, or a better set that single steps do not lead to; sought where that is cheap.
+
+    Args:
+        model: The linearised model.
+        library: All candidates.
+        found: Of a search of these.
+        progress: Told how many sets are tried.
+    """
+    if not is_small(model, library):
+        return found
+    choices = Choices.of(library, found.tested)
+    return replace(found, state=regrown(model, library, found.state, choices, progress))
 
 
 def _passes(
