@@ -33,7 +33,14 @@ from aridcal.result.outcome import Outcome, Stage, Verification
 from aridcal.result.reading import Job, read_job
 from aridcal.result.verdict import Verdict, decide, row_clues
 from aridcal.robot.chain import Robot
-from aridcal.search.arm import CalibratedArm, calibrated_arm, fit_constants, structured_notices
+from aridcal.search.arm import (
+    LEAST_FREEDOM,
+    CalibratedArm,
+    calibrated_arm,
+    fit_constants,
+    is_short,
+    structured_notices,
+)
 from aridcal.search.diagnose import SEARCHED, Diagnosed
 from aridcal.search.noise_tests import ASKED, STRETCHES, Clue, clues, stretches
 from aridcal.search.residual_trends import trace
@@ -61,6 +68,11 @@ ONE_BODY = (
     "{} targets keep their distances exactly: they were made from one pose of one body, and count as one measurement"
 )
 """What is said of them: their errors are the same, so that three of them know no more than one."""
+
+NOT_SOUGHT = (
+    "effects were not sought: {:.0f} % of the measured numbers are left to judge a model by, and {:.0f} % are needed"
+)
+"""What is said where rows are too few for a search."""
 
 ONE_PLACE = "the {} rows lie in {} places, and those of one place err alike: they count as {:.0f} independent ones"
 
@@ -183,7 +195,7 @@ def _outcome(
             *structured_notices(arm.causes),
             *_derived_notices(rows, diagnosed),
             *(f"{b.what} is left out: {b.why}" for b in diagnosed.barred if b.why in (CONFOUNDED, NO_BETTER)),
-            *_some_of_many(train, len(kept), campaign),
+            *_searched(train, len(kept), campaign, arm.geometry.geometric),
             *declared_notices(rows, final.estimated, final.freedom),
             *unused_links(robot, campaign.parameters.set),
             *(str(n) for n in rows.notices),
@@ -205,9 +217,12 @@ def _shared(rows: Dataset, final: Fit) -> Iterator[str]:
         yield ONE_PLACE.format(len(rows), place.max() + 1, rows.share * len(rows))
 
 
-def _some_of_many(train: Dataset, kept: int, campaign: Campaign) -> Iterator[str]:
-    """Sentences on what was asked of some of the rows only, as there are many."""
-    if campaign.diagnosis.enabled and campaign.diagnosis.candidates and len(train) > SEARCHED:
+def _searched(train: Dataset, kept: int, campaign: Campaign, geometric: Fit) -> Iterator[str]:
+    """Sentences on what was asked of some of the rows only, as there are many, or of none, as there are few."""
+    sought = campaign.diagnosis.enabled and bool(campaign.diagnosis.candidates)
+    if sought and is_short(geometric):
+        yield NOT_SOUGHT.format(100.0 * _freedom(geometric), 100.0 * LEAST_FREEDOM)
+    elif sought and len(train) > SEARCHED:
         more = np.sqrt(len(train) / SEARCHED)
         yield (
             f"effects were sought in {SEARCHED:,} of the {len(train):,} fitted rows, and then fitted to all: to be seen, one "
