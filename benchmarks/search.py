@@ -22,7 +22,24 @@ from scipy.linalg.lapack import dpotrf, dpotri
 
 from aridcal.fit import normal_equations
 from aridcal.result import pipeline
-from aridcal.search import arm, diagnose, evidence, exact, grids, hints, products, scoring, screening, state, stepwise
+from aridcal.search import (
+    arm,
+    confounded,
+    diagnose,
+    evidence,
+    exact,
+    exchange,
+    forward,
+    grids,
+    hints,
+    products,
+    ranking,
+    scoring,
+    screening,
+    state,
+    stepwise,
+    tidying,
+)
 
 REPEATS = 20
 
@@ -121,13 +138,14 @@ def measure(campaign: Path) -> None:
         Kernel("_smooth", [evidence], smooth),
     ]
     stages = [
-        Kernel("score_all", [screening, stepwise], None),
-        Kernel("score_without", [stepwise], None),
-        Kernel("refine", [stepwise], None),
-        Kernel("judge", [stepwise], None),
-        Kernel("solve_state", [state, stepwise, diagnose], None),
-        Kernel("best_steps", [stepwise], None),
-        Kernel("hinted", [hints, stepwise], None),
+        Kernel("score_all", [screening, ranking, stepwise], None),
+        Kernel("score_without", [tidying, confounded], None),
+        Kernel("refine", [ranking, forward, stepwise], None),
+        Kernel("judge", [forward, tidying, stepwise], None),
+        Kernel("solve_state", [state, ranking, forward, exchange, diagnose], None),
+        Kernel("best_steps", [ranking], None),
+        Kernel("hinted", [hints, ranking, forward], None),
+        Kernel("regrown", [stepwise], None),
         Kernel("missed", [diagnose], None),
         Kernel("refit", [exact, diagnose], None),
         Kernel("diagnose", [arm], None),

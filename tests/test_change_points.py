@@ -26,6 +26,7 @@ from aridcal.search.evidence import NOTHING
 from aridcal.search.linear_model import LinearModel
 from aridcal.search.scoring import DOUBT, judge, refine
 from aridcal.search.screening import score_all
+from aridcal.search.sets import Choices
 from aridcal.search.state import State, activate, solve_state
 
 SLOTS = (("world_base", "x"), ("world_base", "y"), ("world_base", "roll"), ("j1", "axis"), ("tip_target", "z"))
@@ -106,7 +107,9 @@ def test_a_step_passes_every_gate_at_its_row_and_noise_none() -> None:
     model = with_motion(made_up(2), 3, 2.0 * (late - 1.0))
     state = solved(model)
     (effect,) = best_steps(model, state, [template("j1")])
-    judgement = judge(model, state, effect, refine(model, state, effect, score_all(model, [effect], state)[0]), 100)
+    judgement = judge(
+        model, state, effect, refine(model, state, effect, score_all(model, [effect], state)[0]), Choices.of([], 100)
+    )
     assert judgement.why == ""
     assert effect.coefficients[0].basis.numbers[0] == pytest.approx(41.5, abs=2.0)
     for seed in range(20):
@@ -114,7 +117,7 @@ def test_a_step_passes_every_gate_at_its_row_and_noise_none() -> None:
         state = solved(model)
         for effect in best_steps(model, state, [template("j1"), template("world_base")]):
             found = refine(model, state, effect, score_all(model, [effect], state)[0])
-            assert "not significant" in judge(model, state, effect, found, 100).why
+            assert "not significant" in judge(model, state, effect, found, Choices.of([], 100)).why
 
 
 def test_the_best_of_all_rows_pays_for_all_of_them() -> None:
@@ -123,7 +126,9 @@ def test_the_best_of_all_rows_pays_for_all_of_them() -> None:
     state = solved(model)
     (effect,) = best_steps(model, state, [template("j1")])
     found = refine(model, state, effect, score_all(model, [effect], state)[0])
-    assert judge(model, state, effect, found, 1).p_value == pytest.approx(min(1.0, found.p_value * (1 + 300 * 3)))
+    assert judge(model, state, effect, found, Choices.of([], 1)).p_value == pytest.approx(
+        min(1.0, found.p_value * (1 + 300 * 3))
+    )
 
 
 def test_the_filter_s_likelihood_is_that_of_the_whole_covariance() -> None:

@@ -18,6 +18,7 @@ from aridcal.search.hints import harmonics, pairs
 from aridcal.search.linear_model import LinearModel
 from aridcal.search.scoring import Judgement, judge, refine
 from aridcal.search.screening import score_all
+from aridcal.search.sets import Choices
 from aridcal.search.state import FAINT, activate, solve_state
 
 SLOTS = (("j1", "axis"), ("j1", "x"), ("j2", "axis"), ("tip_target", "z"))
@@ -67,7 +68,7 @@ def linear(where: str, component: str, of: str) -> Effect:
 
 def judged(b: LinearModel, effect: Effect, tested: int) -> Judgement:
     s = state(b)
-    return judge(b, s, effect, refine(b, s, effect, score_all(b, [effect], s)[0]), tested)
+    return judge(b, s, effect, refine(b, s, effect, score_all(b, [effect], s)[0]), Choices.of([], tested))
 
 
 @pytest.mark.parametrize("order", [3.0, 17.3, 53.68])

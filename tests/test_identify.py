@@ -321,3 +321,16 @@ def test_ur10_series_d_names_its_degenerate_target_translation(shared_data: Path
     test = outcome.parts()["test"]
     rms = [np.sqrt(np.mean(np.sum(outcome.stage(s).residual[test, :3] ** 2, axis=1))) for s in ("nominal", "geometric")]
     assert rms[1] < rms[0]
+
+
+@pytest.mark.parametrize("of_controller", [True, False])
+def test_what_a_controller_worked_out_is_called_no_measurement(of_controller: bool, tmp_path: Path) -> None:
+    """A log of a UR has its own model's poses beside the joints: `init` says so, and so does what was made of them by hand."""
+    truth = robots.simulate(robots.ur10(), 40, np.random.default_rng(2), kind="position")
+    names = [f"{'actual' if of_controller else 'tracker'}_TCP_pose_{k}" for k in range(3)]
+    columns = dict(zip("xyz", names, strict=True))
+    block = {"file": "measurements.csv", "kind": "position", "columns": columns}
+    path = robots.write_campaign(tmp_path, truth, robots.table(truth).rename(columns=columns), measurements=block)
+    said = [notice for notice in pipeline.identify(path).notices if "no measurement" in notice]
+    assert len(said) == of_controller
+    assert all(name in notice for notice in said for name in names)

@@ -12,12 +12,12 @@ from aridcal.effects.effect import Coefficient
 from aridcal.errors import NotIdentifiable
 from aridcal.fit.elimination import Groups
 from aridcal.fit.flags import FLOOR, coarsest, flagged, limits, robust_sigma
-from aridcal.fit.identifiable import identifiable
+from aridcal.fit.identifiable import Subset, identifiable
 from aridcal.fit.normal_equations import RANK, RIDGE, Combined, Prior, condition, inverse, solve
 from aridcal.fit.problem import Problem
 from aridcal.fit.problem import problem as ask
 from aridcal.fit.residual import Linearisation, linearise, things_again, triangle, weighted_squares
-from aridcal.instruments.channels import Channels
+from aridcal.instruments.channels import Channels, spread
 from aridcal.model.model import Model, Rows
 
 ABREAST = 0.1
@@ -83,6 +83,12 @@ eighth of the squares at most."""
 USUAL, BELIEVED = 1e-3, 2.0
 """[m] and [rad]: a millimetre and a milliradian are what constants of industrial arms are usually off by; that counts as much
 as two coefficients of a group that are known."""
+
+OTHER = 200
+"""Configurations not measured, at the least, that say which constants other rows would tell: several numbers for each."""
+
+TELLING = 8
+"""Numbers beyond the coefficients below which rows do not tell their noise: from eight on it is known to a quarter."""
 
 CLOSE = 0.02
 """Relative change of a group's size that ends its estimation: what depends on it changes by less than a hundredth of a sigma."""
@@ -338,9 +344,6 @@ def fit_identifiable(
             raise NotIdentifiable([model.names])
         narrowed = _narrowed(problem, kept)
         result = fit(narrowed, theta[kept])
-        if groups and result.numbers < PLENTY * len(kept):
-            R = triangle(problem, _placed(result, kept, len(theta)), result.weight, result.sigma)
-            result = shrunk(narrowed, result, _stood_for(R, kept, groups))
         problem = replace(problem, states=result.model.states)
         theta = _placed(result, kept, len(model.coefficients))
         R = triangle(problem, theta, result.weight, result.sigma) * sizes
@@ -349,6 +352,8 @@ def fit_identifiable(
         subset = identifiable(R, order, kept)
         if sorted(subset.kept) == kept:
             break
+    if groups and result.numbers < PLENTY * len(kept):
+        result, subset = _of_few(problem, order, groups, result, subset)
     redundant = {model.names[k]: tuple(model.names[j] for j in partners) for k, partners in subset.redundant.items()}
     convergence = replace(result.convergence, condition=subset.condition)
     return replace(result, candidates=model.coefficients, redundant=redundant, convergence=convergence)
@@ -359,6 +364,46 @@ def _placed(result: Fit, kept: Sequence[int], count: int) -> np.ndarray:
     theta = np.zeros(count)
     theta[kept] = result.theta
     return theta
+
+
+def _of_few(
+    problem: Problem, order: Sequence[int], groups: Sequence[Sequence[int]], free: Fit, told: Subset
+) -> tuple[Fit, Subset]:
+    """The fit of rows so few that something must be believed of the constants, and which of these it has.
+
+    It has those, too, that only other configurations would tell: what is believed of them is then part of the covariance.
+
+    Args:
+        problem: All candidates, N rows.
+        order: As for :func:`fit_identifiable`.
+        groups: Likewise.
+        free: A free fit of those that these rows tell.
+        told: Which these are.
+    """
+    model, kept = problem.model, sorted(told.kept)
+    constants = [k for group in groups for k in group]
+    theta = _placed(free, kept, len(model.coefficients))
+    theta[constants] = 0.0
+    R = triangle(problem, theta, free.weight, free.sigma)
+    if problem.measured is None:
+        R = np.asarray(np.linalg.qr(np.vstack([R, _elsewhere(problem, theta, free.sigma)]), mode="r"))
+    # Of frames nothing is believed: those that these rows do not tell stay out.
+    subset = identifiable(R * model.sizes, [k for k in order if k in {*kept, *constants}], kept)
+    every = sorted(subset.kept)
+    begin = replace(free, theta=theta[every])
+    left = {k: why for k, why in told.redundant.items() if k not in every} | subset.redundant
+    return shrunk(_narrowed(problem, every), begin, _stood_for(R, every, groups)), replace(subset, redundant=left)
+
+
+def _elsewhere(problem: Problem, theta: np.ndarray, sigma: np.ndarray) -> np.ndarray:
+    """Columns of all candidates where the joints' readings are combined otherwise than in the rows, (numbers, candidates)."""
+    data, rng = problem.data, np.random.default_rng(0)
+    some = np.resize(np.arange(len(data)), max(OTHER, len(data)))
+    readings = np.column_stack([rng.permutation(column[some]) for column in data.readings.T])
+    labels = (None if of is None else of[some] for of in (data.station, data.target))
+    _, _, J = problem.model.jacobian(theta, problem.model.rows(readings, None, *labels))
+    numbers = sum(channel.size for channel in problem.channels)
+    return np.asarray((J[:, :numbers] / spread(sigma, problem.channels)[:, None]).reshape(-1, len(theta)))
 
 
 def _stood_for(R: np.ndarray, kept: Sequence[int], groups: Sequence[Sequence[int]]) -> list[np.ndarray]:
@@ -379,7 +424,7 @@ def shrunk(problem: Problem, free: Fit, groups: Sequence[np.ndarray]) -> Fit:
     r"""A fit in which constants of a group are believed to be alike in size, of a size that the rows tell.
 
     Of all constants :math:`\varphi`, the redundant ones among them, those of group g are :math:`N(0, \tau_g^2)`. The coefficients
-    that     are fitted stand for sums of them, :math:`\theta = T \varphi`, and are believed to be :math:`N(0, C)`,
+    that are fitted stand for sums of them, :math:`\theta = T \varphi`, and are believed to be :math:`N(0, C)`,
 
     .. math:: C = \sum_g \tau_g^2 T_g T_g^T
 
@@ -388,7 +433,8 @@ def shrunk(problem: Problem, free: Fit, groups: Sequence[np.ndarray]) -> Fit:
     .. math:: \tau_g^2 = \frac{\nu \tau_0^2 + \sum_{k \in g} (E \varphi_k^2)}{\nu + n_g}
 
     where :math:`\tau_0` = :data:`USUAL` counts as :math:`\nu` = :data:`BELIEVED` constants. What rows do not tell stays near
-    zero; where     they tell much, the fit is the free one.
+    zero; where they tell much, the fit is the free one. Noise that rows do not tell, as there are hardly more numbers than
+    coefficients, is taken to be no finer than :data:`UNKNOWN_NOISE`: else what was fitted passes for noise that is not there.
 
     Args:
         problem: K identifiable coefficients, N rows.
@@ -401,11 +447,17 @@ def shrunk(problem: Problem, free: Fit, groups: Sequence[np.ndarray]) -> Fit:
     fitted, theta = free, free.theta.copy()
     theta[believed] = 0.0
     precision = np.zeros((len(theta), len(theta)))
+    told = free.numbers - len(theta) >= TELLING
+    finest = problem.data.declared(np.full(len(problem.channels), UNKNOWN_NOISE))
     for _ in range(ESTIMATES):
         C = sum((size**2 * T @ T.T for size, T in zip(sizes, parts, strict=True)), np.zeros(2 * (len(believed),)))
         precision[np.ix_(believed, believed)] = inverse(C, ridge=RIDGE)
         prior = Prior(np.zeros(len(theta)), precision.copy())
-        fitted = fit(replace(problem, states=fitted.model.states), theta, free.weight, prior)
+        asked = replace(problem, states=fitted.model.states)
+        fitted = fit(asked, theta, free.weight, prior)
+        if not told and np.any(fitted.sigma < finest):
+            sigma = tuple(np.maximum(fitted.sigma, finest).tolist())
+            fitted = fit(replace(asked, data=replace(asked.data, sigma=sigma)), theta, free.weight, prior)
         theta, before = fitted.theta, sizes.copy()
         second = np.outer(theta[believed], theta[believed]) + fitted.covariance[np.ix_(believed, believed)]
         for g, T in enumerate(parts):

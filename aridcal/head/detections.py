@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -49,8 +49,15 @@ DIGEST_LENGTH = 16
 UNREADABLE = "unreadable"
 
 
-def read_shots(campaign: Campaign, robot: Robot, cache: Path | None, seed: int, progress: Progress) -> Read:
-    """Read the shots of a campaign; images only where the cache does not know them.
+def read_shots(
+    campaign: Campaign,
+    robot: Robot,
+    cache: Path | None,
+    seed: int,
+    progress: Progress,
+    lens: np.ndarray | None = None,
+) -> Read:
+    """Read the shots of a campaign; images only where the cache does not know them, or where fiducials are looked for again.
 
     Args:
         campaign: Of ``kind: camera_sonar``.
@@ -58,6 +65,8 @@ def read_shots(campaign: Campaign, robot: Robot, cache: Path | None, seed: int, 
         cache: ``fiducials.csv`` of an earlier run; it need not exist.
         seed: Of the split into train and test.
         progress: Called with what is being done.
+        lens: Intrinsics, shape (9,), to look for fiducials with in all images that are there, in place of the declared
+            ones; what is found is set beside the head as declared all the same.
 
     Raises:
         AridcalError: A file is wrong, or nothing could be measured.
@@ -70,13 +79,15 @@ def read_shots(campaign: Campaign, robot: Robot, cache: Path | None, seed: int, 
     lines = rows.line.tolist()
     usable = set(lines)
     by_line = {shot.line: shot for shot in shots if shot.line in usable}
-    found, refused = _fiducials(list(by_line.values()), settings, squares, cache, progress)
+    looking = settings if lens is None else _with_lens(settings, lens)
+    known = _Known(_cached(cache), _digests(list(by_line.values()), settings, squares), again=lens is not None)
+    found, refused = _fiducials(list(by_line.values()), looking, squares, known, progress)
     seen: dict[int, Seen] = {}
     for line in lines:
         if line in refused:
             continue
         try:
-            seen[line] = _seen(by_line[line], found[line], settings, squares)
+            seen[line] = _seen(by_line[line], found[line], looking, squares)
         except (NotMeasured, ValueError) as refusal:
             refused[line] = str(refusal)
     if not seen:
@@ -87,7 +98,43 @@ def read_shots(campaign: Campaign, robot: Robot, cache: Path | None, seed: int, 
     kept = rows.select(np.isin(rows.line, list(seen)))
     rows = shot_rows(replace(kept, refused=tuple(every)), list(seen.values()), head_of(settings), campaign)
     fiducials = pd.concat([found[line] for line in seen], ignore_index=True)
-    return Read(campaign, rows, Detections(fiducials, settings.tip_camera.homogeneous))
+    images = sum(known.lines(line) is None for line in found)
+    camera = settings.camera
+    size = camera.width, camera.height
+    return Read(
+        campaign,
+        rows,
+        Detections(fiducials, settings.tip_camera.homogeneous, camera.intrinsics, size, images),
+    )
+
+
+def _with_lens(settings: HeadSettings, lens: np.ndarray) -> HeadSettings:
+    """The same head with other intrinsics, shape (9,)."""
+    fx, fy, cx, cy, *distortion = lens.tolist()
+    changes = {"fx": fx, "fy": fy, "cx": cx, "cy": cy, "distortion": tuple(distortion)}
+    return settings.model_copy(update={"camera": settings.camera.model_copy(update=changes)})
+
+
+@dataclass(frozen=True)
+class _Known:
+    """What an earlier run has found.
+
+    Attributes:
+        cache: Its lines by the line of their shot.
+        digests: Of the shots as they are now.
+        again: True where fiducials are looked for again, in all images that are there.
+    """
+
+    cache: Mapping[int, pd.DataFrame]
+    digests: Mapping[int, str]
+    again: bool
+
+    def lines(self, shot: int) -> pd.DataFrame | None:
+        """Lines of a shot, if their digest is that of the shot as it is now, or if its image is no longer there."""
+        lines, digest = self.cache.get(shot), self.digests[shot]
+        if lines is None or (digest and (self.again or digest != lines["digest"].iloc[0])):
+            return None
+        return lines
 
 
 def shot_rows(rows: Dataset, seen: Sequence[Seen], head: Head, campaign: Campaign) -> Dataset:
@@ -143,23 +190,15 @@ def _fiducials(
     shots: Sequence[Shot],
     settings: HeadSettings,
     squares: Mapping[int, np.ndarray],
-    cache: Path | None,
+    known: _Known,
     progress: Progress,
 ) -> tuple[dict[int, pd.DataFrame], dict[int, str]]:
     """Give the fiducials of each shot, and why the others have none.
 
-    Lines of the cache are taken if their digest is that of the shot as it is now, or if its image is no longer there.
-
     Returns:
         Lines of the cache (M, 8) by the line of their shot; refusals likewise.
     """
-    known = _cached(cache)
-    digests = _digests(shots, settings, squares)
-    found: dict[int, pd.DataFrame] = {}
-    for shot in shots:
-        lines = known.get(shot.line)
-        if lines is not None and digests[shot.line] in ("", lines["digest"].iloc[0]):
-            found[shot.line] = lines
+    found = {shot.line: lines for shot in shots if (lines := known.lines(shot.line)) is not None}
     todo = [shot for shot in shots if shot.line not in found]
     refused: dict[int, str] = {}
     if todo:
@@ -169,7 +208,7 @@ def _fiducials(
         if measured.fiducials is None:
             refused[line] = measured.why
         else:
-            found[line] = _lines(line, measured.fiducials).assign(digest=digests[line])
+            found[line] = _lines(line, measured.fiducials).assign(digest=known.digests[line])
     return found, refused
 
 

@@ -24,10 +24,16 @@ class Detections:
     Attributes:
         fiducials: The cache: a line for each fiducial.
         mount: T_tip_camera as head.yaml has it, shape (4, 4).
+        intrinsics: Of the camera, as head.yaml has them, shape (9,).
+        size: Of its images, [px]: width and height.
+        images: How many fiducials were found in now; of the others they were known.
     """
 
     fiducials: pd.DataFrame
     mount: np.ndarray
+    intrinsics: np.ndarray
+    size: tuple[int, int]
+    images: int
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal
@@ -38,6 +39,9 @@ STD = ("std_x", "std_y", "std_z", "std_rx", "std_ry", "std_rz")
 POSE_OR_LABEL = (*POSITION, *QUATERNION, *STD, "station", "split")
 QUANTITIES = (*POSE_OR_LABEL, "time", "temperature", "payload")
 
+# Words of what a controller computes of its own joints: ``actual_TCP_pose`` of UR's real-time data.
+COMPUTED = frozenset(("actual", "tcp", "pose"))
+
 # Of a quaternion's numbers: those of the rotation back.
 CONJUGATE = (-1.0, -1.0, -1.0, 1.0)
 
@@ -51,6 +55,12 @@ FINEST = 1e-12
 UNUSABLE = 1e30
 # More than an angle of a pose, or a joint with limits, turns, [rad].
 TURNS = 4 * np.pi
+
+
+def computed(settings: MeasurementSettings) -> tuple[str, ...]:
+    """Columns of the measured position whose names say that a controller has worked them out from its joints."""
+    names = [settings.columns.get(name, name) for name in POSITION]
+    return tuple(name for name in names if set(re.findall("[a-z]+", name.lower())) >= COMPUTED)
 
 
 @dataclass

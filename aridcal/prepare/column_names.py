@@ -6,6 +6,8 @@ import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
+from aridcal.inputs.quantities import COMPUTED
+
 
 def _set(text: str) -> frozenset[str]:
     return frozenset(text.split())
@@ -33,8 +35,6 @@ COMMANDED = _set(
 MEASURED = _set("measured measurement meas actual tracker laser mocap leica marker reflector smr probe")
 # Of these, words for what may be one of several on a body.
 ON_A_BODY = _set("marker reflector smr probe")
-# Words of what a controller computes of its own joints: ``actual_TCP_pose`` of UR's real-time data.
-COMPUTED = _set("actual tcp pose")
 # Words for how well something was measured.
 SCATTER = _set("std sigma sd stdev error err residual")
 # Words for what is neither a reading nor a pose.

@@ -27,7 +27,7 @@ from aridcal.programs.notations import inverse
 from aridcal.programs.targets import Notation, Place, Target
 from aridcal.programs.text import LARGEST, NUL, written
 from aridcal.result.compensate import STILL
-from aridcal.result.predict import at_any_station, directions, extrapolates, std_of
+from aridcal.result.predict import directions, extrapolates, needed_of, std_of
 from aridcal.result.saved_model import SavedModel
 from aridcal.robot.chain import Robot
 
@@ -106,10 +106,10 @@ class _Arm:
     @cached_property
     def real(self) -> InverseRows:
         """The calibrated arm with its effects; wanted poses are those of the target in the world."""
-        final, nominal = self.saved.final, self.controller.inverse
+        expected, nominal = self.saved.expected, self.controller.inverse
         lever = self.saved.noise[0] / self.saved.noise[1] if self.saved.kind == "pose" else LEVER
         return InverseRows(
-            ArmRows(final.model, final.theta, self.station), nominal.low, nominal.high, nominal.turning, lever
+            ArmRows(expected.model, expected.theta, self.station), nominal.low, nominal.high, nominal.turning, lever
         )
 
     @cached_property
@@ -121,7 +121,7 @@ class _Arm:
     @cached_property
     def _frames(self) -> tuple[np.ndarray, np.ndarray]:
         """T_world_base and T_tip_target as calibrated: the same before and after, so that they matter to the weighing alone."""
-        world, tip = self.saved.final.model.frames(self.saved.final.theta)
+        world, tip = self.saved.expected.model.frames(self.saved.expected.theta)
         first = [next(T for label, T in frames if label in (None, self.station)) for frames in (world, tip)]
         return np.asarray(first[0].homogeneous), np.asarray(first[1].homogeneous)
 
@@ -140,7 +140,8 @@ class _Arm:
 
     def values(self, sides: Mapping[str, np.ndarray], n: int) -> dict[str, np.ndarray]:
         """All covariates of n targets."""
-        return {name: np.full(n, value) for name, value in self.covariates.items()} | dict(sides)
+        given = self.saved.assumed | dict(self.covariates)
+        return {name: np.full(n, value) for name, value in given.items()} | dict(sides)
 
     def nearby(
         self, wanted: np.ndarray, q: np.ndarray, sides: Mapping[str, np.ndarray], held: np.ndarray
@@ -220,7 +221,7 @@ def correct(
         CovariateNotFound: an effect depends on something that is not given.
     """
     arm = _Arm(saved, covariates)
-    missing = [n for n in at_any_station(saved).model.needs if n not in covariates and n not in directions(saved)]
+    missing = sorted(needed_of(saved) - covariates.keys() - set(directions(saved)))
     if missing:
         raise CovariateNotFound(f"the model depends on {missing[0]!r}: state it, as in --at {missing[0]}=VALUE")
     middle = np.array([np.mean(saved.ranges.get(name, (0.0, 0.0))) for name in saved.final.model.robot.readings])

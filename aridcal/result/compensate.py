@@ -18,7 +18,15 @@ from aridcal.inputs.counting import counting
 from aridcal.inputs.query import Query
 from aridcal.model.inverse import Command, InverseKinematics
 from aridcal.model.model import Model
-from aridcal.result.predict import at_any_station, directions, extrapolates, per_station, std_of, with_told
+from aridcal.result.predict import (
+    at_any_station,
+    directions,
+    extrapolates,
+    needed_of,
+    per_station,
+    std_of,
+    with_told,
+)
 from aridcal.result.saved_model import SavedModel
 from aridcal.showing import SILENT, Progress
 
@@ -146,18 +154,19 @@ class _Walk:
     def __init__(self, saved: SavedModel) -> None:
         model = saved.final.model
         self._saved, self._stations = saved, per_station(model)
-        self._needs = at_any_station(saved).model.needs
+        self._needs, self._needed = at_any_station(saved).model.needs, needed_of(saved)
         self._labels = labels_of(c.basis for c in model.coefficients)
         self._seen = np.array([saved.ranges.get(name, (0.0, 0.0)) for name in model.robot.readings])
         self._last, self._rng = self._seen.mean(axis=1), np.random.default_rng(0)
 
     def commands(self, query: Query, covariates: Mapping[str, np.ndarray], told: Told) -> list[Command]:
         """Of one more stretch of rows."""
-        missing = [name for name in self._needs if name not in covariates]
+        missing = sorted(self._needed - covariates.keys())
         if missing:
             raise CovariateNotFound(
                 f"the model depends on {missing[0]!r}, which the poses do not have: add that column"
             )
+        covariates = self._saved.completed(covariates, len(query.line))
         usable = query.usable & ~np.isnan([covariates[name] for name in self._needs]).any(axis=0)
         assert query.position is not None
         R = np.zeros((len(usable), 3, 3))
@@ -273,11 +282,11 @@ def correction_table(saved: SavedModel, points: int, progress: Progress = SILENT
     sizes = [len(axis) for axis in axes]
     if math.prod(sizes) > MOST_POINTS:
         raise AridcalError(f"--grid {points}: would have more than {MOST_POINTS:,} points; take fewer")
-    world, tip = model.frames(saved.final.theta)
+    world, tip = saved.expected.model.frames(saved.expected.theta)
     nominal = Model(model.robot, (), world, tip)
     inverse = saved.inverse_kinematics()
-    middle = {name: float(np.mean(saved.ranges[name])) for name in inverse.model.needs}
-    middle |= dict.fromkeys(directions(saved), 0.0)
+    middle = {name: float(np.mean(saved.ranges[name])) for name in inverse.model.needs if name in saved.ranges}
+    middle |= saved.assumed | dict.fromkeys(directions(saved), 0.0)
 
     grid = np.array(list(product(*axes)))
     R, p = nominal.poses(np.zeros(0), nominal.rows(grid))

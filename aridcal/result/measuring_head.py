@@ -8,8 +8,10 @@ import numpy as np
 
 from aridcal.fit.closed_form import ClosedForm, closed_form
 from aridcal.fit.least_squares import Fit
+from aridcal.fit.stages import with_things_moved
 from aridcal.head.found import Detections
 from aridcal.inputs.dataset import Dataset
+from aridcal.instruments.camera import predict_pixels
 from aridcal.instruments.camera_sonar import HEAD, Head, Reduced, reduced, unpacked
 
 WILD = 4.0
@@ -20,6 +22,9 @@ DOUBTFUL = 1.3
 
 ENOUGH = 20
 """Shots that tell a sonar's noise to 16 %."""
+
+ASTRAY = 1.0
+"""[px] by which a declared lens may miss at an edge of the image: fiducials that are looked for so near are found as well."""
 
 MOUNTING = "tip_target is the camera's mounting on the tip, T_tip_camera; head.yaml gives only its starting value"
 """What is said of every head."""
@@ -67,6 +72,25 @@ class MeasuringHead:
     mount: np.ndarray
     closed_form: ClosedForm | None
     notices: tuple[str, ...]
+
+
+def lens_found(geometric: Fit, final: Fit, found: Detections) -> np.ndarray | None:
+    """Intrinsics of the camera as identified, shape (9,), where fiducials should be looked for again with them; else None.
+
+    Args:
+        geometric: Constants of the arm, the head as declared.
+        final: Fitted arm and head.
+        found: In the images.
+    """
+    moved = with_things_moved(geometric, final)
+    if moved is None or not found.images:
+        return None
+    lens = Head.of_state(moved.states[HEAD][0]).intrinsics
+    fx, fy, cx, cy = found.intrinsics[:4]
+    u, v = np.meshgrid(*(np.linspace(0.0, size - 1.0, 3) for size in found.size))
+    points = np.column_stack([(u.ravel() - cx) / fx, (v.ravel() - cy) / fy, np.ones(u.size)])
+    declared, identified = (predict_pixels(np.eye(4), points, each)[0] for each in (found.intrinsics, lens))
+    return lens if np.abs(identified - declared).max() > ASTRAY else None
 
 
 def measuring_head(final: Fit, geometric: Fit, rows: Dataset, fitted: np.ndarray, found: Detections) -> MeasuringHead:

@@ -20,6 +20,7 @@ from aridcal.head.found import Detections
 from aridcal.inputs.approach import with_directions
 from aridcal.inputs.campaign import Campaign
 from aridcal.inputs.dataset import Dataset
+from aridcal.inputs.quantities import computed
 from aridcal.inputs.read import load_measurements
 from aridcal.inputs.split import held_together
 from aridcal.inputs.tables import AnyTable
@@ -28,12 +29,19 @@ from aridcal.model.rigid_bodies import targets_of_one_body
 from aridcal.reading.freed import give_back
 from aridcal.result.gravity_direction import gravity_direction
 from aridcal.result.groups import LEAST, groups
-from aridcal.result.measuring_head import measuring_head
+from aridcal.result.measuring_head import lens_found, measuring_head
 from aridcal.result.outcome import Outcome, Stage, Verification
-from aridcal.result.reading import Job, read_job
+from aridcal.result.reading import Job, looked_again, read_job
 from aridcal.result.verdict import Verdict, decide, row_clues
 from aridcal.robot.chain import Robot
-from aridcal.search.arm import CalibratedArm, calibrated_arm, fit_constants, structured_notices
+from aridcal.search.arm import (
+    LEAST_FREEDOM,
+    CalibratedArm,
+    calibrated_arm,
+    fit_constants,
+    is_short,
+    structured_notices,
+)
 from aridcal.search.diagnose import SEARCHED, Diagnosed
 from aridcal.search.noise_tests import ASKED, STRETCHES, Clue, clues, stretches
 from aridcal.search.residual_trends import trace
@@ -61,6 +69,17 @@ ONE_BODY = (
     "{} targets keep their distances exactly: they were made from one pose of one body, and count as one measurement"
 )
 """What is said of them: their errors are the same, so that three of them know no more than one."""
+
+NOT_SOUGHT = (
+    "effects were not sought: {:.0f} % of the measured numbers are left to judge a model by, and {:.0f} % are needed"
+)
+"""What is said where rows are too few for a search."""
+
+NO_MEASUREMENT = (
+    "{} are what the controller's own model makes of its joints, and no measurement: a calibration to them gives that "
+    "model back"
+)
+"""What is said where the columns of a campaign are those of a controller."""
 
 ONE_PLACE = "the {} rows lie in {} places, and those of one place err alike: they count as {:.0f} independent ones"
 
@@ -109,9 +128,26 @@ def identify(
     """
     if not isinstance(job, Job):
         job = read_job(job, seed, progress, cache, verify is not None)
-    campaign, robot, rows = job.campaign, job.robot, choose(job.rows)
     # read before the work is done: a table that is no other day's is told of at once
-    other = None if verify is None else other_day(campaign, robot, job.rows, verify)
+    other = None if verify is None else other_day(job.campaign, job.robot, job.rows, verify)
+    arm, where = _calibrated(job, choose, judge, progress)
+    lens = None if job.detections is None else lens_found(arm.geometry.geometric, arm.diagnosed.fit, job.detections)
+    if lens is not None:
+        progress("looking for the fiducials again, with the lens that was found")
+        job = looked_again(job, lens, progress)
+        arm, where = _calibrated(job, choose, judge, progress)
+    outcome = _outcome(job.campaign, job.robot, arm, where, job.still, job.detections, progress)
+    if other is not None:
+        progress("scoring another day's measurements")
+        outcome = replace(outcome, verification=_scored(outcome, *other))
+    return replace(outcome, seconds=time.perf_counter() - job.started)
+
+
+def _calibrated(
+    job: Job, choose: Callable[[Dataset], Dataset], judge: Judge, progress: Progress
+) -> tuple[CalibratedArm, np.ndarray | None]:
+    """The calibrated arm of a job, and the readings of the region that its campaign names; see :func:`identify`."""
+    campaign, robot, rows = job.campaign, job.robot, choose(job.rows)
     labels = station_labels(campaign, rows)
     check_memory(_size(campaign, robot, rows, labels), str(campaign.path), available_memory())
     progress(f"fitting frames and constants to {rows.train.sum()} rows")
@@ -123,12 +159,7 @@ def identify(
     judge(campaign, robot, rows, geometry)
     where = region(campaign, geometry.geometric, rows.fitted)
     give_back()
-    arm = calibrated_arm(campaign, robot, rows, labels, geometry, progress)
-    outcome = _outcome(campaign, robot, arm, where, job.still, job.detections, progress)
-    if other is not None:
-        progress("scoring another day's measurements")
-        outcome = replace(outcome, verification=_scored(outcome, *other))
-    return replace(outcome, seconds=time.perf_counter() - job.started)
+    return calibrated_arm(campaign, robot, rows, labels, geometry, progress), where
 
 
 def _outcome(
@@ -177,13 +208,14 @@ def _outcome(
         causes=arm.causes,
         notices=(
             *(head.notices if head is not None else ()),
+            *(NO_MEASUREMENT.format(", ".join(own)) for block in campaign.blocks if (own := computed(block))),
             *still,
             *([arm.geometry.kept] if arm.geometry.kept else []),
             *_shared(rows, final),
             *structured_notices(arm.causes),
             *_derived_notices(rows, diagnosed),
             *(f"{b.what} is left out: {b.why}" for b in diagnosed.barred if b.why in (CONFOUNDED, NO_BETTER)),
-            *_some_of_many(train, len(kept), campaign),
+            *_searched(train, len(kept), campaign, arm.geometry.geometric),
             *declared_notices(rows, final.estimated, final.freedom),
             *unused_links(robot, campaign.parameters.set),
             *(str(n) for n in rows.notices),
@@ -205,9 +237,12 @@ def _shared(rows: Dataset, final: Fit) -> Iterator[str]:
         yield ONE_PLACE.format(len(rows), place.max() + 1, rows.share * len(rows))
 
 
-def _some_of_many(train: Dataset, kept: int, campaign: Campaign) -> Iterator[str]:
-    """Sentences on what was asked of some of the rows only, as there are many."""
-    if campaign.diagnosis.enabled and campaign.diagnosis.candidates and len(train) > SEARCHED:
+def _searched(train: Dataset, kept: int, campaign: Campaign, geometric: Fit) -> Iterator[str]:
+    """Sentences on what was asked of some of the rows only, as there are many, or of none, as there are few."""
+    sought = campaign.diagnosis.enabled and bool(campaign.diagnosis.candidates)
+    if sought and is_short(geometric):
+        yield NOT_SOUGHT.format(100.0 * _freedom(geometric), 100.0 * LEAST_FREEDOM)
+    elif sought and len(train) > SEARCHED:
         more = np.sqrt(len(train) / SEARCHED)
         yield (
             f"effects were sought in {SEARCHED:,} of the {len(train):,} fitted rows, and then fitted to all: to be seen, one "

@@ -106,7 +106,7 @@ def _query(saved: SavedModel, table: AnyTable | Table, poses: bool) -> Query:
         poses=poses,
         per_station=per_station(saved.final.model),
         label=saved.frames_by,
-        needs=set(at_any_station(saved).model.needs) - set(directions(saved) if poses else ()),
+        needs=needed_of(saved) - set(directions(saved) if poses else ()),
         of_labels=labels_of(c.basis for c in saved.final.model.coefficients),
         limit=saved.limits.table,
     )
@@ -145,6 +145,11 @@ def at_any_station(saved: SavedModel) -> InverseKinematics:
     return saved.inverse_kinematics(labels[0] if labels else None)
 
 
+def needed_of(saved: SavedModel) -> set[str]:
+    """Columns that rows must have beside the joints; those that only rivals depend on may be missing."""
+    return set(at_any_station(saved).model.needs) - saved.assumed.keys()
+
+
 def directions(saved: SavedModel) -> tuple[str, ...]:
     """Approach directions that the effects depend on, ``joint_2_direction`` for instance."""
     known = {f"{name}_direction" for name in saved.final.model.robot.names}
@@ -174,7 +179,7 @@ def predict(saved: SavedModel, query: Query) -> pd.DataFrame:
     known = query.usable
     covariates = {name: values[known] for name, values in query.covariates.items()}
     station = None if query.station is None else query.station[known]
-    R, p = saved.final.poses(query.readings[known], covariates, station)
+    R, p = saved.expected.poses(query.readings[known], saved.completed(covariates, int(known.sum())), station)
     R[np.isnan(p).any(axis=1)] = np.nan
 
     std = std_of(saved, query)

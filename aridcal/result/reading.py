@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -32,6 +32,8 @@ class Job:
         detections: What was found in images; None where there are none.
         still: Sentences on joints that never move.
         started: Clock when reading began, [s].
+        seed: Of the split into train and test.
+        cache: What an earlier run has found in the images, if there is one.
     """
 
     campaign: Campaign
@@ -40,6 +42,8 @@ class Job:
     detections: Detections | None
     still: tuple[str, ...]
     started: float
+    seed: int
+    cache: Path | None
 
 
 def read_job(
@@ -65,16 +69,31 @@ def read_job(
         raise CampaignError(f"{campaign.path}: --verify needs a table of poses; `kind: camera_sonar` has shots")
     read = read_rows(campaign, robot, cache, seed, progress)
     rows = with_directions(read.rows)
-    return Job(read.campaign, robot, rows, read.detections, _check_motion(read.campaign, rows), started)
+    still = _check_motion(read.campaign, rows)
+    return Job(read.campaign, robot, rows, read.detections, still, started, seed, cache)
 
 
-def read_rows(campaign: Campaign, robot: Robot, cache: Path | None, seed: int, progress: Progress) -> Read:
+def looked_again(job: Job, lens: np.ndarray, progress: Progress) -> Job:
+    """The same job, fiducials looked for again in its images by another lens, intrinsics of shape (9,)."""
+    read = read_rows(job.campaign, job.robot, job.cache, job.seed, progress, lens)
+    rows = with_directions(read.rows)
+    return replace(job, rows=rows, detections=read.detections, still=_check_motion(read.campaign, rows))
+
+
+def read_rows(
+    campaign: Campaign,
+    robot: Robot,
+    cache: Path | None,
+    seed: int,
+    progress: Progress,
+    lens: np.ndarray | None = None,
+) -> Read:
     """Read the measurements of a campaign, from its tables or from the images of its head."""
     if campaign.measurements.head is not None:
         # OpenCV and pandas load slowly, and most campaigns have no images
         from aridcal.head.detections import read_shots
 
-        return read_shots(campaign, robot, cache, seed, progress)
+        return read_shots(campaign, robot, cache, seed, progress, lens)
     return Read(campaign, load_measurements(campaign, robot.readings, robot.limits, robot.kinds, seed))
 
 

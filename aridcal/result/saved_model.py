@@ -169,6 +169,33 @@ class SavedModel:
             changes["ignore"] = (*settings.ignore, *sorted(labels))
         return settings.model_copy(update=changes)
 
+    @cached_property
+    def expected(self) -> SolvedModel:
+        """The mean over the causes that the rows could not tell apart, the covariance that of the final model as named.
+
+        Predictions and commands go by it.
+        """
+        if not self.rivals:
+            return self.final
+        model, theta, _ = with_rivals(self.final.model, self.final.theta, self.rivals)
+        extra = len(theta) - len(self.final.theta)
+        return SolvedModel(model, theta, np.pad(self.final.covariance, (0, extra)))
+
+    @cached_property
+    def assumed(self) -> dict[str, float]:
+        """The middle of what was seen of columns that only rivals depend on: taken where rows do not say."""
+        seen = self.recorded | self.ranges
+        names = set(self.expected.model.needs) - set(self.final.model.needs)
+        return {name: float(np.mean(seen.get(name, (0.0, 0.0)))) for name in sorted(names)}
+
+    def completed(self, covariates: Mapping[str, np.ndarray], rows: int) -> dict[str, np.ndarray]:
+        """Covariates of rows, shape (rows,) each, with what is :attr:`assumed` where they do not say."""
+        found = dict(covariates)
+        for name, usual in self.assumed.items():
+            given = found.get(name, np.full(rows, np.nan))
+            found[name] = np.where(np.isnan(given), usual, given)
+        return found
+
     @property
     def frames_by(self) -> Literal["station", "target"]:
         """Column that says which frames a row has, where there are several."""
@@ -267,7 +294,7 @@ class SavedModel:
         """
         pose = np.asarray(pose, dtype=float)
         return self.inverse_kinematics(station).command(
-            pose[:3, :3], pose[:3, 3], np.asarray(seed, dtype=float), covariates or {}
+            pose[:3, :3], pose[:3, 3], np.asarray(seed, dtype=float), {**self.assumed, **(covariates or {})}
         )
 
     def inverse_kinematics(self, station: str | None = None) -> InverseKinematics:
@@ -276,7 +303,7 @@ class SavedModel:
             robot = self.final.model.robot
             low, high = robot.limits.T
             turning = np.array([kind != "prismatic" for kind in robot.kinds])
-            one_row = OneRowModel(self.final.model, self.final.theta, station)
+            one_row = OneRowModel(self.expected.model, self.expected.theta, station)
             self._inverses[station] = InverseKinematics(one_row, low, high, turning, self.kind == "pose", self.noise)
         return self._inverses[station]
 

@@ -16,6 +16,7 @@ from aridcal.fit.problem import problem
 from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.split import held_together
 from aridcal.instruments.channels import spread
+from aridcal.search.arm import LEAST_FREEDOM
 from aridcal.search.noise_tests import Clue
 
 MANY_FLAGGED = 0.03
@@ -27,11 +28,6 @@ LEAST_FLAGGED = 2
 
 FEWEST = 5
 """Held-out configurations from which their error is compared with that of the fitted rows."""
-
-LEAST_FREEDOM = 0.67
-"""Share h of the numbers measured that must be left after fitting. At new configurations the model's own variance is about
-(1 - h) / h of the noise's: with less it is off by more than 0.7 sigma, and nobody may say that only noise is left."""
-
 
 NOISE_UNKNOWN = "noise_unknown"
 """Reason why ``noise_floor`` is not a plain one: nobody has declared the noise, and no repeats show it."""

@@ -54,6 +54,14 @@ BLOCKS = 10
 SURE = 1.0
 """Standard errors by which the larger model must be better (the one-standard-error rule: Breiman and others 1984)."""
 
+CHOSEN = 2.0
+"""The same for effects against constants alone: they were chosen among hundreds, by these rows."""
+
+LEAST_FREEDOM = 0.67
+"""Share h of the numbers measured that must be left after fitting. At new configurations the model's own variance is about
+(1 - h) / h of the noise's: with less it is off by more than 0.7 sigma, and nobody may say what it lacks, or that only noise is
+left."""
+
 SEVERAL = 2.0
 """Rows that share the error of a reading from which it is said that weights do not know: below it standard deviations are out by
 less than a third, and only so far as readings are what scatters."""
@@ -132,9 +140,20 @@ def calibrated_arm(
         around = geometry.geometric.model.around
         again = _around(fit_constants(campaign, robot, weighed, labels, progress), around)
         arm = fitted(weighed, again, arm.diagnosed)
+    if arm.diagnosed.found.state.active and not is_better(
+        arm.diagnosed.fit, arm.geometry.geometric, arm.rows.fitted, CHOSEN
+    ):
+        progress("constants alone predict held-back rows as well: leaving the effects out")
+        arm = fit_arm(_quiet(campaign), arm.geometry, arm.rows, progress)
+        arm = replace(arm, causes=noise_causes(arm.diagnosed.fit, arm.diagnosed.found.state.active, rows, progress))
     if is_better(arm.diagnosed.fit, arm.geometry.nominal, arm.rows.fitted):
         return replace(arm, diagnosed=told_apart(arm.diagnosed, progress), causes=_named(arm, rows, progress))
     return _nominal(campaign, arm, progress)
+
+
+def _quiet(campaign: Campaign) -> Campaign:
+    """The same campaign without a search: effects that it states stay."""
+    return campaign.model_copy(update={"diagnosis": campaign.diagnosis.model_copy(update={"enabled": False})})
 
 
 def _named(arm: CalibratedArm, rows: Dataset, progress: Progress) -> NoiseCauses | None:
@@ -179,9 +198,8 @@ def _nominal(campaign: Campaign, arm: CalibratedArm, progress: Progress) -> Cali
     frames = recentred(geometry.nominal)
     frames = replace(frames, model=replace(frames.model, around=geometry.geometric.model.around))
     kept = KEPT_NOMINAL.format(len(np.unique(rows.configuration[rows.train])))
-    quiet = campaign.model_copy(update={"diagnosis": campaign.diagnosis.model_copy(update={"enabled": False})})
     free = 1.0 - fit.spent / fit.numbers
-    arm = fit_arm(quiet, Geometry(geometry.nominal, frames, kept, free), rows, progress)
+    arm = fit_arm(_quiet(campaign), Geometry(geometry.nominal, frames, kept, free), rows, progress)
     causes = noise_causes(arm.diagnosed.fit, arm.diagnosed.found.state.active, rows, progress)
     return replace(arm, diagnosed=told_apart(arm.diagnosed, progress), causes=causes)
 
@@ -213,7 +231,8 @@ def fit_arm(
         progress: Called with what is being done.
         before: An earlier search, on other weights.
     """
-    found = diagnose(campaign, geometry.geometric, rows.fitted, progress, before)
+    fit = geometry.geometric
+    found = diagnose(_quiet(campaign) if is_short(fit) else campaign, fit, rows.fitted, progress, before)
     return CalibratedArm(rows, geometry, found)
 
 
@@ -233,16 +252,26 @@ def surroundings(campaign: Campaign, model: Model, loaded: bool) -> Surroundings
     return Surroundings(np.array(gravity, dtype=float), lever, loaded)
 
 
-def is_better(larger: Fit, smaller: Fit, data: Dataset) -> bool:
-    """True if the larger of two models predicts blocks of held-back configurations better.
+def is_short(fit: Fit) -> bool:
+    """True if so few numbers are left after a fit that nobody can say what it lacks: effects are not sought then."""
+    return fit.freedom <= LEAST_FREEDOM * fit.numbers
 
-    Both are linear about their own optimum, so that each block costs one solution. Squares of each channel are counted in
-    units of what the smaller model leaves, and compared configuration by configuration.
+
+def is_better(larger: Fit, smaller: Fit, data: Dataset, sure: float = SURE) -> bool:
+    r"""True if the larger of two models predicts blocks of held-back configurations better.
+
+    Both are linear about their own optimum, so that each block costs one solution. Squares :math:`s` of each channel are
+    counted in units of what the smaller model leaves. Each configuration gains
+
+    .. math:: (s_1 - s_2) / (s_1 + s_2)
+
+    which lies between -1 and 1: a few of them that one of the models misses by far do not decide.
 
     Args:
         larger: K coefficients, fitted to the data.
         smaller: Fitted to the same.
         data: N rows.
+        sure: Standard errors by which the gain must differ from nothing.
     """
     used = ~larger.outliers
     if larger.numbers > PLENTY * len(larger.theta) or len(larger.theta) == len(smaller.theta):
@@ -250,8 +279,9 @@ def is_better(larger: Fit, smaller: Fit, data: Dataset) -> bool:
     part = data.select(used)
     squares = [_squares(fit, part) for fit in (smaller, larger)]
     unit = np.maximum(squares[0].mean(axis=0), np.finfo(float).tiny)
-    gain = np.bincount(part.configuration, ((squares[0] - squares[1]) / unit).sum(axis=1))
-    return float(gain.sum()) > SURE * float(np.sqrt(np.sum((gain - gain.mean()) ** 2)))
+    left = np.stack([np.bincount(part.configuration, (own / unit).sum(axis=1)) for own in squares])
+    gain = (left[0] - left[1]) / np.maximum(left.sum(axis=0), np.finfo(float).tiny)
+    return float(gain.sum()) > sure * float(np.sqrt(np.sum((gain - gain.mean()) ** 2)))
 
 
 def _squares(fit: Fit, data: Dataset) -> np.ndarray:

@@ -167,7 +167,7 @@ def _believed(geometric: Fit, constants: tuple[Coefficient, ...]) -> np.ndarray:
 def _regained(start: Start, found: Fit) -> tuple[Coefficient, ...]:
     """Constants that were given up in the geometric stage and are identifiable now."""
     dropped = tuple(c for c in found.candidates if c.name in found.redundant)
-    if not dropped:
+    if not dropped or start.geometric.believed.any():  # what few rows do not tell is there already
         return ()
     model = found.model.with_coefficients(found.model.coefficients + dropped)
     theta = np.concatenate([found.theta, np.zeros(len(dropped))])

@@ -10,7 +10,7 @@ import numpy as np
 from aridcal.effects.effect import Coefficient
 from aridcal.model.model import Model
 from aridcal.trust.untold import with_untold
-from aridcal.trust.workspace import target_covariance
+from aridcal.trust.workspace import Untold, target_covariance
 
 
 @dataclass(frozen=True)
@@ -31,9 +31,38 @@ class Rival:
 
 
 def with_rivals(model: Model, theta: np.ndarray, rivals: Sequence[Rival]) -> tuple[Model, np.ndarray, np.ndarray]:
-    """A model with the coefficients of rivals beside its own, all coefficients, and the covariance of what may be instead."""
-    ways = [tuple((c, np.sqrt(rival.weight) * value) for c, value in rival.change) for rival in rivals]
-    return with_untold(model, theta, ways)
+    r"""The mean over the causes that the rows could not tell apart, and the covariance between them.
+
+    .. math:: \bar\theta = \theta + \sum_k w_k c_k, \qquad \sum_k w_k (c_k - \bar c)(c_k - \bar c)^T
+
+    for the changes :math:`c_k` of each effect's rivals, and of the effect itself, which changes nothing (Bayesian model
+    averaging; Hoeting et al. 1999, doi:10.1214/ss/1009212519). A rival's own uncertainty is taken to be the model's: the same
+    rows told either.
+
+    Args:
+        model: As named, K coefficients.
+        theta: Their values, shape (K,).
+        rivals: Of its effects.
+
+    Returns:
+        The model with the coefficients of rivals beside its own, the mean of all, and their covariance.
+    """
+    mean: dict[Coefficient, float] = {}
+    ways: list[Untold] = []
+    for effect in dict.fromkeys(rival.instead_of for rival in rivals):
+        own = [rival for rival in rivals if rival.instead_of == effect]
+        shift: dict[Coefficient, float] = {}
+        for rival in own:
+            for c, value in rival.change:
+                shift[c] = shift.get(c, 0.0) + rival.weight * value
+        itself = 1.0 - sum(rival.weight for rival in own)
+        for weight, change in ((itself, {}), *((rival.weight, dict(rival.change)) for rival in own)):
+            root = np.sqrt(max(weight, 0.0))
+            ways.append(tuple((c, root * (change.get(c, 0.0) - value)) for c, value in shift.items()))
+        for c, value in shift.items():
+            mean[c] = mean.get(c, 0.0) + value
+    wide, values, covariance = with_untold(model, theta, ways)
+    return wide, values + np.array([mean.get(c, 0.0) for c in wide.coefficients]), covariance
 
 
 def between(
@@ -46,14 +75,7 @@ def between(
     seen: Mapping[str, tuple[float, float]],
     tool: np.ndarray | None = None,
 ) -> np.ndarray:
-    r"""Covariance of the target between the model and the rivals of its effects, shape (N, 6, 6), world axes.
-
-    .. math:: \sum_k w_k (m_k - m)(m_k - m)^T
-
-    of the predictions m_k with each rival (Bayesian model averaging; Hoeting et al. 1999, doi:10.1214/ss/1009212519), about the
-    prediction m of the model as named, not about their mean: what is predicted, commanded and written into programs is then one
-    model, which a user can name and repeat, and the spread is at least that about the mean. A rival's own uncertainty is taken to
-    be the model's: the same rows told either.
+    """Covariance of the target between an effect and its rivals, shape (N, 6, 6), world axes; see :func:`with_rivals`.
 
     Args:
         model: Of the calibration.
