@@ -97,3 +97,11 @@ def test_places_are_rows_that_are_close_in_every_joint_with_nothing_between_them
         np.testing.assert_array_equal(places(apart, kinds), np.arange(len(apart)))
     still = around * [1.0, 1.0, 1.0, 0.0] + [0.0, 0.0, 0.0, 0.5]
     np.testing.assert_array_equal(places(still, kinds), place)
+
+
+def test_a_path_with_stops_between_its_stretches_is_no_row_of_places():
+    """Chains that are longer than what parts them are paths: their rows are configurations of their own."""
+    rng = np.random.default_rng(8)
+    starts, ways = rng.uniform(-1.5, 1.5, (2, 12, 6))
+    path = (starts[:, None] + np.linspace(0.0, 1.0, 40)[:, None] * (ways - starts)[:, None]).reshape(-1, 6)
+    np.testing.assert_array_equal(places(path, ("revolute",) * 6), np.arange(len(path)))

@@ -103,12 +103,13 @@ def evidence_of_set(model: LinearModel, state: State, choices: Choices, used: np
 
     Laplace's integral over the coefficients of all effects together, so that what two of them do alike is charged once:
 
-    .. math:: \log L - \tfrac12 \log \big| T V^{-1} T + D \big| - \sum_{\text{plain}} \Big(\frac{|\beta|^2}{2 \tau^2} + 1\Big)
-              - 2 n_s - \text{cost}
+    .. math:: \log L - \tfrac12 \log \big| T V^{-1} T + D \big| - \tfrac12 \beta_p^T (V_{pp} + T_p^2)^{-1} \beta_p
+              - n_p - 2 n_s - \text{cost}
 
-    with V the covariance of the coefficients, the noise in L found for the set. A plain effect of d coefficients has a normal
-    prior whose size is the likeliest, :math:`\tau^2 = (|\beta|^2 + \operatorname{tr} V) / d`; T holds it and D is 1 there.
-    The :math:`n_s` smooth functions are solved in modes of unit prior, which is in V already: T is 1 and D is 0.
+    with V the covariance of the coefficients, the noise in L found for the set. Each of the :math:`n_p` plain effects, of d
+    coefficients, has a normal prior whose size is the likeliest, :math:`\tau^2 = (|\beta|^2 + \operatorname{tr} V) / d`; T
+    holds it and D is 1 there. The :math:`n_s` smooth functions are solved in modes of unit prior, which is in V already: T is 1
+    and D is 0.
 
     Args:
         model: The linearised model.
@@ -119,18 +120,21 @@ def evidence_of_set(model: LinearModel, state: State, choices: Choices, used: np
     if not np.array_equal(state.used, used):
         state = solve_state(model, state.active, state.solution.sigma, used, fixed=True)
     charged = choices.cost(a for a in state.active if not is_scatter(a.effect))
-    effects = slice(len(model.gauge), len(state.precision))
     beta, V = state.solution.beta, state.solution.inverse
-    size, believed = np.ones(len(beta)), np.zeros(len(beta))
+    size, plain = np.ones(len(beta)), np.zeros(len(beta), dtype=bool)
     for a, own in zip(state.active, state.places[1:], strict=True):
         if a.effect.smooth:
             charged += SMOOTH_PRICE
             continue
-        square = float(beta[own] @ beta[own])
-        variance = max((square + float(np.trace(V[own, own]))) / (own.stop - own.start), TINY)
-        size[own], believed[own] = np.sqrt(variance), 1.0
-        charged += 0.5 * square / variance + PLAIN_PRICE
+        variance = (float(beta[own] @ beta[own]) + float(np.trace(V[own, own]))) / (own.stop - own.start)
+        size[own], plain[own] = np.sqrt(max(variance, TINY)), True
+        charged += PLAIN_PRICE
+    if plain.any():
+        apart = beta[plain] / size[plain]
+        spread = V[np.ix_(plain, plain)] / np.outer(size[plain], size[plain])
+        charged += 0.5 * float(apart @ np.linalg.solve(spread + np.eye(len(apart)), apart))
+    effects = slice(len(model.gauge), len(beta))
     T = size[effects]
-    information = T[:, None] * inverse(V[effects, effects]) * T + np.diag(believed[effects])
+    information = T[:, None] * inverse(V[effects, effects]) * T + np.diag(plain[effects].astype(float))
     volume = np.linalg.slogdet(information)[1] if len(T) else 0.0
     return float(state.solution.likelihood - 0.5 * volume - charged)
