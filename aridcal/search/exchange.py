@@ -2,7 +2,7 @@
 
 A search that adds the best effect first may explain the work of several simple causes by one that is none of them; then none of
 the simple ones is missed alone. So the set is grown again from others that lie further away: with a cause at all places at
-which it may act, and without a whole family. The set with the most evidence stays.
+which it may act, in place of what moves the same with the same. The set with the most evidence stays.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ MOST_GROWN = 28
 LOWEST = 3
 """Lowest orders of which all up to each are tried together at all joints: gears and rings err once or twice a turn first."""
 
-ROUNDS = 3
-"""Times that a better set is looked for; one or two find something."""
+TRIED = 3
+"""Sets from which one is grown, those with the most evidence as they are: from others one comes back to the set before."""
 
 SURE = 3.0
 """[nat] by which another set must have more evidence: odds of 20 to 1, as for causes that are told apart."""
@@ -44,25 +44,20 @@ def regrown(model: LinearModel, library: Sequence[Effect], state: State, choices
         choices: What is chosen among.
         progress: Told how many sets are tried.
     """
-    seen = {frozenset(a.effect for a in state.active)}
-    for _ in range(ROUNDS):
-        if sum(not a.stated for a in state.active) < FEWEST:
-            break
-        best, value = state, evidence_of_set(model, state, choices, state.used) + SURE
-        for begun in progress.over(list(_further_away(model, library, state)), "sets of effects"):
-            trial = grown(model, library, begun, MOST_GROWN, False, choices, progress)[0]
-            trial = tidied(model, library, trial, 1, choices, progress)
-            own = frozenset(a.effect for a in trial.active)
-            if own in seen:
-                continue
-            seen.add(own)
-            its = evidence_of_set(model, trial, choices, state.used)
-            if its > value:
-                best, value = trial, its
-        if best is state:
-            break
-        state = best
-    return state
+    if sum(not a.stated for a in state.active) < FEWEST:
+        return state
+
+    def evidence(of: State) -> float:
+        return evidence_of_set(model, of, choices, state.used)
+
+    best, value = state, evidence(state) + SURE
+    begun = sorted(_further_away(model, library, state), key=evidence, reverse=True)
+    for trial in progress.over(begun[:TRIED], "sets of effects"):
+        trial = grown(model, library, trial, MOST_GROWN, False, choices, progress)[0]
+        trial = tidied(model, library, trial, 1, choices, progress)
+        if (its := evidence(trial)) > value:
+            best, value = trial, its
+    return best
 
 
 def _further_away(model: LinearModel, library: Sequence[Effect], state: State) -> Iterator[State]:
@@ -80,8 +75,6 @@ def _further_away(model: LinearModel, library: Sequence[Effect], state: State) -
             everywhere = _everywhere(model, [e for e in members if e.order in some], without)
             if len(everywhere.active) - len(without.active) > 1 and len(everywhere.active) <= MOST_GROWN:
                 yield everywhere
-    for own in dict.fromkeys(map(family, mine)):
-        yield _without(model, state, [e for e in mine if family(e) == own])
 
 
 def _acts(effect: Effect) -> tuple[object, ...]:
