@@ -596,10 +596,16 @@ QUESTIONS: dict[str, Sequence[tuple[str, Callable[[int], dict[str, float]]]]] = 
 }
 
 
+MEANT = "covered"
+"""A share of which the mean over the draws is asked for, as each draw's own is of one robot alone."""
+
+
 def _in_words(key: str, values: np.ndarray) -> str:
     if values.dtype == bool:
         return f"{key} {values.sum()} of {len(values)}"
     there = values[~np.isnan(values)]
+    if key == MEANT and len(there):
+        return f"{key} {there.mean():.3f} in the mean ({there.min():.2f} at the least)"
     if len(there) and np.isin(there, (0.0, 1.0)).all():
         return f"{key} {int(there.sum())} of {len(there)}"
     return f"{key} {np.median(there):.3g} ({np.quantile(there, 0.95):.3g})" if len(there) else f"{key} none"
