@@ -136,4 +136,4 @@ def test_a_configuration_that_one_model_misses_by_far_does_not_decide_for_the_no
     position[4] += 0.05
     spoilt = replace(truth.measured, position=position)
     assert arm.is_better(geometry.geometric, geometry.nominal, spoilt)
-    assert not arm.is_better(geometry.geometric, geometry.nominal, truth.measured, sure=1e3)
+    assert not arm.is_better(geometry.nominal, geometry.geometric, spoilt)

@@ -51,11 +51,8 @@ KEPT_NOMINAL = (
 BLOCKS = 10
 """Blocks of configurations that are held back in turn. Convention: nine tenths of the rows stay to fit with."""
 
-SURE = 1.0
-"""Standard errors by which the larger model must be better (the one-standard-error rule: Breiman and others 1984)."""
-
-CHOSEN = 2.0
-"""The same for effects against constants alone: they were chosen among hundreds, by these rows."""
+SURE = 2.0
+"""Standard errors by which the larger model must be better: one (Breiman and others 1984) lets noise pass once in six times."""
 
 LEAST_FREEDOM = 0.67
 """Share h of the numbers measured that must be left after fitting. At new configurations the model's own variance is about
@@ -140,9 +137,7 @@ def calibrated_arm(
         around = geometry.geometric.model.around
         again = _around(fit_constants(campaign, robot, weighed, labels, progress), around)
         arm = fitted(weighed, again, arm.diagnosed)
-    if arm.diagnosed.found.state.active and not is_better(
-        arm.diagnosed.fit, arm.geometry.geometric, arm.rows.fitted, CHOSEN
-    ):
+    if arm.diagnosed.found.state.active and not is_better(arm.diagnosed.fit, arm.geometry.geometric, arm.rows.fitted):
         progress("constants alone predict held-back rows as well: leaving the effects out")
         arm = fit_arm(_quiet(campaign), arm.geometry, arm.rows, progress)
         arm = replace(arm, causes=noise_causes(arm.diagnosed.fit, arm.diagnosed.found.state.active, rows, progress))
@@ -257,7 +252,7 @@ def is_short(fit: Fit) -> bool:
     return fit.freedom <= LEAST_FREEDOM * fit.numbers
 
 
-def is_better(larger: Fit, smaller: Fit, data: Dataset, sure: float = SURE) -> bool:
+def is_better(larger: Fit, smaller: Fit, data: Dataset) -> bool:
     r"""True if the larger of two models predicts blocks of held-back configurations better.
 
     Both are linear about their own optimum, so that each block costs one solution. Squares :math:`s` of each channel are
@@ -271,7 +266,6 @@ def is_better(larger: Fit, smaller: Fit, data: Dataset, sure: float = SURE) -> b
         larger: K coefficients, fitted to the data.
         smaller: Fitted to the same.
         data: N rows.
-        sure: Standard errors by which the gain must differ from nothing.
     """
     used = ~larger.outliers
     if larger.numbers > PLENTY * len(larger.theta) or len(larger.theta) == len(smaller.theta):
@@ -281,7 +275,7 @@ def is_better(larger: Fit, smaller: Fit, data: Dataset, sure: float = SURE) -> b
     unit = np.maximum(squares[0].mean(axis=0), np.finfo(float).tiny)
     left = np.stack([np.bincount(part.configuration, (own / unit).sum(axis=1)) for own in squares])
     gain = (left[0] - left[1]) / np.maximum(left.sum(axis=0), np.finfo(float).tiny)
-    return float(gain.sum()) > sure * float(np.sqrt(np.sum((gain - gain.mean()) ** 2)))
+    return float(gain.sum()) > SURE * float(np.sqrt(np.sum((gain - gain.mean()) ** 2)))
 
 
 def _squares(fit: Fit, data: Dataset) -> np.ndarray:
