@@ -353,7 +353,7 @@ def fit_identifiable(
         if sorted(subset.kept) == kept:
             break
     if groups and result.numbers < PLENTY * len(kept):
-        result, subset = _of_few(problem, order, groups, result, subset)
+        result, subset = _of_few(problem, order, groups, replace(result, theta=theta), subset)
     redundant = {model.names[k]: tuple(model.names[j] for j in partners) for k, partners in subset.redundant.items()}
     convergence = replace(result.convergence, condition=subset.condition)
     return replace(result, candidates=model.coefficients, redundant=redundant, convergence=convergence)
@@ -377,12 +377,12 @@ def _of_few(
         problem: All candidates, N rows.
         order: As for :func:`fit_identifiable`.
         groups: Likewise.
-        free: A free fit of those that these rows tell.
+        free: A free fit of those that these rows tell, with values of all, the others zero.
         told: Which these are.
     """
     model, kept = problem.model, sorted(told.kept)
     constants = [k for group in groups for k in group]
-    theta = _placed(free, kept, len(model.coefficients))
+    theta = free.theta.copy()
     theta[constants] = 0.0
     R = triangle(problem, theta, free.weight, free.sigma)
     if problem.measured is None:
