@@ -116,7 +116,7 @@ def calibrated_arm(
         share = _share(rows, arm.diagnosed.fit)
         if rows.share / CLEARER < share < rows.share * CLEARER:
             break
-        progress("rows of one place err alike: looking again with what they count for")
+        progress("weighing rows of one place by how alike they err, and looking again")
         rows = replace(rows, share=share)
         geometry = _around(fit_constants(campaign, robot, rows, labels, progress), geometry.geometric.model.around)
         arm = fitted(rows, geometry, arm.diagnosed)

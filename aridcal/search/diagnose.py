@@ -132,7 +132,12 @@ def diagnose(
             sought again; where they were found beside the scatter of places, which the weights now hold, they are only fitted.
     """
     found = _diagnosed(campaign, geometric, train, None, progress, before)
-    if any(not a.stated for a in found.found.state.active) and not found.scattered and (scatter := scatter_of(train)):
+    searched = _thinned(Start(geometric, train, limits(train))).train
+    if (
+        any(not a.stated for a in found.found.state.active)
+        and not found.scattered
+        and (scatter := scatter_of(searched))
+    ):
         progress("asking whether rows of one place err alike, in place of these effects")
         beside = _diagnosed(campaign, geometric, train, None, progress, None, scatter)
         found = max(found, beside, key=partial(_evidence, scatter, found.found.state.used & beside.found.state.used))
@@ -224,8 +229,9 @@ def _diagnosed(
     if _shapes(state) != fitted:
         progress(_fitting(state))
         current = refit(start, state, current)
-    if state.active and not (scattered or settled):
-        place, current, found = _only_missed(start, current, found, library, observed, progress)
+    if state.active:
+        judged = not (scattered or settled)
+        place, current, found = _about_optimum(start, current, found, library, observed, judged, progress)
     current = flagged_again(replace(start, limit=limits(start.train)), found.state, current)
     if len(train) > len(start.train):
         progress(f"fitting all {len(train)} rows")
@@ -260,18 +266,19 @@ def told_apart(diagnosed: Diagnosed, progress: Progress = SILENT) -> Diagnosed:
     return replace(diagnosed, confounded=tuple(tuple(e for e, _ in own[1:]) for own in found), tied=rivals)
 
 
-def _only_missed(
+def _about_optimum(
     start: Start,
     current: Fit,
     found: Found,
     library: Sequence[Effect],
     observed: Observed,
+    judged: bool,
     progress: Progress,
 ) -> tuple[Place, Fit, Found]:
-    """The model about its own optimum, without the effects that are not missed on blocks held back."""
+    """The model about its own optimum; where blocks held back may judge, without the effects that they do not miss."""
     place = Place(current, linear_model(start, current, found.state.active, library, observed))
     state = solve_state(place.linear, found.state.active, current.sigma, found.state.used)
-    kept = missed(place.linear, state)
+    kept = missed(place.linear, state) if judged else state
     if len(kept.active) < len(state.active):
         progress(_fitting(kept))
         current = refit(start, kept, current)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from aridcal.effects.effect import Effect
 from aridcal.effects.place_scatter import is_scatter, place_scatter
 from aridcal.inputs.dataset import Dataset
@@ -58,7 +60,6 @@ def with_scatter(model: LinearModel, state: State, scatter: tuple[Effect, ...]) 
             state = without_effect(model, state, effect)
         found = refine(model, state, effect, score_all(model, [effect], state)[0])
         if found.gain >= CLEARLY:
-            own = activate(model, state, effect, found)
-            kept = type(own)(own.effect, own.score, own.modes, stated=True)
+            kept = replace(activate(model, state, effect, found), stated=True)  # a nuisance: no gate judges it
             state = solve_state(model, (*state.active, kept), noise_with(state, found), state.used)
     return state

@@ -10,7 +10,6 @@ from math import lgamma, log
 import numpy as np
 
 from aridcal.effects.effect import Effect
-from aridcal.effects.place_scatter import is_scatter
 from aridcal.fit.normal_equations import TINY, inverse
 from aridcal.search.evidence import SMOOTH_PRICE
 from aridcal.search.linear_model import Active, LinearModel
@@ -119,7 +118,7 @@ def evidence_of_set(model: LinearModel, state: State, choices: Choices, used: np
     """
     if not np.array_equal(state.used, used):
         state = solve_state(model, state.active, state.solution.sigma, used, fixed=True)
-    charged = choices.cost(a for a in state.active if not is_scatter(a.effect))
+    charged = choices.cost(state.active)
     beta, V = state.solution.beta, state.solution.inverse
     size, plain = np.ones(len(beta)), np.zeros(len(beta), dtype=bool)
     for a, own in zip(state.active, state.places[1:], strict=True):
