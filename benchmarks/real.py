@@ -58,6 +58,14 @@ class Robot:
     authors: bool = False
 
 
+STAGES = {
+    "nominal": ("nominal", "test_all"),
+    "geometric": ("geometric", "test_all"),
+    "final": ("final", "test_all"),
+    "not flagged": ("final", "test"),
+}
+"""What is shown: a stage, and whether held-out rows that are flagged as bad count."""
+
 ROBOTS = (
     Robot("UR10 B", HERE / "identification/ur10-laser-tracker/campaign-b.yaml"),
     Robot("UR10 D", HERE / "identification/ur10-laser-tracker/campaign-d.yaml"),
@@ -113,10 +121,10 @@ def identify(robot: Robot, split: Split, folder: Path) -> dict[str, object]:
     seconds = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime - before
     result = json.loads((folder / "results" / "result.json").read_text("utf-8"))
     errors = {
-        f"{stage} {channel}": result["error"][stage]["test_all"][channel][figure]
-        for stage in ("nominal", "geometric", "final")
-        for channel, figure in (("position_mm", "rms"), ("rotation_mrad", "rms"))
-        if channel in result["error"][stage]["test_all"]
+        f"{name} {channel}": result["error"][stage][rows][channel]["rms"]
+        for name, (stage, rows) in STAGES.items()
+        for channel in ("position_mm", "rotation_mrad")
+        if channel in result["error"][stage][rows]
     }
     mean = result["error"]["final"]["test_all"]["position_mm"]["mean"]
     return {
@@ -142,20 +150,16 @@ def measure(robot: Robot, count: int) -> list[dict[str, object]]:
     return measured
 
 
-COLUMNS = ("nominal", "geometric", "final")
-
-
 def as_table(measured: dict[str, list[dict[str, object]]], beside: dict[str, list[dict[str, object]]]) -> Table:
-    """Means over the splits, authors' own apart; with an earlier run's final errors in brackets."""
-    table = Table("robot", "splits", *(f"{c}, mm (mrad)" for c in COLUMNS), "mean, mm", "effects", "verdicts", "CPU, s")
+    """Means over the splits, authors' own apart; with an earlier run's errors in brackets."""
+    table = Table("robot", "splits", *(f"{c}, mm (mrad)" for c in STAGES), "mean, mm", "effects", "verdicts", "CPU, s")
     for name, rows in measured.items():
         for authors in (False, True):
             own = [row for row in rows if (row["split"] == "authors") == authors]
             if not own:
                 continue
             old = [row for row in beside.get(name, []) if (row["split"] == "authors") == authors]
-            cells = [_errors(own, c) for c in COLUMNS]
-            cells[-1] += f" [{_errors(old, 'final')}]" if old else ""
+            cells = [_errors(own, c) + (f" [{_errors(old, c)}]" if old else "") for c in STAGES]
             verdicts = {str(row["verdict"]) for row in own}
             counts = ", ".join(f"{v} {sum(row['verdict'] == v for row in own)}" for v in sorted(verdicts))
             table.add_row(

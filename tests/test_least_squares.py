@@ -265,6 +265,28 @@ def test_far_starts_lead_to_the_same_minimum() -> None:
         assert other.gradient < 1e-2
 
 
+def test_a_narrow_and_bent_way_to_the_minimum_is_walked_in_cut_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Turning the last joint and shifting the target across are one to first order, not to second; a belief settles it."""
+    rng = np.random.default_rng(0)
+    bent = tuple(Coefficient(*name.split(".")) for name in ("joint_4.yaw", "tip_target.y"))
+    tip = pin.SE3(np.eye(3), np.array([0.3, 0.0, 0.0]))
+    model = Model(robots.arid(), bent, ((None, robots.random_placement(rng)),), ((None, tip),))
+    data = robots.positions_alone(measure(model, np.zeros(2), robots.readings(model.robot, 40, rng), 1e-4, rng))
+    start, belief = np.array([0.05, -0.015]), 2e-2
+    prior = Prior(np.zeros(2), np.diag([belief**-2, 0.0]))
+    cut = minimise(asked(model, data, 1e-4), start, np.ones(40), prior)
+    monkeypatch.setattr(least_squares_module, "NEAR", 0.0)
+    damped = minimise(asked(model, data, 1e-4), start, np.ones(40), prior)
+
+    def whitened(theta: np.ndarray) -> np.ndarray:
+        off = data.position - model.poses(theta, model.rows(data.readings))[1]
+        return np.append((off / 1e-4).ravel(), theta[0] / belief)
+
+    other = least_squares(whitened, start, xtol=1e-15, ftol=1e-15, gtol=1e-15, x_scale=[1e-2, 3e-3])
+    assert np.sum(whitened(cut.theta) ** 2) == pytest.approx(2 * other.cost, abs=0.02)
+    assert 2 * cut.steps < damped.steps
+
+
 def test_a_prior_holds_what_nothing_measures() -> None:
     """Normal equations with a prior: what the data do not see stays at its mean, the rest at the data's."""
     rng = np.random.default_rng(11)

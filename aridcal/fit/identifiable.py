@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import eigh
+from scipy.linalg.lapack import dtrtri
 
 TOLERANCE = 1e-7
 """Share of a column's length that is left off the others when it is called their sum: redundant columns of real robots keep
@@ -110,14 +112,26 @@ def _without_weak(R: np.ndarray, length: np.ndarray, kept: list[int], order: Seq
     """Kept columns without those of combinations that move almost nothing, though each column by itself does."""
     weak: list[int] = []
     while kept:
-        _, singular, Vt = np.linalg.svd(R[:, kept])
-        if _measured(singular[-1]):
+        moved, direction = _weakest(R[:, kept])
+        if _measured(moved):
             break
-        part = np.abs(Vt[-1])
+        part = np.abs(direction)
         carrying = np.flatnonzero(part > CARRIES * part.max())
         weak.append(kept.pop(int(carrying[-1])))
         kept = _extended(R, length, kept, [k for k in order if k not in weak], TOLERANCE)
     return kept
+
+
+def _weakest(A: np.ndarray) -> tuple[float, np.ndarray]:
+    r"""Smallest singular value of independent columns (n, k), and its direction, shape (k,).
+
+    Of :math:`A = Q R` it is the largest of :math:`R^{-1}`, which is well told where the smallest of :math:`A^T A` is lost to
+    rounding, and takes a fifth of the time of all singular values.
+    """
+    inverted, _ = dtrtri(np.linalg.qr(A, mode="r"))
+    last = A.shape[1] - 1
+    value, vector = eigh(inverted @ inverted.T, subset_by_index=(last, last))
+    return float(value[0] ** -0.5), vector[:, 0]
 
 
 def _partners(R: np.ndarray, dropped: list[int], kept: list[int], length: np.ndarray) -> dict[int, tuple[int, ...]]:

@@ -69,6 +69,10 @@ LEAST_FREEDOM = 0.5
 FIRST_DAMPING, MOST_DAMPING = 1e-4, 1e8
 """Levenberg's damping of balanced equations: the first that changes anything, and the last that lets anything move."""
 
+NEAR, SHORTEST = 1.0, 1e-3
+"""Sigmas of a whole step from which it is cut rather than damped, and the least share of it that is tried: where a constant is
+barely identifiable the way to the optimum is narrow and bent, and damping would bar just that way."""
+
 SLACK = 0.5
 """Squares, in sigmas, by which the sum may grow where readings are what was observed: it is not what is minimised there, but
 nearly (see :func:`aridcal.fit.problem.agreeing`)."""
@@ -231,13 +235,14 @@ def minimise(problem: Problem, theta: np.ndarray, weight: np.ndarray | None, pri
     here = at_once or linearise(problem, theta, weight, scale if robust else declared(scale))
     told = Combined(here.equations, prior)
     sigma = noise_at(told, declared(scale))
-    damping, taken = 0.0, 0
+    damping, share, taken = 0.0, 1.0, 0
     while taken < STEPS and damping < MOST_DAMPING:
         g = told.pull(sigma, theta)
         combined = solve(told.information(sigma), g, damping)
         step, length = told.of_coefficients(combined[:, None])[:, 0], float(np.sqrt(max(combined @ g, 0.0)))
         last = length < settled and damping == 0.0
         last |= bool(np.all(np.abs(step) < ROUNDING * (1.0 + np.abs(theta))))
+        step = step if last else share * step
         if last and abreast and not robust:
             abreast, sigma = False, steady(told, sigma)  # the last step is taken in the noise that stays
             continue
@@ -254,9 +259,11 @@ def minimise(problem: Problem, theta: np.ndarray, weight: np.ndarray | None, pri
             told = told if trial is here else Combined(trial.equations, prior)
             problem, theta, here, damping = there, theta + step, trial, 0.0 if damping < FIRST_DAMPING else damping / 10
             scale = robust_sigma(here.residual, channels) if robust else scale
-            sigma = noise_at(told, sigma)
+            sigma, share = noise_at(told, sigma), min(1.0, 2.0 * share)
+        elif length < NEAR and share > SHORTEST:
+            share /= 4.0
         else:
-            damping = max(10 * damping, FIRST_DAMPING)
+            damping, share = max(10 * damping, FIRST_DAMPING), 1.0
         if last:
             break
     sigma = sigma if robust else steady(told, sigma)
