@@ -42,7 +42,7 @@ from aridcal.search.places import has_scatter, scatter_of, with_scatter, without
 from aridcal.search.ranking import is_small, rank
 from aridcal.search.sets import Choices, evidence_of_set
 from aridcal.search.state import State, activate, solve_state
-from aridcal.search.stated import tied_to_frames, with_declared, with_fields
+from aridcal.search.stated import reshaped, tied_to_frames, with_declared, with_fields
 from aridcal.search.stepwise import Found, confirmed, exchanged, search
 from aridcal.search.tied import Tied, tied
 from aridcal.showing import SILENT, Progress
@@ -213,7 +213,7 @@ def _diagnosed(
         place, current, found, fitted = _searched(
             start, place, named, library, scatter, state, observed, progress, fresh
         )
-    state, lost = with_fields(place.linear, stated, found.state)
+    state, lost = with_fields(place.linear, stated, reshaped(place.linear, found.state))
     found, barred = replace(found, state=state), barred + lost
     if unnamed and not settled:
         progress(f"testing {len(unnamed)} functions of unknown cause, then pairs")
