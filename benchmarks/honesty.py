@@ -490,13 +490,15 @@ def column(seed: int, stood: bool, gears: int) -> dict[str, float]:
     fits["oracle"] = _oracle_of_column(fits["geometric"], cal.outcome.measurements.fitted, q, known, own)
     asked = {name: fit.model.poses(fit.theta, fit.model.rows(q[STOOD:], _rows(known, slice(STOOD, None))))[1]
              for name, fit in fits.items()}  # fmt: skip
-    for name, calibrated in (("final", cal), ("told", told)):
-        asked[name] = calibrated.predict(rows[STOOD:])[["x", "y", "z"]].to_numpy()
+    answers = {"final": cal.predict(rows[STOOD:]), "told": told.predict(rows[STOOD:])}
+    asked |= {name: answer[["x", "y", "z"]].to_numpy() for name, answer in answers.items()}
+    z = (asked["final"] - p[STOOD:]) / answers["final"][["std_x", "std_y", "std_z"]].to_numpy()
     error = {name: 1e3 * float(np.sqrt(np.mean(np.sum((at - p[STOOD:]) ** 2, axis=1)))) for name, at in asked.items()}
     ratio = error["final"] / error["oracle"]
     return {
         **{f"{name} mm": error[name] for name in ("nominal", "geometric", "final", "told", "oracle")},
         "over the oracle's": ratio,
+        "z": float(np.sqrt(np.mean(z**2))),
         "told over the oracle's": error["told"] / error["oracle"],
         "at most 1.15": float(ratio <= 1.15),
         "effects": float(len(cal.result["effects"])),

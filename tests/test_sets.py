@@ -15,6 +15,7 @@ from test_hints import linear, made_up, with_effect
 import aridcal
 from aridcal.effects.basis import Basis
 from aridcal.effects.effect import Coefficient, Effect
+from aridcal.search import exchange
 from aridcal.search.evidence import NOTHING, Solution
 from aridcal.search.linear_model import Active
 from aridcal.search.sets import PLAIN_PRICE, Choices, evidence_of_set
@@ -108,7 +109,7 @@ def test_the_evidence_of_a_set_is_the_density_of_its_rows():
     np.testing.assert_allclose(np.diff(evidence), np.diff(density), rtol=1e-6)
 
 
-def test_an_arm_whose_gears_all_err_is_told_as_that(tmp_path: Path):
+def test_an_arm_whose_gears_all_err_is_told_as_that(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     rng = np.random.default_rng(5)
     truth = simulate(ur10(), 90, rng, noise=5e-5, kind="position")
     robot = truth.model.robot
@@ -119,7 +120,12 @@ def test_an_arm_whose_gears_all_err_is_told_as_that(tmp_path: Path):
     rows = table(truth)
     _, p = model.poses(np.concatenate([truth.theta, values]), model.rows(truth.readings))
     rows[["x", "y", "z"]] = p + 5e-5 * rng.standard_normal(p.shape)
+    made: list[State] = []
+    of_families = exchange._of_families
+    monkeypatch.setattr(exchange, "_of_families", lambda *asked: made.append(of_families(*asked)) or made[-1])
     cal = aridcal.calibrate(write_campaign(tmp_path, truth, rows, diagnosis={"enabled": True}))
+    # Made of nothing but whole families, with no step before, it is that set, too.
+    assert {a.effect.where for a in made[-1].active if a.effect.kind == "joint_harmonic"} == set(robot.names)
     named = {(e["kind"], e["where"]) for e in cal.result["effects"]}
     assert {kind for kind, _ in named} == {"joint_harmonic"}
     assert len(named) >= 5

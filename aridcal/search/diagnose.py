@@ -41,8 +41,9 @@ from aridcal.search.linear_model import LinearModel
 from aridcal.search.places import has_scatter, scatter_of, with_scatter, without_scatter
 from aridcal.search.ranking import is_small, rank
 from aridcal.search.sets import Choices, evidence_of_set
+from aridcal.search.shapes import reshaped
 from aridcal.search.state import State, activate, solve_state
-from aridcal.search.stated import reshaped, tied_to_frames, with_declared, with_fields
+from aridcal.search.stated import tied_to_frames, with_declared, with_fields
 from aridcal.search.stepwise import Found, confirmed, exchanged, search
 from aridcal.search.tied import Tied, tied
 from aridcal.showing import SILENT, Progress
@@ -213,7 +214,7 @@ def _diagnosed(
         place, current, found, fitted = _searched(
             start, place, named, library, scatter, state, observed, progress, fresh
         )
-    state, lost = with_fields(place.linear, stated, reshaped(place.linear, found.state))
+    state, lost = with_fields(place.linear, stated, reshaped(place.linear, found.state, lambda a: a.stated))
     found, barred = replace(found, state=state), barred + lost
     if unnamed and not settled:
         progress(f"testing {len(unnamed)} functions of unknown cause, then pairs")

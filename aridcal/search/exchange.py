@@ -2,12 +2,13 @@
 
 A search that adds the best effect first may explain the work of several simple causes by one that is none of them; then none of
 the simple ones is missed alone. So the set is grown again from others that lie further away: with a cause at all places at
-which it may act, in place of what moves the same with the same. The set with the most evidence stays.
+which it may act, in place of what moves the same with the same, and from sets that are made of whole families. The set with the
+most evidence stays.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 from aridcal.effects.effect import Effect
 from aridcal.search.forward import grown
@@ -29,6 +30,9 @@ LOWEST = 3
 
 TRIED = 3
 """Sets from which one is grown, those with the most evidence as they are: from others one comes back to the set before."""
+
+FAMILIES = 4
+"""Of which a set is made at the most: what bends, what yields, what turns unevenly, and one more."""
 
 SURE = 3.0
 """[nat] by which another set must have more evidence: odds of 20 to 1, as for causes that are told apart."""
@@ -52,7 +56,8 @@ def regrown(model: LinearModel, library: Sequence[Effect], state: State, choices
 
     best, value = state, evidence(state) + SURE
     begun = sorted(_further_away(model, library, state), key=evidence, reverse=True)
-    for trial in progress.over(begun[:TRIED], "sets of effects"):
+    begun = [*begun[:TRIED], _of_families(model, library, state, evidence)]
+    for trial in progress.over(begun, "sets of effects"):
         trial = grown(model, library, trial, MOST_GROWN, False, choices, progress)[0]
         trial = tidied(model, library, trial, 1, choices, progress)
         if (its := evidence(trial)) > value:
@@ -69,12 +74,36 @@ def _further_away(model: LinearModel, library: Sequence[Effect], state: State) -
         members = [e for e in library if family(e) == own and e.at is None]
         places = {_acts(e) for e in members}
         without = _without(model, state, [e for e in mine if family(e) == own or _acts(e) in places])
-        orders = sorted({e.order for e in members})
-        lowest = [frozenset(orders[: k + 1]) for k in range(len(orders))]
-        for some in dict.fromkeys([*lowest[:LOWEST], *(frozenset([order]) for order in orders)]):
-            everywhere = _everywhere(model, [e for e in members if e.order in some], without)
+        for some in _of_orders(members):
+            everywhere = _everywhere(model, some, without)
             if len(everywhere.active) - len(without.active) > 1 and len(everywhere.active) <= MOST_GROWN:
                 yield everywhere
+
+
+def _of_families(
+    model: LinearModel, library: Sequence[Effect], state: State, evidence: Callable[[State], float]
+) -> State:
+    """The set made of whole families, the one that adds most evidence first: what no member shows by itself they may together."""
+    simple = [e for e in library if len(e.slots) == 1 and e.at is None and not e.smooth]
+    families = dict.fromkeys(map(family, simple))
+    parts = [part for own in families for part in _of_orders([e for e in simple if family(e) == own])]
+    made = _without(model, state, [a.effect for a in state.active if not a.stated])
+    for _ in range(FAMILIES):
+        more = [_everywhere(model, part, made) for part in parts]
+        allowed = [own for own in more if len(made.active) < len(own.active) <= MOST_GROWN]
+        best = max(allowed, key=evidence, default=made)
+        if evidence(best) <= evidence(made):
+            break
+        made = best
+    return made
+
+
+def _of_orders(members: Sequence[Effect]) -> Iterator[list[Effect]]:
+    """Members of a family: those of the lowest orders together, and those of each order."""
+    orders = sorted({e.order for e in members})
+    lowest = [frozenset(orders[: k + 1]) for k in range(len(orders))]
+    for some in dict.fromkeys([*lowest[:LOWEST], *(frozenset([order]) for order in orders)]):
+        yield [e for e in members if e.order in some]
 
 
 def _acts(effect: Effect) -> tuple[object, ...]:

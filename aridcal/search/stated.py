@@ -18,7 +18,8 @@ from aridcal.search.linear_model import Active, LinearModel
 from aridcal.search.scoring import held_back, held_out_whole, judge, refine
 from aridcal.search.screening import score_all
 from aridcal.search.sets import Choices
-from aridcal.search.state import State, activate, solve_state, without_effect
+from aridcal.search.shapes import reshaped
+from aridcal.search.state import State, activate, solve_state
 
 CONFOUNDED = "it is confounded with what is fitted without it: no row tells them apart"
 """Why a declared effect was left out."""
@@ -26,12 +27,6 @@ CONFOUNDED = "it is confounded with what is fitted without it: no row tells them
 NO_BETTER = "rows held back are predicted no better with it: the one model of the whole workspace stays"
 """Why a declared deviation from that model was left out."""
 
-
-ROUNDS = 5
-"""In which declared curves are shaped one after the other: two or three do where curves of one joint imitate each other."""
-
-SAME = 0.1
-"""Share of its size by which the shape of a curve may still change: rows tell the size of a curve no better."""
 
 MOST_DENTS = 6
 """Places at which targets are off that are found one by one, as many as other effects without a name."""
@@ -49,7 +44,8 @@ def with_declared(
     lost: list[Barred] = []
     state = solve_state(linear, (), geometric.sigma, ~geometric.outliers)
     waiting: list[Effect] = []
-    for effect, anywhere in zip(stated, sought, strict=True):
+    # Curves last: shaped before others are in the model, one may do all that these do, and they would seem confounded with it.
+    for effect, anywhere in sorted(zip(stated, sought, strict=True), key=lambda pair: pair[0].smooth):
         if KINDS[effect.kind].asked:
             waiting += [effect] if KINDS[effect.kind].named else []
             continue
@@ -64,31 +60,7 @@ def with_declared(
         active = (*state.active, _admitted(linear, state, told))
         state = solve_state(linear, active, state.solution.sigma, state.used)
     state, left_out = _with_regions(linear, waiting, state)
-    return reshaped(linear, state), [*lost, *left_out]
-
-
-def reshaped(linear: LinearModel, state: State) -> State:
-    """The model with the shapes of declared curves found anew beside all else that is in it, until they stay.
-
-    A curve that is shaped before others are in the model bends after what they do, and would stay as rough.
-    """
-    for _ in range(ROUNDS):
-        before = state
-        for one in [a for a in state.active if a.stated and a.effect.smooth]:
-            without = without_effect(linear, state, one.effect)
-            again = _admitted(linear, without, one.effect)
-            if again.score.freedom == 0 or _alike(one, again):
-                continue
-            active = tuple(again if a is one else a for a in state.active)
-            state = solve_state(linear, active, state.solution.sigma, state.used)
-        if state is before:
-            break
-    return state
-
-
-def _alike(one: Active, other: Active) -> bool:
-    """True if two shapes of one curve are as good as equal."""
-    return one.score.kernel == other.score.kernel and bool(np.isclose(one.score.tau, other.score.tau, rtol=SAME))
+    return reshaped(linear, state, lambda a: a.stated), [*lost, *left_out]
 
 
 def with_fields(linear: LinearModel, stated: Sequence[Effect], state: State) -> tuple[State, list[Barred]]:

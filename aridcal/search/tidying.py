@@ -10,6 +10,7 @@ from aridcal.search.ranking import in_place_of, rank, with_effect, with_flags
 from aridcal.search.scoring import judge
 from aridcal.search.screening import score_without
 from aridcal.search.sets import Choices
+from aridcal.search.shapes import reshaped
 from aridcal.search.state import State, activate, without_effect
 from aridcal.showing import Progress
 
@@ -22,7 +23,10 @@ RIVALS = 6
 def tidied(
     model: LinearModel, library: Sequence[Effect], state: State, rounds: int, choices: Choices, progress: Progress
 ) -> State:
-    """Take each effect out in turn: drop it if it is not missed, exchange it if another does better in its place."""
+    """Take each effect out in turn: drop it if it is not missed, exchange it if another does better in its place.
+
+    Curves that stay are shaped anew beside all else.
+    """
     kinds = {e.kind for e in library}
     # Harmonics of an order of their own, and steps, are no part of the library, but are tried again like all else.
     also = [a.effect for a in state.active if a.effect.kind in kinds]
@@ -54,4 +58,4 @@ def tidied(
                 rough = score_without(model, lasting, state, known.intersection(before[k + 1 :]), progress)
         if [a.effect for a in state.active] == before:
             break
-    return state
+    return reshaped(model, state, lambda a: a.effect in known)
