@@ -48,8 +48,9 @@ from aridcal.search.stepwise import Found, confirmed, exchanged, search
 from aridcal.search.tied import Tied, tied
 from aridcal.showing import SILENT, Progress
 
-ROUNDS = 4
-"""Times that the model is linearised anew and searched, where that is cheap; two are usual, two more if sets are exchanged."""
+ROUNDS = 6
+"""Times that the model is linearised anew and searched, where that is cheap; two are usual, two more each time that sets are
+exchanged."""
 
 SEARCHED = 2000
 """Rows at the most that are searched: an effect that matters shows in these, and every trial costs as many as there are."""
@@ -319,9 +320,11 @@ def _searched(
     current = place.at
     small = is_small(place.linear, named)
     fitted = _shapes(replace(state, active=()))
+    stuck, found = False, Found(state, (), 0)
     for _ in range(ROUNDS if small else 1):
         before = state
-        found = search(place.linear, named, state, exchange=fresh, progress=progress)
+        if not stuck:
+            found = search(place.linear, named, state, exchange=fresh, progress=progress)
         if fresh and small and {a.effect for a in found.state.active} == {a.effect for a in before.active}:
             found = exchanged(place.linear, named, found, progress)
         state = with_scatter(place.linear, found.state, scatter) if has_scatter(found.state) else found.state
@@ -333,10 +336,13 @@ def _searched(
         progress(_fitting(state))
         trial = refit(start, state, current)
         if _exchanged(before, state) and worth(trial, state) < worth(current, before):
-            # What looks better on the linear model is not so on the exact one.
-            found = replace(found, state=before)
-            break
-        current = trial
+            # What looks better on the linear model is not so on the exact one: are whole other sets?
+            found, state = replace(found, state=before), before
+            if stuck or not fresh:
+                break
+            stuck = True
+            continue
+        current, stuck = trial, False
         fitted = _shapes(state)
         place = Place(current, linear_model(start, current, state.active, library, observed))
         state = solve_state(place.linear, state.active, state.solution.sigma, state.used)

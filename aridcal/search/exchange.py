@@ -35,7 +35,8 @@ FAMILIES = 4
 """Of which a set is made at the most: what bends, what yields, what turns unevenly, and one more."""
 
 SURE = 3.0
-"""[nat] by which another set must have more evidence: odds of 20 to 1, as for causes that are told apart."""
+"""[nat] by which another set must have more evidence: odds of 20 to 1, as for causes that are told apart. One of fewer curves
+needs no more than the same: of two that are as likely the one that says more holds where nothing was measured."""
 
 
 def regrown(model: LinearModel, library: Sequence[Effect], state: State, choices: Choices, progress: Progress) -> State:
@@ -54,15 +55,21 @@ def regrown(model: LinearModel, library: Sequence[Effect], state: State, choices
     def evidence(of: State) -> float:
         return evidence_of_set(model, of, choices, state.used)
 
-    best, value = state, evidence(state) + SURE
+    best, value, curves = state, evidence(state), _curves(state)
     begun = sorted(_further_away(model, library, state), key=evidence, reverse=True)
     begun = [*begun[:TRIED], _of_families(model, library, state, evidence)]
     for trial in progress.over(begun, "sets of effects"):
         trial = grown(model, library, trial, MOST_GROWN, False, choices, progress)[0]
         trial = tidied(model, library, trial, 1, choices, progress)
-        if (its := evidence(trial)) > value:
+        margin = 0.0 if _curves(trial) < curves else SURE
+        if (its := evidence(trial)) > value + (margin if best is state else 0.0):
             best, value = trial, its
     return best
+
+
+def _curves(state: State) -> int:
+    """How many effects of a set may bend as the rows have it."""
+    return sum(a.effect.smooth for a in state.active)
 
 
 def _further_away(model: LinearModel, library: Sequence[Effect], state: State) -> Iterator[State]:
