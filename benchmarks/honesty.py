@@ -450,8 +450,8 @@ def rivals(seed: int, cause: str, other: str, shuffled: bool) -> dict[str, float
     }
 
 
-STANDS, STOOD, AROUND = 30, 310, 0.01
-"""Places, rows in all, and by how much of a joint's range the rows of one place differ from its middle."""
+STANDS, STOOD = 30, 310
+"""Places, and rows in all."""
 
 BOW, TILT, YIELD, GEAR = 1.5e-3, 1.5e-3, 2e-3, 5e-4
 """Of a column [m], of its tilt [rad], of a joint under the largest load of these rows [rad], and of an order of a gear [rad]."""
@@ -463,13 +463,19 @@ FREE = 0.05
 """[m] and [rad] by which the oracle's constants may be off those of the geometric stage, as in the search."""
 
 
-def column(seed: int, stood: bool, gears: int) -> dict[str, float]:
-    """A column that bends under an arm whose joints yield and whose gears err, seen by cameras."""
+def column(seed: int, spread: float, gears: int) -> dict[str, float]:
+    """A column that bends under an arm whose joints yield and whose gears err, seen by cameras.
+
+    Args:
+        seed: Of the draw.
+        spread: By how much of a joint's range the rows of a place differ from its middle; infinite: rows stand in no places.
+        gears: Joints whose gears err; none: the column and the joints are rigid, too.
+    """
     rng = np.random.default_rng([seed, 26])
     robot, gravity = draw_robot("column", rng)
     q = draw_readings(robot, STOOD + QUERIES, rng)
-    if stood:
-        around_it = AROUND * np.ptp(q, axis=0) * rng.uniform(-1.0, 1.0, (STOOD, q.shape[1]))
+    if np.isfinite(spread):
+        around_it = spread * np.ptp(q, axis=0) * rng.uniform(-1.0, 1.0, (STOOD, q.shape[1]))
         q[:STOOD] = q[np.sort(np.arange(STOOD) % STANDS)] + around_it
     around = Surroundings(gravity)
     faults = _faults_of_column(robot, q, around, gears, rng) if gears else []
@@ -593,10 +599,11 @@ QUESTIONS: dict[str, Sequence[tuple[str, Callable[[int], dict[str, float]]]]] = 
         for shuffled in (False, True)
     ),
     "column": (
-        ("bent, in 30 places", lambda seed: column(seed, True, 4)),
-        ("bent, everywhere", lambda seed: column(seed, False, 4)),
-        ("gears of the wrist, too", lambda seed: column(seed, True, 6)),
-        ("rigid, in 30 places", lambda seed: column(seed, True, 0)),
+        ("bent, in 30 places, within 6 %", lambda seed: column(seed, 0.06, 4)),
+        ("bent, in 30 places, within 1 %", lambda seed: column(seed, 0.01, 4)),
+        ("bent, everywhere", lambda seed: column(seed, np.inf, 4)),
+        ("gears of the wrist, too, within 6 %", lambda seed: column(seed, 0.06, 6)),
+        ("rigid, in 30 places, within 1 %", lambda seed: column(seed, 0.01, 0)),
     ),
     "places": (
         ("alike at a place, clean arm", lambda seed: places(seed, True, False)),
