@@ -9,11 +9,13 @@ import honesty
 import numpy as np
 import pandas as pd
 import pytest
-from calibrated import machine
+from calibrated import NOISE, machine
+from robots import measured
 from scipy.spatial.transform import Rotation
 
 from aridcal.effects.basis import Basis
 from aridcal.effects.effect import Coefficient, Effect
+from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.query import load_query
 from aridcal.result.compensate import compensate
 from aridcal.result.predict import predict, read_query
@@ -21,6 +23,8 @@ from aridcal.result.saved_model import SavedModel, SolvedModel
 from aridcal.search.evidence import Score
 from aridcal.search.tied import weights
 from aridcal.trust.rivals import Rival
+from aridcal.upkeep.checking import check
+from aridcal.upkeep.repair import repaired
 
 STEP = Coefficient("elbow_joint", "axis", Basis("step", ("elbow_joint",), (0.2,)))
 SLOPE = Coefficient("shoulder_lift_joint", "axis", Basis("linear", ("shoulder_lift_joint",), (0.0,)))
@@ -119,6 +123,28 @@ def test_rivals_are_kept_with_the_model_and_older_files_have_none(tmp_path: Path
     pd.testing.assert_frame_equal(predicted(again, table), predicted(saved, table))
     file.write_text(machine(3, n=150).saved.dump())
     assert "rivals" not in file.read_text() and SavedModel.load(file).rivals == ()
+
+
+@pytest.mark.parametrize("which", [0, 1])
+def test_new_rows_of_a_cause_that_could_not_be_told_are_no_alarm_and_a_joint_that_jumped_is_one(which: int) -> None:
+    m, large = machine(3, n=150), 40.0
+    some = tuple(replace(r, change=tuple((c, large * value) for c, value in r.change)) for r in rivals())
+    named = replace(m.saved, rivals=())
+    doubted = replace(m.saved, rivals=some)
+    q, jumped = m.configurations(12), 2e-3 * np.eye(6)[3]
+    noise = NOISE * np.random.default_rng(2).standard_normal((2, 12, 3))
+
+    def rows(offset: np.ndarray | float) -> Dataset:
+        other = shifted(m.saved, some[which]).final
+        R, p = other.model.poses(other.theta, other.model.rows(q + offset))
+        R = Rotation.from_rotvec(noise[1]).as_matrix() @ R
+        return measured(other.model.robot, q, p + noise[0], R)
+
+    assert not check(named, rows(0.0)).good
+    assert check(doubted, rows(0.0)).good
+    found = check(doubted, rows(jumped))
+    assert [cause.where for cause in found.causes] == [named.final.model.robot.names[3]]
+    assert not repaired(doubted, found).saved.rivals
 
 
 def score(gain: float) -> Score:

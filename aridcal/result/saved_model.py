@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
@@ -180,6 +180,14 @@ class SavedModel:
         model, theta, _ = with_rivals(self.final.model, self.final.theta, self.rivals)
         extra = len(theta) - len(self.final.theta)
         return SolvedModel(model, theta, np.pad(self.final.covariance, (0, extra)))
+
+    @cached_property
+    def doubted(self) -> SolvedModel:
+        """The same, its covariance with what these causes differ by: new rows are set beside that."""
+        if not self.rivals:
+            return self.final
+        between = with_rivals(self.final.model, self.final.theta, self.rivals)[2]
+        return replace(self.expected, covariance=self.expected.covariance + between)
 
     @cached_property
     def assumed(self) -> dict[str, float]:

@@ -180,7 +180,8 @@ def check(saved: SavedModel, rows: Dataset, tolerance: float | None = None, fram
             cannot tell where something is that nobody knows.
     """
     noise = known_noise(saved, rows, other=frames is not None)
-    unknowns = wide_of(widened(saved.final), rows, frames)
+    rows = replace(rows, covariates=saved.completed(rows.covariates, len(rows)))
+    unknowns = wide_of(widened(saved.doubted), rows, frames)
     wide = unknowns.solved
     shared = wandering(saved.wanders, wide.model.robot, rows.readings, saved.ranges) if saved.wanders else None
     start = question = asked(wide, rows, noise, unknowns.unknown, shared)

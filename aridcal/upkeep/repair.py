@@ -152,7 +152,8 @@ def repaired(saved: SavedModel, checked: Checked) -> Repaired:
     std = np.sqrt(np.maximum(np.diag(covariance_of(checked.question, found)), 0.0))
     geometric = _with_new_frames(_geometric(saved.geometric, checked, found.theta, std, moved), checked.unknowns, final)
     residual = checked.question.problem.residual(found.theta)
-    return Repaired(replace(saved, geometric=geometric, final=final), changes(checked), residual)
+    # What is repaired is the mean over the causes that could not be told apart: its covariance holds what they differ by.
+    return Repaired(replace(saved, geometric=geometric, final=final, rivals=()), changes(checked), residual)
 
 
 SURE = 0.8
