@@ -8,8 +8,9 @@ import robots
 from scipy.optimize import least_squares
 
 from aridcal.effects.effect import Coefficient
+from aridcal.fit import identifiable as identifiable_module
 from aridcal.fit.constants import constants
-from aridcal.fit.identifiable import Subset, apart, identifiable
+from aridcal.fit.identifiable import CARRIES, TOLERANCE, WORST, Subset, apart, identifiable
 from aridcal.fit.problem import problem
 from aridcal.fit.residual import triangle
 from aridcal.model.model import Model
@@ -203,3 +204,29 @@ def test_what_is_no_sum_of_the_first_columns_is_found_and_only_that() -> None:
     # What is none beside the first columns is none beside more of them.
     kept = identifiable(R, range(R.shape[1])).kept
     assert set(kept) == {0, 1, 2, 3, 4, 5, 9, 10}
+
+
+@pytest.mark.parametrize("many", [2, 100])
+def test_weak_combinations_are_those_of_singular_values(many: int, monkeypatch: pytest.MonkeyPatch):
+    """Twenty columns of which some combinations move almost nothing: taken out one by one, all else tried again, with SVDs."""
+    monkeypatch.setattr(identifiable_module, "MANY", many)
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        J = 1e4 * rng.standard_normal((60, 20))
+        for k in (7, 11, 15, 19):  # each a sum of others but for less than can be measured, two of them in a chain
+            J[:, k] = J[:, rng.choice(k, 3, replace=False)].sum(axis=1) + 8.0 * rng.standard_normal(60)
+        R = np.linalg.qr(J, mode="r")
+        order = rng.permutation(20).tolist()
+        length = np.linalg.norm(R, axis=0)
+        kept = identifiable_module._extended(R, length, [], order, TOLERANCE)
+        weak: list[int] = []
+        while True:
+            _, singular, Vt = np.linalg.svd(R[:, kept])
+            if singular[-1] * WORST >= 1.0:
+                break
+            part = np.abs(Vt[-1])
+            weak.append(kept.pop(int(np.flatnonzero(part > CARRIES * part.max())[-1])))
+            rest = [k for k in order if k not in weak]
+            kept = identifiable_module._extended(R, length, kept, rest, TOLERANCE)
+        assert weak
+        assert identifiable(R, order).kept == tuple(k for k in order if k in kept)

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import eigh
-from scipy.linalg.lapack import dtrtri
+from scipy.linalg import solve_triangular
+from scipy.sparse.linalg import LinearOperator, eigsh
 
 TOLERANCE = 1e-7
 """Share of a column's length that is left off the others when it is called their sum: redundant columns of real robots keep
@@ -22,6 +22,9 @@ SHARE = 0.02
 CARRIES = 0.3
 """Share of the largest part in a weak combination that makes a column one of those that may go: the last of them goes, so
 that the order of preference holds."""
+
+MANY = 100
+"""Columns from which the weakest combination is looked for without all others."""
 
 WORST = 0.02
 """[m] and [rad]: a direction that the noise moves further than 20 mm or 20 mrad is redundant."""
@@ -109,28 +112,48 @@ def _extended(R: np.ndarray, length: np.ndarray, kept: list[int], candidates: Se
 
 
 def _without_weak(R: np.ndarray, length: np.ndarray, kept: list[int], order: Sequence[int]) -> list[int]:
-    """Kept columns without those of combinations that move almost nothing, though each column by itself does."""
-    weak: list[int] = []
-    while kept:
-        moved, direction = _weakest(R[:, kept])
+    r"""Kept columns without those of combinations that move almost nothing, though each column by itself does.
+
+    What is kept is held as a triangle, :math:`Q^T R` of all columns, the kept ones first, which reflections keep up to date as a
+    column goes and others take its place.
+    """
+    columns = [*kept, *(k for k in order if k not in kept)]
+    count = len(kept)
+    T = np.linalg.qr(R[:, kept], mode="complete")[0].T @ R[:, columns]
+    while count:
+        moved, direction = _weakest(T[:count, :count])
         if _measured(moved):
             break
         part = np.abs(direction)
-        carrying = np.flatnonzero(part > CARRIES * part.max())
-        weak.append(kept.pop(int(carrying[-1])))
-        kept = _extended(R, length, kept, [k for k in order if k not in weak], TOLERANCE)
-    return kept
+        gone = int(np.flatnonzero(part > CARRIES * part.max())[-1])
+        T, count = np.delete(T, gone, axis=1), count - 1
+        del columns[gone]
+        rows = slice(gone, count + 1)
+        T[rows, gone:] = np.linalg.qr(T[rows, gone:count], mode="complete")[0].T @ T[rows, gone:]
+        for k in range(count, len(columns)):
+            left = float(np.linalg.norm(T[count:, k]))
+            if left > TOLERANCE * length[columns[k]] and _measured(left):
+                columns.insert(count, columns.pop(k))
+                T[:, count : k + 1] = np.roll(T[:, count : k + 1], 1, axis=1)
+                T[count:, count:] = np.linalg.qr(T[count:, count : count + 1], mode="complete")[0].T @ T[count:, count:]
+                count += 1
+    return columns[:count]
 
 
-def _weakest(A: np.ndarray) -> tuple[float, np.ndarray]:
-    r"""Smallest singular value of independent columns (n, k), and its direction, shape (k,).
+def _weakest(T: np.ndarray) -> tuple[float, np.ndarray]:
+    r"""Smallest singular value of a triangle (k, k) that is not singular, and its direction, shape (k,).
 
-    Of :math:`A = Q R` it is the largest of :math:`R^{-1}`, which is well told where the smallest of :math:`A^T A` is lost to
-    rounding, and takes a fifth of the time of all singular values.
+    Of many columns it is the largest eigenvalue of :math:`(T^T T)^{-1}`, by Lanczos's method, in a tenth of the time of them all.
     """
-    inverted, _ = dtrtri(np.linalg.qr(A, mode="r"))
-    last = A.shape[1] - 1
-    value, vector = eigh(inverted @ inverted.T, subset_by_index=(last, last))
+    k = len(T)
+    if k < MANY:
+        _, singular, Vt = np.linalg.svd(T)
+        return float(singular[-1]), Vt[-1]
+
+    def solved(x: np.ndarray) -> np.ndarray:
+        return np.asarray(solve_triangular(T, solve_triangular(T, x, trans=1, check_finite=False), check_finite=False))
+
+    value, vector = eigsh(LinearOperator((k, k), matvec=solved, dtype=float), k=1, v0=np.ones(k))
     return float(value[0] ** -0.5), vector[:, 0]
 
 
