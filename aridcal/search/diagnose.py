@@ -325,7 +325,8 @@ def _searched(
         before = state
         if not stuck:
             found = search(place.linear, named, state, exchange=fresh, progress=progress)
-        if fresh and small and {a.effect for a in found.state.active} == {a.effect for a in before.active}:
+        whole = fresh and small and {a.effect for a in found.state.active} == {a.effect for a in before.active}
+        if whole:
             found = exchanged(place.linear, named, found, progress)
         state = with_scatter(place.linear, found.state, scatter) if has_scatter(found.state) else found.state
         found = replace(found, state=state)
@@ -338,7 +339,7 @@ def _searched(
         if _exchanged(before, state) and worth(trial, state) < worth(current, before):
             # What looks better on the linear model is not so on the exact one: are whole other sets?
             found, state = replace(found, state=before), before
-            if stuck or not fresh:
+            if whole or not fresh:
                 break
             stuck = True
             continue
