@@ -48,7 +48,7 @@ from aridcal.result.pipeline import identify
 from aridcal.result.saved_model import SavedModel
 from aridcal.result.saving import calibration
 from aridcal.robot.chain import Robot
-from aridcal.showing import Progress, working
+from aridcal.showing import Progress, one_thread, working
 from aridcal.study import StudyRun, repeated, study_run
 
 __all__ = [
@@ -192,7 +192,7 @@ def calibrate(campaign: str | Path | Campaign, seed: int = 0) -> Calibration:
         AridcalError: whatever in the input needs mending.
     """
     job = campaign if isinstance(campaign, Campaign) else Path(campaign)
-    with working() as progress:
+    with working() as progress, one_thread():
         outcome = identify(job, seed, progress=progress, judge=refuse_misread)
     return Calibration(calibration(outcome), outcome)
 

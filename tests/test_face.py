@@ -20,8 +20,10 @@ import pandas as pd
 import pytest
 import robots
 from scipy.spatial.transform import Rotation
+from threadpoolctl import threadpool_info, threadpool_limits
 
 import aridcal
+from aridcal import api
 from aridcal.inputs.campaign import load_campaign
 from aridcal.inputs.yaml_file import parse_settings
 from aridcal.plant.here import here
@@ -440,3 +442,23 @@ def test_the_reference_names_what_there_is() -> None:
         there = vars(importlib.import_module(module))
         for member in filter(None, members.split(", ")):
             assert getattr(there[member], "__module__", module) == module, f"{module}.{member}"
+
+
+def test_calibrating_from_python_uses_one_thread_of_linear_algebra_and_gives_the_others_back(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def threads() -> set[int]:
+        return {library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"}
+
+    seen: list[set[int]] = []
+
+    def stopped(*_: object, **__: object) -> None:
+        seen.append(threads())
+        raise aridcal.AridcalError("enough")
+
+    monkeypatch.setattr(api, "identify", stopped)
+    with threadpool_limits(2, user_api="blas"):
+        with pytest.raises(aridcal.AridcalError, match="enough"):
+            aridcal.calibrate("campaign.yaml")
+        assert threads() == {2}
+    assert seen == [{1}]
