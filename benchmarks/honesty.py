@@ -506,6 +506,7 @@ def column(seed: int, spread: float, gears: int) -> dict[str, float]:
         "over the oracle's": ratio,
         "z": float(np.sqrt(np.mean(z**2))),
         "told over the oracle's": error["told"] / error["oracle"],
+        "told, at most 1.15": float(error["told"] <= 1.15 * error["oracle"]),
         "at most 1.15": float(ratio <= 1.15),
         "effects": float(len(cal.result["effects"])),
         "structure said": float(cal.result["verdict"] == "structure_remains"),

@@ -283,6 +283,7 @@ def test_a_narrow_and_bent_way_to_the_minimum_is_walked_in_cut_steps(monkeypatch
         return np.append((off / 1e-4).ravel(), theta[0] / belief)
 
     other = least_squares(whitened, start, xtol=1e-15, ftol=1e-15, gtol=1e-15, x_scale=[1e-2, 3e-3])
+    # A fit ends where a step would gain no more than a small part of one sigma, squared here: 0.13^2.
     assert np.sum(whitened(cut.theta) ** 2) == pytest.approx(2 * other.cost, abs=0.02)
     assert 2 * cut.steps < damped.steps
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from math import comb, factorial, log
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from aridcal.search.evidence import NOTHING, Solution
 from aridcal.search.linear_model import Active
 from aridcal.search.sets import PLAIN_PRICE, Choices, evidence_of_set
 from aridcal.search.state import State, solve_state
+from aridcal.showing import SILENT
 
 JOINTS = tuple(f"joint_{k}" for k in range(1, 7))
 
@@ -107,6 +109,28 @@ def test_the_evidence_of_a_set_is_the_density_of_its_rows():
             covariance += np.outer(x, x) * (state.solution.beta[K + k] ** 2 + state.solution.inverse[K + k, K + k])
         density.append(multivariate_normal(cov=covariance).logpdf(model.r.ravel()))
     np.testing.assert_allclose(np.diff(evidence), np.diff(density), rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("curves", "more", "taken"), [(0, 0.1, True), (0, -0.1, False), (3, 2.9, False), (3, 3.1, True), (4, 2.9, False)]
+)
+def test_another_set_takes_the_place_with_odds_of_20_to_1_or_with_fewer_curves_and_as_much_evidence(
+    curves: int, more: float, taken: bool, monkeypatch: pytest.MonkeyPatch
+):
+    """Sets of three curves and five others, and one that is grown from whole families: which of them stays?"""
+
+    def a_set(count: int) -> SimpleNamespace:
+        effects = [SimpleNamespace(smooth=k < count) for k in range(8)]
+        return SimpleNamespace(active=[SimpleNamespace(effect=e, stated=False) for e in effects], used=None)
+
+    mine, other = a_set(3), a_set(curves)
+    monkeypatch.setattr(exchange, "_further_away", lambda *_: iter(()))
+    monkeypatch.setattr(exchange, "_of_families", lambda *_: other)
+    monkeypatch.setattr(exchange, "grown", lambda model, library, state, *_: (state, ()))
+    monkeypatch.setattr(exchange, "tidied", lambda model, library, state, *_: state)
+    monkeypatch.setattr(exchange, "evidence_of_set", lambda model, state, *_: more if state is other else 0.0)
+    found = exchange.regrown(None, [], mine, None, SILENT)  # type: ignore[arg-type]
+    assert found is (other if taken else mine)
 
 
 def test_an_arm_whose_gears_all_err_is_told_as_that(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

@@ -55,14 +55,15 @@ def regrown(model: LinearModel, library: Sequence[Effect], state: State, choices
     def evidence(of: State) -> float:
         return evidence_of_set(model, of, choices, state.used)
 
-    best, value, curves = state, evidence(state), _curves(state)
+    own, curves = evidence(state), _curves(state)
+    best, value = state, own
     begun = sorted(_further_away(model, library, state), key=evidence, reverse=True)
     begun = [*begun[:TRIED], _of_families(model, library, state, evidence)]
     for trial in progress.over(begun, "sets of effects"):
         trial = grown(model, library, trial, MOST_GROWN, False, choices, progress)[0]
         trial = tidied(model, library, trial, 1, choices, progress)
-        margin = 0.0 if _curves(trial) < curves else SURE
-        if (its := evidence(trial)) > value + (margin if best is state else 0.0):
+        least = own if _curves(trial) < curves else own + SURE
+        if (its := evidence(trial)) > max(value, least):
             best, value = trial, its
     return best
 

@@ -19,7 +19,7 @@ SAME = 0.1
 """Share of its size by which the shape of a curve may still change: rows tell the size of a curve no better."""
 
 
-def reshaped(model: LinearModel, state: State, some: Callable[[Active], bool] = lambda _: True) -> State:
+def reshaped(model: LinearModel, state: State, some: Callable[[Active], bool]) -> State:
     """The model with the shapes of its curves found anew, one after the other, until they stay.
 
     A curve that is shaped before others are in the model bends after what they do, and would stay as rough.

@@ -37,7 +37,7 @@ def with_declared(
 ) -> tuple[State, list[Barred]]:
     """The model with the declared effects, which need no evidence; a step for which no row was said is sought.
 
-    Those of which the rows tell nothing beside the constants, and the effects declared before, are left out and named, and so are
+    Those of which the rows tell nothing beside the constants, and the effects taken before, are left out and named, and so are
     those of their motions of which the rows tell nothing beside the others (:func:`_told`); so are constants by region with which
     rows held back are predicted no better. Fields without a cause wait for :func:`with_fields`.
     """
