@@ -13,6 +13,7 @@ from calibrated import NOISE, machine
 from robots import measured
 from scipy.spatial.transform import Rotation
 
+from aridcal.ageing.comparison import compare
 from aridcal.effects.basis import Basis
 from aridcal.effects.effect import Coefficient, Effect
 from aridcal.inputs.dataset import Dataset
@@ -25,6 +26,7 @@ from aridcal.search.tied import weights
 from aridcal.trust.rivals import Rival
 from aridcal.upkeep.checking import check
 from aridcal.upkeep.repair import repaired
+from aridcal.upkeep.suspects import widened
 
 STEP = Coefficient("elbow_joint", "axis", Basis("step", ("elbow_joint",), (0.2,)))
 SLOPE = Coefficient("shoulder_lift_joint", "axis", Basis("linear", ("shoulder_lift_joint",), (0.0,)))
@@ -145,6 +147,26 @@ def test_new_rows_of_a_cause_that_could_not_be_told_are_no_alarm_and_a_joint_tha
     found = check(doubted, rows(jumped))
     assert [cause.where for cause in found.causes] == [named.final.model.robot.names[3]]
     assert not repaired(doubted, found).saved.rivals
+
+
+@pytest.mark.parametrize("which", [0, 1])
+def test_the_cause_that_was_not_named_is_no_change_between_two_calibrations_and_a_zero_that_changed_is(
+    which: int,
+) -> None:
+    saved, large = machine(3, n=150).saved, 40.0
+    some = tuple(replace(r, change=tuple((c, large * value) for c, value in r.change)) for r in rivals())
+    other = shifted(saved, some[which])
+    fitted = np.pad(saved.final.covariance, (0, len(other.final.theta) - len(saved.final.theta)))
+    other = replace(other, final=replace(other.final, covariance=fitted))
+    free = widened(other.final)
+    zero = free.model.names.index("elbow_joint.axis")
+    worn = replace(other, final=replace(free, theta=free.theta + 3e-3 * np.eye(len(free.theta))[zero]))
+    assert compare(saved, other).changed
+    for pair in ((replace(saved, rivals=some), other), (other, replace(saved, rivals=some))):
+        assert not compare(*pair).changed
+    found = compare(replace(saved, rivals=some), worn)
+    assert [cause.names for cause in found.causes.found] == [("elbow_joint.axis",)]
+    assert found.causes.found[0].value[0] == pytest.approx(3e-3, rel=0.05)
 
 
 def score(gain: float) -> Score:

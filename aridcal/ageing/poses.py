@@ -1,7 +1,8 @@
 r"""Where two calibrations of one robot are compared: configurations that both saw, and the poses that both predict there.
 
-Each has base and target where the other has them: a tracker that was set up anew is no difference of arms. What is left of these
-motions is taken off by small steps, and the columns that do so are handed on:
+A calibration whose rows could not tell two causes apart predicts by the mean over both, and does not know what they differ by.
+Each has base and target where the other has them: a tracker that was set up anew is no difference of arms. What is left of
+these motions is taken off by small steps, and the columns that do so are handed on:
 
 .. math:: T_B' = e^{\xi_b} \, T_B \, e^{\xi_t}, \qquad \xi_b, \xi_t = \arg\min \sum_q |T_B'(q) - T_A(q)|^2
 """
@@ -74,7 +75,7 @@ def seen_by_both(a: SavedModel, b: SavedModel, moved: Mapping[str, float]) -> Bo
     turns = a.kind == "pose" and b.kind == "pose"
     notices: list[str] = []
     readings, covariates = _drawn(a, b, notices)
-    first, second, frames = _in_one_place(_moved(widened(a.final), moved), widened(b.final))
+    first, second, frames = _in_one_place(_moved(widened(a.doubted), moved), widened(b.doubted))
     R, p, J_a = _looked_at(first, readings, covariates, a)
     R_b, p_b, J_b = _looked_at(second, readings, covariates, b)
     bodies = _bodies(R, p, frozenset(frames), turns)
@@ -101,14 +102,15 @@ def _check_same_arm(a: SavedModel, b: SavedModel) -> None:
 
 
 def _drawn(a: SavedModel, b: SavedModel, notices: list[str]) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """Configurations where both saw the robot, shape (M, columns), and what effects depend on besides."""
+    """Configurations where both saw the robot, shape (M, columns), and what effects and their rivals depend on besides."""
     robot = a.final.model.robot
-    needed = sorted({*a.final.model.needs, *b.final.model.needs} - set(OVER_TIME))
+    needed = sorted({*a.expected.model.needs, *b.expected.model.needs} - set(OVER_TIME))
     columns = [*robot.readings, *needed]
+    seen = [saved.recorded | saved.ranges for saved in (a, b)]
     unit = qmc.Sobol(len(columns), seed=0).random(CONFIGURATIONS)
     drawn = {}
     for share, name in zip(unit.T, columns, strict=True):
-        ends = [saved.ranges[name] for saved in (a, b) if name in saved.ranges]
+        ends = [ranges[name] for ranges in seen if name in ranges]
         low, high = (max(e[0] for e in ends), min(e[1] for e in ends)) if ends else (0.0, 0.0)
         if low > high and name in robot.readings:
             raise AridcalError(
@@ -153,7 +155,8 @@ def _looked_at(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Poses and Jacobian of one calibration, as it stood at its last row."""
     model = solved.model
-    last = {name: np.full(len(readings), saved.ranges.get(name, (0.0, 0.0))[1]) for name in OVER_TIME}
+    seen = saved.recorded | saved.ranges
+    last = {name: np.full(len(readings), seen.get(name, (0.0, 0.0))[1]) for name in OVER_TIME}
     labels = [label for label, _ in (*model.world_base, *model.tip_target) if label is not None]
     station = np.full(len(readings), labels[0]) if labels else None
     rows = model.rows(readings, dict(covariates) | last, station)
