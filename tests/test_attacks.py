@@ -267,8 +267,10 @@ def test_constants_of_the_plain_arm_move_the_target_as_those_of_the_model() -> N
 
 @pytest.mark.parametrize("seed", [11_120_026, 11_120_034, 11_090_005])
 def test_where_hardly_any_noise_is_the_instrument_s_own_rows_are_no_less_certain_than_they_are(seed: int) -> None:
-    """Noise that grows with the range alone, declared, and readings of all joints that scatter: rows once counted as 1,000 times
-    as uncertain, constants were then left out, and false effects stood in for them at 23 times the oracle's error."""
+    """Noise that grows with the range alone, declared; and readings of all joints that scatter.
+
+    Rows once counted as 1,000 times as uncertain: false effects stood in for constants, at 23 times the oracle's error.
+    """
     score = judge(draw_case(seed))
     assert score.whole
     assert not score.false
