@@ -265,9 +265,9 @@ def test_constants_of_the_plain_arm_move_the_target_as_those_of_the_model() -> N
     assert np.abs(theirs - U @ (U.T @ theirs)).max() < 1e-6 * np.abs(theirs).max()
 
 
-@pytest.mark.parametrize("seed", [11_120_026, 11_120_034, 11_090_005])
+@pytest.mark.parametrize("seed", [11_120_024, 11_120_026, 11_120_034])
 def test_where_hardly_any_noise_is_the_instrument_s_own_rows_are_no_less_certain_than_they_are(seed: int) -> None:
-    """Noise that grows with the range alone, declared; and readings of all joints that scatter.
+    """Noise that grows with the range alone, of a declared size.
 
     Rows once counted as 1,000 times as uncertain: false effects stood in for constants, at 23 times the oracle's error.
     """

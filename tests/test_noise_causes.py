@@ -414,16 +414,11 @@ def test_rows_are_weighed_with_a_noise_on_a_lever_as_sampling_says() -> None:
     assert found.relative is not None and only.shape is not None and only.shape.vector is not None
     rotation = on_a_lever(1, np.zeros(3), "pose").rotation
     assert rotation is not None
-    rng, own = np.random.default_rng(0), np.repeat([c.value for c in found.channels], 3)
-    # What factors count against is only a matter of scale, one a channel: the total is the same whatever it is.
-    squares = np.mean(found.relative**2, axis=0)
-    turning = found.total[1] / np.sqrt(squares[3:, 3:].sum() / 3)
-    moving = np.sqrt((found.total[0] ** 2 - squares[:3, 3:].sum() / 3 * turning**2) / (squares[:3, :3].sum() / 3))
-    sigma = np.repeat([moving, turning], 3)
+    rng, sigma = np.random.default_rng(0), np.repeat([c.value for c in found.channels], 3)
     turn = only.value * rng.standard_normal((40_000, 3))
     for k in (0, 100):
         drawn = np.hstack([np.cross(turn, rotation[k] @ only.shape.vector), turn])
         L = found.relative[k] * sigma
-        made, size = L @ L.T - np.diag(own**2), drawn.std(axis=0)
+        made, size = L @ L.T - np.diag(sigma**2), drawn.std(axis=0)
         # Of 40,000 draws a correlation is known to 0.005; attitudes are read 0.5 mrad off.
         np.testing.assert_allclose(made / np.outer(size, size), np.cov(drawn.T) / np.outer(size, size), atol=0.03)

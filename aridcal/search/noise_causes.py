@@ -50,10 +50,6 @@ MATTERS = 0.05
 """Share of a channel's variance, at the row where it is largest, from which causes beyond the channels change the weights:
 less changes them by less than people know their instrument."""
 
-OWN = 0.1
-"""Share of the rows' noise below which a channel's own says nothing of how large that is: with no instrument's noise beside
-what grows with the range, it would be zero, and rows a thousand times as uncertain as they are."""
-
 FEWEST = 40
 """Rows at the least that causes are asked of: with fewer, variances are known to no better than 20 %."""
 
@@ -573,22 +569,7 @@ def _weights(
     own = np.broadcast_to(spread(sigma**2, rows.channels), diagonal.shape)
     if float(1.0 - (own[measured] / diagonal[measured]).min()) < MATTERS:
         return None
-    typical = rows.declared(_usual(sigma, V, rows))
+    typical = rows.declared(sigma)  # a declared noise stays that of all fits, whatever the channel's own part is
     V += np.where(measured, 0.0, spread(typical**2, rows.channels))[:, :, None] * np.eye(V.shape[1])  # stays as it is
     inner = factors(V, typical, rows.channels)
     return inner if rows.relative is None else stretched(rows.relative, inner)
-
-
-def _usual(sigma: np.ndarray, V: np.ndarray, rows: Dataset) -> np.ndarray:
-    """What rows' noise counts against, shape (C,): the channel's own, or where hardly any of it is that, the RMS of all causes.
-
-    Args:
-        sigma: Of the channels themselves, shape (C,).
-        V: Scaled covariances of the rows, shape (N, m, m).
-        rows: N of them.
-    """
-    diagonal, measured = np.diagonal(V, axis1=1, axis2=2), there(rows)
-    parts = columns(rows.channels)
-    mean = [diagonal[:, part][measured[:, part]].mean() if measured[:, part].any() else 0.0 for part in parts]
-    rms = np.sqrt(mean)
-    return np.where(sigma < OWN * rms, rms, np.maximum(sigma, FLOOR))
