@@ -106,11 +106,10 @@ def _drawn(a: SavedModel, b: SavedModel, notices: list[str]) -> tuple[np.ndarray
     robot = a.final.model.robot
     needed = sorted({*a.expected.model.needs, *b.expected.model.needs} - set(OVER_TIME))
     columns = [*robot.readings, *needed]
-    seen = [saved.recorded | saved.ranges for saved in (a, b)]
     unit = qmc.Sobol(len(columns), seed=0).random(CONFIGURATIONS)
     drawn = {}
     for share, name in zip(unit.T, columns, strict=True):
-        ends = [ranges[name] for ranges in seen if name in ranges]
+        ends = [saved.seen[name] for saved in (a, b) if name in saved.seen]
         low, high = (max(e[0] for e in ends), min(e[1] for e in ends)) if ends else (0.0, 0.0)
         if low > high and name in robot.readings:
             raise AridcalError(
@@ -155,8 +154,7 @@ def _looked_at(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Poses and Jacobian of one calibration, as it stood at its last row."""
     model = solved.model
-    seen = saved.recorded | saved.ranges
-    last = {name: np.full(len(readings), seen.get(name, (0.0, 0.0))[1]) for name in OVER_TIME}
+    last = {name: np.full(len(readings), saved.seen.get(name, (0.0, 0.0))[1]) for name in OVER_TIME}
     labels = [label for label, _ in (*model.world_base, *model.tip_target) if label is not None]
     station = np.full(len(readings), labels[0]) if labels else None
     rows = model.rows(readings, dict(covariates) | last, station)

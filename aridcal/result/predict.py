@@ -120,7 +120,7 @@ def _query(saved: SavedModel, table: AnyTable | Table, poses: bool) -> Query:
 
 def _as_nights_count(saved: SavedModel, query: Query) -> Query:
     """A query whose times of day count on from midnight as those of the calibration do, where its rows passed it."""
-    seen = saved.recorded | saved.ranges
+    seen = saved.seen
     if CLOCK not in query.covariates or CLOCK not in seen:
         return query
     return replace(query, covariates=query.covariates | {CLOCK: of_the_day(query.covariates[CLOCK], *seen[CLOCK])})
@@ -339,7 +339,7 @@ def between_rivals(saved: SavedModel, query: QueryRows, tool: np.ndarray | None 
     known = query.usable & np.isfinite(query.readings).all(axis=1)
     covariates = {name: values[known] for name, values in query.covariates.items()}
     station = None if query.station is None else query.station[known]
-    final, seen = saved.final, saved.recorded | saved.ranges
+    final, seen = saved.final, saved.seen
     found = np.full((len(known), 6, 6), np.nan)
     found[known] = between(
         final.model, final.theta, saved.rivals, query.readings[known], covariates, station, seen, tool
@@ -354,7 +354,7 @@ def growth(saved: SavedModel, query: QueryRows) -> np.ndarray:
     """
     if not query.covariates:
         return np.zeros(len(query.line))
-    return EXPANSION * saved.span / np.sqrt(3.0) * beyond_heat(query.covariates, saved.recorded | saved.ranges)
+    return EXPANSION * saved.span / np.sqrt(3.0) * beyond_heat(query.covariates, saved.seen)
 
 
 def extrapolates(saved: SavedModel, query: QueryRows, std: np.ndarray) -> np.ndarray:

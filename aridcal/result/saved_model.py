@@ -189,12 +189,16 @@ class SavedModel:
         between = with_rivals(self.final.model, self.final.theta, self.rivals)[2]
         return replace(self.expected, covariance=self.expected.covariance + between)
 
+    @property
+    def seen(self) -> dict[str, tuple[float, float]]:
+        """Lowest and highest value seen of every column, whether the model as named depends on it or not."""
+        return self.recorded | self.ranges
+
     @cached_property
     def assumed(self) -> dict[str, float]:
         """The middle of what was seen of columns that only rivals depend on: taken where rows do not say."""
-        seen = self.recorded | self.ranges
         names = set(self.expected.model.needs) - set(self.final.model.needs)
-        return {name: float(np.mean(seen.get(name, (0.0, 0.0)))) for name in sorted(names)}
+        return {name: float(np.mean(self.seen.get(name, (0.0, 0.0)))) for name in sorted(names)}
 
     def completed(self, covariates: Mapping[str, np.ndarray], rows: int) -> dict[str, np.ndarray]:
         """Covariates of rows, shape (rows,) each, with what is :attr:`assumed` where they do not say."""

@@ -222,7 +222,7 @@ def check(saved: SavedModel, rows: Dataset, tolerance: float | None = None, fram
 def _heat(saved: SavedModel, rows: Dataset) -> Heat | None:
     """The column of temperatures that is farthest from what the calibration saw, if one is farther than that varied."""
     found = []
-    for name, (low, high) in (saved.recorded | saved.ranges).items():
+    for name, (low, high) in saved.seen.items():
         values = rows.covariates.get(name, np.zeros(0))
         beyond = float(np.nanmax(beyond_heat({name: values}, {name: (low, high)}), initial=0.0))
         if beyond > ASIDE * (high - low):
