@@ -111,4 +111,4 @@ def is_arid(robot: Robot) -> bool:
     if tuple(joint.kind for joint in robot.joints) != KINDS:
         return False
     along_z = all(np.allclose(joint.axis, [0, 0, 1]) for joint in robot.joints)
-    return along_z and all(np.allclose(joint.placement.rotation, np.eye(3)) for joint in robot.joints)
+    return along_z and not robot.climbs and all(np.allclose(step.rotation, np.eye(3)) for step in robot.onward[:-1])

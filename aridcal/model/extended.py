@@ -5,6 +5,8 @@ nominal placement of a joint, M its motion, C and D the corrections in axes of f
 
     T_parent_joint = P C(constants) C(effects) M(q) D(link)      revolute: the bearing moves, and does not turn along
     T_parent_joint = P C(constants) M(q) C(effects) D(link)      prismatic: the carriage moves, where it is now
+
+Where the path climbs it goes by the inverse, factor by factor from the last: the same corrections, the other way.
 """
 
 from __future__ import annotations
@@ -113,9 +115,8 @@ def chain_steps(robot: Robot, links: Sequence[Link], needed: Sequence[Slot]) -> 
     """
     corrected = {slot.where for slot in needed if slot.group == "link"}
     link_after = {link.joint: link for link in links if link.joint in corrected}
-    ends = [joint.placement for joint in robot.joints[1:]] + [robot.tip_before * robot.tip_origin]
     steps: list[Step] = []
-    placement = robot.joints[0].placement
+    placement = robot.onward[0]
     groups: dict[tuple[str, Group], list[Slot]] = {}
     for slot in needed:
         groups.setdefault((slot.where, slot.group), []).append(slot)
@@ -131,12 +132,21 @@ def chain_steps(robot: Robot, links: Sequence[Link], needed: Sequence[Slot]) -> 
         steps.append(Step(placement, origin=name))
         placement = pin.SE3.Identity()
 
-    for joint, after in zip(robot.joints, ends, strict=True):
-        put(_sorted(groups.get((joint.name, "constant"), ()), joint))
-        end_of_origin(joint.name)
+    for joint, after in zip(robot.joints, robot.onward[1:], strict=True):
+        constants = _sorted(groups.get((joint.name, "constant"), ()), joint)
         effects = _sorted(groups.get((joint.name, "effect"), ()), joint)
         own = [(own_slot(joint.name), motion("axis", joint))]
-        put(own + effects if joint.kind == "prismatic" else effects + own)
+        moves = own + effects if joint.kind == "prismatic" else effects + own
+        if joint.climbs:
+            put(_backwards(moves))
+            put(_backwards(constants))
+            placement = placement * joint.origin.inverse()
+            end_of_origin(joint.name)
+            placement = joint.origin * after
+            continue
+        put(constants)
+        end_of_origin(joint.name)
+        put(moves)
         if joint.name in link_after:
             parts, after = segments(link_after[joint.name])
             for component, before in parts:
@@ -147,6 +157,11 @@ def chain_steps(robot: Robot, links: Sequence[Link], needed: Sequence[Slot]) -> 
     put(_sorted(groups.get((robot.tip_joint or "", "constant"), ()), None))
     end_of_origin(robot.tip_joint or "")
     return steps
+
+
+def _backwards(found: Sequence[tuple[Slot, Motion]]) -> list[tuple[Slot, Motion]]:
+    """The inverse of some motions one after the other: each the other way, the last one first."""
+    return [(slot, (-vector, turns)) for slot, (vector, turns) in reversed(found)]
 
 
 def _sorted(group: Sequence[Slot], joint: Joint | None) -> list[tuple[Slot, Motion]]:
@@ -308,7 +323,12 @@ class ExtendedModel:
         return model, pending * end
 
     def _carried(self) -> dict[Slot, pin.Inertia]:
-        """The body that hangs on each joint: a carriage's own effects carry its body, too."""
+        """The body that hangs on each joint: a carriage's own effects carry its body, too. None of a path that climbs.
+
+        There a body would hang on the joint before its own.
+        """
+        if self.robot.climbs:
+            return {}
         bodies, carrier, own = carried_bodies(self.robot), {}, ""
         for step in self.chain:
             if step.slot is None:

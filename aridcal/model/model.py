@@ -236,14 +236,17 @@ class Model:
         if self.at_things.any():
             return self._arm.origins(theta[~self.at_things])
         value = self._constant_values(theta)
-        before = {j.name: j.before for j in self.robot.joints} | {str(self.robot.tip_joint): self.robot.tip_before}
+        robot = self.robot
+        before = {j.name: j.before for j in robot.joints} | {str(robot.tip_joint): robot.tip_before}
+        climbs = {j.name for j in robot.joints if j.climbs}
         found: dict[str, pin.SE3] = {}
         here = pin.SE3.Identity()  # from the last origin's end
         for step in self._extended.chain:
             here = here * step.placement
             if step.slot is None:
                 if step.origin in before:
-                    found[step.origin] = before[step.origin].inverse() * here
+                    own = before[step.origin].inverse() * here
+                    found[step.origin] = own.inverse() if step.origin in climbs else own
                 here = pin.SE3.Identity()
             elif step.slot in value and step.motion is not None:
                 here = here * transform(step.motion, value[step.slot])

@@ -287,16 +287,14 @@ class _Loads:
     def __init__(self, robot: Robot, around: Surroundings, wanted: list[tuple[int, str]]) -> None:
         self._tree = tree = robot.tree.copy()
         self._data = tree.createData()
-        base = tree.getFrameId(robot.base, pin.FrameType.BODY)
         self._q = pin.neutral(tree)
         pin.framesForwardKinematics(tree, self._data, self._q)
-        root_base = self._data.oMf[base].rotation
+        root_base = np.eye(3) if robot.climbs else self._data.oMf[_link(robot, robot.base)].rotation
         self._gravity = root_base @ around.gravity
         tree.gravity.linear = self._gravity
-        upstream = set(tree.supports[tree.frames[base].parentJoint])
-        self._driven = list(_driven(robot, upstream))
-        self._last = tree.getJointId(robot.joints[-1].name)
-        self._lever = (robot.tip_before * robot.tip_origin).act(around.lever)
+        self._driven = list(_driven(robot))
+        tip = tree.frames[_link(robot, robot.tip)]
+        self._last, self._lever = tip.parentJoint, tip.placement.act(around.lever)
         self._along: list[tuple[int, int]] = []
         self._across: list[tuple[int, int, np.ndarray]] = []
         self._payload: list[tuple[int, int]] = []
@@ -306,7 +304,7 @@ class _Loads:
             if kind == "gravity_torque":
                 self._along.append((place, tree.idx_vs[k]))
             elif kind == "payload_torque":
-                self._payload.append((place, tree.idx_vs[k]))
+                self._payload.append((place, tree.idx_vs[k] if k in tree.supports[self._last] else -1))
             else:
                 component = kind.removeprefix("gravity_moment_")
                 assert component in bearing_components(robot.joint(joint).kind)
@@ -335,7 +333,7 @@ class _Loads:
             push = covariates["payload"] * self._gravity
             turn = np.cross(last.act(self._lever), push)
             for place, k in self._payload:
-                z[place] = data.J[:3, k] @ push + data.J[3:, k] @ turn
+                z[place] = data.J[:3, k] @ push + data.J[3:, k] @ turn if k >= 0 else 0.0
 
 
 class _Place:
@@ -352,21 +350,24 @@ class _Place:
         self._tree = tree = robot.tree.copy()
         self._data = tree.createData()
         self._q = pin.neutral(tree)
-        base = tree.getFrameId(robot.base, pin.FrameType.BODY)
-        pin.framesForwardKinematics(tree, self._data, self._q)
-        self._base_root = self._data.oMf[base].inverse()
-        upstream = set(tree.supports[tree.frames[base].parentJoint])
-        self._driven = list(_driven(robot, upstream))
-        self._last = tree.getJointId(robot.joints[-1].name)
-        self._target = (robot.tip_before * robot.tip_origin).act(target)
+        self._base, self._tip = _link(robot, robot.base), _link(robot, robot.tip)
+        self._driven = list(_driven(robot))
+        self._target = target
 
     def fill(self, z: np.ndarray, readings: np.ndarray) -> None:
         """Write the coordinates into the covariates z."""
+        tree, data = self._tree, self._data
         _put(self._q, self._driven, readings)
-        pin.forwardKinematics(self._tree, self._data, self._q)
-        place = self._base_root.act(self._data.oMi[self._last].act(self._target))
+        pin.forwardKinematics(tree, data, self._q)
+        base, tip = (pin.updateFramePlacement(tree, data, frame) for frame in (self._base, self._tip))
+        place = base.actInv(tip.act(self._target))
         for k, number in self._wanted:
             z[k] = place[number]
+
+
+def _link(robot: Robot, name: str) -> int:
+    """Number of a link's frame in the tree."""
+    return int(robot.tree.getFrameId(name, pin.FrameType.BODY))
 
 
 def _put(q: np.ndarray, driven: Iterable[_Driven], readings: np.ndarray) -> None:
@@ -379,11 +380,12 @@ def _put(q: np.ndarray, driven: Iterable[_Driven], readings: np.ndarray) -> None
             q[k] = angle
 
 
-def _driven(robot: Robot, upstream: set[int]) -> Iterator[_Driven]:
-    """The joints of the tree that readings set; what moves the base itself stays."""
+def _driven(robot: Robot) -> Iterator[_Driven]:
+    """The joints of the tree that readings set; what moves a base from which no path climbs stays."""
     tree = robot.tree
     column = {name: k for k, name in enumerate(robot.readings)}
+    still = set() if robot.climbs else set(tree.supports[tree.frames[_link(robot, robot.base)].parentJoint])
     for k in range(1, tree.njoints):
         master, multiplier, offset = robot.mimics.get(tree.names[k], (tree.names[k], 1.0, 0.0))
-        if master in column and k not in upstream:
+        if master in column and k not in still:
             yield _Driven(tree.idx_qs[k], tree.nqs[k] == 2, column[master], multiplier, offset)

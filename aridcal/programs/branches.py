@@ -181,7 +181,7 @@ class Controller:
         q = self._drawn(1, SPREAD)[0]
         for _ in range(UPHILL):
             _, p, J = self.inverse.arm.looks(q, {})
-            out = p - self.robot.joints[0].placement.translation
+            out = p - self.robot.onward[0].translation
             far = np.linalg.norm(out, axis=1)
             furthest = np.argsort(far)[-FURTHEST:]
             way = np.einsum("nij,ni->nj", J[:, :3], out / np.maximum(far, EXACT)[:, None])[furthest]
@@ -190,7 +190,7 @@ class Controller:
 
     def too_far(self, wanted: np.ndarray) -> np.ndarray:
         """Poses that are further away than the arm gets, whatever its joints do, shape (n,)."""
-        apart = np.linalg.norm(wanted[:, :3, 3] - self.robot.joints[0].placement.translation, axis=1)
+        apart = np.linalg.norm(wanted[:, :3, 3] - self.robot.onward[0].translation, axis=1)
         drawn_out = ~self.inverse.turning & ~np.isfinite(self.inverse.high - self.inverse.low)
         return np.asarray((apart > BEYOND_REACH * self.reach) & (not drawn_out.any()))
 

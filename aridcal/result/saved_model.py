@@ -217,13 +217,13 @@ class SavedModel:
     def span(self) -> float:
         """How long the arm is from its first joint to the target, with the travel that was seen of what slides, [m]."""
         robot = self.final.model.robot
-        links = sum(float(np.linalg.norm(joint.placement.translation)) for joint in robot.joints[1:])
+        links = sum(float(np.linalg.norm(step.translation)) for step in robot.onward[1:-1])
         travels = [
             float(np.ptp(self.ranges[j.reading]))
             for j in robot.joints
             if j.kind == "prismatic" and j.reading in self.ranges
         ]
-        ends = [robot.tip_before * robot.tip_origin * frame for _, frame in self.final.model.tip_target]
+        ends = [robot.onward[-1] * frame for _, frame in self.final.model.tip_target]
         return links + sum(travels) + max(float(np.linalg.norm(end.translation)) for end in ends)
 
     @property

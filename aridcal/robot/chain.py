@@ -1,4 +1,8 @@
-"""A URDF as a serial chain from base to tip: placements, joint motions, and what gravity does to it."""
+"""A URDF as a serial chain from base to tip: placements, joint motions, and what gravity does to it.
+
+The chain is the path between two links of the tree: up from the base to the link that both hang from, and down to the tip. With O
+a joint's own ``<origin>`` and M its motion, a step down is :math:`O M(q)`, a step up is its inverse, :math:`M(q)^{-1} O^{-1}`.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +32,8 @@ class Joint:
         name: As in the URDF.
         kind: Motion about (``revolute``) or along (``prismatic``) the axis.
         axis: Unit vector in the joint frame, shape (3,).
-        before: Fixed joints between the previous moving joint (or the base) and this joint's parent link.
+        before: Fixed joints between the previous moving joint (or the base) and the link at which the path enters this one: its
+            parent link, on the way up its child link.
         origin: This joint's own ``<origin>``.
         lower: Lower limit of the reading, [rad] or [m]; -inf if there is none.
         upper: Upper limit of the reading.
@@ -36,6 +41,7 @@ class Joint:
         reading: Column that drives the joint: its own name, or its master's if it mimics one.
         multiplier: Position = multiplier * reading + offset (1 and 0 unless it mimics).
         offset: See ``multiplier``, [rad] or [m].
+        climbs: True on the way up from the base: the path goes from the child link to the parent link.
     """
 
     name: str
@@ -49,18 +55,19 @@ class Joint:
     reading: str
     multiplier: float = 1.0
     offset: float = 0.0
+    climbs: bool = False
 
     @property
-    def placement(self) -> pin.SE3:
-        """From the previous moving joint, after its motion, to this joint's frame."""
-        return self.before * self.origin
+    def along(self) -> np.ndarray:
+        """Unit vector, in the joint frame, about or along which the tip moves in the base, shape (3,)."""
+        return -self.axis if self.climbs else self.axis
 
 
 @dataclass(frozen=True)
 class Robot:
     """The chain base -> tip of a URDF, and the whole tree as mass.
 
-    ``T_base_tip = prod(joint.placement * motion(q)) * tip_before * tip_origin``.
+    ``T_base_tip = prod(onward[k] * motion(q_k)) * onward[-1]``, each motion along ``joint.along``.
 
     Attributes:
         urdf: The file's own bytes.
@@ -92,6 +99,21 @@ class Robot:
     def readings(self) -> tuple[str, ...]:
         """Columns that a measurement needs, each once, in chain order."""
         return tuple(dict.fromkeys(j.reading for j in self.joints))
+
+    @cached_property
+    def onward(self) -> tuple[pin.SE3, ...]:
+        """From the base, or from a moving joint's frame after its motion, to the next one's before it, and to the tip at last."""
+        steps, here = [], pin.SE3.Identity()
+        for joint in self.joints:
+            here = here * joint.before
+            steps.append(here if joint.climbs else here * joint.origin)
+            here = joint.origin.inverse() if joint.climbs else pin.SE3.Identity()
+        return (*steps, here * (self.tip_before * self.tip_origin))
+
+    @property
+    def climbs(self) -> bool:
+        """True if joints move the base itself: it hangs from the path's middle, or from its end."""
+        return any(joint.climbs for joint in self.joints)
 
     @property
     def kinds(self) -> tuple[JointKind, ...]:
@@ -182,37 +204,31 @@ def parse_robot(
 
 
 def chain(tree: UrdfTree, tip: str, base: str | None = None) -> Robot:
-    """The chain base -> tip of a tree.
+    """The path base -> tip through a tree.
 
     Raises:
-        RobotError: there is no such chain, or something else than serial joints on it.
+        RobotError: a link is not there, or something else than serial joints is on the path.
     """
-    path, parent_of = tree.path, tree.parent_of
+    path = tree.path
     for link, key in ((tip, "tip"), (base, "base")):
         if link is not None and link not in tree.links:
             raise RobotError(f"{path}: no link {shortened(link)!r}{nearest(link, tree.links)}. Check `robot.{key}`.")
 
-    elements: list[etree._Element] = []
-    link = tip
-    while link != base and link in parent_of:
-        link, element = parent_of[link]
-        elements.append(element)
-    if base is not None and link != base:
-        if _moves_above(tree, tip, base):
-            raise RobotError(
-                f"{path}: base and tip are swapped: {base!r} descends from {tip!r}. Set `robot.base: {tip}` and "
-                f"`robot.tip: {base}`; where the table has poses of the base in the tip, also `inverted: pose` under measurements"
-            )
-        raise RobotError(f"{path}: link {tip!r} does not descend from {base!r}: check `robot.base` and `robot.tip`")
+    start = base if base is not None else _root(tree, tip)
+    up, down = _ways_to_the_root(tree, start), _ways_to_the_root(tree, tip)
+    while up and down and up[-1] is down[-1]:
+        del up[-1], down[-1]
 
     joints: list[Joint] = []
     before, name, origin = pin.SE3.Identity(), None, pin.SE3.Identity()
-    for element in reversed(elements):
+    for element, climbs in (*((e, True) for e in up), *((e, False) for e in reversed(down))):
         kind, joint = element.get("type", ""), str(element.get("name"))
         own = tree.origins[joint]
         if joint in tree.moves:
-            joints.append(_joint(joint, before * origin, tree))
+            joints.append(_joint(joint, before * origin, tree, climbs))
             before, name, origin = pin.SE3.Identity(), None, pin.SE3.Identity()
+        elif kind == "fixed" and climbs:
+            before = before * own.inverse()
         elif kind == "fixed":
             before, name, origin = before * origin, joint, own
         else:
@@ -223,19 +239,26 @@ def chain(tree: UrdfTree, tip: str, base: str | None = None) -> Robot:
             )
     if not joints:
         raise RobotError(
-            f"{path}: no joint moves between {base or link!r} and {tip!r}: nothing to calibrate; set `robot.tip` to the arm's "
+            f"{path}: no joint moves between {start!r} and {tip!r}: nothing to calibrate; set `robot.tip` to the arm's "
             "other end"
         )
-    return Robot(tree.urdf, path, link, tip, tuple(joints), name, before, origin, tree.moves, tree.mimics)
+    return Robot(tree.urdf, path, start, tip, tuple(joints), name, before, origin, tree.moves, tree.mimics)
 
 
-def _moves_above(tree: UrdfTree, upper: str, link: str) -> bool:
-    """True of a link that descends from another by way of a joint that moves."""
-    moves = False
-    while link in tree.parent_of and link != upper:
+def _ways_to_the_root(tree: UrdfTree, link: str) -> list[etree._Element]:
+    """The joints between a link and the tree's root, upwards."""
+    found = []
+    while link in tree.parent_of:
         link, element = tree.parent_of[link]
-        moves |= element.get("name") in tree.moves
-    return link == upper and moves
+        found.append(element)
+    return found
+
+
+def _root(tree: UrdfTree, link: str) -> str:
+    """The link from which all others hang."""
+    while link in tree.parent_of:
+        link = tree.parent_of[link][0]
+    return link
 
 
 def _pinocchio(urdf: bytes, path: Path) -> pin.Model:
@@ -249,7 +272,7 @@ def _pinocchio(urdf: bytes, path: Path) -> pin.Model:
         raise RobotError(f"{path}: Pinocchio cannot read this URDF: {error}. Mend the URDF") from None
 
 
-def _joint(name: str, before: pin.SE3, tree: UrdfTree) -> Joint:
+def _joint(name: str, before: pin.SE3, tree: UrdfTree, climbs: bool) -> Joint:
     (axis, kind), path = tree.moves[name], tree.path
     master, multiplier, offset = tree.mimics.get(name, (name, 1.0, 0.0))
     driver = tree.joints[master]
@@ -267,4 +290,6 @@ def _joint(name: str, before: pin.SE3, tree: UrdfTree) -> Joint:
             )
         # Some programs write 1e16, or the largest number that there is, for a joint without limits.
         lower, upper = (lower if lower > -LARGEST else -np.inf), (upper if upper < LARGEST else np.inf)
-    return Joint(name, kind, axis, before, tree.origins[name], lower, upper, continuous, master, multiplier, offset)
+    return Joint(
+        name, kind, axis, before, tree.origins[name], lower, upper, continuous, master, multiplier, offset, climbs
+    )

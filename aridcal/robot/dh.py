@@ -152,13 +152,12 @@ def doty_yaml(robot: Robot) -> str:
          "alpha": k.alpha, "singular": k.singular, "before": xyz_rpy(k.before), "after": xyz_rpy(k.after)}
         for k in links
     ]  # fmt: skip
-    first = robot.joints[0]
     document = {
         "convention": "Doty (1992): Rz(theta) Ry(beta) Tx(a) Rx(alpha)",
         "product": "T_base_tip = base * prod(motion(q) * before * Rz(theta) Ry(beta) Tx(a) Rx(alpha) * after); motion: "
         "about or along `axis` of the joint",
-        "base": xyz_rpy(first.placement),
-        "axes": {j.name: j.axis.tolist() for j in robot.joints},
+        "base": xyz_rpy(robot.onward[0]),
+        "axes": {j.name: j.along.tolist() for j in robot.joints},
         "rows": rows,
     }
     return yaml.safe_dump(document, sort_keys=False, width=200)
@@ -226,18 +225,18 @@ def _ur_kinematics(nominal: Robot, calibrated: Robot) -> str:
     start, rows, _ = _rows(nominal, _base(nominal) * HALF_TURN, ILL_CONDITIONED_ANGLE)
     joint, frame, before = pin.SE3.Identity(), start, HALF_TURN
     links: dict[str, Any] = {}
-    for nominal_joint, calibrated_joint, row, link in zip(
-        nominal.joints, calibrated.joints, _modified(rows), UR_LINKS.values(), strict=True
+    for nominal_joint, onward, measured, row, link in zip(
+        nominal.joints, nominal.onward[:-1], calibrated.onward[:-1], _modified(rows), UR_LINKS.values(), strict=True
     ):
-        joint = joint * nominal_joint.placement
+        joint = joint * onward
         step = link_transform(0.0, 0.0, row.a, row.alpha) @ link_transform(row.theta, 0.0, 0.0, 0.0, row.d)
         frame = frame * pin.SE3(step)
         inside = _onto_axis(joint.actInv(frame), nominal_joint.axis)  # the description's frame in the URDF's
-        usual = before.inverse() * nominal_joint.placement * inside
-        links[link] = _components(before.inverse() * calibrated_joint.placement * inside, usual)
+        usual = before.inverse() * onward * inside
+        links[link] = _components(before.inverse() * measured * inside, usual)
         before = inside
-    usual = before.inverse() * nominal.tip_before * nominal.tip_origin
-    left = _components(before.inverse() * calibrated.tip_before * calibrated.tip_origin, usual)
+    usual = before.inverse() * nominal.onward[-1]
+    left = _components(before.inverse() * calibrated.onward[-1], usual)
     links["hash"] = f"aridcal_{hashlib.sha256(repr(links).encode()).hexdigest()[:16]}"
     return (
         "# For ur_description. The driver warns that the hash is not the controller's: these numbers are measured.\n"
@@ -248,9 +247,9 @@ def _ur_kinematics(nominal: Robot, calibrated: Robot) -> str:
 
 def _base(robot: Robot) -> pin.SE3:
     """Put z on the first joint's axis, at the point nearest to the base's origin: the base itself for most robots."""
-    first = robot.joints[0]
-    direction = first.placement.rotation @ first.axis
-    point = first.placement.translation
+    first = robot.onward[0]
+    direction = first.rotation @ robot.joints[0].along
+    point = first.translation
     return pin.SE3(align(direction).rotation, point - (point @ direction) * direction)
 
 
@@ -263,17 +262,17 @@ def _onto_axis(frame: pin.SE3, axis: np.ndarray) -> pin.SE3:
 def _rows(robot: Robot, base: pin.SE3, parallel: float = PARALLEL_ANGLE) -> tuple[pin.SE3, tuple[DHRow, ...], pin.SE3]:
     """Standard rows from a base frame whose z is the first joint's axis, and the tool that is left."""
     rows = []
-    placement = robot.joints[0].placement
+    placement = robot.onward[0]
     frame = base
-    for joint, after in zip(robot.joints, robot.joints[1:], strict=False):
-        placement = placement * after.placement
+    for joint, after, onward in zip(robot.joints, robot.joints[1:], robot.onward[1:], strict=False):
+        placement = placement * onward
         to_next = frame.actInv(placement)
-        direction = to_next.rotation @ after.axis
+        direction = to_next.rotation @ after.along
         theta, d, a, alpha = _common_normal(to_next.translation, direction, parallel)
         near = bool(np.hypot(direction[0], direction[1]) < np.sin(ILL_CONDITIONED_ANGLE))
         rows.append(DHRow(joint.name, joint.kind, theta, d, a, alpha, near))
         frame = frame * pin.SE3(link_transform(theta, 0.0, a, alpha, d))
-    tool = frame.actInv(placement * robot.tip_before * robot.tip_origin)
+    tool = frame.actInv(placement * robot.onward[-1])
     last = robot.joints[-1]
     height = float(tool.translation[2])
     rows.append(DHRow(last.name, last.kind, 0.0, height, 0.0, 0.0, False))

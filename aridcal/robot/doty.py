@@ -163,10 +163,11 @@ def doty_links(robot: Robot) -> tuple[Link, ...]:
         beta = a = 0, ``before`` climbs to the foot of the next axis, and ``after`` holds the rest.
     """
     joints = robot.joints
-    ends: list[tuple[pin.SE3, np.ndarray, str | None]] = [(j.placement, j.axis, j.name) for j in joints[1:]]
-    ends.append((robot.tip_before * robot.tip_origin, np.array([0.0, 0.0, 1.0]), robot.tip_joint))
+    steps = zip(robot.onward[1:-1], joints[1:], strict=True)
+    ends: list[tuple[pin.SE3, np.ndarray, str | None]] = [(step, j.along, j.name) for step, j in steps]
+    ends.append((robot.onward[-1], np.array([0.0, 0.0, 1.0]), robot.tip_joint))
     links = []
-    start = align(joints[0].axis).inverse()  # from F_{i-1}, moved by joint i, to joint i's frame
+    start = align(joints[0].along).inverse()  # from F_{i-1}, moved by joint i, to joint i's frame
     for joint, (placement, axis, next_origin) in zip(joints, ends, strict=True):
         link, start = _link(joint, start, placement, axis, next_origin)
         links.append(link)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -94,22 +94,68 @@ class Walked(NamedTuple):
 
 
 def tree_frames(robot: Robot, readings: np.ndarray) -> Iterator[Walked]:
-    r"""Walk the whole tree for N rows at once, nominal placements, parents first.
+    """Walk the whole tree for N rows at once, nominal placements, parents first.
+
+    Args:
+        robot: The chain; its readings drive the tree, and joints that are not measured stay at zero.
+        readings: Shape (N, columns), [rad] or [m].
+    """
+    if robot.climbs:
+        R, p = root_in_base(robot, readings)
+        for k, bearing, axes, origin in root_frames(robot, readings):
+            yield Walked(k, R @ bearing, R @ axes, p + (R @ origin[:, :, None])[:, :, 0])
+        return
+    base = _link_frame(robot, robot.base)
+    # What moves the base itself moves nothing in the base's frame.
+    yield from _walk(robot, readings, locked_placement(robot.tree, base).inverse(), _joints_upstream(robot.tree, base))
+
+
+def root_frames(robot: Robot, readings: np.ndarray) -> Iterator[Walked]:
+    """The same in the frame of the tree's root, where all joints move that are measured."""
+    return _walk(robot, readings, pin.SE3.Identity(), frozenset())
+
+
+def root_in_base(robot: Robot, readings: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Axes (N, 3, 3) and origin (N, 3) of the tree's root in the base's frame; only joints on the path up move it."""
+    if robot.climbs:
+        R, p = _link_in_root(robot, readings, robot.base)
+        back = R.transpose(0, 2, 1)
+        return back, -(back @ p[:, :, None])[:, :, 0]
+    start = locked_placement(robot.tree, _link_frame(robot, robot.base)).inverse()
+    return np.tile(start.rotation, (len(readings), 1, 1)), np.tile(start.translation, (len(readings), 1))
+
+
+def _link_in_root(robot: Robot, readings: np.ndarray, link: str) -> tuple[np.ndarray, np.ndarray]:
+    """Axes (N, 3, 3) and origin (N, 3) of a link in the tree's root."""
+    frame = _link_frame(robot, link)
+    at = frame.placement
+    for step in root_frames(robot, readings):
+        if step.joint == frame.parentJoint:
+            return step.axes @ at.rotation, step.origin + step.axes @ at.translation
+    return np.tile(at.rotation, (len(readings), 1, 1)), np.tile(at.translation, (len(readings), 1))
+
+
+def _link_frame(robot: Robot, link: str) -> pin.Frame:
+    """A link as Pinocchio has it: on which joint, and where."""
+    return robot.tree.frames[robot.tree.getFrameId(link, pin.FrameType.BODY)]
+
+
+def _walk(robot: Robot, readings: np.ndarray, start: pin.SE3, still: Collection[int]) -> Iterator[Walked]:
+    r"""Walk the whole tree.
 
     .. math:: A' = A + \sin q \, A [a] + (1 - \cos q) \, A [a]^2
 
     turns axes A about a (Rodrigues, as :func:`rotations`).
 
     Args:
-        robot: The chain; its readings drive the tree, and joints that are not measured stay at zero.
+        robot: The chain.
         readings: Shape (N, columns), [rad] or [m].
+        start: Where the root is.
+        still: Joints that stay at zero although they are measured.
     """
     model = robot.tree
     n = len(readings)
     column = {name: k for k, name in enumerate(robot.readings)}
-    base = model.frames[model.getFrameId(robot.base, pin.FrameType.BODY)]
-    upstream = _joints_upstream(model, base)  # what moves the base itself moves nothing in the base's frame
-    start = locked_placement(model, base).inverse()
     # Each of three axes, or a place, has its numbers in the base here, shape (3, n): all that is done with them is long sums.
     R = {0: np.repeat(start.rotation.T[:, :, None], n, axis=2)}
     p = {0: np.repeat(start.translation[:, None], n, axis=1)}
@@ -120,7 +166,7 @@ def tree_frames(robot: Robot, readings: np.ndarray) -> Iterator[Walked]:
             own[:] = along(R[parent], numbers)
         axes, origin = bearing, p[parent] + along(R[parent], placement.translation)
         master, multiplier, offset = robot.mimics.get(name, (name, 1.0, 0.0))
-        if master in column and name in robot.moves and k not in upstream:
+        if master in column and name in robot.moves and k not in still:
             axis, kind = robot.moves[name]
             q = multiplier * readings[:, column[master]] + offset
             if kind == "prismatic":
@@ -202,16 +248,20 @@ def of_chain(robot: Robot, walked: Sequence[Walked]) -> list[Walked]:
 
 def tip_frames(robot: Robot, readings: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Axes (N, 3, 3) and origins (N, 3) of the tip link in the base frame, nominal."""
+    if robot.climbs:
+        R, p = root_in_base(robot, readings)
+        axes, origin = _link_in_root(robot, readings, robot.tip)
+        return R @ axes, p + (R @ origin[:, :, None])[:, :, 0]
     last = robot.tree.getJointId(robot.joints[-1].name)
     for step in tree_frames(robot, readings):
         if step.joint == last:
-            return tip_on(robot, step)
+            return _tip_on(robot, step)
     raise AssertionError("the chain's last joint is in its own tree")
 
 
-def tip_on(robot: Robot, last: Walked) -> tuple[np.ndarray, np.ndarray]:
+def _tip_on(robot: Robot, last: Walked) -> tuple[np.ndarray, np.ndarray]:
     """Axes (N, 3, 3) and origins (N, 3) of the tip link, from where the chain's last joint is."""
-    end, axes = robot.tip_before * robot.tip_origin, last.axes.T
+    end, axes = robot.onward[-1], last.axes.T
     turned = np.array([along(axes, numbers) for numbers in end.rotation.T])
     return turned.T, last.origin + along(axes, end.translation).T
 
