@@ -211,7 +211,7 @@ FIXED = {"world_base": {"identify": False}, "tip_target": {"identify": False}}
 SETTINGS: dict[str, tuple[dict[str, object], str]] = {
     "a tip that is no link": ({"robot": ROBOT | {"tip": "flnge"}}, "no link 'flnge'.*'flange'.*`robot.tip`"),
     "a base that is no link": ({"robot": ROBOT | {"base": "bas"}}, "no link 'bas'.*'base_link'.*`robot.base`"),
-    "a base beyond the tip": ({"robot": ROBOT | {"base": "camera_head"}}, "does not descend from 'camera_head'"),
+    "a base beyond the tip": ({"robot": ROBOT | {"base": "camera_head"}}, "no joint moves between 'camera_head' and"),
     "a folder for a URDF": ({"robot": ROBOT | {"urdf": "."}}, "is a folder, not a file; name a file in it. Check `robot.urdf`"),
     "metres called millimetres": (measured(units={"length": "mm"}), "are they in metres"),
     "radians called degrees": (measured(units={"angle": "deg"}), "Read as angles in radians.*`units: {angle: rad}`"),

@@ -60,6 +60,31 @@ def test_balls_touch_where_their_centres_are_near() -> None:
     assert 0.2 < found.mean() < 0.8 and bodies.unread == ()
 
 
+def test_balls_touch_alike_wherever_the_path_starts() -> None:
+    """From the last link to the foot, and boxes go with the link that is called the base: turned back, the same."""
+    robot, rng = balls(), np.random.default_rng(0)
+    upwards, q = parse_robot(robot.urdf, "base", "l2"), draw_readings(robot, 300, rng)
+    assert upwards.readings == robot.readings[::-1]
+    low, high = (
+        np.array([0.05, -0.4, -0.1]),
+        np.array([0.25, -0.1, 0.1]),
+    )  # beside the last link, that no ball of its own is in
+    alone, with_box = (bodies_of(upwards, boxes, q[:50, ::-1]) for boxes in ([], [(low, high)]))
+    np.testing.assert_array_equal(
+        touches(upwards, alone.geometry, q[:, ::-1]).any(axis=1),
+        touches(robot, bodies_of(robot, [], q[:50]).geometry, q).any(axis=1),
+    )
+    angle, last = q.sum(axis=1), centres(q)
+    turned = np.stack([np.stack([np.cos(angle), np.sin(angle)], 1), np.stack([-np.sin(angle), np.cos(angle)], 1)], 1)
+    l2 = last[:, 2:3, :2]  # where the last link's joint is
+    seen = np.einsum("nij,nkj->nki", turned, last[:, :3, :2] - l2)
+    outside = np.linalg.norm(seen - np.clip(seen, low[:2], high[:2]), axis=2)
+    in_box = (outside < RADIUS).any(axis=1)
+    found = touches(upwards, with_box.geometry, q[:, ::-1]).any(axis=1)
+    np.testing.assert_array_equal(found, in_box | touches(upwards, alone.geometry, q[:, ::-1]).any(axis=1))
+    assert 0.1 < in_box.mean() < 0.9
+
+
 def test_shapes_that_always_overlap_and_what_cannot_be_read_say_nothing() -> None:
     rng = np.random.default_rng(0)
     huge = balls('<sphere radius="3"/>')

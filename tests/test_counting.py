@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from test_other_readings import XYZ, Q, Spoil, counted, inverted, machine
 import aridcal
 import aridcal.identify
 import aridcal.init
-from aridcal.errors import CampaignError, RobotError
+from aridcal.errors import CampaignError
 from aridcal.inputs.campaign import load_campaign, nominal_robot
 from aridcal.inputs.counting import counting
 from aridcal.inputs.read import load_measurements
@@ -180,9 +181,26 @@ def test_sigmas_of_inverted_poses_are_refused_until_they_are_ignored(
         aridcal.calibrate(path)
 
 
-def test_base_and_tip_that_are_swapped_are_named(truth: robots.Truth, tmp_path: Path) -> None:
-    robot = {"urdf": "robot.urdf", "base": "tool0", "tip": "base_link"}
-    path = written(tmp_path, truth, robots.table(truth), {}, robot=robot)
-    said = "base and tip are swapped: .* Set `robot.base: base_link` and `robot.tip: tool0`"
-    with pytest.raises(RobotError, match=said):
-        nominal_robot(load_campaign(path))
+SWAPPED = {"urdf": "robot.urdf", "base": "tool0", "tip": "base_link"}
+
+
+def test_rows_of_the_tip_in_the_base_are_told_from_those_of_the_base_in_the_tip(
+    truth: robots.Truth, tmp_path: Path
+) -> None:
+    path = written(tmp_path, truth, robots.table(truth), {}, robot=SWAPPED)
+    with pytest.raises(aridcal.AridcalError, match=r"`inverted: pose`, or exchange `robot.base` and `robot.tip`"):
+        aridcal.calibrate(path)
+
+
+def test_with_base_and_tip_exchanged_the_same_rows_predict_the_same(truth: robots.Truth, tmp_path: Path) -> None:
+    """Rows without noise: each pose of the tip in the base read as one of the base in the tip, another path."""
+    robot = truth.model.robot
+    R, p = truth.model.poses(truth.theta, truth.model.rows(truth.readings))
+    exact = replace(truth, measured=robots.measured(robot, truth.readings, p, R))
+    table, joints = robots.table(exact), list(robot.readings)
+    noise = {"noise": {"position": 1e-4, "rotation": 1e-4}}
+    for keys, more in (({}, {}), ({"inverted": "pose"}, {"robot": SWAPPED})):
+        path = written(tmp_path / str(len(keys)), exact, table[:ROWS], noise | keys, **more)
+        found = aridcal.calibrate(path)
+        for made in (found, kept(found, tmp_path / "calibration.yaml")):
+            same_pose(made.predict(table[joints]), table[XYZ + Q])

@@ -96,8 +96,8 @@ def test_a_xacro_file_is_the_robot_that_it_says(tmp_path: Path) -> None:
     path = write_package(tmp_path / "ws" / "a_clone_called_otherwise")
     arm, same = load_robot(path, "link_3", arguments={"size": "2"}), parse_robot(PLAIN.encode(), "link_3")
     assert arm.names == same.names
-    for joint, other in zip(arm.joints, same.joints, strict=True):
-        assert np.allclose(joint.placement.homogeneous, other.placement.homogeneous, rtol=0, atol=1e-15)
+    for onward, other in zip(arm.onward, same.onward, strict=True):
+        assert np.allclose(onward.homogeneous, other.homogeneous, rtol=0, atol=1e-15)
     assert str(tmp_path).encode() not in arm.urdf  # the same wherever it lies
 
 

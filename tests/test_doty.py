@@ -30,7 +30,7 @@ def at(rotation: np.ndarray = NO_TURN, x: float = 0.0, y: float = 0.0, z: float 
 
 def placements(robot: Robot) -> list[pin.SE3]:
     """From each moving joint, after its motion, to the next one's frame, the tip last."""
-    return [j.placement for j in robot.joints[1:]] + [robot.tip_before * robot.tip_origin]
+    return list(robot.onward[1:])
 
 
 def fold(link: Link, **corrections: float) -> pin.SE3:
@@ -152,7 +152,7 @@ def test_before_link_after_is_the_placement_of_the_next_joint_on_any_chain(rando
 def test_readings_added_to_theta_and_d_move_the_chain_as_its_joints_do(random_chains):
     rng = np.random.default_rng(4)
     for robot in random_chains:
-        by_joints = by_links = robot.joints[0].placement
+        by_joints = by_links = robot.onward[0]
         links = doty_links(robot)
         for joint, link, placement in zip(robot.joints, links, placements(robot), strict=True):
             q = rng.uniform(-2, 2)

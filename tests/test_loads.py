@@ -80,6 +80,37 @@ def test_loads_are_those_of_a_point_mass_at_the_target(kinds: str) -> None:
                 np.testing.assert_allclose(across, direction(component, joint.axis) @ moment, rtol=1e-10, atol=1e-10)
 
 
+@pytest.mark.parametrize("base", ["base", "branch", "link_3"])
+@pytest.mark.parametrize("kinds", ["RRRR", "PRCP"])
+def test_what_drives_a_joint_is_the_slope_of_the_potential_energy(kinds: str, base: str) -> None:
+    """The base stands still, wherever in the tree it is: -dU/dq of all that moves, by differences of the centre of mass."""
+    rng = np.random.default_rng(len(base))
+    urdf = robots.random_chain(rng, kinds)
+    robot = parse_robot(urdf, "tip" if base != "link_3" else "base", base)
+    q = robots.readings(robot, 6, rng)
+    around = Surroundings(rng.normal(size=3) * 9.81)
+    found, (model, h) = loads_of(robot, q, around, None), (robot.tree, 1e-5)
+    data, mass = model.createData(), sum(inertia.mass for inertia in model.inertias)
+
+    def energy(readings: np.ndarray) -> float:
+        at = pin.neutral(model)
+        for name, value in zip(robot.names, readings, strict=True):
+            place, joint = model.idx_qs[model.getJointId(name)], model.getJointId(name)
+            own = [np.cos(value), np.sin(value)] if model.nqs[joint] == 2 else [value]
+            at[place : place + len(own)] = own
+        pin.framesForwardKinematics(model, data, at)
+        centre = sum(
+            (i.mass / mass * T.act(i.lever) for i, T in zip(model.inertias, data.oMi, strict=True)), np.zeros(3)
+        )
+        in_base = data.oMf[model.getFrameId(robot.base, pin.FrameType.BODY)].actInv(centre)
+        return float(-mass * around.gravity @ in_base)
+
+    for j, joint in enumerate(robot.joints):
+        step = h * np.eye(len(robot.joints))[j]
+        slope = [(energy(row + step) - energy(row - step)) / (2 * h) for row in q]
+        np.testing.assert_allclose(found[f"{joint.name}.gravity_torque"], -np.array(slope), rtol=0, atol=1e-6)
+
+
 def test_without_a_payload_column_or_with_one_of_zeros_nothing_changes() -> None:
     rng = np.random.default_rng(4)
     robot = robots.random_robot(4)
@@ -94,7 +125,7 @@ def test_without_a_payload_column_or_with_one_of_zeros_nothing_changes() -> None
         assert np.array_equal(bare[name], unasked[name])
 
 
-@pytest.mark.parametrize("base", ["base", "link_1"])
+@pytest.mark.parametrize("base", ["base", "link_1", "branch"])
 def test_one_row_bears_the_payload_that_many_rows_bear(base: str) -> None:
     rng = np.random.default_rng(8)
     robot = parse_robot(robots.random_chain(rng, "RCPRR"), "tip", base)

@@ -29,6 +29,13 @@ ROBOTS = {
     "mimic": lambda: parse_robot(mimicking(robots.random_chain(np.random.default_rng(3), "RPR")), "tip"),
     "arid": robots.arid,
 }
+CLIMBING = {
+    "upwards": lambda: parse_robot(robots.random_chain(np.random.default_rng(6), "RPRC"), "base", "tip"),
+    "down from a branch": lambda: parse_robot(robots.random_chain(np.random.default_rng(7), "RPR"), "tip", "branch"),
+    "up to a branch": lambda: parse_robot(robots.random_chain(np.random.default_rng(8), "RPR"), "branch", "tip"),
+}
+"""Robots whose base moves: their paths have no link parameters of the report."""
+EVERY = ROBOTS | CLIMBING
 
 
 def mimicking(urdf: bytes) -> bytes:
@@ -64,6 +71,7 @@ SETS = {
         if c.component in LINK_COMPONENTS], *varying(robot),
     ),
 }  # fmt: skip
+PAIRS = [*((r, s) for r in ROBOTS for s in SETS), *((r, s) for r in CLIMBING for s in ("full", "frames", "varying"))]
 
 
 def build(robot: Robot, coefficients: tuple[Coefficient, ...], seed: int = 0) -> Model:
@@ -78,13 +86,14 @@ def rows_of(model: Model, n: int = 6, seed: int = 1):  # type: ignore[no-untyped
     return q, model.rows(q, {"time": rng.uniform(0, 1, n)})
 
 
-@pytest.mark.parametrize("which", SETS)
-@pytest.mark.parametrize("robot", ROBOTS)
+@pytest.mark.parametrize(("robot", "which"), PAIRS)
 def test_many_rows_walked_together_are_where_pinocchio_has_each(robot: str, which: str) -> None:
-    model = build(ROBOTS[robot](), SETS[which](ROBOTS[robot]()))
+    model = build(EVERY[robot](), SETS[which](EVERY[robot]()))
     theta = np.random.default_rng(5).uniform(-0.1, 0.1, len(model.coefficients))
     _, rows = rows_of(model, MANY + 20)
-    theta[[not c.basis.constant for c in model.coefficients]] /= np.abs(rows.phi).max(axis=0)  # loads are large numbers
+    theta[[not c.basis.constant for c in model.coefficients]] /= np.maximum(
+        np.abs(rows.phi).max(axis=0), 1e-9
+    )  # loads are large
     together = (*model.jacobian(theta, rows), *model.poses(theta, rows))
     few = [rows[slice(start, start + MANY // 2)] for start in range(0, len(rows), MANY // 2)]
     one_by_one = [(*model.jacobian(theta, some), *model.poses(theta, some)) for some in few]
@@ -121,11 +130,10 @@ def test_poses_of_many_rows_at_stations_are_those_of_each_station() -> None:
         np.testing.assert_allclose(p[own], np.concatenate([f[1] for f in few]), rtol=0, atol=1e-13)
 
 
-@pytest.mark.parametrize("which", SETS)
-@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.parametrize(("name", "which"), PAIRS)
 def test_jacobian_matches_finite_differences(name: str, which: str) -> None:
     """Five-point differences, of every column in units of its own size."""
-    robot = ROBOTS[name]()
+    robot = EVERY[name]()
     model = build(robot, SETS[which](robot))
     _, rows = rows_of(model)
     theta = np.random.default_rng(2).normal(0, 0.02, len(model.coefficients))
@@ -146,10 +154,10 @@ def test_jacobian_matches_finite_differences(name: str, which: str) -> None:
         np.testing.assert_allclose(J[:, :, k], found, rtol=0, atol=1e-8 * size, err_msg=coefficient.name)
 
 
-@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.parametrize("name", EVERY)
 def test_at_zero_the_model_is_the_urdf(name: str) -> None:
-    robot = ROBOTS[name]()
-    model = build(robot, SETS["all"](robot))
+    robot = EVERY[name]()
+    model = build(robot, SETS["all" if name in ROBOTS else "varying"](robot))
     q, rows = rows_of(model)
     R, p = model.poses(np.zeros(len(model.coefficients)), rows)
     world, tip = model.world_base[0][1], model.tip_target[0][1]
@@ -217,7 +225,7 @@ def test_pose_is_the_product_that_the_conventions_state(name: str) -> None:
             return {coefficients[k].component: theta[k] * phi for k in own}
 
         T = model.world_base[0][1] * urdf_transform(values("world_base", True))
-        placement = robot.joints[0].placement
+        placement = robot.onward[0]
         for joint, position, link in zip(robot.joints, positions, links, strict=True):
             T = T * placement * urdf_transform(values(joint.name, True))
             C, M = bearing(joint, values(joint.name, False)), motion(joint, position)
@@ -236,10 +244,12 @@ def as_urdf(model: Model, theta: np.ndarray) -> Robot:
     return parse_robot(stage_urdf(SimpleNamespace(model=model, theta=theta)), model.robot.tip, model.robot.base)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("which", ["full", "doty", "angles"])
-@pytest.mark.parametrize("name", [*ROBOTS, "ur10"])
+@pytest.mark.parametrize(
+    ("name", "which"),
+    [*((r, s) for r in (*ROBOTS, "ur10") for s in ("full", "doty", "angles")), *((r, "full") for r in CLIMBING)],
+)
 def test_constants_folded_into_the_urdf_predict_what_the_model_predicts(name: str, which: str) -> None:
-    robot = ROBOTS.get(name, robots.ur10)()
+    robot = EVERY.get(name, robots.ur10)()
     model = build(robot, (*constants(robot, which), *robots.FRAMES))
     q, rows = rows_of(model, 20)
     theta = np.random.default_rng(4).normal(0, 0.02, len(model.coefficients))
@@ -250,6 +260,64 @@ def test_constants_folded_into_the_urdf_predict_what_the_model_predicts(name: st
         T = world * pin.SE3(axes[n], origins[n]) * tip
         np.testing.assert_allclose(p[n], T.translation, atol=1e-12)
         np.testing.assert_allclose(R[n], T.rotation, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", CLIMBING)
+def test_the_columns_of_readings_are_the_frame_jacobians_between_two_links(name: str) -> None:
+    """Pinocchio's Jacobian of the tip less that of the base, both in the tree's root: what the base sees of the tip."""
+    robot = CLIMBING[name]()
+    model = Model(robot, ())
+    q, rows = rows_of(model)
+    _, p, J = model.by_readings(np.zeros(0), rows)
+    tree, data = robot.tree, robot.tree.createData()
+    base, tip = (tree.getFrameId(link, pin.FrameType.BODY) for link in (robot.base, robot.tip))
+    at = [tree.joints[tree.getJointId(joint)].idx_v for joint in robot.readings]
+    for n in range(len(q)):
+        configuration = pin.neutral(tree)
+        for joint, value in zip(robot.readings, q[n], strict=True):
+            own = tree.joints[tree.getJointId(joint)]
+            configuration[own.idx_q : own.idx_q + own.nq] = [np.cos(value), np.sin(value)] if own.nq == 2 else value
+        pin.computeJointJacobians(tree, data, configuration)
+        pin.updateFramePlacements(tree, data)
+        of_base, of_tip = (pin.getFrameJacobian(tree, data, k, pin.LOCAL_WORLD_ALIGNED) for k in (base, tip))
+        lever = data.oMf[tip].translation - data.oMf[base].translation
+        seen = of_tip - of_base
+        seen[:3] -= np.cross(of_base[3:].T, lever).T
+        back = data.oMf[base].rotation.T
+        np.testing.assert_allclose(J[n], np.vstack([back @ seen[:3], back @ seen[3:]])[:, at], atol=1e-12)
+        np.testing.assert_allclose(p[n], data.oMf[base].actInv(data.oMf[tip].translation), atol=1e-12)
+
+
+PATHS = [
+    ("tip", "branch", "link_2"),
+    ("link_2", "tip", "branch"),
+    ("branch", "link_3", "base"),
+    ("base", "tip", "base"),
+]
+
+
+@pytest.mark.parametrize(("a", "b", "c"), PATHS)
+def test_what_one_link_sees_of_another_hangs_on_no_link_that_is_called_the_base(a: str, b: str, c: str) -> None:
+    """Constants and effects stay those of their joints: from a to b is from a to c, then from c to b, any of them the base."""
+    urdf = robots.random_chain(np.random.default_rng(6), "RPRC")
+    whole = parse_robot(urdf, "tip", "base"), parse_robot(urdf, "branch", "base")
+    every = {k.name: k for robot in whole for k in (*constants(robot, "full"), *varying(robot))}
+    value = dict(zip(every, np.random.default_rng(1).normal(0, 0.02, len(every)), strict=True))
+    q = dict(zip({*whole[0].names, *whole[1].names}, np.random.default_rng(2).uniform(-1, 1, (5, 8)), strict=True))
+
+    def seen(tip: str, base: str) -> list[pin.SE3]:
+        if tip == base:
+            return [pin.SE3.Identity()] * 8
+        robot = parse_robot(urdf, tip, base)
+        own = [k for k in every.values() if k.where in robot.names and "gravity" not in k.name]  # the base bears all
+        model = Model(robot, tuple(own))
+        rows = model.rows(np.array([q[name] for name in robot.readings]).T)
+        poses = model.poses(np.array([value[k.name] for k in own]), rows)
+        return [pin.SE3(R, p) for R, p in zip(*poses, strict=True)]
+
+    for whole_way, first, then, back in zip(seen(b, a), seen(c, a), seen(b, c), seen(a, b), strict=True):
+        assert (whole_way.inverse() * first * then).isIdentity(1e-9)
+        assert (whole_way * back).isIdentity(1e-9)
 
 
 def test_only_joints_that_are_corrected_get_a_new_origin() -> None:

@@ -84,7 +84,7 @@ def test_mimic_joints_follow_their_master() -> None:
     np.testing.assert_allclose(at, R[0], rtol=0, atol=1e-13)
 
 
-@pytest.mark.parametrize("base", ["base", "link_1", "link_2"])
+@pytest.mark.parametrize("base", ["base", "link_1", "link_2", "branch"])
 def test_loads_are_those_of_the_arrays_wherever_the_chain_starts(base: str) -> None:
     rng = np.random.default_rng(21)
     robot = parse_robot(robots.random_chain(rng, "RCPRR"), "tip", base)

@@ -339,7 +339,7 @@ def test_a_corrected_target_has_words_that_only_its_own_position_has(arm: Arm) -
 def kuka_program(cell: Cell, n: int = 12, words: bool = True) -> tuple[list[Target], list[list[np.ndarray]]]:
     """Poses of a KUKA in its usual range with the words that KUKA's zeros give, and the URDF's positions at each."""
     truth, rng = Cell(KUKA.robot()), np.random.default_rng(9)
-    upright = cell.robot.joints[2].placement.translation[2] > 0.1
+    upright = cell.robot.onward[2].translation[2] > 0.1
     targets, positions = [], []
     for _ in range(n):
         q = np.radians(rng.uniform([-90, -120, 30, -90, -90, -170], [90, -20, 120, 90, 90, 170]))

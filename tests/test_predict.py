@@ -82,7 +82,7 @@ def test_prediction_is_the_product_of_the_frames(tmp_path: Path) -> None:
     for k, q in enumerate(query.to_numpy()):
         T = world
         for j, joint in enumerate(robot.joints):
-            T = T * joint.placement * {"joint_2": pitch, "joint_4": shift}.get(joint.name, pin.SE3.Identity())
+            T = T * robot.onward[j] * {"joint_2": pitch, "joint_4": shift}.get(joint.name, pin.SE3.Identity())
             if joint.kind == "prismatic":
                 T = T * pin.SE3(np.eye(3), q[j] * joint.axis)
             else:

@@ -254,9 +254,9 @@ def test_a_robot_without_visuals_is_a_stick_figure_that_moves_with_its_joints() 
 # ---- where things are ------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("base", ["base", "slide"])
-def test_bodies_move_as_pinocchio_moves_them(base: str) -> None:
-    robot = parse_robot(TOY.format(x=0.1, name="toy").encode(), "tip", base)
+@pytest.mark.parametrize(("base", "tip"), [("base", "tip"), ("slide", "tip"), ("tip", "base")])
+def test_bodies_move_as_pinocchio_moves_them(base: str, tip: str) -> None:
+    robot = parse_robot(TOY.format(x=0.1, name="toy").encode(), tip, base)
     rng = np.random.default_rng(0)
     readings = rng.uniform(0, 0.5, (20, len(robot.readings)))
     model = pin.buildModelFromXML(robot.urdf.decode())
@@ -266,7 +266,9 @@ def test_bodies_move_as_pinocchio_moves_them(base: str) -> None:
         q = np.array([by_name["swing"], by_name["reach"], 0.1 - 2 * by_name["swing"]])
         pin.framesForwardKinematics(model, data, q)
         T_base = data.oMf[model.getFrameId(base)]
-        carried = model.subtrees[model.frames[model.getFrameId(base)].parentJoint]
+        carried = (
+            range(model.njoints) if robot.climbs else model.subtrees[model.frames[model.getFrameId(base)].parentJoint]
+        )
         for k in carried:  # what is above the base is drawn at rest
             np.testing.assert_allclose(T[k], (T_base.inverse() * data.oMi[k]).homogeneous, atol=1e-12)
 

@@ -26,7 +26,7 @@ from aridcal.drawing.thinned import thinned
 from aridcal.fit.constants import stage_urdf
 from aridcal.result.outcome import Outcome
 from aridcal.robot.chain import Robot, parse_robot
-from aridcal.robot.kinematics import root_in_base, tree_frames
+from aridcal.robot.kinematics import tree_frames
 from aridcal.robot.shapes import Shape
 
 ASSETS = Path(__file__).parent / "assets"
@@ -229,8 +229,6 @@ def body_poses(robot: Robot, readings: np.ndarray) -> np.ndarray:
         readings: Shape (N, columns), [rad] or [m]; what is above the base stays at rest unless the path climbs through it.
     """
     T = np.tile(np.eye(4), (len(readings), robot.tree.njoints, 1, 1))
-    R, p = root_in_base(robot, readings)
-    T[:, :, :3, :3], T[:, :, :3, 3] = R[:, None], p[:, None]
     for k, _, turned, at in tree_frames(robot, readings):
         T[:, k, :3, :3], T[:, k, :3, 3] = turned, at
     return T

@@ -11,7 +11,7 @@ from aridcal.effects.basis import FORMS, Basis
 from aridcal.effects.effect import direction
 from aridcal.effects.sights import Sights, is_sight
 from aridcal.robot.chain import Joint, Robot
-from aridcal.robot.kinematics import Walked, borne_by, gravity_loads, of_chain, root_in_base, tip_frames, tree_frames
+from aridcal.robot.kinematics import Walked, borne_by, gravity_loads, of_chain, tip_frames, tree_frames
 
 LOADS = (".gravity_", ".payload_")
 """What the names of loads hold, and no other covariate's."""
@@ -27,8 +27,7 @@ class Surroundings:
     """What the loads on the joints need beside the readings.
 
     Attributes:
-        gravity: In the base frame, [m/s^2], shape (3,), or (worlds, 3) where each station has its own base; in that of the
-            tree's root where joints move the base.
+        gravity: In the base frame, [m/s^2], shape (3,), or (worlds, 3) where each station has its own base.
         lever: The payload's place, T_tip_target as the calibration has it, shape (3,), [m].
         loaded: True where the rows have a ``payload``: it hangs there and counts in every gravity load. False of rows
             without one, whose loads are those of the links alone.
@@ -79,8 +78,6 @@ def covariate_table(
         return table
     per_row = np.atleast_2d(around.gravity)[world if np.ndim(around.gravity) == 2 else 0]
     gravity = np.broadcast_to(per_row, (len(readings), 3))
-    if robot.climbs:
-        gravity = np.einsum("nij,nj->ni", root_in_base(robot, readings)[0], gravity)
     walked = tuple(tree_frames(robot, readings))
     pull: np.ndarray | float = 0.0
     if "payload" in measured:
@@ -107,13 +104,11 @@ def _driving(joint: Joint, load: np.ndarray) -> np.ndarray:
 def _payload_loads(robot: Robot, walked: Sequence[Walked], weight: np.ndarray, place: np.ndarray) -> np.ndarray:
     """What a payload of some weight, shape (N, 3) [N], at a place (N, 3) does to each joint, as :func:`gravity_loads` has it.
 
-    Joints of the way up do not bear it: it hangs beyond the tip.
+    On the way up it pushes the joint's parent link, so its child link the other way.
     """
-    bears = [float(not joint.climbs) for joint in robot.joints]
-    chain = of_chain(robot, walked)
-    return borne_by(
-        chain, [(w * weight, w * np.cross(place - step.origin, weight)) for w, step in zip(bears, chain, strict=True)]
-    )
+    senses, chain = [-1.0 if joint.climbs else 1.0 for joint in robot.joints], of_chain(robot, walked)
+    pulls = [np.cross(place - step.origin, weight) for step in chain]
+    return borne_by(chain, [(sense * weight, sense * pull) for sense, pull in zip(senses, pulls, strict=True)])
 
 
 def bearing_components(kind: str) -> tuple[str, ...]:

@@ -17,7 +17,7 @@ from aridcal.effects.effect import FRAME_COMPONENTS, LINK_COMPONENTS, Coefficien
 from aridcal.effects.kinds import LEAST_KNOTS, Declaration, Kind, Observed, bumps
 from aridcal.effects.labels import STATION
 from aridcal.effects.sights import TARGET
-from aridcal.robot.doty import doty_links
+from aridcal.robot.doty import links_down
 
 IN_SPACE = "place"
 """What ``by`` says of a deviation that depends on where the target is."""
@@ -62,7 +62,7 @@ def _residual_field(rows: Observed) -> Iterator[Effect]:
 
 def _links(rows: Observed) -> Iterator[tuple[str, tuple[str, ...]]]:
     """The bend and twist of each link; of one whose next axis meets its own, of the origin beyond it."""
-    for link in doty_links(rows.robot):
+    for link in links_down(rows.robot):
         if not link.singular:
             yield link.joint, ("beta", "alpha")
         elif link.next_origin in rows.robot.names:
@@ -84,7 +84,7 @@ def _motions(rows: Observed, where: str) -> tuple[str, ...]:
     """Components that may vary at a place: of frames, of a joint and of its link."""
     if where in FRAMES:
         return FRAME_COMPONENTS
-    own = next((link.components for link in doty_links(rows.robot) if link.joint == where), ())
+    own = next((link.components for link in links_down(rows.robot) if link.joint == where), ())
     return ("axis", *FRAME_COMPONENTS, *own)
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pinocchio as pin
 
 from aridcal.effects.effect import FRAME_COMPONENTS, Coefficient
+from aridcal.errors import RobotError
 from aridcal.fit.least_squares import Fit
 from aridcal.fit.thing_starts import TIP
 from aridcal.inputs.campaign import Campaign, FrameSettings
@@ -67,6 +68,11 @@ def constants(robot: Robot, which: str) -> tuple[Coefficient, ...]:
         if robot.tip_joint:
             found += [Coefficient(robot.tip_joint, c) for c in FRAME_COMPONENTS]
         return tuple(found)
+    if robot.climbs:
+        raise RobotError(
+            f"identify.parameters: {which}: the report's link parameters are those of a chain from its base outwards, and "
+            f"joints move {robot.base!r} here. Write `full`"
+        )
     found = []
     for joint, link in zip(robot.joints, doty_links(robot), strict=True):
         if link.next_origin is None:

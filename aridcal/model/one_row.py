@@ -12,7 +12,7 @@ import pinocchio as pin
 from aridcal.effects.basis import FORMS, Basis, Columns, Numbers
 from aridcal.effects.effect import direction
 from aridcal.effects.labels import is_label, label_in
-from aridcal.effects.loads import Surroundings, bearing_components, is_load, needs
+from aridcal.effects.loads import Surroundings, bearing_components, covariate_table, is_load, needs
 from aridcal.effects.sights import TARGET
 from aridcal.errors import CovariateNotFound, nearest
 from aridcal.model.model import Model
@@ -120,7 +120,7 @@ class OneRowModel:
         self._joints = [(place[n], robot.names.index(n)) for n in names if n in robot.names]
         self._measured = [(place[n], n) for n in measured]
         around = _surroundings_at(model, station)
-        self._loads = _Loads(robot, around, [(place[n], n) for n in loads]) if loads else None
+        self._loads = _loads(robot, around, [(place[n], n) for n in loads]) if loads else None
         where = [(place[n], TARGET.index(n)) for n in places]
         self._place = _Place(robot, _target_at(model, station), where) if places else None
         self._covariates = len(names)
@@ -289,8 +289,7 @@ class _Loads:
         self._data = tree.createData()
         self._q = pin.neutral(tree)
         pin.framesForwardKinematics(tree, self._data, self._q)
-        root_base = np.eye(3) if robot.climbs else self._data.oMf[_link(robot, robot.base)].rotation
-        self._gravity = root_base @ around.gravity
+        self._gravity = self._data.oMf[_link(robot, robot.base)].rotation @ around.gravity
         tree.gravity.linear = self._gravity
         self._driven = list(_driven(robot))
         tip = tree.frames[_link(robot, robot.tip)]
@@ -304,7 +303,7 @@ class _Loads:
             if kind == "gravity_torque":
                 self._along.append((place, tree.idx_vs[k]))
             elif kind == "payload_torque":
-                self._payload.append((place, tree.idx_vs[k] if k in tree.supports[self._last] else -1))
+                self._payload.append((place, tree.idx_vs[k]))
             else:
                 component = kind.removeprefix("gravity_moment_")
                 assert component in bearing_components(robot.joint(joint).kind)
@@ -333,7 +332,28 @@ class _Loads:
             push = covariates["payload"] * self._gravity
             turn = np.cross(last.act(self._lever), push)
             for place, k in self._payload:
-                z[place] = data.J[:3, k] @ push + data.J[3:, k] @ turn if k >= 0 else 0.0
+                z[place] = data.J[:3, k] @ push + data.J[3:, k] @ turn
+
+
+class _LoadsOfArrays:
+    """The same where joints move the base, whose gravity Pinocchio's recursion, which starts at the root, does not know."""
+
+    def __init__(self, robot: Robot, around: Surroundings, wanted: list[tuple[int, str]]) -> None:
+        self._robot, self._around, self._wanted = robot, around, wanted
+
+    def fill(self, z: np.ndarray, readings: np.ndarray, covariates: Mapping[str, float]) -> None:
+        """Write the loads into the covariates z."""
+        measured = {name: np.array([covariates[name]]) for name in ("payload",) if name in covariates}
+        names = {name for _, name in self._wanted}
+        world = np.zeros(1, dtype=int)
+        table = covariate_table(self._robot, readings[None], measured, self._around, world, names)
+        for place, name in self._wanted:
+            z[place] = table[name][0]
+
+
+def _loads(robot: Robot, around: Surroundings, wanted: list[tuple[int, str]]) -> _Loads | _LoadsOfArrays:
+    """What gives the loads that are wanted."""
+    return _LoadsOfArrays(robot, around, wanted) if robot.climbs else _Loads(robot, around, wanted)
 
 
 class _Place:

@@ -261,6 +261,8 @@ def _orientations(settings: MeasurementSettings, robot: Robot, table: pd.DataFra
             )  # those of rows are not known the other way round
             changed = settings.model_copy(update={"inverted": inverted, "noise": noise})
             remedy = _write(f"inverted: {inverted}") if inverted else "Delete `inverted` under measurements"
+            if inverted == "pose" and robot.climbs:
+                remedy += ", or exchange `robot.base` and `robot.tip`"
             if inverted and settings.noise.rows != "ignore" and stated:
                 remedy += " and `noise: {rows: ignore}`"
             yield Other(what, remedy, changed, table)

@@ -36,7 +36,7 @@ from aridcal.prepare.viewpoints import draw_views, photographed, true_head
 from aridcal.reading.files import read_file
 from aridcal.reading.table_files import FIRST_LINE
 from aridcal.robot.chain import Robot
-from aridcal.robot.doty import doty_links
+from aridcal.robot.doty import links_down
 from aridcal.showing import SILENT, Progress
 
 AT_ONCE = 20_000
@@ -234,7 +234,7 @@ def named_constants(robot: Robot, names: Iterable[str], path: Path) -> tuple[Coe
     """
     joints = [*robot.names, *([robot.tip_joint] if robot.tip_joint else [])]
     of_origins = [Coefficient(joint, c) for joint in joints for c in FRAME_COMPONENTS]
-    of_links = [Coefficient(link.joint, c) for link in doty_links(robot) for c in link.components]
+    of_links = [Coefficient(link.joint, c) for link in links_down(robot) for c in link.components]
     by_name = {constant.name: constant for constant in (*of_origins, *of_links)}
     for name in names:
         if name not in by_name:

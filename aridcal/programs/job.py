@@ -143,6 +143,11 @@ def _corrected(
 ) -> tuple[tuple[str, ...], Corrections, tuple[str, ...]]:
     """What was taken for granted, what becomes of each target, and the proved new text of each file."""
     language, robot = opened.language, saved.final.model.robot
+    if robot.climbs:
+        raise CampaignError(
+            f"{request.calibration}: joints move the base {robot.base!r}, and a program says where its targets are in a "
+            "base that stands still. Calibrate with `robot.base` at the arm's foot"
+        )
     frames = read_frames(request.frames)
     where, numbers = ("--start", request.start) if request.start is not None else ("--frames: `start`", frames.start)
     axes = axes_of(robot.kinds, cell_zeros(saved, request.zeros, language))

@@ -11,7 +11,7 @@ import pinocchio as pin
 
 from aridcal.errors import shortened
 from aridcal.robot.chain import Robot
-from aridcal.robot.kinematics import locked_placement, tree_frames
+from aridcal.robot.kinematics import link_frame, locked_placement, tree_frames
 from aridcal.robot.meshes import MeshMissing, NotDrawable, read_meshes
 from aridcal.robot.shapes import Shape, mesh_files, say_missing, shapes_of
 from aridcal.robot.tree import parse_xml
@@ -75,14 +75,14 @@ def bodies_of(robot: Robot, boxes: Sequence[tuple[np.ndarray, np.ndarray]], usua
     always = np.flatnonzero(touches(robot, geometry, usual).all(axis=0))
     for k in always.tolist():
         geometry.removeCollisionPair(pin.CollisionPair(*pairs[k]))
-    base = _base(robot)
+    joint, base = _stands_on(robot)
     for number, (low, high) in enumerate(boxes):
-        in_root = base * pin.SE3(np.eye(3), (low + high) / 2)
+        at = base * pin.SE3(np.eye(3), (low + high) / 2)
         box = geometry.addGeometryObject(
-            pin.GeometryObject(f"box {number}", 0, in_root, coal.Box(*(high - low).tolist()))
+            pin.GeometryObject(f"box {number}", joint, at, coal.Box(*(high - low).tolist()))
         )
         for k, shape in enumerate(shapes):
-            if shape.joint:
+            if shape.joint != joint:
                 geometry.addCollisionPair(pin.CollisionPair(k, box))
     return Bodies(geometry, unread)
 
@@ -97,7 +97,7 @@ def touches(robot: Robot, geometry: pin.GeometryModel, readings: np.ndarray) -> 
     """
     model, data, seen = robot.tree, robot.tree.createData(), geometry.createData()
     found = np.zeros((len(readings), len(geometry.collisionPairs)), dtype=bool)
-    for row, placements in enumerate(_placements(robot, readings)):
+    for row, (_, placements) in enumerate(_placements(robot, readings)):
         for joint, placement in enumerate(placements, start=1):
             data.oMi[joint] = placement
         pin.updateGeometryPlacements(model, data, geometry, seen)
@@ -120,9 +120,9 @@ def lines_touch(
     """
     model, data, seen = robot.tree, robot.tree.createData(), geometry.createData()
     moving = [k for k, shape in enumerate(geometry.geometryObjects) if shape.parentJoint]
-    base, request = _base(robot), coal.CollisionRequest()
+    request = coal.CollisionRequest()
     found = np.zeros(len(readings), dtype=bool)
-    for row, placements in enumerate(_placements(robot, readings)):
+    for row, (base, placements) in enumerate(_placements(robot, readings)):
         for joint, placement in enumerate(placements, start=1):
             data.oMi[joint] = placement
         pin.updateGeometryPlacements(model, data, geometry, seen)
@@ -138,16 +138,19 @@ def lines_touch(
     return found
 
 
-def _base(robot: Robot) -> pin.SE3:
-    """Where the base is in the tree's root: shapes on no joint are given there."""
-    return locked_placement(robot.tree, robot.tree.frames[robot.tree.getFrameId(robot.base, pin.FrameType.BODY)])
+def _stands_on(robot: Robot) -> tuple[int, pin.SE3]:
+    """What stands on the base: the joint of the tree that moves it, 0 for none, and where the base is on that."""
+    base = link_frame(robot, robot.base)
+    return (base.parentJoint, base.placement) if robot.climbs else (0, locked_placement(robot.tree, base))
 
 
-def _placements(robot: Robot, readings: np.ndarray) -> Iterator[list[pin.SE3]]:
-    """Where every joint of the tree is in its root in each configuration."""
-    base, walked = _base(robot), list(tree_frames(robot, readings))
+def _placements(robot: Robot, readings: np.ndarray) -> Iterator[tuple[pin.SE3, list[pin.SE3]]]:
+    """Where the base and every joint of the tree are in its root in each configuration: shapes on no joint are given there."""
+    walked = list(tree_frames(robot, readings))
     for k in range(len(readings)):
-        yield [base * pin.SE3(w.axes[k], w.origin[k]) for w in walked]
+        root, *joints = (pin.SE3(w.axes[k], w.origin[k]) for w in walked)
+        base = root.inverse()
+        yield base, [base * joint for joint in joints]
 
 
 def _shapes(robot: Robot) -> tuple[list[Shape], tuple[str, ...]]:

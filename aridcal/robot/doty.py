@@ -174,6 +174,11 @@ def doty_links(robot: Robot) -> tuple[Link, ...]:
     return tuple(links)
 
 
+def links_down(robot: Robot) -> tuple[Link, ...]:
+    """Those whose parameters corrections can move: of joints on the way down, where the next origin in the URDF holds them."""
+    return tuple(link for link, joint in zip(doty_links(robot), robot.joints, strict=True) if not joint.climbs)
+
+
 def _link(
     joint: Joint, start: pin.SE3, placement: pin.SE3, axis: np.ndarray, next_origin: str | None
 ) -> tuple[Link, pin.SE3]:

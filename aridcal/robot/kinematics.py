@@ -81,7 +81,7 @@ class Walked(NamedTuple):
     """A joint of the tree in N configurations, in the base's frame. In memory rows run fastest.
 
     Attributes:
-        joint: Its id in ``robot.tree``.
+        joint: Its id in ``robot.tree``; 0 for the root, which no joint moves in the tree.
         bearing: Its axes before a revolute joint turns, shape (N, 3, 3).
         axes: Its axes after its motion, shape (N, 3, 3).
         origin: After its motion, shape (N, 3), [m].
@@ -94,89 +94,95 @@ class Walked(NamedTuple):
 
 
 def tree_frames(robot: Robot, readings: np.ndarray) -> Iterator[Walked]:
-    """Walk the whole tree for N rows at once, nominal placements, parents first.
+    """Walk the whole tree for N rows at once, nominal placements, the root's own frame first and parents before their children.
 
     Args:
         robot: The chain; its readings drive the tree, and joints that are not measured stay at zero.
         readings: Shape (N, columns), [rad] or [m].
     """
-    if robot.climbs:
-        R, p = root_in_base(robot, readings)
-        for k, bearing, axes, origin in root_frames(robot, readings):
-            yield Walked(k, R @ bearing, R @ axes, p + (R @ origin[:, :, None])[:, :, 0])
-        return
-    base = _link_frame(robot, robot.base)
-    # What moves the base itself moves nothing in the base's frame.
-    yield from _walk(robot, readings, locked_placement(robot.tree, base).inverse(), _joints_upstream(robot.tree, base))
+    base = link_frame(robot, robot.base)
+    # What moves the base itself moves nothing in the base's frame, unless the path climbs there.
+    still = frozenset() if robot.climbs else _joints_upstream(robot.tree, base)
+    return _walk(robot, readings, _root_in_base(robot, readings, base, still), still)
 
 
-def root_frames(robot: Robot, readings: np.ndarray) -> Iterator[Walked]:
-    """The same in the frame of the tree's root, where all joints move that are measured."""
-    return _walk(robot, readings, pin.SE3.Identity(), frozenset())
+def _root_in_base(
+    robot: Robot, readings: np.ndarray, base: pin.Frame, still: Collection[int]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Axes (3, 3, N) and origin (3, N) of the tree's root in the base's frame: up from the base, each joint the other way."""
+    model, n = robot.tree, len(readings)
+    onto = base.placement.inverse()
+    R = np.repeat(onto.rotation.T[:, :, None], n, axis=2)
+    p = np.repeat(onto.translation[:, None], n, axis=1)
+    k = base.parentJoint
+    while k:
+        q, back = _position(robot, readings, k, still), model.jointPlacements[k].inverse()
+        if q is not None:
+            R, p = _moved(R, p, *robot.moves[model.names[k]], -q)
+        p = p + along(R, back.translation)
+        R = np.array([along(R, numbers) for numbers in back.rotation.T])
+        k = model.parents[k]
+    return R, p
 
 
-def root_in_base(robot: Robot, readings: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Axes (N, 3, 3) and origin (N, 3) of the tree's root in the base's frame; only joints on the path up move it."""
-    if robot.climbs:
-        R, p = _link_in_root(robot, readings, robot.base)
-        back = R.transpose(0, 2, 1)
-        return back, -(back @ p[:, :, None])[:, :, 0]
-    start = locked_placement(robot.tree, _link_frame(robot, robot.base)).inverse()
-    return np.tile(start.rotation, (len(readings), 1, 1)), np.tile(start.translation, (len(readings), 1))
+def _position(robot: Robot, readings: np.ndarray, k: int, still: Collection[int]) -> np.ndarray | None:
+    """Positions of a joint of the tree, shape (N,); None of one that stays at zero: it is to, or no reading moves it."""
+    joint = robot.tree.names[k]
+    master, multiplier, offset = robot.mimics.get(joint, (joint, 1.0, 0.0))
+    if k in still or master not in robot.readings or joint not in robot.moves:
+        return None
+    return np.asarray(multiplier * readings[:, robot.readings.index(master)] + offset)
 
 
-def _link_in_root(robot: Robot, readings: np.ndarray, link: str) -> tuple[np.ndarray, np.ndarray]:
-    """Axes (N, 3, 3) and origin (N, 3) of a link in the tree's root."""
-    frame = _link_frame(robot, link)
-    at = frame.placement
-    for step in root_frames(robot, readings):
-        if step.joint == frame.parentJoint:
-            return step.axes @ at.rotation, step.origin + step.axes @ at.translation
-    return np.tile(at.rotation, (len(readings), 1, 1)), np.tile(at.translation, (len(readings), 1))
-
-
-def _link_frame(robot: Robot, link: str) -> pin.Frame:
-    """A link as Pinocchio has it: on which joint, and where."""
-    return robot.tree.frames[robot.tree.getFrameId(link, pin.FrameType.BODY)]
-
-
-def _walk(robot: Robot, readings: np.ndarray, start: pin.SE3, still: Collection[int]) -> Iterator[Walked]:
-    r"""Walk the whole tree.
+def _moved(
+    axes: np.ndarray, origin: np.ndarray, axis: np.ndarray, kind: str, q: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    r"""A frame after a joint's motion, from its axes (3, 3, N) and origin (3, N).
 
     .. math:: A' = A + \sin q \, A [a] + (1 - \cos q) \, A [a]^2
 
     turns axes A about a (Rodrigues, as :func:`rotations`).
+    """
+    if kind == "prismatic":
+        return axes, origin + q * along(axes, axis)
+    about, s, c = pin.skew(axis), np.sin(q), 1.0 - np.cos(q)
+    turned = axes.copy()
+    for own, once, twice in zip(turned, about.T, (about @ about).T, strict=True):
+        if once.any():
+            own += s * along(axes, once) + c * along(axes, twice)
+    return turned, origin
+
+
+def link_frame(robot: Robot, link: str) -> pin.Frame:
+    """A link as Pinocchio has it: on which joint, and where."""
+    return robot.tree.frames[robot.tree.getFrameId(link, pin.FrameType.BODY)]
+
+
+def _walk(
+    robot: Robot, readings: np.ndarray, root: tuple[np.ndarray, np.ndarray], still: Collection[int]
+) -> Iterator[Walked]:
+    """Walk the whole tree from its root.
+
+    Each of three axes, or a place, has its numbers in the base, shape (3, N): all that is done with them is long sums.
 
     Args:
         robot: The chain.
         readings: Shape (N, columns), [rad] or [m].
-        start: Where the root is.
+        root: Its axes (3, 3, N) and origin (3, N).
         still: Joints that stay at zero although they are measured.
     """
     model = robot.tree
-    n = len(readings)
-    column = {name: k for k, name in enumerate(robot.readings)}
-    # Each of three axes, or a place, has its numbers in the base here, shape (3, n): all that is done with them is long sums.
-    R = {0: np.repeat(start.rotation.T[:, :, None], n, axis=2)}
-    p = {0: np.repeat(start.translation[:, None], n, axis=1)}
+    R, p = ({0: own} for own in root)
+    yield Walked(0, R[0].transpose(2, 1, 0), R[0].transpose(2, 1, 0), p[0].T)
     for k in range(1, model.njoints):
-        name, parent, placement = model.names[k], model.parents[k], model.jointPlacements[k]
-        bearing = np.empty((3, 3, n))
+        parent, placement = model.parents[k], model.jointPlacements[k]
+        bearing = np.empty_like(R[0])
         for own, numbers in zip(bearing, placement.rotation.T, strict=True):
             own[:] = along(R[parent], numbers)
         axes, origin = bearing, p[parent] + along(R[parent], placement.translation)
-        master, multiplier, offset = robot.mimics.get(name, (name, 1.0, 0.0))
-        if master in column and name in robot.moves and k not in still:
-            axis, kind = robot.moves[name]
-            q = multiplier * readings[:, column[master]] + offset
-            if kind == "prismatic":
-                origin = origin + q * along(bearing, axis)
-            else:
-                about, s, c = pin.skew(axis), np.sin(q), 1.0 - np.cos(q)
-                axes = bearing.copy()
-                for own, once, twice in zip(axes, about.T, (about @ about).T, strict=True):
-                    if once.any():
-                        own += s * along(bearing, once) + c * along(bearing, twice)
+        q = _position(robot, readings, k, still)
+        if q is not None:
+            axes, origin = _moved(bearing, origin, *robot.moves[model.names[k]], q)
         R[k], p[k] = axes, origin
         yield Walked(k, bearing.transpose(2, 1, 0), axes.transpose(2, 1, 0), origin.T)
 
@@ -195,7 +201,8 @@ def gravity_loads(robot: Robot, walked: Sequence[Walked], gravity: np.ndarray) -
 
     .. math:: f = \sum_b m_b g, \quad \tau = \sum_b m_b (c_b - o) \times g
 
-    over the bodies b beyond the joint, with their centres of mass c and the joint's origin o.
+    over the bodies b beyond the joint, with their centres of mass c and the joint's origin o. The base stands still: a joint on
+    the way up bears all that is not beyond it in the URDF's tree, which pushes its parent link, so its child link the other way.
 
     Args:
         robot: The chain.
@@ -213,11 +220,17 @@ def gravity_loads(robot: Robot, walked: Sequence[Walked], gravity: np.ndarray) -
         if own.mass > 0.0:
             mass[k] += own.mass
             moment[k] += own.mass * (step.origin.T + along(step.axes.T, own.lever))
-        mass[model.parents[k]] += mass[k]
-        moment[model.parents[k]] += moment[k]
+        if k:
+            mass[model.parents[k]] += mass[k]
+            moment[model.parents[k]] += moment[k]
     chain = of_chain(robot, walked)
-    of = [(mass[step.joint], moment[step.joint].T - mass[step.joint] * step.origin) for step in chain]
-    return borne_by(chain, [(held * gravity, np.cross(lever, gravity)) for held, lever in of])
+    wrenches = []
+    for joint, step in zip(robot.joints, chain, strict=True):
+        held, of_held = mass[step.joint], moment[step.joint]
+        if joint.climbs:
+            held, of_held = held - mass[0], of_held - moment[0]
+        wrenches.append((held * gravity, np.cross(of_held.T - held * step.origin, gravity)))
+    return borne_by(chain, wrenches)
 
 
 def borne_by(joints: Sequence[Walked], wrenches: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
@@ -248,22 +261,15 @@ def of_chain(robot: Robot, walked: Sequence[Walked]) -> list[Walked]:
 
 def tip_frames(robot: Robot, readings: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Axes (N, 3, 3) and origins (N, 3) of the tip link in the base frame, nominal."""
-    if robot.climbs:
-        R, p = root_in_base(robot, readings)
-        axes, origin = _link_in_root(robot, readings, robot.tip)
-        return R @ axes, p + (R @ origin[:, :, None])[:, :, 0]
-    last = robot.tree.getJointId(robot.joints[-1].name)
-    for step in tree_frames(robot, readings):
-        if step.joint == last:
-            return _tip_on(robot, step)
-    raise AssertionError("the chain's last joint is in its own tree")
+    tip = link_frame(robot, robot.tip)
+    return next(_on(step, tip) for step in tree_frames(robot, readings) if step.joint == tip.parentJoint)
 
 
-def _tip_on(robot: Robot, last: Walked) -> tuple[np.ndarray, np.ndarray]:
-    """Axes (N, 3, 3) and origins (N, 3) of the tip link, from where the chain's last joint is."""
-    end, axes = robot.onward[-1], last.axes.T
-    turned = np.array([along(axes, numbers) for numbers in end.rotation.T])
-    return turned.T, last.origin + along(axes, end.translation).T
+def _on(joint: Walked, link: pin.Frame) -> tuple[np.ndarray, np.ndarray]:
+    """Axes (N, 3, 3) and origins (N, 3) of a link, from where the joint is that moves it."""
+    axes = joint.axes.T
+    turned = np.array([along(axes, numbers) for numbers in link.placement.rotation.T])
+    return turned.T, joint.origin + along(axes, link.placement.translation).T
 
 
 def _joints_upstream(model: pin.Model, frame: pin.Frame) -> set[int]:
