@@ -177,16 +177,16 @@ def along_z(robot: Robot, tip_target: pin.SE3) -> str:
     """Write the chain with all axes along z and the target as its last link: robotkinecal takes every axis for a z axis."""
     lines = [f'<robot name="{robot.tip}"><link name="link_0"/>']
     turn = pin.SE3.Identity()
-    for k, joint in enumerate(robot.joints, 1):
-        onto = pin.SE3(pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), joint.axis).matrix(), np.zeros(3))
-        origin = _origin(turn.inverse() * joint.placement * onto)
+    for k, (joint, onward) in enumerate(zip(robot.joints, robot.onward, strict=False), 1):
+        onto = pin.SE3(pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), joint.along).matrix(), np.zeros(3))
+        origin = _origin(turn.inverse() * onward * onto)
         lines.append(
             f'<link name="link_{k}"/><joint name="{joint.name}" type="revolute"><parent link="link_{k - 1}"/>'
             f'<child link="link_{k}"/>{origin}<axis xyz="0 0 1"/>'
             f'<limit lower="{joint.lower}" upper="{joint.upper}" effort="1" velocity="1"/></joint>'
         )
         turn = onto
-    last = _origin(turn.inverse() * robot.tip_before * robot.tip_origin * tip_target)
+    last = _origin(turn.inverse() * robot.onward[-1] * tip_target)
     lines.append(
         f'<link name="target"/><joint name="mounting" type="fixed"><parent link="link_{len(robot.joints)}"/>'
         f'<child link="target"/>{last}</joint></robot>'
