@@ -140,7 +140,7 @@ def lines_touch(
 
 def _base(robot: Robot) -> pin.SE3:
     """Where the base is in the tree's root: shapes on no joint are given there."""
-    return locked_placement(robot.tree, robot.tree.frames[robot.tree.getFrameId(robot.base, pin.FrameType.BODY)])
+    return locked_placement(robot, robot.tree.frames[robot.tree.getFrameId(robot.base, pin.FrameType.BODY)])
 
 
 def _placements(robot: Robot, readings: np.ndarray) -> Iterator[list[pin.SE3]]:

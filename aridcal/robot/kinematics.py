@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
 
-from aridcal.robot.chain import Robot
+from aridcal.robot.chain import Robot, driven
+from aridcal.robot.drive import Drive
 
 # An axis whose other two components are smaller is one of its frame's own: the rounding of a written URDF.
 ON_AN_AXIS = 1e-9
@@ -97,7 +98,7 @@ def tree_frames(robot: Robot, readings: np.ndarray) -> Iterator[Walked]:
     """Walk the whole tree for N rows at once, nominal placements, parents first.
 
     Args:
-        robot: The chain; its readings drive the tree, and joints that are not measured stay at zero.
+        robot: The chain; its readings drive the tree, and joints that are neither measured nor stated stay at zero.
         readings: Shape (N, columns), [rad] or [m].
     """
     if robot.climbs:
@@ -107,7 +108,7 @@ def tree_frames(robot: Robot, readings: np.ndarray) -> Iterator[Walked]:
         return
     base = _link_frame(robot, robot.base)
     # What moves the base itself moves nothing in the base's frame.
-    yield from _walk(robot, readings, locked_placement(robot.tree, base).inverse(), _joints_upstream(robot.tree, base))
+    yield from _walk(robot, readings, locked_placement(robot, base).inverse(), _joints_upstream(robot.tree, base))
 
 
 def root_frames(robot: Robot, readings: np.ndarray) -> Iterator[Walked]:
@@ -121,7 +122,7 @@ def root_in_base(robot: Robot, readings: np.ndarray) -> tuple[np.ndarray, np.nda
         R, p = _link_in_root(robot, readings, robot.base)
         back = R.transpose(0, 2, 1)
         return back, -(back @ p[:, :, None])[:, :, 0]
-    start = locked_placement(robot.tree, _link_frame(robot, robot.base)).inverse()
+    start = locked_placement(robot, _link_frame(robot, robot.base)).inverse()
     return np.tile(start.rotation, (len(readings), 1, 1)), np.tile(start.translation, (len(readings), 1))
 
 
@@ -151,7 +152,7 @@ def _walk(robot: Robot, readings: np.ndarray, start: pin.SE3, still: Collection[
         robot: The chain.
         readings: Shape (N, columns), [rad] or [m].
         start: Where the root is.
-        still: Joints that stay at zero although they are measured.
+        still: Joints that stay at zero although they are measured; those that are stated to stand elsewhere do not.
     """
     model = robot.tree
     n = len(readings)
@@ -165,10 +166,11 @@ def _walk(robot: Robot, readings: np.ndarray, start: pin.SE3, still: Collection[
         for own, numbers in zip(bearing, placement.rotation.T, strict=True):
             own[:] = along(R[parent], numbers)
         axes, origin = bearing, p[parent] + along(R[parent], placement.translation)
-        master, multiplier, offset = robot.mimics.get(name, (name, 1.0, 0.0))
-        if master in column and name in robot.moves and k not in still:
+        drive = robot.mimics.get(name, Drive({name: 1.0}))
+        known = drive.factors.keys() <= column.keys()
+        if known and name in robot.moves and not (k in still and drive.factors):
             axis, kind = robot.moves[name]
-            q = multiplier * readings[:, column[master]] + offset
+            q = driven(drive, readings, column)
             if kind == "prismatic":
                 origin = origin + q * along(bearing, axis)
             else:
@@ -275,20 +277,40 @@ def _joints_upstream(model: pin.Model, frame: pin.Frame) -> set[int]:
     return found
 
 
-def locked_placement(model: pin.Model, frame: pin.Frame) -> pin.SE3:
+def locked_placement(robot: Robot, frame: pin.Frame) -> pin.SE3:
     """Placement of a frame in the tree's root when no joint upstream moves."""
+    model = robot.tree
     placement, k = frame.placement, frame.parentJoint
     while k > 0:
+        drive = robot.mimics.get(model.names[k])
+        if drive is not None and not drive.factors:
+            placement = _motion(*robot.moves[model.names[k]], drive.offset) * placement
         placement, k = model.jointPlacements[k] * placement, model.parents[k]
     return placement
+
+
+def _motion(axis: np.ndarray, kind: str, q: float) -> pin.SE3:
+    """What a joint does, from its origin."""
+    return pin.SE3(np.eye(3), q * axis) if kind == "prismatic" else pin.SE3(pin.exp3(q * axis), np.zeros(3))
+
+
+def configuration(model: pin.Model, places: Mapping[str, float]) -> np.ndarray:
+    """Pinocchio's configuration with some joints where they are said to be, [rad] or [m], and all others at zero."""
+    q = pin.neutral(model)
+    for name, place in places.items():
+        joint = model.joints[model.getJointId(name)]
+        # Of joints that turn without end Pinocchio has cosine and sine.
+        q[joint.idx_q : joint.idx_q + joint.nq] = [np.cos(place), np.sin(place)] if joint.nq == 2 else place
+    return q
 
 
 def carried_bodies(robot: Robot) -> dict[str, pin.Inertia]:
     """Inertia carried by each joint of the chain: fixed links and locked side branches included."""
     tree = robot.tree.copy()
+    still = {name: drive.offset for name, drive in robot.mimics.items() if name in robot.moves and not drive.factors}
     for frame in tree.frames:  # Pinocchio looks for frames by name, and a link may have that of a joint
         if frame.type != pin.FrameType.JOINT:
             frame.name = f"{frame.name} {frame.type}"
     lock = [k for k in range(1, tree.njoints) if tree.names[k] not in robot.names]
-    reduced = pin.buildReducedModel(tree, lock, pin.neutral(tree))
+    reduced = pin.buildReducedModel(tree, lock, configuration(tree, still))
     return {name: reduced.inertias[reduced.getJointId(name)] for name in robot.names}
