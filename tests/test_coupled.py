@@ -28,6 +28,7 @@ from aridcal.robot.chain import Robot, parse_robot
 from aridcal.robot.drive import Stated
 from aridcal.robot.kinematics import carried_bodies, tip_frames, tree_frames
 from aridcal.trust.regions import _place
+from aridcal.upkeep.new_rows import read_new_rows
 
 WAIST, KNUCKLE = "joint_2", "joint_5"
 STANDS = 0.4
@@ -240,6 +241,24 @@ def test_a_column_of_a_joint_that_is_stated_is_refused_until_it_is_ignored(
     q.to_csv(tmp_path / "q.csv", index=False)
     assert predict.main([str(folder / "results"), str(tmp_path / "q.csv"), "-o", str(tmp_path / "p.csv")]) == 2
     assert "measurements.ignore" in capsys.readouterr().err
+
+
+def test_new_rows_of_another_instrument_are_held_to_what_was_stated(
+    done: tuple[robots.Truth, Path], tmp_path: Path
+) -> None:
+    truth, folder = done
+    saved, rows = SavedModel.load(folder / "results"), robots.table(truth).head(12)
+    keys: dict[str, object] = {"format": 1, "measurements": {"file": "new.csv", "kind": "pose"}}
+    path = tmp_path / "new.yaml"
+    path.write_text(yaml.safe_dump(keys))
+    rows.to_csv(tmp_path / "new.csv", index=False)
+    assert len(read_new_rows(saved, path).rows) == 12
+    rows.assign(**{WAIST: STANDS + 0.1}).to_csv(tmp_path / "new.csv", index=False)
+    with pytest.raises(AridcalError, match=rf"{WAIST}.*`robot.joints` or `robot.coupled` says where"):
+        read_new_rows(saved, path)
+    path.write_text(yaml.safe_dump(keys | {"robot": {"urdf": "robot.urdf", "tip": "tip", "joints": {WAIST: 0.5}}}))
+    with pytest.raises(AridcalError, match=r"robot.joints and robot.coupled: are not those.*delete"):
+        read_new_rows(saved, path)
 
 
 def test_robot_programs_of_a_coupled_arm_are_refused(
